@@ -1,0 +1,150 @@
+//! Borrowed pictures.
+
+use core::fmt;
+
+/// How the bytes of a picture are laid out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum PixelFormat {
+    /// Three bytes a pixel: red, green, blue.
+    Rgb8,
+    /// One byte a pixel.
+    Gray8,
+    /// YUV 4:2:2 packed as Y0 U Y1 V, two bytes a pixel, even width.
+    Yuyv,
+    /// A whole JPEG file, as the camera compressed it.
+    Mjpeg,
+}
+
+impl PixelFormat {
+    /// Bytes of a picture of this size; `None` where the size depends on the content.
+    #[must_use]
+    pub fn bytes(self, width: usize, height: usize) -> Option<usize> {
+        let pixels = width.checked_mul(height)?;
+        match self {
+            Self::Rgb8 => pixels.checked_mul(3),
+            Self::Gray8 => Some(pixels),
+            Self::Yuyv => pixels.checked_mul(2),
+            Self::Mjpeg => None,
+        }
+    }
+}
+
+/// The bytes do not make the picture that they are said to be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ImageError {
+    /// Width or height is zero, or the width is odd where the format needs pairs.
+    Size {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// The format.
+        format: PixelFormat,
+    },
+    /// Too many or too few bytes.
+    Length {
+        /// Bytes that the size and format need.
+        expected: usize,
+        /// Bytes that came.
+        actual: usize,
+    },
+}
+
+impl fmt::Display for ImageError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Size { width, height, format } => write!(f, "a {format:?} picture cannot be {width}x{height}"),
+            Self::Length { expected, actual } => write!(f, "picture has {actual} bytes, its size needs {expected}"),
+        }
+    }
+}
+
+impl core::error::Error for ImageError {}
+
+/// A picture that somebody else owns: row-major, no padding between rows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ImageView<'a> {
+    width: usize,
+    height: usize,
+    format: PixelFormat,
+    data: &'a [u8],
+}
+
+impl<'a> ImageView<'a> {
+    /// A checked view: later reads cannot be out of bounds.
+    ///
+    /// # Errors
+    /// When the size is impossible or does not fit the bytes.
+    pub fn new(width: usize, height: usize, format: PixelFormat, data: &'a [u8]) -> Result<Self, ImageError> {
+        if width == 0 || height == 0 || (format == PixelFormat::Yuyv && width % 2 == 1) {
+            return Err(ImageError::Size { width, height, format });
+        }
+        match format.bytes(width, height) {
+            Some(expected) if expected != data.len() => Err(ImageError::Length { expected, actual: data.len() }),
+            None if format != PixelFormat::Mjpeg => Err(ImageError::Size { width, height, format }),
+            _ => Ok(Self { width, height, format, data }),
+        }
+    }
+
+    /// An RGB view.
+    ///
+    /// # Errors
+    /// As [`ImageView::new`].
+    pub fn rgb8(width: usize, height: usize, data: &'a [u8]) -> Result<Self, ImageError> {
+        Self::new(width, height, PixelFormat::Rgb8, data)
+    }
+
+    /// Columns.
+    #[must_use]
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    #[must_use]
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Layout of [`data`](Self::data).
+    #[must_use]
+    pub fn format(&self) -> PixelFormat {
+        self.format
+    }
+
+    /// The bytes.
+    #[must_use]
+    pub fn data(&self) -> &'a [u8] {
+        self.data
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_of_the_wrong_length_is_refused_with_both_numbers() {
+        let error = ImageView::rgb8(4, 2, &[0; 23]).unwrap_err();
+        assert_eq!(error, ImageError::Length { expected: 24, actual: 23 });
+    }
+
+    #[test]
+    fn an_empty_or_odd_yuyv_picture_is_refused() {
+        assert!(ImageView::new(0, 2, PixelFormat::Gray8, &[]).is_err());
+        assert!(ImageView::new(3, 2, PixelFormat::Yuyv, &[0; 12]).is_err());
+        assert!(ImageView::new(4, 2, PixelFormat::Yuyv, &[0; 16]).is_ok());
+    }
+
+    #[test]
+    fn a_size_that_overflows_is_refused() {
+        assert!(ImageView::new(usize::MAX, 2, PixelFormat::Rgb8, &[]).is_err());
+    }
+
+    #[test]
+    fn jpeg_bytes_may_have_any_length() {
+        assert!(ImageView::new(640, 480, PixelFormat::Mjpeg, &[0xff, 0xd8]).is_ok());
+    }
+}

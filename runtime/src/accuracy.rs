@@ -1,0 +1,1 @@
+//! Accuracy of depth against ground truth, as the field reports it.

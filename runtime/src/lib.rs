@@ -1,0 +1,13 @@
+//! Everything the robot decides. No device, file, socket or clock is opened here: the runtime is given bytes, time and a
+//! seed, and returns decisions. The same inputs give the same decisions, bit for bit, on any number of threads.
+#![forbid(unsafe_code)]
+
+pub mod accuracy;
+pub mod event;
+pub mod exploration;
+pub mod mapping;
+pub mod perception;
+pub mod planning;
+pub mod recording;
+pub mod safety;
+pub mod tick;

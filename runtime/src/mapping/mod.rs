@@ -1,0 +1,1 @@
+//! What is where: a local occupancy map around the robot.

@@ -1,0 +1,1 @@
+//! Ways through the map, and how to drive them.

@@ -1,0 +1,1 @@
+//! The recording: every input and every decision, in MCAP.

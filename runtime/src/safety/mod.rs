@@ -1,0 +1,1 @@
+//! What keeps the robot from harm: the bumper between every wish and the wheels.

@@ -1,0 +1,6 @@
+//! A home to explore, without the home: the hal traits over a textured triangle scene, in virtual time.
+//!
+//! World frame: x and y horizontal, z up, metres; the floor that the robot drives on is at z = 0 after loading.
+#![forbid(unsafe_code)]
+
+pub mod scene;
