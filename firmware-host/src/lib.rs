@@ -1,0 +1,5 @@
+//! What the binary on the robot is made of: configuration, wiring, command line, telemetry and reports.
+#![forbid(unsafe_code)]
+
+pub mod config;
+pub mod report;
