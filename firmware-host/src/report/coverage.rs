@@ -26,7 +26,16 @@ impl Coverage {
             && origin_m.iter().all(|value| value.is_finite())
             && reachable_cells > 0;
         let mapped = vec![false; reachable.len()];
-        sound.then_some(Self { width, height, origin_m, resolution_m, reachable, mapped, reachable_cells, mapped_cells: 0 })
+        sound.then_some(Self {
+            width,
+            height,
+            origin_m,
+            resolution_m,
+            reachable,
+            mapped,
+            reachable_cells,
+            mapped_cells: 0,
+        })
     }
 
     /// A map cell of side `cell_m` with its centre at (`x_m`, `y_m`) in the world became known. Marks every true cell whose

@@ -76,7 +76,11 @@ impl Latencies {
     /// Percentiles of every stage that was measured.
     #[must_use]
     pub fn percentiles(&self) -> BTreeMap<Stage, Percentiles> {
-        Stage::ALL.into_iter().zip(&self.stages).filter_map(|(stage, times)| Some((stage, times.percentiles()?))).collect()
+        Stage::ALL
+            .into_iter()
+            .zip(&self.stages)
+            .filter_map(|(stage, times)| Some((stage, times.percentiles()?)))
+            .collect()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use runtime::event::ExploreEnd;
+use runtime::{accuracy::AccuracyRows, event::ExploreEnd};
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -85,7 +85,7 @@ pub struct Summary {
     pub latency_ms: BTreeMap<Stage, Percentiles>,
     /// Depth against ground truth.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub accuracy: Option<Accuracy>,
+    pub accuracy: Option<DepthAccuracy>,
     /// Most memory that was resident at once, MiB.
     #[serde(skip_serializing_if = "absent")]
     pub resident_mib: Option<f64>,
@@ -103,52 +103,19 @@ pub struct Summary {
     pub version: String,
 }
 
-/// Accuracy of each source of depth.
+/// Accuracy of each source of depth. A source that had nothing to say is absent.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Accuracy {
+pub struct DepthAccuracy {
     /// Depth from ego-motion.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub coarse: Option<SourceAccuracy>,
+    pub coarse: Option<AccuracyRows>,
     /// Depth from the network.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub network: Option<SourceAccuracy>,
+    pub network: Option<AccuracyRows>,
     /// The median of the ground truth everywhere: what anything must beat.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub constant: Option<SourceAccuracy>,
-}
-
-/// Accuracy of one source of depth.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default)]
-pub struct SourceAccuracy {
-    /// Over all pixels with a depth.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub all: Option<AccuracyRow>,
-    /// Over the more confident half of them.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub confident: Option<AccuracyRow>,
-}
-
-/// Means over frames of per-image values, ground truth 0.1 to 20 m.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default)]
-pub struct AccuracyRow {
-    /// Share of the pixels with ground truth that this row speaks of.
-    #[serde(skip_serializing_if = "absent")]
-    pub share: Option<f64>,
-    /// Share of pixels within a factor of 1.25 of the truth, after scaling the image by its median.
-    #[serde(skip_serializing_if = "absent")]
-    pub delta1: Option<f64>,
-    /// The same without scaling.
-    #[serde(skip_serializing_if = "absent")]
-    pub delta1_unscaled: Option<f64>,
-    /// Mean of |depth - truth| / truth.
-    #[serde(skip_serializing_if = "absent")]
-    pub abs_rel: Option<f64>,
-    /// Root of the mean squared error, metres.
-    #[serde(skip_serializing_if = "absent")]
-    pub rmse_m: Option<f64>,
+    pub constant: Option<AccuracyRows>,
 }
 
 /// A number that JSON cannot hold is no value either.
@@ -189,6 +156,7 @@ fn peak_resident_in(status: &str) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use runtime::accuracy::Metrics;
     use serde_json::json;
 
     #[test]
@@ -206,14 +174,9 @@ mod tests {
 
     #[test]
     fn keys_and_nesting_are_those_that_tools_rely_on() {
-        let all = AccuracyRow {
-            share: Some(0.71),
-            delta1: Some(0.86),
-            delta1_unscaled: Some(0.84),
-            abs_rel: Some(0.1),
-            rmse_m: Some(0.4),
-        };
-        let constant = AccuracyRow { delta1: Some(0.65), ..AccuracyRow::default() };
+        let rows = |metrics| AccuracyRows { all: Some(metrics), confident: None };
+        let coarse = rows(Metrics { share: 0.71, delta1: 0.86, delta1_unscaled: 0.84, ..Metrics::default() });
+        let constant = rows(Metrics { delta1: 0.65, ..Metrics::default() });
         let summary = Summary {
             frames: 3000,
             seed: Some(7),
@@ -228,25 +191,22 @@ mod tests {
             wall_s: Some(95.1),
             digest: Some("ab12".into()),
             latency_ms: BTreeMap::from([(Stage::Total, Percentiles { p50: 6.1, p99: 9.7, max: 14.0 })]),
-            accuracy: Some(Accuracy {
-                coarse: Some(SourceAccuracy { all: Some(all), confident: None }),
-                network: None,
-                constant: Some(SourceAccuracy { all: Some(constant), confident: None }),
-            }),
+            accuracy: Some(DepthAccuracy { coarse: Some(coarse), network: None, constant: Some(constant) }),
             ..Summary::default()
         };
-        let value: serde_json::Value = serde_json::from_str(&summary.to_json()).unwrap();
+        let mut value: serde_json::Value = serde_json::from_str(&summary.to_json()).unwrap();
+        let accuracy = value["accuracy"].take();
         let expected = json!({
             "frames": 3000, "seed": 7, "policy": "active", "scene": "builtin:house?seed=3", "depth_source": "coarse",
             "end_reason": "frame_budget", "path_m": 81.2, "coverage": 0.83, "collisions": 0, "stuck_frames": 12,
             "wall_s": 95.1, "digest": "ab12", "latency_ms": {"total": {"p50": 6.1, "p99": 9.7, "max": 14.0}},
-            "accuracy": {
-                "coarse": {"all": {"share": 0.71, "delta1": 0.86, "delta1_unscaled": 0.84, "abs_rel": 0.1, "rmse_m": 0.4}},
-                "constant": {"all": {"delta1": 0.65}},
-            },
-            "bumper_trips": 0, "bumper_escapes": 0, "goals": {"reached": 0},
+            "accuracy": null, "bumper_trips": 0, "bumper_escapes": 0, "goals": {"reached": 0},
         });
         assert_eq!(value, expected);
+        assert_eq!(accuracy["coarse"]["all"]["delta1_unscaled"], 0.84);
+        assert_eq!(accuracy["constant"]["all"]["delta1"], 0.65);
+        assert_eq!(accuracy.get("network"), None);
+        assert_eq!(accuracy["coarse"].get("confident"), None);
         assert_eq!(serde_json::from_str::<Summary>(&summary.to_json()).unwrap(), summary);
     }
 
