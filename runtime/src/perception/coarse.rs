@@ -123,6 +123,12 @@ impl CoarseDepth {
         outcome.map(|()| &self.estimate)
     }
 
+    /// What the last successful [`estimate`](Self::estimate) returned.
+    #[must_use]
+    pub fn last(&self) -> &DepthEstimate {
+        &self.estimate
+    }
+
     fn match_against(&mut self, chosen: &[usize], pose: &Pose3) {
         let descriptors = self.camera.cropped(0.5, 0.5, self.camera.width, self.camera.height);
         let references: Vec<Reference<'_>> = chosen
