@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 pub mod laser;
+pub mod nuisance;
 pub mod people;
 mod random;
 pub mod render;

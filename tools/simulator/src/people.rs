@@ -179,3 +179,101 @@ impl Walker {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const SECOND_NS: u64 = 1_000_000_000;
+
+    fn corridor(speed_mps: f64, seed: u64) -> Walker {
+        Walker::new(vec![[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]], speed_mps, seed).unwrap()
+    }
+
+    #[test]
+    fn a_walker_keeps_to_the_line_and_to_the_speed() {
+        let walker = corridor(1.2, 7);
+        let (mut before, mut turns) = (walker.at(0), 0);
+        for step in 1..2000 {
+            let now = walker.at(step * SECOND_NS / 50);
+            let [x, y] = now.position_m;
+            let on_line = (y.abs() < 1e-9 && (-1e-9..=4.0 + 1e-9).contains(&x))
+                || ((x - 4.0).abs() < 1e-9 && (-1e-9..=3.0 + 1e-9).contains(&y));
+            assert!(on_line, "({x}, {y})");
+            let moved = (x - before.position_m[0]).hypot(y - before.position_m[1]);
+            assert!(moved <= 1.2 / 50.0 + 1e-9);
+            turns += usize::from(moved < 1.2 / 50.0 - 1e-6);
+            before = now;
+        }
+        // 48 m on a line of 7 m with one corner: it turns or rounds the corner about 13 times.
+        assert!((8..=16).contains(&turns), "{turns}");
+    }
+
+    #[test]
+    fn a_walker_looks_where_it_goes() {
+        let walker = corridor(1.0, 1);
+        for step in 0..700 {
+            let (now, next) = (walker.at(step * SECOND_NS / 10), walker.at(step * SECOND_NS / 10 + 1_000_000));
+            let going = [next.position_m[0] - now.position_m[0], next.position_m[1] - now.position_m[1]];
+            let ahead = going[0] * now.yaw_rad.cos() + going[1] * now.yaw_rad.sin();
+            assert!(ahead > 0.9e-3 || going[0].hypot(going[1]) < 0.95e-3, "{ahead}");
+        }
+    }
+
+    #[test]
+    fn the_seed_chooses_clothes_and_start_and_nothing_else_does() {
+        assert_eq!(corridor(1.0, 3).at(5 * SECOND_NS), corridor(1.0, 3).at(5 * SECOND_NS));
+        let (a, b) = (corridor(1.0, 3).at(0), corridor(1.0, 4).at(0));
+        assert!(a.clothes != b.clothes && a.position_m != b.position_m);
+    }
+
+    #[test]
+    fn one_waypoint_is_a_place_to_stand_and_none_is_refused() {
+        let still = Walker::new(vec![[1.0, 2.0]], 1.0, 0).unwrap();
+        assert_eq!(still.at(9 * SECOND_NS).position_m, [1.0, 2.0]);
+        assert!(Walker::new(vec![], 1.0, 0).is_none());
+        assert!(Walker::new(vec![[f64::NAN, 0.0]], 1.0, 0).is_none());
+        assert!(Walker::new(vec![[0.0, 0.0]], -1.0, 0).is_none());
+    }
+
+    #[test]
+    fn a_capsule_is_entered_at_its_side_and_at_its_caps() {
+        let part = Capsule {
+            from: Vector3::new(0.0, 0.0, 1.0),
+            to: Vector3::new(0.0, 0.0, 2.0),
+            radius_m: 0.5,
+            color: [0.0; 3],
+        };
+        let entry = |origin: [f64; 3], direction: [f64; 3]| part.entry(&origin.into(), &direction.into());
+        assert!((entry([-3.0, 0.0, 1.5], [1.0, 0.0, 0.0]).unwrap() - 2.5).abs() < 1e-12);
+        // Down its axis, and beside it.
+        assert!((entry([0.0, 0.0, 5.0], [0.0, 0.0, -1.0]).unwrap() - 2.5).abs() < 1e-12);
+        assert!((entry([0.3, 0.0, 5.0], [0.0, 0.0, -1.0]).unwrap() - 2.6).abs() < 1e-12);
+        assert_eq!(entry([0.6, 0.0, 5.0], [0.0, 0.0, -1.0]), None);
+        assert_eq!(entry([-3.0, 0.0, 1.5], [-1.0, 0.0, 0.0]), None);
+        assert_eq!(entry([0.1, 0.0, 1.5], [1.0, 0.0, 0.0]), None, "from inside there is nothing to enter");
+    }
+
+    proptest! {
+        #[test]
+        fn where_a_ray_enters_is_on_the_surface_and_outside_before(
+            origin in prop::array::uniform3(-4.0..4.0_f64), target in prop::array::uniform3(-0.6..0.6_f64),
+            from in prop::array::uniform3(-0.5..0.5_f64), to in prop::array::uniform3(-0.5..0.5_f64),
+        ) {
+            let part = Capsule { from: from.into(), to: to.into(), radius_m: 0.3, color: [0.0; 3] };
+            let (origin, target): (Vector3<f64>, Vector3<f64>) = (origin.into(), target.into());
+            let distance = |point: &Vector3<f64>| part.normal(point).norm() * part.radius_m;
+            prop_assume!(distance(&origin) > 0.31);
+            let direction = target - origin;
+            let first_inside = (0..4000).map(|i| f64::from(i) / 2000.0).find(|s| distance(&(origin + direction * *s)) < 0.3);
+            match part.entry(&origin, &direction) {
+                Some(t) => {
+                    prop_assert!((distance(&(origin + direction * t)) - 0.3).abs() < 1e-6);
+                    prop_assert!(first_inside.is_none_or(|s| s >= t - 1e-9));
+                }
+                None => prop_assert!(first_inside.is_none()),
+            }
+        }
+    }
+}

@@ -109,6 +109,37 @@ impl Renderer {
             });
     }
 
+    /// As [`Renderer::render`], blurred by the camera's motion while the shutter is open: the average light of `pictures`
+    /// views evenly from `t_world_camera[0]` to `t_world_camera[1]`. The depth is that of the middle.
+    pub fn render_blurred(
+        &self,
+        camera: &CameraModel,
+        t_world_camera: [&Pose3; 2],
+        pictures: usize,
+        people: &[Person],
+        light: &Lighting,
+        rgb: &mut Vec<u8>,
+        depth: &mut DepthMap,
+    ) {
+        let [from, to] = t_world_camera;
+        let between = |share: f64| from.try_lerp_slerp(to, share, 1e-9).unwrap_or(*to);
+        let mut sum = vec![0.0; camera.width * camera.height * 3];
+        let linear: Vec<f32> = (0..=255).map(texture::srgb_to_linear).collect();
+        for picture in 0..pictures {
+            let pose = between((picture as f64 + 0.5) / pictures as f64);
+            self.render(camera, &pose, people, light, rgb, depth);
+            for (sum, byte) in sum.iter_mut().zip(rgb.iter()) {
+                *sum += linear[*byte as usize];
+            }
+        }
+        self.render(camera, &between(0.5), people, light, rgb, depth);
+        if pictures > 0 {
+            for (sum, byte) in sum.iter().zip(rgb.iter_mut()) {
+                *byte = light::linear_to_srgb(sum / pictures as f32);
+            }
+        }
+    }
+
     /// Distance along a ray to the first surface or person, metres; `None` when there is none within `max_m` or the
     /// direction (of any length) is zero or not finite.
     #[must_use]

@@ -355,3 +355,49 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn motion_blur_averages_light_along_the_way() {
+    // A bright and a dark half; turning across the border mixes them, standing still does not.
+    let mut triangles: Vec<_> = quad([5.0, 0.0, -20.0], [0.0, 40.0, 0.0], [0.0, 0.0, 40.0], 0).into();
+    triangles.extend(quad([5.0, -40.0, -20.0], [0.0, 40.0, 0.0], [0.0, 0.0, 40.0], 1));
+    let scene = Scene { triangles, materials: vec![plain([0.6; 3]), plain([0.1; 3])], textures: vec![] };
+    let renderer = Renderer::new(&scene);
+    let camera = CameraModel::pinhole(41, 9, std::f64::consts::FRAC_PI_2);
+    let blurred = |turn: f64| {
+        let poses = [standing(0.0, 0.0, -turn, 0.0), standing(0.0, 0.0, turn, 0.0)];
+        let (mut rgb, mut depth) = (Vec::new(), DepthMap::none(0, 0));
+        renderer.render_blurred(&camera, [&poses[0], &poses[1]], 8, &[], &Lighting::flat(), &mut rgb, &mut depth);
+        assert!((depth.get(20, 4).unwrap() - 5.0).abs() < 1e-5);
+        rgb
+    };
+    let (still, moving) = (blurred(0.0), blurred(0.2));
+    let middle = |rgb: &[u8], column: usize| rgb[(4 * 41 + column) * 3];
+    assert_eq!([middle(&still, 18), middle(&still, 22)], [0.6, 0.1].map(light::linear_to_srgb));
+    assert!(middle(&moving, 20).abs_diff(light::linear_to_srgb(0.35)) < 12);
+    assert_eq!([middle(&moving, 2), middle(&moving, 38)], [0.6, 0.1].map(light::linear_to_srgb));
+}
+
+#[test]
+fn sun_patches_brighten_some_of_the_floor_and_stay_where_they_are() {
+    let scene = Scene { triangles: room([8.0, 6.0, 2.6], 0), materials: vec![plain([0.4; 3])], textures: vec![] };
+    let sun = SunPatches { strength: 1.0, direction: [0.6, 0.3, 0.7], size_m: [0.9, 1.4], spacing_m: 3.1 };
+    let light = Lighting { sun: Some(sun), ..Lighting::default() };
+    let down = |x: f64| Pose2::new(x, 3.0, 0.0).to_pose3() * camera_mount(0.0, 2.0, std::f64::consts::FRAC_PI_2);
+    let camera = CameraModel::pinhole(200, 200, std::f64::consts::FRAC_PI_2);
+    // A pixel is 2 cm wide on the floor; moving 0.5 m forward moves the picture down by 25 rows.
+    let (first, _) = photograph(&scene, &camera, &down(4.0), &light);
+    let (second, _) = photograph(&scene, &camera, &down(4.5), &light);
+    let bright = |rgb: &[u8]| rgb.chunks_exact(3).filter(|p| p[0] > 190).count() as f64 / 40_000.0;
+    let expected = 0.9 * 1.4 / (3.1 * 3.1);
+    assert!((bright(&first) - expected).abs() < 0.06, "{} of the floor, not {expected}", bright(&first));
+    let shifted =
+        |row: usize, column: usize| (first[(row * 200 + column) * 3], second[((row + 25) * 200 + column) * 3]);
+    let same = (0..175 * 200)
+        .filter(|i| {
+            let (a, b) = shifted(i / 200, i % 200);
+            a.abs_diff(b) < 8
+        })
+        .count();
+    assert!(same > 34_000, "{same} of 35000 floor points look the same");
+}
