@@ -3,4 +3,7 @@
 
 pub mod config;
 pub mod dataset;
+pub mod onnx_runtime;
+pub mod record;
+pub mod replay;
 pub mod report;

@@ -4,5 +4,11 @@
 #![forbid(unsafe_code)]
 
 pub mod error;
+pub mod floor;
+pub mod laser;
 pub mod load;
+pub mod nuisance;
+pub mod people;
+mod random;
+pub mod render;
 pub mod scene;
