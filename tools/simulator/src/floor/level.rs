@@ -82,10 +82,13 @@ fn candidates(bins: &BTreeMap<i64, (f64, f64)>) -> Vec<(f64, f64)> {
             chosen.push((bin, area));
         }
     }
-    let mean = |bin: i64| {
-        let (moment, area) =
-            bins.range(bin - reach..=bin + reach).fold((0.0, 0.0), |sum, (_, bin)| (sum.0 + bin.0, sum.1 + bin.1));
+    // The floor itself, not the mean of floor and carpets: the fullest bin and those beside it.
+    let mode = |bin: i64| {
+        let window = bins.range(bin - reach..=bin + reach);
+        let fullest = window.max_by(|a, b| a.1.1.total_cmp(&b.1.1)).map_or(bin, |(&fullest, _)| fullest);
+        let near = bins.range(fullest - 1..=fullest + 1);
+        let (moment, area) = near.fold((0.0, 0.0), |sum, (_, bin)| (sum.0 + bin.0, sum.1 + bin.1));
         moment / area
     };
-    chosen.into_iter().map(|(bin, area)| (mean(bin), area)).collect()
+    chosen.into_iter().map(|(bin, area)| (mode(bin), area)).collect()
 }
