@@ -13,5 +13,6 @@ pub mod odometry;
 pub mod people;
 mod random;
 pub mod render;
+pub mod robot;
 pub mod scene;
 pub mod world;
