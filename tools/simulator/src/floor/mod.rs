@@ -183,8 +183,7 @@ impl FloorPlan {
             let [cx, cy] = self.frame.center_m(*index);
             (cx - from.x_m).hypot(cy - from.y_m)
         };
-        let nearest =
-            (0..self.frame.cells()).filter(|index| free(*index)).min_by(|a, b| far(a).total_cmp(&far(b)));
+        let nearest = (0..self.frame.cells()).filter(|index| free(*index)).min_by(|a, b| far(a).total_cmp(&far(b)));
         nearest.map_or([from.x_m, from.y_m], |index| self.frame.center_m(index))
     }
 

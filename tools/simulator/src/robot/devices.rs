@@ -58,7 +58,8 @@ impl Camera for SimCamera {
 
     fn poll_frame(&mut self, frame: &mut Frame) -> Result<bool, Infallible> {
         let mut state = lock(&self.shared);
-        if state.frame_ns.replace(state.now_ns) == Some(state.now_ns) {
+        let now_ns = state.now_ns;
+        if state.frame_ns.replace(now_ns) == Some(now_ns) {
             return Ok(false);
         }
         state.take_frame(frame);
@@ -89,7 +90,8 @@ impl Lidar for SimLidar {
 
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Infallible> {
         let mut state = lock(&self.shared);
-        if state.scan_ns.replace(state.now_ns) == Some(state.now_ns) {
+        let now_ns = state.now_ns;
+        if state.scan_ns.replace(now_ns) == Some(now_ns) {
             return Ok(false);
         }
         state.take_scan(scan);
@@ -131,7 +133,8 @@ impl Base for SimBase {
 
     fn poll_feedback(&mut self) -> Result<Option<WheelFeedback>, DriveRefused> {
         let mut state = lock(&self.shared);
-        let fresh = state.feedback_ns.replace(state.now_ns) != Some(state.now_ns);
+        let now_ns = state.now_ns;
+        let fresh = state.feedback_ns.replace(now_ns) != Some(now_ns);
         Ok(fresh.then(|| state.feedback()))
     }
 }
