@@ -3,6 +3,7 @@
 //! A pinhole camera over textured triangles: every pixel's depth is that of the ray through its centre; colour is filtered
 //! over the pixel's footprint. Light is diffuse: a surface looks the same from everywhere.
 
+mod ambient;
 mod bvh;
 mod light;
 mod surface;
@@ -17,6 +18,7 @@ use rayon::prelude::*;
 
 use crate::people::{Capsule, Person};
 use crate::scene::{Material, Scene};
+pub use ambient::{AmbientOptions, bake_ambient};
 use bvh::{Bvh, Corners, V3};
 use light::ToneCurve;
 pub use light::{Lighting, SunPatches, Window};
