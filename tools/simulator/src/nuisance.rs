@@ -103,7 +103,7 @@ impl Nuisances {
     /// The scene's light at a time.
     #[must_use]
     pub fn lighting(&self, time_ns: u64) -> Lighting {
-        let sun = (self.sun_patches > 0.0).then(|| SunPatches {
+        let sun = (self.sun_patches > 0.0).then_some(SunPatches {
             strength: self.sun_patches as f32,
             direction: [0.6, 0.35, 0.7],
             size_m: [0.9, 1.4],
