@@ -3,4 +3,5 @@
 //! World frame: x and y horizontal, z up, metres; the floor that the robot drives on is at z = 0 after loading.
 #![forbid(unsafe_code)]
 
+pub mod homes;
 pub mod scene;
