@@ -115,7 +115,8 @@ impl Mesh {
         }
         for end in 0..2 {
             if radius[end] > 1e-3 && (end == 1 || z[0] > 1e-3) {
-                let around: Vec<[f32; 3]> = (0..sides).map(|k| rim(if end == 1 { k } else { sides - 1 - k }, end)).collect(), look);
+                let around: Vec<_> = (0..sides).map(|k| rim(if end == 1 { k } else { sides - 1 - k }, end)).collect();
+                self.disc(&around, look);
             }
         }
         let r = radius[0].max(radius[1]) * 0.85;
