@@ -6,6 +6,7 @@
 mod builtin;
 pub mod error;
 pub mod floor;
+pub mod homes;
 pub mod laser;
 pub mod load;
 pub mod nuisance;
