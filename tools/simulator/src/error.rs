@@ -110,6 +110,9 @@ pub enum SceneError {
         /// Nearest free place, metres.
         nearest_y_m: f64,
     },
+    /// A nuisance outside its range.
+    #[error(transparent)]
+    Nuisance(#[from] crate::nuisance::NuisanceError),
     /// An option outside its range.
     #[error("{option} is {value}, but must be {allowed}")]
     Option {

@@ -6,6 +6,7 @@
 mod builtin;
 pub mod error;
 pub mod floor;
+pub mod homes;
 pub mod laser;
 pub mod load;
 pub mod nuisance;
@@ -16,3 +17,7 @@ pub mod render;
 pub mod robot;
 pub mod scene;
 pub mod world;
+
+pub use error::SceneError;
+pub use robot::{Devices, RobotOptions, SimulatedRobot};
+pub use world::{OpenOptions, World};
