@@ -338,7 +338,7 @@ fn median(values: &[f32], scratch: &mut Vec<u32>) -> Option<f32> {
     load_bits(values, scratch);
     let (below, &mut upper, _) = scratch.select_nth_unstable(values.len() / 2);
     let upper = f32::from_bits(upper);
-    let even = values.len() % 2 == 0;
+    let even = values.len().is_multiple_of(2);
     let lower = below.iter().max().filter(|_| even).map_or(upper, |bits| f32::from_bits(*bits));
     Some(lower + (upper - lower) / 2.0)
 }

@@ -3,4 +3,9 @@
 //! World frame: x and y horizontal, z up, metres; the floor that the robot drives on is at z = 0 after loading.
 #![forbid(unsafe_code)]
 
+pub mod laser;
+pub mod nuisance;
+pub mod people;
+mod random;
+pub mod render;
 pub mod scene;
