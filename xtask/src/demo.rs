@@ -14,7 +14,7 @@ const FRAMES: &str = "1500";
 pub fn run() -> Result<()> {
     if let Err(error) = onnx_runtime::install() {
         // One line: the demo's depth comes from geometry and needs no network.
-        println!("no ONNX Runtime, so no `--depth network`; the demo needs none ({})", error.root_cause());
+        println!("no `--depth network` ({error}); the demo needs none");
     }
     println!("building firmware-host in release; the first time takes some minutes");
     command::run(command::cargo().args(["build", "--release", "--locked", "--package", "firmware-host"]))?;
