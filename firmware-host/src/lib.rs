@@ -1,5 +1,9 @@
-//! The parts of the robot's binary, as a library so that tests can use them without a process.
+//! What the binary on the robot is made of: configuration, wiring, command line, telemetry and reports.
 #![forbid(unsafe_code)]
 
+pub mod config;
+pub mod dataset;
+pub mod onnx_runtime;
 pub mod record;
 pub mod replay;
+pub mod report;
