@@ -1,6 +1,6 @@
 //! Messages of an MCAP stream. `mcap::io::MessageReader` would do, but mcap 0.26 panics on a corrupt attachment record
-//! (`parse_record` slices before it checks), and a flipped bit makes any record one. Here only the two kinds of records that
-//! we need are parsed.
+//! (`parse_record` slices before it checks), and a flipped bit makes any record one. Here only the two kinds of records
+//! that we need are parsed.
 
 use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read};
