@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::error::SceneError;
 use crate::floor::{FloorPlan, Footprint, find_floor};
 use crate::load::{LoadOptions, UpAxis, load};
-use crate::render::Renderer;
+use crate::render::{AmbientOptions, Renderer, bake_ambient};
 use crate::scene::Scene;
 
 /// How to open a scene.
@@ -52,8 +52,9 @@ impl World {
             let scene = crate::builtin::build(spec, home)?;
             return Self::new(spec, scene, 0.0, Origin::default(), &options.footprint);
         }
-        let loaded = load(Path::new(spec), &options.load)?;
+        let mut loaded = load(Path::new(spec), &options.load)?;
         let floor_m = find_floor(&loaded.scene, &options.footprint).map_err(|problem| no_floor(spec, problem))?;
+        bake_ambient(&mut loaded.scene, &AmbientOptions::default());
         let origin =
             Origin { up_axis: Some(loaded.up_axis), dropped_triangles: loaded.dropped_triangles, ..Origin::default() };
         Self::new(spec, loaded.scene, floor_m, origin, &options.footprint)
