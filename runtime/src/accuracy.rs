@@ -1,1 +1,476 @@
-//! Accuracy of depth against ground truth, as the field reports it.
+//! How right depth is, measured against ground truth the way the field does (Eigen et al. 2014): per picture, then the
+//! mean over pictures. Nothing here feeds back into the robot.
+
+use hal::DepthMap;
+use serde::{Deserialize, Serialize};
+
+use crate::perception::DepthEstimate;
+
+/// Nearest ground truth that counts, metres.
+pub const MIN_TRUTH_M: f32 = 0.1;
+/// Farthest ground truth that counts, metres.
+pub const MAX_TRUTH_M: f32 = 20.0;
+
+/// One row of the table: one set of pixels of one picture, or its mean over pictures.
+///
+/// `delta1`, `delta2`, `delta3` are the shares of pixels with max(p/t, t/p) below 1.25, 1.25^2, 1.25^3 after the
+/// prediction was multiplied by median(truth) / median(prediction), as papers on monocular depth report it. The
+/// `_unscaled` values and `abs_rel`, `rmse_m` take the prediction as it is, in metres: what a robot drives by.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Metrics {
+    /// Share of the pixels with ground truth that this row speaks of. A picture without depth counts with 0.
+    pub share: f64,
+    /// Median-scaled share below 1.25.
+    pub delta1: f64,
+    /// Median-scaled share below 1.25^2.
+    pub delta2: f64,
+    /// Median-scaled share below 1.25^3.
+    pub delta3: f64,
+    /// Metric share below 1.25.
+    pub delta1_unscaled: f64,
+    /// Metric share below 1.25^2.
+    pub delta2_unscaled: f64,
+    /// Metric share below 1.25^3.
+    pub delta3_unscaled: f64,
+    /// Mean of |p - t| / t, metric.
+    pub abs_rel: f64,
+    /// Mean of |p - t| / t, median-scaled.
+    pub abs_rel_scaled: f64,
+    /// Root of the mean of (p - t)^2, metric, metres.
+    pub rmse_m: f64,
+    /// Root of the mean of (p - t)^2, median-scaled, metres.
+    pub rmse_m_scaled: f64,
+}
+
+impl Metrics {
+    fn add(&mut self, mut other: Self) {
+        for (sum, value) in self.fields_mut().into_iter().zip(other.fields_mut()) {
+            *sum += *value;
+        }
+    }
+
+    fn fields_mut(&mut self) -> [&mut f64; 11] {
+        [
+            &mut self.share,
+            &mut self.delta1,
+            &mut self.delta2,
+            &mut self.delta3,
+            &mut self.delta1_unscaled,
+            &mut self.delta2_unscaled,
+            &mut self.delta3_unscaled,
+            &mut self.abs_rel,
+            &mut self.abs_rel_scaled,
+            &mut self.rmse_m,
+            &mut self.rmse_m_scaled,
+        ]
+    }
+}
+
+/// The rows of one source of depth. A row without a value is absent.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct AccuracyRows {
+    /// Every pixel with depth and ground truth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub all: Option<Metrics>,
+    /// The more confident half of them. Pixels as confident as the last of that half count too, so a source whose
+    /// confidence says nothing gets the row of `all`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub confident: Option<Metrics>,
+}
+
+/// A picture and its truth do not have the same size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("depth is {got_width}x{got_height} but its ground truth is {want_width}x{want_height}; resample one of them")]
+pub struct SizeMismatch {
+    got_width: usize,
+    got_height: usize,
+    want_width: usize,
+    want_height: usize,
+}
+
+/// Mean over pictures of per-picture metrics.
+#[derive(Debug, Clone, Default)]
+pub struct Accuracy {
+    all: Sum,
+    confident: Sum,
+    scratch: Scratch,
+}
+
+impl Accuracy {
+    /// No picture yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Counts one picture. `None` is a picture that got no depth: it lowers the share and nothing else. A picture
+    /// without any ground truth in range is left out.
+    ///
+    /// # Errors
+    /// [`SizeMismatch`]; the picture is then not counted.
+    pub fn add(&mut self, estimate: Option<&DepthEstimate>, truth: &DepthMap) -> Result<(), SizeMismatch> {
+        let pixels = &mut self.scratch;
+        let with_truth = match estimate {
+            Some(estimate) => {
+                same_size(&estimate.depth, truth)?;
+                pixels.collect(&estimate.depth, &estimate.confidence, truth)
+            }
+            None => {
+                pixels.clear();
+                truth.values().iter().filter(|t| counts(**t)).count()
+            }
+        };
+        if with_truth == 0 {
+            return Ok(());
+        }
+        self.all.add(pixels.metrics(with_truth));
+        pixels.keep_confident_half();
+        self.confident.add(pixels.metrics(with_truth));
+        Ok(())
+    }
+
+    /// The means so far.
+    #[must_use]
+    pub fn rows(&self) -> AccuracyRows {
+        AccuracyRows { all: self.all.mean(), confident: self.confident.mean() }
+    }
+}
+
+/// The baseline that everybody should report: one depth for the whole picture, the median of its *ground truth*. No robot
+/// can know that number, and shallow scenes give it a high score all the same.
+#[derive(Debug, Clone, Default)]
+pub struct ConstantBaseline {
+    all: Sum,
+    scratch: Scratch,
+}
+
+impl ConstantBaseline {
+    /// No picture yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Counts one picture, as [`Accuracy::add`].
+    pub fn add(&mut self, truth: &DepthMap) {
+        let pixels = &mut self.scratch;
+        pixels.clear();
+        pixels.truth.extend(truth.values().iter().copied().filter(|t| counts(*t)));
+        if let Some(median_m) = median(&pixels.truth, &mut pixels.sorted) {
+            pixels.predicted.resize(pixels.truth.len(), median_m);
+            self.all.add(pixels.metrics(pixels.truth.len()));
+        }
+    }
+
+    /// The means so far.
+    #[must_use]
+    pub fn rows(&self) -> AccuracyRows {
+        AccuracyRows { all: self.all.mean(), confident: None }
+    }
+}
+
+#[derive(Debug, Clone, Default)]
+struct Sum {
+    pictures: u64,
+    /// Pictures that have at least one pixel in the row; the others have a share and no other value.
+    measured: u64,
+    total: Metrics,
+}
+
+impl Sum {
+    fn add(&mut self, picture: Option<Metrics>) {
+        self.pictures += 1;
+        if let Some(metrics) = picture {
+            self.measured += 1;
+            self.total.add(metrics);
+        }
+    }
+
+    fn mean(&self) -> Option<Metrics> {
+        if self.measured == 0 {
+            return None;
+        }
+        let mut mean = self.total;
+        for value in mean.fields_mut() {
+            *value /= self.measured as f64;
+        }
+        mean.share = self.total.share / self.pictures as f64;
+        Some(mean)
+    }
+}
+
+/// Pixels that have both a prediction and ground truth, side by side.
+#[derive(Debug, Clone, Default)]
+struct Scratch {
+    predicted: Vec<f32>,
+    truth: Vec<f32>,
+    confidence: Vec<f32>,
+    sorted: Vec<u32>,
+}
+
+impl Scratch {
+    fn clear(&mut self) {
+        self.predicted.clear();
+        self.truth.clear();
+        self.confidence.clear();
+    }
+
+    /// Gathers the pixels that count and returns how many have ground truth.
+    fn collect(&mut self, depth: &DepthMap, confidence: &[f32], truth: &DepthMap) -> usize {
+        self.clear();
+        let mut with_truth = 0;
+        for ((&p, &t), &c) in depth.values().iter().zip(truth.values()).zip(confidence) {
+            if counts(t) {
+                with_truth += 1;
+                if p > 0.0 {
+                    self.predicted.push(p);
+                    self.truth.push(t);
+                    self.confidence.push(c);
+                }
+            }
+        }
+        with_truth
+    }
+
+    fn keep_confident_half(&mut self) {
+        let count = self.confidence.len();
+        if count == 0 {
+            return;
+        }
+        let least = upper_median(&self.confidence, &mut self.sorted);
+        let mut kept = 0;
+        for index in 0..count {
+            if self.confidence[index] >= least {
+                self.predicted[kept] = self.predicted[index];
+                self.truth[kept] = self.truth[index];
+                kept += 1;
+            }
+        }
+        self.predicted.truncate(kept);
+        self.truth.truncate(kept);
+    }
+
+    fn metrics(&mut self, with_truth: usize) -> Option<Metrics> {
+        let median_truth = median(&self.truth, &mut self.sorted)?;
+        let median_predicted = median(&self.predicted, &mut self.sorted)?;
+        let metric = Errors::of(&self.predicted, &self.truth, 1.0);
+        let scaled = Errors::of(&self.predicted, &self.truth, median_truth / median_predicted);
+        Some(Metrics {
+            share: self.truth.len() as f64 / with_truth as f64,
+            delta1: scaled.delta[0],
+            delta2: scaled.delta[1],
+            delta3: scaled.delta[2],
+            delta1_unscaled: metric.delta[0],
+            delta2_unscaled: metric.delta[1],
+            delta3_unscaled: metric.delta[2],
+            abs_rel: metric.abs_rel,
+            abs_rel_scaled: scaled.abs_rel,
+            rmse_m: metric.rmse_m,
+            rmse_m_scaled: scaled.rmse_m,
+        })
+    }
+}
+
+struct Errors {
+    delta: [f64; 3],
+    abs_rel: f64,
+    rmse_m: f64,
+}
+
+impl Errors {
+    fn of(predicted: &[f32], truth: &[f32], scale: f32) -> Self {
+        // Short runs are summed in f32 lanes that the compiler can vectorise, their totals in f64.
+        const RUN: usize = 256;
+        let (mut delta, mut relative, mut square) = ([0_u64; 3], 0.0_f64, 0.0_f64);
+        for (predicted, truth) in predicted.chunks(RUN).zip(truth.chunks(RUN)) {
+            let (mut hits, mut run_relative, mut run_square) = ([0_u32; 3], [0.0_f32; 8], [0.0_f32; 8]);
+            for (lane, (&p, &t)) in predicted.iter().zip(truth).enumerate() {
+                let p = p * scale;
+                let (low, high) = (p.min(t), p.max(t));
+                hits[0] += u32::from(high < 1.25 * low);
+                hits[1] += u32::from(high < 1.5625 * low);
+                hits[2] += u32::from(high < 1.953_125 * low);
+                run_relative[lane % 8] += (high - low) / t;
+                run_square[lane % 8] += (high - low) * (high - low);
+            }
+            for (total, run) in delta.iter_mut().zip(hits) {
+                *total += u64::from(run);
+            }
+            relative += run_relative.iter().map(|v| f64::from(*v)).sum::<f64>();
+            square += run_square.iter().map(|v| f64::from(*v)).sum::<f64>();
+        }
+        let count = truth.len() as f64;
+        Self {
+            delta: delta.map(|hits| hits as f64 / count),
+            abs_rel: relative / count,
+            rmse_m: (square / count).sqrt(),
+        }
+    }
+}
+
+fn counts(truth_m: f32) -> bool {
+    (MIN_TRUTH_M..=MAX_TRUTH_M).contains(&truth_m)
+}
+
+fn same_size(depth: &DepthMap, truth: &DepthMap) -> Result<(), SizeMismatch> {
+    if (depth.width(), depth.height()) == (truth.width(), truth.height()) {
+        return Ok(());
+    }
+    Err(SizeMismatch {
+        got_width: depth.width(),
+        got_height: depth.height(),
+        want_width: truth.width(),
+        want_height: truth.height(),
+    })
+}
+
+/// Positive floats keep their order as bit patterns, and integers select faster.
+fn load_bits(values: &[f32], bits: &mut Vec<u32>) {
+    bits.clear();
+    bits.extend(values.iter().map(|value| value.to_bits()));
+}
+
+/// The middle of the values, or the mean of the two middle ones. `values` are not negative.
+fn median(values: &[f32], scratch: &mut Vec<u32>) -> Option<f32> {
+    if values.is_empty() {
+        return None;
+    }
+    load_bits(values, scratch);
+    let (below, &mut upper, _) = scratch.select_nth_unstable(values.len() / 2);
+    let upper = f32::from_bits(upper);
+    let even = values.len().is_multiple_of(2);
+    let lower = below.iter().max().filter(|_| even).map_or(upper, |bits| f32::from_bits(*bits));
+    Some(lower + (upper - lower) / 2.0)
+}
+
+/// The smallest value of the upper half (the half takes the odd one). `values` are not negative and not empty.
+fn upper_median(values: &[f32], scratch: &mut Vec<u32>) -> f32 {
+    load_bits(values, scratch);
+    f32::from_bits(*scratch.select_nth_unstable(values.len() / 2).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn row(values: &[f32]) -> DepthMap {
+        DepthMap::from_vec(values.len(), 1, values.to_vec()).unwrap()
+    }
+
+    fn estimate(values: &[f32], confidence: &[f32]) -> DepthEstimate {
+        DepthEstimate { depth: row(values), confidence: confidence.to_vec() }
+    }
+
+    fn rows_of(values: &[f32], confidence: &[f32], truth: &[f32]) -> AccuracyRows {
+        let mut accuracy = Accuracy::new();
+        accuracy.add(Some(&estimate(values, confidence)), &row(truth)).unwrap();
+        accuracy.rows()
+    }
+
+    #[test]
+    fn a_perfect_prediction_has_no_error() {
+        let all = rows_of(&[1.0, 2.0, 3.0], &[1.0, 0.5, 0.2], &[1.0, 2.0, 3.0]).all.unwrap();
+        assert_eq!((all.share, all.delta1, all.delta1_unscaled), (1.0, 1.0, 1.0));
+        assert_eq!((all.abs_rel, all.rmse_m, all.abs_rel_scaled, all.rmse_m_scaled), (0.0, 0.0, 0.0, 0.0));
+    }
+
+    #[test]
+    fn a_prediction_of_twice_the_depth_is_right_only_after_scaling() {
+        let all = rows_of(&[2.0, 4.0, 6.0], &[1.0; 3], &[1.0, 2.0, 3.0]).all.unwrap();
+        assert_eq!((all.delta1, all.delta1_unscaled, all.delta3_unscaled), (1.0, 0.0, 0.0));
+        assert_eq!((all.abs_rel, all.abs_rel_scaled), (1.0, 0.0));
+        assert!((all.rmse_m - (14.0_f64 / 3.0).sqrt()).abs() < 1e-6);
+    }
+
+    #[test]
+    fn pixels_without_truth_or_outside_the_range_do_not_count() {
+        let all = rows_of(&[1.0, 9.0, 9.0, 9.0, 0.0], &[1.0; 5], &[1.0, 0.0, 0.05, 20.5, 2.0]).all.unwrap();
+        assert_eq!((all.share, all.delta1_unscaled), (0.5, 1.0));
+    }
+
+    #[test]
+    fn the_confident_half_is_chosen_by_confidence_alone() {
+        let rows = rows_of(&[5.0, 2.0, 5.0, 2.0], &[0.1, 0.9, 0.2, 0.8], &[2.0; 4]);
+        assert_eq!(rows.all.unwrap().delta1_unscaled, 0.5);
+        let confident = rows.confident.unwrap();
+        assert_eq!((confident.share, confident.delta1_unscaled), (0.5, 1.0));
+    }
+
+    #[test]
+    fn equal_confidence_makes_no_half() {
+        let rows = rows_of(&[5.0, 2.0, 5.0, 2.0], &[0.7; 4], &[2.0; 4]);
+        assert_eq!(rows.confident, rows.all);
+    }
+
+    #[test]
+    fn a_picture_without_depth_lowers_the_share_only() {
+        let mut accuracy = Accuracy::new();
+        accuracy.add(Some(&estimate(&[2.0, 2.0], &[1.0, 0.5])), &row(&[2.0, 2.0])).unwrap();
+        accuracy.add(None, &row(&[2.0, 2.0])).unwrap();
+        let all = accuracy.rows().all.unwrap();
+        assert_eq!((all.share, all.delta1), (0.5, 1.0));
+    }
+
+    #[test]
+    fn the_mean_is_over_pictures_not_over_pixels() {
+        let mut accuracy = Accuracy::new();
+        accuracy.add(Some(&estimate(&[2.0], &[1.0])), &row(&[2.0])).unwrap();
+        accuracy.add(Some(&estimate(&[9.0, 9.0, 9.0], &[1.0; 3])), &row(&[2.0; 3])).unwrap();
+        assert_eq!(accuracy.rows().all.unwrap().delta1_unscaled, 0.5);
+    }
+
+    #[test]
+    fn the_constant_is_the_median_of_the_truth() {
+        let mut constant = ConstantBaseline::new();
+        constant.add(&row(&[1.0, 2.0, 2.2, 10.0, 0.0]));
+        let all = constant.rows().all.unwrap();
+        assert_eq!((all.share, all.delta1, all.delta1_unscaled), (1.0, 0.5, 0.5));
+    }
+
+    #[test]
+    fn rows_without_a_value_are_absent_from_json() {
+        let mut constant = ConstantBaseline::new();
+        assert_eq!(serde_json::to_string(&constant.rows()).unwrap(), "{}");
+        constant.add(&row(&[1.0]));
+        let json = serde_json::to_value(constant.rows()).unwrap();
+        assert!(json.get("confident").is_none());
+        assert_eq!(json["all"]["delta1"], 1.0);
+    }
+
+    #[test]
+    fn another_size_is_refused() {
+        let error = Accuracy::new().add(Some(&DepthEstimate::none(2, 1)), &DepthMap::none(1, 2)).unwrap_err();
+        assert!(error.to_string().contains("2x1") && error.to_string().contains("1x2"));
+    }
+
+    proptest! {
+        #[test]
+        fn metrics_equal_their_definitions(
+            pixels in prop::collection::vec((0.0..30.0_f32, 0.0..25.0_f32, 0.0..1.0_f32), 1..700),
+        ) {
+            let (p, (t, c)): (Vec<_>, (Vec<_>, Vec<_>)) = pixels.iter().map(|(p, t, c)| (*p, (*t, *c))).unzip();
+            let rows = rows_of(&p, &c, &t);
+            let pairs: Vec<(f64, f64)> = p.iter().zip(&t).filter(|(p, t)| **p > 0.0 && counts(**t))
+                .map(|(p, t)| (f64::from(*p), f64::from(*t))).collect();
+            prop_assume!(!pairs.is_empty());
+            let middle = |mut v: Vec<f64>| {
+                v.sort_by(f64::total_cmp);
+                (v[(v.len() - 1) / 2] + v[v.len() / 2]) / 2.0
+            };
+            let scale = middle(pairs.iter().map(|x| x.1).collect()) / middle(pairs.iter().map(|x| x.0).collect());
+            let n = pairs.len() as f64;
+            let delta = |s: f64, limit: f64| {
+                pairs.iter().filter(|(p, t)| (p * s / t).max(t / (p * s)) < limit).count() as f64 / n
+            };
+            let abs_rel = pairs.iter().map(|(p, t)| (p * scale - t).abs() / t).sum::<f64>() / n;
+            let all = rows.all.unwrap();
+            // One pixel may fall on the other side of the limit by rounding.
+            prop_assert!((all.delta1 - delta(scale, 1.25)).abs() < 1.5 / n);
+            prop_assert!((all.delta3_unscaled - delta(1.0, 1.25_f64.powi(3))).abs() < 1.5 / n);
+            prop_assert!((all.abs_rel_scaled / abs_rel.max(1e-6) - 1.0).abs() < 1e-3 || abs_rel < 1e-6);
+            let half = rows.confident.unwrap();
+            prop_assert!(half.share >= all.share / 2.0 && half.share <= all.share);
+        }
+    }
+}

@@ -1,1 +1,5 @@
 //! Where to go next: the policies.
+
+mod blacklist;
+
+pub use blacklist::Blacklist;

@@ -4,4 +4,9 @@
 #![forbid(unsafe_code)]
 
 pub mod homes;
+pub mod laser;
+pub mod nuisance;
+pub mod people;
+mod random;
+pub mod render;
 pub mod scene;

@@ -1,0 +1,171 @@
+//! `dataset.toml`: what the lists of the TUM layout do not say.
+
+use std::path::Path;
+
+use hal::{CameraModel, Distortion};
+use serde::Deserialize;
+
+use super::DatasetError;
+
+/// What `dataset.toml` says.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Manifest {
+    /// What people call the sequence.
+    pub name: String,
+    /// How the files lie; only `tum`.
+    #[serde(default = "tum")]
+    pub layout: String,
+    /// Pictures a second. Half of its inverse is the tolerance when lists are put together.
+    pub nominal_fps: f64,
+    /// Value of a depth image / `depth_scale` = metres of z-depth; 0 is "no ground truth".
+    pub depth_scale: f64,
+    /// Who may use it.
+    #[serde(default)]
+    pub license: String,
+    /// Where it comes from.
+    #[serde(default)]
+    pub source: String,
+    /// Anything else.
+    #[serde(default)]
+    pub note: String,
+    /// The camera that took both the pictures and, after registration, the depth.
+    pub camera: CameraSection,
+}
+
+/// `[camera]`: a pinhole with pixel centres at integers.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraSection {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Focal length along x, pixels.
+    pub fx: f64,
+    /// Focal length along y, pixels.
+    pub fy: f64,
+    /// Column of the optical axis.
+    pub cx: f64,
+    /// Row of the optical axis.
+    pub cy: f64,
+    /// Plumb-bob k1 k2 p1 p2 \[k3\]; empty for none.
+    #[serde(default)]
+    pub distortion: Vec<f64>,
+}
+
+fn tum() -> String {
+    "tum".to_owned()
+}
+
+impl Manifest {
+    /// Reads and checks `path`.
+    ///
+    /// # Errors
+    /// A file that cannot be read or parsed, an unknown key, an impossible value.
+    pub fn read(path: &Path) -> Result<Self, DatasetError> {
+        let text =
+            std::fs::read_to_string(path).map_err(|source| DatasetError::Read { path: path.to_owned(), source })?;
+        let manifest: Self = toml::from_str(&text)
+            .map_err(|error| DatasetError::Manifest { path: path.to_owned(), detail: error.to_string() })?;
+        manifest.check(path)?;
+        Ok(manifest)
+    }
+
+    fn check(&self, path: &Path) -> Result<(), DatasetError> {
+        let camera = &self.camera;
+        let positive = "a finite number above 0";
+        let pixels = "1 to 16384";
+        require(path, "layout", &self.layout, self.layout == "tum", "\"tum\"")?;
+        require(path, "nominal_fps", &self.nominal_fps, is_positive(self.nominal_fps), positive)?;
+        require(path, "depth_scale", &self.depth_scale, is_positive(self.depth_scale), positive)?;
+        require(path, "camera.width", &camera.width, (1..=16384).contains(&camera.width), pixels)?;
+        require(path, "camera.height", &camera.height, (1..=16384).contains(&camera.height), pixels)?;
+        require(path, "camera.fx", &camera.fx, is_positive(camera.fx), positive)?;
+        require(path, "camera.fy", &camera.fy, is_positive(camera.fy), positive)?;
+        require(path, "camera.cx", &camera.cx, camera.cx.is_finite(), "a finite number")?;
+        require(path, "camera.cy", &camera.cy, camera.cy.is_finite(), "a finite number")?;
+        let k = &camera.distortion;
+        let sound = matches!(k.len(), 0 | 4 | 5) && k.iter().all(|value| value.is_finite());
+        require(path, "camera.distortion", &format!("{k:?}"), sound, "[] or finite k1 k2 p1 p2 [k3]")
+    }
+
+    /// The camera as it is, distortion included.
+    #[must_use]
+    pub fn camera_model(&self) -> CameraModel {
+        let CameraSection { width, height, fx, fy, cx, cy, ref distortion } = self.camera;
+        let distortion = if distortion.iter().all(|k| *k == 0.0) {
+            Distortion::None
+        } else {
+            let mut plumb_bob = [0.0; 5];
+            plumb_bob.iter_mut().zip(distortion).for_each(|(to, from)| *to = *from);
+            Distortion::PlumbBob(plumb_bob)
+        };
+        CameraModel { width, height, fx, fy, cx, cy, distortion }
+    }
+}
+
+fn is_positive(value: f64) -> bool {
+    value.is_finite() && value > 0.0
+}
+
+fn require(
+    path: &Path,
+    key: &'static str,
+    value: &impl std::fmt::Display,
+    sound: bool,
+    allowed: &'static str,
+) -> Result<(), DatasetError> {
+    if sound {
+        return Ok(());
+    }
+    Err(DatasetError::Value { path: path.to_owned(), key, value: value.to_string(), allowed })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: &str = "name = \"x\"\nlayout = \"tum\"\nnominal_fps = 30\ndepth_scale = 1000\n[camera]\nwidth = 640\n\
+                        height = 480\nfx = 500.0\nfy = 500.0\ncx = 320.0\ncy = 240.0\ndistortion = []\n";
+
+    fn read(text: &str) -> Result<Manifest, DatasetError> {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("dataset.toml");
+        std::fs::write(&path, text).unwrap();
+        Manifest::read(&path)
+    }
+
+    #[test]
+    fn the_usual_file_is_read() {
+        let model = read(GOOD).unwrap().camera_model();
+        assert_eq!((model.width, model.fx, model.distortion), (640, 500.0, Distortion::None));
+    }
+
+    #[test]
+    fn four_distortion_coefficients_leave_k3_at_zero() {
+        let model = read(&GOOD.replace("[]\n", "[0.1, -0.2, 0.01, 0.02]\n")).unwrap().camera_model();
+        assert_eq!(model.distortion, Distortion::PlumbBob([0.1, -0.2, 0.01, 0.02, 0.0]));
+    }
+
+    #[test]
+    fn an_unknown_key_is_refused_by_name() {
+        let error = read(&GOOD.replace("depth_scale", "depth_scael")).unwrap_err().to_string();
+        assert!(error.contains("dataset.toml") && error.contains("depth_scael"), "{error}");
+    }
+
+    #[test]
+    fn impossible_values_are_refused_with_key_value_and_range() {
+        for (good, bad, key) in [
+            ("fx = 500.0", "fx = -1.0", "camera.fx"),
+            ("fy = 500.0", "fy = nan", "camera.fy"),
+            ("depth_scale = 1000", "depth_scale = 0", "depth_scale"),
+            ("width = 640", "width = 0", "camera.width"),
+            ("\"tum\"", "\"kitti\"", "layout"),
+            ("[]", "[0.1]", "camera.distortion"),
+        ] {
+            let error = read(&GOOD.replace(good, bad)).unwrap_err().to_string();
+            assert!(error.contains(key) && error.contains("allowed"), "{error}");
+        }
+    }
+}

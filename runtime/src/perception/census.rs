@@ -1,0 +1,138 @@
+//! Pictures as order relations: a census transform (Zabih and Woodfill 1994) keeps which neighbours are darker than the
+//! centre and forgets by how much, so gain and exposure do not matter.
+
+use hal::{ImageView, PixelFormat};
+
+/// Bits of one descriptor: a 5x5 window without its centre.
+pub const BITS: u32 = 24;
+
+/// The census of one picture: half-size descriptors, computed at every full-size position so that a match can be looked up
+/// to a quarter of a half-size pixel.
+#[derive(Debug, Clone, Default)]
+pub struct CensusImage {
+    /// Columns of full-size positions.
+    pub width: usize,
+    /// Rows of full-size positions.
+    pub height: usize,
+    /// Row-major, and one last entry for "outside".
+    pub descriptors: Vec<u32>,
+    /// Sums of 2x2 pixels, row-major: four times the grey value.
+    pub smooth: Vec<u16>,
+    grey: Vec<u16>,
+}
+
+impl CensusImage {
+    /// Computes the census of `frame`; false when the format is not RGB8 or GRAY8.
+    pub fn compute(&mut self, frame: ImageView<'_>) -> bool {
+        (self.width, self.height) = (frame.width(), frame.height());
+        self.grey.clear();
+        match frame.format() {
+            PixelFormat::Gray8 => self.grey.extend(frame.data().iter().map(|value| u16::from(*value) << 6)),
+            // Rec. 601 luma in 14 bits, so that faint texture is not lost to rounding.
+            PixelFormat::Rgb8 => self.grey.extend(frame.data().chunks_exact(3).map(|p| {
+                ((u32::from(p[0]) * 77 + u32::from(p[1]) * 150 + u32::from(p[2]) * 29) >> 2) as u16
+            })),
+            _ => return false,
+        }
+        self.smooth_2x2();
+        self.describe();
+        true
+    }
+
+    fn smooth_2x2(&mut self) {
+        let (width, height) = (self.width, self.height);
+        self.smooth.resize(width * height, 0);
+        for y in 0..height {
+            let upper = &self.grey[y * width..][..width];
+            let lower = &self.grey[(y + 1).min(height - 1) * width..][..width];
+            let out = &mut self.smooth[y * width..][..width];
+            for x in 0..width - 1 {
+                out[x] = upper[x] + upper[x + 1] + lower[x] + lower[x + 1];
+            }
+            out[width - 1] = 2 * (upper[width - 1] + lower[width - 1]);
+        }
+    }
+
+    fn describe(&mut self) {
+        let (width, height) = (self.width, self.height);
+        self.descriptors.clear();
+        self.descriptors.resize(width * height + 1, 0);
+        for y in 0..height {
+            let centre = &self.smooth[y * width..][..width];
+            let out = &mut self.descriptors[y * width..][..width];
+            let mut bit = 0;
+            for dy in -2_isize..=2 {
+                let row = (y as isize + 2 * dy).clamp(0, height as isize - 1) as usize;
+                let line = &self.smooth[row * width..][..width];
+                for dx in -2_isize..=2 {
+                    if (dx, dy) != (0, 0) {
+                        compare(out, centre, line, 2 * dx, bit);
+                        bit += 1;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Sets `bit` where the neighbour `shift` columns to the right is darker; beyond the edge the edge is repeated.
+fn compare(out: &mut [u32], centre: &[u16], line: &[u16], shift: isize, bit: u32) {
+    let width = out.len();
+    let edge = shift.unsigned_abs().min(width);
+    let (first, last) = if shift < 0 { (edge, width) } else { (0, width - edge) };
+    if first < last {
+        let shifted = &line[(first as isize + shift) as usize..][..last - first];
+        for ((out, centre), neighbour) in out[first..last].iter_mut().zip(&centre[first..last]).zip(shifted) {
+            *out |= u32::from(neighbour < centre) << bit;
+        }
+    }
+    let (rest, repeated) = if shift < 0 { (0..first, line[0]) } else { (last..width, line[width - 1]) };
+    for x in rest {
+        out[x] |= u32::from(repeated < centre[x]) << bit;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn census(width: usize, height: usize, data: &[u8]) -> CensusImage {
+        let mut image = CensusImage::default();
+        assert!(image.compute(ImageView::new(width, height, PixelFormat::Gray8, data).unwrap()));
+        image
+    }
+
+    fn texture(width: usize, height: usize) -> Vec<u8> {
+        (0..width * height).map(|i| (i * 2_654_435_761_usize >> 13) as u8 / 2).collect()
+    }
+
+    #[test]
+    fn gain_and_offset_leave_every_descriptor_as_it_is() {
+        let plain = texture(40, 30);
+        let bright: Vec<u8> = plain.iter().map(|v| v / 2 * 3 + 20).collect();
+        let even: Vec<u8> = plain.iter().map(|v| v / 2 * 2).collect();
+        assert_eq!(census(40, 30, &even).descriptors, census(40, 30, &bright).descriptors);
+    }
+
+    #[test]
+    fn a_flat_picture_has_empty_descriptors() {
+        assert!(census(20, 20, &[77; 400]).descriptors.iter().all(|d| *d == 0));
+    }
+
+    #[test]
+    fn a_shifted_picture_has_shifted_descriptors() {
+        let wide = texture(60, 30);
+        let shifted: Vec<u8> = (0..30).flat_map(|y| wide[y * 60 + 7..y * 60 + 57].to_vec()).collect();
+        let (a, b) = (census(60, 30, &wide), census(50, 30, &shifted));
+        for (x, y) in [(10, 10), (20, 15), (30, 20)] {
+            assert_eq!(a.descriptors[y * 60 + x + 7], b.descriptors[y * 50 + x]);
+        }
+    }
+
+    #[test]
+    fn tiny_pictures_do_not_panic() {
+        for (width, height) in [(1, 1), (2, 3), (3, 2)] {
+            census(width, height, &vec![5; width * height]);
+        }
+    }
+}

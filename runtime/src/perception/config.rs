@@ -1,0 +1,164 @@
+//! Settings of the coarse engine.
+
+use serde::Deserialize;
+
+/// Settings of [`CoarseDepth`](super::CoarseDepth). The defaults suit a robot with a 90 degree camera of 640x192 pixels and
+/// a handheld camera alike, because references are chosen by the parallax that they promise.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CoarseConfig {
+    /// Nearest depth that is looked for, metres.
+    pub min_depth_m: f64,
+    /// Farthest depth that is looked for, metres.
+    pub max_depth_m: f64,
+    /// Number of inverse-depth hypotheses; a multiple of 16 up to 128.
+    pub planes: usize,
+    /// Parallax that each reference should promise for the depth of the scene, in pixels of the half-size picture; one
+    /// reference for each. Short ones are unambiguous and see the same things, long ones are precise.
+    pub parallax_px: Vec<f64>,
+    /// A reference nearer than this has more pose error than parallax, metres.
+    pub min_baseline_m: f64,
+    /// A reference farther than this sees another scene, metres.
+    pub max_baseline_m: f64,
+    /// Share of the picture that a reference must see too.
+    pub min_overlap: f64,
+    /// A picture becomes a keyframe when it is this far from the last one, metres ...
+    pub keyframe_step_m: f64,
+    /// ... or turned by this angle, radians.
+    pub keyframe_turn_rad: f64,
+    /// How many keyframes are remembered.
+    pub keyframes: usize,
+    /// Motion between two pictures that no robot makes: the pose jumped, metres.
+    pub max_step_m: f64,
+    /// The same for turning, radians.
+    pub max_turn_rad: f64,
+    /// Smoothness: cost of a neighbour one hypothesis away (in census bits x 4).
+    pub penalty_small: i16,
+    /// Smoothness: cost of a neighbour farther away where the picture is flat; less across edges.
+    pub penalty_large: i16,
+    /// Pixels below this confidence are marked as having no depth.
+    pub min_confidence: f32,
+}
+
+impl Default for CoarseConfig {
+    fn default() -> Self {
+        Self {
+            min_depth_m: 0.3,
+            max_depth_m: 20.0,
+            planes: 64,
+            parallax_px: vec![6.0, 12.0, 24.0],
+            min_baseline_m: 0.02,
+            max_baseline_m: 1.0,
+            min_overlap: 0.6,
+            keyframe_step_m: 0.02,
+            keyframe_turn_rad: 0.05,
+            keyframes: 48,
+            max_step_m: 0.5,
+            max_turn_rad: 0.8,
+            penalty_small: 6,
+            penalty_large: 40,
+            min_confidence: 0.05,
+        }
+    }
+}
+
+/// The engine cannot work like this.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum PerceptionError {
+    /// An impossible setting.
+    #[error("perception: {field} = {value} is impossible; allowed: {allowed}")]
+    Setting {
+        /// The field.
+        field: &'static str,
+        /// Its value.
+        value: String,
+        /// What it may be.
+        allowed: &'static str,
+    },
+    /// The camera cannot be used.
+    #[error("perception: the camera {width}x{height} (fx {fx}, fy {fy}) cannot be used: {why}")]
+    Camera {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// Focal length along x, pixels.
+        fx: f64,
+        /// Focal length along y, pixels.
+        fy: f64,
+        /// Why.
+        why: &'static str,
+    },
+}
+
+impl CoarseConfig {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// Names the field, its value and what it may be.
+    pub fn validate(&self) -> Result<(), PerceptionError> {
+        let positive = "a finite number above 0";
+        let ok = |v: f64| v.is_finite() && v > 0.0;
+        require("min_depth_m", self.min_depth_m, ok(self.min_depth_m), positive)?;
+        let deep = ok(self.max_depth_m) && self.max_depth_m > self.min_depth_m;
+        require("max_depth_m", self.max_depth_m, deep, "a finite number above min_depth_m")?;
+        let planes = (16..=128).contains(&self.planes) && self.planes.is_multiple_of(16);
+        require("planes", self.planes, planes, "16, 32, 48 ... 128")?;
+        let parallax = (1..=8).contains(&self.parallax_px.len()) && self.parallax_px.iter().all(|p| ok(*p));
+        require("parallax_px", format!("{:?}", self.parallax_px), parallax, "1 to 8 finite numbers above 0")?;
+        require("min_baseline_m", self.min_baseline_m, ok(self.min_baseline_m), positive)?;
+        let far = ok(self.max_baseline_m) && self.max_baseline_m >= self.min_baseline_m;
+        require("max_baseline_m", self.max_baseline_m, far, "a finite number, min_baseline_m or more")?;
+        require("min_overlap", self.min_overlap, (0.0..=1.0).contains(&self.min_overlap), "0 to 1")?;
+        require("keyframe_step_m", self.keyframe_step_m, ok(self.keyframe_step_m), positive)?;
+        require("keyframe_turn_rad", self.keyframe_turn_rad, ok(self.keyframe_turn_rad), positive)?;
+        require("keyframes", self.keyframes, (1..=256).contains(&self.keyframes), "1 to 256")?;
+        require("max_step_m", self.max_step_m, ok(self.max_step_m), positive)?;
+        require("max_turn_rad", self.max_turn_rad, ok(self.max_turn_rad), positive)?;
+        require("penalty_small", self.penalty_small, (0..=200).contains(&self.penalty_small), "0 to 200")?;
+        let large = (self.penalty_small..=1000).contains(&self.penalty_large);
+        require("penalty_large", self.penalty_large, large, "penalty_small to 1000")?;
+        require("min_confidence", self.min_confidence, (0.0..1.0).contains(&self.min_confidence), "0 to below 1")
+    }
+}
+
+fn require(
+    field: &'static str,
+    value: impl ToString,
+    sound: bool,
+    allowed: &'static str,
+) -> Result<(), PerceptionError> {
+    if sound { Ok(()) } else { Err(PerceptionError::Setting { field, value: value.to_string(), allowed }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_defaults_are_sound() {
+        assert_eq!(CoarseConfig::default().validate(), Ok(()));
+    }
+
+    #[test]
+    fn impossible_values_are_refused_by_name() {
+        let good = CoarseConfig::default;
+        for (bad, name) in [
+            (CoarseConfig { min_depth_m: f64::NAN, ..good() }, "min_depth_m"),
+            (CoarseConfig { max_depth_m: 0.2, ..good() }, "max_depth_m"),
+            (CoarseConfig { planes: 60, ..good() }, "planes"),
+            (CoarseConfig { parallax_px: vec![], ..good() }, "parallax_px"),
+            (CoarseConfig { min_overlap: 1.5, ..good() }, "min_overlap"),
+            (CoarseConfig { penalty_large: 1, ..good() }, "penalty_large"),
+        ] {
+            assert!(bad.validate().unwrap_err().to_string().contains(name));
+        }
+    }
+
+    #[test]
+    fn unknown_settings_are_refused() {
+        let error = serde_json::from_str::<CoarseConfig>(r#"{"plains": 64}"#).unwrap_err().to_string();
+        assert!(error.contains("plains") && error.contains("planes"), "{error}");
+    }
+}
