@@ -28,11 +28,13 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 fn draw(kind: HomeKind, options: &HomeOptions, out: &Path) -> Result<(), Box<dyn Error>> {
+    let start = std::time::Instant::now();
     let home = build(kind, options);
+    let elapsed = start.elapsed();
     let area: f32 = home.rooms.iter().map(|r| r.rect.area_m2()).sum();
     let bytes: usize = home.scene.textures.iter().map(|t| t.rgba.len()).sum();
     println!(
-        "{kind} {}: {} rooms, {area:.0} m2, {} pieces, {} triangles, {} materials, {} textures of {:.1} MB",
+        "{kind} {}: {} rooms, {area:.0} m2, {} pieces, {} triangles, {} materials, {} textures of {:.1} MB, {elapsed:.2?}",
         options.seed,
         home.rooms.len(),
         home.furniture.len(),
@@ -134,6 +136,8 @@ fn views(home: &Home, path: &Path) -> Result<(), Box<dyn Error>> {
         classes.render(&camera, &at, &[], &Lighting::flat(), &mut labels, &mut depth);
         renderer.render(&camera, &at, &[], &Lighting::default(), &mut rgb, &mut depth);
         contrast.add(&rgb, &labels, depth.values());
+        let single = path.with_extension(format!("{}.png", room.name));
+        image::save_buffer(single, &rgb, 640, 192, image::ColorType::Rgb8)?;
         let left = (index as u32 % 2) * 644;
         for (i, pixel) in rgb.chunks_exact(3).enumerate() {
             let (x, y) = (i as u32 % 640 + left, i as u32 / 640 + index as u32 / 2 * 196);
