@@ -5,7 +5,9 @@ mod census;
 mod coarse;
 mod config;
 mod estimate;
+mod fusion;
 mod keyframes;
+mod refine;
 mod sweep;
 mod winner;
 
