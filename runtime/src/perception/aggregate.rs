@@ -69,7 +69,7 @@ impl Volume<'_> {
                 }
                 let [a, b, c] = &rows.now[column];
                 for (plane, sum) in sums[at].iter_mut().enumerate() {
-                    *sum = a[plane + 1] + b[plane + 1] + c[plane + 1];
+                    *sum = a[plane + 1].wrapping_add(b[plane + 1]).wrapping_add(c[plane + 1]);
                 }
             }
             std::mem::swap(&mut rows.before, &mut rows.now);
@@ -91,7 +91,7 @@ impl Volume<'_> {
                     follow(&self.costs[at], &before, least, self.small, jump, &mut now)
                 };
                 for (sum, path) in sums[column].iter_mut().zip(&now[1..]) {
-                    *sum += path;
+                    *sum = sum.wrapping_add(*path);
                 }
                 std::mem::swap(&mut before, &mut now);
             }
@@ -107,8 +107,10 @@ fn follow(costs: &[u8; PLANES], before: &PathCosts, least: i16, small: i16, larg
     for block in (0..PLANES).step_by(8) {
         for lane in 0..8 {
             let plane = block + lane;
-            let beside = before[plane].min(before[plane + 2]) + small;
-            let cost = i16::from(costs[plane]) + beside.min(before[plane + 1]).min(jump) - least;
+            // No sum can overflow (WALL + small, 96 + large); saying so keeps checked builds in the vector unit.
+            let beside = before[plane].min(before[plane + 2]).wrapping_add(small);
+            let best = beside.min(before[plane + 1]).min(jump).wrapping_sub(least);
+            let cost = i16::from(costs[plane]).wrapping_add(best);
             now[plane + 1] = cost;
             smallest[lane] = smallest[lane].min(cost);
         }

@@ -175,7 +175,7 @@ impl CoarseDepth {
         let lines = votes.par_chunks_exact_mut(width).zip(down.par_chunks_exact_mut(width));
         lines.zip(up.par_chunks_exact(width)).enumerate().for_each(|(row, ((votes, sums), up))| {
             for (sums, up) in sums.iter_mut().zip(up) {
-                sums.iter_mut().zip(up).for_each(|(sum, up)| *sum += up);
+                sums.iter_mut().zip(up).for_each(|(sum, up)| *sum = sum.wrapping_add(*up));
             }
             volume.horizontal(row, sums);
             for (column, (vote, sums)) in votes.iter_mut().zip(sums.iter()).enumerate() {

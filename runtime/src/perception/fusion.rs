@@ -2,6 +2,7 @@
 
 use hal::{CameraModel, Pose3};
 
+use super::sweep::nearest;
 use super::winner::Winner;
 
 /// Two inverse depths agree when they differ by less than this share of the larger one: half of what delta1 allows.
@@ -87,8 +88,8 @@ impl Memory {
                         + t_now_before[(r, 3)] * w
                 };
                 let z = row(2);
-                let (u, v) = ((fx * row(0) / z + cx).round(), (fy * row(1) / z + cy).round());
-                let inside = u >= 0.0 && v >= 0.0 && u < camera.width as f32 && v < camera.height as f32;
+                let (u, v) = (nearest(fx * row(0) / z + cx), nearest(fy * row(1) / z + cy));
+                let inside = u >= 0 && v >= 0 && u < camera.width as i32 && v < camera.height as i32;
                 if z > 0.05 && inside {
                     let slot = &mut self.moved[v as usize * camera.width + u as usize];
                     if w / z > slot.inverse_depth {

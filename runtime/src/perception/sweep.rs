@@ -10,10 +10,9 @@ use super::census::{BITS, CensusImage};
 pub const PLANES: usize = 64;
 /// Most references for one picture.
 pub const MAX_REFERENCES: usize = 3;
-/// A mean of census bits is stored times this.
-const COST_SCALE: u8 = 4;
-/// Cost of a hypothesis that no reference sees: half of the bits differ, as between random pictures.
-const UNSEEN: u8 = BITS as u8 / 2 * COST_SCALE;
+/// Cost of a hypothesis that no reference sees: half of the bits differ, as between random pictures. Costs are quarters of
+/// a bit.
+const UNSEEN: u8 = BITS as u8 / 2 * 4;
 /// A single reference's mark for "not seen".
 const OUTSIDE: u8 = u8::MAX;
 
@@ -70,7 +69,7 @@ impl<'a> Reference<'a> {
             let x = nearest((a.x + w * t.x) * scale);
             let y = nearest((a.y + w * t.y) * scale);
             let inside = (z > 0.05) & (x >= 0) & (x < width) & (y >= 0) & (y < height);
-            *place = if inside { y * width + x } else { outside };
+            *place = if inside { y.wrapping_mul(width).wrapping_add(x) } else { outside };
         }
         let mut found = [0_u32; PLANES];
         for (found, place) in found.iter_mut().zip(&places) {
@@ -85,7 +84,7 @@ impl<'a> Reference<'a> {
 
 /// Rounds to the nearest integer without leaving the vector unit: adding 1.5 * 2^23 leaves the integer in the mantissa.
 /// Right up to 2^22; beyond that the result is some place outside of any picture.
-fn nearest(x: f32) -> i32 {
+pub fn nearest(x: f32) -> i32 {
     const MAGIC: f32 = 12_582_912.0;
     (x + MAGIC).to_bits().wrapping_sub(MAGIC.to_bits()) as i32
 }
@@ -117,12 +116,13 @@ fn fuse(each: &[[u8; PLANES]; MAX_REFERENCES], out: &mut [u8; PLANES]) {
         for bits in each {
             let seen = bits[plane] != OUTSIDE;
             let bits = if seen { bits[plane] } else { 0 };
-            sum += bits;
+            sum = sum.wrapping_add(bits);
             worst = worst.max(bits);
-            count += u8::from(seen);
+            count = count.wrapping_add(u8::from(seen));
         }
-        let kept = if count == 3 { sum - worst } else { sum };
-        let cost = kept * if count == 1 { COST_SCALE } else { COST_SCALE / 2 };
+        // At most 96: no sum or product here overflows, and saying so keeps checked builds in the vector unit.
+        let kept = if count == 3 { sum.wrapping_sub(worst) } else { sum };
+        let cost = if count == 1 { kept << 2 } else { kept << 1 };
         *out = if count == 0 { UNSEEN } else { cost };
     }
 }
@@ -133,7 +133,8 @@ pub fn smooth_3x3(volume: &[[u8; PLANES]], width: usize, rows: &mut [[u16; PLANE
         for (column, sum) in sums.iter_mut().enumerate() {
             let (left, right) = (&costs[column.saturating_sub(1)], &costs[(column + 1).min(width - 1)]);
             for (plane, sum) in sum.iter_mut().enumerate() {
-                *sum = u16::from(left[plane]) + u16::from(costs[column][plane]) + u16::from(right[plane]);
+                let outer = u16::from(left[plane]).wrapping_add(u16::from(right[plane]));
+                *sum = outer.wrapping_add(u16::from(costs[column][plane]));
             }
         }
     });
@@ -144,7 +145,8 @@ pub fn smooth_3x3(volume: &[[u8; PLANES]], width: usize, rows: &mut [[u16; PLANE
             let (a, b, c) = (&rows[above + column], &rows[row * width + column], &rows[below + column]);
             for (plane, out) in out.iter_mut().enumerate() {
                 // 57 / 512 is a ninth; the sum is at most 9 * 96.
-                *out = (((a[plane] + b[plane] + c[plane]) * 57) >> 9) as u8;
+                let sum = a[plane].wrapping_add(b[plane]).wrapping_add(c[plane]);
+                *out = (sum.wrapping_mul(57) >> 9) as u8;
             }
         }
     });
