@@ -1,6 +1,7 @@
 //! What the project promises to be fast at, room by room. `cargo xtask bench` builds this in release and prints the table.
 #![forbid(unsafe_code)]
 
+pub mod mapping;
 pub mod report;
 
 use report::Row;
@@ -9,4 +10,4 @@ use report::Row;
 pub type Measure = fn() -> anyhow::Result<Vec<Row>>;
 
 /// Every room that has something to measure, in the order of the table.
-pub const ROOMS: &[(&str, Measure)] = &[];
+pub const ROOMS: &[(&str, Measure)] = &[("mapping", mapping::measure)];
