@@ -50,7 +50,9 @@ fn measure(samples: &[Sample], config: CoarseConfig, settings: &str) -> anyhow::
     let rows = coarse.rows();
     for (name, row) in [("all", rows.all), ("confident", rows.confident), ("constant", constant.rows().all)] {
         if let Some(Metrics { share, delta1, delta1_unscaled, abs_rel, rmse_m, .. }) = row {
-            println!("  {name:10} share {share:.3} d1 {delta1:.3} d1_unscaled {delta1_unscaled:.3} abs_rel {abs_rel:.3} rmse {rmse_m:.3}");
+            println!(
+                "  {name:10} share {share:.3} d1 {delta1:.3} d1_unscaled {delta1_unscaled:.3} abs_rel {abs_rel:.3} rmse {rmse_m:.3}"
+            );
         }
     }
     Ok(())

@@ -4,4 +4,6 @@
 pub mod config;
 pub mod dataset;
 pub mod onnx_runtime;
+pub mod record;
+pub mod replay;
 pub mod report;

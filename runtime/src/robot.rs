@@ -11,7 +11,7 @@ use crate::event::{Event, RefusedInput};
 use crate::exploration::{ExplorationConfig, Explorer, PolicyKind, Senses};
 use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
 use crate::perception::{CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError};
-use crate::planning::{PlanningConfig, Primitive};
+use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::safety::{Bumper, BumperConfig, BumperInput, BumperOutput, BumperState};
 use crate::tick::{Decision, TickInput};
 
@@ -52,8 +52,10 @@ pub struct RobotConfig {
     pub coarse: CoarseConfig,
     /// The map.
     pub map: MapConfig,
-    /// Costs, search and following.
-    pub planning: PlanningConfig,
+    /// Costs and search.
+    pub plan: PlanConfig,
+    /// From paths to steps.
+    pub follower: FollowerConfig,
     /// Goals.
     pub exploration: ExplorationConfig,
     /// The bumper.
@@ -70,6 +72,9 @@ pub enum RobotError {
     /// Perception's part.
     #[error("perception: {0}")]
     Perception(#[from] PerceptionError),
+    /// Planning's part.
+    #[error("planning: {0}")]
+    Planning(#[from] ConfigError),
     /// The depth source `network` without a network.
     #[error("depth source `network` needs a model: give one, or take `coarse`")]
     NoModel,
@@ -140,7 +145,7 @@ impl Robot {
             has_depth: HasDepth::default(),
             map: OccupancyGrid::new(&config.map)?,
             looks: VecDeque::new(),
-            explorer: Explorer::new(config.policy, config.exploration, &config.planning, rng),
+            explorer: Explorer::new(config.policy, config.exploration, &config.plan, &config.follower, rng)?,
             bumper: Bumper::new(config.bumper),
             bumped: false,
             collision_at: None,
@@ -172,13 +177,8 @@ impl Robot {
         timer.ended(Stage::Map);
         let wanted = self.wish(input, odom, &mut events);
         timer.ended(Stage::Plan);
-        let gated = self.bumper.step(&BumperInput {
-            time_ns: input.time_ns,
-            odom,
-            contact: input.wheel.contact,
-            scan,
-            wanted,
-        });
+        let gated =
+            self.bumper.step(&BumperInput { time_ns: input.time_ns, odom, contact: input.wheel.contact, scan, wanted });
         self.note_bumper(&gated, &mut events);
         Decision {
             tick: input.tick,
@@ -214,7 +214,13 @@ impl Robot {
         }
     }
 
-    fn see(&mut self, input: &TickInput<'_>, t_odom_camera: &Pose3, events: &mut Vec<Event>, timer: &mut impl StageTimer) {
+    fn see(
+        &mut self,
+        input: &TickInput<'_>,
+        t_odom_camera: &Pose3,
+        events: &mut Vec<Event>,
+        timer: &mut impl StageTimer,
+    ) {
         self.has_depth = HasDepth::default();
         if let Some(truth) = input.truth {
             self.has_depth.truth = self.take_truth(truth);

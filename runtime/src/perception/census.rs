@@ -29,9 +29,12 @@ impl CensusImage {
         match frame.format() {
             PixelFormat::Gray8 => self.grey.extend(frame.data().iter().map(|value| u16::from(*value) << 6)),
             // Rec. 601 luma in 14 bits, so that faint texture is not lost to rounding.
-            PixelFormat::Rgb8 => self.grey.extend(frame.data().chunks_exact(3).map(|p| {
-                ((u32::from(p[0]) * 77 + u32::from(p[1]) * 150 + u32::from(p[2]) * 29) >> 2) as u16
-            })),
+            PixelFormat::Rgb8 => self.grey.extend(
+                frame
+                    .data()
+                    .chunks_exact(3)
+                    .map(|p| ((u32::from(p[0]) * 77 + u32::from(p[1]) * 150 + u32::from(p[2]) * 29) >> 2) as u16),
+            ),
             _ => return false,
         }
         self.smooth_2x2();

@@ -94,9 +94,7 @@ impl CoarseDepth {
         if !pose.to_homogeneous().iter().all(|value| value.is_finite()) {
             return Err(NoDepth::PoseNotFinite);
         }
-        if (frame.width(), frame.height()) != (self.camera.width, self.camera.height)
-            || !self.picture.compute(frame)
-        {
+        if (frame.width(), frame.height()) != (self.camera.width, self.camera.height) || !self.picture.compute(frame) {
             return Err(NoDepth::FrameSize);
         }
         let jumped = self.last_pose.is_some_and(|last| {
@@ -121,6 +119,12 @@ impl CoarseDepth {
         };
         self.keyframes.offer(&pose, &mut self.picture, &self.config);
         outcome.map(|()| &self.estimate)
+    }
+
+    /// What the last successful [`estimate`](Self::estimate) returned.
+    #[must_use]
+    pub fn last(&self) -> &DepthEstimate {
+        &self.estimate
     }
 
     fn match_against(&mut self, chosen: &[usize], pose: &Pose3) {

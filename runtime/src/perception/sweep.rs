@@ -29,9 +29,15 @@ impl<'a> Reference<'a> {
     pub fn new(census: &'a CensusImage, t_reference_camera: &Pose3, camera: &CameraModel) -> Self {
         let k = Matrix3::new(camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0);
         let back = Matrix3::new(
-            1.0 / camera.fx, 0.0, -camera.cx / camera.fx,
-            0.0, 1.0 / camera.fy, -camera.cy / camera.fy,
-            0.0, 0.0, 1.0,
+            1.0 / camera.fx,
+            0.0,
+            -camera.cx / camera.fx,
+            0.0,
+            1.0 / camera.fy,
+            -camera.cy / camera.fy,
+            0.0,
+            0.0,
+            1.0,
         );
         let rotation = k * t_reference_camera.rotation.to_rotation_matrix().matrix() * back;
         let translation = k * t_reference_camera.translation.vector;

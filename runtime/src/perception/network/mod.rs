@@ -175,6 +175,12 @@ impl DepthNetwork {
         Ok(planes::read_output(output, &self.spec, &mut self.estimate))
     }
 
+    /// What the last successful [`estimate`](Self::estimate) returned; no depth after one that failed.
+    #[must_use]
+    pub fn last(&self) -> &DepthEstimate {
+        &self.estimate
+    }
+
     /// What the model takes and gives.
     #[must_use]
     pub fn spec(&self) -> &ModelSpec {
