@@ -31,21 +31,23 @@ pub(super) fn write_coarse(coarse: Option<&DepthEstimate>, (min_m, max_m): (f32,
         return;
     };
     let (far, span) = (1.0 / max_m, 1.0 / min_m - 1.0 / max_m);
-    let pixels = coarse.confidence.len();
+    let pixels = planes.len() / 3;
     let (disparity, rest) = planes.split_at_mut(pixels);
     let (validity, confidence) = rest.split_at_mut(pixels);
-    for (pixel, &depth) in coarse.depth.values().iter().enumerate() {
+    for ((disparity, validity), &depth) in disparity.iter_mut().zip(validity).zip(coarse.depth.values()) {
         let valid = depth > 0.0;
-        disparity[pixel] = if valid { ((1.0 / depth - far) / span).clamp(0.0, 1.0) } else { 0.0 };
-        validity[pixel] = f32::from(u8::from(valid));
-        confidence[pixel] = coarse.confidence[pixel];
+        *disparity = if valid { ((1.0 / depth - far) / span).clamp(0.0, 1.0) } else { 0.0 };
+        *validity = f32::from(u8::from(valid));
+    }
+    for (plane, &value) in confidence.iter_mut().zip(&coarse.confidence) {
+        *plane = value;
     }
 }
 
 /// The network's output into depth and confidence. `false` when it holds NaN or leaves the range that the model promises;
 /// the estimate is then worthless.
 pub(super) fn read_output(output: &[f32], spec: &ModelSpec, estimate: &mut DepthEstimate) -> bool {
-    let (depth, uncertainty) = output.split_at(spec.size.0 * spec.size.1);
+    let Some((depth, uncertainty)) = output.split_at_checked(spec.size.0 * spec.size.1) else { return false };
     let sound = read_depth(depth, spec, &mut estimate.depth);
     if !spec.uncertainty {
         estimate.confidence.fill(UNSAID_CONFIDENCE);
