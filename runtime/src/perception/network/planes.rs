@@ -114,6 +114,26 @@ mod tests {
     }
 
     #[test]
+    fn an_uncertainty_that_is_nan_makes_the_whole_output_worthless() {
+        let spec = ModelSpec {
+            input: crate::perception::network::InputKind::Rgb,
+            output: OutputKind::Depth,
+            uncertainty: true,
+            depth_range_m: (0.5, 5.0),
+            size: (2, 1),
+            version: None,
+            input_names: ("rgb".to_owned(), None),
+            output_name: "depth".to_owned(),
+        };
+        let mut estimate = DepthEstimate::none(2, 1);
+        assert!(read_output(&[1.0, 2.0, 0.0, 0.0], &spec, &mut estimate));
+        assert!(!read_output(&[1.0, 2.0, 0.0, f32::NAN], &spec, &mut estimate));
+        assert!(!read_output(&[1.0, f32::NAN, 0.0, 0.0], &spec, &mut estimate));
+        assert!(!read_output(&[1.0, 5.1, 0.0, 0.0], &spec, &mut estimate));
+        assert!(!read_output(&[1.0], &spec, &mut estimate), "too short");
+    }
+
+    #[test]
     fn confidence_is_the_share_of_laplacian_errors_below_ln_1_25() {
         // b = ln 1.25 / ln 2 puts half of the probability inside.
         let half = (1.25_f32.ln() / 2.0_f32.ln()).ln();
