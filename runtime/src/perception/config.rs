@@ -1,10 +1,10 @@
 //! Settings of the coarse engine.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// Settings of [`CoarseDepth`](super::CoarseDepth). The defaults suit a robot with a 90 degree camera of 640x192 pixels and
 /// a handheld camera alike, because references are chosen by the parallax that they promise.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CoarseConfig {
     /// Nearest depth that is looked for, metres.

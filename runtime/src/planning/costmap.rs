@@ -215,3 +215,100 @@ impl Costmap {
 fn quantised(weight: f64) -> u8 {
     (weight * f64::from(FREE)).round().clamp(f64::from(FREE), f64::from(HEAVIEST)) as u8
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapping::MapConfig;
+    use crate::planning::{NoPath, Planner};
+    use hal::{LaserScan, Pose2, Range, ScanGeometry};
+
+    /// A map made with a scan: free within a ring of hits of 1.5 m, open behind.
+    fn ring() -> OccupancyGrid {
+        let mut grid = OccupancyGrid::new(&MapConfig::default()).unwrap();
+        let geometry = ScanGeometry::UTM_30LX;
+        let scan = LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(1.5); geometry.beams] };
+        grid.begin_update(&Pose2::IDENTITY).unwrap();
+        grid.integrate_scan(&scan, &Pose2::IDENTITY).unwrap();
+        grid.finish_update();
+        grid
+    }
+
+    fn costmap(grid: &OccupancyGrid) -> Costmap {
+        let mut costmap = Costmap::new(&PlanConfig::default()).unwrap();
+        costmap.update(grid);
+        costmap
+    }
+
+    #[test]
+    fn cost_rises_towards_an_obstacle_until_it_is_closed() {
+        let grid = ring();
+        let costmap = costmap(&grid);
+        let weights: Vec<Option<f64>> =
+            (0..=50).map(|x| costmap.weight(grid.cell_at(f64::from(x) * 0.03 + 0.001, 0.001))).collect();
+        assert_eq!(weights[10], Some(1.0));
+        // Hits at 1.5 m: closed from 0.14 m before, dearer from 0.24 m before.
+        let closed = weights.iter().position(Option::is_none).unwrap();
+        assert!((45..=46).contains(&closed), "{weights:?}");
+        let dearer = weights.iter().position(|weight| *weight > Some(1.0)).unwrap();
+        assert!((42..=43).contains(&dearer), "{weights:?}");
+        assert!(weights[dearer..closed].windows(2).all(|pair| pair[0] < pair[1]), "{weights:?}");
+        assert!(weights[closed..].iter().all(Option::is_none));
+    }
+
+    #[test]
+    fn the_unknown_is_passable_at_its_price() {
+        let grid = ring();
+        let costmap = costmap(&grid);
+        // Behind the robot, where the scanner does not look.
+        assert_eq!(costmap.weight(grid.cell_at(-1.0, 0.0)), Some(4.0));
+        assert_eq!(costmap.weight(grid.cell_at(-4.0, 0.0)), None, "beyond the padding");
+    }
+
+    #[test]
+    fn a_robot_too_near_to_an_obstacle_drives_away_from_it_first() {
+        let grid = ring();
+        let costmap = costmap(&grid);
+        let start = grid.cell_at(1.41, 0.0);
+        assert!(!costmap.is_passable(start));
+        let mut planner = Planner::new(1_000_000);
+        let path = planner.plan(&costmap, start, grid.cell_at(0.0, 0.9)).unwrap();
+        assert_eq!(path[0], start);
+        let clearances: Vec<f64> = path.iter().map_while(|cell| costmap.clearance_m(*cell)).collect();
+        let inside = path.iter().take_while(|cell| !costmap.is_passable(**cell)).count();
+        assert!((1..=4).contains(&inside), "{inside} cells to leave");
+        assert!(clearances[..=inside].windows(2).all(|pair| pair[0] <= pair[1]), "{clearances:?}");
+        let steps = path.windows(2).map(|pair| pair[0].distance2(pair[1]));
+        assert!(steps.into_iter().all(|step| step == 1 || step == 2), "the path is connected");
+    }
+
+    #[test]
+    fn leaving_an_obstacle_does_not_lead_through_a_wall() {
+        // A robot pressed to the outside of the ring must not come out inside.
+        let grid = ring();
+        let costmap = costmap(&grid);
+        let outside = grid.cell_at(1.56, 0.0);
+        let mut planner = Planner::new(1_000_000);
+        let path = planner.plan(&costmap, outside, grid.cell_at(1.8, 0.0)).unwrap();
+        assert!(path.iter().all(|cell| cell.x >= outside.x));
+        assert_eq!(planner.plan(&costmap, grid.cell_at(9.0, 9.0), outside), Err(NoPath::StartBlocked));
+    }
+
+    #[test]
+    fn the_nearest_passable_cell_is_found_within_the_radius() {
+        let grid = ring();
+        let costmap = costmap(&grid);
+        let wall = grid.cell_at(1.5, 0.0);
+        let near = costmap.nearest_passable(wall, 0.3).unwrap();
+        assert!(costmap.is_passable(near) && near.distance2(wall) <= 26);
+        assert_eq!(costmap.nearest_passable(wall, 0.1), None);
+    }
+
+    #[test]
+    fn an_empty_map_has_a_costmap_without_a_way() {
+        let grid = OccupancyGrid::new(&MapConfig::default()).unwrap();
+        let costmap = costmap(&grid);
+        let mut planner = Planner::new(100);
+        assert_eq!(planner.plan(&costmap, Cell::new(0, 0), Cell::new(5, 5)), Err(NoPath::StartBlocked));
+    }
+}

@@ -194,3 +194,119 @@ impl Follower {
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    struct Drive {
+        end: Pose2,
+        reached: bool,
+        turns: usize,
+        length_m: f64,
+        steps: usize,
+    }
+
+    /// Drives an ideal unicycle along a path.
+    fn drive(points_m: &[[f64; 2]], start: Pose2) -> Drive {
+        let config = FollowerConfig::default();
+        let mut follower = Follower::new(&config).unwrap();
+        follower.set_path(points_m).unwrap();
+        let mut result = Drive { end: start, reached: false, turns: 0, length_m: 0.0, steps: 0 };
+        while result.steps < 5_000 {
+            let step = follower.next(&result.end).unwrap();
+            if step.progress != Progress::Following {
+                assert_eq!(step.primitive, Primitive::Stay);
+                result.reached = step.progress == Progress::Reached;
+                break;
+            }
+            let motion = match step.primitive {
+                Primitive::Forward => Pose2::new(config.forward_m, 0.0, 0.0),
+                Primitive::TurnLeft => Pose2::new(0.0, 0.0, config.turn_rad),
+                Primitive::TurnRight => Pose2::new(0.0, 0.0, -config.turn_rad),
+                Primitive::Stay => panic!("stays while following"),
+            };
+            result.end = result.end.compose(&motion);
+            result.turns += usize::from(step.primitive != Primitive::Forward);
+            result.length_m += motion.x_m;
+            result.steps += 1;
+        }
+        result
+    }
+
+    #[test]
+    fn a_staircase_along_a_diagonal_takes_few_turns() {
+        for slope in [1.0, 0.5, 0.3] {
+            let stairs: Vec<[f64; 2]> =
+                (0..150).map(|x| [f64::from(x) * 0.03, (f64::from(x) * slope).round() * 0.03]).collect();
+            let result = drive(&stairs, Pose2::new(0.0, 0.0, f64::atan(slope)));
+            assert!(result.reached);
+            assert!(result.turns < 10, "{} turns", result.turns);
+        }
+    }
+
+    #[test]
+    fn the_driven_length_is_that_of_the_path() {
+        let path = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.5], [4.0, 2.5]];
+        let length_m = 2.0 + 1.5 + 5f64.sqrt();
+        let result = drive(&path, Pose2::IDENTITY);
+        assert!(result.reached);
+        assert!((result.length_m - length_m).abs() < 0.05 * length_m, "{} m instead of {length_m} m", result.length_m);
+    }
+
+    #[test]
+    fn far_from_the_path_it_asks_for_a_new_one() {
+        let mut follower = Follower::new(&FollowerConfig::default()).unwrap();
+        follower.set_path(&[[0.0, 0.0], [3.0, 0.0]]).unwrap();
+        let step = follower.next(&Pose2::new(1.0, 0.5, 0.0)).unwrap();
+        assert_eq!((step.progress, step.primitive), (Progress::OffPath, Primitive::Stay));
+    }
+
+    #[test]
+    fn a_path_that_passes_its_end_early_is_driven_to_the_end() {
+        // A loop that returns to its start.
+        let path = [[0.0, 0.0], [1.5, 0.0], [1.5, 1.5], [0.0, 1.5], [0.0, 0.0]];
+        let result = drive(&path, Pose2::IDENTITY);
+        assert!(result.reached);
+        assert!(result.length_m > 5.5, "{} m", result.length_m);
+    }
+
+    #[test]
+    fn a_path_of_one_point_is_reached_where_it_is() {
+        assert!(drive(&[[0.0, 0.0]], Pose2::IDENTITY).reached);
+        assert!(drive(&[[0.0, 0.2], [0.0, 0.2]], Pose2::IDENTITY).reached);
+    }
+
+    #[test]
+    fn nan_is_refused() {
+        let mut follower = Follower::new(&FollowerConfig::default()).unwrap();
+        assert_eq!(follower.next(&Pose2::IDENTITY), Err(FollowError::NoPath));
+        assert_eq!(follower.set_path(&[[0.0, f64::NAN]]), Err(FollowError::NoPath));
+        follower.set_path(&[[0.0, 0.0]]).unwrap();
+        let nan = Pose2 { x_m: f64::NAN, ..Pose2::IDENTITY };
+        assert_eq!(follower.next(&nan), Err(FollowError::PoseNotFinite));
+    }
+
+    proptest! {
+        #[test]
+        fn any_path_is_driven_to_its_end_from_any_heading(
+            yaw_rad in -3.2..3.2f64,
+            pieces in proptest::collection::vec((0.15..1.5f64, -2.6..2.6f64), 1..7),
+        ) {
+            let mut points = vec![[0.0, 0.0]];
+            let (mut at, mut heading) = ([0.0f64, 0.0], 0.0f64);
+            for (length, turn) in &pieces {
+                heading += turn;
+                at = [at[0] + length * heading.cos(), at[1] + length * heading.sin()];
+                points.push(at);
+            }
+            let length_m: f64 = pieces.iter().map(|(length, _)| length).sum();
+            let result = drive(&points, Pose2::new(0.0, 0.0, yaw_rad));
+            prop_assert!(result.reached, "ended at {:?} after {} steps", result.end, result.steps);
+            prop_assert!((result.end.x_m - at[0]).hypot(result.end.y_m - at[1]) <= 0.061);
+            // Pure pursuit cuts corners, so it may be shorter, never much longer.
+            prop_assert!(result.length_m <= 1.05 * length_m + 0.1, "{} m instead of {} m", result.length_m, length_m);
+        }
+    }
+}

@@ -123,4 +123,7 @@ pub enum SceneError {
         /// What is allowed.
         allowed: &'static str,
     },
+    /// A nuisance outside its range.
+    #[error(transparent)]
+    Nuisance(#[from] crate::nuisance::NuisanceError),
 }

@@ -81,16 +81,6 @@ impl Bvh {
         best
     }
 
-    /// Whether anything is met before `t_max`. Holes count as closed.
-    pub fn is_blocked(&self, origin: V3, direction: V3, t_max: f32) -> bool {
-        let mut blocked = false;
-        self.traverse(origin, direction, t_max, |_, _| {
-            blocked = true;
-            Some(-1.0) // nothing is nearer than this: ends the search
-        });
-        blocked
-    }
-
     /// Calls `meet` with triangles that the ray meets before the limit, which `meet` may shorten.
     fn traverse(&self, origin: V3, direction: V3, t_max: f32, mut meet: impl FnMut(u32, f32) -> Option<f32>) {
         let Some(root) = self.nodes.first() else { return };

@@ -76,10 +76,12 @@ impl Lighting {
     /// Light on a surface with this unit normal, apart from the sun.
     pub(super) fn on_surface(&self, normal: &V3) -> [f32; 3] {
         let up = 0.5 + 0.5 * normal.z;
-        let mut light: [f32; 3] =
-            std::array::from_fn(|c| self.from_below[c] + up * (self.from_above[c] - self.from_below[c]));
+        let mut light = [0.0; 3];
+        for channel in 0..3 {
+            light[channel] = self.from_below[channel] + up * (self.from_above[channel] - self.from_below[channel]);
+        }
         for window in &self.windows {
-            // Half of the cosine wraps around: a wide source lights surfaces that are turned away a little.
+            // A quarter of the light wraps around: a wide source lights surfaces that are turned away a little.
             let facing = (0.25 + 0.75 * normal.dot(&unit(window.direction))).max(0.0);
             for channel in 0..3 {
                 light[channel] += facing * window.color[channel];
@@ -146,6 +148,12 @@ impl ToneCurve {
         let step = (light.max(0.0).sqrt() * scale + 0.5) as usize;
         self.bytes[step.min(CURVE_STEPS - 1)]
     }
+}
+
+/// IEC 61966-2-1.
+pub(super) fn srgb_to_linear(byte: u8) -> f32 {
+    let s = f32::from(byte) / 255.0;
+    if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
 }
 
 /// IEC 61966-2-1.

@@ -3,6 +3,7 @@
 //! A pinhole camera over textured triangles: every pixel's depth is that of the ray through its centre; colour is filtered
 //! over the pixel's footprint. Light is diffuse: a surface looks the same from everywhere.
 
+mod ambient;
 mod bvh;
 mod light;
 mod surface;
@@ -17,6 +18,7 @@ use rayon::prelude::*;
 
 use crate::people::{Capsule, Person};
 use crate::scene::{Material, Scene};
+pub use ambient::{AmbientOptions, bake_ambient};
 use bvh::{Bvh, Corners, V3};
 use light::ToneCurve;
 pub use light::{Lighting, SunPatches, Window};
@@ -124,7 +126,7 @@ impl Renderer {
         let [from, to] = t_world_camera;
         let between = |share: f64| from.try_lerp_slerp(to, share, 1e-9).unwrap_or(*to);
         let mut sum = vec![0.0; camera.width * camera.height * 3];
-        let linear: Vec<f32> = (0..=255).map(texture::srgb_to_linear).collect();
+        let linear: Vec<f32> = (0..=255).map(light::srgb_to_linear).collect();
         for picture in 0..pictures {
             let pose = between((picture as f64 + 0.5) / pictures as f64);
             self.render(camera, &pose, people, light, rgb, depth);

@@ -130,7 +130,7 @@ fn a_far_texture_is_seen_as_its_average() {
     };
     let camera = CameraModel::pinhole(32, 32, std::f64::consts::FRAC_PI_2);
     let (rgb, _) = photograph(&scene, &camera, &Pose3::identity(), &Lighting::flat());
-    let expected = light::linear_to_srgb(texture::srgb_to_linear(220) / 2.0);
+    let expected = light::linear_to_srgb(light::srgb_to_linear(220) / 2.0);
     assert!(rgb.iter().all(|&byte| byte.abs_diff(expected) <= 2), "{:?}", &rgb[..12]);
 }
 

@@ -10,6 +10,7 @@ use hal::{
 };
 
 use super::{State, lock};
+use crate::floor::FloorPlan;
 
 type Shared = Arc<Mutex<State>>;
 
@@ -174,6 +175,12 @@ impl Truth {
     #[must_use]
     pub fn pose(&self) -> Pose2 {
         lock(&self.shared).pose
+    }
+
+    /// Where the robot can be.
+    #[must_use]
+    pub fn floor_plan(&self) -> Arc<FloorPlan> {
+        lock(&self.shared).plan.clone()
     }
 
     /// Whether the last motion was blocked.

@@ -6,13 +6,14 @@ mod drive;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use hal::{CameraModel, DepthMap, Frame, LaserScan, Pose2, Pose3, Twist2, WheelFeedback, camera_mount};
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use crate::error::SceneError;
+use crate::floor::{Disc, FloorPlan};
 use crate::laser::{self, LaserModel};
 use crate::nuisance::Nuisances;
-use crate::odometry::OdometryNoise;
+use crate::odometry::{Odometer, OdometryNoise};
 use crate::people::{Person, Walker};
 use crate::world::World;
 
@@ -27,6 +28,9 @@ const PEOPLE_STREAM: u64 = 0x7065_6f70;
 const BLUR_PICTURES: usize = 4;
 /// People walk at about this speed indoors, m/s.
 const WALKING_MPS: f64 = 0.8;
+/// Corners of a person's way, and how often a next one that can be seen from the last is looked for.
+const WAYPOINTS: usize = 4;
+const WAYPOINT_TRIES: usize = 200;
 /// Half the width of a person, metres.
 const PERSON_RADIUS_M: f64 = 0.25;
 
@@ -39,8 +43,6 @@ pub struct RobotOptions {
     pub t_base_camera: Pose3,
     /// The laser's place on the robot; level.
     pub t_base_laser: Pose3,
-    /// Radius of the round footprint, metres.
-    pub footprint_radius_m: f64,
     /// Slide along obstacles (as Habitat does by default) or stop at them.
     pub sliding: bool,
     /// Wheel noise.
@@ -63,7 +65,6 @@ impl Default for RobotOptions {
             camera: CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2),
             t_base_camera: camera_mount(0.0, 0.8, 0.0),
             t_base_laser: Pose3::translation(0.0, 0.0, 0.18),
-            footprint_radius_m: 0.16,
             sliding: false,
             odometry: OdometryNoise::default(),
             laser: LaserModel::UTM_30LX,
@@ -97,11 +98,13 @@ pub struct Devices {
 
 pub(crate) struct State {
     world: Arc<World>,
+    /// The world's plan, or the part of it around the start.
+    plan: Arc<FloorPlan>,
     options: RobotOptions,
     now_ns: u64,
     pose: Pose2,
     pose_before: Pose2,
-    odom: Pose2,
+    odometer: Odometer,
     twist: Twist2,
     command: Twist2,
     commanded_ns: u64,
@@ -109,7 +112,6 @@ pub(crate) struct State {
     walkers: Vec<Walker>,
     laser_rng: Pcg64Mcg,
     camera_rng: Pcg64Mcg,
-    wheel_rng: Pcg64Mcg,
     frame_ns: Option<u64>,
     scan_ns: Option<u64>,
     feedback_ns: Option<u64>,
@@ -125,13 +127,14 @@ impl SimulatedRobot {
     pub fn new(world: Arc<World>, options: RobotOptions) -> Result<Self, SceneError> {
         options.nuisances.check()?;
         let rng = |stream: u64| Pcg64Mcg::seed_from_u64(options.seed ^ (stream << 16));
-        let start = world.start_pose(options.start, options.footprint_radius_m, options.seed)?;
-        let walkers = walkers(&world, options.nuisances.people, &mut rng(PEOPLE_STREAM));
+        options.odometry.check()?;
+        let (start, plan) = place(&world, &options)?;
+        let walkers = walkers(&plan, options.nuisances.people, &mut rng(PEOPLE_STREAM));
         let state = State {
             now_ns: 0,
             pose: start,
             pose_before: start,
-            odom: Pose2::IDENTITY,
+            odometer: Odometer::new(options.odometry, options.seed ^ (WHEEL_STREAM << 16)),
             twist: Twist2::ZERO,
             command: Twist2::ZERO,
             commanded_ns: 0,
@@ -139,13 +142,13 @@ impl SimulatedRobot {
             walkers,
             laser_rng: rng(LASER_STREAM),
             camera_rng: rng(CAMERA_STREAM),
-            wheel_rng: rng(WHEEL_STREAM),
             frame_ns: None,
             scan_ns: None,
             feedback_ns: None,
             sequence: 0,
             depth: DepthMap::none(options.camera.width, options.camera.height),
             world,
+            plan,
             options,
         };
         Ok(Self { shared: Arc::new(Mutex::new(state)) })
@@ -174,6 +177,12 @@ pub(crate) fn lock(shared: &Mutex<State>) -> MutexGuard<'_, State> {
 }
 
 impl State {
+    /// People as the base meets them.
+    fn bodies(&self) -> Vec<Disc> {
+        let body = |person: &Person| Disc { center_m: person.position_m, radius_m: PERSON_RADIUS_M };
+        self.people().iter().map(body).collect()
+    }
+
     fn people(&self) -> Vec<Person> {
         self.walkers.iter().map(|walker| walker.at(self.now_ns)).collect()
     }
@@ -185,7 +194,7 @@ impl State {
         let camera = &self.options.camera;
         let at = |pose: &Pose2| pose.to_pose3() * self.options.t_base_camera;
         let now = at(&self.pose);
-        let renderer = &self.world.renderer;
+        let renderer = self.world.renderer();
         if nuisances.shutter_s > 0.0 && self.pose_before != self.pose {
             let before = at(&self.pose_before);
             let open = [&before, &now];
@@ -206,33 +215,45 @@ impl State {
         let people = self.people();
         let t_world_laser = self.pose.to_pose3() * self.options.t_base_laser;
         let rng = &mut self.laser_rng;
-        laser::scan(&self.world.renderer, &t_world_laser, &people, &self.options.laser, rng, self.now_ns, scan);
+        laser::scan(self.world.renderer(), &t_world_laser, &people, &self.options.laser, rng, self.now_ns, scan);
     }
 
     fn feedback(&self) -> WheelFeedback {
-        WheelFeedback { time_ns: self.now_ns, odom: self.odom, twist: self.twist, contact: self.contact }
+        WheelFeedback { time_ns: self.now_ns, odom: self.odometer.pose(), twist: self.twist, contact: self.contact }
+    }
+}
+
+/// Where the robot starts, and the free space around that.
+fn place(world: &World, options: &RobotOptions) -> Result<(Pose2, Arc<FloorPlan>), SceneError> {
+    let whole = world.floor_plan();
+    let Some(asked) = options.start else { return Ok((whole.start_pose(options.seed), whole.clone())) };
+    let (x_m, y_m) = (asked.x_m, asked.y_m);
+    let around = whole.around(x_m, y_m).filter(|plan| plan.fits(x_m, y_m, &[]));
+    match around {
+        Some(plan) => Ok((asked, Arc::new(plan))),
+        None => {
+            let [nearest_x_m, nearest_y_m] = whole.nearest_free(x_m, y_m);
+            Err(SceneError::StartBlocked { x_m, y_m, nearest_x_m, nearest_y_m })
+        }
     }
 }
 
 /// People who walk between free places that see each other.
-fn walkers(world: &World, count: usize, rng: &mut Pcg64Mcg) -> Vec<Walker> {
-    use rand::RngExt;
-    const WAYPOINTS: usize = 4;
-    const TRIES: usize = 200;
-    let floor = &world.floor;
-    let sees = |a: [f64; 2], b: [f64; 2]| {
+fn walkers(plan: &FloorPlan, count: usize, rng: &mut Pcg64Mcg) -> Vec<Walker> {
+    let clear = |a: [f64; 2], b: [f64; 2]| {
         let steps = ((a[0] - b[0]).hypot(a[1] - b[1]) / 0.05).ceil().max(1.0) as usize;
         (0..=steps).all(|step| {
             let share = step as f64 / steps as f64;
-            floor.clearance_m(a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])) > PERSON_RADIUS_M
+            plan.clearance_m(a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])) > PERSON_RADIUS_M
         })
     };
     (0..count)
         .filter_map(|_| {
             let mut way: Vec<[f64; 2]> = Vec::new();
-            for _ in 0..TRIES {
-                let Some(place) = floor.random_free(rng) else { break };
-                if way.last().is_none_or(|last| sees(*last, place)) {
+            for _ in 0..WAYPOINT_TRIES {
+                let place = plan.random_pose(rng.random());
+                let place = [place.x_m, place.y_m];
+                if way.last().is_none_or(|last| clear(*last, place)) {
                     way.push(place);
                 }
                 if way.len() == WAYPOINTS {
