@@ -7,8 +7,8 @@ mod config;
 mod estimate;
 mod fusion;
 mod keyframes;
-mod refine;
 pub mod network;
+mod refine;
 mod sweep;
 mod winner;
 
