@@ -1,4 +1,9 @@
-//! What the binary is made of, as a library, so that tests and examples can reach it.
+//! What the binary on the robot is made of: configuration, wiring, command line, telemetry and reports.
 #![forbid(unsafe_code)]
 
+pub mod config;
 pub mod dataset;
+pub mod onnx_runtime;
+pub mod record;
+pub mod replay;
+pub mod report;

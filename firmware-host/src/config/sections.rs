@@ -1,0 +1,311 @@
+//! The sections of the configuration. What each key means, its range and its source stand in `robot.default.toml`.
+
+use hal::{CameraModel, Pose3, Twist2, camera_mount};
+use runtime::{
+    planning::{FollowerConfig, PlanConfig},
+    safety::BumperConfig,
+};
+use serde::{Deserialize, Serialize};
+use simulator::{laser::LaserModel, nuisance::Nuisances};
+
+use super::Config;
+
+/// `[camera]`: size of the pictures that perception works on, and where the camera sits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct CameraSection {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Horizontal field of view, degrees.
+    pub horizontal_fov_deg: f64,
+    /// Height of the optical centre above the floor, metres.
+    pub height_m: f64,
+    /// How far it sits in front of `base_link`, metres.
+    pub forward_m: f64,
+    /// How far it looks below the horizon, degrees.
+    pub pitch_down_deg: f64,
+}
+
+impl Default for CameraSection {
+    fn default() -> Self {
+        Self { width: 640, height: 192, horizontal_fov_deg: 90.0, height_m: 0.8, forward_m: 0.0, pitch_down_deg: 0.0 }
+    }
+}
+
+impl CameraSection {
+    /// Intrinsics: square pixels, the optical axis in the middle.
+    #[must_use]
+    pub fn model(&self) -> CameraModel {
+        CameraModel::pinhole(self.width, self.height, self.horizontal_fov_deg.to_radians())
+    }
+
+    /// `t_base_camera`.
+    #[must_use]
+    pub fn mount(&self) -> Pose3 {
+        camera_mount(self.forward_m, self.height_m, self.pitch_down_deg.to_radians())
+    }
+}
+
+/// `[lidar]`: where the safety LiDAR sits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct LidarSection {
+    /// Height of the scan plane above the floor, metres.
+    pub height_m: f64,
+    /// How far it sits in front of `base_link`, metres.
+    pub forward_m: f64,
+}
+
+impl Default for LidarSection {
+    fn default() -> Self {
+        Self { height_m: 0.18, forward_m: 0.0 }
+    }
+}
+
+/// `[base]`: the drive base and its discrete actions.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct BaseSection {
+    /// Radius of the round footprint, metres.
+    pub footprint_radius_m: f64,
+    /// One step forward, metres.
+    pub forward_step_m: f64,
+    /// One turn on the spot, degrees.
+    pub turn_step_deg: f64,
+    /// Time for one action, milliseconds.
+    pub tick_ms: u64,
+}
+
+impl Default for BaseSection {
+    fn default() -> Self {
+        Self { footprint_radius_m: 0.16, forward_step_m: 0.03, turn_step_deg: 2.0, tick_ms: 100 }
+    }
+}
+
+impl BaseSection {
+    /// Duration of one tick, nanoseconds.
+    #[must_use]
+    pub fn tick_ns(&self) -> u64 {
+        self.tick_ms * 1_000_000
+    }
+
+    /// Speed of one step forward per tick, m/s.
+    #[must_use]
+    pub fn speed_mps(&self) -> f64 {
+        self.forward_step_m / self.tick_s()
+    }
+
+    /// Rate of one turn per tick, rad/s.
+    #[must_use]
+    pub fn turn_radps(&self) -> f64 {
+        self.turn_step_deg.to_radians() / self.tick_s()
+    }
+
+    /// The action "forward".
+    #[must_use]
+    pub fn forward(&self) -> Twist2 {
+        Twist2 { linear_mps: self.speed_mps(), angular_radps: 0.0 }
+    }
+
+    /// Duration of one tick, seconds.
+    #[must_use]
+    pub fn tick_s(&self) -> f64 {
+        self.tick_ms as f64 / 1e3
+    }
+}
+
+/// `[bumper]`: the safety stop.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct BumperSection {
+    /// Free way in front of the footprint below which the robot stops, metres.
+    pub stop_distance_m: f64,
+    /// How far it then backs off, metres.
+    pub back_off_m: f64,
+    /// Backing off ends after this time, seconds.
+    pub back_off_timeout_s: f64,
+    /// A scan older than this is not driven by, seconds.
+    pub scan_timeout_s: f64,
+}
+
+impl Default for BumperSection {
+    fn default() -> Self {
+        Self { stop_distance_m: 0.1, back_off_m: 0.2, back_off_timeout_s: 5.0, scan_timeout_s: 0.2 }
+    }
+}
+
+/// `[planning]`: where the robot likes to drive, and how a path becomes motion.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct PlanningSection {
+    /// Cells this much further from an obstacle than the footprint's radius are still never entered, metres.
+    pub margin_m: f64,
+    /// Up to this distance from an obstacle driving costs more, metres.
+    pub inflation_radius_m: f64,
+    /// Extra cost of a metre right at the hard limit, in metres of free floor.
+    pub inflation_cost: f64,
+    /// Cost of a metre through the unknown, in metres of free floor.
+    pub unknown_cost: f64,
+    /// Plans may leave the known part of the map by this much, metres.
+    pub padding_m: f64,
+    /// A search gives up after this many cells.
+    pub max_expanded: usize,
+    /// The robot steers for the point of the path this far ahead, metres.
+    pub lookahead_m: f64,
+    /// With more heading error than this it turns on the spot first, degrees.
+    pub turn_in_place_deg: f64,
+    /// Turning on the spot ends below this heading error, degrees.
+    pub aligned_deg: f64,
+    /// While driving, heading errors below this are not corrected, degrees.
+    pub correct_deg: f64,
+    /// The end of a path is reached within this distance, metres.
+    pub goal_tolerance_m: f64,
+    /// Further from the path than this is off the path, metres.
+    pub off_path_m: f64,
+}
+
+impl Default for PlanningSection {
+    fn default() -> Self {
+        Self {
+            margin_m: 0.02,
+            inflation_radius_m: 0.24,
+            inflation_cost: 4.0,
+            unknown_cost: 4.0,
+            padding_m: 0.6,
+            max_expanded: 4_000_000,
+            lookahead_m: 0.3,
+            turn_in_place_deg: 20.0,
+            aligned_deg: 2.0,
+            correct_deg: 4.0,
+            goal_tolerance_m: 0.06,
+            off_path_m: 0.3,
+        }
+    }
+}
+
+/// `[network]`: the depth network.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct NetworkSection {
+    /// Threads for inference.
+    pub threads: usize,
+}
+
+impl Default for NetworkSection {
+    fn default() -> Self {
+        Self { threads: 1 }
+    }
+}
+
+/// `[recording]`: the MCAP recording.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct RecordingSection {
+    /// A new segment begins after this much recorded time, seconds.
+    pub segment_s: f64,
+    /// A new segment begins when the current one has grown to this size, MiB.
+    pub segment_mib: u64,
+    /// Depth is recorded every this many ticks, for viewers; replay does not need it.
+    pub depth_every_ticks: u64,
+    /// The map is recorded every this many ticks, for viewers; replay does not need it.
+    pub map_every_ticks: u64,
+}
+
+impl Default for RecordingSection {
+    fn default() -> Self {
+        Self { segment_s: 60.0, segment_mib: 256, depth_every_ticks: 10, map_every_ticks: 20 }
+    }
+}
+
+/// `[simulator]`: the simulated robot, and what makes its pictures hard.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct SimulatorSection {
+    /// Whether the robot slides along an obstacle that it touches (Habitat's default) or stops there.
+    pub sliding: bool,
+    /// Standard deviation of measured distance, share of the distance.
+    pub odometry_distance_noise: f64,
+    /// Standard deviation of measured turn, share of the turn.
+    pub odometry_turn_noise: f64,
+    /// Standard deviation of a LiDAR range up to 10 m, metres; three times that beyond.
+    pub lidar_noise_m: f64,
+    /// Share of LiDAR beams that meet something and return nothing.
+    pub lidar_dropout: f64,
+    /// What makes the pictures hard.
+    pub nuisances: Nuisances,
+}
+
+impl Default for SimulatorSection {
+    fn default() -> Self {
+        Self {
+            sliding: false,
+            odometry_distance_noise: 0.0,
+            odometry_turn_noise: 0.0,
+            lidar_noise_m: LaserModel::UTM_30LX.noise_near_m,
+            lidar_dropout: LaserModel::UTM_30LX.dropout,
+            nuisances: Nuisances::default(),
+        }
+    }
+}
+
+impl SimulatorSection {
+    /// The simulated scanner: a UTM-30LX with the configured noise.
+    #[must_use]
+    pub fn laser_model(&self) -> LaserModel {
+        LaserModel {
+            noise_near_m: self.lidar_noise_m,
+            noise_far_m: 3.0 * self.lidar_noise_m,
+            dropout: self.lidar_dropout,
+            ..LaserModel::UTM_30LX
+        }
+    }
+}
+
+impl Config {
+    /// The bumper's own configuration, put together from `[bumper]`, `[base]` and `[lidar]`.
+    #[must_use]
+    pub fn bumper_config(&self) -> BumperConfig {
+        BumperConfig {
+            footprint_radius_m: self.base.footprint_radius_m,
+            stop_distance_m: self.bumper.stop_distance_m,
+            back_off_m: self.bumper.back_off_m,
+            back_off_mps: self.base.speed_mps(),
+            escape_radps: self.base.turn_radps(),
+            back_off_timeout_s: self.bumper.back_off_timeout_s,
+            scan_timeout_s: self.bumper.scan_timeout_s,
+            laser_forward_m: self.lidar.forward_m,
+            period_s: self.base.tick_s(),
+        }
+    }
+
+    /// The planner's own configuration, put together from `[planning]` and `[base]`.
+    #[must_use]
+    pub fn plan_config(&self) -> PlanConfig {
+        PlanConfig {
+            footprint_radius_m: self.base.footprint_radius_m,
+            margin_m: self.planning.margin_m,
+            inflation_radius_m: self.planning.inflation_radius_m,
+            inflation_cost: self.planning.inflation_cost,
+            unknown_cost: self.planning.unknown_cost,
+            padding_m: self.planning.padding_m,
+            max_expanded: self.planning.max_expanded,
+        }
+    }
+
+    /// The follower's own configuration, put together from `[planning]` and `[base]`.
+    #[must_use]
+    pub fn follower_config(&self) -> FollowerConfig {
+        FollowerConfig {
+            forward_m: self.base.forward_step_m,
+            turn_rad: self.base.turn_step_deg.to_radians(),
+            lookahead_m: self.planning.lookahead_m,
+            turn_in_place_rad: self.planning.turn_in_place_deg.to_radians(),
+            aligned_rad: self.planning.aligned_deg.to_radians(),
+            correct_rad: self.planning.correct_deg.to_radians(),
+            goal_tolerance_m: self.planning.goal_tolerance_m,
+            off_path_m: self.planning.off_path_m,
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! Counts what happened, by reason.
+
+use std::collections::BTreeMap;
+
+use runtime::event::{BumperEvent, Event};
+use serde::{Deserialize, Serialize};
+
+/// How often each reason was given. Reasons are named as in the log.
+pub type Reasons = BTreeMap<String, u64>;
+
+/// What became of goals.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Goals {
+    /// Chosen, by what made them worth going to.
+    #[serde(skip_serializing_if = "Reasons::is_empty")]
+    pub chosen: Reasons,
+    /// Reached.
+    pub reached: u64,
+    /// Given up, by reason.
+    #[serde(skip_serializing_if = "Reasons::is_empty")]
+    pub dropped: Reasons,
+}
+
+/// Everything that has a reason, counted.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct EventCounts {
+    /// What became of goals.
+    pub goals: Goals,
+    /// Times when no goal could be chosen, by reason.
+    #[serde(skip_serializing_if = "Reasons::is_empty")]
+    pub no_goal: Reasons,
+    /// Pictures without any depth, by reason.
+    #[serde(skip_serializing_if = "Reasons::is_empty")]
+    pub no_depth: Reasons,
+    /// Times when the bumper stopped the robot.
+    pub bumper_trips: u64,
+    /// The same by what noticed the obstacle.
+    #[serde(skip_serializing_if = "Reasons::is_empty")]
+    pub bumper_trips_by: Reasons,
+    /// Times when the robot turned to get out of a place where the bumper tripped repeatedly.
+    pub bumper_escapes: u64,
+    /// Inputs that were refused, by reason.
+    #[serde(skip_serializing_if = "Reasons::is_empty")]
+    pub refused_inputs: Reasons,
+}
+
+impl EventCounts {
+    /// Counts one event.
+    pub fn add(&mut self, event: &Event) {
+        match event {
+            Event::GoalChosen { why, .. } => count(&mut self.goals.chosen, why),
+            Event::GoalReached => self.goals.reached += 1,
+            Event::GoalDropped { why } => count(&mut self.goals.dropped, why),
+            Event::NoGoal { why } => count(&mut self.no_goal, why),
+            Event::NoDepth { why } => count(&mut self.no_depth, why),
+            Event::InputRefused { why } => count(&mut self.refused_inputs, why),
+            Event::Bumper { what: BumperEvent::Tripped { by, .. } } => {
+                self.bumper_trips += 1;
+                count(&mut self.bumper_trips_by, by);
+            }
+            Event::Bumper { what: BumperEvent::Escaping } => self.bumper_escapes += 1,
+            _ => {}
+        }
+    }
+}
+
+fn count(reasons: &mut Reasons, why: &impl Serialize) {
+    *reasons.entry(name(why)).or_default() += 1;
+}
+
+/// The name of a reason as it stands in the log and in the summary.
+#[must_use]
+pub fn name(why: &impl Serialize) -> String {
+    match serde_json::to_value(why) {
+        Ok(serde_json::Value::String(name)) => name,
+        Ok(other) => other.to_string(),
+        Err(_) => "unknown".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use runtime::{
+        event::{BackOffEnd, DropReason, GoalReason, TripCause},
+        perception::NoDepth,
+    };
+
+    #[test]
+    fn every_event_is_counted_under_its_own_reason() {
+        let mut counts = EventCounts::default();
+        let trip = |by| Event::Bumper { what: BumperEvent::Tripped { by, x_m: 0.3, y_m: 0.0 } };
+        let events = [
+            Event::GoalChosen { x_m: 1.0, y_m: 2.0, why: GoalReason::Frontier },
+            Event::GoalChosen { x_m: 1.0, y_m: 3.0, why: GoalReason::Inconsistency },
+            Event::GoalDropped { why: DropReason::NoProgress },
+            Event::GoalReached,
+            Event::NoDepth { why: NoDepth::TooLittleParallax },
+            Event::NoDepth { why: NoDepth::TooLittleParallax },
+            trip(TripCause::LidarHit),
+            trip(TripCause::Contact),
+            Event::Bumper { what: BumperEvent::BackedOff { distance_m: 0.2, end: BackOffEnd::Distance } },
+            Event::Bumper { what: BumperEvent::Escaping },
+        ];
+        events.iter().for_each(|event| counts.add(event));
+        assert_eq!(counts.goals.chosen, Reasons::from([("frontier".into(), 1), ("inconsistency".into(), 1)]));
+        assert_eq!((counts.goals.reached, counts.goals.dropped["no_progress"]), (1, 1));
+        assert_eq!(counts.no_depth, Reasons::from([("too_little_parallax".into(), 2)]));
+        assert_eq!((counts.bumper_trips, counts.bumper_escapes), (2, 1));
+        assert_eq!(counts.bumper_trips_by, Reasons::from([("contact".into(), 1), ("lidar_hit".into(), 1)]));
+    }
+}

@@ -1,0 +1,216 @@
+//! `summary.json`: what a run was, what came of it, in numbers. A key without a value is absent, never 0.
+
+use std::{collections::BTreeMap, path::Path};
+
+use runtime::{accuracy::AccuracyRows, event::ExploreEnd, robot::DepthSource};
+use serde::{Deserialize, Serialize};
+
+use super::{
+    atomic::{ReportError, write_atomically},
+    events::EventCounts,
+    latency::{Percentiles, Stage},
+};
+
+/// Name of the file in the output directory.
+pub const SUMMARY_FILE: &str = "summary.json";
+
+/// A run in numbers.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Summary {
+    /// Camera frames.
+    pub frames: u64,
+    /// Seed of everything random.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+    /// How goals were chosen.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub policy: Option<String>,
+    /// The home that was explored.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scene: Option<String>,
+    /// The recorded data that was looked at.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dataset: Option<String>,
+    /// Which depth went into the map.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depth_source: Option<DepthSource>,
+    /// BLAKE3 digest of the network, hex.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
+    /// Why it ended.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub end_reason: Option<ExploreEnd>,
+    /// Length of the true path, metres.
+    #[serde(skip_serializing_if = "absent")]
+    pub path_m: Option<f64>,
+    /// Share of the reachable floor that was mapped.
+    #[serde(skip_serializing_if = "absent")]
+    pub coverage: Option<f64>,
+    /// Area of the reachable floor, square metres.
+    #[serde(skip_serializing_if = "absent")]
+    pub reachable_m2: Option<f64>,
+    /// Times when the footprint met an obstacle.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub collisions: Option<u64>,
+    /// Frames in which the robot got nowhere ([`StuckMeter`](super::stuck::StuckMeter)).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stuck_frames: Option<u64>,
+    /// Most of them in a row.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stuck_longest_frames: Option<u64>,
+    /// What happened, by reason.
+    #[serde(flatten)]
+    pub events: EventCounts,
+    /// Wall time, seconds.
+    #[serde(skip_serializing_if = "absent")]
+    pub wall_s: Option<f64>,
+    /// Frames a second of wall time.
+    #[serde(skip_serializing_if = "absent")]
+    pub frames_per_s: Option<f64>,
+    /// Time of each stage.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub latency_ms: BTreeMap<Stage, Percentiles>,
+    /// Depth against ground truth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub accuracy: Option<DepthAccuracy>,
+    /// Most memory that was resident at once, MiB.
+    #[serde(skip_serializing_if = "absent")]
+    pub resident_mib: Option<f64>,
+    /// Size of the recording, MiB.
+    #[serde(skip_serializing_if = "absent")]
+    pub recording_mib: Option<f64>,
+    /// BLAKE3 digest of the recording's files, hex.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recording_digest: Option<String>,
+    /// BLAKE3 digest of every decision, hex. Two runs with the same digest did the same.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub digest: Option<String>,
+    /// Version of the binary.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub version: String,
+}
+
+/// Accuracy of each source of depth. A source that had nothing to say is absent.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct DepthAccuracy {
+    /// Depth from ego-motion.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub coarse: Option<AccuracyRows>,
+    /// Depth from the network.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub network: Option<AccuracyRows>,
+    /// The median of the ground truth everywhere: what anything must beat.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub constant: Option<AccuracyRows>,
+}
+
+/// A number that JSON cannot hold is no value either.
+fn absent(value: &Option<f64>) -> bool {
+    !value.is_some_and(f64::is_finite)
+}
+
+impl Summary {
+    /// Indented JSON with a final newline.
+    #[must_use]
+    pub fn to_json(&self) -> String {
+        // Serializing plain numbers, strings and maps with string keys cannot fail.
+        let mut text = serde_json::to_string_pretty(self).unwrap_or_default();
+        text.push('\n');
+        text
+    }
+
+    /// Writes `summary.json` into `dir`, whole or not at all.
+    ///
+    /// # Errors
+    /// [`ReportError::Unwritable`].
+    pub fn write(&self, dir: &Path) -> Result<(), ReportError> {
+        write_atomically(&dir.join(SUMMARY_FILE), self.to_json().as_bytes())
+    }
+}
+
+/// The most memory that this process has had resident so far, MiB, where the system tells.
+#[must_use]
+pub fn peak_resident_mib() -> Option<f64> {
+    peak_resident_in(&std::fs::read_to_string("/proc/self/status").ok()?)
+}
+
+fn peak_resident_in(status: &str) -> Option<f64> {
+    let kib = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?.trim().strip_suffix("kB")?;
+    Some(kib.trim().parse::<f64>().ok()? / 1024.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use runtime::accuracy::Metrics;
+    use serde_json::json;
+
+    #[test]
+    fn a_key_without_a_value_is_absent() {
+        let empty: serde_json::Value = serde_json::from_str(&Summary::default().to_json()).unwrap();
+        assert_eq!(empty, json!({"frames": 0, "bumper_trips": 0, "bumper_escapes": 0, "goals": {"reached": 0}}));
+    }
+
+    #[test]
+    fn a_number_that_json_cannot_hold_is_absent_not_null() {
+        let summary = Summary { path_m: Some(f64::NAN), wall_s: Some(f64::INFINITY), ..Summary::default() };
+        let text = summary.to_json();
+        assert!(!text.contains("null") && !text.contains("path_m") && !text.contains("wall_s"), "{text}");
+    }
+
+    #[test]
+    fn keys_and_nesting_are_those_that_tools_rely_on() {
+        let rows = |metrics| AccuracyRows { all: Some(metrics), confident: None };
+        let coarse = rows(Metrics { share: 0.71, delta1: 0.86, delta1_unscaled: 0.84, ..Metrics::default() });
+        let constant = rows(Metrics { delta1: 0.65, ..Metrics::default() });
+        let summary = Summary {
+            frames: 3000,
+            seed: Some(7),
+            policy: Some("active".into()),
+            scene: Some("builtin:house?seed=3".into()),
+            depth_source: Some(DepthSource::Coarse),
+            end_reason: Some(ExploreEnd::FrameBudget),
+            path_m: Some(81.2),
+            coverage: Some(0.83),
+            collisions: Some(0),
+            stuck_frames: Some(12),
+            wall_s: Some(95.1),
+            digest: Some("ab12".into()),
+            latency_ms: BTreeMap::from([(Stage::Total, Percentiles { p50: 6.1, p99: 9.7, max: 14.0 })]),
+            accuracy: Some(DepthAccuracy { coarse: Some(coarse), network: None, constant: Some(constant) }),
+            ..Summary::default()
+        };
+        let mut value: serde_json::Value = serde_json::from_str(&summary.to_json()).unwrap();
+        let accuracy = value["accuracy"].take();
+        let expected = json!({
+            "frames": 3000, "seed": 7, "policy": "active", "scene": "builtin:house?seed=3", "depth_source": "coarse",
+            "end_reason": "frame_budget", "path_m": 81.2, "coverage": 0.83, "collisions": 0, "stuck_frames": 12,
+            "wall_s": 95.1, "digest": "ab12", "latency_ms": {"total": {"p50": 6.1, "p99": 9.7, "max": 14.0}},
+            "accuracy": null, "bumper_trips": 0, "bumper_escapes": 0, "goals": {"reached": 0},
+        });
+        assert_eq!(value, expected);
+        assert_eq!(accuracy["coarse"]["all"]["delta1_unscaled"], 0.84);
+        assert_eq!(accuracy["constant"]["all"]["delta1"], 0.65);
+        assert_eq!(accuracy.get("network"), None);
+        assert_eq!(accuracy["coarse"].get("confident"), None);
+        assert_eq!(serde_json::from_str::<Summary>(&summary.to_json()).unwrap(), summary);
+    }
+
+    #[test]
+    fn it_is_written_whole_into_the_output_directory() {
+        let dir = tempfile::tempdir().unwrap();
+        let summary = Summary { frames: 5, ..Summary::default() };
+        summary.write(dir.path()).unwrap();
+        let text = std::fs::read_to_string(dir.path().join("summary.json")).unwrap();
+        assert_eq!(serde_json::from_str::<Summary>(&text).unwrap(), summary);
+        assert!(summary.write(&dir.path().join("absent")).unwrap_err().to_string().contains("absent/summary.json"));
+    }
+
+    #[test]
+    fn peak_memory_is_read_in_mebibytes() {
+        assert_eq!(peak_resident_in("VmPeak:\t 9 kB\nVmHWM:\t    2048 kB\nVmRSS:\t 1 kB\n"), Some(2.0));
+        assert_eq!(peak_resident_in("Name: x\n"), None);
+    }
+}

@@ -1,0 +1,327 @@
+//! The summary as a person reads it in a terminal: at most 100 columns, no colour needed.
+
+use std::fmt::Write as _;
+
+use comfy_table::{CellAlignment, Table, TableComponent, presets};
+use runtime::{
+    accuracy::{AccuracyRows, Metrics},
+    robot::DepthSource,
+};
+
+use super::{
+    events::{Reasons, name},
+    summary::Summary,
+};
+
+/// Columns.
+const WIDTH: usize = 100;
+
+/// The whole summary, ending with a newline.
+#[must_use]
+pub fn render(summary: &Summary) -> String {
+    let mut text = String::new();
+    title(&mut text, summary);
+    for (label, value) in facts(summary) {
+        line(&mut text, label, &value);
+    }
+    if let Some(accuracy) = accuracy(summary) {
+        section(&mut text, &accuracy);
+    }
+    if let Some(latency) = latency(summary) {
+        section(&mut text, &latency);
+    }
+    text
+}
+
+fn title(text: &mut String, summary: &Summary) {
+    let place = summary.scene.as_ref().or(summary.dataset.as_ref());
+    let seed = summary.seed.map(|seed| format!("seed {seed}"));
+    let depth = summary.depth_source.map(|source| match source {
+        DepthSource::Truth => "ground-truth depth (a test of mapping, not of the robot)".to_owned(),
+        other => format!("{} depth", name(&other)),
+    });
+    let parts: Vec<String> = [place.cloned(), summary.policy.clone(), seed, depth].into_iter().flatten().collect();
+    let _ = writeln!(text, "{}", parts.join(", "));
+}
+
+/// `  label       value`, the value wrapped at spaces and continued below itself.
+fn line(text: &mut String, label: &str, value: &str) {
+    let mut row = format!("  {label:<11}");
+    let indent = row.len();
+    for word in value.split_whitespace() {
+        if row.chars().count() + 1 + word.chars().count() > WIDTH {
+            let _ = writeln!(text, "{row}");
+            row = " ".repeat(indent);
+        }
+        row.push(' ');
+        row.push_str(word);
+    }
+    if !value.is_empty() {
+        let _ = writeln!(text, "{row}");
+    }
+}
+
+/// Label and value of every line; an empty value is left out.
+fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
+    let events = &summary.events;
+    let mut trips = counted(&events.bumper_trips_by, "trips");
+    if events.bumper_escapes > 0 {
+        let _ = write!(trips, ", {} escapes", events.bumper_escapes);
+    }
+    let goals = &events.goals;
+    let [chosen, dropped] = [&goals.chosen, &goals.dropped].map(|reasons| reasons.values().sum::<u64>());
+    let goal_counts = (chosen > 0).then(|| format!("{chosen} chosen, {} reached, {dropped} dropped", goals.reached));
+    vec![
+        ("frames", frames(summary)),
+        ("ended by", summary.end_reason.map_or(String::new(), |end| name(&end))),
+        ("coverage", coverage(summary)),
+        ("path", summary.path_m.map_or(String::new(), |path| format!("{path:.1} m"))),
+        ("collisions", summary.collisions.map_or(String::new(), |count| count.to_string())),
+        ("bumper", trips),
+        ("stuck", stuck(summary)),
+        ("goals", goal_counts.unwrap_or_default()),
+        ("chosen for", by_reason(&goals.chosen)),
+        ("dropped for", by_reason(&goals.dropped)),
+        ("no goal", counted(&events.no_goal, "times")),
+        ("no depth", counted(&events.no_depth, "frames")),
+        ("refused", counted(&events.refused_inputs, "inputs")),
+        ("memory", summary.resident_mib.map_or(String::new(), |mib| format!("{mib:.0} MiB at most"))),
+        ("recording", recording(summary)),
+        ("decisions", summary.digest.as_ref().map_or(String::new(), |digest| format!("digest {}", short(digest)))),
+    ]
+}
+
+fn frames(summary: &Summary) -> String {
+    let mut text = summary.frames.to_string();
+    if let Some(wall_s) = summary.wall_s {
+        let _ = write!(text, " in {wall_s:.1} s");
+    }
+    if let Some(rate) = summary.frames_per_s {
+        let _ = write!(text, ", {rate:.1} a second");
+    }
+    text
+}
+
+fn coverage(summary: &Summary) -> String {
+    let Some(coverage) = summary.coverage else { return String::new() };
+    match summary.reachable_m2 {
+        Some(area) => format!("{:.1} % of {area:.1} m2 reachable floor", 100.0 * coverage),
+        None => format!("{:.1} % of the reachable floor", 100.0 * coverage),
+    }
+}
+
+fn stuck(summary: &Summary) -> String {
+    match (summary.stuck_frames, summary.stuck_longest_frames) {
+        (Some(0), _) => "never".to_owned(),
+        (Some(frames), Some(longest)) => format!("{frames} frames, at most {longest} in a row"),
+        (Some(frames), None) => format!("{frames} frames"),
+        (None, _) => String::new(),
+    }
+}
+
+fn recording(summary: &Summary) -> String {
+    let size = summary.recording_mib.map(|mib| format!("{mib:.1} MiB"));
+    let digest = summary.recording_digest.as_ref().map(|digest| format!("digest {}", short(digest)));
+    [size, digest].into_iter().flatten().collect::<Vec<_>>().join(", ")
+}
+
+fn short(digest: &str) -> &str {
+    digest.get(..16).unwrap_or(digest)
+}
+
+/// `3 this, 1 that`, most frequent first.
+fn by_reason(reasons: &Reasons) -> String {
+    let mut sorted: Vec<(&String, &u64)> = reasons.iter().collect();
+    sorted.sort_by_key(|(reason, count)| (std::cmp::Reverse(**count), reason.as_str()));
+    let parts: Vec<String> = sorted.into_iter().map(|(reason, count)| format!("{count} {reason}")).collect();
+    parts.join(", ")
+}
+
+/// `4 frames (3 this, 1 that)`.
+fn counted(reasons: &Reasons, what: &str) -> String {
+    match reasons.values().sum::<u64>() {
+        0 => String::new(),
+        1 => format!("1 {} ({})", what.trim_end_matches('s'), by_reason(reasons)),
+        total => format!("{total} {what} ({})", by_reason(reasons)),
+    }
+}
+
+fn accuracy(summary: &Summary) -> Option<Table> {
+    let accuracy = summary.accuracy.as_ref()?;
+    let mut table = numbers(&["depth accuracy", "share", "delta1", "unscaled", "abs rel", "rmse (m)"]);
+    let mut source = |label: &str, of: Option<AccuracyRows>| {
+        let of = of.unwrap_or_default();
+        for (which, row) in [("all", of.all), ("confident half", of.confident)] {
+            if let Some(row) = row {
+                table.add_row(accuracy_row(format!("{label}, {which}"), &row));
+            }
+        }
+    };
+    source("coarse", accuracy.coarse);
+    source("network", accuracy.network);
+    if let Some(row) = accuracy.constant.and_then(|constant| constant.all) {
+        table.add_row(accuracy_row("constant (median of the truth)".to_owned(), &row));
+    }
+    (table.row_count() > 0).then_some(table)
+}
+
+fn accuracy_row(label: String, row: &Metrics) -> Vec<String> {
+    let number = |value: f64| format!("{value:.3}");
+    let values = [row.delta1, row.delta1_unscaled, row.abs_rel, row.rmse_m].map(number);
+    [label, format!("{:.0} %", 100.0 * row.share)].into_iter().chain(values).collect()
+}
+
+fn latency(summary: &Summary) -> Option<Table> {
+    let mut table = numbers(&["time per frame (ms)", "median", "p99", "max"]);
+    for (stage, times) in &summary.latency_ms {
+        let number = |value: f64| format!("{value:.2}");
+        table.add_row(vec![stage.name().to_owned(), number(times.p50), number(times.p99), number(times.max)]);
+    }
+    (table.row_count() > 0).then_some(table)
+}
+
+/// A table of numbers below a rule: first column left, others right.
+fn numbers(header: &[&str]) -> Table {
+    let mut table = Table::new();
+    table.load_preset(presets::NOTHING);
+    for rule in [TableComponent::HeaderLines, TableComponent::MiddleHeaderIntersections] {
+        table.set_style(rule, '─');
+    }
+    table.set_header(header.iter().copied());
+    for column in table.column_iter_mut().skip(1) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    table
+}
+
+fn section(text: &mut String, table: &Table) {
+    text.push('\n');
+    for row in table.lines() {
+        let _ = writeln!(text, " {}", row.trim_end());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use runtime::event::ExploreEnd;
+
+    use super::*;
+    use crate::report::{
+        events::{EventCounts, Goals},
+        latency::{Percentiles, Stage},
+        summary::DepthAccuracy,
+    };
+
+    fn reasons(pairs: &[(&str, u64)]) -> Reasons {
+        pairs.iter().map(|(reason, count)| ((*reason).to_owned(), *count)).collect()
+    }
+
+    fn full() -> Summary {
+        let metrics = |share, delta1| Metrics {
+            share,
+            delta1,
+            delta1_unscaled: delta1 - 0.02,
+            abs_rel: 0.1,
+            rmse_m: 0.4,
+            ..Metrics::default()
+        };
+        let rows = AccuracyRows { all: Some(metrics(0.71, 0.86)), confident: Some(metrics(0.36, 0.96)) };
+        let times = Percentiles { p50: 6.1, p99: 9.7, max: 14.0 };
+        Summary {
+            frames: 3000,
+            seed: Some(7),
+            policy: Some("active".into()),
+            scene: Some("builtin:house?seed=3".into()),
+            depth_source: Some(DepthSource::Network),
+            end_reason: Some(ExploreEnd::FrameBudget),
+            path_m: Some(81.2),
+            coverage: Some(0.83),
+            reachable_m2: Some(92.4),
+            collisions: Some(4),
+            stuck_frames: Some(24),
+            stuck_longest_frames: Some(24),
+            events: EventCounts {
+                goals: Goals {
+                    chosen: reasons(&[("frontier", 31), ("inconsistency", 10)]),
+                    reached: 30,
+                    dropped: reasons(&[("no_progress", 4), ("resolved", 7)]),
+                },
+                no_depth: reasons(&[("first_frame", 1), ("too_little_parallax", 209)]),
+                bumper_trips: 3,
+                bumper_trips_by: reasons(&[("lidar_hit", 3)]),
+                ..EventCounts::default()
+            },
+            wall_s: Some(95.1),
+            frames_per_s: Some(31.5),
+            latency_ms: BTreeMap::from([(Stage::Total, times), (Stage::Coarse, times)]),
+            accuracy: Some(DepthAccuracy {
+                coarse: Some(rows),
+                network: Some(rows),
+                constant: Some(AccuracyRows { all: Some(metrics(1.0, 0.65)), confident: None }),
+            }),
+            resident_mib: Some(212.0),
+            recording_mib: Some(53.2),
+            digest: Some("0123456789abcdef0123456789abcdef".into()),
+            ..Summary::default()
+        }
+    }
+
+    #[test]
+    fn everything_that_is_known_is_said_within_100_columns() {
+        let text = render(&full());
+        for part in [
+            "builtin:house?seed=3, active, seed 7, network depth",
+            "3000 in 95.1 s, 31.5 a second",
+            "frame_budget",
+            "83.0 % of 92.4 m2 reachable floor",
+            "24 frames, at most 24 in a row",
+            "41 chosen, 30 reached, 11 dropped",
+            "chosen for  31 frontier, 10 inconsistency",
+            "dropped for 7 resolved, 4 no_progress",
+            "210 frames (209 too_little_parallax, 1 first_frame)",
+            "3 trips (3 lidar_hit)",
+            "network, confident half",
+            "digest 0123456789abcdef",
+        ] {
+            assert!(text.contains(part), "{part} is not in\n{text}");
+        }
+        assert!(text.lines().all(|line| line.chars().count() <= WIDTH), "{text}");
+        assert!(!text.contains('\x1b'), "no colour codes");
+    }
+
+    #[test]
+    fn what_is_not_known_is_not_said() {
+        let text = render(&Summary { frames: 360, dataset: Some("redkitchen".into()), ..Summary::default() });
+        assert_eq!(text, "redkitchen\n  frames      360\n");
+    }
+
+    #[test]
+    fn long_lists_of_reasons_are_wrapped_below_themselves() {
+        let many: Vec<String> = (0..12).map(|index| format!("a_rather_long_reason_{index}")).collect();
+        let mut summary = full();
+        summary.events.no_depth = many.iter().map(|reason| (reason.clone(), 7)).collect();
+        let text = render(&summary);
+        assert!(text.lines().all(|line| line.chars().count() <= WIDTH), "{text}");
+        assert!(many.iter().all(|reason| text.contains(reason)), "{text}");
+    }
+
+    #[test]
+    fn numbers_of_a_table_stand_below_each_other() {
+        let text = render(&full());
+        let ends: Vec<usize> = text
+            .lines()
+            .filter(|line| line.contains(" half ") || line.contains("abs rel"))
+            .map(|line| line.chars().count())
+            .collect();
+        assert_eq!(ends.len(), 3, "{text}");
+        assert!(ends.iter().all(|end| *end == ends[0]), "{text}");
+    }
+
+    #[test]
+    fn ground_truth_depth_cannot_be_mistaken_for_the_robots() {
+        let text = render(&Summary { depth_source: Some(DepthSource::Truth), ..Summary::default() });
+        assert!(text.contains("a test of mapping, not of the robot"));
+    }
+}

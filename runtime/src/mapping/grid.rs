@@ -1,0 +1,619 @@
+//! The map: log-odds of every cell around the robot.
+
+use hal::{CameraModel, Pose2, Pose3};
+
+use super::window::Window;
+use super::{Cell, CellBox, CellState, FrameMapper, MapConfig, MapError, SingleFrameMap};
+use crate::perception::DepthEstimate;
+
+/// Farther from the origin of `odom` than this, cells and f32 metres lose their meaning.
+const REACH_M: f64 = 100_000.0;
+/// A known cell's log-odds never come nearer to 0 than this: decay forgets how sure we are, not what we saw.
+const FAINTEST: f32 = 1e-20;
+/// The common factor is multiplied out when it gets this small, about every 2,000 updates at a decay of 0.98.
+const RENORMALISE_BELOW: f64 = 1e-18;
+
+/// A robot-centred rolling occupancy grid in `odom`.
+///
+/// Every cell holds log-odds: exactly 0 is unknown, above 0 occupied, below 0 free. The decay of all cells at each update is
+/// one multiplication: cells are stored divided by a common factor that shrinks. Evidence of one update is collected and
+/// applied at its end, `l <- clamp(decay * l + evidence)`, an occupied observation of a cell winning over free ones.
+#[derive(Debug, Clone)]
+pub struct OccupancyGrid {
+    pub(super) config: MapConfig,
+    window: Window,
+    /// Log-odds divided by `scale`.
+    stored: Vec<f32>,
+    scale: f64,
+    /// What this update says of a cell, 0: nothing.
+    evidence: Vec<f32>,
+    touched: Vec<Cell>,
+    /// Height of the obstacle in an occupied cell as the camera saw it, centimetres; 0: only the LiDAR or a collision did.
+    top_cm: Vec<u8>,
+    standing: Option<(Cell, f64)>,
+    collisions: Vec<Collision>,
+    known: Option<CellBox>,
+    updates: u64,
+    newly_known: Vec<Cell>,
+    digest: blake3::Hasher,
+    changes: Vec<u8>,
+    changes_digest: u64,
+    mapper: FrameMapper,
+    frame: SingleFrameMap,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Collision {
+    cell: Cell,
+    expires: u64,
+}
+
+impl OccupancyGrid {
+    /// An empty map around the origin of `odom`.
+    ///
+    /// # Errors
+    /// When the configuration is out of range.
+    pub fn new(config: &MapConfig) -> Result<Self, MapError> {
+        config.validate()?;
+        let cells = config.side_cells * config.side_cells;
+        Ok(Self {
+            config: config.clone(),
+            window: Window::centered(config.side_cells, Cell::default()),
+            stored: vec![0.0; cells],
+            scale: 1.0,
+            evidence: vec![0.0; cells],
+            touched: Vec::new(),
+            top_cm: vec![0; cells],
+            standing: None,
+            collisions: Vec::new(),
+            known: None,
+            updates: 0,
+            newly_known: Vec::new(),
+            digest: blake3::Hasher::new(),
+            changes: Vec::new(),
+            changes_digest: 0,
+            mapper: FrameMapper::new(config)?,
+            frame: SingleFrameMap::default(),
+        })
+    }
+
+    /// Begins an update with the robot at `t_odom_base`: moves the window after the robot if it has come near its edge, and
+    /// lets everything known decay.
+    ///
+    /// # Errors
+    /// When the pose is not finite or out of reach; the map is then as it was.
+    pub fn begin_update(&mut self, t_odom_base: &Pose2) -> Result<(), MapError> {
+        check_pose2("t_odom_base", t_odom_base)?;
+        self.recenter(self.cell_at(t_odom_base.x_m, t_odom_base.y_m));
+        self.updates += 1;
+        self.newly_known.clear();
+        self.changes.clear();
+        self.changes_digest = 0;
+        self.scale *= f64::from(self.config.decay);
+        if self.scale < RENORMALISE_BELOW {
+            self.renormalise();
+        }
+        self.forget_old_collisions();
+        Ok(())
+    }
+
+    /// Takes in what the camera sees; returns what this picture alone says, for comparison with other pictures.
+    ///
+    /// # Errors
+    /// As [`FrameMapper::map`]; the map is then as it was.
+    pub fn integrate_depth(
+        &mut self,
+        estimate: &DepthEstimate,
+        camera: &CameraModel,
+        t_odom_camera: &Pose3,
+    ) -> Result<&SingleFrameMap, MapError> {
+        let mut frame = core::mem::take(&mut self.frame);
+        let result = self.mapper.map(estimate, camera, t_odom_camera, &mut frame);
+        if result.is_ok() {
+            self.add_frame(&frame);
+        }
+        self.frame = frame;
+        result.map(|()| &self.frame)
+    }
+
+    fn add_frame(&mut self, frame: &SingleFrameMap) {
+        for seen in &frame.cells {
+            let Some(index) = self.window.index(seen.cell) else { continue };
+            let height_cm = (seen.height_m * 100.0).clamp(1.0, 255.0) as u8;
+            if seen.evidence > 0.0 {
+                self.add_camera_obstacle(seen.cell, seen.evidence, height_cm);
+            } else {
+                let over_the_top = self.stored[index] > 0.0 && height_cm > self.top_cm[index];
+                let weight = if over_the_top { self.config.over_the_top_weight } else { 1.0 };
+                self.add_evidence(seen.cell, index, seen.evidence * weight);
+            }
+        }
+    }
+
+    pub(super) fn add_camera_obstacle(&mut self, cell: Cell, evidence: f32, height_cm: u8) {
+        if let Some(index) = self.window.index(cell) {
+            self.top_cm[index] = self.top_cm[index].max(height_cm);
+            self.add_evidence(cell, index, evidence);
+        }
+    }
+
+    /// Remembers one observation of a cell until the update is finished. The order of observations does not matter.
+    pub(super) fn add_evidence(&mut self, cell: Cell, index: usize, evidence: f32) {
+        let so_far = &mut self.evidence[index];
+        if *so_far == 0.0 && evidence != 0.0 {
+            self.touched.push(cell);
+        }
+        if evidence > 0.0 {
+            *so_far = so_far.max(evidence);
+        } else if *so_far <= 0.0 {
+            *so_far = so_far.min(evidence);
+        }
+    }
+
+    /// Marks what the robot ran into: a segment across its heading, `ahead_m` in front of `t_odom_base`. It stays until it
+    /// expires, whatever the camera says.
+    ///
+    /// # Errors
+    /// When the pose or distance is not finite or out of reach.
+    pub fn mark_collision(&mut self, t_odom_base: &Pose2, ahead_m: f64) -> Result<(), MapError> {
+        let middle = t_odom_base.compose(&Pose2::new(ahead_m, 0.0, 0.0));
+        check_pose2("t_odom_base and ahead_m", &middle)?;
+        let half_m = self.config.collision_width_m / 2.0;
+        let steps = (self.config.collision_width_m / self.config.cell_m * 2.0).ceil().max(1.0) as i32;
+        let expires = self.updates + self.config.collision_updates;
+        for step in 0..=steps {
+            let across_m = half_m * (2.0 * f64::from(step) / f64::from(steps) - 1.0);
+            let (x_m, y_m) = middle.transform(0.0, across_m);
+            let cell = self.cell_at(x_m, y_m);
+            match self.collisions.iter_mut().find(|collision| collision.cell == cell) {
+                Some(known) => known.expires = expires,
+                None => self.collisions.push(Collision { cell, expires }),
+            }
+        }
+        Ok(())
+    }
+
+    /// The robot stands here, so everything within `radius_m` is free, whatever was seen; only collisions stay.
+    ///
+    /// # Errors
+    /// When the pose or the radius is not finite or out of reach.
+    pub fn mark_standing(&mut self, t_odom_base: &Pose2, radius_m: f64) -> Result<(), MapError> {
+        check_pose2("t_odom_base", t_odom_base)?;
+        if !(0.0..=5.0).contains(&radius_m) {
+            return Err(MapError::Config { field: "radius_m", value: radius_m, allowed: "0 to 5" });
+        }
+        self.standing = Some((self.cell_at(t_odom_base.x_m, t_odom_base.y_m), radius_m / self.config.cell_m));
+        Ok(())
+    }
+
+    /// Ends the update: applies all evidence.
+    pub fn finish_update(&mut self) {
+        let touched = core::mem::take(&mut self.touched);
+        for cell in &touched {
+            let Some(index) = self.window.index(*cell) else { continue };
+            let evidence = core::mem::take(&mut self.evidence[index]);
+            let old = self.log_odds_at(index);
+            let new = (old + evidence).clamp(-self.config.limit, self.config.limit);
+            // Evidence that cancels exactly must not make a known cell unknown.
+            let new = if new.abs() < FAINTEST { FAINTEST.copysign(evidence) } else { new };
+            self.write(*cell, index, new);
+        }
+        self.touched = touched;
+        self.touched.clear();
+        self.apply_standing();
+        self.apply_collisions();
+        self.digest.reset();
+        self.digest.update(&self.changes);
+        let [a, b, c, d, e, f, g, h, ..] = *self.digest.finalize().as_bytes();
+        self.changes_digest = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
+    }
+
+    fn apply_standing(&mut self) {
+        let Some((center, radius)) = self.standing.take() else { return };
+        let reach = radius.floor() as i32;
+        for dy in -reach..=reach {
+            for dx in -reach..=reach {
+                let cell = center.offset(dx, dy);
+                if f64::from(dx * dx + dy * dy) <= radius * radius
+                    && let Some(index) = self.window.index(cell)
+                {
+                    let new = self.log_odds_at(index).min(-self.config.free_decrement);
+                    self.write(cell, index, new);
+                }
+            }
+        }
+    }
+
+    fn apply_collisions(&mut self) {
+        let collisions = core::mem::take(&mut self.collisions);
+        for collision in &collisions {
+            if let Some(index) = self.window.index(collision.cell) {
+                self.write(collision.cell, index, self.config.collision_log_odds);
+            }
+        }
+        self.collisions = collisions;
+    }
+
+    /// Cells of old collisions become unknown: what is there now has to be seen again.
+    fn forget_old_collisions(&mut self) {
+        let (window, stored, top_cm, now) = (&self.window, &mut self.stored, &mut self.top_cm, self.updates);
+        self.collisions.retain(|collision| {
+            let stays = collision.expires > now;
+            if let (false, Some(index)) = (stays, window.index(collision.cell)) {
+                stored[index] = 0.0;
+                top_cm[index] = 0;
+            }
+            stays
+        });
+    }
+
+    fn write(&mut self, cell: Cell, index: usize, log_odds: f32) {
+        if self.stored[index] == 0.0 {
+            self.newly_known.push(cell);
+            self.known = Some(self.known.map_or(CellBox::of(cell), |known| known.including(cell)));
+        }
+        if log_odds < 0.0 {
+            self.top_cm[index] = 0;
+        }
+        let stored = (f64::from(log_odds) / self.scale) as f32;
+        self.stored[index] = stored;
+        for word in [cell.x as u32, cell.y as u32, stored.to_bits()] {
+            self.changes.extend_from_slice(&word.to_le_bytes());
+        }
+    }
+
+    fn renormalise(&mut self) {
+        let scale = self.scale as f32;
+        for stored in &mut self.stored {
+            if *stored != 0.0 {
+                let value = *stored * scale;
+                *stored = if value.abs() < FAINTEST { FAINTEST.copysign(*stored) } else { value };
+            }
+        }
+        self.scale = 1.0;
+    }
+
+    fn recenter(&mut self, robot: Cell) {
+        let center = self.window.center();
+        let limit = self.config.recenter_cells as i64;
+        let away = |a: i32, b: i32| (i64::from(a) - i64::from(b)).abs();
+        if away(robot.x, center.x).max(away(robot.y, center.y)) <= limit {
+            return;
+        }
+        let (stored, evidence, top_cm) = (&mut self.stored, &mut self.evidence, &mut self.top_cm);
+        self.window.recenter(robot, |range| {
+            stored[range.clone()].fill(0.0);
+            evidence[range.clone()].fill(0.0);
+            top_cm[range].fill(0);
+        });
+        let cells = self.window.cells();
+        self.known = self.known.and_then(|known| known.intersection(cells));
+        self.collisions.retain(|collision| cells.contains(collision.cell));
+        self.touched.retain(|cell| cells.contains(*cell));
+    }
+
+    fn log_odds_at(&self, index: usize) -> f32 {
+        (f64::from(self.stored[index]) * self.scale) as f32
+    }
+
+    pub(super) fn index(&self, cell: Cell) -> Option<usize> {
+        self.window.index(cell)
+    }
+
+    /// Whether the planar LiDAR may call this cell free: nobody knows it, or nobody but the LiDAR marked it.
+    pub(super) fn lidar_may_clear(&self, index: usize) -> bool {
+        let stored = self.stored[index];
+        stored == 0.0 || (stored > 0.0 && self.top_cm[index] == 0)
+    }
+
+    /// The signed values of row `y` from column `min_x` on, as one or two runs: sign is state, 0 unknown.
+    pub(crate) fn row(&self, y: i32, min_x: i32, width: usize) -> (&[f32], &[f32]) {
+        self.window.row(&self.stored, y, min_x, width)
+    }
+
+    /// Log-odds of a cell; 0 outside the window.
+    #[must_use]
+    pub fn log_odds(&self, cell: Cell) -> f32 {
+        self.window.index(cell).map_or(0.0, |index| self.log_odds_at(index))
+    }
+
+    /// What is known of a cell; unknown outside the window.
+    #[must_use]
+    pub fn state(&self, cell: Cell) -> CellState {
+        self.window.index(cell).map_or(CellState::Unknown, |index| CellState::of(self.stored[index]))
+    }
+
+    /// What is known of the cell at a point of `odom`, metres.
+    #[must_use]
+    pub fn state_at(&self, x_m: f64, y_m: f64) -> CellState {
+        self.state(self.cell_at(x_m, y_m))
+    }
+
+    /// The cell at a point of `odom`, metres.
+    #[must_use]
+    pub fn cell_at(&self, x_m: f64, y_m: f64) -> Cell {
+        Cell::containing(x_m, y_m, self.config.cell_m)
+    }
+
+    /// The middle of a cell in `odom`, metres.
+    #[must_use]
+    pub fn center_m(&self, cell: Cell) -> [f64; 2] {
+        cell.center_m(self.config.cell_m)
+    }
+
+    /// Side of a cell, metres.
+    #[must_use]
+    pub fn cell_m(&self) -> f64 {
+        self.config.cell_m
+    }
+
+    /// The cells that the map can hold now.
+    #[must_use]
+    pub fn window(&self) -> CellBox {
+        self.window.cells()
+    }
+
+    /// A box that holds every known cell; `None` while nothing is known.
+    #[must_use]
+    pub fn known_box(&self) -> Option<CellBox> {
+        self.known
+    }
+
+    /// Every known cell with its log-odds, row by row.
+    pub fn known_cells(&self) -> impl Iterator<Item = (Cell, f32)> + '_ {
+        let rows = self.known.into_iter().flat_map(|known| (known.min.y..=known.max.y).map(move |y| (known, y)));
+        rows.flat_map(move |(known, y)| {
+            let (left, right) = self.row(y, known.min.x, known.width());
+            left.iter()
+                .chain(right)
+                .zip(known.min.x..)
+                .filter(|(stored, _)| **stored != 0.0)
+                .map(move |(stored, x)| (Cell::new(x, y), (f64::from(*stored) * self.scale) as f32))
+        })
+    }
+
+    /// Cells that were unknown before the last finished update and are known now, in the order they were written.
+    #[must_use]
+    pub fn newly_known(&self) -> &[Cell] {
+        &self.newly_known
+    }
+
+    /// First 8 bytes of the BLAKE3 digest of every cell that the last update wrote, with its new value.
+    #[must_use]
+    pub fn changes_digest(&self) -> u64 {
+        self.changes_digest
+    }
+
+    /// Updates begun so far.
+    #[must_use]
+    pub fn updates(&self) -> u64 {
+        self.updates
+    }
+
+    /// How this map was configured.
+    #[must_use]
+    pub fn config(&self) -> &MapConfig {
+        &self.config
+    }
+}
+
+pub(super) fn check_pose2(pose: &'static str, value: &Pose2) -> Result<(), MapError> {
+    if !value.is_finite() {
+        return Err(MapError::PoseNotFinite { pose, value: format!("{value:?}") });
+    }
+    check_reach(pose, value.x_m.hypot(value.y_m))
+}
+
+pub(super) fn check_pose3(pose: &'static str, value: &Pose3) -> Result<(), MapError> {
+    let finite = value.translation.vector.iter().chain(value.rotation.coords.iter()).all(|number| number.is_finite());
+    if !finite {
+        return Err(MapError::PoseNotFinite { pose, value: format!("{value}") });
+    }
+    check_reach(pose, value.translation.vector.norm())
+}
+
+fn check_reach(pose: &'static str, distance_m: f64) -> Result<(), MapError> {
+    if distance_m > REACH_M {
+        return Err(MapError::PoseOutOfReach { pose, distance_m, limit_m: REACH_M });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+
+    fn small() -> MapConfig {
+        MapConfig { side_cells: 150, recenter_cells: 5, ..MapConfig::default() }
+    }
+
+    fn grid() -> OccupancyGrid {
+        OccupancyGrid::new(&small()).unwrap()
+    }
+
+    fn observe(grid: &mut OccupancyGrid, cell: Cell, evidence: f32) {
+        if let Some(index) = grid.index(cell) {
+            grid.add_evidence(cell, index, evidence);
+        }
+    }
+
+    fn update(grid: &mut OccupancyGrid, observations: &[(Cell, f32)]) {
+        grid.begin_update(&Pose2::IDENTITY).unwrap();
+        for (cell, evidence) in observations {
+            observe(grid, *cell, *evidence);
+        }
+        grid.finish_update();
+    }
+
+    /// The formula as written, one cell at a time.
+    fn naive(map: &mut BTreeMap<Cell, f32>, config: &MapConfig, observations: &[(Cell, f32)]) {
+        map.values_mut().for_each(|value| *value *= config.decay);
+        let mut evidence: BTreeMap<Cell, (bool, bool)> = BTreeMap::new();
+        for (cell, seen) in observations {
+            let (occupied, free) = evidence.entry(*cell).or_default();
+            *occupied |= *seen > 0.0;
+            *free |= *seen < 0.0;
+        }
+        for (cell, (occupied, free)) in evidence {
+            let value = map.entry(cell).or_insert(0.0);
+            let change = if occupied { 2.0 } else { -1.5 * f32::from(u8::from(free)) };
+            *value = (*value + change).clamp(-config.limit, config.limit);
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(16))]
+        #[test]
+        fn decay_is_that_of_multiplying_every_cell(
+            steps in proptest::collection::vec(proptest::collection::vec((0..6i32, 0..6i32, any::<bool>()), 0..12), 1..40),
+            decay in 0.6..1.0f32, limit in 1.0..10.0f32, repeats in 1..40usize,
+        ) {
+            let config = MapConfig { decay, limit, ..small() };
+            let mut grid = OccupancyGrid::new(&config).unwrap();
+            let mut expected = BTreeMap::new();
+            for step in (0..repeats).flat_map(|_| &steps) {
+                let seen: Vec<(Cell, f32)> =
+                    step.iter().map(|(x, y, hit)| (Cell::new(*x, *y), if *hit { 2.0 } else { -1.5 })).collect();
+                update(&mut grid, &seen);
+                naive(&mut expected, &config, &seen);
+            }
+            for (cell, value) in &expected {
+                let got = grid.log_odds(*cell);
+                prop_assert!((got - value).abs() <= 1e-4 * value.abs() + 1e-5, "{:?}: {} instead of {}", cell, got, value);
+            }
+            prop_assert_eq!(grid.known_cells().count(), expected.len());
+        }
+
+        #[test]
+        fn the_order_of_observations_does_not_matter(
+            seen in proptest::collection::vec((0..3i32, -3..4i32), 0..20).prop_shuffle(),
+        ) {
+            let seen: Vec<(Cell, f32)> = seen.into_iter().map(|(x, value)| (Cell::new(x, 0), value as f32)).collect();
+            let mut sorted = seen.clone();
+            sorted.sort_by(|a, b| a.1.total_cmp(&b.1));
+            let (mut a, mut b) = (grid(), grid());
+            update(&mut a, &seen);
+            update(&mut b, &sorted);
+            for x in 0..3 {
+                prop_assert_eq!(a.log_odds(Cell::new(x, 0)), b.log_odds(Cell::new(x, 0)));
+            }
+        }
+    }
+
+    #[test]
+    fn in_one_update_occupied_wins_over_free() {
+        let mut grid = grid();
+        let cell = Cell::new(3, 4);
+        update(&mut grid, &[(cell, -1.5), (cell, 2.0), (cell, -1.5)]);
+        assert_eq!(grid.log_odds(cell), 2.0);
+    }
+
+    #[test]
+    fn a_cell_stays_known_for_ever() {
+        let mut grid = grid();
+        update(&mut grid, &[(Cell::new(0, 0), 2.0), (Cell::new(1, 0), -1.5)]);
+        for _ in 0..20_000 {
+            grid.begin_update(&Pose2::IDENTITY).unwrap();
+            grid.finish_update();
+        }
+        assert_eq!(grid.state(Cell::new(0, 0)), CellState::Occupied);
+        assert_eq!(grid.state(Cell::new(1, 0)), CellState::Free);
+    }
+
+    #[test]
+    fn evidence_that_cancels_does_not_make_a_cell_unknown() {
+        let config = MapConfig { decay: 1.0, ..small() };
+        let mut grid = OccupancyGrid::new(&config).unwrap();
+        update(&mut grid, &[(Cell::new(0, 0), 2.0)]);
+        update(&mut grid, &[(Cell::new(0, 0), -2.0)]);
+        assert_eq!(grid.state(Cell::new(0, 0)), CellState::Free);
+    }
+
+    #[test]
+    fn the_window_follows_the_robot_and_keeps_what_it_still_covers() {
+        let mut grid = grid();
+        let (near, far) = (Cell::new(70, 3), Cell::new(-70, 3));
+        update(&mut grid, &[(near, 2.0), (far, 2.0)]);
+        grid.begin_update(&Pose2::new(1.5, 0.0, 0.0)).unwrap();
+        grid.finish_update();
+        assert_eq!(grid.state(near), CellState::Occupied);
+        assert_eq!(grid.state(far), CellState::Unknown);
+        assert_eq!(grid.known_cells().map(|(cell, _)| cell).collect::<Vec<_>>(), [near]);
+        grid.begin_update(&Pose2::IDENTITY).unwrap();
+        grid.finish_update();
+        assert_eq!(grid.state(far), CellState::Unknown, "what left the window is forgotten");
+        assert_eq!(grid.state(near), CellState::Occupied);
+    }
+
+    #[test]
+    fn newly_known_cells_are_told_once() {
+        let mut grid = grid();
+        let cell = Cell::new(-2, 9);
+        update(&mut grid, &[(cell, -1.5)]);
+        assert_eq!(grid.newly_known(), [cell]);
+        update(&mut grid, &[(cell, 2.0)]);
+        assert!(grid.newly_known().is_empty());
+    }
+
+    #[test]
+    fn a_collision_neither_decays_nor_clears_until_it_expires() {
+        let config = MapConfig { collision_updates: 100, ..small() };
+        let mut grid = OccupancyGrid::new(&config).unwrap();
+        let robot = Pose2::new(0.0, 0.015, core::f64::consts::FRAC_PI_2);
+        grid.begin_update(&robot).unwrap();
+        grid.mark_collision(&robot, 0.1).unwrap();
+        grid.finish_update();
+        // 0.2 m across the heading, 0.1 m ahead.
+        let marked: Vec<Cell> = grid.known_cells().map(|(cell, _)| cell).collect();
+        assert_eq!(marked, (-4..=3).map(|x| Cell::new(x, 3)).collect::<Vec<_>>());
+        for _ in 0..99 {
+            update(&mut grid, &[(Cell::new(0, 3), -1.5)]);
+            assert!((grid.log_odds(Cell::new(0, 3)) - 1000.0).abs() < 0.01);
+        }
+        update(&mut grid, &[]);
+        assert_eq!(grid.state(Cell::new(0, 3)), CellState::Unknown);
+    }
+
+    #[test]
+    fn the_robot_stands_on_free_floor_but_a_collision_stays() {
+        let mut grid = grid();
+        update(&mut grid, &[(Cell::new(1, 1), 50.0)]);
+        grid.begin_update(&Pose2::IDENTITY).unwrap();
+        grid.mark_collision(&Pose2::IDENTITY, 0.1).unwrap();
+        grid.mark_standing(&Pose2::IDENTITY, 0.15).unwrap();
+        observe(&mut grid, Cell::new(0, 0), 2.0);
+        grid.finish_update();
+        assert_eq!(grid.state(Cell::new(1, 1)), CellState::Free);
+        assert_eq!(grid.state(Cell::new(0, 0)), CellState::Free);
+        assert_eq!(grid.state(Cell::new(-5, 0)), CellState::Free);
+        assert_eq!(grid.state(Cell::new(3, 0)), CellState::Occupied);
+        assert_eq!(grid.state(Cell::new(-4, -4)), CellState::Unknown, "beyond the radius");
+    }
+
+    #[test]
+    fn the_digest_tells_what_was_written() {
+        let (mut a, mut b, mut c) = (grid(), grid(), grid());
+        update(&mut a, &[(Cell::new(1, 2), 2.0)]);
+        update(&mut b, &[(Cell::new(1, 2), 2.0)]);
+        update(&mut c, &[(Cell::new(1, 2), -1.5)]);
+        assert_eq!(a.changes_digest(), b.changes_digest());
+        assert_ne!(a.changes_digest(), c.changes_digest());
+        update(&mut b, &[]);
+        assert_ne!(a.changes_digest(), b.changes_digest());
+    }
+
+    #[test]
+    fn poses_that_are_not_finite_are_refused_and_change_nothing() {
+        let mut grid = grid();
+        update(&mut grid, &[(Cell::new(1, 2), 2.0)]);
+        let nan = Pose2 { yaw_rad: f64::NAN, ..Pose2::IDENTITY };
+        assert!(matches!(grid.begin_update(&nan), Err(MapError::PoseNotFinite { pose: "t_odom_base", .. })));
+        assert!(matches!(grid.begin_update(&Pose2::new(1e6, 0.0, 0.0)), Err(MapError::PoseOutOfReach { .. })));
+        assert!(grid.mark_collision(&nan, 0.1).is_err());
+        assert!(grid.mark_collision(&Pose2::IDENTITY, f64::INFINITY).is_err());
+        assert!(grid.mark_standing(&Pose2::IDENTITY, f64::NAN).is_err());
+        assert_eq!((grid.updates(), grid.log_odds(Cell::new(1, 2))), (1, 2.0));
+    }
+}

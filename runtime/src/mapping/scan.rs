@@ -1,0 +1,234 @@
+//! What the planar LiDAR says about the cells around it.
+
+use hal::{LaserScan, Pose2, Range};
+
+use super::grid::check_pose2;
+use super::{Cell, LidarUse, MapError, OccupancyGrid};
+
+impl OccupancyGrid {
+    /// Takes in a scan: hits within the range limit mark their cells; the way to a hit is free where nothing was known.
+    ///
+    /// A planar scan sees one height, so it never clears what the camera saw; what only the LiDAR marked it clears. "No
+    /// return" says nothing, neither do "too near" and errors.
+    ///
+    /// # Errors
+    /// When the pose is not finite or out of reach, or the scan has another number of ranges than beams.
+    pub fn integrate_scan(&mut self, scan: &LaserScan, t_odom_laser: &Pose2) -> Result<(), MapError> {
+        check_pose2("t_odom_laser", t_odom_laser)?;
+        let beams = scan.geometry.beams;
+        if scan.ranges.len() != beams {
+            return Err(MapError::ScanShape { ranges: scan.ranges.len(), beams });
+        }
+        if self.config.lidar == LidarUse::Off {
+            return Ok(());
+        }
+        self.mark_hits(scan, t_odom_laser);
+        if self.config.lidar == LidarUse::HitsAndFree {
+            self.clear_to_hits(scan, t_odom_laser);
+        }
+        Ok(())
+    }
+
+    fn mark_hits(&mut self, scan: &LaserScan, t_odom_laser: &Pose2) {
+        for (angle_rad, range_m) in scan.hits() {
+            if range_m > 0.0 && range_m <= self.config.lidar_range_m {
+                let [x_m, y_m] = end_of(t_odom_laser, angle_rad, f64::from(range_m));
+                let cell = self.cell_at(x_m, y_m);
+                if let Some(index) = self.index(cell) {
+                    self.add_evidence(cell, index, self.config.occupied_increment);
+                }
+            }
+        }
+    }
+
+    /// One line for every group of beams that lie closer together than cells do; a group reaches as far as its shortest
+    /// beam, and nowhere if one of them is not a hit.
+    fn clear_to_hits(&mut self, scan: &LaserScan, t_odom_laser: &Pose2) {
+        let limit_m = self.config.lidar_range_m;
+        let cell_m = self.config.cell_m;
+        let spacing_m = f64::from(limit_m) * scan.geometry.angle_increment_rad.abs();
+        let group = ((0.7 * cell_m / spacing_m) as usize).clamp(1, scan.ranges.len().max(1));
+        for (first, beams) in (0..).step_by(group).zip(scan.ranges.chunks(group)) {
+            let shortest = beams.iter().map(|range| reach_m(*range)).fold(f32::INFINITY, f32::min);
+            let reach_m = f64::from(shortest.min(limit_m)) - cell_m;
+            if reach_m > 0.0 {
+                let angle_rad =
+                    scan.geometry.angle_rad(first) + scan.geometry.angle_increment_rad * (beams.len() - 1) as f64 / 2.0;
+                let end_m = end_of(t_odom_laser, angle_rad, reach_m);
+                self.clear_line([t_odom_laser.x_m, t_odom_laser.y_m], end_m);
+            }
+        }
+    }
+
+    fn clear_line(&mut self, start_m: [f64; 2], end_m: [f64; 2]) {
+        let free = -self.config.free_decrement;
+        for cell in line(start_m, end_m, self.config.cell_m) {
+            if let Some(index) = self.index(cell)
+                && self.lidar_may_clear(index)
+            {
+                self.add_evidence(cell, index, free);
+            }
+        }
+    }
+}
+
+fn reach_m(range: Range) -> f32 {
+    range.hit_m().filter(|range_m| *range_m > 0.0).unwrap_or(0.0)
+}
+
+fn end_of(from: &Pose2, angle_rad: f64, distance_m: f64) -> [f64; 2] {
+    let (sin, cos) = (from.yaw_rad + angle_rad).sin_cos();
+    [from.x_m + cos * distance_m, from.y_m + sin * distance_m]
+}
+
+/// Every cell that a straight line touches, from start to end (Amanatides and Woo 1987).
+pub(crate) fn line(start_m: [f64; 2], end_m: [f64; 2], cell_m: f64) -> impl Iterator<Item = Cell> {
+    let mut cell = Cell::containing(start_m[0], start_m[1], cell_m);
+    let end = Cell::containing(end_m[0], end_m[1], cell_m);
+    let axis = |start: f64, end: f64, at: i32| {
+        let delta = end - start;
+        let step = if delta > 0.0 { 1 } else { -1 };
+        let edge = f64::from(at + i32::from(delta > 0.0)) * cell_m;
+        // In shares of the line's length: where the next edge is crossed, and how far apart crossings are.
+        if delta == 0.0 {
+            (step, f64::INFINITY, f64::INFINITY)
+        } else {
+            (step, (edge - start) / delta, cell_m / delta.abs())
+        }
+    };
+    let (step_x, mut next_x, apart_x) = axis(start_m[0], end_m[0], cell.x);
+    let (step_y, mut next_y, apart_y) = axis(start_m[1], end_m[1], cell.y);
+    // Counting the crossings of each axis makes the line end in the right cell whatever the rounding.
+    let mut left_x = (end.x - cell.x).unsigned_abs();
+    let mut left_y = (end.y - cell.y).unsigned_abs();
+    (0..=left_x + left_y).map(move |_| {
+        let here = cell;
+        if left_x > 0 && (left_y == 0 || next_x < next_y) {
+            left_x -= 1;
+            cell.x += step_x;
+            next_x += apart_x;
+        } else if left_y > 0 {
+            left_y -= 1;
+            cell.y += step_y;
+            next_y += apart_y;
+        }
+        here
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapping::{CellState, MapConfig};
+    use hal::ScanGeometry;
+    use proptest::prelude::*;
+
+    fn grid(lidar: LidarUse) -> OccupancyGrid {
+        let config = MapConfig { side_cells: 200, recenter_cells: 20, lidar, ..MapConfig::default() };
+        OccupancyGrid::new(&config).unwrap()
+    }
+
+    fn scan(range: impl Fn(usize) -> Range) -> LaserScan {
+        let geometry = ScanGeometry::UTM_30LX;
+        LaserScan { time_ns: 0, geometry, ranges: (0..geometry.beams).map(range).collect() }
+    }
+
+    fn update(grid: &mut OccupancyGrid, scan: &LaserScan, laser: &Pose2) {
+        grid.begin_update(laser).unwrap();
+        grid.integrate_scan(scan, laser).unwrap();
+        grid.finish_update();
+    }
+
+    #[test]
+    fn a_ring_of_hits_is_occupied_and_free_inside() {
+        let mut grid = grid(LidarUse::HitsAndFree);
+        let laser = Pose2::new(0.4, -0.3, 1.0);
+        update(&mut grid, &scan(|_| Range::Hit(1.2)), &laser);
+        for beam in (0..1081).step_by(7) {
+            let angle = ScanGeometry::UTM_30LX.angle_rad(beam);
+            for (range_m, state) in
+                [(0.5, CellState::Free), (1.1, CellState::Free), (1.2, CellState::Occupied), (1.3, CellState::Unknown)]
+            {
+                let [x, y] = end_of(&laser, angle, range_m);
+                assert_eq!(grid.state_at(x, y), state, "beam {beam} at {range_m} m");
+            }
+        }
+        let behind = end_of(&laser, core::f64::consts::PI, 0.5);
+        assert_eq!(grid.state_at(behind[0], behind[1]), CellState::Unknown, "the scanner does not look back");
+    }
+
+    #[test]
+    fn no_return_too_near_and_errors_clear_nothing() {
+        for range in [Range::NoReturn, Range::TooNear, Range::Error, Range::Hit(f32::NAN)] {
+            let mut grid = grid(LidarUse::HitsAndFree);
+            update(&mut grid, &scan(|_| range), &Pose2::IDENTITY);
+            assert_eq!(grid.known_cells().count(), 0, "{range:?}");
+        }
+    }
+
+    #[test]
+    fn a_far_hit_clears_to_the_limit_and_marks_nothing() {
+        let mut grid = grid(LidarUse::HitsAndFree);
+        update(&mut grid, &scan(|_| Range::Hit(25.0)), &Pose2::IDENTITY);
+        assert!(grid.known_cells().all(|(_, log_odds)| log_odds < 0.0));
+        assert_eq!(grid.state_at(1.9, 0.0), CellState::Free);
+        assert_eq!(grid.state_at(2.1, 0.0), CellState::Unknown);
+    }
+
+    #[test]
+    fn what_the_camera_saw_stays_and_what_only_the_lidar_saw_is_cleared() {
+        let mut grid = grid(LidarUse::HitsAndFree);
+        let by_camera = Cell::new(20, 0);
+        let by_lidar = Cell::new(0, 20);
+        grid.begin_update(&Pose2::IDENTITY).unwrap();
+        grid.add_camera_obstacle(by_camera, 2.0, 30);
+        let index = grid.index(by_lidar).unwrap();
+        grid.add_evidence(by_lidar, index, 2.0);
+        grid.finish_update();
+        for _ in 0..10 {
+            update(&mut grid, &scan(|_| Range::Hit(1.5)), &Pose2::IDENTITY);
+        }
+        assert_eq!(grid.state(by_camera), CellState::Occupied);
+        assert_eq!(grid.state(by_lidar), CellState::Free);
+    }
+
+    #[test]
+    fn the_use_of_the_lidar_can_be_chosen() {
+        let hits = scan(|_| Range::Hit(1.0));
+        let mut off = grid(LidarUse::Off);
+        update(&mut off, &hits, &Pose2::IDENTITY);
+        assert_eq!(off.known_cells().count(), 0);
+        let mut only_hits = grid(LidarUse::Hits);
+        update(&mut only_hits, &hits, &Pose2::IDENTITY);
+        assert!(only_hits.known_cells().count() > 50 && only_hits.known_cells().all(|(_, log_odds)| log_odds > 0.0));
+    }
+
+    #[test]
+    fn a_scan_with_missing_beams_or_a_wild_pose_is_refused() {
+        let mut grid = grid(LidarUse::HitsAndFree);
+        let mut short = scan(|_| Range::Hit(1.0));
+        short.ranges.pop();
+        let refused = grid.integrate_scan(&short, &Pose2::IDENTITY);
+        assert_eq!(refused, Err(MapError::ScanShape { ranges: 1080, beams: 1081 }));
+        let nan = Pose2 { x_m: f64::NAN, ..Pose2::IDENTITY };
+        assert!(grid.integrate_scan(&scan(|_| Range::Hit(1.0)), &nan).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn a_line_goes_from_cell_to_neighbouring_cell(x0 in -2.0..2.0f64, y0 in -2.0..2.0f64, x1 in -2.0..2.0f64, y1 in -2.0..2.0f64) {
+            let cells: Vec<Cell> = line([x0, y0], [x1, y1], 0.03).collect();
+            prop_assert_eq!(cells[0], Cell::containing(x0, y0, 0.03));
+            prop_assert_eq!(cells[cells.len() - 1], Cell::containing(x1, y1, 0.03));
+            let length = (x1 - x0).hypot(y1 - y0);
+            for pair in cells.windows(2) {
+                prop_assert_eq!(pair[0].distance2(pair[1]), 1);
+            }
+            for cell in &cells {
+                let [cx, cy] = cell.center_m(0.03);
+                let off = ((x1 - x0) * (cy - y0) - (y1 - y0) * (cx - x0)).abs() / length.max(1e-9);
+                prop_assert!(length < 1e-6 || off <= 0.03 * 0.7072, "{:?} is {} m beside the line", cell, off);
+            }
+        }
+    }
+}

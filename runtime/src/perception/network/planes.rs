@@ -1,0 +1,121 @@
+//! From pictures to the network's planes, and from its output to depth.
+
+use hal::DepthMap;
+
+use super::spec::{ModelSpec, OutputKind};
+use crate::perception::DepthEstimate;
+
+/// Rounding that an output may leave its range by, relative to the range.
+const ROUNDING: f32 = 1e-4;
+/// Trust in a network that says nothing about its own uncertainty. The paper's robot maps every pixel alike.
+const UNSAID_CONFIDENCE: f32 = 1.0;
+/// A depth within this factor of the truth counts as right: the field's delta1 (Eigen et al. 2014).
+const DELTA1: f32 = 1.25;
+
+/// RGB bytes, pixel by pixel, into planes of red, green and blue in 0..1.
+pub(super) fn write_rgb(rgb: &[u8], planes: &mut [f32]) {
+    let pixels = rgb.len() / 3;
+    let (red, rest) = planes.split_at_mut(pixels);
+    let (green, blue) = rest.split_at_mut(pixels);
+    for (((pixel, red), green), blue) in rgb.chunks_exact(3).zip(red).zip(green).zip(blue) {
+        *red = f32::from(pixel[0]) / 255.0;
+        *green = f32::from(pixel[1]) / 255.0;
+        *blue = f32::from(pixel[2]) / 255.0;
+    }
+}
+
+/// Coarse depth into planes of disparity (0..1 over the model's depth range), validity (0 or 1) and confidence.
+pub(super) fn write_coarse(coarse: Option<&DepthEstimate>, (min_m, max_m): (f32, f32), planes: &mut [f32]) {
+    let Some(coarse) = coarse else {
+        planes.fill(0.0);
+        return;
+    };
+    let (far, span) = (1.0 / max_m, 1.0 / min_m - 1.0 / max_m);
+    let pixels = coarse.confidence.len();
+    let (disparity, rest) = planes.split_at_mut(pixels);
+    let (validity, confidence) = rest.split_at_mut(pixels);
+    for (pixel, &depth) in coarse.depth.values().iter().enumerate() {
+        let valid = depth > 0.0;
+        disparity[pixel] = if valid { ((1.0 / depth - far) / span).clamp(0.0, 1.0) } else { 0.0 };
+        validity[pixel] = f32::from(u8::from(valid));
+        confidence[pixel] = coarse.confidence[pixel];
+    }
+}
+
+/// The network's output into depth and confidence. `false` when it holds NaN or leaves the range that the model promises;
+/// the estimate is then worthless.
+pub(super) fn read_output(output: &[f32], spec: &ModelSpec, estimate: &mut DepthEstimate) -> bool {
+    let (depth, uncertainty) = output.split_at(spec.size.0 * spec.size.1);
+    let sound = read_depth(depth, spec, &mut estimate.depth);
+    if !spec.uncertainty {
+        estimate.confidence.fill(UNSAID_CONFIDENCE);
+        return sound;
+    }
+    let mut finite = true;
+    for (confidence, &ln_scale) in estimate.confidence.iter_mut().zip(uncertainty) {
+        finite &= ln_scale.is_finite();
+        *confidence = probability_of_delta1(ln_scale);
+    }
+    sound && finite
+}
+
+fn read_depth(output: &[f32], spec: &ModelSpec, depth: &mut DepthMap) -> bool {
+    let (min_m, max_m) = spec.depth_range_m;
+    let (low, high) = match spec.output {
+        OutputKind::Depth => (min_m, max_m),
+        OutputKind::Disparity => (0.0, 1.0),
+    };
+    let allowed = low - ROUNDING * high..=high + ROUNDING * high;
+    let (far, span) = (1.0 / max_m, 1.0 / min_m - 1.0 / max_m);
+    let mut sound = true;
+    for (depth, &value) in depth.values_mut().iter_mut().zip(output) {
+        // NaN and infinity are in no range.
+        sound &= allowed.contains(&value);
+        let metres = match spec.output {
+            OutputKind::Depth => value,
+            OutputKind::Disparity => 1.0 / (far + span * value),
+        };
+        *depth = metres.clamp(min_m, max_m);
+    }
+    sound
+}
+
+/// Probability that the depth is within a factor of 1.25 of the truth when the error of ln depth is Laplacian with scale
+/// b = e^`ln_scale`: 1 - e^(-ln 1.25 / b). Head and loss as in Poggi et al. 2020, "On the uncertainty of self-supervised
+/// monocular depth estimation".
+fn probability_of_delta1(ln_scale: f32) -> f32 {
+    1.0 - (-DELTA1.ln() / ln_scale.exp()).exp()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_become_planes_of_red_green_blue_between_0_and_1() {
+        let mut planes = [9.0; 6];
+        write_rgb(&[0, 51, 102, 255, 204, 153], &mut planes);
+        assert_eq!(planes, [0.0, 1.0, 0.2, 0.8, 0.4, 0.6]);
+    }
+
+    #[test]
+    fn coarse_disparity_is_1_at_the_nearest_and_0_at_the_farthest_depth_and_where_there_is_none() {
+        let depth = DepthMap::from_vec(4, 1, vec![0.0, 0.1, 20.0, 100.0]).unwrap();
+        let coarse = DepthEstimate { depth, confidence: vec![0.0, 0.5, 1.0, 0.25] };
+        let mut planes = [9.0; 12];
+        write_coarse(Some(&coarse), (0.1, 20.0), &mut planes);
+        assert_eq!(planes[..4], [0.0, 1.0, 0.0, 0.0]);
+        assert_eq!(planes[4..8], [0.0, 1.0, 1.0, 1.0]);
+        assert_eq!(planes[8..], [0.0, 0.5, 1.0, 0.25]);
+        write_coarse(None, (0.1, 20.0), &mut planes);
+        assert_eq!(planes, [0.0; 12]);
+    }
+
+    #[test]
+    fn confidence_is_the_share_of_laplacian_errors_below_ln_1_25() {
+        // b = ln 1.25 / ln 2 puts half of the probability inside.
+        let half = (1.25_f32.ln() / 2.0_f32.ln()).ln();
+        assert!((probability_of_delta1(half) - 0.5).abs() < 1e-6);
+        assert!(probability_of_delta1(-10.0) > 0.999 && probability_of_delta1(10.0) < 1e-3);
+    }
+}

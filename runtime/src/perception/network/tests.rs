@@ -1,0 +1,244 @@
+//! Against the real ONNX Runtime, with the models of `tools/fixtures/make_models.py`.
+
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+use hal::{DepthMap, ImageView};
+use ort::environment::Environment;
+
+use super::*;
+
+const SIZE: (usize, usize) = (8, 4);
+const PIXELS: usize = 32;
+
+/// ONNX Runtime allows one environment in a process.
+static ONNX_RUNTIME: LazyLock<Environment> = LazyLock::new(|| {
+    let library = onnx_runtime_library().expect("no ONNX Runtime: run `cargo xtask setup`, or set ORT_DYLIB_PATH");
+    ort::init_from(library).expect("ONNX Runtime does not load").with_telemetry(false).build().unwrap()
+});
+
+fn onnx_runtime_library() -> Option<PathBuf> {
+    if let Some(path) = std::env::var_os("ORT_DYLIB_PATH") {
+        return Some(path.into());
+    }
+    let installed = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/onnxruntime");
+    let mut files = std::fs::read_dir(installed).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
+    files.find(|path| path.to_string_lossy().contains("libonnxruntime.so"))
+}
+
+fn model(name: &str) -> Vec<u8> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/models/{name}.onnx"));
+    std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+fn load(name: &str) -> Result<DepthNetwork, NetworkError> {
+    DepthNetwork::load(&ONNX_RUNTIME, &model(name), SIZE, NetworkOptions::default())
+}
+
+fn plain(colour: [u8; 3]) -> Vec<u8> {
+    colour.repeat(PIXELS)
+}
+
+fn view(bytes: &[u8]) -> ImageView<'_> {
+    ImageView::rgb8(SIZE.0, SIZE.1, bytes).unwrap()
+}
+
+/// Depth by the formula of Monodepth2.
+fn depth_of(x: f32, (min, max): (f32, f32)) -> f32 {
+    1.0 / (1.0 / max + (1.0 / min - 1.0 / max) * x)
+}
+
+fn assert_close(found: f32, expected: f32) {
+    assert!((found - expected).abs() <= 1e-4 * expected.abs(), "{found} instead of {expected}");
+}
+
+#[test]
+fn every_pixel_has_the_depth_that_the_disparity_formula_gives_its_own_colour() {
+    let mut network = load("mean").unwrap();
+    let bytes: Vec<u8> = (0..3 * PIXELS).map(|i| (i * 37 % 256) as u8).collect();
+    let estimate = network.estimate(view(&bytes), None).unwrap();
+    for (pixel, &depth) in bytes.chunks_exact(3).zip(estimate.depth.values()) {
+        let mean = pixel.iter().map(|&byte| f32::from(byte) / 255.0).sum::<f32>() / 3.0;
+        assert_close(depth, depth_of(mean, DEFAULT_DEPTH_RANGE_M));
+    }
+    assert!(estimate.confidence.iter().all(|&confidence| confidence > 0.0));
+}
+
+#[test]
+fn black_is_the_far_end_and_white_the_near_end_of_the_models_own_range() {
+    let mut network = load("mean_1_to_5_m").unwrap();
+    assert_eq!(network.spec().version.as_deref(), Some("fixture-7"));
+    let mut depth = |colour| network.estimate(view(&plain(colour)), None).unwrap().depth.get(3, 2).unwrap();
+    assert_close(depth([0; 3]), 5.0);
+    assert_close(depth([255; 3]), 1.0);
+}
+
+#[test]
+fn red_green_and_blue_arrive_in_this_order() {
+    let mut network = load("weighted").unwrap();
+    for (colour, x) in [([255, 0, 0], 0.1), ([0, 255, 0], 0.2), ([0, 0, 255], 0.4), ([51, 102, 204], 0.42)] {
+        let estimate = network.estimate(view(&plain(colour)), None).unwrap();
+        assert_close(estimate.depth.get(0, 0).unwrap(), depth_of(x, DEFAULT_DEPTH_RANGE_M));
+    }
+}
+
+#[test]
+fn a_model_that_says_depth_is_taken_at_its_word_within_its_range() {
+    let mut network = load("metres").unwrap();
+    let estimate = network.estimate(view(&plain([9, 51, 7])), None).unwrap();
+    assert_close(estimate.depth.get(7, 3).unwrap(), 2.2);
+    // 2 + 1 m is beyond the 2.8 m that it promises.
+    assert_eq!(network.estimate(view(&plain([0, 255, 0])), None), Err(NoDepth::NetworkOutput));
+}
+
+#[test]
+fn open_sizes_in_the_model_are_filled_in_by_the_camera() {
+    let mut network = load("any_size").unwrap();
+    assert_eq!(network.spec().size, SIZE);
+    assert!(network.estimate(view(&plain([10; 3])), None).is_ok());
+}
+
+fn coarse_with_a_hole() -> DepthEstimate {
+    let mut depth_m: Vec<f32> = (0..PIXELS).map(|i| 0.5 + 0.25 * i as f32).collect();
+    depth_m[5] = 0.0;
+    let mut confidence = vec![0.75; PIXELS];
+    confidence[5] = 0.0;
+    DepthEstimate { depth: DepthMap::from_vec(SIZE.0, SIZE.1, depth_m).unwrap(), confidence }
+}
+
+#[test]
+fn coarse_depth_goes_through_a_model_that_hands_it_on() {
+    let coarse = coarse_with_a_hole();
+    for name in ["coarse_second_input", "coarse_six_channels"] {
+        let mut network = load(name).unwrap();
+        assert!(network.spec().input.takes_coarse());
+        let estimate = network.estimate(view(&plain([128; 3])), Some(&coarse)).unwrap();
+        for (pixel, &depth) in coarse.depth.values().iter().enumerate() {
+            assert_close(estimate.depth.values()[pixel], if depth > 0.0 { depth } else { 20.0 });
+        }
+        // Laplace scale 0.1 where coarse depth is, 1 where it is not.
+        let share = |scale: f32| 1.0 - (-(1.25_f32.ln()) / scale).exp();
+        assert_close(estimate.confidence[4], share(0.1));
+        assert_close(estimate.confidence[5], share(1.0));
+    }
+}
+
+#[test]
+fn the_confidence_of_coarse_depth_arrives_and_none_means_zero() {
+    let mut network = load("coarse_confidence").unwrap();
+    let frame = plain([128; 3]);
+    let coarse = coarse_with_a_hole();
+    let with = network.estimate(view(&frame), Some(&coarse)).unwrap().depth.get(0, 0).unwrap();
+    assert_close(with, depth_of(0.75, DEFAULT_DEPTH_RANGE_M));
+    let without = network.estimate(view(&frame), None).unwrap().depth.get(0, 0).unwrap();
+    assert_close(without, 20.0);
+}
+
+#[test]
+fn nan_and_values_out_of_range_give_no_depth_and_are_counted() {
+    for name in ["nan_at_full_red", "above_one_at_full_red"] {
+        let mut network = load(name).unwrap();
+        assert_eq!(network.estimate(view(&plain([255, 0, 0])), None), Err(NoDepth::NetworkOutput), "{name}");
+        assert_eq!(network.refused(), 1);
+        assert!(network.estimate(view(&plain([100, 0, 0])), None).is_ok(), "{name}: the next picture is a new one");
+        assert_eq!(network.refused(), 1);
+    }
+}
+
+#[test]
+fn a_picture_or_coarse_depth_of_another_size_is_refused() {
+    let mut network = load("coarse_six_channels").unwrap();
+    let grey = vec![0; PIXELS];
+    let wrong = [
+        ImageView::rgb8(4, 8, &plain([0; 3])).map(|frame| network.estimate(frame, None).cloned()).unwrap(),
+        ImageView::new(8, 4, PixelFormat::Gray8, &grey).map(|frame| network.estimate(frame, None).cloned()).unwrap(),
+        network.estimate(view(&plain([0; 3])), Some(&DepthEstimate::none(4, 8))).cloned(),
+    ];
+    assert!(wrong.iter().all(|result| *result == Err(NoDepth::FrameSize)));
+    assert_eq!(network.refused(), 3);
+}
+
+#[test]
+fn bytes_that_are_no_model_are_refused_by_name() {
+    let refuse = |bytes: &[u8]| DepthNetwork::load(&ONNX_RUNTIME, bytes, SIZE, NetworkOptions::default()).unwrap_err();
+    for (bytes, word) in [
+        (&b""[..], "empty"),
+        (b"PK\x03\x04rest", "PyTorch"),
+        (b"version https://git-lfs.github.com/spec/v1", "LFS"),
+        (b"<!DOCTYPE html>", "HTML"),
+    ] {
+        let text = refuse(bytes).to_string();
+        assert!(text.contains(word), "{text}");
+    }
+    assert!(matches!(refuse(&[0xa5; 1000]), NetworkError::Load { .. }));
+}
+
+#[test]
+fn a_model_that_is_cut_anywhere_is_refused_or_harmless() {
+    let whole = model("weighted");
+    for length in 0..whole.len() {
+        let cut = DepthNetwork::load(&ONNX_RUNTIME, &whole[..length], SIZE, NetworkOptions::default());
+        if let Ok(mut network) = cut {
+            assert!(network.estimate(view(&plain([51; 3])), None).is_ok());
+        }
+    }
+}
+
+#[test]
+fn unfit_models_are_refused_with_what_was_found_and_what_is_needed() {
+    let cases: [(&str, &[&str]); 10] = [
+        ("nan_always", &["grey picture", "NaN"]),
+        ("byte_input", &["`rgb` Tensor<u8>(1, 3, 4, 8)", "Tensor<f32>(1, 3, 4, 8)"]),
+        ("three_inputs", &["3 tensors", "`c`", "[1, 6, height, width]"]),
+        ("two_outputs", &["2 tensors", "`again`", "one output"]),
+        ("no_batch", &["Tensor<f32>(3, 4, 8)", "(1, 3, 4, 8)"]),
+        ("five_channels", &["(1, 5, 4, 8)", "(1, 3, 4, 8)"]),
+        ("wide_output", &["output is `disparity`", "(1, 3, 4, 8)", "1 or 2"]),
+        ("unnamed_output", &["`out`", "metadata"]),
+        ("depth_range_upside_down", &["max_depth_m", "`1`", "above min_depth_m = 5"]),
+        ("kind_unknown", &["kind = `stereo`", "`rgb`"]),
+    ];
+    for (name, words) in cases {
+        let text = load(name).expect_err(name).to_string();
+        for word in words {
+            assert!(text.contains(word), "{name}: {text}");
+        }
+    }
+}
+
+#[test]
+fn a_model_for_another_camera_is_refused_with_both_sizes() {
+    let error = DepthNetwork::load(&ONNX_RUNTIME, &model("mean"), (640, 192), NetworkOptions::default()).unwrap_err();
+    let text = error.to_string();
+    assert!(text.contains("8x4") && text.contains("640x192"), "{text}");
+}
+
+#[test]
+fn depth_is_the_same_bit_for_bit_on_every_run_and_any_number_of_threads() {
+    let (width, height) = (160, 96);
+    let bytes: Vec<u8> = (0..3 * width * height).map(|i| (i * 7919 / 13 % 256) as u8).collect();
+    let frame = ImageView::rgb8(width, height, &bytes).unwrap();
+    let depth = |threads, runs| {
+        let options = NetworkOptions { threads };
+        let mut network = DepthNetwork::load(&ONNX_RUNTIME, &model("deep"), (width, height), options).unwrap();
+        (0..runs).map(|_| network.estimate(frame, None).unwrap().clone()).collect::<Vec<_>>()
+    };
+    let reference = depth(1, 1).remove(0);
+    assert!(reference.depth.values().windows(2).any(|pair| pair[0] != pair[1]), "a constant would prove nothing");
+    for threads in [1, 2, 3, 7] {
+        assert!(depth(threads, 3).iter().all(|estimate| *estimate == reference), "{threads} threads");
+    }
+}
+
+#[test]
+fn the_digest_is_that_of_the_models_bytes() {
+    let network = load("mean").unwrap();
+    assert_eq!(network.digest(), blake3::hash(&model("mean")).to_hex().as_str());
+    assert_ne!(network.digest(), load("metres").unwrap().digest());
+}
+
+#[test]
+fn a_network_can_move_to_the_thread_that_runs_it() {
+    fn assert_send<T: Send>() {}
+    assert_send::<DepthNetwork>();
+}

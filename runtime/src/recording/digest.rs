@@ -1,0 +1,146 @@
+//! Two runs are the same when their digests are.
+
+use blake3::Hasher;
+use hal::{DepthMap, ImageView, LaserScan, Range, WheelFeedback};
+
+use crate::tick::{Decision, TickInput};
+
+/// BLAKE3 over a run's inputs and over its decisions, in one canonical form that does not depend on how a recording
+/// compresses or cuts them.
+#[derive(Debug, Clone, Default)]
+pub struct RunDigest {
+    inputs: Hasher,
+    decisions: Hasher,
+}
+
+impl RunDigest {
+    /// Of a run without turns.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds the input of the next turn.
+    pub fn add_input(&mut self, input: &TickInput<'_>) {
+        hash_input(&mut self.inputs, input);
+    }
+
+    /// Adds the decision of the next turn: its JSON, which holds every number exactly, with its length before it.
+    pub fn add_decision(&mut self, decision: &Decision) {
+        // A `Decision` has no map with other than text keys and no failing serializer, so this cannot fail; were it to,
+        // the empty text still counts as a turn.
+        let json = serde_json::to_vec(decision).unwrap_or_default();
+        self.decisions.update(&(json.len() as u64).to_le_bytes()).update(&json);
+    }
+
+    /// Of all inputs so far, as hex.
+    #[must_use]
+    pub fn inputs(&self) -> String {
+        self.inputs.finalize().to_hex().to_string()
+    }
+
+    /// Of all decisions so far, as hex. This is the `digest` of a run's summary.
+    #[must_use]
+    pub fn decisions(&self) -> String {
+        self.decisions.finalize().to_hex().to_string()
+    }
+}
+
+/// All numbers little-endian, floats as their bits, every optional part with a byte before it that says whether it is
+/// there.
+fn hash_input(hasher: &mut Hasher, input: &TickInput<'_>) {
+    hasher.update(&input.tick.to_le_bytes()).update(&input.time_ns.to_le_bytes());
+    hash_wheel(hasher, &input.wheel);
+    hasher.update(&[u8::from(input.scan.is_some())]);
+    if let Some(scan) = input.scan {
+        hash_scan(hasher, scan);
+    }
+    hasher.update(&[u8::from(input.frame.is_some())]);
+    if let Some(frame) = input.frame {
+        hash_frame(hasher, &frame);
+    }
+    hasher.update(&[u8::from(input.truth.is_some())]);
+    if let Some(truth) = input.truth {
+        hash_depth(hasher, truth);
+    }
+}
+
+fn hash_wheel(hasher: &mut Hasher, wheel: &WheelFeedback) {
+    hasher.update(&wheel.time_ns.to_le_bytes());
+    let (odom, twist) = (&wheel.odom, &wheel.twist);
+    for value in [odom.x_m, odom.y_m, odom.yaw_rad, twist.linear_mps, twist.angular_radps] {
+        hasher.update(&value.to_bits().to_le_bytes());
+    }
+    hasher.update(&[u8::from(wheel.contact)]);
+}
+
+fn hash_scan(hasher: &mut Hasher, scan: &LaserScan) {
+    let geometry = &scan.geometry;
+    hasher.update(&scan.time_ns.to_le_bytes());
+    hasher.update(&geometry.angle_min_rad.to_bits().to_le_bytes());
+    hasher.update(&geometry.angle_increment_rad.to_bits().to_le_bytes());
+    hasher.update(&(geometry.beams as u64).to_le_bytes());
+    hasher.update(&geometry.range_min_m.to_bits().to_le_bytes());
+    hasher.update(&geometry.range_max_m.to_bits().to_le_bytes());
+    hasher.update(&geometry.period_ns.to_le_bytes());
+    hasher.update(&(scan.ranges.len() as u64).to_le_bytes());
+    for range in &scan.ranges {
+        let (tag, bits) = match range {
+            Range::Hit(distance_m) => (0u8, distance_m.to_bits()),
+            Range::NoReturn => (1, 0),
+            Range::TooNear => (2, 0),
+            Range::Error => (3, 0),
+        };
+        hasher.update(&[tag]).update(&bits.to_le_bytes());
+    }
+}
+
+fn hash_frame(hasher: &mut Hasher, frame: &ImageView<'_>) {
+    hasher.update(&(frame.width() as u64).to_le_bytes()).update(&(frame.height() as u64).to_le_bytes());
+    hasher.update(&(frame.data().len() as u64).to_le_bytes()).update(frame.data());
+}
+
+fn hash_depth(hasher: &mut Hasher, depth: &DepthMap) {
+    hasher.update(&(depth.width() as u64).to_le_bytes()).update(&(depth.height() as u64).to_le_bytes());
+    for row in depth.values().chunks(depth.width().max(1)) {
+        let bytes: Vec<u8> = row.iter().flat_map(|value| value.to_bits().to_le_bytes()).collect();
+        hasher.update(&bytes);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::some_tick;
+    use super::*;
+
+    fn inputs(tick: &super::super::RecordedTick) -> String {
+        let mut digest = RunDigest::new();
+        digest.add_input(&tick.input().unwrap());
+        digest.inputs()
+    }
+
+    #[test]
+    fn one_changed_bit_anywhere_changes_the_digest() {
+        let tick = some_tick(3);
+        let original = inputs(&tick);
+        assert_eq!(original, inputs(&tick.clone()));
+        let mut changed = vec![tick.clone(); 5];
+        changed[0].wheel.odom.x_m += 1e-9;
+        changed[1].frame.as_mut().unwrap().rgb[7] ^= 1;
+        changed[2].scan.as_mut().unwrap().ranges[1] = Range::Error;
+        changed[3].truth.as_mut().unwrap().values_mut()[0] += 0.001;
+        changed[4].scan = None;
+        for tick in changed {
+            assert_ne!(inputs(&tick), original);
+        }
+    }
+
+    #[test]
+    fn minus_zero_is_not_zero() {
+        let mut tick = some_tick(3);
+        tick.wheel.odom.x_m = 0.0;
+        let zero = inputs(&tick);
+        tick.wheel.odom.x_m = -0.0;
+        assert_ne!(inputs(&tick), zero);
+    }
+}

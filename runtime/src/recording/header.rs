@@ -1,0 +1,85 @@
+//! What a run was made with.
+
+use hal::{CameraModel, Pose3};
+use serde::{Deserialize, Serialize};
+
+use super::json;
+
+/// Version of the recording's format. Goes up when an old reader would misread a new recording.
+pub const FORMAT_VERSION: u32 = 1;
+
+/// Everything besides the recorded inputs that decides what a run decides. The same in every segment of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunHeader {
+    /// Name and version of the program that wrote this.
+    pub written_by: String,
+    /// Seed of the run.
+    pub seed: u64,
+    /// The world, for a simulated run.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub scene: Option<String>,
+    /// Name of the policy.
+    pub policy: String,
+    /// Where depth comes from: `coarse`, `network` or `truth`.
+    pub depth_source: String,
+    /// BLAKE3 digest of the model file, if there is a model.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub model_digest: Option<String>,
+    /// Intrinsics of the pictures that the loop gets.
+    #[serde(with = "json::camera_model")]
+    pub camera: CameraModel,
+    /// `camera_optical` on the robot.
+    #[serde(with = "json::pose3")]
+    pub t_base_camera: Pose3,
+    /// `laser` on the robot.
+    #[serde(with = "json::pose3")]
+    pub t_base_laser: Pose3,
+    /// The whole effective configuration.
+    pub config: serde_json::Value,
+}
+
+/// First message of every segment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SegmentHeader {
+    /// [`FORMAT_VERSION`].
+    pub format_version: u32,
+    /// Counts up from 0 over the run's files.
+    pub segment: u32,
+    /// First turn in this segment.
+    pub first_tick: u64,
+    /// Its time.
+    pub first_time_ns: u64,
+    /// The run.
+    pub run: RunHeader,
+}
+
+impl SegmentHeader {
+    /// The header of the run's segment number `segment`, whose first turn is `first_tick`.
+    #[must_use]
+    pub fn new(run: RunHeader, segment: u32, first_tick: u64, first_time_ns: u64) -> Self {
+        Self { format_version: FORMAT_VERSION, segment, first_tick, first_time_ns, run }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::run_header;
+    use super::*;
+
+    #[test]
+    fn a_header_comes_back_from_json_bit_for_bit() {
+        let mut run = run_header();
+        run.camera.distortion = hal::Distortion::PlumbBob([0.1, -0.2, 1e-3, 0.0, 1.0 / 3.0]);
+        let header = SegmentHeader::new(run, 3, 1_800, 60_000_000_001);
+        let text = serde_json::to_string(&header).unwrap();
+        let back: SegmentHeader = serde_json::from_str(&text).unwrap();
+        assert_eq!(back, header);
+        assert_eq!(serde_json::to_string(&back).unwrap(), text);
+    }
+
+    #[test]
+    fn a_header_with_an_impossible_camera_is_refused() {
+        let text = serde_json::to_string(&run_header()).unwrap().replace("\"fx\":", "\"fx\":-");
+        assert!(serde_json::from_str::<RunHeader>(&text).is_err());
+    }
+}

@@ -1,0 +1,177 @@
+//! From MCAP to turns.
+
+use std::io::Read;
+
+use foxglove::{Decode, messages as fox};
+use hal::{DepthMap, LaserScan, WheelFeedback};
+use mcap::McapError;
+
+use super::container::Messages;
+use super::header::{FORMAT_VERSION, SegmentHeader};
+use super::tick::{Picture, RecordedTick};
+use super::topics::Topic;
+use super::writer::TickJson;
+use super::{RecordingError, picture, scan};
+use crate::tick::Decision;
+
+/// Reads one segment, turn by turn. After the last complete turn of a stream without its end comes one
+/// [`Truncated`](RecordingError::Truncated), then nothing.
+pub struct RecordingReader<R: Read> {
+    messages: Messages<R>,
+    header: SegmentHeader,
+    last_tick: Option<u64>,
+    done: bool,
+}
+
+impl<R: Read> RecordingReader<R> {
+    /// Opens a segment and reads its header.
+    ///
+    /// # Errors
+    /// When this is no MCAP stream, not one of ours, of another format, or cut before its first complete chunk.
+    pub fn open(source: R) -> Result<Self, RecordingError> {
+        let mut messages = Messages::new(source);
+        let header = match messages.next() {
+            Ok(Some(message)) if message.topic == Topic::Header.name() => parse_header(&message.data)?,
+            Ok(_) => return Err(RecordingError::MissingHeader { topic: Topic::Header.name() }),
+            Err(McapError::BadMagic) => return Err(RecordingError::NotMcap),
+            Err(error) => return Err(RecordingError::reading(error, None)),
+        };
+        Ok(Self { messages, header, last_tick: None, done: false })
+    }
+
+    /// What the segment was made with.
+    #[must_use]
+    pub fn header(&self) -> &SegmentHeader {
+        &self.header
+    }
+
+    /// The next turn with all of its parts, or `None` at the end of the stream.
+    fn next_tick(&mut self) -> Result<Option<RecordedTick>, RecordingError> {
+        let mut open: Option<Parts> = None;
+        loop {
+            let message = self.messages.next().map_err(|error| RecordingError::reading(error, self.last_tick))?;
+            let Some(message) = message else { return open.map_or(Ok(None), |parts| Err(parts.missing())) };
+            match (Topic::of_replay(&message.topic), &mut open) {
+                (Some(Topic::Tick), Some(parts)) => return Err(parts.missing()),
+                (Some(Topic::Tick), None) => open = Some(Parts::new(self.parse_tick(&message.data)?)),
+                (Some(topic), Some(parts)) => parts.add(topic, &message.data)?,
+                // Pictures for people, and channels that other tools have added.
+                _ => {}
+            }
+            if let Some(parts) = open.take_if(|parts| parts.first_missing().is_none()) {
+                self.last_tick = Some(parts.json.tick);
+                return Ok(Some(parts.into_tick()));
+            }
+        }
+    }
+
+    fn parse_tick(&self, data: &[u8]) -> Result<TickJson, RecordingError> {
+        let next = self.last_tick.map_or(self.header.first_tick, |tick| tick.saturating_add(1));
+        let json: TickJson = serde_json::from_slice(data).map_err(|error| bad_message(next, Topic::Tick, &error))?;
+        match self.last_tick {
+            Some(previous) if json.tick <= previous => Err(RecordingError::TickOrder { previous, found: json.tick }),
+            _ => Ok(json),
+        }
+    }
+}
+
+impl<R: Read> Iterator for RecordingReader<R> {
+    type Item = Result<RecordedTick, RecordingError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.done {
+            return None;
+        }
+        let item = self.next_tick().transpose();
+        self.done = !matches!(item, Some(Ok(_)));
+        item
+    }
+}
+
+/// What has come of a turn so far.
+struct Parts {
+    json: TickJson,
+    scan: Option<LaserScan>,
+    frame: Option<Picture>,
+    truth: Option<DepthMap>,
+    decision: Option<Decision>,
+}
+
+impl Parts {
+    fn new(json: TickJson) -> Self {
+        Self { json, scan: None, frame: None, truth: None, decision: None }
+    }
+
+    fn add(&mut self, topic: Topic, data: &[u8]) -> Result<(), RecordingError> {
+        let tick = self.json.tick;
+        let bad = |detail: String| bad_message(tick, topic, &detail);
+        match topic {
+            Topic::Scan => self.scan = Some(self.parse_scan(data).map_err(bad)?),
+            Topic::Image => {
+                let message = fox::CompressedImage::decode(data).map_err(|error| bad(error.to_string()))?;
+                self.frame = Some(picture::decode_png(&message.data).map_err(bad)?);
+            }
+            Topic::TruthDepth => {
+                let message = fox::RawImage::decode(data).map_err(|error| bad(error.to_string()))?;
+                self.truth = Some(picture::decode_depth(&message).map_err(bad)?);
+            }
+            Topic::Decision => {
+                self.decision = Some(serde_json::from_slice(data).map_err(|error| bad(error.to_string()))?);
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn parse_scan(&self, data: &[u8]) -> Result<LaserScan, String> {
+        let json = self.json.scan.as_ref().ok_or("the turn says that it has no scan")?;
+        let message = fox::LaserScan::decode(data).map_err(|error| error.to_string())?;
+        let ranges = message.ranges.iter().map(|number| {
+            scan::decode(*number).ok_or_else(|| format!("{number} is not a distance that this program writes"))
+        });
+        Ok(LaserScan { time_ns: json.time_ns, geometry: json.geometry(), ranges: ranges.collect::<Result<_, _>>()? })
+    }
+
+    fn first_missing(&self) -> Option<Topic> {
+        let parts = [
+            (Topic::Scan, self.json.scan.is_some(), self.scan.is_some()),
+            (Topic::Image, self.json.frame, self.frame.is_some()),
+            (Topic::TruthDepth, self.json.truth, self.truth.is_some()),
+            (Topic::Decision, self.json.decision, self.decision.is_some()),
+        ];
+        parts.into_iter().find(|(_, promised, here)| *promised && !here).map(|(topic, ..)| topic)
+    }
+
+    fn missing(&self) -> RecordingError {
+        let topic = self.first_missing().unwrap_or(Topic::Tick).name();
+        RecordingError::MissingPart { tick: self.json.tick, topic }
+    }
+
+    fn into_tick(self) -> RecordedTick {
+        RecordedTick {
+            tick: self.json.tick,
+            time_ns: self.json.time_ns,
+            wheel: WheelFeedback::from(&self.json.wheel),
+            scan: self.scan,
+            frame: self.frame,
+            truth: self.truth,
+            decision: self.decision,
+        }
+    }
+}
+
+fn parse_header(data: &[u8]) -> Result<SegmentHeader, RecordingError> {
+    let bad = |error: serde_json::Error| bad_message(0, Topic::Header, &error);
+    // The version first: a header of another format need not have our fields.
+    let value: serde_json::Value = serde_json::from_slice(data).map_err(bad)?;
+    let found = value["format_version"].as_u64().unwrap_or(0);
+    if found != u64::from(FORMAT_VERSION) {
+        let written_by = value["run"]["written_by"].as_str().unwrap_or("unknown").to_owned();
+        return Err(RecordingError::FormatVersion { found, supported: FORMAT_VERSION, written_by });
+    }
+    serde_json::from_value(value).map_err(bad)
+}
+
+fn bad_message(tick: u64, topic: Topic, detail: &impl std::fmt::Display) -> RecordingError {
+    RecordingError::BadMessage { tick, topic: topic.name(), detail: detail.to_string() }
+}

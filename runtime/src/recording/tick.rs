@@ -1,0 +1,74 @@
+//! One turn of the loop with its own memory.
+
+use hal::{DepthMap, ImageView, LaserScan, PixelFormat, WheelFeedback};
+
+use super::RecordingError;
+use crate::tick::{Decision, TickInput};
+
+/// An RGB8 picture with its own memory.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Row-major, three bytes a pixel.
+    pub rgb: Vec<u8>,
+}
+
+/// A [`TickInput`] that owns its parts, and what was decided on it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordedTick {
+    /// Counts up from 0.
+    pub tick: u64,
+    /// The turn's time, monotonic.
+    pub time_ns: u64,
+    /// What the base measured.
+    pub wheel: WheelFeedback,
+    /// A new scan, if one came.
+    pub scan: Option<LaserScan>,
+    /// A new picture, if one came.
+    pub frame: Option<Picture>,
+    /// Ground-truth depth of `frame`, with the depth source `truth`. Whole millimetres.
+    pub truth: Option<DepthMap>,
+    /// What the loop decided.
+    pub decision: Option<Decision>,
+}
+
+impl RecordedTick {
+    /// Copies a turn.
+    ///
+    /// # Errors
+    /// [`FrameFormat`](RecordingError::FrameFormat) for a picture that is not RGB8.
+    pub fn capture(input: &TickInput<'_>, decision: Option<Decision>) -> Result<Self, RecordingError> {
+        let frame = input.frame.map(|view| match view.format() {
+            PixelFormat::Rgb8 => Ok(Picture { width: view.width(), height: view.height(), rgb: view.data().to_vec() }),
+            format => Err(RecordingError::FrameFormat { tick: input.tick, format }),
+        });
+        Ok(Self {
+            tick: input.tick,
+            time_ns: input.time_ns,
+            wheel: input.wheel,
+            scan: input.scan.cloned(),
+            frame: frame.transpose()?,
+            truth: input.truth.cloned(),
+            decision,
+        })
+    }
+
+    /// The turn's input as the loop takes it.
+    ///
+    /// # Errors
+    /// [`Frame`](RecordingError::Frame) when the picture's bytes do not fit its size.
+    pub fn input(&self) -> Result<TickInput<'_>, RecordingError> {
+        let frame = self.frame.as_ref().map(|picture| ImageView::rgb8(picture.width, picture.height, &picture.rgb));
+        Ok(TickInput {
+            tick: self.tick,
+            time_ns: self.time_ns,
+            wheel: self.wheel,
+            scan: self.scan.as_ref(),
+            frame: frame.transpose().map_err(|source| RecordingError::Frame { tick: self.tick, source })?,
+            truth: self.truth.as_ref(),
+        })
+    }
+}

@@ -1,0 +1,297 @@
+//! From turns to MCAP.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+
+use foxglove::{Encode, messages as fox};
+use mcap::records::MessageHeader;
+use mcap::write::NoSeek;
+use serde::{Deserialize, Serialize};
+
+use super::header::SegmentHeader;
+use super::json::{ScanJson, WheelJson};
+use super::sentences::{Severity, sentence};
+use super::tick::RecordedTick;
+use super::topics::Topic;
+use super::views::{self, Views};
+use super::{RecordingError, picture, scan};
+use crate::tick::Decision;
+
+/// A chunk is closed when it holds this many bytes before compression: about a second of pictures at 10 Hz.
+pub const CHUNK_BYTES: u64 = 4 << 20;
+
+/// A chunk is closed when its first and last turn are this far apart.
+pub const CHUNK_NS: u64 = 1_000_000_000;
+
+/// A stream of complete chunks becomes a valid MCAP file, though without an index, when these bytes follow: an empty
+/// data-end record, a footer that points nowhere, and the magic (MCAP specification, "Data End", "Footer").
+pub const END_WITHOUT_SUMMARY: [u8; 50] = {
+    let mut bytes = [0; 50];
+    bytes[0] = mcap::records::op::DATA_END;
+    bytes[1] = 4;
+    bytes[13] = mcap::records::op::FOOTER;
+    bytes[14] = 20;
+    let mut i = 0;
+    while i < 8 {
+        bytes[42 + i] = mcap::MAGIC[i];
+        i += 1;
+    }
+    bytes
+};
+
+/// Opens every turn: the wheels, and which other parts belong to it.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct TickJson {
+    pub tick: u64,
+    pub time_ns: u64,
+    pub wheel: WheelJson,
+    pub scan: Option<ScanJson>,
+    pub frame: bool,
+    pub truth: bool,
+    pub decision: bool,
+}
+
+/// Writes one segment of a run. Everything that is written between two flushes reaches the sink in order and in whole
+/// chunks; the sink's own `flush` is called after each.
+pub struct RecordingWriter<W: Write> {
+    mcap: mcap::Writer<NoSeek<W>>,
+    header: SegmentHeader,
+    channels: [Option<u16>; Topic::COUNT],
+    chunk_start_ns: Option<u64>,
+    chunk_bytes: u64,
+    last_goal_m: Option<[f64; 2]>,
+    buffer: Vec<u8>,
+}
+
+impl<W: Write> RecordingWriter<W> {
+    /// Starts a segment and writes its header, in a chunk of its own.
+    ///
+    /// # Errors
+    /// When the header holds numbers that are not finite or the sink fails.
+    pub fn begin(sink: W, header: SegmentHeader) -> Result<Self, RecordingError> {
+        let options = mcap::WriteOptions::new()
+            .library(concat!("embodied-depth ", env!("CARGO_PKG_VERSION")))
+            .compression(Some(mcap::Compression::Zstd))
+            .compression_level(1)
+            // More than zero changes how zstd cuts its blocks: the bytes would depend on the computer.
+            .compression_threads(0)
+            // We close chunks between turns.
+            .chunk_size(None)
+            // A chunk is put together in memory and written once.
+            .disable_seeking(true);
+        let mcap = options.create(NoSeek::new(sink)).map_err(RecordingError::writing)?;
+        let mut writer = Self {
+            mcap,
+            channels: [None; Topic::COUNT],
+            chunk_start_ns: None,
+            chunk_bytes: 0,
+            last_goal_m: None,
+            buffer: Vec::new(),
+            header,
+        };
+        let (tick, time_ns) = (writer.header.first_tick, writer.header.first_time_ns);
+        let json = serde_json::to_vec(&writer.header).map_err(|error| encode_error(tick, Topic::Header, &error))?;
+        // What cannot be read back is refused now, not at replay.
+        serde_json::from_slice::<SegmentHeader>(&json).map_err(|error| encode_error(tick, Topic::Header, &error))?;
+        writer.put(Topic::Header, tick, time_ns, &json)?;
+        writer.flush()?;
+        Ok(writer)
+    }
+
+    /// Writes a turn; closes the chunk when it is full.
+    ///
+    /// # Errors
+    /// When a part cannot be recorded exactly (see [`RecordingError`]) or the sink fails. After that only
+    /// [`abandon`](Self::abandon) makes sense.
+    pub fn write(&mut self, tick: &RecordedTick, views: &Views) -> Result<(), RecordingError> {
+        self.put_inputs(tick)?;
+        self.put_poses(tick)?;
+        self.put_views(tick, views)?;
+        if let Some(decision) = &tick.decision {
+            self.put_decision(tick, decision)?;
+        }
+        let start_ns = *self.chunk_start_ns.get_or_insert(tick.time_ns);
+        if self.chunk_bytes >= CHUNK_BYTES || tick.time_ns.saturating_sub(start_ns) >= CHUNK_NS {
+            self.flush()?;
+        }
+        Ok(())
+    }
+
+    /// Closes the chunk and flushes the sink: every turn so far can be read whatever happens next.
+    ///
+    /// # Errors
+    /// When the sink fails.
+    pub fn flush(&mut self) -> Result<(), RecordingError> {
+        self.chunk_start_ns = None;
+        self.chunk_bytes = 0;
+        self.mcap.flush().map_err(RecordingError::writing)
+    }
+
+    /// Writes the index and the footer, and hands back the sink.
+    ///
+    /// # Errors
+    /// When the sink fails.
+    pub fn finish(mut self) -> Result<W, (W, RecordingError)> {
+        // Apart from the index, so that the sink knows every turn as safe before the index can fail.
+        let finished = self.mcap.flush().and_then(|()| self.mcap.finish());
+        let sink = self.mcap.into_inner().into_inner();
+        match finished {
+            Ok(_) => Ok(sink),
+            Err(error) => Err((sink, RecordingError::writing(error))),
+        }
+    }
+
+    /// Hands back the sink after it has failed, without writing to it again.
+    pub fn abandon(self) -> W {
+        self.mcap.into_inner().into_inner()
+    }
+
+    fn put_inputs(&mut self, tick: &RecordedTick) -> Result<(), RecordingError> {
+        let json = TickJson {
+            tick: tick.tick,
+            time_ns: tick.time_ns,
+            wheel: WheelJson::from(&tick.wheel),
+            scan: tick.scan.as_ref().map(|scan| ScanJson::new(scan.time_ns, &scan.geometry)),
+            frame: tick.frame.is_some(),
+            truth: tick.truth.is_some(),
+            decision: tick.decision.is_some(),
+        };
+        let json = serde_json::to_vec(&json).map_err(|error| encode_error(tick.tick, Topic::Tick, &error))?;
+        self.put(Topic::Tick, tick.tick, tick.time_ns, &json)?;
+        if let Some(scan) = &tick.scan {
+            let geometry = &scan.geometry;
+            let message = fox::LaserScan {
+                timestamp: views::timestamp(scan.time_ns),
+                frame_id: "laser".to_owned(),
+                pose: Some(fox::Pose { position: Some(fox::Vector3::default()), orientation: Some(UPRIGHT) }),
+                start_angle: geometry.angle_min_rad,
+                end_angle: geometry.angle_rad(scan.ranges.len().saturating_sub(1)),
+                ranges: scan.ranges.iter().map(|range| scan::encode(*range)).collect(),
+                intensities: Vec::new(),
+            };
+            self.put_message(Topic::Scan, tick, &message)?;
+        }
+        if let Some(frame) = &tick.frame {
+            let png = picture::encode_png(frame).map_err(|error| encode_error(tick.tick, Topic::Image, &error))?;
+            let message = fox::CompressedImage {
+                timestamp: views::timestamp(tick.time_ns),
+                frame_id: "camera_optical".to_owned(),
+                data: png.into(),
+                format: "png".to_owned(),
+            };
+            self.put_message(Topic::Image, tick, &message)?;
+            let calibration = views::calibration(&self.header.run.camera, tick.time_ns);
+            self.put_message(Topic::Calibration, tick, &calibration)?;
+        }
+        if let Some(truth) = &tick.truth {
+            if let Some((pixel, depth_m)) = picture::first_not_mm(truth) {
+                return Err(RecordingError::TruthNotMillimetres { tick: tick.tick, pixel, depth_m });
+            }
+            self.put_depth(Topic::TruthDepth, tick, truth)?;
+        }
+        Ok(())
+    }
+
+    fn put_poses(&mut self, tick: &RecordedTick) -> Result<(), RecordingError> {
+        let run = &self.header.run;
+        let transforms = views::transforms(&tick.wheel.odom, &run.t_base_camera, &run.t_base_laser, tick.time_ns);
+        self.put_message(Topic::Tf, tick, &transforms)?;
+        match views::pose_in_odom(&tick.wheel.odom, tick.time_ns) {
+            Some(pose) => self.put_message(Topic::Odom, tick, &pose),
+            None => Ok(()),
+        }
+    }
+
+    fn put_views(&mut self, tick: &RecordedTick, views: &Views) -> Result<(), RecordingError> {
+        if let Some(map) = &views.map {
+            let grid = views::grid(map, tick.time_ns).map_err(|error| encode_error(tick.tick, Topic::Map, &error))?;
+            self.put_message(Topic::Map, tick, &grid)?;
+        }
+        if let Some(points_m) = &views.path_m {
+            self.put_message(Topic::Path, tick, &views::path(points_m, tick.time_ns))?;
+        }
+        if let Some(depth) = &views.depth {
+            self.put_depth(Topic::Depth, tick, depth)?;
+        }
+        let Some(decision) = &tick.decision else { return Ok(()) };
+        if let Some([x_m, y_m]) = decision.goal_m.filter(|goal_m| self.last_goal_m != Some(*goal_m)) {
+            let goal = hal::Pose2 { x_m, y_m, yaw_rad: 0.0 };
+            if let Some(pose) = views::pose_in_odom(&goal, tick.time_ns) {
+                self.put_message(Topic::Goal, tick, &pose)?;
+            }
+        }
+        self.last_goal_m = decision.goal_m;
+        for event in &decision.events {
+            let (severity, message) = sentence(event);
+            let level = match severity {
+                Severity::Info => fox::log::Level::Info,
+                Severity::Warning => fox::log::Level::Warning,
+                Severity::Error => fox::log::Level::Error,
+            };
+            let log = fox::Log {
+                timestamp: views::timestamp(tick.time_ns),
+                level: level as i32,
+                message,
+                name: "robot".to_owned(),
+                file: String::new(),
+                line: 0,
+            };
+            self.put_message(Topic::Events, tick, &log)?;
+        }
+        Ok(())
+    }
+
+    fn put_depth(&mut self, topic: Topic, tick: &RecordedTick, depth: &hal::DepthMap) -> Result<(), RecordingError> {
+        let mut message = picture::depth_image(depth).map_err(|error| encode_error(tick.tick, topic, &error))?;
+        message.timestamp = views::timestamp(tick.time_ns);
+        "camera_optical".clone_into(&mut message.frame_id);
+        self.put_message(topic, tick, &message)
+    }
+
+    fn put_decision(&mut self, tick: &RecordedTick, decision: &Decision) -> Result<(), RecordingError> {
+        let json = serde_json::to_vec(decision).map_err(|error| encode_error(tick.tick, Topic::Decision, &error))?;
+        // JSON writes NaN as null: such a decision does not come back.
+        if serde_json::from_slice::<Decision>(&json).ok().as_ref() != Some(decision) {
+            return Err(RecordingError::DecisionNotFinite { tick: tick.tick });
+        }
+        self.put(Topic::Decision, tick.tick, tick.time_ns, &json)
+    }
+
+    fn put_message(&mut self, topic: Topic, tick: &RecordedTick, message: &impl Encode) -> Result<(), RecordingError> {
+        let mut buffer = std::mem::take(&mut self.buffer);
+        buffer.clear();
+        message.encode(&mut buffer).map_err(|error| encode_error(tick.tick, topic, &error))?;
+        let written = self.put(topic, tick.tick, tick.time_ns, &buffer);
+        self.buffer = buffer;
+        written
+    }
+
+    fn put(&mut self, topic: Topic, tick: u64, time_ns: u64, data: &[u8]) -> Result<(), RecordingError> {
+        let channel_id = self.channel(topic)?;
+        self.chunk_bytes += data.len() as u64;
+        // The sequence is for viewers, the exact turn stands in `/robot/tick`.
+        let header = MessageHeader { channel_id, sequence: tick as u32, log_time: time_ns, publish_time: time_ns };
+        self.mcap.write_to_known_channel(&header, data).map_err(RecordingError::writing)
+    }
+
+    fn channel(&mut self, topic: Topic) -> Result<u16, RecordingError> {
+        if let Some(id) = self.channels[topic as usize] {
+            return Ok(id);
+        }
+        let schema = topic.schema().ok_or_else(|| encode_error(0, topic, &"the schema is missing"))?;
+        let schema_id =
+            self.mcap.add_schema(&schema.name, &schema.encoding, &schema.data).map_err(RecordingError::writing)?;
+        let id = self
+            .mcap
+            .add_channel(schema_id, topic.name(), topic.encoding(), &BTreeMap::new())
+            .map_err(RecordingError::writing)?;
+        self.channels[topic as usize] = Some(id);
+        Ok(id)
+    }
+}
+
+const UPRIGHT: fox::Quaternion = fox::Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 };
+
+fn encode_error(tick: u64, topic: Topic, detail: &impl std::fmt::Display) -> RecordingError {
+    RecordingError::Encode { tick, topic: topic.name(), detail: detail.to_string() }
+}

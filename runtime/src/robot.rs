@@ -1,0 +1,380 @@
+//! The loop: what the robot does with one turn's inputs.
+
+use std::collections::VecDeque;
+
+use hal::{CameraModel, DepthMap, LaserScan, Pose2, Pose3, Twist2};
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+use serde::{Deserialize, Serialize};
+
+use crate::event::{Event, RefusedInput};
+use crate::exploration::{ExplorationConfig, Explorer, PolicyKind, Senses};
+use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
+use crate::perception::{CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError};
+use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
+use crate::safety::{Bumper, BumperConfig, BumperInput, BumperOutput, BumperState};
+use crate::tick::{Decision, TickInput};
+
+/// Where the depth that goes into the map comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DepthSource {
+    /// Triangulated from known ego-motion; needs no model.
+    Coarse,
+    /// The depth network.
+    Network,
+    /// Ground truth: only to test mapping, planning and policies apart from depth.
+    Truth,
+}
+
+/// Everything that shapes a decision, besides the inputs and the model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RobotConfig {
+    /// Intrinsics of the pictures.
+    pub camera: CameraModel,
+    /// The camera's place on the robot.
+    pub t_base_camera: Pose3,
+    /// Where the laser sits in front of `base_link`'s origin, metres.
+    pub laser_forward_m: f64,
+    /// Length of one step forward, metres.
+    pub forward_step_m: f64,
+    /// Angle of one turn, radians.
+    pub turn_step_rad: f64,
+    /// Time of one step, seconds.
+    pub tick_s: f64,
+    /// The policy.
+    pub policy: PolicyKind,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Where the map's depth comes from.
+    pub depth_source: DepthSource,
+    /// Coarse depth.
+    pub coarse: CoarseConfig,
+    /// The map.
+    pub map: MapConfig,
+    /// Costs and search.
+    pub plan: PlanConfig,
+    /// From paths to steps.
+    pub follower: FollowerConfig,
+    /// Goals.
+    pub exploration: ExplorationConfig,
+    /// The bumper.
+    pub bumper: BumperConfig,
+}
+
+/// The configuration cannot be: which part, and why.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RobotError {
+    /// The map's part.
+    #[error("map: {0}")]
+    Map(#[from] MapError),
+    /// Perception's part.
+    #[error("perception: {0}")]
+    Perception(#[from] PerceptionError),
+    /// Planning's part.
+    #[error("planning: {0}")]
+    Planning(#[from] ConfigError),
+    /// The depth source `network` without a network.
+    #[error("depth source `network` needs a model: give one, or take `coarse`")]
+    NoModel,
+}
+
+/// Stages of one turn, for latency reports.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Coarse depth.
+    Coarse,
+    /// The depth network.
+    Network,
+    /// The map.
+    Map,
+    /// Policy and planning.
+    Plan,
+}
+
+/// Told when a stage has ended; the runtime itself has no clock.
+pub trait StageTimer {
+    /// `stage` has just ended.
+    fn ended(&mut self, stage: Stage);
+}
+
+/// For callers that do not care.
+impl StageTimer for () {
+    fn ended(&mut self, _stage: Stage) {}
+}
+
+/// The robot's mind: its inputs' past, and what follows from it.
+pub struct Robot {
+    config: RobotConfig,
+    coarse: CoarseDepth,
+    network: Option<DepthNetwork>,
+    truth: DepthEstimate,
+    has_depth: HasDepth,
+    map: OccupancyGrid,
+    looks: VecDeque<SingleFrameMap>,
+    explorer: Explorer,
+    bumper: Bumper,
+    bumped: bool,
+    collision_at: Option<[f64; 2]>,
+    last_time_ns: Option<u64>,
+}
+
+/// Which depths this turn brought.
+#[derive(Debug, Clone, Copy, Default)]
+struct HasDepth {
+    coarse: bool,
+    network: bool,
+    truth: bool,
+}
+
+impl Robot {
+    /// A robot that has seen nothing yet.
+    ///
+    /// # Errors
+    /// When a part of the configuration is out of range, or the depth source is `network` and there is none.
+    pub fn new(config: RobotConfig, network: Option<DepthNetwork>) -> Result<Self, RobotError> {
+        if config.depth_source == DepthSource::Network && network.is_none() {
+            return Err(RobotError::NoModel);
+        }
+        let rng = Pcg64Mcg::seed_from_u64(config.seed);
+        Ok(Self {
+            coarse: CoarseDepth::new(config.coarse.clone(), config.camera)?,
+            network,
+            truth: DepthEstimate::none(config.camera.width, config.camera.height),
+            has_depth: HasDepth::default(),
+            map: OccupancyGrid::new(&config.map)?,
+            looks: VecDeque::new(),
+            explorer: Explorer::new(config.policy, config.exploration, &config.plan, &config.follower, rng)?,
+            bumper: Bumper::new(config.bumper),
+            bumped: false,
+            collision_at: None,
+            last_time_ns: None,
+            config,
+        })
+    }
+
+    /// One turn of the loop. A pure function of this input and all before it.
+    pub fn tick(&mut self, input: &TickInput<'_>, timer: &mut impl StageTimer) -> Decision {
+        let mut events = Vec::new();
+        let odom = input.wheel.odom;
+        if let Some(why) = self.refusal(input) {
+            events.push(Event::InputRefused { why });
+            return Self::stand(input, events);
+        }
+        self.last_time_ns = Some(input.time_ns);
+        let scan = input.scan.filter(|scan| {
+            let sound = scan.ranges.len() == scan.geometry.beams;
+            if !sound {
+                events.push(Event::InputRefused { why: RefusedInput::ScanShape });
+            }
+            sound
+        });
+        let t_odom_camera = odom.to_pose3() * self.config.t_base_camera;
+        self.see(input, &t_odom_camera, &mut events, timer);
+        let depth_digest = self.mapped_depth().map_or(0, digest_of);
+        self.update_map(scan, &odom, &t_odom_camera);
+        timer.ended(Stage::Map);
+        let wanted = self.wish(input, odom, &mut events);
+        timer.ended(Stage::Plan);
+        let gated =
+            self.bumper.step(&BumperInput { time_ns: input.time_ns, odom, contact: input.wheel.contact, scan, wanted });
+        self.note_bumper(&gated, &mut events);
+        Decision {
+            tick: input.tick,
+            time_ns: input.time_ns,
+            wanted: wanted.into(),
+            command: gated.command.into(),
+            goal_m: self.explorer.goal().map(|goal| goal.target_m),
+            events,
+            depth_digest,
+            map_digest: self.map.changes_digest(),
+        }
+    }
+
+    /// An input that cannot be driven by: the robot stands until a better one comes.
+    fn refusal(&self, input: &TickInput<'_>) -> Option<RefusedInput> {
+        if !input.wheel.odom.is_finite() {
+            return Some(RefusedInput::OdometryNotFinite);
+        }
+        self.last_time_ns.filter(|last| input.time_ns < *last).map(|_| RefusedInput::TimeWentBack)
+    }
+
+    fn stand(input: &TickInput<'_>, events: Vec<Event>) -> Decision {
+        let still = Twist2::ZERO.into();
+        Decision {
+            tick: input.tick,
+            time_ns: input.time_ns,
+            wanted: still,
+            command: still,
+            goal_m: None,
+            events,
+            depth_digest: 0,
+            map_digest: 0,
+        }
+    }
+
+    fn see(
+        &mut self,
+        input: &TickInput<'_>,
+        t_odom_camera: &Pose3,
+        events: &mut Vec<Event>,
+        timer: &mut impl StageTimer,
+    ) {
+        self.has_depth = HasDepth::default();
+        if let Some(truth) = input.truth {
+            self.has_depth.truth = self.take_truth(truth);
+        }
+        let Some(frame) = input.frame else {
+            events.push(Event::NoDepth { why: NoDepth::NoFrame });
+            return;
+        };
+        let coarse = self.coarse.estimate(frame, t_odom_camera);
+        timer.ended(Stage::Coarse);
+        self.has_depth.coarse = coarse.is_ok();
+        if let Some(network) = &mut self.network {
+            let result = network.estimate(frame, coarse.as_ref().ok().copied());
+            timer.ended(Stage::Network);
+            self.has_depth.network = result.is_ok();
+            if let Err(why) = result {
+                events.push(Event::NoDepth { why });
+            }
+        } else if let Err(why) = coarse {
+            events.push(Event::NoDepth { why });
+        }
+    }
+
+    fn take_truth(&mut self, truth: &DepthMap) -> bool {
+        if (truth.width(), truth.height()) != (self.config.camera.width, self.config.camera.height) {
+            return false;
+        }
+        self.truth.depth.values_mut().copy_from_slice(truth.values());
+        for (confidence, depth) in self.truth.confidence.iter_mut().zip(truth.values()) {
+            *confidence = f32::from(u8::from(*depth > 0.0));
+        }
+        true
+    }
+
+    /// The depth that goes into the map this turn.
+    #[must_use]
+    pub fn mapped_depth(&self) -> Option<&DepthEstimate> {
+        match self.config.depth_source {
+            DepthSource::Coarse => self.coarse_depth(),
+            DepthSource::Network => self.network_depth(),
+            DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
+        }
+    }
+
+    /// This turn's coarse depth.
+    #[must_use]
+    pub fn coarse_depth(&self) -> Option<&DepthEstimate> {
+        self.has_depth.coarse.then(|| self.coarse.last())
+    }
+
+    /// This turn's depth from the network.
+    #[must_use]
+    pub fn network_depth(&self) -> Option<&DepthEstimate> {
+        self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
+    }
+
+    fn update_map(&mut self, scan: Option<&LaserScan>, odom: &Pose2, t_odom_camera: &Pose3) {
+        // Poses were checked in `refusal`, shapes in `tick`: an error here means "not this turn", and the map is as it was.
+        if self.map.begin_update(odom).is_err() {
+            return;
+        }
+        let depth = match self.config.depth_source {
+            DepthSource::Coarse => self.has_depth.coarse.then(|| self.coarse.last()),
+            DepthSource::Network => self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last),
+            DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
+        };
+        if let Some(depth) = depth
+            && let Ok(look) = self.map.integrate_depth(depth, &self.config.camera, t_odom_camera)
+        {
+            remember_look(&mut self.looks, look, self.config.exploration.inconsistency_gap);
+        }
+        if let Some(scan) = scan {
+            let t_odom_laser = odom.compose(&Pose2::new(self.config.laser_forward_m, 0.0, 0.0));
+            let _ = self.map.integrate_scan(scan, &t_odom_laser);
+        }
+        if let Some([x_m, y_m]) = self.collision_at.take() {
+            let towards = (y_m - odom.y_m).atan2(x_m - odom.x_m);
+            let facing = Pose2::new(odom.x_m, odom.y_m, towards);
+            let _ = self.map.mark_collision(&facing, (x_m - odom.x_m).hypot(y_m - odom.y_m));
+        }
+        let _ = self.map.mark_standing(odom, self.config.bumper.footprint_radius_m);
+        self.map.finish_update();
+    }
+
+    fn wish(&mut self, input: &TickInput<'_>, pose: Pose2, events: &mut Vec<Event>) -> Twist2 {
+        if matches!(self.bumper.state(), BumperState::BackingOff { .. } | BumperState::Escaping { .. }) {
+            return Twist2::ZERO;
+        }
+        let looks = self.looks.back().zip(self.looks.front()).filter(|_| self.looks.len() > 1);
+        let senses = Senses {
+            tick: input.tick,
+            time_ns: input.time_ns,
+            pose,
+            map: &self.map,
+            looks,
+            bumped: std::mem::take(&mut self.bumped),
+        };
+        let primitive = self.explorer.step(&senses, events);
+        let forward = self.config.forward_step_m / self.config.tick_s;
+        let turn = self.config.turn_step_rad / self.config.tick_s;
+        match primitive {
+            Primitive::Forward => Twist2 { linear_mps: forward, angular_radps: 0.0 },
+            Primitive::TurnLeft => Twist2 { linear_mps: 0.0, angular_radps: turn },
+            Primitive::TurnRight => Twist2 { linear_mps: 0.0, angular_radps: -turn },
+            Primitive::Stay => Twist2::ZERO,
+        }
+    }
+
+    fn note_bumper(&mut self, gated: &BumperOutput, events: &mut Vec<Event>) {
+        events.extend(gated.event.map(|what| Event::Bumper { what }));
+        if gated.blocked_m.is_some() {
+            self.collision_at = gated.blocked_m;
+            self.bumped = true;
+        }
+    }
+
+    /// The map as it stands.
+    #[must_use]
+    pub fn map(&self) -> &OccupancyGrid {
+        &self.map
+    }
+
+    /// The policy as it stands.
+    #[must_use]
+    pub fn explorer(&self) -> &Explorer {
+        &self.explorer
+    }
+
+    /// The bumper as it stands.
+    #[must_use]
+    pub fn bumper(&self) -> &Bumper {
+        &self.bumper
+    }
+
+    /// What shapes this robot's decisions.
+    #[must_use]
+    pub fn config(&self) -> &RobotConfig {
+        &self.config
+    }
+}
+
+/// Keeps the newest look and those before it, back to the one `gap` pictures ago.
+fn remember_look(looks: &mut VecDeque<SingleFrameMap>, look: &SingleFrameMap, gap: usize) {
+    let mut slot = if looks.len() > gap { looks.pop_front().unwrap_or_default() } else { SingleFrameMap::default() };
+    slot.clone_from(look);
+    looks.push_back(slot);
+}
+
+/// First 8 bytes of the BLAKE3 digest of depth and confidence, little-endian.
+fn digest_of(estimate: &DepthEstimate) -> u64 {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(bytemuck::cast_slice(estimate.depth.values()));
+    hasher.update(bytemuck::cast_slice(&estimate.confidence));
+    let mut first = [0; 8];
+    first.copy_from_slice(&hasher.finalize().as_bytes()[..8]);
+    u64::from_le_bytes(first)
+}

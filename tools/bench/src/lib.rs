@@ -1,0 +1,13 @@
+//! What the project promises to be fast at, room by room. `cargo xtask bench` builds this in release and prints the table.
+#![forbid(unsafe_code)]
+
+pub mod network;
+pub mod report;
+
+use report::Row;
+
+/// Measures one room, when it is called.
+pub type Measure = fn() -> anyhow::Result<Vec<Row>>;
+
+/// Every room that has something to measure, in the order of the table.
+pub const ROOMS: &[(&str, Measure)] = &[("network", network::rows)];

@@ -1,0 +1,69 @@
+//! What a triangle looks like: texture coordinates, ambient light and normal as functions of the point.
+
+use nalgebra::Vector3;
+
+use super::bvh::V3;
+use crate::scene::{Triangle, Vertex};
+
+/// Attributes of a triangle, each linear in the point: `value + gradient . (point - origin)`.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Surface {
+    pub origin: V3,
+    /// Unit length.
+    pub normal: V3,
+    uv: [f32; 2],
+    uv_gradient: [V3; 2],
+    ambient: f32,
+    ambient_gradient: V3,
+    pub material: u32,
+}
+
+impl Surface {
+    /// `None` for a triangle without area or with corners that are not numbers: it is never seen.
+    pub fn new(triangle: &Triangle) -> Option<Self> {
+        let [a, b, c] = triangle.vertices.each_ref();
+        // In f64: gradients of slivers lose all digits in f32.
+        let corner = |v: &Vertex| Vector3::from(v.position_m).cast::<f64>();
+        let (along, across) = (corner(b) - corner(a), corner(c) - corner(a));
+        let normal = along.cross(&across);
+        let area_squared = normal.norm_squared();
+        if !(area_squared.is_finite() && area_squared > 0.0) {
+            return None;
+        }
+        // Vectors in the plane with dual_b . along = 1, dual_b . across = 0, and the other way round.
+        let dual_b = across.cross(&normal) / area_squared;
+        let dual_c = normal.cross(&along) / area_squared;
+        let gradient = |at_a: f32, at_b: f32, at_c: f32| -> V3 {
+            let gradient = dual_b * f64::from(at_b - at_a) + dual_c * f64::from(at_c - at_a);
+            if gradient.iter().all(|g| g.is_finite()) { gradient.cast() } else { V3::zeros() }
+        };
+        Some(Self {
+            origin: a.position_m.into(),
+            normal: (normal / area_squared.sqrt()).cast(),
+            uv: a.uv,
+            uv_gradient: [gradient(a.uv[0], b.uv[0], c.uv[0]), gradient(a.uv[1], b.uv[1], c.uv[1])],
+            ambient: a.ambient,
+            ambient_gradient: gradient(a.ambient, b.ambient, c.ambient),
+            material: triangle.material,
+        })
+    }
+
+    /// `offset`: point minus [`Surface::origin`].
+    #[inline(always)]
+    pub fn uv(&self, offset: &V3) -> [f32; 2] {
+        let [du, dv] = self.uv_change(offset);
+        [self.uv[0] + du, self.uv[1] + dv]
+    }
+
+    /// Change of the texture coordinates along a vector.
+    #[inline(always)]
+    pub fn uv_change(&self, along: &V3) -> [f32; 2] {
+        [self.uv_gradient[0].dot(along), self.uv_gradient[1].dot(along)]
+    }
+
+    /// Baked ambient light, 0 to 1.
+    #[inline(always)]
+    pub fn ambient(&self, offset: &V3) -> f32 {
+        (self.ambient + self.ambient_gradient.dot(offset)).clamp(0.0, 1.0)
+    }
+}
