@@ -1,7 +1,7 @@
 //! The cheapest way, and the distance to everywhere.
 
 use super::buckets::{Buckets, Entry};
-use super::costmap::{BLOCKED, Costmap, FREE};
+use super::costmap::{BLOCKED, Costmap, FREE, UNIFORM};
 use crate::mapping::Cell;
 
 /// Cost of a step along a row or column, for weight 1/[`FREE`]. 17/12 is the square root of 2 within 0.2 %.
@@ -11,11 +11,32 @@ const DIAGONAL: u32 = 17;
 /// Cost of a straight step on free floor.
 const FREE_STEP: u32 = STRAIGHT * FREE as u32;
 const FREE_DIAGONAL: u32 = DIAGONAL * FREE as u32;
-const UNSEEN: u32 = u32::MAX;
 /// No step led here: the start.
 const NO_STEP: u8 = 8;
 /// Steps by column and row: even ones are straight, odd ones lie between their neighbours in this list.
 const STEPS: [(i32, i32); 8] = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)];
+
+/// All 8 steps, as bits.
+const ALL: u8 = 0xff;
+/// By the step that led into a cell on even ground: the steps worth taking next. Every other neighbour is reached as cheaply
+/// from the cell before without this one: directly, or by the same two steps with the diagonal one first. This is the
+/// pruning of jump point search (Harabor and Grastien 2011), applied wherever the 3x3 cells around have one weight.
+const NATURAL: [u8; 8] =
+    [0b0000_0001, 0b0000_0111, 0b0000_0100, 0b0001_1100, 0b0001_0000, 0b0111_0000, 0b0100_0000, 0b1100_0001];
+
+/// What a search knows of a cell.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Node {
+    cost: u32,
+    /// The step by which the cheapest way enters.
+    step: u8,
+    /// Steps to take from here.
+    open: u8,
+    /// Steps taken from here at this cost.
+    done: u8,
+}
+
+const UNSEEN: Node = Node { cost: u32::MAX, step: NO_STEP, open: 0, done: 0 };
 
 /// Why there is no way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, thiserror::Error)]
@@ -42,10 +63,9 @@ pub enum NoPath {
 #[derive(Debug, Clone)]
 pub struct Planner {
     max_expanded: usize,
-    cost: Vec<u32>,
-    /// The step by which the cheapest way enters a cell.
-    step: Vec<u8>,
-    /// Rows of `cost` that the last search wrote.
+    nodes: Vec<Node>,
+    stride: usize,
+    /// Rows of `nodes` that the last search wrote.
     dirty: core::ops::Range<usize>,
     queue: Buckets,
     /// From a start inside an obstacle's margin to the first passable cell, without that one.
@@ -60,8 +80,8 @@ impl Planner {
     pub fn new(max_expanded: usize) -> Self {
         Self {
             max_expanded,
-            cost: Vec::new(),
-            step: Vec::new(),
+            nodes: Vec::new(),
+            stride: 0,
             dirty: 0..0,
             queue: Buckets::default(),
             escape: Vec::new(),
@@ -105,69 +125,103 @@ impl Planner {
 
     fn search(&mut self, costmap: &Costmap, start: Cell, goal: Option<Cell>) -> Result<bool, NoPath> {
         self.prepare(costmap);
-        let start_index = costmap.index(start).ok_or(NoPath::StartBlocked)?;
-        let goal_index = goal.and_then(|goal| costmap.index(goal));
-        let stride = costmap.stride;
-        let heuristic = Heuristic::new(stride, goal_index);
-        let offsets = STEPS.map(|(dx, dy)| dx as isize + dy as isize * stride as isize);
-        let weights = &costmap.weights;
-
-        self.cost[start_index] = 0;
-        self.step[start_index] = NO_STEP;
-        self.touch(start_index / stride);
-        let first = heuristic.of(start_index);
+        let place = |cell: Cell| {
+            let index = costmap.index(cell)?;
+            Some((index, (index % costmap.stride) as u16, (index / costmap.stride) as u16))
+        };
+        let (start_index, x, y) = place(start).ok_or(NoPath::StartBlocked)?;
+        let (goal_index, heuristic) = match goal.and_then(place) {
+            Some((index, x, y)) => (index, Heuristic { goal: Some((x, y)) }),
+            None => (usize::MAX, Heuristic { goal: None }),
+        };
+        self.nodes[start_index] = Node { cost: 0, step: NO_STEP, open: ALL, done: 0 };
+        let first = heuristic.of(x, y);
         self.queue.restart(first);
-        self.queue.push(first, Entry { index: start_index as u32, cost: 0 });
+        self.queue.push(first, Entry { x, y, cost: 0 });
+        self.dirty = usize::from(y)..usize::from(y) + 1;
         while let Some(entry) = self.queue.pop() {
-            let index = entry.index as usize;
-            if self.cost[index] != entry.cost {
+            let index = usize::from(entry.y) * costmap.stride + usize::from(entry.x);
+            let node = &mut self.nodes[index];
+            if node.cost != entry.cost || node.open == 0 {
                 continue;
             }
-            if Some(index) == goal_index {
+            if index == goal_index {
                 return Ok(true);
             }
+            let directions = node.open;
+            node.open = 0;
+            node.done |= directions;
             self.expanded += 1;
             if self.expanded > self.max_expanded {
                 return Err(NoPath::Budget);
             }
-            self.touch(index / stride);
-            let around = offsets.map(|offset| weights[index.wrapping_add_signed(offset)]);
-            for (direction, weight) in around.into_iter().enumerate() {
-                let corner_cut =
-                    direction % 2 == 1 && (around[direction - 1] == BLOCKED || around[(direction + 1) % 8] == BLOCKED);
-                if weight == BLOCKED || corner_cut {
+            self.expand(costmap, entry, index, directions, &heuristic);
+        }
+        Ok(goal_index == usize::MAX)
+    }
+
+    /// Takes every step of the set `directions` from a cell.
+    #[inline]
+    fn expand(&mut self, costmap: &Costmap, from: Entry, index: usize, directions: u8, heuristic: &Heuristic) {
+        let stride = costmap.stride as isize;
+        let weight_at = |direction: usize| {
+            let (dx, dy) = STEPS[direction];
+            costmap.weights[index.wrapping_add_signed(dx as isize + dy as isize * stride)]
+        };
+        let even = costmap.weights[index] & UNIFORM != 0;
+        let row = usize::from(from.y);
+        self.dirty = self.dirty.start.min(row.saturating_sub(1))..self.dirty.end.max(row + 2);
+        let mut left = directions;
+        while left != 0 {
+            let direction = left.trailing_zeros() as usize;
+            left &= left - 1;
+            let next_weight = weight_at(direction);
+            let is_diagonal = direction % 2 == 1;
+            if !even {
+                let cuts_corner = || weight_at(direction - 1) == BLOCKED || weight_at((direction + 1) % 8) == BLOCKED;
+                if next_weight == BLOCKED || (is_diagonal && cuts_corner()) {
                     continue;
                 }
-                let length = if direction % 2 == 1 { DIAGONAL } else { STRAIGHT };
-                let cost = entry.cost + length * u32::from(weight);
-                let next = index.wrapping_add_signed(offsets[direction]);
-                if cost < self.cost[next] {
-                    self.cost[next] = cost;
-                    self.step[next] = direction as u8;
-                    self.queue.push(cost + heuristic.of(next), Entry { index: next as u32, cost });
-                }
+            }
+            let length = if is_diagonal { DIAGONAL } else { STRAIGHT };
+            let cost = from.cost + length * u32::from(next_weight & !UNIFORM);
+            let (dx, dy) = STEPS[direction];
+            let next = index.wrapping_add_signed(dx as isize + dy as isize * stride);
+            let node = &mut self.nodes[next];
+            if cost > node.cost {
+                continue;
+            }
+            let onward = if next_weight & UNIFORM != 0 { NATURAL[direction] } else { ALL };
+            let queued = if cost < node.cost {
+                *node = Node { cost, step: direction as u8, open: onward, done: 0 };
+                false
+            } else {
+                // As cheap from here as from elsewhere: the steps that are natural from here have to be taken too.
+                let was_open = node.open != 0;
+                node.open |= onward & !node.done;
+                was_open || node.open == 0
+            };
+            if !queued {
+                let x = from.x.wrapping_add_signed(dx as i16);
+                let y = from.y.wrapping_add_signed(dy as i16);
+                self.queue.push(cost + heuristic.of(x, y), Entry { x, y, cost });
             }
         }
-        Ok(goal_index.is_none())
     }
 
     /// Makes every cell unseen, at the price of the rows that the last search saw.
     fn prepare(&mut self, costmap: &Costmap) {
         let size = costmap.weights.len();
-        if self.cost.len() == size {
-            let dirty = self.dirty.start * costmap.stride..(self.dirty.end * costmap.stride).min(size);
-            self.cost[dirty].fill(UNSEEN);
+        if self.nodes.len() == size && self.stride == costmap.stride {
+            let dirty = self.dirty.start * self.stride..(self.dirty.end * self.stride).min(size);
+            self.nodes[dirty].fill(UNSEEN);
         } else {
-            self.cost.clear();
-            self.cost.resize(size, UNSEEN);
-            self.step.resize(size, NO_STEP);
+            self.nodes.clear();
+            self.nodes.resize(size, UNSEEN);
+            self.stride = costmap.stride;
         }
-        self.dirty = size..0;
+        self.dirty = 0..0;
         self.expanded = 0;
-    }
-
-    fn touch(&mut self, row: usize) {
-        self.dirty = self.dirty.start.min(row.saturating_sub(1))..self.dirty.end.max(row + 2);
     }
 
     /// Fills `escape` and returns where the search begins: `start`, if it is passable.
@@ -220,7 +274,7 @@ impl Planner {
         let mut cell = goal;
         while let Some(index) = costmap.index(cell) {
             self.path.push(cell);
-            let Some((dx, dy)) = STEPS.get(usize::from(self.step[index])) else { break };
+            let Some((dx, dy)) = STEPS.get(usize::from(self.nodes[index].step)) else { break };
             cell = cell.offset(-dx, -dy);
         }
         self.path.extend(self.escape.iter().rev());
@@ -233,21 +287,15 @@ const LONGEST_ESCAPE: usize = 800;
 
 /// Octile distance to the goal on free floor: never more than the true cost, and no step lowers it by more than the step costs.
 struct Heuristic {
-    stride: u32,
-    goal: Option<(u32, u32)>,
+    goal: Option<(u16, u16)>,
 }
 
 impl Heuristic {
-    fn new(stride: usize, goal: Option<usize>) -> Self {
-        let stride = stride as u32;
-        Self { stride, goal: goal.map(|goal| (goal as u32 % stride, goal as u32 / stride)) }
-    }
-
     #[inline]
-    fn of(&self, index: usize) -> u32 {
+    fn of(&self, x: u16, y: u16) -> u32 {
         let Some((goal_x, goal_y)) = self.goal else { return 0 };
-        let dx = (index as u32 % self.stride).abs_diff(goal_x);
-        let dy = (index as u32 / self.stride).abs_diff(goal_y);
+        let dx = u32::from(x.abs_diff(goal_x));
+        let dy = u32::from(y.abs_diff(goal_y));
         FREE_STEP * dx.max(dy) + (FREE_DIAGONAL - FREE_STEP) * dx.min(dy)
     }
 }
@@ -264,8 +312,8 @@ impl Reach<'_> {
     #[must_use]
     pub fn distance_m(&self, cell: Cell) -> Option<f64> {
         let index = self.costmap.index(cell)?;
-        let cost = self.planner.cost.get(index).copied().filter(|cost| *cost != UNSEEN)?;
-        Some(f64::from(cost) / f64::from(FREE_STEP) * self.costmap.cell_m)
+        let node = self.planner.nodes.get(index).filter(|node| **node != UNSEEN)?;
+        Some(f64::from(node.cost) / f64::from(FREE_STEP) * self.costmap.cell_m)
     }
 
     /// The cell nearest to `cell` that can be reached, at most `radius_m` away.

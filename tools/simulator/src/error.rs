@@ -123,7 +123,4 @@ pub enum SceneError {
         /// What is allowed.
         allowed: &'static str,
     },
-    /// A nuisance outside its range.
-    #[error(transparent)]
-    Nuisance(#[from] crate::nuisance::NuisanceError),
 }

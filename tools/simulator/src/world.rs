@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::error::SceneError;
 use crate::floor::{FloorPlan, Footprint, find_floor};
 use crate::load::{LoadOptions, UpAxis, load};
-use crate::render::Renderer;
+use crate::render::{AmbientOptions, Renderer, bake_ambient};
 use crate::scene::Scene;
 
 /// How to open a scene.
@@ -52,8 +52,9 @@ impl World {
             let scene = crate::builtin::build(spec, home)?;
             return Self::new(spec, scene, 0.0, Origin::default(), &options.footprint);
         }
-        let loaded = load(Path::new(spec), &options.load)?;
+        let mut loaded = load(Path::new(spec), &options.load)?;
         let floor_m = find_floor(&loaded.scene, &options.footprint).map_err(|problem| no_floor(spec, problem))?;
+        bake_ambient(&mut loaded.scene, &AmbientOptions::default());
         let origin =
             Origin { up_axis: Some(loaded.up_axis), dropped_triangles: loaded.dropped_triangles, ..Origin::default() };
         Self::new(spec, loaded.scene, floor_m, origin, &options.footprint)
@@ -125,5 +126,97 @@ fn check_footprint(footprint: &Footprint) -> Result<(), SceneError> {
     match fields.into_iter().find(|(_, value, range, _)| !range.contains(value)) {
         Some((option, value, _, allowed)) => Err(SceneError::Option { option, value: value.to_string(), allowed }),
         None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::load::tests::shared_scenes;
+
+    /// A room of 4 by 3 m, floor at `z`, as OBJ text with z up; `keep` chooses its six faces.
+    fn room_obj(keep: [bool; 6]) -> String {
+        let corners = [(0, 0, 1), (4, 0, 1), (4, 3, 1), (0, 3, 1), (0, 0, 4), (4, 0, 4), (4, 3, 4), (0, 3, 4)];
+        let faces = ["1 2 3 4", "5 6 7 8", "1 2 6 5", "2 3 7 6", "3 4 8 7", "4 1 5 8"];
+        let v: String = corners.iter().map(|(x, y, z)| format!("v {x} {y} {z}\n")).collect();
+        let f: String = faces.iter().zip(keep).filter(|(_, keep)| *keep).map(|(f, _)| format!("f {f}\n")).collect();
+        v + &f
+    }
+
+    fn open(text: &str, options: &OpenOptions) -> Result<World, SceneError> {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("scene.obj");
+        std::fs::write(&path, text).unwrap();
+        World::open(&path.to_string_lossy(), options)
+    }
+
+    fn z_up(scale: f64) -> OpenOptions {
+        OpenOptions { load: LoadOptions { up_axis: UpAxis::Z, scale }, ..OpenOptions::default() }
+    }
+
+    #[test]
+    fn a_file_is_moved_until_its_floor_is_at_height_zero() {
+        let world = open(&room_obj([true; 6]), &z_up(1.0)).unwrap();
+        assert!((world.origin().floor_m - 1.0).abs() < 1e-6);
+        let down = world.renderer().cast([2.0, 1.5, 0.8], [0.0, 0.0, -1.0], 5.0, &[]).unwrap();
+        assert!((down - 0.8).abs() < 1e-5, "{down}");
+        assert!((world.floor_plan().reachable_floor_m2() - 12.0).abs() < 0.7);
+    }
+
+    #[test]
+    fn the_scale_makes_metres() {
+        let doubled = open(&room_obj([true; 6]), &z_up(2.0)).unwrap();
+        assert!((doubled.floor_plan().reachable_floor_m2() - 48.0).abs() < 1.5);
+    }
+
+    #[test]
+    fn a_scene_without_floor_says_what_to_check() {
+        let walls = open(&room_obj([false, false, true, true, true, true]), &z_up(1.0)).unwrap_err().to_string();
+        assert!(walls.contains("no floor") && walls.contains("up axis"), "{walls}");
+        assert!(matches!(open(&room_obj([true; 6]), &z_up(0.01)), Err(SceneError::NoFloor { .. })));
+    }
+
+    #[test]
+    fn impossible_footprints_are_refused() {
+        for footprint in [
+            Footprint { radius_m: f64::NAN, ..Footprint::default() },
+            Footprint { height_m: 9.0, ..Footprint::default() },
+        ] {
+            let options = OpenOptions { footprint, ..OpenOptions::default() };
+            assert!(matches!(World::open("builtin:house", &options), Err(SceneError::Option { .. })));
+        }
+    }
+
+    #[test]
+    fn a_built_in_home_is_a_world() {
+        let world = World::open("builtin:apartment?seed=2", &OpenOptions::default()).unwrap();
+        assert_eq!((world.origin().up_axis, world.origin().floor_m), (None, 0.0));
+        assert!(world.floor_plan().reachable_floor_m2() > 20.0);
+    }
+
+    #[test]
+    fn hand_made_worlds_have_the_floor_that_they_should_have() {
+        let Some(scenes) = shared_scenes() else { return };
+        // Drivable area by the scenes' list; the floor that the base covers on its way is a little more.
+        let listed = [
+            ("aws_small_house", 138.0),
+            ("office_small", 59.0),
+            ("aws_warehouse", 190.0),
+            ("kitchen", 34.0),
+            ("living-room", 12.0),
+            ("bathroom", 7.0),
+        ];
+        for (name, area_m2) in listed {
+            let path = scenes.join(format!("{name}.glb"));
+            let scene = load(&path, &LoadOptions::default()).unwrap().scene;
+            // Without baked light and pictures, which take most of the time and change nothing here.
+            let world = World::from_scene(name, Scene { textures: vec![], ..scene }, &Footprint::default()).unwrap();
+            let plan = world.floor_plan();
+            let ratio = plan.reachable_floor_m2() / area_m2;
+            assert!((0.9..1.4).contains(&ratio), "{name}: {} m2, listed {area_m2}", plan.reachable_floor_m2());
+            assert!(world.origin().floor_m.abs() < 0.06, "{name}: {}", world.origin().floor_m);
+            let start = plan.start_pose(1);
+            assert!(plan.fits(start.x_m, start.y_m, &[]) && plan.clearance_m(start.x_m, start.y_m) > 0.3, "{name}");
+        }
     }
 }

@@ -172,33 +172,6 @@ impl FloorPlan {
         Pose2::new(x, y, yaw)
     }
 
-    /// Corners of a way for somebody to walk along, the same for the same seed: straight legs over free floor from a reachable
-    /// place. A single one where there is no room to walk.
-    #[must_use]
-    pub fn stroll(&self, seed: u64) -> Vec<[f64; 2]> {
-        const LEGS: usize = 5;
-        let mut rng = Pcg64Mcg::seed_from_u64(seed);
-        let cells = self.home_cells();
-        let mut any = || self.grid().center(cells[rng.random_range(0..cells.len())] as usize);
-        let mut corners = vec![any()];
-        for _ in 0..50 * LEGS {
-            let (from, to) = (corners[corners.len() - 1], any());
-            let length = (to[0] - from[0]).hypot(to[1] - from[1]);
-            if corners.len() <= LEGS && length > 1.0 && self.is_free_between(from, to, length) {
-                corners.push(to);
-            }
-        }
-        corners
-    }
-
-    fn is_free_between(&self, from: [f64; 2], to: [f64; 2], length_m: f64) -> bool {
-        let steps = (length_m / self.grid().resolution_m).ceil();
-        (0..=steps as usize).all(|step| {
-            let [x, y] = [0, 1].map(|i| from[i] + step as f64 / steps * (to[i] - from[i]));
-            self.is_reachable(x, y)
-        })
-    }
-
     fn at(&self, x_m: f64, y_m: f64) -> Option<usize> {
         self.grid().index(x_m, y_m)
     }

@@ -114,7 +114,8 @@ fn exit(origin: [f32; 3], direction: [f32; 3], room: Rect, height: f32) -> f32 {
     (0..3).fold(REACH_M, |best, i| {
         let side = if direction[i] > 0.0 { max[i] } else { min[i] };
         let t = (side - origin[i]) / direction[i];
-        if t.is_finite() { best.min(t.max(0.0)) } else { best }
+        // A lining in a doorway is outside of its room: walls behind it are no walls for it.
+        if t > 0.0 { best.min(t) } else { best }
     })
 }
 

@@ -164,9 +164,9 @@ fn switches(hanging: &Hanging<'_>, style: &HomeStyle, mesh: &mut Mesh) {
             let hidden = leaves.into_iter().any(|l| l.span[0] < s + 0.1 && s - 0.1 < l.span[1]);
             if s > 0.02 && s + 0.1 < wall.length_m && !hidden {
                 let mut part = Mesh::default();
-                part.trim([0.0, 0.0, 1.04], [0.08, 0.01, 1.12], style.plastic);
-                part.trim([0.02, 0.01, 1.05], [0.06, 0.014, 1.11], style.plastic);
-                part.trim([0.0, 0.0, 0.26], [0.08, 0.01, 0.34], style.plastic);
+                part.plate([0.0, 0.08], [1.04, 1.12], [0.0, 0.01], style.plastic);
+                part.plate([0.02, 0.06], [1.055, 1.105], [0.01, 0.016], style.plastic);
+                part.plate([0.0, 0.08], [0.26, 0.34], [0.0, 0.01], style.plastic);
                 hang(&part, &wall, side, s, mesh);
                 break;
             }
@@ -198,13 +198,14 @@ fn boards(
             looks.look("pin board", [186, 150, 110], Skin::Carpet)
         };
         let mut part = Mesh::default();
-        part.trim([0.0, 0.0, 0.95], [width, 0.015, 2.0], style.metal);
-        part.trim([0.025, 0.015, 0.975], [width - 0.025, 0.018, 1.975], face);
+        part.plate([0.0, width], [0.95, 2.0], [0.0, 0.02], style.metal);
+        part.plate([0.025, width - 0.025], [0.975, 1.975], [0.021, 0.023], face);
         for note in 0..rng.random_range(4..9) {
             let (x, z) = (rng.random_range(0.06..width - 0.28), rng.random_range(1.05..1.7));
             let look = looks.look("note", [[244, 232, 150], [240, 240, 236], [190, 214, 226]][note % 3], Skin::Spines);
             let (w, h) = (rng.random_range(0.08..0.21), rng.random_range(0.08..0.2));
-            part.trim([x, 0.018, z], [x + w, 0.02 + 0.0006 * note as f32, z + h], look);
+            let y = 0.025 + 0.002 * note as f32;
+            part.plate([x, x + w], [z, z + h], [y, y + 0.001], look);
         }
         hang(&part, &hanging.wall(side), side, span[0], mesh);
         hanging.reserve(side, span, 0.0);
@@ -241,13 +242,10 @@ fn pictures(hanging: &mut Hanging<'_>, looks: &mut Looks, mesh: &mut Mesh, rng: 
 }
 
 fn framed(width: f32, [z0, z1]: [f32; 2], painting: Look, frame: Look) -> Mesh {
-    const BORDER: f32 = 0.035;
+    const BORDER: f32 = 0.04;
     let mut part = Mesh::default();
-    part.trim([0.0, 0.003, z0], [width, 0.022, z0 + BORDER], frame);
-    part.trim([0.0, 0.003, z1 - BORDER], [width, 0.022, z1], frame);
-    part.trim([0.0, 0.003, z0 + BORDER], [BORDER, 0.022, z1 - BORDER], frame);
-    part.trim([width - BORDER, 0.003, z0 + BORDER], [width, 0.022, z1 - BORDER], frame);
-    let (x0, x1, y, z0, z1) = (BORDER, width - BORDER, 0.014, z0 + BORDER, z1 - BORDER);
+    part.plate([0.0, width], [z0, z1], [0.003, 0.02], frame);
+    let (x0, x1, y, z0, z1) = (BORDER, width - BORDER, 0.023, z0 + BORDER, z1 - BORDER);
     part.picture([[x1, y, z0], [x0, y, z0], [x0, y, z1], [x1, y, z1]], painting);
     part
 }

@@ -114,7 +114,7 @@ fn window(opening: &Window, layout: &Layout, view: Look, curtain: Option<Look>, 
     if w > 0.8 {
         part.trim([w / 2.0 - 0.03, back, z0 + 0.053], [w / 2.0 + 0.03, front, z1 - 0.053], look);
     }
-    part.trim([-0.05, 0.0, z0 - 0.03], [w + 0.05, 0.05, z0 - 0.004], look);
+    part.plate([-0.05, w + 0.05], [z0 - 0.06, z0 - 0.004], [0.0, 0.03], look);
     if let Some(cloth) = curtain {
         part.trim([-CURTAIN_M - 0.05, 0.06, z1 + 0.11], [w + CURTAIN_M + 0.05, 0.08, z1 + 0.13], style.metal);
         for start in [-CURTAIN_M, w - 0.03] {

@@ -13,7 +13,7 @@ pub struct Look {
 }
 
 /// Collects materials and the skins that they need.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, PartialEq)]
 pub struct Looks {
     materials: Vec<Material>,
     skins: Vec<Skin>,
@@ -31,7 +31,7 @@ impl Looks {
             self.skins.push(skin);
             self.skins.len() - 1
         });
-        let base_color = color.map(|c| (f32::from(c) / 255.0).powf(2.2));
+        let base_color = color.map(linear);
         let material = Material {
             name: name.to_owned(),
             base_color,
@@ -47,8 +47,32 @@ impl Looks {
     }
 
     /// Materials and painted textures.
-    pub fn finish(self, seed: u64, texture: f32) -> (Vec<Material>, Vec<Texture>) {
-        let textures = self.skins.par_iter().map(|skin| skin.paint(seed, texture)).collect();
-        (self.materials, textures)
+    pub fn finish(mut self, seed: u64, texture: f32) -> (Vec<Material>, Vec<Texture>) {
+        let painted: Vec<(Texture, f32)> = self
+            .skins
+            .par_iter()
+            .map(|skin| {
+                let picture = skin.paint(seed, texture);
+                let mean = if skin.tints() { mean_light(&picture) } else { 1.0 };
+                (picture, mean)
+            })
+            .collect();
+        for material in &mut self.materials {
+            let mean = material.texture.map_or(1.0, |t| painted[t as usize].1);
+            material.base_color = material.base_color.map(|c| c / mean);
+        }
+        (self.materials, painted.into_iter().map(|(picture, _)| picture).collect())
     }
+}
+
+/// sRGB-coded steps to linear light, near enough for mixing paint.
+fn linear(step: u8) -> f32 {
+    (f32::from(step) / 255.0).powf(2.2)
+}
+
+/// Mean green in linear light.
+fn mean_light(texture: &Texture) -> f32 {
+    let table: [f32; 256] = std::array::from_fn(|i| linear(i as u8));
+    let sum: f64 = texture.rgba.chunks_exact(4).map(|p| f64::from(table[usize::from(p[1])])).sum();
+    (sum / f64::from((texture.width * texture.height).max(1))) as f32
 }

@@ -71,6 +71,23 @@ impl Mesh {
         }
     }
 
+    /// Something flat on a wall, its edges sloped back: seen from the front they stay wider than a pixel.
+    pub fn plate(&mut self, x: [f32; 2], z: [f32; 2], y: [f32; 2], look: Look) {
+        let bevel = (y[1] - y[0]).min((z[1] - z[0]) / 3.0);
+        let ring = |inset: f32, y: f32| {
+            let (x, z) = ([x[0] + inset, x[1] - inset], [z[0] + inset, z[1] - inset]);
+            [[x[1], y, z[0]], [x[0], y, z[0]], [x[0], y, z[1]], [x[1], y, z[1]]]
+        };
+        let (back, front) = (ring(0.0, y[0]), ring(bevel, y[1]));
+        let flat = |c: [f32; 3]| [c[0] / look.tile_m, -c[2] / look.tile_m];
+        self.quad(front, front.map(flat), look);
+        for i in 0..4 {
+            let j = (i + 1) % 4;
+            let corners = [back[i], back[j], front[j], front[i]];
+            self.quad(corners, corners.map(flat), look);
+        }
+    }
+
     /// A box with rounded upper and lower edges: upholstery.
     pub fn cushion(&mut self, min: [f32; 3], max: [f32; 3], look: Look) {
         let extent: [f32; 3] = std::array::from_fn(|a| max[a] - min[a]);

@@ -9,7 +9,7 @@ use super::openings::{CASING_M, DOOR_HEIGHT_M, Hole, LINING_M, WALL_M, outer_spa
 use super::styles::HomeStyle;
 
 /// Longest edge of a wall's, floor's or ceiling's quads, metres.
-const GRID_M: f32 = 0.4;
+const GRID_M: f32 = 0.25;
 const SKIRTING_HEIGHT_M: f32 = 0.07;
 const SKIRTING_DEPTH_M: f32 = 0.012;
 
@@ -44,7 +44,7 @@ pub fn build(layout: &Layout, style: &HomeStyle, mesh: &mut Mesh) {
             panel(&wall, [0.0, wall.length_m], room.height_m, &holes, look.wall_at(side), shift, mesh);
             mesh.tag(mark, index, Surface::Wall);
             let mark = mesh.mark();
-            skirting(&wall, side, &holes, style.skirting, mesh);
+            skirting(&wall, &holes, style.skirting, mesh);
             mesh.tag(mark, index, Surface::Opening);
             let mark = mesh.mark();
             facade(layout, index, side, style.outside, mesh);
@@ -98,18 +98,17 @@ fn panel(wall: &WallFrame, span: [f32; 2], height: f32, holes: &[Hole], look: Lo
     }
 }
 
-fn skirting(wall: &WallFrame, side: Side, holes: &[Hole], look: Look, mesh: &mut Mesh) {
+fn skirting(wall: &WallFrame, holes: &[Hole], look: Look, mesh: &mut Mesh) {
     let mut doors: Vec<[f32; 2]> =
         holes.iter().filter(|h| h.height[0] <= 0.0).map(|h| [h.span[0] - CASING_M, h.span[1] + CASING_M]).collect();
     doors.sort_by(|a, b| a[0].total_cmp(&b[0]));
-    // Where two boards meet in a corner, the one of every second wall ends at the other.
-    let end = if side.quarter_turns().is_multiple_of(2) { 0.0 } else { SKIRTING_DEPTH_M };
-    let mut from = end;
-    for door in doors.iter().copied().chain([[wall.length_m - end, 0.0]]) {
+    let mut from = 0.0;
+    for door in doors.iter().copied().chain([[wall.length_m, 0.0]]) {
         if door[0] - from > 0.01 {
-            let rect = wall.rect([from, door[0]], [0.0, SKIRTING_DEPTH_M]);
-            let (min, max) = (rect.min, rect.max);
-            mesh.trim([min[0], min[1], 0.0], [max[0], max[1], SKIRTING_HEIGHT_M], look);
+            // Leaning against the wall: an upper edge of 1 cm would be thinner than a pixel and flicker.
+            let stations = [(door[0], SKIRTING_DEPTH_M), (from, SKIRTING_DEPTH_M), (from, 0.0), (door[0], 0.0)];
+            let corners = stations.map(|(s, d)| wall.at3(s, d, if d > 0.0 { 0.0 } else { SKIRTING_HEIGHT_M }));
+            mesh.quad(corners, stations.map(|(s, d)| [s / look.tile_m, d]), look);
         }
         from = door[1];
     }

@@ -37,7 +37,7 @@ impl RoomStyle {
     }
 }
 
-/// Off-whites and pale colours that paint shops sell most; divided by the textures' mean brightness when rendered.
+/// Off-whites and pale colours that paint shops sell most.
 const PAINTS: [[u8; 3]; 9] = [
     [250, 247, 240],
     [244, 240, 230],

@@ -81,7 +81,7 @@ impl Workshop<'_> {
         for i in 0..count {
             let turn = std::f32::consts::TAU * (i as f32 * 0.382 + self.between(-0.04, 0.04));
             let (out, up) = (reach * self.between(0.6, 1.0), reach * self.between(0.5, 1.6));
-            let half = reach * self.between(0.14, 0.24);
+            let half = reach * self.between(0.2, 0.34);
             let (c, s) = (turn.cos(), turn.sin());
             let point = |r: f32, side: f32, h: f32| [at[0] + c * r - s * side, at[1] + s * r + c * side, at[2] + h];
             let (root, middle) = ([point(0.0, -0.004, 0.0), point(0.0, 0.004, 0.0)], up * 0.8);
@@ -97,15 +97,15 @@ impl Workshop<'_> {
 
     /// A pot plant that stands on the floor.
     pub fn plant(&mut self) -> Piece {
-        let (size, pot) = (self.between(0.34, 0.5), self.paint());
+        let (size, pot) = (self.between(0.4, 0.56), self.paint());
         let (c, stem) = (size / 2.0, self.between(0.3, 0.6));
         let mut piece = Piece::new("plant", [size, size, 1.2], 0.0);
         piece.mesh.post([c, c], [0.0, 0.28], [size * 0.24, size * 0.34], 10, pot);
         piece.mesh.post([c, c], [0.26, 0.283], [size * 0.31, size * 0.31], 10, self.dark_wood);
         piece.mesh.post([c, c], [0.28, 0.3 + stem], [0.014, 0.01], 5, self.dark_wood);
-        for level in 0..4 {
-            let z = 0.32 + stem * level as f32 / 3.0;
-            self.leaves(&mut piece.mesh, [c, c, z], c, 7);
+        for level in 0..5 {
+            let z = 0.3 + stem * level as f32 / 4.0;
+            self.leaves(&mut piece.mesh, [c, c, z], c, 8);
         }
         piece
     }

@@ -109,7 +109,10 @@ fn bedroom(area: f32, shop: &mut Workshop<'_>) -> Vec<Wish> {
 fn bath(home: HomeKind, area: f32, shop: &mut Workshop<'_>) -> Vec<Wish> {
     let mut wishes = vec![wish(Stand::Wall, vec![shop.washstand()]), wish(Stand::Wall, vec![shop.toilet()])];
     if home == HomeKind::Office {
+        wishes.push(wish(Stand::Wall, vec![shop.washstand()]));
         wishes.push(wish(Stand::Wall, vec![shop.toilet()]));
+        wishes.push(wish(Stand::Wall, vec![shop.wardrobe(1.2)]));
+        wishes.push(wish(Stand::Corner, vec![shop.plant()]));
         return wishes;
     }
     let wash = if area > 4.5 { vec![shop.tub(), shop.shower()] } else { vec![shop.shower()] };

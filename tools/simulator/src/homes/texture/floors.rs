@@ -83,5 +83,5 @@ pub fn carpet(seed: u64, texture: f32) -> Texture {
     let tufts = Field::fractal([SIZE, SIZE], [128, 128], 3, 1.0, seed ^ 22);
     let traces = Field::fractal([SIZE, SIZE], [3, 4], 6, 0.95, seed ^ 23);
     let contrast = partly(texture);
-    gray(SIZE, |x, y| 205.0 + contrast * (10.0 * tufts.at(x, y) + 9.0 * traces.at(x, y)))
+    gray(SIZE, |x, y| 205.0 + contrast * (16.0 * tufts.at(x, y) + 12.0 * traces.at(x, y)))
 }

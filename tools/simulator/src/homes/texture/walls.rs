@@ -18,28 +18,37 @@ const BRICK_RMS: f32 = 26.0;
 
 /// Clouds of every size, the marks of a roller, and a few stains and scuffs.
 pub fn plaster(seed: u64, texture: f32) -> Texture {
-    let mut field = Field::fractal([SIZE, SIZE], [3, 3], 7, 1.0, seed);
+    let mut field = cloud([SIZE, SIZE], seed);
     let roller = Field::fractal([SIZE, SIZE], [24, 3], 3, 0.8, seed ^ 1);
-    let stains = Field::fractal([SIZE, SIZE], [4, 5], 4, 0.7, seed ^ 2);
+    let stains = Field::fractal([SIZE, SIZE], [4, 5], 5, 0.8, seed ^ 2);
     let scuffs = Field::fractal([SIZE, SIZE], [10, 60], 2, 0.8, seed ^ 3);
     for (i, value) in field.values.iter_mut().enumerate() {
         *value += 0.45 * roller.values[i];
-        *value -= 1.6 * (stains.values[i] - 1.7).max(0.0) + 1.8 * (scuffs.values[i] - 2.3).max(0.0);
+        *value -= 0.9 * (stains.values[i] - 1.8).max(0.0) + 1.5 * (scuffs.values[i] - 2.3).max(0.0);
     }
     field.standardise();
     gray(SIZE, |x, y| MEAN + texture * PLASTER_RMS * field.at(x, y).clamp(-4.0, 3.0))
 }
 
+/// Contrast at every scale, less of it above 30 cm: paint hides large unevenness better than small.
+fn cloud(size: [usize; 2], seed: u64) -> Field {
+    let mut field = Field::fractal(size, [9, 9], 6, 1.0, seed);
+    let coarse = Field::fractal(size, [3, 3], 2, 1.0, seed ^ 8);
+    field.values.iter_mut().zip(&coarse.values).for_each(|(v, c)| *v += 0.3 * c);
+    field.standardise();
+    field
+}
+
 /// Fine and even, with a little cloud.
 pub fn ceiling(seed: u64, texture: f32) -> Texture {
-    let field = Field::fractal([SIZE, SIZE], [3, 3], 7, 1.05, seed ^ 4);
+    let field = cloud([SIZE, SIZE], seed ^ 4);
     gray(SIZE, |x, y| MEAN + texture * CEILING_RMS * field.at(x, y))
 }
 
 /// Flowers of several petals, each turned and sized by chance and off its place in the grid.
 pub fn wallpaper(seed: u64, texture: f32) -> Texture {
     const ROWS: usize = 10;
-    let ground = Field::fractal([SIZE, SIZE], [4, 4], 7, 1.0, seed ^ 5);
+    let ground = cloud([SIZE, SIZE], seed ^ 5);
     let cell = SIZE as f32 / ROWS as f32;
     let motif = |x: usize, y: usize| {
         let (mut best, row) = (0.0_f32, (y as f32 / cell) as usize);

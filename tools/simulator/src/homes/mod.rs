@@ -14,6 +14,9 @@ mod shell;
 mod styles;
 mod texture;
 
+#[cfg(test)]
+mod tests;
+
 use std::fmt;
 use std::str::FromStr;
 
@@ -186,8 +189,15 @@ fn stream(seed: u64, purpose: u64) -> Pcg64Mcg {
     Pcg64Mcg::seed_from_u64(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ purpose)
 }
 
-/// Builds a home.
+/// Builds a home: the same bytes for the same kind and options.
 pub fn build(kind: HomeKind, options: &HomeOptions) -> Home {
+    let (mut home, looks) = construct(kind, options);
+    (home.scene.materials, home.scene.textures) = looks.finish(options.seed, options.texture);
+    home
+}
+
+/// Everything but materials and textures.
+fn construct(kind: HomeKind, options: &HomeOptions) -> (Home, looks::Looks) {
     let seed = options.seed;
     let height_m = stream(seed, 1).random_range(50..=54) as f32 * 0.05;
     let layout = layout::Layout::draw(kind, height_m, &mut stream(seed, 2));
@@ -199,7 +209,6 @@ pub fn build(kind: HomeKind, options: &HomeOptions) -> Home {
     let reserved = fixtures::build(kind, &layout, &style, &mut looks, &mut mesh, &mut stream(seed, 5));
     let furniture = furniture::furnish(kind, &layout, &reserved, &mut looks, &mut mesh, seed, options.moved);
     let (triangles, surfaces) = ambient::bake(&mesh, &layout.rooms);
-    let (materials, textures) = looks.finish(seed, options.texture);
-    let scene = Scene { triangles, materials, textures };
-    Home { scene, surfaces, rooms: layout.rooms, doors: layout.doors, furniture }
+    let scene = Scene { triangles, ..Scene::default() };
+    (Home { scene, surfaces, rooms: layout.rooms, doors: layout.doors, furniture }, looks)
 }

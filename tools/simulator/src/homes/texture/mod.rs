@@ -69,6 +69,21 @@ impl Skin {
         }
     }
 
+    /// Whether it only varies a material's colour, which is then that of the finished surface on average.
+    pub fn tints(self) -> bool {
+        !matches!(
+            self,
+            Self::Brick
+                | Self::Planks(_)
+                | Self::Parquet
+                | Self::Leaf
+                | Self::Painting(_)
+                | Self::View(_)
+                | Self::Rug(_)
+                | Self::Screen(_)
+        )
+    }
+
     /// Paints it; `texture` scales the contrast of walls and ceilings fully and that of floors partly.
     pub fn paint(self, seed: u64, texture: f32) -> Texture {
         match self {
