@@ -138,7 +138,7 @@ fn values_that_contradict_each_other_are_refused() {
 #[test]
 fn what_a_part_of_the_runtime_refuses_is_refused_here_with_the_file() {
     for (text, part) in [
-        ("coarse.planes = 60", "[coarse]"),
+        ("coarse.penalty_large = 1", "[coarse]"),
         ("map.side_cells = 100", "[map]"),
         ("planning.correct_deg = 1.0", "[planning]"),
         ("coarse.parallax_px = []", "[coarse]"),
