@@ -1,7 +1,17 @@
 //! What the binary on the robot is made of: configuration, wiring, command line, telemetry and reports.
 #![forbid(unsafe_code)]
 
+pub mod check;
+pub mod cli;
 pub mod config;
 pub mod dataset;
+pub mod evaluation;
+pub mod explore;
 pub mod onnx_runtime;
+pub mod perceive;
+pub mod record;
+pub mod replay;
+pub mod replay_run;
 pub mod report;
+pub mod setup;
+pub mod stopwatch;

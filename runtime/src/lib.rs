@@ -9,5 +9,6 @@ pub mod mapping;
 pub mod perception;
 pub mod planning;
 pub mod recording;
+pub mod robot;
 pub mod safety;
 pub mod tick;

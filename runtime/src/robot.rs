@@ -11,7 +11,7 @@ use crate::event::{Event, RefusedInput};
 use crate::exploration::{ExplorationConfig, Explorer, PolicyKind, Senses};
 use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
 use crate::perception::{CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError};
-use crate::planning::{PlanningConfig, Primitive};
+use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::safety::{Bumper, BumperConfig, BumperInput, BumperOutput, BumperState};
 use crate::tick::{Decision, TickInput};
 
@@ -25,6 +25,21 @@ pub enum DepthSource {
     Network,
     /// Ground truth: only to test mapping, planning and policies apart from depth.
     Truth,
+}
+
+impl DepthSource {
+    /// Every source.
+    pub const ALL: [Self; 3] = [Self::Coarse, Self::Network, Self::Truth];
+
+    /// The name on the command line, in the summary and in recordings.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Coarse => "coarse",
+            Self::Network => "network",
+            Self::Truth => "truth",
+        }
+    }
 }
 
 /// Everything that shapes a decision, besides the inputs and the model.
@@ -52,8 +67,10 @@ pub struct RobotConfig {
     pub coarse: CoarseConfig,
     /// The map.
     pub map: MapConfig,
-    /// Costs, search and following.
-    pub planning: PlanningConfig,
+    /// Costs and search.
+    pub plan: PlanConfig,
+    /// From paths to steps.
+    pub follower: FollowerConfig,
     /// Goals.
     pub exploration: ExplorationConfig,
     /// The bumper.
@@ -70,6 +87,9 @@ pub enum RobotError {
     /// Perception's part.
     #[error("perception: {0}")]
     Perception(#[from] PerceptionError),
+    /// Planning's part.
+    #[error("planning: {0}")]
+    Planning(#[from] ConfigError),
     /// The depth source `network` without a network.
     #[error("depth source `network` needs a model: give one, or take `coarse`")]
     NoModel,
@@ -140,7 +160,7 @@ impl Robot {
             has_depth: HasDepth::default(),
             map: OccupancyGrid::new(&config.map)?,
             looks: VecDeque::new(),
-            explorer: Explorer::new(config.policy, config.exploration, &config.planning, rng),
+            explorer: Explorer::new(config.policy, config.exploration, &config.plan, &config.follower, rng)?,
             bumper: Bumper::new(config.bumper),
             bumped: false,
             collision_at: None,
@@ -172,13 +192,8 @@ impl Robot {
         timer.ended(Stage::Map);
         let wanted = self.wish(input, odom, &mut events);
         timer.ended(Stage::Plan);
-        let gated = self.bumper.step(&BumperInput {
-            time_ns: input.time_ns,
-            odom,
-            contact: input.wheel.contact,
-            scan,
-            wanted,
-        });
+        let gated =
+            self.bumper.step(&BumperInput { time_ns: input.time_ns, odom, contact: input.wheel.contact, scan, wanted });
         self.note_bumper(&gated, &mut events);
         Decision {
             tick: input.tick,
@@ -214,7 +229,13 @@ impl Robot {
         }
     }
 
-    fn see(&mut self, input: &TickInput<'_>, t_odom_camera: &Pose3, events: &mut Vec<Event>, timer: &mut impl StageTimer) {
+    fn see(
+        &mut self,
+        input: &TickInput<'_>,
+        t_odom_camera: &Pose3,
+        events: &mut Vec<Event>,
+        timer: &mut impl StageTimer,
+    ) {
         self.has_depth = HasDepth::default();
         if let Some(truth) = input.truth {
             self.has_depth.truth = self.take_truth(truth);

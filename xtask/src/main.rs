@@ -1,1 +1,58 @@
-fn main() {}
+//! The project's chores. `cargo xtask demo` shows it, `cargo xtask test` proves it, `cargo xtask bench` measures it; each
+//! installs what it needs for itself into the target directory.
+#![forbid(unsafe_code)]
+
+mod bench;
+mod command;
+mod demo;
+mod nextest;
+mod onnx_runtime;
+mod paths;
+mod test;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+/// The project's chores.
+#[derive(Parser)]
+#[command(name = "cargo xtask", version)]
+enum Chore {
+    /// Explore a built-in home and show depth, map, path and recording.
+    Demo,
+    /// Format, lints, every test, licences.
+    Test,
+    /// The benchmark table.
+    Bench {
+        /// Print JSON instead of a table.
+        #[arg(long)]
+        json: bool,
+        /// A room's name, or a part of the name of a row.
+        filter: Option<String>,
+    },
+    /// Install what the other chores need, and nothing else.
+    Setup,
+}
+
+fn main() -> ExitCode {
+    match run(&Chore::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(chore: &Chore) -> anyhow::Result<()> {
+    match chore {
+        Chore::Demo => demo::run(),
+        Chore::Test => test::run(),
+        Chore::Bench { json, filter } => bench::run(*json, filter.as_deref()),
+        Chore::Setup => {
+            println!("ONNX Runtime: {}", onnx_runtime::install()?.display());
+            println!("test runner:  {}", if nextest::install() { "cargo nextest" } else { "cargo test" });
+            Ok(())
+        }
+    }
+}

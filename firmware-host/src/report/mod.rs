@@ -1,9 +1,14 @@
 //! What a person and a program read after a run, and while it lasts.
 
 pub mod atomic;
+mod canvas;
+mod colors;
 pub mod coverage;
+pub mod depth_sample;
+pub mod depth_sheet;
 pub mod events;
 pub mod latency;
+pub mod map_picture;
 pub mod progress;
 pub mod stuck;
 pub mod summary;

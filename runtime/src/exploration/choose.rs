@@ -1,6 +1,6 @@
 //! Which of many places to go to.
 
-use rand::{RngExt, seq::IndexedRandom};
+use rand::seq::IndexedRandom;
 use rand_pcg::Pcg64Mcg;
 
 use super::blacklist::{Blacklist, distance_m};
@@ -14,8 +14,6 @@ const FRONTIER_WORTH: f64 = 0.5;
 const LONGEST_FRONTIER_M: f64 = 4.0;
 /// How many metres of way a turn by one radian is worth: at 0.3 m/s and 20 degrees/s, a radian takes as long as 0.86 m.
 const TURN_WORTH_M: f64 = 0.86;
-/// Places drawn at random when nothing is left to explore; the one furthest from where the robot has just been wins.
-const REVISIT_DRAWS: usize = 16;
 
 /// A place that the robot could go to.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,22 +69,20 @@ fn cost(candidate: &Candidate, travel_m: f64, pose: &Pose2) -> f64 {
     travel_m + TURN_WORTH_M * turn_rad - FRONTIER_WORTH * candidate.size_m.min(LONGEST_FRONTIER_M)
 }
 
-/// A place among `reachable` (target, length of the way) to look at again, far from where the robot has been lately.
+/// Of some reachable places, the one to look at again: furthest from where the robot has been lately.
 pub(super) fn revisit(
-    reachable: &[([f64; 2], f64)],
-    recent_m: &[[f64; 2]],
+    places_m: &[[f64; 2]],
+    recent_m: impl Iterator<Item = [f64; 2]> + Clone,
     blacklist: &Blacklist,
     config: &ExplorationConfig,
-    rng: &mut Pcg64Mcg,
 ) -> Option<[f64; 2]> {
-    let far_from_recent = |place: [f64; 2]| {
-        recent_m.iter().map(|been| distance_m(*been, place)).fold(f64::INFINITY, f64::min).min(1e3)
-    };
-    (0..REVISIT_DRAWS)
-        .filter_map(|_| reachable.get(rng.random_range(0..reachable.len().max(1))))
-        .filter(|(place, _)| !blacklist.holds(*place, config.blacklist_radius_m))
-        .max_by(|a, b| far_from_recent(a.0).total_cmp(&far_from_recent(b.0)))
-        .map(|(place, _)| *place)
+    let far_from_recent =
+        |place: [f64; 2]| recent_m.clone().map(|been| distance_m(been, place)).fold(f64::INFINITY, f64::min);
+    places_m
+        .iter()
+        .copied()
+        .filter(|place| !blacklist.holds(*place, config.blacklist_radius_m))
+        .max_by(|a, b| far_from_recent(*a).total_cmp(&far_from_recent(*b)))
 }
 
 #[cfg(test)]
@@ -101,7 +97,8 @@ mod tests {
     fn choose(candidates: &[Candidate], blacklist: &Blacklist, goal_choice: GoalChoice) -> Result<f64, NoGoalReason> {
         let config = ExplorationConfig { goal_choice, ..ExplorationConfig::default() };
         let mut rng = Pcg64Mcg::seed_from_u64(5);
-        best(candidates, &Pose2::IDENTITY, blacklist, &config, &mut rng, NoGoalReason::NoFrontier).map(|c| c.target_m[0])
+        best(candidates, &Pose2::IDENTITY, blacklist, &config, &mut rng, NoGoalReason::NoFrontier)
+            .map(|c| c.target_m[0])
     }
 
     #[test]
@@ -115,10 +112,7 @@ mod tests {
     #[test]
     fn of_two_equal_ways_the_one_ahead_is_chosen() {
         let none = Blacklist::default();
-        assert_eq!(
-            choose(&[at(-1.0, 1.0, Some(1.0)), at(1.0, 1.0, Some(1.0))], &none, GoalChoice::Nearest),
-            Ok(1.0)
-        );
+        assert_eq!(choose(&[at(-1.0, 1.0, Some(1.0)), at(1.0, 1.0, Some(1.0))], &none, GoalChoice::Nearest), Ok(1.0));
     }
 
     #[test]
@@ -147,11 +141,13 @@ mod tests {
 
     #[test]
     fn a_revisit_goes_where_the_robot_has_not_been_lately() {
-        let places: Vec<_> = (0..20).map(|i| ([f64::from(i), 0.0], f64::from(i))).collect();
-        let mut rng = Pcg64Mcg::seed_from_u64(5);
+        let places: Vec<[f64; 2]> = (0..20).map(|i| [f64::from(i), 0.0]).collect();
         let config = ExplorationConfig::default();
-        let place = revisit(&places, &[[0.0, 0.0], [1.0, 0.0]], &Blacklist::default(), &config, &mut rng).unwrap();
-        assert!(place[0] > 10.0, "{place:?}");
-        assert_eq!(revisit(&[], &[], &Blacklist::default(), &config, &mut rng), None);
+        let mut list = Blacklist::default();
+        let been = [[0.0, 0.0], [1.0, 0.0]];
+        assert_eq!(revisit(&places, been.into_iter(), &list, &config), Some([19.0, 0.0]));
+        list.add([19.0, 0.0], 10);
+        assert_eq!(revisit(&places, been.into_iter(), &list, &config), Some([18.0, 0.0]));
+        assert_eq!(revisit(&[], been.into_iter(), &list, &config), None);
     }
 }

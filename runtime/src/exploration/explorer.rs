@@ -10,9 +10,10 @@ use super::blind::BlindPolicy;
 use super::choose::{self, Candidate};
 use super::config::{ExplorationConfig, PolicyKind};
 use super::goal::Goal;
+use super::navigator::Navigator;
 use crate::event::{DropReason, Event, GoalReason, NoGoalReason};
-use crate::mapping::{CellState, Frontier, OccupancyGrid, SingleFrameMap, inconsistencies};
-use crate::planning::{Follower, Following, Planner, PlanningConfig, Primitive};
+use crate::mapping::{CellState, OccupancyGrid, SingleFrameMap};
+use crate::planning::{ConfigError, Follower, FollowerConfig, NoPath, PlanConfig, Primitive, Progress};
 
 /// Ticks of heuristic walking when there is no goal: one of its moves.
 const FILL_IN_TICKS: u64 = 16;
@@ -21,8 +22,8 @@ const TRAIL_EVERY_TICKS: u64 = 10;
 const TRAIL_LENGTH: usize = 100;
 /// A frontier is still there while unknown floor meets free floor this near to its middle, metres.
 const FRONTIER_REACH_M: f64 = 0.45;
-/// An inconsistent place is looked at from free floor at most this far away, metres.
-const LOOK_FROM_M: f64 = 1.5;
+/// Places drawn at random when nothing is left to explore; the one furthest from where the robot has been lately wins.
+const REVISIT_DRAWS: usize = 16;
 
 /// What the policy knows at one turn.
 #[derive(Debug, Clone, Copy)]
@@ -51,8 +52,7 @@ pub struct Explorer {
     mode: GoalReason,
     mode_since: u64,
     goal: Option<Goal>,
-    path_m: Vec<[f64; 2]>,
-    planner: Planner,
+    navigator: Navigator,
     follower: Follower,
     blacklist: Blacklist,
     trail_m: VecDeque<[f64; 2]>,
@@ -62,15 +62,23 @@ pub struct Explorer {
 
 impl Explorer {
     /// A policy that has seen nothing yet.
-    #[must_use]
-    pub fn new(kind: PolicyKind, config: ExplorationConfig, planning: &PlanningConfig, rng: Pcg64Mcg) -> Self {
+    ///
+    /// # Errors
+    /// When the planner's or the follower's configuration is out of range.
+    pub fn new(
+        kind: PolicyKind,
+        config: ExplorationConfig,
+        plan: &PlanConfig,
+        follower: &FollowerConfig,
+        rng: Pcg64Mcg,
+    ) -> Result<Self, ConfigError> {
         let blind = match kind {
             PolicyKind::Random => BlindPolicy::Random,
             PolicyKind::Forward => BlindPolicy::Forward { turns_left: 0 },
             _ => BlindPolicy::Heuristic { queue: VecDeque::new() },
         };
         let mode = if kind == PolicyKind::Inconsistency { GoalReason::Inconsistency } else { GoalReason::Frontier };
-        Self {
+        Ok(Self {
             kind,
             config,
             rng,
@@ -78,14 +86,13 @@ impl Explorer {
             mode,
             mode_since: 0,
             goal: None,
-            path_m: Vec::new(),
-            planner: Planner::new(planning),
-            follower: Follower::new(planning),
+            navigator: Navigator::new(plan)?,
+            follower: Follower::new(follower)?,
             blacklist: Blacklist::default(),
             trail_m: VecDeque::with_capacity(TRAIL_LENGTH + 1),
             plan_at: 0,
             choose_at: 0,
-        }
+        })
     }
 
     /// The current goal.
@@ -97,7 +104,7 @@ impl Explorer {
     /// The way to the goal, in `odom`, metres.
     #[must_use]
     pub fn path_m(&self) -> &[[f64; 2]] {
-        &self.path_m
+        self.follower.path_m()
     }
 
     /// The next step, and what happened on the way to it.
@@ -159,11 +166,7 @@ impl Explorer {
         let Some(goal) = &mut self.goal else { return };
         let now_ns = senses.time_ns;
         if distance_m(goal.target_m, [senses.pose.x_m, senses.pose.y_m]) < self.config.goal_reached_m {
-            events.push(Event::GoalReached);
-            // What is still unknown there will not become known by standing in front of it: look elsewhere for a while.
-            let interest_m = goal.interest_m;
-            self.forget_goal();
-            self.list(interest_m, senses);
+            self.goal_reached(senses, events);
             return;
         }
         let seconds = |time_ns: u64| time_ns as f64 * 1e-9;
@@ -193,7 +196,7 @@ impl Explorer {
 
     fn forget_goal(&mut self) {
         self.goal = None;
-        self.path_m.clear();
+        self.follower.clear();
     }
 
     fn list(&mut self, place_m: [f64; 2], senses: &Senses<'_>) {
@@ -203,111 +206,89 @@ impl Explorer {
 
     /// Looks for a goal: the mode's own first, then the other kind, then a place to look at again.
     fn choose_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
-        let survey = self.planner.survey(senses.map, &senses.pose);
-        if survey.is_err() {
-            events.push(Event::NoGoal { why: NoGoalReason::StartBlocked });
-            self.choose_at = senses.tick + FILL_IN_TICKS;
-            return;
-        }
-        let order = match self.mode {
-            GoalReason::Inconsistency => [GoalReason::Inconsistency, GoalReason::Frontier],
-            _ => [GoalReason::Frontier, GoalReason::Inconsistency],
-        };
-        for why in order {
-            if why == GoalReason::Inconsistency && self.kind == PolicyKind::Frontier {
-                continue;
+        match self.best_goal(senses, events) {
+            Some((target_m, interest_m, why)) => {
+                events.push(Event::GoalChosen { x_m: target_m[0], y_m: target_m[1], why });
+                self.goal = Some(Goal::new(target_m, interest_m, why, senses.time_ns));
+                self.plan_at = senses.tick;
             }
-            let (candidates, none) = match why {
-                GoalReason::Inconsistency => (self.inconsistent_places(senses), NoGoalReason::NoInconsistency),
-                _ => (self.frontiers(senses), NoGoalReason::NoFrontier),
-            };
-            match choose::best(&candidates, &senses.pose, &self.blacklist, &self.config, &mut self.rng, none) {
-                Ok(chosen) => return self.take(chosen.target_m, chosen.interest_m, why, senses, events),
-                Err(why) => events.push(Event::NoGoal { why }),
-            }
-        }
-        let reachable = self.planner.reachable_places();
-        let recent: Vec<[f64; 2]> = self.trail_m.iter().copied().collect();
-        match choose::revisit(&reachable, &recent, &self.blacklist, &self.config, &mut self.rng) {
-            Some(place_m) => self.take(place_m, place_m, GoalReason::Revisit, senses, events),
             None => self.choose_at = senses.tick + FILL_IN_TICKS,
         }
     }
 
-    fn take(
-        &mut self,
-        target_m: [f64; 2],
-        interest_m: [f64; 2],
-        why: GoalReason,
-        senses: &Senses<'_>,
-        events: &mut Vec<Event>,
-    ) {
-        events.push(Event::GoalChosen { x_m: target_m[0], y_m: target_m[1], why });
-        self.goal = Some(Goal::new(target_m, interest_m, why, senses.time_ns));
-        self.plan_at = senses.tick;
-    }
-
-    fn frontiers(&self, senses: &Senses<'_>) -> Vec<Candidate> {
-        let candidate = |frontier: &Frontier| Candidate {
-            target_m: frontier.approach_m,
-            interest_m: frontier.centroid_m,
-            size_m: frontier.cells as f64 * senses.map.cell_m(),
-            travel_m: self.planner.travel_m(frontier.approach_m),
+    fn best_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) -> Option<([f64; 2], [f64; 2], GoalReason)> {
+        let survey = match self.navigator.survey(senses.map, &senses.pose) {
+            Ok(survey) => survey,
+            Err(_) => {
+                events.push(Event::NoGoal { why: NoGoalReason::StartBlocked });
+                return None;
+            }
         };
-        senses.map.frontiers().iter().map(candidate).collect()
-    }
-
-    /// The largest place that two looks disagree about and that can be looked at from reachable floor nearby.
-    fn inconsistent_places(&self, senses: &Senses<'_>) -> Vec<Candidate> {
-        let Some((new, old)) = senses.looks else { return Vec::new() };
-        let candidate = |place: &crate::mapping::Inconsistency| {
-            let target_m = self.planner.nearest_reachable(place.centroid_m, LOOK_FROM_M)?;
-            Some(Candidate {
-                target_m,
-                interest_m: place.centroid_m,
-                size_m: place.cells as f64 * senses.map.cell_m(),
-                travel_m: self.planner.travel_m(target_m),
-            })
+        let kinds: &[GoalReason] = match (self.kind, self.mode) {
+            (PolicyKind::Frontier, _) => &[GoalReason::Frontier],
+            (_, GoalReason::Inconsistency) => &[GoalReason::Inconsistency, GoalReason::Frontier],
+            _ => &[GoalReason::Frontier, GoalReason::Inconsistency],
         };
-        let listed = |one: &Candidate| self.blacklist.holds(one.interest_m, self.config.blacklist_radius_m);
-        let places = inconsistencies(new, old);
-        places.iter().filter_map(candidate).find(|one| !listed(one)).into_iter().collect()
+        for kind in kinds {
+            let (candidates, none) = match (kind, senses.looks) {
+                (GoalReason::Inconsistency, Some((new, old))) => {
+                    let listed =
+                        |place: &Candidate| self.blacklist.holds(place.interest_m, self.config.blacklist_radius_m);
+                    let reachable = |place: &Candidate| place.travel_m.is_some() && !listed(place);
+                    // The largest one, not the nearest ("Embodied Depth Prediction", section III-D).
+                    let largest = survey.inconsistencies(new, old).into_iter().find(reachable);
+                    (largest.into_iter().collect(), NoGoalReason::NoInconsistency)
+                }
+                (GoalReason::Inconsistency, None) => (Vec::new(), NoGoalReason::NoInconsistency),
+                _ => (survey.frontiers(), NoGoalReason::NoFrontier),
+            };
+            match choose::best(&candidates, &senses.pose, &self.blacklist, &self.config, &mut self.rng, none) {
+                Ok(chosen) => return Some((chosen.target_m, chosen.interest_m, *kind)),
+                Err(why) => events.push(Event::NoGoal { why }),
+            }
+        }
+        let places = survey.random_places(REVISIT_DRAWS, senses.map, &mut self.rng);
+        let place_m = choose::revisit(&places, self.trail_m.iter().copied(), &self.blacklist, &self.config)?;
+        Some((place_m, place_m, GoalReason::Revisit))
     }
 
     fn plan(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
         let Some(goal) = &mut self.goal else { return };
         self.plan_at = senses.tick + self.config.replan_ticks;
-        match self.planner.plan(senses.map, &senses.pose, goal.target_m) {
-            Ok(path_m) => {
-                if senses.bumped {
-                    goal.note_new_way();
-                }
-                self.path_m = path_m;
-                self.follower.start(&self.path_m);
-            }
+        let way = self.navigator.plan(senses.map, &senses.pose, goal.target_m);
+        match way.and_then(|path_m| self.follower.set_path(&path_m).map_err(|_| NoPath::Unreachable)) {
+            Ok(()) if senses.bumped => goal.note_new_way(),
+            Ok(()) => {}
             Err(_) => self.drop_goal(DropReason::Unreachable, senses, events),
         }
     }
 
+    /// The next step on the way; `None` when there is no way to follow.
     fn follow(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) -> Option<Primitive> {
         let goal = self.goal.as_mut()?;
-        match self.follower.step(&self.path_m, &senses.pose) {
-            Following::Step { primitive, left_m } => {
-                goal.note_distance(left_m, senses.time_ns);
-                Some(primitive)
+        let step = self.follower.next(&senses.pose).ok()?;
+        match step.progress {
+            Progress::Following => {
+                goal.note_distance(step.remaining_m, senses.time_ns);
+                Some(step.primitive)
             }
-            Following::Arrived => {
-                events.push(Event::GoalReached);
-                let interest_m = goal.interest_m;
-                self.forget_goal();
-                self.list(interest_m, senses);
+            Progress::Reached => {
+                self.goal_reached(senses, events);
                 None
             }
-            Following::OffPath => {
+            Progress::OffPath => {
                 self.plan_at = senses.tick;
                 Some(Primitive::Stay)
             }
         }
+    }
+
+    fn goal_reached(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
+        events.push(Event::GoalReached);
+        let Some(goal) = self.goal else { return };
+        self.forget_goal();
+        // What is still unknown there will not become known by standing in front of it: look elsewhere for a while.
+        self.list(goal.interest_m, senses);
     }
 }
 

@@ -53,7 +53,7 @@ impl FrontierFinder {
         let rows = self.free.rows();
         let words = self.free.words_per_row;
         let width = self.free.cells.width();
-        let beyond = if width % 64 == 0 { 0 } else { u64::MAX << (width % 64) };
+        let beyond = if width.is_multiple_of(64) { 0 } else { u64::MAX << (width % 64) };
         self.frontier.reset(self.free.cells);
         for wide in &mut self.wide {
             wide.clear();
@@ -99,5 +99,111 @@ fn approach_cells(components: &Components, free: &BitPlane, min_cells: usize, ne
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapping::{CellState, MapConfig};
+    use hal::Pose2;
+    use proptest::prelude::*;
+    use std::collections::BTreeSet;
+
+    fn grid_of(cells: impl Iterator<Item = (Cell, f32)>) -> OccupancyGrid {
+        let config = MapConfig { side_cells: 150, recenter_cells: 5, ..MapConfig::default() };
+        let mut grid = OccupancyGrid::new(&config).unwrap();
+        grid.begin_update(&Pose2::new(2.0, -1.0, 0.0)).unwrap();
+        for (cell, evidence) in cells {
+            if let Some(index) = grid.index(cell) {
+                grid.add_evidence(cell, index, evidence);
+            }
+        }
+        grid.finish_update();
+        grid
+    }
+
+    fn neighbours(cell: Cell) -> impl Iterator<Item = Cell> {
+        (-1..=1).flat_map(move |dy| (-1..=1).map(move |dx| cell.offset(dx, dy))).filter(move |near| *near != cell)
+    }
+
+    /// The definition, one cell at a time.
+    fn naive(grid: &OccupancyGrid, min_cells: usize) -> Vec<(usize, Cell)> {
+        let window = grid.window();
+        let all =
+            (window.min.y..=window.max.y).flat_map(|y| (window.min.x..=window.max.x).map(move |x| Cell::new(x, y)));
+        let is_frontier = |cell: &Cell| {
+            grid.state(*cell) == CellState::Unknown && neighbours(*cell).any(|near| grid.state(near) == CellState::Free)
+        };
+        let mut left: BTreeSet<Cell> = all.filter(is_frontier).collect();
+        let mut found = Vec::new();
+        while let Some(first) = left.pop_first() {
+            let mut group = vec![first];
+            let mut next = 0;
+            while let Some(cell) = group.get(next).copied() {
+                group.extend(neighbours(cell).filter(|near| left.remove(near)));
+                next += 1;
+            }
+            if group.len() > min_cells {
+                let mean = |of: fn(&Cell) -> i32| {
+                    (group.iter().map(|cell| f64::from(of(cell))).sum::<f64>() / group.len() as f64).round() as i32
+                };
+                let centroid = Cell::new(mean(|cell| cell.x), mean(|cell| cell.y));
+                let beside = group.iter().flat_map(|cell| neighbours(*cell));
+                let free = beside.filter(|near| grid.state(*near) == CellState::Free);
+                let approach = free.min_by_key(|near| (near.distance2(centroid), *near)).unwrap();
+                found.push((group.len(), approach));
+            }
+        }
+        found
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+        #[test]
+        fn frontiers_are_those_of_the_definition(
+            patches in proptest::collection::vec((-12..150i32, -110..40i32, 1..40i32, 1..40i32, any::<bool>()), 0..25),
+            min_cells in 0..30usize,
+        ) {
+            let cells = patches.iter().flat_map(|&(x, y, w, h, free)| {
+                let evidence = if free { -1.5 } else { 2.0 };
+                (y..y + h).flat_map(move |y| (x..x + w).map(move |x| (Cell::new(x, y), evidence)))
+            });
+            let grid = grid_of(cells);
+            let mut found = Vec::new();
+            FrontierFinder::default().find(&grid, min_cells, &mut found);
+            let got: Vec<(usize, Cell)> = found.iter().map(|frontier| (frontier.cells, frontier.approach)).collect();
+            prop_assert_eq!(got, naive(&grid, min_cells));
+        }
+    }
+
+    #[test]
+    fn a_room_with_a_door_has_one_frontier_in_the_door() {
+        let room = (0..40).flat_map(|y| (0..40).map(move |x| (x, y)));
+        let cells = room.map(|(x, y)| {
+            let wall = x == 0 || y == 0 || x == 39 || y == 39;
+            let door = x == 39 && (5..30).contains(&y);
+            (Cell::new(x, y), if wall && !door { 2.0 } else { -1.5 })
+        });
+        let grid = grid_of(cells);
+        let mut found = Vec::new();
+        FrontierFinder::default().find(&grid, FrontierFinder::MIN_CELLS, &mut found);
+        let [door] = found[..] else { panic!("{found:?}") };
+        assert_eq!((door.cells, door.approach.x), (27, 39), "the door's 25 cells and one beyond either end");
+        assert!((door.centroid_m[0] - 40.5 * 0.03).abs() < 1e-9 && (door.centroid_m[1] - 17.5 * 0.03).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_empty_map_and_a_closed_room_have_no_frontier() {
+        let mut found = vec![];
+        let mut finder = FrontierFinder::default();
+        finder.find(&grid_of([].into_iter()), 0, &mut found);
+        assert!(found.is_empty());
+        let closed = (0..30).flat_map(|y| (0..30).map(move |x| (x, y))).map(|(x, y)| {
+            let wall = x == 0 || y == 0 || x == 29 || y == 29;
+            (Cell::new(x, y), if wall { 2.0 } else { -1.5 })
+        });
+        finder.find(&grid_of(closed), 0, &mut found);
+        assert!(found.is_empty());
     }
 }

@@ -13,7 +13,10 @@ mod frame_map;
 mod frontier;
 mod grid;
 mod inconsistency;
+mod rays;
 mod scan;
+#[cfg(test)]
+mod tests;
 mod window;
 
 pub use cell::{Cell, CellState};
@@ -23,4 +26,6 @@ pub use frame_map::{FrameCell, FrameMapper, SingleFrameMap};
 pub use frontier::{Frontier, FrontierFinder};
 pub use grid::OccupancyGrid;
 pub use inconsistency::{Inconsistency, inconsistencies};
+#[cfg(test)]
+pub(crate) use scan::line;
 pub use window::CellBox;

@@ -115,3 +115,120 @@ pub(crate) fn line(start_m: [f64; 2], end_m: [f64; 2], cell_m: f64) -> impl Iter
         here
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapping::{CellState, MapConfig};
+    use hal::ScanGeometry;
+    use proptest::prelude::*;
+
+    fn grid(lidar: LidarUse) -> OccupancyGrid {
+        let config = MapConfig { side_cells: 200, recenter_cells: 20, lidar, ..MapConfig::default() };
+        OccupancyGrid::new(&config).unwrap()
+    }
+
+    fn scan(range: impl Fn(usize) -> Range) -> LaserScan {
+        let geometry = ScanGeometry::UTM_30LX;
+        LaserScan { time_ns: 0, geometry, ranges: (0..geometry.beams).map(range).collect() }
+    }
+
+    fn update(grid: &mut OccupancyGrid, scan: &LaserScan, laser: &Pose2) {
+        grid.begin_update(laser).unwrap();
+        grid.integrate_scan(scan, laser).unwrap();
+        grid.finish_update();
+    }
+
+    #[test]
+    fn a_ring_of_hits_is_occupied_and_free_inside() {
+        let mut grid = grid(LidarUse::HitsAndFree);
+        let laser = Pose2::new(0.4, -0.3, 1.0);
+        update(&mut grid, &scan(|_| Range::Hit(1.2)), &laser);
+        for beam in (0..1081).step_by(7) {
+            let angle = ScanGeometry::UTM_30LX.angle_rad(beam);
+            for (range_m, state) in
+                [(0.5, CellState::Free), (1.1, CellState::Free), (1.2, CellState::Occupied), (1.3, CellState::Unknown)]
+            {
+                let [x, y] = end_of(&laser, angle, range_m);
+                assert_eq!(grid.state_at(x, y), state, "beam {beam} at {range_m} m");
+            }
+        }
+        let behind = end_of(&laser, core::f64::consts::PI, 0.5);
+        assert_eq!(grid.state_at(behind[0], behind[1]), CellState::Unknown, "the scanner does not look back");
+    }
+
+    #[test]
+    fn no_return_too_near_and_errors_clear_nothing() {
+        for range in [Range::NoReturn, Range::TooNear, Range::Error, Range::Hit(f32::NAN)] {
+            let mut grid = grid(LidarUse::HitsAndFree);
+            update(&mut grid, &scan(|_| range), &Pose2::IDENTITY);
+            assert_eq!(grid.known_cells().count(), 0, "{range:?}");
+        }
+    }
+
+    #[test]
+    fn a_far_hit_clears_to_the_limit_and_marks_nothing() {
+        let mut grid = grid(LidarUse::HitsAndFree);
+        update(&mut grid, &scan(|_| Range::Hit(25.0)), &Pose2::IDENTITY);
+        assert!(grid.known_cells().all(|(_, log_odds)| log_odds < 0.0));
+        assert_eq!(grid.state_at(1.9, 0.0), CellState::Free);
+        assert_eq!(grid.state_at(2.1, 0.0), CellState::Unknown);
+    }
+
+    #[test]
+    fn what_the_camera_saw_stays_and_what_only_the_lidar_saw_is_cleared() {
+        let mut grid = grid(LidarUse::HitsAndFree);
+        let by_camera = Cell::new(20, 0);
+        let by_lidar = Cell::new(0, 20);
+        grid.begin_update(&Pose2::IDENTITY).unwrap();
+        grid.add_camera_obstacle(by_camera, 2.0, 30);
+        let index = grid.index(by_lidar).unwrap();
+        grid.add_evidence(by_lidar, index, 2.0);
+        grid.finish_update();
+        for _ in 0..10 {
+            update(&mut grid, &scan(|_| Range::Hit(1.5)), &Pose2::IDENTITY);
+        }
+        assert_eq!(grid.state(by_camera), CellState::Occupied);
+        assert_eq!(grid.state(by_lidar), CellState::Free);
+    }
+
+    #[test]
+    fn the_use_of_the_lidar_can_be_chosen() {
+        let hits = scan(|_| Range::Hit(1.0));
+        let mut off = grid(LidarUse::Off);
+        update(&mut off, &hits, &Pose2::IDENTITY);
+        assert_eq!(off.known_cells().count(), 0);
+        let mut only_hits = grid(LidarUse::Hits);
+        update(&mut only_hits, &hits, &Pose2::IDENTITY);
+        assert!(only_hits.known_cells().count() > 50 && only_hits.known_cells().all(|(_, log_odds)| log_odds > 0.0));
+    }
+
+    #[test]
+    fn a_scan_with_missing_beams_or_a_wild_pose_is_refused() {
+        let mut grid = grid(LidarUse::HitsAndFree);
+        let mut short = scan(|_| Range::Hit(1.0));
+        short.ranges.pop();
+        let refused = grid.integrate_scan(&short, &Pose2::IDENTITY);
+        assert_eq!(refused, Err(MapError::ScanShape { ranges: 1080, beams: 1081 }));
+        let nan = Pose2 { x_m: f64::NAN, ..Pose2::IDENTITY };
+        assert!(grid.integrate_scan(&scan(|_| Range::Hit(1.0)), &nan).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn a_line_goes_from_cell_to_neighbouring_cell(x0 in -2.0..2.0f64, y0 in -2.0..2.0f64, x1 in -2.0..2.0f64, y1 in -2.0..2.0f64) {
+            let cells: Vec<Cell> = line([x0, y0], [x1, y1], 0.03).collect();
+            prop_assert_eq!(cells[0], Cell::containing(x0, y0, 0.03));
+            prop_assert_eq!(cells[cells.len() - 1], Cell::containing(x1, y1, 0.03));
+            let length = (x1 - x0).hypot(y1 - y0);
+            for pair in cells.windows(2) {
+                prop_assert_eq!(pair[0].distance2(pair[1]), 1);
+            }
+            for cell in &cells {
+                let [cx, cy] = cell.center_m(0.03);
+                let off = ((x1 - x0) * (cy - y0) - (y1 - y0) * (cx - x0)).abs() / length.max(1e-9);
+                prop_assert!(length < 1e-6 || off <= 0.03 * 0.7072, "{:?} is {} m beside the line", cell, off);
+            }
+        }
+    }
+}

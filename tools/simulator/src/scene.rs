@@ -1,7 +1,7 @@
 //! A world as triangles with textures.
 
 /// One corner of a triangle.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Vertex {
     /// Position in the world, metres, z up.
     pub position_m: [f32; 3],

@@ -10,8 +10,10 @@ use crate::scene::{Scene, Triangle, Vertex};
 /// How [`bake_ambient`] works.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AmbientOptions {
-    /// Rays from every corner.
+    /// Rays from every place that is looked around from, at most.
     pub rays: usize,
+    /// Rays in all: with more places, fewer from each, but not below 8. Bounds the time.
+    pub rays_in_all: usize,
     /// Surfaces further away than this take no light away, metres.
     pub reach_m: f32,
     /// Light where everything within reach is closed, 0 to 1.
@@ -24,7 +26,14 @@ pub struct AmbientOptions {
 
 impl Default for AmbientOptions {
     fn default() -> Self {
-        Self { rays: 24, reach_m: 1.2, darkest: 0.35, longest_edge_m: 0.5, most_triangles: 400_000 }
+        Self {
+            rays: 24,
+            rays_in_all: 2_000_000,
+            reach_m: 1.2,
+            darkest: 0.35,
+            longest_edge_m: 0.5,
+            most_triangles: 400_000,
+        }
     }
 }
 
@@ -42,7 +51,8 @@ pub fn bake_ambient(scene: &mut Scene, options: &AmbientOptions) {
         .collect();
     let (bvh, _) = Bvh::build(&corners);
     let places = Places::new(&scene.triangles, &normals);
-    let directions = hemisphere(options.rays);
+    let affordable = options.rays_in_all / places.distinct.len().max(1);
+    let directions = hemisphere(affordable.max(8).min(options.rays));
     let ambient: Vec<f32> =
         places.distinct.par_iter().with_min_len(256).map(|place| place.ambient(&bvh, &directions, options)).collect();
     for (triangle, corners) in scene.triangles.iter_mut().zip(places.of_corner.chunks_exact(3)) {
@@ -64,7 +74,10 @@ struct Place {
     normal: V3,
 }
 
-/// Corners of neighbours in one plane share their place: one answer for all of them, and no seam.
+/// Corners this near to each other share one place, if their triangles face the same way to some 15 degrees.
+const PLACE_M: f32 = 0.025;
+
+/// Where to look around from for every corner. Neighbours share: one answer for all of them, and no seam.
 struct Places {
     distinct: Vec<Place>,
     /// For every corner of every triangle.
@@ -76,9 +89,8 @@ impl Places {
         let mut keyed: Vec<([i32; 6], u32)> = Vec::with_capacity(triangles.len() * 3);
         for (triangle, normal) in triangles.iter().zip(normals) {
             for vertex in &triangle.vertices {
-                // Half a millimetre, and normals that differ by less than some ten degrees.
-                let [x, y, z] = vertex.position_m.map(|c| (c * 2000.0).round() as i32);
-                let [a, b, c]: [i32; 3] = normal.map(|c| (c * 6.0).round() as i32).into();
+                let [x, y, z] = vertex.position_m.map(|c| (c / PLACE_M).round() as i32);
+                let [a, b, c]: [i32; 3] = normal.map(|c| (c * 4.0).round() as i32).into();
                 keyed.push(([x, y, z, a, b, c], keyed.len() as u32));
             }
         }

@@ -157,7 +157,8 @@ impl SlabRay {
 /// The edge functions are those of the neighbouring triangle negated, bit for bit, so no ray slips through a shared edge
 /// (the Plücker-coordinate test of Embree's robust mode).
 fn intersect(corners: &Corners, origin: &V3, direction: &V3) -> Option<f32> {
-    let [a, b, c] = corners.points.map(|p| p - origin);
+    let [a, b, c] = &corners.points;
+    let (a, b, c) = (a - origin, b - origin, c - origin);
     let u = edge(&b, &c).dot(direction);
     let v = edge(&c, &a).dot(direction);
     let w = edge(&a, &b).dot(direction);

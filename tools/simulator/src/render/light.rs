@@ -46,14 +46,14 @@ impl Default for Lighting {
     /// A bright room: ceiling light, reflections from a wooden floor, a cool window on one side and a warm lamp on the other.
     fn default() -> Self {
         Self {
-            from_above: [0.78, 0.76, 0.72],
-            from_below: [0.42, 0.39, 0.35],
+            from_above: [0.62, 0.61, 0.58],
+            from_below: [0.33, 0.31, 0.28],
             windows: vec![
-                Window { direction: [0.8, 0.45, 0.25], color: [0.30, 0.33, 0.37] },
-                Window { direction: [-0.35, -0.9, 0.3], color: [0.15, 0.12, 0.08] },
+                Window { direction: [0.8, 0.45, 0.25], color: [0.25, 0.28, 0.31] },
+                Window { direction: [-0.35, -0.9, 0.3], color: [0.14, 0.11, 0.08] },
             ],
             exposure: 1.0,
-            background: [0.55, 0.60, 0.68],
+            background: [0.45, 0.49, 0.55],
             sun: None,
         }
     }

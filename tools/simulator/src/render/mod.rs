@@ -213,7 +213,8 @@ impl Renderer {
                 }
                 let depth = 1.0 / block.inverse_depth[row][column];
                 let colour = self.colour(view, light, surface, (direction, depth, facing), &last.1);
-                out.put(row, column, colour.map(|c| self.tone.encode(c)), depth);
+                let [r, g, b] = colour;
+                out.put(row, column, [self.tone.encode(r), self.tone.encode(g), self.tone.encode(b)], depth);
             }
         }
     }
@@ -247,7 +248,8 @@ impl Renderer {
             let normal = if facing > 0.0 { -surface.normal } else { surface.normal };
             sun.at(&(surface.origin + offset), &normal) * light.exposure
         });
-        std::array::from_fn(|c| albedo[c] * (on_surface[c] * ambient + sun) + material.emissive[c] * light.exposure)
+        let leaves = |c: usize| albedo[c] * (on_surface[c] * ambient + sun) + material.emissive[c] * light.exposure;
+        [leaves(0), leaves(1), leaves(2)]
     }
 
     fn draw_people(

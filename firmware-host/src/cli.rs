@@ -1,0 +1,206 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use runtime::exploration::PolicyKind;
+use runtime::robot::DepthSource;
+
+/// A robot that explores a home, and learns how far things are.
+#[derive(Debug, Parser)]
+#[command(name = "firmware-host", version, propagate_version = true)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Explore a simulated home, in virtual time.
+    Explore(ExploreArgs),
+    /// Depth, and its accuracy, on a recorded sequence (TUM RGB-D layout with a dataset.toml).
+    Perceive(PerceiveArgs),
+    /// Recompute every decision of a recorded run; exit 0 only when all are the same.
+    Replay(ReplayArgs),
+    /// Check a configuration file and print what is in effect.
+    Check(CheckArgs),
+}
+
+/// Arguments of `explore`.
+#[derive(Debug, Args)]
+pub struct ExploreArgs {
+    /// `builtin:apartment?seed=1` (also `house`, `office`), or a .glb, .gltf or .obj file.
+    #[arg(long)]
+    pub scene: String,
+    /// How goals are chosen.
+    #[arg(long, value_enum, default_value_t = PolicyArg::Active)]
+    pub policy: PolicyArg,
+    /// A depth network (ONNX). Without one, coarse depth is the depth.
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Which depth goes into the map [default: network with --model, else coarse].
+    #[arg(long, value_enum)]
+    pub depth: Option<DepthArg>,
+    /// Camera frames to explore for; one step each.
+    #[arg(long, default_value_t = 3000, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    pub frames: u64,
+    /// Seed of everything random: start pose, policy, noise.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Folder for summary, pictures and recording. Made if missing; must be empty of other runs.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Configuration file; see `check`.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Start pose in the scene: x,y in metres and heading in degrees [default: found by itself].
+    #[arg(long, value_name = "X,Y,DEG", allow_hyphen_values = true, value_parser = parse_start)]
+    pub start: Option<[f64; 3]>,
+    /// The scene file's vertical axis [default: by its format].
+    #[arg(long, value_enum)]
+    pub scene_up: Option<UpArg>,
+    /// Metres per unit of the scene file.
+    #[arg(long, default_value_t = 1.0)]
+    pub scene_scale: f64,
+    /// Do not record. The run cannot be replayed.
+    #[arg(long)]
+    pub no_recording: bool,
+    #[command(flatten)]
+    pub rerun: RerunArgs,
+}
+
+/// Where a live picture of the run goes.
+#[derive(Debug, Args, Default)]
+pub struct RerunArgs {
+    /// Also write run.rrd for the Rerun viewer.
+    #[cfg(feature = "rerun")]
+    #[arg(long)]
+    pub rerun: bool,
+    /// Also stream to a running Rerun viewer, as rerun+http://127.0.0.1:9876/proxy.
+    #[cfg(feature = "rerun")]
+    #[arg(long, value_name = "URL")]
+    pub rerun_connect: Option<String>,
+}
+
+/// Arguments of `perceive`.
+#[derive(Debug, Args)]
+pub struct PerceiveArgs {
+    /// Folder with rgb.txt, groundtruth.txt, dataset.toml and perhaps depth.txt.
+    #[arg(long, value_name = "DIR")]
+    pub dataset: PathBuf,
+    /// A depth network (ONNX).
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Folder for summary and pictures.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Configuration file; see `check`.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+}
+
+/// Arguments of `replay`.
+#[derive(Debug, Args)]
+pub struct ReplayArgs {
+    /// The --out folder of a run, or one .mcap file.
+    pub run: PathBuf,
+    /// The depth network that the run was made with, if it was.
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+}
+
+/// Arguments of `check`.
+#[derive(Debug, Args)]
+pub struct CheckArgs {
+    /// Configuration file; without one, the documented defaults are printed.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+}
+
+/// Policies by their names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum PolicyArg {
+    /// Forward, left or right at random, every frame anew.
+    Random,
+    /// Random arcs of 16 steps.
+    Heuristic,
+    /// Straight on, a little to the right after a collision.
+    Forward,
+    /// To where free floor meets the unknown.
+    Frontier,
+    /// To where two looks at one place disagree.
+    Inconsistency,
+    /// Frontier and inconsistency by turns.
+    Active,
+}
+
+impl From<PolicyArg> for PolicyKind {
+    fn from(policy: PolicyArg) -> Self {
+        match policy {
+            PolicyArg::Random => Self::Random,
+            PolicyArg::Heuristic => Self::Heuristic,
+            PolicyArg::Forward => Self::Forward,
+            PolicyArg::Frontier => Self::Frontier,
+            PolicyArg::Inconsistency => Self::Inconsistency,
+            PolicyArg::Active => Self::Active,
+        }
+    }
+}
+
+/// Depth sources by their names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum DepthArg {
+    /// From ego-motion.
+    Coarse,
+    /// From the network.
+    Network,
+    /// Ground truth; tests what comes after depth, and says nothing about the robot.
+    Truth,
+}
+
+impl From<DepthArg> for DepthSource {
+    fn from(depth: DepthArg) -> Self {
+        match depth {
+            DepthArg::Coarse => Self::Coarse,
+            DepthArg::Network => Self::Network,
+            DepthArg::Truth => Self::Truth,
+        }
+    }
+}
+
+/// Vertical axes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum UpArg {
+    /// As glTF has it.
+    Y,
+    /// As most scans have it.
+    Z,
+}
+
+fn parse_start(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
+    match numbers.as_deref() {
+        Ok([x, y, yaw]) if [x, y, yaw].iter().all(|value| value.is_finite()) => Ok([*x, *y, *yaw]),
+        _ => Err(format!("`{text}` is not three numbers such as 1.5,-2,90")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        use clap::CommandFactory;
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn a_start_pose_is_three_finite_numbers() {
+        assert_eq!(parse_start("1, -2.5,90"), Ok([1.0, -2.5, 90.0]));
+        assert!(parse_start("1,2").is_err());
+        assert!(parse_start("1,2,nan").is_err());
+    }
+}

@@ -1,0 +1,142 @@
+//! `firmware-host perceive`: depth on a recorded sequence, and how good it was.
+
+use std::time::Instant;
+
+use anyhow::Result;
+use hal::ImageView;
+use runtime::accuracy::{Accuracy, ConstantBaseline};
+use runtime::event::Event;
+use runtime::perception::{CoarseDepth, DepthNetwork};
+
+use crate::cli::PerceiveArgs;
+use crate::config::Config;
+use crate::dataset::{Dataset, Sample};
+use crate::report::atomic::prepare_dir;
+use crate::report::depth_sample::{SheetRow, SheetSampler};
+use crate::report::depth_sheet::DepthSheet;
+use crate::report::events::EventCounts;
+use crate::report::latency::Stage;
+use crate::report::progress::{Progress, Status};
+use crate::report::summary::{DepthAccuracy, Summary, peak_resident_mib};
+use crate::report::table;
+use crate::setup;
+use crate::stopwatch::Stopwatch;
+
+/// Looks at every picture of the sequence and reports.
+///
+/// # Errors
+/// A dataset, model or folder that cannot be used.
+pub fn run(args: &PerceiveArgs) -> Result<()> {
+    let config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
+    let dataset = Dataset::open(&args.dataset, config.camera.width, config.camera.height)?;
+    let camera = *dataset.camera();
+    let network = args.model.as_deref().map(|path| setup::load_network(path, &camera, &config)).transpose()?;
+    prepare_dir(&args.out)?;
+
+    let mut looker = Looker {
+        coarse: CoarseDepth::new(config.coarse.clone(), camera)?,
+        network,
+        coarse_accuracy: Accuracy::new(),
+        network_accuracy: Accuracy::new(),
+        constant: ConstantBaseline::new(),
+        events: EventCounts::default(),
+        stopwatch: Stopwatch::default(),
+        sheet: SheetSampler::default(),
+        path_m: 0.0,
+    };
+    let began = Instant::now();
+    let mut progress = Progress::start(dataset.len() as u64);
+    let mut last: Option<hal::Pose3> = None;
+    for (index, sample) in dataset.samples().enumerate() {
+        let sample = sample?;
+        if let Some(last) = last {
+            looker.path_m += (sample.t_world_camera.translation.vector - last.translation.vector).norm();
+        }
+        last = Some(sample.t_world_camera);
+        looker.look(index as u64, &sample)?;
+        progress.frame(index as u64 + 1, &Status { coverage: None, doing: "looking" });
+    }
+    progress.finish();
+
+    let wall_s = began.elapsed().as_secs_f64();
+    let frames = dataset.len() as u64;
+    let summary = looker.summary(frames, wall_s, &args.dataset.display().to_string());
+    let title = format!("{}, {frames} frames", args.dataset.display());
+    DepthSheet { title: &title, rows: &looker.sheet.into_rows() }.write(&args.out)?;
+    summary.write(&args.out)?;
+    println!("{}", table::render(&summary));
+    if dataset.without_pose() > 0 {
+        println!("{} pictures were left out: no pose is near them in time.", dataset.without_pose());
+    }
+    println!("Look at {}.", args.out.join("depth.png").display());
+    Ok(())
+}
+
+struct Looker {
+    coarse: CoarseDepth,
+    network: Option<DepthNetwork>,
+    coarse_accuracy: Accuracy,
+    network_accuracy: Accuracy,
+    constant: ConstantBaseline,
+    events: EventCounts,
+    stopwatch: Stopwatch,
+    sheet: SheetSampler,
+    path_m: f64,
+}
+
+impl Looker {
+    fn look(&mut self, index: u64, sample: &Sample) -> Result<()> {
+        let frame = ImageView::rgb8(sample.camera.width, sample.camera.height, &sample.rgb)?;
+        let began = Instant::now();
+        self.stopwatch.start();
+        let coarse = self.coarse.estimate(frame, &sample.t_world_camera);
+        self.stopwatch.lap(Stage::Coarse);
+        if let Err(why) = coarse {
+            self.events.add(&Event::NoDepth { why });
+        }
+        let coarse = coarse.ok();
+        let mut refined = None;
+        if let Some(network) = &mut self.network {
+            match network.estimate(frame, coarse) {
+                Ok(estimate) => refined = Some(estimate),
+                Err(why) => self.events.add(&Event::NoDepth { why }),
+            }
+            self.stopwatch.lap(Stage::Network);
+        }
+        self.stopwatch.since(began, Stage::Total);
+        if let Some(truth) = &sample.truth {
+            self.coarse_accuracy.add(coarse, truth)?;
+            self.constant.add(truth);
+            if refined.is_some() {
+                self.network_accuracy.add(refined, truth)?;
+            }
+        }
+        let depths = usize::from(coarse.is_some()) + usize::from(refined.is_some());
+        self.sheet.offer(index, depths, || SheetRow::capture(index, &frame, coarse, refined, sample.truth.as_ref()));
+        Ok(())
+    }
+
+    fn summary(&self, frames: u64, wall_s: f64, dataset: &str) -> Summary {
+        let constant = self.constant.rows();
+        let network = self.network_accuracy.rows();
+        let accuracy = constant.all.is_some().then(|| DepthAccuracy {
+            coarse: Some(self.coarse_accuracy.rows()),
+            network: network.all.is_some().then_some(network),
+            constant: Some(constant),
+        });
+        Summary {
+            frames,
+            dataset: Some(dataset.to_owned()),
+            model: self.network.as_ref().map(|network| network.digest().to_owned()),
+            path_m: Some(self.path_m),
+            events: self.events.clone(),
+            wall_s: Some(wall_s),
+            frames_per_s: Some(frames as f64 / wall_s),
+            latency_ms: self.stopwatch.latencies().percentiles(),
+            accuracy,
+            resident_mib: peak_resident_mib(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            ..Summary::default()
+        }
+    }
+}

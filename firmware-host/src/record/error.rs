@@ -1,0 +1,65 @@
+//! What can go wrong while recording.
+
+use std::io;
+use std::path::PathBuf;
+
+use runtime::recording::RecordingError;
+
+/// Why a run cannot be recorded (any further). A simulated run ends on it with `output_failed`.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecordError {
+    /// The output directory is not there and cannot be made, or cannot be read.
+    #[error("cannot use output directory {}: {source}; choose another with --out", dir.display())]
+    Directory {
+        /// The directory.
+        dir: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The directory holds a recording already.
+    #[error("{} is there already; choose another --out, or move the old run away", path.display())]
+    HoldsRecording {
+        /// A segment of the old recording.
+        path: PathBuf,
+    },
+    /// A segment cannot be created.
+    #[error("cannot create {}: {source}; free disk space, check permissions, or choose another --out", path.display())]
+    Create {
+        /// The segment.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// A segment cannot be written.
+    #[error(
+        "cannot write {}: {source}; what was recorded until then is kept; free disk space or choose another --out",
+        path.display()
+    )]
+    Write {
+        /// The segment.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// A turn cannot be recorded so that it would replay.
+    #[error("cannot record into {}: {source}", path.display())]
+    Content {
+        /// The segment.
+        path: PathBuf,
+        /// Why.
+        source: RecordingError,
+    },
+    /// The recording's thread could not be started, or it has ended before.
+    #[error("the recording thread is not running: {0}")]
+    Thread(String),
+}
+
+impl RecordError {
+    pub(super) fn writing(path: PathBuf, error: RecordingError) -> Self {
+        match error {
+            RecordingError::Io(source) => Self::Write { path, source },
+            source => Self::Content { path, source },
+        }
+    }
+}

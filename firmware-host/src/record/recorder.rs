@@ -1,0 +1,207 @@
+//! The handle that the loop holds.
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+
+use runtime::recording::{RecordedTick, RunHeader, Views};
+
+use super::disk::{Disk, FileSystem};
+use super::error::RecordError;
+use super::segments::{Segments, is_segment_name, segment_name};
+
+/// What happens to a turn when the disk is slower than the loop.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WhenFull {
+    /// The loop waits: nothing is lost and the run replays. For virtual time.
+    Wait,
+    /// The turn is dropped and counted: the loop never waits, and never ends because of the recording. For robots.
+    Drop,
+}
+
+/// How a run is recorded.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecorderOptions {
+    /// Where the segments go.
+    pub dir: PathBuf,
+    /// What happens when the disk is slower than the loop.
+    pub when_full: WhenFull,
+    /// Turns that may wait for the disk.
+    pub queue_ticks: usize,
+    /// A segment ends when it spans this much time of the run.
+    pub segment_ns: u64,
+    /// A segment ends when its file has this many bytes.
+    pub segment_bytes: u64,
+    /// Whether every chunk is synced to the disk.
+    pub sync: bool,
+}
+
+impl RecorderOptions {
+    /// Virtual time: exact, and left to the operating system to write back.
+    #[must_use]
+    pub fn simulation(dir: impl Into<PathBuf>) -> Self {
+        Self {
+            dir: dir.into(),
+            when_full: WhenFull::Wait,
+            queue_ticks: 16,
+            segment_ns: 60_000_000_000,
+            segment_bytes: 256 << 20,
+            sync: false,
+        }
+    }
+
+    /// A real robot: never in the way, and safe against power cuts (see the [module](super)).
+    #[must_use]
+    pub fn robot(dir: impl Into<PathBuf>) -> Self {
+        Self { when_full: WhenFull::Drop, sync: true, ..Self::simulation(dir) }
+    }
+}
+
+/// What was recorded.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct RecordingSummary {
+    /// Turns on the disk.
+    pub ticks: u64,
+    /// Turns that were dropped because the disk was too slow or had failed.
+    pub dropped: u64,
+    /// Files.
+    pub segments: u32,
+    /// Their size together.
+    pub bytes: u64,
+    /// [`RunDigest::inputs`](runtime::recording::RunDigest::inputs) of the recorded turns.
+    pub inputs_digest: String,
+    /// [`RunDigest::decisions`](runtime::recording::RunDigest::decisions) of the recorded turns.
+    pub decisions_digest: String,
+}
+
+/// Hands turns to the recording thread. Dropping it waits for the thread, so that even a run that ends by an error
+/// leaves whole files.
+pub struct Recorder {
+    when_full: WhenFull,
+    queue: Option<SyncSender<(RecordedTick, Views)>>,
+    thread: Option<JoinHandle<Result<RecordingSummary, RecordError>>>,
+    dropped: u64,
+    failure: Option<RecordError>,
+}
+
+impl Recorder {
+    /// Makes the directory and the first file, and starts the thread.
+    ///
+    /// # Errors
+    /// When the directory cannot be written or holds a recording already.
+    pub fn start(options: RecorderOptions, run: RunHeader) -> Result<Self, RecordError> {
+        Self::start_on(Box::new(FileSystem), options, run)
+    }
+
+    /// As [`start`](Self::start), on any disk.
+    ///
+    /// # Errors
+    /// As [`start`](Self::start).
+    pub fn start_on(mut disk: Box<dyn Disk>, options: RecorderOptions, run: RunHeader) -> Result<Self, RecordError> {
+        refuse_old_recording(&options.dir)?;
+        let path = options.dir.join(segment_name(0));
+        let first_file = disk.create(&path).map_err(|source| RecordError::Create { path, source })?;
+        let (sender, receiver) = sync_channel(options.queue_ticks);
+        let when_full = options.when_full;
+        let thread = std::thread::Builder::new()
+            .name("recording".to_owned())
+            .spawn(move || record_all(&receiver, Segments::new(options, disk, run, first_file)))
+            .map_err(|error| RecordError::Thread(error.to_string()))?;
+        Ok(Self { when_full, queue: Some(sender), thread: Some(thread), dropped: 0, failure: None })
+    }
+
+    /// Hands over a turn.
+    ///
+    /// # Errors
+    /// With [`WhenFull::Wait`], when the recording has failed: the run must end with `output_failed`. With
+    /// [`WhenFull::Drop`] never; see [`dropped`](Self::dropped) and [`failure`](Self::failure).
+    pub fn record(&mut self, tick: RecordedTick, views: Views) -> Result<(), RecordError> {
+        let accepted = match (&self.queue, self.when_full) {
+            (None, _) => Err(TrySendError::Disconnected(())),
+            (Some(queue), WhenFull::Wait) => queue.send((tick, views)).map_err(|_| TrySendError::Disconnected(())),
+            (Some(queue), WhenFull::Drop) => queue.try_send((tick, views)).map_err(|error| match error {
+                TrySendError::Full(_) => TrySendError::Full(()),
+                TrySendError::Disconnected(_) => TrySendError::Disconnected(()),
+            }),
+        };
+        let Err(refusal) = accepted else { return Ok(()) };
+        self.dropped += 1;
+        if matches!(refusal, TrySendError::Full(())) {
+            return Ok(());
+        }
+        let error = match self.join() {
+            Some(Err(error)) => error,
+            Some(Ok(_)) | None => RecordError::Thread("it has ended before".to_owned()),
+        };
+        match self.when_full {
+            WhenFull::Wait => Err(error),
+            WhenFull::Drop => {
+                // The first error says what happened; what follows from it says nothing new.
+                self.failure.get_or_insert(error);
+                Ok(())
+            }
+        }
+    }
+
+    /// Turns that are not in the recording.
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
+        self.dropped
+    }
+
+    /// Why nothing is recorded any more, if so. Only with [`WhenFull::Drop`].
+    #[must_use]
+    pub fn failure(&self) -> Option<&RecordError> {
+        self.failure.as_ref()
+    }
+
+    /// Waits until everything is in its file.
+    ///
+    /// # Errors
+    /// When the recording has failed.
+    pub fn finish(mut self) -> Result<RecordingSummary, RecordError> {
+        if let Some(failure) = self.failure.take() {
+            return Err(failure);
+        }
+        match self.join() {
+            Some(result) => result.map(|summary| RecordingSummary { dropped: self.dropped, ..summary }),
+            None => Err(RecordError::Thread("it has ended before".to_owned())),
+        }
+    }
+
+    fn join(&mut self) -> Option<Result<RecordingSummary, RecordError>> {
+        self.queue = None;
+        let joined = self.thread.take()?.join();
+        Some(joined.unwrap_or_else(|_| Err(RecordError::Thread("it panicked; please report this".to_owned()))))
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        if let Some(Err(error)) = self.join() {
+            tracing::error!("{error}");
+        }
+    }
+}
+
+fn record_all(
+    queue: &Receiver<(RecordedTick, Views)>,
+    mut segments: Segments,
+) -> Result<RecordingSummary, RecordError> {
+    for (tick, views) in queue {
+        segments.write(&tick, &views)?;
+    }
+    segments.finish()
+}
+
+fn refuse_old_recording(dir: &Path) -> Result<(), RecordError> {
+    let error = |source| RecordError::Directory { dir: dir.to_owned(), source };
+    std::fs::create_dir_all(dir).map_err(error)?;
+    for entry in std::fs::read_dir(dir).map_err(error)? {
+        let entry = entry.map_err(error)?;
+        if entry.file_name().to_str().is_some_and(is_segment_name) {
+            return Err(RecordError::HoldsRecording { path: entry.path() });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,324 @@
+//! Files on a disk that fills, stalls and refuses.
+
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex};
+
+use hal::{CameraModel, Pose3, WheelFeedback};
+use runtime::recording::{Picture, RecordedTick, RecordingReader, RunHeader, Views};
+use runtime::tick::{Command, Decision};
+
+use super::*;
+
+pub(crate) fn run_header() -> RunHeader {
+    RunHeader {
+        written_by: "test 0.0.0".to_owned(),
+        seed: 7,
+        scene: None,
+        policy: "random".to_owned(),
+        depth_source: "coarse".to_owned(),
+        model_digest: None,
+        camera: CameraModel::pinhole(32, 8, 1.5),
+        t_base_camera: Pose3::identity(),
+        t_base_laser: Pose3::identity(),
+        config: serde_json::json!({}),
+    }
+}
+
+/// A turn with a picture that does not compress, ten a second.
+pub(crate) fn some_tick(tick: u64) -> RecordedTick {
+    let mut state = tick.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    let mut byte = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 32) as u8
+    };
+    let time_ns = tick * 100_000_000;
+    let decision = Decision {
+        tick,
+        time_ns,
+        wanted: Command { linear_mps: 0.3, angular_radps: 0.1 },
+        command: Command { linear_mps: 0.3, angular_radps: 0.0 },
+        goal_m: Some([1.0, 2.0]),
+        events: Vec::new(),
+        depth_digest: tick,
+        map_digest: 0,
+    };
+    RecordedTick {
+        tick,
+        time_ns,
+        wheel: WheelFeedback { time_ns, ..WheelFeedback::default() },
+        scan: None,
+        frame: Some(Picture { width: 32, height: 8, rgb: (0..32 * 8 * 3).map(|_| byte()).collect() }),
+        truth: None,
+        decision: Some(decision),
+    }
+}
+
+/// Turns of every segment in the directory, each of which must be a whole file.
+fn read_all(dir: &Path) -> Vec<RecordedTick> {
+    let mut names: Vec<_> = std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).collect();
+    names.sort();
+    let mut ticks = Vec::new();
+    for (number, name) in names.iter().enumerate() {
+        let reader = RecordingReader::open(std::fs::File::open(name).unwrap()).unwrap();
+        assert_eq!(reader.header().segment as usize, number);
+        ticks.extend(reader.map(|tick| tick.unwrap_or_else(|error| panic!("{}: {error}", name.display()))));
+    }
+    ticks
+}
+
+fn record(options: RecorderOptions, ticks: u64) -> RecordingSummary {
+    let mut recorder = Recorder::start(options, run_header()).unwrap();
+    for tick in 0..ticks {
+        recorder.record(some_tick(tick), Views::default()).unwrap();
+    }
+    recorder.finish().unwrap()
+}
+
+#[test]
+fn a_run_is_split_by_time_and_nothing_is_lost() {
+    let dir = tempfile::tempdir().unwrap();
+    let options = RecorderOptions { segment_ns: 2_000_000_000, ..RecorderOptions::simulation(dir.path()) };
+    let summary = record(options, 50);
+    assert_eq!((summary.ticks, summary.segments, summary.dropped), (50, 3, 0));
+    assert_eq!(read_all(dir.path()), (0..50).map(some_tick).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_run_is_split_by_size_and_the_digest_does_not_know() {
+    let (small, large) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let cut = record(RecorderOptions { segment_bytes: 10_000, ..RecorderOptions::simulation(small.path()) }, 100);
+    let whole = record(RecorderOptions::simulation(large.path()), 100);
+    assert!(cut.segments > 5, "{}", cut.segments);
+    assert_eq!(whole.segments, 1);
+    assert_eq!((cut.inputs_digest, cut.decisions_digest), (whole.inputs_digest, whole.decisions_digest));
+    assert_eq!(read_all(small.path()), read_all(large.path()));
+    let size: u64 = std::fs::read_dir(large.path()).unwrap().map(|e| e.unwrap().metadata().unwrap().len()).sum();
+    assert_eq!(whole.bytes, size);
+}
+
+#[test]
+fn the_same_run_gives_the_same_files() {
+    let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    record(RecorderOptions::simulation(a.path()), 40);
+    record(RecorderOptions::simulation(b.path()), 40);
+    let bytes = |dir: &Path| std::fs::read(dir.join(segment_name(0))).unwrap();
+    assert!(bytes(a.path()) == bytes(b.path()));
+}
+
+#[test]
+fn a_run_without_turns_leaves_its_header() {
+    let dir = tempfile::tempdir().unwrap();
+    let summary = record(RecorderOptions::simulation(dir.path()), 0);
+    assert_eq!((summary.ticks, summary.segments), (0, 1));
+    assert!(read_all(dir.path()).is_empty());
+}
+
+#[test]
+fn an_old_recording_is_never_written_over() {
+    let dir = tempfile::tempdir().unwrap();
+    record(RecorderOptions::simulation(dir.path()), 3);
+    let before = std::fs::read(dir.path().join(segment_name(0))).unwrap();
+    let error = Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).err().unwrap();
+    assert!(matches!(error, RecordError::HoldsRecording { .. }) && error.to_string().contains("--out"), "{error}");
+    assert_eq!(std::fs::read(dir.path().join(segment_name(0))).unwrap(), before);
+}
+
+#[test]
+fn a_directory_that_cannot_be_made_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("file");
+    std::fs::write(&file, "").unwrap();
+    let error = Recorder::start(RecorderOptions::simulation(file.join("run")), run_header()).err().unwrap();
+    assert!(error.to_string().contains("file/run"), "{error}");
+}
+
+/// A file system with room for so many bytes in all.
+struct SmallDisk {
+    room: Arc<AtomicU64>,
+}
+
+struct SmallFile {
+    file: Box<dyn SegmentFile>,
+    len: u64,
+    room: Arc<AtomicU64>,
+}
+
+impl Disk for SmallDisk {
+    fn create(&mut self, path: &Path) -> io::Result<Box<dyn SegmentFile>> {
+        Ok(Box::new(SmallFile { file: FileSystem.create(path)?, len: 0, room: Arc::clone(&self.room) }))
+    }
+
+    fn remove(&mut self, path: &Path) -> io::Result<()> {
+        FileSystem.remove(path)
+    }
+}
+
+impl Write for SmallFile {
+    fn write(&mut self, data: &[u8]) -> io::Result<usize> {
+        let room = self.room.load(Ordering::SeqCst);
+        if room == 0 {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        let written = self.file.write(&data[..data.len().min(room as usize)])?;
+        self.room.fetch_sub(written as u64, Ordering::SeqCst);
+        self.len += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl SegmentFile for SmallFile {
+    fn truncate(&mut self, len: u64) -> io::Result<()> {
+        self.room.fetch_add(self.len - len, Ordering::SeqCst);
+        self.len = len;
+        self.file.truncate(len)
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        self.file.sync()
+    }
+}
+
+#[test]
+fn a_disk_that_fills_ends_the_run_with_its_reason_and_leaves_only_whole_files() {
+    let mut kept = Vec::new();
+    for room in (0..90_000).step_by(1_777) {
+        let dir = tempfile::tempdir().unwrap();
+        let options = RecorderOptions { segment_ns: 4_000_000_000, ..RecorderOptions::simulation(dir.path()) };
+        let disk = SmallDisk { room: Arc::new(AtomicU64::new(room)) };
+        let mut recorder = Recorder::start_on(Box::new(disk), options, run_header()).unwrap();
+        let failed = (0..200).find_map(|tick| recorder.record(some_tick(tick), Views::default()).err());
+        let error = match failed {
+            Some(error) => error,
+            None => recorder.finish().unwrap_err(),
+        };
+        assert!(matches!(error, RecordError::Write { .. }), "{room}: {error}");
+        let ticks = read_all(dir.path());
+        assert_eq!(ticks, (0..ticks.len() as u64).map(some_tick).collect::<Vec<_>>(), "{room}");
+        kept.push(ticks.len());
+    }
+    assert!(kept.is_sorted() && kept[0] == 0 && *kept.last().unwrap() > 60, "{kept:?}");
+}
+
+#[test]
+fn a_turn_that_would_not_replay_ends_the_recording_and_keeps_the_turns_before() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut recorder = Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
+    for tick in 0..30 {
+        recorder.record(some_tick(tick), Views::default()).unwrap();
+    }
+    let mut bad = some_tick(30);
+    bad.decision.as_mut().unwrap().wanted.linear_mps = f64::NAN;
+    recorder.record(bad, Views::default()).unwrap();
+    let error = recorder.finish().unwrap_err();
+    assert!(matches!(error, RecordError::Content { .. }) && error.to_string().contains("turn 30"), "{error}");
+    assert_eq!(read_all(dir.path()).len(), 22);
+}
+
+/// A disk whose files wait for a permit before their first write.
+struct StalledDisk {
+    permit: Arc<Mutex<Receiver<()>>>,
+    reached: SyncSender<()>,
+}
+
+struct StalledFile {
+    file: Box<dyn SegmentFile>,
+    permit: Arc<Mutex<Receiver<()>>>,
+    reached: Option<SyncSender<()>>,
+}
+
+impl Disk for StalledDisk {
+    fn create(&mut self, path: &Path) -> io::Result<Box<dyn SegmentFile>> {
+        let file = FileSystem.create(path)?;
+        let permit = Arc::clone(&self.permit);
+        Ok(Box::new(StalledFile { file, permit, reached: Some(self.reached.clone()) }))
+    }
+
+    fn remove(&mut self, path: &Path) -> io::Result<()> {
+        FileSystem.remove(path)
+    }
+}
+
+impl Write for StalledFile {
+    fn write(&mut self, data: &[u8]) -> io::Result<usize> {
+        if let Some(reached) = self.reached.take() {
+            reached.send(()).map_err(io::Error::other)?;
+            self.permit.lock().unwrap().recv().map_err(io::Error::other)?;
+        }
+        self.file.write(data)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl SegmentFile for StalledFile {
+    fn truncate(&mut self, len: u64) -> io::Result<()> {
+        self.file.truncate(len)
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        self.file.sync()
+    }
+}
+
+fn stalled() -> (StalledDisk, SyncSender<()>, Receiver<()>) {
+    let (permit_sender, permit) = sync_channel(1);
+    let (reached, reached_receiver) = sync_channel(1);
+    (StalledDisk { permit: Arc::new(Mutex::new(permit)), reached }, permit_sender, reached_receiver)
+}
+
+#[test]
+fn a_robot_drops_and_counts_what_a_stalled_disk_does_not_take() {
+    let dir = tempfile::tempdir().unwrap();
+    let (disk, permit, reached) = stalled();
+    let options = RecorderOptions { queue_ticks: 4, ..RecorderOptions::robot(dir.path()) };
+    let mut recorder = Recorder::start_on(Box::new(disk), options, run_header()).unwrap();
+    recorder.record(some_tick(0), Views::default()).unwrap();
+    reached.recv().unwrap();
+    // The thread holds turn 0; four more fit into the queue.
+    for tick in 1..20 {
+        recorder.record(some_tick(tick), Views::default()).unwrap();
+    }
+    assert_eq!(recorder.dropped(), 15);
+    permit.send(()).unwrap();
+    let summary = recorder.finish().unwrap();
+    assert_eq!((summary.ticks, summary.dropped), (5, 15));
+    assert_eq!(read_all(dir.path()), (0..5).map(some_tick).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_robot_goes_on_when_its_disk_is_full_and_says_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let disk = SmallDisk { room: Arc::new(AtomicU64::new(0)) };
+    let mut recorder = Recorder::start_on(Box::new(disk), RecorderOptions::robot(dir.path()), run_header()).unwrap();
+    let mut tick = 0;
+    while recorder.failure().is_none() {
+        recorder.record(some_tick(tick), Views::default()).unwrap();
+        tick += 1;
+    }
+    recorder.record(some_tick(tick), Views::default()).unwrap();
+    assert!(recorder.dropped() >= 2);
+    assert!(matches!(recorder.finish(), Err(RecordError::Write { .. })));
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0, "nothing half-written is left");
+}
+
+#[test]
+fn a_recorder_that_is_dropped_leaves_whole_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut recorder = Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
+    for tick in 0..15 {
+        recorder.record(some_tick(tick), Views::default()).unwrap();
+    }
+    drop(recorder);
+    assert_eq!(read_all(dir.path()).len(), 15);
+}

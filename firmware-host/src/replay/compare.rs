@@ -1,0 +1,102 @@
+//! Two decisions, field by field.
+
+use std::fmt;
+
+use runtime::tick::Decision;
+use serde_json::Value;
+
+/// A field in which two decisions differ. Values as JSON, which shows every number exactly.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Difference {
+    /// Path of the field, such as `command.linear_mps` or `events[0].why`.
+    pub field: String,
+    /// What was recorded.
+    pub recorded: String,
+    /// What comes out now.
+    pub recomputed: String,
+}
+
+impl Difference {
+    pub(super) fn not_recorded() -> Self {
+        Self { field: "decision".to_owned(), recorded: "nothing".to_owned(), recomputed: "a decision".to_owned() }
+    }
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: recorded {}, now {}", self.field, self.recorded, self.recomputed)
+    }
+}
+
+/// All fields that are not the same bit for bit; -0.0 is not 0.0.
+///
+/// # Errors
+/// When a decision cannot be put into JSON.
+pub fn differences(recorded: &Decision, recomputed: &Decision) -> serde_json::Result<Vec<Difference>> {
+    let mut found = Vec::new();
+    collect("", &serde_json::to_value(recorded)?, &serde_json::to_value(recomputed)?, &mut found);
+    Ok(found)
+}
+
+fn collect(path: &str, recorded: &Value, recomputed: &Value, found: &mut Vec<Difference>) {
+    match (recorded, recomputed) {
+        (Value::Object(a), Value::Object(b)) => {
+            for (key, value) in a {
+                let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+                collect(&path, value, b.get(key).unwrap_or(&Value::Null), found);
+            }
+            for (key, value) in b.iter().filter(|(key, _)| !a.contains_key(*key)) {
+                collect(&format!("{path}.{key}"), &Value::Null, value, found);
+            }
+        }
+        (Value::Array(a), Value::Array(b)) => {
+            for at in 0..a.len().max(b.len()) {
+                let side = |values: &[Value]| values.get(at).cloned().unwrap_or(Value::Null);
+                collect(&format!("{path}[{at}]"), &side(a), &side(b), found);
+            }
+        }
+        _ => {
+            // As text, because as numbers -0.0 equals 0.0.
+            let text = |value: &Value| if value.is_null() { "nothing".to_owned() } else { value.to_string() };
+            let (recorded, recomputed) = (text(recorded), text(recomputed));
+            if recorded != recomputed {
+                found.push(Difference { field: path.to_owned(), recorded, recomputed });
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::tests::some_tick;
+    use runtime::event::Event;
+
+    fn changed(change: impl FnOnce(&mut Decision)) -> Vec<String> {
+        let recorded = some_tick(3).decision.unwrap();
+        let mut recomputed = recorded.clone();
+        change(&mut recomputed);
+        differences(&recorded, &recomputed).unwrap().iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn equal_decisions_do_not_differ() {
+        assert!(changed(|_| {}).is_empty());
+    }
+
+    #[test]
+    fn a_difference_reads_as_field_recorded_now() {
+        assert_eq!(changed(|d| d.command.linear_mps = 0.25), ["command.linear_mps: recorded 0.3, now 0.25"]);
+        assert_eq!(changed(|d| d.goal_m = None), ["goal_m: recorded [1.0,2.0], now nothing"]);
+        assert_eq!(changed(|d| d.depth_digest = u64::MAX), ["depth_digest: recorded 3, now 18446744073709551615"]);
+        let event = changed(|d| d.events.push(Event::GoalReached));
+        assert_eq!(event, [r#"events[0]: recorded nothing, now {"event":"goal_reached"}"#]);
+    }
+
+    #[test]
+    fn the_last_bit_the_sign_of_zero_and_nan_count() {
+        assert_eq!(changed(|d| d.wanted.linear_mps = 0.3_f64.next_up()).len(), 1);
+        assert_eq!(changed(|d| d.command.angular_radps = -0.0), ["command.angular_radps: recorded 0.0, now -0.0"]);
+        assert_eq!(changed(|d| d.command.angular_radps = f64::NAN).len(), 1);
+    }
+}

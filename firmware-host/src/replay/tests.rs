@@ -1,0 +1,229 @@
+//! A robot whose decisions are a digest of everything it has ever seen: whatever is changed in a recording, it notices.
+
+use std::path::Path;
+
+use runtime::recording::{RecordedTick, RunDigest, Views};
+use runtime::tick::{Decision, TickInput};
+use tempfile::TempDir;
+
+use super::*;
+use crate::record::tests::{run_header, some_tick};
+use crate::record::{Recorder, RecorderOptions, segment_name};
+
+#[derive(Default)]
+struct DigestRobot {
+    seen: RunDigest,
+}
+
+impl Replayable for DigestRobot {
+    fn step(&mut self, input: &TickInput<'_>) -> Decision {
+        self.seen.add_input(input);
+        let digest = u64::from_str_radix(&self.seen.inputs()[..16], 16).unwrap();
+        let mut decision = some_tick(input.tick).decision.unwrap();
+        (decision.depth_digest, decision.map_digest) = (digest, digest.rotate_left(7));
+        decision.command.linear_mps = digest as f64 / u64::MAX as f64 / 3.0;
+        decision
+    }
+}
+
+fn input_of(tick: u64) -> RecordedTick {
+    let geometry = hal::ScanGeometry { beams: 3, ..hal::ScanGeometry::UTM_30LX };
+    let ranges = vec![hal::Range::Hit(1.25), hal::Range::NoReturn, hal::Range::TooNear];
+    let scan = hal::LaserScan { time_ns: tick, geometry, ranges };
+    RecordedTick { scan: Some(scan), decision: None, ..some_tick(tick) }
+}
+
+/// A run of `ticks` turns in segments of two seconds (20 turns).
+fn recorded(ticks: u64) -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    let options = RecorderOptions { segment_ns: 2_000_000_000, ..RecorderOptions::simulation(dir.path()) };
+    let mut recorder = Recorder::start(options, run_header()).unwrap();
+    let mut robot = DigestRobot::default();
+    for tick in 0..ticks {
+        let input = input_of(tick);
+        let decision = robot.step(&input.input().unwrap());
+        recorder.record(RecordedTick { decision: Some(decision), ..input }, Views::default()).unwrap();
+    }
+    recorder.finish().unwrap();
+    dir
+}
+
+fn replayed(path: &Path) -> (ReplayReport, String) {
+    let mut out = Vec::new();
+    let report = replay(path, |_| Ok(Box::new(DigestRobot::default())), &mut out).unwrap();
+    (report, String::from_utf8(out).unwrap())
+}
+
+fn refused(path: &Path) -> String {
+    let error = replay(path, |_| Ok(Box::new(DigestRobot::default())), &mut std::io::sink()).unwrap_err();
+    error.to_string()
+}
+
+#[test]
+fn a_run_over_several_segments_replays_exactly() {
+    let dir = recorded(50);
+    assert!(dir.path().join(segment_name(2)).exists());
+    let (report, out) = replayed(dir.path());
+    assert!(report.is_exact(), "{out}");
+    assert_eq!(out, "replay: ticks=50 mismatches=0\n");
+}
+
+#[test]
+fn the_first_segment_alone_replays() {
+    let dir = recorded(50);
+    let (report, out) = replayed(&dir.path().join(segment_name(0)));
+    assert!(report.is_exact(), "{out}");
+    assert_eq!(report.ticks, 20);
+}
+
+#[test]
+fn one_changed_input_is_found_wherever_it_is() {
+    type Edit = fn(&mut RecordedTick);
+    let edits: [(&str, Edit); 5] = [
+        ("wheel", |tick| tick.wheel.odom.x_m += 1e-9),
+        ("sign of zero", |tick| tick.wheel.odom.y_m = -0.0),
+        ("pixel", |tick| tick.frame.as_mut().unwrap().rgb[100] ^= 1),
+        ("beam", |tick| tick.scan.as_mut().unwrap().ranges[1] = hal::Range::TooNear),
+        ("no scan", |tick| tick.scan = None),
+    ];
+    let original = recorded(50);
+    for (name, edit) in edits {
+        let dir = tempfile::tempdir().unwrap();
+        let changed = dir.path().join("changed");
+        rewrite(original.path(), &changed, |tick| {
+            if tick.tick == 33 {
+                edit(tick);
+            }
+        })
+        .unwrap();
+        let (report, out) = replayed(&changed);
+        // The digest robot remembers: every turn from the changed one on differs.
+        assert_eq!((report.ticks, report.mismatches), (50, 17), "{name}: {out}");
+        assert!(out.starts_with("turn 33 at 3.300 s decides differently:\n  command.linear_mps: recorded 0."), "{out}");
+        assert!(out.contains("... and 14 more turns\n") && out.ends_with("replay: ticks=50 mismatches=17\n"), "{out}");
+        assert!(!report.is_exact());
+    }
+}
+
+#[test]
+fn a_copy_without_changes_replays_exactly() {
+    let dir = tempfile::tempdir().unwrap();
+    let copy = dir.path().join("copy");
+    rewrite(recorded(30).path(), &copy, |_| {}).unwrap();
+    assert!(replayed(&copy).0.is_exact());
+}
+
+#[test]
+fn a_truncated_run_is_replayed_as_far_as_it_goes_and_is_not_exact() {
+    let dir = recorded(50);
+    let last = dir.path().join(segment_name(2));
+    let bytes = std::fs::read(&last).unwrap();
+    std::fs::write(&last, &bytes[..bytes.len() - 20]).unwrap();
+    let (report, out) = replayed(dir.path());
+    assert_eq!((report.ticks, report.mismatches), (50, 0));
+    assert!(!report.is_exact() && report.problem.as_ref().unwrap().is_truncation());
+    assert!(out.contains("recording_0002.mcap: truncated after turn 49"), "{out}");
+    assert!(out.ends_with("replay: ticks=50 mismatches=0\n"), "{out}");
+}
+
+#[test]
+fn a_corrupt_chunk_is_found_by_its_checksum_and_ends_the_replay() {
+    let dir = recorded(20);
+    let path = dir.path().join(segment_name(0));
+    let mut bytes = std::fs::read(&path).unwrap();
+    // In the middle of the pictures, which make up most of the file.
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 0x10;
+    std::fs::write(&path, bytes).unwrap();
+    let (report, out) = replayed(&path);
+    assert!(!report.is_exact() && report.mismatches == 0 && report.ticks < 20, "{out}");
+    assert!(out.contains("recording_0000.mcap: corrupt"), "{out}");
+}
+
+#[test]
+fn a_later_segment_alone_says_that_it_needs_the_run() {
+    let dir = recorded(50);
+    let message = refused(&dir.path().join(segment_name(1)));
+    assert!(message.contains("segment 1") && message.contains("directory"), "{message}");
+    std::fs::remove_file(dir.path().join(segment_name(0))).unwrap();
+    assert!(refused(dir.path()).contains("segment 1"));
+}
+
+#[test]
+fn a_missing_segment_in_the_middle_is_named() {
+    let dir = recorded(50);
+    std::fs::remove_file(dir.path().join(segment_name(1))).unwrap();
+    let (report, out) = replayed(dir.path());
+    assert_eq!(report.ticks, 20);
+    assert!(out.contains("segment 2 where segment 1 should be"), "{out}");
+}
+
+#[test]
+fn a_segment_of_another_run_is_named() {
+    let dir = recorded(30);
+    let other = tempfile::tempdir().unwrap();
+    let options = RecorderOptions { segment_ns: 1, ..RecorderOptions::simulation(other.path()) };
+    let header = runtime::recording::RunHeader { seed: 8, ..run_header() };
+    let mut recorder = Recorder::start(options, header).unwrap();
+    for tick in 0..3 {
+        recorder.record(some_tick(tick), Views::default()).unwrap();
+    }
+    recorder.finish().unwrap();
+    std::fs::copy(other.path().join(segment_name(1)), dir.path().join(segment_name(1))).unwrap();
+    let (report, out) = replayed(dir.path());
+    assert_eq!(report.ticks, 20);
+    assert!(out.contains("belongs to another run"), "{out}");
+}
+
+#[test]
+fn dropped_turns_end_the_replay_with_their_numbers() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut recorder = Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
+    for tick in [0, 1, 5] {
+        recorder.record(input_of(tick), Views::default()).unwrap();
+    }
+    recorder.finish().unwrap();
+    let (report, out) = replayed(dir.path());
+    assert_eq!(report.ticks, 2);
+    assert!(out.contains("turn 5 comes where turn 2 should be"), "{out}");
+}
+
+#[test]
+fn a_turn_without_a_recorded_decision_is_a_mismatch() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut recorder = Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
+    recorder.record(input_of(0), Views::default()).unwrap();
+    recorder.finish().unwrap();
+    let (report, out) = replayed(dir.path());
+    assert_eq!(report.mismatches, 1);
+    assert!(out.contains("decision: recorded nothing"), "{out}");
+}
+
+#[test]
+fn a_run_without_turns_is_not_exact() {
+    let dir = recorded(0);
+    let (report, out) = replayed(dir.path());
+    assert!(!report.is_exact());
+    assert!(out.contains("holds no turns") && out.ends_with("replay: ticks=0 mismatches=0\n"), "{out}");
+}
+
+#[test]
+fn what_is_no_run_is_refused_with_its_name_and_a_way_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let message = refused(dir.path());
+    assert!(message.contains("holds no recording_NNNN.mcap") && message.contains("--out"), "{message}");
+    let missing = refused(&dir.path().join("gone"));
+    assert!(missing.contains("gone") && missing.contains("--out"), "{missing}");
+    for (name, bytes) in [("text.mcap", &b"this is not an MCAP file"[..]), ("empty.mcap", b"")] {
+        let path = dir.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        assert!(refused(&path).contains(name));
+    }
+}
+
+#[test]
+fn a_loop_that_cannot_be_built_is_an_error() {
+    let dir = recorded(1);
+    let error = replay(dir.path(), |_| anyhow::bail!("no model"), &mut std::io::sink()).unwrap_err();
+    assert_eq!(error.to_string(), "no model");
+}

@@ -1,0 +1,129 @@
+use super::*;
+
+const WIDTH: usize = 64;
+const HEIGHT: usize = 32;
+
+fn depth(depth_m: f32) -> Option<SampledDepth> {
+    Some(SampledDepth { depth_m: vec![depth_m; WIDTH * HEIGHT], share: 1.0, delta1: Some(0.9), abs_rel: Some(0.1) })
+}
+
+fn row() -> SheetRow {
+    let ramp = (0..WIDTH * HEIGHT).map(|index| 1.0 + (index % WIDTH) as f32 * 0.1).collect();
+    SheetRow {
+        frame: 12,
+        width: WIDTH,
+        height: HEIGHT,
+        rgb: vec![[10, 20, 30]; WIDTH * HEIGHT],
+        coarse: depth(2.0),
+        network: depth(3.0),
+        truth: Some(ramp),
+    }
+}
+
+fn draw(rows: &[SheetRow]) -> Canvas {
+    DepthSheet { title: "test", rows }.draw().unwrap().unwrap()
+}
+
+/// The colour in the middle row of a cell.
+fn cell(canvas: &Canvas, columns: i64, column: usize, u: i64) -> Rgb {
+    let layout = Layout { columns, rows: 1, width: WIDTH as i64, height: HEIGHT as i64 };
+    canvas.get(layout.x(column) + u, layout.y(0) + CAPTION + HEIGHT as i64 / 2).unwrap()
+}
+
+#[test]
+fn every_column_shows_its_own_values_on_one_scale() {
+    let rows = [row()];
+    let (canvas, scale) = (draw(&rows), DepthScale::of(&rows));
+    assert_eq!(cell(&canvas, 5, 0, 5), [10, 20, 30]);
+    assert_eq!(cell(&canvas, 5, 1, 5), scale.color(2.0));
+    assert_eq!(cell(&canvas, 5, 2, 5), scale.color(3.0));
+    assert_eq!(cell(&canvas, 5, 3, 10), scale.color(2.0));
+    assert_eq!(cell(&canvas, 5, 3, 20), scale.color(3.0));
+    // The network's 3 m against a truth of 3 m, then of 2 m: right, then half too far.
+    assert_eq!(cell(&canvas, 5, 4, 20), error_color(0.0));
+    assert_eq!(cell(&canvas, 5, 4, 10), error_color(0.5));
+}
+
+#[test]
+fn columns_without_anything_to_show_are_left_out() {
+    let columns = |row: SheetRow| DepthSheet { title: "", rows: &[row] }.columns();
+    assert_eq!(
+        columns(SheetRow { network: None, ..row() }),
+        [Column::Camera, Column::Coarse, Column::Truth, Column::Error]
+    );
+    assert_eq!(columns(SheetRow { truth: None, network: None, ..row() }), [Column::Camera, Column::Coarse]);
+    assert_eq!(columns(SheetRow { coarse: None, network: None, ..row() }), [Column::Camera, Column::Truth]);
+}
+
+#[test]
+fn without_a_network_the_error_is_that_of_coarse_depth() {
+    let rows = [SheetRow { network: None, ..row() }];
+    let canvas = draw(&rows);
+    assert_eq!(cell(&canvas, 4, 3, 10), error_color(0.0));
+}
+
+#[test]
+fn no_depth_is_hatched_and_never_a_colour_of_the_scale() {
+    let mut row = row();
+    row.network = None;
+    row.coarse.as_mut().unwrap().depth_m.fill(0.0);
+    let canvas = draw(&[row]);
+    for u in 0..WIDTH as i64 {
+        assert!(NO_DEPTH.contains(&cell(&canvas, 4, 1, u)) && NO_DEPTH.contains(&cell(&canvas, 4, 3, u)));
+    }
+    for step in 0..=1000 {
+        let color = near_warm(step as f32 / 1000.0);
+        assert!(NO_DEPTH.iter().all(|gray| gray.iter().zip(color).any(|(a, b)| a.abs_diff(b) > 40)), "{color:?}");
+    }
+}
+
+#[test]
+fn near_is_warm_and_equal_ratios_are_equal_steps() {
+    let scale = DepthScale { near_m: 0.5, far_m: 8.0 };
+    let [near, far] = [scale.color(0.5), scale.color(8.0)];
+    assert!(near[0] > near[2] && far[2] > far[0], "{near:?} {far:?}");
+    assert!((scale.share(1.0) - 0.25).abs() < 1e-6 && (scale.share(2.0) - 0.5).abs() < 1e-6);
+    assert_eq!(scale.color(100.0), far);
+}
+
+#[test]
+fn ticks_are_named_where_they_stand_and_do_not_touch() {
+    for (near_m, far_m) in [(0.9, 2.6), (0.1, 20.0), (3.0, 3.6)] {
+        let ticks = DepthScale { near_m, far_m }.ticks();
+        assert!(!ticks.is_empty() && ticks.windows(2).all(|pair| pair[1].0 - pair[0].0 > 0.1), "{ticks:?}");
+    }
+    assert!(DepthScale { near_m: 0.9, far_m: 2.6 }.ticks().len() >= 3);
+}
+
+#[test]
+fn the_scale_follows_the_truth_and_a_single_wall_still_has_one() {
+    let scale = DepthScale::of(&[row()]);
+    assert!((scale.near_m - 1.0).abs() < 0.2 && (scale.far_m - 7.3).abs() < 0.2, "{scale:?}");
+    let wall = SheetRow { truth: None, network: None, ..row() };
+    let scale = DepthScale::of(&[wall]);
+    assert!(scale.share(2.0).is_finite() && scale.far_m > scale.near_m);
+    let nothing = SheetRow { truth: None, network: None, coarse: None, ..row() };
+    assert!(DepthScale::of(&[nothing]).share(1.0).is_finite());
+}
+
+#[test]
+fn rows_of_different_sizes_are_refused_and_no_rows_are_no_picture() {
+    let small = SheetRow { width: 32, height: 32, ..row() };
+    let error = DepthSheet { title: "", rows: &[row(), small] }.draw().unwrap_err().to_string();
+    assert!(error.contains("contact sheet"), "{error}");
+    assert!(DepthSheet { title: "", rows: &[] }.draw().unwrap().is_none());
+    let dir = tempfile::tempdir().unwrap();
+    DepthSheet { title: "", rows: &[] }.write(dir.path()).unwrap();
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn captions_say_the_frame_and_how_good_it_was() {
+    let rows = [row()];
+    let sheet = DepthSheet { title: "", rows: &rows };
+    assert_eq!(sheet.caption(Column::Camera, &rows[0]), "frame 12");
+    assert_eq!(sheet.caption(Column::Coarse, &rows[0]), "100 % of pixels, delta1 0.90 unscaled");
+    assert_eq!(sheet.caption(Column::Error, &rows[0]), "mean 10 %");
+    let blind = SheetRow { coarse: None, ..row() };
+    assert_eq!(sheet.caption(Column::Coarse, &blind), "no depth");
+}

@@ -1,0 +1,105 @@
+//! From configuration and arguments to a robot.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use hal::{CameraModel, Pose2, Pose3};
+use runtime::exploration::PolicyKind;
+use runtime::perception::{DepthNetwork, NetworkOptions};
+use runtime::robot::{DepthSource, RobotConfig};
+use simulator::RobotOptions;
+use simulator::odometry::OdometryNoise;
+
+use crate::config::Config;
+use crate::onnx_runtime;
+
+/// What the command line adds to the configuration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mission {
+    /// How goals are chosen.
+    pub policy: PolicyKind,
+    /// Which depth goes into the map.
+    pub depth_source: DepthSource,
+    /// Seed of everything random that the robot decides.
+    pub seed: u64,
+}
+
+impl Config {
+    /// Everything that shapes the robot's decisions.
+    #[must_use]
+    pub fn robot(&self, mission: &Mission) -> RobotConfig {
+        RobotConfig {
+            camera: self.camera.model(),
+            t_base_camera: self.camera.mount(),
+            laser_forward_m: self.lidar.forward_m,
+            forward_step_m: self.base.forward_step_m,
+            turn_step_rad: self.base.turn_step_deg.to_radians(),
+            tick_s: self.base.tick_s(),
+            policy: mission.policy,
+            seed: mission.seed,
+            depth_source: mission.depth_source,
+            coarse: self.coarse.clone(),
+            map: self.map.clone(),
+            plan: self.plan_config(),
+            follower: self.follower_config(),
+            exploration: self.exploration,
+            bumper: self.bumper_config(),
+        }
+    }
+}
+
+/// The simulated robot that the configuration describes.
+#[must_use]
+pub fn simulated_robot(config: &Config, seed: u64, start: Option<Pose2>) -> RobotOptions {
+    let simulator = &config.simulator;
+    RobotOptions {
+        camera: config.camera.model(),
+        t_base_camera: config.camera.mount(),
+        t_base_laser: laser_mount(config),
+        sliding: simulator.sliding,
+        odometry: OdometryNoise {
+            translation: simulator.odometry_distance_noise,
+            rotation: simulator.odometry_turn_noise,
+            heading_drift_rad: 0.0,
+        },
+        laser: simulator.laser_model(),
+        nuisances: simulator.nuisances.clone(),
+        seed,
+        start,
+        ..RobotOptions::default()
+    }
+}
+
+/// `t_base_laser`.
+#[must_use]
+pub fn laser_mount(config: &Config) -> Pose3 {
+    Pose3::translation(config.lidar.forward_m, 0.0, config.lidar.height_m)
+}
+
+/// Loads ONNX Runtime and a depth network.
+///
+/// # Errors
+/// A missing file or library, or a model that is not what it says; each names the way out.
+pub fn load_network(path: &Path, camera: &CameraModel, config: &Config) -> Result<DepthNetwork> {
+    let model = std::fs::read(path).with_context(|| format!("cannot read the model {}", path.display()))?;
+    let (environment, library) = onnx_runtime::init()?;
+    tracing::info!(library = %library.display(), "ONNX Runtime");
+    let options = NetworkOptions { threads: config.network.threads };
+    DepthNetwork::load(&environment, &model, (camera.width, camera.height), options)
+        .with_context(|| format!("model {}", path.display()))
+}
+
+/// The depth source that was asked for, or the one that the presence of a model suggests.
+///
+/// # Errors
+/// `network` without a model.
+pub fn depth_source(asked: Option<DepthSource>, has_model: bool) -> Result<DepthSource> {
+    match asked {
+        Some(DepthSource::Network) if !has_model => {
+            bail!("--depth network needs --model FILE; without a model, use --depth coarse")
+        }
+        Some(source) => Ok(source),
+        None if has_model => Ok(DepthSource::Network),
+        None => Ok(DepthSource::Coarse),
+    }
+}

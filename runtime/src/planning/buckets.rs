@@ -1,0 +1,86 @@
+//! A priority queue for small whole-number steps (Dial 1969).
+
+/// Buckets in the ring; more than the largest step of a priority.
+const RING: usize = 2048;
+
+/// Entries by priority. Priorities never fall below the last one popped and never exceed it by [`RING`] or more, so a ring of
+/// buckets holds them all; a bit for each bucket finds the next one. Among equals the newest comes first, which in A* means
+/// the one nearest to the goal.
+#[derive(Debug, Clone)]
+pub(super) struct Buckets {
+    ring: Vec<Vec<Entry>>,
+    filled: [u64; RING / 64],
+    now: u32,
+    len: usize,
+}
+
+/// A cell, by its column and row in memory, with the cost at which it was queued; the entry is stale when the cell has become
+/// cheaper since.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Entry {
+    pub x: u16,
+    pub y: u16,
+    pub cost: u32,
+}
+
+impl Default for Buckets {
+    fn default() -> Self {
+        Self { ring: vec![Vec::new(); RING], filled: [0; RING / 64], now: 0, len: 0 }
+    }
+}
+
+impl Buckets {
+    /// Empties the queue; the first entry will have priority `now` or more.
+    pub fn restart(&mut self, now: u32) {
+        if self.len > 0 {
+            self.ring.iter_mut().for_each(Vec::clear);
+        }
+        self.filled = [0; RING / 64];
+        self.now = now;
+        self.len = 0;
+    }
+
+    #[inline]
+    pub fn push(&mut self, priority: u32, entry: Entry) {
+        debug_assert!(priority >= self.now && priority - self.now < RING as u32);
+        let slot = priority as usize % RING;
+        self.ring[slot].push(entry);
+        self.filled[slot / 64] |= 1 << (slot % 64);
+        self.len += 1;
+    }
+
+    /// The newest entry of the lowest priority.
+    #[inline]
+    pub fn pop(&mut self) -> Option<Entry> {
+        if self.len == 0 {
+            return None;
+        }
+        loop {
+            let slot = self.now as usize % RING;
+            if let Some(entry) = self.ring[slot].pop() {
+                self.len -= 1;
+                return Some(entry);
+            }
+            self.filled[slot / 64] &= !(1 << (slot % 64));
+            self.now += self.next_filled(slot);
+        }
+    }
+
+    /// Buckets from `slot` to the next that is filled, going round.
+    fn next_filled(&self, slot: usize) -> u32 {
+        let first = self.filled[slot / 64] >> (slot % 64);
+        if first != 0 {
+            return first.trailing_zeros();
+        }
+        let mut steps = 64 - (slot % 64) as u32;
+        for word in 1..=RING / 64 {
+            let bits = self.filled[(slot / 64 + word) % (RING / 64)];
+            if bits != 0 {
+                return steps + bits.trailing_zeros();
+            }
+            steps += 64;
+        }
+        // Not reached: `len` counts what is in the ring.
+        RING as u32
+    }
+}

