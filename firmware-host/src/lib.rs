@@ -13,5 +13,7 @@ pub mod record;
 pub mod replay;
 pub mod replay_run;
 pub mod report;
+#[cfg(feature = "rerun")]
+pub mod rerun_stream;
 pub mod setup;
 pub mod stopwatch;
