@@ -249,3 +249,6 @@ fn check(camera: &CameraModel) -> Result<(), PerceptionError> {
     let CameraModel { width, height, fx, fy, .. } = *camera;
     Err(PerceptionError::Camera { width, height, fx, fy, why })
 }
+
+#[cfg(test)]
+mod tests;

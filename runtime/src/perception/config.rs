@@ -98,6 +98,18 @@ pub enum PerceptionError {
         /// What it may be.
         allowed: &'static str,
     },
+    /// A flow field does not belong to the camera.
+    #[error("perception: the flow is {width}x{height}, the camera {want_width}x{want_height}; resample the flow")]
+    FlowSize {
+        /// Columns of the flow.
+        width: usize,
+        /// Rows of the flow.
+        height: usize,
+        /// Columns of the camera.
+        want_width: usize,
+        /// Rows of the camera.
+        want_height: usize,
+    },
     /// The camera cannot be used.
     #[error("perception: the camera {width}x{height} (fx {fx}, fy {fy}) cannot be used: {why}")]
     Camera {

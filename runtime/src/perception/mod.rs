@@ -7,9 +7,12 @@ mod config;
 mod estimate;
 mod fusion;
 mod keyframes;
+pub mod least_squares;
 pub mod network;
 mod refine;
 mod sweep;
+#[cfg(test)]
+mod test_scene;
 mod winner;
 
 pub use coarse::CoarseDepth;

@@ -1,0 +1,240 @@
+//! Depth in closed form from any optical flow and known motion ("Embodied Depth Prediction", section on coarse depth).
+//!
+//! A pixel's ray `b` (z = 1) at depth z lies at `z R b + t` in another view, where the flow says it is seen along the unit
+//! bearing `o`. The distance of the point to that ray is `|z s + r|` with `s = o x (R b)`, `r = o x t`. Summed over views,
+//! the squares are `A z^2 + 2 B z + C`, so `z = -B / A`, and what is left, `C - B^2 / A`, says how well the views agree.
+
+use hal::{CameraModel, DepthMap, Pose3};
+use nalgebra::Vector3;
+
+use super::PerceptionError;
+
+/// For every pixel, how far its match in another view is away, pixels. NaN where there is none.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FlowField {
+    width: usize,
+    height: usize,
+    flow_px: Vec<[f32; 2]>,
+}
+
+impl FlowField {
+    /// A field from row-major (x, y) displacements; `None` when their number is not `width * height`.
+    #[must_use]
+    pub fn from_vec(width: usize, height: usize, flow_px: Vec<[f32; 2]>) -> Option<Self> {
+        (Some(flow_px.len()) == width.checked_mul(height)).then_some(Self { width, height, flow_px })
+    }
+
+    /// Row-major (x, y) displacements, pixels.
+    #[must_use]
+    pub fn values(&self) -> &[[f32; 2]] {
+        &self.flow_px
+    }
+}
+
+/// Another picture: where this picture's pixels are in it, and where it was taken.
+#[derive(Debug, Clone, Copy)]
+pub struct FlowView<'a> {
+    /// From this picture's pixels to the other's.
+    pub flow: &'a FlowField,
+    /// Maps points of this camera into the other camera.
+    pub t_view_camera: Pose3,
+}
+
+/// Depth, and two reasons to trust it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Triangulation {
+    /// z-depth, metres; 0 where no view gives one within the range.
+    pub depth: DepthMap,
+    /// Root mean square distance of the point to the rays of the views that agreed on the range, metres, row-major.
+    /// Large where the match is wrong or the thing has moved.
+    pub residual_m: Vec<f32>,
+    /// Largest angle between the rays of two views, radians, row-major. A bearing error of e radians is a depth error of
+    /// about e / parallax of the depth.
+    pub parallax_rad: Vec<f32>,
+}
+
+/// Triangulates every pixel. A view whose own depth of a pixel is outside `range_m` (ends excluded) has no say in it; without
+/// any translation every depth is 0 and therefore none.
+///
+/// # Errors
+/// A flow field of another size than the camera.
+pub fn triangulate(
+    camera: &CameraModel,
+    views: &[FlowView<'_>],
+    range_m: (f64, f64),
+) -> Result<Triangulation, PerceptionError> {
+    let (width, height) = (camera.width, camera.height);
+    for view in views {
+        if (view.flow.width, view.flow.height) != (width, height) {
+            return Err(PerceptionError::FlowSize {
+                width: view.flow.width,
+                height: view.flow.height,
+                want_width: width,
+                want_height: height,
+            });
+        }
+    }
+    let pixels = width * height;
+    let mut out = Triangulation {
+        depth: DepthMap::none(width, height),
+        residual_m: vec![0.0; pixels],
+        parallax_rad: vec![0.0; pixels],
+    };
+    for (index, depth) in out.depth.values_mut().iter_mut().enumerate() {
+        let (u, v) = ((index % width) as f64, (index / width) as f64);
+        let mut sum = Normal::default();
+        for view in views {
+            let [dx, dy] = view.flow.flow_px[index];
+            let bearing = camera.ray(u + f64::from(dx), v + f64::from(dy)).normalize();
+            sum.add(&camera.ray(u, v), &bearing, &view.t_view_camera, range_m);
+        }
+        if let Some((depth_m, residual_m)) = sum.solve() {
+            *depth = depth_m as f32;
+            out.residual_m[index] = residual_m as f32;
+            out.parallax_rad[index] = sum.sin_parallax.min(1.0).asin() as f32;
+        }
+    }
+    Ok(out)
+}
+
+/// The coefficients of the sum of squares.
+#[derive(Debug, Clone, Copy, Default)]
+struct Normal {
+    a: f64,
+    b: f64,
+    c: f64,
+    views: u32,
+    sin_parallax: f64,
+}
+
+impl Normal {
+    fn add(&mut self, ray: &Vector3<f64>, bearing: &Vector3<f64>, t_view_camera: &Pose3, range_m: (f64, f64)) {
+        let turned = t_view_camera.rotation * ray;
+        let s = bearing.cross(&turned);
+        let r = bearing.cross(&t_view_camera.translation.vector);
+        let (a, b) = (s.dot(&s), s.dot(&r));
+        let own_m = -b / a;
+        // NaN (no match, or 0 / 0 without parallax) is in no range.
+        if own_m > range_m.0 && own_m < range_m.1 {
+            self.a += a;
+            self.b += b;
+            self.c += r.dot(&r);
+            self.views += 1;
+            self.sin_parallax = self.sin_parallax.max(s.norm() / ray.norm());
+        }
+    }
+
+    /// Depth and residual, metres.
+    fn solve(&self) -> Option<(f64, f64)> {
+        (self.views > 0).then(|| {
+            let left = (self.c - self.b * self.b / self.a).max(0.0);
+            (-self.b / self.a, (left / f64::from(self.views)).sqrt())
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perception::test_scene::{camera, pose, slanted_depth_m};
+    use proptest::prelude::*;
+
+    const RANGE: (f64, f64) = (0.1, 40.0);
+
+    /// The exact flow of the slanted plane from a camera at the origin to one at `t_world_view`.
+    fn exact_flow(t_world_view: &Pose3) -> FlowField {
+        let camera = camera();
+        let t_view_camera = t_world_view.inverse();
+        let flow = |index: usize| {
+            let (u, v) = ((index % camera.width) as f64, (index / camera.width) as f64);
+            let point = camera.unproject(u, v, slanted_depth_m(&Pose3::identity(), u, v));
+            let (x, y) = camera.project(&(t_view_camera * point)).unwrap();
+            [(x - u) as f32, (y - v) as f32]
+        };
+        FlowField::from_vec(camera.width, camera.height, (0..camera.width * camera.height).map(flow).collect()).unwrap()
+    }
+
+    fn view<'a>(flow: &'a FlowField, t_world_view: &Pose3) -> FlowView<'a> {
+        FlowView { flow, t_view_camera: t_world_view.inverse() }
+    }
+
+    #[test]
+    fn the_exact_flow_of_a_plane_returns_the_plane() {
+        let camera = camera();
+        let (p, q) = (pose([-0.1, 0.02, 0.05], 0.05), pose([0.08, 0.0, -0.12], -0.02));
+        let (flow_p, flow_q) = (exact_flow(&p), exact_flow(&q));
+        let found = triangulate(&camera, &[view(&flow_p, &p), view(&flow_q, &q)], RANGE).unwrap();
+        for (index, depth) in found.depth.values().iter().enumerate() {
+            let (u, v) = ((index % camera.width) as f64, (index / camera.width) as f64);
+            let truth = slanted_depth_m(&Pose3::identity(), u, v);
+            assert!((f64::from(*depth) / truth - 1.0).abs() < 5e-4, "{u} {v}: {depth} {truth}");
+            assert!(found.residual_m[index] < 1e-4 && found.parallax_rad[index] > 0.005);
+        }
+    }
+
+    #[test]
+    fn without_translation_there_is_no_depth() {
+        let turned = pose([0.0; 3], 0.1);
+        let flow = exact_flow(&turned);
+        let found = triangulate(&camera(), &[view(&flow, &turned)], RANGE).unwrap();
+        assert!(found.depth.values().iter().all(|depth| *depth == 0.0));
+    }
+
+    #[test]
+    fn a_missing_match_gives_no_depth_and_spoils_no_other_view() {
+        let camera = camera();
+        let p = pose([-0.1, 0.0, 0.0], 0.0);
+        let flow = exact_flow(&p);
+        let gone = FlowField::from_vec(camera.width, camera.height, vec![[f32::NAN; 2]; camera.width * camera.height]);
+        let gone = gone.unwrap();
+        let both = triangulate(&camera, &[view(&flow, &p), view(&gone, &p)], RANGE).unwrap();
+        assert_eq!(both, triangulate(&camera, &[view(&flow, &p)], RANGE).unwrap());
+        let none = triangulate(&camera, &[view(&gone, &p)], RANGE).unwrap();
+        assert!(none.depth.values().iter().all(|depth| *depth == 0.0));
+    }
+
+    #[test]
+    fn another_size_is_refused() {
+        let flow = FlowField::from_vec(2, 2, vec![[0.0; 2]; 4]).unwrap();
+        assert!(triangulate(&camera(), &[view(&flow, &Pose3::identity())], RANGE).is_err());
+        assert!(FlowField::from_vec(2, 2, vec![[0.0; 2]; 3]).is_none());
+    }
+
+    proptest! {
+        #[test]
+        fn the_closed_form_is_the_minimum_of_the_distances(
+            u in 0.0..159.0f64, v in 0.0..63.0f64, depth in 0.5..8.0f64,
+            noise in prop::array::uniform4(-2.0..2.0f64), bx in -0.3..0.3f64, bz in -0.3..0.3f64, yaw in -0.2..0.2f64,
+        ) {
+            let camera = camera();
+            let ray = camera.ray(u, v);
+            let poses = [pose([bx, 0.05, bz], yaw).inverse(), pose([-bz, 0.1, bx], -yaw).inverse()];
+            let mut sum = Normal::default();
+            let mut distances: Vec<(Vector3<f64>, Vector3<f64>)> = Vec::new();
+            for (view, noise) in poses.iter().zip(noise.chunks(2)) {
+                let Some((x, y)) = camera.project(&(view * camera.unproject(u, v, depth))) else { continue };
+                let bearing = camera.ray(x + noise[0], y + noise[1]).normalize();
+                sum.add(&ray, &bearing, view, (0.0, f64::INFINITY));
+                distances.push((bearing, view.translation.vector));
+            }
+            prop_assume!(sum.views as usize == distances.len() && sum.views > 0);
+            // Distance of a point to a ray, from its definition.
+            let cost = |z: f64| -> f64 {
+                poses.iter().zip(&distances).map(|(view, (o, _))| {
+                    let x = (view * nalgebra::Point3::from(ray * z)).coords;
+                    (x - o * o.dot(&x)).norm_squared()
+                }).sum()
+            };
+            let (mut low, mut high) = (0.0, 1e4);
+            for _ in 0..400 {
+                let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);
+                if cost(a) < cost(b) { high = b } else { low = a }
+            }
+            let (z, residual) = sum.solve().unwrap();
+            prop_assume!(z < 1e3);
+            prop_assert!(cost(z) <= cost(low) + 1e-9);
+            prop_assert!((z - low).abs() < 1e-3 * z.max(1.0), "{} {}", z, low);
+            prop_assert!((residual * residual * f64::from(sum.views) - cost(z)).abs() < 1e-9);
+        }
+    }
+}
