@@ -25,7 +25,7 @@ pub const DEFAULT_FILE: &str = include_str!("../../robot.default.toml");
 
 /// Everything that can be configured.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// The camera and its place on the robot.
     pub camera: CameraSection,

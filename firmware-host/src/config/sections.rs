@@ -12,7 +12,7 @@ use super::Config;
 
 /// `[camera]`: size of the pictures that perception works on, and where the camera sits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct CameraSection {
     /// Columns.
     pub width: usize,
@@ -50,7 +50,7 @@ impl CameraSection {
 
 /// `[lidar]`: where the safety LiDAR sits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct LidarSection {
     /// Height of the scan plane above the floor, metres.
     pub height_m: f64,
@@ -66,7 +66,7 @@ impl Default for LidarSection {
 
 /// `[base]`: the drive base and its discrete actions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct BaseSection {
     /// Radius of the round footprint, metres.
     pub footprint_radius_m: f64,
@@ -118,7 +118,7 @@ impl BaseSection {
 
 /// `[bumper]`: the safety stop.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct BumperSection {
     /// Free way in front of the footprint below which the robot stops, metres.
     pub stop_distance_m: f64,
@@ -138,7 +138,7 @@ impl Default for BumperSection {
 
 /// `[planning]`: where the robot likes to drive, and how a path becomes motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct PlanningSection {
     /// Cells this much further from an obstacle than the footprint's radius are still never entered, metres.
     pub margin_m: f64,
@@ -187,7 +187,7 @@ impl Default for PlanningSection {
 
 /// `[network]`: the depth network.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct NetworkSection {
     /// Threads for inference.
     pub threads: usize,
@@ -201,7 +201,7 @@ impl Default for NetworkSection {
 
 /// `[recording]`: the MCAP recording.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct RecordingSection {
     /// A new segment begins after this much recorded time, seconds.
     pub segment_s: f64,
@@ -221,7 +221,7 @@ impl Default for RecordingSection {
 
 /// `[simulator]`: the simulated robot, and what makes its pictures hard.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct SimulatorSection {
     /// Whether the robot slides along an obstacle that it touches (Habitat's default) or stops there.
     pub sliding: bool,

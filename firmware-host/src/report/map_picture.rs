@@ -33,7 +33,7 @@ const TITLE: i64 = 36;
 const LEGEND: i64 = 60;
 /// The page is at least this wide, and the map is enlarged up to the second.
 const MIN_WIDTH: i64 = 840;
-const MAP_SIDE: i64 = 1100;
+const MAP_SIDE: i64 = 1400;
 /// A cell is at most this many pixels wide.
 const MAX_CELL: i64 = 10;
 /// Shown around what is known, metres.

@@ -76,15 +76,25 @@ fn pack(values: &[f32], first: usize, free: &mut [u64], known: &mut [u64]) {
     let (head, body) = values.split_at(head);
     let mut at = first;
     for chunk in core::iter::once(head).chain(body.chunks(64)).filter(|chunk| !chunk.is_empty()) {
-        let (mut negative, mut nonzero) = (0, 0);
-        for (bit, value) in chunk.iter().enumerate() {
-            negative |= u64::from(*value < 0.0) << bit;
-            nonzero |= u64::from(*value != 0.0) << bit;
-        }
+        let (negative, nonzero) = (bits_of(chunk, |value| value < 0.0), bits_of(chunk, |value| value != 0.0));
         free[at / 64] |= negative << (at % 64);
         known[at / 64] |= nonzero << (at % 64);
         at += chunk.len();
     }
+}
+
+/// One bit for each of up to 64 values.
+fn bits_of(values: &[f32], test: impl Fn(f32) -> bool) -> u64 {
+    let mut flags = [0u8; 64];
+    for (flag, value) in flags.iter_mut().zip(values) {
+        *flag = u8::from(test(*value));
+    }
+    let mut bits = 0;
+    for (at, eight) in flags.as_chunks::<8>().0.iter().enumerate() {
+        // Moves the lowest bits of 8 bytes side by side: byte k lands in bit k of the top byte, and no sum carries.
+        bits |= (u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * at);
+    }
+    bits
 }
 
 /// Every bit of a row together with its left and right neighbours.

@@ -2,6 +2,7 @@
 
 use hal::{CameraModel, Pose3};
 
+use super::rays::{RayTable, View, used};
 use super::{Cell, CellState, MapConfig, MapError};
 use crate::perception::DepthEstimate;
 
@@ -52,14 +53,23 @@ pub struct FrameMapper {
     config: MapConfig,
     /// Cells from the camera to the edge of the square that can be seen.
     half: usize,
-    counts: Vec<u16>,
-    confidences: Vec<f32>,
-    tops_m: Vec<f32>,
+    /// Ranges that are told apart; the last bucket also holds everything beyond.
+    ranges: usize,
+    table: RayTable,
+    slots: Vec<Slot>,
     points: Vec<ObstaclePoint>,
     buckets: Vec<Bucket>,
     bearings: Vec<Bearing>,
-    /// Ranges that are told apart; the last bucket also holds everything beyond.
-    ranges: usize,
+    fans: Vec<Fan>,
+    line: Vec<Aim>,
+}
+
+/// The obstacle points in one cell of the square.
+#[derive(Debug, Clone, Copy, Default)]
+struct Slot {
+    points: u32,
+    confidence: f32,
+    top_m: f32,
 }
 
 /// A point in the height band, near enough to mark its cell.
@@ -75,77 +85,39 @@ struct ObstaclePoint {
 struct Bucket {
     points: u16,
     obstacles: u16,
-    /// Slope of the lowest ray, metres of height per metre of range.
+    /// Slope of the lowest ray.
     lowest: f32,
 }
 
 const EMPTY: Bucket = Bucket { points: 0, obstacles: 0, lowest: f32::INFINITY };
 
+/// All points of one bearing.
 #[derive(Debug, Clone, Copy)]
 struct Bearing {
     points: u32,
     confidence: f32,
-    /// Distance of the nearest occupied cell that this picture confirms, metres.
+    /// Distance of the nearest cell that this picture marks occupied, metres.
     confirmed_m: f32,
-    /// Free up to here, metres.
-    free_m: f32,
+}
+
+const BLIND: Bearing = Bearing { points: 0, confidence: 0.0, confirmed_m: f32::INFINITY };
+
+/// What one bearing says of the cells along it.
+#[derive(Debug, Clone, Copy)]
+struct Fan {
+    /// Square of the range up to which they are free, square metres.
+    free2: f32,
+    evidence: f32,
     /// Slope of the lowest ray that reaches that far.
     lowest: f32,
 }
 
-const BLIND: Bearing =
-    Bearing { points: 0, confidence: 0.0, confirmed_m: f32::INFINITY, free_m: 0.0, lowest: f32::INFINITY };
-
-/// A camera over the floor: `forward` and `right` of it in the plane, heights above the floor.
-struct View {
-    /// Corner of the square of cells.
-    corner: Cell,
-    /// Camera in the square, metres.
-    x_m: f32,
-    y_m: f32,
-    height_m: f32,
-    /// Heading of the optical axis.
-    heading: [f32; 2],
-    /// For one metre of depth: forward, right and up, of each used column (the axis included) and each row.
-    columns: Vec<[f32; 3]>,
-    rows: Vec<[f32; 3]>,
-    /// A slope `right / forward` in pixels: `center + focal * slope`.
-    focal: f32,
-    center: f32,
-}
-
-impl View {
-    fn new(config: &MapConfig, half: usize, camera: &CameraModel, t_odom_camera: &Pose3) -> Result<Self, MapError> {
-        let position = t_odom_camera.translation.vector;
-        let rotation = t_odom_camera.rotation.to_rotation_matrix();
-        let [right, down, ahead] = [0, 1, 2].map(|axis| rotation.matrix().column(axis).into_owned());
-        let length = ahead.x.hypot(ahead.y);
-        if length < 0.1 {
-            return Err(MapError::CameraVertical);
-        }
-        let (hx, hy) = (ahead.x / length, ahead.y / length);
-        let split =
-            |v: nalgebra::Vector3<f64>| [(v.x * hx + v.y * hy) as f32, (v.x * hy - v.y * hx) as f32, v.z as f32];
-        let columns = used(camera.width, config.stride_u).map(|u| split(ahead + right * camera.ray(u as f64, 0.0).x));
-        let rows = used(camera.height, config.stride_v).map(|v| split(down * camera.ray(0.0, v as f64).y));
-        let corner = Cell::containing(position.x, position.y, config.cell_m).offset(-(half as i32), -(half as i32));
-        Ok(Self {
-            corner,
-            x_m: (position.x - f64::from(corner.x) * config.cell_m) as f32,
-            y_m: (position.y - f64::from(corner.y) * config.cell_m) as f32,
-            height_m: position.z as f32,
-            heading: [hx as f32, hy as f32],
-            columns: columns.collect(),
-            rows: rows.collect(),
-            focal: camera.fx as f32,
-            center: camera.cx as f32,
-        })
-    }
-}
-
-/// The used rows or columns of `size`: the middle one of each group of `stride`.
-fn used(size: usize, stride: usize) -> impl Iterator<Item = usize> {
-    (stride / 2..size).step_by(stride)
+/// Where a cell lies, seen from the camera.
+#[derive(Debug, Clone, Copy, Default)]
+struct Aim {
+    /// Square of its range, infinite behind the camera, square metres.
+    range2: f32,
+    bearing: i32,
 }
 
 impl FrameMapper {
@@ -157,17 +129,18 @@ impl FrameMapper {
         config.validate()?;
         let cell_m = config.cell_m as f32;
         let half = (config.mark_range_m.max(config.clear_range_m) / cell_m).ceil() as usize + 1;
-        let slots = (2 * half + 1) * (2 * half + 1);
+        let side = 2 * half + 1;
         Ok(Self {
             config: config.clone(),
             half,
-            counts: vec![0; slots],
-            confidences: vec![0.0; slots],
-            tops_m: vec![0.0; slots],
+            ranges: (config.clear_range_m / cell_m).ceil() as usize + 1,
+            table: RayTable::default(),
+            slots: vec![Slot::default(); side * side],
             points: Vec::new(),
             buckets: Vec::new(),
             bearings: Vec::new(),
-            ranges: (config.clear_range_m / cell_m).ceil() as usize + 1,
+            fans: Vec::new(),
+            line: vec![Aim::default(); side],
         })
     }
 
@@ -185,24 +158,27 @@ impl FrameMapper {
     ) -> Result<(), MapError> {
         out.cells.clear();
         check(estimate, camera, t_odom_camera)?;
-        let view = View::new(&self.config, self.half, camera, t_odom_camera)?;
-        self.reset(view.columns.len().max(camera.width.div_ceil(self.config.stride_u)));
+        let view = View::new(&self.config, self.half, t_odom_camera)?;
+        self.table.prepare(&self.config, camera, &view);
+        self.reset();
         self.collect(estimate, &view);
         self.confirm();
+        self.fans.clear();
         for bearing in 0..self.bearings.len() {
-            self.clear_up_to(bearing);
+            self.fans.push(self.fan(bearing));
         }
-        self.emit(&view, out);
+        self.emit(camera, &view, out);
         Ok(())
     }
 
-    fn reset(&mut self, bearings: usize) {
-        self.counts.fill(0);
-        self.points.clear();
+    fn reset(&mut self) {
+        for point in self.points.drain(..) {
+            self.slots[point.slot as usize] = Slot::default();
+        }
         self.bearings.clear();
-        self.bearings.resize(bearings, BLIND);
+        self.bearings.resize(self.table.bearings, BLIND);
         self.buckets.clear();
-        self.buckets.resize(bearings * self.ranges, EMPTY);
+        self.buckets.resize(self.table.bearings * self.ranges, EMPTY);
     }
 
     /// Sorts every usable pixel into its bearing, range and, if it is an obstacle, cell.
@@ -210,55 +186,42 @@ impl FrameMapper {
         let config = &self.config;
         let width = estimate.depth.width();
         let per_cell = 1.0 / config.cell_m as f32;
-        let stride = 1.0 / config.stride_u as f32;
         let side = 2 * self.half + 1;
-        let lines = estimate.depth.values().chunks_exact(width).zip(estimate.confidence.chunks_exact(width));
-        let used_lines = lines.skip(config.stride_v / 2).step_by(config.stride_v);
-        for ((depths, confidences), row) in used_lines.zip(&view.rows) {
-            for ((u, column), _) in used(width, config.stride_u).zip(&view.columns).zip(0..) {
-                let (depth_m, confidence) = (depths[u], confidences[u]);
+        let depths = estimate.depth.values().chunks_exact(width).skip(config.stride_v / 2).step_by(config.stride_v);
+        let trusts = estimate.confidence.chunks_exact(width).skip(config.stride_v / 2).step_by(config.stride_v);
+        let rays = self.table.rays.chunks_exact(used(width, config.stride_u).count().max(1));
+        for ((depths, trusts), rays) in depths.zip(trusts).zip(rays) {
+            for (u, ray) in used(width, config.stride_u).zip(rays) {
+                let (depth_m, confidence) = (depths[u], trusts[u]);
                 // Also refuses NaN.
-                if !(depth_m > 0.0 && depth_m < f32::INFINITY && confidence >= config.min_confidence) {
+                let usable = depth_m > 0.0 && depth_m < f32::INFINITY && confidence >= config.min_confidence;
+                if !usable || ray.forward <= 0.0 {
                     continue;
                 }
-                let forward_m = depth_m * (column[0] + row[0]);
-                let right_m = depth_m * (column[1] + row[1]);
-                let rise_m = depth_m * (column[2] + row[2]);
-                if forward_m <= 0.0 {
-                    continue;
-                }
-                let range_m = (forward_m * forward_m + right_m * right_m).sqrt();
-                let height_m = view.height_m + rise_m;
+                let range_m = depth_m * ray.range;
+                let height_m = view.height_m + depth_m * ray.rise;
                 let is_obstacle = height_m >= config.band_min_m && height_m <= config.band_max_m;
-                // A ray that leaves the band before its point says nothing about the band behind.
-                let seen_m = if height_m < 0.0 {
-                    range_m * (view.height_m / -rise_m).clamp(0.0, 1.0)
-                } else if height_m > config.band_max_m {
-                    range_m * ((config.band_max_m - view.height_m) / rise_m).clamp(0.0, 1.0)
-                } else {
-                    range_m
-                };
-                let pixel = view.center + view.focal * right_m / forward_m + 0.5;
-                let bearing = (pixel * stride).floor();
-                let bearing = if bearing >= 0.0 { bearing as usize } else { usize::MAX };
-                if let Some(of_bearing) = self.bearings.get_mut(bearing) {
+                if let Some(of_bearing) = self.bearings.get_mut(ray.bearing as usize) {
                     of_bearing.points += 1;
                     of_bearing.confidence += confidence;
-                    let interval = ((seen_m * per_cell) as usize).min(self.ranges - 1);
-                    let bucket = &mut self.buckets[bearing * self.ranges + interval];
+                    // A ray that leaves the band before its point says nothing about the band behind.
+                    let seen_m = range_m.min(ray.leaves_band_m);
+                    let interval = ((seen_m * per_cell) as i32 as usize).min(self.ranges - 1);
+                    let bucket = &mut self.buckets[ray.bearing as usize * self.ranges + interval];
                     bucket.points = bucket.points.saturating_add(1);
                     bucket.obstacles = bucket.obstacles.saturating_add(u16::from(is_obstacle));
-                    bucket.lowest = bucket.lowest.min(rise_m / range_m);
+                    bucket.lowest = bucket.lowest.min(ray.slope);
                 }
                 if is_obstacle && range_m <= config.mark_range_m {
+                    let (forward_m, right_m) = (depth_m * ray.forward, depth_m * ray.right);
                     let x = (view.x_m + forward_m * view.heading[0] + right_m * view.heading[1]) * per_cell;
                     let y = (view.y_m + forward_m * view.heading[1] - right_m * view.heading[0]) * per_cell;
-                    let slot = y as usize * side + x as usize;
-                    let first = self.counts[slot] == 0;
-                    self.counts[slot] = self.counts[slot].saturating_add(1);
-                    self.confidences[slot] = if first { confidence } else { self.confidences[slot] + confidence };
-                    self.tops_m[slot] = if first { height_m } else { self.tops_m[slot].max(height_m) };
-                    self.points.push(ObstaclePoint { bearing: bearing as u32, slot: slot as u32, range_m });
+                    let index = y as i32 as usize * side + x as i32 as usize;
+                    let slot = &mut self.slots[index];
+                    slot.points += 1;
+                    slot.confidence += confidence;
+                    slot.top_m = slot.top_m.max(height_m);
+                    self.points.push(ObstaclePoint { bearing: ray.bearing, slot: index as u32, range_m });
                 }
             }
         }
@@ -267,7 +230,7 @@ impl FrameMapper {
     /// Tells every bearing of the nearest cell on it that has enough points to be occupied.
     fn confirm(&mut self) {
         for point in &self.points {
-            if self.counts[point.slot as usize] >= self.config.min_points
+            if self.slots[point.slot as usize].points >= u32::from(self.config.min_points)
                 && let Some(bearing) = self.bearings.get_mut(point.bearing as usize)
             {
                 bearing.confirmed_m = bearing.confirmed_m.min(point.range_m);
@@ -276,22 +239,22 @@ impl FrameMapper {
     }
 
     /// Decides how far a bearing is free: as far as enough points were seen, and not as far as enough obstacle points.
-    fn clear_up_to(&mut self, bearing: usize) {
+    fn fan(&self, bearing: usize) -> Fan {
         let config = &self.config;
-        let of_bearing = &mut self.bearings[bearing];
+        let of_bearing = &self.bearings[bearing];
         let buckets = &self.buckets[bearing * self.ranges..(bearing + 1) * self.ranges];
         let enough = u32::from(config.min_points).max((config.outlier_share * of_bearing.points as f32).ceil() as u32);
         let start_m = |interval: usize| (interval as f64 * config.cell_m) as f32;
 
-        let mut obstacles = 0;
-        let first_obstacle = buckets.iter().position(|bucket| {
-            obstacles += u32::from(bucket.obstacles);
-            obstacles >= enough
-        });
         let mut points = 0;
         let last_seen = buckets.iter().rposition(|bucket| {
             points += u32::from(bucket.points);
             points >= enough
+        });
+        let mut obstacles = 0;
+        let first_obstacle = buckets.iter().position(|bucket| {
+            obstacles += u32::from(bucket.obstacles);
+            obstacles >= enough
         });
         // Seen to the last bucket is seen to the end of the clear range.
         let seen_m = match last_seen {
@@ -303,49 +266,55 @@ impl FrameMapper {
             Some(interval) if interval + 1 < self.ranges => start_m(interval),
             _ => f32::INFINITY,
         };
-        let blocked_m = obstacle_m.min(of_bearing.confirmed_m) * (1.0 - config.clear_margin);
-        of_bearing.free_m = seen_m.min(blocked_m);
-        let reached = (of_bearing.free_m / config.cell_m as f32) as usize;
-        of_bearing.lowest = buckets.iter().skip(reached).fold(f32::INFINITY, |lowest, b| lowest.min(b.lowest));
+        let free_m = seen_m.min(obstacle_m.min(of_bearing.confirmed_m) * (1.0 - config.clear_margin));
+        let reached = (free_m / config.cell_m as f32) as usize;
+        let trust = of_bearing.confidence / of_bearing.points.max(1) as f32;
+        Fan {
+            free2: free_m * free_m,
+            evidence: -config.free_decrement * trust.max(f32::MIN_POSITIVE),
+            lowest: buckets.iter().skip(reached).fold(f32::INFINITY, |lowest, bucket| lowest.min(bucket.lowest)),
+        }
     }
 
     /// Writes every cell of the square that is known, row by row.
-    fn emit(&self, view: &View, out: &mut SingleFrameMap) {
-        let config = &self.config;
-        let cell_m = config.cell_m as f32;
+    fn emit(&mut self, camera: &CameraModel, view: &View, out: &mut SingleFrameMap) {
         let side = 2 * self.half + 1;
-        let stride = 1.0 / config.stride_u as f32;
-        let clear2 = config.clear_range_m * config.clear_range_m;
+        let min_points = u32::from(self.config.min_points);
         for y in 0..side {
-            let dy = (y as f32 + 0.5) * cell_m - view.y_m;
-            for x in 0..side {
-                let slot = y * side + x;
+            self.aim(camera, view, y);
+            let slots = &self.slots[y * side..(y + 1) * side];
+            for (x, (slot, aim)) in slots.iter().zip(&self.line).enumerate() {
                 let cell = view.corner.offset(x as i32, y as i32);
-                if self.counts[slot] >= config.min_points {
-                    let trust = self.confidences[slot] / f32::from(self.counts[slot]);
-                    let evidence = config.occupied_increment * trust.max(f32::MIN_POSITIVE);
-                    out.cells.push(FrameCell { cell, evidence, height_m: self.tops_m[slot] });
-                    continue;
-                }
-                let dx = (x as f32 + 0.5) * cell_m - view.x_m;
-                let forward_m = dx * view.heading[0] + dy * view.heading[1];
-                let range2 = dx * dx + dy * dy;
-                if forward_m <= 0.0 || range2 > clear2 {
-                    continue;
-                }
-                let right_m = dx * view.heading[1] - dy * view.heading[0];
-                let bearing = (view.center + view.focal * right_m / forward_m + 0.5) * stride;
-                if bearing < 0.0 {
-                    continue;
-                }
-                let Some(of_bearing) = self.bearings.get(bearing as usize) else { continue };
-                if range2 <= of_bearing.free_m * of_bearing.free_m {
-                    let trust = of_bearing.confidence / of_bearing.points.max(1) as f32;
-                    let evidence = -config.free_decrement * trust.max(f32::MIN_POSITIVE);
-                    let height_m = (view.height_m + range2.sqrt() * of_bearing.lowest).max(0.0);
-                    out.cells.push(FrameCell { cell, evidence, height_m });
+                if slot.points >= min_points {
+                    let trust = slot.confidence / slot.points as f32;
+                    let evidence = self.config.occupied_increment * trust.max(f32::MIN_POSITIVE);
+                    out.cells.push(FrameCell { cell, evidence, height_m: slot.top_m });
+                } else if let Some(fan) = self.fans.get(aim.bearing as usize)
+                    && aim.range2 < fan.free2
+                {
+                    let height_m = (view.height_m + aim.range2.sqrt() * fan.lowest).max(0.0);
+                    out.cells.push(FrameCell { cell, evidence: fan.evidence, height_m });
                 }
             }
+        }
+    }
+
+    /// Fills `line` for row `y` of the square; without branches, so that it is done several cells at a time.
+    fn aim(&mut self, camera: &CameraModel, view: &View, y: usize) {
+        let cell_m = self.config.cell_m as f32;
+        let per_bearing = 1.0 / self.config.stride_u as f32;
+        let focal = camera.fx as f32 * per_bearing;
+        // One more than the bearing, so that what is left of the first one rounds to 0 and not up to it.
+        let center = (camera.cx as f32 + 0.5) * per_bearing + 1.0;
+        let dy = (y as f32 + 0.5) * cell_m - view.y_m;
+        let [hx, hy] = view.heading;
+        for (x, aim) in self.line.iter_mut().enumerate() {
+            let dx = (x as i32 as f32 + 0.5) * cell_m - view.x_m;
+            let forward_m = dx * hx + dy * hy;
+            let right_m = dx * hy - dy * hx;
+            aim.range2 = if forward_m > 0.0 { dx * dx + dy * dy } else { f32::INFINITY };
+            // Beside the camera this grows without bound; what lies outside of the picture may be anywhere outside.
+            aim.bearing = (center + focal * right_m / forward_m).max(-1e6) as i32 - 1;
         }
     }
 }

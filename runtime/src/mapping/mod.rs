@@ -13,6 +13,7 @@ mod frame_map;
 mod frontier;
 mod grid;
 mod inconsistency;
+mod rays;
 mod scan;
 #[cfg(test)]
 mod tests;

@@ -14,10 +14,12 @@ pub(super) struct Buckets {
     len: usize,
 }
 
-/// A cell with the cost at which it was queued; the entry is stale when the cell has become cheaper since.
+/// A cell, by its column and row in memory, with the cost at which it was queued; the entry is stale when the cell has become
+/// cheaper since.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Entry {
-    pub index: u32,
+    pub x: u16,
+    pub y: u16,
     pub cost: u32,
 }
 

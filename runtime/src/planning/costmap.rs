@@ -10,6 +10,8 @@ pub(super) const FREE: u8 = 4;
 pub(super) const HEAVIEST: u8 = 60;
 /// Never entered.
 pub(super) const BLOCKED: u8 = 0;
+/// Set in the weight of a cell whose 8 neighbours all have the same weight as the cell.
+pub(super) const UNIFORM: u8 = 0x80;
 
 /// The weight of every cell around what is known: [`BLOCKED`](Self::is_passable) within the footprint's radius of an
 /// obstacle, more than 1 near obstacles and in the unknown, 1 on free floor.
@@ -21,9 +23,12 @@ pub struct Costmap {
     /// Columns in memory: the box and a blocked cell on either side, so that searches need not look where they are.
     pub(super) stride: usize,
     pub(super) weights: Vec<u8>,
+    uniform: Vec<u8>,
     /// Squared distance to the nearest obstacle, cells.
     clearance2: Vec<u16>,
     distances: Distances,
+    /// One row of the map.
+    values: Vec<f32>,
     /// Weight of a free and of an unknown cell by squared distance to an obstacle.
     tables: [Vec<u8>; 2],
 }
@@ -41,8 +46,10 @@ impl Costmap {
             cells: CellBox::of(Cell::default()),
             stride: 3,
             weights: Vec::new(),
+            uniform: Vec::new(),
             clearance2: Vec::new(),
             distances: Distances::default(),
+            values: Vec::new(),
             tables: [Vec::new(), Vec::new()],
         };
         costmap.reset(CellBox::of(Cell::default()), 1.0);
@@ -58,8 +65,10 @@ impl Costmap {
             cells,
             stride: 0,
             weights: Vec::new(),
+            uniform: Vec::new(),
             clearance2: Vec::new(),
             distances: Distances::default(),
+            values: Vec::new(),
             tables: [Vec::new(), Vec::new()],
         };
         costmap.reset(cells, cell_m);
@@ -72,6 +81,7 @@ impl Costmap {
                 }
             }
         }
+        costmap.mark_uniform();
         costmap
     }
 
@@ -95,21 +105,51 @@ impl Costmap {
         let reach = self.make_tables();
         let (width, height) = (cells.width(), cells.height());
         self.distances.reset(width, height);
-        for row in 0..height {
+        let mut values = core::mem::take(&mut self.values);
+        let read_row = |row: usize, values: &mut Vec<f32>| {
             let (left, right) = grid.row(cells.min.y + row as i32, cells.min.x, width);
-            self.distances.set_row(row, left.iter().chain(right).map(|value| *value > 0.0), reach);
+            values.clear();
+            values.extend_from_slice(left);
+            values.extend_from_slice(right);
+        };
+        for row in 0..height {
+            read_row(row, &mut values);
+            self.distances.set_row(row, values.iter().map(|value| *value > 0.0), reach);
         }
         for row in 0..height {
+            read_row(row, &mut values);
             let start = (row + 1) * self.stride + 1;
             let clearance2 = &mut self.clearance2[start..start + width];
             self.distances.row(row, reach, clearance2);
-            let (left, right) = grid.row(cells.min.y + row as i32, cells.min.x, width);
-            let weights = self.weights[start..start + width].iter_mut().zip(clearance2.iter());
-            for ((weight, clearance2), value) in weights.zip(left.iter().chain(right)) {
+            let weights = &mut self.weights[start..start + width];
+            for ((weight, clearance2), value) in weights.iter_mut().zip(clearance2).zip(&values) {
                 let table = &self.tables[usize::from(*value == 0.0)];
                 // The last entry stands for everything beyond the reach.
                 *weight = table[usize::from(*clearance2).min(table.len() - 1)];
             }
+        }
+        self.values = values;
+        self.mark_uniform();
+    }
+
+    /// Finds the cells within even ground, where searches have an easy time.
+    fn mark_uniform(&mut self) {
+        let (stride, weights) = (self.stride, &self.weights);
+        self.uniform.clear();
+        self.uniform.resize(weights.len(), 0);
+        for start in (stride..weights.len().saturating_sub(stride)).step_by(stride) {
+            let here = &weights[start..start + stride];
+            let beside = [&weights[start - stride..start], here, &weights[start + stride..start + 2 * stride]];
+            let out = &mut self.uniform[start + 1..start + stride - 1];
+            for (at, out) in out.iter_mut().enumerate() {
+                let weight = here[at + 1];
+                let same = |row: &[u8]| row[at] == weight && row[at + 1] == weight && row[at + 2] == weight;
+                let even = beside.iter().fold(weight != BLOCKED, |even, row| even & same(row));
+                *out = if even { UNIFORM } else { 0 };
+            }
+        }
+        for (weight, uniform) in self.weights.iter_mut().zip(&self.uniform) {
+            *weight |= uniform;
         }
     }
 
@@ -165,7 +205,7 @@ impl Costmap {
     /// Cost of a metre in this cell, in metres of free floor; `None` where the robot must not go.
     #[must_use]
     pub fn weight(&self, cell: Cell) -> Option<f64> {
-        let weight = self.index(cell).and_then(|index| self.weights.get(index).copied()).unwrap_or(BLOCKED);
+        let weight = self.index(cell).and_then(|index| self.weights.get(index).copied()).unwrap_or(BLOCKED) & !UNIFORM;
         (weight != BLOCKED).then(|| f64::from(weight) / f64::from(FREE))
     }
 

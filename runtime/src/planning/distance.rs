@@ -24,7 +24,7 @@ impl Distances {
     }
 
     /// Sets row `row` from the columns that are obstacles.
-    pub fn set_row(&mut self, row: usize, obstacles: impl Iterator<Item = bool> + Clone, reach: u16) {
+    pub fn set_row(&mut self, row: usize, obstacles: impl Iterator<Item = bool>, reach: u16) {
         let width = self.along_row.len() / self.busy.len().max(1);
         let line = &mut self.along_row[row * width..(row + 1) * width];
         let mut since = FAR;

@@ -1,6 +1,8 @@
 //! What the project promises to be fast at, room by room. `cargo xtask bench` builds this in release and prints the table.
 #![forbid(unsafe_code)]
 
+pub mod mapping;
+pub mod network;
 pub mod report;
 pub mod simulator;
 
@@ -10,4 +12,5 @@ use report::Row;
 pub type Measure = fn() -> anyhow::Result<Vec<Row>>;
 
 /// Every room that has something to measure, in the order of the table.
-pub const ROOMS: &[(&str, Measure)] = &[("simulator", simulator::rows)];
+pub const ROOMS: &[(&str, Measure)] =
+    &[("simulator", simulator::rows), ("mapping", mapping::measure), ("network", network::rows)];
