@@ -17,7 +17,12 @@ fn refusal(text: &str) -> String {
 
 #[test]
 fn the_documented_default_file_is_the_default_and_an_empty_file_too() {
-    assert_eq!(parse(DEFAULT_FILE).unwrap(), Config::default());
+    let documented = parse(DEFAULT_FILE).unwrap();
+    let [documented_lines, default_lines] = [&documented, &Config::default()].map(|config| config.to_toml().unwrap());
+    for (documented, default) in documented_lines.lines().zip(default_lines.lines()) {
+        assert_eq!(documented, default, "robot.default.toml (left) differs from the default in the code (right)");
+    }
+    assert_eq!(documented, Config::default());
     assert_eq!(parse("").unwrap(), Config::default());
 }
 
@@ -138,7 +143,7 @@ fn values_that_contradict_each_other_are_refused() {
 #[test]
 fn what_a_part_of_the_runtime_refuses_is_refused_here_with_the_file() {
     for (text, part) in [
-        ("coarse.planes = 60", "[coarse]"),
+        ("coarse.penalty_large = 1", "[coarse]"),
         ("map.side_cells = 100", "[map]"),
         ("planning.correct_deg = 1.0", "[planning]"),
     ] {

@@ -140,11 +140,13 @@ impl CoarseDepth {
         self.memory.advance(pose, &self.half, self.config.memory);
         let chosen = self.keyframes.choose(pose, &self.half, self.scene_depth_m, &self.config);
         if chosen.is_empty() {
-            let believed = self.write_estimate();
-            let enough = believed >= f64::from(self.config.min_remembered);
-            return if enough { Ok(()) } else { Err(NoDepth::TooLittleParallax) };
+            if self.share_believed() < self.config.min_remembered {
+                return Err(NoDepth::TooLittleParallax);
+            }
+        } else {
+            self.match_against(&chosen, pose);
+            self.measure_scene();
         }
-        self.match_against(&chosen, pose);
         self.write_estimate();
         Ok(())
     }
@@ -195,8 +197,28 @@ impl CoarseDepth {
         self.memory.vote(votes);
     }
 
-    /// Writes what is believed at full size and returns the share of pixels with depth.
-    fn write_estimate(&mut self) -> f64 {
+    fn share_believed(&self) -> f32 {
+        let beliefs = self.memory.beliefs();
+        let believed = beliefs.iter().filter(|belief| belief.confidence() >= self.config.min_confidence).count();
+        believed as f32 / beliefs.len() as f32
+    }
+
+    /// The parallax of the next picture is predicted with the median of this one.
+    fn measure_scene(&mut self) {
+        let (beliefs, sorted) = (self.memory.beliefs(), &mut self.buffers.sorted);
+        sorted.clear();
+        let trusted = beliefs.iter().filter(|belief| belief.confidence() >= self.config.min_confidence);
+        sorted.extend(trusted.map(|belief| belief.inverse_depth));
+        // A few pixels may be anything.
+        if sorted.len() * 20 > beliefs.len() {
+            let middle = sorted.len() / 2;
+            let median = *sorted.select_nth_unstable_by(middle, f32::total_cmp).1;
+            self.scene_depth_m = (1.0 / f64::from(median)).clamp(0.5, 5.0);
+        }
+    }
+
+    /// Writes what is believed at full size.
+    fn write_estimate(&mut self) {
         let (width, half_width) = (self.camera.width, self.half.width);
         let beliefs = self.memory.beliefs();
         let DepthEstimate { depth, confidence } = &mut self.estimate;
@@ -211,17 +233,6 @@ impl CoarseDepth {
                 *confidence = if valid { trust } else { 0.0 };
             }
         }
-        let sorted = &mut self.buffers.sorted;
-        sorted.clear();
-        let trusted = beliefs.iter().filter(|belief| belief.confidence() >= self.config.min_confidence);
-        sorted.extend(trusted.map(|belief| belief.inverse_depth));
-        // The parallax of the next picture is predicted with the median; a few pixels may be anything.
-        if sorted.len() * 20 > beliefs.len() {
-            let middle = sorted.len() / 2;
-            let median = *sorted.select_nth_unstable_by(middle, f32::total_cmp).1;
-            self.scene_depth_m = (1.0 / f64::from(median)).clamp(0.5, 5.0);
-        }
-        sorted.len() as f64 / beliefs.len() as f64
     }
 }
 

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::sweep::MAX_REFERENCES;
+
 /// Settings of [`CoarseDepth`](super::CoarseDepth). The defaults suit a robot with a 90 degree camera of 640x192 pixels and
 /// a handheld camera alike, because references are chosen by the parallax that they promise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -11,9 +13,9 @@ pub struct CoarseConfig {
     pub min_depth_m: f64,
     /// Farthest depth that is looked for, metres.
     pub max_depth_m: f64,
-    /// Parallax that the three references should promise for the depth of the scene, in pixels of the half-size picture.
-    /// A short one is unambiguous and sees the same things, a long one is precise.
-    pub parallax_px: [f64; 3],
+    /// Parallax that each reference should promise for the depth of the scene, in pixels of the half-size picture; one
+    /// reference for each, at most three. A short one is unambiguous and sees the same things, a long one is precise.
+    pub parallax_px: Vec<f64>,
     /// What rotations of the pose are wrong by, as a share of the turn between two pictures (odometry, timing, shutter) ...
     pub turn_error: f64,
     /// ... and at least, radians.
@@ -59,7 +61,7 @@ impl Default for CoarseConfig {
         Self {
             min_depth_m: 0.3,
             max_depth_m: 20.0,
-            parallax_px: [6.0, 12.0, 24.0],
+            parallax_px: vec![6.0, 12.0, 24.0],
             turn_error: 0.02,
             turn_error_floor_rad: 0.001,
             parallax_over_error: 5.0,
@@ -123,8 +125,9 @@ impl CoarseConfig {
         require("min_depth_m", self.min_depth_m, ok(self.min_depth_m), positive)?;
         let deep = ok(self.max_depth_m) && self.max_depth_m > self.min_depth_m;
         require("max_depth_m", self.max_depth_m, deep, "a finite number above min_depth_m")?;
-        let parallax = self.parallax_px.iter().all(|p| ok(*p));
-        require("parallax_px", format!("{:?}", self.parallax_px), parallax, "three finite numbers above 0")?;
+        let parallax =
+            (1..=MAX_REFERENCES).contains(&self.parallax_px.len()) && self.parallax_px.iter().all(|p| ok(*p));
+        require("parallax_px", format!("{:?}", self.parallax_px), parallax, "one to three finite numbers above 0")?;
         let error = "0 or a finite number above 0";
         let not_negative = |v: f64| v.is_finite() && v >= 0.0;
         require("turn_error", self.turn_error, not_negative(self.turn_error), error)?;
@@ -175,7 +178,7 @@ mod tests {
         for (bad, name) in [
             (CoarseConfig { min_depth_m: f64::NAN, ..good() }, "min_depth_m"),
             (CoarseConfig { max_depth_m: 0.2, ..good() }, "max_depth_m"),
-            (CoarseConfig { parallax_px: [6.0, 0.0, 24.0], ..good() }, "parallax_px"),
+            (CoarseConfig { parallax_px: vec![6.0, 0.0, 24.0], ..good() }, "parallax_px"),
             (CoarseConfig { turn_error: -0.1, ..good() }, "turn_error"),
             (CoarseConfig { memory: f32::NAN, ..good() }, "memory"),
             (CoarseConfig { min_overlap: 1.5, ..good() }, "min_overlap"),

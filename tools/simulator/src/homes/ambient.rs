@@ -11,24 +11,29 @@ use crate::scene::{Triangle, Vertex};
 const REACH_M: f32 = 1.4;
 /// Light that a point keeps in a fully closed place: interiors reflect.
 const FLOOR: f32 = 0.3;
+/// Faces that reach no further than this from their middle get one light, metres.
+const SMALL_M: f32 = 0.1;
 /// Rays over the hemisphere; enough for steps below 2/255 after weighting.
 const RAYS: usize = 24;
 
-/// Triangles with baked light, and what each belongs to.
-pub fn bake(mesh: &Mesh, rooms: &[Room]) -> (Vec<Triangle>, Vec<Surface>) {
+/// Light on the four corners of every quad, 0 to 1.
+pub fn bake(mesh: &Mesh, rooms: &[Room]) -> Vec<[f32; 4]> {
     let mut solids: Vec<Vec<Solid>> = vec![Vec::new(); rooms.len()];
     for solid in &mesh.solids {
         solids[usize::from(solid.room)].push(*solid);
     }
     let directions = hemisphere();
-    let lit: Vec<[f32; 4]> = mesh
-        .quads
+    mesh.quads
         .par_iter()
         .map(|quad| {
             let room = usize::from(quad.room);
             light(quad, rooms[room].rect, rooms[room].height_m, &solids[room], &directions)
         })
-        .collect();
+        .collect()
+}
+
+/// Triangles with a light, and what each belongs to.
+pub fn triangles(mesh: &Mesh, lit: &[[f32; 4]]) -> (Vec<Triangle>, Vec<Surface>) {
     let mut triangles = Vec::with_capacity(mesh.quads.len() * 2);
     let mut surfaces = Vec::with_capacity(mesh.quads.len() * 2);
     for (quad, ambient) in mesh.quads.iter().zip(lit) {
@@ -69,7 +74,7 @@ fn hemisphere() -> [[f32; 3]; RAYS] {
     })
 }
 
-fn light(quad: &Quad, room: Rect, height: f32, solids: &[Solid], rays: &[[f32; 3]; RAYS]) -> [f32; 4] {
+fn light(quad: &Quad, room: Rect, height: f32, solids: &[Solid], directions: &[[f32; 3]; RAYS]) -> [f32; 4] {
     if quad.surface == Surface::Outside {
         return [1.0; 4];
     }
@@ -82,22 +87,24 @@ fn light(quad: &Quad, room: Rect, height: f32, solids: &[Solid], rays: &[[f32; 3
     let b = cross(n, t);
     let center: [f32; 3] = std::array::from_fn(|i| quad.corners.iter().map(|c| c[i]).sum::<f32>() / 4.0);
     let near: Vec<&Solid> = solids.iter().filter(|s| reachable(s, quad)).collect();
-    quad.corners.map(|corner| {
-        // A little towards the middle and off the surface, so that a corner does not start inside its neighbour.
-        let origin = std::array::from_fn(|i| corner[i] + 0.04 * (center[i] - corner[i]) + 0.004 * n[i]);
-        let blocked: f32 = rays
+    let inverse = directions.map(|r| std::array::from_fn(|i| 1.0 / (r[0] * t[i] + r[1] * b[i] + r[2] * n[i])));
+    let open = |origin: [f32; 3]| {
+        let blocked: f32 = inverse
             .iter()
-            .map(|r| {
-                let direction = std::array::from_fn(|i| r[0] * t[i] + r[1] * b[i] + r[2] * n[i]);
-                let mut hit = exit(origin, direction, room, height);
-                for solid in &near {
-                    hit = hit.min(entry(origin, direction, solid));
-                }
+            .map(|inverse| {
+                let out = exit(origin, inverse, room, height);
+                let hit = near.iter().fold(out, |hit, solid| hit.min(entry(origin, inverse, solid)));
                 (1.0 - hit / REACH_M).max(0.0)
             })
             .sum();
         1.0 - (1.0 - FLOOR) * blocked / RAYS as f32
-    })
+    };
+    let lifted = |p: [f32; 3]| std::array::from_fn(|i| p[i] + 0.004 * n[i]);
+    if quad.corners.iter().all(|c| norm(sub(*c, center)) < SMALL_M) {
+        return [open(lifted(center)); 4];
+    }
+    // A little towards the middle and off the surface, so that a corner does not start inside its neighbour.
+    quad.corners.map(|c| open(lifted(std::array::from_fn(|i| c[i] + 0.04 * (center[i] - c[i])))))
 }
 
 /// Whether a solid may block rays of at most [`REACH_M`] from a face.
@@ -109,21 +116,21 @@ fn reachable(solid: &Solid, quad: &Quad) -> bool {
 }
 
 /// Distance at which a ray leaves the room through a wall, the floor or the ceiling.
-fn exit(origin: [f32; 3], direction: [f32; 3], room: Rect, height: f32) -> f32 {
+fn exit(origin: [f32; 3], inverse: &[f32; 3], room: Rect, height: f32) -> f32 {
     let (min, max) = ([room.min[0], room.min[1], 0.0], [room.max[0], room.max[1], height]);
     (0..3).fold(REACH_M, |best, i| {
-        let side = if direction[i] > 0.0 { max[i] } else { min[i] };
-        let t = (side - origin[i]) / direction[i];
+        let side = if inverse[i] > 0.0 { max[i] } else { min[i] };
+        let t = (side - origin[i]) * inverse[i];
         // A lining in a doorway is outside of its room: walls behind it are no walls for it.
         if t > 0.0 { best.min(t) } else { best }
     })
 }
 
 /// Distance at which a ray enters a solid; [`REACH_M`] where it does not or starts inside.
-fn entry(origin: [f32; 3], direction: [f32; 3], solid: &Solid) -> f32 {
+fn entry(origin: [f32; 3], inverse: &[f32; 3], solid: &Solid) -> f32 {
     let (mut enter, mut leave) = (f32::MIN, f32::MAX);
     for i in 0..3 {
-        let (a, b) = ((solid.min[i] - origin[i]) / direction[i], (solid.max[i] - origin[i]) / direction[i]);
+        let (a, b) = ((solid.min[i] - origin[i]) * inverse[i], (solid.max[i] - origin[i]) * inverse[i]);
         enter = enter.max(a.min(b));
         leave = leave.min(a.max(b));
     }

@@ -191,13 +191,23 @@ fn stream(seed: u64, purpose: u64) -> Pcg64Mcg {
 
 /// Builds a home: the same bytes for the same kind and options.
 pub fn build(kind: HomeKind, options: &HomeOptions) -> Home {
-    let (mut home, looks) = construct(kind, options);
-    (home.scene.materials, home.scene.textures) = looks.finish(options.seed, options.texture);
-    home
+    let home = construct(kind, options);
+    let lit = ambient::bake(&home.mesh, &home.layout.rooms);
+    let (triangles, surfaces) = ambient::triangles(&home.mesh, &lit);
+    let (materials, textures) = home.looks.finish(options.seed, options.texture);
+    let scene = Scene { triangles, materials, textures };
+    Home { scene, surfaces, rooms: home.layout.rooms, doors: home.layout.doors, furniture: home.furniture }
 }
 
-/// Everything but materials and textures.
-fn construct(kind: HomeKind, options: &HomeOptions) -> (Home, looks::Looks) {
+/// A home before it is lit and painted.
+struct Construction {
+    layout: layout::Layout,
+    mesh: mesh::Mesh,
+    looks: looks::Looks,
+    furniture: Vec<Furniture>,
+}
+
+fn construct(kind: HomeKind, options: &HomeOptions) -> Construction {
     let seed = options.seed;
     let height_m = stream(seed, 1).random_range(50..=54) as f32 * 0.05;
     let layout = layout::Layout::draw(kind, height_m, &mut stream(seed, 2));
@@ -208,7 +218,5 @@ fn construct(kind: HomeKind, options: &HomeOptions) -> (Home, looks::Looks) {
     joinery::build(&layout, &style, &mut looks, &mut mesh, &mut stream(seed, 4));
     let reserved = fixtures::build(kind, &layout, &style, &mut looks, &mut mesh, &mut stream(seed, 5));
     let furniture = furniture::furnish(kind, &layout, &reserved, &mut looks, &mut mesh, seed, options.moved);
-    let (triangles, surfaces) = ambient::bake(&mesh, &layout.rooms);
-    let scene = Scene { triangles, ..Scene::default() };
-    (Home { scene, surfaces, rooms: layout.rooms, doors: layout.doors, furniture }, looks)
+    Construction { layout, mesh, looks, furniture }
 }

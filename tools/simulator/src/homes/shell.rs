@@ -9,7 +9,7 @@ use super::openings::{CASING_M, DOOR_HEIGHT_M, Hole, LINING_M, WALL_M, outer_spa
 use super::styles::HomeStyle;
 
 /// Longest edge of a wall's, floor's or ceiling's quads, metres.
-const GRID_M: f32 = 0.25;
+const GRID_M: f32 = 0.2;
 const SKIRTING_HEIGHT_M: f32 = 0.07;
 const SKIRTING_DEPTH_M: f32 = 0.012;
 

@@ -14,7 +14,7 @@ use crate::floor::FloorPlan;
 
 type Shared = Arc<Mutex<State>>;
 
-/// The base refuses a command that is not finite.
+/// The base refuses a command that is not finite, and stops.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DriveRefused {
     /// What was asked for.
@@ -68,7 +68,7 @@ impl Camera for SimCamera {
     }
 }
 
-/// Casts a scan when asked at a new time.
+/// Casts a scan when asked, at most one in the scanner's period.
 pub struct SimLidar {
     shared: Shared,
     geometry: ScanGeometry,
@@ -92,9 +92,10 @@ impl Lidar for SimLidar {
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Infallible> {
         let mut state = lock(&self.shared);
         let now_ns = state.now_ns;
-        if state.scan_ns.replace(now_ns) == Some(now_ns) {
+        if state.scan_ns.is_some_and(|last_ns| now_ns < last_ns.saturating_add(self.geometry.period_ns.max(1))) {
             return Ok(false);
         }
+        state.scan_ns = Some(now_ns);
         state.take_scan(scan);
         Ok(true)
     }
@@ -118,12 +119,16 @@ impl ErrorType for SimBase {
 impl Base for SimBase {
     fn drive(&mut self, command: &DriveCommand) -> Result<(), DriveRefused> {
         let mut state = lock(&self.shared);
-        state.command = Twist2::ZERO;
+        // A repeated frame is not a sign of life.
+        let is_new = state.last_counter.replace(command.counter) != Some(command.counter);
         if !command.twist.is_finite() {
+            state.command = Twist2::ZERO;
             return Err(DriveRefused { twist: command.twist });
         }
-        state.command = command.twist;
-        state.commanded_ns = state.now_ns;
+        if is_new {
+            state.command = command.twist;
+            state.commanded_ns = state.now_ns;
+        }
         Ok(())
     }
 
@@ -175,6 +180,13 @@ impl Truth {
     #[must_use]
     pub fn pose(&self) -> Pose2 {
         lock(&self.shared).pose
+    }
+
+    /// Where the frame of the odometry lies in the world, now. Moves as odometry drifts; without noise it is the start pose.
+    #[must_use]
+    pub fn t_world_odom(&self) -> Pose2 {
+        let state = lock(&self.shared);
+        state.pose.compose(&state.odometer.pose().inverse())
     }
 
     /// Where the robot can be.

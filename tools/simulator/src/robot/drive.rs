@@ -13,9 +13,9 @@ impl State {
             return;
         }
         self.pose_before = self.pose;
+        self.step_s = (deadline_ns - self.now_ns) as f64 * 1e-9;
         let fresh_until_ns = self.commanded_ns.saturating_add(self.options.watchdog_ns);
         let seconds = (deadline_ns.min(fresh_until_ns).saturating_sub(self.now_ns)) as f64 * 1e-9;
-        let whole_s = (deadline_ns - self.now_ns) as f64 * 1e-9;
         self.now_ns = deadline_ns;
         let body = Body { sliding: self.options.sliding };
         let moved = self.plan.drive(&self.pose, &self.command, seconds, &body, &self.bodies());
@@ -24,6 +24,7 @@ impl State {
         let measured = odom_before.inverse().compose(&self.odometer.pose());
         self.pose = moved.pose;
         self.contact = moved.contact;
-        self.twist = Twist2 { linear_mps: measured.x_m / whole_s, angular_radps: measured.yaw_rad / whole_s };
+        self.touched |= moved.contact;
+        self.twist = Twist2 { linear_mps: measured.x_m / self.step_s, angular_radps: measured.yaw_rad / self.step_s };
     }
 }

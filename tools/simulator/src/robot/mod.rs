@@ -2,10 +2,12 @@
 
 mod devices;
 mod drive;
+#[cfg(test)]
+mod tests;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use hal::{CameraModel, DepthMap, Frame, LaserScan, Pose2, Pose3, Twist2, WheelFeedback, camera_mount};
+use hal::{CameraModel, DepthMap, Distortion, Frame, LaserScan, Pose2, Pose3, Twist2, WheelFeedback, camera_mount};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -76,6 +78,31 @@ impl Default for RobotOptions {
     }
 }
 
+impl RobotOptions {
+    fn check(&self) -> Result<(), SceneError> {
+        self.nuisances.check()?;
+        self.odometry.check()?;
+        let refuse = |option, value: String, allowed| Err(SceneError::Option { option, value, allowed });
+        if !self.camera.is_sound() || self.camera.distortion != Distortion::None {
+            let allowed = "a pinhole without distortion, of positive size and focal length";
+            return refuse("camera model", format!("{:?}", self.camera), allowed);
+        }
+        let mounts = [("camera mount", &self.t_base_camera), ("laser mount", &self.t_base_laser)];
+        for (option, mount) in mounts {
+            if !mount.translation.vector.iter().chain(mount.rotation.coords.iter()).all(|c| c.is_finite()) {
+                return refuse(option, mount.to_string(), "finite");
+            }
+        }
+        if self.watchdog_ns == 0 {
+            return refuse("watchdog", "0 ns".into(), "longer than the time between two commands");
+        }
+        match self.start.filter(|start| !start.is_finite()) {
+            Some(start) => refuse("start pose", format!("{start:?}"), "finite"),
+            None => Ok(()),
+        }
+    }
+}
+
 /// A robot in a home. Hand out its [`devices`](Self::devices) and let the clock run.
 #[derive(Clone)]
 pub struct SimulatedRobot {
@@ -103,12 +130,18 @@ pub(crate) struct State {
     options: RobotOptions,
     now_ns: u64,
     pose: Pose2,
+    /// Where it was before the newest step, and how long that took.
     pose_before: Pose2,
+    step_s: f64,
     odometer: Odometer,
     twist: Twist2,
     command: Twist2,
     commanded_ns: u64,
+    /// Something was in the way during the newest step.
     contact: bool,
+    /// Something was in the way since the last feedback.
+    touched: bool,
+    last_counter: Option<u32>,
     walkers: Vec<Walker>,
     laser_rng: Pcg64Mcg,
     camera_rng: Pcg64Mcg,
@@ -125,20 +158,22 @@ impl SimulatedRobot {
     /// # Errors
     /// [`SceneError::StartBlocked`] when the start pose does not fit; nuisances out of range.
     pub fn new(world: Arc<World>, options: RobotOptions) -> Result<Self, SceneError> {
-        options.nuisances.check()?;
+        options.check()?;
         let rng = |stream: u64| Pcg64Mcg::seed_from_u64(options.seed ^ (stream << 16));
-        options.odometry.check()?;
         let (start, plan) = place(&world, &options)?;
         let walkers = walkers(&plan, options.nuisances.people, &mut rng(PEOPLE_STREAM));
         let state = State {
             now_ns: 0,
             pose: start,
             pose_before: start,
+            step_s: 0.0,
             odometer: Odometer::new(options.odometry, options.seed ^ (WHEEL_STREAM << 16)),
             twist: Twist2::ZERO,
             command: Twist2::ZERO,
             commanded_ns: 0,
             contact: false,
+            touched: false,
+            last_counter: None,
             walkers,
             laser_rng: rng(LASER_STREAM),
             camera_rng: rng(CAMERA_STREAM),
@@ -196,8 +231,9 @@ impl State {
         let now = at(&self.pose);
         let renderer = self.world.renderer();
         if nuisances.shutter_s > 0.0 && self.pose_before != self.pose {
-            let before = at(&self.pose_before);
-            let open = [&before, &now];
+            // The frame's time is the middle of its exposure.
+            let half = self.motion_in(nuisances.shutter_s / 2.0);
+            let open = [&at(&self.pose.compose(&half.inverse())), &at(&self.pose.compose(&half))];
             renderer.render_blurred(camera, open, BLUR_PICTURES, &people, &light, &mut frame.data, &mut self.depth);
         } else {
             renderer.render(camera, &now, &people, &light, &mut frame.data, &mut self.depth);
@@ -218,8 +254,16 @@ impl State {
         laser::scan(self.world.renderer(), &t_world_laser, &people, &self.options.laser, rng, self.now_ns, scan);
     }
 
-    fn feedback(&self) -> WheelFeedback {
-        WheelFeedback { time_ns: self.now_ns, odom: self.odometer.pose(), twist: self.twist, contact: self.contact }
+    /// The motion within a time, at the true velocity of the newest step.
+    fn motion_in(&self, seconds: f64) -> Pose2 {
+        let step = self.pose_before.inverse().compose(&self.pose);
+        let share = seconds / self.step_s;
+        Pose2::new(step.x_m * share, step.y_m * share, step.yaw_rad * share)
+    }
+
+    fn feedback(&mut self) -> WheelFeedback {
+        let contact = std::mem::take(&mut self.touched);
+        WheelFeedback { time_ns: self.now_ns, odom: self.odometer.pose(), twist: self.twist, contact }
     }
 }
 

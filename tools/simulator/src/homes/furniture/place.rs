@@ -14,6 +14,8 @@ const WALK_M: f32 = 0.4 - CELL_M / 2.0;
 pub const DOORWAY_M: f32 = 0.9;
 /// Things higher than this stand neither before windows nor before pictures, metres.
 const TALL_M: f32 = 0.84;
+/// Share of an empty room's walkable floor that furniture leaves.
+const OPEN_SHARE: f32 = 0.28;
 /// Gap behind and beside furniture, metres.
 const GAP_M: f32 = 0.025;
 
@@ -48,6 +50,8 @@ pub struct RoomFloor {
     columns: usize,
     rows: usize,
     blocked: Vec<bool>,
+    /// Walkable cells of the empty room.
+    open: usize,
 }
 
 impl RoomFloor {
@@ -63,11 +67,13 @@ impl RoomFloor {
             columns,
             rows,
             blocked: vec![false; columns * rows],
+            open: 0,
         };
         let walkable = rect.grown(-WALK_M);
         for i in 0..floor.blocked.len() {
             floor.blocked[i] = !walkable.contains(floor.middle(i));
         }
+        floor.open = floor.blocked.iter().filter(|b| !**b).count();
         floor
     }
 
@@ -177,7 +183,7 @@ impl RoomFloor {
         let joined = self.anchors.iter().all(|a| reached[self.cell(*a)]);
         let count = reached.iter().filter(|r| **r).count();
         self.blocked = before;
-        joined && count * 20 >= free * 19
+        joined && count * 20 >= free * 19 && count as f32 >= OPEN_SHARE * self.open as f32
     }
 
     /// Cells that can be walked to from the first door.

@@ -53,7 +53,8 @@ fn living(area: f32, shop: &mut Workshop<'_>) -> Vec<Wish> {
         wishes.push(wish(Stand::Middle, vec![shop.dining_set(2, false), shop.dining_set(1, false)]));
     }
     for _ in 0..1 + (area / 12.0) as usize {
-        wishes.push(wish(Stand::Wall, vec![shop.bookshelf()]));
+        // Under windows there is room for something low.
+        wishes.push(wish(Stand::Wall, vec![shop.bookshelf(), shop.chest(1.1, 3)]));
     }
     wishes.push(wish(Stand::Corner, vec![shop.sofa(1)]));
     wishes.push(wish(Stand::Corner, vec![shop.plant()]));
@@ -101,7 +102,7 @@ fn bedroom(area: f32, shop: &mut Workshop<'_>) -> Vec<Wish> {
     if area > 13.0 && shop.chance(0.5) {
         wishes.push(wish(Stand::Wall, vec![shop.desk()]));
     }
-    wishes.push(wish(Stand::Wall, vec![shop.bookshelf()]));
+    wishes.push(wish(Stand::Wall, vec![shop.bookshelf(), shop.chest(0.9, 3)]));
     wishes.push(wish(Stand::Corner, vec![shop.plant()]));
     wishes
 }
@@ -160,8 +161,8 @@ fn open_plan(area: f32, shop: &mut Workshop<'_>) -> Vec<Wish> {
         wishes.push(wish(Stand::Middle, islands));
     }
     wishes.push(wish(Stand::Wall, vec![shop.lounge(2)]));
-    for _ in 0..3 {
-        wishes.push(wish(Stand::Wall, vec![shop.bookshelf()]));
+    for _ in 0..4 {
+        wishes.push(wish(Stand::Wall, vec![shop.bookshelf(), shop.chest(1.6, 3)]));
         wishes.push(wish(Stand::Wall, vec![shop.filing_cabinet()]));
         wishes.push(wish(Stand::Wall, vec![shop.plant()]));
     }

@@ -20,7 +20,7 @@ pub fn painting(version: u8, seed: u64) -> Texture {
 /// A muted colour by number.
 fn pigment(seed: u64, id: u64) -> [f32; 3] {
     let gray = 70.0 + 130.0 * hash(seed ^ 51, id);
-    std::array::from_fn(|i| gray + 90.0 * (hash(seed ^ 52 ^ i as u64, id) - 0.5))
+    std::array::from_fn(|i| gray + 56.0 * (hash(seed ^ 52 ^ i as u64, id) - 0.5))
 }
 
 fn landscape(seed: u64, brush: &Field) -> Texture {

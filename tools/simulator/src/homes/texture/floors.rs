@@ -30,7 +30,7 @@ pub fn planks(version: u8, seed: u64, texture: f32) -> Texture {
         let id = (row * 3 + board) as u64;
         let offset = (hash(seed ^ 12, id) * SIZE as f32) as usize;
         let tone =
-            hash(seed ^ 13, id) + contrast * (0.12 * grain.at(x + offset, y + offset * 7) + 0.05 * cloud.at(x, y));
+            hash(seed ^ 13, id) + contrast * (0.17 * grain.at(x + offset, y + offset * 7) + 0.07 * cloud.at(x, y));
         let gap = within < 1 || (0..3).any(|k| x.abs_diff(joint(row, k)) < 1);
         scaled(mix(dark, light, tone), if gap { 0.62 } else { 1.0 })
     })
@@ -83,5 +83,5 @@ pub fn carpet(seed: u64, texture: f32) -> Texture {
     let tufts = Field::fractal([SIZE, SIZE], [128, 128], 3, 1.0, seed ^ 22);
     let traces = Field::fractal([SIZE, SIZE], [3, 4], 6, 0.95, seed ^ 23);
     let contrast = partly(texture);
-    gray(SIZE, |x, y| 205.0 + contrast * (16.0 * tufts.at(x, y) + 12.0 * traces.at(x, y)))
+    gray(SIZE, |x, y| 205.0 + contrast * (21.0 * tufts.at(x, y) + 15.0 * traces.at(x, y)))
 }
