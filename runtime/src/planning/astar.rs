@@ -1,28 +1,9 @@
 //! The cheapest way, and the distance to everywhere.
 
 use super::buckets::{Buckets, Entry};
-use super::costmap::{BLOCKED, Costmap, FREE, UNIFORM};
+use super::costmap::{Costmap, UNIFORM};
+use super::steps::{ALL, DIAGONAL, FREE_DIAGONAL, FREE_STEP, NATURAL, NO_STEP, STEPS, STRAIGHT, is_allowed, onward};
 use crate::mapping::Cell;
-
-/// Cost of a step along a row or column, for weight 1/[`FREE`]. 17/12 is the square root of 2 within 0.2 %.
-const STRAIGHT: u32 = 12;
-/// Cost of a diagonal step.
-const DIAGONAL: u32 = 17;
-/// Cost of a straight step on free floor.
-const FREE_STEP: u32 = STRAIGHT * FREE as u32;
-const FREE_DIAGONAL: u32 = DIAGONAL * FREE as u32;
-/// No step led here: the start.
-const NO_STEP: u8 = 8;
-/// Steps by column and row: even ones are straight, odd ones lie between their neighbours in this list.
-const STEPS: [(i32, i32); 8] = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)];
-
-/// All 8 steps, as bits.
-const ALL: u8 = 0xff;
-/// By the step that led into a cell on even ground: the steps worth taking next. Every other neighbour is reached as cheaply
-/// from the cell before without this one: directly, or by the same two steps with the diagonal one first. This is the
-/// pruning of jump point search (Harabor and Grastien 2011), applied wherever the 3x3 cells around have one weight.
-const NATURAL: [u8; 8] =
-    [0b0000_0001, 0b0000_0111, 0b0000_0100, 0b0001_1100, 0b0001_0000, 0b0111_0000, 0b0100_0000, 0b1100_0001];
 
 /// What a search knows of a cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,6 +18,10 @@ struct Node {
 }
 
 const UNSEEN: Node = Node { cost: u32::MAX, step: NO_STEP, open: 0, done: 0 };
+
+/// Straight steps on free floor that are taken at once. Long runs save queueing, but run past what the search needs; and all
+/// priorities have to fit into the queue's ring.
+const RUN: usize = 8;
 
 /// Why there is no way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, thiserror::Error)]
@@ -155,58 +140,67 @@ impl Planner {
             if self.expanded > self.max_expanded {
                 return Err(NoPath::Budget);
             }
-            self.expand(costmap, entry, index, directions, &heuristic);
+            self.expand(costmap, entry, goal_index, directions, &heuristic);
         }
         Ok(goal_index == usize::MAX)
     }
 
     /// Takes every step of the set `directions` from a cell.
     #[inline]
-    fn expand(&mut self, costmap: &Costmap, from: Entry, index: usize, directions: u8, heuristic: &Heuristic) {
-        let stride = costmap.stride as isize;
-        let weight_at = |direction: usize| {
-            let (dx, dy) = STEPS[direction];
-            costmap.weights[index.wrapping_add_signed(dx as isize + dy as isize * stride)]
-        };
-        let even = costmap.weights[index] & UNIFORM != 0;
+    fn expand(&mut self, costmap: &Costmap, from: Entry, goal_index: usize, directions: u8, heuristic: &Heuristic) {
         let row = usize::from(from.y);
-        self.dirty = self.dirty.start.min(row.saturating_sub(1))..self.dirty.end.max(row + 2);
+        self.dirty = self.dirty.start.min(row.saturating_sub(RUN + 1))..self.dirty.end.max(row + RUN + 2);
+        let index = row * costmap.stride + usize::from(from.x);
+        let even = costmap.weights[index] & UNIFORM != 0;
         let mut left = directions;
         while left != 0 {
             let direction = left.trailing_zeros() as usize;
             left &= left - 1;
-            let next_weight = weight_at(direction);
-            let is_diagonal = direction % 2 == 1;
-            if !even {
-                let cuts_corner = || weight_at(direction - 1) == BLOCKED || weight_at((direction + 1) % 8) == BLOCKED;
-                if next_weight == BLOCKED || (is_diagonal && cuts_corner()) {
-                    continue;
-                }
-            }
-            let length = if is_diagonal { DIAGONAL } else { STRAIGHT };
-            let cost = from.cost + length * u32::from(next_weight & !UNIFORM);
-            let (dx, dy) = STEPS[direction];
-            let next = index.wrapping_add_signed(dx as isize + dy as isize * stride);
-            let node = &mut self.nodes[next];
-            if cost > node.cost {
-                continue;
-            }
-            let onward = if next_weight & UNIFORM != 0 { NATURAL[direction] } else { ALL };
-            let queued = if cost < node.cost {
-                *node = Node { cost, step: direction as u8, open: onward, done: 0 };
-                false
-            } else {
-                // As cheap from here as from elsewhere: the steps that are natural from here have to be taken too.
-                let was_open = node.open != 0;
-                node.open |= onward & !node.done;
-                was_open || node.open == 0
-            };
-            if !queued {
-                let x = from.x.wrapping_add_signed(dx as i16);
-                let y = from.y.wrapping_add_signed(dy as i16);
-                self.queue.push(cost + heuristic.of(x, y), Entry { x, y, cost });
+            if even || is_allowed(costmap, index, direction) {
+                self.step(costmap, from, direction, goal_index, heuristic);
             }
         }
+    }
+
+    /// Takes a step that is allowed, and queues where it leads if that is news. On even ground a straight step is followed by
+    /// up to [`RUN`] more like it without asking the queue: a cell that later turns out cheaper is queued again.
+    #[inline]
+    fn step(&mut self, costmap: &Costmap, mut from: Entry, direction: usize, goal_index: usize, heuristic: &Heuristic) {
+        let (dx, dy) = STEPS[direction];
+        let offset = dx as isize + dy as isize * costmap.stride as isize;
+        let is_diagonal = direction % 2 == 1;
+        let length = if is_diagonal { DIAGONAL } else { STRAIGHT };
+        let mut index = usize::from(from.y) * costmap.stride + usize::from(from.x);
+        let enough = from.cost + RUN as u32 * FREE_STEP;
+        loop {
+            index = index.wrapping_add_signed(offset);
+            let weight = costmap.weights[index];
+            let cost = from.cost + length * u32::from(weight & !UNIFORM);
+            let even = weight & UNIFORM != 0;
+            let onward = if even { NATURAL[direction] } else { onward(costmap, index, direction) };
+            from = Entry { x: from.x.wrapping_add_signed(dx as i16), y: from.y.wrapping_add_signed(dy as i16), cost };
+            let node = &mut self.nodes[index];
+            if cost < node.cost {
+                *node = Node { cost, step: direction as u8, open: onward, done: 0 };
+            } else {
+                // As cheap from here as from elsewhere: the steps that are natural from here have to be taken too.
+                let news = onward & !(node.done | node.open);
+                if cost > node.cost || news == 0 {
+                    return;
+                }
+                node.open |= news;
+                if node.open != news {
+                    return;
+                }
+            }
+            if !even || is_diagonal || cost >= enough || index == goal_index {
+                break;
+            }
+            node.done |= node.open;
+            node.open = 0;
+            self.expanded += 1;
+        }
+        self.queue.push(from.cost + heuristic.of(from.x, from.y), from);
     }
 
     /// Makes every cell unseen, at the price of the rows that the last search saw.
@@ -339,129 +333,4 @@ impl Reach<'_> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::mapping::CellBox;
-    use proptest::prelude::*;
-    use rand::{RngExt, SeedableRng};
-
-    /// A random costmap: `None` with probability `blocked`, otherwise a weight of 1 to 15 in patches.
-    fn random_map(width: i32, height: i32, blocked: f64, rough: f64, seed: u64) -> Costmap {
-        let mut random = rand_pcg::Pcg64::seed_from_u64(seed);
-        let cells = CellBox { min: Cell::new(-3, 5), max: Cell::new(width - 4, height + 4) };
-        Costmap::from_weights(cells, 0.03, |_| {
-            if random.random_bool(blocked) {
-                return None;
-            }
-            Some(if random.random_bool(rough) { f64::from(random.random_range(4..60)) / 4.0 } else { 1.0 })
-        })
-    }
-
-    /// Neighbours and whole-number costs, by the rules as documented.
-    fn successors(costmap: &Costmap, cell: Cell) -> Vec<(Cell, u32)> {
-        let mut found = Vec::new();
-        for (dx, dy) in STEPS {
-            let next = cell.offset(dx, dy);
-            let open = |dx, dy| costmap.is_passable(cell.offset(dx, dy));
-            if let Some(weight) = costmap.weight(next)
-                && open(dx, 0)
-                && open(0, dy)
-            {
-                let length = if dx != 0 && dy != 0 { DIAGONAL } else { STRAIGHT };
-                found.push((next, length * (weight * 4.0) as u32));
-            }
-        }
-        found
-    }
-
-    fn cost_of(costmap: &Costmap, path: &[Cell]) -> u32 {
-        path.windows(2)
-            .map(|pair| {
-                let step = successors(costmap, pair[0]).into_iter().find(|(cell, _)| *cell == pair[1]);
-                step.expect("the path takes a step that is not allowed").1
-            })
-            .sum()
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(200))]
-        #[test]
-        fn paths_cost_what_those_of_the_pathfinding_crate_cost(
-            width in 2..40i32, height in 2..40i32, blocked in 0.0..0.5f64, rough in prop_oneof![Just(0.0), Just(0.02), 0.0..1.0f64], seed: u64,
-            ends in (0.0..1.0f64, 0.0..1.0f64, 0.0..1.0f64, 0.0..1.0f64),
-        ) {
-            let costmap = random_map(width, height, blocked, rough, seed);
-            let at = |x: f64, y: f64| {
-                Cell::new(-3 + (x * f64::from(width)) as i32, 5 + (y * f64::from(height)) as i32)
-            };
-            let (start, goal) = (at(ends.0, ends.1), at(ends.2, ends.3));
-            let mut planner = Planner::new(usize::MAX);
-            prop_assume!(costmap.is_passable(start));
-            let expected = pathfinding::prelude::astar(&start, |cell| successors(&costmap, *cell), |_| 0, |cell| *cell == goal);
-            // Twice: the second search must not be disturbed by what the first left behind.
-            let _ = planner.plan(&costmap, goal, start);
-            match (planner.plan(&costmap, start, goal), expected) {
-                (Ok(path), Some((_, cost))) => {
-                    prop_assert_eq!((path[0], path[path.len() - 1]), (start, goal));
-                    prop_assert_eq!(cost_of(&costmap, path), cost);
-                    let reach_m = planner.flood(&costmap, start).unwrap().distance_m(goal).unwrap();
-                    prop_assert!((reach_m - f64::from(cost) / 48.0 * 0.03).abs() < 1e-9);
-                }
-                (Err(NoPath::GoalBlocked), None) => prop_assert!(!costmap.is_passable(goal)),
-                (Err(NoPath::Unreachable), None) => {
-                    prop_assert!(costmap.is_passable(goal));
-                    let mut reach = planner.flood(&costmap, start).unwrap();
-                    prop_assert_eq!(reach.distance_m(goal), None);
-                    prop_assert_eq!(reach.path_to(goal), Err(NoPath::Unreachable));
-                }
-                (got, expected) => prop_assert!(false, "{:?} instead of {:?}", got, expected.map(|(_, cost)| cost)),
-            }
-        }
-
-        #[test]
-        fn a_flood_knows_the_distance_to_every_cell(
-            width in 2..25i32, height in 2..25i32, blocked in 0.0..0.4f64, rough in prop_oneof![Just(0.0), Just(0.03), 0.0..1.0f64], seed: u64,
-        ) {
-            let costmap = random_map(width, height, blocked, rough, seed);
-            let start = Cell::new(-3, 5);
-            prop_assume!(costmap.is_passable(start));
-            let expected = pathfinding::prelude::dijkstra_all(&start, |cell| successors(&costmap, *cell));
-            let mut planner = Planner::new(usize::MAX);
-            let mut reach = planner.flood(&costmap, start).unwrap();
-            let cells = costmap.cells();
-            for cell in (cells.min.y..=cells.max.y).flat_map(|y| (cells.min.x..=cells.max.x).map(move |x| Cell::new(x, y))) {
-                let cost = if cell == start { Some(0) } else { expected.get(&cell).map(|(_, cost)| *cost) };
-                let got = reach.distance_m(cell).map(|distance_m| (distance_m / 0.03 * 48.0).round() as u32);
-                prop_assert_eq!(got, cost);
-                if let Some(cost) = cost {
-                    let path = reach.path_to(cell).unwrap().to_vec();
-                    prop_assert_eq!((path[0], cost_of(&costmap, &path)), (start, cost));
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn a_corner_is_not_cut() {
-        let cells = CellBox { min: Cell::new(0, 0), max: Cell::new(1, 1) };
-        let costmap = Costmap::from_weights(cells, 0.03, |cell| (cell != Cell::new(1, 0)).then_some(1.0));
-        let mut planner = Planner::new(100);
-        let path = planner.plan(&costmap, Cell::new(0, 0), Cell::new(1, 1)).unwrap();
-        assert_eq!(path, [Cell::new(0, 0), Cell::new(0, 1), Cell::new(1, 1)]);
-    }
-
-    #[test]
-    fn every_reason_is_told_apart() {
-        let cells = CellBox { min: Cell::new(0, 0), max: Cell::new(20, 20) };
-        // A wall in column 10.
-        let costmap = Costmap::from_weights(cells, 0.03, |cell| (cell.x != 10).then_some(1.0));
-        let (here, there) = (Cell::new(2, 2), Cell::new(18, 2));
-        let mut planner = Planner::new(1000);
-        assert_eq!(planner.plan(&costmap, here, there), Err(NoPath::Unreachable));
-        assert_eq!(planner.plan(&costmap, here, Cell::new(10, 2)), Err(NoPath::GoalBlocked));
-        assert_eq!(planner.plan(&costmap, here, Cell::new(99, 2)), Err(NoPath::GoalBlocked));
-        assert_eq!(planner.plan(&costmap, Cell::new(-1, 2), here), Err(NoPath::StartBlocked));
-        assert_eq!(Planner::new(5).plan(&costmap, here, Cell::new(9, 20)), Err(NoPath::Budget));
-        assert_eq!(planner.plan(&costmap, here, here), Ok(&[here][..]));
-    }
-}
+mod tests;

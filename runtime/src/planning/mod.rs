@@ -10,6 +10,7 @@ mod costmap;
 mod distance;
 mod follower;
 mod shorten;
+mod steps;
 
 pub use astar::{NoPath, Planner, Reach};
 pub use config::{ConfigError, FollowerConfig, PlanConfig};

@@ -12,6 +12,8 @@ use simulator::render::{Lighting, Renderer};
 use simulator::scene::{Material, Scene};
 
 const CAMERA_HEIGHT_M: f64 = 0.8;
+/// In the order of [`simulator::homes::Surface`].
+const CLASSES: [&str; 7] = ["floor", "ceiling", "wall", "opening", "fixture", "furniture", "outside"];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut args = std::env::args().skip(1);
@@ -195,7 +197,10 @@ impl Contrast {
         labels.sort_unstable();
         labels.dedup();
         for label in labels {
-            print!("  label {label:3}:");
+            // As `labelled` glows, through sRGB coding.
+            let glow = |i: usize| ((i + 1) as f64 * 0.08).powf(1.0 / 2.2) * 255.0;
+            let class = (0..7).min_by_key(|i| (glow(*i) - f64::from(label)).abs() as u32).unwrap_or(0);
+            print!("  {:9}", CLASSES[class]);
             for (near, far) in [(0.3, 1.0), (1.0, 1.6), (1.6, 2.4), (2.4, 4.0), (4.0, 8.0)] {
                 let mut all: Vec<f64> =
                     self.blocks.iter().filter(|b| b.0 == label && b.1 >= near && b.1 < far).map(|b| b.2).collect();

@@ -178,6 +178,7 @@ fn assert_all_rooms_connected(kind: HomeKind, moved: bool) {
 #[test]
 fn a_robot_reaches_every_room_of_an_apartment() {
     assert_all_rooms_connected(HomeKind::Apartment, false);
+    assert_all_rooms_connected(HomeKind::Apartment, true);
 }
 
 #[test]
@@ -186,7 +187,8 @@ fn a_robot_reaches_every_room_of_a_house() {
 }
 
 #[test]
-fn a_robot_reaches_every_room_of_an_office_after_furniture_moved() {
+fn a_robot_reaches_every_room_of_an_office_also_after_furniture_moved() {
+    assert_all_rooms_connected(HomeKind::Office, false);
     assert_all_rooms_connected(HomeKind::Office, true);
 }
 

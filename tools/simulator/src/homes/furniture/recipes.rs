@@ -77,7 +77,7 @@ fn kitchen(area: f32, shop: &mut Workshop<'_>) -> Vec<Wish> {
         counters.extend([shop.counter(units, true, front), shop.counter(units, false, front)]);
     }
     counters.push(shop.counter(2, false, front));
-    let mut wishes = vec![wish(Stand::Wall, counters), wish(Stand::Corner, vec![shop.fridge()])];
+    let mut wishes = vec![wish(Stand::Wall, counters), wish(Stand::Wall, vec![shop.fridge()])];
     if area > 9.0 {
         wishes.push(wish(Stand::Middle, vec![shop.dining_set(2, false), shop.dining_set(1, false)]));
         wishes.push(wish(Stand::Wall, vec![shop.counter(2, false, front)]));
@@ -108,19 +108,23 @@ fn bedroom(area: f32, shop: &mut Workshop<'_>) -> Vec<Wish> {
 }
 
 fn bath(home: HomeKind, area: f32, shop: &mut Workshop<'_>) -> Vec<Wish> {
-    let mut wishes = vec![wish(Stand::Wall, vec![shop.washstand()]), wish(Stand::Wall, vec![shop.toilet()])];
+    let mut wishes = Vec::new();
     if home == HomeKind::Office {
-        wishes.push(wish(Stand::Wall, vec![shop.washstand()]));
         wishes.push(wish(Stand::Wall, vec![shop.toilet()]));
+        wishes.push(wish(Stand::Wall, vec![shop.washstand()]));
         wishes.push(wish(Stand::Wall, vec![shop.wardrobe(1.2)]));
         wishes.push(wish(Stand::Corner, vec![shop.plant()]));
-        return wishes;
+    } else {
+        let wash = if area > 4.5 { vec![shop.tub(), shop.shower()] } else { vec![shop.shower()] };
+        wishes.push(wish(Stand::Corner, wash));
     }
-    let wash = if area > 4.5 { vec![shop.tub(), shop.shower()] } else { vec![shop.shower()] };
-    wishes.push(wish(Stand::Corner, wash));
-    wishes.push(wish(Stand::Wall, vec![shop.washer()]));
-    if area > 7.0 {
-        wishes.push(wish(Stand::Wall, vec![shop.chest(0.7, 4)]));
+    wishes.push(wish(Stand::Wall, vec![shop.toilet()]));
+    wishes.push(wish(Stand::Wall, vec![shop.washstand()]));
+    if home != HomeKind::Office {
+        wishes.push(wish(Stand::Wall, vec![shop.washer()]));
+        if area > 7.0 {
+            wishes.push(wish(Stand::Wall, vec![shop.chest(0.7, 4)]));
+        }
     }
     wishes
 }

@@ -2,6 +2,11 @@
 //!
 //! Contrast decides how hard a home is for depth from motion: with rich walls plain triangulation solves it, on blank
 //! ones nothing does. Numbers here are standard deviations in sRGB-coded steps of 255 at `texture = 1`.
+//!
+//! Measured by the example `home` on rendered 640x192 views of 90 degrees, in blocks of 16x16 pixels less their plane, at the
+//! calibrated strength, medians of eleven homes: walls, tiles and wallpaper among them, 2.4 to 4.9 at 1.6 to 2.4 m, mostly
+//! about 3, and 2.8 to 3.5 at 4 to 8 m; floors 5 to 9 at 2.4 to 4 m; furniture 3 to 10 at 1.6 to 2.4 m. A camera's own noise
+//! is about 1.5.
 
 mod art;
 mod floors;
