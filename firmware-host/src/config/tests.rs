@@ -17,7 +17,12 @@ fn refusal(text: &str) -> String {
 
 #[test]
 fn the_documented_default_file_is_the_default_and_an_empty_file_too() {
-    assert_eq!(parse(DEFAULT_FILE).unwrap(), Config::default());
+    let documented = parse(DEFAULT_FILE).unwrap();
+    let [documented_lines, default_lines] = [&documented, &Config::default()].map(|config| config.to_toml().unwrap());
+    for (documented, default) in documented_lines.lines().zip(default_lines.lines()) {
+        assert_eq!(documented, default, "robot.default.toml (left) differs from the default in the code (right)");
+    }
+    assert_eq!(documented, Config::default());
     assert_eq!(parse("").unwrap(), Config::default());
 }
 
