@@ -28,6 +28,7 @@ pub struct Evaluation {
     trajectory: Vec<Pose2>,
     goals_m: Vec<[f64; 2]>,
     trips_m: Vec<[f64; 2]>,
+    t_world_odom: Pose2,
 }
 
 /// What is true at one frame.
@@ -60,6 +61,7 @@ impl Evaluation {
             trajectory: Vec::new(),
             goals_m: Vec::new(),
             trips_m: Vec::new(),
+            t_world_odom: Pose2::IDENTITY,
         }
     }
 
@@ -85,6 +87,7 @@ impl Evaluation {
         let t_world_odom = truth.pose.compose(&truth.odom.inverse());
         self.count_events(decision, &t_world_odom, &truth.pose);
         self.mark_coverage(robot, &t_world_odom);
+        self.t_world_odom = t_world_odom;
         Ok(())
     }
 
@@ -133,6 +136,12 @@ impl Evaluation {
     #[must_use]
     pub fn trips_m(&self) -> &[[f64; 2]] {
         &self.trips_m
+    }
+
+    /// Where `odom` was in the world at the last frame: moves with the wheels' errors.
+    #[must_use]
+    pub fn t_world_odom(&self) -> Pose2 {
+        self.t_world_odom
     }
 
     /// Fills in what this knows.

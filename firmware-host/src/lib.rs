@@ -1,9 +1,19 @@
 //! What the binary on the robot is made of: configuration, wiring, command line, telemetry and reports.
 #![forbid(unsafe_code)]
 
+pub mod check;
+pub mod cli;
 pub mod config;
 pub mod dataset;
+pub mod evaluation;
+pub mod explore;
 pub mod onnx_runtime;
+pub mod perceive;
 pub mod record;
 pub mod replay;
+pub mod replay_run;
 pub mod report;
+#[cfg(feature = "rerun")]
+pub mod rerun_stream;
+pub mod setup;
+pub mod stopwatch;

@@ -2,6 +2,7 @@
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use ort::environment::Environment;
 
@@ -20,15 +21,20 @@ pub struct OnnxRuntimeMissing {
 }
 
 /// Loads ONNX Runtime from the first place that has it: `ORT_DYLIB_PATH` (alone, when it is set), beside the program, the
-/// build's `target/onnxruntime`, and the system's library path. Call it once; a process has one environment.
+/// build's `target/onnxruntime`, and the system's library path. A process has one environment: later calls return the first.
 ///
 /// # Errors
 /// Lists every place that was tried.
 pub fn init() -> Result<(Environment, PathBuf), OnnxRuntimeMissing> {
+    static LOADED: Mutex<Option<(Environment, PathBuf)>> = Mutex::new(None);
+    let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(loaded) = &*loaded {
+        return Ok(loaded.clone());
+    }
     let mut tried = Vec::new();
     for library in candidates(std::env::var_os("ORT_DYLIB_PATH"), std::env::current_exe().ok().as_deref()) {
         match load(&library) {
-            Ok(environment) => return Ok((environment, library)),
+            Ok(environment) => return Ok(loaded.insert((environment, library)).clone()),
             Err(reason) => tried.push(format!("{}: {reason}", library.display())),
         }
     }
@@ -106,6 +112,13 @@ mod tests {
         std::fs::write(file.path(), "not a library").unwrap();
         assert!(load(file.path()).is_err());
         assert!(load(Path::new("/nowhere/libonnxruntime.so")).is_err());
+    }
+
+    #[test]
+    fn it_is_loaded_once_for_the_whole_process() {
+        // `cargo xtask setup` installs it; `cargo xtask test` always does.
+        let (first, second) = (init().unwrap(), init().unwrap());
+        assert_eq!(first.1, second.1);
     }
 
     #[test]

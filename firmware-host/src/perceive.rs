@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use hal::ImageView;
 use runtime::accuracy::{Accuracy, ConstantBaseline};
 use runtime::event::Event;
@@ -12,7 +12,8 @@ use crate::cli::PerceiveArgs;
 use crate::config::Config;
 use crate::dataset::{Dataset, Sample};
 use crate::report::atomic::prepare_dir;
-use crate::report::depth_sheet::{DepthSheet, SheetRow};
+use crate::report::depth_sample::{SheetRow, SheetSampler};
+use crate::report::depth_sheet::DepthSheet;
 use crate::report::events::EventCounts;
 use crate::report::latency::Stage;
 use crate::report::progress::{Progress, Status};
@@ -20,9 +21,6 @@ use crate::report::summary::{DepthAccuracy, Summary, peak_resident_mib};
 use crate::report::table;
 use crate::setup;
 use crate::stopwatch::Stopwatch;
-
-/// Pictures on the contact sheet.
-const SHEET_ROWS: usize = 8;
 
 /// Looks at every picture of the sequence and reports.
 ///
@@ -43,7 +41,7 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
         constant: ConstantBaseline::new(),
         events: EventCounts::default(),
         stopwatch: Stopwatch::default(),
-        sheet: DepthSheet::default(),
+        sheet: SheetSampler::default(),
         path_m: 0.0,
     };
     let began = Instant::now();
@@ -55,7 +53,7 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
             looker.path_m += (sample.t_world_camera.translation.vector - last.translation.vector).norm();
         }
         last = Some(sample.t_world_camera);
-        looker.look(index, &sample, on_sheet(index, dataset.len()))?;
+        looker.look(index as u64, &sample)?;
         progress.frame(index as u64 + 1, &Status { coverage: None, doing: "looking" });
     }
     progress.finish();
@@ -63,7 +61,8 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     let wall_s = began.elapsed().as_secs_f64();
     let frames = dataset.len() as u64;
     let summary = looker.summary(frames, wall_s, &args.dataset.display().to_string());
-    looker.sheet.write(&args.out.join("depth.png")).context("cannot write depth.png")?;
+    let title = format!("{}, {frames} frames", args.dataset.display());
+    DepthSheet { title: &title, rows: &looker.sheet.into_rows() }.write(&args.out)?;
     summary.write(&args.out)?;
     println!("{}", table::render(&summary));
     if dataset.without_pose() > 0 {
@@ -71,11 +70,6 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     }
     println!("Look at {}.", args.out.join("depth.png").display());
     Ok(())
-}
-
-/// Rows of the contact sheet are spread evenly, without the first pictures, which cannot have depth yet.
-fn on_sheet(index: usize, total: usize) -> bool {
-    (1..=SHEET_ROWS).any(|row| index == (row * total / (SHEET_ROWS + 1)).min(total.saturating_sub(1)))
 }
 
 struct Looker {
@@ -86,12 +80,12 @@ struct Looker {
     constant: ConstantBaseline,
     events: EventCounts,
     stopwatch: Stopwatch,
-    sheet: DepthSheet,
+    sheet: SheetSampler,
     path_m: f64,
 }
 
 impl Looker {
-    fn look(&mut self, index: usize, sample: &Sample, on_sheet: bool) -> Result<()> {
+    fn look(&mut self, index: u64, sample: &Sample) -> Result<()> {
         let frame = ImageView::rgb8(sample.camera.width, sample.camera.height, &sample.rgb)?;
         let began = Instant::now();
         self.stopwatch.start();
@@ -117,9 +111,8 @@ impl Looker {
                 self.network_accuracy.add(refined, truth)?;
             }
         }
-        if on_sheet {
-            self.sheet.add(SheetRow::new(index as u64, frame, coarse, refined, sample.truth.as_ref()));
-        }
+        let depths = usize::from(coarse.is_some()) + usize::from(refined.is_some());
+        self.sheet.offer(index, depths, || SheetRow::capture(index, &frame, coarse, refined, sample.truth.as_ref()));
         Ok(())
     }
 

@@ -3,10 +3,12 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use hal::CameraModel;
+use hal::{CameraModel, Pose2, Pose3};
 use runtime::exploration::PolicyKind;
 use runtime::perception::{DepthNetwork, NetworkOptions};
 use runtime::robot::{DepthSource, RobotConfig};
+use simulator::RobotOptions;
+use simulator::odometry::OdometryNoise;
 
 use crate::config::Config;
 use crate::onnx_runtime;
@@ -38,11 +40,40 @@ impl Config {
             depth_source: mission.depth_source,
             coarse: self.coarse.clone(),
             map: self.map.clone(),
-            planning: self.planning.clone(),
+            plan: self.plan_config(),
+            follower: self.follower_config(),
             exploration: self.exploration,
             bumper: self.bumper_config(),
         }
     }
+}
+
+/// The simulated robot that the configuration describes.
+#[must_use]
+pub fn simulated_robot(config: &Config, seed: u64, start: Option<Pose2>) -> RobotOptions {
+    let simulator = &config.simulator;
+    RobotOptions {
+        camera: config.camera.model(),
+        t_base_camera: config.camera.mount(),
+        t_base_laser: laser_mount(config),
+        sliding: simulator.sliding,
+        odometry: OdometryNoise {
+            translation: simulator.odometry_distance_noise,
+            rotation: simulator.odometry_turn_noise,
+            heading_drift_rad: 0.0,
+        },
+        laser: simulator.laser_model(),
+        nuisances: simulator.nuisances.clone(),
+        seed,
+        start,
+        ..RobotOptions::default()
+    }
+}
+
+/// `t_base_laser`.
+#[must_use]
+pub fn laser_mount(config: &Config) -> Pose3 {
+    Pose3::translation(config.lidar.forward_m, 0.0, config.lidar.height_m)
 }
 
 /// Loads ONNX Runtime and a depth network.
@@ -54,7 +85,7 @@ pub fn load_network(path: &Path, camera: &CameraModel, config: &Config) -> Resul
     let (environment, library) = onnx_runtime::init()?;
     tracing::info!(library = %library.display(), "ONNX Runtime");
     let options = NetworkOptions { threads: config.network.threads };
-    DepthNetwork::load(&environment, &model, (camera.width, camera.height), &options)
+    DepthNetwork::load(&environment, &model, (camera.width, camera.height), options)
         .with_context(|| format!("model {}", path.display()))
 }
 

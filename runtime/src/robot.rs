@@ -27,6 +27,21 @@ pub enum DepthSource {
     Truth,
 }
 
+impl DepthSource {
+    /// Every source.
+    pub const ALL: [Self; 3] = [Self::Coarse, Self::Network, Self::Truth];
+
+    /// The name on the command line, in the summary and in recordings.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Coarse => "coarse",
+            Self::Network => "network",
+            Self::Truth => "truth",
+        }
+    }
+}
+
 /// Everything that shapes a decision, besides the inputs and the model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobotConfig {

@@ -13,7 +13,7 @@ pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
     bench.args(filter);
     match onnx_runtime::install() {
         Ok(library) => _ = bench.env("ORT_DYLIB_PATH", library),
-        Err(error) => eprintln!("no ONNX Runtime, so no rows of the network ({})", error.root_cause()),
+        Err(error) => eprintln!("no rows of the network: {error}"),
     }
     command::run(&mut bench)
 }

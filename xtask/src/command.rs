@@ -1,5 +1,7 @@
 //! Runs other programs.
 
+use std::ffi::OsStr;
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
@@ -7,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use crate::paths;
 
 /// A program that runs in the repository's root.
-pub fn program(name: impl AsRef<std::ffi::OsStr>) -> Command {
+pub fn program(name: impl AsRef<OsStr>) -> Command {
     let mut command = Command::new(name);
     command.current_dir(paths::root());
     command
@@ -44,6 +46,8 @@ pub fn works(command: &mut Command) -> bool {
 
 /// The command line as one would type it.
 pub fn text(command: &Command) -> String {
-    let words = std::iter::once(command.get_program()).chain(command.get_args());
-    words.map(|word| word.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
+    // Without the folder of the program: `cargo` says enough.
+    let program = Path::new(command.get_program()).file_name().unwrap_or(command.get_program());
+    let words = std::iter::once(program).chain(command.get_args());
+    words.map(OsStr::to_string_lossy).collect::<Vec<_>>().join(" ")
 }

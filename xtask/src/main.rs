@@ -10,11 +10,13 @@ mod onnx_runtime;
 mod paths;
 mod test;
 
+use std::process::ExitCode;
+
 use clap::Parser;
 
 /// The project's chores.
 #[derive(Parser)]
-#[command(name = "cargo xtask", version, about)]
+#[command(name = "cargo xtask", version)]
 enum Chore {
     /// Explore a built-in home and show depth, map, path and recording.
     Demo,
@@ -32,11 +34,21 @@ enum Chore {
     Setup,
 }
 
-fn main() -> anyhow::Result<()> {
-    match Chore::parse() {
+fn main() -> ExitCode {
+    match run(&Chore::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(chore: &Chore) -> anyhow::Result<()> {
+    match chore {
         Chore::Demo => demo::run(),
         Chore::Test => test::run(),
-        Chore::Bench { json, filter } => bench::run(json, filter.as_deref()),
+        Chore::Bench { json, filter } => bench::run(*json, filter.as_deref()),
         Chore::Setup => {
             println!("ONNX Runtime: {}", onnx_runtime::install()?.display());
             println!("test runner:  {}", if nextest::install() { "cargo nextest" } else { "cargo test" });

@@ -38,31 +38,60 @@ fn table(
 }
 
 fn impossible(key: &str, value: &DeValue<'_>, known: &toml::Value) -> Option<Problem> {
-    let (number, written) = match value {
-        DeValue::Integer(integer) => {
-            let number =
-                i128::from_str_radix(integer.as_str(), integer.radix()).map_or(f64::NAN, |number| number as f64);
-            (Some(number), integer.as_str().to_owned())
-        }
-        DeValue::Float(float) => (float.as_str().parse().ok(), float.as_str().to_owned()),
-        DeValue::String(text) => (None, format!("\"{text}\"")),
-        DeValue::Boolean(yes) => (None, yes.to_string()),
-        DeValue::Datetime(time) => (None, time.to_string()),
-        DeValue::Array(_) => (None, "[...]".to_owned()),
-        DeValue::Table(_) => (None, "{...}".to_owned()),
-    };
-    // A whole number is also a number.
-    let fits = value.type_str() == known.type_str() || (value.is_integer() && known.is_float());
     let limit = limits::of(key);
-    let in_range = limit.is_none_or(|limit| number.is_some_and(|number| limit.allows(number)));
-    let allowed = match (limit, known) {
+    // A whole number is also a number; of a list, every element must be possible.
+    let fits = match (value, known) {
+        (DeValue::Integer(_), toml::Value::Float(_)) => true,
+        (DeValue::Array(elements), toml::Value::Array(known)) => {
+            let element = known.first();
+            elements
+                .iter()
+                .all(|given| element.is_none_or(|element| impossible(key, given.get_ref(), element).is_none()))
+        }
+        _ => value.type_str() == known.type_str(),
+    };
+    let in_range = match (number(value), limit) {
+        (Some(number), Some(limit)) => limit.allows(number),
+        _ => true,
+    };
+    let problem =
+        || Problem::Impossible { line: 0, key: key.into(), value: written(value), allowed: allowed(known, limit) };
+    (!(fits && in_range)).then(problem)
+}
+
+fn number(value: &DeValue<'_>) -> Option<f64> {
+    match value {
+        // A number that no integer type holds is in no range.
+        DeValue::Integer(integer) => {
+            Some(i128::from_str_radix(integer.as_str(), integer.radix()).map_or(f64::NAN, |number| number as f64))
+        }
+        DeValue::Float(float) => float.as_str().parse().ok(),
+        _ => None,
+    }
+}
+
+fn written(value: &DeValue<'_>) -> String {
+    match value {
+        DeValue::Integer(integer) => integer.as_str().to_owned(),
+        DeValue::Float(float) => float.as_str().to_owned(),
+        DeValue::String(text) => format!("\"{text}\""),
+        DeValue::Boolean(yes) => yes.to_string(),
+        DeValue::Datetime(time) => time.to_string(),
+        DeValue::Array(elements) => {
+            format!("[{}]", elements.iter().map(|element| written(element.get_ref())).collect::<Vec<_>>().join(", "))
+        }
+        DeValue::Table(_) => "{...}".to_owned(),
+    }
+}
+
+fn allowed(known: &toml::Value, limit: Option<&limits::Limit>) -> String {
+    match (limit, known) {
         (Some(limit), toml::Value::Integer(_)) => format!("a whole number, {limit}"),
+        (Some(limit), toml::Value::Array(_)) => format!("a list of {limit}"),
         (Some(limit), _) => limit.to_string(),
         (None, toml::Value::Boolean(_)) => "true or false".to_owned(),
         (None, known) => format!("a {}", known.type_str()),
-    };
-    let problem = || Problem::Impossible { line: 0, key: key.into(), value: written, allowed };
-    (!(fits && in_range)).then(problem)
+    }
 }
 
 /// A similar key of the same table; else the same or a similar name elsewhere; else all keys of the table.
@@ -116,20 +145,30 @@ fn with_line(problem: Problem, at: usize) -> Problem {
     }
 }
 
-/// Values that are possible one by one, but not together.
+/// Values that are possible one by one, but not together: what each part of the runtime says of its own, and what no
+/// part can see alone.
 pub(super) fn together(config: &Config) -> Vec<Problem> {
-    let mut problems = Vec::new();
-    let speed_mps = config.base.speed_mps();
-    let bumper = &config.bumper;
-    if bumper.back_off_m / speed_mps > bumper.back_off_timeout_s {
-        let needed_s = bumper.back_off_m / speed_mps;
-        problems.push(Problem::Together {
-            message: format!(
-                "`bumper.back_off_m = {}` takes {needed_s:.1} s at `base.forward_step_m` every `base.tick_ms` ({speed_mps:.2} m/s), \
-                 but `bumper.back_off_timeout_s = {}` ends it earlier: allow more time or less distance",
-                bumper.back_off_m, bumper.back_off_timeout_s
-            ),
-        });
+    let parts = [
+        ("coarse", config.coarse.validate().map_err(|error| error.to_string())),
+        ("map", config.map.validate().map_err(|error| error.to_string())),
+        ("planning", config.plan_config().validate().map_err(|error| error.to_string())),
+        ("planning", config.follower_config().validate().map_err(|error| error.to_string())),
+        ("simulator.nuisances", config.simulator.nuisances.check().map_err(|error| error.to_string())),
+        ("bumper", back_off_in_time(config)),
+    ];
+    let refused = parts.into_iter().filter_map(|(section, result)| Some((section, result.err()?)));
+    refused.map(|(section, why)| Problem::Together { message: format!("[{section}]: {why}") }).collect()
+}
+
+fn back_off_in_time(config: &Config) -> Result<(), String> {
+    let (bumper, speed_mps) = (&config.bumper, config.base.speed_mps());
+    let needed_s = bumper.back_off_m / speed_mps;
+    if needed_s <= bumper.back_off_timeout_s {
+        return Ok(());
     }
-    problems
+    Err(format!(
+        "`back_off_m = {}` takes {needed_s:.1} s at `base.forward_step_m` every `base.tick_ms` ({speed_mps:.2} m/s), but \
+         `back_off_timeout_s = {}` ends it earlier: allow more time or less distance",
+        bumper.back_off_m, bumper.back_off_timeout_s
+    ))
 }

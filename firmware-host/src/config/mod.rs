@@ -11,11 +11,12 @@ mod sections;
 
 use std::path::Path;
 
+use runtime::{exploration::ExplorationConfig, mapping::MapConfig, perception::CoarseConfig};
 use serde::{Deserialize, Serialize};
 
 pub use error::{ConfigError, Problem};
 pub use sections::{
-    BaseSection, BumperSection, CameraSection, ExplorationSection, LidarSection, NetworkSection, RecordingSection,
+    BaseSection, BumperSection, CameraSection, LidarSection, NetworkSection, PlanningSection, RecordingSection,
     SimulatorSection,
 };
 
@@ -24,7 +25,7 @@ pub const DEFAULT_FILE: &str = include_str!("../../robot.default.toml");
 
 /// Everything that can be configured.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// The camera and its place on the robot.
     pub camera: CameraSection,
@@ -34,8 +35,14 @@ pub struct Config {
     pub base: BaseSection,
     /// The safety stop.
     pub bumper: BumperSection,
+    /// Depth from ego-motion.
+    pub coarse: CoarseConfig,
+    /// The map.
+    pub map: MapConfig,
+    /// Paths and how they become motion.
+    pub planning: PlanningSection,
     /// How goals are chosen and given up.
-    pub exploration: ExplorationSection,
+    pub exploration: ExplorationConfig,
     /// The depth network.
     pub network: NetworkSection,
     /// The recording.

@@ -1,14 +1,18 @@
 //! The sections of the configuration. What each key means, its range and its source stand in `robot.default.toml`.
 
 use hal::{CameraModel, Pose3, Twist2, camera_mount};
-use runtime::safety::BumperConfig;
+use runtime::{
+    planning::{FollowerConfig, PlanConfig},
+    safety::BumperConfig,
+};
 use serde::{Deserialize, Serialize};
+use simulator::{laser::LaserModel, nuisance::Nuisances};
 
 use super::Config;
 
 /// `[camera]`: size of the pictures that perception works on, and where the camera sits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct CameraSection {
     /// Columns.
     pub width: usize,
@@ -46,7 +50,7 @@ impl CameraSection {
 
 /// `[lidar]`: where the safety LiDAR sits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct LidarSection {
     /// Height of the scan plane above the floor, metres.
     pub height_m: f64,
@@ -62,7 +66,7 @@ impl Default for LidarSection {
 
 /// `[base]`: the drive base and its discrete actions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct BaseSection {
     /// Radius of the round footprint, metres.
     pub footprint_radius_m: f64,
@@ -114,7 +118,7 @@ impl BaseSection {
 
 /// `[bumper]`: the safety stop.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct BumperSection {
     /// Free way in front of the footprint below which the robot stops, metres.
     pub stop_distance_m: f64,
@@ -132,29 +136,58 @@ impl Default for BumperSection {
     }
 }
 
-/// `[exploration]`: how goals are chosen and given up.
+/// `[planning]`: where the robot likes to drive, and how a path becomes motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct ExplorationSection {
-    /// Frames that the active policy spends on frontiers before it looks for inconsistencies.
-    pub frontier_frames: u64,
-    /// Frames that the active policy spends on inconsistencies before it goes back to frontiers.
-    pub inconsistency_frames: u64,
-    /// A goal without progress for this long is given up, seconds.
-    pub progress_timeout_s: f64,
-    /// How long a goal that was given up is left alone, seconds.
-    pub blacklist_expiry_s: f64,
+#[serde(default, deny_unknown_fields)]
+pub struct PlanningSection {
+    /// Cells this much further from an obstacle than the footprint's radius are still never entered, metres.
+    pub margin_m: f64,
+    /// Up to this distance from an obstacle driving costs more, metres.
+    pub inflation_radius_m: f64,
+    /// Extra cost of a metre right at the hard limit, in metres of free floor.
+    pub inflation_cost: f64,
+    /// Cost of a metre through the unknown, in metres of free floor.
+    pub unknown_cost: f64,
+    /// Plans may leave the known part of the map by this much, metres.
+    pub padding_m: f64,
+    /// A search gives up after this many cells.
+    pub max_expanded: usize,
+    /// The robot steers for the point of the path this far ahead, metres.
+    pub lookahead_m: f64,
+    /// With more heading error than this it turns on the spot first, degrees.
+    pub turn_in_place_deg: f64,
+    /// Turning on the spot ends below this heading error, degrees.
+    pub aligned_deg: f64,
+    /// While driving, heading errors below this are not corrected, degrees.
+    pub correct_deg: f64,
+    /// The end of a path is reached within this distance, metres.
+    pub goal_tolerance_m: f64,
+    /// Further from the path than this is off the path, metres.
+    pub off_path_m: f64,
 }
 
-impl Default for ExplorationSection {
+impl Default for PlanningSection {
     fn default() -> Self {
-        Self { frontier_frames: 800, inconsistency_frames: 400, progress_timeout_s: 30.0, blacklist_expiry_s: 120.0 }
+        Self {
+            margin_m: 0.02,
+            inflation_radius_m: 0.24,
+            inflation_cost: 4.0,
+            unknown_cost: 4.0,
+            padding_m: 0.6,
+            max_expanded: 4_000_000,
+            lookahead_m: 0.3,
+            turn_in_place_deg: 20.0,
+            aligned_deg: 2.0,
+            correct_deg: 4.0,
+            goal_tolerance_m: 0.06,
+            off_path_m: 0.3,
+        }
     }
 }
 
 /// `[network]`: the depth network.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct NetworkSection {
     /// Threads for inference.
     pub threads: usize,
@@ -168,7 +201,7 @@ impl Default for NetworkSection {
 
 /// `[recording]`: the MCAP recording.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct RecordingSection {
     /// A new segment begins after this much recorded time, seconds.
     pub segment_s: f64,
@@ -186,9 +219,9 @@ impl Default for RecordingSection {
     }
 }
 
-/// `[simulator]`: the simulated robot and home. Zero is off everywhere.
+/// `[simulator]`: the simulated robot, and what makes its pictures hard.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct SimulatorSection {
     /// Whether the robot slides along an obstacle that it touches (Habitat's default) or stops there.
     pub sliding: bool,
@@ -196,24 +229,12 @@ pub struct SimulatorSection {
     pub odometry_distance_noise: f64,
     /// Standard deviation of measured turn, share of the turn.
     pub odometry_turn_noise: f64,
-    /// Standard deviation of a LiDAR range, metres.
+    /// Standard deviation of a LiDAR range up to 10 m, metres; three times that beyond.
     pub lidar_noise_m: f64,
-    /// Share of LiDAR beams without an answer.
+    /// Share of LiDAR beams that meet something and return nothing.
     pub lidar_dropout: f64,
-    /// Slow change of exposure, share of the brightness.
-    pub exposure_drift: f64,
-    /// Flicker from frame to frame, share of the brightness.
-    pub flicker: f64,
-    /// Patches of sunlight on the floor.
-    pub sun_patches: bool,
-    /// Standard deviation of pixel noise, share of full scale.
-    pub sensor_noise: f64,
-    /// Exposure time, share of a tick.
-    pub motion_blur: f64,
-    /// People who walk about.
-    pub people: u32,
-    /// Furniture has moved since the home was built.
-    pub moved_furniture: bool,
+    /// What makes the pictures hard.
+    pub nuisances: Nuisances,
 }
 
 impl Default for SimulatorSection {
@@ -222,15 +243,22 @@ impl Default for SimulatorSection {
             sliding: false,
             odometry_distance_noise: 0.0,
             odometry_turn_noise: 0.0,
-            lidar_noise_m: 0.01,
-            lidar_dropout: 0.0,
-            exposure_drift: 0.0,
-            flicker: 0.0,
-            sun_patches: false,
-            sensor_noise: 0.006,
-            motion_blur: 0.0,
-            people: 0,
-            moved_furniture: false,
+            lidar_noise_m: LaserModel::UTM_30LX.noise_near_m,
+            lidar_dropout: LaserModel::UTM_30LX.dropout,
+            nuisances: Nuisances::default(),
+        }
+    }
+}
+
+impl SimulatorSection {
+    /// The simulated scanner: a UTM-30LX with the configured noise.
+    #[must_use]
+    pub fn laser_model(&self) -> LaserModel {
+        LaserModel {
+            noise_near_m: self.lidar_noise_m,
+            noise_far_m: 3.0 * self.lidar_noise_m,
+            dropout: self.lidar_dropout,
+            ..LaserModel::UTM_30LX
         }
     }
 }
@@ -249,6 +277,35 @@ impl Config {
             scan_timeout_s: self.bumper.scan_timeout_s,
             laser_forward_m: self.lidar.forward_m,
             period_s: self.base.tick_s(),
+        }
+    }
+
+    /// The planner's own configuration, put together from `[planning]` and `[base]`.
+    #[must_use]
+    pub fn plan_config(&self) -> PlanConfig {
+        PlanConfig {
+            footprint_radius_m: self.base.footprint_radius_m,
+            margin_m: self.planning.margin_m,
+            inflation_radius_m: self.planning.inflation_radius_m,
+            inflation_cost: self.planning.inflation_cost,
+            unknown_cost: self.planning.unknown_cost,
+            padding_m: self.planning.padding_m,
+            max_expanded: self.planning.max_expanded,
+        }
+    }
+
+    /// The follower's own configuration, put together from `[planning]` and `[base]`.
+    #[must_use]
+    pub fn follower_config(&self) -> FollowerConfig {
+        FollowerConfig {
+            forward_m: self.base.forward_step_m,
+            turn_rad: self.base.turn_step_deg.to_radians(),
+            lookahead_m: self.planning.lookahead_m,
+            turn_in_place_rad: self.planning.turn_in_place_deg.to_radians(),
+            aligned_rad: self.planning.aligned_deg.to_radians(),
+            correct_rad: self.planning.correct_deg.to_radians(),
+            goal_tolerance_m: self.planning.goal_tolerance_m,
+            off_path_m: self.planning.off_path_m,
         }
     }
 }

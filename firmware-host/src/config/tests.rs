@@ -1,6 +1,9 @@
 use std::path::Path;
 
-use runtime::safety::BumperConfig;
+use runtime::{
+    planning::{FollowerConfig, PlanConfig},
+    safety::BumperConfig,
+};
 
 use super::*;
 
@@ -28,8 +31,8 @@ fn the_default_file_has_every_key_and_states_every_range() {
     assert_eq!(known_keys, documented_keys);
     let mut section = "";
     for line in DEFAULT_FILE.lines() {
-        if let Some(name) = line.strip_prefix('[') {
-            section = name.trim_end_matches(']');
+        if let Some((name, _)) = line.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
+            section = name;
         } else if let Some((name, rest)) = line.split_once(" = ") {
             let name = name.trim();
             match limits::of(&format!("{section}.{name}")) {
@@ -49,6 +52,7 @@ fn every_number_has_a_limit_and_every_limit_a_number_within_it() {
                 toml::Value::Table(inner) => numbers(inner, &key, into),
                 toml::Value::Integer(number) => into.push((key, *number as f64)),
                 toml::Value::Float(number) => into.push((key, *number)),
+                toml::Value::Array(numbers) => into.push((key, numbers[0].as_float().unwrap())),
                 _ => {}
             }
         }
@@ -128,7 +132,34 @@ fn broken_syntax_names_file_and_line() {
 #[test]
 fn values_that_contradict_each_other_are_refused() {
     let error = refusal("[bumper]\nback_off_m = 1.0\nback_off_timeout_s = 2.0\n");
-    assert!(error.contains("takes 3.3 s") && error.contains("bumper.back_off_timeout_s = 2"), "{error}");
+    assert!(error.contains("[bumper]: `back_off_m = 1` takes 3.3 s"), "{error}");
+}
+
+#[test]
+fn what_a_part_of_the_runtime_refuses_is_refused_here_with_the_file() {
+    for (text, part) in [
+        ("coarse.penalty_large = 1", "[coarse]"),
+        ("map.side_cells = 100", "[map]"),
+        ("planning.correct_deg = 1.0", "[planning]"),
+    ] {
+        let error = refusal(text);
+        assert!(error.starts_with(&format!("robot.toml: {part}: ")), "{error}");
+    }
+}
+
+#[test]
+fn every_element_of_a_list_must_be_possible() {
+    for list in ["[6.0, -1.0]", "[6.0, nan]", "[\"six\"]", "6.0"] {
+        let error = refusal(&format!("coarse.parallax_px = {list}"));
+        assert!(error.ends_with("line 1 is not possible: allowed is a list of 0.5 to 200 pixels"), "{error}");
+    }
+    assert_eq!(parse("coarse.parallax_px = [5, 10, 20.5]").unwrap().coarse.parallax_px, [5.0, 10.0, 20.5]);
+}
+
+#[test]
+fn a_choice_that_does_not_exist_is_refused_with_the_choices() {
+    let error = refusal("[map]\nlidar = \"hit\"\n");
+    assert!(error.contains("line 2") && error.contains("`hits`") && error.contains("`hits-and-free`"), "{error}");
 }
 
 #[test]
@@ -140,7 +171,7 @@ fn a_missing_file_is_named() {
 
 #[test]
 fn what_is_printed_loads_as_the_same_configuration() {
-    let config = parse("[simulator]\npeople = 3\n[base]\nturn_step_deg = 1.7\n").unwrap();
+    let config = parse("[simulator.nuisances]\npeople = 3\n[base]\nturn_step_deg = 1.7\n").unwrap();
     assert_eq!(parse(&config.to_toml().unwrap()).unwrap(), config);
 }
 
@@ -155,6 +186,19 @@ fn the_assembled_bumper_is_the_bumpers_own_default() {
         BumperConfig { back_off_mps: 0.0, escape_radps: 0.0, ..ours },
         BumperConfig { back_off_mps: 0.0, escape_radps: 0.0, ..theirs }
     );
+}
+
+#[test]
+fn the_assembled_planner_and_follower_are_their_own_defaults_with_this_robots_footprint() {
+    let config = Config::default();
+    let theirs = PlanConfig { footprint_radius_m: config.base.footprint_radius_m, ..PlanConfig::default() };
+    assert_eq!(config.plan_config(), theirs);
+    assert_eq!(config.follower_config(), FollowerConfig::default());
+}
+
+#[test]
+fn the_default_scanner_is_the_data_sheets() {
+    assert_eq!(Config::default().simulator.laser_model(), simulator::laser::LaserModel::UTM_30LX);
 }
 
 #[test]

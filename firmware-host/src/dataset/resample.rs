@@ -141,8 +141,8 @@ fn taps(start: f64, step: f64, targets: usize, sources: usize) -> Vec<Taps> {
     let reach = step.max(1.0);
     let one = |target: usize| {
         let centre = (target as f64 + 0.5) * step + start - 0.5;
-        let first = nearest((centre - reach).ceil(), sources);
-        let last = nearest((centre + reach).floor(), sources);
+        let first = nearest((centre - reach).floor() + 1.0, sources);
+        let last = nearest((centre + reach).ceil() - 1.0, sources);
         let mut weights: Vec<f32> =
             (first..=last).map(|at| (1.0 - (at as f64 - centre).abs() / reach).max(0.0) as f32).collect();
         let sum: f32 = weights.iter().sum();

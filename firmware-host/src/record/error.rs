@@ -32,7 +32,10 @@ pub enum RecordError {
         source: io::Error,
     },
     /// A segment cannot be written.
-    #[error("cannot write {}: {source}; what was recorded until then is kept; free disk space or choose another --out", path.display())]
+    #[error(
+        "cannot write {}: {source}; what was recorded until then is kept; free disk space or choose another --out",
+        path.display()
+    )]
     Write {
         /// The segment.
         path: PathBuf,

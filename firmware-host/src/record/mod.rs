@@ -3,16 +3,16 @@
 //! # What a power cut costs
 //!
 //! A chunk holds at most [`CHUNK_NS`](runtime::recording::CHUNK_NS) (1 s) or
-//! [`CHUNK_BYTES`](runtime::recording::CHUNK_BYTES) (4 MiB) of turns. On a robot ([`RecorderOptions::robot`]) every chunk is
-//! synced to the disk, so a power cut costs the chunk that is being filled and what waits in the queue: at 10 Hz at most 1 s
-//! plus 16 turns, 2.6 s. A crash of the program alone costs the same. A simulation ([`RecorderOptions::simulation`]) can be
-//! run again, so nothing is synced and the operating system decides.
+//! [`CHUNK_BYTES`](runtime::recording::CHUNK_BYTES) (4 MiB) of turns. On a robot ([`RecorderOptions::robot`]) every
+//! chunk is synced to the disk, so a power cut costs the chunk that is being filled and what waits in the queue: at 10
+//! Hz at most 1 s plus 16 turns, 2.6 s. A crash of the program alone costs the same. A simulation
+//! ([`RecorderOptions::simulation`]) can be run again, so nothing is synced and the operating system decides.
 //!
 //! # What a full disk costs
 //!
-//! The segment that is being written is cut back to its last complete chunk and closed without an index: a valid MCAP file.
-//! Segments before it are not touched. A simulation then ends with `output_failed`; a robot goes on without a recording and
-//! counts what it does not record.
+//! The segment that is being written is cut back to its last complete chunk and closed without an index: a valid MCAP
+//! file. Segments before it are not touched. A simulation then ends with `output_failed`; a robot goes on without a
+//! recording and counts what it does not record.
 
 mod disk;
 mod error;

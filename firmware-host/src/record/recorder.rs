@@ -74,8 +74,8 @@ pub struct RecordingSummary {
     pub decisions_digest: String,
 }
 
-/// Hands turns to the recording thread. Dropping it waits for the thread, so that even a run that ends by an error leaves
-/// whole files.
+/// Hands turns to the recording thread. Dropping it waits for the thread, so that even a run that ends by an error
+/// leaves whole files.
 pub struct Recorder {
     when_full: WhenFull,
     queue: Option<SyncSender<(RecordedTick, Views)>>,

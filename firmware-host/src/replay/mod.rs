@@ -48,9 +48,9 @@ impl ReplayReport {
     }
 }
 
-/// Recomputes the run at `path` (the `--out` directory of a run, or one .mcap) with the loop that `build` makes from its
-/// header. Writes the first mismatches to `out`, and `replay: ticks=N mismatches=M` as the last line. A run that breaks off
-/// is replayed as far as it goes.
+/// Recomputes the run at `path` (the `--out` directory of a run, or one .mcap) with the loop that `build` makes from
+/// its header. Writes the first mismatches to `out`, and `replay: ticks=N mismatches=M` as the last line. A run that
+/// breaks off is replayed as far as it goes.
 ///
 /// # Errors
 /// When no turn can be replayed at all, the loop cannot be built, or `out` cannot be written.

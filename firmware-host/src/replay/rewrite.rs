@@ -7,9 +7,9 @@ use runtime::recording::{RecordedTick, Views};
 use super::run::Run;
 use crate::record::{Recorder, RecorderOptions, RecordingSummary};
 
-/// Copies the run at `from` into the directory `to`, every turn passed through `edit`. A test that flips one recorded input
-/// this way must make `replay` report a mismatch: pictures sit compressed behind checksums, so no byte of a file can be
-/// flipped without the file being corrupt. Pictures for people (map, path, depth) are not copied.
+/// Copies the run at `from` into the directory `to`, every turn passed through `edit`. A test that flips one recorded
+/// input this way must make `replay` report a mismatch: pictures sit compressed behind checksums, so no byte of a file
+/// can be flipped without the file being corrupt. Pictures for people (map, path, depth) are not copied.
 ///
 /// # Errors
 /// When `from` cannot be read to its end or `to` cannot be written.

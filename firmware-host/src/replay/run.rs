@@ -47,7 +47,10 @@ pub enum ReplayError {
         segment: u32,
     },
     /// A file is missing in the row, or there twice.
-    #[error("{} is segment {found} where segment {expected} should be; put all segments of the run into one directory", path.display())]
+    #[error(
+        "{} is segment {found} where segment {expected} should be; put all segments of the run into one directory",
+        path.display()
+    )]
     SegmentOrder {
         /// The file.
         path: PathBuf,
@@ -57,14 +60,18 @@ pub enum ReplayError {
         found: u32,
     },
     /// A file of another run.
-    #[error("{} belongs to another run than the segments before it; put each run into a directory of its own", path.display())]
+    #[error(
+        "{} belongs to another run than the segments before it; put each run into a directory of its own",
+        path.display()
+    )]
     OtherRun {
         /// The file.
         path: PathBuf,
     },
     /// Turns were dropped while recording.
     #[error(
-        "{}: turn {found} comes where turn {expected} should be: turns were dropped while recording (the disk was too slow), \
+        "{}: turn {found} comes where turn {expected} should be: turns were dropped while recording (the disk \
+         was too slow), \
          and what comes after them cannot be recomputed",
         path.display()
     )]

@@ -75,10 +75,6 @@ impl SheetRow {
             truth: truth.map(reduce),
         })
     }
-
-    fn has_depth(&self) -> bool {
-        self.coarse.is_some() || self.network.is_some()
-    }
 }
 
 impl SampledDepth {
@@ -114,36 +110,35 @@ fn pixel(data: &[u8], index: usize) -> Rgb {
 
 /// Spreads the rows of a sheet over a run whose length nobody knows.
 ///
-/// The run is cut into equal slots; each keeps its first frame that has a depth, or its first frame. When there are too
-/// many slots, every second one goes and slots become twice as long.
+/// The run is cut into equal slots; each keeps its first frame with the most depths. When there are too many slots, every
+/// second one goes and slots become twice as long.
 #[derive(Debug, Clone)]
 pub struct SheetSampler {
     slot_frames: u64,
-    rows: Vec<SheetRow>,
+    kept: Vec<(usize, SheetRow)>,
 }
 
 impl Default for SheetSampler {
     fn default() -> Self {
-        Self { slot_frames: 1, rows: Vec::new() }
+        Self { slot_frames: 1, kept: Vec::new() }
     }
 }
 
 impl SheetSampler {
-    /// Offers a frame; `capture` is only called when it may be kept. Frames come in increasing order.
-    pub fn offer(&mut self, frame: u64, capture: impl FnOnce() -> Option<SheetRow>) {
+    /// Offers a frame for which `depths` sources have a depth; `capture` is only called when the frame is kept for now.
+    /// Frames come in increasing order.
+    pub fn offer(&mut self, frame: u64, depths: usize, capture: impl FnOnce() -> Option<SheetRow>) {
         let slot = frame / self.slot_frames;
-        let current = self.rows.last().filter(|row| row.frame / self.slot_frames == slot);
-        if current.is_some_and(SheetRow::has_depth) {
+        let rival = self.kept.last().filter(|(_, row)| row.frame / self.slot_frames == slot).map(|(depths, _)| *depths);
+        if rival.is_some_and(|rival| rival >= depths) {
             return;
         }
         let Some(row) = capture() else { return };
-        match current.is_some() {
-            true if !row.has_depth() => return,
-            true => drop(self.rows.pop()),
-            false => {}
+        if rival.is_some() {
+            self.kept.pop();
         }
-        self.rows.push(row);
-        while self.rows.len() > SHEET_ROWS {
+        self.kept.push((depths, row));
+        while self.kept.len() > SHEET_ROWS {
             self.slot_frames *= 2;
             self.thin_out();
         }
@@ -151,22 +146,20 @@ impl SheetSampler {
 
     /// The rows so far, in the order of the run.
     #[must_use]
-    pub fn rows(&self) -> &[SheetRow] {
-        &self.rows
+    pub fn into_rows(self) -> Vec<SheetRow> {
+        self.kept.into_iter().map(|(_, row)| row).collect()
     }
 
-    /// Of the rows that now share a slot, keeps the first that has a depth, or the first.
+    /// Of the rows that now share a slot, keeps the first with the most depths.
     fn thin_out(&mut self) {
         let slot_frames = self.slot_frames;
-        let mut kept: Vec<SheetRow> = Vec::with_capacity(SHEET_ROWS + 1);
-        for row in self.rows.drain(..) {
-            match kept.last_mut().filter(|last| last.frame / slot_frames == row.frame / slot_frames) {
-                Some(last) if !last.has_depth() && row.has_depth() => *last = row,
-                Some(_) => {}
-                None => kept.push(row),
+        self.kept.dedup_by(|later, earlier| {
+            let same_slot = later.1.frame / slot_frames == earlier.1.frame / slot_frames;
+            if same_slot && later.0 > earlier.0 {
+                std::mem::swap(later, earlier);
             }
-        }
-        self.rows = kept;
+            same_slot
+        });
     }
 }
 
@@ -185,43 +178,47 @@ mod tests {
         SheetRow::capture(frame, &picture, with_depth.then(|| estimate(4, 2, 2.0)).as_ref(), None, None)
     }
 
+    fn sampled(frames: u64, depths: impl Fn(u64) -> usize) -> Vec<SheetRow> {
+        let mut sampler = SheetSampler::default();
+        (0..frames).for_each(|frame| sampler.offer(frame, depths(frame), || row(frame, depths(frame) > 0)));
+        sampler.into_rows()
+    }
+
     #[test]
     fn rows_are_spread_over_runs_of_any_length() {
         for frames in [1u64, 3, 8, 9, 100, 360, 3000, 30_000] {
-            let mut sampler = SheetSampler::default();
-            (0..frames).for_each(|frame| sampler.offer(frame, || row(frame, true)));
-            let kept: Vec<u64> = sampler.rows().iter().map(|row| row.frame).collect();
-            assert!(
-                kept.len() <= SHEET_ROWS && kept.len() as u64 >= frames.min(SHEET_ROWS as u64 / 2),
-                "{frames}: {kept:?}"
-            );
+            let kept: Vec<u64> = sampled(frames, |_| 1).iter().map(|row| row.frame).collect();
+            let enough = frames.min(SHEET_ROWS as u64 / 2) as usize;
+            assert!((enough..=SHEET_ROWS).contains(&kept.len()), "{frames}: {kept:?}");
             assert!(kept.windows(2).all(|pair| pair[1] - pair[0] <= frames.div_ceil(4)), "{frames}: {kept:?}");
         }
     }
 
     #[test]
-    fn a_slot_prefers_a_frame_that_has_depth() {
-        let mut sampler = SheetSampler::default();
-        (0..1000u64).for_each(|frame| sampler.offer(frame, || row(frame, frame % 50 == 17)));
-        assert!(sampler.rows().len() >= 4);
-        assert!(sampler.rows().iter().all(SheetRow::has_depth));
+    fn a_slot_prefers_the_frame_with_the_most_depths() {
+        let rows = sampled(1000, |frame| usize::from(frame % 50 == 17) + usize::from(frame > 2));
+        assert!(rows.len() >= 4);
+        assert!(
+            rows.iter().all(|row| row.frame % 50 == 17),
+            "{:?}",
+            rows.iter().map(|row| row.frame).collect::<Vec<_>>()
+        );
     }
 
     #[test]
     fn a_run_without_any_depth_still_shows_its_pictures() {
-        let mut sampler = SheetSampler::default();
-        (0..50u64).for_each(|frame| sampler.offer(frame, || row(frame, false)));
-        assert!(sampler.rows().len() >= 4 && !sampler.rows()[0].has_depth());
+        let rows = sampled(50, |_| 0);
+        assert!(rows.len() >= 4 && rows[0].coarse.is_none());
     }
 
     #[test]
     fn wide_pictures_are_reduced_and_small_ones_are_not() {
         let rgb = vec![9; 640 * 192 * 3];
         let picture = ImageView::rgb8(640, 192, &rgb).unwrap();
-        let row = SheetRow::capture(5, &picture, Some(&estimate(640, 192, 3.0)), None, None).unwrap();
-        assert_eq!((row.width, row.height, row.rgb.len()), (320, 96, 320 * 96));
-        assert_eq!(row.coarse.unwrap().depth_m, vec![3.0; 320 * 96]);
-        assert_eq!(super::tests::row(0, true).unwrap().width, 4);
+        let wide = SheetRow::capture(5, &picture, Some(&estimate(640, 192, 3.0)), None, None).unwrap();
+        assert_eq!((wide.width, wide.height, wide.rgb.len()), (320, 96, 320 * 96));
+        assert_eq!(wide.coarse.unwrap().depth_m, vec![3.0; 320 * 96]);
+        assert_eq!(row(0, true).unwrap().width, 4);
     }
 
     #[test]

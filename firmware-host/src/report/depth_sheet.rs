@@ -25,7 +25,7 @@ const BARS: i64 = 64;
 /// A relative error of this and more has the last colour.
 const WORST: f32 = 0.5;
 /// Depths that a colour bar may name, metres.
-const TICKS_M: [f32; 9] = [0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0];
+const TICKS_M: [f32; 14] = [0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0];
 
 /// What a column shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -131,7 +131,7 @@ impl DepthSheet<'_> {
         let depth = |depth: Option<&SampledDepth>| match depth {
             None => "no depth".to_owned(),
             Some(SampledDepth { delta1: Some(delta1), share, .. }) => {
-                format!("{:.0} % of pixels, delta1 {delta1:.2}", 100.0 * share)
+                format!("{:.0} % of pixels, delta1 {delta1:.2} unscaled", 100.0 * share)
             }
             Some(SampledDepth { share, .. }) => format!("{:.0} % of pixels", 100.0 * share),
         };
@@ -210,6 +210,19 @@ impl DepthScale {
         (depth_m / self.near_m).ln() / (self.far_m / self.near_m).ln()
     }
 
+    /// Depths worth naming and where they stand: none so close to the one before that their labels would touch.
+    fn ticks(&self) -> Vec<(f32, String)> {
+        let mut ticks: Vec<(f32, String)> = Vec::new();
+        for tick_m in TICKS_M {
+            let share = self.share(tick_m);
+            let room = ticks.last().is_none_or(|(last, _)| share - last > 0.1);
+            if room && (0.0..=1.0).contains(&share) {
+                ticks.push((share, format!("{tick_m}")));
+            }
+        }
+        ticks
+    }
+
     fn color(&self, depth_m: f32) -> Rgb {
         near_warm(self.share(depth_m))
     }
@@ -251,8 +264,7 @@ impl Layout {
 fn draw_bars(canvas: &mut Canvas, layout: &Layout, scale: &DepthScale, with_error: bool) {
     let y = layout.page_height() - BARS + 14;
     let bar = Bar { x: GAP + Font::Label.width("depth (m) "), y, width: 300 };
-    let ticks = TICKS_M.iter().filter(|tick| (0.0..=1.0).contains(&scale.share(**tick)));
-    let ticks: Vec<(f32, String)> = ticks.map(|tick| (scale.share(*tick), format!("{tick}"))).collect();
+    let ticks = scale.ticks();
     bar.draw(canvas, "depth (m)", near_warm, &ticks);
     let mut right = bar.x + bar.width + 40;
     if with_error {

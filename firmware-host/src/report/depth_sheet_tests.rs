@@ -87,6 +87,15 @@ fn near_is_warm_and_equal_ratios_are_equal_steps() {
 }
 
 #[test]
+fn ticks_are_named_where_they_stand_and_do_not_touch() {
+    for (near_m, far_m) in [(0.9, 2.6), (0.1, 20.0), (3.0, 3.6)] {
+        let ticks = DepthScale { near_m, far_m }.ticks();
+        assert!(!ticks.is_empty() && ticks.windows(2).all(|pair| pair[1].0 - pair[0].0 > 0.1), "{ticks:?}");
+    }
+    assert!(DepthScale { near_m: 0.9, far_m: 2.6 }.ticks().len() >= 3);
+}
+
+#[test]
 fn the_scale_follows_the_truth_and_a_single_wall_still_has_one() {
     let scale = DepthScale::of(&[row()]);
     assert!((scale.near_m - 1.0).abs() < 0.2 && (scale.far_m - 7.3).abs() < 0.2, "{scale:?}");
@@ -113,7 +122,7 @@ fn captions_say_the_frame_and_how_good_it_was() {
     let rows = [row()];
     let sheet = DepthSheet { title: "", rows: &rows };
     assert_eq!(sheet.caption(Column::Camera, &rows[0]), "frame 12");
-    assert_eq!(sheet.caption(Column::Coarse, &rows[0]), "100 % of pixels, delta1 0.90");
+    assert_eq!(sheet.caption(Column::Coarse, &rows[0]), "100 % of pixels, delta1 0.90 unscaled");
     assert_eq!(sheet.caption(Column::Error, &rows[0]), "mean 10 %");
     let blind = SheetRow { coarse: None, ..row() };
     assert_eq!(sheet.caption(Column::Coarse, &blind), "no depth");

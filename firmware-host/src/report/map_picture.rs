@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use hal::Pose2;
+pub use runtime::mapping::CellState;
 
 use super::{
     atomic::ReportError,
@@ -32,23 +33,11 @@ const TITLE: i64 = 36;
 const LEGEND: i64 = 60;
 /// The page is at least this wide, and the map is enlarged up to the second.
 const MIN_WIDTH: i64 = 840;
-const MAP_SIDE: i64 = 1100;
+const MAP_SIDE: i64 = 1400;
 /// A cell is at most this many pixels wide.
 const MAX_CELL: i64 = 10;
 /// Shown around what is known, metres.
 const MARGIN_M: f64 = 0.5;
-
-/// What the map knows of a cell.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum CellState {
-    /// Never seen.
-    #[default]
-    Unknown,
-    /// Nothing stands there.
-    Free,
-    /// Something stands there.
-    Occupied,
-}
 
 /// Square cells; row 0 is the lowest y, column 0 the lowest x.
 #[derive(Debug, Clone, Copy)]
@@ -143,7 +132,7 @@ impl MapPicture<'_> {
         for y in view.top..view.top + view.height {
             for x in view.left..view.left + view.width {
                 let [x_m, y_m] = view.meters(x, y);
-                let color = match self.map.get(x_m, y_m).unwrap_or_default() {
+                let color = match self.map.get(x_m, y_m).unwrap_or(CellState::Unknown) {
                     CellState::Unknown => UNKNOWN,
                     CellState::Free => FREE,
                     CellState::Occupied => OCCUPIED,

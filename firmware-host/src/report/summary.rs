@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use runtime::{accuracy::AccuracyRows, event::ExploreEnd};
+use runtime::{accuracy::AccuracyRows, event::ExploreEnd, robot::DepthSource};
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -13,18 +13,6 @@ use super::{
 
 /// Name of the file in the output directory.
 pub const SUMMARY_FILE: &str = "summary.json";
-
-/// Which depth went into the map.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "snake_case")]
-pub enum DepthSource {
-    /// Triangulated from ego-motion.
-    Coarse,
-    /// Predicted by the network.
-    Network,
-    /// Ground truth: tests what comes after depth, says nothing about the robot.
-    Truth,
-}
 
 /// A run in numbers.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]

@@ -3,11 +3,14 @@
 use std::fmt::Write as _;
 
 use comfy_table::{CellAlignment, Table, TableComponent, presets};
-use runtime::accuracy::{AccuracyRows, Metrics};
+use runtime::{
+    accuracy::{AccuracyRows, Metrics},
+    robot::DepthSource,
+};
 
 use super::{
     events::{Reasons, name},
-    summary::{DepthSource, Summary},
+    summary::Summary,
 };
 
 /// Columns.

@@ -313,7 +313,8 @@ impl FrameMapper {
             let forward_m = dx * hx + dy * hy;
             let right_m = dx * hy - dy * hx;
             aim.range2 = if forward_m > 0.0 { dx * dx + dy * dy } else { f32::INFINITY };
-            aim.bearing = (center + focal * right_m / forward_m) as i32 - 1;
+            // Beside the camera this grows without bound; what lies outside of the picture may be anywhere outside.
+            aim.bearing = (center + focal * right_m / forward_m).max(-1e6) as i32 - 1;
         }
     }
 }

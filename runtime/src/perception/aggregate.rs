@@ -1,69 +1,24 @@
-//! Semi-global aggregation (Hirschmueller 2008): along straight paths, a neighbour may differ by one hypothesis for a
+//! Semi-global aggregation (Hirschmueller 2008) along eight straight paths: a neighbour may differ by one hypothesis for a
 //! small penalty and by more for a large one.
 
-use super::sweep::MAX_PLANES;
+use super::sweep::PLANES;
 
-/// Path costs of one pixel with a border on both sides, so that the neighbours of the first and last plane exist.
-pub type PathCosts = [i16; MAX_PLANES + 2];
+/// Path costs of one pixel, with a wall on both sides so that the first and last plane have neighbours.
+type PathCosts = [i16; PLANES + 2];
 
 /// Higher than any path cost, low enough to add a penalty.
-pub const WALL: i16 = 20_000;
+const WALL: i16 = 20_000;
+/// A path before its first pixel.
+const START: PathCosts = [WALL; PLANES + 2];
 
-/// Fresh path costs: the path begins here.
-pub const START: PathCosts = [WALL; MAX_PLANES + 2];
-
-/// Continues a path from `before` (whose smallest cost is `least`) to the pixel with `costs`; adds the path's costs to
-/// `sum` and returns their minimum.
-#[inline]
-pub fn step(
-    costs: &[u8],
-    before: &PathCosts,
-    least: i16,
-    small: i16,
-    large: i16,
-    path: &mut PathCosts,
-    sum: &mut [i16],
-) -> i16 {
-    let planes = costs.len();
-    let jump = least + large;
-    let (lower, same, upper) = (&before[..planes], &before[1..=planes], &before[2..planes + 2]);
-    let path = &mut path[1..=planes];
-    let sum = &mut sum[..planes];
-    let mut minimum = WALL;
-    for i in 0..planes {
-        let near = (lower[i].min(upper[i]) + small).min(same[i]).min(jump) - least;
-        let cost = i16::from(costs[i]) + near;
-        path[i] = cost;
-        sum[i] += cost;
-        minimum = minimum.min(cost);
-    }
-    minimum
-}
-
-/// Begins a path at the pixel with `costs`.
-#[inline]
-pub fn begin(costs: &[u8], path: &mut PathCosts, sum: &mut [i16]) -> i16 {
-    let mut minimum = WALL;
-    for ((path, sum), cost) in path[1..].iter_mut().zip(sum.iter_mut()).zip(costs) {
-        *path = i16::from(*cost);
-        *sum += *path;
-        minimum = minimum.min(*path);
-    }
-    minimum
-}
-
-/// The cost volume's shape and what smoothness costs where.
+/// The cost volume and what smoothness costs where.
 #[derive(Debug, Clone, Copy)]
 pub struct Volume<'a> {
-    /// Rows x columns x planes.
-    pub costs: &'a [u8],
+    /// Rows x columns.
+    pub costs: &'a [[u8; PLANES]],
     /// Columns.
     pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Hypotheses.
-    pub planes: usize,
-    /// Grey values, rows x columns: an edge makes a jump cheap.
+    /// Grey values, rows x columns, 256 to a grey level: an edge makes a jump cheap.
     pub grey: &'a [u16],
     /// Penalty of one hypothesis.
     pub small: i16,
@@ -71,64 +26,176 @@ pub struct Volume<'a> {
     pub large: i16,
 }
 
-impl Volume<'_> {
-    fn pixel(&self, index: usize) -> &[u8] {
-        &self.costs[index * self.planes..][..self.planes]
-    }
+/// Two rows of paths in three directions, kept from picture to picture.
+#[derive(Debug, Default)]
+pub struct PathRows {
+    before: Vec<[PathCosts; 3]>,
+    now: Vec<[PathCosts; 3]>,
+    least_before: Vec<[i16; 3]>,
+    least_now: Vec<[i16; 3]>,
+}
 
+impl Volume<'_> {
+    /// An edge of four grey levels halves the penalty of a jump.
     fn jump(&self, from: usize, to: usize) -> i16 {
         let edge = i32::from(self.grey[from].abs_diff(self.grey[to]));
         (i32::from(self.large) * 1024 / (1024 + edge)).max(i32::from(self.small)) as i16
     }
 
-    /// Three paths that run down (or up): straight and both diagonals. Fills `sum`.
-    pub fn sweep_vertical(&self, upwards: bool, sum: &mut [i16]) {
-        let width = self.width;
-        sum.fill(0);
-        let mut before = vec![START; 3 * width];
-        let mut path = vec![START; 3 * width];
-        let mut least = vec![0_i16; 3 * width];
-        let mut least_before = vec![0_i16; 3 * width];
-        for step_index in 0..self.height {
-            let row = if upwards { self.height - 1 - step_index } else { step_index };
-            let previous_row = if upwards { row + 1 } else { row.wrapping_sub(1) };
+    /// Sums the three paths that run down (or up), straight and diagonally, into `sums`.
+    pub fn vertical(&self, upwards: bool, rows: &mut PathRows, sums: &mut [[i16; PLANES]]) {
+        let (width, height) = (self.width, self.costs.len() / self.width);
+        for paths in [&mut rows.before, &mut rows.now] {
+            paths.clear();
+            paths.resize(width, [START; 3]);
+        }
+        rows.least_before.resize(width, [0; 3]);
+        rows.least_now.resize(width, [0; 3]);
+        for index in 0..height {
+            let row = if upwards { height - 1 - index } else { index };
+            let above = if upwards { row + 1 } else { row.wrapping_sub(1) };
             for column in 0..width {
                 let at = row * width + column;
-                let costs = self.pixel(at);
-                let sum = &mut sum[at * self.planes..][..self.planes];
                 for direction in 0..3 {
-                    let slot = direction * width + column;
+                    let path = &mut rows.now[column][direction];
                     let from = (column + direction).wrapping_sub(1);
-                    least[slot] = if step_index == 0 || from >= width {
-                        begin(costs, &mut path[slot], sum)
+                    rows.least_now[column][direction] = if index == 0 || from >= width {
+                        begin(&self.costs[at], path)
                     } else {
-                        let jump = self.jump(previous_row * width + from, at);
-                        let from = direction * width + from;
-                        step(costs, &before[from], least_before[from], self.small, jump, &mut path[slot], sum)
+                        let jump = self.jump(above * width + from, at);
+                        let (before, least) = (&rows.before[from][direction], rows.least_before[from][direction]);
+                        follow(&self.costs[at], before, least, self.small, jump, path)
                     };
                 }
+                let [a, b, c] = &rows.now[column];
+                for (plane, sum) in sums[at].iter_mut().enumerate() {
+                    *sum = a[plane + 1].wrapping_add(b[plane + 1]).wrapping_add(c[plane + 1]);
+                }
             }
-            std::mem::swap(&mut before, &mut path);
-            std::mem::swap(&mut least, &mut least_before);
+            std::mem::swap(&mut rows.before, &mut rows.now);
+            std::mem::swap(&mut rows.least_before, &mut rows.least_now);
         }
     }
 
-    /// The two paths along `row`. Adds to `sum`, which holds that row.
-    pub fn sweep_row(&self, row: usize, sum: &mut [i16]) {
+    /// Adds the two paths along `row` to `sums`, which holds that row.
+    pub fn horizontal(&self, row: usize, sums: &mut [[i16; PLANES]]) {
         for backwards in [false, true] {
-            let (mut before, mut path, mut least) = (START, START, 0);
+            let (mut before, mut now, mut least) = (START, START, 0);
             for index in 0..self.width {
                 let column = if backwards { self.width - 1 - index } else { index };
                 let at = row * self.width + column;
-                let sum = &mut sum[column * self.planes..][..self.planes];
                 least = if index == 0 {
-                    begin(self.pixel(at), &mut path, sum)
+                    begin(&self.costs[at], &mut now)
                 } else {
                     let jump = self.jump(if backwards { at + 1 } else { at - 1 }, at);
-                    step(self.pixel(at), &before, least, self.small, jump, &mut path, sum)
+                    follow(&self.costs[at], &before, least, self.small, jump, &mut now)
                 };
-                std::mem::swap(&mut before, &mut path);
+                for (sum, path) in sums[column].iter_mut().zip(&now[1..]) {
+                    *sum = sum.wrapping_add(*path);
+                }
+                std::mem::swap(&mut before, &mut now);
             }
         }
+    }
+}
+
+/// Continues a path from `before`, whose smallest cost is `least`; returns the smallest cost now.
+#[inline]
+fn follow(costs: &[u8; PLANES], before: &PathCosts, least: i16, small: i16, large: i16, now: &mut PathCosts) -> i16 {
+    let jump = least + large;
+    let mut smallest = [WALL; 8];
+    for block in (0..PLANES).step_by(8) {
+        for lane in 0..8 {
+            let plane = block + lane;
+            // No sum can overflow (WALL + small, 96 + large); saying so keeps checked builds in the vector unit.
+            let beside = before[plane].min(before[plane + 2]).wrapping_add(small);
+            let best = beside.min(before[plane + 1]).min(jump).wrapping_sub(least);
+            let cost = i16::from(costs[plane]).wrapping_add(best);
+            now[plane + 1] = cost;
+            smallest[lane] = smallest[lane].min(cost);
+        }
+    }
+    smallest.into_iter().fold(WALL, i16::min)
+}
+
+#[inline]
+fn begin(costs: &[u8; PLANES], now: &mut PathCosts) -> i16 {
+    for (now, cost) in now[1..].iter_mut().zip(costs) {
+        *now = i16::from(*cost);
+    }
+    now[1..=PLANES].iter().copied().fold(WALL, i16::min)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// The recursion of the paper, plane by plane.
+    fn follow_slowly(costs: &[u8; PLANES], before: &[i16], small: i16, large: i16) -> Vec<i16> {
+        let least = *before.iter().min().unwrap();
+        (0..PLANES)
+            .map(|d| {
+                let mut best = before[d].min(least + large);
+                if d > 0 {
+                    best = best.min(before[d - 1] + small);
+                }
+                if d + 1 < PLANES {
+                    best = best.min(before[d + 1] + small);
+                }
+                i16::from(costs[d]) + best - least
+            })
+            .collect()
+    }
+
+    proptest! {
+        #[test]
+        fn a_step_equals_the_definition(
+            costs in prop::array::uniform32(0_u8..96), before in prop::array::uniform32(0_i16..900),
+            small in 0_i16..100, extra in 0_i16..600,
+        ) {
+            let costs: [u8; PLANES] = std::array::from_fn(|i| costs[i % 32].wrapping_add(i as u8) % 96);
+            let before: Vec<i16> = (0..PLANES).map(|i| before[(i * 7) % 32]).collect();
+            let mut path = START;
+            path[1..=PLANES].copy_from_slice(&before);
+            let mut now = START;
+            let least = follow(&costs, &path, *before.iter().min().unwrap(), small, small + extra, &mut now);
+            let want = follow_slowly(&costs, &before, small, small + extra);
+            prop_assert_eq!(&now[1..=PLANES], &want[..]);
+            prop_assert_eq!(least, *want.iter().min().unwrap());
+        }
+    }
+
+    #[test]
+    fn a_pixel_without_an_opinion_takes_that_of_its_neighbours() {
+        let mut costs = vec![[50_u8; PLANES]; 9 * 5];
+        for (index, costs) in costs.iter_mut().enumerate() {
+            if index != 2 * 9 + 4 {
+                costs[20] = 5;
+            }
+        }
+        let grey = vec![0; 45];
+        let volume = Volume { costs: &costs, width: 9, grey: &grey, small: 10, large: 100 };
+        let (mut down, mut up) = (vec![[0; PLANES]; 45], vec![[0; PLANES]; 45]);
+        volume.vertical(false, &mut PathRows::default(), &mut down);
+        volume.vertical(true, &mut PathRows::default(), &mut up);
+        let mut row: Vec<[i16; PLANES]> = (18..27).map(|i| std::array::from_fn(|d| down[i][d] + up[i][d])).collect();
+        volume.horizontal(2, &mut row);
+        let best = (0..PLANES).min_by_key(|d| row[4][*d]).unwrap();
+        assert_eq!(best, 20);
+    }
+
+    #[test]
+    fn up_is_down_in_a_mirror() {
+        let costs: Vec<[u8; PLANES]> =
+            (0..6 * 4).map(|i| std::array::from_fn(|d| ((i * 31 + d * 17) % 90) as u8)).collect();
+        let flipped: Vec<[u8; PLANES]> = costs.chunks(6).rev().flatten().copied().collect();
+        let grey: Vec<u16> = vec![7; 24];
+        let volume = |costs| Volume { costs, width: 6, grey: &grey, small: 10, large: 60 };
+        let (mut down, mut up) = (vec![[0; PLANES]; 24], vec![[0; PLANES]; 24]);
+        volume(&costs[..]).vertical(false, &mut PathRows::default(), &mut down);
+        volume(&flipped[..]).vertical(true, &mut PathRows::default(), &mut up);
+        let up_flipped: Vec<[i16; PLANES]> = up.chunks(6).rev().flatten().copied().collect();
+        assert_eq!(down, up_flipped);
     }
 }

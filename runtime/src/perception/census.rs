@@ -6,6 +6,11 @@ use hal::{ImageView, PixelFormat};
 /// Bits of one descriptor: a 5x5 window without its centre.
 pub const BITS: u32 = 24;
 
+/// A neighbour counts as darker from this difference on: one and a half grey levels, in the units of
+/// [`CensusImage::smooth`]. Below that it is the sensor's noise and JPEG's, and a flat wall shall match itself everywhere
+/// equally well rather than somewhere by chance.
+const NOISE: u16 = 384;
+
 /// The census of one picture: half-size descriptors, computed at every full-size position so that a match can be looked up
 /// to a quarter of a half-size pixel.
 #[derive(Debug, Clone, Default)]
@@ -16,7 +21,7 @@ pub struct CensusImage {
     pub height: usize,
     /// Row-major, and one last entry for "outside".
     pub descriptors: Vec<u32>,
-    /// Sums of 2x2 pixels, row-major: four times the grey value.
+    /// Means of 2x2 pixels, row-major, 256 to a grey level.
     pub smooth: Vec<u16>,
     grey: Vec<u16>,
 }
@@ -40,6 +45,11 @@ impl CensusImage {
         self.smooth_2x2();
         self.describe();
         true
+    }
+
+    /// Whether at least one pixel in fifty has something to be recognised by.
+    pub fn has_texture(&self) -> bool {
+        self.descriptors.iter().filter(|descriptor| **descriptor != 0).count() * 50 >= self.width * self.height
     }
 
     fn smooth_2x2(&mut self) {
@@ -86,12 +96,12 @@ fn compare(out: &mut [u32], centre: &[u16], line: &[u16], shift: isize, bit: u32
     if first < last {
         let shifted = &line[(first as isize + shift) as usize..][..last - first];
         for ((out, centre), neighbour) in out[first..last].iter_mut().zip(&centre[first..last]).zip(shifted) {
-            *out |= u32::from(neighbour < centre) << bit;
+            *out |= u32::from(neighbour.saturating_add(NOISE) < *centre) << bit;
         }
     }
     let (rest, repeated) = if shift < 0 { (0..first, line[0]) } else { (last..width, line[width - 1]) };
     for x in rest {
-        out[x] |= u32::from(repeated < centre[x]) << bit;
+        out[x] |= u32::from(repeated.saturating_add(NOISE) < centre[x]) << bit;
     }
 }
 
@@ -106,15 +116,29 @@ mod tests {
     }
 
     fn texture(width: usize, height: usize) -> Vec<u8> {
-        (0..width * height).map(|i| (i * 2_654_435_761_usize >> 13) as u8 / 2).collect()
+        (0..width * height).map(|i| ((i * 2_654_435_761_usize) >> 13) as u8 / 2).collect()
     }
 
     #[test]
-    fn gain_and_offset_leave_every_descriptor_as_it_is() {
+    fn an_offset_leaves_every_descriptor_as_it_is() {
         let plain = texture(40, 30);
-        let bright: Vec<u8> = plain.iter().map(|v| v / 2 * 3 + 20).collect();
-        let even: Vec<u8> = plain.iter().map(|v| v / 2 * 2).collect();
-        assert_eq!(census(40, 30, &even).descriptors, census(40, 30, &bright).descriptors);
+        let bright: Vec<u8> = plain.iter().map(|v| v + 100).collect();
+        assert_eq!(census(40, 30, &plain).descriptors, census(40, 30, &bright).descriptors);
+    }
+
+    #[test]
+    fn a_gain_changes_few_bits() {
+        let plain = texture(40, 30);
+        let bright: Vec<u8> = plain.iter().map(|v| (f32::from(*v) * 1.3) as u8).collect();
+        let (a, b) = (census(40, 30, &plain), census(40, 30, &bright));
+        let changed: u32 = a.descriptors.iter().zip(&b.descriptors).map(|(a, b)| (a ^ b).count_ones()).sum();
+        assert!(changed < 40 * 30 * BITS / 50, "{changed}");
+    }
+
+    #[test]
+    fn noise_of_one_grey_level_is_no_texture() {
+        let noisy: Vec<u8> = (0..400_usize).map(|i| 77 + ((i * 2_654_435_761) >> 13) as u8 % 2).collect();
+        assert!(!census(20, 20, &noisy).has_texture());
     }
 
     #[test]

@@ -1,123 +1,123 @@
-//! Depth from two or more pictures whose relative poses are known.
+//! Depth from pictures whose relative poses are known.
 
-use hal::{CameraModel, ImageView, Pose3};
+use hal::{CameraModel, Distortion, ImageView, Pose3};
 use rayon::prelude::*;
 
-use super::aggregate::Volume;
+use super::aggregate::{PathRows, Volume};
 use super::census::CensusImage;
+use super::fusion::Memory;
 use super::keyframes::Keyframes;
-use super::sweep::{Reference, sweep};
+use super::refine::{Corners, refine_rotation};
+use super::sweep::{PLANES, Reference, hypotheses, smooth_3x3, sweep};
 use super::winner::{Winner, winner};
 use super::{CoarseConfig, DepthEstimate, NoDepth, PerceptionError};
 
-/// Plane sweep over census descriptors with semi-global aggregation. Deterministic on any number of threads.
+/// Depth that parallax is predicted for before any was seen, metres.
+const FIRST_SCENE_DEPTH_M: f64 = 2.0;
+
+/// Plane sweep (Collins 1996) at half size: census descriptors of up to three earlier pictures, chosen by the parallax that
+/// they promise, are compared over inverse-depth hypotheses, aggregated semi-globally, and the result votes on what is
+/// remembered from the pictures before. Deterministic on any number of threads.
 #[derive(Debug)]
 pub struct CoarseDepth {
     config: CoarseConfig,
+    /// The camera of the pictures.
     camera: CameraModel,
-    /// The half-size camera that depth is computed for.
+    /// The camera of descriptors: full size, each descriptor between 2x2 pixels.
+    descriptors: CameraModel,
+    /// The camera that depth is computed for.
     half: CameraModel,
-    inverse_depth: Vec<f32>,
+    inverse_depth: [f32; PLANES],
     keyframes: Keyframes,
+    memory: Memory,
     last_pose: Option<Pose3>,
-    /// Median of the last depth; what parallax is predicted with.
     scene_depth_m: f64,
     picture: CensusImage,
-    grey: Vec<u16>,
-    volume: Vec<u8>,
-    down: Vec<i16>,
-    up: Vec<i16>,
-    winners: Vec<Winner>,
+    buffers: Buffers,
     estimate: DepthEstimate,
 }
 
+/// Memory that is kept from picture to picture.
+#[derive(Debug, Default)]
+struct Buffers {
+    corners: Corners,
+    grey: Vec<u16>,
+    raw: Vec<[u8; PLANES]>,
+    costs: Vec<[u8; PLANES]>,
+    rows: Vec<[u16; PLANES]>,
+    down: Vec<[i16; PLANES]>,
+    up: Vec<[i16; PLANES]>,
+    paths_down: PathRows,
+    paths_up: PathRows,
+    votes: Vec<(Winner, f32)>,
+    sorted: Vec<f32>,
+}
+
 impl CoarseDepth {
-    /// An engine for pictures of `camera`.
+    /// An engine for pictures of `camera`, a pinhole of at least 32x32 pixels.
     ///
     /// # Errors
     /// Settings or a camera that cannot work.
     pub fn new(config: CoarseConfig, camera: CameraModel) -> Result<Self, PerceptionError> {
         config.validate()?;
-        let why = if !camera.is_sound() {
-            Some("size and focal lengths must be positive and finite")
-        } else if camera.distortion != hal::Distortion::None {
-            Some("pictures must be undistorted first")
-        } else if camera.width < 32 || camera.height < 32 {
-            Some("it must have at least 32x32 pixels")
-        } else {
-            None
-        };
-        if let Some(why) = why {
-            let CameraModel { width, height, fx, fy, .. } = camera;
-            return Err(PerceptionError::Camera { width, height, fx, fy, why });
-        }
+        check(&camera)?;
         let (width, height) = (camera.width / 2, camera.height / 2);
         let half = CameraModel {
             width,
             height,
             fx: camera.fx / 2.0,
             fy: camera.fy / 2.0,
-            cx: (camera.cx + 0.5) / 2.0 - 0.5,
-            cy: (camera.cy + 0.5) / 2.0 - 0.5,
-            ..camera
+            cx: (camera.cx - 0.5) / 2.0,
+            cy: (camera.cy - 0.5) / 2.0,
+            distortion: Distortion::None,
         };
-        let (far, near) = (1.0 / config.max_depth_m, 1.0 / config.min_depth_m);
-        let last = (config.planes - 1) as f64;
-        let exponent: f64 = std::env::var("EXPO").ok().and_then(|v| v.parse().ok()).unwrap_or(1.0);
-        let inverse_depth =
-            (0..config.planes).map(|i| (far + (near - far) * (i as f64 / last).powf(exponent)) as f32).collect();
-        let cells = width * height * config.planes;
+        let pixels = width * height;
+        let buffers = Buffers {
+            grey: vec![0; pixels],
+            raw: vec![[0; PLANES]; pixels],
+            costs: vec![[0; PLANES]; pixels],
+            rows: vec![[0; PLANES]; pixels],
+            down: vec![[0; PLANES]; pixels],
+            up: vec![[0; PLANES]; pixels],
+            votes: vec![(Winner::default(), 0.0); pixels],
+            ..Buffers::default()
+        };
         Ok(Self {
-            inverse_depth,
+            inverse_depth: hypotheses(config.min_depth_m, config.max_depth_m),
+            descriptors: camera.cropped(0.5, 0.5, camera.width, camera.height),
             keyframes: Keyframes::default(),
+            memory: Memory::default(),
             last_pose: None,
-            scene_depth_m: 2.0,
+            scene_depth_m: FIRST_SCENE_DEPTH_M,
             picture: CensusImage::default(),
-            grey: vec![0; width * height],
-            volume: vec![0; cells],
-            down: vec![0; cells],
-            up: vec![0; cells],
-            winners: vec![Winner::default(); width * height],
             estimate: DepthEstimate::none(camera.width, camera.height),
             config,
             camera,
             half,
+            buffers,
         })
     }
 
-    /// Depth of `frame`, taken at `t_odom_camera`, from the pictures before it.
+    /// Depth of `frame` (RGB8 or GRAY8), taken at `t_odom_camera`, from the pictures before it.
     ///
     /// # Errors
-    /// Why there is none. A refused picture leaves no trace.
+    /// Why there is none. A picture of the wrong size, without texture or with a pose that is not finite leaves no trace;
+    /// every other one is remembered.
     pub fn estimate(&mut self, frame: ImageView<'_>, t_odom_camera: &Pose3) -> Result<&DepthEstimate, NoDepth> {
-        let pose = *t_odom_camera;
+        let pose = t_odom_camera;
         if !pose.to_homogeneous().iter().all(|value| value.is_finite()) {
             return Err(NoDepth::PoseNotFinite);
         }
-        if (frame.width(), frame.height()) != (self.camera.width, self.camera.height) || !self.picture.compute(frame) {
+        let size = (frame.width(), frame.height());
+        if size != (self.camera.width, self.camera.height) || !self.picture.compute(frame) {
             return Err(NoDepth::FrameSize);
         }
-        let jumped = self.last_pose.is_some_and(|last| {
-            let step = last.inverse() * pose;
-            step.translation.vector.norm() > self.config.max_step_m || step.rotation.angle() > self.config.max_turn_rad
-        });
-        self.last_pose = Some(pose);
-        if jumped {
-            self.keyframes.forget();
+        if !self.picture.has_texture() {
+            return Err(NoDepth::NoTexture);
         }
-        let first = self.keyframes.is_empty();
-        let chosen = self.keyframes.choose(&pose, &self.half, self.scene_depth_m, &self.config);
-        let outcome = if jumped {
-            Err(NoDepth::PoseJump)
-        } else if first {
-            Err(NoDepth::FirstFrame)
-        } else if chosen.is_empty() {
-            Err(NoDepth::TooLittleParallax)
-        } else {
-            self.match_against(&chosen, &pose);
-            Ok(())
-        };
-        self.keyframes.offer(&pose, &mut self.picture, &self.config);
+        let outcome = self.look(pose);
+        self.keyframes.offer(pose, &mut self.picture, &self.config);
+        self.last_pose = Some(*pose);
         outcome.map(|()| &self.estimate)
     }
 
@@ -127,68 +127,125 @@ impl CoarseDepth {
         &self.estimate
     }
 
-    fn match_against(&mut self, chosen: &[usize], pose: &Pose3) {
-        let descriptors = self.camera.cropped(0.5, 0.5, self.camera.width, self.camera.height);
-        let references: Vec<Reference<'_>> = chosen
-            .iter()
-            .filter_map(|index| self.keyframes.all().get(*index))
-            .map(|keyframe| Reference::new(&keyframe.census, &(keyframe.pose.inverse() * pose), &descriptors))
-            .collect();
-        sweep(&self.picture, &references, &self.inverse_depth, &mut self.volume);
-        let (width, height, planes) = (self.half.width, self.half.height, self.config.planes);
-        for (index, grey) in self.grey.iter_mut().enumerate() {
-            let (x, y) = (index % width, index / width);
-            *grey = self.picture.smooth[2 * y * self.picture.width + 2 * x];
+    fn look(&mut self, pose: &Pose3) -> Result<(), NoDepth> {
+        if self.last_pose.is_some_and(|last| self.is_jump(&last, pose)) {
+            self.keyframes.forget();
+            self.memory.forget();
+            self.scene_depth_m = FIRST_SCENE_DEPTH_M;
+            return Err(NoDepth::PoseJump);
         }
-        let volume = Volume {
-            costs: &self.volume,
-            width,
-            height,
-            planes,
-            grey: &self.grey,
-            small: self.config.penalty_small,
-            large: self.config.penalty_large,
-        };
-        let (down, up) = (&mut self.down, &mut self.up);
-        rayon::join(|| volume.sweep_vertical(false, down), || volume.sweep_vertical(true, up));
-        let row_length = width * planes;
-        self.winners
-            .par_chunks_exact_mut(width)
-            .zip(self.down.par_chunks_exact_mut(row_length))
-            .zip(self.up.par_chunks_exact(row_length))
-            .enumerate()
-            .for_each(|(row, ((winners, sum), up))| {
-                sum.iter_mut().zip(up).for_each(|(sum, up)| *sum += up);
-                volume.sweep_row(row, sum);
-                for (winner_out, sums) in winners.iter_mut().zip(sum.chunks_exact(planes)) {
-                    *winner_out = winner(sums, 2);
-                }
-            });
+        if self.keyframes.is_empty() {
+            return Err(NoDepth::FirstFrame);
+        }
+        self.memory.advance(pose, &self.half, self.config.memory);
+        let chosen = self.keyframes.choose(pose, &self.half, self.scene_depth_m, &self.config);
+        if chosen.is_empty() {
+            if self.share_believed() < self.config.min_remembered {
+                return Err(NoDepth::TooLittleParallax);
+            }
+        } else {
+            self.match_against(&chosen, pose);
+            self.measure_scene();
+        }
         self.write_estimate();
+        Ok(())
     }
 
-    fn write_estimate(&mut self) {
-        let (width, height) = (self.camera.width, self.camera.height);
-        let last = self.inverse_depth.len() - 1;
-        let values = self.estimate.depth.values_mut();
-        for v in 0..height {
-            for u in 0..width {
-                let (x, y) = ((u / 2).min(self.half.width - 1), (v / 2).min(self.half.height - 1));
-                let winner = self.winners[y * self.half.width + x];
-                let plane = (winner.plane.max(0.0) as usize).min(last - 1);
-                let fraction = winner.plane - plane as f32;
-                let w = self.inverse_depth[plane] * (1.0 - fraction) + self.inverse_depth[plane + 1] * fraction;
-                let index = v * width + u;
-                let confidence = winner.margin;
-                let valid = confidence >= self.config.min_confidence;
-                values[index] = if valid { 1.0 / w } else { 0.0 };
-                self.estimate.confidence[index] = if valid { confidence } else { 0.0 };
-            }
+    fn is_jump(&self, last: &Pose3, pose: &Pose3) -> bool {
+        let step = last.inverse() * pose;
+        step.translation.vector.norm() > self.config.max_step_m || step.rotation.angle() > self.config.max_turn_rad
+    }
+
+    fn match_against(&mut self, chosen: &[usize], pose: &Pose3) {
+        let Buffers { corners, grey, raw, costs, rows, down, up, paths_down, paths_up, votes, .. } = &mut self.buffers;
+        let (picture, inverse_depth, width) = (&self.picture, &self.inverse_depth, self.half.width);
+        if self.config.refine_rotation {
+            corners.find(picture);
         }
-        let mut sorted: Vec<f32> = values.iter().copied().filter(|v| *v > 0.0).collect();
-        if sorted.len() > 100 {
+        let reference = |index: &usize| {
+            let keyframe = self.keyframes.all().get(*index)?;
+            let mut t = keyframe.pose.inverse() * pose;
+            if self.config.refine_rotation {
+                t = refine_rotation(picture, corners, &keyframe.census, &t, &self.descriptors);
+            }
+            Some(Reference::new(&keyframe.census, &t, &self.descriptors))
+        };
+        let references: Vec<Reference<'_>> = chosen.iter().filter_map(reference).collect();
+        sweep(picture, &references, inverse_depth, raw);
+        smooth_3x3(raw, width, rows, costs);
+        for (line, grey) in picture.smooth.chunks_exact(2 * picture.width).zip(grey.chunks_exact_mut(width)) {
+            grey.iter_mut().zip(line.iter().step_by(2)).for_each(|(grey, smooth)| *grey = *smooth);
+        }
+        let (small, large) = (self.config.penalty_small, self.config.penalty_large);
+        let volume = Volume { costs, width, grey, small, large };
+        rayon::join(|| volume.vertical(false, paths_down, down), || volume.vertical(true, paths_up, up));
+        let half_trust_px = self.config.half_trust_px;
+        let lines = votes.par_chunks_exact_mut(width).zip(down.par_chunks_exact_mut(width));
+        lines.zip(up.par_chunks_exact(width)).enumerate().for_each(|(row, ((votes, sums), up))| {
+            for (sums, up) in sums.iter_mut().zip(up) {
+                sums.iter_mut().zip(up).for_each(|(sum, up)| *sum = sum.wrapping_add(*up));
+            }
+            volume.horizontal(row, sums);
+            for (column, (vote, sums)) in votes.iter_mut().zip(sums.iter()).enumerate() {
+                let winner = winner(sums, inverse_depth);
+                let (u, v) = (2.0 * column as f32, 2.0 * row as f32);
+                let parallax_px = |r: &Reference<'_>| r.parallax_px(u, v, winner.inverse_depth);
+                let parallax_px = references.iter().filter_map(parallax_px).fold(0.0, f32::max);
+                *vote = (winner, winner.margin * parallax_px / (parallax_px + half_trust_px));
+            }
+        });
+        self.memory.vote(votes);
+    }
+
+    fn share_believed(&self) -> f32 {
+        let beliefs = self.memory.beliefs();
+        let believed = beliefs.iter().filter(|belief| belief.confidence() >= self.config.min_confidence).count();
+        believed as f32 / beliefs.len() as f32
+    }
+
+    /// The parallax of the next picture is predicted with the median of this one.
+    fn measure_scene(&mut self) {
+        let (beliefs, sorted) = (self.memory.beliefs(), &mut self.buffers.sorted);
+        sorted.clear();
+        let trusted = beliefs.iter().filter(|belief| belief.confidence() >= self.config.min_confidence);
+        sorted.extend(trusted.map(|belief| belief.inverse_depth));
+        // A few pixels may be anything.
+        if sorted.len() * 20 > beliefs.len() {
             let middle = sorted.len() / 2;
-            self.scene_depth_m = f64::from(*sorted.select_nth_unstable_by(middle, f32::total_cmp).1);
+            let median = *sorted.select_nth_unstable_by(middle, f32::total_cmp).1;
+            self.scene_depth_m = (1.0 / f64::from(median)).clamp(0.5, 5.0);
         }
     }
+
+    /// Writes what is believed at full size.
+    fn write_estimate(&mut self) {
+        let (width, half_width) = (self.camera.width, self.half.width);
+        let beliefs = self.memory.beliefs();
+        let DepthEstimate { depth, confidence } = &mut self.estimate;
+        let lines = depth.values_mut().chunks_exact_mut(width).zip(confidence.chunks_exact_mut(width));
+        for (row, (depth, confidence)) in lines.enumerate() {
+            let line = &beliefs[(row / 2).min(self.half.height - 1) * half_width..][..half_width];
+            for (column, (depth, confidence)) in depth.iter_mut().zip(confidence).enumerate() {
+                let belief = line[(column / 2).min(half_width - 1)];
+                let trust = belief.confidence();
+                let valid = belief.evidence > 0.0 && trust >= self.config.min_confidence;
+                *depth = if valid { 1.0 / belief.inverse_depth } else { 0.0 };
+                *confidence = if valid { trust } else { 0.0 };
+            }
+        }
+    }
+}
+
+fn check(camera: &CameraModel) -> Result<(), PerceptionError> {
+    let why = if !camera.is_sound() {
+        "size and focal lengths must be positive and finite"
+    } else if camera.distortion != Distortion::None {
+        "its pictures must be undistorted first"
+    } else if camera.width < 32 || camera.height < 32 {
+        "it must have at least 32x32 pixels"
+    } else {
+        return Ok(());
+    };
+    let CameraModel { width, height, fx, fy, .. } = *camera;
+    Err(PerceptionError::Camera { width, height, fx, fy, why })
 }

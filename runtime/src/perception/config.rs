@@ -1,21 +1,30 @@
 //! Settings of the coarse engine.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
+
+use super::sweep::MAX_REFERENCES;
 
 /// Settings of [`CoarseDepth`](super::CoarseDepth). The defaults suit a robot with a 90 degree camera of 640x192 pixels and
 /// a handheld camera alike, because references are chosen by the parallax that they promise.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CoarseConfig {
     /// Nearest depth that is looked for, metres.
     pub min_depth_m: f64,
     /// Farthest depth that is looked for, metres.
     pub max_depth_m: f64,
-    /// Number of inverse-depth hypotheses; a multiple of 16 up to 128.
-    pub planes: usize,
     /// Parallax that each reference should promise for the depth of the scene, in pixels of the half-size picture; one
-    /// reference for each. Short ones are unambiguous and see the same things, long ones are precise.
+    /// reference for each, at most three. A short one is unambiguous and sees the same things, a long one is precise.
     pub parallax_px: Vec<f64>,
+    /// What rotations of the pose are wrong by, as a share of the turn between two pictures (odometry, timing, shutter) ...
+    pub turn_error: f64,
+    /// ... and at least, radians.
+    pub turn_error_floor_rad: f64,
+    /// A reference must promise this many times the parallax that its rotation error would fake. At 5, one standard
+    /// deviation of error is a depth that is wrong by a fifth.
+    pub parallax_over_error: f64,
+    /// Whether the rotation of every reference is corrected by looking at the pictures.
+    pub refine_rotation: bool,
     /// A reference nearer than this has more pose error than parallax, metres.
     pub min_baseline_m: f64,
     /// A reference farther than this sees another scene, metres.
@@ -32,12 +41,19 @@ pub struct CoarseConfig {
     pub max_step_m: f64,
     /// The same for turning, radians.
     pub max_turn_rad: f64,
-    /// Smoothness: cost of a neighbour one hypothesis away (in census bits x 4).
+    /// Smoothness: cost of a neighbour one hypothesis away, in quarters of a census bit.
     pub penalty_small: i16,
     /// Smoothness: cost of a neighbour farther away where the picture is flat; less across edges.
     pub penalty_large: i16,
+    /// Share of its evidence that a remembered depth keeps from one picture to the next; 0 remembers nothing.
+    pub memory: f32,
+    /// Parallax at which depth is half trusted for its precision, full-size pixels.
+    pub half_trust_px: f32,
     /// Pixels below this confidence are marked as having no depth.
     pub min_confidence: f32,
+    /// Without any reference (turning on the spot), the remembered depth is handed out while it covers this share of the
+    /// picture.
+    pub min_remembered: f32,
 }
 
 impl Default for CoarseConfig {
@@ -45,8 +61,11 @@ impl Default for CoarseConfig {
         Self {
             min_depth_m: 0.3,
             max_depth_m: 20.0,
-            planes: 64,
             parallax_px: vec![6.0, 12.0, 24.0],
+            turn_error: 0.02,
+            turn_error_floor_rad: 0.001,
+            parallax_over_error: 5.0,
+            refine_rotation: true,
             min_baseline_m: 0.02,
             max_baseline_m: 1.0,
             min_overlap: 0.6,
@@ -55,9 +74,12 @@ impl Default for CoarseConfig {
             keyframes: 48,
             max_step_m: 0.5,
             max_turn_rad: 0.8,
-            penalty_small: 6,
-            penalty_large: 40,
-            min_confidence: 0.05,
+            penalty_small: 80,
+            penalty_large: 600,
+            memory: 0.9,
+            half_trust_px: 8.0,
+            min_confidence: 0.17,
+            min_remembered: 0.3,
         }
     }
 }
@@ -103,10 +125,14 @@ impl CoarseConfig {
         require("min_depth_m", self.min_depth_m, ok(self.min_depth_m), positive)?;
         let deep = ok(self.max_depth_m) && self.max_depth_m > self.min_depth_m;
         require("max_depth_m", self.max_depth_m, deep, "a finite number above min_depth_m")?;
-        let planes = (16..=128).contains(&self.planes) && self.planes.is_multiple_of(16);
-        require("planes", self.planes, planes, "16, 32, 48 ... 128")?;
-        let parallax = (1..=8).contains(&self.parallax_px.len()) && self.parallax_px.iter().all(|p| ok(*p));
-        require("parallax_px", format!("{:?}", self.parallax_px), parallax, "1 to 8 finite numbers above 0")?;
+        let parallax =
+            (1..=MAX_REFERENCES).contains(&self.parallax_px.len()) && self.parallax_px.iter().all(|p| ok(*p));
+        require("parallax_px", format!("{:?}", self.parallax_px), parallax, "one to three finite numbers above 0")?;
+        let error = "0 or a finite number above 0";
+        let not_negative = |v: f64| v.is_finite() && v >= 0.0;
+        require("turn_error", self.turn_error, not_negative(self.turn_error), error)?;
+        require("turn_error_floor_rad", self.turn_error_floor_rad, not_negative(self.turn_error_floor_rad), error)?;
+        require("parallax_over_error", self.parallax_over_error, not_negative(self.parallax_over_error), error)?;
         require("min_baseline_m", self.min_baseline_m, ok(self.min_baseline_m), positive)?;
         let far = ok(self.max_baseline_m) && self.max_baseline_m >= self.min_baseline_m;
         require("max_baseline_m", self.max_baseline_m, far, "a finite number, min_baseline_m or more")?;
@@ -119,13 +145,18 @@ impl CoarseConfig {
         require("penalty_small", self.penalty_small, (0..=200).contains(&self.penalty_small), "0 to 200")?;
         let large = (self.penalty_small..=1000).contains(&self.penalty_large);
         require("penalty_large", self.penalty_large, large, "penalty_small to 1000")?;
+        require("memory", self.memory, (0.0..1.0).contains(&self.memory), "0 to below 1")?;
+        require("half_trust_px", self.half_trust_px, ok(f64::from(self.half_trust_px)), positive)?;
+        require("min_remembered", self.min_remembered, (0.0..=1.0).contains(&self.min_remembered), "0 to 1")?;
         require("min_confidence", self.min_confidence, (0.0..1.0).contains(&self.min_confidence), "0 to below 1")
     }
 }
 
+// By value: every caller has a number at hand.
+#[allow(clippy::needless_pass_by_value)]
 fn require(
     field: &'static str,
-    value: impl ToString,
+    value: impl std::fmt::Display,
     sound: bool,
     allowed: &'static str,
 ) -> Result<(), PerceptionError> {
@@ -147,8 +178,9 @@ mod tests {
         for (bad, name) in [
             (CoarseConfig { min_depth_m: f64::NAN, ..good() }, "min_depth_m"),
             (CoarseConfig { max_depth_m: 0.2, ..good() }, "max_depth_m"),
-            (CoarseConfig { planes: 60, ..good() }, "planes"),
-            (CoarseConfig { parallax_px: vec![], ..good() }, "parallax_px"),
+            (CoarseConfig { parallax_px: vec![6.0, 0.0, 24.0], ..good() }, "parallax_px"),
+            (CoarseConfig { turn_error: -0.1, ..good() }, "turn_error"),
+            (CoarseConfig { memory: f32::NAN, ..good() }, "memory"),
             (CoarseConfig { min_overlap: 1.5, ..good() }, "min_overlap"),
             (CoarseConfig { penalty_large: 1, ..good() }, "penalty_large"),
         ] {
@@ -158,7 +190,7 @@ mod tests {
 
     #[test]
     fn unknown_settings_are_refused() {
-        let error = serde_json::from_str::<CoarseConfig>(r#"{"plains": 64}"#).unwrap_err().to_string();
-        assert!(error.contains("plains") && error.contains("planes"), "{error}");
+        let error = serde_json::from_str::<CoarseConfig>(r#"{"penalty_smal": 6}"#).unwrap_err().to_string();
+        assert!(error.contains("penalty_smal`") && error.contains("penalty_small"), "{error}");
     }
 }

@@ -97,8 +97,9 @@ fn promise_within(
         return None;
     }
     let promise = promise(&t_reference_camera, camera, depth_m);
-    // Less than a pixel on average is what a pose error of a milliradian makes, too.
-    (promise.overlap >= config.min_overlap && promise.parallax_px >= 1.0).then_some(promise)
+    let error_rad = config.turn_error_floor_rad + config.turn_error * t_reference_camera.rotation.angle();
+    let needed_px = (config.parallax_over_error * error_rad * camera.fx).max(1.0);
+    (promise.overlap >= config.min_overlap && promise.parallax_px >= needed_px).then_some(promise)
 }
 
 /// What a reference promises for a scene at `depth_m`, over a grid of 8x4 pixels.

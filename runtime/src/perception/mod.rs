@@ -5,8 +5,10 @@ mod census;
 mod coarse;
 mod config;
 mod estimate;
+mod fusion;
 mod keyframes;
 pub mod network;
+mod refine;
 mod sweep;
 mod winner;
 

@@ -1,34 +1,68 @@
-//! From aggregated costs to one depth a pixel, and how far to trust it.
+//! From aggregated costs to one inverse depth a pixel, and how clearly it won.
+
+use super::sweep::PLANES;
+
+/// Hypotheses this near to the winner are not its rivals.
+const GUARD: usize = 2;
 
 /// The best hypothesis of one pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Winner {
-    /// Index of the hypothesis, with its fraction.
-    pub plane: f32,
-    /// (second - best) / second, where second is the best hypothesis that is not a neighbour of the winner.
+    /// Inverse depth, 1/m.
+    pub inverse_depth: f32,
+    /// (rival - best) / rival, 0 to 1: 0 when another hypothesis is as good.
     pub margin: f32,
-    /// Cost of the winner.
-    pub cost: i16,
 }
 
 /// Takes the smallest of `sums`, refines it by a parabola through its neighbours and looks for a rival.
-pub fn winner(sums: &[i16], guard: usize) -> Winner {
-    let mut best = (i16::MAX, 0);
-    for (plane, &sum) in sums.iter().enumerate() {
-        if sum < best.0 {
-            best = (sum, plane);
-        }
-    }
-    let (cost, plane) = best;
-    let rival = |sums: &[i16]| sums.iter().copied().min().unwrap_or(i16::MAX);
-    let second = rival(&sums[..plane.saturating_sub(guard)]).min(rival(&sums[(plane + guard + 1).min(sums.len())..]));
-    let margin = if second == i16::MAX { 0.0 } else { f32::from(second - cost) / f32::from(second.max(1)) };
-    let mut fraction = 0.0;
-    if plane > 0 && plane + 1 < sums.len() {
-        let (before, after) = (f32::from(sums[plane - 1] - cost), f32::from(sums[plane + 1] - cost));
+pub fn winner(sums: &[i16; PLANES], inverse_depth: &[f32; PLANES]) -> Winner {
+    let least = sums.iter().copied().fold(i16::MAX, i16::min);
+    let plane = sums.iter().position(|sum| *sum == least).unwrap_or_default();
+    let smallest = |sums: &[i16]| sums.iter().copied().fold(i16::MAX, i16::min);
+    let rival = smallest(&sums[..plane.saturating_sub(GUARD)]).min(smallest(&sums[(plane + GUARD + 1).min(PLANES)..]));
+    let margin = f32::from(rival - least) / f32::from(rival.max(1));
+    let mut refined = inverse_depth[plane];
+    if plane > 0 && plane + 1 < PLANES {
+        let (before, after) = (f32::from(sums[plane - 1] - least), f32::from(sums[plane + 1] - least));
         if before + after > 0.0 {
-            fraction = 0.5 * (before - after) / (before + after);
+            let fraction = 0.5 * (before - after) / (before + after);
+            let neighbour = if fraction < 0.0 { inverse_depth[plane - 1] } else { inverse_depth[plane + 1] };
+            refined += fraction.abs() * (neighbour - refined);
         }
     }
-    Winner { plane: plane as f32 + fraction, margin, cost }
+    Winner { inverse_depth: refined, margin }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perception::sweep::hypotheses;
+
+    #[test]
+    fn the_vertex_of_a_parabola_is_found_between_two_hypotheses() {
+        let w = hypotheses(0.3, 20.0);
+        let sums = std::array::from_fn(|i| (((i as f32 - 20.3) * 10.0).powi(2) as i16).min(3000) + 7);
+        let winner = winner(&sums, &w);
+        let want = w[20] + 0.3 * (w[21] - w[20]);
+        assert!((winner.inverse_depth - want).abs() < 0.02 * (w[21] - w[20]), "{}", winner.inverse_depth);
+        assert!(winner.margin > 0.9);
+    }
+
+    #[test]
+    fn two_equal_minima_have_no_margin() {
+        let mut sums = [500_i16; PLANES];
+        (sums[10], sums[40]) = (100, 100);
+        assert_eq!(winner(&sums, &hypotheses(0.3, 20.0)).margin, 0.0);
+    }
+
+    #[test]
+    fn the_first_and_last_hypothesis_can_win() {
+        let w = hypotheses(0.3, 20.0);
+        for plane in [0, PLANES - 1] {
+            let mut sums = [500_i16; PLANES];
+            sums[plane] = 1;
+            assert_eq!(winner(&sums, &w).inverse_depth, w[plane]);
+        }
+        assert_eq!(winner(&[0; PLANES], &w).margin, 0.0);
+    }
 }

@@ -46,7 +46,8 @@ impl RunDigest {
     }
 }
 
-/// All numbers little-endian, floats as their bits, every optional part with a byte before it that says whether it is there.
+/// All numbers little-endian, floats as their bits, every optional part with a byte before it that says whether it is
+/// there.
 fn hash_input(hasher: &mut Hasher, input: &TickInput<'_>) {
     hasher.update(&input.tick.to_le_bytes()).update(&input.time_ns.to_le_bytes());
     hash_wheel(hasher, &input.wheel);

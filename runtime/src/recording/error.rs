@@ -12,7 +12,10 @@ pub enum RecordingError {
     )]
     NotMcap,
     /// The stream ends before its footer: the writer was killed, the power went, or a copy is incomplete.
-    #[error("truncated {}; the turns before that are good: copy the file again, or go on with what is there", after(*.after_tick))]
+    #[error(
+        "truncated {}; the turns before that are good: copy the file again, or go on with what is there",
+        after(*.after_tick)
+    )]
     Truncated {
         /// The last turn that came back whole.
         after_tick: Option<u64>,
@@ -27,7 +30,8 @@ pub enum RecordingError {
     },
     /// An MCAP file without our header.
     #[error(
-        "no {topic} message before the first turn: not a recording of this robot, or a tool has filtered that channel out"
+        "no {topic} message before the first turn: not a recording of this robot, or a tool has filtered that \
+         channel out"
     )]
     MissingHeader {
         /// Where the header should be.
@@ -35,7 +39,8 @@ pub enum RecordingError {
     },
     /// Written by a program with another format.
     #[error(
-        "recording format {found} is not format {supported} that this program reads; use the program that wrote it ({written_by})"
+        "recording format {found} is not format {supported} that this program reads; use the program that \
+         wrote it ({written_by})"
     )]
     FormatVersion {
         /// The recording's.
@@ -47,7 +52,8 @@ pub enum RecordingError {
     },
     /// A turn says that a part belongs to it, and the part is not there.
     #[error(
-        "turn {tick} has no message on {topic}, and it should: a tool has filtered that channel out; use the recording as the robot wrote it"
+        "turn {tick} has no message on {topic}, and it should: a tool has filtered that channel out; use the \
+         recording as the robot wrote it"
     )]
     MissingPart {
         /// The turn.
@@ -91,7 +97,8 @@ pub enum RecordingError {
     },
     /// Depth is recorded in millimetres.
     #[error(
-        "turn {tick}: truth depth {depth_m} m at pixel {pixel} is not a whole number of millimetres up to 65.535 m; pass it through quantise_mm before the loop sees it"
+        "turn {tick}: truth depth {depth_m} m at pixel {pixel} is not a whole number of millimetres up to \
+         65.535 m; pass it through quantise_mm before the loop sees it"
     )]
     TruthNotMillimetres {
         /// The turn.

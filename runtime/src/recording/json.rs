@@ -1,5 +1,5 @@
-//! hal's plain data as it stands in JSON. Finite numbers are numbers (the shortest text that reads back to the same bits);
-//! NaN and infinities, which JSON has not, are strings with their bits, because a replay needs even those.
+//! hal's plain data as it stands in JSON. Finite numbers are numbers (the shortest text that reads back to the same
+//! bits); NaN and infinities, which JSON has not, are strings with their bits, because a replay needs even those.
 
 use hal::{CameraModel, Distortion, Pose2, Pose3, ScanGeometry, Twist2, WheelFeedback};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};

@@ -7,6 +7,7 @@
 //!
 //! All times in the stream are the run's own monotonic times, so the same run gives the same bytes.
 
+mod container;
 mod digest;
 mod error;
 mod header;

@@ -4,8 +4,9 @@ use std::io::Read;
 
 use foxglove::{Decode, messages as fox};
 use hal::{DepthMap, LaserScan, WheelFeedback};
-use mcap::sans_io::LinearReaderOptions;
+use mcap::McapError;
 
+use super::container::Messages;
 use super::header::{FORMAT_VERSION, SegmentHeader};
 use super::tick::{Picture, RecordedTick};
 use super::topics::Topic;
@@ -13,13 +14,10 @@ use super::writer::TickJson;
 use super::{RecordingError, picture, scan};
 use crate::tick::Decision;
 
-/// No chunk or record that we write comes near this; a corrupt length must not take the computer's memory.
-const MAX_RECORD_BYTES: usize = 1 << 30;
-
 /// Reads one segment, turn by turn. After the last complete turn of a stream without its end comes one
 /// [`Truncated`](RecordingError::Truncated), then nothing.
 pub struct RecordingReader<R: Read> {
-    messages: mcap::io::MessageReader<R>,
+    messages: Messages<R>,
     header: SegmentHeader,
     last_tick: Option<u64>,
     done: bool,
@@ -31,16 +29,12 @@ impl<R: Read> RecordingReader<R> {
     /// # Errors
     /// When this is no MCAP stream, not one of ours, of another format, or cut before its first complete chunk.
     pub fn open(source: R) -> Result<Self, RecordingError> {
-        let options = LinearReaderOptions::default()
-            // A message of a corrupt chunk must not be seen before the chunk's CRC.
-            .with_prevalidate_chunk_crcs(true)
-            .with_record_length_limit(MAX_RECORD_BYTES);
-        let mut messages = mcap::io::MessageReader::new_with_options(source, options);
+        let mut messages = Messages::new(source);
         let header = match messages.next() {
-            Some(Ok(message)) if message.channel.topic == Topic::Header.name() => parse_header(&message.data)?,
-            Some(Err(mcap::McapError::BadMagic)) => return Err(RecordingError::NotMcap),
-            Some(Err(error)) => return Err(RecordingError::reading(error, None)),
-            Some(Ok(_)) | None => return Err(RecordingError::MissingHeader { topic: Topic::Header.name() }),
+            Ok(Some(message)) if message.topic == Topic::Header.name() => parse_header(&message.data)?,
+            Ok(_) => return Err(RecordingError::MissingHeader { topic: Topic::Header.name() }),
+            Err(McapError::BadMagic) => return Err(RecordingError::NotMcap),
+            Err(error) => return Err(RecordingError::reading(error, None)),
         };
         Ok(Self { messages, header, last_tick: None, done: false })
     }
@@ -55,11 +49,9 @@ impl<R: Read> RecordingReader<R> {
     fn next_tick(&mut self) -> Result<Option<RecordedTick>, RecordingError> {
         let mut open: Option<Parts> = None;
         loop {
-            let Some(message) = self.messages.next() else {
-                return open.map_or(Ok(None), |parts| Err(parts.missing()));
-            };
-            let message = message.map_err(|error| RecordingError::reading(error, self.last_tick))?;
-            match (Topic::of_replay(&message.channel.topic), &mut open) {
+            let message = self.messages.next().map_err(|error| RecordingError::reading(error, self.last_tick))?;
+            let Some(message) = message else { return open.map_or(Ok(None), |parts| Err(parts.missing())) };
+            match (Topic::of_replay(&message.topic), &mut open) {
                 (Some(Topic::Tick), Some(parts)) => return Err(parts.missing()),
                 (Some(Topic::Tick), None) => open = Some(Parts::new(self.parse_tick(&message.data)?)),
                 (Some(topic), Some(parts)) => parts.add(topic, &message.data)?,

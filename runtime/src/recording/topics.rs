@@ -82,15 +82,20 @@ fn json_schema(name: &str, text: &'static str) -> Schema {
 }
 
 const HEADER: &str = r#"{"title":"robot.Header","type":"object","properties":{
-"format_version":{"type":"integer"},"segment":{"type":"integer"},"first_tick":{"type":"integer"},"first_time_ns":{"type":"integer"},
-"run":{"type":"object","properties":{"written_by":{"type":"string"},"seed":{"type":"integer"},"scene":{"type":"string"},
+"format_version":{"type":"integer"},"segment":{"type":"integer"},"first_tick":{"type":"integer"},
+"first_time_ns":{"type":"integer"},
+"run":{"type":"object","properties":{
+"written_by":{"type":"string"},"seed":{"type":"integer"},"scene":{"type":"string"},
 "policy":{"type":"string"},"depth_source":{"type":"string"},"model_digest":{"type":"string"},
 "camera":{"type":"object","properties":{}},"t_base_camera":{"type":"object","properties":{}},
 "t_base_laser":{"type":"object","properties":{}},"config":{"type":"object","properties":{}}}}}}"#;
 
-const TICK: &str = r#"{"title":"robot.Tick","type":"object","properties":{"tick":{"type":"integer"},"time_ns":{"type":"integer"},
-"wheel":{"type":"object","properties":{"time_ns":{"type":"integer"},"x_m":{"type":"number"},"y_m":{"type":"number"},
-"yaw_rad":{"type":"number"},"linear_mps":{"type":"number"},"angular_radps":{"type":"number"},"contact":{"type":"boolean"}}},
+const TICK: &str = r#"{"title":"robot.Tick","type":"object","properties":{
+"tick":{"type":"integer"},"time_ns":{"type":"integer"},
+"wheel":{"type":"object","properties":{
+"time_ns":{"type":"integer"},"x_m":{"type":"number"},"y_m":{"type":"number"},
+"yaw_rad":{"type":"number"},"linear_mps":{"type":"number"},"angular_radps":{"type":"number"},
+"contact":{"type":"boolean"}}},
 "scan":{"type":"object","properties":{"time_ns":{"type":"integer"},"angle_min_rad":{"type":"number"},
 "angle_increment_rad":{"type":"number"},"beams":{"type":"integer"},"range_min_m":{"type":"number"},
 "range_max_m":{"type":"number"},"period_ns":{"type":"integer"}}},

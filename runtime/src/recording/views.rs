@@ -60,8 +60,8 @@ pub(super) fn pose_in_odom(pose: &Pose2, time_ns: u64) -> Option<fox::PoseInFram
     Some(fox::PoseInFrame { timestamp: timestamp(time_ns), frame_id: "odom".to_owned(), pose: Some(pose) })
 }
 
-/// The robot in `odom` and its sensors on it. The mounts never change, but a viewer that jumps in time sees only the last
-/// message of a channel.
+/// The robot in `odom` and its sensors on it. The mounts never change, but a viewer that jumps in time sees only the
+/// last message of a channel.
 pub(super) fn transforms(
     odom: &Pose2,
     t_base_camera: &Pose3,

@@ -2,7 +2,9 @@
 #![forbid(unsafe_code)]
 
 pub mod mapping;
+pub mod network;
 pub mod report;
+pub mod simulator;
 
 use report::Row;
 
@@ -10,4 +12,5 @@ use report::Row;
 pub type Measure = fn() -> anyhow::Result<Vec<Row>>;
 
 /// Every room that has something to measure, in the order of the table.
-pub const ROOMS: &[(&str, Measure)] = &[("mapping", mapping::measure)];
+pub const ROOMS: &[(&str, Measure)] =
+    &[("simulator", simulator::rows), ("mapping", mapping::measure), ("network", network::rows)];

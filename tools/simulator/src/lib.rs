@@ -3,8 +3,10 @@
 //! World frame: x and y horizontal, z up, metres; the floor that the robot drives on is at z = 0 after loading.
 #![forbid(unsafe_code)]
 
+mod builtin;
 pub mod error;
 pub mod floor;
+pub mod homes;
 pub mod laser;
 pub mod load;
 pub mod nuisance;

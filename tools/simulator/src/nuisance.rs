@@ -3,13 +3,13 @@
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::random::NormalTable;
 use crate::render::{Lighting, SunPatches};
 
 /// How much of each nuisance there is. The default is a steady camera in steady light with a little sensor noise.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Nuisances {
     /// The exposure wanders by at most this, in stops (1 doubles or halves the light). Default 0, at most 4.
@@ -103,7 +103,7 @@ impl Nuisances {
     /// The scene's light at a time.
     #[must_use]
     pub fn lighting(&self, time_ns: u64) -> Lighting {
-        let sun = (self.sun_patches > 0.0).then(|| SunPatches {
+        let sun = (self.sun_patches > 0.0).then_some(SunPatches {
             strength: self.sun_patches as f32,
             direction: [0.6, 0.35, 0.7],
             size_m: [0.9, 1.4],

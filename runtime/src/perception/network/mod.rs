@@ -104,8 +104,10 @@ impl DepthNetwork {
     /// The first run allocates inside ONNX Runtime, and shows whether the model computes anything at all.
     fn warm_up(&mut self) -> Result<(), NetworkError> {
         self.picture.extract_tensor_mut().1.fill(0.5);
-        planes::write_coarse(None, self.spec.depth_range_m, self.coarse_planes());
-        match self.run() {
+        self.write_coarse(None);
+        let outcome = self.run();
+        self.estimate.clear();
+        match outcome {
             Ok(true) => Ok(()),
             Ok(false) => {
                 let (min, max) = self.spec.depth_range_m;
@@ -147,8 +149,7 @@ impl DepthNetwork {
             return Err(NoDepth::FrameSize);
         }
         planes::write_rgb(frame.data(), self.picture.extract_tensor_mut().1);
-        let range = self.spec.depth_range_m;
-        planes::write_coarse(coarse, range, self.coarse_planes());
+        self.write_coarse(coarse);
         match self.run() {
             Ok(true) => Ok(()),
             Ok(false) => Err(NoDepth::NetworkOutput),
@@ -159,13 +160,15 @@ impl DepthNetwork {
         }
     }
 
-    /// Where the coarse planes go; empty for models that take none.
-    fn coarse_planes(&mut self) -> &mut [f32] {
+    /// Into the input of its own, or behind the picture, or nowhere.
+    fn write_coarse(&mut self, coarse: Option<&DepthEstimate>) {
         let pixels = self.spec.size.0 * self.spec.size.1;
-        match &mut self.coarse {
-            Some(coarse) => coarse.extract_tensor_mut().1,
-            None => &mut self.picture.extract_tensor_mut().1[3 * pixels..],
-        }
+        let planes = match (self.spec.input, &mut self.coarse) {
+            (InputKind::Rgb, _) => return,
+            (_, Some(tensor)) => tensor.extract_tensor_mut().1,
+            (_, None) => &mut self.picture.extract_tensor_mut().1[3 * pixels..],
+        };
+        planes::write_coarse(coarse, self.spec.depth_range_m, planes);
     }
 
     /// One inference over the bound memory. `false`: its output is worthless.

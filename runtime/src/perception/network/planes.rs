@@ -31,21 +31,23 @@ pub(super) fn write_coarse(coarse: Option<&DepthEstimate>, (min_m, max_m): (f32,
         return;
     };
     let (far, span) = (1.0 / max_m, 1.0 / min_m - 1.0 / max_m);
-    let pixels = coarse.confidence.len();
+    let pixels = planes.len() / 3;
     let (disparity, rest) = planes.split_at_mut(pixels);
     let (validity, confidence) = rest.split_at_mut(pixels);
-    for (pixel, &depth) in coarse.depth.values().iter().enumerate() {
+    for ((disparity, validity), &depth) in disparity.iter_mut().zip(validity).zip(coarse.depth.values()) {
         let valid = depth > 0.0;
-        disparity[pixel] = if valid { ((1.0 / depth - far) / span).clamp(0.0, 1.0) } else { 0.0 };
-        validity[pixel] = f32::from(u8::from(valid));
-        confidence[pixel] = coarse.confidence[pixel];
+        *disparity = if valid { ((1.0 / depth - far) / span).clamp(0.0, 1.0) } else { 0.0 };
+        *validity = f32::from(u8::from(valid));
+    }
+    for (plane, &value) in confidence.iter_mut().zip(&coarse.confidence) {
+        *plane = value;
     }
 }
 
 /// The network's output into depth and confidence. `false` when it holds NaN or leaves the range that the model promises;
 /// the estimate is then worthless.
 pub(super) fn read_output(output: &[f32], spec: &ModelSpec, estimate: &mut DepthEstimate) -> bool {
-    let (depth, uncertainty) = output.split_at(spec.size.0 * spec.size.1);
+    let Some((depth, uncertainty)) = output.split_at_checked(spec.size.0 * spec.size.1) else { return false };
     let sound = read_depth(depth, spec, &mut estimate.depth);
     if !spec.uncertainty {
         estimate.confidence.fill(UNSAID_CONFIDENCE);
@@ -109,6 +111,26 @@ mod tests {
         assert_eq!(planes[8..], [0.0, 0.5, 1.0, 0.25]);
         write_coarse(None, (0.1, 20.0), &mut planes);
         assert_eq!(planes, [0.0; 12]);
+    }
+
+    #[test]
+    fn an_uncertainty_that_is_nan_makes_the_whole_output_worthless() {
+        let spec = ModelSpec {
+            input: crate::perception::network::InputKind::Rgb,
+            output: OutputKind::Depth,
+            uncertainty: true,
+            depth_range_m: (0.5, 5.0),
+            size: (2, 1),
+            version: None,
+            input_names: ("rgb".to_owned(), None),
+            output_name: "depth".to_owned(),
+        };
+        let mut estimate = DepthEstimate::none(2, 1);
+        assert!(read_output(&[1.0, 2.0, 0.0, 0.0], &spec, &mut estimate));
+        assert!(!read_output(&[1.0, 2.0, 0.0, f32::NAN], &spec, &mut estimate));
+        assert!(!read_output(&[1.0, f32::NAN, 0.0, 0.0], &spec, &mut estimate));
+        assert!(!read_output(&[1.0, 5.1, 0.0, 0.0], &spec, &mut estimate));
+        assert!(!read_output(&[1.0], &spec, &mut estimate), "too short");
     }
 
     #[test]

@@ -124,6 +124,16 @@ fn coarse_depth_goes_through_a_model_that_hands_it_on() {
 }
 
 #[test]
+fn coarse_depth_changes_nothing_for_a_model_that_takes_none() {
+    let mut network = load("mean").unwrap();
+    assert_eq!(network.last(), &DepthEstimate::none(SIZE.0, SIZE.1), "nothing is left of the try at loading");
+    let frame = plain([128, 64, 32]);
+    let without = network.estimate(view(&frame), None).unwrap().clone();
+    assert_eq!(network.estimate(view(&frame), Some(&coarse_with_a_hole())), Ok(&without));
+    assert_eq!(network.last(), &without);
+}
+
+#[test]
 fn the_confidence_of_coarse_depth_arrives_and_none_means_zero() {
     let mut network = load("coarse_confidence").unwrap();
     let frame = plain([128; 3]);

@@ -1,85 +1,63 @@
-//! Exact Euclidean distance transform.
+//! Exact Euclidean distance transform (Felzenszwalb and Huttenlocher, "Distance transforms of sampled functions", 2012).
 
-use super::raster::Frame;
+use super::grid::Grid;
 
-const FAR: f32 = 1e12;
-
-/// Distance from the middle of every open cell to the middle of the nearest closed one, cells; what is outside of the
-/// frame is closed. Felzenszwalb and Huttenlocher, 2012, "Distance transforms of sampled functions".
-pub(super) fn to_closed(open: &[bool], frame: &Frame) -> Vec<f32> {
-    // A border of closed cells around the frame.
-    let (width, height) = (frame.width + 2, frame.height + 2);
-    let mut squared = vec![0.0; width * height];
-    for row in 0..frame.height {
-        for column in 0..frame.width {
-            if open[row * frame.width + column] {
-                squared[(row + 1) * width + column + 1] = FAR;
-            }
-        }
-    }
-    let mut line = Line::new(width.max(height));
+/// Distance from every cell's centre to the centre of the nearest cell for which `is_source` holds, metres; infinite when
+/// there is none.
+pub(super) fn distance_to(grid: &Grid, is_source: impl Fn(usize) -> bool) -> Vec<f32> {
+    let (width, height) = (grid.width, grid.height);
+    let mut squared: Vec<f64> = (0..grid.cells()).map(|i| if is_source(i) { 0.0 } else { f64::INFINITY }).collect();
+    let mut envelope = Envelope::default();
+    let mut line = vec![0.0; width.max(height)];
     for column in 0..width {
-        line.values.clear();
-        line.values.extend((0..height).map(|row| squared[row * width + column]));
-        line.transform();
         for row in 0..height {
-            squared[row * width + column] = line.result[row];
+            line[row] = squared[row * width + column];
+        }
+        envelope.transform(&mut line[..height]);
+        for row in 0..height {
+            squared[row * width + column] = line[row];
         }
     }
-    let mut distance = Vec::with_capacity(frame.cells());
-    for row in squared.chunks(width).skip(1).take(frame.height) {
-        line.values.clear();
-        line.values.extend(row);
-        line.transform();
-        distance.extend(line.result[1..=frame.width].iter().map(|value| value.sqrt()));
+    for row in squared.chunks_exact_mut(width) {
+        envelope.transform(row);
     }
-    distance
+    squared.into_iter().map(|d| (d.sqrt() * grid.resolution_m) as f32).collect()
 }
 
-/// One line of the transform: the lower envelope of parabolas.
-struct Line {
-    values: Vec<f32>,
-    result: Vec<f32>,
-    parabolas: Vec<usize>,
-    starts: Vec<f32>,
+/// Lower envelope of parabolas.
+#[derive(Default)]
+struct Envelope {
+    /// Where each parabola of the envelope has its vertex, and from where on it is the lowest.
+    parts: Vec<(usize, f64)>,
+    values: Vec<f64>,
 }
 
-impl Line {
-    fn new(longest: usize) -> Self {
-        Self {
-            values: Vec::with_capacity(longest),
-            result: vec![0.0; longest],
-            parabolas: Vec::with_capacity(longest),
-            starts: Vec::with_capacity(longest),
-        }
-    }
-
-    fn transform(&mut self) {
-        let f = |at: usize| self.values[at] + (at * at) as f32;
-        self.parabolas.clear();
-        self.starts.clear();
-        for at in 0..self.values.len() {
-            let mut start = f32::NEG_INFINITY;
-            while let Some(last) = self.parabolas.last().copied() {
-                start = (f(at) - f(last)) / (2 * (at - last)) as f32;
-                if self.starts.last().is_none_or(|from| start > *from) {
+impl Envelope {
+    fn transform(&mut self, line: &mut [f64]) {
+        self.values.clear();
+        self.values.extend_from_slice(line);
+        self.parts.clear();
+        for (vertex, &value) in self.values.iter().enumerate().filter(|(_, value)| value.is_finite()) {
+            let mut from = f64::NEG_INFINITY;
+            while let Some(&(other, other_from)) = self.parts.last() {
+                let (p, q) = (vertex as f64, other as f64);
+                from = ((value + p * p) - (self.values[other] + q * q)) / (2.0 * (p - q));
+                if from > other_from {
                     break;
                 }
-                self.parabolas.pop();
-                self.starts.pop();
-                start = f32::NEG_INFINITY;
+                self.parts.pop();
+                from = f64::NEG_INFINITY;
             }
-            self.parabolas.push(at);
-            self.starts.push(start);
+            self.parts.push((vertex, from));
         }
-        let mut segment = 0;
-        for at in 0..self.values.len() {
-            while self.starts.get(segment + 1).is_some_and(|start| *start < at as f32) {
-                segment += 1;
+        let mut part = 0;
+        for (at, value) in line.iter_mut().enumerate() {
+            while self.parts.get(part + 1).is_some_and(|&(_, from)| from < at as f64) {
+                part += 1;
             }
-            let center = self.parabolas[segment];
-            let offset = at as f32 - center as f32;
-            self.result[at] = offset * offset + self.values[center];
+            if let Some(&(vertex, _)) = self.parts.get(part) {
+                *value = (at as f64 - vertex as f64).powi(2) + self.values[vertex];
+            }
         }
     }
 }
@@ -91,23 +69,15 @@ mod tests {
 
     proptest! {
         #[test]
-        fn equals_brute_force(open in proptest::collection::vec(proptest::bool::weighted(0.9), 12 * 9)) {
-            let frame = Frame { origin_m: [0.0; 2], cell_m: 1.0, width: 12, height: 9 };
-            let fast = to_closed(&open, &frame);
-            for row in 0..9_i32 {
-                for column in 0..12_i32 {
-                    let mut nearest = i32::MAX;
-                    for r in -1..=9_i32 {
-                        for c in -1..=12_i32 {
-                            let outside = !(0..9).contains(&r) || !(0..12).contains(&c);
-                            if outside || !open[(r * 12 + c) as usize] {
-                                nearest = nearest.min((r - row).pow(2) + (c - column).pow(2));
-                            }
-                        }
-                    }
-                    let value = fast[(row * 12 + column) as usize];
-                    prop_assert!((value - (nearest as f32).sqrt()).abs() < 1e-4);
-                }
+        fn equals_the_search_over_all_cells(sources in prop::collection::vec(any::<bool>(), 63), sparse in any::<bool>()) {
+            let grid = Grid::covering([0.0; 2], [0.9, 0.7], 0.1);
+            let is_source = |i: usize| sources[i] && (!sparse || i % 9 == 4);
+            let distances = distance_to(&grid, is_source);
+            for (cell, distance) in distances.into_iter().enumerate() {
+                let [x, y] = grid.center(cell);
+                let to = |other: usize| (grid.center(other)[0] - x).hypot(grid.center(other)[1] - y);
+                let expected = (0..63).filter(|&i| is_source(i)).map(to).fold(f64::INFINITY, f64::min);
+                prop_assert!(f64::from(distance) == expected || (f64::from(distance) - expected).abs() < 1e-6);
             }
         }
     }

@@ -1,176 +1,108 @@
-//! Triangles on a grid of the floor.
+//! Triangles as cells: where there is floor, and where something stands on it.
 
-use crate::scene::Triangle;
+use super::distance::distance_to;
+use super::grid::Grid;
+use super::polygon::Polygon;
+use super::{Corners, RESOLUTION_M, STEP_M, seen_from_above};
 
-/// Edges are walked in steps of this share of a cell, so that no cell that they cross by more than that is missed.
-const EDGE_STEP: f64 = 0.25;
+/// Holes in the floor that are narrower than twice this are closed, metres: gaps between planks, and between the triangles
+/// of a scan.
+const CLOSED_GAP_M: f64 = 0.1;
 
-/// Cells of a rectangle of the world, row 0 at the lowest y.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Frame {
-    pub origin_m: [f64; 2],
-    pub cell_m: f64,
-    pub width: usize,
-    pub height: usize,
+/// Surfaces steeper than this are not floor: cosine of 45 degrees. Scanned floors are bumpy.
+const FLOOR_SLOPE: f64 = 0.7;
+
+/// Rasters are at most this wide, metres: a ground plane may be a kilometre wide, no home is.
+const MAX_SIDE_M: f64 = 100.0;
+
+/// A world's floor at one height.
+#[derive(Debug, Clone)]
+pub(super) struct Raster {
+    pub grid: Grid,
+    /// Some floor lies in the cell, within a step of the level.
+    pub supported: Vec<bool>,
+    /// Something between a step and the robot's height touches the cell.
+    pub blocked: Vec<bool>,
 }
 
-impl Frame {
-    /// Cells that cover the rectangle from `low` to `high`, metres.
-    pub fn covering(low: [f64; 2], high: [f64; 2], cell_m: f64) -> Self {
-        let cells = |axis: usize| (((high[axis] - low[axis]) / cell_m).ceil() as usize).max(1);
-        Self { origin_m: low, cell_m, width: cells(0), height: cells(1) }
-    }
-
-    pub fn cells(&self) -> usize {
-        self.width * self.height
-    }
-
-    /// The cell that holds a place, if any.
-    pub fn index(&self, x_m: f64, y_m: f64) -> Option<usize> {
-        let column = ((x_m - self.origin_m[0]) / self.cell_m).floor();
-        let row = ((y_m - self.origin_m[1]) / self.cell_m).floor();
-        let inside = column >= 0.0 && row >= 0.0 && column < self.width as f64 && row < self.height as f64;
-        inside.then(|| row as usize * self.width + column as usize)
-    }
-
-    /// The middle of a cell, metres.
-    pub fn center_m(&self, index: usize) -> [f64; 2] {
-        let place = [index % self.width, index / self.width];
-        [0, 1].map(|axis| self.origin_m[axis] + (place[axis] as f64 + 0.5) * self.cell_m)
-    }
-
-    /// The 4-neighbours of a cell.
-    pub fn neighbours(&self, index: usize) -> impl Iterator<Item = usize> + use<> {
-        let (column, row) = (index % self.width, index / self.width);
-        let (width, height) = (self.width, self.height);
-        let left = (column > 0).then(|| index - 1);
-        let right = (column + 1 < width).then(|| index + 1);
-        let below = (row > 0).then(|| index - width);
-        let above = (row + 1 < height).then(|| index + width);
-        [left, right, below, above].into_iter().flatten()
-    }
-
-    /// Marks every cell that the part of the triangle between two heights touches (`whole` = true) or whose middle it
-    /// covers (false).
-    pub fn mark(&self, triangle: &Triangle, heights_m: [f64; 2], whole: bool, cells: &mut [bool]) {
-        let corners = triangle.vertices.map(|vertex| vertex.position_m.map(f64::from));
-        let part = between(&corners, heights_m);
-        if part.is_empty() {
-            return;
-        }
-        if whole {
-            for (at, from) in part.iter().enumerate() {
-                self.mark_edge(from, &part[(at + 1) % part.len()], cells);
+impl Raster {
+    pub fn new(triangles: &[Corners], grid: Grid, floor_m: f64, height_m: f64) -> Self {
+        let mut raster = Self { grid, supported: vec![false; grid.cells()], blocked: vec![false; grid.cells()] };
+        for triangle in triangles {
+            if let Some(shape) = Polygon::from_band(triangle, floor_m - STEP_M, floor_m + STEP_M)
+                && seen_from_above(triangle).1 > FLOOR_SLOPE
+            {
+                shape.for_each_cell(&grid, |cell| raster.supported[cell] = true);
+            }
+            if let Some(shape) = obstacle(triangle, floor_m, height_m) {
+                shape.for_each_cell(&grid, |cell| raster.blocked[cell] = true);
             }
         }
-        self.mark_inside(&part, cells);
+        raster.close_gaps();
+        raster
     }
 
-    fn mark_edge(&self, from: &[f64; 3], to: &[f64; 3], cells: &mut [bool]) {
-        let steps = ((to[0] - from[0]).hypot(to[1] - from[1]) / (EDGE_STEP * self.cell_m)).ceil().max(1.0);
-        for step in 0..=steps as usize {
-            let share = step as f64 / steps;
-            let at = [0, 1].map(|axis| from[axis] + share * (to[axis] - from[axis]));
-            if let Some(index) = self.index(at[0], at[1]) {
-                cells[index] = true;
-            }
+    /// Whether a robot's middle may not be here.
+    pub fn is_obstacle(&self, cell: usize) -> bool {
+        self.blocked[cell] || !self.supported[cell]
+    }
+
+    fn close_gaps(&mut self) {
+        let gap = CLOSED_GAP_M as f32;
+        let to_floor = distance_to(&self.grid, |cell| self.supported[cell]);
+        let to_void = distance_to(&self.grid, |cell| to_floor[cell] > gap);
+        let (width, height) = (self.grid.width, self.grid.height);
+        for (cell, supported) in self.supported.iter_mut().enumerate() {
+            let (column, row) = (cell % width, cell / width);
+            // What lies beyond the raster is unknown: its rim is the end of the floor.
+            let is_rim = column == 0 || row == 0 || column + 1 == width || row + 1 == height;
+            *supported = !is_rim && (*supported || to_void[cell] > gap);
         }
     }
+}
 
-    fn mark_inside(&self, part: &[[f64; 3]], cells: &mut [bool]) {
-        let span = |axis: usize| {
-            let low = part.iter().map(|p| p[axis]).fold(f64::INFINITY, f64::min);
-            let high = part.iter().map(|p| p[axis]).fold(f64::NEG_INFINITY, f64::max);
-            let cell = |value: f64| ((value - self.origin_m[axis]) / self.cell_m).floor();
-            let most = [self.width, self.height][axis] as f64;
-            (cell(low).clamp(0.0, most) as usize, (cell(high) + 1.0).clamp(0.0, most) as usize)
+/// The part of a triangle that stops a robot, seen from above.
+pub(super) fn obstacle(triangle: &Corners, floor_m: f64, height_m: f64) -> Option<Polygon> {
+    Polygon::from_band(triangle, floor_m + STEP_M, floor_m + height_m)
+}
+
+/// The cells that are worth looking at: all of the world, but not what a few stray corners far away would add to it.
+pub(super) fn region(triangles: &[Corners]) -> Grid {
+    let spans = [0, 1].map(|axis| {
+        let mut weighted = Vec::with_capacity(triangles.len() * 3);
+        for triangle in triangles.iter().filter(|t| !is_stray(t)) {
+            // A large triangle tells more of where the world ends than a small one, but not without limit.
+            let weight = area(triangle).min(10.0);
+            weighted.extend(triangle.iter().map(|corner| (corner[axis], weight)));
+        }
+        weighted.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let total: f64 = weighted.iter().map(|w| w.1).sum();
+        let quantile = |share: f64| {
+            let mut sum = 0.0;
+            let found = weighted.iter().find(|(_, weight)| {
+                sum += weight;
+                sum > share * total
+            });
+            found.or(weighted.last()).map_or(0.0, |w| w.0)
         };
-        let ((left, right), (bottom, top)) = (span(0), span(1));
-        for row in bottom..top {
-            for column in left..right {
-                let index = row * self.width + column;
-                if !cells[index] && covers(part, self.center_m(index)) {
-                    cells[index] = true;
-                }
-            }
-        }
-    }
+        let (low, middle, high) = (quantile(1e-4), quantile(0.5), quantile(1.0 - 1e-4));
+        // Room for the rim, and for what the quantiles cut off.
+        let margin = 1.0 + 0.01 * (high - low);
+        [(low - margin).max(middle - MAX_SIDE_M / 2.0), (high + margin).min(middle + MAX_SIDE_M / 2.0)]
+    });
+    Grid::covering(spans.map(|s| s[0]), spans.map(|s| s[1]), RESOLUTION_M)
 }
 
-/// The part of a polygon between two heights (Sutherland and Hodgman, 1974).
-fn between(corners: &[[f64; 3]], [low, high]: [f64; 2]) -> Vec<[f64; 3]> {
-    let above = cut(corners, |p| p[2] - low);
-    cut(&above, |p| high - p[2])
+/// A sliver that no home has: over 50 m long and 50 times as long as wide. One corner of it is wrong.
+pub(super) fn is_stray(triangle: &Corners) -> bool {
+    let side = |a: usize, b: usize| (0..3).map(|i| (triangle[a][i] - triangle[b][i]).powi(2)).sum::<f64>().sqrt();
+    let longest = side(0, 1).max(side(1, 2)).max(side(2, 0));
+    longest > 50.0 && 2.0 * area(triangle) < 0.02 * longest * longest
 }
 
-fn cut(polygon: &[[f64; 3]], inside: impl Fn(&[f64; 3]) -> f64) -> Vec<[f64; 3]> {
-    let mut kept = Vec::with_capacity(polygon.len() + 1);
-    for (at, from) in polygon.iter().enumerate() {
-        let to = &polygon[(at + 1) % polygon.len()];
-        let (d_from, d_to) = (inside(from), inside(to));
-        if d_from >= 0.0 {
-            kept.push(*from);
-        }
-        if (d_from >= 0.0) != (d_to >= 0.0) {
-            let share = d_from / (d_from - d_to);
-            kept.push([0, 1, 2].map(|axis| from[axis] + share * (to[axis] - from[axis])));
-        }
-    }
-    kept
-}
-
-/// Whether a convex polygon, seen from above and wound either way, covers a point.
-fn covers(polygon: &[[f64; 3]], [x, y]: [f64; 2]) -> bool {
-    let mut left = false;
-    let mut right = false;
-    for (at, from) in polygon.iter().enumerate() {
-        let to = &polygon[(at + 1) % polygon.len()];
-        let side = (to[0] - from[0]) * (y - from[1]) - (to[1] - from[1]) * (x - from[0]);
-        left |= side > 0.0;
-        right |= side < 0.0;
-    }
-    left != right
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scene::Vertex;
-
-    fn triangle(corners: [[f32; 3]; 3]) -> Triangle {
-        let vertices = corners.map(|position_m| Vertex { position_m, uv: [0.0; 2], ..Vertex::default() });
-        Triangle { vertices, material: 0 }
-    }
-
-    const FRAME: Frame = Frame { origin_m: [0.0, 0.0], cell_m: 0.1, width: 20, height: 20 };
-
-    #[test]
-    fn a_thin_upright_wall_marks_every_cell_along_it_and_no_other() {
-        let mut cells = vec![false; FRAME.cells()];
-        FRAME.mark(&triangle([[0.25, 0.05, -1.0], [0.25, 1.95, -1.0], [0.25, 1.0, 3.0]]), [0.1, 0.2], true, &mut cells);
-        let marked: Vec<_> = (0..FRAME.cells()).filter(|i| cells[*i]).collect();
-        assert!(marked.iter().all(|i| i % 20 == 2));
-        assert!(marked.len() >= 12, "{}", marked.len());
-    }
-
-    #[test]
-    fn only_the_part_between_the_heights_counts() {
-        let mut cells = vec![false; FRAME.cells()];
-        FRAME.mark(&triangle([[0.0, 0.0, 1.0], [2.0, 0.0, 1.0], [0.0, 2.0, 1.0]]), [0.1, 0.9], true, &mut cells);
-        assert!(cells.iter().all(|cell| !cell));
-        // A ramp from 0 to 2 m high over 2 m is within 0.5 to 1.0 m for a quarter of its length.
-        FRAME.mark(&triangle([[0.0, 0.0, 0.0], [2.0, 0.0, 2.0], [2.0, 1.0, 2.0]]), [0.5, 1.0], true, &mut cells);
-        assert!((0..FRAME.cells()).filter(|i| cells[*i]).all(|i| (5..=10).contains(&(i % 20))));
-    }
-
-    #[test]
-    fn a_floor_covers_half_of_its_rectangle_whichever_way_it_is_wound() {
-        for corners in [[0, 1, 2], [0, 2, 1]] {
-            let points = [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]];
-            let mut cells = vec![false; FRAME.cells()];
-            FRAME.mark(&triangle(corners.map(|c| points[c])), [-0.1, 0.1], false, &mut cells);
-            let share = cells.iter().filter(|cell| **cell).count() as f64 / 400.0;
-            assert!((share - 0.5).abs() < 0.05, "{share}");
-        }
-    }
+fn area(corners: &Corners) -> f64 {
+    let [a, b, c] = corners;
+    let (u, v): ([f64; 3], [f64; 3]) = (std::array::from_fn(|i| b[i] - a[i]), std::array::from_fn(|i| c[i] - a[i]));
+    let normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+    normal.iter().map(|c| c * c).sum::<f64>().sqrt() / 2.0
 }

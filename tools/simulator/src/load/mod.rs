@@ -95,4 +95,4 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, SceneError> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -46,14 +46,14 @@ impl Default for Lighting {
     /// A bright room: ceiling light, reflections from a wooden floor, a cool window on one side and a warm lamp on the other.
     fn default() -> Self {
         Self {
-            from_above: [0.78, 0.76, 0.72],
-            from_below: [0.42, 0.39, 0.35],
+            from_above: [0.62, 0.61, 0.58],
+            from_below: [0.33, 0.31, 0.28],
             windows: vec![
-                Window { direction: [0.8, 0.45, 0.25], color: [0.30, 0.33, 0.37] },
-                Window { direction: [-0.35, -0.9, 0.3], color: [0.15, 0.12, 0.08] },
+                Window { direction: [0.8, 0.45, 0.25], color: [0.25, 0.28, 0.31] },
+                Window { direction: [-0.35, -0.9, 0.3], color: [0.14, 0.11, 0.08] },
             ],
             exposure: 1.0,
-            background: [0.55, 0.60, 0.68],
+            background: [0.45, 0.49, 0.55],
             sun: None,
         }
     }
@@ -76,10 +76,12 @@ impl Lighting {
     /// Light on a surface with this unit normal, apart from the sun.
     pub(super) fn on_surface(&self, normal: &V3) -> [f32; 3] {
         let up = 0.5 + 0.5 * normal.z;
-        let mut light: [f32; 3] =
-            std::array::from_fn(|c| self.from_below[c] + up * (self.from_above[c] - self.from_below[c]));
+        let mut light = [0.0; 3];
+        for channel in 0..3 {
+            light[channel] = self.from_below[channel] + up * (self.from_above[channel] - self.from_below[channel]);
+        }
         for window in &self.windows {
-            // Half of the cosine wraps around: a wide source lights surfaces that are turned away a little.
+            // A quarter of the light wraps around: a wide source lights surfaces that are turned away a little.
             let facing = (0.25 + 0.75 * normal.dot(&unit(window.direction))).max(0.0);
             for channel in 0..3 {
                 light[channel] += facing * window.color[channel];
@@ -146,6 +148,12 @@ impl ToneCurve {
         let step = (light.max(0.0).sqrt() * scale + 0.5) as usize;
         self.bytes[step.min(CURVE_STEPS - 1)]
     }
+}
+
+/// IEC 61966-2-1.
+pub(super) fn srgb_to_linear(byte: u8) -> f32 {
+    let s = f32::from(byte) / 255.0;
+    if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
 }
 
 /// IEC 61966-2-1.

@@ -3,6 +3,7 @@
 //! A pinhole camera over textured triangles: every pixel's depth is that of the ray through its centre; colour is filtered
 //! over the pixel's footprint. Light is diffuse: a surface looks the same from everywhere.
 
+mod ambient;
 mod bvh;
 mod light;
 mod surface;
@@ -17,6 +18,7 @@ use rayon::prelude::*;
 
 use crate::people::{Capsule, Person};
 use crate::scene::{Material, Scene};
+pub use ambient::{AmbientOptions, bake_ambient};
 use bvh::{Bvh, Corners, V3};
 use light::ToneCurve;
 pub use light::{Lighting, SunPatches, Window};
@@ -124,7 +126,7 @@ impl Renderer {
         let [from, to] = t_world_camera;
         let between = |share: f64| from.try_lerp_slerp(to, share, 1e-9).unwrap_or(*to);
         let mut sum = vec![0.0; camera.width * camera.height * 3];
-        let linear: Vec<f32> = (0..=255).map(texture::srgb_to_linear).collect();
+        let linear: Vec<f32> = (0..=255).map(light::srgb_to_linear).collect();
         for picture in 0..pictures {
             let pose = between((picture as f64 + 0.5) / pictures as f64);
             self.render(camera, &pose, people, light, rgb, depth);
@@ -211,7 +213,8 @@ impl Renderer {
                 }
                 let depth = 1.0 / block.inverse_depth[row][column];
                 let colour = self.colour(view, light, surface, (direction, depth, facing), &last.1);
-                out.put(row, column, colour.map(|c| self.tone.encode(c)), depth);
+                let [r, g, b] = colour;
+                out.put(row, column, [self.tone.encode(r), self.tone.encode(g), self.tone.encode(b)], depth);
             }
         }
     }
@@ -245,7 +248,8 @@ impl Renderer {
             let normal = if facing > 0.0 { -surface.normal } else { surface.normal };
             sun.at(&(surface.origin + offset), &normal) * light.exposure
         });
-        std::array::from_fn(|c| albedo[c] * (on_surface[c] * ambient + sun) + material.emissive[c] * light.exposure)
+        let leaves = |c: usize| albedo[c] * (on_surface[c] * ambient + sun) + material.emissive[c] * light.exposure;
+        [leaves(0), leaves(1), leaves(2)]
     }
 
     fn draw_people(

@@ -81,16 +81,13 @@ pub(super) fn see(
             limit = 1.0 / farthest;
             continue;
         }
-        let children = [node.first, node.first + 1].map(|i| (i, pyramid.entry(&bvh.nodes[i as usize])));
-        match children {
-            [(a, Some(near_a)), (b, Some(near_b))] => {
-                let (front, back) =
-                    if near_a <= near_b { ((a, near_a), (b, near_b)) } else { ((b, near_b), (a, near_a)) };
-                stack.push(back);
-                stack.push(front);
-            }
-            [(i, Some(near)), (_, None)] | [(_, None), (i, Some(near))] => stack.push((i, near)),
-            _ => {}
+        let (a, b) = (node.first, node.first + 1);
+        match (pyramid.entry(&bvh.nodes[a as usize]), pyramid.entry(&bvh.nodes[b as usize])) {
+            (Some(near_a), Some(near_b)) if near_a <= near_b => stack.extend([(b, near_b), (a, near_a)]),
+            (Some(near_a), Some(near_b)) => stack.extend([(a, near_a), (b, near_b)]),
+            (Some(near), None) => stack.push((a, near)),
+            (None, Some(near)) => stack.push((b, near)),
+            (None, None) => {}
         }
     }
     block
@@ -100,7 +97,10 @@ pub(super) fn see(
 struct Pyramid {
     origin: V3,
     forward: V3,
+    forward_extent: V3,
     inward: [[f32; 4]; 3],
+    /// The same without signs.
+    extent: [[f32; 4]; 3],
 }
 
 impl Pyramid {
@@ -114,7 +114,9 @@ impl Pyramid {
             if normal.dot(&corners[(i + 2) % 4]) < 0.0 { -normal } else { normal }
         });
         let inward = std::array::from_fn(|axis| sides.map(|side| side[axis]));
-        Self { origin: view.origin, forward: view.forward, inward }
+        let extent = inward.map(|lanes| lanes.map(f32::abs));
+        let forward_extent = view.forward.abs();
+        Self { origin: view.origin, forward: view.forward, forward_extent, inward, extent }
     }
 
     /// Least z-depth of a box, or `None` when it is beside the pyramid or behind the eye.
@@ -122,17 +124,27 @@ impl Pyramid {
     fn entry(&self, node: &Node) -> Option<f32> {
         let centre = node.centre - self.origin;
         let half = node.half;
-        let [nx, ny, nz] = &self.inward;
-        let mut inside = true;
+        let ([nx, ny, nz], [ex, ey, ez]) = (&self.inward, &self.extent);
+        // How far the box's innermost corner is inside of each plane.
+        let mut inside = [0.0; 4];
         for side in 0..4 {
-            let nearest = centre.x * nx[side] + centre.y * ny[side] + centre.z * nz[side];
-            let reach = half.x * nx[side].abs() + half.y * ny[side].abs() + half.z * nz[side].abs();
-            inside &= nearest + reach >= 0.0;
+            inside[side] = (centre.x * nx[side] + centre.y * ny[side] + centre.z * nz[side])
+                + (half.x * ex[side] + half.y * ey[side] + half.z * ez[side]);
         }
+        let inside = inside[0].min(inside[1]).min(inside[2].min(inside[3]));
         let middle = centre.dot(&self.forward);
-        let reach = half.dot(&self.forward.abs());
-        (inside && middle + reach > 0.0).then_some((middle - reach).max(0.0))
+        let reach = half.dot(&self.forward_extent);
+        (inside >= 0.0 && middle + reach > 0.0).then_some((middle - reach).max(0.0))
     }
+}
+
+const COLUMNS: [f32; SIZE] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
+/// From the first to the last pixel of a block.
+const SPAN: f32 = (SIZE - 1) as f32;
+
+#[inline(always)]
+fn positive(value: f32) -> f32 {
+    if value > 0.0 { value } else { 0.0 }
 }
 
 /// Affine in column and row within the block: value at the first pixel and its change along each.
@@ -151,8 +163,19 @@ impl Affine {
 
     #[inline(always)]
     fn max(&self) -> f32 {
-        const SPAN: f32 = (SIZE - 1) as f32;
-        self.first + SPAN * (self.per_column.max(0.0) + self.per_row.max(0.0))
+        self.first + SPAN * (positive(self.per_column) + positive(self.per_row))
+    }
+
+    /// The value at the first pixel of a row.
+    #[inline(always)]
+    fn in_row(&self, row: f32) -> f32 {
+        self.first + row * self.per_row
+    }
+
+    /// The largest value in a row, from that at its first pixel.
+    #[inline(always)]
+    fn max_of_row(&self, first: f32) -> f32 {
+        first + SPAN * positive(self.per_column)
     }
 }
 
@@ -166,7 +189,8 @@ impl Planes {
     /// `None` when the triangle cannot be seen in this block nearer than 1 / `least`.
     #[inline(always)]
     fn new(corners: &Corners, view: &View, first: &V3, least: f32) -> Option<Self> {
-        let [a, b, c] = corners.points.map(|p| p - view.origin);
+        let [a, b, c] = &corners.points;
+        let (a, b, c) = (a - view.origin, b - view.origin, c - view.origin);
         let normal = (b - a).cross(&(c - a));
         let distance = normal.dot(&a);
         if distance == 0.0 {
@@ -176,57 +200,54 @@ impl Planes {
         if inverse_depth.max() < least {
             return None;
         }
-        let mut edges = [Affine { first: 0.0, per_column: 0.0, per_row: 0.0 }; 3];
-        for (affine, (p, q)) in edges.iter_mut().zip([(b, c), (c, a), (a, b)]) {
-            let normal = edge(&p, &q);
-            *affine = Affine::new(&if distance < 0.0 { -normal } else { normal }, view, first);
-            if affine.max() < 0.0 {
-                return None;
-            }
+        // Not negative inside, whichever way round the triangle is seen.
+        let turn = if distance < 0.0 { -1.0 } else { 1.0 };
+        let of_edge = |p: &V3, q: &V3| Affine::new(&(edge(p, q) * turn), view, first);
+        let edges = [of_edge(&b, &c), of_edge(&c, &a), of_edge(&a, &b)];
+        if edges[0].max() < 0.0 || edges[1].max() < 0.0 || edges[2].max() < 0.0 {
+            return None;
         }
         Some(Self { edges, inverse_depth })
     }
 
+    /// Written without branches inside of a row: eight pixels are two vector registers.
     #[inline(always)]
     fn draw(&self, triangle: u32, block: &mut Block) {
+        let [u, v, w] = &self.edges;
+        let inverse = &self.inverse_depth;
         for row in 0..SIZE {
-            let (inside, inverse) = self.row(row);
-            let seen = &mut block.inverse_depth[row];
-            let who = &mut block.triangle[row];
+            let down = row as f32;
+            let (u_row, v_row, w_row) = (u.in_row(down), v.in_row(down), w.in_row(down));
+            if u.max_of_row(u_row) < 0.0 || v.max_of_row(v_row) < 0.0 || w.max_of_row(w_row) < 0.0 {
+                continue;
+            }
+            let inverse_row = inverse.in_row(down);
+            let (seen, who) = (&mut block.inverse_depth[row], &mut block.triangle[row]);
             for column in 0..SIZE {
-                let nearer = (inside[column] >= 0.0) & (inverse[column] > seen[column]);
-                seen[column] = if nearer { inverse[column] } else { seen[column] };
-                who[column] = if nearer { triangle } else { who[column] };
+                let right = COLUMNS[column];
+                let (u, v, w) =
+                    (u_row + right * u.per_column, v_row + right * v.per_column, w_row + right * w.per_column);
+                let depth = inverse_row + right * inverse.per_column;
+                let nearer = (u >= 0.0) & (v >= 0.0) & (w >= 0.0) & (depth > seen[column]);
+                let mask = u32::from(nearer).wrapping_neg();
+                seen[column] = f32::from_bits((depth.to_bits() & mask) | (seen[column].to_bits() & !mask));
+                who[column] = (triangle & mask) | (who[column] & !mask);
             }
         }
     }
 
     /// `is_hole`: column and row in the block, z-depth.
     fn draw_with_holes(&self, triangle: u32, block: &mut Block, is_hole: impl Fn(f32, f32, f32) -> bool) {
-        for row in 0..SIZE {
-            let (inside, inverse) = self.row(row);
-            for column in 0..SIZE {
-                let nearer = inside[column] >= 0.0 && inverse[column] > block.inverse_depth[row][column];
-                if nearer && !is_hole(column as f32, row as f32, 1.0 / inverse[column]) {
-                    block.inverse_depth[row][column] = inverse[column];
+        for (row, down) in COLUMNS.into_iter().enumerate() {
+            for (column, right) in COLUMNS.into_iter().enumerate() {
+                let at = |affine: &Affine| affine.in_row(down) + right * affine.per_column;
+                let inverse = at(&self.inverse_depth);
+                let inside = self.edges.iter().all(|edge| at(edge) >= 0.0);
+                if inside && inverse > block.inverse_depth[row][column] && !is_hole(right, down, 1.0 / inverse) {
+                    block.inverse_depth[row][column] = inverse;
                     block.triangle[row][column] = triangle;
                 }
             }
         }
-    }
-
-    /// Least edge function and inverse depth of a row's pixels.
-    #[inline(always)]
-    fn row(&self, row: usize) -> ([f32; SIZE], [f32; SIZE]) {
-        let at = |affine: &Affine, column: usize| {
-            (affine.first + row as f32 * affine.per_row) + column as f32 * affine.per_column
-        };
-        let [u, v, w] = &self.edges;
-        let inside = std::array::from_fn(|column| {
-            let (u, v, w) = (at(u, column), at(v, column), at(w, column));
-            let least = if u < v { u } else { v };
-            if least < w { least } else { w }
-        });
-        (inside, std::array::from_fn(|column| at(&self.inverse_depth, column)))
     }
 }

@@ -10,10 +10,11 @@ use hal::{
 };
 
 use super::{State, lock};
+use crate::floor::FloorPlan;
 
 type Shared = Arc<Mutex<State>>;
 
-/// The base refuses a command that is not finite.
+/// The base refuses a command that is not finite, and stops.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DriveRefused {
     /// What was asked for.
@@ -58,7 +59,8 @@ impl Camera for SimCamera {
 
     fn poll_frame(&mut self, frame: &mut Frame) -> Result<bool, Infallible> {
         let mut state = lock(&self.shared);
-        if state.frame_ns.replace(state.now_ns) == Some(state.now_ns) {
+        let now_ns = state.now_ns;
+        if state.frame_ns.replace(now_ns) == Some(now_ns) {
             return Ok(false);
         }
         state.take_frame(frame);
@@ -66,7 +68,7 @@ impl Camera for SimCamera {
     }
 }
 
-/// Casts a scan when asked at a new time.
+/// Casts a scan when asked, at most one in the scanner's period.
 pub struct SimLidar {
     shared: Shared,
     geometry: ScanGeometry,
@@ -89,9 +91,11 @@ impl Lidar for SimLidar {
 
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Infallible> {
         let mut state = lock(&self.shared);
-        if state.scan_ns.replace(state.now_ns) == Some(state.now_ns) {
+        let now_ns = state.now_ns;
+        if state.scan_ns.is_some_and(|last_ns| now_ns < last_ns.saturating_add(self.geometry.period_ns.max(1))) {
             return Ok(false);
         }
+        state.scan_ns = Some(now_ns);
         state.take_scan(scan);
         Ok(true)
     }
@@ -115,12 +119,16 @@ impl ErrorType for SimBase {
 impl Base for SimBase {
     fn drive(&mut self, command: &DriveCommand) -> Result<(), DriveRefused> {
         let mut state = lock(&self.shared);
-        state.command = Twist2::ZERO;
+        // A repeated frame is not a sign of life.
+        let is_new = state.last_counter.replace(command.counter) != Some(command.counter);
         if !command.twist.is_finite() {
+            state.command = Twist2::ZERO;
             return Err(DriveRefused { twist: command.twist });
         }
-        state.command = command.twist;
-        state.commanded_ns = state.now_ns;
+        if is_new {
+            state.command = command.twist;
+            state.commanded_ns = state.now_ns;
+        }
         Ok(())
     }
 
@@ -131,7 +139,8 @@ impl Base for SimBase {
 
     fn poll_feedback(&mut self) -> Result<Option<WheelFeedback>, DriveRefused> {
         let mut state = lock(&self.shared);
-        let fresh = state.feedback_ns.replace(state.now_ns) != Some(state.now_ns);
+        let now_ns = state.now_ns;
+        let fresh = state.feedback_ns.replace(now_ns) != Some(now_ns);
         Ok(fresh.then(|| state.feedback()))
     }
 }
@@ -171,6 +180,19 @@ impl Truth {
     #[must_use]
     pub fn pose(&self) -> Pose2 {
         lock(&self.shared).pose
+    }
+
+    /// Where the frame of the odometry lies in the world, now. Moves as odometry drifts; without noise it is the start pose.
+    #[must_use]
+    pub fn t_world_odom(&self) -> Pose2 {
+        let state = lock(&self.shared);
+        state.pose.compose(&state.odometer.pose().inverse())
+    }
+
+    /// Where the robot can be.
+    #[must_use]
+    pub fn floor_plan(&self) -> Arc<FloorPlan> {
+        lock(&self.shared).plan.clone()
     }
 
     /// Whether the last motion was blocked.

@@ -1,10 +1,12 @@
 //! Materials and their textures.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use gltf::json::extensions::texture::TextureTransform;
 use gltf::json::validation::Checked::Valid;
 use gltf::json::{Index, material, texture};
+use rayon::prelude::*;
 
 use super::super::texture::decode;
 use super::super::vertex_color::{ColorAtlas, srgb_from_linear};
@@ -19,6 +21,8 @@ pub(super) struct Materials<'a> {
     surfaces: BTreeMap<Option<usize>, Surface>,
     /// Scene texture of every picture that was read, by its index in the document.
     textures: BTreeMap<usize, u32>,
+    /// Names and bytes of the scene's textures, in their order.
+    encoded: Vec<(String, Cow<'a, [u8]>)>,
     /// Materials of triangles that are coloured by their corners, by the material that tints them.
     colored: BTreeMap<u32, u32>,
     atlas: ColorAtlas,
@@ -53,6 +57,7 @@ impl<'a> Materials<'a> {
             file,
             surfaces: BTreeMap::new(),
             textures: BTreeMap::new(),
+            encoded: Vec::new(),
             colored: BTreeMap::new(),
             atlas: ColorAtlas::default(),
             pending: Vec::new(),
@@ -96,7 +101,7 @@ impl<'a> Materials<'a> {
             }
             emissive = [0.0; 3];
         }
-        let texture = picture.map(|info| self.texture(info.index, scene)).transpose()?;
+        let texture = picture.map(|info| self.texture(info.index)).transpose()?;
         let alpha_cutoff = match source.alpha_mode {
             Valid(material::AlphaMode::Mask) => Some(source.alpha_cutoff.map_or(0.5, |cutoff| cutoff.0)),
             // Half-transparent texels are there or not: there is no blending in a world with one depth a pixel.
@@ -113,7 +118,7 @@ impl<'a> Materials<'a> {
         Ok(add(scene, material, picture))
     }
 
-    fn texture(&mut self, index: Index<texture::Texture>, scene: &mut Scene) -> Result<u32, SceneError> {
+    fn texture(&mut self, index: Index<texture::Texture>) -> Result<u32, SceneError> {
         let file = self.file;
         let source = file.get(index, "texture")?.source;
         if let Some(&known) = self.textures.get(&source.value()) {
@@ -124,16 +129,16 @@ impl<'a> Materials<'a> {
             return Err(file.unsupported(feature, super::super::texture::WAY_OUT));
         };
         let label = format!("image {}", source.value());
-        let decoded = match (image.buffer_view, &image.uri) {
-            (Some(view), _) => decode(&file.path, image.name.as_ref().unwrap_or(&label), file.view(view)?)?,
+        let picture = match (image.buffer_view, &image.uri) {
+            (Some(view), _) => (image.name.clone().unwrap_or(label), Cow::Borrowed(file.view(view)?)),
             (None, Some(uri)) => {
-                let name = if uri.starts_with("data:") { &label } else { uri };
-                decode(&file.path, name, &file.fetch(uri, "texture")?)?
+                let name = if uri.starts_with("data:") { label } else { uri.clone() };
+                (name, Cow::Owned(file.fetch(uri, "texture")?))
             }
             (None, None) => return Err(file.malformed(format!("{label} has neither bytes nor a file"))),
         };
-        scene.textures.push(decoded);
-        let texture = scene.textures.len() as u32 - 1;
+        let texture = self.encoded.len() as u32;
+        self.encoded.push(picture);
         self.textures.insert(source.value(), texture);
         Ok(texture)
     }
@@ -149,10 +154,13 @@ impl<'a> Materials<'a> {
         })
     }
 
-    /// Completes the scene, after its last triangle.
-    pub fn finish(self, scene: &mut Scene) {
+    /// Completes the scene, after its last triangle: decodes the pictures, all cores at once.
+    pub fn finish(self, scene: &mut Scene) -> Result<(), SceneError> {
+        let path = &self.file.path;
+        let decoded: Vec<_> = self.encoded.par_iter().map(|(name, bytes)| decode(path, name, bytes)).collect();
+        scene.textures = decoded.into_iter().collect::<Result<_, _>>()?;
         if self.pending.is_empty() {
-            return;
+            return Ok(());
         }
         for (triangle, block) in self.pending {
             for (vertex, uv) in scene.triangles[triangle].vertices.iter_mut().zip(self.atlas.uv(block)) {
@@ -163,6 +171,7 @@ impl<'a> Materials<'a> {
         for material in self.colored.into_values() {
             scene.materials[material as usize].texture = Some(scene.textures.len() as u32 - 1);
         }
+        Ok(())
     }
 }
 

@@ -28,7 +28,7 @@ pub fn read(path: &Path) -> Result<Scene, SceneError> {
             add_primitive(&file, primitive, &t_world_node, &mut materials, &mut scene)?;
         }
     }
-    materials.finish(&mut scene);
+    materials.finish(&mut scene)?;
     Ok(scene)
 }
 

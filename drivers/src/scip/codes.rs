@@ -1,0 +1,59 @@
+//! What a measured number means: a distance, or one of the codes that hide below the shortest distance.
+
+use hal::Range;
+
+/// Limits and codes of one family of sensors (C-42-03320B, tables 3 and 4; `DMIN` and `DMAX` of the sensor's `PP` reply).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RangeCodes {
+    /// Smaller numbers are codes, millimetres.
+    pub dmin_mm: u32,
+    /// Larger numbers mean that nothing came back, millimetres.
+    pub dmax_mm: u32,
+    /// The code for "no object in the range".
+    pub no_return: u32,
+    /// The codes for "object too near".
+    pub too_near: &'static [u32],
+}
+
+impl RangeCodes {
+    /// UTM-30LX: 1 no object, 2 and 4 too near, 3 interference, 5 other.
+    pub const UTM_30LX: Self = Self { dmin_mm: 23, dmax_mm: 60_000, no_return: 1, too_near: &[2, 4] };
+    /// URG-04LX: 0 possibly an object at 22 m; 1 to 19 are weak, strong or contradictory echoes.
+    pub const URG_04LX: Self = Self { dmin_mm: 20, dmax_mm: 5_600, no_return: 0, too_near: &[] };
+
+    /// The range of one beam. A code that is not known is an error, never "free".
+    #[must_use]
+    pub fn range(&self, value_mm: u32) -> Range {
+        if value_mm >= self.dmin_mm {
+            return if value_mm <= self.dmax_mm { Range::Hit(value_mm as f32 / 1000.0) } else { Range::NoReturn };
+        }
+        match value_mm {
+            code if code == self.no_return => Range::NoReturn,
+            code if self.too_near.contains(&code) => Range::TooNear,
+            _ => Range::Error,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_below_dmin_are_codes_and_only_one_of_them_means_no_return() {
+        let range = |value| RangeCodes::UTM_30LX.range(value);
+        assert_eq!([range(1), range(2), range(4)], [Range::NoReturn, Range::TooNear, Range::TooNear]);
+        for code in [0, 3].into_iter().chain(5..23) {
+            assert_eq!(range(code), Range::Error, "{code}");
+        }
+        assert_eq!(RangeCodes::URG_04LX.range(0), Range::NoReturn);
+        assert_eq!(RangeCodes::URG_04LX.range(19), Range::Error);
+    }
+
+    #[test]
+    fn distances_are_metres_between_the_sensors_limits() {
+        let range = |value| RangeCodes::UTM_30LX.range(value);
+        assert_eq!([range(23), range(60_000)], [Range::Hit(0.023), Range::Hit(60.0)]);
+        assert_eq!(range(65_533), Range::NoReturn);
+    }
+}

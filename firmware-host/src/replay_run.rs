@@ -1,0 +1,68 @@
+//! `firmware-host replay`: the loop of a recorded run, built again from the run's header.
+
+use std::process::ExitCode;
+
+use anyhow::{Context, Result, bail};
+use runtime::exploration::PolicyKind;
+use runtime::perception::DepthNetwork;
+use runtime::recording::RunHeader;
+use runtime::robot::{DepthSource, Robot};
+use runtime::tick::{Decision, TickInput};
+
+use crate::cli::ReplayArgs;
+use crate::config::Config;
+use crate::replay::{Replayable, replay};
+use crate::setup::{self, Mission};
+
+struct Loop(Robot);
+
+impl Replayable for Loop {
+    fn step(&mut self, input: &TickInput<'_>) -> Decision {
+        self.0.tick(input, &mut ())
+    }
+}
+
+/// Replays a run; the exit code says whether every decision is the same.
+///
+/// # Errors
+/// When there is nothing to replay, or the run needs a model that was not given.
+pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
+    let build = |header: &RunHeader| -> Result<Box<dyn Replayable>> {
+        let config: Config =
+            serde_json::from_value(header.config.clone()).context("the recording's configuration cannot be read")?;
+        let mission = Mission {
+            policy: policy(&header.policy)?,
+            depth_source: depth_source(&header.depth_source)?,
+            seed: header.seed,
+        };
+        Ok(Box::new(Loop(Robot::new(config.robot(&mission), network(args, header, &config)?)?)))
+    };
+    let report = replay(&args.run, build, &mut std::io::stdout().lock())?;
+    Ok(if report.is_exact() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// The very network that the run was made with.
+fn network(args: &ReplayArgs, header: &RunHeader, config: &Config) -> Result<Option<DepthNetwork>> {
+    match (&header.model_digest, &args.model) {
+        (None, None) => Ok(None),
+        (None, Some(path)) => bail!("the run was made without a model; leave out --model {}", path.display()),
+        (Some(digest), None) => bail!("the run was made with the model {digest}; give it with --model FILE"),
+        (Some(digest), Some(path)) => {
+            let network = setup::load_network(path, &header.camera, config)?;
+            if network.digest() != digest {
+                bail!("the run was made with the model {digest}, but {} is {}", path.display(), network.digest());
+            }
+            Ok(Some(network))
+        }
+    }
+}
+
+fn policy(name: &str) -> Result<PolicyKind> {
+    let known = PolicyKind::ALL.into_iter().find(|policy| policy.name() == name);
+    known.with_context(|| format!("the recording's policy `{name}` is not known to this version"))
+}
+
+fn depth_source(name: &str) -> Result<DepthSource> {
+    let known = DepthSource::ALL.into_iter().find(|source| source.name() == name);
+    known.with_context(|| format!("the recording's depth source `{name}` is not known to this version"))
+}

@@ -1,0 +1,193 @@
+//! A live picture of the run for the Rerun viewer, and the same as `run.rrd` (feature `rerun`).
+//!
+//! Best effort: the loop hands a [`Moment`] to a short queue and goes on. A thread of its own encodes and sends; when it is
+//! slower than the loop, moments are dropped and counted.
+
+mod encode;
+mod log;
+
+use std::{
+    path::PathBuf,
+    sync::mpsc::{SyncSender, TrySendError, sync_channel},
+    thread::JoinHandle,
+};
+
+use hal::{CameraModel, Pose2, Pose3};
+use runtime::recording::Views;
+
+use log::RunLog;
+
+/// Name of the file in the output directory.
+pub const RERUN_FILE: &str = "run.rrd";
+
+/// Moments that may wait: enough for a map's encoding, little memory.
+const QUEUE: usize = 16;
+
+/// Where the picture goes.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct RerunTargets {
+    /// A file to write.
+    pub file: Option<PathBuf>,
+    /// A running viewer, such as `rerun+http://127.0.0.1:9876/proxy`.
+    pub viewer: Option<String>,
+}
+
+/// What is shown of one turn of the loop.
+#[derive(Debug, Clone, Default)]
+pub struct Moment {
+    /// The turn.
+    pub tick: u64,
+    /// Its time.
+    pub time_ns: u64,
+    /// `t_odom_base`.
+    pub odom: Pose2,
+    /// Where the robot is heading, in `odom`, metres.
+    pub goal_m: Option<[f64; 2]>,
+    /// The camera's picture: columns, rows, RGB8.
+    pub picture: Option<(usize, usize, Vec<u8>)>,
+    /// Map, path and depth, each when it is new.
+    pub views: Views,
+    /// Values to plot over time, by name, such as `coverage`.
+    pub numbers: Vec<(&'static str, f64)>,
+}
+
+/// What became of the moments.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct RerunCounts {
+    /// Shown.
+    pub sent: u64,
+    /// Dropped, because the thread was slower than the loop.
+    pub dropped: u64,
+    /// Values that could not be encoded or sent.
+    pub failed: u64,
+}
+
+/// Why there is no live picture.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RerunError {
+    /// The file or the viewer cannot be used.
+    #[error("cannot send the run to {target}: {reason}")]
+    Target {
+        /// The file or address.
+        target: String,
+        /// What Rerun says.
+        reason: String,
+    },
+    /// The system gives no thread.
+    #[error("cannot start the thread for the live picture: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
+/// Hands moments to the thread that sends them.
+#[derive(Debug)]
+pub struct RerunStream {
+    queue: SyncSender<Moment>,
+    thread: JoinHandle<RerunCounts>,
+    dropped: u64,
+}
+
+impl RerunStream {
+    /// Opens the targets and starts the thread. `t_base_camera` is the camera's place on the robot.
+    ///
+    /// # Errors
+    /// [`RerunError`]; a viewer that is not running is no error, it may come later.
+    pub fn start(targets: &RerunTargets, camera: &CameraModel, t_base_camera: &Pose3) -> Result<Self, RerunError> {
+        let mut log = RunLog::open(targets, camera, t_base_camera)?;
+        Self::with(move |moment| log.moment(moment), QUEUE)
+    }
+
+    /// Calls `send` on a thread; it returns how many values failed.
+    fn with(mut send: impl FnMut(&Moment) -> u64 + Send + 'static, queue: usize) -> Result<Self, RerunError> {
+        let (sender, receiver) = sync_channel::<Moment>(queue);
+        let thread = std::thread::Builder::new().name("rerun".to_owned()).spawn(move || {
+            let mut counts = RerunCounts::default();
+            for moment in receiver {
+                counts.failed += send(&moment);
+                counts.sent += 1;
+            }
+            counts
+        })?;
+        Ok(Self { queue: sender, thread, dropped: 0 })
+    }
+
+    /// Shows a moment if there is room for it. Never blocks.
+    pub fn offer(&mut self, moment: Moment) {
+        match self.queue.try_send(moment) {
+            Ok(()) => {}
+            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => self.dropped += 1,
+        }
+    }
+
+    /// Waits until everything that was accepted is sent.
+    #[must_use]
+    pub fn finish(self) -> RerunCounts {
+        drop(self.queue);
+        // A thread that panicked has nothing to say; the run goes on without it.
+        let counts = self.thread.join().unwrap_or_default();
+        RerunCounts { dropped: self.dropped, ..counts }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use hal::{DepthMap, camera_mount};
+    use runtime::recording::MapView;
+
+    use super::*;
+
+    #[test]
+    fn a_slow_viewer_costs_moments_and_never_time() {
+        let (release, wait) = sync_channel::<()>(0);
+        let blocked = move |_: &Moment| {
+            let _ = wait.recv();
+            0
+        };
+        let mut stream = RerunStream::with(blocked, 2).unwrap();
+        for tick in 0..50 {
+            stream.offer(Moment { tick, ..Moment::default() });
+        }
+        drop(release);
+        let counts = stream.finish();
+        assert_eq!(counts.sent + counts.dropped, 50);
+        // Two wait, and the thread may have taken one.
+        assert!((2..=3).contains(&counts.sent), "{counts:?}");
+    }
+
+    #[test]
+    fn a_run_becomes_a_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join(RERUN_FILE);
+        let targets = RerunTargets { file: Some(file.clone()), viewer: None };
+        let camera = CameraModel::pinhole(64, 32, 1.5);
+        let mut log = RunLog::open(&targets, &camera, &camera_mount(0.0, 0.8, 0.0)).unwrap();
+        let map = MapView { origin_m: [-1.0, -1.0], cell_m: 0.1, columns: 20, occupancy: vec![-1; 400] };
+        for tick in 0..30 {
+            let moment = Moment {
+                tick,
+                time_ns: tick * 100_000_000,
+                odom: Pose2::new(0.03 * tick as f64, 0.0, 0.1),
+                goal_m: Some([1.0, 0.5]),
+                picture: Some((64, 32, vec![90; 64 * 32 * 3])),
+                views: Views {
+                    map: Some(map.clone()),
+                    path_m: Some(vec![[0.0, 0.0], [1.0, 0.5]]),
+                    depth: DepthMap::from_vec(64, 32, vec![2.0; 64 * 32]),
+                },
+                numbers: vec![("coverage", 0.01 * tick as f64), ("delta1", f64::NAN)],
+            };
+            assert_eq!(log.moment(&moment), 0);
+        }
+        drop(log);
+        assert!(std::fs::metadata(file).unwrap().len() > 10_000);
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_written_is_named() {
+        let targets = RerunTargets { file: Some("/nowhere/run.rrd".into()), viewer: None };
+        let error = RunLog::open(&targets, &CameraModel::pinhole(64, 32, 1.5), &Pose3::identity()).err().unwrap();
+        assert!(error.to_string().contains("/nowhere/run.rrd"), "{error}");
+        let targets = RerunTargets { file: None, viewer: Some("not a url".into()) };
+        assert!(RunLog::open(&targets, &CameraModel::pinhole(64, 32, 1.5), &Pose3::identity()).is_err());
+    }
+}

@@ -1,0 +1,242 @@
+//! Corrects the rotation between two pictures by looking at them.
+//!
+//! Odometry and hand-held tracking know a turn to a few milliradians at best, a rolling shutter bends it further, and a
+//! milliradian is as much as several centimetres of parallax far away. A wrong rotation moves matches off their epipolar
+//! lines; the distances of a few dozen corners from their lines give the rotation by robust least squares, whatever the
+//! depth of each corner. What moves matches *along* their lines looks like depth and is left to the pose.
+
+use hal::{CameraModel, Pose3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use rayon::prelude::*;
+
+use super::census::CensusImage;
+
+/// One corner is looked for in every cell of this size, full-size pixels.
+const CELL: usize = 32;
+/// Corners keep this distance from the edge: half of a patch.
+const MARGIN: usize = 8;
+/// Least strength of a corner (smaller eigenvalue of the structure tensor over 5x5 samples), grey levels squared.
+const CORNER: f32 = 400.0;
+/// Matches are looked for up to this far from their line, full-size pixels: 15 mrad at f = 520.
+const REACH_PX: i32 = 8;
+/// Step along the line, full-size pixels.
+const STEP_PX: f64 = 1.5;
+/// Nearest depth of a match, metres: the last metre has long lines and few corners.
+const NEAR_M: f64 = 1.0;
+/// A match may differ in so many of its 216 bits, and must beat matches at other distances from the line by as many.
+const MAX_BITS: u32 = 70;
+const CLEAR_BITS: u32 = 15;
+/// Fewer corners than this say nothing.
+const MIN_CORNERS: usize = 8;
+/// Weight of staying in place along the lines, against 1 for each corner's distance from its line.
+const ALONG: f64 = 0.3;
+
+/// Corners of a picture, as full-size positions.
+#[derive(Debug, Default)]
+pub struct Corners {
+    points: Vec<(usize, usize)>,
+}
+
+impl Corners {
+    /// The strongest corner of every cell that has one.
+    pub fn find(&mut self, picture: &CensusImage) {
+        self.points.clear();
+        let (right, bottom) = (picture.width.saturating_sub(MARGIN), picture.height.saturating_sub(MARGIN));
+        for top in (MARGIN..bottom).step_by(CELL) {
+            for left in (MARGIN..right).step_by(CELL) {
+                let mut best = (CORNER, None);
+                for y in (top..(top + CELL).min(bottom)).step_by(4) {
+                    for x in (left..(left + CELL).min(right)).step_by(4) {
+                        let strength = strength(picture, x, y);
+                        if strength > best.0 {
+                            best = (strength, Some((x, y)));
+                        }
+                    }
+                }
+                self.points.extend(best.1);
+            }
+        }
+    }
+}
+
+fn strength(picture: &CensusImage, x: usize, y: usize) -> f32 {
+    let grey = |x: usize, y: usize| f32::from(picture.smooth[y * picture.width + x]) / 256.0;
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    for v in (y - 4..=y + 4).step_by(2) {
+        for u in (x - 4..=x + 4).step_by(2) {
+            let (gx, gy) = (grey(u + 2, v) - grey(u - 2, v), grey(u, v + 2) - grey(u, v - 2));
+            (xx, xy, yy) = (xx + gx * gx, xy + gx * gy, yy + gy * gy);
+        }
+    }
+    (xx + yy) / 2.0 - ((xx - yy) * (xx - yy) / 4.0 + xy * xy).sqrt()
+}
+
+/// How a corner's match answers to a small rotation of the reference, and how far off its line it was found.
+struct Residual {
+    /// d(distance from the line) / d(rotation), pixels per radian.
+    across: Vector3<f64>,
+    /// d(place along the line) / d(rotation), pixels per radian.
+    along: Vector3<f64>,
+    off_px: f64,
+}
+
+/// `t_reference_camera` with its rotation corrected. `camera` describes the positions of descriptors.
+pub fn refine_rotation(
+    picture: &CensusImage,
+    corners: &Corners,
+    reference: &CensusImage,
+    t_reference_camera: &Pose3,
+    camera: &CameraModel,
+) -> Pose3 {
+    let residuals: Vec<Residual> = corners
+        .points
+        .par_iter()
+        .map(|corner| residual(picture, *corner, reference, t_reference_camera, camera))
+        .collect::<Vec<_>>()
+        .into_iter()
+        .flatten()
+        .collect();
+    // How far off the pose's rotation may be: tracking jitter, and a share of the turn for timing and shutter.
+    let sigma_rad = 0.002 + 0.05 * t_reference_camera.rotation.angle();
+    let turn = UnitQuaternion::from_scaled_axis(solve(&residuals, sigma_rad));
+    Pose3::from_parts(t_reference_camera.translation, turn * t_reference_camera.rotation)
+}
+
+fn residual(
+    picture: &CensusImage,
+    (x, y): (usize, usize),
+    reference: &CensusImage,
+    t_reference_camera: &Pose3,
+    camera: &CameraModel,
+) -> Option<Residual> {
+    let far = t_reference_camera.rotation * camera.ray(x as f64, y as f64);
+    let point = |w: f64| far + t_reference_camera.translation.vector * w;
+    let place = |w: f64| camera.project(&point(w).into());
+    let (begin, end) = (place(0.0)?, place(1.0 / NEAR_M)?);
+    let (dx, dy) = (end.0 - begin.0, end.1 - begin.1);
+    let length = dx.hypot(dy);
+    // A line shorter than that has no direction.
+    if length < 4.0 {
+        return None;
+    }
+    let (dx, dy) = (dx / length, dy / length);
+    // Best cost for every distance from the line, and the inverse depth where it was found.
+    let mut best = [(u32::MAX, 0.0); 2 * REACH_PX as usize + 1];
+    let steps = ((length / STEP_PX) as usize).clamp(2, 64);
+    for step in 0..=steps {
+        let w = step as f64 / steps as f64 / NEAR_M;
+        let Some((u, v)) = place(w) else { continue };
+        for (best, off) in best.iter_mut().zip(-REACH_PX..) {
+            let off = f64::from(off);
+            if let Some(cost) = patch_cost(picture, (x, y), reference, (u - off * dy, v + off * dx))
+                && cost < best.0
+            {
+                *best = (cost, w);
+            }
+        }
+    }
+    let winner = (0..best.len()).min_by_key(|index| best[*index].0)?;
+    let (cost, w) = best[winner];
+    // A point on a straight edge fits everywhere along it and must not vote.
+    let rival = best.iter().enumerate().filter(|(i, _)| i.abs_diff(winner) > 2).map(|(_, b)| b.0).min()?;
+    if cost > MAX_BITS || rival < cost + CLEAR_BITS || winner == 0 || winner == best.len() - 1 {
+        return None;
+    }
+    let p = point(w);
+    // d(pixel) / d(rotation): the point moves by omega x far.
+    let du = Vector3::new(camera.fx / p.z, 0.0, -camera.fx * p.x / (p.z * p.z));
+    let dv = Vector3::new(0.0, camera.fy / p.z, -camera.fy * p.y / (p.z * p.z));
+    let off_px = winner as f64 - f64::from(REACH_PX);
+    Some(Residual { across: far.cross(&(dv * dx - du * dy)), along: far.cross(&(du * dx + dv * dy)), off_px })
+}
+
+/// Differing bits of 3x3 descriptors around both places; `None` too near to the edge.
+fn patch_cost(
+    picture: &CensusImage,
+    (x, y): (usize, usize),
+    reference: &CensusImage,
+    (u, v): (f64, f64),
+) -> Option<u32> {
+    let (u, v) = (u.round() as isize, v.round() as isize);
+    let margin = MARGIN as isize;
+    if u < margin || v < margin || u + margin >= reference.width as isize || v + margin >= reference.height as isize {
+        return None;
+    }
+    let here = (y - 6) * picture.width + x - 6;
+    let there = (v as usize - 6) * reference.width + u as usize - 6;
+    let mut bits = 0;
+    for dy in [0, 6, 12] {
+        for dx in [0, 6, 12] {
+            let a = picture.descriptors[here + dy * picture.width + dx];
+            let b = reference.descriptors[there + dy * reference.width + dx];
+            bits += (a ^ b).count_ones();
+        }
+    }
+    Some(bits)
+}
+
+/// The rotation vector that explains the distances: iteratively reweighted least squares (Geman-McClure, its scale
+/// shrinking from the search range to one pixel) with the pose as prior.
+fn solve(residuals: &[Residual], sigma_rad: f64) -> Vector3<f64> {
+    let mut omega = Vector3::zeros();
+    if residuals.len() < MIN_CORNERS {
+        return omega;
+    }
+    for scale_px in [6.0, 4.0, 3.0, 2.0, 1.5, 1.0, 1.0, 1.0] {
+        let mut normal = Matrix3::identity() / (sigma_rad * sigma_rad);
+        let mut right = Vector3::zeros();
+        for Residual { across, along, off_px } in residuals {
+            let error = (off_px - across.dot(&omega)) / scale_px;
+            let weight = (1.0 + error * error).powi(-2);
+            normal += weight * across * across.transpose() + ALONG * along * along.transpose();
+            right += weight * across * *off_px;
+        }
+        let Some(cholesky) = normal.cholesky() else { return Vector3::zeros() };
+        omega = cholesky.solve(&right);
+    }
+    omega
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Residuals of corners all over a picture for a true rotation, seen by a camera that moved along `direction`.
+    fn residuals(direction: Vector3<f64>, truth: Vector3<f64>, outliers: usize) -> Vec<Residual> {
+        let camera = CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2);
+        let mut all = Vec::new();
+        for index in 0..60_usize {
+            let far = camera.ray((index * 97 % 640) as f64, (index * 53 % 192) as f64);
+            let p = far + direction * 0.05;
+            let du = Vector3::new(camera.fx / p.z, 0.0, -camera.fx * p.x / (p.z * p.z));
+            let dv = Vector3::new(0.0, camera.fy / p.z, -camera.fy * p.y / (p.z * p.z));
+            let (dx, dy) = (du.dot(&direction), dv.dot(&direction));
+            let (dx, dy) = (dx / dx.hypot(dy), dy / dx.hypot(dy));
+            let across = far.cross(&(dv * dx - du * dy));
+            let off_px = if index < outliers { 7.0 } else { across.dot(&truth) };
+            all.push(Residual { across, along: far.cross(&(du * dx + dv * dy)), off_px });
+        }
+        all
+    }
+
+    #[test]
+    fn pitch_and_roll_of_a_sideways_motion_are_found_despite_outliers() {
+        let truth = Vector3::new(0.006, 0.0, -0.004);
+        let omega = solve(&residuals(Vector3::x(), truth, 12), 0.01);
+        assert!((omega - truth).norm() < 0.001, "{omega}");
+    }
+
+    #[test]
+    fn what_looks_like_depth_is_left_alone() {
+        // Yaw moves everything along the lines of a sideways motion.
+        let omega = solve(&residuals(Vector3::x(), Vector3::new(0.0, 0.01, 0.0), 0), 0.01);
+        assert!(omega.y.abs() < 0.003, "{omega}");
+    }
+
+    #[test]
+    fn few_corners_change_nothing() {
+        let mut few = residuals(Vector3::z(), Vector3::new(0.01, 0.0, 0.0), 0);
+        few.truncate(MIN_CORNERS - 1);
+        assert_eq!(solve(&few, 0.01), Vector3::zeros());
+    }
+}

@@ -1,0 +1,78 @@
+//! Materials by colour and skin; a texture is painted once, however many materials share it.
+
+use rayon::prelude::*;
+
+use super::texture::Skin;
+use crate::scene::{Material, Texture};
+
+/// A material with the size of its texture, metres, so that all surfaces have the same density of detail.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Look {
+    pub material: u32,
+    pub tile_m: f32,
+}
+
+/// Collects materials and the skins that they need.
+#[derive(Debug, Default, PartialEq)]
+pub struct Looks {
+    materials: Vec<Material>,
+    skins: Vec<Skin>,
+}
+
+impl Looks {
+    /// A material of a colour (sRGB, steps of 255) times a skin.
+    pub fn look(&mut self, name: &str, color: [u8; 3], skin: Skin) -> Look {
+        self.glowing(name, color, skin, 0.0)
+    }
+
+    /// The same with light of its own, `glow` times its colour.
+    pub fn glowing(&mut self, name: &str, color: [u8; 3], skin: Skin, glow: f32) -> Look {
+        let texture = self.skins.iter().position(|s| *s == skin).unwrap_or_else(|| {
+            self.skins.push(skin);
+            self.skins.len() - 1
+        });
+        let base_color = color.map(linear);
+        let material = Material {
+            name: name.to_owned(),
+            base_color,
+            texture: Some(texture as u32),
+            alpha_cutoff: None,
+            emissive: base_color.map(|c| c * glow),
+        };
+        let index = self.materials.iter().position(|m| *m == material).unwrap_or_else(|| {
+            self.materials.push(material);
+            self.materials.len() - 1
+        });
+        Look { material: index as u32, tile_m: skin.tile_m().unwrap_or(1.0) }
+    }
+
+    /// Materials and painted textures.
+    pub fn finish(mut self, seed: u64, texture: f32) -> (Vec<Material>, Vec<Texture>) {
+        let painted: Vec<(Texture, f32)> = self
+            .skins
+            .par_iter()
+            .map(|skin| {
+                let picture = skin.paint(seed, texture);
+                let mean = if skin.tints() { mean_light(&picture) } else { 1.0 };
+                (picture, mean)
+            })
+            .collect();
+        for material in &mut self.materials {
+            let mean = material.texture.map_or(1.0, |t| painted[t as usize].1);
+            material.base_color = material.base_color.map(|c| c / mean);
+        }
+        (self.materials, painted.into_iter().map(|(picture, _)| picture).collect())
+    }
+}
+
+/// sRGB-coded steps to linear light, near enough for mixing paint.
+fn linear(step: u8) -> f32 {
+    (f32::from(step) / 255.0).powf(2.2)
+}
+
+/// Mean green in linear light.
+fn mean_light(texture: &Texture) -> f32 {
+    let table: [f32; 256] = std::array::from_fn(|i| linear(i as u8));
+    let sum: f64 = texture.rgba.chunks_exact(4).map(|p| f64::from(table[usize::from(p[1])])).sum();
+    (sum / f64::from((texture.width * texture.height).max(1))) as f32
+}
