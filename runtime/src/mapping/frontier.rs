@@ -92,10 +92,9 @@ fn approach_cells(components: &Components, free: &BitPlane, min_cells: usize, ne
         let centroid = group.centroid();
         for y in run.y - 1..=run.y + 1 {
             for x in run.first_x - 1..=run.last_x + 1 {
-                let cell = Cell::new(x, y);
-                if free.contains(cell) {
-                    let candidate = (cell.distance2(centroid), cell);
-                    nearest[place] = Some(nearest[place].map_or(candidate, |best| best.min(candidate)));
+                let candidate = (Cell::new(x, y).distance2(centroid), Cell::new(x, y));
+                if nearest[place].is_none_or(|best| candidate < best) && free.contains(candidate.1) {
+                    nearest[place] = Some(candidate);
                 }
             }
         }

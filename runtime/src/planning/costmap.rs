@@ -138,14 +138,18 @@ impl Costmap {
         self.uniform.clear();
         self.uniform.resize(weights.len(), 0);
         for start in (stride..weights.len().saturating_sub(stride)).step_by(stride) {
-            let here = &weights[start..start + stride];
-            let beside = [&weights[start - stride..start], here, &weights[start + stride..start + 2 * stride]];
-            let out = &mut self.uniform[start + 1..start + stride - 1];
-            for (at, out) in out.iter_mut().enumerate() {
-                let weight = here[at + 1];
-                let same = |row: &[u8]| row[at] == weight && row[at + 1] == weight && row[at + 2] == weight;
-                let even = beside.iter().fold(weight != BLOCKED, |even, row| even & same(row));
-                *out = if even { UNIFORM } else { 0 };
+            let inner = start + 1..start + stride - 1;
+            let out = &mut self.uniform[inner.clone()];
+            let here = &weights[inner.clone()];
+            out.fill(UNIFORM);
+            // One neighbour of all cells of the row at a time: that is done many cells at once.
+            for first in
+                [inner.start - stride, inner.start, inner.start + stride].into_iter().flat_map(|at| at - 1..at + 2)
+            {
+                let neighbours = &weights[first..first + here.len()];
+                for ((out, weight), neighbour) in out.iter_mut().zip(here).zip(neighbours) {
+                    *out = if (*weight == *neighbour) & (*weight != BLOCKED) { *out } else { 0 };
+                }
             }
         }
         for (weight, uniform) in self.weights.iter_mut().zip(&self.uniform) {
