@@ -67,6 +67,7 @@ pub struct ExploreArgs {
     /// Do not record. The run cannot be replayed.
     #[arg(long)]
     pub no_recording: bool,
+    /// Where a live picture of the run goes.
     #[command(flatten)]
     pub rerun: RerunArgs,
 }

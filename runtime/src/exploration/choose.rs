@@ -1,5 +1,7 @@
 //! Which of many places to go to.
 
+use std::collections::VecDeque;
+
 use rand::seq::IndexedRandom;
 use rand_pcg::Pcg64Mcg;
 
@@ -72,12 +74,12 @@ fn cost(candidate: &Candidate, travel_m: f64, pose: &Pose2) -> f64 {
 /// Of some reachable places, the one to look at again: furthest from where the robot has been lately.
 pub(super) fn revisit(
     places_m: &[[f64; 2]],
-    recent_m: impl Iterator<Item = [f64; 2]> + Clone,
+    recent_m: &VecDeque<[f64; 2]>,
     blacklist: &Blacklist,
     config: &ExplorationConfig,
 ) -> Option<[f64; 2]> {
     let far_from_recent =
-        |place: [f64; 2]| recent_m.clone().map(|been| distance_m(been, place)).fold(f64::INFINITY, f64::min);
+        |place: [f64; 2]| recent_m.iter().map(|been| distance_m(*been, place)).fold(f64::INFINITY, f64::min);
     places_m
         .iter()
         .copied()
@@ -144,10 +146,10 @@ mod tests {
         let places: Vec<[f64; 2]> = (0..20).map(|i| [f64::from(i), 0.0]).collect();
         let config = ExplorationConfig::default();
         let mut list = Blacklist::default();
-        let been = [[0.0, 0.0], [1.0, 0.0]];
-        assert_eq!(revisit(&places, been.into_iter(), &list, &config), Some([19.0, 0.0]));
+        let been = VecDeque::from([[0.0, 0.0], [1.0, 0.0]]);
+        assert_eq!(revisit(&places, &been, &list, &config), Some([19.0, 0.0]));
         list.add([19.0, 0.0], 10);
-        assert_eq!(revisit(&places, been.into_iter(), &list, &config), Some([18.0, 0.0]));
-        assert_eq!(revisit(&[], been.into_iter(), &list, &config), None);
+        assert_eq!(revisit(&places, &been, &list, &config), Some([18.0, 0.0]));
+        assert_eq!(revisit(&[], &been, &list, &config), None);
     }
 }

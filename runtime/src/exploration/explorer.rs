@@ -248,7 +248,7 @@ impl Explorer {
             }
         }
         let places = survey.random_places(REVISIT_DRAWS, senses.map, &mut self.rng);
-        let place_m = choose::revisit(&places, self.trail_m.iter().copied(), &self.blacklist, &self.config)?;
+        let place_m = choose::revisit(&places, &self.trail_m, &self.blacklist, &self.config)?;
         Some((place_m, place_m, GoalReason::Revisit))
     }
 
