@@ -85,6 +85,17 @@ pub struct RerunArgs {
     pub rerun_connect: Option<String>,
 }
 
+#[cfg(feature = "rerun")]
+impl RerunArgs {
+    /// Files and viewers that were asked for; `None`: none.
+    #[must_use]
+    pub fn targets(&self, out: &std::path::Path) -> Option<crate::rerun_stream::RerunTargets> {
+        let file = self.rerun.then(|| out.join(crate::rerun_stream::RERUN_FILE));
+        let viewer = self.rerun_connect.clone();
+        (file.is_some() || viewer.is_some()).then_some(crate::rerun_stream::RerunTargets { file, viewer })
+    }
+}
+
 /// Arguments of `perceive`.
 #[derive(Debug, Args)]
 pub struct PerceiveArgs {

@@ -46,6 +46,11 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
         ..Summary::default()
     };
     let mut session = Session::new(args, &config, &simulated, robot, recorder);
+    #[cfg(feature = "rerun")]
+    if let Some(targets) = args.rerun.targets(&args.out) {
+        let camera = config.camera.model();
+        session.show_in(crate::rerun_stream::RerunStream::start(&targets, &camera, &config.camera.mount())?);
+    }
     let end = session.explore()?;
     session.report(end, summary).with_context(|| format!("cannot report into {}", args.out.display()))
 }

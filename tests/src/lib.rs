@@ -7,10 +7,12 @@
 pub mod base;
 pub mod camera;
 pub mod lidar;
+pub mod scenario;
 
 pub use base::{BaseFaults, FaultyBase};
 pub use camera::{CameraFaults, FaultyCamera};
 pub use lidar::{FaultyLidar, LidarFaults};
+pub use scenario::{Faults, Scenario, Turn};
 
 use std::ops::Range;
 

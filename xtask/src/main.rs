@@ -8,6 +8,7 @@ mod demo;
 mod nextest;
 mod onnx_runtime;
 mod paths;
+mod policies;
 mod test;
 
 use std::process::ExitCode;
@@ -30,6 +31,15 @@ enum Chore {
         /// A room's name, or a part of the name of a row.
         filter: Option<String>,
     },
+    /// Every policy on the built-in homes, as a table. Takes an hour on two cores.
+    Policies {
+        /// Camera frames of each run.
+        #[arg(long, default_value_t = 3000)]
+        frames: u64,
+        /// Seeds of each home.
+        #[arg(long, default_value_t = 2)]
+        seeds: u64,
+    },
     /// Install what the other chores need, and nothing else.
     Setup,
 }
@@ -49,6 +59,7 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Demo => demo::run(),
         Chore::Test => test::run(),
         Chore::Bench { json, filter } => bench::run(*json, filter.as_deref()),
+        Chore::Policies { frames, seeds } => policies::run(*frames, *seeds),
         Chore::Setup => {
             println!("ONNX Runtime: {}", onnx_runtime::install()?.display());
             println!("test runner:  {}", if nextest::install() { "cargo nextest" } else { "cargo test" });

@@ -43,6 +43,8 @@ pub(super) struct Session {
     began: Instant,
     done: u64,
     interrupted: Arc<AtomicBool>,
+    #[cfg(feature = "rerun")]
+    stream: Option<crate::rerun_stream::RerunStream>,
 }
 
 /// Memory for one turn's inputs, reused.
@@ -85,7 +87,15 @@ impl Session {
             began: Instant::now(),
             done: 0,
             interrupted: stop_on_interrupt(),
+            #[cfg(feature = "rerun")]
+            stream: None,
         }
+    }
+
+    /// Also shows the run in Rerun.
+    #[cfg(feature = "rerun")]
+    pub fn show_in(&mut self, stream: crate::rerun_stream::RerunStream) {
+        self.stream = Some(stream);
     }
 
     /// Runs the loop to its end.
@@ -183,7 +193,6 @@ impl Session {
     }
 
     fn record(&mut self, input: &TickInput<'_>, decision: Decision) -> Result<Result<(), crate::record::RecordError>> {
-        let Some(recorder) = &mut self.recorder else { return Ok(Ok(())) };
         let path_m = self.robot.explorer().path_m();
         let shows = |every: u64| input.tick.is_multiple_of(every);
         let views = Views {
@@ -195,12 +204,35 @@ impl Session {
                 None
             },
         };
+        #[cfg(feature = "rerun")]
+        self.show(input, &decision, &views);
+        let Some(recorder) = &mut self.recorder else { return Ok(Ok(())) };
         Ok(recorder.record(RecordedTick::capture(input, Some(decision))?, views))
+    }
+
+    #[cfg(feature = "rerun")]
+    fn show(&mut self, input: &TickInput<'_>, decision: &Decision, views: &Views) {
+        let Some(stream) = &mut self.stream else { return };
+        let mut numbers = vec![("linear_mps", decision.command.linear_mps)];
+        numbers.extend(self.evaluation.coverage().map(|share| ("coverage", share)));
+        stream.offer(crate::rerun_stream::Moment {
+            tick: input.tick,
+            time_ns: input.time_ns,
+            odom: input.wheel.odom,
+            goal_m: decision.goal_m,
+            picture: input.frame.map(|view| (view.width(), view.height(), view.data().to_vec())),
+            views: views.clone(),
+            numbers,
+        });
     }
 
     /// Writes summary and pictures, and prints what a person wants to know.
     pub fn report(self, end: ExploreEnd, mut summary: Summary) -> Result<()> {
         let wall_s = self.began.elapsed().as_secs_f64();
+        #[cfg(feature = "rerun")]
+        if let Some(counts) = self.stream.map(crate::rerun_stream::RerunStream::finish) {
+            println!("Rerun: {} turns shown, {} dropped.", counts.sent, counts.dropped);
+        }
         let recording = self.recorder.map(Recorder::finish);
         let mut end = end;
         match recording {

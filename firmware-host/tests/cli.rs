@@ -1,0 +1,156 @@
+//! The binary as a user runs it.
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use assert_cmd::Command;
+use firmware_host::replay::rewrite;
+use tempfile::TempDir;
+
+const SMALL: &str = "[camera]\nwidth = 160\nheight = 64\n";
+
+fn firmware_host(args: &[&str]) -> Output {
+    Command::cargo_bin("firmware-host").unwrap().args(args).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// A short run with a small camera into `dir/NAME`.
+fn explore(dir: &TempDir, name: &str, more: &[&str]) -> (Output, PathBuf) {
+    let config = dir.path().join("robot.toml");
+    std::fs::write(&config, SMALL).unwrap();
+    let out = dir.path().join(name);
+    let mut args = vec!["explore", "--frames", "60", "--seed", "5", "--config", config.to_str().unwrap()];
+    args.extend(["--out", out.to_str().unwrap()]);
+    args.extend(more);
+    (firmware_host(&args), out)
+}
+
+const HOME: [&str; 2] = ["--scene", "builtin:apartment?seed=1"];
+
+fn summary(out: &Path) -> serde_json::Value {
+    serde_json::from_slice(&std::fs::read(out.join("summary.json")).unwrap()).unwrap()
+}
+
+#[test]
+fn the_same_seed_gives_the_same_decisions_and_the_same_recording_byte_for_byte() {
+    let dir = TempDir::new().unwrap();
+    let (first, a) = explore(&dir, "a", &HOME);
+    let (_, b) = explore(&dir, "b", &HOME);
+    assert!(first.status.success(), "{}", text(&first.stderr));
+    let (one, two) = (summary(&a), summary(&b));
+    for key in ["frames", "digest", "recording_digest", "coverage", "path_m", "goals", "accuracy", "end_reason"] {
+        assert_eq!(one[key], two[key], "{key}");
+    }
+    let recording = |out: &Path| std::fs::read(out.join("recording_0000.mcap")).unwrap();
+    assert!(recording(&a) == recording(&b));
+    for file in ["map.png", "depth.png"] {
+        assert!(std::fs::metadata(a.join(file)).unwrap().len() > 1000, "{file}");
+    }
+}
+
+#[test]
+fn a_replay_makes_every_decision_again_and_one_changed_input_shows() {
+    let dir = TempDir::new().unwrap();
+    let (run, out) = explore(&dir, "run", &HOME);
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    let replay = firmware_host(&["replay", out.to_str().unwrap()]);
+    assert!(text(&replay.stdout).trim_end().ends_with("replay: ticks=60 mismatches=0"), "{}", text(&replay.stdout));
+    assert!(replay.status.success());
+
+    let flipped = dir.path().join("flipped");
+    std::fs::create_dir(&flipped).unwrap();
+    rewrite(&out, &flipped, |tick| {
+        if tick.tick == 30 {
+            tick.wheel.odom.x_m += 1e-6;
+        }
+    })
+    .unwrap();
+    let replay = firmware_host(&["replay", flipped.to_str().unwrap()]);
+    assert!(!replay.status.success());
+    let said = text(&replay.stdout);
+    assert!(said.contains("replay: ticks=60 mismatches=") && !said.contains("mismatches=0"), "{said}");
+}
+
+#[test]
+fn a_truncated_recording_is_replayed_as_far_as_it_goes_and_fails() {
+    let dir = TempDir::new().unwrap();
+    let (_, out) = explore(&dir, "run", &HOME);
+    let file = out.join("recording_0000.mcap");
+    let bytes = std::fs::read(&file).unwrap();
+    std::fs::write(&file, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    let replay = firmware_host(&["replay", file.to_str().unwrap()]);
+    assert_eq!(replay.status.code(), Some(1));
+    let said = text(&replay.stdout) + &text(&replay.stderr);
+    assert!(said.contains("recording_0000.mcap") && said.contains("mismatches=0"), "{said}");
+}
+
+#[test]
+fn ground_truth_depth_is_stamped_into_the_summary_and_replays_too() {
+    let dir = TempDir::new().unwrap();
+    let (_, out) = explore(&dir, "run", &[&HOME[..], &["--depth", "truth", "--policy", "frontier"]].concat());
+    assert_eq!(summary(&out)["depth_source"], "truth");
+    assert!(firmware_host(&["replay", out.to_str().unwrap()]).status.success());
+}
+
+#[test]
+fn what_cannot_be_is_refused_with_its_name_a_way_out_and_nothing_left_behind() {
+    let dir = TempDir::new().unwrap();
+    let no_model = dir.path().join("none.onnx");
+    let empty = dir.path().join("empty.obj");
+    std::fs::write(&empty, "# nothing\n").unwrap();
+    let cases: &[(&[&str], &str)] = &[
+        (&["--scene", "nowhere.glb"], "nowhere.glb"),
+        (&["--scene", "builtin:castle"], "apartment, house and office"),
+        (&["--scene", empty.to_str().unwrap()], "triangle"),
+        (&["--scene", "builtin:apartment?seed=1", "--start", "90,90,0"], "nearest free place"),
+        (&["--scene", "builtin:apartment?seed=1", "--model", no_model.to_str().unwrap()], "none.onnx"),
+        (&["--scene", "builtin:apartment?seed=1", "--depth", "network"], "--model"),
+    ];
+    for (index, (args, named)) in cases.iter().enumerate() {
+        let (output, out) = explore(&dir, &format!("case{index}"), args);
+        let said = text(&output.stderr);
+        assert!(matches!(output.status.code(), Some(1 | 2)), "{args:?}: {:?}", output.status);
+        assert!(said.contains(named) && !said.contains("panicked"), "{args:?}: {said}");
+        assert!(!out.join("summary.json").exists() && !out.join("recording_0000.mcap").exists(), "{args:?}");
+    }
+}
+
+#[test]
+fn an_impossible_configuration_is_a_usage_error_with_file_key_value_and_range() {
+    let dir = TempDir::new().unwrap();
+    let config = dir.path().join("robot.toml");
+    std::fs::write(&config, "[base]\nforward_step_m = -1\n[camera]\nwidht = 640\n").unwrap();
+    let check = firmware_host(&["check", "--config", config.to_str().unwrap()]);
+    let said = text(&check.stderr);
+    assert_eq!(check.status.code(), Some(2));
+    for named in ["robot.toml", "base.forward_step_m", "-1", "0.005", "did you mean `width`"] {
+        assert!(said.contains(named), "{named}: {said}");
+    }
+}
+
+#[test]
+fn the_defaults_that_are_printed_are_sound() {
+    let dir = TempDir::new().unwrap();
+    let printed = firmware_host(&["check"]);
+    assert!(printed.status.success());
+    let config = dir.path().join("robot.toml");
+    std::fs::write(&config, &printed.stdout).unwrap();
+    assert!(firmware_host(&["check", "--config", config.to_str().unwrap()]).status.success());
+}
+
+#[test]
+fn an_output_folder_that_is_a_file_or_holds_a_recording_is_refused() {
+    let dir = TempDir::new().unwrap();
+    std::fs::write(dir.path().join("file"), "mine").unwrap();
+    let (onto_file, _) = explore(&dir, "file", &HOME);
+    assert_eq!(onto_file.status.code(), Some(1));
+    assert_eq!(std::fs::read_to_string(dir.path().join("file")).unwrap(), "mine");
+    let (_, out) = explore(&dir, "run", &HOME);
+    let before = std::fs::read(out.join("recording_0000.mcap")).unwrap();
+    let (again, _) = explore(&dir, "run", &HOME);
+    assert_eq!(again.status.code(), Some(1), "{}", text(&again.stderr));
+    assert!(std::fs::read(out.join("recording_0000.mcap")).unwrap() == before);
+}
