@@ -3,6 +3,7 @@
 
 pub mod mapping;
 pub mod network;
+pub mod perception;
 pub mod report;
 pub mod simulator;
 
@@ -12,5 +13,9 @@ use report::Row;
 pub type Measure = fn() -> anyhow::Result<Vec<Row>>;
 
 /// Every room that has something to measure, in the order of the table.
-pub const ROOMS: &[(&str, Measure)] =
-    &[("simulator", simulator::rows), ("mapping", mapping::measure), ("network", network::rows)];
+pub const ROOMS: &[(&str, Measure)] = &[
+    ("simulator", simulator::rows),
+    ("mapping", mapping::measure),
+    ("network", network::rows),
+    ("perception", perception::rows),
+];

@@ -1,0 +1,70 @@
+//! Coarse depth and its parts.
+
+use hal::{CameraModel, DepthMap, ImageView, Pose3};
+use nalgebra::Point3;
+use runtime::accuracy::Accuracy;
+use runtime::perception::{CoarseConfig, CoarseDepth, DepthEstimate};
+
+use crate::report::{Row, Timing, time};
+
+const ROOM: &str = "perception";
+const WIDTH: usize = 640;
+const HEIGHT: usize = 192;
+const FRAMES: u32 = 24;
+const STEP_M: f64 = 0.03;
+
+/// Measures a walk along a textured wall, sideways and forward.
+///
+/// # Errors
+/// When a picture cannot be looked at.
+pub fn rows() -> anyhow::Result<Vec<Row>> {
+    let camera = CameraModel::pinhole(WIDTH, HEIGHT, std::f64::consts::FRAC_PI_2);
+    let threads = rayon::current_num_threads();
+    let mut rows = Vec::new();
+    for (name, direction) in [("sideways", [1.0, 0.0, 0.0]), ("on an arc", [0.5, 0.0, 0.7])] {
+        let path: Vec<Pose3> = (0..FRAMES).map(|i| pose(direction, i)).collect();
+        let pictures: Vec<Vec<u8>> = path.iter().map(|pose| wall(&camera, pose)).collect();
+        let mut engine = CoarseDepth::new(CoarseConfig::default(), camera)?;
+        let mut seconds = Vec::new();
+        for (picture, pose) in pictures.iter().zip(&path) {
+            let frame = ImageView::rgb8(WIDTH, HEIGHT, picture)?;
+            let began = std::time::Instant::now();
+            if engine.estimate(frame, pose).is_ok() {
+                seconds.push(began.elapsed().as_secs_f64());
+            }
+        }
+        anyhow::ensure!(!seconds.is_empty(), "{name}: no picture of the walk gave depth");
+        rows.push(
+            Row::seconds(ROOM, format!("coarse depth 640x192, {name}"), Timing::of(seconds))
+                .goal(0.025, 0.008)
+                .note(format!("{threads} threads, 64 planes, up to 3 references")),
+        );
+    }
+    let truth =
+        DepthMap::from_vec(WIDTH, HEIGHT, (0..WIDTH * HEIGHT).map(|i| 1.0 + (i * 7919 % 4001) as f32 / 1e3).collect());
+    let truth = truth.unwrap_or_else(|| DepthMap::none(WIDTH, HEIGHT));
+    let confidence = (0..WIDTH * HEIGHT).map(|i| (i * 31 % 1009) as f32 / 1009.0).collect();
+    let estimate = DepthEstimate { depth: truth.clone(), confidence };
+    let mut accuracy = Accuracy::new();
+    let measured = time(31, || accuracy.add(Some(&estimate), &truth));
+    rows.push(Row::seconds(ROOM, "accuracy of one picture 640x192", measured).goal(0.01, 0.003));
+    Ok(rows)
+}
+
+fn pose(direction: [f64; 3], index: u32) -> Pose3 {
+    let along = f64::from(index) * STEP_M;
+    Pose3::translation(direction[0] * along, direction[1] * along, direction[2] * along)
+}
+
+/// A wall 3 m ahead with blobs of many sizes, as RGB.
+fn wall(camera: &CameraModel, t_world_camera: &Pose3) -> Vec<u8> {
+    let mut picture = Vec::with_capacity(WIDTH * HEIGHT * 3);
+    for index in 0..WIDTH * HEIGHT {
+        let ray = camera.ray((index % WIDTH) as f64, (index / WIDTH) as f64);
+        let place: Point3<f64> = t_world_camera * Point3::from(ray * (3.0 - t_world_camera.translation.z));
+        let wave = |fx: f64, fy: f64, phase: f64| (place.x * fx + place.y * fy + phase).sin();
+        let value = wave(7.0, 3.0, 0.3) * wave(-4.0, 9.0, 1.0) + wave(23.0, -17.0, 0.7) * wave(11.0, 29.0, 2.0);
+        picture.extend([(128.0 + 50.0 * value) as u8; 3]);
+    }
+    picture
+}
