@@ -12,6 +12,7 @@ use crate::exploration::{ExplorationConfig, Explorer, PolicyKind, Senses};
 use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
 use crate::perception::{CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError};
 use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
+use crate::recording::input_digest;
 use crate::safety::{Bumper, BumperConfig, BumperInput, BumperOutput, BumperState};
 use crate::tick::{Decision, TickInput};
 
@@ -202,6 +203,7 @@ impl Robot {
             command: gated.command.into(),
             goal_m: self.explorer.goal().map(|goal| goal.target_m),
             events,
+            input_digest: input_digest(input),
             depth_digest,
             map_digest: self.map.changes_digest(),
         }
@@ -224,6 +226,7 @@ impl Robot {
             command: still,
             goal_m: None,
             events,
+            input_digest: input_digest(input),
             depth_digest: 0,
             map_digest: 0,
         }

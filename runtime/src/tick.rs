@@ -37,6 +37,8 @@ pub struct Decision {
     pub goal_m: Option<[f64; 2]>,
     /// What happened, with reasons.
     pub events: Vec<Event>,
+    /// First 8 bytes of the BLAKE3 digest of the whole input: a decision says what it was made on, to the last bit.
+    pub input_digest: u64,
     /// First 8 bytes of the BLAKE3 digest of the depth that went into the map (bytes of depth and confidence); 0: none.
     pub depth_digest: u64,
     /// First 8 bytes of the BLAKE3 digest of the cells that the map changed this turn.

@@ -120,12 +120,12 @@ fn a_bumper_switch_that_is_stuck_does_not_nail_the_robot_down() {
 #[test]
 fn every_policy_moves_touches_nothing_by_itself_and_does_the_same_again() {
     for policy in PolicyKind::ALL {
-        let first = run(policy, Faults::default(), 150);
-        let second = run(policy, Faults::default(), 150);
-        assert!(way_m(&first) + turned_rad(&first) > 1.0, "{policy:?}");
+        let first = run(policy, Faults::default(), 80);
+        let second = run(policy, Faults::default(), 80);
+        assert!(way_m(&first) + turned_rad(&first) > 0.5, "{policy:?}");
         let decisions = |turns: &[Turn]| turns.iter().map(|turn| turn.decision.clone()).collect::<Vec<_>>();
         assert_eq!(decisions(&first), decisions(&second), "{policy:?}");
-        let last: Pose2 = first[149].pose;
+        let last: Pose2 = first[79].pose;
         assert!(last.is_finite());
     }
 }

@@ -44,6 +44,7 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
         command: Command { linear_mps: 0.3, angular_radps: 0.0 },
         goal_m: Some([1.0, 2.0]),
         events: Vec::new(),
+        input_digest: 3,
         depth_digest: tick,
         map_digest: 0,
     };

@@ -46,6 +46,16 @@ impl RunDigest {
     }
 }
 
+/// First 8 bytes of the digest of one turn's input, little-endian: changes with any bit of it.
+#[must_use]
+pub fn input_digest(input: &TickInput<'_>) -> u64 {
+    let mut hasher = Hasher::new();
+    hash_input(&mut hasher, input);
+    let mut first = [0; 8];
+    first.copy_from_slice(&hasher.finalize().as_bytes()[..8]);
+    u64::from_le_bytes(first)
+}
+
 /// All numbers little-endian, floats as their bits, every optional part with a byte before it that says whether it is
 /// there.
 fn hash_input(hasher: &mut Hasher, input: &TickInput<'_>) {

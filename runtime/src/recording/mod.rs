@@ -24,7 +24,7 @@ mod writer;
 #[cfg(test)]
 mod tests;
 
-pub use digest::RunDigest;
+pub use digest::{RunDigest, input_digest};
 pub use error::RecordingError;
 pub use header::{FORMAT_VERSION, RunHeader, SegmentHeader};
 pub use picture::quantise_mm;

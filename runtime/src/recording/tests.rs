@@ -32,6 +32,7 @@ fn decision(tick: u64) -> Decision {
         command: Command { linear_mps: 0.1 * tick as f64, angular_radps: -0.0 },
         goal_m: (!tick.is_multiple_of(3)).then_some([1.5, -0.1]),
         events: vec![Event::GoalChosen { x_m: 1.5, y_m: -0.1, why: GoalReason::Frontier }],
+        input_digest: 3,
         depth_digest: u64::MAX - tick,
         map_digest: 0x8000_0000_0000_0001,
     }
@@ -172,6 +173,7 @@ fn any_decision() -> impl Strategy<Value = Decision> {
         command: Command { linear_mps: v[2], angular_radps: v[3] },
         goal_m: goal.then_some([v[4], v[5]]),
         events: vec![Event::GoalReached, Event::GoalChosen { x_m: v[6], y_m: v[7], why: GoalReason::Revisit }],
+        input_digest: 3,
         depth_digest: digests[0],
         map_digest: digests[1],
     })

@@ -107,7 +107,7 @@ const DECISION: &str = r#"{"title":"robot.Decision","type":"object","properties"
 "command":{"type":"object","properties":{"linear_mps":{"type":"number"},"angular_radps":{"type":"number"}}},
 "goal_m":{"type":"array","items":{"type":"number"}},
 "events":{"type":"array","items":{"type":"object","properties":{"event":{"type":"string"}}}},
-"depth_digest":{"type":"integer"},"map_digest":{"type":"integer"}}}"#;
+"input_digest":{"type":"integer"},"depth_digest":{"type":"integer"},"map_digest":{"type":"integer"}}}"#;
 
 #[cfg(test)]
 mod tests {
