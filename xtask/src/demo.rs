@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use crate::{command, onnx_runtime, paths};
 
 const SCENE: &str = "builtin:apartment?seed=1";
-const FRAMES: &str = "1500";
+const FRAMES: &str = "3000";
 
 pub fn run() -> Result<()> {
     if let Err(error) = onnx_runtime::install() {
