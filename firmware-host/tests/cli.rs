@@ -1,4 +1,5 @@
 //! The binary as a user runs it.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
 use std::path::{Path, PathBuf};
 use std::process::Output;

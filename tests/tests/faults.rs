@@ -1,4 +1,5 @@
 //! A robot whose devices misbehave stops when it must, says why, and goes on when it can.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
 use hal::{Pose2, Twist2};
 use hil::{BaseFaults, CameraFaults, Faults, LidarFaults, Scenario, Turn};
