@@ -3,7 +3,7 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use comfy_table::{CellAlignment, Table, presets::UTF8_HORIZONTAL_ONLY};
+use comfy_table::{CellAlignment, Table, presets::ASCII_MARKDOWN};
 use serde::Serialize;
 
 /// The middle and the ends of repeated measurements.
@@ -197,7 +197,7 @@ impl Row {
 #[must_use]
 pub fn table(rows: &[Row]) -> Table {
     let mut table = Table::new();
-    table.load_preset(UTF8_HORIZONTAL_ONLY);
+    table.load_preset(ASCII_MARKDOWN);
     table.set_header(["room", "what", "median", "spread", "peer", "ratio", "floor / target", "note"]);
     table.add_rows(rows.iter().map(Row::cells));
     for column in [2, 3, 5] {
