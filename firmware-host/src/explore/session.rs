@@ -12,6 +12,7 @@ use runtime::mapping::{CellBox, CellState, OccupancyGrid};
 use runtime::recording::{MapView, RecordedTick, RunDigest, Views, quantise_mm};
 use runtime::robot::{DepthSource, Robot};
 use runtime::tick::{Decision, TickInput};
+use simulator::floor::FloorPlan;
 use simulator::{Devices, SimulatedRobot};
 
 use crate::cli::ExploreArgs;
@@ -67,10 +68,7 @@ impl Session {
         let devices = simulated.devices();
         let plan = devices.truth.floor_plan();
         let grid = plan.grid();
-        let mut reachable = vec![false; grid.cells()];
-        for index in plan.reachable_floor().filter_map(|[x_m, y_m]| grid.index(x_m, y_m)) {
-            reachable[index] = true;
-        }
+        let reachable = reachable_cells(&plan);
         let coverage = Coverage::new(reachable, grid.width, grid.origin_m, grid.resolution_m);
         Self {
             out: args.out.clone(),
@@ -286,10 +284,7 @@ fn draw_map(
 ) -> Result<()> {
     let plan = devices.truth.floor_plan();
     let grid = plan.grid();
-    let mut reachable = vec![false; grid.cells()];
-    for index in plan.reachable_floor().filter_map(|[x_m, y_m]| grid.index(x_m, y_m)) {
-        reachable[index] = true;
-    }
+    let reachable = reachable_cells(&plan);
     // Resampled into the world at the map's own resolution: without drift the frames differ by the start pose only.
     let cell_m = map.cell_m();
     let (width, height) = (
@@ -322,6 +317,16 @@ fn draw_map(
         }),
     };
     Ok(picture.write(out)?)
+}
+
+/// Which cells of the plan's grid are reachable floor.
+fn reachable_cells(plan: &FloorPlan) -> Vec<bool> {
+    let grid = plan.grid();
+    let mut cells = vec![false; grid.cells()];
+    for index in plan.reachable_floor().filter_map(|[x_m, y_m]| grid.index(x_m, y_m)) {
+        cells[index] = true;
+    }
+    cells
 }
 
 /// The known part of the map as viewers show it.
