@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 
-use crate::{command, onnx_runtime};
+use crate::{command, onnx_runtime, peers};
 
 pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
     let mut bench = command::cargo();
@@ -14,6 +14,10 @@ pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
     match onnx_runtime::install() {
         Ok(library) => _ = bench.env("ORT_DYLIB_PATH", library),
         Err(error) => eprintln!("no rows of the network: {error}"),
+    }
+    match peers::install() {
+        Ok(packages) => _ = bench.env("BENCH_PYTHON", "python3").env("PYTHONPATH", packages),
+        Err(error) => eprintln!("no peers in Python: {error:#}"),
     }
     command::run(&mut bench)
 }

@@ -8,6 +8,7 @@ mod demo;
 mod nextest;
 mod onnx_runtime;
 mod paths;
+mod peers;
 mod policies;
 mod test;
 

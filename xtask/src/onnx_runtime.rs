@@ -91,7 +91,7 @@ fn python() -> Result<Command> {
 }
 
 /// The system's Python where it has pip, else one in a virtual environment.
-fn python_with_pip() -> Result<Command> {
+pub fn python_with_pip() -> Result<Command> {
     if command::works(python()?.args(["-m", "pip", "--version"])) {
         return python();
     }

@@ -3,6 +3,7 @@
 
 pub mod mapping;
 pub mod network;
+pub mod peers;
 pub mod perception;
 pub mod report;
 pub mod simulator;

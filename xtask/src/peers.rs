@@ -1,0 +1,31 @@
+//! Installs the Python packages that benchmarks are compared with, into the target directory.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+
+use crate::onnx_runtime::python_with_pip;
+use crate::{command, paths};
+
+/// The folder with the packages of `tools/bench/peers/requirements.txt`, for `PYTHONPATH`.
+///
+/// # Errors
+/// When they cannot be installed.
+pub fn install() -> Result<PathBuf> {
+    let requirements = paths::root().join("tools/bench/peers/requirements.txt");
+    let wanted = std::fs::read_to_string(&requirements).with_context(|| requirements.display().to_string())?;
+    let folder = paths::target().join("tools/peers");
+    let stamp = folder.join("installed.txt");
+    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
+        return Ok(folder);
+    }
+    eprintln!("installing the peers of the benchmarks into {}", folder.display());
+    if folder.exists() {
+        std::fs::remove_dir_all(&folder).with_context(|| format!("removing {}", folder.display()))?;
+    }
+    let mut pip = python_with_pip()?;
+    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary=:all:", "--target"]);
+    command::run(pip.arg(&folder).arg("--requirement").arg(&requirements))?;
+    std::fs::write(&stamp, wanted).with_context(|| stamp.display().to_string())?;
+    Ok(folder)
+}
