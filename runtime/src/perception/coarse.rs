@@ -5,17 +5,19 @@ use rayon::prelude::*;
 
 use super::aggregate::{PathRows, Volume};
 use super::census::CensusImage;
-use super::fusion::Memory;
+use super::enlarge::Cells;
+use super::fusion::{Belief, Memory};
 use super::keyframes::Keyframes;
 use super::refine::{Corners, refine_rotation};
-use super::sweep::{PLANES, Reference, hypotheses, smooth_3x3, sweep};
-use super::winner::{Winner, winner};
+use super::sweep::{CELL, PLANES, Reference, hypotheses, sweep};
+use super::trust;
+use super::winner::{Vote, winner};
 use super::{CoarseConfig, DepthEstimate, NoDepth, PerceptionError};
 
 /// Depth that parallax is predicted for before any was seen, metres.
 const FIRST_SCENE_DEPTH_M: f64 = 2.0;
 
-/// Plane sweep (Collins 1996) at half size: census descriptors of up to three earlier pictures, chosen by the parallax that
+/// Plane sweep (Collins 1996) over cells of 4x4 pixels: census descriptors of up to three earlier pictures, chosen by the parallax that
 /// they promise, are compared over inverse-depth hypotheses, aggregated semi-globally, and the result votes on what is
 /// remembered from the pictures before. Deterministic on any number of threads.
 #[derive(Debug)]
@@ -26,7 +28,7 @@ pub struct CoarseDepth {
     /// The camera of descriptors: full size, each descriptor between 2x2 pixels.
     descriptors: CameraModel,
     /// The camera that depth is computed for.
-    half: CameraModel,
+    cells: CameraModel,
     inverse_depth: [f32; PLANES],
     keyframes: Keyframes,
     memory: Memory,
@@ -42,14 +44,13 @@ pub struct CoarseDepth {
 struct Buffers {
     corners: Corners,
     grey: Vec<u16>,
-    raw: Vec<[u8; PLANES]>,
     costs: Vec<[u8; PLANES]>,
-    rows: Vec<[u16; PLANES]>,
     down: Vec<[i16; PLANES]>,
     up: Vec<[i16; PLANES]>,
     paths_down: PathRows,
     paths_up: PathRows,
-    votes: Vec<(Winner, f32)>,
+    votes: Vec<Vote>,
+    confidence: Vec<f32>,
     sorted: Vec<f32>,
 }
 
@@ -61,25 +62,25 @@ impl CoarseDepth {
     pub fn new(config: CoarseConfig, camera: CameraModel) -> Result<Self, PerceptionError> {
         config.validate()?;
         check(&camera)?;
-        let (width, height) = (camera.width / 2, camera.height / 2);
-        let half = CameraModel {
+        let (width, height) = (camera.width / CELL, camera.height / CELL);
+        let cell = CELL as f64;
+        let cells = CameraModel {
             width,
             height,
-            fx: camera.fx / 2.0,
-            fy: camera.fy / 2.0,
-            cx: (camera.cx - 0.5) / 2.0,
-            cy: (camera.cy - 0.5) / 2.0,
+            fx: camera.fx / cell,
+            fy: camera.fy / cell,
+            cx: (camera.cx + 0.5) / cell - 0.5,
+            cy: (camera.cy + 0.5) / cell - 0.5,
             distortion: Distortion::None,
         };
         let pixels = width * height;
         let buffers = Buffers {
             grey: vec![0; pixels],
-            raw: vec![[0; PLANES]; pixels],
             costs: vec![[0; PLANES]; pixels],
-            rows: vec![[0; PLANES]; pixels],
             down: vec![[0; PLANES]; pixels],
             up: vec![[0; PLANES]; pixels],
-            votes: vec![(Winner::default(), 0.0); pixels],
+            votes: vec![Vote::default(); pixels],
+            confidence: vec![0.0; pixels],
             ..Buffers::default()
         };
         Ok(Self {
@@ -93,7 +94,7 @@ impl CoarseDepth {
             estimate: DepthEstimate::none(camera.width, camera.height),
             config,
             camera,
-            half,
+            cells,
             buffers,
         })
     }
@@ -121,6 +122,11 @@ impl CoarseDepth {
         outcome.map(|()| &self.estimate)
     }
 
+    /// What the last picture says about every cell of 4x4 pixels, and what is believed of it, row-major; for studies.
+    pub fn cells(&self) -> impl Iterator<Item = (&Vote, &Belief)> {
+        self.buffers.votes.iter().zip(self.memory.beliefs())
+    }
+
     /// What the last successful [`estimate`](Self::estimate) returned.
     #[must_use]
     pub fn last(&self) -> &DepthEstimate {
@@ -137,14 +143,17 @@ impl CoarseDepth {
         if self.keyframes.is_empty() {
             return Err(NoDepth::FirstFrame);
         }
-        self.memory.advance(pose, &self.half, self.config.memory);
-        let chosen = self.keyframes.choose(pose, &self.half, self.scene_depth_m, &self.config);
+        self.memory.advance(pose, &self.cells, self.config.memory);
+        self.buffers.votes.fill(Vote::default());
+        let chosen = self.keyframes.choose(pose, &self.descriptors, self.scene_depth_m, &self.config);
         if chosen.is_empty() {
+            self.judge();
             if self.share_believed() < self.config.min_remembered {
                 return Err(NoDepth::TooLittleParallax);
             }
         } else {
             self.match_against(&chosen, pose);
+            self.judge();
             self.measure_scene();
         }
         self.write_estimate();
@@ -157,8 +166,8 @@ impl CoarseDepth {
     }
 
     fn match_against(&mut self, chosen: &[usize], pose: &Pose3) {
-        let Buffers { corners, grey, raw, costs, rows, down, up, paths_down, paths_up, votes, .. } = &mut self.buffers;
-        let (picture, inverse_depth, width) = (&self.picture, &self.inverse_depth, self.half.width);
+        let Buffers { corners, grey, costs, down, up, paths_down, paths_up, votes, .. } = &mut self.buffers;
+        let (picture, inverse_depth, width) = (&self.picture, &self.inverse_depth, self.cells.width);
         if self.config.refine_rotation {
             corners.find(picture);
         }
@@ -171,15 +180,11 @@ impl CoarseDepth {
             Some(Reference::new(&keyframe.census, &t, &self.descriptors))
         };
         let references: Vec<Reference<'_>> = chosen.iter().filter_map(reference).collect();
-        sweep(picture, &references, inverse_depth, raw);
-        smooth_3x3(raw, width, rows, costs);
-        for (line, grey) in picture.smooth.chunks_exact(2 * picture.width).zip(grey.chunks_exact_mut(width)) {
-            grey.iter_mut().zip(line.iter().step_by(2)).for_each(|(grey, smooth)| *grey = *smooth);
-        }
+        sweep(picture, &references, inverse_depth, costs);
+        shrink(picture, width, grey);
         let (small, large) = (self.config.penalty_small, self.config.penalty_large);
         let volume = Volume { costs, width, grey, small, large };
         rayon::join(|| volume.vertical(false, paths_down, down), || volume.vertical(true, paths_up, up));
-        let half_trust_px = self.config.half_trust_px;
         let lines = votes.par_chunks_exact_mut(width).zip(down.par_chunks_exact_mut(width));
         lines.zip(up.par_chunks_exact(width)).enumerate().for_each(|(row, ((votes, sums), up))| {
             for (sums, up) in sums.iter_mut().zip(up) {
@@ -187,29 +192,37 @@ impl CoarseDepth {
             }
             volume.horizontal(row, sums);
             for (column, (vote, sums)) in votes.iter_mut().zip(sums.iter()).enumerate() {
-                let winner = winner(sums, inverse_depth);
-                let (u, v) = (2.0 * column as f32, 2.0 * row as f32);
-                let parallax_px = |r: &Reference<'_>| r.parallax_px(u, v, winner.inverse_depth);
-                let parallax_px = references.iter().filter_map(parallax_px).fold(0.0, f32::max);
-                *vote = (winner, winner.margin * parallax_px / (parallax_px + half_trust_px));
+                *vote = winner(sums, &volume.costs[row * width + column], inverse_depth);
+                let (u, v) = ((CELL * column) as f32, (CELL * row) as f32);
+                let parallax_px = |r: &Reference<'_>| r.parallax_px(u, v, vote.inverse_depth);
+                vote.parallax_px = references.iter().filter_map(parallax_px).fold(0.0, f32::max);
             }
         });
-        self.memory.vote(votes);
+        self.memory.vote(votes, &self.config.vote_weights);
+    }
+
+    /// The probability of every belief.
+    fn judge(&mut self) {
+        for (confidence, belief) in self.buffers.confidence.iter_mut().zip(self.memory.beliefs()) {
+            *confidence = trust::of_belief(&self.config.belief_weights, belief);
+        }
     }
 
     fn share_believed(&self) -> f32 {
-        let beliefs = self.memory.beliefs();
-        let believed = beliefs.iter().filter(|belief| belief.confidence() >= self.config.min_confidence).count();
-        believed as f32 / beliefs.len() as f32
+        let confidence = &self.buffers.confidence;
+        let believed = confidence.iter().filter(|confidence| **confidence >= self.config.min_confidence).count();
+        believed as f32 / confidence.len() as f32
     }
 
     /// The parallax of the next picture is predicted with the median of this one.
     fn measure_scene(&mut self) {
-        let (beliefs, sorted) = (self.memory.beliefs(), &mut self.buffers.sorted);
+        let Buffers { sorted, confidence, .. } = &mut self.buffers;
+        let beliefs = self.memory.beliefs();
         sorted.clear();
-        let trusted = beliefs.iter().filter(|belief| belief.confidence() >= self.config.min_confidence);
-        sorted.extend(trusted.map(|belief| belief.inverse_depth));
-        // A few pixels may be anything.
+        let trusted =
+            beliefs.iter().zip(&*confidence).filter(|(_, confidence)| **confidence >= self.config.min_confidence);
+        sorted.extend(trusted.map(|(belief, _)| belief.inverse_depth));
+        // A few cells may be anything.
         if sorted.len() * 20 > beliefs.len() {
             let middle = sorted.len() / 2;
             let median = *sorted.select_nth_unstable_by(middle, f32::total_cmp).1;
@@ -219,20 +232,19 @@ impl CoarseDepth {
 
     /// Writes what is believed at full size.
     fn write_estimate(&mut self) {
-        let (width, half_width) = (self.camera.width, self.half.width);
-        let beliefs = self.memory.beliefs();
-        let DepthEstimate { depth, confidence } = &mut self.estimate;
-        let lines = depth.values_mut().chunks_exact_mut(width).zip(confidence.chunks_exact_mut(width));
-        for (row, (depth, confidence)) in lines.enumerate() {
-            let line = &beliefs[(row / 2).min(self.half.height - 1) * half_width..][..half_width];
-            for (column, (depth, confidence)) in depth.iter_mut().zip(confidence).enumerate() {
-                let belief = line[(column / 2).min(half_width - 1)];
-                let trust = belief.confidence();
-                let valid = belief.evidence > 0.0 && trust >= self.config.min_confidence;
-                *depth = if valid { 1.0 / belief.inverse_depth } else { 0.0 };
-                *confidence = if valid { trust } else { 0.0 };
-            }
-        }
+        let Buffers { grey, confidence, .. } = &mut self.buffers;
+        shrink(&self.picture, self.cells.width, grey);
+        let (width, beliefs) = (self.cells.width, self.memory.beliefs());
+        let cells = Cells { width, beliefs, confidence, grey, min_confidence: self.config.min_confidence };
+        cells.enlarge(&self.picture.smooth, &mut self.estimate);
+    }
+}
+
+/// The grey value in the middle of every cell.
+fn shrink(picture: &CensusImage, width: usize, grey: &mut [u16]) {
+    for (line, grey) in picture.smooth.chunks_exact(CELL * picture.width).zip(grey.chunks_exact_mut(width)) {
+        let middle = line.get(picture.width + 1..).unwrap_or_default().iter().step_by(CELL);
+        grey.iter_mut().zip(middle).for_each(|(grey, smooth)| *grey = *smooth);
     }
 }
 

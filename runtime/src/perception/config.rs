@@ -13,7 +13,7 @@ pub struct CoarseConfig {
     pub min_depth_m: f64,
     /// Farthest depth that is looked for, metres.
     pub max_depth_m: f64,
-    /// Parallax that each reference should promise for the depth of the scene, in pixels of the half-size picture; one
+    /// Parallax that each reference should promise for the depth of the scene, in full-size pixels; one
     /// reference for each, at most three. A short one is unambiguous and sees the same things, a long one is precise.
     pub parallax_px: Vec<f64>,
     /// What rotations of the pose are wrong by, as a share of the turn between two pictures (odometry, timing, shutter) ...
@@ -41,15 +41,19 @@ pub struct CoarseConfig {
     pub max_step_m: f64,
     /// The same for turning, radians.
     pub max_turn_rad: f64,
-    /// Smoothness: cost of a neighbour one hypothesis away, in quarters of a census bit.
+    /// Smoothness: cost of a neighbour one hypothesis away; a hypothesis in which every bit differs costs 96.
     pub penalty_small: i16,
     /// Smoothness: cost of a neighbour farther away where the picture is flat; less across edges.
     pub penalty_large: i16,
     /// Share of its evidence that a remembered depth keeps from one picture to the next; 0 remembers nothing.
     pub memory: f32,
-    /// Parallax at which depth is half trusted for its precision, full-size pixels.
-    pub half_trust_px: f32,
-    /// Pixels below this confidence are marked as having no depth.
+    /// Probability that one picture's vote is right: weights of a constant, margin, logarithm of the parallax, contrast and
+    /// residual in a logistic model; see [`trust`](super::trust).
+    pub vote_weights: [f32; 5],
+    /// Probability that what is remembered is right: weights of a constant, the mean trust of its votes and the logarithm of
+    /// their number.
+    pub belief_weights: [f32; 3],
+    /// Pixels that are less probably right than this are marked as having no depth.
     pub min_confidence: f32,
     /// Without any reference (turning on the spot), the remembered depth is handed out while it covers this share of the
     /// picture.
@@ -61,7 +65,7 @@ impl Default for CoarseConfig {
         Self {
             min_depth_m: 0.3,
             max_depth_m: 20.0,
-            parallax_px: vec![6.0, 12.0, 24.0],
+            parallax_px: vec![16.0, 48.0],
             turn_error: 0.02,
             turn_error_floor_rad: 0.001,
             parallax_over_error: 5.0,
@@ -74,11 +78,12 @@ impl Default for CoarseConfig {
             keyframes: 48,
             max_step_m: 0.5,
             max_turn_rad: 0.8,
-            penalty_small: 80,
-            penalty_large: 600,
+            penalty_small: 40,
+            penalty_large: 300,
             memory: 0.9,
-            half_trust_px: 8.0,
-            min_confidence: 0.17,
+            vote_weights: [-1.0, 4.0, 0.5, 3.0, -2.0],
+            belief_weights: [-1.5, 4.0, 0.3],
+            min_confidence: 0.4,
             min_remembered: 0.3,
         }
     }
@@ -158,7 +163,9 @@ impl CoarseConfig {
         let large = (self.penalty_small..=1000).contains(&self.penalty_large);
         require("penalty_large", self.penalty_large, large, "penalty_small to 1000")?;
         require("memory", self.memory, (0.0..1.0).contains(&self.memory), "0 to below 1")?;
-        require("half_trust_px", self.half_trust_px, ok(f64::from(self.half_trust_px)), positive)?;
+        let weights = self.vote_weights.iter().chain(&self.belief_weights).all(|w| w.is_finite());
+        let all = format!("{:?} and {:?}", self.vote_weights, self.belief_weights);
+        require("vote_weights and belief_weights", all, weights, "finite numbers")?;
         require("min_remembered", self.min_remembered, (0.0..=1.0).contains(&self.min_remembered), "0 to 1")?;
         require("min_confidence", self.min_confidence, (0.0..1.0).contains(&self.min_confidence), "0 to below 1")
     }

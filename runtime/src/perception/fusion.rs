@@ -3,22 +3,33 @@
 use hal::{CameraModel, Pose3};
 
 use super::sweep::nearest;
-use super::winner::Winner;
+use super::trust;
+use super::winner::Vote;
 
 /// Two inverse depths agree when they differ by less than this share of the larger one: half of what delta1 allows.
 const AGREEMENT: f32 = 0.12;
 
-/// What is believed of one pixel.
+/// What remains of the evidence when a gap takes it from a neighbour.
+const GUESS: f32 = 0.9;
+
+/// What is believed of one cell.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Belief {
     /// Inverse z-depth, 1/m.
     pub inverse_depth: f32,
-    /// Sum of the trust in every measurement that agreed, older ones counting less; 0: nothing is believed.
+    /// Sum of the trust in every vote that agreed less that in every one that did not, older ones counting less; 0: nothing
+    /// is believed.
     pub evidence: f32,
+    /// How many votes that are, older ones counting less.
+    pub votes: f32,
+    /// Where in its cell the thing is, cells from the middle. Motion between two pictures is a fraction of a cell: rounded
+    /// every time, it would be lost.
+    pub offset: [f32; 2],
 }
 
 impl Belief {
     /// Lets a measurement vote: agreement adds evidence, contradiction takes it away, the stronger side stays.
+    #[inline(always)]
     pub fn vote(&mut self, inverse_depth: f32, trust: f32) {
         if trust <= 0.0 {
             return;
@@ -26,21 +37,18 @@ impl Belief {
         let apart = (self.inverse_depth - inverse_depth).abs();
         if self.evidence > 0.0 && apart <= AGREEMENT * self.inverse_depth.max(inverse_depth) {
             self.evidence += trust;
+            self.votes += 1.0;
             self.inverse_depth += (inverse_depth - self.inverse_depth) * trust / self.evidence;
         } else if trust > self.evidence {
-            *self = Self { inverse_depth, evidence: trust - self.evidence };
+            *self = Self { inverse_depth, evidence: trust - self.evidence, votes: 1.0, offset: [0.0; 2] };
         } else {
             self.evidence -= trust;
+            self.votes += 1.0;
         }
-    }
-
-    /// Evidence as a number from 0 to 1.
-    pub fn confidence(&self) -> f32 {
-        self.evidence / (1.0 + self.evidence)
     }
 }
 
-/// What is believed of the half-size picture.
+/// What is believed of the whole picture.
 #[derive(Debug, Default)]
 pub struct Memory {
     beliefs: Vec<Belief>,
@@ -59,14 +67,14 @@ impl Memory {
         &self.beliefs
     }
 
-    /// Votes of all pixels, row-major: the winner and the trust in it.
-    pub fn vote(&mut self, votes: &[(Winner, f32)]) {
-        for (belief, (winner, trust)) in self.beliefs.iter_mut().zip(votes) {
-            belief.vote(winner.inverse_depth, *trust);
+    /// Votes of all cells, row-major, each with the trust that `weights` put in it.
+    pub fn vote(&mut self, votes: &[Vote], weights: &[f32; 5]) {
+        for (belief, vote) in self.beliefs.iter_mut().zip(votes) {
+            belief.vote(vote.inverse_depth, trust::of_vote(weights, vote));
         }
     }
 
-    /// Moves every belief to where the camera at `pose` sees it and multiplies its evidence by `keep`. Where several meet,
+    /// Moves every belief to where the camera at `pose` sees it and multiplies its evidence and its votes by `keep`. Where several meet,
     /// the nearest hides the others.
     pub fn advance(&mut self, pose: &Pose3, camera: &CameraModel, keep: f32) {
         let pixels = camera.width * camera.height;
@@ -77,8 +85,8 @@ impl Memory {
             let t_now_before = (pose.inverse() * before).to_homogeneous().cast::<f32>();
             let (fx, fy, cx, cy) = (camera.fx as f32, camera.fy as f32, camera.cx as f32, camera.cy as f32);
             for (index, belief) in self.beliefs.iter().enumerate().filter(|(_, belief)| belief.evidence > 0.0) {
-                let x = ((index % camera.width) as f32 - cx) / fx;
-                let y = ((index / camera.width) as f32 - cy) / fy;
+                let x = ((index % camera.width) as f32 + belief.offset[0] - cx) / fx;
+                let y = ((index / camera.width) as f32 + belief.offset[1] - cy) / fy;
                 // The point is (x, y, 1) / w; everything is kept multiplied by w.
                 let w = belief.inverse_depth;
                 let row = |r: usize| {
@@ -88,24 +96,53 @@ impl Memory {
                         + t_now_before[(r, 3)] * w
                 };
                 let z = row(2);
-                let (u, v) = (nearest(fx * row(0) / z + cx), nearest(fy * row(1) / z + cy));
+                let (exact_u, exact_v) = (fx * row(0) / z + cx, fy * row(1) / z + cy);
+                let (u, v) = (nearest(exact_u), nearest(exact_v));
                 let inside = u >= 0 && v >= 0 && u < camera.width as i32 && v < camera.height as i32;
                 if z > 0.05 && inside {
                     let slot = &mut self.moved[v as usize * camera.width + u as usize];
                     if w / z > slot.inverse_depth {
-                        *slot = Belief { inverse_depth: w / z, evidence: belief.evidence * keep };
+                        let offset = [exact_u - u as f32, exact_v - v as f32];
+                        *slot = Belief {
+                            inverse_depth: w / z,
+                            evidence: belief.evidence * keep,
+                            votes: belief.votes * keep,
+                            offset,
+                        };
                     }
                 }
             }
         }
+        self.close_gaps(camera.width);
         std::mem::swap(&mut self.beliefs, &mut self.moved);
         self.pose = Some(*pose);
+    }
+
+    /// Coming nearer tears the cells apart: one that nobody moved to, but between others, takes the farthest of them.
+    fn close_gaps(&mut self, width: usize) {
+        self.beliefs.copy_from_slice(&self.moved);
+        let last = self.moved.len().saturating_sub(width);
+        for at in width..last {
+            if self.beliefs[at].evidence > 0.0 {
+                continue;
+            }
+            let around = [at - 1, at + 1, at - width, at + width].map(|index| self.beliefs[index]);
+            let known = around.iter().filter(|belief| belief.evidence > 0.0);
+            if known.clone().count() < 2 {
+                continue;
+            }
+            if let Some(farthest) = known.min_by(|a, b| a.inverse_depth.total_cmp(&b.inverse_depth)) {
+                self.moved[at] = Belief { offset: [0.0; 2], evidence: farthest.evidence * GUESS, ..*farthest };
+            }
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const WEIGHTS: [f32; 5] = [0.0, 1.0, 0.0, 0.0, 0.0];
 
     #[test]
     fn agreement_adds_and_contradiction_takes_away() {
@@ -124,15 +161,45 @@ mod tests {
         let camera = CameraModel::pinhole(64, 16, std::f64::consts::FRAC_PI_2);
         let mut memory = Memory::default();
         memory.advance(&Pose3::identity(), &camera, 1.0);
-        let mut votes = vec![(Winner::default(), 0.0); 64 * 16];
+        let mut votes = vec![Vote::default(); 64 * 16];
         // One metre to the right is 32 px / depth: the point at 2 m lands where the one at 4 m lands.
-        votes[8 * 64 + 40] = (Winner { inverse_depth: 0.5, margin: 0.0 }, 1.0);
-        votes[8 * 64 + 32] = (Winner { inverse_depth: 0.25, margin: 0.0 }, 1.0);
-        memory.vote(&votes);
+        let vote = Vote { inverse_depth: 0.5, margin: 0.5, residual: 0.1, contrast: 0.3, parallax_px: 9.0 };
+        votes[8 * 64 + 40] = vote;
+        votes[8 * 64 + 32] = Vote { inverse_depth: 0.25, ..vote };
+        memory.vote(&votes, &WEIGHTS);
         memory.advance(&Pose3::translation(1.0, 0.0, 0.0), &camera, 0.5);
         let left: Vec<(usize, Belief)> =
             memory.beliefs().iter().copied().enumerate().filter(|(_, b)| b.evidence > 0.0).collect();
-        assert_eq!(left, [(8 * 64 + 24, Belief { inverse_depth: 0.5, evidence: 0.5 })]);
+        let evidence = 0.5 * trust::of_vote(&WEIGHTS, &vote);
+        assert_eq!(left, [(8 * 64 + 24, Belief { inverse_depth: 0.5, evidence, votes: 0.5, offset: [0.0; 2] })]);
+    }
+
+    #[test]
+    fn motion_of_a_third_of_a_cell_is_not_lost() {
+        let camera = CameraModel::pinhole(64, 16, std::f64::consts::FRAC_PI_2);
+        let mut memory = Memory::default();
+        memory.advance(&Pose3::identity(), &camera, 1.0);
+        let mut votes = vec![Vote::default(); 64 * 16];
+        votes[8 * 64 + 40] = Vote { inverse_depth: 0.5, margin: 0.5, residual: 0.1, contrast: 0.3, parallax_px: 9.0 };
+        memory.vote(&votes, &WEIGHTS);
+        // 32 px / 2 m * (1/48) m = 1/3 px a step.
+        for step in 1..=6 {
+            memory.advance(&Pose3::translation(f64::from(step) / 48.0, 0.0, 0.0), &camera, 1.0);
+        }
+        let place = memory.beliefs().iter().position(|belief| belief.evidence > 0.0).unwrap();
+        assert_eq!(place, 8 * 64 + 38);
+    }
+
+    #[test]
+    fn a_gap_between_two_surfaces_takes_the_farther_one() {
+        let mut memory = Memory::default();
+        let near = Belief { inverse_depth: 2.0, evidence: 1.0, votes: 1.0, offset: [0.0; 2] };
+        memory.moved = vec![Belief::default(); 15];
+        (memory.moved[6], memory.moved[8]) = (near, Belief { inverse_depth: 0.5, ..near });
+        memory.beliefs = memory.moved.clone();
+        memory.close_gaps(5);
+        assert_eq!((memory.moved[7].inverse_depth, memory.moved[7].evidence), (0.5, GUESS));
+        assert_eq!(memory.moved[1], Belief::default());
     }
 
     #[test]
@@ -140,7 +207,8 @@ mod tests {
         let camera = CameraModel::pinhole(64, 16, 1.0);
         let mut memory = Memory::default();
         memory.advance(&Pose3::identity(), &camera, 1.0);
-        memory.vote(&vec![(Winner { inverse_depth: 0.5, margin: 0.0 }, 1.0); 64 * 16]);
+        let vote = Vote { inverse_depth: 0.5, margin: 0.5, residual: 0.1, contrast: 0.3, parallax_px: 9.0 };
+        memory.vote(&vec![vote; 64 * 16], &WEIGHTS);
         memory.forget();
         memory.advance(&Pose3::identity(), &camera, 1.0);
         assert!(memory.beliefs().iter().all(|belief| belief.evidence == 0.0));

@@ -4,6 +4,7 @@ mod aggregate;
 mod census;
 mod coarse;
 mod config;
+mod enlarge;
 mod estimate;
 mod fusion;
 mod keyframes;
@@ -13,9 +14,12 @@ mod refine;
 mod sweep;
 #[cfg(test)]
 mod test_scene;
+pub mod trust;
 mod winner;
 
 pub use coarse::CoarseDepth;
 pub use config::{CoarseConfig, PerceptionError};
 pub use estimate::{DepthEstimate, NoDepth};
+pub use fusion::Belief;
 pub use network::{DepthNetwork, NetworkError, NetworkOptions};
+pub use winner::Vote;

@@ -1,6 +1,7 @@
 //! Matching costs: every pixel of the half-size picture against every inverse-depth hypothesis, in every reference.
 
 use hal::{CameraModel, Pose3};
+use multiversion::multiversion;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
@@ -10,9 +11,15 @@ use super::census::{BITS, CensusImage};
 pub const PLANES: usize = 64;
 /// Most references for one picture.
 pub const MAX_REFERENCES: usize = 3;
-/// Cost of a hypothesis that no reference sees: half of the bits differ, as between random pictures. Costs are quarters of
-/// a bit.
-const UNSEEN: u8 = BITS as u8 / 2 * 4;
+/// Side of a cell, the unit of depth, in full-size pixels.
+pub const CELL: usize = 4;
+/// Descriptors that speak for a cell: where they are in it, full-size pixels. Four were no better than these two.
+const TAPS: [(usize, usize); 2] = [(0, 0), (2, 2)];
+const TAP_SPAN: usize = 2;
+/// The cost of a hypothesis in which every bit differs.
+pub const WORST_COST: u8 = 2 * TAPS.len() as u8 * BITS as u8;
+/// Cost of a hypothesis that no reference sees: half of the bits differ, as between random pictures.
+const UNSEEN: u8 = WORST_COST / 2;
 /// A single reference's mark for "not seen".
 const OUTSIDE: u8 = u8::MAX;
 
@@ -56,28 +63,46 @@ impl<'a> Reference<'a> {
         inside.then(|| (x - far.x / far.z).hypot(y - far.y / far.z))
     }
 
-    /// Differing bits of all hypotheses for the pixel at full-size position (u, v); [`OUTSIDE`] where it is not seen.
-    fn match_pixel(&self, u: f32, v: f32, descriptor: u32, inverse_depth: &[f32; PLANES], bits: &mut [u8; PLANES]) {
+    /// Differing bits of all hypotheses for the cell whose descriptors begin at full-size position (u, v); [`OUTSIDE`] where
+    /// it is not seen. The descriptors of a cell move together: what a cell is turned or scaled by between two pictures is
+    /// less than a pixel.
+    #[inline(always)]
+    fn match_cell(
+        &self,
+        u: f32,
+        v: f32,
+        descriptors: &[u32; TAPS.len()],
+        inverse_depth: &[f32; PLANES],
+        bits: &mut [u8; PLANES],
+    ) {
         let a = self.rotation * Vector3::new(u, v, 1.0);
         let t = self.translation;
         let (width, height) = (self.census.width as i32, self.census.height as i32);
-        let outside = width * height;
-        let mut places = [0_i32; PLANES];
-        for (place, w) in places.iter_mut().zip(inverse_depth) {
+        let (right, bottom) = (width - TAP_SPAN as i32, height - TAP_SPAN as i32);
+        let mut places = [0_u32; PLANES];
+        let mut seen = [0_u8; PLANES];
+        for ((place, seen), w) in places.iter_mut().zip(&mut seen).zip(inverse_depth) {
             let z = a.z + w * t.z;
             let scale = 1.0 / z;
             let x = nearest((a.x + w * t.x) * scale);
             let y = nearest((a.y + w * t.y) * scale);
-            let inside = (z > 0.05) & (x >= 0) & (x < width) & (y >= 0) & (y < height);
-            *place = if inside { y.wrapping_mul(width).wrapping_add(x) } else { outside };
+            let inside = (z > 0.05) & (x >= 0) & (x < right) & (y >= 0) & (y < bottom);
+            *place = if inside { y.wrapping_mul(width).wrapping_add(x) as u32 } else { 0 };
+            *seen = if inside { 0 } else { OUTSIDE };
         }
-        let mut found = [0_u32; PLANES];
-        for (found, place) in found.iter_mut().zip(&places) {
-            *found = self.census.descriptors.get(*place as usize).copied().unwrap_or_default();
+        let mut sums = [0_u32; PLANES];
+        for ((dx, dy), descriptor) in TAPS.iter().zip(descriptors) {
+            let from = self.census.descriptors.get(dy * self.census.width + dx..).unwrap_or_default();
+            let mut found = [0_u32; PLANES];
+            for (found, place) in found.iter_mut().zip(&places) {
+                *found = from.get(*place as usize).copied().unwrap_or_default();
+            }
+            for (sum, found) in sums.iter_mut().zip(&found) {
+                *sum = sum.wrapping_add((found ^ descriptor).count_ones());
+            }
         }
-        for ((bits, found), place) in bits.iter_mut().zip(&found).zip(&places) {
-            let differing = (found ^ descriptor).count_ones() as u8;
-            *bits = if *place == outside { OUTSIDE } else { differing };
+        for ((bits, sum), seen) in bits.iter_mut().zip(&sums).zip(&seen) {
+            *bits = *sum as u8 | seen;
         }
     }
 }
@@ -89,27 +114,39 @@ pub fn nearest(x: f32) -> i32 {
     (x + MAGIC).to_bits().wrapping_sub(MAGIC.to_bits()) as i32
 }
 
-/// Fills `volume` (half-size rows x columns x planes) with the fused cost of up to [`MAX_REFERENCES`].
+/// Fills `volume` (rows x columns of cells x planes) with the fused cost of up to [`MAX_REFERENCES`].
 pub fn sweep(
     picture: &CensusImage,
     references: &[Reference<'_>],
     inverse_depth: &[f32; PLANES],
     volume: &mut [[u8; PLANES]],
 ) {
-    volume.par_chunks_exact_mut(picture.width / 2).enumerate().for_each(|(row, line)| {
-        let mut each = [[OUTSIDE; PLANES]; MAX_REFERENCES];
-        for (column, out) in line.iter_mut().enumerate() {
-            let descriptor = picture.descriptors[2 * row * picture.width + 2 * column];
-            let (u, v) = (2.0 * column as f32, 2.0 * row as f32);
-            for (reference, bits) in references.iter().zip(&mut each) {
-                reference.match_pixel(u, v, descriptor, inverse_depth, bits);
-            }
-            fuse(&each, out);
+    let lines = volume.par_chunks_exact_mut(picture.width / CELL).enumerate();
+    lines.for_each(|(row, line)| sweep_row(picture, references, inverse_depth, row, line));
+}
+
+#[multiversion(targets("x86_64+avx2+bmi1+bmi2+popcnt"))]
+fn sweep_row<'a>(
+    picture: &CensusImage,
+    references: &[Reference<'a>],
+    inverse_depth: &[f32; PLANES],
+    row: usize,
+    line: &mut [[u8; PLANES]],
+) {
+    let mut each = [[OUTSIDE; PLANES]; MAX_REFERENCES];
+    for (column, out) in line.iter_mut().enumerate() {
+        let first = CELL * row * picture.width + CELL * column;
+        let descriptors = TAPS.map(|(dx, dy)| picture.descriptors[first + dy * picture.width + dx]);
+        let (u, v) = ((CELL * column) as f32, (CELL * row) as f32);
+        for (reference, bits) in references.iter().zip(&mut each) {
+            reference.match_cell(u, v, &descriptors, inverse_depth, bits);
         }
-    });
+        fuse(&each, out);
+    }
 }
 
 /// Mean over the references that see a hypothesis, without the worst of three: there it may be hidden.
+#[inline(always)]
 fn fuse(each: &[[u8; PLANES]; MAX_REFERENCES], out: &mut [u8; PLANES]) {
     for (plane, out) in out.iter_mut().enumerate() {
         let (mut sum, mut count, mut worst) = (0_u8, 0_u8, 0_u8);
@@ -122,34 +159,9 @@ fn fuse(each: &[[u8; PLANES]; MAX_REFERENCES], out: &mut [u8; PLANES]) {
         }
         // At most 96: no sum or product here overflows, and saying so keeps checked builds in the vector unit.
         let kept = if count == 3 { sum.wrapping_sub(worst) } else { sum };
-        let cost = if count == 1 { kept << 2 } else { kept << 1 };
+        let cost = if count == 1 { kept << 1 } else { kept };
         *out = if count == 0 { UNSEEN } else { cost };
     }
-}
-
-/// Mean cost over 3x3 pixels, plane by plane; beyond the edge the edge is repeated. `rows` is scratch.
-pub fn smooth_3x3(volume: &[[u8; PLANES]], width: usize, rows: &mut [[u16; PLANES]], out: &mut [[u8; PLANES]]) {
-    rows.par_chunks_exact_mut(width).zip(volume.par_chunks_exact(width)).for_each(|(sums, costs)| {
-        for (column, sum) in sums.iter_mut().enumerate() {
-            let (left, right) = (&costs[column.saturating_sub(1)], &costs[(column + 1).min(width - 1)]);
-            for (plane, sum) in sum.iter_mut().enumerate() {
-                let outer = u16::from(left[plane]).wrapping_add(u16::from(right[plane]));
-                *sum = outer.wrapping_add(u16::from(costs[column][plane]));
-            }
-        }
-    });
-    let (rows, last) = (&*rows, volume.len() / width - 1);
-    out.par_chunks_exact_mut(width).enumerate().for_each(|(row, out)| {
-        let (above, below) = (row.saturating_sub(1) * width, (row + 1).min(last) * width);
-        for (column, out) in out.iter_mut().enumerate() {
-            let (a, b, c) = (&rows[above + column], &rows[row * width + column], &rows[below + column]);
-            for (plane, out) in out.iter_mut().enumerate() {
-                // 57 / 512 is a ninth; the sum is at most 9 * 96.
-                let sum = a[plane].wrapping_add(b[plane]).wrapping_add(c[plane]);
-                *out = (sum.wrapping_mul(57) >> 9) as u8;
-            }
-        }
-    });
 }
 
 #[cfg(test)]
@@ -177,25 +189,13 @@ mod tests {
     fn the_worst_of_three_is_left_out_and_what_nobody_sees_is_neutral() {
         let mut out = [0; PLANES];
         fuse(&[[4; PLANES], [6; PLANES], [24; PLANES]], &mut out);
-        assert_eq!(out[0], 20);
+        assert_eq!(out[0], 10);
         fuse(&[[4; PLANES], [6; PLANES], [OUTSIDE; PLANES]], &mut out);
-        assert_eq!(out[0], 20);
+        assert_eq!(out[0], 10);
         fuse(&[[4; PLANES], [OUTSIDE; PLANES], [OUTSIDE; PLANES]], &mut out);
-        assert_eq!(out[0], 16);
+        assert_eq!(out[0], 8);
         fuse(&[[OUTSIDE; PLANES]; 3], &mut out);
         assert_eq!(out[0], UNSEEN);
-    }
-
-    #[test]
-    fn smoothing_keeps_a_constant_and_spreads_a_peak() {
-        let mut volume = vec![[90_u8; PLANES]; 5 * 4];
-        let (mut rows, mut out) = (vec![[0; PLANES]; 20], vec![[0; PLANES]; 20]);
-        smooth_3x3(&volume, 5, &mut rows, &mut out);
-        assert!(out.iter().all(|costs| costs[7] == 90));
-        volume.fill([0; PLANES]);
-        volume[5 + 2] = [90; PLANES];
-        smooth_3x3(&volume, 5, &mut rows, &mut out);
-        assert_eq!((out[2][0], out[5 + 1][0], out[10 + 3][0], out[4][0]), (10, 10, 10, 0));
     }
 
     #[test]

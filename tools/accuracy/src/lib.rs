@@ -3,4 +3,5 @@
 #![forbid(unsafe_code)]
 
 pub mod disturbance;
+pub mod fit;
 pub mod sequence;

@@ -7,7 +7,9 @@ use anyhow::{Context, Result};
 use firmware_host::config::Config;
 use firmware_host::dataset::Dataset;
 use firmware_host::setup::{self, Mission};
-use hal::{Base, Camera, CameraModel, Clock, DepthMap, DriveCommand, Frame, LaserScan, Lidar, Pose3, Twist2, WheelFeedback};
+use hal::{
+    Base, Camera, CameraModel, Clock, DepthMap, DriveCommand, Frame, LaserScan, Lidar, Pose3, Twist2, WheelFeedback,
+};
 use runtime::exploration::PolicyKind;
 use runtime::robot::{DepthSource, Robot};
 use runtime::tick::TickInput;
