@@ -38,6 +38,8 @@ pub struct SheetRow {
 pub struct SampledDepth {
     /// Metres, row-major, 0 where there is none.
     pub depth_m: Vec<f32>,
+    /// Probability that each depth is right, 0 to 1, row-major.
+    pub confidence: Vec<f32>,
     /// Share of all pixels that have a depth.
     pub share: f64,
     /// Share of pixels within a factor of 1.25 of the ground truth, unscaled.
@@ -63,8 +65,7 @@ impl SheetRow {
             return None;
         }
         let stride = width.div_ceil(WIDTH);
-        let reduce =
-            |depth: &DepthMap| -> Vec<f32> { kept(width, height, stride).map(|index| depth.values()[index]).collect() };
+        let reduce = |values: &[f32]| -> Vec<f32> { kept(width, height, stride).map(|index| values[index]).collect() };
         Some(Self {
             frame,
             width: width.div_ceil(stride),
@@ -72,18 +73,19 @@ impl SheetRow {
             rgb: kept(width, height, stride).map(|index| pixel(picture.data(), index)).collect(),
             coarse: coarse.and_then(|estimate| SampledDepth::of(estimate, truth, reduce)),
             network: network.and_then(|estimate| SampledDepth::of(estimate, truth, reduce)),
-            truth: truth.map(reduce),
+            truth: truth.map(|truth| reduce(truth.values())),
         })
     }
 }
 
 impl SampledDepth {
-    fn of(estimate: &DepthEstimate, truth: Option<&DepthMap>, reduce: impl Fn(&DepthMap) -> Vec<f32>) -> Option<Self> {
+    fn of(estimate: &DepthEstimate, truth: Option<&DepthMap>, reduce: impl Fn(&[f32]) -> Vec<f32>) -> Option<Self> {
         let values = estimate.depth.values();
         let share = values.iter().filter(|depth| **depth > 0.0).count() as f64 / values.len().max(1) as f64;
         let metrics = truth.and_then(|truth| judge(estimate, truth));
         (share > 0.0).then(|| Self {
-            depth_m: reduce(&estimate.depth),
+            depth_m: reduce(values),
+            confidence: reduce(&estimate.confidence),
             share,
             delta1: metrics.map(|metrics| metrics.delta1_unscaled),
             abs_rel: metrics.map(|metrics| metrics.abs_rel),

@@ -24,6 +24,8 @@ const CAPTION: i64 = 20;
 const BARS: i64 = 64;
 /// A relative error of this and more has the last colour.
 const WORST: f32 = 0.5;
+/// A pixel that is as probably right as this counts as sure.
+const SURE: f32 = 0.9;
 /// Depths that a colour bar may name, metres.
 const TICKS_M: [f32; 14] = [0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0];
 
@@ -33,6 +35,7 @@ enum Column {
     Camera,
     Coarse,
     Network,
+    Confidence,
     Truth,
     Error,
 }
@@ -88,7 +91,7 @@ impl DepthSheet<'_> {
                 self.draw_cell(&mut canvas, *column, row, &scale, (x, y + CAPTION));
             }
         }
-        draw_bars(&mut canvas, &layout, &scale, columns.contains(&Column::Error));
+        draw_bars(&mut canvas, &layout, &scale, &columns);
         Ok(Some(canvas))
     }
 
@@ -101,6 +104,7 @@ impl DepthSheet<'_> {
             (Column::Camera, true),
             (Column::Coarse, coarse),
             (Column::Network, network),
+            (Column::Confidence, coarse || network),
             (Column::Truth, truth),
             (Column::Error, truth && (coarse || network)),
         ];
@@ -117,6 +121,7 @@ impl DepthSheet<'_> {
             Column::Camera => "camera",
             Column::Coarse => "coarse depth",
             Column::Network => "network depth",
+            Column::Confidence => "probability that it is right",
             Column::Truth => "ground truth",
             Column::Error if self.judges_network() => "error of the network",
             Column::Error => "error of coarse depth",
@@ -140,6 +145,10 @@ impl DepthSheet<'_> {
             Column::Coarse => depth(row.coarse.as_ref()),
             Column::Network => depth(row.network.as_ref()),
             Column::Truth => String::new(),
+            Column::Confidence => self.judged(row).map_or_else(String::new, |judged| {
+                let sure = judged.confidence.iter().filter(|confidence| **confidence >= SURE).count();
+                format!("{:.0} % of pixels above {SURE}", 100.0 * sure as f64 / judged.confidence.len().max(1) as f64)
+            }),
             Column::Error => match self.judged(row).and_then(|judged| judged.abs_rel) {
                 Some(abs_rel) => format!("mean {:.0} %", 100.0 * abs_rel),
                 None => String::new(),
@@ -156,6 +165,10 @@ impl DepthSheet<'_> {
                 Column::Camera => Some(row.rgb[index]),
                 Column::Coarse => depth_color(of(&row.coarse, index)),
                 Column::Network => depth_color(of(&row.network, index)),
+                Column::Confidence => {
+                    let confidence = value(self.judged(row).map(|judged| &judged.confidence[..]), index);
+                    (confidence > 0.0).then(|| colors::error(1.0 - f64::from(confidence)))
+                }
                 Column::Truth => depth_color(value(row.truth.as_deref(), index)),
                 Column::Error => {
                     let predicted = value(self.judged(row).map(|judged| &judged.depth_m[..]), index);
@@ -252,8 +265,8 @@ impl Layout {
     }
 
     fn page_width(&self) -> i64 {
-        // Both colour bars and the word for no depth need this much.
-        (GAP + self.columns * (self.width + GAP)).max(900)
+        // The colour bars and the word for no depth need this much.
+        (GAP + self.columns * (self.width + GAP)).max(1180)
     }
 
     fn page_height(&self) -> i64 {
@@ -261,13 +274,19 @@ impl Layout {
     }
 }
 
-fn draw_bars(canvas: &mut Canvas, layout: &Layout, scale: &DepthScale, with_error: bool) {
+fn draw_bars(canvas: &mut Canvas, layout: &Layout, scale: &DepthScale, columns: &[Column]) {
     let y = layout.page_height() - BARS + 14;
     let bar = Bar { x: GAP + Font::Label.width("depth (m) "), y, width: 300 };
     let ticks = scale.ticks();
     bar.draw(canvas, "depth (m)", near_warm, &ticks);
     let mut right = bar.x + bar.width + 40;
-    if with_error {
+    if columns.contains(&Column::Confidence) {
+        let bar = Bar { x: right + Font::Label.width("probability "), y, width: 160 };
+        let ticks = [(0.0, "0"), (0.5, "0.5"), (1.0, "1")].map(|(at, label)| (at, label.to_owned()));
+        bar.draw(canvas, "probability", |share| colors::error(1.0 - f64::from(share)), &ticks);
+        right = bar.x + bar.width + 40;
+    }
+    if columns.contains(&Column::Error) {
         let bar = Bar { x: right + Font::Label.width("error "), y, width: 200 };
         let ticks =
             [(0.0, "0"), (0.2, "10 %"), (0.5, "25 %"), (1.0, "50 %+")].map(|(at, label)| (at, label.to_owned()));

@@ -4,7 +4,8 @@ const WIDTH: usize = 64;
 const HEIGHT: usize = 32;
 
 fn depth(depth_m: f32) -> Option<SampledDepth> {
-    Some(SampledDepth { depth_m: vec![depth_m; WIDTH * HEIGHT], share: 1.0, delta1: Some(0.9), abs_rel: Some(0.1) })
+    let (depth_m, confidence) = (vec![depth_m; WIDTH * HEIGHT], vec![0.8; WIDTH * HEIGHT]);
+    Some(SampledDepth { depth_m, confidence, share: 1.0, delta1: Some(0.9), abs_rel: Some(0.1) })
 }
 
 fn row() -> SheetRow {

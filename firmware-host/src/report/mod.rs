@@ -1,7 +1,7 @@
 //! What a person and a program read after a run, and while it lasts.
 
 pub mod atomic;
-mod canvas;
+pub mod canvas;
 mod colors;
 pub mod coverage;
 pub mod depth_sample;

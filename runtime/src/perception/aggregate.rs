@@ -1,6 +1,8 @@
 //! Semi-global aggregation (Hirschmueller 2008) along eight straight paths: a neighbour may differ by one hypothesis for a
 //! small penalty and by more for a large one.
 
+use multiversion::multiversion;
+
 use super::sweep::PLANES;
 
 /// Path costs of one pixel, with a wall on both sides so that the first and last plane have neighbours.
@@ -8,6 +10,8 @@ type PathCosts = [i16; PLANES + 2];
 
 /// Higher than any path cost, low enough to add a penalty.
 const WALL: i16 = 20_000;
+/// Planes that are computed side by side.
+const LANES: usize = 16;
 /// A path before its first pixel.
 const START: PathCosts = [WALL; PLANES + 2];
 
@@ -37,6 +41,7 @@ pub struct PathRows {
 
 impl Volume<'_> {
     /// An edge of four grey levels halves the penalty of a jump.
+    #[inline(always)]
     fn jump(&self, from: usize, to: usize) -> i16 {
         let edge = i32::from(self.grey[from].abs_diff(self.grey[to]));
         (i32::from(self.large) * 1024 / (1024 + edge)).max(i32::from(self.small)) as i16
@@ -44,68 +49,78 @@ impl Volume<'_> {
 
     /// Sums the three paths that run down (or up), straight and diagonally, into `sums`.
     pub fn vertical(&self, upwards: bool, rows: &mut PathRows, sums: &mut [[i16; PLANES]]) {
-        let (width, height) = (self.width, self.costs.len() / self.width);
-        for paths in [&mut rows.before, &mut rows.now] {
-            paths.clear();
-            paths.resize(width, [START; 3]);
-        }
-        rows.least_before.resize(width, [0; 3]);
-        rows.least_now.resize(width, [0; 3]);
-        for index in 0..height {
-            let row = if upwards { height - 1 - index } else { index };
-            let above = if upwards { row + 1 } else { row.wrapping_sub(1) };
-            for column in 0..width {
-                let at = row * width + column;
-                for direction in 0..3 {
-                    let path = &mut rows.now[column][direction];
-                    let from = (column + direction).wrapping_sub(1);
-                    rows.least_now[column][direction] = if index == 0 || from >= width {
-                        begin(&self.costs[at], path)
-                    } else {
-                        let jump = self.jump(above * width + from, at);
-                        let (before, least) = (&rows.before[from][direction], rows.least_before[from][direction]);
-                        follow(&self.costs[at], before, least, self.small, jump, path)
-                    };
-                }
-                let [a, b, c] = &rows.now[column];
-                for (plane, sum) in sums[at].iter_mut().enumerate() {
-                    *sum = a[plane + 1].wrapping_add(b[plane + 1]).wrapping_add(c[plane + 1]);
-                }
-            }
-            std::mem::swap(&mut rows.before, &mut rows.now);
-            std::mem::swap(&mut rows.least_before, &mut rows.least_now);
-        }
+        vertical(self, upwards, rows, sums);
     }
 
     /// Adds the two paths along `row` to `sums`, which holds that row.
     pub fn horizontal(&self, row: usize, sums: &mut [[i16; PLANES]]) {
-        for backwards in [false, true] {
-            let (mut before, mut now, mut least) = (START, START, 0);
-            for index in 0..self.width {
-                let column = if backwards { self.width - 1 - index } else { index };
-                let at = row * self.width + column;
-                least = if index == 0 {
-                    begin(&self.costs[at], &mut now)
+        horizontal(self, row, sums);
+    }
+}
+
+#[multiversion(targets("x86_64+avx2"))]
+fn vertical<'a>(volume: &Volume<'a>, upwards: bool, rows: &mut PathRows, sums: &mut [[i16; PLANES]]) {
+    let (width, height) = (volume.width, volume.costs.len() / volume.width);
+    for paths in [&mut rows.before, &mut rows.now] {
+        paths.clear();
+        paths.resize(width, [START; 3]);
+    }
+    rows.least_before.resize(width, [0; 3]);
+    rows.least_now.resize(width, [0; 3]);
+    for index in 0..height {
+        let row = if upwards { height - 1 - index } else { index };
+        let above = if upwards { row + 1 } else { row.wrapping_sub(1) };
+        for column in 0..width {
+            let at = row * width + column;
+            for direction in 0..3 {
+                let path = &mut rows.now[column][direction];
+                let from = (column + direction).wrapping_sub(1);
+                rows.least_now[column][direction] = if index == 0 || from >= width {
+                    begin(&volume.costs[at], path)
                 } else {
-                    let jump = self.jump(if backwards { at + 1 } else { at - 1 }, at);
-                    follow(&self.costs[at], &before, least, self.small, jump, &mut now)
+                    let jump = volume.jump(above * width + from, at);
+                    let (before, least) = (&rows.before[from][direction], rows.least_before[from][direction]);
+                    follow(&volume.costs[at], before, least, volume.small, jump, path)
                 };
-                for (sum, path) in sums[column].iter_mut().zip(&now[1..]) {
-                    *sum = sum.wrapping_add(*path);
-                }
-                std::mem::swap(&mut before, &mut now);
             }
+            let [a, b, c] = &rows.now[column];
+            for (plane, sum) in sums[at].iter_mut().enumerate() {
+                *sum = a[plane + 1].wrapping_add(b[plane + 1]).wrapping_add(c[plane + 1]);
+            }
+        }
+        std::mem::swap(&mut rows.before, &mut rows.now);
+        std::mem::swap(&mut rows.least_before, &mut rows.least_now);
+    }
+}
+
+#[multiversion(targets("x86_64+avx2"))]
+fn horizontal<'a>(volume: &Volume<'a>, row: usize, sums: &mut [[i16; PLANES]]) {
+    for backwards in [false, true] {
+        let (mut before, mut now, mut least) = (START, START, 0);
+        for index in 0..volume.width {
+            let column = if backwards { volume.width - 1 - index } else { index };
+            let at = row * volume.width + column;
+            least = if index == 0 {
+                begin(&volume.costs[at], &mut now)
+            } else {
+                let jump = volume.jump(if backwards { at + 1 } else { at - 1 }, at);
+                follow(&volume.costs[at], &before, least, volume.small, jump, &mut now)
+            };
+            for (sum, path) in sums[column].iter_mut().zip(&now[1..]) {
+                *sum = sum.wrapping_add(*path);
+            }
+            std::mem::swap(&mut before, &mut now);
         }
     }
 }
 
 /// Continues a path from `before`, whose smallest cost is `least`; returns the smallest cost now.
-#[inline]
+#[inline(always)]
 fn follow(costs: &[u8; PLANES], before: &PathCosts, least: i16, small: i16, large: i16, now: &mut PathCosts) -> i16 {
     let jump = least + large;
-    let mut smallest = [WALL; 8];
-    for block in (0..PLANES).step_by(8) {
-        for lane in 0..8 {
+    let mut smallest = [WALL; LANES];
+    for block in (0..PLANES).step_by(LANES) {
+        for lane in 0..LANES {
             let plane = block + lane;
             // No sum can overflow (WALL + small, 96 + large); saying so keeps checked builds in the vector unit.
             let beside = before[plane].min(before[plane + 2]).wrapping_add(small);
@@ -118,7 +133,7 @@ fn follow(costs: &[u8; PLANES], before: &PathCosts, least: i16, small: i16, larg
     smallest.into_iter().fold(WALL, i16::min)
 }
 
-#[inline]
+#[inline(always)]
 fn begin(costs: &[u8; PLANES], now: &mut PathCosts) -> i16 {
     for (now, cost) in now[1..].iter_mut().zip(costs) {
         *now = i16::from(*cost);

@@ -2,6 +2,8 @@
 //! centre and forgets by how much, so gain and exposure do not matter.
 
 use hal::{ImageView, PixelFormat};
+use multiversion::multiversion;
+use rayon::prelude::*;
 
 /// Bits of one descriptor: a 5x5 window without its centre.
 pub const BITS: u32 = 24;
@@ -55,40 +57,48 @@ impl CensusImage {
     fn smooth_2x2(&mut self) {
         let (width, height) = (self.width, self.height);
         self.smooth.resize(width * height, 0);
-        for y in 0..height {
-            let upper = &self.grey[y * width..][..width];
-            let lower = &self.grey[(y + 1).min(height - 1) * width..][..width];
-            let out = &mut self.smooth[y * width..][..width];
+        let grey = &self.grey;
+        self.smooth.par_chunks_exact_mut(width).enumerate().for_each(|(y, out)| {
+            let upper = &grey[y * width..][..width];
+            let lower = &grey[(y + 1).min(height - 1) * width..][..width];
             for x in 0..width - 1 {
                 out[x] = upper[x] + upper[x + 1] + lower[x] + lower[x + 1];
             }
             out[width - 1] = 2 * (upper[width - 1] + lower[width - 1]);
-        }
+        });
     }
 
     fn describe(&mut self) {
         let (width, height) = (self.width, self.height);
         self.descriptors.clear();
         self.descriptors.resize(width * height + 1, 0);
-        for y in 0..height {
-            let centre = &self.smooth[y * width..][..width];
-            let out = &mut self.descriptors[y * width..][..width];
-            let mut bit = 0;
-            for dy in -2_isize..=2 {
-                let row = (y as isize + 2 * dy).clamp(0, height as isize - 1) as usize;
-                let line = &self.smooth[row * width..][..width];
-                for dx in -2_isize..=2 {
-                    if (dx, dy) != (0, 0) {
-                        compare(out, centre, line, 2 * dx, bit);
-                        bit += 1;
-                    }
-                }
+        let smooth = &self.smooth;
+        let lines = self.descriptors.par_chunks_exact_mut(width).take(height).enumerate();
+        lines.for_each(|(row, out)| describe_row(smooth, row, out));
+    }
+}
+
+/// Descriptors of one row of a picture of as many columns.
+#[multiversion(targets("x86_64+avx2"))]
+fn describe_row(smooth: &[u16], row: usize, out: &mut [u32]) {
+    let width = out.len();
+    let last = (smooth.len() / width) as isize - 1;
+    let centre = &smooth[row * width..][..width];
+    let mut bit = 0;
+    for dy in -2_isize..=2 {
+        let line = (row as isize + 2 * dy).clamp(0, last) as usize;
+        let line = &smooth[line * width..][..width];
+        for dx in -2_isize..=2 {
+            if (dx, dy) != (0, 0) {
+                compare(out, centre, line, 2 * dx, bit);
+                bit += 1;
             }
         }
     }
 }
 
 /// Sets `bit` where the neighbour `shift` columns to the right is darker; beyond the edge the edge is repeated.
+#[inline(always)]
 fn compare(out: &mut [u32], centre: &[u16], line: &[u16], shift: isize, bit: u32) {
     let width = out.len();
     let edge = shift.unsigned_abs().min(width);

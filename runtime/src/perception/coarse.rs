@@ -11,7 +11,7 @@ use super::keyframes::Keyframes;
 use super::refine::{Corners, refine_rotation};
 use super::sweep::{CELL, PLANES, Reference, hypotheses, sweep};
 use super::trust;
-use super::winner::{Vote, winner};
+use super::winner::{Vote, winners};
 use super::{CoarseConfig, DepthEstimate, NoDepth, PerceptionError};
 
 /// Depth that parallax is predicted for before any was seen, metres.
@@ -191,8 +191,8 @@ impl CoarseDepth {
                 sums.iter_mut().zip(up).for_each(|(sum, up)| *sum = sum.wrapping_add(*up));
             }
             volume.horizontal(row, sums);
-            for (column, (vote, sums)) in votes.iter_mut().zip(sums.iter()).enumerate() {
-                *vote = winner(sums, &volume.costs[row * width + column], inverse_depth);
+            winners(sums, &volume.costs[row * width..], inverse_depth, votes);
+            for (column, vote) in votes.iter_mut().enumerate() {
                 let (u, v) = ((CELL * column) as f32, (CELL * row) as f32);
                 let parallax_px = |r: &Reference<'_>| r.parallax_px(u, v, vote.inverse_depth);
                 vote.parallax_px = references.iter().filter_map(parallax_px).fold(0.0, f32::max);

@@ -47,8 +47,8 @@ pub struct CoarseConfig {
     pub penalty_large: i16,
     /// Share of its evidence that a remembered depth keeps from one picture to the next; 0 remembers nothing.
     pub memory: f32,
-    /// Probability that one picture's vote is right: weights of a constant, margin, logarithm of the parallax, contrast and
-    /// residual in a logistic model; see [`trust`](super::trust).
+    /// Probability that one picture's vote is right: weights of a constant, margin, logarithms of parallax and texture, and
+    /// misfit in a logistic model; see [`trust`](super::trust).
     pub vote_weights: [f32; 5],
     /// Probability that what is remembered is right: weights of a constant, the mean trust of its votes and the logarithm of
     /// their number.

@@ -163,7 +163,7 @@ mod tests {
         memory.advance(&Pose3::identity(), &camera, 1.0);
         let mut votes = vec![Vote::default(); 64 * 16];
         // One metre to the right is 32 px / depth: the point at 2 m lands where the one at 4 m lands.
-        let vote = Vote { inverse_depth: 0.5, margin: 0.5, residual: 0.1, contrast: 0.3, parallax_px: 9.0 };
+        let vote = Vote { inverse_depth: 0.5, margin: 0.5, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
         votes[8 * 64 + 40] = vote;
         votes[8 * 64 + 32] = Vote { inverse_depth: 0.25, ..vote };
         memory.vote(&votes, &WEIGHTS);
@@ -180,7 +180,7 @@ mod tests {
         let mut memory = Memory::default();
         memory.advance(&Pose3::identity(), &camera, 1.0);
         let mut votes = vec![Vote::default(); 64 * 16];
-        votes[8 * 64 + 40] = Vote { inverse_depth: 0.5, margin: 0.5, residual: 0.1, contrast: 0.3, parallax_px: 9.0 };
+        votes[8 * 64 + 40] = Vote { inverse_depth: 0.5, margin: 0.5, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
         memory.vote(&votes, &WEIGHTS);
         // 32 px / 2 m * (1/48) m = 1/3 px a step.
         for step in 1..=6 {
@@ -207,7 +207,7 @@ mod tests {
         let camera = CameraModel::pinhole(64, 16, 1.0);
         let mut memory = Memory::default();
         memory.advance(&Pose3::identity(), &camera, 1.0);
-        let vote = Vote { inverse_depth: 0.5, margin: 0.5, residual: 0.1, contrast: 0.3, parallax_px: 9.0 };
+        let vote = Vote { inverse_depth: 0.5, margin: 0.5, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
         memory.vote(&vec![vote; 64 * 16], &WEIGHTS);
         memory.forget();
         memory.advance(&Pose3::identity(), &camera, 1.0);

@@ -6,6 +6,7 @@
 //! depth of each corner. What moves matches *along* their lines looks like depth and is left to the pose.
 
 use hal::{CameraModel, Pose3};
+use multiversion::multiversion;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
@@ -102,6 +103,7 @@ pub fn refine_rotation(
     Pose3::from_parts(t_reference_camera.translation, turn * t_reference_camera.rotation)
 }
 
+#[multiversion(targets("x86_64+avx2+popcnt"))]
 fn residual(
     picture: &CensusImage,
     (x, y): (usize, usize),
@@ -151,6 +153,7 @@ fn residual(
 }
 
 /// Differing bits of 3x3 descriptors around both places; `None` too near to the edge.
+#[inline(always)]
 fn patch_cost(
     picture: &CensusImage,
     (x, y): (usize, usize),

@@ -6,11 +6,11 @@
 use super::fusion::Belief;
 use super::winner::Vote;
 
-/// What the trust in one picture's vote depends on: a constant, margin, parallax, contrast, residual.
+/// What the trust in one picture's vote depends on: a constant, margin, parallax, texture, misfit.
 #[must_use]
 #[inline(always)]
 pub fn vote_features(vote: &Vote) -> [f32; 5] {
-    [1.0, vote.margin, (vote.parallax_px + 0.5).ln(), vote.contrast, vote.residual]
+    [1.0, vote.margin, (vote.parallax_px + 0.5).ln(), (vote.texture + 0.01).ln(), vote.misfit]
 }
 
 /// What the trust in a belief depends on: a constant, the mean trust of its votes, how many there were.
@@ -52,18 +52,18 @@ mod tests {
 
     #[test]
     fn clearer_longer_and_better_matches_are_trusted_more() {
-        let vote = Vote { inverse_depth: 0.5, margin: 0.3, residual: 0.2, contrast: 0.2, parallax_px: 6.0 };
+        let vote = Vote { inverse_depth: 0.5, margin: 0.3, texture: 0.2, misfit: 0.3, parallax_px: 6.0 };
         let trust = of_vote(&weights().0, &vote);
         assert!(trust > 0.0 && trust < 1.0);
         assert!(of_vote(&weights().0, &Vote { margin: 0.6, ..vote }) > trust);
         assert!(of_vote(&weights().0, &Vote { parallax_px: 20.0, ..vote }) > trust);
-        assert!(of_vote(&weights().0, &Vote { contrast: 0.4, ..vote }) > trust);
-        assert!(of_vote(&weights().0, &Vote { residual: 0.5, ..vote }) < trust);
+        assert!(of_vote(&weights().0, &Vote { texture: 0.4, ..vote }) > trust);
+        assert!(of_vote(&weights().0, &Vote { misfit: 0.8, ..vote }) < trust);
     }
 
     #[test]
     fn nothing_to_compare_with_is_no_trust() {
-        assert_eq!(of_vote(&weights().0, &Vote { margin: 1.0, contrast: 1.0, ..Vote::default() }), 0.0);
+        assert_eq!(of_vote(&weights().0, &Vote { margin: 1.0, texture: 1.0, ..Vote::default() }), 0.0);
         assert_eq!(of_belief(&weights().1, &Belief::default()), 0.0);
     }
 

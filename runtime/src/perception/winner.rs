@@ -1,5 +1,7 @@
 //! From aggregated costs to one inverse depth a pixel, and how clearly it won.
 
+use multiversion::multiversion;
+
 use super::sweep::{PLANES, WORST_COST};
 
 /// Hypotheses this near to the winner are not its rivals.
@@ -12,24 +14,34 @@ pub struct Vote {
     pub inverse_depth: f32,
     /// (rival - best) / rival after aggregation, 0 to 1: 0 when another hypothesis is as good.
     pub margin: f32,
-    /// Share of differing bits at the best hypothesis, 0 to 1: large where the match is wrong or the thing has moved.
-    pub residual: f32,
-    /// By how much that is less than for the mean hypothesis: 0 where the cell itself has no texture and only follows its
+    /// Share of differing bits of the mean hypothesis, 0 to 1: 0 where the cell has no texture and only follows its
     /// neighbours.
-    pub contrast: f32,
+    pub texture: f32,
+    /// Share of differing bits at the best hypothesis over that of the mean one: near 1 where the match is no match, or the
+    /// thing has moved.
+    pub misfit: f32,
     /// Largest parallax among the references, full-size pixels; 0: there was nothing to compare with.
     pub parallax_px: f32,
+}
+
+/// The votes of some cells.
+#[multiversion(targets("x86_64+avx2"))]
+pub fn winners(sums: &[[i16; PLANES]], costs: &[[u8; PLANES]], inverse_depth: &[f32; PLANES], votes: &mut [Vote]) {
+    for ((vote, sums), costs) in votes.iter_mut().zip(sums).zip(costs) {
+        *vote = winner(sums, costs, inverse_depth);
+    }
 }
 
 /// Takes the smallest of `sums`, refines it by two lines of opposite slope through it and its neighbours (costs that count
 /// bits have a V at the right place, not a parabola; Shimizu and Okutomi 2005) and looks for a rival. `costs` are those of
 /// the cell alone. The parallax is left at 0.
 #[inline(always)]
-pub fn winner(sums: &[i16; PLANES], costs: &[u8; PLANES], inverse_depth: &[f32; PLANES]) -> Vote {
-    let least = sums.iter().copied().fold(i16::MAX, i16::min);
+fn winner(sums: &[i16; PLANES], costs: &[u8; PLANES], inverse_depth: &[f32; PLANES]) -> Vote {
+    let least = smallest(sums);
     let plane = sums.iter().position(|sum| *sum == least).unwrap_or_default();
-    let smallest = |sums: &[i16]| sums.iter().copied().fold(i16::MAX, i16::min);
-    let rival = smallest(&sums[..plane.saturating_sub(GUARD)]).min(smallest(&sums[(plane + GUARD + 1).min(PLANES)..]));
+    let mut rivals = *sums;
+    rivals[plane.saturating_sub(GUARD)..(plane + GUARD + 1).min(PLANES)].fill(i16::MAX);
+    let rival = smallest(&rivals);
     let margin = f32::from(rival - least) / f32::from(rival.max(1));
     let mut refined = inverse_depth[plane];
     if plane > 0 && plane + 1 < PLANES {
@@ -41,9 +53,19 @@ pub fn winner(sums: &[i16; PLANES], costs: &[u8; PLANES], inverse_depth: &[f32; 
         }
     }
     let mean = costs.iter().map(|cost| u32::from(*cost)).sum::<u32>() as f32 / PLANES as f32;
-    let own = f32::from(costs[plane]);
-    let contrast = (mean - own).max(0.0) / f32::from(WORST_COST);
-    Vote { inverse_depth: refined, margin, residual: own / f32::from(WORST_COST), contrast, parallax_px: 0.0 }
+    let misfit = f32::from(costs[plane]) / mean.max(1.0);
+    Vote { inverse_depth: refined, margin, texture: mean / f32::from(WORST_COST), misfit, parallax_px: 0.0 }
+}
+
+#[inline(always)]
+fn smallest(sums: &[i16; PLANES]) -> i16 {
+    let mut least = [i16::MAX; 16];
+    for sums in sums.chunks_exact(16) {
+        for (least, sum) in least.iter_mut().zip(sums) {
+            *least = (*least).min(*sum);
+        }
+    }
+    least.into_iter().fold(i16::MAX, i16::min)
 }
 
 #[cfg(test)]
@@ -82,15 +104,16 @@ mod tests {
     }
 
     #[test]
-    fn contrast_is_how_much_better_the_cell_itself_fits_than_on_average() {
+    fn a_cell_without_texture_says_so_whatever_its_neighbours_say() {
         let mut sums = [500_i16; PLANES];
         sums[30] = 100;
         let mut costs = COSTS;
-        costs[30] = 0;
+        costs[30] = 12;
         let w = hypotheses(0.3, 20.0);
         let vote = winner(&sums, &costs, &w);
-        assert!((vote.contrast - 0.5 * 63.0 / 64.0).abs() < 1e-6 && vote.residual == 0.0);
-        let flat = winner(&sums, &COSTS, &w);
-        assert!(flat.contrast == 0.0 && flat.residual == 0.5 && flat.margin == vote.margin);
+        let mean = (63.0 * 48.0 + 12.0) / 64.0;
+        assert!((vote.texture - mean / 96.0).abs() < 1e-6 && (vote.misfit - 12.0 / mean).abs() < 1e-6);
+        let flat = winner(&sums, &[0; PLANES], &w);
+        assert!(flat.texture == 0.0 && flat.misfit == 0.0 && flat.margin == vote.margin);
     }
 }

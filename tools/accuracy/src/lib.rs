@@ -4,4 +4,6 @@
 
 pub mod disturbance;
 pub mod fit;
+pub mod measure;
+pub mod reliability;
 pub mod sequence;

@@ -1,17 +1,18 @@
 //! Prints the accuracy table.
 #![forbid(unsafe_code)]
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use accuracy::disturbance::Disturbance;
 use accuracy::fit::Samples;
+use accuracy::measure::{Outcome, measure};
+use accuracy::reliability::Reliability;
 use accuracy::sequence::{Motion, Sequence, recorded, simulated};
 use anyhow::Result;
 use clap::Parser;
 use firmware_host::config::Config;
 use hal::ImageView;
-use runtime::accuracy::{Accuracy, ConstantBaseline};
 use runtime::perception::trust::{belief_features, vote_features};
 use runtime::perception::{Belief, CoarseConfig, CoarseDepth, Vote};
 use simulator::{OpenOptions, World};
@@ -34,16 +35,38 @@ struct Options {
     /// Without disturbances.
     #[arg(long)]
     undisturbed: bool,
-    /// Fits the confidence instead: prints the numbers for `runtime/src/perception/trust.rs`.
+    /// Fits the confidence instead: prints the weights for the `[coarse]` section of the configuration.
     #[arg(long)]
     fit: bool,
     /// Configurations to compare; the default one where none is given.
     #[arg(long = "config")]
     configs: Vec<PathBuf>,
+    /// Folder for one picture of each sequence and the reliability diagram.
+    #[arg(long)]
+    out: Option<PathBuf>,
 }
 
 fn main() -> Result<()> {
     let options = Options::parse();
+    let sequences = sequences(&options)?;
+    let mut configs = Vec::new();
+    for path in &options.configs {
+        configs.push((path.display().to_string(), Config::load(path)?));
+    }
+    if configs.is_empty() {
+        configs.push(("coarse".to_owned(), Config::default()));
+    }
+    if options.fit {
+        return fit(&sequences, &configs[0].1);
+    }
+    let disturbances = if options.undisturbed { &Disturbance::ALL[..1] } else { &Disturbance::ALL };
+    for (name, config) in &configs {
+        compare(name, config, &sequences, disturbances, options.out.as_deref())?;
+    }
+    Ok(())
+}
+
+fn sequences(options: &Options) -> Result<Vec<Sequence>> {
     let mut sequences = Vec::new();
     for folder in &options.datasets {
         sequences.push(recorded(folder)?);
@@ -52,30 +75,40 @@ fn main() -> Result<()> {
         let world = Arc::new(World::open(scene, &OpenOptions::default())?);
         let wanted = |motion: &Motion| options.motions.is_empty() || options.motions.iter().any(|m| m == motion.name());
         for motion in Motion::ALL.into_iter().filter(wanted) {
+            eprintln!("driving through {scene}, {}", motion.name());
             sequences.push(simulated(&world, motion, options.frames, 1)?);
         }
     }
-    let mut configs = vec![];
-    for path in &options.configs {
-        configs.push((path.display().to_string(), Config::load(path)?));
-    }
-    if configs.is_empty() {
-        configs.push(("default".to_owned(), Config::default()));
-    }
-    if options.fit {
-        return fit(&sequences, &configs[0].1);
-    }
-    for (name, config) in &configs {
-        println!("== {name}");
-        let (mut sum, mut count) = ([0.0; 4], 0.0);
-        for sequence in &sequences {
-            for disturbance in Disturbance::ALL.into_iter().take(if options.undisturbed { 1 } else { 3 }) {
-                let row = measure(sequence, disturbance, config)?;
-                sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
-                count += 1.0;
+    Ok(sequences)
+}
+
+fn compare(
+    name: &str,
+    config: &Config,
+    sequences: &[Sequence],
+    disturbances: &[Disturbance],
+    out: Option<&Path>,
+) -> Result<()> {
+    let (mut all, mut reliability) = (Vec::new(), Reliability::default());
+    println!("{}", Outcome::head());
+    for sequence in sequences {
+        for disturbance in disturbances {
+            let mut engine = CoarseDepth::new(config.coarse.clone(), sequence.camera)?;
+            let sheet = out.filter(|_| *disturbance == Disturbance::None);
+            let outcome =
+                measure(sequence, *disturbance, name, sheet, |frame, pose| engine.estimate(frame, pose).ok().cloned())?;
+            println!("{}", outcome.line());
+            if *disturbance == Disturbance::None {
+                reliability.add_normalised(&outcome.reliability);
             }
+            all.push(outcome);
         }
-        println!("mean: all, share, half, ms {:.3?}", sum.map(|sum| sum / count));
+    }
+    println!("{}", Outcome::mean(&all).line());
+    println!("Confidence: calibration error {:.3} over all undisturbed sequences.", reliability.error());
+    if let Some(folder) = out {
+        reliability.draw(&format!("{name}: confidence"), &folder.join("reliability.png"))?;
+        println!("Look at {}.", folder.display());
     }
     Ok(())
 }
@@ -130,38 +163,4 @@ fn gather<const N: usize>(
         }
     }
     Ok(all.fit()?.map(|weight| weight as f32))
-}
-
-fn measure(sequence: &Sequence, disturbance: Disturbance, config: &Config) -> Result<[f64; 4]> {
-    let mut engine = CoarseDepth::new(config.coarse.clone(), sequence.camera)?;
-    let (mut accuracy, mut constant) = (Accuracy::new(), ConstantBaseline::new());
-    let mut seconds = Vec::new();
-    for (index, view) in sequence.views.iter().enumerate() {
-        let (rgb, pose) = disturbance.of(index, view);
-        let frame = ImageView::rgb8(sequence.camera.width, sequence.camera.height, &rgb)?;
-        let began = std::time::Instant::now();
-        let estimate = engine.estimate(frame, &pose).ok();
-        seconds.push(began.elapsed().as_secs_f64());
-        if let Some(truth) = &view.truth {
-            accuracy.add(estimate, truth)?;
-            constant.add(truth);
-        }
-    }
-    seconds.sort_by(f64::total_cmp);
-    let rows = accuracy.rows();
-    let (all, half) = (rows.all.unwrap_or_default(), rows.confident.unwrap_or_default());
-    println!(
-        "{:32} {:20} all {:.3} ({:.2}) scaled {:.3}  half {:.3} ({:.2}) scaled {:.3}  const {:.3}  {:.1} ms",
-        sequence.name,
-        disturbance.name(),
-        all.delta1_unscaled,
-        all.share,
-        all.delta1,
-        half.delta1_unscaled,
-        half.share,
-        half.delta1,
-        constant.rows().all.map_or(0.0, |m| m.delta1),
-        1e3 * seconds[seconds.len() / 2],
-    );
-    Ok([all.delta1_unscaled, all.share, half.delta1_unscaled, 1e3 * seconds[seconds.len() / 2]])
 }
