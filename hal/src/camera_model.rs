@@ -69,8 +69,8 @@ impl Distortion {
     fn is_finite(&self) -> bool {
         match self {
             Self::None => true,
-            Self::PlumbBob(k) => k.iter().all(|k| k.is_finite()),
-            Self::Fisheye(k) => k.iter().all(|k| k.is_finite()),
+            Self::PlumbBob(k) => k.iter().copied().all(f64::is_finite),
+            Self::Fisheye(k) => k.iter().copied().all(f64::is_finite),
         }
     }
 }
@@ -164,7 +164,7 @@ impl CameraModel {
     /// Whether this can be a camera: a size, positive finite focal lengths, a finite centre and distortion.
     #[must_use]
     pub fn is_sound(&self) -> bool {
-        let finite = [self.fx, self.fy, self.cx, self.cy].iter().all(|value| value.is_finite());
+        let finite = [self.fx, self.fy, self.cx, self.cy].iter().copied().all(f64::is_finite);
         let finite = finite && self.distortion.is_finite();
         finite && self.width > 0 && self.height > 0 && self.fx > 0.0 && self.fy > 0.0
     }

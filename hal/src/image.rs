@@ -35,8 +35,8 @@ impl PixelFormat {
     /// Whether a picture of this format can have this size.
     fn allows(self, width: usize, height: usize) -> bool {
         let even = match self {
-            Self::Yuyv => width % 2 == 0,
-            Self::Nv12 => width % 2 == 0 && height % 2 == 0,
+            Self::Yuyv => width.is_multiple_of(2),
+            Self::Nv12 => width.is_multiple_of(2) && height.is_multiple_of(2),
             Self::Rgb8 | Self::Gray8 | Self::Mjpeg => true,
         };
         width > 0 && height > 0 && even

@@ -9,10 +9,16 @@ use super::ImagingError;
 
 /// JPEG's own limit: the size is compared before anything is decoded.
 const LARGEST: usize = u16::MAX as usize;
+/// Marker EOI (ITU-T T.81, table B.1). Cameras may pad behind it.
+const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
 
 /// Decodes a JPEG file of `width` x `height` into `rgb`, three bytes a pixel. JPEG's YUV is full range by definition (JFIF).
 /// A file that ends early is an error: half a picture would be taken for a grey wall.
 pub(super) fn decode(data: &[u8], (width, height): (usize, usize), rgb: &mut [u8]) -> Result<(), ImagingError> {
+    // The decoder fills up what is missing at the very end without a word.
+    if !data.windows(2).rev().any(|bytes| bytes == END_OF_IMAGE) {
+        return Err(ImagingError::Jpeg { reason: "it ends early: no end-of-image marker".to_owned() });
+    }
     let options = DecoderOptions::default()
         .set_strict_mode(true)
         .set_max_width(LARGEST)

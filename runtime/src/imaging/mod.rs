@@ -20,7 +20,8 @@ use hal::{CameraModel, Distortion, ImageView, PixelFormat};
 use rayon::prelude::*;
 
 use color::{YuvMatrix, convert};
-use packed::Normalisation;
+use multiversion::multiversion;
+use packed::{Normalisation, WEIGHT_BITS};
 
 /// Rows that one thread takes at a time.
 const BAND: usize = 8;
@@ -74,7 +75,7 @@ impl FrontEnd {
         let remap = Remap::new(&small, &target).ok_or(ImagingError::NothingInView)?;
         let shares_colour = matches!(format, PixelFormat::Yuyv | PixelFormat::Nv12);
         let part = remap.part().filter(|(left, _)| {
-            let pairs_stay_together = left % 2 == 0 && target.width % 2 == 0;
+            let pairs_stay_together = left.is_multiple_of(2) && target.width.is_multiple_of(2);
             mean_of == (1, 1) && (pairs_stay_together || !shares_colour)
         });
         let picture = vec![0; if part.is_some() { 0 } else { remap.source_pixels() }];
@@ -117,13 +118,8 @@ impl FrontEnd {
         self.check_output(out.len())?;
         self.prepare(frame)?;
         let (frame, width) = (self.plain(frame), self.target.width);
-        out.par_chunks_mut(3 * width * BAND).enumerate().for_each(|(band, out)| {
-            for (row, out) in out.chunks_exact_mut(3 * width).enumerate() {
-                self.row(frame, band * BAND + row, |first, pixels| {
-                    packed::write_rgb(pixels, &mut out[3 * first..][..3 * pixels.len()]);
-                });
-            }
-        });
+        let bands = out.par_chunks_mut(3 * width * BAND).enumerate();
+        bands.for_each(|(band, out)| band_to_rgb(self, frame, band * BAND, out));
         Ok(())
     }
 
@@ -139,15 +135,8 @@ impl FrontEnd {
         let (red, rest) = out.split_at_mut(pixels);
         let (green, blue) = rest.split_at_mut(pixels);
         let [red, green, blue] = [red, green, blue].map(|plane| plane.par_chunks_mut(width * BAND));
-        red.zip(green).zip(blue).enumerate().for_each(|(band, ((red, green), blue))| {
-            for row in 0..red.len() / width {
-                self.row(frame, band * BAND + row, |first, pixels| {
-                    let place = row * width + first..row * width + first + pixels.len();
-                    let planes = [&mut red[place.clone()], &mut green[place.clone()], &mut blue[place]];
-                    self.normalisation.write(pixels, planes);
-                });
-            }
-        });
+        let bands = red.zip(green).zip(blue).enumerate();
+        bands.for_each(|(band, ((red, green), blue))| band_to_planes(self, frame, band * BAND, [red, green, blue]));
         Ok(())
     }
 
@@ -203,50 +192,79 @@ impl FrontEnd {
 
     /// Converts the rows that the remapping looks at, with means of pixels where it asks for them.
     fn pack_rows(&self, frame: ImageView<'_>, picture: &mut [u64]) {
-        let (mean_x, mean_y) = self.mean_of;
         let rows = self.remap.rows();
-        let width = frame.width() / mean_x;
-        let rows_out = picture[..rows.len() * width].par_chunks_mut(width).with_min_len(BAND);
-        rows_out.zip(rows).for_each(|(out, row)| {
-            if self.mean_of == (1, 1) {
-                convert(&self.matrix, frame, 0, row, out);
-                return;
-            }
-            out.fill(0);
-            for row in row * mean_y..(row + 1) * mean_y {
-                self.add_means(frame, row, out);
-            }
-            let bits = (mean_x * mean_y).trailing_zeros();
-            out.iter_mut().for_each(|pixel| *pixel = packed::divide(*pixel, bits));
-        });
-    }
-
-    /// Adds the pixels of one source row to the sums that they belong to.
-    fn add_means(&self, frame: ImageView<'_>, row: usize, sums: &mut [u64]) {
-        let mean_x = self.mean_of.0;
-        let mut block = [0; BLOCK];
-        for (index, sums) in sums.chunks_mut(BLOCK / mean_x).enumerate() {
-            let block = &mut block[..sums.len() * mean_x];
-            convert(&self.matrix, frame, index * BLOCK, row, block);
-            for (sum, pixels) in sums.iter_mut().zip(block.chunks_exact(mean_x)) {
-                *sum += pixels.iter().sum::<u64>();
-            }
-        }
+        let width = frame.width() / self.mean_of.0;
+        let out = picture[..rows.len() * width].par_chunks_mut(width).with_min_len(BAND);
+        out.zip(rows).for_each(|(out, row)| pack_row(self, frame, row, out));
     }
 
     /// Makes one row of the target, and hands it on in pieces with the column where each begins.
-    fn row(&self, frame: ImageView<'_>, row: usize, mut emit: impl FnMut(usize, &[u64])) {
+    #[inline(always)]
+    fn row(&self, frame: ImageView<'_>, row: usize, mut emit: impl FnMut(usize, &[u32])) {
         let width = self.target.width;
-        let mut block = [0; BLOCK];
+        let (mut block, mut sums) = ([0; BLOCK], [0; BLOCK]);
         for first in (0..width).step_by(BLOCK) {
             let block = &mut block[..BLOCK.min(width - first)];
-            match self.part {
-                Some((left, top)) => convert(&self.matrix, frame, left + first, top + row, block),
-                None => self.remap.sample(&self.picture, row * width + first, block),
+            if let Some((left, top)) = self.part {
+                convert(&self.matrix, frame, left + first, top + row, block);
+            } else {
+                let sums = &mut sums[..block.len()];
+                self.remap.sample(&self.picture, row * width + first, sums);
+                block.iter_mut().zip(sums).for_each(|(pixel, sum)| *pixel = packed::mean(*sum, 2 * WEIGHT_BITS));
             }
             emit(first, block);
         }
     }
+}
+
+/// Rows of the target's picture from `first_row` on, as bytes.
+#[multiversion(targets("x86_64+avx2"))]
+fn band_to_rgb<'a>(front: &FrontEnd, frame: ImageView<'a>, first_row: usize, out: &mut [u8]) {
+    for (row, out) in out.chunks_exact_mut(3 * front.target.width).enumerate() {
+        front.row(frame, first_row + row, |first, pixels| {
+            packed::write_rgb(pixels, &mut out[3 * first..][..3 * pixels.len()]);
+        });
+    }
+}
+
+/// Rows of the target's planes from `first_row` on.
+#[multiversion(targets("x86_64+avx2"))]
+fn band_to_planes<'a>(front: &FrontEnd, frame: ImageView<'a>, first_row: usize, planes: [&mut [f32]; 3]) {
+    let width = front.target.width;
+    let [red, green, blue] = planes;
+    for row in 0..red.len() / width {
+        front.row(frame, first_row + row, |first, pixels| {
+            let place = row * width + first..row * width + first + pixels.len();
+            front.normalisation.write(pixels, [&mut red[place.clone()], &mut green[place.clone()], &mut blue[place]]);
+        });
+    }
+}
+
+/// One row of what the remapping looks at: the wide pixels of source row `row`, or of the means that lie there.
+#[multiversion(targets("x86_64+avx2"))]
+fn pack_row<'a>(front: &FrontEnd, frame: ImageView<'a>, row: usize, out: &mut [u64]) {
+    let (mean_x, mean_y) = front.mean_of;
+    let mut block = [0; BLOCK];
+    if front.mean_of == (1, 1) {
+        for (index, out) in out.chunks_mut(BLOCK).enumerate() {
+            let block = &mut block[..out.len()];
+            convert(&front.matrix, frame, index * BLOCK, row, block);
+            out.iter_mut().zip(block).for_each(|(out, pixel)| *out = packed::widen(*pixel));
+        }
+        return;
+    }
+    out.fill(0);
+    for row in row * mean_y..(row + 1) * mean_y {
+        for (index, sums) in out.chunks_mut(BLOCK / mean_x).enumerate() {
+            let block = &mut block[..sums.len() * mean_x];
+            convert(&front.matrix, frame, index * BLOCK, row, block);
+            for (sum, pixels) in sums.iter_mut().zip(block.chunks_exact(mean_x)) {
+                *sum += pixels.iter().map(|pixel| packed::widen(*pixel)).sum::<u64>();
+            }
+        }
+    }
+    let bits = (mean_x * mean_y).trailing_zeros();
+    out.iter_mut().for_each(|pixel| *pixel = packed::widen(packed::mean(*pixel, bits)));
 }
 
 /// How many pixels along an axis become one, when `shrink` become one in all: what is left is at most 2.

@@ -82,19 +82,24 @@ impl Remap {
     fn whole(&self, index: usize) -> Option<(usize, usize)> {
         let (offset, fraction) = (self.offsets[index] as usize, self.fractions[index]);
         let (x, y) = (fraction & 0xff, fraction >> 8);
-        let whole = self.valid[index] && x % 32 == 0 && y % 32 == 0;
+        let whole = self.valid[index] && x.is_multiple_of(32) && y.is_multiple_of(32);
         let (column, row) = (offset % self.stride + usize::from(x / 32), offset / self.stride + usize::from(y / 32));
         whole.then_some((column, self.first_row + row))
     }
 
-    /// Fills `out` with the target's pixels from `first` on. `source` has [`source_pixels`](Self::source_pixels).
-    pub(super) fn sample(&self, source: &[u64], first: usize, out: &mut [u64]) {
+    /// Fills `sums` with the target's pixels from `first` on, wide and times 2^(2 [`WEIGHT_BITS`]). `source` has
+    /// [`source_pixels`](Self::source_pixels).
+    #[inline(always)]
+    pub(super) fn sample(&self, source: &[u64], first: usize, sums: &mut [u64]) {
+        // Two slices of one length: a single comparison proves all four reads.
+        let (upper, lower) = (&source[..source.len() - self.stride], &source[self.stride..]);
+        let lower = &lower[..upper.len()];
         let places = self.offsets[first..].iter().zip(&self.fractions[first..]);
-        for (out, (&offset, &fraction)) in out.iter_mut().zip(places) {
-            let upper = &source[offset as usize..];
-            let (upper, lower) = (&upper[..2], &upper[self.stride..][..2]);
+        for (sum, (&offset, &fraction)) in sums.iter_mut().zip(places) {
+            let pair = offset as usize..offset as usize + 2;
+            let (upper, lower) = (&upper[pair.clone()], &lower[pair]);
             let (x, y) = (u64::from(fraction & 0xff), u64::from(fraction >> 8));
-            *out = bilinear([upper[0], upper[1]], [lower[0], lower[1]], x, y);
+            *sum = bilinear([upper[0], upper[1]], [lower[0], lower[1]], x, y);
         }
     }
 }

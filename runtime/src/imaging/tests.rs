@@ -86,14 +86,9 @@ fn the_short_way_and_the_remapping_agree() {
         let data = noise(format.bytes(96, 64).unwrap());
         for (left, top) in [(0.0, 0.0), (10.0, 7.0), (11.0, 16.0), (26.0, 34.0)] {
             let mut short = front_end(source, source.cropped(left, top, 70, 30), format);
-            let mut long = short.clone();
-            if short.part.take().is_some() {
-                long.picture = vec![0; long.remap.source_pixels()];
-                long.part = None;
-                short = front_end(source, source.cropped(left, top, 70, 30), format);
-            }
+            let mut long = FrontEnd { part: None, picture: vec![0; short.remap.source_pixels()], ..short.clone() };
             let frame = view(source, format, &data);
-            assert_eq!(rgb(&mut short, frame), rgb(&mut long, frame), "{format:?} from {left}, {top}");
+            assert!(rgb(&mut short, frame) == rgb(&mut long, frame), "{format:?} from {left}, {top}");
         }
     }
 }
@@ -296,7 +291,7 @@ mod opencv {
         let mut front = front_end(camera, camera, PixelFormat::Yuyv);
         let ours = rgb(&mut front, view(camera, PixelFormat::Yuyv, YUYV));
         let (largest, mean) = difference(&ours, fixture!("yuyv_converted.rgb"), front.valid());
-        assert!(largest <= 1 && mean < 0.05, "{largest} {mean}");
+        assert!(largest <= 1 && mean < 0.1, "{largest} {mean}");
     }
 
     #[test]
@@ -324,11 +319,8 @@ mod opencv {
         for length in 0..JPEG.len() {
             let mut out = vec![77; 3 * 80 * 40];
             let outcome = front.to_rgb(view(camera, PixelFormat::Mjpeg, &JPEG[..length]), &mut out);
-            // The last two bytes only say that it ends.
-            if length < JPEG.len() - 2 {
-                assert!(matches!(outcome, Err(ImagingError::Jpeg { .. })), "{length}: {outcome:?}");
-                assert!(out.iter().all(|byte| *byte == 77));
-            }
+            assert!(matches!(outcome, Err(ImagingError::Jpeg { .. })), "{length}: {outcome:?}");
+            assert!(out.iter().all(|byte| *byte == 77));
         }
     }
 
