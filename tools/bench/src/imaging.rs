@@ -1,5 +1,6 @@
 //! The image front end: from a camera's frame of 640x480 to the network's planes of 640x192, lens straightened. The peer is
-//! OpenCV: conversion, `remap` with fixed-point maps (CV_16SC2), planes of floats.
+//! OpenCV: conversion, `remap` with fixed-point maps (CV_16SC2), planes of floats. Its conversion takes whole pictures; ours only
+//! the rows that are looked at.
 
 use std::io::Cursor;
 use std::time::Instant;
@@ -91,7 +92,8 @@ fn scene() -> Vec<u8> {
     let pixel = |index: usize| {
         let (u, v) = ((index % SOURCE.width) as f64, (index / SOURCE.width) as f64);
         let wave = |fu: f64, fv: f64| 50.0 * (u * fu + v * fv).sin();
-        let edge = if (index % SOURCE.width / 40 + index / SOURCE.width / 30) % 2 == 0 { 30.0 } else { -30.0 };
+        let tile = index % SOURCE.width / 40 + index / SOURCE.width / 30;
+        let edge = if tile.is_multiple_of(2) { 30.0 } else { -30.0 };
         [wave(0.05, 0.02), wave(-0.03, 0.07), wave(0.31, 0.23)].map(|wave| (128.0 + edge + wave) as u8)
     };
     (0..SOURCE.width * SOURCE.height).flat_map(pixel).collect()
