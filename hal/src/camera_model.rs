@@ -1,6 +1,6 @@
 //! Intrinsics.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{ComplexField, Point3, Vector3};
 
 /// Lens distortion. Models and coefficient order as in OpenCV.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -13,6 +13,66 @@ pub enum Distortion {
     PlumbBob([f64; 5]),
     /// Kannala-Brandt: k1 k2 k3 k4.
     Fisheye([f64; 4]),
+}
+
+/// Rays beyond this many focal lengths from the axis (86 degrees) are in no picture that a pinhole can show.
+const WIDEST_RAY: f64 = 16.0;
+
+impl Distortion {
+    /// Where the lens puts the ray (`x`, `y`, 1), in focal lengths from the optical axis. Formulas as in OpenCV's
+    /// `projectPoints` and `fisheye::projectPoints` (Brown 1966; Kannala and Brandt 2006).
+    #[must_use]
+    pub fn distort(&self, x: f64, y: f64) -> (f64, f64) {
+        match self {
+            Self::None => (x, y),
+            Self::PlumbBob([k1, k2, p1, p2, k3]) => {
+                let r2 = x * x + y * y;
+                let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+                let dx = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x);
+                let dy = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y;
+                (x * radial + dx, y * radial + dy)
+            }
+            Self::Fisheye([k1, k2, k3, k4]) => {
+                let r = ComplexField::sqrt(x * x + y * y);
+                if r < 1e-12 {
+                    return (x, y);
+                }
+                let angle = ComplexField::atan(r);
+                let a2 = angle * angle;
+                let distorted = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))));
+                (x * distorted / r, y * distorted / r)
+            }
+        }
+    }
+
+    /// Up to which distance of a ray from the optical axis, in focal lengths, the model can be believed: beyond it the
+    /// radial polynomial turns back and would show the middle of the picture a second time.
+    #[must_use]
+    pub fn reach(&self) -> f64 {
+        // Derivatives of the radial polynomials.
+        let slope = |r: f64| match self {
+            Self::None => 1.0,
+            Self::PlumbBob([k1, k2, _, _, k3]) => {
+                let r2 = r * r;
+                1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3))
+            }
+            Self::Fisheye([k1, k2, k3, k4]) => {
+                let a2 = ComplexField::atan(r) * ComplexField::atan(r);
+                1.0 + a2 * (3.0 * k1 + a2 * (5.0 * k2 + a2 * (7.0 * k3 + a2 * 9.0 * k4)))
+            }
+        };
+        let steps = 16_000;
+        let turn = (1..=steps).map(|step| WIDEST_RAY * f64::from(step) / f64::from(steps)).find(|r| slope(*r) <= 0.0);
+        turn.unwrap_or(f64::INFINITY)
+    }
+
+    fn is_finite(&self) -> bool {
+        match self {
+            Self::None => true,
+            Self::PlumbBob(k) => k.iter().copied().all(f64::is_finite),
+            Self::Fisheye(k) => k.iter().copied().all(f64::is_finite),
+        }
+    }
 }
 
 /// A camera's intrinsics, in pixels, with pixel centres at integer coordinates.
@@ -39,7 +99,7 @@ impl CameraModel {
     /// 640x192 at 90 degrees: f = 320, cx = 319.5, cy = 95.5.
     #[must_use]
     pub fn pinhole(width: usize, height: usize, horizontal_fov_rad: f64) -> Self {
-        let focal = width as f64 / 2.0 / nalgebra::ComplexField::tan(horizontal_fov_rad / 2.0);
+        let focal = width as f64 / 2.0 / ComplexField::tan(horizontal_fov_rad / 2.0);
         Self {
             width,
             height,
@@ -70,6 +130,14 @@ impl CameraModel {
         (point.z > 0.0).then(|| (self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy))
     }
 
+    /// The pixel of the ray (`x`, `y`, 1) in pictures of this camera as they are, distortion included. May lie outside the
+    /// picture.
+    #[must_use]
+    pub fn distorted_pixel(&self, x: f64, y: f64) -> (f64, f64) {
+        let (x, y) = self.distortion.distort(x, y);
+        (self.fx * x + self.cx, self.fy * y + self.cy)
+    }
+
     /// The model of the picture after cutting out `width` x `height` pixels from column `left`, row `top`.
     #[must_use]
     pub fn cropped(&self, left: f64, top: f64, width: usize, height: usize) -> Self {
@@ -93,10 +161,11 @@ impl CameraModel {
         }
     }
 
-    /// Whether this can be a camera: a size, positive finite focal lengths, a finite centre.
+    /// Whether this can be a camera: a size, positive finite focal lengths, a finite centre and distortion.
     #[must_use]
     pub fn is_sound(&self) -> bool {
-        let finite = [self.fx, self.fy, self.cx, self.cy].iter().all(|value| value.is_finite());
+        let finite = [self.fx, self.fy, self.cx, self.cy].iter().copied().all(f64::is_finite);
+        let finite = finite && self.distortion.is_finite();
         finite && self.width > 0 && self.height > 0 && self.fx > 0.0 && self.fy > 0.0
     }
 }
@@ -129,7 +198,67 @@ mod tests {
         assert!(!CameraModel { fy: 0.0, ..model }.is_sound());
     }
 
+    /// cv2.projectPoints and cv2.fisheye.projectPoints of OpenCV 5.0, by tools/fixtures/make_imaging.py.
+    #[test]
+    fn rays_land_where_opencv_puts_them() {
+        let rays = [(0.0, 0.0), (0.1, -0.2), (-0.5, 0.4), (0.75, 0.3), (-0.05, 0.9), (1.2, -1.1)];
+        let plumb_bob = [
+            (322.5, 236.25),
+            (361.89205, 155.4142975),
+            (138.760558, 386.84910244),
+            (582.841067859375, 343.8459178223438),
+            (304.345974609375, 553.8692684570312),
+            (834.7422, -245.85910875000008),
+        ];
+        let fisheye = [
+            (322.5, 236.25),
+            (361.94604303921335, 155.38561176961267),
+            (142.07408944980887, 384.1992466511567),
+            (579.6836842857326, 341.6953105571504),
+            (305.87082524475306, 543.0582742343059),
+            (633.3743302223878, -55.842339438118586),
+        ];
+        for (distortion, pixels) in [
+            (Distortion::PlumbBob([-0.25, 0.08, 0.002, -0.003, 0.01]), plumb_bob),
+            (Distortion::Fisheye([0.05, -0.02, 0.004, -0.001]), fisheye),
+        ] {
+            let camera =
+                CameraModel { width: 640, height: 480, fx: 400.0, fy: 410.0, cx: 322.5, cy: 236.25, distortion };
+            for ((x, y), (u, v)) in rays.into_iter().zip(pixels) {
+                let (u2, v2) = camera.distorted_pixel(x, y);
+                assert!((u - u2).abs() < 1e-9 && (v - v2).abs() < 1e-9, "{distortion:?} {x} {y}: {u2} {v2}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_lens_is_believed_up_to_where_its_polynomial_turns_back() {
+        // d/dr (r - 0.3 r^3) = 0 at r = sqrt(1 / 0.9).
+        let reach = Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]).reach();
+        assert!((reach - (1.0_f64 / 0.9).sqrt()).abs() < 2e-3);
+        // The same for the angle: 1 - 0.9 a^2 = 0.
+        let reach = Distortion::Fisheye([-0.3, 0.0, 0.0, 0.0]).reach();
+        assert!((ComplexField::atan(reach) - (1.0_f64 / 0.9).sqrt()).abs() < 2e-3);
+        assert_eq!(Distortion::None.reach(), f64::INFINITY);
+        assert_eq!(Distortion::PlumbBob([0.1, 0.01, 0.0, 0.0, 0.0]).reach(), f64::INFINITY);
+    }
+
+    #[test]
+    fn nan_distortion_is_not_sound() {
+        let model = CameraModel::pinhole(640, 192, FRAC_PI_2);
+        assert!(!CameraModel { distortion: Distortion::PlumbBob([f64::NAN; 5]), ..model }.is_sound());
+        assert!(!CameraModel { distortion: Distortion::Fisheye([f64::INFINITY; 4]), ..model }.is_sound());
+    }
+
     proptest! {
+        #[test]
+        fn a_lens_without_coefficients_of_its_own_distorts_nothing(x in -2.0..2.0, y in -2.0..2.0) {
+            prop_assert_eq!(Distortion::PlumbBob([0.0; 5]).distort(x, y), (x, y));
+            // The equidistant fisheye: the distance from the axis is the angle.
+            let (dx, dy) = Distortion::Fisheye([0.0; 4]).distort(x, y);
+            prop_assert!((dx.hypot(dy) - x.hypot(y).atan()).abs() < 1e-12);
+        }
+
         #[test]
         fn projecting_an_unprojected_pixel_gives_the_pixel(u in -10.0..650.0, v in -10.0..200.0, depth in 0.1..20.0) {
             let model = CameraModel::pinhole(640, 192, FRAC_PI_2);

@@ -12,6 +12,8 @@ pub enum PixelFormat {
     Gray8,
     /// YUV 4:2:2 packed as Y0 U Y1 V, two bytes a pixel, even width.
     Yuyv,
+    /// YUV 4:2:0: a plane of Y, then a plane of interleaved U and V at half the size; even width and height.
+    Nv12,
     /// A whole JPEG file, as the camera compressed it.
     Mjpeg,
 }
@@ -25,8 +27,19 @@ impl PixelFormat {
             Self::Rgb8 => pixels.checked_mul(3),
             Self::Gray8 => Some(pixels),
             Self::Yuyv => pixels.checked_mul(2),
+            Self::Nv12 => pixels.checked_add(pixels / 2),
             Self::Mjpeg => None,
         }
+    }
+
+    /// Whether a picture of this format can have this size.
+    fn allows(self, width: usize, height: usize) -> bool {
+        let even = match self {
+            Self::Yuyv => width.is_multiple_of(2),
+            Self::Nv12 => width.is_multiple_of(2) && height.is_multiple_of(2),
+            Self::Rgb8 | Self::Gray8 | Self::Mjpeg => true,
+        };
+        width > 0 && height > 0 && even
     }
 }
 
@@ -34,7 +47,7 @@ impl PixelFormat {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ImageError {
-    /// Width or height is zero, or the width is odd where the format needs pairs.
+    /// Width or height is zero, or odd where the format needs pairs.
     Size {
         /// Columns.
         width: usize,
@@ -78,7 +91,7 @@ impl<'a> ImageView<'a> {
     /// # Errors
     /// When the size is impossible or does not fit the bytes.
     pub fn new(width: usize, height: usize, format: PixelFormat, data: &'a [u8]) -> Result<Self, ImageError> {
-        if width == 0 || height == 0 || (format == PixelFormat::Yuyv && width % 2 == 1) {
+        if !format.allows(width, height) {
             return Err(ImageError::Size { width, height, format });
         }
         match format.bytes(width, height) {
@@ -136,6 +149,13 @@ mod tests {
         assert!(ImageView::new(0, 2, PixelFormat::Gray8, &[]).is_err());
         assert!(ImageView::new(3, 2, PixelFormat::Yuyv, &[0; 12]).is_err());
         assert!(ImageView::new(4, 2, PixelFormat::Yuyv, &[0; 16]).is_ok());
+    }
+
+    #[test]
+    fn nv12_has_half_a_byte_of_colour_a_pixel_and_even_sizes() {
+        assert!(ImageView::new(4, 2, PixelFormat::Nv12, &[0; 12]).is_ok());
+        assert!(ImageView::new(4, 3, PixelFormat::Nv12, &[0; 18]).is_err());
+        assert!(ImageView::new(3, 2, PixelFormat::Nv12, &[0; 9]).is_err());
     }
 
     #[test]

@@ -5,6 +5,7 @@
 pub mod accuracy;
 pub mod event;
 pub mod exploration;
+pub mod imaging;
 pub mod mapping;
 pub mod perception;
 pub mod planning;

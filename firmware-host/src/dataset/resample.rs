@@ -115,20 +115,15 @@ impl Resampler {
 }
 
 fn undistortion(source: &CameraModel) -> Option<Vec<[f32; 2]>> {
-    let Distortion::PlumbBob(k) = source.distortion else { return None };
+    if source.distortion == Distortion::None {
+        return None;
+    }
     let place = |index: usize| {
         let ray = source.ray((index % source.width) as f64, (index / source.width) as f64);
-        let (x, y) = plumb_bob(&k, ray.x, ray.y);
-        [(source.fx * x + source.cx) as f32, (source.fy * y + source.cy) as f32]
+        let (x, y) = source.distorted_pixel(ray.x, ray.y);
+        [x as f32, y as f32]
     };
     Some((0..source.width * source.height).map(place).collect())
-}
-
-/// Where the lens puts the ray (x, y, 1): Brown-Conrady with OpenCV's k1 k2 p1 p2 k3.
-fn plumb_bob([k1, k2, p1, p2, k3]: &[f64; 5], x: f64, y: f64) -> (f64, f64) {
-    let r2 = x * x + y * y;
-    let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-    (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y)
 }
 
 /// Source pixels of one target pixel along one axis.
@@ -230,7 +225,7 @@ mod tests {
                 let (mut x, mut y) = ((u as f64 - camera.cx) / camera.fx, (v as f64 - camera.cy) / camera.fy);
                 let wanted = (x, y);
                 for _ in 0..20 {
-                    let (dx, dy) = plumb_bob(&k, x, y);
+                    let (dx, dy) = camera.distortion.distort(x, y);
                     (x, y) = (x + wanted.0 - dx, y + wanted.1 - dy);
                 }
                 seen[(v * 640 + u) * 3..][..3].fill(world(x).round() as u8);

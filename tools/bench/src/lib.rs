@@ -1,6 +1,7 @@
 //! What the project promises to be fast at, room by room. `cargo xtask bench` builds this in release and prints the table.
 #![forbid(unsafe_code)]
 
+pub mod imaging;
 pub mod mapping;
 pub mod network;
 pub mod peers;
@@ -16,6 +17,7 @@ pub type Measure = fn() -> anyhow::Result<Vec<Row>>;
 /// Every room that has something to measure, in the order of the table.
 pub const ROOMS: &[(&str, Measure)] = &[
     ("simulator", simulator::rows),
+    ("imaging", imaging::rows),
     ("mapping", mapping::measure),
     ("network", network::rows),
     ("perception", perception::rows),
