@@ -81,8 +81,8 @@ impl Default for CoarseConfig {
             penalty_small: 40,
             penalty_large: 300,
             memory: 0.9,
-            vote_weights: [-1.0, 4.0, 0.5, 3.0, -2.0],
-            belief_weights: [-1.5, 4.0, 0.3],
+            vote_weights: [-1.29, 4.39, 0.18, 0.32, 0.71],
+            belief_weights: [-1.85, 3.42, 1.09],
             min_confidence: 0.4,
             min_remembered: 0.3,
         }

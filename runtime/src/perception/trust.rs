@@ -51,14 +51,13 @@ mod tests {
     }
 
     #[test]
-    fn clearer_longer_and_better_matches_are_trusted_more() {
+    fn clearer_longer_and_better_textured_matches_are_trusted_more() {
         let vote = Vote { inverse_depth: 0.5, margin: 0.3, texture: 0.2, misfit: 0.3, parallax_px: 6.0 };
         let trust = of_vote(&weights().0, &vote);
         assert!(trust > 0.0 && trust < 1.0);
         assert!(of_vote(&weights().0, &Vote { margin: 0.6, ..vote }) > trust);
         assert!(of_vote(&weights().0, &Vote { parallax_px: 20.0, ..vote }) > trust);
         assert!(of_vote(&weights().0, &Vote { texture: 0.4, ..vote }) > trust);
-        assert!(of_vote(&weights().0, &Vote { misfit: 0.8, ..vote }) < trust);
     }
 
     #[test]
