@@ -5,6 +5,7 @@
 pub mod accuracy;
 pub mod event;
 pub mod exploration;
+pub mod latency;
 pub mod mapping;
 pub mod perception;
 pub mod planning;

@@ -18,4 +18,4 @@ mod winner;
 pub use coarse::CoarseDepth;
 pub use config::{CoarseConfig, PerceptionError};
 pub use estimate::{DepthEstimate, NoDepth};
-pub use network::{DepthNetwork, NetworkError, NetworkOptions};
+pub use network::{DepthNetwork, FlowNetwork, NetworkError, NetworkOptions, Provider};
