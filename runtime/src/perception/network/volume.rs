@@ -286,8 +286,8 @@ mod tests {
             compute(&mut volume, &wall(depth_m, [-0.15, 0.0, 0.05], gain), [-0.15, 0.0, 0.05]);
             let costs = compute(&mut volume, &wall(depth_m, [0.0; 3], 1.0), [0.0; 3]);
             let winners = winners(&costs);
-            // The left edge was not in view before.
-            let seen = winners.iter().enumerate().filter(|(pixel, _)| pixel % 40 > 12);
+            // The right edge was not in view before.
+            let seen = winners.iter().enumerate().filter(|(pixel, _)| pixel % 40 < 28);
             let right = seen.clone().filter(|(_, winner)| winner.abs_diff(plane) <= 1).count();
             assert!(right * 100 >= seen.count() * 95, "plane {plane}, gain {gain}: {winners:?}");
         }
@@ -308,11 +308,13 @@ mod tests {
         compute(&mut volume, &wall(2.0, [-0.2, 0.0, 0.0], 1.0), [-0.2, 0.0, 0.0]);
         let costs = compute(&mut volume, &wall(2.0, [0.0; 3], 1.0), [0.0; 3]);
         let pixels = costs.len() / PLANES;
-        // At the right edge near points were outside on the right.
-        let edge: Vec<f32> = (0..PLANES).map(|plane| costs[plane * pixels + 12 * 40 + 39]).collect();
-        let largest = edge.iter().copied().fold(0.0, f32::max);
-        assert_eq!(edge[PLANES - 1].to_bits(), largest.to_bits(), "{edge:?}");
-        assert!(edge[0] < largest);
+        let column = |u: usize| (0..PLANES).map(|plane| costs[plane * pixels + 12 * 40 + u]).collect::<Vec<_>>();
+        // Near the right edge only far points were in view, at the edge none.
+        let near_edge = column(36);
+        let largest = near_edge.iter().copied().fold(0.0, f32::max);
+        assert_eq!(near_edge[PLANES - 1].to_bits(), largest.to_bits(), "{near_edge:?}");
+        assert!(near_edge[0] < largest);
+        assert_eq!(column(39), [0.0; PLANES]);
     }
 
     #[test]

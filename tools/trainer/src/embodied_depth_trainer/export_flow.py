@@ -34,7 +34,7 @@ class FlowExport:
 
 
 class FlowGraph(nn.Module):
-    """RAFT and its pre-processing: pictures `[1, 3, H, W]` in 0..1, flow `[1, 2, H, W]` from the first to the second."""
+    """RAFT and its pre-processing: pictures `[1, 3, H, W]` in 0..1, flow `[1, 2, H, W]` from first to second."""
 
     def __init__(self, raft: nn.Module, iterations: int) -> None:
         super().__init__()

@@ -49,7 +49,7 @@ class Encoder(nn.Module):
 
 
 class Decoder(nn.Module):
-    """From a pyramid to x in 0..1: five times convolution, nearest x2, skip connection, convolution, with ELU; sigmoid."""
+    """From a pyramid to x in 0..1: five times convolution, nearest x2, skip connection, convolution; then sigmoid."""
 
     def __init__(self, pyramid: Sequence[int], padding: Padding) -> None:
         super().__init__()
