@@ -1,4 +1,5 @@
 //! How often a network asks the allocator for memory, call by call, once it is loaded.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot set up its scene has failed")]
 
 use std::path::{Path, PathBuf};
 

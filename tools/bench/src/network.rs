@@ -28,7 +28,8 @@ const REAL: [(&str, usize); 4] = [("monodepth2_r18", 20), ("edn_r18", 20), ("raf
 pub fn rows() -> anyhow::Result<Vec<Row>> {
     let Some(library) = std::env::var_os("ORT_DYLIB_PATH") else { return Ok(Vec::new()) };
     let onnx_runtime = ort::init_from(library)?.with_telemetry(false).build()?;
-    let pictures = [31_usize, 37].map(|step| (0..3 * SIZE.0 * SIZE.1).map(|i| (i * step % 256) as u8).collect());
+    let picture = |step: usize| (0..3 * SIZE.0 * SIZE.1).map(|i| (i * step % 256) as u8).collect::<Vec<_>>();
+    let pictures = [picture(31), picture(37)];
     let mut rows = vec![empty(&onnx_runtime, &pictures[0])?, volume(&onnx_runtime, &pictures)?];
     if let Some(folder) = std::env::var_os("BENCH_MODELS") {
         for (name, turns) in REAL {
@@ -48,7 +49,7 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
 /// What surrounds inference: planes in, depth out.
 fn empty(onnx_runtime: &Environment, picture: &[u8]) -> anyhow::Result<Row> {
     let mut network = DepthNetwork::load(onnx_runtime, EMPTY, &camera(), NetworkOptions::default())?;
-    let mut session = Session::builder(onnx_runtime)?.with_intra_threads(1)?.commit_from_memory(EMPTY)?;
+    let mut session = bare_session(onnx_runtime, EMPTY, 1)?;
     let frame = view(picture)?;
     let (ours, peer) = time_against(
         200,
@@ -84,7 +85,7 @@ fn real(
     pictures: &[Vec<u8>; 2],
 ) -> anyhow::Result<Row> {
     let options = NetworkOptions { threads, ..NetworkOptions::default() };
-    let mut session = Session::builder(onnx_runtime)?.with_intra_threads(threads)?.commit_from_memory(model)?;
+    let mut session = bare_session(onnx_runtime, model, threads)?;
     let inputs: Vec<&[u8]> = pictures.iter().take(session.inputs().len()).map(Vec::as_slice).collect();
     let [first, second] = [view(&pictures[0])?, view(&pictures[1])?];
     let peer = || bare_run(&mut session, &inputs);
@@ -99,6 +100,10 @@ fn real(
     Ok(Row::seconds("network", format!("{name}, 640x192, {threads} thread{plural}"), ours)
         .peer("ort run()", peer.median)
         .note("the peer's waiting threads spin, ours sleep"))
+}
+
+fn bare_session(onnx_runtime: &Environment, model: &[u8], threads: usize) -> ort::Result<Session> {
+    Session::builder(onnx_runtime)?.with_intra_threads(threads)?.commit_from_memory(model)
 }
 
 /// What one writes without us: new tensors for every call.

@@ -286,8 +286,8 @@ mod tests {
             compute(&mut volume, &wall(depth_m, [-0.15, 0.0, 0.05], gain), [-0.15, 0.0, 0.05]);
             let costs = compute(&mut volume, &wall(depth_m, [0.0; 3], 1.0), [0.0; 3]);
             let winners = winners(&costs);
-            // The right edge was not in view before.
-            let seen = winners.iter().enumerate().filter(|(pixel, _)| pixel % 40 < 28);
+            // Right, upper and lower edge were not in view before.
+            let seen = winners.iter().enumerate().filter(|(pixel, _)| pixel % 40 < 28 && (40..920).contains(pixel));
             let right = seen.clone().filter(|(_, winner)| winner.abs_diff(plane) <= 1).count();
             assert!(right * 100 >= seen.count() * 95, "plane {plane}, gain {gain}: {winners:?}");
         }
@@ -313,7 +313,7 @@ mod tests {
         let near_edge = column(36);
         let largest = near_edge.iter().copied().fold(0.0, f32::max);
         assert_eq!(near_edge[PLANES - 1].to_bits(), largest.to_bits(), "{near_edge:?}");
-        assert!(near_edge[0] < largest);
+        assert!(near_edge.iter().any(|cost| *cost < largest));
         assert_eq!(column(39), [0.0; PLANES]);
     }
 
