@@ -206,16 +206,18 @@ fn bilinear(pixels: &[[f32; 4]], width: usize, x: f32, y: f32) -> [f32; 4] {
     let (left, top) = ((x as usize).min(width - 2), (y as usize).min(pixels.len() / width - 2));
     let (fx, fy) = (x - left as f32, y - top as f32);
     let at = top * width + left;
-    let [above, below] = [&pixels[at..at + 2], &pixels[at + width..at + width + 2]];
-    std::array::from_fn(|c| {
-        let upper = above[0][c] + fx * (above[1][c] - above[0][c]);
-        let lower = below[0][c] + fx * (below[1][c] - below[0][c]);
-        upper + fy * (lower - upper)
-    })
+    // Whole pixels, so that each is one load of a vector register.
+    let upper = mix(pixels[at], pixels[at + 1], fx);
+    let lower = mix(pixels[at + width], pixels[at + width + 1], fx);
+    mix(upper, lower, fy)
+}
+
+fn mix(a: [f32; 4], b: [f32; 4], share: f32) -> [f32; 4] {
+    [0, 1, 2, 3].map(|c| a[c] + share * (b[c] - a[c]))
 }
 
 fn difference(this: &[f32; 4], earlier: &[f32; 4], gain: f32) -> f32 {
-    let d: [f32; 4] = std::array::from_fn(|c| (this[c] - gain * earlier[c]).abs());
+    let d = [0, 1, 2, 3].map(|c| (this[c] - gain * earlier[c]).abs());
     ((d[0] + d[1]) + (d[2] + d[3])) * (1.0 / 3.0)
 }
 
