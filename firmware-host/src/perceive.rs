@@ -97,7 +97,7 @@ impl Looker {
         let coarse = coarse.ok();
         let mut refined = None;
         if let Some(network) = &mut self.network {
-            match network.estimate(frame, coarse) {
+            match network.estimate(frame, &sample.t_world_camera, coarse) {
                 Ok(estimate) => refined = Some(estimate),
                 Err(why) => self.events.add(&Event::NoDepth { why }),
             }

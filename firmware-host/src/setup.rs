@@ -10,7 +10,7 @@ use runtime::robot::{DepthSource, RobotConfig};
 use simulator::RobotOptions;
 use simulator::odometry::OdometryNoise;
 
-use crate::config::Config;
+use crate::config::{Config, NetworkSection};
 use crate::onnx_runtime;
 
 /// What the command line adds to the configuration.
@@ -84,9 +84,9 @@ pub fn load_network(path: &Path, camera: &CameraModel, config: &Config) -> Resul
     let model = std::fs::read(path).with_context(|| format!("cannot read the model {}", path.display()))?;
     let (environment, library) = onnx_runtime::init()?;
     tracing::info!(library = %library.display(), "ONNX Runtime");
-    let options = NetworkOptions { threads: config.network.threads };
-    DepthNetwork::load(&environment, &model, (camera.width, camera.height), options)
-        .with_context(|| format!("model {}", path.display()))
+    let NetworkSection { threads, spin, provider } = config.network;
+    let options = NetworkOptions { threads, spin, provider };
+    DepthNetwork::load(&environment, &model, camera, options).with_context(|| format!("model {}", path.display()))
 }
 
 /// The depth source that was asked for, or the one that the presence of a model suggests.

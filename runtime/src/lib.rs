@@ -6,6 +6,7 @@ pub mod accuracy;
 pub mod event;
 pub mod exploration;
 pub mod imaging;
+pub mod latency;
 pub mod mapping;
 pub mod perception;
 pub mod planning;

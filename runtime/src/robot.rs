@@ -251,7 +251,7 @@ impl Robot {
         timer.ended(Stage::Coarse);
         self.has_depth.coarse = coarse.is_ok();
         if let Some(network) = &mut self.network {
-            let result = network.estimate(frame, coarse.as_ref().ok().copied());
+            let result = network.estimate(frame, t_odom_camera, coarse.as_ref().ok().copied());
             timer.ended(Stage::Network);
             self.has_depth.network = result.is_ok();
             if let Err(why) = result {

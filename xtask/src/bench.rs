@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 
-use crate::{command, onnx_runtime, peers};
+use crate::{command, models, onnx_runtime, peers};
 
 pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
     let mut bench = command::cargo();
@@ -14,6 +14,10 @@ pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
     match onnx_runtime::install() {
         Ok(library) => _ = bench.env("ORT_DYLIB_PATH", library),
         Err(error) => eprintln!("no rows of the network: {error}"),
+    }
+    // `cargo xtask models` makes them; without them their rows are absent.
+    if models::folder().is_dir() && std::env::var_os("BENCH_MODELS").is_none() {
+        bench.env("BENCH_MODELS", models::folder());
     }
     match peers::install() {
         Ok(packages) => _ = bench.env("BENCH_PYTHON", "python3").env("PYTHONPATH", packages),

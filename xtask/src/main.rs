@@ -5,6 +5,7 @@
 mod bench;
 mod command;
 mod demo;
+mod models;
 mod nextest;
 mod onnx_runtime;
 mod paths;
@@ -41,6 +42,8 @@ enum Chore {
         #[arg(long, default_value_t = 2)]
         seeds: u64,
     },
+    /// Export the networks that the benchmark times, with the trainer. Installs PyTorch (5 GB) the first time.
+    Models,
     /// Install what the other chores need, and nothing else.
     Setup,
 }
@@ -61,6 +64,7 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Test => test::run(),
         Chore::Bench { json, filter } => bench::run(*json, filter.as_deref()),
         Chore::Policies { frames, seeds } => policies::run(*frames, *seeds),
+        Chore::Models => models::run(),
         Chore::Setup => {
             println!("ONNX Runtime: {}", onnx_runtime::install()?.display());
             println!("test runner:  {}", if nextest::install() { "cargo nextest" } else { "cargo test" });

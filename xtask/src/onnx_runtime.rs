@@ -82,7 +82,8 @@ fn only_wheel(folder: &Path) -> Result<PathBuf> {
         .with_context(|| format!("pip left no wheel in {}", folder.display()))
 }
 
-fn python() -> Result<Command> {
+/// The system's Python.
+pub fn python() -> Result<Command> {
     if command::works(program("python3").arg("--version")) {
         Ok(program("python3"))
     } else {

@@ -2,6 +2,7 @@
 
 use hal::{CameraModel, Pose3, Twist2, camera_mount};
 use runtime::{
+    perception::{NetworkOptions, Provider},
     planning::{FollowerConfig, PlanConfig},
     safety::BumperConfig,
 };
@@ -191,11 +192,16 @@ impl Default for PlanningSection {
 pub struct NetworkSection {
     /// Threads for inference.
     pub threads: usize,
+    /// Whether waiting threads spin: faster by little, at the expense of everything else on the computer.
+    pub spin: bool,
+    /// Whose kernels compute: `cpu`, `xnnpack`, `cuda`, `tensorrt`.
+    pub provider: Provider,
 }
 
 impl Default for NetworkSection {
     fn default() -> Self {
-        Self { threads: 1 }
+        let NetworkOptions { threads, spin, provider } = NetworkOptions::default();
+        Self { threads, spin, provider }
     }
 }
 

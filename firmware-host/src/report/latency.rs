@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use runtime::latency::{LatencyHistogram, Percentiles};
 use serde::{Deserialize, Serialize};
 
 /// A part of the loop whose time is measured.
@@ -43,17 +44,6 @@ impl Stage {
     }
 }
 
-/// Median, 99th percentile and maximum, milliseconds.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Percentiles {
-    /// Median.
-    pub p50: f64,
-    /// 99th percentile.
-    pub p99: f64,
-    /// Maximum, exact.
-    pub max: f64,
-}
-
 /// One histogram a stage.
 #[derive(Debug, Clone)]
 pub struct Latencies {
@@ -84,116 +74,13 @@ impl Latencies {
     }
 }
 
-/// Counts durations in log-linear buckets, as in HdrHistogram: 64 buckets an octave, so a percentile is within 0.8 % of the
-/// exact one, in memory that never grows.
-#[derive(Debug, Clone)]
-pub struct LatencyHistogram {
-    counts: Vec<u64>,
-    total: u64,
-    max_ns: u64,
-}
-
-const BITS: u32 = 6;
-const PER_OCTAVE: u64 = 1 << BITS;
-/// Longer durations (18 minutes) count as this.
-const LONGEST_NS: u64 = (1 << 40) - 1;
-
-impl Default for LatencyHistogram {
-    fn default() -> Self {
-        Self { counts: vec![0; bucket(LONGEST_NS) + 1], total: 0, max_ns: 0 }
-    }
-}
-
-impl LatencyHistogram {
-    /// Adds one duration, nanoseconds. Does not allocate.
-    pub fn record(&mut self, duration_ns: u64) {
-        self.counts[bucket(duration_ns.min(LONGEST_NS))] += 1;
-        self.total += 1;
-        self.max_ns = self.max_ns.max(duration_ns);
-    }
-
-    /// The duration, nanoseconds, that a share `quantile` of all durations does not exceed (nearest rank); `None` when
-    /// nothing was recorded.
-    #[must_use]
-    pub fn quantile_ns(&self, quantile: f64) -> Option<u64> {
-        let rank = ((quantile * self.total as f64).ceil() as u64).clamp(1, self.total.max(1));
-        let mut seen = 0;
-        let index = self.counts.iter().position(|count| {
-            seen += count;
-            seen >= rank
-        })?;
-        Some(middle_ns(index).min(self.max_ns))
-    }
-
-    /// `None` when nothing was recorded.
-    #[must_use]
-    pub fn percentiles(&self) -> Option<Percentiles> {
-        let ms = |ns: u64| ns as f64 / 1e6;
-        let p50 = ms(self.quantile_ns(0.5)?);
-        let p99 = ms(self.quantile_ns(0.99)?);
-        Some(Percentiles { p50, p99, max: ms(self.max_ns) })
-    }
-}
-
-/// Durations below 64 ns have a bucket each; above, every octave has 64 equal ones.
-fn bucket(ns: u64) -> usize {
-    if ns < PER_OCTAVE {
-        return ns as usize;
-    }
-    let shift = ns.ilog2() - BITS;
-    (u64::from(shift) * PER_OCTAVE + (ns >> shift)) as usize
-}
-
-fn middle_ns(bucket: usize) -> u64 {
-    let bucket = bucket as u64;
-    if bucket < 2 * PER_OCTAVE {
-        return bucket;
-    }
-    let shift = bucket / PER_OCTAVE - 1;
-    let low = (bucket - shift * PER_OCTAVE) << shift;
-    low + (1 << shift) / 2
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::prelude::*;
-
-    proptest! {
-        #[test]
-        fn a_quantile_is_within_one_percent_of_the_exact_one(
-            exponents in proptest::collection::vec(0.0..38.0f64, 1..400), quantile in 0.0..=1.0f64,
-        ) {
-            let mut durations: Vec<u64> = exponents.iter().map(|exponent| exponent.exp2() as u64).collect();
-            let mut histogram = LatencyHistogram::default();
-            durations.iter().for_each(|duration| histogram.record(*duration));
-            durations.sort_unstable();
-            let rank = (quantile * durations.len() as f64).ceil() as usize;
-            let exact = durations[rank.max(1) - 1];
-            let measured = histogram.quantile_ns(quantile).unwrap();
-            prop_assert!(measured.abs_diff(exact) as f64 <= 0.01 * exact as f64, "{} for {}", measured, exact);
-        }
-
-        #[test]
-        fn a_longer_duration_is_never_in_an_earlier_bucket(ns in 0..LONGEST_NS) {
-            prop_assert!(bucket(ns + 1) == bucket(ns) || bucket(ns + 1) == bucket(ns) + 1);
-        }
-    }
 
     #[test]
     fn nothing_recorded_is_nothing_reported() {
-        assert_eq!(LatencyHistogram::default().percentiles(), None);
         assert!(Latencies::default().percentiles().is_empty());
-    }
-
-    #[test]
-    fn the_maximum_is_exact_even_beyond_the_last_bucket() {
-        let mut histogram = LatencyHistogram::default();
-        histogram.record(u64::MAX);
-        histogram.record(1_234_567);
-        let percentiles = histogram.percentiles().unwrap();
-        assert!((percentiles.max - u64::MAX as f64 / 1e6).abs() < 1.0);
-        assert!((percentiles.p50 - 1.234_567).abs() < 0.013);
     }
 
     #[test]

@@ -2,13 +2,13 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use runtime::{accuracy::AccuracyRows, event::ExploreEnd, robot::DepthSource};
+use runtime::{accuracy::AccuracyRows, event::ExploreEnd, latency::Percentiles, robot::DepthSource};
 use serde::{Deserialize, Serialize};
 
 use super::{
     atomic::{ReportError, write_atomically},
     events::EventCounts,
-    latency::{Percentiles, Stage},
+    latency::Stage,
 };
 
 /// Name of the file in the output directory.

@@ -206,11 +206,12 @@ mod tests {
     use std::collections::BTreeMap;
 
     use runtime::event::ExploreEnd;
+    use runtime::latency::Percentiles;
 
     use super::*;
     use crate::report::{
         events::{EventCounts, Goals},
-        latency::{Percentiles, Stage},
+        latency::Stage,
         summary::DepthAccuracy,
     };
 

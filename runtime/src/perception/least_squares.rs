@@ -29,6 +29,12 @@ impl FlowField {
     pub fn values(&self) -> &[[f32; 2]] {
         &self.flow_px
     }
+
+    /// Row-major (x, y) displacements, pixels, to be written.
+    #[must_use]
+    pub fn values_mut(&mut self) -> &mut [[f32; 2]] {
+        &mut self.flow_px
+    }
 }
 
 /// Another picture: where this picture's pixels are in it, and where it was taken.

@@ -1,43 +1,125 @@
-//! What the depth network costs around its inference, and what ONNX Runtime costs without us.
+//! What networks cost through the runtime, and what ONNX Runtime costs without us.
 
-use hal::ImageView;
+use std::f64::consts::FRAC_PI_2;
+use std::path::Path;
+
+use anyhow::Context;
+use hal::{CameraModel, ImageView, Pose3};
 use ort::environment::Environment;
-use ort::session::Session;
+use ort::session::{Session, SessionInputValue};
 use ort::value::Tensor;
-use runtime::perception::{DepthNetwork, NetworkOptions};
+use runtime::perception::{DepthNetwork, FlowNetwork, NetworkOptions};
 
-use crate::report::{Row, time_against};
+use crate::report::{Row, time, time_against};
 
 /// The mean of red, green and blue: as good as no inference.
-const MODEL: &[u8] = include_bytes!("../../../runtime/tests/models/any_size.onnx");
+const EMPTY: &[u8] = include_bytes!("../../../runtime/tests/models/any_size.onnx");
+/// Hands one plane of the volume on: as good as no inference.
+const VOLUME: &[u8] = include_bytes!("../../../runtime/tests/models/volume_64_any_size.onnx");
 const SIZE: (usize, usize) = (640, 192);
+/// Real networks as `cargo xtask models` exports them, with the turns that they are worth.
+const REAL: [(&str, usize); 4] = [("monodepth2_r18", 20), ("edn_r18", 20), ("raft_small_12", 7), ("raft_large_12", 5)];
 
-/// Measures the room. Without ONNX Runtime (`ORT_DYLIB_PATH`) it has no rows.
+/// Measures the room. Without ONNX Runtime (`ORT_DYLIB_PATH`) it has no rows; real networks are those in the folder that
+/// `BENCH_MODELS` names.
 ///
 /// # Errors
-/// When ONNX Runtime or the model does not load.
+/// When ONNX Runtime or a model does not load.
 pub fn rows() -> anyhow::Result<Vec<Row>> {
     let Some(library) = std::env::var_os("ORT_DYLIB_PATH") else { return Ok(Vec::new()) };
     let onnx_runtime = ort::init_from(library)?.with_telemetry(false).build()?;
-    let mut network = DepthNetwork::load(&onnx_runtime, MODEL, SIZE, NetworkOptions::default())?;
-    let mut session = bare_session(&onnx_runtime)?;
-    let picture: Vec<u8> = (0..3 * SIZE.0 * SIZE.1).map(|i| (i * 31 % 256) as u8).collect();
-    let frame = ImageView::rgb8(SIZE.0, SIZE.1, &picture)?;
-    let (ours, peer) = time_against(
-        200,
-        || network.estimate(frame, None).is_ok(),
-        || {
-            let planes: Vec<f32> = picture.iter().map(|&byte| f32::from(byte) / 255.0).collect();
-            let input = Tensor::from_array(([1, 3, SIZE.1, SIZE.0], planes))?;
-            session.run(ort::inputs![input]).map(|outputs| outputs.len())
-        },
-    );
-    let row = Row::seconds("network", "picture to depth around an empty network, 640x192", ours)
-        .peer("ort run()", peer.median)
-        .note("the peer neither sorts the channels nor makes and checks depth");
-    Ok(vec![row])
+    let picture = |step: usize| (0..3 * SIZE.0 * SIZE.1).map(|i| (i * step % 256) as u8).collect::<Vec<_>>();
+    let pictures = [picture(31), picture(37)];
+    let mut rows = vec![empty(&onnx_runtime, &pictures[0])?, volume(&onnx_runtime, &pictures)?];
+    if let Some(folder) = std::env::var_os("BENCH_MODELS") {
+        for (name, turns) in REAL {
+            let file = Path::new(&folder).join(name).with_extension("onnx");
+            if !file.is_file() {
+                continue;
+            }
+            let model = std::fs::read(&file).with_context(|| format!("reading {}", file.display()))?;
+            for threads in [1, 2] {
+                rows.push(real(&onnx_runtime, name, &model, threads, turns, &pictures)?);
+            }
+        }
+    }
+    Ok(rows)
 }
 
-fn bare_session(onnx_runtime: &Environment) -> ort::Result<Session> {
-    Session::builder(onnx_runtime)?.with_intra_threads(1)?.commit_from_memory(MODEL)
+/// What surrounds inference: planes in, depth out.
+fn empty(onnx_runtime: &Environment, picture: &[u8]) -> anyhow::Result<Row> {
+    let mut network = DepthNetwork::load(onnx_runtime, EMPTY, &camera(), NetworkOptions::default())?;
+    let mut session = bare_session(onnx_runtime, EMPTY, 1)?;
+    let frame = view(picture)?;
+    let (ours, peer) = time_against(
+        200,
+        || network.estimate(frame, &Pose3::identity(), None).is_ok(),
+        || bare_run(&mut session, &[picture]),
+    );
+    Ok(Row::seconds("network", "picture to depth around an empty network, 640x192", ours)
+        .peer("ort run()", peer.median)
+        .note("the peer neither sorts the channels nor makes and checks depth"))
+}
+
+/// The cost volume of a robot that drives forward.
+fn volume(onnx_runtime: &Environment, pictures: &[Vec<u8>; 2]) -> anyhow::Result<Row> {
+    let mut network = DepthNetwork::load(onnx_runtime, VOLUME, &camera(), NetworkOptions::default())?;
+    let frame = view(&pictures[0])?;
+    let mut way_m = 0.0;
+    let mut step = || {
+        way_m += 0.03;
+        network.estimate(frame, &Pose3::translation(0.0, 0.0, way_m), None).is_ok()
+    };
+    // Until there are two pictures to compare with.
+    (0..20).for_each(|_| _ = step());
+    Ok(Row::seconds("network", "cost volume, 64 planes of 160x48, 2 references, 1 thread", time(50, step)))
+}
+
+/// A real network on `threads` threads, through us and with nothing but ort.
+fn real(
+    onnx_runtime: &Environment,
+    name: &str,
+    model: &[u8],
+    threads: usize,
+    turns: usize,
+    pictures: &[Vec<u8>; 2],
+) -> anyhow::Result<Row> {
+    let options = NetworkOptions { threads, ..NetworkOptions::default() };
+    let mut session = bare_session(onnx_runtime, model, threads)?;
+    let inputs: Vec<&[u8]> = pictures.iter().take(session.inputs().len()).map(Vec::as_slice).collect();
+    let [first, second] = [view(&pictures[0])?, view(&pictures[1])?];
+    let peer = || bare_run(&mut session, &inputs);
+    let (ours, peer) = if name.starts_with("raft") {
+        let mut network = FlowNetwork::load(onnx_runtime, model, SIZE, options)?;
+        time_against(turns, || network.estimate(first, second).is_ok(), peer)
+    } else {
+        let mut network = DepthNetwork::load(onnx_runtime, model, &camera(), options)?;
+        time_against(turns, || network.estimate(first, &Pose3::identity(), None).is_ok(), peer)
+    };
+    let plural = if threads == 1 { "" } else { "s" };
+    Ok(Row::seconds("network", format!("{name}, 640x192, {threads} thread{plural}"), ours)
+        .peer("ort run()", peer.median)
+        .note("the peer's waiting threads spin, ours sleep"))
+}
+
+fn bare_session(onnx_runtime: &Environment, model: &[u8], threads: usize) -> ort::Result<Session> {
+    Session::builder(onnx_runtime)?.with_intra_threads(threads)?.commit_from_memory(model)
+}
+
+/// What one writes without us: new tensors for every call.
+fn bare_run(session: &mut Session, pictures: &[&[u8]]) -> ort::Result<usize> {
+    let tensor = |picture: &&[u8]| -> ort::Result<SessionInputValue<'static>> {
+        let planes: Vec<f32> = picture.iter().map(|&byte| f32::from(byte) / 255.0).collect();
+        Ok(Tensor::from_array(([1, 3, SIZE.1, SIZE.0], planes))?.into())
+    };
+    let inputs = pictures.iter().map(tensor).collect::<ort::Result<Vec<_>>>()?;
+    session.run(inputs.as_slice()).map(|outputs| outputs.len())
+}
+
+fn camera() -> CameraModel {
+    CameraModel::pinhole(SIZE.0, SIZE.1, FRAC_PI_2)
+}
+
+fn view(picture: &[u8]) -> anyhow::Result<ImageView<'_>> {
+    Ok(ImageView::rgb8(SIZE.0, SIZE.1, picture)?)
 }

@@ -1,4 +1,4 @@
-//! Why a model cannot be the robot's depth network.
+//! Why a model cannot be one of the robot's networks.
 
 /// A model was refused when it was loaded. The text says what was found, what is needed and the way out.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -19,28 +19,48 @@ pub enum NetworkError {
         reason: String,
     },
     /// An option cannot be set.
-    #[error("ONNX Runtime refuses the options of the depth network ({threads} threads): {reason}")]
+    #[error("ONNX Runtime refuses the options of the network ({threads} threads): {reason}")]
     Options {
         /// Threads that were asked for.
         threads: usize,
         /// ONNX Runtime's own words.
         reason: String,
     },
-    /// The model takes too many or too few inputs.
+    /// The loaded ONNX Runtime was built without the execution provider.
     #[error(
-        "the model takes {found}; needed: one picture [1, 3, height, width], with or without a second input [1, 3, height, width] for coarse disparity, validity and confidence, or both joined in [1, 6, height, width]"
+        "the loaded ONNX Runtime has no execution provider `{wanted}`, it has: {available}; choose one of these, or point ORT_DYLIB_PATH to a libonnxruntime.so that was built with `{wanted}`"
     )]
+    NoProvider {
+        /// What was asked for.
+        wanted: &'static str,
+        /// What there is.
+        available: String,
+    },
+    /// The execution provider is there but does not start.
+    #[error(
+        "ONNX Runtime's execution provider `{wanted}` does not start: {reason}; check the device, its driver and the provider's own libraries, or choose `cpu`"
+    )]
+    Provider {
+        /// What was asked for.
+        wanted: &'static str,
+        /// ONNX Runtime's own words.
+        reason: String,
+    },
+    /// The model takes too many or too few inputs.
+    #[error("the model takes {found}; needed: {needed}")]
     Inputs {
         /// Names and types of the inputs.
         found: String,
+        /// What would be right.
+        needed: &'static str,
     },
     /// The model gives more or less than one output.
-    #[error(
-        "the model gives {found}; needed: one output, [1, 1, height, width], or [1, 2, height, width] with log-uncertainty; export only the finest scale"
-    )]
+    #[error("the model gives {found}; needed: {needed}")]
     Outputs {
         /// Names and types of the outputs.
         found: String,
+        /// What would be right.
+        needed: &'static str,
     },
     /// An input or output has another type or shape than it must have.
     #[error("the model's {role} is {found}, needed: {needed}")]

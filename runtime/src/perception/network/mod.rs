@@ -1,110 +1,92 @@
-//! The depth network: an ONNX model run by ONNX Runtime.
+//! Networks: ONNX models run by ONNX Runtime. [`DepthNetwork`] gives depth, [`FlowNetwork`] optical flow.
 //!
-//! The model says what it takes and gives in its shapes and its metadata: `kind` (`rgb` or `rgb+coarse`), `output` (`depth`
-//! or `disparity`), `min_depth_m`, `max_depth_m`, `input_width`, `input_height`, `version`. All of it is optional and all of
-//! it is checked when the model is loaded, together with one run on a grey picture.
+//! A depth model says what it takes and gives in its shapes and its metadata:
 //!
-//! The same picture gives the same depth, bit for bit, on any number of threads.
+//! | key | meaning | without it |
+//! |---|---|---|
+//! | `kind` | `rgb`, `rgb+coarse` or `rgb+volume` | names and shapes of the inputs |
+//! | `output` | `depth` or `disparity` | name of the output |
+//! | `min_depth_m`, `max_depth_m` | range of the output, metres | 0.1, 20 |
+//! | `volume_min_depth_m`, `volume_max_depth_m` | nearest and farthest plane of the cost volume, metres | 0.3, 20 |
+//! | `input_width`, `input_height` | size of the picture | shape of the input |
+//! | `version` | what the model calls itself | |
+//!
+//! All of it is optional and all of it is checked when the model is loaded, together with one run on a grey picture. Inputs and
+//! outputs are 32-bit or 16-bit floats.
+//!
+//! On the CPU, the same pictures give the same depth, bit for bit, on any number of threads. A call allocates nothing in this
+//! crate and copies no tensor; what ort and ONNX Runtime allocate is said in `bound`. The runtime reads no clock: whoever
+//! calls measures, into a [`LatencyHistogram`](crate::latency::LatencyHistogram).
 
+mod bound;
 mod error;
+mod flow;
+mod options;
 mod planes;
 mod spec;
 #[cfg(test)]
 mod tests;
+mod volume;
 
 pub use error::NetworkError;
+pub use flow::{FlowNetwork, FlowSpec};
+pub use options::{NetworkOptions, Provider};
 pub use spec::{DEFAULT_DEPTH_RANGE_M, InputKind, ModelSpec, OutputKind};
 
-use hal::{ImageView, PixelFormat};
+use hal::{CameraModel, ImageView, PixelFormat, Pose3};
 use ort::environment::Environment;
-use ort::memory::Allocator;
-use ort::session::builder::{GraphOptimizationLevel, SessionBuilder};
-use ort::session::{IoBinding, Session};
-use ort::value::{Outlet, Tensor, TensorElementType};
 
 use super::{DepthEstimate, NoDepth};
-use spec::TensorInfo;
+use bound::{BoundSession, Model};
+use volume::CostVolume;
 
-/// How a model is run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct NetworkOptions {
-    /// Threads of one inference, at least 1. They never spin: a waiting thread would steal the time of the control loop.
-    pub threads: usize,
-}
-
-impl Default for NetworkOptions {
-    fn default() -> Self {
-        Self { threads: 1 }
-    }
-}
+/// Places of the inputs in `ModelSpec::input_ports`.
+const PICTURE: usize = 0;
+const SECOND: usize = 1;
 
 /// A loaded model with its bound memory. One call of [`estimate`](Self::estimate) blocks for one inference.
 #[derive(Debug)]
 pub struct DepthNetwork {
     spec: ModelSpec,
     digest: String,
-    session: Session,
-    binding: IoBinding,
-    /// Bound input with the picture; joined models find the coarse planes behind it.
-    picture: Tensor<f32>,
-    /// Bound input with the coarse planes, for models that take them apart.
-    coarse: Option<Tensor<f32>>,
+    session: BoundSession,
+    /// For models that take one.
+    volume: Option<CostVolume>,
     estimate: DepthEstimate,
     refused: u64,
 }
 
 impl DepthNetwork {
-    /// Loads a model from the bytes of its file, for pictures of `camera_size` (columns, rows), and tries it once.
+    /// Loads a model from the bytes of its file, for pictures of `camera`, and tries it once.
     ///
     /// # Errors
     /// Whatever keeps the model from being this robot's depth network; see [`NetworkError`].
     pub fn load(
         onnx_runtime: &Environment,
         model: &[u8],
-        camera_size: (usize, usize),
+        camera: &CameraModel,
         options: NetworkOptions,
     ) -> Result<Self, NetworkError> {
-        if let Some(found) = error::other_kind(model) {
-            return Err(NetworkError::NotOnnx { found });
-        }
-        let mut builder = session_builder(onnx_runtime, options)
-            .map_err(|error| NetworkError::Options { threads: options.threads, reason: error.to_string() })?;
-        let session = builder.commit_from_memory(model).map_err(load_error)?;
-        let spec = read_spec(&session, camera_size)?;
+        let (width, height) = (camera.width, camera.height);
+        let loaded = Model::load(onnx_runtime, model, options)?;
+        let spec = ModelSpec::read(&loaded.inputs, &loaded.outputs, loaded.metadata()?, (width, height))?;
+        let volume = match spec.input {
+            InputKind::RgbAndVolume { planes, range_m } => Some(CostVolume::new(camera, planes, range_m)),
+            _ => None,
+        };
+        let session = loaded.bind(&spec.input_ports, &spec.output_port)?;
         let digest = blake3::hash(model).to_hex().to_string();
-        let mut network = Self::bind(session, spec, digest).map_err(load_error)?;
+        let estimate = DepthEstimate::none(width, height);
+        let mut network = Self { spec, digest, session, volume, estimate, refused: 0 };
         network.warm_up()?;
         Ok(network)
     }
 
-    /// Gives inputs and output memory of their own that stays bound, so that a call copies nothing and allocates nothing here.
-    /// Only owned tensors are bound: binding a borrowed one deadlocks in ort 2.0.0-rc.15.
-    fn bind(session: Session, spec: ModelSpec, digest: String) -> ort::Result<Self> {
-        let (width, height) = spec.size;
-        let mut binding = session.create_binding()?;
-        let planes = |channels: usize| {
-            Tensor::from_array(([1, channels, height, width], vec![0.0_f32; channels * height * width]))
-        };
-        let picture = planes(spec.picture_channels())?;
-        binding.bind_input(spec.input_names.0.as_str(), &picture)?;
-        let coarse = match &spec.input_names.1 {
-            Some(name) => {
-                let coarse = planes(3)?;
-                binding.bind_input(name.as_str(), &coarse)?;
-                Some(coarse)
-            }
-            None => None,
-        };
-        let output = Tensor::<f32>::new(&Allocator::default(), [1, spec.output_channels(), height, width])?;
-        binding.bind_output(spec.output_name.as_str(), output)?;
-        let estimate = DepthEstimate::none(width, height);
-        Ok(Self { spec, digest, session, binding, picture, coarse, estimate, refused: 0 })
-    }
-
-    /// The first run allocates inside ONNX Runtime, and shows whether the model computes anything at all.
+    /// The first run allocates inside ONNX Runtime, and shows whether the model computes anything at all. All that comes with
+    /// the picture is still 0: no coarse depth, no evidence in the cost volume.
     fn warm_up(&mut self) -> Result<(), NetworkError> {
-        self.picture.extract_tensor_mut().1.fill(0.5);
-        self.write_coarse(None);
+        let pixels = 3 * self.spec.size.0 * self.spec.size.1;
+        self.session.write(PICTURE, |planes| planes[..pixels].fill(0.5));
         let outcome = self.run();
         self.estimate.clear();
         match outcome {
@@ -121,18 +103,21 @@ impl DepthNetwork {
         }
     }
 
-    /// Depth of one RGB8 picture of the camera's size. Models that take coarse depth are told "none" where `coarse` is `None`;
-    /// the others ignore it.
+    /// Depth of one RGB8 picture of the camera's size, taken at `t_odom_camera`. Models that take coarse depth are told "none"
+    /// where `coarse` is `None`; the others ignore it. Models that take a cost volume compare with earlier pictures of earlier
+    /// calls; the others ignore the pose.
     ///
     /// # Errors
-    /// [`NoDepth::FrameSize`] for another size or format; [`NoDepth::NetworkOutput`] when the model fails, says NaN, or
-    /// leaves the range that it promises. Both are counted by [`refused`](Self::refused).
+    /// [`NoDepth::FrameSize`] for another size or format; [`NoDepth::PoseNotFinite`] where the pose is needed;
+    /// [`NoDepth::NetworkOutput`] when the model fails, says NaN, or leaves the range that it promises. All are counted by
+    /// [`refused`](Self::refused).
     pub fn estimate(
         &mut self,
         frame: ImageView<'_>,
+        t_odom_camera: &Pose3,
         coarse: Option<&DepthEstimate>,
     ) -> Result<&DepthEstimate, NoDepth> {
-        match self.try_estimate(frame, coarse) {
+        match self.try_estimate(frame, t_odom_camera, coarse) {
             Ok(()) => Ok(&self.estimate),
             Err(why) => {
                 self.refused += 1;
@@ -142,14 +127,18 @@ impl DepthNetwork {
         }
     }
 
-    fn try_estimate(&mut self, frame: ImageView<'_>, coarse: Option<&DepthEstimate>) -> Result<(), NoDepth> {
+    fn try_estimate(
+        &mut self,
+        frame: ImageView<'_>,
+        t_odom_camera: &Pose3,
+        coarse: Option<&DepthEstimate>,
+    ) -> Result<(), NoDepth> {
         let size = self.spec.size;
         let fits = |coarse: &DepthEstimate| (coarse.depth.width(), coarse.depth.height()) == size;
         if frame.format() != PixelFormat::Rgb8 || (frame.width(), frame.height()) != size || !coarse.is_none_or(fits) {
             return Err(NoDepth::FrameSize);
         }
-        planes::write_rgb(frame.data(), self.picture.extract_tensor_mut().1);
-        self.write_coarse(coarse);
+        self.write_inputs(frame.data(), t_odom_camera, coarse)?;
         match self.run() {
             Ok(true) => Ok(()),
             Ok(false) => Err(NoDepth::NetworkOutput),
@@ -160,22 +149,32 @@ impl DepthNetwork {
         }
     }
 
-    /// Into the input of its own, or behind the picture, or nowhere.
-    fn write_coarse(&mut self, coarse: Option<&DepthEstimate>) {
-        let pixels = self.spec.size.0 * self.spec.size.1;
-        let planes = match (self.spec.input, &mut self.coarse) {
-            (InputKind::Rgb, _) => return,
-            (_, Some(tensor)) => tensor.extract_tensor_mut().1,
-            (_, None) => &mut self.picture.extract_tensor_mut().1[3 * pixels..],
-        };
-        planes::write_coarse(coarse, self.spec.depth_range_m, planes);
+    fn write_inputs(&mut self, rgb: &[u8], pose: &Pose3, coarse: Option<&DepthEstimate>) -> Result<(), NoDepth> {
+        let range_m = self.spec.depth_range_m;
+        let joined = self.spec.input == InputKind::RgbCoarseJoined;
+        self.session.write(PICTURE, |planes| {
+            let (picture, rest) = planes.split_at_mut(rgb.len());
+            planes::write_rgb(rgb, (0.0, 1.0), picture);
+            if joined {
+                planes::write_coarse(coarse, range_m, rest);
+            }
+        });
+        if self.spec.input == InputKind::RgbAndCoarse {
+            self.session.write(SECOND, |planes| planes::write_coarse(coarse, range_m, planes));
+        }
+        if let Some(volume) = &mut self.volume {
+            if !pose.to_matrix().iter().all(|number| number.is_finite()) {
+                return Err(NoDepth::PoseNotFinite);
+            }
+            self.session.write(SECOND, |planes| volume.compute(rgb, pose, planes));
+        }
+        Ok(())
     }
 
     /// One inference over the bound memory. `false`: its output is worthless.
     fn run(&mut self) -> ort::Result<bool> {
-        let outputs = self.session.run_binding(&self.binding)?;
-        let (_, output) = outputs[0].try_extract_tensor::<f32>()?;
-        Ok(planes::read_output(output, &self.spec, &mut self.estimate))
+        let Self { spec, session, estimate, .. } = self;
+        session.run(|output| planes::read_output(output, spec, estimate))
     }
 
     /// What the last successful [`estimate`](Self::estimate) returned; no depth after one that failed.
@@ -200,35 +199,5 @@ impl DepthNetwork {
     #[must_use]
     pub fn refused(&self) -> u64 {
         self.refused
-    }
-}
-
-fn load_error(error: impl std::fmt::Display) -> NetworkError {
-    NetworkError::Load { reason: error.to_string() }
-}
-
-fn session_builder(onnx_runtime: &Environment, options: NetworkOptions) -> ort::Result<SessionBuilder> {
-    // One after the other, on exactly these threads, which sleep while they wait.
-    Ok(SessionBuilder::new(onnx_runtime)?
-        .with_intra_threads(options.threads.max(1))?
-        .with_parallel_execution(false)?
-        .with_intra_op_spinning(false)?
-        .with_optimization_level(GraphOptimizationLevel::All)?
-        .with_deterministic_compute(true)?)
-}
-
-fn read_spec(session: &Session, camera_size: (usize, usize)) -> Result<ModelSpec, NetworkError> {
-    let inputs: Vec<_> = session.inputs().iter().map(tensor_info).collect();
-    let outputs: Vec<_> = session.outputs().iter().map(tensor_info).collect();
-    let metadata = session.metadata().map_err(load_error)?;
-    ModelSpec::read(&inputs, &outputs, |key| metadata.custom(key), camera_size)
-}
-
-fn tensor_info(outlet: &Outlet) -> TensorInfo {
-    TensorInfo {
-        name: outlet.name().to_owned(),
-        is_f32: outlet.dtype().tensor_type() == Some(TensorElementType::Float32),
-        shape: outlet.dtype().tensor_shape().map(|shape| shape.to_vec()).unwrap_or_default(),
-        description: outlet.dtype().to_string(),
     }
 }

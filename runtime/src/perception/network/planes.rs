@@ -2,25 +2,29 @@
 
 use hal::DepthMap;
 
+use super::bound::Float;
 use super::spec::{ModelSpec, OutputKind};
 use crate::perception::DepthEstimate;
 
-/// Rounding that an output may leave its range by, relative to the range.
+/// Rounding that an output may leave its range by, relative to the range: with 32 bits, and with the 11 significant bits of
+/// a 16-bit float.
 const ROUNDING: f32 = 1e-4;
+const ROUNDING_HALF: f32 = 1e-3;
 /// Trust in a network that says nothing about its own uncertainty. The paper's robot maps every pixel alike.
 const UNSAID_CONFIDENCE: f32 = 1.0;
 /// A depth within this factor of the truth counts as right: the field's delta1 (Eigen et al. 2014).
 const DELTA1: f32 = 1.25;
 
-/// RGB bytes, pixel by pixel, into planes of red, green and blue in 0..1.
-pub(super) fn write_rgb(rgb: &[u8], planes: &mut [f32]) {
+/// RGB bytes, pixel by pixel, into planes of red, green and blue between `low` and `high`.
+pub(super) fn write_rgb(rgb: &[u8], (low, high): (f32, f32), planes: &mut [f32]) {
+    let value = |byte| f32::from(byte) / 255.0 * (high - low) + low;
     let pixels = rgb.len() / 3;
     let (red, rest) = planes.split_at_mut(pixels);
     let (green, blue) = rest.split_at_mut(pixels);
     for (((pixel, red), green), blue) in rgb.chunks_exact(3).zip(red).zip(green).zip(blue) {
-        *red = f32::from(pixel[0]) / 255.0;
-        *green = f32::from(pixel[1]) / 255.0;
-        *blue = f32::from(pixel[2]) / 255.0;
+        *red = value(pixel[0]);
+        *green = value(pixel[1]);
+        *blue = value(pixel[2]);
     }
 }
 
@@ -67,7 +71,8 @@ fn read_depth(output: &[f32], spec: &ModelSpec, depth: &mut DepthMap) -> bool {
         OutputKind::Depth => (min_m, max_m),
         OutputKind::Disparity => (0.0, 1.0),
     };
-    let allowed = low - ROUNDING * high..=high + ROUNDING * high;
+    let rounding = high * if spec.output_port.float == Float::Half { ROUNDING_HALF } else { ROUNDING };
+    let allowed = low - rounding..=high + rounding;
     let (far, span) = (1.0 / max_m, 1.0 / min_m - 1.0 / max_m);
     let mut sound = true;
     for (depth, &value) in depth.values_mut().iter_mut().zip(output) {
@@ -92,12 +97,17 @@ fn probability_of_delta1(ln_scale: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::perception::network::bound::Port;
 
     #[test]
-    fn bytes_become_planes_of_red_green_blue_between_0_and_1() {
+    fn bytes_become_planes_of_red_green_blue_in_the_range_that_is_asked_for() {
         let mut planes = [9.0; 6];
-        write_rgb(&[0, 51, 102, 255, 204, 153], &mut planes);
+        write_rgb(&[0, 51, 102, 255, 204, 153], (0.0, 1.0), &mut planes);
         assert_eq!(planes, [0.0, 1.0, 0.2, 0.8, 0.4, 0.6]);
+        write_rgb(&[0, 51, 102, 255, 204, 153], (0.0, 255.0), &mut planes);
+        assert_eq!(planes, [0.0, 255.0, 51.0, 204.0, 102.0, 153.0]);
+        write_rgb(&[0; 6], (-1.0, 1.0), &mut planes);
+        assert_eq!(planes, [-1.0; 6]);
     }
 
     #[test]
@@ -115,6 +125,8 @@ mod tests {
 
     #[test]
     fn an_uncertainty_that_is_nan_makes_the_whole_output_worthless() {
+        let port =
+            |name: &str, channels| Port { name: name.to_owned(), float: Float::Single, shape: [1, channels, 1, 2] };
         let spec = ModelSpec {
             input: crate::perception::network::InputKind::Rgb,
             output: OutputKind::Depth,
@@ -122,8 +134,8 @@ mod tests {
             depth_range_m: (0.5, 5.0),
             size: (2, 1),
             version: None,
-            input_names: ("rgb".to_owned(), None),
-            output_name: "depth".to_owned(),
+            input_ports: vec![port("rgb", 3)],
+            output_port: port("depth", 2),
         };
         let mut estimate = DepthEstimate::none(2, 1);
         assert!(read_output(&[1.0, 2.0, 0.0, 0.0], &spec, &mut estimate));

@@ -1,14 +1,26 @@
 //! What a model takes and gives, read from its inputs, outputs and metadata, and checked before anything runs.
 
 use super::NetworkError;
+use super::bound::{Port, TensorInfo};
+use super::volume::REDUCTION;
 
 /// Depth range of a model that does not name one, metres: the sensor range of Embodied Depth Prediction (Liu et al.).
 pub const DEFAULT_DEPTH_RANGE_M: (f32, f32) = (0.1, 20.0);
 /// No indoor or street scene is deeper; a larger number in a model is a mistake of units.
 const LARGEST_DEPTH_M: f32 = 1000.0;
+/// Planes of a cost volume that does not say where they are, metres.
+const VOLUME_RANGE_M: (f32, f32) = (0.3, 20.0);
+/// ManyDepth has 96; more than this is a mistake of the layout.
+const MAX_PLANES: usize = 256;
 
-/// How the picture and the coarse depth enter the model. All values are `f32`, planes in rows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+const INPUTS: &str = "one picture [1, 3, height, width], alone or with a second input: coarse disparity, validity and \
+    confidence [1, 3, height, width] (or joined with the picture in [1, 6, height, width]), or a cost volume \
+    [1, planes, height / 4, width / 4]";
+const ONE_OUTPUT: &str =
+    "one output, [1, 1, height, width], or [1, 2, height, width] with log-uncertainty; export only the finest scale";
+
+/// What enters the model. Planes lie in rows, channel after channel.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum InputKind {
     /// Red, green, blue in 0..1: `[1, 3, height, width]`.
     Rgb,
@@ -16,13 +28,29 @@ pub enum InputKind {
     RgbAndCoarse,
     /// Both in one input: `[1, 6, height, width]`.
     RgbCoarseJoined,
+    /// As `Rgb`, and a second input with the cost volume `[1, planes, height / 4, width / 4]`.
+    RgbAndVolume {
+        /// Planes of inverse depth, evenly spaced.
+        planes: usize,
+        /// Depth of the nearest and of the farthest plane, metres (metadata `volume_min_depth_m`, `volume_max_depth_m`).
+        range_m: (f32, f32),
+    },
 }
 
 impl InputKind {
     /// Whether the model uses the coarse depth.
     #[must_use]
     pub fn takes_coarse(self) -> bool {
-        self != Self::Rgb
+        matches!(self, Self::RgbAndCoarse | Self::RgbCoarseJoined)
+    }
+
+    /// As the metadata says it.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Rgb => "rgb",
+            Self::RgbAndCoarse | Self::RgbCoarseJoined => "rgb+coarse",
+            Self::RgbAndVolume { .. } => "rgb+volume",
+        }
     }
 }
 
@@ -33,29 +61,6 @@ pub enum OutputKind {
     Depth,
     /// x in 0..1 with disparity = 1/max + (1/min - 1/max) x and depth = 1/disparity (Godard et al. 2019, Monodepth2, section 3).
     Disparity,
-}
-
-/// A tensor as the model describes it.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct TensorInfo {
-    pub name: String,
-    /// Whether the elements are 32-bit floats.
-    pub is_f32: bool,
-    /// Sizes; -1 where the model leaves one open.
-    pub shape: Vec<i64>,
-    /// Type and shape in words.
-    pub description: String,
-}
-
-impl TensorInfo {
-    fn text(&self) -> String {
-        format!("`{}` {}", self.name, self.description)
-    }
-
-    /// Size of one dimension, `wanted` where the model leaves it open.
-    fn size(&self, dimension: usize, wanted: i64) -> i64 {
-        self.shape.get(dimension).copied().filter(|size| *size >= 0).unwrap_or(wanted)
-    }
 }
 
 /// Everything that must be known about a model to run it.
@@ -73,9 +78,9 @@ pub struct ModelSpec {
     pub size: (usize, usize),
     /// What the model calls itself (metadata `version`).
     pub version: Option<String>,
-    /// Name of the input with the picture, and of the one with the coarse depth where that is another.
-    pub(super) input_names: (String, Option<String>),
-    pub(super) output_name: String,
+    /// The picture, then what else goes in.
+    pub(super) input_ports: Vec<Port>,
+    pub(super) output_port: Port,
 }
 
 impl ModelSpec {
@@ -86,77 +91,107 @@ impl ModelSpec {
         metadata: impl Fn(&str) -> Option<String>,
         camera: (usize, usize),
     ) -> Result<Self, NetworkError> {
-        let (picture, coarse) = picture_and_coarse(inputs)?;
-        let joined = coarse.is_none() && picture.size(1, 3) == 6;
-        let input = match (coarse, joined) {
-            (Some(_), _) => InputKind::RgbAndCoarse,
-            (None, true) => InputKind::RgbCoarseJoined,
-            (None, false) => InputKind::Rgb,
+        let (picture, second) = picture_and_second(inputs)?;
+        let joined = second.is_none() && picture.size(1, 3) == 6;
+        let mut input_ports = vec![check_tensor("input", picture, &[if joined { 6 } else { 3 }], camera)?];
+        let input = match second {
+            None if joined => InputKind::RgbCoarseJoined,
+            None => InputKind::Rgb,
+            Some(volume) if is_volume(volume, &metadata) => {
+                let port = check_volume(volume, camera)?;
+                let planes = port.shape[1];
+                input_ports.push(port);
+                let keys = ["volume_min_depth_m", "volume_max_depth_m"];
+                InputKind::RgbAndVolume { planes, range_m: depth_range(&metadata, keys, VOLUME_RANGE_M)? }
+            }
+            Some(coarse) => {
+                input_ports.push(check_tensor("input", coarse, &[3], camera)?);
+                InputKind::RgbAndCoarse
+            }
         };
-        check_tensor("input", picture, &[if joined { 6 } else { 3 }], camera)?;
-        if let Some(coarse) = coarse {
-            check_tensor("input", coarse, &[3], camera)?;
-        }
-        let [output] = outputs else { return Err(NetworkError::Outputs { found: list(outputs) }) };
-        check_tensor("output", output, &[1, 2], camera)?;
+        let [output] = outputs else {
+            return Err(NetworkError::Outputs { found: list(outputs), needed: ONE_OUTPUT });
+        };
+        let output_port = check_tensor("output", output, &[1, 2], camera)?;
         check_kind(&metadata, input)?;
         check_stated_size(&metadata, camera)?;
         Ok(Self {
             input,
             output: output_kind(&metadata, &output.name)?,
-            uncertainty: output.size(1, 1) == 2,
-            depth_range_m: depth_range(&metadata)?,
+            uncertainty: output_port.shape[1] == 2,
+            depth_range_m: depth_range(&metadata, ["min_depth_m", "max_depth_m"], DEFAULT_DEPTH_RANGE_M)?,
             size: camera,
             version: metadata("version"),
-            input_names: (picture.name.clone(), coarse.map(|coarse| coarse.name.clone())),
-            output_name: output.name.clone(),
+            input_ports,
+            output_port,
         })
     }
-
-    /// Channels of the input that carries the picture.
-    pub(super) fn picture_channels(&self) -> usize {
-        if self.input == InputKind::RgbCoarseJoined { 6 } else { 3 }
-    }
-
-    /// Channels of the output.
-    pub(super) fn output_channels(&self) -> usize {
-        if self.uncertainty { 2 } else { 1 }
-    }
 }
 
-/// The coarse depth is the input whose name says so, else the second.
-fn picture_and_coarse(inputs: &[TensorInfo]) -> Result<(&TensorInfo, Option<&TensorInfo>), NetworkError> {
+/// What accompanies the picture is the input whose name says so, else the second.
+fn picture_and_second(inputs: &[TensorInfo]) -> Result<(&TensorInfo, Option<&TensorInfo>), NetworkError> {
+    let is_second = |tensor: &TensorInfo| {
+        let name = tensor.name.to_ascii_lowercase();
+        name.contains("coarse") || name.contains("volume")
+    };
     match inputs {
         [picture] => Ok((picture, None)),
-        [coarse, picture] if coarse.name.to_ascii_lowercase().contains("coarse") => Ok((picture, Some(coarse))),
-        [picture, coarse] => Ok((picture, Some(coarse))),
-        _ => Err(NetworkError::Inputs { found: list(inputs) }),
+        [second, picture] if is_second(second) => Ok((picture, Some(second))),
+        [picture, second] => Ok((picture, Some(second))),
+        _ => Err(NetworkError::Inputs { found: list(inputs), needed: INPUTS }),
     }
 }
 
-fn list(tensors: &[TensorInfo]) -> String {
+fn is_volume(second: &TensorInfo, metadata: &impl Fn(&str) -> Option<String>) -> bool {
+    metadata("kind").as_deref() == Some("rgb+volume") || second.name.to_ascii_lowercase().contains("volume")
+}
+
+pub(super) fn list(tensors: &[TensorInfo]) -> String {
     let texts: Vec<_> = tensors.iter().map(TensorInfo::text).collect();
     format!("{} tensors: {}", tensors.len(), texts.join(", "))
 }
 
-/// Four dimensions of 32-bit floats: one picture, one of `channels`, the camera's size.
-fn check_tensor(
+/// Four dimensions of floats: one picture, one of `channels`, the camera's size.
+pub(super) fn check_tensor(
     role: &'static str,
     tensor: &TensorInfo,
     channels: &[i64],
     (width, height): (usize, usize),
-) -> Result<(), NetworkError> {
+) -> Result<Port, NetworkError> {
     let found_channels = tensor.size(1, channels[0]);
-    if !tensor.is_f32 || tensor.shape.len() != 4 || tensor.size(0, 1) != 1 || !channels.contains(&found_channels) {
+    let fits = tensor.shape.len() == 4 && tensor.size(0, 1) == 1 && channels.contains(&found_channels);
+    let (Some(float), true) = (tensor.float, fits) else {
         let channels: Vec<_> = channels.iter().map(i64::to_string).collect();
-        let needed = format!("Tensor<f32>(1, {}, {height}, {width})", channels.join(" or "));
+        let needed = format!("Tensor<f32>(1, {}, {height}, {width}), or the same of f16", channels.join(" or "));
         return Err(NetworkError::Tensor { role, found: tensor.text(), needed });
-    }
+    };
     let found = (tensor.size(3, width as i64) as usize, tensor.size(2, height as i64) as usize);
     if found != (width, height) {
         return Err(size_error(found, (width, height)));
     }
-    Ok(())
+    Ok(Port { name: tensor.name.clone(), float, shape: [1, found_channels as usize, height, width] })
+}
+
+/// A fixed number of planes, a quarter of the camera's size.
+fn check_volume(tensor: &TensorInfo, (width, height): (usize, usize)) -> Result<Port, NetworkError> {
+    let (rows, columns) = (height / REDUCTION, width / REDUCTION);
+    let planes = tensor.size(1, 0) as usize;
+    let whole = width % REDUCTION == 0 && height % REDUCTION == 0 && rows > 1 && columns > 1;
+    let size = (tensor.size(2, rows as i64) as usize, tensor.size(3, columns as i64) as usize);
+    let fits = tensor.shape.len() == 4 && tensor.size(0, 1) == 1 && size == (rows, columns);
+    match tensor.float {
+        Some(float) if whole && fits && (2..=MAX_PLANES).contains(&planes) => {
+            Ok(Port { name: tensor.name.clone(), float, shape: [1, planes, rows, columns] })
+        }
+        _ => {
+            let needed = format!(
+                "Tensor<f32>(1, 2 to {MAX_PLANES}, {rows}, {columns}), or the same of f16, a quarter of a camera whose \
+                 width and height are multiples of {REDUCTION}, at least {}; the camera gives {width}x{height}",
+                2 * REDUCTION
+            );
+            Err(NetworkError::Tensor { role: "cost volume", found: tensor.text(), needed })
+        }
+    }
 }
 
 fn size_error(model: (usize, usize), camera: (usize, usize)) -> NetworkError {
@@ -164,7 +199,7 @@ fn size_error(model: (usize, usize), camera: (usize, usize)) -> NetworkError {
 }
 
 fn check_kind(metadata: &impl Fn(&str) -> Option<String>, input: InputKind) -> Result<(), NetworkError> {
-    let shown = if input.takes_coarse() { "rgb+coarse" } else { "rgb" };
+    let shown = input.name();
     match metadata("kind") {
         Some(value) if value != shown => {
             let allowed = format!("`{shown}`, which is what its inputs show");
@@ -174,7 +209,10 @@ fn check_kind(metadata: &impl Fn(&str) -> Option<String>, input: InputKind) -> R
     }
 }
 
-fn check_stated_size(metadata: &impl Fn(&str) -> Option<String>, camera: (usize, usize)) -> Result<(), NetworkError> {
+pub(super) fn check_stated_size(
+    metadata: &impl Fn(&str) -> Option<String>,
+    camera: (usize, usize),
+) -> Result<(), NetworkError> {
     let stated =
         |key, default| number::<usize>(metadata, key, "a whole number of pixels").map(|n| n.unwrap_or(default));
     let size = (stated("input_width", camera.0)?, stated("input_height", camera.1)?);
@@ -193,17 +231,21 @@ fn output_kind(metadata: &impl Fn(&str) -> Option<String>, name: &str) -> Result
     }
 }
 
-fn depth_range(metadata: &impl Fn(&str) -> Option<String>) -> Result<(f32, f32), NetworkError> {
+fn depth_range(
+    metadata: &impl Fn(&str) -> Option<String>,
+    [min_key, max_key]: [&'static str; 2],
+    default: (f32, f32),
+) -> Result<(f32, f32), NetworkError> {
     let metres = "a number of metres";
-    let min = number::<f32>(metadata, "min_depth_m", metres)?.unwrap_or(DEFAULT_DEPTH_RANGE_M.0);
-    let max = number::<f32>(metadata, "max_depth_m", metres)?.unwrap_or(DEFAULT_DEPTH_RANGE_M.1);
+    let min = number::<f32>(metadata, min_key, metres)?.unwrap_or(default.0);
+    let max = number::<f32>(metadata, max_key, metres)?.unwrap_or(default.1);
     if !(min.is_finite() && min > 0.0) {
         let allowed = "a number of metres above 0".to_owned();
-        return Err(NetworkError::Metadata { key: "min_depth_m", value: min.to_string(), allowed });
+        return Err(NetworkError::Metadata { key: min_key, value: min.to_string(), allowed });
     }
     if !(max > min && max <= LARGEST_DEPTH_M) {
-        let allowed = format!("above min_depth_m = {min}, up to {LARGEST_DEPTH_M} metres");
-        return Err(NetworkError::Metadata { key: "max_depth_m", value: max.to_string(), allowed });
+        let allowed = format!("above {min_key} = {min}, up to {LARGEST_DEPTH_M} metres");
+        return Err(NetworkError::Metadata { key: max_key, value: max.to_string(), allowed });
     }
     Ok((min, max))
 }
@@ -223,13 +265,14 @@ fn number<T: std::str::FromStr>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::perception::network::bound::Float;
 
     const CAMERA: (usize, usize) = (640, 192);
 
     fn tensor(name: &str, channels: i64) -> TensorInfo {
         TensorInfo {
             name: name.to_owned(),
-            is_f32: true,
+            float: Some(Float::Single),
             shape: vec![1, channels, 192, 640],
             description: String::new(),
         }
@@ -251,9 +294,12 @@ mod tests {
 
     #[test]
     fn the_coarse_input_is_known_by_its_name_and_else_comes_second() {
-        let names = |a, b| read(&[tensor(a, 3), tensor(b, 3)], tensor("depth", 1), &[]).unwrap().input_names;
-        assert_eq!(names("Coarse", "image"), ("image".to_owned(), Some("Coarse".to_owned())));
-        assert_eq!(names("a", "b"), ("a".to_owned(), Some("b".to_owned())));
+        let names = |a, b| {
+            let spec = read(&[tensor(a, 3), tensor(b, 3)], tensor("depth", 1), &[]).unwrap();
+            spec.input_ports.into_iter().map(|port| port.name).collect::<Vec<_>>()
+        };
+        assert_eq!(names("Coarse", "image"), ["image", "Coarse"]);
+        assert_eq!(names("a", "b"), ["a", "b"]);
     }
 
     #[test]
@@ -266,6 +312,36 @@ mod tests {
     fn metadata_that_contradicts_the_inputs_is_refused() {
         let error = read(&[tensor("rgb", 3)], tensor("depth", 1), &[("kind", "rgb+coarse")]).unwrap_err();
         assert!(matches!(error, NetworkError::Metadata { key: "kind", .. }), "{error}");
+    }
+
+    fn volume(name: &str, planes: i64) -> TensorInfo {
+        TensorInfo { shape: vec![1, planes, 48, 160], ..tensor(name, 3) }
+    }
+
+    #[test]
+    fn a_volume_is_known_by_its_name_or_by_the_kind() {
+        let depth = || tensor("depth", 1);
+        let range_m = (0.3, 20.0);
+        let spec = read(&[tensor("rgb", 3), volume("cost_volume", 32)], depth(), &[]).unwrap();
+        assert_eq!(spec.input, InputKind::RgbAndVolume { planes: 32, range_m });
+        assert_eq!(spec.input_ports[1].shape, [1, 32, 48, 160]);
+        let kind = ("kind", "rgb+volume");
+        let spec = read(&[tensor("rgb", 3), volume("x", 64)], depth(), &[kind, ("volume_max_depth_m", "10")]).unwrap();
+        assert_eq!(spec.input, InputKind::RgbAndVolume { planes: 64, range_m: (0.3, 10.0) });
+        let error = read(&[tensor("rgb", 3), volume("volume", 32)], depth(), &[("kind", "rgb+coarse")]).unwrap_err();
+        assert!(matches!(error, NetworkError::Metadata { key: "kind", .. }), "{error}");
+    }
+
+    #[test]
+    fn a_volume_of_another_size_or_with_an_open_number_of_planes_is_refused() {
+        for shape in [vec![1, -1, 48, 160], vec![1, 1, 48, 160], vec![1, 32, 192, 640], vec![1, 32, 48]] {
+            let volume = TensorInfo { shape, ..volume("volume", 32) };
+            let error = read(&[tensor("rgb", 3), volume], tensor("depth", 1), &[]).unwrap_err();
+            assert!(matches!(error, NetworkError::Tensor { role: "cost volume", .. }), "{error}");
+        }
+        let error =
+            read(&[tensor("rgb", 3), volume("volume", 32)], tensor("depth", 1), &[("volume_min_depth_m", "-1")]);
+        assert!(matches!(error, Err(NetworkError::Metadata { key: "volume_min_depth_m", .. })));
     }
 
     #[test]

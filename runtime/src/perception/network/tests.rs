@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-use hal::{DepthMap, ImageView};
+use hal::{CameraModel, DepthMap, ImageView, PixelFormat, Pose3};
 use ort::environment::Environment;
 
 use super::*;
@@ -32,7 +32,11 @@ fn model(name: &str) -> Vec<u8> {
 }
 
 fn load(name: &str) -> Result<DepthNetwork, NetworkError> {
-    DepthNetwork::load(&ONNX_RUNTIME, &model(name), SIZE, NetworkOptions::default())
+    DepthNetwork::load(&ONNX_RUNTIME, &model(name), &camera(SIZE), NetworkOptions::default())
+}
+
+fn camera((width, height): (usize, usize)) -> CameraModel {
+    CameraModel::pinhole(width, height, std::f64::consts::FRAC_PI_2)
 }
 
 fn plain(colour: [u8; 3]) -> Vec<u8> {
@@ -56,7 +60,7 @@ fn assert_close(found: f32, expected: f32) {
 fn every_pixel_has_the_depth_that_the_disparity_formula_gives_its_own_colour() {
     let mut network = load("mean").unwrap();
     let bytes: Vec<u8> = (0..3 * PIXELS).map(|i| (i * 37 % 256) as u8).collect();
-    let estimate = network.estimate(view(&bytes), None).unwrap();
+    let estimate = network.estimate(view(&bytes), &Pose3::identity(), None).unwrap();
     for (pixel, &depth) in bytes.chunks_exact(3).zip(estimate.depth.values()) {
         let mean = pixel.iter().map(|&byte| f32::from(byte) / 255.0).sum::<f32>() / 3.0;
         assert_close(depth, depth_of(mean, DEFAULT_DEPTH_RANGE_M));
@@ -68,7 +72,8 @@ fn every_pixel_has_the_depth_that_the_disparity_formula_gives_its_own_colour() {
 fn black_is_the_far_end_and_white_the_near_end_of_the_models_own_range() {
     let mut network = load("mean_1_to_5_m").unwrap();
     assert_eq!(network.spec().version.as_deref(), Some("fixture-7"));
-    let mut depth = |colour| network.estimate(view(&plain(colour)), None).unwrap().depth.get(3, 2).unwrap();
+    let mut depth =
+        |colour| network.estimate(view(&plain(colour)), &Pose3::identity(), None).unwrap().depth.get(3, 2).unwrap();
     assert_close(depth([0; 3]), 5.0);
     assert_close(depth([255; 3]), 1.0);
 }
@@ -77,7 +82,7 @@ fn black_is_the_far_end_and_white_the_near_end_of_the_models_own_range() {
 fn red_green_and_blue_arrive_in_this_order() {
     let mut network = load("weighted").unwrap();
     for (colour, x) in [([255, 0, 0], 0.1), ([0, 255, 0], 0.2), ([0, 0, 255], 0.4), ([51, 102, 204], 0.42)] {
-        let estimate = network.estimate(view(&plain(colour)), None).unwrap();
+        let estimate = network.estimate(view(&plain(colour)), &Pose3::identity(), None).unwrap();
         assert_close(estimate.depth.get(0, 0).unwrap(), depth_of(x, DEFAULT_DEPTH_RANGE_M));
     }
 }
@@ -85,17 +90,17 @@ fn red_green_and_blue_arrive_in_this_order() {
 #[test]
 fn a_model_that_says_depth_is_taken_at_its_word_within_its_range() {
     let mut network = load("metres").unwrap();
-    let estimate = network.estimate(view(&plain([9, 51, 7])), None).unwrap();
+    let estimate = network.estimate(view(&plain([9, 51, 7])), &Pose3::identity(), None).unwrap();
     assert_close(estimate.depth.get(7, 3).unwrap(), 2.2);
     // 2 + 1 m is beyond the 2.8 m that it promises.
-    assert_eq!(network.estimate(view(&plain([0, 255, 0])), None), Err(NoDepth::NetworkOutput));
+    assert_eq!(network.estimate(view(&plain([0, 255, 0])), &Pose3::identity(), None), Err(NoDepth::NetworkOutput));
 }
 
 #[test]
 fn open_sizes_in_the_model_are_filled_in_by_the_camera() {
     let mut network = load("any_size").unwrap();
     assert_eq!(network.spec().size, SIZE);
-    assert!(network.estimate(view(&plain([10; 3])), None).is_ok());
+    assert!(network.estimate(view(&plain([10; 3])), &Pose3::identity(), None).is_ok());
 }
 
 fn coarse_with_a_hole() -> DepthEstimate {
@@ -112,7 +117,7 @@ fn coarse_depth_goes_through_a_model_that_hands_it_on() {
     for name in ["coarse_second_input", "coarse_six_channels"] {
         let mut network = load(name).unwrap();
         assert!(network.spec().input.takes_coarse());
-        let estimate = network.estimate(view(&plain([128; 3])), Some(&coarse)).unwrap();
+        let estimate = network.estimate(view(&plain([128; 3])), &Pose3::identity(), Some(&coarse)).unwrap();
         for (pixel, &depth) in coarse.depth.values().iter().enumerate() {
             assert_close(estimate.depth.values()[pixel], if depth > 0.0 { depth } else { 20.0 });
         }
@@ -128,8 +133,8 @@ fn coarse_depth_changes_nothing_for_a_model_that_takes_none() {
     let mut network = load("mean").unwrap();
     assert_eq!(network.last(), &DepthEstimate::none(SIZE.0, SIZE.1), "nothing is left of the try at loading");
     let frame = plain([128, 64, 32]);
-    let without = network.estimate(view(&frame), None).unwrap().clone();
-    assert_eq!(network.estimate(view(&frame), Some(&coarse_with_a_hole())), Ok(&without));
+    let without = network.estimate(view(&frame), &Pose3::identity(), None).unwrap().clone();
+    assert_eq!(network.estimate(view(&frame), &Pose3::identity(), Some(&coarse_with_a_hole())), Ok(&without));
     assert_eq!(network.last(), &without);
 }
 
@@ -138,9 +143,9 @@ fn the_confidence_of_coarse_depth_arrives_and_none_means_zero() {
     let mut network = load("coarse_confidence").unwrap();
     let frame = plain([128; 3]);
     let coarse = coarse_with_a_hole();
-    let with = network.estimate(view(&frame), Some(&coarse)).unwrap().depth.get(0, 0).unwrap();
+    let with = network.estimate(view(&frame), &Pose3::identity(), Some(&coarse)).unwrap().depth.get(0, 0).unwrap();
     assert_close(with, depth_of(0.75, DEFAULT_DEPTH_RANGE_M));
-    let without = network.estimate(view(&frame), None).unwrap().depth.get(0, 0).unwrap();
+    let without = network.estimate(view(&frame), &Pose3::identity(), None).unwrap().depth.get(0, 0).unwrap();
     assert_close(without, 20.0);
 }
 
@@ -148,9 +153,16 @@ fn the_confidence_of_coarse_depth_arrives_and_none_means_zero() {
 fn nan_and_values_out_of_range_give_no_depth_and_are_counted() {
     for name in ["nan_at_full_red", "above_one_at_full_red"] {
         let mut network = load(name).unwrap();
-        assert_eq!(network.estimate(view(&plain([255, 0, 0])), None), Err(NoDepth::NetworkOutput), "{name}");
+        assert_eq!(
+            network.estimate(view(&plain([255, 0, 0])), &Pose3::identity(), None),
+            Err(NoDepth::NetworkOutput),
+            "{name}"
+        );
         assert_eq!(network.refused(), 1);
-        assert!(network.estimate(view(&plain([100, 0, 0])), None).is_ok(), "{name}: the next picture is a new one");
+        assert!(
+            network.estimate(view(&plain([100, 0, 0])), &Pose3::identity(), None).is_ok(),
+            "{name}: the next picture is a new one"
+        );
         assert_eq!(network.refused(), 1);
     }
 }
@@ -160,9 +172,13 @@ fn a_picture_or_coarse_depth_of_another_size_is_refused() {
     let mut network = load("coarse_six_channels").unwrap();
     let grey = vec![0; PIXELS];
     let wrong = [
-        ImageView::rgb8(4, 8, &plain([0; 3])).map(|frame| network.estimate(frame, None).cloned()).unwrap(),
-        ImageView::new(8, 4, PixelFormat::Gray8, &grey).map(|frame| network.estimate(frame, None).cloned()).unwrap(),
-        network.estimate(view(&plain([0; 3])), Some(&DepthEstimate::none(4, 8))).cloned(),
+        ImageView::rgb8(4, 8, &plain([0; 3]))
+            .map(|frame| network.estimate(frame, &Pose3::identity(), None).cloned())
+            .unwrap(),
+        ImageView::new(8, 4, PixelFormat::Gray8, &grey)
+            .map(|frame| network.estimate(frame, &Pose3::identity(), None).cloned())
+            .unwrap(),
+        network.estimate(view(&plain([0; 3])), &Pose3::identity(), Some(&DepthEstimate::none(4, 8))).cloned(),
     ];
     assert!(wrong.iter().all(|result| *result == Err(NoDepth::FrameSize)));
     assert_eq!(network.refused(), 3);
@@ -170,7 +186,8 @@ fn a_picture_or_coarse_depth_of_another_size_is_refused() {
 
 #[test]
 fn bytes_that_are_no_model_are_refused_by_name() {
-    let refuse = |bytes: &[u8]| DepthNetwork::load(&ONNX_RUNTIME, bytes, SIZE, NetworkOptions::default()).unwrap_err();
+    let refuse =
+        |bytes: &[u8]| DepthNetwork::load(&ONNX_RUNTIME, bytes, &camera(SIZE), NetworkOptions::default()).unwrap_err();
     for (bytes, word) in [
         (&b""[..], "empty"),
         (b"PK\x03\x04rest", "PyTorch"),
@@ -187,9 +204,9 @@ fn bytes_that_are_no_model_are_refused_by_name() {
 fn a_model_that_is_cut_anywhere_is_refused_or_harmless() {
     let whole = model("weighted");
     for length in 0..whole.len() {
-        let cut = DepthNetwork::load(&ONNX_RUNTIME, &whole[..length], SIZE, NetworkOptions::default());
+        let cut = DepthNetwork::load(&ONNX_RUNTIME, &whole[..length], &camera(SIZE), NetworkOptions::default());
         if let Ok(mut network) = cut {
-            assert!(network.estimate(view(&plain([51; 3])), None).is_ok());
+            assert!(network.estimate(view(&plain([51; 3])), &Pose3::identity(), None).is_ok());
         }
     }
 }
@@ -218,7 +235,8 @@ fn unfit_models_are_refused_with_what_was_found_and_what_is_needed() {
 
 #[test]
 fn a_model_for_another_camera_is_refused_with_both_sizes() {
-    let error = DepthNetwork::load(&ONNX_RUNTIME, &model("mean"), (640, 192), NetworkOptions::default()).unwrap_err();
+    let error =
+        DepthNetwork::load(&ONNX_RUNTIME, &model("mean"), &camera((640, 192)), NetworkOptions::default()).unwrap_err();
     let text = error.to_string();
     assert!(text.contains("8x4") && text.contains("640x192"), "{text}");
 }
@@ -229,9 +247,9 @@ fn depth_is_the_same_bit_for_bit_on_every_run_and_any_number_of_threads() {
     let bytes: Vec<u8> = (0..3 * width * height).map(|i| (i * 7919 / 13 % 256) as u8).collect();
     let frame = ImageView::rgb8(width, height, &bytes).unwrap();
     let depth = |threads, runs| {
-        let options = NetworkOptions { threads };
-        let mut network = DepthNetwork::load(&ONNX_RUNTIME, &model("deep"), (width, height), options).unwrap();
-        (0..runs).map(|_| network.estimate(frame, None).unwrap().clone()).collect::<Vec<_>>()
+        let options = NetworkOptions { threads, ..NetworkOptions::default() };
+        let mut network = DepthNetwork::load(&ONNX_RUNTIME, &model("deep"), &camera((width, height)), options).unwrap();
+        (0..runs).map(|_| network.estimate(frame, &Pose3::identity(), None).unwrap().clone()).collect::<Vec<_>>()
     };
     let reference = depth(1, 1).remove(0);
     assert!(reference.depth.values().windows(2).any(|pair| pair[0] != pair[1]), "a constant would prove nothing");
@@ -251,4 +269,127 @@ fn the_digest_is_that_of_the_models_bytes() {
 fn a_network_can_move_to_the_thread_that_runs_it() {
     fn assert_send<T: Send>() {}
     assert_send::<DepthNetwork>();
+}
+
+#[test]
+fn sixteen_bit_inputs_and_outputs_give_the_same_depth_up_to_their_rounding() {
+    let (mut single, mut half) = (load("weighted").unwrap(), load("half").unwrap());
+    let bytes: Vec<u8> = (0..3 * PIXELS).map(|i| (i * 37 % 256) as u8).collect();
+    let depth = |network: &mut DepthNetwork| network.estimate(view(&bytes), &Pose3::identity(), None).unwrap().clone();
+    let (single, half) = (depth(&mut single), depth(&mut half));
+    for (single, half) in single.depth.values().iter().zip(half.depth.values()) {
+        // 11 significant bits of x become this of a depth at most.
+        assert!((single / half - 1.0).abs() < 2e-3, "{single} {half}");
+    }
+    assert_ne!(single, half, "the fixture must have 16 bits");
+}
+
+#[test]
+fn coarse_depth_goes_through_a_sixteen_bit_input() {
+    let coarse = coarse_with_a_hole();
+    let mut network = load("half_six_channels").unwrap();
+    let estimate = network.estimate(view(&plain([128; 3])), &Pose3::identity(), Some(&coarse)).unwrap();
+    for (&found, &expected) in estimate.depth.values().iter().zip(coarse.depth.values()).filter(|&(_, &m)| m > 0.0) {
+        assert!((found / expected - 1.0).abs() < 0.05, "{found} {expected}");
+    }
+}
+
+#[test]
+fn the_cost_volume_arrives_and_tells_a_moved_picture_from_a_still_one() {
+    let size = (32, 16);
+    let mut network =
+        DepthNetwork::load(&ONNX_RUNTIME, &model("volume"), &camera(size), NetworkOptions::default()).unwrap();
+    assert_eq!(network.spec().input, InputKind::RgbAndVolume { planes: 4, range_m: (0.5, 10.0) });
+    let striped: Vec<u8> =
+        (0..3 * size.0 * size.1).map(|i| if i / 3 % size.0 / 8 % 2 == 0 { 10 } else { 250 }).collect();
+    let frame = ImageView::rgb8(size.0, size.1, &striped).unwrap();
+    let mut nearest = |x_m: f64| {
+        let estimate = network.estimate(frame, &Pose3::translation(x_m, 0.0, 0.0), None).unwrap();
+        estimate.depth.values().iter().copied().fold(f32::INFINITY, f32::min)
+    };
+    // No earlier picture: no cost, the far end of the network's range.
+    assert_close(nearest(0.0), 20.0);
+    // The same picture from elsewhere cannot be 0.5 m away.
+    assert!(nearest(0.15) < 1.0);
+}
+
+#[test]
+fn a_pose_that_is_not_finite_is_refused_where_it_is_needed() {
+    let size = (32, 16);
+    let mut network =
+        DepthNetwork::load(&ONNX_RUNTIME, &model("volume"), &camera(size), NetworkOptions::default()).unwrap();
+    let bytes = vec![0; 3 * size.0 * size.1];
+    let frame = ImageView::rgb8(size.0, size.1, &bytes).unwrap();
+    let nowhere = Pose3::translation(f64::NAN, 0.0, 0.0);
+    assert_eq!(network.estimate(frame, &nowhere, None), Err(NoDepth::PoseNotFinite));
+    assert!(load("mean").unwrap().estimate(view(&plain([9; 3])), &nowhere, None).is_ok());
+}
+
+#[test]
+fn a_provider_that_the_library_lacks_is_an_error_that_names_what_there_is() {
+    let refused = [Provider::Xnnpack, Provider::Cuda, Provider::TensorRt].into_iter().filter_map(|provider| {
+        let options = NetworkOptions { provider, ..NetworkOptions::default() };
+        let loaded = DepthNetwork::load(&ONNX_RUNTIME, &model("mean"), &camera(SIZE), options);
+        Some((provider, loaded.err()?.to_string()))
+    });
+    for (provider, text) in refused {
+        // A library with GPU support on a computer without a GPU gets one step further.
+        let said = text.contains("it has: cpu") || text.contains("does not start");
+        assert!(said && text.contains(provider.name()), "{text}");
+    }
+}
+
+fn load_flow(name: &str) -> Result<FlowNetwork, NetworkError> {
+    FlowNetwork::load(&ONNX_RUNTIME, &model(name), SIZE, NetworkOptions::default())
+}
+
+/// The flow everywhere, from a plain picture to another.
+fn flow(name: &str, from: [u8; 3], to: [u8; 3]) -> [f32; 2] {
+    let mut network = load_flow(name).unwrap();
+    let field = network.estimate(view(&plain(from)), view(&plain(to))).unwrap();
+    let first = field.values()[0];
+    assert!(field.values().iter().all(|flow| flow.map(f32::to_bits) == first.map(f32::to_bits)));
+    first
+}
+
+#[test]
+fn flow_comes_in_pixels_and_each_picture_goes_to_its_own_input() {
+    assert_eq!(load_flow("flow").unwrap().spec().version.as_deref(), Some("constant"));
+    assert_eq!(flow("flow", [0; 3], [0; 3]), [2.5, -1.25]);
+    // x is red of the first, y ten times green of the second.
+    assert_eq!(flow("flow", [255, 0, 0], [0, 51, 0]), [3.5, 0.75]);
+}
+
+#[test]
+fn the_metadata_says_how_bright_white_is_and_where_flow_starts() {
+    let [x, y] = flow("flow_bytes", [5, 0, 0], [0; 3]);
+    assert_eq!([x, y], [5.0, 0.0]);
+    // The model's second input is the picture to start from: it sees red 0 (-1) in `to`, green 140 (0.098) in `from`.
+    let [x, y] = flow("flow_signed_backwards", [0, 140, 0], [0; 3]);
+    assert_close(x, -1.0);
+    assert_close(y, 10.0 * (2.0 * 140.0 / 255.0 - 1.0));
+}
+
+#[test]
+fn a_match_farther_away_than_the_picture_is_large_is_none() {
+    assert_eq!(flow("flow_far", [51, 0, 0], [0; 3]), [7.7, 0.0]);
+    assert!(flow("flow_far", [255, 0, 0], [0; 3]).iter().all(|flow| flow.is_nan()));
+}
+
+#[test]
+fn flow_models_that_do_not_fit_are_refused_with_what_is_needed() {
+    for (name, words) in [
+        ("flow_range_unknown", ["input_range = `0..2`", "`-1..1`"]),
+        ("flow_from_nowhere", ["from = `left`", "`image1`, `image2`"]),
+        ("flow_nan", ["NaN", "grey picture"]),
+        ("mean", ["1 tensors", "two pictures"]),
+        ("coarse_second_input", ["kind = `rgb+coarse`", "`flow`"]),
+    ] {
+        let text = load_flow(name).expect_err(name).to_string();
+        assert!(words.iter().all(|word| text.contains(word)), "{name}: {text}");
+    }
+    let mut network = load_flow("flow").unwrap();
+    let small = vec![0; 3 * 4 * 4];
+    let small = ImageView::rgb8(4, 4, &small).unwrap();
+    assert_eq!(network.estimate(view(&plain([0; 3])), small), Err(NoDepth::FrameSize));
 }

@@ -1,0 +1,98 @@
+"""Exported files: what they say, and that ONNX Runtime agrees with PyTorch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import onnx
+import pytest
+import torch
+
+from embodied_depth_trainer.cli import main
+from embodied_depth_trainer.export_depth import DEPTH_NETWORKS, DepthExport, build
+from embodied_depth_trainer.networks import Edn, Monodepth2
+
+
+def metadata(file: Path) -> dict[str, str]:
+    return {entry.key: entry.value for entry in onnx.load(str(file)).metadata_props}
+
+
+@pytest.mark.parametrize("network", DEPTH_NETWORKS)
+def test_a_depth_file_says_what_the_robot_needs_to_know(network: str, tmp_path: Path) -> None:
+    out = tmp_path / "depth.onnx"
+    size = ["--size", "32x64", "--depth-range", "0.3", "10"]
+    assert main(["export-depth", "--network", network, "--random", *size, "--out", str(out)]) == 0
+    model = onnx.load(str(out))
+    names = [value.name for value in model.graph.input]
+    said = metadata(out)
+    assert said["kind"] == "+".join(names) == ("rgb" if network == "monodepth2_r18" else "rgb+coarse")
+    assert (said["output"], said["min_depth_m"], said["max_depth_m"]) == ("disparity", "0.3", "10.0")
+    assert (said["input_width"], said["input_height"], said["opset"]) == ("64", "32", "17")
+    assert said["weights"] == "random"
+    assert float(said["parity_max_abs"]) < 1e-4
+    assert [path.name for path in tmp_path.iterdir()] == ["depth.onnx"]
+
+
+def test_a_flow_file_says_what_the_robot_needs_to_know(tmp_path: Path) -> None:
+    out = tmp_path / "flow.onnx"
+    arguments = ["--random", "--size", "128x136", "--iterations", "1", "--out", str(out)]
+    assert main(["export-flow", "--network", "raft_small", *arguments]) == 0
+    model = onnx.load(str(out))
+    shapes = [
+        [d.dim_value for d in value.type.tensor_type.shape.dim] for value in (*model.graph.input, *model.graph.output)
+    ]
+    assert shapes == [[1, 3, 128, 136], [1, 3, 128, 136], [1, 2, 128, 136]]
+    said = metadata(out)
+    assert (said["kind"], said["input_range"], said["weights"], said["iterations"]) == ("flow", "0..1", "random", "1")
+
+
+def test_weights_of_a_file_come_back(tmp_path: Path) -> None:
+    torch.manual_seed(1)
+    network = Monodepth2()
+    file = tmp_path / "weights.pth"
+    torch.save(network.state_dict(), file)
+    loaded = build(DepthExport("monodepth2_r18", (32, 32), weights=file))
+    picture = torch.rand(1, 3, 32, 32)
+    with torch.no_grad():
+        assert torch.equal(loaded(picture), network.eval()(picture))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["export-depth", "--network", "edn_r18", "--random", "--size", "30x64"], "multiples of 32"),
+        (["export-depth", "--network", "edn_r18"], "--weights FILE or --random"),
+        (["export-depth", "--network", "edn_r18", "--random", "--depth-range", "5", "1"], "0 < MIN_M < MAX_M"),
+        (["export-flow", "--network", "raft_small", "--random", "--size", "64x64"], "at least 128"),
+        (["export-flow", "--network", "raft_small", "--weights", "/nowhere/raft.pth"], "does not exist"),
+    ],
+)
+def test_impossible_wishes_are_refused_with_the_way_out(
+    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.onnx"
+    assert main([*arguments, "--out", str(out)]) == 1
+    assert words in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_addition_and_concatenation_have_the_sizes_that_the_paper_gives() -> None:
+    def millions(network: torch.nn.Module) -> float:
+        return sum(weight.numel() for weight in network.parameters()) / 1e6
+
+    # The published numbers count ImageNet's last layer in every encoder, which no depth network uses.
+    unused = 0.513
+    assert millions(Monodepth2()) + unused == pytest.approx(14.84, abs=0.02)
+    assert millions(Edn("add")) + 2 * unused == pytest.approx(26.5, abs=0.1)
+    assert millions(Edn("concat")) + 2 * unused == pytest.approx(28.5, abs=0.1)
+
+
+def test_coarse_depth_changes_the_depth() -> None:
+    torch.manual_seed(0)
+    network = Edn("add").eval()
+    picture = torch.rand(1, 3, 32, 32)
+    with torch.no_grad():
+        without, with_coarse = network(picture, torch.zeros(1, 3, 32, 32)), network(picture, torch.ones(1, 3, 32, 32))
+    assert without.shape == (1, 1, 32, 32)
+    assert not torch.equal(without, with_coarse)
+    assert 0.0 <= float(without.min()) <= float(without.max()) <= 1.0

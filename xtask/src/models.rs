@@ -1,0 +1,56 @@
+//! `cargo xtask models`: exports the networks that benchmarks run, with the project's own trainer.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+
+use crate::{command, onnx_runtime, paths};
+
+/// What benchmarks time: names of the files, and how each is made. Random weights take as long as trained ones.
+const MODELS: [(&str, &[&str]); 4] = [
+    ("monodepth2_r18", &["export-depth", "--network", "monodepth2_r18", "--random"]),
+    ("edn_r18", &["export-depth", "--network", "edn_r18", "--random"]),
+    ("raft_small_12", &["export-flow", "--network", "raft_small", "--random"]),
+    ("raft_large_12", &["export-flow", "--network", "raft_large", "--random"]),
+];
+
+/// The folder with the exported networks.
+pub fn folder() -> PathBuf {
+    paths::target().join("models")
+}
+
+/// Exports every network that is not there yet. The first time, PyTorch (5 GB) is installed into the target directory.
+///
+/// # Errors
+/// When the trainer cannot be installed or an export fails.
+pub fn run() -> Result<()> {
+    let missing = MODELS.iter().filter(|(name, _)| !file(name).is_file()).collect::<Vec<_>>();
+    if missing.is_empty() {
+        println!("all networks are in {}", folder().display());
+        return Ok(());
+    }
+    let trainer = install_trainer()?;
+    for (name, arguments) in missing {
+        command::run(command::program(&trainer).args(*arguments).arg("--out").arg(file(name)))?;
+    }
+    Ok(())
+}
+
+fn file(name: &str) -> PathBuf {
+    folder().join(name).with_extension("onnx")
+}
+
+/// The trainer's own virtual environment.
+fn install_trainer() -> Result<PathBuf> {
+    let environment = paths::target().join("tools/trainer");
+    let trainer = environment.join("bin/embodied-depth");
+    if !command::works(command::program(&trainer).arg("--help")) {
+        eprintln!("installing PyTorch (5 GB) into {}, once; this takes some minutes", environment.display());
+        command::run(onnx_runtime::python()?.args(["-m", "venv"]).arg(&environment))
+            .context("python3 has no venv; `apt-get install python3-venv` may help")?;
+        let mut pip = command::program(environment.join("bin/python"));
+        pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--editable"]);
+        command::run(pip.arg(paths::root().join("tools/trainer")))?;
+    }
+    Ok(trainer)
+}
