@@ -46,7 +46,7 @@ pub struct MapConfig {
     pub clear_range_m: f32,
     /// Clearing stops this share of the distance in front of an obstacle: depth is noisy, and more so far away.
     pub clear_margin: f32,
-    /// Depth with less confidence is not used.
+    /// Depth that is less probably right stays out of the map.
     pub min_confidence: f32,
     /// Every so many columns of the depth picture are used.
     pub stride_u: usize,
@@ -86,7 +86,7 @@ impl Default for MapConfig {
             mark_range_m: 2.0,
             clear_range_m: 2.0,
             clear_margin: 0.05,
-            min_confidence: 0.5,
+            min_confidence: 0.8,
             stride_u: 4,
             stride_v: 2,
             min_points: 3,

@@ -17,6 +17,10 @@ use super::{CoarseConfig, DepthEstimate, NoDepth, PerceptionError};
 /// Depth that parallax is predicted for before any was seen, metres.
 const FIRST_SCENE_DEPTH_M: f64 = 2.0;
 
+/// A cell with more hypotheses than this that no reference sees has nothing to compare: it has just come into view, and what
+/// is left to choose from is near.
+const MOST_UNSEEN: u8 = PLANES as u8 / 4;
+
 /// Plane sweep (Collins 1996) over cells of 4x4 pixels: census descriptors of up to three earlier pictures, chosen by the parallax that
 /// they promise, are compared over inverse-depth hypotheses, aggregated semi-globally, and the result votes on what is
 /// remembered from the pictures before. Deterministic on any number of threads.
@@ -45,6 +49,7 @@ struct Buffers {
     corners: Corners,
     grey: Vec<u16>,
     costs: Vec<[u8; PLANES]>,
+    unseen: Vec<u8>,
     down: Vec<[i16; PLANES]>,
     up: Vec<[i16; PLANES]>,
     paths_down: PathRows,
@@ -77,6 +82,7 @@ impl CoarseDepth {
         let buffers = Buffers {
             grey: vec![0; pixels],
             costs: vec![[0; PLANES]; pixels],
+            unseen: vec![0; pixels],
             down: vec![[0; PLANES]; pixels],
             up: vec![[0; PLANES]; pixels],
             votes: vec![Vote::default(); pixels],
@@ -166,7 +172,7 @@ impl CoarseDepth {
     }
 
     fn match_against(&mut self, chosen: &[usize], pose: &Pose3) {
-        let Buffers { corners, grey, costs, down, up, paths_down, paths_up, votes, .. } = &mut self.buffers;
+        let Buffers { corners, grey, costs, unseen, down, up, paths_down, paths_up, votes, .. } = &mut self.buffers;
         let (picture, inverse_depth, width) = (&self.picture, &self.inverse_depth, self.cells.width);
         if self.config.refine_rotation {
             corners.find(picture);
@@ -180,7 +186,7 @@ impl CoarseDepth {
             Some(Reference::new(&keyframe.census, &t, &self.descriptors))
         };
         let references: Vec<Reference<'_>> = chosen.iter().filter_map(reference).collect();
-        sweep(picture, &references, inverse_depth, costs);
+        sweep(picture, &references, inverse_depth, costs, unseen);
         shrink(picture, width, grey);
         let (small, large) = (self.config.penalty_small, self.config.penalty_large);
         let volume = Volume { costs, width, grey, small, large };
@@ -193,6 +199,9 @@ impl CoarseDepth {
             volume.horizontal(row, sums);
             winners(sums, &volume.costs[row * width..], inverse_depth, votes);
             for (column, vote) in votes.iter_mut().enumerate() {
+                if unseen[row * width + column] > MOST_UNSEEN {
+                    continue;
+                }
                 let (u, v) = ((CELL * column) as f32, (CELL * row) as f32);
                 let parallax_px = |r: &Reference<'_>| r.parallax_px(u, v, vote.inverse_depth);
                 vote.parallax_px = references.iter().filter_map(parallax_px).fold(0.0, f32::max);

@@ -114,15 +114,18 @@ pub fn nearest(x: f32) -> i32 {
     (x + MAGIC).to_bits().wrapping_sub(MAGIC.to_bits()) as i32
 }
 
-/// Fills `volume` (rows x columns of cells x planes) with the fused cost of up to [`MAX_REFERENCES`].
+/// Fills `volume` (rows x columns of cells x planes) with the fused cost of up to [`MAX_REFERENCES`], and `unseen` (rows x
+/// columns) with the number of hypotheses that no reference sees.
 pub fn sweep(
     picture: &CensusImage,
     references: &[Reference<'_>],
     inverse_depth: &[f32; PLANES],
     volume: &mut [[u8; PLANES]],
+    unseen: &mut [u8],
 ) {
-    let lines = volume.par_chunks_exact_mut(picture.width / CELL).enumerate();
-    lines.for_each(|(row, line)| sweep_row(picture, references, inverse_depth, row, line));
+    let columns = picture.width / CELL;
+    let lines = volume.par_chunks_exact_mut(columns).zip(unseen.par_chunks_exact_mut(columns)).enumerate();
+    lines.for_each(|(row, (line, unseen))| sweep_row(picture, references, inverse_depth, row, line, unseen));
 }
 
 #[multiversion(targets("x86_64+avx2+bmi1+bmi2+popcnt"))]
@@ -132,22 +135,25 @@ fn sweep_row<'a>(
     inverse_depth: &[f32; PLANES],
     row: usize,
     line: &mut [[u8; PLANES]],
+    unseen: &mut [u8],
 ) {
     let mut each = [[OUTSIDE; PLANES]; MAX_REFERENCES];
-    for (column, out) in line.iter_mut().enumerate() {
+    for (column, (out, unseen)) in line.iter_mut().zip(unseen).enumerate() {
         let first = CELL * row * picture.width + CELL * column;
         let descriptors = TAPS.map(|(dx, dy)| picture.descriptors[first + dy * picture.width + dx]);
         let (u, v) = ((CELL * column) as f32, (CELL * row) as f32);
         for (reference, bits) in references.iter().zip(&mut each) {
             reference.match_cell(u, v, &descriptors, inverse_depth, bits);
         }
-        fuse(&each, out);
+        *unseen = fuse(&each, out);
     }
 }
 
-/// Mean over the references that see a hypothesis, without the worst of three: there it may be hidden.
+/// Mean over the references that see a hypothesis, without the worst of three: there it may be hidden. Returns how many
+/// hypotheses nobody sees.
 #[inline(always)]
-fn fuse(each: &[[u8; PLANES]; MAX_REFERENCES], out: &mut [u8; PLANES]) {
+fn fuse(each: &[[u8; PLANES]; MAX_REFERENCES], out: &mut [u8; PLANES]) -> u8 {
+    let mut unseen = 0_u8;
     for (plane, out) in out.iter_mut().enumerate() {
         let (mut sum, mut count, mut worst) = (0_u8, 0_u8, 0_u8);
         for bits in each {
@@ -161,7 +167,9 @@ fn fuse(each: &[[u8; PLANES]; MAX_REFERENCES], out: &mut [u8; PLANES]) {
         let kept = if count == 3 { sum.wrapping_sub(worst) } else { sum };
         let cost = if count == 1 { kept << 1 } else { kept };
         *out = if count == 0 { UNSEEN } else { cost };
+        unseen = unseen.wrapping_add(u8::from(count == 0));
     }
+    unseen
 }
 
 #[cfg(test)]
@@ -194,7 +202,7 @@ mod tests {
         assert_eq!(out[0], 10);
         fuse(&[[4; PLANES], [OUTSIDE; PLANES], [OUTSIDE; PLANES]], &mut out);
         assert_eq!(out[0], 8);
-        fuse(&[[OUTSIDE; PLANES]; 3], &mut out);
+        assert_eq!(fuse(&[[OUTSIDE; PLANES]; 3], &mut out), PLANES as u8);
         assert_eq!(out[0], UNSEEN);
     }
 
