@@ -5,6 +5,7 @@ mod census;
 mod coarse;
 mod config;
 mod estimate;
+pub mod flow;
 mod fusion;
 mod keyframes;
 pub mod least_squares;
