@@ -62,7 +62,7 @@ pub enum FlowError {
     },
     /// A picture or a field has another size than the engine was made for.
     #[error(
-        "flow: {what} is {width}x{height}, the engine {want_width}x{want_height}; resample it or make another engine"
+        "flow: {what} is {width}x{height}, {want_width}x{want_height} is needed; resample it or make an engine of its size"
     )]
     Size {
         /// What has the wrong size.
@@ -84,6 +84,14 @@ pub enum FlowError {
         /// Its format.
         format: hal::PixelFormat,
     },
+}
+
+impl FlowError {
+    /// Refuses a `size` (columns, rows) that is not the wanted one.
+    pub(super) fn check_size(what: &'static str, size: (usize, usize), want: (usize, usize)) -> Result<(), Self> {
+        let ((width, height), (want_width, want_height)) = (size, want);
+        if size == want { Ok(()) } else { Err(Self::Size { what, width, height, want_width, want_height }) }
+    }
 }
 
 impl FlowConfig {

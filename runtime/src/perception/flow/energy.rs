@@ -4,14 +4,14 @@ use multiversion::multiversion;
 
 use super::plane::Plane;
 
-/// Weights of smoothness, brightness and gradient, as in OpenCV's `DISOpticalFlow`.
-const SMOOTHNESS: f32 = 20.0;
+/// Weights of smoothness, brightness and gradient: OpenCV's `DISOpticalFlow` has 20, 5 and 10.
+const SMOOTHNESS: f32 = 25.0;
 const BRIGHTNESS: f32 = 5.0;
 const GRADIENT: f32 = 10.0;
-/// The robust penalty is quadratic below.
-const EPSILON: f32 = 0.001;
-/// Keeps the normalisation finite without texture, grey levels a pixel.
-const ZETA: f32 = 0.1;
+/// The robust penalties are quadratic below, pixels and grey levels.
+const EPSILON: f32 = 0.003;
+/// Gradients below are noise: their terms are not scaled up to count like others, grey levels a pixel.
+const ZETA: f32 = 0.5;
 /// Full sweeps of relaxation for each iteration, and how far each overshoots.
 pub const SWEEPS: usize = 5;
 const OMEGA: f32 = 1.6;

@@ -5,22 +5,28 @@
 
 mod config;
 mod densify;
+mod derotated;
 mod energy;
 mod enlarge;
 mod field;
 mod plane;
+mod predict;
 mod pyramid;
 mod search;
 mod split;
+#[cfg(test)]
+mod tests;
 mod variational;
 
 use hal::{ImageView, PixelFormat};
 
 pub use config::{FlowConfig, FlowError, FlowPreset};
 use densify::densify;
+pub use derotated::DerotatedFlow;
 use enlarge::enlarge;
 pub use field::FlowField;
 use plane::Plane;
+pub use predict::{DepthGuess, predicted_flow};
 use pyramid::Pyramid;
 use search::{PatchGrid, SearchInput};
 use variational::Variational;
@@ -85,7 +91,7 @@ impl DenseFlow {
     }
 
     /// For every pixel of `from`, where it is in `to`. A good `initial` flow (from the last pictures, or
-    /// a predicted one) makes large motion possible; a wrong or NaN one does no harm. Always finite.
+    /// [predicted](predicted_flow)) makes large motion possible; a wrong or NaN one does no harm. Always finite.
     ///
     /// # Errors
     /// Pictures or an initial flow of another size than the engine's, pictures that are neither RGB8 nor GRAY8.
@@ -113,12 +119,7 @@ impl DenseFlow {
     }
 
     fn check_size(&self, what: &'static str, width: usize, height: usize) -> Result<(), FlowError> {
-        let (want_width, want_height) = (self.width, self.height);
-        if (width, height) == (want_width, want_height) {
-            Ok(())
-        } else {
-            Err(FlowError::Size { what, width, height, want_width, want_height })
-        }
+        FlowError::check_size(what, (width, height), (self.width, self.height))
     }
 
     fn compute(&mut self, from: ImageView<'_>, to: ImageView<'_>, initial: Option<&FlowField>) {

@@ -15,7 +15,8 @@ pub struct Pyramid {
     /// Index 0 is the full size; empty planes for scales that nobody looks at.
     pub scales: Vec<Plane>,
     finest: usize,
-    rows: [Vec<f32>; 2],
+    lines: [Vec<f32>; 4],
+    line: Vec<f32>,
 }
 
 impl Pyramid {
@@ -24,37 +25,61 @@ impl Pyramid {
             true => Plane::new(0, 0, 0),
             false => Plane::new(width >> scale, height >> scale, BORDER),
         };
-        Self { scales: (0..=coarsest).map(plane).collect(), finest, rows: [vec![0.0; width], vec![0.0; width]] }
+        Self {
+            scales: (0..=coarsest).map(plane).collect(),
+            finest,
+            lines: std::array::from_fn(|_| vec![0.0; width]),
+            line: vec![0.0; width + 2],
+        }
     }
 
     /// Fills every scale from a picture of the right size and format.
     pub fn fill(&mut self, picture: ImageView<'_>) {
-        let [upper, lower] = &mut self.rows;
         let (scales, finest) = (&mut self.scales, self.finest);
         if finest == 0 {
             for y in 0..scales[0].height {
                 grey_row(picture, y, scales[0].row_mut(y));
             }
         } else {
+            // Row y of the picture is in line y % 4.
+            let lines = &mut self.lines;
+            for y in 0..2 {
+                grey_row(picture, y, &mut lines[y]);
+            }
             for y in 0..scales[1].height {
-                grey_row(picture, 2 * y, upper);
-                grey_row(picture, 2 * y + 1, lower);
-                halve(upper, lower, scales[1].row_mut(y));
+                for next in [2 * y + 1, 2 * y + 2] {
+                    if next < picture.height() {
+                        grey_row(picture, next, &mut lines[next % 4]);
+                    }
+                }
+                let four = four_rows(y, picture.height()).map(|row| lines[row % 4].as_slice());
+                halve(four, &mut self.line, scales[1].row_mut(y));
             }
         }
-        let next = if finest == 0 { 1 } else { 2 };
-        for scale in next..scales.len() {
+        for scale in if finest == 0 { 1 } else { 2 }..scales.len() {
             let (fine, coarse) = scales.split_at_mut(scale);
             let (fine, coarse) = (&fine[scale - 1], &mut coarse[0]);
             for y in 0..coarse.height {
-                halve(fine.row(2 * y), fine.row(2 * y + 1), coarse.row_mut(y));
+                let four = four_rows(y, fine.height).map(|row| fine.row(row));
+                halve(four, &mut self.line, coarse.row_mut(y));
             }
         }
         scales[finest..].iter_mut().for_each(Plane::fill_border);
     }
 }
 
-/// Row `y` as grey levels: Rec. 601 luma.
+/// The rows that make row `y` of half the size.
+fn four_rows(y: usize, height: usize) -> [usize; 4] {
+    [(2 * y).saturating_sub(1), 2 * y, 2 * y + 1, (2 * y + 2).min(height - 1)]
+}
+
+/// Rec. 601 luma of red, green and blue.
+#[inline(always)]
+pub fn luma(rgb: &[u8]) -> f32 {
+    0.299 * f32::from(rgb[0]) + 0.587 * f32::from(rgb[1]) + 0.114 * f32::from(rgb[2])
+}
+
+/// Row `y` as grey levels.
 #[multiversion(targets("x86_64+avx2"))]
 fn grey_row<'a>(picture: ImageView<'a>, y: usize, out: &mut [f32]) {
     let width = picture.width();
@@ -64,15 +89,25 @@ fn grey_row<'a>(picture: ImageView<'a>, y: usize, out: &mut [f32]) {
         }
     } else {
         for (out, rgb) in out.iter_mut().zip(picture.data()[y * width * 3..][..width * 3].chunks_exact(3)) {
-            *out = 0.299 * f32::from(rgb[0]) + 0.587 * f32::from(rgb[1]) + 0.114 * f32::from(rgb[2]);
+            *out = luma(rgb);
         }
     }
 }
 
+/// A row of half the size: 1 3 3 1 along both directions.
 #[multiversion(targets("x86_64+avx2"))]
-fn halve(upper: &[f32], lower: &[f32], out: &mut [f32]) {
-    for ((out, a), b) in out.iter_mut().zip(upper.chunks_exact(2)).zip(lower.chunks_exact(2)) {
-        *out = 0.25 * ((a[0] + b[0]) + (a[1] + b[1]));
+fn halve(rows: [&[f32]; 4], line: &mut [f32], out: &mut [f32]) {
+    let n = rows[0].len();
+    let [a, b, c, d] = rows.map(|row| &row[..n]);
+    // Its ends repeated.
+    let middle = &mut line[1..=n];
+    for x in 0..n {
+        middle[x] = (a[x] + d[x]) + 3.0 * (b[x] + c[x]);
+    }
+    (line[0], line[n + 1]) = (line[1], line[n]);
+    for (x, out) in out.iter_mut().enumerate() {
+        let near = &line[2 * x..][..4];
+        *out = ((near[0] + near[3]) + 3.0 * (near[1] + near[2])) / 64.0;
     }
 }
 
