@@ -101,7 +101,7 @@ impl Scene {
             let (bx, by) = (fx - shift[0], fy - shift[1]);
             let square = growth * growth;
             let back = [(c * bx + s * by) / square + middle[0], (c * by - s * bx) / square + middle[1]];
-            let covered = |x: f32, y: f32| x >= BOX[0] && x < BOX[2] && y >= BOX[1] && y < BOX[3];
+            let covered = |x: f32, y: f32| (BOX[0]..BOX[2]).contains(&x) && (BOX[1]..BOX[3]).contains(&y);
             let mut noisy = |grey: f32| (grey + random.random_range(-2.0..2.0_f32)).round().clamp(0.0, 255.0) as u8;
             scene.first.push(noisy(if covered(x, y) { cover.at(x, y) } else { plane.at(x, y) }));
             let (u, v) = (x - BOX_SHIFT[0], y - BOX_SHIFT[1]);

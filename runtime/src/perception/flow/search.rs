@@ -156,13 +156,12 @@ struct Template {
 }
 
 /// The best of the candidates, improved.
-#[multiversion(targets("x86_64+avx2"))]
-fn descend<'a>(input: SearchInput<'a>, at: (usize, usize), candidates: &[[f32; 2]]) -> Found {
-    let template = Template::cut(input, at);
-    let mut best = template.compare(input.to, at, candidates[0]);
+fn descend(input: SearchInput<'_>, at: (usize, usize), candidates: &[[f32; 2]]) -> Found {
+    let template = cut(input, at);
+    let mut best = compare(&template, input.to, at, candidates[0]);
     for (index, candidate) in candidates.iter().enumerate().skip(1) {
         if !candidates[..index].iter().any(|other| near(*other, *candidate)) {
-            let other = template.compare(input.to, at, *candidate);
+            let other = compare(&template, input.to, at, *candidate);
             if other.found.cost < best.found.cost {
                 best = other;
             }
@@ -172,7 +171,7 @@ fn descend<'a>(input: SearchInput<'a>, at: (usize, usize), candidates: &[[f32; 2
     let steps = if mostly_outside(input.to, at, best.found.flow) { 0 } else { input.steps };
     for _ in 0..steps {
         let [x, y] = best.step;
-        let next = template.compare(input.to, at, [best.found.flow[0] - x, best.found.flow[1] - y]);
+        let next = compare(&template, input.to, at, [best.found.flow[0] - x, best.found.flow[1] - y]);
         let better = next.found.cost < best.found.cost;
         if better {
             best = next;
@@ -195,55 +194,52 @@ struct Compared {
     step: [f32; 2],
 }
 
-impl Template {
-    #[inline(always)]
-    fn cut(input: SearchInput<'_>, (x, y): (usize, usize)) -> Self {
-        let grey = block(input.from, x, y);
-        let (mut gx, mut gy) = (block(input.along_x, x, y), block(input.along_y, x, y));
-        take_out_mean(&mut gx);
-        take_out_mean(&mut gy);
-        let (mut xx, mut xy, mut yy) = ([0.0; PATCH], [0.0; PATCH], [0.0; PATCH]);
-        for row in 0..PATCH {
-            for k in 0..PATCH {
-                xx[k] += gx[row][k] * gx[row][k];
-                xy[k] += gx[row][k] * gy[row][k];
-                yy[k] += gy[row][k] * gy[row][k];
-            }
+/// Cuts a patch out of the first picture.
+#[multiversion(targets("x86_64+avx2"))]
+fn cut<'a>(input: SearchInput<'a>, at: (usize, usize)) -> Template {
+    let (x, y) = at;
+    let grey = block(input.from, x, y);
+    let (mut gx, mut gy) = (block(input.along_x, x, y), block(input.along_y, x, y));
+    take_out_mean(&mut gx);
+    take_out_mean(&mut gy);
+    let (xx, xy, yy) = (dot(&gx, &gx) + GRADIENT_NOISE, dot(&gx, &gy), dot(&gy, &gy) + GRADIENT_NOISE);
+    let determinant = xx * yy - xy * xy;
+    let (ixx, ixy, iyy) = (yy / determinant, -xy / determinant, xx / determinant);
+    let mut template = Template { grey, step_x: gx, step_y: gy };
+    for row in 0..PATCH {
+        for k in 0..PATCH {
+            template.step_x[row][k] = ixx * gx[row][k] + ixy * gy[row][k];
+            template.step_y[row][k] = ixy * gx[row][k] + iyy * gy[row][k];
         }
-        let (xx, xy, yy) = (total(&xx) + GRADIENT_NOISE, total(&xy), total(&yy) + GRADIENT_NOISE);
-        let determinant = xx * yy - xy * xy;
-        let (ixx, ixy, iyy) = (yy / determinant, -xy / determinant, xx / determinant);
-        let mut template = Self { grey, step_x: gx, step_y: gy };
-        for row in 0..PATCH {
-            for k in 0..PATCH {
-                template.step_x[row][k] = ixx * gx[row][k] + ixy * gy[row][k];
-                template.step_y[row][k] = ixy * gx[row][k] + iyy * gy[row][k];
-            }
-        }
-        template
     }
+    template
+}
 
-    /// The patch against the second picture at `flow` from its place. Far outside, against the repeated edge.
-    #[inline(always)]
-    fn compare(&self, to: &Plane, at: (usize, usize), flow: [f32; 2]) -> Compared {
-        let window = Window::at(to, at, flow);
-        let (mut sum, mut square, mut x, mut y) = ([0.0; PATCH], [0.0; PATCH], [0.0; PATCH], [0.0; PATCH]);
-        let mut upper = window.line(0);
-        for row in 0..PATCH {
-            let lower = window.line(row + 1);
-            for k in 0..PATCH {
-                let difference = lerp(upper[k], lower[k], window.fy) - self.grey[row][k];
-                sum[k] += difference;
-                square[k] += difference * difference;
-                x[k] += difference * self.step_x[row][k];
-                y[k] += difference * self.step_y[row][k];
-            }
-            upper = lower;
+/// The patch against the second picture at `flow` from its place. Far outside, against the repeated edge.
+#[multiversion(targets("x86_64+avx2"))]
+fn compare(template: &Template, to: &Plane, at: (usize, usize), flow: [f32; 2]) -> Compared {
+    let window = Window::at(to, at, flow);
+    // First all differences, then one sum after the other: so the compiler keeps whole lines in registers.
+    let mut difference = [[0.0; PATCH]; PATCH];
+    let mut upper = window.line(0);
+    for row in 0..PATCH {
+        let lower = window.line(row + 1);
+        for k in 0..PATCH {
+            difference[row][k] = lerp(upper[k], lower[k], window.fy) - template.grey[row][k];
         }
-        let mean = total(&sum) / AREA;
-        let cost = total(&square) - AREA * mean * mean;
-        Compared { found: Found { flow, mean, cost, settled: false }, step: [total(&x), total(&y)] }
+        upper = lower;
     }
+    let mut sum = [0.0; PATCH];
+    for row in &difference {
+        for k in 0..PATCH {
+            sum[k] += row[k];
+        }
+    }
+    let square = dot(&difference, &difference);
+    let step = [dot(&difference, &template.step_x), dot(&difference, &template.step_y)];
+    let mean = total(&sum) / AREA;
+    let cost = square - AREA * mean * mean;
+    Compared { found: Found { flow, mean, cost, settled: false }, step }
 }
 
 /// Where a patch lands in the second picture.
@@ -297,6 +293,18 @@ fn take_out_mean(values: &mut [[f32; PATCH]; PATCH]) {
     }
     let mean = total(&sum) / AREA;
     values.iter_mut().flatten().for_each(|value| *value -= mean);
+}
+
+/// The sum of the products.
+#[inline(always)]
+fn dot(a: &[[f32; PATCH]; PATCH], b: &[[f32; PATCH]; PATCH]) -> f32 {
+    let mut sum = [0.0; PATCH];
+    for row in 0..PATCH {
+        for k in 0..PATCH {
+            sum[k] += a[row][k] * b[row][k];
+        }
+    }
+    total(&sum)
 }
 
 /// The sum, in the order in which vector registers fold.

@@ -116,7 +116,7 @@ impl Split {
     /// Sets what is right of the last column of row `y` to the last column.
     pub fn repeat_last_column(&mut self, y: usize) {
         let half = half(self.width);
-        let even_width = self.width % 2 == 0;
+        let even_width = self.width.is_multiple_of(2);
         let row = self.row_mut(y);
         if even_width {
             row[half + 1] = row[2 * half + 2];
@@ -128,7 +128,7 @@ impl Split {
     /// Sets the last column of row `y`, and with an odd width what is right of it.
     pub fn set_last_column(&mut self, y: usize, value: f32) {
         let half = half(self.width);
-        let even_width = self.width % 2 == 0;
+        let even_width = self.width.is_multiple_of(2);
         let row = self.row_mut(y);
         row[2 * half + 2] = value;
         if !even_width {

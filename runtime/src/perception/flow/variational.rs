@@ -31,7 +31,10 @@ pub struct Variational {
 
 impl Variational {
     pub fn new(width: usize, height: usize) -> Self {
-        let count = (height / BAND_ROWS).clamp(1, MOST_BANDS);
+        Self::with_bands(width, height, (height / BAND_ROWS).clamp(1, MOST_BANDS))
+    }
+
+    fn with_bands(width: usize, height: usize, count: usize) -> Self {
         let edge = |band: usize| band * height / count;
         let bands = (0..count).map(|band| Band::new(width, height, edge(band), edge(band + 1))).collect();
         Self { bands, flow: [Split::new(width, height), Split::new(width, height)] }
@@ -254,4 +257,38 @@ impl<'a> Around<'a> {
 /// The rows that the derivatives of `rows` look at.
 fn seen(rows: &Range<usize>, height: usize) -> Range<usize> {
     rows.start.saturating_sub(2)..(rows.end + 2).min(height)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bands_change_no_bit_of_what_the_whole_picture_would_give() {
+        for (width, height) in [(37, 61), (40, 64)] {
+            let plane = |phase: f32| {
+                let mut plane = Plane::new(width, height, super::super::pyramid::BORDER);
+                for y in 0..height {
+                    for (x, grey) in plane.row_mut(y).iter_mut().enumerate() {
+                        let (x, y) = (x as f32 + phase, y as f32);
+                        *grey = 128.0 + 50.0 * (0.5 * x + 0.2 * y).sin() + 40.0 * (0.3 * y - 0.1 * x).cos();
+                    }
+                }
+                plane.fill_border();
+                plane
+            };
+            let (from, to) = (plane(0.0), plane(0.4));
+            let refined = |bands| {
+                let mut flow = [vec![-0.1; width * height], vec![0.05; width * height]];
+                Variational::with_bands(width, height, bands).refine(&from, &to, &mut flow, 20);
+                flow
+            };
+            let whole = refined(1);
+            let mean = whole[0].iter().sum::<f32>() / (width * height) as f32;
+            assert!((mean + 0.4).abs() < 0.1, "{mean}");
+            for bands in [2, 3, 5, 20] {
+                assert_eq!(refined(bands), whole, "{bands} bands");
+            }
+        }
+    }
 }
