@@ -1,7 +1,7 @@
 //! Dense optical flow: where every pixel of one picture is in another.
 //!
 //! Dense Inverse Search (Kroeger et al. 2016): from coarse to fine, patches of the first picture are looked for in the second
-//! ([`search`]), their flows averaged for every pixel ([`densify`]), and the result refined ([`variational`]).
+//! (`search`), their flows averaged for every pixel (`densify`), and the result refined (`variational`).
 
 mod config;
 mod densify;

@@ -18,7 +18,7 @@ const AREA: f32 = (PATCH * PATCH) as f32;
 const STRIPES: usize = 8;
 /// Added to the normal matrix (Levenberg 1944): squared gradient, (grey levels / pixel)^2, below which a patch rather keeps the
 /// flow that it starts from, times the pixels of the patch. Without texture, steps are the noise's. Found on handheld pictures
-/// with depth: a hundredth of it makes the error a third larger.
+/// with depth: with 0.05 instead, the mean error is a fifth to a third larger.
 const GRADIENT_NOISE: f32 = 10.0 * AREA;
 /// A step shorter than this is the last one, pixels.
 const LAST_STEP_PX: f32 = 0.02;
