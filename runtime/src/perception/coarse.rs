@@ -21,9 +21,9 @@ const FIRST_SCENE_DEPTH_M: f64 = 2.0;
 /// is left to choose from is near.
 const MOST_UNSEEN: u8 = PLANES as u8 / 4;
 
-/// Plane sweep (Collins 1996) over cells of 4x4 pixels: census descriptors of up to three earlier pictures, chosen by the parallax that
-/// they promise, are compared over inverse-depth hypotheses, aggregated semi-globally, and the result votes on what is
-/// remembered from the pictures before. Deterministic on any number of threads.
+/// Plane sweep (Collins 1996) over cells of 4x4 pixels: census descriptors of up to three earlier pictures, chosen by the
+/// parallax that they promise, are compared over inverse-depth hypotheses, aggregated semi-globally, and the result votes on
+/// what is remembered from the pictures before. Deterministic on any number of threads.
 #[derive(Debug)]
 pub struct CoarseDepth {
     config: CoarseConfig,

@@ -8,34 +8,7 @@ use hal::{CameraModel, DepthMap, Pose3};
 use nalgebra::Vector3;
 
 use super::PerceptionError;
-
-/// For every pixel, how far its match in another view is away, pixels. NaN where there is none.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FlowField {
-    width: usize,
-    height: usize,
-    flow_px: Vec<[f32; 2]>,
-}
-
-impl FlowField {
-    /// A field from row-major (x, y) displacements; `None` when their number is not `width * height`.
-    #[must_use]
-    pub fn from_vec(width: usize, height: usize, flow_px: Vec<[f32; 2]>) -> Option<Self> {
-        (Some(flow_px.len()) == width.checked_mul(height)).then_some(Self { width, height, flow_px })
-    }
-
-    /// Row-major (x, y) displacements, pixels.
-    #[must_use]
-    pub fn values(&self) -> &[[f32; 2]] {
-        &self.flow_px
-    }
-
-    /// Row-major (x, y) displacements, pixels, to be written.
-    #[must_use]
-    pub fn values_mut(&mut self) -> &mut [[f32; 2]] {
-        &mut self.flow_px
-    }
-}
+use super::flow::FlowField;
 
 /// Another picture: where this picture's pixels are in it, and where it was taken.
 #[derive(Debug, Clone, Copy)]
@@ -71,10 +44,10 @@ pub fn triangulate(
 ) -> Result<Triangulation, PerceptionError> {
     let (width, height) = (camera.width, camera.height);
     for view in views {
-        if (view.flow.width, view.flow.height) != (width, height) {
+        if (view.flow.width(), view.flow.height()) != (width, height) {
             return Err(PerceptionError::FlowSize {
-                width: view.flow.width,
-                height: view.flow.height,
+                width: view.flow.width(),
+                height: view.flow.height(),
                 want_width: width,
                 want_height: height,
             });
@@ -90,7 +63,7 @@ pub fn triangulate(
         let (u, v) = ((index % width) as f64, (index / width) as f64);
         let mut sum = Normal::default();
         for view in views {
-            let [dx, dy] = view.flow.flow_px[index];
+            let [dx, dy] = view.flow.values()[index];
             let bearing = camera.ray(u + f64::from(dx), v + f64::from(dy)).normalize();
             sum.add(&camera.ray(u, v), &bearing, &view.t_view_camera, range_m);
         }

@@ -6,6 +6,7 @@ mod coarse;
 mod config;
 mod enlarge;
 mod estimate;
+pub mod flow;
 mod fusion;
 mod keyframes;
 pub mod least_squares;

@@ -1,6 +1,7 @@
 //! What the project promises to be fast at, room by room. `cargo xtask bench` builds this in release and prints the table.
 #![forbid(unsafe_code)]
 
+pub mod flow;
 pub mod imaging;
 pub mod mapping;
 pub mod network;
@@ -21,4 +22,5 @@ pub const ROOMS: &[(&str, Measure)] = &[
     ("mapping", mapping::measure),
     ("network", network::rows),
     ("perception", perception::rows),
+    ("flow", flow::rows),
 ];

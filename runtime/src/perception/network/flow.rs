@@ -8,7 +8,7 @@ use super::options::NetworkOptions;
 use super::spec::{check_stated_size, check_tensor, list};
 use super::{NetworkError, planes};
 use crate::perception::NoDepth;
-use crate::perception::least_squares::FlowField;
+use crate::perception::flow::FlowField;
 
 const TWO_PICTURES: &str = "two pictures, each [1, 3, height, width]";
 const ONE_FLOW: &str = "one flow field [1, 2, height, width] in pixels; export only the last iteration";
