@@ -81,8 +81,8 @@ impl Default for CoarseConfig {
             penalty_small: 40,
             penalty_large: 300,
             memory: 0.9,
-            vote_weights: [-1.29, 4.39, 0.18, 0.32, 0.71],
-            belief_weights: [-1.85, 3.42, 1.09],
+            vote_weights: [-0.95, 5.19, 0.14, 0.41, 0.82],
+            belief_weights: [-1.5, 3.33, 1.05],
             min_confidence: 0.4,
             min_remembered: 0.3,
         }
