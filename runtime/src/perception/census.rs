@@ -35,13 +35,12 @@ impl CensusImage {
         self.grey.clear();
         match frame.format() {
             PixelFormat::Gray8 => self.grey.extend(frame.data().iter().map(|value| u16::from(*value) << 6)),
-            // Rec. 601 luma in 14 bits, so that faint texture is not lost to rounding.
-            PixelFormat::Rgb8 => self.grey.extend(
-                frame
-                    .data()
-                    .chunks_exact(3)
-                    .map(|p| ((u32::from(p[0]) * 77 + u32::from(p[1]) * 150 + u32::from(p[2]) * 29) >> 2) as u16),
-            ),
+            PixelFormat::Rgb8 => {
+                self.grey.resize(self.width * self.height, 0);
+                let rows =
+                    self.grey.par_chunks_exact_mut(self.width).zip(frame.data().par_chunks_exact(3 * self.width));
+                rows.for_each(|(grey, rgb)| luma(rgb, grey));
+            }
             _ => return false,
         }
         self.smooth_2x2();
@@ -78,40 +77,62 @@ impl CensusImage {
     }
 }
 
+/// Rec. 601 luma in 14 bits, so that faint texture is not lost to rounding.
+#[multiversion(targets("x86_64+avx2"))]
+fn luma(rgb: &[u8], grey: &mut [u16]) {
+    for (grey, p) in grey.iter_mut().zip(rgb.chunks_exact(3)) {
+        *grey = ((u32::from(p[0]) * 77 + u32::from(p[1]) * 150 + u32::from(p[2]) * 29) >> 2) as u16;
+    }
+}
+
 /// Descriptors of one row of a picture of as many columns.
 #[multiversion(targets("x86_64+avx2"))]
 fn describe_row(smooth: &[u16], row: usize, out: &mut [u32]) {
     let width = out.len();
     let last = (smooth.len() / width) as isize - 1;
     let centre = &smooth[row * width..][..width];
-    let mut bit = 0;
-    for dy in -2_isize..=2 {
-        let line = (row as isize + 2 * dy).clamp(0, last) as usize;
-        let line = &smooth[line * width..][..width];
-        for dx in -2_isize..=2 {
-            if (dx, dy) != (0, 0) {
-                compare(out, centre, line, 2 * dx, bit);
-                bit += 1;
+    // Sixteen bits are compared side by side, so the descriptor is gathered in two halves.
+    let (mut low, mut high) = ([0_u16; BLOCK], [0_u16; BLOCK]);
+    for (block, out) in out.chunks_mut(BLOCK).enumerate() {
+        low.fill(0);
+        high.fill(0);
+        let mut bit = 0;
+        for dy in -2_isize..=2 {
+            let line = (row as isize + 2 * dy).clamp(0, last) as usize;
+            let line = &smooth[line * width..][..width];
+            for dx in -2_isize..=2 {
+                if (dx, dy) != (0, 0) {
+                    let half = if bit < HALF { &mut low } else { &mut high };
+                    compare(&mut half[..out.len()], centre, line, block * BLOCK, 2 * dx, bit % HALF);
+                    bit += 1;
+                }
             }
+        }
+        for ((out, low), high) in out.iter_mut().zip(&low).zip(&high) {
+            *out = u32::from(*low) | u32::from(*high) << HALF;
         }
     }
 }
 
-/// Sets `bit` where the neighbour `shift` columns to the right is darker; beyond the edge the edge is repeated.
+/// Descriptors that are computed at once, and bits of half a descriptor.
+const BLOCK: usize = 128;
+const HALF: u32 = BITS / 2;
+
+/// Sets `bit` where the neighbour `shift` columns to the right is darker, from column `first` on; beyond the edge the edge is
+/// repeated.
 #[inline(always)]
-fn compare(out: &mut [u32], centre: &[u16], line: &[u16], shift: isize, bit: u32) {
-    let width = out.len();
-    let edge = shift.unsigned_abs().min(width);
-    let (first, last) = if shift < 0 { (edge, width) } else { (0, width - edge) };
-    if first < last {
-        let shifted = &line[(first as isize + shift) as usize..][..last - first];
-        for ((out, centre), neighbour) in out[first..last].iter_mut().zip(&centre[first..last]).zip(shifted) {
-            *out |= u32::from(neighbour.saturating_add(NOISE) < *centre) << bit;
+fn compare(out: &mut [u16], centre: &[u16], line: &[u16], first: usize, shift: isize, bit: u32) {
+    let width = line.len();
+    let begin = first.wrapping_add_signed(shift);
+    if let (Some(shifted), Some(centre)) = (line.get(begin..begin.wrapping_add(out.len())), centre.get(first..)) {
+        for ((out, centre), neighbour) in out.iter_mut().zip(centre).zip(shifted) {
+            *out |= u16::from(neighbour.saturating_add(NOISE) < *centre) << bit;
         }
+        return;
     }
-    let (rest, repeated) = if shift < 0 { (0..first, line[0]) } else { (last..width, line[width - 1]) };
-    for x in rest {
-        out[x] |= u32::from(repeated.saturating_add(NOISE) < centre[x]) << bit;
+    for (index, out) in out.iter_mut().enumerate() {
+        let neighbour = line[(first + index).saturating_add_signed(shift).min(width - 1)];
+        *out |= u16::from(neighbour.saturating_add(NOISE) < centre[first + index]) << bit;
     }
 }
 

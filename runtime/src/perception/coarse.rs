@@ -9,7 +9,7 @@ use super::enlarge::Cells;
 use super::fusion::{Belief, Memory};
 use super::keyframes::Keyframes;
 use super::refine::{Corners, refine_rotation};
-use super::sweep::{CELL, PLANES, Reference, hypotheses, sweep};
+use super::sweep::{CELL, FAR, PLANES, Reference, hypotheses, sweep};
 use super::trust;
 use super::winner::{Vote, winners};
 use super::{CoarseConfig, DepthEstimate, NoDepth, PerceptionError};
@@ -17,9 +17,9 @@ use super::{CoarseConfig, DepthEstimate, NoDepth, PerceptionError};
 /// Depth that parallax is predicted for before any was seen, metres.
 const FIRST_SCENE_DEPTH_M: f64 = 2.0;
 
-/// A cell with more hypotheses than this that no reference sees has nothing to compare: it has just come into view, and what
-/// is left to choose from is near.
-const MOST_UNSEEN: u8 = PLANES as u8 / 4;
+/// A cell with more far hypotheses than this that no reference sees has just come into view: what is left to choose from is
+/// near, and probably wrong.
+const MOST_UNSEEN: u8 = FAR as u8 / 4;
 
 /// Plane sweep (Collins 1996) over cells of 4x4 pixels: census descriptors of up to three earlier pictures, chosen by the
 /// parallax that they promise, are compared over inverse-depth hypotheses, aggregated semi-globally, and the result votes on

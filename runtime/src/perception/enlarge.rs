@@ -1,5 +1,6 @@
 //! From cells to pixels: smooth where the cells around a pixel agree, along the edges of the picture where they do not.
 
+use multiversion::multiversion;
 use rayon::prelude::*;
 
 use super::DepthEstimate;
@@ -34,89 +35,80 @@ struct Corner {
     grey: f32,
 }
 
-impl Cells<'_> {
-    fn corner(&self, row: usize, column: usize) -> Corner {
-        let at = row * self.width + column;
-        let confidence = self.confidence[at];
-        let known = confidence >= self.min_confidence && self.beliefs[at].inverse_depth > 0.0;
-        let inverse_depth = if known { self.beliefs[at].inverse_depth } else { 0.0 };
-        Corner { inverse_depth, confidence: if known { confidence } else { 0.0 }, grey: f32::from(self.grey[at]) }
-    }
+/// Where the pixels between two middles of cells are, as a share of the way.
+const PLACES: [f32; CELL] = [0.125, 0.375, 0.625, 0.875];
 
+impl Cells<'_> {
     /// Fills `estimate` (full size); `grey` is the full-size picture, 256 to a grey level.
     pub fn enlarge(&self, grey: &[u16], estimate: &mut DepthEstimate) {
         let width = estimate.depth.width();
-        let height = self.beliefs.len() / self.width;
         let DepthEstimate { depth, confidence } = estimate;
         let lines = depth.values_mut().par_chunks_exact_mut(width).zip(confidence.par_chunks_exact_mut(width));
-        lines.zip(grey.par_chunks_exact(width)).enumerate().for_each(|(row, ((depth, confidence), grey))| {
-            let (top, bottom, below) = between(row, height);
-            // Pixels left of the first cell's middle, then those between each cell's middle and the next one's.
-            for block in 0..=self.width {
-                let (left, right) = (block.saturating_sub(1), block.min(self.width - 1));
-                let corners = [(top, left), (top, right), (bottom, left), (bottom, right)]
-                    .map(|(row, column)| self.corner(row, column));
-                let first = (block * CELL).saturating_sub(CELL / 2);
-                let end = if block == self.width { width } else { block * CELL + CELL / 2 };
-                let surface = Surface::of(&corners);
-                for column in first..end.min(width) {
-                    let across = between(column, self.width).2;
-                    let weights = [
-                        (1.0 - below) * (1.0 - across),
-                        (1.0 - below) * across,
-                        below * (1.0 - across),
-                        below * across,
-                    ];
-                    (depth[column], confidence[column]) = match surface {
-                        Surface::None => (0.0, 0.0),
-                        Surface::One => blend(&corners, &weights),
-                        Surface::Several => alike(&corners, &weights, f32::from(grey[column])),
-                    };
-                }
-            }
+        let lines = lines.zip(grey.par_chunks_exact(width)).enumerate();
+        lines.for_each(|(row, ((depth, confidence), grey))| enlarge_row(self, row, grey, depth, confidence));
+    }
+
+    #[inline(always)]
+    fn corner(&self, at: usize) -> Corner {
+        let confidence = self.confidence[at];
+        let known = confidence >= self.min_confidence;
+        let inverse_depth = if known { self.beliefs[at].inverse_depth } else { 0.0 };
+        Corner { inverse_depth, confidence: if known { confidence } else { 0.0 }, grey: f32::from(self.grey[at]) }
+    }
+}
+
+#[multiversion(targets("x86_64+avx2"))]
+fn enlarge_row<'a>(cells: &Cells<'a>, row: usize, grey: &[u16], depth: &mut [f32], confidence: &mut [f32]) {
+    let height = cells.beliefs.len() / cells.width;
+    let block = (row + CELL / 2) / CELL;
+    let (top, bottom) = (block.saturating_sub(1).min(height - 1) * cells.width, block.min(height - 1) * cells.width);
+    let below = PLACES[(row + CELL / 2) % CELL];
+    let mut left = [cells.corner(top), cells.corner(bottom)];
+    // Pixels left of the first cell's middle, then those between each cell's middle and the next one's.
+    for block in 0..=cells.width {
+        let right = match block < cells.width {
+            true => [cells.corner(top + block), cells.corner(bottom + block)],
+            false => left,
+        };
+        let four = blend(&left, &right, below, grey, block * CELL);
+        // What lies outside of the picture is not written; what lies right of the last block repeats it.
+        let first = (block * CELL).saturating_sub(CELL / 2);
+        let end = if block == cells.width { depth.len() } else { (block * CELL + CELL / 2).min(depth.len()) };
+        for column in first..end {
+            (depth[column], confidence[column]) = four[(column + CELL / 2 - block * CELL).min(CELL - 1)];
+        }
+        left = right;
+    }
+}
+
+/// Depth and confidence of the four pixels of a row between four cells; the first one is at column `place` - 2.
+#[inline(always)]
+fn blend(left: &[Corner; 2], right: &[Corner; 2], below: f32, grey: &[u16], place: usize) -> [(f32, f32); CELL] {
+    let corners = [left[0], right[0], left[1], right[1]];
+    let least = corners.iter().map(|corner| corner.inverse_depth).fold(f32::INFINITY, f32::min);
+    let most = corners.iter().map(|corner| corner.inverse_depth).fold(0.0, f32::max);
+    if most == 0.0 {
+        return [(0.0, 0.0); CELL];
+    }
+    if most - least > ONE_SURFACE * most {
+        return std::array::from_fn(|index| {
+            let column = (place + index).saturating_sub(CELL / 2).min(grey.len() - 1);
+            let across = PLACES[index];
+            let weights =
+                [(1.0 - below) * (1.0 - across), (1.0 - below) * across, below * (1.0 - across), below * across];
+            alike(&corners, &weights, f32::from(grey[column]))
         });
     }
-}
-
-/// The cells whose middles are before and behind a pixel, and how near it is to the second, 0 to 1.
-fn between(pixel: usize, cells: usize) -> (usize, usize, f32) {
-    let place = (pixel as f32 + 0.5) / CELL as f32 - 0.5;
-    let before = place.floor();
-    let last = cells as f32 - 1.0;
-    (before.clamp(0.0, last) as usize, (before + 1.0).clamp(0.0, last) as usize, place - before)
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Surface {
-    None,
-    One,
-    Several,
-}
-
-impl Surface {
-    fn of(corners: &[Corner; 4]) -> Self {
-        let least = corners.iter().map(|corner| corner.inverse_depth).fold(f32::INFINITY, f32::min);
-        let most = corners.iter().map(|corner| corner.inverse_depth).fold(0.0, f32::max);
-        if most == 0.0 {
-            Self::None
-        } else if most - least <= ONE_SURFACE * most {
-            Self::One
-        } else {
-            Self::Several
-        }
-    }
-}
-
-fn blend(corners: &[Corner; 4], weights: &[f32; 4]) -> (f32, f32) {
-    let (mut inverse_depth, mut confidence) = (0.0, 0.0);
-    for (corner, weight) in corners.iter().zip(weights) {
-        inverse_depth += corner.inverse_depth * weight;
-        confidence += corner.confidence * weight;
-    }
-    (1.0 / inverse_depth, confidence)
+    let mix = |from: f32, to: f32, share: f32| from + (to - from) * share;
+    let [near, far] = [left, right].map(|pair| {
+        let inverse_depth = mix(pair[0].inverse_depth, pair[1].inverse_depth, below);
+        (inverse_depth, mix(pair[0].confidence, pair[1].confidence, below))
+    });
+    PLACES.map(|across| (1.0 / mix(near.0, far.0, across), mix(near.1, far.1, across)))
 }
 
 /// The corner that looks most like the pixel; near ones are preferred.
+#[inline(always)]
 fn alike(corners: &[Corner; 4], weights: &[f32; 4], grey: f32) -> (f32, f32) {
     let mut best = (f32::INFINITY, 0.0, 0.0);
     for (corner, weight) in corners.iter().zip(weights) {

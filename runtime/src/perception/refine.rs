@@ -14,6 +14,8 @@ use super::census::CensusImage;
 
 /// One corner is looked for in every cell of this size, full-size pixels.
 const CELL: usize = 32;
+/// Places that are tried in a cell, full-size pixels apart.
+const GRID: usize = 8;
 /// Corners keep this distance from the edge: half of a patch.
 const MARGIN: usize = 8;
 /// Least strength of a corner (smaller eigenvalue of the structure tensor over 5x5 samples), grey levels squared.
@@ -21,12 +23,14 @@ const CORNER: f32 = 400.0;
 /// Matches are looked for up to this far from their line, full-size pixels: 15 mrad at f = 520.
 const REACH_PX: i32 = 8;
 /// Step along the line, full-size pixels.
-const STEP_PX: f64 = 1.5;
+const STEP_PX: f64 = 2.0;
 /// Nearest depth of a match, metres: the last metre has long lines and few corners.
 const NEAR_M: f64 = 1.0;
-/// A match may differ in so many of its 216 bits, and must beat matches at other distances from the line by as many.
-const MAX_BITS: u32 = 70;
-const CLEAR_BITS: u32 = 15;
+/// Descriptors of a patch, which has its middle at (6, 6).
+const PATCH: [(usize, usize); 5] = [(0, 0), (12, 0), (6, 6), (0, 12), (12, 12)];
+/// A match may differ in so many of its 120 bits, and must beat matches at other distances from the line by as many.
+const MAX_BITS: u32 = 39;
+const CLEAR_BITS: u32 = 8;
 /// Fewer corners than this say nothing.
 const MIN_CORNERS: usize = 8;
 /// Weight of staying in place along the lines, against 1 for each corner's distance from its line.
@@ -46,8 +50,8 @@ impl Corners {
         for top in (MARGIN..bottom).step_by(CELL) {
             for left in (MARGIN..right).step_by(CELL) {
                 let mut best = (CORNER, None);
-                for y in (top..(top + CELL).min(bottom)).step_by(4) {
-                    for x in (left..(left + CELL).min(right)).step_by(4) {
+                for y in (top..(top + CELL).min(bottom)).step_by(GRID) {
+                    for x in (left..(left + CELL).min(right)).step_by(GRID) {
                         let strength = strength(picture, x, y);
                         if strength > best.0 {
                             best = (strength, Some((x, y)));
@@ -152,7 +156,7 @@ fn residual(
     Some(Residual { across: far.cross(&(dv * dx - du * dy)), along: far.cross(&(du * dx + dv * dy)), off_px })
 }
 
-/// Differing bits of 3x3 descriptors around both places; `None` too near to the edge.
+/// Differing bits of the descriptors around both places; `None` too near to the edge.
 #[inline(always)]
 fn patch_cost(
     picture: &CensusImage,
@@ -168,12 +172,10 @@ fn patch_cost(
     let here = (y - 6) * picture.width + x - 6;
     let there = (v as usize - 6) * reference.width + u as usize - 6;
     let mut bits = 0;
-    for dy in [0, 6, 12] {
-        for dx in [0, 6, 12] {
-            let a = picture.descriptors[here + dy * picture.width + dx];
-            let b = reference.descriptors[there + dy * reference.width + dx];
-            bits += (a ^ b).count_ones();
-        }
+    for (dx, dy) in PATCH {
+        let a = picture.descriptors[here + dy * picture.width + dx];
+        let b = reference.descriptors[there + dy * reference.width + dx];
+        bits += (a ^ b).count_ones();
     }
     Some(bits)
 }

@@ -9,6 +9,8 @@ use super::census::{BITS, CensusImage};
 
 /// Number of inverse-depth hypotheses. Fixed, so that the inner loops have a known length.
 pub const PLANES: usize = 64;
+/// Hypotheses that count as far: beyond about 2 m for 0.3 to 20 m.
+pub const FAR: usize = PLANES / 4;
 /// Most references for one picture.
 pub const MAX_REFERENCES: usize = 3;
 /// Side of a cell, the unit of depth, in full-size pixels.
@@ -115,7 +117,7 @@ pub fn nearest(x: f32) -> i32 {
 }
 
 /// Fills `volume` (rows x columns of cells x planes) with the fused cost of up to [`MAX_REFERENCES`], and `unseen` (rows x
-/// columns) with the number of hypotheses that no reference sees.
+/// columns) with the number of far hypotheses that no reference sees.
 pub fn sweep(
     picture: &CensusImage,
     references: &[Reference<'_>],
@@ -150,7 +152,7 @@ fn sweep_row<'a>(
 }
 
 /// Mean over the references that see a hypothesis, without the worst of three: there it may be hidden. Returns how many
-/// hypotheses nobody sees.
+/// of the [`FAR`] hypotheses nobody sees.
 #[inline(always)]
 fn fuse(each: &[[u8; PLANES]; MAX_REFERENCES], out: &mut [u8; PLANES]) -> u8 {
     let mut unseen = 0_u8;
@@ -167,7 +169,7 @@ fn fuse(each: &[[u8; PLANES]; MAX_REFERENCES], out: &mut [u8; PLANES]) -> u8 {
         let kept = if count == 3 { sum.wrapping_sub(worst) } else { sum };
         let cost = if count == 1 { kept << 1 } else { kept };
         *out = if count == 0 { UNSEEN } else { cost };
-        unseen = unseen.wrapping_add(u8::from(count == 0));
+        unseen = unseen.wrapping_add(u8::from(count == 0 && plane < FAR));
     }
     unseen
 }
@@ -202,7 +204,7 @@ mod tests {
         assert_eq!(out[0], 10);
         fuse(&[[4; PLANES], [OUTSIDE; PLANES], [OUTSIDE; PLANES]], &mut out);
         assert_eq!(out[0], 8);
-        assert_eq!(fuse(&[[OUTSIDE; PLANES]; 3], &mut out), PLANES as u8);
+        assert_eq!(fuse(&[[OUTSIDE; PLANES]; 3], &mut out), FAR as u8);
         assert_eq!(out[0], UNSEEN);
     }
 
