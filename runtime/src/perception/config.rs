@@ -65,7 +65,7 @@ impl Default for CoarseConfig {
         Self {
             min_depth_m: 0.3,
             max_depth_m: 20.0,
-            parallax_px: vec![16.0, 48.0],
+            parallax_px: vec![10.0, 32.0],
             turn_error: 0.02,
             turn_error_floor_rad: 0.001,
             parallax_over_error: 5.0,
@@ -78,12 +78,12 @@ impl Default for CoarseConfig {
             keyframes: 48,
             max_step_m: 0.5,
             max_turn_rad: 0.8,
-            penalty_small: 40,
-            penalty_large: 300,
-            memory: 0.9,
-            vote_weights: [-0.95, 5.19, 0.14, 0.41, 0.82],
-            belief_weights: [-1.5, 3.33, 1.05],
-            min_confidence: 0.4,
+            penalty_small: 30,
+            penalty_large: 200,
+            memory: 0.92,
+            vote_weights: [-1.08, 5.19, 0.22, 0.39, 0.8],
+            belief_weights: [-1.51, 3.35, 1.11],
+            min_confidence: 0.5,
             min_remembered: 0.3,
         }
     }
