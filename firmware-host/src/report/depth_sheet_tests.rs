@@ -35,14 +35,15 @@ fn cell(canvas: &Canvas, columns: i64, column: usize, u: i64) -> Rgb {
 fn every_column_shows_its_own_values_on_one_scale() {
     let rows = [row()];
     let (canvas, scale) = (draw(&rows), DepthScale::of(&rows));
-    assert_eq!(cell(&canvas, 5, 0, 5), [10, 20, 30]);
-    assert_eq!(cell(&canvas, 5, 1, 5), scale.color(2.0));
-    assert_eq!(cell(&canvas, 5, 2, 5), scale.color(3.0));
-    assert_eq!(cell(&canvas, 5, 3, 10), scale.color(2.0));
-    assert_eq!(cell(&canvas, 5, 3, 20), scale.color(3.0));
+    assert_eq!(cell(&canvas, 6, 0, 5), [10, 20, 30]);
+    assert_eq!(cell(&canvas, 6, 1, 5), scale.color(2.0));
+    assert_eq!(cell(&canvas, 6, 2, 5), scale.color(3.0));
+    assert_eq!(cell(&canvas, 6, 4, 10), scale.color(2.0));
+    assert_eq!(cell(&canvas, 6, 4, 20), scale.color(3.0));
+    assert_eq!(cell(&canvas, 6, 3, 10), colors::error(1.0 - f64::from(0.8_f32)));
     // The network's 3 m against a truth of 3 m, then of 2 m: right, then half too far.
-    assert_eq!(cell(&canvas, 5, 4, 20), error_color(0.0));
-    assert_eq!(cell(&canvas, 5, 4, 10), error_color(0.5));
+    assert_eq!(cell(&canvas, 6, 5, 20), error_color(0.0));
+    assert_eq!(cell(&canvas, 6, 5, 10), error_color(0.5));
 }
 
 #[test]
@@ -50,9 +51,12 @@ fn columns_without_anything_to_show_are_left_out() {
     let columns = |row: SheetRow| DepthSheet { title: "", rows: &[row] }.columns();
     assert_eq!(
         columns(SheetRow { network: None, ..row() }),
-        [Column::Camera, Column::Coarse, Column::Truth, Column::Error]
+        [Column::Camera, Column::Coarse, Column::Confidence, Column::Truth, Column::Error]
     );
-    assert_eq!(columns(SheetRow { truth: None, network: None, ..row() }), [Column::Camera, Column::Coarse]);
+    assert_eq!(
+        columns(SheetRow { truth: None, network: None, ..row() }),
+        [Column::Camera, Column::Coarse, Column::Confidence]
+    );
     assert_eq!(columns(SheetRow { coarse: None, network: None, ..row() }), [Column::Camera, Column::Truth]);
 }
 
@@ -60,7 +64,7 @@ fn columns_without_anything_to_show_are_left_out() {
 fn without_a_network_the_error_is_that_of_coarse_depth() {
     let rows = [SheetRow { network: None, ..row() }];
     let canvas = draw(&rows);
-    assert_eq!(cell(&canvas, 4, 3, 10), error_color(0.0));
+    assert_eq!(cell(&canvas, 5, 4, 10), error_color(0.0));
 }
 
 #[test]
@@ -70,7 +74,7 @@ fn no_depth_is_hatched_and_never_a_colour_of_the_scale() {
     row.coarse.as_mut().unwrap().depth_m.fill(0.0);
     let canvas = draw(&[row]);
     for u in 0..WIDTH as i64 {
-        assert!(NO_DEPTH.contains(&cell(&canvas, 4, 1, u)) && NO_DEPTH.contains(&cell(&canvas, 4, 3, u)));
+        assert!(NO_DEPTH.contains(&cell(&canvas, 5, 1, u)) && NO_DEPTH.contains(&cell(&canvas, 5, 4, u)));
     }
     for step in 0..=1000 {
         let color = near_warm(step as f32 / 1000.0);

@@ -160,7 +160,7 @@ mod tests {
     #[test]
     fn references_are_chosen_by_parallax_and_never_twice() {
         let mut keyframes = Keyframes::default();
-        let config = CoarseConfig::default();
+        let config = CoarseConfig { parallax_px: vec![6.0, 12.0, 24.0], ..CoarseConfig::default() };
         for i in 0..20 {
             keyframes.offer(&at(0.05 * f64::from(i), 0.0), &mut CensusImage::default(), &config);
         }
