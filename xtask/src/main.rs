@@ -2,6 +2,7 @@
 //! installs what it needs for itself into the target directory.
 #![forbid(unsafe_code)]
 
+mod accuracy;
 mod bench;
 mod command;
 mod demo;
@@ -33,6 +34,13 @@ enum Chore {
         /// A room's name, or a part of the name of a row.
         filter: Option<String>,
     },
+    /// How right depth is, with and without disturbances; `cargo xtask accuracy --help` shows what else it can measure.
+    #[command(disable_help_flag = true)]
+    Accuracy {
+        /// Passed on.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
     /// Every policy on the built-in homes, as a table. Takes an hour on two cores.
     Policies {
         /// Camera frames of each run.
@@ -63,6 +71,7 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Demo => demo::run(),
         Chore::Test => test::run(),
         Chore::Bench { json, filter } => bench::run(*json, filter.as_deref()),
+        Chore::Accuracy { arguments } => accuracy::run(arguments),
         Chore::Policies { frames, seeds } => policies::run(*frames, *seeds),
         Chore::Models => models::run(),
         Chore::Setup => {

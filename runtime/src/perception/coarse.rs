@@ -9,7 +9,7 @@ use super::enlarge::Cells;
 use super::fusion::{Belief, Memory};
 use super::keyframes::Keyframes;
 use super::refine::{Corners, refine_rotation};
-use super::sweep::{CELL, FAR, PLANES, Reference, hypotheses, sweep};
+use super::sweep::{CELL, FAR, MAX_REFERENCES, PLANES, Reference, hypotheses, sweep};
 use super::trust;
 use super::winner::{Vote, winners};
 use super::{CoarseConfig, DepthEstimate, NoDepth, PerceptionError};
@@ -152,7 +152,7 @@ impl CoarseDepth {
         self.memory.advance(pose, &self.cells, self.config.memory);
         self.buffers.votes.fill(Vote::default());
         let chosen = self.keyframes.choose(pose, &self.descriptors, self.scene_depth_m, &self.config);
-        if chosen.is_empty() {
+        if chosen.iter().flatten().next().is_none() {
             self.judge();
             if self.share_believed() < self.config.min_remembered {
                 return Err(NoDepth::TooLittleParallax);
@@ -171,21 +171,21 @@ impl CoarseDepth {
         step.translation.vector.norm() > self.config.max_step_m || step.rotation.angle() > self.config.max_turn_rad
     }
 
-    fn match_against(&mut self, chosen: &[usize], pose: &Pose3) {
+    fn match_against(&mut self, chosen: &[Option<usize>; MAX_REFERENCES], pose: &Pose3) {
         let Buffers { corners, grey, costs, unseen, down, up, paths_down, paths_up, votes, .. } = &mut self.buffers;
         let (picture, inverse_depth, width) = (&self.picture, &self.inverse_depth, self.cells.width);
         if self.config.refine_rotation {
             corners.find(picture);
         }
-        let reference = |index: &usize| {
-            let keyframe = self.keyframes.all().get(*index)?;
+        let mut reference = |index: Option<usize>| {
+            let keyframe = self.keyframes.all().get(index?)?;
             let mut t = keyframe.pose.inverse() * pose;
             if self.config.refine_rotation {
                 t = refine_rotation(picture, corners, &keyframe.census, &t, &self.descriptors);
             }
             Some(Reference::new(&keyframe.census, &t, &self.descriptors))
         };
-        let references: Vec<Reference<'_>> = chosen.iter().filter_map(reference).collect();
+        let references = chosen.map(&mut reference);
         sweep(picture, &references, inverse_depth, costs, unseen);
         shrink(picture, width, grey);
         let (small, large) = (self.config.penalty_small, self.config.penalty_large);
@@ -204,7 +204,7 @@ impl CoarseDepth {
                 }
                 let (u, v) = ((CELL * column) as f32, (CELL * row) as f32);
                 let parallax_px = |r: &Reference<'_>| r.parallax_px(u, v, vote.inverse_depth);
-                vote.parallax_px = references.iter().filter_map(parallax_px).fold(0.0, f32::max);
+                vote.parallax_px = references.iter().flatten().filter_map(parallax_px).fold(0.0, f32::max);
             }
         });
         self.memory.vote(votes, &self.config.vote_weights);

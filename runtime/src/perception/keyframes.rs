@@ -3,7 +3,7 @@
 use hal::{CameraModel, Pose3};
 use nalgebra::{Point3, Vector3};
 
-use super::{CoarseConfig, census::CensusImage};
+use super::{CoarseConfig, census::CensusImage, sweep::MAX_REFERENCES};
 
 /// An earlier picture and where it was taken.
 #[derive(Debug, Clone)]
@@ -19,6 +19,7 @@ pub struct Keyframe {
 pub struct Keyframes {
     ring: Vec<Keyframe>,
     spare: Vec<CensusImage>,
+    promises: Vec<Option<Promise>>,
 }
 
 /// What an earlier picture promises.
@@ -64,20 +65,28 @@ impl Keyframes {
 
     /// The references for a picture at `pose`: for every wanted parallax the keyframe that comes nearest to it. Nearest
     /// parallax first, no keyframe twice.
-    pub fn choose(&self, pose: &Pose3, camera: &CameraModel, depth_m: f64, config: &CoarseConfig) -> Vec<usize> {
-        let promises: Vec<Option<Promise>> =
-            self.ring.iter().map(|keyframe| promise_within(keyframe, pose, camera, depth_m, config)).collect();
-        let mut chosen = Vec::with_capacity(config.parallax_px.len());
-        for wanted in &config.parallax_px {
+    pub fn choose(
+        &mut self,
+        pose: &Pose3,
+        camera: &CameraModel,
+        depth_m: f64,
+        config: &CoarseConfig,
+    ) -> [Option<usize>; MAX_REFERENCES] {
+        let Self { ring, promises, .. } = self;
+        promises.clear();
+        promises.extend(ring.iter().map(|keyframe| promise_within(keyframe, pose, camera, depth_m, config)));
+        let mut chosen = [None; MAX_REFERENCES];
+        for (place, wanted) in config.parallax_px.iter().take(MAX_REFERENCES).enumerate() {
             let cost = |promise: &Promise| (promise.parallax_px / wanted).ln().abs();
             let best = promises
                 .iter()
                 .enumerate()
                 .filter_map(|(index, promise)| promise.as_ref().map(|p| (index, cost(p))))
                 // The newest of equals: it shares the most with this picture.
-                .min_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
-            if let Some((index, _)) = best.filter(|(index, _)| !chosen.contains(index)) {
-                chosen.push(index);
+                .min_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
+                .map(|(index, _)| index);
+            if !chosen.contains(&best) {
+                chosen[place] = best;
             }
         }
         chosen
@@ -164,9 +173,8 @@ mod tests {
         for i in 0..20 {
             keyframes.offer(&at(0.05 * f64::from(i), 0.0), &mut CensusImage::default(), &config);
         }
-        let chosen = keyframes.choose(&at(1.0, 0.0), &camera(), 2.0, &config);
+        let chosen = keyframes.choose(&at(1.0, 0.0), &camera(), 2.0, &config).map(Option::unwrap);
         let parallax = |i: &usize| 80.0 * (1.0 - 0.05 * *i as f64);
-        assert_eq!(chosen.len(), 3);
         for (index, wanted) in chosen.iter().zip(&config.parallax_px) {
             assert!((parallax(index) - wanted).abs() <= 2.5);
         }
@@ -180,7 +188,7 @@ mod tests {
             keyframes.offer(&at(0.0, 0.0), &mut CensusImage::default(), &config);
         }
         assert_eq!(keyframes.all().len(), 1);
-        assert!(keyframes.choose(&at(0.0, 0.0), &camera(), 2.0, &config).is_empty());
+        assert_eq!(keyframes.choose(&at(0.0, 0.0), &camera(), 2.0, &config), [None; MAX_REFERENCES]);
         assert!(keyframes.choose(&at(0.001, 0.1), &camera(), 2.0, &config).is_empty());
     }
 }

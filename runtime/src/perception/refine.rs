@@ -40,6 +40,7 @@ const ALONG: f64 = 0.3;
 #[derive(Debug, Default)]
 pub struct Corners {
     points: Vec<(usize, usize)>,
+    residuals: Vec<Option<Residual>>,
 }
 
 impl Corners {
@@ -77,6 +78,7 @@ fn strength(picture: &CensusImage, x: usize, y: usize) -> f32 {
 }
 
 /// How a corner's match answers to a small rotation of the reference, and how far off its line it was found.
+#[derive(Debug)]
 struct Residual {
     /// d(distance from the line) / d(rotation), pixels per radian.
     across: Vector3<f64>,
@@ -88,22 +90,17 @@ struct Residual {
 /// `t_reference_camera` with its rotation corrected. `camera` describes the positions of descriptors.
 pub fn refine_rotation(
     picture: &CensusImage,
-    corners: &Corners,
+    corners: &mut Corners,
     reference: &CensusImage,
     t_reference_camera: &Pose3,
     camera: &CameraModel,
 ) -> Pose3 {
-    let residuals: Vec<Residual> = corners
-        .points
-        .par_iter()
-        .map(|corner| residual(picture, *corner, reference, t_reference_camera, camera))
-        .collect::<Vec<_>>()
-        .into_iter()
-        .flatten()
-        .collect();
+    let Corners { points, residuals } = corners;
+    let residual = |corner: &(usize, usize)| residual(picture, *corner, reference, t_reference_camera, camera);
+    points.par_iter().map(residual).collect_into_vec(residuals);
     // How far off the pose's rotation may be: tracking jitter, and a share of the turn for timing and shutter.
     let sigma_rad = 0.002 + 0.05 * t_reference_camera.rotation.angle();
-    let turn = UnitQuaternion::from_scaled_axis(solve(&residuals, sigma_rad));
+    let turn = UnitQuaternion::from_scaled_axis(solve(residuals, sigma_rad));
     Pose3::from_parts(t_reference_camera.translation, turn * t_reference_camera.rotation)
 }
 
@@ -182,15 +179,15 @@ fn patch_cost(
 
 /// The rotation vector that explains the distances: iteratively reweighted least squares (Geman-McClure, its scale
 /// shrinking from the search range to one pixel) with the pose as prior.
-fn solve(residuals: &[Residual], sigma_rad: f64) -> Vector3<f64> {
+fn solve(residuals: &[Option<Residual>], sigma_rad: f64) -> Vector3<f64> {
     let mut omega = Vector3::zeros();
-    if residuals.len() < MIN_CORNERS {
+    if residuals.iter().flatten().count() < MIN_CORNERS {
         return omega;
     }
     for scale_px in [6.0, 4.0, 3.0, 2.0, 1.5, 1.0, 1.0, 1.0] {
         let mut normal = Matrix3::identity() / (sigma_rad * sigma_rad);
         let mut right = Vector3::zeros();
-        for Residual { across, along, off_px } in residuals {
+        for Residual { across, along, off_px } in residuals.iter().flatten() {
             let error = (off_px - across.dot(&omega)) / scale_px;
             let weight = (1.0 + error * error).powi(-2);
             normal += weight * across * across.transpose() + ALONG * along * along.transpose();
@@ -207,7 +204,7 @@ mod tests {
     use super::*;
 
     /// Residuals of corners all over a picture for a true rotation, seen by a camera that moved along `direction`.
-    fn residuals(direction: Vector3<f64>, truth: Vector3<f64>, outliers: usize) -> Vec<Residual> {
+    fn residuals(direction: Vector3<f64>, truth: Vector3<f64>, outliers: usize) -> Vec<Option<Residual>> {
         let camera = CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2);
         let mut all = Vec::new();
         for index in 0..60_usize {
@@ -219,7 +216,7 @@ mod tests {
             let (dx, dy) = (dx / dx.hypot(dy), dy / dx.hypot(dy));
             let across = far.cross(&(dv * dx - du * dy));
             let off_px = if index < outliers { 7.0 } else { across.dot(&truth) };
-            all.push(Residual { across, along: far.cross(&(du * dx + dv * dy)), off_px });
+            all.push(Some(Residual { across, along: far.cross(&(du * dx + dv * dy)), off_px }));
         }
         all
     }

@@ -120,7 +120,7 @@ pub fn nearest(x: f32) -> i32 {
 /// columns) with the number of far hypotheses that no reference sees.
 pub fn sweep(
     picture: &CensusImage,
-    references: &[Reference<'_>],
+    references: &[Option<Reference<'_>>],
     inverse_depth: &[f32; PLANES],
     volume: &mut [[u8; PLANES]],
     unseen: &mut [u8],
@@ -133,7 +133,7 @@ pub fn sweep(
 #[multiversion(targets("x86_64+avx2+bmi1+bmi2+popcnt"))]
 fn sweep_row<'a>(
     picture: &CensusImage,
-    references: &[Reference<'a>],
+    references: &[Option<Reference<'a>>],
     inverse_depth: &[f32; PLANES],
     row: usize,
     line: &mut [[u8; PLANES]],
@@ -144,7 +144,7 @@ fn sweep_row<'a>(
         let first = CELL * row * picture.width + CELL * column;
         let descriptors = TAPS.map(|(dx, dy)| picture.descriptors[first + dy * picture.width + dx]);
         let (u, v) = ((CELL * column) as f32, (CELL * row) as f32);
-        for (reference, bits) in references.iter().zip(&mut each) {
+        for (reference, bits) in references.iter().flatten().zip(&mut each) {
             reference.match_cell(u, v, &descriptors, inverse_depth, bits);
         }
         *unseen = fuse(&each, out);

@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod disturbance;
+pub mod engine;
 pub mod fit;
 pub mod measure;
 pub mod reliability;

@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use accuracy::disturbance::Disturbance;
+use accuracy::engine::{Coarse, Engine, FlowDepth};
 use accuracy::fit::Samples;
 use accuracy::measure::{Outcome, measure};
-use accuracy::reliability::Reliability;
 use accuracy::sequence::{Motion, Sequence, recorded, simulated};
 use anyhow::Result;
 use clap::Parser;
 use firmware_host::config::Config;
-use hal::ImageView;
+use hal::{CameraModel, ImageView};
 use runtime::perception::trust::{belief_features, vote_features};
 use runtime::perception::{Belief, CoarseConfig, CoarseDepth, Vote};
 use simulator::{OpenOptions, World};
@@ -41,6 +41,15 @@ struct Options {
     /// Configurations to compare; the default one where none is given.
     #[arg(long = "config")]
     configs: Vec<PathBuf>,
+    /// Also the paper's way: flow to the fifth picture before, then least squares, with dense inverse search.
+    #[arg(long)]
+    search: bool,
+    /// The same with a learned flow, an ONNX model (`cargo xtask models` exports RAFT).
+    #[arg(long)]
+    flow_model: Option<PathBuf>,
+    /// Judge every so many pictures; the learned flow looks at no others.
+    #[arg(long, default_value_t = 1)]
+    every: usize,
     /// Folder for one picture of each sequence and the reliability diagram.
     #[arg(long)]
     out: Option<PathBuf>,
@@ -59,9 +68,20 @@ fn main() -> Result<()> {
     if options.fit {
         return fit(&sequences, &configs[0].1);
     }
-    let disturbances = if options.undisturbed { &Disturbance::ALL[..1] } else { &Disturbance::ALL };
+    println!("{}", Outcome::head());
     for (name, config) in &configs {
-        compare(name, config, &sequences, disturbances, options.out.as_deref())?;
+        compare(&options, &sequences, options.out.as_deref(), |camera| {
+            Ok(Box::new(Coarse::new(name, config, camera)?))
+        })?;
+    }
+    if options.search {
+        compare(&options, &sequences, None, |camera| Ok(Box::new(FlowDepth::search(camera)?)))?;
+    }
+    if let Some(model) = &options.flow_model {
+        compare(&options, &sequences, None, |camera| Ok(Box::new(FlowDepth::network(model, camera)?)))?;
+    }
+    if let Some(folder) = &options.out {
+        println!("Look at {}.", folder.display());
     }
     Ok(())
 }
@@ -83,32 +103,26 @@ fn sequences(options: &Options) -> Result<Vec<Sequence>> {
 }
 
 fn compare(
-    name: &str,
-    config: &Config,
+    options: &Options,
     sequences: &[Sequence],
-    disturbances: &[Disturbance],
     out: Option<&Path>,
+    engine: impl Fn(CameraModel) -> Result<Box<dyn Engine>>,
 ) -> Result<()> {
-    let (mut all, mut reliability) = (Vec::new(), Reliability::default());
-    println!("{}", Outcome::head());
+    let disturbances = if options.undisturbed { &Disturbance::ALL[..1] } else { &Disturbance::ALL };
+    let mut all = Vec::new();
     for sequence in sequences {
         for disturbance in disturbances {
-            let mut engine = CoarseDepth::new(config.coarse.clone(), sequence.camera)?;
+            let mut engine = engine(sequence.camera)?;
             let sheet = out.filter(|_| *disturbance == Disturbance::None);
-            let outcome =
-                measure(sequence, *disturbance, name, sheet, |frame, pose| engine.estimate(frame, pose).ok().cloned())?;
+            let outcome = measure(sequence, *disturbance, engine.as_mut(), options.every.max(1), sheet)?;
             println!("{}", outcome.line());
-            if *disturbance == Disturbance::None {
-                reliability.add_normalised(&outcome.reliability);
-            }
             all.push(outcome);
         }
     }
-    println!("{}", Outcome::mean(&all).line());
-    println!("Confidence: calibration error {:.3} over all undisturbed sequences.", reliability.error());
+    let mean = Outcome::mean(&all);
+    println!("{}", mean.line());
     if let Some(folder) = out {
-        reliability.draw(&format!("{name}: confidence"), &folder.join("reliability.png"))?;
-        println!("Look at {}.", folder.display());
+        mean.reliability.draw(&format!("{}: confidence", mean.engine), &folder.join("reliability.png"))?;
     }
     Ok(())
 }

@@ -6,11 +6,11 @@ use std::time::Instant;
 use anyhow::Result;
 use firmware_host::report::depth_sample::{SheetRow, SheetSampler};
 use firmware_host::report::depth_sheet::{DEPTH_FILE, DepthSheet};
-use hal::{ImageView, Pose3};
+use hal::ImageView;
 use runtime::accuracy::{Accuracy, ConstantBaseline, Metrics};
-use runtime::perception::DepthEstimate;
 
 use crate::disturbance::Disturbance;
+use crate::engine::Engine;
 use crate::reliability::Reliability;
 use crate::sequence::Sequence;
 
@@ -100,16 +100,16 @@ impl Outcome {
     }
 }
 
-/// Lets an engine look at every picture; `sheet` is a folder for a picture of what it saw.
+/// Lets an engine look at every picture and judges every `every`th; `sheet` is a folder for a picture of what it saw.
 ///
 /// # Errors
-/// When pictures and truth do not fit, or the sheet cannot be written.
+/// When pictures and truth do not fit, the engine cannot work, or the sheet cannot be written.
 pub fn measure(
     sequence: &Sequence,
     disturbance: Disturbance,
-    engine: &str,
+    engine: &mut dyn Engine,
+    every: usize,
     sheet: Option<&Path>,
-    mut estimate: impl FnMut(ImageView<'_>, &Pose3) -> Option<DepthEstimate>,
 ) -> Result<Outcome> {
     let (mut accuracy, mut constant, mut reliability) =
         (Accuracy::new(), ConstantBaseline::new(), Reliability::default());
@@ -118,7 +118,11 @@ pub fn measure(
         let (rgb, pose) = disturbance.of(index, view);
         let frame = ImageView::rgb8(sequence.camera.width, sequence.camera.height, &rgb)?;
         let began = Instant::now();
-        let found = estimate(frame, &pose);
+        let wanted = index.is_multiple_of(every);
+        let found = engine.look(frame, &pose, wanted)?;
+        if !wanted {
+            continue;
+        }
         seconds.push(began.elapsed().as_secs_f64());
         let Some(truth) = &view.truth else { continue };
         accuracy.add(found.as_ref(), truth)?;
@@ -141,7 +145,7 @@ pub fn measure(
     let rows = accuracy.rows();
     Ok(Outcome {
         name,
-        engine: engine.to_owned(),
+        engine: engine.name(),
         all: rows.all.unwrap_or_default(),
         half: rows.confident.unwrap_or_default(),
         constant: constant.rows().all.map_or(0.0, |metrics| metrics.delta1),

@@ -1,0 +1,64 @@
+//! Perception allocates nothing once it has run: a robot's loop does not wait for memory.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
+
+use hal::{CameraModel, ImageView, PixelFormat, Pose3};
+use nalgebra::{UnitQuaternion, Vector3};
+use runtime::perception::flow::{DenseFlow, DerotatedFlow, FlowField, FlowPreset};
+use runtime::perception::{CoarseConfig, CoarseDepth};
+
+const WIDTH: usize = 200;
+const HEIGHT: usize = 150;
+
+/// Waves that move by `shift` pixels.
+fn picture(shift: f64) -> Vec<u8> {
+    let wave = |index: usize| {
+        let (x, y) = ((index % WIDTH) as f64 + shift, (index / WIDTH) as f64);
+        (x * 0.7).sin() * (y * 0.5).cos() + (x * 0.13 + y * 0.31).sin()
+    };
+    (0..WIDTH * HEIGHT).map(|index| (128.0 + 50.0 * wave(index)) as u8).collect()
+}
+
+fn view(data: &[u8]) -> ImageView<'_> {
+    ImageView::new(WIDTH, HEIGHT, PixelFormat::Gray8, data).unwrap()
+}
+
+/// Allocations of a piece of work, counted on the only thread of a pool.
+fn allocations(work: impl FnOnce() + Send) -> u64 {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    pool.install(|| allocation_counter::measure(work).count_total)
+}
+
+#[test]
+fn coarse_depth_allocates_nothing_once_its_keyframes_are_full() {
+    let camera = CameraModel::pinhole(WIDTH, HEIGHT, 1.5);
+    let config = CoarseConfig { keyframes: 8, ..CoarseConfig::default() };
+    let mut engine = CoarseDepth::new(config, camera).unwrap();
+    let pictures: Vec<Vec<u8>> = (0..60).map(|step| picture(f64::from(step))).collect();
+    let mut with_depth = 0;
+    let mut look = |steps: std::ops::Range<usize>| {
+        for step in steps {
+            let pose = Pose3::translation(0.03 * step as f64, 0.0, 0.0);
+            with_depth += u32::from(engine.estimate(view(&pictures[step]), &pose).is_ok());
+        }
+    };
+    look(0..40);
+    assert_eq!(allocations(|| look(40..60)), 0);
+    assert!(with_depth > 50);
+}
+
+#[test]
+fn flow_allocates_nothing_after_the_first_call() {
+    let (first, second) = (picture(0.0), picture(2.0));
+    let initial = FlowField::zero(WIDTH, HEIGHT);
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.02, 0.0));
+    let mut derotated = DerotatedFlow::new(FlowPreset::Fast, CameraModel::pinhole(WIDTH, HEIGHT, 1.5)).unwrap();
+    for preset in [FlowPreset::UltraFast, FlowPreset::Fast, FlowPreset::Medium] {
+        let mut engine = DenseFlow::new(preset, WIDTH, HEIGHT).unwrap();
+        let mut run = || {
+            engine.flow(view(&first), view(&second), Some(&initial)).unwrap();
+            derotated.flow(view(&first), view(&second), &turn).unwrap();
+        };
+        (0..3).for_each(|_| run());
+        assert_eq!(allocations(|| (0..5).for_each(|_| run())), 0, "{preset:?}");
+    }
+}

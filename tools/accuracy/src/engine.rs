@@ -1,0 +1,124 @@
+//! Who is compared: our coarse depth, and the paper's way with two kinds of flow.
+
+use std::collections::VecDeque;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use firmware_host::config::Config;
+use hal::{CameraModel, ImageView, Pose3};
+use runtime::perception::flow::{DenseFlow, FlowPreset};
+use runtime::perception::least_squares::{FlowView, triangulate};
+use runtime::perception::{CoarseDepth, DepthEstimate, FlowNetwork, NetworkOptions};
+
+/// The paper's flow goes from each picture to the fifth before it.
+const GAP: usize = 5;
+/// The paper's range of valid triangulations, metres.
+const RANGE_M: (f64, f64) = (0.1, 40.0);
+/// Bearing error of a match of half a pixel at f = 320, radians (METHOD.md 1.2).
+const BEARING_ERROR_RAD: f32 = 0.0016;
+
+/// Something that makes depth of pictures.
+pub trait Engine {
+    /// Its name in the table.
+    fn name(&self) -> String;
+    /// Looks at the next picture. What is not `wanted` need only be remembered.
+    ///
+    /// # Errors
+    /// When it cannot work at all; a picture without depth is `None`.
+    fn look(&mut self, frame: ImageView<'_>, pose: &Pose3, wanted: bool) -> Result<Option<DepthEstimate>>;
+}
+
+/// Our coarse depth.
+pub struct Coarse {
+    name: String,
+    engine: CoarseDepth,
+}
+
+impl Coarse {
+    /// With the settings of a configuration.
+    ///
+    /// # Errors
+    /// Settings that cannot work.
+    pub fn new(name: &str, config: &Config, camera: CameraModel) -> Result<Self> {
+        Ok(Self { name: name.to_owned(), engine: CoarseDepth::new(config.coarse.clone(), camera)? })
+    }
+}
+
+impl Engine for Coarse {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn look(&mut self, frame: ImageView<'_>, pose: &Pose3, _wanted: bool) -> Result<Option<DepthEstimate>> {
+        Ok(self.engine.estimate(frame, pose).ok().cloned())
+    }
+}
+
+/// A way to get flow.
+enum Flow {
+    Search(Box<DenseFlow>),
+    Network(Box<FlowNetwork>),
+}
+
+/// Flow to the fifth picture before, then closed-form least squares: the paper's coarse depth, with one past picture as in its
+/// released code.
+pub struct FlowDepth {
+    name: &'static str,
+    camera: CameraModel,
+    flow: Flow,
+    past: VecDeque<(Vec<u8>, Pose3)>,
+}
+
+impl FlowDepth {
+    /// With dense inverse search, preset medium.
+    ///
+    /// # Errors
+    /// A camera that is too small.
+    pub fn search(camera: CameraModel) -> Result<Self> {
+        let flow = Box::new(DenseFlow::new(FlowPreset::Medium, camera.width, camera.height)?);
+        Ok(Self { name: "DIS + LS", camera, flow: Flow::Search(flow), past: VecDeque::new() })
+    }
+
+    /// With a learned flow.
+    ///
+    /// # Errors
+    /// A model that cannot be used.
+    pub fn network(model: &Path, camera: CameraModel) -> Result<Self> {
+        let (onnx_runtime, _) = firmware_host::onnx_runtime::init()?;
+        let bytes = std::fs::read(model).with_context(|| model.display().to_string())?;
+        let options = NetworkOptions { threads: 2, ..NetworkOptions::default() };
+        let flow = Box::new(FlowNetwork::load(&onnx_runtime, &bytes, (camera.width, camera.height), options)?);
+        Ok(Self { name: "RAFT + LS", camera, flow: Flow::Network(flow), past: VecDeque::new() })
+    }
+}
+
+impl Engine for FlowDepth {
+    fn name(&self) -> String {
+        self.name.to_owned()
+    }
+
+    fn look(&mut self, frame: ImageView<'_>, pose: &Pose3, wanted: bool) -> Result<Option<DepthEstimate>> {
+        let mut found = None;
+        if let Some((rgb, before)) = self.past.front().filter(|_| wanted && self.past.len() == GAP) {
+            let past = ImageView::rgb8(self.camera.width, self.camera.height, rgb)?;
+            let field = match &mut self.flow {
+                Flow::Search(engine) => engine.flow(frame, past, None)?,
+                Flow::Network(network) => network.estimate(frame, past).ok().context("the flow network failed")?,
+            };
+            let view = FlowView { flow: field, t_view_camera: before.inverse() * pose };
+            let found_depth = triangulate(&self.camera, &[view], RANGE_M)?;
+            // sigma_z / z = sigma / sin(parallax): an order by parallax, not a calibrated probability.
+            let confidence = found_depth.parallax_rad.iter().zip(found_depth.depth.values());
+            let confidence = confidence.map(|(parallax, depth)| match *depth > 0.0 {
+                true => (0.25 * parallax / (0.25 * parallax + BEARING_ERROR_RAD)).clamp(0.0, 1.0),
+                false => 0.0,
+            });
+            found = Some(DepthEstimate { confidence: confidence.collect(), depth: found_depth.depth });
+        }
+        if self.past.len() == GAP {
+            self.past.pop_front();
+        }
+        self.past.push_back((frame.data().to_vec(), *pose));
+        Ok(found)
+    }
+}
