@@ -37,6 +37,7 @@ pub struct CoarseDepth {
     keyframes: Keyframes,
     memory: Memory,
     last_pose: Option<Pose3>,
+    last_smooth: Vec<u16>,
     scene_depth_m: f64,
     picture: CensusImage,
     buffers: Buffers,
@@ -95,6 +96,7 @@ impl CoarseDepth {
             keyframes: Keyframes::default(),
             memory: Memory::default(),
             last_pose: None,
+            last_smooth: Vec::new(),
             scene_depth_m: FIRST_SCENE_DEPTH_M,
             picture: CensusImage::default(),
             estimate: DepthEstimate::none(camera.width, camera.height),
@@ -108,7 +110,7 @@ impl CoarseDepth {
     /// Depth of `frame` (RGB8 or GRAY8), taken at `t_odom_camera`, from the pictures before it.
     ///
     /// # Errors
-    /// Why there is none. A picture of the wrong size, without texture or with a pose that is not finite leaves no trace;
+    /// Why there is none. A picture of the wrong size, without texture, of a frozen camera or with a pose that is not finite leaves no trace;
     /// every other one is remembered.
     pub fn estimate(&mut self, frame: ImageView<'_>, t_odom_camera: &Pose3) -> Result<&DepthEstimate, NoDepth> {
         let pose = t_odom_camera;
@@ -122,6 +124,10 @@ impl CoarseDepth {
         if !self.picture.has_texture() {
             return Err(NoDepth::NoTexture);
         }
+        if self.is_frozen(pose) {
+            return Err(NoDepth::SamePicture);
+        }
+        self.last_smooth.clone_from(&self.picture.smooth);
         let outcome = self.look(pose);
         self.keyframes.offer(pose, &mut self.picture, &self.config);
         self.last_pose = Some(*pose);
@@ -164,6 +170,16 @@ impl CoarseDepth {
         }
         self.write_estimate();
         Ok(())
+    }
+
+    /// Nobody moves and sees the same to the last bit: taken at its word, such a picture shows a world without parallax.
+    fn is_frozen(&self, pose: &Pose3) -> bool {
+        let moved = self.last_pose.is_some_and(|last| {
+            let step = last.inverse() * pose;
+            step.translation.vector.norm() >= self.config.min_baseline_m
+                || step.rotation.angle() >= self.config.keyframe_turn_rad
+        });
+        moved && self.last_smooth == self.picture.smooth
     }
 
     fn is_jump(&self, last: &Pose3, pose: &Pose3) -> bool {

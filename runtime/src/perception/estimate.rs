@@ -45,6 +45,8 @@ pub enum NoDepth {
     FrameSize,
     /// The picture has no texture to match: black, saturated or blank.
     NoTexture,
+    /// The robot has moved, but the picture is the one before to the last bit: the camera is frozen.
+    SamePicture,
     /// The network failed or its output holds NaN or leaves the allowed range.
     NetworkOutput,
 }

@@ -30,7 +30,7 @@ pub fn sentence(event: &Event) -> (Severity, String) {
             let severity = match why {
                 NoDepth::NoFrame | NoDepth::FirstFrame | NoDepth::TooLittleParallax => Info,
                 NoDepth::NetworkOutput | NoDepth::PoseNotFinite | NoDepth::FrameSize => Error,
-                NoDepth::PoseJump | NoDepth::NoTexture => Warning,
+                NoDepth::PoseJump | NoDepth::NoTexture | NoDepth::SamePicture => Warning,
             };
             (severity, format!("no depth: {}", no_depth(*why)))
         }
@@ -105,6 +105,7 @@ fn no_depth(why: NoDepth) -> &'static str {
         NoDepth::PoseNotFinite => "the pose is not finite",
         NoDepth::FrameSize => "the picture has another size than the camera model",
         NoDepth::NoTexture => "the picture has no texture to match",
+        NoDepth::SamePicture => "the robot has moved but the picture is the one before: the camera is frozen",
         NoDepth::NetworkOutput => "the network failed or left its allowed range",
     }
 }

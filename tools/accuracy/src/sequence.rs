@@ -113,10 +113,7 @@ fn turn(config: &Config, devices: &mut Devices, robot: &mut Robot, tick: u64) ->
     };
     let decision = robot.tick(&input, &mut ());
     let t_odom_camera = devices.truth.pose().to_pose3() * config.camera.mount();
-    let view = match input.frame {
-        Some(frame) => Some(View { rgb: frame.data().to_vec(), truth: Some(truth.clone()), t_odom_camera }),
-        None => None,
-    };
+    let view = input.frame.map(|frame| View { rgb: frame.data().to_vec(), truth: Some(truth.clone()), t_odom_camera });
     Ok((view, decision.command.into()))
 }
 

@@ -9,7 +9,7 @@ use runtime::perception::flow::{DenseFlow, FlowPreset};
 use crate::peers::PeerProcess;
 use crate::report::{Row, Timing};
 
-const ROOM: &str = "flow";
+const ROOM: &str = "perception";
 const WIDTH: usize = 640;
 const HEIGHT: usize = 192;
 const RUNS: usize = 101;
@@ -59,7 +59,7 @@ fn measure(scene: &Scene, folder: &std::path::Path) -> Result<Vec<Row>> {
         }
         let error = scene.error_px(engine.flow(first, second, None)?.values().iter().copied());
         let threads = rayon::current_num_threads();
-        let mut row = Row::seconds(ROOM, format!("{name} 640x192"), Timing::of(ours));
+        let mut row = Row::seconds(ROOM, format!("optical flow {name} 640x192"), Timing::of(ours));
         let mut note = format!("{threads} threads, error {error:.3} px");
         if let Some(peer) = &mut peer {
             let timing = Timing::of(theirs);

@@ -13,7 +13,7 @@ use runtime::imaging::{FrontEnd, YuvRange};
 use crate::peers::PeerProcess;
 use crate::report::{Row, Timing};
 
-const ROOM: &str = "imaging";
+const ROOM: &str = "perception";
 const RUNS: usize = 200;
 const SOURCE: CameraModel = CameraModel {
     width: 640,

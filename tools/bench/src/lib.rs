@@ -18,9 +18,15 @@ pub type Measure = fn() -> anyhow::Result<Vec<Row>>;
 /// Every room that has something to measure, in the order of the table.
 pub const ROOMS: &[(&str, Measure)] = &[
     ("simulator", simulator::rows),
-    ("imaging", imaging::rows),
     ("mapping", mapping::measure),
     ("network", network::rows),
-    ("perception", perception::rows),
-    ("flow", flow::rows),
+    ("perception", perception_rows),
 ];
+
+/// From the camera's bytes to coarse depth, and optical flow.
+fn perception_rows() -> anyhow::Result<Vec<Row>> {
+    let mut rows = perception::rows()?;
+    rows.extend(imaging::rows()?);
+    rows.extend(flow::rows()?);
+    Ok(rows)
+}

@@ -136,6 +136,27 @@ fn a_refused_picture_leaves_no_trace() {
 }
 
 #[test]
+fn a_frozen_camera_gives_no_depth_and_is_looked_through_when_it_thaws() {
+    let mut engine = engine();
+    for i in 0..8 {
+        let _ = look(&mut engine, &sideways(i), 1.0, 0.0);
+    }
+    let frozen = render(&engine.camera, &sideways(7), 1.0, 0.0);
+    for i in 8..12 {
+        let picture = ImageView::new(320, 96, PixelFormat::Gray8, &frozen).unwrap();
+        assert_eq!(engine.estimate(picture, &sideways(i)).unwrap_err(), NoDepth::SamePicture);
+    }
+    assert!(look(&mut engine, &sideways(12), 1.0, 0.0).is_ok());
+}
+
+#[test]
+fn a_saturated_picture_has_no_texture() {
+    let white = vec![255; 320 * 96];
+    let white = ImageView::new(320, 96, PixelFormat::Gray8, &white).unwrap();
+    assert_eq!(engine().estimate(white, &sideways(0)).unwrap_err(), NoDepth::NoTexture);
+}
+
+#[test]
 fn one_thread_and_four_give_the_same_bits() {
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
