@@ -162,8 +162,8 @@ impl Planner {
         }
     }
 
-    /// Takes a step that is allowed, and queues where it leads if that is news. On even ground a straight step is followed by
-    /// up to [`RUN`] more like it without asking the queue: a cell that later turns out cheaper is queued again.
+    /// Takes a step that is allowed, and queues where it leads if that is news. On even ground and along walls a straight
+    /// step is followed by up to [`RUN`] more like it without asking the queue: a cell that later turns out cheaper is queued again.
     #[inline]
     fn step(&mut self, costmap: &Costmap, mut from: Entry, direction: usize, goal_index: usize, heuristic: &Heuristic) {
         let (dx, dy) = STEPS[direction];
@@ -193,7 +193,11 @@ impl Planner {
                     return;
                 }
             }
-            if !even || is_diagonal || cost >= enough || index == goal_index {
+            if is_diagonal || cost >= enough || index == goal_index {
+                break;
+            }
+            // Along a wall without openings nothing else is natural either.
+            if !even && (onward != NATURAL[direction] || !is_allowed(costmap, index, direction)) {
                 break;
             }
             node.done |= node.open;
