@@ -14,7 +14,7 @@ use runtime::perception::{CoarseDepth, DepthEstimate, FlowNetwork, NetworkOption
 const GAP: usize = 5;
 /// The paper's range of valid triangulations, metres.
 const RANGE_M: (f64, f64) = (0.1, 40.0);
-/// Bearing error of a match of half a pixel at f = 320, radians (METHOD.md 1.2).
+/// Bearing error of a match that is half a pixel off at f = 320, radians.
 const BEARING_ERROR_RAD: f32 = 0.0016;
 
 /// Something that makes depth of pictures.
