@@ -9,6 +9,7 @@ use super::enlarge::Cells;
 use super::fusion::{Belief, Memory};
 use super::keyframes::Keyframes;
 use super::refine::{Corners, refine_rotation};
+use super::subpixel::polish;
 use super::sweep::{CELL, FAR, MAX_REFERENCES, PLANES, Reference, hypotheses, sweep};
 use super::trust;
 use super::winner::{Vote, winners};
@@ -110,8 +111,8 @@ impl CoarseDepth {
     /// Depth of `frame` (RGB8 or GRAY8), taken at `t_odom_camera`, from the pictures before it.
     ///
     /// # Errors
-    /// Why there is none. A picture of the wrong size, without texture, of a frozen camera or with a pose that is not finite leaves no trace;
-    /// every other one is remembered.
+    /// Why there is none. A picture of the wrong size, without texture, of a frozen camera or with a pose that is not finite
+    /// leaves no trace; every other one is remembered.
     pub fn estimate(&mut self, frame: ImageView<'_>, t_odom_camera: &Pose3) -> Result<&DepthEstimate, NoDepth> {
         let pose = t_odom_camera;
         if !pose.to_homogeneous().iter().all(|value| value.is_finite()) {
@@ -222,6 +223,7 @@ impl CoarseDepth {
                 let parallax_px = |r: &Reference<'_>| r.parallax_px(u, v, vote.inverse_depth);
                 vote.parallax_px = references.iter().flatten().filter_map(parallax_px).fold(0.0, f32::max);
             }
+            polish(picture, &references, row, inverse_depth[0], votes);
         });
         self.memory.vote(votes, &self.config.vote_weights);
     }

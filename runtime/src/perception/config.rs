@@ -65,7 +65,7 @@ impl Default for CoarseConfig {
         Self {
             min_depth_m: 0.3,
             max_depth_m: 20.0,
-            parallax_px: vec![10.0, 32.0],
+            parallax_px: vec![6.0, 16.0, 40.0],
             turn_error: 0.02,
             turn_error_floor_rad: 0.001,
             parallax_over_error: 5.0,
@@ -78,11 +78,11 @@ impl Default for CoarseConfig {
             keyframes: 48,
             max_step_m: 0.5,
             max_turn_rad: 0.8,
-            penalty_small: 30,
+            penalty_small: 20,
             penalty_large: 200,
             memory: 0.92,
-            vote_weights: [-1.08, 5.19, 0.22, 0.39, 0.8],
-            belief_weights: [-1.51, 3.35, 1.11],
+            vote_weights: [-0.74, 4.39, 0.37, 0.47, -0.1],
+            belief_weights: [-1.35, 3.17, 1.1],
             min_confidence: 0.5,
             min_remembered: 0.3,
         }

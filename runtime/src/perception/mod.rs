@@ -12,6 +12,7 @@ mod keyframes;
 pub mod least_squares;
 pub mod network;
 mod refine;
+mod subpixel;
 mod sweep;
 #[cfg(test)]
 mod test_scene;

@@ -35,7 +35,8 @@ pub fn hypotheses(min_depth_m: f64, max_depth_m: f64) -> [f32; PLANES] {
 /// A picture to compare with, ready to look up matches: the point behind position `u` at inverse depth `w` is seen at the
 /// homogeneous position `rotation * u + w * translation`.
 pub struct Reference<'a> {
-    census: &'a CensusImage,
+    /// The picture.
+    pub census: &'a CensusImage,
     rotation: Matrix3<f32>,
     translation: Vector3<f32>,
 }
@@ -63,6 +64,24 @@ impl<'a> Reference<'a> {
         let (right, bottom) = ((self.census.width - 1) as f32, (self.census.height - 1) as f32);
         let inside = near.z > 0.05 && x >= 0.0 && y >= 0.0 && x <= right && y <= bottom;
         inside.then(|| (x - far.x / far.z).hypot(y - far.y / far.z))
+    }
+
+    /// How the surroundings of the point at (u, v) with inverse depth `w` are seen, as flat and facing the camera; `None` where
+    /// the point does not move with its depth.
+    #[inline(always)]
+    pub fn look(&self, u: f32, v: f32, w: f32) -> Option<Look> {
+        let (r, t) = (&self.rotation, &self.translation);
+        let near = r * Vector3::new(u, v, 1.0) + t * w;
+        let (x, y) = (near.x / near.z, near.y / near.z);
+        let moved = |by: nalgebra::Vector3<f32>| [(by.x - x * by.z) / near.z, (by.y - y * by.z) / near.z];
+        let motion = moved(*t);
+        let moves = near.z > 0.05 && motion[0].hypot(motion[1]) > f32::EPSILON;
+        moves.then(|| Look {
+            place: [x, y],
+            along_u: moved(r.column(0).into()),
+            along_v: moved(r.column(1).into()),
+            motion,
+        })
     }
 
     /// Differing bits of all hypotheses for the cell whose descriptors begin at full-size position (u, v); [`OUTSIDE`] where
@@ -107,6 +126,18 @@ impl<'a> Reference<'a> {
             *bits = *sum as u8 | seen;
         }
     }
+}
+
+/// Where a reference sees a point, full-size pixels, and how that moves.
+pub struct Look {
+    /// The position.
+    pub place: [f32; 2],
+    /// Its change with a pixel to the right in this picture ...
+    pub along_u: [f32; 2],
+    /// ... with one down ...
+    pub along_v: [f32; 2],
+    /// ... and with inverse depth, pixels metre.
+    pub motion: [f32; 2],
 }
 
 /// Rounds to the nearest integer without leaving the vector unit: adding 1.5 * 2^23 leaves the integer in the mantissa.

@@ -58,6 +58,7 @@ mod tests {
         assert!(of_vote(&weights().0, &Vote { margin: 0.6, ..vote }) > trust);
         assert!(of_vote(&weights().0, &Vote { parallax_px: 20.0, ..vote }) > trust);
         assert!(of_vote(&weights().0, &Vote { texture: 0.4, ..vote }) > trust);
+        assert!(of_vote(&weights().0, &Vote { misfit: 0.8, ..vote }) < trust);
     }
 
     #[test]

@@ -17,8 +17,8 @@ pub struct Vote {
     /// Share of differing bits of the mean hypothesis, 0 to 1: 0 where the cell has no texture and only follows its
     /// neighbours.
     pub texture: f32,
-    /// Share of differing bits at the best hypothesis over that of the mean one: near 1 where the match is no match, or the
-    /// thing has moved.
+    /// Share of the brightness pattern in the references that this picture does not explain, 0 to 1: near 1 where the match is
+    /// no match, or the thing has moved.
     pub misfit: f32,
     /// Largest parallax among the references, full-size pixels; 0: there was nothing to compare with.
     pub parallax_px: f32,
@@ -34,7 +34,7 @@ pub fn winners(sums: &[[i16; PLANES]], costs: &[[u8; PLANES]], inverse_depth: &[
 
 /// Takes the smallest of `sums`, refines it by two lines of opposite slope through it and its neighbours (costs that count
 /// bits have a V at the right place, not a parabola; Shimizu and Okutomi 2005) and looks for a rival. `costs` are those of
-/// the cell alone. The parallax is left at 0.
+/// the cell alone. Misfit and parallax are left at 0.
 #[inline(always)]
 fn winner(sums: &[i16; PLANES], costs: &[u8; PLANES], inverse_depth: &[f32; PLANES]) -> Vote {
     let least = smallest(sums);
@@ -53,8 +53,7 @@ fn winner(sums: &[i16; PLANES], costs: &[u8; PLANES], inverse_depth: &[f32; PLAN
         }
     }
     let mean = costs.iter().map(|cost| u32::from(*cost)).sum::<u32>() as f32 / PLANES as f32;
-    let misfit = f32::from(costs[plane]) / mean.max(1.0);
-    Vote { inverse_depth: refined, margin, texture: mean / f32::from(WORST_COST), misfit, parallax_px: 0.0 }
+    Vote { inverse_depth: refined, margin, texture: mean / f32::from(WORST_COST), ..Vote::default() }
 }
 
 #[inline(always)]
@@ -112,8 +111,8 @@ mod tests {
         let w = hypotheses(0.3, 20.0);
         let vote = winner(&sums, &costs, &w);
         let mean = (63.0 * 48.0 + 12.0) / 64.0;
-        assert!((vote.texture - mean / 96.0).abs() < 1e-6 && (vote.misfit - 12.0 / mean).abs() < 1e-6);
+        assert!((vote.texture - mean / 96.0).abs() < 1e-6);
         let flat = winner(&sums, &[0; PLANES], &w);
-        assert!(flat.texture == 0.0 && flat.misfit == 0.0 && flat.margin == vote.margin);
+        assert!(flat.texture == 0.0 && flat.margin == vote.margin);
     }
 }
