@@ -64,7 +64,8 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     let frames = dataset.len() as u64;
     let summary = looker.summary(frames, wall_s, &args.dataset.display().to_string());
     let title = format!("{}, {frames} frames", args.dataset.display());
-    looker.map.write(&title, &args.out)?;
+    let above = format!("{}, {frames} frames, from above", dataset.manifest().name);
+    looker.map.write(&above, &args.out)?;
     DepthSheet { title: &title, rows: &looker.sheet.into_rows() }.write(&args.out)?;
     summary.write(&args.out)?;
     println!("{}", table::render(&summary));
