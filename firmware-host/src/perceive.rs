@@ -1,4 +1,4 @@
-//! `firmware-host perceive`: depth on a recorded sequence, and how good it was.
+//! `firmware-host perceive`: depth on a recorded sequence, how good it was, and what it shows from above.
 
 use std::time::Instant;
 
@@ -19,6 +19,7 @@ use crate::report::latency::Stage;
 use crate::report::progress::{Progress, Status};
 use crate::report::summary::{DepthAccuracy, Summary, peak_resident_mib};
 use crate::report::table;
+use crate::report::top_view::TopView;
 use crate::setup;
 use crate::stopwatch::Stopwatch;
 
@@ -42,6 +43,7 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
         events: EventCounts::default(),
         stopwatch: Stopwatch::default(),
         sheet: SheetSampler::default(),
+        map: TopView::new(&dataset.poses(), dataset.manifest().up.map(Into::into))?,
         path_m: 0.0,
     };
     let began = Instant::now();
@@ -62,13 +64,15 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     let frames = dataset.len() as u64;
     let summary = looker.summary(frames, wall_s, &args.dataset.display().to_string());
     let title = format!("{}, {frames} frames", args.dataset.display());
+    let above = format!("{}, {frames} frames, from above", dataset.manifest().name);
+    looker.map.write(&above, &args.out)?;
     DepthSheet { title: &title, rows: &looker.sheet.into_rows() }.write(&args.out)?;
     summary.write(&args.out)?;
     println!("{}", table::render(&summary));
     if dataset.without_pose() > 0 {
         println!("{} pictures were left out: no pose is near them in time.", dataset.without_pose());
     }
-    println!("Look at {}.", args.out.join("depth.png").display());
+    println!("Look at {0}/depth.png and {0}/map.png; numbers are in {0}/summary.json.", args.out.display());
     Ok(())
 }
 
@@ -81,6 +85,7 @@ struct Looker {
     events: EventCounts,
     stopwatch: Stopwatch,
     sheet: SheetSampler,
+    map: TopView,
     path_m: f64,
 }
 
@@ -104,6 +109,7 @@ impl Looker {
             self.stopwatch.lap(Stage::Network);
         }
         self.stopwatch.since(began, Stage::Total);
+        self.map.add(&sample.t_world_camera, refined.or(coarse), &sample.camera)?;
         if let Some(truth) = &sample.truth {
             self.coarse_accuracy.add(coarse, truth)?;
             self.constant.add(truth);

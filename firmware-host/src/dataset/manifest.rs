@@ -26,6 +26,9 @@ pub struct Manifest {
     /// Where it comes from.
     #[serde(default)]
     pub source: String,
+    /// Where up is in the frame of `groundtruth.txt`, any length. Without it, it is estimated from how the camera was held.
+    #[serde(default)]
+    pub up: Option<[f64; 3]>,
     /// Anything else.
     #[serde(default)]
     pub note: String,
@@ -79,6 +82,10 @@ impl Manifest {
         require(path, "layout", &self.layout, self.layout == "tum", "\"tum\"")?;
         require(path, "nominal_fps", &self.nominal_fps, is_positive(self.nominal_fps), positive)?;
         require(path, "depth_scale", &self.depth_scale, is_positive(self.depth_scale), positive)?;
+        if let Some(up) = &self.up {
+            let direction = up.iter().all(|part| part.is_finite()) && up.iter().any(|part| part.abs() > 1e-6);
+            require(path, "up", &format!("{up:?}"), direction, "a direction, as [0.0, 0.0, 1.0]")?;
+        }
         require(path, "camera.width", &camera.width, (1..=16384).contains(&camera.width), pixels)?;
         require(path, "camera.height", &camera.height, (1..=16384).contains(&camera.height), pixels)?;
         require(path, "camera.fx", &camera.fx, is_positive(camera.fx), positive)?;
@@ -163,6 +170,7 @@ mod tests {
             ("width = 640", "width = 0", "camera.width"),
             ("\"tum\"", "\"kitti\"", "layout"),
             ("[]", "[0.1]", "camera.distortion"),
+            ("nominal_fps", "up = [0.0, 0.0, 0.0]\nnominal_fps", "up"),
         ] {
             let error = read(&GOOD.replace(good, bad)).unwrap_err().to_string();
             assert!(error.contains(key) && error.contains("allowed"), "{error}");

@@ -104,6 +104,12 @@ impl Dataset {
         self.frames.is_empty()
     }
 
+    /// Where the camera was at each sample.
+    #[must_use]
+    pub fn poses(&self) -> Vec<Pose3> {
+        self.frames.iter().map(|frame| frame.t_world_camera).collect()
+    }
+
     /// Pictures that were left out because no pose is near them in time.
     #[must_use]
     pub fn without_pose(&self) -> usize {

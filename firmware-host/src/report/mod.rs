@@ -13,3 +13,4 @@ pub mod progress;
 pub mod stuck;
 pub mod summary;
 pub mod table;
+pub mod top_view;

@@ -1,23 +1,51 @@
 //! The cheapest way, and the distance to everywhere.
 
 use super::buckets::{Buckets, Entry};
-use super::costmap::{Costmap, UNIFORM};
-use super::steps::{ALL, DIAGONAL, FREE_DIAGONAL, FREE_STEP, NATURAL, NO_STEP, STEPS, STRAIGHT, is_allowed, onward};
+use super::costmap::{Costmap, LEVEL, WEIGHT};
+use super::steps::{DIAGONAL, FREE_DIAGONAL, FREE_STEP, NATURAL, NO_STEP, STEPS, STRAIGHT, all_allowed, onward};
 use crate::mapping::Cell;
 
 /// What a search knows of a cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Node {
     cost: u32,
-    /// The step by which the cheapest way enters.
-    step: u8,
-    /// Steps to take from here.
-    open: u8,
-    /// Steps taken from here at this cost.
-    done: u8,
+    mark: Mark,
 }
 
-const UNSEEN: Node = Node { cost: u32::MAX, step: NO_STEP, open: 0, done: 0 };
+/// The rest of what a search knows of a cell, in one word.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Mark(u32);
+
+impl Mark {
+    /// `step` is how the cheapest way enters, `open` are the steps to take from here, `done` those taken at this cost.
+    #[inline]
+    fn new(search: u8, step: u8, open: u8, done: u8) -> Self {
+        Self(u32::from_le_bytes([step, open, done, search]))
+    }
+
+    #[inline]
+    fn step(self) -> u8 {
+        self.0.to_le_bytes()[0]
+    }
+
+    #[inline]
+    fn open(self) -> u8 {
+        self.0.to_le_bytes()[1]
+    }
+
+    #[inline]
+    fn done(self) -> u8 {
+        self.0.to_le_bytes()[2]
+    }
+
+    /// The search that wrote this. What earlier ones knew is forgotten without being touched.
+    #[inline]
+    fn search(self) -> u8 {
+        self.0.to_le_bytes()[3]
+    }
+}
+
+const UNSEEN: Node = Node { cost: u32::MAX, mark: Mark(0) };
 
 /// Straight steps on free floor that are taken at once. Long runs save queueing, but run past what the search needs; and all
 /// priorities have to fit into the queue's ring.
@@ -49,9 +77,8 @@ pub enum NoPath {
 pub struct Planner {
     max_expanded: usize,
     nodes: Vec<Node>,
-    stride: usize,
-    /// Rows of `nodes` that the last search wrote.
-    dirty: core::ops::Range<usize>,
+    /// Number of the last search, from 1; what bears another number is forgotten.
+    search: u8,
     queue: Buckets,
     /// From a start inside an obstacle's margin to the first passable cell, without that one.
     escape: Vec<Cell>,
@@ -66,8 +93,7 @@ impl Planner {
         Self {
             max_expanded,
             nodes: Vec::new(),
-            stride: 0,
-            dirty: 0..0,
+            search: 0,
             queue: Buckets::default(),
             escape: Vec::new(),
             path: Vec::new(),
@@ -102,7 +128,7 @@ impl Planner {
         Ok(Reach { planner: self, costmap })
     }
 
-    /// Cells that the last search looked at.
+    /// Steps that the last search tried.
     #[must_use]
     pub fn expanded(&self) -> usize {
         self.expanded
@@ -110,115 +136,99 @@ impl Planner {
 
     fn search(&mut self, costmap: &Costmap, start: Cell, goal: Option<Cell>) -> Result<bool, NoPath> {
         self.prepare(costmap);
-        let place = |cell: Cell| {
-            let index = costmap.index(cell)?;
-            Some((index, (index % costmap.stride) as u16, (index / costmap.stride) as u16))
-        };
-        let (start_index, x, y) = place(start).ok_or(NoPath::StartBlocked)?;
-        let (goal_index, heuristic) = match goal.and_then(place) {
-            Some((index, x, y)) => (index, Heuristic { goal: Some((x, y)) }),
-            None => (usize::MAX, Heuristic { goal: None }),
-        };
-        self.nodes[start_index] = Node { cost: 0, step: NO_STEP, open: ALL, done: 0 };
-        let first = heuristic.of(x, y);
+        let start = Place::of(costmap, start).ok_or(NoPath::StartBlocked)?;
+        let goal = goal.and_then(|cell| Place::of(costmap, cell));
+        let open = all_allowed(costmap, start.index);
+        self.nodes[start.index] = Node { cost: 0, mark: Mark::new(self.search, NO_STEP, open, 0) };
+        let first = lower_bound(goal, start.x, start.y);
         self.queue.restart(first);
-        self.queue.push(first, Entry { x, y, cost: 0 });
-        self.dirty = usize::from(y)..usize::from(y) + 1;
+        self.queue.push(first, Entry { x: start.x, y: start.y, cost: 0 });
         while let Some(entry) = self.queue.pop() {
-            let index = usize::from(entry.y) * costmap.stride + usize::from(entry.x);
-            let node = &mut self.nodes[index];
-            if node.cost != entry.cost || node.open == 0 {
-                continue;
-            }
-            if index == goal_index {
+            if goal.is_some_and(|goal| self.cost(goal.index) <= self.queue.now()) {
                 return Ok(true);
             }
-            let directions = node.open;
-            node.open = 0;
-            node.done |= directions;
-            self.expanded += 1;
+            let node = &mut self.nodes[usize::from(entry.y) * costmap.stride + usize::from(entry.x)];
+            let mut open = node.mark.open();
+            if node.cost != entry.cost || open == 0 {
+                continue;
+            }
+            node.mark = Mark::new(self.search, node.mark.step(), 0, node.mark.done() | open);
+            while open != 0 {
+                self.run(costmap, entry, open.trailing_zeros() as usize, goal);
+                open &= open - 1;
+            }
             if self.expanded > self.max_expanded {
                 return Err(NoPath::Budget);
             }
-            self.expand(costmap, entry, goal_index, directions, &heuristic);
         }
-        Ok(goal_index == usize::MAX)
+        Ok(goal.is_none_or(|goal| self.cost(goal.index) != u32::MAX))
     }
 
-    /// Takes every step of the set `directions` from a cell.
+    /// Takes a step that is allowed, and queues where it leads if that is news. Where no other step than the same again is worth
+    /// taking, up to [`RUN`] are taken without asking the queue: a cell that later turns out cheaper is queued again.
     #[inline]
-    fn expand(&mut self, costmap: &Costmap, from: Entry, goal_index: usize, directions: u8, heuristic: &Heuristic) {
-        let row = usize::from(from.y);
-        self.dirty = self.dirty.start.min(row.saturating_sub(RUN + 1))..self.dirty.end.max(row + RUN + 2);
-        let index = row * costmap.stride + usize::from(from.x);
-        let even = costmap.weights[index] & UNIFORM != 0;
-        let mut left = directions;
-        while left != 0 {
-            let direction = left.trailing_zeros() as usize;
-            left &= left - 1;
-            if even || is_allowed(costmap, index, direction) {
-                self.step(costmap, from, direction, goal_index, heuristic);
-            }
-        }
-    }
-
-    /// Takes a step that is allowed, and queues where it leads if that is news. On even ground and along walls a straight
-    /// step is followed by up to [`RUN`] more like it without asking the queue: a cell that later turns out cheaper is queued again.
-    #[inline]
-    fn step(&mut self, costmap: &Costmap, mut from: Entry, direction: usize, goal_index: usize, heuristic: &Heuristic) {
+    fn run(&mut self, costmap: &Costmap, from: Entry, direction: usize, goal: Option<Place>) {
+        let weights = costmap.weights.as_slice();
+        let nodes = &mut self.nodes[..weights.len()];
         let (dx, dy) = STEPS[direction];
         let offset = dx as isize + dy as isize * costmap.stride as isize;
-        let is_diagonal = direction % 2 == 1;
-        let length = if is_diagonal { DIAGONAL } else { STRAIGHT };
-        let mut index = usize::from(from.y) * costmap.stride + usize::from(from.x);
+        let is_straight = direction.is_multiple_of(2);
+        let length = if is_straight { STRAIGHT } else { DIAGONAL };
+        let level = if is_straight { LEVEL[direction / 2 % 2] } else { LEVEL[0] | LEVEL[1] };
+        let again = 1 << direction;
+        let passed = Mark::new(self.search, direction as u8, 0, again);
         let enough = from.cost + RUN as u32 * FREE_STEP;
-        loop {
+        let mut index = usize::from(from.y) * costmap.stride + usize::from(from.x);
+        let mut cost = from.cost;
+        let mut steps = 0;
+        let is_news = loop {
             index = index.wrapping_add_signed(offset);
-            let weight = costmap.weights[index];
-            let cost = from.cost + length * u32::from(weight & !UNIFORM);
-            let even = weight & UNIFORM != 0;
-            let onward = if even { NATURAL[direction] } else { onward(costmap, index, direction) };
-            from = Entry { x: from.x.wrapping_add_signed(dx as i16), y: from.y.wrapping_add_signed(dy as i16), cost };
-            let node = &mut self.nodes[index];
-            if cost < node.cost {
-                *node = Node { cost, step: direction as u8, open: onward, done: 0 };
-            } else {
+            steps += 1;
+            let weight = weights[index];
+            cost += length * u32::from(weight & WEIGHT);
+            let node = &mut nodes[index];
+            let known = if node.mark.search() == self.search { node.cost } else { u32::MAX };
+            if cost > known {
+                break false;
+            }
+            let onward = if weight & level == level { NATURAL[direction] } else { onward(costmap, index, direction) };
+            if cost == known {
                 // As cheap from here as from elsewhere: the steps that are natural from here have to be taken too.
-                let news = onward & !(node.done | node.open);
-                if cost > node.cost || news == 0 {
-                    return;
-                }
-                node.open |= news;
-                if node.open != news {
-                    return;
-                }
+                let (open, done) = (node.mark.open(), node.mark.done());
+                let news = onward & !(open | done);
+                node.mark = Mark::new(self.search, node.mark.step(), open | news, done);
+                break news != 0 && open == 0;
             }
-            if is_diagonal || cost >= enough || index == goal_index {
-                break;
+            if onward != again || cost >= enough {
+                *node = Node { cost, mark: Mark::new(self.search, direction as u8, onward, 0) };
+                break onward != 0;
             }
-            // Along a wall without openings nothing else is natural either.
-            if !even && (onward != NATURAL[direction] || !is_allowed(costmap, index, direction)) {
-                break;
-            }
-            node.done |= node.open;
-            node.open = 0;
-            self.expanded += 1;
+            *node = Node { cost, mark: passed };
+        };
+        self.expanded += steps;
+        if is_news {
+            let x = from.x.wrapping_add_signed(dx as i16 * steps as i16);
+            let y = from.y.wrapping_add_signed(dy as i16 * steps as i16);
+            self.queue.push(cost + lower_bound(goal, x, y), Entry { x, y, cost });
         }
-        self.queue.push(from.cost + heuristic.of(from.x, from.y), from);
     }
 
-    /// Makes every cell unseen, at the price of the rows that the last search saw.
+    /// Cost of the cheapest way that the last search knows.
+    #[inline]
+    fn cost(&self, index: usize) -> u32 {
+        let node = self.nodes[index];
+        if node.mark.search() == self.search { node.cost } else { u32::MAX }
+    }
+
+    /// Makes every cell unseen.
     fn prepare(&mut self, costmap: &Costmap) {
         let size = costmap.weights.len();
-        if self.nodes.len() == size && self.stride == costmap.stride {
-            let dirty = self.dirty.start * self.stride..(self.dirty.end * self.stride).min(size);
-            self.nodes[dirty].fill(UNSEEN);
-        } else {
+        if self.nodes.len() != size || self.search == u8::MAX {
             self.nodes.clear();
             self.nodes.resize(size, UNSEEN);
-            self.stride = costmap.stride;
+            self.search = 0;
         }
-        self.dirty = 0..0;
+        self.search += 1;
         self.expanded = 0;
     }
 
@@ -269,11 +279,13 @@ impl Planner {
     /// Writes the way to `goal` into `path`.
     fn trace(&mut self, costmap: &Costmap, goal: Cell) {
         self.path.clear();
+        let Some(mut index) = costmap.index(goal) else { return };
         let mut cell = goal;
-        while let Some(index) = costmap.index(cell) {
-            self.path.push(cell);
-            let Some((dx, dy)) = STEPS.get(usize::from(self.nodes[index].step)) else { break };
+        self.path.push(cell);
+        while let Some(&(dx, dy)) = STEPS.get(usize::from(self.nodes[index].mark.step())) {
             cell = cell.offset(-dx, -dy);
+            index = index.wrapping_add_signed(-(dx as isize + dy as isize * costmap.stride as isize));
+            self.path.push(cell);
         }
         self.path.extend(self.escape.iter().rev());
         self.path.reverse();
@@ -283,19 +295,28 @@ impl Planner {
 /// Cells that are looked at to leave an obstacle's margin: a disc of 16 cells radius.
 const LONGEST_ESCAPE: usize = 800;
 
-/// Octile distance to the goal on free floor: never more than the true cost, and no step lowers it by more than the step costs.
-struct Heuristic {
-    goal: Option<(u16, u16)>,
+/// A cell in memory.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    index: usize,
+    x: u16,
+    y: u16,
 }
 
-impl Heuristic {
-    #[inline]
-    fn of(&self, x: u16, y: u16) -> u32 {
-        let Some((goal_x, goal_y)) = self.goal else { return 0 };
-        let dx = u32::from(x.abs_diff(goal_x));
-        let dy = u32::from(y.abs_diff(goal_y));
-        FREE_STEP * dx.max(dy) + (FREE_DIAGONAL - FREE_STEP) * dx.min(dy)
+impl Place {
+    fn of(costmap: &Costmap, cell: Cell) -> Option<Self> {
+        let index = costmap.index(cell)?;
+        Some(Self { index, x: (index % costmap.stride) as u16, y: (index / costmap.stride) as u16 })
     }
+}
+
+/// Octile distance to the goal on free floor: never more than the true cost, and no step lowers it by more than the step costs.
+#[inline]
+fn lower_bound(goal: Option<Place>, x: u16, y: u16) -> u32 {
+    let Some(goal) = goal else { return 0 };
+    let dx = u32::from(x.abs_diff(goal.x));
+    let dy = u32::from(y.abs_diff(goal.y));
+    FREE_STEP * dx.max(dy) + (FREE_DIAGONAL - FREE_STEP) * dx.min(dy)
 }
 
 /// Distances from one start to everywhere.
@@ -310,8 +331,8 @@ impl Reach<'_> {
     #[must_use]
     pub fn distance_m(&self, cell: Cell) -> Option<f64> {
         let index = self.costmap.index(cell)?;
-        let node = self.planner.nodes.get(index).filter(|node| **node != UNSEEN)?;
-        Some(f64::from(node.cost) / f64::from(FREE_STEP) * self.costmap.cell_m)
+        let cost = Some(self.planner.cost(index)).filter(|cost| *cost != u32::MAX)?;
+        Some(f64::from(cost) / f64::from(FREE_STEP) * self.costmap.cell_m)
     }
 
     /// The cell nearest to `cell` that can be reached, at most `radius_m` away.

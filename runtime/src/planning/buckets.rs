@@ -49,6 +49,12 @@ impl Buckets {
         self.len += 1;
     }
 
+    /// The priority of the last entry popped.
+    #[inline]
+    pub fn now(&self) -> u32 {
+        self.now
+    }
+
     /// The newest entry of the lowest priority.
     #[inline]
     pub fn pop(&mut self) -> Option<Entry> {

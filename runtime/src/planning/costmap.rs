@@ -10,8 +10,12 @@ pub(super) const FREE: u8 = 4;
 pub(super) const HEAVIEST: u8 = 60;
 /// Never entered.
 pub(super) const BLOCKED: u8 = 0;
-/// Set in the weight of a cell whose 8 neighbours all have the same weight as the cell.
-pub(super) const UNIFORM: u8 = 0x80;
+/// Set in the weight of a cell on which a robot that drives along the row or column, either way, has no reason to turn: in each
+/// of the three rows (columns) of the 3x3 cells around it all weights are the same, and none is larger than that of the cell.
+/// Both are set where all 9 weights are the same.
+pub(super) const LEVEL: [u8; 2] = [0x80, 0x40];
+/// The weight itself.
+pub(super) const WEIGHT: u8 = 0x3f;
 
 /// The weight of every cell around what is known: [`BLOCKED`](Self::is_passable) within the footprint's radius of an
 /// obstacle, more than 1 near obstacles and in the unknown, 1 on free floor.
@@ -23,7 +27,7 @@ pub struct Costmap {
     /// Columns in memory: the box and a blocked cell on either side, so that searches need not look where they are.
     pub(super) stride: usize,
     pub(super) weights: Vec<u8>,
-    uniform: Vec<u8>,
+    levels: Vec<u8>,
     /// Squared distance to the nearest obstacle, cells.
     clearance2: Vec<u16>,
     distances: Distances,
@@ -46,7 +50,7 @@ impl Costmap {
             cells: CellBox::of(Cell::default()),
             stride: 3,
             weights: Vec::new(),
-            uniform: Vec::new(),
+            levels: Vec::new(),
             clearance2: Vec::new(),
             distances: Distances::default(),
             values: Vec::new(),
@@ -65,7 +69,7 @@ impl Costmap {
             cells,
             stride: 0,
             weights: Vec::new(),
-            uniform: Vec::new(),
+            levels: Vec::new(),
             clearance2: Vec::new(),
             distances: Distances::default(),
             values: Vec::new(),
@@ -81,7 +85,7 @@ impl Costmap {
                 }
             }
         }
-        costmap.mark_uniform();
+        costmap.mark_level();
         costmap
     }
 
@@ -129,31 +133,35 @@ impl Costmap {
             }
         }
         self.values = values;
-        self.mark_uniform();
+        self.mark_level();
     }
 
-    /// Finds the cells within even ground, where searches have an easy time.
-    fn mark_uniform(&mut self) {
+    /// Finds the cells on level ground, where searches have an easy time.
+    fn mark_level(&mut self) {
         let (stride, weights) = (self.stride, &self.weights);
-        self.uniform.clear();
-        self.uniform.resize(weights.len(), 0);
+        self.levels.clear();
+        self.levels.resize(weights.len(), 0);
         for start in (stride..weights.len().saturating_sub(stride)).step_by(stride) {
             let inner = start + 1..start + stride - 1;
-            let out = &mut self.uniform[inner.clone()];
-            let here = &weights[inner.clone()];
-            out.fill(UNIFORM);
-            // One neighbour of all cells of the row at a time: that is done many cells at once.
-            for first in
-                [inner.start - stride, inner.start, inner.start + stride].into_iter().flat_map(|at| at - 1..at + 2)
-            {
-                let neighbours = &weights[first..first + here.len()];
-                for ((out, weight), neighbour) in out.iter_mut().zip(here).zip(neighbours) {
-                    *out = if (*weight == *neighbour) & (*weight != BLOCKED) { *out } else { 0 };
+            let out = &mut self.levels[inner.clone()];
+            let row = |from: usize| &weights[from..from + inner.len()];
+            let here = row(inner.start);
+            for (out, here) in out.iter_mut().zip(here) {
+                *out = if *here == BLOCKED { 0 } else { LEVEL[0] | LEVEL[1] };
+            }
+            // One pair of neighbours of all cells of the row at a time: that is done many cells at once.
+            for (level, along, aside) in [(LEVEL[0], 1, stride), (LEVEL[1], stride, 1)] {
+                for middle in [inner.start - aside, inner.start, inner.start + aside] {
+                    let pairs = row(middle - along).iter().zip(row(middle + along));
+                    for (((out, here), middle), (one, other)) in out.iter_mut().zip(here).zip(row(middle)).zip(pairs) {
+                        let same = (one == middle) & (other == middle) & (middle <= here);
+                        *out &= if same { 0xff } else { !level };
+                    }
                 }
             }
         }
-        for (weight, uniform) in self.weights.iter_mut().zip(&self.uniform) {
-            *weight |= uniform;
+        for (weight, level) in self.weights.iter_mut().zip(&self.levels) {
+            *weight |= level;
         }
     }
 
@@ -209,7 +217,7 @@ impl Costmap {
     /// Cost of a metre in this cell, in metres of free floor; `None` where the robot must not go.
     #[must_use]
     pub fn weight(&self, cell: Cell) -> Option<f64> {
-        let weight = self.index(cell).and_then(|index| self.weights.get(index).copied()).unwrap_or(BLOCKED) & !UNIFORM;
+        let weight = self.index(cell).and_then(|index| self.weights.get(index).copied()).unwrap_or(BLOCKED) & WEIGHT;
         (weight != BLOCKED).then(|| f64::from(weight) / f64::from(FREE))
     }
 

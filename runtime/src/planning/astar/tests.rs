@@ -124,3 +124,19 @@ fn every_reason_is_told_apart() {
     assert_eq!(Planner::new(5).plan(&costmap, here, Cell::new(9, 20)), Err(NoPath::Budget));
     assert_eq!(planner.plan(&costmap, here, here), Ok(&[here][..]));
 }
+
+#[test]
+fn what_hundreds_of_searches_ago_was_known_is_forgotten() {
+    let cells = CellBox { min: Cell::new(0, 0), max: Cell::new(20, 20) };
+    let open = Costmap::from_weights(cells, 0.03, |_| Some(1.0));
+    let walled = Costmap::from_weights(cells, 0.03, |cell| (cell.x != 10).then_some(1.0));
+    let (here, there) = (Cell::new(2, 2), Cell::new(18, 2));
+    let mut planner = Planner::new(10_000);
+    for _ in 0..600 {
+        assert_eq!(planner.plan(&open, here, there).map(<[Cell]>::len), Ok(17));
+        assert_eq!(planner.plan(&walled, here, there), Err(NoPath::Unreachable));
+        let reach = planner.flood(&walled, here).unwrap();
+        assert_eq!(reach.distance_m(there), None);
+        assert!((reach.distance_m(Cell::new(9, 2)).unwrap() - 0.21).abs() < 1e-9);
+    }
+}
