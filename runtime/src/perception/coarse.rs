@@ -8,6 +8,7 @@ use super::census::CensusImage;
 use super::enlarge::Cells;
 use super::fusion::{Belief, Memory};
 use super::keyframes::Keyframes;
+use super::moving::MovingThings;
 use super::refine::{Corners, refine_rotation};
 use super::subpixel::polish;
 use super::sweep::{CELL, FAR, MAX_REFERENCES, PLANES, Reference, hypotheses, sweep};
@@ -41,6 +42,7 @@ pub struct CoarseDepth {
     last_smooth: Vec<u16>,
     scene_depth_m: f64,
     picture: CensusImage,
+    moving: MovingThings,
     buffers: Buffers,
     estimate: DepthEstimate,
 }
@@ -100,6 +102,7 @@ impl CoarseDepth {
             last_smooth: Vec::new(),
             scene_depth_m: FIRST_SCENE_DEPTH_M,
             picture: CensusImage::default(),
+            moving: MovingThings::new(camera.width, camera.height)?,
             estimate: DepthEstimate::none(camera.width, camera.height),
             config,
             camera,
@@ -150,6 +153,7 @@ impl CoarseDepth {
         if self.last_pose.is_some_and(|last| self.is_jump(&last, pose)) {
             self.keyframes.forget();
             self.memory.forget();
+            self.moving.forget();
             self.scene_depth_m = FIRST_SCENE_DEPTH_M;
             return Err(NoDepth::PoseJump);
         }
@@ -158,6 +162,10 @@ impl CoarseDepth {
         }
         self.memory.advance(pose, &self.cells, self.config.memory);
         self.buffers.votes.fill(Vote::default());
+        if self.config.find_moving {
+            let moving = self.moving.look(&self.picture, pose, &self.descriptors, self.config.min_depth_m);
+            self.memory.drop_where(moving);
+        }
         let chosen = self.keyframes.choose(pose, &self.descriptors, self.scene_depth_m, &self.config);
         if chosen.iter().flatten().next().is_none() {
             self.judge();
@@ -225,6 +233,11 @@ impl CoarseDepth {
             }
             polish(picture, &references, row, inverse_depth[0], votes);
         });
+        for (vote, moving) in votes.iter_mut().zip(self.moving.last()) {
+            if *moving {
+                *vote = Vote::default();
+            }
+        }
         self.memory.vote(votes, &self.config.vote_weights);
     }
 

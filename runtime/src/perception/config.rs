@@ -25,6 +25,8 @@ pub struct CoarseConfig {
     pub parallax_over_error: f64,
     /// Whether the rotation of every reference is corrected by looking at the pictures.
     pub refine_rotation: bool,
+    /// Whether things that move by themselves are looked for; they get no depth.
+    pub find_moving: bool,
     /// A reference nearer than this has more pose error than parallax, metres.
     pub min_baseline_m: f64,
     /// A reference farther than this sees another scene, metres.
@@ -70,6 +72,7 @@ impl Default for CoarseConfig {
             turn_error_floor_rad: 0.001,
             parallax_over_error: 5.0,
             refine_rotation: true,
+            find_moving: true,
             min_baseline_m: 0.02,
             max_baseline_m: 1.0,
             min_overlap: 0.6,
@@ -115,6 +118,9 @@ pub enum PerceptionError {
         /// Rows of the camera.
         want_height: usize,
     },
+    /// The search for moving things cannot work.
+    #[error(transparent)]
+    Flow(super::flow::FlowError),
     /// The camera cannot be used.
     #[error("perception: the camera {width}x{height} (fx {fx}, fy {fy}) cannot be used: {why}")]
     Camera {
@@ -129,6 +135,12 @@ pub enum PerceptionError {
         /// Why.
         why: &'static str,
     },
+}
+
+impl From<super::flow::FlowError> for PerceptionError {
+    fn from(error: super::flow::FlowError) -> Self {
+        Self::Flow(error)
+    }
 }
 
 impl CoarseConfig {

@@ -67,6 +67,13 @@ impl Memory {
         &self.beliefs
     }
 
+    /// Believes nothing any more of these cells, row-major.
+    pub fn drop_where(&mut self, cells: &[bool]) {
+        for (belief, _) in self.beliefs.iter_mut().zip(cells).filter(|(_, drop)| **drop) {
+            *belief = Belief::default();
+        }
+    }
+
     /// Votes of all cells, row-major, each with the trust that `weights` put in it.
     pub fn vote(&mut self, votes: &[Vote], weights: &[f32; 5]) {
         for (belief, vote) in self.beliefs.iter_mut().zip(votes) {

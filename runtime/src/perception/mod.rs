@@ -10,6 +10,7 @@ pub mod flow;
 mod fusion;
 mod keyframes;
 pub mod least_squares;
+mod moving;
 pub mod network;
 mod refine;
 mod subpixel;

@@ -45,14 +45,8 @@ impl<'a> Reference<'a> {
     /// A reference that sees the points of this camera through `t_reference_camera`. `camera` describes the positions of
     /// descriptors.
     pub fn new(census: &'a CensusImage, t_reference_camera: &Pose3, camera: &CameraModel) -> Self {
-        let k = Matrix3::new(camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0);
-        let back = Matrix3::from_columns(&[
-            camera.ray(1.0, 0.0) - camera.ray(0.0, 0.0),
-            camera.ray(0.0, 1.0) - camera.ray(0.0, 0.0),
-            camera.ray(0.0, 0.0),
-        ]);
-        let rotation = k * t_reference_camera.rotation.to_rotation_matrix().matrix() * back;
-        Self { census, rotation: rotation.cast(), translation: (k * t_reference_camera.translation.vector).cast() }
+        let (rotation, translation) = homography(t_reference_camera, camera);
+        Self { census, rotation, translation }
     }
 
     /// How far the point at (u, v) with inverse depth `w` is from where it would be at infinity, in full-size pixels;
@@ -126,6 +120,18 @@ impl<'a> Reference<'a> {
             *bits = *sum as u8 | seen;
         }
     }
+}
+
+/// Where another view sees the point behind pixel `u` at inverse depth `w`: at `rotation * u + w * translation`, homogeneous.
+pub fn homography(t_reference_camera: &Pose3, camera: &CameraModel) -> (Matrix3<f32>, Vector3<f32>) {
+    let k = Matrix3::new(camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0);
+    let back = Matrix3::from_columns(&[
+        camera.ray(1.0, 0.0) - camera.ray(0.0, 0.0),
+        camera.ray(0.0, 1.0) - camera.ray(0.0, 0.0),
+        camera.ray(0.0, 0.0),
+    ]);
+    let rotation = k * t_reference_camera.rotation.to_rotation_matrix().matrix() * back;
+    (rotation.cast(), (k * t_reference_camera.translation.vector).cast())
 }
 
 /// Where a reference sees a point, full-size pixels, and how that moves.

@@ -32,6 +32,9 @@ struct Options {
     /// Only these motions: forward, turning, random, active, rotation.
     #[arg(long, value_delimiter = ',')]
     motions: Vec<String>,
+    /// People who walk about in simulated scenes.
+    #[arg(long, default_value_t = 0)]
+    people: usize,
     /// Without disturbances.
     #[arg(long)]
     undisturbed: bool,
@@ -96,7 +99,7 @@ fn sequences(options: &Options) -> Result<Vec<Sequence>> {
         let wanted = |motion: &Motion| options.motions.is_empty() || options.motions.iter().any(|m| m == motion.name());
         for motion in Motion::ALL.into_iter().filter(wanted) {
             eprintln!("driving through {scene}, {}", motion.name());
-            sequences.push(simulated(&world, motion, options.frames, 1)?);
+            sequences.push(simulated(&world, motion, options.frames, 1, options.people)?);
         }
     }
     Ok(sequences)

@@ -69,8 +69,9 @@ impl Motion {
 ///
 /// # Errors
 /// When the robot or its devices fail.
-pub fn simulated(world: &Arc<World>, motion: Motion, frames: u64, seed: u64) -> Result<Sequence> {
-    let config = Config::default();
+pub fn simulated(world: &Arc<World>, motion: Motion, frames: u64, seed: u64, people: usize) -> Result<Sequence> {
+    let mut config = Config::default();
+    config.simulator.nuisances.people = people;
     let simulated = SimulatedRobot::new(Arc::clone(world), setup::simulated_robot(&config, seed, None))?;
     let policy = if let Motion::Policy(policy) = motion { policy } else { PolicyKind::Random };
     let mission = Mission { policy, depth_source: DepthSource::Truth, seed };

@@ -1,0 +1,239 @@
+//! Things that move by themselves: where the picture moves as no still thing could, whatever its depth.
+//!
+//! A still point that the camera passes stays on its epipolar line. Dense flow to the picture before says where everything
+//! really was; what is far off its line moved by itself, and neither parallax nor memory tells its depth. What moves along its
+//! line is not found: it looks like another depth.
+
+use hal::{CameraModel, ImageView, PixelFormat, Pose3};
+use nalgebra::{Matrix3, Vector3};
+
+use super::census::CensusImage;
+use super::flow::{DenseFlow, FlowError, FlowPreset};
+use super::sweep::{CELL, homography};
+
+/// Off its line by more than this, pixels: dense flow of this preset is seldom wrong by more where there is texture ...
+const OFF_PX: f32 = 3.0;
+/// ... or by so many times what most of the picture is off: then it is the pose that is wrong.
+const OFF_OVER_MEDIAN: f32 = 6.0;
+/// Half of the side of the square of cells of which most must be off: thin strips are edges that hide one another.
+const SQUARE: isize = 2;
+/// What surrounds moving cells moves, too, cells: flow is blurred.
+const MARGIN: isize = 2;
+/// When more of the picture moves than one part in this many, nothing tells what stands still: rather the pose is wrong.
+const MOST: usize = 2;
+
+/// Finds them from picture to picture.
+#[derive(Debug)]
+pub struct MovingThings {
+    flow: DenseFlow,
+    /// Grey values, one byte a pixel.
+    now: Vec<u8>,
+    before: Vec<u8>,
+    pose: Option<Pose3>,
+    off_px: Vec<f32>,
+    sorted: Vec<f32>,
+    off: Vec<bool>,
+    moving: Vec<bool>,
+}
+
+impl MovingThings {
+    /// For pictures of a camera.
+    ///
+    /// # Errors
+    /// A camera that is too small.
+    pub fn new(width: usize, height: usize) -> Result<Self, FlowError> {
+        let cells = (width / CELL) * (height / CELL);
+        Ok(Self {
+            flow: DenseFlow::new(FlowPreset::UltraFast, width, height)?,
+            now: vec![0; width * height],
+            before: vec![0; width * height],
+            pose: None,
+            off_px: vec![0.0; cells],
+            sorted: Vec::with_capacity(cells),
+            off: vec![false; cells],
+            moving: vec![false; cells],
+        })
+    }
+
+    /// Forgets the picture before.
+    pub fn forget(&mut self) {
+        self.pose = None;
+        self.moving.fill(false);
+    }
+
+    /// What the last [`look`](Self::look) returned.
+    pub fn last(&self) -> &[bool] {
+        &self.moving
+    }
+
+    /// For every cell of 4x4 pixels, row-major, whether the thing in it moved since the picture before. `camera` describes the
+    /// positions of `picture.smooth`; nothing is nearer than `nearest_m`.
+    pub fn look(&mut self, picture: &CensusImage, pose: &Pose3, camera: &CameraModel, nearest_m: f64) -> &[bool] {
+        std::mem::swap(&mut self.now, &mut self.before);
+        self.now.iter_mut().zip(&picture.smooth).for_each(|(now, smooth)| *now = (smooth >> 8) as u8);
+        self.moving.fill(false);
+        let Some(before) = self.pose.replace(*pose) else { return &self.moving };
+        let grey = |data| ImageView::new(picture.width, picture.height, PixelFormat::Gray8, data).ok();
+        let (Some(from), Some(to)) = (grey(&self.now), grey(&self.before)) else { return &self.moving };
+        let Ok(flow) = self.flow.flow(from, to, None) else { return &self.moving };
+        let line = Line::new(&(before.inverse() * pose), camera, nearest_m);
+        let columns = picture.width / CELL;
+        for (index, off_px) in self.off_px.iter_mut().enumerate() {
+            let (u, v) = (CELL * (index % columns) + CELL / 2, CELL * (index / columns) + CELL / 2);
+            let at = v * picture.width + u;
+            // Without texture, flow is what the neighbours do.
+            *off_px =
+                if picture.descriptors[at] == 0 { 0.0 } else { line.off_px(u as f32, v as f32, flow.values()[at]) };
+        }
+        let least = OFF_PX.max(OFF_OVER_MEDIAN * self.median());
+        self.off.iter_mut().zip(&self.off_px).for_each(|(off, off_px)| *off = *off_px > least);
+        self.gather(columns);
+        &self.moving
+    }
+
+    fn median(&mut self) -> f32 {
+        self.sorted.clear();
+        self.sorted.extend(self.off_px.iter().filter(|off_px| **off_px > 0.0));
+        let middle = self.sorted.len() / 2;
+        if self.sorted.is_empty() { 0.0 } else { *self.sorted.select_nth_unstable_by(middle, f32::total_cmp).1 }
+    }
+
+    /// From single cells to things.
+    fn gather(&mut self, columns: usize) {
+        let rows = self.off.len() / columns;
+        let around = |row: usize, column: usize, reach: isize| {
+            let span = move |at: usize, end: usize| {
+                at.saturating_add_signed(-reach)..(at.saturating_add_signed(reach) + 1).min(end)
+            };
+            span(row, rows).flat_map(move |y| span(column, columns).map(move |x| y * columns + x))
+        };
+        let enough = ((2 * SQUARE + 1) * (2 * SQUARE + 1)) as usize * 3 / 5;
+        for index in 0..self.off.len() {
+            let (row, column) = (index / columns, index % columns);
+            if self.off[index] && around(row, column, SQUARE).filter(|near| self.off[*near]).count() >= enough {
+                around(row, column, MARGIN).for_each(|near| self.moving[near] = true);
+            }
+        }
+        if self.moving.iter().filter(|moving| **moving).count() * MOST > self.moving.len() {
+            self.moving.fill(false);
+        }
+    }
+}
+
+/// Where the still points behind a pixel can be in the picture before.
+struct Line {
+    rotation: Matrix3<f32>,
+    translation: Vector3<f32>,
+    nearest: f32,
+}
+
+impl Line {
+    fn new(t_before_now: &Pose3, camera: &CameraModel, nearest_m: f64) -> Self {
+        let (rotation, translation) = homography(t_before_now, camera);
+        Self { rotation, translation, nearest: (1.0 / nearest_m) as f32 }
+    }
+
+    /// Distance of where the pixel at (u, v) was, by its flow, from where a still one could have been.
+    fn off_px(&self, u: f32, v: f32, flow: [f32; 2]) -> f32 {
+        let far = self.rotation * Vector3::new(u, v, 1.0);
+        let near = far + self.translation * self.nearest;
+        // Nearer than the camera itself: the line goes on to the edge of the picture and beyond.
+        let near =
+            if near.z > 0.1 * far.z { near } else { far + self.translation * (-0.9 * far.z / self.translation.z) };
+        let (x0, y0) = (far.x / far.z, far.y / far.z);
+        let (dx, dy) = (near.x / near.z - x0, near.y / near.z - y0);
+        let (x, y) = (u + flow[0] - x0, v + flow[1] - y0);
+        let along = ((x * dx + y * dy) / (dx * dx + dy * dy).max(1e-6)).clamp(0.0, 1.0);
+        (x - along * dx).hypot(y - along * dy)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perception::test_scene::{pose, render};
+
+    const NEAREST_M: f64 = 0.3;
+
+    fn camera() -> CameraModel {
+        CameraModel::pinhole(320, 96, std::f64::consts::FRAC_PI_2)
+    }
+
+    /// A block of 64x48 pixels of its own texture, which is `down` pixels below its place.
+    fn with_block(mut picture: Vec<u8>, down: usize) -> Vec<u8> {
+        for (y, row) in picture.chunks_exact_mut(320).skip(20 + down).take(48).enumerate() {
+            for (x, value) in row[120..184].iter_mut().enumerate() {
+                let (x, y) = (x as f64, y as f64);
+                *value = (128.0 + 60.0 * (0.5 * x + 0.2 * y).sin() * (0.45 * y - 0.15 * x).cos()) as u8;
+            }
+        }
+        picture
+    }
+
+    fn look(engine: &mut MovingThings, picture: &[u8], at: &Pose3) -> Vec<bool> {
+        let mut census = CensusImage::default();
+        assert!(census.compute(ImageView::new(320, 96, PixelFormat::Gray8, picture).unwrap()));
+        engine.look(&census, at, &camera().cropped(0.5, 0.5, 320, 96), NEAREST_M).to_vec()
+    }
+
+    fn engine() -> MovingThings {
+        MovingThings::new(320, 96).unwrap()
+    }
+
+    fn count(moving: &[bool]) -> usize {
+        moving.iter().filter(|moving| **moving).count()
+    }
+
+    #[test]
+    fn nothing_moves_in_a_still_world_however_the_camera_does() {
+        let paths: [fn(f64) -> Pose3; 3] = [
+            |i| pose([0.03 * i, 0.0, 0.0], 0.0),
+            |i| pose([0.0, 0.0, 0.03 * i], 0.0),
+            |i| pose([0.01 * i, 0.0, 0.02 * i], 0.03 * i),
+        ];
+        for path in paths {
+            let mut engine = engine();
+            for i in 0..6 {
+                let at = path(f64::from(i));
+                assert_eq!(count(&look(&mut engine, &render(&camera(), &at, 1.0, 0.0), &at)), 0);
+            }
+        }
+    }
+
+    #[test]
+    fn a_block_that_moves_across_its_lines_is_found_and_nothing_else() {
+        let mut engine = engine();
+        let mut moving = Vec::new();
+        for i in 0_u8..3 {
+            let at = pose([0.03 * f64::from(i), 0.0, 0.0], 0.0);
+            moving = look(&mut engine, &with_block(render(&camera(), &at, 1.0, 0.0), 6 * usize::from(i)), &at);
+        }
+        // The block is at columns 30 to 45 and rows 8 to 19 of the cells.
+        let in_block = |index: &usize| (30..46).contains(&(index % 80)) && (8..20).contains(&(index / 80));
+        // Flow is blurred by its patches, 8 cells wide.
+        let near_block = |index: &usize| (22..54).contains(&(index % 80));
+        let found = (0..moving.len()).filter(|index| moving[*index] && in_block(index)).count();
+        assert!(found > 16 * 12 * 3 / 4, "{found}");
+        assert_eq!((0..moving.len()).find(|index| moving[*index] && !near_block(index)), None);
+    }
+
+    #[test]
+    fn a_wrong_rotation_moves_nothing() {
+        let mut engine = engine();
+        let (first, second) = (pose([0.0; 3], 0.0), pose([0.03, 0.0, 0.0], 0.0));
+        look(&mut engine, &render(&camera(), &first, 1.0, 0.0), &first);
+        // Nearly two degrees: everything is five pixels off.
+        let wrong = pose([0.03, 0.0, 0.0], 0.03);
+        assert_eq!(count(&look(&mut engine, &render(&camera(), &second, 1.0, 0.0), &wrong)), 0);
+    }
+
+    #[test]
+    fn the_first_picture_and_the_first_after_forgetting_show_no_motion() {
+        let mut engine = engine();
+        let at = pose([0.0; 3], 0.0);
+        let picture = render(&camera(), &at, 1.0, 0.0);
+        assert_eq!(count(&look(&mut engine, &with_block(picture.clone(), 0), &at)), 0);
+        engine.forget();
+        assert_eq!(count(&look(&mut engine, &with_block(picture, 8), &at)), 0);
+    }
+}
