@@ -19,6 +19,7 @@ const LEAD: usize = 2;
 /// Full-size pixels from the first sample to the last, and to the middle.
 const SPAN: usize = (SIDE - 1) * STEP;
 const MIDDLE: f32 = SPAN as f32 / 2.0;
+const FRAMED: usize = SPAN + 3;
 /// A match moves by less than this, pixels: whole pixels and planes are not wrong by more.
 const REACH_PX: f32 = 1.0;
 /// (Sensor noise / expected correction)^2: (2 grey levels / 0.4 px)^2. Where the picture is flat, nothing moves.
@@ -44,24 +45,20 @@ pub fn polish<'a>(
 ) {
     for (column, vote) in votes.iter_mut().enumerate().filter(|(_, vote)| vote.parallax_px > 0.0) {
         let (patch, u, v) = patch(picture, CELL * column, CELL * row);
-        let (mut pull, mut hold, mut fastest) = (0.0, 0.0, 0.0_f32);
-        let (mut misfit, mut count) = (0.0, 0.0);
-        for reference in references.iter().flatten() {
-            let Some(look) = reference.look(u, v, vote.inverse_depth) else { continue };
-            let Some(seen) = seen(reference.census, &look) else { continue };
-            let speed = look.motion[0].hypot(look.motion[1]);
-            let step = step(&patch, &seen, [look.motion[0] / speed, look.motion[1] / speed]);
-            pull += step.pull * speed;
-            hold += (step.hold + PRIOR) * speed * speed;
-            fastest = fastest.max(speed);
-            misfit += step.misfit;
-            count += 1.0;
+        let look = |reference: &Reference<'a>| reference.look(u, v, vote.inverse_depth);
+        let looks = references.iter().flatten().filter_map(|reference| Some((reference.census, look(reference)?)));
+        // The one in which it moves the most tells its depth best.
+        let visible = looks.filter(|(census, look)| is_visible(census, look));
+        let Some((census, look)) = visible.max_by(|a, b| a.1.speed.total_cmp(&b.1.speed)) else {
+            vote.misfit = 1.0;
+            continue;
+        };
+        let step = step(&patch, &seen(census, &look), look.motion.map(|motion| motion / look.speed));
+        let change_px = step.pull / (step.hold + PRIOR);
+        if change_px.abs() < REACH_PX {
+            vote.inverse_depth = (vote.inverse_depth + change_px / look.speed).max(farthest);
         }
-        let change = pull / hold.max(f32::MIN_POSITIVE);
-        if (change * fastest).abs() < REACH_PX {
-            vote.inverse_depth = (vote.inverse_depth + change).max(farthest);
-        }
-        vote.misfit = if count > 0.0 { misfit / count } else { 1.0 };
+        vote.misfit = step.misfit;
     }
 }
 
@@ -70,42 +67,59 @@ pub fn polish<'a>(
 fn patch(picture: &CensusImage, u: usize, v: usize) -> (Patch, f32, f32) {
     let first = |at: usize, size: usize| at.saturating_sub(LEAD).clamp(1, size - SPAN - 2);
     let (u, v) = (first(u, picture.width), first(v, picture.height));
+    // With a frame of one pixel for the slopes.
+    let mut grey = [[0.0_f32; FRAMED]; FRAMED];
+    for (row, grey) in grey.iter_mut().enumerate() {
+        let line = picture.smooth.get((v - 1 + row) * picture.width + u - 1..).unwrap_or_default();
+        grey.iter_mut().zip(line).for_each(|(grey, smooth)| *grey = f32::from(*smooth) * (1.0 / 256.0));
+    }
     let mut patch = Patch { value: [0.0; SAMPLES], slope_u: [0.0; SAMPLES], slope_v: [0.0; SAMPLES] };
     for index in 0..SAMPLES {
-        let at = (v + index / SIDE * STEP) * picture.width + u + index % SIDE * STEP;
-        let grey = |at: usize| f32::from(picture.smooth[at]) / 256.0;
-        patch.value[index] = grey(at);
-        patch.slope_u[index] = 0.5 * (grey(at + 1) - grey(at - 1));
-        patch.slope_v[index] = 0.5 * (grey(at + picture.width) - grey(at - picture.width));
+        let (row, column) = (index / SIDE * STEP + 1, index % SIDE * STEP + 1);
+        patch.value[index] = grey[row][column];
+        patch.slope_u[index] = 0.5 * (grey[row][column + 1] - grey[row][column - 1]);
+        patch.slope_v[index] = 0.5 * (grey[row + 1][column] - grey[row - 1][column]);
     }
     (patch, u as f32 + MIDDLE, v as f32 + MIDDLE)
 }
 
-/// What `reference` shows where the patch should be, bilinear; `None` where it leaves the picture.
+/// Whether the whole patch is inside of the picture.
 #[inline(always)]
-fn seen(reference: &CensusImage, look: &Look) -> Option<[f32; SAMPLES]> {
+fn is_visible(census: &CensusImage, look: &Look) -> bool {
+    let inside = |axis: usize, size: usize| {
+        let reach = MIDDLE * (look.along_u[axis].abs() + look.along_v[axis].abs());
+        look.place[axis] > reach && look.place[axis] + reach + 2.0 < size as f32
+    };
+    inside(0, census.width) && inside(1, census.height)
+}
+
+/// What the picture shows where the patch should be, bilinear.
+#[inline(always)]
+fn seen(census: &CensusImage, look: &Look) -> [f32; SAMPLES] {
     let Look { place, along_u, along_v, .. } = look;
-    let reach = |axis: usize| MIDDLE * (along_u[axis].abs() + along_v[axis].abs());
-    let inside = |axis: usize, size: usize| place[axis] > reach(axis) && place[axis] + reach(axis) + 2.0 < size as f32;
-    if !inside(0, reference.width) || !inside(1, reference.height) {
-        return None;
-    }
-    let mut seen = [0.0; SAMPLES];
-    for (index, seen) in seen.iter_mut().enumerate() {
+    let (mut right, mut below, mut first) = ([0.0; SAMPLES], [0.0; SAMPLES], [0_u32; SAMPLES]);
+    for index in 0..SAMPLES {
         let du = (index % SIDE * STEP) as f32 - MIDDLE;
         let dv = (index / SIDE * STEP) as f32 - MIDDLE;
         let x = place[0] + along_u[0] * du + along_v[0] * dv;
         let y = place[1] + along_u[1] * du + along_v[1] * dv;
         let (left, top) = (nearest(x - 0.5), nearest(y - 0.5));
-        let (right, below) = (x - left as f32, y - top as f32);
-        let at = top as usize * reference.width + left as usize;
-        let grey = |at: usize| f32::from(reference.smooth[at]) / 256.0;
-        let upper = grey(at) + (grey(at + 1) - grey(at)) * right;
-        let at = at + reference.width;
-        let lower = grey(at) + (grey(at + 1) - grey(at)) * right;
-        *seen = upper + (lower - upper) * below;
+        (right[index], below[index]) = (x - left as f32, y - top as f32);
+        first[index] = (top as u32).wrapping_mul(census.width as u32).wrapping_add(left as u32);
     }
-    Some(seen)
+    let mut corners = [[0.0; SAMPLES]; 4];
+    for (index, first) in first.iter().enumerate() {
+        let pair = |at: usize| census.smooth.get(at..at + 2).map_or([0; 2], |pair| [pair[0], pair[1]]);
+        let (upper, lower) = (pair(*first as usize), pair(*first as usize + census.width));
+        for (corner, value) in corners.iter_mut().zip([upper[0], upper[1], lower[0], lower[1]]) {
+            corner[index] = f32::from(value) * (1.0 / 256.0);
+        }
+    }
+    std::array::from_fn(|index| {
+        let [a, b, c, d] = corners.each_ref().map(|corner| corner[index]);
+        let (upper, lower) = (a + (b - a) * right[index], c + (d - c) * right[index]);
+        upper + (lower - upper) * below[index]
+    })
 }
 
 /// What one reference says about a cell.

@@ -66,15 +66,17 @@ impl<'a> Reference<'a> {
     pub fn look(&self, u: f32, v: f32, w: f32) -> Option<Look> {
         let (r, t) = (&self.rotation, &self.translation);
         let near = r * Vector3::new(u, v, 1.0) + t * w;
-        let (x, y) = (near.x / near.z, near.y / near.z);
-        let moved = |by: nalgebra::Vector3<f32>| [(by.x - x * by.z) / near.z, (by.y - y * by.z) / near.z];
+        let per_z = 1.0 / near.z;
+        let (x, y) = (near.x * per_z, near.y * per_z);
+        let moved = |by: Vector3<f32>| [(by.x - x * by.z) * per_z, (by.y - y * by.z) * per_z];
         let motion = moved(*t);
-        let moves = near.z > 0.05 && motion[0].hypot(motion[1]) > f32::EPSILON;
-        moves.then(|| Look {
+        let speed = (motion[0] * motion[0] + motion[1] * motion[1]).sqrt();
+        (near.z > 0.05 && speed > f32::EPSILON).then(|| Look {
             place: [x, y],
             along_u: moved(r.column(0).into()),
             along_v: moved(r.column(1).into()),
             motion,
+            speed,
         })
     }
 
@@ -144,6 +146,8 @@ pub struct Look {
     pub along_v: [f32; 2],
     /// ... and with inverse depth, pixels metre.
     pub motion: [f32; 2],
+    /// Length of that.
+    pub speed: f32,
 }
 
 /// Rounds to the nearest integer without leaving the vector unit: adding 1.5 * 2^23 leaves the integer in the mantissa.
