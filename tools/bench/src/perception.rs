@@ -27,7 +27,8 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
     for (name, direction) in [("sideways", [1.0, 0.0, 0.0]), ("on an arc", [0.5, 0.0, 0.7])] {
         let walk = Walk::new(camera, direction);
         let coarse = Timing::of(walk.coarse()?);
-        let note = format!("{threads} threads, 64 planes, up to 2 references");
+        let note =
+            format!("{threads} threads, 64 planes, up to {} references", CoarseConfig::default().parallax_px.len());
         rows.push(Row::seconds(ROOM, format!("coarse depth 640x192, {name}"), coarse).goal(0.008, 0.003).note(note));
         let mut whole = walk.whole()?;
         whole.sort_by(f64::total_cmp);
