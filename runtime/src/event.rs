@@ -61,6 +61,9 @@ pub enum GoalReason {
     Frontier,
     /// Two looks at the same place disagree there.
     Inconsistency,
+    /// A frontier behind marks that are old or were seen seldom: nothing else can be reached, and going near shows whether
+    /// they are still there.
+    LookAgain,
     /// Nothing else is left; a far known place, to look again from elsewhere.
     Revisit,
 }

@@ -115,6 +115,7 @@ pub(super) const LIMITS: &[Limit] = &[
     limit("exploration.blacklist_expiry_s", 1.0, 86400.0, "seconds"),
     limit("exploration.blacklist_radius_m", 0.0, 10.0, "metres"),
     limit("exploration.replan_ticks", 1.0, 1000.0, "ticks"),
+    limit("exploration.doubtful_log_odds", 0.0, 1000.0, "log-odds"),
     limit("network.threads", 1.0, 256.0, "threads"),
     limit("recording.segment_s", 1.0, 3600.0, "seconds"),
     limit("recording.segment_mib", 1.0, 4096.0, "MiB"),

@@ -76,6 +76,10 @@ pub struct ExplorationConfig {
     pub blacklist_radius_m: f64,
     /// Ticks between two looks at the way.
     pub replan_ticks: u64,
+    /// When no frontier can be reached, marks with at most these log-odds left are in nobody's way: they were seen seldom or
+    /// long ago (a mark that is seen in every frame has 100, and a tenth of that 110 frames later), and going near shows
+    /// whether they are still there. 0 always believes them.
+    pub doubtful_log_odds: f32,
 }
 
 impl Default for ExplorationConfig {
@@ -92,6 +96,7 @@ impl Default for ExplorationConfig {
             blacklist_expiry_s: 120.0,
             blacklist_radius_m: 0.5,
             replan_ticks: 10,
+            doubtful_log_odds: 5.0,
         }
     }
 }

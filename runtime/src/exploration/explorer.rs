@@ -176,7 +176,7 @@ impl Explorer {
             DropReason::NoProgress
         } else if seconds(goal.age_ns(now_ns)) > self.config.goal_timeout_s {
             DropReason::Timeout
-        } else if goal.why == GoalReason::Frontier && !frontier_is_left(senses.map, goal.interest_m) {
+        } else if goal.is_frontier() && !frontier_is_left(senses.map, goal.interest_m) {
             DropReason::Resolved
         } else {
             return;
@@ -204,7 +204,7 @@ impl Explorer {
         self.blacklist.add(place_m, senses.time_ns + expiry_ns);
     }
 
-    /// Looks for a goal: the mode's own first, then the other kind, then a place to look at again.
+    /// Looks for a goal: the mode's own first, then the other kind, then a frontier behind doubtful marks, then any place.
     fn choose_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
         match self.best_goal(senses, events) {
             Some((target_m, interest_m, why)) => {
@@ -217,7 +217,7 @@ impl Explorer {
     }
 
     fn best_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) -> Option<([f64; 2], [f64; 2], GoalReason)> {
-        let survey = match self.navigator.survey(senses.map, &senses.pose) {
+        let survey = match self.navigator.survey(senses.map, &senses.pose, 0.0) {
             Ok(survey) => survey,
             Err(_) => {
                 events.push(Event::NoGoal { why: NoGoalReason::StartBlocked });
@@ -248,14 +248,26 @@ impl Explorer {
             }
         }
         let places = survey.random_places(REVISIT_DRAWS, senses.map, &mut self.rng);
+        if let Some(again) = self.look_again(senses) {
+            return Some((again.target_m, again.interest_m, GoalReason::LookAgain));
+        }
         let place_m = choose::revisit(&places, &self.trail_m, &self.blacklist, &self.config)?;
         Some((place_m, place_m, GoalReason::Revisit))
+    }
+
+    /// A frontier that doubtful marks stand before.
+    fn look_again(&mut self, senses: &Senses<'_>) -> Option<Candidate> {
+        let doubt = self.config.doubtful_log_odds;
+        let survey = self.navigator.survey(senses.map, &senses.pose, doubt).ok()?;
+        let (candidates, none) = (survey.frontiers(), NoGoalReason::NoFrontier);
+        choose::best(&candidates, &senses.pose, &self.blacklist, &self.config, &mut self.rng, none).ok()
     }
 
     fn plan(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
         let Some(goal) = &mut self.goal else { return };
         self.plan_at = senses.tick + self.config.replan_ticks;
-        let way = self.navigator.plan(senses.map, &senses.pose, goal.target_m);
+        let doubt = if goal.why == GoalReason::LookAgain { self.config.doubtful_log_odds } else { 0.0 };
+        let way = self.navigator.plan(senses.map, &senses.pose, goal.target_m, doubt);
         match way.and_then(|path_m| self.follower.set_path(&path_m).map_err(|_| NoPath::Unreachable)) {
             Ok(()) if senses.bumped => goal.note_new_way(),
             Ok(()) => {}
@@ -303,4 +315,58 @@ fn frontier_is_left(map: &OccupancyGrid, place_m: [f64; 2]) -> bool {
                 && [(1, 0), (-1, 0), (0, 1), (0, -1)].iter().any(|(x, y)| known(dx + x, dy + y) == CellState::Free)
         })
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapping::MapConfig;
+    use hal::{LaserScan, Range, ScanGeometry};
+    use rand::SeedableRng;
+
+    /// Looks around from the origin, both ways; `range_m` of a bearing.
+    fn look_around(map: &mut OccupancyGrid, range_m: impl Fn(f64) -> f32) {
+        let geometry = ScanGeometry::UTM_30LX;
+        for yaw_rad in [0.0, std::f64::consts::PI] {
+            let pose = Pose2 { x_m: 0.0, y_m: 0.0, yaw_rad };
+            let ranges = (0..geometry.beams)
+                .map(|beam| Range::Hit(range_m(hal::wrap_angle(yaw_rad + geometry.angle_rad(beam)))));
+            map.begin_update(&pose).unwrap();
+            map.integrate_scan(&LaserScan { time_ns: 0, geometry, ranges: ranges.collect() }, &pose).unwrap();
+            map.finish_update();
+        }
+    }
+
+    /// A round room with a bay ahead that something was seen in front of, once.
+    fn room_with_a_doubtful_bay() -> OccupancyGrid {
+        let mut map = OccupancyGrid::new(&MapConfig::default()).unwrap();
+        for _ in 0..10 {
+            look_around(&mut map, |bearing| if bearing.abs() < 0.4 { 1.9 } else { 1.2 });
+        }
+        look_around(&mut map, |_| 1.2);
+        map
+    }
+
+    fn first_goal(doubtful_log_odds: f32) -> GoalReason {
+        let config = ExplorationConfig { doubtful_log_odds, ..ExplorationConfig::default() };
+        let (plan, follow) = (PlanConfig::default(), FollowerConfig::default());
+        let rng = Pcg64Mcg::seed_from_u64(1);
+        let mut explorer = Explorer::new(PolicyKind::Frontier, config, &plan, &follow, rng).unwrap();
+        let map = room_with_a_doubtful_bay();
+        let senses = Senses { tick: 0, time_ns: 0, pose: Pose2::IDENTITY, map: &map, looks: None, bumped: false };
+        let mut events = Vec::new();
+        explorer.step(&senses, &mut events);
+        assert!(events.contains(&Event::NoGoal { why: NoGoalReason::AllUnreachable }), "{events:?}");
+        explorer.goal().unwrap().why
+    }
+
+    #[test]
+    fn a_frontier_behind_doubtful_marks_is_looked_at_again_when_no_other_can_be_reached() {
+        assert_eq!(first_goal(5.0), GoalReason::LookAgain);
+    }
+
+    #[test]
+    fn who_never_doubts_goes_to_any_known_place_instead() {
+        assert_eq!(first_goal(0.0), GoalReason::Revisit);
+    }
 }

@@ -27,6 +27,12 @@ impl Goal {
         Self { target_m, interest_m, why, chosen_ns: now_ns, nearest_m: f64::INFINITY, nearest_ns: now_ns, trips: 0 }
     }
 
+    /// Whether there is something unknown to see.
+    #[must_use]
+    pub fn is_frontier(&self) -> bool {
+        matches!(self.why, GoalReason::Frontier | GoalReason::LookAgain)
+    }
+
     /// Notes that `left_m` of the way are left.
     pub fn note_distance(&mut self, left_m: f64, now_ns: u64) {
         if left_m < self.nearest_m - PROGRESS_M {

@@ -44,23 +44,25 @@ impl Navigator {
         })
     }
 
-    /// Looks at the whole map: costs, frontiers, and the distance to everywhere.
-    pub(super) fn survey(&mut self, map: &OccupancyGrid, pose: &Pose2) -> Result<Survey<'_>, NoPath> {
-        self.costmap.update(map);
+    /// Looks at the whole map: costs, frontiers, and the distance to everywhere. Marks of at most `doubt` log-odds are in
+    /// nobody's way.
+    pub(super) fn survey(&mut self, map: &OccupancyGrid, pose: &Pose2, doubt: f32) -> Result<Survey<'_>, NoPath> {
+        self.costmap.update_doubting(map, doubt);
         self.finder.find(map, FrontierFinder::MIN_CELLS, &mut self.frontiers);
         let start = map.cell_at(pose.x_m, pose.y_m);
         let reach = self.planner.flood(&self.costmap, start)?;
         Ok(Survey { reach, frontiers: &self.frontiers, cell_m: map.cell_m() })
     }
 
-    /// The way to a place in `odom`, as corner points, metres.
+    /// The way to a place in `odom`, as corner points, metres; `doubt` as for [`survey`](Self::survey).
     pub(super) fn plan(
         &mut self,
         map: &OccupancyGrid,
         pose: &Pose2,
         goal_m: [f64; 2],
+        doubt: f32,
     ) -> Result<Vec<[f64; 2]>, NoPath> {
-        self.costmap.update(map);
+        self.costmap.update_doubting(map, doubt);
         let start = map.cell_at(pose.x_m, pose.y_m);
         let wanted = map.cell_at(goal_m[0], goal_m[1]);
         let goal = self.costmap.nearest_passable(wanted, GOAL_MOVES_M).ok_or(NoPath::GoalBlocked)?;

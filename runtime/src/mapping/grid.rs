@@ -311,6 +311,11 @@ impl OccupancyGrid {
         self.window.row(&self.stored, y, min_x, width)
     }
 
+    /// The value in [`row`](Self::row) that stands for these log-odds.
+    pub(crate) fn row_value(&self, log_odds: f32) -> f32 {
+        (f64::from(log_odds) / self.scale) as f32
+    }
+
     /// Log-odds of a cell; 0 outside the window.
     #[must_use]
     pub fn log_odds(&self, cell: Cell) -> f32 {

@@ -102,6 +102,12 @@ impl Costmap {
 
     /// Reads the map anew.
     pub fn update(&mut self, grid: &OccupancyGrid) {
+        self.update_doubting(grid, 0.0);
+    }
+
+    /// Reads the map anew; what was marked with at most `doubt` log-odds left counts as unknown.
+    pub fn update_doubting(&mut self, grid: &OccupancyGrid, doubt: f32) {
+        let doubt = grid.row_value(doubt);
         let padding = (self.config.padding_m / grid.cell_m()).ceil() as i32;
         let known = grid.known_box().and_then(|known| known.grown(padding).intersection(grid.window()));
         let cells = known.unwrap_or(CellBox::of(grid.window().min));
@@ -118,7 +124,7 @@ impl Costmap {
         };
         for row in 0..height {
             read_row(row, &mut values);
-            self.distances.set_row(row, values.iter().map(|value| *value > 0.0), reach);
+            self.distances.set_row(row, values.iter().map(|value| *value > doubt), reach);
         }
         for row in 0..height {
             read_row(row, &mut values);
@@ -127,7 +133,8 @@ impl Costmap {
             self.distances.row(row, reach, clearance2);
             let weights = &mut self.weights[start..start + width];
             for ((weight, clearance2), value) in weights.iter_mut().zip(clearance2).zip(&values) {
-                let table = &self.tables[usize::from(*value == 0.0)];
+                let is_unknown = *value == 0.0 || (*value > 0.0 && *value <= doubt);
+                let table = &self.tables[usize::from(is_unknown)];
                 // The last entry stands for everything beyond the reach.
                 *weight = table[usize::from(*clearance2).min(table.len() - 1)];
             }
@@ -315,6 +322,26 @@ mod tests {
         // Behind the robot, where the scanner does not look.
         assert_eq!(costmap.weight(grid.cell_at(-1.0, 0.0)), Some(4.0));
         assert_eq!(costmap.weight(grid.cell_at(-4.0, 0.0)), None, "beyond the padding");
+    }
+
+    #[test]
+    fn who_doubts_takes_marks_that_were_seen_once_for_unknown_and_believes_those_seen_often() {
+        let mut grid = ring();
+        let wall = grid.cell_at(1.501, 0.001);
+        let mut costmap = costmap(&grid);
+        costmap.update_doubting(&grid, 5.0);
+        assert_eq!(costmap.weight(wall), Some(4.0));
+        costmap.update_doubting(&grid, 0.5);
+        assert_eq!(costmap.weight(wall), None);
+        let geometry = ScanGeometry::UTM_30LX;
+        let scan = LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(1.5); geometry.beams] };
+        for _ in 0..10 {
+            grid.begin_update(&Pose2::IDENTITY).unwrap();
+            grid.integrate_scan(&scan, &Pose2::IDENTITY).unwrap();
+            grid.finish_update();
+        }
+        costmap.update_doubting(&grid, 5.0);
+        assert_eq!(costmap.weight(wall), None);
     }
 
     #[test]

@@ -43,6 +43,7 @@ fn goal_reason(why: GoalReason) -> &'static str {
     match why {
         GoalReason::Frontier => "free floor meets the unknown there",
         GoalReason::Inconsistency => "two looks at that place disagree",
+        GoalReason::LookAgain => "a frontier behind doubtful marks, as no other can be reached",
         GoalReason::Revisit => "nothing new is left, so a known place from elsewhere",
     }
 }
