@@ -1,16 +1,18 @@
 //! `firmware-host perceive`: depth on a recorded sequence, and how good it was.
 
+mod dump;
+mod source;
+
 use std::time::Instant;
 
 use anyhow::Result;
 use hal::ImageView;
 use runtime::accuracy::{Accuracy, ConstantBaseline};
 use runtime::event::Event;
-use runtime::perception::{CoarseDepth, DepthNetwork};
+use runtime::perception::{CoarseDepth, DepthEstimate, DepthNetwork};
 
 use crate::cli::PerceiveArgs;
-use crate::config::Config;
-use crate::dataset::{Dataset, Sample};
+use crate::dataset::Sample;
 use crate::report::atomic::prepare_dir;
 use crate::report::depth_sample::{SheetRow, SheetSampler};
 use crate::report::depth_sheet::DepthSheet;
@@ -21,17 +23,20 @@ use crate::report::summary::{DepthAccuracy, Summary, peak_resident_mib};
 use crate::report::table;
 use crate::setup;
 use crate::stopwatch::Stopwatch;
+use dump::Dump;
+use source::Source;
 
 /// Looks at every picture of the sequence and reports.
 ///
 /// # Errors
 /// A dataset, model or folder that cannot be used.
 pub fn run(args: &PerceiveArgs) -> Result<()> {
-    let config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
-    let dataset = Dataset::open(&args.dataset, config.camera.width, config.camera.height)?;
-    let camera = *dataset.camera();
-    let network = args.model.as_deref().map(|path| setup::load_network(path, &camera, &config)).transpose()?;
+    let source = Source::open(args)?;
+    let config = source.config();
+    let camera = *source.camera();
+    let network = args.model.as_deref().map(|path| setup::load_network(path, &camera, config)).transpose()?;
     prepare_dir(&args.out)?;
+    let mut dump = args.dump.as_deref().map(|dir| Dump::create(dir, &camera, source.is_recording())).transpose()?;
 
     let mut looker = Looker {
         coarse: CoarseDepth::new(config.coarse.clone(), camera)?,
@@ -45,28 +50,40 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
         path_m: 0.0,
     };
     let began = Instant::now();
-    let mut progress = Progress::start(dataset.len() as u64);
+    let mut progress = source.len().map(Progress::start);
     let mut last: Option<hal::Pose3> = None;
-    for (index, sample) in dataset.samples().enumerate() {
+    let mut frames = 0;
+    for sample in source.samples() {
         let sample = sample?;
         if let Some(last) = last {
             looker.path_m += (sample.t_world_camera.translation.vector - last.translation.vector).norm();
         }
         last = Some(sample.t_world_camera);
-        looker.look(index as u64, &sample)?;
-        progress.frame(index as u64 + 1, &Status { coverage: None, doing: "looking" });
+        let coarse = looker.look(frames, &sample)?;
+        if let Some(dump) = &mut dump {
+            dump.add(&sample, coarse)?;
+        }
+        frames += 1;
+        if let Some(progress) = &mut progress {
+            progress.frame(frames, &Status { coverage: None, doing: "looking" });
+        }
     }
-    progress.finish();
+    if let Some(progress) = progress {
+        progress.finish();
+    }
+    if let Some(dump) = dump {
+        dump.finish()?;
+    }
 
     let wall_s = began.elapsed().as_secs_f64();
-    let frames = dataset.len() as u64;
-    let summary = looker.summary(frames, wall_s, &args.dataset.display().to_string());
-    let title = format!("{}, {frames} frames", args.dataset.display());
+    let name = source.path().display().to_string();
+    let summary = looker.summary(frames, wall_s, &name);
+    let title = format!("{name}, {frames} frames");
     DepthSheet { title: &title, rows: &looker.sheet.into_rows() }.write(&args.out)?;
     summary.write(&args.out)?;
     println!("{}", table::render(&summary));
-    if dataset.without_pose() > 0 {
-        println!("{} pictures were left out: no pose is near them in time.", dataset.without_pose());
+    if source.without_pose() > 0 {
+        println!("{} pictures were left out: no pose is near them in time.", source.without_pose());
     }
     println!("Look at {}.", args.out.join("depth.png").display());
     Ok(())
@@ -85,7 +102,8 @@ struct Looker {
 }
 
 impl Looker {
-    fn look(&mut self, index: u64, sample: &Sample) -> Result<()> {
+    /// Looks at one picture; its coarse depth, if it has one.
+    fn look(&mut self, index: u64, sample: &Sample) -> Result<Option<&DepthEstimate>> {
         let frame = ImageView::rgb8(sample.camera.width, sample.camera.height, &sample.rgb)?;
         let began = Instant::now();
         self.stopwatch.start();
@@ -113,7 +131,7 @@ impl Looker {
         }
         let depths = usize::from(coarse.is_some()) + usize::from(refined.is_some());
         self.sheet.offer(index, depths, || SheetRow::capture(index, &frame, coarse, refined, sample.truth.as_ref()));
-        Ok(())
+        Ok(coarse)
     }
 
     fn summary(&self, frames: u64, wall_s: f64, dataset: &str) -> Summary {
