@@ -116,6 +116,14 @@ def test_pixels_outside_and_behind_the_source_do_not_count() -> None:
     assert inside.tolist() == [False] * 6 + [True] * 18
 
 
+def test_a_depth_that_is_nan_makes_the_loss_nan_and_reads_no_foreign_memory() -> None:
+    picture, depth = random_picture((16, 24), 1), torch.full((1, 1, 16, 24), 2.0)
+    depth[0, 0, 3, 4] = torch.nan
+    view = View(picture, Projector(CAMERA)(depth, moved(x=0.1)))
+    assert not view.projection.inside[0, 0, 3, 4]
+    assert self_supervision(picture, 1 / depth, [view], LossOptions(smoothness=0.0)).isnan()
+
+
 def smooth_picture(u: Tensor, v: Tensor) -> Tensor:
     """A picture that is known between pixels too, for derivatives without corners."""
     return torch.stack([0.5 + 0.4 * torch.sin(0.5 * u + phase + 0.3 * v) for phase in (0.0, 1.0, 2.0)], 1)

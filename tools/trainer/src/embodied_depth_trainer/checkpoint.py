@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from .depth_networks import build_network
 from .errors import TrainerError
+from .frames import Intrinsics
 
 FORMAT_VERSION = 1
 
@@ -35,10 +36,9 @@ class Checkpoint:
         return float(low), float(high)
 
     @property
-    def size(self) -> tuple[int, int]:
-        """Rows, columns."""
-        height, width = self.settings["size"]
-        return int(height), int(width)
+    def camera(self) -> Intrinsics:
+        """Of the pictures that the network was trained on."""
+        return Intrinsics(**self.settings["camera"])
 
     def build(self) -> nn.Module:
         """The network with its weights, for use."""

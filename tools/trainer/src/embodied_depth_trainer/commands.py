@@ -95,7 +95,8 @@ def run_evaluate(options: argparse.Namespace) -> None:
     size, depth_range_m = options.size, (0.1, 20.0)
     if options.checkpoint is not None:
         saved = checkpoints.load(options.checkpoint)
-        size, depth_range_m = size or saved.size, saved.depth_range_m
+        size = size or (saved.camera.height, saved.camera.width)
+        depth_range_m = saved.depth_range_m
         networks["untrained"] = build_network(saved.network, depth_range_m, int(saved.settings["seed"]))
         networks[f"{saved.network}, {saved.step} steps"] = saved.build()
     frames = read_frames(options.recording, options.coarse, options.dataset, size)

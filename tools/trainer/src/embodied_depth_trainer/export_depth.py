@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from . import checkpoint as checkpoints
 from .depth_networks import DEPTH_NETWORKS, SIZE_STEP, build_network, takes_coarse
+from .golden import golden_pair
 from .networks import Padding
 from .onnx_file import ExportError, load_state_dict, load_strictly, random_picture, write_onnx
 
@@ -62,12 +63,15 @@ def export_depth(wish: DepthExport, out: Path) -> float:
 def export_checkpoint(file: Path, size: tuple[int, int] | None, out: Path) -> float:
     """Writes the network of a training, at its own picture size unless another is given, with how it was trained."""
     saved = checkpoints.load(file)
-    height, width = size or saved.size
+    height, width = size or (saved.camera.height, saved.camera.width)
     if height % SIZE_STEP or width % SIZE_STEP:
         raise ExportError(
             f"the networks halve five times and cannot take {height}x{width}; give multiples of {SIZE_STEP}"
         )
+    camera = saved.camera.resized((height, width))
     provenance: dict[str, Any] = {
+        # Of the pictures as the network takes them; depth is z in `camera_optical`.
+        "intrinsics": json.dumps({key: getattr(camera, key) for key in ("fx", "fy", "cx", "cy")}),
         "weights": file.name,
         "training": json.dumps({"steps": saved.step, **saved.settings}, sort_keys=True),
         "version": f"{saved.network}-{saved.step}",
@@ -100,5 +104,6 @@ def _export(
         "input_height": str(height),
         "architecture": name,
         **provenance,
+        **golden_pair(network, list(inputs), size),
     }
     return write_onnx(network, inputs, "disparity", metadata, out)

@@ -29,18 +29,14 @@ class Intrinsics:
                 f"{self.height}x{self.width} pictures cannot be reduced {factor} times; give a factor that divides both"
             )
 
-        # A pixel's left edge is at -0.5, whatever its size.
-        def centre(at: float) -> float:
-            return (at + 0.5) / factor - 0.5
+        return self.resized((self.height // factor, self.width // factor))
 
-        return Intrinsics(
-            self.width // factor,
-            self.height // factor,
-            self.fx / factor,
-            self.fy / factor,
-            centre(self.cx),
-            centre(self.cy),
-        )
+    def resized(self, size: tuple[int, int]) -> Intrinsics:
+        """The same view in `size` rows x columns. A pixel's left edge is at -0.5, whatever its size."""
+        height, width = size
+        across, down = width / self.width, height / self.height
+        cx, cy = (self.cx + 0.5) * across - 0.5, (self.cy + 0.5) * down - 0.5
+        return Intrinsics(width, height, self.fx * across, self.fy * down, cx, cy)
 
 
 @dataclass(frozen=True)

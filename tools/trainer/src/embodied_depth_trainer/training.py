@@ -45,10 +45,10 @@ class Settings:
     loss: LossOptions = field(default_factory=LossOptions)
 
     def as_dict(self, frames: Frames) -> dict[str, Any]:
-        """In plain types, with the pictures' size: what a checkpoint remembers."""
+        """In plain types, with the camera: what a checkpoint remembers."""
         plain = asdict(self)
         plain["depth_range_m"] = list(self.depth_range_m)
-        plain["size"] = [frames.camera.height, frames.camera.width]
+        plain["camera"] = asdict(frames.camera)
         return plain
 
 
@@ -65,6 +65,11 @@ class Trainer:
             raise TrainerError(
                 f"the networks halve five times and cannot take {height}x{width} pictures; "
                 f"give --size with multiples of {SIZE_STEP}"
+            )
+        lost = ~np.isfinite(frames.t_world_camera).all(axis=(1, 2))
+        if lost.any():
+            raise TrainerError(
+                f"{lost.sum()} of {len(frames)} poses are not finite, the first is {int(lost.argmax())}; leave them out"
             )
         self.frames, self.pairs, self.settings, self.device = frames, pairs, settings, device
         self.network = build_network(settings.network, settings.depth_range_m, settings.seed).to(device)

@@ -93,4 +93,6 @@ class Projector:
             inside = (
                 (z > NEAREST_M) & (u >= -slack) & (u <= width - 1 + slack) & (v >= -slack) & (v <= height - 1 + slack)
             )
-        return Projection(u.clamp(0, width - 1), v.clamp(0, height - 1), z.unsqueeze(1), inside.unsqueeze(1))
+        # PyTorch's sampler reads outside of the picture at NaN. NaN stays in the depth, where the loss finds it.
+        u, v = u.nan_to_num(0.0).clamp(0, width - 1), v.nan_to_num(0.0).clamp(0, height - 1)
+        return Projection(u, v, z.unsqueeze(1), inside.unsqueeze(1))
