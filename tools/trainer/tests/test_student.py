@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
@@ -25,7 +27,7 @@ def test_untrained_it_is_close_to_the_coarse_depth_and_else_says_the_usual(depth
     torch.manual_seed(0)
     network = Student(RANGE_M).eval()
     with torch.no_grad():
-        depth = to_depth(network(random_picture((32, 64), 0), coarse_of(depth_m)), RANGE_M)
+        depth = to_depth(network(random_picture((32, 64), 0), coarse_of(depth_m))[:, :1], RANGE_M)
     assert torch.allclose(depth[..., :32], torch.tensor(depth_m), rtol=0.05)
     assert torch.allclose(depth[..., 32:], torch.tensor(USUAL_DEPTH_M), rtol=0.05)
 
@@ -36,8 +38,16 @@ def test_it_stays_in_its_range_whatever_its_weights() -> None:
     with torch.no_grad():
         network.head.weight.mul_(1e6)
         out = network(torch.rand(2, 3, 32, 64), torch.cat([coarse_of(0.1), coarse_of(20.0)]))
-    assert out.shape == (2, 1, 32, 64)
-    assert 0.0 <= float(out.min()) <= float(out.max()) <= 1.0
+    assert out.shape == (2, 2, 32, 64)
+    assert 0.0 <= float(out[:, 0].min()) <= float(out[:, 0].max()) <= 1.0
+    assert math.log(0.0099) < float(out[:, 1].min()) <= float(out[:, 1].max()) < math.log(2.01)
+
+
+def test_untrained_it_is_too_unsure_for_the_map() -> None:
+    torch.manual_seed(0)
+    with torch.no_grad():
+        scale = Student(RANGE_M).eval()(random_picture((32, 64), 0), coarse_of(2.0))[:, 1].exp()
+    assert float((1 - torch.exp(-math.log(1.25) / scale)).max()) < 0.8
 
 
 def test_every_weight_learns() -> None:

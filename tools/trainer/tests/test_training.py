@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import signal
 import subprocess
@@ -25,7 +26,7 @@ from embodied_depth_trainer.frames import Frames
 from embodied_depth_trainer.losses import LossOptions
 from embodied_depth_trainer.onnx_file import random_picture
 from embodied_depth_trainer.pairs import PairRule, pairs_by_baseline
-from embodied_depth_trainer.training import Settings, Trainer, train
+from embodied_depth_trainer.training import Settings, Trainer, scale_surprise, train
 
 from .recordings import dump_of, straight, write_segment
 from .rooms import room
@@ -162,6 +163,18 @@ def test_coarse_planes_are_those_of_the_robots_runtime() -> None:
     assert torch.allclose(to_depth(planes[0, 1:3], (0.1, 20.0)), torch.tensor([0.1, 20.0]), rtol=1e-5)
 
 
+def test_the_scale_is_learnt_from_the_distance_to_coarse_depth_and_from_its_confidence() -> None:
+    depth = torch.full((1, 1, 4, 4), 2.0)
+    coarse = torch.ones(1, 3, 4, 4)
+    coarse[:, 0] = (1 / 3.0 - 1 / 20) / (10 - 1 / 20)
+    # Right within 25 % with probability p: ln 1.25 / b = -ln(1 - p).
+    coarse[:, 2] = 0.8
+    best = math.log(1.5) - math.log(1.25) / math.log(0.2)
+    scales = torch.linspace(0.05, 2.0, 400)
+    losses = [float(scale_surprise(depth, torch.full_like(depth, float(s)).log(), coarse, (0.1, 20.0))) for s in scales]
+    assert float(scales[int(np.argmin(losses))]) == pytest.approx(best, abs=0.01)
+
+
 def test_colors_change_in_about_half_of_the_pictures_and_holes_are_cut() -> None:
     pictures = random_picture((16, 16), 0).expand(200, -1, -1, -1)
     changed = change_colors(pictures, np.random.default_rng(0))
@@ -182,6 +195,9 @@ def test_a_short_training_beats_the_constant(tmp_path: Path) -> None:
     after = evaluate(unseen, {"student": checkpoints.load(file).build()}, settings.depth_range_m)
     assert after["student"].share == 1.0
     assert after["student"].delta1 > after["constant"].delta1 + 0.1
+    # What it is sure of is right.
+    assert after["student, mapped"].share > 0.2
+    assert after["student, mapped"].delta1_unscaled > max(0.9, after["student"].delta1_unscaled)
     assert after["student"].delta1_unscaled > before["student"].delta1_unscaled + 0.1
 
 

@@ -93,6 +93,7 @@ def _add_train(command: argparse.ArgumentParser) -> None:
     command.add_argument("--smoothness", type=float, default=1e-3, help="weight [1e-3]")
     command.add_argument("--geometry", type=float, default=0.0, help="weight of the geometry consistency [0]")
     command.add_argument("--coarse-weight", type=float, default=0.1, help="weight of agreeing with coarse depth [0.1]")
+    command.add_argument("--uncertainty-weight", type=float, default=0.05, help="of learning the own error [0.05]")
     command.add_argument("--auto-mask", action="store_true", help="as in the paper's code")
     command.add_argument("--no-exposure", action="store_true", help="do not fit gain and bias of a pair")
     command.add_argument("--no-augmentation", action="store_true", help="neither change colours nor cut holes")

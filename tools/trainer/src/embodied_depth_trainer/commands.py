@@ -67,6 +67,7 @@ def run_train(options: argparse.Namespace) -> None:
         depth_range_m=(near, far),
         augment=not options.no_augmentation,
         coarse_weight=options.coarse_weight,
+        uncertainty_weight=options.uncertainty_weight,
         loss=LossOptions(
             smoothness=options.smoothness,
             geometry=options.geometry,

@@ -30,7 +30,8 @@ def takes_coarse(network: nn.Module) -> bool:
     return not isinstance(network, Monodepth2)
 
 
-def disparity_of(network: nn.Module, rgb: Tensor, coarse: Tensor) -> Tensor:
-    """x in 0..1 [B, 1, H, W] of any network; one without coarse input ignores `coarse` [B, 3, H, W]."""
-    disparity: Tensor = network(rgb, coarse) if takes_coarse(network) else network(rgb)
-    return disparity
+def output_of(network: nn.Module, rgb: Tensor, coarse: Tensor) -> tuple[Tensor, Tensor | None]:
+    """x in 0..1 [B, 1, H, W] of any network, and of one that says it, ln of the Laplace scale of the error of ln depth.
+    A network without coarse input ignores `coarse` [B, 3, H, W]."""
+    output: Tensor = network(rgb, coarse) if takes_coarse(network) else network(rgb)
+    return (output[:, :1], output[:, 1:]) if output.shape[1] == 2 else (output, None)

@@ -6,6 +6,7 @@ median(depth), as is usual for networks without scale; unscaled values are what 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
@@ -15,12 +16,15 @@ from numpy.typing import NDArray
 from torch import nn
 
 from .batches import coarse_planes, rgb_planes, to_depth
-from .depth_networks import disparity_of
+from .depth_networks import output_of
 from .errors import TrainerError
 from .frames import Frames
 
 MIN_TRUTH_M, MAX_TRUTH_M = 0.1, 20.0
 BATCH = 8
+# What the robot's map takes (`map.min_confidence`), and how such rows are called.
+MAPPED_CONFIDENCE = 0.8
+CONFIDENT = ", mapped"
 
 
 @dataclass(frozen=True)
@@ -60,13 +64,14 @@ def _errors(depth: NDArray[np.float64], truth: NDArray[np.float64]) -> tuple[flo
 
 
 def evaluate(frames: Frames, networks: dict[str, nn.Module], depth_range_m: tuple[float, float]) -> dict[str, Metrics]:
-    """Mean metrics of the constant (each picture's median of the truth), of coarse depth and of every network."""
+    """Mean metrics of the constant (each picture's median of the truth), of coarse depth and of every network: of all
+    pixels, and of those that the map takes."""
     if frames.truth_mm is None:
         raise TrainerError(
             "the frames have no ground truth; record with `firmware-host explore --depth truth`, "
             "or dump a dataset with depth.txt"
         )
-    rows: dict[str, list[Metrics]] = {"constant": [], "coarse": [], **{name: [] for name in networks}}
+    rows: dict[str, list[Metrics]] = {"constant": [], "coarse": []}
     pictures = 0
     for index, truth in _truths(frames):
         pictures += len(index)
@@ -76,24 +81,31 @@ def evaluate(frames: Frames, networks: dict[str, nn.Module], depth_range_m: tupl
         if frames.coarse is not None:
             depths["coarse"] = frames.coarse[index, 0].astype(np.float32) / 1000
         for name, network in networks.items():
-            depths[name] = predict(network, frames, index, depth_range_m)
+            depth, confidence = predict(network, frames, index, depth_range_m)
+            depths[name] = depth
+            if confidence is not None:
+                depths[name + CONFIDENT] = np.where(confidence >= MAPPED_CONFIDENCE, depth, 0)
         for name, batch in depths.items():
             found = [metrics(depth, t) for depth, t in zip(batch, truth, strict=True)]
-            rows[name].extend(value for value in found if value is not None)
+            rows.setdefault(name, []).extend(value for value in found if value is not None)
     return {name: _mean(values, pictures) for name, values in rows.items() if values}
 
 
 @torch.no_grad()
 def predict(
     network: nn.Module, frames: Frames, index: NDArray[np.int64], depth_range_m: tuple[float, float]
-) -> NDArray[np.float32]:
-    """z-depth [B, H, W] in metres."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    """z-depth [B, H, W] in metres, and the probability that it is right within 25 %, of a network that says it."""
     network.eval()
     device = next(network.parameters()).device
     coarse = coarse_planes(frames, index, depth_range_m, device)
-    disparity = disparity_of(network, rgb_planes(frames, index, device), coarse)
+    disparity, log_scale = output_of(network, rgb_planes(frames, index, device), coarse)
     depth: NDArray[np.float32] = to_depth(disparity, depth_range_m)[:, 0].cpu().numpy()
-    return depth
+    if log_scale is None:
+        return depth, None
+    # As the robot's runtime does it.
+    confidence: NDArray[np.float32] = (1 - torch.exp(-math.log(1.25) / log_scale.exp()))[:, 0].cpu().numpy()
+    return depth, confidence
 
 
 def _truths(frames: Frames) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:

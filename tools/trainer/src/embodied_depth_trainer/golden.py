@@ -6,7 +6,8 @@ is found before the robot drives by it. A whole input would double the file, so 
 `golden_input`: base64 of uint8 [channels, rows / 16, columns / 16]. Each value v is 16x16 pixels of v / 255. The inputs
 follow each other in the order of `kind`, three channels each.
 
-`golden_output`: base64 of little-endian float32 [rows / 16, columns / 16], the output at rows 16 i + 8, columns 16 j + 8.
+`golden_output`: base64 of little-endian float32 [rows / 16, columns / 16], the output at rows 16 i + 8 and columns
+16 j + 8.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ to the last bit on the CPU with the same number of threads.
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -19,7 +20,7 @@ from torch import Tensor, nn
 from . import checkpoint as checkpoints
 from .batches import Batch, coarse_planes, make_batch, to_depth
 from .checkpoint import Checkpoint
-from .depth_networks import SIZE_STEP, build_network, disparity_of, takes_coarse
+from .depth_networks import SIZE_STEP, build_network, output_of, takes_coarse
 from .errors import TrainerError
 from .frames import Frames
 from .losses import LossOptions, View, self_supervision
@@ -42,6 +43,8 @@ class Settings:
     augment: bool = True
     coarse_weight: float = 0.1
     """Weight of agreeing with confident coarse depth; see `coarse_error`. 0: photometric only, as in the paper."""
+    uncertainty_weight: float = 0.05
+    """Weight of `scale_surprise`."""
     loss: LossOptions = field(default_factory=LossOptions)
 
     def as_dict(self, frames: Frames) -> dict[str, Any]:
@@ -110,7 +113,7 @@ class Trainer:
 
     def loss(self, batch: Batch) -> Tensor:
         settings = self.settings
-        disparity = disparity_of(self.network, batch.seen, batch.coarse)
+        disparity, log_scale = output_of(self.network, batch.seen, batch.coarse)
         depth_m = to_depth(disparity, settings.depth_range_m)
         views = []
         for index, (picture, pose) in enumerate(zip(batch.source_pictures, batch.t_source_target, strict=True)):
@@ -121,6 +124,9 @@ class Trainer:
         loss = self_supervision(batch.picture, 1 / depth_m, views, settings.loss, noise)
         if settings.coarse_weight > 0 and self.frames.coarse is not None:
             loss = loss + settings.coarse_weight * coarse_error(depth_m, batch.coarse_whole, settings.depth_range_m)
+        if log_scale is not None:
+            surprise = scale_surprise(depth_m.detach(), log_scale, batch.coarse_whole, settings.depth_range_m)
+            loss = loss + settings.uncertainty_weight * surprise
         return loss
 
     @torch.no_grad()
@@ -128,7 +134,7 @@ class Trainer:
         """What the network says about a source; its batch statistics must not count."""
         self.network.eval()
         coarse = coarse_planes(self.frames, batch.sources[:, view], self.settings.depth_range_m, self.device)
-        disparity = disparity_of(self.network, batch.source_pictures[view], coarse)
+        disparity, _ = output_of(self.network, batch.source_pictures[view], coarse)
         self.network.train()
         return to_depth(disparity, self.settings.depth_range_m)
 
@@ -160,6 +166,19 @@ def coarse_error(depth_m: Tensor, coarse: Tensor, depth_range_m: tuple[float, fl
     weight = coarse[:, 1:2] * coarse[:, 2:3]
     error = (depth_m.log() - to_depth(coarse[:, :1], depth_range_m).log()).abs()
     return (weight * error).sum() / weight.sum().clamp(min=1.0)
+
+
+def scale_surprise(depth_m: Tensor, log_scale: Tensor, coarse: Tensor, depth_range_m: tuple[float, float]) -> Tensor:
+    """Mean negative log-likelihood of Laplacian errors of ln depth with the scales that the network says. Scalar.
+
+    No sensor says the error, but coarse depth bounds it, also where the network was not shown it: |error| is at most
+    the distance to the coarse depth plus the coarse depth's own error, whose scale follows from its probability to be
+    right within 25 %.
+    """
+    valid, confidence = coarse[:, 1:2], coarse[:, 2:3].clamp(0.01, 0.999)
+    distance = (depth_m.log() - to_depth(coarse[:, :1], depth_range_m).log()).abs()
+    error = distance - math.log(1.25) / torch.log1p(-confidence)
+    return (valid * (error * torch.exp(-log_scale) + log_scale)).sum() / valid.sum().clamp(min=1.0)
 
 
 def train(
