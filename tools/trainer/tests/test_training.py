@@ -80,19 +80,20 @@ def test_a_killed_training_goes_on_to_the_same_bits(tmp_path: Path) -> None:
     run.mkdir()
     write_segment(run / "recording_0000.mcap", frames, straight(24))
     dump_of(frames, coarse)
-    command = ["train", "--recording", str(run), "--coarse", str(coarse), "--steps", "60", "--batch", "2"]
-    command += ["--checkpoint-every", "2", "--seed", "3"]
-    assert main([*command, "--out", str(tmp_path / "whole")]) == 0
-
-    python = [sys.executable, "-m", "embodied_depth_trainer.cli", *command, "--out", str(tmp_path / "killed")]
+    command = ["train", "--recording", str(run), "--coarse", str(coarse), "--batch", "2", "--seed", "3"]
+    command += ["--checkpoint-every", "2", "--out", str(tmp_path / "killed"), "--steps"]
     file = tmp_path / "killed/checkpoint.pt"
+    # More steps than it will ever do.
+    python = [sys.executable, "-m", "embodied_depth_trainer.cli", *command, "1000000"]
     with subprocess.Popen(python, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
         deadline = time.monotonic() + 100
         while not (file.exists() and checkpoints.load(file).step >= 4) and time.monotonic() < deadline:
             time.sleep(0.01)
         child.send_signal(signal.SIGKILL)
-    assert 4 <= checkpoints.load(file).step < 60
-    assert main([*command, "--out", str(tmp_path / "killed")]) == 0
+    assert (reached := checkpoints.load(file).step) >= 4
+    steps = str(reached + 5)
+    assert main([*command, steps]) == 0
+    assert main([*command, steps, "--out", str(tmp_path / "whole")]) == 0
     assert same(weights(tmp_path / "whole/checkpoint.pt"), weights(file))
 
 
