@@ -90,7 +90,8 @@ def test_a_killed_training_goes_on_to_the_same_bits(tmp_path: Path) -> None:
         while not (file.exists() and checkpoints.load(file).step >= 4) and time.monotonic() < deadline:
             time.sleep(0.01)
         child.send_signal(signal.SIGKILL)
-    assert (reached := checkpoints.load(file).step) >= 4
+    reached = checkpoints.load(file).step
+    assert reached >= 4
     steps = str(reached + 5)
     assert main([*command, steps]) == 0
     assert main([*command, steps, "--out", str(tmp_path / "whole")]) == 0
