@@ -67,7 +67,7 @@ def room(count: int, size: tuple[int, int] = (32, 96), seed: int = 0) -> Frames:
     coarse[:, :, : size[1] // 3] = 0
     moved = np.linalg.norm(np.diff(walk[:, :3, 3], axis=0, prepend=walk[:1, :3, 3]), axis=1)
     coarse[moved < 0.01] = 0
-    confidence = np.where(coarse > 0, 52428, 0).astype(np.uint16)
+    confidence = np.where(coarse > 0, 62258, 0).astype(np.uint16)
     return Frames(
         view,
         np.stack([picture for picture, _ in looks]),

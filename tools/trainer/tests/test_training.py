@@ -200,7 +200,7 @@ def test_a_short_training_beats_the_constant(tmp_path: Path) -> None:
     # What it is sure of is right.
     assert after["student, mapped"].share > 0.2
     assert after["student, mapped"].delta1_unscaled > max(0.9, after["student"].delta1_unscaled)
-    assert after["student"].delta1_unscaled > before["student"].delta1_unscaled + 0.1
+    assert after["student"].delta1_unscaled > before["student"].delta1_unscaled + 0.05
 
 
 def test_evaluate_writes_what_it_prints(walk: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -62,7 +62,7 @@ class Student(nn.Module):
             nn.Sequential(_block(fine, wide, 2), _block(wide, wide)) for fine, wide in pairwise(widths)
         )
         self.up = nn.ModuleList(_block(wide + fine, fine) for fine, wide in reversed(list(pairwise(widths))))
-        self.head = nn.Conv2d(widths[0], 4, 1)
+        self.head = nn.Conv2d(widths[0], 4, 3, padding=1)
         nn.init.normal_(self.head.weight, std=1e-3)
         self.scale_low, self.scale_high = math.log(SCALES[0]), math.log(SCALES[1])
         unsure = (math.log(USUAL_SCALE) - self.scale_low) / (self.scale_high - self.scale_low)
@@ -70,7 +70,7 @@ class Student(nn.Module):
         self.head.bias = nn.Parameter(torch.tensor(bias))
 
     def forward(self, rgb: Tensor, coarse: Tensor) -> Tensor:
-        x = self.stem(torch.cat([rgb, coarse], 1))
+        x = self.stem(torch.cat([rgb * 2 - 1, coarse], 1))
         pyramid = [x]
         for down in self.down:
             x = down(x)
