@@ -20,7 +20,7 @@ pub struct Cli {
 pub enum Command {
     /// Explore a simulated home, in virtual time.
     Explore(ExploreArgs),
-    /// Depth, and its accuracy, on a recorded sequence (TUM RGB-D layout with a dataset.toml).
+    /// Depth, and its accuracy, on a recorded sequence (TUM RGB-D layout with a dataset.toml) or a recorded run.
     Perceive(PerceiveArgs),
     /// Recompute every decision of a recorded run; exit 0 only when all are the same.
     Replay(ReplayArgs),
@@ -100,14 +100,20 @@ impl RerunArgs {
 #[derive(Debug, Args)]
 pub struct PerceiveArgs {
     /// Folder with rgb.txt, groundtruth.txt, dataset.toml and perhaps depth.txt.
-    #[arg(long, value_name = "DIR")]
-    pub dataset: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "recording", conflicts_with = "recording")]
+    pub dataset: Option<PathBuf>,
+    /// Instead: the --out folder of a run, or one .mcap file. Its own configuration counts, unless --config is given.
+    #[arg(long, value_name = "RUN")]
+    pub recording: Option<PathBuf>,
     /// A depth network (ONNX).
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Folder for summary and pictures.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    /// Also write every picture's coarse depth into this folder, for training. Made if missing.
+    #[arg(long, value_name = "DIR")]
+    pub dump: Option<PathBuf>,
     /// Configuration file; see `check`.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,

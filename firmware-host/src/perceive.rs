@@ -1,15 +1,17 @@
 //! `firmware-host perceive`: depth on a recorded sequence, how good it was, and what it shows from above.
 
+mod dump;
+mod source;
+
 use std::time::Instant;
 
 use anyhow::Result;
 use hal::ImageView;
 use runtime::accuracy::{Accuracy, ConstantBaseline};
 use runtime::event::Event;
-use runtime::perception::{CoarseDepth, DepthNetwork};
+use runtime::perception::{CoarseDepth, DepthEstimate, DepthNetwork};
 
 use crate::cli::PerceiveArgs;
-use crate::config::Config;
 use crate::dataset::{Dataset, Sample};
 use crate::report::atomic::prepare_dir;
 use crate::report::depth_sample::{SheetRow, SheetSampler};
@@ -22,17 +24,20 @@ use crate::report::table;
 use crate::report::top_view::TopView;
 use crate::setup;
 use crate::stopwatch::Stopwatch;
+use dump::Dump;
+use source::Source;
 
 /// Looks at every picture of the sequence and reports.
 ///
 /// # Errors
 /// A dataset, model or folder that cannot be used.
 pub fn run(args: &PerceiveArgs) -> Result<()> {
-    let config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
-    let dataset = Dataset::open(&args.dataset, config.camera.width, config.camera.height)?;
-    let camera = *dataset.camera();
-    let network = args.model.as_deref().map(|path| setup::load_network(path, &camera, &config)).transpose()?;
+    let source = Source::open(args)?;
+    let config = source.config();
+    let camera = *source.camera();
+    let network = args.model.as_deref().map(|path| setup::load_network(path, &camera, config)).transpose()?;
     prepare_dir(&args.out)?;
+    let mut dump = args.dump.as_deref().map(|dir| Dump::create(dir, &camera, source.is_recording())).transpose()?;
 
     let mut looker = Looker {
         coarse: CoarseDepth::new(config.coarse.clone(), camera)?,
@@ -43,37 +48,55 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
         events: EventCounts::default(),
         stopwatch: Stopwatch::default(),
         sheet: SheetSampler::default(),
-        map: TopView::new(&dataset.poses(), dataset.manifest().up.map(Into::into))?,
+        map: source.dataset().map(top_view).transpose()?,
         path_m: 0.0,
     };
     let began = Instant::now();
-    let mut progress = Progress::start(dataset.len() as u64);
+    let mut progress = source.len().map(Progress::start);
     let mut last: Option<hal::Pose3> = None;
-    for (index, sample) in dataset.samples().enumerate() {
+    let mut frames = 0;
+    for sample in source.samples() {
         let sample = sample?;
         if let Some(last) = last {
             looker.path_m += (sample.t_world_camera.translation.vector - last.translation.vector).norm();
         }
         last = Some(sample.t_world_camera);
-        looker.look(index as u64, &sample)?;
-        progress.frame(index as u64 + 1, &Status { coverage: None, doing: "looking" });
+        let coarse = looker.look(frames, &sample)?;
+        if let Some(dump) = &mut dump {
+            dump.add(&sample, coarse)?;
+        }
+        frames += 1;
+        if let Some(progress) = &mut progress {
+            progress.frame(frames, &Status { coverage: None, doing: "looking" });
+        }
     }
-    progress.finish();
+    if let Some(progress) = progress {
+        progress.finish();
+    }
+    if let Some(dump) = dump {
+        dump.finish()?;
+    }
 
     let wall_s = began.elapsed().as_secs_f64();
-    let frames = dataset.len() as u64;
-    let summary = looker.summary(frames, wall_s, &args.dataset.display().to_string());
-    let title = format!("{}, {frames} frames", args.dataset.display());
-    let above = format!("{}, {frames} frames, from above", dataset.manifest().name);
-    looker.map.write(&above, &args.out)?;
+    let name = source.path().display().to_string();
+    let summary = looker.summary(frames, wall_s, &name);
+    let title = format!("{name}, {frames} frames");
+    if let (Some(map), Some(dataset)) = (&looker.map, source.dataset()) {
+        map.write(&format!("{}, {frames} frames, from above", dataset.manifest().name), &args.out)?;
+    }
     DepthSheet { title: &title, rows: &looker.sheet.into_rows() }.write(&args.out)?;
     summary.write(&args.out)?;
     println!("{}", table::render(&summary));
-    if dataset.without_pose() > 0 {
-        println!("{} pictures were left out: no pose is near them in time.", dataset.without_pose());
+    if source.without_pose() > 0 {
+        println!("{} pictures were left out: no pose is near them in time.", source.without_pose());
     }
-    println!("Look at {0}/depth.png and {0}/map.png; numbers are in {0}/summary.json.", args.out.display());
+    let pictures = if source.is_recording() { "depth.png" } else { "depth.png and map.png" };
+    println!("Look at {pictures} in {0}; numbers are in {0}/summary.json.", args.out.display());
     Ok(())
+}
+
+fn top_view(dataset: &Dataset) -> Result<TopView> {
+    Ok(TopView::new(&dataset.poses(), dataset.manifest().up.map(Into::into))?)
 }
 
 struct Looker {
@@ -85,12 +108,14 @@ struct Looker {
     events: EventCounts,
     stopwatch: Stopwatch,
     sheet: SheetSampler,
-    map: TopView,
+    /// A run of the robot has a map already.
+    map: Option<TopView>,
     path_m: f64,
 }
 
 impl Looker {
-    fn look(&mut self, index: u64, sample: &Sample) -> Result<()> {
+    /// Looks at one picture; its coarse depth, if it has one.
+    fn look(&mut self, index: u64, sample: &Sample) -> Result<Option<&DepthEstimate>> {
         let frame = ImageView::rgb8(sample.camera.width, sample.camera.height, &sample.rgb)?;
         let began = Instant::now();
         self.stopwatch.start();
@@ -109,7 +134,9 @@ impl Looker {
             self.stopwatch.lap(Stage::Network);
         }
         self.stopwatch.since(began, Stage::Total);
-        self.map.add(&sample.t_world_camera, refined.or(coarse), &sample.camera)?;
+        if let Some(map) = &mut self.map {
+            map.add(&sample.t_world_camera, refined.or(coarse), &sample.camera)?;
+        }
         if let Some(truth) = &sample.truth {
             self.coarse_accuracy.add(coarse, truth)?;
             self.constant.add(truth);
@@ -119,7 +146,7 @@ impl Looker {
         }
         let depths = usize::from(coarse.is_some()) + usize::from(refined.is_some());
         self.sheet.offer(index, depths, || SheetRow::capture(index, &frame, coarse, refined, sample.truth.as_ref()));
-        Ok(())
+        Ok(coarse)
     }
 
     fn summary(&self, frames: u64, wall_s: f64, dataset: &str) -> Summary {

@@ -97,6 +97,33 @@ fn ground_truth_depth_is_stamped_into_the_summary_and_replays_too() {
 }
 
 #[test]
+fn perceive_dumps_the_coarse_depth_of_a_run_even_of_one_that_breaks_off() {
+    let dir = TempDir::new().unwrap();
+    let (_, run) = explore(&dir, "run", &[&HOME[..], &["--depth", "truth", "--policy", "forward"]].concat());
+    let dumped = |name: &str| -> serde_json::Value {
+        let (out, dump) = (dir.path().join(name), dir.path().join(name).join("coarse"));
+        let paths = [&run, &out, &dump].map(|path| path.to_str().unwrap());
+        let output = firmware_host(&["perceive", "--recording", paths[0], "--out", paths[1], "--dump", paths[2]]);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        assert!(summary(&out)["accuracy"]["coarse"]["all"]["delta1_unscaled"].as_f64().unwrap() > 0.5);
+        serde_json::from_slice(&std::fs::read(dump.join("dump.json")).unwrap()).unwrap()
+    };
+    let whole = dumped("whole");
+    let frames = whole["frames"].as_array().unwrap();
+    assert_eq!((frames.len(), &whole["width"]), (60, &serde_json::json!(160)));
+    assert_eq!((&frames[0]["coarse"], &frames[59]["coarse"]), (&false.into(), &true.into()));
+    let planes = std::fs::read(dir.path().join("whole/coarse/000059.npy")).unwrap();
+    assert_eq!(planes.len() % 64, 2 * 2 * 64 * 160 % 64);
+
+    let file = run.join("recording_0000.mcap");
+    let bytes = std::fs::read(&file).unwrap();
+    std::fs::write(&file, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    let part = dumped("part")["frames"].as_array().unwrap().clone();
+    assert!((10..60).contains(&part.len()), "{}", part.len());
+    assert_eq!(part[..], frames[..part.len()]);
+}
+
+#[test]
 fn what_cannot_be_is_refused_with_its_name_a_way_out_and_nothing_left_behind() {
     let dir = TempDir::new().unwrap();
     let no_model = dir.path().join("none.onnx");

@@ -15,7 +15,7 @@ use runtime::tick::{Decision, TickInput};
 
 pub use compare::{Difference, differences};
 pub use rewrite::rewrite;
-pub use run::{ReplayError, Run};
+pub use run::{ReplayError, Run, open_segment, segments};
 
 /// Mismatching turns that are shown in full; after the first, most only follow from it.
 const SHOWN_TURNS: u64 = 3;

@@ -171,13 +171,21 @@ impl Iterator for Run {
     }
 }
 
-fn open_segment(path: &Path) -> Result<RecordingReader<BufReader<File>>, ReplayError> {
+/// Opens one segment and reads its header.
+///
+/// # Errors
+/// When it cannot be read or is no recording.
+pub fn open_segment(path: &Path) -> Result<RecordingReader<BufReader<File>>, ReplayError> {
     let file = File::open(path).map_err(|source| ReplayError::Open { path: path.to_owned(), source })?;
     RecordingReader::open(BufReader::with_capacity(1 << 20, file))
         .map_err(|source| ReplayError::Segment { path: path.to_owned(), source })
 }
 
-fn segments(path: &Path) -> Result<Vec<PathBuf>, ReplayError> {
+/// The segments of the `--out` directory of a run in their order, or the one .mcap itself.
+///
+/// # Errors
+/// When the directory cannot be read.
+pub fn segments(path: &Path) -> Result<Vec<PathBuf>, ReplayError> {
     let error = |source| ReplayError::Open { path: path.to_owned(), source };
     if !std::fs::metadata(path).map_err(error)?.is_dir() {
         return Ok(vec![path.to_owned()]);

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import numpy as np
 import onnx
+import onnxruntime
 import pytest
 import torch
 
 from embodied_depth_trainer.cli import main
 from embodied_depth_trainer.export_depth import DEPTH_NETWORKS, DepthExport, build
+from embodied_depth_trainer.golden import at_block_centres, golden_inputs, golden_output
 from embodied_depth_trainer.networks import Edn, Monodepth2
+from embodied_depth_trainer.pairs import PairRule, pairs_by_baseline
+from embodied_depth_trainer.training import Settings, Trainer, train
+
+from .rooms import room
 
 
 def metadata(file: Path) -> dict[str, str]:
@@ -31,6 +39,41 @@ def test_a_depth_file_says_what_the_robot_needs_to_know(network: str, tmp_path: 
     assert said["weights"] == "random"
     assert float(said["parity_max_abs"]) < 1e-4
     assert [path.name for path in tmp_path.iterdir()] == ["depth.onnx"]
+
+
+def test_a_trained_student_becomes_a_bundle_that_proves_itself(tmp_path: Path) -> None:
+    frames = room(24)
+    learner = Trainer(frames, pairs_by_baseline(frames, PairRule()), Settings(batch=2))
+    file, out = train(learner, 3, tmp_path), tmp_path / "student.onnx"
+    assert main(["export", "--checkpoint", str(file), "--out", str(out)]) == 0
+    said = metadata(out)
+    assert (said["kind"], said["output"], said["version"], said["opset"]) == (
+        "rgb+coarse",
+        "disparity",
+        "student-3",
+        "17",
+    )
+    assert (said["min_depth_m"], said["max_depth_m"]) == ("0.1", "20.0")
+    assert (said["input_width"], said["input_height"]) == ("96", "32")
+    assert json.loads(said["intrinsics"])["fx"] == 48.0
+    assert json.loads(said["training"])["steps"] == 3
+    size = (32, 96)
+    inputs = golden_inputs(said, ["rgb", "coarse"], size)
+    session = onnxruntime.InferenceSession(str(out), providers=["CPUExecutionProvider"])
+    found = session.run(None, {name: value.numpy() for name, value in inputs.items()})[0]
+    assert np.allclose(at_block_centres(found[0, 0]), golden_output(said, size), atol=1e-4)
+    # Not a constant: otherwise it would prove nothing.
+    assert golden_output(said, size).std() > 0.01
+    operators = {node.op_type for node in onnx.load(str(out)).graph.node}
+    assert not operators & {"GridSample", "Pad", "BatchNormalization"}
+
+
+def test_a_bundle_of_another_size_has_its_intrinsics(tmp_path: Path) -> None:
+    frames = room(24)
+    file = train(Trainer(frames, pairs_by_baseline(frames, PairRule()), Settings(batch=2)), 1, tmp_path)
+    out = tmp_path / "large.onnx"
+    assert main(["export", "--checkpoint", str(file), "--size", "64x192", "--out", str(out)]) == 0
+    assert json.loads(metadata(out)["intrinsics"]) == {"fx": 96.0, "fy": 96.0, "cx": 95.5, "cy": 31.5}
 
 
 def test_a_flow_file_says_what_the_robot_needs_to_know(tmp_path: Path) -> None:

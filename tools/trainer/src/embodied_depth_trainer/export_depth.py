@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import torch
 from torch import Tensor, nn
 
-from .networks import Edn, Monodepth2, Padding
+from . import checkpoint as checkpoints
+from .depth_networks import DEPTH_NETWORKS, SIZE_STEP, build_network, takes_coarse
+from .golden import golden_pair
+from .networks import Padding
 from .onnx_file import ExportError, load_state_dict, load_strictly, random_picture, write_onnx
 
-DEPTH_NETWORKS = ("monodepth2_r18", "edn_r18", "edn_r18_concat")
+__all__ = ["DEPTH_NETWORKS", "DepthExport", "build", "export_checkpoint", "export_depth"]
 
 
 @dataclass(frozen=True)
@@ -31,19 +35,16 @@ class DepthExport:
 def build(wish: DepthExport) -> nn.Module:
     """The network with its weights."""
     height, width = wish.size
-    if height % 32 or width % 32:
-        raise ExportError(f"ResNet18 halves five times and cannot take {height}x{width}; give multiples of 32")
+    if height % SIZE_STEP or width % SIZE_STEP:
+        raise ExportError(
+            f"the networks halve five times and cannot take {height}x{width}; give multiples of {SIZE_STEP}"
+        )
     low, high = wish.depth_range_m
     if not 0 < low < high:
         raise ExportError(f"the depth range {low} to {high} m is empty; give 0 < MIN_M < MAX_M")
     if wish.random == (wish.weights is not None):
         raise ExportError("give either --weights FILE or --random")
-    torch.manual_seed(wish.seed)
-    network: nn.Module
-    if wish.network == "monodepth2_r18":
-        network = Monodepth2(wish.padding)
-    else:
-        network = Edn("concat" if wish.network.endswith("concat") else "add", wish.padding)
+    network = build_network(wish.network, wish.depth_range_m, wish.seed, wish.padding)
     if wish.weights is not None:
         load_strictly(network, load_state_dict(wish.weights), str(wish.weights))
     return network.eval()
@@ -51,21 +52,58 @@ def build(wish: DepthExport) -> nn.Module:
 
 def export_depth(wish: DepthExport, out: Path) -> float:
     """Writes the ONNX file; returns the largest difference of x in 0..1 between ONNX Runtime and PyTorch."""
-    network = build(wish)
-    height, width = wish.size
-    inputs: dict[str, Tensor] = {"rgb": random_picture(wish.size, wish.seed)}
-    if isinstance(network, Edn):
-        inputs["coarse"] = random_picture(wish.size, wish.seed + 1)
-    metadata = {
-        "kind": "+".join(inputs),
-        "output": "disparity",
-        "min_depth_m": repr(wish.depth_range_m[0]),
-        "max_depth_m": repr(wish.depth_range_m[1]),
-        "input_width": str(width),
-        "input_height": str(height),
-        "architecture": wish.network,
+    provenance = {
         "padding": wish.padding,
         "weights": "random" if wish.weights is None else wish.weights.name,
         "version": wish.network,
+    }
+    return _export(build(wish), wish.network, wish.size, wish.depth_range_m, wish.seed, provenance, out)
+
+
+def export_checkpoint(file: Path, size: tuple[int, int] | None, out: Path) -> float:
+    """Writes the network of a training, at its own picture size unless another is given, with how it was trained."""
+    saved = checkpoints.load(file)
+    height, width = size or (saved.camera.height, saved.camera.width)
+    if height % SIZE_STEP or width % SIZE_STEP:
+        raise ExportError(
+            f"the networks halve five times and cannot take {height}x{width}; give multiples of {SIZE_STEP}"
+        )
+    camera = saved.camera.resized((height, width))
+    provenance: dict[str, Any] = {
+        # Of the pictures as the network takes them; depth is z in `camera_optical`.
+        "intrinsics": json.dumps({key: getattr(camera, key) for key in ("fx", "fy", "cx", "cy")}),
+        "weights": file.name,
+        "training": json.dumps({"steps": saved.step, **saved.settings}, sort_keys=True),
+        "version": f"{saved.network}-{saved.step}",
+    }
+    return _export(saved.build(), saved.network, (height, width), saved.depth_range_m, 0, provenance, out)
+
+
+def _export(
+    network: nn.Module,
+    name: str,
+    size: tuple[int, int],
+    depth_range_m: tuple[float, float],
+    seed: int,
+    provenance: dict[str, str],
+    out: Path,
+) -> float:
+    height, width = size
+    inputs: dict[str, Tensor] = {"rgb": random_picture(size, seed)}
+    if takes_coarse(network):
+        coarse = random_picture(size, seed + 1)
+        # Validity is 0 or 1 on the robot.
+        coarse[:, 1] = (coarse[:, 1] > 0.5).float()
+        inputs["coarse"] = coarse
+    metadata = {
+        "kind": "+".join(inputs),
+        "output": "disparity",
+        "min_depth_m": repr(depth_range_m[0]),
+        "max_depth_m": repr(depth_range_m[1]),
+        "input_width": str(width),
+        "input_height": str(height),
+        "architecture": name,
+        **provenance,
+        **golden_pair(network, list(inputs), size),
     }
     return write_onnx(network, inputs, "disparity", metadata, out)

@@ -14,13 +14,15 @@ import onnxruntime
 import torch
 from torch import Tensor, nn
 
+from .errors import TrainerError
+
 # GridSample came with opset 16; 17 is what the robot's ONNX Runtime and TensorRT 8.6 read.
 OPSET = 17
 # Convolutions are summed in another order: a few units in the last place a layer.
 PARITY_TOLERANCE = 1e-3
 
 
-class ExportError(Exception):
+class ExportError(TrainerError):
     """The network cannot be exported; the text says why and what to do."""
 
 

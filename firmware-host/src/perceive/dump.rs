@@ -1,0 +1,170 @@
+//! Coarse depth as files that NumPy maps, so that a network is trained on what the robot will give it.
+//!
+//! `NNNNNN.npy` is uint16 `[2, rows, columns]`: depth in millimetres (0: none), then confidence times 65535. Pictures of a
+//! dataset come along, as the loop sees them: `NNNNNN_rgb.npy` is uint8 `[rows, columns, 3]`, `NNNNNN_truth.npy` uint16
+//! millimetres; a recording holds its own. `dump.json` is written last: a folder without it is incomplete.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use hal::{CameraModel, DepthMap, Pose3};
+use runtime::perception::DepthEstimate;
+use serde::Serialize;
+
+use crate::dataset::Sample;
+use crate::report::atomic::{prepare_dir, write_atomically};
+
+const INDEX: &str = "dump.json";
+
+/// A folder that is being filled.
+pub(super) struct Dump {
+    dir: PathBuf,
+    /// A recording holds pictures and ground truth itself.
+    depth_only: bool,
+    index: Index,
+}
+
+#[derive(Serialize)]
+struct Index {
+    format_version: u32,
+    width: usize,
+    height: usize,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    frames: Vec<Entry>,
+}
+
+#[derive(Serialize)]
+struct Entry {
+    name: String,
+    time_ns: u64,
+    /// Row-major 4x4.
+    t_world_camera: Vec<f64>,
+    coarse: bool,
+    rgb: bool,
+    truth: bool,
+}
+
+impl Dump {
+    pub fn create(dir: &Path, camera: &CameraModel, depth_only: bool) -> Result<Self> {
+        prepare_dir(dir)?;
+        // An older dump's index must not speak for new files.
+        match std::fs::remove_file(dir.join(INDEX)) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error.into()),
+            _ => {}
+        }
+        let CameraModel { width, height, fx, fy, cx, cy, .. } = *camera;
+        let index = Index { format_version: 1, width, height, fx, fy, cx, cy, frames: Vec::new() };
+        Ok(Self { dir: dir.to_owned(), depth_only, index })
+    }
+
+    pub fn add(&mut self, sample: &Sample, coarse: Option<&DepthEstimate>) -> Result<()> {
+        let name = format!("{:06}", self.index.frames.len());
+        let (rows, columns) = (self.index.height, self.index.width);
+        let write =
+            |suffix: &str, bytes: Vec<u8>| write_atomically(&self.dir.join(format!("{name}{suffix}.npy")), &bytes);
+        if let Some(coarse) = coarse {
+            let confidence = coarse.confidence.iter().map(|value| (value.clamp(0.0, 1.0) * 65_535.0).round() as u16);
+            write("", npy_u16(&[2, rows, columns], millimetres(&coarse.depth).chain(confidence)))?;
+        }
+        let truth = sample.truth.as_ref().filter(|_| !self.depth_only);
+        if let Some(truth) = truth {
+            write("_truth", npy_u16(&[rows, columns], millimetres(truth)))?;
+        }
+        if !self.depth_only {
+            write("_rgb", npy("|u1", &[rows, columns, 3], &sample.rgb))?;
+        }
+        self.index.frames.push(Entry {
+            time_ns: sample.time_ns,
+            t_world_camera: row_major(&sample.t_world_camera),
+            coarse: coarse.is_some(),
+            rgb: !self.depth_only,
+            truth: truth.is_some(),
+            name,
+        });
+        Ok(())
+    }
+
+    pub fn finish(self) -> Result<()> {
+        Ok(write_atomically(&self.dir.join(INDEX), &serde_json::to_vec_pretty(&self.index)?)?)
+    }
+}
+
+fn row_major(pose: &Pose3) -> Vec<f64> {
+    pose.to_matrix().transpose().as_slice().to_vec()
+}
+
+/// What is farther than 16 bits of millimetres is no depth.
+fn millimetres(depth: &DepthMap) -> impl Iterator<Item = u16> + '_ {
+    depth.values().iter().map(|metres| {
+        let mm = (metres * 1000.0).round();
+        if mm <= 65_535.0 { mm as u16 } else { 0 }
+    })
+}
+
+fn npy_u16(shape: &[usize], values: impl Iterator<Item = u16>) -> Vec<u8> {
+    npy("<u2", shape, &values.flat_map(u16::to_le_bytes).collect::<Vec<_>>())
+}
+
+/// NumPy's file format, version 1.0: magic, header padded to 64 bytes, values in C order.
+fn npy(kind: &str, shape: &[usize], values: &[u8]) -> Vec<u8> {
+    const BEFORE_TEXT: usize = 10;
+    let shape = shape.iter().map(|side| format!("{side},")).collect::<String>();
+    let mut text = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({shape}), }}");
+    let padded = (BEFORE_TEXT + text.len() + 1).next_multiple_of(64) - BEFORE_TEXT;
+    text.extend(std::iter::repeat_n(' ', padded - 1 - text.len()));
+    text.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((padded as u16).to_le_bytes());
+    bytes.extend(text.as_bytes());
+    bytes.extend(values);
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numpys_format_has_a_padded_header_and_then_the_values() {
+        let bytes = npy_u16(&[1, 2], [1u16, 515].into_iter());
+        assert_eq!(&bytes[..8], b"\x93NUMPY\x01\x00");
+        let text = usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+        assert_eq!((10 + text) % 64, 0);
+        let header = std::str::from_utf8(&bytes[10..10 + text]).unwrap();
+        assert!(
+            header.starts_with("{'descr': '<u2', 'fortran_order': False, 'shape': (1,2,), }") && header.ends_with('\n')
+        );
+        assert_eq!(bytes[10 + text..], [1, 0, 3, 2]);
+    }
+
+    #[test]
+    fn a_folder_holds_depth_pictures_and_an_index_that_comes_last() {
+        let dir = tempfile::tempdir().unwrap();
+        let camera = CameraModel::pinhole(2, 1, std::f64::consts::FRAC_PI_2);
+        let sample = Sample {
+            time_ns: 7,
+            rgb: vec![1, 2, 3, 4, 5, 6],
+            camera,
+            t_world_camera: Pose3::translation(1.0, 2.0, 3.0),
+            truth: DepthMap::from_vec(2, 1, vec![0.0, 1.5]),
+        };
+        let depth = DepthMap::from_vec(2, 1, vec![2.5, 70.0]).unwrap();
+        let coarse = DepthEstimate { depth, confidence: vec![1.0, 0.5] };
+        let mut dump = Dump::create(dir.path(), &camera, false).unwrap();
+        dump.add(&sample, None).unwrap();
+        dump.add(&sample, Some(&coarse)).unwrap();
+        assert!(!dir.path().join(INDEX).exists());
+        dump.finish().unwrap();
+        let index: serde_json::Value = serde_json::from_slice(&std::fs::read(dir.path().join(INDEX)).unwrap()).unwrap();
+        assert_eq!(index["frames"][0]["coarse"], false);
+        assert_eq!(index["frames"][1]["t_world_camera"][3], 1.0);
+        let planes = std::fs::read(dir.path().join("000001.npy")).unwrap();
+        let values = [2500u16, 0, 65_535, 32_768].map(u16::to_le_bytes).concat();
+        assert!(planes.ends_with(&values));
+        assert!(std::fs::read(dir.path().join("000000_rgb.npy")).unwrap().ends_with(&sample.rgb));
+        assert!(!dir.path().join("000000.npy").exists());
+    }
+}

@@ -1,0 +1,108 @@
+"""What `embodied-depth train`, `evaluate` and `export` do."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import torch
+from torch import nn
+from tqdm import tqdm
+
+from . import checkpoint as checkpoints
+from .checkpoint import write_atomically
+from .coarse import read_dataset_dump, with_coarse
+from .depth_networks import build_network
+from .errors import TrainerError
+from .evaluation import evaluate, table
+from .frames import Frames, join
+from .losses import LossOptions
+from .pairs import PairRule, Pairs, pairs_by_baseline, pairs_by_gap
+from .recording import read_recording
+from .training import Settings, Trainer, train
+
+
+def read_frames(
+    recordings: Sequence[Path], coarse: Sequence[Path], datasets: Sequence[Path], size: tuple[int, int] | None
+) -> Frames:
+    """All runs and dataset dumps as one set, reduced to `size` rows x columns."""
+    if coarse and len(coarse) != len(recordings):
+        raise TrainerError(
+            f"{len(coarse)} --coarse for {len(recordings)} --recording; give one for each, in the same order, or none"
+        )
+    parts = []
+    for place, path in enumerate(recordings):
+        frames, damage = read_recording(path)
+        if damage.segments:
+            print(f"{path}: {damage}", file=sys.stderr)
+        if coarse:
+            frames = with_coarse(frames, coarse[place])
+        parts.append(frames.reduced_to(size) if size else frames)
+    for folder in datasets:
+        frames = read_dataset_dump(folder)
+        parts.append(frames.reduced_to(size) if size else frames)
+    return join(parts)
+
+
+def find_pairs(frames: Frames, gap: int | None, rule: PairRule) -> Pairs:
+    return pairs_by_baseline(frames, rule) if gap is None else pairs_by_gap(frames, gap)
+
+
+def run_train(options: argparse.Namespace) -> None:
+    torch.set_num_threads(options.threads)
+    frames = read_frames(options.recording, options.coarse, options.dataset, options.size)
+    low, high = options.baseline
+    pairs = find_pairs(frames, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
+    print(f"{len(frames)} pictures, {len(pairs)} of them with sources", file=sys.stderr)
+    near, far = options.depth_range
+    settings = Settings(
+        network=options.network,
+        seed=options.seed,
+        batch=options.batch,
+        learning_rate=options.learning_rate,
+        depth_range_m=(near, far),
+        augment=not options.no_augmentation,
+        coarse_weight=options.coarse_weight,
+        uncertainty_weight=options.uncertainty_weight,
+        loss=LossOptions(
+            smoothness=options.smoothness,
+            geometry=options.geometry,
+            auto_mask=options.auto_mask,
+            exposure=not options.no_exposure,
+        ),
+    )
+    trainer = Trainer(frames, pairs, settings, options.device)
+    with tqdm(total=options.steps, unit="step", disable=None) as bar:
+
+        def told(step: int, loss: float) -> None:
+            bar.n = step
+            bar.set_postfix(loss=f"{loss:.4f}", refresh=False)
+            bar.update(0)
+            # Without a terminal, a line every tenth.
+            if bar.disable and step % max(1, options.steps // 10) == 0:
+                print(f"step {step} of {options.steps}, loss {loss:.4f}", file=sys.stderr, flush=True)
+
+        file = train(trainer, options.steps, options.out, options.checkpoint_every, told)
+    print(f"{file}: {trainer.step} steps")
+
+
+def run_evaluate(options: argparse.Namespace) -> None:
+    torch.set_num_threads(options.threads)
+    networks: dict[str, nn.Module] = {}
+    size, depth_range_m = options.size, (0.1, 20.0)
+    if options.checkpoint is not None:
+        saved = checkpoints.load(options.checkpoint)
+        size = size or (saved.camera.height, saved.camera.width)
+        depth_range_m = saved.depth_range_m
+        networks["untrained"] = build_network(saved.network, depth_range_m, int(saved.settings["seed"]))
+        networks[f"{saved.network}, {saved.step} steps"] = saved.build()
+    frames = read_frames(options.recording, options.coarse, options.dataset, size)
+    rows = evaluate(frames, {name: network.to(options.device) for name, network in networks.items()}, depth_range_m)
+    print(table(rows))
+    if options.json is not None:
+        text = json.dumps({name: asdict(row) for name, row in rows.items()}, indent=2)
+        write_atomically(text.encode(), options.json)

@@ -1,0 +1,138 @@
+"""How right depth is: the field's metrics, per picture, beside what is trivial.
+
+Ground truth counts from 0.1 to 20 m. `scaled`: after multiplying each picture's depth by median(truth) /
+median(depth), as is usual for networks without scale; unscaled values are what a robot lives with.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from .batches import coarse_planes, rgb_planes, to_depth
+from .depth_networks import output_of
+from .errors import TrainerError
+from .frames import Frames
+
+MIN_TRUTH_M, MAX_TRUTH_M = 0.1, 20.0
+BATCH = 8
+# What the robot's map takes (`map.min_confidence`), and how such rows are called.
+MAPPED_CONFIDENCE = 0.8
+CONFIDENT = ", mapped"
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Of one picture, or the mean over pictures."""
+
+    share: float
+    """Of the pixels with ground truth, those with a depth."""
+    delta1: float
+    delta2: float
+    delta3: float
+    abs_rel: float
+    rmse_m: float
+    delta1_unscaled: float
+    delta2_unscaled: float
+    delta3_unscaled: float
+    abs_rel_unscaled: float
+    rmse_m_unscaled: float
+
+
+def metrics(depth_m: NDArray[np.float32], truth_m: NDArray[np.float32]) -> Metrics | None:
+    """Of one picture [H, W]; 0: no depth. `None` where there is nothing to compare."""
+    counts = (truth_m >= MIN_TRUTH_M) & (truth_m <= MAX_TRUTH_M)
+    both = counts & (depth_m > 0)
+    if not both.any():
+        return None
+    depth, truth = depth_m[both].astype(np.float64), truth_m[both].astype(np.float64)
+    scaled = _errors(depth * (np.median(truth) / np.median(depth)), truth)
+    return Metrics(float(both.sum() / counts.sum()), *scaled, *_errors(depth, truth))
+
+
+def _errors(depth: NDArray[np.float64], truth: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
+    ratio = np.maximum(depth / truth, truth / depth)
+    deltas = [float((ratio < 1.25**power).mean()) for power in (1, 2, 3)]
+    error = depth - truth
+    return deltas[0], deltas[1], deltas[2], float((np.abs(error) / truth).mean()), float(np.sqrt((error**2).mean()))
+
+
+def evaluate(frames: Frames, networks: dict[str, nn.Module], depth_range_m: tuple[float, float]) -> dict[str, Metrics]:
+    """Mean metrics of the constant (each picture's median of the truth), of coarse depth and of every network: of all
+    pixels, and of those that the map takes."""
+    if frames.truth_mm is None:
+        raise TrainerError(
+            "the frames have no ground truth; record with `firmware-host explore --depth truth`, "
+            "or dump a dataset with depth.txt"
+        )
+    rows: dict[str, list[Metrics]] = {"constant": [], "coarse": []}
+    pictures = 0
+    for index, truth in _truths(frames):
+        pictures += len(index)
+        counts = (truth >= MIN_TRUTH_M) & (truth <= MAX_TRUTH_M)
+        constant = [np.full_like(t, np.median(t[c]) if c.any() else 0) for t, c in zip(truth, counts, strict=True)]
+        depths = {"constant": np.stack(constant)}
+        if frames.coarse is not None:
+            depths["coarse"] = frames.coarse[index, 0].astype(np.float32) / 1000
+        for name, network in networks.items():
+            depth, confidence = predict(network, frames, index, depth_range_m)
+            depths[name] = depth
+            if confidence is not None:
+                depths[name + CONFIDENT] = np.where(confidence >= MAPPED_CONFIDENCE, depth, 0)
+        for name, batch in depths.items():
+            found = [metrics(depth, t) for depth, t in zip(batch, truth, strict=True)]
+            rows.setdefault(name, []).extend(value for value in found if value is not None)
+    return {name: _mean(values, pictures) for name, values in rows.items() if values}
+
+
+@torch.no_grad()
+def predict(
+    network: nn.Module, frames: Frames, index: NDArray[np.int64], depth_range_m: tuple[float, float]
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    """z-depth [B, H, W] in metres, and the probability that it is right within 25 %, of a network that says it."""
+    network.eval()
+    device = next(network.parameters()).device
+    coarse = coarse_planes(frames, index, depth_range_m, device)
+    disparity, log_scale = output_of(network, rgb_planes(frames, index, device), coarse)
+    depth: NDArray[np.float32] = to_depth(disparity, depth_range_m)[:, 0].cpu().numpy()
+    if log_scale is None:
+        return depth, None
+    # As the robot's runtime does it.
+    confidence: NDArray[np.float32] = (1 - torch.exp(-math.log(1.25) / log_scale.exp()))[:, 0].cpu().numpy()
+    return depth, confidence
+
+
+def _truths(frames: Frames) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
+    assert frames.truth_mm is not None
+    with_truth = np.flatnonzero(frames.truth_mm.any(axis=(1, 2))).astype(np.int64)
+    for start in range(0, len(with_truth), BATCH):
+        index = with_truth[start : start + BATCH]
+        truth: NDArray[np.float32] = frames.truth_mm[index].astype(np.float32) / np.float32(1000)
+        yield index, truth
+
+
+def _mean(values: list[Metrics], pictures: int) -> Metrics:
+    mean = {key: float(np.mean([asdict(value)[key] for value in values])) for key in asdict(values[0])}
+    # A picture without any depth lowers the share and nothing else.
+    mean["share"] *= len(values) / pictures
+    return Metrics(**mean)
+
+
+def table(rows: dict[str, Metrics]) -> str:
+    """For people."""
+    head = f"{'':24}share  delta1 delta2 delta3 abs_rel rmse_m | unscaled: delta1 delta2 delta3 abs_rel rmse_m"
+    lines = [head]
+    for name, m in rows.items():
+        scaled = f"{m.delta1:6.3f} {m.delta2:6.3f} {m.delta3:6.3f} {m.abs_rel:7.3f} {m.rmse_m:6.3f}"
+        plain = (
+            f"{m.delta1_unscaled:6.3f} {m.delta2_unscaled:6.3f} {m.delta3_unscaled:6.3f} "
+            f"{m.abs_rel_unscaled:7.3f} {m.rmse_m_unscaled:6.3f}"
+        )
+        lines.append(f"{name:24}{m.share:5.2f}  {scaled} |           {plain}")
+    return "\n".join(lines)

@@ -1,0 +1,118 @@
+"""Pictures with poses in RAM: what training and evaluation work on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import TrainerError
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole without distortion. Pixel centres are at integer coordinates."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def reduced(self, factor: int) -> Intrinsics:
+        """Of pictures in which `factor` x `factor` pixels became one."""
+        if self.width % factor or self.height % factor:
+            raise TrainerError(
+                f"{self.height}x{self.width} pictures cannot be reduced {factor} times; give a factor that divides both"
+            )
+
+        return self.resized((self.height // factor, self.width // factor))
+
+    def resized(self, size: tuple[int, int]) -> Intrinsics:
+        """The same view in `size` rows x columns. A pixel's left edge is at -0.5, whatever its size."""
+        height, width = size
+        across, down = width / self.width, height / self.height
+        cx, cy = (self.cx + 0.5) * across - 0.5, (self.cy + 0.5) * down - 0.5
+        return Intrinsics(width, height, self.fx * across, self.fy * down, cx, cy)
+
+
+@dataclass(frozen=True)
+class Frames:
+    """N pictures of one camera."""
+
+    camera: Intrinsics
+    rgb: NDArray[np.uint8]
+    """[N, H, W, 3]."""
+    t_world_camera: NDArray[np.float64]
+    """[N, 4, 4]; `camera_optical` (x right, y down, z forward) in a frame that is fixed within a run, metres."""
+    time_ns: NDArray[np.int64]
+    """[N]."""
+    run: NDArray[np.int32]
+    """[N]; pictures of different runs share no frame."""
+    truth_mm: NDArray[np.uint16] | None = None
+    """[N, H, W]; z-depth of ground truth, 0: none. Only evaluation reads it."""
+    coarse: NDArray[np.uint16] | None = None
+    """[N, 2, H, W]; coarse z-depth in millimetres (0: none) and confidence times 65535."""
+
+    def __len__(self) -> int:
+        return len(self.rgb)
+
+    def reduced(self, factor: int) -> Frames:
+        """Pictures by their mean, depths by the most confident (coarse) or the first (truth) pixel of each block: a
+        mean of depths over an edge would lie in the air."""
+        if factor == 1:
+            return self
+        camera = self.camera.reduced(factor)
+        blocks = self.rgb.reshape(len(self), camera.height, factor, camera.width, factor, 3)
+        rgb = np.stack([picture.mean(axis=(1, 3)).round().astype(np.uint8) for picture in blocks])
+        truth = None if self.truth_mm is None else np.ascontiguousarray(self.truth_mm[:, ::factor, ::factor])
+        coarse = None if self.coarse is None else np.stack([_most_confident(planes, factor) for planes in self.coarse])
+        return replace(self, camera=camera, rgb=rgb, truth_mm=truth, coarse=coarse)
+
+    def reduced_to(self, size: tuple[int, int]) -> Frames:
+        """Of `size` rows x columns."""
+        height, width = size
+        factor = self.camera.height // height if height else 0
+        if factor == 0 or (height * factor, width * factor) != (self.camera.height, self.camera.width):
+            raise TrainerError(
+                f"{self.camera.height}x{self.camera.width} pictures cannot become {height}x{width}; "
+                "give a size whose rows and columns are the same whole fraction of theirs"
+            )
+        return self.reduced(factor)
+
+
+def _most_confident(planes: NDArray[np.uint16], factor: int) -> NDArray[np.uint16]:
+    """[2, H, W] -> [2, H / factor, W / factor]."""
+    _, height, width = planes.shape
+    blocks = planes.reshape(2, height // factor, factor, width // factor, factor).transpose(0, 1, 3, 2, 4)
+    flat = blocks.reshape(2, height // factor, width // factor, factor * factor)
+    best = flat[1].argmax(axis=-1)[None, ..., None]
+    return np.take_along_axis(flat, best, axis=-1)[..., 0]
+
+
+def join(parts: Sequence[Frames]) -> Frames:
+    """Several runs of one camera as one set."""
+    if not parts:
+        raise TrainerError("no recording was given; give at least one")
+    camera = parts[0].camera
+    for part in parts:
+        if part.camera != camera:
+            raise TrainerError(f"the runs have different cameras, {camera} and {part.camera}; train them apart")
+
+    def all_or_none(arrays: list[NDArray[np.uint16] | None]) -> NDArray[np.uint16] | None:
+        there = [array for array in arrays if array is not None]
+        return np.concatenate(there) if len(there) == len(parts) else None
+
+    first_run = np.cumsum([0, *(int(part.run.max(initial=-1)) + 1 for part in parts)])
+    return Frames(
+        camera,
+        np.concatenate([part.rgb for part in parts]),
+        np.concatenate([part.t_world_camera for part in parts]),
+        np.concatenate([part.time_ns for part in parts]),
+        np.concatenate([part.run + first for part, first in zip(parts, first_run, strict=False)]).astype(np.int32),
+        all_or_none([part.truth_mm for part in parts]),
+        all_or_none([part.coarse for part in parts]),
+    )

@@ -1,0 +1,61 @@
+"""A golden pair inside the model file: an input, and what the network said of it when it was exported.
+
+Whoever installs the model runs the input and compares: a file, a runtime or a processor that computes something else
+is found before the robot drives by it. A whole input would double the file, so it is made of blocks:
+
+`golden_input`: base64 of uint8 [channels, rows / 16, columns / 16]. Each value v is 16x16 pixels of v / 255. The inputs
+follow each other in the order of `kind`, three channels each.
+
+`golden_output`: base64 of little-endian float32 [rows / 16, columns / 16], the output at rows 16 i + 8 and columns
+16 j + 8.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+BLOCK = 16
+CHANNELS = 3
+GOLDEN_SEED = 7
+
+
+def golden_pair(network: nn.Module, inputs: Sequence[str], size: tuple[int, int]) -> dict[str, str]:
+    """The metadata for a network that takes `inputs`, three channels each, of `size` rows x columns."""
+    rows, columns = size[0] // BLOCK, size[1] // BLOCK
+    blocks = np.random.default_rng(GOLDEN_SEED).integers(0, 256, (CHANNELS * len(inputs), rows, columns), np.uint8)
+    if len(inputs) > 1:
+        # The validity of coarse depth is 0 or 1.
+        blocks[CHANNELS + 1] = np.where(blocks[CHANNELS + 1] > 127, 255, 0)
+    metadata = {"golden_input": base64.b64encode(blocks.tobytes()).decode()}
+    with torch.no_grad():
+        output = network.eval()(*golden_inputs(metadata, inputs, size).values())
+    found = at_block_centres(output.numpy()[0, 0])
+    return {**metadata, "golden_output": base64.b64encode(found.tobytes()).decode()}
+
+
+def golden_inputs(metadata: Mapping[str, str], inputs: Sequence[str], size: tuple[int, int]) -> dict[str, Tensor]:
+    """The inputs [1, 3, H, W] that the metadata describes."""
+    rows, columns = size[0] // BLOCK, size[1] // BLOCK
+    coded = np.frombuffer(base64.b64decode(metadata["golden_input"]), np.uint8)
+    blocks = coded.reshape(len(inputs), CHANNELS, rows, columns).astype(np.float32) / 255
+    planes = blocks.repeat(BLOCK, axis=2).repeat(BLOCK, axis=3)
+    return {name: torch.from_numpy(plane[None]) for name, plane in zip(inputs, planes, strict=True)}
+
+
+def golden_output(metadata: Mapping[str, str], size: tuple[int, int]) -> NDArray[np.float32]:
+    """What the network said, [rows / 16, columns / 16]."""
+    coded = np.frombuffer(base64.b64decode(metadata["golden_output"]), "<f4")
+    return coded.reshape(size[0] // BLOCK, size[1] // BLOCK)
+
+
+def at_block_centres(
+    output: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Of an output [H, W]."""
+    return np.ascontiguousarray(output[BLOCK // 2 :: BLOCK, BLOCK // 2 :: BLOCK]).astype("<f4")

@@ -1,0 +1,157 @@
+"""Photometric self-supervision: what training minimises.
+
+Pictures are RGB in 0..1, `[B, 3, H, W]`; depths z in metres, `[B, 1, H, W]`; errors and masks `[B, 1, H, W]`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from .warp import Projection
+
+# Weight of SSIM beside L1, and its constants for pictures in 0..1 (Godard et al. 2019, Monodepth2).
+ALPHA = 0.85
+C1, C2 = 0.01**2, 0.03**2
+# A camera's automatic exposure changes by less than this between two neighbouring pictures.
+GAIN_LIMITS = (0.5, 2.0)
+# Breaks ties of the auto-mask on pixels that look the same in both pictures.
+AUTO_MASK_NOISE = 1e-5
+
+
+def box3(x: Tensor) -> Tensor:
+    """Mean of 3x3 pixels, the border reflected."""
+    return F.avg_pool2d(F.pad(x, (1, 1, 1, 1), mode="reflect"), 3, 1)
+
+
+@dataclass(frozen=True)
+class Patches:
+    """A picture with its 3x3 means, which are the same for all sources."""
+
+    picture: Tensor
+    mean: Tensor
+    variance: Tensor
+
+    @staticmethod
+    def of(picture: Tensor) -> Patches:
+        mean = box3(picture)
+        return Patches(picture, mean, box3(picture * picture) - mean * mean)
+
+
+def photometric_error(target: Patches, warped: Tensor) -> Tensor:
+    """0.85 (1 - SSIM) / 2 + 0.15 |difference|, mean over colours."""
+    # One pass over all three: the means are most of the loss's time.
+    mean, square, product = box3(torch.cat([warped, warped * warped, target.picture * warped], 1)).chunk(3, 1)
+    variance = square - mean * mean
+    covariance = product - target.mean * mean
+    ssim = ((2 * target.mean * mean + C1) * (2 * covariance + C2)) / (
+        (target.mean * target.mean + mean * mean + C1) * (target.variance + variance + C2)
+    )
+    dissimilarity = ((1 - ssim) * 0.5).clamp(0, 1).mean(1, keepdim=True)
+    return ALPHA * dissimilarity + (1 - ALPHA) * (target.picture - warped).abs().mean(1, keepdim=True)
+
+
+def same_exposure(target: Tensor, warped: Tensor, inside: Tensor) -> Tensor:
+    """`warped` with the gain and bias, one pair a picture, that bring it closest to `target` in least squares over the
+    pixels `inside`. No gradient flows through gain and bias: depth must not profit from a wrong exposure."""
+    with torch.no_grad():
+        weight = inside.to(warped.dtype)
+        count = 3 * weight.sum((1, 2, 3)).clamp(min=1.0)
+
+        def mean(x: Tensor) -> Tensor:
+            return ((x * weight).sum((1, 2, 3)) / count).view(-1, 1, 1, 1)
+
+        mean_target, mean_warped = mean(target), mean(warped)
+        centred = warped - mean_warped
+        # A picture without contrast says nothing about gain; the small number keeps 1 there.
+        tiny = 1e-6
+        gain = (mean(centred * (target - mean_target)) + tiny) / (mean(centred * centred) + tiny)
+        gain = gain.clamp(*GAIN_LIMITS)
+        bias = mean_target - gain * mean_warped
+    return gain * warped + bias
+
+
+def smoothness(disparity: Tensor, picture: Tensor) -> Tensor:
+    """Steps of the mean-normalised disparity, allowed at steps of the picture. Scalar."""
+    normal = disparity / disparity.mean((2, 3), keepdim=True).clamp(min=1e-7)
+
+    def along(dim: int) -> Tensor:
+        step = normal.diff(dim=dim).abs()
+        return (step * torch.exp(-picture.diff(dim=dim).abs().mean(1, keepdim=True))).mean()
+
+    return along(3) + along(2)
+
+
+def geometry_inconsistency(projection: Projection, source_depth_m: Tensor) -> Tensor:
+    """|z - z'| / (z + z') in 0..1 between a point's depth in the source camera and the depth that the source picture
+    itself says there (Bian et al. 2019, SC-SfMLearner). `source_depth_m` gets no gradient."""
+    said = projection.sample(source_depth_m.detach())
+    computed = projection.depth_m.clamp(min=1e-3)
+    return (computed - said).abs() / (computed + said)
+
+
+@dataclass(frozen=True)
+class LossOptions:
+    """What the loss is made of. The defaults are for known poses: see the trainer's README."""
+
+    smoothness: float = 1e-3
+    geometry: float = 0.0
+    """Weight of the geometry inconsistency; above 0 it also fades out occluded pixels."""
+    auto_mask: bool = False
+    """Leaves out pixels that fit better unwarped (Monodepth2). With known poses standstill is known, and small
+    baselines make it remove just the pixels that have no other supervision."""
+    exposure: bool = True
+    """Brings the warped picture to the target's gain and bias first."""
+
+
+@dataclass(frozen=True)
+class View:
+    """One source of a target."""
+
+    picture: Tensor
+    projection: Projection
+    depth_m: Tensor | None = None
+    """What the network says about the source, for the geometry."""
+
+
+def self_supervision(
+    picture: Tensor,
+    disparity: Tensor,
+    views: Sequence[View],
+    options: LossOptions,
+    generator: torch.Generator | None = None,
+) -> Tensor:
+    """The scalar loss: the photometric error of the best source of every pixel that some source sees, and
+    smoothness."""
+    target = Patches.of(picture)
+    errors: list[Tensor] = []
+    geometry = disparity.new_zeros(())
+    for view in views:
+        warped = view.projection.sample(view.picture)
+        inside = view.projection.inside
+        if options.exposure:
+            warped = same_exposure(picture, warped, inside)
+        error = photometric_error(target, warped)
+        if options.geometry > 0 and view.depth_m is not None:
+            inconsistency = geometry_inconsistency(view.projection, view.depth_m)
+            error = error * (1 - inconsistency.detach())
+            geometry = geometry + _mean_where(inconsistency, inside) / len(views)
+        errors.append(torch.where(inside, error, torch.inf))
+    error = torch.stack(errors).amin(0) if len(errors) > 1 else errors[0]
+    seen = torch.isfinite(error)
+    if options.auto_mask:
+        with torch.no_grad():
+            still = torch.stack([photometric_error(target, view.picture) for view in views]).amin(0)
+            noise = torch.randn(still.shape, generator=generator, dtype=still.dtype).to(still.device)
+            seen = seen & (error < still + AUTO_MASK_NOISE * noise)
+    loss = _mean_where(error, seen) + options.smoothness * smoothness(disparity, picture)
+    return loss + options.geometry * geometry
+
+
+def _mean_where(values: Tensor, mask: Tensor) -> Tensor:
+    """Mean over a mask; 0 where it is empty. The masked-out values may be infinite."""
+    return torch.where(mask, values, 0.0).sum() / mask.sum().clamp(min=1)

@@ -1,0 +1,220 @@
+"""The robot's recordings (MCAP) as frames in RAM."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from mcap.records import Channel, Message, Schema
+from mcap.stream_reader import StreamReader
+from mcap_protobuf.decoder import DecoderFactory
+from numpy.typing import NDArray
+from torchvision.io import ImageReadMode, decode_png
+
+from .errors import TrainerError
+from .frames import Frames, Intrinsics
+
+FORMAT_VERSION = 1
+HEADER, TICK, IMAGE, TRUTH = "/robot/header", "/robot/tick", "/camera/image", "/camera/truth_depth"
+# No chunk that the robot writes comes near this; a corrupt length must not take the computer's memory.
+MAX_RECORD_BYTES = 256 << 20
+
+
+class CompressedImage(Protocol):
+    """What we read of `foxglove.CompressedImage`; the class itself comes out of the recording's schema."""
+
+    data: bytes
+
+
+class RawImage(Protocol):
+    """What we read of `foxglove.RawImage`."""
+
+    width: int
+    height: int
+    encoding: str
+    data: bytes
+
+
+@dataclass
+class Damage:
+    """Segments that broke off, and why. What came before the break is kept: a power cut costs the last chunk only."""
+
+    segments: dict[str, str] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        names = "; ".join(f"{name}: {why}" for name, why in self.segments.items())
+        return f"{len(self.segments)} damaged segments, read as far as they go: {names}"
+
+
+class _BrokenError(Exception):
+    """The segment cannot be read any further."""
+
+
+def segments(path: Path) -> list[Path]:
+    """The segments of a run's folder in their order, or the one .mcap itself."""
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise TrainerError(f"{path} does not exist; give the --out folder of a run or one .mcap file")
+    found = [file for file in path.iterdir() if re.fullmatch(r"recording_\d{4,}\.mcap", file.name)]
+    if not found:
+        raise TrainerError(f"{path} holds no recording_NNNN.mcap; give the --out folder of a run or one .mcap file")
+    # By length first: segment 10000 comes after segment 9999.
+    return sorted(found, key=lambda file: (len(file.name), file.name))
+
+
+def read_recording(path: Path) -> tuple[Frames, Damage]:
+    """All pictures of a run with the poses that the robot believed in: `t_odom_camera`."""
+    damage = Damage()
+    reader = _Run()
+    for file in segments(path):
+        try:
+            reader.read(file)
+        except _BrokenError as problem:
+            damage.segments[file.name] = str(problem)
+    return reader.frames(path, damage), damage
+
+
+class _Run:
+    """What has been read of a run so far."""
+
+    def __init__(self) -> None:
+        self.camera: Intrinsics | None = None
+        self.rgb: list[NDArray[np.uint8]] = []
+        self.poses: list[NDArray[np.float64]] = []
+        self.times: list[int] = []
+        self.truth: list[NDArray[np.uint16]] = []
+
+    def read(self, file: Path) -> None:
+        t_base_camera = np.eye(4)
+        turn: dict[str, Any] | None = None
+        decoder = DecoderFactory()
+        for schema, channel, message in _messages(file):
+            if channel.topic == HEADER:
+                t_base_camera = self._header(file, message.data)
+                continue
+            if self.camera is None:
+                raise _BrokenError(f"it does not begin with {HEADER}")
+            if channel.topic == TICK:
+                turn = json.loads(message.data)
+            elif channel.topic in (IMAGE, TRUTH) and turn is not None:
+                decode = decoder.decoder_for(channel.message_encoding, schema)
+                if decode is None:
+                    raise TrainerError(
+                        f"{file}: {channel.topic} is not protobuf; use the recording as the robot wrote it"
+                    )
+                if channel.topic == IMAGE:
+                    self.rgb.append(self._picture(file, turn, decode(message.data)))
+                    self.poses.append(_pose(file, turn) @ t_base_camera)
+                    self.times.append(int(turn["time_ns"]))
+                else:
+                    self.truth.append(_millimetres(file, turn, decode(message.data)))
+
+    def _header(self, file: Path, data: bytes) -> NDArray[np.float64]:
+        header = json.loads(data)
+        version = header.get("format_version")
+        if version != FORMAT_VERSION:
+            raise TrainerError(f"{file} has format version {version}, this trainer reads {FORMAT_VERSION}; update it")
+        camera = header["run"]["camera"]
+        if camera["distortion"]["model"] != "none":
+            raise TrainerError(
+                f"{file}: the pictures have the distortion {camera['distortion']}; "
+                "record rectified pictures for training"
+            )
+        found = Intrinsics(*(camera[key] for key in ("width", "height", "fx", "fy", "cx", "cy")))
+        if self.camera not in (None, found):
+            raise TrainerError(
+                f"{file} was recorded with {found}, the segments before it with {self.camera}; "
+                "put each run into a directory of its own"
+            )
+        self.camera = found
+        return _rigid(header["run"]["t_base_camera"])
+
+    def _picture(self, file: Path, turn: dict[str, Any], message: CompressedImage) -> NDArray[np.uint8]:
+        assert self.camera is not None
+        try:
+            coded = torch.frombuffer(bytearray(message.data), dtype=torch.uint8)
+            picture: NDArray[np.uint8] = decode_png(coded, ImageReadMode.RGB).permute(1, 2, 0).contiguous().numpy()
+        except RuntimeError as problem:
+            raise _BrokenError(f"the picture of turn {turn['tick']} is no PNG: {problem}") from problem
+        if picture.shape[:2] != (self.camera.height, self.camera.width):
+            raise TrainerError(f"{file}: turn {turn['tick']} has a {picture.shape[:2]} picture from {self.camera}")
+        return picture
+
+    def frames(self, path: Path, damage: Damage) -> Frames:
+        if self.camera is None or not self.rgb:
+            why = f" ({damage})" if damage.segments else ""
+            raise TrainerError(f"{path} holds no picture{why}; record a run with `firmware-host explore`")
+        count = len(self.rgb)
+        truth = np.stack(self.truth) if len(self.truth) == count else None
+        times = np.array(self.times, np.int64)
+        return Frames(self.camera, np.stack(self.rgb), np.stack(self.poses), times, np.zeros(count, np.int32), truth)
+
+
+def _messages(file: Path) -> Iterator[tuple[Schema | None, Channel, Message]]:
+    """Messages in the order in which they were written, each only after the CRC of its chunk was checked."""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    try:
+        with file.open("rb") as stream:
+            reader = StreamReader(stream, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+            for record in reader.records:
+                if isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    channels[record.id] = record
+                elif isinstance(record, Message) and record.channel_id in channels:
+                    channel = channels[record.channel_id]
+                    yield schemas.get(channel.schema_id), channel, record
+    except OSError as problem:
+        raise TrainerError(f"cannot read {file}: {problem}; check the file and its rights") from problem
+    except (TrainerError, _BrokenError):
+        raise
+    except Exception as problem:
+        # The reader meets corrupt lengths with whatever Python raises on them.
+        raise _BrokenError(f"{type(problem).__name__} {problem}".strip()) from problem
+
+
+def _pose(file: Path, turn: dict[str, Any]) -> NDArray[np.float64]:
+    """`t_odom_base` [4, 4] of a turn."""
+    wheel = turn.get("wheel") or {}
+    values = [wheel.get(key) for key in ("x_m", "y_m", "yaw_rad")]
+    # A number that is not finite is recorded as text.
+    if not all(isinstance(value, (int, float)) and np.isfinite(value) for value in values):
+        raise TrainerError(
+            f"{file}: turn {turn.get('tick')} has a picture without a pose (x_m, y_m, yaw_rad = {values}); "
+            "train on a recording whose odometry worked"
+        )
+    x, y, yaw = (float(value) for value in values if value is not None)
+    pose = np.eye(4)
+    pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    pose[:2, 3] = x, y
+    return pose
+
+
+def _rigid(pose: dict[str, Any]) -> NDArray[np.float64]:
+    """[4, 4] from translation and unit quaternion x y z w."""
+    x, y, z, w = pose["rotation_xyzw"]
+    matrix = np.eye(4)
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    matrix[:3, 3] = pose["translation_m"]
+    return matrix
+
+
+def _millimetres(file: Path, turn: dict[str, Any], image: RawImage) -> NDArray[np.uint16]:
+    if image.encoding != "16UC1" or len(image.data) != 2 * image.width * image.height:
+        raise TrainerError(
+            f"{file}: turn {turn['tick']}: ground truth of {image.encoding} with {len(image.data)} bytes is not packed "
+            "16UC1; use the recording as the robot wrote it"
+        )
+    return np.frombuffer(image.data, "<u2").reshape(image.height, image.width).astype(np.uint16)

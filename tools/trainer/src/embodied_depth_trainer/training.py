@@ -1,0 +1,215 @@
+"""Trains a depth network on recorded frames, without any depth sensor.
+
+Every step draws its own randomness from (seed, step): a training that was killed goes on as if it had never stopped,
+to the last bit on the CPU with the same number of threads.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from . import checkpoint as checkpoints
+from .batches import Batch, coarse_planes, make_batch, to_depth
+from .checkpoint import Checkpoint
+from .depth_networks import SIZE_STEP, build_network, output_of, takes_coarse
+from .errors import TrainerError
+from .frames import Frames
+from .losses import LossOptions, View, self_supervision
+from .pairs import Pairs
+from .warp import Projector
+
+CHECKPOINT_FILE = "checkpoint.pt"
+BAD_BATCH_FILE = "bad_batch.pt"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What shapes a training, besides frames and pairs."""
+
+    network: str = "student"
+    seed: int = 0
+    batch: int = 12
+    learning_rate: float = 1e-4
+    depth_range_m: tuple[float, float] = (0.1, 20.0)
+    augment: bool = True
+    coarse_weight: float = 0.1
+    """Weight of agreeing with confident coarse depth; see `coarse_error`. 0: photometric only, as in the paper."""
+    uncertainty_weight: float = 0.05
+    """Weight of `scale_surprise`."""
+    loss: LossOptions = field(default_factory=LossOptions)
+
+    def as_dict(self, frames: Frames) -> dict[str, Any]:
+        """In plain types, with the camera: what a checkpoint remembers."""
+        plain = asdict(self)
+        plain["depth_range_m"] = list(self.depth_range_m)
+        plain["camera"] = asdict(frames.camera)
+        return plain
+
+
+class NotFiniteError(TrainerError):
+    """The loss or its gradient is NaN or infinite."""
+
+
+class Trainer:
+    """Network, optimiser and frames between two steps."""
+
+    def __init__(self, frames: Frames, pairs: Pairs, settings: Settings, device: torch.device | str = "cpu") -> None:
+        height, width = frames.camera.height, frames.camera.width
+        if height % SIZE_STEP or width % SIZE_STEP:
+            raise TrainerError(
+                f"the networks halve five times and cannot take {height}x{width} pictures; "
+                f"give --size with multiples of {SIZE_STEP}"
+            )
+        lost = ~np.isfinite(frames.t_world_camera).all(axis=(1, 2))
+        if lost.any():
+            raise TrainerError(
+                f"{lost.sum()} of {len(frames)} poses are not finite, the first is {int(lost.argmax())}; leave them out"
+            )
+        self.frames, self.pairs, self.settings, self.device = frames, pairs, settings, device
+        self.network = build_network(settings.network, settings.depth_range_m, settings.seed).to(device)
+        if takes_coarse(self.network) and frames.coarse is None:
+            raise TrainerError(
+                f"`{settings.network}` takes coarse depth; write it with `firmware-host perceive --recording RUN "
+                "--out DIR --dump DIR/coarse` and give --coarse DIR/coarse, or train `monodepth2_r18`"
+            )
+        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate)
+        self.projector = Projector(frames.camera, device)
+        self.step = 0
+
+    def resume(self, saved: Checkpoint, file: Path) -> None:
+        """Goes on from a checkpoint of the same settings."""
+        now = self.settings.as_dict(self.frames)
+        if saved.settings != now:
+            different = [key for key in now if saved.settings.get(key) != now[key]]
+            was = {key: saved.settings.get(key) for key in different}
+            raise TrainerError(
+                f"{file} was trained with {was}, now "
+                f"{ {key: now[key] for key in different} } is asked for; give the same, or another --out"
+            )
+        self.network.load_state_dict(saved.weights)
+        self.optimizer.load_state_dict(saved.optimizer)
+        self.step = saved.step
+
+    def checkpoint(self) -> Checkpoint:
+        weights = {name: value.cpu() for name, value in self.network.state_dict().items()}
+        settings = self.settings.as_dict(self.frames)
+        return Checkpoint(self.step, self.settings.network, settings, weights, self.optimizer.state_dict())
+
+    def batch(self) -> Batch:
+        """What the next step will see."""
+        random = np.random.default_rng([self.settings.seed, self.step])
+        targets, sources = self.pairs.sample(self.settings.batch, random)
+        augment = random if self.settings.augment else None
+        return make_batch(self.frames, targets, sources, self.settings.depth_range_m, augment, self.device)
+
+    def loss(self, batch: Batch) -> Tensor:
+        settings = self.settings
+        disparity, log_scale = output_of(self.network, batch.seen, batch.coarse)
+        depth_m = to_depth(disparity, settings.depth_range_m)
+        views = []
+        for index, (picture, pose) in enumerate(zip(batch.source_pictures, batch.t_source_target, strict=True)):
+            said = self._source_depth(batch, index) if settings.loss.geometry > 0 else None
+            views.append(View(picture, self.projector(depth_m, pose), said))
+        noise = torch.Generator().manual_seed(self.step) if settings.loss.auto_mask else None
+        # Physical disparity, not x: the mean normalisation is meant for 1/depth.
+        loss = self_supervision(batch.picture, 1 / depth_m, views, settings.loss, noise)
+        if settings.coarse_weight > 0 and self.frames.coarse is not None:
+            loss = loss + settings.coarse_weight * coarse_error(depth_m, batch.coarse_whole, settings.depth_range_m)
+        if log_scale is not None:
+            surprise = scale_surprise(depth_m.detach(), log_scale, batch.coarse_whole, settings.depth_range_m)
+            loss = loss + settings.uncertainty_weight * surprise
+        return loss
+
+    @torch.no_grad()
+    def _source_depth(self, batch: Batch, view: int) -> Tensor:
+        """What the network says about a source; its batch statistics must not count."""
+        self.network.eval()
+        coarse = coarse_planes(self.frames, batch.sources[:, view], self.settings.depth_range_m, self.device)
+        disparity, _ = output_of(self.network, batch.source_pictures[view], coarse)
+        self.network.train()
+        return to_depth(disparity, self.settings.depth_range_m)
+
+    def advance(self) -> tuple[float, Batch]:
+        """One step; its loss. Weights are untouched when that is not finite."""
+        batch = self.batch()
+        self.network.train()
+        self.optimizer.zero_grad(set_to_none=True)
+        loss = self.loss(batch)
+        loss.backward()  # type: ignore[no-untyped-call]
+        norm = nn.utils.get_total_norm([p.grad for p in self.network.parameters() if p.grad is not None])
+        value = float(loss.detach())
+        if not (np.isfinite(value) and torch.isfinite(norm)):
+            raise _BadBatchError(batch, value)
+        self.optimizer.step()
+        self.step += 1
+        return value, batch
+
+
+class _BadBatchError(Exception):
+    def __init__(self, batch: Batch, loss: float) -> None:
+        super().__init__()
+        self.batch, self.loss = batch, loss
+
+
+def coarse_error(depth_m: Tensor, coarse: Tensor, depth_range_m: tuple[float, float]) -> Tensor:
+    """Mean |ln depth - ln coarse depth|, weighted with the coarse depth's confidence, also where the network was not
+    shown it: several keyframes and an epipolar search know more than two neighbours' colours do. Scalar."""
+    weight = coarse[:, 1:2] * coarse[:, 2:3]
+    error = (depth_m.log() - to_depth(coarse[:, :1], depth_range_m).log()).abs()
+    return (weight * error).sum() / weight.sum().clamp(min=1.0)
+
+
+def scale_surprise(depth_m: Tensor, log_scale: Tensor, coarse: Tensor, depth_range_m: tuple[float, float]) -> Tensor:
+    """Mean negative log-likelihood of Laplacian errors of ln depth with the scales that the network says. Scalar.
+
+    No sensor says the error, but coarse depth bounds it, also where the network was not shown it: |error| is at most
+    the distance to the coarse depth plus the coarse depth's own error, whose scale follows from its probability to be
+    right within 25 %.
+    """
+    valid, confidence = coarse[:, 1:2], coarse[:, 2:3].clamp(0.01, 0.999)
+    distance = (depth_m.log() - to_depth(coarse[:, :1], depth_range_m).log()).abs()
+    error = distance - math.log(1.25) / torch.log1p(-confidence)
+    return (valid * (error * torch.exp(-log_scale) + log_scale)).sum() / valid.sum().clamp(min=1.0)
+
+
+def train(
+    trainer: Trainer,
+    steps: int,
+    out: Path,
+    checkpoint_every: int = 200,
+    told: Callable[[int, float], None] = lambda step, loss: None,
+) -> Path:
+    """Trains up to `steps` steps in all, going on from a checkpoint in `out` if there is one; the checkpoint's file."""
+    file = out / CHECKPOINT_FILE
+    if file.exists():
+        trainer.resume(checkpoints.load(file), file)
+    else:
+        # A disk that cannot be written shows now, not after the first hour.
+        checkpoints.save(trainer.checkpoint(), file)
+    while trainer.step < steps:
+        try:
+            loss, _ = trainer.advance()
+        except _BadBatchError as bad:
+            where = out / BAD_BATCH_FILE
+            stream = io.BytesIO()
+            torch.save(bad.batch.as_dict(), stream)
+            checkpoints.write_atomically(stream.getvalue(), where)
+            raise NotFiniteError(
+                f"the loss of step {trainer.step} is {bad.loss}, or its gradient not finite; "
+                f"the samples are in {where}, {file} holds the last saved state; "
+                "look at the samples, or lower --learning-rate"
+            ) from None
+        told(trainer.step, loss)
+        if trainer.step % checkpoint_every == 0 and trainer.step < steps:
+            checkpoints.save(trainer.checkpoint(), file)
+    checkpoints.save(trainer.checkpoint(), file)
+    return file

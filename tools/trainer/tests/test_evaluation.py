@@ -1,0 +1,50 @@
+"""Metrics against their definitions; the runtime's `accuracy` has the same tests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.evaluation import evaluate, metrics, table
+
+from .rooms import room
+
+
+def row(*values: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    return np.array([values], np.float32)
+
+
+def test_twice_the_depth_is_right_only_after_scaling() -> None:
+    found = metrics(row(2, 4, 6), row(1, 2, 3))
+    assert found is not None
+    assert (found.delta1, found.abs_rel, found.delta1_unscaled, found.delta3_unscaled) == (1.0, 0.0, 0.0, 0.0)
+    assert found.abs_rel_unscaled == pytest.approx(1.0)
+    assert found.rmse_m_unscaled == pytest.approx(np.sqrt(14 / 3))
+
+
+def test_pixels_without_truth_outside_the_range_or_without_depth_do_not_count() -> None:
+    found = metrics(row(1, 9, 9, 9, 0), row(1, 0, 0.05, 25, 2))
+    assert found is not None
+    assert (found.share, found.delta1_unscaled) == (0.5, 1.0)
+    assert metrics(row(0, 1), row(1, 0)) is None
+
+
+def test_deltas_are_powers_of_a_quarter_more() -> None:
+    found = metrics(row(1, 1.3, 1.6, 3), row(1, 1, 1, 1))
+    assert found is not None
+    assert (found.delta1_unscaled, found.delta2_unscaled, found.delta3_unscaled) == (0.25, 0.5, 0.75)
+
+
+def test_the_constant_is_the_truths_median_and_coarse_depth_counts_where_it_is() -> None:
+    frames = room(12)
+    rows = evaluate(frames, {}, (0.1, 20.0))
+    assert rows["constant"].delta1 == pytest.approx(rows["constant"].delta1_unscaled, abs=0.01)
+    assert rows["constant"].share == 1.0
+    assert 0.4 < rows["coarse"].share < 0.7
+    assert rows["coarse"].delta1_unscaled > 0.99
+    assert "constant" in table(rows)
+    with pytest.raises(TrainerError, match="--depth truth"):
+        evaluate(replace(frames, truth_mm=None), {}, (0.1, 20.0))

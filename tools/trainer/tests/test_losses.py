@@ -1,0 +1,238 @@
+"""Losses and warp against their definitions."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from embodied_depth_trainer.frames import Intrinsics
+from embodied_depth_trainer.losses import (
+    LossOptions,
+    Patches,
+    View,
+    geometry_inconsistency,
+    photometric_error,
+    same_exposure,
+    self_supervision,
+    smoothness,
+)
+from embodied_depth_trainer.onnx_file import random_picture
+from embodied_depth_trainer.warp import Projector, bilinear_sample, invert_rigid, relative_pose
+
+CAMERA = Intrinsics(24, 16, 12.0, 12.0, 11.5, 7.5)
+
+
+def moved(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> Tensor:
+    """[1, 4, 4], yaw around the camera's y axis."""
+    pose = torch.eye(4)
+    angle = torch.tensor(yaw)
+    pose[0, 0] = pose[2, 2] = angle.cos()
+    pose[0, 2], pose[2, 0] = angle.sin(), -angle.sin()
+    pose[:3, 3] = torch.tensor([x, y, z])
+    return pose[None]
+
+
+def textbook_error(target: Tensor, warped: Tensor) -> Tensor:
+    """As the papers write it, one step after another."""
+
+    def mean(x: Tensor) -> Tensor:
+        result: Tensor = torch.nn.AvgPool2d(3, 1)(torch.nn.ReflectionPad2d(1)(x))
+        return result
+
+    mx, my = mean(target), mean(warped)
+    sx, sy = mean(target**2) - mx**2, mean(warped**2) - my**2
+    sxy = mean(target * warped) - mx * my
+    ssim = (2 * mx * my + 1e-4) * (2 * sxy + 9e-4) / ((mx**2 + my**2 + 1e-4) * (sx + sy + 9e-4))
+    l1 = (target - warped).abs()
+    return (0.85 * torch.clamp((1 - ssim) / 2, 0, 1) + 0.15 * l1).mean(1, keepdim=True)
+
+
+def textbook_sample(picture: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    """Four neighbours and their weights."""
+    height, width = picture.shape[-2:]
+    left, top = u.floor().clamp(0, width - 2), v.floor().clamp(0, height - 2)
+    a, b = (u - left)[:, None], (v - top)[:, None]
+    index = (top * width + left).long().flatten(1)
+
+    def at(offset: int) -> Tensor:
+        flat = picture.flatten(2)
+        return flat.gather(2, (index + offset)[:, None].expand(-1, picture.shape[1], -1)).view(
+            *picture.shape[:2], *u.shape[1:]
+        )
+
+    return (1 - b) * ((1 - a) * at(0) + a * at(1)) + b * ((1 - a) * at(width) + a * at(width + 1))
+
+
+def test_the_photometric_error_and_its_gradient_are_the_textbooks() -> None:
+    target, warped = random_picture((16, 24), 1), random_picture((16, 24), 2).requires_grad_()
+    ours = photometric_error(Patches.of(target), warped)
+    (gradient,) = torch.autograd.grad(ours.sum(), warped)
+    book = textbook_error(target, warped)
+    (expected,) = torch.autograd.grad(book.sum(), warped)
+    assert torch.allclose(ours, book, atol=1e-5)
+    assert torch.allclose(gradient, expected, atol=1e-4)
+
+
+def test_sampling_and_its_gradients_are_those_of_four_neighbours() -> None:
+    generator = torch.Generator().manual_seed(3)
+    picture = random_picture((16, 24), 1)
+    u = (torch.rand(1, 16, 24, generator=generator) * 23).requires_grad_()
+    v = (torch.rand(1, 16, 24, generator=generator) * 15).requires_grad_()
+    ours, book = bilinear_sample(picture, u, v), textbook_sample(picture, u, v)
+    assert torch.allclose(ours, book, atol=1e-4)
+    weights = random_picture((16, 24), 5)
+    for found, expected in zip(
+        torch.autograd.grad((ours * weights).sum(), (u, v)),
+        torch.autograd.grad((book * weights).sum(), (u, v)),
+        strict=True,
+    ):
+        assert torch.allclose(found, expected, atol=1e-4)
+
+
+def test_the_unmoved_camera_sees_the_same_picture() -> None:
+    picture = random_picture((16, 24), 1)
+    projection = Projector(CAMERA)(torch.full((1, 1, 16, 24), 2.0), moved())
+    assert torch.allclose(projection.sample(picture), picture, atol=1e-5)
+    assert bool(projection.inside.all())
+
+
+def test_poses_are_source_from_target() -> None:
+    # The source is 0.5 m right of the target: the target's points are 0.5 m further left in it.
+    relative = relative_pose(moved(x=1.5, z=1.0), moved(x=1.0, z=1.0))
+    assert torch.allclose(relative, moved(x=-0.5), atol=1e-6)
+    assert torch.allclose(invert_rigid(moved(1, 2, 3, 0.4)) @ moved(1, 2, 3, 0.4), torch.eye(4)[None], atol=1e-6)
+    projection = Projector(CAMERA)(torch.full((1, 1, 16, 24), 2.0), relative)
+    assert projection.u[0, 0, 12].item() == pytest.approx(12 - 12 * 0.5 / 2, abs=1e-4)
+    assert projection.depth_m[0, 0, 8, 8].item() == pytest.approx(2.0)
+
+
+def test_pixels_outside_and_behind_the_source_do_not_count() -> None:
+    projector, depth = Projector(CAMERA), torch.full((1, 1, 16, 24), 2.0)
+    assert not projector(depth, moved(z=-3.0)).inside.any()
+    inside = projector(depth, moved(x=-1.0)).inside[0, 0, 0]
+    # 6 px to the left: the first six columns have left the picture.
+    assert inside.tolist() == [False] * 6 + [True] * 18
+
+
+def test_a_depth_that_is_nan_makes_the_loss_nan_and_reads_no_foreign_memory() -> None:
+    picture, depth = random_picture((16, 24), 1), torch.full((1, 1, 16, 24), 2.0)
+    depth[0, 0, 3, 4] = torch.nan
+    view = View(picture, Projector(CAMERA)(depth, moved(x=0.1)))
+    assert not view.projection.inside[0, 0, 3, 4]
+    assert self_supervision(picture, 1 / depth, [view], LossOptions(smoothness=0.0)).isnan()
+
+
+def smooth_picture(u: Tensor, v: Tensor) -> Tensor:
+    """A picture that is known between pixels too, for derivatives without corners."""
+    return torch.stack([0.5 + 0.4 * torch.sin(0.5 * u + phase + 0.3 * v) for phase in (0.0, 1.0, 2.0)], 1)
+
+
+def test_the_losses_gradient_by_depth_is_the_finite_difference() -> None:
+    torch.manual_seed(0)
+    rows, columns = torch.meshgrid(torch.arange(16.0), torch.arange(24.0), indexing="ij")
+    target, source = smooth_picture(columns[None], rows[None]), smooth_picture(columns[None] + 1.3, rows[None])
+    projector = Projector(CAMERA)
+    projector.k, projector.rays = projector.k.double(), projector.rays.double()
+    target, source = target.double(), source.double()
+    depth = (2.0 + 0.3 * torch.rand(1, 1, 16, 24, dtype=torch.float64)).requires_grad_()
+
+    def loss(depth_m: Tensor) -> Tensor:
+        poses = (moved(x=0.2, z=0.05), moved(x=-0.2, yaw=0.02))
+        views = [View(source, projector(depth_m, pose.double())) for pose in poses]
+        return self_supervision(target, 1 / depth_m, views, LossOptions(exposure=False, smoothness=0.1))
+
+    (gradient,) = torch.autograd.grad(loss(depth), depth)
+    step = 1e-6
+    for row, column in [(3, 4), (8, 12), (10, 20)]:
+        nudge = torch.zeros_like(depth)
+        nudge[0, 0, row, column] = step
+        difference = (loss(depth + nudge) - loss(depth - nudge)) / (2 * step)
+        assert gradient[0, 0, row, column].item() == pytest.approx(difference.item(), rel=1e-4, abs=1e-7)
+
+
+def rendered_plane(projector: Projector, depth_m: float, pose: Tensor) -> tuple[Tensor, Tensor]:
+    """A textured plane parallel to the target's picture, as target and source (translated only) see it."""
+    camera = projector.camera
+    x, y = (projector.rays[:2] * depth_m).view(2, camera.height, camera.width)
+    t = pose[0, :3, 3]
+    source_x, source_y = (projector.rays[:2] * (depth_m + float(t[2]))).view(2, camera.height, camera.width)
+
+    def texture(a: Tensor, b: Tensor) -> Tensor:
+        waves = [torch.sin(k * a + m * b) for k, m in ((9.0, 2.0), (5.0, 7.0), (13.0, 5.0))]
+        return (0.5 + 0.15 * torch.stack(waves)).expand(3, -1, -1)[None]
+
+    return texture(x, y), texture(source_x - t[0], source_y - t[1])
+
+
+@pytest.mark.parametrize("pose", [moved(x=0.1), moved(z=-0.15), moved(x=-0.07, z=0.1)])
+def test_a_rendered_planes_true_depth_minimises_the_loss(pose: Tensor) -> None:
+    camera = Intrinsics(96, 64, 48.0, 48.0, 47.5, 31.5)
+    projector = Projector(camera)
+    target, source = rendered_plane(projector, 2.0, pose)
+    depths = torch.linspace(1.8, 2.2, 81)
+
+    def loss(depth_m: float) -> float:
+        depth = torch.full((1, 1, 64, 96), depth_m)
+        return float(self_supervision(target, 1 / depth, [View(source, projector(depth, pose))], LossOptions()))
+
+    best = depths[torch.tensor([loss(float(depth)) for depth in depths]).argmin()]
+    assert abs(float(best) - 2.0) <= 0.5e-2 * 2.0 + 1e-6
+
+
+def test_gain_and_bias_are_found_in_closed_form_and_get_no_gradient() -> None:
+    target = random_picture((16, 24), 1)
+    warped = ((target - 0.1) / 1.3).requires_grad_()
+    inside = torch.ones(1, 1, 16, 24, dtype=torch.bool)
+    inside[..., :5] = False
+    spoilt = torch.where(inside, warped, 7.0)
+    assert torch.allclose(torch.where(inside, same_exposure(target, spoilt, inside), target), target, atol=1e-3)
+    blank = torch.full_like(target, 0.5)
+    assert torch.allclose(same_exposure(blank, blank, inside), blank, atol=1e-5)
+
+
+def test_smoothness_does_not_depend_on_scale_and_forgives_steps_at_edges() -> None:
+    flat = torch.full((1, 3, 8, 8), 0.5)
+    step = torch.ones(1, 1, 8, 8)
+    step[..., 4:] = 2.0
+    edge = flat.clone()
+    edge[..., 4:] = 1.0
+    assert float(smoothness(step, flat)) == pytest.approx(float(smoothness(7 * step, flat)), rel=1e-5)
+    assert float(smoothness(step, edge)) == pytest.approx(float(smoothness(step, flat)) * 2.718281828**-0.5, rel=1e-4)
+
+
+def test_geometry_is_consistent_for_a_plane_and_not_for_an_occluded_point() -> None:
+    projection = Projector(CAMERA)(torch.full((1, 1, 16, 24), 2.0), moved(z=-0.5))
+    assert float(geometry_inconsistency(projection, torch.full((1, 1, 16, 24), 1.5)).max()) < 1e-6
+    occluded = geometry_inconsistency(projection, torch.full((1, 1, 16, 24), 0.5))
+    assert float(occluded.min()) == pytest.approx(0.5, abs=1e-5)
+
+
+def test_every_pixel_takes_its_best_source_and_unseen_pixels_take_none() -> None:
+    picture, other = random_picture((16, 24), 1), random_picture((16, 24), 2)
+    projector, depth = Projector(CAMERA), torch.full((1, 1, 16, 24), 2.0)
+    plain = LossOptions(exposure=False, smoothness=0.0)
+    good = View(picture, projector(depth, moved()))
+    bad = View(other, projector(depth, moved()))
+    assert float(self_supervision(picture, 1 / depth, [bad, good], plain)) == pytest.approx(0.0, abs=1e-5)
+    behind = View(picture, projector(depth, moved(z=-3.0)))
+    alone = self_supervision(picture, 1 / depth, [behind], plain)
+    assert float(alone) == 0.0
+    with_bad = self_supervision(picture, 1 / depth, [behind, bad], plain)
+    assert float(with_bad) == pytest.approx(float(textbook_error(picture, other).mean()), abs=1e-4)
+
+
+def test_the_auto_mask_leaves_out_what_fits_better_unwarped() -> None:
+    picture = random_picture((16, 24), 1)
+    depth = torch.full((1, 1, 16, 24), 2.0, requires_grad=True)
+    view = View(picture, Projector(CAMERA)(depth, moved(x=0.3)))
+    masked = LossOptions(auto_mask=True, smoothness=0.0)
+    assert float(self_supervision(picture, 1 / depth, [view], masked).detach()) < 0.01
+    assert float(self_supervision(picture, 1 / depth, [view], LossOptions(smoothness=0.0)).detach()) > 0.03
+
+
+def test_padding_of_the_pictures_border_is_reflected() -> None:
+    row = torch.arange(6.0).view(1, 1, 1, 6).expand(1, 3, 6, 6)
+    assert torch.allclose(Patches.of(row).mean[0, 0, 0, :2], torch.tensor([2 / 3, 1.0]))
+    assert F.mse_loss(Patches.of(row).variance[..., 1:-1], torch.full((1, 3, 6, 4), 2 / 3)) < 1e-10

@@ -1,0 +1,61 @@
+"""The student: where it starts, what it may not do, and its size."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from embodied_depth_trainer.batches import to_depth
+from embodied_depth_trainer.onnx_file import random_picture
+from embodied_depth_trainer.student import USUAL_DEPTH_M, Student
+
+RANGE_M = (0.1, 20.0)
+
+
+def coarse_of(depth_m: float, confidence: float = 0.8) -> torch.Tensor:
+    """[1, 3, 32, 64]: valid in the left half only."""
+    planes = torch.zeros(1, 3, 32, 64)
+    planes[:, 0, :, :32] = (1 / depth_m - 1 / 20) / (10 - 1 / 20)
+    planes[:, 1, :, :32], planes[:, 2, :, :32] = 1.0, confidence
+    return planes
+
+
+@pytest.mark.parametrize("depth_m", [0.5, 1.0, 2.5, 7.0])
+def test_untrained_it_is_close_to_the_coarse_depth_and_else_says_the_usual(depth_m: float) -> None:
+    torch.manual_seed(0)
+    network = Student(RANGE_M).eval()
+    with torch.no_grad():
+        depth = to_depth(network(random_picture((32, 64), 0), coarse_of(depth_m))[:, :1], RANGE_M)
+    assert torch.allclose(depth[..., :32], torch.tensor(depth_m), rtol=0.05)
+    assert torch.allclose(depth[..., 32:], torch.tensor(USUAL_DEPTH_M), rtol=0.05)
+
+
+def test_it_stays_in_its_range_whatever_its_weights() -> None:
+    torch.manual_seed(0)
+    network = Student(RANGE_M).train()
+    with torch.no_grad():
+        network.head.weight.mul_(1e6)
+        out = network(torch.rand(2, 3, 32, 64), torch.cat([coarse_of(0.1), coarse_of(20.0)]))
+    assert out.shape == (2, 2, 32, 64)
+    assert 0.0 <= float(out[:, 0].min()) <= float(out[:, 0].max()) <= 1.0
+    assert math.log(0.0099) < float(out[:, 1].min()) <= float(out[:, 1].max()) < math.log(2.01)
+
+
+def test_untrained_it_is_too_unsure_for_the_map() -> None:
+    torch.manual_seed(0)
+    with torch.no_grad():
+        scale = Student(RANGE_M).eval()(random_picture((32, 64), 0), coarse_of(2.0))[:, 1].exp()
+    assert float((1 - torch.exp(-math.log(1.25) / scale)).max()) < 0.8
+
+
+def test_every_weight_learns() -> None:
+    torch.manual_seed(0)
+    network = Student(RANGE_M).train()
+    network(torch.rand(2, 3, 64, 64), torch.rand(2, 3, 64, 64)).sum().backward()
+    assert all(weight.grad is not None and bool(weight.grad.any()) for weight in network.parameters())
+
+
+def test_it_is_small() -> None:
+    assert 0.15e6 < sum(weight.numel() for weight in Student().parameters()) < 0.5e6

@@ -1,0 +1,218 @@
+"""Training: it learns, survives being killed, and stops where it must."""
+
+from __future__ import annotations
+
+import errno
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from embodied_depth_trainer import checkpoint as checkpoints
+from embodied_depth_trainer.batches import change_colors, coarse_planes, kept_coarse, to_depth
+from embodied_depth_trainer.cli import main
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.evaluation import evaluate
+from embodied_depth_trainer.frames import Frames
+from embodied_depth_trainer.losses import LossOptions
+from embodied_depth_trainer.onnx_file import random_picture
+from embodied_depth_trainer.pairs import PairRule, pairs_by_baseline
+from embodied_depth_trainer.training import Settings, Trainer, scale_surprise, train
+
+from .recordings import dump_of, straight, write_segment
+from .rooms import room
+
+QUICK = Settings(batch=2, learning_rate=1e-3)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module")
+def walk() -> Frames:
+    return room(24)
+
+
+def trainer(frames: Frames, settings: Settings = QUICK) -> Trainer:
+    return Trainer(frames, pairs_by_baseline(frames, PairRule()), settings)
+
+
+def weights(file: Path) -> dict[str, torch.Tensor]:
+    return checkpoints.load(file).weights
+
+
+def same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
+    return one.keys() == other.keys() and all(torch.equal(one[name], other[name]) for name in one)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        QUICK,
+        replace(QUICK, loss=LossOptions(geometry=0.1, auto_mask=True)),
+        replace(QUICK, network="monodepth2_r18"),
+        replace(QUICK, network="edn_r18"),
+    ],
+    ids=["student", "geometry and auto-mask", "monodepth2_r18", "edn_r18"],
+)
+def test_half_the_steps_and_then_the_rest_give_the_same_bits(walk: Frames, settings: Settings, tmp_path: Path) -> None:
+    in_one = train(trainer(walk, settings), 4, tmp_path / "one")
+    train(trainer(walk, settings), 2, tmp_path / "two")
+    in_two = train(trainer(walk, settings), 4, tmp_path / "two")
+    assert same(weights(in_one), weights(in_two))
+    assert not same(weights(in_one), trainer(walk, settings).checkpoint().weights)
+
+
+def test_a_killed_training_goes_on_to_the_same_bits(tmp_path: Path) -> None:
+    frames = room(24)
+    run, coarse = tmp_path / "run", tmp_path / "coarse"
+    run.mkdir()
+    write_segment(run / "recording_0000.mcap", frames, straight(24))
+    dump_of(frames, coarse)
+    command = ["train", "--recording", str(run), "--coarse", str(coarse), "--batch", "2", "--seed", "3"]
+    command += ["--checkpoint-every", "2", "--out", str(tmp_path / "killed"), "--steps"]
+    file = tmp_path / "killed/checkpoint.pt"
+    # More steps than it will ever do.
+    python = [sys.executable, "-m", "embodied_depth_trainer.cli", *command, "1000000"]
+    with subprocess.Popen(python, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
+        deadline = time.monotonic() + 100
+        while not (file.exists() and checkpoints.load(file).step >= 4) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        child.send_signal(signal.SIGKILL)
+    reached = checkpoints.load(file).step
+    assert reached >= 4
+    steps = str(reached + 5)
+    assert main([*command, steps]) == 0
+    assert main([*command, steps, "--out", str(tmp_path / "whole")]) == 0
+    assert same(weights(tmp_path / "whole/checkpoint.pt"), weights(file))
+
+
+def test_other_settings_do_not_go_on_from_a_checkpoint(walk: Frames, tmp_path: Path) -> None:
+    train(trainer(walk), 1, tmp_path)
+    with pytest.raises(TrainerError, match=r"learning_rate.*0\.001.*0\.1.*another --out"):
+        train(trainer(walk, replace(QUICK, learning_rate=0.1)), 2, tmp_path)
+
+
+def test_a_loss_that_is_not_finite_stops_and_leaves_the_samples(walk: Frames, tmp_path: Path) -> None:
+    learner = trainer(walk)
+    file = train(learner, 2, tmp_path)
+    broken = learner.checkpoint()
+    broken.weights["head.bias"][0] = torch.nan
+    checkpoints.save(broken, file)
+    before = file.read_bytes()
+    with pytest.raises(TrainerError, match=r"loss of step 2 is nan.*bad_batch\.pt.*lower --learning-rate"):
+        train(trainer(walk), 50, tmp_path)
+    assert file.read_bytes() == before
+    saved = torch.load(tmp_path / "bad_batch.pt", weights_only=True)
+    assert saved["targets"].tolist() == learner.batch().targets.tolist()
+    assert saved["seen"].shape == (2, 3, 32, 96)
+
+
+def test_poses_that_are_not_finite_are_refused(walk: Frames) -> None:
+    poses = walk.t_world_camera.copy()
+    poses[3, 0, 3] = np.nan
+    with pytest.raises(TrainerError, match="1 of 24 poses are not finite, the first is 3"):
+        Trainer(replace(walk, t_world_camera=poses), pairs_by_baseline(walk, PairRule()), QUICK)
+
+
+def test_a_full_disk_keeps_the_old_checkpoint(walk: Frames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = train(trainer(walk), 1, tmp_path)
+    before = file.read_bytes()
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(TrainerError, match=r"No space left.*older checkpoint\.pt is untouched; make room"):
+        train(trainer(walk), 2, tmp_path)
+    assert file.read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint.pt"]
+
+
+def test_an_output_that_cannot_be_written_shows_before_the_first_step(walk: Frames) -> None:
+    with pytest.raises(TrainerError, match="cannot write /proc/nowhere"):
+        train(trainer(walk), 1, Path("/proc/nowhere"))
+
+
+def test_networks_with_coarse_input_need_it_and_sizes_must_fit(walk: Frames) -> None:
+    with pytest.raises(TrainerError, match="perceive --recording RUN"):
+        trainer(replace(walk, coarse=None))
+    trainer(replace(walk, coarse=None), replace(QUICK, network="monodepth2_r18"))
+    with pytest.raises(TrainerError, match="multiples of 32"):
+        trainer(walk.reduced_to((16, 48)))
+
+
+def test_coarse_planes_are_those_of_the_robots_runtime() -> None:
+    frames = room(1)
+    assert frames.coarse is not None
+    # The values of the runtime's own test of `write_coarse`.
+    frames.coarse[0, 0, 0, :4] = [0, 100, 20_000, 60_000]
+    frames.coarse[0, 1, 0, :4] = [0, 32768, 65535, 16384]
+    planes = coarse_planes(frames, np.array([0]), (0.1, 20.0))[0, :, 0, :4]
+    expected = torch.tensor([[0.0, 1.0, 0.0, 0.0], [0.0, 1.0, 1.0, 1.0], [0.0, 0.5, 1.0, 0.25]])
+    assert torch.allclose(planes, expected, atol=1e-4)
+    assert torch.allclose(to_depth(planes[0, 1:3], (0.1, 20.0)), torch.tensor([0.1, 20.0]), rtol=1e-5)
+
+
+def test_the_scale_is_learnt_from_the_distance_to_coarse_depth_and_from_its_confidence() -> None:
+    depth = torch.full((1, 1, 4, 4), 2.0)
+    coarse = torch.ones(1, 3, 4, 4)
+    coarse[:, 0] = (1 / 3.0 - 1 / 20) / (10 - 1 / 20)
+    # Right within 25 % with probability p: ln 1.25 / b = -ln(1 - p).
+    coarse[:, 2] = 0.8
+    best = math.log(1.5) - math.log(1.25) / math.log(0.2)
+    scales = torch.linspace(0.05, 2.0, 400)
+    losses = [float(scale_surprise(depth, torch.full_like(depth, float(s)).log(), coarse, (0.1, 20.0))) for s in scales]
+    assert float(scales[int(np.argmin(losses))]) == pytest.approx(best, abs=0.01)
+
+
+def test_colors_change_in_about_half_of_the_pictures_and_holes_are_cut() -> None:
+    pictures = random_picture((16, 16), 0).expand(200, -1, -1, -1)
+    changed = change_colors(pictures, np.random.default_rng(0))
+    same_ = torch.isclose(changed, pictures, atol=1e-3).flatten(1).all(1).float().mean()
+    assert 0.35 < float(same_) < 0.65
+    assert float((changed - pictures).abs().mean()) < 0.1
+    kept = kept_coarse(torch.Size((500, 3, 32, 64)), np.random.default_rng(0)).flatten(1).mean(1)
+    assert 0.1 < float((kept == 0).float().mean()) < 0.2
+    assert 0.4 < float((kept == 1).float().mean()) < 0.6
+
+
+def test_a_short_training_beats_the_constant(tmp_path: Path) -> None:
+    frames, unseen = room(300), room(40, seed=9)
+    settings = Settings(learning_rate=1e-3)
+    learner = trainer(frames, settings)
+    before = evaluate(unseen, {"student": learner.network}, settings.depth_range_m)
+    file = train(learner, 150, tmp_path)
+    after = evaluate(unseen, {"student": checkpoints.load(file).build()}, settings.depth_range_m)
+    assert after["student"].share == 1.0
+    assert after["student"].delta1 > after["constant"].delta1 + 0.1
+    # What it is sure of is right.
+    assert after["student, mapped"].share > 0.2
+    assert after["student, mapped"].delta1_unscaled > max(0.9, after["student"].delta1_unscaled)
+    assert after["student"].delta1_unscaled > before["student"].delta1_unscaled + 0.05
+
+
+def test_evaluate_writes_what_it_prints(walk: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run, coarse = tmp_path / "run", tmp_path / "coarse"
+    run.mkdir()
+    write_segment(run / "recording_0000.mcap", walk, straight(24), truth=True)
+    dump_of(walk, coarse)
+    file = train(trainer(walk), 1, tmp_path / "training")
+    frames = ["--recording", str(run), "--coarse", str(coarse)]
+    assert main(["evaluate", "--checkpoint", str(file), *frames, "--json", str(tmp_path / "rows.json")]) == 0
+    rows = json.loads((tmp_path / "rows.json").read_text())
+    assert list(rows) == ["constant", "coarse", "untrained", "student, 1 steps"]
+    assert f"{rows['coarse']['delta1']:.3f}" in capsys.readouterr().out
+    assert main(["evaluate", "--recording", str(run), "--coarse", str(coarse), "--coarse", str(coarse)]) == 1
+    assert "2 --coarse for 1 --recording" in capsys.readouterr().err
