@@ -7,9 +7,11 @@ use super::aggregate::{PathRows, Volume};
 use super::census::CensusImage;
 use super::enlarge::Cells;
 use super::fusion::{Belief, Memory};
-use super::keyframes::Keyframes;
+use super::keyframes::{Keyframes, Wanted};
+use super::motion::PictureMotion;
 use super::moving::MovingThings;
 use super::refine::{Corners, refine_rotation};
+use super::steady::{Believed, Seen, SteadyRotation};
 use super::subpixel::polish;
 use super::sweep::{CELL, FAR, MAX_REFERENCES, PLANES, Reference, hypotheses, sweep};
 use super::trust;
@@ -42,6 +44,10 @@ pub struct CoarseDepth {
     last_smooth: Vec<u16>,
     scene_depth_m: f64,
     picture: CensusImage,
+    motion: PictureMotion,
+    steady: SteadyRotation,
+    /// `t_odom_camera` of the last picture, steadied.
+    pose: Pose3,
     moving: MovingThings,
     buffers: Buffers,
     estimate: DepthEstimate,
@@ -102,7 +108,10 @@ impl CoarseDepth {
             last_smooth: Vec::new(),
             scene_depth_m: FIRST_SCENE_DEPTH_M,
             picture: CensusImage::default(),
-            moving: MovingThings::new(camera.width, camera.height)?,
+            motion: PictureMotion::new(camera.width, camera.height)?,
+            steady: SteadyRotation::default(),
+            pose: Pose3::identity(),
+            moving: MovingThings::new(camera.width, camera.height),
             estimate: DepthEstimate::none(camera.width, camera.height),
             config,
             camera,
@@ -133,7 +142,7 @@ impl CoarseDepth {
         }
         self.last_smooth.clone_from(&self.picture.smooth);
         let outcome = self.look(pose);
-        self.keyframes.offer(pose, &mut self.picture, &self.config);
+        self.keyframes.offer(&self.pose, &mut self.picture, &self.config);
         self.last_pose = Some(*pose);
         outcome.map(|()| &self.estimate)
     }
@@ -149,36 +158,65 @@ impl CoarseDepth {
         &self.estimate
     }
 
-    fn look(&mut self, pose: &Pose3) -> Result<(), NoDepth> {
-        if self.last_pose.is_some_and(|last| self.is_jump(&last, pose)) {
-            self.keyframes.forget();
-            self.memory.forget();
-            self.moving.forget();
-            self.scene_depth_m = FIRST_SCENE_DEPTH_M;
+    fn look(&mut self, said: &Pose3) -> Result<(), NoDepth> {
+        let jumped = self.last_pose.is_some_and(|last| self.is_jump(&last, said));
+        if jumped {
+            self.forget();
+        }
+        self.follow(said);
+        if jumped {
             return Err(NoDepth::PoseJump);
         }
         if self.keyframes.is_empty() {
             return Err(NoDepth::FirstFrame);
         }
-        self.memory.advance(pose, &self.cells, self.config.memory);
+        self.memory.advance(&self.pose, &self.cells, self.config.memory);
+        self.memory.drop_where(self.moving.last());
         self.buffers.votes.fill(Vote::default());
-        if self.config.find_moving {
-            let moving = self.moving.look(&self.picture, pose, &self.descriptors, self.config.min_depth_m);
-            self.memory.drop_where(moving);
-        }
-        let chosen = self.keyframes.choose(pose, &self.descriptors, self.scene_depth_m, &self.config);
+        let wanted = Wanted { depth_m: self.scene_depth_m, jitter_rad: self.steady.jitter_rad() };
+        let chosen = self.keyframes.choose(&self.pose, &self.descriptors, wanted, &self.config);
         if chosen.iter().flatten().next().is_none() {
             self.judge();
             if self.share_believed() < self.config.min_remembered {
                 return Err(NoDepth::TooLittleParallax);
             }
         } else {
-            self.match_against(&chosen, pose);
+            self.match_against(&chosen);
             self.judge();
             self.measure_scene();
         }
         self.write_estimate();
         Ok(())
+    }
+
+    /// The pose jumped: nothing from before fits.
+    fn forget(&mut self) {
+        self.keyframes.forget();
+        self.memory.forget();
+        self.motion.forget();
+        self.steady.forget();
+        self.buffers.confidence.fill(0.0);
+        self.scene_depth_m = FIRST_SCENE_DEPTH_M;
+    }
+
+    /// What flow to the picture before tells: where the camera looks, and what moves by itself.
+    fn follow(&mut self, said: &Pose3) {
+        let before = std::mem::replace(&mut self.pose, *said);
+        self.moving.forget();
+        let Some(flow) = self.motion.follow(&self.picture) else {
+            self.steady.begin(said);
+            return;
+        };
+        let (picture, camera, cells) = (&self.picture, &self.descriptors, &self.cells);
+        if self.config.steady_rotation {
+            let (beliefs, confidence) = (self.memory.beliefs(), &*self.buffers.confidence);
+            let seen = Seen { flow, picture, camera };
+            self.pose = self.steady.steady(said, seen, Believed { beliefs, confidence, cells });
+        }
+        if self.config.find_moving {
+            let t_before_now = before.inverse() * self.pose;
+            self.moving.look(picture, flow, &t_before_now, camera, self.config.min_depth_m);
+        }
     }
 
     /// Nobody moves and sees the same to the last bit: taken at its word, such a picture shows a world without parallax.
@@ -196,7 +234,7 @@ impl CoarseDepth {
         step.translation.vector.norm() > self.config.max_step_m || step.rotation.angle() > self.config.max_turn_rad
     }
 
-    fn match_against(&mut self, chosen: &[Option<usize>; MAX_REFERENCES], pose: &Pose3) {
+    fn match_against(&mut self, chosen: &[Option<usize>; MAX_REFERENCES]) {
         let Buffers { corners, grey, costs, unseen, down, up, paths_down, paths_up, votes, .. } = &mut self.buffers;
         let (picture, inverse_depth, width) = (&self.picture, &self.inverse_depth, self.cells.width);
         if self.config.refine_rotation {
@@ -204,7 +242,7 @@ impl CoarseDepth {
         }
         let mut reference = |index: Option<usize>| {
             let keyframe = self.keyframes.all().get(index?)?;
-            let mut t = keyframe.pose.inverse() * pose;
+            let mut t = keyframe.pose.inverse() * self.pose;
             if self.config.refine_rotation {
                 t = refine_rotation(picture, corners, &keyframe.census, &t, &self.descriptors);
             }

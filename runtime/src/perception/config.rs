@@ -25,6 +25,8 @@ pub struct CoarseConfig {
     pub parallax_over_error: f64,
     /// Whether the rotation of every reference is corrected by looking at the pictures.
     pub refine_rotation: bool,
+    /// Whether the rotation of every pose is steadied by what is seen from picture to picture.
+    pub steady_rotation: bool,
     /// Whether things that move by themselves are looked for; they get no depth.
     pub find_moving: bool,
     /// A reference nearer than this has more pose error than parallax, metres.
@@ -72,6 +74,7 @@ impl Default for CoarseConfig {
             turn_error_floor_rad: 0.001,
             parallax_over_error: 5.0,
             refine_rotation: true,
+            steady_rotation: true,
             find_moving: true,
             min_baseline_m: 0.02,
             max_baseline_m: 1.0,

@@ -22,6 +22,15 @@ pub struct Keyframes {
     promises: Vec<Option<Promise>>,
 }
 
+/// What references are wanted for.
+#[derive(Debug, Clone, Copy)]
+pub struct Wanted {
+    /// Depth of the scene, metres.
+    pub depth_m: f64,
+    /// What rotations jitter by, radians.
+    pub jitter_rad: f64,
+}
+
 /// What an earlier picture promises.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Promise {
@@ -69,12 +78,12 @@ impl Keyframes {
         &mut self,
         pose: &Pose3,
         camera: &CameraModel,
-        depth_m: f64,
+        wanted: Wanted,
         config: &CoarseConfig,
     ) -> [Option<usize>; MAX_REFERENCES] {
         let Self { ring, promises, .. } = self;
         promises.clear();
-        promises.extend(ring.iter().map(|keyframe| promise_within(keyframe, pose, camera, depth_m, config)));
+        promises.extend(ring.iter().map(|keyframe| promise_within(keyframe, pose, camera, wanted, config)));
         let mut chosen = [None; MAX_REFERENCES];
         for (place, wanted) in config.parallax_px.iter().take(MAX_REFERENCES).enumerate() {
             let cost = |promise: &Promise| (promise.parallax_px / wanted).ln().abs();
@@ -97,7 +106,7 @@ fn promise_within(
     keyframe: &Keyframe,
     pose: &Pose3,
     camera: &CameraModel,
-    depth_m: f64,
+    Wanted { depth_m, jitter_rad }: Wanted,
     config: &CoarseConfig,
 ) -> Option<Promise> {
     let t_reference_camera = keyframe.pose.inverse() * pose;
@@ -106,7 +115,8 @@ fn promise_within(
         return None;
     }
     let promise = promise(&t_reference_camera, camera, depth_m);
-    let error_rad = config.turn_error_floor_rad + config.turn_error * t_reference_camera.rotation.angle();
+    let error_rad =
+        config.turn_error_floor_rad.max(jitter_rad) + config.turn_error * t_reference_camera.rotation.angle();
     let needed_px = (config.parallax_over_error * error_rad * camera.fx).max(1.0);
     (promise.overlap >= config.min_overlap && promise.parallax_px >= needed_px).then_some(promise)
 }
@@ -149,6 +159,8 @@ mod tests {
         )
     }
 
+    const WANTED: Wanted = Wanted { depth_m: 2.0, jitter_rad: 0.0 };
+
     fn camera() -> CameraModel {
         CameraModel::pinhole(320, 96, std::f64::consts::FRAC_PI_2)
     }
@@ -173,11 +185,24 @@ mod tests {
         for i in 0..20 {
             keyframes.offer(&at(0.05 * f64::from(i), 0.0), &mut CensusImage::default(), &config);
         }
-        let chosen = keyframes.choose(&at(1.0, 0.0), &camera(), 2.0, &config).map(Option::unwrap);
+        let chosen = keyframes.choose(&at(1.0, 0.0), &camera(), WANTED, &config).map(Option::unwrap);
         let parallax = |i: &usize| 80.0 * (1.0 - 0.05 * *i as f64);
         for (index, wanted) in chosen.iter().zip(&config.parallax_px) {
             assert!((parallax(index) - wanted).abs() <= 2.5);
         }
+    }
+
+    #[test]
+    fn what_jitter_alone_could_fake_is_no_reference() {
+        let mut keyframes = Keyframes::default();
+        let config = CoarseConfig::default();
+        keyframes.offer(&at(0.0, 0.0), &mut CensusImage::default(), &config);
+        // 160 px * 0.03 m / 2 m = 2.4 px; one mrad is 0.16 px.
+        let chosen = |keyframes: &mut Keyframes, jitter_rad| {
+            keyframes.choose(&at(0.03, 0.0), &camera(), Wanted { jitter_rad, ..WANTED }, &config)[0]
+        };
+        assert_eq!(chosen(&mut keyframes, 0.002), Some(0));
+        assert_eq!(chosen(&mut keyframes, 0.004), None);
     }
 
     #[test]
@@ -188,7 +213,7 @@ mod tests {
             keyframes.offer(&at(0.0, 0.0), &mut CensusImage::default(), &config);
         }
         assert_eq!(keyframes.all().len(), 1);
-        assert_eq!(keyframes.choose(&at(0.0, 0.0), &camera(), 2.0, &config), [None; MAX_REFERENCES]);
-        assert_eq!(keyframes.choose(&at(0.001, 0.1), &camera(), 2.0, &config), [None; MAX_REFERENCES]);
+        assert_eq!(keyframes.choose(&at(0.0, 0.0), &camera(), WANTED, &config), [None; MAX_REFERENCES]);
+        assert_eq!(keyframes.choose(&at(0.001, 0.1), &camera(), WANTED, &config), [None; MAX_REFERENCES]);
     }
 }

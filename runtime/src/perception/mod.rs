@@ -10,9 +10,11 @@ pub mod flow;
 mod fusion;
 mod keyframes;
 pub mod least_squares;
+mod motion;
 mod moving;
 pub mod network;
 mod refine;
+mod steady;
 mod subpixel;
 mod sweep;
 #[cfg(test)]

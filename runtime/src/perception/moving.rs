@@ -4,11 +4,11 @@
 //! really was; what is far off its line moved by itself, and neither parallax nor memory tells its depth. What moves along its
 //! line is not found: it looks like another depth.
 
-use hal::{CameraModel, ImageView, PixelFormat, Pose3};
+use hal::{CameraModel, Pose3};
 use nalgebra::{Matrix3, Vector3};
 
 use super::census::CensusImage;
-use super::flow::{DenseFlow, FlowError, FlowPreset};
+use super::flow::FlowField;
 use super::sweep::{CELL, homography};
 
 /// Off its line by more than this, pixels: dense flow of this preset is seldom wrong by more where there is texture ...
@@ -25,11 +25,6 @@ const MOST: usize = 2;
 /// Finds them from picture to picture.
 #[derive(Debug)]
 pub struct MovingThings {
-    flow: DenseFlow,
-    /// Grey values, one byte a pixel.
-    now: Vec<u8>,
-    before: Vec<u8>,
-    pose: Option<Pose3>,
     off_px: Vec<f32>,
     sorted: Vec<f32>,
     off: Vec<bool>,
@@ -37,27 +32,19 @@ pub struct MovingThings {
 }
 
 impl MovingThings {
-    /// For pictures of a camera.
-    ///
-    /// # Errors
-    /// A camera that is too small.
-    pub fn new(width: usize, height: usize) -> Result<Self, FlowError> {
+    /// For pictures of this size.
+    pub fn new(width: usize, height: usize) -> Self {
         let cells = (width / CELL) * (height / CELL);
-        Ok(Self {
-            flow: DenseFlow::new(FlowPreset::UltraFast, width, height)?,
-            now: vec![0; width * height],
-            before: vec![0; width * height],
-            pose: None,
+        Self {
             off_px: vec![0.0; cells],
             sorted: Vec::with_capacity(cells),
             off: vec![false; cells],
             moving: vec![false; cells],
-        })
+        }
     }
 
-    /// Forgets the picture before.
+    /// Nothing moves.
     pub fn forget(&mut self) {
-        self.pose = None;
         self.moving.fill(false);
     }
 
@@ -66,17 +53,18 @@ impl MovingThings {
         &self.moving
     }
 
-    /// For every cell of 4x4 pixels, row-major, whether the thing in it moved since the picture before. `camera` describes the
-    /// positions of `picture.smooth`; nothing is nearer than `nearest_m`.
-    pub fn look(&mut self, picture: &CensusImage, pose: &Pose3, camera: &CameraModel, nearest_m: f64) -> &[bool] {
-        std::mem::swap(&mut self.now, &mut self.before);
-        self.now.iter_mut().zip(&picture.smooth).for_each(|(now, smooth)| *now = (smooth >> 8) as u8);
+    /// For every cell of 4x4 pixels, row-major, whether the thing in it moved since the picture before, to which `flow` leads.
+    /// `camera` describes the positions of `picture.smooth`; nothing is nearer than `nearest_m`.
+    pub fn look(
+        &mut self,
+        picture: &CensusImage,
+        flow: &FlowField,
+        t_before_now: &Pose3,
+        camera: &CameraModel,
+        nearest_m: f64,
+    ) -> &[bool] {
         self.moving.fill(false);
-        let Some(before) = self.pose.replace(*pose) else { return &self.moving };
-        let grey = |data| ImageView::new(picture.width, picture.height, PixelFormat::Gray8, data).ok();
-        let (Some(from), Some(to)) = (grey(&self.now), grey(&self.before)) else { return &self.moving };
-        let Ok(flow) = self.flow.flow(from, to, None) else { return &self.moving };
-        let line = Line::new(&(before.inverse() * pose), camera, nearest_m);
+        let line = Line::new(t_before_now, camera, nearest_m);
         let columns = picture.width / CELL;
         for (index, off_px) in self.off_px.iter_mut().enumerate() {
             let (u, v) = (CELL * (index % columns) + CELL / 2, CELL * (index / columns) + CELL / 2);
@@ -151,7 +139,9 @@ impl Line {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::perception::motion::PictureMotion;
     use crate::perception::test_scene::{pose, render};
+    use hal::{ImageView, PixelFormat};
 
     const NEAREST_M: f64 = 0.3;
 
@@ -170,14 +160,26 @@ mod tests {
         picture
     }
 
-    fn look(engine: &mut MovingThings, picture: &[u8], at: &Pose3) -> Vec<bool> {
-        let mut census = CensusImage::default();
-        assert!(census.compute(ImageView::new(320, 96, PixelFormat::Gray8, picture).unwrap()));
-        engine.look(&census, at, &camera().cropped(0.5, 0.5, 320, 96), NEAREST_M).to_vec()
+    /// What finds them, and the pose before.
+    struct Finder {
+        motion: PictureMotion,
+        moving: MovingThings,
+        before: Pose3,
     }
 
-    fn engine() -> MovingThings {
-        MovingThings::new(320, 96).unwrap()
+    impl Finder {
+        fn new() -> Self {
+            let motion = PictureMotion::new(320, 96).unwrap();
+            Self { motion, moving: MovingThings::new(320, 96), before: Pose3::identity() }
+        }
+
+        fn look(&mut self, picture: &[u8], at: &Pose3) -> Vec<bool> {
+            let mut census = CensusImage::default();
+            assert!(census.compute(ImageView::new(320, 96, PixelFormat::Gray8, picture).unwrap()));
+            let t_before_now = std::mem::replace(&mut self.before, *at).inverse() * at;
+            let Some(flow) = self.motion.follow(&census) else { return vec![false; 80 * 24] };
+            self.moving.look(&census, flow, &t_before_now, &camera().cropped(0.5, 0.5, 320, 96), NEAREST_M).to_vec()
+        }
     }
 
     fn count(moving: &[bool]) -> usize {
@@ -192,21 +194,21 @@ mod tests {
             |i| pose([0.01 * i, 0.0, 0.02 * i], 0.03 * i),
         ];
         for path in paths {
-            let mut engine = engine();
+            let mut finder = Finder::new();
             for i in 0..6 {
                 let at = path(f64::from(i));
-                assert_eq!(count(&look(&mut engine, &render(&camera(), &at, 1.0, 0.0), &at)), 0);
+                assert_eq!(count(&finder.look(&render(&camera(), &at, 1.0, 0.0), &at)), 0);
             }
         }
     }
 
     #[test]
     fn a_block_that_moves_across_its_lines_is_found_and_nothing_else() {
-        let mut engine = engine();
+        let mut finder = Finder::new();
         let mut moving = Vec::new();
         for i in 0_u8..3 {
             let at = pose([0.03 * f64::from(i), 0.0, 0.0], 0.0);
-            moving = look(&mut engine, &with_block(render(&camera(), &at, 1.0, 0.0), 6 * usize::from(i)), &at);
+            moving = finder.look(&with_block(render(&camera(), &at, 1.0, 0.0), 6 * usize::from(i)), &at);
         }
         // The block is at columns 30 to 45 and rows 8 to 19 of the cells.
         let in_block = |index: &usize| (30..46).contains(&(index % 80)) && (8..20).contains(&(index / 80));
@@ -219,21 +221,21 @@ mod tests {
 
     #[test]
     fn a_wrong_rotation_moves_nothing() {
-        let mut engine = engine();
+        let mut finder = Finder::new();
         let (first, second) = (pose([0.0; 3], 0.0), pose([0.03, 0.0, 0.0], 0.0));
-        look(&mut engine, &render(&camera(), &first, 1.0, 0.0), &first);
+        finder.look(&render(&camera(), &first, 1.0, 0.0), &first);
         // Nearly two degrees: everything is five pixels off.
         let wrong = pose([0.03, 0.0, 0.0], 0.03);
-        assert_eq!(count(&look(&mut engine, &render(&camera(), &second, 1.0, 0.0), &wrong)), 0);
+        assert_eq!(count(&finder.look(&render(&camera(), &second, 1.0, 0.0), &wrong)), 0);
     }
 
     #[test]
     fn the_first_picture_and_the_first_after_forgetting_show_no_motion() {
-        let mut engine = engine();
+        let mut finder = Finder::new();
         let at = pose([0.0; 3], 0.0);
         let picture = render(&camera(), &at, 1.0, 0.0);
-        assert_eq!(count(&look(&mut engine, &with_block(picture.clone(), 0), &at)), 0);
-        engine.forget();
-        assert_eq!(count(&look(&mut engine, &with_block(picture, 8), &at)), 0);
+        assert_eq!(count(&finder.look(&with_block(picture.clone(), 0), &at)), 0);
+        finder.motion.forget();
+        assert_eq!(count(&finder.look(&with_block(picture, 8), &at)), 0);
     }
 }
