@@ -21,6 +21,10 @@ use super::{CoarseConfig, DepthEstimate, NoDepth, PerceptionError};
 /// Depth that parallax is predicted for before any was seen, metres.
 const FIRST_SCENE_DEPTH_M: f64 = 2.0;
 
+/// References must promise parallax as if rotations jittered by so many times what they do: both poses of a pair are wrong,
+/// and what is believed from the first pictures is slow to be forgotten.
+const JITTER_MARGIN: f64 = 2.0;
+
 /// A cell with more far hypotheses than this that no reference sees has just come into view: what is left to choose from is
 /// near, and probably wrong.
 const MOST_UNSEEN: u8 = FAR as u8 / 4;
@@ -173,7 +177,8 @@ impl CoarseDepth {
         self.memory.advance(&self.pose, &self.cells, self.config.memory);
         self.memory.drop_where(self.moving.last());
         self.buffers.votes.fill(Vote::default());
-        let wanted = Wanted { depth_m: self.scene_depth_m, jitter_rad: self.steady.jitter_rad() };
+        let jitter_rad = if self.config.steady_rotation { JITTER_MARGIN * self.steady.jitter_rad() } else { 0.0 };
+        let wanted = Wanted { depth_m: self.scene_depth_m, jitter_rad };
         let chosen = self.keyframes.choose(&self.pose, &self.descriptors, wanted, &self.config);
         if chosen.iter().flatten().next().is_none() {
             self.judge();
@@ -211,7 +216,8 @@ impl CoarseDepth {
         if self.config.steady_rotation {
             let (beliefs, confidence) = (self.memory.beliefs(), &*self.buffers.confidence);
             let seen = Seen { flow, picture, camera };
-            self.pose = self.steady.steady(said, seen, Believed { beliefs, confidence, cells });
+            let believed = Believed { beliefs, confidence, cells, scene_depth_m: self.scene_depth_m };
+            self.pose = self.steady.steady(said, seen, believed);
         }
         if self.config.find_moving {
             let t_before_now = before.inverse() * self.pose;

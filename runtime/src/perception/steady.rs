@@ -2,11 +2,12 @@
 //!
 //! Odometry and tracking jitter: a milliradian from picture to picture is a third of a pixel at f = 320, as much parallax as
 //! ten centimetres of depth have at five metres. From one picture to the next things move little by their depth, so flow and
-//! what is believed of the depth tell the turn between two pictures far better; but turns add up to drift, and drift is what
-//! odometry corrects. How far odometry is believed follows from its jitter: without any it is taken at its word.
+//! what is believed of the depth tell the turn between two pictures far better; where nothing is believed, what is off its
+//! epipolar line still does. But turns add up to drift, and drift is what odometry corrects. How far odometry is believed
+//! follows from its jitter: without any it is taken at its word.
 
 use hal::{CameraModel, Pose3};
-use nalgebra::{Matrix2x3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
 use super::census::CensusImage;
 use super::flow::FlowField;
@@ -26,8 +27,10 @@ const TURN_ERROR: f64 = 0.05;
 const FLOW_ERROR_PX: f64 = 2.0;
 /// ... and of the turn after flow was asked, radians.
 const SEEN_ERROR_RAD: f64 = 0.0003;
-/// Only what is so probably right counts, every so many cells, this far from the edge, pixels.
+/// What is believed less than this is taken for unknown: it may be anywhere on its epipolar line.
 const LEAST_CONFIDENCE: f32 = 0.8;
+const UNKNOWN_DEPTH_ERROR: f64 = 1.0;
+/// Every so many cells count, this far from the edge, pixels.
 const EVERY: usize = 4;
 const MARGIN: f64 = 8.0;
 /// Fewer cells than this say nothing.
@@ -37,17 +40,14 @@ const SCALES_PX: [f64; 4] = [4.0, 2.0, 1.0, 1.0];
 /// Jitter that is expected before it is measured, radians, and pictures in its mean square.
 const FIRST_JITTER_RAD: f64 = 0.002;
 const JITTER_MEMORY: f64 = 20.0;
-/// Nothing is known of the rotation: more than anything that it is weighed against, rad^2.
-const UNKNOWN: f64 = 1.0;
-
 /// Steadies a camera's poses from picture to picture.
 #[derive(Debug)]
 pub struct SteadyRotation {
     before: Option<Before>,
     /// How wrong the steady rotation may be about each axis, rad^2.
-    variance: f64,
+    variance: Vector3<f64>,
     /// How the last turn was corrected, in the camera's axes.
-    correction: Vector3<f64>,
+    correction: Option<Vector3<f64>>,
     /// Mean square of odometry's jitter about each axis, rad^2, and of how many pictures.
     jitter: f64,
     pictures: f64,
@@ -69,6 +69,8 @@ pub struct Believed<'a> {
     pub confidence: &'a [f32],
     /// The camera of the cells.
     pub cells: &'a CameraModel,
+    /// Depth of what nothing is believed of, metres.
+    pub scene_depth_m: f64,
 }
 
 /// Flow from a picture to the one before.
@@ -78,6 +80,13 @@ pub struct Seen<'a> {
     pub picture: &'a CensusImage,
     /// Describes the picture's positions.
     pub camera: &'a CameraModel,
+}
+
+/// How flow corrects a turn, a rotation vector in the camera's axes, and how wrong that may be about each, rad^2.
+#[derive(Debug, Clone, Copy, Default)]
+struct Turn {
+    correction: Vector3<f64>,
+    variance: Vector3<f64>,
 }
 
 /// How far off a cell is found in the picture before, pixels, and how that answers to the unknowns.
@@ -91,8 +100,8 @@ impl Default for SteadyRotation {
     fn default() -> Self {
         Self {
             before: None,
-            variance: UNKNOWN,
-            correction: Vector3::zeros(),
+            variance: Vector3::zeros(),
+            correction: None,
             jitter: FIRST_JITTER_RAD * FIRST_JITTER_RAD,
             pictures: 1.0,
             equations: Vec::new(),
@@ -114,11 +123,11 @@ impl SteadyRotation {
     /// Begins at `said` (`t_odom_camera`).
     pub fn begin(&mut self, said: &Pose3) {
         self.before = Some(Before { said: *said, steady: *said });
-        self.variance = UNKNOWN;
-        self.correction = Vector3::zeros();
+        self.variance = Vector3::zeros();
+        self.correction = None;
     }
 
-    /// `said` (`t_odom_camera`) with its rotation steadied, or as it is when too little is believed.
+    /// `said` (`t_odom_camera`) with its rotation steadied, or as it is when too little is seen.
     pub fn steady(&mut self, said: &Pose3, seen: Seen<'_>, believed: Believed<'_>) -> Pose3 {
         let steady = self.before.and_then(|before| {
             let turn = before.said.rotation.inverse() * said.rotation;
@@ -135,34 +144,37 @@ impl SteadyRotation {
     }
 
     /// Between the rotation that flow leads to and the one that odometry says (Kalman 1960).
-    fn weigh(&mut self, expected: &Pose3, said: &Pose3, correction: Vector3<f64>) -> Pose3 {
+    fn weigh(&mut self, expected: &Pose3, said: &Pose3, turn: Turn) -> Pose3 {
         // What turns back at once is jitter: an error e of one pose makes two turns wrong, by e and by -e. Drift does not.
-        let jitter = -correction.dot(&self.correction) / 3.0;
-        self.pictures = (self.pictures + 1.0).min(JITTER_MEMORY);
-        self.jitter += (jitter - self.jitter) / self.pictures;
-        self.correction = correction;
-        self.variance += SEEN_ERROR_RAD * SEEN_ERROR_RAD;
-        let share = self.variance / (self.variance + self.jitter.max(0.0));
-        self.variance *= 1.0 - share;
-        let seen = expected.rotation * UnitQuaternion::from_scaled_axis(correction);
-        let back = (seen.inverse() * said.rotation).scaled_axis() * share;
+        if let Some(before) = self.correction.replace(turn.correction) {
+            let jitter = -turn.correction.dot(&before) / 3.0;
+            self.pictures = (self.pictures + 1.0).min(JITTER_MEMORY);
+            self.jitter += (jitter - self.jitter) / self.pictures;
+        }
+        self.variance += turn.variance;
+        let jitter = self.jitter.max(0.0);
+        let share = self.variance.map(|variance| variance / (variance + jitter));
+        self.variance.component_mul_assign(&share.map(|share| 1.0 - share));
+        let seen = expected.rotation * UnitQuaternion::from_scaled_axis(turn.correction);
+        let back = (seen.inverse() * said.rotation).scaled_axis().component_mul(&share);
         Pose3::from_parts(said.translation, seen * UnitQuaternion::from_scaled_axis(back))
     }
 
     /// How the camera is turned beside `t_now_before`, a rotation vector in its own axes: robust least squares
     /// (Geman-McClure) with the expected errors as prior. `None` where too little is known.
-    fn correction(&mut self, t_now_before: &Pose3, seen: Seen<'_>, believed: Believed<'_>) -> Option<Vector3<f64>> {
-        let Believed { beliefs, confidence, cells } = believed;
+    fn correction(&mut self, t_now_before: &Pose3, seen: Seen<'_>, believed: Believed<'_>) -> Option<Turn> {
+        let Believed { beliefs, confidence, cells, scene_depth_m } = believed;
         self.equations.clear();
-        self.equations.reserve(beliefs.len().div_ceil(EVERY * EVERY));
-        for (row, line) in beliefs.chunks_exact(cells.width).enumerate().step_by(EVERY) {
-            for (column, belief) in line.iter().enumerate().step_by(EVERY) {
-                if confidence[row * cells.width + column] >= LEAST_CONFIDENCE {
-                    let u = column as f64 + f64::from(belief.offset[0]);
-                    let v = row as f64 + f64::from(belief.offset[1]);
-                    let point = cells.ray(u, v) / f64::from(belief.inverse_depth);
-                    self.equations.extend(equation(t_now_before, &point, seen));
-                }
+        self.equations.reserve((cells.width * cells.height).div_ceil(EVERY * EVERY));
+        for row in (0..cells.height).step_by(EVERY) {
+            for column in (0..cells.width).step_by(EVERY) {
+                let index = row * cells.width + column;
+                let belief = beliefs.get(index).filter(|_| confidence[index] >= LEAST_CONFIDENCE);
+                let [du, dv] = belief.map_or([0.0; 2], |belief| belief.offset.map(f64::from));
+                let depth = belief.map_or(scene_depth_m, |belief| 1.0 / f64::from(belief.inverse_depth));
+                let depth_error = if belief.is_some() { DEPTH_ERROR } else { UNKNOWN_DEPTH_ERROR };
+                let point = cells.ray(column as f64 + du, row as f64 + dv) * depth;
+                self.equations.extend(equation(t_now_before, &point, depth_error, seen));
             }
         }
         if self.equations.len() < LEAST_CELLS {
@@ -174,7 +186,7 @@ impl SteadyRotation {
 }
 
 /// Of `point` in the camera before; `None` where flow does not show it.
-fn equation(t_now_before: &Pose3, point: &Vector3<f64>, seen: Seen<'_>) -> Option<Equation> {
+fn equation(t_now_before: &Pose3, point: &Vector3<f64>, depth_error: f64, seen: Seen<'_>) -> Option<Equation> {
     let Seen { flow, picture, camera } = seen;
     let turned = t_now_before.rotation * point;
     let now = turned + t_now_before.translation.vector;
@@ -202,15 +214,21 @@ fn equation(t_now_before: &Pose3, point: &Vector3<f64>, seen: Seen<'_>) -> Optio
         slopes.set_column(3 + column, &(by_depth * factor));
     }
     slopes.fixed_columns_mut::<3>(6).copy_from(&-slope);
-    Some(Equation { slopes, off })
+    // Along its line the cell counts less the less its depth is known.
+    let along_px = depth_error * by_depth.norm();
+    let less = 1.0 - 1.0 / along_px.hypot(1.0);
+    let direction = by_depth.try_normalize(1e-9).unwrap_or_default();
+    let across = Matrix2::identity() - direction * direction.transpose() * less;
+    Some(Equation { slopes: across * slopes, off: across * off })
 }
 
 /// The turn that explains the equations.
-fn solve(equations: &[Equation], turn_error: f64) -> Option<Vector3<f64>> {
+fn solve(equations: &[Equation], turn_error: f64) -> Option<Turn> {
     let mut prior = SVector::<f64, UNKNOWNS>::repeat(turn_error.powi(-2));
     prior.fixed_rows_mut::<3>(3).fill(DEPTH_ERROR.powi(-2));
     prior.fixed_rows_mut::<3>(6).fill(STEP_ERROR_M.powi(-2));
     let mut unknowns = SVector::<f64, UNKNOWNS>::zeros();
+    let mut turn = Turn::default();
     for scale_px in SCALES_PX {
         let mut normal = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::from_diagonal(&prior);
         let mut right = SVector::<f64, UNKNOWNS>::zeros();
@@ -220,9 +238,15 @@ fn solve(equations: &[Equation], turn_error: f64) -> Option<Vector3<f64>> {
             normal += weighted * slopes;
             right -= weighted * off;
         }
-        unknowns = normal.cholesky()?.solve(&right);
+        let cholesky = normal.cholesky()?;
+        unknowns = cholesky.solve(&right);
+        let variance = cholesky.inverse().diagonal();
+        turn = Turn {
+            correction: unknowns.fixed_rows::<3>(0).into(),
+            variance: Vector3::from(variance.fixed_rows::<3>(0)).add_scalar(SEEN_ERROR_RAD * SEEN_ERROR_RAD),
+        };
     }
-    Some(unknowns.fixed_rows::<3>(0).into())
+    Some(turn)
 }
 
 #[cfg(test)]
@@ -234,10 +258,17 @@ mod tests {
     type Error = fn(usize) -> Vector3<f64>;
 
     fn camera() -> CameraModel {
-        CameraModel::pinhole(320, 96, std::f64::consts::FRAC_PI_2)
+        CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2)
     }
 
-    /// Forward on an arc, past a slanted wall.
+    /// Depth of a slanted wall between a floor and a ceiling.
+    fn depth(camera: &CameraModel, at: &Pose3, u: f64, v: f64) -> f64 {
+        let down = camera.ray(u, v).y;
+        let level = if down > 0.0 { 0.4 } else { -0.6 };
+        depth_m(camera, at, u, v).min(level / down)
+    }
+
+    /// Forward on an arc.
     fn path(index: usize) -> Pose3 {
         let index = index as f64;
         pose([0.01 * index, 0.0, 0.01 * index], 0.002 * index)
@@ -254,30 +285,30 @@ mod tests {
 
     /// Errors of the steadied rotations of 80 pictures. Depth and flow are true.
     fn travel(error: Error) -> Vec<Vector3<f64>> {
-        let (camera, cells) = (camera(), camera().resized(80, 24));
+        let (camera, cells) = (camera(), camera().resized(160, 48));
         let mut picture = CensusImage::default();
-        (picture.width, picture.height, picture.descriptors) = (320, 96, vec![1; 320 * 96]);
-        let confidence = vec![1.0; 80 * 24];
+        (picture.width, picture.height, picture.descriptors) = (640, 192, vec![1; 640 * 192]);
+        let confidence = vec![1.0; 160 * 48];
         let mut steady = SteadyRotation::default();
-        let mut beliefs = vec![Belief::default(); 80 * 24];
+        let mut beliefs = vec![Belief::default(); 160 * 48];
         let mut errors = Vec::new();
         for index in 0..80_usize {
             let (now, before) = (path(index), path(index.saturating_sub(1)));
-            let mut flow = FlowField::zero(320, 96);
+            let mut flow = FlowField::zero(640, 192);
             for (at, flow) in flow.values_mut().iter_mut().enumerate() {
-                let (u, v) = ((at % 320) as f64, (at / 320) as f64);
-                let point = now * camera.unproject(u, v, depth_m(&camera, &now, u, v));
+                let (u, v) = ((at % 640) as f64, (at / 640) as f64);
+                let point = now * camera.unproject(u, v, depth(&camera, &now, u, v));
                 let (x, y) = camera.project(&before.inverse_transform_point(&point)).unwrap();
                 *flow = [(x - u) as f32, (y - v) as f32];
             }
             let said = now * UnitQuaternion::from_scaled_axis(error(index));
             let seen = Seen { flow: &flow, picture: &picture, camera: &camera };
-            let believed = Believed { beliefs: &beliefs, confidence: &confidence, cells: &cells };
+            let believed = Believed { beliefs: &beliefs, confidence: &confidence, cells: &cells, scene_depth_m: 2.0 };
             let found = steady.steady(&said, seen, believed);
             assert_eq!(found.translation, said.translation);
             errors.push((now.rotation.inverse() * found.rotation).scaled_axis());
             for (at, belief) in beliefs.iter_mut().enumerate() {
-                let depth = depth_m(&cells, &now, (at % 80) as f64, (at / 80) as f64);
+                let depth = depth(&cells, &now, (at % 160) as f64, (at / 160) as f64);
                 *belief = Belief { inverse_depth: (1.0 / depth) as f32, evidence: 1.0, votes: 1.0, offset: [0.0; 2] };
             }
         }
@@ -291,10 +322,10 @@ mod tests {
     }
 
     #[test]
-    fn jitter_shrinks_to_less_than_a_third() {
+    fn jitter_shrinks_to_little_more_than_half() {
         let said: Vec<Vector3<f64>> = (0..80).map(jitter).collect();
         let (steadied, said) = (over_ten(&travel(jitter)), over_ten(&said));
-        assert!(steadied < said / 3.0, "{steadied} {said}");
+        assert!(steadied < 0.55 * said, "{steadied} {said}");
     }
 
     #[test]
@@ -311,11 +342,13 @@ mod tests {
     }
 
     #[test]
-    fn without_anything_believed_the_pose_stays() {
+    fn without_texture_the_pose_stays() {
         let mut steady = SteadyRotation::default();
-        let cells = camera().resized(80, 24);
-        let believed = Believed { beliefs: &[], confidence: &[], cells: &cells };
-        let (flow, picture) = (FlowField::zero(320, 96), CensusImage::default());
+        let cells = camera().resized(160, 48);
+        let believed = Believed { beliefs: &[], confidence: &[], cells: &cells, scene_depth_m: 2.0 };
+        let flow = FlowField::zero(640, 192);
+        let mut picture = CensusImage::default();
+        (picture.width, picture.height, picture.descriptors) = (640, 192, vec![0; 640 * 192]);
         let seen = Seen { flow: &flow, picture: &picture, camera: &camera() };
         for index in 0..3 {
             let said = path(index) * UnitQuaternion::from_scaled_axis(jitter(index));
