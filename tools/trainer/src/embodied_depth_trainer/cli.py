@@ -84,6 +84,9 @@ def _add_train(command: argparse.ArgumentParser) -> None:
     command.add_argument("--seed", type=int, default=0)
     command.add_argument("--batch", type=int, default=12)
     command.add_argument("--learning-rate", type=float, default=1e-4, help="of Adam [1e-4]")
+    command.add_argument(
+        "--amp", action="store_true", help="bfloat16: where AMX, AVX512-BF16 or a GPU computes with it"
+    )
     command.add_argument("--checkpoint-every", type=int, default=200, metavar="STEPS")
     command.add_argument(
         "--baseline", type=float, nargs=2, default=(0.05, 0.30), metavar=("MIN_M", "MAX_M"), help="of pairs [0.05 0.30]"

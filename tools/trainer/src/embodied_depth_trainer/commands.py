@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -68,6 +69,7 @@ def run_train(options: argparse.Namespace) -> None:
         augment=not options.no_augmentation,
         coarse_weight=options.coarse_weight,
         uncertainty_weight=options.uncertainty_weight,
+        amp=options.amp,
         loss=LossOptions(
             smoothness=options.smoothness,
             geometry=options.geometry,
@@ -76,6 +78,7 @@ def run_train(options: argparse.Namespace) -> None:
         ),
     )
     trainer = Trainer(frames, pairs, settings, options.device)
+    start = time.perf_counter()
     with tqdm(total=options.steps, unit="step", disable=None) as bar:
 
         def told(step: int, loss: float) -> None:
@@ -87,7 +90,8 @@ def run_train(options: argparse.Namespace) -> None:
                 print(f"step {step} of {options.steps}, loss {loss:.4f}", file=sys.stderr, flush=True)
 
         file = train(trainer, options.steps, options.out, options.checkpoint_every, told)
-    print(f"{file}: {trainer.step} steps")
+    waited = trainer.batches.waited_s / (time.perf_counter() - start)
+    print(f"{file}: {trainer.step} steps; {waited:.1%} of the time was spent waiting for data")
 
 
 def run_evaluate(options: argparse.Namespace) -> None:

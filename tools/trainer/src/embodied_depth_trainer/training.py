@@ -25,6 +25,7 @@ from .errors import TrainerError
 from .frames import Frames
 from .losses import LossOptions, View, self_supervision
 from .pairs import Pairs
+from .prefetch import Prefetcher
 from .warp import Projector
 
 CHECKPOINT_FILE = "checkpoint.pt"
@@ -45,6 +46,8 @@ class Settings:
     """Weight of agreeing with confident coarse depth; see `coarse_error`. 0: photometric only, as in the paper."""
     uncertainty_weight: float = 0.05
     """Weight of `scale_surprise`."""
+    amp: bool = False
+    """Convolutions in bfloat16, the loss and the weights in float32."""
     loss: LossOptions = field(default_factory=LossOptions)
 
     def as_dict(self, frames: Frames) -> dict[str, Any]:
@@ -74,16 +77,24 @@ class Trainer:
             raise TrainerError(
                 f"{lost.sum()} of {len(frames)} poses are not finite, the first is {int(lost.argmax())}; leave them out"
             )
+        if settings.amp and settings.network == "student":
+            raise TrainerError(
+                "bfloat16 is too coarse for the student's last layer and gains it little; leave --amp out"
+            )
         self.frames, self.pairs, self.settings, self.device = frames, pairs, settings, device
-        self.network = build_network(settings.network, settings.depth_range_m, settings.seed).to(device)
+        network = build_network(settings.network, settings.depth_range_m, settings.seed)
+        # Channels innermost, as the processors' convolutions want them.
+        self.network = network.to(device).to(memory_format=torch.channels_last)
         if takes_coarse(self.network) and frames.coarse is None:
             raise TrainerError(
                 f"`{settings.network}` takes coarse depth; write it with `firmware-host perceive --recording RUN "
                 "--out DIR --dump DIR/coarse` and give --coarse DIR/coarse, or train `monodepth2_r18`"
             )
-        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate)
+        # One pass over the weights instead of a dozen.
+        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate, fused=True)
         self.projector = Projector(frames.camera, device)
         self.step = 0
+        self.batches = Prefetcher(self.batch)
 
     def resume(self, saved: Checkpoint, file: Path) -> None:
         """Goes on from a checkpoint of the same settings."""
@@ -104,16 +115,16 @@ class Trainer:
         settings = self.settings.as_dict(self.frames)
         return Checkpoint(self.step, self.settings.network, settings, weights, self.optimizer.state_dict())
 
-    def batch(self) -> Batch:
-        """What the next step will see."""
-        random = np.random.default_rng([self.settings.seed, self.step])
+    def batch(self, step: int) -> Batch:
+        """What a step sees."""
+        random = np.random.default_rng([self.settings.seed, step])
         targets, sources = self.pairs.sample(self.settings.batch, random)
         augment = random if self.settings.augment else None
         return make_batch(self.frames, targets, sources, self.settings.depth_range_m, augment, self.device)
 
     def loss(self, batch: Batch) -> Tensor:
         settings = self.settings
-        disparity, log_scale = output_of(self.network, batch.seen, batch.coarse)
+        disparity, log_scale = self._look(batch.seen, batch.coarse)
         depth_m = to_depth(disparity, settings.depth_range_m)
         views = []
         for index, (picture, pose) in enumerate(zip(batch.source_pictures, batch.t_source_target, strict=True)):
@@ -129,18 +140,22 @@ class Trainer:
             loss = loss + settings.uncertainty_weight * surprise
         return loss
 
+    def _look(self, rgb: Tensor, coarse: Tensor) -> tuple[Tensor, Tensor | None]:
+        with torch.autocast(torch.device(self.device).type, torch.bfloat16, enabled=self.settings.amp):
+            return output_of(self.network, rgb, coarse)
+
     @torch.no_grad()
     def _source_depth(self, batch: Batch, view: int) -> Tensor:
         """What the network says about a source; its batch statistics must not count."""
         self.network.eval()
         coarse = coarse_planes(self.frames, batch.sources[:, view], self.settings.depth_range_m, self.device)
-        disparity, _ = output_of(self.network, batch.source_pictures[view], coarse)
+        disparity, _ = self._look(batch.source_pictures[view], coarse)
         self.network.train()
         return to_depth(disparity, self.settings.depth_range_m)
 
     def advance(self) -> tuple[float, Batch]:
         """One step; its loss. Weights are untouched when that is not finite."""
-        batch = self.batch()
+        batch = self.batches(self.step)
         self.network.train()
         self.optimizer.zero_grad(set_to_none=True)
         loss = self.loss(batch)
