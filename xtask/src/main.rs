@@ -13,6 +13,7 @@ mod paths;
 mod peers;
 mod policies;
 mod test;
+mod trainer;
 
 use std::process::ExitCode;
 

@@ -123,8 +123,11 @@ class Trainer:
         return make_batch(self.frames, targets, sources, self.settings.depth_range_m, augment, self.device)
 
     def loss(self, batch: Batch) -> Tensor:
+        return self.loss_of(batch, *self.look(batch.seen, batch.coarse))
+
+    def loss_of(self, batch: Batch, disparity: Tensor, log_scale: Tensor | None) -> Tensor:
+        """Of what the network said."""
         settings = self.settings
-        disparity, log_scale = self._look(batch.seen, batch.coarse)
         depth_m = to_depth(disparity, settings.depth_range_m)
         views = []
         for index, (picture, pose) in enumerate(zip(batch.source_pictures, batch.t_source_target, strict=True)):
@@ -140,7 +143,8 @@ class Trainer:
             loss = loss + settings.uncertainty_weight * surprise
         return loss
 
-    def _look(self, rgb: Tensor, coarse: Tensor) -> tuple[Tensor, Tensor | None]:
+    def look(self, rgb: Tensor, coarse: Tensor) -> tuple[Tensor, Tensor | None]:
+        """What the network says; see `output_of`."""
         with torch.autocast(torch.device(self.device).type, torch.bfloat16, enabled=self.settings.amp):
             return output_of(self.network, rgb, coarse)
 
@@ -149,7 +153,7 @@ class Trainer:
         """What the network says about a source; its batch statistics must not count."""
         self.network.eval()
         coarse = coarse_planes(self.frames, batch.sources[:, view], self.settings.depth_range_m, self.device)
-        disparity, _ = self._look(batch.source_pictures[view], coarse)
+        disparity, _ = self.look(batch.source_pictures[view], coarse)
         self.network.train()
         return to_depth(disparity, self.settings.depth_range_m)
 
