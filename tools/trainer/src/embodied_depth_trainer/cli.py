@@ -93,11 +93,18 @@ def _add_train(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--gap", type=int, help="instead: pairs this many frames apart, as the paper's (4 or 15)")
     command.add_argument("--depth-range", type=float, nargs=2, default=(0.1, 20.0), metavar=("MIN_M", "MAX_M"))
-    command.add_argument("--smoothness", type=float, default=1e-3, help="weight [1e-3]")
-    command.add_argument("--geometry", type=float, default=0.0, help="weight of the geometry consistency [0]")
+    command.add_argument("--smoothness", type=float, help="weight [1e-3; sc_depth_r18: 0.1]")
+    command.add_argument("--geometry", type=float, help="weight of the geometry consistency [0; sc_depth_r18: 0.5]")
     command.add_argument("--coarse-weight", type=float, default=0.1, help="weight of agreeing with coarse depth [0.1]")
     command.add_argument("--uncertainty-weight", type=float, default=0.05, help="of learning the own error [0.05]")
-    command.add_argument("--auto-mask", action="store_true", help="as in the paper's code")
+    command.add_argument(
+        "--auto-mask", action=argparse.BooleanOptionalAction, help="as in the paper's code [only sc_depth_r18]"
+    )
+    command.add_argument("--visibility", action="store_true", help="leave out points that others hide from the source")
+    command.add_argument("--census", action="store_true", help="compare structure instead of colours")
+    command.add_argument(
+        "--teacher-steps", type=int, default=2000, help="manydepth_r18: its teacher learns so long [2000]"
+    )
     command.add_argument("--no-exposure", action="store_true", help="do not fit gain and bias of a pair")
     command.add_argument("--no-augmentation", action="store_true", help="neither change colours nor cut holes")
 

@@ -7,7 +7,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import torch
@@ -22,6 +22,7 @@ from .errors import TrainerError
 from .evaluation import evaluate, table
 from .frames import Frames, join
 from .losses import LossOptions
+from .objectives import recipe
 from .pairs import PairRule, Pairs, pairs_by_baseline, pairs_by_gap
 from .recording import read_recording
 from .training import Settings, Trainer, train
@@ -53,6 +54,19 @@ def find_pairs(frames: Frames, gap: int | None, rule: PairRule) -> Pairs:
     return pairs_by_baseline(frames, rule) if gap is None else pairs_by_gap(frames, gap)
 
 
+def loss_options(options: argparse.Namespace) -> LossOptions:
+    """The network's recipe, and what was asked for instead."""
+    asked = {name: getattr(options, name) for name in ("smoothness", "geometry", "auto_mask")}
+    given = {name: value for name, value in asked.items() if value is not None}
+    return replace(
+        recipe(options.network),
+        exposure=not options.no_exposure,
+        visibility=options.visibility,
+        census=options.census,
+        **given,
+    )
+
+
 def run_train(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
     frames = read_frames(options.recording, options.coarse, options.dataset, options.size)
@@ -70,12 +84,8 @@ def run_train(options: argparse.Namespace) -> None:
         coarse_weight=options.coarse_weight,
         uncertainty_weight=options.uncertainty_weight,
         amp=options.amp,
-        loss=LossOptions(
-            smoothness=options.smoothness,
-            geometry=options.geometry,
-            auto_mask=options.auto_mask,
-            exposure=not options.no_exposure,
-        ),
+        teacher_steps=options.teacher_steps,
+        loss=loss_options(options),
     )
     trainer = Trainer(frames, pairs, settings, options.device)
     start = time.perf_counter()

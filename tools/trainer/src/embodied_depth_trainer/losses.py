@@ -6,13 +6,15 @@ Pictures are RGB in 0..1, `[B, 3, H, W]`; depths z in metres, `[B, 1, H, W]`; er
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from .census import census, census_error
 from .photometric import Patches, photometric_error
+from .visibility import visible
 from .warp import Projection
 
 # A camera's automatic exposure changes by less than this between two neighbouring pictures.
@@ -54,8 +56,8 @@ def smoothness(disparity: Tensor, picture: Tensor) -> Tensor:
 
 def geometry_inconsistency(projection: Projection, source_depth_m: Tensor) -> Tensor:
     """|z - z'| / (z + z') in 0..1 between a point's depth in the source camera and the depth that the source picture
-    itself says there (Bian et al. 2019, SC-SfMLearner). `source_depth_m` gets no gradient."""
-    said = projection.sample(source_depth_m.detach())
+    itself says there (Bian et al. 2019, SC-SfMLearner)."""
+    said = projection.sample(source_depth_m)
     computed = projection.depth_m.clamp(min=1e-3)
     return (computed - said).abs() / (computed + said)
 
@@ -72,6 +74,12 @@ class LossOptions:
     baselines make it remove just the pixels that have no other supervision."""
     exposure: bool = True
     """Brings the warped picture to the target's gain and bias first."""
+    both_ways: bool = False
+    """Sources are explained by the target as well, and their depth learns from it (SC-Depth)."""
+    visibility: bool = False
+    """Leaves out points that another point hides from the source."""
+    census: bool = False
+    """Compares structure instead of colours: for lights that change."""
 
 
 @dataclass(frozen=True)
@@ -90,35 +98,49 @@ def self_supervision(
     views: Sequence[View],
     options: LossOptions,
     generator: torch.Generator | None = None,
+    only: Tensor | None = None,
 ) -> Tensor:
-    """The scalar loss: the photometric error of the best source of every pixel that some source sees, and
-    smoothness."""
-    target = Patches.of(picture)
+    """The scalar loss: the photometric error of the best source of every pixel that some source sees (of those in
+    `only`, bool [B, 1, H, W]), and smoothness."""
+    error_of = _error_to(picture, options)
     errors: list[Tensor] = []
+    insides: list[Tensor] = []
     geometry = disparity.new_zeros(())
     for view in views:
         warped = view.projection.sample(view.picture)
+        inside = visible(view.projection) if options.visibility else view.projection.inside
         if options.exposure:
-            warped = same_exposure(picture, warped, view.projection.inside)
-        error = photometric_error(target, warped)
+            warped = same_exposure(picture, warped, inside)
+        error = error_of(warped)
         if options.geometry > 0 and view.depth_m is not None:
             inconsistency = geometry_inconsistency(view.projection, view.depth_m)
             error = error * (1 - inconsistency.detach())
-            geometry = geometry + _mean_where(inconsistency, view.projection.inside) / len(views)
+            geometry = geometry + _mean_where(inconsistency, inside) / len(views)
         errors.append(error)
+        insides.append(inside)
     error = torch.cat(errors, 1)
     with torch.no_grad():
-        inside = torch.cat([view.projection.inside for view in views], 1)
-        least, best = torch.where(inside, error, torch.inf).min(1, keepdim=True)
+        least, best = torch.where(torch.cat(insides, 1), error, torch.inf).min(1, keepdim=True)
         counts = torch.isfinite(least)
+        if only is not None:
+            counts = counts & only
         if options.auto_mask:
-            still = functools.reduce(torch.minimum, [photometric_error(target, view.picture) for view in views])
+            still = functools.reduce(torch.minimum, [error_of(view.picture) for view in views])
             noise = torch.randn(still.shape, generator=generator, dtype=still.dtype).to(still.device)
             counts = counts & (least < still + AUTO_MASK_NOISE * noise)
         # 1 at the best source of every pixel that counts.
         chosen = torch.zeros_like(error).scatter_(1, best, counts.to(error.dtype))
     loss = (error * chosen).sum() / counts.sum().clamp(min=1) + options.smoothness * smoothness(disparity, picture)
     return loss + options.geometry * geometry
+
+
+def _error_to(picture: Tensor, options: LossOptions) -> Callable[[Tensor], Tensor]:
+    """The error [B, 1, H, W] of a warped picture; what belongs to the target is computed once."""
+    if options.census:
+        signs = census(picture)
+        return lambda warped: census_error(signs, warped)
+    patches = Patches.of(picture)
+    return lambda warped: photometric_error(patches, warped)
 
 
 def _mean_where(values: Tensor, mask: Tensor) -> Tensor:

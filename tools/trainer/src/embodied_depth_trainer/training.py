@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +18,18 @@ import torch
 from torch import Tensor, nn
 
 from . import checkpoint as checkpoints
-from .batches import Batch, coarse_planes, make_batch, to_depth
+from .batches import Batch, make_batch, to_depth
 from .checkpoint import Checkpoint
 from .depth_networks import SIZE_STEP, build_network, output_of, takes_coarse
 from .errors import TrainerError
 from .frames import Frames
+from .inputs import second_input
 from .losses import LossOptions, View, self_supervision
+from .manydepth import Disturbance, ManyDepth
+from .objectives import both_ways, with_teacher
 from .pairs import Pairs
 from .prefetch import Prefetcher
+from .volume import volume_planes
 from .warp import Projector
 
 CHECKPOINT_FILE = "checkpoint.pt"
@@ -46,6 +50,8 @@ class Settings:
     """Weight of agreeing with confident coarse depth; see `coarse_error`. 0: photometric only, as in the paper."""
     uncertainty_weight: float = 0.05
     """Weight of `scale_surprise`."""
+    teacher_steps: int = 2000
+    """ManyDepth's single-frame teacher learns so long."""
     amp: bool = False
     """Convolutions in bfloat16, the loss and the weights in float32."""
     loss: LossOptions = field(default_factory=LossOptions)
@@ -120,9 +126,23 @@ class Trainer:
         random = np.random.default_rng([self.settings.seed, step])
         targets, sources = self.pairs.sample(self.settings.batch, random)
         augment = random if self.settings.augment else None
-        return make_batch(self.frames, targets, sources, self.settings.depth_range_m, augment, self.device)
+        batch = make_batch(self.frames, targets, sources, self.settings.depth_range_m, augment, self.device)
+        return self._with_volume(batch, augment) if isinstance(self.network, ManyDepth) else batch
+
+    def _with_volume(self, batch: Batch, random: np.random.Generator | None) -> Batch:
+        """With the cost volume in place of the coarse depth; disturbed at random where `random` is given."""
+        assert isinstance(self.network, ManyDepth)
+        disturbance = Disturbance.draw(len(batch.targets), random) if random is not None else Disturbance.none()
+        planes = volume_planes(self.frames, batch.targets, self.network.depths_m, self.device, disturbance.still)
+        if disturbance.empty is not None:
+            planes[torch.from_numpy(disturbance.empty).to(planes.device)] = 0
+        return replace(batch, coarse=planes)
 
     def loss(self, batch: Batch) -> Tensor:
+        if isinstance(self.network, ManyDepth):
+            return with_teacher(self, batch)
+        if self.settings.loss.both_ways:
+            return both_ways(self, batch)
         return self.loss_of(batch, *self.look(batch.seen, batch.coarse))
 
     def loss_of(self, batch: Batch, disparity: Tensor, log_scale: Tensor | None) -> Tensor:
@@ -133,9 +153,8 @@ class Trainer:
         for index, (picture, pose) in enumerate(zip(batch.source_pictures, batch.t_source_target, strict=True)):
             said = self._source_depth(batch, index) if settings.loss.geometry > 0 else None
             views.append(View(picture, self.projector(depth_m, pose), said))
-        noise = torch.Generator().manual_seed(self.step) if settings.loss.auto_mask else None
         # Physical disparity, not x: the mean normalisation is meant for 1/depth.
-        loss = self_supervision(batch.picture, 1 / depth_m, views, settings.loss, noise)
+        loss = self_supervision(batch.picture, 1 / depth_m, views, settings.loss, self.noise())
         if settings.coarse_weight > 0 and self.frames.coarse is not None:
             loss = loss + settings.coarse_weight * coarse_error(depth_m, batch.coarse_whole, settings.depth_range_m)
         if log_scale is not None:
@@ -143,17 +162,26 @@ class Trainer:
             loss = loss + settings.uncertainty_weight * surprise
         return loss
 
-    def look(self, rgb: Tensor, coarse: Tensor) -> tuple[Tensor, Tensor | None]:
+    def look(self, rgb: Tensor, second: Tensor) -> tuple[Tensor, Tensor | None]:
         """What the network says; see `output_of`."""
-        with torch.autocast(torch.device(self.device).type, torch.bfloat16, enabled=self.settings.amp):
-            return output_of(self.network, rgb, coarse)
+        with self.autocast():
+            return output_of(self.network, rgb, second)
+
+    def autocast(self) -> torch.autocast:
+        """Where networks compute."""
+        return torch.autocast(torch.device(self.device).type, torch.bfloat16, enabled=self.settings.amp)
+
+    def noise(self) -> torch.Generator | None:
+        """What breaks the auto-mask's ties in this step."""
+        return torch.Generator().manual_seed(self.step) if self.settings.loss.auto_mask else None
 
     @torch.no_grad()
     def _source_depth(self, batch: Batch, view: int) -> Tensor:
         """What the network says about a source; its batch statistics must not count."""
         self.network.eval()
-        coarse = coarse_planes(self.frames, batch.sources[:, view], self.settings.depth_range_m, self.device)
-        disparity, _ = self.look(batch.source_pictures[view], coarse)
+        index, range_m = batch.sources[:, view], self.settings.depth_range_m
+        second = second_input(self.network, self.frames, index, range_m, self.device)
+        disparity, _ = self.look(batch.source_pictures[view], second)
         self.network.train()
         return to_depth(disparity, self.settings.depth_range_m)
 
