@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from . import experiment
 from .commands import run_evaluate, run_train
 from .errors import TrainerError
 from .export_depth import DEPTH_NETWORKS, DepthExport, export_checkpoint, export_depth
@@ -87,6 +88,10 @@ def _add_train(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--amp", action="store_true", help="bfloat16: where AMX, AVX512-BF16 or a GPU computes with it"
     )
+    command.add_argument("--experiment", type=Path, help="TOML file of these options; what is typed here wins")
+    command.add_argument("--tensorboard", action="store_true", help="write OUT/tensorboard")
+    command.add_argument("--buffer", type=int, metavar="PICTURES", help="learn from so many at most [all]")
+    command.add_argument("--keep", choices=("newest", "poses"), default="newest", help="which, if there are more")
     command.add_argument("--checkpoint-every", type=int, default=200, metavar="STEPS")
     command.add_argument(
         "--baseline", type=float, nargs=2, default=(0.05, 0.30), metavar=("MIN_M", "MAX_M"), help="of pairs [0.05 0.30]"
@@ -115,9 +120,17 @@ def _add_evaluate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--json", type=Path, help="also write the numbers here")
 
 
+def with_experiment(arguments: Sequence[str]) -> Sequence[str]:
+    """With the options of `--experiment FILE` after the command, so that those that were typed win."""
+    finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    finder.add_argument("--experiment", type=Path)
+    found, _ = finder.parse_known_args(arguments)
+    return arguments if found.experiment is None else [arguments[0], *experiment.read(found.experiment), *arguments[1:]]
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    options = parser().parse_args(arguments)
     try:
+        options = parser().parse_args(with_experiment(sys.argv[1:] if arguments is None else arguments))
         if options.command == "train":
             run_train(options)
         elif options.command == "evaluate":

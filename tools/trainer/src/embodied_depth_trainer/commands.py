@@ -15,6 +15,9 @@ from torch import nn
 from tqdm import tqdm
 
 from . import checkpoint as checkpoints
+from . import experiment, processes
+from .board import Board
+from .buffer import kept
 from .checkpoint import write_atomically
 from .coarse import read_dataset_dump, with_coarse
 from .depth_networks import build_network
@@ -26,6 +29,9 @@ from .objectives import recipe
 from .pairs import PairRule, Pairs, pairs_by_baseline, pairs_by_gap
 from .recording import read_recording
 from .training import Settings, Trainer, train
+
+# What a training was run with, beside its checkpoint.
+EXPERIMENT_FILE = "experiment.toml"
 
 
 def read_frames(
@@ -69,10 +75,13 @@ def loss_options(options: argparse.Namespace) -> LossOptions:
 
 def run_train(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
+    device = processes.start(options.device)
     frames = read_frames(options.recording, options.coarse, options.dataset, options.size)
     low, high = options.baseline
     pairs = find_pairs(frames, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
     print(f"{len(frames)} pictures, {len(pairs)} of them with sources", file=sys.stderr)
+    if options.buffer is not None:
+        pairs = kept(frames, pairs, options.buffer, options.keep, options.seed)
     near, far = options.depth_range
     settings = Settings(
         network=options.network,
@@ -87,19 +96,28 @@ def run_train(options: argparse.Namespace) -> None:
         teacher_steps=options.teacher_steps,
         loss=loss_options(options),
     )
-    trainer = Trainer(frames, pairs, settings, options.device)
+    trainer = Trainer(frames, pairs, settings, device)
+    first = processes.rank() == 0
+    if first:
+        asked = {name: value for name, value in vars(options).items() if name not in ("command", "experiment")}
+        write_atomically(experiment.written(asked).encode(), options.out / EXPERIMENT_FILE)
+    board = Board(options.out / "tensorboard", trainer) if options.tensorboard and first else None
     start = time.perf_counter()
-    with tqdm(total=options.steps, unit="step", disable=None) as bar:
+    with tqdm(total=options.steps, unit="step", disable=None if first else True) as bar:
 
         def told(step: int, loss: float) -> None:
+            if board:
+                board.told(step, loss)
             bar.n = step
             bar.set_postfix(loss=f"{loss:.4f}", refresh=False)
             bar.update(0)
             # Without a terminal, a line every tenth.
-            if bar.disable and step % max(1, options.steps // 10) == 0:
+            if first and bar.disable and step % max(1, options.steps // 10) == 0:
                 print(f"step {step} of {options.steps}, loss {loss:.4f}", file=sys.stderr, flush=True)
 
         file = train(trainer, options.steps, options.out, options.checkpoint_every, told)
+    if board:
+        board.close()
     waited = trainer.batches.waited_s / (time.perf_counter() - start)
     print(f"{file}: {trainer.step} steps; {waited:.1%} of the time was spent waiting for data")
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from . import processes
 from .census import census, census_error
 from .photometric import Patches, photometric_error
 from .visibility import visible
@@ -130,7 +131,9 @@ def self_supervision(
             counts = counts & (least < still + AUTO_MASK_NOISE * noise)
         # 1 at the best source of every pixel that counts.
         chosen = torch.zeros_like(error).scatter_(1, best, counts.to(error.dtype))
-    loss = (error * chosen).sum() / counts.sum().clamp(min=1) + options.smoothness * smoothness(disparity, picture)
+    loss = (error * chosen).sum() / processes.mean(counts.sum().float()).clamp(min=1) + options.smoothness * smoothness(
+        disparity, picture
+    )
     return loss + options.geometry * geometry
 
 
@@ -145,4 +148,4 @@ def _error_to(picture: Tensor, options: LossOptions) -> Callable[[Tensor], Tenso
 
 def _mean_where(values: Tensor, mask: Tensor) -> Tensor:
     """Mean over a mask; 0 where it is empty. The masked-out values may be infinite."""
-    return torch.where(mask, values, 0.0).sum() / mask.sum().clamp(min=1)
+    return torch.where(mask, values, 0.0).sum() / processes.mean(mask.sum().float()).clamp(min=1)

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from . import checkpoint as checkpoints
+from . import processes
 from .batches import Batch, make_batch, to_depth
 from .checkpoint import Checkpoint
 from .depth_networks import SIZE_STEP, build_network, output_of, takes_coarse
@@ -78,6 +79,11 @@ class Trainer:
                 f"the networks halve five times and cannot take {height}x{width} pictures; "
                 f"give --size with multiples of {SIZE_STEP}"
             )
+        if settings.batch % processes.count():
+            raise TrainerError(
+                f"a batch of {settings.batch} cannot be shared by {processes.count()} processes; "
+                "give --batch a multiple"
+            )
         lost = ~np.isfinite(frames.t_world_camera).all(axis=(1, 2))
         if lost.any():
             raise TrainerError(
@@ -90,7 +96,8 @@ class Trainer:
         self.frames, self.pairs, self.settings, self.device = frames, pairs, settings, device
         network = build_network(settings.network, settings.depth_range_m, settings.seed)
         # Channels innermost, as the processors' convolutions want them.
-        self.network = network.to(device).to(memory_format=torch.channels_last)
+        network = network.to(device).to(memory_format=torch.channels_last)
+        self.network = processes.share_batch_norms(network)
         if takes_coarse(self.network) and frames.coarse is None:
             raise TrainerError(
                 f"`{settings.network}` takes coarse depth; write it with `firmware-host perceive --recording RUN "
@@ -127,7 +134,8 @@ class Trainer:
         targets, sources = self.pairs.sample(self.settings.batch, random)
         augment = random if self.settings.augment else None
         batch = make_batch(self.frames, targets, sources, self.settings.depth_range_m, augment, self.device)
-        return self._with_volume(batch, augment) if isinstance(self.network, ManyDepth) else batch
+        batch = self._with_volume(batch, augment) if isinstance(self.network, ManyDepth) else batch
+        return batch.share(processes.rank(), processes.count())
 
     def _with_volume(self, batch: Batch, random: np.random.Generator | None) -> Batch:
         """With the cost volume in place of the coarse depth; disturbed at random where `random` is given."""
@@ -192,8 +200,9 @@ class Trainer:
         self.optimizer.zero_grad(set_to_none=True)
         loss = self.loss(batch)
         loss.backward()  # type: ignore[no-untyped-call]
+        processes.average_gradients(self.network)
         norm = nn.utils.get_total_norm([p.grad for p in self.network.parameters() if p.grad is not None])
-        value = float(loss.detach())
+        value = float(processes.mean(loss.detach()))
         if not (np.isfinite(value) and torch.isfinite(norm)):
             raise _BadBatchError(batch, value)
         self.optimizer.step()
@@ -212,7 +221,7 @@ def coarse_error(depth_m: Tensor, coarse: Tensor, depth_range_m: tuple[float, fl
     shown it: several keyframes and an epipolar search know more than two neighbours' colours do. Scalar."""
     weight = coarse[:, 1:2] * coarse[:, 2:3]
     error = (depth_m.log() - to_depth(coarse[:, :1], depth_range_m).log()).abs()
-    return (weight * error).sum() / weight.sum().clamp(min=1.0)
+    return (weight * error).sum() / processes.mean(weight.sum()).clamp(min=1.0)
 
 
 def scale_surprise(depth_m: Tensor, log_scale: Tensor, coarse: Tensor, depth_range_m: tuple[float, float]) -> Tensor:
@@ -225,7 +234,7 @@ def scale_surprise(depth_m: Tensor, log_scale: Tensor, coarse: Tensor, depth_ran
     valid, confidence = coarse[:, 1:2], coarse[:, 2:3].clamp(0.01, 0.999)
     distance = (depth_m.log() - to_depth(coarse[:, :1], depth_range_m).log()).abs()
     error = distance - math.log(1.25) / torch.log1p(-confidence)
-    return (valid * (error * torch.exp(-log_scale) + log_scale)).sum() / valid.sum().clamp(min=1.0)
+    return (valid * (error * torch.exp(-log_scale) + log_scale)).sum() / processes.mean(valid.sum()).clamp(min=1.0)
 
 
 def train(
@@ -239,9 +248,11 @@ def train(
     file = out / CHECKPOINT_FILE
     if file.exists():
         trainer.resume(checkpoints.load(file), file)
-    else:
-        # A disk that cannot be written shows now, not after the first hour.
-        checkpoints.save(trainer.checkpoint(), file)
+    # Nobody writes before all have looked.
+    processes.wait_for_all()
+    # A disk that cannot be written shows now, not after the first hour.
+    if not file.exists():
+        _save(trainer, file)
     while trainer.step < steps:
         try:
             loss, _ = trainer.advance()
@@ -257,6 +268,13 @@ def train(
             ) from None
         told(trainer.step, loss)
         if trainer.step % checkpoint_every == 0 and trainer.step < steps:
-            checkpoints.save(trainer.checkpoint(), file)
-    checkpoints.save(trainer.checkpoint(), file)
+            _save(trainer, file)
+    _save(trainer, file)
+    processes.wait_for_all()
     return file
+
+
+def _save(trainer: Trainer, file: Path) -> None:
+    """All processes have the same weights; one writes them."""
+    if processes.rank() == 0:
+        checkpoints.save(trainer.checkpoint(), file)
