@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 
-use crate::{command, models, onnx_runtime, peers};
+use crate::{command, models, onnx_runtime, peers, trainer};
 
 pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
     let mut bench = command::cargo();
@@ -22,6 +22,12 @@ pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
     match peers::install() {
         Ok(packages) => _ = bench.env("BENCH_PYTHON", "python3").env("PYTHONPATH", packages),
         Err(error) => eprintln!("no peers in Python: {error:#}"),
+    }
+    // PyTorch is large: only who asks for its room gets it installed.
+    if filter == Some("trainer") || trainer::is_installed() {
+        bench.env("BENCH_TRAINER", trainer::install()?);
+    } else {
+        eprintln!("no rows of the trainer: `cargo xtask bench trainer` installs it");
     }
     command::run(&mut bench)
 }

@@ -13,6 +13,7 @@ mod paths;
 mod peers;
 mod policies;
 mod test;
+mod trainer;
 
 use std::process::ExitCode;
 
@@ -25,7 +26,11 @@ enum Chore {
     /// Explore a built-in home and show depth, map, path and recording.
     Demo,
     /// Format, lints, every test, licences.
-    Test,
+    Test {
+        /// The trainer as well, also where PyTorch (5 GB) must be installed for it. CI always does.
+        #[arg(long)]
+        all: bool,
+    },
     /// The benchmark table.
     Bench {
         /// Print JSON instead of a table.
@@ -69,7 +74,7 @@ fn main() -> ExitCode {
 fn run(chore: &Chore) -> anyhow::Result<()> {
     match chore {
         Chore::Demo => demo::run(),
-        Chore::Test => test::run(),
+        Chore::Test { all } => test::run(*all),
         Chore::Bench { json, filter } => bench::run(*json, filter.as_deref()),
         Chore::Accuracy { arguments } => accuracy::run(arguments),
         Chore::Policies { frames, seeds } => policies::run(*frames, *seeds),

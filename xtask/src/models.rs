@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 
-use crate::{command, onnx_runtime, paths};
+use crate::{command, paths, trainer};
 
 /// What benchmarks time: names of the files, and how each is made. Random weights take as long as trained ones.
 const MODELS: [(&str, &[&str]); 4] = [
@@ -29,28 +29,15 @@ pub fn run() -> Result<()> {
         println!("all networks are in {}", folder().display());
         return Ok(());
     }
-    let trainer = install_trainer()?;
+    let python = trainer::install()?;
     for (name, arguments) in missing {
-        command::run(command::program(&trainer).args(*arguments).arg("--out").arg(file(name)))?;
+        let mut export = command::program(&python);
+        export.args(["-m", "embodied_depth_trainer.cli"]).args(*arguments);
+        command::run(export.arg("--out").arg(file(name)))?;
     }
     Ok(())
 }
 
 fn file(name: &str) -> PathBuf {
     folder().join(name).with_extension("onnx")
-}
-
-/// The trainer's own virtual environment.
-fn install_trainer() -> Result<PathBuf> {
-    let environment = paths::target().join("tools/trainer");
-    let trainer = environment.join("bin/embodied-depth");
-    if !command::works(command::program(&trainer).arg("--help")) {
-        eprintln!("installing PyTorch (5 GB) into {}, once; this takes some minutes", environment.display());
-        command::run(onnx_runtime::python()?.args(["-m", "venv"]).arg(&environment))
-            .context("python3 has no venv; `apt-get install python3-venv` may help")?;
-        let mut pip = command::program(environment.join("bin/python"));
-        pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--editable"]);
-        command::run(pip.arg(paths::root().join("tools/trainer")))?;
-    }
-    Ok(trainer)
 }

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 
-use crate::{command, nextest, onnx_runtime};
+use crate::{command, nextest, onnx_runtime, paths, trainer};
 
 /// What became of a step.
 enum Outcome {
@@ -14,26 +14,28 @@ enum Outcome {
     Skipped(&'static str),
 }
 
-pub fn run() -> Result<()> {
+pub fn run(all: bool) -> Result<()> {
     let onnx_runtime = onnx_runtime::install()?;
     let cargo = |arguments: &str| {
         let mut cargo = command::cargo();
         cargo.args(arguments.split_whitespace()).env("ORT_DYLIB_PATH", &onnx_runtime);
         cargo
     };
-    let tests = match (nextest::install(), std::env::var_os("CI").is_some()) {
+    let ci = std::env::var_os("CI").is_some();
+    let tests = match (nextest::install(), ci) {
         (true, true) => "nextest run --workspace --locked --profile ci",
         (true, false) => "nextest run --workspace --locked",
         (false, _) => "test --workspace --locked --lib --bins --tests",
     };
     // All steps run, also after one has failed: whoever waited for them wants to know everything at once.
-    let outcomes = [
+    let mut outcomes = vec![
         ("format", step(&mut cargo("fmt --all --check"))),
         ("lints", step(&mut cargo("clippy --workspace --all-targets --locked -- -D warnings"))),
         ("tests", step(&mut cargo(tests))),
         ("examples in the documentation", step(&mut cargo("test --workspace --locked --doc --quiet"))),
         ("licences and sources", licences()),
     ];
+    outcomes.extend(trainer_steps(all || ci)?);
     println!();
     let mut failed = Vec::new();
     for (name, (outcome, seconds)) in &outcomes {
@@ -51,6 +53,27 @@ pub fn run() -> Result<()> {
     }
     println!("xtask test: all passed");
     Ok(())
+}
+
+/// Lints, types and tests of the trainer. PyTorch is large (5 GB, minutes): without `--all` and outside of CI, only who has
+/// it already pays for it.
+fn trainer_steps(install: bool) -> Result<Vec<(&'static str, (Outcome, f64))>> {
+    if !install && !trainer::is_installed() {
+        let why = "PyTorch is not installed; `cargo xtask test --all` installs it (5 GB)";
+        return Ok(vec![("trainer", (Outcome::Skipped(why), 0.0))]);
+    }
+    let python = trainer::install()?;
+    let module = |arguments: &str| {
+        let mut module = command::program(&python);
+        module.current_dir(paths::root().join("tools/trainer")).arg("-m").args(arguments.split_whitespace());
+        step(&mut module)
+    };
+    Ok(vec![
+        ("trainer: format", module("ruff format --check .")),
+        ("trainer: lints", module("ruff check .")),
+        ("trainer: types", module("mypy")),
+        ("trainer: tests", module("pytest --quiet")),
+    ])
 }
 
 fn step(command: &mut Command) -> (Outcome, f64) {

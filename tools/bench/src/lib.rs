@@ -9,6 +9,7 @@ pub mod peers;
 pub mod perception;
 pub mod report;
 pub mod simulator;
+pub mod trainer;
 
 use report::Row;
 
@@ -21,6 +22,7 @@ pub const ROOMS: &[(&str, Measure)] = &[
     ("mapping", mapping::measure),
     ("network", network::rows),
     ("perception", perception_rows),
+    ("trainer", trainer::rows),
 ];
 
 /// From the camera's bytes to coarse depth, and optical flow.

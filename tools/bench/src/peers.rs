@@ -23,20 +23,36 @@ impl PeerProcess {
     /// When the script does not get ready.
     pub fn start(script: &str, arguments: &[&str]) -> Result<Option<Self>> {
         let Some(python) = std::env::var_os("BENCH_PYTHON") else { return Ok(None) };
+        Self::spawn(Command::new(python), script, arguments).map(Some)
+    }
+
+    /// The same with the Python that has the trainer, which `BENCH_TRAINER` names.
+    ///
+    /// # Errors
+    /// When the script does not get ready.
+    pub fn start_trainer(script: &str, arguments: &[&str]) -> Result<Option<Self>> {
+        let Some(python) = std::env::var_os("BENCH_TRAINER") else { return Ok(None) };
+        let mut command = Command::new(python);
+        // Its own packages, not those of the other peers.
+        command.env("PYTHONPATH", Path::new(env!("CARGO_MANIFEST_DIR")).join("../trainer/src"));
+        Self::spawn(command, script, arguments).map(Some)
+    }
+
+    fn spawn(mut python: Command, script: &str, arguments: &[&str]) -> Result<Self> {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("peers").join(script);
-        let mut child = Command::new(&python)
+        let mut child = python
             .arg(&path)
             .args(arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
-            .with_context(|| format!("starting {} with {}", path.display(), python.display()))?;
+            .with_context(|| format!("starting {} with {}", path.display(), python.get_program().display()))?;
         let input = child.stdin.take().context("a peer without input")?;
         let output = BufReader::new(child.stdout.take().context("a peer without output")?);
         let mut peer = Self { script: script.to_owned(), child, input, output };
         let answer = peer.answer()?;
         ensure!(answer == "ready", "{script} answered `{answer}` instead of `ready`");
-        Ok(Some(peer))
+        Ok(peer)
     }
 
     /// Seconds that the piece of work `name` takes now, as the script measures it.

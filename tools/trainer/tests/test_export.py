@@ -33,7 +33,8 @@ def test_a_depth_file_says_what_the_robot_needs_to_know(network: str, tmp_path: 
     model = onnx.load(str(out))
     names = [value.name for value in model.graph.input]
     said = metadata(out)
-    assert said["kind"] == "+".join(names) == ("rgb" if network == "monodepth2_r18" else "rgb+coarse")
+    kinds = {"monodepth2_r18": "rgb", "sc_depth_r18": "rgb", "manydepth_r18": "rgb+volume"}
+    assert said["kind"] == "+".join(names) == kinds.get(network, "rgb+coarse")
     assert (said["output"], said["min_depth_m"], said["max_depth_m"]) == ("disparity", "0.3", "10.0")
     assert (said["input_width"], said["input_height"], said["opset"]) == ("64", "32", "17")
     assert said["weights"] == "random"
@@ -58,7 +59,7 @@ def test_a_trained_student_becomes_a_bundle_that_proves_itself(tmp_path: Path) -
     assert json.loads(said["intrinsics"])["fx"] == 48.0
     assert json.loads(said["training"])["steps"] == 3
     size = (32, 96)
-    inputs = golden_inputs(said, ["rgb", "coarse"], size)
+    inputs = golden_inputs(said, {"rgb": 3, "coarse": 3}, size)
     session = onnxruntime.InferenceSession(str(out), providers=["CPUExecutionProvider"])
     found = session.run(None, {name: value.numpy() for name, value in inputs.items()})[0]
     assert np.allclose(at_block_centres(found[0, 0]), golden_output(said, size), atol=1e-4)

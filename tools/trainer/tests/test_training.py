@@ -24,6 +24,7 @@ from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.evaluation import evaluate
 from embodied_depth_trainer.frames import Frames
 from embodied_depth_trainer.losses import LossOptions
+from embodied_depth_trainer.objectives import recipe
 from embodied_depth_trainer.onnx_file import random_picture
 from embodied_depth_trainer.pairs import PairRule, pairs_by_baseline
 from embodied_depth_trainer.training import Settings, Trainer, scale_surprise, train
@@ -62,9 +63,20 @@ def same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
         QUICK,
         replace(QUICK, loss=LossOptions(geometry=0.1, auto_mask=True)),
         replace(QUICK, network="monodepth2_r18"),
+        replace(QUICK, network="monodepth2_r18", amp=True, loss=LossOptions(visibility=True, census=True)),
+        replace(QUICK, network="sc_depth_r18", loss=recipe("sc_depth_r18")),
+        replace(QUICK, network="manydepth_r18", teacher_steps=3),
         replace(QUICK, network="edn_r18"),
     ],
-    ids=["student", "geometry and auto-mask", "monodepth2_r18", "edn_r18"],
+    ids=[
+        "student",
+        "geometry and auto-mask",
+        "monodepth2_r18",
+        "bfloat16, visibility and census",
+        "sc_depth_r18",
+        "manydepth_r18",
+        "edn_r18",
+    ],
 )
 def test_half_the_steps_and_then_the_rest_give_the_same_bits(walk: Frames, settings: Settings, tmp_path: Path) -> None:
     in_one = train(trainer(walk, settings), 4, tmp_path / "one")
@@ -115,7 +127,7 @@ def test_a_loss_that_is_not_finite_stops_and_leaves_the_samples(walk: Frames, tm
         train(trainer(walk), 50, tmp_path)
     assert file.read_bytes() == before
     saved = torch.load(tmp_path / "bad_batch.pt", weights_only=True)
-    assert saved["targets"].tolist() == learner.batch().targets.tolist()
+    assert saved["targets"].tolist() == learner.batch(2).targets.tolist()
     assert saved["seen"].shape == (2, 3, 32, 96)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -70,6 +71,17 @@ class Batch:
     source_pictures: list[Tensor]
     t_source_target: list[Tensor]
     """[B, 4, 4] each."""
+
+    def share(self, place: int, places: int) -> Batch:
+        """Every `places`th sample from `place` on."""
+        if places == 1:
+            return self
+        mine = slice(place, None, places)
+        whole = vars(self).items()
+        fields: dict[str, Any] = {
+            name: [part[mine] for part in value] if isinstance(value, list) else value[mine] for name, value in whole
+        }
+        return Batch(**fields)
 
     def as_dict(self) -> Mapping[str, Tensor | list[Tensor]]:
         """For a file that shows what went wrong."""

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from . import experiment
 from .commands import run_evaluate, run_train
 from .errors import TrainerError
 from .export_depth import DEPTH_NETWORKS, DepthExport, export_checkpoint, export_depth
@@ -84,17 +85,31 @@ def _add_train(command: argparse.ArgumentParser) -> None:
     command.add_argument("--seed", type=int, default=0)
     command.add_argument("--batch", type=int, default=12)
     command.add_argument("--learning-rate", type=float, default=1e-4, help="of Adam [1e-4]")
+    command.add_argument(
+        "--amp", action="store_true", help="bfloat16: where AMX, AVX512-BF16 or a GPU computes with it"
+    )
+    command.add_argument("--experiment", type=Path, help="TOML file of these options; what is typed here wins")
+    command.add_argument("--tensorboard", action="store_true", help="write OUT/tensorboard")
+    command.add_argument("--buffer", type=int, metavar="PICTURES", help="learn from so many at most [all]")
+    command.add_argument("--keep", choices=("newest", "poses"), default="newest", help="which, if there are more")
     command.add_argument("--checkpoint-every", type=int, default=200, metavar="STEPS")
     command.add_argument(
         "--baseline", type=float, nargs=2, default=(0.05, 0.30), metavar=("MIN_M", "MAX_M"), help="of pairs [0.05 0.30]"
     )
     command.add_argument("--gap", type=int, help="instead: pairs this many frames apart, as the paper's (4 or 15)")
     command.add_argument("--depth-range", type=float, nargs=2, default=(0.1, 20.0), metavar=("MIN_M", "MAX_M"))
-    command.add_argument("--smoothness", type=float, default=1e-3, help="weight [1e-3]")
-    command.add_argument("--geometry", type=float, default=0.0, help="weight of the geometry consistency [0]")
+    command.add_argument("--smoothness", type=float, help="weight [1e-3; sc_depth_r18: 0.1]")
+    command.add_argument("--geometry", type=float, help="weight of the geometry consistency [0; sc_depth_r18: 0.5]")
     command.add_argument("--coarse-weight", type=float, default=0.1, help="weight of agreeing with coarse depth [0.1]")
     command.add_argument("--uncertainty-weight", type=float, default=0.05, help="of learning the own error [0.05]")
-    command.add_argument("--auto-mask", action="store_true", help="as in the paper's code")
+    command.add_argument(
+        "--auto-mask", action=argparse.BooleanOptionalAction, help="as in the paper's code [only sc_depth_r18]"
+    )
+    command.add_argument("--visibility", action="store_true", help="leave out points that others hide from the source")
+    command.add_argument("--census", action="store_true", help="compare structure instead of colours")
+    command.add_argument(
+        "--teacher-steps", type=int, default=2000, help="manydepth_r18: its teacher learns so long [2000]"
+    )
     command.add_argument("--no-exposure", action="store_true", help="do not fit gain and bias of a pair")
     command.add_argument("--no-augmentation", action="store_true", help="neither change colours nor cut holes")
 
@@ -105,9 +120,17 @@ def _add_evaluate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--json", type=Path, help="also write the numbers here")
 
 
+def with_experiment(arguments: Sequence[str]) -> Sequence[str]:
+    """With the options of `--experiment FILE` after the command, so that those that were typed win."""
+    finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    finder.add_argument("--experiment", type=Path)
+    found, _ = finder.parse_known_args(arguments)
+    return arguments if found.experiment is None else [arguments[0], *experiment.read(found.experiment), *arguments[1:]]
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    options = parser().parse_args(arguments)
     try:
+        options = parser().parse_args(with_experiment(sys.argv[1:] if arguments is None else arguments))
         if options.command == "train":
             run_train(options)
         elif options.command == "evaluate":

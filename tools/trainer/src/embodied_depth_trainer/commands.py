@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import torch
@@ -14,6 +15,9 @@ from torch import nn
 from tqdm import tqdm
 
 from . import checkpoint as checkpoints
+from . import experiment, processes
+from .board import Board
+from .buffer import kept
 from .checkpoint import write_atomically
 from .coarse import read_dataset_dump, with_coarse
 from .depth_networks import build_network
@@ -21,9 +25,13 @@ from .errors import TrainerError
 from .evaluation import evaluate, table
 from .frames import Frames, join
 from .losses import LossOptions
+from .objectives import recipe
 from .pairs import PairRule, Pairs, pairs_by_baseline, pairs_by_gap
 from .recording import read_recording
 from .training import Settings, Trainer, train
+
+# What a training was run with, beside its checkpoint.
+EXPERIMENT_FILE = "experiment.toml"
 
 
 def read_frames(
@@ -52,12 +60,28 @@ def find_pairs(frames: Frames, gap: int | None, rule: PairRule) -> Pairs:
     return pairs_by_baseline(frames, rule) if gap is None else pairs_by_gap(frames, gap)
 
 
+def loss_options(options: argparse.Namespace) -> LossOptions:
+    """The network's recipe, and what was asked for instead."""
+    asked = {name: getattr(options, name) for name in ("smoothness", "geometry", "auto_mask")}
+    given = {name: value for name, value in asked.items() if value is not None}
+    return replace(
+        recipe(options.network),
+        exposure=not options.no_exposure,
+        visibility=options.visibility,
+        census=options.census,
+        **given,
+    )
+
+
 def run_train(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
+    device = processes.start(options.device)
     frames = read_frames(options.recording, options.coarse, options.dataset, options.size)
     low, high = options.baseline
     pairs = find_pairs(frames, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
     print(f"{len(frames)} pictures, {len(pairs)} of them with sources", file=sys.stderr)
+    if options.buffer is not None:
+        pairs = kept(frames, pairs, options.buffer, options.keep, options.seed)
     near, far = options.depth_range
     settings = Settings(
         network=options.network,
@@ -68,26 +92,34 @@ def run_train(options: argparse.Namespace) -> None:
         augment=not options.no_augmentation,
         coarse_weight=options.coarse_weight,
         uncertainty_weight=options.uncertainty_weight,
-        loss=LossOptions(
-            smoothness=options.smoothness,
-            geometry=options.geometry,
-            auto_mask=options.auto_mask,
-            exposure=not options.no_exposure,
-        ),
+        amp=options.amp,
+        teacher_steps=options.teacher_steps,
+        loss=loss_options(options),
     )
-    trainer = Trainer(frames, pairs, settings, options.device)
-    with tqdm(total=options.steps, unit="step", disable=None) as bar:
+    trainer = Trainer(frames, pairs, settings, device)
+    first = processes.rank() == 0
+    if first:
+        asked = {name: value for name, value in vars(options).items() if name not in ("command", "experiment")}
+        write_atomically(experiment.written(asked).encode(), options.out / EXPERIMENT_FILE)
+    board = Board(options.out / "tensorboard", trainer) if options.tensorboard and first else None
+    start = time.perf_counter()
+    with tqdm(total=options.steps, unit="step", disable=None if first else True) as bar:
 
         def told(step: int, loss: float) -> None:
+            if board:
+                board.told(step, loss)
             bar.n = step
             bar.set_postfix(loss=f"{loss:.4f}", refresh=False)
             bar.update(0)
             # Without a terminal, a line every tenth.
-            if bar.disable and step % max(1, options.steps // 10) == 0:
+            if first and bar.disable and step % max(1, options.steps // 10) == 0:
                 print(f"step {step} of {options.steps}, loss {loss:.4f}", file=sys.stderr, flush=True)
 
         file = train(trainer, options.steps, options.out, options.checkpoint_every, told)
-    print(f"{file}: {trainer.step} steps")
+    if board:
+        board.close()
+    waited = trainer.batches.waited_s / (time.perf_counter() - start)
+    print(f"{file}: {trainer.step} steps; {waited:.1%} of the time was spent waiting for data")
 
 
 def run_evaluate(options: argparse.Namespace) -> None:

@@ -15,10 +15,11 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from .batches import coarse_planes, rgb_planes, to_depth
+from .batches import rgb_planes, to_depth
 from .depth_networks import output_of
 from .errors import TrainerError
 from .frames import Frames
+from .inputs import second_input
 
 MIN_TRUTH_M, MAX_TRUTH_M = 0.1, 20.0
 BATCH = 8
@@ -98,8 +99,8 @@ def predict(
     """z-depth [B, H, W] in metres, and the probability that it is right within 25 %, of a network that says it."""
     network.eval()
     device = next(network.parameters()).device
-    coarse = coarse_planes(frames, index, depth_range_m, device)
-    disparity, log_scale = output_of(network, rgb_planes(frames, index, device), coarse)
+    second = second_input(network, frames, index, depth_range_m, device)
+    disparity, log_scale = output_of(network, rgb_planes(frames, index, device), second)
     depth: NDArray[np.float32] = to_depth(disparity, depth_range_m)[:, 0].cpu().numpy()
     if log_scale is None:
         return depth, None

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor, nn
 
 from . import checkpoint as checkpoints
 from .depth_networks import DEPTH_NETWORKS, SIZE_STEP, build_network, takes_coarse
 from .golden import golden_pair
+from .manydepth import PLANES, VOLUME_RANGE_M, ManyDepth
 from .networks import Padding
 from .onnx_file import ExportError, load_state_dict, load_strictly, random_picture, write_onnx
+from .volume import REDUCTION
 
 __all__ = ["DEPTH_NETWORKS", "DepthExport", "build", "export_checkpoint", "export_depth"]
 
@@ -95,6 +98,12 @@ def _export(
         # Validity is 0 or 1 on the robot.
         coarse[:, 1] = (coarse[:, 1] > 0.5).float()
         inputs["coarse"] = coarse
+    if isinstance(network, ManyDepth):
+        inputs["volume"] = 0.3 * torch.rand(
+            1, PLANES, height // REDUCTION, width // REDUCTION, generator=torch.Generator().manual_seed(seed + 2)
+        )
+        near, far = VOLUME_RANGE_M
+        provenance = {**provenance, "volume_min_depth_m": repr(near), "volume_max_depth_m": repr(far)}
     metadata = {
         "kind": "+".join(inputs),
         "output": "disparity",
@@ -104,6 +113,6 @@ def _export(
         "input_height": str(height),
         "architecture": name,
         **provenance,
-        **golden_pair(network, list(inputs), size),
+        **golden_pair(network, inputs, size),
     }
     return write_onnx(network, inputs, "disparity", metadata, out)

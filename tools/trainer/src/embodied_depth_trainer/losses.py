@@ -5,54 +5,23 @@ Pictures are RGB in 0..1, `[B, 3, H, W]`; depths z in metres, `[B, 1, H, W]`; er
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
+from . import processes
+from .census import census, census_error
+from .photometric import Patches, photometric_error
+from .visibility import visible
 from .warp import Projection
 
-# Weight of SSIM beside L1, and its constants for pictures in 0..1 (Godard et al. 2019, Monodepth2).
-ALPHA = 0.85
-C1, C2 = 0.01**2, 0.03**2
 # A camera's automatic exposure changes by less than this between two neighbouring pictures.
 GAIN_LIMITS = (0.5, 2.0)
 # Breaks ties of the auto-mask on pixels that look the same in both pictures.
 AUTO_MASK_NOISE = 1e-5
-
-
-def box3(x: Tensor) -> Tensor:
-    """Mean of 3x3 pixels, the border reflected."""
-    return F.avg_pool2d(F.pad(x, (1, 1, 1, 1), mode="reflect"), 3, 1)
-
-
-@dataclass(frozen=True)
-class Patches:
-    """A picture with its 3x3 means, which are the same for all sources."""
-
-    picture: Tensor
-    mean: Tensor
-    variance: Tensor
-
-    @staticmethod
-    def of(picture: Tensor) -> Patches:
-        mean = box3(picture)
-        return Patches(picture, mean, box3(picture * picture) - mean * mean)
-
-
-def photometric_error(target: Patches, warped: Tensor) -> Tensor:
-    """0.85 (1 - SSIM) / 2 + 0.15 |difference|, mean over colours."""
-    # One pass over all three: the means are most of the loss's time.
-    mean, square, product = box3(torch.cat([warped, warped * warped, target.picture * warped], 1)).chunk(3, 1)
-    variance = square - mean * mean
-    covariance = product - target.mean * mean
-    ssim = ((2 * target.mean * mean + C1) * (2 * covariance + C2)) / (
-        (target.mean * target.mean + mean * mean + C1) * (target.variance + variance + C2)
-    )
-    dissimilarity = ((1 - ssim) * 0.5).clamp(0, 1).mean(1, keepdim=True)
-    return ALPHA * dissimilarity + (1 - ALPHA) * (target.picture - warped).abs().mean(1, keepdim=True)
 
 
 def same_exposure(target: Tensor, warped: Tensor, inside: Tensor) -> Tensor:
@@ -88,8 +57,8 @@ def smoothness(disparity: Tensor, picture: Tensor) -> Tensor:
 
 def geometry_inconsistency(projection: Projection, source_depth_m: Tensor) -> Tensor:
     """|z - z'| / (z + z') in 0..1 between a point's depth in the source camera and the depth that the source picture
-    itself says there (Bian et al. 2019, SC-SfMLearner). `source_depth_m` gets no gradient."""
-    said = projection.sample(source_depth_m.detach())
+    itself says there (Bian et al. 2019, SC-SfMLearner)."""
+    said = projection.sample(source_depth_m)
     computed = projection.depth_m.clamp(min=1e-3)
     return (computed - said).abs() / (computed + said)
 
@@ -106,6 +75,12 @@ class LossOptions:
     baselines make it remove just the pixels that have no other supervision."""
     exposure: bool = True
     """Brings the warped picture to the target's gain and bias first."""
+    both_ways: bool = False
+    """Sources are explained by the target as well, and their depth learns from it (SC-Depth)."""
+    visibility: bool = False
+    """Leaves out points that another point hides from the source."""
+    census: bool = False
+    """Compares structure instead of colours: for lights that change."""
 
 
 @dataclass(frozen=True)
@@ -124,34 +99,53 @@ def self_supervision(
     views: Sequence[View],
     options: LossOptions,
     generator: torch.Generator | None = None,
+    only: Tensor | None = None,
 ) -> Tensor:
-    """The scalar loss: the photometric error of the best source of every pixel that some source sees, and
-    smoothness."""
-    target = Patches.of(picture)
+    """The scalar loss: the photometric error of the best source of every pixel that some source sees (of those in
+    `only`, bool [B, 1, H, W]), and smoothness."""
+    error_of = _error_to(picture, options)
     errors: list[Tensor] = []
+    insides: list[Tensor] = []
     geometry = disparity.new_zeros(())
     for view in views:
         warped = view.projection.sample(view.picture)
-        inside = view.projection.inside
+        inside = visible(view.projection) if options.visibility else view.projection.inside
         if options.exposure:
             warped = same_exposure(picture, warped, inside)
-        error = photometric_error(target, warped)
+        error = error_of(warped)
         if options.geometry > 0 and view.depth_m is not None:
             inconsistency = geometry_inconsistency(view.projection, view.depth_m)
             error = error * (1 - inconsistency.detach())
             geometry = geometry + _mean_where(inconsistency, inside) / len(views)
-        errors.append(torch.where(inside, error, torch.inf))
-    error = torch.stack(errors).amin(0) if len(errors) > 1 else errors[0]
-    seen = torch.isfinite(error)
-    if options.auto_mask:
-        with torch.no_grad():
-            still = torch.stack([photometric_error(target, view.picture) for view in views]).amin(0)
+        errors.append(error)
+        insides.append(inside)
+    error = torch.cat(errors, 1)
+    with torch.no_grad():
+        least, best = torch.where(torch.cat(insides, 1), error, torch.inf).min(1, keepdim=True)
+        counts = torch.isfinite(least)
+        if only is not None:
+            counts = counts & only
+        if options.auto_mask:
+            still = functools.reduce(torch.minimum, [error_of(view.picture) for view in views])
             noise = torch.randn(still.shape, generator=generator, dtype=still.dtype).to(still.device)
-            seen = seen & (error < still + AUTO_MASK_NOISE * noise)
-    loss = _mean_where(error, seen) + options.smoothness * smoothness(disparity, picture)
+            counts = counts & (least < still + AUTO_MASK_NOISE * noise)
+        # 1 at the best source of every pixel that counts.
+        chosen = torch.zeros_like(error).scatter_(1, best, counts.to(error.dtype))
+    loss = (error * chosen).sum() / processes.mean(counts.sum().float()).clamp(min=1) + options.smoothness * smoothness(
+        disparity, picture
+    )
     return loss + options.geometry * geometry
+
+
+def _error_to(picture: Tensor, options: LossOptions) -> Callable[[Tensor], Tensor]:
+    """The error [B, 1, H, W] of a warped picture; what belongs to the target is computed once."""
+    if options.census:
+        signs = census(picture)
+        return lambda warped: census_error(signs, warped)
+    patches = Patches.of(picture)
+    return lambda warped: photometric_error(patches, warped)
 
 
 def _mean_where(values: Tensor, mask: Tensor) -> Tensor:
     """Mean over a mask; 0 where it is empty. The masked-out values may be infinite."""
-    return torch.where(mask, values, 0.0).sum() / mask.sum().clamp(min=1)
+    return torch.where(mask, values, 0.0).sum() / processes.mean(mask.sum().float()).clamp(min=1)

@@ -70,7 +70,9 @@ class Decoder(nn.Module):
             if step < 4:
                 x = torch.cat([x, features[3 - step]], dim=1)
             x = F.elu(after(x))
-        return torch.sigmoid(self.head(x))
+        # In float32 also under autocast: bfloat16 would say depth in steps of 1.5 %.
+        with torch.autocast(x.device.type, enabled=False):
+            return torch.sigmoid(self.head(x.float()))
 
 
 def _conv(inputs: int, outputs: int, padding: Padding) -> nn.Conv2d:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,19 @@ import torch
 from torch import Tensor, nn
 
 from . import checkpoint as checkpoints
-from .batches import Batch, coarse_planes, make_batch, to_depth
+from . import processes
+from .batches import Batch, make_batch, to_depth
 from .checkpoint import Checkpoint
 from .depth_networks import SIZE_STEP, build_network, output_of, takes_coarse
 from .errors import TrainerError
 from .frames import Frames
+from .inputs import second_input
 from .losses import LossOptions, View, self_supervision
+from .manydepth import Disturbance, ManyDepth
+from .objectives import both_ways, with_teacher
 from .pairs import Pairs
+from .prefetch import Prefetcher
+from .volume import volume_planes
 from .warp import Projector
 
 CHECKPOINT_FILE = "checkpoint.pt"
@@ -45,6 +51,10 @@ class Settings:
     """Weight of agreeing with confident coarse depth; see `coarse_error`. 0: photometric only, as in the paper."""
     uncertainty_weight: float = 0.05
     """Weight of `scale_surprise`."""
+    teacher_steps: int = 2000
+    """ManyDepth's single-frame teacher learns so long."""
+    amp: bool = False
+    """Convolutions in bfloat16, the loss and the weights in float32."""
     loss: LossOptions = field(default_factory=LossOptions)
 
     def as_dict(self, frames: Frames) -> dict[str, Any]:
@@ -69,21 +79,35 @@ class Trainer:
                 f"the networks halve five times and cannot take {height}x{width} pictures; "
                 f"give --size with multiples of {SIZE_STEP}"
             )
+        if settings.batch % processes.count():
+            raise TrainerError(
+                f"a batch of {settings.batch} cannot be shared by {processes.count()} processes; "
+                "give --batch a multiple"
+            )
         lost = ~np.isfinite(frames.t_world_camera).all(axis=(1, 2))
         if lost.any():
             raise TrainerError(
                 f"{lost.sum()} of {len(frames)} poses are not finite, the first is {int(lost.argmax())}; leave them out"
             )
+        if settings.amp and settings.network == "student":
+            raise TrainerError(
+                "bfloat16 is too coarse for the student's last layer and gains it little; leave --amp out"
+            )
         self.frames, self.pairs, self.settings, self.device = frames, pairs, settings, device
-        self.network = build_network(settings.network, settings.depth_range_m, settings.seed).to(device)
+        network = build_network(settings.network, settings.depth_range_m, settings.seed)
+        # Channels innermost, as the processors' convolutions want them.
+        network = network.to(device).to(memory_format=torch.channels_last)
+        self.network = processes.share_batch_norms(network)
         if takes_coarse(self.network) and frames.coarse is None:
             raise TrainerError(
                 f"`{settings.network}` takes coarse depth; write it with `firmware-host perceive --recording RUN "
                 "--out DIR --dump DIR/coarse` and give --coarse DIR/coarse, or train `monodepth2_r18`"
             )
-        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate)
+        # One pass over the weights instead of a dozen.
+        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate, fused=True)
         self.projector = Projector(frames.camera, device)
         self.step = 0
+        self.batches = Prefetcher(self.batch)
 
     def resume(self, saved: Checkpoint, file: Path) -> None:
         """Goes on from a checkpoint of the same settings."""
@@ -104,24 +128,41 @@ class Trainer:
         settings = self.settings.as_dict(self.frames)
         return Checkpoint(self.step, self.settings.network, settings, weights, self.optimizer.state_dict())
 
-    def batch(self) -> Batch:
-        """What the next step will see."""
-        random = np.random.default_rng([self.settings.seed, self.step])
+    def batch(self, step: int) -> Batch:
+        """What a step sees."""
+        random = np.random.default_rng([self.settings.seed, step])
         targets, sources = self.pairs.sample(self.settings.batch, random)
         augment = random if self.settings.augment else None
-        return make_batch(self.frames, targets, sources, self.settings.depth_range_m, augment, self.device)
+        batch = make_batch(self.frames, targets, sources, self.settings.depth_range_m, augment, self.device)
+        batch = self._with_volume(batch, augment) if isinstance(self.network, ManyDepth) else batch
+        return batch.share(processes.rank(), processes.count())
+
+    def _with_volume(self, batch: Batch, random: np.random.Generator | None) -> Batch:
+        """With the cost volume in place of the coarse depth; disturbed at random where `random` is given."""
+        assert isinstance(self.network, ManyDepth)
+        disturbance = Disturbance.draw(len(batch.targets), random) if random is not None else Disturbance.none()
+        planes = volume_planes(self.frames, batch.targets, self.network.depths_m, self.device, disturbance.still)
+        if disturbance.empty is not None:
+            planes[torch.from_numpy(disturbance.empty).to(planes.device)] = 0
+        return replace(batch, coarse=planes)
 
     def loss(self, batch: Batch) -> Tensor:
+        if isinstance(self.network, ManyDepth):
+            return with_teacher(self, batch)
+        if self.settings.loss.both_ways:
+            return both_ways(self, batch)
+        return self.loss_of(batch, *self.look(batch.seen, batch.coarse))
+
+    def loss_of(self, batch: Batch, disparity: Tensor, log_scale: Tensor | None) -> Tensor:
+        """Of what the network said."""
         settings = self.settings
-        disparity, log_scale = output_of(self.network, batch.seen, batch.coarse)
         depth_m = to_depth(disparity, settings.depth_range_m)
         views = []
         for index, (picture, pose) in enumerate(zip(batch.source_pictures, batch.t_source_target, strict=True)):
             said = self._source_depth(batch, index) if settings.loss.geometry > 0 else None
             views.append(View(picture, self.projector(depth_m, pose), said))
-        noise = torch.Generator().manual_seed(self.step) if settings.loss.auto_mask else None
         # Physical disparity, not x: the mean normalisation is meant for 1/depth.
-        loss = self_supervision(batch.picture, 1 / depth_m, views, settings.loss, noise)
+        loss = self_supervision(batch.picture, 1 / depth_m, views, settings.loss, self.noise())
         if settings.coarse_weight > 0 and self.frames.coarse is not None:
             loss = loss + settings.coarse_weight * coarse_error(depth_m, batch.coarse_whole, settings.depth_range_m)
         if log_scale is not None:
@@ -129,24 +170,39 @@ class Trainer:
             loss = loss + settings.uncertainty_weight * surprise
         return loss
 
+    def look(self, rgb: Tensor, second: Tensor) -> tuple[Tensor, Tensor | None]:
+        """What the network says; see `output_of`."""
+        with self.autocast():
+            return output_of(self.network, rgb, second)
+
+    def autocast(self) -> torch.autocast:
+        """Where networks compute."""
+        return torch.autocast(torch.device(self.device).type, torch.bfloat16, enabled=self.settings.amp)
+
+    def noise(self) -> torch.Generator | None:
+        """What breaks the auto-mask's ties in this step."""
+        return torch.Generator().manual_seed(self.step) if self.settings.loss.auto_mask else None
+
     @torch.no_grad()
     def _source_depth(self, batch: Batch, view: int) -> Tensor:
         """What the network says about a source; its batch statistics must not count."""
         self.network.eval()
-        coarse = coarse_planes(self.frames, batch.sources[:, view], self.settings.depth_range_m, self.device)
-        disparity, _ = output_of(self.network, batch.source_pictures[view], coarse)
+        index, range_m = batch.sources[:, view], self.settings.depth_range_m
+        second = second_input(self.network, self.frames, index, range_m, self.device)
+        disparity, _ = self.look(batch.source_pictures[view], second)
         self.network.train()
         return to_depth(disparity, self.settings.depth_range_m)
 
     def advance(self) -> tuple[float, Batch]:
         """One step; its loss. Weights are untouched when that is not finite."""
-        batch = self.batch()
+        batch = self.batches(self.step)
         self.network.train()
         self.optimizer.zero_grad(set_to_none=True)
         loss = self.loss(batch)
         loss.backward()  # type: ignore[no-untyped-call]
+        processes.average_gradients(self.network)
         norm = nn.utils.get_total_norm([p.grad for p in self.network.parameters() if p.grad is not None])
-        value = float(loss.detach())
+        value = float(processes.mean(loss.detach()))
         if not (np.isfinite(value) and torch.isfinite(norm)):
             raise _BadBatchError(batch, value)
         self.optimizer.step()
@@ -165,7 +221,7 @@ def coarse_error(depth_m: Tensor, coarse: Tensor, depth_range_m: tuple[float, fl
     shown it: several keyframes and an epipolar search know more than two neighbours' colours do. Scalar."""
     weight = coarse[:, 1:2] * coarse[:, 2:3]
     error = (depth_m.log() - to_depth(coarse[:, :1], depth_range_m).log()).abs()
-    return (weight * error).sum() / weight.sum().clamp(min=1.0)
+    return (weight * error).sum() / processes.mean(weight.sum()).clamp(min=1.0)
 
 
 def scale_surprise(depth_m: Tensor, log_scale: Tensor, coarse: Tensor, depth_range_m: tuple[float, float]) -> Tensor:
@@ -178,7 +234,7 @@ def scale_surprise(depth_m: Tensor, log_scale: Tensor, coarse: Tensor, depth_ran
     valid, confidence = coarse[:, 1:2], coarse[:, 2:3].clamp(0.01, 0.999)
     distance = (depth_m.log() - to_depth(coarse[:, :1], depth_range_m).log()).abs()
     error = distance - math.log(1.25) / torch.log1p(-confidence)
-    return (valid * (error * torch.exp(-log_scale) + log_scale)).sum() / valid.sum().clamp(min=1.0)
+    return (valid * (error * torch.exp(-log_scale) + log_scale)).sum() / processes.mean(valid.sum()).clamp(min=1.0)
 
 
 def train(
@@ -192,9 +248,11 @@ def train(
     file = out / CHECKPOINT_FILE
     if file.exists():
         trainer.resume(checkpoints.load(file), file)
-    else:
-        # A disk that cannot be written shows now, not after the first hour.
-        checkpoints.save(trainer.checkpoint(), file)
+    # Nobody writes before all have looked.
+    processes.wait_for_all()
+    # A disk that cannot be written shows now, not after the first hour.
+    if not file.exists():
+        _save(trainer, file)
     while trainer.step < steps:
         try:
             loss, _ = trainer.advance()
@@ -210,6 +268,13 @@ def train(
             ) from None
         told(trainer.step, loss)
         if trainer.step % checkpoint_every == 0 and trainer.step < steps:
-            checkpoints.save(trainer.checkpoint(), file)
-    checkpoints.save(trainer.checkpoint(), file)
+            _save(trainer, file)
+    _save(trainer, file)
+    processes.wait_for_all()
     return file
+
+
+def _save(trainer: Trainer, file: Path) -> None:
+    """All processes have the same weights; one writes them."""
+    if processes.rank() == 0:
+        checkpoints.save(trainer.checkpoint(), file)

@@ -7,6 +7,7 @@ Pixel centres are at integer coordinates, and everything here speaks of pixels. 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -83,10 +84,7 @@ class Projector:
         # K R K^-1 (u, v, 1) once a batch; the depth then only scales it.
         rays = (self.k @ t_source_target[:, :3, :3]) @ self.rays
         shift = (self.k @ t_source_target[:, :3, 3:]).view(batch, 3, 1, 1)
-        points = torch.addcmul(shift, rays.view(batch, 3, height, width), depth_m)
-        z = points[:, 2]
-        inverse = 1.0 / z.clamp(min=NEAREST_M)
-        u, v = points[:, 0] * inverse, points[:, 1] * inverse
+        u, v, z = _Project.apply(depth_m, rays.view(batch, 3, height, width), shift)
         with torch.no_grad():
             # A thousandth of a pixel of rounding must not blank the border of an unmoved picture.
             slack = 1e-3
@@ -96,3 +94,25 @@ class Projector:
         # PyTorch's sampler reads outside of the picture at NaN. NaN stays in the depth, where the loss finds it.
         u, v = u.nan_to_num(0.0).clamp(0, width - 1), v.nan_to_num(0.0).clamp(0, height - 1)
         return Projection(u, v, z.unsqueeze(1), inside.unsqueeze(1))
+
+
+class _Project(torch.autograd.Function):
+    """Pixel coordinates and depth [B, H, W] of the points `shift` + `rays` times depth, with the gradient by the depth
+    written down: du/dz = (ray_u - u ray_z) / z in the source camera, and nobody asks for the pose's."""
+
+    @staticmethod
+    def forward(ctx: Any, depth_m: Tensor, rays: Tensor, shift: Tensor) -> tuple[Tensor, Tensor, Tensor]:  # noqa: ANN401
+        x, y, z = torch.addcmul(shift, rays, depth_m).unbind(1)
+        inverse = z.clamp(min=NEAREST_M).reciprocal_()
+        u, v = x * inverse, y * inverse
+        ctx.save_for_backward(rays, u, v, z, inverse)
+        return u, v, z
+
+    @staticmethod
+    def backward(ctx: Any, by_u: Tensor, by_v: Tensor, by_z: Tensor) -> tuple[Tensor, None, None]:  # noqa: ANN401
+        rays, u, v, z, inverse = ctx.saved_tensors
+        ray_u, ray_v, ray_z = rays.unbind(1)
+        in_front = (z > NEAREST_M).to(z.dtype)
+        by_inverse = (by_u * u).addcmul_(by_v, v).mul_(in_front).mul_(ray_z)
+        by_depth = (by_u * ray_u).addcmul_(by_v, ray_v).sub_(by_inverse).mul_(inverse).addcmul_(by_z, ray_z)
+        return by_depth.unsqueeze(1), None, None

@@ -1,0 +1,96 @@
+"""Training by several processes (`torchrun --nproc-per-node N -m embodied_depth_trainer.cli train ...`), each with its
+share of every batch. Up to rounding they learn what one process learns from the whole batch: gradients, batch norms and
+the counts that errors are divided by are those of all shares together. Alone, everything here does nothing.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import torch
+from torch import Tensor, distributed, nn
+
+
+def start(device: str) -> str:
+    """Joins the processes that `torchrun` started, if it did; the device of this one."""
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1 and not distributed.is_initialized():
+        distributed.init_process_group("nccl" if device.startswith("cuda") else "gloo")
+    return f"cuda:{os.environ['LOCAL_RANK']}" if device == "cuda" and count() > 1 else device
+
+
+def count() -> int:
+    return distributed.get_world_size() if distributed.is_initialized() else 1
+
+
+def rank() -> int:
+    return distributed.get_rank() if distributed.is_initialized() else 0
+
+
+def wait_for_all() -> None:
+    if count() > 1:
+        distributed.barrier()
+
+
+class _Mean(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:  # noqa: ANN401
+        total = x.detach().clone()
+        distributed.all_reduce(total)
+        return total / count()
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:  # noqa: ANN401
+        total = gradient.contiguous().clone()
+        distributed.all_reduce(total)
+        return total / count()
+
+
+def mean(x: Tensor) -> Tensor:
+    """Over the processes; differentiable."""
+    if count() == 1:
+        return x
+    result: Tensor = _Mean.apply(x)
+    return result
+
+
+def average_gradients(network: nn.Module) -> None:
+    """Of all processes, at once."""
+    gradients = [weight.grad for weight in network.parameters() if weight.grad is not None]
+    if count() == 1 or not gradients:
+        return
+    together = torch.cat([gradient.flatten() for gradient in gradients])
+    distributed.all_reduce(together)
+    together /= count()
+    for gradient, part in zip(gradients, torch.split(together, [g.numel() for g in gradients]), strict=True):
+        gradient.copy_(part.view(gradient.shape))
+
+
+class _SharedBatchNorm(nn.BatchNorm2d):
+    """Statistics of all processes' shares. PyTorch's own does this on GPUs only."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        if not self.training or self.running_mean is None or self.running_var is None:
+            return super().forward(x)
+        planes = x.float()
+        average, square = mean(torch.stack([planes.mean((0, 2, 3)), (planes * planes).mean((0, 2, 3))])).unbind()
+        variance = square - average * average
+        samples = count() * x.numel() / x.shape[1]
+        with torch.no_grad():
+            self.running_mean.lerp_(average, self.momentum or 0.0)
+            self.running_var.lerp_(variance * (samples / (samples - 1)), self.momentum or 0.0)
+            if self.num_batches_tracked is not None:
+                self.num_batches_tracked.add_(1)
+        scale = self.weight * torch.rsqrt(variance + self.eps)
+        shift = self.bias - average * scale
+        return torch.addcmul(shift.view(1, -1, 1, 1), planes, scale.view(1, -1, 1, 1)).to(x.dtype)
+
+
+def share_batch_norms(network: nn.Module) -> nn.Module:
+    """The same network, its batch norms' statistics being those of all processes."""
+    if count() > 1:
+        for module in network.modules():
+            if type(module) is nn.BatchNorm2d:
+                # The weights, and their names in checkpoints, stay.
+                module.__class__ = _SharedBatchNorm
+    return network
