@@ -8,6 +8,7 @@ use runtime::accuracy::Accuracy;
 use runtime::imaging::{FrontEnd, YuvRange};
 use runtime::perception::{CoarseConfig, CoarseDepth, DepthEstimate};
 
+use crate::peers::PeerProcess;
 use crate::report::{Row, Timing, time};
 
 const ROOM: &str = "perception";
@@ -15,6 +16,9 @@ const WIDTH: usize = 640;
 const HEIGHT: usize = 192;
 const FRAMES: u32 = 60;
 const STEP_M: f64 = 0.03;
+const SIDEWAYS: [f64; 3] = [1.0, 0.0, 0.0];
+/// Pictures between the two that semi-global matching gets: 22 pixels of disparity.
+const APART: usize = 7;
 
 /// Measures a walk along a textured wall, sideways and forward.
 ///
@@ -24,12 +28,19 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
     let camera = CameraModel::pinhole(WIDTH, HEIGHT, std::f64::consts::FRAC_PI_2);
     let threads = rayon::current_num_threads();
     let mut rows = Vec::new();
-    for (name, direction) in [("sideways", [1.0, 0.0, 0.0]), ("on an arc", [0.5, 0.0, 0.7])] {
+    for (name, direction) in [("sideways", SIDEWAYS), ("on an arc", [0.5, 0.0, 0.7])] {
         let walk = Walk::new(camera, direction);
-        let coarse = Timing::of(walk.coarse()?);
+        // Semi-global matching needs rectified pictures.
+        let mut peer = if direction == SIDEWAYS { walk.semi_global_matching()? } else { None };
+        let (coarse, theirs) = walk.coarse(peer.as_mut())?;
+        let coarse = Timing::of(coarse);
         let note =
             format!("{threads} threads, 64 planes, up to {} references", CoarseConfig::default().parallax_px.len());
-        rows.push(Row::seconds(ROOM, format!("coarse depth 640x192, {name}"), coarse).goal(0.008, 0.003).note(note));
+        let row = Row::seconds(ROOM, format!("coarse depth 640x192, {name}"), coarse).goal(0.008, 0.003).note(note);
+        rows.push(match theirs.is_empty() {
+            true => row,
+            false => row.peer("OpenCV SGBM, 3 paths, 1 reference", Timing::of(theirs).median),
+        });
         let mut whole = walk.whole()?;
         whole.sort_by(f64::total_cmp);
         let p99 = whole[(whole.len() * 99).div_ceil(100) - 1];
@@ -65,19 +76,39 @@ impl Walk {
         Self { camera, path, pictures }
     }
 
-    /// Seconds of coarse depth, picture by picture.
-    fn coarse(&self) -> anyhow::Result<Vec<f64>> {
+    /// OpenCV's, on two pictures of the walk.
+    fn semi_global_matching(&self) -> anyhow::Result<Option<PeerProcess>> {
+        let folder = std::env::temp_dir().join(format!("bench-sgbm-{}", std::process::id()));
+        std::fs::create_dir_all(&folder)?;
+        let files = [folder.join("left"), folder.join("right")].map(|file| file.display().to_string());
+        // Moving to the right, the later picture is the right one.
+        for (file, picture) in files.iter().zip([&self.pictures[0], &self.pictures[APART]]) {
+            std::fs::write(file, picture.iter().step_by(3).copied().collect::<Vec<u8>>())?;
+        }
+        let size = [WIDTH.to_string(), HEIGHT.to_string()];
+        let [left, right] = &files;
+        let peer = PeerProcess::start("opencv_sgbm.py", &[left, right, &size[0], &size[1]]);
+        // It has read them, or never will.
+        std::fs::remove_dir_all(&folder)?;
+        peer
+    }
+
+    /// Seconds of coarse depth, picture by picture, and of the peer's by turns.
+    fn coarse(&self, mut peer: Option<&mut PeerProcess>) -> anyhow::Result<(Vec<f64>, Vec<f64>)> {
         let mut engine = CoarseDepth::new(CoarseConfig::default(), self.camera)?;
-        let mut seconds = Vec::new();
+        let (mut seconds, mut theirs) = (Vec::new(), Vec::new());
         for (picture, pose) in self.pictures.iter().zip(&self.path) {
             let frame = ImageView::rgb8(WIDTH, HEIGHT, picture)?;
             let began = Instant::now();
             if engine.estimate(frame, pose).is_ok() {
                 seconds.push(began.elapsed().as_secs_f64());
+                if let Some(peer) = peer.as_mut() {
+                    theirs.push(peer.seconds("one_pass")?);
+                }
             }
         }
         anyhow::ensure!(!seconds.is_empty(), "no picture of the walk gave depth");
-        Ok(seconds)
+        Ok((seconds, theirs))
     }
 
     /// Seconds from the camera's bytes (YUYV of the same size) to depth.
