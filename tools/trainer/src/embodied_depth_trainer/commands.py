@@ -20,6 +20,7 @@ from .depth_networks import build_network
 from .errors import TrainerError
 from .evaluation import evaluate, table
 from .frames import Frames, join
+from .labels import with_labels, write_labels
 from .losses import LossOptions
 from .pairs import PairRule, Pairs, pairs_by_baseline, pairs_by_gap
 from .recording import read_recording
@@ -27,12 +28,21 @@ from .training import Settings, Trainer, train
 
 
 def read_frames(
-    recordings: Sequence[Path], coarse: Sequence[Path], datasets: Sequence[Path], size: tuple[int, int] | None
+    recordings: Sequence[Path],
+    coarse: Sequence[Path],
+    datasets: Sequence[Path],
+    size: tuple[int, int] | None,
+    label_files: Sequence[Path] = (),
+    every: int = 1,
 ) -> Frames:
-    """All runs and dataset dumps as one set, reduced to `size` rows x columns."""
+    """All runs and dataset dumps as one set, every `every`th picture, reduced to `size` rows x columns."""
     if coarse and len(coarse) != len(recordings):
         raise TrainerError(
             f"{len(coarse)} --coarse for {len(recordings)} --recording; give one for each, in the same order, or none"
+        )
+    if label_files and len(label_files) != len(recordings):
+        raise TrainerError(
+            f"{len(label_files)} --labels for {len(recordings)} --recording; give one for each, in the same order"
         )
     parts = []
     for place, path in enumerate(recordings):
@@ -41,7 +51,9 @@ def read_frames(
             print(f"{path}: {damage}", file=sys.stderr)
         if coarse:
             frames = with_coarse(frames, coarse[place])
-        parts.append(frames.reduced_to(size) if size else frames)
+        if label_files:
+            frames = with_labels(frames, label_files[place])
+        parts.append(frames.every(every).reduced_to(size) if size else frames.every(every))
     for folder in datasets:
         frames = read_dataset_dump(folder)
         parts.append(frames.reduced_to(size) if size else frames)
@@ -52,9 +64,17 @@ def find_pairs(frames: Frames, gap: int | None, rule: PairRule) -> Pairs:
     return pairs_by_baseline(frames, rule) if gap is None else pairs_by_gap(frames, gap)
 
 
+def run_label(options: argparse.Namespace) -> None:
+    frames = read_frames([options.recording], [options.coarse], [], None)
+    share = write_labels(frames, options.out)
+    print(f"{options.out}: {len(frames)} pictures, labels for {share:.0%} of their cells")
+
+
 def run_train(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
-    frames = read_frames(options.recording, options.coarse, options.dataset, options.size)
+    frames = read_frames(
+        options.recording, options.coarse, options.dataset, options.size, options.labels, options.every
+    )
     low, high = options.baseline
     pairs = find_pairs(frames, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
     print(f"{len(frames)} pictures, {len(pairs)} of them with sources", file=sys.stderr)
@@ -68,6 +88,10 @@ def run_train(options: argparse.Namespace) -> None:
         augment=not options.no_augmentation,
         coarse_weight=options.coarse_weight,
         uncertainty_weight=options.uncertainty_weight,
+        label_weight=options.label_weight,
+        photometric_weight=options.photometric_weight,
+        crop_width=options.crop_width,
+        decay=(options.decay_from, options.steps) if options.decay_from is not None else None,
         loss=LossOptions(
             smoothness=options.smoothness,
             geometry=options.geometry,
