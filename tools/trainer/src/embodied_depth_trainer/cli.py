@@ -80,6 +80,7 @@ def _add_frames(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--dataset", type=Path, action="append", default=[], help="what `perceive --dataset --dump` wrote"
     )
+    command.add_argument("--every", type=int, default=1, help="only every so manieth picture of a recording [1]")
     command.add_argument("--size", type=picture_size, help="rows x columns to reduce the pictures to")
     command.add_argument("--device", default="cpu", help="cpu or cuda [cpu]")
     command.add_argument(
@@ -111,7 +112,6 @@ def _add_train(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--label-weight", type=float, default=1.0, help="of agreeing with --labels [1]")
     command.add_argument("--photometric-weight", type=float, default=1.0, help="of the photometric loss [1]")
-    command.add_argument("--every", type=int, default=1, help="only every so manieth picture of a recording [1]")
     command.add_argument("--crop-width", type=int, default=0, help="columns of a target that a step sees [all]")
     command.add_argument(
         "--decay-from", type=int, metavar="STEP", help="where the learning rate begins to go down to 0 at --steps"

@@ -124,7 +124,7 @@ def run_evaluate(options: argparse.Namespace) -> None:
         depth_range_m = saved.depth_range_m
         networks["untrained"] = build_network(saved.network, depth_range_m, int(saved.settings["seed"]))
         networks[f"{saved.network}, {saved.step} steps"] = saved.build()
-    frames = read_frames(options.recording, options.coarse, options.dataset, size)
+    frames = read_frames(options.recording, options.coarse, options.dataset, size, every=options.every)
     rows = evaluate(frames, {name: network.to(options.device) for name, network in networks.items()}, depth_range_m)
     print(table(rows))
     if options.json is not None:

@@ -23,7 +23,7 @@ from .training import Settings, Trainer, train
 FRAMES = 700
 # Neighbours 3 cm apart say the same.
 EVERY = 2
-STEPS, DECAY_STEPS = 1400, 700
+STEPS, DECAY_STEPS = 1700, 1000
 SETTINGS = Settings(
     network="student",
     batch=8,

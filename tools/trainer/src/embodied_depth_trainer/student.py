@@ -158,5 +158,7 @@ def _bilinear(channels: int) -> Tensor:
 
 def _enlarge(maps: Tensor, weights: Tensor) -> Tensor:
     """[N, C, h, w] to [N, C, CELL h, CELL w], bilinear, the border repeated."""
-    around = F.pad(maps, (1, 1, 1, 1), mode="replicate")
+    # Not F.pad: some runtimes pad with zeros only.
+    around = torch.cat([maps[:, :, :1], maps, maps[:, :, -1:]], 2)
+    around = torch.cat([around[..., :1], around, around[..., -1:]], 3)
     return F.pixel_shuffle(F.conv2d(around, weights, groups=maps.shape[1]), CELL)
