@@ -75,6 +75,17 @@ def test_untrained_it_is_too_unsure_for_the_map() -> None:
     assert float((1 - torch.exp(-math.log(1.25) / scale)).max()) < 0.8
 
 
+def test_however_sure_of_a_hole_in_use_it_leaves_it_out_of_the_map() -> None:
+    network = Student(RANGE_M)
+    with torch.no_grad():
+        assert network.head.bias is not None
+        network.head.bias[3] = -20.0
+        scale = network.eval()(random_picture((32, 64), 0), coarse_of(2.0))[0, 1].exp()
+    probability = 1 - torch.exp(-math.log(1.25) / scale)
+    assert float(probability[:, 34:].max()) < 0.8
+    assert float(probability[:, :30].min()) > 0.99
+
+
 def test_every_weight_learns() -> None:
     torch.manual_seed(0)
     network = Student(RANGE_M).train()
