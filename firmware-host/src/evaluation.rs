@@ -78,8 +78,9 @@ impl Evaluation {
             self.constant.add(depth);
             if let Some(network) = robot.network_depth() {
                 self.network.add(Some(network), depth)?;
-                if let Some(coarse) = robot.coarse_depth() {
-                    self.refined.add_where(network, &coarse.depth, depth)?;
+                match robot.coarse_depth() {
+                    Some(coarse) => self.refined.add_where(network, &coarse.depth, depth)?,
+                    None => self.refined.add(None, depth)?,
                 }
             }
         }

@@ -145,8 +145,9 @@ impl Looker {
             self.constant.add(truth);
             if let Some(refined) = refined {
                 self.network_accuracy.add(Some(refined), truth)?;
-                if let Some(coarse) = coarse {
-                    self.refined_accuracy.add_where(refined, &coarse.depth, truth)?;
+                match coarse {
+                    Some(coarse) => self.refined_accuracy.add_where(refined, &coarse.depth, truth)?,
+                    None => self.refined_accuracy.add(None, truth)?,
                 }
             }
         }
