@@ -18,6 +18,8 @@ const ACCURACY_EVERY: u64 = 5;
 pub struct Evaluation {
     coarse: Accuracy,
     network: Accuracy,
+    /// Of the network, where coarse depth is.
+    refined: Accuracy,
     constant: ConstantBaseline,
     coverage: Option<Coverage>,
     stuck: StuckMeter,
@@ -51,6 +53,7 @@ impl Evaluation {
         Self {
             coarse: Accuracy::new(),
             network: Accuracy::new(),
+            refined: Accuracy::new(),
             constant: ConstantBaseline::new(),
             coverage,
             stuck: StuckMeter::default(),
@@ -73,8 +76,12 @@ impl Evaluation {
         if let Some(depth) = truth.depth.filter(|_| decision.tick.is_multiple_of(ACCURACY_EVERY)) {
             self.coarse.add(robot.coarse_depth(), depth)?;
             self.constant.add(depth);
-            if robot.network_depth().is_some() {
-                self.network.add(robot.network_depth(), depth)?;
+            if let Some(network) = robot.network_depth() {
+                self.network.add(Some(network), depth)?;
+                match robot.coarse_depth() {
+                    Some(coarse) => self.refined.add_where(network, &coarse.depth, depth)?,
+                    None => self.refined.add(None, depth)?,
+                }
             }
         }
         self.stuck.frame(truth.pose);
@@ -158,6 +165,7 @@ impl Evaluation {
         summary.accuracy = constant.all.is_some().then(|| DepthAccuracy {
             coarse: Some(self.coarse.rows()),
             network: network.all.is_some().then_some(network),
+            refined: self.refined.rows().all,
             constant: Some(constant),
         });
     }

@@ -44,6 +44,7 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
         network,
         coarse_accuracy: Accuracy::new(),
         network_accuracy: Accuracy::new(),
+        refined_accuracy: Accuracy::new(),
         constant: ConstantBaseline::new(),
         events: EventCounts::default(),
         stopwatch: Stopwatch::default(),
@@ -104,6 +105,8 @@ struct Looker {
     network: Option<DepthNetwork>,
     coarse_accuracy: Accuracy,
     network_accuracy: Accuracy,
+    /// Of the network, where coarse depth is.
+    refined_accuracy: Accuracy,
     constant: ConstantBaseline,
     events: EventCounts,
     stopwatch: Stopwatch,
@@ -140,8 +143,12 @@ impl Looker {
         if let Some(truth) = &sample.truth {
             self.coarse_accuracy.add(coarse, truth)?;
             self.constant.add(truth);
-            if refined.is_some() {
-                self.network_accuracy.add(refined, truth)?;
+            if let Some(refined) = refined {
+                self.network_accuracy.add(Some(refined), truth)?;
+                match coarse {
+                    Some(coarse) => self.refined_accuracy.add_where(refined, &coarse.depth, truth)?,
+                    None => self.refined_accuracy.add(None, truth)?,
+                }
             }
         }
         let depths = usize::from(coarse.is_some()) + usize::from(refined.is_some());
@@ -155,6 +162,7 @@ impl Looker {
         let accuracy = constant.all.is_some().then(|| DepthAccuracy {
             coarse: Some(self.coarse_accuracy.rows()),
             network: network.all.is_some().then_some(network),
+            refined: self.refined_accuracy.rows().all,
             constant: Some(constant),
         });
         Summary {

@@ -20,6 +20,9 @@ pub const MAX_TRUTH_M: f32 = 20.0;
 pub struct Metrics {
     /// Share of the pixels with ground truth that this row speaks of. A picture without depth counts with 0.
     pub share: f64,
+    /// Share of all pixels with ground truth whose depth is within 1.25 of it, metric. No depth is wrong, unlike in
+    /// `delta1_unscaled`: what compares sources of depth that speak of different pixels.
+    pub right: f64,
     /// Median-scaled share below 1.25.
     pub delta1: f64,
     /// Median-scaled share below 1.25^2.
@@ -49,9 +52,10 @@ impl Metrics {
         }
     }
 
-    fn fields_mut(&mut self) -> [&mut f64; 11] {
+    fn fields_mut(&mut self) -> [&mut f64; 12] {
         [
             &mut self.share,
+            &mut self.right,
             &mut self.delta1,
             &mut self.delta2,
             &mut self.delta3,
@@ -103,7 +107,7 @@ impl Accuracy {
         Self::default()
     }
 
-    /// Counts one picture. `None` is a picture that got no depth: it lowers the share and nothing else. A picture
+    /// Counts one picture. `None` is a picture that got no depth: it lowers `share` and `right` and nothing else. A picture
     /// without any ground truth in range is left out.
     ///
     /// # Errors
@@ -113,20 +117,43 @@ impl Accuracy {
         let with_truth = match estimate {
             Some(estimate) => {
                 same_size(&estimate.depth, truth)?;
-                pixels.collect(&estimate.depth, &estimate.confidence, truth)
+                pixels.collect(&estimate.depth, &estimate.confidence, truth, |_| true)
             }
             None => {
                 pixels.clear();
                 truth.values().iter().filter(|t| counts(**t)).count()
             }
         };
+        self.count(with_truth);
+        Ok(())
+    }
+
+    /// Counts those pixels of one picture where `other` has a depth too: two sources of depth on the same pixels.
+    ///
+    /// # Errors
+    /// [`SizeMismatch`]; the picture is then not counted.
+    pub fn add_where(
+        &mut self,
+        estimate: &DepthEstimate,
+        other: &DepthMap,
+        truth: &DepthMap,
+    ) -> Result<(), SizeMismatch> {
+        same_size(&estimate.depth, truth)?;
+        same_size(other, truth)?;
+        let there = |at: usize| other.values()[at] > 0.0;
+        let with_truth = self.scratch.collect(&estimate.depth, &estimate.confidence, truth, there);
+        self.count(with_truth);
+        Ok(())
+    }
+
+    fn count(&mut self, with_truth: usize) {
         if with_truth == 0 {
-            return Ok(());
+            return;
         }
+        let pixels = &mut self.scratch;
         self.all.add(pixels.metrics(with_truth));
         pixels.keep_confident_half();
         self.confident.add(pixels.metrics(with_truth));
-        Ok(())
     }
 
     /// The means so far.
@@ -172,7 +199,7 @@ impl ConstantBaseline {
 #[derive(Debug, Clone, Default)]
 struct Sum {
     pictures: u64,
-    /// Pictures that have at least one pixel in the row; the others have a share and no other value.
+    /// Pictures that have at least one pixel in the row; the others have `share` and `right` and no other value.
     measured: u64,
     total: Metrics,
 }
@@ -195,6 +222,7 @@ impl Sum {
             *value /= self.measured as f64;
         }
         mean.share = self.total.share / self.pictures as f64;
+        mean.right = self.total.right / self.pictures as f64;
         Some(mean)
     }
 }
@@ -215,14 +243,20 @@ impl Scratch {
         self.confidence.clear();
     }
 
-    /// Gathers the pixels that count and returns how many have ground truth.
-    fn collect(&mut self, depth: &DepthMap, confidence: &[f32], truth: &DepthMap) -> usize {
+    /// Gathers the pixels that count and are `asked` for, by their places, and returns how many have ground truth.
+    fn collect(
+        &mut self,
+        depth: &DepthMap,
+        confidence: &[f32],
+        truth: &DepthMap,
+        asked: impl Fn(usize) -> bool,
+    ) -> usize {
         self.clear();
         let mut with_truth = 0;
-        for ((&p, &t), &c) in depth.values().iter().zip(truth.values()).zip(confidence) {
+        for (at, ((&p, &t), &c)) in depth.values().iter().zip(truth.values()).zip(confidence).enumerate() {
             if counts(t) {
                 with_truth += 1;
-                if p > 0.0 {
+                if p > 0.0 && asked(at) {
                     self.predicted.push(p);
                     self.truth.push(t);
                     self.confidence.push(c);
@@ -255,8 +289,10 @@ impl Scratch {
         let median_predicted = median(&self.predicted, &mut self.sorted)?;
         let metric = Errors::of(&self.predicted, &self.truth, 1.0);
         let scaled = Errors::of(&self.predicted, &self.truth, median_truth / median_predicted);
+        let share = self.truth.len() as f64 / with_truth as f64;
         Some(Metrics {
-            share: self.truth.len() as f64 / with_truth as f64,
+            share,
+            right: share * metric.delta[0],
             delta1: scaled.delta[0],
             delta2: scaled.delta[1],
             delta3: scaled.delta[2],
@@ -404,12 +440,28 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_without_depth_lowers_the_share_only() {
+    fn a_picture_without_depth_lowers_the_share_and_what_is_right_of_all() {
         let mut accuracy = Accuracy::new();
         accuracy.add(Some(&estimate(&[2.0, 2.0], &[1.0, 0.5])), &row(&[2.0, 2.0])).unwrap();
         accuracy.add(None, &row(&[2.0, 2.0])).unwrap();
         let all = accuracy.rows().all.unwrap();
-        assert_eq!((all.share, all.delta1), (0.5, 1.0));
+        assert_eq!((all.share, all.delta1, all.right), (0.5, 1.0, 0.5));
+    }
+
+    #[test]
+    fn no_depth_counts_as_wrong_among_all_pixels() {
+        let all = rows_of(&[2.0, 3.0, 0.0, 0.0], &[1.0; 4], &[2.0; 4]).all.unwrap();
+        assert_eq!((all.delta1_unscaled, all.right), (0.5, 0.25));
+    }
+
+    #[test]
+    fn two_sources_are_compared_on_the_pixels_that_both_have() {
+        let mut accuracy = Accuracy::new();
+        let network = estimate(&[2.0, 9.0, 2.0, 9.0], &[1.0; 4]);
+        accuracy.add_where(&network, &row(&[5.0, 5.0, 5.0, 0.0]), &row(&[2.0; 4])).unwrap();
+        let all = accuracy.rows().all.unwrap();
+        assert_eq!((all.share, all.right), (0.75, 0.5));
+        assert!((all.delta1_unscaled - 2.0 / 3.0).abs() < 1e-12);
     }
 
     #[test]

@@ -8,12 +8,18 @@ use crate::{command, onnx_runtime, paths};
 
 const SCENE: &str = "builtin:apartment?seed=1";
 const FRAMES: &str = "3000";
+/// See models/README.md.
+const MODEL: &str = "models/default.onnx";
 
 pub fn run() -> Result<()> {
-    if let Err(error) = onnx_runtime::install() {
-        // One line: the demo's depth comes from geometry and needs no network.
-        println!("no `--depth network` ({error}); the demo needs none");
-    }
+    let model = match onnx_runtime::install() {
+        Ok(_) => Some(paths::root().join(MODEL)),
+        Err(error) => {
+            // One line: depth from motion alone explores as well.
+            println!("no depth network ({error}); the robot explores with depth from its own motion");
+            None
+        }
+    };
     println!("building firmware-host in release; the first time takes some minutes");
     command::run(command::cargo().args(["build", "--release", "--locked", "--package", "firmware-host"]))?;
     let out = paths::target().join("demo");
@@ -24,16 +30,21 @@ pub fn run() -> Result<()> {
     let mut explore = command::program(&robot);
     explore.args(["explore", "--scene", SCENE, "--policy", "active", "--frames", FRAMES, "--seed", "1", "--out"]);
     explore.arg(&out);
+    if let Some(model) = &model {
+        explore.arg("--model").arg(model);
+    }
     println!("> {}", command::text(&explore));
     let start = Instant::now();
     // Prints its own numbers and where they lie.
     command::run(&mut explore)?;
     let seconds = start.elapsed().as_secs_f64();
-    println!("\nThe robot saw {FRAMES} frames of {SCENE} in {seconds:.0} s, with depth from its own motion.");
+    let depth = if model.is_some() { "its own motion, refined by the default network" } else { "its own motion" };
+    println!("\nThe robot saw {FRAMES} frames of {SCENE} in {seconds:.0} s, with depth from {depth}.");
     println!(
         "Open the recording in Foxglove (Open local file) or Rerun (`rerun {}/recording_0000.mcap`).",
         out.display()
     );
-    println!("Recompute every decision from it: {} replay {}", robot.display(), out.display());
+    let with_model = model.map_or(String::new(), |model| format!(" --model {}", model.display()));
+    println!("Recompute every decision from it: {} replay {}{with_model}", robot.display(), out.display());
     Ok(())
 }

@@ -2,7 +2,12 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use runtime::{accuracy::AccuracyRows, event::ExploreEnd, latency::Percentiles, robot::DepthSource};
+use runtime::{
+    accuracy::{AccuracyRows, Metrics},
+    event::ExploreEnd,
+    latency::Percentiles,
+    robot::DepthSource,
+};
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -101,6 +106,9 @@ pub struct DepthAccuracy {
     /// Depth from the network.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub network: Option<AccuracyRows>,
+    /// The same, on the pixels that have coarse depth: what the network makes of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refined: Option<Metrics>,
     /// The median of the ground truth everywhere: what anything must beat.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub constant: Option<AccuracyRows>,
@@ -144,7 +152,6 @@ fn peak_resident_in(status: &str) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use runtime::accuracy::Metrics;
     use serde_json::json;
 
     #[test]
@@ -179,7 +186,12 @@ mod tests {
             wall_s: Some(95.1),
             digest: Some("ab12".into()),
             latency_ms: BTreeMap::from([(Stage::Total, Percentiles { p50: 6.1, p99: 9.7, max: 14.0 })]),
-            accuracy: Some(DepthAccuracy { coarse: Some(coarse), network: None, constant: Some(constant) }),
+            accuracy: Some(DepthAccuracy {
+                coarse: Some(coarse),
+                network: None,
+                refined: None,
+                constant: Some(constant),
+            }),
             ..Summary::default()
         };
         let mut value: serde_json::Value = serde_json::from_str(&summary.to_json()).unwrap();

@@ -148,7 +148,7 @@ fn counted(reasons: &Reasons, what: &str) -> String {
 
 fn accuracy(summary: &Summary) -> Option<Table> {
     let accuracy = summary.accuracy.as_ref()?;
-    let mut table = numbers(&["depth accuracy", "share", "delta1", "unscaled", "abs rel", "rmse (m)"]);
+    let mut table = numbers(&["depth accuracy", "share", "right of all", "delta1", "unscaled", "abs rel", "rmse (m)"]);
     let mut source = |label: &str, of: Option<AccuracyRows>| {
         let of = of.unwrap_or_default();
         for (which, row) in [("all", of.all), ("confident half", of.confident)] {
@@ -159,6 +159,9 @@ fn accuracy(summary: &Summary) -> Option<Table> {
     };
     source("coarse", accuracy.coarse);
     source("network", accuracy.network);
+    if let Some(row) = accuracy.refined {
+        table.add_row(accuracy_row("network, where coarse is".to_owned(), &row));
+    }
     if let Some(row) = accuracy.constant.and_then(|constant| constant.all) {
         table.add_row(accuracy_row("constant (median of the truth)".to_owned(), &row));
     }
@@ -167,8 +170,9 @@ fn accuracy(summary: &Summary) -> Option<Table> {
 
 fn accuracy_row(label: String, row: &Metrics) -> Vec<String> {
     let number = |value: f64| format!("{value:.3}");
+    let shares = [row.share, row.right].map(|value| format!("{:.0} %", 100.0 * value));
     let values = [row.delta1, row.delta1_unscaled, row.abs_rel, row.rmse_m].map(number);
-    [label, format!("{:.0} %", 100.0 * row.share)].into_iter().chain(values).collect()
+    std::iter::once(label).chain(shares).chain(values).collect()
 }
 
 fn latency(summary: &Summary) -> Option<Table> {
@@ -260,6 +264,7 @@ mod tests {
             accuracy: Some(DepthAccuracy {
                 coarse: Some(rows),
                 network: Some(rows),
+                refined: Some(metrics(0.71, 0.87)),
                 constant: Some(AccuracyRows { all: Some(metrics(1.0, 0.65)), confident: None }),
             }),
             resident_mib: Some(212.0),
@@ -284,6 +289,7 @@ mod tests {
             "210 frames (209 too_little_parallax, 1 first_frame)",
             "3 trips (3 lidar_hit)",
             "network, confident half",
+            "network, where coarse is",
             "digest 0123456789abcdef",
         ] {
             assert!(text.contains(part), "{part} is not in\n{text}");

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
+from torch import nn
 
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.evaluation import evaluate, metrics, table
@@ -30,6 +33,37 @@ def test_pixels_without_truth_outside_the_range_or_without_depth_do_not_count() 
     assert found is not None
     assert (found.share, found.delta1_unscaled) == (0.5, 1.0)
     assert metrics(row(0, 1), row(1, 0)) is None
+
+
+def test_no_depth_counts_as_wrong_among_all_pixels() -> None:
+    found = metrics(row(2, 3, 0, 0), row(2, 2, 2, 2))
+    assert found is not None
+    assert (found.delta1_unscaled, found.right) == (0.5, 0.25)
+
+
+class Sure(nn.Module):
+    """2 m everywhere, right with a probability of 60 %."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.scale = nn.Parameter(torch.tensor(math.log(-math.log(1.25) / math.log(0.4))))
+
+    def forward(self, rgb: torch.Tensor, coarse: torch.Tensor) -> torch.Tensor:
+        two_metres = torch.full_like(rgb[:, :1], (1 / 2 - 1 / 20) / (10 - 1 / 20))
+        return torch.cat([two_metres, self.scale.expand_as(two_metres)], 1)
+
+
+def test_the_calibration_error_is_the_distance_of_what_is_said_from_what_is_right() -> None:
+    frames = room(4)
+    assert frames.truth_mm is not None
+    frames.truth_mm[:] = 3000
+    frames.truth_mm[..., :24] = 2000
+    said = evaluate(frames, {"sure": Sure()}, (0.1, 20.0))
+    ((probability, right, share),) = said["sure"].reliability
+    assert (probability, right, share) == pytest.approx((0.6, 0.25, 1.0), abs=1e-5)
+    assert said["sure"].calibration_error == pytest.approx(0.35, abs=1e-5)
+    assert said["constant"].calibration_error is None
+    assert said["sure, where coarse is"].share == pytest.approx(said["coarse"].share)
 
 
 def test_deltas_are_powers_of_a_quarter_more() -> None:

@@ -23,11 +23,12 @@ from embodied_depth_trainer.cli import main
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.evaluation import evaluate
 from embodied_depth_trainer.frames import Frames
+from embodied_depth_trainer.labels import labels
 from embodied_depth_trainer.losses import LossOptions
 from embodied_depth_trainer.objectives import recipe
 from embodied_depth_trainer.onnx_file import random_picture
 from embodied_depth_trainer.pairs import PairRule, pairs_by_baseline
-from embodied_depth_trainer.training import Settings, Trainer, scale_surprise, train
+from embodied_depth_trainer.training import Settings, Trainer, label_error, rightness_surprise, scale_surprise, train
 
 from .recordings import dump_of, straight, write_segment
 from .rooms import room
@@ -42,7 +43,8 @@ def _one_thread() -> None:
 
 @pytest.fixture(scope="module")
 def walk() -> Frames:
-    return room(24)
+    frames = room(24)
+    return replace(frames, labels=labels(frames))
 
 
 def trainer(frames: Frames, settings: Settings = QUICK) -> Trainer:
@@ -62,6 +64,7 @@ def same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
     [
         QUICK,
         replace(QUICK, loss=LossOptions(geometry=0.1, auto_mask=True)),
+        replace(QUICK, label_weight=1.0, crop_width=32, decay=(1, 5)),
         replace(QUICK, network="monodepth2_r18"),
         replace(QUICK, network="monodepth2_r18", amp=True, loss=LossOptions(visibility=True, census=True)),
         replace(QUICK, network="sc_depth_r18", loss=recipe("sc_depth_r18")),
@@ -71,6 +74,7 @@ def same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
     ids=[
         "student",
         "geometry and auto-mask",
+        "labels and crops",
         "monodepth2_r18",
         "bfloat16, visibility and census",
         "sc_depth_r18",
@@ -189,6 +193,65 @@ def test_the_scale_is_learnt_from_the_distance_to_coarse_depth_and_from_its_conf
     assert float(scales[int(np.argmin(losses))]) == pytest.approx(best, abs=0.01)
 
 
+def labels_of(depth_m: float, confidence: float) -> torch.Tensor:
+    """[1, 2, 2, 2] of an 8x8 picture; the first cell has no label."""
+    planes = torch.tensor([depth_m, confidence]).view(1, 2, 1, 1).repeat(1, 1, 2, 2)
+    planes[..., 0, 0] = 0.0
+    return planes
+
+
+def test_labels_speak_of_the_middle_of_their_cells_where_they_are() -> None:
+    depth = torch.full((1, 1, 8, 8), 9.0)
+    depth[..., 2::4, 2::4] = 2.0
+    depth[..., 2, 2] = 5.0
+    assert float(label_error(depth, labels_of(2.0, 0.9))) == pytest.approx(0.0, abs=1e-6)
+    assert float(label_error(2 * depth, labels_of(2.0, 0.9))) == pytest.approx(math.log(2), rel=1e-5)
+    assert float(label_error(depth, torch.zeros(1, 2, 2, 2))) == 0.0
+
+
+def test_the_scale_that_surprises_least_says_how_often_depth_is_right() -> None:
+    wanted = torch.tensor([1.0, 1.2, 1.0, 2.0]).view(1, 1, 2, 2).repeat(1, 1, 16, 16)
+    judge = torch.cat([torch.ones(1, 1, 32, 32), torch.full((1, 1, 32, 32), 0.9)], 1)
+    scales = torch.linspace(0.05, 1.0, 400)
+    losses = [float(rightness_surprise(wanted, torch.full_like(wanted, float(s)).log(), judge)) for s in scales]
+    probability = 1 - math.exp(-math.log(1.25) / float(scales[int(np.argmin(losses))]))
+    assert probability == pytest.approx(0.75, abs=0.01)
+
+
+def test_a_certain_scale_costs_no_infinite_surprise() -> None:
+    depth = torch.full((1, 1, 8, 8), 2.0)
+    for scale in (0.01, 2.0):
+        for judge in (2.0, 7.0):
+            log_scale = torch.full_like(depth, math.log(scale)).requires_grad_()
+            surprise = rightness_surprise(depth, log_scale, labels_of(judge, 0.9))
+            surprise.backward()  # type: ignore[no-untyped-call]
+            assert log_scale.grad is not None
+            assert math.isfinite(float(surprise.detach()))
+            assert bool(torch.isfinite(log_scale.grad).all())
+
+
+def test_a_crop_sees_its_columns_of_everything_and_warps_as_the_whole_does(walk: Frames) -> None:
+    learner = trainer(walk)
+    whole = learner.batch(0)
+    crop = whole.cropped(32, 64)
+    assert torch.equal(crop.seen, whole.seen[..., 32:])
+    assert crop.source_pictures is whole.source_pictures
+    assert whole.labels is not None
+    assert crop.labels is not None
+    assert torch.equal(crop.labels, whole.labels[..., 8:])
+    depth = torch.full((2, 1, 32, 96), 2.0)
+    pose = whole.t_source_target[0]
+    seen, all_ = learner.projector(depth[..., 32:], pose, crop.left), learner.projector(depth, pose)
+    assert torch.allclose(seen.u, all_.u[..., 32:], atol=1e-4)
+    assert torch.equal(seen.inside, all_.inside[..., 32:])
+
+
+def test_the_learning_rate_stays_and_then_goes_down_to_nothing() -> None:
+    settings = Settings(learning_rate=1.0, decay=(100, 200))
+    assert [settings.learning_rate_at(step) for step in (0, 100, 150, 200)] == pytest.approx([1.0, 1.0, 0.5, 0.0])
+    assert Settings(learning_rate=1.0).learning_rate_at(10**9) == 1.0
+
+
 def test_colors_change_in_about_half_of_the_pictures_and_holes_are_cut() -> None:
     pictures = random_picture((16, 16), 0).expand(200, -1, -1, -1)
     changed = change_colors(pictures, np.random.default_rng(0))
@@ -224,7 +287,14 @@ def test_evaluate_writes_what_it_prints(walk: Frames, tmp_path: Path, capsys: py
     frames = ["--recording", str(run), "--coarse", str(coarse)]
     assert main(["evaluate", "--checkpoint", str(file), *frames, "--json", str(tmp_path / "rows.json")]) == 0
     rows = json.loads((tmp_path / "rows.json").read_text())
-    assert list(rows) == ["constant", "coarse", "untrained", "student, 1 steps"]
+    assert list(rows) == [
+        "constant",
+        "coarse",
+        "untrained",
+        "untrained, where coarse is",
+        "student, 1 steps",
+        "student, 1 steps, where coarse is",
+    ]
     assert f"{rows['coarse']['delta1']:.3f}" in capsys.readouterr().out
     assert main(["evaluate", "--recording", str(run), "--coarse", str(coarse), "--coarse", str(coarse)]) == 1
     assert "2 --coarse for 1 --recording" in capsys.readouterr().err

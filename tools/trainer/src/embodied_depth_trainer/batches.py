@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,12 @@ def rgb_planes(frames: Frames, index: NDArray[np.int64], device: torch.device | 
     return bytes_.permute(0, 3, 1, 2).to(torch.float32, memory_format=torch.contiguous_format) / 255.0
 
 
+def depth_planes(planes: NDArray[np.uint16], index: NDArray[np.int64], device: torch.device | str = "cpu") -> Tensor:
+    """z-depth in metres (0: none) and confidence [B, 2, h, w], as they are kept in RAM."""
+    raw = torch.from_numpy(planes[index].astype(np.float32)).to(device)
+    return raw / torch.tensor([1000.0, FULL_CONFIDENCE], device=device).view(1, 2, 1, 1)
+
+
 def coarse_planes(
     frames: Frames, index: NDArray[np.int64], depth_range_m: tuple[float, float], device: torch.device | str = "cpu"
 ) -> Tensor:
@@ -37,8 +43,7 @@ def coarse_planes(
     batch, height, width = len(index), frames.camera.height, frames.camera.width
     if frames.coarse is None:
         return torch.zeros(batch, 3, height, width, device=device)
-    raw = torch.from_numpy(frames.coarse[index].astype(np.float32)).to(device)
-    depth_m, confidence = raw[:, 0] / 1000.0, raw[:, 1] / FULL_CONFIDENCE
+    depth_m, confidence = depth_planes(frames.coarse, index, device).unbind(1)
     valid = depth_m > 0
     near, far = depth_range_m
     disparity = (1 / depth_m.clamp(min=1e-3) - 1 / far) / (1 / near - 1 / far)
@@ -68,19 +73,44 @@ class Batch:
     """What the network gets, holes included."""
     coarse_whole: Tensor
     """Before holes were cut."""
+    labels: Tensor | None
+    """z-depth in metres (0: none) and confidence of each cell's middle [B, 2, h, w]."""
     source_pictures: list[Tensor]
+    """Always whole."""
     t_source_target: list[Tensor]
     """[B, 4, 4] each."""
+    left: int = 0
+    """Column of the whole picture at which the target's planes begin."""
+
+    def cropped(self, left: int, width: int) -> Batch:
+        """`width` columns of the targets from `left` on; both are multiples of a cell. Sources stay whole."""
+        across = slice(left, left + width)
+        labels = self.labels
+        if labels is not None:
+            cell = self.picture.shape[3] // labels.shape[3]
+            labels = labels[..., left // cell : (left + width) // cell]
+        return replace(
+            self,
+            picture=self.picture[..., across],
+            seen=self.seen[..., across],
+            coarse=self.coarse[..., across],
+            coarse_whole=self.coarse_whole[..., across],
+            labels=labels,
+            left=self.left + left,
+        )
 
     def share(self, place: int, places: int) -> Batch:
         """Every `places`th sample from `place` on."""
         if places == 1:
             return self
         mine = slice(place, None, places)
-        whole = vars(self).items()
-        fields: dict[str, Any] = {
-            name: [part[mine] for part in value] if isinstance(value, list) else value[mine] for name, value in whole
-        }
+
+        def of(value: Any) -> Any:  # noqa: ANN401
+            if isinstance(value, list):
+                return [part[mine] for part in value]
+            return value if value is None or isinstance(value, int) else value[mine]
+
+        fields: dict[str, Any] = {name: of(value) for name, value in vars(self).items()}
         return Batch(**fields)
 
     def as_dict(self) -> Mapping[str, Tensor | list[Tensor]]:
@@ -124,6 +154,7 @@ def make_batch(
         seen,
         holed,
         coarse,
+        None if frames.labels is None else depth_planes(frames.labels, targets, device),
         [rgb_planes(frames, sources[:, view], device) for view in range(count)],
         [torch.from_numpy(relative[:, view].copy()).to(device) for view in range(count)],
     )

@@ -1,4 +1,5 @@
-"""The command line: `embodied-depth train`, `evaluate`, `export`, `export-depth` and `export-flow`."""
+"""The command line: `embodied-depth label`, `train`, `evaluate`, `export`, `make-default`, `export-depth` and
+`export-flow`."""
 
 from __future__ import annotations
 
@@ -7,8 +8,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import torch
+
 from . import experiment
-from .commands import run_evaluate, run_train
+from .commands import run_evaluate, run_label, run_train
+from .default_network import make_default
 from .errors import TrainerError
 from .export_depth import DEPTH_NETWORKS, DepthExport, export_checkpoint, export_depth
 from .export_flow import FLOW_NETWORKS, FlowExport, export_flow
@@ -47,8 +51,17 @@ def parser() -> argparse.ArgumentParser:
         command.add_argument("--seed", type=int, default=0, help="of random weights and of the parity pictures")
         command.add_argument("--out", type=Path, required=True)
 
+    label = commands.add_parser("label", help="what a whole recording knows of the depth of each of its pictures")
+    label.add_argument("--recording", type=Path, required=True, help="--out folder of a run")
+    label.add_argument("--coarse", type=Path, required=True, help="what `firmware-host perceive --dump` wrote of it")
+    label.add_argument("--out", type=Path, required=True, help="file to write (.npz)")
     _add_train(commands.add_parser("train", help="train a depth network on recordings, without any depth sensor"))
     _add_evaluate(commands.add_parser("evaluate", help="how right a trained network is, beside what is trivial"))
+    default = commands.add_parser("make-default", help="the robot's default network, from nothing")
+    default.add_argument("--robot", type=Path, required=True, help="firmware-host, a release build")
+    default.add_argument("--work", type=Path, required=True, help="folder for runs and training; 10 GB")
+    default.add_argument("--threads", type=int, default=1, help="of the CPU [1]")
+    default.add_argument("--out", type=Path, required=True)
     trained = commands.add_parser("export", help="a trained network as an ONNX file for the robot")
     trained.add_argument("--checkpoint", type=Path, required=True, help="checkpoint.pt of a training")
     trained.add_argument(
@@ -68,6 +81,7 @@ def _add_frames(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--dataset", type=Path, action="append", default=[], help="what `perceive --dataset --dump` wrote"
     )
+    command.add_argument("--every", type=int, default=1, help="only every so manieth picture of a recording [1]")
     command.add_argument("--size", type=picture_size, help="rows x columns to reduce the pictures to")
     command.add_argument("--device", default="cpu", help="cpu or cuda [cpu]")
     command.add_argument(
@@ -101,6 +115,15 @@ def _add_train(command: argparse.ArgumentParser) -> None:
     command.add_argument("--smoothness", type=float, help="weight [1e-3; sc_depth_r18: 0.1]")
     command.add_argument("--geometry", type=float, help="weight of the geometry consistency [0; sc_depth_r18: 0.5]")
     command.add_argument("--coarse-weight", type=float, default=0.1, help="weight of agreeing with coarse depth [0.1]")
+    command.add_argument(
+        "--labels", type=Path, action="append", default=[], help="what `label` wrote; one for each --recording"
+    )
+    command.add_argument("--label-weight", type=float, default=1.0, help="of agreeing with --labels [1]")
+    command.add_argument("--photometric-weight", type=float, default=1.0, help="of the photometric loss [1]")
+    command.add_argument("--crop-width", type=int, default=0, help="columns of a target that a step sees [all]")
+    command.add_argument(
+        "--decay-from", type=int, metavar="STEP", help="where the learning rate begins to go down to 0 at --steps"
+    )
     command.add_argument("--uncertainty-weight", type=float, default=0.05, help="of learning the own error [0.05]")
     command.add_argument(
         "--auto-mask", action=argparse.BooleanOptionalAction, help="as in the paper's code [only sc_depth_r18]"
@@ -133,6 +156,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = parser().parse_args(with_experiment(sys.argv[1:] if arguments is None else arguments))
         if options.command == "train":
             run_train(options)
+        elif options.command == "label":
+            run_label(options)
         elif options.command == "evaluate":
             run_evaluate(options)
         else:
@@ -148,6 +173,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _export(options: argparse.Namespace) -> float:
+    if options.command == "make-default":
+        torch.set_num_threads(options.threads)
+        return make_default(options.robot, options.work, options.out)
     if options.command == "export":
         return export_checkpoint(options.checkpoint, options.size, options.out)
     if options.command == "export-flow":

@@ -24,6 +24,7 @@ from .depth_networks import build_network
 from .errors import TrainerError
 from .evaluation import evaluate, table
 from .frames import Frames, join
+from .labels import with_labels, write_labels
 from .losses import LossOptions
 from .objectives import recipe
 from .pairs import PairRule, Pairs, pairs_by_baseline, pairs_by_gap
@@ -35,12 +36,21 @@ EXPERIMENT_FILE = "experiment.toml"
 
 
 def read_frames(
-    recordings: Sequence[Path], coarse: Sequence[Path], datasets: Sequence[Path], size: tuple[int, int] | None
+    recordings: Sequence[Path],
+    coarse: Sequence[Path],
+    datasets: Sequence[Path],
+    size: tuple[int, int] | None,
+    label_files: Sequence[Path] = (),
+    every: int = 1,
 ) -> Frames:
-    """All runs and dataset dumps as one set, reduced to `size` rows x columns."""
+    """All runs and dataset dumps as one set, every `every`th picture, reduced to `size` rows x columns."""
     if coarse and len(coarse) != len(recordings):
         raise TrainerError(
             f"{len(coarse)} --coarse for {len(recordings)} --recording; give one for each, in the same order, or none"
+        )
+    if label_files and len(label_files) != len(recordings):
+        raise TrainerError(
+            f"{len(label_files)} --labels for {len(recordings)} --recording; give one for each, in the same order"
         )
     parts = []
     for place, path in enumerate(recordings):
@@ -49,7 +59,9 @@ def read_frames(
             print(f"{path}: {damage}", file=sys.stderr)
         if coarse:
             frames = with_coarse(frames, coarse[place])
-        parts.append(frames.reduced_to(size) if size else frames)
+        if label_files:
+            frames = with_labels(frames, label_files[place])
+        parts.append(frames.every(every).reduced_to(size) if size else frames.every(every))
     for folder in datasets:
         frames = read_dataset_dump(folder)
         parts.append(frames.reduced_to(size) if size else frames)
@@ -73,10 +85,18 @@ def loss_options(options: argparse.Namespace) -> LossOptions:
     )
 
 
+def run_label(options: argparse.Namespace) -> None:
+    frames = read_frames([options.recording], [options.coarse], [], None)
+    share = write_labels(frames, options.out)
+    print(f"{options.out}: {len(frames)} pictures, labels for {share:.0%} of their cells")
+
+
 def run_train(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
     device = processes.start(options.device)
-    frames = read_frames(options.recording, options.coarse, options.dataset, options.size)
+    frames = read_frames(
+        options.recording, options.coarse, options.dataset, options.size, options.labels, options.every
+    )
     low, high = options.baseline
     pairs = find_pairs(frames, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
     print(f"{len(frames)} pictures, {len(pairs)} of them with sources", file=sys.stderr)
@@ -92,6 +112,10 @@ def run_train(options: argparse.Namespace) -> None:
         augment=not options.no_augmentation,
         coarse_weight=options.coarse_weight,
         uncertainty_weight=options.uncertainty_weight,
+        label_weight=options.label_weight,
+        photometric_weight=options.photometric_weight,
+        crop_width=options.crop_width,
+        decay=(options.decay_from, options.steps) if options.decay_from is not None else None,
         amp=options.amp,
         teacher_steps=options.teacher_steps,
         loss=loss_options(options),
@@ -132,7 +156,7 @@ def run_evaluate(options: argparse.Namespace) -> None:
         depth_range_m = saved.depth_range_m
         networks["untrained"] = build_network(saved.network, depth_range_m, int(saved.settings["seed"]))
         networks[f"{saved.network}, {saved.step} steps"] = saved.build()
-    frames = read_frames(options.recording, options.coarse, options.dataset, size)
+    frames = read_frames(options.recording, options.coarse, options.dataset, size, every=options.every)
     rows = evaluate(frames, {name: network.to(options.device) for name, network in networks.items()}, depth_range_m)
     print(table(rows))
     if options.json is not None:

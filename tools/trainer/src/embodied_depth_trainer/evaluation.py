@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from .batches import rgb_planes, to_depth
+from .batches import FULL_CONFIDENCE, rgb_planes, to_depth
 from .depth_networks import output_of
 from .errors import TrainerError
 from .frames import Frames
@@ -26,6 +26,10 @@ BATCH = 8
 # What the robot's map takes (`map.min_confidence`), and how such rows are called.
 MAPPED_CONFIDENCE = 0.8
 CONFIDENT = ", mapped"
+# How a network's rows on the pixels that have coarse depth are called.
+REFINED = ", where coarse is"
+# Bins of the probability that depth is right.
+BINS = 10
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,8 @@ class Metrics:
 
     share: float
     """Of the pixels with ground truth, those with a depth."""
+    right: float
+    """Of the pixels with ground truth, those whose unscaled depth is within 25 % of it: no depth is wrong here."""
     delta1: float
     delta2: float
     delta3: float
@@ -44,6 +50,16 @@ class Metrics:
     delta3_unscaled: float
     abs_rel_unscaled: float
     rmse_m_unscaled: float
+    reliability: tuple[tuple[float, float, float], ...] = ()
+    """Of the probabilities that depth is right, by tenths: mean probability, share that is right, share of the pixels.
+    Over all pictures; empty where no probability is said."""
+
+    @property
+    def calibration_error(self) -> float | None:
+        """Mean distance between probability and share that is right."""
+        if not self.reliability:
+            return None
+        return sum(share * abs(said - right) for said, right, share in self.reliability)
 
 
 def metrics(depth_m: NDArray[np.float32], truth_m: NDArray[np.float32]) -> Metrics | None:
@@ -54,7 +70,9 @@ def metrics(depth_m: NDArray[np.float32], truth_m: NDArray[np.float32]) -> Metri
         return None
     depth, truth = depth_m[both].astype(np.float64), truth_m[both].astype(np.float64)
     scaled = _errors(depth * (np.median(truth) / np.median(depth)), truth)
-    return Metrics(float(both.sum() / counts.sum()), *scaled, *_errors(depth, truth))
+    plain = _errors(depth, truth)
+    share = float(both.sum() / counts.sum())
+    return Metrics(share, share * plain[0], *scaled, *plain)
 
 
 def _errors(depth: NDArray[np.float64], truth: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
@@ -66,13 +84,14 @@ def _errors(depth: NDArray[np.float64], truth: NDArray[np.float64]) -> tuple[flo
 
 def evaluate(frames: Frames, networks: dict[str, nn.Module], depth_range_m: tuple[float, float]) -> dict[str, Metrics]:
     """Mean metrics of the constant (each picture's median of the truth), of coarse depth and of every network: of all
-    pixels, and of those that the map takes."""
+    pixels, of those that the map takes, and of those that have coarse depth."""
     if frames.truth_mm is None:
         raise TrainerError(
             "the frames have no ground truth; record with `firmware-host explore --depth truth`, "
             "or dump a dataset with depth.txt"
         )
     rows: dict[str, list[Metrics]] = {"constant": [], "coarse": []}
+    reliabilities: dict[str, _Reliability] = {}
     pictures = 0
     for index, truth in _truths(frames):
         pictures += len(index)
@@ -81,15 +100,44 @@ def evaluate(frames: Frames, networks: dict[str, nn.Module], depth_range_m: tupl
         depths = {"constant": np.stack(constant)}
         if frames.coarse is not None:
             depths["coarse"] = frames.coarse[index, 0].astype(np.float32) / 1000
+            said = frames.coarse[index, 1].astype(np.float32) / FULL_CONFIDENCE
+            reliabilities.setdefault("coarse", _Reliability()).add(depths["coarse"], said, truth)
         for name, network in networks.items():
             depth, confidence = predict(network, frames, index, depth_range_m)
             depths[name] = depth
             if confidence is not None:
                 depths[name + CONFIDENT] = np.where(confidence >= MAPPED_CONFIDENCE, depth, 0)
+                reliabilities.setdefault(name, _Reliability()).add(depth, confidence, truth)
+            if "coarse" in depths:
+                depths[name + REFINED] = np.where(depths["coarse"] > 0, depth, 0)
         for name, batch in depths.items():
             found = [metrics(depth, t) for depth, t in zip(batch, truth, strict=True)]
             rows.setdefault(name, []).extend(value for value in found if value is not None)
-    return {name: _mean(values, pictures) for name, values in rows.items() if values}
+    means = {name: _mean(values, pictures) for name, values in rows.items() if values}
+    return {
+        name: replace(mean, reliability=reliabilities[name].bins()) if name in reliabilities else mean
+        for name, mean in means.items()
+    }
+
+
+class _Reliability:
+    """Sums over the pixels of each bin of the probability: probabilities, right ones, all."""
+
+    def __init__(self) -> None:
+        self.sums = np.zeros((3, BINS))
+
+    def add(self, depth_m: NDArray[np.float32], said: NDArray[np.float32], truth_m: NDArray[np.float32]) -> None:
+        there = (truth_m >= MIN_TRUTH_M) & (truth_m <= MAX_TRUTH_M) & (depth_m > 0)
+        depth, truth, probability = depth_m[there], truth_m[there], said[there].astype(np.float64)
+        right = np.maximum(depth, truth) < 1.25 * np.minimum(depth, truth)
+        place = (probability * BINS).astype(np.int64).clip(0, BINS - 1)
+        for sums, values in zip(self.sums, (probability, right, np.ones(len(place))), strict=True):
+            sums += np.bincount(place, values, BINS)
+
+    def bins(self) -> tuple[tuple[float, float, float], ...]:
+        said, right, count = self.sums[:, self.sums[2] > 0]
+        shares = count / max(float(count.sum()), 1.0)
+        return tuple(zip((said / count).tolist(), (right / count).tolist(), shares.tolist(), strict=True))
 
 
 @torch.no_grad()
@@ -119,15 +167,20 @@ def _truths(frames: Frames) -> Iterator[tuple[NDArray[np.int64], NDArray[np.floa
 
 
 def _mean(values: list[Metrics], pictures: int) -> Metrics:
-    mean = {key: float(np.mean([asdict(value)[key] for value in values])) for key in asdict(values[0])}
-    # A picture without any depth lowers the share and nothing else.
+    keys = [key for key in asdict(values[0]) if key != "reliability"]
+    mean = {key: float(np.mean([getattr(value, key) for value in values])) for key in keys}
+    # A picture without any depth lowers the share and what is right of all, and nothing else.
     mean["share"] *= len(values) / pictures
-    return Metrics(**mean)
+    mean["right"] *= len(values) / pictures
+    return Metrics(**mean)  # type: ignore[arg-type]
 
 
 def table(rows: dict[str, Metrics]) -> str:
     """For people."""
-    head = f"{'':24}share  delta1 delta2 delta3 abs_rel rmse_m | unscaled: delta1 delta2 delta3 abs_rel rmse_m"
+    head = (
+        f"{'':36}share  right  delta1 delta2 delta3 abs_rel rmse_m "
+        "| unscaled: delta1 delta2 delta3 abs_rel rmse_m | calibration error"
+    )
     lines = [head]
     for name, m in rows.items():
         scaled = f"{m.delta1:6.3f} {m.delta2:6.3f} {m.delta3:6.3f} {m.abs_rel:7.3f} {m.rmse_m:6.3f}"
@@ -135,5 +188,7 @@ def table(rows: dict[str, Metrics]) -> str:
             f"{m.delta1_unscaled:6.3f} {m.delta2_unscaled:6.3f} {m.delta3_unscaled:6.3f} "
             f"{m.abs_rel_unscaled:7.3f} {m.rmse_m_unscaled:6.3f}"
         )
-        lines.append(f"{name:24}{m.share:5.2f}  {scaled} |           {plain}")
+        error = m.calibration_error
+        calibration = "" if error is None else f" | {error:.3f}"
+        lines.append(f"{name:36}{m.share:5.2f} {m.right:6.3f}  {scaled} |           {plain}{calibration}")
     return "\n".join(lines)

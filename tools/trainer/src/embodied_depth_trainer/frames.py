@@ -56,9 +56,17 @@ class Frames:
     """[N, H, W]; z-depth of ground truth, 0: none. Only evaluation reads it."""
     coarse: NDArray[np.uint16] | None = None
     """[N, 2, H, W]; coarse z-depth in millimetres (0: none) and confidence times 65535."""
+    labels: NDArray[np.uint16] | None = None
+    """[N, 2, h, w]; what the whole recording knows of the pixel in the middle of each of h x w cells, in the same
+    units; see `labels.py`."""
 
     def __len__(self) -> int:
         return len(self.rgb)
+
+    def every(self, step: int) -> Frames:
+        """Every `step`th picture."""
+        arrays = {key: value for key, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return Frames(self.camera, **{key: value[::step] for key, value in arrays.items()})
 
     def reduced(self, factor: int) -> Frames:
         """Pictures by their mean, depths by the most confident (coarse) or the first (truth) pixel of each block: a
@@ -115,4 +123,5 @@ def join(parts: Sequence[Frames]) -> Frames:
         np.concatenate([part.run + first for part, first in zip(parts, first_run, strict=False)]).astype(np.int32),
         all_or_none([part.truth_mm for part in parts]),
         all_or_none([part.coarse for part in parts]),
+        all_or_none([part.labels for part in parts]),
     )

@@ -67,7 +67,7 @@ class Pairs:
 def pairs_by_baseline(frames: Frames, rule: PairRule) -> Pairs:
     """All pairs whose baseline and overlap lie within the rule. Standing still and turning on the spot give none."""
     poses, run = frames.t_world_camera, frames.run
-    rays = _grid_rays(frames.camera)
+    rays = grid_rays(frames.camera)
 
     def sources(target: int) -> NDArray[np.int64]:
         first, end = max(0, target - rule.max_gap), min(len(frames), target + rule.max_gap + 1)
@@ -118,7 +118,7 @@ def overlap(
     return share
 
 
-def _grid_rays(camera: Intrinsics) -> NDArray[np.float64]:
+def grid_rays(camera: Intrinsics) -> NDArray[np.float64]:
     """Points at z = 1 m seen in the middle of each grid cell, [P, 3]."""
     u = (np.arange(GRID_COLUMNS) + 0.5) * camera.width / GRID_COLUMNS - 0.5
     v = (np.arange(GRID_ROWS) + 0.5) * camera.height / GRID_ROWS - 0.5

@@ -35,6 +35,8 @@ from .warp import Projector
 
 CHECKPOINT_FILE = "checkpoint.pt"
 BAD_BATCH_FILE = "bad_batch.pt"
+# Depth within 25 % of the truth is right: the field's delta1.
+RIGHT = math.log(1.25)
 
 
 @dataclass(frozen=True)
@@ -49,18 +51,33 @@ class Settings:
     augment: bool = True
     coarse_weight: float = 0.1
     """Weight of agreeing with confident coarse depth; see `coarse_error`. 0: photometric only, as in the paper."""
+    label_weight: float = 0.0
+    """Weight of agreeing with labels; see `label_error`."""
     uncertainty_weight: float = 0.05
-    """Weight of `scale_surprise`."""
+    """Weight of `scale_surprise`, or of `rightness_surprise` where there are labels."""
+    photometric_weight: float = 1.0
+    crop_width: int = 0
+    """Columns of each target that a step sees, a multiple of 32; 0: all."""
+    decay: tuple[int, int] | None = None
+    """The learning rate goes down to 0 along half a cosine from the first of these steps to the second."""
     teacher_steps: int = 2000
     """ManyDepth's single-frame teacher learns so long."""
     amp: bool = False
     """Convolutions in bfloat16, the loss and the weights in float32."""
     loss: LossOptions = field(default_factory=LossOptions)
 
+    def learning_rate_at(self, step: int) -> float:
+        if self.decay is None:
+            return self.learning_rate
+        first, last = self.decay
+        share = min(max((step - first) / (last - first), 0.0), 1.0)
+        return self.learning_rate * 0.5 * (1 + math.cos(math.pi * share))
+
     def as_dict(self, frames: Frames) -> dict[str, Any]:
         """In plain types, with the camera: what a checkpoint remembers."""
         plain = asdict(self)
         plain["depth_range_m"] = list(self.depth_range_m)
+        plain["decay"] = None if self.decay is None else list(self.decay)
         plain["camera"] = asdict(frames.camera)
         return plain
 
@@ -135,6 +152,10 @@ class Trainer:
         augment = random if self.settings.augment else None
         batch = make_batch(self.frames, targets, sources, self.settings.depth_range_m, augment, self.device)
         batch = self._with_volume(batch, augment) if isinstance(self.network, ManyDepth) else batch
+        width = self.settings.crop_width
+        if width:
+            places = (self.frames.camera.width - width) // SIZE_STEP + 1
+            batch = batch.cropped(SIZE_STEP * int(random.integers(places)), width)
         return batch.share(processes.rank(), processes.count())
 
     def _with_volume(self, batch: Batch, random: np.random.Generator | None) -> Batch:
@@ -157,16 +178,18 @@ class Trainer:
         """Of what the network said."""
         settings = self.settings
         depth_m = to_depth(disparity, settings.depth_range_m)
-        views = []
-        for index, (picture, pose) in enumerate(zip(batch.source_pictures, batch.t_source_target, strict=True)):
-            said = self._source_depth(batch, index) if settings.loss.geometry > 0 else None
-            views.append(View(picture, self.projector(depth_m, pose), said))
-        # Physical disparity, not x: the mean normalisation is meant for 1/depth.
-        loss = self_supervision(batch.picture, 1 / depth_m, views, settings.loss, self.noise())
+        loss = depth_m.new_zeros(())
+        if settings.photometric_weight > 0:
+            loss = settings.photometric_weight * self._photometric(batch, depth_m)
         if settings.coarse_weight > 0 and self.frames.coarse is not None:
             loss = loss + settings.coarse_weight * coarse_error(depth_m, batch.coarse_whole, settings.depth_range_m)
+        if settings.label_weight > 0 and batch.labels is not None:
+            loss = loss + settings.label_weight * label_error(depth_m, batch.labels)
         if log_scale is not None:
-            surprise = scale_surprise(depth_m.detach(), log_scale, batch.coarse_whole, settings.depth_range_m)
+            if batch.labels is None:
+                surprise = scale_surprise(depth_m.detach(), log_scale, batch.coarse_whole, settings.depth_range_m)
+            else:
+                surprise = rightness_surprise(depth_m.detach(), log_scale, batch.labels)
             loss = loss + settings.uncertainty_weight * surprise
         return loss
 
@@ -183,6 +206,15 @@ class Trainer:
         """What breaks the auto-mask's ties in this step."""
         return torch.Generator().manual_seed(self.step) if self.settings.loss.auto_mask else None
 
+    def _photometric(self, batch: Batch, depth_m: Tensor) -> Tensor:
+        options = self.settings.loss
+        views = []
+        for index, (picture, pose) in enumerate(zip(batch.source_pictures, batch.t_source_target, strict=True)):
+            said = self._source_depth(batch, index) if options.geometry > 0 else None
+            views.append(View(picture, self.projector(depth_m, pose, batch.left), said))
+        # Physical disparity, not x: the mean normalisation is meant for 1/depth.
+        return self_supervision(batch.picture, 1 / depth_m, views, options, self.noise())
+
     @torch.no_grad()
     def _source_depth(self, batch: Batch, view: int) -> Tensor:
         """What the network says about a source; its batch statistics must not count."""
@@ -196,6 +228,8 @@ class Trainer:
     def advance(self) -> tuple[float, Batch]:
         """One step; its loss. Weights are untouched when that is not finite."""
         batch = self.batches(self.step)
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.settings.learning_rate_at(self.step)
         self.network.train()
         self.optimizer.zero_grad(set_to_none=True)
         loss = self.loss(batch)
@@ -224,6 +258,31 @@ def coarse_error(depth_m: Tensor, coarse: Tensor, depth_range_m: tuple[float, fl
     return (weight * error).sum() / processes.mean(weight.sum()).clamp(min=1.0)
 
 
+def label_error(depth_m: Tensor, labels: Tensor) -> Tensor:
+    """Mean |ln depth - ln label| at the middle of each labelled cell, weighted with the label's confidence. Scalar."""
+    label_m, confidence = labels[:, :1], labels[:, 1:]
+    error = (_at_middles(depth_m, labels).log() - label_m.clamp(min=1e-3).log()).abs()
+    return (confidence * error).sum() / processes.mean(confidence.sum()).clamp(min=1.0)
+
+
+def rightness_surprise(depth_m: Tensor, log_scale: Tensor, labels: Tensor) -> Tensor:
+    """Mean negative log-likelihood of what the robot asks the scale for: whether the depth is right within 25 %, a
+    label being the judge. Weighted with the label's confidence. Scalar."""
+    label_m, confidence = labels[:, :1], labels[:, 1:]
+    error = (_at_middles(depth_m, labels).log() - label_m.clamp(min=1e-3).log()).abs()
+    # ln P(wrong) of a Laplacian: e^(-ln 1.25 / b).
+    log_wrong = -RIGHT * torch.exp(-_at_middles(log_scale, labels))
+    log_right = torch.log(-torch.expm1(log_wrong.clamp(max=-1e-6)))
+    surprise = -torch.where(error < RIGHT, log_right, log_wrong)
+    return (confidence * surprise).sum() / processes.mean(confidence.sum()).clamp(min=1.0)
+
+
+def _at_middles(plane: Tensor, labels: Tensor) -> Tensor:
+    """What `plane` [B, 1, H, W] says at the pixels that the labels [B, 2, h, w] speak of."""
+    cell = plane.shape[2] // labels.shape[2]
+    return plane[..., cell // 2 :: cell, cell // 2 :: cell]
+
+
 def scale_surprise(depth_m: Tensor, log_scale: Tensor, coarse: Tensor, depth_range_m: tuple[float, float]) -> Tensor:
     """Mean negative log-likelihood of Laplacian errors of ln depth with the scales that the network says. Scalar.
 
@@ -233,7 +292,7 @@ def scale_surprise(depth_m: Tensor, log_scale: Tensor, coarse: Tensor, depth_ran
     """
     valid, confidence = coarse[:, 1:2], coarse[:, 2:3].clamp(0.01, 0.999)
     distance = (depth_m.log() - to_depth(coarse[:, :1], depth_range_m).log()).abs()
-    error = distance - math.log(1.25) / torch.log1p(-confidence)
+    error = distance - RIGHT / torch.log1p(-confidence)
     return (valid * (error * torch.exp(-log_scale) + log_scale)).sum() / processes.mean(valid.sum()).clamp(min=1.0)
 
 

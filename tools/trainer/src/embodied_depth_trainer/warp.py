@@ -78,13 +78,16 @@ class Projector:
         # [3, H W]: K^-1 (u, v, 1).
         self.rays = torch.stack([x, y, torch.ones_like(x)]).view(3, -1)
 
-    def __call__(self, depth_m: Tensor, t_source_target: Tensor) -> Projection:
-        """Of `depth_m` [B, 1, H, W], z-depth in the target camera, by `t_source_target` [B, 4, 4]."""
-        batch, _, height, width = depth_m.shape
+    def __call__(self, depth_m: Tensor, t_source_target: Tensor, left: int = 0) -> Projection:
+        """Of `depth_m` [B, 1, H, w], z-depth in the target camera from column `left` on, by `t_source_target`
+        [B, 4, 4]."""
+        batch, _, rows, columns = depth_m.shape
+        height, width = self.camera.height, self.camera.width
         # K R K^-1 (u, v, 1) once a batch; the depth then only scales it.
-        rays = (self.k @ t_source_target[:, :3, :3]) @ self.rays
+        seen = self.rays.view(3, height, width)[:, :rows, left : left + columns].reshape(3, -1)
+        rays = (self.k @ t_source_target[:, :3, :3]) @ seen
         shift = (self.k @ t_source_target[:, :3, 3:]).view(batch, 3, 1, 1)
-        u, v, z = _Project.apply(depth_m, rays.view(batch, 3, height, width), shift)
+        u, v, z = _Project.apply(depth_m, rays.view(batch, 3, rows, columns), shift)
         with torch.no_grad():
             # A thousandth of a pixel of rounding must not blank the border of an unmoved picture.
             slack = 1e-3

@@ -1,0 +1,51 @@
+"""The default network: the recipe, and the file that it made."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+
+from embodied_depth_trainer.cli import main
+from embodied_depth_trainer.default_network import RUNS, SETTINGS, STEPS
+from embodied_depth_trainer.golden import at_block_centres, golden_inputs, golden_output
+
+FILE = Path(__file__).resolve().parents[3] / "models/default.onnx"
+SIZE = (192, 640)
+
+
+def said() -> dict[str, str]:
+    return {entry.key: entry.value for entry in onnx.load(str(FILE)).metadata_props}
+
+
+def test_no_home_that_is_held_apart_is_trained_on() -> None:
+    seeds = [re.search(r"seed=(\d+)", run.home) for run in RUNS]
+    assert all(seed is not None and int(seed.group(1)) >= 10 for seed in seeds)
+    assert len({run.folder for run in RUNS}) == len(RUNS)
+
+
+def test_the_shipped_file_is_small_and_was_made_by_this_recipe() -> None:
+    assert FILE.stat().st_size < 3e6
+    training = json.loads(said()["training"])
+    plain = json.loads(json.dumps(vars(SETTINGS) | {"loss": vars(SETTINGS.loss)}))
+    assert training.pop("steps") == STEPS
+    assert {key: training[key] for key in plain} == plain
+
+
+def test_the_shipped_file_says_what_it_said_when_it_was_made() -> None:
+    inputs = golden_inputs(said(), {"rgb": 3, "coarse": 3}, SIZE)
+    session = onnxruntime.InferenceSession(str(FILE), providers=["CPUExecutionProvider"])
+    found = session.run(None, {name: value.numpy() for name, value in inputs.items()})[0]
+    assert np.allclose(at_block_centres(found[0, 0]), golden_output(said(), SIZE), atol=1e-4)
+
+
+def test_a_robot_that_is_not_there_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--robot", str(tmp_path / "firmware-host"), "--work", str(tmp_path), "--out", str(tmp_path / "x.onnx")]
+    assert main(["make-default", *arguments]) == 1
+    assert "cannot run" in (message := capsys.readouterr().err)
+    assert "cargo build --release" in message
