@@ -49,6 +49,7 @@ pub struct Explorer {
     rng: Pcg64Mcg,
     /// The policy itself when it is blind; otherwise what fills in while there is no goal.
     blind: BlindPolicy,
+    warm_up: BlindPolicy,
     mode: GoalReason,
     mode_since: u64,
     goal: Option<Goal>,
@@ -83,8 +84,9 @@ impl Explorer {
             config,
             rng,
             blind,
+            warm_up: BlindPolicy::Heuristic { queue: VecDeque::new() },
             mode,
-            mode_since: 0,
+            mode_since: config.warm_up_frames,
             goal: None,
             navigator: Navigator::new(plan)?,
             follower: Follower::new(follower)?,
@@ -109,6 +111,9 @@ impl Explorer {
 
     /// The next step, and what happened on the way to it.
     pub fn step(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) -> Primitive {
+        if senses.tick < self.config.warm_up_frames {
+            return self.warm_up.next(&mut self.rng, senses.bumped);
+        }
         match self.kind {
             PolicyKind::Random | PolicyKind::Heuristic | PolicyKind::Forward => {
                 self.blind.next(&mut self.rng, senses.bumped)

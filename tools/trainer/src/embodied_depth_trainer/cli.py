@@ -1,4 +1,4 @@
-"""The command line: `embodied-depth train`, `evaluate`, `export`, `export-depth` and `export-flow`."""
+"""The command line: `embodied-depth loop`, `train`, `evaluate`, `export`, `export-depth` and `export-flow`."""
 
 from __future__ import annotations
 
@@ -7,21 +7,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from .arguments import picture_size
 from .commands import run_evaluate, run_train
 from .errors import TrainerError
 from .export_depth import DEPTH_NETWORKS, DepthExport, export_checkpoint, export_depth
 from .export_flow import FLOW_NETWORKS, FlowExport, export_flow
-
-
-def picture_size(text: str) -> tuple[int, int]:
-    """`192x640`: rows x columns, as the papers write it."""
-    try:
-        height, width = (int(part) for part in text.lower().split("x"))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"`{text}` is not a size such as 192x640 (rows x columns)") from None
-    if min(height, width) <= 0:
-        raise argparse.ArgumentTypeError(f"`{text}` is empty; rows and columns are above 0")
-    return height, width
+from .loop_command import add_loop, run_loop_command
 
 
 def parser() -> argparse.ArgumentParser:
@@ -47,6 +38,7 @@ def parser() -> argparse.ArgumentParser:
         command.add_argument("--out", type=Path, required=True)
 
     _add_train(commands.add_parser("train", help="train a depth network on recordings, without any depth sensor"))
+    add_loop(commands.add_parser("loop", help="explore, train, hand over, explore on: the paper's algorithm 1"))
     _add_evaluate(commands.add_parser("evaluate", help="how right a trained network is, beside what is trivial"))
     trained = commands.add_parser("export", help="a trained network as an ONNX file for the robot")
     trained.add_argument("--checkpoint", type=Path, required=True, help="checkpoint.pt of a training")
@@ -110,6 +102,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if options.command == "train":
             run_train(options)
+        elif options.command == "loop":
+            run_loop_command(options)
         elif options.command == "evaluate":
             run_evaluate(options)
         else:
