@@ -15,7 +15,7 @@ from .views import Views
 
 # Colours of depth end here, metres.
 SHOWN_DEPTH_M = 5.0
-SHOWN_VIEWS = 4
+SHOWN_DRIVEN = 3
 
 
 def save(figure: Figure, file: Path) -> None:
@@ -40,9 +40,10 @@ def draw_curve(curves: dict[str, dict[str, list[tuple[int, float]]]], file: Path
 
 
 def draw_views(views: Views, network: nn.Module, depth_range_m: tuple[float, float], title: str, file: Path) -> None:
-    """Some test views, one of them without parallax: picture, truth, coarse depth and the network's."""
+    """Some test views, the last of them without parallax: picture, truth, coarse depth and the network's."""
     frames = views.frames
-    shown = np.linspace(0, len(frames) - 1, SHOWN_VIEWS).astype(np.int64)
+    driven, turned = np.flatnonzero(~views.turned), np.flatnonzero(views.turned)
+    shown = np.concatenate([driven[:: max(1, len(driven) // SHOWN_DRIVEN)][:SHOWN_DRIVEN], turned[:1]])
     said, _ = predict(network, frames, shown, depth_range_m)
     assert frames.truth_mm is not None
     assert frames.coarse is not None

@@ -16,7 +16,7 @@ from .errors import TrainerError
 WARM_UP, EVERY, FRAMES = 6000, 3000, 30000
 WARM_UP_PASSES, PASSES, LAST_PASSES = 1, 2, 4
 # Fewer frames between two trainings hold next to no pair of pictures with a baseline.
-LEAST_EVERY = 20
+LEAST_EVERY = 10
 
 
 @dataclass(frozen=True)
