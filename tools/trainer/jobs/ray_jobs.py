@@ -1,6 +1,6 @@
 """All loops of a job file as tasks of a Ray cluster: `python ray_jobs.py jobs.txt`.
 
-Folders in the file must be seen by every node. A task whose node dies is begun again elsewhere, and goes on where it was.
+Every node must see the folders in the file. A task whose node dies is begun again elsewhere, and goes on where it was.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from pathlib import Path
 
 import ray
 
+from embodied_depth_trainer.jobs import read_jobs
+
 
 @ray.remote(num_cpus=2, max_retries=3)  # type: ignore[misc]
 def run(file: str, number: int) -> int:
@@ -19,8 +21,7 @@ def run(file: str, number: int) -> int:
 
 
 def main(file: str) -> int:
-    lines = [line.split("#")[0].strip() for line in Path(file).read_text().splitlines()]
-    count = len([line for line in lines if line])
+    count = len(read_jobs(Path(file)))
     ray.init()
     tasks = [run.remote(str(Path(file).resolve()), number) for number in range(1, count + 1)]
     failed = [number for number, status in enumerate(ray.get(tasks), 1) if status != 0]

@@ -1,4 +1,4 @@
-"""The command line: `embodied-depth loop`, `train`, `evaluate`, `export`, `export-depth` and `export-flow`."""
+"""The command line: `embodied-depth loop`, `train`, `evaluate`, `export` and so on."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from .errors import TrainerError
 from .export_depth import DEPTH_NETWORKS, DepthExport, export_checkpoint, export_depth
 from .export_flow import FLOW_NETWORKS, FlowExport, export_flow
 from .loop_command import add_loop, run_loop_command
+from .results_command import add_jobs, add_results, run_jobs_command, run_results
 
 
 def parser() -> argparse.ArgumentParser:
@@ -39,6 +40,8 @@ def parser() -> argparse.ArgumentParser:
 
     _add_train(commands.add_parser("train", help="train a depth network on recordings, without any depth sensor"))
     add_loop(commands.add_parser("loop", help="explore, train, hand over, explore on: the paper's algorithm 1"))
+    add_jobs(commands.add_parser("jobs", help="print a job file: every network x policy x scene x seed"))
+    add_results(commands.add_parser("results", help="tables and figures of many loops"))
     _add_evaluate(commands.add_parser("evaluate", help="how right a trained network is, beside what is trivial"))
     trained = commands.add_parser("export", help="a trained network as an ONNX file for the robot")
     trained.add_argument("--checkpoint", type=Path, required=True, help="checkpoint.pt of a training")
@@ -104,6 +107,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             run_train(options)
         elif options.command == "loop":
             run_loop_command(options)
+        elif options.command == "jobs":
+            run_jobs_command(options)
+        elif options.command == "results":
+            run_results(options)
         elif options.command == "evaluate":
             run_evaluate(options)
         else:
