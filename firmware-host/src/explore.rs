@@ -16,8 +16,8 @@ use crate::record::{Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
 use crate::report::summary::Summary;
 use crate::setup::{self, Mission};
-pub use hand_over::model_path;
 use hand_over::HandOver;
+pub use hand_over::model_path;
 use session::Session;
 
 /// Explores, then reports.

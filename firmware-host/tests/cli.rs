@@ -204,7 +204,8 @@ fn a_run_waits_for_its_networks_and_repeats_itself_after_it_was_killed() {
         serde_json::from_slice(&std::fs::read(models.join(format!("round_000{k}.json"))).ok()?).ok()
     };
     std::thread::scope(|scope| {
-        let run = scope.spawn(|| explore_with_hand_over(&dir, "a", &["--dump", dir.path().join("dump").to_str().unwrap()]));
+        let run =
+            scope.spawn(|| explore_with_hand_over(&dir, "a", &["--dump", dir.path().join("dump").to_str().unwrap()]));
         for k in 0..2 {
             while round(k).is_none() && !run.is_finished() {
                 std::thread::sleep(std::time::Duration::from_millis(5));
@@ -244,8 +245,9 @@ fn test_views_hold_pictures_truth_coarse_depth_and_how_the_robot_came_there() {
     let views = |name: &str, seed: &str| {
         let out = dir.path().join(name);
         let paths = [&config, &out].map(|path| path.to_str().unwrap());
-        let output =
-            firmware_host(&[&["views", "--count", "8", "--seed", seed, "--config", paths[0], "--out", paths[1]], &HOME[..]].concat());
+        let output = firmware_host(
+            &[&["views", "--count", "8", "--seed", seed, "--config", paths[0], "--out", paths[1]], &HOME[..]].concat(),
+        );
         assert!(output.status.success(), "{}", text(&output.stderr));
         let index: serde_json::Value = serde_json::from_slice(&std::fs::read(out.join("dump.json")).unwrap()).unwrap();
         (out, index["frames"].as_array().unwrap().clone())

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from embodied_depth_trainer.checkpoint import write_atomically
 from embodied_depth_trainer.frames import Frames
 
 from .recordings import write_segment
@@ -33,8 +34,7 @@ def explore(options: argparse.Namespace) -> None:
         if end == options.frames:
             break
         said = {"round": segment, "frames": end, "segments": segment + 1, "digest": f"{seed}"}
-        (options.hand_over / "partial").write_text(json.dumps(said))
-        (options.hand_over / "partial").rename(options.hand_over / f"round_{segment:04d}.json")
+        write_atomically(json.dumps(said).encode(), options.hand_over / f"round_{segment:04d}.json")
         model = options.hand_over / f"model_{segment:04d}.onnx"
         while not model.exists():
             time.sleep(0.01)
@@ -66,7 +66,8 @@ def dump(folder: Path, frames: Frames, begin: int) -> None:
     for index, planes in enumerate(frames.coarse, begin):
         np.save(folder / f"{index:06}.npy", planes)
         entries.append({"name": f"{index:06}", "time_ns": index * 100_000_000, "coarse": True})
-    file.write_text(json.dumps({"format_version": 1, **asdict(frames.camera), "frames": entries}))
+    text = json.dumps({"format_version": 1, **asdict(frames.camera), "frames": entries})
+    write_atomically(text.encode(), file)
 
 
 def views(options: argparse.Namespace) -> None:

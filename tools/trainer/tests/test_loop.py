@@ -42,7 +42,7 @@ def arguments(robot: Path, out: Path, *more: str) -> list[str]:
 def start(robot: Path, out: Path) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "embodied_depth_trainer.cli", *arguments(robot, out)]
     environment = {**os.environ, "PYTHONPATH": str(TRAINER / "src")}
-    return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
 def result(out: Path) -> dict[str, Any]:
@@ -86,7 +86,8 @@ def killed_when(robot: Path, out: Path, is_time: Callable[[], bool]) -> None:
     loop = start(robot, out)
     while not is_time() and loop.poll() is None:
         time.sleep(0.01)
-    assert loop.poll() is None, "the loop ended before it could be killed"
+    if loop.poll() is not None:
+        pytest.fail(f"the loop ended before it could be killed: {loop.communicate()[1].decode()}")
     loop.send_signal(signal.SIGKILL)
     loop.wait()
 

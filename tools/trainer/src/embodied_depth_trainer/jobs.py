@@ -15,6 +15,9 @@ from tqdm import tqdm
 
 from .errors import TrainerError
 
+# Characters of what a loop said that failed without saying why.
+LONGEST_COMPLAINT = 2000
+
 
 def read_jobs(file: Path) -> list[list[str]]:
     """The arguments of every loop. Empty lines and what follows a # do not count."""
@@ -52,10 +55,11 @@ def run_jobs(jobs: list[list[str]], workers: int) -> None:
 
 
 def _run(job: list[str]) -> str | None:
-    """Runs one loop in a process of its own; its last line if it failed."""
+    """Runs one loop in a process of its own; what it complains of, if it failed."""
     command = [sys.executable, "-m", "embodied_depth_trainer.cli", "loop", *job]
     done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False)
     if done.returncode == 0:
         return None
-    lines = done.stderr.decode(errors="replace").strip().splitlines()
-    return lines[-1] if lines else f"exit {done.returncode}"
+    said = done.stderr.decode(errors="replace").strip()
+    _, found, problem = said.rpartition("\nerror: ")
+    return problem if found else said[-LONGEST_COMPLAINT:] or f"exit {done.returncode}"
