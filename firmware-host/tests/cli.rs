@@ -196,6 +196,7 @@ fn small_model() -> Vec<u8> {
 }
 
 #[test]
+#[expect(clippy::disallowed_methods, reason = "waits for another process")]
 fn a_run_waits_for_its_networks_and_repeats_itself_after_it_was_killed() {
     let dir = TempDir::new().unwrap();
     let models = dir.path().join("models");

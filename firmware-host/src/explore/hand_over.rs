@@ -64,6 +64,7 @@ impl HandOver {
     }
 
     /// Tells the trainer, and waits for the model; `None`: interrupted.
+    #[expect(clippy::disallowed_methods, reason = "another process trains, and the run's own time stands still")]
     pub fn exchange(&self, round: &Round, interrupted: &AtomicBool) -> Result<Option<DepthNetwork>> {
         let told = self.dir.join(format!("round_{:04}.json", round.round));
         write_atomically(&told, &serde_json::to_vec_pretty(round)?)?;

@@ -374,4 +374,22 @@ mod tests {
     fn who_never_doubts_goes_to_any_known_place_instead() {
         assert_eq!(first_goal(0.0), GoalReason::Revisit);
     }
+
+    #[test]
+    fn all_policies_begin_with_the_same_warm_up_and_then_part() {
+        let config = ExplorationConfig { warm_up_frames: 64, ..ExplorationConfig::default() };
+        let map = OccupancyGrid::new(&MapConfig::default()).unwrap();
+        let steps = |kind: PolicyKind| -> Vec<Primitive> {
+            let (plan, follow) = (PlanConfig::default(), FollowerConfig::default());
+            let mut explorer = Explorer::new(kind, config, &plan, &follow, Pcg64Mcg::seed_from_u64(4)).unwrap();
+            let senses = Senses { tick: 0, time_ns: 0, pose: Pose2::IDENTITY, map: &map, looks: None, bumped: false };
+            (0..128).map(|tick| explorer.step(&Senses { tick, ..senses }, &mut Vec::new())).collect()
+        };
+        let heuristic = steps(PolicyKind::Heuristic);
+        for kind in PolicyKind::ALL {
+            assert_eq!(steps(kind)[..64], heuristic[..64], "{kind:?}");
+        }
+        assert_ne!(steps(PolicyKind::Random)[64..], heuristic[64..]);
+        assert!(steps(PolicyKind::Forward)[64..].iter().all(|step| *step == Primitive::Forward));
+    }
 }
