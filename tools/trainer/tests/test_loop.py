@@ -18,6 +18,7 @@ import pytest
 from embodied_depth_trainer.cli import main
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.jobs import read_jobs
+from embodied_depth_trainer.loop import LoopSettings
 from embodied_depth_trainer.schedule import Schedule
 
 TRAINER = Path(__file__).resolve().parents[1]
@@ -63,6 +64,16 @@ def test_a_scaled_schedule_keeps_its_shape_and_one_that_is_too_short_is_refused(
     assert [r.frames for r in Schedule.scaled(0.1).rounds()] == list(range(600, 3001, 300))
     with pytest.raises(TrainerError, match=r"every 3 frames; give --scale"):
         Schedule.scaled(0.001)
+
+
+def test_the_whole_schedule_keeps_the_papers_turns_between_frontiers_and_inconsistencies() -> None:
+    def exploration(scale: float) -> str:
+        settings = LoopSettings("a room", "active", "student", 1, scale=scale)
+        return settings.robot_config(Schedule.scaled(scale)).split("[exploration]\n")[1]
+
+    assert exploration(1.0) == "warm_up_frames = 6000\nfrontier_frames = 800\ninconsistency_frames = 400\n"
+    assert exploration(0.25) == "warm_up_frames = 1500\nfrontier_frames = 200\ninconsistency_frames = 100\n"
+    assert exploration(0.01) == "warm_up_frames = 60\nfrontier_frames = 80\ninconsistency_frames = 40\n"
 
 
 def test_the_loop_learns_and_says_what_is_trivial(robot: Path, tmp_path: Path) -> None:

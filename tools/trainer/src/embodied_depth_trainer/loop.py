@@ -35,6 +35,9 @@ from .views import Rows, Views
 
 RESULT_FILE = "result.json"
 CHECKPOINT_EVERY = 50
+# Frames on frontiers before `active` turns to inconsistencies for half as long (paper, section III-D). Scaled like the
+# schedule, or a short loop would never come to the inconsistencies; at least what a goal takes to be reached.
+FRONTIER, LEAST_FRONTIER = 800, 80
 # What the robot's summary says that does not depend on the computer.
 KEPT_OF_SUMMARY = ("frames", "path_m", "coverage", "collisions", "stuck_frames", "bumper_trips", "digest", "accuracy")
 
@@ -69,6 +72,8 @@ class LoopSettings:
             f"[camera]\nwidth = {width}\nheight = {height}\n\n"
             f"[base]\nforward_step_m = {0.03 * self.step_scale:.6g}\nturn_step_deg = {2.0 * self.step_scale:.6g}\n\n"
             f"[exploration]\nwarm_up_frames = {schedule.warm_up}\n"
+            f"frontier_frames = {max(LEAST_FRONTIER, round(FRONTIER * self.scale))}\n"
+            f"inconsistency_frames = {max(LEAST_FRONTIER, round(FRONTIER * self.scale)) // 2}\n"
         )
 
     def training(self) -> Settings:
