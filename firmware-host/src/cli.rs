@@ -24,6 +24,8 @@ pub enum Command {
     Perceive(PerceiveArgs),
     /// Recompute every decision of a recorded run; exit 0 only when all are the same.
     Replay(ReplayArgs),
+    /// Test views of a scene: pictures with true depth from all over its free floor, each with what was seen before it.
+    Views(ViewsArgs),
     /// Check a configuration file and print what is in effect.
     Check(CheckArgs),
 }
@@ -58,18 +60,47 @@ pub struct ExploreArgs {
     /// Start pose in the scene: x,y in metres and heading in degrees [default: found by itself].
     #[arg(long, value_name = "X,Y,DEG", allow_hyphen_values = true, value_parser = parse_start)]
     pub start: Option<[f64; 3]>,
+    /// The scene file's axes and units.
+    #[command(flatten)]
+    pub scene_file: SceneFileArgs,
+    /// Do not record. The run cannot be replayed.
+    #[arg(long)]
+    pub no_recording: bool,
+    /// Also write every picture's coarse depth into this folder, for training. Made if missing.
+    #[arg(long, value_name = "DIR")]
+    pub dump: Option<PathBuf>,
+    /// Whether better networks come while the robot explores.
+    #[command(flatten)]
+    pub hand_over: HandOverArgs,
+    /// Where a live picture of the run goes.
+    #[command(flatten)]
+    pub rerun: RerunArgs,
+}
+
+/// A scene file's axes and units.
+#[derive(Debug, Args, Clone, Copy)]
+pub struct SceneFileArgs {
     /// The scene file's vertical axis [default: by its format].
     #[arg(long, value_enum)]
     pub scene_up: Option<UpArg>,
     /// Metres per unit of the scene file.
     #[arg(long, default_value_t = 1.0)]
     pub scene_scale: f64,
-    /// Do not record. The run cannot be replayed.
-    #[arg(long)]
-    pub no_recording: bool,
-    /// Where a live picture of the run goes.
-    #[command(flatten)]
-    pub rerun: RerunArgs,
+}
+
+/// Whether better networks come while the robot explores.
+#[derive(Debug, Args, Default)]
+pub struct HandOverArgs {
+    /// Wait for better networks: before turn --first and every --every turns after it, write round_NNNN.json into this
+    /// folder and go on when model_NNNN.onnx is there.
+    #[arg(long = "hand-over", value_name = "DIR", requires_all = ["first", "every"], conflicts_with_all = ["model", "no_recording"])]
+    pub dir: Option<PathBuf>,
+    /// Frames before the first network.
+    #[arg(long, requires = "dir", value_parser = clap::value_parser!(u64).range(1..))]
+    pub first: Option<u64>,
+    /// Frames from one network to the next.
+    #[arg(long, requires = "dir", value_parser = clap::value_parser!(u64).range(1..))]
+    pub every: Option<u64>,
 }
 
 /// Where a live picture of the run goes.
@@ -127,6 +158,32 @@ pub struct ReplayArgs {
     /// The depth network that the run was made with, if it was.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
+    /// The folder from which the run was handed its networks, if it was.
+    #[arg(long, value_name = "DIR")]
+    pub hand_over: Option<PathBuf>,
+}
+
+/// Arguments of `views`.
+#[derive(Debug, Args)]
+pub struct ViewsArgs {
+    /// As for `explore`.
+    #[arg(long)]
+    pub scene: String,
+    /// How many views.
+    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    pub count: u64,
+    /// Seed of their poses.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Folder for the views, in the form of `perceive --dataset --dump`. Made if missing.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Configuration file; see `check`.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// The scene file's axes and units.
+    #[command(flatten)]
+    pub scene_file: SceneFileArgs,
 }
 
 /// Arguments of `check`.

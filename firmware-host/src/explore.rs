@@ -1,21 +1,23 @@
 //! `firmware-host explore`: a simulated robot explores a home in virtual time.
 
+mod hand_over;
 mod session;
 
 use anyhow::{Context, Result};
 use hal::Pose2;
 use runtime::recording::RunHeader;
 use runtime::robot::Robot;
-use simulator::floor::Footprint;
-use simulator::load::{LoadOptions, UpAxis};
-use simulator::{OpenOptions, SimulatedRobot, World};
+use simulator::{SimulatedRobot, World};
 
-use crate::cli::{ExploreArgs, UpArg};
+use crate::cli::ExploreArgs;
 use crate::config::Config;
+use crate::dump::Dump;
 use crate::record::{Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
 use crate::report::summary::Summary;
 use crate::setup::{self, Mission};
+use hand_over::HandOver;
+pub use hand_over::model_path;
 use session::Session;
 
 /// Explores, then reports.
@@ -30,7 +32,7 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let network =
         args.model.as_deref().map(|path| setup::load_network(path, &config.camera.model(), &config)).transpose()?;
     let model = network.as_ref().map(|network| network.digest().to_owned());
-    let world = World::open(&args.scene, &open_options(args, &config))?;
+    let world = World::open(&args.scene, &setup::open_options(&args.scene_file, &config))?;
     let start = args.start.map(|[x_m, y_m, yaw_deg]| Pose2::new(x_m, y_m, yaw_deg.to_radians()));
     let simulated = SimulatedRobot::new(std::sync::Arc::new(world), setup::simulated_robot(&config, args.seed, start))?;
     let robot = Robot::new(config.robot(&mission), network)?;
@@ -45,7 +47,11 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         ..Summary::default()
     };
+    let dump = args.dump.as_deref().map(|dir| Dump::create(dir, &config.camera.model())).transpose()?;
+    let hand_over = HandOver::new(&args.hand_over, &config)?;
     let mut session = Session::new(args, &config, &simulated, robot, recorder);
+    session.dump = dump;
+    session.hand_over = hand_over;
     #[cfg(feature = "rerun")]
     if let Some(targets) = args.rerun.targets(&args.out) {
         let camera = config.camera.model();
@@ -53,16 +59,6 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     }
     let end = session.explore()?;
     session.report(end, summary).with_context(|| format!("cannot report into {}", args.out.display()))
-}
-
-fn open_options(args: &ExploreArgs, config: &Config) -> OpenOptions {
-    let up_axis = match args.scene_up {
-        None => UpAxis::Auto,
-        Some(UpArg::Y) => UpAxis::Y,
-        Some(UpArg::Z) => UpAxis::Z,
-    };
-    let footprint = Footprint { radius_m: config.base.footprint_radius_m, ..Footprint::default() };
-    OpenOptions { load: LoadOptions { up_axis, scale: args.scene_scale }, footprint }
 }
 
 fn recorder(args: &ExploreArgs, config: &Config, mission: &Mission, model: Option<&str>) -> Result<Recorder> {
@@ -73,6 +69,7 @@ fn recorder(args: &ExploreArgs, config: &Config, mission: &Mission, model: Optio
         policy: mission.policy.name().to_owned(),
         depth_source: mission.depth_source.name().to_owned(),
         model_digest: model.map(ToOwned::to_owned),
+        hand_over: HandOver::schedule(&args.hand_over),
         camera: config.camera.model(),
         t_base_camera: config.camera.mount(),
         t_base_laser: setup::laser_mount(config),

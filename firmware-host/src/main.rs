@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use firmware_host::cli::{Cli, Command};
 use firmware_host::config::ConfigError;
-use firmware_host::{check, explore, perceive, replay_run};
+use firmware_host::{check, explore, perceive, replay_run, views};
 
 /// The run could not be done.
 const FAILED: u8 = 1;
@@ -22,6 +22,7 @@ fn main() -> ExitCode {
         Command::Explore(args) => explore::run(&args).map(|()| ExitCode::SUCCESS),
         Command::Perceive(args) => perceive::run(&args).map(|()| ExitCode::SUCCESS),
         Command::Replay(args) => replay_run::run(&args),
+        Command::Views(args) => views::run(&args).map(|()| ExitCode::SUCCESS),
         Command::Check(args) => check::run(&args).map(|()| ExitCode::SUCCESS),
     };
     result.unwrap_or_else(|error| {

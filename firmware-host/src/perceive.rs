@@ -1,6 +1,5 @@
 //! `firmware-host perceive`: depth on a recorded sequence, how good it was, and what it shows from above.
 
-mod dump;
 mod source;
 
 use std::time::Instant;
@@ -13,6 +12,7 @@ use runtime::perception::{CoarseDepth, DepthEstimate, DepthNetwork};
 
 use crate::cli::PerceiveArgs;
 use crate::dataset::{Dataset, Sample};
+use crate::dump::{Dump, Shot};
 use crate::report::atomic::prepare_dir;
 use crate::report::depth_sample::{SheetRow, SheetSampler};
 use crate::report::depth_sheet::DepthSheet;
@@ -24,7 +24,6 @@ use crate::report::table;
 use crate::report::top_view::TopView;
 use crate::setup;
 use crate::stopwatch::Stopwatch;
-use dump::Dump;
 use source::Source;
 
 /// Looks at every picture of the sequence and reports.
@@ -37,7 +36,7 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     let camera = *source.camera();
     let network = args.model.as_deref().map(|path| setup::load_network(path, &camera, config)).transpose()?;
     prepare_dir(&args.out)?;
-    let mut dump = args.dump.as_deref().map(|dir| Dump::create(dir, &camera, source.is_recording())).transpose()?;
+    let mut dump = args.dump.as_deref().map(|dir| Dump::create(dir, &camera)).transpose()?;
 
     let mut looker = Looker {
         coarse: CoarseDepth::new(config.coarse.clone(), camera)?,
@@ -64,7 +63,16 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
         last = Some(sample.t_world_camera);
         let coarse = looker.look(frames, &sample)?;
         if let Some(dump) = &mut dump {
-            dump.add(&sample, coarse)?;
+            // A recording holds pictures and ground truth itself.
+            let kept = (!source.is_recording()).then_some(&sample);
+            let shot = Shot {
+                time_ns: sample.time_ns,
+                t_world_camera: sample.t_world_camera,
+                rgb: kept.map(|sample| &sample.rgb[..]),
+                truth: kept.and_then(|sample| sample.truth.as_ref()),
+                approach: None,
+            };
+            dump.add(&shot, coarse)?;
         }
         frames += 1;
         if let Some(progress) = &mut progress {
@@ -75,7 +83,7 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
         progress.finish();
     }
     if let Some(dump) = dump {
-        dump.finish()?;
+        dump.write_index()?;
     }
 
     let wall_s = began.elapsed().as_secs_f64();

@@ -11,14 +11,24 @@ use runtime::tick::{Decision, TickInput};
 
 use crate::cli::ReplayArgs;
 use crate::config::Config;
+use crate::explore::model_path;
 use crate::replay::{Replayable, replay};
 use crate::setup::{self, Mission};
 
-struct Loop(Robot);
+struct Loop {
+    robot: Robot,
+    /// Networks that are handed over before a turn, last first.
+    networks: Vec<(u64, DepthNetwork)>,
+}
 
 impl Replayable for Loop {
     fn step(&mut self, input: &TickInput<'_>) -> Decision {
-        self.0.tick(input, &mut ())
+        if self.networks.last().is_some_and(|(tick, _)| *tick == input.tick)
+            && let Some((_, network)) = self.networks.pop()
+        {
+            self.robot.take_network(network);
+        }
+        self.robot.tick(input, &mut ())
     }
 }
 
@@ -35,7 +45,8 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
             depth_source: depth_source(&header.depth_source)?,
             seed: header.seed,
         };
-        Ok(Box::new(Loop(Robot::new(config.robot(&mission), network(args, header, &config)?)?)))
+        let robot = Robot::new(config.robot(&mission), network(args, header, &config)?)?;
+        Ok(Box::new(Loop { robot, networks: handed_over(args, header, &config)? }))
     };
     let report = replay(&args.run, build, &mut std::io::stdout().lock())?;
     Ok(if report.is_exact() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
@@ -55,6 +66,24 @@ fn network(args: &ReplayArgs, header: &RunHeader, config: &Config) -> Result<Opt
             Ok(Some(network))
         }
     }
+}
+
+/// The networks that the run was handed, as far as there are any: the run may have ended before the next.
+fn handed_over(args: &ReplayArgs, header: &RunHeader, config: &Config) -> Result<Vec<(u64, DepthNetwork)>> {
+    let (schedule, dir) = match (&header.hand_over, &args.hand_over) {
+        (None, None) => return Ok(Vec::new()),
+        (None, Some(dir)) => bail!("the run was handed no networks; leave out --hand-over {}", dir.display()),
+        (Some(_), None) => bail!("the run was handed networks on its way; give their folder with --hand-over DIR"),
+        (Some(schedule), Some(dir)) => (schedule, dir),
+    };
+    let paths = (0..).map(|round| model_path(dir, round)).take_while(|path| path.exists());
+    let mut networks = Vec::new();
+    for (round, path) in paths.enumerate() {
+        let tick = schedule.first + round as u64 * schedule.every;
+        networks.push((tick, setup::load_network(&path, &header.camera, config)?));
+    }
+    networks.reverse();
+    Ok(networks)
 }
 
 fn policy(name: &str) -> Result<PolicyKind> {

@@ -7,9 +7,12 @@ use hal::{CameraModel, Pose2, Pose3};
 use runtime::exploration::PolicyKind;
 use runtime::perception::{DepthNetwork, NetworkOptions};
 use runtime::robot::{DepthSource, RobotConfig};
-use simulator::RobotOptions;
+use simulator::floor::Footprint;
+use simulator::load::{LoadOptions, UpAxis};
 use simulator::odometry::OdometryNoise;
+use simulator::{OpenOptions, RobotOptions};
 
+use crate::cli::{SceneFileArgs, UpArg};
 use crate::config::{Config, NetworkSection};
 use crate::onnx_runtime;
 
@@ -68,6 +71,18 @@ pub fn simulated_robot(config: &Config, seed: u64, start: Option<Pose2>) -> Robo
         start,
         ..RobotOptions::default()
     }
+}
+
+/// How to open the scene that the arguments speak of.
+#[must_use]
+pub fn open_options(file: &SceneFileArgs, config: &Config) -> OpenOptions {
+    let up_axis = match file.scene_up {
+        None => UpAxis::Auto,
+        Some(UpArg::Y) => UpAxis::Y,
+        Some(UpArg::Z) => UpAxis::Z,
+    };
+    let footprint = Footprint { radius_m: config.base.footprint_radius_m, ..Footprint::default() };
+    OpenOptions { load: LoadOptions { up_axis, scale: file.scene_scale }, footprint }
 }
 
 /// `t_base_laser`.

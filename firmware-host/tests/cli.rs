@@ -182,3 +182,86 @@ fn an_output_folder_that_is_a_file_or_holds_a_recording_is_refused() {
     assert_eq!(again.status.code(), Some(1), "{}", text(&again.stderr));
     assert!(std::fs::read(out.join("recording_0000.mcap")).unwrap() == before);
 }
+
+/// The same run as `explore`'s, with networks handed over before turns 20 and 40.
+fn explore_with_hand_over(dir: &TempDir, name: &str, more: &[&str]) -> (Output, PathBuf) {
+    let models = dir.path().join("models");
+    let hand_over = ["--hand-over", models.to_str().unwrap(), "--first", "20", "--every", "20"];
+    explore(dir, name, &[&HOME[..], &hand_over, more].concat())
+}
+
+/// A network for 160x64 pictures that says the mean of each pixel's colours.
+fn small_model() -> Vec<u8> {
+    std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../runtime/tests/models/any_size.onnx")).unwrap()
+}
+
+#[test]
+#[expect(clippy::disallowed_methods, reason = "waits for another process")]
+fn a_run_waits_for_its_networks_and_repeats_itself_after_it_was_killed() {
+    let dir = TempDir::new().unwrap();
+    let models = dir.path().join("models");
+    std::fs::create_dir(&models).unwrap();
+    let round = |k: u32| -> Option<serde_json::Value> {
+        serde_json::from_slice(&std::fs::read(models.join(format!("round_000{k}.json"))).ok()?).ok()
+    };
+    std::thread::scope(|scope| {
+        let run =
+            scope.spawn(|| explore_with_hand_over(&dir, "a", &["--dump", dir.path().join("dump").to_str().unwrap()]));
+        for k in 0..2 {
+            while round(k).is_none() && !run.is_finished() {
+                std::thread::sleep(std::time::Duration::from_millis(5));
+            }
+            let told = round(k).expect("the run ended without asking for a network");
+            assert_eq!(told["frames"], 20 * (k + 1));
+            // What the trainer is told of is whole, though the run goes on.
+            let segment = dir.path().join(format!("a/recording_000{k}.mcap"));
+            assert!(std::fs::read(segment).unwrap().ends_with(b"\x89MCAP0\r\n"));
+            let index = std::fs::read(dir.path().join("dump/dump.json")).unwrap();
+            let index: serde_json::Value = serde_json::from_slice(&index).unwrap();
+            assert_eq!(index["frames"].as_array().unwrap().len(), 20 * (k as usize + 1));
+            std::fs::write(models.join("partial"), small_model()).unwrap();
+            std::fs::rename(models.join("partial"), models.join(format!("model_000{k}.onnx"))).unwrap();
+        }
+        let (output, _) = run.join().unwrap();
+        assert!(output.status.success(), "{}", text(&output.stderr));
+    });
+    let (again, b) = explore_with_hand_over(&dir, "b", &[]);
+    assert!(again.status.success(), "{}", text(&again.stderr));
+    assert_eq!(summary(&dir.path().join("a"))["digest"], summary(&b)["digest"]);
+    let asked = round(1).unwrap();
+    assert_eq!((&asked["segments"], asked["digest"].as_str().unwrap().len()), (&2.into(), 64));
+
+    let replay = |more: &[&str]| firmware_host(&[&["replay", b.to_str().unwrap()], more].concat());
+    let exact = replay(&["--hand-over", models.to_str().unwrap()]);
+    assert!(text(&exact.stdout).contains("replay: ticks=60 mismatches=0"), "{}", text(&exact.stdout));
+    let without = replay(&[]);
+    assert!(!without.status.success() && text(&without.stderr).contains("--hand-over"), "{}", text(&without.stderr));
+}
+
+#[test]
+fn test_views_hold_pictures_truth_coarse_depth_and_how_the_robot_came_there() {
+    let dir = TempDir::new().unwrap();
+    let config = dir.path().join("robot.toml");
+    std::fs::write(&config, SMALL).unwrap();
+    let views = |name: &str, seed: &str| {
+        let out = dir.path().join(name);
+        let paths = [&config, &out].map(|path| path.to_str().unwrap());
+        let output = firmware_host(
+            &[&["views", "--count", "8", "--seed", seed, "--config", paths[0], "--out", paths[1]], &HOME[..]].concat(),
+        );
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        let index: serde_json::Value = serde_json::from_slice(&std::fs::read(out.join("dump.json")).unwrap()).unwrap();
+        (out, index["frames"].as_array().unwrap().clone())
+    };
+    let (a, frames) = views("a", "1");
+    let turned: Vec<_> = frames.iter().map(|frame| frame["approach"] == "turn").collect();
+    assert_eq!(turned, [false, false, false, true, false, false, false, true]);
+    for frame in &frames {
+        let driven = frame["approach"] == "drive";
+        // Who only turns has no parallax, and so no coarse depth.
+        assert_eq!((&frame["rgb"], &frame["truth"], &frame["coarse"]), (&true.into(), &true.into(), &driven.into()));
+    }
+    assert_eq!(views("b", "1").1, frames);
+    assert_ne!(views("c", "2").1, frames);
+    assert!(a.join("000007_rgb.npy").exists() && !a.join("000007.npy").exists());
+}

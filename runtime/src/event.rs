@@ -45,6 +45,11 @@ pub enum Event {
         /// Why.
         why: RefusedInput,
     },
+    /// Another depth network was handed over; it counts from this turn on.
+    NetworkTaken {
+        /// BLAKE3 digest of its file, in hex.
+        digest: String,
+    },
     /// The policy moved from one way of choosing goals to another.
     PolicySwitched {
         /// The new way.

@@ -134,6 +134,8 @@ pub struct Robot {
     bumped: bool,
     collision_at: Option<[f64; 2]>,
     last_time_ns: Option<u64>,
+    /// A network that came since the last turn.
+    new_network: Option<String>,
 }
 
 /// Which depths this turn brought.
@@ -166,13 +168,24 @@ impl Robot {
             bumped: false,
             collision_at: None,
             last_time_ns: None,
+            new_network: None,
             config,
         })
+    }
+
+    /// From the next turn on, the map's depth comes from this network. Everything else goes on as it was.
+    pub fn take_network(&mut self, network: DepthNetwork) {
+        self.new_network = Some(network.digest().to_owned());
+        self.network = Some(network);
+        self.config.depth_source = DepthSource::Network;
     }
 
     /// One turn of the loop. A pure function of this input and all before it.
     pub fn tick(&mut self, input: &TickInput<'_>, timer: &mut impl StageTimer) -> Decision {
         let mut events = Vec::new();
+        if let Some(digest) = self.new_network.take() {
+            events.push(Event::NetworkTaken { digest });
+        }
         let odom = input.wheel.odom;
         if let Some(why) = self.refusal(input) {
             events.push(Event::InputRefused { why });

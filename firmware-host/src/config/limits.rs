@@ -105,6 +105,7 @@ pub(super) const LIMITS: &[Limit] = &[
     limit("planning.correct_deg", 0.1, 57.0, "degrees"),
     limit("planning.goal_tolerance_m", 0.01, 1.0, "metres"),
     limit("planning.off_path_m", 0.01, 5.0, "metres"),
+    limit("exploration.warm_up_frames", 0.0, 1e7, "frames"),
     limit("exploration.frontier_frames", 1.0, 1e6, "frames"),
     limit("exploration.inconsistency_frames", 1.0, 1e6, "frames"),
     limit("exploration.inconsistency_gap", 1.0, 1000.0, "frames"),

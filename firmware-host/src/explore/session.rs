@@ -17,6 +17,7 @@ use simulator::{Devices, SimulatedRobot};
 
 use crate::cli::ExploreArgs;
 use crate::config::{Config, RecordingSection};
+use crate::dump::{Dump, Shot};
 use crate::evaluation::{Evaluation, Truth};
 use crate::record::Recorder;
 use crate::report::coverage::Coverage;
@@ -29,6 +30,8 @@ use crate::report::summary::{Summary, peak_resident_mib};
 use crate::report::table;
 use crate::stopwatch::Stopwatch;
 
+use super::hand_over::{HandOver, Round};
+
 pub(super) struct Session {
     out: PathBuf,
     frames: u64,
@@ -37,6 +40,10 @@ pub(super) struct Session {
     devices: Devices,
     robot: Robot,
     recorder: Option<Recorder>,
+    /// Where coarse depth is written for training.
+    pub dump: Option<Dump>,
+    /// Where better networks come from.
+    pub hand_over: Option<HandOver>,
     evaluation: Evaluation,
     digest: RunDigest,
     stopwatch: Stopwatch,
@@ -78,6 +85,8 @@ impl Session {
             devices,
             robot,
             recorder,
+            dump: None,
+            hand_over: None,
             evaluation: Evaluation::new(coverage),
             digest: RunDigest::new(),
             stopwatch: Stopwatch::default(),
@@ -109,7 +118,7 @@ impl Session {
         let mut progress = Progress::start(self.frames);
         let mut end = ExploreEnd::FrameBudget;
         for tick in 0..self.frames {
-            if self.interrupted.load(Ordering::Relaxed) {
+            if !self.take_network(tick)? || self.interrupted.load(Ordering::Relaxed) {
                 end = ExploreEnd::Interrupted;
                 break;
             }
@@ -126,6 +135,26 @@ impl Session {
         let _ = self.devices.base.stop();
         progress.finish();
         Ok(end)
+    }
+
+    /// Where the schedule says so, hands over what was recorded and takes the next network. `false`: interrupted.
+    fn take_network(&mut self, tick: u64) -> Result<bool> {
+        let Some(hand_over) = &self.hand_over else { return Ok(true) };
+        let Some(round) = hand_over.round(tick) else { return Ok(true) };
+        let began = Instant::now();
+        if let Some(dump) = &self.dump {
+            dump.write_index()?;
+        }
+        let segments = self.recorder.as_mut().map_or(Ok(0), Recorder::cut)?;
+        let round = Round { round, frames: tick, segments, digest: self.digest.decisions() };
+        let network = hand_over.exchange(&round, &self.interrupted)?;
+        // Waiting is no part of the run.
+        self.began += began.elapsed();
+        let came = network.is_some();
+        if let Some(network) = network {
+            self.robot.take_network(network);
+        }
+        Ok(came)
     }
 
     /// One turn. The inner error: the recording failed, and the run must end.
@@ -156,6 +185,7 @@ impl Session {
         self.digest.add_input(&input);
         self.digest.add_decision(&decision);
         self.evaluate(&input, &senses.truth, &decision)?;
+        self.dump(&input)?;
         self.stopwatch.start();
         let recorded = self.record(&input, decision)?;
         self.stopwatch.lap(Stage::Record);
@@ -188,6 +218,14 @@ impl Session {
             self.sheet.offer(input.tick, depths, || SheetRow::capture(input.tick, frame, coarse, network, Some(depth)));
         }
         Ok(())
+    }
+
+    /// A picture's coarse depth, with the pose that the robot believes in.
+    fn dump(&mut self, input: &TickInput<'_>) -> Result<()> {
+        let (Some(dump), Some(_)) = (&mut self.dump, &input.frame) else { return Ok(()) };
+        let t_world_camera = input.wheel.odom.to_pose3() * self.robot.config().t_base_camera;
+        let shot = Shot { time_ns: input.time_ns, t_world_camera, rgb: None, truth: None, approach: None };
+        dump.add(&shot, self.robot.coarse_depth())
     }
 
     fn record(&mut self, input: &TickInput<'_>, decision: Decision) -> Result<Result<(), crate::record::RecordError>> {
@@ -230,6 +268,9 @@ impl Session {
         #[cfg(feature = "rerun")]
         if let Some(counts) = self.stream.map(crate::rerun_stream::RerunStream::finish) {
             println!("Rerun: {} turns shown, {} dropped.", counts.sent, counts.dropped);
+        }
+        if let Some(dump) = &self.dump {
+            dump.write_index()?;
         }
         let recording = self.recorder.map(Recorder::finish);
         let mut end = end;

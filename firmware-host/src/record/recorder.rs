@@ -74,11 +74,18 @@ pub struct RecordingSummary {
     pub decisions_digest: String,
 }
 
+/// What the recording thread is told.
+enum Told {
+    Turn(Box<(RecordedTick, Views)>),
+    /// Close the segment, and answer with how many there are.
+    Cut(SyncSender<u32>),
+}
+
 /// Hands turns to the recording thread. Dropping it waits for the thread, so that even a run that ends by an error
 /// leaves whole files.
 pub struct Recorder {
     when_full: WhenFull,
-    queue: Option<SyncSender<(RecordedTick, Views)>>,
+    queue: Option<SyncSender<Told>>,
     thread: Option<JoinHandle<Result<RecordingSummary, RecordError>>>,
     dropped: u64,
     failure: Option<RecordError>,
@@ -116,10 +123,11 @@ impl Recorder {
     /// With [`WhenFull::Wait`], when the recording has failed: the run must end with `output_failed`. With
     /// [`WhenFull::Drop`] never; see [`dropped`](Self::dropped) and [`failure`](Self::failure).
     pub fn record(&mut self, tick: RecordedTick, views: Views) -> Result<(), RecordError> {
+        let turn = Told::Turn(Box::new((tick, views)));
         let accepted = match (&self.queue, self.when_full) {
             (None, _) => Err(TrySendError::Disconnected(())),
-            (Some(queue), WhenFull::Wait) => queue.send((tick, views)).map_err(|_| TrySendError::Disconnected(())),
-            (Some(queue), WhenFull::Drop) => queue.try_send((tick, views)).map_err(|error| match error {
+            (Some(queue), WhenFull::Wait) => queue.send(turn).map_err(|_| TrySendError::Disconnected(())),
+            (Some(queue), WhenFull::Drop) => queue.try_send(turn).map_err(|error| match error {
                 TrySendError::Full(_) => TrySendError::Full(()),
                 TrySendError::Disconnected(_) => TrySendError::Disconnected(()),
             }),
@@ -129,10 +137,7 @@ impl Recorder {
         if matches!(refusal, TrySendError::Full(())) {
             return Ok(());
         }
-        let error = match self.join() {
-            Some(Err(error)) => error,
-            Some(Ok(_)) | None => RecordError::Thread("it has ended before".to_owned()),
-        };
+        let error = self.why_ended();
         match self.when_full {
             WhenFull::Wait => Err(error),
             WhenFull::Drop => {
@@ -140,6 +145,27 @@ impl Recorder {
                 self.failure.get_or_insert(error);
                 Ok(())
             }
+        }
+    }
+
+    /// Closes the current segment and waits until it is a whole file; how many segments there are. The next turn begins
+    /// another one.
+    ///
+    /// # Errors
+    /// When the recording has failed.
+    pub fn cut(&mut self) -> Result<u32, RecordError> {
+        let (sender, receiver) = sync_channel(1);
+        let sent = self.queue.as_ref().is_some_and(|queue| queue.send(Told::Cut(sender)).is_ok());
+        match receiver.recv() {
+            Ok(segments) if sent => Ok(segments),
+            _ => Err(self.why_ended()),
+        }
+    }
+
+    fn why_ended(&mut self) -> RecordError {
+        match self.join() {
+            Some(Err(error)) => error,
+            Some(Ok(_)) | None => RecordError::Thread("it has ended before".to_owned()),
         }
     }
 
@@ -184,12 +210,16 @@ impl Drop for Recorder {
     }
 }
 
-fn record_all(
-    queue: &Receiver<(RecordedTick, Views)>,
-    mut segments: Segments,
-) -> Result<RecordingSummary, RecordError> {
-    for (tick, views) in queue {
-        segments.write(&tick, &views)?;
+fn record_all(queue: &Receiver<Told>, mut segments: Segments) -> Result<RecordingSummary, RecordError> {
+    for told in queue {
+        match told {
+            Told::Turn(turn) => segments.write(&turn.0, &turn.1)?,
+            Told::Cut(answer) => {
+                let count = segments.cut()?;
+                // Who asked may be gone.
+                let _ = answer.send(count);
+            }
+        }
     }
     segments.finish()
 }

@@ -76,6 +76,12 @@ impl Segments {
         Ok(())
     }
 
+    /// Closes the current segment; how many there are.
+    pub(super) fn cut(&mut self) -> Result<u32, RecordError> {
+        self.close()?;
+        Ok(self.summary.segments)
+    }
+
     /// Closes the last segment. A run without turns still leaves its header.
     pub(super) fn finish(mut self) -> Result<RecordingSummary, RecordError> {
         if self.first_file.is_some() {

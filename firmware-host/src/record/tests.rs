@@ -20,6 +20,7 @@ pub(crate) fn run_header() -> RunHeader {
         policy: "random".to_owned(),
         depth_source: "coarse".to_owned(),
         model_digest: None,
+        hand_over: None,
         camera: CameraModel::pinhole(32, 8, 1.5),
         t_base_camera: Pose3::identity(),
         t_base_laser: Pose3::identity(),
@@ -322,4 +323,20 @@ fn a_recorder_that_is_dropped_leaves_whole_files() {
     }
     drop(recorder);
     assert_eq!(read_all(dir.path()).len(), 15);
+}
+
+#[test]
+fn a_cut_leaves_whole_files_while_the_run_goes_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut recorder = Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
+    for tick in 0..5 {
+        recorder.record(some_tick(tick), Views::default()).unwrap();
+    }
+    assert_eq!(recorder.cut().unwrap(), 1);
+    assert_eq!(read_all(dir.path()).len(), 5);
+    assert_eq!(recorder.cut().unwrap(), 1, "nothing new, no new file");
+    recorder.record(some_tick(5), Views::default()).unwrap();
+    assert_eq!(recorder.cut().unwrap(), 2);
+    assert_eq!(read_all(dir.path()).len(), 6);
+    assert_eq!(recorder.finish().unwrap().ticks, 6);
 }

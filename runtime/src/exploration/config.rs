@@ -54,6 +54,9 @@ pub enum GoalChoice {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ExplorationConfig {
+    /// Frames of `heuristic` before the policy itself begins. All policies then start from the same recording, so that a
+    /// comparison of them compares nothing else (the paper's code warms up only its goal-driven policies so).
+    pub warm_up_frames: u64,
     /// Frames on frontiers before `active` turns to inconsistencies (800 in the paper).
     pub frontier_frames: u64,
     /// Frames on inconsistencies before `active` turns to frontiers (400 in the paper).
@@ -85,6 +88,7 @@ pub struct ExplorationConfig {
 impl Default for ExplorationConfig {
     fn default() -> Self {
         Self {
+            warm_up_frames: 0,
             frontier_frames: 800,
             inconsistency_frames: 400,
             inconsistency_gap: 5,

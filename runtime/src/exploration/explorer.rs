@@ -49,6 +49,7 @@ pub struct Explorer {
     rng: Pcg64Mcg,
     /// The policy itself when it is blind; otherwise what fills in while there is no goal.
     blind: BlindPolicy,
+    warm_up: BlindPolicy,
     mode: GoalReason,
     mode_since: u64,
     goal: Option<Goal>,
@@ -83,8 +84,9 @@ impl Explorer {
             config,
             rng,
             blind,
+            warm_up: BlindPolicy::Heuristic { queue: VecDeque::new() },
             mode,
-            mode_since: 0,
+            mode_since: config.warm_up_frames,
             goal: None,
             navigator: Navigator::new(plan)?,
             follower: Follower::new(follower)?,
@@ -109,6 +111,9 @@ impl Explorer {
 
     /// The next step, and what happened on the way to it.
     pub fn step(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) -> Primitive {
+        if senses.tick < self.config.warm_up_frames {
+            return self.warm_up.next(&mut self.rng, senses.bumped);
+        }
         match self.kind {
             PolicyKind::Random | PolicyKind::Heuristic | PolicyKind::Forward => {
                 self.blind.next(&mut self.rng, senses.bumped)
@@ -368,5 +373,23 @@ mod tests {
     #[test]
     fn who_never_doubts_goes_to_any_known_place_instead() {
         assert_eq!(first_goal(0.0), GoalReason::Revisit);
+    }
+
+    #[test]
+    fn all_policies_begin_with_the_same_warm_up_and_then_part() {
+        let config = ExplorationConfig { warm_up_frames: 64, ..ExplorationConfig::default() };
+        let map = OccupancyGrid::new(&MapConfig::default()).unwrap();
+        let steps = |kind: PolicyKind| -> Vec<Primitive> {
+            let (plan, follow) = (PlanConfig::default(), FollowerConfig::default());
+            let mut explorer = Explorer::new(kind, config, &plan, &follow, Pcg64Mcg::seed_from_u64(4)).unwrap();
+            let senses = Senses { tick: 0, time_ns: 0, pose: Pose2::IDENTITY, map: &map, looks: None, bumped: false };
+            (0..128).map(|tick| explorer.step(&Senses { tick, ..senses }, &mut Vec::new())).collect()
+        };
+        let heuristic = steps(PolicyKind::Heuristic);
+        for kind in PolicyKind::ALL {
+            assert_eq!(steps(kind)[..64], heuristic[..64], "{kind:?}");
+        }
+        assert_ne!(steps(PolicyKind::Random)[64..], heuristic[64..]);
+        assert!(steps(PolicyKind::Forward)[64..].iter().all(|step| *step == Primitive::Forward));
     }
 }

@@ -25,6 +25,9 @@ pub struct RunHeader {
     /// BLAKE3 digest of the model file, if there is a model.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub model_digest: Option<String>,
+    /// When other models were handed over, if they were.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub hand_over: Option<HandOverSchedule>,
     /// Intrinsics of the pictures that the loop gets.
     #[serde(with = "json::camera_model")]
     pub camera: CameraModel,
@@ -36,6 +39,24 @@ pub struct RunHeader {
     pub t_base_laser: Pose3,
     /// The whole effective configuration.
     pub config: serde_json::Value,
+}
+
+/// Turns before which the robot gets a newly trained model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HandOverSchedule {
+    /// The first such turn.
+    pub first: u64,
+    /// Turns from one to the next.
+    pub every: u64,
+}
+
+impl HandOverSchedule {
+    /// The round that ends before turn `tick`, counted from 0.
+    #[must_use]
+    pub fn round(&self, tick: u64) -> Option<u64> {
+        let since = tick.checked_sub(self.first)?;
+        (since.checked_rem(self.every)? == 0).then(|| since / self.every)
+    }
 }
 
 /// First message of every segment.
@@ -75,6 +96,14 @@ mod tests {
         let back: SegmentHeader = serde_json::from_str(&text).unwrap();
         assert_eq!(back, header);
         assert_eq!(serde_json::to_string(&back).unwrap(), text);
+    }
+
+    #[test]
+    fn models_are_handed_over_at_the_first_turn_and_then_regularly() {
+        let schedule = HandOverSchedule { first: 600, every: 300 };
+        let rounds: Vec<_> = (0..1300).filter_map(|tick| Some((tick, schedule.round(tick)?))).collect();
+        assert_eq!(rounds, [(600, 0), (900, 1), (1200, 2)]);
+        assert_eq!(HandOverSchedule { first: 0, every: 0 }.round(5), None);
     }
 
     #[test]

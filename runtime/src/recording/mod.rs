@@ -26,7 +26,7 @@ mod tests;
 
 pub use digest::{RunDigest, input_digest};
 pub use error::RecordingError;
-pub use header::{FORMAT_VERSION, RunHeader, SegmentHeader};
+pub use header::{FORMAT_VERSION, HandOverSchedule, RunHeader, SegmentHeader};
 pub use picture::quantise_mm;
 pub use reader::RecordingReader;
 pub use sentences::{Severity, sentence};

@@ -35,6 +35,9 @@ pub fn sentence(event: &Event) -> (Severity, String) {
             (severity, format!("no depth: {}", no_depth(*why)))
         }
         Event::InputRefused { why } => (Error, format!("input refused: {}", refused(*why))),
+        Event::NetworkTaken { digest } => {
+            (Info, format!("another depth network: {}", digest.get(..12).unwrap_or(digest)))
+        }
         Event::PolicySwitched { to } => (Info, format!("policy now looks for: {}", goal_reason(*to))),
     }
 }

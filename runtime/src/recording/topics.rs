@@ -86,7 +86,7 @@ const HEADER: &str = r#"{"title":"robot.Header","type":"object","properties":{
 "first_time_ns":{"type":"integer"},
 "run":{"type":"object","properties":{
 "written_by":{"type":"string"},"seed":{"type":"integer"},"scene":{"type":"string"},
-"policy":{"type":"string"},"depth_source":{"type":"string"},"model_digest":{"type":"string"},
+"policy":{"type":"string"},"depth_source":{"type":"string"},"model_digest":{"type":"string"},"hand_over":{"type":"object"},
 "camera":{"type":"object","properties":{}},"t_base_camera":{"type":"object","properties":{}},
 "t_base_laser":{"type":"object","properties":{}},"config":{"type":"object","properties":{}}}}}}"#;
 

@@ -16,7 +16,6 @@ const WIDTH: usize = 640;
 const HEIGHT: usize = 192;
 const FRAMES: u32 = 60;
 const STEP_M: f64 = 0.03;
-const SIDEWAYS: [f64; 3] = [1.0, 0.0, 0.0];
 /// Pictures between the two that semi-global matching gets: 22 pixels of disparity.
 const APART: usize = 7;
 
@@ -28,10 +27,10 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
     let camera = CameraModel::pinhole(WIDTH, HEIGHT, std::f64::consts::FRAC_PI_2);
     let threads = rayon::current_num_threads();
     let mut rows = Vec::new();
-    for (name, direction) in [("sideways", SIDEWAYS), ("on an arc", [0.5, 0.0, 0.7])] {
+    for (name, direction, rectified) in [("sideways", [1.0, 0.0, 0.0], true), ("on an arc", [0.5, 0.0, 0.7], false)] {
         let walk = Walk::new(camera, direction);
         // Semi-global matching needs rectified pictures.
-        let mut peer = if direction == SIDEWAYS { walk.semi_global_matching()? } else { None };
+        let mut peer = if rectified { walk.semi_global_matching()? } else { None };
         let (coarse, theirs) = walk.coarse(peer.as_mut())?;
         let coarse = Timing::of(coarse);
         let note =

@@ -1,5 +1,4 @@
-"""The command line: `embodied-depth label`, `train`, `evaluate`, `export`, `make-default`, `export-depth` and
-`export-flow`."""
+"""The command line: `embodied-depth loop`, `train`, `label`, `evaluate`, `export` and so on."""
 
 from __future__ import annotations
 
@@ -11,22 +10,14 @@ from pathlib import Path
 import torch
 
 from . import experiment
+from .arguments import picture_size
 from .commands import run_evaluate, run_label, run_train
 from .default_network import make_default
 from .errors import TrainerError
 from .export_depth import DEPTH_NETWORKS, DepthExport, export_checkpoint, export_depth
 from .export_flow import FLOW_NETWORKS, FlowExport, export_flow
-
-
-def picture_size(text: str) -> tuple[int, int]:
-    """`192x640`: rows x columns, as the papers write it."""
-    try:
-        height, width = (int(part) for part in text.lower().split("x"))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"`{text}` is not a size such as 192x640 (rows x columns)") from None
-    if min(height, width) <= 0:
-        raise argparse.ArgumentTypeError(f"`{text}` is empty; rows and columns are above 0")
-    return height, width
+from .loop_command import add_loop, run_loop_command
+from .results_command import add_jobs, add_results, run_jobs_command, run_results
 
 
 def parser() -> argparse.ArgumentParser:
@@ -56,6 +47,9 @@ def parser() -> argparse.ArgumentParser:
     label.add_argument("--coarse", type=Path, required=True, help="what `firmware-host perceive --dump` wrote of it")
     label.add_argument("--out", type=Path, required=True, help="file to write (.npz)")
     _add_train(commands.add_parser("train", help="train a depth network on recordings, without any depth sensor"))
+    add_loop(commands.add_parser("loop", help="explore, train, hand over, explore on: the paper's algorithm 1"))
+    add_jobs(commands.add_parser("jobs", help="print a job file: every network x policy x scene x seed"))
+    add_results(commands.add_parser("results", help="tables and figures of many loops"))
     _add_evaluate(commands.add_parser("evaluate", help="how right a trained network is, beside what is trivial"))
     default = commands.add_parser("make-default", help="the robot's default network, from nothing")
     default.add_argument("--robot", type=Path, required=True, help="firmware-host, a release build")
@@ -158,6 +152,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             run_train(options)
         elif options.command == "label":
             run_label(options)
+        elif options.command == "loop":
+            run_loop_command(options)
+        elif options.command == "jobs":
+            run_jobs_command(options)
+        elif options.command == "results":
+            run_results(options)
         elif options.command == "evaluate":
             run_evaluate(options)
         else:

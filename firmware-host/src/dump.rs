@@ -2,7 +2,8 @@
 //!
 //! `NNNNNN.npy` is uint16 `[2, rows, columns]`: depth in millimetres (0: none), then confidence times 65535. Pictures of a
 //! dataset come along, as the loop sees them: `NNNNNN_rgb.npy` is uint8 `[rows, columns, 3]`, `NNNNNN_truth.npy` uint16
-//! millimetres; a recording holds its own. `dump.json` is written last: a folder without it is incomplete.
+//! millimetres; a recording holds its own. `dump.json` is written last and names only files that are whole: a folder without
+//! it is incomplete.
 
 use std::path::{Path, PathBuf};
 
@@ -11,17 +12,28 @@ use hal::{CameraModel, DepthMap, Pose3};
 use runtime::perception::DepthEstimate;
 use serde::Serialize;
 
-use crate::dataset::Sample;
 use crate::report::atomic::{prepare_dir, write_atomically};
 
 const INDEX: &str = "dump.json";
 
 /// A folder that is being filled.
-pub(super) struct Dump {
+pub(crate) struct Dump {
     dir: PathBuf,
-    /// A recording holds pictures and ground truth itself.
-    depth_only: bool,
     index: Index,
+}
+
+/// One picture, beside its coarse depth.
+pub(crate) struct Shot<'a> {
+    /// When it was taken.
+    pub time_ns: u64,
+    /// Where `camera_optical` was, in the frame that the run's poses are in.
+    pub t_world_camera: Pose3,
+    /// The picture, three bytes a pixel; `None` where a recording holds it.
+    pub rgb: Option<&'a [u8]>,
+    /// Ground truth; `None` where a recording holds it, or there is none.
+    pub truth: Option<&'a DepthMap>,
+    /// How the camera came there, for a test view.
+    pub approach: Option<&'static str>,
 }
 
 #[derive(Serialize)]
@@ -45,10 +57,12 @@ struct Entry {
     coarse: bool,
     rgb: bool,
     truth: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    approach: Option<&'static str>,
 }
 
 impl Dump {
-    pub fn create(dir: &Path, camera: &CameraModel, depth_only: bool) -> Result<Self> {
+    pub fn create(dir: &Path, camera: &CameraModel) -> Result<Self> {
         prepare_dir(dir)?;
         // An older dump's index must not speak for new files.
         match std::fs::remove_file(dir.join(INDEX)) {
@@ -57,10 +71,10 @@ impl Dump {
         }
         let CameraModel { width, height, fx, fy, cx, cy, .. } = *camera;
         let index = Index { format_version: 1, width, height, fx, fy, cx, cy, frames: Vec::new() };
-        Ok(Self { dir: dir.to_owned(), depth_only, index })
+        Ok(Self { dir: dir.to_owned(), index })
     }
 
-    pub fn add(&mut self, sample: &Sample, coarse: Option<&DepthEstimate>) -> Result<()> {
+    pub fn add(&mut self, shot: &Shot<'_>, coarse: Option<&DepthEstimate>) -> Result<()> {
         let name = format!("{:06}", self.index.frames.len());
         let (rows, columns) = (self.index.height, self.index.width);
         let write =
@@ -69,25 +83,26 @@ impl Dump {
             let confidence = coarse.confidence.iter().map(|value| (value.clamp(0.0, 1.0) * 65_535.0).round() as u16);
             write("", npy_u16(&[2, rows, columns], millimetres(&coarse.depth).chain(confidence)))?;
         }
-        let truth = sample.truth.as_ref().filter(|_| !self.depth_only);
-        if let Some(truth) = truth {
+        if let Some(truth) = shot.truth {
             write("_truth", npy_u16(&[rows, columns], millimetres(truth)))?;
         }
-        if !self.depth_only {
-            write("_rgb", npy("|u1", &[rows, columns, 3], &sample.rgb))?;
+        if let Some(rgb) = shot.rgb {
+            write("_rgb", npy("|u1", &[rows, columns, 3], rgb))?;
         }
         self.index.frames.push(Entry {
-            time_ns: sample.time_ns,
-            t_world_camera: row_major(&sample.t_world_camera),
+            time_ns: shot.time_ns,
+            t_world_camera: row_major(&shot.t_world_camera),
             coarse: coarse.is_some(),
-            rgb: !self.depth_only,
-            truth: truth.is_some(),
+            rgb: shot.rgb.is_some(),
+            truth: shot.truth.is_some(),
+            approach: shot.approach,
             name,
         });
         Ok(())
     }
 
-    pub fn finish(self) -> Result<()> {
+    /// Writes the index of all pictures so far; more may follow.
+    pub fn write_index(&self) -> Result<()> {
         Ok(write_atomically(&self.dir.join(INDEX), &serde_json::to_vec_pretty(&self.index)?)?)
     }
 }
@@ -144,27 +159,29 @@ mod tests {
     fn a_folder_holds_depth_pictures_and_an_index_that_comes_last() {
         let dir = tempfile::tempdir().unwrap();
         let camera = CameraModel::pinhole(2, 1, std::f64::consts::FRAC_PI_2);
-        let sample = Sample {
+        let truth = DepthMap::from_vec(2, 1, vec![0.0, 1.5]).unwrap();
+        let rgb = [1, 2, 3, 4, 5, 6];
+        let shot = Shot {
             time_ns: 7,
-            rgb: vec![1, 2, 3, 4, 5, 6],
-            camera,
             t_world_camera: Pose3::translation(1.0, 2.0, 3.0),
-            truth: DepthMap::from_vec(2, 1, vec![0.0, 1.5]),
+            rgb: Some(&rgb),
+            truth: Some(&truth),
+            approach: None,
         };
         let depth = DepthMap::from_vec(2, 1, vec![2.5, 70.0]).unwrap();
         let coarse = DepthEstimate { depth, confidence: vec![1.0, 0.5] };
-        let mut dump = Dump::create(dir.path(), &camera, false).unwrap();
-        dump.add(&sample, None).unwrap();
-        dump.add(&sample, Some(&coarse)).unwrap();
+        let mut dump = Dump::create(dir.path(), &camera).unwrap();
+        dump.add(&shot, None).unwrap();
+        dump.add(&shot, Some(&coarse)).unwrap();
         assert!(!dir.path().join(INDEX).exists());
-        dump.finish().unwrap();
+        dump.write_index().unwrap();
         let index: serde_json::Value = serde_json::from_slice(&std::fs::read(dir.path().join(INDEX)).unwrap()).unwrap();
         assert_eq!(index["frames"][0]["coarse"], false);
         assert_eq!(index["frames"][1]["t_world_camera"][3], 1.0);
         let planes = std::fs::read(dir.path().join("000001.npy")).unwrap();
         let values = [2500u16, 0, 65_535, 32_768].map(u16::to_le_bytes).concat();
         assert!(planes.ends_with(&values));
-        assert!(std::fs::read(dir.path().join("000000_rgb.npy")).unwrap().ends_with(&sample.rgb));
+        assert!(std::fs::read(dir.path().join("000000_rgb.npy")).unwrap().ends_with(&rgb));
         assert!(!dir.path().join("000000.npy").exists());
     }
 }

@@ -1,0 +1,48 @@
+"""Means of paired differences with their uncertainty, where seeds are nested in scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+RESAMPLES = 10_000
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean with its 95 % interval."""
+
+    mean: float
+    low: float | None
+    """`None` where a single scene says nothing about others."""
+    high: float | None
+    scenes: int
+    pairs: int
+
+    @property
+    def verdict(self) -> str:
+        """Whether the mean is above 0."""
+        if self.low is None or self.high is None:
+            return "undecided: one home"
+        if self.low > 0:
+            return "holds"
+        return "fails" if self.high < 0 else "undecided"
+
+
+def hierarchical_bootstrap(values: Mapping[str, Sequence[float]], seed: int = 0) -> Estimate:
+    """Of `values` by scene: the mean over scenes of the mean over seeds. Scenes are resampled first, then the seeds in
+    each: seeds of one scene are more alike than scenes are."""
+    groups = [np.asarray(seeds, np.float64) for _, seeds in sorted(values.items())]
+    mean = float(np.mean([group.mean() for group in groups]))
+    pairs = sum(map(len, groups))
+    if len(groups) < 2:
+        return Estimate(mean, None, None, len(groups), pairs)
+    random = np.random.default_rng(seed)
+    means = np.empty(RESAMPLES)
+    for row in range(RESAMPLES):
+        scenes = random.integers(len(groups), size=len(groups))
+        means[row] = np.mean([random.choice(groups[scene], len(groups[scene])).mean() for scene in scenes])
+    low, high = np.quantile(means, [0.025, 0.975])
+    return Estimate(mean, float(low), float(high), len(groups), pairs)

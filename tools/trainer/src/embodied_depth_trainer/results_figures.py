@@ -1,0 +1,53 @@
+"""Figures of a study."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from .curve import save
+
+if TYPE_CHECKING:
+    from .results import Study
+
+
+def draw_policies(study: Study, file: Path) -> None:
+    """delta1 of every loop as a dot and of every policy's mean as a bar, a panel a network."""
+    networks, policies = study.networks(), study.policies()
+    figure = Figure((4.2 * len(networks), 3.6), layout="constrained")
+    axes = figure.subplots(1, len(networks), squeeze=False, sharey=True)
+    for axis, network in zip(axes[0], networks, strict=True):
+        runs = [run for run in study.main_runs() if run.network == network]
+        for place, policy in enumerate(policies):
+            values = [run.value() for run in runs if run.policy == policy]
+            if values:
+                axis.bar(place, np.mean(values), color="lightsteelblue")
+                axis.plot([place] * len(values), values, "k.", markersize=4)
+        if runs:
+            axis.axhline(np.mean([run.value(of="constant") for run in runs]), color="gray", ls="--", label="constant")
+            axis.axhline(np.mean([run.value(point=0) for run in runs]), color="tab:red", ls=":", label="untrained")
+        axis.set_xticks(range(len(policies)), policies, fontsize=8)
+        axis.set(title=network, ylim=(0, 1), ylabel="delta1 (median-scaled)" if axis is axes[0][0] else "")
+        axis.legend(fontsize=7, loc="lower right")
+    save(figure, file)
+
+
+def draw_curves(study: Study, file: Path) -> None:
+    """delta1 against frames, mean over homes and seeds, a panel a network, a line a policy."""
+    networks = study.networks()
+    figure = Figure((4.6 * len(networks), 3.6), layout="constrained")
+    axes = figure.subplots(1, len(networks), squeeze=False, sharey=True)
+    for axis, network in zip(axes[0], networks, strict=True):
+        for policy in study.policies():
+            runs = [run for run in study.main_runs() if (run.network, run.policy) == (network, policy)]
+            if runs:
+                frames = [point["frames"] for point in runs[0].curve]
+                lines = [[run.value(point=index) for index in range(len(frames))] for run in runs]
+                axis.plot(frames, np.mean(lines, axis=0), "o-", markersize=3, label=f"{policy} ({len(runs)})")
+        axis.set(title=network, xlabel="frames of the robot", ylabel="delta1" if axis is axes[0][0] else "")
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=7)
+    save(figure, file)

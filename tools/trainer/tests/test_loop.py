@@ -1,0 +1,170 @@
+"""The closed loop: it keeps to the paper's schedule, learns, and comes to the same result however often it is cut."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from embodied_depth_trainer.cli import main
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.jobs import read_jobs
+from embodied_depth_trainer.loop import LoopSettings
+from embodied_depth_trainer.schedule import Schedule
+
+TRAINER = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Path:
+    """A program that keeps to the protocol of `firmware-host`."""
+    program = tmp_path / "firmware-host"
+    python = shlex.join([sys.executable, "-m", "tests.fake_robot"])
+    paths = f"{TRAINER}:{TRAINER / 'src'}"
+    program.write_text(f'#!/bin/sh\nPYTHONPATH={paths} exec {python} "$@"\n')
+    program.chmod(0o755)
+    return program
+
+
+def arguments(robot: Path, out: Path, *more: str) -> list[str]:
+    small = ["--scale", "0.0034", "--size", "32x64", "--batch", "12", "--views", "8", "--learning-rate", "3e-3"]
+    return ["loop", "--scene", "a room", "--out", str(out), "--firmware-host", str(robot), *small, *more]
+
+
+def start(robot: Path, out: Path) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "embodied_depth_trainer.cli", *arguments(robot, out)]
+    environment = {**os.environ, "PYTHONPATH": str(TRAINER / "src")}
+    return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+
+def result(out: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((out / "result.json").read_text())
+    return found
+
+
+def test_the_whole_schedule_is_that_of_the_paper() -> None:
+    schedule = Schedule.scaled(1.0)
+    rounds = list(schedule.rounds())
+    assert [r.frames for r in rounds] == [6000, 9000, 12000, 15000, 18000, 21000, 24000, 27000, 30000]
+    # One pass on the warm-up, two before each of eight times 3,000 frames, four in the end (its released code).
+    assert [r.passes for r in rounds] == [3, 2, 2, 2, 2, 2, 2, 2, 4]
+    assert schedule.steps(8, batch=12) == 390_000 // 12
+
+
+def test_a_scaled_schedule_keeps_its_shape_and_one_that_is_too_short_is_refused() -> None:
+    assert [r.frames for r in Schedule.scaled(0.1).rounds()] == list(range(600, 3001, 300))
+    with pytest.raises(TrainerError, match=r"every 3 frames; give --scale"):
+        Schedule.scaled(0.001)
+
+
+def test_the_whole_schedule_keeps_the_papers_turns_between_frontiers_and_inconsistencies() -> None:
+    def exploration(scale: float) -> str:
+        settings = LoopSettings("a room", "active", "student", 1, scale=scale)
+        return settings.robot_config(Schedule.scaled(scale)).split("[exploration]\n")[1]
+
+    assert exploration(1.0) == "warm_up_frames = 6000\nfrontier_frames = 800\ninconsistency_frames = 400\n"
+    assert exploration(0.25) == "warm_up_frames = 1500\nfrontier_frames = 200\ninconsistency_frames = 100\n"
+    assert exploration(0.01) == "warm_up_frames = 60\nfrontier_frames = 80\ninconsistency_frames = 40\n"
+
+
+def test_the_loop_learns_and_says_what_is_trivial(robot: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main(arguments(robot, out)) == 0
+    curve = result(out)["curve"]
+    assert [point["frames"] for point in curve] == [0, *range(20, 101, 10)]
+    last = curve[-1]["metrics"]
+    assert set(last) == {"all", "drive", "turn"}
+    # Where the robot turned there is no coarse depth: only there an untrained student knows nothing.
+    untrained, trained = (point["metrics"]["turn"]["student"] for point in (curve[0], curve[-1]))
+    assert trained["delta1"] > untrained["delta1"]
+    assert "coarse" in last["drive"]
+    assert "coarse" not in last["turn"]
+    assert 0 < last["all"]["constant"]["delta1"] < 1
+    for picture in ("curve.png", "views.png"):
+        assert (out / picture).read_bytes().startswith(b"\x89PNG")
+
+
+def killed_when(robot: Path, out: Path, is_time: Callable[[], bool]) -> None:
+    loop = start(robot, out)
+    while not is_time() and loop.poll() is None:
+        time.sleep(0.01)
+    if loop.poll() is not None:
+        pytest.fail(f"the loop ended before it could be killed: {loop.communicate()[1].decode()}")
+    loop.send_signal(signal.SIGKILL)
+    loop.wait()
+
+
+def test_a_loop_that_is_killed_again_and_again_comes_to_the_same_result(robot: Path, tmp_path: Path) -> None:
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    assert main(arguments(robot, whole)) == 0
+    moments: list[Callable[[], bool]] = [
+        (cut / "views.partial").exists,
+        (cut / "hand-over/round_0000.json").exists,
+        (cut / "hand-over/model_0001.onnx").exists,
+        (cut / "rounds/round_0003.json").exists,
+        (cut / "run/summary.json").exists,
+        (cut / "rounds/round_0008.json").exists,
+    ]
+    for is_time in moments:
+        killed_when(robot, cut, is_time)
+        assert not (cut / "result.json").exists()
+    assert start(robot, cut).wait() == 0
+    assert (cut / "result.json").read_bytes() == (whole / "result.json").read_bytes()
+
+
+def test_a_robot_that_does_not_repeat_itself_is_noticed(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    killed_when(robot, out, (out / "hand-over/round_0001.json").exists)
+    said = out / "hand-over/round_0001.json"
+    said.write_text(said.read_text().replace('"digest": "', '"digest": "other '))
+    assert main(arguments(robot, out)) == 1
+    assert "does not repeat the run" in capsys.readouterr().err
+
+
+def test_what_cannot_be_is_refused_with_its_name_and_a_way_out(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(arguments(robot, out, "--scene", "nowhere")) == 1
+    assert "there is no nowhere" in capsys.readouterr().err
+    assert main(arguments(robot, out, "--scene", "a room", "--seed", "9")) == 1
+    said = capsys.readouterr().err
+    assert "seed was 1, now 9" in said
+    assert "--out" in said
+    assert main(arguments(tmp_path / "none", tmp_path / "other")) == 1
+    assert "cargo build --release -p firmware-host" in capsys.readouterr().err
+
+
+def test_a_job_file_is_worked_off_and_a_failed_job_stops_no_other(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(TRAINER / "src"))
+    lines = [
+        shlex.join(arguments(robot, tmp_path / "a")[1:]),
+        "# nothing",
+        shlex.join(arguments(robot, tmp_path / "b", "--scene", "nowhere")[1:]),
+        shlex.join(arguments(robot, tmp_path / "c", "--network", "monodepth2_r18")[1:]),
+    ]
+    jobs = tmp_path / "jobs.txt"
+    jobs.write_text("\n".join(lines))
+    assert len(read_jobs(jobs)) == 3
+    # As SLURM's array does it.
+    assert main(["loop", "--jobs", str(jobs), "--job", "1"]) == 0
+    before = (tmp_path / "a/result.json").stat().st_mtime_ns
+    assert main(["loop", "--jobs", str(jobs), "--workers", "2"]) == 1
+    assert "1 of 3 jobs failed (2)" in capsys.readouterr().err
+    assert result(tmp_path / "c")["settings"]["network"] == "monodepth2_r18"
+    assert (tmp_path / "a/result.json").stat().st_mtime_ns == before
+    assert main(["loop", "--jobs", str(jobs), "--job", "4"]) == 1
+    assert "there is no job 4" in capsys.readouterr().err
