@@ -16,6 +16,9 @@ use crate::report::{Row, time, time_against};
 const EMPTY: &[u8] = include_bytes!("../../../runtime/tests/models/any_size.onnx");
 /// Hands one plane of the volume on: as good as no inference.
 const VOLUME: &[u8] = include_bytes!("../../../runtime/tests/models/volume_64_any_size.onnx");
+/// The network that the robot ships with.
+const DEFAULT: &[u8] = include_bytes!("../../../models/default.onnx");
+const DEFAULT_TURNS: usize = 101;
 const SIZE: (usize, usize) = (640, 192);
 /// Real networks as `cargo xtask models` exports them, with the turns that they are worth.
 const REAL: [(&str, usize); 4] = [("monodepth2_r18", 20), ("edn_r18", 20), ("raft_small_12", 7), ("raft_large_12", 5)];
@@ -31,6 +34,10 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
     let picture = |step: usize| (0..3 * SIZE.0 * SIZE.1).map(|i| (i * step % 256) as u8).collect::<Vec<_>>();
     let pictures = [picture(31), picture(37)];
     let mut rows = vec![empty(&onnx_runtime, &pictures[0])?, volume(&onnx_runtime, &pictures)?];
+    for threads in [1, 2] {
+        let row = real(&onnx_runtime, "default network", DEFAULT, threads, DEFAULT_TURNS, &pictures)?;
+        rows.push(row.goal(0.006, 0.004));
+    }
     if let Some(folder) = std::env::var_os("BENCH_MODELS") {
         for (name, turns) in REAL {
             let file = Path::new(&folder).join(name).with_extension("onnx");
