@@ -48,8 +48,10 @@ pub struct SteadyRotation {
     variance: Vector3<f64>,
     /// How the last turn was corrected, in the camera's axes.
     correction: Option<Vector3<f64>>,
-    /// Mean square of odometry's jitter about each axis, rad^2, and of how many pictures.
-    jitter: f64,
+    /// Of the corrections about each axis, rad^2: mean square, mean product of two neighbours with the sign turned, and of how
+    /// many pictures.
+    square: f64,
+    turned_back: f64,
     pictures: f64,
     equations: Vec<Equation>,
 }
@@ -102,7 +104,8 @@ impl Default for SteadyRotation {
             before: None,
             variance: Vector3::zeros(),
             correction: None,
-            jitter: FIRST_JITTER_RAD * FIRST_JITTER_RAD,
+            square: 2.0 * FIRST_JITTER_RAD * FIRST_JITTER_RAD,
+            turned_back: FIRST_JITTER_RAD * FIRST_JITTER_RAD,
             pictures: 1.0,
             equations: Vec::new(),
         }
@@ -112,7 +115,13 @@ impl Default for SteadyRotation {
 impl SteadyRotation {
     /// Standard deviation of odometry's jitter about each axis, radians.
     pub fn jitter_rad(&self) -> f64 {
-        self.jitter.max(0.0).sqrt()
+        self.jitter().sqrt()
+    }
+
+    /// Mean square of odometry's jitter about each axis, rad^2. Jitter alone turns half of the mean square back, errors of flow
+    /// nothing in the mean, but a fifth by chance: up to a quarter is no jitter.
+    fn jitter(&self) -> f64 {
+        (2.0 * (self.turned_back - 0.25 * self.square)).max(0.0)
     }
 
     /// Forgets the pose before.
@@ -147,12 +156,12 @@ impl SteadyRotation {
     fn weigh(&mut self, expected: &Pose3, said: &Pose3, turn: Turn) -> Pose3 {
         // What turns back at once is jitter: an error e of one pose makes two turns wrong, by e and by -e. Drift does not.
         if let Some(before) = self.correction.replace(turn.correction) {
-            let jitter = -turn.correction.dot(&before) / 3.0;
             self.pictures = (self.pictures + 1.0).min(JITTER_MEMORY);
-            self.jitter += (jitter - self.jitter) / self.pictures;
+            self.square += (turn.correction.norm_squared() / 3.0 - self.square) / self.pictures;
+            self.turned_back += (-turn.correction.dot(&before) / 3.0 - self.turned_back) / self.pictures;
         }
         self.variance += turn.variance;
-        let jitter = self.jitter.max(0.0);
+        let jitter = self.jitter();
         let share = self.variance.map(|variance| variance / (variance + jitter));
         self.variance.component_mul_assign(&share.map(|share| 1.0 - share));
         let seen = expected.rotation * UnitQuaternion::from_scaled_axis(turn.correction);
