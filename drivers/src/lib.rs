@@ -1,5 +1,11 @@
 //! One module per real device. Protocols are codecs over bytes that somebody else reads and writes, so that they can be tested
 //! without a device and replayed from a recording.
-#![forbid(unsafe_code)]
+//!
+//! Unsafe code lives only in a module called `sys`, each block with its SAFETY note.
 
+pub mod clock;
 pub mod scip;
+pub mod status;
+
+pub use clock::MonotonicClock;
+pub use status::{DeviceState, DeviceStatus};

@@ -1,0 +1,33 @@
+//! Device simulators for a robot's computer: `cargo run -p hil -- hokuyo --help`.
+//!
+//! Each speaks the real device's protocol over what the real device is connected by, or over what stands in for it where the
+//! kernel has no such thing.
+
+use std::error::Error;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+#[derive(Parser)]
+#[command(version, about = "Simulated devices that speak the real ones' protocols")]
+struct Arguments {
+    #[command(subcommand)]
+    device: Device,
+}
+
+#[derive(Subcommand)]
+enum Device {}
+
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
+    match arguments.device {}
+}
