@@ -192,7 +192,7 @@ impl Default for PlanningSection {
 pub struct NetworkSection {
     /// Threads for inference.
     pub threads: usize,
-    /// Whether waiting threads spin: faster by little, at the expense of everything else on the computer.
+    /// Whether waiting threads spin during an inference: faster, at the expense of whatever else runs at that moment.
     pub spin: bool,
     /// Whose kernels compute: `cpu`, `xnnpack`, `cuda`, `tensorrt`.
     pub provider: Provider,

@@ -13,8 +13,8 @@ use super::NetworkError;
 pub struct NetworkOptions {
     /// Threads of one inference, at least 1.
     pub threads: usize,
-    /// Whether a thread that waits for work spins. Faster by some microseconds a layer, but a spinning thread steals the time
-    /// of the control loop.
+    /// Whether threads spin while they wait for the next layer. Faster by some microseconds a layer. They stop when the run
+    /// ends, so that nothing is taken from the control loop between two pictures.
     pub spin: bool,
     /// Whose kernels compute.
     pub provider: Provider,
@@ -22,7 +22,7 @@ pub struct NetworkOptions {
 
 impl Default for NetworkOptions {
     fn default() -> Self {
-        Self { threads: 1, spin: false, provider: Provider::Cpu }
+        Self { threads: 1, spin: true, provider: Provider::Cpu }
     }
 }
 
@@ -118,6 +118,8 @@ fn plain_builder(
         // One layer after the other.
         .with_parallel_execution(false)?
         .with_intra_op_spinning(options.spin)?
+        // By default they would go on after the run, for up to a millisecond.
+        .with_config_entry("session.force_spinning_stop", "1")?
         .with_optimization_level(GraphOptimizationLevel::All)?
         .with_deterministic_compute(true)?)
 }
