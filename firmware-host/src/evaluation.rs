@@ -2,7 +2,7 @@
 
 use hal::{DepthMap, Pose2};
 use runtime::accuracy::{Accuracy, ConstantBaseline, SizeMismatch};
-use runtime::event::{BumperEvent, Event};
+use runtime::event::{Event, SafetyEvent};
 use runtime::robot::Robot;
 use runtime::tick::Decision;
 
@@ -103,7 +103,7 @@ impl Evaluation {
             self.events.add(event);
             match event {
                 Event::GoalChosen { x_m, y_m, .. } => self.goals_m.push(t_world_odom.transform(*x_m, *y_m).into()),
-                Event::Bumper { what: BumperEvent::Tripped { x_m, y_m, .. } } => {
+                Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } => {
                     self.trips_m.push(t_world_base.transform(*x_m, *y_m).into());
                 }
                 _ => {}

@@ -46,7 +46,7 @@ impl Config {
             plan: self.plan_config(),
             follower: self.follower_config(),
             exploration: self.exploration,
-            bumper: self.bumper_config(),
+            safety: self.safety_config(),
         }
     }
 }

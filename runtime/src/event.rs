@@ -30,10 +30,10 @@ pub enum Event {
         /// Why.
         why: NoGoalReason,
     },
-    /// The bumper changed its state.
-    Bumper {
+    /// The safety plane changed its state.
+    Safety {
         /// What happened.
-        what: BumperEvent,
+        what: SafetyEvent,
     },
     /// This picture gave no depth.
     NoDepth {
@@ -82,7 +82,7 @@ pub enum DropReason {
     Unreachable,
     /// No progress towards it within the progress timeout.
     NoProgress,
-    /// The bumper tripped on the way too often.
+    /// The safety plane tripped on the way too often.
     Blocked,
     /// What made it worth going there has been seen meanwhile.
     Resolved,
@@ -109,11 +109,11 @@ pub enum NoGoalReason {
     StartBlocked,
 }
 
-/// What the bumper did.
+/// What the safety plane did.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
-pub enum BumperEvent {
+pub enum SafetyEvent {
     /// Stopped: something is in the stop zone.
     Tripped {
         /// What noticed it.
@@ -134,6 +134,73 @@ pub enum BumperEvent {
     Escaping,
     /// The way is clear again.
     Cleared,
+    /// Something is ahead: slower, so that the robot can stop before it.
+    Slowed {
+        /// The speed from which it still can, m/s.
+        limit_mps: f64,
+    },
+    /// Stopped, and stands until the reason is gone.
+    Faulted {
+        /// Why.
+        why: FaultReason,
+    },
+    /// A plan is not followed; the robot stands until a better one comes.
+    PlanRefused {
+        /// Why.
+        why: PlanRefusal,
+    },
+    /// Plans move the robot from now on.
+    Armed,
+    /// Nothing moves the robot from now on.
+    Disarmed,
+}
+
+/// Why nothing may move the robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum FaultReason {
+    /// No scan that is new enough to drive by.
+    LidarSilent,
+    /// Too many beams of the scan are errors, or none came back.
+    LidarBad,
+    /// The wheels have not told for too long how they turn.
+    BaseSilent,
+    /// The base cannot be reached, reports a fault, or refuses to be driven.
+    BaseFault,
+    /// Odometry holds NaN or infinity.
+    OdometryNotFinite,
+    /// The loop came late by more than two of its periods.
+    LoopOverrun,
+    /// The emergency stop is pressed.
+    EmergencyStop,
+}
+
+impl FaultReason {
+    /// Whether the robot may go on by itself when the reason is gone. The others need an operator.
+    #[must_use]
+    pub fn clears_itself(self) -> bool {
+        !matches!(self, Self::BaseFault | Self::EmergencyStop)
+    }
+
+    /// What an error of the base means. Silence passes; whatever else is wrong with motors, a person has to look at.
+    #[must_use]
+    pub fn of_base(kind: hal::ErrorKind) -> Self {
+        if kind == hal::ErrorKind::Timeout { Self::BaseSilent } else { Self::BaseFault }
+    }
+}
+
+/// Why a plan is not followed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum PlanRefusal {
+    /// There is none yet.
+    None,
+    /// It holds NaN or infinity. Such a command is refused, never clamped.
+    NotFinite,
+    /// It is too old.
+    Stale,
 }
 
 /// What noticed the obstacle.
@@ -147,10 +214,6 @@ pub enum TripCause {
     LidarTooNear,
     /// The base felt it.
     Contact,
-    /// The LiDAR is silent: no scan that is new enough to drive by.
-    StaleScan,
-    /// Too many beams of the scan are errors.
-    BadScan,
 }
 
 /// Why backing off ended.
@@ -162,6 +225,8 @@ pub enum BackOffEnd {
     Distance,
     /// Something is behind.
     RearBlocked,
+    /// Nobody has looked at the ground behind.
+    RearUnknown,
     /// It took too long.
     Timeout,
 }

@@ -13,7 +13,7 @@ use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
 use crate::perception::{CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError};
 use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::recording::input_digest;
-use crate::safety::{Bumper, BumperConfig, BumperInput, BumperOutput, BumperState};
+use crate::safety::{Plan, Request, SafetyConfig, SafetyInput, SafetyPlane, SafetyState};
 use crate::tick::{Decision, TickInput};
 
 /// Where the depth that goes into the map comes from.
@@ -74,8 +74,8 @@ pub struct RobotConfig {
     pub follower: FollowerConfig,
     /// Goals.
     pub exploration: ExplorationConfig,
-    /// The bumper.
-    pub bumper: BumperConfig,
+    /// The safety plane.
+    pub safety: SafetyConfig,
 }
 
 /// The configuration cannot be: which part, and why.
@@ -130,7 +130,8 @@ pub struct Robot {
     map: OccupancyGrid,
     looks: VecDeque<SingleFrameMap>,
     explorer: Explorer,
-    bumper: Bumper,
+    /// Turned with every tick, unless one outside reports ([`TickInput::safety`]).
+    safety: SafetyPlane,
     bumped: bool,
     collision_at: Option<[f64; 2]>,
     last_time_ns: Option<u64>,
@@ -164,7 +165,7 @@ impl Robot {
             map: OccupancyGrid::new(&config.map)?,
             looks: VecDeque::new(),
             explorer: Explorer::new(config.policy, config.exploration, &config.plan, &config.follower, rng)?,
-            bumper: Bumper::new(config.bumper),
+            safety: SafetyPlane::new(config.safety.clone()),
             bumped: false,
             collision_at: None,
             last_time_ns: None,
@@ -199,6 +200,10 @@ impl Robot {
             }
             sound
         });
+        if let Some(report) = input.safety {
+            events.extend(report.events.iter().map(|what| Event::Safety { what: *what }));
+            self.note_blocked(report.blocked_m);
+        }
         let t_odom_camera = odom.to_pose3() * self.config.t_base_camera;
         self.see(input, &t_odom_camera, &mut events, timer);
         let depth_digest = self.mapped_depth().map_or(0, digest_of);
@@ -206,14 +211,12 @@ impl Robot {
         timer.ended(Stage::Map);
         let wanted = self.wish(input, odom, &mut events);
         timer.ended(Stage::Plan);
-        let gated =
-            self.bumper.step(&BumperInput { time_ns: input.time_ns, odom, contact: input.wheel.contact, scan, wanted });
-        self.note_bumper(&gated, &mut events);
+        let command = if input.safety.is_some() { wanted } else { self.gate(input, scan, wanted, &mut events) };
         Decision {
             tick: input.tick,
             time_ns: input.time_ns,
             wanted: wanted.into(),
-            command: gated.command.into(),
+            command: command.into(),
             goal_m: self.explorer.goal().map(|goal| goal.target_m),
             events,
             input_digest: input_digest(input),
@@ -332,12 +335,13 @@ impl Robot {
             let facing = Pose2::new(odom.x_m, odom.y_m, towards);
             let _ = self.map.mark_collision(&facing, (x_m - odom.x_m).hypot(y_m - odom.y_m));
         }
-        let _ = self.map.mark_standing(odom, self.config.bumper.footprint_radius_m);
+        let _ = self.map.mark_standing(odom, self.config.safety.footprint_radius_m);
         self.map.finish_update();
     }
 
     fn wish(&mut self, input: &TickInput<'_>, pose: Pose2, events: &mut Vec<Event>) -> Twist2 {
-        if matches!(self.bumper.state(), BumperState::BackingOff { .. } | BumperState::Escaping { .. }) {
+        let in_charge = input.safety.map_or_else(|| self.drives_itself(), |report| report.in_charge);
+        if in_charge {
             return Twist2::ZERO;
         }
         let looks = self.looks.back().zip(self.looks.front()).filter(|_| self.looks.len() > 1);
@@ -360,10 +364,37 @@ impl Robot {
         }
     }
 
-    fn note_bumper(&mut self, gated: &BumperOutput, events: &mut Vec<Event>) {
-        events.extend(gated.event.map(|what| Event::Bumper { what }));
-        if gated.blocked_m.is_some() {
-            self.collision_at = gated.blocked_m;
+    /// The safety plane's own turn, where nobody else turns it. A simulated base is always armed.
+    fn gate(
+        &mut self,
+        input: &TickInput<'_>,
+        scan: Option<&LaserScan>,
+        wanted: Twist2,
+        events: &mut Vec<Event>,
+    ) -> Twist2 {
+        let gated = self.safety.step(&SafetyInput {
+            time_ns: input.time_ns,
+            scan,
+            wheel: Some(input.wheel),
+            base_error: None,
+            emergency_stop: false,
+            plan: Some(Plan { twist: wanted, time_ns: input.time_ns }),
+            request: (self.safety.state() == SafetyState::Disarmed).then_some(Request::Arm),
+        });
+        events.extend(gated.event.map(|what| Event::Safety { what }));
+        self.note_blocked(gated.blocked_m);
+        gated.twist()
+    }
+
+    /// While it waits for a scan the policy goes on wishing.
+    fn drives_itself(&self) -> bool {
+        let state = self.safety.state();
+        matches!(state, SafetyState::Tripped { .. } | SafetyState::BackingOff { .. } | SafetyState::Escaping { .. })
+    }
+
+    fn note_blocked(&mut self, blocked_m: Option<[f64; 2]>) {
+        if blocked_m.is_some() {
+            self.collision_at = blocked_m;
             self.bumped = true;
         }
     }
@@ -380,10 +411,10 @@ impl Robot {
         &self.explorer
     }
 
-    /// The bumper as it stands.
+    /// The safety plane as it stands; it stands still where one outside reports.
     #[must_use]
-    pub fn bumper(&self) -> &Bumper {
-        &self.bumper
+    pub fn safety(&self) -> &SafetyPlane {
+        &self.safety
     }
 
     /// What shapes this robot's decisions.

@@ -3,7 +3,7 @@
 use hal::{DepthMap, ImageView, LaserScan, Twist2, WheelFeedback};
 use serde::{Deserialize, Serialize};
 
-use crate::event::Event;
+use crate::event::{Event, SafetyEvent};
 
 /// Everything that one turn of the loop knows of the world. Recording this replays the run.
 #[derive(Debug, Clone, Copy)]
@@ -20,6 +20,20 @@ pub struct TickInput<'a> {
     pub frame: Option<ImageView<'a>>,
     /// Ground-truth depth of `frame`. Only with the depth source `truth`, which exists to test what comes after depth.
     pub truth: Option<&'a DepthMap>,
+    /// What the safety plane did since the last turn, where it turns by itself, faster than this loop. `None`: it is turned
+    /// with this loop.
+    pub safety: Option<&'a SafetyReport>,
+}
+
+/// What the safety plane tells the exploration plane.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct SafetyReport {
+    /// Wishes have no effect at the moment.
+    pub in_charge: bool,
+    /// A place that it could not pass, in `odom`, metres: said once.
+    pub blocked_m: Option<[f64; 2]>,
+    /// What happened since the last turn, in order.
+    pub events: Vec<SafetyEvent>,
 }
 
 /// What one turn of the loop decided. Two runs are the same when all of their decisions are equal.
@@ -29,9 +43,9 @@ pub struct Decision {
     pub tick: u64,
     /// Its time.
     pub time_ns: u64,
-    /// What the policy wanted, before the bumper.
+    /// What the policy wanted, before the safety plane.
     pub wanted: Command,
-    /// What the base is told, after the bumper.
+    /// What the base is told, after the safety plane.
     pub command: Command,
     /// Where the robot is heading, in `odom`, metres.
     pub goal_m: Option<[f64; 2]>,

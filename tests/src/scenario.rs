@@ -8,7 +8,7 @@ use runtime::mapping::MapConfig;
 use runtime::perception::CoarseConfig;
 use runtime::planning::{FollowerConfig, PlanConfig};
 use runtime::robot::{DepthSource, Robot, RobotConfig};
-use runtime::safety::BumperConfig;
+use runtime::safety::SafetyConfig;
 use runtime::tick::{Decision, TickInput};
 use simulator::robot::{SimBase, SimCamera, SimClock, SimLidar, Truth};
 use simulator::{OpenOptions, RobotOptions, SimulatedRobot, World};
@@ -87,7 +87,7 @@ impl Scenario {
             plan: PlanConfig { footprint_radius_m: 0.16, ..PlanConfig::default() },
             follower: FollowerConfig::default(),
             exploration: ExplorationConfig::default(),
-            bumper: BumperConfig::default(),
+            safety: SafetyConfig::default(),
         };
         Ok(Self {
             scan: LaserScan::empty(devices.lidar.geometry()),
@@ -123,6 +123,7 @@ impl Scenario {
             scan: has_scan.then_some(&self.scan),
             frame: if has_frame { Some(self.frame.view()?) } else { None },
             truth: None,
+            safety: None,
         };
         let decision = self.robot.tick(&input, &mut ());
         let command = DriveCommand { twist: decision.command.into(), counter: self.tick as u32 + 1, plan_age_ns: 0 };

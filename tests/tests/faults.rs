@@ -3,7 +3,7 @@
 
 use hal::{Pose2, Twist2};
 use hil::{BaseFaults, CameraFaults, Faults, LidarFaults, Scenario, Turn};
-use runtime::event::{BumperEvent, Event, RefusedInput, TripCause};
+use runtime::event::{Event, FaultReason, RefusedInput, SafetyEvent, TripCause};
 use runtime::exploration::PolicyKind;
 use runtime::perception::NoDepth;
 
@@ -28,7 +28,11 @@ fn events(turns: &[Turn]) -> impl Iterator<Item = &Event> {
 }
 
 fn tripped(turns: &[Turn], cause: TripCause) -> bool {
-    events(turns).any(|event| matches!(event, Event::Bumper { what: BumperEvent::Tripped { by, .. } } if *by == cause))
+    events(turns).any(|event| matches!(event, Event::Safety { what: SafetyEvent::Tripped { by, .. } } if *by == cause))
+}
+
+fn faulted(turns: &[Turn], why: FaultReason) -> bool {
+    events(turns).any(|event| *event == Event::Safety { what: SafetyEvent::Faulted { why } })
 }
 
 #[test]
@@ -38,7 +42,7 @@ fn a_silent_laser_stops_the_robot_within_its_timeout_and_a_new_scan_lets_it_go_o
     let turns = run(PolicyKind::Forward, faults, 100);
     assert!(way_m(at(&turns, 1.0..4.0)) > 0.3, "it drives before");
     assert!(at(&turns, 4.3..6.0).iter().all(|turn| turn.command() == Twist2::ZERO));
-    assert!(tripped(at(&turns, 4.0..4.5), TripCause::StaleScan));
+    assert!(faulted(at(&turns, 4.0..4.5), FaultReason::LidarSilent));
     assert!(way_m(at(&turns, 6.0..10.0)) > 0.3, "it goes on");
 }
 
@@ -50,7 +54,7 @@ fn a_blind_or_broken_laser_is_not_free_space() {
     ] {
         let turns = run(PolicyKind::Forward, Faults { lidar, ..Faults::default() }, 60);
         assert!(at(&turns, 2.0..4.0).iter().all(|turn| turn.command() == Twist2::ZERO));
-        assert!(tripped(at(&turns, 2.0..2.2), TripCause::BadScan));
+        assert!(faulted(at(&turns, 2.0..2.2), FaultReason::LidarBad));
     }
 }
 

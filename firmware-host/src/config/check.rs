@@ -44,9 +44,10 @@ fn impossible(key: &str, value: &DeValue<'_>, known: &toml::Value) -> Option<Pro
         (DeValue::Integer(_), toml::Value::Float(_)) => true,
         (DeValue::Array(elements), toml::Value::Array(known)) => {
             let element = known.first();
-            elements
-                .iter()
-                .all(|given| element.is_none_or(|element| impossible(key, given.get_ref(), element).is_none()))
+            elements.iter().all(|given| match element {
+                Some(element) => impossible(key, given.get_ref(), element).is_none(),
+                None => limit.is_none_or(|limit| all_allowed(given.get_ref(), limit)),
+            })
         }
         _ => value.type_str() == known.type_str(),
     };
@@ -57,6 +58,14 @@ fn impossible(key: &str, value: &DeValue<'_>, known: &toml::Value) -> Option<Pro
     let problem =
         || Problem::Impossible { line: 0, key: key.into(), value: written(value), allowed: allowed(known, limit) };
     (!(fits && in_range)).then(problem)
+}
+
+/// Of a list, or a list of lists, whose default is empty.
+fn all_allowed(value: &DeValue<'_>, limit: &limits::Limit) -> bool {
+    match value {
+        DeValue::Array(elements) => elements.iter().all(|element| all_allowed(element.get_ref(), limit)),
+        value => number(value).is_some_and(|number| limit.allows(number)),
+    }
 }
 
 fn number(value: &DeValue<'_>) -> Option<f64> {
@@ -154,21 +163,39 @@ pub(super) fn together(config: &Config) -> Vec<Problem> {
         ("planning", config.plan_config().validate().map_err(|error| error.to_string())),
         ("planning", config.follower_config().validate().map_err(|error| error.to_string())),
         ("simulator.nuisances", config.simulator.nuisances.check().map_err(|error| error.to_string())),
-        ("bumper", back_off_in_time(config)),
+        ("safety", back_off_in_time(config)),
+        ("base", corners_within_radius(config)),
     ];
     let refused = parts.into_iter().filter_map(|(section, result)| Some((section, result.err()?)));
     refused.map(|(section, why)| Problem::Together { message: format!("[{section}]: {why}") }).collect()
 }
 
 fn back_off_in_time(config: &Config) -> Result<(), String> {
-    let (bumper, speed_mps) = (&config.bumper, config.base.speed_mps());
-    let needed_s = bumper.back_off_m / speed_mps;
-    if needed_s <= bumper.back_off_timeout_s {
+    let (safety, speed_mps) = (&config.safety, config.base.speed_mps());
+    let needed_s = safety.back_off_m / speed_mps;
+    if needed_s <= safety.back_off_timeout_s {
         return Ok(());
     }
     Err(format!(
         "`back_off_m = {}` takes {needed_s:.1} s at `base.forward_step_m` every `base.tick_ms` ({speed_mps:.2} m/s), but \
          `back_off_timeout_s = {}` ends it earlier: allow more time or less distance",
-        bumper.back_off_m, bumper.back_off_timeout_s
+        safety.back_off_m, safety.back_off_timeout_s
+    ))
+}
+
+/// The planner keeps a circle clear; corners outside of it would meet what it passes.
+fn corners_within_radius(config: &Config) -> Result<(), String> {
+    let base = &config.base;
+    if !base.footprint_m.is_empty() && base.footprint_m.len() < 3 {
+        return Err(format!("`footprint_m` has {} corners: give at least three, or none", base.footprint_m.len()));
+    }
+    let farthest_m = base.footprint_m.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
+    if farthest_m <= base.footprint_radius_m + 1e-9 {
+        return Ok(());
+    }
+    Err(format!(
+        "a corner of `footprint_m` lies {farthest_m:.3} m from the axle, outside of `footprint_radius_m = {}`: the planner \
+         keeps that circle clear, so make it {farthest_m:.3}",
+        base.footprint_radius_m
     ))
 }

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 pub use error::{ConfigError, Problem};
 pub use sections::{
-    BaseSection, BumperSection, CameraSection, LidarSection, NetworkSection, PlanningSection, RecordingSection,
+    BaseSection, CameraSection, LidarSection, NetworkSection, PlanningSection, RecordingSection, SafetySection,
     SimulatorSection,
 };
 
@@ -33,8 +33,9 @@ pub struct Config {
     pub lidar: LidarSection,
     /// The drive base.
     pub base: BaseSection,
-    /// The safety stop.
-    pub bumper: BumperSection,
+    /// What stands between every wish and the wheels.
+    #[serde(alias = "bumper")]
+    pub safety: SafetySection,
     /// Depth from ego-motion.
     pub coarse: CoarseConfig,
     /// The map.

@@ -4,7 +4,7 @@ use hal::{CameraModel, Pose3, Twist2, camera_mount};
 use runtime::{
     perception::{NetworkOptions, Provider},
     planning::{FollowerConfig, PlanConfig},
-    safety::BumperConfig,
+    safety::{BodySector, SafetyConfig},
 };
 use serde::{Deserialize, Serialize};
 use simulator::{laser::LaserModel, nuisance::Nuisances};
@@ -69,8 +69,10 @@ impl Default for LidarSection {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BaseSection {
-    /// Radius of the round footprint, metres.
+    /// Radius of the round footprint, metres; the planner takes every robot for round.
     pub footprint_radius_m: f64,
+    /// Corners of a footprint that is not round, in `base_link`, metres; empty: it is round.
+    pub footprint_m: Vec<[f64; 2]>,
     /// One step forward, metres.
     pub forward_step_m: f64,
     /// One turn on the spot, degrees.
@@ -81,7 +83,13 @@ pub struct BaseSection {
 
 impl Default for BaseSection {
     fn default() -> Self {
-        Self { footprint_radius_m: 0.16, forward_step_m: 0.03, turn_step_deg: 2.0, tick_ms: 100 }
+        Self {
+            footprint_radius_m: 0.16,
+            footprint_m: Vec::new(),
+            forward_step_m: 0.03,
+            turn_step_deg: 2.0,
+            tick_ms: 100,
+        }
     }
 }
 
@@ -117,23 +125,37 @@ impl BaseSection {
     }
 }
 
-/// `[bumper]`: the safety stop.
+/// `[safety]`: what stands between every wish and the wheels.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct BumperSection {
+pub struct SafetySection {
     /// Free way in front of the footprint below which the robot stops, metres.
     pub stop_distance_m: f64,
     /// How far it then backs off, metres.
     pub back_off_m: f64,
+    /// Of that, so much over ground that nobody has looked at, metres.
+    pub blind_back_off_m: f64,
+    /// What was seen of the ground behind counts for so long, seconds.
+    pub rear_memory_s: f64,
     /// Backing off ends after this time, seconds.
     pub back_off_timeout_s: f64,
     /// A scan older than this is not driven by, seconds.
     pub scan_timeout_s: f64,
+    /// Beams that meet the robot's own body.
+    pub body: Vec<BodySector>,
 }
 
-impl Default for BumperSection {
+impl Default for SafetySection {
     fn default() -> Self {
-        Self { stop_distance_m: 0.1, back_off_m: 0.2, back_off_timeout_s: 5.0, scan_timeout_s: 0.2 }
+        Self {
+            stop_distance_m: 0.1,
+            back_off_m: 0.2,
+            blind_back_off_m: 0.05,
+            rear_memory_s: 30.0,
+            back_off_timeout_s: 5.0,
+            scan_timeout_s: 0.2,
+            body: Vec::new(),
+        }
     }
 }
 
@@ -270,19 +292,25 @@ impl SimulatorSection {
 }
 
 impl Config {
-    /// The bumper's own configuration, put together from `[bumper]`, `[base]` and `[lidar]`.
+    /// The safety plane's own configuration, put together from `[safety]`, `[base]` and `[lidar]`, for a simulated base that
+    /// obeys at once and a safety plane that is turned once a tick.
     #[must_use]
-    pub fn bumper_config(&self) -> BumperConfig {
-        BumperConfig {
+    pub fn safety_config(&self) -> SafetyConfig {
+        SafetyConfig {
             footprint_radius_m: self.base.footprint_radius_m,
-            stop_distance_m: self.bumper.stop_distance_m,
-            back_off_m: self.bumper.back_off_m,
+            footprint_m: self.base.footprint_m.clone(),
+            body: self.safety.body.clone(),
+            stop_distance_m: self.safety.stop_distance_m,
+            back_off_m: self.safety.back_off_m,
+            blind_back_off_m: self.safety.blind_back_off_m,
+            rear_memory_s: self.safety.rear_memory_s,
             back_off_mps: self.base.speed_mps(),
             escape_radps: self.base.turn_radps(),
-            back_off_timeout_s: self.bumper.back_off_timeout_s,
-            scan_timeout_s: self.bumper.scan_timeout_s,
+            back_off_timeout_s: self.safety.back_off_timeout_s,
+            scan_timeout_s: self.safety.scan_timeout_s,
             laser_forward_m: self.lidar.forward_m,
             period_s: self.base.tick_s(),
+            ..SafetyConfig::default()
         }
     }
 

@@ -2,7 +2,7 @@ use std::path::Path;
 
 use runtime::{
     planning::{FollowerConfig, PlanConfig},
-    safety::BumperConfig,
+    safety::SafetyConfig,
 };
 
 use super::*;
@@ -57,7 +57,11 @@ fn every_number_has_a_limit_and_every_limit_a_number_within_it() {
                 toml::Value::Table(inner) => numbers(inner, &key, into),
                 toml::Value::Integer(number) => into.push((key, *number as f64)),
                 toml::Value::Float(number) => into.push((key, *number)),
-                toml::Value::Array(numbers) => into.push((key, numbers[0].as_float().unwrap())),
+                toml::Value::Array(numbers) => {
+                    // A list that is empty by default may still have a limit.
+                    let number = numbers.first().map_or(limits::of(&key).map(|_| 0.0), toml::Value::as_float);
+                    into.extend(number.map(|number| (key, number)));
+                }
                 _ => {}
             }
         }
@@ -136,8 +140,8 @@ fn broken_syntax_names_file_and_line() {
 
 #[test]
 fn values_that_contradict_each_other_are_refused() {
-    let error = refusal("[bumper]\nback_off_m = 1.0\nback_off_timeout_s = 2.0\n");
-    assert!(error.contains("[bumper]: `back_off_m = 1` takes 3.3 s"), "{error}");
+    let error = refusal("[safety]\nback_off_m = 1.0\nback_off_timeout_s = 2.0\n");
+    assert!(error.contains("[safety]: `back_off_m = 1` takes 3.3 s"), "{error}");
 }
 
 #[test]
@@ -181,15 +185,15 @@ fn what_is_printed_loads_as_the_same_configuration() {
 }
 
 #[test]
-fn the_assembled_bumper_is_the_bumpers_own_default() {
-    let (ours, theirs) = (Config::default().bumper_config(), BumperConfig::default());
-    let speeds = |config: &BumperConfig| [config.back_off_mps, config.escape_radps];
+fn the_assembled_safety_plane_is_its_own_default() {
+    let (ours, theirs) = (Config::default().safety_config(), SafetyConfig::default());
+    let speeds = |config: &SafetyConfig| [config.back_off_mps, config.escape_radps];
     for (ours, theirs) in speeds(&ours).into_iter().zip(speeds(&theirs)) {
         assert!((ours - theirs).abs() < 1e-12);
     }
     assert_eq!(
-        BumperConfig { back_off_mps: 0.0, escape_radps: 0.0, ..ours },
-        BumperConfig { back_off_mps: 0.0, escape_radps: 0.0, ..theirs }
+        SafetyConfig { back_off_mps: 0.0, escape_radps: 0.0, ..ours },
+        SafetyConfig { back_off_mps: 0.0, escape_radps: 0.0, ..theirs }
     );
 }
 
@@ -219,4 +223,19 @@ fn one_action_a_tick_gives_the_speed() {
     assert!((base.forward().integrate(base.tick_s()).x_m - 0.03).abs() < 1e-12);
     assert!((base.turn_radps().to_degrees() - 20.0).abs() < 1e-9);
     assert_eq!(base.tick_ns(), 100_000_000);
+}
+
+#[test]
+fn a_corner_outside_of_the_circle_that_the_planner_keeps_clear_is_refused() {
+    let error = refusal("base.footprint_m = [[0.3, 0.1], [-0.1, 0.1], [-0.1, -0.1], [0.3, -0.1]]");
+    assert!(error.contains("`footprint_radius_m = 0.16`") && error.contains("0.316"), "{error}");
+    assert!(refusal("base.footprint_m = [[0.1, 0.1]]").contains("at least three"));
+}
+
+#[test]
+fn corners_are_checked_one_by_one() {
+    for corners in ["[[0.1, 0.1], [7.0, 0.1], [0.0, 0.0]]", "[[0.1, nan]]", "[[true, 0.1]]"] {
+        let error = refusal(&format!("base.footprint_m = {corners}"));
+        assert!(error.ends_with("line 1 is not possible: allowed is a list of -1 to 1 metres"), "{error}");
+    }
 }

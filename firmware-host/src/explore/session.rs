@@ -175,6 +175,7 @@ impl Session {
             scan: has_scan.then_some(&senses.scan),
             frame: if has_frame { Some(senses.frame.view()?) } else { None },
             truth: maps_truth.then_some(&senses.mapped_truth),
+            safety: None,
         };
         let began = Instant::now();
         self.stopwatch.start();

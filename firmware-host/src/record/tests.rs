@@ -56,6 +56,7 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
         scan: None,
         frame: Some(Picture { width: 32, height: 8, rgb: (0..32 * 8 * 3).map(|_| byte()).collect() }),
         truth: None,
+        safety: None,
         decision: Some(decision),
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use runtime::event::{BumperEvent, Event};
+use runtime::event::{Event, SafetyEvent};
 use serde::{Deserialize, Serialize};
 
 /// How often each reason was given. Reasons are named as in the log.
@@ -56,11 +56,11 @@ impl EventCounts {
             Event::NoGoal { why } => count(&mut self.no_goal, why),
             Event::NoDepth { why } => count(&mut self.no_depth, why),
             Event::InputRefused { why } => count(&mut self.refused_inputs, why),
-            Event::Bumper { what: BumperEvent::Tripped { by, .. } } => {
+            Event::Safety { what: SafetyEvent::Tripped { by, .. } } => {
                 self.bumper_trips += 1;
                 count(&mut self.bumper_trips_by, by);
             }
-            Event::Bumper { what: BumperEvent::Escaping } => self.bumper_escapes += 1,
+            Event::Safety { what: SafetyEvent::Escaping } => self.bumper_escapes += 1,
             _ => {}
         }
     }
@@ -91,7 +91,7 @@ mod tests {
     #[test]
     fn every_event_is_counted_under_its_own_reason() {
         let mut counts = EventCounts::default();
-        let trip = |by| Event::Bumper { what: BumperEvent::Tripped { by, x_m: 0.3, y_m: 0.0 } };
+        let trip = |by| Event::Safety { what: SafetyEvent::Tripped { by, x_m: 0.3, y_m: 0.0 } };
         let events = [
             Event::GoalChosen { x_m: 1.0, y_m: 2.0, why: GoalReason::Frontier },
             Event::GoalChosen { x_m: 1.0, y_m: 3.0, why: GoalReason::Inconsistency },
@@ -101,8 +101,8 @@ mod tests {
             Event::NoDepth { why: NoDepth::TooLittleParallax },
             trip(TripCause::LidarHit),
             trip(TripCause::Contact),
-            Event::Bumper { what: BumperEvent::BackedOff { distance_m: 0.2, end: BackOffEnd::Distance } },
-            Event::Bumper { what: BumperEvent::Escaping },
+            Event::Safety { what: SafetyEvent::BackedOff { distance_m: 0.2, end: BackOffEnd::Distance } },
+            Event::Safety { what: SafetyEvent::Escaping },
         ];
         events.iter().for_each(|event| counts.add(event));
         assert_eq!(counts.goals.chosen, Reasons::from([("frontier".into(), 1), ("inconsistency".into(), 1)]));

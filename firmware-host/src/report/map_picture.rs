@@ -91,7 +91,7 @@ pub struct MapPicture<'a> {
     pub trajectory: &'a [Pose2],
     /// Where it wanted to go.
     pub goals: &'a [[f64; 2]],
-    /// Where the bumper stopped it.
+    /// Where the safety plane stopped it.
     pub trips: &'a [[f64; 2]],
     /// The floor that it could have reached, if known.
     pub reachable: Option<Cells<'a, bool>>,
@@ -217,7 +217,7 @@ impl MapPicture<'_> {
         }
         if !self.trips.is_empty() {
             trip_mark(canvas, center(&row));
-            row.label(canvas, "bumper stop");
+            row.label(canvas, "safety stop");
         }
     }
 }

@@ -77,7 +77,7 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
         ("coverage", coverage(summary)),
         ("path", summary.path_m.map_or(String::new(), |path| format!("{path:.1} m"))),
         ("collisions", summary.collisions.map_or(String::new(), |count| count.to_string())),
-        ("bumper", trips),
+        ("safety stops", trips),
         ("stuck", stuck(summary)),
         ("goals", goal_counts.unwrap_or_default()),
         ("chosen for", by_reason(&goals.chosen)),

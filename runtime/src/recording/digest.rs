@@ -3,7 +3,7 @@
 use blake3::Hasher;
 use hal::{DepthMap, ImageView, LaserScan, Range, WheelFeedback};
 
-use crate::tick::{Decision, TickInput};
+use crate::tick::{Decision, SafetyReport, TickInput};
 
 /// BLAKE3 over a run's inputs and over its decisions, in one canonical form that does not depend on how a recording
 /// compresses or cuts them.
@@ -72,6 +72,21 @@ fn hash_input(hasher: &mut Hasher, input: &TickInput<'_>) {
     hasher.update(&[u8::from(input.truth.is_some())]);
     if let Some(truth) = input.truth {
         hash_depth(hasher, truth);
+    }
+    // Only where there is one: digests of runs without are as they were before there was such a part.
+    if let Some(safety) = input.safety {
+        hash_safety(hasher, safety);
+    }
+}
+
+fn hash_safety(hasher: &mut Hasher, safety: &SafetyReport) {
+    hasher.update(&[1, u8::from(safety.in_charge), u8::from(safety.blocked_m.is_some())]);
+    for value in safety.blocked_m.into_iter().flatten() {
+        hasher.update(&value.to_bits().to_le_bytes());
+    }
+    for event in &safety.events {
+        // As it is recorded; numbers come back to the last bit.
+        hasher.update(serde_json::to_string(event).unwrap_or_default().as_bytes());
     }
 }
 

@@ -156,6 +156,7 @@ impl Parts {
             frame: self.frame,
             truth: self.truth,
             decision: self.decision,
+            safety: self.json.safety,
         }
     }
 }

@@ -1,6 +1,9 @@
 //! Events as sentences.
 
-use crate::event::{BackOffEnd, BumperEvent, DropReason, Event, GoalReason, NoGoalReason, RefusedInput, TripCause};
+use crate::event::{
+    BackOffEnd, DropReason, Event, FaultReason, GoalReason, NoGoalReason, PlanRefusal, RefusedInput, SafetyEvent,
+    TripCause,
+};
 use crate::perception::NoDepth;
 
 /// How much an event matters to the person who reads the log.
@@ -25,7 +28,7 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         Event::GoalReached => (Info, "goal reached".to_owned()),
         Event::GoalDropped { why } => (Info, format!("goal given up: {}", drop_reason(*why))),
         Event::NoGoal { why } => (Warning, format!("no goal: {}", no_goal_reason(*why))),
-        Event::Bumper { what } => (Warning, bumper(what)),
+        Event::Safety { what } => (Warning, safety(what)),
         Event::NoDepth { why } => {
             let severity = match why {
                 NoDepth::NoFrame | NoDepth::FirstFrame | NoDepth::TooLittleParallax => Info,
@@ -55,7 +58,7 @@ fn drop_reason(why: DropReason) -> &'static str {
     match why {
         DropReason::Unreachable => "the map has no way there any more",
         DropReason::NoProgress => "no progress towards it in time",
-        DropReason::Blocked => "the bumper tripped on the way too often",
+        DropReason::Blocked => "something stood in the way too often",
         DropReason::Resolved => "what was to be seen there has been seen",
         DropReason::PolicySwitched => "the policy looks for something else now",
         DropReason::Timeout => "its time is used up",
@@ -72,21 +75,49 @@ fn no_goal_reason(why: NoGoalReason) -> &'static str {
     }
 }
 
-fn bumper(what: &BumperEvent) -> String {
+fn safety(what: &SafetyEvent) -> String {
     match what {
-        BumperEvent::Tripped { by, x_m, y_m } => {
-            format!("bumper tripped at ({x_m:.2}, {y_m:.2}) m from the robot: {}", trip_cause(*by))
+        SafetyEvent::Tripped { by, x_m, y_m } => {
+            format!("stopped for something at ({x_m:.2}, {y_m:.2}) m from the robot: {}", trip_cause(*by))
         }
-        BumperEvent::BackedOff { distance_m, end } => {
+        SafetyEvent::BackedOff { distance_m, end } => {
             let end = match end {
                 BackOffEnd::Distance => "the whole distance",
                 BackOffEnd::RearBlocked => "something is behind",
+                BackOffEnd::RearUnknown => "nobody has looked at the ground behind",
                 BackOffEnd::Timeout => "it took too long",
             };
             format!("backed off {distance_m:.2} m: {end}")
         }
-        BumperEvent::Escaping => "bumper trips repeat here: turning until there is a way out".to_owned(),
-        BumperEvent::Cleared => "the way is clear again".to_owned(),
+        SafetyEvent::Escaping => "stops repeat here: turning until there is a way out".to_owned(),
+        SafetyEvent::Cleared => "the way is clear again".to_owned(),
+        SafetyEvent::Slowed { limit_mps } => format!("slower, {limit_mps:.2} m/s: something is ahead"),
+        SafetyEvent::Faulted { why } => format!("standing: {}", fault_reason(*why)),
+        SafetyEvent::PlanRefused { why } => format!("standing: {}", plan_refusal(*why)),
+        SafetyEvent::Armed => "armed: plans move the robot".to_owned(),
+        SafetyEvent::Disarmed => "disarmed: nothing moves the robot".to_owned(),
+    }
+}
+
+/// For logs and `health` too.
+#[must_use]
+pub fn fault_reason(why: FaultReason) -> &'static str {
+    match why {
+        FaultReason::LidarSilent => "the LiDAR is silent",
+        FaultReason::LidarBad => "too many beams are errors or none came back",
+        FaultReason::BaseSilent => "the wheels do not tell how they turn",
+        FaultReason::BaseFault => "the base cannot be driven",
+        FaultReason::OdometryNotFinite => "odometry is not finite",
+        FaultReason::LoopOverrun => "the safety loop came late",
+        FaultReason::EmergencyStop => "the emergency stop is pressed",
+    }
+}
+
+fn plan_refusal(why: PlanRefusal) -> &'static str {
+    match why {
+        PlanRefusal::None => "there is no plan yet",
+        PlanRefusal::NotFinite => "the plan is not finite",
+        PlanRefusal::Stale => "the plan is too old",
     }
 }
 
@@ -95,8 +126,6 @@ fn trip_cause(by: TripCause) -> &'static str {
         TripCause::LidarHit => "a LiDAR return in the stop zone",
         TripCause::LidarTooNear => "something nearer than the LiDAR can measure",
         TripCause::Contact => "the base felt it",
-        TripCause::StaleScan => "the LiDAR is silent",
-        TripCause::BadScan => "too many beams are errors",
     }
 }
 
@@ -129,8 +158,8 @@ mod tests {
 
     #[test]
     fn a_trip_reads_like_a_sentence_with_its_place_and_cause() {
-        let event = Event::Bumper { what: BumperEvent::Tripped { by: TripCause::LidarHit, x_m: 0.25, y_m: -0.1 } };
-        let expected = "bumper tripped at (0.25, -0.10) m from the robot: a LiDAR return in the stop zone";
+        let event = Event::Safety { what: SafetyEvent::Tripped { by: TripCause::LidarHit, x_m: 0.25, y_m: -0.1 } };
+        let expected = "stopped for something at (0.25, -0.10) m from the robot: a LiDAR return in the stop zone";
         assert_eq!(sentence(&event), (Severity::Warning, expected.to_owned()));
     }
 

@@ -6,8 +6,8 @@ use hal::{CameraModel, DepthMap, LaserScan, Pose2, Pose3, Range, ScanGeometry, T
 use proptest::prelude::*;
 
 use super::*;
-use crate::event::{Event, GoalReason};
-use crate::tick::{Command, Decision};
+use crate::event::{BackOffEnd, Event, GoalReason, SafetyEvent};
+use crate::tick::{Command, Decision, SafetyReport};
 
 pub(super) fn run_header() -> RunHeader {
     RunHeader {
@@ -56,13 +56,18 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
         scan: Some(LaserScan { time_ns: tick * 100_000_000 - tick, geometry, ranges }),
         frame: Some(Picture { width: 6, height: 4, rgb }),
         truth: DepthMap::from_vec(6, 4, (0..24).map(|i| f32::from(i as u16 + tick as u16) / 1000.0).collect()),
+        safety: Some(SafetyReport {
+            in_charge: tick.is_multiple_of(3),
+            blocked_m: Some([0.1 + 0.2, -1e-17]),
+            events: vec![SafetyEvent::Armed, SafetyEvent::BackedOff { distance_m: 0.2, end: BackOffEnd::RearUnknown }],
+        }),
         decision: Some(decision(tick)),
     }
 }
 
 /// A turn with the least that a turn has.
 fn bare_tick(tick: u64) -> RecordedTick {
-    RecordedTick { scan: None, frame: None, truth: None, ..some_tick(tick) }
+    RecordedTick { scan: None, frame: None, truth: None, safety: None, ..some_tick(tick) }
 }
 
 fn some_views(tick: u64) -> Views {
@@ -189,7 +194,7 @@ prop_compose! {
         truth in prop::option::of(any_truth()),
         decision in prop::option::of(any_decision()),
     ) -> RecordedTick {
-        RecordedTick { tick: 0, time_ns, wheel, scan, frame, truth, decision }
+        RecordedTick { tick: 0, time_ns, wheel, scan, frame, truth, safety: None, decision }
     }
 }
 

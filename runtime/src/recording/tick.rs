@@ -3,7 +3,7 @@
 use hal::{DepthMap, ImageView, LaserScan, PixelFormat, WheelFeedback};
 
 use super::RecordingError;
-use crate::tick::{Decision, TickInput};
+use crate::tick::{Decision, SafetyReport, TickInput};
 
 /// An RGB8 picture with its own memory.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,6 +31,8 @@ pub struct RecordedTick {
     pub frame: Option<Picture>,
     /// Ground-truth depth of `frame`, with the depth source `truth`. Whole millimetres.
     pub truth: Option<DepthMap>,
+    /// What the safety plane did, where it turns by itself.
+    pub safety: Option<SafetyReport>,
     /// What the loop decided.
     pub decision: Option<Decision>,
 }
@@ -52,6 +54,7 @@ impl RecordedTick {
             scan: input.scan.cloned(),
             frame: frame.transpose()?,
             truth: input.truth.cloned(),
+            safety: input.safety.cloned(),
             decision,
         })
     }
@@ -69,6 +72,7 @@ impl RecordedTick {
             scan: self.scan.as_ref(),
             frame: frame.transpose().map_err(|source| RecordingError::Frame { tick: self.tick, source })?,
             truth: self.truth.as_ref(),
+            safety: self.safety.as_ref(),
         })
     }
 }

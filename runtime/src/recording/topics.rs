@@ -99,7 +99,9 @@ const TICK: &str = r#"{"title":"robot.Tick","type":"object","properties":{
 "scan":{"type":"object","properties":{"time_ns":{"type":"integer"},"angle_min_rad":{"type":"number"},
 "angle_increment_rad":{"type":"number"},"beams":{"type":"integer"},"range_min_m":{"type":"number"},
 "range_max_m":{"type":"number"},"period_ns":{"type":"integer"}}},
-"frame":{"type":"boolean"},"truth":{"type":"boolean"},"decision":{"type":"boolean"}}}"#;
+"frame":{"type":"boolean"},"truth":{"type":"boolean"},"decision":{"type":"boolean"},
+"safety":{"type":"object","properties":{"in_charge":{"type":"boolean"},
+"blocked_m":{"type":"array","items":{"type":"number"}},"events":{"type":"array","items":{}}}}}}"#;
 
 const DECISION: &str = r#"{"title":"robot.Decision","type":"object","properties":{"tick":{"type":"integer"},
 "time_ns":{"type":"integer"},

@@ -15,7 +15,7 @@ use super::tick::RecordedTick;
 use super::topics::Topic;
 use super::views::{self, Views};
 use super::{RecordingError, picture, scan};
-use crate::tick::Decision;
+use crate::tick::{Decision, SafetyReport};
 
 /// A chunk is closed when it holds this many bytes before compression: about a second of pictures at 10 Hz.
 pub const CHUNK_BYTES: u64 = 4 << 20;
@@ -49,6 +49,8 @@ pub(super) struct TickJson {
     pub frame: bool,
     pub truth: bool,
     pub decision: bool,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub safety: Option<SafetyReport>,
 }
 
 /// Writes one segment of a run. Everything that is written between two flushes reaches the sink in order and in whole
@@ -155,6 +157,7 @@ impl<W: Write> RecordingWriter<W> {
             frame: tick.frame.is_some(),
             truth: tick.truth.is_some(),
             decision: tick.decision.is_some(),
+            safety: tick.safety.clone(),
         };
         let json = serde_json::to_vec(&json).map_err(|error| encode_error(tick.tick, Topic::Tick, &error))?;
         self.put(Topic::Tick, tick.tick, tick.time_ns, &json)?;

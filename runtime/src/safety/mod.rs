@@ -1,7 +1,17 @@
-//! What keeps the robot from harm: the bumper between every wish and the wheels.
+//! What keeps the robot from harm: the state machine between every wish and the wheels.
 
-mod bumper;
-mod zone;
+mod config;
+mod footprint;
+mod plane;
+mod rear;
+mod state;
+mod surroundings;
 
-pub use bumper::{Bumper, BumperConfig, BumperInput, BumperOutput, BumperState};
-pub use zone::{Obstacle, ScanHealth, StopZone};
+pub use config::{BodySector, SafetyConfig};
+pub use footprint::Footprint;
+pub use plane::SafetyPlane;
+pub use state::{Plan, Request, SafetyInput, SafetyOutput, SafetyState};
+pub use surroundings::{Obstacle, ScanHealth, Surroundings};
+
+#[cfg(test)]
+mod orders_tests;

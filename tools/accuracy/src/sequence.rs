@@ -111,6 +111,7 @@ fn turn(config: &Config, devices: &mut Devices, robot: &mut Robot, tick: u64) ->
         scan: has_scan.then_some(&scan),
         frame: if has_frame { Some(frame.view()?) } else { None },
         truth: Some(&truth),
+        safety: None,
     };
     let decision = robot.tick(&input, &mut ());
     let t_odom_camera = devices.truth.pose().to_pose3() * config.camera.mount();

@@ -1,0 +1,196 @@
+//! The ground that the robot stands on.
+
+use hal::{Pose2, Twist2};
+
+/// Way between two looks along an arc, metres.
+const ARC_STEP_M: f64 = 0.01;
+/// An arc is looked at up to this turn, radians.
+const MAX_ARC_RAD: f64 = 1.0;
+/// Below this curvature, 1/m, a way is straight: over half a metre it is off by 6 mm.
+const STRAIGHT_PER_M: f64 = 0.05;
+
+/// The outline of the robot on the floor, in `base_link`.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Footprint {
+    /// A circle around the origin.
+    Round {
+        /// Its radius, metres.
+        radius_m: f64,
+    },
+    /// A polygon.
+    Corners {
+        /// Its corners in order, metres.
+        corners_m: Vec<[f64; 2]>,
+    },
+}
+
+impl Footprint {
+    /// A polygon with these corners, or a circle where there are none.
+    #[must_use]
+    pub fn new(radius_m: f64, corners_m: &[[f64; 2]]) -> Self {
+        if corners_m.is_empty() { Self::Round { radius_m } } else { Self::Corners { corners_m: corners_m.to_vec() } }
+    }
+
+    /// Distance of its farthest point from the origin, metres.
+    #[must_use]
+    pub fn reach_m(&self) -> f64 {
+        match self {
+            Self::Round { radius_m } => *radius_m,
+            Self::Corners { corners_m } => corners_m.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max),
+        }
+    }
+
+    /// Largest x of the outline at `y_m` (`sign` = 1), or smallest, negated (`sign` = -1); `None` beside the robot.
+    fn edge_m(&self, y_m: f64, sign: f64) -> Option<f64> {
+        match self {
+            Self::Round { radius_m } => (y_m.abs() < *radius_m).then(|| (radius_m * radius_m - y_m * y_m).sqrt()),
+            Self::Corners { corners_m } => {
+                edges(corners_m).filter_map(|(a, b)| crossing(a, b, y_m)).map(|x_m| sign * x_m).reduce(f64::max)
+            }
+        }
+    }
+
+    /// How far the outline reaches straight ahead of the origin, metres.
+    #[must_use]
+    pub fn straight_edge_m(&self) -> f64 {
+        self.edge_m(0.0, 1.0).unwrap_or_else(|| self.reach_m())
+    }
+
+    /// Free way straight ahead (`sign` = 1.0) or back (-1.0) from the outline to a point; negative inside of it, `None` where
+    /// the robot passes.
+    #[must_use]
+    pub fn straight_gap_m(&self, [x_m, y_m]: [f64; 2], sign: f64) -> Option<f64> {
+        if sign * x_m <= 0.0 {
+            return None;
+        }
+        self.edge_m(y_m, sign).map(|edge_m| sign * x_m - edge_m)
+    }
+
+    /// Whether a point lies within.
+    #[must_use]
+    pub fn contains(&self, [x_m, y_m]: [f64; 2]) -> bool {
+        match self {
+            Self::Round { radius_m } => x_m.hypot(y_m) < *radius_m,
+            Self::Corners { corners_m } => {
+                let right_of_it = edges(corners_m).filter_map(|(a, b)| crossing(a, b, y_m)).filter(|x| *x > x_m);
+                right_of_it.count() % 2 == 1
+            }
+        }
+    }
+
+    /// Way along `twist` (metres of the origin's way) until the outline meets the point, looked at up to `reach_m`; `None`:
+    /// it does not.
+    #[must_use]
+    pub fn gap_m(&self, point_m: [f64; 2], twist: &Twist2, reach_m: f64) -> Option<f64> {
+        let speed = twist.linear_mps.abs();
+        if twist.angular_radps.abs() <= STRAIGHT_PER_M * speed {
+            return self.straight_gap_m(point_m, twist.linear_mps.signum()).filter(|gap| *gap < reach_m);
+        }
+        let steps = (reach_m / ARC_STEP_M).ceil().min(MAX_ARC_RAD * speed / twist.angular_radps.abs() / ARC_STEP_M);
+        let met = (0..=steps.max(0.0) as usize).map(|step| step as f64 * ARC_STEP_M).find(|way_m| {
+            let t_now_then = twist.integrate(way_m / speed);
+            self.contains(seen_from(&t_now_then, point_m))
+        });
+        // It was met somewhere in the last step: taken as its beginning.
+        met.map(|way_m| way_m - ARC_STEP_M)
+    }
+
+    /// Whether turning on the spot by `turn_rad` brings a corner onto a point that is free of the robot now.
+    #[must_use]
+    pub fn meets_when_turned(&self, point_m: [f64; 2], turn_rad: f64) -> bool {
+        /// Between two looks, radians.
+        const STEP_RAD: f64 = 0.03;
+        if matches!(self, Self::Round { .. }) || self.contains(point_m) || point_m[0].hypot(point_m[1]) > self.reach_m()
+        {
+            return false;
+        }
+        let steps = (turn_rad.abs() / STEP_RAD).ceil();
+        (1..=steps as usize).any(|step| {
+            let turned = Pose2::new(0.0, 0.0, turn_rad * step as f64 / steps);
+            self.contains(seen_from(&turned, point_m))
+        })
+    }
+}
+
+/// The point as a robot at `pose` sees it.
+fn seen_from(pose: &Pose2, [x_m, y_m]: [f64; 2]) -> [f64; 2] {
+    let (x_m, y_m) = pose.inverse().transform(x_m, y_m);
+    [x_m, y_m]
+}
+
+fn edges(corners_m: &[[f64; 2]]) -> impl Iterator<Item = ([f64; 2], [f64; 2])> + '_ {
+    corners_m.iter().copied().zip(corners_m.iter().copied().cycle().skip(1))
+}
+
+/// x where an edge crosses the line at `y_m`. The lower end belongs to the edge, the upper one to the next.
+fn crossing(a: [f64; 2], b: [f64; 2], y_m: f64) -> Option<f64> {
+    let (low, high) = if a[1] <= b[1] { (a, b) } else { (b, a) };
+    (low[1] <= y_m && y_m < high[1]).then(|| low[0] + (high[0] - low[0]) * (y_m - low[1]) / (high[1] - low[1]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// 40 cm long, 30 cm wide, the axle 10 cm before its end.
+    fn cart() -> Footprint {
+        Footprint::new(0.0, &[[0.3, 0.15], [-0.1, 0.15], [-0.1, -0.15], [0.3, -0.15]])
+    }
+
+    fn ahead(linear_mps: f64, angular_radps: f64) -> Twist2 {
+        Twist2 { linear_mps, angular_radps }
+    }
+
+    #[test]
+    fn the_gap_of_a_cart_is_counted_from_its_front_and_from_its_back() {
+        assert!((cart().straight_gap_m([0.5, 0.1], 1.0).unwrap() - 0.2).abs() < 1e-12);
+        assert!((cart().straight_gap_m([-0.5, 0.1], -1.0).unwrap() - 0.4).abs() < 1e-12);
+        assert_eq!(cart().straight_gap_m([0.5, 0.16], 1.0), None);
+        assert_eq!(cart().straight_gap_m([-0.5, 0.0], 1.0), None);
+    }
+
+    #[test]
+    fn a_cart_that_turns_on_the_spot_sweeps_what_is_beside_its_nose() {
+        let beside_the_nose = [0.25, 0.2];
+        assert!(!cart().contains(beside_the_nose));
+        assert!(cart().meets_when_turned(beside_the_nose, 0.4));
+        assert!(!cart().meets_when_turned(beside_the_nose, -0.4));
+        assert!(!cart().meets_when_turned([0.0, 0.4], 3.0), "out of its reach");
+        assert!(!Footprint::new(0.16, &[]).meets_when_turned([0.161, 0.0], 3.0), "a round robot sweeps nothing");
+    }
+
+    #[test]
+    fn on_an_arc_to_the_left_what_stands_straight_ahead_is_passed_and_what_stands_on_the_arc_is_met() {
+        let left = ahead(0.3, 0.6);
+        let robot = Footprint::new(0.16, &[]);
+        assert_eq!(robot.gap_m([0.6, -0.25], &left, 0.5), None);
+        let on_the_arc = left.integrate(1.5);
+        let gap_m = robot.gap_m([on_the_arc.x_m, on_the_arc.y_m], &left, 0.5).unwrap();
+        assert!((gap_m - (0.45 - 0.16)).abs() < 0.02, "{gap_m}");
+    }
+
+    proptest! {
+        #[test]
+        fn a_circle_of_many_corners_is_a_circle(x in -0.5..0.5f64, y in -0.5..0.5f64) {
+            let corners: Vec<[f64; 2]> = (0..720).map(|i| f64::from(i).to_radians() / 2.0).map(|a| [0.16 * a.cos(), 0.16 * a.sin()]).collect();
+            let (round, many) = (Footprint::new(0.16, &[]), Footprint::new(0.0, &corners));
+            prop_assume!((x.hypot(y) - 0.16).abs() > 1e-4 && (y.abs() - 0.16).abs() > 1e-4);
+            prop_assert_eq!(round.contains([x, y]), many.contains([x, y]));
+            for sign in [1.0, -1.0] {
+                let (a, b) = (round.straight_gap_m([x, y], sign), many.straight_gap_m([x, y], sign));
+                prop_assert_eq!(a.is_some(), b.is_some());
+                prop_assert!(a.zip(b).is_none_or(|(a, b)| (a - b).abs() < 2e-3));
+            }
+        }
+
+        #[test]
+        fn a_barely_bent_way_is_as_free_as_a_straight_one(x in 0.2..0.6f64, y in -0.14..0.14f64) {
+            let robot = Footprint::new(0.16, &[]);
+            let straight = robot.gap_m([x, y], &ahead(0.3, 0.0), 0.4);
+            let bent = robot.gap_m([x, y], &ahead(0.3, 0.016), 0.4);
+            prop_assume!(straight.is_some_and(|gap| gap > 0.0 && gap < 0.38));
+            prop_assert!((straight.unwrap() - bent.unwrap_or(9.0)).abs() < 0.03, "{straight:?} {bent:?}");
+        }
+    }
+}

@@ -1,0 +1,248 @@
+//! What is known of the ground behind the robot, where a scanner of 270 degrees does not look.
+//!
+//! Two things make ground known: the robot drove over it a moment ago, or the scanner looked that way a moment ago, before the
+//! robot turned away.
+
+use std::f64::consts::{PI, TAU};
+
+use hal::{LaserScan, Pose2, Range, wrap_angle};
+
+use super::Footprint;
+
+/// Directions in `odom` that are remembered apart: 10 degrees each.
+const SECTORS: usize = 36;
+/// A look from farther away than this no longer tells what is behind the robot here, metres.
+const MOVED_ON_M: f64 = 0.1;
+/// Places of the way that are remembered, and the way between two, metres.
+const TRAIL: usize = 64;
+const TRAIL_STEP_M: f64 = 0.02;
+/// Beside the way by less than this is still on it, metres. Less than a step, so that standing somewhere says nothing of what
+/// is behind.
+const ON_TRAIL_M: f64 = 0.019;
+/// A footprint with corners drove over the ground only when it pointed the same way, within this, radians.
+const SAME_HEADING_RAD: f64 = 0.2;
+/// Steps in which the way back is checked, metres.
+const STEP_M: f64 = 0.02;
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Look {
+    time_ns: u64,
+    from_m: [f64; 2],
+    /// The nearest return of that direction, metres; infinite: farther than the robot cares.
+    nearest_m: f64,
+}
+
+/// What is known of the ground behind. Fixed size: nothing is allocated.
+#[derive(Debug, Clone)]
+pub(super) struct Rear {
+    memory_ns: u64,
+    looks: [Option<Look>; SECTORS],
+    trail: [Option<(u64, Pose2)>; TRAIL],
+    next: usize,
+}
+
+impl Rear {
+    pub fn new(memory_s: f64) -> Self {
+        Self { memory_ns: (memory_s * 1e9) as u64, looks: [None; SECTORS], trail: [None; TRAIL], next: 0 }
+    }
+
+    /// The robot stands here.
+    pub fn stand(&mut self, time_ns: u64, pose: &Pose2) {
+        let last = self.trail[(self.next + TRAIL - 1) % TRAIL];
+        let moved = last.is_none_or(|(_, last)| {
+            last.distance_m(pose) >= TRAIL_STEP_M
+                || wrap_angle(last.yaw_rad - pose.yaw_rad).abs() > SAME_HEADING_RAD / 2.0
+        });
+        if moved {
+            self.trail[self.next] = Some((time_ns, *pose));
+            self.next = (self.next + 1) % TRAIL;
+        }
+    }
+
+    /// Odometry jumped or began anew: nothing that was known is where it was.
+    pub fn forget(&mut self) {
+        (self.looks, self.trail) = ([None; SECTORS], [None; TRAIL]);
+    }
+
+    /// A scan, taken while the laser was at `t_odom_laser`. A direction counts as looked at when half of its beams came back.
+    pub fn see(&mut self, scan: &LaserScan, t_odom_laser: &Pose2) {
+        let mut returned = [(0_u32, 0_u32, f64::INFINITY); SECTORS];
+        for (beam, range) in scan.ranges.iter().enumerate() {
+            let (all, back, nearest_m) = &mut returned[sector_of(scan.geometry.angle_rad(beam) + t_odom_laser.yaw_rad)];
+            *all += 1;
+            let range_m = match *range {
+                Range::Hit(range_m) => f64::from(range_m),
+                Range::TooNear => f64::from(scan.geometry.range_min_m),
+                Range::NoReturn | Range::Error => continue,
+            };
+            *back += 1;
+            *nearest_m = nearest_m.min(range_m);
+        }
+        let from_m = [t_odom_laser.x_m, t_odom_laser.y_m];
+        // Directions at the border of the view are seen in part only.
+        let whole = (TAU / SECTORS as f64 / scan.geometry.angle_increment_rad) as u32;
+        for (look, (all, back, nearest_m)) in self.looks.iter_mut().zip(returned) {
+            if all >= whole && 2 * back >= all {
+                *look = Some(Look { time_ns: scan.time_ns, from_m, nearest_m });
+            }
+        }
+    }
+
+    /// How far back from `pose` the ground is known to be free, up to `wanted_m`, metres.
+    pub fn known_free_m(&self, time_ns: u64, pose: &Pose2, footprint: &Footprint, wanted_m: f64) -> f64 {
+        if self.all_looked_at(time_ns, pose) {
+            return self.seen_gap_m(pose, footprint).min(wanted_m).max(0.0);
+        }
+        let steps = (wanted_m / STEP_M).ceil() as usize;
+        let driven_over = |step: &usize| {
+            let place = pose.compose(&Pose2::new(-(*step as f64 * STEP_M).min(wanted_m), 0.0, 0.0));
+            self.way(time_ns, pose).any(|(was, then)| {
+                let same_way = matches!(footprint, Footprint::Round { .. })
+                    || wrap_angle(was.yaw_rad - pose.yaw_rad).abs() < SAME_HEADING_RAD;
+                same_way && distance_to_way_m(&place, &was, &then) < ON_TRAIL_M
+            })
+        };
+        ((1..=steps).take_while(driven_over).count() as f64 * STEP_M).min(wanted_m)
+    }
+
+    /// The way that was driven a moment ago, piece by piece, up to here.
+    fn way<'a>(&'a self, time_ns: u64, here: &'a Pose2) -> impl Iterator<Item = (Pose2, Pose2)> + 'a {
+        let place = move |back: usize| self.trail[(self.next + 2 * TRAIL - 1 - back) % TRAIL];
+        (0..TRAIL)
+            .map_while(place)
+            .take_while(move |(when_ns, _)| self.recent(time_ns, *when_ns))
+            .scan(*here, |then, (_, was)| Some((was, std::mem::replace(then, was))))
+    }
+
+    fn recent(&self, time_ns: u64, when_ns: u64) -> bool {
+        time_ns.saturating_sub(when_ns) <= self.memory_ns
+    }
+
+    /// The looks behind, as far as they are recent and were taken near here.
+    fn looks_behind<'a>(
+        &'a self,
+        time_ns: u64,
+        pose: &'a Pose2,
+    ) -> impl Iterator<Item = Option<(usize, &'a Look)>> + 'a {
+        let behind = move |sector: &usize| wrap_angle(direction_of(*sector) - pose.yaw_rad - PI).abs() < PI / 4.0;
+        (0..SECTORS).filter(behind).map(move |sector| {
+            let look = self.looks[sector].as_ref()?;
+            let near = (look.from_m[0] - pose.x_m).hypot(look.from_m[1] - pose.y_m) < MOVED_ON_M;
+            (near && self.recent(time_ns, look.time_ns)).then_some((sector, look))
+        })
+    }
+
+    fn all_looked_at(&self, time_ns: u64, pose: &Pose2) -> bool {
+        self.looks_behind(time_ns, pose).all(|look| look.is_some())
+    }
+
+    /// Free way back to what the looks saw. A return may be anywhere across its direction.
+    fn seen_gap_m(&self, pose: &Pose2, footprint: &Footprint) -> f64 {
+        let half = PI / SECTORS as f64;
+        let points = self.looks.iter().enumerate().flat_map(|(sector, look)| {
+            let look = look.filter(|look| look.nearest_m.is_finite());
+            look.into_iter().flat_map(move |look| {
+                [-half, 0.0, half].map(|off| {
+                    let (sin, cos) = (direction_of(sector) + off).sin_cos();
+                    let (x_m, y_m) = (look.from_m[0] + look.nearest_m * cos, look.from_m[1] + look.nearest_m * sin);
+                    let (x_m, y_m) = pose.inverse().transform(x_m, y_m);
+                    [x_m, y_m]
+                })
+            })
+        });
+        points.filter_map(|point| footprint.straight_gap_m(point, -1.0)).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// Distance of a place from the straight piece between two others.
+fn distance_to_way_m(place: &Pose2, from: &Pose2, to: &Pose2) -> f64 {
+    let (along_x, along_y) = (to.x_m - from.x_m, to.y_m - from.y_m);
+    let (x, y) = (place.x_m - from.x_m, place.y_m - from.y_m);
+    let length_2 = along_x * along_x + along_y * along_y;
+    let share = if length_2 > 0.0 { ((x * along_x + y * along_y) / length_2).clamp(0.0, 1.0) } else { 0.0 };
+    (x - share * along_x).hypot(y - share * along_y)
+}
+
+fn sector_of(angle_rad: f64) -> usize {
+    let turns = (angle_rad / TAU).rem_euclid(1.0);
+    ((turns * SECTORS as f64) as usize).min(SECTORS - 1)
+}
+
+/// The middle of a sector.
+fn direction_of(sector: usize) -> f64 {
+    (sector as f64 + 0.5) * TAU / SECTORS as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::safety::surroundings::tests::scan_of;
+
+    const ROUND: Footprint = Footprint::Round { radius_m: 0.16 };
+
+    fn rear() -> Rear {
+        Rear::new(30.0)
+    }
+
+    /// A round room with the robot in its middle.
+    fn round_room(radius_m: f32) -> LaserScan {
+        scan_of(|_| Range::Hit(radius_m))
+    }
+
+    #[test]
+    fn nothing_is_known_before_anything_was_seen() {
+        assert_eq!(rear().known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
+    }
+
+    #[test]
+    fn the_ground_that_the_robot_has_just_driven_over_is_free_and_no_farther() {
+        let mut rear = rear();
+        for step in 0..10 {
+            rear.stand(0, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0));
+        }
+        let here = Pose2::new(0.18, 0.0, 0.0);
+        let known_m = rear.known_free_m(0, &here, &ROUND, 0.5);
+        assert!((0.16..=0.22).contains(&known_m), "{known_m}");
+        let turned = Pose2::new(0.18, 0.0, 1.5);
+        assert!(rear.known_free_m(0, &turned, &ROUND, 0.5) < 0.03, "the way is not behind any more");
+        assert_eq!(rear.known_free_m(31_000_000_000, &here, &ROUND, 0.5), 0.0, "too long ago");
+    }
+
+    #[test]
+    fn a_turn_on_the_spot_lets_the_scanner_see_what_is_then_behind() {
+        let mut rear = rear();
+        rear.see(&round_room(2.0), &Pose2::IDENTITY);
+        assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0, "behind is blind");
+        rear.see(&round_room(2.0), &Pose2::new(0.0, 0.0, 1.7));
+        assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.2);
+        let moved_on = Pose2::new(0.3, 0.0, 0.0);
+        assert_eq!(rear.known_free_m(0, &moved_on, &ROUND, 0.2), 0.0, "seen from elsewhere");
+    }
+
+    #[test]
+    fn what_was_seen_before_the_turn_is_still_there_after_it() {
+        let mut rear = rear();
+        rear.see(&round_room(0.3), &Pose2::IDENTITY);
+        rear.see(&round_room(0.3), &Pose2::new(0.0, 0.0, 1.7));
+        let known_m = rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.5);
+        assert!(known_m > 0.05 && known_m < 0.15, "a wall 0.14 m behind the footprint: {known_m}");
+    }
+
+    #[test]
+    fn directions_without_a_return_are_not_known() {
+        let mut rear = rear();
+        let dark = scan_of(|angle| if angle > 0.5 { Range::NoReturn } else { Range::Hit(2.0) });
+        for yaw in [0.0, 1.7] {
+            rear.see(&dark, &Pose2::new(0.0, 0.0, yaw));
+        }
+        assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
+    }
+
+    #[test]
+    fn a_jump_of_the_odometry_forgets_everything() {
+        let mut rear = rear();
+        (0..10).for_each(|step| rear.stand(0, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0)));
+        rear.forget();
+        assert_eq!(rear.known_free_m(0, &Pose2::new(0.18, 0.0, 0.0), &ROUND, 0.2), 0.0);
+    }
+}

@@ -1,0 +1,241 @@
+//! What the newest scan says about the ground around the robot.
+
+use hal::{LaserScan, Range, ScanGeometry};
+
+use super::{BodySector, Footprint, SafetyConfig};
+
+/// Share of error beams above which a scan is no longer believed.
+const MAX_ERROR_SHARE: f64 = 0.5;
+/// Neighbouring beams that must agree before a return counts: a single one is rain, dust or crosstalk. Nearer than a metre the
+/// beams of a scanner with 0.25 degrees lie within 4 mm, so that no leg of a chair hides between two of them.
+const MIN_NEIGHBOURS: usize = 2;
+/// Neighbouring beams "agree" when their ranges differ by less than this: twice the ±30 mm of a UTM-30LX, and slack.
+const NEIGHBOUR_GAP_M: f32 = 0.08;
+/// Nothing farther from the laser than this, metres, changes what the safety plane does.
+pub(super) const HORIZON_M: f32 = 1.5;
+
+/// Something near the robot, in `base_link`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Obstacle {
+    /// Forward, metres.
+    pub x_m: f64,
+    /// Left, metres.
+    pub y_m: f64,
+    /// The sensor only knows that it is nearer than it can measure.
+    pub too_near: bool,
+}
+
+impl Obstacle {
+    /// Where it is.
+    #[must_use]
+    pub fn point_m(&self) -> [f64; 2] {
+        [self.x_m, self.y_m]
+    }
+}
+
+/// Whether a scan may be driven by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ScanHealth {
+    /// Enough beams measured something.
+    Good,
+    /// Too many beams are errors, or not one of all beams came back: a covered, blinded or broken sensor. A home has walls.
+    Bad,
+}
+
+impl ScanHealth {
+    /// Judges a scan.
+    #[must_use]
+    pub fn of(scan: &LaserScan) -> Self {
+        let errors = scan.ranges.iter().filter(|range| matches!(range, Range::Error)).count();
+        let measured = scan.ranges.iter().any(|range| matches!(range, Range::Hit(_) | Range::TooNear));
+        let too_many_errors = errors as f64 > MAX_ERROR_SHARE * scan.ranges.len() as f64;
+        if too_many_errors || !measured || scan.ranges.len() != scan.geometry.beams { Self::Bad } else { Self::Good }
+    }
+}
+
+/// The newest scan as points around the robot. Allocates when a scanner is seen first, not after.
+#[derive(Debug, Clone)]
+pub struct Surroundings {
+    laser_forward_m: f64,
+    body: Vec<BodySector>,
+    /// Cosine and sine of every beam of `geometry`, and up to where it meets the robot itself.
+    beams: Vec<Beam>,
+    geometry: Option<ScanGeometry>,
+    obstacles: Vec<Obstacle>,
+    /// Room to the left minus room to the right, metres summed over beams.
+    left_over_right_m: f32,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Beam {
+    cos: f64,
+    sin: f64,
+    own_body_m: f32,
+}
+
+impl Surroundings {
+    /// Nothing seen yet.
+    #[must_use]
+    pub fn new(config: &SafetyConfig) -> Self {
+        Self {
+            laser_forward_m: config.laser_forward_m,
+            body: config.body.clone(),
+            beams: Vec::new(),
+            geometry: None,
+            obstacles: Vec::new(),
+            left_over_right_m: 0.0,
+        }
+    }
+
+    fn learn(&mut self, geometry: ScanGeometry) {
+        let body = &self.body;
+        let beam = |angle: f64| {
+            let own = body.iter().filter(|part| (part.from_deg..=part.to_deg).contains(&angle.to_degrees()));
+            let own_body_m = own.map(|part| part.up_to_m as f32).fold(0.0, f32::max);
+            Beam { cos: angle.cos(), sin: angle.sin(), own_body_m }
+        };
+        self.beams = (0..geometry.beams).map(|index| beam(geometry.angle_rad(index))).collect();
+        self.obstacles.reserve(geometry.beams);
+        self.geometry = Some(geometry);
+    }
+
+    /// Takes in a scan.
+    pub fn see(&mut self, scan: &LaserScan) {
+        if self.geometry != Some(scan.geometry) {
+            self.learn(scan.geometry);
+        }
+        self.obstacles.clear();
+        self.left_over_right_m = 0.0;
+        let (mut neighbours, mut last_m) = (0, f32::NEG_INFINITY);
+        for (beam, range) in self.beams.iter().zip(&scan.ranges) {
+            let (range_m, too_near) = match *range {
+                Range::Hit(range_m) => (range_m, false),
+                Range::TooNear => (scan.geometry.range_min_m, true),
+                Range::NoReturn | Range::Error => {
+                    neighbours = 0;
+                    continue;
+                }
+            };
+            self.left_over_right_m += range_m.min(2.0).copysign(beam.sin as f32);
+            if range_m > HORIZON_M || range_m <= beam.own_body_m {
+                neighbours = 0;
+                continue;
+            }
+            neighbours = if (range_m - last_m).abs() < NEIGHBOUR_GAP_M { neighbours + 1 } else { 1 };
+            last_m = range_m;
+            if neighbours >= MIN_NEIGHBOURS {
+                let range_m = f64::from(range_m);
+                let (x_m, y_m) = (self.laser_forward_m + range_m * beam.cos, range_m * beam.sin);
+                self.obstacles.push(Obstacle { x_m, y_m, too_near });
+            }
+        }
+    }
+
+    /// Everything that was seen within [`HORIZON_M`] of the laser, but for single stray returns.
+    #[must_use]
+    pub fn obstacles(&self) -> &[Obstacle] {
+        &self.obstacles
+    }
+
+    /// What the robot would meet first, and after which way, when it drives by `twist`; looked at up to `reach_m`.
+    #[must_use]
+    pub fn first_met(&self, footprint: &Footprint, twist: &hal::Twist2, reach_m: f64) -> Option<(Obstacle, f64)> {
+        let gap = |obstacle: &Obstacle| Some((*obstacle, footprint.gap_m(obstacle.point_m(), twist, reach_m)?));
+        self.obstacles.iter().filter_map(gap).min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// Side with more room: +1 left, -1 right.
+    #[must_use]
+    pub fn open_side(&self) -> f64 {
+        if self.left_over_right_m >= 0.0 { 1.0 } else { -1.0 }
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use hal::Twist2;
+
+    const FORWARD: Twist2 = Twist2 { linear_mps: 0.3, angular_radps: 0.0 };
+
+    pub fn scan_of(range_at: impl Fn(f64) -> Range) -> LaserScan {
+        let geometry = ScanGeometry::UTM_30LX;
+        let ranges = (0..geometry.beams).map(|beam| range_at(geometry.angle_rad(beam))).collect();
+        LaserScan { time_ns: 0, geometry, ranges }
+    }
+
+    /// A wall across the way, `distance_m` ahead of the sensor.
+    pub fn wall_ahead(distance_m: f64) -> LaserScan {
+        scan_of(|angle| match angle.cos() {
+            cos if cos > 0.1 => Range::Hit((distance_m / cos) as f32),
+            _ => Range::NoReturn,
+        })
+    }
+
+    fn met(scan: &LaserScan, twist: Twist2) -> Option<(Obstacle, f64)> {
+        met_with(&SafetyConfig::default(), scan, twist)
+    }
+
+    fn met_with(config: &SafetyConfig, scan: &LaserScan, twist: Twist2) -> Option<(Obstacle, f64)> {
+        let mut around = Surroundings::new(config);
+        around.see(scan);
+        around.first_met(&Footprint::new(0.16, &[]), &twist, 0.1)
+    }
+
+    #[test]
+    fn a_wall_nearer_than_the_reach_is_found_with_its_gap() {
+        let (_, gap_m) = met(&wall_ahead(0.25), FORWARD).unwrap();
+        assert!((gap_m - 0.09).abs() < 1e-3, "{gap_m}");
+        assert!(met(&wall_ahead(0.27), FORWARD).is_none());
+    }
+
+    #[test]
+    fn a_wall_ahead_does_not_block_the_way_back() {
+        assert!(met(&wall_ahead(0.2), Twist2 { linear_mps: -0.3, angular_radps: 0.0 }).is_none());
+    }
+
+    #[test]
+    fn a_wall_beside_the_robot_is_passed() {
+        let beside = scan_of(|angle| match angle.sin() {
+            sin if sin > 0.1 => Range::Hit((0.18 / sin) as f32),
+            _ => Range::Hit(5.0),
+        });
+        assert!(met(&beside, FORWARD).is_none());
+    }
+
+    #[test]
+    fn a_single_stray_return_is_not_an_obstacle_but_a_thin_leg_is() {
+        let beam_rad = ScanGeometry::UTM_30LX.angle_increment_rad;
+        let stray = scan_of(|angle| if angle.abs() < 0.4 * beam_rad { Range::Hit(0.2) } else { Range::Hit(3.0) });
+        assert!(met(&stray, FORWARD).is_none());
+        let leg = scan_of(|angle| if angle.abs() < 0.05 { Range::Hit(0.2) } else { Range::Hit(3.0) });
+        assert!(met(&leg, FORWARD).is_some());
+    }
+
+    #[test]
+    fn too_near_ahead_is_an_obstacle_and_no_return_is_not() {
+        let near = scan_of(|angle| if angle.abs() < 0.3 { Range::TooNear } else { Range::Hit(3.0) });
+        assert!(met(&near, FORWARD).unwrap().0.too_near);
+        assert!(met(&scan_of(|_| Range::NoReturn), FORWARD).is_none());
+    }
+
+    #[test]
+    fn the_robots_own_mast_is_not_an_obstacle_and_what_stands_behind_the_mast_is() {
+        let body = vec![BodySector { from_deg: -10.0, to_deg: 10.0, up_to_m: 0.15 }];
+        let config = SafetyConfig { body, ..SafetyConfig::default() };
+        let mast = scan_of(|angle| if angle.abs() < 0.15 { Range::Hit(0.12) } else { Range::Hit(3.0) });
+        assert!(met(&mast, FORWARD).is_some());
+        assert!(met_with(&config, &mast, FORWARD).is_none());
+        assert!(met_with(&config, &wall_ahead(0.2), FORWARD).is_some());
+    }
+
+    #[test]
+    fn blind_and_broken_scans_are_bad_and_an_ordinary_one_is_good() {
+        assert_eq!(ScanHealth::of(&scan_of(|_| Range::NoReturn)), ScanHealth::Bad);
+        assert_eq!(ScanHealth::of(&scan_of(|_| Range::Error)), ScanHealth::Bad);
+        assert_eq!(ScanHealth::of(&wall_ahead(1.0)), ScanHealth::Good);
+        let mut short = wall_ahead(1.0);
+        short.ranges.pop();
+        assert_eq!(ScanHealth::of(&short), ScanHealth::Bad);
+    }
+}
