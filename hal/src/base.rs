@@ -70,6 +70,18 @@ pub struct WheelFeedback {
 ///   reopened it; the base is then at a stand and its odometry may have restarted.
 /// * *Who retries*: the driver reopens; nobody repeats a command that was refused, because it is old by then.
 pub trait Base: ErrorType {
+    /// Asks that commands move the wheels, and tells whether they do now. Powering motors takes a while: call it again until it
+    /// is true. A base that needs no arming always says so.
+    ///
+    /// # Errors
+    /// What stands in the way, such as a controller that has not confirmed its own watchdog. Nothing moves then.
+    fn arm(&mut self) -> Result<bool, Self::Error> {
+        Ok(true)
+    }
+
+    /// Brakes and lets the motors go. Nothing moves until [`arm`](Self::arm).
+    fn disarm(&mut self) {}
+
     /// Sets the wanted velocity.
     ///
     /// # Errors

@@ -1,6 +1,7 @@
 //! What keeps the robot from harm: the state machine between every wish and the wheels.
 
 mod config;
+mod control;
 mod footprint;
 mod plane;
 mod rear;
@@ -8,6 +9,7 @@ mod state;
 mod surroundings;
 
 pub use config::{BodySector, SafetyConfig};
+pub use control::{Orders, SafetyLoop, Turn};
 pub use footprint::Footprint;
 pub use plane::SafetyPlane;
 pub use state::{Plan, Request, SafetyInput, SafetyOutput, SafetyState};

@@ -1,0 +1,358 @@
+//! One turn of the safety thread: scanner and wheels in, state machine, wheels out.
+
+use hal::{Base, DriveCommand, Error, ErrorKind, LaserScan, Lidar, WheelFeedback};
+
+use super::{Plan, Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyPlane, SafetyState};
+use crate::event::SafetyEvent;
+
+/// What comes from outside for one turn.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Orders {
+    /// The newest plan.
+    pub plan: Option<Plan>,
+    /// What an operator asks for. Asking once is enough.
+    pub request: Option<Request>,
+    /// The emergency stop is pressed.
+    pub emergency_stop: bool,
+}
+
+/// What one turn brought.
+#[derive(Debug, Clone, Copy)]
+pub struct Turn<'a> {
+    /// What the state machine let through, and what it has to say.
+    pub output: SafetyOutput,
+    /// A new scan, if one came.
+    pub scan: Option<&'a LaserScan>,
+    /// A new measurement of the wheels, if one came.
+    pub wheel: Option<WheelFeedback>,
+    /// What is wrong with the scanner now.
+    pub lidar_error: Option<ErrorKind>,
+    /// What is wrong with the base now.
+    pub base_error: Option<ErrorKind>,
+}
+
+/// The owner of the one handle that moves the robot. Generic over the devices, so that the same turns run in the thread of a
+/// real robot and, in virtual time, in tests. A turn allocates nothing after the first scan and takes no lock.
+#[derive(Debug)]
+pub struct SafetyLoop<B, L> {
+    base: B,
+    lidar: L,
+    plane: SafetyPlane,
+    scan: LaserScan,
+    counter: u32,
+    /// Somebody wants the robot armed, and nothing has happened since that needs a person.
+    wants_arming: bool,
+    /// The base would not be driven in the last turn.
+    refusal: Option<ErrorKind>,
+}
+
+impl<B: Base, L: Lidar> SafetyLoop<B, L> {
+    /// Takes the devices. Nothing moves before an order to arm.
+    pub fn new(config: SafetyConfig, base: B, lidar: L) -> Self {
+        let scan = LaserScan::empty(lidar.geometry());
+        let plane = SafetyPlane::new(config);
+        Self { base, lidar, plane, scan, counter: 0, wants_arming: false, refusal: None }
+    }
+
+    /// One turn at `now_ns`, monotonic.
+    pub fn turn(&mut self, now_ns: u64, orders: &Orders) -> Turn<'_> {
+        let (has_scan, lidar_error) = match self.lidar.poll_scan(&mut self.scan) {
+            Ok(has_scan) => (has_scan, None),
+            Err(error) => (false, Some(error.kind())),
+        };
+        let (wheel, unwell) = match self.base.poll_feedback() {
+            Ok(wheel) => (wheel, None),
+            // One broken frame is no reason: silence will be.
+            Err(error) if error.kind() == ErrorKind::Corrupt => (None, None),
+            Err(error) => (None, Some(error.kind())),
+        };
+        let request = self.arming(orders.request);
+        let base_error = unwell.or(self.refusal.take());
+        let output = self.plane.step(&SafetyInput {
+            time_ns: now_ns,
+            scan: has_scan.then_some(&self.scan),
+            wheel,
+            base_error,
+            emergency_stop: orders.emergency_stop,
+            plan: orders.plan,
+            request,
+        });
+        self.let_go_after(output.event);
+        let plan_age_ns = orders.plan.map_or(0, |plan| now_ns.saturating_sub(plan.time_ns));
+        self.command(&output, plan_age_ns);
+        Turn { output, scan: has_scan.then_some(&self.scan), wheel, lidar_error, base_error }
+    }
+
+    /// Arms the base as long as somebody wants it; the state machine hears of it when the base is ready. A base that has
+    /// dropped out for a reason that passes is armed again in the same way.
+    fn arming(&mut self, request: Option<Request>) -> Option<Request> {
+        match request {
+            Some(Request::Arm) => self.wants_arming = true,
+            Some(Request::Disarm) => self.wants_arming = false,
+            Some(Request::ClearFault) | None => {}
+        }
+        let passing_fault = matches!(self.plane.state(), SafetyState::Fault(why) if why.clears_itself());
+        if !self.wants_arming || !(self.plane.state() == SafetyState::Disarmed || passing_fault) {
+            return request.filter(|request| *request != Request::Arm);
+        }
+        match self.base.arm() {
+            Ok(true) => {
+                self.refusal = None;
+                Some(Request::Arm)
+            }
+            Ok(false) => {
+                self.refusal = Some(ErrorKind::Timeout);
+                None
+            }
+            Err(error) => {
+                // "Not yet" is not a fault that needs a person.
+                let not_yet = error.kind() == ErrorKind::Rejected;
+                self.refusal = Some(if not_yet { ErrorKind::Timeout } else { error.kind() });
+                None
+            }
+        }
+    }
+
+    fn let_go_after(&mut self, event: Option<SafetyEvent>) {
+        let needs_person = match event {
+            Some(SafetyEvent::Faulted { why }) => !why.clears_itself(),
+            Some(SafetyEvent::Disarmed) => true,
+            _ => false,
+        };
+        if needs_person {
+            self.wants_arming = false;
+            self.refusal = None;
+            self.base.disarm();
+        }
+    }
+
+    fn command(&mut self, output: &SafetyOutput, plan_age_ns: u64) {
+        let Some(twist) = output.command else {
+            // A base that cannot be reached stops by its own watchdog.
+            let _ = self.base.stop();
+            return;
+        };
+        self.counter = self.counter.wrapping_add(1);
+        // While it drives by itself there is no plan that could be old.
+        let plan_age_ns = if output.in_charge { 0 } else { plan_age_ns };
+        // A plan that was refused for its age has become zero; its age is no matter then.
+        let plan_age_ns = if twist == hal::Twist2::ZERO { 0 } else { plan_age_ns };
+        if let Err(error) = self.base.drive(&DriveCommand { twist, counter: self.counter, plan_age_ns }) {
+            self.refusal = Some(error.kind());
+            let _ = self.base.stop();
+        }
+    }
+
+    /// The state machine as it stands.
+    pub fn plane(&self) -> &SafetyPlane {
+        &self.plane
+    }
+
+    /// The base, to read its state.
+    pub fn base(&self) -> &B {
+        &self.base
+    }
+
+    /// The scanner, to read its state.
+    pub fn lidar(&self) -> &L {
+        &self.lidar
+    }
+
+    /// Brakes, lets the motors go, and gives the devices back.
+    pub fn shut_down(mut self) -> (B, L) {
+        let _ = self.base.stop();
+        self.base.disarm();
+        (self.base, self.lidar)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::event::FaultReason;
+    use hal::{ErrorType, Pose2, Range, ScanGeometry, Twist2};
+
+    const FORWARD: Twist2 = Twist2 { linear_mps: 0.3, angular_radps: 0.0 };
+    const MS: u64 = 1_000_000;
+
+    #[derive(Debug, Clone, Copy)]
+    struct Broken(ErrorKind);
+
+    impl std::fmt::Display for Broken {
+        fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            write!(f, "{:?}", self.0)
+        }
+    }
+
+    impl Error for Broken {
+        fn kind(&self) -> ErrorKind {
+            self.0
+        }
+    }
+
+    /// A base that powers its motors over three turns, on wheels that do as they are told.
+    #[derive(Default)]
+    struct Motors {
+        time_ns: u64,
+        arming: u32,
+        moved: Vec<Twist2>,
+        pose: Pose2,
+        broken: Option<ErrorKind>,
+        counters: Vec<u32>,
+    }
+
+    impl ErrorType for Motors {
+        type Error = Broken;
+    }
+
+    impl Base for Motors {
+        fn arm(&mut self) -> Result<bool, Broken> {
+            self.broken.map_or(Ok(()), |kind| Err(Broken(kind)))?;
+            self.arming += 1;
+            Ok(self.arming > 3)
+        }
+
+        fn disarm(&mut self) {
+            self.arming = 0;
+        }
+
+        fn drive(&mut self, command: &DriveCommand) -> Result<(), Broken> {
+            if self.arming <= 3 || self.broken.is_some() {
+                return Err(Broken(self.broken.unwrap_or(ErrorKind::Rejected)));
+            }
+            self.counters.push(command.counter);
+            self.moved.push(command.twist);
+            Ok(())
+        }
+
+        fn stop(&mut self) -> Result<(), Broken> {
+            self.moved.push(Twist2::ZERO);
+            Ok(())
+        }
+
+        fn poll_feedback(&mut self) -> Result<Option<WheelFeedback>, Broken> {
+            if self.broken == Some(ErrorKind::Timeout) {
+                self.arming = 0;
+                return Err(Broken(ErrorKind::Timeout));
+            }
+            Ok(Some(WheelFeedback { time_ns: self.time_ns, odom: self.pose, twist: Twist2::ZERO, contact: false }))
+        }
+    }
+
+    struct FreeFloor {
+        time_ns: u64,
+        error: Option<ErrorKind>,
+    }
+
+    impl ErrorType for FreeFloor {
+        type Error = Broken;
+    }
+
+    impl Lidar for FreeFloor {
+        fn geometry(&self) -> ScanGeometry {
+            ScanGeometry::UTM_30LX
+        }
+
+        fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Broken> {
+            self.error.map_or(Ok(()), |kind| Err(Broken(kind)))?;
+            scan.time_ns = self.time_ns;
+            scan.ranges.clear();
+            scan.ranges.resize(1081, Range::Hit(3.0));
+            Ok(true)
+        }
+    }
+
+    struct Robot {
+        control: SafetyLoop<Motors, FreeFloor>,
+        now_ns: u64,
+    }
+
+    impl Robot {
+        fn new() -> Self {
+            let config = SafetyConfig { period_s: 0.01, good_scans: 3, ..SafetyConfig::default() };
+            let lidar = FreeFloor { time_ns: 0, error: None };
+            Self { control: SafetyLoop::new(config, Motors::default(), lidar), now_ns: 0 }
+        }
+
+        fn turn(&mut self, request: Option<Request>) -> SafetyOutput {
+            self.now_ns += 10 * MS;
+            (self.control.base.time_ns, self.control.lidar.time_ns) = (self.now_ns, self.now_ns);
+            let plan = Some(Plan { twist: FORWARD, time_ns: self.now_ns });
+            self.control.turn(self.now_ns, &Orders { plan, request, emergency_stop: false }).output
+        }
+
+        fn drives(&self) -> bool {
+            self.control.base.moved.last() == Some(&FORWARD)
+        }
+
+        fn drives_after(&mut self, turns: usize) -> bool {
+            (0..turns).for_each(|_| _ = self.turn(None));
+            self.drives()
+        }
+    }
+
+    #[test]
+    fn one_order_to_arm_is_enough_and_nothing_moves_before_the_motors_are_ready() {
+        let mut robot = Robot::new();
+        assert!(!robot.drives_after(10), "nobody has armed it");
+        robot.turn(Some(Request::Arm));
+        assert!(!robot.drives());
+        assert!(robot.drives_after(10));
+        assert_eq!(
+            robot.control.base.moved.iter().position(|twist| *twist == FORWARD),
+            Some(13),
+            "three turns of arming"
+        );
+    }
+
+    #[test]
+    fn every_command_has_a_counter_of_its_own() {
+        let mut robot = Robot::new();
+        robot.turn(Some(Request::Arm));
+        robot.drives_after(20);
+        let counters = &robot.control.base.counters;
+        assert!(counters.len() > 10 && counters.windows(2).all(|pair| pair[1] == pair[0] + 1), "{counters:?}");
+    }
+
+    #[test]
+    fn wheels_that_fell_silent_are_armed_again_when_they_speak() {
+        let mut robot = Robot::new();
+        robot.turn(Some(Request::Arm));
+        assert!(robot.drives_after(10));
+        robot.control.base.broken = Some(ErrorKind::Timeout);
+        assert_eq!(robot.turn(None).event, Some(SafetyEvent::Faulted { why: FaultReason::BaseSilent }));
+        assert!(!robot.drives_after(10));
+        robot.control.base.broken = None;
+        assert!(robot.drives_after(10));
+    }
+
+    #[test]
+    fn a_base_that_refuses_to_be_driven_stops_the_robot_until_a_person_has_looked() {
+        let mut robot = Robot::new();
+        robot.turn(Some(Request::Arm));
+        assert!(robot.drives_after(10));
+        robot.control.base.broken = Some(ErrorKind::Fault);
+        robot.turn(None);
+        assert!(!robot.drives());
+        robot.turn(None);
+        assert_eq!(robot.control.plane.state(), SafetyState::Fault(FaultReason::BaseFault));
+        robot.control.base.broken = None;
+        robot.turn(Some(Request::Arm));
+        assert!(!robot.drives_after(20), "arming alone does not clear a fault");
+        robot.turn(Some(Request::ClearFault));
+        robot.turn(Some(Request::Arm));
+        assert!(robot.drives_after(10));
+    }
+
+    #[test]
+    fn a_scanner_that_is_gone_is_told_with_its_kind_and_stops_the_robot_in_time() {
+        let mut robot = Robot::new();
+        robot.turn(Some(Request::Arm));
+        assert!(robot.drives_after(10));
+        robot.control.lidar.error = Some(ErrorKind::Disconnected);
+        assert!(!robot.drives_after(22), "the default allows 0.2 s");
+        let turn = robot.control.turn(robot.now_ns + 10 * MS, &Orders::default());
+        assert_eq!(turn.lidar_error, Some(ErrorKind::Disconnected));
+        assert!(turn.scan.is_none());
+    }
+}
