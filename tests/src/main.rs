@@ -16,7 +16,10 @@ struct Arguments {
 }
 
 #[derive(Subcommand)]
-enum Device {}
+enum Device {
+    /// A Hokuyo LiDAR on a pty or TCP.
+    Hokuyo(hil::hokuyo::HokuyoArgs),
+}
 
 fn main() -> ExitCode {
     match run(&Arguments::parse()) {
@@ -29,5 +32,7 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
-    match arguments.device {}
+    match &arguments.device {
+        Device::Hokuyo(arguments) => hil::hokuyo::run(arguments),
+    }
 }
