@@ -6,6 +6,7 @@
 pub mod clock;
 pub mod scip;
 pub mod status;
+pub mod v4l2;
 
 pub use clock::MonotonicClock;
 pub use status::{DeviceState, DeviceStatus};
