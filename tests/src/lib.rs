@@ -7,7 +7,9 @@
 pub mod base;
 pub mod camera;
 pub mod lidar;
+pub mod rig;
 pub mod scenario;
+pub mod video;
 
 pub use base::{BaseFaults, FaultyBase};
 pub use camera::{CameraFaults, FaultyCamera};

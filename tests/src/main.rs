@@ -16,7 +16,12 @@ struct Arguments {
 }
 
 #[derive(Subcommand)]
-enum Device {}
+enum Device {
+    /// A camera behind a Unix socket.
+    Camera(hil::video::CameraArgs),
+    /// Checks of drivers against the kernel's devices, for `cargo xtask rig`.
+    RigProbe(hil::rig::RigArgs),
+}
 
 fn main() -> ExitCode {
     match run(&Arguments::parse()) {
@@ -29,5 +34,8 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
-    match arguments.device {}
+    match &arguments.device {
+        Device::Camera(args) => hil::video::run(args),
+        Device::RigProbe(args) => hil::rig::run(args),
+    }
 }

@@ -9,7 +9,7 @@ use rustix::io::Errno;
 use super::config::CameraDeviceConfig;
 use super::error::V4l2Error;
 use super::node::VideoNode;
-use super::stream::{Drained, Stream};
+use super::stream::Stream;
 use crate::{DeviceState, DeviceStatus};
 
 /// Waits before an attempt: the first, doubled after each that fails, up to the second.
@@ -23,6 +23,8 @@ pub enum Job {
     Open,
     /// Stop the stream and start it again. On failure, close the camera.
     Restart(Box<Stream>),
+    /// Close the camera, for this reason.
+    Close(Box<Stream>, V4l2Error),
 }
 
 /// How a camera is opened.
@@ -44,6 +46,10 @@ impl Job {
                 Ok(()) => Ok(stream),
                 Err(errno) => Err(V4l2Error::Lost { device, errno }),
             },
+            Self::Close(stream, reason) => {
+                drop(stream);
+                Err(reason)
+            }
         }
     }
 }
@@ -64,11 +70,11 @@ pub struct Picture<'a> {
 enum Link {
     /// Nobody tries to open it before this time.
     Closed { retry_ns: u64 },
-    /// To be restarted as soon as somebody asks for work.
-    Failed(Box<Stream>),
+    /// To be restarted or closed as soon as somebody asks for work.
+    Broken { stream: Box<Stream>, reason: V4l2Error, restart: bool },
     /// Somebody runs the job that was handed out at this time.
     Pending { since_ns: u64 },
-    /// Delivers, or should. `heard_ns` is when a buffer last came, or when it was started.
+    /// Delivers, or should. `heard_ns` is when a whole picture last came, or when it was started.
     Streaming { stream: Box<Stream>, heard_ns: u64, had_picture: bool },
 }
 
@@ -80,7 +86,9 @@ pub struct Capture {
     backoff_ns: u64,
     restarted: bool,
     error: Option<V4l2Error>,
+    /// The last picture's number, and the last one's before this stream.
     sequence: u32,
+    before: u32,
     skipped: u64,
     status: DeviceStatus,
 }
@@ -100,6 +108,7 @@ impl Capture {
             restarted: false,
             error: None,
             sequence: 0,
+            before: 0,
             skipped: 0,
             status: DeviceStatus::default(),
         })
@@ -129,7 +138,8 @@ impl Capture {
     /// What has to be done now, once.
     pub fn job(&mut self, now_ns: u64) -> Option<Job> {
         match std::mem::replace(&mut self.link, Link::Pending { since_ns: now_ns }) {
-            Link::Failed(stream) => Some(Job::Restart(stream)),
+            Link::Broken { stream, restart: true, .. } => Some(Job::Restart(stream)),
+            Link::Broken { stream, reason, .. } => Some(Job::Close(stream, reason)),
             Link::Closed { retry_ns } if retry_ns <= now_ns => Some(Job::Open),
             other => {
                 self.link = other;
@@ -146,9 +156,14 @@ impl Capture {
                     self.status.reopened += 1;
                 }
                 self.status.state = DeviceState::Starting;
+                self.before = self.sequence;
                 self.link = Link::Streaming { stream, heard_ns: now_ns, had_picture: false };
             }
-            Err(error) => self.close(error, now_ns),
+            Err(error) => {
+                self.set_error(error);
+                self.link = Link::Closed { retry_ns: now_ns.saturating_add(self.backoff_ns) };
+                self.backoff_ns = (2 * self.backoff_ns).min(BACKOFF_NS.1);
+            }
         }
     }
 
@@ -165,22 +180,21 @@ impl Capture {
         let Link::Streaming { stream, heard_ns, had_picture } = &mut self.link else { return self.absent(now_ns) };
         let drained = match stream.newest() {
             Ok(drained) => drained,
-            Err(errno) => return Err(self.fail(errno, now_ns)),
+            Err(errno) => return Err(self.fail(errno)),
         };
         self.status.lost += drained.lost;
         self.status.bad += drained.damaged;
         self.skipped += drained.skipped;
-        if drained == Drained::default() {
+        let Some(taken) = drained.newest else {
             let silent_ns = now_ns.saturating_sub(*heard_ns);
             let allowed_ns = if *had_picture { 2 * stream.interval_ns() } else { PATIENCE_NS };
-            return if silent_ns > allowed_ns { Err(self.silent(silent_ns, now_ns)) } else { Ok(None) };
-        }
-        *heard_ns = now_ns;
-        let Some(taken) = drained.newest else { return Ok(None) };
-        *had_picture = true;
-        self.sequence = self.sequence.wrapping_add(taken.step).wrapping_add(drained.skipped as u32);
+            return if silent_ns > allowed_ns { Err(self.silent(silent_ns)) } else { Ok(None) };
+        };
+        // Also when the picture is too old: then it was us who did not look, and the camera is well.
+        (*heard_ns, *had_picture) = (now_ns, true);
+        self.sequence = self.before.wrapping_add(taken.position);
         if taken.time_ns > now_ns.saturating_add(self.max_age_ns) {
-            return Err(self.fail(Errno::PROTO, now_ns));
+            return Err(self.fail(Errno::PROTO));
         }
         let fresh = now_ns.saturating_sub(taken.time_ns) <= self.max_age_ns;
         let seen = match stream.view(&taken) {
@@ -200,7 +214,7 @@ impl Capture {
         }
         if let Err(errno) = returned {
             // The picture was good; the next look tells what has happened.
-            self.fail(errno, now_ns);
+            self.fail(errno);
         }
         Ok(seen)
     }
@@ -221,40 +235,30 @@ impl Capture {
     }
 
     /// After some patience a silent camera is restarted, and closed when that has not helped.
-    fn silent(&mut self, silent_ns: u64, now_ns: u64) -> V4l2Error {
+    fn silent(&mut self, silent_ns: u64) -> V4l2Error {
         let error = self.report_silence(silent_ns);
         if silent_ns > PATIENCE_NS {
-            self.give_up(error.clone(), now_ns);
+            self.give_up(error.clone(), true);
         }
         error
     }
 
-    fn fail(&mut self, errno: Errno, now_ns: u64) -> V4l2Error {
+    fn fail(&mut self, errno: Errno) -> V4l2Error {
         let device = self.device.clone();
-        match errno {
-            Errno::NODEV => self.close(V4l2Error::Lost { device, errno }, now_ns),
-            Errno::PROTO => self.close(V4l2Error::Clock { device }, now_ns),
-            errno => self.give_up(V4l2Error::Lost { device, errno }, now_ns),
-        }
-        self.error.clone().unwrap_or(V4l2Error::Lost { device: self.device.clone(), errno })
+        let error = if errno == Errno::PROTO { V4l2Error::Clock { device } } else { V4l2Error::Lost { device, errno } };
+        self.give_up(error.clone(), !matches!(errno, Errno::NODEV | Errno::PROTO));
+        error
     }
 
-    /// Restarts the stream once; when no picture has come since the last time, closes the camera.
-    fn give_up(&mut self, error: V4l2Error, now_ns: u64) {
-        match std::mem::replace(&mut self.link, Link::Closed { retry_ns: now_ns }) {
-            Link::Streaming { stream, .. } if !self.restarted => {
-                self.restarted = true;
-                self.set_error(error);
-                self.link = Link::Failed(stream);
-            }
-            _ => self.close(error, now_ns),
+    /// Restarts the stream where that may help and has not been tried since the last picture; otherwise closes the camera.
+    fn give_up(&mut self, error: V4l2Error, may_help: bool) {
+        let restart = may_help && !self.restarted;
+        self.restarted = true;
+        self.set_error(error.clone());
+        match std::mem::replace(&mut self.link, Link::Closed { retry_ns: 0 }) {
+            Link::Streaming { stream, .. } => self.link = Link::Broken { stream, reason: error, restart },
+            other => self.link = other,
         }
-    }
-
-    fn close(&mut self, error: V4l2Error, now_ns: u64) {
-        self.set_error(error);
-        self.link = Link::Closed { retry_ns: now_ns.saturating_add(self.backoff_ns) };
-        self.backoff_ns = (2 * self.backoff_ns).min(BACKOFF_NS.1);
     }
 
     fn set_error(&mut self, error: V4l2Error) {

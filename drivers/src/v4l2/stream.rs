@@ -26,6 +26,7 @@ pub struct Stream {
     exposure_ns: u64,
     buffers: u32,
     last_sequence: Option<u32>,
+    position: u32,
 }
 
 /// A buffer that was taken out of the queue and must go back into it.
@@ -35,8 +36,8 @@ pub struct Taken {
     pub index: u32,
     /// Middle of the exposure as far as it is known, monotonic.
     pub time_ns: u64,
-    /// Pictures since the one before, 1 when none is missing.
-    pub step: u32,
+    /// Counts the camera's pictures since the start, from 1, also those that are missing.
+    pub position: u32,
     bytes_used: usize,
 }
 
@@ -76,8 +77,16 @@ impl Stream {
             Some(Setting::Manual(us)) => u64::from(us.unsigned_abs()) * 1000,
             _ => 0,
         };
-        let mut stream =
-            Self { node, layout, format: config.format, interval_ns, exposure_ns, buffers, last_sequence: None };
+        let mut stream = Self {
+            node,
+            layout,
+            format: config.format,
+            interval_ns,
+            exposure_ns,
+            buffers,
+            last_sequence: None,
+            position: 0,
+        };
         stream.queue_all_and_start().map_err(|errno| failed("starting the stream", errno))?;
         Ok(stream)
     }
@@ -88,7 +97,7 @@ impl Stream {
     /// When the camera is gone or refuses; then only opening it again helps.
     pub fn restart(&mut self) -> Result<(), Errno> {
         self.node.stop()?;
-        self.last_sequence = None;
+        (self.last_sequence, self.position) = (None, 0);
         self.queue_all_and_start()
     }
 
@@ -130,13 +139,15 @@ impl Stream {
             let stamp_ns = filled.time_ns.ok_or(Errno::PROTO)?;
             let step = self.step(filled.sequence);
             drained.lost += u64::from(step - 1);
+            self.position = self.position.wrapping_add(step);
             let half_ns = self.exposure_ns / 2;
             let time_ns = if filled.stamped_at_start {
                 stamp_ns.saturating_add(half_ns)
             } else {
                 stamp_ns.saturating_sub(half_ns)
             };
-            let taken = Taken { index: filled.index, time_ns, step, bytes_used: filled.bytes_used as usize };
+            let taken =
+                Taken { index: filled.index, time_ns, position: self.position, bytes_used: filled.bytes_used as usize };
             if filled.damaged || self.view(&taken).is_err() {
                 drained.damaged += 1;
                 self.node.queue(filled.index)?;
