@@ -8,6 +8,7 @@ pub mod clock;
 pub mod hokuyo;
 pub mod scip;
 pub mod status;
+pub mod v4l2;
 
 pub use clock::MonotonicClock;
 pub use status::{DeviceState, DeviceStatus};

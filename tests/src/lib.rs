@@ -8,7 +8,9 @@ pub mod base;
 pub mod camera;
 pub mod hokuyo;
 pub mod lidar;
+pub mod rig;
 pub mod scenario;
+pub mod video;
 
 pub use base::{BaseFaults, FaultyBase};
 pub use camera::{CameraFaults, FaultyCamera};

@@ -19,6 +19,10 @@ struct Arguments {
 enum Device {
     /// A Hokuyo LiDAR on a pty or TCP.
     Hokuyo(hil::hokuyo::HokuyoArgs),
+    /// A camera behind a Unix socket.
+    Camera(hil::video::CameraArgs),
+    /// Checks of drivers against the kernel's devices, for `cargo xtask rig`.
+    RigProbe(hil::rig::RigArgs),
 }
 
 fn main() -> ExitCode {
@@ -34,5 +38,7 @@ fn main() -> ExitCode {
 fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
     match &arguments.device {
         Device::Hokuyo(arguments) => hil::hokuyo::run(arguments),
+        Device::Camera(args) => hil::video::run(args),
+        Device::RigProbe(args) => hil::rig::run(args),
     }
 }

@@ -12,6 +12,7 @@ mod onnx_runtime;
 mod paths;
 mod peers;
 mod policies;
+mod rig;
 mod test;
 mod trainer;
 
@@ -57,6 +58,14 @@ enum Chore {
     },
     /// Export the networks that the benchmark times, with the trainer. Installs PyTorch (5 GB) the first time.
     Models,
+    /// The drivers against a real kernel's devices, in a virtual machine. The first time it installs QEMU by apt.
+    Rig {
+        /// The long scenarios as well.
+        #[arg(long)]
+        all: bool,
+        /// A part of the names of scenarios.
+        filter: Option<String>,
+    },
     /// Install what the other chores need, and nothing else.
     Setup,
 }
@@ -79,6 +88,7 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Accuracy { arguments } => accuracy::run(arguments),
         Chore::Policies { frames, seeds } => policies::run(*frames, *seeds),
         Chore::Models => models::run(),
+        Chore::Rig { all, filter } => rig::run(*all, filter.as_deref()),
         Chore::Setup => {
             println!("ONNX Runtime: {}", onnx_runtime::install()?.display());
             println!("test runner:  {}", if nextest::install() { "cargo nextest" } else { "cargo test" });

@@ -1,0 +1,32 @@
+# Sourced by every scenario, in the guest. Each program that is started costs up to half a second there: do many checks in one.
+
+# check PROMISE COMMAND...: one row of the table; the command's last line is its figure.
+check() {
+    local promise=$1 figure outcome=pass
+    shift
+    figure=$("$@" 2>&1 | tail -1; exit "${PIPESTATUS[0]}") || outcome=fail
+    printf 'CHECK\t%s\t%s\t%s\n' "$outcome" "$promise" "$figure"
+}
+
+# What is written to /dev/video1 comes out of /dev/video0: 640x480 YUYV, 30 pictures a second.
+# HDMI input 1, no text in the picture, 1280x720p30 (timing 5: the one in the list that gives 30 a second) at both ends.
+camera_loop() {
+    v4l2-ctl -d 0 -i 1 -c osd_text_mode=2,loop_video=1 >/dev/null
+    for device in 0 1; do v4l2-ctl -d $device --set-dv-bt-timings index=5 >/dev/null; done
+    v4l2-ctl -d 0 -v width=640,height=480,pixelformat=YUYV
+    v4l2-ctl -d 1 -x width=640,height=480,pixelformat=YUYV
+}
+
+# can0 is the robot's end of the bus, can1 the motors'.
+can_up() {
+    for interface in can0 can1; do ip link set $interface up type can bitrate 500000 restart-ms 100; done
+}
+
+# /dev/ttyUSB0 is the robot's end of the cable, /dev/ttyS1 the scanner's.
+serial_up() {
+    for port in /dev/ttyUSB0 /dev/ttyS1; do stty -F $port 115200 raw -echo; done
+}
+
+# Pulls the scanner's USB plug, and puts it back.
+serial_unplug() { echo 0 >/sys/bus/usb/devices/1-1/authorized; }
+serial_plug() { echo 1 >/sys/bus/usb/devices/1-1/authorized; }

@@ -1,0 +1,41 @@
+#!/bin/sh
+# The guest's init, in busybox: loads the devices' drivers, makes the host's own root the guest's (read-only, with a tmpfs
+# above it), runs /rig/commands in it, and switches the machine off.
+# /rig/environment says MODULES (groups to load), VIVID (its parameters) and KERNEL_MODULES (where the rest of them lies).
+mount -t proc p /proc
+mount -t sysfs s /sys
+mount -t devtmpfs d /dev
+
+load() {
+    while read -r module; do
+        case $module in vivid.ko) set -- $VIVID ;; *) set -- ;; esac
+        insmod "/modules/$module" "$@" 2>/dev/null
+    done <"/modules/$1"
+}
+
+load base
+mkdir -p /dev/pts /dev/shm
+nine=trans=virtio,version=9p2000.L,msize=512000
+mount -t 9p -o $nine,ro,cache=loose root /host
+mount -t tmpfs -o size=60% t /above
+mkdir /above/upper /above/work
+mount -t overlay -o lowerdir=/host,upperdir=/above/upper,workdir=/above/work o /root
+mkdir -p /root/rig /root/lib/modules
+mount -t 9p -o $nine,cache=none rig /root/rig
+. /root/rig/environment
+for group in $MODULES; do load "$group"; done
+
+mount -t devpts d /dev/pts
+mount -t debugfs d /sys/kernel/debug
+for folder in dev proc sys; do mount -o rbind /$folder /root/$folder; done
+for folder in dev/shm tmp run; do mount -t tmpfs t /root/$folder; done
+mount -o bind "/host$KERNEL_MODULES" /root/lib/modules
+hostname rig
+ip link set lo up
+export PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C
+# busybox does not expand globs in redirections.
+set -- /dev/vport*p1
+chroot /root /bin/bash /rig/commands >"$1" 2>&1 </dev/null
+echo $? >/root/rig/status
+sync
+poweroff -f

@@ -1,0 +1,299 @@
+//! The V4L2 driver against vivid, the kernel's virtual video device. `v4l2-ctl` writes known pictures into vivid's output, which
+//! come out of its camera; vivid's own controls inject the faults.
+
+use std::error::Error;
+use std::process::{Child, Command, Stdio};
+
+use drivers::clock::monotonic_ns;
+use drivers::v4l2::node::{VideoNode, controls};
+use drivers::v4l2::{CameraDeviceConfig, CameraFormat, Picture, Setting, V4l2Camera, V4l2Error, check as agree, open};
+use drivers::{DeviceState, MonotonicClock};
+use hal::{CameraModel, Clock, Error as _, ErrorKind};
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use super::check;
+
+/// Where vivid is.
+#[derive(Debug, clap::Args)]
+pub struct CameraProbe {
+    /// The camera's stable path, looped back from /dev/video1.
+    #[arg(long)]
+    device: String,
+    /// A multi-planar camera.
+    #[arg(long)]
+    planes: String,
+}
+
+const MS: u64 = 1_000_000;
+const WIDTH: u32 = 640;
+const HEIGHT: u32 = 480;
+const SIZE: usize = 2 * 640 * 480;
+/// Pictures that the writer repeats.
+const PICTURES: usize = 8;
+/// Far longer than anything takes in an emulated machine.
+const PATIENCE_NS: u64 = 20_000 * MS;
+const VIVID: &str = "/sys/bus/platform/drivers/vivid";
+
+/// Runs all checks.
+///
+/// # Errors
+/// When the scene cannot be set up, or the camera never delivers.
+pub fn run(probe: &CameraProbe) -> Result<(), Box<dyn Error>> {
+    let pictures = random_pictures();
+    let mut writer = write_pictures(&pictures)?;
+    let mut bench = Bench::new(&probe.device)?;
+    exact_pictures(&mut bench, &pictures)?;
+    dropped_pictures(&mut bench)?;
+    silence(&mut bench)?;
+    stream_failure(&mut bench)?;
+    disconnection(&mut bench)?;
+    exported_buffers(&mut bench);
+    writer.kill()?;
+    writer.wait()?;
+    replug(&mut bench)?;
+    drop(bench);
+    settings(&probe.device);
+    formats(&probe.device, "single-planar")?;
+    formats(&probe.planes, "multi-planar")
+}
+
+/// The driver, and another open handle for vivid's fault controls.
+struct Bench {
+    config: CameraDeviceConfig,
+    camera: V4l2Camera,
+    clock: MonotonicClock,
+}
+
+impl Bench {
+    fn new(device: &str) -> Result<Self, V4l2Error> {
+        Self::with(CameraDeviceConfig::new(device, WIDTH, HEIGHT, CameraFormat::Yuyv))
+    }
+
+    fn with(config: CameraDeviceConfig) -> Result<Self, V4l2Error> {
+        let model = CameraModel::pinhole(config.width as usize, config.height as usize, 1.0);
+        Ok(Self { camera: V4l2Camera::new(&config, model)?, config, clock: MonotonicClock })
+    }
+
+    /// Looks every 2 ms until `done`; how long that took, milliseconds.
+    fn until(
+        &mut self,
+        what: &str,
+        mut done: impl FnMut(Result<Option<&Picture<'_>>, V4l2Error>) -> bool,
+    ) -> Result<u64, Box<dyn Error>> {
+        let start_ns = monotonic_ns();
+        loop {
+            let found = match self.camera.with_newest(|picture| done(Ok(Some(picture)))) {
+                Ok(Some(found)) => found,
+                Ok(None) => done(Ok(None)),
+                Err(error) => done(Err(error)),
+            };
+            let now_ns = monotonic_ns();
+            if found {
+                return Ok((now_ns - start_ns) / MS);
+            }
+            if now_ns - start_ns > PATIENCE_NS {
+                return Err(format!(
+                    "waited {} s in vain for {what}; {:?}",
+                    PATIENCE_NS / 1_000 / MS,
+                    self.camera.status()
+                )
+                .into());
+            }
+            self.clock.sleep_until_ns(now_ns + 2 * MS);
+        }
+    }
+
+    fn until_picture(&mut self) -> Result<u64, Box<dyn Error>> {
+        self.until("a picture", |got| matches!(got, Ok(Some(_))))
+    }
+
+    fn until_error(&mut self, kind: ErrorKind) -> Result<u64, Box<dyn Error>> {
+        self.until(&format!("{kind:?}"), |got| got.is_err_and(|error| error.kind() == kind))
+    }
+
+    /// Sets one of vivid's controls by its name.
+    fn vivid(&self, name: &str, value: i32) -> Result<(), Box<dyn Error>> {
+        let mut node = open(&self.config)?;
+        let control = controls(node.as_mut())?.into_iter().find(|control| control.name == name);
+        node.set_control(control.ok_or_else(|| format!("vivid has no `{name}`"))?.id, value)?;
+        Ok(())
+    }
+}
+
+fn random_pictures() -> Vec<Vec<u8>> {
+    let mut rng = Pcg64Mcg::seed_from_u64(1);
+    let mut picture = || {
+        let mut bytes = vec![0; SIZE];
+        rng.fill_bytes(&mut bytes);
+        bytes
+    };
+    (0..PICTURES).map(|_| picture()).collect()
+}
+
+fn write_pictures(pictures: &[Vec<u8>]) -> Result<Child, Box<dyn Error>> {
+    std::fs::write("/tmp/pictures.yuyv", pictures.concat())?;
+    let arguments = ["-d", "1", "--stream-out-mmap=4", "--stream-from=/tmp/pictures.yuyv", "--stream-loop"];
+    Ok(Command::new("v4l2-ctl").args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?)
+}
+
+fn exact_pictures(bench: &mut Bench, pictures: &[Vec<u8>]) -> Result<(), Box<dyn Error>> {
+    // Before the writer's first picture vivid shows something else.
+    let known = |picture: &Picture<'_>| pictures.iter().any(|known| known[..] == *picture.view.data());
+    bench.until("the writer's first picture", |got| got.is_ok_and(|picture| picture.is_some_and(known)))?;
+    let (mut exact, mut count, mut last, mut rising, mut ages) = (0, 0, (0, 0), true, Vec::new());
+    let ms = bench.until("60 pictures", |got| {
+        if let Ok(Some(picture)) = got {
+            ages.push(monotonic_ns().saturating_sub(picture.time_ns));
+            exact += u32::from(known(picture));
+            rising &= last < (picture.sequence, picture.time_ns);
+            last = (picture.sequence, picture.time_ns);
+            count += 1;
+        }
+        count == 60
+    })?;
+    let status = bench.camera.status();
+    let figure = format!("{exact} of {count} in {ms} ms, {} lost", status.lost);
+    check("pictures arrive as another program has written them, byte for byte", figure, exact == count);
+    check("each picture is newer than the one before, by number and by time", format!("{count} pictures"), rising);
+    ages.sort_unstable();
+    let (median, worst) = (ages[ages.len() / 2] / MS, ages[ages.len() - 1] / MS);
+    let bound = u64::from(bench.config.max_age_ms);
+    let figure = format!("median {median} ms, worst {worst} ms");
+    check("a picture is never older than its budget of 200 ms", figure, worst <= bound);
+    Ok(())
+}
+
+fn dropped_pictures(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
+    let before = bench.camera.status();
+    bench.vivid("Percentage of Dropped Buffers", 50)?;
+    let mut seen = 0;
+    bench.until("20 pictures", |got| {
+        seen += u32::from(matches!(got, Ok(Some(_))));
+        seen == 20
+    })?;
+    bench.vivid("Percentage of Dropped Buffers", 0)?;
+    let lost = bench.camera.status().lost - before.lost;
+    check(
+        "pictures that the kernel drops are counted by their sequence numbers",
+        format!("{lost} lost, {seen} seen"),
+        lost >= 5,
+    );
+    Ok(())
+}
+
+fn silence(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
+    bench.until_picture()?;
+    bench.vivid("Percentage of Dropped Buffers", 100)?;
+    let ms = bench.until_error(ErrorKind::Timeout)?;
+    let state = bench.camera.status().state;
+    check(
+        "a silent camera is a timeout after two intervals",
+        format!("{ms} ms"),
+        state == DeviceState::Silent && ms < 1_000,
+    );
+    bench.vivid("Percentage of Dropped Buffers", 0)?;
+    let ms = bench.until_picture()?;
+    check("a camera that was silent delivers again without help", format!("{ms} ms"), true);
+    Ok(())
+}
+
+fn stream_failure(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
+    bench.until_picture()?;
+    bench.vivid("Inject Fatal Streaming Error", 1)?;
+    let noticed = bench.until_error(ErrorKind::Fault)?;
+    let ms = bench.until_picture()?;
+    let figure = format!("noticed in {noticed} ms, a picture {ms} ms later");
+    check("a stream that fails for good (EIO) is restarted", figure, ms < 5_000);
+    Ok(())
+}
+
+fn disconnection(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
+    bench.until_picture()?;
+    bench.vivid("Disconnect", 1)?;
+    let noticed = bench.until_error(ErrorKind::Disconnected)?;
+    let ms = bench.until_picture()?;
+    let figure = format!("noticed in {noticed} ms, a picture {ms} ms later");
+    check("a camera that disconnects (ENODEV) is opened again by its stable path", figure, ms < 5_000);
+    Ok(())
+}
+
+fn exported_buffers(bench: &mut Bench) {
+    let exported = bench.camera.export_buffers(&bench.config.device);
+    let sizes: Vec<u64> = exported
+        .iter()
+        .flatten()
+        .filter_map(|file| rustix::fs::seek(file, rustix::fs::SeekFrom::End(0)).ok())
+        .collect();
+    let passed = sizes.len() == 4 && sizes.iter().all(|size| *size >= SIZE as u64);
+    let figure = exported.err().map_or(format!("{} of {sizes:?} bytes", sizes.len()), |error| error.to_string());
+    check("each buffer can be exported as a dma-buf", figure, passed);
+}
+
+fn replug(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
+    bench.until_picture()?;
+    let before = bench.camera.status();
+    std::fs::write(format!("{VIVID}/unbind"), "vivid.0")?;
+    let noticed = bench.until_error(ErrorKind::Disconnected)?;
+    let end_ns = monotonic_ns() + 1_000 * MS;
+    let mut other = 0;
+    bench.until("a second without a camera", |got| {
+        other += u32::from(got.is_ok());
+        monotonic_ns() > end_ns
+    })?;
+    let figure = format!("noticed in {noticed} ms, {other} looks said otherwise in the next second");
+    check("an unplugged camera is disconnected, and nothing is handed out", figure, other == 0);
+    std::fs::write(format!("{VIVID}/bind"), "vivid.0")?;
+    let ms = bench.until_picture()?;
+    let status = bench.camera.status();
+    let passed = ms < 5_000 && status.state == DeviceState::Working && status.reopened > before.reopened;
+    check("a camera that is plugged in again is taken by its stable path", format!("a picture {ms} ms later"), passed);
+    Ok(())
+}
+
+fn settings(device: &str) {
+    let mut config = CameraDeviceConfig::new(device, WIDTH, HEIGHT, CameraFormat::Yuyv);
+    config.gain = Some(Setting::Manual(77));
+    let read_back = || -> Result<i32, Box<dyn Error>> {
+        agree(&config)?;
+        let mut node = open(&config)?;
+        let gain = controls(node.as_mut())?.into_iter().find(|control| control.name == "Gain");
+        Ok(node.control_value(gain.ok_or("vivid has no gain")?.id)?)
+    };
+    let held = read_back();
+    check("a configured gain is held by the camera", format!("{held:?}"), held.is_ok_and(|held| held == 77));
+    config.gain = None;
+    config.exposure_us = Some(Setting::Manual(5_000));
+    refused("a control that the camera has not got is refused with words", &config, "no such control");
+    let odd = CameraDeviceConfig::new(device, 642, HEIGHT, CameraFormat::Yuyv);
+    refused("a size that the camera has not got is refused with words", &odd, "makes ");
+    let none = CameraDeviceConfig::new("/dev/v4l/by-id/none", WIDTH, HEIGHT, CameraFormat::Yuyv);
+    refused("a camera that is not there is refused with words", &none, "plug it in");
+}
+
+fn refused(promise: &str, config: &CameraDeviceConfig, words: &str) {
+    match agree(config) {
+        Ok(agreement) => check(promise, format!("took {:?}", agreement.layout), false),
+        Err(error) => check(promise, &error, error.to_string().contains(words)),
+    }
+}
+
+/// Every format that vivid's webcam has and we know, each until its fifth picture.
+fn formats(device: &str, kind: &str) -> Result<(), Box<dyn Error>> {
+    for (format, bytes) in
+        [(CameraFormat::Yuyv, SIZE), (CameraFormat::Nv12, SIZE * 3 / 4), (CameraFormat::Rgb24, SIZE * 3 / 2)]
+    {
+        let mut bench = Bench::with(CameraDeviceConfig::new(device, WIDTH, HEIGHT, format))?;
+        let (mut count, mut whole) = (0, true);
+        let ms = bench.until("five pictures", |got| {
+            if let Ok(Some(picture)) = got {
+                whole &= picture.view.data().len() == bytes && picture.view.data().iter().any(|byte| *byte != 0);
+                count += 1;
+            }
+            count == 5
+        })?;
+        let figure = format!("{count} pictures in {ms} ms");
+        check(&format!("a {kind} camera delivers {format:?}").to_lowercase(), figure, whole);
+    }
+    Ok(())
+}

@@ -1,0 +1,143 @@
+//! A simulated camera: formats, frame interval and controls around the queue. What it is connected by is somebody else's
+//! matter: [`FakeCamera`](super::FakeCamera) in this process, [`serve`](super::serve) for another one.
+
+use drivers::v4l2::node::{Capability, Control, FourCc, Interval, Layout, NEXT_CONTROL};
+use rustix::io::Errno;
+
+use super::queue::Queue;
+
+/// What a simulated camera is like.
+#[derive(Debug, Clone)]
+pub struct Device {
+    /// Whether it has the multi-planar interface instead of the other.
+    pub multiplanar: bool,
+    /// Its formats.
+    pub formats: Vec<FourCc>,
+    /// The sizes that it has; the nearest in area is taken for another one.
+    pub sizes: Vec<(u32, u32)>,
+    /// The fastest that it can, pictures a second.
+    pub fastest: u32,
+    /// Bytes that it adds to every row.
+    pub row_padding: u32,
+    /// Its controls and their values.
+    pub controls: Vec<(Control, i32)>,
+    /// Buffers.
+    pub queue: Queue,
+    /// What was agreed.
+    pub layout: Layout,
+    /// What was agreed.
+    pub interval: Interval,
+}
+
+impl Default for Device {
+    /// A USB camera.
+    fn default() -> Self {
+        let control = |id, name: &str, minimum, maximum, step, value| {
+            (Control { id, name: name.to_owned(), minimum, maximum, step, disabled: false }, value)
+        };
+        Self {
+            multiplanar: false,
+            formats: vec![FourCc::YUYV, FourCc::MJPEG, FourCc::NV12, FourCc::RGB24],
+            sizes: vec![(64, 48), (320, 240), (640, 192), (640, 480), (1280, 720)],
+            fastest: 120,
+            row_padding: 0,
+            // Numbers, names and ranges of uvcvideo's.
+            controls: vec![
+                control(0x0098_090c, "White Balance, Automatic", 0, 1, 1, 1),
+                control(0x0098_0913, "Gain", 0, 100, 5, 50),
+                control(0x0098_091a, "White Balance Temperature", 2800, 6500, 1, 4600),
+                control(0x009a_0901, "Auto Exposure", 0, 3, 1, 3),
+                control(0x009a_0902, "Exposure Time, Absolute", 3, 2047, 1, 250),
+            ],
+            queue: Queue::default(),
+            layout: Layout { width: 640, height: 480, format: FourCc::YUYV, stride: 1280, size: 614_400, planes: 1 },
+            interval: Interval { numerator: 1, denominator: 30 },
+        }
+    }
+}
+
+impl Device {
+    /// `VIDIOC_QUERYCAP`.
+    #[must_use]
+    pub fn capability(&self) -> Capability {
+        Capability { capture: !self.multiplanar, capture_planes: self.multiplanar, streaming: true }
+    }
+
+    /// `VIDIOC_ENUM_FMT`.
+    ///
+    /// # Errors
+    /// `EINVAL` past the last.
+    pub fn format(&self, index: u32) -> Result<FourCc, Errno> {
+        self.formats.get(index as usize).copied().ok_or(Errno::INVAL)
+    }
+
+    /// `VIDIOC_S_FMT`: the nearest that it has.
+    ///
+    /// # Errors
+    /// `EBUSY` while there are buffers.
+    pub fn set_layout(&mut self, asked: Layout) -> Result<Layout, Errno> {
+        if self.queue.counts()[0] > 0 {
+            return Err(Errno::BUSY);
+        }
+        let format = if self.formats.contains(&asked.format) { asked.format } else { self.formats[0] };
+        let area = |(width, height): (u32, u32)| u64::from(width) * u64::from(height);
+        let wish = area((asked.width, asked.height));
+        let exact = self.sizes.iter().copied().find(|size| *size == (asked.width, asked.height));
+        let nearest = self.sizes.iter().copied().min_by_key(|size| area(*size).abs_diff(wish));
+        let (width, height) = exact.or(nearest).unwrap_or((640, 480));
+        let (row, size) = match format {
+            FourCc::YUYV => (2 * width + self.row_padding, (2 * width + self.row_padding) * height),
+            FourCc::RGB24 => (3 * width + self.row_padding, (3 * width + self.row_padding) * height),
+            FourCc::NV12 => (width + self.row_padding, (width + self.row_padding) * height * 3 / 2),
+            _ => (0, 2 * width * height),
+        };
+        self.layout = Layout { width, height, format, stride: row, size, planes: 1 };
+        Ok(self.layout)
+    }
+
+    /// `VIDIOC_S_PARM` and `VIDIOC_G_PARM`.
+    pub fn interval(&mut self, wish: Option<Interval>) -> Interval {
+        if let Some(wish) = wish {
+            let fastest = Interval { numerator: 1, denominator: self.fastest };
+            self.interval = if wish.ns() >= fastest.ns() { wish } else { fastest };
+        }
+        self.interval
+    }
+
+    /// `VIDIOC_QUERYCTRL`.
+    ///
+    /// # Errors
+    /// `EINVAL` when there is none.
+    pub fn control(&self, id: u32) -> Result<Control, Errno> {
+        let (id, next) = (id & !NEXT_CONTROL, id & NEXT_CONTROL != 0);
+        let fits = |control: &Control| if next { control.id > id } else { control.id == id };
+        self.controls.iter().map(|(control, _)| control).find(|control| fits(control)).cloned().ok_or(Errno::INVAL)
+    }
+
+    /// `VIDIOC_G_CTRL`.
+    ///
+    /// # Errors
+    /// `EINVAL` when there is none.
+    pub fn control_value(&self, id: u32) -> Result<i32, Errno> {
+        self.controls.iter().find(|(control, _)| control.id == id).map(|(_, value)| *value).ok_or(Errno::INVAL)
+    }
+
+    /// `VIDIOC_S_CTRL`: rounded to a step, as the kernel does.
+    ///
+    /// # Errors
+    /// `EINVAL` when there is none, `ERANGE` past its ends.
+    pub fn set_control(&mut self, id: u32, value: i32) -> Result<(), Errno> {
+        let (control, held) = self.controls.iter_mut().find(|(control, _)| control.id == id).ok_or(Errno::INVAL)?;
+        if !(control.minimum..=control.maximum).contains(&value) {
+            return Err(Errno::RANGE);
+        }
+        *held = value - (value - control.minimum) % control.step.max(1);
+        Ok(())
+    }
+
+    /// Closing: the stream ends and the buffers go.
+    pub fn close(&mut self) {
+        self.queue.stop();
+        _ = self.queue.allocate(0);
+    }
+}

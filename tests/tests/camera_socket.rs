@@ -1,0 +1,114 @@
+//! The whole camera driver, threads and all, against a simulated camera in another process.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use drivers::v4l2::{CameraDeviceConfig, CameraFormat, V4l2Camera, V4l2Error, check};
+use drivers::{DeviceState, MonotonicClock};
+use hal::{Camera, CameraModel, Clock, Error as _, ErrorKind, Frame};
+use hil::video::MovingStripes;
+
+const MS: u64 = 1_000_000;
+/// Far more than anything here takes.
+const PATIENCE_NS: u64 = 30_000 * MS;
+
+struct Simulated(Child);
+
+impl Simulated {
+    fn at(path: &Path) -> Self {
+        let node = format!("unix:{}", path.display());
+        let mut command = Command::new(env!("CARGO_BIN_EXE_hil"));
+        Self(command.args(["camera", "--node", &node]).stdout(Stdio::null()).spawn().unwrap())
+    }
+
+    fn kill(&mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
+}
+
+impl Drop for Simulated {
+    fn drop(&mut self) {
+        _ = self.0.kill();
+        _ = self.0.wait();
+    }
+}
+
+fn camera(path: &Path) -> V4l2Camera {
+    let mut config = CameraDeviceConfig::new(&format!("unix:{}", path.display()), 64, 48, CameraFormat::Yuyv);
+    config.fps = Some(100.0);
+    // A machine that runs many tests at a time is late.
+    config.max_age_ms = 10_000;
+    V4l2Camera::new(&config, CameraModel::pinhole(64, 48, 1.0)).unwrap()
+}
+
+/// Polls until `done`, as a robot's loop does.
+fn poll_until(camera: &mut V4l2Camera, mut done: impl FnMut(Result<Option<&Frame>, V4l2Error>) -> bool) {
+    let mut frame = Frame::empty();
+    let mut clock = MonotonicClock;
+    let start_ns = clock.now_ns();
+    loop {
+        let got = camera.poll_frame(&mut frame);
+        if done(got.map(|got| got.then_some(&frame))) {
+            return;
+        }
+        let now_ns = clock.now_ns();
+        assert!(now_ns - start_ns < PATIENCE_NS, "{:?}", camera.status());
+        clock.sleep_until_ns(now_ns + 2 * MS);
+    }
+}
+
+#[test]
+fn every_picture_of_a_simulated_camera_arrives_whole_with_its_own_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("camera");
+    let _simulated = Simulated::at(&path);
+    let mut camera = camera(&path);
+    let mut last = None;
+    let mut count = 0;
+    poll_until(&mut camera, |got| {
+        if let Ok(Some(frame)) = got {
+            assert_eq!(MovingStripes::time_ns(&frame.data), frame.time_ns, "picture and stamp belong together");
+            assert!(last < Some((frame.sequence, frame.time_ns)), "each is newer than the last");
+            last = Some((frame.sequence, frame.time_ns));
+            count += 1;
+        }
+        count == 30
+    });
+    assert_eq!(camera.export_buffers("camera").unwrap().len(), 4);
+}
+
+#[test]
+fn a_simulated_camera_that_is_killed_is_disconnected_and_the_next_one_is_taken_by_the_same_driver() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("camera");
+    let mut simulated = Simulated::at(&path);
+    let mut camera = camera(&path);
+    poll_until(&mut camera, |got| matches!(got, Ok(Some(_))));
+    simulated.kill();
+    poll_until(&mut camera, |got| got.is_err_and(|error| error.kind() == ErrorKind::Disconnected));
+    assert_eq!(camera.status().state, DeviceState::Disconnected);
+    let _next = Simulated::at(&path);
+    poll_until(&mut camera, |got| matches!(got, Ok(Some(_))));
+    assert_eq!((camera.status().state, camera.status().reopened), (DeviceState::Working, 1));
+}
+
+#[test]
+fn check_says_what_a_camera_agrees_to_and_what_is_in_the_way_of_one_that_is_not_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("camera");
+    let config = CameraDeviceConfig::new(&format!("unix:{}", path.display()), 640, 480, CameraFormat::Yuyv);
+    assert_eq!(check(&config).unwrap_err().kind(), ErrorKind::Disconnected);
+    let _simulated = Simulated::at(&path);
+    let mut clock = MonotonicClock;
+    let agreement = loop {
+        match check(&config) {
+            Ok(agreement) => break agreement,
+            Err(error) => assert_eq!(error.kind(), ErrorKind::Disconnected, "{error}"),
+        }
+        clock.sleep_until_ns(clock.now_ns() + 5 * MS);
+    };
+    assert_eq!((agreement.layout.width, agreement.layout.height, agreement.layout.stride), (640, 480, 1280));
+    assert!(agreement.controls.iter().any(|control| control.name == "Gain"));
+}

@@ -1,0 +1,247 @@
+//! A virtual machine: starts it, runs scenarios in it, and reads what they say.
+
+use std::fmt::Write as _;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+
+use super::scenario::{Kernel, Scenario};
+use super::setup;
+use super::table::Row;
+use crate::{command, paths};
+
+/// Two cameras with a webcam and an HDMI input and an HDMI output each; the second one is multi-planar.
+const VIVID: &str = "n_devs=2 node_types=0x101,0x101 num_inputs=2,2 input_types=0xc,0xc num_outputs=1,1 \
+                     output_types=1,1 multiplanar=1,2";
+/// A boot, loaded, and switching off.
+const BOOT_SECONDS: u64 = 60;
+
+/// Scenarios that one machine can run.
+#[derive(Debug)]
+pub struct Machine<'a> {
+    kernel: Kernel,
+    icount: Option<u8>,
+    disk_mb: Option<u64>,
+    modules: Vec<&'a str>,
+    scenarios: Vec<&'a Scenario>,
+}
+
+impl<'a> Machine<'a> {
+    /// As few machines as can be. A disk is not shared: who needs one may ruin it.
+    pub fn for_scenarios(scenarios: &'a [Scenario]) -> Vec<Self> {
+        let mut machines: Vec<Self> = Vec::new();
+        for scenario in scenarios {
+            let fits = |machine: &Self| {
+                (machine.kernel, machine.icount) == (scenario.kernel, scenario.icount)
+                    && machine.disk_mb.is_none()
+                    && scenario.disk_mb.is_none()
+            };
+            let index = machines.iter().position(fits).unwrap_or_else(|| {
+                let Scenario { kernel, icount, disk_mb, .. } = *scenario;
+                machines.push(Self { kernel, icount, disk_mb, modules: Vec::new(), scenarios: Vec::new() });
+                machines.len() - 1
+            });
+            let machine = &mut machines[index];
+            machine.scenarios.push(scenario);
+            for module in scenario.modules.iter().map(String::as_str) {
+                if !machine.modules.contains(&module) {
+                    machine.modules.push(module);
+                }
+            }
+        }
+        machines
+    }
+
+    fn name(&self) -> String {
+        let names: Vec<_> = self.scenarios.iter().map(|scenario| scenario.name.as_str()).collect();
+        format!(
+            "{}{}: {}",
+            self.kernel.name(),
+            self.icount.map_or(String::new(), |_| " (virtual time)".to_owned()),
+            names.join(", ")
+        )
+    }
+}
+
+/// Boots, runs all of a machine's scenarios, and tells what came of them.
+///
+/// # Errors
+/// When the machine cannot be started. A machine that dies is a failed check.
+pub fn run(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<Vec<Row>> {
+    println!("\nbooting {}", machine.name());
+    let folder = prepare(machine, programs)?;
+    let mut child = qemu(machine, &folder)?;
+    // An end of its standard input would close the guest's port.
+    let input = child.stdin.take();
+    let allowed = BOOT_SECONDS + machine.scenarios.iter().map(|scenario| scenario.seconds).sum::<u64>();
+    let mut report = Report::new(folder.join("output.log"))?;
+    let ended = read(&mut child, &mut report, Duration::from_secs(allowed));
+    drop(input);
+    _ = child.kill();
+    child.wait()?;
+    let why = match ended? {
+        true => "the guest ended before it",
+        false => "the guest ran out of time",
+    };
+    for scenario in &machine.scenarios {
+        if !report.ended.contains(&scenario.name) {
+            report.fail(&scenario.name, &format!("{why}: {}", last_line(&folder.join("console.log"))));
+        }
+    }
+    if report.rows.iter().all(|row| row.passed) {
+        std::fs::remove_dir_all(&folder)?;
+    }
+    Ok(report.rows)
+}
+
+/// The folder that the guest sees as /rig.
+fn prepare(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<PathBuf> {
+    let icount = machine.icount.map_or(String::new(), |shift| format!("-i{shift}"));
+    let first = machine.scenarios.first().map_or("", |scenario| &scenario.name);
+    let folder = paths::target().join("rig/run").join(format!("{}{icount}-{first}", machine.kernel.name()));
+    if folder.exists() {
+        std::fs::remove_dir_all(&folder)?;
+    }
+    std::fs::create_dir_all(&folder)?;
+    if let Some(megabytes) = machine.disk_mb {
+        std::fs::File::create(folder.join("disk"))?.set_len(megabytes << 20)?;
+    }
+    let modules = setup::folder(machine.kernel).join("lib/modules");
+    let environment =
+        format!("MODULES='{}' VIVID='{VIVID}' KERNEL_MODULES='{}'\n", machine.modules.join(" "), modules.display());
+    std::fs::write(folder.join("environment"), environment)?;
+    std::fs::copy(paths::root().join("tests/rig/guest.sh"), folder.join("guest.sh"))?;
+    let mut commands = "cd /tmp\n".to_owned();
+    for (variable, path) in programs {
+        writeln!(commands, "export {variable}='{path}'")?;
+    }
+    for scenario in &machine.scenarios {
+        let (name, seconds) = (&scenario.name, scenario.seconds);
+        std::fs::write(folder.join(name), format!(". /rig/guest.sh\n{}", scenario.body))?;
+        writeln!(commands, "printf 'BEGIN\\t{name}\\n'; timeout -k 5 {seconds} bash /rig/{name}")?;
+        writeln!(commands, "printf 'END\\t{name}\\t%s\\n' $?")?;
+    }
+    std::fs::write(folder.join("commands"), commands)?;
+    Ok(folder)
+}
+
+fn qemu(machine: &Machine<'_>, folder: &Path) -> Result<Child> {
+    let kernel = setup::folder(machine.kernel);
+    let folder = folder.display();
+    let mut line = format!(
+        "-M pc -cpu max -m 2048 -no-reboot -display none -nodefaults -nic none \
+         -kernel {kernel}/vmlinux -initrd {kernel}/initrd.img -serial file:{folder}/console.log \
+         -qmp unix:{folder}/qmp,server=on,wait=off -pidfile {folder}/pid \
+         -fsdev local,id=root,path=/,security_model=none,readonly=on,multidevs=remap \
+         -device virtio-9p-pci,fsdev=root,mount_tag=root \
+         -fsdev local,id=rig,path={folder},security_model=none -device virtio-9p-pci,fsdev=rig,mount_tag=rig \
+         -device virtio-serial-pci -chardev stdio,id=out,signal=off -device virtserialport,chardev=out,name=rig.out \
+         -object can-bus,id=bus0 -device kvaser_pci,canbus=bus0 -device kvaser_pci,canbus=bus0 \
+         -chardev socket,id=lidar,path={folder}/lidar,server=on,wait=off -chardev socket,id=lidarsim,path={folder}/lidar \
+         -device piix3-usb-uhci,id=usb -device usb-serial,id=lidar,bus=usb.0,chardev=lidar \
+         -device pci-serial,chardev=lidarsim",
+        kernel = kernel.display(),
+    );
+    match machine.icount {
+        // Virtual time has one processor: two hang in the boot.
+        Some(shift) => write!(line, " -smp 1 -accel tcg,thread=single -icount shift={shift},sleep=off")?,
+        None => line.push_str(" -smp 2 -accel tcg,thread=multi"),
+    }
+    if machine.disk_mb.is_some() {
+        write!(line, " -drive file={folder}/disk,if=virtio,format=raw,cache=writeback")?;
+    }
+    let mut qemu: Command = command::program("qemu-system-x86_64");
+    qemu.args(line.split_whitespace()).args([
+        "-append",
+        "console=ttyS0 quiet loglevel=4 edd=off panic=-1 mitigations=off nokaslr random.trust_cpu=on",
+    ]);
+    qemu.stdin(Stdio::piped()).stdout(Stdio::piped());
+    qemu.spawn().context("cannot start qemu-system-x86_64")
+}
+
+/// Reads until the machine is off. False when it took too long.
+fn read(child: &mut Child, report: &mut Report, allowed: Duration) -> Result<bool> {
+    let output = child.stdout.take().context("qemu without output")?;
+    let (lines, received) = sync_channel(100);
+    std::thread::spawn(move || {
+        for line in BufReader::new(output).lines().map_while(Result::ok) {
+            if lines.send(line).is_err() {
+                return;
+            }
+        }
+    });
+    let end = Instant::now() + allowed;
+    loop {
+        match received.recv_timeout(end.saturating_duration_since(Instant::now())) {
+            Ok(line) => report.line(line.trim_end())?,
+            Err(RecvTimeoutError::Disconnected) => return Ok(true),
+            Err(RecvTimeoutError::Timeout) => return Ok(false),
+        }
+    }
+}
+
+/// What the guest has said so far.
+struct Report {
+    log: std::fs::File,
+    rows: Vec<Row>,
+    ended: Vec<String>,
+    scenario: String,
+    checks: usize,
+    since: Instant,
+}
+
+impl Report {
+    fn new(log: PathBuf) -> Result<Self> {
+        let log = std::fs::File::create(log)?;
+        Ok(Self { log, rows: Vec::new(), ended: Vec::new(), scenario: String::new(), checks: 0, since: Instant::now() })
+    }
+
+    fn line(&mut self, line: &str) -> Result<()> {
+        std::io::Write::write_all(&mut self.log, format!("{line}\n").as_bytes())?;
+        let words: Vec<_> = line.split('\t').collect();
+        match words.as_slice() {
+            ["BEGIN", name] => {
+                (*name).clone_into(&mut self.scenario);
+                self.checks = 0;
+                println!("  {name}, after {:.1} s", self.since.elapsed().as_secs_f64());
+                self.since = Instant::now();
+            }
+            ["CHECK", outcome, promise, figure] => {
+                self.checks += 1;
+                self.row(promise, figure, *outcome == "pass");
+            }
+            ["END", name, status] => {
+                self.ended.push((*name).to_owned());
+                if *status != "0" {
+                    self.fail(name, &format!("ended with {status}; its output is in output.log"));
+                } else if self.checks == 0 {
+                    self.fail(name, "checked nothing");
+                }
+            }
+            _ => println!("    {line}"),
+        }
+        Ok(())
+    }
+
+    fn row(&mut self, promise: &str, figure: &str, passed: bool) {
+        let seconds = self.since.elapsed().as_secs_f64();
+        self.since = Instant::now();
+        println!("  {}  {promise}: {figure}", if passed { "pass" } else { "FAIL" });
+        let (scenario, promise, figure) = (self.scenario.clone(), promise.to_owned(), figure.to_owned());
+        self.rows.push(Row { scenario, promise, figure, passed, seconds });
+    }
+
+    fn fail(&mut self, scenario: &str, why: &str) {
+        scenario.clone_into(&mut self.scenario);
+        self.row("runs to its end", why, false);
+    }
+}
+
+fn last_line(console: &Path) -> String {
+    let text = std::fs::read(console).unwrap_or_default();
+    String::from_utf8_lossy(&text).lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("no console").to_owned()
+}

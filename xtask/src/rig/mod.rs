@@ -1,0 +1,63 @@
+//! `cargo xtask rig`: the drivers against the kernel's own, in a virtual machine. tests/rig/README.md says how.
+
+mod boot;
+mod scenario;
+mod setup;
+mod table;
+
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+
+use crate::{command, paths};
+use boot::Machine;
+use scenario::Scenario;
+use table::Row;
+
+pub fn run(all: bool, filter: Option<&str>) -> Result<()> {
+    let chosen: Vec<Scenario> = scenario::all()?
+        .into_iter()
+        .filter(|scenario| filter.map_or(all || !scenario.long, |part| scenario.name.contains(part)))
+        .collect();
+    if chosen.is_empty() {
+        bail!("no scenario's name contains `{}`; they lie in tests/rig/scenarios", filter.unwrap_or_default());
+    }
+    for place in ["/tmp", "/run", "/dev"] {
+        if paths::target().starts_with(place) {
+            bail!("the guest has its own {place} and would not see this checkout; move it elsewhere");
+        }
+    }
+    let start = Instant::now();
+    setup::install()?;
+    let programs = build(&chosen)?;
+    let built = start.elapsed().as_secs_f64();
+    let mut rows: Vec<Row> = Vec::new();
+    for machine in Machine::for_scenarios(&chosen) {
+        rows.extend(boot::run(&machine, &programs)?);
+    }
+    table::print(&rows);
+    let failed = rows.iter().filter(|row| !row.passed).count();
+    println!(
+        "\n{} checks, {failed} failed; {:.0} s, of it {built:.0} s of setup and building",
+        rows.len(),
+        start.elapsed().as_secs_f64()
+    );
+    if failed > 0 {
+        bail!("the rig's logs are in {}", paths::target().join("rig/run").display());
+    }
+    Ok(())
+}
+
+/// Builds what the scenarios run: the names and paths that they see.
+fn build(scenarios: &[Scenario]) -> Result<Vec<(&'static str, String)>> {
+    let mut programs = vec![("HIL", "hil")];
+    if scenarios.iter().any(|scenario| scenario.body.contains("$FIRMWARE")) {
+        programs.push(("FIRMWARE", "firmware-host"));
+    }
+    for (_, package) in &programs {
+        command::run(command::cargo().args(["build", "--locked", "--quiet", "--package", package]))?;
+    }
+    let folder = paths::target().join("debug");
+    let path = |name| folder.join(name).to_str().map(str::to_owned).context("the checkout's path is not UTF-8");
+    programs.into_iter().map(|(variable, name)| Ok((variable, path(name)?))).collect()
+}

@@ -1,0 +1,162 @@
+//! QEMU by apt, and Debian's kernels with a small first root file system each, in `target/rig`.
+
+use std::ffi::OsStr;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+
+use anyhow::{Context, Result, bail};
+
+use super::scenario::Kernel;
+use crate::{command, paths};
+
+/// What the host needs. The guest sees the same root, so the tools that run there are among them.
+const PACKAGES: [&str; 9] =
+    ["qemu-system-x86", "busybox-static", "kmod", "cpio", "iproute2", "can-utils", "v4l-utils", "xz-utils", "rt-tests"];
+
+/// Groups of kernel modules; what they depend on comes along.
+const MODULES: [(&str, &[&str]); 4] = [
+    ("base", &["virtio_pci", "9pnet_virtio", "9p", "overlay", "virtio_console", "virtio_blk", "ext4"]),
+    ("can", &["kvaser_pci", "can_raw", "vcan", "vxcan"]),
+    ("video", &["vivid"]),
+    ("serial", &["uhci_hcd", "ftdi_sio"]),
+];
+
+/// Where a kernel lies.
+pub fn folder(kernel: Kernel) -> PathBuf {
+    paths::target().join("rig").join(kernel.name())
+}
+
+/// Installs what is missing. Costs nothing when all is there.
+///
+/// # Errors
+/// When this is not a Debian 12 whose packages can be had.
+pub fn install() -> Result<()> {
+    let missing: Vec<_> = PACKAGES.into_iter().filter(|name| !installed(name)).collect();
+    let kernels: Vec<_> = Kernel::ALL.into_iter().filter(|kernel| !folder(*kernel).join("vmlinux").exists()).collect();
+    if !missing.is_empty() || !kernels.is_empty() {
+        command::run(command::program("apt-get").args(["-qq", "update"]))
+            .context("the rig needs root on Debian 12 once, for apt")?;
+    }
+    if !missing.is_empty() {
+        println!("installing {}", missing.join(", "));
+        let mut apt = command::program("apt-get");
+        apt.args(["-qq", "install", "-y", "--no-install-recommends"]).args(&missing);
+        command::run(apt.env("DEBIAN_FRONTEND", "noninteractive").stdout(Stdio::null()))?;
+    }
+    for kernel in kernels {
+        println!("fetching the kernel `{}`", kernel.name());
+        fetch(kernel)?;
+    }
+    // Made anew every time: it contains the project's own init.
+    Kernel::ALL.into_iter().try_for_each(first_root)
+}
+
+fn installed(package: &str) -> bool {
+    command::works(command::program("dpkg").args(["-s", package]))
+}
+
+/// The text that a program prints.
+fn output(program: &str, arguments: &[&OsStr]) -> Result<String> {
+    let mut command = command::program(program);
+    let output = command.args(arguments).output().with_context(|| format!("cannot start `{program}`"))?;
+    if !output.status.success() {
+        bail!("`{}` failed: {}", command::text(&command), String::from_utf8_lossy(&output.stderr).trim());
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+fn fetch(kernel: Kernel) -> Result<()> {
+    let folder = folder(kernel);
+    if folder.exists() {
+        std::fs::remove_dir_all(&folder)?;
+    }
+    std::fs::create_dir_all(&folder)?;
+    let depends = output("apt-cache", &["depends".as_ref(), kernel.package().as_ref()])?;
+    let package = depends
+        .lines()
+        .find_map(|line| line.trim().strip_prefix("Depends: ").filter(|name| name.starts_with("linux-image-")))
+        .with_context(|| format!("apt knows no kernel for {}", kernel.package()))?;
+    let mut apt = command::program("apt-get");
+    command::run(apt.args(["-qq", "download", package]).current_dir(&folder).stderr(Stdio::null()))?;
+    let archive = find(&folder, |name| name.ends_with(".deb"))?;
+    command::run(command::program("dpkg-deb").arg("--extract").arg(&archive).arg(&folder))?;
+    std::fs::remove_file(&archive)?;
+    let image = find(&folder.join("boot"), |name| name.starts_with("vmlinuz-"))?;
+    command::run(command::program("depmod").arg("-b").arg(&folder).arg(version(kernel)?))?;
+    // Unpacked here, as the guest takes 5 s for it. Written last: it says that all is there.
+    let unpacked = unpack(&std::fs::read(&image)?)?;
+    Ok(std::fs::write(folder.join("vmlinux"), unpacked)?)
+}
+
+/// The kernel's version, which is the name of its modules' folder.
+fn version(kernel: Kernel) -> Result<String> {
+    let path = find(&folder(kernel).join("lib/modules"), |_| true)?;
+    Ok(path.file_name().unwrap_or_default().to_string_lossy().into_owned())
+}
+
+fn find(folder: &Path, wanted: impl Fn(&str) -> bool) -> Result<PathBuf> {
+    let entries = std::fs::read_dir(folder).with_context(|| format!("reading {}", folder.display()))?;
+    entries
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .find(|path| path.file_name().and_then(OsStr::to_str).is_some_and(&wanted))
+        .with_context(|| format!("{} lacks what was expected there", folder.display()))
+}
+
+/// The uncompressed kernel inside a bzImage: an xz stream with other things behind it.
+fn unpack(image: &[u8]) -> Result<Vec<u8>> {
+    const XZ: &[u8] = b"\xfd7zXZ\0";
+    let start = image.windows(XZ.len()).position(|bytes| bytes == XZ).context("the kernel is not packed with xz")?;
+    let mut xz = command::program("xz");
+    xz.args(["-dcq", "--single-stream"]).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
+    let mut xz = xz.spawn().context("cannot start `xz`")?;
+    let mut input = xz.stdin.take().context("xz without input")?;
+    let packed = image[start..].to_vec();
+    // It stops reading at the end of the stream, and then writing to it fails.
+    let writer = std::thread::spawn(move || _ = input.write_all(&packed));
+    let output = xz.wait_with_output()?.stdout;
+    _ = writer.join();
+    if !output.starts_with(b"\x7fELF") {
+        bail!("what was packed in the kernel is no kernel");
+    }
+    Ok(output)
+}
+
+/// busybox, the modules in the order in which they are loaded, and tests/rig/init.sh.
+fn first_root(kernel: Kernel) -> Result<()> {
+    let folder = folder(kernel);
+    let root = folder.join("initrd");
+    if root.exists() {
+        std::fs::remove_dir_all(&root)?;
+    }
+    for name in ["bin", "modules", "proc", "sys", "dev", "root", "host", "above"] {
+        std::fs::create_dir_all(root.join(name))?;
+    }
+    let busybox = ["/bin/busybox", "/usr/bin/busybox"].into_iter().find(|path| Path::new(path).exists());
+    std::fs::copy(busybox.context("busybox-static is not installed")?, root.join("bin/busybox"))?;
+    for name in output("busybox", &["--list".as_ref()])?.lines().filter(|name| *name != "busybox") {
+        std::os::unix::fs::symlink("busybox", root.join("bin").join(name))?;
+    }
+    let version = version(kernel)?;
+    for (group, modules) in MODULES {
+        let mut order: Vec<String> = Vec::new();
+        for module in modules {
+            let arguments =
+                ["-d".as_ref(), folder.as_os_str(), "-S".as_ref(), version.as_ref(), "--show-depends".as_ref()];
+            let listed = output("modprobe", &[&arguments[..], &[module.as_ref()]].concat())?;
+            for path in listed.lines().filter_map(|line| line.strip_prefix("insmod ")) {
+                let path = Path::new(path.trim());
+                let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                if !order.contains(&name) {
+                    std::fs::copy(path, root.join("modules").join(&name))?;
+                    order.push(name);
+                }
+            }
+        }
+        std::fs::write(root.join("modules").join(group), order.join("\n") + "\n")?;
+    }
+    std::fs::copy(paths::root().join("tests/rig/init.sh"), root.join("init"))?;
+    command::run(command::program("chmod").arg("+x").arg(root.join("init")))?;
+    let mut cpio = command::program("sh");
+    command::run(cpio.current_dir(&root).args(["-c", "find . | cpio -o -H newc --quiet >../initrd.img"]))
+}
