@@ -29,43 +29,32 @@ pub enum Port {
 
 /// A Hokuyo scanner as configured.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct HokuyoConfig {
     /// What it is connected by.
     pub port: Port,
     /// Which model it is. Another one is refused, because its beams would be misunderstood.
-    #[serde(default)]
     pub model: Model,
     /// Bits a second on RS-232; USB and Ethernet do not care.
-    #[serde(default = "default_baud")]
     pub baud: u32,
     /// Whether it hangs upside down, so that its beams run the other way.
-    #[serde(default)]
     pub upside_down: bool,
     /// Good scans in a row before it counts as alive, after each time that it was not.
-    #[serde(default = "default_good_scans")]
     pub good_scans: u32,
 }
 
-fn default_baud() -> u32 {
-    115_200
-}
-
-fn default_good_scans() -> u32 {
-    3
+impl Default for HokuyoConfig {
+    /// The first USB scanner of a computer that has one.
+    fn default() -> Self {
+        Self::new(Port::Serial("/dev/ttyACM0".into()))
+    }
 }
 
 impl HokuyoConfig {
     /// A UTM-30LX, upright.
     #[must_use]
     pub fn new(port: Port) -> Self {
-        Self {
-            port,
-            model: Model::default(),
-            baud: default_baud(),
-            upside_down: false,
-            good_scans: default_good_scans(),
-        }
+        Self { port, model: Model::default(), baud: 115_200, upside_down: false, good_scans: 3 }
     }
 
     /// Refuses what cannot work.

@@ -12,7 +12,7 @@ use super::node::FourCc;
 
 /// One camera. What is absent is left as the camera has it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct CameraDeviceConfig {
     /// `/dev/v4l/by-id/...`, which stays the same over a replug, or `unix:/path` of a simulated camera.
     pub device: String,
@@ -23,25 +23,20 @@ pub struct CameraDeviceConfig {
     /// How the pictures come.
     pub format: CameraFormat,
     /// Pictures a second.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub fps: Option<f64>,
     /// Exposure time, microseconds, or `"auto"`. Cameras count it in steps of 100.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub exposure_us: Option<Setting>,
     /// Gain in the camera's own units, or `"auto"`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub gain: Option<Setting>,
     /// Colour temperature of the light, kelvin, or `"auto"`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub white_balance_k: Option<Setting>,
     /// A picture older than this when it is looked at is dropped, milliseconds. By default 200: a robot at 0.5 m/s has gone
     /// 10 cm since.
-    #[serde(default = "max_age_ms")]
     pub max_age_ms: u32,
-}
-
-fn max_age_ms() -> u32 {
-    200
 }
 
 /// How pictures come from the camera.
@@ -137,6 +132,13 @@ impl<'de> Deserialize<'de> for Setting {
     }
 }
 
+impl Default for CameraDeviceConfig {
+    /// The first camera of a computer that has one, at the size that every webcam has.
+    fn default() -> Self {
+        Self { fps: Some(30.0), ..Self::new("/dev/video0", 640, 480, CameraFormat::Yuyv) }
+    }
+}
+
 impl CameraDeviceConfig {
     /// A camera whose settings are left as they are.
     #[must_use]
@@ -150,7 +152,7 @@ impl CameraDeviceConfig {
             exposure_us: None,
             gain: None,
             white_balance_k: None,
-            max_age_ms: max_age_ms(),
+            max_age_ms: 200,
         }
     }
 

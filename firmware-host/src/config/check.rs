@@ -1,5 +1,6 @@
 //! Compares a user's file, key by key, with the keys that exist and the ranges that are allowed.
 
+use drivers::v4l2::Setting;
 use toml::de::{DeTable, DeValue};
 
 use super::{Config, Problem, limits};
@@ -9,11 +10,20 @@ const ALIKE: f64 = 0.6;
 
 /// Unknown keys and values out of range, in the order of the file.
 pub(super) fn file(document: &DeTable<'_>, text: &str) -> Vec<Problem> {
-    let known = toml::Table::try_from(Config::default()).unwrap_or_default();
+    let known = toml::Table::try_from(with_every_key()).unwrap_or_default();
     let mut found = Vec::new();
     table(document, &known, "", &known, &mut found);
     found.sort_by_key(|(offset, _)| *offset);
     found.into_iter().map(|(offset, problem)| with_line(problem, line_of(text, offset))).collect()
+}
+
+/// The default configuration and, of what is left alone by default, something.
+fn with_every_key() -> Config {
+    let mut config = Config::default();
+    let camera = &mut config.devices.camera;
+    (camera.exposure_us, camera.gain, camera.white_balance_k) =
+        (Some(Setting::Auto), Some(Setting::Auto), Some(Setting::Auto));
+    config
 }
 
 fn table(
@@ -42,6 +52,8 @@ fn impossible(key: &str, value: &DeValue<'_>, known: &toml::Value) -> Option<Pro
     // A whole number is also a number; of a list, every element must be possible.
     let fits = match (value, known) {
         (DeValue::Integer(_), toml::Value::Float(_)) => true,
+        // A camera's setting is "auto" or a number.
+        (DeValue::Integer(_), toml::Value::String(known)) if known == "auto" => true,
         (DeValue::Array(elements), toml::Value::Array(known)) => {
             let element = known.first();
             elements.iter().all(|given| match element {
@@ -165,6 +177,19 @@ pub(super) fn together(config: &Config) -> Vec<Problem> {
         ("simulator.nuisances", config.simulator.nuisances.check().map_err(|error| error.to_string())),
         ("safety", back_off_in_time(config)),
         ("base", corners_within_radius(config)),
+    ];
+    let refused = parts.into_iter().filter_map(|(section, result)| Some((section, result.err()?)));
+    refused.map(|(section, why)| Problem::Together { message: format!("[{section}]: {why}") }).collect()
+}
+
+/// What the drivers refuse: a simulated robot has none, so only `run` and `check` ask.
+pub(super) fn devices(config: &Config) -> Vec<Problem> {
+    let devices = &config.devices;
+    let parts = [
+        ("devices.camera", devices.camera.check().map_err(|error| error.to_string())),
+        ("devices.lens", devices.camera_model().map(|_| ())),
+        ("devices.lidar", devices.lidar.validate().map_err(|error| error.to_string())),
+        ("devices.base", devices.base.validate().map_err(|error| error.to_string())),
     ];
     let refused = parts.into_iter().filter_map(|(section, result)| Some((section, result.err()?)));
     refused.map(|(section, why)| Problem::Together { message: format!("[{section}]: {why}") }).collect()

@@ -137,4 +137,12 @@ pub(super) const LIMITS: &[Limit] = &[
     limit("simulator.nuisances.sensor_noise", 0.0, 64.0, "of 255"),
     limit("simulator.nuisances.shutter_s", 0.0, 1.0, "seconds"),
     limit("simulator.nuisances.people", 0.0, 32.0, "people"),
+    limit("run.safety_hz", 10.0, 1000.0, "turns a second"),
+    limit("run.realtime_priority", 0.0, 99.0, "(0: none)"),
+    limit("run.reaction_s", 0.0, 1.0, "seconds"),
+    limit("run.brake_mps2", 0.1, 20.0, "m/s2"),
+    limit("run.good_scans", 1.0, 100.0, "scans"),
+    limit("run.feedback_timeout_s", 0.01, 1.0, "seconds"),
+    limit("run.plan_timeout_s", 0.05, 2.0, "seconds"),
+    limit("run.picture_timeout_s", 0.1, 10.0, "seconds"),
 ];

@@ -5,6 +5,7 @@
 //! range, so that a typing error never becomes a silent default.
 
 mod check;
+mod devices;
 mod error;
 mod limits;
 mod sections;
@@ -14,6 +15,7 @@ use std::path::Path;
 use runtime::{exploration::ExplorationConfig, mapping::MapConfig, perception::CoarseConfig};
 use serde::{Deserialize, Serialize};
 
+pub use devices::{DevicesSection, LensSection, RunSection};
 pub use error::{ConfigError, Problem};
 pub use sections::{
     BaseSection, CameraSection, LidarSection, NetworkSection, PlanningSection, RecordingSection, SafetySection,
@@ -50,6 +52,10 @@ pub struct Config {
     pub recording: RecordingSection,
     /// The simulated robot and home.
     pub simulator: SimulatorSection,
+    /// The loops of a real robot.
+    pub run: RunSection,
+    /// What is connected to a real robot.
+    pub devices: DevicesSection,
 }
 
 impl Config {
@@ -78,6 +84,15 @@ impl Config {
         let config: Self = toml::from_str(text).map_err(not_toml)?;
         let problems = check::together(&config);
         if problems.is_empty() { Ok(config) } else { Err(ConfigError::Refused { path: path.to_path_buf(), problems }) }
+    }
+
+    /// Asks the drivers whether `[devices]` can be. A simulated robot has none.
+    ///
+    /// # Errors
+    /// What they refuse; `path` names the file.
+    pub fn check_devices(&self, path: &Path) -> Result<(), ConfigError> {
+        let problems = check::devices(self);
+        if problems.is_empty() { Ok(()) } else { Err(ConfigError::Refused { path: path.to_path_buf(), problems }) }
     }
 
     /// Every key with its effective value, as TOML.

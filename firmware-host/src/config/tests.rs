@@ -68,6 +68,8 @@ fn every_number_has_a_limit_and_every_limit_a_number_within_it() {
     }
     let mut found = Vec::new();
     numbers(&toml::Table::try_from(Config::default()).unwrap(), "", &mut found);
+    // What drivers are given they check themselves.
+    found.retain(|(key, _)| !key.starts_with("devices."));
     for (key, value) in &found {
         assert!(limits::of(key).unwrap_or_else(|| panic!("{key} has no limit")).allows(*value), "{key} = {value}");
     }
