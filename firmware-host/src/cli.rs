@@ -26,6 +26,10 @@ pub enum Command {
     Replay(ReplayArgs),
     /// Test views of a scene: pictures with true depth from all over its free floor, each with what was seen before it.
     Views(ViewsArgs),
+    /// Drive a real robot: camera, LiDAR and base as the configuration says.
+    Run(RunArgs),
+    /// One screen: how the running robot is. Exits with 1 when something is wrong.
+    Health(HealthArgs),
     /// Check a configuration file and print what is in effect.
     Check(CheckArgs),
 }
@@ -125,6 +129,49 @@ impl RerunArgs {
         let viewer = self.rerun_connect.clone();
         (file.is_some() || viewer.is_some()).then_some(crate::rerun_stream::RerunTargets { file, viewer })
     }
+}
+
+/// Arguments of `run`.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// Configuration file; see `check`.
+    #[arg(long, value_name = "FILE")]
+    pub config: PathBuf,
+    /// Folder for the recording and the summary. Made if missing; must be empty of other runs.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// How goals are chosen.
+    #[arg(long, value_enum, default_value_t = PolicyArg::Active)]
+    pub policy: PolicyArg,
+    /// A depth network (ONNX). Without one, coarse depth is the depth.
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Ends after this many pictures [default: goes on until it is told to stop].
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
+    pub frames: Option<u64>,
+    /// Seed of everything random that the robot decides.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// File that `health` reads [default: `run.status_file`].
+    #[arg(long, value_name = "FILE")]
+    pub status: Option<PathBuf>,
+    /// Do not record. The run cannot be replayed.
+    #[arg(long)]
+    pub no_recording: bool,
+}
+
+/// Arguments of `health`.
+#[derive(Debug, Args)]
+pub struct HealthArgs {
+    /// The running robot's status file.
+    #[arg(long, value_name = "FILE", default_value = "/run/embodied-depth/status.json")]
+    pub status: PathBuf,
+    /// The status as it is in the file.
+    #[arg(long)]
+    pub json: bool,
+    /// Look again every half second until interrupted.
+    #[arg(long, conflicts_with = "json")]
+    pub watch: bool,
 }
 
 /// Arguments of `perceive`.

@@ -8,6 +8,7 @@ pub mod dataset;
 mod dump;
 pub mod evaluation;
 pub mod explore;
+pub mod health;
 pub mod onnx_runtime;
 pub mod perceive;
 pub mod record;
@@ -16,6 +17,7 @@ pub mod replay_run;
 pub mod report;
 #[cfg(feature = "rerun")]
 pub mod rerun_stream;
+pub mod run;
 pub mod setup;
 pub mod stopwatch;
 pub mod views;

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use firmware_host::cli::{Cli, Command};
 use firmware_host::config::ConfigError;
-use firmware_host::{check, explore, perceive, replay_run, views};
+use firmware_host::{check, explore, health, perceive, replay_run, run, views};
 
 /// The run could not be done.
 const FAILED: u8 = 1;
@@ -23,6 +23,8 @@ fn main() -> ExitCode {
         Command::Perceive(args) => perceive::run(&args).map(|()| ExitCode::SUCCESS),
         Command::Replay(args) => replay_run::run(&args),
         Command::Views(args) => views::run(&args).map(|()| ExitCode::SUCCESS),
+        Command::Run(args) => run::run(&args).map(|()| ExitCode::SUCCESS),
+        Command::Health(args) => health::run(&args),
         Command::Check(args) => check::run(&args).map(|()| ExitCode::SUCCESS),
     };
     result.unwrap_or_else(|error| {

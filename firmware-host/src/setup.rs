@@ -47,6 +47,7 @@ impl Config {
             follower: self.follower_config(),
             exploration: self.exploration,
             safety: self.safety_config(),
+            stand_without_pictures: Some((self.run.picture_timeout_s / self.base.tick_s()).ceil() as u64),
         }
     }
 }

@@ -76,6 +76,8 @@ pub struct RobotConfig {
     pub exploration: ExplorationConfig,
     /// The safety plane.
     pub safety: SafetyConfig,
+    /// Turns in a row without a picture after which the robot stands until there is one; `None`: it goes on by its map.
+    pub stand_without_pictures: Option<u64>,
 }
 
 /// The configuration cannot be: which part, and why.
@@ -135,6 +137,8 @@ pub struct Robot {
     bumped: bool,
     collision_at: Option<[f64; 2]>,
     last_time_ns: Option<u64>,
+    /// Turns since the last picture.
+    blind_turns: u64,
     /// A network that came since the last turn.
     new_network: Option<String>,
 }
@@ -169,6 +173,7 @@ impl Robot {
             bumped: false,
             collision_at: None,
             last_time_ns: None,
+            blind_turns: 0,
             new_network: None,
             config,
         })
@@ -261,8 +266,13 @@ impl Robot {
         }
         let Some(frame) = input.frame else {
             events.push(Event::NoDepth { why: NoDepth::NoFrame });
+            self.blind_turns += 1;
+            if self.config.stand_without_pictures == Some(self.blind_turns) {
+                events.push(Event::StandsWithoutPictures);
+            }
             return;
         };
+        self.blind_turns = 0;
         let coarse = self.coarse.estimate(frame, t_odom_camera);
         timer.ended(Stage::Coarse);
         self.has_depth.coarse = coarse.is_ok();
@@ -341,7 +351,8 @@ impl Robot {
 
     fn wish(&mut self, input: &TickInput<'_>, pose: Pose2, events: &mut Vec<Event>) -> Twist2 {
         let in_charge = input.safety.map_or_else(|| self.drives_itself(), |report| report.in_charge);
-        if in_charge {
+        let blind = self.config.stand_without_pictures.is_some_and(|turns| self.blind_turns >= turns);
+        if in_charge || blind {
             return Twist2::ZERO;
         }
         let looks = self.looks.back().zip(self.looks.front()).filter(|_| self.looks.len() > 1);

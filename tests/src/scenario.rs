@@ -88,6 +88,7 @@ impl Scenario {
             follower: FollowerConfig::default(),
             exploration: ExplorationConfig::default(),
             safety: SafetyConfig::default(),
+            stand_without_pictures: None,
         };
         Ok(Self {
             scan: LaserScan::empty(devices.lidar.geometry()),

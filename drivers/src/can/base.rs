@@ -673,6 +673,15 @@ impl<B, C> ErrorType for DifferentialBase<B, C> {
 }
 
 impl<B: CanBus, C: Clock> Base for DifferentialBase<B, C> {
+    fn arm(&mut self) -> Result<bool, CanError> {
+        Self::arm(self)?;
+        Ok(self.is_armed())
+    }
+
+    fn disarm(&mut self) {
+        Self::disarm(self);
+    }
+
     fn drive(&mut self, command: &DriveCommand) -> Result<(), CanError> {
         let now_ns = self.clock.now_ns();
         self.serve(now_ns);

@@ -8,8 +8,8 @@ use std::time::Instant;
 use anyhow::Result;
 use hal::{Base, Camera, Clock, DepthMap, DriveCommand, Frame, LaserScan, Lidar, WheelFeedback};
 use runtime::event::ExploreEnd;
-use runtime::mapping::{CellBox, CellState, OccupancyGrid};
-use runtime::recording::{MapView, RecordedTick, RunDigest, Views, quantise_mm};
+use runtime::mapping::{CellState, OccupancyGrid};
+use runtime::recording::{RecordedTick, RunDigest, Views, quantise_mm};
 use runtime::robot::{DepthSource, Robot};
 use runtime::tick::{Decision, TickInput};
 use simulator::floor::FloorPlan;
@@ -25,6 +25,7 @@ use crate::report::depth_sample::{SheetRow, SheetSampler};
 use crate::report::depth_sheet::DepthSheet;
 use crate::report::latency::Stage;
 use crate::report::map_picture::{self, Cells, MapPicture};
+use crate::report::map_view::map_view;
 use crate::report::progress::{Progress, Status};
 use crate::report::summary::{Summary, peak_resident_mib};
 use crate::report::table;
@@ -369,23 +370,6 @@ fn reachable_cells(plan: &FloorPlan) -> Vec<bool> {
         cells[index] = true;
     }
     cells
-}
-
-/// The known part of the map as viewers show it.
-fn map_view(map: &OccupancyGrid) -> Option<MapView> {
-    let known: CellBox = map.known_box()?;
-    let (columns, rows) = (known.width(), known.height());
-    let corner = map.center_m(known.min);
-    let occupancy = (0..rows as i32)
-        .flat_map(|dy| (0..columns as i32).map(move |dx| (dx, dy)))
-        .map(|(dx, dy)| match map.state(known.min.offset(dx, dy)) {
-            CellState::Unknown => -1,
-            CellState::Free => 0,
-            CellState::Occupied => 100,
-        })
-        .collect();
-    let cell_m = map.cell_m();
-    Some(MapView { origin_m: corner.map(|c| c - cell_m / 2.0), cell_m, columns, occupancy })
 }
 
 /// Ctrl-C ends the run after the current turn, with a report.

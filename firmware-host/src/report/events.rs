@@ -44,6 +44,9 @@ pub struct EventCounts {
     /// Inputs that were refused, by reason.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub refused_inputs: Reasons,
+    /// Times when a device or the loop made the robot stand, by reason.
+    #[serde(skip_serializing_if = "Reasons::is_empty")]
+    pub faults: Reasons,
 }
 
 impl EventCounts {
@@ -60,6 +63,7 @@ impl EventCounts {
                 self.bumper_trips += 1;
                 count(&mut self.bumper_trips_by, by);
             }
+            Event::Safety { what: SafetyEvent::Faulted { why } } => count(&mut self.faults, why),
             Event::Safety { what: SafetyEvent::Escaping } => self.bumper_escapes += 1,
             _ => {}
         }

@@ -9,6 +9,7 @@ pub mod depth_sheet;
 pub mod events;
 pub mod latency;
 pub mod map_picture;
+pub mod map_view;
 pub mod progress;
 pub mod stuck;
 pub mod summary;

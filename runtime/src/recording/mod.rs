@@ -29,7 +29,7 @@ pub use error::RecordingError;
 pub use header::{FORMAT_VERSION, HandOverSchedule, RunHeader, SegmentHeader};
 pub use picture::quantise_mm;
 pub use reader::RecordingReader;
-pub use sentences::{Severity, sentence};
+pub use sentences::{Severity, fault_reason, sentence};
 pub use tick::{Picture, RecordedTick};
 pub use views::{MapView, Views};
 pub use writer::{CHUNK_BYTES, CHUNK_NS, END_WITHOUT_SUMMARY, RecordingWriter};

@@ -1,0 +1,203 @@
+//! `firmware-host run`: the real robot.
+//!
+//! Three threads that matter: the safety plane ([`safety_thread`]) owns scanner and wheels and turns a hundred times a second;
+//! the exploration plane ([`exploration`]) turns ten times a second in the main thread; the recorder writes when it can. Drivers
+//! have threads of their own. Nothing waits for a device.
+
+mod devices;
+mod exploration;
+mod odometry;
+pub mod safety_thread;
+pub mod status;
+mod supervision;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Context, Result};
+use drivers::MonotonicClock;
+use hal::Clock;
+use runtime::event::ExploreEnd;
+use runtime::recording::RunHeader;
+use runtime::robot::{DepthSource, Robot};
+use runtime::safety::{Request, SafetyLoop};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
+
+use crate::cli::RunArgs;
+use crate::config::Config;
+use crate::record::{Recorder, RecorderOptions};
+use crate::report::atomic::prepare_dir;
+use crate::report::summary::{Summary, peak_resident_mib};
+use crate::setup::{self, Mission};
+use devices::Devices;
+use exploration::{Exploration, Finished};
+use safety_thread::{Pace, SafetyThread};
+use supervision::Supervision;
+
+/// Drives until it is told to stop, then brakes, lets the motors go and reports.
+///
+/// # Errors
+/// A configuration, model or folder that cannot be used. Devices that are not there are waited for.
+pub fn run(args: &RunArgs) -> Result<()> {
+    let config = Config::load(&args.config)?;
+    config.check_devices(&args.config)?;
+    let depth_source = if args.model.is_some() { DepthSource::Network } else { DepthSource::Coarse };
+    let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };
+    let camera = config.camera.model();
+    let network = args.model.as_deref().map(|path| setup::load_network(path, &camera, &config)).transpose()?;
+    let model = network.as_ref().map(|network| network.digest().to_owned());
+    let robot = Robot::new(config.robot(&mission), network)?;
+    prepare_dir(&args.out)?;
+    let recorder = if args.no_recording { None } else { Some(recorder(args, &config, &mission, model.as_deref())?) };
+    let signals = Signals::register()?;
+    let Devices { camera, lidar, lidar_monitor, base } = Devices::open(&config)?;
+    let control = SafetyLoop::new(config.live_safety_config(), base, lidar);
+    let pace = Pace { period_ns: (1e9 / config.run.safety_hz) as u64, priority: config.run.realtime_priority };
+    let mut safety = SafetyThread::start(control, pace).context("cannot start the safety thread")?;
+    let mut exploration = Exploration::new(&config, camera, robot, recorder)?;
+    let mut supervision = Supervision::new(args, &config, lidar_monitor);
+    if config.run.arm_at_start {
+        safety.request(Request::Arm);
+    }
+    supervision.announce(&safety);
+    let end = explore(args, &config, &signals, &mut safety, &mut exploration, &mut supervision)?;
+    safety.shut_down();
+    supervision.good_bye();
+    report(args, &mission, model, end, exploration.finish())
+}
+
+/// The exploration plane's loop.
+fn explore(
+    args: &RunArgs,
+    config: &Config,
+    signals: &Signals,
+    safety: &mut SafetyThread,
+    exploration: &mut Exploration,
+    supervision: &mut Supervision,
+) -> Result<ExploreEnd> {
+    let mut clock = MonotonicClock;
+    let period_ns = config.base.tick_ns();
+    let mut due_ns = clock.now_ns();
+    let mut skipped = 0;
+    loop {
+        due_ns += period_ns;
+        clock.sleep_until_ns(due_ns);
+        if signals.stop.load(Ordering::Relaxed) {
+            return Ok(ExploreEnd::Interrupted);
+        }
+        if args.frames.is_some_and(|frames| exploration.pictures() >= frames) {
+            return Ok(ExploreEnd::FrameBudget);
+        }
+        if !safety.is_alive() {
+            return Ok(ExploreEnd::DeviceFailed);
+        }
+        if signals.arm.swap(false, Ordering::Relaxed) {
+            // What an operator means by it: I have looked, go on.
+            safety.request(Request::ClearFault);
+            clock.sleep_until_ns(clock.now_ns() + 3 * (1e9 / config.run.safety_hz) as u64);
+            safety.request(Request::Arm);
+        }
+        exploration.turn(safety)?;
+        supervision.look(safety, exploration, skipped);
+        let now_ns = clock.now_ns();
+        if now_ns > due_ns + period_ns {
+            let missed = (now_ns - due_ns) / period_ns;
+            skipped += missed;
+            due_ns += missed * period_ns;
+        }
+    }
+}
+
+/// What operators send.
+struct Signals {
+    stop: Arc<AtomicBool>,
+    arm: Arc<AtomicBool>,
+}
+
+impl Signals {
+    fn register() -> Result<Self> {
+        let signals = Self { stop: Arc::default(), arm: Arc::default() };
+        for signal in [SIGINT, SIGTERM] {
+            signal_hook::flag::register(signal, Arc::clone(&signals.stop)).context("cannot listen for signals")?;
+        }
+        signal_hook::flag::register(SIGUSR1, Arc::clone(&signals.arm)).context("cannot listen for signals")?;
+        Ok(signals)
+    }
+}
+
+fn recorder(args: &RunArgs, config: &Config, mission: &Mission, model: Option<&str>) -> Result<Recorder> {
+    let header = RunHeader {
+        written_by: concat!("firmware-host ", env!("CARGO_PKG_VERSION")).to_owned(),
+        seed: args.seed,
+        scene: None,
+        policy: mission.policy.name().to_owned(),
+        depth_source: mission.depth_source.name().to_owned(),
+        model_digest: model.map(ToOwned::to_owned),
+        hand_over: None,
+        camera: config.camera.model(),
+        t_base_camera: config.camera.mount(),
+        t_base_laser: setup::laser_mount(config),
+        config: serde_json::to_value(config)?,
+    };
+    let options = RecorderOptions {
+        segment_ns: (config.recording.segment_s * 1e9) as u64,
+        segment_bytes: config.recording.segment_mib << 20,
+        ..RecorderOptions::robot(&args.out)
+    };
+    Ok(Recorder::start(options, header)?)
+}
+
+fn report(args: &RunArgs, mission: &Mission, model: Option<String>, end: ExploreEnd, finished: Finished) -> Result<()> {
+    let mut summary = Summary {
+        frames: finished.pictures,
+        seed: Some(args.seed),
+        policy: Some(mission.policy.name().to_owned()),
+        depth_source: Some(mission.depth_source),
+        model,
+        end_reason: Some(end),
+        path_m: Some(finished.path_m),
+        events: finished.counts,
+        latency_ms: finished.latencies.latencies().percentiles(),
+        resident_mib: peak_resident_mib(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        ..Summary::default()
+    };
+    match finished.recorder.map(Recorder::finish) {
+        Some(Ok(recording)) => {
+            summary.recording_mib = Some(recording.bytes as f64 / f64::from(1 << 20));
+            summary.recording_digest = Some(recording.inputs_digest);
+            summary.digest = Some(recording.decisions_digest);
+        }
+        // The robot drove on; its summary says what it can.
+        Some(Err(error)) => eprintln!("warning: {error}"),
+        None => {}
+    }
+    draw_map(&args.out, &finished.robot)?;
+    summary.write(&args.out)?;
+    println!("{}", crate::report::table::render(&summary));
+    println!("Look at {0}/map.png; numbers are in {0}/summary.json.", args.out.display());
+    Ok(())
+}
+
+/// The map in `odom`: nobody knows where that lies in the world.
+fn draw_map(out: &Path, robot: &Robot) -> Result<()> {
+    use crate::report::map_picture::{CellState, Cells, MapPicture};
+    let Some(view) = crate::report::map_view::map_view(robot.map()) else { return Ok(()) };
+    let state = |occupancy: &i8| match occupancy {
+        -1 => CellState::Unknown,
+        0 => CellState::Free,
+        _ => CellState::Occupied,
+    };
+    let cells: Vec<CellState> = view.occupancy.iter().map(state).collect();
+    let map = Cells { width: view.columns, cells: &cells, resolution_m: view.cell_m, origin_m: view.origin_m };
+    let picture = MapPicture {
+        title: "the map as the robot has it",
+        map,
+        trajectory: &[],
+        goals: &[],
+        trips: &[],
+        reachable: None,
+    };
+    Ok(picture.write(out)?)
+}

@@ -1,0 +1,90 @@
+//! The wheels' recent past: a picture is taken some milliseconds before it is looked at, and belongs to where the robot was then.
+
+use std::collections::VecDeque;
+
+use hal::{Pose2, WheelFeedback, wrap_angle};
+
+/// A second at 100 Hz.
+const REMEMBERED: usize = 100;
+
+/// The latest measurements of the wheels.
+#[derive(Debug, Clone, Default)]
+pub struct WheelHistory {
+    past: VecDeque<WheelFeedback>,
+}
+
+impl WheelHistory {
+    /// Adds a measurement. One that is older than the last begins the past anew: odometry was restarted.
+    pub fn push(&mut self, wheel: WheelFeedback) {
+        if self.past.back().is_some_and(|last| wheel.time_ns <= last.time_ns) {
+            self.past.clear();
+        }
+        if self.past.len() == REMEMBERED {
+            self.past.pop_front();
+        }
+        self.past.push_back(wheel);
+    }
+
+    /// The newest measurement.
+    #[must_use]
+    pub fn newest(&self) -> Option<&WheelFeedback> {
+        self.past.back()
+    }
+
+    /// The wheels at a time, between two measurements in proportion; the nearest measurement outside of what is remembered.
+    /// Contact is the newest, for it is news.
+    #[must_use]
+    pub fn at(&self, time_ns: u64) -> Option<WheelFeedback> {
+        let newest = *self.past.back()?;
+        let after = self.past.partition_point(|wheel| wheel.time_ns <= time_ns);
+        let Some(before) = after.checked_sub(1).and_then(|index| self.past.get(index)) else {
+            return self.past.front().map(|oldest| WheelFeedback { contact: newest.contact, ..*oldest });
+        };
+        let Some(after) = self.past.get(after) else { return Some(newest) };
+        let share = (time_ns - before.time_ns) as f64 / (after.time_ns - before.time_ns) as f64;
+        let mix = |a: f64, b: f64| a + share * (b - a);
+        let yaw_rad = before.odom.yaw_rad + share * wrap_angle(after.odom.yaw_rad - before.odom.yaw_rad);
+        Some(WheelFeedback {
+            time_ns,
+            odom: Pose2::new(mix(before.odom.x_m, after.odom.x_m), mix(before.odom.y_m, after.odom.y_m), yaw_rad),
+            contact: newest.contact,
+            ..*before
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(time_ns: u64, x_m: f64, yaw_rad: f64) -> WheelFeedback {
+        WheelFeedback { time_ns, odom: Pose2::new(x_m, 0.0, yaw_rad), ..WheelFeedback::default() }
+    }
+
+    #[test]
+    fn between_two_measurements_the_pose_is_between_them_also_across_half_a_turn() {
+        let mut past = WheelHistory::default();
+        past.push(at(10, 1.0, 3.1));
+        past.push(at(20, 2.0, -3.1));
+        let middle = past.at(15).unwrap();
+        assert!((middle.odom.x_m - 1.5).abs() < 1e-12);
+        assert!((wrap_angle(middle.odom.yaw_rad - std::f64::consts::PI)).abs() < 1e-9, "{:?}", middle.odom);
+    }
+
+    #[test]
+    fn outside_of_the_past_the_nearest_measurement_counts() {
+        let mut past = WheelHistory::default();
+        assert!(past.at(5).is_none());
+        past.push(at(10, 1.0, 0.0));
+        past.push(at(20, 2.0, 0.0));
+        assert_eq!((past.at(5).unwrap().time_ns, past.at(50).unwrap().time_ns), (10, 20));
+    }
+
+    #[test]
+    fn odometry_that_begins_anew_forgets_the_past() {
+        let mut past = WheelHistory::default();
+        past.push(at(20, 2.0, 0.0));
+        past.push(at(10, 0.0, 0.0));
+        assert_eq!(past.at(15).unwrap().time_ns, 10);
+    }
+}

@@ -1,0 +1,273 @@
+//! What `health` shows: one small file, written anew twice a second by the running program.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use drivers::{DeviceState, DeviceStatus};
+use serde::{Deserialize, Serialize};
+
+use crate::report::atomic::write_atomically;
+
+/// A file that is older than this was left by a program that no longer runs, seconds.
+pub const STALE_S: f64 = 3.0;
+
+/// How a running robot is.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Status {
+    /// When this was written, seconds since 1970.
+    pub written_unix_s: f64,
+    /// Of the program.
+    pub pid: u32,
+    /// Since its start, seconds.
+    pub uptime_s: f64,
+    /// The safety plane.
+    pub safety: SafetyStatus,
+    /// The camera.
+    pub camera: DeviceHealth,
+    /// The scanner.
+    pub lidar: DeviceHealth,
+    /// The base.
+    pub base: DeviceHealth,
+    /// The exploration plane.
+    pub exploration: ExplorationStatus,
+    /// The recording.
+    pub recording: RecordingStatus,
+}
+
+/// The safety plane.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct SafetyStatus {
+    /// State, and in a fault its reason.
+    pub state: String,
+    /// For how long, seconds.
+    pub for_s: f64,
+    /// Whether nothing but a person gets it out of there.
+    pub needs_person: bool,
+    /// Why it stopped last, and how long ago.
+    pub last_stop: Option<LastStop>,
+    /// Obstacles that it stopped for.
+    pub stops: u64,
+    /// Turns of the loop.
+    pub turns: u64,
+    /// Turns that were left out because one came late.
+    pub skipped: u64,
+    /// The worst lateness, microseconds.
+    pub worst_late_us: f64,
+    /// Whether the thread has real-time priority.
+    pub realtime: bool,
+}
+
+/// Why it stopped last.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct LastStop {
+    /// In words.
+    pub why: String,
+    /// When, seconds since 1970.
+    pub unix_s: f64,
+}
+
+/// A device.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct DeviceHealth {
+    /// What it is and where.
+    pub name: String,
+    /// `starting`, `working`, `silent`, `disconnected` or `faulty`.
+    pub state: String,
+    /// Good readings a second, lately.
+    pub rate_hz: f64,
+    /// Age of the last good reading, seconds; absent before the first.
+    pub age_s: Option<f64>,
+    /// Readings that were taken.
+    pub good: u64,
+    /// Readings that failed a check.
+    pub bad: u64,
+    /// Readings that never came.
+    pub lost: u64,
+    /// Times that it was opened again.
+    pub reopened: u64,
+    /// What is wrong, and the way out.
+    pub problem: Option<String>,
+}
+
+/// The exploration plane.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ExplorationStatus {
+    /// Turns of its loop.
+    pub ticks: u64,
+    /// Turns that came too late and were left out.
+    pub skipped: u64,
+    /// How goals are chosen.
+    pub policy: String,
+    /// What it is after.
+    pub goal: Option<String>,
+    /// Why the last picture gave no depth, if it gave none.
+    pub no_depth: Option<String>,
+    /// Time of a turn, milliseconds: half of them take less.
+    pub turn_p50_ms: f64,
+    /// Of a hundred, one takes longer.
+    pub turn_p99_ms: f64,
+    /// Mapped floor, square metres.
+    pub mapped_m2: f64,
+}
+
+/// The recording.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct RecordingStatus {
+    /// Where it is.
+    pub folder: Option<String>,
+    /// Turns that are not in it.
+    pub dropped: u64,
+    /// Why nothing is recorded any more, if so.
+    pub failure: Option<String>,
+}
+
+impl Status {
+    /// Writes the file, whole or not at all.
+    ///
+    /// # Errors
+    /// When the folder cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let json = serde_json::to_vec_pretty(self)?;
+        write_atomically(path, &json).with_context(|| format!("cannot write the status to {}", path.display()))
+    }
+
+    /// Reads the file.
+    ///
+    /// # Errors
+    /// When it is not there or not a status.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).with_context(|| {
+            format!("no status at {}: is `firmware-host run` running? Else give its file by --status", path.display())
+        })?;
+        serde_json::from_str(&text).with_context(|| format!("{} is not a status of this version", path.display()))
+    }
+
+    /// Everything that an operator should know of now; empty: all is well.
+    #[must_use]
+    pub fn worries(&self, now_unix_s: f64) -> Vec<String> {
+        let age_s = now_unix_s - self.written_unix_s;
+        let mut worries = Vec::new();
+        if age_s > STALE_S {
+            worries
+                .push(format!("the status is {age_s:.0} s old: the program (pid {}) has stopped or hangs", self.pid));
+        }
+        for device in [&self.camera, &self.lidar, &self.base] {
+            if device.state != DeviceState::Working.to_string() {
+                let problem = device.problem.as_ref().map_or_else(String::new, |problem| format!(": {problem}"));
+                worries.push(format!("{} is {}{problem}", device.name, device.state));
+            }
+        }
+        if self.safety.needs_person {
+            let state = &self.safety.state;
+            worries
+                .push(format!("the robot needs a person ({state}): see to it, then `kill -USR1 {}` arms it", self.pid));
+        } else if self.safety.state.starts_with("fault") {
+            worries.push(format!("the robot stands ({}) and goes on by itself when that is over", self.safety.state));
+        }
+        worries.extend(self.recording.failure.as_ref().map(|failure| format!("nothing is recorded: {failure}")));
+        worries
+    }
+}
+
+/// Turns counts into rates.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct RateMeter {
+    last: Option<(u64, u64)>,
+    rate_hz: f64,
+}
+
+impl RateMeter {
+    /// Good readings a second since the last call.
+    fn rate_hz(&mut self, good: u64, now_ns: u64) -> f64 {
+        if let Some((then_ns, then)) = self.last.replace((now_ns, good))
+            && now_ns > then_ns
+        {
+            self.rate_hz = good.saturating_sub(then) as f64 / ((now_ns - then_ns) as f64 * 1e-9);
+        }
+        self.rate_hz
+    }
+
+    /// A device's health from its driver's counts.
+    pub fn health(&mut self, name: &str, status: &DeviceStatus, now_ns: u64, problem: Option<String>) -> DeviceHealth {
+        DeviceHealth {
+            name: name.to_owned(),
+            state: status.state.to_string(),
+            rate_hz: self.rate_hz(status.good, now_ns),
+            age_s: (status.last_good_ns > 0).then(|| now_ns.saturating_sub(status.last_good_ns) as f64 * 1e-9),
+            good: status.good,
+            bad: status.bad,
+            lost: status.lost,
+            reopened: status.reopened,
+            problem: problem.filter(|_| status.state != DeviceState::Working),
+        }
+    }
+}
+
+/// Seconds since 1970.
+#[must_use]
+pub fn unix_s() -> f64 {
+    std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn working(name: &str) -> DeviceHealth {
+        DeviceHealth { name: name.to_owned(), state: "working".to_owned(), ..DeviceHealth::default() }
+    }
+
+    fn well() -> Status {
+        let safety = SafetyStatus { state: "clear".to_owned(), ..SafetyStatus::default() };
+        Status {
+            written_unix_s: 100.0,
+            pid: 7,
+            safety,
+            camera: working("camera"),
+            lidar: working("LiDAR"),
+            base: working("base"),
+            ..Status::default()
+        }
+    }
+
+    #[test]
+    fn a_robot_that_is_well_gives_no_worries() {
+        assert_eq!(well().worries(101.0), Vec::<String>::new());
+    }
+
+    #[test]
+    fn every_worry_names_the_thing_and_the_way_out() {
+        let mut status = well();
+        status.lidar.state = "disconnected".to_owned();
+        status.lidar.problem = Some("/dev/ttyACM0 is not there".to_owned());
+        status.safety = SafetyStatus { state: "fault: bus".to_owned(), needs_person: true, ..SafetyStatus::default() };
+        status.recording.failure = Some("disk full".to_owned());
+        let worries = status.worries(110.0).join("\n");
+        for part in ["10 s old", "pid 7", "LiDAR is disconnected: /dev/ttyACM0", "kill -USR1 7", "disk full"] {
+            assert!(worries.contains(part), "{part} in {worries}");
+        }
+    }
+
+    #[test]
+    fn a_status_comes_back_as_it_was_written() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("status.json");
+        well().write(&path).unwrap();
+        assert_eq!(Status::read(&path).unwrap(), well());
+        assert!(Status::read(&dir.path().join("none")).unwrap_err().to_string().contains("--status"));
+    }
+
+    #[test]
+    fn rates_are_counted_between_two_looks() {
+        let mut meter = RateMeter::default();
+        let status = |good| DeviceStatus { state: DeviceState::Working, good, ..DeviceStatus::default() };
+        meter.health("x", &status(0), 1_000_000_000, None);
+        let health = meter.health("x", &status(20), 1_500_000_000, None);
+        assert!((health.rate_hz - 40.0).abs() < 1e-9);
+    }
+}

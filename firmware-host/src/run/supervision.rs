@@ -1,0 +1,151 @@
+//! Tells systemd and `health` how the robot is.
+
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+
+use drivers::clock::monotonic_ns;
+use drivers::hokuyo::HokuyoMonitor;
+use runtime::recording::fault_reason;
+use runtime::safety::SafetyState;
+use sd_notify::NotifyState;
+
+use super::exploration::Exploration;
+use super::safety_thread::{Glance, SafetyThread};
+use super::status::{LastStop, RateMeter, RecordingStatus, SafetyStatus, Status, unix_s};
+use crate::cli::RunArgs;
+use crate::config::Config;
+
+/// Twice a second.
+const EVERY_NS: u64 = 500_000_000;
+
+/// Tells systemd and `health` how the robot is.
+pub struct Supervision {
+    file: PathBuf,
+    folder: Option<String>,
+    names: [String; 3],
+    lidar: HokuyoMonitor,
+    meters: [RateMeter; 3],
+    began_ns: u64,
+    due_ns: u64,
+    turns: u64,
+    last_stop: Option<LastStop>,
+    unwritable: bool,
+}
+
+impl Supervision {
+    /// Nothing told yet.
+    pub fn new(args: &RunArgs, config: &Config, lidar: HokuyoMonitor) -> Self {
+        let file = args.status.clone().unwrap_or_else(|| PathBuf::from(&config.run.status_file));
+        if let Some(folder) = file.parent() {
+            // Where it cannot be made, writing says so.
+            let _ = std::fs::create_dir_all(folder);
+        }
+        let devices = &config.devices;
+        Self {
+            file,
+            folder: (!args.no_recording).then(|| args.out.display().to_string()),
+            names: [
+                format!("camera {}", devices.camera.device),
+                format!("LiDAR {}", devices.lidar.port),
+                format!("base {}", devices.base.bus),
+            ],
+            lidar,
+            meters: [RateMeter::default(); 3],
+            began_ns: monotonic_ns(),
+            due_ns: 0,
+            turns: 0,
+            last_stop: None,
+            unwritable: false,
+        }
+    }
+
+    /// The threads run.
+    pub fn announce(&self, safety: &SafetyThread) {
+        let _ = sd_notify::notify(&[NotifyState::Ready]);
+        let realtime = if safety.realtime { "with" } else { "without" };
+        eprintln!(
+            "running, {realtime} real-time priority. `firmware-host health --status {}` shows how it is; \
+             SIGUSR1 arms, SIGINT or SIGTERM ends.",
+            self.file.display()
+        );
+    }
+
+    /// The end has begun.
+    pub fn good_bye(&self) {
+        let _ = sd_notify::notify(&[NotifyState::Stopping]);
+        let _ = std::fs::remove_file(&self.file);
+    }
+
+    /// To be called after every turn.
+    pub fn look(&mut self, safety: &mut SafetyThread, exploration: &Exploration, skipped: u64) {
+        let glance = *safety.glance.read();
+        if let SafetyState::Fault(_) | SafetyState::Tripped { .. } = glance.state {
+            self.last_stop = Some(LastStop { why: words(&glance.state), unix_s: unix_s() });
+        }
+        let now_ns = monotonic_ns();
+        if now_ns < self.due_ns {
+            return;
+        }
+        self.due_ns = now_ns + EVERY_NS;
+        // systemd's watchdog is fed only while both planes turn; this one just has.
+        let turns = safety.turns.load(Ordering::Acquire);
+        if std::mem::replace(&mut self.turns, turns) != turns {
+            let _ = sd_notify::notify(&[NotifyState::Watchdog]);
+        }
+        let status = self.status(&glance, safety.realtime, exploration, skipped, now_ns);
+        if let Err(error) = status.write(&self.file)
+            && !std::mem::replace(&mut self.unwritable, true)
+        {
+            tracing::warn!("{error:#}; `health` will have nothing to show");
+        }
+    }
+
+    fn status(
+        &mut self,
+        glance: &Glance,
+        realtime: bool,
+        exploration: &Exploration,
+        skipped: u64,
+        now_ns: u64,
+    ) -> Status {
+        let (camera, camera_problem) = exploration.camera();
+        let [camera_meter, lidar_meter, base_meter] = &mut self.meters;
+        let base_problem = match glance.phase {
+            drivers::can::Phase::Tripped(trip) => Some(trip.to_string()),
+            _ => None,
+        };
+        let recorder = exploration.recorder();
+        Status {
+            written_unix_s: unix_s(),
+            pid: std::process::id(),
+            uptime_s: (now_ns - self.began_ns) as f64 * 1e-9,
+            safety: SafetyStatus {
+                state: words(&glance.state),
+                for_s: now_ns.saturating_sub(glance.since_ns.max(self.began_ns)) as f64 * 1e-9,
+                needs_person: matches!(glance.state, SafetyState::Fault(why) if !why.clears_itself()),
+                last_stop: self.last_stop.clone(),
+                stops: glance.trips,
+                turns: glance.turns,
+                skipped: glance.skipped,
+                worst_late_us: glance.worst_late_ns as f64 * 1e-3,
+                realtime,
+            },
+            camera: camera_meter.health(&self.names[0], &camera.status(), now_ns, camera_problem.cloned()),
+            lidar: lidar_meter.health(&self.names[1], &glance.lidar, now_ns, self.lidar.problem()),
+            base: base_meter.health(&self.names[2], &glance.base, now_ns, base_problem),
+            exploration: exploration.status(skipped),
+            recording: RecordingStatus {
+                folder: self.folder.clone(),
+                dropped: recorder.map_or(0, crate::record::Recorder::dropped),
+                failure: recorder.and_then(|recorder| recorder.failure()).map(ToString::to_string),
+            },
+        }
+    }
+}
+
+fn words(state: &SafetyState) -> String {
+    match state {
+        SafetyState::Fault(why) => format!("fault: {}", fault_reason(*why)),
+        state => state.name().to_owned(),
+    }
+}
