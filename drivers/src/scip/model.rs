@@ -1,7 +1,7 @@
 //! What differs between the sensors.
 
-use std::f64::consts::TAU;
-use std::fmt;
+use core::f64::consts::TAU;
+use core::fmt;
 
 use hal::ScanGeometry;
 
@@ -151,16 +151,16 @@ impl fmt::Display for Model {
 }
 
 /// There is no such model.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no LiDAR model; there are urg-04lx, utm-30lx, ust-10lx and ust-20lx")]
-pub struct UnknownModel(String);
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("no such LiDAR model; there are urg-04lx, utm-30lx, ust-10lx and ust-20lx")]
+pub struct UnknownModel;
 
-impl std::str::FromStr for Model {
+impl core::str::FromStr for Model {
     type Err = UnknownModel;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let named = |model: &Self| model.sheet().name.eq_ignore_ascii_case(text);
-        Self::ALL.into_iter().find(named).ok_or_else(|| UnknownModel(text.to_owned()))
+        Self::ALL.into_iter().find(named).ok_or(UnknownModel)
     }
 }
 
