@@ -23,7 +23,8 @@ impl RangeCodes {
         Self { dmin_mm: 23, dmax_mm: 60_000, no_return: Some(1), too_near: &[2, 4], errors: &[] };
     /// URG-04LX: 0 possibly an object at 22 m; 1 to 19 are weak, strong or contradictory echoes.
     pub const URG_04LX: Self = Self { dmin_mm: 20, dmax_mm: 5_600, no_return: Some(0), too_near: &[], errors: &[] };
-    /// UST-10LX: numbers above the range mean that no echo came; the two largest of 16 bits are kept for errors.
+    /// UST-10LX. We have no table of its codes, so below the range everything is an error; above it no echo came, but for the
+    /// two largest numbers of 16 bits, which are taken for errors to be careful.
     pub const UST_10LX: Self =
         Self { dmin_mm: 20, dmax_mm: 30_000, no_return: None, too_near: &[], errors: &[65_534, 65_535] };
     /// UST-20LX: as the UST-10LX, twice as far.

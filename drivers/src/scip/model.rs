@@ -45,8 +45,9 @@ pub struct Sheet {
     pub rpm: u16,
     /// Shortest and longest distance that the data sheet promises, metres.
     pub range_m: (f32, f32),
-    /// Whether it starts in SCIP 1.1 and has to be told `SCIP2.0`. The others must not be: some hang on it until they are
-    /// switched off (<https://github.com/ros-drivers/urg_c/pull/4>).
+    /// Whether it starts in SCIP 1.1 and has to be told `SCIP2.0`, which it understands in SCIP 2 too. The others are not
+    /// told: a sensor may hang on a command that it does not know until it is switched off
+    /// (<https://github.com/ros-drivers/urg_c/pull/4>, of the URG-04LX and requests for intensities).
     pub starts_in_scip_1: bool,
 }
 
