@@ -33,7 +33,7 @@ impl RangeCodes {
     /// The range of one beam. A code that is not known is an error, never "free".
     #[must_use]
     pub fn range(&self, value_mm: u32) -> Range {
-        if self.is_distance(value_mm) { hit(value_mm) } else { self.code(value_mm) }
+        if self.is_distance(value_mm) { Range::Hit(to_metres(value_mm)) } else { self.code(value_mm) }
     }
 
     /// Whether a number is a distance.
@@ -56,10 +56,10 @@ impl RangeCodes {
     }
 }
 
-/// A distance in metres, rounded once.
+/// A distance in metres, rounded once. Numbers have 18 bits at most, and vectors convert signed ones.
 #[inline(always)]
-pub(super) fn hit(value_mm: u32) -> Range {
-    Range::Hit(value_mm as f32 / 1000.0)
+pub(super) fn to_metres(value_mm: u32) -> f32 {
+    value_mm as i32 as f32 / 1000.0
 }
 
 #[cfg(test)]
