@@ -117,6 +117,8 @@ impl Lidar for HokuyoLidar {
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Self::Error> {
         // What came before a fault is not handed out after it.
         let is_new = self.scans.update();
+        let bad = self.monitor.shared.bad.load(Relaxed);
+        let has_dropped = std::mem::replace(&mut self.bad_told, bad) != bad;
         self.check_alive()?;
         if is_new {
             let newest = self.scans.output_buffer();
@@ -124,12 +126,7 @@ impl Lidar for HokuyoLidar {
             scan.ranges.clone_from(&newest.ranges);
             return Ok(true);
         }
-        let bad = self.monitor.shared.bad.load(Relaxed);
-        if std::mem::replace(&mut self.bad_told, bad) == bad {
-            Ok(false)
-        } else {
-            Err(HokuyoError::Corrupt { port: self.port.clone() })
-        }
+        if has_dropped { Err(HokuyoError::Corrupt { port: self.port.clone() }) } else { Ok(false) }
     }
 }
 

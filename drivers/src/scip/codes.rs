@@ -23,7 +23,8 @@ impl RangeCodes {
         Self { dmin_mm: 23, dmax_mm: 60_000, no_return: Some(1), too_near: &[2, 4], errors: &[] };
     /// URG-04LX: 0 possibly an object at 22 m; 1 to 19 are weak, strong or contradictory echoes.
     pub const URG_04LX: Self = Self { dmin_mm: 20, dmax_mm: 5_600, no_return: Some(0), too_near: &[], errors: &[] };
-    /// UST-10LX: numbers above the range mean that no echo came; the two largest of 16 bits are kept for errors.
+    /// UST-10LX. We have no table of its codes, so below the range everything is an error; above it no echo came, but for the
+    /// two largest numbers of 16 bits, which are taken for errors to be careful.
     pub const UST_10LX: Self =
         Self { dmin_mm: 20, dmax_mm: 30_000, no_return: None, too_near: &[], errors: &[65_534, 65_535] };
     /// UST-20LX: as the UST-10LX, twice as far.
@@ -32,7 +33,7 @@ impl RangeCodes {
     /// The range of one beam. A code that is not known is an error, never "free".
     #[must_use]
     pub fn range(&self, value_mm: u32) -> Range {
-        if self.is_distance(value_mm) { hit(value_mm) } else { self.code(value_mm) }
+        if self.is_distance(value_mm) { Range::Hit(to_metres(value_mm)) } else { self.code(value_mm) }
     }
 
     /// Whether a number is a distance.
@@ -55,10 +56,10 @@ impl RangeCodes {
     }
 }
 
-/// A distance in metres, rounded once.
+/// A distance in metres, rounded once. Numbers have 18 bits at most, and vectors convert signed ones.
 #[inline(always)]
-pub(super) fn hit(value_mm: u32) -> Range {
-    Range::Hit(value_mm as f32 / 1000.0)
+pub(super) fn to_metres(value_mm: u32) -> f32 {
+    value_mm as i32 as f32 / 1000.0
 }
 
 #[cfg(test)]

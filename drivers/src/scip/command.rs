@@ -107,7 +107,7 @@ impl<'a> Answer<'a> {
             self.lines.split(|byte| *byte == b'\n').find(|line| line.starts_with(key.as_bytes())).ok_or(wrong)?;
         let Some((content, &[b';', sum])) = line.split_last_chunk::<2>() else { return Err(wrong) };
         let text =
-            std::str::from_utf8(content).ok().filter(|text| text.bytes().all(|byte| matches!(byte, b' '..=b'~')));
+            core::str::from_utf8(content).ok().filter(|text| text.bytes().all(|byte| matches!(byte, b' '..=b'~')));
         let value = text.and_then(|text| text.strip_prefix(key)?.strip_prefix(':')).ok_or(wrong)?;
         if checksum(content) == sum { Ok(value.trim()) } else { Err(wrong) }
     }

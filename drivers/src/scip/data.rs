@@ -4,7 +4,7 @@
 use hal::Range;
 use multiversion::multiversion;
 
-use super::codes::hit;
+use super::codes::to_metres;
 use super::line::{checked, is_data, value};
 use super::{RangeCodes, ScipError};
 
@@ -113,10 +113,14 @@ impl Beams<'_> {
     #[inline(always)]
     fn put(&mut self, first: usize, numbers: &[u32]) -> usize {
         let ranges = self.ranges.get_mut(first..).unwrap_or_default();
+        let mut metres = [0.0; BLOCK / 2];
+        for (metres, &number) in metres.iter_mut().zip(numbers) {
+            *metres = to_metres(number);
+        }
         // Sixteen at a time: where all are distances, as nearly everywhere, that is a loop without a branch.
-        for (ranges, numbers) in ranges.chunks_mut(16).zip(numbers.chunks(16)) {
-            for (range, &number) in ranges.iter_mut().zip(numbers) {
-                *range = hit(number);
+        for ((ranges, numbers), metres) in ranges.chunks_mut(16).zip(numbers.chunks(16)).zip(metres.chunks(16)) {
+            for (range, &metres) in ranges.iter_mut().zip(metres) {
+                *range = Range::Hit(metres);
             }
             if !numbers.iter().fold(true, |all, &number| all & self.codes.is_distance(number)) {
                 put_codes(self.codes, ranges, numbers);

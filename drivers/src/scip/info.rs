@@ -2,7 +2,7 @@
 
 use super::{Answer, ScipError};
 
-/// Who it is (`VV`). A line that fails its checksum is left out: some firmware computes that of the serial number wrongly
+/// Who it is (`VV`). A line that fails its checksum is left out: the URG-04LX computes that of its serial number wrongly
 /// (<https://github.com/ros-drivers/urg_c/pull/4>), and nothing is decided by these.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Version<'a> {

@@ -1,7 +1,7 @@
 //! What differs between the sensors.
 
-use std::f64::consts::TAU;
-use std::fmt;
+use core::f64::consts::TAU;
+use core::fmt;
 
 use hal::ScanGeometry;
 
@@ -45,8 +45,9 @@ pub struct Sheet {
     pub rpm: u16,
     /// Shortest and longest distance that the data sheet promises, metres.
     pub range_m: (f32, f32),
-    /// Whether it starts in SCIP 1.1 and has to be told `SCIP2.0`. The others must not be: some hang on it until they are
-    /// switched off (<https://github.com/ros-drivers/urg_c/pull/4>).
+    /// Whether it starts in SCIP 1.1 and has to be told `SCIP2.0`, which it understands in SCIP 2 too. The others are not
+    /// told: a sensor may hang on a command that it does not know until it is switched off
+    /// (<https://github.com/ros-drivers/urg_c/pull/4>, of the URG-04LX and requests for intensities).
     pub starts_in_scip_1: bool,
 }
 
@@ -151,16 +152,16 @@ impl fmt::Display for Model {
 }
 
 /// There is no such model.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no LiDAR model; there are urg-04lx, utm-30lx, ust-10lx and ust-20lx")]
-pub struct UnknownModel(String);
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("no such LiDAR model; there are urg-04lx, utm-30lx, ust-10lx and ust-20lx")]
+pub struct UnknownModel;
 
-impl std::str::FromStr for Model {
+impl core::str::FromStr for Model {
     type Err = UnknownModel;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let named = |model: &Self| model.sheet().name.eq_ignore_ascii_case(text);
-        Self::ALL.into_iter().find(named).ok_or_else(|| UnknownModel(text.to_owned()))
+        Self::ALL.into_iter().find(named).ok_or(UnknownModel)
     }
 }
 

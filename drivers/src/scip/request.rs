@@ -7,7 +7,8 @@ pub enum Encoding {
     Two,
     /// Three: up to 262,143 mm (`MD`, `GD`).
     Three,
-    /// Three, and three more for the strength of the echo, without unit (`ME`, `GE`). The URG-04LX has none.
+    /// Three, and three more for the strength of the echo, without unit (`ME`, `GE`). The URG-04LX has none and may
+    /// hang on the request.
     ThreeWithIntensity,
 }
 

@@ -82,7 +82,11 @@ fn play(args: &HokuyoArgs, device: &SimulatedHokuyo) -> Result<(), Box<dyn Error
         }
         if tenth % 10 == 0 {
             let (scans, is_streaming) = device.scans();
-            let what = if is_streaming { "sending" } else { "waiting for a request" };
+            let what = match (device.is_plugged_in(), is_streaming) {
+                (false, _) => "unplugged",
+                (true, true) => "sending",
+                (true, false) => "waiting for a request",
+            };
             println!("{now_s:6.1} s  {what}, {} scans/s", scans - std::mem::replace(&mut scans_before, scans));
         }
     }

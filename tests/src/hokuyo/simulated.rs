@@ -127,6 +127,12 @@ impl SimulatedHokuyo {
         Ok(())
     }
 
+    /// Whether its plug is in.
+    #[must_use]
+    pub fn is_plugged_in(&self) -> bool {
+        self.inside().plug.is_some()
+    }
+
     /// Scans sent so far, and whether it is sending.
     #[must_use]
     pub fn scans(&self) -> (u64, bool) {
