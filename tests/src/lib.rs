@@ -7,6 +7,7 @@
 pub mod base;
 pub mod camera;
 pub mod lidar;
+pub mod motor;
 pub mod scenario;
 
 pub use base::{BaseFaults, FaultyBase};

@@ -16,7 +16,12 @@ struct Arguments {
 }
 
 #[derive(Subcommand)]
-enum Device {}
+enum Device {
+    /// Two simulated motor controllers on a CAN bus.
+    Motor(hil::motor::MotorArgs),
+    /// The real base driver on a CAN bus, driving straight on.
+    Base(hil::motor::BaseArgs),
+}
 
 fn main() -> ExitCode {
     match run(&Arguments::parse()) {
@@ -29,5 +34,8 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
-    match arguments.device {}
+    match &arguments.device {
+        Device::Motor(args) => hil::motor::run(args),
+        Device::Base(args) => hil::motor::run_base(args),
+    }
 }
