@@ -8,9 +8,11 @@ pub mod base;
 pub mod camera;
 pub mod hokuyo;
 pub mod lidar;
+pub mod motor;
 pub mod rig;
 pub mod scenario;
 pub mod video;
+pub mod world;
 
 pub use base::{BaseFaults, FaultyBase};
 pub use camera::{CameraFaults, FaultyCamera};

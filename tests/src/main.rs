@@ -23,6 +23,12 @@ enum Device {
     Camera(hil::video::CameraArgs),
     /// Checks of drivers against the kernel's devices, for `cargo xtask rig`.
     RigProbe(hil::rig::RigArgs),
+    /// Two simulated motor controllers on a CAN bus.
+    Motor(hil::motor::MotorArgs),
+    /// A simulated home behind all of these devices, for `firmware-host run`.
+    World(hil::world::WorldArgs),
+    /// The real base driver on a CAN bus, driving straight on.
+    Base(hil::motor::BaseArgs),
 }
 
 fn main() -> ExitCode {
@@ -40,5 +46,8 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
         Device::Hokuyo(arguments) => hil::hokuyo::run(arguments),
         Device::Camera(args) => hil::video::run(args),
         Device::RigProbe(args) => hil::rig::run(args),
+        Device::World(args) => hil::world::run(args),
+        Device::Motor(args) => hil::motor::run(args),
+        Device::Base(args) => hil::motor::run_base(args),
     }
 }

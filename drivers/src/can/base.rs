@@ -428,7 +428,7 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
                 self.backoff.wait(now_ns);
             }
         }
-        self.well_since_ns = now_ns;
+        self.well_since_ns = self.backoff.until_ns().max(now_ns);
         self.motors.iter_mut().for_each(|motor| motor.restart());
     }
 

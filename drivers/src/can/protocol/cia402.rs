@@ -176,9 +176,10 @@ impl Cia402 {
     fn on_read_back(&mut self, at: usize, wanted: &Entry, value: u32) {
         let is_watchdog = wanted.index == 0x1016;
         if value != wanted.value {
-            let (read_ms, wanted_ms) = (f64::from(value & 0xffff), f64::from(self.node.watchdog_ms));
-            let problem = match is_watchdog && value >> 16 == wanted.value >> 16 {
-                true => MotorProblem::Watchdog { read_ms, wanted_ms },
+            let watches_us = value >> 16 == wanted.value >> 16 && value & 0xffff != 0;
+            let read_ms = if watches_us { f64::from(value & 0xffff) } else { f64::NAN };
+            let problem = match is_watchdog {
+                true => MotorProblem::Watchdog { read_ms, wanted_ms: f64::from(self.node.watchdog_ms) },
                 false => MotorProblem::Parameter { index: wanted.index, sub: wanted.sub, code: value },
             };
             self.halt(MotorStage::Refused, problem);

@@ -227,18 +227,22 @@ impl Odrive {
         let node = &self.node;
         let (timeout, enable) = (node.watchdog_timeout_endpoint, node.enable_watchdog_endpoint);
         let frames = match self.step {
-            Step::Version => [CanFrame::remote(CanId::Standard(u16::from(node.node) << 5 | command::VERSION), 8), None],
-            Step::Timeout => [Some(self.write(timeout, self.timeout_s().to_le_bytes(), 4)), Some(self.read(timeout))],
-            Step::Watchdog => [Some(self.write(enable, [1, 0, 0, 0], 1)), Some(self.read(enable))],
-            Step::Feedback => {
-                let modes = (VELOCITY_CONTROL.to_le_bytes(), PASSTHROUGH.to_le_bytes());
-                [Some(self.pair(command::MODES, modes.0, modes.1)), None]
+            Step::Version => {
+                [CanFrame::remote(CanId::Standard((u16::from(node.node) << 5) | command::VERSION), 8), None, None]
             }
-            _ => {
+            Step::Timeout => {
+                [Some(self.write(timeout, self.timeout_s().to_le_bytes(), 4)), Some(self.read(timeout)), None]
+            }
+            Step::Watchdog => [Some(self.write(enable, [1, 0, 0, 0], 1)), Some(self.read(enable)), None],
+            Step::ClosedLoop => {
                 self.tries += 1;
-                let closed_loop = self.frame(command::AXIS_STATE, &u32::from(CLOSED_LOOP).to_le_bytes());
-                [Some(self.frame(command::CLEAR_ERRORS, &[0])), Some(closed_loop)]
+                [
+                    Some(self.frame(command::CLEAR_ERRORS, &[0])),
+                    Some(self.pair(command::MODES, VELOCITY_CONTROL.to_le_bytes(), PASSTHROUGH.to_le_bytes())),
+                    Some(self.frame(command::AXIS_STATE, &u32::from(CLOSED_LOOP).to_le_bytes())),
+                ]
             }
+            _ => [None; 3],
         };
         put(out, frames.into_iter().flatten());
     }

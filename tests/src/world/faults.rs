@@ -1,0 +1,87 @@
+//! Random faults of all devices, by a seed: what happens to a robot in a year, in five minutes.
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use crate::hokuyo::{Health, SimulatedHokuyo, WireFaults};
+use crate::motor::MotorNode;
+
+/// Quiet time between two faults, seconds.
+const QUIET_S: std::ops::Range<f64> = 6.0..14.0;
+
+/// What can happen, and for how long, seconds.
+const KINDS: [(&str, std::ops::Range<f64>); 6] = [
+    ("the scanner is unplugged", 0.5..3.0),
+    ("the scanner restarts", 0.1..0.2),
+    ("bits flip on the scanner's wire", 1.0..4.0),
+    ("the scanner's motor stops", 0.5..2.0),
+    ("the left motor's controller falls silent", 0.15..0.6),
+    ("the left motor's controller restarts", 0.1..0.2),
+];
+
+/// One fault after another.
+pub(super) struct Mischief {
+    rng: Pcg64Mcg,
+    due_s: f64,
+    now: Option<(usize, f64)>,
+    count: u64,
+}
+
+impl Mischief {
+    pub fn new(seed: u64) -> Self {
+        Self { rng: Pcg64Mcg::seed_from_u64(seed), due_s: 12.0, now: None, count: 0 }
+    }
+
+    /// How many there were.
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// Begins and ends faults; what to say of it.
+    pub fn turn(
+        &mut self,
+        time_s: f64,
+        lidar: &SimulatedHokuyo,
+        wheels: &mut [Box<dyn MotorNode>; 2],
+    ) -> std::io::Result<Option<String>> {
+        match self.now {
+            Some((kind, until_s)) if time_s >= until_s => {
+                self.now = None;
+                self.due_s = time_s + self.rng.random_range(QUIET_S);
+                end(kind, lidar, wheels)?;
+                Ok(Some(format!("over: {}", KINDS[kind].0)))
+            }
+            None if time_s >= self.due_s => {
+                let kind = self.rng.random_range(0..KINDS.len());
+                let (words, span) = &KINDS[kind];
+                self.now = Some((kind, time_s + self.rng.random_range(span.clone())));
+                self.count += 1;
+                begin(kind, lidar, wheels);
+                Ok(Some((*words).to_owned()))
+            }
+            _ => Ok(None),
+        }
+    }
+}
+
+fn begin(kind: usize, lidar: &SimulatedHokuyo, wheels: &mut [Box<dyn MotorNode>; 2]) {
+    match kind {
+        0 => lidar.unplug(),
+        1 => lidar.reboot(1_000_000_000),
+        2 => lidar.set_wire(WireFaults { flip_share: 0.3, ..WireFaults::default() }),
+        3 => lidar.set_health(Health::MotorFault),
+        4 => wheels[0].faults().silent = true,
+        _ => wheels[0].faults().reboot = true,
+    }
+}
+
+fn end(kind: usize, lidar: &SimulatedHokuyo, wheels: &mut [Box<dyn MotorNode>; 2]) -> std::io::Result<()> {
+    match kind {
+        0 => return lidar.plug_in(),
+        2 => lidar.set_wire(WireFaults::default()),
+        3 => lidar.set_health(Health::Well),
+        4 => wheels[0].faults().silent = false,
+        _ => {}
+    }
+    Ok(())
+}

@@ -1,0 +1,80 @@
+//! What scanner and camera see of the home.
+
+use drivers::scip::Model;
+use hal::{CameraModel, DepthMap, Pose3, Range};
+use simulator::render::Lighting;
+
+use super::Home;
+use crate::hokuyo::ScanSource;
+use crate::video::PictureSource;
+
+/// The scanner's view.
+pub(super) struct HomeScan {
+    pub home: Home,
+    pub model: Model,
+}
+
+impl ScanSource for HomeScan {
+    fn ranges_mm(&mut self, _time_ns: u64, out: &mut [u32]) {
+        let codes = self.model.sheet().codes;
+        let nothing = codes.no_return.unwrap_or(codes.dmax_mm + 1);
+        let near = codes.too_near.first().copied().unwrap_or(0);
+        self.home.scan(|scan| {
+            for (out, range) in out.iter_mut().zip(&scan.ranges) {
+                *out = match range {
+                    Range::Hit(metres) => (metres * 1000.0).round() as u32,
+                    Range::NoReturn => nothing,
+                    Range::TooNear => near,
+                    Range::Error => 0,
+                };
+            }
+        });
+    }
+}
+
+/// The camera's view.
+pub(super) struct HomePicture {
+    pub home: Home,
+    pub model: CameraModel,
+    pub t_base_camera: Pose3,
+    pub rgb: Vec<u8>,
+    pub depth: DepthMap,
+}
+
+impl PictureSource for HomePicture {
+    fn picture(&mut self, _time_ns: u64, width: usize, height: usize, yuyv: &mut [u8]) {
+        let at = self.home.pose().to_pose3() * self.t_base_camera;
+        let camera = if (width, height) == (self.model.width, self.model.height) {
+            self.model
+        } else {
+            self.model.resized(width, height)
+        };
+        let renderer = self.home.world().renderer();
+        renderer.render(&camera, &at, &[], &Lighting::default(), &mut self.rgb, &mut self.depth);
+        for (pair, out) in self.rgb.chunks_exact(6).zip(yuyv.chunks_exact_mut(4)) {
+            out.copy_from_slice(&yuyv_of(pair));
+        }
+    }
+}
+
+/// Two RGB pixels as Y U Y V, ITU-R BT.601 with limited range: what USB cameras send.
+fn yuyv_of(pair: &[u8]) -> [u8; 4] {
+    let [r0, g0, b0, r1, g1, b1] = [0, 1, 2, 3, 4, 5].map(|index| f32::from(pair.get(index).copied().unwrap_or(0)));
+    let luma = |r: f32, g: f32, b: f32| 16.0 + (65.481 * r + 128.553 * g + 24.966 * b) / 255.0;
+    let (r, g, b) = ((r0 + r1) / 2.0, (g0 + g1) / 2.0, (b0 + b1) / 2.0);
+    let u = 128.0 + (-37.797 * r - 74.203 * g + 112.0 * b) / 255.0;
+    let v = 128.0 + (112.0 * r - 93.786 * g - 18.214 * b) / 255.0;
+    [luma(r0, g0, b0), u, luma(r1, g1, b1), v].map(|value| value.round() as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn black_white_and_red_are_what_the_standard_says() {
+        assert_eq!(yuyv_of(&[0; 6]), [16, 128, 16, 128]);
+        assert_eq!(yuyv_of(&[255; 6]), [235, 128, 235, 128]);
+        assert_eq!(yuyv_of(&[255, 0, 0, 255, 0, 0]), [81, 90, 81, 240]);
+    }
+}
