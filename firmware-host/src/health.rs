@@ -81,7 +81,7 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
         exploration.skipped
     );
     if let Some(why) = &exploration.no_depth {
-        let _ = writeln!(out, "             no depth: {why}");
+        let _ = writeln!(out, "             {why}");
     }
     let recording = &status.recording;
     let folder = recording.folder.as_deref().unwrap_or("off");

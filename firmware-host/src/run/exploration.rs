@@ -26,6 +26,9 @@ use crate::report::latency::Stage;
 use crate::report::map_view::map_view;
 use crate::stopwatch::Stopwatch;
 
+/// Stops are logged at most this often.
+const LOG_EVERY_NS: u64 = 1_000_000_000;
+
 /// The exploration plane, turn by turn.
 pub struct Exploration {
     camera: V4l2Camera,
@@ -46,6 +49,8 @@ pub struct Exploration {
     last_wheel: Option<WheelFeedback>,
     no_depth: Option<NoDepth>,
     camera_problem: Option<String>,
+    /// What happens again and again is in the recording; the log need not repeat it.
+    quiet_until_ns: u64,
 }
 
 impl Exploration {
@@ -78,6 +83,7 @@ impl Exploration {
             last_wheel: None,
             no_depth: None,
             camera_problem: None,
+            quiet_until_ns: 0,
         })
     }
 
@@ -162,8 +168,11 @@ impl Exploration {
         });
         for event in &decision.events {
             self.counts.add(event);
-            if let Event::Safety { what: SafetyEvent::Faulted { .. } | SafetyEvent::Tripped { .. } } = event {
+            if let Event::Safety { what: SafetyEvent::Faulted { .. } | SafetyEvent::Tripped { .. } } = event
+                && decision.time_ns >= self.quiet_until_ns
+            {
                 tracing::warn!("{}", sentence(event).1);
+                self.quiet_until_ns = decision.time_ns + LOG_EVERY_NS;
             }
         }
         let last = self.last_wheel.replace(*wheel);

@@ -21,7 +21,7 @@ use hal::Clock;
 use runtime::event::ExploreEnd;
 use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, Robot};
-use runtime::safety::{Request, SafetyLoop};
+use runtime::safety::Request;
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
 
 use crate::cli::RunArgs;
@@ -30,7 +30,6 @@ use crate::record::{Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
 use crate::report::summary::{Summary, peak_resident_mib};
 use crate::setup::{self, Mission};
-use devices::Devices;
 use exploration::{Exploration, Finished};
 use safety_thread::{Pace, SafetyThread};
 use supervision::Supervision;
@@ -51,12 +50,12 @@ pub fn run(args: &RunArgs) -> Result<()> {
     prepare_dir(&args.out)?;
     let recorder = if args.no_recording { None } else { Some(recorder(args, &config, &mission, model.as_deref())?) };
     let signals = Signals::register()?;
-    let Devices { camera, lidar, lidar_monitor, base } = Devices::open(&config)?;
-    let control = SafetyLoop::new(config.live_safety_config(), base, lidar);
+    let camera = devices::open_camera(&config)?;
     let pace = Pace { period_ns: (1e9 / config.run.safety_hz) as u64, priority: config.run.realtime_priority };
-    let mut safety = SafetyThread::start(control, pace).context("cannot start the safety thread")?;
+    let wiring = config.clone();
+    let (mut safety, lidar) = SafetyThread::start(pace, move || devices::open_scanner_and_base(&wiring))?;
     let mut exploration = Exploration::new(&config, camera, robot, recorder)?;
-    let mut supervision = Supervision::new(args, &config, lidar_monitor);
+    let mut supervision = Supervision::new(args, &config, lidar);
     if config.run.arm_at_start {
         safety.request(Request::Arm);
     }

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 
+use anyhow::{Context, Result};
 use drivers::{DeviceStatus, MonotonicClock};
 use hal::{Base, Clock, ErrorKind, LaserScan, Lidar, WheelFeedback};
 use runtime::event::SafetyEvent;
@@ -100,39 +101,36 @@ pub struct Pace {
 }
 
 impl SafetyThread {
-    /// Starts the loop. Nothing moves before [`request`](Self::request) has asked for it.
+    /// Starts the thread, opens the devices in it, and starts the loop. Threads that drivers start then have the same priority.
+    /// Also hands out whatever else `open` made. Nothing moves before [`request`](Self::request) has asked for it.
     ///
     /// # Errors
-    /// When the system has no thread left.
-    pub fn start<B, L>(control: SafetyLoop<B, L>, pace: Pace) -> std::io::Result<Self>
+    /// What `open` refuses; when the system has no thread left.
+    pub fn start<B, L, T>(
+        pace: Pace,
+        open: impl FnOnce() -> Result<(SafetyLoop<B, L>, T)> + Send + 'static,
+    ) -> Result<(Self, T)>
     where
-        B: Base + WatchedBase + Send + 'static,
-        L: Lidar + Watched + Send + 'static,
+        B: Base + WatchedBase,
+        L: Lidar + Watched,
+        T: Send + 'static,
     {
-        let (plan, plans) = triple_buffer(&None);
-        let (scan_input, scans) = triple_buffer(&LaserScan::empty(control.lidar().geometry()));
-        let (wheel_producer, wheels) = rtrb::RingBuffer::new(WHEELS);
-        let (news_producer, news) = rtrb::RingBuffer::new(NEWS);
-        let (glance_input, glance) = triple_buffer(&first_glance(&control));
-        let (request, stop, turns) = (Arc::default(), Arc::default(), Arc::default());
-        let turning = Turning {
-            control,
-            plans,
-            scans: scan_input,
-            wheels: wheel_producer,
-            news: news_producer,
-            glance: glance_input,
-            request: Arc::clone(&request),
-            stop: Arc::clone(&stop),
-            turns: Arc::clone(&turns),
-        };
         let (told, hears) = std::sync::mpsc::sync_channel(1);
-        let thread = std::thread::Builder::new().name("safety".to_owned()).spawn(move || {
-            let _ = told.send(become_realtime(pace.priority));
-            turning.run(pace.period_ns);
-        })?;
-        let realtime = hears.recv().unwrap_or(false);
-        Ok(Self { plan, scans, wheels, news, glance, turns, realtime, request, stop, thread: Some(thread) })
+        let work = move || {
+            let realtime = become_realtime(pace.priority);
+            match open() {
+                Ok((control, rest)) => {
+                    let (turning, ends) = wire(control, realtime);
+                    let _ = told.send(Ok((ends, rest)));
+                    turning.run(pace.period_ns);
+                }
+                Err(error) => _ = told.send(Err(error)),
+            }
+        };
+        let thread = std::thread::Builder::new().name("safety".to_owned()).spawn(work)?;
+        let (mut ends, rest) = hears.recv().context("the safety thread has panicked; please report this")??;
+        ends.thread = Some(thread);
+        Ok((ends, rest))
     }
 
     /// Asks for something. Of several between two turns the last counts.
@@ -155,6 +153,32 @@ impl SafetyThread {
     pub fn is_alive(&self) -> bool {
         self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
     }
+}
+
+/// Both ends of the buffers.
+fn wire<B, L>(control: SafetyLoop<B, L>, realtime: bool) -> (Turning<B, L>, SafetyThread)
+where
+    B: Base + WatchedBase,
+    L: Lidar + Watched,
+{
+    let (plan, plans) = triple_buffer(&None);
+    let (scan_input, scans) = triple_buffer(&LaserScan::empty(control.lidar().geometry()));
+    let (wheel_producer, wheels) = rtrb::RingBuffer::new(WHEELS);
+    let (news_producer, news) = rtrb::RingBuffer::new(NEWS);
+    let (glance_input, glance) = triple_buffer(&first_glance(&control));
+    let (request, stop, turns) = (Arc::default(), Arc::default(), Arc::default());
+    let turning = Turning {
+        control,
+        plans,
+        scans: scan_input,
+        wheels: wheel_producer,
+        news: news_producer,
+        glance: glance_input,
+        request: Arc::clone(&request),
+        stop: Arc::clone(&stop),
+        turns: Arc::clone(&turns),
+    };
+    (turning, SafetyThread { plan, scans, wheels, news, glance, turns, realtime, request, stop, thread: None })
 }
 
 impl Drop for SafetyThread {

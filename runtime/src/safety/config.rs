@@ -44,7 +44,7 @@ pub struct SafetyConfig {
     pub escape_radps: f64,
     /// Backing off ends after this time, whatever the wheels say, seconds.
     pub back_off_timeout_s: f64,
-    /// A scan older than this is no longer driven by, seconds: two periods of the scanner.
+    /// So long after the end of a scan it is no longer driven by, seconds: two periods of the scanner.
     pub scan_timeout_s: f64,
     /// Scans in a row that must be good before the robot drives by them.
     pub good_scans: u32,

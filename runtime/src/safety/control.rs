@@ -350,7 +350,7 @@ mod tests {
         robot.turn(Some(Request::Arm));
         assert!(robot.drives_after(10));
         robot.control.lidar.error = Some(ErrorKind::Disconnected);
-        assert!(!robot.drives_after(22), "the default allows 0.2 s");
+        assert!(!robot.drives_after(24), "the default allows 0.2 s after the end of the last scan");
         let turn = robot.control.turn(robot.now_ns + 10 * MS, &Orders::default());
         assert_eq!(turn.lidar_error, Some(ErrorKind::Disconnected));
         assert!(turn.scan.is_none());

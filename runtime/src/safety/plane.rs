@@ -42,7 +42,8 @@ pub struct SafetyPlane {
     state: SafetyState,
     around: Surroundings,
     rear: Rear,
-    scan_time_ns: Option<u64>,
+    /// When the newest scan was complete.
+    scan_end_ns: Option<u64>,
     scan_bad: bool,
     good_scans: u32,
     wheel: Option<WheelFeedback>,
@@ -62,7 +63,7 @@ impl SafetyPlane {
             state: SafetyState::Disarmed,
             around: Surroundings::new(&config),
             rear: Rear::new(config.rear_memory_s),
-            scan_time_ns: None,
+            scan_end_ns: None,
             scan_bad: false,
             good_scans: 0,
             wheel: None,
@@ -135,7 +136,7 @@ impl SafetyPlane {
     }
 
     fn read_scan(&mut self, scan: &LaserScan) {
-        self.scan_time_ns = Some(scan.time_ns);
+        self.scan_end_ns = Some(scan.time_ns.saturating_add(scan.geometry.period_ns));
         self.scan_bad = ScanHealth::of(scan) == ScanHealth::Bad;
         if self.scan_bad {
             self.good_scans = 0;
@@ -165,7 +166,7 @@ impl SafetyPlane {
         if older(self.wheel.map(|wheel| wheel.time_ns), self.config.feedback_timeout_s) {
             return Some(FaultReason::BaseSilent);
         }
-        if older(self.scan_time_ns, self.config.scan_timeout_s) {
+        if older(self.scan_end_ns, self.config.scan_timeout_s) {
             self.good_scans = 0;
             return Some(FaultReason::LidarSilent);
         }
