@@ -138,3 +138,32 @@ impl Drop for HokuyoLidar {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use hal::{Error, ErrorKind};
+
+    #[test]
+    fn it_may_move_to_the_safety_thread_and_its_monitor_to_another() {
+        fn is_send<T: Send>() {}
+        is_send::<HokuyoLidar>();
+        is_send::<HokuyoMonitor>();
+    }
+
+    #[test]
+    fn a_path_that_is_no_serial_port_is_refused_with_the_way_out() {
+        let mut lidar = HokuyoLidar::open(HokuyoConfig::new(Port::Serial("/dev/null".into()))).unwrap();
+        let deadline_ns = monotonic_ns() + 5_000_000_000;
+        let problem = loop {
+            assert!(monotonic_ns() < deadline_ns, "no problem is told");
+            if let Some(problem) = lidar.monitor().problem() {
+                break problem;
+            }
+            std::thread::yield_now();
+        };
+        assert!(problem.contains("/dev/null") && problem.contains("check cable and `port`"), "{problem}");
+        let mut scan = LaserScan::empty(lidar.geometry());
+        assert_eq!(lidar.poll_scan(&mut scan).unwrap_err().kind(), ErrorKind::Disconnected);
+    }
+}
