@@ -371,6 +371,8 @@ impl Robot {
             Primitive::Forward => Twist2 { linear_mps: forward, angular_radps: 0.0 },
             Primitive::TurnLeft => Twist2 { linear_mps: 0.0, angular_radps: turn },
             Primitive::TurnRight => Twist2 { linear_mps: 0.0, angular_radps: -turn },
+            Primitive::ArcLeft => Twist2 { linear_mps: forward / 2.0, angular_radps: turn },
+            Primitive::ArcRight => Twist2 { linear_mps: forward / 2.0, angular_radps: -turn },
             Primitive::Stay => Twist2::ZERO,
         }
     }

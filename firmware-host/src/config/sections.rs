@@ -183,6 +183,8 @@ pub struct PlanningSection {
     pub aligned_deg: f64,
     /// While driving, heading errors below this are not corrected, degrees.
     pub correct_deg: f64,
+    /// Whether larger ones are corrected on an arc, not on the spot. `run` always does.
+    pub arcs: bool,
     /// The end of a path is reached within this distance, metres.
     pub goal_tolerance_m: f64,
     /// Further from the path than this is off the path, metres.
@@ -202,6 +204,7 @@ impl Default for PlanningSection {
             turn_in_place_deg: 20.0,
             aligned_deg: 2.0,
             correct_deg: 4.0,
+            arcs: false,
             goal_tolerance_m: 0.06,
             off_path_m: 0.3,
         }
@@ -338,6 +341,7 @@ impl Config {
             turn_in_place_rad: self.planning.turn_in_place_deg.to_radians(),
             aligned_rad: self.planning.aligned_deg.to_radians(),
             correct_rad: self.planning.correct_deg.to_radians(),
+            arcs: self.planning.arcs,
             goal_tolerance_m: self.planning.goal_tolerance_m,
             off_path_m: self.planning.off_path_m,
         }

@@ -39,7 +39,9 @@ use supervision::Supervision;
 /// # Errors
 /// A configuration, model or folder that cannot be used. Devices that are not there are waited for.
 pub fn run(args: &RunArgs) -> Result<()> {
-    let config = Config::load(&args.config)?;
+    let mut config = Config::load(&args.config)?;
+    // Wheels with inertia lose most of their time by stopping for every small turn. The recording says so too.
+    config.planning.arcs = true;
     config.check_devices(&args.config)?;
     let depth_source = if args.model.is_some() { DepthSource::Network } else { DepthSource::Coarse };
     let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };

@@ -85,6 +85,8 @@ pub struct FollowerConfig {
     pub aligned_rad: f64,
     /// While driving, heading errors below this are not corrected, radians.
     pub correct_rad: f64,
+    /// Larger ones are corrected on an arc, not on the spot: wheels with inertia lose most of their time by stopping.
+    pub arcs: bool,
     /// The goal is reached within this distance, metres.
     pub goal_tolerance_m: f64,
     /// Further from the path than this is off the path, metres.
@@ -101,6 +103,7 @@ impl Default for FollowerConfig {
             turn_in_place_rad: 20.0 * degree,
             aligned_rad: 2.0 * degree,
             correct_rad: 4.0 * degree,
+            arcs: false,
             goal_tolerance_m: 0.06,
             off_path_m: 0.3,
         }

@@ -15,6 +15,10 @@ pub enum Primitive {
     TurnLeft,
     /// A step of turning clockwise.
     TurnRight,
+    /// Half a step forward while turning counter-clockwise: corrects the heading of a base that should not stop for it.
+    ArcLeft,
+    /// Half a step forward while turning clockwise.
+    ArcRight,
     /// Nothing.
     Stay,
 }
@@ -146,12 +150,13 @@ impl Follower {
         let config = &self.config;
         let size = error_rad.abs();
         self.turning = if self.turning { size > config.aligned_rad } else { size > config.turn_in_place_rad };
-        if !self.turning && size <= config.correct_rad {
-            Primitive::Forward
-        } else if error_rad > 0.0 {
-            Primitive::TurnLeft
-        } else {
-            Primitive::TurnRight
+        let left = error_rad > 0.0;
+        match (self.turning, config.arcs) {
+            (false, _) if size <= config.correct_rad => Primitive::Forward,
+            (false, true) if left => Primitive::ArcLeft,
+            (false, true) => Primitive::ArcRight,
+            _ if left => Primitive::TurnLeft,
+            _ => Primitive::TurnRight,
         }
     }
 
@@ -210,8 +215,11 @@ mod tests {
 
     /// Drives an ideal unicycle along a path.
     fn drive(points_m: &[[f64; 2]], start: Pose2) -> Drive {
-        let config = FollowerConfig::default();
-        let mut follower = Follower::new(&config).unwrap();
+        drive_with(&FollowerConfig::default(), points_m, start)
+    }
+
+    fn drive_with(config: &FollowerConfig, points_m: &[[f64; 2]], start: Pose2) -> Drive {
+        let mut follower = Follower::new(config).unwrap();
         follower.set_path(points_m).unwrap();
         let mut result = Drive { end: start, reached: false, turns: 0, length_m: 0.0, steps: 0 };
         while result.steps < 5_000 {
@@ -225,14 +233,27 @@ mod tests {
                 Primitive::Forward => Pose2::new(config.forward_m, 0.0, 0.0),
                 Primitive::TurnLeft => Pose2::new(0.0, 0.0, config.turn_rad),
                 Primitive::TurnRight => Pose2::new(0.0, 0.0, -config.turn_rad),
+                // Half a step on a small arc: its chord is as long within a thousandth.
+                Primitive::ArcLeft => Pose2::new(config.forward_m / 2.0, 0.0, config.turn_rad),
+                Primitive::ArcRight => Pose2::new(config.forward_m / 2.0, 0.0, -config.turn_rad),
                 Primitive::Stay => panic!("stays while following"),
             };
             result.end = result.end.compose(&motion);
-            result.turns += usize::from(step.primitive != Primitive::Forward);
+            result.turns += usize::from(motion.x_m == 0.0);
             result.length_m += motion.x_m;
             result.steps += 1;
         }
         result
+    }
+
+    #[test]
+    fn a_bent_path_is_followed_on_arcs_without_a_stop() {
+        let bend: Vec<[f64; 2]> =
+            (0..100).map(|i| f64::from(i) * 0.01).map(|a| [2.0 * a.sin(), 2.0 - 2.0 * a.cos()]).collect();
+        let arcs = drive_with(&FollowerConfig { arcs: true, ..FollowerConfig::default() }, &bend, Pose2::IDENTITY);
+        let steps = drive(&bend, Pose2::IDENTITY);
+        assert!(arcs.reached && arcs.turns == 0, "{} turns on the spot", arcs.turns);
+        assert!(steps.turns > 10);
     }
 
     #[test]
