@@ -1,7 +1,7 @@
 //! The simulated controllers, the driver's frames and the DBC file before software that we did not write: python-can, canopen,
 //! cantools with ODrive's own DBC file, crccheck. Skipped where they are not installed:
 //! `python3 -m venv target/can-venv && target/can-venv/bin/pip install -r tests/peers/requirements.txt`.
-#![allow(missing_docs)]
+#![allow(missing_docs, clippy::expect_used, clippy::panic)]
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
