@@ -2,13 +2,13 @@
 //! `struct can_frame`; each is a frame and a turn of the loop.
 #![no_main]
 
+use drivers::can::BusEvent;
 use drivers::can::messages::{BaseCommand, BaseState, SafetyInput};
 use drivers::can::protocol::cia402::{Cia402, Cia402Node};
 use drivers::can::protocol::odrive::{Odrive, OdriveNode};
 use drivers::can::protocol::vesc::{Vesc, VescNode};
 use drivers::can::protocol::{MotorProtocol, MotorStage, Outbox};
 use drivers::can::record::{decode, encode};
-use drivers::can::BusEvent;
 use libfuzzer_sys::fuzz_target;
 
 fn motors() -> [Box<dyn MotorProtocol>; 3] {
