@@ -1,6 +1,6 @@
 //! What stops the wheels when the host process itself is gone: a real child that runs the real driver over the Unix bus, and
 //! simulated controllers in this process that measure by their own clock.
-#![allow(missing_docs)]
+#![allow(missing_docs, clippy::expect_used, clippy::panic)]
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};

@@ -18,6 +18,7 @@ use super::record::{self, RECORD_BYTES};
 #[derive(Debug)]
 pub struct UnixBus {
     path: String,
+    name: String,
     socket: Option<OwnedFd>,
     retry: Backoff,
     was_open: bool,
@@ -27,13 +28,25 @@ impl UnixBus {
     /// The hub that listens at `path`. It need not be there yet.
     #[must_use]
     pub fn new(path: &str) -> Self {
-        Self { path: path.to_owned(), socket: None, retry: Backoff::new(), was_open: true }
+        Self {
+            path: path.to_owned(),
+            name: format!("unix:{path}"),
+            socket: None,
+            retry: Backoff::new(),
+            was_open: true,
+        }
     }
 
     /// Uses a connection that somebody else made, and makes no other.
     #[must_use]
     pub fn from_fd(socket: OwnedFd) -> Self {
-        Self { path: String::new(), socket: Some(socket), retry: Backoff::new(), was_open: true }
+        Self {
+            path: String::new(),
+            name: "unix:".to_owned(),
+            socket: Some(socket),
+            retry: Backoff::new(),
+            was_open: true,
+        }
     }
 
     fn reopen(&mut self, now_ns: u64) -> Option<Received> {
@@ -94,6 +107,6 @@ impl CanBus for UnixBus {
     }
 
     fn name(&self) -> &str {
-        &self.path
+        &self.name
     }
 }

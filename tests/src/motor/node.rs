@@ -60,11 +60,11 @@ impl Watchdog {
         self.fed_ns = now_ns;
     }
 
-    /// Whether it has just expired. Fed again only by the next command.
+    /// Whether it has just expired; before the first command there is nothing to miss. Fed again only by the next command.
     pub fn expires(&mut self, now_ns: u64) -> bool {
         let silent_ns = now_ns.saturating_sub(self.fed_ns);
         let expires = self.limit_ns.is_some_and(|limit_ns| silent_ns > limit_ns);
-        if expires && self.expired_ns <= self.fed_ns {
+        if expires && self.fed_ns > 0 && self.expired_ns <= self.fed_ns {
             self.expired += 1;
             self.expired_ns = now_ns;
             return true;

@@ -106,7 +106,7 @@ impl MotorNode for OdriveSim {
             }
             (0x02, _) => self.disarm(0x0200_0000),
             (0x04, data) => self.on_parameter(data, now_ns),
-            (0x07, [state, 0, 0, 0]) => match *state {
+            (0x07, [state, 0, 0, 0, ..]) => match *state {
                 CLOSED_LOOP if self.errors == 0 && self.velocity_mode => self.state = CLOSED_LOOP,
                 IDLE => self.state = IDLE,
                 _ => {}

@@ -171,8 +171,12 @@ impl Odrive {
         }
     }
 
-    fn on_heartbeat(&mut self, data: &[u8; 8]) {
-        let [a, b, c, d, state, ..] = *data;
+    fn on_heartbeat(&mut self, data: &[u8]) {
+        // Seven or eight bytes, as the firmware has it.
+        let [a, b, c, d, state, ..] = *data else {
+            self.status.bad += 1;
+            return;
+        };
         let errors = u32::from_le_bytes([a, b, c, d]);
         match self.step {
             Step::ClosedLoop if errors == 0 && state == CLOSED_LOOP => {
@@ -257,10 +261,10 @@ impl MotorProtocol for Odrive {
         let command = id & 0x1f;
         match (command, frame.eight()) {
             (command::VERSION, Some(data)) => self.on_version(data),
-            (command::HEARTBEAT, Some(data)) => self.on_heartbeat(data),
+            (command::HEARTBEAT, _) => self.on_heartbeat(frame.data()),
             (command::ENCODER, Some(data)) => self.on_encoder(data, time_ns),
             (command::READ_ANSWER, _) => self.on_answer(frame.data()),
-            (command::VERSION | command::HEARTBEAT | command::ENCODER, None) => self.status.bad += 1,
+            (command::VERSION | command::ENCODER, None) => self.status.bad += 1,
             // Currents, temperatures and other messages that the controller may be told to send.
             _ => {}
         }

@@ -22,6 +22,7 @@ use crate::can::frame::{CanFrame, CanId};
 
 /// `CAN_PACKET_ID` of the firmware's `datatypes.h`.
 mod packet {
+    pub const CURRENT: u32 = 1;
     pub const BRAKE: u32 = 2;
     pub const RPM: u32 = 3;
     pub const FILL: u32 = 5;
@@ -77,6 +78,8 @@ pub struct Vesc {
     fault_asked_ns: u64,
     fault: Option<u8>,
     power: bool,
+    /// Let go by [`MotorProtocol::disable`]; a fault or a lost bus does not let go, it brakes.
+    released: bool,
     buffer: [u8; LONGEST],
     position: Unwrapped,
     position_ns: u64,
@@ -95,6 +98,7 @@ impl Vesc {
             fault_asked_ns: 0,
             fault: None,
             power: false,
+            released: true,
             buffer: [0; LONGEST],
             position: Unwrapped::default(),
             position_ns: 0,
@@ -128,6 +132,8 @@ impl Vesc {
         if moving {
             let erpm = self.velocity_radps / TAU * 60.0 * self.node.pole_pairs;
             self.frame(packet::RPM, &(erpm.round() as i32).to_be_bytes())
+        } else if self.released {
+            self.frame(packet::CURRENT, &[0; 4])
         } else {
             let milliamperes = (self.node.brake_a * 1e3).round() as i32;
             self.frame(packet::BRAKE, &milliamperes.to_be_bytes())
@@ -297,13 +303,13 @@ impl MotorProtocol for Vesc {
     fn enable(&mut self) {
         if matches!(self.status.stage, MotorStage::Ready | MotorStage::Faulted) {
             self.restart();
-            self.power = true;
+            (self.power, self.released) = (true, false);
             self.status.stage = MotorStage::Enabling;
         }
     }
 
     fn disable(&mut self) {
-        self.power = false;
+        (self.power, self.released) = (false, true);
         if matches!(self.status.stage, MotorStage::Enabled | MotorStage::Enabling) {
             self.next(Step::Feedback);
             self.status.stage = MotorStage::SettingUp;
@@ -378,8 +384,8 @@ mod tests {
         assert_eq!(sent(&mut motor, 0), ["0000080A#FE0011"]);
         configuration(&mut motor, 10, 80, 3.0, false);
         assert_eq!(motor.status().watchdog_ms, Some(80.0));
-        // From now on it is fed, with a brake current.
-        assert_eq!(sent(&mut motor, 1), ["0000020A#00001388"]);
+        // From now on it is fed, with no current until it is enabled.
+        assert_eq!(sent(&mut motor, 1), ["0000010A#00000000"]);
     }
 
     #[test]
@@ -408,7 +414,7 @@ mod tests {
     fn zero_is_a_brake_and_never_a_speed() {
         let mut motor = Vesc::new(NODE);
         configuration(&mut motor, 10, 80, 3.0, false);
-        motor.step = Step::Enabled;
+        (motor.step, motor.released) = (Step::Enabled, false);
         motor.fault_asked_ns = 1;
         motor.set_velocity(TAU);
         assert_eq!(sent(&mut motor, 2), ["0000030A#000001A4"]);

@@ -14,20 +14,22 @@
 //! watchdogs. A velocity other than zero leaves only while `Armed`, on a command that is younger than the watchdog and whose plan is
 //! younger than its limit.
 
+mod link;
+mod report;
+
 use std::sync::Arc;
 
 use hal::{Base, Clock, DriveCommand, ErrorType, Twist2, WheelFeedback};
 
-use super::bus::{Backoff, BusEvent, CanBus, ErrorState, SendProblem};
+use super::bus::{Backoff, CanBus, ErrorState, SendProblem};
 use super::config::BaseConfig;
 use super::error::{CanError, Side, Trip};
-use super::frame::CanFrame;
 use super::guard::WheelGuard;
 use super::kinematics::{Kinematics, Odometry, Wheels};
 use super::limits::Limiter;
-use super::messages::{BaseCommand, BaseState, SafetyInput};
-use super::protocol::{MotorProtocol, MotorStage, MotorStatus, Outbox};
-use crate::{DeviceState, DeviceStatus, MonotonicClock};
+use super::messages::SafetyInput;
+use super::protocol::{MotorProtocol, MotorStage, Outbox};
+use crate::{DeviceStatus, MonotonicClock};
 
 const MS: u64 = 1_000_000;
 /// Events taken from the bus per turn: 100 Hz times this is more than a bus at 1 Mbit/s can carry (47 bits a frame at least), so
@@ -35,10 +37,6 @@ const MS: u64 = 1_000_000;
 const EVENTS_PER_TURN: usize = 256;
 /// Without a command, zeros go out at this pace: slower than the loop's, so that a loop that drives sends one set per turn.
 const IDLE_TURN_NS: u64 = 15 * MS;
-/// A queue that stays full for so long is stuck.
-const BLOCKED_NS: u64 = 50 * MS;
-/// A bus that has worked for so long is well again.
-const WELL_NS: u64 = 1_000 * MS;
 /// Motors have so long to be enabled.
 const ARMING_NS: u64 = 3_000 * MS;
 /// How long the motors hold zero before they are let go.
@@ -65,24 +63,7 @@ pub enum Phase {
     Tripped(Trip),
 }
 
-/// Counts for people, since the driver was made.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct BaseCounts {
-    /// Frames that are nobody's of ours.
-    pub foreign: u64,
-    /// Frames of ours that failed a check.
-    pub corrupt: u64,
-    /// Frames that could not be sent.
-    pub unsent: u64,
-    /// Commands that were refused.
-    pub refused: u64,
-    /// Commands whose counter was left out.
-    pub skipped: u64,
-    /// Error frames, overflows and missing acknowledges.
-    pub bus_errors: u64,
-    /// Times that the controller was bus-off.
-    pub bus_off: u64,
-}
+pub use report::BaseCounts;
 
 /// The driver.
 pub struct DifferentialBase<B, C = MonotonicClock> {
@@ -239,78 +220,9 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         self.phase == Phase::Armed
     }
 
-    /// State and counts.
-    #[must_use]
-    pub fn status(&self) -> DeviceStatus {
-        let now_ns = self.clock.now_ns();
-        let stages = self.motors.each_ref().map(|motor| motor.status().stage);
-        let is_faulty = stages.iter().any(|stage| matches!(stage, MotorStage::Faulted | MotorStage::Refused));
-        let state = if self.gone {
-            DeviceState::Disconnected
-        } else if is_faulty || !self.backoff.is_over(now_ns) || self.wrong_direction.is_some() {
-            DeviceState::Faulty
-        } else if self.silent(now_ns).is_some() {
-            if self.fed_back_ns == 0 { DeviceState::Starting } else { DeviceState::Silent }
-        } else if stages.contains(&MotorStage::SettingUp) {
-            DeviceState::Starting
-        } else {
-            DeviceState::Working
-        };
-        let bad =
-            self.status.bad + self.counts.corrupt + self.motors.iter().map(|motor| motor.status().bad).sum::<u64>();
-        DeviceStatus { state, bad, ..self.status }
-    }
-
-    /// Counts for people.
-    #[must_use]
-    pub fn counts(&self) -> BaseCounts {
-        self.counts
-    }
-
-    /// The bus controller's error state and its counters (TEC, REC), as far as it tells them.
-    #[must_use]
-    pub fn bus_health(&self) -> (ErrorState, (u8, u8)) {
-        (self.error_state, self.error_counters)
-    }
-
-    /// The motors, left and right.
-    #[must_use]
-    pub fn motors(&self) -> [&MotorStatus; 2] {
-        self.motors.each_ref().map(|motor| motor.status())
-    }
-
-    /// Odometry with its covariance.
-    #[must_use]
-    pub fn odometry(&self) -> &Odometry {
-        &self.odometry
-    }
-
     /// The clock, for tests that move it.
     pub fn clock_mut(&mut self) -> &mut C {
         &mut self.clock
-    }
-
-    /// One line for people: what it does, and if nothing, why and what to do.
-    #[must_use]
-    pub fn explain(&self) -> String {
-        let now_ns = self.clock.now_ns();
-        let motor = SIDES.iter().zip(&self.motors).find_map(|(side, motor)| Some((side, motor.status().problem?)));
-        let what = match (self.phase, motor) {
-            (Phase::Tripped(Trip::MotorFault(_)), Some((side, problem))) => {
-                format!("stopped: the {side} motor: {problem}; then arm")
-            }
-            (Phase::Tripped(trip), _) => format!("stopped: {trip}"),
-            (Phase::Disarmed, _) if self.obstacle(now_ns).is_some() => match self.obstacle(now_ns) {
-                Some(trip) => format!("not armed: {trip}"),
-                None => "not armed".to_owned(),
-            },
-            (Phase::Disarmed, Some((side, problem))) => format!("not armed: the {side} motor: {problem}"),
-            (Phase::Disarmed, None) => "not armed".to_owned(),
-            (Phase::Arming, _) => "arming: the motors confirm their watchdogs".to_owned(),
-            (Phase::Armed, _) => "armed".to_owned(),
-            (Phase::Disarming, _) => "braking before the motors are let go".to_owned(),
-        };
-        format!("base on {}: {what}", self.name)
     }
 
     /// What forbids motion apart from the motors themselves.
@@ -392,61 +304,6 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         self.measure();
         self.watch(now_ns);
         self.served_ns = now_ns;
-    }
-
-    fn on_event(&mut self, event: &BusEvent, time_ns: u64, now_ns: u64) {
-        match event {
-            BusEvent::Frame(frame) => self.on_frame(frame, time_ns),
-            BusEvent::Errors { state, transmit, receive } => {
-                self.error_state = *state;
-                self.error_counters = (*transmit, *receive);
-                self.counts.bus_errors += 1;
-            }
-            BusEvent::BusOff => {
-                self.counts.bus_off += 1;
-                self.lose_bus(Trip::BusOff, now_ns);
-            }
-            BusEvent::Gone => {
-                self.gone = true;
-                self.lose_bus(Trip::BusGone, now_ns);
-            }
-            BusEvent::Back => {
-                self.status.reopened += u64::from(std::mem::take(&mut self.gone));
-            }
-            BusEvent::Restarted => self.error_state = ErrorState::Active,
-            BusEvent::NoAcknowledge | BusEvent::Overflow | BusEvent::Noise => self.counts.bus_errors += 1,
-        }
-    }
-
-    /// The bus cannot be trusted: zero, nothing of the past may still be sent, silence for a while, and the motors are set up
-    /// anew.
-    fn lose_bus(&mut self, trip: Trip, now_ns: u64) {
-        self.trip(trip, now_ns);
-        if !self.gone {
-            self.bus.drop_pending();
-            if self.backoff.is_over(now_ns) {
-                self.backoff.wait(now_ns);
-            }
-        }
-        self.well_since_ns = self.backoff.until_ns().max(now_ns);
-        self.motors.iter_mut().for_each(|motor| motor.restart());
-    }
-
-    fn on_frame(&mut self, frame: &CanFrame, time_ns: u64) {
-        if self.motors.iter_mut().any(|motor| motor.receive(frame, time_ns)) {
-            return;
-        }
-        use super::messages::MessageError::{Checksum, Shape};
-        match SafetyInput::decode(frame) {
-            Ok(input) => {
-                // A counter that stands still is a frame that is repeated, not a board that lives.
-                if self.safety.is_none_or(|(_, last)| last.counter != input.counter) {
-                    self.safety = Some((time_ns, input));
-                }
-            }
-            Err(Checksum) => self.counts.corrupt += 1,
-            Err(Shape) => self.counts.foreign += 1,
-        }
     }
 
     /// Odometry of what is new from both motors.
@@ -580,58 +437,6 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         let signs = self.signs();
         for ((motor, wheel_mps), sign) in self.motors.iter_mut().zip(self.wheels_mps).zip(signs) {
             motor.set_velocity(sign * wheel_mps * per_metre);
-        }
-    }
-
-    fn send(&mut self, frame: &CanFrame, first_problem: &mut Option<SendProblem>) {
-        if let Err(problem) = self.bus.send(frame) {
-            self.counts.unsent += 1;
-            first_problem.get_or_insert(problem);
-        }
-    }
-
-    fn announce(&mut self, first_problem: &mut Option<SendProblem>) {
-        let counter = (self.turns % 16) as u8;
-        let plan_age_ms = u16::try_from(self.plan_age_ns / MS).unwrap_or(u16::MAX);
-        let (armed, stop) = (self.phase == Phase::Armed, matches!(self.phase, Phase::Tripped(_)));
-        let command = BaseCommand { counter, armed, stop, plan_age_ms, twist: self.kinematics.twist(self.wheels_mps) };
-        self.send(&command.encode(), first_problem);
-        if self.turns.is_multiple_of(10) {
-            let (phase, trip) = match self.phase {
-                Phase::Disarmed => (0, 0),
-                Phase::Arming => (1, 0),
-                Phase::Armed => (2, 0),
-                Phase::Disarming => (3, 0),
-                Phase::Tripped(trip) => (4, trip.number()),
-            };
-            let counter = (self.turns / 10 % 16) as u8;
-            let state =
-                BaseState { counter, phase, trip, estop: self.estop, contact: self.contact(), twist: self.twist };
-            self.send(&state.encode(), first_problem);
-        }
-        self.turns += 1;
-    }
-
-    /// What the turn's sending says about the bus.
-    fn judge(&mut self, first_problem: Option<SendProblem>, now_ns: u64) {
-        match first_problem {
-            None => {
-                self.full_since_ns = None;
-                if now_ns.saturating_sub(self.well_since_ns) > WELL_NS {
-                    self.backoff.reset();
-                }
-            }
-            // The bus says by itself when it is back.
-            Some(SendProblem::Down | SendProblem::Gone) => {
-                self.trip(Trip::BusGone, now_ns);
-                self.well_since_ns = now_ns;
-            }
-            Some(_) => {
-                let since = *self.full_since_ns.get_or_insert(now_ns);
-                if now_ns.saturating_sub(since) >= BLOCKED_NS {
-                    self.lose_bus(Trip::TransmitBlocked, now_ns);
-                }
-            }
         }
     }
 
