@@ -2,9 +2,9 @@
 #![forbid(unsafe_code)]
 
 pub mod can;
-pub mod drivers;
 pub mod flow;
 pub mod imaging;
+pub mod lidar;
 pub mod mapping;
 pub mod network;
 pub mod peers;
@@ -24,10 +24,16 @@ pub const ROOMS: &[(&str, Measure)] = &[
     ("mapping", mapping::measure),
     ("network", network::rows),
     ("perception", perception_rows),
-    ("drivers", drivers::rows),
+    ("drivers", driver_rows),
     ("trainer", trainer::rows),
-    ("drivers", can::measure),
 ];
+
+/// From a device's bytes to a decision, and back to frames.
+fn driver_rows() -> anyhow::Result<Vec<Row>> {
+    let mut rows = lidar::rows()?;
+    rows.extend(can::measure()?);
+    Ok(rows)
+}
 
 /// From the camera's bytes to coarse depth, and optical flow.
 fn perception_rows() -> anyhow::Result<Vec<Row>> {

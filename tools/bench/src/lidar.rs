@@ -5,8 +5,9 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
-use drivers::scip::{Framer, Model, RangeCodes, Reply, Request};
-use hal::{LaserScan, Range};
+use drivers::scip::{self, Framer, Model, RangeCodes, Reply};
+use hal::{LaserScan, Range, Twist2, WheelFeedback};
+use runtime::safety::{Plan, Request, SafetyConfig, SafetyInput, SafetyPlane};
 
 use crate::report::{Row, Timing, Unit, time_against};
 
@@ -26,15 +27,15 @@ const PIECE: usize = 512;
 pub fn rows() -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for (what, without_return) in [("all distances", 0), ("2 % without return", 2)] {
-        let (request, message) = scan(without_return);
+        let far = |beam: u32| if beam * 7919 % 100 < without_return { 1 } else { 500 + beam * 37 % 20_000 };
+        let (request, message) = scan(far);
         rows.push(decode(what, &request, &message)?);
     }
-    let (request, message) = scan(2);
-    rows.extend(latency(&request, &message)?);
+    rows.extend(latency()?);
     Ok(rows)
 }
 
-fn decode(what: &str, request: &Request, message: &[u8]) -> Result<Row> {
+fn decode(what: &str, request: &scip::Request, message: &[u8]) -> Result<Row> {
     let codes = Model::Utm30lx.sheet().codes;
     let mut ranges = vec![Range::Error; request.beams()];
     Reply::read(message, request, &codes, &mut ranges)?;
@@ -62,39 +63,61 @@ fn decode(what: &str, request: &Request, message: &[u8]) -> Result<Row> {
         .note(format!("{} bytes a scan, every checksum", message.len())))
 }
 
-/// Bytes in pieces as they are read, to a scan as it is handed out.
-fn latency(request: &Request, message: &[u8]) -> Result<Vec<Row>> {
+/// Bytes in pieces as they are read, to what the safety plane decides about a robot that drives through a narrow place: every
+/// beam meets something that it has to look at.
+fn latency() -> Result<Vec<Row>> {
+    let (request, message) = scan(|beam| 600 + 600 * beam.abs_diff(540) / 540);
+    let mut plane = SafetyPlane::new(SafetyConfig { period_s: 0.025, ..SafetyConfig::default() });
     let codes = Model::Utm30lx.sheet().codes;
     let mut framer = Box::new(Framer::<16_384>::default());
     let geometry = Model::Utm30lx.geometry(false);
     let mut scan = LaserScan { time_ns: 0, geometry, ranges: vec![Range::Error; geometry.beams] };
     let mut times = Vec::with_capacity(SINGLES);
-    for _ in 0..SINGLES {
+    for turn in 1..=SINGLES as u64 {
         let start = Instant::now();
         for piece in message.chunks(PIECE) {
             framer.room().get_mut(..piece.len()).context("the buffer is too small")?.copy_from_slice(piece);
             framer.received(piece.len());
         }
         let whole = framer.message().context("no message")?;
-        black_box(Reply::read(whole, request, &codes, &mut scan.ranges)?);
+        Reply::read(whole, &request, &codes, &mut scan.ranges)?;
+        scan.time_ns = turn * 25_000_000;
+        let output = black_box(plane.step(&driving(&scan)));
         times.push(start.elapsed().as_secs_f64());
+        ensure!(output.twist().linear_mps > 0.0, "the way is free, and yet it stands: {output:?}");
     }
-    let name = |which| format!("scan bytes to hal scan, 1081 beams, {which}");
+    let name = |which| format!("scan bytes to motion decision, 1081 beams, {which}");
     let median = Timing::of(times.clone());
     times.sort_by(f64::total_cmp);
     let p99 = Timing { median: times[(SINGLES * 99).div_ceil(100) - 1], ..median };
-    Ok(vec![Row::seconds(ROOM, name("median"), median), Row::seconds(ROOM, name("99th percentile"), p99)])
+    let note = "decode, checksums, zones, state machine";
+    Ok(vec![
+        Row::seconds(ROOM, name("median"), median).note(note),
+        Row::seconds(ROOM, name("99th percentile"), p99).goal(100e-6, 20e-6).note(note),
+    ])
 }
 
-/// A room, and some beams that meet nothing.
-fn scan(without_return_percent: u32) -> (Request, Vec<u8>) {
+fn driving(scan: &LaserScan) -> SafetyInput<'_> {
+    let time_ns = scan.time_ns;
+    SafetyInput {
+        time_ns,
+        scan: Some(scan),
+        wheel: Some(WheelFeedback { time_ns, ..WheelFeedback::default() }),
+        base_error: None,
+        emergency_stop: false,
+        plan: Some(Plan { twist: Twist2 { linear_mps: 0.3, angular_radps: 0.0 }, time_ns }),
+        request: Some(Request::Arm),
+    }
+}
+
+/// A scan whose beams measure `value`.
+fn scan(value: impl Fn(u32) -> u32) -> (scip::Request, Vec<u8>) {
     let request = Model::Utm30lx.request(0);
     let (echo, length) = request.encode();
     let mut message = echo[..length].to_vec();
     for content in [&b"99"[..], b"0000"] {
         push_line(&mut message, content);
     }
-    let value = |beam: u32| if beam * 7919 % 100 < without_return_percent { 1 } else { 500 + beam * 37 % 20_000 };
     let data: Vec<u8> = (0..request.beams() as u32)
         .flat_map(|beam| [12, 6, 0].map(|shift| (value(beam) >> shift & 63) as u8 + 0x30))
         .collect();
