@@ -1,10 +1,14 @@
 //! Perception allocates nothing once it has run: a robot's loop does not wait for memory.
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
-use hal::{CameraModel, ImageView, PixelFormat, Pose3};
+use hal::{
+    Base, CameraModel, DriveCommand, ImageView, LaserScan, Lidar, PixelFormat, Pose3, Range, ScanGeometry, Twist2,
+    WheelFeedback,
+};
 use nalgebra::{UnitQuaternion, Vector3};
 use runtime::perception::flow::{DenseFlow, DerotatedFlow, FlowField, FlowPreset};
 use runtime::perception::{CoarseConfig, CoarseDepth};
+use runtime::safety::{Orders, Plan, Request, SafetyConfig, SafetyLoop};
 
 const WIDTH: usize = 200;
 const HEIGHT: usize = 150;
@@ -61,4 +65,69 @@ fn flow_allocates_nothing_after_the_first_call() {
         (0..3).for_each(|_| run());
         assert_eq!(allocations(|| (0..5).for_each(|_| run())), 0, "{preset:?}");
     }
+}
+
+/// Devices that have something new every turn.
+struct Devices {
+    now_ns: u64,
+    ahead_m: f32,
+}
+
+impl hal::ErrorType for Devices {
+    type Error = std::convert::Infallible;
+}
+
+impl Lidar for Devices {
+    fn geometry(&self) -> ScanGeometry {
+        ScanGeometry::UTM_30LX
+    }
+
+    fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Self::Error> {
+        self.now_ns += 10_000_000;
+        self.ahead_m = if self.ahead_m < 0.2 { 2.0 } else { self.ahead_m - 0.01 };
+        scan.time_ns = self.now_ns;
+        scan.ranges.clear();
+        scan.ranges.resize(1081, Range::Hit(self.ahead_m));
+        Ok(true)
+    }
+}
+
+impl Base for Devices {
+    fn drive(&mut self, _command: &DriveCommand) -> Result<(), Self::Error> {
+        Ok(())
+    }
+
+    fn stop(&mut self) -> Result<(), Self::Error> {
+        Ok(())
+    }
+
+    fn poll_feedback(&mut self) -> Result<Option<WheelFeedback>, Self::Error> {
+        self.now_ns += 10_000_000;
+        Ok(Some(WheelFeedback { time_ns: self.now_ns, ..WheelFeedback::default() }))
+    }
+}
+
+#[test]
+fn the_safety_loop_allocates_nothing_after_its_first_scan_whatever_state_it_is_in() {
+    let devices = || Devices { now_ns: 0, ahead_m: 2.0 };
+    let config = SafetyConfig { period_s: 0.01, ..SafetyConfig::default() };
+    let mut control = SafetyLoop::new(config, devices(), devices());
+    let mut names = std::collections::BTreeSet::new();
+    let mut counted = 0;
+    for turn in 1..3000_u64 {
+        let now_ns = turn * 10_000_000;
+        let plan = Some(Plan { twist: Twist2 { linear_mps: 0.3, angular_radps: 0.0 }, time_ns: now_ns });
+        let request = match turn % 1000 {
+            1 => Some(Request::Arm),
+            900 => Some(Request::ClearFault),
+            _ => None,
+        };
+        let orders = Orders { plan, request, emergency_stop: turn % 1000 == 800 };
+        let turn_of = allocations(|| _ = control.turn(now_ns, &orders));
+        counted += if turn > 1 { turn_of } else { 0 };
+        names.insert(control.plane().state().name());
+    }
+    assert_eq!(counted, 0);
+    let all = ["backing off", "clear", "disarmed", "escaping", "fault", "tripped"];
+    assert_eq!(names.into_iter().collect::<Vec<_>>(), all);
 }

@@ -5,7 +5,7 @@
 use anyhow::{Context, Result};
 use drivers::clock::monotonic_ns;
 use drivers::v4l2::V4l2Camera;
-use hal::{Camera, Frame, ImageView, LaserScan, WheelFeedback};
+use hal::{Camera, Frame, ImageView, LaserScan, Pose2, WheelFeedback};
 use runtime::event::{Event, SafetyEvent};
 use runtime::imaging::{FrontEnd, YuvRange};
 use runtime::latency::Percentiles;
@@ -26,6 +26,8 @@ use crate::report::latency::Stage;
 use crate::report::map_view::map_view;
 use crate::stopwatch::Stopwatch;
 
+/// Poses for the picture of the map: three hours of driving.
+const MOST_REMEMBERED: usize = 100_000;
 /// Stops are logged at most this often.
 const LOG_EVERY_NS: u64 = 1_000_000_000;
 
@@ -46,6 +48,8 @@ pub struct Exploration {
     tick: u64,
     pictures: u64,
     path_m: f64,
+    trajectory: Vec<Pose2>,
+    trips_m: Vec<[f64; 2]>,
     last_wheel: Option<WheelFeedback>,
     no_depth: Option<NoDepth>,
     camera_problem: Option<String>,
@@ -80,6 +84,8 @@ impl Exploration {
             tick: 0,
             pictures: 0,
             path_m: 0.0,
+            trajectory: Vec::new(),
+            trips_m: Vec::new(),
             last_wheel: None,
             no_depth: None,
             camera_problem: None,
@@ -168,6 +174,9 @@ impl Exploration {
         });
         for event in &decision.events {
             self.counts.add(event);
+            if let Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } = event {
+                self.trips_m.push(wheel.odom.transform(*x_m, *y_m).into());
+            }
             if let Event::Safety { what: SafetyEvent::Faulted { .. } | SafetyEvent::Tripped { .. } } = event
                 && decision.time_ns >= self.quiet_until_ns
             {
@@ -176,7 +185,12 @@ impl Exploration {
             }
         }
         let last = self.last_wheel.replace(*wheel);
-        self.path_m += last.map_or(0.0, |last| last.odom.distance_m(&wheel.odom)).min(0.5);
+        let step_m = last.map_or(0.0, |last| last.odom.distance_m(&wheel.odom));
+        // A jump is odometry that began anew.
+        self.path_m += step_m.min(0.5);
+        if step_m > 0.0 && self.trajectory.len() < MOST_REMEMBERED {
+            self.trajectory.push(wheel.odom);
+        }
     }
 
     fn record(&mut self, tick: Option<RecordedTick>) -> Result<()> {
@@ -248,6 +262,8 @@ impl Exploration {
             robot: self.robot,
             pictures: self.pictures,
             path_m: self.path_m,
+            trajectory: self.trajectory,
+            trips_m: self.trips_m,
         }
     }
 }
@@ -266,4 +282,8 @@ pub struct Finished {
     pub pictures: u64,
     /// Way by wheel odometry, metres.
     pub path_m: f64,
+    /// Where it was, in `odom`.
+    pub trajectory: Vec<Pose2>,
+    /// What it stopped for, in `odom`, metres.
+    pub trips_m: Vec<[f64; 2]>,
 }

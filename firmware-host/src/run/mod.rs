@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result};
 use drivers::MonotonicClock;
-use hal::Clock;
+use hal::{Clock, Pose2};
 use runtime::event::ExploreEnd;
 use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, Robot};
@@ -174,7 +174,7 @@ fn report(args: &RunArgs, mission: &Mission, model: Option<String>, end: Explore
         Some(Err(error)) => eprintln!("warning: {error}"),
         None => {}
     }
-    draw_map(&args.out, &finished.robot)?;
+    draw_map(&args.out, &finished.robot, &finished.trajectory, &finished.trips_m)?;
     summary.write(&args.out)?;
     println!("{}", crate::report::table::render(&summary));
     println!("Look at {0}/map.png; numbers are in {0}/summary.json.", args.out.display());
@@ -182,7 +182,7 @@ fn report(args: &RunArgs, mission: &Mission, model: Option<String>, end: Explore
 }
 
 /// The map in `odom`: nobody knows where that lies in the world.
-fn draw_map(out: &Path, robot: &Robot) -> Result<()> {
+fn draw_map(out: &Path, robot: &Robot, trajectory: &[Pose2], trips: &[[f64; 2]]) -> Result<()> {
     use crate::report::map_picture::{CellState, Cells, MapPicture};
     let Some(view) = crate::report::map_view::map_view(robot.map()) else { return Ok(()) };
     let state = |occupancy: &i8| match occupancy {
@@ -192,13 +192,7 @@ fn draw_map(out: &Path, robot: &Robot) -> Result<()> {
     };
     let cells: Vec<CellState> = view.occupancy.iter().map(state).collect();
     let map = Cells { width: view.columns, cells: &cells, resolution_m: view.cell_m, origin_m: view.origin_m };
-    let picture = MapPicture {
-        title: "the map as the robot has it",
-        map,
-        trajectory: &[],
-        goals: &[],
-        trips: &[],
-        reachable: None,
-    };
+    let title = "the map as the robot has it";
+    let picture = MapPicture { title, map, trajectory, goals: &[], trips, reachable: None };
     Ok(picture.write(out)?)
 }

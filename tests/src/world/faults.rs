@@ -3,20 +3,21 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use crate::hokuyo::{Health, SimulatedHokuyo, WireFaults};
-use crate::motor::MotorNode;
+use super::LiveWorld;
+use crate::hokuyo::{Health, WireFaults};
 
 /// Quiet time between two faults, seconds.
 const QUIET_S: std::ops::Range<f64> = 6.0..14.0;
 
 /// What can happen, and for how long, seconds.
 /// A motor controller that restarts is not among them: it needs a person by design.
-const KINDS: [(&str, std::ops::Range<f64>); 5] = [
+const KINDS: [(&str, std::ops::Range<f64>); 6] = [
     ("the scanner is unplugged", 0.5..3.0),
     ("the scanner restarts", 0.1..0.2),
     ("bits flip on the scanner's wire", 1.0..4.0),
     ("the scanner's motor stops", 0.5..2.0),
     ("the left motor's controller falls silent", 0.15..0.6),
+    ("the camera is unplugged", 0.5..4.0),
 ];
 
 /// One fault after another.
@@ -38,17 +39,12 @@ impl Mischief {
     }
 
     /// Begins and ends faults; what to say of it.
-    pub fn turn(
-        &mut self,
-        time_s: f64,
-        lidar: &SimulatedHokuyo,
-        wheels: &mut [Box<dyn MotorNode>; 2],
-    ) -> std::io::Result<Option<String>> {
+    pub fn turn(&mut self, time_s: f64, world: &LiveWorld) -> std::io::Result<Option<String>> {
         match self.now {
             Some((kind, until_s)) if time_s >= until_s => {
                 self.now = None;
                 self.due_s = time_s + self.rng.random_range(QUIET_S);
-                end(kind, lidar, wheels)?;
+                end(kind, world)?;
                 Ok(Some(format!("over: {}", KINDS[kind].0)))
             }
             None if time_s >= self.due_s => {
@@ -56,7 +52,7 @@ impl Mischief {
                 let (words, span) = &KINDS[kind];
                 self.now = Some((kind, time_s + self.rng.random_range(span.clone())));
                 self.count += 1;
-                begin(kind, lidar, wheels);
+                begin(kind, world);
                 Ok(Some((*words).to_owned()))
             }
             _ => Ok(None),
@@ -64,22 +60,26 @@ impl Mischief {
     }
 }
 
-fn begin(kind: usize, lidar: &SimulatedHokuyo, wheels: &mut [Box<dyn MotorNode>; 2]) {
+fn begin(kind: usize, world: &LiveWorld) {
+    let lidar = world.lidar();
     match kind {
         0 => lidar.unplug(),
         1 => lidar.reboot(1_000_000_000),
         2 => lidar.set_wire(WireFaults { flip_share: 0.3, ..WireFaults::default() }),
         3 => lidar.set_health(Health::MotorFault),
-        _ => wheels[0].faults().silent = true,
+        4 => world.wheels()[0].faults().silent = true,
+        _ => world.plug_camera(false),
     }
 }
 
-fn end(kind: usize, lidar: &SimulatedHokuyo, wheels: &mut [Box<dyn MotorNode>; 2]) -> std::io::Result<()> {
+fn end(kind: usize, world: &LiveWorld) -> std::io::Result<()> {
+    let lidar = world.lidar();
     match kind {
         0 => return lidar.plug_in(),
         2 => lidar.set_wire(WireFaults::default()),
         3 => lidar.set_health(Health::Well),
-        4 => wheels[0].faults().silent = false,
+        4 => world.wheels()[0].faults().silent = false,
+        5 => world.plug_camera(true),
         // The restart is over by itself.
         _ => {}
     }

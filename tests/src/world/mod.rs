@@ -6,7 +6,9 @@
 mod command;
 mod faults;
 mod home;
+mod live;
 mod sight;
 
 pub use command::{WorldArgs, run};
 pub use home::Home;
+pub use live::{LiveOptions, LiveWorld};

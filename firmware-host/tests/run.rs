@@ -1,0 +1,174 @@
+//! The whole binary on simulated devices, in real time and through the real drivers: what it promises when devices come and go.
+#![allow(missing_docs, clippy::unwrap_used, clippy::panic, reason = "a test that cannot set up its scene has failed")]
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use assert_cmd::cargo::CommandCargoExt;
+use drivers::can::Protocol;
+use firmware_host::run::status::Status;
+use hal::CameraModel;
+use hil::world::{LiveOptions, LiveWorld};
+use rustix::process::{Pid, Signal, kill_process};
+
+/// Long enough for a computer that does something else as well; a robot that works needs a tenth of it.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+struct Scene {
+    folder: tempfile::TempDir,
+    world: LiveWorld,
+    robot: Child,
+}
+
+impl Scene {
+    fn new(protocol: Protocol) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let options = LiveOptions {
+            scene: "builtin:apartment?seed=1".to_owned(),
+            protocol,
+            // Small pictures: this is about devices.
+            camera: CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2),
+            fps: 15.0,
+            seed: 1,
+        };
+        let world = LiveWorld::start(folder.path(), &options).unwrap();
+        let robot = Command::cargo_bin("firmware-host")
+            .unwrap()
+            .args(["run", "--config"])
+            .arg(world.config())
+            .arg("--out")
+            .arg(folder.path().join("run"))
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        Self { folder, world, robot }
+    }
+
+    fn status(&self) -> Option<Status> {
+        Status::read(&self.folder.path().join("status.json")).ok()
+    }
+
+    fn wait(&self, what: &str, mut done: impl FnMut(&Self) -> bool) {
+        let began = Instant::now();
+        while !done(self) {
+            assert!(began.elapsed() < PATIENCE, "{what} did not happen; {:#?}", self.status());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Waits until it has driven a hand's breadth from here.
+    fn drives(&self, when: &str) {
+        let (_, before_m) = self.world.home().score();
+        self.wait(when, |scene| scene.world.home().score().1 > before_m + 0.1);
+    }
+
+    fn state_is(&self, state: &str) {
+        self.wait(state, |scene| scene.status().is_some_and(|status| status.safety.state == state));
+    }
+
+    /// How far it goes in half a second.
+    fn way_m(&self) -> f64 {
+        let (_, before_m) = self.world.home().score();
+        std::thread::sleep(Duration::from_millis(500));
+        self.world.home().score().1 - before_m
+    }
+
+    fn health(&self) -> (bool, String) {
+        let status = self.folder.path().join("status.json");
+        let output =
+            Command::cargo_bin("firmware-host").unwrap().args(["health", "--status"]).arg(status).output().unwrap();
+        (output.status.success(), String::from_utf8(output.stdout).unwrap())
+    }
+
+    fn signal(&self, signal: Signal) {
+        kill_process(Pid::from_raw(self.robot.id() as i32).unwrap(), signal).unwrap();
+    }
+
+    fn ends_well(&mut self) {
+        self.signal(Signal::TERM);
+        assert!(self.robot.wait().unwrap().success());
+        let (same, text) = replayed(&self.folder.path().join("run"));
+        assert!(same && text.contains("mismatches=0"), "{text}");
+        assert_eq!(self.world.home().score().0, 0, "it touched something");
+    }
+}
+
+impl Drop for Scene {
+    fn drop(&mut self) {
+        let _ = self.robot.kill();
+        let _ = self.robot.wait();
+    }
+}
+
+fn replayed(run: &Path) -> (bool, String) {
+    let output = Command::cargo_bin("firmware-host").unwrap().arg("replay").arg(run).output().unwrap();
+    let text = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap()).concat();
+    (output.status.success(), text)
+}
+
+#[test]
+fn it_explores_stands_while_a_device_is_gone_says_so_and_goes_on_without_help() {
+    let mut scene = Scene::new(Protocol::Odrive);
+    scene.drives("the first drive");
+
+    scene.world.lidar().unplug();
+    scene.state_is("fault: the LiDAR is silent");
+    assert!(scene.way_m() < 0.01, "it drives without a scanner");
+    let (well, text) = scene.health();
+    assert!(!well && text.contains("! LiDAR") && text.contains("goes on by itself"), "{text}");
+    scene.world.lidar().plug_in().unwrap();
+    scene.drives("driving after the scanner was plugged in again");
+
+    scene.world.plug_camera(false);
+    scene.wait("a camera that is gone", |scene| scene.status().is_some_and(|status| status.camera.state != "working"));
+    std::thread::sleep(Duration::from_secs(2));
+    assert!(scene.way_m() < 0.01, "it drives blindly");
+    scene.world.plug_camera(true);
+    scene.drives("driving after the camera was plugged in again");
+
+    scene.world.wheels()[0].faults().silent = true;
+    scene.wait("wheels that are missed", |scene| {
+        scene.status().is_some_and(|status| status.safety.state.contains("wheels do not tell"))
+    });
+    assert!(scene.way_m() < 0.05, "it drives without knowing how far");
+    scene.world.wheels()[0].faults().silent = false;
+    scene.drives("driving after the wheels speak again");
+    scene.ends_well();
+}
+
+#[test]
+fn a_motor_that_broke_down_needs_a_person_and_sigusr1_is_that_person() {
+    let mut scene = Scene::new(Protocol::Cia402);
+    scene.drives("the first drive");
+    scene.world.wheels()[1].faults().broken = true;
+    scene.wait("a fault", |scene| scene.status().is_some_and(|status| status.safety.needs_person));
+    assert!(scene.way_m() < 0.01);
+    assert!(scene.health().1.contains("kill -USR1"));
+    scene.world.wheels()[1].faults().broken = false;
+    assert!(scene.way_m() < 0.01, "nobody has looked yet");
+    let (_, before_m) = scene.world.home().score();
+    scene.wait("driving after SIGUSR1", |scene| {
+        scene.signal(Signal::USR1);
+        std::thread::sleep(Duration::from_millis(500));
+        scene.world.home().score().1 > before_m + 0.1
+    });
+    scene.ends_well();
+}
+
+#[test]
+fn killed_in_the_middle_the_wheels_stand_and_the_recording_replays() {
+    let mut scene = Scene::new(Protocol::Vesc);
+    scene.drives("the first drive");
+    scene.drives("some more");
+    scene.signal(Signal::KILL);
+    scene.robot.wait().unwrap();
+    // The controllers' watchdogs: 100 ms, and the wheels' own lag.
+    std::thread::sleep(Duration::from_millis(400));
+    assert!(scene.world.wheels().iter().all(|node| node.wheel().velocity_radps().abs() < 0.1));
+    let (_, text) = replayed(&scene.folder.path().join("run"));
+    assert!(text.contains("mismatches=0") && text.contains("truncated after turn"), "{text}");
+    std::thread::sleep(Duration::from_secs(3));
+    let (well, text) = scene.health();
+    assert!(!well && text.contains("the program (pid"), "{text}");
+}
