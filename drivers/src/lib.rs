@@ -4,6 +4,7 @@
 //! Unsafe code lives only in a module called `sys`, each block with its SAFETY note.
 
 pub mod clock;
+pub mod hokuyo;
 pub mod scip;
 pub mod status;
 pub mod v4l2;

@@ -6,6 +6,7 @@
 
 pub mod base;
 pub mod camera;
+pub mod hokuyo;
 pub mod lidar;
 pub mod rig;
 pub mod scenario;

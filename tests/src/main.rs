@@ -21,6 +21,8 @@ enum Device {
     Camera(hil::video::CameraArgs),
     /// Checks of drivers against the kernel's devices, for `cargo xtask rig`.
     RigProbe(hil::rig::RigArgs),
+    /// A Hokuyo LiDAR on a pty or TCP.
+    Hokuyo(hil::hokuyo::HokuyoArgs),
 }
 
 fn main() -> ExitCode {
@@ -37,5 +39,6 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
     match &arguments.device {
         Device::Camera(args) => hil::video::run(args),
         Device::RigProbe(args) => hil::rig::run(args),
+        Device::Hokuyo(arguments) => hil::hokuyo::run(arguments),
     }
 }

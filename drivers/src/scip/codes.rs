@@ -9,30 +9,57 @@ pub struct RangeCodes {
     pub dmin_mm: u32,
     /// Larger numbers mean that nothing came back, millimetres.
     pub dmax_mm: u32,
-    /// The code for "no object in the range".
-    pub no_return: u32,
+    /// The code for "no object in the range", where there is one.
+    pub no_return: Option<u32>,
     /// The codes for "object too near".
     pub too_near: &'static [u32],
+    /// Numbers above `dmax_mm` that are errors all the same.
+    pub errors: &'static [u32],
 }
 
 impl RangeCodes {
     /// UTM-30LX: 1 no object, 2 and 4 too near, 3 interference, 5 other.
-    pub const UTM_30LX: Self = Self { dmin_mm: 23, dmax_mm: 60_000, no_return: 1, too_near: &[2, 4] };
+    pub const UTM_30LX: Self =
+        Self { dmin_mm: 23, dmax_mm: 60_000, no_return: Some(1), too_near: &[2, 4], errors: &[] };
     /// URG-04LX: 0 possibly an object at 22 m; 1 to 19 are weak, strong or contradictory echoes.
-    pub const URG_04LX: Self = Self { dmin_mm: 20, dmax_mm: 5_600, no_return: 0, too_near: &[] };
+    pub const URG_04LX: Self = Self { dmin_mm: 20, dmax_mm: 5_600, no_return: Some(0), too_near: &[], errors: &[] };
+    /// UST-10LX. We have no table of its codes, so below the range everything is an error; above it no echo came, but for the
+    /// two largest numbers of 16 bits, which are taken for errors to be careful.
+    pub const UST_10LX: Self =
+        Self { dmin_mm: 20, dmax_mm: 30_000, no_return: None, too_near: &[], errors: &[65_534, 65_535] };
+    /// UST-20LX: as the UST-10LX, twice as far.
+    pub const UST_20LX: Self = Self { dmax_mm: 60_000, ..Self::UST_10LX };
 
     /// The range of one beam. A code that is not known is an error, never "free".
     #[must_use]
     pub fn range(&self, value_mm: u32) -> Range {
-        if value_mm >= self.dmin_mm {
-            return if value_mm <= self.dmax_mm { Range::Hit(value_mm as f32 / 1000.0) } else { Range::NoReturn };
+        if self.is_distance(value_mm) { Range::Hit(to_metres(value_mm)) } else { self.code(value_mm) }
+    }
+
+    /// Whether a number is a distance.
+    #[inline(always)]
+    pub(super) fn is_distance(&self, value_mm: u32) -> bool {
+        (self.dmin_mm..=self.dmax_mm).contains(&value_mm)
+    }
+
+    /// What a number that is no distance means.
+    #[inline(never)]
+    pub(super) fn code(&self, value: u32) -> Range {
+        if value > self.dmax_mm {
+            return if self.errors.contains(&value) { Range::Error } else { Range::NoReturn };
         }
-        match value_mm {
-            code if code == self.no_return => Range::NoReturn,
+        match value {
+            code if Some(code) == self.no_return => Range::NoReturn,
             code if self.too_near.contains(&code) => Range::TooNear,
             _ => Range::Error,
         }
     }
+}
+
+/// A distance in metres, rounded once. Numbers have 18 bits at most, and vectors convert signed ones.
+#[inline(always)]
+pub(super) fn to_metres(value_mm: u32) -> f32 {
+    value_mm as i32 as f32 / 1000.0
 }
 
 #[cfg(test)]
@@ -48,6 +75,7 @@ mod tests {
         }
         assert_eq!(RangeCodes::URG_04LX.range(0), Range::NoReturn);
         assert_eq!(RangeCodes::URG_04LX.range(19), Range::Error);
+        assert!((0..20).all(|code| RangeCodes::UST_10LX.range(code) == Range::Error));
     }
 
     #[test]
@@ -55,5 +83,12 @@ mod tests {
         let range = |value| RangeCodes::UTM_30LX.range(value);
         assert_eq!([range(23), range(60_000)], [Range::Hit(0.023), Range::Hit(60.0)]);
         assert_eq!(range(65_533), Range::NoReturn);
+    }
+
+    #[test]
+    fn the_largest_numbers_of_the_ust_models_are_errors_and_not_no_return() {
+        let range = |value| RangeCodes::UST_10LX.range(value);
+        assert_eq!([range(30_001), range(65_533)], [Range::NoReturn; 2]);
+        assert_eq!([range(65_534), range(65_535)], [Range::Error; 2]);
     }
 }

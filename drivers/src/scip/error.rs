@@ -34,21 +34,30 @@ pub enum ScipError {
         byte: u8,
     },
     /// Not as many ranges as were asked for.
-    #[error("SCIP reply holds {found} characters of data, the request needs {needed}")]
+    #[error("SCIP reply holds {found} bytes of data with the ends of their lines, the request needs {needed}")]
     Length {
-        /// Characters that came.
+        /// Bytes that came.
         found: usize,
-        /// Characters that the beams of the request need.
+        /// Bytes that the beams of the request need.
         needed: usize,
     },
     /// The caller's buffer does not fit the request.
-    #[error("the scan buffer holds {buffer} beams, the request asks for {request}")]
+    #[error("the buffer for ranges or intensities holds {buffer} beams, the request asks for {request}")]
     Buffer {
         /// Beams in the buffer.
         buffer: usize,
         /// Beams of the request.
         request: usize,
     },
+    /// A line `KEY:value` is not as it must be.
+    #[error("the scanner's line `{key}` is missing, fails its checksum or holds no such value")]
+    Field {
+        /// Its key.
+        key: &'static str,
+    },
+    /// The sensor speaks SCIP 1.1.
+    #[error("the scanner speaks SCIP 1.1; send `SCIP2.0` first")]
+    OldProtocol,
     /// The sensor refused the request or reports a fault.
     #[error("the scanner answers status `{}{}`: {}", char::from(.status[0]), char::from(.status[1]), meaning(*.status))]
     Status {
@@ -61,16 +70,16 @@ impl hal::Error for ScipError {
     fn kind(&self) -> ErrorKind {
         match self {
             Self::Status { status } if is_fault(*status) => ErrorKind::Fault,
-            Self::Status { .. } | Self::Echo => ErrorKind::Rejected,
+            Self::Status { .. } | Self::Echo | Self::OldProtocol => ErrorKind::Rejected,
             Self::Buffer { .. } => ErrorKind::Unsupported,
             _ => ErrorKind::Corrupt,
         }
     }
 }
 
-/// 50 to 97: laser, motor or electronics.
+/// 50 to 97: laser, motor or electronics; 0L of the Ethernet models: abnormal state.
 fn is_fault(status: [u8; 2]) -> bool {
-    status[1].is_ascii_digit() && (*b"50"..=*b"97").contains(&status)
+    status[1].is_ascii_digit() && (*b"50"..=*b"97").contains(&status) || status == *b"0L"
 }
 
 fn meaning(status: [u8; 2]) -> &'static str {
@@ -81,6 +90,7 @@ fn meaning(status: [u8; 2]) -> &'static str {
         b"10" => "the laser is off; send BM first",
         b"98" => "resumed after a fault; send the request again",
         [b'0', b'A'..=b'H'] => "the sensor does not know this command or its parameters",
+        b"0M" => "the sensor is unstable and measures again when it has settled",
         b"0I" => "the sensor is in firmware update mode; restart it",
         _ if is_fault(status) => "hardware fault of laser, motor or electronics; power-cycle the sensor",
         _ => "the measurement was interrupted; check the sensor and send the request again",

@@ -7,9 +7,15 @@ pub(super) fn checksum(bytes: &[u8]) -> u8 {
     (bytes.iter().fold(0_u8, |sum, byte| sum.wrapping_add(*byte)) & 0x3f) + 0x30
 }
 
+/// Whether a character stands for six bits.
+#[inline(always)]
+pub(super) fn is_data(byte: u8) -> bool {
+    byte.wrapping_sub(0x30) < 0x40
+}
+
 /// A line without its checksum, when all of it is sound. `number` is for the error.
 pub(super) fn checked(line: &[u8], number: usize) -> Result<&[u8], ScipError> {
-    if let Some(&byte) = line.iter().find(|byte| !(0x30..=0x6f).contains(*byte)) {
+    if let Some(&byte) = line.iter().find(|byte| !is_data(**byte)) {
         return Err(ScipError::Character { line: number, byte });
     }
     let (&found, content) = line.split_last().ok_or(ScipError::Shape { missing: "checksum" })?;
@@ -17,7 +23,13 @@ pub(super) fn checked(line: &[u8], number: usize) -> Result<&[u8], ScipError> {
     if found == computed { Ok(content) } else { Err(ScipError::Checksum { line: number, found, computed }) }
 }
 
-/// The number that checked characters stand for, six bits each, most significant first. Up to five characters fit.
+/// The number of characters from which `0` was taken, six bits each, most significant first. Up to five characters fit.
+#[inline(always)]
+pub(super) fn value(characters: &[u8]) -> u32 {
+    characters.iter().fold(0, |value, character| value << 6 | u32::from(*character))
+}
+
+/// The number that checked characters stand for.
 pub(super) fn decode(characters: &[u8]) -> u32 {
     characters.iter().fold(0, |value, byte| value << 6 | u32::from(byte.wrapping_sub(0x30) & 0x3f))
 }
@@ -32,6 +44,7 @@ mod tests {
         assert_eq!(decode(b"1Dh"), 5432);
         assert_eq!(decode(b"m2@0"), 16_000_000);
         assert_eq!((checksum(b"00"), checksum(b"99")), (b'P', b'b'));
+        assert_eq!((checksum(b"DMIN:20"), checksum(b"AFRT:384")), (b'4', b'6'));
     }
 
     #[test]

@@ -13,12 +13,27 @@
 //!
 //! Every checksum is checked, that of the time stamp too, and so is every character: data characters lie in `0` to `o`, and
 //! within these a single changed character always changes the checksum. The echo has none, so it is compared with the request.
+//!
+//! A checksum has six bits: of two changes in one line, one in 64 goes unnoticed. That is the protocol's limit.
 
+mod clock;
 mod codes;
+mod command;
+mod data;
 mod error;
+mod framer;
+mod info;
 mod line;
+mod model;
 mod reply;
+mod request;
 
+pub use clock::{ClockSync, TimeProbe};
 pub use codes::RangeCodes;
+pub use command::{Answer, Command};
 pub use error::ScipError;
-pub use reply::{Encoding, Mode, Reply, Request, message_length};
+pub use framer::{Framer, message_length};
+pub use info::{Parameters, State, Version};
+pub use model::{Model, Sheet, UnknownModel};
+pub use reply::Reply;
+pub use request::{Encoding, Mode, Request};

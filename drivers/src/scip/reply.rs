@@ -1,98 +1,10 @@
-//! Requests for ranges, and the replies to them.
+//! Replies to requests for ranges.
 
 use hal::Range;
 
+use super::data::{self, Beams};
 use super::line::{checked, decode};
-use super::{RangeCodes, ScipError};
-
-/// Characters of data in one line.
-const LINE_CHARACTERS: usize = 64;
-
-/// How many characters make a range.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Encoding {
-    /// Two: up to 4095 mm (`MS`, `GS`).
-    Two,
-    /// Three: up to 262,143 mm (`MD`, `GD`).
-    Three,
-}
-
-impl Encoding {
-    fn characters(self) -> usize {
-        match self {
-            Self::Two => 2,
-            Self::Three => 3,
-        }
-    }
-}
-
-/// Whether the sensor sends one scan or goes on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Mode {
-    /// The latest scan, once (`GD`, `GS`).
-    Once,
-    /// A new scan as often as asked for (`MD`, `MS`).
-    Continuous {
-        /// Scans left out between two that are sent, 0 to 9.
-        skip: u8,
-        /// Scans to send, 1 to 99; 0 for no end. The sensor counts it down in its echo.
-        scans: u8,
-    },
-}
-
-/// A request for ranges.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Request {
-    /// Characters for each range.
-    pub encoding: Encoding,
-    /// Once or continuously.
-    pub mode: Mode,
-    /// First step, 0 to 9999.
-    pub first_step: u16,
-    /// Last step, not before the first, up to 9999.
-    pub last_step: u16,
-    /// Neighbouring steps that are reduced to their nearest range, 1 to 99.
-    pub cluster: u8,
-}
-
-impl Request {
-    /// How many ranges the reply holds.
-    #[must_use]
-    pub fn beams(&self) -> usize {
-        usize::from(self.last_step.saturating_sub(self.first_step)) / usize::from(self.cluster.max(1)) + 1
-    }
-
-    /// The bytes to send, and how many of the array they fill.
-    #[must_use]
-    pub fn encode(&self) -> ([u8; 16], usize) {
-        let mut bytes = [b'\n'; 16];
-        bytes[0] = if self.mode == Mode::Once { b'G' } else { b'M' };
-        bytes[1] = if self.encoding == Encoding::Two { b'S' } else { b'D' };
-        digits(&mut bytes[2..6], self.first_step);
-        digits(&mut bytes[6..10], self.last_step);
-        digits(&mut bytes[10..12], u16::from(self.cluster));
-        let Mode::Continuous { skip, scans } = self.mode else { return (bytes, 13) };
-        digits(&mut bytes[12..13], u16::from(skip));
-        digits(&mut bytes[13..15], u16::from(scans));
-        (bytes, 16)
-    }
-
-    /// The echo is the request, but for the scans that are left.
-    fn is_echoed_by(&self, echo: &[u8]) -> bool {
-        let (bytes, length) = self.encode();
-        let sent = &bytes[..length - 1];
-        let same = if self.mode == Mode::Once { sent.len() } else { sent.len() - 2 };
-        echo.len() == sent.len() && echo[..same] == sent[..same] && echo[same..].iter().all(u8::is_ascii_digit)
-    }
-}
-
-/// Decimal digits, the last ones where there are too many.
-fn digits(place: &mut [u8], mut value: u16) {
-    for digit in place.iter_mut().rev() {
-        *digit = b'0' + (value % 10) as u8;
-        value /= 10;
-    }
-}
+use super::{Encoding, Mode, RangeCodes, Request, ScipError};
 
 /// What a sound reply says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -104,12 +16,6 @@ pub enum Reply {
         /// The sensor's clock at step 0 of the scan; 24 bits, so it starts again every 4.66 hours.
         timestamp_ms: u32,
     },
-}
-
-/// Bytes of the first whole message in what has been received, with its empty line; `None` while it is not whole.
-#[must_use]
-pub fn message_length(received: &[u8]) -> Option<usize> {
-    received.windows(2).position(|pair| pair == b"\n\n").map(|at| at + 2)
 }
 
 impl Reply {
@@ -124,72 +30,70 @@ impl Reply {
         codes: &RangeCodes,
         ranges: &mut [Range],
     ) -> Result<Self, ScipError> {
-        if ranges.len() != request.beams() {
-            return Err(ScipError::Buffer { buffer: ranges.len(), request: request.beams() });
+        Self::read_with_intensities(message, request, codes, ranges, &mut [])
+    }
+
+    /// As [`read`](Self::read), and the strengths of the echoes: one a beam for [`Encoding::ThreeWithIntensity`], else none.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn read_with_intensities(
+        message: &[u8],
+        request: &Request,
+        codes: &RangeCodes,
+        ranges: &mut [Range],
+        intensities: &mut [u32],
+    ) -> Result<Self, ScipError> {
+        let beams = request.beams();
+        let strengths = if request.encoding == Encoding::ThreeWithIntensity { beams } else { 0 };
+        for (buffer, request) in [(ranges.len(), beams), (intensities.len(), strengths)] {
+            if buffer != request {
+                return Err(ScipError::Buffer { buffer, request });
+            }
         }
         let body = message.strip_suffix(b"\n\n").ok_or(ScipError::Shape { missing: "empty line at the end" })?;
-        let mut lines = body.split(|byte| *byte == b'\n').enumerate();
-        let mut next = |missing| lines.next().ok_or(ScipError::Shape { missing });
-        if !request.is_echoed_by(next("echo")?.1) {
+        let (echo, body) = split_line(body);
+        if !request.is_echoed_by(echo) {
             return Err(ScipError::Echo);
         }
-        let (number, status) = next("status")?;
+        let (status, body) = split_line(body.ok_or(ScipError::Shape { missing: "status" })?);
         let continuous = request.mode != Mode::Once;
-        match checked(status, number)? {
-            b"00" if continuous => {
-                return if lines.next().is_none() {
-                    Ok(Self::Accepted)
-                } else {
-                    Err(ScipError::Shape { missing: "end" })
-                };
-            }
+        match checked(status, 1)? {
+            b"00" if continuous && body.is_none() => return Ok(Self::Accepted),
+            b"00" if continuous => return Err(ScipError::Shape { missing: "end" }),
             b"99" if continuous => {}
             b"00" => {}
             &[a, b] => return Err(ScipError::Status { status: [a, b] }),
             _ => return Err(ScipError::Shape { missing: "status of two characters" }),
         }
-        let (number, timestamp) = next("time stamp")?;
-        let timestamp = checked(timestamp, number)?;
+        let (timestamp, body) = split_line(body.ok_or(ScipError::Shape { missing: "time stamp" })?);
+        let timestamp = checked(timestamp, 2)?;
         if timestamp.len() != 4 {
             return Err(ScipError::Shape { missing: "time stamp of four characters" });
         }
-        read_ranges(lines, request, codes, ranges)?;
+        // The LF before the empty line is the last data line's own.
+        let start = message.len() - 1 - body.map_or(0, |body| body.len() + 1);
+        let lines = message.get(start..message.len() - 1).unwrap_or_default();
+        let mut beams = Beams { codes, ranges, intensities };
+        match request.encoding {
+            Encoding::Two => data::read::<2>(lines, 3, &mut beams),
+            Encoding::Three | Encoding::ThreeWithIntensity => data::read::<3>(lines, 3, &mut beams),
+        }?;
         Ok(Self::Scan { timestamp_ms: decode(timestamp) })
     }
 }
 
-/// Ranges run on over the ends of lines: 64 is no multiple of three.
-fn read_ranges<'a>(
-    lines: impl Iterator<Item = (usize, &'a [u8])>,
-    request: &Request,
-    codes: &RangeCodes,
-    ranges: &mut [Range],
-) -> Result<(), ScipError> {
-    let width = request.encoding.characters();
-    let needed = ranges.len() * width;
-    let (mut found, mut value) = (0, 0);
-    for (number, line) in lines {
-        let characters = checked(line, number)?;
-        // Only the last line may be shorter.
-        if found % LINE_CHARACTERS != 0 || characters.len() > LINE_CHARACTERS {
-            return Err(ScipError::Shape { missing: "line of 64 characters" });
-        }
-        for character in characters {
-            value = value << 6 | decode(std::slice::from_ref(character));
-            found += 1;
-            if found % width == 0 {
-                if let Some(range) = ranges.get_mut(found / width - 1) {
-                    *range = codes.range(value);
-                }
-                value = 0;
-            }
-        }
+/// The first line, and what follows its LF if it has one.
+pub(super) fn split_line(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
+    match bytes.iter().position(|byte| *byte == b'\n') {
+        Some(at) => (&bytes[..at], bytes.get(at + 1..)),
+        None => (bytes, None),
     }
-    if found == needed { Ok(()) } else { Err(ScipError::Length { found, needed }) }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::data::LINE;
     use super::super::line::checksum;
     use super::*;
     use hal::{Error, ErrorKind};
@@ -219,34 +123,21 @@ mod tests {
         let mut message = echo[..length].to_vec();
         push_line(&mut message, status);
         push_line(&mut message, &characters(timestamp_ms, 4).collect::<Vec<_>>());
-        let width = request.encoding.characters();
+        let width = if request.encoding == Encoding::Two { 2 } else { 3 };
         let data: Vec<u8> = values.iter().flat_map(|value| characters(*value, width)).collect();
-        data.chunks(LINE_CHARACTERS).for_each(|line| push_line(&mut message, line));
+        data.chunks(LINE).for_each(|line| push_line(&mut message, line));
         message.push(b'\n');
         message
     }
 
-    fn read(message: &[u8], request: &Request) -> Result<(Reply, Vec<Range>), ScipError> {
-        let mut ranges = vec![Range::NoReturn; request.beams()];
-        Reply::read(message, request, &CODES, &mut ranges).map(|reply| (reply, ranges))
+    fn strengths(request: &Request) -> usize {
+        if request.encoding == Encoding::ThreeWithIntensity { request.beams() } else { 0 }
     }
 
-    #[test]
-    fn requests_are_the_commands_of_the_specification() {
-        let text = |request: Request| {
-            let (bytes, length) = request.encode();
-            String::from_utf8(bytes[..length].to_vec()).unwrap()
-        };
-        let whole = Request { last_step: 1080, ..request(Encoding::Three, Mode::Continuous { skip: 2, scans: 15 }, 1) };
-        assert_eq!(text(whole), "MD0000108001215\n");
-        assert_eq!(text(Request { mode: Mode::Once, encoding: Encoding::Two, cluster: 12, ..whole }), "GS0000108012\n");
-        assert_eq!((whole.beams(), Request { cluster: 12, ..whole }.beams()), (1081, 91));
-    }
-
-    #[test]
-    fn a_message_is_whole_at_its_empty_line() {
-        assert_eq!(message_length(b"MD\n00P\n"), None);
-        assert_eq!(message_length(b"MD\n00P\n\nMD\n99b\n"), Some(8));
+    fn read(message: &[u8], request: &Request) -> Result<(Reply, Vec<Range>, Vec<u32>), ScipError> {
+        let (mut ranges, mut intensities) = (vec![Range::NoReturn; request.beams()], vec![0; strengths(request)]);
+        let reply = Reply::read_with_intensities(message, request, &CODES, &mut ranges, &mut intensities)?;
+        Ok((reply, ranges, intensities))
     }
 
     #[test]
@@ -290,7 +181,7 @@ mod tests {
     }
 
     fn any_request() -> impl Strategy<Value = Request> {
-        let encoding = prop_oneof![Just(Encoding::Two), Just(Encoding::Three)];
+        let encoding = prop_oneof![Just(Encoding::Two), Just(Encoding::Three), Just(Encoding::ThreeWithIntensity)];
         let mode = prop_oneof![Just(Mode::Once), Just(CONTINUOUS)];
         (encoding, mode, 1..120_u16).prop_map(|(encoding, mode, beams)| request(encoding, mode, beams))
     }
@@ -298,8 +189,9 @@ mod tests {
     /// A request and a sound message for it, with its time stamp and values.
     fn exchange() -> impl Strategy<Value = (Request, Vec<u8>, u32, Vec<u32>)> {
         any_request().prop_flat_map(|request| {
-            let limit = 1_u32 << (6 * request.encoding.characters());
-            let values = proptest::collection::vec(0..limit, request.beams());
+            let limit: u32 = if request.encoding == Encoding::Two { 1 << 12 } else { 1 << 18 };
+            let value = prop_oneof![0..30_u32, 0..limit, 0..limit.min(70_000)];
+            let values = proptest::collection::vec(value, request.beams() + strengths(&request));
             let status: &[u8] = if request.mode == Mode::Once { b"00" } else { b"99" };
             (Just(request), 0..1_u32 << 24, values).prop_map(move |(request, time, values)| {
                 (request, message(&request, status, time, &values), time, values)
@@ -310,10 +202,13 @@ mod tests {
     proptest! {
         #[test]
         fn what_a_sensor_encodes_is_read_back((request, message, timestamp_ms, values) in exchange()) {
-            let (reply, ranges) = read(&message, &request).unwrap();
+            let (reply, ranges, intensities) = read(&message, &request).unwrap();
             prop_assert_eq!(reply, Reply::Scan { timestamp_ms });
-            let expected: Vec<_> = values.iter().map(|value| CODES.range(*value)).collect();
+            let step = if request.encoding == Encoding::ThreeWithIntensity { 2 } else { 1 };
+            let expected: Vec<_> = values.iter().step_by(step).map(|value| CODES.range(*value)).collect();
             prop_assert_eq!(ranges, expected);
+            let strengths: Vec<_> = values.iter().skip(1).step_by(2).copied().take(intensities.len()).collect();
+            prop_assert_eq!(intensities, strengths);
         }
 
         #[test]

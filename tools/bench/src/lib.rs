@@ -1,6 +1,7 @@
 //! What the project promises to be fast at, room by room. `cargo xtask bench` builds this in release and prints the table.
 #![forbid(unsafe_code)]
 
+pub mod drivers;
 pub mod flow;
 pub mod imaging;
 pub mod mapping;
@@ -22,6 +23,7 @@ pub const ROOMS: &[(&str, Measure)] = &[
     ("mapping", mapping::measure),
     ("network", network::rows),
     ("perception", perception_rows),
+    ("drivers", drivers::rows),
     ("trainer", trainer::rows),
 ];
 

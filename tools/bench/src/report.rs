@@ -58,6 +58,8 @@ pub enum Unit {
     Seconds,
     /// Pieces of work in a second: more is better.
     PerSecond,
+    /// Millions of bytes in a second: more is better.
+    MegabytesPerSecond,
     /// Memory in MiB: less is better.
     Mebibytes,
     /// A share of one: more is better.
@@ -66,7 +68,7 @@ pub enum Unit {
 
 impl Unit {
     fn more_is_better(self) -> bool {
-        matches!(self, Self::PerSecond | Self::Share)
+        matches!(self, Self::PerSecond | Self::MegabytesPerSecond | Self::Share)
     }
 
     fn text(self, value: f64) -> String {
@@ -76,6 +78,7 @@ impl Unit {
             Self::Seconds if value < 1.0 => format!("{:.2} ms", value * 1e3),
             Self::Seconds => format!("{value:.2} s"),
             Self::PerSecond => format!("{value:.1} /s"),
+            Self::MegabytesPerSecond => format!("{value:.0} MB/s"),
             Self::Mebibytes => format!("{value:.0} MiB"),
             Self::Share => format!("{value:.3}"),
         }

@@ -1,0 +1,157 @@
+//! Bytes to and from a scanner, with deadlines. Over `rustix` alone: a `read` of the `serialport` crate may block past its
+//! timeout (<https://github.com/serialport/serialport-rs/issues/7>), and it hands out its descriptor only for unsafe code.
+
+use std::io;
+use std::net::{TcpStream, ToSocketAddrs};
+use std::os::fd::{AsFd, OwnedFd};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{FlockOperation, Mode, OFlags, flock, open};
+use rustix::io::Errno;
+use rustix::termios::{ControlModes, OptionalActions, QueueSelector};
+use rustix::termios::{ioctl_tiocexcl, tcflush, tcgetattr, tcsetattr};
+
+use super::{HokuyoError, Port};
+use crate::clock::monotonic_ns;
+
+/// Longer than any switch between here and the scanner takes.
+const CONNECT: Duration = Duration::from_secs(1);
+
+/// Becomes readable when the driver is dropped, and ends every wait.
+pub(super) type Stop = Arc<OwnedFd>;
+
+/// An open port.
+#[derive(Debug)]
+pub(super) struct Link {
+    fd: OwnedFd,
+    stop: Stop,
+    port: Arc<str>,
+}
+
+/// What came before the deadline.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Received {
+    /// So many bytes, at least one.
+    Bytes(usize),
+    /// None.
+    Nothing,
+    /// The driver is being dropped.
+    Stopped,
+}
+
+impl Link {
+    /// Opens a port; what it holds from before is dropped.
+    pub(super) fn open(port: &Port, baud: u32, name: &Arc<str>, stop: &Stop) -> Result<Self, HokuyoError> {
+        let fd = match port {
+            Port::Serial(path) => open_serial(path, baud),
+            Port::Tcp { host, port } => connect(host, *port),
+        };
+        let fd = fd.map_err(|source| HokuyoError::Open { port: name.clone(), source })?;
+        Ok(Self { fd, stop: stop.clone(), port: name.clone() })
+    }
+
+    /// Waits until bytes come, or for the deadline (monotonic).
+    pub(super) fn read(&self, room: &mut [u8], deadline_ns: u64) -> Result<Received, HokuyoError> {
+        loop {
+            let ready = self.wait(PollFlags::IN, deadline_ns)?;
+            match ready {
+                Ready::Stopped => return Ok(Received::Stopped),
+                Ready::Nothing => return Ok(Received::Nothing),
+                Ready::Port(events) => match rustix::io::read(&self.fd, &mut *room) {
+                    Ok(0) => return Err(self.gone(Errno::PIPE)),
+                    Ok(count) => return Ok(Received::Bytes(count)),
+                    // A port that hung up may say so only here.
+                    Err(Errno::AGAIN) if !events.contains(PollFlags::IN) => return Err(self.gone(Errno::PIPE)),
+                    Err(Errno::AGAIN | Errno::INTR) => {}
+                    Err(error) => return Err(self.gone(error)),
+                },
+            }
+        }
+    }
+
+    /// Sends all of it, or gives up at the deadline; a scanner that takes nothing is as good as gone.
+    pub(super) fn write(&self, mut bytes: &[u8], deadline_ns: u64) -> Result<(), HokuyoError> {
+        while !bytes.is_empty() {
+            match rustix::io::write(&self.fd, bytes) {
+                Ok(count) => bytes = bytes.get(count..).unwrap_or_default(),
+                Err(Errno::AGAIN) => match self.wait(PollFlags::OUT, deadline_ns)? {
+                    Ready::Port(_) => {}
+                    Ready::Nothing | Ready::Stopped => return Err(self.gone(Errno::TIMEDOUT)),
+                },
+                Err(Errno::INTR) => {}
+                Err(error) => return Err(self.gone(error)),
+            }
+        }
+        Ok(())
+    }
+
+    fn wait(&self, what: PollFlags, deadline_ns: u64) -> Result<Ready, HokuyoError> {
+        wait(&self.stop, Some((&self.fd, what)), deadline_ns).map_err(|error| self.gone(error))
+    }
+
+    fn gone(&self, error: Errno) -> HokuyoError {
+        HokuyoError::Gone { port: self.port.clone(), source: error.into() }
+    }
+}
+
+enum Ready {
+    Port(PollFlags),
+    Nothing,
+    Stopped,
+}
+
+/// Waits for the deadline; true when the driver is being dropped.
+pub(super) fn wait_for_stop(stop: &Stop, deadline_ns: u64) -> bool {
+    !matches!(wait(stop, None, deadline_ns), Ok(Ready::Nothing))
+}
+
+fn wait(stop: &Stop, port: Option<(&OwnedFd, PollFlags)>, deadline_ns: u64) -> Result<Ready, Errno> {
+    let (fd, what) = port.unwrap_or((stop, PollFlags::IN));
+    loop {
+        let left_ns = deadline_ns.saturating_sub(monotonic_ns());
+        let timeout = Timespec { tv_sec: (left_ns / 1_000_000_000) as i64, tv_nsec: (left_ns % 1_000_000_000) as i64 };
+        let mut fds = [PollFd::new(stop, PollFlags::IN), PollFd::new(fd, what)];
+        match poll(&mut fds, Some(&timeout)) {
+            Ok(0) => return Ok(Ready::Nothing),
+            Ok(_) if !fds[0].revents().is_empty() => return Ok(Ready::Stopped),
+            Ok(_) => return Ok(Ready::Port(fds[1].revents())),
+            Err(Errno::INTR) => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+fn open_serial(path: &Path, baud: u32) -> io::Result<OwnedFd> {
+    // Without NONBLOCK, open waits for a modem's carrier.
+    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let fd = open(path, flags, Mode::empty())?;
+    // Two programs on one port steal each other's bytes. The lock also keeps out those whom TIOCEXCL lets in: root.
+    ioctl_tiocexcl(fd.as_fd())?;
+    flock(&fd, FlockOperation::NonBlockingLockExclusive)?;
+    let mut settings = tcgetattr(&fd)?;
+    settings.make_raw();
+    settings.control_modes |= ControlModes::CLOCAL | ControlModes::CREAD;
+    settings.control_modes -= ControlModes::CRTSCTS | ControlModes::CSTOPB;
+    settings.set_speed(baud)?;
+    tcsetattr(&fd, OptionalActions::Now, &settings)?;
+    tcflush(&fd, QueueSelector::IOFlush)?;
+    Ok(fd)
+}
+
+fn connect(host: &str, port: u16) -> io::Result<OwnedFd> {
+    let mut last = io::Error::new(io::ErrorKind::NotFound, "no address has this name");
+    for address in (host, port).to_socket_addrs()? {
+        match TcpStream::connect_timeout(&address, CONNECT) {
+            Ok(stream) => {
+                stream.set_nodelay(true)?;
+                stream.set_nonblocking(true)?;
+                return Ok(stream.into());
+            }
+            Err(error) => last = error,
+        }
+    }
+    Err(last)
+}

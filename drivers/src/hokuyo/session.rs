@@ -1,0 +1,187 @@
+//! The conversation before the first scan.
+
+use std::sync::Arc;
+
+use super::link::{Link, Received};
+use super::{HokuyoConfig, HokuyoError, Identity};
+use crate::clock::monotonic_ns;
+use crate::scip::{Answer, ClockSync, Command, Framer, Parameters, ScipError, State, TimeProbe, Version};
+
+/// Two scans of the largest kind: 1081 beams with intensities are 6.7 kB.
+pub(super) const BUFFER: usize = 16 * 1024;
+/// For an answer: the longest, 250 characters of `II`, takes 130 ms at 19200 bits a second.
+const ANSWER_NS: u64 = 300_000_000;
+/// A command may be lost in noise.
+const TRIES: usize = 3;
+const PROBES: usize = 8;
+
+/// One open scanner.
+pub(super) struct Session<'a> {
+    pub(super) link: Link,
+    pub(super) framer: Box<Framer<BUFFER>>,
+    pub(super) config: &'a HokuyoConfig,
+    pub(super) port: &'a Arc<str>,
+    /// In the scanner's own words.
+    says: String,
+}
+
+/// Why there is no session (any more).
+pub(super) enum End {
+    /// The driver is being dropped.
+    Stopped,
+    /// Try again later.
+    Failed(HokuyoError),
+}
+
+impl From<HokuyoError> for End {
+    fn from(error: HokuyoError) -> Self {
+        Self::Failed(error)
+    }
+}
+
+impl<'a> Session<'a> {
+    pub(super) fn new(link: Link, config: &'a HokuyoConfig, port: &'a Arc<str>) -> Self {
+        Self { link, framer: Box::default(), config, port, says: String::from("nothing") }
+    }
+
+    /// Stops what runs, brings it to SCIP 2, asks who it is, compares clocks and starts the scans. The clock is `None` when
+    /// the scanner does not tell its time.
+    pub(super) fn bring_up(&mut self) -> Result<(Identity, Option<ClockSync>), End> {
+        self.leave_scip_1()?;
+        let (serial, firmware) = self.ask(Command::Version, |answer| {
+            let version = Version::read(answer);
+            let text = |text: Option<&str>| text.unwrap_or_default().to_owned();
+            Ok((text(version.serial), text(version.firmware)))
+        })?;
+        let model = self.check_model()?;
+        self.ask_state()?;
+        let clock = self.compare_clocks()?;
+        self.switch_on_laser()?;
+        let (request, length) = self.config.model.request(0).encode();
+        self.link.write(&request[..length], monotonic_ns() + ANSWER_NS)?;
+        Ok((Identity { model, serial, firmware }, clock))
+    }
+
+    fn leave_scip_1(&mut self) -> Result<(), End> {
+        if self.config.model.sheet().starts_in_scip_1 {
+            // In SCIP 2 already, it answers that it does not know this.
+            match self.ask(Command::Scip2, |_| Ok(())) {
+                Ok(()) | Err(End::Failed(HokuyoError::Protocol { .. })) => {}
+                Err(end) => return Err(end),
+            }
+        }
+        match self.ask(Command::Quit, |_| Ok(())) {
+            Err(End::Failed(HokuyoError::Protocol { source: ScipError::OldProtocol, .. })) => {
+                self.ask(Command::Scip2, |answer| answer.done().map(|_| ()))?;
+                self.ask(Command::Quit, |_| Ok(()))
+            }
+            other => other,
+        }
+    }
+
+    fn check_model(&mut self) -> Result<String, End> {
+        let configured = self.config.model;
+        let found = self.ask(Command::Parameters, |answer| {
+            let parameters = Parameters::read(answer)?;
+            let model = parameters.model.split('(').next().unwrap_or_default().trim();
+            let steps = format!(
+                "{model}, steps {} to {} of {}",
+                parameters.first_step, parameters.last_step, parameters.steps_per_turn
+            );
+            Ok(if configured.sheet().fits(&parameters) { Ok(model.to_owned()) } else { Err(steps) })
+        })?;
+        found.map_err(|found| HokuyoError::WrongModel { port: self.port.clone(), configured, found }.into())
+    }
+
+    /// Asks how it is, for the texts of faults.
+    pub(super) fn ask_state(&mut self) -> Result<(), End> {
+        self.says = self.ask(Command::State, |answer| {
+            let state = State::read(answer);
+            let off = if state.laser_is_off() { "laser OFF, " } else { "" };
+            Ok(format!("{off}{}", state.status.unwrap_or("nothing")))
+        })?;
+        Ok(())
+    }
+
+    fn compare_clocks(&mut self) -> Result<Option<ClockSync>, End> {
+        // 02: is doing so already.
+        let begun = self.ask(Command::TimeStart, |answer| Ok(matches!(&answer.status, b"00" | b"02")))?;
+        if !begun {
+            return Ok(None);
+        }
+        let mut probes = Vec::with_capacity(PROBES);
+        for _ in 0..PROBES {
+            let sent_ns = monotonic_ns();
+            match self.ask(Command::Time, |answer| answer.done()?.time_ms()) {
+                Ok(sensor_ms) => probes.push(TimeProbe { sent_ns, received_ns: monotonic_ns(), sensor_ms }),
+                Err(End::Failed(HokuyoError::Protocol { .. })) => {}
+                Err(end) => return Err(end),
+            }
+        }
+        self.ask(Command::TimeEnd, |_| Ok(()))?;
+        Ok(ClockSync::from_probes(&probes))
+    }
+
+    fn switch_on_laser(&mut self) -> Result<(), End> {
+        // 02: is on already.
+        match self.ask(Command::LaserOn, |answer| Ok(answer.status))? {
+            [b'0', b'0' | b'2'] => Ok(()),
+            status => Err(self.why(status)),
+        }
+    }
+
+    /// Turns a status that ends the measurement into words: asks the scanner for its own, if it still answers.
+    pub(super) fn why(&mut self, status: [u8; 2]) -> End {
+        for asked in [self.ask(Command::Quit, |_| Ok(())), self.ask_state()] {
+            if let Err(End::Stopped) = asked {
+                return End::Stopped;
+            }
+        }
+        let (port, says) = (self.port.clone(), self.says.clone());
+        if status == *b"10" {
+            return HokuyoError::LaserOff { port, says }.into();
+        }
+        HokuyoError::Hardware { port, status: status.iter().map(|byte| char::from(*byte)).collect(), says }.into()
+    }
+
+    /// Sends a command and reads its answer. What else comes meanwhile is passed over: noise, the last scans.
+    fn ask<T>(&mut self, command: Command, read: impl Fn(&Answer<'_>) -> Result<T, ScipError>) -> Result<T, End> {
+        let mut bytes = 0;
+        let mut wrong = None;
+        for _ in 0..TRIES {
+            let deadline_ns = monotonic_ns() + ANSWER_NS;
+            self.link.write(command.bytes(), deadline_ns)?;
+            loop {
+                match self.link.read(self.framer.room(), deadline_ns)? {
+                    Received::Stopped => return Err(End::Stopped),
+                    Received::Nothing => break,
+                    Received::Bytes(count) => {
+                        self.framer.received(count);
+                        bytes += count;
+                    }
+                }
+                while let Some(message) = self.framer.message() {
+                    match Answer::read(message, command).and_then(|answer| read(&answer)) {
+                        Ok(answer) => return Ok(answer),
+                        Err(error @ (ScipError::OldProtocol | ScipError::Status { .. })) => {
+                            return Err(HokuyoError::Protocol { port: self.port.clone(), source: error }.into());
+                        }
+                        // The scan that was under way, or noise.
+                        Err(ScipError::Echo) => {}
+                        Err(error) => wrong = Some(error),
+                    }
+                }
+                if monotonic_ns() > deadline_ns {
+                    break;
+                }
+            }
+        }
+        let port = self.port.clone();
+        let command = std::str::from_utf8(command.bytes()).unwrap_or_default().trim_end();
+        Err(End::Failed(match wrong {
+            Some(source) => HokuyoError::Protocol { port, source },
+            None if bytes == 0 => HokuyoError::NoAnswer { port, command },
+            None => HokuyoError::NotScip { port, command, bytes, baud: self.config.baud },
+        }))
+    }
+}

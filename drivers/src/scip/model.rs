@@ -1,0 +1,207 @@
+//! What differs between the sensors.
+
+use core::f64::consts::TAU;
+use core::fmt;
+
+use hal::ScanGeometry;
+
+use super::{Encoding, Mode, Parameters, RangeCodes, Request};
+
+/// A family of sensors that this driver knows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Model {
+    /// URG-04LX: 10 Hz, 240 degrees, USB or RS-232; starts in SCIP 1.1.
+    #[serde(rename = "urg-04lx")]
+    Urg04lx,
+    /// UTM-30LX: 40 Hz, 270 degrees, USB. Its Ethernet model UTM-30LX-EW says the same of itself.
+    #[default]
+    #[serde(rename = "utm-30lx")]
+    Utm30lx,
+    /// UST-10LX: 40 Hz, 270 degrees, Ethernet.
+    #[serde(rename = "ust-10lx")]
+    Ust10lx,
+    /// UST-20LX: as the UST-10LX, twice as far.
+    #[serde(rename = "ust-20lx")]
+    Ust20lx,
+}
+
+/// One row of the table of quirks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sheet {
+    /// How the sensor's own name of itself begins (`MODL`).
+    pub name: &'static str,
+    /// What its numbers mean.
+    pub codes: RangeCodes,
+    /// Steps in a full turn (`ARES`).
+    pub steps_per_turn: u16,
+    /// First step that is measured (`AMIN`).
+    pub first_step: u16,
+    /// Last step that is measured (`AMAX`).
+    pub last_step: u16,
+    /// The step that looks ahead (`AFRT`).
+    pub front_step: u16,
+    /// Turns in a minute (`SCAN`).
+    pub rpm: u16,
+    /// Shortest and longest distance that the data sheet promises, metres.
+    pub range_m: (f32, f32),
+    /// Whether it starts in SCIP 1.1 and has to be told `SCIP2.0`, which it understands in SCIP 2 too. The others are not
+    /// told: a sensor may hang on a command that it does not know until it is switched off
+    /// (<https://github.com/ros-drivers/urg_c/pull/4>, of the URG-04LX and requests for intensities).
+    pub starts_in_scip_1: bool,
+}
+
+/// C-42-03320B, section 5 and the example of `PP`; data sheet URG-04LX: 20 to 5,600 mm, 100 ms.
+const URG_04LX: Sheet = Sheet {
+    name: "URG-04LX",
+    codes: RangeCodes::URG_04LX,
+    steps_per_turn: 1024,
+    first_step: 44,
+    last_step: 725,
+    front_step: 384,
+    rpm: 600,
+    range_m: (0.02, 5.6),
+    starts_in_scip_1: true,
+};
+
+/// Data sheet UTM-30LX: 0.1 to 30 m, 270 degrees in steps of 0.25, 25 ms.
+const UTM_30LX: Sheet = Sheet {
+    name: "UTM-30LX",
+    codes: RangeCodes::UTM_30LX,
+    steps_per_turn: 1440,
+    first_step: 0,
+    last_step: 1080,
+    front_step: 540,
+    rpm: 2400,
+    range_m: (0.1, 30.0),
+    starts_in_scip_1: false,
+};
+
+/// Data sheet UST-10LX: 0.06 to 10 m, else as the UTM-30LX.
+const UST_10LX: Sheet = Sheet { name: "UST-10LX", codes: RangeCodes::UST_10LX, range_m: (0.06, 10.0), ..UTM_30LX };
+
+/// Data sheet UST-20LX: 0.06 to 20 m, else as the UST-10LX.
+const UST_20LX: Sheet = Sheet { name: "UST-20LX", codes: RangeCodes::UST_20LX, range_m: (0.06, 20.0), ..UTM_30LX };
+
+impl Model {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Urg04lx, Self::Utm30lx, Self::Ust10lx, Self::Ust20lx];
+
+    /// Its row of the table.
+    #[must_use]
+    pub fn sheet(self) -> &'static Sheet {
+        match self {
+            Self::Urg04lx => &URG_04LX,
+            Self::Utm30lx => &UTM_30LX,
+            Self::Ust10lx => &UST_10LX,
+            Self::Ust20lx => &UST_20LX,
+        }
+    }
+
+    /// Beams and limits. Mounted upside down, the first beam is the sensor's last one.
+    #[must_use]
+    pub fn geometry(self, upside_down: bool) -> ScanGeometry {
+        let sheet = self.sheet();
+        let increment = TAU / f64::from(sheet.steps_per_turn);
+        let steps = |from: u16, to: u16| f64::from(from) - f64::from(to);
+        let first = if upside_down {
+            steps(sheet.front_step, sheet.last_step)
+        } else {
+            steps(sheet.first_step, sheet.front_step)
+        };
+        ScanGeometry {
+            angle_min_rad: first * increment,
+            angle_increment_rad: increment,
+            beams: self.request(0).beams(),
+            range_min_m: sheet.range_m.0,
+            range_max_m: sheet.range_m.1,
+            period_ns: 60_000_000_000 / u64::from(sheet.rpm),
+        }
+    }
+
+    /// The request for all of its beams, again and again, leaving out `skip` scans between two.
+    #[must_use]
+    pub fn request(self, skip: u8) -> Request {
+        let Sheet { first_step, last_step, .. } = *self.sheet();
+        Request {
+            encoding: Encoding::Three,
+            mode: Mode::Continuous { skip, scans: 0 },
+            first_step,
+            last_step,
+            cluster: 1,
+        }
+    }
+}
+
+impl Sheet {
+    /// Whether a sensor that says this about itself is of this family. Turns in a minute may be set and are not compared.
+    #[must_use]
+    pub fn fits(&self, parameters: &Parameters<'_>) -> bool {
+        parameters.model.starts_with(self.name)
+            && parameters.steps_per_turn == u32::from(self.steps_per_turn)
+            && parameters.first_step == u32::from(self.first_step)
+            && parameters.last_step == u32::from(self.last_step)
+            && parameters.front_step == u32::from(self.front_step)
+    }
+}
+
+impl fmt::Display for Model {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.sheet().name)
+    }
+}
+
+/// There is no such model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("no such LiDAR model; there are urg-04lx, utm-30lx, ust-10lx and ust-20lx")]
+pub struct UnknownModel;
+
+impl core::str::FromStr for Model {
+    type Err = UnknownModel;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let named = |model: &Self| model.sheet().name.eq_ignore_ascii_case(text);
+        Self::ALL.into_iter().find(named).ok_or(UnknownModel)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_geometry_of_the_utm_30lx_is_that_of_the_data_sheet() {
+        for upside_down in [false, true] {
+            let geometry = Model::Utm30lx.geometry(upside_down);
+            let sheet = ScanGeometry::UTM_30LX;
+            assert!((geometry.angle_min_rad - sheet.angle_min_rad).abs() < 1e-12);
+            assert!((geometry.angle_increment_rad - sheet.angle_increment_rad).abs() < 1e-12);
+            assert_eq!((geometry.beams, geometry.period_ns), (sheet.beams, sheet.period_ns));
+            assert_eq!((geometry.range_min_m, geometry.range_max_m), (sheet.range_min_m, sheet.range_max_m));
+        }
+    }
+
+    #[test]
+    fn the_same_beam_looks_the_other_way_upside_down() {
+        for model in Model::ALL {
+            let (upright, mirrored) = (model.geometry(false), model.geometry(true));
+            for beam in 0..upright.beams {
+                let seen = mirrored.angle_rad(upright.beams - 1 - beam);
+                assert!((upright.angle_rad(beam) + seen).abs() < 1e-9, "{model}, beam {beam}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_urg_04lx_looks_240_degrees_around_ten_times_a_second() {
+        let geometry = Model::Urg04lx.geometry(false);
+        assert_eq!((geometry.beams, geometry.period_ns), (682, 100_000_000));
+        assert!((geometry.angle_increment_rad * 681.0).to_degrees() - 239.4 < 0.1);
+    }
+
+    #[test]
+    fn names_are_read_in_either_case() {
+        assert_eq!("ust-20LX".parse(), Ok(Model::Ust20lx));
+        assert!("rplidar".parse::<Model>().unwrap_err().to_string().contains("utm-30lx"));
+    }
+}

@@ -1,0 +1,37 @@
+"""Reads a simulated scanner with somebody else's SCIP client (PyPI `hokuyolx`), which checks every checksum by itself.
+
+Prints one JSON object: what the client understood. Called by tests/tests/lidar_peer.rs; by hand:
+    cargo run -p hil -- hokuyo --tcp 10940 --model ust-10lx
+    python3 -m venv target/peers && target/peers/bin/pip install hokuyolx==0.9.0 numpy
+    target/peers/bin/python tests/peers/hokuyolx_client.py 127.0.0.1 10940
+"""
+
+import itertools
+import json
+import sys
+
+from hokuyolx import HokuyoLX
+
+
+def main() -> None:
+    laser = HokuyoLX(addr=(sys.argv[1], int(sys.argv[2])), convert_time=False)
+    _, once = laser.get_dist()
+    _, intensities = laser.get_intens()
+    scans = list(itertools.islice(laser.iter_dist(scans=20), 20))
+    stamps = [int(stamp) for _, stamp, _ in scans]
+    result = {
+        "parameters": laser.sensor_parameters(),
+        "version": laser.version(),
+        "state": laser.sensor_state(),
+        "once": [int(value) for value in once],
+        "with_intensities": [int(value) for value in intensities[:, 0]],
+        "last": [int(value) for value in scans[-1][0]],
+        "left": [int(left) for _, _, left in scans],
+        "steps_ms": [after - before for before, after in zip(stamps, stamps[1:])],
+    }
+    laser.standby()
+    laser.close()
+    json.dump(result, sys.stdout)
+
+
+main()

@@ -1,0 +1,116 @@
+//! `hil hokuyo`: a simulated scanner by hand.
+
+use std::error::Error;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+
+use clap::Args;
+use drivers::MonotonicClock;
+use drivers::clock::monotonic_ns;
+use drivers::scip::Model;
+use hal::Clock;
+
+use super::faults::{EventKind, FaultPlan};
+use super::{Health, Room, SimulatedHokuyo, WireFaults};
+
+/// A simulated Hokuyo scanner in a room of 6 x 4 m with somebody walking around it.
+#[derive(Debug, Clone, Args)]
+pub struct HokuyoArgs {
+    /// Make a pty and a symbolic link to it here, as udev makes /dev/serial/by-id/...
+    #[arg(long, required_unless_present = "tcp")]
+    pub pty: Option<PathBuf>,
+    /// Listen on this TCP port of this computer instead, as the Ethernet models do on 10940.
+    #[arg(long, conflicts_with = "pty")]
+    pub tcp: Option<u16>,
+    /// urg-04lx, utm-30lx, ust-10lx or ust-20lx.
+    #[arg(long, default_value = "utm-30lx")]
+    pub model: Model,
+    /// What goes wrong and when: stall@5+0.5,unplug@10+2,reboot@15+1,noise@20,blind@25,motor@30,laser@35,flip=0.01,cut=0.01,
+    /// drift=200. Times in seconds after the start, shares of messages, parts per million.
+    #[arg(long, default_value = "")]
+    pub faults: FaultPlan,
+    /// End after so many seconds; else when interrupted.
+    #[arg(long)]
+    pub seconds: Option<f64>,
+}
+
+/// Simulates until it is told to end.
+///
+/// # Errors
+/// When the pty or the port cannot be had.
+pub fn run(args: &HokuyoArgs) -> Result<(), Box<dyn Error>> {
+    let source = Box::new(Room::new(args.model));
+    let device = match (&args.pty, args.tcp) {
+        (Some(link), _) => SimulatedHokuyo::on_pty(args.model, link, source)
+            .map_err(|error| format!("no pty at {}: {error}; is something else there?", link.display()))?,
+        (None, port) => {
+            let port = port.unwrap_or_default();
+            SimulatedHokuyo::on_tcp(args.model, SocketAddr::from((Ipv4Addr::LOCALHOST, port)), source)
+                .map_err(|error| format!("no TCP port {port}: {error}; choose another with --tcp"))?
+        }
+    };
+    match (&args.pty, device.address()) {
+        (Some(link), _) => println!("{} on {}", args.model, link.display()),
+        (None, Some(address)) => println!("{} on tcp:{address}", args.model),
+        (None, None) => {}
+    }
+    device.set_wire(args.faults.wire);
+    device.set_clock_ppm(args.faults.drift_ppm);
+    play(args, &device)
+}
+
+fn play(args: &HokuyoArgs, device: &SimulatedHokuyo) -> Result<(), Box<dyn Error>> {
+    let begin_ns = monotonic_ns();
+    let mut clock = MonotonicClock;
+    let mut scans_before = 0;
+    for tenth in 0_u64.. {
+        clock.sleep_until_ns(begin_ns + tenth * 100_000_000);
+        let now_s = tenth as f64 * 0.1;
+        if args.seconds.is_some_and(|seconds| now_s >= seconds) {
+            break;
+        }
+        for event in &args.faults.events {
+            let is_due = |at_s: f64| (at_s * 10.0).round() as u64 == tenth;
+            if is_due(event.begin_s) {
+                println!("{now_s:6.1} s  {} begins", event.kind);
+                begin(device, event.kind, event.end_s - event.begin_s, args.faults.wire);
+            }
+            if is_due(event.end_s) {
+                println!("{now_s:6.1} s  {} ends", event.kind);
+                end(device, event.kind, args.faults.wire)?;
+            }
+        }
+        if tenth % 10 == 0 {
+            let (scans, is_streaming) = device.scans();
+            let what = match (device.is_plugged_in(), is_streaming) {
+                (false, _) => "unplugged",
+                (true, true) => "sending",
+                (true, false) => "waiting for a request",
+            };
+            println!("{now_s:6.1} s  {what}, {} scans/s", scans - std::mem::replace(&mut scans_before, scans));
+        }
+    }
+    Ok(())
+}
+
+fn begin(device: &SimulatedHokuyo, kind: EventKind, length_s: f64, wire: WireFaults) {
+    match kind {
+        EventKind::Stall => device.set_wire(WireFaults { is_stalled: true, ..wire }),
+        EventKind::Unplug => device.unplug(),
+        EventKind::Reboot => device.reboot((length_s * 1e9) as u64),
+        EventKind::Noise => device.set_wire(WireFaults { noise_bytes: 500, ..wire }),
+        EventKind::Blind => device.set_health(Health::Blind),
+        EventKind::Motor => device.set_health(Health::MotorFault),
+        EventKind::Laser => device.set_health(Health::LaserOff),
+    }
+}
+
+fn end(device: &SimulatedHokuyo, kind: EventKind, wire: WireFaults) -> std::io::Result<()> {
+    match kind {
+        EventKind::Stall | EventKind::Noise => device.set_wire(wire),
+        EventKind::Unplug => device.plug_in()?,
+        EventKind::Reboot => {}
+        EventKind::Blind | EventKind::Motor | EventKind::Laser => device.set_health(Health::Well),
+    }
+    Ok(())
+}

@@ -1,0 +1,119 @@
+//! The wires: a pty with a symbolic link as its stable path, or a TCP port.
+
+use std::ffi::OsStr;
+use std::fs;
+use std::io;
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::ffi::OsStrExt;
+use std::path::{Path, PathBuf};
+
+use rustix::io::Errno;
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::tcgetattr;
+
+/// Where a simulated device is to be found.
+#[derive(Debug, Clone)]
+pub(super) enum Place {
+    /// A symbolic link to a pty.
+    Pty(PathBuf),
+    /// An address that listens.
+    Tcp(SocketAddr),
+}
+
+/// A plug that is in.
+#[derive(Debug)]
+pub(super) enum Plug {
+    Pty { master: OwnedFd, link: PathBuf },
+    Tcp { listener: TcpListener, client: Option<TcpStream> },
+}
+
+impl Plug {
+    pub(super) fn put_in(place: &Place) -> io::Result<Self> {
+        match place {
+            Place::Pty(link) => {
+                let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+                grantpt(&master)?;
+                unlockpt(&master)?;
+                rustix::io::ioctl_fionbio(&master, true)?;
+                let name = ptsname(&master, Vec::new())?;
+                put_link(Path::new(OsStr::from_bytes(name.to_bytes())), link)?;
+                Ok(Self::Pty { master, link: link.clone() })
+            }
+            Place::Tcp(address) => {
+                let listener = TcpListener::bind(address)?;
+                listener.set_nonblocking(true)?;
+                Ok(Self::Tcp { listener, client: None })
+            }
+        }
+    }
+
+    /// Where it listens, for TCP.
+    pub(super) fn address(&self) -> Option<SocketAddr> {
+        match self {
+            Self::Pty { .. } => None,
+            Self::Tcp { listener, .. } => listener.local_addr().ok(),
+        }
+    }
+
+    /// What has come, if anything, and whether somebody has just gone (TCP only: a pty does not tell).
+    pub(super) fn read(&mut self, buffer: &mut [u8]) -> (usize, bool) {
+        match self {
+            Self::Pty { master, .. } => (rustix::io::read(&*master, buffer).unwrap_or(0), false),
+            Self::Tcp { listener, client } => {
+                if let Ok((stream, _)) = listener.accept() {
+                    _ = (stream.set_nonblocking(true), stream.set_nodelay(true));
+                    *client = Some(stream);
+                }
+                let Some(stream) = client else { return (0, false) };
+                match rustix::io::read(stream.as_fd(), buffer) {
+                    Ok(count) if count > 0 => (count, false),
+                    Err(Errno::AGAIN | Errno::INTR) => (0, false),
+                    _ => {
+                        *client = None;
+                        (0, true)
+                    }
+                }
+            }
+        }
+    }
+
+    /// Sends what the host takes; the rest is lost, as in a device whose buffer is full.
+    pub(super) fn write(&mut self, mut bytes: &[u8]) {
+        while !bytes.is_empty() {
+            let written = match self {
+                Self::Pty { master, .. } => rustix::io::write(&*master, bytes),
+                Self::Tcp { client: Some(client), .. } => rustix::io::write(client.as_fd(), bytes),
+                Self::Tcp { .. } => return,
+            };
+            match written {
+                Ok(count) => bytes = &bytes[count..],
+                Err(_) => return,
+            }
+        }
+    }
+
+    /// The rate that the host has set, where there is such a thing.
+    pub(super) fn baud(&self) -> Option<u32> {
+        match self {
+            Self::Pty { master, .. } => tcgetattr(master).ok().map(|settings| settings.output_speed()),
+            Self::Tcp { .. } => None,
+        }
+    }
+}
+
+impl Drop for Plug {
+    fn drop(&mut self) {
+        if let Self::Pty { link, .. } = self {
+            _ = fs::remove_file(link);
+        }
+    }
+}
+
+/// Replaces a link of an earlier run, but nothing else.
+fn put_link(target: &Path, link: &Path) -> io::Result<()> {
+    if fs::symlink_metadata(link).is_ok_and(|found| found.file_type().is_symlink()) {
+        fs::remove_file(link)?;
+    }
+    std::os::unix::fs::symlink(target, link)
+}

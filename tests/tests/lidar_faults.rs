@@ -1,0 +1,357 @@
+//! What the LiDAR's driver promises when the LiDAR or its cable misbehaves. The real driver on a simulated scanner's pty or
+//! TCP port; times are real, and bounds leave room for a busy computer.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
+
+use drivers::clock::monotonic_ns;
+use drivers::hokuyo::{HokuyoConfig, HokuyoError, HokuyoLidar, Port};
+use drivers::scip::Model;
+use drivers::{DeviceState, MonotonicClock};
+use hal::{Clock, Error, ErrorKind, LaserScan, Lidar};
+use hil::hokuyo::{Health, Room, ScanSource, SimulatedHokuyo, WireFaults};
+
+const MS: u64 = 1_000_000;
+/// Bring-up takes 50 ms here; a computer that is busy with other tests may need longer.
+const PATIENCE_NS: u64 = 10_000 * MS;
+
+/// A scanner on a pty, and its driver.
+struct Bench {
+    device: SimulatedHokuyo,
+    lidar: HokuyoLidar,
+    scan: LaserScan,
+    _folder: tempfile::TempDir,
+}
+
+/// Where a scanner's path will be.
+fn stable_path() -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("usb-Hokuyo");
+    (folder, path)
+}
+
+impl Bench {
+    fn new(model: Model) -> Self {
+        Self::with(model, Box::new(Room::new(model)), |config| config, |_| {})
+    }
+
+    fn with(
+        model: Model,
+        source: Box<dyn ScanSource>,
+        configure: impl Fn(HokuyoConfig) -> HokuyoConfig,
+        prepare: impl Fn(&SimulatedHokuyo),
+    ) -> Self {
+        let (folder, path) = stable_path();
+        let device = SimulatedHokuyo::on_pty(model, &path, source).unwrap();
+        prepare(&device);
+        let config = configure(HokuyoConfig { model, ..HokuyoConfig::new(Port::Serial(path)) });
+        let lidar = HokuyoLidar::open(config).unwrap();
+        let scan = LaserScan::empty(lidar.geometry());
+        Self { device, lidar, scan, _folder: folder }
+    }
+
+    fn poll(&mut self) -> Result<bool, HokuyoError> {
+        MonotonicClock.sleep_until_ns(monotonic_ns() + MS);
+        self.lidar.poll_scan(&mut self.scan)
+    }
+
+    fn until(&mut self, what: &str, mut is_so: impl FnMut(&Result<bool, HokuyoError>) -> bool) {
+        let deadline_ns = monotonic_ns() + PATIENCE_NS;
+        while !is_so(&self.poll()) {
+            let monitor = self.lidar.monitor();
+            let (status, problem) = (monitor.status(), monitor.problem());
+            assert!(monotonic_ns() < deadline_ns, "waited in vain for {what}: {status:?}, {problem:?}");
+        }
+    }
+
+    fn until_scan(&mut self) {
+        self.until("a scan", |polled| matches!(polled, Ok(true)));
+    }
+
+    fn until_error(&mut self, kind: ErrorKind) {
+        self.until(&format!("{kind:?}"), |polled| polled.as_ref().is_err_and(|error| error.kind() == kind));
+    }
+
+    fn until_problem(&mut self, word: &str) -> String {
+        let monitor = self.lidar.monitor();
+        self.until(word, |_| monitor.problem().is_some_and(|problem| problem.contains(word)));
+        monitor.problem().unwrap()
+    }
+}
+
+/// Each scan is of one range only, which counts the scans: 1001 mm for the first.
+#[derive(Clone, Default)]
+struct Counting {
+    scans: Arc<AtomicU32>,
+    begun_ns: Arc<Mutex<Vec<u64>>>,
+}
+
+impl ScanSource for Counting {
+    fn ranges_mm(&mut self, time_ns: u64, out: &mut [u32]) {
+        self.begun_ns.lock().unwrap().push(time_ns);
+        out.fill(1001 + self.scans.fetch_add(1, Ordering::SeqCst));
+    }
+}
+
+fn count_of(scan: &LaserScan) -> u32 {
+    (scan.ranges[0].hit_m().unwrap() * 1000.0).round() as u32 - 1000
+}
+
+#[test]
+fn silence_for_more_than_two_periods_is_a_timeout_and_no_old_scan() {
+    let mut bench = Bench::new(Model::Utm30lx);
+    bench.until_scan();
+    bench.device.set_wire(WireFaults { is_stalled: true, ..WireFaults::default() });
+    let stalled_ns = monotonic_ns();
+    bench.until_error(ErrorKind::Timeout);
+    // Two periods are 50 ms, and the last scan may have come just before the stall.
+    assert!(monotonic_ns() - stalled_ns < 50 * MS + 100 * MS);
+    for _ in 0..20 {
+        assert!(bench.poll().is_err(), "a scan from before the silence");
+    }
+    bench.device.set_wire(WireFaults::default());
+    bench.until_scan();
+}
+
+#[test]
+fn a_truncated_scan_is_dropped_and_the_next_one_is_taken() {
+    let mut bench = Bench::with(Model::Utm30lx, Box::new(Counting::default()), |config| config, |_| {});
+    bench.until_scan();
+    bench.device.set_wire(WireFaults { cut_share: 0.2, ..WireFaults::default() });
+    let mut scans = 0;
+    bench.until("scans between the cut ones", |polled| {
+        scans += u32::from(matches!(polled, Ok(true)));
+        scans > 20
+    });
+    assert!(bench.lidar.status().bad > 0);
+    assert!(bench.scan.ranges.iter().all(|range| *range == bench.scan.ranges[0]));
+}
+
+#[test]
+fn a_scan_with_a_flipped_bit_is_never_handed_out() {
+    let mut bench = Bench::with(Model::Utm30lx, Box::new(Counting::default()), |config| config, |_| {});
+    bench.until_scan();
+    bench.device.set_wire(WireFaults { flip_share: 0.5, ..WireFaults::default() });
+    let begin = count_of(&bench.scan);
+    while count_of(&bench.scan) < begin + 100 {
+        bench.until_scan();
+        let first = bench.scan.ranges[0];
+        assert!(bench.scan.ranges.iter().all(|range| *range == first), "a beam has changed");
+    }
+    let status = bench.lidar.status();
+    assert!(status.bad > 20, "{status:?}");
+}
+
+#[test]
+fn a_dropped_scan_is_told_once_as_corrupt() {
+    let mut bench = Bench::new(Model::Utm30lx);
+    bench.until_scan();
+    bench.device.set_wire(WireFaults { flip_share: 0.3, ..WireFaults::default() });
+    bench.until_error(ErrorKind::Corrupt);
+}
+
+#[test]
+fn a_reboot_into_scip_1_is_recovered_without_help() {
+    let mut bench = Bench::new(Model::Urg04lx);
+    bench.until_scan();
+    bench.device.reboot(500 * MS);
+    bench.until_error(ErrorKind::Timeout);
+    bench.until_scan();
+    assert_eq!(bench.lidar.status().reopened, 1);
+}
+
+#[test]
+fn pulled_and_put_back_it_is_found_by_its_stable_path_without_a_restart() {
+    let mut bench = Bench::new(Model::Utm30lx);
+    bench.until_scan();
+    for times in 1..=3 {
+        bench.device.unplug();
+        bench.until_error(ErrorKind::Disconnected);
+        for _ in 0..200 {
+            assert!(bench.poll().is_err(), "it is not there");
+        }
+        bench.device.plug_in().unwrap();
+        bench.until_scan();
+        assert_eq!(bench.lidar.status().reopened, times);
+    }
+}
+
+#[test]
+fn a_scanner_that_is_plugged_in_later_is_found() {
+    let mut bench =
+        Bench::with(Model::Utm30lx, Box::new(Room::new(Model::Utm30lx)), |config| config, SimulatedHokuyo::unplug);
+    let problem = bench.until_problem("cannot be opened");
+    assert!(problem.contains("is it plugged in?"), "{problem}");
+    assert_eq!(bench.poll().unwrap_err().kind(), ErrorKind::Disconnected);
+    bench.device.plug_in().unwrap();
+    bench.until_scan();
+}
+
+#[test]
+fn after_each_reconnect_as_many_good_scans_as_configured_come_before_the_first_that_counts() {
+    let source = Counting::default();
+    let configure = |config| HokuyoConfig { good_scans: 5, ..config };
+    let mut bench = Bench::with(Model::Utm30lx, Box::new(source.clone()), configure, |_| {});
+    bench.until_scan();
+    assert!(count_of(&bench.scan) >= 5);
+    bench.device.unplug();
+    bench.until_error(ErrorKind::Disconnected);
+    let before = source.scans.load(Ordering::SeqCst);
+    bench.device.plug_in().unwrap();
+    bench.until_scan();
+    assert!(count_of(&bench.scan) >= before + 5, "{} of {before}", count_of(&bench.scan));
+}
+
+#[test]
+fn a_scan_of_nothing_but_errors_is_a_fault_and_not_free_space() {
+    let mut bench = Bench::new(Model::Utm30lx);
+    bench.until_scan();
+    bench.device.set_health(Health::Blind);
+    bench.until_error(ErrorKind::Fault);
+    for _ in 0..50 {
+        assert!(bench.poll().is_err());
+    }
+    let problem = bench.until_problem("1081 errors");
+    assert!(problem.contains("clean"), "{problem}");
+    bench.device.set_health(Health::Well);
+    bench.until_scan();
+}
+
+#[test]
+fn noise_before_the_first_answer_does_no_harm() {
+    let noise = |device: &SimulatedHokuyo| device.set_wire(WireFaults { noise_bytes: 3000, ..WireFaults::default() });
+    Bench::with(Model::Utm30lx, Box::new(Room::new(Model::Utm30lx)), |config| config, noise).until_scan();
+}
+
+#[test]
+fn a_wrong_baud_rate_is_named() {
+    let model = Model::Utm30lx;
+    let mut bench = Bench::with(model, Box::new(Room::new(model)), |config| config, |device| device.set_baud(19_200));
+    let problem = bench.until_problem("wrong baud rate (115200)");
+    assert!(problem.contains("19200"), "{problem}");
+    assert!(bench.poll().is_err());
+}
+
+#[test]
+fn the_right_baud_rate_is_set_on_the_port() {
+    let model = Model::Utm30lx;
+    let configure = |config| HokuyoConfig { baud: 750_000, ..config };
+    Bench::with(model, Box::new(Room::new(model)), configure, |device| device.set_baud(750_000)).until_scan();
+}
+
+#[test]
+fn another_model_than_configured_is_refused_by_name() {
+    let configure = |config| HokuyoConfig { model: Model::Utm30lx, ..config };
+    let mut bench = Bench::with(Model::Urg04lx, Box::new(Room::new(Model::Urg04lx)), configure, |_| {});
+    let problem = bench.until_problem("URG-04LX");
+    assert!(problem.contains("configured is UTM-30LX"), "{problem}");
+    assert_eq!(bench.poll().unwrap_err().kind(), ErrorKind::Fault);
+}
+
+#[test]
+fn a_motor_fault_a_broken_laser_and_a_laser_that_is_off_are_named() {
+    let mut bench = Bench::new(Model::Utm30lx);
+    bench.until_scan();
+    for (health, words) in [
+        (Health::MotorFault, "Motor malfunction"),
+        (Health::LaserOff, "laser is off"),
+        (Health::LaserBroken, "Laser malfunction"),
+    ] {
+        bench.device.set_health(health);
+        bench.until_error(ErrorKind::Fault);
+        bench.until_problem(words);
+        bench.device.set_health(Health::Well);
+        bench.until_scan();
+    }
+}
+
+#[test]
+fn upside_down_the_beams_are_mirrored() {
+    /// Near on the sensor's first steps.
+    struct OneSide;
+    impl ScanSource for OneSide {
+        fn ranges_mm(&mut self, _: u64, out: &mut [u32]) {
+            for (step, range) in out.iter_mut().enumerate() {
+                *range = 500 + step as u32;
+            }
+        }
+    }
+    for model in [Model::Utm30lx, Model::Urg04lx] {
+        let upright = model.geometry(false);
+        let configure = |config| HokuyoConfig { upside_down: true, ..config };
+        let mut bench = Bench::with(model, Box::new(OneSide), configure, |_| {});
+        bench.until_scan();
+        for (angle_rad, distance_m) in bench.scan.hits() {
+            let step = ((-angle_rad - upright.angle_min_rad) / upright.angle_increment_rad).round();
+            assert_eq!(f64::from(distance_m), f64::from((500.0 + step as f32) / 1000.0), "at {angle_rad}");
+        }
+    }
+}
+
+#[test]
+fn scans_are_stamped_when_they_were_begun_although_the_clocks_differ() {
+    let source = Counting::default();
+    let fast = |device: &SimulatedHokuyo| device.set_clock_ppm(400.0);
+    let mut bench = Bench::with(Model::Utm30lx, Box::new(source.clone()), |config| config, fast);
+    let mut worst_ns = Vec::new();
+    for _ in 0..120 {
+        bench.until_scan();
+        let begun_ns = source.begun_ns.lock().unwrap()[count_of(&bench.scan) as usize - 1];
+        worst_ns.push(bench.scan.time_ns.abs_diff(begun_ns));
+    }
+    worst_ns.sort_unstable();
+    // The median: a busy computer delays single questions for the time.
+    assert!(worst_ns[60] < 5 * MS, "{} ms", worst_ns[60] / MS);
+}
+
+#[test]
+fn ethernet_models_are_read_over_tcp_and_found_again_when_the_connection_was_closed() {
+    let model = Model::Ust10lx;
+    let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+    let device = SimulatedHokuyo::on_tcp(model, any, Box::new(Room::new(model))).unwrap();
+    let port = format!("tcp:{}", device.address().unwrap()).parse().unwrap();
+    let lidar = HokuyoLidar::open(HokuyoConfig { model, ..HokuyoConfig::new(port) }).unwrap();
+    let scan = LaserScan::empty(lidar.geometry());
+    let mut bench = Bench { device, lidar, scan, _folder: tempfile::tempdir().unwrap() };
+    bench.until_scan();
+    bench.device.unplug();
+    bench.until_error(ErrorKind::Disconnected);
+    bench.device.plug_in().unwrap();
+    bench.until_scan();
+    let identity = bench.lidar.monitor().identity().unwrap();
+    assert_eq!((identity.model.as_str(), identity.serial.as_str()), ("UST-10LX", "H1000484"));
+}
+
+#[test]
+fn the_safety_thread_allocates_nothing_when_it_polls() {
+    let mut bench = Bench::new(Model::Utm30lx);
+    bench.until_scan();
+    for plugged in [true, false] {
+        if !plugged {
+            bench.device.unplug();
+        }
+        let counted = allocation_counter::measure(|| {
+            for _ in 0..100 {
+                _ = bench.poll();
+            }
+        });
+        assert_eq!(counted.count_total, 0);
+    }
+}
+
+#[test]
+fn dropped_it_switches_the_scanner_off() {
+    let mut bench = Bench::new(Model::Utm30lx);
+    bench.until_scan();
+    assert_eq!(bench.lidar.status().state, DeviceState::Working);
+    let Bench { device, lidar, _folder, .. } = bench;
+    drop(lidar);
+    let deadline_ns = monotonic_ns() + PATIENCE_NS;
+    while device.scans().1 {
+        assert!(monotonic_ns() < deadline_ns, "it goes on");
+        MonotonicClock.sleep_until_ns(monotonic_ns() + MS);
+    }
+}

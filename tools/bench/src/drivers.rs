@@ -1,0 +1,131 @@
+//! From a LiDAR's bytes to a scan. The peer is the decoder as the specification tells it and as the known libraries have it: one
+//! character after the other, then one number after the other.
+
+use std::hint::black_box;
+use std::time::Instant;
+
+use anyhow::{Context, Result, ensure};
+use drivers::scip::{Framer, Model, RangeCodes, Reply, Request};
+use hal::{LaserScan, Range};
+
+use crate::report::{Row, Timing, Unit, time_against};
+
+const ROOM: &str = "drivers";
+const RUNS: usize = 200;
+/// Scans decoded in one timed run, so that the clock's own time does not count.
+const SCANS: usize = 200;
+/// Single scans for the percentiles.
+const SINGLES: usize = 20_000;
+/// Bytes that one read hands over: a high-speed USB packet.
+const PIECE: usize = 512;
+
+/// Measures the room.
+///
+/// # Errors
+/// When a scan is refused.
+pub fn rows() -> Result<Vec<Row>> {
+    let mut rows = Vec::new();
+    for (what, without_return) in [("all distances", 0), ("2 % without return", 2)] {
+        let (request, message) = scan(without_return);
+        rows.push(decode(what, &request, &message)?);
+    }
+    let (request, message) = scan(2);
+    rows.extend(latency(&request, &message)?);
+    Ok(rows)
+}
+
+fn decode(what: &str, request: &Request, message: &[u8]) -> Result<Row> {
+    let codes = Model::Utm30lx.sheet().codes;
+    let mut ranges = vec![Range::Error; request.beams()];
+    Reply::read(message, request, &codes, &mut ranges)?;
+    ensure!(textbook(message, &codes).as_deref() == Some(&ranges[..]), "the two decoders differ");
+    let ours = || {
+        for _ in 0..SCANS {
+            _ = black_box(Reply::read(black_box(message), request, &codes, &mut ranges));
+        }
+    };
+    let theirs = || {
+        (0..SCANS)
+            .map(|_| textbook(black_box(message), &codes))
+            .fold(0, |sum, scan| sum + scan.map_or(0, |scan| scan.len()))
+    };
+    let (ours, theirs) = time_against(RUNS, ours, theirs);
+    let megabytes = (message.len() * SCANS) as f64 * 1e-6;
+    let rate = |timing: Timing| Timing {
+        min: megabytes / timing.max,
+        median: megabytes / timing.median,
+        max: megabytes / timing.min,
+    };
+    Ok(Row::new(ROOM, format!("SCIP decode, MD, 1081 beams, {what}"), Unit::MegabytesPerSecond, rate(ours))
+        .peer("textbook", rate(theirs).median)
+        .goal(500.0, 2000.0)
+        .note(format!("{} bytes a scan, every checksum", message.len())))
+}
+
+/// Bytes in pieces as they are read, to a scan as it is handed out.
+fn latency(request: &Request, message: &[u8]) -> Result<Vec<Row>> {
+    let codes = Model::Utm30lx.sheet().codes;
+    let mut framer = Box::new(Framer::<16_384>::default());
+    let geometry = Model::Utm30lx.geometry(false);
+    let mut scan = LaserScan { time_ns: 0, geometry, ranges: vec![Range::Error; geometry.beams] };
+    let mut times = Vec::with_capacity(SINGLES);
+    for _ in 0..SINGLES {
+        let start = Instant::now();
+        for piece in message.chunks(PIECE) {
+            framer.room().get_mut(..piece.len()).context("the buffer is too small")?.copy_from_slice(piece);
+            framer.received(piece.len());
+        }
+        let whole = framer.message().context("no message")?;
+        black_box(Reply::read(whole, request, &codes, &mut scan.ranges)?);
+        times.push(start.elapsed().as_secs_f64());
+    }
+    let name = |which| format!("scan bytes to hal scan, 1081 beams, {which}");
+    let median = Timing::of(times.clone());
+    times.sort_by(f64::total_cmp);
+    let p99 = Timing { median: times[(SINGLES * 99).div_ceil(100) - 1], ..median };
+    Ok(vec![Row::seconds(ROOM, name("median"), median), Row::seconds(ROOM, name("99th percentile"), p99)])
+}
+
+/// A room, and some beams that meet nothing.
+fn scan(without_return_percent: u32) -> (Request, Vec<u8>) {
+    let request = Model::Utm30lx.request(0);
+    let (echo, length) = request.encode();
+    let mut message = echo[..length].to_vec();
+    for content in [&b"99"[..], b"0000"] {
+        push_line(&mut message, content);
+    }
+    let value = |beam: u32| if beam * 7919 % 100 < without_return_percent { 1 } else { 500 + beam * 37 % 20_000 };
+    let data: Vec<u8> = (0..request.beams() as u32)
+        .flat_map(|beam| [12, 6, 0].map(|shift| (value(beam) >> shift & 63) as u8 + 0x30))
+        .collect();
+    data.chunks(64).for_each(|line| push_line(&mut message, line));
+    message.push(b'\n');
+    (request, message)
+}
+
+fn push_line(message: &mut Vec<u8>, content: &[u8]) {
+    message.extend_from_slice(content);
+    message.push((content.iter().map(|byte| u32::from(*byte)).sum::<u32>() % 64) as u8 + 0x30);
+    message.push(b'\n');
+}
+
+/// Lines, their sums, their characters behind each other, three of them a number.
+fn textbook(message: &[u8], codes: &RangeCodes) -> Option<Vec<Range>> {
+    let mut data = Vec::with_capacity(message.len());
+    for (number, line) in message.strip_suffix(b"\n\n")?.split(|byte| *byte == b'\n').enumerate().skip(1) {
+        let (sum, content) = line.split_last()?;
+        let mut total = 0_u32;
+        for byte in content {
+            total += u32::from(*byte);
+        }
+        if u32::from(*sum) != total % 64 + 0x30 {
+            return None;
+        }
+        if number > 2 {
+            data.extend_from_slice(content);
+        }
+    }
+    let number =
+        |characters: &[u8]| characters.iter().fold(0, |number, byte| number << 6 | u32::from(byte.wrapping_sub(0x30)));
+    Some(data.chunks_exact(3).map(|characters| codes.range(number(characters))).collect())
+}
