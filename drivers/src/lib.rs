@@ -3,6 +3,7 @@
 //!
 //! Unsafe code lives only in a module called `sys`, each block with its SAFETY note.
 
+pub mod can;
 pub mod clock;
 pub mod hokuyo;
 pub mod scip;

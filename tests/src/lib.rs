@@ -8,6 +8,7 @@ pub mod base;
 pub mod camera;
 pub mod hokuyo;
 pub mod lidar;
+pub mod motor;
 pub mod rig;
 pub mod scenario;
 pub mod video;

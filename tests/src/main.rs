@@ -23,6 +23,10 @@ enum Device {
     RigProbe(hil::rig::RigArgs),
     /// A Hokuyo LiDAR on a pty or TCP.
     Hokuyo(hil::hokuyo::HokuyoArgs),
+    /// Two simulated motor controllers on a CAN bus.
+    Motor(hil::motor::MotorArgs),
+    /// The real base driver on a CAN bus, driving straight on.
+    Base(hil::motor::BaseArgs),
 }
 
 fn main() -> ExitCode {
@@ -40,5 +44,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
         Device::Camera(args) => hil::video::run(args),
         Device::RigProbe(args) => hil::rig::run(args),
         Device::Hokuyo(arguments) => hil::hokuyo::run(arguments),
+        Device::Motor(args) => hil::motor::run(args),
+        Device::Base(args) => hil::motor::run_base(args),
     }
 }

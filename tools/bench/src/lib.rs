@@ -1,6 +1,7 @@
 //! What the project promises to be fast at, room by room. `cargo xtask bench` builds this in release and prints the table.
 #![forbid(unsafe_code)]
 
+pub mod can;
 pub mod drivers;
 pub mod flow;
 pub mod imaging;
@@ -25,6 +26,7 @@ pub const ROOMS: &[(&str, Measure)] = &[
     ("perception", perception_rows),
     ("drivers", drivers::rows),
     ("trainer", trainer::rows),
+    ("drivers", can::measure),
 ];
 
 /// From the camera's bytes to coarse depth, and optical flow.

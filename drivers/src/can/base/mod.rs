@@ -1,0 +1,535 @@
+//! A base with two driven wheels on a CAN bus: [`hal::Base`] for the safety thread.
+//!
+//! Every call is a few system calls that do not block, without a lock and, once constructed, without an allocation unless the
+//! bus is opened anew. Nothing is queued: a command that could not be sent is forgotten, and the next turn sends the newest.
+//!
+//! ```text
+//! Disarmed --arm()--> Arming --both motors enabled--> Armed --disarm()--> Disarming --0.5 s--> Disarmed
+//!                        \______________ any Trip ______/
+//!                                          v
+//!                                       Tripped --arm()--> Arming
+//! ```
+//!
+//! *Zero is always sent.* Disarmed and tripped, the motors are still told zero each turn, which holds them and feeds their
+//! watchdogs. A velocity other than zero leaves only while `Armed`, on a command that is younger than the watchdog and whose plan is
+//! younger than its limit.
+
+mod link;
+mod report;
+
+use std::sync::Arc;
+
+use hal::{Base, Clock, DriveCommand, ErrorType, Twist2, WheelFeedback};
+
+use super::bus::{Backoff, CanBus, ErrorState, SendProblem};
+use super::config::BaseConfig;
+use super::error::{CanError, Side, Trip};
+use super::guard::WheelGuard;
+use super::kinematics::{Kinematics, Odometry, Wheels};
+use super::limits::Limiter;
+use super::messages::SafetyInput;
+use super::protocol::{MotorProtocol, MotorStage, Outbox};
+use crate::{DeviceStatus, MonotonicClock};
+
+const MS: u64 = 1_000_000;
+/// Events taken from the bus per turn: 100 Hz times this is more than a bus at 1 Mbit/s can carry (47 bits a frame at least), so
+/// a storm of error frames costs no more than a full bus.
+const EVENTS_PER_TURN: usize = 256;
+/// Without a command, zeros go out at this pace: slower than the loop's, so that a loop that drives sends one set per turn.
+const IDLE_TURN_NS: u64 = 15 * MS;
+/// Motors have so long to be enabled.
+const ARMING_NS: u64 = 3_000 * MS;
+/// How long the motors hold zero before they are let go.
+const DISARMING_NS: u64 = 500 * MS;
+/// A safety board that is silent for longer counts as pressed.
+const SAFETY_NS: u64 = 100 * MS;
+/// Slower than this is a stand, m/s.
+const STANDING_MPS: f64 = 0.05;
+/// Both wheels, in the order of every array here.
+const SIDES: [Side; 2] = [Side::Left, Side::Right];
+
+/// Where the base is between powerless and moving.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Phase {
+    /// Moves only after [`DifferentialBase::arm`].
+    Disarmed,
+    /// The motors are confirming their watchdogs and being powered.
+    Arming,
+    /// Follows commands.
+    Armed,
+    /// Holds zero before the motors are let go.
+    Disarming,
+    /// Out of service until armed again.
+    Tripped(Trip),
+}
+
+pub use report::BaseCounts;
+
+/// The driver.
+pub struct DifferentialBase<B, C = MonotonicClock> {
+    bus: B,
+    clock: C,
+    name: Arc<str>,
+    config: BaseConfig,
+    motors: [Box<dyn MotorProtocol>; 2],
+    kinematics: Kinematics,
+    limiter: Limiter,
+    odometry: Odometry,
+    guards: [WheelGuard; 2],
+    phase: Phase,
+    since_ns: u64,
+    wrong_direction: Option<Side>,
+    // What is wanted.
+    target: Twist2,
+    command_ns: u64,
+    counter: Option<u32>,
+    plan_age_ns: u64,
+    wheels_mps: Wheels,
+    turn_ns: u64,
+    turns: u64,
+    // What is known.
+    position_m: Option<Wheels>,
+    fed_back_ns: u64,
+    handed_out_ns: u64,
+    twist: Twist2,
+    served_ns: u64,
+    started_ns: u64,
+    estop: bool,
+    safety: Option<(u64, SafetyInput)>,
+    // The bus.
+    error_state: ErrorState,
+    error_counters: (u8, u8),
+    gone: bool,
+    full_since_ns: Option<u64>,
+    well_since_ns: u64,
+    backoff: Backoff,
+    counts: BaseCounts,
+    status: DeviceStatus,
+}
+
+impl<B: CanBus> DifferentialBase<B> {
+    /// A base on this bus, not armed.
+    ///
+    /// # Errors
+    /// [`CanError::Config`] when a number is out of its range.
+    pub fn new(bus: B, config: &BaseConfig) -> Result<Self, CanError> {
+        Self::with_clock(bus, config, MonotonicClock)
+    }
+}
+
+impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
+    /// As [`new`](DifferentialBase::new), with another clock.
+    ///
+    /// # Errors
+    /// As `new`.
+    pub fn with_clock(bus: B, config: &BaseConfig, clock: C) -> Result<Self, CanError> {
+        config.validate()?;
+        let kinematics = Kinematics { track_m: config.track_m };
+        let now_ns = clock.now_ns();
+        Ok(Self {
+            name: bus.name().into(),
+            bus,
+            clock,
+            motors: config.motors(),
+            kinematics,
+            limiter: Limiter::new(config.limits),
+            odometry: Odometry::new(kinematics, config.slip_m),
+            guards: [WheelGuard::default(); 2],
+            config: config.clone(),
+            phase: Phase::Disarmed,
+            since_ns: now_ns,
+            wrong_direction: None,
+            target: Twist2::ZERO,
+            command_ns: 0,
+            counter: None,
+            plan_age_ns: 0,
+            wheels_mps: [0.0; 2],
+            turn_ns: 0,
+            turns: 0,
+            position_m: None,
+            fed_back_ns: 0,
+            handed_out_ns: 0,
+            twist: Twist2::ZERO,
+            served_ns: now_ns,
+            started_ns: now_ns,
+            estop: false,
+            safety: None,
+            error_state: ErrorState::Active,
+            error_counters: (0, 0),
+            gone: false,
+            full_since_ns: None,
+            well_since_ns: now_ns,
+            backoff: Backoff::new(),
+            counts: BaseCounts::default(),
+            status: DeviceStatus::default(),
+        })
+    }
+
+    /// Begins to arm; [`phase`](Self::phase) tells when it is done, within about half a second. The motors confirm their watchdogs
+    /// anew. Clears a trip.
+    ///
+    /// # Errors
+    /// What stands in the way; nothing has changed then.
+    pub fn arm(&mut self) -> Result<(), CanError> {
+        let now_ns = self.clock.now_ns();
+        self.serve(now_ns);
+        if matches!(self.phase, Phase::Armed | Phase::Arming) {
+            return Ok(());
+        }
+        if let Some(trip) = self.obstacle(now_ns) {
+            return Err(CanError::Tripped(trip));
+        }
+        for side in SIDES {
+            self.check_motor(side, now_ns)?;
+        }
+        for motor in &mut self.motors {
+            motor.set_velocity(0.0);
+            motor.enable();
+        }
+        self.enter(Phase::Arming, now_ns);
+        Ok(())
+    }
+
+    /// Brakes, and lets the motors go half a second later.
+    pub fn disarm(&mut self) {
+        let now_ns = self.clock.now_ns();
+        self.halt();
+        self.enter(Phase::Disarming, now_ns);
+        self.turn(now_ns);
+    }
+
+    /// The emergency stop's input, for switches that are not on the bus.
+    pub fn set_emergency_stop(&mut self, pressed: bool) {
+        self.estop = pressed;
+        let now_ns = self.clock.now_ns();
+        self.watch(now_ns);
+        if pressed {
+            self.turn(now_ns);
+        }
+    }
+
+    /// Where it is between powerless and moving.
+    #[must_use]
+    pub fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    /// Whether it follows commands.
+    #[must_use]
+    pub fn is_armed(&self) -> bool {
+        self.phase == Phase::Armed
+    }
+
+    /// The clock, for tests that move it.
+    pub fn clock_mut(&mut self) -> &mut C {
+        &mut self.clock
+    }
+
+    /// What forbids motion apart from the motors themselves.
+    fn obstacle(&self, now_ns: u64) -> Option<Trip> {
+        let safety_silent = self.config.safety_board
+            && self.safety.is_none_or(|(time_ns, _)| now_ns.saturating_sub(time_ns) > SAFETY_NS);
+        let pressed = self.estop || self.safety.is_some_and(|(_, input)| input.estop);
+        if self.gone {
+            Some(Trip::BusGone)
+        } else if !self.backoff.is_over(now_ns) {
+            Some(if self.full_since_ns.is_some() { Trip::TransmitBlocked } else { Trip::BusOff })
+        } else if let Some(side) = self.wrong_direction {
+            Some(Trip::WrongDirection(side))
+        } else if pressed {
+            Some(Trip::EmergencyStop)
+        } else {
+            safety_silent.then_some(Trip::SafetySilent)
+        }
+    }
+
+    fn check_motor(&self, side: Side, now_ns: u64) -> Result<(), CanError> {
+        let [left, right] = self.motors();
+        let motor = if side == Side::Left { left } else { right };
+        match (motor.stage, motor.problem) {
+            (MotorStage::Refused, Some(problem)) => return Err(CanError::Motor { side, problem }),
+            // A fault is cleared, and the watchdog confirmed, on the way to being enabled.
+            (MotorStage::Faulted, _) => {}
+            (MotorStage::Ready | MotorStage::Enabled, _)
+                if motor.watchdog_ms.is_some_and(|ms| ms <= f64::from(self.config.watchdog_ms)) => {}
+            (_, problem) => return Err(CanError::NotReady { side, problem }),
+        }
+        if let Some(error) = self.silent(now_ns) {
+            return Err(error);
+        }
+        let speed_mps = self.rim(motor.velocity_radps).abs();
+        if speed_mps > STANDING_MPS { Err(CanError::Moving { side, speed_mps }) } else { Ok(()) }
+    }
+
+    fn enter(&mut self, phase: Phase, now_ns: u64) {
+        self.phase = phase;
+        self.since_ns = now_ns;
+        self.counter = None;
+        self.halt();
+    }
+
+    fn trip(&mut self, trip: Trip, now_ns: u64) {
+        if let Trip::WrongDirection(side) = trip {
+            self.wrong_direction = Some(side);
+        }
+        if matches!(self.phase, Phase::Armed | Phase::Arming) {
+            self.enter(Phase::Tripped(trip), now_ns);
+        }
+    }
+
+    /// Zero, at once.
+    fn halt(&mut self) {
+        self.target = Twist2::ZERO;
+        self.limiter.stop();
+        self.wheels_mps = [0.0; 2];
+        self.guards = [WheelGuard::default(); 2];
+        self.motors.iter_mut().for_each(|motor| motor.set_velocity(0.0));
+    }
+
+    /// Motor shaft to wheel rim.
+    fn rim(&self, radps: f64) -> f64 {
+        radps / self.config.gear_ratio * self.config.wheel_radius_m
+    }
+
+    fn signs(&self) -> Wheels {
+        [self.config.invert_left, self.config.invert_right].map(|inverted| if inverted { -1.0 } else { 1.0 })
+    }
+
+    /// What came, and what follows from it.
+    fn serve(&mut self, now_ns: u64) {
+        for _ in 0..EVENTS_PER_TURN {
+            let Some(received) = self.bus.receive(now_ns) else { break };
+            self.on_event(&received.event, received.time_ns, now_ns);
+        }
+        self.measure();
+        self.watch(now_ns);
+        self.served_ns = now_ns;
+    }
+
+    /// Odometry of what is new from both motors.
+    fn measure(&mut self) {
+        let [left, right] = self.motors();
+        let time_ns = left.feedback_ns.min(right.feedback_ns);
+        if time_ns <= self.fed_back_ns {
+            return;
+        }
+        let (positions, velocities) =
+            ([left.position_rad, right.position_rad], [left.velocity_radps, right.velocity_radps]);
+        let signs = self.signs();
+        let at = |values: Wheels| {
+            [0, 1].map(|k: usize| signs.get(k).unwrap_or(&1.0) * self.rim(*values.get(k).unwrap_or(&0.0)))
+        };
+        let (position_m, velocity_mps) = (at(positions), at(velocities));
+        self.twist = self.kinematics.twist(velocity_mps);
+        let elapsed_s = (time_ns - self.fed_back_ns) as f64 * 1e-9;
+        if let (Some([l0, r0]), [l1, r1]) = (self.position_m, position_m) {
+            let travel = [l1 - l0, r1 - r0];
+            // Twice the fastest wheel and 5 cm: more is a controller that began to count anew.
+            let limits = &self.config.limits;
+            let fastest = limits.linear_mps + limits.angular_radps * self.config.track_m / 2.0;
+            let [left_m, right_m] = travel.map(f64::abs);
+            if left_m.max(right_m) <= 2.0 * fastest * elapsed_s + 0.05 {
+                self.odometry.advance(travel);
+                for (guard, travel_m) in self.guards.iter_mut().zip(travel) {
+                    guard.measured(travel_m);
+                }
+            } else {
+                self.status.bad += 1;
+            }
+        }
+        self.position_m = Some(position_m);
+        self.fed_back_ns = time_ns;
+        self.status.good += 1;
+        self.status.last_good_ns = time_ns;
+    }
+
+    fn silent(&self, now_ns: u64) -> Option<CanError> {
+        let limit_ms = u64::from(self.config.feedback_timeout_ms);
+        SIDES.into_iter().zip(&self.motors).find_map(|(side, motor)| {
+            let last_ns = motor.status().feedback_ns.max(self.started_ns);
+            let age_ms = now_ns.saturating_sub(last_ns) / MS;
+            (age_ms > limit_ms || (age_ms == limit_ms && now_ns.saturating_sub(last_ns) > limit_ms * MS))
+                .then_some(CanError::Silent { side, age_ms, limit_ms })
+        })
+    }
+
+    /// Everything that may trip the base.
+    fn watch(&mut self, now_ns: u64) {
+        let stalled = now_ns.saturating_sub(self.served_ns) > u64::from(self.config.watchdog_ms) * MS;
+        if self.phase == Phase::Armed && stalled {
+            self.trip(Trip::LoopStalled, now_ns);
+        }
+        if let Some(trip) = self.obstacle(now_ns) {
+            self.trip(trip, now_ns);
+        }
+        if let Some(CanError::Silent { side, .. }) = self.silent(now_ns) {
+            self.trip(Trip::FeedbackSilent(side), now_ns);
+        }
+        let stages = self.motors.each_ref().map(|motor| motor.status().stage);
+        for (side, stage) in SIDES.into_iter().zip(stages) {
+            let lost = match self.phase {
+                Phase::Armed => stage != MotorStage::Enabled,
+                Phase::Arming => matches!(stage, MotorStage::Faulted | MotorStage::Refused),
+                _ => false,
+            };
+            if lost {
+                self.trip(Trip::MotorFault(side), now_ns);
+            }
+        }
+        for (side, guard) in SIDES.into_iter().zip(self.guards) {
+            if self.phase == Phase::Armed && guard.is_wrong() {
+                self.trip(Trip::WrongDirection(side), now_ns);
+            }
+        }
+        let waited_ns = now_ns.saturating_sub(self.since_ns);
+        match self.phase {
+            Phase::Arming if stages == [MotorStage::Enabled; 2] => self.enter(Phase::Armed, now_ns),
+            Phase::Arming if waited_ns > ARMING_NS => {
+                let side = if stages.first() == Some(&MotorStage::Enabled) { Side::Right } else { Side::Left };
+                self.trip(Trip::MotorFault(side), now_ns);
+            }
+            Phase::Disarming if waited_ns >= DISARMING_NS => {
+                self.motors.iter_mut().for_each(|motor| motor.disable());
+                self.enter(Phase::Disarmed, now_ns);
+            }
+            _ => {}
+        }
+    }
+
+    /// One set of frames to the motors.
+    fn turn(&mut self, now_ns: u64) {
+        let elapsed_ns = now_ns.saturating_sub(self.turn_ns).min(5 * IDLE_TURN_NS);
+        self.turn_ns = now_ns;
+        if !self.backoff.is_over(now_ns) {
+            return;
+        }
+        self.steer(now_ns, elapsed_ns);
+        let mut first_problem = None;
+        let mut out = Outbox::new();
+        for k in 0..2 {
+            out.clear();
+            if let Some(motor) = self.motors.get_mut(k) {
+                motor.tick(now_ns, &mut out);
+            }
+            for frame in &out {
+                self.send(frame, &mut first_problem);
+            }
+        }
+        self.announce(&mut first_problem);
+        self.judge(first_problem, now_ns);
+    }
+
+    /// Wheel velocities of this turn.
+    fn steer(&mut self, now_ns: u64, elapsed_ns: u64) {
+        let fresh = now_ns.saturating_sub(self.command_ns) < u64::from(self.config.watchdog_ms) * MS;
+        let target = if self.phase == Phase::Armed && fresh { self.target } else { Twist2::ZERO };
+        if self.phase != Phase::Armed {
+            self.wheels_mps = [0.0; 2];
+            return;
+        }
+        let measured = self.kinematics.wheels(&self.twist);
+        for ((guard, wanted), measured) in self.guards.iter_mut().zip(self.wheels_mps).zip(measured) {
+            guard.commanded(wanted, measured, elapsed_ns);
+        }
+        let twist = self.limiter.step(&target, elapsed_ns.max(1) as f64 * 1e-9).unwrap_or(Twist2::ZERO);
+        self.wheels_mps = self.kinematics.wheels(&twist);
+        let per_metre = self.config.gear_ratio / self.config.wheel_radius_m;
+        let signs = self.signs();
+        for ((motor, wheel_mps), sign) in self.motors.iter_mut().zip(self.wheels_mps).zip(signs) {
+            motor.set_velocity(sign * wheel_mps * per_metre);
+        }
+    }
+
+    fn contact(&self) -> bool {
+        self.safety.is_some_and(|(_, input)| input.bumper) || self.guards.iter().any(WheelGuard::is_stalled)
+    }
+
+    /// Whether a command may move the base.
+    fn accept(&mut self, command: &DriveCommand) -> Result<(), CanError> {
+        let limit_ms = u64::from(self.config.plan_age_limit_ms);
+        let Twist2 { linear_mps, angular_radps } = command.twist;
+        match self.phase {
+            Phase::Tripped(trip) => return Err(CanError::Tripped(trip)),
+            Phase::Armed => {}
+            _ => return Err(CanError::NotArmed),
+        }
+        if let Some(last) = self.counter {
+            let step = command.counter.wrapping_sub(last);
+            if step == 0 || step > u32::MAX / 2 {
+                return Err(CanError::Counter { found: command.counter, last });
+            }
+            self.counts.skipped += u64::from(step - 1);
+        }
+        self.counter = Some(command.counter);
+        if !command.twist.is_finite() {
+            self.target = Twist2::ZERO;
+            return Err(CanError::NotFinite { linear_mps, angular_radps });
+        }
+        if command.plan_age_ns > limit_ms * MS {
+            self.target = Twist2::ZERO;
+            return Err(CanError::PlanTooOld { age_ms: command.plan_age_ns / MS, limit_ms });
+        }
+        Ok(())
+    }
+}
+
+impl<B, C> ErrorType for DifferentialBase<B, C> {
+    type Error = CanError;
+}
+
+impl<B: CanBus, C: Clock> Base for DifferentialBase<B, C> {
+    fn drive(&mut self, command: &DriveCommand) -> Result<(), CanError> {
+        let now_ns = self.clock.now_ns();
+        self.serve(now_ns);
+        let accepted = self.accept(command);
+        match accepted {
+            Ok(()) => {
+                self.target = command.twist;
+                self.plan_age_ns = command.plan_age_ns;
+                self.command_ns = now_ns;
+            }
+            Err(_) => self.counts.refused += 1,
+        }
+        self.turn(now_ns);
+        accepted
+    }
+
+    fn stop(&mut self) -> Result<(), CanError> {
+        let now_ns = self.clock.now_ns();
+        self.serve(now_ns);
+        self.halt();
+        self.turn(now_ns);
+        if self.gone {
+            return Err(CanError::Bus { bus: Arc::clone(&self.name), problem: SendProblem::Gone });
+        }
+        Ok(())
+    }
+
+    fn poll_feedback(&mut self) -> Result<Option<WheelFeedback>, CanError> {
+        let now_ns = self.clock.now_ns();
+        self.serve(now_ns);
+        if now_ns.saturating_sub(self.turn_ns) >= IDLE_TURN_NS {
+            self.turn(now_ns);
+        }
+        if self.gone {
+            return Err(CanError::Bus { bus: Arc::clone(&self.name), problem: SendProblem::Gone });
+        }
+        if let Some(error) = self.silent(now_ns) {
+            return Err(error);
+        }
+        let feedback = WheelFeedback {
+            time_ns: self.fed_back_ns,
+            odom: self.odometry.pose(),
+            twist: self.twist,
+            contact: self.contact(),
+        };
+        let is_new = self.fed_back_ns > std::mem::replace(&mut self.handed_out_ns, self.fed_back_ns);
+        Ok(is_new.then_some(feedback))
+    }
+}
+
+impl<B, C> std::fmt::Debug for DifferentialBase<B, C> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("DifferentialBase").field("bus", &self.name).field("phase", &self.phase).finish_non_exhaustive()
+    }
+}

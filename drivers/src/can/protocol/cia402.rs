@@ -1,0 +1,470 @@
+//! A CANopen drive (CiA 301, CiA 402) in profile velocity mode.
+//!
+//! Configured by SDO before it is started, every entry written and read back: its PDOs, what it does when we fall silent (a
+//! fault with a quick-stop ramp), and last of all the consumer heartbeat time (0x1016), which is its watchdog on us. Our
+//! heartbeat goes out once per turn of the loop that also sends the velocities, so it cannot outlive the commands.
+//!
+//! Each turn, on the bus: heartbeat (from one motor for all), RPDO1 with controlword and target velocity, SYNC (same), and on
+//! that the drive's TPDO1 (statusword, velocity) and TPDO2 (position).
+
+use std::f64::consts::TAU;
+
+use super::sdo::{Answer, Entry, answer};
+use super::{MotorProblem, MotorProtocol, MotorStage, MotorStatus, Outbox, Question, Unwrapped, put};
+use crate::can::frame::{CanFrame, CanId};
+
+const NMT: u16 = 0x000;
+const SYNC: u16 = 0x080;
+const EMERGENCY: u16 = 0x080;
+const TPDO1: u16 = 0x180;
+const RPDO1: u16 = 0x200;
+const TPDO2: u16 = 0x280;
+const SDO_ANSWER: u16 = 0x580;
+const HEARTBEAT: u16 = 0x700;
+
+const NMT_START: u8 = 0x01;
+const NMT_PRE_OPERATIONAL: u8 = 0x80;
+const OPERATIONAL: u8 = 5;
+const BOOT_UP: u8 = 0;
+/// PDO does not exist.
+const OFF: u32 = 0x8000_0000;
+/// The drive has this long to get from fault to operation: 1 s.
+const ENABLE_NS: u64 = 1_000_000_000;
+
+/// Length of the set-up.
+const ENTRIES: usize = 25;
+
+/// One drive.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cia402Node {
+    /// Its node id, 1 to 127.
+    pub node: u8,
+    /// Ours, whose heartbeat it watches, 1 to 127.
+    pub host: u8,
+    /// Whether this motor also sends SYNC and our heartbeat; one motor of a bus does.
+    pub leads: bool,
+    /// Watchdog to set, milliseconds.
+    pub watchdog_ms: u16,
+    /// Units of 0x606C and 0x60FF at one turn of the shaft per second: 60 for rpm, the encoder's counts for counts/s.
+    pub velocity_units: f64,
+    /// Units of 0x6064 per turn of the shaft.
+    pub position_units: f64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Step {
+    PreOperational,
+    Write(usize),
+    ReadBack(usize),
+    Feedback,
+    Ready,
+    Powering,
+    Enabled,
+    Halted,
+}
+
+/// The state machine of one drive.
+#[derive(Debug)]
+pub struct Cia402 {
+    node: Cia402Node,
+    script: [Entry; ENTRIES],
+    status: MotorStatus,
+    step: Step,
+    question: Question,
+    power: bool,
+    powering_since_ns: Option<u64>,
+    statusword: u16,
+    reset_edge: bool,
+    emergency: u16,
+    position: Unwrapped,
+    position_ns: u64,
+    velocity_radps: f64,
+}
+
+/// Everything that is written, in this order. The watchdog is last: reading it back is what confirms it.
+fn script(node: &Cia402Node) -> [Entry; ENTRIES] {
+    let id = u32::from(node.node);
+    let watchdog = u32::from(node.host) << 16 | u32::from(node.watchdog_ms);
+    [
+        // RPDO1: controlword, target velocity; taken at once.
+        Entry::u32(0x1400, 1, OFF | (u32::from(RPDO1) + id)),
+        Entry::u8(0x1600, 0, 0),
+        Entry::u32(0x1600, 1, 0x6040_0010),
+        Entry::u32(0x1600, 2, 0x60ff_0020),
+        Entry::u8(0x1600, 0, 2),
+        Entry::u8(0x1400, 2, 255),
+        Entry::u32(0x1400, 1, u32::from(RPDO1) + id),
+        // TPDO1: statusword, velocity; on every SYNC.
+        Entry::u32(0x1800, 1, OFF | (u32::from(TPDO1) + id)),
+        Entry::u8(0x1a00, 0, 0),
+        Entry::u32(0x1a00, 1, 0x6041_0010),
+        Entry::u32(0x1a00, 2, 0x606c_0020),
+        Entry::u8(0x1a00, 0, 2),
+        Entry::u8(0x1800, 2, 1),
+        Entry::u32(0x1800, 1, u32::from(TPDO1) + id),
+        // TPDO2: position; on every SYNC.
+        Entry::u32(0x1801, 1, OFF | (u32::from(TPDO2) + id)),
+        Entry::u8(0x1a01, 0, 0),
+        Entry::u32(0x1a01, 1, 0x6064_0020),
+        Entry::u8(0x1a01, 0, 1),
+        Entry::u8(0x1801, 2, 1),
+        Entry::u32(0x1801, 1, u32::from(TPDO2) + id),
+        // Profile velocity mode.
+        Entry::u8(0x6060, 0, 3),
+        // When we fall silent: a fault (0x6007), and on a fault the quick-stop ramp (0x605E), never coasting.
+        Entry::u16(0x6007, 0, 1),
+        Entry::u16(0x605e, 0, 2),
+        // Its own heartbeat, ten turns: tells a reboot.
+        Entry::u16(0x1017, 0, 100),
+        Entry::u32(0x1016, 1, watchdog),
+    ]
+}
+
+impl Cia402 {
+    /// A drive that is not found yet.
+    #[must_use]
+    pub fn new(node: Cia402Node) -> Self {
+        Self {
+            node,
+            script: script(&node),
+            status: MotorStatus::default(),
+            step: Step::PreOperational,
+            question: Question::default(),
+            power: false,
+            powering_since_ns: None,
+            statusword: 0,
+            reset_edge: false,
+            emergency: 0,
+            position: Unwrapped::default(),
+            position_ns: 0,
+            velocity_radps: 0.0,
+        }
+    }
+
+    fn next(&mut self, step: Step) {
+        self.step = step;
+        self.question.answered();
+        self.status.problem = None;
+    }
+
+    fn halt(&mut self, stage: MotorStage, problem: MotorProblem) {
+        self.step = Step::Halted;
+        self.power = false;
+        self.status.stage = stage;
+        self.status.problem = Some(problem);
+    }
+
+    fn on_answer(&mut self, data: &[u8; 8]) {
+        let (at, answer) = match (self.step, answer(data)) {
+            (Step::Write(at) | Step::ReadBack(at), Some(answer)) => (at, answer),
+            _ => return,
+        };
+        let Some(wanted) = self.script.get(at).copied() else { return };
+        let is_ours = |index, sub| (index, sub) == (wanted.index, wanted.sub);
+        match (self.step, answer) {
+            (_, Answer::Abort { index, sub, code }) if is_ours(index, sub) => {
+                self.halt(MotorStage::Refused, MotorProblem::Parameter { index, sub, code });
+            }
+            (Step::Write(_), Answer::Written { index, sub }) if is_ours(index, sub) => self.next(Step::ReadBack(at)),
+            (Step::ReadBack(_), Answer::Value { index, sub, value }) if is_ours(index, sub) => {
+                self.on_read_back(at, &wanted, value);
+            }
+            _ => {}
+        }
+    }
+
+    fn on_read_back(&mut self, at: usize, wanted: &Entry, value: u32) {
+        let is_watchdog = wanted.index == 0x1016;
+        if value != wanted.value {
+            let watches_us = value >> 16 == wanted.value >> 16 && value & 0xffff != 0;
+            let read_ms = if watches_us { f64::from(value & 0xffff) } else { f64::NAN };
+            let problem = match is_watchdog {
+                true => MotorProblem::Watchdog { read_ms, wanted_ms: f64::from(self.node.watchdog_ms) },
+                false => MotorProblem::Parameter { index: wanted.index, sub: wanted.sub, code: value },
+            };
+            self.halt(MotorStage::Refused, problem);
+        } else if is_watchdog {
+            self.status.watchdog_ms = Some(f64::from(self.node.watchdog_ms));
+            self.next(Step::Feedback);
+        } else {
+            self.next(Step::Write(at + 1));
+        }
+    }
+
+    fn on_state(&mut self, data: &[u8], time_ns: u64) {
+        let [s0, s1, a, b, c, d] = *data else {
+            self.status.bad += 1;
+            return;
+        };
+        self.statusword = u16::from_le_bytes([s0, s1]);
+        let velocity = f64::from(i32::from_le_bytes([a, b, c, d]));
+        self.status.velocity_radps = velocity / self.node.velocity_units * TAU;
+        self.fresh(time_ns);
+        let state = State::of(self.statusword);
+        match self.step {
+            Step::Powering if state == State::Enabled => {
+                self.next(Step::Enabled);
+                self.status.stage = MotorStage::Enabled;
+            }
+            Step::Enabled if state != State::Enabled => self.halt(MotorStage::Faulted, self.fault()),
+            _ => {}
+        }
+    }
+
+    fn on_position(&mut self, data: &[u8], time_ns: u64) {
+        let Some(count) = data.first_chunk::<4>() else {
+            self.status.bad += 1;
+            return;
+        };
+        let count = self.position.update(i32::from_le_bytes(*count));
+        self.status.position_rad = count as f64 / self.node.position_units * TAU;
+        self.position_ns = time_ns;
+    }
+
+    /// Feedback is as old as the older half of it.
+    fn fresh(&mut self, time_ns: u64) {
+        self.status.feedback_ns = self.position_ns.min(time_ns);
+        if self.step == Step::Feedback && self.status.feedback_ns > 0 {
+            self.next(if self.power { Step::Powering } else { Step::Ready });
+            self.powering_since_ns = None;
+            self.status.stage = if self.power { MotorStage::Enabling } else { MotorStage::Ready };
+        }
+    }
+
+    fn on_heartbeat(&mut self, state: u8) {
+        let reboots = state & 0x7f == BOOT_UP;
+        let stopped = state & 0x7f != OPERATIONAL && matches!(self.step, Step::Powering | Step::Enabled);
+        if stopped {
+            self.halt(MotorStage::Faulted, self.fault());
+        }
+        if reboots {
+            let stage = self.status.stage;
+            self.restart();
+            // A fault stays one until somebody enables again.
+            if stage == MotorStage::Faulted {
+                self.halt(MotorStage::Faulted, MotorProblem::Fault { code: 0, meaning: "it has restarted" });
+            }
+        }
+    }
+
+    fn fault(&self) -> MotorProblem {
+        let meaning = match (self.emergency, State::of(self.statusword)) {
+            // CiA 301, table 26.
+            (0x8130, _) => "it missed our heartbeat: no command came in time",
+            (0x2000..=0x2fff, _) => "its current is out of limits",
+            (0x3000..=0x3fff, _) => "its voltage is out of limits",
+            (0x4000..=0x4fff, _) => "it is too hot",
+            (0x7000..=0x7fff, _) => "a module of it failed, such as the encoder",
+            (0x8000..=0x8fff, _) => "its supervision tripped",
+            (0, State::Fault) => "it is in fault and does not say why",
+            _ => "it left operation by itself",
+        };
+        MotorProblem::Fault { code: u32::from(self.emergency), meaning }
+    }
+
+    fn ask(&mut self, now_ns: u64, out: &mut Outbox) {
+        let question = match self.step {
+            Step::PreOperational | Step::Write(_) | Step::ReadBack(_) => "object dictionary",
+            Step::Feedback => "process data (statusword and velocity in TPDO1, position in TPDO2)",
+            _ => return,
+        };
+        let (now, again) = self.question.ask(now_ns);
+        if !now {
+            return;
+        }
+        if again && self.status.problem.is_none() {
+            self.status.problem = Some(MotorProblem::NoAnswer { question });
+        }
+        let nmt = |command| CanFrame::standard_short(NMT, [command, self.node.node, 0, 0, 0, 0, 0, 0], 2);
+        let entry = |at: usize| self.script.get(at);
+        let frame = match self.step {
+            Step::PreOperational => Some(nmt(NMT_PRE_OPERATIONAL)),
+            Step::Write(at) => entry(at).map(|entry| entry.download(self.node.node)),
+            Step::ReadBack(at) => entry(at).map(|entry| entry.upload(self.node.node)),
+            _ => Some(nmt(NMT_START)),
+        };
+        put(out, frame);
+        if self.step == Step::PreOperational {
+            // NMT commands have no answer; the first SDO tells.
+            self.next(Step::Write(0));
+        }
+    }
+
+    /// What brings the drive one state closer to where it shall be (CiA 402-2, figure 3).
+    fn controlword(&mut self) -> u16 {
+        if !self.power {
+            return 0x06;
+        }
+        match State::of(self.statusword) {
+            State::Fault => {
+                // A fault is reset by the edge, not by the level.
+                self.reset_edge = !self.reset_edge;
+                if self.reset_edge { 0x80 } else { 0x00 }
+            }
+            State::SwitchOnDisabled => 0x06,
+            State::ReadyToSwitchOn => 0x07,
+            State::SwitchedOn | State::Enabled => 0x0f,
+            State::QuickStop | State::Other => 0x00,
+        }
+    }
+}
+
+impl MotorProtocol for Cia402 {
+    fn receive(&mut self, frame: &CanFrame, time_ns: u64) -> bool {
+        let CanId::Standard(id) = frame.id() else { return false };
+        if frame.is_remote() || id & 0x7f != u16::from(self.node.node) {
+            return false;
+        }
+        match (id & 0x780, frame.data()) {
+            (TPDO1, data) => self.on_state(data, time_ns),
+            (TPDO2, data) => self.on_position(data, time_ns),
+            (HEARTBEAT, [state]) => self.on_heartbeat(*state),
+            (EMERGENCY, [low, high, ..]) => self.emergency = u16::from_le_bytes([*low, *high]),
+            (SDO_ANSWER, _) => match frame.eight() {
+                Some(data) => self.on_answer(data),
+                None => self.status.bad += 1,
+            },
+            _ => return false,
+        }
+        true
+    }
+
+    fn tick(&mut self, now_ns: u64, out: &mut Outbox) {
+        if self.node.leads {
+            let id = HEARTBEAT + u16::from(self.node.host);
+            put(out, [CanFrame::standard_short(id, [OPERATIONAL, 0, 0, 0, 0, 0, 0, 0], 1)]);
+        }
+        if self.step == Step::Powering {
+            let since = *self.powering_since_ns.get_or_insert(now_ns);
+            if now_ns.saturating_sub(since) > ENABLE_NS {
+                self.halt(MotorStage::Faulted, self.fault());
+            }
+        }
+        if self.status.watchdog_ms.is_some() {
+            let radps = if self.step == Step::Enabled { self.velocity_radps } else { 0.0 };
+            let [a, b, c, d] = ((radps / TAU * self.node.velocity_units).round() as i32).to_le_bytes();
+            let [w0, w1] = self.controlword().to_le_bytes();
+            put(out, [CanFrame::standard_short(RPDO1 + u16::from(self.node.node), [w0, w1, a, b, c, d, 0, 0], 6)]);
+        }
+        self.ask(now_ns, out);
+        if self.node.leads {
+            put(out, [CanFrame::standard_short(SYNC, [0; 8], 0)]);
+        }
+    }
+
+    fn set_velocity(&mut self, radps: f64) {
+        self.velocity_radps = radps;
+    }
+
+    fn enable(&mut self) {
+        if matches!(self.status.stage, MotorStage::Ready | MotorStage::Faulted) {
+            // A fault may have been a reboot: all of the set-up. Otherwise the watchdog alone is confirmed again.
+            let from =
+                if self.status.stage == MotorStage::Faulted { Step::PreOperational } else { Step::Write(ENTRIES - 1) };
+            self.restart();
+            self.next(from);
+            self.power = true;
+            self.status.stage = MotorStage::Enabling;
+        }
+    }
+
+    fn disable(&mut self) {
+        self.power = false;
+        if matches!(self.status.stage, MotorStage::Enabled | MotorStage::Enabling) {
+            self.next(Step::Feedback);
+            self.status.stage = MotorStage::SettingUp;
+        }
+    }
+
+    fn restart(&mut self) {
+        self.next(Step::PreOperational);
+        self.power = false;
+        self.emergency = 0;
+        self.status.stage = MotorStage::SettingUp;
+        self.status.watchdog_ms = None;
+    }
+
+    fn status(&self) -> &MotorStatus {
+        &self.status
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum State {
+    SwitchOnDisabled,
+    ReadyToSwitchOn,
+    SwitchedOn,
+    Enabled,
+    QuickStop,
+    Fault,
+    Other,
+}
+
+impl State {
+    /// CiA 402-2, table 30.
+    fn of(statusword: u16) -> Self {
+        match (statusword & 0x4f, statusword & 0x6f) {
+            (0x40, _) => Self::SwitchOnDisabled,
+            (0x08, _) => Self::Fault,
+            (_, 0x21) => Self::ReadyToSwitchOn,
+            (_, 0x23) => Self::SwitchedOn,
+            (_, 0x27) => Self::Enabled,
+            (_, 0x07) => Self::QuickStop,
+            _ => Self::Other,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NODE: Cia402Node = Cia402Node {
+        node: 5,
+        host: 127,
+        leads: true,
+        watchdog_ms: 100,
+        velocity_units: 4096.0,
+        position_units: 4096.0,
+    };
+
+    fn sent(motor: &mut Cia402, now_ns: u64) -> Vec<String> {
+        let mut out = Outbox::new();
+        motor.tick(now_ns, &mut out);
+        out.iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn every_turn_has_our_heartbeat_and_one_sync() {
+        let mut motor = Cia402::new(NODE);
+        assert_eq!(sent(&mut motor, 0), ["77F#05", "000#8005", "080#"]);
+        assert_eq!(sent(&mut motor, 1), ["77F#05", "605#2300140105020080", "080#"]);
+    }
+
+    #[test]
+    fn a_watchdog_that_reads_back_otherwise_is_refused() {
+        let mut motor = Cia402::new(NODE);
+        motor.step = Step::ReadBack(ENTRIES - 1);
+        let answer = CanFrame::standard(0x585, [0x43, 0x16, 0x10, 1, 0xf4, 0x01, 0x7f, 0]);
+        assert!(motor.receive(&answer, 0));
+        let problem = MotorProblem::Watchdog { read_ms: 500.0, wanted_ms: 100.0 };
+        assert_eq!((motor.status.stage, motor.status.problem), (MotorStage::Refused, Some(problem)));
+    }
+
+    #[test]
+    fn the_states_of_the_standard_are_told_apart() {
+        let states = [0x0250, 0x0231, 0x0233, 0x0237, 0x0217, 0x0218, 0x021f, 0x0000].map(State::of);
+        use State::*;
+        assert_eq!(states, [SwitchOnDisabled, ReadyToSwitchOn, SwitchedOn, Enabled, QuickStop, Fault, Other, Other]);
+    }
+
+    #[test]
+    fn a_position_that_wraps_counts_on() {
+        let mut motor = Cia402::new(NODE);
+        for count in [i32::MAX - 10, i32::MIN + 10] {
+            let data = count.to_le_bytes();
+            motor.receive(&CanFrame::new(CanId::Standard(0x285), &data).expect("sound"), 1);
+        }
+        assert!((motor.status.position_rad - 21.0 / 4096.0 * TAU).abs() < 1e-9);
+    }
+}

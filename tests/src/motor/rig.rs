@@ -1,0 +1,150 @@
+//! A base and its two simulated motors on a bus in memory, in virtual time.
+
+use drivers::can::{BaseConfig, CanBus, CanError, CanFrame, DifferentialBase, Phase, Protocol};
+use hal::{Base, Clock, DriveCommand, Twist2, VirtualClock, WheelFeedback};
+
+use super::cia402::{COUNTS, Cia402Sim};
+use super::memory::MemoryBus;
+use super::node::MotorNode;
+use super::odrive::{ENABLE_WATCHDOG_ENDPOINT, FIRMWARE, OdriveSim, WATCHDOG_TIMEOUT_ENDPOINT};
+use super::vesc::{POLE_PAIRS, VescSim};
+
+/// One turn of the control loop.
+pub const TURN_NS: u64 = 10_000_000;
+/// The motors' own rhythm.
+const STEP_NS: u64 = 1_000_000;
+
+/// A configuration that fits the simulated nodes 1 (left) and 2 (right).
+#[must_use]
+pub fn config(protocol: Protocol) -> BaseConfig {
+    let mut config = BaseConfig { protocol, ..BaseConfig::default() };
+    config.odrive.firmware = FIRMWARE;
+    config.odrive.enable_watchdog_endpoint = ENABLE_WATCHDOG_ENDPOINT;
+    config.odrive.watchdog_timeout_endpoint = WATCHDOG_TIMEOUT_ENDPOINT;
+    config.vesc.pole_pairs = POLE_PAIRS;
+    config.cia402.velocity_units = COUNTS;
+    config.cia402.position_units = COUNTS;
+    config
+}
+
+/// A simulated controller of that protocol.
+#[must_use]
+pub fn node(protocol: Protocol, node: u8) -> Box<dyn MotorNode> {
+    match protocol {
+        Protocol::Odrive => Box::new(OdriveSim::new(node)),
+        Protocol::Vesc => Box::new(VescSim::new(node)),
+        Protocol::Cia402 => Box::new(Cia402Sim::new(node)),
+    }
+}
+
+/// The nodes take what is on the bus, and send what they have to.
+pub fn step_nodes(nodes: &mut [Box<dyn MotorNode>], bus: &mut impl CanBus, now_ns: u64, out: &mut Vec<CanFrame>) {
+    while let Some(received) = bus.receive(now_ns) {
+        if let drivers::can::BusEvent::Frame(frame) = received.event {
+            nodes.iter_mut().for_each(|node| node.receive(&frame, now_ns));
+        }
+    }
+    out.clear();
+    nodes.iter_mut().for_each(|node| node.step(now_ns, out));
+    for frame in out.iter() {
+        let _ = bus.send(frame);
+    }
+}
+
+/// The rig.
+pub struct Rig {
+    /// The driver under test.
+    pub base: DifferentialBase<MemoryBus, VirtualClock>,
+    /// Node 1, mounted left, and node 2, mounted right.
+    pub nodes: [Box<dyn MotorNode>; 2],
+    /// The host's connection, to spoil it.
+    pub host: MemoryBus,
+    /// The motors' connection, to spoil it.
+    pub motors: MemoryBus,
+    /// Virtual time.
+    pub now_ns: u64,
+    /// Counter of the next command.
+    pub counter: u32,
+    /// The newest feedback, or why there is none.
+    pub feedback: Result<Option<WheelFeedback>, CanError>,
+    out: Vec<CanFrame>,
+}
+
+impl Rig {
+    /// A base with this configuration.
+    ///
+    /// # Errors
+    /// When the configuration is refused.
+    pub fn new(config: &BaseConfig) -> Result<Self, CanError> {
+        let host = MemoryBus::new(1);
+        let motors = host.connect();
+        // Not zero: a boot takes a while, and 0 means never.
+        let now_ns = 1_000_000_000;
+        host.set_now(now_ns);
+        let base = DifferentialBase::with_clock(host.clone(), config, VirtualClock::starting_at_ns(now_ns))?;
+        let nodes = [node(config.protocol, 1), node(config.protocol, 2)];
+        Ok(Self { base, nodes, host, motors, now_ns, counter: 0, feedback: Ok(None), out: Vec::new() })
+    }
+
+    /// Only the motors' time passes, and the base's clock.
+    pub fn pass(&mut self, nanoseconds: u64) {
+        let end_ns = self.now_ns + nanoseconds;
+        while self.now_ns < end_ns {
+            self.now_ns += STEP_NS;
+            self.host.set_now(self.now_ns);
+            self.base.clock_mut().sleep_until_ns(self.now_ns);
+            step_nodes(&mut self.nodes, &mut self.motors, self.now_ns, &mut self.out);
+        }
+    }
+
+    /// One turn of a loop that only listens.
+    pub fn listen(&mut self) {
+        self.pass(TURN_NS);
+        self.feedback = self.base.poll_feedback();
+    }
+
+    /// One turn of a loop that drives, as the safety thread does it.
+    ///
+    /// # Errors
+    /// When the base refuses.
+    pub fn drive(&mut self, linear_mps: f64, angular_radps: f64) -> Result<(), CanError> {
+        self.listen();
+        self.counter += 1;
+        let twist = Twist2 { linear_mps, angular_radps };
+        self.base.drive(&DriveCommand { twist, counter: self.counter, plan_age_ns: 0 })
+    }
+
+    /// Listens until the motors are set up.
+    #[must_use]
+    pub fn is_ready_after(&mut self, turns: usize) -> bool {
+        use drivers::can::protocol::MotorStage::Ready;
+        (0..turns).any(|_| {
+            self.listen();
+            self.base.motors().iter().all(|motor| motor.stage == Ready)
+        })
+    }
+
+    /// Sets up, arms, and waits until the base is armed.
+    ///
+    /// # Errors
+    /// What stands in the way.
+    pub fn arm(&mut self) -> Result<(), CanError> {
+        let _ = self.is_ready_after(200);
+        self.base.arm()?;
+        for _ in 0..300 {
+            self.listen();
+            match self.base.phase() {
+                Phase::Armed => return Ok(()),
+                Phase::Tripped(trip) => return Err(CanError::Tripped(trip)),
+                _ => {}
+            }
+        }
+        Err(CanError::NotArmed)
+    }
+
+    /// How the wheels really turn, node 1 and 2, rad/s.
+    #[must_use]
+    pub fn wheels_radps(&self) -> [f64; 2] {
+        self.nodes.each_ref().map(|node| node.wheel().velocity_radps())
+    }
+}

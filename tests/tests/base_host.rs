@@ -1,0 +1,146 @@
+//! What stops the wheels when the host process itself is gone: a real child that runs the real driver over the Unix bus, and
+//! simulated controllers in this process that measure by their own clock.
+#![allow(missing_docs, clippy::expect_used, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use drivers::MonotonicClock;
+use drivers::can::Protocol;
+use hal::Clock;
+use hil::motor::rig::{node, step_nodes};
+use hil::motor::{Drive, Hub, MotorNode};
+use rustix::process::{Pid, Signal, kill_process};
+
+const STEP_NS: u64 = 1_000_000;
+const MS: u64 = 1_000_000;
+/// One frame per turn of the host's loop.
+const FRAME_NS: u64 = 10 * MS;
+
+/// Two controllers with a clock of their own: a step of it takes a millisecond, or longer when the computer is busy.
+struct Controllers {
+    hub: Hub,
+    nodes: [Box<dyn MotorNode>; 2],
+    now_ns: u64,
+    clock: MonotonicClock,
+    real_ns: u64,
+    path: PathBuf,
+    protocol: Protocol,
+}
+
+impl Controllers {
+    fn new(folder: &Path, protocol: Protocol) -> Self {
+        let path = folder.join("can");
+        let clock = MonotonicClock;
+        let hub = Hub::bind(&path).expect("a hub");
+        let mut nodes = [node(protocol, 1), node(protocol, 2)];
+        nodes.iter_mut().for_each(|node| node.wheel_mut().lag_s = 0.002);
+        Self { hub, nodes, now_ns: 0, real_ns: clock.now_ns(), clock, path, protocol }
+    }
+
+    fn step(&mut self) {
+        self.real_ns = self.clock.now_ns().max(self.real_ns + STEP_NS);
+        self.clock.sleep_until_ns(self.real_ns);
+        self.now_ns += STEP_NS;
+        step_nodes(&mut self.nodes, &mut self.hub, self.now_ns, &mut Vec::new());
+    }
+
+    fn are_driven(&self) -> bool {
+        self.nodes.iter().all(|node| matches!(node.wheel().drive(), Drive::Velocity(speed) if speed > 1.0))
+    }
+
+    fn are_released(&self) -> bool {
+        self.nodes.iter().all(|node| !matches!(node.wheel().drive(), Drive::Velocity(speed) if speed != 0.0))
+    }
+
+    /// A host that drives. On a computer so busy that a loop of 10 ms stands still for 100 ms, the base stops itself before the test
+    /// begins; then another host is started.
+    fn host(&mut self) -> Child {
+        let protocol = format!("{:?}", self.protocol).to_lowercase();
+        for _ in 0..10 {
+            let mut child = Command::new(env!("CARGO_BIN_EXE_hil"))
+                .args(["base", "--bus", &format!("unix:{}", self.path.display()), "--protocol", &protocol])
+                .stdout(Stdio::null())
+                .spawn()
+                .expect("a host");
+            if (0..6000).any(|_| {
+                self.step();
+                self.are_driven()
+            }) {
+                return child;
+            }
+            child.kill().expect("it ends");
+            child.wait().expect("it ended");
+        }
+        panic!("no host came to drive");
+    }
+
+    /// Steps until both are released; how long after its last command each was, by its own clock.
+    fn waited_ns(&mut self) -> [u64; 2] {
+        let begin_ns = self.now_ns;
+        while !self.are_released() {
+            self.step();
+            assert!(self.now_ns - begin_ns < 5_000 * MS, "the wheels are still driven after 5 s");
+        }
+        self.nodes.each_ref().map(|node| node.watchdog().expired_ns - node.watchdog().fed_ns)
+    }
+}
+
+fn process(child: &Child) -> Pid {
+    Pid::from_child(child)
+}
+
+fn a_host_that_gets(signal: Signal, protocol: Protocol) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut controllers = Controllers::new(folder.path(), protocol);
+    let mut child = controllers.host();
+    kill_process(process(&child), signal).expect("the signal");
+    let waited_ns = controllers.waited_ns();
+    for waited_ns in waited_ns {
+        assert!(waited_ns <= 100 * MS + FRAME_NS, "{protocol:?}: released after {waited_ns} ns");
+    }
+    (0..400).for_each(|_| controllers.step());
+    for node in &controllers.nodes {
+        assert!(node.wheel().velocity_radps().abs() < 0.01, "{protocol:?}: {}", node.wheel().velocity_radps());
+    }
+    if signal == Signal::STOP {
+        // It wakes up, finds itself late, and stays stopped.
+        kill_process(process(&child), Signal::CONT).expect("the signal");
+        for _ in 0..500 {
+            controllers.step();
+            assert!(controllers.are_released(), "{protocol:?}: moved after it was woken");
+        }
+    }
+    child.kill().expect("it ends");
+    child.wait().expect("it ended");
+}
+
+#[test]
+fn the_wheels_stop_within_the_watchdog_when_the_host_is_killed_odrive() {
+    a_host_that_gets(Signal::KILL, Protocol::Odrive);
+}
+
+#[test]
+fn the_wheels_stop_within_the_watchdog_when_the_host_is_killed_vesc() {
+    a_host_that_gets(Signal::KILL, Protocol::Vesc);
+}
+
+#[test]
+fn the_wheels_stop_within_the_watchdog_when_the_host_is_killed_cia402() {
+    a_host_that_gets(Signal::KILL, Protocol::Cia402);
+}
+
+#[test]
+fn the_wheels_stop_within_the_watchdog_when_the_host_is_stopped_and_stay_so_when_it_wakes_odrive() {
+    a_host_that_gets(Signal::STOP, Protocol::Odrive);
+}
+
+#[test]
+fn the_wheels_stop_within_the_watchdog_when_the_host_is_stopped_and_stay_so_when_it_wakes_vesc() {
+    a_host_that_gets(Signal::STOP, Protocol::Vesc);
+}
+
+#[test]
+fn the_wheels_stop_within_the_watchdog_when_the_host_is_stopped_and_stay_so_when_it_wakes_cia402() {
+    a_host_that_gets(Signal::STOP, Protocol::Cia402);
+}

@@ -1,0 +1,133 @@
+//! The simulated controllers, the driver's frames and the DBC file before software that we did not write: python-can, canopen,
+//! cantools with ODrive's own DBC file, crccheck. Skipped where they are not installed:
+//! `python3 -m venv target/can-venv && target/can-venv/bin/pip install -r tests/peers/requirements.txt`.
+#![allow(missing_docs, clippy::expect_used, clippy::panic)]
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use drivers::MonotonicClock;
+use drivers::can::Protocol;
+use drivers::can::messages::{BaseCommand, BaseState, SafetyInput};
+use hal::{Clock, Twist2};
+use hil::motor::rig::{config, node, step_nodes};
+use hil::motor::{Hub, Rig};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+const STEP_NS: u64 = 1_000_000;
+
+/// A Python that has the packages. Another one can be named by `CAN_PEERS_PYTHON`.
+fn python() -> Option<PathBuf> {
+    let venv = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/can-venv/bin/python");
+    let named = std::env::var_os("CAN_PEERS_PYTHON").map(PathBuf::from);
+    let has_all = |python: &PathBuf| {
+        let imports = ["-c", "import can, canopen, cantools, crccheck, odrive_can"];
+        Command::new(python).args(imports).stderr(Stdio::null()).status().is_ok_and(|status| status.success())
+    };
+    let found = [named, Some(venv), Some("python3".into())].into_iter().flatten().find(has_all);
+    if found.is_none() {
+        eprintln!(
+            "SKIPPED: no Python with python-can, canopen, cantools and odrive-can; see tests/peers/requirements.txt"
+        );
+    }
+    found
+}
+
+fn peers(python: &Path) -> Command {
+    let mut command = Command::new(python);
+    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("peers/can_peers.py"));
+    command
+}
+
+/// A peer that talks to simulated controllers 1 and 2.
+fn talks_to(protocol: Protocol) {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("can");
+    let mut hub = Hub::bind(&path).expect("a hub");
+    let mut nodes = [node(protocol, 1), node(protocol, 2)];
+    let name = format!("{protocol:?}").to_lowercase();
+    let mut peer = peers(&python).arg(name).arg(&path).spawn().expect("a peer");
+    let mut clock = MonotonicClock;
+    let (start_ns, mut out) = (clock.now_ns(), Vec::new());
+    let status = loop {
+        clock.sleep_until_ns(clock.now_ns() + STEP_NS);
+        step_nodes(&mut nodes, &mut hub, clock.now_ns(), &mut out);
+        if let Some(status) = peer.try_wait().expect("a peer") {
+            break status;
+        }
+        if clock.now_ns() - start_ns > 60_000 * STEP_NS {
+            peer.kill().expect("it ends");
+        }
+    };
+    assert!(status.success(), "{protocol:?}");
+}
+
+#[test]
+fn the_simulated_odrive_is_one_to_odrives_own_dbc_file() {
+    talks_to(Protocol::Odrive);
+}
+
+#[test]
+fn the_simulated_vesc_is_one_to_python_can_and_crccheck() {
+    talks_to(Protocol::Vesc);
+}
+
+#[test]
+fn the_simulated_drive_is_one_to_canopens_cia_402_profile() {
+    talks_to(Protocol::Cia402);
+}
+
+#[test]
+fn what_the_driver_sends_is_what_odrives_dbc_file_says() {
+    let Some(python) = python() else { return };
+    let mut rig = Rig::new(&config(Protocol::Odrive)).expect("sound");
+    rig.arm().expect("it arms");
+    (0..150).for_each(|_| rig.drive(0.2, 0.0).expect("it drives"));
+    let mut lines = String::new();
+    for (_, frame) in rig.host.take_sent() {
+        writeln!(lines, "{frame}").expect("room");
+    }
+    let file = tempfile::NamedTempFile::new().expect("a file");
+    std::fs::write(file.path(), lines).expect("room");
+    assert!(peers(&python).arg("driver").arg(file.path()).status().expect("a peer").success());
+}
+
+#[test]
+fn cantools_reads_and_writes_our_frames_by_our_dbc_file() {
+    let Some(python) = python() else { return };
+    let mut rng = Pcg64Mcg::seed_from_u64(7);
+    let mut lines = String::new();
+    for k in 0..200u32 {
+        let counter = (k % 16) as u8;
+        let (v, w): (i16, i16) = (rng.random(), rng.random());
+        let (linear, angular) = (f64::from(v) * 1e-3, f64::from(w) * 1e-3);
+        let twist = Twist2 { linear_mps: linear, angular_radps: angular };
+        let (a, b): (bool, bool) = (rng.random(), rng.random());
+        let plan_age_ms: u16 = rng.random();
+        let command = BaseCommand { counter, armed: a, stop: b, plan_age_ms, twist }.encode();
+        let (phase, trip) = ((k % 5) as u8, (k % 10) as u8);
+        let state = BaseState { counter, phase, trip, estop: a, contact: b, twist }.encode();
+        let safety = SafetyInput { counter, estop: a, bumper: b }.encode();
+        let (a, b) = (u8::from(a), u8::from(b));
+        let json = [
+            (
+                command,
+                format!(
+                    r#""Armed": {a}, "Stop": {b}, "PlanAge": {plan_age_ms}, "Linear": {linear}, "Angular": {angular}"#
+                ),
+            ),
+            (state, format!(r#""Phase": {phase}, "Trip": {trip}, "EStop": {a}, "Contact": {b}, "Linear": {linear}"#)),
+            (safety, format!(r#""EStop": {a}, "Bumper": {b}"#)),
+        ];
+        for (frame, fields) in json {
+            writeln!(lines, r#"{frame} {{"Counter": {counter}, {fields}}}"#).expect("room");
+        }
+    }
+    let file = tempfile::NamedTempFile::new().expect("a file");
+    std::fs::write(file.path(), lines).expect("room");
+    let dbc = Path::new(env!("CARGO_MANIFEST_DIR")).join("../drivers/src/can/embodied.dbc");
+    assert!(peers(&python).arg("frames").arg(dbc).arg(file.path()).status().expect("a peer").success());
+}
