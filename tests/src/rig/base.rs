@@ -24,8 +24,9 @@ pub struct BaseProbe {
     /// The motors' interface.
     #[arg(long, default_value = "can1")]
     motors: String,
-    /// What the controllers speak.
-    #[arg(long, value_enum, default_values_t = [Spoken::Odrive, Spoken::Vesc, Spoken::Cia402])]
+    /// What the controllers speak. Not ODrive's by default: QEMU 7.2's SJA1000 loses its place in the receive buffer at a
+    /// remote frame that asks for 8 bytes, as the request for an ODrive's version is.
+    #[arg(long, value_enum, default_values_t = [Spoken::Vesc, Spoken::Cia402])]
     protocol: Vec<Spoken>,
 }
 
@@ -162,9 +163,9 @@ fn a_host_that_gets(signal: Signal, what: &str, probe: &BaseProbe, spoken: Spoke
 
 /// The driver in this process, so that it can be asked.
 fn interface_down(probe: &BaseProbe) -> Result<(), Box<dyn Error>> {
-    let mut controllers = Controllers::new(&probe.motors, Protocol::Odrive);
+    let mut controllers = Controllers::new(&probe.motors, Protocol::Vesc);
     let mut driver = Driver {
-        base: DifferentialBase::new(SocketBus::new(&probe.robot), &config(Protocol::Odrive))?,
+        base: DifferentialBase::new(SocketBus::new(&probe.robot), &config(Protocol::Vesc))?,
         counter: 0,
         next_ns: 0,
     };

@@ -121,8 +121,8 @@ fn prepare(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<PathBuf
     }
     for scenario in &machine.scenarios {
         let (name, seconds) = (&scenario.name, scenario.seconds);
-        std::fs::write(folder.join(name), format!(". /rig/guest.sh\n{}", scenario.body))?;
-        writeln!(commands, "printf 'BEGIN\\t{name}\\n'; timeout -k 5 {seconds} bash /rig/{name}")?;
+        std::fs::write(folder.join(format!("{name}.sh")), format!(". /rig/guest.sh\n{}", scenario.body))?;
+        writeln!(commands, "printf 'BEGIN\\t{name}\\n'; timeout -k 5 {seconds} bash /rig/{name}.sh")?;
         writeln!(commands, "printf 'END\\t{name}\\t%s\\n' $?")?;
     }
     std::fs::write(folder.join("commands"), commands)?;
