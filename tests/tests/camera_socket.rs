@@ -76,7 +76,7 @@ fn every_picture_of_a_simulated_camera_arrives_whole_with_its_own_time() {
         }
         count == 30
     });
-    assert_eq!(camera.export_buffers("camera").unwrap().len(), 4);
+    assert_eq!(camera.export_buffers().unwrap().len(), 4);
 }
 
 #[test]

@@ -220,7 +220,7 @@ fn disconnection(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
 }
 
 fn exported_buffers(bench: &mut Bench) {
-    let exported = bench.camera.export_buffers(&bench.config.device);
+    let exported = bench.camera.export_buffers();
     let sizes: Vec<u64> = exported
         .iter()
         .flatten()
