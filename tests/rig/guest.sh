@@ -17,9 +17,14 @@ camera_loop() {
     v4l2-ctl -d 1 -x width=640,height=480,pixelformat=YUYV
 }
 
-# can0 is the robot's end of the bus, can1 the motors'.
+# can0 is the robot's end of the bus, can1 the motors'. The emulated bus takes no time for a frame, and a burst overruns the
+# receiver; so frames leave at the pace of the bit rate: 16 bytes for a frame, of which a real bus makes 111 bits or more.
 can_up() {
-    for interface in can0 can1; do ip link set $interface up type can bitrate 500000 restart-ms 100; done
+    modprobe sch_tbf
+    for interface in can0 can1; do
+        ip link set $interface up type can bitrate 500000 restart-ms 100
+        tc qdisc replace dev $interface root tbf rate 500kbit burst 16 limit 640
+    done
 }
 
 # /dev/ttyUSB0 is the robot's end of the cable, /dev/ttyS1 the scanner's.

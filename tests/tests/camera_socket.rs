@@ -76,7 +76,7 @@ fn every_picture_of_a_simulated_camera_arrives_whole_with_its_own_time() {
         }
         count == 30
     });
-    assert_eq!(camera.export_buffers("camera").unwrap().len(), 4);
+    assert_eq!(camera.export_buffers().unwrap().len(), 4);
 }
 
 #[test]
@@ -91,7 +91,9 @@ fn a_simulated_camera_that_is_killed_is_disconnected_and_the_next_one_is_taken_b
     assert_eq!(camera.status().state, DeviceState::Disconnected);
     let _next = Simulated::at(&path);
     poll_until(&mut camera, |got| matches!(got, Ok(Some(_))));
-    assert_eq!((camera.status().state, camera.status().reopened), (DeviceState::Working, 1));
+    assert_eq!(camera.status().state, DeviceState::Working);
+    // On a busy machine the new one may have been silent for a second, and been restarted.
+    assert!(camera.status().reopened >= 1);
 }
 
 #[test]

@@ -97,8 +97,9 @@ impl V4l2Camera {
     ///
     /// # Errors
     /// When the camera is not open, or its driver cannot export.
-    pub fn export_buffers(&mut self, device: &str) -> Result<Vec<OwnedFd>, V4l2Error> {
-        let failed = |errno| V4l2Error::System { device: device.into(), step: "exporting its buffers", errno };
+    pub fn export_buffers(&mut self) -> Result<Vec<OwnedFd>, V4l2Error> {
+        let device = self.capture.device();
+        let failed = |errno| V4l2Error::System { device, step: "exporting its buffers", errno };
         self.capture.stream().ok_or(Errno::NODEV).and_then(Stream::export).map_err(failed)
     }
 }

@@ -115,10 +115,16 @@ impl Capture {
     }
 
     /// State and counts. `lost` are pictures that the camera counted and that never came; pictures that were skipped for
-    /// newer ones are not among them. `bad` were damaged or too old.
+    /// newer ones are not among them. `bad` were damaged or too old. `reopened` counts restarts of the stream as well.
     #[must_use]
     pub fn status(&self) -> DeviceStatus {
         self.status
+    }
+
+    /// The configured device, for messages.
+    #[must_use]
+    pub fn device(&self) -> Arc<str> {
+        self.device.clone()
     }
 
     /// Pictures that were skipped for newer ones.

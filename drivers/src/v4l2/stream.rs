@@ -223,14 +223,15 @@ fn agree_on_layout(
     let (width, height) = (config.width, config.height);
     let asked = Layout { width, height, format, stride: 0, size: 0, planes: 1 };
     let got = node.set_layout(asked).map_err(|errno| V4l2Error::setup(device, "setting its format", errno))?;
+    let same = (got.width, got.height, got.format) == (width, height, format);
     let rows_fit = config.format == CameraFormat::Mjpeg || got.stride == config.format.row_bytes(width);
-    if (got.width, got.height, got.format, got.planes) == (width, height, format, 1) && rows_fit {
+    if same && got.planes == 1 && rows_fit {
         return Ok(got);
     }
     let text = |layout: &Layout| format!("{}x{} {}", layout.width, layout.height, layout.format);
     let more = match (got.planes, rows_fit) {
         (2.., _) => format!(" in {} separate planes", got.planes),
-        (_, false) => format!(" with rows of {} bytes", got.stride),
+        (_, false) if same => format!(" with rows of {} bytes", got.stride),
         _ => String::new(),
     };
     Err(V4l2Error::Layout { device: device.clone(), asked: text(&asked), got: text(&got) + &more })

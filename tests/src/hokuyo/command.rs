@@ -17,11 +17,14 @@ use super::{Health, Room, SimulatedHokuyo, WireFaults};
 #[derive(Debug, Clone, Args)]
 pub struct HokuyoArgs {
     /// Make a pty and a symbolic link to it here, as udev makes /dev/serial/by-id/...
-    #[arg(long, required_unless_present = "tcp")]
+    #[arg(long, required_unless_present_any = ["tcp", "serial"])]
     pub pty: Option<PathBuf>,
     /// Listen on this TCP port of this computer instead, as the Ethernet models do on 10940.
     #[arg(long, conflicts_with = "pty")]
     pub tcp: Option<u16>,
+    /// Answer on this serial port, whose other end the host has.
+    #[arg(long, conflicts_with_all = ["pty", "tcp"])]
+    pub serial: Option<PathBuf>,
     /// urg-04lx, utm-30lx, ust-10lx or ust-20lx.
     #[arg(long, default_value = "utm-30lx")]
     pub model: Model,
@@ -40,16 +43,18 @@ pub struct HokuyoArgs {
 /// When the pty or the port cannot be had.
 pub fn run(args: &HokuyoArgs) -> Result<(), Box<dyn Error>> {
     let source = Box::new(Room::new(args.model));
-    let device = match (&args.pty, args.tcp) {
-        (Some(link), _) => SimulatedHokuyo::on_pty(args.model, link, source)
+    let device = match (&args.pty, &args.serial, args.tcp) {
+        (_, Some(port), _) => SimulatedHokuyo::on_serial(args.model, port, source)
+            .map_err(|error| format!("no serial port at {}: {error}", port.display()))?,
+        (Some(link), ..) => SimulatedHokuyo::on_pty(args.model, link, source)
             .map_err(|error| format!("no pty at {}: {error}; is something else there?", link.display()))?,
-        (None, port) => {
+        (None, None, port) => {
             let port = port.unwrap_or_default();
             SimulatedHokuyo::on_tcp(args.model, SocketAddr::from((Ipv4Addr::LOCALHOST, port)), source)
                 .map_err(|error| format!("no TCP port {port}: {error}; choose another with --tcp"))?
         }
     };
-    match (&args.pty, device.address()) {
+    match (args.pty.as_ref().or(args.serial.as_ref()), device.address()) {
         (Some(link), _) => println!("{} on {}", args.model, link.display()),
         (None, Some(address)) => println!("{} on tcp:{address}", args.model),
         (None, None) => {}

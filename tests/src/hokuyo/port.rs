@@ -1,4 +1,4 @@
-//! The wires: a pty with a symbolic link as its stable path, or a TCP port.
+//! The wires: a pty with a symbolic link as its stable path, a serial port that another one is wired to, or a TCP port.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -8,15 +8,19 @@ use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{Mode, OFlags, open};
 use rustix::io::Errno;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use rustix::termios::tcgetattr;
+use rustix::termios::{ControlModes, OptionalActions, tcgetattr, tcsetattr};
 
 /// Where a simulated device is to be found.
 #[derive(Debug, Clone)]
 pub(super) enum Place {
     /// A symbolic link to a pty.
     Pty(PathBuf),
+    /// A serial port.
+    Serial(PathBuf),
     /// An address that listens.
     Tcp(SocketAddr),
 }
@@ -25,6 +29,7 @@ pub(super) enum Place {
 #[derive(Debug)]
 pub(super) enum Plug {
     Pty { master: OwnedFd, link: PathBuf },
+    Serial { port: OwnedFd },
     Tcp { listener: TcpListener, client: Option<TcpStream> },
 }
 
@@ -40,6 +45,7 @@ impl Plug {
                 put_link(Path::new(OsStr::from_bytes(name.to_bytes())), link)?;
                 Ok(Self::Pty { master, link: link.clone() })
             }
+            Place::Serial(path) => Ok(Self::Serial { port: open_raw(path)? }),
             Place::Tcp(address) => {
                 let listener = TcpListener::bind(address)?;
                 listener.set_nonblocking(true)?;
@@ -51,15 +57,16 @@ impl Plug {
     /// Where it listens, for TCP.
     pub(super) fn address(&self) -> Option<SocketAddr> {
         match self {
-            Self::Pty { .. } => None,
+            Self::Pty { .. } | Self::Serial { .. } => None,
             Self::Tcp { listener, .. } => listener.local_addr().ok(),
         }
     }
 
-    /// What has come, if anything, and whether somebody has just gone (TCP only: a pty does not tell).
+    /// What has come, if anything, and whether somebody has just gone (TCP only: the others do not tell).
     pub(super) fn read(&mut self, buffer: &mut [u8]) -> (usize, bool) {
         match self {
             Self::Pty { master, .. } => (rustix::io::read(&*master, buffer).unwrap_or(0), false),
+            Self::Serial { port } => (rustix::io::read(&*port, buffer).unwrap_or(0), false),
             Self::Tcp { listener, client } => {
                 if let Ok((stream, _)) = listener.accept() {
                     _ = (stream.set_nonblocking(true), stream.set_nodelay(true));
@@ -78,11 +85,12 @@ impl Plug {
         }
     }
 
-    /// Sends what the host takes; the rest is lost, as in a device whose buffer is full.
+    /// Sends what the host takes; the rest is lost, as in a device whose buffer is full. A serial port's own pace is waited for.
     pub(super) fn write(&mut self, mut bytes: &[u8]) {
         while !bytes.is_empty() {
             let written = match self {
                 Self::Pty { master, .. } => rustix::io::write(&*master, bytes),
+                Self::Serial { port } => wait_for_room(port).and_then(|()| rustix::io::write(&*port, bytes)),
                 Self::Tcp { client: Some(client), .. } => rustix::io::write(client.as_fd(), bytes),
                 Self::Tcp { .. } => return,
             };
@@ -97,8 +105,30 @@ impl Plug {
     pub(super) fn baud(&self) -> Option<u32> {
         match self {
             Self::Pty { master, .. } => tcgetattr(master).ok().map(|settings| settings.output_speed()),
-            Self::Tcp { .. } => None,
+            // Its rate is its own, not the host's.
+            Self::Serial { .. } | Self::Tcp { .. } => None,
         }
+    }
+}
+
+/// A serial port that passes every byte as it is.
+fn open_raw(path: &Path) -> io::Result<OwnedFd> {
+    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let port = open(path, flags, Mode::empty())?;
+    let mut settings = tcgetattr(&port)?;
+    settings.make_raw();
+    settings.control_modes |= ControlModes::CLOCAL | ControlModes::CREAD;
+    settings.set_speed(115_200)?;
+    tcsetattr(&port, OptionalActions::Now, &settings)?;
+    Ok(port)
+}
+
+/// The port's buffer is smaller than a scan. After 100 ms what is left is lost.
+fn wait_for_room(port: &OwnedFd) -> Result<(), Errno> {
+    let limit = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
+    match poll(&mut [PollFd::new(port, PollFlags::OUT)], Some(&limit))? {
+        0 => Err(Errno::TIMEDOUT),
+        _ => Ok(()),
     }
 }
 

@@ -45,6 +45,14 @@ impl SimulatedHokuyo {
         Self::start(model, Place::Pty(link.to_owned()), source)
     }
 
+    /// On a serial port of this computer, whose other end the host has.
+    ///
+    /// # Errors
+    /// When the port cannot be opened.
+    pub fn on_serial(model: Model, path: &Path, source: Box<dyn ScanSource>) -> io::Result<Self> {
+        Self::start(model, Place::Serial(path.to_owned()), source)
+    }
+
     /// On a TCP port; port 0 takes a free one.
     ///
     /// # Errors
@@ -82,7 +90,7 @@ impl SimulatedHokuyo {
     pub fn address(&self) -> Option<SocketAddr> {
         match self.inside().place {
             Place::Tcp(address) => Some(address),
-            Place::Pty(_) => None,
+            Place::Pty(_) | Place::Serial(_) => None,
         }
     }
 

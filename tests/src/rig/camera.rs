@@ -5,7 +5,7 @@ use std::error::Error;
 use std::process::{Child, Command, Stdio};
 
 use drivers::clock::monotonic_ns;
-use drivers::v4l2::node::{VideoNode, controls};
+use drivers::v4l2::node::controls;
 use drivers::v4l2::{CameraDeviceConfig, CameraFormat, Picture, Setting, V4l2Camera, V4l2Error, check as agree, open};
 use drivers::{DeviceState, MonotonicClock};
 use hal::{CameraModel, Clock, Error as _, ErrorKind};
@@ -144,7 +144,7 @@ fn exact_pictures(bench: &mut Bench, pictures: &[Vec<u8>]) -> Result<(), Box<dyn
     let (mut exact, mut count, mut last, mut rising, mut ages) = (0, 0, (0, 0), true, Vec::new());
     let ms = bench.until("60 pictures", |got| {
         if let Ok(Some(picture)) = got {
-            ages.push(monotonic_ns().saturating_sub(picture.time_ns));
+            ages.push(monotonic_ns() as i64 - picture.time_ns as i64);
             exact += u32::from(known(picture));
             rising &= last < (picture.sequence, picture.time_ns);
             last = (picture.sequence, picture.time_ns);
@@ -157,10 +157,11 @@ fn exact_pictures(bench: &mut Bench, pictures: &[Vec<u8>]) -> Result<(), Box<dyn
     check("pictures arrive as another program has written them, byte for byte", figure, exact == count);
     check("each picture is newer than the one before, by number and by time", format!("{count} pictures"), rising);
     ages.sort_unstable();
-    let (median, worst) = (ages[ages.len() / 2] / MS, ages[ages.len() - 1] / MS);
-    let bound = u64::from(bench.config.max_age_ms);
-    let figure = format!("median {median} ms, worst {worst} ms");
-    check("a picture is never older than its budget of 200 ms", figure, worst <= bound);
+    let (median, worst) = (ages[ages.len() / 2] / 1_000, ages[ages.len() - 1] / 1_000);
+    // Vivid stamps the end of a picture, and says so up to a frame's time before it is over.
+    let bound = i64::from(bench.config.max_age_ms) * 1_000;
+    let figure = format!("median {median} us, worst {worst} us, youngest {} us", ages[0] / 1_000);
+    check("a picture is never older than its budget of 200 ms", figure, ages[0] > -40_000_000 && worst <= bound);
     Ok(())
 }
 
@@ -219,7 +220,7 @@ fn disconnection(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
 }
 
 fn exported_buffers(bench: &mut Bench) {
-    let exported = bench.camera.export_buffers(&bench.config.device);
+    let exported = bench.camera.export_buffers();
     let sizes: Vec<u64> = exported
         .iter()
         .flatten()
@@ -261,7 +262,8 @@ fn settings(device: &str) {
         Ok(node.control_value(gain.ok_or("vivid has no gain")?.id)?)
     };
     let held = read_back();
-    check("a configured gain is held by the camera", format!("{held:?}"), held.is_ok_and(|held| held == 77));
+    let figure = held.as_ref().map_or_else(ToString::to_string, |held| format!("77 set, {held} read back"));
+    check("a configured gain is held by the camera", figure, held.is_ok_and(|held| held == 77));
     config.gain = None;
     config.exposure_us = Some(Setting::Manual(5_000));
     refused("a control that the camera has not got is refused with words", &config, "no such control");
@@ -274,7 +276,11 @@ fn settings(device: &str) {
 fn refused(promise: &str, config: &CameraDeviceConfig, words: &str) {
     match agree(config) {
         Ok(agreement) => check(promise, format!("took {:?}", agreement.layout), false),
-        Err(error) => check(promise, &error, error.to_string().contains(words)),
+        Err(error) => {
+            let error = error.to_string();
+            let passed = error.contains(words);
+            check(promise, error.replace(&config.device, "it"), passed);
+        }
     }
 }
 

@@ -1,6 +1,8 @@
 //! Checks that need the kernel's own devices: run in the rig by `cargo xtask rig`. Each prints a row of its table.
 
+mod base;
 mod camera;
+mod lidar;
 
 use std::error::Error;
 use std::fmt::Display;
@@ -18,6 +20,10 @@ pub struct RigArgs {
 enum Probe {
     /// The V4L2 driver against vivid.
     Camera(camera::CameraProbe),
+    /// The Hokuyo driver on a USB serial port.
+    Lidar(lidar::LidarProbe),
+    /// The base driver on SocketCAN.
+    Base(base::BaseProbe),
 }
 
 /// Runs one probe; its checks fail on the output, not by this function's error.
@@ -27,6 +33,8 @@ enum Probe {
 pub fn run(args: &RigArgs) -> Result<(), Box<dyn Error>> {
     match &args.probe {
         Probe::Camera(probe) => camera::run(probe),
+        Probe::Lidar(probe) => lidar::run(probe),
+        Probe::Base(probe) => base::run(probe),
     }
 }
 

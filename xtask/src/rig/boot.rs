@@ -74,18 +74,18 @@ impl<'a> Machine<'a> {
 pub fn run(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<Vec<Row>> {
     println!("\nbooting {}", machine.name());
     let folder = prepare(machine, programs)?;
-    let mut child = qemu(machine, &folder)?;
-    // An end of its standard input would close the guest's port.
-    let input = child.stdin.take();
-    let allowed = BOOT_SECONDS + machine.scenarios.iter().map(|scenario| scenario.seconds).sum::<u64>();
     let mut report = Report::new(folder.join("output.log"))?;
-    let ended = read(&mut child, &mut report, Duration::from_secs(allowed));
-    drop(input);
-    _ = child.kill();
-    child.wait()?;
-    let why = match ended? {
-        true => "the guest ended before it",
-        false => "the guest ran out of time",
+    let mut end = boot(machine, &folder, &mut report)?;
+    // Once: after the cut it shall tell what is left.
+    if matches!(end, End::PowerCut) {
+        println!("  power cut; booting again");
+        std::fs::write(folder.join("after_power_cut"), "")?;
+        end = boot(machine, &folder, &mut report)?;
+    }
+    let why = match end {
+        End::Off => "the guest ended before it",
+        End::OutOfTime => "the guest ran out of time",
+        End::PowerCut => "a second power cut",
     };
     for scenario in &machine.scenarios {
         if !report.ended.contains(&scenario.name) {
@@ -96,6 +96,26 @@ pub fn run(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<Vec<Row
         std::fs::remove_dir_all(&folder)?;
     }
     Ok(report.rows)
+}
+
+/// How a machine came to its end.
+enum End {
+    Off,
+    OutOfTime,
+    PowerCut,
+}
+
+fn boot(machine: &Machine<'_>, folder: &Path, report: &mut Report) -> Result<End> {
+    let mut child = qemu(machine, folder)?;
+    // An end of its standard input would close the guest's port.
+    let input = child.stdin.take();
+    let allowed = BOOT_SECONDS + machine.scenarios.iter().map(|scenario| scenario.seconds).sum::<u64>();
+    let end = read(&mut child, report, Duration::from_secs(allowed));
+    // SIGKILL: what the guest has not handed to its disk is gone.
+    _ = child.kill();
+    child.wait()?;
+    drop(input);
+    end
 }
 
 /// The folder that the guest sees as /rig.
@@ -121,8 +141,8 @@ fn prepare(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<PathBuf
     }
     for scenario in &machine.scenarios {
         let (name, seconds) = (&scenario.name, scenario.seconds);
-        std::fs::write(folder.join(name), format!(". /rig/guest.sh\n{}", scenario.body))?;
-        writeln!(commands, "printf 'BEGIN\\t{name}\\n'; timeout -k 5 {seconds} bash /rig/{name}")?;
+        std::fs::write(folder.join(format!("{name}.sh")), format!(". /rig/guest.sh\n{}", scenario.body))?;
+        writeln!(commands, "printf 'BEGIN\\t{name}\\n'; timeout -k 5 {seconds} bash /rig/{name}.sh")?;
         writeln!(commands, "printf 'END\\t{name}\\t%s\\n' $?")?;
     }
     std::fs::write(folder.join("commands"), commands)?;
@@ -163,8 +183,8 @@ fn qemu(machine: &Machine<'_>, folder: &Path) -> Result<Child> {
     qemu.spawn().context("cannot start qemu-system-x86_64")
 }
 
-/// Reads until the machine is off. False when it took too long.
-fn read(child: &mut Child, report: &mut Report, allowed: Duration) -> Result<bool> {
+/// Reads until the machine is off, or shall be.
+fn read(child: &mut Child, report: &mut Report, allowed: Duration) -> Result<End> {
     let output = child.stdout.take().context("qemu without output")?;
     let (lines, received) = sync_channel(100);
     std::thread::spawn(move || {
@@ -177,9 +197,10 @@ fn read(child: &mut Child, report: &mut Report, allowed: Duration) -> Result<boo
     let end = Instant::now() + allowed;
     loop {
         match received.recv_timeout(end.saturating_duration_since(Instant::now())) {
+            Ok(line) if line.trim_end() == "POWER CUT" => return Ok(End::PowerCut),
             Ok(line) => report.line(line.trim_end())?,
-            Err(RecvTimeoutError::Disconnected) => return Ok(true),
-            Err(RecvTimeoutError::Timeout) => return Ok(false),
+            Err(RecvTimeoutError::Disconnected) => return Ok(End::Off),
+            Err(RecvTimeoutError::Timeout) => return Ok(End::OutOfTime),
         }
     }
 }
