@@ -113,6 +113,9 @@ def _add_train(command: argparse.ArgumentParser) -> None:
         "--labels", type=Path, action="append", default=[], help="what `label` wrote; one for each --recording"
     )
     command.add_argument("--label-weight", type=float, default=1.0, help="of agreeing with --labels [1]")
+    command.add_argument(
+        "--lidar-weight", type=float, default=0.0, help="of agreeing with the LiDAR along its line [0: no depth sensor]"
+    )
     command.add_argument("--photometric-weight", type=float, default=1.0, help="of the photometric loss [1]")
     command.add_argument("--crop-width", type=int, default=0, help="columns of a target that a step sees [all]")
     command.add_argument(

@@ -42,8 +42,10 @@ def read_frames(
     size: tuple[int, int] | None,
     label_files: Sequence[Path] = (),
     every: int = 1,
+    lidar: bool = False,
 ) -> Frames:
-    """All runs and dataset dumps as one set, every `every`th picture, reduced to `size` rows x columns."""
+    """All runs and dataset dumps as one set, every `every`th picture, reduced to `size` rows x columns; with `lidar`,
+    with what the runs' LiDAR hit."""
     if coarse and len(coarse) != len(recordings):
         raise TrainerError(
             f"{len(coarse)} --coarse for {len(recordings)} --recording; give one for each, in the same order, or none"
@@ -54,7 +56,7 @@ def read_frames(
         )
     parts = []
     for place, path in enumerate(recordings):
-        frames, damage = read_recording(path)
+        frames, damage = read_recording(path, lidar)
         if damage.segments:
             print(f"{path}: {damage}", file=sys.stderr)
         if coarse:
@@ -95,7 +97,13 @@ def run_train(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
     device = processes.start(options.device)
     frames = read_frames(
-        options.recording, options.coarse, options.dataset, options.size, options.labels, options.every
+        options.recording,
+        options.coarse,
+        options.dataset,
+        options.size,
+        options.labels,
+        options.every,
+        lidar=options.lidar_weight > 0,
     )
     low, high = options.baseline
     pairs = find_pairs(frames, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
@@ -113,6 +121,7 @@ def run_train(options: argparse.Namespace) -> None:
         coarse_weight=options.coarse_weight,
         uncertainty_weight=options.uncertainty_weight,
         label_weight=options.label_weight,
+        lidar_weight=options.lidar_weight,
         photometric_weight=options.photometric_weight,
         crop_width=options.crop_width,
         decay=(options.decay_from, options.steps) if options.decay_from is not None else None,
