@@ -17,6 +17,7 @@ from .errors import TrainerError
 from .export_depth import DEPTH_NETWORKS, DepthExport, export_checkpoint, export_depth
 from .export_flow import FLOW_NETWORKS, FlowExport, export_flow
 from .loop_command import add_loop, run_loop_command
+from .past_frames import GAP
 from .results_command import add_jobs, add_results, run_jobs_command, run_results
 
 
@@ -105,6 +106,10 @@ def _add_train(command: argparse.ArgumentParser) -> None:
         "--baseline", type=float, nargs=2, default=(0.05, 0.30), metavar=("MIN_M", "MAX_M"), help="of pairs [0.05 0.30]"
     )
     command.add_argument("--gap", type=int, help="instead: pairs this many frames apart, as the paper's (4 or 15)")
+    command.add_argument(
+        "--past-frames", type=int, default=0, choices=(0, 1, 2), help="coarse depth from so many, as the paper's [0]"
+    )
+    command.add_argument("--past-gap", type=int, default=GAP, help=f"frames from one to the next [{GAP}]")
     command.add_argument("--depth-range", type=float, nargs=2, default=(0.1, 20.0), metavar=("MIN_M", "MAX_M"))
     command.add_argument("--smoothness", type=float, help="weight [1e-3; sc_depth_r18: 0.1]")
     command.add_argument("--geometry", type=float, help="weight of the geometry consistency [0; sc_depth_r18: 0.5]")

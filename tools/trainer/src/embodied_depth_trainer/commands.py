@@ -28,6 +28,7 @@ from .labels import with_labels, write_labels
 from .losses import LossOptions
 from .objectives import recipe
 from .pairs import PairRule, Pairs, pairs_by_baseline, pairs_by_gap
+from .past_frames import PastFrames, with_past_coarse
 from .recording import read_recording
 from .training import Settings, Trainer, train
 
@@ -43,9 +44,17 @@ def read_frames(
     label_files: Sequence[Path] = (),
     every: int = 1,
     lidar: bool = False,
+    past: PastFrames | None = None,
 ) -> Frames:
     """All runs and dataset dumps as one set, every `every`th picture, reduced to `size` rows x columns; with `lidar`,
-    with what the runs' LiDAR hit."""
+    with what the runs' LiDAR hit; with `past`, with coarse depth from past frames and not the robot's own."""
+    if past is not None and coarse:
+        raise TrainerError("coarse depth comes either from past frames or from --coarse; give one of the two")
+
+    def sized(frames: Frames) -> Frames:
+        frames = frames.reduced_to(size) if size else frames
+        return frames if past is None else with_past_coarse(frames, past)
+
     if coarse and len(coarse) != len(recordings):
         raise TrainerError(
             f"{len(coarse)} --coarse for {len(recordings)} --recording; give one for each, in the same order, or none"
@@ -63,10 +72,9 @@ def read_frames(
             frames = with_coarse(frames, coarse[place])
         if label_files:
             frames = with_labels(frames, label_files[place])
-        parts.append(frames.every(every).reduced_to(size) if size else frames.every(every))
+        parts.append(sized(frames).every(every))
     for folder in datasets:
-        frames = read_dataset_dump(folder)
-        parts.append(frames.reduced_to(size) if size else frames)
+        parts.append(sized(read_dataset_dump(folder)))
     return join(parts)
 
 
@@ -104,6 +112,7 @@ def run_train(options: argparse.Namespace) -> None:
         options.labels,
         options.every,
         lidar=options.lidar_weight > 0,
+        past=PastFrames(options.past_frames, options.past_gap) if options.past_frames else None,
     )
     low, high = options.baseline
     pairs = find_pairs(frames, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
@@ -127,6 +136,8 @@ def run_train(options: argparse.Namespace) -> None:
         decay=(options.decay_from, options.steps) if options.decay_from is not None else None,
         amp=options.amp,
         teacher_steps=options.teacher_steps,
+        past_frames=options.past_frames,
+        past_gap=options.past_gap,
         loss=loss_options(options),
     )
     trainer = Trainer(frames, pairs, settings, device)
@@ -158,14 +169,14 @@ def run_train(options: argparse.Namespace) -> None:
 def run_evaluate(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
     networks: dict[str, nn.Module] = {}
-    size, depth_range_m = options.size, (0.1, 20.0)
+    size, depth_range_m, past = options.size, (0.1, 20.0), None
     if options.checkpoint is not None:
         saved = checkpoints.load(options.checkpoint)
         size = size or (saved.camera.height, saved.camera.width)
-        depth_range_m = saved.depth_range_m
+        depth_range_m, past = saved.depth_range_m, saved.past_frames
         networks["untrained"] = build_network(saved.network, depth_range_m, int(saved.settings["seed"]))
         networks[f"{saved.network}, {saved.step} steps"] = saved.build()
-    frames = read_frames(options.recording, options.coarse, options.dataset, size, every=options.every)
+    frames = read_frames(options.recording, options.coarse, options.dataset, size, every=options.every, past=past)
     rows = evaluate(frames, {name: network.to(options.device) for name, network in networks.items()}, depth_range_m)
     print(table(rows))
     if options.json is not None:

@@ -30,6 +30,7 @@ from .losses import LossOptions, View, self_supervision
 from .manydepth import Disturbance, ManyDepth
 from .objectives import both_ways, with_teacher
 from .pairs import Pairs
+from .past_frames import GAP
 from .prefetch import Prefetcher
 from .volume import volume_planes
 from .warp import Projector
@@ -65,6 +66,9 @@ class Settings:
     """The learning rate goes down to 0 along half a cosine from the first of these steps to the second."""
     teacher_steps: int = 2000
     """ManyDepth's single-frame teacher learns so long."""
+    past_frames: int = 0
+    """Coarse depth is from so many past frames, as the paper's is; 0: the robot's own. See `past_frames.py`."""
+    past_gap: int = GAP
     amp: bool = False
     """Convolutions in bfloat16, the loss and the weights in float32."""
     loss: LossOptions = field(default_factory=LossOptions)
