@@ -71,14 +71,18 @@ def study(folder: Path) -> Path:
 
 
 def test_differences_are_paired_by_home_seed_and_network(tmp_path: Path) -> None:
-    found = dict(contrasts(collect(study(tmp_path / "runs"))))
-    active = found["1. active - random, student"]
+    runs = collect(study(tmp_path / "runs"))
+    found = {(row.name, row.part): row.estimate for row in contrasts(runs)}
+    active = found["active - random, student", "all"]
     assert active.mean == pytest.approx(0.15)
     assert (active.low, active.high) == pytest.approx((0.1, 0.2))
-    networks = found["3. student - monodepth2_r18, driven views"]
+    assert (active.scenes, active.above) == (2, 2)
+    networks = found["student - monodepth2_r18", "drive"]
     assert (networks.mean, networks.pairs) == pytest.approx((0.1, 4))
-    assert found["5. the same, random only"].mean == pytest.approx(0.05)
-    assert not any("frontier" in name for name in found), "nothing is said of what was not run"
+    assert found["the same, random only", "all"].mean == pytest.approx(0.05)
+    assert not any("frontier" in name for name, _ in found), "nothing is said of what was not run"
+    unscaled = {(row.name, row.part): row.estimate for row in contrasts(runs, "delta1_unscaled")}
+    assert unscaled["active - random, student", "turn"].mean == pytest.approx(0.075)
 
 
 def test_the_report_is_made_from_the_raw_numbers_alone(tmp_path: Path) -> None:
@@ -86,7 +90,7 @@ def test_the_report_is_made_from_the_raw_numbers_alone(tmp_path: Path) -> None:
     assert main(["results", "--runs", str(study(tmp_path / "runs")), "--out", str(out)]) == 0
     first = (out / "factorial.md").read_text()
     assert "| active | 0.550 | 0.650 | 4 | 0.500 |" in first
-    assert "| 1. active - random, student | +0.150 | +0.100 to +0.200 | 2 | 2 | holds |" in first
+    assert "| active - random, student | all | +0.150 | +0.100 to +0.200 | 2 | 2 | 2 | holds |" in first
     (out / "factorial.md").unlink()
     assert main(["results", "--out", str(out)]) == 0
     assert (out / "factorial.md").read_text() == first

@@ -19,6 +19,8 @@ class Estimate:
     """`None` where a single scene says nothing about others."""
     high: float | None
     scenes: int
+    above: int
+    """Scenes whose own mean is above 0: with a few scenes, the interval is narrower than it should be."""
     pairs: int
 
     @property
@@ -36,13 +38,13 @@ def hierarchical_bootstrap(values: Mapping[str, Sequence[float]], seed: int = 0)
     each: seeds of one scene are more alike than scenes are."""
     groups = [np.asarray(seeds, np.float64) for _, seeds in sorted(values.items())]
     mean = float(np.mean([group.mean() for group in groups]))
-    pairs = sum(map(len, groups))
+    above, pairs = sum(bool(group.mean() > 0) for group in groups), sum(map(len, groups))
     if len(groups) < 2:
-        return Estimate(mean, None, None, len(groups), pairs)
+        return Estimate(mean, None, None, len(groups), above, pairs)
     random = np.random.default_rng(seed)
     means = np.empty(RESAMPLES)
     for row in range(RESAMPLES):
         scenes = random.integers(len(groups), size=len(groups))
         means[row] = np.mean([random.choice(groups[scene], len(groups[scene])).mean() for scene in scenes])
     low, high = np.quantile(means, [0.025, 0.975])
-    return Estimate(mean, float(low), float(high), len(groups), pairs)
+    return Estimate(mean, float(low), float(high), len(groups), above, pairs)
