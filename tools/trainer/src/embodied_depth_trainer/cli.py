@@ -11,7 +11,7 @@ import torch
 
 from . import experiment
 from .arguments import picture_size
-from .commands import run_evaluate, run_label, run_train
+from .commands import run_calibrate, run_evaluate, run_label, run_train
 from .default_network import make_default
 from .errors import TrainerError
 from .export_depth import DEPTH_NETWORKS, DepthExport, export_checkpoint, export_depth
@@ -57,6 +57,14 @@ def parser() -> argparse.ArgumentParser:
     default.add_argument("--work", type=Path, required=True, help="folder for runs and training; 10 GB")
     default.add_argument("--threads", type=int, default=1, help="of the CPU [1]")
     default.add_argument("--out", type=Path, required=True)
+    calibrated = commands.add_parser(
+        "calibrate", help="make an exported student promise no more than it keeps in further homes"
+    )
+    calibrated.add_argument("--model", type=Path, required=True, help="ONNX file of a student")
+    for name in ("--recording", "--coarse", "--labels"):
+        calibrated.add_argument(name, type=Path, action="append", required=True, help="as of `train`; may be repeated")
+    calibrated.add_argument("--every", type=int, default=1, help="only every so manieth picture [1]")
+    calibrated.add_argument("--out", type=Path, required=True)
     trained = commands.add_parser("export", help="a trained network as an ONNX file for the robot")
     trained.add_argument("--checkpoint", type=Path, required=True, help="checkpoint.pt of a training")
     trained.add_argument(
@@ -166,6 +174,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             run_jobs_command(options)
         elif options.command == "results":
             run_results(options)
+        elif options.command == "calibrate":
+            run_calibrate(options)
         elif options.command == "evaluate":
             run_evaluate(options)
         else:

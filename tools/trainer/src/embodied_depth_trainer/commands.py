@@ -14,8 +14,8 @@ import torch
 from torch import nn
 from tqdm import tqdm
 
+from . import calibration, experiment, processes
 from . import checkpoint as checkpoints
-from . import experiment, processes
 from .board import Board
 from .buffer import kept
 from .checkpoint import write_atomically
@@ -99,6 +99,13 @@ def run_label(options: argparse.Namespace) -> None:
     frames = read_frames([options.recording], [options.coarse], [], None)
     share = write_labels(frames, options.out)
     print(f"{options.out}: {len(frames)} pictures, labels for {share:.0%} of their cells")
+
+
+def run_calibrate(options: argparse.Namespace) -> None:
+    torch.set_num_threads(1)
+    frames = read_frames(options.recording, options.coarse, [], None, options.labels, options.every)
+    found, counts = calibration.calibrate(options.model, frames, options.out)
+    print(f"{options.out}: by {len(frames)} pictures, {calibration.table(counts, found)}")
 
 
 def run_train(options: argparse.Namespace) -> None:
