@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 RESAMPLES = 10_000
+# Of fewer scenes, all on one side are no surprise (4 of 4: 1 in 8), and their interval is far too narrow.
+LEAST_SCENES = 5
 
 
 @dataclass(frozen=True)
@@ -26,8 +28,8 @@ class Estimate:
     @property
     def verdict(self) -> str:
         """Whether the mean is above 0."""
-        if self.low is None or self.high is None:
-            return "undecided: one home"
+        if self.low is None or self.high is None or self.scenes < LEAST_SCENES:
+            return f"undecided: {self.scenes} home" + "s" * (self.scenes > 1)
         if self.low > 0:
             return "holds"
         return "fails" if self.high < 0 else "undecided"

@@ -23,6 +23,8 @@ from .pairs import PairRule
 from .training import Settings, Trainer, train
 
 FRAMES = 700
+# Two numbers need less than a network.
+CALIBRATION_FRAMES = 300
 # Neighbours 3 cm apart say the same.
 EVERY = 2
 STEPS, DECAY_STEPS = 3600, 2000
@@ -96,32 +98,33 @@ CALIBRATION_RUNS = (
 def make_default(robot: Path, work: Path, out: Path) -> float:
     """Writes the network to `out` and everything on the way to it into `work`; `robot` is the firmware-host. Returns
     the largest difference between ONNX Runtime and PyTorch."""
-    frames = _frames(robot, RUNS, work)
+    frames = _frames(robot, RUNS, FRAMES, work)
     trainer = Trainer(frames, find_pairs(frames, None, PairRule()), SETTINGS)
     _tell(f"training on {len(frames)} pictures")
     checkpoint = train(trainer, STEPS, work / "training", told=_progress)
     uncalibrated = work / "uncalibrated.onnx"
     difference = export_checkpoint(checkpoint, None, uncalibrated)
-    calibration, counts = calibrate(uncalibrated, _frames(robot, CALIBRATION_RUNS, work), out)
+    further = _frames(robot, CALIBRATION_RUNS, CALIBRATION_FRAMES, work)
+    calibration, counts = calibrate(uncalibrated, further, out)
     _tell(table(counts, calibration))
     return difference
 
 
-def _frames(robot: Path, runs: Sequence[Run], work: Path) -> Frames:
-    """What the robot saw in these runs, with coarse depth and labels."""
+def _frames(robot: Path, runs: Sequence[Run], count: int, work: Path) -> Frames:
+    """What the robot saw in these runs of `count` frames, with coarse depth and labels."""
     write_atomically(ROUGH.encode(), work / "rough.toml")
     folders = [work / run.folder for run in runs]
     for run, folder in zip(runs, folders, strict=True):
-        _prepare(robot, run, folder, work / "rough.toml")
+        _prepare(robot, run, count, folder, work / "rough.toml")
     recordings, coarse = [folder / "run" for folder in folders], [folder / "coarse" for folder in folders]
     return read_frames(recordings, coarse, [], None, [folder / "labels.npz" for folder in folders], EVERY)
 
 
-def _prepare(robot: Path, run: Run, folder: Path, rough: Path) -> None:
+def _prepare(robot: Path, run: Run, frames: int, folder: Path, rough: Path) -> None:
     """One run, its coarse depth and its labels."""
     if not (folder / "run/summary.json").exists():
         _tell(f"exploring {run.home}")
-        scene = ["--scene", f"builtin:{run.home}", "--policy", run.policy, "--frames", str(FRAMES), "--seed", "1"]
+        scene = ["--scene", f"builtin:{run.home}", "--policy", run.policy, "--frames", str(frames), "--seed", "1"]
         config = ["--config", str(rough)] if run.rough else []
         _call([str(robot), "explore", *scene, *config, "--out", str(folder / "run")])
     if not (folder / "coarse/dump.json").exists():
