@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -77,7 +78,9 @@ def test_the_whole_schedule_keeps_the_papers_turns_between_frontiers_and_inconsi
     assert exploration(0.01) == "warm_up_frames = 60\nfrontier_frames = 80\ninconsistency_frames = 40\n"
 
 
-def test_the_loop_learns_and_says_what_is_trivial(robot: Path, tmp_path: Path) -> None:
+def test_the_loop_learns_and_says_what_is_trivial(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
     assert main(arguments(robot, out)) == 0
     curve = result(out)["curve"]
@@ -92,6 +95,15 @@ def test_the_loop_learns_and_says_what_is_trivial(robot: Path, tmp_path: Path) -
     assert 0 < last["all"]["constant"]["delta1"] < 1
     for picture in ("curve.png", "views.png"):
         assert (out / picture).read_bytes().startswith(b"\x89PNG")
+    # The same numbers by hand.
+    numbers, checkpoint = tmp_path / "numbers.json", out / "training/checkpoint.pt"
+    command = ["evaluate", "--views", str(out / "views"), "--checkpoint", str(checkpoint), "--json", str(numbers)]
+    assert main(command) == 0
+    assert "turn:" in capsys.readouterr().out
+    found = json.loads(numbers.read_text())
+    for part in ("all", "drive", "turn"):
+        said = next(row for name, row in found[part].items() if re.fullmatch(r"student, \d+ steps", name))
+        assert said["delta1"] == pytest.approx(last[part]["student"]["delta1"])
 
 
 def test_a_loop_may_learn_from_labels_alone(robot: Path, tmp_path: Path) -> None:

@@ -150,6 +150,9 @@ def _add_train(command: argparse.ArgumentParser) -> None:
 def _add_evaluate(command: argparse.ArgumentParser) -> None:
     _add_frames(command)
     command.add_argument("--checkpoint", type=Path, help="of a training; without one, only what is trivial")
+    command.add_argument(
+        "--views", type=Path, help="instead: what `firmware-host views` wrote; also says what is right after a turn"
+    )
     command.add_argument("--json", type=Path, help="also write the numbers here")
 
 

@@ -31,6 +31,7 @@ from .pairs import PairRule, Pairs, pairs_by_baseline, pairs_by_gap
 from .past_frames import PastFrames, with_past_coarse
 from .recording import read_recording
 from .training import Settings, Trainer, train
+from .views import Views
 
 # What a training was run with, beside its checkpoint.
 EXPERIMENT_FILE = "experiment.toml"
@@ -183,9 +184,13 @@ def run_evaluate(options: argparse.Namespace) -> None:
         depth_range_m, past = saved.depth_range_m, saved.past_frames
         networks["untrained"] = build_network(saved.network, depth_range_m, int(saved.settings["seed"]))
         networks[f"{saved.network}, {saved.step} steps"] = saved.build()
-    frames = read_frames(options.recording, options.coarse, options.dataset, size, every=options.every, past=past)
-    rows = evaluate(frames, {name: network.to(options.device) for name, network in networks.items()}, depth_range_m)
-    print(table(rows))
+    networks = {name: network.to(options.device) for name, network in networks.items()}
+    if options.views is not None:
+        parts = Views.read(options.views).metrics(networks, depth_range_m)
+    else:
+        frames = read_frames(options.recording, options.coarse, options.dataset, size, every=options.every, past=past)
+        parts = {"all": evaluate(frames, networks, depth_range_m)}
+    print("\n\n".join((f"{part}:\n" if len(parts) > 1 else "") + table(rows) for part, rows in parts.items()))
     if options.json is not None:
-        text = json.dumps({name: asdict(row) for name, row in rows.items()}, indent=2)
-        write_atomically(text.encode(), options.json)
+        plain = {part: {name: asdict(row) for name, row in rows.items()} for part, rows in parts.items()}
+        write_atomically(json.dumps(plain if options.views else plain["all"], indent=2).encode(), options.json)
