@@ -142,3 +142,5 @@ def test_edn_with_past_frames_trains_without_the_robots_coarse_depth_and_its_exp
     # It is measured with what it was trained with.
     assert main(["evaluate", *recording, "--checkpoint", str(tmp_path / "out/checkpoint.pt")]) == 0
     assert "coarse" in capsys.readouterr().out
+    assert main(["evaluate", "--views", "views", "--checkpoint", str(tmp_path / "out/checkpoint.pt")]) == 1
+    assert "have no past frames" in capsys.readouterr().err

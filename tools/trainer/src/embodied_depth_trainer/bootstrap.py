@@ -44,9 +44,10 @@ def hierarchical_bootstrap(values: Mapping[str, Sequence[float]], seed: int = 0)
     if len(groups) < 2:
         return Estimate(mean, None, None, len(groups), above, pairs)
     random = np.random.default_rng(seed)
-    means = np.empty(RESAMPLES)
-    for row in range(RESAMPLES):
-        scenes = random.integers(len(groups), size=len(groups))
-        means[row] = np.mean([random.choice(groups[scene], len(groups[scene])).mean() for scene in scenes])
+    count = len(groups)
+    scenes = random.integers(count, size=(RESAMPLES, count))
+    # Of each scene in every place of every resample: the mean of resampled seeds.
+    means_of = np.stack([random.choice(group, (RESAMPLES, count, len(group))).mean(2) for group in groups])
+    means = means_of[scenes, np.arange(RESAMPLES)[:, None], np.arange(count)].mean(1)
     low, high = np.quantile(means, [0.025, 0.975])
     return Estimate(mean, float(low), float(high), len(groups), above, pairs)

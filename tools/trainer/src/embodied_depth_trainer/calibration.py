@@ -29,7 +29,6 @@ from .student import SCALES, UNCONFIRMED_SCALE
 RIGHT = math.log(1.25)
 # ln b is counted in so many bins: the fit needs no more of millions of cells.
 BINS = 400
-BATCH = 8
 
 
 @dataclass(frozen=True)

@@ -52,9 +52,12 @@ def read_frames(
     if past is not None and coarse:
         raise TrainerError("coarse depth comes either from past frames or from --coarse; give one of the two")
 
-    def sized(frames: Frames) -> Frames:
-        frames = frames.reduced_to(size) if size else frames
-        return frames if past is None else with_past_coarse(frames, past)
+    def ready(frames: Frames, every: int) -> Frames:
+        if past is None:
+            frames = frames.every(every)
+            return frames.reduced_to(size) if size else frames
+        # Past frames are counted in the whole recording.
+        return with_past_coarse(frames.reduced_to(size) if size else frames, past).every(every)
 
     if coarse and len(coarse) != len(recordings):
         raise TrainerError(
@@ -73,9 +76,9 @@ def read_frames(
             frames = with_coarse(frames, coarse[place])
         if label_files:
             frames = with_labels(frames, label_files[place])
-        parts.append(sized(frames).every(every))
+        parts.append(ready(frames, every))
     for folder in datasets:
-        parts.append(sized(read_dataset_dump(folder)))
+        parts.append(ready(read_dataset_dump(folder), 1))
     return join(parts)
 
 
@@ -186,6 +189,8 @@ def run_evaluate(options: argparse.Namespace) -> None:
         networks[f"{saved.network}, {saved.step} steps"] = saved.build()
     networks = {name: network.to(options.device) for name, network in networks.items()}
     if options.views is not None:
+        if past is not None:
+            raise TrainerError("test views have no past frames to compute coarse depth from; give a --recording")
         parts = Views.read(options.views).metrics(networks, depth_range_m)
     else:
         frames = read_frames(options.recording, options.coarse, options.dataset, size, every=options.every, past=past)

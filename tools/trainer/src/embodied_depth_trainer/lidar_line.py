@@ -3,7 +3,7 @@
 The scanner's plane lies below the camera, so that what it hits is seen in the lower half of the picture: the nearer,
 the lower, and what is nearest of all falls out of it. It is a sensor of depth: only the loss may read it, never the
 network's input and never the evaluation, and a network that was trained with it is not one that learnt from pictures
-and motion alone (METHOD: the paper's claim). Off unless asked for.
+and motion alone, as the paper's do. Off unless asked for.
 """
 
 from __future__ import annotations
