@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,14 @@ from mcap.writer import CompressionType, Writer
 from torchvision.io import encode_png
 
 from embodied_depth_trainer.frames import Frames
+from embodied_depth_trainer.lidar_line import Scan
 
 FIELDS = {
     "CompressedImage": [("data", 2, "bytes"), ("format", 3, "string")],
+    "LaserScan": [("ranges", 6, "doubles")],
     "RawImage": [("width", 2, "fixed32"), ("height", 3, "fixed32"), ("encoding", 4, "string"), ("data", 6, "bytes")],
 }
-KINDS = {"bytes": 12, "string": 9, "fixed32": 7}
+KINDS = {"bytes": 12, "string": 9, "fixed32": 7, "doubles": 1}
 
 
 def schema() -> descriptor_pb2.FileDescriptorSet:
@@ -27,7 +30,9 @@ def schema() -> descriptor_pb2.FileDescriptorSet:
     for name, fields in FIELDS.items():
         message = file.message_type.add(name=name)
         for field, number, kind in fields:
-            message.field.add(name=field, number=number, label=1, type=KINDS[kind])
+            # 3 is repeated.
+            label = 3 if kind == "doubles" else 1
+            message.field.add(name=field, number=number, label=label, type=KINDS[kind])
     return descriptor_pb2.FileDescriptorSet(file=[file])
 
 
@@ -36,13 +41,22 @@ def header(frames: Frames, segment: int) -> dict[str, Any]:
     camera: dict[str, Any] = {key: getattr(frames.camera, key) for key in keys}
     camera["distortion"] = {"model": "none"}
     mount = {"translation_m": [0.1, 0.0, 0.8], "rotation_xyzw": [-0.5, 0.5, -0.5, 0.5]}
-    return {"format_version": 1, "segment": segment, "run": {"camera": camera, "t_base_camera": mount}}
+    laser = {"translation_m": [0.0, 0.0, 0.4], "rotation_xyzw": [0.0, 0.0, 0.0, 1.0]}
+    run = {"camera": camera, "t_base_camera": mount, "t_base_laser": laser}
+    return {"format_version": 1, "segment": segment, "run": run}
 
 
 def write_segment(
-    file: Path, frames: Frames, wheels: list[dict[str, Any]], segment: int = 0, truth: bool = False
+    file: Path,
+    frames: Frames,
+    wheels: list[dict[str, Any]],
+    segment: int = 0,
+    truth: bool = False,
+    scans: list[Scan] | None = None,
+    beams: int | None = None,
 ) -> None:
-    """One segment with the pictures of `frames` and one pose of the base for each."""
+    """One segment with the pictures of `frames` and one pose of the base for each, perhaps with a scan before each
+    picture; `beams`: what the turns say of them."""
     descriptors = schema()
     pool = descriptor_pool.DescriptorPool()
     pool.Add(descriptors.file[0])
@@ -55,6 +69,7 @@ def write_segment(
         "header": writer.register_channel("/robot/header", "json", 0),
         "tick": writer.register_channel("/robot/tick", "json", 0),
         "image": writer.register_channel("/camera/image", "protobuf", schemas["CompressedImage"]),
+        "scan": writer.register_channel("/scan", "protobuf", schemas["LaserScan"]),
         "truth": writer.register_channel("/camera/truth_depth", "protobuf", schemas["RawImage"]),
         "map": writer.register_channel("/map", "json", 0),
     }
@@ -65,8 +80,14 @@ def write_segment(
     add("header", json.dumps(header(frames, segment)).encode(), 0)
     for index, wheel in enumerate(wheels):
         time_ns = int(frames.time_ns[index])
-        tick = {"tick": index, "time_ns": time_ns, "wheel": wheel, "frame": True, "truth": truth}
+        tick: dict[str, Any] = {"tick": index, "time_ns": time_ns, "wheel": wheel, "frame": True, "truth": truth}
+        scan = None if scans is None else scans[index]
+        if scan is not None:
+            tick["scan"] = {key: value for key, value in asdict(scan).items() if key != "ranges_m"}
+            tick["scan"]["beams"] = beams or len(scan.ranges_m)
         add("tick", json.dumps(tick).encode(), time_ns)
+        if scan is not None:
+            add("scan", classes["LaserScan"](ranges=scan.ranges_m.tolist()).SerializeToString(), time_ns)
         png = bytes(encode_png(torch.from_numpy(frames.rgb[index]).permute(2, 0, 1)).numpy())
         add("image", classes["CompressedImage"](data=png, format="png").SerializeToString(), time_ns)
         if truth:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from embodied_depth_trainer import checkpoint as checkpoints
 from embodied_depth_trainer.cli import main
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.jobs import read_jobs
@@ -76,7 +78,9 @@ def test_the_whole_schedule_keeps_the_papers_turns_between_frontiers_and_inconsi
     assert exploration(0.01) == "warm_up_frames = 60\nfrontier_frames = 80\ninconsistency_frames = 40\n"
 
 
-def test_the_loop_learns_and_says_what_is_trivial(robot: Path, tmp_path: Path) -> None:
+def test_the_loop_learns_and_says_what_is_trivial(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
     assert main(arguments(robot, out)) == 0
     curve = result(out)["curve"]
@@ -91,6 +95,40 @@ def test_the_loop_learns_and_says_what_is_trivial(robot: Path, tmp_path: Path) -
     assert 0 < last["all"]["constant"]["delta1"] < 1
     for picture in ("curve.png", "views.png"):
         assert (out / picture).read_bytes().startswith(b"\x89PNG")
+    # The same numbers by hand.
+    numbers, checkpoint = tmp_path / "numbers.json", out / "training/checkpoint.pt"
+    command = ["evaluate", "--views", str(out / "views"), "--checkpoint", str(checkpoint), "--json", str(numbers)]
+    assert main(command) == 0
+    assert "turn:" in capsys.readouterr().out
+    found = json.loads(numbers.read_text())
+    for part in ("all", "drive", "turn"):
+        said = next(row for name, row in found[part].items() if re.fullmatch(r"student, \d+ steps", name))
+        assert said["delta1"] == pytest.approx(last[part]["student"]["delta1"])
+
+
+def test_a_loop_may_learn_from_labels_alone(robot: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main(arguments(robot, out, "--labels", "--decay")) == 0
+    assert result(out)["settings"]["labels"]
+    saved = checkpoints.load(out / "training/checkpoint.pt")
+    weights = [saved.settings[f"{what}_weight"] for what in ("photometric", "coarse", "label")]
+    assert weights == [0, 0, 1]
+    # The rate goes down in the last training, to nothing.
+    schedule = Schedule.scaled(0.0034)
+    assert saved.settings["decay"] == [schedule.steps(7, 12), schedule.steps(8, 12)]
+    assert saved.step == schedule.steps(8, 12)
+    first, last = (point["metrics"]["turn"]["student"] for point in (result(out)["curve"][0], result(out)["curve"][-1]))
+    assert last["delta1_unscaled"] > first["delta1_unscaled"]
+
+
+def test_labels_are_refused_where_the_loss_knows_none(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for network in ("sc_depth_r18", "manydepth_r18"):
+        out = tmp_path / network
+        assert main(arguments(robot, out, "--labels", "--network", network)) == 1
+        assert "leave --labels out" in capsys.readouterr().err
+        assert not out.exists()
 
 
 def killed_when(robot: Path, out: Path, is_time: Callable[[], bool]) -> None:

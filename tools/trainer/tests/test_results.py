@@ -18,8 +18,8 @@ from embodied_depth_trainer.results import collect, contrasts
 
 
 def test_a_difference_that_is_always_the_same_is_known_exactly() -> None:
-    estimate = hierarchical_bootstrap({"a": [0.1, 0.1], "b": [0.1]})
-    assert (estimate.scenes, estimate.pairs, estimate.verdict) == (2, 3, "holds")
+    estimate = hierarchical_bootstrap({"a": [0.1, 0.1], **{home: [0.1] for home in "bcde"}})
+    assert (estimate.scenes, estimate.above, estimate.pairs, estimate.verdict) == (5, 5, 6, "holds")
     assert estimate.mean == pytest.approx(0.1)
     assert (estimate.low, estimate.high) == pytest.approx((0.1, 0.1))
 
@@ -36,10 +36,15 @@ def test_the_interval_of_many_scenes_is_that_of_a_mean() -> None:
 def test_seeds_of_one_scene_do_not_pass_for_many_scenes() -> None:
     scenes = {"a": [0.2] * 50, "b": [-0.1] * 50}
     estimate = hierarchical_bootstrap(scenes)
-    assert estimate.verdict == "undecided"
     assert (estimate.low, estimate.high) == pytest.approx((-0.1, 0.2))
     alone = hierarchical_bootstrap({"a": [0.2] * 50})
-    assert (alone.low, alone.verdict) == (None, "undecided: one home")
+    assert (alone.low, alone.verdict) == (None, "undecided: 1 home")
+
+
+def test_a_few_homes_on_one_side_decide_nothing() -> None:
+    few, enough = ({str(home): [sign * 0.1] for home in range(count)} for count, sign in ((4, 1), (5, -1)))
+    assert hierarchical_bootstrap(few).verdict == "undecided: 4 homes"
+    assert hierarchical_bootstrap(enough).verdict == "fails"
 
 
 def loop(folder: Path, scene: str, policy: str, network: str, delta1: float, **more: float) -> None:
@@ -71,14 +76,18 @@ def study(folder: Path) -> Path:
 
 
 def test_differences_are_paired_by_home_seed_and_network(tmp_path: Path) -> None:
-    found = dict(contrasts(collect(study(tmp_path / "runs"))))
-    active = found["1. active - random, student"]
+    runs = collect(study(tmp_path / "runs"))
+    found = {(row.name, row.part): row.estimate for row in contrasts(runs)}
+    active = found["active - random, student", "all"]
     assert active.mean == pytest.approx(0.15)
     assert (active.low, active.high) == pytest.approx((0.1, 0.2))
-    networks = found["3. student - monodepth2_r18, driven views"]
+    assert (active.scenes, active.above) == (2, 2)
+    networks = found["student - monodepth2_r18", "drive"]
     assert (networks.mean, networks.pairs) == pytest.approx((0.1, 4))
-    assert found["5. the same, random only"].mean == pytest.approx(0.05)
-    assert not any("frontier" in name for name in found), "nothing is said of what was not run"
+    assert found["the same, random only", "all"].mean == pytest.approx(0.05)
+    assert not any("frontier" in name for name, _ in found), "nothing is said of what was not run"
+    unscaled = {(row.name, row.part): row.estimate for row in contrasts(runs, "delta1_unscaled")}
+    assert unscaled["active - random, student", "turn"].mean == pytest.approx(0.075)
 
 
 def test_the_report_is_made_from_the_raw_numbers_alone(tmp_path: Path) -> None:
@@ -86,7 +95,7 @@ def test_the_report_is_made_from_the_raw_numbers_alone(tmp_path: Path) -> None:
     assert main(["results", "--runs", str(study(tmp_path / "runs")), "--out", str(out)]) == 0
     first = (out / "factorial.md").read_text()
     assert "| active | 0.550 | 0.650 | 4 | 0.500 |" in first
-    assert "| 1. active - random, student | +0.150 | +0.100 to +0.200 | 2 | 2 | holds |" in first
+    assert "| active - random, student | all | +0.150 | +0.100 to +0.200 | 2 | 2 | 2 | undecided: 2 homes |" in first
     (out / "factorial.md").unlink()
     assert main(["results", "--out", str(out)]) == 0
     assert (out / "factorial.md").read_text() == first

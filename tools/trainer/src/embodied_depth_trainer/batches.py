@@ -35,6 +35,12 @@ def depth_planes(planes: NDArray[np.uint16], index: NDArray[np.int64], device: t
     return raw / torch.tensor([1000.0, FULL_CONFIDENCE], device=device).view(1, 2, 1, 1)
 
 
+def lidar_lines(lines: NDArray[np.uint16], index: NDArray[np.int64], device: torch.device | str = "cpu") -> Tensor:
+    """Row and z-depth in metres (0: none) [B, 2, W]."""
+    raw = torch.from_numpy(lines[index].astype(np.float32)).to(device)
+    return raw * torch.tensor([1.0, 0.001], device=device).view(1, 2, 1)
+
+
 def coarse_planes(
     frames: Frames, index: NDArray[np.int64], depth_range_m: tuple[float, float], device: torch.device | str = "cpu"
 ) -> Tensor:
@@ -79,6 +85,8 @@ class Batch:
     """Always whole."""
     t_source_target: list[Tensor]
     """[B, 4, 4] each."""
+    lidar: Tensor | None = None
+    """Row and z-depth in metres (0: none) of what the LiDAR hit in each column [B, 2, W]."""
     left: int = 0
     """Column of the whole picture at which the target's planes begin."""
 
@@ -96,6 +104,7 @@ class Batch:
             coarse=self.coarse[..., across],
             coarse_whole=self.coarse_whole[..., across],
             labels=labels,
+            lidar=None if self.lidar is None else self.lidar[..., across],
             left=self.left + left,
         )
 
@@ -157,6 +166,7 @@ def make_batch(
         None if frames.labels is None else depth_planes(frames.labels, targets, device),
         [rgb_planes(frames, sources[:, view], device) for view in range(count)],
         [torch.from_numpy(relative[:, view].copy()).to(device) for view in range(count)],
+        None if frames.lidar is None else lidar_lines(frames.lidar, targets, device),
     )
 
 

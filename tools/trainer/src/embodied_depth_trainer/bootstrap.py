@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 RESAMPLES = 10_000
+# Of fewer scenes, all on one side are no surprise (4 of 4: 1 in 8), and their interval is far too narrow.
+LEAST_SCENES = 5
 
 
 @dataclass(frozen=True)
@@ -19,13 +21,15 @@ class Estimate:
     """`None` where a single scene says nothing about others."""
     high: float | None
     scenes: int
+    above: int
+    """Scenes whose own mean is above 0: with a few scenes, the interval is narrower than it should be."""
     pairs: int
 
     @property
     def verdict(self) -> str:
         """Whether the mean is above 0."""
-        if self.low is None or self.high is None:
-            return "undecided: one home"
+        if self.low is None or self.high is None or self.scenes < LEAST_SCENES:
+            return f"undecided: {self.scenes} home" + "s" * (self.scenes > 1)
         if self.low > 0:
             return "holds"
         return "fails" if self.high < 0 else "undecided"
@@ -36,13 +40,14 @@ def hierarchical_bootstrap(values: Mapping[str, Sequence[float]], seed: int = 0)
     each: seeds of one scene are more alike than scenes are."""
     groups = [np.asarray(seeds, np.float64) for _, seeds in sorted(values.items())]
     mean = float(np.mean([group.mean() for group in groups]))
-    pairs = sum(map(len, groups))
+    above, pairs = sum(bool(group.mean() > 0) for group in groups), sum(map(len, groups))
     if len(groups) < 2:
-        return Estimate(mean, None, None, len(groups), pairs)
+        return Estimate(mean, None, None, len(groups), above, pairs)
     random = np.random.default_rng(seed)
-    means = np.empty(RESAMPLES)
-    for row in range(RESAMPLES):
-        scenes = random.integers(len(groups), size=len(groups))
-        means[row] = np.mean([random.choice(groups[scene], len(groups[scene])).mean() for scene in scenes])
+    count = len(groups)
+    scenes = random.integers(count, size=(RESAMPLES, count))
+    # Of each scene in every place of every resample: the mean of resampled seeds.
+    means_of = np.stack([random.choice(group, (RESAMPLES, count, len(group))).mean(2) for group in groups])
+    means = means_of[scenes, np.arange(RESAMPLES)[:, None], np.arange(count)].mean(1)
     low, high = np.quantile(means, [0.025, 0.975])
-    return Estimate(mean, float(low), float(high), len(groups), pairs)
+    return Estimate(mean, float(low), float(high), len(groups), above, pairs)

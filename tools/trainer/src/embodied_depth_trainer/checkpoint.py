@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from .depth_networks import build_network
 from .errors import TrainerError
 from .frames import Intrinsics
+from .past_frames import PastFrames
 
 FORMAT_VERSION = 1
 
@@ -39,6 +40,12 @@ class Checkpoint:
     def camera(self) -> Intrinsics:
         """Of the pictures that the network was trained on."""
         return Intrinsics(**self.settings["camera"])
+
+    @property
+    def past_frames(self) -> PastFrames | None:
+        """What its coarse depth was computed from, if not by the robot."""
+        count = self.settings.get("past_frames", 0)
+        return PastFrames(count, self.settings["past_gap"]) if count else None
 
     def build(self) -> nn.Module:
         """The network with its weights, for use."""

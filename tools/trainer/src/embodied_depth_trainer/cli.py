@@ -11,12 +11,13 @@ import torch
 
 from . import experiment
 from .arguments import picture_size
-from .commands import run_evaluate, run_label, run_train
+from .commands import run_calibrate, run_evaluate, run_label, run_train
 from .default_network import make_default
 from .errors import TrainerError
 from .export_depth import DEPTH_NETWORKS, DepthExport, export_checkpoint, export_depth
 from .export_flow import FLOW_NETWORKS, FlowExport, export_flow
 from .loop_command import add_loop, run_loop_command
+from .past_frames import GAP
 from .results_command import add_jobs, add_results, run_jobs_command, run_results
 
 
@@ -56,6 +57,14 @@ def parser() -> argparse.ArgumentParser:
     default.add_argument("--work", type=Path, required=True, help="folder for runs and training; 10 GB")
     default.add_argument("--threads", type=int, default=1, help="of the CPU [1]")
     default.add_argument("--out", type=Path, required=True)
+    calibrated = commands.add_parser(
+        "calibrate", help="make an exported student promise no more than it keeps in further homes"
+    )
+    calibrated.add_argument("--model", type=Path, required=True, help="ONNX file of a student")
+    for name in ("--recording", "--coarse", "--labels"):
+        calibrated.add_argument(name, type=Path, action="append", required=True, help="as of `train`; may be repeated")
+    calibrated.add_argument("--every", type=int, default=1, help="only every so manieth picture [1]")
+    calibrated.add_argument("--out", type=Path, required=True)
     trained = commands.add_parser("export", help="a trained network as an ONNX file for the robot")
     trained.add_argument("--checkpoint", type=Path, required=True, help="checkpoint.pt of a training")
     trained.add_argument(
@@ -105,6 +114,10 @@ def _add_train(command: argparse.ArgumentParser) -> None:
         "--baseline", type=float, nargs=2, default=(0.05, 0.30), metavar=("MIN_M", "MAX_M"), help="of pairs [0.05 0.30]"
     )
     command.add_argument("--gap", type=int, help="instead: pairs this many frames apart, as the paper's (4 or 15)")
+    command.add_argument(
+        "--past-frames", type=int, default=0, choices=(0, 1, 2), help="coarse depth from so many, as the paper's [0]"
+    )
+    command.add_argument("--past-gap", type=int, default=GAP, help=f"frames from one to the next [{GAP}]")
     command.add_argument("--depth-range", type=float, nargs=2, default=(0.1, 20.0), metavar=("MIN_M", "MAX_M"))
     command.add_argument("--smoothness", type=float, help="weight [1e-3; sc_depth_r18: 0.1]")
     command.add_argument("--geometry", type=float, help="weight of the geometry consistency [0; sc_depth_r18: 0.5]")
@@ -113,6 +126,9 @@ def _add_train(command: argparse.ArgumentParser) -> None:
         "--labels", type=Path, action="append", default=[], help="what `label` wrote; one for each --recording"
     )
     command.add_argument("--label-weight", type=float, default=1.0, help="of agreeing with --labels [1]")
+    command.add_argument(
+        "--lidar-weight", type=float, default=0.0, help="of agreeing with the LiDAR along its line [0: no depth sensor]"
+    )
     command.add_argument("--photometric-weight", type=float, default=1.0, help="of the photometric loss [1]")
     command.add_argument("--crop-width", type=int, default=0, help="columns of a target that a step sees [all]")
     command.add_argument(
@@ -134,6 +150,9 @@ def _add_train(command: argparse.ArgumentParser) -> None:
 def _add_evaluate(command: argparse.ArgumentParser) -> None:
     _add_frames(command)
     command.add_argument("--checkpoint", type=Path, help="of a training; without one, only what is trivial")
+    command.add_argument(
+        "--views", type=Path, help="instead: what `firmware-host views` wrote; also says what is right after a turn"
+    )
     command.add_argument("--json", type=Path, help="also write the numbers here")
 
 
@@ -158,6 +177,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             run_jobs_command(options)
         elif options.command == "results":
             run_results(options)
+        elif options.command == "calibrate":
+            run_calibrate(options)
         elif options.command == "evaluate":
             run_evaluate(options)
         else:

@@ -14,8 +14,8 @@ import torch
 from torch import nn
 from tqdm import tqdm
 
+from . import calibration, experiment, processes
 from . import checkpoint as checkpoints
-from . import experiment, processes
 from .board import Board
 from .buffer import kept
 from .checkpoint import write_atomically
@@ -28,8 +28,10 @@ from .labels import with_labels, write_labels
 from .losses import LossOptions
 from .objectives import recipe
 from .pairs import PairRule, Pairs, pairs_by_baseline, pairs_by_gap
+from .past_frames import PastFrames, with_past_coarse
 from .recording import read_recording
 from .training import Settings, Trainer, train
+from .views import Views
 
 # What a training was run with, beside its checkpoint.
 EXPERIMENT_FILE = "experiment.toml"
@@ -42,8 +44,21 @@ def read_frames(
     size: tuple[int, int] | None,
     label_files: Sequence[Path] = (),
     every: int = 1,
+    lidar: bool = False,
+    past: PastFrames | None = None,
 ) -> Frames:
-    """All runs and dataset dumps as one set, every `every`th picture, reduced to `size` rows x columns."""
+    """All runs and dataset dumps as one set, every `every`th picture, reduced to `size` rows x columns; with `lidar`,
+    with what the runs' LiDAR hit; with `past`, with coarse depth from past frames and not the robot's own."""
+    if past is not None and coarse:
+        raise TrainerError("coarse depth comes either from past frames or from --coarse; give one of the two")
+
+    def ready(frames: Frames, every: int) -> Frames:
+        if past is None:
+            frames = frames.every(every)
+            return frames.reduced_to(size) if size else frames
+        # Past frames are counted in the whole recording.
+        return with_past_coarse(frames.reduced_to(size) if size else frames, past).every(every)
+
     if coarse and len(coarse) != len(recordings):
         raise TrainerError(
             f"{len(coarse)} --coarse for {len(recordings)} --recording; give one for each, in the same order, or none"
@@ -54,17 +69,16 @@ def read_frames(
         )
     parts = []
     for place, path in enumerate(recordings):
-        frames, damage = read_recording(path)
+        frames, damage = read_recording(path, lidar)
         if damage.segments:
             print(f"{path}: {damage}", file=sys.stderr)
         if coarse:
             frames = with_coarse(frames, coarse[place])
         if label_files:
             frames = with_labels(frames, label_files[place])
-        parts.append(frames.every(every).reduced_to(size) if size else frames.every(every))
+        parts.append(ready(frames, every))
     for folder in datasets:
-        frames = read_dataset_dump(folder)
-        parts.append(frames.reduced_to(size) if size else frames)
+        parts.append(ready(read_dataset_dump(folder), 1))
     return join(parts)
 
 
@@ -91,11 +105,25 @@ def run_label(options: argparse.Namespace) -> None:
     print(f"{options.out}: {len(frames)} pictures, labels for {share:.0%} of their cells")
 
 
+def run_calibrate(options: argparse.Namespace) -> None:
+    torch.set_num_threads(1)
+    frames = read_frames(options.recording, options.coarse, [], None, options.labels, options.every)
+    found, counts = calibration.calibrate(options.model, frames, options.out)
+    print(f"{options.out}: by {len(frames)} pictures, {calibration.table(counts, found)}")
+
+
 def run_train(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
     device = processes.start(options.device)
     frames = read_frames(
-        options.recording, options.coarse, options.dataset, options.size, options.labels, options.every
+        options.recording,
+        options.coarse,
+        options.dataset,
+        options.size,
+        options.labels,
+        options.every,
+        lidar=options.lidar_weight > 0,
+        past=PastFrames(options.past_frames, options.past_gap) if options.past_frames else None,
     )
     low, high = options.baseline
     pairs = find_pairs(frames, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
@@ -113,11 +141,14 @@ def run_train(options: argparse.Namespace) -> None:
         coarse_weight=options.coarse_weight,
         uncertainty_weight=options.uncertainty_weight,
         label_weight=options.label_weight,
+        lidar_weight=options.lidar_weight,
         photometric_weight=options.photometric_weight,
         crop_width=options.crop_width,
         decay=(options.decay_from, options.steps) if options.decay_from is not None else None,
         amp=options.amp,
         teacher_steps=options.teacher_steps,
+        past_frames=options.past_frames,
+        past_gap=options.past_gap,
         loss=loss_options(options),
     )
     trainer = Trainer(frames, pairs, settings, device)
@@ -149,16 +180,22 @@ def run_train(options: argparse.Namespace) -> None:
 def run_evaluate(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
     networks: dict[str, nn.Module] = {}
-    size, depth_range_m = options.size, (0.1, 20.0)
+    size, depth_range_m, past = options.size, (0.1, 20.0), None
     if options.checkpoint is not None:
         saved = checkpoints.load(options.checkpoint)
         size = size or (saved.camera.height, saved.camera.width)
-        depth_range_m = saved.depth_range_m
+        depth_range_m, past = saved.depth_range_m, saved.past_frames
         networks["untrained"] = build_network(saved.network, depth_range_m, int(saved.settings["seed"]))
         networks[f"{saved.network}, {saved.step} steps"] = saved.build()
-    frames = read_frames(options.recording, options.coarse, options.dataset, size, every=options.every)
-    rows = evaluate(frames, {name: network.to(options.device) for name, network in networks.items()}, depth_range_m)
-    print(table(rows))
+    networks = {name: network.to(options.device) for name, network in networks.items()}
+    if options.views is not None:
+        if past is not None:
+            raise TrainerError("test views have no past frames to compute coarse depth from; give a --recording")
+        parts = Views.read(options.views).metrics(networks, depth_range_m)
+    else:
+        frames = read_frames(options.recording, options.coarse, options.dataset, size, every=options.every, past=past)
+        parts = {"all": evaluate(frames, networks, depth_range_m)}
+    print("\n\n".join((f"{part}:\n" if len(parts) > 1 else "") + table(rows) for part, rows in parts.items()))
     if options.json is not None:
-        text = json.dumps({name: asdict(row) for name, row in rows.items()}, indent=2)
-        write_atomically(text.encode(), options.json)
+        plain = {part: {name: asdict(row) for name, row in rows.items()} for part, rows in parts.items()}
+        write_atomically(json.dumps(plain if options.views else plain["all"], indent=2).encode(), options.json)

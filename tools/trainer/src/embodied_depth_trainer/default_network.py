@@ -12,15 +12,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from .calibration import calibrate, table
 from .checkpoint import write_atomically
 from .commands import find_pairs, read_frames
 from .errors import TrainerError
 from .export_depth import export_checkpoint
+from .frames import Frames
 from .labels import write_labels
 from .pairs import PairRule
 from .training import Settings, Trainer, train
 
 FRAMES = 700
+# Two numbers need less than a network.
+CALIBRATION_FRAMES = 300
 # Neighbours 3 cm apart say the same.
 EVERY = 2
 STEPS, DECAY_STEPS = 3600, 2000
@@ -82,27 +86,45 @@ RUNS = (
     Run("office?seed=14", "heuristic", rough=True),
 )
 
+# Homes that the weights do not see: they say how sure the network may be.
+CALIBRATION_RUNS = (
+    Run("apartment?seed=31", "active"),
+    Run("apartment?seed=32&texture=0.3", "frontier", rough=True),
+    Run("house?seed=31", "active"),
+    Run("office?seed=31", "frontier"),
+)
+
 
 def make_default(robot: Path, work: Path, out: Path) -> float:
     """Writes the network to `out` and everything on the way to it into `work`; `robot` is the firmware-host. Returns
     the largest difference between ONNX Runtime and PyTorch."""
-    folders = [work / run.folder for run in RUNS]
-    write_atomically(ROUGH.encode(), work / "rough.toml")
-    for run, folder in zip(RUNS, folders, strict=True):
-        _prepare(robot, run, folder, work / "rough.toml")
-    recordings, coarse = [folder / "run" for folder in folders], [folder / "coarse" for folder in folders]
-    frames = read_frames(recordings, coarse, [], None, [folder / "labels.npz" for folder in folders], EVERY)
+    frames = _frames(robot, RUNS, FRAMES, work)
     trainer = Trainer(frames, find_pairs(frames, None, PairRule()), SETTINGS)
     _tell(f"training on {len(frames)} pictures")
     checkpoint = train(trainer, STEPS, work / "training", told=_progress)
-    return export_checkpoint(checkpoint, None, out)
+    uncalibrated = work / "uncalibrated.onnx"
+    difference = export_checkpoint(checkpoint, None, uncalibrated)
+    further = _frames(robot, CALIBRATION_RUNS, CALIBRATION_FRAMES, work)
+    calibration, counts = calibrate(uncalibrated, further, out)
+    _tell(table(counts, calibration))
+    return difference
 
 
-def _prepare(robot: Path, run: Run, folder: Path, rough: Path) -> None:
+def _frames(robot: Path, runs: Sequence[Run], count: int, work: Path) -> Frames:
+    """What the robot saw in these runs of `count` frames, with coarse depth and labels."""
+    write_atomically(ROUGH.encode(), work / "rough.toml")
+    folders = [work / run.folder for run in runs]
+    for run, folder in zip(runs, folders, strict=True):
+        _prepare(robot, run, count, folder, work / "rough.toml")
+    recordings, coarse = [folder / "run" for folder in folders], [folder / "coarse" for folder in folders]
+    return read_frames(recordings, coarse, [], None, [folder / "labels.npz" for folder in folders], EVERY)
+
+
+def _prepare(robot: Path, run: Run, frames: int, folder: Path, rough: Path) -> None:
     """One run, its coarse depth and its labels."""
     if not (folder / "run/summary.json").exists():
         _tell(f"exploring {run.home}")
-        scene = ["--scene", f"builtin:{run.home}", "--policy", run.policy, "--frames", str(FRAMES), "--seed", "1"]
+        scene = ["--scene", f"builtin:{run.home}", "--policy", run.policy, "--frames", str(frames), "--seed", "1"]
         config = ["--config", str(rough)] if run.rough else []
         _call([str(robot), "explore", *scene, *config, "--out", str(folder / "run")])
     if not (folder / "coarse/dump.json").exists():

@@ -79,6 +79,9 @@ def export_checkpoint(file: Path, size: tuple[int, int] | None, out: Path) -> fl
         "training": json.dumps({"steps": saved.step, **saved.settings}, sort_keys=True),
         "version": f"{saved.network}-{saved.step}",
     }
+    if saved.past_frames is not None:
+        # Not what the robot computes.
+        provenance["coarse_from"] = f"{saved.past_frames.count} past frames, {saved.past_frames.gap} apart"
     return _export(saved.build(), saved.network, (height, width), saved.depth_range_m, 0, provenance, out)
 
 

@@ -59,6 +59,9 @@ class Frames:
     labels: NDArray[np.uint16] | None = None
     """[N, 2, h, w]; what the whole recording knows of the pixel in the middle of each of h x w cells, in the same
     units; see `labels.py`."""
+    lidar: NDArray[np.uint16] | None = None
+    """[N, 2, W]; row and z-depth in millimetres (0: none) of what the LiDAR hit, column by column; see
+    `lidar_line.py`."""
 
     def __len__(self) -> int:
         return len(self.rgb)
@@ -78,7 +81,8 @@ class Frames:
         rgb = np.stack([picture.mean(axis=(1, 3)).round().astype(np.uint8) for picture in blocks])
         truth = None if self.truth_mm is None else np.ascontiguousarray(self.truth_mm[:, ::factor, ::factor])
         coarse = None if self.coarse is None else np.stack([_most_confident(planes, factor) for planes in self.coarse])
-        return replace(self, camera=camera, rgb=rgb, truth_mm=truth, coarse=coarse)
+        lidar = None if self.lidar is None else _nearest_hits(self.lidar, factor)
+        return replace(self, camera=camera, rgb=rgb, truth_mm=truth, coarse=coarse, lidar=lidar)
 
     def reduced_to(self, size: tuple[int, int]) -> Frames:
         """Of `size` rows x columns."""
@@ -99,6 +103,16 @@ def _most_confident(planes: NDArray[np.uint16], factor: int) -> NDArray[np.uint1
     flat = blocks.reshape(2, height // factor, width // factor, factor * factor)
     best = flat[1].argmax(axis=-1)[None, ..., None]
     return np.take_along_axis(flat, best, axis=-1)[..., 0]
+
+
+def _nearest_hits(lines: NDArray[np.uint16], factor: int) -> NDArray[np.uint16]:
+    """[N, 2, W] -> [N, 2, W / factor]."""
+    blocks = lines.reshape(len(lines), 2, -1, factor)
+    # 0 is no hit and becomes the farthest.
+    place = (blocks[:, 1:] - np.uint16(1)).argmin(axis=-1)[..., None]
+    nearest: NDArray[np.uint16] = np.take_along_axis(blocks, place, axis=-1)[..., 0]
+    nearest[:, 0] //= np.uint16(factor)
+    return nearest
 
 
 def join(parts: Sequence[Frames]) -> Frames:
@@ -124,4 +138,5 @@ def join(parts: Sequence[Frames]) -> Frames:
         all_or_none([part.truth_mm for part in parts]),
         all_or_none([part.coarse for part in parts]),
         all_or_none([part.labels for part in parts]),
+        all_or_none([part.lidar for part in parts]),
     )

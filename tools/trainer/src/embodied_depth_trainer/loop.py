@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from .depth_networks import build_network, takes_coarse
 from .errors import TrainerError
 from .export_depth import export_checkpoint
 from .frames import Frames
+from .labels import labels
 from .locks import the_only_one, wait_for_turn
 from .objectives import recipe
 from .pairs import PairRule
@@ -62,6 +63,10 @@ class LoopSettings:
     """Pairs this many frames apart; `None`: by baseline."""
     batch: int = 12
     learning_rate: float = 1e-4
+    labels: bool = False
+    """Trained on what the whole recording knows of each picture, as the default network is, and on nothing else."""
+    decay: bool = False
+    """The learning rate goes down to 0 in the last training; the paper's code lowers it there as well."""
     views: int = 200
     """Test views, the same for all loops of a scene."""
     views_seed: int = 1000
@@ -78,13 +83,21 @@ class LoopSettings:
         )
 
     def training(self) -> Settings:
-        return Settings(
+        schedule = Schedule.scaled(self.scale)
+        before_last, last = (schedule.steps(index, self.batch) for index in schedule.last_two())
+        settings = Settings(
             network=self.network,
             seed=self.seed,
             batch=self.batch,
             learning_rate=self.learning_rate,
+            decay=(before_last, last) if self.decay else None,
             loss=recipe(self.network),
         )
+        if not self.labels:
+            return settings
+        if settings.loss.both_ways or self.network == "manydepth_r18":
+            raise TrainerError(f"`{self.network}` has a loss of its own, without labels; leave --labels out")
+        return replace(settings, photometric_weight=0.0, coarse_weight=0.0, label_weight=1.0, uncertainty_weight=0.1)
 
 
 def run_loop(settings: LoopSettings, out: Path, firmware_host: Path | None, views: Path | None, threads: int) -> Path:
@@ -101,7 +114,8 @@ def run_loop(settings: LoopSettings, out: Path, firmware_host: Path | None, view
             return out / RESULT_FILE
         config = out / "robot.toml"
         write_atomically(settings.robot_config(schedule).encode(), config)
-        mission = Mission(program, settings.scene, settings.policy, settings.seed, config, schedule, needs_coarse)
+        dump = needs_coarse or settings.labels
+        mission = Mission(program, settings.scene, settings.policy, settings.seed, config, schedule, dump)
         return _Loop(settings, schedule, out, mission, _views(settings, mission, views or out / "views", out)).run()
 
 
@@ -171,6 +185,8 @@ class _Loop:
         print(f"{round_.frames} frames, {steps} steps: delta1 {delta1:.3f}", file=sys.stderr, flush=True)
 
     def _train(self, frames: Frames, steps: int) -> Path:
+        if self.settings.labels:
+            frames = replace(frames, labels=labels(frames))
         pairs = find_pairs(frames, self.settings.gap, PairRule())
         trainer = Trainer(frames, pairs, self.settings.training())
         with tqdm(total=steps, unit="step", disable=None) as bar:

@@ -40,6 +40,10 @@ def add_one_loop(command: argparse.ArgumentParser) -> None:
     command.add_argument("--gap", type=int, help="pairs this many frames apart, as the paper's 4 [by baseline]")
     command.add_argument("--batch", type=int, default=usual.batch)
     command.add_argument("--learning-rate", type=float, default=usual.learning_rate, help="of Adam [1e-4]")
+    command.add_argument(
+        "--labels", action="store_true", help="train on labels from the whole recording, as the default network"
+    )
+    command.add_argument("--decay", action="store_true", help="let the learning rate go down in the last training")
     command.add_argument("--views", type=int, default=usual.views, help="test views of the scene [200]")
     command.add_argument("--views-seed", type=int, default=usual.views_seed)
     command.add_argument("--views-dir", type=Path, help="test views to share between loops of a scene [OUT/views]")
@@ -80,6 +84,8 @@ def run_one(options: argparse.Namespace) -> None:
         gap=options.gap,
         batch=options.batch,
         learning_rate=options.learning_rate,
+        labels=options.labels,
+        decay=options.decay,
         views=options.views,
         views_seed=options.views_seed,
     )

@@ -19,9 +19,11 @@ from torchvision.io import ImageReadMode, decode_png
 
 from .errors import TrainerError
 from .frames import Frames, Intrinsics
+from .lidar_line import MAX_APART_NS, Scan, line
 
 FORMAT_VERSION = 1
-HEADER, TICK, IMAGE, TRUTH = "/robot/header", "/robot/tick", "/camera/image", "/camera/truth_depth"
+HEADER, TICK, SCAN, IMAGE = "/robot/header", "/robot/tick", "/scan", "/camera/image"
+TRUTH = "/camera/truth_depth"
 # No chunk that the robot writes comes near this; a corrupt length must not take the computer's memory.
 MAX_RECORD_BYTES = 256 << 20
 
@@ -30,6 +32,12 @@ class CompressedImage(Protocol):
     """What we read of `foxglove.CompressedImage`; the class itself comes out of the recording's schema."""
 
     data: bytes
+
+
+class LaserScan(Protocol):
+    """What we read of `foxglove.LaserScan`; times, angles and limits stand in the turn."""
+
+    ranges: list[float]
 
 
 class RawImage(Protocol):
@@ -69,10 +77,11 @@ def segments(path: Path) -> list[Path]:
     return sorted(found, key=lambda file: (len(file.name), file.name))
 
 
-def read_recording(path: Path) -> tuple[Frames, Damage]:
-    """All pictures of a run with the poses that the robot believed in: `t_odom_camera`."""
+def read_recording(path: Path, lidar: bool = False) -> tuple[Frames, Damage]:
+    """All pictures of a run with the poses that the robot believed in: `t_odom_camera`; with `lidar`, also with what
+    the LiDAR hit in them."""
     damage = Damage()
-    reader = _Run()
+    reader = _Run(lidar)
     for file in segments(path):
         try:
             reader.read(file)
@@ -84,12 +93,16 @@ def read_recording(path: Path) -> tuple[Frames, Damage]:
 class _Run:
     """What has been read of a run so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, lidar: bool) -> None:
         self.camera: Intrinsics | None = None
+        self.topics = {IMAGE, TRUTH, SCAN} if lidar else {IMAGE, TRUTH}
+        self.t_camera_laser = np.eye(4)
+        self.scan: Scan | None = None
         self.rgb: list[NDArray[np.uint8]] = []
         self.poses: list[NDArray[np.float64]] = []
         self.times: list[int] = []
         self.truth: list[NDArray[np.uint16]] = []
+        self.lines: list[NDArray[np.uint16]] = []
 
     def read(self, file: Path) -> None:
         t_base_camera = np.eye(4)
@@ -103,16 +116,19 @@ class _Run:
                 raise _BrokenError(f"it does not begin with {HEADER}")
             if channel.topic == TICK:
                 turn = json.loads(message.data)
-            elif channel.topic in (IMAGE, TRUTH) and turn is not None:
+            elif channel.topic in self.topics and turn is not None:
                 decode = decoder.decoder_for(channel.message_encoding, schema)
                 if decode is None:
                     raise TrainerError(
                         f"{file}: {channel.topic} is not protobuf; use the recording as the robot wrote it"
                     )
-                if channel.topic == IMAGE:
+                if channel.topic == SCAN:
+                    self.scan = _scan(file, turn, decode(message.data))
+                elif channel.topic == IMAGE:
                     self.rgb.append(self._picture(file, turn, decode(message.data)))
                     self.poses.append(_pose(file, turn) @ t_base_camera)
                     self.times.append(int(turn["time_ns"]))
+                    self.lines.append(self._line())
                 else:
                     self.truth.append(_millimetres(file, turn, decode(message.data)))
 
@@ -134,7 +150,17 @@ class _Run:
                 "put each run into a directory of its own"
             )
         self.camera = found
-        return _rigid(header["run"]["t_base_camera"])
+        t_base_camera = _rigid(header["run"]["t_base_camera"])
+        if SCAN in self.topics:
+            self.t_camera_laser = np.linalg.inv(t_base_camera) @ _rigid(header["run"]["t_base_laser"])
+        return t_base_camera
+
+    def _line(self) -> NDArray[np.uint16]:
+        """Of the picture that was read last; empty where no scan is near enough in time."""
+        assert self.camera is not None
+        if self.scan is None or abs(self.scan.time_ns - self.times[-1]) > MAX_APART_NS:
+            return np.zeros((2, self.camera.width), np.uint16)
+        return line(self.camera, self.t_camera_laser, self.scan)
 
     def _picture(self, file: Path, turn: dict[str, Any], message: CompressedImage) -> NDArray[np.uint8]:
         assert self.camera is not None
@@ -154,7 +180,13 @@ class _Run:
         count = len(self.rgb)
         truth = np.stack(self.truth) if len(self.truth) == count else None
         times = np.array(self.times, np.int64)
-        return Frames(self.camera, np.stack(self.rgb), np.stack(self.poses), times, np.zeros(count, np.int32), truth)
+        lidar = np.stack(self.lines) if SCAN in self.topics else None
+        if lidar is not None and not lidar.any():
+            raise TrainerError(
+                f"{path} has no LiDAR scan that fits one of its {count} pictures; train on it without --lidar-weight"
+            )
+        run = np.zeros(count, np.int32)
+        return Frames(self.camera, np.stack(self.rgb), np.stack(self.poses), times, run, truth, lidar=lidar)
 
 
 def _messages(file: Path) -> Iterator[tuple[Schema | None, Channel, Message]]:
@@ -209,6 +241,13 @@ def _rigid(pose: dict[str, Any]) -> NDArray[np.float64]:
     ]
     matrix[:3, 3] = pose["translation_m"]
     return matrix
+
+
+def _scan(file: Path, turn: dict[str, Any], message: LaserScan) -> Scan:
+    said = turn.get("scan")
+    if not said or said["beams"] != len(message.ranges):
+        raise _BrokenError(f"turn {turn['tick']} says {said} of a scan with {len(message.ranges)} beams")
+    return Scan.of(said, message.ranges)
 
 
 def _millimetres(file: Path, turn: dict[str, Any], image: RawImage) -> NDArray[np.uint16]:

@@ -90,10 +90,25 @@ def read_raw(file: Path) -> Study:
     return Study(raw["settings"], [Run(**run) for run in raw["runs"]])
 
 
+METRICS = {"delta1": "median-scaled", "delta1_unscaled": "without scaling"}
+VIEWS = {"all": "all", "drive": "after driving", "turn": "after a turn on the spot"}
+Kind = Callable[[Run], bool]
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """A mean difference between two kinds of runs."""
+
+    name: str
+    part: str
+    """Of the views."""
+    estimate: Estimate
+
+
 def paired(
-    runs: list[Run], is_one: Callable[[Run], bool], is_other: Callable[[Run], bool], by: tuple[str, ...], part: str
+    runs: list[Run], is_one: Kind, is_other: Kind, by: tuple[str, ...], part: str, metric: str
 ) -> Estimate | None:
-    """Mean difference of delta1 between two kinds of runs that are alike in `by`; `None` where no two are."""
+    """Mean difference between two kinds of runs that are alike in `by`; `None` where no two are."""
 
     def key(run: Run) -> tuple[Any, ...]:
         return tuple(getattr(run, name) for name in by)
@@ -102,41 +117,43 @@ def paired(
     differences: dict[str, list[float]] = {}
     for run in runs:
         if is_one(run) and key(run) in others:
-            differences.setdefault(run.scene, []).append(run.value(part) - others[key(run)].value(part))
+            difference = run.value(part, metric) - others[key(run)].value(part, metric)
+            differences.setdefault(run.scene, []).append(difference)
     return hierarchical_bootstrap(differences) if differences else None
 
 
-def contrasts(study: Study) -> list[tuple[str, Estimate]]:
-    """The expectations, in the order of `docs/results/expectations.md`, and what follows."""
-    main = study.main_runs()
+def contrasts(study: Study, metric: str = "delta1") -> list[Contrast]:
+    """Those of `docs/results/expectations.md`, and what follows."""
+    main, found = study.main_runs(), []
 
-    def policies(one: str, other: str, network: str | None = None) -> Estimate | None:
+    def add(name: str, part: str, runs: list[Run], is_one: Kind, is_other: Kind, *by: str) -> None:
+        estimate = paired(runs, is_one, is_other, ("scene", "seed", *by), part, metric)
+        if estimate is not None:
+            found.append(Contrast(name, part, estimate))
+
+    def policies(one: str, other: str, network: str | None, part: str) -> None:
         mine = [run for run in main if network in (None, run.network)]
-        return paired(
-            mine, lambda r: r.policy == one, lambda r: r.policy == other, ("scene", "seed", "network"), part="all"
-        )
+        name = f"{one} - {other}, {network or 'all networks'}"
+        add(name, part, mine, lambda r: r.policy == one, lambda r: r.policy == other, "network")
 
-    def networks(one: str, other: str, part: str) -> Estimate | None:
-        return paired(
-            main, lambda r: r.network == one, lambda r: r.network == other, ("scene", "seed", "policy"), part=part
-        )
+    def networks(one: str, other: str) -> None:
+        add(f"{one} - {other}", "drive", main, lambda r: r.network == one, lambda r: r.network == other, "policy")
 
-    def pairs(policy: str | None) -> Estimate | None:
+    def pairs(name: str, policy: str | None) -> None:
         mine = [run for run in study.runs if run.network == "student" and policy in (None, run.policy)]
-        return paired(
-            mine, lambda r: r.gap is None, lambda r: r.gap is not None, ("scene", "seed", "policy"), part="all"
-        )
+        add(name, "all", mine, lambda r: r.gap is None, lambda r: r.gap is not None, "policy")
 
-    rows = [(f"1. active - random, {name}", policies("active", "random", name)) for name in study.networks()]
-    rows.append(("2. frontier - random, all networks", policies("frontier", "random")))
-    rows.append(("3. student - monodepth2_r18, driven views", networks("student", "monodepth2_r18", "drive")))
-    rows.append(("4. edn_r18 - monodepth2_r18, driven views", networks("edn_r18", "monodepth2_r18", "drive")))
-    rows.append(("5. pairs by baseline - 4 frames apart, student", pairs(None)))
-    rows.append(("5. the same, random only", pairs("random")))
-    rows.append(("active - frontier, all networks", policies("active", "frontier")))
-    rows.append(("heuristic - random, all networks", policies("heuristic", "random")))
-    rows.append(("forward - random, all networks", policies("forward", "random")))
-    return [(name, estimate) for name, estimate in rows if estimate is not None]
+    for network in study.networks():
+        for part in VIEWS:
+            policies("active", "random", network, part)
+    policies("frontier", "random", None, "all")
+    networks("student", "monodepth2_r18")
+    networks("edn_r18", "monodepth2_r18")
+    pairs("pairs by baseline - 4 frames apart, student", None)
+    pairs("the same, random only", "random")
+    for one, other in (("active", "frontier"), ("heuristic", "random"), ("forward", "random")):
+        policies(one, other, None, "all")
+    return found
 
 
 def tables(study: Study) -> str:
@@ -147,18 +164,13 @@ def tables(study: Study) -> str:
         "# Factorial: results",
         "",
         f"Made by `embodied-depth results` from [{RAW_FILE}]({RAW_FILE}); what was expected is in "
-        "[expectations.md](expectations.md). Simulated homes, no ground truth in the loop, last checkpoint.",
+        "`docs/results/expectations.md`. Simulated homes, no ground truth in the loop, last checkpoint.",
         "",
         f"{len(study.runs)} loops on {len(scenes)} homes ({', '.join(scenes)}). "
         f"Schedule: {study.settings['schedule']}. Settings: {shared}.",
     ]
-    parts = [
-        _policy_table(study, "delta1 (median-scaled), all test views", "all", "delta1"),
-        _policy_table(study, "delta1 (median-scaled), views after driving", "drive", "delta1"),
-        _policy_table(study, "delta1 (median-scaled), views after turning on the spot", "turn", "delta1"),
-        _policy_table(study, "delta1 without scaling, all test views", "all", "delta1_unscaled"),
-        _contrast_table(study),
-    ]
+    parts = [_policy_table(study, part, metric) for metric in METRICS for part in VIEWS]
+    parts += [_contrast_table(study, metric) for metric in METRICS]
     return "\n".join([*head, *(line for part in parts for line in ["", *part]), ""])
 
 
@@ -172,8 +184,9 @@ def _mean(runs: list[Run], value: Callable[[Run], float]) -> str:
     return f"{sum(sum(v) / len(v) for v in by_scene.values()) / len(by_scene):.3f}"
 
 
-def _policy_table(study: Study, title: str, part: str, metric: str) -> list[str]:
+def _policy_table(study: Study, part: str, metric: str) -> list[str]:
     networks, main = study.networks(), study.main_runs()
+    title = f"delta1 {METRICS[metric]}, views: {VIEWS[part]}"
 
     def row(name: str, cells: list[str]) -> str:
         return f"| {name} | {' | '.join(cells)} |"
@@ -194,18 +207,19 @@ def _policy_table(study: Study, title: str, part: str, metric: str) -> list[str]
     return lines
 
 
-def _contrast_table(study: Study) -> list[str]:
+def _contrast_table(study: Study, metric: str) -> list[str]:
     lines = [
-        "## Paired differences of delta1, with 95 % intervals",
+        f"## Paired differences of delta1 {METRICS[metric]}, with 95 % intervals",
         "",
-        "| difference | mean | 95 % interval | homes | pairs | above 0? |",
-        "|---|---|---|---|---|---|",
+        "| difference | views | mean | 95 % interval | homes | of them above 0 | pairs | above 0? |",
+        "|---|---|---|---|---|---|---|---|",
     ]
-    for name, estimate in contrasts(study):
+    for contrast in contrasts(study, metric):
+        estimate = contrast.estimate
         interval = "-" if estimate.low is None else f"{estimate.low:+.3f} to {estimate.high:+.3f}"
         lines.append(
-            f"| {name} | {estimate.mean:+.3f} | {interval} | {estimate.scenes} | {estimate.pairs} "
-            f"| {estimate.verdict} |"
+            f"| {contrast.name} | {VIEWS[contrast.part]} | {estimate.mean:+.3f} | {interval} | {estimate.scenes} "
+            f"| {estimate.above} | {estimate.pairs} | {estimate.verdict} |"
         )
     return lines
 

@@ -14,40 +14,47 @@ if TYPE_CHECKING:
     from .results import Study
 
 
+METRICS = {"delta1": "delta1 (median-scaled)", "delta1_unscaled": "delta1 (without scaling)"}
+
+
 def draw_policies(study: Study, file: Path) -> None:
-    """delta1 of every loop as a dot and of every policy's mean as a bar, a panel a network."""
+    """delta1 of every loop as a dot and of every policy's mean as a bar, a column a network, a row a way to count."""
     networks, policies = study.networks(), study.policies()
-    figure = Figure((4.2 * len(networks), 3.6), layout="constrained")
-    axes = figure.subplots(1, len(networks), squeeze=False, sharey=True)
-    for axis, network in zip(axes[0], networks, strict=True):
-        runs = [run for run in study.main_runs() if run.network == network]
-        for place, policy in enumerate(policies):
-            values = [run.value() for run in runs if run.policy == policy]
-            if values:
-                axis.bar(place, np.mean(values), color="lightsteelblue")
-                axis.plot([place] * len(values), values, "k.", markersize=4)
-        if runs:
-            axis.axhline(np.mean([run.value(of="constant") for run in runs]), color="gray", ls="--", label="constant")
-            axis.axhline(np.mean([run.value(point=0) for run in runs]), color="tab:red", ls=":", label="untrained")
-        axis.set_xticks(range(len(policies)), policies, fontsize=8)
-        axis.set(title=network, ylim=(0, 1), ylabel="delta1 (median-scaled)" if axis is axes[0][0] else "")
-        axis.legend(fontsize=7, loc="lower right")
+    figure = Figure((4.2 * len(networks), 6.4), layout="constrained")
+    grid = figure.subplots(2, len(networks), squeeze=False, sharey=True)
+    for axes, (metric, title) in zip(grid, METRICS.items(), strict=True):
+        for axis, network in zip(axes, networks, strict=True):
+            runs = [run for run in study.main_runs() if run.network == network]
+            for place, policy in enumerate(policies):
+                values = [run.value(metric=metric) for run in runs if run.policy == policy]
+                if values:
+                    axis.bar(place, np.mean(values), color="lightsteelblue")
+                    axis.plot([place] * len(values), values, "k.", markersize=4)
+            if runs:
+                constant = np.mean([run.value(metric=metric, of="constant") for run in runs])
+                untrained = np.mean([run.value(metric=metric, point=0) for run in runs])
+                axis.axhline(constant, color="gray", ls="--", label="constant")
+                axis.axhline(untrained, color="tab:red", ls=":", label="untrained")
+            axis.set_xticks(range(len(policies)), policies, fontsize=8)
+            axis.set(title=network, ylim=(0, 1), ylabel=title if axis is axes[0] else "")
+            axis.legend(fontsize=7, loc="lower right")
     save(figure, file)
 
 
 def draw_curves(study: Study, file: Path) -> None:
-    """delta1 against frames, mean over homes and seeds, a panel a network, a line a policy."""
+    """delta1 against frames, mean over homes and seeds, a line a policy, a column a network, a row a way to count."""
     networks = study.networks()
-    figure = Figure((4.6 * len(networks), 3.6), layout="constrained")
-    axes = figure.subplots(1, len(networks), squeeze=False, sharey=True)
-    for axis, network in zip(axes[0], networks, strict=True):
-        for policy in study.policies():
-            runs = [run for run in study.main_runs() if (run.network, run.policy) == (network, policy)]
-            if runs:
-                frames = [point["frames"] for point in runs[0].curve]
-                lines = [[run.value(point=index) for index in range(len(frames))] for run in runs]
-                axis.plot(frames, np.mean(lines, axis=0), "o-", markersize=3, label=f"{policy} ({len(runs)})")
-        axis.set(title=network, xlabel="frames of the robot", ylabel="delta1" if axis is axes[0][0] else "")
-        axis.grid(alpha=0.3)
-        axis.legend(fontsize=7)
+    figure = Figure((4.6 * len(networks), 6.4), layout="constrained")
+    grid = figure.subplots(2, len(networks), squeeze=False, sharex=True)
+    for axes, (metric, title) in zip(grid, METRICS.items(), strict=True):
+        for axis, network in zip(axes, networks, strict=True):
+            for policy in study.policies():
+                runs = [run for run in study.main_runs() if (run.network, run.policy) == (network, policy)]
+                if runs:
+                    frames = [point["frames"] for point in runs[0].curve]
+                    lines = [[run.value(metric=metric, point=index) for index in range(len(frames))] for run in runs]
+                    axis.plot(frames, np.mean(lines, axis=0), "o-", markersize=3, label=f"{policy} ({len(runs)})")
+            axis.set(title=network, xlabel="frames of the robot", ylabel=title if axis is axes[0] else "")
+            axis.grid(alpha=0.3)
+            axis.legend(fontsize=7)
     save(figure, file)

@@ -59,6 +59,11 @@ class Schedule:
             else:
                 yield Round(index, frames, PASSES + (WARM_UP_PASSES if index == 0 else 0), False)
 
+    def last_two(self) -> tuple[int, int]:
+        """Of the trainings."""
+        last = (self.frames - self.warm_up) // self.every
+        return last - 1, last
+
     def steps(self, index: int, batch: int) -> int:
         """Of training, in all, when round `index` ends."""
         return sum(math.ceil(r.passes * r.frames / batch) for r in self.rounds() if r.index <= index)

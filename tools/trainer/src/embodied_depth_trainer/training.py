@@ -25,10 +25,12 @@ from .depth_networks import SIZE_STEP, build_network, output_of, takes_coarse
 from .errors import TrainerError
 from .frames import Frames
 from .inputs import second_input
+from .lidar_line import lidar_error
 from .losses import LossOptions, View, self_supervision
 from .manydepth import Disturbance, ManyDepth
 from .objectives import both_ways, with_teacher
 from .pairs import Pairs
+from .past_frames import GAP
 from .prefetch import Prefetcher
 from .volume import volume_planes
 from .warp import Projector
@@ -53,6 +55,8 @@ class Settings:
     """Weight of agreeing with confident coarse depth; see `coarse_error`. 0: photometric only, as in the paper."""
     label_weight: float = 0.0
     """Weight of agreeing with labels; see `label_error`."""
+    lidar_weight: float = 0.0
+    """Weight of agreeing with the LiDAR along its line; see `lidar_line.py`. Above 0, a depth sensor has helped."""
     uncertainty_weight: float = 0.05
     """Weight of `scale_surprise`, or of `rightness_surprise` where there are labels."""
     photometric_weight: float = 1.0
@@ -62,6 +66,9 @@ class Settings:
     """The learning rate goes down to 0 along half a cosine from the first of these steps to the second."""
     teacher_steps: int = 2000
     """ManyDepth's single-frame teacher learns so long."""
+    past_frames: int = 0
+    """Coarse depth is from so many past frames, as the paper's is; 0: the robot's own. See `past_frames.py`."""
+    past_gap: int = GAP
     amp: bool = False
     """Convolutions in bfloat16, the loss and the weights in float32."""
     loss: LossOptions = field(default_factory=LossOptions)
@@ -110,6 +117,8 @@ class Trainer:
             raise TrainerError(
                 "bfloat16 is too coarse for the student's last layer and gains it little; leave --amp out"
             )
+        if settings.lidar_weight > 0 and frames.lidar is None:
+            raise TrainerError("the LiDAR's line is asked for, but no scans were read; give recordings, not datasets")
         self.frames, self.pairs, self.settings, self.device = frames, pairs, settings, device
         network = build_network(settings.network, settings.depth_range_m, settings.seed)
         # Channels innermost, as the processors' convolutions want them.
@@ -119,6 +128,10 @@ class Trainer:
             raise TrainerError(
                 f"`{settings.network}` takes coarse depth; write it with `firmware-host perceive --recording RUN "
                 "--out DIR --dump DIR/coarse` and give --coarse DIR/coarse, or train `monodepth2_r18`"
+            )
+        if settings.lidar_weight > 0 and (isinstance(self.network, ManyDepth) or settings.loss.both_ways):
+            raise TrainerError(
+                f"`{settings.network}` has a loss of its own, without the LiDAR; leave --lidar-weight out"
             )
         # One pass over the weights instead of a dozen.
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate, fused=True)
@@ -185,6 +198,8 @@ class Trainer:
             loss = loss + settings.coarse_weight * coarse_error(depth_m, batch.coarse_whole, settings.depth_range_m)
         if settings.label_weight > 0 and batch.labels is not None:
             loss = loss + settings.label_weight * label_error(depth_m, batch.labels)
+        if settings.lidar_weight > 0 and batch.lidar is not None:
+            loss = loss + settings.lidar_weight * lidar_error(depth_m, batch.lidar)
         if log_scale is not None:
             if batch.labels is None:
                 surprise = scale_surprise(depth_m.detach(), log_scale, batch.coarse_whole, settings.depth_range_m)

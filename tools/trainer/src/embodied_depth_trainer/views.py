@@ -32,14 +32,20 @@ class Views:
         turned = np.array([entry["approach"] == "turn" for entry in index["frames"]])
         return Views(read_dataset_dump(folder), turned)
 
-    def evaluate(self, networks: dict[str, nn.Module], depth_range_m: tuple[float, float]) -> Rows:
-        """All views, those with and those without parallax."""
+    def metrics(
+        self, networks: dict[str, nn.Module], depth_range_m: tuple[float, float]
+    ) -> dict[str, dict[str, Metrics]]:
+        """Of all views, of those with and of those without parallax."""
         parts = {"all": np.ones_like(self.turned), "drive": ~self.turned, "turn": self.turned}
         return {
-            part: _plain(evaluate(take(self.frames, mask), networks, depth_range_m))
+            part: evaluate(take(self.frames, mask), networks, depth_range_m)
             for part, mask in parts.items()
             if mask.any()
         }
+
+    def evaluate(self, networks: dict[str, nn.Module], depth_range_m: tuple[float, float]) -> Rows:
+        """The same in plain types."""
+        return {part: _plain(rows) for part, rows in self.metrics(networks, depth_range_m).items()}
 
 
 def take(frames: Frames, which: NDArray[np.bool_]) -> Frames:
