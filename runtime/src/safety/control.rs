@@ -88,7 +88,7 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
     fn arming(&mut self, request: Option<Request>) -> Option<Request> {
         match request {
             Some(Request::Arm) => self.wants_arming = true,
-            Some(Request::Disarm) => self.wants_arming = false,
+            Some(Request::Disarm) => self.let_go(),
             Some(Request::ClearFault) | None => {}
         }
         let passing_fault = matches!(self.plane.state(), SafetyState::Fault(why) if why.clears_itself());
@@ -120,10 +120,14 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
             _ => false,
         };
         if needs_person {
-            self.wants_arming = false;
-            self.refusal = None;
-            self.base.disarm();
+            self.let_go();
         }
+    }
+
+    fn let_go(&mut self) {
+        self.wants_arming = false;
+        self.refusal = None;
+        self.base.disarm();
     }
 
     fn command(&mut self, output: &SafetyOutput, plan_age_ns: u64) {

@@ -4,6 +4,8 @@ use hal::{Pose2, Twist2};
 
 /// Way between two looks along an arc, metres.
 const ARC_STEP_M: f64 = 0.01;
+/// Turn between two looks at a footprint with corners, radians.
+const TURN_STEP_RAD: f64 = 0.03;
 /// An arc is looked at up to this turn, radians.
 const MAX_ARC_RAD: f64 = 1.0;
 /// Below this curvature, 1/m, a way is straight: over half a metre it is off by 6 mm.
@@ -86,25 +88,29 @@ impl Footprint {
         if twist.angular_radps.abs() <= STRAIGHT_PER_M * speed {
             return self.straight_gap_m(point_m, twist.linear_mps.signum()).filter(|gap| *gap < reach_m);
         }
-        let steps = (reach_m / ARC_STEP_M).ceil().min(MAX_ARC_RAD * speed / twist.angular_radps.abs() / ARC_STEP_M);
-        let met = (0..=steps.max(0.0) as usize).map(|step| step as f64 * ARC_STEP_M).find(|way_m| {
+        let radius_m = speed / twist.angular_radps.abs();
+        let step_m = match self {
+            Self::Round { .. } => ARC_STEP_M,
+            // On a narrow arc it is the turn that moves a corner.
+            Self::Corners { .. } => ARC_STEP_M.min(TURN_STEP_RAD * radius_m),
+        };
+        let steps = (reach_m / step_m).ceil().min(MAX_ARC_RAD * radius_m / step_m);
+        let met = (0..=steps as usize).map(|step| step as f64 * step_m).find(|way_m| {
             let t_now_then = twist.integrate(way_m / speed);
             self.contains(seen_from(&t_now_then, point_m))
         });
         // It was met somewhere in the last step: taken as its beginning.
-        met.map(|way_m| way_m - ARC_STEP_M)
+        met.map(|way_m| way_m - step_m)
     }
 
     /// Whether turning on the spot by `turn_rad` brings a corner onto a point that is free of the robot now.
     #[must_use]
     pub fn meets_when_turned(&self, point_m: [f64; 2], turn_rad: f64) -> bool {
-        /// Between two looks, radians.
-        const STEP_RAD: f64 = 0.03;
         if matches!(self, Self::Round { .. }) || self.contains(point_m) || point_m[0].hypot(point_m[1]) > self.reach_m()
         {
             return false;
         }
-        let steps = (turn_rad.abs() / STEP_RAD).ceil();
+        let steps = (turn_rad.abs() / TURN_STEP_RAD).ceil();
         (1..=steps as usize).any(|step| {
             let turned = Pose2::new(0.0, 0.0, turn_rad * step as f64 / steps);
             self.contains(seen_from(&turned, point_m))

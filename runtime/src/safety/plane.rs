@@ -8,7 +8,7 @@ use hal::{LaserScan, Pose2, Twist2, WheelFeedback, wrap_angle};
 
 use super::footprint::Footprint;
 use super::rear::Rear;
-use super::surroundings::{Obstacle, ScanHealth, Surroundings};
+use super::surroundings::{HORIZON_M, Obstacle, ScanHealth, Surroundings};
 use super::{Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyState};
 use crate::event::{BackOffEnd, FaultReason, PlanRefusal, SafetyEvent, TripCause};
 
@@ -29,13 +29,15 @@ const CREEP_MPS: f64 = 0.05;
 const STANDING: (f64, f64) = (0.02, 0.05);
 /// Waiting for the wheels to stand ends after this; backing off then begins while they roll on.
 const STANDING_WITHIN_NS: u64 = 500_000_000;
-/// Odometry that moves by more than this between two measurements has begun anew, metres.
-const ODOMETRY_JUMP_M: f64 = 0.5;
+/// Odometry that moves by more than this between two measurements has begun anew, metres and radians.
+const ODOMETRY_JUMP: (f64, f64) = (0.5, 1.0);
+/// Escaping ends after so many times the time that one round takes: wheels that are stuck never turn it.
+const ESCAPE_PATIENCE: f64 = 2.0;
 /// A footprint with corners looks this far ahead in a turn on the spot, beyond the reaction time, seconds.
 const TURN_AHEAD_S: f64 = 0.3;
 
 /// The safety plane's memory between calls.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct SafetyPlane {
     config: SafetyConfig,
     footprint: Footprint,
@@ -48,6 +50,8 @@ pub struct SafetyPlane {
     good_scans: u32,
     wheel: Option<WheelFeedback>,
     odometry_broken: bool,
+    /// It has begun anew in this turn.
+    odometry_jumped: bool,
     last_call_ns: Option<u64>,
     refused: Option<PlanRefusal>,
     trips: Vec<(u64, [f64; 2])>,
@@ -68,6 +72,7 @@ impl SafetyPlane {
             good_scans: 0,
             wheel: None,
             odometry_broken: false,
+            odometry_jumped: false,
             last_call_ns: None,
             refused: None,
             trips: Vec::with_capacity(TRIPS_BEFORE_ESCAPE + 1),
@@ -96,13 +101,19 @@ impl SafetyPlane {
 
     /// One turn of the loop.
     pub fn step(&mut self, input: &SafetyInput<'_>) -> SafetyOutput {
+        let in_time = self.keep_time(input.time_ns);
         self.read_wheels(input);
         if let Some(scan) = input.scan {
-            self.read_scan(scan);
+            self.read_scan(input.time_ns, scan);
         }
-        let fault = self.fault(input);
-        self.last_call_ns = Some(input.time_ns);
-        if input.request == Some(Request::Disarm) && self.state != SafetyState::Disarmed {
+        let fault = self.fault(input, in_time);
+        if matches!(fault, Some(FaultReason::BaseSilent | FaultReason::BaseFault)) {
+            // A base that was away may count from anywhere, and may have been pushed.
+            self.rear.forget();
+        }
+        // A fault that needs an operator is not forgotten on the way through `Disarmed`.
+        let stays = matches!(self.state, SafetyState::Fault(why) if !why.clears_itself());
+        if input.request == Some(Request::Disarm) && self.state != SafetyState::Disarmed && !stays {
             self.state = SafetyState::Disarmed;
             return SafetyOutput::STOP.because(SafetyEvent::Disarmed);
         }
@@ -116,27 +127,61 @@ impl SafetyPlane {
             SafetyState::Clear | SafetyState::Slow => self.pass_or_trip(input, &odom),
             SafetyState::Tripped { since_ns, blocked_m } => self.come_to_a_stand(input, &odom, since_ns, blocked_m),
             SafetyState::BackingOff { .. } => self.back_off(input, &odom),
-            SafetyState::Escaping { direction, turned_rad, last_yaw_rad } => {
-                self.escape(&odom, direction, turned_rad + wrap_angle(odom.yaw_rad - last_yaw_rad).abs())
+            SafetyState::Escaping { since_ns, direction, turned_rad, last_yaw_rad } => {
+                let turned_rad = turned_rad + wrap_angle(odom.yaw_rad - last_yaw_rad).abs();
+                self.escape(input.time_ns, &odom, since_ns, direction, turned_rad)
             }
         }
     }
 
+    /// Whether this call comes in time. When time itself has gone back, nothing that is known is as young as it seems.
+    fn keep_time(&mut self, now_ns: u64) -> bool {
+        if self.last_call_ns.is_some_and(|last_ns| now_ns < last_ns) {
+            (self.wheel, self.scan_end_ns) = (None, None);
+            self.rear.forget();
+            self.trips.clear();
+        }
+        if is_older(self.scan_end_ns, now_ns, self.config.scan_timeout_s) {
+            self.good_scans = 0;
+        }
+        let last_ns = self.last_call_ns.replace(now_ns).unwrap_or(now_ns);
+        last_ns <= now_ns && !is_older(Some(last_ns), now_ns, 3.0 * self.config.period_s)
+    }
+
+    /// Whether something claims to have been measured later than now, by more than two threads' clocks can differ.
+    fn is_ahead(&self, time_ns: u64, now_ns: u64) -> bool {
+        is_older(Some(now_ns), time_ns, self.config.period_s)
+    }
+
     fn read_wheels(&mut self, input: &SafetyInput<'_>) {
+        self.odometry_jumped = false;
         let Some(wheel) = input.wheel else { return };
+        let overtaken = self.wheel.is_some_and(|last| wheel.time_ns < last.time_ns);
+        if overtaken || self.is_ahead(wheel.time_ns, input.time_ns) {
+            return;
+        }
         self.odometry_broken = !(wheel.odom.is_finite() && wheel.twist.is_finite());
         if self.odometry_broken {
             return;
         }
-        if self.wheel.is_some_and(|last| last.odom.distance_m(&wheel.odom) > ODOMETRY_JUMP_M) {
+        self.odometry_jumped = self.wheel.is_some_and(|last| {
+            last.odom.distance_m(&wheel.odom) > ODOMETRY_JUMP.0
+                || wrap_angle(last.odom.yaw_rad - wheel.odom.yaw_rad).abs() > ODOMETRY_JUMP.1
+        });
+        if self.odometry_jumped {
             self.rear.forget();
         }
         self.rear.stand(input.time_ns, &wheel.odom);
         self.wheel = Some(wheel);
     }
 
-    fn read_scan(&mut self, scan: &LaserScan) {
-        self.scan_end_ns = Some(scan.time_ns.saturating_add(scan.geometry.period_ns));
+    fn read_scan(&mut self, now_ns: u64, scan: &LaserScan) {
+        let end_ns = scan.time_ns.saturating_add(scan.geometry.period_ns);
+        let known = self.scan_end_ns.is_some_and(|newest_ns| end_ns <= newest_ns);
+        if known || self.is_ahead(scan.time_ns, now_ns) {
+            return;
+        }
+        self.scan_end_ns = Some(end_ns);
         self.scan_bad = ScanHealth::of(scan) == ScanHealth::Bad;
         if self.scan_bad {
             self.good_scans = 0;
@@ -145,12 +190,13 @@ impl SafetyPlane {
         self.good_scans = self.good_scans.saturating_add(1);
         self.around.see(scan);
         if let Some(wheel) = &self.wheel {
-            self.rear.see(scan, &wheel.odom.compose(&Pose2::new(self.config.laser_forward_m, 0.0, 0.0)));
+            let t_odom_laser = wheel.odom.compose(&Pose2::new(self.config.laser_forward_m, 0.0, 0.0));
+            self.rear.see(scan, &t_odom_laser, &self.around);
         }
     }
 
     /// What forbids every motion now, the gravest first.
-    fn fault(&mut self, input: &SafetyInput<'_>) -> Option<FaultReason> {
+    fn fault(&self, input: &SafetyInput<'_>, in_time: bool) -> Option<FaultReason> {
         if input.emergency_stop {
             return Some(FaultReason::EmergencyStop);
         }
@@ -160,30 +206,24 @@ impl SafetyPlane {
         if self.odometry_broken {
             return Some(FaultReason::OdometryNotFinite);
         }
-        let older = |time_ns: Option<u64>, limit_s: f64| {
-            time_ns.is_none_or(|time_ns| input.time_ns.saturating_sub(time_ns) as f64 > limit_s * 1e9)
-        };
-        if older(self.wheel.map(|wheel| wheel.time_ns), self.config.feedback_timeout_s) {
+        if is_older(self.wheel.map(|wheel| wheel.time_ns), input.time_ns, self.config.feedback_timeout_s) {
             return Some(FaultReason::BaseSilent);
         }
-        if older(self.scan_end_ns, self.config.scan_timeout_s) {
-            self.good_scans = 0;
+        if is_older(self.scan_end_ns, input.time_ns, self.config.scan_timeout_s) {
             return Some(FaultReason::LidarSilent);
         }
         if self.scan_bad {
             return Some(FaultReason::LidarBad);
         }
-        if self.last_call_ns.is_some() && older(self.last_call_ns, 3.0 * self.config.period_s) {
-            return Some(FaultReason::LoopOverrun);
-        }
-        None
+        (!in_time).then_some(FaultReason::LoopOverrun)
     }
 
     fn stand(&mut self, why: FaultReason) -> SafetyOutput {
         let before = self.state;
         match before {
-            // Who was not armed does not become armed by a fault that goes away.
-            SafetyState::Disarmed => return SafetyOutput::STOP,
+            // Who was not armed does not become armed by a fault that goes away. An emergency stop is kept all the same:
+            // whoever asked for motion before it was pressed has to ask again.
+            SafetyState::Disarmed if why != FaultReason::EmergencyStop => return SafetyOutput::STOP,
             // The reason that needs an operator is not forgotten for one that does not.
             SafetyState::Fault(known) if known == why || !known.clears_itself() => return SafetyOutput::STOP,
             _ => self.state = SafetyState::Fault(why),
@@ -221,7 +261,8 @@ impl SafetyPlane {
         if !plan.twist.is_finite() {
             return Err(PlanRefusal::NotFinite);
         }
-        if input.time_ns.saturating_sub(plan.time_ns) as f64 > self.config.plan_timeout_s * 1e9 {
+        let old = is_older(Some(plan.time_ns), input.time_ns, self.config.plan_timeout_s);
+        if old || self.is_ahead(plan.time_ns, input.time_ns) {
             return Err(PlanRefusal::Stale);
         }
         Ok(plan.twist)
@@ -237,23 +278,24 @@ impl SafetyPlane {
             }
         };
         self.refused = None;
-        let pass = SafetyOutput { in_charge: false, ..SafetyOutput::drive(wanted) };
-        if wanted.linear_mps < 0.0 {
-            let behind = self.around.first_met(&self.footprint, &wanted, REAR_GAP_M).is_some();
-            return if behind {
-                SafetyOutput { command: Some(Twist2 { linear_mps: 0.0, ..wanted }), ..pass }
-            } else {
-                pass
-            };
+        let pass = |twist| SafetyOutput { in_charge: false, ..SafetyOutput::drive(twist) };
+        if wanted.linear_mps > 0.0 {
+            return self.pass_forward(input, odom, wanted, pass(wanted));
         }
-        if wanted.linear_mps == 0.0 {
-            return if self.corner_would_meet(wanted.angular_radps) {
-                SafetyOutput { command: Some(Twist2::ZERO), ..pass }
-            } else {
-                pass
-            };
+        if wanted.linear_mps < 0.0 && self.is_free_behind(input.time_ns, odom, &wanted) {
+            return pass(wanted);
         }
-        self.pass_forward(input, odom, wanted, pass)
+        let turn = Twist2 { linear_mps: 0.0, ..wanted };
+        pass(if self.corner_would_meet(turn.angular_radps) { Twist2::ZERO } else { turn })
+    }
+
+    /// Whether the robot may drive back by `twist` until the next call: it can then still stop on ground that is known.
+    fn is_free_behind(&self, time_ns: u64, odom: &Pose2, twist: &Twist2) -> bool {
+        let speed = -twist.linear_mps;
+        let way_m = self.stopping_m(speed) + speed * self.config.period_s;
+        way_m < f64::from(HORIZON_M)
+            && self.around.first_met(&self.footprint, twist, REAR_GAP_M + way_m).is_none()
+            && self.rear.known_free_m(time_ns, odom, &self.footprint, way_m) >= way_m
     }
 
     fn pass_forward(
@@ -264,24 +306,31 @@ impl SafetyPlane {
         pass: SafetyOutput,
     ) -> SafetyOutput {
         let speed = wanted.linear_mps.max(self.wheel.map_or(0.0, |wheel| wheel.twist.linear_mps));
-        let braking_m = speed * self.config.reaction_s + speed * speed / (2.0 * self.config.brake_mps2);
-        let met = self.around.first_met(&self.footprint, &wanted, self.config.stop_distance_m + braking_m);
+        let reach_m = self.config.stop_distance_m + self.stopping_m(speed);
+        let met = self.around.first_met(&self.footprint, &wanted, reach_m);
         let contact = self.wheel.is_some_and(|wheel| wheel.contact);
-        let allowed_mps = met.map_or(f64::INFINITY, |(_, gap_m)| self.allowed_mps(gap_m));
-        let tripped = allowed_mps < CREEP_MPS;
+        // Whatever stands beyond the horizon is as near as the horizon.
+        let sight_m = self.around.sight_m(&self.footprint);
+        let allowed_mps = self.allowed_mps(met.map_or(sight_m, |(_, gap_m)| gap_m.min(sight_m)));
+        let tripped = met.is_some() && allowed_mps < CREEP_MPS;
         if contact && !tripped {
             let ahead_m = self.footprint.straight_edge_m() + CONTACT_AHEAD_M;
             return self.trip(input, odom, TripCause::Contact, [ahead_m, 0.0]);
         }
         match met {
             Some((obstacle, _)) if tripped => self.trip(input, odom, cause_of(&obstacle), obstacle.point_m()),
-            Some(_) if allowed_mps < wanted.linear_mps => self.slow(wanted, allowed_mps, pass),
+            _ if allowed_mps < wanted.linear_mps => self.slow(wanted, allowed_mps, pass),
             _ => {
                 let was_slow = self.state == SafetyState::Slow;
                 self.state = SafetyState::Clear;
                 if was_slow { pass.because(SafetyEvent::Cleared) } else { pass }
             }
         }
+    }
+
+    /// The way from the wish to stop until the robot stands, metres.
+    fn stopping_m(&self, speed_mps: f64) -> f64 {
+        speed_mps * self.config.reaction_s + speed_mps * speed_mps / (2.0 * self.config.brake_mps2)
     }
 
     /// The speed from which the robot still stops `stop_distance_m` before something that is `gap_m` ahead: the root of
@@ -304,7 +353,7 @@ impl SafetyPlane {
     }
 
     fn corner_would_meet(&self, angular_radps: f64) -> bool {
-        let turn_rad = angular_radps * (self.config.reaction_s + TURN_AHEAD_S);
+        let turn_rad = (angular_radps * (self.config.reaction_s + TURN_AHEAD_S)).clamp(-TAU, TAU);
         self.around.obstacles().iter().any(|obstacle| self.footprint.meets_when_turned(obstacle.point_m(), turn_rad))
     }
 
@@ -337,23 +386,31 @@ impl SafetyPlane {
             return SafetyOutput::STOP;
         }
         let known_free_m = self.rear.known_free_m(input.time_ns, odom, &self.footprint, self.config.back_off_m);
-        self.state = SafetyState::BackingOff { from: *odom, since_ns: input.time_ns, known_free_m, blocked_m };
+        let touching = self.wheel.is_some_and(|wheel| wheel.contact);
+        self.state =
+            SafetyState::BackingOff { from: *odom, since_ns: input.time_ns, known_free_m, touching, blocked_m };
         self.back_off(input, odom)
     }
 
     fn back_off(&mut self, input: &SafetyInput<'_>, odom: &Pose2) -> SafetyOutput {
-        let SafetyState::BackingOff { from, since_ns, known_free_m, blocked_m } = self.state else {
+        let SafetyState::BackingOff { from, since_ns, known_free_m, touching, blocked_m } = self.state else {
             return SafetyOutput::STOP;
         };
+        let wheel = self.wheel.unwrap_or_default();
         let gone_m = odom.distance_m(&from);
         let left_m = self.config.back_off_m - gone_m;
         let known_m = known_free_m + self.config.blind_back_off_m;
         let late = input.time_ns.saturating_sub(since_ns) as f64 > self.config.back_off_timeout_s * 1e9;
         let back = Twist2 { linear_mps: -self.config.back_off_mps, angular_radps: 0.0 };
-        let touched = gone_m > 0.0 && self.wheel.is_some_and(|wheel| wheel.contact);
-        let end = if left_m < 1e-3 {
+        let rear_m = REAR_GAP_M + self.stopping_m(wheel.twist.linear_mps.min(0.0).abs());
+        // A bumper ahead stays pressed for a moment; whatever is felt after it was let go, or so far away from it, is behind.
+        let touching = touching && wheel.contact && gone_m < CONTACT_AHEAD_M;
+        let touched = wheel.contact && !touching;
+        let end = if self.odometry_jumped {
+            BackOffEnd::RearUnknown
+        } else if left_m < 1e-3 {
             BackOffEnd::Distance
-        } else if touched || self.around.first_met(&self.footprint, &back, REAR_GAP_M).is_some() {
+        } else if touched || self.around.first_met(&self.footprint, &back, rear_m).is_some() {
             BackOffEnd::RearBlocked
         } else if known_m - gone_m < 1e-3 {
             BackOffEnd::RearUnknown
@@ -364,11 +421,13 @@ impl SafetyPlane {
             let step_m = left_m.min(known_m - gone_m);
             let braking_mps = (2.0 * self.config.brake_mps2 * step_m).sqrt();
             let speed_mps = self.config.back_off_mps.min(step_m / self.config.period_s).min(braking_mps);
+            self.state = SafetyState::BackingOff { from, since_ns, known_free_m, touching, blocked_m };
             return SafetyOutput::drive(Twist2 { linear_mps: -speed_mps, angular_radps: 0.0 });
         };
         let wedged = end != BackOffEnd::Distance || self.trips.len() >= TRIPS_BEFORE_ESCAPE;
         self.state = if wedged {
-            SafetyState::Escaping { direction: self.around.open_side(), turned_rad: 0.0, last_yaw_rad: odom.yaw_rad }
+            let direction = self.around.open_side();
+            SafetyState::Escaping { since_ns: None, direction, turned_rad: 0.0, last_yaw_rad: odom.yaw_rad }
         } else {
             SafetyState::Clear
         };
@@ -376,21 +435,37 @@ impl SafetyPlane {
         SafetyOutput { blocked_m: Some(blocked_m), ..SafetyOutput::STOP }.because(event)
     }
 
-    fn escape(&mut self, odom: &Pose2, direction: f64, turned_rad: f64) -> SafetyOutput {
+    fn escape(
+        &mut self,
+        time_ns: u64,
+        odom: &Pose2,
+        since_ns: Option<u64>,
+        direction: f64,
+        turned_rad: f64,
+    ) -> SafetyOutput {
         let ahead = Twist2 { linear_mps: self.config.back_off_mps, angular_radps: 0.0 };
         let way_out = self.around.first_met(&self.footprint, &ahead, WAY_OUT_M).is_none();
         let wanted_radps = direction * self.config.escape_radps;
-        // Once round without a way out, or wedged by a corner: the planner knows better than another round.
-        let over = turned_rad >= TAU || self.corner_would_meet(wanted_radps);
+        let late = since_ns.is_some_and(|since_ns| {
+            is_older(Some(since_ns), time_ns, ESCAPE_PATIENCE * TAU / self.config.escape_radps)
+        });
+        // Once round without a way out, or wedged: the planner knows better than another round.
+        let over = turned_rad >= TAU || late || self.corner_would_meet(wanted_radps);
         if over || (way_out && turned_rad > FRAC_PI_4) {
             self.state = SafetyState::Clear;
             self.trips.clear();
             return SafetyOutput::STOP.because(SafetyEvent::Cleared);
         }
-        self.state = SafetyState::Escaping { direction, turned_rad, last_yaw_rad: odom.yaw_rad };
+        let begun_ns = Some(since_ns.unwrap_or(time_ns));
+        self.state = SafetyState::Escaping { since_ns: begun_ns, direction, turned_rad, last_yaw_rad: odom.yaw_rad };
         let output = SafetyOutput::drive(Twist2 { linear_mps: 0.0, angular_radps: wanted_radps });
-        if turned_rad == 0.0 { output.because(SafetyEvent::Escaping) } else { output }
+        if since_ns.is_none() { output.because(SafetyEvent::Escaping) } else { output }
     }
+}
+
+/// Whether something is older than allowed; what never was, is.
+fn is_older(time_ns: Option<u64>, now_ns: u64, limit_s: f64) -> bool {
+    time_ns.is_none_or(|time_ns| now_ns.saturating_sub(time_ns) as f64 > limit_s * 1e9)
 }
 
 fn cause_of(obstacle: &Obstacle) -> TripCause {

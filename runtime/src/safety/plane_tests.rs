@@ -277,6 +277,7 @@ fn after_silence_three_good_scans_in_a_row_come_before_motion() {
     let mut bad = room.scan();
     bad.ranges.fill(Range::Error);
     assert_eq!(room.tick(FORWARD).twist(), Twist2::ZERO);
+    bad.time_ns = room.time_ns;
     assert_eq!(room.tick_with(FORWARD, Some(&bad), false).twist(), Twist2::ZERO);
     let moves: Vec<bool> = (0..3).map(|_| room.tick(FORWARD).twist() == FORWARD).collect();
     assert_eq!(moves, [false, false, true], "a bad one begins the count anew");

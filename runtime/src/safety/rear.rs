@@ -5,9 +5,10 @@
 
 use std::f64::consts::{PI, TAU};
 
-use hal::{LaserScan, Pose2, Range, wrap_angle};
+use hal::{LaserScan, Pose2, wrap_angle};
 
 use super::Footprint;
+use super::surroundings::{Surroundings, distance_m};
 
 /// Directions in `odom` that are remembered apart: 10 degrees each.
 const SECTORS: usize = 36;
@@ -24,16 +25,16 @@ const SAME_HEADING_RAD: f64 = 0.2;
 /// Steps in which the way back is checked, metres.
 const STEP_M: f64 = 0.02;
 
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Look {
     time_ns: u64,
     from_m: [f64; 2],
-    /// The nearest return of that direction, metres; infinite: farther than the robot cares.
+    /// The nearest return of that direction, metres.
     nearest_m: f64,
 }
 
 /// What is known of the ground behind. Fixed size: nothing is allocated.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Rear {
     memory_ns: u64,
     looks: [Option<Look>; SECTORS],
@@ -64,35 +65,37 @@ impl Rear {
         (self.looks, self.trail) = ([None; SECTORS], [None; TRAIL]);
     }
 
-    /// A scan, taken while the laser was at `t_odom_laser`. A direction counts as looked at when half of its beams came back.
-    pub fn see(&mut self, scan: &LaserScan, t_odom_laser: &Pose2) {
+    /// A scan, taken while the laser was at `t_odom_laser`. A direction counts as looked at when half of its beams came back
+    /// from something that is not the robot itself. When fewer did, what an older look saw there no longer counts.
+    pub fn see(&mut self, scan: &LaserScan, t_odom_laser: &Pose2, around: &Surroundings) {
         let mut returned = [(0_u32, 0_u32, f64::INFINITY); SECTORS];
         for (beam, range) in scan.ranges.iter().enumerate() {
             let (all, back, nearest_m) = &mut returned[sector_of(scan.geometry.angle_rad(beam) + t_odom_laser.yaw_rad)];
             *all += 1;
-            let range_m = match *range {
-                Range::Hit(range_m) => f64::from(range_m),
-                Range::TooNear => f64::from(scan.geometry.range_min_m),
-                Range::NoReturn | Range::Error => continue,
-            };
-            *back += 1;
-            *nearest_m = nearest_m.min(range_m);
+            let range_m = distance_m(*range, &scan.geometry).filter(|range_m| *range_m > around.own_body_m(beam));
+            if let Some(range_m) = range_m {
+                *back += 1;
+                *nearest_m = nearest_m.min(f64::from(range_m));
+            }
         }
         let from_m = [t_odom_laser.x_m, t_odom_laser.y_m];
         // Directions at the border of the view are seen in part only.
         let whole = (TAU / SECTORS as f64 / scan.geometry.angle_increment_rad) as u32;
         for (look, (all, back, nearest_m)) in self.looks.iter_mut().zip(returned) {
-            if all >= whole && 2 * back >= all {
-                *look = Some(Look { time_ns: scan.time_ns, from_m, nearest_m });
+            if all >= whole.max(1) {
+                *look = (2 * back >= all).then_some(Look { time_ns: scan.time_ns, from_m, nearest_m });
             }
         }
     }
 
     /// How far back from `pose` the ground is known to be free, up to `wanted_m`, metres.
     pub fn known_free_m(&self, time_ns: u64, pose: &Pose2, footprint: &Footprint, wanted_m: f64) -> f64 {
-        if self.all_looked_at(time_ns, pose) {
-            return self.seen_gap_m(pose, footprint).min(wanted_m).max(0.0);
+        if self.looks_behind(time_ns, pose).all(|look| look.is_some()) {
+            let looks = self.looks.iter().enumerate().filter_map(|(sector, look)| Some((sector, look.as_ref()?)));
+            return seen_gap_m(looks, pose, footprint).min(wanted_m).max(0.0);
         }
+        // Whoever has stepped onto the way since was seen, if somebody looked.
+        let seen_m = seen_gap_m(self.looks_behind(time_ns, pose).flatten(), pose, footprint);
         let steps = (wanted_m / STEP_M).ceil() as usize;
         let driven_over = |step: &usize| {
             let place = pose.compose(&Pose2::new(-(*step as f64 * STEP_M).min(wanted_m), 0.0, 0.0));
@@ -102,7 +105,7 @@ impl Rear {
                 same_way && distance_to_way_m(&place, &was, &then) < ON_TRAIL_M
             })
         };
-        ((1..=steps).take_while(driven_over).count() as f64 * STEP_M).min(wanted_m)
+        ((1..=steps).take_while(driven_over).count() as f64 * STEP_M).min(wanted_m).min(seen_m.max(0.0))
     }
 
     /// The way that was driven a moment ago, piece by piece, up to here.
@@ -131,27 +134,22 @@ impl Rear {
             (near && self.recent(time_ns, look.time_ns)).then_some((sector, look))
         })
     }
+}
 
-    fn all_looked_at(&self, time_ns: u64, pose: &Pose2) -> bool {
-        self.looks_behind(time_ns, pose).all(|look| look.is_some())
-    }
-
-    /// Free way back to what the looks saw. A return may be anywhere across its direction.
-    fn seen_gap_m(&self, pose: &Pose2, footprint: &Footprint) -> f64 {
-        let half = PI / SECTORS as f64;
-        let points = self.looks.iter().enumerate().flat_map(|(sector, look)| {
-            let look = look.filter(|look| look.nearest_m.is_finite());
-            look.into_iter().flat_map(move |look| {
-                [-half, 0.0, half].map(|off| {
-                    let (sin, cos) = (direction_of(sector) + off).sin_cos();
-                    let (x_m, y_m) = (look.from_m[0] + look.nearest_m * cos, look.from_m[1] + look.nearest_m * sin);
-                    let (x_m, y_m) = pose.inverse().transform(x_m, y_m);
-                    [x_m, y_m]
-                })
-            })
-        });
-        points.filter_map(|point| footprint.straight_gap_m(point, -1.0)).fold(f64::INFINITY, f64::min)
-    }
+/// Free way back to what looks saw, metres; infinite where they saw nothing in the way. A return may be anywhere across its
+/// direction.
+fn seen_gap_m<'a>(looks: impl Iterator<Item = (usize, &'a Look)>, pose: &Pose2, footprint: &Footprint) -> f64 {
+    let half = PI / SECTORS as f64;
+    let t_base_odom = pose.inverse();
+    let points = looks.flat_map(|(sector, look)| {
+        [-half, 0.0, half].map(|off| {
+            let (sin, cos) = (direction_of(sector) + off).sin_cos();
+            let (x_m, y_m) = (look.from_m[0] + look.nearest_m * cos, look.from_m[1] + look.nearest_m * sin);
+            let (x_m, y_m) = t_base_odom.transform(x_m, y_m);
+            [x_m, y_m]
+        })
+    });
+    points.filter_map(|point| footprint.straight_gap_m(point, -1.0)).fold(f64::INFINITY, f64::min)
 }
 
 /// Distance of a place from the straight piece between two others.
@@ -176,12 +174,19 @@ fn direction_of(sector: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::safety::SafetyConfig;
     use crate::safety::surroundings::tests::scan_of;
+    use hal::Range;
 
     const ROUND: Footprint = Footprint::Round { radius_m: 0.16 };
 
     fn rear() -> Rear {
         Rear::new(30.0)
+    }
+
+    /// A scanner that sees nothing of the robot itself.
+    fn nobody() -> Surroundings {
+        Surroundings::new(&SafetyConfig::default())
     }
 
     /// A round room with the robot in its middle.
@@ -211,9 +216,9 @@ mod tests {
     #[test]
     fn a_turn_on_the_spot_lets_the_scanner_see_what_is_then_behind() {
         let mut rear = rear();
-        rear.see(&round_room(2.0), &Pose2::IDENTITY);
+        rear.see(&round_room(2.0), &Pose2::IDENTITY, &nobody());
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0, "behind is blind");
-        rear.see(&round_room(2.0), &Pose2::new(0.0, 0.0, 1.7));
+        rear.see(&round_room(2.0), &Pose2::new(0.0, 0.0, 1.7), &nobody());
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.2);
         let moved_on = Pose2::new(0.3, 0.0, 0.0);
         assert_eq!(rear.known_free_m(0, &moved_on, &ROUND, 0.2), 0.0, "seen from elsewhere");
@@ -222,8 +227,8 @@ mod tests {
     #[test]
     fn what_was_seen_before_the_turn_is_still_there_after_it() {
         let mut rear = rear();
-        rear.see(&round_room(0.3), &Pose2::IDENTITY);
-        rear.see(&round_room(0.3), &Pose2::new(0.0, 0.0, 1.7));
+        rear.see(&round_room(0.3), &Pose2::IDENTITY, &nobody());
+        rear.see(&round_room(0.3), &Pose2::new(0.0, 0.0, 1.7), &nobody());
         let known_m = rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.5);
         assert!(known_m > 0.05 && known_m < 0.15, "a wall 0.14 m behind the footprint: {known_m}");
     }
@@ -233,7 +238,7 @@ mod tests {
         let mut rear = rear();
         let dark = scan_of(|angle| if angle > 0.5 { Range::NoReturn } else { Range::Hit(2.0) });
         for yaw in [0.0, 1.7] {
-            rear.see(&dark, &Pose2::new(0.0, 0.0, yaw));
+            rear.see(&dark, &Pose2::new(0.0, 0.0, yaw), &nobody());
         }
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
     }

@@ -28,11 +28,15 @@ pub enum SafetyState {
         since_ns: u64,
         /// How far back the ground was known to be free, metres.
         known_free_m: f64,
+        /// It still feels what it is leaving.
+        touching: bool,
         /// The obstacle, in `odom`, metres.
         blocked_m: [f64; 2],
     },
     /// Turning on the spot to find a way out.
     Escaping {
+        /// When its first turn was; `None` before.
+        since_ns: Option<u64>,
         /// +1 turns left, -1 right.
         direction: f64,
         /// Turned so far, radians.

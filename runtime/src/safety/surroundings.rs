@@ -11,8 +11,10 @@ const MAX_ERROR_SHARE: f64 = 0.5;
 const MIN_NEIGHBOURS: usize = 2;
 /// Neighbouring beams "agree" when their ranges differ by less than this: twice the ±30 mm of a UTM-30LX, and slack.
 const NEIGHBOUR_GAP_M: f32 = 0.08;
-/// Nothing farther from the laser than this, metres, changes what the safety plane does.
+/// Nothing farther from the laser than this, metres, changes what the safety plane does, unless it is told to stop farther away.
 pub(super) const HORIZON_M: f32 = 1.5;
+/// So much is seen beyond the stop distance at least, metres.
+const SIGHT_M: f64 = 1.0;
 
 /// Something near the robot, in `base_link`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,17 +48,35 @@ impl ScanHealth {
     /// Judges a scan.
     #[must_use]
     pub fn of(scan: &LaserScan) -> Self {
-        let errors = scan.ranges.iter().filter(|range| matches!(range, Range::Error)).count();
-        let measured = scan.ranges.iter().any(|range| matches!(range, Range::Hit(_) | Range::TooNear));
+        let errors = scan.ranges.iter().filter(|range| is_error(**range)).count();
+        let measured = scan.ranges.iter().any(|range| distance_m(*range, &scan.geometry).is_some());
         let too_many_errors = errors as f64 > MAX_ERROR_SHARE * scan.ranges.len() as f64;
         if too_many_errors || !measured || scan.ranges.len() != scan.geometry.beams { Self::Bad } else { Self::Good }
     }
 }
 
+/// A distance that is none is an error, whatever the driver calls it.
+fn is_error(range: Range) -> bool {
+    match range {
+        Range::Hit(range_m) => !(range_m.is_finite() && range_m >= 0.0),
+        Range::Error => true,
+        Range::NoReturn | Range::TooNear => false,
+    }
+}
+
+/// How far away the beam met something, metres: at most, where it is nearer than can be measured.
+pub(super) fn distance_m(range: Range, geometry: &ScanGeometry) -> Option<f32> {
+    match range {
+        Range::TooNear => Some(geometry.range_min_m),
+        range => range.hit_m().filter(|_| !is_error(range)),
+    }
+}
+
 /// The newest scan as points around the robot. Allocates when a scanner is seen first, not after.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Surroundings {
     laser_forward_m: f64,
+    horizon_m: f32,
     body: Vec<BodySector>,
     /// Cosine and sine of every beam of `geometry`, and up to where it meets the robot itself.
     beams: Vec<Beam>,
@@ -66,7 +86,7 @@ pub struct Surroundings {
     left_over_right_m: f32,
 }
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Beam {
     cos: f64,
     sin: f64,
@@ -77,8 +97,11 @@ impl Surroundings {
     /// Nothing seen yet.
     #[must_use]
     pub fn new(config: &SafetyConfig) -> Self {
+        let footprint = Footprint::new(config.footprint_radius_m, &config.footprint_m);
+        let needed_m = config.laser_forward_m.abs() + footprint.reach_m() + config.stop_distance_m + SIGHT_M;
         Self {
             laser_forward_m: config.laser_forward_m,
+            horizon_m: needed_m.max(f64::from(HORIZON_M)) as f32,
             body: config.body.clone(),
             beams: Vec::new(),
             geometry: None,
@@ -108,16 +131,16 @@ impl Surroundings {
         self.left_over_right_m = 0.0;
         let (mut neighbours, mut last_m) = (0, f32::NEG_INFINITY);
         for (beam, range) in self.beams.iter().zip(&scan.ranges) {
-            let (range_m, too_near) = match *range {
-                Range::Hit(range_m) => (range_m, false),
-                Range::TooNear => (scan.geometry.range_min_m, true),
-                Range::NoReturn | Range::Error => {
-                    neighbours = 0;
-                    continue;
-                }
+            // An error says nothing, also not that its neighbours are single.
+            if is_error(*range) {
+                continue;
+            }
+            let Some(range_m) = distance_m(*range, &scan.geometry) else {
+                neighbours = 0;
+                continue;
             };
             self.left_over_right_m += range_m.min(2.0).copysign(beam.sin as f32);
-            if range_m > HORIZON_M || range_m <= beam.own_body_m {
+            if range_m > self.horizon_m || range_m <= beam.own_body_m {
                 neighbours = 0;
                 continue;
             }
@@ -126,12 +149,23 @@ impl Surroundings {
             if neighbours >= MIN_NEIGHBOURS {
                 let range_m = f64::from(range_m);
                 let (x_m, y_m) = (self.laser_forward_m + range_m * beam.cos, range_m * beam.sin);
-                self.obstacles.push(Obstacle { x_m, y_m, too_near });
+                self.obstacles.push(Obstacle { x_m, y_m, too_near: *range == Range::TooNear });
             }
         }
     }
 
-    /// Everything that was seen within [`HORIZON_M`] of the laser, but for single stray returns.
+    /// Up to where a beam of the newest scan meets the robot itself, metres; 0: nowhere.
+    pub(super) fn own_body_m(&self, beam: usize) -> f32 {
+        self.beams.get(beam).map_or(0.0, |beam| beam.own_body_m)
+    }
+
+    /// Free way straight ahead of the outline within which everything is seen, metres.
+    #[must_use]
+    pub fn sight_m(&self, footprint: &Footprint) -> f64 {
+        f64::from(self.horizon_m) + self.laser_forward_m - footprint.straight_edge_m()
+    }
+
+    /// Everything that was seen within the horizon of the laser, but for single stray returns.
     #[must_use]
     pub fn obstacles(&self) -> &[Obstacle] {
         &self.obstacles
@@ -140,6 +174,8 @@ impl Surroundings {
     /// What the robot would meet first, and after which way, when it drives by `twist`; looked at up to `reach_m`.
     #[must_use]
     pub fn first_met(&self, footprint: &Footprint, twist: &hal::Twist2, reach_m: f64) -> Option<(Obstacle, f64)> {
+        // Nothing is known beyond the horizon.
+        let reach_m = reach_m.min(2.0 * f64::from(self.horizon_m));
         let gap = |obstacle: &Obstacle| Some((*obstacle, footprint.gap_m(obstacle.point_m(), twist, reach_m)?));
         self.obstacles.iter().filter_map(gap).min_by(|a, b| a.1.total_cmp(&b.1))
     }
