@@ -2,13 +2,17 @@
 
 use std::fmt::Write as _;
 use std::process::ExitCode;
-use std::time::Duration;
 
 use anyhow::Result;
 use comfy_table::{ContentArrangement, Table, presets::NOTHING};
+use drivers::MonotonicClock;
+use hal::Clock;
 
 use crate::cli::HealthArgs;
 use crate::run::status::{DeviceHealth, Status, unix_s};
+
+/// The status is written twice a second.
+const WATCH_NS: u64 = 500_000_000;
 
 /// Shows how it is. Exits with 1 when something is wrong.
 ///
@@ -25,6 +29,7 @@ pub fn run(args: &HealthArgs) -> Result<ExitCode> {
         print!("{}", screen(&status, unix_s()));
         return Ok(exit_code(&status));
     }
+    let mut clock = MonotonicClock;
     loop {
         let text = match Status::read(&args.status) {
             Ok(status) => screen(&status, unix_s()),
@@ -33,7 +38,7 @@ pub fn run(args: &HealthArgs) -> Result<ExitCode> {
         // Home, the text with each line cleared to its end, then clear what is below: no flicker.
         print!("\x1b[H{}\x1b[J", text.replace('\n', "\x1b[K\n"));
         std::io::Write::flush(&mut std::io::stdout())?;
-        std::thread::sleep(Duration::from_millis(500));
+        clock.sleep_until_ns(clock.now_ns() + WATCH_NS);
     }
 }
 

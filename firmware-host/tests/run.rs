@@ -6,14 +6,21 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use assert_cmd::cargo::CommandCargoExt;
+use drivers::MonotonicClock;
 use drivers::can::Protocol;
 use firmware_host::run::status::Status;
-use hal::CameraModel;
+use hal::{CameraModel, Clock};
 use hil::world::{LiveOptions, LiveWorld};
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Long enough for a computer that does something else as well; a robot that works needs a tenth of it.
 const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Real time passes, milliseconds.
+fn pause(ms: u64) {
+    let mut clock = MonotonicClock;
+    clock.sleep_until_ns(clock.now_ns() + ms * 1_000_000);
+}
 
 struct Scene {
     folder: tempfile::TempDir,
@@ -53,7 +60,7 @@ impl Scene {
         let began = Instant::now();
         while !done(self) {
             assert!(began.elapsed() < PATIENCE, "{what} did not happen; {:#?}", self.status());
-            std::thread::sleep(Duration::from_millis(20));
+            pause(20);
         }
     }
 
@@ -70,7 +77,7 @@ impl Scene {
     /// How far it goes in half a second.
     fn way_m(&self) -> f64 {
         let (_, before_m) = self.world.home().score();
-        std::thread::sleep(Duration::from_millis(500));
+        pause(500);
         self.world.home().score().1 - before_m
     }
 
@@ -122,7 +129,7 @@ fn it_explores_stands_while_a_device_is_gone_says_so_and_goes_on_without_help() 
 
     scene.world.plug_camera(false);
     scene.wait("a camera that is gone", |scene| scene.status().is_some_and(|status| status.camera.state != "working"));
-    std::thread::sleep(Duration::from_secs(2));
+    pause(2000);
     assert!(scene.way_m() < 0.01, "it drives blindly");
     scene.world.plug_camera(true);
     scene.drives("driving after the camera was plugged in again");
@@ -150,7 +157,7 @@ fn a_motor_that_broke_down_needs_a_person_and_sigusr1_is_that_person() {
     let (_, before_m) = scene.world.home().score();
     scene.wait("driving after SIGUSR1", |scene| {
         scene.signal(Signal::USR1);
-        std::thread::sleep(Duration::from_millis(500));
+        pause(500);
         scene.world.home().score().1 > before_m + 0.1
     });
     scene.ends_well();
@@ -164,11 +171,11 @@ fn killed_in_the_middle_the_wheels_stand_and_the_recording_replays() {
     scene.signal(Signal::KILL);
     scene.robot.wait().unwrap();
     // The controllers' watchdogs: 100 ms, and the wheels' own lag.
-    std::thread::sleep(Duration::from_millis(400));
+    pause(400);
     assert!(scene.world.wheels().iter().all(|node| node.wheel().velocity_radps().abs() < 0.1));
     let (_, text) = replayed(&scene.folder.path().join("run"));
     assert!(text.contains("mismatches=0") && text.contains("truncated after turn"), "{text}");
-    std::thread::sleep(Duration::from_secs(3));
+    pause(3000);
     let (well, text) = scene.health();
     assert!(!well && text.contains("the program (pid"), "{text}");
 }

@@ -5,13 +5,17 @@ use std::io::{IsTerminal, Write, stdout};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
+use drivers::MonotonicClock;
 use drivers::can::Protocol;
-use hal::CameraModel;
+use hal::{CameraModel, Clock};
 
 use super::faults::Mischief;
 use super::live::{LiveOptions, LiveWorld};
+
+/// Time between two looks at what is to be said and done.
+const LOOK_NS: u64 = 10_000_000;
 
 /// A simulated home behind simulated devices, in real time, for `firmware-host run`.
 #[derive(Debug, clap::Args)]
@@ -71,9 +75,10 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
     println!("    firmware-host run --config {} --out {dir}/run", world.config().display());
     println!("    firmware-host health --watch --status {dir}/status.json\n");
     let mut mischief = args.faults.map(Mischief::new);
+    let mut clock = MonotonicClock;
     let (began, mut shown_s) = (Instant::now(), 0.0);
     while running.load(Ordering::Relaxed) {
-        std::thread::sleep(Duration::from_millis(10));
+        clock.sleep_until_ns(clock.now_ns() + LOOK_NS);
         let time_s = began.elapsed().as_secs_f64();
         if let Some(mischief) = &mut mischief
             && let Some(words) = mischief.turn(time_s, &world)?

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
 
 use drivers::MonotonicClock;
 use drivers::can::{BaseConfig, Protocol};
@@ -22,6 +21,8 @@ use crate::video::{Device, VideoFaults, serve, simulated};
 
 /// The motors' own rhythm.
 const STEP_NS: u64 = 2_000_000;
+/// A camera without its plug is looked after so seldom.
+const UNPLUGGED_NS: u64 = 20_000_000;
 
 /// What home, and what devices.
 #[derive(Debug, Clone)]
@@ -147,6 +148,7 @@ fn turn(home: &Home, wheels: &Wheels, mut hub: Hub, running: &AtomicBool) {
 }
 
 fn film(path: &Path, mut eyes: HomePicture, running: &AtomicBool, on: &AtomicBool) {
+    let mut clock = MonotonicClock;
     let size = (eyes.model.width as u32, eyes.model.height as u32);
     while running.load(Ordering::Relaxed) {
         let device = Device { sizes: vec![size], ..simulated() };
@@ -156,7 +158,7 @@ fn film(path: &Path, mut eyes: HomePicture, running: &AtomicBool, on: &AtomicBoo
             eprintln!("the simulated camera cannot listen at {}: {error}", path.display());
             return;
         }
-        std::thread::sleep(Duration::from_millis(20));
+        clock.sleep_until_ns(clock.now_ns() + UNPLUGGED_NS);
     }
 }
 
