@@ -23,11 +23,21 @@ pub enum Stage {
     Simulator,
     /// Handing one turn to the recording.
     Record,
+    /// How late the safety loop's turns began, on a real robot.
+    SafetyLate,
 }
 
 impl Stage {
-    const ALL: [Self; 7] =
-        [Self::Total, Self::Coarse, Self::Network, Self::Map, Self::Plan, Self::Simulator, Self::Record];
+    const ALL: [Self; 8] = [
+        Self::Total,
+        Self::Coarse,
+        Self::Network,
+        Self::Map,
+        Self::Plan,
+        Self::Simulator,
+        Self::Record,
+        Self::SafetyLate,
+    ];
 
     /// As in the summary.
     #[must_use]
@@ -40,6 +50,7 @@ impl Stage {
             Self::Plan => "plan",
             Self::Simulator => "simulator",
             Self::Record => "record",
+            Self::SafetyLate => "safety_late",
         }
     }
 }

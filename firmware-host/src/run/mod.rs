@@ -19,6 +19,7 @@ use anyhow::{Context, Result};
 use drivers::MonotonicClock;
 use hal::{Clock, Pose2};
 use runtime::event::ExploreEnd;
+use runtime::latency::LatencyHistogram;
 use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, Robot};
 use runtime::safety::Request;
@@ -28,6 +29,7 @@ use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::record::{Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
+use crate::report::latency::Stage;
 use crate::report::summary::{Summary, peak_resident_mib};
 use crate::setup::{self, Mission};
 use exploration::{Exploration, Finished};
@@ -63,9 +65,9 @@ pub fn run(args: &RunArgs) -> Result<()> {
     }
     supervision.announce(&safety);
     let end = explore(args, &config, &signals, &mut safety, &mut exploration, &mut supervision)?;
-    safety.shut_down();
+    let late = safety.shut_down();
     supervision.good_bye();
-    report(args, &mission, model, end, exploration.finish())
+    report(args, &mission, model, end, exploration.finish(), late)
 }
 
 /// The exploration plane's loop.
@@ -149,7 +151,14 @@ fn recorder(args: &RunArgs, config: &Config, mission: &Mission, model: Option<&s
     Ok(Recorder::start(options, header)?)
 }
 
-fn report(args: &RunArgs, mission: &Mission, model: Option<String>, end: ExploreEnd, finished: Finished) -> Result<()> {
+fn report(
+    args: &RunArgs,
+    mission: &Mission,
+    model: Option<String>,
+    end: ExploreEnd,
+    finished: Finished,
+    late: Option<LatencyHistogram>,
+) -> Result<()> {
     let mut summary = Summary {
         frames: finished.pictures,
         seed: Some(args.seed),
@@ -164,6 +173,8 @@ fn report(args: &RunArgs, mission: &Mission, model: Option<String>, end: Explore
         version: env!("CARGO_PKG_VERSION").to_owned(),
         ..Summary::default()
     };
+    let late = late.and_then(|late| late.percentiles());
+    summary.latency_ms.extend(late.map(|late| (Stage::SafetyLate, late)));
     match finished.recorder.map(Recorder::finish) {
         Some(Ok(recording)) => {
             summary.recording_mib = Some(recording.bytes as f64 / f64::from(1 << 20));

@@ -11,6 +11,7 @@ use anyhow::{Context, Result};
 use drivers::{DeviceStatus, MonotonicClock};
 use hal::{Base, Clock, ErrorKind, LaserScan, Lidar, WheelFeedback};
 use runtime::event::SafetyEvent;
+use runtime::latency::LatencyHistogram;
 use runtime::safety::{Orders, Plan, Request, SafetyLoop, SafetyState};
 use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
@@ -88,7 +89,7 @@ pub struct SafetyThread {
     pub realtime: bool,
     request: Arc<AtomicU8>,
     stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    thread: Option<JoinHandle<LatencyHistogram>>,
 }
 
 /// How the loop is run.
@@ -122,9 +123,12 @@ impl SafetyThread {
                 Ok((control, rest)) => {
                     let (turning, ends) = wire(control, realtime);
                     let _ = told.send(Ok((ends, rest)));
-                    turning.run(pace.period_ns);
+                    turning.run(pace.period_ns)
                 }
-                Err(error) => _ = told.send(Err(error)),
+                Err(error) => {
+                    let _ = told.send(Err(error));
+                    LatencyHistogram::default()
+                }
             }
         };
         let thread = std::thread::Builder::new().name("safety".to_owned()).spawn(work)?;
@@ -138,14 +142,11 @@ impl SafetyThread {
         self.request.store(number_of(Some(request)), Ordering::Release);
     }
 
-    /// Brakes, lets the motors go, and ends.
-    pub fn shut_down(&mut self) {
+    /// Brakes, lets the motors go, and ends. How late its turns began, the first time that it is called.
+    pub fn shut_down(&mut self) -> Option<LatencyHistogram> {
         self.stop.store(true, Ordering::Release);
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-        {
-            tracing::error!("the safety thread has panicked; please report this");
-        }
+        let joined = self.thread.take()?.join();
+        joined.inspect_err(|_| tracing::error!("the safety thread has panicked; please report this")).ok()
     }
 
     /// Whether the thread is there.
@@ -183,7 +184,7 @@ where
 
 impl Drop for SafetyThread {
     fn drop(&mut self) {
-        self.shut_down();
+        let _ = self.shut_down();
     }
 }
 
@@ -205,13 +206,15 @@ where
     B: Base + WatchedBase,
     L: Lidar + Watched,
 {
-    fn run(mut self, period_ns: u64) {
+    fn run(mut self, period_ns: u64) -> LatencyHistogram {
         let mut clock = MonotonicClock;
         let mut due_ns = clock.now_ns() + period_ns;
         let mut glance = first_glance(&self.control);
+        let mut late = LatencyHistogram::default();
         while !self.stop.load(Ordering::Acquire) {
             clock.sleep_until_ns(due_ns);
             let now_ns = clock.now_ns();
+            late.record(now_ns - due_ns);
             glance.worst_late_ns = glance.worst_late_ns.max(now_ns - due_ns);
             self.turn(now_ns, &mut glance);
             self.turns.fetch_add(1, Ordering::Release);
@@ -225,6 +228,7 @@ where
             }
         }
         self.control.shut_down();
+        late
     }
 
     fn turn(&mut self, now_ns: u64, glance: &mut Glance) {
