@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
+use drivers::DeviceState;
+use drivers::can::Phase;
 use drivers::clock::monotonic_ns;
 use drivers::hokuyo::HokuyoMonitor;
 use runtime::recording::fault_reason;
@@ -23,6 +25,7 @@ pub struct Supervision {
     file: PathBuf,
     folder: Option<String>,
     names: [String; 3],
+    bus: String,
     lidar: HokuyoMonitor,
     meters: [RateMeter; 3],
     began_ns: u64,
@@ -49,6 +52,7 @@ impl Supervision {
                 format!("LiDAR {}", devices.lidar.port),
                 format!("base {}", devices.base.bus),
             ],
+            bus: devices.base.bus.clone(),
             lidar,
             meters: [RateMeter::default(); 3],
             began_ns: monotonic_ns(),
@@ -110,8 +114,12 @@ impl Supervision {
     ) -> Status {
         let (camera, camera_problem) = exploration.camera();
         let [camera_meter, lidar_meter, base_meter] = &mut self.meters;
-        let base_problem = match glance.phase {
-            drivers::can::Phase::Tripped(trip) => Some(trip.to_string()),
+        let base_problem = match (glance.phase, glance.base.state) {
+            (Phase::Tripped(trip), _) => Some(trip.to_string()),
+            (_, DeviceState::Disconnected) => Some(no_bus(&self.bus)),
+            (_, DeviceState::Silent | DeviceState::Starting) => {
+                Some("the motors' controllers do not answer: are they powered, and are the nodes right?".to_owned())
+            }
             _ => None,
         };
         let recorder = exploration.recorder();
@@ -141,6 +149,15 @@ impl Supervision {
             },
         }
     }
+}
+
+fn no_bus(bus: &str) -> String {
+    if bus.starts_with("unix:") {
+        return "nobody plays the bus there; start `hil world` or `hil motor`".to_owned();
+    }
+    format!(
+        "the interface is not there or down; `ip link set {bus} up type can bitrate 500000 restart-ms 100` brings it up"
+    )
 }
 
 fn words(state: &SafetyState) -> String {
