@@ -160,6 +160,9 @@ fn a_motor_that_broke_down_needs_a_person_and_sigusr1_is_that_person() {
         pause(500);
         scene.world.home().score().1 > before_m + 0.1
     });
+    scene.signal(Signal::USR2);
+    scene.state_is("disarmed");
+    assert!(scene.way_m() < 0.05, "it brakes within centimetres");
     scene.ends_well();
 }
 

@@ -23,7 +23,7 @@ use runtime::latency::LatencyHistogram;
 use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, Robot};
 use runtime::safety::Request;
-use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGUSR2};
 
 use crate::cli::RunArgs;
 use crate::config::Config;
@@ -95,6 +95,9 @@ fn explore(
         if !safety.is_alive() {
             return Ok(ExploreEnd::DeviceFailed);
         }
+        if signals.disarm.swap(false, Ordering::Relaxed) {
+            safety.request(Request::Disarm);
+        }
         if signals.arm.swap(false, Ordering::Relaxed) {
             // What an operator means by it: I have looked, go on.
             safety.request(Request::ClearFault);
@@ -116,15 +119,18 @@ fn explore(
 struct Signals {
     stop: Arc<AtomicBool>,
     arm: Arc<AtomicBool>,
+    disarm: Arc<AtomicBool>,
 }
 
 impl Signals {
     fn register() -> Result<Self> {
-        let signals = Self { stop: Arc::default(), arm: Arc::default() };
+        let signals = Self { stop: Arc::default(), arm: Arc::default(), disarm: Arc::default() };
         for signal in [SIGINT, SIGTERM] {
             signal_hook::flag::register(signal, Arc::clone(&signals.stop)).context("cannot listen for signals")?;
         }
-        signal_hook::flag::register(SIGUSR1, Arc::clone(&signals.arm)).context("cannot listen for signals")?;
+        for (signal, flag) in [(SIGUSR1, &signals.arm), (SIGUSR2, &signals.disarm)] {
+            signal_hook::flag::register(signal, Arc::clone(flag)).context("cannot listen for signals")?;
+        }
         Ok(signals)
     }
 }

@@ -69,7 +69,7 @@ impl Supervision {
         let realtime = if safety.realtime { "with" } else { "without" };
         eprintln!(
             "running, {realtime} real-time priority. `firmware-host health --status {}` shows how it is; \
-             SIGUSR1 arms, SIGINT or SIGTERM ends.",
+             SIGUSR1 arms, SIGUSR2 disarms, SIGINT or SIGTERM ends.",
             self.file.display()
         );
     }
