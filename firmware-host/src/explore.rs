@@ -63,17 +63,9 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
 
 fn recorder(args: &ExploreArgs, config: &Config, mission: &Mission, model: Option<&str>) -> Result<Recorder> {
     let header = RunHeader {
-        written_by: concat!("firmware-host ", env!("CARGO_PKG_VERSION")).to_owned(),
-        seed: args.seed,
         scene: Some(args.scene.clone()),
-        policy: mission.policy.name().to_owned(),
-        depth_source: mission.depth_source.name().to_owned(),
-        model_digest: model.map(ToOwned::to_owned),
         hand_over: HandOver::schedule(&args.hand_over),
-        camera: config.camera.model(),
-        t_base_camera: config.camera.mount(),
-        t_base_laser: setup::laser_mount(config),
-        config: serde_json::to_value(config)?,
+        ..setup::run_header(config, mission, model)?
     };
     let options = RecorderOptions {
         segment_ns: (config.recording.segment_s * 1e9) as u64,

@@ -6,6 +6,7 @@ use anyhow::{Context, Result, bail};
 use hal::{CameraModel, Pose2, Pose3};
 use runtime::exploration::PolicyKind;
 use runtime::perception::{DepthNetwork, NetworkOptions};
+use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, RobotConfig};
 use simulator::floor::Footprint;
 use simulator::load::{LoadOptions, UpAxis};
@@ -90,6 +91,26 @@ pub fn open_options(file: &SceneFileArgs, config: &Config) -> OpenOptions {
 #[must_use]
 pub fn laser_mount(config: &Config) -> Pose3 {
     Pose3::translation(config.lidar.forward_m, 0.0, config.lidar.height_m)
+}
+
+/// What a recording says of its run.
+///
+/// # Errors
+/// When the configuration holds a number that JSON cannot hold.
+pub fn run_header(config: &Config, mission: &Mission, model: Option<&str>) -> Result<RunHeader> {
+    Ok(RunHeader {
+        written_by: concat!("firmware-host ", env!("CARGO_PKG_VERSION")).to_owned(),
+        seed: mission.seed,
+        scene: None,
+        policy: mission.policy.name().to_owned(),
+        depth_source: mission.depth_source.name().to_owned(),
+        model_digest: model.map(ToOwned::to_owned),
+        hand_over: None,
+        camera: config.camera.model(),
+        t_base_camera: config.camera.mount(),
+        t_base_laser: laser_mount(config),
+        config: serde_json::to_value(config)?,
+    })
 }
 
 /// Loads ONNX Runtime and a depth network.

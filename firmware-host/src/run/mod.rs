@@ -20,7 +20,6 @@ use drivers::MonotonicClock;
 use hal::{Clock, Pose2};
 use runtime::event::ExploreEnd;
 use runtime::latency::LatencyHistogram;
-use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, Robot};
 use runtime::safety::Request;
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGUSR2};
@@ -136,25 +135,12 @@ impl Signals {
 }
 
 fn recorder(args: &RunArgs, config: &Config, mission: &Mission, model: Option<&str>) -> Result<Recorder> {
-    let header = RunHeader {
-        written_by: concat!("firmware-host ", env!("CARGO_PKG_VERSION")).to_owned(),
-        seed: args.seed,
-        scene: None,
-        policy: mission.policy.name().to_owned(),
-        depth_source: mission.depth_source.name().to_owned(),
-        model_digest: model.map(ToOwned::to_owned),
-        hand_over: None,
-        camera: config.camera.model(),
-        t_base_camera: config.camera.mount(),
-        t_base_laser: setup::laser_mount(config),
-        config: serde_json::to_value(config)?,
-    };
     let options = RecorderOptions {
         segment_ns: (config.recording.segment_s * 1e9) as u64,
         segment_bytes: config.recording.segment_mib << 20,
         ..RecorderOptions::robot(&args.out)
     };
-    Ok(Recorder::start(options, header)?)
+    Ok(Recorder::start(options, setup::run_header(config, mission, model)?)?)
 }
 
 fn report(
