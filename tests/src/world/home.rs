@@ -9,6 +9,9 @@ use simulator::{RobotOptions, SceneError, SimulatedRobot, World};
 
 use crate::motor::MotorNode;
 
+/// Wheels that stop against something and push again touch it once.
+const SAME_TOUCH_NS: u64 = 1_000_000_000;
+
 /// The robot in its home, shared between its devices.
 #[derive(Clone)]
 pub struct Home {
@@ -25,7 +28,8 @@ struct Inside {
     kinematics: Kinematics,
     wheel_radius_m: f64,
     counter: u32,
-    touching: bool,
+    /// When it touched something last.
+    touched_ns: Option<u64>,
     touches: u64,
     path_m: f64,
 }
@@ -47,7 +51,7 @@ impl Home {
             kinematics: Kinematics { track_m: base.track_m },
             wheel_radius_m: base.wheel_radius_m,
             counter: 0,
-            touching: false,
+            touched_ns: None,
             touches: 0,
             path_m: 0.0,
         };
@@ -77,10 +81,10 @@ impl Home {
         inside.clock.sleep_until_ns(time_ns);
         inside.path_m += before.distance_m(&inside.truth.pose());
         let touching = inside.truth.contact();
-        if touching && !std::mem::replace(&mut inside.touching, touching) {
-            inside.touches += 1;
+        if touching {
+            let before_ns = inside.touched_ns.replace(time_ns);
+            inside.touches += u64::from(before_ns.is_none_or(|before_ns| time_ns - before_ns > SAME_TOUCH_NS));
         }
-        inside.touching = touching;
         for node in wheels {
             node.wheel_mut().blocked = touching;
         }
