@@ -4,7 +4,8 @@ mod hand_over;
 mod session;
 
 use anyhow::{Context, Result};
-use hal::Pose2;
+use drivers::fault::Faults;
+use hal::{Clock, Pose2};
 use runtime::recording::RunHeader;
 use runtime::robot::Robot;
 use simulator::{SimulatedRobot, World};
@@ -12,7 +13,8 @@ use simulator::{SimulatedRobot, World};
 use crate::cli::ExploreArgs;
 use crate::config::Config;
 use crate::dump::Dump;
-use crate::record::{Recorder, RecorderOptions};
+use crate::faults::FaultPlan;
+use crate::record::{FaultyDisk, FileSystem, Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
 use crate::report::summary::Summary;
 use crate::setup::{self, Mission};
@@ -37,19 +39,26 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let simulated = SimulatedRobot::new(std::sync::Arc::new(world), setup::simulated_robot(&config, args.seed, start))?;
     let robot = Robot::new(config.robot(&mission), network)?;
     prepare_dir(&args.out)?;
-    let recorder = if args.no_recording { None } else { Some(recorder(args, &config, &mission, model.as_deref())?) };
+    let plan = args.faults.plan(args.frames as f64 * config.base.tick_s());
+    let header = header(args, &config, &mission, model.clone(), &plan)?;
+    let (texts, fault_seed) = (plan.texts(), plan.seed());
+    let clock = simulated.devices().clock;
+    let faults = plan.at(std::sync::Arc::new(move || clock.now_ns()));
+    let recorder = if args.no_recording { None } else { Some(recorder(args, &config, header, &faults)?) };
     let summary = Summary {
         seed: Some(args.seed),
         policy: Some(mission.policy.name().to_owned()),
         scene: Some(args.scene.clone()),
         depth_source: Some(depth_source),
         model,
+        faults: texts,
+        fault_seed,
         version: env!("CARGO_PKG_VERSION").to_owned(),
         ..Summary::default()
     };
     let dump = args.dump.as_deref().map(|dir| Dump::create(dir, &config.camera.model())).transpose()?;
     let hand_over = HandOver::new(&args.hand_over, &config)?;
-    let mut session = Session::new(args, &config, &simulated, robot, recorder);
+    let mut session = Session::new(args, &config, &simulated, &faults, robot, recorder);
     session.dump = dump;
     session.hand_over = hand_over;
     #[cfg(feature = "rerun")]
@@ -61,24 +70,35 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     session.report(end, summary).with_context(|| format!("cannot report into {}", args.out.display()))
 }
 
-fn recorder(args: &ExploreArgs, config: &Config, mission: &Mission, model: Option<&str>) -> Result<Recorder> {
-    let header = RunHeader {
+fn header(
+    args: &ExploreArgs,
+    config: &Config,
+    mission: &Mission,
+    model: Option<String>,
+    plan: &FaultPlan,
+) -> Result<RunHeader> {
+    Ok(RunHeader {
         written_by: concat!("firmware-host ", env!("CARGO_PKG_VERSION")).to_owned(),
         seed: args.seed,
         scene: Some(args.scene.clone()),
         policy: mission.policy.name().to_owned(),
         depth_source: mission.depth_source.name().to_owned(),
-        model_digest: model.map(ToOwned::to_owned),
+        model_digest: model,
         hand_over: HandOver::schedule(&args.hand_over),
+        faults: plan.texts(),
+        fault_seed: plan.seed(),
         camera: config.camera.model(),
         t_base_camera: config.camera.mount(),
         t_base_laser: setup::laser_mount(config),
         config: serde_json::to_value(config)?,
-    };
+    })
+}
+
+fn recorder(args: &ExploreArgs, config: &Config, header: RunHeader, faults: &Faults) -> Result<Recorder> {
     let options = RecorderOptions {
         segment_ns: (config.recording.segment_s * 1e9) as u64,
         segment_bytes: config.recording.segment_mib << 20,
         ..RecorderOptions::simulation(&args.out)
     };
-    Ok(Recorder::start(options, header)?)
+    Ok(Recorder::start_on(Box::new(FaultyDisk::new(FileSystem, faults)), options, header)?)
 }
