@@ -5,6 +5,7 @@
 
 pub mod can;
 pub mod clock;
+pub mod fault;
 pub mod hokuyo;
 pub mod scip;
 pub mod status;

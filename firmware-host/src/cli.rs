@@ -6,6 +6,8 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use runtime::exploration::PolicyKind;
 use runtime::robot::DepthSource;
 
+use crate::faults::FaultArgs;
+
 /// A robot that explores a home, and learns how far things are.
 #[derive(Debug, Parser)]
 #[command(name = "firmware-host", version, propagate_version = true)]
@@ -73,6 +75,9 @@ pub struct ExploreArgs {
     /// Also write every picture's coarse depth into this folder, for training. Made if missing.
     #[arg(long, value_name = "DIR")]
     pub dump: Option<PathBuf>,
+    /// What is broken on purpose.
+    #[command(flatten)]
+    pub faults: FaultArgs,
     /// Whether better networks come while the robot explores.
     #[command(flatten)]
     pub hand_over: HandOverArgs,
@@ -158,6 +163,9 @@ pub struct RunArgs {
     /// Do not record. The run cannot be replayed.
     #[arg(long)]
     pub no_recording: bool,
+    /// What is broken on purpose.
+    #[command(flatten)]
+    pub faults: FaultArgs,
 }
 
 /// Arguments of `health`.

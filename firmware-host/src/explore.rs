@@ -4,7 +4,8 @@ mod hand_over;
 mod session;
 
 use anyhow::{Context, Result};
-use hal::Pose2;
+use drivers::fault::Faults;
+use hal::{Clock, Pose2};
 use runtime::recording::RunHeader;
 use runtime::robot::Robot;
 use simulator::{SimulatedRobot, World};
@@ -12,7 +13,8 @@ use simulator::{SimulatedRobot, World};
 use crate::cli::ExploreArgs;
 use crate::config::Config;
 use crate::dump::Dump;
-use crate::record::{Recorder, RecorderOptions};
+use crate::faults::FaultPlan;
+use crate::record::{FaultyDisk, FileSystem, Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
 use crate::report::summary::Summary;
 use crate::setup::{self, Mission};
@@ -37,19 +39,26 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let simulated = SimulatedRobot::new(std::sync::Arc::new(world), setup::simulated_robot(&config, args.seed, start))?;
     let robot = Robot::new(config.robot(&mission), network)?;
     prepare_dir(&args.out)?;
-    let recorder = if args.no_recording { None } else { Some(recorder(args, &config, &mission, model.as_deref())?) };
+    let plan = args.faults.plan(args.frames as f64 * config.base.tick_s());
+    let header = header(args, &config, &mission, model.as_deref(), &plan)?;
+    let (texts, fault_seed) = (plan.texts(), plan.seed());
+    let clock = simulated.devices().clock;
+    let faults = plan.at(std::sync::Arc::new(move || clock.now_ns()));
+    let recorder = if args.no_recording { None } else { Some(recorder(args, &config, header, &faults)?) };
     let summary = Summary {
         seed: Some(args.seed),
         policy: Some(mission.policy.name().to_owned()),
         scene: Some(args.scene.clone()),
         depth_source: Some(depth_source),
         model,
+        faults: texts,
+        fault_seed,
         version: env!("CARGO_PKG_VERSION").to_owned(),
         ..Summary::default()
     };
     let dump = args.dump.as_deref().map(|dir| Dump::create(dir, &config.camera.model())).transpose()?;
     let hand_over = HandOver::new(&args.hand_over, &config)?;
-    let mut session = Session::new(args, &config, &simulated, robot, recorder);
+    let mut session = Session::new(args, &config, &simulated, &faults, robot, recorder);
     session.dump = dump;
     session.hand_over = hand_over;
     #[cfg(feature = "rerun")]
@@ -61,16 +70,25 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     session.report(end, summary).with_context(|| format!("cannot report into {}", args.out.display()))
 }
 
-fn recorder(args: &ExploreArgs, config: &Config, mission: &Mission, model: Option<&str>) -> Result<Recorder> {
-    let header = RunHeader {
+fn header(
+    args: &ExploreArgs,
+    config: &Config,
+    mission: &Mission,
+    model: Option<&str>,
+    plan: &FaultPlan,
+) -> Result<RunHeader> {
+    Ok(RunHeader {
         scene: Some(args.scene.clone()),
         hand_over: HandOver::schedule(&args.hand_over),
-        ..setup::run_header(config, mission, model)?
-    };
+        ..setup::run_header(config, mission, model, plan)?
+    })
+}
+
+fn recorder(args: &ExploreArgs, config: &Config, header: RunHeader, faults: &Faults) -> Result<Recorder> {
     let options = RecorderOptions {
         segment_ns: (config.recording.segment_s * 1e9) as u64,
         segment_bytes: config.recording.segment_mib << 20,
         ..RecorderOptions::simulation(&args.out)
     };
-    Ok(Recorder::start(options, header)?)
+    Ok(Recorder::start_on(Box::new(FaultyDisk::new(FileSystem, faults)), options, header)?)
 }

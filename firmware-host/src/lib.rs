@@ -8,6 +8,7 @@ pub mod dataset;
 mod dump;
 pub mod evaluation;
 pub mod explore;
+pub mod faults;
 pub mod health;
 pub mod onnx_runtime;
 pub mod perceive;

@@ -15,6 +15,7 @@ use simulator::{OpenOptions, RobotOptions};
 
 use crate::cli::{SceneFileArgs, UpArg};
 use crate::config::{Config, NetworkSection};
+use crate::faults::FaultPlan;
 use crate::onnx_runtime;
 
 /// What the command line adds to the configuration.
@@ -97,7 +98,7 @@ pub fn laser_mount(config: &Config) -> Pose3 {
 ///
 /// # Errors
 /// When the configuration holds a number that JSON cannot hold.
-pub fn run_header(config: &Config, mission: &Mission, model: Option<&str>) -> Result<RunHeader> {
+pub fn run_header(config: &Config, mission: &Mission, model: Option<&str>, faults: &FaultPlan) -> Result<RunHeader> {
     Ok(RunHeader {
         written_by: concat!("firmware-host ", env!("CARGO_PKG_VERSION")).to_owned(),
         seed: mission.seed,
@@ -106,6 +107,8 @@ pub fn run_header(config: &Config, mission: &Mission, model: Option<&str>) -> Re
         depth_source: mission.depth_source.name().to_owned(),
         model_digest: model.map(ToOwned::to_owned),
         hand_over: None,
+        faults: faults.texts(),
+        fault_seed: faults.seed(),
         camera: config.camera.model(),
         t_base_camera: config.camera.mount(),
         t_base_laser: laser_mount(config),

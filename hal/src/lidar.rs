@@ -65,7 +65,7 @@ impl ScanGeometry {
 }
 
 /// One turn of the scanner. Owns its memory and is made to be reused.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub struct LaserScan {
     /// Start of the scan, monotonic.
     pub time_ns: u64,
@@ -85,6 +85,18 @@ impl LaserScan {
     /// Angle (radians) and distance (metres) of every beam that hit something.
     pub fn hits(&self) -> impl Iterator<Item = (f64, f32)> + '_ {
         self.ranges.iter().enumerate().filter_map(|(beam, range)| Some((self.geometry.angle_rad(beam), range.hit_m()?)))
+    }
+}
+
+/// `clone_from` reuses the room of the scan that it overwrites: a real-time thread hands scans on without allocating.
+impl Clone for LaserScan {
+    fn clone(&self) -> Self {
+        Self { ranges: self.ranges.clone(), ..*self }
+    }
+
+    fn clone_from(&mut self, source: &Self) {
+        (self.time_ns, self.geometry) = (source.time_ns, source.geometry);
+        self.ranges.clone_from(&source.ranges);
     }
 }
 

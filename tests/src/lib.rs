@@ -1,23 +1,15 @@
-//! Fault injectors and scenarios.
-//!
-//! A fault injector implements the same hal trait as the device that it wraps, seeded, so that a fault found in one run
-//! is found again in the next: `FaultyLidar::new(lidar, LidarFaults { silence: Some(2.0..3.0), .. }, seed)`.
+//! Device simulators, and scenarios with the fault injectors of [`drivers::fault`]: a robot in a simulated home whose scanner
+//! falls silent is `Scenario::new(policy, &["lidar:stall@2..3"], seed)`.
 #![forbid(unsafe_code)]
 
-pub mod base;
-pub mod camera;
 pub mod hokuyo;
-pub mod lidar;
 pub mod motor;
 pub mod rig;
 pub mod scenario;
 pub mod video;
 pub mod world;
 
-pub use base::{BaseFaults, FaultyBase};
-pub use camera::{CameraFaults, FaultyCamera};
-pub use lidar::{FaultyLidar, LidarFaults};
-pub use scenario::{Faults, Scenario, Turn};
+pub use scenario::{Scenario, Turn};
 
 use std::ops::Range;
 

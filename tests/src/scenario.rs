@@ -2,7 +2,10 @@
 
 use std::sync::Arc;
 
-use hal::{Base, Camera, CameraModel, Clock, DriveCommand, Frame, LaserScan, Lidar, Pose2, Twist2, WheelFeedback};
+use drivers::fault::{Fault, Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyLidar, random_faults};
+use hal::{
+    Base, Camera, CameraModel, Clock, DriveCommand, Error, Frame, LaserScan, Lidar, Pose2, Twist2, WheelFeedback,
+};
 use runtime::exploration::{ExplorationConfig, PolicyKind};
 use runtime::mapping::MapConfig;
 use runtime::perception::CoarseConfig;
@@ -13,27 +16,14 @@ use runtime::tick::{Decision, TickInput};
 use simulator::robot::{SimBase, SimCamera, SimClock, SimLidar, Truth};
 use simulator::{OpenOptions, RobotOptions, SimulatedRobot, World};
 
-use crate::{BaseFaults, CameraFaults, FaultyBase, FaultyCamera, FaultyLidar, LidarFaults};
-
 const TICK_NS: u64 = 100_000_000;
-
-/// What is wrong with the devices.
-#[derive(Debug, Clone, Default)]
-pub struct Faults {
-    /// The scanner.
-    pub lidar: LidarFaults,
-    /// The camera.
-    pub camera: CameraFaults,
-    /// The wheels.
-    pub base: BaseFaults,
-}
 
 /// A run in progress.
 pub struct Scenario {
     camera: FaultyCamera<SimCamera>,
     lidar: FaultyLidar<SimLidar>,
     base: FaultyBase<SimBase>,
-    clock: SimClock,
+    clock: FaultyClock<SimClock>,
     truth: Truth,
     robot: Robot,
     frame: Frame,
@@ -62,16 +52,20 @@ impl Turn {
 }
 
 impl Scenario {
-    /// A robot with a small camera in an apartment.
+    /// A robot with a small camera in an apartment, and what is wrong with its devices; `random` stands for a minute's faults
+    /// by dice.
     ///
     /// # Errors
-    /// When a built-in home cannot be opened or a default configuration is refused: a defect of the project.
-    pub fn new(policy: PolicyKind, faults: Faults, seed: u64) -> Result<Self, Box<dyn std::error::Error>> {
+    /// A text that names no fault. When a built-in home cannot be opened or a default configuration is refused: a defect of
+    /// the project.
+    pub fn new(policy: PolicyKind, faults: &[&str], seed: u64) -> Result<Self, Box<dyn std::error::Error>> {
         let world = World::open("builtin:apartment?seed=1", &OpenOptions::default())?;
         let camera = CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2);
         let options = RobotOptions { camera, seed, ..RobotOptions::default() };
         let t_base_camera = options.t_base_camera;
-        let devices = SimulatedRobot::new(Arc::new(world), options)?.devices();
+        let simulated = SimulatedRobot::new(Arc::new(world), options)?;
+        let (devices, clock) = (simulated.devices(), simulated.devices().clock);
+        let faults = Faults::new(read(faults, seed)?, seed, Arc::new(move || clock.now_ns()));
         let config = RobotConfig {
             camera,
             t_base_camera,
@@ -92,10 +86,10 @@ impl Scenario {
         };
         Ok(Self {
             scan: LaserScan::empty(devices.lidar.geometry()),
-            camera: FaultyCamera::new(devices.camera, faults.camera, seed),
-            lidar: FaultyLidar::new(devices.lidar, faults.lidar, seed),
-            base: FaultyBase::new(devices.base, faults.base),
-            clock: devices.clock,
+            camera: FaultyCamera::new(devices.camera, &faults),
+            lidar: FaultyLidar::new(devices.lidar, &faults),
+            base: FaultyBase::new(devices.base, &faults),
+            clock: FaultyClock::new(devices.clock, &faults),
             truth: devices.truth,
             robot: Robot::new(config, None)?,
             frame: Frame::empty(),
@@ -107,13 +101,14 @@ impl Scenario {
     /// One turn of the loop, as `firmware-host` does it.
     ///
     /// # Errors
-    /// When a device or a frame is refused.
+    /// When a frame is not what it says, or a command is refused.
     pub fn turn(&mut self) -> Result<Turn, Box<dyn std::error::Error>> {
-        let time_ns = self.tick * TICK_NS;
-        self.clock.sleep_until_ns(time_ns);
-        let has_frame = self.camera.poll_frame(&mut self.frame)?;
-        let has_scan = self.lidar.poll_scan(&mut self.scan)?;
-        if let Some(wheel) = self.base.poll_feedback()? {
+        self.clock.sleep_until_ns(self.tick * TICK_NS);
+        let time_ns = self.clock.now_ns();
+        // An error is no reading, and never a reason to keep the last one.
+        let has_frame = self.camera.poll_frame(&mut self.frame).unwrap_or(false);
+        let has_scan = self.lidar.poll_scan(&mut self.scan).unwrap_or(false);
+        if let Ok(Some(wheel)) = self.base.poll_feedback() {
             self.wheel = wheel;
         }
         let contact = self.truth.contact();
@@ -128,7 +123,12 @@ impl Scenario {
         };
         let decision = self.robot.tick(&input, &mut ());
         let command = DriveCommand { twist: decision.command.into(), counter: self.tick as u32 + 1, plan_age_ns: 0 };
-        self.base.drive(&command)?;
+        // A base that cannot be reached stops by its own watchdog; one that refuses to be driven was asked for nonsense.
+        if let Err(error) = self.base.drive(&command)
+            && error.kind() == hal::ErrorKind::Rejected
+        {
+            return Err(error.to_string().into());
+        }
         self.tick += 1;
         Ok(Turn { decision, pose: self.truth.pose(), contact })
     }
@@ -140,4 +140,15 @@ impl Scenario {
     pub fn turns(&mut self, count: usize) -> Result<Vec<Turn>, Box<dyn std::error::Error>> {
         (0..count).map(|_| self.turn()).collect()
     }
+}
+
+fn read(texts: &[&str], seed: u64) -> Result<Vec<Fault>, drivers::fault::FaultTextError> {
+    let mut faults = Vec::new();
+    for text in texts {
+        match *text {
+            "random" => faults.extend(random_faults(seed, 60.0)),
+            text => faults.push(text.parse()?),
+        }
+    }
+    Ok(faults)
 }

@@ -2,12 +2,12 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
 use hal::{Pose2, Twist2};
-use hil::{BaseFaults, CameraFaults, Faults, LidarFaults, Scenario, Turn};
+use hil::{Scenario, Turn};
 use runtime::event::{Event, FaultReason, RefusedInput, SafetyEvent, TripCause};
 use runtime::exploration::PolicyKind;
 use runtime::perception::NoDepth;
 
-fn run(policy: PolicyKind, faults: Faults, turns: usize) -> Vec<Turn> {
+fn run(policy: PolicyKind, faults: &[&str], turns: usize) -> Vec<Turn> {
     Scenario::new(policy, faults, 3).unwrap().turns(turns).unwrap()
 }
 
@@ -37,22 +37,19 @@ fn faulted(turns: &[Turn], why: FaultReason) -> bool {
 
 #[test]
 fn a_silent_laser_stops_the_robot_within_its_timeout_and_a_new_scan_lets_it_go_on() {
-    let faults =
-        Faults { lidar: LidarFaults { silence: Some(4.0..6.0), ..LidarFaults::default() }, ..Faults::default() };
-    let turns = run(PolicyKind::Forward, faults, 100);
-    assert!(way_m(at(&turns, 1.0..4.0)) > 0.3, "it drives before");
-    assert!(at(&turns, 4.3..6.0).iter().all(|turn| turn.command() == Twist2::ZERO));
-    assert!(faulted(at(&turns, 4.0..4.5), FaultReason::LidarSilent));
-    assert!(way_m(at(&turns, 6.0..10.0)) > 0.3, "it goes on");
+    for silence in ["lidar:stall@4..6", "lidar:unplug@4..6", "lidar:drop@4..6"] {
+        let turns = run(PolicyKind::Forward, &[silence], 100);
+        assert!(way_m(at(&turns, 1.0..4.0)) > 0.3, "{silence}: it drives before");
+        assert!(at(&turns, 4.3..6.0).iter().all(|turn| turn.command() == Twist2::ZERO), "{silence}");
+        assert!(faulted(at(&turns, 4.0..4.5), FaultReason::LidarSilent), "{silence}");
+        assert!(way_m(at(&turns, 6.0..10.0)) > 0.3, "{silence}: it goes on");
+    }
 }
 
 #[test]
 fn a_blind_or_broken_laser_is_not_free_space() {
-    for lidar in [
-        LidarFaults { blind: Some(2.0..4.0), ..LidarFaults::default() },
-        LidarFaults { errors: Some(2.0..4.0), ..LidarFaults::default() },
-    ] {
-        let turns = run(PolicyKind::Forward, Faults { lidar, ..Faults::default() }, 60);
+    for fault in ["lidar:blind@2..4", "lidar:error@2..4"] {
+        let turns = run(PolicyKind::Forward, &[fault], 60);
         assert!(at(&turns, 2.0..4.0).iter().all(|turn| turn.command() == Twist2::ZERO));
         assert!(faulted(at(&turns, 2.0..2.2), FaultReason::LidarBad));
     }
@@ -60,15 +57,13 @@ fn a_blind_or_broken_laser_is_not_free_space() {
 
 #[test]
 fn single_ghost_returns_do_not_stop_the_robot() {
-    let ghosts = LidarFaults { ghost_share: 0.002, ..LidarFaults::default() };
-    let turns = run(PolicyKind::Forward, Faults { lidar: ghosts, ..Faults::default() }, 30);
+    let turns = run(PolicyKind::Forward, &["lidar:ghost=0.002"], 30);
     assert!(way_m(&turns) > 0.7, "{} m", way_m(&turns));
 }
 
 #[test]
 fn without_a_camera_the_bumper_still_works_and_every_turn_says_that_there_is_no_picture() {
-    let camera = CameraFaults { unplugged: Some(0.0..1e9), ..CameraFaults::default() };
-    let turns = run(PolicyKind::Forward, Faults { camera, ..Faults::default() }, 300);
+    let turns = run(PolicyKind::Forward, &["camera:unplug"], 300);
     assert!(turns.iter().all(|turn| turn.decision.events.contains(&Event::NoDepth { why: NoDepth::NoFrame })));
     assert!(turns.iter().all(|turn| !turn.contact), "it never touched anything");
     assert!(way_m(&turns) > 2.0);
@@ -76,8 +71,7 @@ fn without_a_camera_the_bumper_still_works_and_every_turn_says_that_there_is_no_
 
 #[test]
 fn black_and_saturated_pictures_give_no_depth_and_the_loop_goes_on() {
-    let camera = CameraFaults { black: Some(3.0..5.0), saturated: Some(6.0..8.0), ..CameraFaults::default() };
-    let turns = run(PolicyKind::Frontier, Faults { camera, ..Faults::default() }, 100);
+    let turns = run(PolicyKind::Frontier, &["camera:black@3..5", "camera:white@6..8"], 100);
     for dark in [3.0..5.0, 6.0..8.0] {
         let stretch = at(&turns, dark);
         assert!(stretch.iter().all(|turn| turn.decision.events.contains(&Event::NoDepth { why: NoDepth::NoTexture })));
@@ -88,16 +82,14 @@ fn black_and_saturated_pictures_give_no_depth_and_the_loop_goes_on() {
 
 #[test]
 fn a_picture_of_another_size_is_refused_not_misread() {
-    let camera = CameraFaults { wrong_size: Some(2.0..3.0), ..CameraFaults::default() };
-    let turns = run(PolicyKind::Frontier, Faults { camera, ..Faults::default() }, 60);
+    let turns = run(PolicyKind::Frontier, &["camera:resize@2..3"], 60);
     let stretch = at(&turns, 2.0..3.0);
     assert!(stretch.iter().all(|turn| turn.decision.events.contains(&Event::NoDepth { why: NoDepth::FrameSize })));
 }
 
 #[test]
 fn nan_odometry_is_refused_and_the_robot_stands_until_it_is_gone() {
-    let base = BaseFaults { nan_odometry: Some(2.0..3.0), ..BaseFaults::default() };
-    let turns = run(PolicyKind::Forward, Faults { base, ..Faults::default() }, 60);
+    let turns = run(PolicyKind::Forward, &["base:nan@2..3"], 60);
     let refused = Event::InputRefused { why: RefusedInput::OdometryNotFinite };
     for turn in at(&turns, 2.0..3.0) {
         assert_eq!((turn.command(), &turn.decision.events), (Twist2::ZERO, &vec![refused.clone()]));
@@ -107,15 +99,13 @@ fn nan_odometry_is_refused_and_the_robot_stands_until_it_is_gone() {
 
 #[test]
 fn a_jump_of_the_odometry_is_named_and_forgets_old_pictures() {
-    let base = BaseFaults { jump: Some((4.0, 3.0)), ..BaseFaults::default() };
-    let turns = run(PolicyKind::Forward, Faults { base, ..Faults::default() }, 60);
+    let turns = run(PolicyKind::Forward, &["base:jump=3@4.."], 60);
     assert!(events(at(&turns, 4.0..4.2)).any(|event| *event == Event::NoDepth { why: NoDepth::PoseJump }));
 }
 
 #[test]
 fn a_bumper_switch_that_is_stuck_does_not_nail_the_robot_down() {
-    let base = BaseFaults { stuck_switch: Some(2.0..12.0), ..BaseFaults::default() };
-    let turns = run(PolicyKind::Forward, Faults { base, ..Faults::default() }, 300);
+    let turns = run(PolicyKind::Forward, &["base:contact@2..12"], 300);
     assert!(tripped(&turns, TripCause::Contact));
     let (stuck, after) = (at(&turns, 2.0..12.0), at(&turns, 13.0..30.0));
     assert!(turned_rad(stuck) > 0.5, "it turns to find a way out");
@@ -123,10 +113,76 @@ fn a_bumper_switch_that_is_stuck_does_not_nail_the_robot_down() {
 }
 
 #[test]
+fn a_scanner_that_repeats_an_old_scan_is_as_silent_as_one_that_says_nothing() {
+    // With a scan that is four turns late, every scan is older than the robot may drive by.
+    let turns = run(PolicyKind::Forward, &["lidar:delay=4@3..5"], 80);
+    assert!(at(&turns, 3.5..5.0).iter().all(|turn| turn.command() == Twist2::ZERO));
+    assert!(faulted(at(&turns, 3.0..3.5), FaultReason::LidarSilent));
+    assert!(way_m(at(&turns, 5.0..8.0)) > 0.3, "it goes on");
+}
+
+#[test]
+fn scans_that_come_twice_late_or_in_the_wrong_order_lead_into_nothing() {
+    for fault in ["lidar:duplicate", "lidar:delay=1", "lidar:reorder", "lidar:drop=0.5", "lidar:corrupt=0.01"] {
+        let turns = run(PolicyKind::Forward, &[fault], 300);
+        assert!(turns.iter().all(|turn| !turn.contact), "{fault}: it touched something");
+        assert!(way_m(&turns) > 1.0, "{fault}: {} m", way_m(&turns));
+    }
+}
+
+#[test]
+fn pictures_that_are_late_torn_or_in_the_wrong_order_lead_into_nothing() {
+    for fault in ["camera:delay=2", "camera:duplicate", "camera:reorder", "camera:corrupt=0.5", "camera:drop=0.5"] {
+        let turns = run(PolicyKind::Frontier, &[fault], 200);
+        assert!(turns.iter().all(|turn| !turn.contact), "{fault}: it touched something");
+        assert!(way_m(&turns) + turned_rad(&turns) > 1.0, "{fault}");
+    }
+}
+
+#[test]
+fn wheels_that_say_nothing_stop_the_robot_until_they_speak() {
+    for silence in ["base:stall@2..4", "base:unplug@2..4", "base:corrupt@2..4", "base:drop@2..4", "base:delay=4@2..4"] {
+        let turns = run(PolicyKind::Forward, &[silence], 80);
+        assert!(at(&turns, 2.4..4.0).iter().all(|turn| turn.command() == Twist2::ZERO), "{silence}");
+        assert!(way_m(at(&turns, 2.5..4.0)) < 1e-9, "{silence}: it stands");
+        assert!(faulted(at(&turns, 2.0..2.5), FaultReason::BaseSilent), "{silence}");
+        assert!(way_m(at(&turns, 4.2..8.0)) > 0.3, "{silence}: it goes on");
+    }
+}
+
+#[test]
+fn wheels_on_a_lossy_bus_lead_into_nothing() {
+    for fault in ["base:drop=0.3", "base:duplicate", "base:reorder", "base:delay=1", "base:corrupt=0.3"] {
+        let turns = run(PolicyKind::Forward, &[fault], 300);
+        assert!(turns.iter().all(|turn| !turn.contact), "{fault}: it touched something");
+        assert!(way_m(&turns) > 1.0, "{fault}: {} m", way_m(&turns));
+    }
+}
+
+#[test]
+fn a_loop_that_is_woken_late_stops_the_robot_and_time_never_goes_back() {
+    let turns = run(PolicyKind::Forward, &["clock:slow=400@2..4"], 80);
+    assert!(faulted(&turns, FaultReason::LoopOverrun));
+    assert!(turns.windows(2).all(|pair| pair[0].decision.time_ns <= pair[1].decision.time_ns));
+    assert!(way_m(at(&turns, 5.0..8.0)) > 0.3, "it goes on");
+}
+
+#[test]
+fn a_minute_of_random_faults_ends_without_a_touch_and_can_be_had_again() {
+    for seed in 1..=2 {
+        let run = || Scenario::new(PolicyKind::Active, &["random"], seed).unwrap().turns(600).unwrap();
+        let (first, second) = (run(), run());
+        assert!(first.iter().all(|turn| !turn.contact), "seed {seed}");
+        assert!(way_m(&first[300..]) + turned_rad(&first[300..]) > 1.0, "seed {seed}: it still moves");
+        assert!(first.iter().zip(&second).all(|(a, b)| a.decision == b.decision), "seed {seed}");
+    }
+}
+
+#[test]
 fn every_policy_moves_touches_nothing_by_itself_and_does_the_same_again() {
     for policy in PolicyKind::ALL {
-        let first = run(policy, Faults::default(), 80);
-        let second = run(policy, Faults::default(), 80);
+        let first = run(policy, &[], 80);
+        let second = run(policy, &[], 80);
         assert!(way_m(&first) + turned_rad(&first) > 0.5, "{policy:?}");
         let decisions = |turns: &[Turn]| turns.iter().map(|turn| turn.decision.clone()).collect::<Vec<_>>();
         assert_eq!(decisions(&first), decisions(&second), "{policy:?}");

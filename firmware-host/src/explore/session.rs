@@ -6,14 +6,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::Result;
-use hal::{Base, Camera, Clock, DepthMap, DriveCommand, Frame, LaserScan, Lidar, WheelFeedback};
+use drivers::fault::{Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyLidar};
+use hal::{Base, Camera, Clock, DepthMap, DriveCommand, Error, ErrorKind, Frame, LaserScan, Lidar, WheelFeedback};
 use runtime::event::ExploreEnd;
 use runtime::mapping::{CellState, OccupancyGrid};
 use runtime::recording::{RecordedTick, RunDigest, Views, quantise_mm};
 use runtime::robot::{DepthSource, Robot};
 use runtime::tick::{Decision, TickInput};
+use simulator::SimulatedRobot;
 use simulator::floor::FloorPlan;
-use simulator::{Devices, SimulatedRobot};
+use simulator::robot::{SimBase, SimCamera, SimClock, SimLidar, Truth as World};
 
 use crate::cli::ExploreArgs;
 use crate::config::{Config, RecordingSection};
@@ -56,6 +58,27 @@ pub(super) struct Session {
     stream: Option<crate::rerun_stream::RerunStream>,
 }
 
+/// The simulated devices, and what is wrong with them.
+struct Devices {
+    camera: FaultyCamera<SimCamera>,
+    lidar: FaultyLidar<SimLidar>,
+    base: FaultyBase<SimBase>,
+    clock: FaultyClock<SimClock>,
+    truth: World,
+}
+
+impl Devices {
+    fn new(devices: simulator::Devices, faults: &Faults) -> Self {
+        Self {
+            camera: FaultyCamera::new(devices.camera, faults),
+            lidar: FaultyLidar::new(devices.lidar, faults),
+            base: FaultyBase::new(devices.base, faults),
+            clock: FaultyClock::new(devices.clock, faults),
+            truth: devices.truth,
+        }
+    }
+}
+
 /// Memory for one turn's inputs, reused.
 struct Senses {
     frame: Frame,
@@ -70,10 +93,11 @@ impl Session {
         args: &ExploreArgs,
         config: &Config,
         simulated: &SimulatedRobot,
+        faults: &Faults,
         robot: Robot,
         recorder: Option<Recorder>,
     ) -> Self {
-        let devices = simulated.devices();
+        let devices = Devices::new(simulated.devices(), faults);
         let plan = devices.truth.floor_plan();
         let grid = plan.grid();
         let reachable = reachable_cells(&plan);
@@ -160,9 +184,10 @@ impl Session {
 
     /// One turn. The inner error: the recording failed, and the run must end.
     fn turn(&mut self, tick: u64, senses: &mut Senses) -> Result<Result<(), crate::record::RecordError>> {
-        let time_ns = tick * self.tick_ns;
         self.stopwatch.start();
-        let (has_frame, has_scan) = self.sense(time_ns, senses)?;
+        self.devices.clock.sleep_until_ns(tick * self.tick_ns);
+        let time_ns = self.devices.clock.now_ns();
+        let (has_frame, has_scan) = self.sense(senses);
         self.stopwatch.lap(Stage::Simulator);
         let maps_truth = self.robot.config().depth_source == DepthSource::Truth;
         if maps_truth {
@@ -183,7 +208,7 @@ impl Session {
         let decision = self.robot.tick(&input, &mut self.stopwatch);
         self.stopwatch.since(began, Stage::Total);
         let command = DriveCommand { twist: decision.command.into(), counter: tick as u32, plan_age_ns: 0 };
-        self.devices.base.drive(&command)?;
+        self.drive(&command)?;
         self.digest.add_input(&input);
         self.digest.add_decision(&decision);
         self.evaluate(&input, &senses.truth, &decision)?;
@@ -194,16 +219,23 @@ impl Session {
         Ok(recorded)
     }
 
-    /// Lets time pass and reads the devices.
-    fn sense(&mut self, time_ns: u64, senses: &mut Senses) -> Result<(bool, bool)> {
-        self.devices.clock.sleep_until_ns(time_ns);
-        let has_frame = self.devices.camera.poll_frame(&mut senses.frame)?;
-        let has_scan = self.devices.lidar.poll_scan(&mut senses.scan)?;
-        if let Some(wheel) = self.devices.base.poll_feedback()? {
+    /// Reads the devices. An error is no reading, and never a reason to keep the last one.
+    fn sense(&mut self, senses: &mut Senses) -> (bool, bool) {
+        let has_frame = self.devices.camera.poll_frame(&mut senses.frame).unwrap_or(false);
+        let has_scan = self.devices.lidar.poll_scan(&mut senses.scan).unwrap_or(false);
+        if let Ok(Some(wheel)) = self.devices.base.poll_feedback() {
             senses.wheel = wheel;
         }
         self.devices.truth.depth(&mut senses.truth);
-        Ok((has_frame, has_scan))
+        (has_frame, has_scan)
+    }
+
+    /// A base that cannot be reached stops by its own watchdog; one that refuses was asked for nonsense, and the run ends.
+    fn drive(&mut self, command: &DriveCommand) -> Result<()> {
+        match self.devices.base.drive(command) {
+            Err(error) if error.kind() == ErrorKind::Rejected => Err(error.into()),
+            _ => Ok(()),
+        }
     }
 
     fn evaluate(&mut self, input: &TickInput<'_>, depth: &DepthMap, decision: &Decision) -> Result<()> {

@@ -16,6 +16,7 @@
 
 mod disk;
 mod error;
+mod faulty_disk;
 mod recorder;
 mod segments;
 
@@ -24,5 +25,6 @@ pub(crate) mod tests;
 
 pub use disk::{Disk, FileSystem, SegmentFile};
 pub use error::RecordError;
+pub use faulty_disk::FaultyDisk;
 pub use recorder::{Recorder, RecorderOptions, RecordingSummary, WhenFull};
 pub use segments::{is_segment_name, segment_name};

@@ -21,6 +21,8 @@ pub(crate) fn run_header() -> RunHeader {
         depth_source: "coarse".to_owned(),
         model_digest: None,
         hand_over: None,
+        faults: Vec::new(),
+        fault_seed: None,
         camera: CameraModel::pinhole(32, 8, 1.5),
         t_base_camera: Pose3::identity(),
         t_base_laser: Pose3::identity(),

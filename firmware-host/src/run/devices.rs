@@ -3,6 +3,7 @@
 use anyhow::{Context, Result};
 use drivers::DeviceStatus;
 use drivers::can::{CanBus, DifferentialBase, Phase, open_bus};
+use drivers::fault::{Faults, FaultyBase, FaultyCamera, FaultyLidar};
 use drivers::hokuyo::{HokuyoLidar, HokuyoMonitor};
 use drivers::v4l2::V4l2Camera;
 use runtime::safety::SafetyLoop;
@@ -13,42 +14,47 @@ use crate::config::Config;
 /// The base on whatever bus it is connected to.
 pub type AnyBase = DifferentialBase<Box<dyn CanBus + Send>>;
 
+/// What the safety plane owns.
+pub type Control = SafetyLoop<FaultyBase<AnyBase>, FaultyLidar<HokuyoLidar>>;
+
 /// Starts the camera's driver.
 ///
 /// # Errors
 /// What it refuses in the configuration.
-pub fn open_camera(config: &Config) -> Result<V4l2Camera> {
+pub fn open_camera(config: &Config, faults: &Faults) -> Result<FaultyCamera<V4l2Camera>> {
     let devices = &config.devices;
     let model = devices.camera_model().map_err(anyhow::Error::msg).context("[devices.lens]")?;
-    V4l2Camera::new(&devices.camera, model).context("[devices.camera]")
+    let camera = V4l2Camera::new(&devices.camera, model).context("[devices.camera]")?;
+    Ok(FaultyCamera::new(camera, faults))
 }
 
 /// Starts the scanner's and the base's drivers; also what the scanner's thread knows, for other threads.
 ///
 /// # Errors
 /// What a driver refuses in the configuration.
-pub fn open_scanner_and_base(config: &Config) -> Result<(SafetyLoop<AnyBase, HokuyoLidar>, HokuyoMonitor)> {
+pub fn open_scanner_and_base(config: &Config, faults: &Faults) -> Result<(Control, HokuyoMonitor)> {
     let devices = &config.devices;
     let lidar = HokuyoLidar::open(devices.lidar.clone()).context("[devices.lidar]")?;
     let monitor = lidar.monitor();
     let base = AnyBase::new(open_bus(&devices.base.bus), &devices.base).context("[devices.base]")?;
+    let (base, lidar) = (FaultyBase::new(base, faults), FaultyLidar::new(lidar, faults));
     Ok((SafetyLoop::new(config.live_safety_config(), base, lidar), monitor))
 }
 
-impl Watched for HokuyoLidar {
+impl Watched for FaultyLidar<HokuyoLidar> {
     fn status(&self) -> DeviceStatus {
-        Self::status(self)
+        self.injector().status(self.inner().status())
     }
 }
 
-impl Watched for AnyBase {
+impl Watched for FaultyBase<AnyBase> {
     fn status(&self) -> DeviceStatus {
-        Self::status(self)
+        self.injector().status(self.inner().status())
     }
 }
 
-impl WatchedBase for AnyBase {
+impl WatchedBase for FaultyBase<AnyBase> {
     fn phase(&self) -> Phase {
-        Self::phase(self)
+        self.inner().phase()
     }
 }

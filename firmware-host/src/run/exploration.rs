@@ -3,7 +3,9 @@
 //! Turns have no clock of their own: what the runtime decides follows from the recorded inputs, and `replay` recomputes it.
 
 use anyhow::{Context, Result};
+use drivers::DeviceStatus;
 use drivers::clock::monotonic_ns;
+use drivers::fault::FaultyCamera;
 use drivers::v4l2::V4l2Camera;
 use hal::{Camera, Frame, ImageView, LaserScan, Pose2, WheelFeedback};
 use runtime::event::{Event, SafetyEvent};
@@ -33,7 +35,7 @@ const LOG_EVERY_NS: u64 = 1_000_000_000;
 
 /// The exploration plane, turn by turn.
 pub struct Exploration {
-    camera: V4l2Camera,
+    camera: FaultyCamera<V4l2Camera>,
     front_end: FrontEnd,
     robot: Robot,
     recorder: Option<Recorder>,
@@ -62,7 +64,12 @@ impl Exploration {
     ///
     /// # Errors
     /// When the camera's pictures cannot become those that perception works on.
-    pub fn new(config: &Config, camera: V4l2Camera, robot: Robot, recorder: Option<Recorder>) -> Result<Self> {
+    pub fn new(
+        config: &Config,
+        camera: FaultyCamera<V4l2Camera>,
+        robot: Robot,
+        recorder: Option<Recorder>,
+    ) -> Result<Self> {
         let (source, target) = (*camera.model(), config.camera.model());
         let format = config.devices.camera.format.pixels();
         let front_end = FrontEnd::new(source, target, format, YuvRange::Limited).context(
@@ -242,8 +249,8 @@ impl Exploration {
 
     /// The camera, for `health`.
     #[must_use]
-    pub fn camera(&self) -> (&V4l2Camera, Option<&String>) {
-        (&self.camera, self.camera_problem.as_ref())
+    pub fn camera(&self) -> (DeviceStatus, Option<&String>) {
+        (self.camera.injector().status(self.camera.inner().status()), self.camera_problem.as_ref())
     }
 
     /// The recorder, for `health`.

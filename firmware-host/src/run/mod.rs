@@ -17,16 +17,20 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result};
 use drivers::MonotonicClock;
+use drivers::clock::monotonic_ns;
+use drivers::fault::{Faults, FaultyClock};
 use hal::{Clock, Pose2};
 use runtime::event::ExploreEnd;
 use runtime::latency::LatencyHistogram;
+use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, Robot};
 use runtime::safety::Request;
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGUSR2};
 
 use crate::cli::RunArgs;
 use crate::config::Config;
-use crate::record::{Recorder, RecorderOptions};
+
+use crate::record::{FaultyDisk, FileSystem, Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
 use crate::report::latency::Stage;
 use crate::report::summary::{Summary, peak_resident_mib};
@@ -34,6 +38,9 @@ use crate::setup::{self, Mission};
 use exploration::{Exploration, Finished};
 use safety_thread::{Pace, SafetyThread};
 use supervision::Supervision;
+
+/// Faults by dice of a run without an end are spread over this time, seconds.
+const RANDOM_FAULTS_S: f64 = 600.0;
 
 /// Drives until it is told to stop, then brakes, lets the motors go and reports.
 ///
@@ -51,22 +58,33 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let model = network.as_ref().map(|network| network.digest().to_owned());
     let robot = Robot::new(config.robot(&mission), network)?;
     prepare_dir(&args.out)?;
-    let recorder = if args.no_recording { None } else { Some(recorder(args, &config, &mission, model.as_deref())?) };
+    let plan = args.faults.plan(args.frames.map_or(RANDOM_FAULTS_S, |frames| frames as f64 * config.base.tick_s()));
+    if plan.seed().is_some() {
+        tracing::warn!("devices are broken on purpose: {}", plan.texts().join(", "));
+    }
+    let header = setup::run_header(&config, &mission, model.as_deref(), &plan)?;
+    let start_ns = monotonic_ns();
+    let faults = plan.clone().at(Arc::new(move || monotonic_ns().saturating_sub(start_ns)));
+    let recorder = if args.no_recording { None } else { Some(recorder(args, &config, header, &faults)?) };
     let signals = Signals::register()?;
-    let camera = devices::open_camera(&config)?;
+    let camera = devices::open_camera(&config, &faults)?;
     let pace = Pace { period_ns: (1e9 / config.run.safety_hz) as u64, priority: config.run.realtime_priority };
-    let wiring = config.clone();
-    let (mut safety, lidar) = SafetyThread::start(pace, move || devices::open_scanner_and_base(&wiring))?;
+    let (wiring, wiring_faults) = (config.clone(), faults.clone());
+    let (mut safety, lidar) =
+        SafetyThread::start(pace, move || devices::open_scanner_and_base(&wiring, &wiring_faults))?;
     let mut exploration = Exploration::new(&config, camera, robot, recorder)?;
     let mut supervision = Supervision::new(args, &config, lidar);
     if config.run.arm_at_start {
         safety.request(Request::Arm);
     }
     supervision.announce(&safety);
-    let end = explore(args, &config, &signals, &mut safety, &mut exploration, &mut supervision)?;
+    let mut clock = FaultyClock::new(MonotonicClock, &faults);
+    let end = explore(args, &config, &signals, &mut clock, &mut safety, &mut exploration, &mut supervision)?;
     let late = safety.shut_down();
     supervision.good_bye();
-    report(args, &mission, model, end, exploration.finish(), late)
+    let summary =
+        Summary { model, end_reason: Some(end), faults: plan.texts(), fault_seed: plan.seed(), ..Summary::default() };
+    report(args, &mission, summary, exploration.finish(), late)
 }
 
 /// The exploration plane's loop.
@@ -74,11 +92,11 @@ fn explore(
     args: &RunArgs,
     config: &Config,
     signals: &Signals,
+    clock: &mut impl Clock,
     safety: &mut SafetyThread,
     exploration: &mut Exploration,
     supervision: &mut Supervision,
 ) -> Result<ExploreEnd> {
-    let mut clock = MonotonicClock;
     let period_ns = config.base.tick_ns();
     let mut due_ns = clock.now_ns();
     let mut skipped = 0;
@@ -134,20 +152,19 @@ impl Signals {
     }
 }
 
-fn recorder(args: &RunArgs, config: &Config, mission: &Mission, model: Option<&str>) -> Result<Recorder> {
+fn recorder(args: &RunArgs, config: &Config, header: RunHeader, faults: &Faults) -> Result<Recorder> {
     let options = RecorderOptions {
         segment_ns: (config.recording.segment_s * 1e9) as u64,
         segment_bytes: config.recording.segment_mib << 20,
         ..RecorderOptions::robot(&args.out)
     };
-    Ok(Recorder::start(options, setup::run_header(config, mission, model)?)?)
+    Ok(Recorder::start_on(Box::new(FaultyDisk::new(FileSystem, faults)), options, header)?)
 }
 
 fn report(
     args: &RunArgs,
     mission: &Mission,
-    model: Option<String>,
-    end: ExploreEnd,
+    summary: Summary,
     finished: Finished,
     late: Option<LatencyHistogram>,
 ) -> Result<()> {
@@ -156,14 +173,12 @@ fn report(
         seed: Some(args.seed),
         policy: Some(mission.policy.name().to_owned()),
         depth_source: Some(mission.depth_source),
-        model,
-        end_reason: Some(end),
         path_m: Some(finished.path_m),
         events: finished.counts,
         latency_ms: finished.latencies.latencies().percentiles(),
         resident_mib: peak_resident_mib(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        ..Summary::default()
+        ..summary
     };
     let late = late.and_then(|late| late.percentiles());
     summary.latency_ms.extend(late.map(|late| (Stage::SafetyLate, late)));

@@ -138,7 +138,7 @@ impl Supervision {
                 worst_late_us: glance.worst_late_ns as f64 * 1e-3,
                 realtime,
             },
-            camera: camera_meter.health(&self.names[0], &camera.status(), now_ns, camera_problem.cloned()),
+            camera: camera_meter.health(&self.names[0], &camera, now_ns, camera_problem.cloned()),
             lidar: lidar_meter.health(&self.names[1], &glance.lidar, now_ns, self.lidar.problem()),
             base: base_meter.health(&self.names[2], &glance.base, now_ns, base_problem),
             exploration: exploration.status(skipped),

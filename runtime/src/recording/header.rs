@@ -28,6 +28,12 @@ pub struct RunHeader {
     /// When other models were handed over, if they were.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub hand_over: Option<HandOverSchedule>,
+    /// What was broken on purpose; the recorded inputs are as the broken devices gave them.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub faults: Vec<String>,
+    /// Seed of everything random in that.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub fault_seed: Option<u64>,
     /// Intrinsics of the pictures that the loop gets.
     #[serde(with = "json::camera_model")]
     pub camera: CameraModel,
@@ -96,6 +102,16 @@ mod tests {
         let back: SegmentHeader = serde_json::from_str(&text).unwrap();
         assert_eq!(back, header);
         assert_eq!(serde_json::to_string(&back).unwrap(), text);
+    }
+
+    #[test]
+    fn faults_are_in_the_header_and_a_header_from_before_there_were_any_is_read() {
+        let run = RunHeader { faults: vec!["lidar:stall@4..6".to_owned()], fault_seed: Some(3), ..run_header() };
+        let text = serde_json::to_string(&run).unwrap();
+        assert_eq!(serde_json::from_str::<RunHeader>(&text).unwrap(), run);
+        let old = serde_json::to_string(&run_header()).unwrap();
+        assert!(!old.contains("fault"));
+        assert_eq!(serde_json::from_str::<RunHeader>(&old).unwrap(), run_header());
     }
 
     #[test]

@@ -18,6 +18,8 @@ pub(super) fn run_header() -> RunHeader {
         depth_source: "truth".to_owned(),
         model_digest: None,
         hand_over: None,
+        faults: Vec::new(),
+        fault_seed: None,
         camera: CameraModel::pinhole(6, 4, std::f64::consts::FRAC_PI_2),
         t_base_camera: camera_mount(0.1, 0.8, 0.2),
         t_base_laser: Pose3::translation(0.1, 0.0, 0.3),

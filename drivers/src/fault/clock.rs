@@ -1,0 +1,30 @@
+//! A loop that is woken late.
+
+use hal::Clock;
+
+use super::injector::{Faults, Injector};
+use super::schedule::{Device, Kind};
+
+/// The wrapper.
+pub struct FaultyClock<C> {
+    inner: C,
+    injector: Injector,
+}
+
+impl<C: Clock> FaultyClock<C> {
+    /// Wraps a clock.
+    pub fn new(inner: C, faults: &Faults) -> Self {
+        Self { inner, injector: faults.of(Device::Clock) }
+    }
+}
+
+impl<C: Clock> Clock for FaultyClock<C> {
+    fn now_ns(&self) -> u64 {
+        self.inner.now_ns()
+    }
+
+    fn sleep_until_ns(&mut self, deadline_ns: u64) {
+        let late_ns = self.injector.on(Kind::Slow).map_or(0, |fault| (fault.amount() * 1e6) as u64);
+        self.inner.sleep_until_ns(deadline_ns.saturating_add(late_ns));
+    }
+}

@@ -1,0 +1,61 @@
+//! A schedule by dice.
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use super::schedule::Fault;
+
+/// What a robot must survive without help. A base that is not there is not among it, nor is a full disk.
+const SURVIVABLE: [&str; 26] = [
+    "camera:stall",
+    "camera:unplug",
+    "camera:drop=0.3",
+    "camera:delay=2",
+    "camera:duplicate=0.3",
+    "camera:reorder=0.3",
+    "camera:corrupt=0.3",
+    "camera:black",
+    "camera:white",
+    "lidar:stall",
+    "lidar:unplug",
+    "lidar:drop=0.3",
+    "lidar:delay=1",
+    "lidar:duplicate=0.3",
+    "lidar:reorder=0.2",
+    "lidar:corrupt=0.01",
+    "lidar:error=0.1",
+    "lidar:blind",
+    "lidar:ghost=0.002",
+    "base:stall",
+    "base:drop=0.2",
+    "base:duplicate=0.3",
+    "base:corrupt=0.2",
+    "base:nan",
+    "base:contact",
+    "clock:slow=100",
+];
+/// Time from the beginning of one to that of the next, and how long each is on, tenths of a second.
+const APART_DS: std::ops::RangeInclusive<u32> = 30..=90;
+const LONG_DS: std::ops::RangeInclusive<u32> = 5..=30;
+
+/// Faults of all devices over `span_s` seconds, one about every 6 s.
+#[must_use]
+pub fn random_faults(seed: u64, span_s: f64) -> Vec<Fault> {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed);
+    let mut faults = Vec::new();
+    let mut time_ds = 0;
+    loop {
+        time_ds += rng.random_range(APART_DS);
+        let from_s = f64::from(time_ds) / 10.0;
+        if from_s >= span_s {
+            return faults;
+        }
+        let to_s = f64::from(time_ds + rng.random_range(LONG_DS)) / 10.0;
+        let what = SURVIVABLE.get(rng.random_range(0..SURVIVABLE.len()));
+        // They can all be read; a test says so.
+        if let Some(mut fault) = what.and_then(|what| what.parse::<Fault>().ok()) {
+            (fault.from_s, fault.to_s) = (from_s, to_s);
+            faults.push(fault);
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! A disk that is slow, full, or not there.
+
+use std::io::{self, Write};
+use std::path::Path;
+use std::time::Duration;
+
+use drivers::fault::{Device, Faults, Injector, Kind};
+
+use super::disk::{Disk, SegmentFile};
+
+/// The wrapper.
+pub struct FaultyDisk<D> {
+    inner: D,
+    faults: Faults,
+    injector: Injector,
+}
+
+struct FaultyFile {
+    inner: Box<dyn SegmentFile>,
+    injector: Injector,
+}
+
+impl<D: Disk> FaultyDisk<D> {
+    /// Wraps a disk.
+    pub fn new(inner: D, faults: &Faults) -> Self {
+        Self { inner, faults: faults.clone(), injector: faults.of(Device::Disk) }
+    }
+}
+
+fn trouble(injector: &Injector) -> io::Result<()> {
+    if let Some(fault) = injector.on(Kind::Slow) {
+        std::thread::sleep(Duration::from_secs_f64(fault.amount() * 1e-3));
+    }
+    if injector.on(Kind::Unplug).is_some() {
+        return Err(io::Error::other("the disk is not there (an injected fault)"));
+    }
+    if injector.on(Kind::Full).is_some() {
+        return Err(io::Error::new(io::ErrorKind::StorageFull, "no space left on device (an injected fault)"));
+    }
+    Ok(())
+}
+
+impl<D: Disk> Disk for FaultyDisk<D> {
+    fn create(&mut self, path: &Path) -> io::Result<Box<dyn SegmentFile>> {
+        trouble(&self.injector)?;
+        let inner = self.inner.create(path)?;
+        Ok(Box::new(FaultyFile { inner, injector: self.faults.of(Device::Disk) }))
+    }
+
+    fn remove(&mut self, path: &Path) -> io::Result<()> {
+        self.inner.remove(path)
+    }
+}
+
+impl Write for FaultyFile {
+    fn write(&mut self, data: &[u8]) -> io::Result<usize> {
+        trouble(&self.injector)?;
+        self.inner.write(data)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.inner.flush()
+    }
+}
+
+impl SegmentFile for FaultyFile {
+    fn truncate(&mut self, len: u64) -> io::Result<()> {
+        self.inner.truncate(len)
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        trouble(&self.injector)?;
+        self.inner.sync()
+    }
+}
