@@ -169,7 +169,7 @@ fn a_can_interface_that_does_not_exist_is_told_with_those_that_do() {
 fn devices_of_a_robot_that_runs_are_left_alone() {
     let mut robot = Robot::with(Protocol::Cia402, Model::Utm30lx, |_| {});
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs_f64();
-    // A computer that is so slow that this is old when it is read would still be refused by a second more.
+    // Written a minute from now, so that a slow computer does not find it old.
     let status = serde_json::json!({ "written_unix_s": now + 60.0, "pid": 4711 });
     std::fs::write(robot.path("status.json"), status.to_string()).unwrap();
     let (output, said) = robot.check();

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use drivers::can::protocol::MotorStatus;
 use drivers::can::{BaseConfig, CanError, DifferentialBase, open_bus};
-use drivers::clock::monotonic_ns;
 use drivers::hokuyo::{HokuyoConfig, HokuyoLidar, Port};
 use drivers::v4l2::{self, CameraDeviceConfig, V4l2Camera, V4l2Error};
 use drivers::{DeviceState, DeviceStatus, MonotonicClock};
@@ -162,7 +161,9 @@ fn lidar(config: &HokuyoConfig) -> Finding {
         let beams = scan.ranges.len();
         let what = format!("{what}; {:.1} scans a second, {hits} of {beams} beams meet something", watched.rate_hz);
         let stable = serial.and_then(|path| nearby::PORTS.stable_name_of(path)).map(|name| renamed(&name));
-        return Finding::well("LiDAR", path(), what).advise(stable);
+        let bad = watched.status.bad;
+        let noise = (bad > 0).then(|| format!("{bad} scans failed their checks meanwhile; check cable and ground"));
+        return Finding::well("LiDAR", path(), what).advise(stable).advise(noise);
     }
     let starting = "its first good scans have not come yet; it may be starting: look again".to_owned();
     let why = monitor.problem().unwrap_or(starting);

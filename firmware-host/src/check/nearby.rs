@@ -29,7 +29,11 @@ impl Names {
             found = entries(Path::new("/dev")).into_iter().filter(begins).collect();
         }
         if found.is_empty() {
-            return format!("nothing of its kind is plugged in: {} and {}* are empty", self.stable, self.kernel.join("*, "));
+            return format!(
+                "nothing of its kind is plugged in: {} and {}* are empty",
+                self.stable,
+                self.kernel.join("*, ")
+            );
         }
         let found: Vec<_> = found.iter().map(|path| path.display().to_string()).collect();
         format!("there are: {}", found.join(", "))
@@ -72,7 +76,9 @@ fn interface(folder: &Path, name: &str) -> Option<String> {
             .filter_map(|interface| Some(interface.file_name()?.to_string_lossy().into_owned()))
             .collect();
         return Some(if others.is_empty() {
-            format!("there is no interface {name}, nor any other of CAN: plug the adapter in; `dmesg` says whether it has a driver")
+            format!(
+                "there is no interface {name}, nor any other of CAN: plug the adapter in; `dmesg` says whether it has a driver"
+            )
         } else {
             format!("there is no interface {name}; those of CAN are: {}", others.join(", "))
         });
