@@ -108,7 +108,7 @@ fn a_well_robot_is_told_and_stays_where_it_is(protocol: Protocol) {
     let mut robot = Robot::with(protocol, Model::Utm30lx, |_| {});
     let (output, said) = robot.check();
     assert_eq!(output.status.code(), Some(0), "{said}");
-    for part in ["YUYV 640x480", "pictures a second", "UTM-30LX, serial", "firmware", "left watchdog 100 ms"] {
+    for part in ["YUYV 640x480", "pictures a second", "UTM-30LX, serial", "firmware", "left (node 1) watchdog 100 ms"] {
         assert!(said.contains(part), "{part} in {said}");
     }
     assert_eq!(said.matches("working").count(), 3, "{said}");
@@ -146,7 +146,9 @@ fn another_scanner_and_a_motor_without_its_watchdog_are_told_with_the_way_out() 
     let mut robot = Robot::with(Protocol::Odrive, Model::Urg04lx, |nodes| nodes[1].faults().forgets_watchdog = true);
     let (output, said) = robot.check();
     assert_eq!(output.status.code(), Some(1), "{said}");
-    for part in ["correct `model` or `port`", "right watchdog not confirmed", "the right motor", "its watchdog is"] {
+    for part in
+        ["correct `model` or `port`", "right (node 2) watchdog not confirmed", "the right motor", "its watchdog is"]
+    {
         assert!(said.contains(part), "{part} in {said}");
     }
     assert!(!robot.has_moved());

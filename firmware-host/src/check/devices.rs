@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use drivers::can::protocol::MotorStatus;
-use drivers::can::{BaseConfig, CanError, DifferentialBase, open_bus};
+use drivers::can::{BaseConfig, CanError, DifferentialBase, Protocol, open_bus};
 use drivers::hokuyo::{HokuyoConfig, HokuyoLidar, Port};
 use drivers::v4l2::{self, CameraDeviceConfig, V4l2Camera, V4l2Error};
 use drivers::{DeviceState, DeviceStatus, MonotonicClock};
@@ -184,7 +184,13 @@ fn base(config: &BaseConfig) -> Finding {
     });
     let state = watched.status.state;
     let [left, right] = device.motors().map(motor);
-    let what = format!("{:?}, left {left}, right {right}", config.protocol);
+    let protocol = match config.protocol {
+        Protocol::Odrive => "ODrive",
+        Protocol::Vesc => "VESC",
+        Protocol::Cia402 => "CiA 402",
+    };
+    let (left_node, right_node) = (config.left_node, config.right_node);
+    let what = format!("{protocol}: left (node {left_node}) {left}, right (node {right_node}) {right}");
     let why = match (device.check(), device.motors().into_iter().find_map(|motor| motor.problem)) {
         (Ok(()), None) if state == DeviceState::Working => return Finding::well("base", path(), what),
         (Err(CanError::Tripped(trip)), _) => trip.to_string(),

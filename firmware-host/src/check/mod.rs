@@ -61,6 +61,8 @@ fn screen(findings: &[Finding]) -> String {
         text += "\n";
         let mark = if finding.is_well { ' ' } else { '!' };
         for line in &finding.to_do {
+            // Some drivers name their device themselves.
+            let line = line.strip_prefix(finding.device).map_or(line.as_str(), str::trim_start);
             text += &format!("\n  {mark} {}: {line}", finding.device);
         }
     }
