@@ -41,7 +41,7 @@ pub fn make(arch: Arch, program: &Path) -> Result<PathBuf> {
     }
     let installed = root.join(LIBRARIES).join("firmware-host");
     copy(program, &installed, 0o755)?;
-    // 50 MB of line numbers stay here: for the trace of a panic, keep the program beside the package.
+    // Most of the program is line numbers. Names of functions stay, for the trace of a panic.
     command::run(command::program(strip(arch)).arg("--strip-debug").arg(&installed))?;
     fs::create_dir_all(root.join("usr/bin"))?;
     symlink("../lib/embodied-depth/firmware-host", root.join("usr/bin/firmware-host"))?;
@@ -117,8 +117,9 @@ fn control(arch: Arch, root: &Path, (major, minor): (u32, u32)) -> Result<()> {
          Section: science\n\
          Priority: optional\n\
          Description: robot that explores a home and learns how far things are\n\
-         \x20Drives a robot with a camera (V4L2), a scanner (Hokuyo) and two motors (CAN), explores,\n\
-         \x20records, and computes depth from its own motion. With ONNX Runtime and a depth network.\n",
+         \x20Drives a robot with a camera (V4L2), a scanner (Hokuyo) and two motors (CAN),\n\
+         \x20explores, records, and computes depth from its own motion. With ONNX Runtime\n\
+         \x20and a depth network.\n",
         env!("CARGO_PKG_VERSION"),
         arch.debian(),
     );
@@ -139,7 +140,7 @@ fn pack(arch: Arch, root: &Path) -> Result<PathBuf> {
     if let Ok(time) = output(command::program("git").args(["log", "-1", "--format=%ct"])) {
         dpkg.env("SOURCE_DATE_EPOCH", time.trim());
     }
-    // As the robots' older systems unpack it: Debian 11 and JetPack 5 know no zstd.
+    // Debian's default; Ubuntu's dpkg-deb would take another.
     dpkg.args(["--root-owner-group", "-Zxz", "--build"]).arg(root).arg(&package);
     command::run(dpkg.stdout(Stdio::null()))?;
     Ok(package)
