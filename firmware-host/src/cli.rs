@@ -32,7 +32,7 @@ pub enum Command {
     Run(RunArgs),
     /// One screen: how the running robot is. Exits with 1 when something is wrong.
     Health(HealthArgs),
-    /// Check a configuration file and print what is in effect.
+    /// Check a configuration file and print what is in effect; with --devices, check what is connected.
     Check(CheckArgs),
 }
 
@@ -247,6 +247,10 @@ pub struct CheckArgs {
     /// Configuration file; without one, the documented defaults are printed.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// Instead of printing what is in effect, open each device for some seconds and say how it is. Nothing is armed and nothing
+    /// moves. Exits with 1 unless all are well.
+    #[arg(long, requires = "config")]
+    pub devices: bool,
 }
 
 /// Policies by their names.

@@ -6,6 +6,7 @@ mod accuracy;
 mod bench;
 mod command;
 mod demo;
+mod dist;
 mod models;
 mod nextest;
 mod onnx_runtime;
@@ -66,6 +67,12 @@ enum Chore {
         /// A part of the names of scenarios.
         filter: Option<String>,
     },
+    /// The Debian package for the robot's computer, in target/dist, tried out as far as that is possible here.
+    Dist {
+        /// For which computers [default: those like this one]. aarch64 on a PC installs Debian's cross toolchain by apt.
+        #[arg(long, value_enum)]
+        target: Option<dist::Arch>,
+    },
     /// Install what the other chores need, and nothing else.
     Setup,
 }
@@ -89,6 +96,7 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Policies { frames, seeds } => policies::run(*frames, *seeds),
         Chore::Models => models::run(),
         Chore::Rig { all, filter } => rig::run(*all, filter.as_deref()),
+        Chore::Dist { target } => dist::run(*target),
         Chore::Setup => {
             println!("ONNX Runtime: {}", onnx_runtime::install()?.display());
             println!("test runner:  {}", if nextest::install() { "cargo nextest" } else { "cargo test" });

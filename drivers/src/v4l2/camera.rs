@@ -10,7 +10,7 @@ use rustix::io::Errno;
 use super::capture::{Capture, Job, Opener, Picture};
 use super::config::CameraDeviceConfig;
 use super::error::V4l2Error;
-use super::node::{Control, Layout, VideoNode, controls};
+use super::node::{Control, FourCc, Layout, VideoNode, controls, formats};
 use super::remote::RemoteNode;
 use super::stream::Stream;
 use super::sys::KernelNode;
@@ -159,6 +159,8 @@ pub struct Agreement {
     pub layout: Layout,
     /// Time between two pictures, nanoseconds.
     pub interval_ns: u64,
+    /// Every pixel format that it has.
+    pub formats: Vec<FourCc>,
     /// Everything that can be set.
     pub controls: Vec<Control>,
 }
@@ -175,6 +177,7 @@ pub fn check(config: &CameraDeviceConfig) -> Result<Agreement, V4l2Error> {
     };
     let mut stream = Job::Open.run(&mut opener, config)?;
     let (layout, interval_ns) = (stream.layout(), stream.interval_ns());
+    let formats = formats(stream.node()).unwrap_or_default();
     let controls = controls(stream.node()).unwrap_or_default();
-    Ok(Agreement { layout, interval_ns, controls })
+    Ok(Agreement { layout, interval_ns, formats, controls })
 }

@@ -176,18 +176,25 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         if matches!(self.phase, Phase::Armed | Phase::Arming) {
             return Ok(());
         }
-        if let Some(trip) = self.obstacle(now_ns) {
-            return Err(CanError::Tripped(trip));
-        }
-        for side in SIDES {
-            self.check_motor(side, now_ns)?;
-        }
+        self.check()?;
         for motor in &mut self.motors {
             motor.set_velocity(0.0);
             motor.enable();
         }
         self.enter(Phase::Arming, now_ns);
         Ok(())
+    }
+
+    /// Whether it could be armed now, as far as is known from the last turn.
+    ///
+    /// # Errors
+    /// What stands in the way.
+    pub fn check(&self) -> Result<(), CanError> {
+        let now_ns = self.clock.now_ns();
+        if let Some(trip) = self.obstacle(now_ns) {
+            return Err(CanError::Tripped(trip));
+        }
+        SIDES.into_iter().try_for_each(|side| self.check_motor(side, now_ns))
     }
 
     /// Brakes, and lets the motors go half a second later.

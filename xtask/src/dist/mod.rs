@@ -1,0 +1,61 @@
+//! `cargo xtask dist`: the Debian package for the robot's computer, in `target/dist`, and a trial of what is in it.
+
+mod cross;
+mod package;
+mod trial;
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::ValueEnum;
+
+use crate::{command, paths};
+
+/// What the robot's computer is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Arch {
+    /// 64-bit PC.
+    #[value(name = "x86_64")]
+    X86,
+    /// 64-bit ARM.
+    #[value(name = "aarch64")]
+    Arm,
+}
+
+impl Arch {
+    /// As Rust, Linux and wheels call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::X86 => "x86_64",
+            Self::Arm => "aarch64",
+        }
+    }
+
+    /// As Debian calls it.
+    pub fn debian(self) -> &'static str {
+        match self {
+            Self::X86 => "amd64",
+            Self::Arm => "arm64",
+        }
+    }
+
+    pub fn is_this_computers(self) -> bool {
+        self.name() == std::env::consts::ARCH
+    }
+}
+
+/// Builds the package for `arch`; without one, for computers like this one.
+pub fn run(arch: Option<Arch>) -> Result<()> {
+    let this = if Arch::Arm.is_this_computers() { Arch::Arm } else { Arch::X86 };
+    let arch = arch.unwrap_or(this);
+    let program = if arch.is_this_computers() { build()? } else { cross::build(arch)? };
+    let package = package::make(arch, &program)?;
+    trial::run(arch, &package)?;
+    println!("\n{}: `apt install ./NAME.deb` on the robot; docs/install.md goes on from there", package.display());
+    Ok(())
+}
+
+fn build() -> Result<PathBuf> {
+    command::run(command::cargo().args(["build", "--locked", "--release", "--package", "firmware-host"]))?;
+    Ok(paths::target().join("release/firmware-host"))
+}

@@ -1,0 +1,156 @@
+//! The files of the package, laid out as they will lie on the robot, and packed by `dpkg-deb`.
+
+use std::fs;
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+
+use anyhow::{Context, Result, bail};
+
+use super::Arch;
+use crate::{command, onnx_runtime, paths};
+
+/// What is taken as it is: from the repository, to the robot.
+const FILES: [(&str, &str); 10] = [
+    ("models/default.onnx", "usr/share/embodied-depth/default.onnx"),
+    ("models/README.md", "usr/share/doc/embodied-depth/default.onnx.md"),
+    ("firmware-host/robot.default.toml", "usr/share/doc/embodied-depth/robot.default.toml"),
+    ("docs/install.md", "usr/share/doc/embodied-depth/install.md"),
+    ("packaging/copyright", "usr/share/doc/embodied-depth/copyright"),
+    ("packaging/robot.toml", "etc/embodied-depth/robot.toml"),
+    ("packaging/embodied-depth.service", "lib/systemd/system/embodied-depth.service"),
+    ("packaging/60-embodied-depth.rules", "lib/udev/rules.d/60-embodied-depth.rules"),
+    ("packaging/sysusers.conf", "usr/lib/sysusers.d/embodied-depth.conf"),
+    ("packaging/modules-load.conf", "usr/lib/modules-load.d/embodied-depth.conf"),
+];
+/// Files that the user changes and an upgrade keeps.
+const CONFFILES: &str = "/etc/embodied-depth/robot.toml\n";
+const SCRIPTS: [&str; 3] = ["postinst", "prerm", "postrm"];
+/// The program finds ONNX Runtime beside itself.
+const LIBRARIES: &str = "usr/lib/embodied-depth";
+const DOCUMENTS: &str = "usr/share/doc/embodied-depth";
+
+/// Packs the program; the package's path.
+pub fn make(arch: Arch, program: &Path) -> Result<PathBuf> {
+    let root = paths::target().join("dist").join(arch.name());
+    if root.exists() {
+        fs::remove_dir_all(&root).with_context(|| format!("removing {}", root.display()))?;
+    }
+    for (from, to) in FILES {
+        copy(&paths::root().join(from), &root.join(to), 0o644)?;
+    }
+    let installed = root.join(LIBRARIES).join("firmware-host");
+    copy(program, &installed, 0o755)?;
+    // Most of the program is line numbers. Names of functions stay, for the trace of a panic.
+    command::run(command::program(strip(arch)).arg("--strip-debug").arg(&installed))?;
+    fs::create_dir_all(root.join("usr/bin"))?;
+    symlink("../lib/embodied-depth/firmware-host", root.join("usr/bin/firmware-host"))?;
+    let library = onnx_runtime(arch, &root)?;
+    fs::write(root.join(DOCUMENTS).join("third-party.txt"), crates()?)?;
+    let glibc = needed_glibc(&installed)?.max(needed_glibc(&library)?);
+    control(arch, &root, glibc)?;
+    pack(arch, &root)
+}
+
+fn onnx_runtime(arch: Arch, root: &Path) -> Result<PathBuf> {
+    let wheel = onnx_runtime::with_notices(arch.name())?;
+    let library = root.join(LIBRARIES).join(wheel.library.file_name().unwrap_or_default());
+    copy(&wheel.library, &library, 0o644)?;
+    for notice in wheel.notices {
+        let name = notice.file_name().unwrap_or_default();
+        copy(&notice, &root.join(DOCUMENTS).join("onnxruntime").join(name), 0o644)?;
+    }
+    Ok(library)
+}
+
+fn copy(from: &Path, to: &Path, mode: u32) -> Result<()> {
+    let failed = || format!("copying {} to {}", from.display(), to.display());
+    if let Some(folder) = to.parent() {
+        fs::create_dir_all(folder).with_context(failed)?;
+    }
+    fs::copy(from, to).with_context(failed)?;
+    fs::set_permissions(to, fs::Permissions::from_mode(mode)).with_context(failed)
+}
+
+fn strip(arch: Arch) -> String {
+    if arch.is_this_computers() { "strip".to_owned() } else { format!("{}-linux-gnu-strip", arch.name()) }
+}
+
+/// Every crate in the program, with its licence.
+fn crates() -> Result<String> {
+    let mut tree = command::cargo();
+    tree.args(["tree", "--locked", "--quiet", "--package", "firmware-host", "--edges", "normal", "--prefix", "none"]);
+    let listed = output(tree.args(["--format", "{p}  {l}", "--target", "all"]))?;
+    // Ours are named by their paths, and repeated crates have a star.
+    let mut lines: Vec<_> =
+        listed.lines().filter(|line| !line.contains("(/")).map(|line| line.trim_end_matches(" (*)")).collect();
+    lines.sort_unstable();
+    lines.dedup();
+    Ok(lines.join("\n") + "\n")
+}
+
+/// The newest version of glibc that an ELF file asks for; its names stand in the file as `GLIBC_2.34`.
+fn needed_glibc(file: &Path) -> Result<(u32, u32)> {
+    const NAME: &[u8] = b"GLIBC_2.";
+    let bytes = fs::read(file).with_context(|| format!("reading {}", file.display()))?;
+    let minors = bytes.windows(NAME.len() + 2).filter(|window| window.starts_with(NAME)).filter_map(|window| {
+        let digits: String =
+            window[NAME.len()..].iter().map(|byte| char::from(*byte)).take_while(char::is_ascii_digit).collect();
+        digits.parse().ok()
+    });
+    minors.max().map(|minor| (2, minor)).with_context(|| format!("{} names no version of glibc", file.display()))
+}
+
+fn control(arch: Arch, root: &Path, (major, minor): (u32, u32)) -> Result<()> {
+    let folder = root.join("DEBIAN");
+    fs::create_dir_all(&folder)?;
+    let installed_kib = output(command::program("du").args(["-sk", "--apparent-size"]).arg(root))?;
+    let installed_kib = installed_kib.split_whitespace().next().unwrap_or("0").to_owned();
+    let text = format!(
+        "Package: embodied-depth\n\
+         Version: {}\n\
+         Architecture: {}\n\
+         Maintainer: Embodied Depth <embodied-depth@localhost>\n\
+         Installed-Size: {installed_kib}\n\
+         Depends: libc6 (>= {major}.{minor}), libgcc-s1, libstdc++6, systemd, udev, iproute2\n\
+         Suggests: can-utils, v4l-utils\n\
+         Section: science\n\
+         Priority: optional\n\
+         Description: robot that explores a home and learns how far things are\n\
+         \x20Drives a robot with a camera (V4L2), a scanner (Hokuyo) and two motors (CAN),\n\
+         \x20explores, records, and computes depth from its own motion. With ONNX Runtime\n\
+         \x20and a depth network.\n",
+        env!("CARGO_PKG_VERSION"),
+        arch.debian(),
+    );
+    fs::write(folder.join("control"), text)?;
+    fs::write(folder.join("conffiles"), CONFFILES)?;
+    for script in SCRIPTS {
+        copy(&paths::root().join("packaging/debian").join(script), &folder.join(script), 0o755)?;
+    }
+    let sums = "find . -type f ! -path './DEBIAN/*' -printf '%P\\0' | sort -z | xargs -0 md5sum > DEBIAN/md5sums";
+    command::run(command::program("sh").args(["-c", sums]).current_dir(root))
+}
+
+fn pack(arch: Arch, root: &Path) -> Result<PathBuf> {
+    let name = format!("embodied-depth_{}_{}.deb", env!("CARGO_PKG_VERSION"), arch.debian());
+    let package = paths::target().join("dist").join(name);
+    let mut dpkg = command::program("dpkg-deb");
+    // The same commit gives the same package.
+    if let Ok(time) = output(command::program("git").args(["log", "-1", "--format=%ct"])) {
+        dpkg.env("SOURCE_DATE_EPOCH", time.trim());
+    }
+    // Debian's default; Ubuntu's dpkg-deb would take another.
+    dpkg.args(["--root-owner-group", "-Zxz", "--build"]).arg(root).arg(&package);
+    command::run(dpkg.stdout(Stdio::null()))?;
+    Ok(package)
+}
+
+/// The text that a program prints.
+fn output(command: &mut std::process::Command) -> Result<String> {
+    let output = command.stderr(Stdio::inherit()).output()?;
+    if !output.status.success() {
+        bail!("`{}` failed", command::text(command));
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+}
