@@ -203,6 +203,9 @@ mod tests {
         pose: Pose2,
         broken: Option<ErrorKind>,
         counters: Vec<u32>,
+        plan_age_ns: u64,
+        /// What the feedback says instead of a measurement.
+        unheard: Option<ErrorKind>,
     }
 
     impl ErrorType for Motors {
@@ -225,6 +228,7 @@ mod tests {
                 return Err(Broken(self.broken.unwrap_or(ErrorKind::Rejected)));
             }
             self.counters.push(command.counter);
+            self.plan_age_ns = command.plan_age_ns;
             self.moved.push(command.twist);
             Ok(())
         }
@@ -239,6 +243,7 @@ mod tests {
                 self.arming = 0;
                 return Err(Broken(ErrorKind::Timeout));
             }
+            self.unheard.map_or(Ok(()), |kind| Err(Broken(kind)))?;
             Ok(Some(WheelFeedback { time_ns: self.time_ns, odom: self.pose, twist: Twist2::ZERO, contact: false }))
         }
     }
@@ -246,6 +251,7 @@ mod tests {
     struct FreeFloor {
         time_ns: u64,
         error: Option<ErrorKind>,
+        ahead_m: f32,
     }
 
     impl ErrorType for FreeFloor {
@@ -262,6 +268,7 @@ mod tests {
             scan.time_ns = self.time_ns;
             scan.ranges.clear();
             scan.ranges.resize(1081, Range::Hit(3.0));
+            scan.ranges[500..580].fill(Range::Hit(self.ahead_m));
             Ok(true)
         }
     }
@@ -274,7 +281,7 @@ mod tests {
     impl Robot {
         fn new() -> Self {
             let config = SafetyConfig { period_s: 0.01, good_scans: 3, ..SafetyConfig::default() };
-            let lidar = FreeFloor { time_ns: 0, error: None };
+            let lidar = FreeFloor { time_ns: 0, error: None, ahead_m: 3.0 };
             Self { control: SafetyLoop::new(config, Motors::default(), lidar), now_ns: 0 }
         }
 
@@ -283,6 +290,15 @@ mod tests {
             (self.control.base.time_ns, self.control.lidar.time_ns) = (self.now_ns, self.now_ns);
             let plan = Some(Plan { twist: FORWARD, time_ns: self.now_ns });
             self.control.turn(self.now_ns, &Orders { plan, request, emergency_stop: false }).output
+        }
+
+        /// The age that the base was told.
+        fn turn_with_plan_of_age(&mut self, age_ns: u64) -> u64 {
+            self.now_ns += 10 * MS;
+            (self.control.base.time_ns, self.control.lidar.time_ns) = (self.now_ns, self.now_ns);
+            let plan = Some(Plan { twist: FORWARD, time_ns: self.now_ns - age_ns });
+            self.control.turn(self.now_ns, &Orders { plan, ..Orders::default() });
+            self.control.base.plan_age_ns
         }
 
         fn drives(&self) -> bool {
@@ -346,6 +362,96 @@ mod tests {
         robot.turn(Some(Request::ClearFault));
         robot.turn(Some(Request::Arm));
         assert!(robot.drives_after(10));
+    }
+
+    #[test]
+    fn an_order_to_arm_that_was_given_before_the_emergency_stop_does_not_move_the_robot_after_it() {
+        let mut robot = Robot::new();
+        robot.turn(Some(Request::Arm));
+        robot.now_ns += 10 * MS;
+        let pressed = Orders { emergency_stop: true, ..Orders::default() };
+        robot.control.turn(robot.now_ns, &pressed);
+        assert_eq!(robot.control.base.arming, 0, "and the motors are let go");
+        assert!(!robot.drives_after(20), "released, and nobody has asked again");
+        robot.turn(Some(Request::ClearFault));
+        assert!(!robot.drives_after(20), "cleared, and nobody has asked again");
+        robot.turn(Some(Request::Arm));
+        assert!(robot.drives_after(10));
+    }
+
+    #[test]
+    fn an_order_to_disarm_lets_the_motors_go_also_before_the_robot_was_ready() {
+        let mut robot = Robot::new();
+        robot.control.lidar.error = Some(ErrorKind::Timeout);
+        robot.turn(Some(Request::Arm));
+        robot.drives_after(5);
+        assert!(robot.control.base.arming > 3, "powered, waiting for the scanner");
+        robot.turn(Some(Request::Disarm));
+        assert_eq!(robot.control.base.arming, 0);
+        robot.control.lidar.error = None;
+        assert!(!robot.drives_after(20));
+    }
+
+    #[test]
+    fn a_base_that_is_not_ready_yet_is_asked_again_and_one_that_has_a_fault_as_well() {
+        for kind in [ErrorKind::Rejected, ErrorKind::Disconnected, ErrorKind::Fault] {
+            let mut robot = Robot::new();
+            robot.control.base.broken = Some(kind);
+            robot.turn(Some(Request::Arm));
+            assert!(!robot.drives_after(5));
+            robot.control.base.broken = None;
+            assert!(robot.drives_after(10), "{kind:?}");
+        }
+    }
+
+    #[test]
+    fn a_base_that_says_not_yet_while_it_comes_back_needs_no_person() {
+        let mut robot = Robot::new();
+        robot.turn(Some(Request::Arm));
+        robot.drives_after(10);
+        robot.control.base.broken = Some(ErrorKind::Timeout);
+        robot.turn(None);
+        robot.control.base.broken = Some(ErrorKind::Rejected);
+        robot.drives_after(5);
+        assert_eq!(robot.control.plane.state(), SafetyState::Fault(FaultReason::BaseSilent));
+        robot.control.base.broken = None;
+        assert!(robot.drives_after(10));
+    }
+
+    #[test]
+    fn a_broken_frame_of_feedback_is_no_fault_and_silence_is() {
+        let mut robot = Robot::new();
+        robot.turn(Some(Request::Arm));
+        robot.drives_after(10);
+        robot.control.base.unheard = Some(ErrorKind::Corrupt);
+        assert!(robot.drives_after(20), "the last one is not 0.2 s old");
+        assert!(!robot.drives_after(2));
+        assert_eq!(robot.control.plane.state(), SafetyState::Fault(FaultReason::BaseSilent));
+    }
+
+    #[test]
+    fn a_command_tells_the_age_of_its_plan_unless_the_robot_stands_or_drives_by_itself() {
+        let mut robot = Robot::new();
+        robot.turn(Some(Request::Arm));
+        robot.drives_after(50);
+        assert_eq!(robot.turn_with_plan_of_age(40 * MS), 40 * MS);
+        assert_eq!(robot.turn_with_plan_of_age(400 * MS), 0, "refused: it stands");
+        // A wall: after a turn at a stand it drives back by itself, however old the plan.
+        robot.control.lidar.ahead_m = 0.2;
+        let ages: Vec<u64> = (0..3).map(|_| robot.turn_with_plan_of_age(40 * MS)).collect();
+        assert!(robot.control.base.moved.last().is_some_and(|twist| twist.linear_mps < 0.0));
+        assert_eq!(ages[2], 0);
+    }
+
+    #[test]
+    fn shutting_down_brakes_lets_the_motors_go_and_gives_the_devices_back() {
+        let mut robot = Robot::new();
+        robot.turn(Some(Request::Arm));
+        assert!(robot.drives_after(10));
+        assert_eq!(robot.control.lidar().error, None);
+        assert!(robot.control.base().arming > 3 && robot.control.plane().state() == SafetyState::Clear);
+        let (base, lidar) = robot.control.shut_down();
+        assert_eq!((base.moved.last(), base.arming, lidar.time_ns), (Some(&Twist2::ZERO), 0, robot.now_ns));
     }
 
     #[test]

@@ -94,6 +94,9 @@ impl Footprint {
             // On a narrow arc it is the turn that moves a corner.
             Self::Corners { .. } => ARC_STEP_M.min(TURN_STEP_RAD * radius_m),
         };
+        if point_m[0].hypot(point_m[1]) > self.reach_m() + reach_m + step_m {
+            return None;
+        }
         let steps = (reach_m / step_m).ceil().min(MAX_ARC_RAD * radius_m / step_m);
         let met = (0..=steps as usize).map(|step| step as f64 * step_m).find(|way_m| {
             let t_now_then = twist.integrate(way_m / speed);
@@ -174,6 +177,66 @@ mod tests {
         let on_the_arc = left.integrate(1.5);
         let gap_m = robot.gap_m([on_the_arc.x_m, on_the_arc.y_m], &left, 0.5).unwrap();
         assert!((gap_m - (0.45 - 0.16)).abs() < 0.02, "{gap_m}");
+    }
+
+    #[test]
+    fn what_lies_within_is_not_met_by_turning_and_what_is_on_the_way_of_a_corner_is() {
+        assert!(!cart().meets_when_turned([0.0, 0.0], 3.0));
+        let reach_m = cart().reach_m();
+        assert!((reach_m - 0.3f64.hypot(0.15)).abs() < 1e-12);
+        assert!(!cart().meets_when_turned([0.0, reach_m + 0.001], 3.0));
+        assert!(cart().meets_when_turned([0.0, reach_m - 0.01], 1.3), "the corner comes by");
+        assert!(!cart().meets_when_turned([0.0, reach_m - 0.01], 1.0), "not so far");
+    }
+
+    #[test]
+    fn a_cart_straight_ahead_reaches_to_its_front_and_one_beside_the_axle_as_far_as_its_corners() {
+        assert_eq!(cart().straight_edge_m(), 0.3);
+        let beside = Footprint::new(0.0, &[[0.3, 0.2], [0.3, 0.1], [0.0, 0.1], [0.0, 0.2]]);
+        assert_eq!(beside.straight_edge_m(), 0.3f64.hypot(0.2));
+    }
+
+    #[test]
+    fn a_cart_whose_corners_are_given_clockwise_or_bent_inwards_is_the_same_ground() {
+        let corners = [[0.3, 0.15], [0.2, 0.0], [0.3, -0.15], [-0.1, -0.15], [-0.1, 0.15]];
+        let mut reversed = corners;
+        reversed.reverse();
+        let (one, other) = (Footprint::new(0.0, &corners), Footprint::new(0.0, &reversed));
+        for (point, within) in [([0.25, 0.0], false), ([0.25, 0.12], true), ([0.19, 0.0], true), ([0.31, 0.12], false)]
+        {
+            assert_eq!((one.contains(point), other.contains(point)), (within, within), "{point:?}");
+        }
+        assert_eq!(one.straight_gap_m([0.4, 0.0], 1.0), other.straight_gap_m([0.4, 0.0], 1.0));
+        let notch_m = one.straight_gap_m([0.4, 0.0], 1.0).unwrap();
+        assert!((notch_m - 0.2).abs() < 1e-9, "the bow of the notch is met last: {notch_m}");
+    }
+
+    #[test]
+    fn on_an_arc_it_looks_one_radian_ahead_and_up_to_its_reach() {
+        let robot = Footprint::new(0.16, &[]);
+        let narrow = ahead(0.1, 0.5);
+        let at = |way_m: f64, ahead_m: f64| {
+            let (x_m, y_m) = narrow.integrate(way_m / 0.1).transform(ahead_m, 0.0);
+            [x_m, y_m]
+        };
+        assert!(robot.gap_m(at(0.18, 0.159), &narrow, 1.0).is_some(), "0.2 m are a radian");
+        assert!(robot.gap_m(at(0.24, 0.159), &narrow, 1.0).is_none());
+        assert!(robot.gap_m(at(0.08, 0.159), &narrow, 0.1).is_some());
+        assert!(robot.gap_m(at(0.14, 0.159), &narrow, 0.1).is_none());
+        let gap_m = robot.gap_m(at(0.1, 0.159), &narrow, 1.0).unwrap();
+        assert!((0.08..=0.1).contains(&gap_m), "{gap_m}");
+        assert_eq!(robot.gap_m([0.1, 0.0], &narrow, 1.0), Some(-0.01), "within: met already");
+        let wide = ahead(0.3, 0.016);
+        assert!(robot.gap_m([0.8, 0.02], &wide, 0.9).is_some(), "nine steps and more");
+    }
+
+    #[test]
+    fn a_cart_on_a_narrow_arc_meets_with_its_corner_what_a_wide_step_would_jump_over() {
+        let narrow = ahead(0.01, 1.0);
+        let (x_m, y_m) = narrow.integrate(0.5).transform(0.285, 0.135);
+        // Steps of 1 cm would look at 0 and at 1 radian.
+        let gap_m = cart().gap_m([x_m, y_m], &narrow, 0.5).unwrap();
+        assert!((0.004..=0.005).contains(&gap_m), "{gap_m}");
     }
 
     proptest! {

@@ -1,6 +1,6 @@
 //! Every order of events, eight deep: what must never happen does not, and the robot can always go on.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 
 use super::*;
 use crate::event::FaultReason;
@@ -167,7 +167,7 @@ impl Robot {
 /// Robots, each with the number of orders of events that have led to it. Orders that end in the same state of everything
 /// cannot differ from there on: they are walked on together.
 #[derive(Default)]
-struct Robots(HashMap<String, Vec<(Robot, u64)>>);
+struct Robots(BTreeMap<String, Vec<(Robot, u64)>>);
 
 impl Robots {
     fn add(&mut self, robot: Robot, orders: u64) {

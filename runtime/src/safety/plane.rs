@@ -483,3 +483,7 @@ fn blocked_by(state: &SafetyState) -> Option<[f64; 2]> {
 #[cfg(test)]
 #[path = "plane_tests.rs"]
 mod tests;
+
+#[cfg(test)]
+#[path = "doubt_tests.rs"]
+mod doubt_tests;

@@ -3,28 +3,28 @@ use crate::safety::Plan;
 use hal::{ErrorKind, Range, ScanGeometry};
 use proptest::prelude::*;
 
-const FORWARD: Twist2 = Twist2 { linear_mps: 0.3, angular_radps: 0.0 };
-const TICK_NS: u64 = 100_000_000;
+pub const FORWARD: Twist2 = Twist2 { linear_mps: 0.3, angular_radps: 0.0 };
+pub const TICK_NS: u64 = 100_000_000;
 
 /// A round robot in a square room without corners cut: exact ranges, exact wheels.
-struct Room {
-    half_m: f64,
-    pose: Pose2,
-    time_ns: u64,
-    plane: SafetyPlane,
-    driving: Twist2,
+pub struct Room {
+    pub half_m: f64,
+    pub pose: Pose2,
+    pub time_ns: u64,
+    pub plane: SafetyPlane,
+    pub driving: Twist2,
 }
 
 impl Room {
-    fn new(half_m: f64, pose: Pose2) -> Self {
+    pub fn new(half_m: f64, pose: Pose2) -> Self {
         Self::with(SafetyConfig::default(), half_m, pose)
     }
 
-    fn with(config: SafetyConfig, half_m: f64, pose: Pose2) -> Self {
+    pub fn with(config: SafetyConfig, half_m: f64, pose: Pose2) -> Self {
         Self { half_m, pose, time_ns: 0, plane: SafetyPlane::new(config), driving: Twist2::ZERO }
     }
 
-    fn scan(&self) -> LaserScan {
+    pub fn scan(&self) -> LaserScan {
         let geometry = ScanGeometry::UTM_30LX;
         let range = |beam| {
             let angle = geometry.angle_rad(beam) + self.pose.yaw_rad;
@@ -39,7 +39,7 @@ impl Room {
         LaserScan { time_ns: self.time_ns, geometry, ranges: (0..geometry.beams).map(range).collect() }
     }
 
-    fn input<'a>(&self, wanted: Twist2, scan: Option<&'a LaserScan>, contact: bool) -> SafetyInput<'a> {
+    pub fn input<'a>(&self, wanted: Twist2, scan: Option<&'a LaserScan>, contact: bool) -> SafetyInput<'a> {
         let twist = self.driving;
         SafetyInput {
             time_ns: self.time_ns,
@@ -52,7 +52,7 @@ impl Room {
         }
     }
 
-    fn turn(&mut self, input: &SafetyInput<'_>) -> SafetyOutput {
+    pub fn turn(&mut self, input: &SafetyInput<'_>) -> SafetyOutput {
         let output = self.plane.step(input);
         // Exact wheels that stop at once.
         self.driving = Twist2::ZERO;
@@ -61,17 +61,17 @@ impl Room {
         output
     }
 
-    fn tick_with(&mut self, wanted: Twist2, scan: Option<&LaserScan>, contact: bool) -> SafetyOutput {
+    pub fn tick_with(&mut self, wanted: Twist2, scan: Option<&LaserScan>, contact: bool) -> SafetyOutput {
         let input = self.input(wanted, scan, contact);
         self.turn(&input)
     }
 
-    fn tick(&mut self, wanted: Twist2) -> SafetyOutput {
+    pub fn tick(&mut self, wanted: Twist2) -> SafetyOutput {
         let scan = self.scan();
         self.tick_with(wanted, Some(&scan), false)
     }
 
-    fn until(&mut self, wanted: Twist2, mut done: impl FnMut(&SafetyOutput) -> bool) -> SafetyOutput {
+    pub fn until(&mut self, wanted: Twist2, mut done: impl FnMut(&SafetyOutput) -> bool) -> SafetyOutput {
         for _ in 0..2000 {
             let output = self.tick(wanted);
             if done(&output) {
@@ -82,7 +82,7 @@ impl Room {
     }
 }
 
-fn tripped(output: &SafetyOutput) -> bool {
+pub fn tripped(output: &SafetyOutput) -> bool {
     matches!(output.event, Some(SafetyEvent::Tripped { .. }))
 }
 
@@ -247,7 +247,7 @@ fn real() -> SafetyConfig {
 }
 
 /// A room whose robot is armed and drives.
-fn driving() -> Room {
+pub fn driving() -> Room {
     let mut room = Room::new(5.0, Pose2::IDENTITY);
     assert_eq!(room.tick(FORWARD).twist(), FORWARD);
     room

@@ -174,9 +174,9 @@ fn direction_of(sector: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::safety::SafetyConfig;
     use crate::safety::surroundings::tests::scan_of;
-    use hal::Range;
+    use crate::safety::{BodySector, SafetyConfig};
+    use hal::{Range, ScanGeometry};
 
     const ROUND: Footprint = Footprint::Round { radius_m: 0.16 };
 
@@ -241,6 +241,108 @@ mod tests {
             rear.see(&dark, &Pose2::new(0.0, 0.0, yaw), &nobody());
         }
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
+    }
+
+    #[test]
+    fn a_direction_that_fell_dark_is_not_known_any_more() {
+        let mut rear = rear();
+        rear.see(&round_room(2.0), &Pose2::IDENTITY, &nobody());
+        rear.see(&round_room(2.0), &Pose2::new(0.0, 0.0, 1.7), &nobody());
+        rear.see(&scan_of(|_| Range::NoReturn), &Pose2::new(0.0, 0.0, 1.7), &nobody());
+        assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
+    }
+
+    #[test]
+    fn a_distance_that_is_nan_says_nothing_of_the_ground() {
+        let mut rear = rear();
+        for yaw in [0.0, 1.7] {
+            rear.see(&scan_of(|_| Range::Hit(f32::NAN)), &Pose2::new(0.0, 0.0, yaw), &nobody());
+        }
+        assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
+    }
+
+    #[test]
+    fn something_too_near_behind_is_as_near_as_can_be_measured() {
+        let mut rear = rear();
+        for yaw in [0.0, 1.7] {
+            rear.see(&scan_of(|_| Range::TooNear), &Pose2::new(0.0, 0.0, yaw), &nobody());
+        }
+        assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
+        let slim = Footprint::Round { radius_m: 0.04 };
+        let known_m = rear.known_free_m(0, &Pose2::IDENTITY, &slim, 0.2);
+        assert!((known_m - 0.06).abs() < 0.01, "0.1 m from the laser: {known_m}");
+    }
+
+    #[test]
+    fn a_scanner_so_coarse_that_no_beam_looks_behind_has_not_looked_there() {
+        let geometry =
+            ScanGeometry { angle_min_rad: -2.0, angle_increment_rad: 0.25, beams: 17, ..ScanGeometry::UTM_30LX };
+        let mut rear = rear();
+        rear.see(&LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(3.0); 17] }, &Pose2::IDENTITY, &nobody());
+        assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
+    }
+
+    #[test]
+    fn the_robots_own_mast_is_neither_free_ground_nor_an_obstacle_behind() {
+        let mast = |sector: BodySector| {
+            let mut around = Surroundings::new(&SafetyConfig { body: vec![sector], ..SafetyConfig::default() });
+            around.see(&round_room(0.17));
+            around
+        };
+        let (wide, narrow) = (
+            mast(BodySector { from_deg: -135.0, to_deg: 135.0, up_to_m: 0.17 }),
+            mast(BodySector { from_deg: 90.0, to_deg: 92.0, up_to_m: 0.17 }),
+        );
+        // Behind is free, but for the mast before the scanner.
+        let with_mast = scan_of(|angle| match angle.to_degrees() {
+            at if (90.0..=92.0).contains(&at) => Range::Hit(0.165),
+            _ => Range::Hit(2.0),
+        });
+        let known_m = |scan: &LaserScan, around: &Surroundings| {
+            let mut rear = rear();
+            for yaw in [0.0, 1.7] {
+                rear.see(scan, &Pose2::new(0.0, 0.0, yaw), around);
+            }
+            rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2)
+        };
+        assert_eq!(known_m(&round_room(0.17), &wide), 0.0, "nothing but the robot was seen");
+        assert_eq!(known_m(&with_mast, &narrow), 0.2);
+        assert!(known_m(&with_mast, &nobody()) < 0.05, "unknown masts are obstacles");
+    }
+
+    #[test]
+    fn whoever_stepped_onto_the_way_that_was_driven_is_seen_there_if_anybody_looked() {
+        let mut rear = rear();
+        (0..=10).for_each(|step| rear.stand(0, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0)));
+        let here = Pose2::new(0.2, 0.0, 0.0);
+        assert_eq!(rear.known_free_m(0, &here, &ROUND, 0.2), 0.2);
+        // A look over the left shoulder: a foot 10 cm behind the outline.
+        let foot = scan_of(|angle| if angle > 1.5 { Range::Hit(0.26) } else { Range::Hit(2.0) });
+        rear.see(&foot, &Pose2::new(0.2, 0.0, 0.9), &nobody());
+        let known_m = rear.known_free_m(0, &here, &ROUND, 0.2);
+        assert!((0.05..=0.12).contains(&known_m), "{known_m}");
+        let elsewhere = Pose2::new(0.05, 0.0, 0.0);
+        assert!(rear.known_free_m(0, &elsewhere, &ROUND, 0.04) > 0.03, "seen from elsewhere");
+    }
+
+    #[test]
+    fn a_cart_has_driven_over_the_ground_only_where_it_pointed_the_same_way() {
+        let corners = [[0.3, 0.15], [-0.1, 0.15], [-0.1, -0.15], [0.3, -0.15]];
+        for (yaw, known_m) in [(0.0, 0.1), (0.19, 0.1), (0.21, 0.0), (-0.21, 0.0)] {
+            let mut rear = rear();
+            (0..10).for_each(|step| rear.stand(0, &Pose2::new(f64::from(step) * 0.02, 0.0, yaw)));
+            let here = Pose2::new(0.19, 0.0, 0.0);
+            let known = rear.known_free_m(0, &here, &Footprint::new(0.0, &corners), 0.1);
+            assert_eq!(known, known_m, "{yaw}");
+        }
+    }
+
+    #[test]
+    fn the_trail_is_as_long_as_its_places_and_older_ones_are_overwritten() {
+        let mut rear = rear();
+        (0..200).for_each(|step| rear.stand(0, &Pose2::new(f64::from(step) * 0.021, 0.0, 0.0)));
+        let known_m = rear.known_free_m(0, &Pose2::new(199.0 * 0.021, 0.0, 0.0), &ROUND, 3.0);
+        assert!((known_m - 63.0 * 0.021).abs() < 0.021, "{known_m}");
     }
 
     #[test]

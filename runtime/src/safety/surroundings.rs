@@ -274,4 +274,93 @@ pub(super) mod tests {
         short.ranges.pop();
         assert_eq!(ScanHealth::of(&short), ScanHealth::Bad);
     }
+
+    #[test]
+    fn a_distance_that_is_none_is_an_error_whatever_the_driver_calls_it() {
+        for none in [f32::NAN, f32::INFINITY, -0.2] {
+            assert_eq!(ScanHealth::of(&scan_of(|_| Range::Hit(none))), ScanHealth::Bad, "{none}");
+            assert!(met(&scan_of(|_| Range::Hit(none)), FORWARD).is_none(), "{none}");
+        }
+    }
+
+    #[test]
+    fn half_of_the_beams_may_be_errors_and_not_one_more() {
+        let with = |errors: usize| {
+            let mut scan = scan_of(|_| Range::Hit(1.0));
+            scan.ranges[..errors].fill(Range::Error);
+            ScanHealth::of(&scan)
+        };
+        assert_eq!((with(540), with(541)), (ScanHealth::Good, ScanHealth::Bad));
+        assert_eq!(ScanHealth::of(&scan_of(|_| Range::TooNear)), ScanHealth::Good);
+    }
+
+    #[test]
+    fn errors_between_returns_do_not_hide_what_returned_and_nothing_between_them_leaves_them_single() {
+        for (between, hidden) in [(Range::Error, false), (Range::Hit(f32::NAN), false), (Range::NoReturn, true)] {
+            let mut scan = wall_ahead(0.2);
+            scan.ranges.iter_mut().step_by(2).for_each(|range| *range = between);
+            assert_eq!(met(&scan, FORWARD).is_none(), hidden, "{between:?}");
+        }
+    }
+
+    #[test]
+    fn neighbours_agree_within_eight_centimetres() {
+        let teeth = |depth_m: f32| {
+            let mut scan = scan_of(|_| Range::Hit(3.0));
+            for beam in 535..545 {
+                scan.ranges[beam] = Range::Hit(if beam % 2 == 0 { 0.2 } else { 0.2 + depth_m });
+            }
+            met(&scan, FORWARD).is_some()
+        };
+        assert!(teeth(0.079) && !teeth(0.081));
+    }
+
+    #[test]
+    fn the_robot_turns_to_the_side_with_more_room() {
+        let mut around = Surroundings::new(&SafetyConfig::default());
+        for (left_m, right_m, side) in [(1.0, 0.5, 1.0), (0.5, 1.0, -1.0), (5.0, 2.5, 1.0), (1.0, 1.0, 1.0)] {
+            around.see(&scan_of(|angle| match angle.sin() {
+                sin if sin.abs() < 1e-6 => Range::NoReturn,
+                sin => Range::Hit(if sin > 0.0 { left_m } else { right_m }),
+            }));
+            assert_eq!(around.open_side(), side, "{left_m} {right_m}");
+        }
+    }
+
+    #[test]
+    fn a_laser_in_front_of_the_axle_sees_from_there_and_as_far_as_it_must() {
+        let config = SafetyConfig { laser_forward_m: 0.1, ..SafetyConfig::default() };
+        let (obstacle, gap_m) = met_with(&config, &wall_ahead(0.15), FORWARD).unwrap();
+        assert!((obstacle.x_m - 0.25).abs() < 1e-3 && (gap_m - 0.09).abs() < 1e-3, "{obstacle:?} {gap_m}");
+        let sight = |config: &SafetyConfig| Surroundings::new(config).sight_m(&Footprint::new(0.16, &[]));
+        assert!((sight(&config) - (1.5 + 0.1 - 0.16)).abs() < 1e-6);
+        for laser_forward_m in [-0.5, 0.5] {
+            let far = SafetyConfig { laser_forward_m, stop_distance_m: 2.0, ..SafetyConfig::default() };
+            assert!((sight(&far) - (0.5 + laser_forward_m + 2.0 + 1.0)).abs() < 1e-6, "{}", sight(&far));
+        }
+    }
+
+    #[test]
+    fn a_body_that_is_seen_between_two_directions_is_masked_between_them_and_up_to_its_distance_only() {
+        let body = vec![
+            BodySector { from_deg: -10.0, to_deg: 10.0, up_to_m: 0.15 },
+            BodySector { from_deg: 5.0, to_deg: 20.0, up_to_m: 0.3 },
+        ];
+        let config = SafetyConfig { body, ..SafetyConfig::default() };
+        let mut around = Surroundings::new(&config);
+        assert_eq!(around.own_body_m(540), 0.0, "no scan yet");
+        around.see(&wall_ahead(1.0));
+        let beam = |degrees: f64| (540.0 + 4.0 * degrees) as usize;
+        let seen: Vec<f32> = [-11.0, -9.0, 0.0, 6.0, 19.0, 21.0].map(|at| around.own_body_m(beam(at))).to_vec();
+        assert_eq!(seen, [0.0, 0.15, 0.15, 0.3, 0.3, 0.0]);
+    }
+
+    #[test]
+    fn another_scanner_is_learned_anew() {
+        let mut around = Surroundings::new(&SafetyConfig::default());
+        around.see(&wall_ahead(0.2));
+        let geometry = ScanGeometry { angle_min_rad: 0.0, ..ScanGeometry::UTM_30LX };
+        around.see(&LaserScan { geometry, ..wall_ahead(0.2) });
+        assert!(around.first_met(&Footprint::new(0.16, &[]), &FORWARD, 0.1).is_none(), "it looks to the left");
+    }
 }
