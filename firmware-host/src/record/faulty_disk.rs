@@ -2,9 +2,10 @@
 
 use std::io::{self, Write};
 use std::path::Path;
-use std::time::Duration;
 
+use drivers::MonotonicClock;
 use drivers::fault::{Device, Faults, Injector, Kind};
+use hal::Clock;
 
 use super::disk::{Disk, SegmentFile};
 
@@ -29,7 +30,8 @@ impl<D: Disk> FaultyDisk<D> {
 
 fn trouble(injector: &Injector) -> io::Result<()> {
     if let Some(fault) = injector.on(Kind::Slow) {
-        std::thread::sleep(Duration::from_secs_f64(fault.amount() * 1e-3));
+        let mut clock = MonotonicClock;
+        clock.sleep_until_ns(clock.now_ns() + (fault.amount() * 1e6) as u64);
     }
     if injector.on(Kind::Unplug).is_some() {
         return Err(io::Error::other("the disk is not there (an injected fault)"));
