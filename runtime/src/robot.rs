@@ -402,7 +402,7 @@ impl Robot {
     /// While it waits for a scan the policy goes on wishing.
     fn drives_itself(&self) -> bool {
         let state = self.safety.state();
-        matches!(state, SafetyState::Tripped { .. } | SafetyState::BackingOff { .. } | SafetyState::Escaping { .. })
+        matches!(state, SafetyState::Tripped { .. } | SafetyState::BackingOff(_) | SafetyState::Escaping(_))
     }
 
     fn note_blocked(&mut self, blocked_m: Option<[f64; 2]>) {

@@ -60,7 +60,7 @@ fn a_trip_before_time_went_back_does_not_count_as_one_at_this_place() {
     room.tick(Twist2::ZERO);
     room.until(FORWARD, tripped);
     let output = room.until(FORWARD, |output| output.blocked_m.is_some());
-    assert!(!matches!(room.plane.state(), SafetyState::Escaping { .. }) || unknown_behind(&output));
+    assert!(!matches!(room.plane.state(), SafetyState::Escaping(_)) || unknown_behind(&output));
     assert_eq!(room.plane.trips.len(), 1);
 }
 
@@ -203,7 +203,7 @@ fn odometry_that_begins_anew_while_backing_off_ends_it() {
         input.wheel = input.wheel.map(|wheel| WheelFeedback { odom: anew, ..wheel });
         let output = room.turn(&input);
         assert!(unknown_behind(&output), "{before:?} -> {anew:?}: {output:?}");
-        assert!(matches!(room.plane.state(), SafetyState::Escaping { .. }));
+        assert!(matches!(room.plane.state(), SafetyState::Escaping(_)));
     }
 }
 
@@ -278,7 +278,7 @@ fn an_escape_on_wheels_that_are_stuck_is_said_once_and_ends_after_the_time_of_tw
     room.until(FORWARD, |output| output.event == Some(SafetyEvent::Escaping));
     let (stuck, begun_ns) = (Pose2::new(1.7, 0.0, 0.0), room.time_ns - TICK_NS);
     let mut said = Vec::new();
-    while matches!(room.plane.state(), SafetyState::Escaping { .. }) {
+    while matches!(room.plane.state(), SafetyState::Escaping(_)) {
         room.pose = stuck;
         said.extend(room.tick(FORWARD).event);
     }
@@ -369,4 +369,145 @@ fn backing_off_ends_where_the_wheels_can_still_stop_before_what_is_seen_behind()
     room.driving = Twist2 { linear_mps: -0.3, angular_radps: 0.0 };
     let output = room.tick_with(FORWARD, Some(&scan), false);
     assert!(matches!(output.event, Some(SafetyEvent::BackedOff { end: BackOffEnd::RearBlocked, .. })), "{output:?}");
+}
+
+#[test]
+fn a_scan_that_comes_before_the_first_feedback_is_good_to_stop_by() {
+    let mut room = Room::new(0.25, Pose2::IDENTITY);
+    let scan = room.scan();
+    let input = SafetyInput { wheel: None, ..room.input(FORWARD, Some(&scan), false) };
+    assert_eq!(room.turn(&input), SafetyOutput::STOP);
+    assert!(tripped(&room.tick_with(FORWARD, None, false)));
+}
+
+#[test]
+fn clearing_a_fault_that_passes_by_itself_does_not_hurry_it() {
+    let mut room = Room::with(three_good_scans(), 5.0, Pose2::IDENTITY);
+    (0..3).for_each(|_| _ = room.tick(FORWARD));
+    (0..4).for_each(|_| _ = room.tick_with(FORWARD, None, false));
+    let scan = room.scan();
+    let clear = SafetyInput { request: Some(Request::ClearFault), ..room.input(FORWARD, Some(&scan), false) };
+    assert_eq!(room.turn(&clear), SafetyOutput::STOP);
+    assert_eq!(room.plane.state(), SafetyState::Fault(FaultReason::LidarSilent));
+}
+
+#[test]
+fn what_is_seen_and_touched_at_once_was_seen_and_what_is_too_near_to_be_measured_is_told() {
+    let mut room = driving();
+    let mut scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(0.2) };
+    let output = room.tick_with(FORWARD, Some(&scan), true);
+    assert!(matches!(output.event, Some(SafetyEvent::Tripped { by: TripCause::LidarHit, .. })), "{output:?}");
+    let mut room = driving();
+    scan.ranges[530..550].fill(Range::TooNear);
+    scan.time_ns = room.time_ns;
+    let output = room.tick_with(FORWARD, Some(&scan), false);
+    assert!(matches!(output.event, Some(SafetyEvent::Tripped { by: TripCause::LidarTooNear, .. })), "{output:?}");
+}
+
+#[test]
+fn a_touch_is_taken_to_be_three_centimetres_before_the_outline_where_the_robot_stands() {
+    let mut room = Room::new(5.0, Pose2::new(1.0, 2.0, std::f64::consts::FRAC_PI_2));
+    let scan = room.scan();
+    let Some(SafetyEvent::Tripped { x_m, y_m, .. }) = room.tick_with(FORWARD, Some(&scan), true).event else {
+        panic!("{:?}", room.plane.state())
+    };
+    assert!((x_m - 0.19).abs() < 1e-12 && y_m == 0.0);
+    let SafetyState::Tripped { blocked_m, .. } = room.plane.state() else { panic!("{:?}", room.plane.state()) };
+    assert!((blocked_m[0] - 1.0).abs() < 1e-9 && (blocked_m[1] - 2.19).abs() < 1e-9, "{blocked_m:?}");
+}
+
+#[test]
+fn slow_is_over_when_the_way_is_clear_again_and_said_once_each() {
+    let config = SafetyConfig { brake_mps2: 0.2, ..SafetyConfig::default() };
+    let mut room = Room::with(config, 50.0, Pose2::IDENTITY);
+    room.tick(FORWARD);
+    let mut said = Vec::new();
+    for wall_m in [0.4, 0.4, 5.0, 5.0] {
+        let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(wall_m) };
+        said.push(room.tick_with(FORWARD, Some(&scan), false).event);
+        let slow = room.plane.state() == SafetyState::Slow;
+        assert_eq!(slow, wall_m < 1.0);
+    }
+    let limit_mps = (2.0 * 0.2 * (0.4_f64 - 0.16 - 0.1)).sqrt();
+    assert!(matches!(said[0], Some(SafetyEvent::Slowed { limit_mps: told }) if (told - limit_mps).abs() < 0.01));
+    assert_eq!(said[1..], [None, Some(SafetyEvent::Cleared), None]);
+}
+
+#[test]
+fn wheels_that_never_stand_are_driven_back_after_half_a_second() {
+    for rolling in [(0.021, 0.0), (-0.021, 0.0), (0.0, 0.051), (0.0, -0.051)] {
+        let mut room = Room::new(2.0, Pose2::new(1.75, 0.0, 0.0));
+        room.until(FORWARD, tripped);
+        let mut waited = 0;
+        loop {
+            room.driving = Twist2 { linear_mps: rolling.0, angular_radps: rolling.1 };
+            if room.tick(FORWARD).twist().linear_mps < 0.0 {
+                break;
+            }
+            waited += 1;
+        }
+        assert_eq!(waited, 4, "{rolling:?}");
+    }
+    for standing in [(0.019, 0.0), (0.0, -0.049)] {
+        let mut room = Room::new(2.0, Pose2::new(1.75, 0.0, 0.0));
+        room.until(FORWARD, tripped);
+        room.driving = Twist2 { linear_mps: standing.0, angular_radps: standing.1 };
+        assert!(room.tick(FORWARD).twist().linear_mps < 0.0, "{standing:?}");
+    }
+}
+
+/// Trips at `at`, and a fault that passes ends the back-off, so that nothing but the count of trips is left.
+fn trips_at(room: &mut Room, at: Pose2, wall_m: f64) {
+    room.pose = at;
+    let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(wall_m) };
+    assert!(tripped(&room.tick_with(FORWARD, Some(&scan), false)), "{:?}", room.plane.state());
+    for error in [Some(ErrorKind::Timeout), None] {
+        let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(3.0) };
+        room.turn(&SafetyInput { base_error: error, ..room.input(Twist2::ZERO, Some(&scan), false) });
+    }
+}
+
+#[test]
+fn trips_that_are_near_in_place_and_time_are_one_problem_and_others_are_not() {
+    let near = Pose2::new(0.3, 0.3, 0.0);
+    let mut room = driving();
+    for count in [1, 2, 3, 3] {
+        trips_at(&mut room, if count == 2 { near } else { Pose2::IDENTITY }, 0.2);
+        assert_eq!((room.plane.trips.len(), room.plane.trips.capacity()), (count, TRIPS_BEFORE_ESCAPE + 1));
+    }
+    assert_eq!(room.plane.trip_count(), 4);
+    for far in [Pose2::new(0.51, 0.0, 0.0), Pose2::new(0.0, -0.51, 0.0)] {
+        let mut room = driving();
+        trips_at(&mut room, Pose2::IDENTITY, 0.2);
+        trips_at(&mut room, far, 0.2);
+        assert_eq!(room.plane.trips.len(), 1, "{far:?}");
+    }
+    for (pause_ns, count) in [(29_999_000_000, 2), (30_000_000_000, 1)] {
+        let mut room = driving();
+        trips_at(&mut room, Pose2::IDENTITY, 0.2);
+        // Three turns have passed since the trip; two more come before the next one.
+        room.time_ns += pause_ns - 5 * TICK_NS;
+        (0..2).for_each(|_| _ = room.tick(Twist2::ZERO));
+        trips_at(&mut room, Pose2::IDENTITY, 0.2);
+        assert_eq!(room.plane.trips.len(), count, "{pause_ns}");
+    }
+}
+
+#[test]
+fn a_blocked_place_is_told_also_when_a_fault_comes_while_the_robot_drives_back() {
+    let mut room = Room::new(2.0, Pose2::IDENTITY);
+    room.until(FORWARD, tripped);
+    room.until(FORWARD, |output| output.twist().linear_mps < 0.0);
+    let scan = room.scan();
+    let input = SafetyInput { emergency_stop: true, ..room.input(FORWARD, Some(&scan), false) };
+    let blocked_m = room.turn(&input).blocked_m.unwrap();
+    assert!((blocked_m[0] - 2.0).abs() < 0.02, "{blocked_m:?}");
+    let mut room = driving();
+    let input = SafetyInput { emergency_stop: true, ..room.input(FORWARD, None, false) };
+    assert_eq!(room.turn(&input).blocked_m, None, "nothing was blocked");
+}
+
+#[test]
+fn the_plane_tells_its_configuration() {
+    assert_eq!(*SafetyPlane::new(cart()).config(), cart());
 }

@@ -12,7 +12,7 @@ pub use config::{BodySector, SafetyConfig};
 pub use control::{Orders, SafetyLoop, Turn};
 pub use footprint::Footprint;
 pub use plane::SafetyPlane;
-pub use state::{Plan, Request, SafetyInput, SafetyOutput, SafetyState};
+pub use state::{BackOff, Escape, Plan, Request, SafetyInput, SafetyOutput, SafetyState};
 pub use surroundings::{Obstacle, ScanHealth, Surroundings};
 
 #[cfg(test)]

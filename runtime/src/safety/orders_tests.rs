@@ -152,7 +152,7 @@ impl Robot {
             assert!(self.needs_person || happening == Happening::Clear);
         }
         let changed = std::mem::discriminant(&before) != std::mem::discriminant(&state);
-        let rolls = matches!((before, state), (SafetyState::Tripped { .. }, SafetyState::BackingOff { .. }));
+        let rolls = matches!((before, state), (SafetyState::Tripped { .. }, SafetyState::BackingOff(_)));
         assert!(!changed || rolls || output.event.is_some(), "{before:?} -> {state:?} without a word");
         assert!(!changed || state != SafetyState::Fault(FaultReason::LoopOverrun), "silence has a better reason");
     }

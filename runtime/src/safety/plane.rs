@@ -9,7 +9,7 @@ use hal::{LaserScan, Pose2, Twist2, WheelFeedback, wrap_angle};
 use super::footprint::Footprint;
 use super::rear::Rear;
 use super::surroundings::{HORIZON_M, Obstacle, ScanHealth, Surroundings};
-use super::{Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyState};
+use super::{BackOff, Escape, Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyState};
 use crate::event::{BackOffEnd, FaultReason, PlanRefusal, SafetyEvent, TripCause};
 
 /// Trips nearer to each other than this, in place and time, are one problem that backing off has not solved.
@@ -106,8 +106,8 @@ impl SafetyPlane {
         if let Some(scan) = input.scan {
             self.read_scan(input.time_ns, scan);
         }
-        let fault = self.fault(input, in_time);
-        if matches!(fault, Some(FaultReason::BaseSilent | FaultReason::BaseFault)) {
+        let wheel = self.may_move(input, in_time);
+        if matches!(wheel, Err(FaultReason::BaseSilent | FaultReason::BaseFault)) {
             // A base that was away may count from anywhere, and may have been pushed.
             self.rear.forget();
         }
@@ -117,20 +117,19 @@ impl SafetyPlane {
             self.state = SafetyState::Disarmed;
             return SafetyOutput::STOP.because(SafetyEvent::Disarmed);
         }
-        if let Some(why) = fault {
-            return self.stand(why);
-        }
-        let Some(odom) = self.wheel.map(|wheel| wheel.odom) else { return SafetyOutput::STOP };
+        let wheel = match wheel {
+            Ok(wheel) => wheel,
+            Err(why) => return self.stand(why),
+        };
         match self.state {
-            SafetyState::Disarmed => self.wait_for_arming(input),
-            SafetyState::Fault(why) => self.leave_fault(why, input),
-            SafetyState::Clear | SafetyState::Slow => self.pass_or_trip(input, &odom),
-            SafetyState::Tripped { since_ns, blocked_m } => self.come_to_a_stand(input, &odom, since_ns, blocked_m),
-            SafetyState::BackingOff { .. } => self.back_off(input, &odom),
-            SafetyState::Escaping { since_ns, direction, turned_rad, last_yaw_rad } => {
-                let turned_rad = turned_rad + wrap_angle(odom.yaw_rad - last_yaw_rad).abs();
-                self.escape(input.time_ns, &odom, since_ns, direction, turned_rad)
+            SafetyState::Disarmed => self.wait_for_arming(input, &wheel),
+            SafetyState::Fault(why) => self.leave_fault(why, input, &wheel),
+            SafetyState::Clear | SafetyState::Slow => self.pass_or_trip(input, &wheel),
+            SafetyState::Tripped { since_ns, blocked_m } => {
+                self.come_to_a_stand(input.time_ns, &wheel, since_ns, blocked_m)
             }
+            SafetyState::BackingOff(back_off) => self.back_off(input.time_ns, &wheel, back_off),
+            SafetyState::Escaping(escape) => self.escape(input.time_ns, &wheel.odom, escape),
         }
     }
 
@@ -195,27 +194,27 @@ impl SafetyPlane {
         }
     }
 
-    /// What forbids every motion now, the gravest first.
-    fn fault(&self, input: &SafetyInput<'_>, in_time: bool) -> Option<FaultReason> {
+    /// What the wheels say, or what forbids every motion now, the gravest first.
+    fn may_move(&self, input: &SafetyInput<'_>, in_time: bool) -> Result<WheelFeedback, FaultReason> {
         if input.emergency_stop {
-            return Some(FaultReason::EmergencyStop);
+            return Err(FaultReason::EmergencyStop);
         }
         if let Some(kind) = input.base_error {
-            return Some(FaultReason::of_base(kind));
+            return Err(FaultReason::of_base(kind));
         }
         if self.odometry_broken {
-            return Some(FaultReason::OdometryNotFinite);
+            return Err(FaultReason::OdometryNotFinite);
         }
-        if is_older(self.wheel.map(|wheel| wheel.time_ns), input.time_ns, self.config.feedback_timeout_s) {
-            return Some(FaultReason::BaseSilent);
-        }
+        let is_new =
+            |wheel: &WheelFeedback| !is_older(Some(wheel.time_ns), input.time_ns, self.config.feedback_timeout_s);
+        let wheel = self.wheel.filter(is_new).ok_or(FaultReason::BaseSilent)?;
         if is_older(self.scan_end_ns, input.time_ns, self.config.scan_timeout_s) {
-            return Some(FaultReason::LidarSilent);
+            return Err(FaultReason::LidarSilent);
         }
         if self.scan_bad {
-            return Some(FaultReason::LidarBad);
+            return Err(FaultReason::LidarBad);
         }
-        (!in_time).then_some(FaultReason::LoopOverrun)
+        if in_time { Ok(wheel) } else { Err(FaultReason::LoopOverrun) }
     }
 
     fn stand(&mut self, why: FaultReason) -> SafetyOutput {
@@ -231,21 +230,19 @@ impl SafetyPlane {
         SafetyOutput { blocked_m: blocked_by(&before), ..SafetyOutput::STOP }.because(SafetyEvent::Faulted { why })
     }
 
-    fn wait_for_arming(&mut self, input: &SafetyInput<'_>) -> SafetyOutput {
+    fn wait_for_arming(&mut self, input: &SafetyInput<'_>, wheel: &WheelFeedback) -> SafetyOutput {
         if input.request != Some(Request::Arm) || self.good_scans < self.config.good_scans {
             return SafetyOutput::STOP;
         }
         self.state = SafetyState::Clear;
-        let odom = self.wheel.map_or(Pose2::IDENTITY, |wheel| wheel.odom);
-        let output = self.pass_or_trip(input, &odom);
+        let output = self.pass_or_trip(input, wheel);
         if output.event.is_some() { output } else { output.because(SafetyEvent::Armed) }
     }
 
-    fn leave_fault(&mut self, why: FaultReason, input: &SafetyInput<'_>) -> SafetyOutput {
+    fn leave_fault(&mut self, why: FaultReason, input: &SafetyInput<'_>, wheel: &WheelFeedback) -> SafetyOutput {
         if why.clears_itself() && self.good_scans >= self.config.good_scans {
             self.state = SafetyState::Clear;
-            let odom = self.wheel.map_or(Pose2::IDENTITY, |wheel| wheel.odom);
-            let output = self.pass_or_trip(input, &odom);
+            let output = self.pass_or_trip(input, wheel);
             return if output.event.is_some() { output } else { output.because(SafetyEvent::Cleared) };
         }
         if input.request == Some(Request::ClearFault) && !why.clears_itself() {
@@ -268,25 +265,24 @@ impl SafetyPlane {
         Ok(plan.twist)
     }
 
-    fn pass_or_trip(&mut self, input: &SafetyInput<'_>, odom: &Pose2) -> SafetyOutput {
+    fn pass_or_trip(&mut self, input: &SafetyInput<'_>, wheel: &WheelFeedback) -> SafetyOutput {
         let wanted = match self.wanted(input) {
             Ok(wanted) => wanted,
             Err(why) => {
                 let news = self.refused.replace(why) != Some(why) && why != PlanRefusal::None;
-                let halt = SafetyOutput { in_charge: false, ..SafetyOutput::drive(Twist2::ZERO) };
+                let halt = SafetyOutput::pass(Twist2::ZERO);
                 return if news { halt.because(SafetyEvent::PlanRefused { why }) } else { halt };
             }
         };
         self.refused = None;
-        let pass = |twist| SafetyOutput { in_charge: false, ..SafetyOutput::drive(twist) };
         if wanted.linear_mps > 0.0 {
-            return self.pass_forward(input, odom, wanted, pass(wanted));
+            return self.pass_forward(input.time_ns, wheel, wanted);
         }
-        if wanted.linear_mps < 0.0 && self.is_free_behind(input.time_ns, odom, &wanted) {
-            return pass(wanted);
+        if wanted.linear_mps < 0.0 && self.is_free_behind(input.time_ns, &wheel.odom, &wanted) {
+            return SafetyOutput::pass(wanted);
         }
         let turn = Twist2 { linear_mps: 0.0, ..wanted };
-        pass(if self.corner_would_meet(turn.angular_radps) { Twist2::ZERO } else { turn })
+        SafetyOutput::pass(if self.corner_would_meet(turn.angular_radps) { Twist2::ZERO } else { turn })
     }
 
     /// Whether the robot may drive back by `twist` until the next call: it can then still stop on ground that is known.
@@ -298,31 +294,26 @@ impl SafetyPlane {
             && self.rear.known_free_m(time_ns, odom, &self.footprint, way_m) >= way_m
     }
 
-    fn pass_forward(
-        &mut self,
-        input: &SafetyInput<'_>,
-        odom: &Pose2,
-        wanted: Twist2,
-        pass: SafetyOutput,
-    ) -> SafetyOutput {
-        let speed = wanted.linear_mps.max(self.wheel.map_or(0.0, |wheel| wheel.twist.linear_mps));
+    fn pass_forward(&mut self, time_ns: u64, wheel: &WheelFeedback, wanted: Twist2) -> SafetyOutput {
+        let speed = wanted.linear_mps.max(wheel.twist.linear_mps);
         let reach_m = self.config.stop_distance_m + self.stopping_m(speed);
         let met = self.around.first_met(&self.footprint, &wanted, reach_m);
-        let contact = self.wheel.is_some_and(|wheel| wheel.contact);
         // Whatever stands beyond the horizon is as near as the horizon.
         let sight_m = self.around.sight_m(&self.footprint);
         let allowed_mps = self.allowed_mps(met.map_or(sight_m, |(_, gap_m)| gap_m.min(sight_m)));
-        let tripped = met.is_some() && allowed_mps < CREEP_MPS;
-        if contact && !tripped {
-            let ahead_m = self.footprint.straight_edge_m() + CONTACT_AHEAD_M;
-            return self.trip(input, odom, TripCause::Contact, [ahead_m, 0.0]);
-        }
         match met {
-            Some((obstacle, _)) if tripped => self.trip(input, odom, cause_of(&obstacle), obstacle.point_m()),
-            _ if allowed_mps < wanted.linear_mps => self.slow(wanted, allowed_mps, pass),
+            Some((obstacle, _)) if allowed_mps < CREEP_MPS => {
+                self.trip(time_ns, &wheel.odom, cause_of(&obstacle), obstacle.point_m())
+            }
+            _ if wheel.contact => {
+                let ahead_m = self.footprint.straight_edge_m() + CONTACT_AHEAD_M;
+                self.trip(time_ns, &wheel.odom, TripCause::Contact, [ahead_m, 0.0])
+            }
+            _ if allowed_mps < wanted.linear_mps => self.slow(wanted, allowed_mps),
             _ => {
                 let was_slow = self.state == SafetyState::Slow;
                 self.state = SafetyState::Clear;
+                let pass = SafetyOutput::pass(wanted);
                 if was_slow { pass.because(SafetyEvent::Cleared) } else { pass }
             }
         }
@@ -342,13 +333,13 @@ impl SafetyPlane {
         (lag * lag + 2.0 * brake * way_m).sqrt() - lag
     }
 
-    fn slow(&mut self, wanted: Twist2, allowed_mps: f64, pass: SafetyOutput) -> SafetyOutput {
+    fn slow(&mut self, wanted: Twist2, allowed_mps: f64) -> SafetyOutput {
         // Both by the same factor: the robot stays on the arc that it wanted.
         let factor = allowed_mps / wanted.linear_mps;
         let twist = Twist2 { linear_mps: allowed_mps, angular_radps: wanted.angular_radps * factor };
         let was_slow = self.state == SafetyState::Slow;
         self.state = SafetyState::Slow;
-        let output = SafetyOutput { command: Some(twist), ..pass };
+        let output = SafetyOutput::pass(twist);
         if was_slow { output } else { output.because(SafetyEvent::Slowed { limit_mps: allowed_mps }) }
     }
 
@@ -357,54 +348,46 @@ impl SafetyPlane {
         self.around.obstacles().iter().any(|obstacle| self.footprint.meets_when_turned(obstacle.point_m(), turn_rad))
     }
 
-    fn trip(&mut self, input: &SafetyInput<'_>, odom: &Pose2, by: TripCause, [x_m, y_m]: [f64; 2]) -> SafetyOutput {
+    fn trip(&mut self, time_ns: u64, odom: &Pose2, by: TripCause, [x_m, y_m]: [f64; 2]) -> SafetyOutput {
         self.trip_count += 1;
         let (blocked_x_m, blocked_y_m) = odom.transform(x_m, y_m);
         let blocked_m = [blocked_x_m, blocked_y_m];
         self.trips.retain(|(when_ns, place)| {
             let near = (place[0] - blocked_m[0]).hypot(place[1] - blocked_m[1]) < SAME_PLACE_M;
-            near && input.time_ns.saturating_sub(*when_ns) < SAME_PROBLEM_NS
+            near && time_ns.saturating_sub(*when_ns) < SAME_PROBLEM_NS
         });
         if self.trips.len() < TRIPS_BEFORE_ESCAPE {
-            self.trips.push((input.time_ns, blocked_m));
+            self.trips.push((time_ns, blocked_m));
         }
-        self.state = SafetyState::Tripped { since_ns: input.time_ns, blocked_m };
+        self.state = SafetyState::Tripped { since_ns: time_ns, blocked_m };
         SafetyOutput::STOP.because(SafetyEvent::Tripped { by, x_m, y_m })
     }
 
     fn come_to_a_stand(
         &mut self,
-        input: &SafetyInput<'_>,
-        odom: &Pose2,
+        time_ns: u64,
+        wheel: &WheelFeedback,
         since_ns: u64,
         blocked_m: [f64; 2],
     ) -> SafetyOutput {
-        let standing = self.wheel.is_some_and(|wheel| {
-            wheel.twist.linear_mps.abs() < STANDING.0 && wheel.twist.angular_radps.abs() < STANDING.1
-        });
-        if !standing && input.time_ns.saturating_sub(since_ns) < STANDING_WITHIN_NS {
+        let standing = wheel.twist.linear_mps.abs() < STANDING.0 && wheel.twist.angular_radps.abs() < STANDING.1;
+        if !standing && time_ns.saturating_sub(since_ns) < STANDING_WITHIN_NS {
             return SafetyOutput::STOP;
         }
-        let known_free_m = self.rear.known_free_m(input.time_ns, odom, &self.footprint, self.config.back_off_m);
-        let touching = self.wheel.is_some_and(|wheel| wheel.contact);
-        self.state =
-            SafetyState::BackingOff { from: *odom, since_ns: input.time_ns, known_free_m, touching, blocked_m };
-        self.back_off(input, odom)
+        let (from, touching) = (wheel.odom, wheel.contact);
+        let known_free_m = self.rear.known_free_m(time_ns, &from, &self.footprint, self.config.back_off_m);
+        self.back_off(time_ns, wheel, BackOff { from, since_ns: time_ns, known_free_m, touching, blocked_m })
     }
 
-    fn back_off(&mut self, input: &SafetyInput<'_>, odom: &Pose2) -> SafetyOutput {
-        let SafetyState::BackingOff { from, since_ns, known_free_m, touching, blocked_m } = self.state else {
-            return SafetyOutput::STOP;
-        };
-        let wheel = self.wheel.unwrap_or_default();
-        let gone_m = odom.distance_m(&from);
+    fn back_off(&mut self, time_ns: u64, wheel: &WheelFeedback, back_off: BackOff) -> SafetyOutput {
+        let gone_m = wheel.odom.distance_m(&back_off.from);
         let left_m = self.config.back_off_m - gone_m;
-        let known_m = known_free_m + self.config.blind_back_off_m;
-        let late = input.time_ns.saturating_sub(since_ns) as f64 > self.config.back_off_timeout_s * 1e9;
+        let known_m = back_off.known_free_m + self.config.blind_back_off_m;
+        let late = is_older(Some(back_off.since_ns), time_ns, self.config.back_off_timeout_s);
         let back = Twist2 { linear_mps: -self.config.back_off_mps, angular_radps: 0.0 };
         let rear_m = REAR_GAP_M + self.stopping_m(wheel.twist.linear_mps.min(0.0).abs());
         // A bumper ahead stays pressed for a moment; whatever is felt after it was let go, or so far away from it, is behind.
-        let touching = touching && wheel.contact && gone_m < CONTACT_AHEAD_M;
+        let touching = back_off.touching && wheel.contact && gone_m < CONTACT_AHEAD_M;
         let touched = wheel.contact && !touching;
         let end = if self.odometry_jumped {
             BackOffEnd::RearUnknown
@@ -421,34 +404,27 @@ impl SafetyPlane {
             let step_m = left_m.min(known_m - gone_m);
             let braking_mps = (2.0 * self.config.brake_mps2 * step_m).sqrt();
             let speed_mps = self.config.back_off_mps.min(step_m / self.config.period_s).min(braking_mps);
-            self.state = SafetyState::BackingOff { from, since_ns, known_free_m, touching, blocked_m };
+            self.state = SafetyState::BackingOff(BackOff { touching, ..back_off });
             return SafetyOutput::drive(Twist2 { linear_mps: -speed_mps, angular_radps: 0.0 });
         };
         let wedged = end != BackOffEnd::Distance || self.trips.len() >= TRIPS_BEFORE_ESCAPE;
         self.state = if wedged {
-            let direction = self.around.open_side();
-            SafetyState::Escaping { since_ns: None, direction, turned_rad: 0.0, last_yaw_rad: odom.yaw_rad }
+            let (direction, last_yaw_rad) = (self.around.open_side(), wheel.odom.yaw_rad);
+            SafetyState::Escaping(Escape { since_ns: None, direction, turned_rad: 0.0, last_yaw_rad })
         } else {
             SafetyState::Clear
         };
         let event = SafetyEvent::BackedOff { distance_m: gone_m, end };
-        SafetyOutput { blocked_m: Some(blocked_m), ..SafetyOutput::STOP }.because(event)
+        SafetyOutput { blocked_m: Some(back_off.blocked_m), ..SafetyOutput::STOP }.because(event)
     }
 
-    fn escape(
-        &mut self,
-        time_ns: u64,
-        odom: &Pose2,
-        since_ns: Option<u64>,
-        direction: f64,
-        turned_rad: f64,
-    ) -> SafetyOutput {
+    fn escape(&mut self, time_ns: u64, odom: &Pose2, escape: Escape) -> SafetyOutput {
+        let turned_rad = escape.turned_rad + wrap_angle(odom.yaw_rad - escape.last_yaw_rad).abs();
         let ahead = Twist2 { linear_mps: self.config.back_off_mps, angular_radps: 0.0 };
         let way_out = self.around.first_met(&self.footprint, &ahead, WAY_OUT_M).is_none();
-        let wanted_radps = direction * self.config.escape_radps;
-        let late = since_ns.is_some_and(|since_ns| {
-            is_older(Some(since_ns), time_ns, ESCAPE_PATIENCE * TAU / self.config.escape_radps)
-        });
+        let wanted_radps = escape.direction * self.config.escape_radps;
+        let since_ns = escape.since_ns.unwrap_or(time_ns);
+        let late = is_older(Some(since_ns), time_ns, ESCAPE_PATIENCE * TAU / self.config.escape_radps);
         // Once round without a way out, or wedged: the planner knows better than another round.
         let over = turned_rad >= TAU || late || self.corner_would_meet(wanted_radps);
         if over || (way_out && turned_rad > FRAC_PI_4) {
@@ -456,10 +432,10 @@ impl SafetyPlane {
             self.trips.clear();
             return SafetyOutput::STOP.because(SafetyEvent::Cleared);
         }
-        let begun_ns = Some(since_ns.unwrap_or(time_ns));
-        self.state = SafetyState::Escaping { since_ns: begun_ns, direction, turned_rad, last_yaw_rad: odom.yaw_rad };
+        let (since_ns, last_yaw_rad) = (Some(since_ns), odom.yaw_rad);
+        self.state = SafetyState::Escaping(Escape { since_ns, turned_rad, last_yaw_rad, ..escape });
         let output = SafetyOutput::drive(Twist2 { linear_mps: 0.0, angular_radps: wanted_radps });
-        if since_ns.is_none() { output.because(SafetyEvent::Escaping) } else { output }
+        if escape.since_ns.is_none() { output.because(SafetyEvent::Escaping) } else { output }
     }
 }
 
@@ -475,7 +451,7 @@ fn cause_of(obstacle: &Obstacle) -> TripCause {
 /// The obstacle that the robot was leaving when something else stopped it: the planner should know of it all the same.
 fn blocked_by(state: &SafetyState) -> Option<[f64; 2]> {
     match state {
-        SafetyState::Tripped { blocked_m, .. } | SafetyState::BackingOff { blocked_m, .. } => Some(*blocked_m),
+        SafetyState::Tripped { blocked_m, .. } | SafetyState::BackingOff(BackOff { blocked_m, .. }) => Some(*blocked_m),
         _ => None,
     }
 }

@@ -188,7 +188,7 @@ fn backing_off_ends_by_time_when_the_wheels_report_no_motion() {
         }
     }
     assert_eq!(end, Some(BackOffEnd::Timeout));
-    assert!(matches!(room.plane.state(), SafetyState::Escaping { .. }));
+    assert!(matches!(room.plane.state(), SafetyState::Escaping(_)));
 }
 
 #[test]

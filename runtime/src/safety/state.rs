@@ -21,31 +21,39 @@ pub enum SafetyState {
         blocked_m: [f64; 2],
     },
     /// Driving back from an obstacle.
-    BackingOff {
-        /// Where it began, in `odom`.
-        from: Pose2,
-        /// When it began.
-        since_ns: u64,
-        /// How far back the ground was known to be free, metres.
-        known_free_m: f64,
-        /// It still feels what it is leaving.
-        touching: bool,
-        /// The obstacle, in `odom`, metres.
-        blocked_m: [f64; 2],
-    },
+    BackingOff(BackOff),
     /// Turning on the spot to find a way out.
-    Escaping {
-        /// When its first turn was; `None` before.
-        since_ns: Option<u64>,
-        /// +1 turns left, -1 right.
-        direction: f64,
-        /// Turned so far, radians.
-        turned_rad: f64,
-        /// Heading at the last call.
-        last_yaw_rad: f64,
-    },
+    Escaping(Escape),
     /// Standing until the reason is gone; some need an operator.
     Fault(FaultReason),
+}
+
+/// Driving back from an obstacle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BackOff {
+    /// Where it began, in `odom`.
+    pub from: Pose2,
+    /// When it began.
+    pub since_ns: u64,
+    /// How far back the ground was known to be free, metres.
+    pub known_free_m: f64,
+    /// It still feels what it is leaving.
+    pub touching: bool,
+    /// The obstacle, in `odom`, metres.
+    pub blocked_m: [f64; 2],
+}
+
+/// Turning on the spot to find a way out.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Escape {
+    /// When its first turn was; `None` before.
+    pub since_ns: Option<u64>,
+    /// +1 turns left, -1 right.
+    pub direction: f64,
+    /// Turned so far, radians.
+    pub turned_rad: f64,
+    /// Heading at the last call.
+    pub last_yaw_rad: f64,
 }
 
 impl SafetyState {
@@ -63,8 +71,8 @@ impl SafetyState {
             Self::Clear => "clear",
             Self::Slow => "slow",
             Self::Tripped { .. } => "tripped",
-            Self::BackingOff { .. } => "backing off",
-            Self::Escaping { .. } => "escaping",
+            Self::BackingOff(_) => "backing off",
+            Self::Escaping(_) => "escaping",
             Self::Fault(_) => "fault",
         }
     }
@@ -129,6 +137,11 @@ impl SafetyOutput {
         Self { command: Some(command), ..Self::STOP }
     }
 
+    /// The planner's wish, or what is left of it.
+    pub(super) fn pass(twist: Twist2) -> Self {
+        Self { in_charge: false, ..Self::drive(twist) }
+    }
+
     pub(super) fn because(self, event: SafetyEvent) -> Self {
         Self { event: Some(event), ..self }
     }
@@ -137,5 +150,29 @@ impl SafetyOutput {
     #[must_use]
     pub fn twist(&self) -> Twist2 {
         self.command.unwrap_or(Twist2::ZERO)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_state_has_a_name_and_only_two_of_them_follow_plans() {
+        let back_off =
+            BackOff { from: Pose2::IDENTITY, since_ns: 0, known_free_m: 0.0, touching: false, blocked_m: [0.0; 2] };
+        let escape = Escape { since_ns: None, direction: 1.0, turned_rad: 0.0, last_yaw_rad: 0.0 };
+        let states = [
+            (SafetyState::Disarmed, "disarmed", true),
+            (SafetyState::Clear, "clear", false),
+            (SafetyState::Slow, "slow", false),
+            (SafetyState::Tripped { since_ns: 0, blocked_m: [0.0; 2] }, "tripped", true),
+            (SafetyState::BackingOff(back_off), "backing off", true),
+            (SafetyState::Escaping(escape), "escaping", true),
+            (SafetyState::Fault(FaultReason::LidarBad), "fault", true),
+        ];
+        for (state, name, in_charge) in states {
+            assert_eq!((state.name(), state.is_in_charge()), (name, in_charge));
+        }
     }
 }
