@@ -19,7 +19,8 @@ pub fn run(arch: Arch, package: &Path) -> Result<()> {
     command::run(command::program("dpkg-deb").arg("--extract").arg(package).arg(&root))?;
     let firmware = |arguments: &[&str]| {
         let mut firmware = program(arch, &root.join("usr/bin/firmware-host"));
-        firmware.args(arguments).env_remove("ORT_DYLIB_PATH");
+        // Emulators cannot start a program anew, as it does to set this itself.
+        firmware.args(arguments).env_remove("ORT_DYLIB_PATH").env("ORT_DISABLE_TELEMETRY", "1");
         firmware
     };
     command::run(&mut firmware(&["--version"]))?;
