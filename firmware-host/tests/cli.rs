@@ -265,3 +265,39 @@ fn test_views_hold_pictures_truth_coarse_depth_and_how_the_robot_came_there() {
     assert_ne!(views("c", "2").1, frames);
     assert!(a.join("000007_rgb.npy").exists() && !a.join("000007.npy").exists());
 }
+
+#[test]
+fn a_run_with_faults_names_them_and_its_recording_replays_without_them() {
+    let dir = TempDir::new().unwrap();
+    let faults = ["--fault", "lidar:stall@2..3", "--fault", "camera:reorder=0.5@1..4", "--fault", "base:drop=0.3"];
+    let more = [&HOME[..], &faults, &["--fault", "random", "--fault-seed", "2"]].concat();
+    let (output, out) = explore(&dir, "broken", &more);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let (_, well) = explore(&dir, "well", &HOME);
+    let (broken, well) = (summary(&out), summary(&well));
+    assert_eq!((&broken["faults"][0], &broken["fault_seed"]), (&"lidar:stall@2..3".into(), &2.into()));
+    assert!(broken["faults"].as_array().unwrap().len() > 3, "{}", broken["faults"]);
+    assert_ne!(broken["digest"], well["digest"]);
+    assert!(well.get("faults").is_none());
+    let replayed = firmware_host(&["replay", out.to_str().unwrap()]);
+    assert!(text(&replayed.stdout).contains("mismatches=0"), "{}", text(&replayed.stdout));
+    assert!(replayed.status.success());
+}
+
+#[test]
+fn a_disk_that_fills_up_by_order_ends_the_run_with_a_report_and_a_whole_file() {
+    let dir = TempDir::new().unwrap();
+    let (_, out) = explore(&dir, "full", &[&HOME[..], &["--fault", "disk:full@2..", "--fault", "disk:slow=1"]].concat());
+    assert_eq!(summary(&out)["end_reason"], "output_failed");
+    let replayed = firmware_host(&["replay", out.to_str().unwrap()]);
+    assert!(text(&replayed.stdout).contains("mismatches=0"), "{}", text(&replayed.stdout));
+}
+
+#[test]
+fn a_fault_that_there_is_not_is_refused_with_what_there_is() {
+    let dir = TempDir::new().unwrap();
+    let (output, _) = explore(&dir, "none", &[&HOME[..], &["--fault", "lidar:explode"]].concat());
+    assert_eq!(output.status.code(), Some(2));
+    let error = text(&output.stderr);
+    assert!(error.contains("`lidar` has no fault `explode`; it has delay, drop"), "{error}");
+}
