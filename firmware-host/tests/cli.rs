@@ -124,6 +124,24 @@ fn perceive_dumps_the_coarse_depth_of_a_run_even_of_one_that_breaks_off() {
 }
 
 #[test]
+fn onnx_runtime_does_not_report_to_its_maker() {
+    let dir = TempDir::new().unwrap();
+    let (home, model, config) = (dir.path().join("home"), dir.path().join("model.onnx"), dir.path().join("robot.toml"));
+    std::fs::create_dir(&home).unwrap();
+    std::fs::write(&model, small_model()).unwrap();
+    std::fs::write(&config, SMALL).unwrap();
+    let mut explore = Command::cargo_bin("firmware-host").unwrap();
+    explore.arg("explore").args(HOME).args(["--frames", "3", "--model"]).arg(model).arg("--config").arg(config);
+    // It is silent by itself where tests run.
+    for variable in ["ORT_DISABLE_TELEMETRY", "CI", "ORT_RUNNING_UNIT_TESTS", "XDG_CACHE_HOME"] {
+        explore.env_remove(variable);
+    }
+    explore.env("HOME", &home).arg("--out").arg(dir.path().join("run")).assert().success();
+    // What it would report waits in a file below ~/.cache first.
+    assert_eq!(std::fs::read_dir(&home).unwrap().count(), 0);
+}
+
+#[test]
 fn what_cannot_be_is_refused_with_its_name_a_way_out_and_nothing_left_behind() {
     let dir = TempDir::new().unwrap();
     let no_model = dir.path().join("none.onnx");
