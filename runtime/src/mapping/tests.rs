@@ -224,7 +224,8 @@ proptest! {
     ) {
         let pose = mount(&Pose2::new(x_m, y_m, yaw_rad), pitch_down_rad);
         let frame = map(&small(), &look(&room([3.0, 2.4]), &camera(), &pose), &pose);
-        prop_assert!(cells_of(&frame, CellState::Occupied).len() > 10);
+        // From some places only a corner is within the range of marks.
+        prop_assert!(!cells_of(&frame, CellState::Occupied).is_empty());
         for known in &frame.cells {
             let [cx, cy] = known.cell.center_m(0.03);
             // Signed distance to the walls' faces: negative inside.
