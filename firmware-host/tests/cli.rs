@@ -305,7 +305,8 @@ fn a_run_with_faults_names_them_and_its_recording_replays_without_them() {
 #[test]
 fn a_disk_that_fills_up_by_order_ends_the_run_with_a_report_and_a_whole_file() {
     let dir = TempDir::new().unwrap();
-    let (_, out) = explore(&dir, "full", &[&HOME[..], &["--fault", "disk:full@2..", "--fault", "disk:slow=1"]].concat());
+    let (_, out) =
+        explore(&dir, "full", &[&HOME[..], &["--fault", "disk:full@2..", "--fault", "disk:slow=1"]].concat());
     assert_eq!(summary(&out)["end_reason"], "output_failed");
     let replayed = firmware_host(&["replay", out.to_str().unwrap()]);
     assert!(text(&replayed.stdout).contains("mismatches=0"), "{}", text(&replayed.stdout));

@@ -46,7 +46,7 @@ pub struct EventCounts {
     pub refused_inputs: Reasons,
     /// Times when a device or the loop made the robot stand, by reason.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
-    pub faults: Reasons,
+    pub safety_faults: Reasons,
 }
 
 impl EventCounts {
@@ -63,7 +63,7 @@ impl EventCounts {
                 self.bumper_trips += 1;
                 count(&mut self.bumper_trips_by, by);
             }
-            Event::Safety { what: SafetyEvent::Faulted { why } } => count(&mut self.faults, why),
+            Event::Safety { what: SafetyEvent::Faulted { why } } => count(&mut self.safety_faults, why),
             Event::Safety { what: SafetyEvent::Escaping } => self.bumper_escapes += 1,
             _ => {}
         }

@@ -167,6 +167,15 @@ mod tests {
     }
 
     #[test]
+    fn what_was_broken_on_purpose_and_what_stopped_the_robot_have_keys_of_their_own() {
+        let mut summary = Summary { faults: vec!["lidar:stall@4..6".into()], ..Summary::default() };
+        summary.events.safety_faults.insert("lidar_silent".into(), 1);
+        let value: serde_json::Value = serde_json::from_str(&summary.to_json()).unwrap();
+        assert_eq!(value["faults"], json!(["lidar:stall@4..6"]));
+        assert_eq!(value["safety_faults"], json!({"lidar_silent": 1}));
+    }
+
+    #[test]
     fn a_number_that_json_cannot_hold_is_absent_not_null() {
         let summary = Summary { path_m: Some(f64::NAN), wall_s: Some(f64::INFINITY), ..Summary::default() };
         let text = summary.to_json();

@@ -78,6 +78,8 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
         ("path", summary.path_m.map_or(String::new(), |path| format!("{path:.1} m"))),
         ("collisions", summary.collisions.map_or(String::new(), |count| count.to_string())),
         ("safety stops", trips),
+        ("faults", counted(&events.safety_faults, "times")),
+        ("broken on purpose", summary.faults.join(", ")),
         ("stuck", stuck(summary)),
         ("goals", goal_counts.unwrap_or_default()),
         ("chosen for", by_reason(&goals.chosen)),
