@@ -34,7 +34,8 @@ const SURVIVABLE: [&str; 26] = [
     "base:contact",
     "clock:slow=100",
 ];
-/// Time from the beginning of one to that of the next, and how long each is on, tenths of a second.
+/// When the first begins, also in a short run; time from the beginning of one to that of the next, and how long each is on, tenths of a second.
+const FIRST_DS: std::ops::RangeInclusive<u32> = 5..=40;
 const APART_DS: std::ops::RangeInclusive<u32> = 30..=90;
 const LONG_DS: std::ops::RangeInclusive<u32> = 5..=30;
 
@@ -43,9 +44,8 @@ const LONG_DS: std::ops::RangeInclusive<u32> = 5..=30;
 pub fn random_faults(seed: u64, span_s: f64) -> Vec<Fault> {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let mut faults = Vec::new();
-    let mut time_ds = 0;
+    let mut time_ds = rng.random_range(FIRST_DS);
     loop {
-        time_ds += rng.random_range(APART_DS);
         let from_s = f64::from(time_ds) / 10.0;
         if from_s >= span_s {
             return faults;
@@ -57,5 +57,6 @@ pub fn random_faults(seed: u64, span_s: f64) -> Vec<Fault> {
             (fault.from_s, fault.to_s) = (from_s, to_s);
             faults.push(fault);
         }
+        time_ds += rng.random_range(APART_DS);
     }
 }

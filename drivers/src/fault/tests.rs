@@ -342,7 +342,7 @@ proptest! {
         let faults = random_faults(seed, span_s);
         prop_assert_eq!(&faults, &random_faults(seed, span_s));
         for fault in &faults {
-            prop_assert!(fault.from_s < span_s && fault.from_s >= 3.0 && fault.to_s - fault.from_s < 3.05);
+            prop_assert!(fault.from_s < span_s && fault.from_s >= 0.5 && fault.to_s - fault.from_s < 3.05);
             prop_assert_eq!(&fault.to_string().parse::<Fault>().unwrap(), fault);
         }
         prop_assert!(faults.len() as f64 >= (span_s / 9.0).floor() - 1.0, "{} in {} s", faults.len(), span_s);
