@@ -191,6 +191,9 @@ impl Exploration {
                 self.quiet_until_ns = decision.time_ns + LOG_EVERY_NS;
             }
         }
+        if !wheel.odom.is_finite() {
+            return;
+        }
         let last = self.last_wheel.replace(*wheel);
         let step_m = last.map_or(0.0, |last| last.odom.distance_m(&wheel.odom));
         // A jump is odometry that began anew.
