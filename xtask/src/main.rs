@@ -7,6 +7,7 @@ mod bench;
 mod command;
 mod demo;
 mod models;
+mod mutants;
 mod nextest;
 mod onnx_runtime;
 mod paths;
@@ -66,6 +67,13 @@ enum Chore {
         /// A part of the names of scenarios.
         filter: Option<String>,
     },
+    /// Every mutant of the safety plane against its own tests. Takes an hour on one core.
+    #[command(disable_help_flag = true)]
+    Mutants {
+        /// Passed on to `cargo mutants`.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
     /// Install what the other chores need, and nothing else.
     Setup,
 }
@@ -88,6 +96,7 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Accuracy { arguments } => accuracy::run(arguments),
         Chore::Policies { frames, seeds } => policies::run(*frames, *seeds),
         Chore::Models => models::run(),
+        Chore::Mutants { arguments } => mutants::run(arguments),
         Chore::Rig { all, filter } => rig::run(*all, filter.as_deref()),
         Chore::Setup => {
             println!("ONNX Runtime: {}", onnx_runtime::install()?.display());

@@ -511,3 +511,100 @@ fn a_blocked_place_is_told_also_when_a_fault_comes_while_the_robot_drives_back()
 fn the_plane_tells_its_configuration() {
     assert_eq!(*SafetyPlane::new(cart()).config(), cart());
 }
+
+#[test]
+fn two_calls_at_one_time_are_no_fault_and_nothing_is_forgotten() {
+    let mut room = driving();
+    room.time_ns -= TICK_NS;
+    let input = SafetyInput { wheel: None, ..room.input(FORWARD, None, false) };
+    assert_eq!(room.turn(&input).twist(), FORWARD);
+}
+
+/// A post at 135 degrees, in the strip behind the robot, this far from the laser: the gap behind the outline is
+/// 5.7 cm at 0.195 m, 6.7 at 0.2, 9.7 at 0.213 and 11.1 at 0.218.
+fn post_behind(room: &Room, range_m: f32) -> LaserScan {
+    let mut scan = room.scan();
+    scan.ranges[1077..].fill(Range::Hit(range_m));
+    scan
+}
+
+#[test]
+fn a_wish_to_drive_back_leaves_three_centimetres_and_what_the_next_turn_takes_before_what_is_seen() {
+    for (range_m, goes) in [(0.195, false), (0.2, true)] {
+        let mut room = looked_around(0.5);
+        let scan = post_behind(&room, range_m);
+        let wish = Twist2 { linear_mps: -0.3, angular_radps: 0.0 };
+        let output = room.tick_with(wish, Some(&scan), false);
+        assert_eq!(output.twist() == wish, goes, "{range_m}: {output:?}");
+    }
+}
+
+#[test]
+fn backing_off_leaves_three_centimetres_and_the_way_to_stop_before_what_is_seen() {
+    let config = SafetyConfig { brake_mps2: 0.8, reaction_s: 0.05, ..SafetyConfig::default() };
+    // 0.3 m/s: 1.5 cm until the brakes answer, 5.6 cm of braking.
+    for (range_m, speed, ends) in [(0.213, -0.3, true), (0.218, -0.3, false), (0.195, 0.3, false), (0.195, 0.0, false)]
+    {
+        let mut room = Room::with(config.clone(), 2.0, Pose2::IDENTITY);
+        room.until(FORWARD, tripped);
+        room.until(FORWARD, |output| output.twist().linear_mps < 0.0);
+        let scan = post_behind(&room, range_m);
+        room.driving = Twist2 { linear_mps: speed, angular_radps: 0.0 };
+        let output = room.tick_with(FORWARD, Some(&scan), false);
+        let blocked = matches!(output.event, Some(SafetyEvent::BackedOff { end: BackOffEnd::RearBlocked, .. }));
+        assert_eq!(blocked, ends, "{range_m} {speed}: {output:?}");
+    }
+}
+
+#[test]
+fn the_last_steps_back_are_as_long_as_what_is_left_and_no_faster_than_the_brakes_allow() {
+    for (brake_mps2, left_m, speed) in [(100.0, 0.02, 0.2), (0.5, 0.02, 0.02_f64.sqrt()), (100.0, 0.05, 0.3)] {
+        let mut room = Room::with(SafetyConfig { brake_mps2, ..SafetyConfig::default() }, 2.0, Pose2::IDENTITY);
+        room.until(FORWARD, tripped);
+        let from = room.pose;
+        room.until(FORWARD, |output| output.twist().linear_mps < 0.0);
+        room.pose = Pose2::new(from.x_m - 0.2 + left_m, 0.0, 0.0);
+        let output = room.tick(FORWARD);
+        assert!((output.twist().linear_mps + speed).abs() < 1e-9, "{left_m} with {brake_mps2}: {output:?}");
+        assert_eq!(output.twist().angular_radps, 0.0);
+    }
+}
+
+#[test]
+fn an_escape_turns_to_the_side_with_more_room_as_fast_as_configured_and_once_round() {
+    for (y_m, side) in [(-0.05, 1.0), (0.05, -1.0)] {
+        let mut room = Room::new(0.3, Pose2::new(0.0, y_m, 0.0));
+        room.until(FORWARD, |output| output.event == Some(SafetyEvent::Escaping));
+        let begun_ns = room.time_ns - TICK_NS;
+        let output = room.tick(FORWARD);
+        assert_eq!(output.twist(), Twist2 { linear_mps: 0.0, angular_radps: side * 20_f64.to_radians() });
+        room.until(FORWARD, |output| output.event == Some(SafetyEvent::Cleared));
+        let took_s = (room.time_ns - TICK_NS - begun_ns) as f64 * 1e-9;
+        assert!((17.9..18.2).contains(&took_s), "{took_s}");
+        assert!(room.plane.trips.is_empty());
+    }
+}
+
+#[test]
+fn an_escape_ends_where_a_corner_would_meet_the_wall() {
+    let mut room = Room::with(cart(), 2.0, Pose2::new(1.65, 1.84, 0.0));
+    room.until(FORWARD, |output| matches!(output.event, Some(SafetyEvent::BackedOff { .. })));
+    assert!(matches!(room.plane.state(), SafetyState::Escaping(Escape { direction: -1.0, .. })));
+    // Somebody shuts the other side.
+    room.pose.y_m = -1.84;
+    let shut = room.scan();
+    room.pose.y_m = 1.84;
+    let output = room.tick_with(FORWARD, Some(&shut), false);
+    assert_eq!(output, SafetyOutput::STOP.because(SafetyEvent::Cleared));
+}
+
+#[test]
+fn a_turn_on_the_spot_is_looked_at_as_far_as_it_goes_until_the_wheels_answer_and_0_3_s_more() {
+    // At 0.5 rad/s 0.15 rad; with a reaction of 0.2 s 0.25 rad. The nose's corner is 0.335 m from the axle.
+    for (reaction_s, y_m, turns) in [(0.0, 1.79, true), (0.2, 1.79, false), (0.0, 1.82, false)] {
+        let mut room = Room::with(SafetyConfig { reaction_s, ..cart() }, 2.0, Pose2::new(0.0, y_m, 0.0));
+        room.tick(Twist2::ZERO);
+        let left = Twist2 { linear_mps: 0.0, angular_radps: 0.5 };
+        assert_eq!(room.tick(left).twist() == left, turns, "{reaction_s} {y_m}");
+    }
+}
