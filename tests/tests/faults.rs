@@ -113,7 +113,7 @@ fn a_bumper_switch_that_is_stuck_does_not_nail_the_robot_down() {
 }
 
 #[test]
-fn a_scanner_that_repeats_an_old_scan_is_as_silent_as_one_that_says_nothing() {
+fn a_scanner_whose_scans_come_too_late_is_as_silent_as_one_that_says_nothing() {
     // With a scan that is four turns late, every scan is older than the robot may drive by.
     let turns = run(PolicyKind::Forward, &["lidar:delay=4@3..5"], 80);
     assert!(at(&turns, 3.5..5.0).iter().all(|turn| turn.command() == Twist2::ZERO));

@@ -8,6 +8,7 @@ mod command;
 mod demo;
 mod dist;
 mod models;
+mod mutants;
 mod nextest;
 mod onnx_runtime;
 mod paths;
@@ -73,6 +74,13 @@ enum Chore {
         #[arg(long, value_enum)]
         target: Option<dist::Arch>,
     },
+    /// Every mutant of the safety plane against its own tests. Takes an hour on one core.
+    #[command(disable_help_flag = true)]
+    Mutants {
+        /// Passed on to `cargo mutants`.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
     /// Install what the other chores need, and nothing else.
     Setup,
 }
@@ -95,6 +103,7 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Accuracy { arguments } => accuracy::run(arguments),
         Chore::Policies { frames, seeds } => policies::run(*frames, *seeds),
         Chore::Models => models::run(),
+        Chore::Mutants { arguments } => mutants::run(arguments),
         Chore::Rig { all, filter } => rig::run(*all, filter.as_deref()),
         Chore::Dist { target } => dist::run(*target),
         Chore::Setup => {

@@ -276,10 +276,13 @@ fn scanner_and_base_may_be_wrapped_on_the_safety_thread() {
         let mut lidar = FaultyLidar::new(Device25ms::new(&time), &faults);
         let mut base = FaultyBase::new(Device25ms::new(&time), &faults);
         let mut scan = LaserScan::empty(lidar.geometry());
+        let mut handed_on = scan.clone();
+        handed_on.ranges.reserve(scan.geometry.beams);
         let info = allocation_counter::measure(|| {
             for turn in 0..100 {
                 time.store(turn * TURN_NS, Ordering::Relaxed);
                 let _ = lidar.poll_scan(&mut scan);
+                handed_on.clone_from(&scan);
                 let _ = base.poll_feedback();
                 let _ = base.drive(&DriveCommand { twist: Twist2::ZERO, counter: 1, plan_age_ns: 0 });
             }

@@ -373,8 +373,9 @@ mod tests {
         robot.control.turn(robot.now_ns, &pressed);
         assert_eq!(robot.control.base.arming, 0, "and the motors are let go");
         assert!(!robot.drives_after(20), "released, and nobody has asked again");
+        robot.turn(Some(Request::Arm));
         robot.turn(Some(Request::ClearFault));
-        assert!(!robot.drives_after(20), "cleared, and nobody has asked again");
+        assert!(!robot.drives_after(20), "cleared, and nobody has asked since");
         robot.turn(Some(Request::Arm));
         assert!(robot.drives_after(10));
     }

@@ -1,19 +1,12 @@
 //! What the plane is told may be wrong: time, stamps, odometry, bumpers, wishes beyond all measure.
 
-use super::tests::{FORWARD, Room, TICK_NS, driving, tripped};
+use super::tests::{FORWARD, Room, TICK_NS, cart, driving, looked_around, tripped};
 use super::*;
 use crate::safety::Plan;
 use crate::safety::surroundings::tests::wall_ahead;
 use hal::{ErrorKind, Range};
 
 const BACK: Twist2 = Twist2 { linear_mps: -0.3, angular_radps: 0.1 };
-const LEFT: Twist2 = Twist2 { linear_mps: 0.0, angular_radps: 0.3 };
-
-/// 40 cm long, 30 cm wide, the axle 10 cm before its end.
-fn cart() -> SafetyConfig {
-    let footprint_m = vec![[0.3, 0.15], [-0.1, 0.15], [-0.1, -0.15], [0.3, -0.15]];
-    SafetyConfig { footprint_m, ..SafetyConfig::default() }
-}
 
 fn three_good_scans() -> SafetyConfig {
     SafetyConfig { good_scans: 3, ..SafetyConfig::default() }
@@ -21,17 +14,6 @@ fn three_good_scans() -> SafetyConfig {
 
 fn faulted(why: FaultReason) -> Option<SafetyEvent> {
     Some(SafetyEvent::Faulted { why })
-}
-
-/// A robot that has turned once round on the spot and therefore knows the ground behind.
-fn looked_around(x_m: f64) -> Room {
-    let mut room = Room::new(2.0, Pose2::new(x_m, 0.0, 0.0));
-    for _ in 0..210 {
-        room.tick(LEFT);
-    }
-    room.pose.yaw_rad = 0.0;
-    room.tick(Twist2::ZERO);
-    room
 }
 
 #[test]
@@ -59,8 +41,6 @@ fn a_trip_before_time_went_back_does_not_count_as_one_at_this_place() {
     room.time_ns = 0;
     room.tick(Twist2::ZERO);
     room.until(FORWARD, tripped);
-    let output = room.until(FORWARD, |output| output.blocked_m.is_some());
-    assert!(!matches!(room.plane.state(), SafetyState::Escaping(_)) || unknown_behind(&output));
     assert_eq!(room.plane.trips.len(), 1);
 }
 
@@ -273,54 +253,6 @@ fn a_bumper_that_is_still_pressed_three_centimetres_away_is_one_behind() {
 }
 
 #[test]
-fn an_escape_on_wheels_that_are_stuck_is_said_once_and_ends_after_the_time_of_two_rounds() {
-    let mut room = Room::new(2.0, Pose2::new(1.75, 0.0, 0.0));
-    room.until(FORWARD, |output| output.event == Some(SafetyEvent::Escaping));
-    let (stuck, begun_ns) = (Pose2::new(1.7, 0.0, 0.0), room.time_ns - TICK_NS);
-    let mut said = Vec::new();
-    while matches!(room.plane.state(), SafetyState::Escaping(_)) {
-        room.pose = stuck;
-        said.extend(room.tick(FORWARD).event);
-    }
-    assert_eq!(said, [SafetyEvent::Cleared]);
-    let took_s = (room.time_ns - TICK_NS - begun_ns) as f64 * 1e-9;
-    assert!((36.0..36.2).contains(&took_s), "a round takes 18 s: {took_s}");
-}
-
-#[test]
-fn a_wish_to_drive_back_is_followed_over_known_ground_only_and_else_keeps_its_turn() {
-    let mut room = Room::new(5.0, Pose2::IDENTITY);
-    room.tick(Twist2::ZERO);
-    let turn = Twist2 { linear_mps: 0.0, ..BACK };
-    assert_eq!(room.tick(BACK).twist(), turn, "nobody has looked there");
-    (0..5).for_each(|_| _ = room.tick(FORWARD));
-    let straight_back = Twist2 { angular_radps: 0.0, ..BACK };
-    let gone_m = (0..20).map(|_| -room.tick(straight_back).twist().linear_mps * 0.1).sum::<f64>();
-    assert!((0.1..=0.21).contains(&gone_m), "it knows the 0.18 m that it came: {gone_m}");
-    let mut room = looked_around(0.5);
-    assert_eq!(room.tick(BACK).twist(), BACK);
-    let fast = Twist2 { linear_mps: -20.0, angular_radps: 0.0 };
-    assert_eq!(room.tick(fast).twist(), Twist2::ZERO, "two metres until the next call");
-}
-
-#[test]
-fn a_cart_that_may_not_drive_back_does_not_turn_its_corner_into_a_wall_either() {
-    let mut room = Room::with(cart(), 2.0, Pose2::new(0.0, 1.84, 0.0));
-    room.tick(Twist2::ZERO);
-    assert_eq!(room.tick(Twist2 { linear_mps: -0.3, angular_radps: 0.3 }).twist(), Twist2::ZERO);
-}
-
-#[test]
-fn a_cart_on_an_arc_so_narrow_that_it_turns_nearly_on_the_spot_is_stopped_like_one_that_turns_on_it() {
-    for linear_mps in [1e-9, 1e-4, 1e-3, 1e-2] {
-        let mut room = Room::with(cart(), 2.0, Pose2::new(0.0, 1.84, 0.0));
-        room.tick(Twist2::ZERO);
-        let output = room.tick(Twist2 { linear_mps, angular_radps: 0.3 });
-        assert_eq!(output.twist(), Twist2::ZERO, "{linear_mps}");
-    }
-}
-
-#[test]
 fn wishes_beyond_all_measure_are_answered_at_once() {
     for corners in [cart(), SafetyConfig::default()] {
         for twist in [(0.0, 1e300), (1e300, 1e300), (1e300, 1e299), (-1e300, 1e300), (1e300, 0.0), (-1e300, 0.0)] {
@@ -331,44 +263,6 @@ fn wishes_beyond_all_measure_are_answered_at_once() {
             assert!(output.twist().is_finite() && output.twist().linear_mps.abs() < 16.0, "{wish:?}: {output:?}");
         }
     }
-}
-
-#[test]
-fn a_plan_that_is_faster_than_the_robot_can_see_is_slowed_to_what_it_sees() {
-    let config = SafetyConfig { brake_mps2: 1.0, reaction_s: 0.05, ..SafetyConfig::default() };
-    let mut room = Room::with(config, 50.0, Pose2::IDENTITY);
-    room.tick(Twist2::ZERO);
-    let output = room.tick(Twist2 { linear_mps: 3.0, angular_radps: 0.3 });
-    let twist = output.twist();
-    let needed_m = twist.linear_mps * 0.05 + twist.linear_mps * twist.linear_mps / 2.0;
-    assert!((needed_m - (1.5 - 0.16 - 0.1)).abs() < 1e-6, "{needed_m} m to stop in");
-    assert!(matches!(output.event, Some(SafetyEvent::Slowed { .. })), "{output:?}");
-    assert!((twist.angular_radps / twist.linear_mps - 0.1).abs() < 1e-9, "on the same arc");
-}
-
-#[test]
-fn a_stop_distance_beyond_the_usual_horizon_is_kept() {
-    let config = SafetyConfig { stop_distance_m: 2.0, ..SafetyConfig::default() };
-    let mut room = Room::with(config, 5.0, Pose2::IDENTITY);
-    room.until(FORWARD, tripped);
-    let gap_m = room.half_m - room.pose.x_m - 0.16;
-    assert!((1.96..=2.0).contains(&gap_m), "{gap_m}");
-}
-
-#[test]
-fn backing_off_ends_where_the_wheels_can_still_stop_before_what_is_seen_behind() {
-    let config = SafetyConfig { brake_mps2: 0.5, reaction_s: 0.1, ..SafetyConfig::default() };
-    let mut room = Room::with(config, 2.0, Pose2::IDENTITY);
-    room.until(FORWARD, tripped);
-    room.until(FORWARD, |output| output.twist().linear_mps < 0.0);
-    let mut scan = room.scan();
-    // A post at 135 degrees, 12 cm behind the outline there.
-    for beam in 0..4 {
-        scan.ranges[1080 - beam] = Range::Hit(0.22);
-    }
-    room.driving = Twist2 { linear_mps: -0.3, angular_radps: 0.0 };
-    let output = room.tick_with(FORWARD, Some(&scan), false);
-    assert!(matches!(output.event, Some(SafetyEvent::BackedOff { end: BackOffEnd::RearBlocked, .. })), "{output:?}");
 }
 
 #[test]
@@ -405,95 +299,6 @@ fn what_is_seen_and_touched_at_once_was_seen_and_what_is_too_near_to_be_measured
 }
 
 #[test]
-fn a_touch_is_taken_to_be_three_centimetres_before_the_outline_where_the_robot_stands() {
-    let mut room = Room::new(5.0, Pose2::new(1.0, 2.0, std::f64::consts::FRAC_PI_2));
-    let scan = room.scan();
-    let Some(SafetyEvent::Tripped { x_m, y_m, .. }) = room.tick_with(FORWARD, Some(&scan), true).event else {
-        panic!("{:?}", room.plane.state())
-    };
-    assert!((x_m - 0.19).abs() < 1e-12 && y_m == 0.0);
-    let SafetyState::Tripped { blocked_m, .. } = room.plane.state() else { panic!("{:?}", room.plane.state()) };
-    assert!((blocked_m[0] - 1.0).abs() < 1e-9 && (blocked_m[1] - 2.19).abs() < 1e-9, "{blocked_m:?}");
-}
-
-#[test]
-fn slow_is_over_when_the_way_is_clear_again_and_said_once_each() {
-    let config = SafetyConfig { brake_mps2: 0.2, ..SafetyConfig::default() };
-    let mut room = Room::with(config, 50.0, Pose2::IDENTITY);
-    room.tick(FORWARD);
-    let mut said = Vec::new();
-    for wall_m in [0.4, 0.4, 5.0, 5.0] {
-        let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(wall_m) };
-        said.push(room.tick_with(FORWARD, Some(&scan), false).event);
-        let slow = room.plane.state() == SafetyState::Slow;
-        assert_eq!(slow, wall_m < 1.0);
-    }
-    let limit_mps = (2.0 * 0.2 * (0.4_f64 - 0.16 - 0.1)).sqrt();
-    assert!(matches!(said[0], Some(SafetyEvent::Slowed { limit_mps: told }) if (told - limit_mps).abs() < 0.01));
-    assert_eq!(said[1..], [None, Some(SafetyEvent::Cleared), None]);
-}
-
-#[test]
-fn wheels_that_never_stand_are_driven_back_after_half_a_second() {
-    for rolling in [(0.021, 0.0), (-0.021, 0.0), (0.0, 0.051), (0.0, -0.051)] {
-        let mut room = Room::new(2.0, Pose2::new(1.75, 0.0, 0.0));
-        room.until(FORWARD, tripped);
-        let mut waited = 0;
-        loop {
-            room.driving = Twist2 { linear_mps: rolling.0, angular_radps: rolling.1 };
-            if room.tick(FORWARD).twist().linear_mps < 0.0 {
-                break;
-            }
-            waited += 1;
-        }
-        assert_eq!(waited, 4, "{rolling:?}");
-    }
-    for standing in [(0.019, 0.0), (0.0, -0.049)] {
-        let mut room = Room::new(2.0, Pose2::new(1.75, 0.0, 0.0));
-        room.until(FORWARD, tripped);
-        room.driving = Twist2 { linear_mps: standing.0, angular_radps: standing.1 };
-        assert!(room.tick(FORWARD).twist().linear_mps < 0.0, "{standing:?}");
-    }
-}
-
-/// Trips at `at`, and a fault that passes ends the back-off, so that nothing but the count of trips is left.
-fn trips_at(room: &mut Room, at: Pose2, wall_m: f64) {
-    room.pose = at;
-    let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(wall_m) };
-    assert!(tripped(&room.tick_with(FORWARD, Some(&scan), false)), "{:?}", room.plane.state());
-    for error in [Some(ErrorKind::Timeout), None] {
-        let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(3.0) };
-        room.turn(&SafetyInput { base_error: error, ..room.input(Twist2::ZERO, Some(&scan), false) });
-    }
-}
-
-#[test]
-fn trips_that_are_near_in_place_and_time_are_one_problem_and_others_are_not() {
-    let near = Pose2::new(0.3, 0.3, 0.0);
-    let mut room = driving();
-    for count in [1, 2, 3, 3] {
-        trips_at(&mut room, if count == 2 { near } else { Pose2::IDENTITY }, 0.2);
-        assert_eq!((room.plane.trips.len(), room.plane.trips.capacity()), (count, TRIPS_BEFORE_ESCAPE + 1));
-    }
-    assert_eq!(room.plane.trip_count(), 4);
-    for far in [Pose2::new(0.51, 0.0, 0.0), Pose2::new(0.0, -0.51, 0.0)] {
-        let mut room = driving();
-        trips_at(&mut room, Pose2::IDENTITY, 0.2);
-        trips_at(&mut room, far, 0.2);
-        assert_eq!(room.plane.trips.len(), 1, "{far:?}");
-    }
-    for (pause_ns, count) in [(29_999_000_000, 2), (30_000_000_000, 1)] {
-        let mut room = driving();
-        trips_at(&mut room, Pose2::IDENTITY, 0.2);
-        // Three turns have passed since the trip; two more come before the next one.
-        room.time_ns += pause_ns - 5 * TICK_NS;
-        (0..2).for_each(|_| _ = room.tick(Twist2::ZERO));
-        trips_at(&mut room, Pose2::IDENTITY, 0.2);
-        assert_eq!(room.plane.trips.len(), count, "{pause_ns}");
-    }
-}
-
-#[test]
 fn a_blocked_place_is_told_also_when_a_fault_comes_while_the_robot_drives_back() {
     let mut room = Room::new(2.0, Pose2::IDENTITY);
     room.until(FORWARD, tripped);
@@ -510,4 +315,12 @@ fn a_blocked_place_is_told_also_when_a_fault_comes_while_the_robot_drives_back()
 #[test]
 fn the_plane_tells_its_configuration() {
     assert_eq!(*SafetyPlane::new(cart()).config(), cart());
+}
+
+#[test]
+fn two_calls_at_one_time_are_no_fault_and_nothing_is_forgotten() {
+    let mut room = driving();
+    room.time_ns -= TICK_NS;
+    let input = SafetyInput { wheel: None, ..room.input(FORWARD, None, false) };
+    assert_eq!(room.turn(&input).twist(), FORWARD);
 }

@@ -463,3 +463,7 @@ mod tests;
 #[cfg(test)]
 #[path = "doubt_tests.rs"]
 mod doubt_tests;
+
+#[cfg(test)]
+#[path = "reach_tests.rs"]
+mod reach_tests;

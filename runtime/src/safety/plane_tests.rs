@@ -82,6 +82,23 @@ impl Room {
     }
 }
 
+/// 40 cm long, 30 cm wide, the axle 10 cm before its end.
+pub fn cart() -> SafetyConfig {
+    let footprint_m = vec![[0.3, 0.15], [-0.1, 0.15], [-0.1, -0.15], [0.3, -0.15]];
+    SafetyConfig { footprint_m, ..SafetyConfig::default() }
+}
+
+/// A robot that has turned once round on the spot and therefore knows the ground behind.
+pub fn looked_around(x_m: f64) -> Room {
+    let mut room = Room::new(2.0, Pose2::new(x_m, 0.0, 0.0));
+    for _ in 0..210 {
+        room.tick(Twist2 { linear_mps: 0.0, angular_radps: 0.3 });
+    }
+    room.pose.yaw_rad = 0.0;
+    room.tick(Twist2::ZERO);
+    room
+}
+
 pub fn tripped(output: &SafetyOutput) -> bool {
     matches!(output.event, Some(SafetyEvent::Tripped { .. }))
 }

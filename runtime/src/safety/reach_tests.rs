@@ -1,0 +1,256 @@
+//! How near, how far and how fast the plane lets the robot drive, and drives it by itself.
+
+use super::tests::{FORWARD, Room, TICK_NS, cart, driving, looked_around, tripped};
+use super::*;
+use crate::safety::surroundings::tests::wall_ahead;
+use hal::{ErrorKind, Range};
+
+const BACK: Twist2 = Twist2 { linear_mps: -0.3, angular_radps: 0.1 };
+
+#[test]
+fn an_escape_on_wheels_that_are_stuck_is_said_once_and_ends_after_the_time_of_two_rounds() {
+    let mut room = Room::new(2.0, Pose2::new(1.75, 0.0, 0.0));
+    room.until(FORWARD, |output| output.event == Some(SafetyEvent::Escaping));
+    let (stuck, begun_ns) = (Pose2::new(1.7, 0.0, 0.0), room.time_ns - TICK_NS);
+    let mut said = Vec::new();
+    while matches!(room.plane.state(), SafetyState::Escaping(_)) {
+        room.pose = stuck;
+        said.extend(room.tick(FORWARD).event);
+    }
+    assert_eq!(said, [SafetyEvent::Cleared]);
+    let took_s = (room.time_ns - TICK_NS - begun_ns) as f64 * 1e-9;
+    assert!((36.0..36.2).contains(&took_s), "a round takes 18 s: {took_s}");
+}
+
+#[test]
+fn a_wish_to_drive_back_is_followed_over_known_ground_only_and_else_keeps_its_turn() {
+    let mut room = Room::new(5.0, Pose2::IDENTITY);
+    room.tick(Twist2::ZERO);
+    let turn = Twist2 { linear_mps: 0.0, ..BACK };
+    assert_eq!(room.tick(BACK).twist(), turn, "nobody has looked there");
+    (0..5).for_each(|_| _ = room.tick(FORWARD));
+    let straight_back = Twist2 { angular_radps: 0.0, ..BACK };
+    let gone_m = (0..20).map(|_| -room.tick(straight_back).twist().linear_mps * 0.1).sum::<f64>();
+    assert!((0.1..=0.21).contains(&gone_m), "it knows the 0.18 m that it came: {gone_m}");
+    let mut room = looked_around(0.5);
+    assert_eq!(room.tick(BACK).twist(), BACK);
+    let fast = Twist2 { linear_mps: -20.0, angular_radps: 0.0 };
+    assert_eq!(room.tick(fast).twist(), Twist2::ZERO, "two metres until the next call");
+}
+
+#[test]
+fn a_cart_that_may_not_drive_back_does_not_turn_its_corner_into_a_wall_either() {
+    let mut room = Room::with(cart(), 2.0, Pose2::new(0.0, 1.84, 0.0));
+    room.tick(Twist2::ZERO);
+    assert_eq!(room.tick(Twist2 { linear_mps: -0.3, angular_radps: 0.3 }).twist(), Twist2::ZERO);
+}
+
+#[test]
+fn a_cart_on_an_arc_so_narrow_that_it_turns_nearly_on_the_spot_is_stopped_like_one_that_turns_on_it() {
+    for linear_mps in [1e-9, 1e-4, 1e-3, 1e-2] {
+        let mut room = Room::with(cart(), 2.0, Pose2::new(0.0, 1.84, 0.0));
+        room.tick(Twist2::ZERO);
+        let output = room.tick(Twist2 { linear_mps, angular_radps: 0.3 });
+        assert_eq!(output.twist(), Twist2::ZERO, "{linear_mps}");
+    }
+}
+
+#[test]
+fn a_plan_that_is_faster_than_the_robot_can_see_is_slowed_to_what_it_sees() {
+    let config = SafetyConfig { brake_mps2: 1.0, reaction_s: 0.05, ..SafetyConfig::default() };
+    let mut room = Room::with(config, 50.0, Pose2::IDENTITY);
+    room.tick(Twist2::ZERO);
+    let output = room.tick(Twist2 { linear_mps: 3.0, angular_radps: 0.3 });
+    let twist = output.twist();
+    let needed_m = twist.linear_mps * 0.05 + twist.linear_mps * twist.linear_mps / 2.0;
+    assert!((needed_m - (1.5 - 0.16 - 0.1)).abs() < 1e-6, "{needed_m} m to stop in");
+    assert!(matches!(output.event, Some(SafetyEvent::Slowed { .. })), "{output:?}");
+    assert!((twist.angular_radps / twist.linear_mps - 0.1).abs() < 1e-9, "on the same arc");
+}
+
+#[test]
+fn a_stop_distance_beyond_the_usual_horizon_is_kept() {
+    let config = SafetyConfig { stop_distance_m: 2.0, ..SafetyConfig::default() };
+    let mut room = Room::with(config, 5.0, Pose2::IDENTITY);
+    room.until(FORWARD, tripped);
+    let gap_m = room.half_m - room.pose.x_m - 0.16;
+    assert!((1.96..=2.0).contains(&gap_m), "{gap_m}");
+}
+
+#[test]
+fn a_touch_is_taken_to_be_three_centimetres_before_the_outline_where_the_robot_stands() {
+    let mut room = Room::new(5.0, Pose2::new(1.0, 2.0, std::f64::consts::FRAC_PI_2));
+    let scan = room.scan();
+    let Some(SafetyEvent::Tripped { x_m, y_m, .. }) = room.tick_with(FORWARD, Some(&scan), true).event else {
+        panic!("{:?}", room.plane.state())
+    };
+    assert!((x_m - 0.19).abs() < 1e-12 && y_m == 0.0);
+    let SafetyState::Tripped { blocked_m, .. } = room.plane.state() else { panic!("{:?}", room.plane.state()) };
+    assert!((blocked_m[0] - 1.0).abs() < 1e-9 && (blocked_m[1] - 2.19).abs() < 1e-9, "{blocked_m:?}");
+}
+
+#[test]
+fn slow_is_over_when_the_way_is_clear_again_and_said_once_each() {
+    let config = SafetyConfig { brake_mps2: 0.2, ..SafetyConfig::default() };
+    let mut room = Room::with(config, 50.0, Pose2::IDENTITY);
+    room.tick(FORWARD);
+    let mut said = Vec::new();
+    for wall_m in [0.4, 0.4, 5.0, 5.0] {
+        let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(wall_m) };
+        said.push(room.tick_with(FORWARD, Some(&scan), false).event);
+        let slow = room.plane.state() == SafetyState::Slow;
+        assert_eq!(slow, wall_m < 1.0);
+    }
+    let limit_mps = (2.0 * 0.2 * (0.4_f64 - 0.16 - 0.1)).sqrt();
+    assert!(matches!(said[0], Some(SafetyEvent::Slowed { limit_mps: told }) if (told - limit_mps).abs() < 0.01));
+    assert_eq!(said[1..], [None, Some(SafetyEvent::Cleared), None]);
+}
+
+#[test]
+fn wheels_that_never_stand_are_driven_back_after_half_a_second() {
+    for rolling in [(0.021, 0.0), (-0.021, 0.0), (0.0, 0.051), (0.0, -0.051)] {
+        let mut room = Room::new(2.0, Pose2::new(1.75, 0.0, 0.0));
+        room.until(FORWARD, tripped);
+        let mut waited = 0;
+        loop {
+            room.driving = Twist2 { linear_mps: rolling.0, angular_radps: rolling.1 };
+            if room.tick(FORWARD).twist().linear_mps < 0.0 {
+                break;
+            }
+            waited += 1;
+        }
+        assert_eq!(waited, 4, "{rolling:?}");
+    }
+    for standing in [(0.019, 0.0), (0.0, -0.049)] {
+        let mut room = Room::new(2.0, Pose2::new(1.75, 0.0, 0.0));
+        room.until(FORWARD, tripped);
+        room.driving = Twist2 { linear_mps: standing.0, angular_radps: standing.1 };
+        assert!(room.tick(FORWARD).twist().linear_mps < 0.0, "{standing:?}");
+    }
+}
+
+/// Trips at `at`, and a fault that passes ends the back-off, so that nothing but the count of trips is left.
+fn trips_at(room: &mut Room, at: Pose2, wall_m: f64) {
+    room.pose = at;
+    let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(wall_m) };
+    assert!(tripped(&room.tick_with(FORWARD, Some(&scan), false)), "{:?}", room.plane.state());
+    for error in [Some(ErrorKind::Timeout), None] {
+        let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(3.0) };
+        room.turn(&SafetyInput { base_error: error, ..room.input(Twist2::ZERO, Some(&scan), false) });
+    }
+}
+
+#[test]
+fn trips_that_are_near_in_place_and_time_are_one_problem_and_others_are_not() {
+    let near = Pose2::new(0.3, 0.3, 0.0);
+    let mut room = driving();
+    for count in [1, 2, 3, 3] {
+        trips_at(&mut room, if count == 2 { near } else { Pose2::IDENTITY }, 0.2);
+        assert_eq!((room.plane.trips.len(), room.plane.trips.capacity()), (count, TRIPS_BEFORE_ESCAPE + 1));
+    }
+    assert_eq!(room.plane.trip_count(), 4);
+    for far in [Pose2::new(0.51, 0.0, 0.0), Pose2::new(0.0, -0.51, 0.0)] {
+        let mut room = driving();
+        trips_at(&mut room, Pose2::IDENTITY, 0.2);
+        trips_at(&mut room, far, 0.2);
+        assert_eq!(room.plane.trips.len(), 1, "{far:?}");
+    }
+    for (pause_ns, count) in [(29_999_000_000, 2), (30_000_000_000, 1)] {
+        let mut room = driving();
+        trips_at(&mut room, Pose2::IDENTITY, 0.2);
+        // Three turns have passed since the trip; two more come before the next one.
+        room.time_ns += pause_ns - 5 * TICK_NS;
+        (0..2).for_each(|_| _ = room.tick(Twist2::ZERO));
+        trips_at(&mut room, Pose2::IDENTITY, 0.2);
+        assert_eq!(room.plane.trips.len(), count, "{pause_ns}");
+    }
+}
+
+/// A post at 135 degrees, in the strip behind the robot, this far from the laser: the gap behind the outline is
+/// 5.7 cm at 0.195 m, 6.7 at 0.2, 9.7 at 0.213 and 11.1 at 0.218.
+fn post_behind(room: &Room, range_m: f32) -> LaserScan {
+    let mut scan = room.scan();
+    scan.ranges[1077..].fill(Range::Hit(range_m));
+    scan
+}
+
+#[test]
+fn a_wish_to_drive_back_leaves_three_centimetres_and_what_the_next_turn_takes_before_what_is_seen() {
+    for (range_m, goes) in [(0.195, false), (0.2, true)] {
+        let mut room = looked_around(0.5);
+        let scan = post_behind(&room, range_m);
+        let wish = Twist2 { linear_mps: -0.3, angular_radps: 0.0 };
+        let output = room.tick_with(wish, Some(&scan), false);
+        assert_eq!(output.twist() == wish, goes, "{range_m}: {output:?}");
+    }
+}
+
+#[test]
+fn backing_off_leaves_three_centimetres_and_the_way_to_stop_before_what_is_seen() {
+    let config = SafetyConfig { brake_mps2: 0.8, reaction_s: 0.05, ..SafetyConfig::default() };
+    // 0.3 m/s: 1.5 cm until the brakes answer, 5.6 cm of braking.
+    for (range_m, speed, ends) in [(0.213, -0.3, true), (0.218, -0.3, false), (0.195, 0.3, false), (0.195, 0.0, false)]
+    {
+        let mut room = Room::with(config.clone(), 2.0, Pose2::IDENTITY);
+        room.until(FORWARD, tripped);
+        room.until(FORWARD, |output| output.twist().linear_mps < 0.0);
+        let scan = post_behind(&room, range_m);
+        room.driving = Twist2 { linear_mps: speed, angular_radps: 0.0 };
+        let output = room.tick_with(FORWARD, Some(&scan), false);
+        let blocked = matches!(output.event, Some(SafetyEvent::BackedOff { end: BackOffEnd::RearBlocked, .. }));
+        assert_eq!(blocked, ends, "{range_m} {speed}: {output:?}");
+    }
+}
+
+#[test]
+fn the_last_steps_back_are_as_long_as_what_is_left_and_no_faster_than_the_brakes_allow() {
+    for (brake_mps2, left_m, speed) in [(100.0, 0.02, 0.2), (0.5, 0.02, 0.02_f64.sqrt()), (100.0, 0.05, 0.3)] {
+        let mut room = Room::with(SafetyConfig { brake_mps2, ..SafetyConfig::default() }, 2.0, Pose2::IDENTITY);
+        room.until(FORWARD, tripped);
+        let from = room.pose;
+        room.until(FORWARD, |output| output.twist().linear_mps < 0.0);
+        room.pose = Pose2::new(from.x_m - 0.2 + left_m, 0.0, 0.0);
+        let output = room.tick(FORWARD);
+        assert!((output.twist().linear_mps + speed).abs() < 1e-9, "{left_m} with {brake_mps2}: {output:?}");
+        assert_eq!(output.twist().angular_radps, 0.0);
+    }
+}
+
+#[test]
+fn an_escape_turns_to_the_side_with_more_room_as_fast_as_configured_and_once_round() {
+    for (y_m, side) in [(-0.05, 1.0), (0.05, -1.0)] {
+        let mut room = Room::new(0.3, Pose2::new(0.0, y_m, 0.0));
+        room.until(FORWARD, |output| output.event == Some(SafetyEvent::Escaping));
+        let begun_ns = room.time_ns - TICK_NS;
+        let output = room.tick(FORWARD);
+        assert_eq!(output.twist(), Twist2 { linear_mps: 0.0, angular_radps: side * 20_f64.to_radians() });
+        room.until(FORWARD, |output| output.event == Some(SafetyEvent::Cleared));
+        let took_s = (room.time_ns - TICK_NS - begun_ns) as f64 * 1e-9;
+        assert!((17.9..18.2).contains(&took_s), "{took_s}");
+        assert!(room.plane.trips.is_empty());
+    }
+}
+
+#[test]
+fn an_escape_ends_where_a_corner_would_meet_the_wall() {
+    let mut room = Room::with(cart(), 2.0, Pose2::new(1.65, 1.84, 0.0));
+    room.until(FORWARD, |output| matches!(output.event, Some(SafetyEvent::BackedOff { .. })));
+    assert!(matches!(room.plane.state(), SafetyState::Escaping(Escape { direction: -1.0, .. })));
+    // Somebody shuts the other side.
+    room.pose.y_m = -1.84;
+    let shut = room.scan();
+    room.pose.y_m = 1.84;
+    let output = room.tick_with(FORWARD, Some(&shut), false);
+    assert_eq!(output, SafetyOutput::STOP.because(SafetyEvent::Cleared));
+}
+
+#[test]
+fn a_turn_on_the_spot_is_looked_at_as_far_as_it_goes_until_the_wheels_answer_and_0_3_s_more() {
+    // At 0.5 rad/s 0.15 rad; with a reaction of 0.2 s 0.25 rad. The nose's corner is 0.335 m from the axle.
+    for (reaction_s, y_m, turns) in [(0.0, 1.79, true), (0.2, 1.79, false), (0.0, 1.82, false)] {
+        let mut room = Room::with(SafetyConfig { reaction_s, ..cart() }, 2.0, Pose2::new(0.0, y_m, 0.0));
+        room.tick(Twist2::ZERO);
+        let left = Twist2 { linear_mps: 0.0, angular_radps: 0.5 };
+        assert_eq!(room.tick(left).twist() == left, turns, "{reaction_s} {y_m}");
+    }
+}
