@@ -7,6 +7,7 @@ use runtime::exploration::PolicyKind;
 use runtime::robot::DepthSource;
 
 use crate::faults::FaultArgs;
+use crate::replay::Moment;
 
 /// A robot that explores a home, and learns how far things are.
 #[derive(Debug, Parser)]
@@ -26,6 +27,8 @@ pub enum Command {
     Perceive(PerceiveArgs),
     /// Recompute every decision of a recorded run; exit 0 only when all are the same.
     Replay(ReplayArgs),
+    /// Cut the seconds around a stop or fault out of a run: one small file for a bug report, which `replay` recomputes.
+    Reproduce(ReproduceArgs),
     /// Test views of a scene: pictures with true depth from all over its free floor, each with what was seen before it.
     Views(ViewsArgs),
     /// Drive a real robot: camera, LiDAR and base as the configuration says.
@@ -210,12 +213,48 @@ pub struct PerceiveArgs {
 pub struct ReplayArgs {
     /// The --out folder of a run, or one .mcap file.
     pub run: PathBuf,
+    /// Begin at the last segment that begins not after this turn (1200) or time since the first turn (61.5s).
+    #[arg(long, value_name = "TURN|SECONDS")]
+    pub from: Option<Moment>,
+    /// End at the first turn that decides differently.
+    #[arg(long)]
+    pub until_mismatch: bool,
+    /// The models of the run.
+    #[command(flatten)]
+    pub models: ModelArgs,
+}
+
+/// The models of a recorded run, which are not in its recording.
+#[derive(Debug, Args)]
+pub struct ModelArgs {
     /// The depth network that the run was made with, if it was.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// The folder from which the run was handed its networks, if it was.
     #[arg(long, value_name = "DIR")]
     pub hand_over: Option<PathBuf>,
+}
+
+/// Arguments of `reproduce`.
+#[derive(Debug, Args)]
+pub struct ReproduceArgs {
+    /// The --out folder of a run, or one .mcap file.
+    pub run: PathBuf,
+    /// The turn (1200) or the time since the first turn (61.5s) that it is about [default: the last stop or fault].
+    #[arg(long, value_name = "TURN|SECONDS")]
+    pub at: Option<Moment>,
+    /// Seconds before that.
+    #[arg(long, default_value_t = 3.0, value_parser = parse_seconds)]
+    pub before: f64,
+    /// Seconds after that.
+    #[arg(long, default_value_t = 2.0, value_parser = parse_seconds)]
+    pub after: f64,
+    /// The file to write, as bug.mcap. Must not be there yet.
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// The models of the run.
+    #[command(flatten)]
+    pub models: ModelArgs,
 }
 
 /// Arguments of `views`.
@@ -311,6 +350,11 @@ pub enum UpArg {
     Y,
     /// As most scans have it.
     Z,
+}
+
+fn parse_seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse::<f64>().ok().filter(|seconds| (0.0..=3600.0).contains(seconds));
+    seconds.ok_or_else(|| format!("`{text}` is not a number of seconds from 0 to 3600"))
 }
 
 fn parse_start(text: &str) -> Result<[f64; 3], String> {

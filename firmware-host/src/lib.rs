@@ -16,6 +16,7 @@ pub mod record;
 pub mod replay;
 pub mod replay_run;
 pub mod report;
+pub mod reproduce;
 #[cfg(feature = "rerun")]
 pub mod rerun_stream;
 pub mod run;

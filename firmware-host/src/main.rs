@@ -7,7 +7,7 @@ use std::process::{Command, ExitCode};
 use clap::Parser;
 use firmware_host::cli::{Cli, Command as Task};
 use firmware_host::config::ConfigError;
-use firmware_host::{check, explore, health, perceive, replay_run, run, views};
+use firmware_host::{check, explore, health, perceive, replay_run, reproduce, run, views};
 
 /// The run could not be done.
 const FAILED: u8 = 1;
@@ -27,6 +27,7 @@ fn main() -> ExitCode {
         Task::Explore(args) => explore::run(&args).map(|()| ExitCode::SUCCESS),
         Task::Perceive(args) => perceive::run(&args).map(|()| ExitCode::SUCCESS),
         Task::Replay(args) => replay_run::run(&args),
+        Task::Reproduce(args) => reproduce::run(&args),
         Task::Views(args) => views::run(&args).map(|()| ExitCode::SUCCESS),
         Task::Run(args) => run::run(&args).map(|()| ExitCode::SUCCESS),
         Task::Health(args) => health::run(&args),

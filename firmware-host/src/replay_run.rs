@@ -7,12 +7,13 @@ use runtime::exploration::PolicyKind;
 use runtime::perception::DepthNetwork;
 use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, Robot};
+use runtime::snapshot::SnapshotError;
 use runtime::tick::{Decision, TickInput};
 
-use crate::cli::ReplayArgs;
+use crate::cli::{ModelArgs, ReplayArgs};
 use crate::config::Config;
 use crate::explore::model_path;
-use crate::replay::{Replayable, replay};
+use crate::replay::{Replayable, Span, replay};
 use crate::setup::{self, Mission};
 
 struct Loop {
@@ -22,12 +23,21 @@ struct Loop {
 }
 
 impl Replayable for Loop {
-    fn step(&mut self, input: &TickInput<'_>) -> Decision {
-        if self.networks.last().is_some_and(|(tick, _)| *tick == input.tick)
-            && let Some((_, network)) = self.networks.pop()
-        {
+    fn hand_over(&mut self, tick: u64) {
+        while let Some((_, network)) = self.networks.pop_if(|(from, _)| *from <= tick) {
             self.robot.take_network(network);
         }
+    }
+
+    fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
+        self.robot.restore(snapshot)
+    }
+
+    fn snapshot(&self) -> Vec<u8> {
+        self.robot.snapshot()
+    }
+
+    fn step(&mut self, input: &TickInput<'_>) -> Decision {
         self.robot.tick(input, &mut ())
     }
 }
@@ -37,23 +47,30 @@ impl Replayable for Loop {
 /// # Errors
 /// When there is nothing to replay, or the run needs a model that was not given.
 pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
-    let build = |header: &RunHeader| -> Result<Box<dyn Replayable>> {
-        let config: Config =
-            serde_json::from_value(header.config.clone()).context("the recording's configuration cannot be read")?;
-        let mission = Mission {
-            policy: policy(&header.policy)?,
-            depth_source: depth_source(&header.depth_source)?,
-            seed: header.seed,
-        };
-        let robot = Robot::new(config.robot(&mission), network(args, header, &config)?)?;
-        Ok(Box::new(Loop { robot, networks: handed_over(args, header, &config)? }))
-    };
-    let report = replay(&args.run, build, &mut std::io::stdout().lock())?;
+    let span = Span { from: args.from, until_mismatch: args.until_mismatch };
+    let build = |header: &RunHeader| build(header, &args.models);
+    let report = replay(&args.run, span, build, &mut std::io::stdout().lock())?;
     Ok(if report.is_exact() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
+/// The loop of a recorded run, as it was before its first turn.
+///
+/// # Errors
+/// When this version does not know the run's configuration, or its models are not those that were given.
+pub fn build(header: &RunHeader, models: &ModelArgs) -> Result<Box<dyn Replayable>> {
+    let config: Config =
+        serde_json::from_value(header.config.clone()).context("the recording's configuration cannot be read")?;
+    let mission = Mission {
+        policy: policy(&header.policy)?,
+        depth_source: depth_source(&header.depth_source)?,
+        seed: header.seed,
+    };
+    let robot = Robot::new(config.robot(&mission), network(models, header, &config)?)?;
+    Ok(Box::new(Loop { robot, networks: handed_over(models, header, &config)? }))
+}
+
 /// The very network that the run was made with.
-fn network(args: &ReplayArgs, header: &RunHeader, config: &Config) -> Result<Option<DepthNetwork>> {
+fn network(args: &ModelArgs, header: &RunHeader, config: &Config) -> Result<Option<DepthNetwork>> {
     match (&header.model_digest, &args.model) {
         (None, None) => Ok(None),
         (None, Some(path)) => bail!("the run was made without a model; leave out --model {}", path.display()),
@@ -69,7 +86,7 @@ fn network(args: &ReplayArgs, header: &RunHeader, config: &Config) -> Result<Opt
 }
 
 /// The networks that the run was handed, as far as there are any: the run may have ended before the next.
-fn handed_over(args: &ReplayArgs, header: &RunHeader, config: &Config) -> Result<Vec<(u64, DepthNetwork)>> {
+fn handed_over(args: &ModelArgs, header: &RunHeader, config: &Config) -> Result<Vec<(u64, DepthNetwork)>> {
     let (schedule, dir) = match (&header.hand_over, &args.hand_over) {
         (None, None) => return Ok(Vec::new()),
         (None, Some(dir)) => bail!("the run was handed no networks; leave out --hand-over {}", dir.display()),

@@ -4,6 +4,7 @@ use crate::{ErrorType, pose::Pose2};
 
 /// Velocity in the plane, in `base_link`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Twist2 {
     /// Forward speed, m/s; negative is backwards.
     pub linear_mps: f64,
@@ -50,6 +51,7 @@ pub struct DriveCommand {
 
 /// What the base measured of its own motion.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct WheelFeedback {
     /// When it was measured, monotonic.
     pub time_ns: u64,

@@ -7,6 +7,7 @@ pub type Pose3 = Isometry3<f64>;
 
 /// A rigid transform in the plane: the pose of b in a is `t_a_b`. Yaw counter-clockwise from x, in (-pi, pi].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Pose2 {
     /// Along x, metres.
     pub x_m: f64,

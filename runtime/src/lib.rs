@@ -13,4 +13,5 @@ pub mod planning;
 pub mod recording;
 pub mod robot;
 pub mod safety;
+pub mod snapshot;
 pub mod tick;

@@ -14,6 +14,7 @@ use crate::perception::{CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, 
 use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::recording::input_digest;
 use crate::safety::{Plan, Request, SafetyConfig, SafetyInput, SafetyPlane, SafetyState};
+use crate::snapshot::{SNAPSHOT_VERSION, SnapshotError, State, remembers};
 use crate::tick::{Decision, TickInput};
 
 /// Where the depth that goes into the map comes from.
@@ -184,6 +185,53 @@ impl Robot {
         self.new_network = Some(network.digest().to_owned());
         self.network = Some(network);
         self.config.depth_source = DepthSource::Network;
+    }
+
+    /// All that it remembers between two turns.
+    #[must_use]
+    pub fn snapshot(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        SNAPSHOT_VERSION.to_le_bytes().iter().for_each(|byte| byte.write(&mut bytes));
+        self.network_digest().write(&mut bytes);
+        self.config.depth_source.write(&mut bytes);
+        State::write(self, &mut bytes);
+        if let Some(network) = &self.network {
+            network.write(&mut bytes);
+        }
+        bytes
+    }
+
+    /// Goes on where the robot that wrote `snapshot` was: to be called on a robot of the same configuration, seed and network.
+    ///
+    /// # Errors
+    /// Bytes of another version, of another robot, or damaged; this robot must not be used any more then.
+    pub fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
+        let mut from = snapshot;
+        let mut version = [0_u8; 4];
+        version.iter_mut().try_for_each(|byte| byte.read(&mut from))?;
+        let found = u32::from_le_bytes(version);
+        if found != SNAPSHOT_VERSION {
+            return Err(SnapshotError::Version { found });
+        }
+        let (mut network, here) = (None, self.network_digest());
+        network.read(&mut from)?;
+        if network != here {
+            let name = |digest: Option<String>| digest.unwrap_or_else(|| "none".to_owned());
+            return Err(SnapshotError::OtherRobot { what: "the model", found: name(network), here: name(here) });
+        }
+        self.config.depth_source.read(&mut from)?;
+        State::read(self, &mut from)?;
+        if let Some(network) = &mut self.network {
+            network.read(&mut from)?;
+        }
+        match from.len() {
+            0 => Ok(()),
+            more => Err(SnapshotError::Damaged(format!("{more} bytes are left over"))),
+        }
+    }
+
+    fn network_digest(&self) -> Option<String> {
+        self.network.as_ref().map(|network| network.digest().to_owned())
     }
 
     /// One turn of the loop. A pure function of this input and all before it.
@@ -436,6 +484,10 @@ impl Robot {
         &self.config
     }
 }
+
+remembers!(
+    Robot: coarse, map, looks, explorer, safety, bumped, collision_at, last_time_ns, blind_turns, new_network
+);
 
 /// Keeps the newest look and those before it, back to the one `gap` pictures ago.
 fn remember_look(looks: &mut VecDeque<SingleFrameMap>, look: &SingleFrameMap, gap: usize) {

@@ -9,7 +9,7 @@ pub mod scenario;
 pub mod video;
 pub mod world;
 
-pub use scenario::{Scenario, Turn};
+pub use scenario::{Scenario, Turn, successor};
 
 use std::ops::Range;
 

@@ -17,6 +17,8 @@ use simulator::robot::{SimBase, SimCamera, SimClock, SimLidar, Truth};
 use simulator::{OpenOptions, RobotOptions, SimulatedRobot, World};
 
 const TICK_NS: u64 = 100_000_000;
+/// A shadow begins anew after so many turns.
+const SHADOW_TURNS: u64 = 7;
 
 /// A run in progress.
 pub struct Scenario {
@@ -26,6 +28,8 @@ pub struct Scenario {
     clock: FaultyClock<SimClock>,
     truth: Truth,
     robot: Robot,
+    /// Decides the same turns, and begins anew from a snapshot now and then.
+    shadow: Option<Robot>,
     frame: Frame,
     scan: LaserScan,
     wheel: WheelFeedback,
@@ -92,16 +96,31 @@ impl Scenario {
             clock: FaultyClock::new(devices.clock, &faults),
             truth: devices.truth,
             robot: Robot::new(config, None)?,
+            shadow: None,
             frame: Frame::empty(),
             wheel: WheelFeedback::default(),
             tick: 0,
         })
     }
 
+    /// From now on every turn is also decided by a robot that knew nothing but a snapshot of this one some turns ago.
+    ///
+    /// # Errors
+    /// As [`successor`].
+    pub fn shadowed(self) -> Result<Self, Box<dyn std::error::Error>> {
+        Ok(Self { shadow: Some(successor(&self.robot)?), ..self })
+    }
+
+    /// The robot.
+    #[must_use]
+    pub fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
     /// One turn of the loop, as `firmware-host` does it.
     ///
     /// # Errors
-    /// When a frame is not what it says, or a command is refused.
+    /// When the shadow decides otherwise, when a frame is not what it says, or a command is refused.
     pub fn turn(&mut self) -> Result<Turn, Box<dyn std::error::Error>> {
         self.clock.sleep_until_ns(self.tick * TICK_NS);
         let time_ns = self.clock.now_ns();
@@ -121,7 +140,13 @@ impl Scenario {
             truth: None,
             safety: None,
         };
+        if self.shadow.is_some() && self.tick.is_multiple_of(SHADOW_TURNS) {
+            self.shadow = Some(successor(&self.robot)?);
+        }
         let decision = self.robot.tick(&input, &mut ());
+        if let Some(other) = self.shadow.as_mut().map(|shadow| shadow.tick(&input, &mut ())).filter(|other| *other != decision) {
+            return Err(format!("from its snapshot, turn {} is {other:?}, not {decision:?}", self.tick).into());
+        }
         let command = DriveCommand { twist: decision.command.into(), counter: self.tick as u32 + 1, plan_age_ns: 0 };
         // A base that cannot be reached stops by its own watchdog; one that refuses to be driven was asked for nonsense.
         if let Err(error) = self.base.drive(&command)
@@ -140,6 +165,16 @@ impl Scenario {
     pub fn turns(&mut self, count: usize) -> Result<Vec<Turn>, Box<dyn std::error::Error>> {
         (0..count).map(|_| self.turn()).collect()
     }
+}
+
+/// A new robot of the same configuration that knows what this one knows.
+///
+/// # Errors
+/// A snapshot that cannot be taken up: a defect.
+pub fn successor(robot: &Robot) -> Result<Robot, Box<dyn std::error::Error>> {
+    let mut new = Robot::new(robot.config().clone(), None)?;
+    new.restore(&robot.snapshot())?;
+    Ok(new)
 }
 
 fn read(texts: &[&str], seed: u64) -> Result<Vec<Fault>, drivers::fault::FaultTextError> {

@@ -21,8 +21,11 @@ name = "safety"
 version = "0.0.0"
 edition = "2024"
 [dependencies]
-hal = { path = "HAL" }
+hal = { path = "HAL", features = ["serde"] }
 serde = { version = "1.0", features = ["derive"] }
+bytemuck = "1"
+postcard = { version = "1.1", default-features = false, features = ["use-std"] }
+thiserror = "2"
 [dev-dependencies]
 proptest = { version = "1.12", default-features = false, features = ["std"] }
 [profile.dev]
@@ -35,6 +38,7 @@ opt-level = 3
 const LIBRARY: &str = "
 pub mod event;
 pub mod safety;
+pub mod snapshot;
 pub mod perception {
     #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
     pub enum NoDepth {}
@@ -58,7 +62,9 @@ pub fn run(arguments: &[String]) -> Result<()> {
     fs::write(to.join("Cargo.toml"), MANIFEST.replace("HAL", &hal.to_string_lossy()))?;
     fs::write(to.join("src/lib.rs"), LIBRARY)?;
     fs::copy(paths::root().join("Cargo.lock"), to.join("Cargo.lock"))?;
-    fs::copy(source.join("event.rs"), to.join("src/event.rs"))?;
+    for file in ["event.rs", "snapshot.rs"] {
+        fs::copy(source.join(file), to.join("src").join(file))?;
+    }
     copy_tests_and_all(&source.join("safety"), &to.join("src/safety"))?;
     let mut mutants = command::cargo();
     // Few random cases and a shallower search: what only they notice is listed as missed.

@@ -21,7 +21,7 @@ use crate::cli::ExploreArgs;
 use crate::config::{Config, RecordingSection};
 use crate::dump::{Dump, Shot};
 use crate::evaluation::{Evaluation, Truth};
-use crate::record::Recorder;
+use crate::record::{Recorder, snapshot};
 use crate::report::coverage::Coverage;
 use crate::report::depth_sample::{SheetRow, SheetSampler};
 use crate::report::depth_sheet::DepthSheet;
@@ -203,6 +203,7 @@ impl Session {
             truth: maps_truth.then_some(&senses.mapped_truth),
             safety: None,
         };
+        let snapshot = snapshot(self.recorder.as_mut(), &self.robot, time_ns);
         let began = Instant::now();
         self.stopwatch.start();
         let decision = self.robot.tick(&input, &mut self.stopwatch);
@@ -214,7 +215,7 @@ impl Session {
         self.evaluate(&input, &senses.truth, &decision)?;
         self.dump(&input)?;
         self.stopwatch.start();
-        let recorded = self.record(&input, decision)?;
+        let recorded = self.record(&input, decision, snapshot)?;
         self.stopwatch.lap(Stage::Record);
         Ok(recorded)
     }
@@ -262,7 +263,12 @@ impl Session {
         dump.add(&shot, self.robot.coarse_depth())
     }
 
-    fn record(&mut self, input: &TickInput<'_>, decision: Decision) -> Result<Result<(), crate::record::RecordError>> {
+    fn record(
+        &mut self,
+        input: &TickInput<'_>,
+        decision: Decision,
+        snapshot: Option<Vec<u8>>,
+    ) -> Result<Result<(), crate::record::RecordError>> {
         let path_m = self.robot.explorer().path_m();
         let shows = |every: u64| input.tick.is_multiple_of(every);
         let views = Views {
@@ -277,7 +283,7 @@ impl Session {
         #[cfg(feature = "rerun")]
         self.show(input, &decision, &views);
         let Some(recorder) = &mut self.recorder else { return Ok(Ok(())) };
-        Ok(recorder.record(RecordedTick::capture(input, Some(decision))?, views))
+        Ok(recorder.record(RecordedTick { snapshot, ..RecordedTick::capture(input, Some(decision))? }, views))
     }
 
     #[cfg(feature = "rerun")]

@@ -26,5 +26,5 @@ pub(crate) mod tests;
 pub use disk::{Disk, FileSystem, SegmentFile};
 pub use error::RecordError;
 pub use faulty_disk::FaultyDisk;
-pub use recorder::{Recorder, RecorderOptions, RecordingSummary, WhenFull};
+pub use recorder::{Recorder, RecorderOptions, RecordingSummary, WhenFull, snapshot};
 pub use segments::{is_segment_name, segment_name};

@@ -5,6 +5,7 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 
 use runtime::recording::{RecordedTick, RunHeader, Views};
+use runtime::robot::Robot;
 
 use super::disk::{Disk, FileSystem};
 use super::error::RecordError;
@@ -85,6 +86,8 @@ enum Told {
 /// leaves whole files.
 pub struct Recorder {
     when_full: WhenFull,
+    segment_ns: u64,
+    next_snapshot_ns: Option<u64>,
     queue: Option<SyncSender<Told>>,
     thread: Option<JoinHandle<Result<RecordingSummary, RecordError>>>,
     dropped: u64,
@@ -109,12 +112,32 @@ impl Recorder {
         let path = options.dir.join(segment_name(0));
         let first_file = disk.create(&path).map_err(|source| RecordError::Create { path, source })?;
         let (sender, receiver) = sync_channel(options.queue_ticks);
-        let when_full = options.when_full;
+        let (when_full, segment_ns) = (options.when_full, options.segment_ns);
         let thread = std::thread::Builder::new()
             .name("recording".to_owned())
             .spawn(move || record_all(&receiver, Segments::new(options, disk, run, first_file)))
             .map_err(|error| RecordError::Thread(error.to_string()))?;
-        Ok(Self { when_full, queue: Some(sender), thread: Some(thread), dropped: 0, failure: None })
+        Ok(Self {
+            when_full,
+            segment_ns,
+            next_snapshot_ns: None,
+            queue: Some(sender),
+            thread: Some(thread),
+            dropped: 0,
+            failure: None,
+        })
+    }
+
+    /// Whether the turn at `time_ns` should carry what the loop remembers before it: once a segment, at its first turn, so that a
+    /// replay can begin there. The run's own first turn needs none.
+    #[must_use]
+    pub fn wants_snapshot(&mut self, time_ns: u64) -> bool {
+        let next_ns = *self.next_snapshot_ns.get_or_insert(time_ns.saturating_add(self.segment_ns));
+        let wanted = time_ns >= next_ns;
+        if wanted {
+            self.next_snapshot_ns = Some(time_ns.saturating_add(self.segment_ns));
+        }
+        wanted
     }
 
     /// Hands over a turn.
@@ -208,6 +231,11 @@ impl Drop for Recorder {
             tracing::error!("{error}");
         }
     }
+}
+
+/// What `robot` remembers, when the recorder wants it with the turn at `time_ns`.
+pub fn snapshot(recorder: Option<&mut Recorder>, robot: &Robot, time_ns: u64) -> Option<Vec<u8>> {
+    recorder?.wants_snapshot(time_ns).then(|| robot.snapshot())
 }
 
 fn record_all(queue: &Receiver<Told>, mut segments: Segments) -> Result<RecordingSummary, RecordError> {

@@ -60,6 +60,7 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
         truth: None,
         safety: None,
         decision: Some(decision),
+        snapshot: None,
     }
 }
 

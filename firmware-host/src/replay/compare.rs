@@ -17,6 +17,14 @@ pub struct Difference {
 }
 
 impl Difference {
+    pub(super) fn memory() -> Self {
+        Self {
+            field: "snapshot".to_owned(),
+            recorded: "one memory".to_owned(),
+            recomputed: "another: something that no decision showed".to_owned(),
+        }
+    }
+
     pub(super) fn not_recorded() -> Self {
         Self { field: "decision".to_owned(), recorded: "nothing".to_owned(), recomputed: "a decision".to_owned() }
     }

@@ -34,9 +34,9 @@ pub enum ReplayError {
         /// What is wrong with it.
         source: RecordingError,
     },
-    /// The first file is not the run's first.
+    /// The first file is not the run's first, and nothing in it says what the robot remembered.
     #[error(
-        "{} is segment {segment} of its run, and what the robot decides depends on everything since segment 0; \
+        "{} is segment {segment} of its run and holds no snapshot, and what the robot decides depends on everything before; \
          replay the run's directory with all of its segments",
         path.display()
     )]
@@ -72,7 +72,7 @@ pub enum ReplayError {
     #[error(
         "{}: turn {found} comes where turn {expected} should be: turns were dropped while recording (the disk \
          was too slow), \
-         and what comes after them cannot be recomputed",
+         and what comes after them cannot be recomputed before the next snapshot",
         path.display()
     )]
     Gap {
@@ -86,6 +86,12 @@ pub enum ReplayError {
 }
 
 impl ReplayError {
+    /// Whether turns are missing here, and others follow.
+    #[must_use]
+    pub fn is_gap(&self) -> bool {
+        matches!(self, Self::Gap { .. } | Self::SegmentOrder { .. })
+    }
+
     /// Whether the files are good as far as they go, and only the end is missing.
     #[must_use]
     pub fn is_truncation(&self) -> bool {
@@ -93,7 +99,50 @@ impl ReplayError {
     }
 }
 
-/// Turns of a run in order, over all of its segments. After an error comes nothing more.
+/// Where in a run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Moment {
+    /// A turn by its number.
+    Turn(u64),
+    /// So long after the first turn that is there, seconds.
+    Seconds(f64),
+}
+
+impl std::str::FromStr for Moment {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let seconds = text.strip_suffix('s').map(|number| number.trim().parse::<f64>());
+        match (seconds, text.parse::<u64>()) {
+            (Some(Ok(seconds)), _) if seconds.is_finite() && seconds >= 0.0 => Ok(Self::Seconds(seconds)),
+            (None, Ok(turn)) => Ok(Self::Turn(turn)),
+            _ => Err(format!("`{text}` is neither a turn such as 1200 nor a time such as 61.5s")),
+        }
+    }
+}
+
+impl Moment {
+    /// Whether a turn of this number and time is at this moment or after it; the run began at `start_ns`.
+    #[must_use]
+    pub fn is_reached(self, tick: u64, time_ns: u64, start_ns: u64) -> bool {
+        match self {
+            Self::Turn(turn) => tick >= turn,
+            Self::Seconds(seconds) => time_ns.saturating_sub(start_ns) as f64 * 1e-9 >= seconds,
+        }
+    }
+}
+
+impl std::fmt::Display for Moment {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Turn(turn) => write!(f, "turn {turn}"),
+            Self::Seconds(seconds) => write!(f, "{seconds} s"),
+        }
+    }
+}
+
+/// Turns of a run in order, over all of its segments. Where some are missing comes an error that [says so](ReplayError::is_gap),
+/// then those after them; after any other error comes nothing more.
 pub struct Run {
     /// Segments that are still to be read, last first.
     rest: Vec<PathBuf>,
@@ -102,6 +151,9 @@ pub struct Run {
     header: RunHeader,
     segment: u32,
     next_tick: u64,
+    start_ns: u64,
+    /// The turn after a gap.
+    held: Option<RecordedTick>,
     done: bool,
 }
 
@@ -109,17 +161,64 @@ impl Run {
     /// Opens the `--out` directory of a run, or one .mcap.
     ///
     /// # Errors
-    /// When there is no recording, or not from its start.
+    /// When there is no recording.
     pub fn open(path: &Path) -> Result<Self, ReplayError> {
-        let mut rest = segments(path)?;
+        let paths = segments(path)?;
+        let first = paths.first().ok_or_else(|| ReplayError::NoSegments { dir: path.to_owned() })?;
+        let start_ns = open_segment(first)?.header().first_time_ns;
+        Self::begin(paths, 0, start_ns)
+    }
+
+    /// Opens it at the last segment that begins with a snapshot not after `moment`; at its first segment where there is none.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_before(path: &Path, moment: Moment) -> Result<Self, ReplayError> {
+        let run = Self::open(path)?;
+        let start_ns = run.start_ns;
+        let paths = segments(path)?;
+        for at in (1..paths.len()).rev() {
+            let Some(mut reader) = paths.get(at).and_then(|path| open_segment(path).ok()) else { continue };
+            let (tick, time_ns) = (reader.header().first_tick, reader.header().first_time_ns);
+            let is_later = match moment {
+                Moment::Turn(turn) => tick > turn,
+                Moment::Seconds(seconds) => time_ns.saturating_sub(start_ns) as f64 * 1e-9 > seconds,
+            };
+            if is_later {
+                continue;
+            }
+            if matches!(reader.next(), Some(Ok(RecordedTick { snapshot: Some(_), .. }))) {
+                return Self::begin(paths, at, start_ns);
+            }
+        }
+        Ok(run)
+    }
+
+    fn begin(mut paths: Vec<PathBuf>, first: usize, start_ns: u64) -> Result<Self, ReplayError> {
+        let mut rest = paths.split_off(first);
         rest.reverse();
-        let path = rest.pop().ok_or_else(|| ReplayError::NoSegments { dir: path.to_owned() })?;
+        let path = rest.pop().unwrap_or_default();
         let reader = open_segment(&path)?;
         let header = reader.header().clone();
-        if header.segment != 0 {
-            return Err(ReplayError::NotTheStart { path, segment: header.segment });
-        }
-        Ok(Self { rest, path, reader, header: header.run, segment: 0, next_tick: header.first_tick, done: false })
+        let (segment, next_tick) = (header.segment, header.first_tick);
+        Ok(Self { rest, path, reader, header: header.run, segment, next_tick, start_ns, held: None, done: false })
+    }
+
+    /// Whether what comes next is the run's very first turn, before which nothing is remembered.
+    #[must_use]
+    pub fn is_at_the_start(&self) -> bool {
+        (self.segment, self.next_tick) == (0, 0)
+    }
+
+    /// That it is not.
+    pub(super) fn not_the_start(&self) -> ReplayError {
+        ReplayError::NotTheStart { path: self.path.clone(), segment: self.segment }
+    }
+
+    /// Time of the first turn that is there, monotonic.
+    #[must_use]
+    pub fn start_ns(&self) -> u64 {
+        self.start_ns
     }
 
     /// What the run was made with.
@@ -129,17 +228,18 @@ impl Run {
     }
 
     fn next_turn(&mut self) -> Result<Option<RecordedTick>, ReplayError> {
+        if let Some(tick) = self.held.take() {
+            return Ok(Some(tick));
+        }
         loop {
             if let Some(tick) = self.reader.next() {
                 let tick = tick.map_err(|source| ReplayError::Segment { path: self.path.clone(), source })?;
-                if tick.tick != self.next_tick {
-                    return Err(ReplayError::Gap {
-                        path: self.path.clone(),
-                        expected: self.next_tick,
-                        found: tick.tick,
-                    });
+                let (expected, found) = (self.next_tick, tick.tick);
+                self.next_tick = found.saturating_add(1);
+                if found != expected {
+                    self.held = Some(tick);
+                    return Err(ReplayError::Gap { path: self.path.clone(), expected, found });
                 }
-                self.next_tick = tick.tick.saturating_add(1);
                 return Ok(Some(tick));
             }
             let Some(path) = self.rest.pop() else { return Ok(None) };
@@ -152,6 +252,7 @@ impl Run {
             }
             if header.segment != self.segment {
                 let (expected, found) = (self.segment, header.segment);
+                (self.segment, self.next_tick) = (found, header.first_tick);
                 return Err(ReplayError::SegmentOrder { path: self.path.clone(), expected, found });
             }
         }
@@ -166,7 +267,10 @@ impl Iterator for Run {
             return None;
         }
         let item = self.next_turn().transpose();
-        self.done = !matches!(item, Some(Ok(_)));
+        self.done = match &item {
+            Some(Err(error)) => !error.is_gap(),
+            item => item.is_none(),
+        };
         item
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use runtime::recording::{RecordedTick, RunDigest, Views};
+use runtime::recording::{RecordedTick, Views, input_digest};
 use runtime::tick::{Decision, TickInput};
 use tempfile::TempDir;
 
@@ -12,13 +12,25 @@ use crate::record::{Recorder, RecorderOptions, segment_name};
 
 #[derive(Default)]
 struct DigestRobot {
-    seen: RunDigest,
+    memory: u64,
 }
 
 impl Replayable for DigestRobot {
+    fn hand_over(&mut self, _tick: u64) {}
+
+    fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
+        let bytes = snapshot.get(4..12).and_then(|bytes| bytes.try_into().ok());
+        self.memory = u64::from_le_bytes(bytes.ok_or(SnapshotError::Damaged("cut".to_owned()))?);
+        Ok(())
+    }
+
+    fn snapshot(&self) -> Vec<u8> {
+        [&SNAPSHOT_VERSION.to_le_bytes()[..], &self.memory.to_le_bytes()].concat()
+    }
+
     fn step(&mut self, input: &TickInput<'_>) -> Decision {
-        self.seen.add_input(input);
-        let digest = u64::from_str_radix(&self.seen.inputs()[..16], 16).unwrap();
+        self.memory = (self.memory.rotate_left(9) ^ input_digest(input)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        let digest = self.memory;
         let mut decision = some_tick(input.tick).decision.unwrap();
         (decision.depth_digest, decision.map_digest) = (digest, digest.rotate_left(7));
         decision.command.linear_mps = digest as f64 / u64::MAX as f64 / 3.0;
@@ -35,27 +47,37 @@ fn input_of(tick: u64) -> RecordedTick {
 
 /// A run of `ticks` turns in segments of two seconds (20 turns).
 fn recorded(ticks: u64) -> TempDir {
+    recorded_with_snapshots(ticks, u64::MAX)
+}
+
+fn recorded_with_snapshots(ticks: u64, snapshot_every: u64) -> TempDir {
     let dir = tempfile::tempdir().unwrap();
     let options = RecorderOptions { segment_ns: 2_000_000_000, ..RecorderOptions::simulation(dir.path()) };
     let mut recorder = Recorder::start(options, run_header()).unwrap();
     let mut robot = DigestRobot::default();
     for tick in 0..ticks {
         let input = input_of(tick);
+        let snapshot = (tick > 0 && tick.is_multiple_of(snapshot_every)).then(|| robot.snapshot());
         let decision = robot.step(&input.input().unwrap());
-        recorder.record(RecordedTick { decision: Some(decision), ..input }, Views::default()).unwrap();
+        recorder.record(RecordedTick { decision: Some(decision), snapshot, ..input }, Views::default()).unwrap();
     }
     recorder.finish().unwrap();
     dir
 }
 
 fn replayed(path: &Path) -> (ReplayReport, String) {
+    replayed_span(path, Span::default())
+}
+
+fn replayed_span(path: &Path, span: Span) -> (ReplayReport, String) {
     let mut out = Vec::new();
-    let report = replay(path, |_| Ok(Box::new(DigestRobot::default())), &mut out).unwrap();
+    let report = replay(path, span, |_| Ok(Box::new(DigestRobot::default())), &mut out).unwrap();
     (report, String::from_utf8(out).unwrap())
 }
 
 fn refused(path: &Path) -> String {
-    let error = replay(path, |_| Ok(Box::new(DigestRobot::default())), &mut std::io::sink()).unwrap_err();
+    let error =
+        replay(path, Span::default(), |_| Ok(Box::new(DigestRobot::default())), &mut std::io::sink()).unwrap_err();
     error.to_string()
 }
 
@@ -176,6 +198,72 @@ fn a_segment_of_another_run_is_named() {
 }
 
 #[test]
+fn a_segment_that_begins_with_a_snapshot_replays_alone() {
+    let dir = recorded_with_snapshots(50, 20);
+    let (report, out) = replayed(&dir.path().join(segment_name(1)));
+    assert!(report.is_exact(), "{out}");
+    assert_eq!(out, "from the snapshot of turn 20 at 2.000 s\nreplay: ticks=20 mismatches=0\n");
+}
+
+#[test]
+fn a_run_whose_first_segments_made_room_replays_from_its_first_snapshot() {
+    let dir = recorded_with_snapshots(60, 30);
+    std::fs::remove_file(dir.path().join(segment_name(0))).unwrap();
+    let (report, out) = replayed(dir.path());
+    assert_eq!((report.ticks, report.unknown), (30, 10), "{out}");
+    assert!(report.is_exact() && out.contains("10 turns come before a snapshot"), "{out}");
+}
+
+#[test]
+fn where_turns_are_missing_the_replay_goes_on_at_the_next_snapshot_and_is_not_exact() {
+    let dir = recorded_with_snapshots(60, 20);
+    std::fs::remove_file(dir.path().join(segment_name(1))).unwrap();
+    let (report, out) = replayed(dir.path());
+    assert_eq!((report.ticks, report.mismatches), (40, 0), "{out}");
+    assert!(!report.is_exact() && out.contains("segment 2 where segment 1 should be"), "{out}");
+}
+
+#[test]
+fn a_replay_may_begin_at_any_turn_or_time_and_takes_the_snapshot_before_it() {
+    let dir = recorded_with_snapshots(60, 20);
+    for (from, first) in [("0", 0), ("19", 0), ("20", 20), ("39", 20), ("59", 40), ("999", 40), ("1.9s", 0), ("2s", 20)]
+    {
+        let span = Span { from: Some(from.parse().unwrap()), until_mismatch: false };
+        let (report, out) = replayed_span(dir.path(), span);
+        assert_eq!((report.ticks, report.mismatches), (60 - first, 0), "{from}: {out}");
+    }
+    for nonsense in ["", "x", "-1", "nans", "infs", "-1s", "1.5"] {
+        assert!(nonsense.parse::<Moment>().is_err(), "{nonsense}");
+    }
+}
+
+#[test]
+fn until_mismatch_ends_at_the_first_turn_that_decides_differently() {
+    let original = recorded(50);
+    let dir = tempfile::tempdir().unwrap();
+    let changed = dir.path().join("changed");
+    rewrite(original.path(), &changed, |tick| tick.wheel.odom.x_m += if tick.tick == 33 { 1e-9 } else { 0.0 }).unwrap();
+    let (report, out) = replayed_span(&changed, Span { from: None, until_mismatch: true });
+    assert_eq!((report.ticks, report.mismatches), (34, 1), "{out}");
+}
+
+#[test]
+fn a_memory_that_differs_is_found_although_the_decision_is_the_same() {
+    let original = recorded_with_snapshots(50, 20);
+    let dir = tempfile::tempdir().unwrap();
+    let changed = dir.path().join("changed");
+    rewrite(original.path(), &changed, |tick| {
+        if let Some(snapshot) = tick.snapshot.as_mut().filter(|_| tick.tick == 40) {
+            snapshot[5] ^= 1;
+        }
+    })
+    .unwrap();
+    let (report, out) = replayed(&changed);
+    assert_eq!(report.mismatches, 1, "{out}");
+    assert!(out.contains("turn 40") && out.contains("snapshot: recorded one memory"), "{out}");
+}
+
+#[test]
 fn dropped_turns_end_the_replay_with_their_numbers() {
     let dir = tempfile::tempdir().unwrap();
     let mut recorder = Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
@@ -224,6 +312,6 @@ fn what_is_no_run_is_refused_with_its_name_and_a_way_out() {
 #[test]
 fn a_loop_that_cannot_be_built_is_an_error() {
     let dir = recorded(1);
-    let error = replay(dir.path(), |_| anyhow::bail!("no model"), &mut std::io::sink()).unwrap_err();
+    let error = replay(dir.path(), Span::default(), |_| anyhow::bail!("no model"), &mut std::io::sink()).unwrap_err();
     assert_eq!(error.to_string(), "no model");
 }

@@ -22,7 +22,7 @@ use super::odometry::WheelHistory;
 use super::safety_thread::{News, SafetyThread};
 use super::status::ExplorationStatus;
 use crate::config::{Config, RecordingSection};
-use crate::record::Recorder;
+use crate::record::{Recorder, snapshot};
 use crate::report::events::EventCounts;
 use crate::report::latency::Stage;
 use crate::report::map_view::map_view;
@@ -132,6 +132,7 @@ impl Exploration {
             truth: None,
             safety: Some(&self.report),
         };
+        let snapshot = snapshot(self.recorder.as_mut(), &self.robot, now_ns);
         self.stopwatch.start();
         let decision = self.robot.tick(&input, &mut self.stopwatch);
         // The plan is as old as what it was decided on.
@@ -139,6 +140,7 @@ impl Exploration {
         self.stopwatch.since(began, Stage::Total);
         let recorded =
             self.recorder.is_some().then(|| RecordedTick::capture(&input, Some(decision.clone()))).transpose()?;
+        let recorded = recorded.map(|tick| RecordedTick { snapshot, ..tick });
         self.note(&decision, &wheel);
         self.record(recorded)?;
         self.tick += 1;

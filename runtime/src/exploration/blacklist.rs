@@ -1,14 +1,16 @@
 //! Places that are not worth another try for now.
 
+use serde::{Deserialize, Serialize};
+
 /// A place and when it is forgiven.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Entry {
     place_m: [f64; 2],
     expires_ns: u64,
 }
 
 /// Places given up, each until its time is over: doors open, chairs move, maps get better.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Blacklist {
     entries: Vec<Entry>,
 }

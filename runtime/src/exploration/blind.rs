@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 
 use rand::{RngExt, seq::IndexedRandom};
 use rand_pcg::Pcg64Mcg;
+use serde::{Deserialize, Serialize};
 
 use crate::planning::Primitive;
 
@@ -13,7 +14,7 @@ const FORWARD_TURNS: usize = 5;
 const HEURISTIC_STEPS: usize = 8;
 
 /// A policy without a map.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub enum BlindPolicy {
     /// Forward, left or right, each with probability 1/3, anew every frame.
     Random,

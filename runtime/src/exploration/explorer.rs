@@ -14,6 +14,7 @@ use super::navigator::Navigator;
 use crate::event::{DropReason, Event, GoalReason, NoGoalReason};
 use crate::mapping::{CellState, OccupancyGrid, SingleFrameMap};
 use crate::planning::{ConfigError, Follower, FollowerConfig, NoPath, PlanConfig, Primitive, Progress};
+use crate::snapshot::remembers;
 
 /// Ticks of heuristic walking when there is no goal: one of its moves.
 const FILL_IN_TICKS: u64 = 16;
@@ -321,6 +322,10 @@ fn frontier_is_left(map: &OccupancyGrid, place_m: [f64; 2]) -> bool {
         })
     })
 }
+
+remembers!(
+    Explorer: rng, blind, warm_up, mode, mode_since, goal, follower, blacklist, trail_m, plan_at, choose_at
+);
 
 #[cfg(test)]
 mod tests {

@@ -1,12 +1,14 @@
 //! A place to go to, and whether we are getting there.
 
+use serde::{Deserialize, Serialize};
+
 use crate::event::GoalReason;
 
 /// Coming nearer by less than this is not progress, metres.
 const PROGRESS_M: f64 = 0.1;
 
 /// A goal and the record of the way to it.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Goal {
     /// Where to drive, in `odom`, metres: on free floor.
     pub target_m: [f64; 2],

@@ -1,13 +1,14 @@
 //! What one depth picture says about the cells in front of the camera.
 
 use hal::{CameraModel, Pose3};
+use serde::{Deserialize, Serialize};
 
 use super::rays::{RayTable, View, used};
 use super::{Cell, CellState, MapConfig, MapError};
 use crate::perception::DepthEstimate;
 
 /// What one picture says of one cell.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FrameCell {
     /// The cell.
     pub cell: Cell,
@@ -26,7 +27,7 @@ impl FrameCell {
 }
 
 /// The cells that one picture knows, row by row. Small enough to keep a history of them.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct SingleFrameMap {
     /// Sorted by cell, each cell once.
     pub cells: Vec<FrameCell>,

@@ -1,10 +1,12 @@
 //! The map: log-odds of every cell around the robot.
 
 use hal::{CameraModel, Pose2, Pose3};
+use serde::{Deserialize, Serialize};
 
 use super::window::Window;
 use super::{Cell, CellBox, CellState, FrameMapper, MapConfig, MapError, SingleFrameMap};
 use crate::perception::DepthEstimate;
+use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 
 /// Farther from the origin of `odom` than this, cells and f32 metres lose their meaning.
 const REACH_M: f64 = 100_000.0;
@@ -42,7 +44,7 @@ pub struct OccupancyGrid {
     frame: SingleFrameMap,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Collision {
     cell: Cell,
     expires: u64,
@@ -399,6 +401,36 @@ impl OccupancyGrid {
     #[must_use]
     pub fn config(&self) -> &MapConfig {
         &self.config
+    }
+}
+
+/// Between two updates; what only reports read is left out.
+impl State for OccupancyGrid {
+    fn write(&self, to: &mut Vec<u8>) {
+        self.window.write(to);
+        self.scale.write(to);
+        self.collisions.write(to);
+        self.known.write(to);
+        self.updates.write(to);
+        self.changes_digest.write(to);
+        write_bulk(&self.stored, to);
+        write_bulk(&self.top_cm, to);
+    }
+
+    fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        let cells = self.stored.len();
+        self.window.read(from)?;
+        self.scale.read(from)?;
+        self.collisions.read(from)?;
+        self.known.read(from)?;
+        self.updates.read(from)?;
+        self.changes_digest.read(from)?;
+        read_bulk(&mut self.stored, cells, from)?;
+        read_bulk(&mut self.top_cm, cells, from)?;
+        if (self.stored.len(), self.top_cm.len()) != (cells, cells) {
+            return Err(SnapshotError::Damaged("a map of another size".to_owned()));
+        }
+        Ok(())
     }
 }
 

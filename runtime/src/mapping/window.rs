@@ -1,9 +1,12 @@
 //! A square of cells that rolls along with the robot: cells keep their place in memory, the ends wrap around.
 
+use serde::{Deserialize, Serialize};
+
 use super::Cell;
+use crate::snapshot::{SnapshotError, State};
 
 /// A rectangle of cells, both ends included.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CellBox {
     /// Lowest column and row.
     pub min: Cell,
@@ -142,6 +145,20 @@ impl Window {
                 forget(base..base + gone - first);
             }
         }
+    }
+}
+
+/// Only where it lies: its side is configuration.
+impl State for Window {
+    fn write(&self, to: &mut Vec<u8>) {
+        self.min.write(to);
+    }
+
+    fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        let mut min = Cell::default();
+        min.read(from)?;
+        self.set_min(min);
+        Ok(())
     }
 }
 

@@ -5,6 +5,8 @@ use hal::{ImageView, PixelFormat};
 use multiversion::multiversion;
 use rayon::prelude::*;
 
+use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
+
 /// Bits of one descriptor: a 5x5 window without its centre.
 pub const BITS: u32 = 24;
 
@@ -74,6 +76,30 @@ impl CensusImage {
         let smooth = &self.smooth;
         let lines = self.descriptors.par_chunks_exact_mut(width).take(height).enumerate();
         lines.for_each(|(row, out)| describe_row(smooth, row, out));
+    }
+}
+
+/// Larger pictures are refused in snapshots: no camera of this robot makes them, damaged bytes do.
+const MOST_PIXELS: usize = 64_000_000;
+
+/// Descriptors follow from the smooth picture.
+impl State for CensusImage {
+    fn write(&self, to: &mut Vec<u8>) {
+        State::write(&(self.width, self.height), to);
+        write_bulk(&self.smooth, to);
+    }
+
+    fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        let mut size = (0, 0);
+        State::read(&mut size, from)?;
+        (self.width, self.height) = size;
+        read_bulk(&mut self.smooth, MOST_PIXELS, from)?;
+        if self.width == 0 || self.width.checked_mul(self.height) != Some(self.smooth.len()) {
+            let pixels = self.smooth.len();
+            return Err(SnapshotError::Damaged(format!("{}x{} are not {pixels} pixels", self.width, self.height)));
+        }
+        self.describe();
+        Ok(())
     }
 }
 

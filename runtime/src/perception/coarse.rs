@@ -17,6 +17,7 @@ use super::sweep::{CELL, FAR, MAX_REFERENCES, PLANES, Reference, hypotheses, swe
 use super::trust;
 use super::winner::{Vote, winners};
 use super::{CoarseConfig, DepthEstimate, NoDepth, PerceptionError};
+use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 
 /// Depth that parallax is predicted for before any was seen, metres.
 const FIRST_SCENE_DEPTH_M: f64 = 2.0;
@@ -344,6 +345,36 @@ fn check(camera: &CameraModel) -> Result<(), PerceptionError> {
     };
     let CameraModel { width, height, fx, fy, .. } = *camera;
     Err(PerceptionError::Camera { width, height, fx, fy, why })
+}
+
+impl State for CoarseDepth {
+    fn write(&self, to: &mut Vec<u8>) {
+        self.keyframes.write(to);
+        self.memory.write(to);
+        self.motion.write(to);
+        self.steady.write(to);
+        (self.last_pose, self.scene_depth_m, self.pose).write(to);
+        write_bulk(&self.last_smooth, to);
+        write_bulk(&self.buffers.confidence, to);
+    }
+
+    fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.keyframes.read(from)?;
+        self.memory.read(from)?;
+        self.motion.read(from)?;
+        self.steady.read(from)?;
+        let mut poses = (None, 0.0, Pose3::identity());
+        poses.read(from)?;
+        (self.last_pose, self.scene_depth_m, self.pose) = poses;
+        let (pixels, cells) = (self.camera.width * self.camera.height, self.cells.width * self.cells.height);
+        read_bulk(&mut self.last_smooth, pixels, from)?;
+        read_bulk(&mut self.buffers.confidence, cells, from)?;
+        let sound = self.buffers.confidence.len() == cells
+            && self.motion.has_size(pixels)
+            && self.memory.has_size(cells)
+            && self.keyframes.all().iter().all(|keyframe| keyframe.census.smooth.len() == pixels);
+        if sound { Ok(()) } else { Err(SnapshotError::Damaged("pictures of another size".to_owned())) }
+    }
 }
 
 #[cfg(test)]

@@ -1,10 +1,12 @@
 //! Memory from picture to picture: the last depth, moved by the known motion, is confirmed or contradicted by the new.
 
 use hal::{CameraModel, Pose3};
+use serde::{Deserialize, Serialize};
 
 use super::sweep::nearest;
 use super::trust;
 use super::winner::Vote;
+use crate::snapshot::remembers;
 
 /// Two inverse depths agree when they differ by less than this share of the larger one: half of what delta1 allows.
 const AGREEMENT: f32 = 0.12;
@@ -13,7 +15,7 @@ const AGREEMENT: f32 = 0.12;
 const GUESS: f32 = 0.9;
 
 /// What is believed of one cell.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Belief {
     /// Inverse z-depth, 1/m.
     pub inverse_depth: f32,
@@ -60,6 +62,11 @@ impl Memory {
     /// Believes nothing any more.
     pub fn forget(&mut self) {
         self.pose = None;
+    }
+
+    /// Whether it is empty or of so many cells.
+    pub fn has_size(&self, cells: usize) -> bool {
+        self.beliefs.is_empty() || self.beliefs.len() == cells
     }
 
     /// Row-major.
@@ -144,6 +151,8 @@ impl Memory {
         }
     }
 }
+
+remembers!(Memory: beliefs, pose);
 
 #[cfg(test)]
 mod tests {

@@ -4,6 +4,7 @@ use hal::{CameraModel, Pose3};
 use nalgebra::{Point3, Vector3};
 
 use super::{CoarseConfig, census::CensusImage, sweep::MAX_REFERENCES};
+use crate::snapshot::{SnapshotError, State};
 
 /// An earlier picture and where it was taken.
 #[derive(Debug, Clone)]
@@ -99,6 +100,29 @@ impl Keyframes {
             }
         }
         chosen
+    }
+}
+
+impl State for Keyframes {
+    fn write(&self, to: &mut Vec<u8>) {
+        self.ring.len().write(to);
+        for keyframe in &self.ring {
+            keyframe.pose.write(to);
+            keyframe.census.write(to);
+        }
+    }
+
+    fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        let mut count = 0_usize;
+        count.read(from)?;
+        self.forget();
+        for _ in 0..count {
+            let mut keyframe = Keyframe { pose: Pose3::identity(), census: self.spare.pop().unwrap_or_default() };
+            keyframe.pose.read(from)?;
+            keyframe.census.read(from)?;
+            self.ring.push(keyframe);
+        }
+        Ok(())
     }
 }
 

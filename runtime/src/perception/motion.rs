@@ -4,6 +4,7 @@ use hal::{ImageView, PixelFormat};
 
 use super::census::CensusImage;
 use super::flow::{DenseFlow, FlowError, FlowField, FlowPreset};
+use crate::snapshot::remembers;
 
 /// Dense flow from every picture to the one before.
 #[derive(Debug)]
@@ -30,6 +31,11 @@ impl PictureMotion {
         self.has_before = false;
     }
 
+    /// Whether its pictures have so many pixels.
+    pub fn has_size(&self, pixels: usize) -> bool {
+        self.now.len() == pixels
+    }
+
     /// From this picture to the one before; `None` for the first.
     pub fn follow(&mut self, picture: &CensusImage) -> Option<&FlowField> {
         std::mem::swap(&mut self.now, &mut self.before);
@@ -41,3 +47,5 @@ impl PictureMotion {
         self.flow.flow(grey(&self.now)?, grey(&self.before)?, None).ok()
     }
 }
+
+remembers!(PictureMotion: now, has_before);

@@ -8,10 +8,12 @@
 
 use hal::{CameraModel, Pose3};
 use nalgebra::{Matrix2, Matrix2x3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 
 use super::census::CensusImage;
 use super::flow::FlowField;
 use super::fusion::Belief;
+use crate::snapshot::remembers;
 
 /// Unknowns: the turn, by which factor depth is wrong in the middle of the picture and more towards its right and lower
 /// edge, and the error of the step. Where believed depth is wrong, all of it is, and must not pass for a turn.
@@ -56,7 +58,7 @@ pub struct SteadyRotation {
     equations: Vec<Equation>,
 }
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct Before {
     said: Pose3,
     steady: Pose3,
@@ -257,6 +259,8 @@ fn solve(equations: &[Equation], turn_error: f64) -> Option<Turn> {
     }
     Some(turn)
 }
+
+remembers!(SteadyRotation: before, variance, correction, square, turned_back, pictures);
 
 #[cfg(test)]
 mod tests {

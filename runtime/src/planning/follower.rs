@@ -4,6 +4,7 @@ use hal::{Pose2, wrap_angle};
 use serde::{Deserialize, Serialize};
 
 use super::config::{ConfigError, FollowerConfig};
+use crate::snapshot::remembers;
 
 /// One step of motion, as in the paper.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -199,6 +200,8 @@ impl Follower {
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
+
+remembers!(Follower: points_m, lengths_m, done_m, turning);
 
 #[cfg(test)]
 mod tests {

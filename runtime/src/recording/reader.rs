@@ -95,17 +95,19 @@ struct Parts {
     frame: Option<Picture>,
     truth: Option<DepthMap>,
     decision: Option<Decision>,
+    snapshot: Option<Vec<u8>>,
 }
 
 impl Parts {
     fn new(json: TickJson) -> Self {
-        Self { json, scan: None, frame: None, truth: None, decision: None }
+        Self { json, scan: None, frame: None, truth: None, decision: None, snapshot: None }
     }
 
     fn add(&mut self, topic: Topic, data: &[u8]) -> Result<(), RecordingError> {
         let tick = self.json.tick;
         let bad = |detail: String| bad_message(tick, topic, &detail);
         match topic {
+            Topic::Snapshot => self.snapshot = Some(data.to_vec()),
             Topic::Scan => self.scan = Some(self.parse_scan(data).map_err(bad)?),
             Topic::Image => {
                 let message = fox::CompressedImage::decode(data).map_err(|error| bad(error.to_string()))?;
@@ -138,6 +140,7 @@ impl Parts {
             (Topic::Image, self.json.frame, self.frame.is_some()),
             (Topic::TruthDepth, self.json.truth, self.truth.is_some()),
             (Topic::Decision, self.json.decision, self.decision.is_some()),
+            (Topic::Snapshot, self.json.snapshot, self.snapshot.is_some()),
         ];
         parts.into_iter().find(|(_, promised, here)| *promised && !here).map(|(topic, ..)| topic)
     }
@@ -156,6 +159,7 @@ impl Parts {
             frame: self.frame,
             truth: self.truth,
             decision: self.decision,
+            snapshot: self.snapshot,
             safety: self.json.safety,
         }
     }

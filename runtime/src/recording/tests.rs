@@ -64,12 +64,13 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
             events: vec![SafetyEvent::Armed, SafetyEvent::BackedOff { distance_m: 0.2, end: BackOffEnd::RearUnknown }],
         }),
         decision: Some(decision(tick)),
+        snapshot: Some(vec![tick as u8; 9]),
     }
 }
 
 /// A turn with the least that a turn has.
 fn bare_tick(tick: u64) -> RecordedTick {
-    RecordedTick { scan: None, frame: None, truth: None, safety: None, ..some_tick(tick) }
+    RecordedTick { scan: None, frame: None, truth: None, safety: None, snapshot: None, ..some_tick(tick) }
 }
 
 fn some_views(tick: u64) -> Views {
@@ -196,7 +197,7 @@ prop_compose! {
         truth in prop::option::of(any_truth()),
         decision in prop::option::of(any_decision()),
     ) -> RecordedTick {
-        RecordedTick { tick: 0, time_ns, wheel, scan, frame, truth, safety: None, decision }
+        RecordedTick { tick: 0, time_ns, wheel, scan, frame, truth, safety: None, decision, snapshot: None }
     }
 }
 

@@ -35,6 +35,9 @@ pub struct RecordedTick {
     pub safety: Option<SafetyReport>,
     /// What the loop decided.
     pub decision: Option<Decision>,
+    /// What the loop remembered before this turn, [`Robot::snapshot`](crate::robot::Robot::snapshot): now and then, so that a
+    /// replay need not begin at the run's beginning.
+    pub snapshot: Option<Vec<u8>>,
 }
 
 impl RecordedTick {
@@ -56,6 +59,7 @@ impl RecordedTick {
             truth: input.truth.cloned(),
             safety: input.safety.cloned(),
             decision,
+            snapshot: None,
         })
     }
 

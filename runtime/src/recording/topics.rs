@@ -21,10 +21,11 @@ pub(super) enum Topic {
     Goal,
     Events,
     Decision,
+    Snapshot,
 }
 
 impl Topic {
-    pub(super) const COUNT: usize = Self::Decision as usize + 1;
+    pub(super) const COUNT: usize = Self::Snapshot as usize + 1;
 
     pub(super) fn name(self) -> &'static str {
         match self {
@@ -42,25 +43,29 @@ impl Topic {
             Self::Goal => "/goal",
             Self::Events => "/events",
             Self::Decision => "/robot/decision",
+            Self::Snapshot => "/robot/snapshot",
         }
     }
 
     /// The channels that replay reads; the others are for people.
     pub(super) fn of_replay(name: &str) -> Option<Self> {
-        use Topic::{Decision, Header, Image, Scan, Tick, TruthDepth};
-        [Header, Tick, Scan, Image, TruthDepth, Decision].into_iter().find(|topic| topic.name() == name)
+        use Topic::{Decision, Header, Image, Scan, Snapshot, Tick, TruthDepth};
+        [Header, Tick, Snapshot, Scan, Image, TruthDepth, Decision].into_iter().find(|topic| topic.name() == name)
     }
 
     /// How a message is laid out.
     pub(super) fn encoding(self) -> &'static str {
         match self {
             Self::Header | Self::Tick | Self::Decision => "json",
+            Self::Snapshot => "postcard",
             _ => "protobuf",
         }
     }
 
+    /// `None`: the layout is nobody's business but ours.
     pub(super) fn schema(self) -> Option<Schema> {
         match self {
+            Self::Snapshot => None,
             Self::Header => Some(json_schema("robot.Header", HEADER)),
             Self::Tick => Some(json_schema("robot.Tick", TICK)),
             Self::Decision => Some(json_schema("robot.Decision", DECISION)),
@@ -99,7 +104,7 @@ const TICK: &str = r#"{"title":"robot.Tick","type":"object","properties":{
 "scan":{"type":"object","properties":{"time_ns":{"type":"integer"},"angle_min_rad":{"type":"number"},
 "angle_increment_rad":{"type":"number"},"beams":{"type":"integer"},"range_min_m":{"type":"number"},
 "range_max_m":{"type":"number"},"period_ns":{"type":"integer"}}},
-"frame":{"type":"boolean"},"truth":{"type":"boolean"},"decision":{"type":"boolean"},
+"frame":{"type":"boolean"},"truth":{"type":"boolean"},"decision":{"type":"boolean"},"snapshot":{"type":"boolean"},
 "safety":{"type":"object","properties":{"in_charge":{"type":"boolean"},
 "blocked_m":{"type":"array","items":{"type":"number"}},"events":{"type":"array","items":{}}}}}}"#;
 

@@ -49,6 +49,8 @@ pub(super) struct TickJson {
     pub frame: bool,
     pub truth: bool,
     pub decision: bool,
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    pub snapshot: bool,
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub safety: Option<SafetyReport>,
 }
@@ -157,10 +159,14 @@ impl<W: Write> RecordingWriter<W> {
             frame: tick.frame.is_some(),
             truth: tick.truth.is_some(),
             decision: tick.decision.is_some(),
+            snapshot: tick.snapshot.is_some(),
             safety: tick.safety.clone(),
         };
         let json = serde_json::to_vec(&json).map_err(|error| encode_error(tick.tick, Topic::Tick, &error))?;
         self.put(Topic::Tick, tick.tick, tick.time_ns, &json)?;
+        if let Some(snapshot) = &tick.snapshot {
+            self.put(Topic::Snapshot, tick.tick, tick.time_ns, snapshot)?;
+        }
         if let Some(scan) = &tick.scan {
             let geometry = &scan.geometry;
             let message = fox::LaserScan {
@@ -281,9 +287,10 @@ impl<W: Write> RecordingWriter<W> {
         if let Some(id) = self.channels[topic as usize] {
             return Ok(id);
         }
-        let schema = topic.schema().ok_or_else(|| encode_error(0, topic, &"the schema is missing"))?;
-        let schema_id =
-            self.mcap.add_schema(&schema.name, &schema.encoding, &schema.data).map_err(RecordingError::writing)?;
+        // 0 stands for "no schema" (MCAP specification, "Channel").
+        let schema_id = topic.schema().map_or(Ok(0), |schema| {
+            self.mcap.add_schema(&schema.name, &schema.encoding, &schema.data).map_err(RecordingError::writing)
+        })?;
         let id = self
             .mcap
             .add_channel(schema_id, topic.name(), topic.encoding(), &BTreeMap::new())

@@ -11,6 +11,7 @@ use super::rear::Rear;
 use super::surroundings::{HORIZON_M, Obstacle, ScanHealth, Surroundings};
 use super::{BackOff, Escape, Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyState};
 use crate::event::{BackOffEnd, FaultReason, PlanRefusal, SafetyEvent, TripCause};
+use crate::snapshot::remembers;
 
 /// Trips nearer to each other than this, in place and time, are one problem that backing off has not solved.
 const SAME_PLACE_M: f64 = 0.5;
@@ -455,6 +456,11 @@ fn blocked_by(state: &SafetyState) -> Option<[f64; 2]> {
         _ => None,
     }
 }
+
+remembers!(
+    SafetyPlane: state, around, rear, scan_end_ns, scan_bad, good_scans, wheel, odometry_broken, odometry_jumped, last_call_ns, refused,
+    trips, trip_count
+);
 
 #[cfg(test)]
 #[path = "plane_tests.rs"]

@@ -6,9 +6,11 @@
 use std::f64::consts::{PI, TAU};
 
 use hal::{LaserScan, Pose2, wrap_angle};
+use serde::{Deserialize, Serialize};
 
 use super::Footprint;
 use super::surroundings::{Surroundings, distance_m};
+use crate::snapshot::{SnapshotError, State};
 
 /// Directions in `odom` that are remembered apart: 10 degrees each.
 const SECTORS: usize = 36;
@@ -25,7 +27,7 @@ const SAME_HEADING_RAD: f64 = 0.2;
 /// Steps in which the way back is checked, metres.
 const STEP_M: f64 = 0.02;
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Look {
     time_ns: u64,
     from_m: [f64; 2],
@@ -169,6 +171,22 @@ fn sector_of(angle_rad: f64) -> usize {
 /// The middle of a sector.
 fn direction_of(sector: usize) -> f64 {
     (sector as f64 + 0.5) * TAU / SECTORS as f64
+}
+
+impl State for Rear {
+    fn write(&self, to: &mut Vec<u8>) {
+        self.looks.iter().for_each(|look| look.write(to));
+        self.trail.iter().for_each(|place| place.write(to));
+        self.next.write(to);
+    }
+
+    fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.looks.iter_mut().try_for_each(|look| look.read(from))?;
+        self.trail.iter_mut().try_for_each(|place| place.read(from))?;
+        self.next.read(from)?;
+        self.next %= TRAIL;
+        Ok(())
+    }
 }
 
 #[cfg(test)]

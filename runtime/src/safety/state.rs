@@ -1,11 +1,12 @@
 //! States of the safety plane, what goes into it and what comes out.
 
 use hal::{ErrorKind, LaserScan, Pose2, Twist2, WheelFeedback};
+use serde::{Deserialize, Serialize};
 
 use crate::event::{FaultReason, SafetyEvent};
 
 /// What the safety plane is doing.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum SafetyState {
     /// Nobody has asked for motion yet, or a fault was cleared. Only [`Request::Arm`] leads out.
     Disarmed,
@@ -29,7 +30,7 @@ pub enum SafetyState {
 }
 
 /// Driving back from an obstacle.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct BackOff {
     /// Where it began, in `odom`.
     pub from: Pose2,
@@ -44,7 +45,7 @@ pub struct BackOff {
 }
 
 /// Turning on the spot to find a way out.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Escape {
     /// When its first turn was; `None` before.
     pub since_ns: Option<u64>,

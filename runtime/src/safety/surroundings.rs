@@ -1,8 +1,10 @@
 //! What the newest scan says about the ground around the robot.
 
 use hal::{LaserScan, Range, ScanGeometry};
+use serde::{Deserialize, Serialize};
 
 use super::{BodySector, Footprint, SafetyConfig};
+use crate::snapshot::remembers;
 
 /// Share of error beams above which a scan is no longer believed.
 const MAX_ERROR_SHARE: f64 = 0.5;
@@ -17,7 +19,7 @@ pub(super) const HORIZON_M: f32 = 1.5;
 const SIGHT_M: f64 = 1.0;
 
 /// Something near the robot, in `base_link`.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Obstacle {
     /// Forward, metres.
     pub x_m: f64,
@@ -186,6 +188,8 @@ impl Surroundings {
         if self.left_over_right_m >= 0.0 { 1.0 } else { -1.0 }
     }
 }
+
+remembers!(Surroundings: obstacles, left_over_right_m);
 
 #[cfg(test)]
 pub(super) mod tests {

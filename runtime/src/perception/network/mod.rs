@@ -24,6 +24,19 @@ mod flow;
 mod options;
 mod planes;
 mod spec;
+/// Only the pictures that its cost volume compares with: whose they are is checked by who holds it.
+impl State for DepthNetwork {
+    fn write(&self, to: &mut Vec<u8>) {
+        if let Some(volume) = &self.volume {
+            volume.write(to);
+        }
+    }
+
+    fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.volume.as_mut().map_or(Ok(()), |volume| volume.read(from))
+    }
+}
+
 #[cfg(test)]
 mod tests;
 mod volume;
@@ -37,6 +50,7 @@ use hal::{CameraModel, ImageView, PixelFormat, Pose3};
 use ort::environment::Environment;
 
 use super::{DepthEstimate, NoDepth};
+use crate::snapshot::{SnapshotError, State};
 use bound::{BoundSession, Model};
 use volume::CostVolume;
 

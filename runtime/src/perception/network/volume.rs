@@ -11,6 +11,8 @@
 use hal::{CameraModel, Pose3};
 use nalgebra::{Matrix3, Vector3};
 
+use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
+
 /// The volume's pixels are this many times larger than the picture's.
 pub(super) const REDUCTION: usize = 4;
 /// Earlier pictures that one picture is compared with.
@@ -101,6 +103,33 @@ impl CostVolume {
         }
         let picture = std::mem::replace(&mut self.picture, self.spare.pop().unwrap_or_default());
         self.keyframes.push(Keyframe { pose: *pose, picture });
+    }
+}
+
+impl State for CostVolume {
+    fn write(&self, to: &mut Vec<u8>) {
+        self.keyframes.len().write(to);
+        for Keyframe { pose, picture } in &self.keyframes {
+            (*pose, picture.brightness).write(to);
+            write_bulk(&picture.pixels, to);
+        }
+    }
+
+    fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        let mut count = 0_usize;
+        count.read(from)?;
+        self.spare.extend(self.keyframes.drain(..).map(|keyframe| keyframe.picture));
+        let pixels = self.camera.width * self.camera.height;
+        for _ in 0..count.min(KEYFRAMES) {
+            let mut pose = (Pose3::identity(), 0.0);
+            pose.read(from)?;
+            let mut picture = self.spare.pop().unwrap_or_default();
+            read_bulk(&mut picture.pixels, pixels, from)?;
+            picture.brightness = pose.1;
+            self.keyframes.push(Keyframe { pose: pose.0, picture });
+        }
+        let sound = self.keyframes.iter().all(|keyframe| keyframe.picture.pixels.len() == pixels);
+        if sound { Ok(()) } else { Err(SnapshotError::Damaged("pictures of another size".to_owned())) }
     }
 }
 

@@ -1,0 +1,71 @@
+//! A robot that begins from another's snapshot goes on as that one, whatever it was doing.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
+
+use hil::{Scenario, successor};
+use runtime::exploration::PolicyKind;
+use runtime::robot::Robot;
+use runtime::snapshot::SnapshotError;
+
+#[test]
+fn whatever_the_policy_a_robot_from_a_snapshot_decides_as_the_robot_itself() {
+    for policy in PolicyKind::ALL {
+        Scenario::new(policy, &[], 3).unwrap().shadowed().unwrap().turns(150).unwrap();
+    }
+}
+
+#[test]
+fn while_everything_fails_a_robot_from_a_snapshot_decides_as_the_robot_itself() {
+    for seed in 1..=3 {
+        Scenario::new(PolicyKind::Active, &["random"], seed).unwrap().shadowed().unwrap().turns(300).unwrap();
+    }
+}
+
+#[test]
+fn bumping_backing_off_and_escaping_are_remembered() {
+    Scenario::new(PolicyKind::Forward, &["base:contact@3..3.5"], 3).unwrap().shadowed().unwrap().turns(250).unwrap();
+}
+
+fn explored() -> Scenario {
+    let mut scenario = Scenario::new(PolicyKind::Active, &[], 3).unwrap();
+    scenario.turns(40).unwrap();
+    scenario
+}
+
+#[test]
+fn the_snapshot_of_a_successor_is_the_snapshot_it_came_from() {
+    let scenario = explored();
+    assert_eq!(successor(scenario.robot()).unwrap().snapshot(), scenario.robot().snapshot());
+}
+
+#[test]
+fn a_cut_snapshot_is_refused_wherever_it_is_cut_and_so_is_one_that_is_too_long() {
+    let scenario = explored();
+    let mut bytes = scenario.robot().snapshot();
+    let fresh = || Robot::new(scenario.robot().config().clone(), None).unwrap();
+    for len in (0..100).chain((100..bytes.len()).step_by(bytes.len() / 50)) {
+        let refusal = fresh().restore(&bytes[..len]).unwrap_err();
+        assert!(matches!(refusal, SnapshotError::Damaged(_)), "{len}: {refusal}");
+    }
+    bytes.push(0);
+    assert!(matches!(fresh().restore(&bytes), Err(SnapshotError::Damaged(_))));
+}
+
+#[test]
+fn flipped_bits_are_refused_or_change_numbers_but_never_end_the_program() {
+    let scenario = explored();
+    let bytes = scenario.robot().snapshot();
+    for at in (0..400).chain((400..bytes.len()).step_by(bytes.len() / 100)) {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 1 << (at % 8);
+        let _ = Robot::new(scenario.robot().config().clone(), None).unwrap().restore(&damaged);
+    }
+}
+
+#[test]
+fn a_snapshot_of_another_layout_is_refused_by_its_number() {
+    let scenario = explored();
+    let mut bytes = scenario.robot().snapshot();
+    bytes[0] ^= 0x40;
+    let refusal = successor(scenario.robot()).unwrap().restore(&bytes).unwrap_err();
+    assert!(refusal.to_string().contains("layout 65"), "{refusal}");
+}
