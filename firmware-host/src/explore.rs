@@ -88,6 +88,7 @@ fn recorder(args: &ExploreArgs, config: &Config, header: RunHeader, faults: &Fau
     let options = RecorderOptions {
         segment_ns: (config.recording.segment_s * 1e9) as u64,
         segment_bytes: config.recording.segment_mib << 20,
+        pictures: config.recording.pictures,
         ..RecorderOptions::simulation(&args.out)
     };
     Ok(Recorder::start_on(Box::new(FaultyDisk::new(FileSystem, faults)), options, header)?)

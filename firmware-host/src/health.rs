@@ -90,7 +90,15 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
     }
     let recording = &status.recording;
     let folder = recording.folder.as_deref().unwrap_or("off");
-    let _ = writeln!(out, "recording    {folder}, {} turns dropped", recording.dropped);
+    let _ = write!(out, "recording    {folder}, {} turns dropped", recording.dropped);
+    if recording.removed > 0 {
+        let _ = write!(
+            out,
+            "; {} old segments removed, {} of them not pulled",
+            recording.removed, recording.removed_unpulled
+        );
+    }
+    out.push('\n');
     out
 }
 

@@ -58,6 +58,9 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
 /// # Errors
 /// When this version does not know the run's configuration, or its models are not those that were given.
 pub fn build(header: &RunHeader, models: &ModelArgs) -> Result<Box<dyn Replayable>> {
+    if !header.pictures {
+        bail!("the run was recorded without pictures (recording.pictures = false): nothing can be recomputed");
+    }
     let config: Config =
         serde_json::from_value(header.config.clone()).context("the recording's configuration cannot be read")?;
     let mission = Mission {

@@ -100,6 +100,7 @@ pub fn laser_mount(config: &Config) -> Pose3 {
 /// When the configuration holds a number that JSON cannot hold.
 pub fn run_header(config: &Config, mission: &Mission, model: Option<&str>, faults: &FaultPlan) -> Result<RunHeader> {
     Ok(RunHeader {
+        pictures: config.recording.pictures,
         written_by: concat!("firmware-host ", env!("CARGO_PKG_VERSION")).to_owned(),
         seed: mission.seed,
         scene: None,

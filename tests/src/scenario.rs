@@ -144,7 +144,9 @@ impl Scenario {
             self.shadow = Some(successor(&self.robot)?);
         }
         let decision = self.robot.tick(&input, &mut ());
-        if let Some(other) = self.shadow.as_mut().map(|shadow| shadow.tick(&input, &mut ())).filter(|other| *other != decision) {
+        if let Some(other) =
+            self.shadow.as_mut().map(|shadow| shadow.tick(&input, &mut ())).filter(|other| *other != decision)
+        {
             return Err(format!("from its snapshot, turn {} is {other:?}, not {decision:?}", self.tick).into());
         }
         let command = DriveCommand { twist: decision.command.into(), counter: self.tick as u32 + 1, plan_age_ns: 0 };

@@ -125,6 +125,8 @@ pub(super) const LIMITS: &[Limit] = &[
     limit("recording.segment_mib", 1.0, 4096.0, "MiB"),
     limit("recording.depth_every_ticks", 1.0, 1e6, "ticks"),
     limit("recording.map_every_ticks", 1.0, 1e6, "ticks"),
+    limit("recording.quota_gib", 0.0, 1e6, "GiB"),
+    limit("recording.free_gib", 0.0, 1e6, "GiB"),
     limit("simulator.odometry_distance_noise", 0.0, 0.2, "of the distance"),
     limit("simulator.odometry_turn_noise", 0.0, 0.2, "of the turn"),
     limit("simulator.lidar_noise_m", 0.0, 0.2, "metres"),

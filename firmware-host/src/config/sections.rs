@@ -242,11 +242,25 @@ pub struct RecordingSection {
     pub depth_every_ticks: u64,
     /// The map is recorded every this many ticks, for viewers; replay does not need it.
     pub map_every_ticks: u64,
+    /// Whether pictures are recorded. Without them nothing can be recomputed or trained on.
+    pub pictures: bool,
+    /// All segments beside the run's folder together, GiB; 0: as much as there is. Only on a robot.
+    pub quota_gib: f64,
+    /// So much of the disk stays free, GiB. Only on a robot.
+    pub free_gib: f64,
 }
 
 impl Default for RecordingSection {
     fn default() -> Self {
-        Self { segment_s: 60.0, segment_mib: 256, depth_every_ticks: 10, map_every_ticks: 20 }
+        Self {
+            segment_s: 60.0,
+            segment_mib: 256,
+            depth_every_ticks: 10,
+            map_every_ticks: 20,
+            pictures: true,
+            quota_gib: 0.0,
+            free_gib: 2.0,
+        }
     }
 }
 

@@ -21,6 +21,12 @@ pub trait Disk: Send {
     /// # Errors
     /// When it cannot be removed.
     fn remove(&mut self, path: &Path) -> io::Result<()>;
+
+    /// How many bytes still fit where `path` is.
+    ///
+    /// # Errors
+    /// When the disk does not say.
+    fn free_bytes(&self, path: &Path) -> io::Result<u64>;
 }
 
 /// A file being written.
@@ -54,6 +60,11 @@ impl Disk for FileSystem {
 
     fn remove(&mut self, path: &Path) -> io::Result<()> {
         std::fs::remove_file(path)
+    }
+
+    fn free_bytes(&self, path: &Path) -> io::Result<u64> {
+        let disk = rustix::fs::statvfs(path)?;
+        Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
     }
 }
 

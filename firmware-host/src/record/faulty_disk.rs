@@ -52,6 +52,10 @@ impl<D: Disk> Disk for FaultyDisk<D> {
     fn remove(&mut self, path: &Path) -> io::Result<()> {
         self.inner.remove(path)
     }
+
+    fn free_bytes(&self, path: &Path) -> io::Result<u64> {
+        self.inner.free_bytes(path)
+    }
 }
 
 impl Write for FaultyFile {

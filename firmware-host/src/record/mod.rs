@@ -11,13 +11,17 @@
 //! # What a full disk costs
 //!
 //! The segment that is being written is cut back to its last complete chunk and closed without an index: a valid MCAP
-//! file. Segments before it are not touched. A simulation then ends with `output_failed`; a robot goes on without a
-//! recording and counts what it does not record.
+//! file. A simulation then ends with `output_failed`; a robot goes on, counts what it does not record, says why in `health`, and
+//! tries again every [`RETRY_NS`]: with a snapshot, so that what comes then can be replayed.
+//!
+//! It should not come to that: before a segment begins, the oldest ones of the robot's buffer make [room](Quota), first those
+//! that were pulled. A segment beside which there is a file of its name and `.keep` stays.
 
 mod disk;
 mod error;
 mod faulty_disk;
 mod recorder;
+mod room;
 mod segments;
 
 #[cfg(test)]
@@ -26,5 +30,6 @@ pub(crate) mod tests;
 pub use disk::{Disk, FileSystem, SegmentFile};
 pub use error::RecordError;
 pub use faulty_disk::FaultyDisk;
-pub use recorder::{Recorder, RecorderOptions, RecordingSummary, WhenFull, snapshot};
+pub use recorder::{RETRY_NS, Recorder, RecorderOptions, RecordingSummary, WhenFull, Word, snapshot};
+pub use room::{KEEP, PULLED, Quota, Removed};
 pub use segments::{is_segment_name, segment_name};

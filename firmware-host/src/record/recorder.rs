@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use runtime::recording::{RecordedTick, RunHeader, Views};
@@ -9,6 +10,7 @@ use runtime::robot::Robot;
 
 use super::disk::{Disk, FileSystem};
 use super::error::RecordError;
+use super::room::{Quota, Removed};
 use super::segments::{Segments, is_segment_name, segment_name};
 
 /// What happens to a turn when the disk is slower than the loop.
@@ -16,7 +18,8 @@ use super::segments::{Segments, is_segment_name, segment_name};
 pub enum WhenFull {
     /// The loop waits: nothing is lost and the run replays. For virtual time.
     Wait,
-    /// The turn is dropped and counted: the loop never waits, and never ends because of the recording. For robots.
+    /// The turn is dropped and counted: the loop never waits, and never ends because of the recording. After a failure it is
+    /// tried again every [`RETRY_NS`]. For robots.
     Drop,
 }
 
@@ -35,6 +38,10 @@ pub struct RecorderOptions {
     pub segment_bytes: u64,
     /// Whether every chunk is synced to the disk.
     pub sync: bool,
+    /// Whether pictures are recorded, and what holds some: depth and snapshots.
+    pub pictures: bool,
+    /// How much of the disk recordings may take; `None`: all.
+    pub quota: Option<Quota>,
 }
 
 impl RecorderOptions {
@@ -48,6 +55,8 @@ impl RecorderOptions {
             segment_ns: 60_000_000_000,
             segment_bytes: 256 << 20,
             sync: false,
+            pictures: true,
+            quota: None,
         }
     }
 
@@ -65,6 +74,10 @@ pub struct RecordingSummary {
     pub ticks: u64,
     /// Turns that were dropped because the disk was too slow or had failed.
     pub dropped: u64,
+    /// Older segments that had to make room.
+    pub removed: Removed,
+    /// Why it ended before the run, if so.
+    pub failure: Option<String>,
     /// Files.
     pub segments: u32,
     /// Their size together.
@@ -75,11 +88,21 @@ pub struct RecordingSummary {
     pub decisions_digest: String,
 }
 
+/// After a failure a robot's recording is tried again this often: somebody may have made room.
+pub const RETRY_NS: u64 = 10_000_000_000;
+
 /// What the recording thread is told.
 enum Told {
-    Turn(Box<(RecordedTick, Views)>),
+    Turn(Box<Turn>),
     /// Close the segment, and answer with how many there are.
     Cut(SyncSender<u32>),
+}
+
+struct Turn {
+    tick: RecordedTick,
+    views: Views,
+    /// A recording that failed may begin again here.
+    may_begin: bool,
 }
 
 /// Hands turns to the recording thread. Dropping it waits for the thread, so that even a run that ends by an error
@@ -87,11 +110,25 @@ enum Told {
 pub struct Recorder {
     when_full: WhenFull,
     segment_ns: u64,
+    pictures: bool,
     next_snapshot_ns: Option<u64>,
     queue: Option<SyncSender<Told>>,
     thread: Option<JoinHandle<Result<RecordingSummary, RecordError>>>,
+    next_try_ns: u64,
     dropped: u64,
-    failure: Option<RecordError>,
+    /// What the thread says of itself.
+    word: Arc<Mutex<Word>>,
+}
+
+/// What the recording thread says of itself while it works.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Word {
+    /// Why nothing is recorded now, if so.
+    pub failure: Option<String>,
+    /// Turns that were lost meanwhile.
+    pub lost: u64,
+    /// Older segments that had to make room.
+    pub removed: Removed,
 }
 
 impl Recorder {
@@ -112,26 +149,40 @@ impl Recorder {
         let path = options.dir.join(segment_name(0));
         let first_file = disk.create(&path).map_err(|source| RecordError::Create { path, source })?;
         let (sender, receiver) = sync_channel(options.queue_ticks);
-        let (when_full, segment_ns) = (options.when_full, options.segment_ns);
+        let (when_full, segment_ns, pictures) = (options.when_full, options.segment_ns, options.pictures);
+        let run = RunHeader { pictures, ..run };
+        let word = Arc::new(Mutex::new(Word::default()));
+        let thread_word = Arc::clone(&word);
         let thread = std::thread::Builder::new()
             .name("recording".to_owned())
-            .spawn(move || record_all(&receiver, Segments::new(options, disk, run, first_file)))
+            .spawn(move || {
+                record_all(&receiver, Segments::new(options, disk, run, first_file), when_full, &thread_word)
+            })
             .map_err(|error| RecordError::Thread(error.to_string()))?;
         Ok(Self {
             when_full,
             segment_ns,
+            pictures,
             next_snapshot_ns: None,
             queue: Some(sender),
             thread: Some(thread),
+            next_try_ns: 0,
             dropped: 0,
-            failure: None,
+            word,
         })
     }
 
     /// Whether the turn at `time_ns` should carry what the loop remembers before it: once a segment, at its first turn, so that a
-    /// replay can begin there. The run's own first turn needs none.
+    /// replay can begin there, and when recording is to begin again after a failure. The run's own first turn needs none.
     #[must_use]
     pub fn wants_snapshot(&mut self, time_ns: u64) -> bool {
+        if self.word().failure.is_some() {
+            let due = time_ns >= self.next_try_ns;
+            if due {
+                self.next_try_ns = time_ns.saturating_add(RETRY_NS);
+            }
+            return due;
+        }
         let next_ns = *self.next_snapshot_ns.get_or_insert(time_ns.saturating_add(self.segment_ns));
         let wanted = time_ns >= next_ns;
         if wanted {
@@ -144,9 +195,13 @@ impl Recorder {
     ///
     /// # Errors
     /// With [`WhenFull::Wait`], when the recording has failed: the run must end with `output_failed`. With
-    /// [`WhenFull::Drop`] never; see [`dropped`](Self::dropped) and [`failure`](Self::failure).
-    pub fn record(&mut self, tick: RecordedTick, views: Views) -> Result<(), RecordError> {
-        let turn = Told::Turn(Box::new((tick, views)));
+    /// [`WhenFull::Drop`] never; see [`dropped`](Self::dropped) and [`word`](Self::word).
+    pub fn record(&mut self, mut tick: RecordedTick, mut views: Views) -> Result<(), RecordError> {
+        let may_begin = tick.snapshot.is_some();
+        if !self.pictures {
+            (tick.frame, tick.truth, tick.snapshot, views.depth) = (None, None, None, None);
+        }
+        let turn = Told::Turn(Box::new(Turn { tick, views, may_begin }));
         let accepted = match (&self.queue, self.when_full) {
             (None, _) => Err(TrySendError::Disconnected(())),
             (Some(queue), WhenFull::Wait) => queue.send(turn).map_err(|_| TrySendError::Disconnected(())),
@@ -164,8 +219,8 @@ impl Recorder {
         match self.when_full {
             WhenFull::Wait => Err(error),
             WhenFull::Drop => {
-                // The first error says what happened; what follows from it says nothing new.
-                self.failure.get_or_insert(error);
+                // The thread is gone, which no disk can bring about: nothing more will be recorded.
+                lock(&self.word).failure.get_or_insert(error.to_string());
                 Ok(())
             }
         }
@@ -195,13 +250,13 @@ impl Recorder {
     /// Turns that are not in the recording.
     #[must_use]
     pub fn dropped(&self) -> u64 {
-        self.dropped
+        self.dropped + lock(&self.word).lost
     }
 
-    /// Why nothing is recorded any more, if so. Only with [`WhenFull::Drop`].
+    /// What the recording thread says of itself. A failure only with [`WhenFull::Drop`].
     #[must_use]
-    pub fn failure(&self) -> Option<&RecordError> {
-        self.failure.as_ref()
+    pub fn word(&self) -> Word {
+        lock(&self.word).clone()
     }
 
     /// Waits until everything is in its file.
@@ -209,11 +264,11 @@ impl Recorder {
     /// # Errors
     /// When the recording has failed.
     pub fn finish(mut self) -> Result<RecordingSummary, RecordError> {
-        if let Some(failure) = self.failure.take() {
-            return Err(failure);
-        }
         match self.join() {
-            Some(result) => result.map(|summary| RecordingSummary { dropped: self.dropped, ..summary }),
+            Some(result) => {
+                let (dropped, failure) = (self.dropped(), self.word().failure);
+                result.map(|summary| RecordingSummary { dropped, failure, ..summary })
+            }
             None => Err(RecordError::Thread("it has ended before".to_owned())),
         }
     }
@@ -238,10 +293,18 @@ pub fn snapshot(recorder: Option<&mut Recorder>, robot: &Robot, time_ns: u64) ->
     recorder?.wants_snapshot(time_ns).then(|| robot.snapshot())
 }
 
-fn record_all(queue: &Receiver<Told>, mut segments: Segments) -> Result<RecordingSummary, RecordError> {
+fn record_all(
+    queue: &Receiver<Told>,
+    mut segments: Segments,
+    when_full: WhenFull,
+    word: &Mutex<Word>,
+) -> Result<RecordingSummary, RecordError> {
     for told in queue {
         match told {
-            Told::Turn(turn) => segments.write(&turn.0, &turn.1)?,
+            Told::Turn(turn) => match when_full {
+                WhenFull::Wait => segments.write(&turn.tick, &turn.views)?,
+                WhenFull::Drop => write_if_possible(&mut segments, &turn, word),
+            },
             Told::Cut(answer) => {
                 let count = segments.cut()?;
                 // Who asked may be gone.
@@ -250,6 +313,38 @@ fn record_all(queue: &Receiver<Told>, mut segments: Segments) -> Result<Recordin
         }
     }
     segments.finish()
+}
+
+/// After a failure only a turn that says what the robot remembers is worth trying.
+fn write_if_possible(segments: &mut Segments, turn: &Turn, word: &Mutex<Word>) {
+    let Turn { tick, views, may_begin } = turn;
+    let failing = lock(word).failure.is_some();
+    if failing && !may_begin {
+        lock(word).lost += 1;
+        return;
+    }
+    let written = segments.write(tick, views);
+    let mut word = lock(word);
+    word.removed = segments.summary().removed;
+    match written {
+        Ok(()) if failing => {
+            tracing::warn!("recording again from turn {} on", tick.tick);
+            word.failure = None;
+        }
+        Ok(()) => {}
+        Err(error) => {
+            if !failing {
+                tracing::error!("nothing is recorded: {error}; it is tried again");
+            }
+            word.failure = Some(error.to_string());
+            word.lost += 1;
+        }
+    }
+}
+
+/// A thread that panicked while it held the lock left nothing half-said.
+fn lock(word: &Mutex<Word>) -> MutexGuard<'_, Word> {
+    word.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn refuse_old_recording(dir: &Path) -> Result<(), RecordError> {

@@ -1,7 +1,8 @@
 //! One run as a row of files.
 
 use std::cell::Cell;
-use std::path::PathBuf;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 use runtime::recording::{RecordedTick, RecordingWriter, RunDigest, RunHeader, SegmentHeader, Views};
@@ -9,6 +10,7 @@ use runtime::recording::{RecordedTick, RecordingWriter, RunDigest, RunHeader, Se
 use super::disk::{Disk, SegmentFile, Sink};
 use super::error::RecordError;
 use super::recorder::{RecorderOptions, RecordingSummary};
+use super::room::make_room;
 
 /// `recording_0000.mcap` and so on; names sort in the order of the run up to 10,000 segments, a week of minutes.
 #[must_use]
@@ -53,7 +55,7 @@ impl Segments {
         Self { options, disk, run, first_file: Some(first_file), open: None, digest: RunDigest::new(), summary }
     }
 
-    /// Writes a turn. After an error everything is closed and nothing more may be written.
+    /// Writes a turn. An error closes the segment at its last complete chunk; the next turn begins another one.
     pub(super) fn write(&mut self, tick: &RecordedTick, views: &Views) -> Result<(), RecordError> {
         if self.open.as_ref().is_some_and(|open| self.is_full(open, tick.time_ns)) {
             self.close()?;
@@ -99,11 +101,17 @@ impl Segments {
     }
 
     fn start(&mut self, tick: u64, time_ns: u64) -> Result<Open, RecordError> {
+        if let Some(quota) = &self.options.quota {
+            let removed = make_room(self.disk.as_mut(), quota);
+            self.summary.removed.segments += removed.segments;
+            self.summary.removed.not_pulled += removed.not_pulled;
+            self.summary.removed.bytes += removed.bytes;
+        }
         let segment = self.summary.segments;
         let path = self.options.dir.join(segment_name(segment));
         let file = match self.first_file.take() {
             Some(file) => file,
-            None => self.disk.create(&path).map_err(|source| RecordError::Create { path: path.clone(), source })?,
+            None => self.create(&path)?,
         };
         let written = Rc::new(Cell::new(0));
         let sink = Sink::new(file, Rc::clone(&written), self.options.sync);
@@ -123,6 +131,21 @@ impl Segments {
         }
     }
 
+    fn create(&mut self, path: &Path) -> Result<Box<dyn SegmentFile>, RecordError> {
+        self.disk.create(path).map_err(|source| {
+            if source.kind() == ErrorKind::AlreadyExists {
+                // Left by a try that could not even be undone: the next one takes the next number.
+                self.summary.segments += 1;
+            }
+            RecordError::Create { path: path.to_owned(), source }
+        })
+    }
+
+    /// What was recorded so far.
+    pub(super) fn summary(&self) -> &RecordingSummary {
+        &self.summary
+    }
+
     fn close(&mut self) -> Result<(), RecordError> {
         let Some(open) = self.open.take() else { return Ok(()) };
         match open.writer.finish() {
@@ -138,7 +161,7 @@ impl Segments {
     }
 }
 
-fn salvage(sink: Sink, path: &std::path::Path) {
+fn salvage(sink: Sink, path: &Path) {
     match sink.salvage() {
         Ok(()) => tracing::warn!("{} was cut back to its last complete chunk", path.display()),
         Err(error) => tracing::warn!("{} could not be closed and has no end: {error}", path.display()),

@@ -14,6 +14,7 @@ use super::*;
 
 pub(crate) fn run_header() -> RunHeader {
     RunHeader {
+        pictures: true,
         written_by: "test 0.0.0".to_owned(),
         seed: 7,
         scene: None,
@@ -162,6 +163,10 @@ impl Disk for SmallDisk {
     fn remove(&mut self, path: &Path) -> io::Result<()> {
         FileSystem.remove(path)
     }
+
+    fn free_bytes(&self, path: &Path) -> io::Result<u64> {
+        FileSystem.free_bytes(path)
+    }
 }
 
 impl Write for SmallFile {
@@ -251,6 +256,10 @@ impl Disk for StalledDisk {
     fn remove(&mut self, path: &Path) -> io::Result<()> {
         FileSystem.remove(path)
     }
+
+    fn free_bytes(&self, path: &Path) -> io::Result<u64> {
+        FileSystem.free_bytes(path)
+    }
 }
 
 impl Write for StalledFile {
@@ -302,20 +311,78 @@ fn a_robot_drops_and_counts_what_a_stalled_disk_does_not_take() {
     assert_eq!(read_all(dir.path()), (0..5).map(some_tick).collect::<Vec<_>>());
 }
 
+/// Waits until the recording thread says what is wanted.
+fn wait_for(recorder: &Recorder, wanted: impl Fn(&Word) -> bool) {
+    while !wanted(&recorder.word()) {
+        std::thread::yield_now();
+    }
+}
+
+/// A turn as the loop hands it over: with what it remembers when that is wanted.
+fn hand_over(recorder: &mut Recorder, tick: u64) {
+    let mut turn = some_tick(tick);
+    turn.snapshot = recorder.wants_snapshot(turn.time_ns).then(|| vec![1, 2, 3]);
+    recorder.record(turn, Views::default()).unwrap();
+}
+
 #[test]
-fn a_robot_goes_on_when_its_disk_is_full_and_says_so() {
+fn a_robot_goes_on_when_its_disk_is_full_says_so_and_records_again_when_there_is_room() {
+    let dir = tempfile::tempdir().unwrap();
+    let room = Arc::new(AtomicU64::new(0));
+    let disk = SmallDisk { room: Arc::clone(&room) };
+    let options = RecorderOptions { queue_ticks: 1000, ..RecorderOptions::robot(dir.path()) };
+    let mut recorder = Recorder::start_on(Box::new(disk), options, run_header()).unwrap();
+    hand_over(&mut recorder, 0);
+    wait_for(&recorder, |word| word.failure.is_some());
+    assert!(recorder.word().failure.unwrap().contains("cannot write"));
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0, "nothing half-written is left");
+    // Still no room: it is tried again every ten seconds, 100 turns.
+    (1..250).for_each(|tick| hand_over(&mut recorder, tick));
+    wait_for(&recorder, |word| word.lost == 250);
+    room.store(u64::MAX / 2, Ordering::SeqCst);
+    let mut tick = 250;
+    while recorder.word().failure.is_some() {
+        hand_over(&mut recorder, tick);
+        tick += 1;
+        wait_for(&recorder, |word| word.failure.is_none() || word.lost == tick);
+    }
+    assert!((300..=305).contains(&tick), "{tick}");
+    (tick..tick + 5).for_each(|tick| hand_over(&mut recorder, tick));
+    let summary = recorder.finish().unwrap();
+    assert_eq!((summary.failure, summary.dropped), (None, tick - 1));
+    let ticks = read_all(dir.path());
+    assert_eq!(ticks.len(), 6);
+    assert!(ticks[0].snapshot.is_some(), "what comes then can be replayed");
+}
+
+#[test]
+fn a_run_that_ends_while_nothing_is_recorded_says_why() {
     let dir = tempfile::tempdir().unwrap();
     let disk = SmallDisk { room: Arc::new(AtomicU64::new(0)) };
     let mut recorder = Recorder::start_on(Box::new(disk), RecorderOptions::robot(dir.path()), run_header()).unwrap();
-    let mut tick = 0;
-    while recorder.failure().is_none() {
-        recorder.record(some_tick(tick), Views::default()).unwrap();
-        tick += 1;
+    hand_over(&mut recorder, 0);
+    wait_for(&recorder, |word| word.failure.is_some());
+    let summary = recorder.finish().unwrap();
+    assert!(summary.failure.unwrap().contains("free disk space"));
+}
+
+#[test]
+fn without_pictures_nothing_that_holds_one_is_recorded() {
+    let dir = tempfile::tempdir().unwrap();
+    let options = RecorderOptions { pictures: false, ..RecorderOptions::simulation(dir.path()) };
+    let mut recorder = Recorder::start(options, run_header()).unwrap();
+    let depth = hal::DepthMap::from_vec(2, 1, vec![1.0, 2.0]);
+    let turn = RecordedTick { truth: depth.clone(), snapshot: Some(vec![9]), ..some_tick(0) };
+    recorder.record(turn, Views { depth, ..Views::default() }).unwrap();
+    recorder.finish().unwrap();
+    let reader = RecordingReader::open(std::fs::File::open(dir.path().join(segment_name(0))).unwrap()).unwrap();
+    assert!(!reader.header().run.pictures);
+    let ticks: Vec<_> = reader.map(Result::unwrap).collect();
+    assert!(ticks[0].frame.is_none() && ticks[0].truth.is_none() && ticks[0].snapshot.is_none());
+    let bytes = std::fs::read(dir.path().join(segment_name(0))).unwrap();
+    for topic in ["/camera/image", "/depth", "/camera/truth_depth", "/robot/snapshot"] {
+        assert!(!bytes.windows(topic.len()).any(|window| window == topic.as_bytes()), "{topic}");
     }
-    recorder.record(some_tick(tick), Views::default()).unwrap();
-    assert!(recorder.dropped() >= 2);
-    assert!(matches!(recorder.finish(), Err(RecordError::Write { .. })));
-    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0, "nothing half-written is left");
 }
 
 #[test]

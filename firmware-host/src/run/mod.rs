@@ -30,7 +30,7 @@ use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGUSR2};
 use crate::cli::RunArgs;
 use crate::config::Config;
 
-use crate::record::{FaultyDisk, FileSystem, Recorder, RecorderOptions};
+use crate::record::{FaultyDisk, FileSystem, Quota, Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
 use crate::report::latency::Stage;
 use crate::report::summary::{Summary, peak_resident_mib};
@@ -156,9 +156,20 @@ fn recorder(args: &RunArgs, config: &Config, header: RunHeader, faults: &Faults)
     let options = RecorderOptions {
         segment_ns: (config.recording.segment_s * 1e9) as u64,
         segment_bytes: config.recording.segment_mib << 20,
+        quota: Some(quota(args, config)?),
+        pictures: config.recording.pictures,
         ..RecorderOptions::robot(&args.out)
     };
     Ok(Recorder::start_on(Box::new(FaultyDisk::new(FileSystem, faults)), options, header)?)
+}
+
+/// The runs beside this one are the robot's buffer.
+fn quota(args: &RunArgs, config: &Config) -> Result<Quota> {
+    let out = std::path::absolute(&args.out).context("the working directory is gone")?;
+    let buffer = out.parent().unwrap_or(&out).to_owned();
+    let bytes = |gib: f64| (gib * (1u64 << 30) as f64) as u64;
+    let most = Some(bytes(config.recording.quota_gib)).filter(|most| *most > 0);
+    Ok(Quota { buffer, bytes: most, free_bytes: bytes(config.recording.free_gib) })
 }
 
 fn report(
@@ -187,6 +198,9 @@ fn report(
             summary.recording_mib = Some(recording.bytes as f64 / f64::from(1 << 20));
             summary.recording_digest = Some(recording.inputs_digest);
             summary.digest = Some(recording.decisions_digest);
+            if let Some(failure) = recording.failure {
+                eprintln!("warning: the end of the run was not recorded: {failure}");
+            }
         }
         // The robot drove on; its summary says what it can.
         Some(Err(error)) => eprintln!("warning: {error}"),

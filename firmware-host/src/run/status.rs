@@ -122,8 +122,12 @@ pub struct RecordingStatus {
     pub folder: Option<String>,
     /// Turns that are not in it.
     pub dropped: u64,
-    /// Why nothing is recorded any more, if so.
+    /// Why nothing is recorded now, if so.
     pub failure: Option<String>,
+    /// Older segments that had to make room.
+    pub removed: u64,
+    /// Of these, how many nobody had pulled.
+    pub removed_unpulled: u64,
 }
 
 impl Status {

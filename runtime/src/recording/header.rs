@@ -34,6 +34,9 @@ pub struct RunHeader {
     /// Seed of everything random in that.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub fault_seed: Option<u64>,
+    /// Whether its pictures were recorded: without them nothing can be recomputed.
+    #[serde(skip_serializing_if = "Clone::clone", default = "yes")]
+    pub pictures: bool,
     /// Intrinsics of the pictures that the loop gets.
     #[serde(with = "json::camera_model")]
     pub camera: CameraModel,
@@ -45,6 +48,10 @@ pub struct RunHeader {
     pub t_base_laser: Pose3,
     /// The whole effective configuration.
     pub config: serde_json::Value,
+}
+
+fn yes() -> bool {
+    true
 }
 
 /// Turns before which the robot gets a newly trained model.

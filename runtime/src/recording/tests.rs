@@ -11,6 +11,7 @@ use crate::tick::{Command, Decision, SafetyReport};
 
 pub(super) fn run_header() -> RunHeader {
     RunHeader {
+        pictures: true,
         written_by: "test 0.0.0".to_owned(),
         seed: 7,
         scene: Some("builtin:house?seed=3".to_owned()),

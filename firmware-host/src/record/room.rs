@@ -1,0 +1,238 @@
+//! Room on the disk: the oldest segments go first, so that the newest can be written.
+
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use super::disk::Disk;
+use super::segments::is_segment_name;
+use crate::replay::open_segment;
+
+/// Beside a segment: it is at the workstation.
+pub const PULLED: &str = "pulled";
+/// Beside a segment: it is never removed.
+pub const KEEP: &str = "keep";
+
+/// How much of the disk recordings may take.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Quota {
+    /// Holds the runs, each in a folder of its own.
+    pub buffer: PathBuf,
+    /// All segments of all runs together, bytes; `None`: as much as there is.
+    pub bytes: Option<u64>,
+    /// So much of the disk stays free, bytes.
+    pub free_bytes: u64,
+}
+
+/// What had to go.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Removed {
+    /// Segments.
+    pub segments: u64,
+    /// Of these, how many were nowhere else.
+    pub not_pulled: u64,
+    /// Their size together.
+    pub bytes: u64,
+}
+
+struct Segment {
+    path: PathBuf,
+    bytes: u64,
+    written: SystemTime,
+    pulled: bool,
+}
+
+/// Removes segments until the quota is kept: first those that were pulled, then the others, the oldest first. What is marked
+/// [`KEEP`] stays, and so does what a simulation recorded. Nothing may be open for writing.
+pub(super) fn make_room(disk: &mut dyn Disk, quota: &Quota) -> Removed {
+    let mut segments = segments(&quota.buffer);
+    let mut total: u64 = segments.iter().map(|segment| segment.bytes).sum();
+    let mut removed = Removed::default();
+    segments.retain(|segment| !mark(&segment.path, KEEP).exists());
+    segments.sort_by(|a, b| (!a.pulled, a.written, &a.path).cmp(&(!b.pulled, b.written, &b.path)));
+    for segment in segments {
+        // A disk that does not say how full it is counts as having room: the next write will tell.
+        let free = disk.free_bytes(&quota.buffer).unwrap_or(u64::MAX);
+        if quota.bytes.is_none_or(|most| total <= most) && free >= quota.free_bytes {
+            break;
+        }
+        if is_simulated(&segment.path) {
+            continue;
+        }
+        if let Err(error) = disk.remove(&segment.path) {
+            tracing::warn!("cannot remove {} to make room: {error}", segment.path.display());
+            continue;
+        }
+        // Without its segment a mark says nothing.
+        let _ = disk.remove(&mark(&segment.path, PULLED));
+        tracing::info!("removed {} to make room", segment.path.display());
+        total -= segment.bytes;
+        removed.segments += 1;
+        removed.not_pulled += u64::from(!segment.pulled);
+        removed.bytes += segment.bytes;
+    }
+    removed
+}
+
+/// `recording_0007.mcap.keep` beside `recording_0007.mcap`.
+fn mark(segment: &Path, mark: &str) -> PathBuf {
+    PathBuf::from(format!("{}.{mark}", segment.display()))
+}
+
+fn segments(buffer: &Path) -> Vec<Segment> {
+    let entries = |dir: &Path| std::fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
+    let files = entries(buffer)
+        .filter(|run| run.file_type().is_ok_and(|kind| kind.is_dir()))
+        .flat_map(|run| entries(&run.path()));
+    files
+        .filter(|file| file.file_name().to_str().is_some_and(is_segment_name))
+        .filter_map(|file| {
+            let metadata = file.metadata().ok().filter(std::fs::Metadata::is_file)?;
+            let (path, pulled) = (file.path(), mark(&file.path(), PULLED).exists());
+            Some(Segment { path, bytes: metadata.len(), written: metadata.modified().ok()?, pulled })
+        })
+        .collect()
+}
+
+/// A simulation's recording lies where somebody put it, and is nobody's buffer.
+fn is_simulated(segment: &Path) -> bool {
+    open_segment(segment).is_ok_and(|reader| reader.header().run.scene.is_some())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+
+    use runtime::recording::Views;
+
+    use super::super::disk::{FileSystem, SegmentFile};
+    use super::super::tests::{run_header, some_tick};
+    use super::super::{Recorder, RecorderOptions, segment_name};
+    use super::*;
+
+    /// Says that so many bytes are free, more with everything that is removed.
+    struct NearlyFull {
+        free: u64,
+        each: u64,
+    }
+
+    impl Disk for NearlyFull {
+        fn create(&mut self, path: &Path) -> io::Result<Box<dyn SegmentFile>> {
+            FileSystem.create(path)
+        }
+
+        fn remove(&mut self, path: &Path) -> io::Result<()> {
+            FileSystem.remove(path)?;
+            self.free += if path.extension().is_some_and(|end| end == "mcap") { self.each } else { 0 };
+            Ok(())
+        }
+
+        fn free_bytes(&self, _path: &Path) -> io::Result<u64> {
+            Ok(self.free)
+        }
+    }
+
+    /// A run of `segments` segments in `buffer`, older than what is recorded after it.
+    fn recorded(buffer: &Path, run: &str, segments: u64, scene: Option<&str>) {
+        let options = RecorderOptions { segment_ns: 1, ..RecorderOptions::simulation(buffer.join(run)) };
+        let header = runtime::recording::RunHeader { scene: scene.map(str::to_owned), ..run_header() };
+        let mut recorder = Recorder::start(options, header).unwrap();
+        (0..segments).for_each(|tick| recorder.record(some_tick(tick), Views::default()).unwrap());
+        recorder.finish().unwrap();
+        // Files of one test are made faster than some file systems tell times apart.
+        for segment in 0..segments {
+            let file = std::fs::File::options()
+                .append(true)
+                .open(buffer.join(run).join(segment_name(segment as u32)))
+                .unwrap();
+            let number = run.bytes().map(u64::from).sum::<u64>() * 100 + segment;
+            file.set_modified(SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(number)).unwrap();
+        }
+    }
+
+    fn left(buffer: &Path) -> Vec<String> {
+        let name = |segment: &Segment| segment.path.strip_prefix(buffer).unwrap().display().to_string();
+        let mut left: Vec<String> = segments(buffer).iter().map(name).collect();
+        left.sort();
+        left
+    }
+
+    fn quota(buffer: &Path, free_bytes: u64) -> Quota {
+        Quota { buffer: buffer.to_owned(), bytes: None, free_bytes }
+    }
+
+    #[test]
+    fn the_oldest_segments_of_all_runs_go_first_and_no_more_than_needed() {
+        let buffer = tempfile::tempdir().unwrap();
+        recorded(buffer.path(), "b", 2, None);
+        recorded(buffer.path(), "a", 2, None);
+        let removed = make_room(&mut NearlyFull { free: 0, each: 10 }, &quota(buffer.path(), 25));
+        assert_eq!((removed.segments, removed.not_pulled), (3, 3));
+        assert_eq!(left(buffer.path()), ["b/recording_0001.mcap"]);
+    }
+
+    #[test]
+    fn what_was_pulled_goes_before_what_is_nowhere_else_and_what_is_kept_stays() {
+        let buffer = tempfile::tempdir().unwrap();
+        recorded(buffer.path(), "a", 4, None);
+        let mark = |segment: u32, kind| {
+            std::fs::write(mark(&buffer.path().join("a").join(segment_name(segment)), kind), "").unwrap()
+        };
+        mark(3, PULLED);
+        mark(0, KEEP);
+        let removed = make_room(&mut NearlyFull { free: 0, each: 10 }, &quota(buffer.path(), 15));
+        assert_eq!((removed.segments, removed.not_pulled), (2, 1));
+        assert_eq!(left(buffer.path()), ["a/recording_0000.mcap", "a/recording_0002.mcap"]);
+        make_room(&mut NearlyFull { free: 0, each: 10 }, &quota(buffer.path(), u64::MAX));
+        assert_eq!(left(buffer.path()), ["a/recording_0000.mcap"]);
+        assert!(!buffer.path().join("a/recording_0003.mcap.pulled").exists(), "a mark goes with its segment");
+    }
+
+    #[test]
+    fn all_segments_together_stay_below_the_quota() {
+        let buffer = tempfile::tempdir().unwrap();
+        recorded(buffer.path(), "a", 5, None);
+        let bytes: u64 = segments(buffer.path()).iter().map(|segment| segment.bytes).sum();
+        let quota = Quota { bytes: Some(bytes / 2), ..quota(buffer.path(), 0) };
+        make_room(&mut FileSystem, &quota);
+        let left: u64 = segments(buffer.path()).iter().map(|segment| segment.bytes).sum();
+        assert!(left <= bytes / 2 && left >= bytes / 5, "{left} of {bytes}");
+    }
+
+    #[test]
+    fn nothing_else_is_ever_removed() {
+        let buffer = tempfile::tempdir().unwrap();
+        recorded(buffer.path(), "simulated", 2, Some("builtin:house"));
+        let others = ["notes.txt", "a/map.png", "a/recording_0000.mcap.part", "a/sub/recording_0000.mcap"];
+        for other in others {
+            let path = buffer.path().join(other);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, "mine").unwrap();
+        }
+        let elsewhere = tempfile::tempdir().unwrap();
+        recorded(elsewhere.path(), "a", 1, None);
+        let linked = buffer.path().join("linked");
+        std::os::unix::fs::symlink(elsewhere.path().join("a"), &linked).unwrap();
+        let removed = make_room(&mut NearlyFull { free: 0, each: 0 }, &quota(buffer.path(), u64::MAX));
+        assert_eq!(removed, Removed::default());
+        assert!(others.iter().all(|other| buffer.path().join(other).exists()));
+        assert_eq!(left(elsewhere.path()).len(), 1);
+    }
+
+    #[test]
+    fn a_robot_that_records_on_a_full_disk_makes_room_before_every_segment() {
+        let buffer = tempfile::tempdir().unwrap();
+        recorded(buffer.path(), "a", 3, None);
+        let options = RecorderOptions {
+            segment_ns: 1_000_000_000,
+            quota: Some(quota(buffer.path(), 15)),
+            queue_ticks: 100,
+            ..RecorderOptions::robot(buffer.path().join("new"))
+        };
+        let disk = NearlyFull { free: 0, each: 10 };
+        let mut recorder = Recorder::start_on(Box::new(disk), options, run_header()).unwrap();
+        (0..30).for_each(|tick| recorder.record(some_tick(tick), Views::default()).unwrap());
+        let summary = recorder.finish().unwrap();
+        assert_eq!((summary.removed.segments, summary.ticks), (2, 30));
+        assert_eq!(left(buffer.path())[0], "a/recording_0002.mcap");
+    }
+}
