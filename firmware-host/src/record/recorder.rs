@@ -125,7 +125,9 @@ pub struct Recorder {
 pub struct Word {
     /// Why nothing is recorded now, if so.
     pub failure: Option<String>,
-    /// Turns that were lost meanwhile.
+    /// Turns that were taken out of the queue.
+    pub taken: u64,
+    /// Of these, how many were lost.
     pub lost: u64,
     /// Older segments that had to make room.
     pub removed: Removed,
@@ -320,11 +322,13 @@ fn write_if_possible(segments: &mut Segments, turn: &Turn, word: &Mutex<Word>) {
     let Turn { tick, views, may_begin } = turn;
     let failing = lock(word).failure.is_some();
     if failing && !may_begin {
+        lock(word).taken += 1;
         lock(word).lost += 1;
         return;
     }
     let written = segments.write(tick, views);
     let mut word = lock(word);
+    word.taken += 1;
     word.removed = segments.summary().removed;
     match written {
         Ok(()) if failing => {

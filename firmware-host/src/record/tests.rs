@@ -411,3 +411,140 @@ fn a_cut_leaves_whole_files_while_the_run_goes_on() {
     assert_eq!(read_all(dir.path()).len(), 6);
     assert_eq!(recorder.finish().unwrap().ticks, 6);
 }
+
+/// A disk on which one operation fails, and perhaps all after it.
+#[derive(Clone)]
+struct FailingDisk {
+    /// Operations until the failure.
+    left: Arc<AtomicU64>,
+    error: io::ErrorKind,
+    for_good: bool,
+}
+
+impl FailingDisk {
+    fn operation(&self) -> io::Result<()> {
+        let left = self.left.load(Ordering::SeqCst);
+        let fails = left == 1 || (left == 0 && self.for_good);
+        self.left.store(left.saturating_sub(1), Ordering::SeqCst);
+        if fails { Err(self.error.into()) } else { Ok(()) }
+    }
+}
+
+struct FailingFile {
+    file: Box<dyn SegmentFile>,
+    disk: FailingDisk,
+}
+
+impl Disk for FailingDisk {
+    fn create(&mut self, path: &Path) -> io::Result<Box<dyn SegmentFile>> {
+        self.operation()?;
+        Ok(Box::new(FailingFile { file: FileSystem.create(path)?, disk: self.clone() }))
+    }
+
+    fn remove(&mut self, path: &Path) -> io::Result<()> {
+        self.operation()?;
+        FileSystem.remove(path)
+    }
+
+    fn free_bytes(&self, path: &Path) -> io::Result<u64> {
+        self.operation()?;
+        FileSystem.free_bytes(path)
+    }
+}
+
+impl Write for FailingFile {
+    fn write(&mut self, data: &[u8]) -> io::Result<usize> {
+        self.disk.operation()?;
+        self.file.write(data)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl SegmentFile for FailingFile {
+    fn truncate(&mut self, len: u64) -> io::Result<()> {
+        self.disk.operation()?;
+        self.file.truncate(len)
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        // Not really: nobody pulls the plug here, and it takes long.
+        self.disk.operation()
+    }
+}
+
+/// What is in the folder: turns of whole or cut segments. Nothing may be corrupt.
+fn turns_on_disk(dir: &Path) -> Vec<RecordedTick> {
+    let mut paths: Vec<_> = std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    let mut ticks = Vec::new();
+    for path in paths {
+        match RecordingReader::open(std::fs::File::open(&path).unwrap()) {
+            Ok(reader) => {
+                for tick in reader {
+                    match tick {
+                        Ok(tick) => ticks.push(tick),
+                        Err(error) => assert!(error.is_truncation(), "{}: {error}", path.display()),
+                    }
+                }
+            }
+            // Cut before its first chunk, on a disk that does not even let it be removed.
+            Err(error) => assert!(error.is_truncation() || std::fs::metadata(&path).unwrap().len() < 8, "{error}"),
+        }
+    }
+    ticks
+}
+
+#[test]
+fn whichever_operation_of_the_disk_fails_the_robot_goes_on_and_what_is_recorded_is_sound() {
+    const TURNS: u64 = 130;
+    let mut failed = 0;
+    let errors = [io::ErrorKind::StorageFull, io::ErrorKind::Other, io::ErrorKind::ReadOnlyFilesystem];
+    // The first operation is the creation of the first file, which ends the start.
+    for (operation, error) in (2..34).zip(errors.into_iter().cycle()) {
+        for for_good in [false, true] {
+            let dir = tempfile::tempdir().unwrap();
+            let disk = FailingDisk { left: Arc::new(AtomicU64::new(operation)), error, for_good };
+            let quota = Quota { buffer: dir.path().to_owned(), bytes: None, free_bytes: 0 };
+            let options = RecorderOptions {
+                segment_ns: 4_000_000_000,
+                queue_ticks: 1000,
+                quota: Some(quota),
+                ..RecorderOptions::robot(dir.path().join("run"))
+            };
+            let mut recorder = Recorder::start_on(Box::new(disk), options, run_header()).unwrap();
+            for tick in 0..TURNS {
+                hand_over(&mut recorder, tick);
+                // As slow as a robot: otherwise all turns wait in the queue before the first failure is known.
+                wait_for(&recorder, |word| word.taken == tick + 1);
+            }
+            let case = format!("{error:?} at operation {operation}, for good: {for_good}");
+            let (lost, ticks) = match recorder.finish() {
+                Ok(summary) => (summary.dropped, turns_on_disk(&dir.path().join("run"))),
+                // The very last operation, the index of the last segment: its turns are there.
+                Err(_) => (0, turns_on_disk(&dir.path().join("run"))),
+            };
+            assert!(ticks.iter().is_sorted_by_key(|tick| tick.tick), "{case}");
+            assert!(
+                ticks.iter().all(|tick| RecordedTick { snapshot: None, ..tick.clone() } == some_tick(tick.tick)),
+                "{case}"
+            );
+            // A failure costs the chunk that was being written and what came until the next try.
+            assert!(for_good || ticks.len() as u64 + lost + 11 >= TURNS, "{case}: {} turns, {lost} lost", ticks.len());
+            assert!(for_good || ticks.len() >= 15, "{case}: {}", ticks.len());
+            failed += u64::from(lost > 0);
+        }
+    }
+    assert!(failed > 20, "{failed}");
+}
+
+#[test]
+fn a_directory_that_cannot_be_written_ends_the_start_with_a_way_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let disk =
+        FailingDisk { left: Arc::new(AtomicU64::new(1)), error: io::ErrorKind::ReadOnlyFilesystem, for_good: true };
+    let error = Recorder::start_on(Box::new(disk), RecorderOptions::robot(dir.path()), run_header()).err().unwrap();
+    assert!(matches!(error, RecordError::Create { .. }) && error.to_string().contains("--out"), "{error}");
+}
