@@ -6,6 +6,7 @@ use std::process::Output;
 
 use assert_cmd::Command;
 use firmware_host::replay::rewrite;
+use hal::Clock;
 use tempfile::TempDir;
 
 const SMALL: &str = "[camera]\nwidth = 160\nheight = 64\n";
@@ -319,4 +320,83 @@ fn a_fault_that_there_is_not_is_refused_with_what_there_is() {
     assert_eq!(output.status.code(), Some(2));
     let error = text(&output.stderr);
     assert!(error.contains("`lidar` has no fault `explode`; it has delay, drop"), "{error}");
+}
+
+/// Segments of two seconds, so that there are some to begin at.
+const SHORT_SEGMENTS: &str = "[camera]\nwidth = 160\nheight = 64\n[recording]\nsegment_s = 2.0\n";
+
+#[test]
+fn a_replay_begins_where_it_is_told_to_and_without_the_first_segments() {
+    let dir = TempDir::new().unwrap();
+    let config = dir.path().join("short.toml");
+    std::fs::write(&config, SHORT_SEGMENTS).unwrap();
+    let out = dir.path().join("run");
+    let arguments = ["explore", "--frames", "90", "--config", config.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let run = firmware_host(&[&arguments[..], &HOME].concat());
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    let replayed = |more: &[&str]| {
+        let replay = firmware_host(&[&["replay", out.to_str().unwrap()], more].concat());
+        assert!(replay.status.success(), "{}", text(&replay.stdout));
+        text(&replay.stdout)
+    };
+    assert_eq!(
+        replayed(&["--from", "4.5s"]),
+        "from the snapshot of turn 40 at 4.000 s\nreplay: ticks=50 mismatches=0\n"
+    );
+    std::fs::remove_file(out.join("recording_0000.mcap")).unwrap();
+    assert_eq!(replayed(&[]), "from the snapshot of turn 20 at 2.000 s\nreplay: ticks=70 mismatches=0\n");
+}
+
+#[test]
+fn the_seconds_around_a_moment_become_a_file_that_replays_alone() {
+    let dir = TempDir::new().unwrap();
+    let (run, out) = explore(&dir, "run", &HOME);
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    let file = dir.path().join("bug.mcap");
+    let arguments = ["reproduce", out.to_str().unwrap(), "--at", "30", "--before", "1", "--after", "0.5"];
+    let arguments = [&arguments[..], &["--out", file.to_str().unwrap()]].concat();
+    let made = firmware_host(&arguments);
+    let said = text(&made.stdout);
+    assert!(made.status.success() && said.contains("16 turns") && said.contains("ticks=16 mismatches=0"), "{said}");
+    let replay = firmware_host(&["replay", file.to_str().unwrap()]);
+    assert!(replay.status.success(), "{}", text(&replay.stdout));
+    let again = firmware_host(&arguments);
+    assert!(!again.status.success() && text(&again.stderr).contains("is there already"), "{}", text(&again.stderr));
+}
+
+/// Set `KILLS` for more.
+#[test]
+fn killed_at_any_moment_the_recording_is_good_as_far_as_it_goes() {
+    let kills = std::env::var("KILLS").ok().and_then(|kills| kills.parse().ok()).unwrap_or(12);
+    let dir = TempDir::new().unwrap();
+    let config = dir.path().join("short.toml");
+    std::fs::write(&config, SHORT_SEGMENTS).unwrap();
+    let mut replayed = 0;
+    for kill in 0..kills {
+        let out = dir.path().join(kill.to_string());
+        let mut run = std::process::Command::new(assert_cmd::cargo::cargo_bin("firmware-host"))
+            .args(["explore", "--frames", "100000", "--config", config.to_str().unwrap()])
+            .args(["--scene", "builtin:apartment?seed=1", "--out", out.to_str().unwrap()])
+            .stdout(std::process::Stdio::null())
+            .stderr(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        // Not before it records, then after a time that differs from kill to kill by a prime's steps.
+        while !out.join("recording_0001.mcap").exists() {
+            std::thread::yield_now();
+        }
+        let mut clock = drivers::MonotonicClock;
+        let then_ns = clock.now_ns() + kill % 97 * 13_000_000;
+        clock.sleep_until_ns(then_ns);
+        run.kill().unwrap();
+        run.wait().unwrap();
+        let replay = firmware_host(&["replay", out.to_str().unwrap()]);
+        let said = text(&replay.stdout);
+        assert!(said.trim_end().ends_with("mismatches=0"), "kill {kill}: {said}");
+        let problem = said.lines().find(|line| line.starts_with("warning: "));
+        assert!(problem.is_none_or(|line| line.contains("truncated")), "kill {kill}: {said}");
+        replayed += said.matches("ticks=").count();
+        std::fs::remove_dir_all(out).unwrap();
+    }
+    assert_eq!(replayed as u64, kills);
 }

@@ -180,6 +180,14 @@ mod tests {
     }
 
     #[test]
+    fn a_bow_of_a_metre_is_no_straight_way() {
+        let robot = Footprint::new(0.16, &[]);
+        assert!(robot.gap_m([0.8, -0.12], &ahead(0.3, 0.0), 0.7).is_some());
+        assert_eq!(robot.gap_m([0.8, -0.12], &ahead(0.3, 0.3), 0.7), None, "it has turned away by then");
+        assert!(robot.gap_m([0.8, 0.4], &ahead(0.3, 0.3), 0.9).is_some());
+    }
+
+    #[test]
     fn what_lies_within_is_not_met_by_turning_and_what_is_on_the_way_of_a_corner_is() {
         assert!(!cart().meets_when_turned([0.0, 0.0], 3.0));
         let reach_m = cart().reach_m();
