@@ -9,6 +9,7 @@ pub mod mapping;
 pub mod network;
 pub mod peers;
 pub mod perception;
+pub mod recorder;
 pub mod report;
 pub mod simulator;
 pub mod trainer;
@@ -26,6 +27,7 @@ pub const ROOMS: &[(&str, Measure)] = &[
     ("perception", perception_rows),
     ("drivers", driver_rows),
     ("trainer", trainer::rows),
+    ("data", recorder::rows),
 ];
 
 /// From a device's bytes to a decision, and back to frames.

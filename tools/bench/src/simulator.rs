@@ -57,7 +57,7 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
 }
 
 /// 0.8 m above the floor, on a circle, looking all around.
-fn view(index: usize) -> Pose3 {
+pub(crate) fn view(index: usize) -> Pose3 {
     let angle = index as f64 / VIEWS as f64 * std::f64::consts::TAU;
     let (x, y) = (6.0 + 2.5 * angle.cos(), 4.5 + 2.0 * angle.sin());
     Pose2::new(x, y, 5.0 * angle).to_pose3() * camera_mount(0.0, 0.8, 0.0)
@@ -101,7 +101,7 @@ impl SingleRays {
 }
 
 /// Floor, walls and ceiling in 8 cm tiles, and a hundred round things of a thousand triangles each.
-fn hall() -> Scene {
+pub(crate) fn hall() -> Scene {
     let mut rng = Pcg64Mcg::seed_from_u64(7);
     let mut triangles = Vec::new();
     let [x, y, z] = HALL_M;
