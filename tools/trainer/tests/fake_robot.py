@@ -15,6 +15,7 @@ import numpy as np
 
 from embodied_depth_trainer.checkpoint import write_atomically
 from embodied_depth_trainer.frames import Frames
+from embodied_depth_trainer.recording import read_recording
 
 from .recordings import write_segment
 from .rooms import room
@@ -70,6 +71,12 @@ def dump(folder: Path, frames: Frames, begin: int) -> None:
     write_atomically(text.encode(), file)
 
 
+def perceive(options: argparse.Namespace) -> None:
+    """Of a run with seed 0."""
+    frames, _ = read_recording(options.recording)
+    dump(options.dump, walk(0, 0, len(frames)), 0)
+
+
 def views(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True)
     frames = room(options.count, SIZE, options.seed)
@@ -91,18 +98,20 @@ def views(options: argparse.Namespace) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("command", choices=("explore", "views"))
+    parser.add_argument("command", choices=("explore", "perceive", "views"))
     for name in ("--scene", "--policy", "--config"):
         parser.add_argument(name)
     for name in ("--seed", "--frames", "--first", "--every", "--count"):
         parser.add_argument(name, type=int)
-    for name in ("--out", "--hand-over", "--dump"):
+    for name in ("--out", "--hand-over", "--dump", "--recording"):
         parser.add_argument(name, type=Path)
     options = parser.parse_args()
     if options.scene == "nowhere":
         sys.exit("error: there is no nowhere")
     if options.command == "explore":
         explore(options)
+    elif options.command == "perceive":
+        perceive(options)
     else:
         views(options)
 

@@ -19,6 +19,8 @@ from .export_flow import FLOW_NETWORKS, FlowExport, export_flow
 from .loop_command import add_loop, run_loop_command
 from .past_frames import GAP
 from .results_command import add_jobs, add_results, run_jobs_command, run_results
+from .robot import find_firmware_host
+from .watch import WatchSettings, watch
 
 
 def parser() -> argparse.ArgumentParser:
@@ -65,6 +67,9 @@ def parser() -> argparse.ArgumentParser:
         calibrated.add_argument(name, type=Path, action="append", required=True, help="as of `train`; may be repeated")
     calibrated.add_argument("--every", type=int, default=1, help="only every so manieth picture [1]")
     calibrated.add_argument("--out", type=Path, required=True)
+    _add_watch(
+        commands.add_parser("watch", help="train on what pull-buffer brings, as it comes, and hand each network on")
+    )
     trained = commands.add_parser("export", help="a trained network as an ONNX file for the robot")
     trained.add_argument("--checkpoint", type=Path, required=True, help="checkpoint.pt of a training")
     trained.add_argument(
@@ -147,6 +152,20 @@ def _add_train(command: argparse.ArgumentParser) -> None:
     command.add_argument("--no-augmentation", action="store_true", help="neither change colours nor cut holes")
 
 
+def _add_watch(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--pulled", type=Path, required=True, help="folder that pull-buffer fills")
+    command.add_argument("--work", type=Path, required=True, help="what was done; a watch in it goes on from there")
+    command.add_argument("--firmware-host", type=Path, metavar="FILE", help="the robot's program [on the PATH]")
+    usual = WatchSettings(Path(), Path(), Path())
+    command.add_argument(
+        "--pictures", type=int, default=usual.pictures, help=f"so many new ones begin a round [{usual.pictures}]"
+    )
+    command.add_argument("--steps", type=int, default=usual.steps, help=f"of training a round [{usual.steps}]")
+    command.add_argument("--rounds", type=int, help="ends after so many [never]")
+    command.add_argument("--then", metavar="COMMAND", help="run with each network: 'push-model {} robot.local'")
+    command.add_argument("--threads", type=int, default=1, help="of the CPU [1]")
+
+
 def _add_evaluate(command: argparse.ArgumentParser) -> None:
     _add_frames(command)
     command.add_argument("--checkpoint", type=Path, help="of a training; without one, only what is trivial")
@@ -177,6 +196,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             run_jobs_command(options)
         elif options.command == "results":
             run_results(options)
+        elif options.command == "watch":
+            _watch(options)
         elif options.command == "calibrate":
             run_calibrate(options)
         elif options.command == "evaluate":
@@ -191,6 +212,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("interrupted; the same command goes on from the last checkpoint", file=sys.stderr)
         return 130
     return 0
+
+
+def _watch(options: argparse.Namespace) -> None:
+    torch.set_num_threads(options.threads)
+    watch(
+        WatchSettings(
+            pulled=options.pulled,
+            work=options.work,
+            robot=find_firmware_host(options.firmware_host),
+            pictures=options.pictures,
+            steps=options.steps,
+            then=options.then,
+            rounds=options.rounds,
+        )
+    )
 
 
 def _export(options: argparse.Namespace) -> float:
