@@ -69,7 +69,7 @@ pub fn run(arguments: &[String]) -> Result<()> {
     let mut mutants = command::cargo();
     // Few random cases and a shallower search: what only they notice is listed as missed.
     mutants.current_dir(&to).env("PROPTEST_CASES", "4").env_remove("RUST_BACKTRACE");
-    mutants.args(["mutants", "--in-place", "--file", "src/safety/*.rs", "--timeout", "120", "--cargo-test-arg=--lib"]);
+    mutants.args(["mutants", "--in-place", "--file", "src/safety/*.rs", "--timeout", "40", "--cargo-test-arg=--lib"]);
     command::run(mutants.args(arguments))
 }
 

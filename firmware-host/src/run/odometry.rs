@@ -6,6 +6,8 @@ use hal::{Pose2, WheelFeedback, wrap_angle};
 
 /// A second at 100 Hz.
 const REMEMBERED: usize = 100;
+/// No robot of this kind drives so far between two measurements, metres.
+const JUMP_M: f64 = 0.5;
 
 /// The latest measurements of the wheels.
 #[derive(Debug, Clone, Default)]
@@ -14,10 +16,16 @@ pub struct WheelHistory {
 }
 
 impl WheelHistory {
-    /// Adds a measurement. One that is older than the last begins the past anew: odometry was restarted.
+    /// Adds a measurement. One that was overtaken by a newer one is left out. One farther away than the robot can have driven
+    /// begins the past anew: odometry was restarted, and between the two there is no way.
     pub fn push(&mut self, wheel: WheelFeedback) {
-        if self.past.back().is_some_and(|last| wheel.time_ns <= last.time_ns) {
-            self.past.clear();
+        if let Some(last) = self.past.back() {
+            if wheel.time_ns <= last.time_ns {
+                return;
+            }
+            if last.odom.distance_m(&wheel.odom) > JUMP_M {
+                self.past.clear();
+            }
         }
         if self.past.len() == REMEMBERED {
             self.past.pop_front();
@@ -83,8 +91,18 @@ mod tests {
     #[test]
     fn odometry_that_begins_anew_forgets_the_past() {
         let mut past = WheelHistory::default();
-        past.push(at(20, 2.0, 0.0));
-        past.push(at(10, 0.0, 0.0));
-        assert_eq!(past.at(15).unwrap().time_ns, 10);
+        past.push(at(10, 2.0, 0.0));
+        past.push(at(20, 0.0, 0.0));
+        assert_eq!(past.at(15).unwrap().odom.x_m, 0.0, "not half-way between two frames");
+    }
+
+    #[test]
+    fn a_measurement_that_was_overtaken_changes_nothing() {
+        let mut past = WheelHistory::default();
+        past.push(at(10, 1.0, 0.0));
+        past.push(at(30, 1.2, 0.0));
+        past.push(at(20, 1.1, 0.0));
+        assert_eq!(past.newest().unwrap().time_ns, 30);
+        assert!((past.at(20).unwrap().odom.x_m - 1.1).abs() < 1e-12, "the past is still there");
     }
 }
