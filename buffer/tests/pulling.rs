@@ -8,7 +8,7 @@ use std::time::SystemTime;
 
 use buffer::pull::Options;
 use buffer::source::{Directory, Source};
-use buffer::{BufferError, Catalogue, Digest, Name, Pulled, Root};
+use buffer::{BufferError, Catalogue, Digest, Have, Name, Pulled, Receive, Root};
 use common::{FILES, assert_same, connect, pull_into, robot, segment};
 use tempfile::tempdir;
 
@@ -163,6 +163,21 @@ fn no_mark_leaves_the_robot_as_it_was() {
     assert_eq!(count(there.path()), before + 3);
 }
 
+/// Takes nothing.
+struct Nobody;
+
+impl Receive<BufferError> for Nobody {
+    fn start(&mut self, _from: u64, _length: u64) -> Result<(), BufferError> {
+        panic!("a file that is not there begins")
+    }
+    fn data(&mut self, _at: u64, _bytes: &[u8]) -> Result<(), BufferError> {
+        panic!("a file that is not there has data")
+    }
+    fn working(&mut self) -> Result<(), BufferError> {
+        Ok(())
+    }
+}
+
 #[test]
 fn links_and_odd_files_in_a_buffer_are_not_there() {
     let (there, here, secret) = (tempdir().unwrap(), tempdir().unwrap(), tempdir().unwrap());
@@ -182,7 +197,7 @@ fn links_and_odd_files_in_a_buffer_are_not_there() {
     for name in
         ["recording_0000.mcap", "linked/recording_0000.mcap", "tuesday/recording_0008.mcap", "tuesday/held_out/x.mcap"]
     {
-        let error = source.mark_pulled(&Name::parse(name).unwrap(), &Digest::of(b"")).unwrap_err().to_string();
+        let error = source.fetch(&Name::parse(name).unwrap(), Have::nothing(), &mut Nobody).unwrap_err().to_string();
         assert!(error.contains("refuses"), "{name}: {error}");
     }
 }

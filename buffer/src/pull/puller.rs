@@ -13,7 +13,7 @@ use super::part::{Part, Paths};
 use super::{Options, Report, Watch};
 use crate::catalogue::{Entry, State};
 use crate::digest::Digest;
-use crate::error::{BufferError, Kind};
+use crate::error::BufferError;
 use crate::name::FileKind;
 use crate::root::file_modified_ns;
 use crate::source::Source;
@@ -255,7 +255,7 @@ impl Work<'_, '_> {
         }
         match self.source.mark_pulled(&entry.name, digest) {
             Ok(()) => self.to.index.set_marked(entry.name.as_str()),
-            Err(error @ BufferError::Refused { .. }) if error.kind() != Kind::Disk => {
+            Err(error @ BufferError::Refused { .. }) => {
                 self.report.unmarked += 1;
                 self.watch.warns(&error.to_string());
             }

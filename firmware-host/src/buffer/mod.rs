@@ -2,7 +2,9 @@
 
 mod list;
 
+use std::fs::File;
 use std::io::{BufWriter, Write};
+use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -127,9 +129,10 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
 
 fn serve(dir: &Path) -> Result<()> {
     let root = Root::open(dir)?;
-    let (mut input, stdout) = (std::io::stdin().lock(), std::io::stdout().lock());
-    // A piece and its frame leave in one write.
-    let mut output = BufWriter::with_capacity(512 << 10, stdout);
+    let mut input = std::io::stdin().lock();
+    // Not Rust's own stdout, which looks for line ends in pictures. Pieces of data are larger than this buffer and pass it by.
+    let stdout = File::from(std::io::stdout().as_fd().try_clone_to_owned().context("stdout is closed")?);
+    let mut output = BufWriter::with_capacity(64 << 10, stdout);
     ::buffer::serve(&root, &mut input, &mut output).context("the connection broke off")?;
     output.flush().context("the connection broke off")
 }

@@ -2,6 +2,8 @@
 #![forbid(unsafe_code)]
 
 pub mod can;
+pub mod data;
+mod data_sshd;
 pub mod flow;
 pub mod imaging;
 pub mod lidar;
@@ -25,6 +27,7 @@ pub const ROOMS: &[(&str, Measure)] = &[
     ("network", network::rows),
     ("perception", perception_rows),
     ("drivers", driver_rows),
+    ("data", data::rows),
     ("trainer", trainer::rows),
 ];
 
