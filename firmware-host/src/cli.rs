@@ -37,6 +37,8 @@ pub enum Command {
     Health(HealthArgs),
     /// Check a configuration file and print what is in effect; with --devices, check what is connected.
     Check(CheckArgs),
+    /// What was recorded: list, verify, make cut segments whole, write in other layouts, serve to pull-buffer.
+    Buffer(BufferArgs),
 }
 
 /// Arguments of `explore`.
@@ -290,6 +292,65 @@ pub struct CheckArgs {
     /// moves. Exits with 1 unless all are well.
     #[arg(long, requires = "config")]
     pub devices: bool,
+}
+
+/// Arguments of `buffer`.
+#[derive(Debug, Args)]
+pub struct BufferArgs {
+    /// What to do with what was recorded.
+    #[command(subcommand)]
+    pub task: BufferTask,
+}
+
+/// What to do with what was recorded.
+#[derive(Debug, Subcommand)]
+pub enum BufferTask {
+    /// Every segment: size, time, turns, whole or cut, marks. Reads only the segments' ends.
+    List {
+        /// Directory with runs, or the --out folder of one.
+        dir: PathBuf,
+        /// For programs.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Read everything and say which segments are whole, cut or corrupt. Exits with 1 unless all are whole.
+    Verify {
+        /// Directory with runs, the --out folder of one, or one segment.
+        path: PathBuf,
+    },
+    /// Write a whole segment for each that is cut or corrupt: every message of every complete chunk. The originals stay.
+    Recover {
+        /// Directory with runs, the --out folder of one, or one segment.
+        path: PathBuf,
+        /// Folder for the whole segments, which get the names of the originals.
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+    },
+    /// Write one run in another layout.
+    Export {
+        /// The --out folder of a run, or one segment.
+        path: PathBuf,
+        /// Which.
+        #[arg(long = "as", value_enum, value_name = "LAYOUT")]
+        layout: ExportLayout,
+        /// File (mcap) or folder (tum) that is not there yet.
+        #[arg(long)]
+        out: PathBuf,
+    },
+    /// Answer pull-buffer on stdin and stdout; it starts this by ssh. Writes nothing but marks for what was pulled.
+    Serve {
+        /// Directory with runs, or the --out folder of one.
+        dir: PathBuf,
+    },
+}
+
+/// Layouts by their names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ExportLayout {
+    /// One plain MCAP file with an index.
+    Mcap,
+    /// The TUM RGB-D benchmark's layout, with odometry as poses; `perceive --dataset` reads it.
+    Tum,
 }
 
 /// Policies by their names.

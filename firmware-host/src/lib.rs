@@ -1,6 +1,7 @@
 //! What the binary on the robot is made of: configuration, wiring, command line, telemetry and reports.
 #![forbid(unsafe_code)]
 
+pub mod buffer;
 pub mod check;
 pub mod cli;
 pub mod config;

@@ -32,4 +32,4 @@ pub use error::RecordError;
 pub use faulty_disk::FaultyDisk;
 pub use recorder::{RETRY_NS, Recorder, RecorderOptions, RecordingSummary, WhenFull, Word, snapshot};
 pub use room::{KEEP, PULLED, Quota, Removed};
-pub use segments::{is_segment_name, segment_name};
+pub use segments::segment_name;

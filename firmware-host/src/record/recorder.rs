@@ -5,13 +5,14 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
+use buffer::is_segment_name;
 use runtime::recording::{RecordedTick, RunHeader, Views};
 use runtime::robot::Robot;
 
 use super::disk::{Disk, FileSystem};
 use super::error::RecordError;
 use super::room::{Quota, Removed};
-use super::segments::{Segments, is_segment_name, segment_name};
+use super::segments::{Segments, segment_name};
 
 /// What happens to a turn when the disk is slower than the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

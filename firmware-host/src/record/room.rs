@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use buffer::is_segment_name;
+
 use super::disk::Disk;
-use super::segments::is_segment_name;
 use crate::replay::open_segment;
 
 /// Beside a segment: it is at the workstation.
@@ -87,10 +88,16 @@ fn segments(buffer: &Path) -> Vec<Segment> {
         .filter(|file| file.file_name().to_str().is_some_and(is_segment_name))
         .filter_map(|file| {
             let metadata = file.metadata().ok().filter(std::fs::Metadata::is_file)?;
-            let (path, pulled) = (file.path(), mark(&file.path(), PULLED).exists());
+            let (path, pulled) = (file.path(), is_pulled(&file.path(), metadata.len()));
             Some(Segment { path, bytes: metadata.len(), written: metadata.modified().ok()?, pulled })
         })
         .collect()
+}
+
+/// Whether the workstation has it as it is: the mark says digest, bytes and time of what was pulled.
+fn is_pulled(segment: &Path, bytes: u64) -> bool {
+    let text = std::fs::read_to_string(mark(segment, PULLED)).unwrap_or_default();
+    text.split_ascii_whitespace().nth(1).and_then(|word| word.parse().ok()) == Some(bytes)
 }
 
 /// A simulation's recording lies where somebody put it, and is nobody's buffer.
@@ -174,11 +181,13 @@ mod tests {
     fn what_was_pulled_goes_before_what_is_nowhere_else_and_what_is_kept_stays() {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "a", 4, None);
-        let mark = |segment: u32, kind| {
-            std::fs::write(mark(&buffer.path().join("a").join(segment_name(segment)), kind), "").unwrap()
-        };
-        mark(3, PULLED);
-        mark(0, KEEP);
+        let segment = |number| buffer.path().join("a").join(segment_name(number));
+        let pulled =
+            |number, bytes| std::fs::write(mark(&segment(number), PULLED), format!("digest {bytes} 0\n")).unwrap();
+        pulled(3, segment(3).metadata().unwrap().len());
+        // It has grown since.
+        pulled(2, 1);
+        std::fs::write(mark(&segment(0), KEEP), "").unwrap();
         let removed = make_room(&mut NearlyFull { free: 0, each: 10 }, &quota(buffer.path(), 15));
         assert_eq!((removed.segments, removed.not_pulled), (2, 1));
         assert_eq!(left(buffer.path()), ["a/recording_0000.mcap", "a/recording_0002.mcap"]);

@@ -18,13 +18,6 @@ pub fn segment_name(segment: u32) -> String {
     format!("recording_{segment:04}.mcap")
 }
 
-/// Whether a file's name is that of a segment.
-#[must_use]
-pub fn is_segment_name(name: &str) -> bool {
-    let digits = name.strip_prefix("recording_").and_then(|rest| rest.strip_suffix(".mcap"));
-    digits.is_some_and(|digits| digits.len() >= 4 && digits.bytes().all(|byte| byte.is_ascii_digit()))
-}
-
 /// Writes turns into segments; lives on the recording thread.
 pub(super) struct Segments {
     options: RecorderOptions,
@@ -170,6 +163,8 @@ fn salvage(sink: Sink, path: &Path) {
 
 #[cfg(test)]
 mod tests {
+    use buffer::is_segment_name;
+
     use super::*;
 
     #[test]

@@ -4,9 +4,8 @@ use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 
+use buffer::is_segment_name;
 use runtime::recording::{RecordedTick, RecordingError, RecordingReader, RunHeader};
-
-use crate::record::is_segment_name;
 
 /// Why a run cannot be replayed (any further).
 #[derive(Debug, thiserror::Error)]

@@ -2,6 +2,8 @@
 #![forbid(unsafe_code)]
 
 pub mod can;
+pub mod data;
+mod data_sshd;
 pub mod flow;
 pub mod imaging;
 pub mod lidar;
@@ -27,13 +29,20 @@ pub const ROOMS: &[(&str, Measure)] = &[
     ("perception", perception_rows),
     ("drivers", driver_rows),
     ("trainer", trainer::rows),
-    ("data", recorder::rows),
+    ("data", data_rows),
 ];
 
 /// From a device's bytes to a decision, and back to frames.
 fn driver_rows() -> anyhow::Result<Vec<Row>> {
     let mut rows = lidar::rows()?;
     rows.extend(can::measure()?);
+    Ok(rows)
+}
+
+/// What is recorded, and how it comes to the workstation.
+fn data_rows() -> anyhow::Result<Vec<Row>> {
+    let mut rows = recorder::rows()?;
+    rows.extend(data::rows()?);
     Ok(rows)
 }
 

@@ -58,7 +58,9 @@ pub fn rows() -> Result<Vec<Row>> {
         mib_a_minute(bytes.1)
     );
     let row = Row::seconds(ROOM, "recorder: processor time of a second, 30 Hz 640x480, 40 Hz scans", Timing::of(ours));
-    Ok(vec![row.peer("mcap's writer as it comes, raw pictures", Timing::of(theirs).median).goal(0.15, 0.075).note(note)])
+    Ok(vec![
+        row.peer("mcap's writer as it comes, raw pictures", Timing::of(theirs).median).goal(0.15, 0.075).note(note),
+    ])
 }
 
 /// Of this process on all cores, seconds.

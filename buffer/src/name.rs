@@ -1,0 +1,209 @@
+//! Names of files in a buffer. Everything that comes from another computer passes through here before it meets a file
+//! system.
+
+use std::cmp::Ordering;
+use std::fmt;
+
+/// Longest name of a directory or file; file systems allow 255 and we append to it.
+const MAX_PART: usize = 128;
+
+const HELD_OUT_LIST: &str = "held_out.json";
+const HELD_OUT: &str = "held_out";
+
+/// What a file is by its name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum FileKind {
+    /// `recording_NNNN.mcap`.
+    Segment,
+    /// `held_out.json`.
+    HeldOutList,
+    /// `held_out/CLIP.mcap`.
+    Clip,
+}
+
+/// Why a name is refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{shown:?} names no file of a buffer, which are [RUN/]recording_NNNN.mcap, [RUN/]held_out.json and [RUN/]held_out/CLIP.mcap"
+)]
+pub struct BadName {
+    shown: String,
+}
+
+/// `[RUN/]recording_NNNN.mcap`, `[RUN/]held_out.json` or `[RUN/]held_out/CLIP.mcap`: relative, without `..`, without hidden
+/// parts. Sorts by run, then in the order of recording.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Name {
+    text: String,
+    kind: FileKind,
+}
+
+impl Name {
+    /// Checks a name.
+    ///
+    /// # Errors
+    /// [`BadName`] for everything that is not one of the three forms.
+    pub fn parse(text: &str) -> Result<Self, BadName> {
+        let bad = || BadName { shown: text.chars().take(200).collect() };
+        // Three parts at most; what is left of a longer name holds a slash, which no part may.
+        let parts: Vec<&str> = text.splitn(3, '/').collect();
+        if !parts.iter().all(|part| is_part(part)) {
+            return Err(bad());
+        }
+        let kind = match parts.as_slice() {
+            [HELD_OUT, clip] | [_, HELD_OUT, clip] if is_clip(clip) => FileKind::Clip,
+            [file] | [_, file] if is_segment_name(file) => FileKind::Segment,
+            [HELD_OUT_LIST] | [_, HELD_OUT_LIST] => FileKind::HeldOutList,
+            _ => return Err(bad()),
+        };
+        Ok(Self { text: text.to_owned(), kind })
+    }
+
+    /// The name with `/` between its parts.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.text
+    }
+
+    /// What it is.
+    #[must_use]
+    pub fn kind(&self) -> FileKind {
+        self.kind
+    }
+
+    /// The directory of its run; empty where the buffer is the run's directory itself.
+    #[must_use]
+    pub fn run(&self) -> &str {
+        let folder = self.folder();
+        match self.kind {
+            FileKind::Clip => folder.rsplit_once('/').map_or("", |(run, _)| run),
+            _ => folder,
+        }
+    }
+
+    /// All of its directories.
+    #[must_use]
+    pub fn folder(&self) -> &str {
+        self.text.rsplit_once('/').map_or("", |(folder, _)| folder)
+    }
+
+    /// The last part.
+    #[must_use]
+    pub fn file(&self) -> &str {
+        self.text.rsplit_once('/').map_or(&self.text, |(_, file)| file)
+    }
+
+    fn order(&self) -> (&str, usize, &str) {
+        // By length: segment 10000 comes after segment 9999.
+        (self.run(), self.file().len(), &self.text)
+    }
+}
+
+impl Ord for Name {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.order().cmp(&other.order())
+    }
+}
+
+impl PartialOrd for Name {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl fmt::Display for Name {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+/// Whether a file's name is that of a segment.
+#[must_use]
+pub fn is_segment_name(name: &str) -> bool {
+    let digits = name.strip_prefix("recording_").and_then(|rest| rest.strip_suffix(".mcap"));
+    digits.is_some_and(|digits| digits.len() >= 4 && digits.bytes().all(|byte| byte.is_ascii_digit()))
+}
+
+fn is_clip(name: &str) -> bool {
+    name.strip_suffix(".mcap").is_some_and(|stem| !stem.is_empty())
+}
+
+fn is_part(part: &str) -> bool {
+    !part.is_empty()
+        && part.len() <= MAX_PART
+        && !part.starts_with('.')
+        && !part.chars().any(|c| c == '/' || c == '\\' || c.is_control())
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn the_three_forms_are_names_with_or_without_a_run() {
+        for (text, kind, run, file) in [
+            ("recording_0000.mcap", FileKind::Segment, "", "recording_0000.mcap"),
+            ("monday 3/recording_12345.mcap", FileKind::Segment, "monday 3", "recording_12345.mcap"),
+            ("run/held_out.json", FileKind::HeldOutList, "run", "held_out.json"),
+            ("run/held_out/07.mcap", FileKind::Clip, "run", "07.mcap"),
+            ("held_out/07.mcap", FileKind::Clip, "", "07.mcap"),
+        ] {
+            let name = Name::parse(text).unwrap();
+            assert_eq!((name.kind(), name.run(), name.file(), name.as_str()), (kind, run, file, text));
+        }
+    }
+
+    #[test]
+    fn no_name_leads_out_of_the_buffer() {
+        for bad in [
+            "",
+            "/",
+            "..",
+            "../recording_0000.mcap",
+            "/recording_0000.mcap",
+            "/etc/passwd",
+            "run/../recording_0000.mcap",
+            "./recording_0000.mcap",
+            "run//recording_0000.mcap",
+            "a/b/recording_0000.mcap",
+            "a/b/c/recording_0000.mcap",
+            ".ssh/recording_0000.mcap",
+            "run/recording_0000.mcap/",
+            "run\\recording_0000.mcap/x",
+            "run/id_rsa",
+            "recording_0000.mcap.pulled",
+            "a\0/recording_0000.mcap",
+            "a\n/recording_0000.mcap",
+            "recording_00x0.mcap",
+            "run/held_out/.mcap",
+            "run/held_out/../recording_0000.mcap",
+            "run/held_out/a/b.mcap",
+        ] {
+            assert!(Name::parse(bad).is_err(), "{bad:?}");
+        }
+        assert!(Name::parse(&format!("{}/recording_0000.mcap", "r".repeat(129))).is_err());
+    }
+
+    #[test]
+    fn names_sort_in_the_order_of_recording() {
+        let mut names: Vec<Name> = ["b/recording_0000.mcap", "a/recording_10000.mcap", "a/recording_9999.mcap"]
+            .map(|text| Name::parse(text).unwrap())
+            .into();
+        names.sort();
+        let texts: Vec<&str> = names.iter().map(Name::as_str).collect();
+        assert_eq!(texts, ["a/recording_9999.mcap", "a/recording_10000.mcap", "b/recording_0000.mcap"]);
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_is_accepted_stays_below_where_it_is_joined(text in "[./a\\\\~]{0,6}(/|held_out|recording_0001.mcap|\\.\\.|\0)*") {
+            if let Ok(name) = Name::parse(&text) {
+                let path = std::path::Path::new(name.as_str());
+                prop_assert!(path.components().all(|part| matches!(part, std::path::Component::Normal(_))));
+                prop_assert!(path.components().count() <= 3);
+            }
+        }
+    }
+}

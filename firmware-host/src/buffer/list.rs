@@ -1,0 +1,81 @@
+//! `firmware-host buffer list`.
+
+use std::path::Path;
+
+use ::buffer::{Catalogue, Entry, FileKind, Pulled, State};
+use anyhow::{Result, ensure};
+use comfy_table::{CellAlignment, Table, presets::ASCII_MARKDOWN};
+use serde_json::{Value, json};
+
+pub(super) fn run(dir: &Path, as_json: bool) -> Result<()> {
+    let (_, catalogue) = Catalogue::open(dir)?;
+    if as_json {
+        let entries: Vec<Value> = catalogue.entries.iter().map(value).collect();
+        println!("{}", serde_json::to_string_pretty(&entries)?);
+        return Ok(());
+    }
+    ensure!(
+        !catalogue.runs().is_empty(),
+        "{} holds no recording_NNNN.mcap; give a directory with runs, or the --out directory of a run",
+        dir.display()
+    );
+    println!("{}", table(&catalogue));
+    let segments = || catalogue.entries.iter().filter(|entry| entry.name.kind() == FileKind::Segment);
+    let bytes: u64 = segments().map(|entry| entry.bytes).sum();
+    let pulled = segments().filter(|entry| entry.pulled_digest().is_some()).count();
+    println!("{} segments, {}, {pulled} of them pulled", segments().count(), megabytes(bytes));
+    Ok(())
+}
+
+fn table(catalogue: &Catalogue) -> Table {
+    let mut table = Table::new();
+    table.load_preset(ASCII_MARKDOWN);
+    table.set_header(["segment", "size", "from", "to", "turns", "events", "state", "marks"]);
+    for entry in catalogue.runs().into_values().flatten() {
+        table.add_row(cells(entry));
+    }
+    for column in 1..=5 {
+        if let Some(column) = table.column_mut(column) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    table
+}
+
+fn cells(entry: &Entry) -> [String; 8] {
+    let seconds = |ns: Option<u64>| ns.map_or_else(|| "-".to_owned(), |ns| format!("{:.1} s", ns as f64 * 1e-9));
+    let count = |number: Option<u64>| number.map_or_else(|| "-".to_owned(), |number| number.to_string());
+    [
+        entry.name.to_string(),
+        megabytes(entry.bytes),
+        seconds(entry.times.map(|times| times.first_ns)),
+        seconds(entry.times.map(|times| times.last_ns)),
+        count(entry.turns),
+        count(entry.events),
+        entry.state.word().to_owned(),
+        marks(entry).join(" "),
+    ]
+}
+
+fn marks(entry: &Entry) -> Vec<&'static str> {
+    let pulled = match entry.pulled {
+        Pulled::Yes(_) => Some("pulled"),
+        Pulled::Stale => Some("changed since pulled"),
+        Pulled::No => None,
+    };
+    entry.keep.then_some("keep").into_iter().chain(pulled).collect()
+}
+
+fn value(entry: &Entry) -> Value {
+    json!({
+        "name": entry.name.as_str(), "bytes": entry.bytes, "modified_ns": entry.modified_ns,
+        "first_ns": entry.times.map(|times| times.first_ns), "last_ns": entry.times.map(|times| times.last_ns),
+        "turns": entry.turns, "events": entry.events,
+        "state": match entry.state { State::Closed => "closed", State::Unindexed => "unindexed", State::Cut => "cut", State::Open => "open" },
+        "keep": entry.keep, "pulled": entry.pulled_digest(),
+    })
+}
+
+fn megabytes(bytes: u64) -> String {
+    format!("{:.1} MB", bytes as f64 * 1e-6)
+}

@@ -1,0 +1,138 @@
+//! `firmware-host buffer`: what the robot has recorded, and how it gets away.
+
+mod list;
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::os::fd::AsFd;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use ::buffer::{BufferError, Catalogue, Entry, FileKind, Finding, Root, State, export, recover_file, verify};
+use anyhow::{Context, Result, bail};
+
+use crate::cli::{BufferArgs, BufferTask, ExportLayout};
+
+/// Does what was asked.
+///
+/// # Errors
+/// When the buffer cannot be read or the result not be written.
+pub fn run(args: &BufferArgs) -> Result<ExitCode> {
+    match &args.task {
+        BufferTask::List { dir, json } => list::run(dir, *json).map(|()| ExitCode::SUCCESS),
+        BufferTask::Verify { path } => verify_all(path),
+        BufferTask::Recover { path, out } => recover_all(path, out),
+        BufferTask::Export { path, layout, out } => export_run(path, *layout, out).map(|()| ExitCode::SUCCESS),
+        BufferTask::Serve { dir } => serve(dir).map(|()| ExitCode::SUCCESS),
+    }
+}
+
+/// The segments below a buffer, of a run, or the one file.
+fn segments(path: &Path) -> Result<(Root, Vec<Entry>), BufferError> {
+    let is_file = path.is_file();
+    let dir =
+        if is_file { path.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new(".")) } else { path };
+    let (root, catalogue) = Catalogue::open(dir)?;
+    let asked = |entry: &Entry| {
+        let file = entry.name.run().is_empty() && path.file_name().is_some_and(|file| file == entry.name.file());
+        entry.name.kind() == FileKind::Segment && (!is_file || file)
+    };
+    let entries: Vec<Entry> = catalogue.entries.into_iter().filter(asked).collect();
+    if entries.is_empty() {
+        let text = format!(
+            "{} holds no recording_NNNN.mcap; give a directory with runs, the --out directory of a run, or one segment",
+            path.display()
+        );
+        return Err(BufferError::Usage(text));
+    }
+    Ok((root, entries))
+}
+
+/// Reads everything; exit code 1 unless all segments are whole.
+fn verify_all(path: &Path) -> Result<ExitCode> {
+    let (root, entries) = segments(path)?;
+    let mut bad = 0;
+    for entry in &entries {
+        let file = root.open_file(&entry.name).with_context(|| format!("cannot open {}", entry.name))?;
+        let verified = verify(&file).with_context(|| format!("cannot read {}", entry.name))?;
+        let found = match &verified.finding {
+            Finding::Whole => "whole".to_owned(),
+            Finding::Unindexed => "whole, without an index".to_owned(),
+            Finding::Cut { at } => {
+                let what = if entry.state == State::Open { "still being written" } else { "cut" };
+                format!("{what}: complete up to byte {at} of {}", entry.bytes)
+            }
+            Finding::Corrupt { at, detail } => format!("CORRUPT at byte {at}: {detail}"),
+        };
+        bad +=
+            u32::from(!matches!(verified.finding, Finding::Whole | Finding::Unindexed) && entry.state != State::Open);
+        let until = verified.last_ns.map_or_else(String::new, |ns| format!(", until {:.3} s", ns as f64 * 1e-9));
+        println!("{}: {found}; {} turns{until}; blake3 {}", entry.name, verified.turns, verified.digest);
+    }
+    if bad > 0 {
+        println!("{bad} of {} segments are not whole; `buffer recover` keeps what is good of them", entries.len());
+    }
+    Ok(if bad == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Writes a whole segment for each that is not, into the same places below `out`.
+fn recover_all(path: &Path, out: &Path) -> Result<ExitCode> {
+    let (root, entries) = segments(path)?;
+    let mut recovered = 0;
+    for entry in &entries {
+        let file = root.open_file(&entry.name).with_context(|| format!("cannot open {}", entry.name))?;
+        match verify(&file).with_context(|| format!("cannot read {}", entry.name))?.finding {
+            Finding::Whole => continue,
+            _ if entry.state == State::Open => {
+                println!("{}: still being written, left alone", entry.name);
+                continue;
+            }
+            _ => {}
+        }
+        let to = out.join(entry.name.as_str());
+        std::fs::create_dir_all(to.parent().unwrap_or(out))
+            .with_context(|| format!("cannot make {}", out.display()))?;
+        let done = recover_file(&file, &root.path().join(entry.name.as_str()), &to)?;
+        let lost =
+            if done.bad_chunks > 0 { format!(", {} broken chunks left out", done.bad_chunks) } else { String::new() };
+        let end = done.last_ns.map_or_else(String::new, |ns| format!(", until {:.3} s", ns as f64 * 1e-9));
+        println!("{}: {} turns{end}{lost}", to.display(), done.turns);
+        recovered += 1;
+    }
+    println!("{recovered} recovered, {} were whole or are being written", entries.len() - recovered);
+    Ok(ExitCode::SUCCESS)
+}
+
+fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
+    let (root, entries) = segments(path)?;
+    if let Some(other) = entries.iter().find(|entry| entry.name.run() != entries[0].name.run()) {
+        let first = entries[0].name.run();
+        bail!(
+            "{} holds several runs ({first:?}, {:?}, ...); give the directory of one",
+            path.display(),
+            other.name.run()
+        );
+    }
+    let files: Vec<PathBuf> = entries.iter().map(|entry| root.path().join(entry.name.as_str())).collect();
+    match layout {
+        ExportLayout::Mcap => {
+            let done = export::joined(&files, out)?;
+            println!("{}: {} turns, {} messages", out.display(), done.turns, done.messages);
+        }
+        ExportLayout::Tum => {
+            let done = export::tum(&files, out)?;
+            println!("{}: {} pictures, {} left out without a pose", out.display(), done.pictures, done.without_pose);
+        }
+    }
+    Ok(())
+}
+
+fn serve(dir: &Path) -> Result<()> {
+    let root = Root::open(dir)?;
+    let mut input = std::io::stdin().lock();
+    // Not Rust's own stdout, which looks for line ends in pictures. Pieces of data are larger than this buffer and pass it by.
+    let stdout = File::from(std::io::stdout().as_fd().try_clone_to_owned().context("stdout is closed")?);
+    let mut output = BufWriter::with_capacity(64 << 10, stdout);
+    ::buffer::serve(&root, &mut input, &mut output).context("the connection broke off")?;
+    output.flush().context("the connection broke off")
+}

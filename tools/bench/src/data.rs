@@ -1,0 +1,234 @@
+//! How recordings get away: `pull-buffer` over ssh on loopback beside `ssh cat` and rsync, and how long it takes to look
+//! through a large buffer. Without sshd, rsync or the two programs (`BENCH_PROGRAMS`), those rows are absent.
+
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, ensure};
+use buffer::{Catalogue, Root};
+
+use crate::data_sshd::Sshd;
+use crate::report::{Row, Timing, Unit, time, time_against};
+
+const ROOM: &str = "data";
+const RUNS: usize = 5;
+/// Segments of the pulled buffer, each as large as the recorder makes them at most.
+const SEGMENTS: usize = 4;
+const SEGMENT_BYTES: usize = 256 << 20;
+
+/// Measures the room.
+///
+/// # Errors
+/// When a transfer fails or brings something else.
+pub fn rows() -> Result<Vec<Row>> {
+    let scratch = Scratch::new()?;
+    let mut rows = vec![listing(&scratch.path("large"))?];
+    let programs = std::env::var_os("BENCH_PROGRAMS").map(PathBuf::from);
+    match (programs, Sshd::start(&scratch.path("ssh"))?) {
+        (Some(programs), Some(sshd)) => rows.extend(pulls(&scratch, &programs, &sshd)?),
+        (None, _) => {
+            eprintln!("no rows of pull-buffer: BENCH_PROGRAMS names no folder with pull-buffer and firmware-host")
+        }
+        (_, None) => eprintln!("no rows of pull-buffer: there is no sshd"),
+    }
+    Ok(rows)
+}
+
+/// 10 GB in 400 segments whose data are holes: their ends are real, and nothing else is looked at.
+fn listing(dir: &Path) -> Result<Row> {
+    let segment = small_segment()?;
+    for number in 0..400 {
+        let run = dir.join(format!("run{:02}", number / 40));
+        fs::create_dir_all(&run)?;
+        sparse(&run.join(format!("recording_{:04}.mcap", number % 40)), &segment, 25_000_000)?;
+    }
+    let root = Root::open(dir)?;
+    let entries = Catalogue::read(&root)?.entries;
+    let bytes: u64 = entries.iter().map(|entry| entry.bytes).sum();
+    ensure!(entries.len() == 400 && bytes >= 10_000_000_000, "{} segments, {bytes} bytes", entries.len());
+    ensure!(entries.iter().all(|entry| entry.turns == Some(20)), "the index was not read");
+    let timing = time(20, || Catalogue::read(&root).map(|catalogue| catalogue.entries.len()));
+    Ok(Row::seconds(ROOM, "list a buffer of 10 GB, 400 segments", timing)
+        .goal(0.2, 0.05)
+        .note("sizes, times, turns, events, marks; from the page cache"))
+}
+
+/// A whole segment with an index, of the crate's own writer.
+fn small_segment() -> Result<Vec<u8>> {
+    let mut file = Vec::new();
+    let options = mcap::WriteOptions::new().compression(None).disable_seeking(true);
+    let mut writer = options.create(mcap::write::NoSeek::new(&mut file))?;
+    let channel = writer.add_channel(0, "/robot/tick", "json", &std::collections::BTreeMap::new())?;
+    for sequence in 0..20 {
+        let time = u64::from(sequence) * 100_000_000;
+        let header = mcap::records::MessageHeader { channel_id: channel, sequence, log_time: time, publish_time: time };
+        writer.write_to_known_channel(&header, b"{}")?;
+    }
+    writer.finish()?;
+    drop(writer);
+    Ok(file)
+}
+
+/// Moves the index of `segment` to the end of a file of `length` bytes with a hole in front.
+fn sparse(path: &Path, segment: &[u8], length: u64) -> Result<()> {
+    let tail = segment.len().checked_sub(37).context("too short")?;
+    let number = |at: usize| segment.get(at..at + 8).and_then(|b| b.try_into().ok()).map(u64::from_le_bytes);
+    let summary_start = number(tail + 9).context("no footer")?;
+    let mut index = segment.get(usize::try_from(summary_start)?..).context("no index")?.to_vec();
+    let moved = length - index.len() as u64;
+    let field = index.len() - 37 + 9;
+    index.get_mut(field..field + 8).context("no footer")?.copy_from_slice(&moved.to_le_bytes());
+    let mut file = File::create(path)?;
+    file.write_all(segment.get(..8).unwrap_or_default())?;
+    file.set_len(moved)?;
+    std::io::Seek::seek(&mut file, std::io::SeekFrom::Start(moved))?;
+    file.write_all(&index)?;
+    // Nobody writes to it any more.
+    Ok(file.set_modified(std::time::UNIX_EPOCH)?)
+}
+
+fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
+    let robot = scratch.path("robot");
+    fs::create_dir_all(robot.join("run"))?;
+    for number in 0..SEGMENTS {
+        let path = robot.join(format!("run/recording_{number:04}.mcap"));
+        fs::write(&path, noise(number as u64 + 1, SEGMENT_BYTES))?;
+        File::open(&path)?.set_modified(std::time::UNIX_EPOCH)?;
+    }
+    let here = scratch.path("here");
+    let bytes = (SEGMENTS * SEGMENT_BYTES) as f64;
+    let rate = |timing: Timing| {
+        let megabytes = bytes * 1e-6;
+        Timing { min: megabytes / timing.max, median: megabytes / timing.median, max: megabytes / timing.min }
+    };
+    let mut peak_mib = Vec::new();
+    let mut first = |dir: &Path| -> Result<()> {
+        // Neither what is here nor what the robot knows of it.
+        let _ = fs::remove_dir_all(dir);
+        peak_mib.push(run_measured(sshd.pull(programs, &robot, dir))?);
+        Ok(())
+    };
+    let cat = || -> Result<()> {
+        let _ = fs::remove_dir_all(&here);
+        fs::create_dir_all(&here)?;
+        for number in 0..SEGMENTS {
+            let name = format!("recording_{number:04}.mcap");
+            let mut command = sshd.ssh();
+            command.arg(format!("cat {}/run/{name}", robot.display())).stdout(File::create(here.join(name))?);
+            run(command)?;
+        }
+        Ok(())
+    };
+    let rsync = |fresh: bool| -> Result<()> {
+        if fresh {
+            let _ = fs::remove_dir_all(&here);
+        }
+        run(sshd.rsync(&robot, &here))
+    };
+    let (ours, theirs) = both(RUNS, || first(&here), cat)?;
+    let mut rows = vec![
+        Row::new(ROOM, "pull 1 GiB over ssh, first copy", Unit::MegabytesPerSecond, rate(ours))
+            .peer("ssh cat", rate(theirs).median)
+            .note("digest on both sides, synced to the disk; ssh cat does neither"),
+    ];
+    let have_rsync = Command::new("rsync").arg("--version").stdout(Stdio::null()).status().is_ok();
+    if have_rsync {
+        let (ours, theirs) = both(RUNS, || first(&here), || rsync(true))?;
+        rows.push(
+            Row::new(ROOM, "pull 1 GiB over ssh, first copy", Unit::MegabytesPerSecond, rate(ours))
+                .peer("rsync -a --checksum", rate(theirs).median),
+        );
+        let (pulled, synced) = (scratch.path("pulled"), here.clone());
+        run(sshd.pull(programs, &robot, &pulled))?;
+        run(sshd.rsync(&robot, &synced))?;
+        let (ours, theirs) =
+            both(RUNS, || run(sshd.pull(programs, &robot, &pulled)), || run(sshd.rsync(&robot, &synced)))?;
+        rows.push(
+            Row::seconds(ROOM, "pull 1 GiB over ssh, nothing new", ours)
+                .peer("rsync -a --checksum", theirs.median)
+                .note("most of ours is ssh's own greeting"),
+        );
+    }
+    rows.push(
+        Row::new(ROOM, "pull-buffer, most memory resident", Unit::Mebibytes, Timing::of(peak_mib)).goal(64.0, 24.0),
+    );
+    Ok(rows)
+}
+
+/// By turns; an error of either ends it.
+fn both(
+    runs: usize,
+    mut ours: impl FnMut() -> Result<()>,
+    mut peer: impl FnMut() -> Result<()>,
+) -> Result<(Timing, Timing)> {
+    let (mut first, mut second) = (Ok(()), Ok(()));
+    let timings = time_against(
+        runs,
+        || first = std::mem::replace(&mut first, Ok(())).and_then(|()| ours()),
+        || second = std::mem::replace(&mut second, Ok(())).and_then(|()| peer()),
+    );
+    first.and(second).map(|()| timings)
+}
+
+fn run(mut command: Command) -> Result<()> {
+    let status = command.stdin(Stdio::null()).status().with_context(|| format!("{command:?}"))?;
+    ensure!(status.success(), "{command:?}: {status}");
+    Ok(())
+}
+
+/// Runs a command; the most memory that it had resident, in MiB, from the kernel's account while it runs.
+fn run_measured(mut command: Command) -> Result<f64> {
+    let mut child = command.stdin(Stdio::null()).spawn().with_context(|| format!("{command:?}"))?;
+    let status_file = format!("/proc/{}/status", child.id());
+    let mut peak_kib = 0.0_f64;
+    let mut clock = drivers::MonotonicClock;
+    loop {
+        let status = fs::read_to_string(&status_file).unwrap_or_default();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        let kib = line.and_then(|line| line.trim().trim_end_matches(" kB").parse().ok()).unwrap_or(0.0);
+        peak_kib = peak_kib.max(kib);
+        if let Some(status) = child.try_wait()? {
+            ensure!(status.success(), "{command:?}: {status}");
+            return Ok(peak_kib / 1024.0);
+        }
+        let deadline_ns = hal::Clock::now_ns(&clock) + 10_000_000;
+        hal::Clock::sleep_until_ns(&mut clock, deadline_ns);
+    }
+}
+
+/// Pictures do not compress, and nor does this.
+fn noise(seed: u64, length: usize) -> Vec<u8> {
+    let mut state = seed | 1;
+    let mut bytes = Vec::with_capacity(length + 8);
+    while bytes.len() < length {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        bytes.extend_from_slice(&state.to_le_bytes());
+    }
+    bytes.truncate(length);
+    bytes
+}
+
+/// A folder that goes away again.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new() -> Result<Self> {
+        let dir = std::env::temp_dir().join(format!("bench-data-{}", std::process::id()));
+        fs::create_dir_all(&dir)?;
+        Ok(Self(dir))
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}

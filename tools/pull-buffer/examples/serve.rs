@@ -1,0 +1,15 @@
+//! Serves a directory on stdin and stdout as `firmware-host buffer serve DIR` does, so that tests of this package need not
+//! build that program.
+
+use std::io::{BufWriter, Write};
+
+fn main() {
+    let dir = std::env::args().last().unwrap_or_default();
+    let root = buffer::Root::open(dir.as_ref()).unwrap_or_else(|error| {
+        eprintln!("error: {error}");
+        std::process::exit(1);
+    });
+    let mut output = BufWriter::new(std::io::stdout().lock());
+    // A workstation that was killed is no error of this side.
+    let _ = buffer::serve(&root, &mut std::io::stdin().lock(), &mut output).and_then(|()| output.flush());
+}

@@ -1,0 +1,97 @@
+//! `pull-buffer`: see `pull-buffer --help` and docs/pull-buffer.md.
+#![forbid(unsafe_code)]
+
+mod options;
+mod progress;
+mod robot;
+
+use std::process::ExitCode;
+use std::sync::Mutex;
+
+use buffer::source::Spec;
+use buffer::{BufferError, Kind};
+use clap::Parser;
+use drivers::MonotonicClock;
+use hal::Clock;
+use options::Options;
+use progress::Display;
+use robot::{Outcome, Robot};
+
+/// Something failed that needs a person.
+const FAILED: u8 = 1;
+/// What was asked for cannot be. As clap has it.
+const MISUSED: u8 = 2;
+/// Only links failed: the same command later goes on where this one ended (`EX_TEMPFAIL` of sysexits).
+const TRY_AGAIN: u8 = 75;
+
+fn main() -> ExitCode {
+    let options = Options::parse();
+    match run(&options) {
+        Ok(code) => ExitCode::from(code),
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(code_of(&error))
+        }
+    }
+}
+
+fn code_of(error: &BufferError) -> u8 {
+    match error.kind() {
+        Kind::Link => TRY_AGAIN,
+        Kind::Usage => MISUSED,
+        Kind::Disk | Kind::Refused => FAILED,
+    }
+}
+
+/// One thread for every robot; the worst exit code of all.
+fn run(options: &Options) -> Result<u8, BufferError> {
+    let specs = specs(options)?;
+    let display = Display::new(options.json);
+    let worst = Mutex::new(0);
+    std::thread::scope(|scope| {
+        for spec in &specs {
+            let (display, worst) = (&display, &worst);
+            scope.spawn(move || {
+                let code = follow(&mut Robot::new(spec, options), options, display);
+                if let Ok(mut worst) = worst.lock() {
+                    // Trying again later helps only where nothing else is wrong.
+                    *worst = if *worst == 0 || *worst == TRY_AGAIN && code != 0 { code } else { *worst };
+                }
+            });
+        }
+    });
+    Ok(worst.into_inner().unwrap_or(FAILED))
+}
+
+fn specs(options: &Options) -> Result<Vec<Spec>, BufferError> {
+    let specs = options.sources().iter().map(|text| Spec::parse(text)).collect::<Result<Vec<_>, _>>()?;
+    for (at, spec) in specs.iter().enumerate() {
+        if specs.iter().take(at).any(|other| other.name == spec.name) {
+            let text = format!("two sources are called {:?}; write NAME=SOURCE to tell them apart", spec.name);
+            return Err(BufferError::Usage(text));
+        }
+    }
+    Ok(specs)
+}
+
+/// Pulls once, or again and again; the exit code.
+fn follow(robot: &mut Robot<'_>, options: &Options, display: &Display) -> u8 {
+    let mut clock = MonotonicClock;
+    loop {
+        let outcome = robot.pull(display, &mut clock);
+        display.outcome(robot.spec(), &outcome, options.follow);
+        match (&outcome, options.follow) {
+            (Outcome { error: Some(error), .. }, false) => return code_of(error),
+            // A robot that is away comes back; a refusal stays one.
+            (Outcome { error: Some(error), .. }, true) if error.kind() != Kind::Link && !robot.has_been_reached() => {
+                return code_of(error);
+            }
+            (Outcome { error: Some(error), .. }, true) if error.kind() == Kind::Disk => return FAILED,
+            (_, false) => return 0,
+            (_, true) => {
+                let deadline_ns = clock.now_ns() + options.every_s * 1_000_000_000;
+                clock.sleep_until_ns(deadline_ns);
+            }
+        }
+    }
+}

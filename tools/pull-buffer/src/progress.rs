@@ -1,0 +1,136 @@
+//! What a person sees, or a program reads.
+
+use std::io::{IsTerminal, Write};
+
+use buffer::pull::Watch;
+use buffer::source::Spec;
+use buffer::{Digest, Name};
+use indicatif::{HumanBytes, MultiProgress, ProgressBar, ProgressStyle};
+use serde_json::json;
+
+use crate::robot::Outcome;
+
+/// Where everything is shown: bars on a terminal, a line for each file elsewhere, JSON on stdout.
+pub struct Display {
+    bars: Option<MultiProgress>,
+    json: bool,
+}
+
+impl Display {
+    pub fn new(json: bool) -> Self {
+        Self { bars: std::io::stderr().is_terminal().then(MultiProgress::new), json }
+    }
+
+    /// A bar for one source.
+    pub fn bar(&self, name: &str) -> Bar {
+        let bar = self.bars.as_ref().map(|bars| {
+            let template = "{prefix:.bold} {bar:24} {bytes}/{total_bytes}, {bytes_per_sec}, {eta} left  {msg}";
+            let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+            bars.add(ProgressBar::no_length().with_style(style).with_prefix(name.to_owned()))
+        });
+        Bar { bar, name: name.to_owned(), json: self.json }
+    }
+
+    /// The result of one pull. While following, one that brought nothing is not worth a line.
+    pub fn outcome(&self, spec: &Spec, outcome: &Outcome, follow: bool) {
+        let Outcome { report, exported, error } = outcome;
+        if follow && report.files == 0 && error.is_none() {
+            return;
+        }
+        if self.json {
+            let line = json!({
+                "event": "pulled", "source": spec.name, "place": spec.place.to_string(), "files": report.files,
+                "bytes": report.bytes, "there": report.there, "open": report.open, "cut": report.cut,
+                "unmarked": report.unmarked, "exported": exported,
+                "error": error.as_ref().map(ToString::to_string),
+            });
+            print_line(&line);
+        }
+        let mut words =
+            vec![format!("{} new ({}), {} here already", report.files, HumanBytes(report.bytes), report.there)];
+        let counts = [
+            (report.open, "still being written"),
+            (report.cut, "without their end: firmware-host buffer recover makes them whole"),
+            (report.unmarked, "not marked as pulled on the robot"),
+            (*exported, "exported"),
+        ];
+        words.extend(counts.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")));
+        match error {
+            Some(error) => self.say(&format!("{}: error: {error}", spec.name)),
+            None => self.say(&format!("{}: {}", spec.name, words.join(", "))),
+        }
+    }
+
+    fn say(&self, line: &str) {
+        match &self.bars {
+            Some(bars) => drop(bars.println(line)),
+            // Nobody may be reading; a pull does not end for that.
+            None => drop(writeln!(std::io::stderr(), "{line}")),
+        }
+    }
+}
+
+/// One source's progress.
+pub struct Bar {
+    bar: Option<ProgressBar>,
+    name: String,
+    json: bool,
+}
+
+impl Bar {
+    /// A line of words.
+    pub fn say(&self, text: &str) {
+        match &self.bar {
+            Some(bar) => bar.println(format!("{}: {text}", self.name)),
+            None => drop(writeln!(std::io::stderr(), "{}: {text}", self.name)),
+        }
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+impl Watch for Bar {
+    fn planned(&mut self, _files: u64, bytes: u64, done: u64) {
+        if let Some(bar) = &self.bar {
+            bar.set_length(bytes);
+            bar.set_position(done);
+            bar.reset_eta();
+        }
+    }
+
+    fn begins(&mut self, name: &Name, _bytes: u64, have: u64) {
+        if let Some(bar) = &self.bar {
+            bar.inc(have);
+            bar.set_message(name.to_string());
+        }
+    }
+
+    fn arrived(&mut self, bytes: u64) {
+        if let Some(bar) = &self.bar {
+            bar.inc(bytes);
+        }
+    }
+
+    fn complete(&mut self, name: &Name, digest: &Digest) {
+        if self.json {
+            print_line(&json!({"event": "file", "source": self.name, "file": name.as_str(), "digest": digest}));
+        } else if self.bar.is_none() {
+            self.say(name.as_str());
+        }
+    }
+
+    fn warns(&mut self, text: &str) {
+        self.say(&format!("warning: {text}"));
+    }
+}
+
+fn print_line(value: &serde_json::Value) {
+    // A reader that is gone is no reason to stop pulling.
+    let _ = writeln!(std::io::stdout(), "{value}");
+}

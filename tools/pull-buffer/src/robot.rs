@@ -1,0 +1,132 @@
+//! One robot: connects, pulls, tries again.
+
+use buffer::pull::{Destination, FileSystem, Report, pull};
+use buffer::source::{Directory, Place, Source, Spec, Ssh, SshOptions};
+use buffer::{BufferError, Kind};
+use drivers::MonotonicClock;
+use hal::Clock;
+
+use crate::options::{Layout, Options};
+use crate::progress::{Bar, Display};
+
+/// What came of a pull.
+pub struct Outcome {
+    /// All tries together.
+    pub report: Report,
+    /// Runs that were written in another layout.
+    pub exported: u64,
+    /// Why it ended early.
+    pub error: Option<BufferError>,
+}
+
+/// One source.
+pub struct Robot<'a> {
+    spec: &'a Spec,
+    options: &'a Options,
+    /// Kept while it works, also between two looks.
+    source: Option<Box<dyn Source>>,
+    reached: bool,
+}
+
+impl<'a> Robot<'a> {
+    pub fn new(spec: &'a Spec, options: &'a Options) -> Self {
+        Self { spec, options, source: None, reached: false }
+    }
+
+    pub fn spec(&self) -> &Spec {
+        self.spec
+    }
+
+    /// Whether it ever answered.
+    pub fn has_been_reached(&self) -> bool {
+        self.reached
+    }
+
+    /// Pulls what is there; a link that breaks is made again some times.
+    pub fn pull(&mut self, display: &Display, clock: &mut MonotonicClock) -> Outcome {
+        let mut bar = display.bar(&self.spec.name);
+        let mut outcome = Outcome { report: Report::default(), exported: 0, error: None };
+        let mut tries_left = if self.options.follow { 0 } else { self.options.retries };
+        let mut pause_s = 1;
+        loop {
+            let error = match self.pull_once(&mut bar, clock) {
+                Ok(report) => {
+                    outcome.report = add(outcome.report, report);
+                    break;
+                }
+                Err(error) => error,
+            };
+            self.source = None;
+            if error.kind() != Kind::Link || tries_left == 0 {
+                outcome.error = Some(error);
+                return outcome;
+            }
+            tries_left -= 1;
+            bar.say(&format!("{error}; trying again in {pause_s} s"));
+            let deadline_ns = clock.now_ns() + pause_s * 1_000_000_000;
+            clock.sleep_until_ns(deadline_ns);
+            pause_s *= 2;
+        }
+        if self.options.layout == Some(Layout::Tum) {
+            match self.export(&mut bar) {
+                Ok(exported) => outcome.exported = exported,
+                Err(error) => outcome.error = Some(error),
+            }
+        }
+        outcome
+    }
+
+    fn pull_once(&mut self, bar: &mut Bar, clock: &mut MonotonicClock) -> Result<Report, BufferError> {
+        let dir = self.options.directory_of(&self.spec.name);
+        let mut destination = Destination::open(&dir, &FileSystem)?;
+        if self.source.is_none() {
+            self.source = Some(self.connect()?);
+        }
+        let Some(source) = self.source.as_deref_mut() else { return Ok(Report::default()) };
+        self.reached = true;
+        pull(source, &mut destination, &self.options.pull(), clock, bar)
+    }
+
+    fn connect(&self) -> Result<Box<dyn Source>, BufferError> {
+        Ok(match &self.spec.place {
+            Place::Directory(path) => Box::new(Directory::open(path)?),
+            Place::Ssh { host, path } => {
+                let options = SshOptions {
+                    arguments: self.options.ssh_options.clone(),
+                    remote_command: self.options.remote_command.clone(),
+                    stall_s: self.options.stall_s,
+                    ..SshOptions::default()
+                };
+                Box::new(Ssh::connect(host, path, &options)?)
+            }
+        })
+    }
+
+    /// Writes the runs that have no export yet.
+    fn export(&self, bar: &mut Bar) -> Result<u64, BufferError> {
+        let dir = self.options.directory_of(&self.spec.name);
+        let (root, catalogue) = buffer::Catalogue::open(&dir)?;
+        let mut exported = 0;
+        for (run, entries) in catalogue.runs() {
+            let to = dir.join("tum").join(if run.is_empty() { &self.spec.name } else { run });
+            if to.exists() {
+                continue;
+            }
+            let segments: Vec<_> = entries.iter().map(|entry| root.path().join(entry.name.as_str())).collect();
+            let report = buffer::export::tum(&segments, &to)?;
+            bar.say(&format!("{}: {} pictures", to.display(), report.pictures));
+            exported += 1;
+        }
+        Ok(exported)
+    }
+}
+
+fn add(a: Report, b: Report) -> Report {
+    Report {
+        files: a.files + b.files,
+        bytes: a.bytes + b.bytes,
+        unmarked: a.unmarked + b.unmarked,
+        cut: a.cut + b.cut,
+        ..b
+    }
+}

@@ -1,0 +1,115 @@
+//! `pull-buffer` as a user runs it, from directories.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use runtime::recording::{RecordingWriter, RunHeader, SegmentHeader, Views};
+use tempfile::tempdir;
+
+fn pull(arguments: &[&str], dir: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_pull-buffer")).args(arguments).current_dir(dir).output().unwrap()
+}
+
+fn words(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn segment() -> Vec<u8> {
+    let run = RunHeader {
+        pictures: true,
+        written_by: "test 0.0.0".to_owned(),
+        seed: 7,
+        scene: None,
+        policy: "random".to_owned(),
+        depth_source: "coarse".to_owned(),
+        model_digest: None,
+        hand_over: None,
+        faults: Vec::new(),
+        fault_seed: None,
+        camera: hal::CameraModel::pinhole(16, 12, 1.5),
+        t_base_camera: hal::camera_mount(0.1, 0.8, 0.2),
+        t_base_laser: hal::Pose3::identity(),
+        config: serde_json::json!({}),
+    };
+    let mut writer = RecordingWriter::begin(Vec::new(), SegmentHeader::new(run, 0, 0, 0)).unwrap();
+    for tick in 0..20 {
+        let time_ns = tick * 100_000_000;
+        let rgb = (0..16 * 12 * 3).map(|i| (i * 7 + tick as usize) as u8).collect();
+        let tick = runtime::recording::RecordedTick {
+            snapshot: None,
+            tick,
+            time_ns,
+            wheel: hal::WheelFeedback { time_ns, ..hal::WheelFeedback::default() },
+            scan: None,
+            frame: Some(runtime::recording::Picture { width: 16, height: 12, rgb }),
+            truth: None,
+            safety: None,
+            decision: None,
+        };
+        writer.write(&tick, &Views::default()).unwrap();
+    }
+    writer.finish().map_err(|(_, error)| error).unwrap()
+}
+
+#[test]
+fn two_robots_come_side_by_side_each_into_its_own_directory() {
+    let dir = tempdir().unwrap();
+    for robot in ["kitchen", "hall"] {
+        fs::create_dir_all(dir.path().join(robot).join("run")).unwrap();
+        fs::write(dir.path().join(robot).join("run/recording_0000.mcap"), segment()).unwrap();
+    }
+    let output = pull(&["kitchen", "east=hall", "all"], dir.path());
+    assert!(output.status.success(), "{}", words(&output));
+    for name in ["kitchen", "east"] {
+        let here = fs::read(dir.path().join("all").join(name).join("run/recording_0000.mcap")).unwrap();
+        assert!(here == segment());
+    }
+}
+
+#[test]
+fn mistakes_end_with_exit_code_2_and_the_way_out() {
+    let dir = tempdir().unwrap();
+    for (arguments, way_out) in [
+        (&["only"][..], "required"),
+        (&["no_such_directory", "here"], "give the directory"),
+        (&["a:/x", "b@a:/y", "here"], "NAME=SOURCE"),
+        (&["host:", "here"], "[user@]host:/path"),
+        (&["a:/x", "here", "--limit", "warp"], "5MB/s"),
+    ] {
+        let output = pull(arguments, dir.path());
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", words(&output));
+        assert!(words(&output).contains(way_out), "{arguments:?}: {}", words(&output));
+    }
+}
+
+#[test]
+fn a_link_that_fails_ends_with_exit_code_75_or_a_persons_attention() {
+    let dir = tempdir().unwrap();
+    // Port 1 on loopback: nobody listens there.
+    let arguments = ["127.0.0.1:/x", "here", "--retries=0", "--ssh-option=-p1", "--ssh-option=-oBatchMode=yes"];
+    let output = pull(&arguments, dir.path());
+    assert!(matches!(output.status.code(), Some(1 | 75)), "{}", words(&output));
+    assert!(
+        words(&output).contains("ended before it said anything") || words(&output).contains("cannot start"),
+        "{}",
+        words(&output)
+    );
+}
+
+#[test]
+fn runs_are_also_written_as_the_tum_layout() {
+    let dir = tempdir().unwrap();
+    fs::create_dir_all(dir.path().join("robot/run")).unwrap();
+    fs::write(dir.path().join("robot/run/recording_0000.mcap"), segment()).unwrap();
+    let output = pull(&["robot", "here", "--as", "tum"], dir.path());
+    assert!(output.status.success(), "{}", words(&output));
+    let tum = dir.path().join("here/robot/tum/run");
+    assert_eq!(fs::read_dir(tum.join("rgb")).unwrap().count(), 20);
+    let poses = fs::read_to_string(tum.join("groundtruth.txt")).unwrap();
+    assert_eq!(poses.lines().filter(|line| !line.starts_with('#')).count(), 20);
+    assert!(fs::read_to_string(tum.join("dataset.toml")).unwrap().contains("nominal_fps = 10.0"));
+    // Done once is done.
+    let output = pull(&["robot", "here", "--as", "tum"], dir.path());
+    assert!(output.status.success(), "{}", words(&output));
+}
