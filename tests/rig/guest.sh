@@ -42,7 +42,7 @@ world_up() {
     "$HIL" world --dir /tmp/world "$@" >/tmp/world.log 2>&1 &
     WORLD=$!
     until grep -q ready /tmp/world.log; do
-        kill -0 $WORLD || { cat /tmp/world.log; return 1; }
+        kill -0 $WORLD || { cat /tmp/world.log; exit 1; }
         sleep 0.5
     done
 }

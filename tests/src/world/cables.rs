@@ -29,14 +29,14 @@ impl FromStr for Cable {
 pub struct Cables {
     /// A V4L2 output whose pictures come out of the robot's camera, such as /dev/video1=/dev/video0. `v4l2-ctl` writes them; size
     /// and format of the output must have been set.
-    #[arg(long = "camera-at", value_name = "OURS=ROBOT'S")]
-    pub camera: Option<Cable>,
+    #[arg(long, value_name = "OURS=ROBOT'S")]
+    pub camera_at: Option<Cable>,
     /// A serial port that is wired to the robot's, such as /dev/ttyS1=/dev/ttyUSB0.
-    #[arg(long = "lidar-at", value_name = "OURS=ROBOT'S")]
-    pub lidar: Option<Cable>,
+    #[arg(long, value_name = "OURS=ROBOT'S")]
+    pub lidar_at: Option<Cable>,
     /// A CAN interface on the robot's bus, such as can1=can0.
-    #[arg(long = "motors-at", value_name = "OURS=ROBOT'S")]
-    pub can: Option<Cable>,
+    #[arg(long, value_name = "OURS=ROBOT'S")]
+    pub motors_at: Option<Cable>,
 }
 
 #[cfg(test)]

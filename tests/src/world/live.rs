@@ -86,14 +86,14 @@ impl LiveWorld {
         let laser = LaserModel { geometry: model.geometry(false), ..LaserModel::UTM_30LX };
         let robot = RobotOptions { seed: options.seed, laser, ..RobotOptions::default() };
         let t_base_camera = robot.t_base_camera;
-        let Cables { camera, lidar, can } = &options.cables;
+        let Cables { camera_at, lidar_at, motors_at } = &options.cables;
         let robots_end =
             |cable: &Option<Cable>, else_here: String| cable.as_ref().map_or(else_here, |cable| cable.robot.clone());
-        let base = BaseConfig { bus: robots_end(can, socket(&dir, "can")), ..rig::config(options.protocol) };
+        let base = BaseConfig { bus: robots_end(motors_at, socket(&dir, "can")), ..rig::config(options.protocol) };
         let home = Home::new(world, robot, &base)?;
         let view = Box::new(HomeScan { home: home.clone(), model });
         let mut live = Self {
-            lidar: match lidar {
+            lidar: match lidar_at {
                 Some(cable) => SimulatedHokuyo::on_serial(model, Path::new(&cable.world), view)
                     .map_err(|error| format!("no serial port at {}: {error}", cable.world))?,
                 None => SimulatedHokuyo::on_pty(model, &dir.join("lidar"), view)?,
@@ -105,7 +105,7 @@ impl LiveWorld {
             threads: Vec::new(),
             home: home.clone(),
         };
-        let bus: Box<dyn CanBus + Send> = match can {
+        let bus: Box<dyn CanBus + Send> = match motors_at {
             Some(cable) => Box::new(SocketBus::new(&cable.world)),
             None => Box::new(Hub::bind(&dir.join("can"))?),
         };
@@ -120,7 +120,7 @@ impl LiveWorld {
             depth: DepthMap::none(options.camera.width, options.camera.height),
         };
         let (running, on) = (Arc::clone(&live.running), Arc::clone(&live.camera_on));
-        let filming: Box<dyn FnOnce() + Send> = match camera {
+        let filming: Box<dyn FnOnce() + Send> = match camera_at {
             Some(cable) => {
                 let (mut output, period_ns) = (output::Output::start(&cable.world)?, (1e9 / options.fps) as u64);
                 Box::new(move || output.film(eyes, period_ns, &running, &on))
@@ -132,7 +132,7 @@ impl LiveWorld {
         };
         live.threads.push(std::thread::Builder::new().name("simulated-camera".to_owned()).spawn(filming)?);
         let ends =
-            [robots_end(camera, socket(&dir, "camera")), robots_end(lidar, dir.join("lidar").display().to_string())];
+            [robots_end(camera_at, socket(&dir, "camera")), robots_end(lidar_at, dir.join("lidar").display().to_string())];
         std::fs::write(&live.config, configuration(&dir, options, &ends, &base)?)?;
         Ok(live)
     }
