@@ -1,7 +1,7 @@
 #: title   a power cut while the robot records on ext4
 #: modules
 #: disk    256
-#: seconds 240
+#: seconds 400
 mkdir -p /mnt/disk
 if [ ! -e /rig/after_power_cut ]; then
     mkfs.ext4 -q /dev/vda

@@ -131,8 +131,10 @@ impl LiveWorld {
             }
         };
         live.threads.push(std::thread::Builder::new().name("simulated-camera".to_owned()).spawn(filming)?);
-        let ends =
-            [robots_end(camera_at, socket(&dir, "camera")), robots_end(lidar_at, dir.join("lidar").display().to_string())];
+        let ends = [
+            robots_end(camera_at, socket(&dir, "camera")),
+            robots_end(lidar_at, dir.join("lidar").display().to_string()),
+        ];
         std::fs::write(&live.config, configuration(&dir, options, &ends, &base)?)?;
         Ok(live)
     }
