@@ -32,12 +32,10 @@ impl Scene {
     fn new(protocol: Protocol) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let options = LiveOptions {
-            scene: "builtin:apartment?seed=1".to_owned(),
             protocol,
             // Small pictures: this is about devices.
             camera: CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2),
-            fps: 15.0,
-            seed: 1,
+            ..LiveOptions::default()
         };
         let world = LiveWorld::start(folder.path(), &options).unwrap();
         let robot = Command::cargo_bin("firmware-host")

@@ -8,13 +8,14 @@ check() {
     printf 'CHECK\t%s\t%s\t%s\n' "$outcome" "$promise" "$figure"
 }
 
-# What is written to /dev/video1 comes out of /dev/video0: 640x480 YUYV, 30 pictures a second.
+# camera_loop [WIDTH HEIGHT]: what is written to /dev/video1 comes out of /dev/video0: YUYV, 30 pictures a second.
 # HDMI input 1, no text in the picture, 1280x720p30 (timing 5: the one in the list that gives 30 a second) at both ends.
 camera_loop() {
+    local size=width=${1:-640},height=${2:-480},pixelformat=YUYV
     v4l2-ctl -d 0 -i 1 -c osd_text_mode=2,loop_video=1 >/dev/null
     for device in 0 1; do v4l2-ctl -d $device --set-dv-bt-timings index=5 >/dev/null; done
-    v4l2-ctl -d 0 -v width=640,height=480,pixelformat=YUYV
-    v4l2-ctl -d 1 -x width=640,height=480,pixelformat=YUYV
+    v4l2-ctl -d 0 -v $size
+    v4l2-ctl -d 1 -x $size
 }
 
 # can0 is the robot's end of the bus, can1 the motors'. The emulated bus takes no time for a frame, and a burst overruns the
@@ -35,3 +36,28 @@ serial_up() {
 # Pulls the scanner's USB plug, and puts it back.
 serial_unplug() { echo 0 >/sys/bus/usb/devices/1-1/authorized; }
 serial_plug() { echo 1 >/sys/bus/usb/devices/1-1/authorized; }
+
+# world_up OPTIONS...: a robot's devices in a simulated home; $WORLD is its process, /tmp/world its folder.
+world_up() {
+    "$HIL" world --dir /tmp/world "$@" >/tmp/world.log 2>&1 &
+    WORLD=$!
+    until grep -q ready /tmp/world.log; do
+        kill -0 $WORLD || { cat /tmp/world.log; exit 1; }
+        sleep 0.5
+    done
+}
+
+# Ends it; its last line says how far the robot went and what it touched.
+world_down() {
+    kill -INT $WORLD
+    wait $WORLD
+    tail -1 /tmp/world.log
+}
+
+# value KEY FILE: of a JSON file with one key a line. Nothing when there is no such key.
+value() { sed -n "s/^ *\"$1\": \(.*[^,]\),\?$/\1/p" "$2" | head -1; }
+
+# until_value KEY FILE CONDITION: waits until awk finds the condition true of that value, `v`.
+until_value() {
+    until [ -s "$2" ] && awk -v v="$(value "$1" "$2")" "BEGIN { exit !($3) }"; do sleep 0.5; done
+}

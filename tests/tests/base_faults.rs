@@ -10,7 +10,7 @@ use drivers::can::{
 };
 use hal::{Base, Clock, DriveCommand, Error, ErrorKind, Twist2, VirtualClock};
 use hil::motor::rig::{config, node, step_nodes};
-use hil::motor::{LineFaults, Rig};
+use hil::motor::{LineFaults, Outbox, Rig};
 use rustix::net::{AddressFamily, SocketFlags, SocketType, socketpair};
 
 const ALL: [Protocol; 3] = [Protocol::Odrive, Protocol::Vesc, Protocol::Cia402];
@@ -597,11 +597,11 @@ fn an_armed_turn_allocates_nothing() {
         let mut base = DifferentialBase::with_clock(UnixBus::from_fd(host), &config(protocol), clock)
             .expect("a sound configuration");
         let mut nodes = [node(protocol, 1), node(protocol, 2)];
-        let (mut out, mut counter, mut measured) = (Vec::new(), 0, 0);
+        let (mut outbox, mut counter, mut measured) = (Outbox::default(), 0, 0);
         for _ in 0..600 {
             for _ in 0..10 {
                 now_ns += MS;
-                step_nodes(&mut nodes, &mut motors, now_ns, &mut out);
+                step_nodes(&mut nodes, &mut motors, now_ns, &mut outbox);
             }
             base.clock_mut().sleep_until_ns(now_ns);
             let is_armed = base.is_armed() || base.arm().is_ok() && base.is_armed();

@@ -9,7 +9,7 @@ use drivers::MonotonicClock;
 use drivers::can::Protocol;
 use hal::Clock;
 use hil::motor::rig::{node, step_nodes};
-use hil::motor::{Drive, Hub, MotorNode};
+use hil::motor::{Drive, Hub, MotorNode, Outbox};
 use rustix::process::{Pid, Signal, kill_process};
 
 const STEP_NS: u64 = 1_000_000;
@@ -22,6 +22,7 @@ struct Controllers {
     hub: Hub,
     nodes: [Box<dyn MotorNode>; 2],
     now_ns: u64,
+    outbox: Outbox,
     clock: MonotonicClock,
     real_ns: u64,
     path: PathBuf,
@@ -35,14 +36,14 @@ impl Controllers {
         let hub = Hub::bind(&path).expect("a hub");
         let mut nodes = [node(protocol, 1), node(protocol, 2)];
         nodes.iter_mut().for_each(|node| node.wheel_mut().lag_s = 0.002);
-        Self { hub, nodes, now_ns: 0, real_ns: clock.now_ns(), clock, path, protocol }
+        Self { hub, nodes, outbox: Outbox::default(), now_ns: 0, real_ns: clock.now_ns(), clock, path, protocol }
     }
 
     fn step(&mut self) {
         self.real_ns = self.clock.now_ns().max(self.real_ns + STEP_NS);
         self.clock.sleep_until_ns(self.real_ns);
         self.now_ns += STEP_NS;
-        step_nodes(&mut self.nodes, &mut self.hub, self.now_ns, &mut Vec::new());
+        step_nodes(&mut self.nodes, &mut self.hub, self.now_ns, &mut self.outbox);
     }
 
     fn are_driven(&self) -> bool {

@@ -11,6 +11,7 @@ use drivers::MonotonicClock;
 use drivers::can::Protocol;
 use drivers::can::messages::{BaseCommand, BaseState, SafetyInput};
 use hal::{Clock, Twist2};
+use hil::motor::Outbox;
 use hil::motor::rig::{config, node, step_nodes};
 use hil::motor::{Hub, Rig};
 use rand::{RngExt, SeedableRng};
@@ -51,10 +52,10 @@ fn talks_to(protocol: Protocol) {
     let name = format!("{protocol:?}").to_lowercase();
     let mut peer = peers(&python).arg(name).arg(&path).spawn().expect("a peer");
     let mut clock = MonotonicClock;
-    let (start_ns, mut out) = (clock.now_ns(), Vec::new());
+    let (start_ns, mut outbox) = (clock.now_ns(), Outbox::default());
     let status = loop {
         clock.sleep_until_ns(clock.now_ns() + STEP_NS);
-        step_nodes(&mut nodes, &mut hub, clock.now_ns(), &mut out);
+        step_nodes(&mut nodes, &mut hub, clock.now_ns(), &mut outbox);
         if let Some(status) = peer.try_wait().expect("a peer") {
             break status;
         }

@@ -12,6 +12,7 @@ use drivers::can::{BaseConfig, Protocol};
 use drivers::scip::Model;
 use hal::Clock;
 use hil::hokuyo::{Room, SimulatedHokuyo};
+use hil::motor::Outbox;
 use hil::motor::rig::{config, node, step_nodes};
 use hil::motor::{Hub, MotorNode};
 use hil::video::{MovingStripes, VideoFaults, serve, simulated};
@@ -86,11 +87,11 @@ impl Drop for Robot {
 }
 
 fn turn(hub: &mut Hub, nodes: &mut [Box<dyn MotorNode>; 2], running: &AtomicBool) -> bool {
-    let (mut clock, mut has_moved, mut out) = (MonotonicClock, false, Vec::new());
+    let (mut clock, mut has_moved, mut outbox) = (MonotonicClock, false, Outbox::default());
     while running.load(Ordering::Relaxed) {
         let now_ns = clock.now_ns() + STEP_NS;
         clock.sleep_until_ns(now_ns);
-        step_nodes(nodes, hub, now_ns, &mut out);
+        step_nodes(nodes, hub, now_ns, &mut outbox);
         has_moved |= nodes.iter().any(|node| node.is_powered() || node.wheel().velocity_radps() != 0.0);
     }
     has_moved

@@ -1,12 +1,13 @@
 //! A base and its two simulated motors on a bus in memory, in virtual time.
 
-use drivers::can::{BaseConfig, CanBus, CanError, CanFrame, DifferentialBase, Phase, Protocol};
+use drivers::can::{BaseConfig, CanBus, CanError, DifferentialBase, Phase, Protocol};
 use hal::{Base, Clock, DriveCommand, Twist2, VirtualClock, WheelFeedback};
 
 use super::cia402::{COUNTS, Cia402Sim};
 use super::memory::MemoryBus;
 use super::node::MotorNode;
 use super::odrive::{ENABLE_WATCHDOG_ENDPOINT, FIRMWARE, OdriveSim, WATCHDOG_TIMEOUT_ENDPOINT};
+use super::outbox::Outbox;
 use super::vesc::{POLE_PAIRS, VescSim};
 
 /// One turn of the control loop.
@@ -38,17 +39,15 @@ pub fn node(protocol: Protocol, node: u8) -> Box<dyn MotorNode> {
 }
 
 /// The nodes take what is on the bus, and send what they have to.
-pub fn step_nodes(nodes: &mut [Box<dyn MotorNode>], bus: &mut impl CanBus, now_ns: u64, out: &mut Vec<CanFrame>) {
+pub fn step_nodes(nodes: &mut [Box<dyn MotorNode>], bus: &mut impl CanBus, now_ns: u64, outbox: &mut Outbox) {
     while let Some(received) = bus.receive(now_ns) {
         if let drivers::can::BusEvent::Frame(frame) = received.event {
             nodes.iter_mut().for_each(|node| node.receive(&frame, now_ns));
         }
     }
-    out.clear();
-    nodes.iter_mut().for_each(|node| node.step(now_ns, out));
-    for frame in out.iter() {
-        let _ = bus.send(frame);
-    }
+    let mut said = Vec::new();
+    nodes.iter_mut().for_each(|node| node.step(now_ns, &mut said));
+    outbox.send(&said, bus);
 }
 
 /// The rig.
@@ -67,7 +66,7 @@ pub struct Rig {
     pub counter: u32,
     /// The newest feedback, or why there is none.
     pub feedback: Result<Option<WheelFeedback>, CanError>,
-    out: Vec<CanFrame>,
+    outbox: Outbox,
 }
 
 impl Rig {
@@ -83,7 +82,7 @@ impl Rig {
         host.set_now(now_ns);
         let base = DifferentialBase::with_clock(host.clone(), config, VirtualClock::starting_at_ns(now_ns))?;
         let nodes = [node(config.protocol, 1), node(config.protocol, 2)];
-        Ok(Self { base, nodes, host, motors, now_ns, counter: 0, feedback: Ok(None), out: Vec::new() })
+        Ok(Self { base, nodes, host, motors, now_ns, counter: 0, feedback: Ok(None), outbox: Outbox::default() })
     }
 
     /// Only the motors' time passes, and the base's clock.
@@ -93,7 +92,7 @@ impl Rig {
             self.now_ns += STEP_NS;
             self.host.set_now(self.now_ns);
             self.base.clock_mut().sleep_until_ns(self.now_ns);
-            step_nodes(&mut self.nodes, &mut self.motors, self.now_ns, &mut self.out);
+            step_nodes(&mut self.nodes, &mut self.motors, self.now_ns, &mut self.outbox);
         }
     }
 

@@ -12,6 +12,7 @@ use hal::Clock;
 
 use super::hub::Hub;
 use super::node::MotorNode;
+use super::outbox::Outbox;
 use super::rig;
 
 const STEP_NS: u64 = 1_000_000;
@@ -109,7 +110,7 @@ pub fn run(args: &MotorArgs) -> Result<(), Box<dyn Error>> {
     let mut schedule = args.faults.clone();
     schedule.sort_by_key(|scheduled| std::cmp::Reverse(scheduled.at_ns));
     let (mut now_ns, mut shown_ns, mut driven) = (start_ns, 0, [false; 2]);
-    let mut out = Vec::new();
+    let mut outbox = Outbox::default();
     loop {
         now_ns = (now_ns + STEP_NS).max(clock.now_ns());
         clock.sleep_until_ns(now_ns);
@@ -120,8 +121,8 @@ pub fn run(args: &MotorArgs) -> Result<(), Box<dyn Error>> {
             }
         }
         match &mut wire {
-            Wire::Hub(hub) => rig::step_nodes(&mut nodes, hub, now_ns, &mut out),
-            Wire::Interface(bus) => rig::step_nodes(&mut nodes, bus, now_ns, &mut out),
+            Wire::Hub(hub) => rig::step_nodes(&mut nodes, hub, now_ns, &mut outbox),
+            Wire::Interface(bus) => rig::step_nodes(&mut nodes, bus, now_ns, &mut outbox),
         }
         if args.events {
             report_changes(&nodes, &mut driven, now_ns);

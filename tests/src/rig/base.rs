@@ -1,20 +1,19 @@
 //! The base driver on the kernel's SocketCAN, against simulated motor controllers at the other end of the bus. Meant for virtual
 //! time: only there is a deadline in an emulated machine worth anything.
 
-use std::collections::VecDeque;
 use std::error::Error;
 use std::process::{Child, Command, Stdio};
 
 use clap::ValueEnum;
 use drivers::MonotonicClock;
-use drivers::can::{BusEvent, CanBus, CanFrame, DifferentialBase, Phase, Protocol, SocketBus};
+use drivers::can::{DifferentialBase, Phase, Protocol, SocketBus};
 use drivers::clock::monotonic_ns;
 use hal::{Base, Clock, DriveCommand, Twist2};
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::check;
-use crate::motor::rig::{config, node};
-use crate::motor::{Drive, MotorNode};
+use crate::motor::rig::{config, node, step_nodes};
+use crate::motor::{Drive, MotorNode, Outbox};
 
 /// Where the two ends of the bus are.
 #[derive(Debug, clap::Args)]
@@ -90,32 +89,21 @@ pub fn run(probe: &BaseProbe) -> Result<(), Box<dyn Error>> {
 struct Controllers {
     bus: SocketBus,
     nodes: [Box<dyn MotorNode>; 2],
-    /// Sent as soon as the interface takes them: a VESC's configuration is more frames than fit into its queue.
-    outgoing: VecDeque<CanFrame>,
+    outbox: Outbox,
 }
 
 impl Controllers {
     fn new(interface: &str, protocol: Protocol) -> Self {
         let mut nodes = [node(protocol, 1), node(protocol, 2)];
         nodes.iter_mut().for_each(|node| node.wheel_mut().lag_s = 0.002);
-        Self { bus: SocketBus::new(interface), nodes, outgoing: VecDeque::new() }
+        Self { bus: SocketBus::new(interface), nodes, outbox: Outbox::default() }
     }
 
     /// A millisecond passes.
     fn step(&mut self) {
         let now_ns = monotonic_ns() + MS;
         MonotonicClock.sleep_until_ns(now_ns);
-        while let Some(received) = self.bus.receive(now_ns) {
-            if let BusEvent::Frame(frame) = received.event {
-                self.nodes.iter_mut().for_each(|node| node.receive(&frame, now_ns));
-            }
-        }
-        let mut sent = Vec::new();
-        self.nodes.iter_mut().for_each(|node| node.step(now_ns, &mut sent));
-        self.outgoing.extend(sent);
-        while self.outgoing.front().is_some_and(|frame| self.bus.send(frame).is_ok()) {
-            self.outgoing.pop_front();
-        }
+        step_nodes(&mut self.nodes, &mut self.bus, now_ns, &mut self.outbox);
     }
 
     fn are_driven(&self) -> bool {

@@ -9,8 +9,10 @@ use std::time::Instant;
 
 use drivers::MonotonicClock;
 use drivers::can::Protocol;
+use drivers::scip::Model;
 use hal::{CameraModel, Clock};
 
+use super::cables::Cables;
 use super::faults::Mischief;
 use super::live::{LiveOptions, LiveWorld};
 
@@ -29,9 +31,18 @@ pub struct WorldArgs {
     /// What the motors speak.
     #[arg(long, default_value = "odrive", value_parser = protocol)]
     protocol: Protocol,
+    /// The scanner: urg-04lx, utm-30lx, ust-10lx or ust-20lx.
+    #[arg(long, default_value = "utm-30lx")]
+    lidar: Model,
+    /// The camera's pictures, 90 degrees wide.
+    #[arg(long, default_value = "640x192", value_name = "WIDTHxHEIGHT", value_parser = size)]
+    picture: (usize, usize),
     /// Pictures a second.
     #[arg(long, default_value_t = 15.0)]
     fps: f64,
+    /// Devices that are reached by the kernel's own drivers.
+    #[command(flatten)]
+    cables: Cables,
     /// Seed of the start pose and of the noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -41,6 +52,16 @@ pub struct WorldArgs {
     /// Ends after so many seconds.
     #[arg(long)]
     seconds: Option<f64>,
+}
+
+fn size(text: &str) -> Result<(usize, usize), String> {
+    let (width, height) = text.split_once('x').ok_or("write it as 640x192")?;
+    let parse = |number: &str| match number.parse::<usize>() {
+        // Two pixels share their colour.
+        Ok(number @ 32..=4096) if number % 2 == 0 => Ok(number),
+        _ => Err(format!("`{number}` is no even number of pixels from 32 to 4096")),
+    };
+    Ok((parse(width)?, parse(height)?))
 }
 
 fn protocol(text: &str) -> Result<Protocol, String> {
@@ -65,9 +86,11 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
         &LiveOptions {
             scene: args.scene.clone(),
             protocol: args.protocol,
-            camera: CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2),
+            lidar: args.lidar,
+            camera: CameraModel::pinhole(args.picture.0, args.picture.1, std::f64::consts::FRAC_PI_2),
             fps: args.fps,
             seed: args.seed,
+            cables: args.cables.clone(),
         },
     )?;
     let dir = args.dir.display();

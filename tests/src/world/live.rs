@@ -7,16 +7,18 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use drivers::MonotonicClock;
-use drivers::can::{BaseConfig, Protocol};
+use drivers::can::{BaseConfig, CanBus, Protocol, SocketBus};
 use drivers::clock::monotonic_ns;
 use drivers::scip::Model;
 use hal::{CameraModel, Clock, DepthMap};
+use simulator::laser::LaserModel;
 use simulator::{OpenOptions, RobotOptions, World};
 
-use super::Home;
+use super::cables::{Cable, Cables};
 use super::sight::{HomePicture, HomeScan};
+use super::{Home, output};
 use crate::hokuyo::SimulatedHokuyo;
-use crate::motor::{Hub, MotorNode, rig};
+use crate::motor::{Hub, MotorNode, Outbox, rig};
 use crate::video::{Device, VideoFaults, serve, simulated};
 
 /// The motors' own rhythm.
@@ -31,12 +33,31 @@ pub struct LiveOptions {
     pub scene: String,
     /// What the motors speak.
     pub protocol: Protocol,
+    /// The scanner.
+    pub lidar: Model,
     /// The camera; a pinhole.
     pub camera: CameraModel,
     /// Pictures a second.
     pub fps: f64,
     /// Seed of the start pose and of the noise.
     pub seed: u64,
+    /// Devices that are reached by the kernel's own drivers; the others are made in the folder.
+    pub cables: Cables,
+}
+
+impl Default for LiveOptions {
+    /// An apartment, ODrives, a UTM-30LX, and the camera of the paper.
+    fn default() -> Self {
+        Self {
+            scene: "builtin:apartment?seed=1".to_owned(),
+            protocol: Protocol::Odrive,
+            lidar: Model::Utm30lx,
+            camera: CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2),
+            fps: 15.0,
+            seed: 1,
+            cables: Cables::default(),
+        }
+    }
 }
 
 /// A robot in a home, behind sockets and a pty. Dropping it ends everything.
@@ -61,14 +82,22 @@ impl LiveWorld {
         std::fs::create_dir_all(dir).map_err(|error| format!("{}: {error}", dir.display()))?;
         let dir = dir.canonicalize()?;
         let world = Arc::new(World::open(&options.scene, &OpenOptions::default())?);
-        let robot = RobotOptions { seed: options.seed, ..RobotOptions::default() };
+        let model = options.lidar;
+        let laser = LaserModel { geometry: model.geometry(false), ..LaserModel::UTM_30LX };
+        let robot = RobotOptions { seed: options.seed, laser, ..RobotOptions::default() };
         let t_base_camera = robot.t_base_camera;
-        let base = BaseConfig { bus: socket(&dir, "can"), ..rig::config(options.protocol) };
+        let Cables { camera_at, lidar_at, motors_at } = &options.cables;
+        let robots_end =
+            |cable: &Option<Cable>, else_here: String| cable.as_ref().map_or(else_here, |cable| cable.robot.clone());
+        let base = BaseConfig { bus: robots_end(motors_at, socket(&dir, "can")), ..rig::config(options.protocol) };
         let home = Home::new(world, robot, &base)?;
-        let model = Model::Utm30lx;
         let view = Box::new(HomeScan { home: home.clone(), model });
         let mut live = Self {
-            lidar: SimulatedHokuyo::on_pty(model, &dir.join("lidar"), view)?,
+            lidar: match lidar_at {
+                Some(cable) => SimulatedHokuyo::on_serial(model, Path::new(&cable.world), view)
+                    .map_err(|error| format!("no serial port at {}: {error}", cable.world))?,
+                None => SimulatedHokuyo::on_pty(model, &dir.join("lidar"), view)?,
+            },
             wheels: Arc::new(Mutex::new([1, 2].map(|node| rig::node(options.protocol, node)))),
             config: dir.join("robot.toml"),
             running: Arc::new(AtomicBool::new(true)),
@@ -76,9 +105,12 @@ impl LiveWorld {
             threads: Vec::new(),
             home: home.clone(),
         };
-        let hub = Hub::bind(&dir.join("can"))?;
+        let bus: Box<dyn CanBus + Send> = match motors_at {
+            Some(cable) => Box::new(SocketBus::new(&cable.world)),
+            None => Box::new(Hub::bind(&dir.join("can"))?),
+        };
         let (wheels, running) = (Arc::clone(&live.wheels), Arc::clone(&live.running));
-        let turning = move || turn(&home, &wheels, hub, &running);
+        let turning = move || turn(&home, &wheels, bus, &running);
         live.threads.push(std::thread::Builder::new().name("simulated-motors".to_owned()).spawn(turning)?);
         let eyes = HomePicture {
             home: live.home.clone(),
@@ -87,10 +119,23 @@ impl LiveWorld {
             rgb: Vec::new(),
             depth: DepthMap::none(options.camera.width, options.camera.height),
         };
-        let (path, running, on) = (dir.join("camera"), Arc::clone(&live.running), Arc::clone(&live.camera_on));
-        let filming = move || film(&path, eyes, &running, &on);
+        let (running, on) = (Arc::clone(&live.running), Arc::clone(&live.camera_on));
+        let filming: Box<dyn FnOnce() + Send> = match camera_at {
+            Some(cable) => {
+                let (mut output, period_ns) = (output::Output::start(&cable.world)?, (1e9 / options.fps) as u64);
+                Box::new(move || output.film(eyes, period_ns, &running, &on))
+            }
+            None => {
+                let path = dir.join("camera");
+                Box::new(move || film(&path, eyes, &running, &on))
+            }
+        };
         live.threads.push(std::thread::Builder::new().name("simulated-camera".to_owned()).spawn(filming)?);
-        std::fs::write(&live.config, configuration(&dir, options, &base)?)?;
+        let ends = [
+            robots_end(camera_at, socket(&dir, "camera")),
+            robots_end(lidar_at, dir.join("lidar").display().to_string()),
+        ];
+        std::fs::write(&live.config, configuration(&dir, options, &ends, &base)?)?;
         Ok(live)
     }
 
@@ -133,16 +178,16 @@ impl Drop for LiveWorld {
     }
 }
 
-fn turn(home: &Home, wheels: &Wheels, mut hub: Hub, running: &AtomicBool) {
+fn turn(home: &Home, wheels: &Wheels, mut bus: Box<dyn CanBus + Send>, running: &AtomicBool) {
     let mut clock = MonotonicClock;
     let start_ns = monotonic_ns();
     let mut due_ns = start_ns;
-    let mut out = Vec::new();
+    let mut outbox = Outbox::default();
     while running.load(Ordering::Relaxed) {
         due_ns = (due_ns + STEP_NS).max(clock.now_ns());
         clock.sleep_until_ns(due_ns);
         let mut wheels = wheels.lock().unwrap_or_else(PoisonError::into_inner);
-        rig::step_nodes(&mut *wheels, &mut hub, due_ns, &mut out);
+        rig::step_nodes(&mut *wheels, &mut bus, due_ns, &mut outbox);
         home.pass(due_ns - start_ns, &mut wheels);
     }
 }
@@ -167,17 +212,21 @@ fn socket(dir: &Path, name: &str) -> String {
 }
 
 /// What `firmware-host run` is told of these devices.
-fn configuration(dir: &Path, options: &LiveOptions, base: &BaseConfig) -> Result<String, Box<dyn Error>> {
+fn configuration(
+    dir: &Path,
+    options: &LiveOptions,
+    [picture_node, scan_port]: &[String; 2],
+    base: &BaseConfig,
+) -> Result<String, Box<dyn Error>> {
     let camera = &options.camera;
     let mut text = format!(
         "# The simulated devices of {}.\n[camera]\nwidth = {}\nheight = {}\n\n[run]\nstatus_file = {:?}\n\n\
-         [devices.camera]\ndevice = {:?}\nwidth = {}\nheight = {}\nfps = {:?}\n\n\
-         [devices.lens]\nfx = {:?}\nfy = {:?}\ncx = {:?}\ncy = {:?}\n\n[devices.lidar]\nport = {:?}\n\n",
+         [devices.camera]\ndevice = {picture_node:?}\nwidth = {}\nheight = {}\nfps = {:?}\n\n\
+         [devices.lens]\nfx = {:?}\nfy = {:?}\ncx = {:?}\ncy = {:?}\n\n[devices.lidar]\nport = {scan_port:?}\nmodel = {:?}\n\n",
         options.scene,
         camera.width,
         camera.height,
         dir.join("status.json"),
-        socket(dir, "camera"),
         camera.width,
         camera.height,
         options.fps,
@@ -185,7 +234,7 @@ fn configuration(dir: &Path, options: &LiveOptions, base: &BaseConfig) -> Result
         camera.fy,
         camera.cx,
         camera.cy,
-        dir.join("lidar"),
+        options.lidar.to_string().to_lowercase(),
     );
     // The base's own tables go below `[devices.base]`.
     let base = toml::Table::try_from(base)?;

@@ -1,0 +1,54 @@
+//! Cables to devices that the kernel's own drivers serve.
+
+use std::str::FromStr;
+
+/// The two ends of a cable: what the world holds, and what the robot opens.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Cable {
+    /// Our end.
+    pub world: String,
+    /// The robot's end.
+    pub robot: String,
+}
+
+impl FromStr for Cable {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once('=') {
+            Some((world, robot)) if !world.is_empty() && !robot.is_empty() => {
+                Ok(Self { world: world.to_owned(), robot: robot.to_owned() })
+            }
+            _ => Err(format!("`{text}` has no two ends; write OURS=ROBOT'S, such as can1=can0")),
+        }
+    }
+}
+
+/// Which devices have one. The others are sockets and a pty.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct Cables {
+    /// A V4L2 output whose pictures come out of the robot's camera, such as /dev/video1=/dev/video0. `v4l2-ctl` writes them; size
+    /// and format of the output must have been set.
+    #[arg(long, value_name = "OURS=ROBOT'S")]
+    pub camera_at: Option<Cable>,
+    /// A serial port that is wired to the robot's, such as /dev/ttyS1=/dev/ttyUSB0.
+    #[arg(long, value_name = "OURS=ROBOT'S")]
+    pub lidar_at: Option<Cable>,
+    /// A CAN interface on the robot's bus, such as can1=can0.
+    #[arg(long, value_name = "OURS=ROBOT'S")]
+    pub motors_at: Option<Cable>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cable_has_two_ends() {
+        let cable = Cable { world: "can1".to_owned(), robot: "can0".to_owned() };
+        assert_eq!("can1=can0".parse(), Ok(cable));
+        for text in ["can0", "=can0", "can1=", ""] {
+            assert!(text.parse::<Cable>().is_err_and(|error| error.contains("can1=can0")), "{text}");
+        }
+    }
+}
