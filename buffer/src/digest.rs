@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn in_pieces_or_at_once_is_the_same() {
-        let bytes: Vec<u8> = (0..3 * PIECE as u32 + 17).map(|i| (i * 31 >> 3) as u8).collect();
+        let bytes: Vec<u8> = (0..3 * PIECE as u32 + 17).map(|i| ((i * 31) >> 3) as u8).collect();
         let mut hasher = Hasher::default();
         hasher.update_from(&mut &bytes[..], u64::MAX).unwrap();
         assert_eq!((hasher.digest(), hasher.bytes()), (Digest::of(&bytes), bytes.len() as u64));

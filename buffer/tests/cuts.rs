@@ -1,4 +1,5 @@
 //! A power cut at any moment: what is complete is kept.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
 
 mod common;
 

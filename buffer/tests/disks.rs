@@ -1,4 +1,5 @@
 //! The workstation's disk refuses at any moment.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
 
 mod common;
 

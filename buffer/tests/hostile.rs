@@ -1,4 +1,5 @@
 //! The other side means harm, or is of another time.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
 
 mod common;
 

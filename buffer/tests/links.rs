@@ -1,4 +1,5 @@
 //! Links that break, hang, damage and mix up what they carry: nothing wrong ever gets a segment's name.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
 
 mod common;
 

@@ -1,4 +1,5 @@
 //! Robots are pulled from, again and again.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
 
 mod common;
 

@@ -29,7 +29,7 @@ pub fn rows() -> Result<Vec<Row>> {
     match (programs, Sshd::start(&scratch.path("ssh"))?) {
         (Some(programs), Some(sshd)) => rows.extend(pulls(&scratch, &programs, &sshd)?),
         (None, _) => {
-            eprintln!("no rows of pull-buffer: BENCH_PROGRAMS names no folder with pull-buffer and firmware-host")
+            eprintln!("no rows of pull-buffer: BENCH_PROGRAMS names no folder with pull-buffer and firmware-host");
         }
         (_, None) => eprintln!("no rows of pull-buffer: there is no sshd"),
     }

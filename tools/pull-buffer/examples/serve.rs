@@ -4,7 +4,7 @@
 use std::io::{BufWriter, Write};
 
 fn main() {
-    let dir = std::env::args().last().unwrap_or_default();
+    let dir = std::env::args().next_back().unwrap_or_default();
     let root = buffer::Root::open(dir.as_ref()).unwrap_or_else(|error| {
         eprintln!("error: {error}");
         std::process::exit(1);

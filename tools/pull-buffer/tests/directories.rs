@@ -1,4 +1,5 @@
 //! `pull-buffer` as a user runs it, from directories.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
 
 use std::fs;
 use std::path::Path;

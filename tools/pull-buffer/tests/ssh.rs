@@ -1,4 +1,5 @@
 //! The real thing: `pull-buffer` over OpenSSH on loopback, with keys of its own. Without an sshd the tests say so and pass.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
 
 use std::fs::{self, Permissions};
 use std::net::{TcpListener, TcpStream};
