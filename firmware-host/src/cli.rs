@@ -7,6 +7,7 @@ use runtime::exploration::PolicyKind;
 use runtime::robot::DepthSource;
 
 use crate::faults::FaultArgs;
+use crate::model::ModelArgs;
 
 /// A robot that explores a home, and learns how far things are.
 #[derive(Debug, Parser)]
@@ -32,6 +33,8 @@ pub enum Command {
     Run(RunArgs),
     /// One screen: how the running robot is. Exits with 1 when something is wrong.
     Health(HealthArgs),
+    /// Signed models: install, list, verify, go back.
+    Model(ModelArgs),
     /// Check a configuration file and print what is in effect; with --devices, check what is connected.
     Check(CheckArgs),
 }
@@ -48,6 +51,9 @@ pub struct ExploreArgs {
     /// A depth network (ONNX). Without one, coarse depth is the depth.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
+    /// Folder of signed models: the current one drives, and another one that is installed meanwhile takes over, on trial.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["model", "dir", "depth"])]
+    pub model_store: Option<PathBuf>,
     /// Which depth goes into the map [default: network with --model, else coarse].
     #[arg(long, value_enum)]
     pub depth: Option<DepthArg>,
@@ -151,6 +157,10 @@ pub struct RunArgs {
     /// A depth network (ONNX). Without one, coarse depth is the depth.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
+    /// Folder of signed models: the current one drives, and another one that is installed meanwhile takes over, on trial
+    /// [default: `models.store`].
+    #[arg(long, value_name = "DIR", conflicts_with = "model")]
+    pub model_store: Option<PathBuf>,
     /// Ends after this many pictures [default: goes on until it is told to stop].
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     pub frames: Option<u64>,
@@ -216,6 +226,9 @@ pub struct ReplayArgs {
     /// The folder from which the run was handed its networks, if it was.
     #[arg(long, value_name = "DIR")]
     pub hand_over: Option<PathBuf>,
+    /// The folder of signed models that the run drove with, if it did.
+    #[arg(long, value_name = "DIR", conflicts_with = "model")]
+    pub model_store: Option<PathBuf>,
 }
 
 /// Arguments of `views`.

@@ -7,7 +7,7 @@ use std::process::{Command, ExitCode};
 use clap::Parser;
 use firmware_host::cli::{Cli, Command as Task};
 use firmware_host::config::ConfigError;
-use firmware_host::{check, explore, health, perceive, replay_run, run, views};
+use firmware_host::{check, explore, health, model, perceive, replay_run, run, views};
 
 /// The run could not be done.
 const FAILED: u8 = 1;
@@ -31,6 +31,7 @@ fn main() -> ExitCode {
         Task::Run(args) => run::run(&args).map(|()| ExitCode::SUCCESS),
         Task::Health(args) => health::run(&args),
         Task::Check(args) => check::run(&args),
+        Task::Model(args) => model::run(&args),
     };
     result.unwrap_or_else(|error| {
         eprintln!("error: {error:#}");

@@ -3,6 +3,7 @@
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
+use runtime::event::Event;
 use runtime::exploration::PolicyKind;
 use runtime::perception::DepthNetwork;
 use runtime::recording::RunHeader;
@@ -12,13 +13,14 @@ use runtime::tick::{Decision, TickInput};
 use crate::cli::ReplayArgs;
 use crate::config::Config;
 use crate::explore::model_path;
-use crate::replay::{Replayable, replay};
+use crate::model::Store;
+use crate::replay::{Replayable, Run, replay};
 use crate::setup::{self, Mission};
 
 struct Loop {
     robot: Robot,
-    /// Networks that are handed over before a turn, last first.
-    networks: Vec<(u64, DepthNetwork)>,
+    /// Networks that are handed over before a turn, last first; none: the one that was there was taken away.
+    networks: Vec<(u64, Option<DepthNetwork>)>,
 }
 
 impl Replayable for Loop {
@@ -26,7 +28,10 @@ impl Replayable for Loop {
         if self.networks.last().is_some_and(|(tick, _)| *tick == input.tick)
             && let Some((_, network)) = self.networks.pop()
         {
-            self.robot.take_network(network);
+            match network {
+                Some(network) => drop(self.robot.take_network(network)),
+                None => self.robot.leave_network(),
+            }
         }
         self.robot.tick(input, &mut ())
     }
@@ -46,7 +51,8 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
             seed: header.seed,
         };
         let robot = Robot::new(config.robot(&mission), network(args, header, &config)?)?;
-        Ok(Box::new(Loop { robot, networks: handed_over(args, header, &config)? }))
+        let networks = if header.model_store { from_store(args, header, &config)? } else { handed_over(args, header, &config)? };
+        Ok(Box::new(Loop { robot, networks }))
     };
     let report = replay(&args.run, build, &mut std::io::stdout().lock())?;
     Ok(if report.is_exact() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
@@ -54,6 +60,9 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
 
 /// The very network that the run was made with.
 fn network(args: &ReplayArgs, header: &RunHeader, config: &Config) -> Result<Option<DepthNetwork>> {
+    if let (Some(digest), true) = (&header.model_digest, header.model_store) {
+        return stored(&model_store(args)?, digest, header, config).map(Some);
+    }
     match (&header.model_digest, &args.model) {
         (None, None) => Ok(None),
         (None, Some(path)) => bail!("the run was made without a model; leave out --model {}", path.display()),
@@ -69,7 +78,7 @@ fn network(args: &ReplayArgs, header: &RunHeader, config: &Config) -> Result<Opt
 }
 
 /// The networks that the run was handed, as far as there are any: the run may have ended before the next.
-fn handed_over(args: &ReplayArgs, header: &RunHeader, config: &Config) -> Result<Vec<(u64, DepthNetwork)>> {
+fn handed_over(args: &ReplayArgs, header: &RunHeader, config: &Config) -> Result<Vec<(u64, Option<DepthNetwork>)>> {
     let (schedule, dir) = match (&header.hand_over, &args.hand_over) {
         (None, None) => return Ok(Vec::new()),
         (None, Some(dir)) => bail!("the run was handed no networks; leave out --hand-over {}", dir.display()),
@@ -80,10 +89,43 @@ fn handed_over(args: &ReplayArgs, header: &RunHeader, config: &Config) -> Result
     let mut networks = Vec::new();
     for (round, path) in paths.enumerate() {
         let tick = schedule.first + round as u64 * schedule.every;
-        networks.push((tick, setup::load_network(&path, &header.camera, config)?));
+        networks.push((tick, Some(setup::load_network(&path, &header.camera, config)?)));
     }
     networks.reverse();
     Ok(networks)
+}
+
+/// The networks that the run took out of its store, at the turns that say so.
+fn from_store(args: &ReplayArgs, header: &RunHeader, config: &Config) -> Result<Vec<(u64, Option<DepthNetwork>)>> {
+    let store = model_store(args)?;
+    let mut networks = Vec::new();
+    // What cannot be read ends the replay itself, with its reason.
+    for tick in Run::open(&args.run)?.map_while(Result::ok) {
+        for event in tick.decision.into_iter().flat_map(|decision| decision.events) {
+            match event {
+                Event::NetworkTaken { digest } => {
+                    networks.push((tick.tick, Some(stored(&store, &digest, header, config)?)));
+                }
+                Event::NetworkLeft => networks.push((tick.tick, None)),
+                _ => {}
+            }
+        }
+    }
+    networks.reverse();
+    Ok(networks)
+}
+
+fn model_store(args: &ReplayArgs) -> Result<Store> {
+    let dir = args.model_store.as_deref();
+    let dir = dir.context("the run drove with signed models; give their folder with --model-store DIR")?;
+    Ok(Store::open(dir)?)
+}
+
+fn stored(store: &Store, digest: &str, header: &RunHeader, config: &Config) -> Result<DepthNetwork> {
+    let model = store.read_model(digest).with_context(|| {
+        format!("the run drove with the model {digest}, which {} no longer holds", store.dir().display())
+    })?;
+    setup::network_of(&model, &header.camera, config)
 }
 
 fn policy(name: &str) -> Result<PolicyKind> {

@@ -139,8 +139,8 @@ pub struct Robot {
     last_time_ns: Option<u64>,
     /// Turns since the last picture.
     blind_turns: u64,
-    /// A network that came since the last turn.
-    new_network: Option<String>,
+    /// A network that came or went since the last turn.
+    new_network: Option<Event>,
 }
 
 /// Which depths this turn brought.
@@ -179,19 +179,26 @@ impl Robot {
         })
     }
 
-    /// From the next turn on, the map's depth comes from this network. Everything else goes on as it was.
-    pub fn take_network(&mut self, network: DepthNetwork) {
-        self.new_network = Some(network.digest().to_owned());
-        self.network = Some(network);
+    /// From the next turn on, the map's depth comes from this network. Everything else goes on as it was. Returns the network
+    /// before it.
+    pub fn take_network(&mut self, network: DepthNetwork) -> Option<DepthNetwork> {
+        self.new_network = Some(Event::NetworkTaken { digest: network.digest().to_owned() });
         self.config.depth_source = DepthSource::Network;
+        self.network.replace(network)
+    }
+
+    /// From the next turn on, there is no network, and the map's depth is coarse depth.
+    pub fn leave_network(&mut self) {
+        if self.network.take().is_some() {
+            self.new_network = Some(Event::NetworkLeft);
+            self.config.depth_source = DepthSource::Coarse;
+        }
     }
 
     /// One turn of the loop. A pure function of this input and all before it.
     pub fn tick(&mut self, input: &TickInput<'_>, timer: &mut impl StageTimer) -> Decision {
         let mut events = Vec::new();
-        if let Some(digest) = self.new_network.take() {
-            events.push(Event::NetworkTaken { digest });
-        }
+        events.extend(self.new_network.take());
         let odom = input.wheel.odom;
         if let Some(why) = self.refusal(input) {
             events.push(Event::InputRefused { why });

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 pub use devices::{DevicesSection, LensSection, RunSection};
 pub use error::{ConfigError, Problem};
 pub use sections::{
-    BaseSection, CameraSection, LidarSection, NetworkSection, PlanningSection, RecordingSection, SafetySection,
+    BaseSection, CameraSection, LidarSection, ModelsSection, NetworkSection, PlanningSection, RecordingSection, SafetySection,
     SimulatorSection,
 };
 
@@ -48,6 +48,8 @@ pub struct Config {
     pub exploration: ExplorationConfig,
     /// The depth network.
     pub network: NetworkSection,
+    /// Signed models: where they are, what the gate and the trial ask for.
+    pub models: ModelsSection,
     /// The recording.
     pub recording: RecordingSection,
     /// The simulated robot and home.

@@ -88,7 +88,8 @@ impl Scorer {
 }
 
 /// Depth against the LiDAR; `None` where it sees nothing.
-pub(crate) fn line_score(estimate: &DepthEstimate, line: &[LinePoint]) -> Option<LineScore> {
+#[must_use]
+pub fn line_score(estimate: &DepthEstimate, line: &[LinePoint]) -> Option<LineScore> {
     let width = estimate.depth.width();
     let (mut points, mut abs_rel, mut right, mut brier) = (0_u32, 0.0, 0.0, 0.0);
     for point in line {

@@ -92,6 +92,24 @@ impl TrialCounts {
         }
     }
 
+    /// As [`add`](Self::add), but when there are `most` turns, all that was counts half.
+    pub fn remember(&mut self, turn: &TrialTurn, most: u64) {
+        if self.turns >= most {
+            for count in [
+                &mut self.turns,
+                &mut self.overruns,
+                &mut self.bad_outputs,
+                &mut self.trips,
+                &mut self.line_pictures,
+            ] {
+                *count /= 2;
+            }
+            self.metres /= 2.0;
+            self.delta1_sum /= 2.0;
+        }
+        self.add(turn);
+    }
+
     /// Mean share of right depths on the LiDAR line, from `least` pictures on.
     #[must_use]
     pub fn delta1(&self, least: u64) -> Option<f64> {
