@@ -95,7 +95,9 @@ pub enum BundleError {
         key: String,
     },
     /// The signed comment speaks of another model or says nothing.
-    #[error("the signed comment `{comment}` is not `model=NAME blake3=DIGEST` of this model; sign it with `push-model sign`")]
+    #[error(
+        "the signed comment `{comment}` is not `model=NAME blake3=DIGEST` of this model; sign it with `push-model sign`"
+    )]
     Comment {
         /// What it says.
         comment: String,
@@ -117,7 +119,9 @@ pub enum BundleError {
         most: u64,
     },
     /// What was sent is no bundle.
-    #[error("this is no bundle but begins with `{found}`; give NAME.onnx with NAME.onnx.minisig beside it, or `-` for what `push-model` sends")]
+    #[error(
+        "this is no bundle but begins with `{found}`; give NAME.onnx with NAME.onnx.minisig beside it, or `-` for what `push-model` sends"
+    )]
     NoBundle {
         /// The first characters.
         found: String,

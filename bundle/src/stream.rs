@@ -143,7 +143,8 @@ fn read_exactly(stream: &mut impl Read, what: &'static str, bytes: u64, most: u6
     let mut read = Vec::new();
     stream.take(bytes).read_to_end(&mut read).map_err(|source| BundleError::Stream { source })?;
     if (read.len() as u64) < bytes {
-        let source = io::Error::new(io::ErrorKind::UnexpectedEof, format!("{} of {bytes} bytes of the {what}", read.len()));
+        let source =
+            io::Error::new(io::ErrorKind::UnexpectedEof, format!("{} of {bytes} bytes of the {what}", read.len()));
         return Err(BundleError::Stream { source });
     }
     Ok(read)

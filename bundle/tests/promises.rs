@@ -143,7 +143,10 @@ fn a_stream_that_promises_too_much_is_refused_before_anything_is_allocated() {
     let line = format!("embodied-depth bundle 1\nm {} 10\n", u64::MAX);
     assert!(matches!(Bundle::read_stream(line.as_bytes()).unwrap_err(), BundleError::TooLarge { what: "model", .. }));
     let line = "embodied-depth bundle 1\nm 1 99999\nx";
-    assert!(matches!(Bundle::read_stream(line.as_bytes()).unwrap_err(), BundleError::TooLarge { what: "signature", .. }));
+    assert!(matches!(
+        Bundle::read_stream(line.as_bytes()).unwrap_err(),
+        BundleError::TooLarge { what: "signature", .. }
+    ));
 }
 
 proptest! {

@@ -33,7 +33,9 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let mut stored = args.model_store.as_deref().map(|dir| Keeper::start(dir, &config)).transpose()?;
     let network = match &mut stored {
         Some((_, start)) => start.network.take(),
-        None => args.model.as_deref().map(|path| setup::load_network(path, &config.camera.model(), &config)).transpose()?,
+        None => {
+            args.model.as_deref().map(|path| setup::load_network(path, &config.camera.model(), &config)).transpose()?
+        }
     };
     let depth_source = setup::depth_source(args.depth.map(Into::into), network.is_some())?;
     let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };

@@ -51,7 +51,8 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
             seed: header.seed,
         };
         let robot = Robot::new(config.robot(&mission), network(args, header, &config)?)?;
-        let networks = if header.model_store { from_store(args, header, &config)? } else { handed_over(args, header, &config)? };
+        let networks =
+            if header.model_store { from_store(args, header, &config)? } else { handed_over(args, header, &config)? };
         Ok(Box::new(Loop { robot, networks }))
     };
     let report = replay(&args.run, build, &mut std::io::stdout().lock())?;

@@ -34,7 +34,8 @@ fn recordings() -> &'static Path {
             let config = dir.path().join("robot.toml");
             std::fs::write(&config, CONFIG).unwrap();
             let out = dir.path().join("run");
-            let mut args = vec!["explore", "--scene", "builtin:apartment?seed=1", "--policy", "frontier", "--frames", "1500"];
+            let mut args =
+                vec!["explore", "--scene", "builtin:apartment?seed=1", "--policy", "frontier", "--frames", "1500"];
             args.extend(["--config", config.to_str().unwrap(), "--out", out.to_str().unwrap()]);
             let explored = run(&args);
             assert!(explored.status.success(), "{}", String::from_utf8_lossy(&explored.stderr));
@@ -98,8 +99,9 @@ impl Robot {
         args.extend(["--store", &store, "--trusted-keys", &keys]);
         args.extend(more);
         let output = run(&args);
-        let said: Value = serde_json::from_slice(&output.stdout)
-            .unwrap_or_else(|_| panic!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr)));
+        let said: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| {
+            panic!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+        });
         assert_eq!(output.status.success(), said["accepted"] == true);
         said
     }

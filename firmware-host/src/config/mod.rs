@@ -18,8 +18,8 @@ use serde::{Deserialize, Serialize};
 pub use devices::{DevicesSection, LensSection, RunSection};
 pub use error::{ConfigError, Problem};
 pub use sections::{
-    BaseSection, CameraSection, LidarSection, ModelsSection, NetworkSection, PlanningSection, RecordingSection, SafetySection,
-    SimulatorSection,
+    BaseSection, CameraSection, LidarSection, ModelsSection, NetworkSection, PlanningSection, RecordingSection,
+    SafetySection, SimulatorSection,
 };
 
 /// The default configuration with its documentation, to print for a user who wants to start from it.

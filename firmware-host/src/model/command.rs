@@ -134,7 +134,8 @@ pub struct ExamineArgs {
 pub fn run(args: &ModelArgs) -> Result<ExitCode> {
     let config_path = args.config.clone().or_else(|| Some(PathBuf::from(USUAL_CONFIG)).filter(|path| path.exists()));
     if let ModelCommand::Examine(examine) = &args.command {
-        let examine = ExamineArgs { config: args.config.clone(), recordings: examine.recordings.clone(), ..clone(examine) };
+        let examine =
+            ExamineArgs { config: args.config.clone(), recordings: examine.recordings.clone(), ..clone(examine) };
         return examine::run(&examine).map(|()| ExitCode::SUCCESS);
     }
     let config = config_path.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
@@ -145,7 +146,10 @@ pub fn run(args: &ModelArgs) -> Result<ExitCode> {
         ModelCommand::Rollback(rollback) => roll_back(&mut open(args, &config)?, &rollback.why, args.json),
         ModelCommand::Keygen(keygen) => {
             println!("{}", generate_keys(&keygen.key, None, &keygen.comment)?);
-            eprintln!("Put this line into the robot's trusted keys. {} signs: keep it off the robot.", keygen.key.display());
+            eprintln!(
+                "Put this line into the robot's trusted keys. {} signs: keep it off the robot.",
+                keygen.key.display()
+            );
             Ok(ExitCode::SUCCESS)
         }
         ModelCommand::Examine(_) => Ok(ExitCode::FAILURE),
@@ -205,11 +209,16 @@ fn install(args: &ModelArgs, install: &InstallArgs, config_path: Option<PathBuf>
         Outcome::Accepted { signed, examination, verdict } => {
             if args.json {
                 let latency = examination.latency;
-                println!("{}", json!({"accepted": true, "name": signed.name, "digest": signed.digest, "verdict": verdict, "latency_ms": latency}));
+                println!(
+                    "{}",
+                    json!({"accepted": true, "name": signed.name, "digest": signed.digest, "verdict": verdict, "latency_ms": latency})
+                );
             } else {
                 println!("accepted: {} ({}), signed by {}", signed.name, short(&signed.digest), signed.by);
                 print_measured(&examination, &verdict);
-                println!("It drives on trial from the robot's next look, within a second; `model list` tells how it ends.");
+                println!(
+                    "It drives on trial from the robot's next look, within a second; `model list` tells how it ends."
+                );
             }
             Ok(ExitCode::SUCCESS)
         }
@@ -234,13 +243,16 @@ fn print_measured(examination: &Examination, verdict: &Verdict) {
         println!("  {}: {candidate:.4}, before {resident:.4} (difference {lower:+.4} to {upper:+.4})", measure.name());
     }
     let latency = &examination.latency;
-    println!("  p99 {:.1} ms over {} inferences; golden pair within {:.1e}", latency.p99_ms, latency.runs, examination.golden_difference);
+    println!(
+        "  p99 {:.1} ms over {} inferences; golden pair within {:.1e}",
+        latency.p99_ms, latency.runs, examination.golden_difference
+    );
 }
 
 fn verify(args: &ModelArgs, verify: &VerifyArgs, config: &Config) -> Result<ExitCode> {
     let keys = keys(verify.trusted_keys.as_ref(), config)?;
-    let read = read_bundle(&verify.bundle)
-        .and_then(|bundle| Ok(bundle::verify(&bundle.model, &bundle.signature, &keys)?));
+    let read =
+        read_bundle(&verify.bundle).and_then(|bundle| Ok(bundle::verify(&bundle.model, &bundle.signature, &keys)?));
     match read {
         Ok(signed) if args.json => {
             println!("{}", json!({"verified": true, "name": signed.name, "digest": signed.digest, "by": signed.by}));
@@ -269,7 +281,10 @@ fn list(store: &Store, as_json: bool) -> Result<ExitCode> {
     let history = store.history();
     if as_json {
         let state = state.map_err(|error| error.to_string());
-        println!("{}", json!({"state": state.as_ref().ok(), "problem": state.as_ref().err(), "history": history.entries}));
+        println!(
+            "{}",
+            json!({"state": state.as_ref().ok(), "problem": state.as_ref().err(), "history": history.entries})
+        );
         return Ok(if state.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE });
     }
     let state = state?;
@@ -287,7 +302,14 @@ fn list(store: &Store, as_json: bool) -> Result<ExitCode> {
     }
     for entry in &history.entries {
         let what = serde_json::to_value(entry.what).unwrap_or_default();
-        println!("  {} {} {} {} {}", entry.unix_s, what.as_str().unwrap_or_default(), short(&entry.digest), entry.name, entry.why);
+        println!(
+            "  {} {} {} {} {}",
+            entry.unix_s,
+            what.as_str().unwrap_or_default(),
+            short(&entry.digest),
+            entry.name,
+            entry.why
+        );
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -56,7 +56,8 @@ pub fn newest_segments(paths: &[PathBuf]) -> Vec<PathBuf> {
         let inner = std::fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path());
         let runs = std::iter::once(path.clone()).chain(inner.filter(|path| path.is_dir()));
         for segment in runs.filter_map(|run| segments(&run).ok()).flatten() {
-            let changed = std::fs::metadata(&segment).and_then(|data| data.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
+            let changed =
+                std::fs::metadata(&segment).and_then(|data| data.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
             found.push((changed, segment));
         }
     }
@@ -162,7 +163,8 @@ impl Clip {
         let t_camera_laser = self.run.t_base_camera.inverse() * self.run.t_base_laser;
         let near = |scan: &&hal::LaserScan| scan.time_ns.abs_diff(tick.time_ns) <= MAX_APART_NS;
         let scan = tick.scan.as_ref().filter(near);
-        let candidates: Vec<(f64, &Seen)> = self.seen.iter().take(earlier).filter_map(|seen| source(seen, newest)).collect();
+        let candidates: Vec<(f64, &Seen)> =
+            self.seen.iter().take(earlier).filter_map(|seen| source(seen, newest)).collect();
         let best = |wanted: f64| {
             let off = |(baseline, _): &(f64, &Seen)| (baseline - wanted).abs();
             candidates.iter().min_by(|one, other| off(one).total_cmp(&off(other)))

@@ -9,9 +9,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use hal::{CameraModel, ImageView, Pose3};
 use ort::environment::Environment;
-use runtime::model_gate::{
-    Examination, FrameScore, GateLimits, Latency, ScoredFrame, Scorer, Source, check_onnx_file,
-};
+use runtime::model_gate::{Examination, FrameScore, GateLimits, Latency, ScoredFrame, Scorer, Source, check_onnx_file};
 use runtime::perception::{DepthNetwork, InputKind, NetworkOptions};
 use rustix::process::{Resource, Rlimit, nice, setrlimit};
 use serde::{Deserialize, Serialize};
@@ -232,10 +230,11 @@ impl Examiner {
 
     /// More inferences by turns until there are enough to speak of a 99th percentile.
     fn time(&mut self, candidate: &mut DepthNetwork, mut resident: Option<&mut DepthNetwork>) -> Result<()> {
-        let rgb: Vec<u8> = (0..3 * self.camera.width * self.camera.height).map(|i| (i * 7919 / 13 % 256) as u8).collect();
+        let rgb: Vec<u8> =
+            (0..3 * self.camera.width * self.camera.height).map(|i| (i * 7919 / 13 % 256) as u8).collect();
         while self.times.len() < LEAST_RUNS {
             let view = ImageView::rgb8(self.camera.width, self.camera.height, &rgb)?;
-            let mut timed = |network: &mut DepthNetwork| {
+            let timed = |network: &mut DepthNetwork| {
                 let began = Instant::now();
                 let _ = network.estimate(view, &Pose3::identity(), None);
                 began.elapsed().as_secs_f64() * 1e3
@@ -255,7 +254,7 @@ impl Examiner {
 
 fn latency(mut ms: Vec<f64>) -> Latency {
     ms.sort_by(f64::total_cmp);
-    let at = |share: f64| ms.get((share * ms.len().saturating_sub(1) as f64).ceil() as usize).copied().unwrap_or(f64::NAN);
+    let at =
+        |share: f64| ms.get((share * ms.len().saturating_sub(1) as f64).ceil() as usize).copied().unwrap_or(f64::NAN);
     Latency { p50_ms: at(0.5), p99_ms: at(0.99), runs: ms.len() }
 }
-

@@ -54,7 +54,9 @@ pub enum Refusal {
     #[error(transparent)]
     Unfit(#[from] Unfit),
     /// It ended the process that examined it.
-    #[error("the process that examined it did not live ({doing}): {how}; a model of this robot needs less memory and time")]
+    #[error(
+        "the process that examined it did not live ({doing}): {how}; a model of this robot needs less memory and time"
+    )]
     Died {
         /// What the process was doing.
         doing: String,

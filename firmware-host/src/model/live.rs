@@ -5,7 +5,9 @@
 use drivers::MonotonicClock;
 use hal::{Clock, Pose2, Pose3};
 use runtime::event::{Event, SafetyEvent};
-use runtime::model_gate::{MAX_APART_NS, Trial, TrialCounts, TrialLimits, TrialState, TrialTurn, lidar_line, line_score};
+use runtime::model_gate::{
+    MAX_APART_NS, Trial, TrialCounts, TrialLimits, TrialState, TrialTurn, lidar_line, line_score,
+};
 use runtime::perception::{DepthNetwork, NoDepth};
 use runtime::robot::Robot;
 use runtime::tick::{Decision, TickInput};
@@ -92,9 +94,7 @@ impl Keeper {
         self.seen = state.current().map(str::to_owned);
         let Some(digest) = state.current() else { return Some(Swap::ToNone) };
         match self.load(digest) {
-            Ok(network) => {
-                Some(Swap::To { network: Box::new(network), on_trial: state.trial_starts.is_some() })
-            }
+            Ok(network) => Some(Swap::To { network: Box::new(network), on_trial: state.trial_starts.is_some() }),
             Err(error) => {
                 self.roll_back(digest, &format!("rolled back: it cannot be loaded: {error:#}"));
                 None
@@ -123,7 +123,6 @@ impl Keeper {
             }
         }
     }
-
 }
 
 /// What the robot starts with.

@@ -73,8 +73,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Folder`].
     pub fn open_on(dir: &Path, disk: Box<dyn StoreDisk>) -> Result<Self, StoreError> {
-        fs::create_dir_all(dir.join("models"))
-            .map_err(|source| StoreError::Folder { dir: dir.to_owned(), source })?;
+        fs::create_dir_all(dir.join("models")).map_err(|source| StoreError::Folder { dir: dir.to_owned(), source })?;
         Ok(Self { dir: dir.to_owned(), disk })
     }
 
@@ -208,9 +207,9 @@ impl Store {
     pub fn start(&mut self) -> Result<State, StoreError> {
         let state = self.state()?;
         match state.trial_starts {
-            Some(starts) if starts >= MOST_TRIAL_STARTS => {
-                self.roll_back(&format!("rolled back: the robot was started {starts} times with it, and its trial never ended"))
-            }
+            Some(starts) if starts >= MOST_TRIAL_STARTS => self.roll_back(&format!(
+                "rolled back: the robot was started {starts} times with it, and its trial never ended"
+            )),
             Some(starts) => {
                 let _lock = self.lock()?;
                 let state = State { trial_starts: Some(starts + 1), ..state };

@@ -95,13 +95,9 @@ impl TrialCounts {
     /// As [`add`](Self::add), but when there are `most` turns, all that was counts half.
     pub fn remember(&mut self, turn: &TrialTurn, most: u64) {
         if self.turns >= most {
-            for count in [
-                &mut self.turns,
-                &mut self.overruns,
-                &mut self.bad_outputs,
-                &mut self.trips,
-                &mut self.line_pictures,
-            ] {
+            for count in
+                [&mut self.turns, &mut self.overruns, &mut self.bad_outputs, &mut self.trips, &mut self.line_pictures]
+            {
                 *count /= 2;
             }
             self.metres /= 2.0;
@@ -176,7 +172,9 @@ pub enum TrialVerdict {
         resident_per_m: f64,
     },
     /// Less right on the LiDAR line.
-    #[error("rolled back: {delta1:.3} of its depths on the LiDAR line were right over {pictures} pictures, least: {least:.3}")]
+    #[error(
+        "rolled back: {delta1:.3} of its depths on the LiDAR line were right over {pictures} pictures, least: {least:.3}"
+    )]
     Accuracy {
         /// Share of right depths.
         delta1: f64,
@@ -267,8 +265,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const GOOD: TrialTurn =
-        TrialTurn { overrun: false, bad_output: false, trips: 0, moved_m: 0.02, delta1: Some(0.8) };
+    const GOOD: TrialTurn = TrialTurn { overrun: false, bad_output: false, trips: 0, moved_m: 0.02, delta1: Some(0.8) };
 
     fn resident() -> TrialCounts {
         let mut counts = TrialCounts::default();

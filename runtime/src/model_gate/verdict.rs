@@ -125,7 +125,9 @@ impl Measure {
 #[non_exhaustive]
 pub enum Why {
     /// NaN or out of range.
-    #[error("its output was NaN or out of range on {pictures} of {of} held-out pictures; look for overflow in training")]
+    #[error(
+        "its output was NaN or out of range on {pictures} of {of} held-out pictures; look for overflow in training"
+    )]
     BadOutput {
         /// On so many.
         pictures: usize,
@@ -147,7 +149,9 @@ pub enum Why {
         min_places: usize,
     },
     /// Depth that explains nothing.
-    #[error("its depth explains earlier pictures no better ({error:.4}) than not moving at all ({unmoved:.4}); train it longer")]
+    #[error(
+        "its depth explains earlier pictures no better ({error:.4}) than not moving at all ({unmoved:.4}); train it longer"
+    )]
     NotSane {
         /// Photometric error where parallax is large enough to show.
         error: f64,
@@ -155,7 +159,9 @@ pub enum Why {
         unmoved: f64,
     },
     /// Depth that is wrong by itself.
-    #[error("only {delta1:.3} of its depths on the LiDAR line are right, least: {least:.3}; check units and camera height")]
+    #[error(
+        "only {delta1:.3} of its depths on the LiDAR line are right, least: {least:.3}; check units and camera height"
+    )]
     NotMetric {
         /// Share of right depths.
         delta1: f64,
@@ -189,7 +195,9 @@ pub enum Why {
         margin: f64,
     },
     /// Too slow.
-    #[error("too slow: p99 {p99_ms:.1} ms on this computer, allowed: {most_ms:.1} ms; train a smaller network or give it more threads")]
+    #[error(
+        "too slow: p99 {p99_ms:.1} ms on this computer, allowed: {most_ms:.1} ms; train a smaller network or give it more threads"
+    )]
     TooSlow {
         /// Measured.
         p99_ms: f64,

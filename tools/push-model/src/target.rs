@@ -62,7 +62,8 @@ mod tests {
 
     #[test]
     fn hosts_folders_and_stores_are_told_apart() {
-        let remote = |host: &str, store: Option<&str>| Target::Remote { host: host.into(), store: store.map(Into::into) };
+        let remote =
+            |host: &str, store: Option<&str>| Target::Remote { host: host.into(), store: store.map(Into::into) };
         let local = |store: &str| Target::Local { store: store.into() };
         for (text, target) in [
             ("robot", remote("robot", None)),

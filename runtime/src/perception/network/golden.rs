@@ -64,7 +64,8 @@ impl Golden {
             let (row, column) = (index / self.columns * BLOCK + BLOCK / 2, index % self.columns * BLOCK + BLOCK / 2);
             (output.get(row * width + column).copied().unwrap_or(f32::NAN) - expected).abs()
         });
-        expected.fold(0.0, |largest, difference| if difference.is_nan() { f32::INFINITY } else { largest.max(difference) })
+        expected
+            .fold(0.0, |largest, difference| if difference.is_nan() { f32::INFINITY } else { largest.max(difference) })
     }
 }
 
