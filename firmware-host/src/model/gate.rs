@@ -32,6 +32,8 @@ pub struct Gate {
     pub unproven: bool,
     /// Whether a model that was rolled back may be tried once more.
     pub again: bool,
+    /// Whether the examination uses only otherwise idle time.
+    pub idle: bool,
 }
 
 /// Why a model is not taken.
@@ -172,6 +174,7 @@ impl Gate {
             config: config.as_deref(),
             frames: self.frames,
             limits: self.child,
+            idle: self.idle,
         })
     }
 }
