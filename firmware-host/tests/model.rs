@@ -11,7 +11,7 @@ use tempfile::TempDir;
 
 const CONFIG: &str = "\
 [camera]\nwidth = 160\nheight = 64\n\
-[models]\nmax_p99_ms = 10\ngate_timeout_s = 120\ngate_memory_mib = 4096\ntrial_turns = 60\ntrial_m = 0.2\n";
+[models]\nmax_p99_ms = 1000\ngate_timeout_s = 120\ngate_memory_mib = 4096\ntrial_turns = 60\ntrial_m = 0.2\n";
 
 fn binary() -> PathBuf {
     assert_cmd::cargo::cargo_bin!("firmware-host").to_owned()
@@ -149,11 +149,19 @@ fn every_bad_model_is_refused_with_its_reason_and_none_is_accepted() {
     refused("external_data", "file", &["`bias`", "another file"]);
     refused("no_golden_pair", "golden_pair", &["no golden pair"]);
     refused("lying_golden_pair", "golden_pair", &["off by 0.05"]);
-    refused("slow", "judged", &["too slow"]);
     // Without recordings nothing is shown to be as good.
     refused("better", "judged", &["only 0 held-out pictures"]);
     let history = robot.store().history();
-    assert_eq!(history.entries.iter().filter(|entry| entry.what == What::Refused).count(), 7);
+    assert_eq!(history.entries.iter().filter(|entry| entry.what == What::Refused).count(), 6);
+}
+
+#[test]
+fn a_model_that_is_slower_than_the_budget_is_refused_with_both_numbers() {
+    let robot = Robot::with(&CONFIG.replace("max_p99_ms = 1000", "max_p99_ms = 20"));
+    let said = robot.install(&robot.signed("slow"), &["--unproven"]);
+    let why = said["why"].as_str().unwrap();
+    assert!(said["kind"] == "judged" && why.contains("too slow") && why.contains("allowed: 20.0 ms"), "{why}");
+    assert_eq!(robot.state(), State::default());
 }
 
 #[test]
@@ -216,15 +224,17 @@ fn a_better_model_is_accepted_a_worse_one_and_one_with_nan_are_not() {
     let nan = robot.judged_by_recordings("nan_in_the_dark");
     assert!(nan["why"].as_str().unwrap().contains("NaN"), "{nan}");
     assert_eq!(robot.state().current(), Some(&*guess));
+    let robot = Robot::new();
+    let worse = robot.has("worse");
     let better = robot.judged_by_recordings("better");
     assert_eq!(better["accepted"], true, "{better}");
     let state = robot.state();
-    assert_eq!((state.models.len(), state.previous(), state.trial_starts), (2, Some(&*guess), Some(0)));
-    // The guess is now the worse one.
+    assert_eq!((state.models.len(), state.previous(), state.trial_starts), (2, Some(&*worse), Some(0)));
+    // Now it is what others are judged by.
     let mut store = robot.store();
     let current = state.current().unwrap().to_owned();
     store.keep(&current, "for the test").unwrap();
-    let back = robot.judged_by_recordings("guess");
+    let back = robot.judged_by_recordings("worse");
     assert_eq!(back["kind"], "judged", "{back}");
     assert_eq!(robot.judged_by_recordings("better")["kind"], "current");
 }

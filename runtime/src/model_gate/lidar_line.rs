@@ -106,7 +106,7 @@ mod tests {
             *range = Range::Hit(if nearer { 3.0 } else { 4.0 });
         }
         let (far, mixed) = (lidar_line(&both, &camera, &t_camera_laser), lidar_line(&mixed, &camera, &t_camera_laser));
-        assert!(mixed.iter().all(|point| point.depth_m < 4.05) && far.iter().any(|point| point.depth_m > 3.9));
+        assert!(mixed.iter().all(|point| point.depth_m < 4.06) && far.iter().any(|point| point.depth_m > 3.9));
         let crowded = mixed.iter().filter(|point| point.depth_m < 3.1).count();
         assert!(crowded * 10 > mixed.len() * 4, "{crowded} of {}", mixed.len());
     }

@@ -93,11 +93,9 @@ pub fn line_score(estimate: &DepthEstimate, line: &[LinePoint]) -> Option<LineSc
     let width = estimate.depth.width();
     let (mut points, mut abs_rel, mut right, mut brier) = (0_u32, 0.0, 0.0, 0.0);
     for point in line {
-        let (Some(depth), Some(confidence)) =
-            (estimate.depth.get(point.u, point.v), estimate.confidence.get(point.v * width + point.u))
-        else {
-            continue;
-        };
+        let at = point.v * width + point.u;
+        let there = (estimate.depth.values().get(at), estimate.confidence.get(at));
+        let (Some(&depth), Some(confidence), true) = (there.0, there.1, point.u < width) else { continue };
         let is_right = depth > 0.0 && (depth / point.depth_m).max(point.depth_m / depth) < DELTA1;
         let is_right = f64::from(u8::from(is_right));
         points += 1;

