@@ -64,5 +64,5 @@ def test_a_recordings_pictures_are_held_out_by_the_pose_of_the_base(tmp_path: Pa
     write_segment(tmp_path / "recording_0000.mcap", room(40), wheels)
     frames, _ = read_recording(tmp_path)
     assert frames.held_out is not None
-    assert frames.held_out.tolist() == [is_held_out(*wheel.values()) for wheel in wheels]
+    assert frames.held_out.tolist() == [is_held_out(w["x_m"], w["y_m"], w["yaw_rad"]) for w in wheels]
     assert 0 < frames.held_out.sum() < 40

@@ -1,7 +1,7 @@
 """Which pictures are held out: never trained on, so that the robot can judge a model by them.
 
-The robot's rule (`runtime/src/model_gate/held_out.rs`), to the last bit: pose bins of 1 m x 1 m and 45 degrees of heading
-in the odometry of their run, of which an integer hash holds out about a tenth.
+The robot's rule (`runtime/src/model_gate/held_out.rs`), to the last bit: pose bins of 1 m x 1 m and 45 degrees of
+heading in the odometry of their run, of which an integer hash holds out about a tenth.
 """
 
 from __future__ import annotations
