@@ -44,7 +44,8 @@ fn write_new(path: &Path, mode: u32, text: &str) -> Result<(), BundleError> {
     written.map_err(|source| BundleError::File { what: "write", path: path.to_owned(), source })
 }
 
-/// Reads a secret key as [`generate_keys`] or `minisign -G` writes it. `password` is asked for only where the key has one.
+/// Reads a secret key as [`generate_keys`] or `minisign -G` writes it (with a password: the checksum that `minisign -G -W` 0.11 writes
+/// is not what the crate expects). `password` is asked for only where the key has one.
 ///
 /// # Errors
 /// A file that cannot be read or is no secret key, or a wrong password.

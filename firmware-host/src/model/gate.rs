@@ -149,7 +149,7 @@ impl Gate {
         let proven = if state.trial_starts.is_some() { state.previous() } else { state.current() };
         let resident = proven.filter(|digest| store.read_model(digest).is_ok()).map(|digest| store.model_path(digest));
         let has_resident = resident.is_some();
-        let examination = match self.examine(&bundle.model, resident, store)? {
+        let examination = match self.examine(&bundle.model, resident.as_deref(), store)? {
             Ended::Examined(examination) => examination,
             Ended::Unfit(unfit) => return Ok(Err(unfit.into())),
             Ended::Died { doing, how } => return Ok(Err(Refusal::Died { doing, how })),
@@ -162,14 +162,14 @@ impl Gate {
         Ok(Ok((signed, examination, verdict)))
     }
 
-    fn examine(&self, model: &[u8], resident: Option<PathBuf>, store: &Store) -> Result<Ended> {
+    fn examine(&self, model: &[u8], resident: Option<&Path>, store: &Store) -> Result<Ended> {
         let candidate = Candidate::write(store.dir(), model)?;
         let recordings = self.recordings.iter().map(|path| absolute(path)).collect::<Result<Vec<_>>>()?;
         let config = self.config.as_deref().map(absolute).transpose()?;
         examine(&Task {
             program: &self.program,
             candidate: &absolute(&candidate.path)?,
-            resident: resident.as_deref().map(absolute).transpose()?,
+            resident: resident.map(absolute).transpose()?,
             recordings: &recordings,
             config: config.as_deref(),
             frames: self.frames,
