@@ -7,6 +7,7 @@ use runtime::exploration::PolicyKind;
 use runtime::robot::DepthSource;
 
 use crate::faults::FaultArgs;
+use crate::model::ModelArgs;
 use crate::replay::Moment;
 
 /// A robot that explores a home, and learns how far things are.
@@ -35,6 +36,8 @@ pub enum Command {
     Run(RunArgs),
     /// One screen: how the running robot is. Exits with 1 when something is wrong.
     Health(HealthArgs),
+    /// Signed models: install, list, verify, go back.
+    Model(ModelArgs),
     /// Check a configuration file and print what is in effect; with --devices, check what is connected.
     Check(CheckArgs),
     /// What was recorded: list, verify, make cut segments whole, write in other layouts, serve to pull-buffer.
@@ -53,6 +56,9 @@ pub struct ExploreArgs {
     /// A depth network (ONNX). Without one, coarse depth is the depth.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
+    /// Folder of signed models: the current one drives, and another one that is installed meanwhile takes over, on trial.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["model", "dir", "depth"])]
+    pub model_store: Option<PathBuf>,
     /// Which depth goes into the map [default: network with --model, else coarse].
     #[arg(long, value_enum)]
     pub depth: Option<DepthArg>,
@@ -156,6 +162,10 @@ pub struct RunArgs {
     /// A depth network (ONNX). Without one, coarse depth is the depth.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
+    /// Folder of signed models: the current one drives, and another one that is installed meanwhile takes over, on trial
+    /// [default: `models.store`].
+    #[arg(long, value_name = "DIR", conflicts_with = "model")]
+    pub model_store: Option<PathBuf>,
     /// Ends after this many pictures [default: goes on until it is told to stop].
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     pub frames: Option<u64>,
@@ -223,18 +233,21 @@ pub struct ReplayArgs {
     pub until_mismatch: bool,
     /// The models of the run.
     #[command(flatten)]
-    pub models: ModelArgs,
+    pub models: RunModels,
 }
 
 /// The models of a recorded run, which are not in its recording.
 #[derive(Debug, Args)]
-pub struct ModelArgs {
+pub struct RunModels {
     /// The depth network that the run was made with, if it was.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// The folder from which the run was handed its networks, if it was.
     #[arg(long, value_name = "DIR")]
     pub hand_over: Option<PathBuf>,
+    /// The folder of signed models that the run drove with, if it did.
+    #[arg(long, value_name = "DIR", conflicts_with = "model")]
+    pub model_store: Option<PathBuf>,
 }
 
 /// Arguments of `reproduce`.
@@ -256,7 +269,7 @@ pub struct ReproduceArgs {
     pub out: PathBuf,
     /// The models of the run.
     #[command(flatten)]
-    pub models: ModelArgs,
+    pub models: RunModels,
 }
 
 /// Arguments of `views`.

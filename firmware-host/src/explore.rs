@@ -14,6 +14,7 @@ use crate::cli::ExploreArgs;
 use crate::config::Config;
 use crate::dump::Dump;
 use crate::faults::FaultPlan;
+use crate::model::{Keeper, LiveModels};
 use crate::record::{FaultyDisk, FileSystem, Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
 use crate::report::summary::Summary;
@@ -29,10 +30,15 @@ use session::Session;
 /// reason `output_failed`.
 pub fn run(args: &ExploreArgs) -> Result<()> {
     let config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
-    let depth_source = setup::depth_source(args.depth.map(Into::into), args.model.is_some())?;
+    let mut stored = args.model_store.as_deref().map(|dir| Keeper::start(dir, &config)).transpose()?;
+    let network = match &mut stored {
+        Some((_, start)) => start.network.take(),
+        None => {
+            args.model.as_deref().map(|path| setup::load_network(path, &config.camera.model(), &config)).transpose()?
+        }
+    };
+    let depth_source = setup::depth_source(args.depth.map(Into::into), network.is_some())?;
     let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };
-    let network =
-        args.model.as_deref().map(|path| setup::load_network(path, &config.camera.model(), &config)).transpose()?;
     let model = network.as_ref().map(|network| network.digest().to_owned());
     let world = World::open(&args.scene, &setup::open_options(&args.scene_file, &config))?;
     let start = args.start.map(|[x_m, y_m, yaw_deg]| Pose2::new(x_m, y_m, yaw_deg.to_radians()));
@@ -61,6 +67,7 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let mut session = Session::new(args, &config, &simulated, &faults, robot, recorder);
     session.dump = dump;
     session.hand_over = hand_over;
+    session.models = stored.map(|(keeper, start)| LiveModels::direct(keeper, start, &config));
     #[cfg(feature = "rerun")]
     if let Some(targets) = args.rerun.targets(&args.out) {
         let camera = config.camera.model();
@@ -80,6 +87,7 @@ fn header(
     Ok(RunHeader {
         scene: Some(args.scene.clone()),
         hand_over: HandOver::schedule(&args.hand_over),
+        model_store: args.model_store.is_some(),
         ..setup::run_header(config, mission, model, plan)?
     })
 }

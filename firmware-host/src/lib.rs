@@ -11,6 +11,7 @@ pub mod evaluation;
 pub mod explore;
 pub mod faults;
 pub mod health;
+pub mod model;
 pub mod onnx_runtime;
 pub mod perceive;
 pub mod record;

@@ -7,7 +7,7 @@ use std::process::{Command, ExitCode};
 use clap::Parser;
 use firmware_host::cli::{Cli, Command as Task};
 use firmware_host::config::ConfigError;
-use firmware_host::{buffer, check, explore, health, perceive, replay_run, reproduce, run, views};
+use firmware_host::{buffer, check, explore, health, model, perceive, replay_run, reproduce, run, views};
 
 /// The run could not be done.
 const FAILED: u8 = 1;
@@ -33,6 +33,7 @@ fn main() -> ExitCode {
         Task::Health(args) => health::run(&args),
         Task::Check(args) => check::run(&args),
         Task::Buffer(args) => buffer::run(&args),
+        Task::Model(args) => model::run(&args),
     };
     result.unwrap_or_else(|error| {
         eprintln!("error: {error:#}");

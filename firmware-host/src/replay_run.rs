@@ -1,36 +1,91 @@
 //! `firmware-host replay`: the loop of a recorded run, built again from the run's header.
 
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
+use hal::CameraModel;
+use runtime::event::Event;
 use runtime::exploration::PolicyKind;
 use runtime::perception::DepthNetwork;
 use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, Robot};
-use runtime::snapshot::SnapshotError;
 use runtime::tick::{Decision, TickInput};
 
-use crate::cli::{ModelArgs, ReplayArgs};
+use crate::cli::{ReplayArgs, RunModels};
 use crate::config::Config;
 use crate::explore::model_path;
-use crate::replay::{Replayable, Span, replay};
+use crate::model::Store;
+use crate::replay::{Replayable, Run, Span, replay};
 use crate::setup::{self, Mission};
 
 struct Loop {
     robot: Robot,
-    /// Networks that are handed over before a turn, last first.
-    networks: Vec<(u64, DepthNetwork)>,
+    /// Networks that are handed over before a turn, last first; none: the one that was there was taken away.
+    networks: Vec<(u64, Option<DepthNetwork>)>,
+    /// The signed models of a run that drove with them.
+    stored: Option<Stored>,
+}
+
+struct Stored {
+    store: Store,
+    camera: CameraModel,
+    config: Config,
+}
+
+impl Stored {
+    fn open(args: &RunModels, header: &RunHeader, config: &Config) -> Result<Self> {
+        let dir = args.model_store.as_deref();
+        let dir = dir.context("the run drove with signed models; give their folder with --model-store DIR")?;
+        Ok(Self { store: Store::open(dir)?, camera: header.camera, config: config.clone() })
+    }
+
+    /// The networks that the run took and left, at the turns that say so, last first.
+    fn taken(&self, run: &Path) -> Result<Vec<(u64, Option<DepthNetwork>)>> {
+        let mut networks = Vec::new();
+        // What cannot be read ends the replay itself, with its reason.
+        for tick in Run::open(run)?.map_while(Result::ok) {
+            for event in tick.decision.into_iter().flat_map(|decision| decision.events) {
+                match event {
+                    Event::NetworkTaken { digest } => networks.push((tick.tick, Some(self.load(&digest)?))),
+                    Event::NetworkLeft => networks.push((tick.tick, None)),
+                    _ => {}
+                }
+            }
+        }
+        networks.reverse();
+        Ok(networks)
+    }
+
+    fn load(&self, digest: &str) -> Result<DepthNetwork> {
+        let model = self.store.read_model(digest).with_context(|| {
+            format!("the run drove with the model {digest}, which {} no longer holds", self.store.dir().display())
+        })?;
+        setup::network_of(&model, &self.camera, &self.config)
+    }
 }
 
 impl Replayable for Loop {
     fn hand_over(&mut self, tick: u64) {
         while let Some((_, network)) = self.networks.pop_if(|(from, _)| *from <= tick) {
-            self.robot.take_network(network);
+            match network {
+                Some(network) => drop(self.robot.take_network(network)),
+                None => self.robot.leave_network(),
+            }
         }
     }
 
-    fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
-        self.robot.restore(snapshot)
+    fn restore(&mut self, snapshot: &[u8]) -> Result<()> {
+        if let Some(stored) = &self.stored {
+            let wanted = Robot::network_of_snapshot(snapshot)?;
+            if wanted != self.robot.network_digest() {
+                match wanted {
+                    Some(digest) => drop(self.robot.take_network(stored.load(&digest)?)),
+                    None => self.robot.leave_network(),
+                }
+            }
+        }
+        Ok(self.robot.restore(snapshot)?)
     }
 
     fn snapshot(&self) -> Vec<u8> {
@@ -48,7 +103,7 @@ impl Replayable for Loop {
 /// When there is nothing to replay, or the run needs a model that was not given.
 pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
     let span = Span { from: args.from, until_mismatch: args.until_mismatch };
-    let build = |header: &RunHeader| build(header, &args.models);
+    let build = |header: &RunHeader| build(&args.run, header, &args.models);
     let report = replay(&args.run, span, build, &mut std::io::stdout().lock())?;
     Ok(if report.is_exact() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
@@ -57,7 +112,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
 ///
 /// # Errors
 /// When this version does not know the run's configuration, or its models are not those that were given.
-pub fn build(header: &RunHeader, models: &ModelArgs) -> Result<Box<dyn Replayable>> {
+pub fn build(run: &Path, header: &RunHeader, models: &RunModels) -> Result<Box<dyn Replayable>> {
     if !header.pictures {
         bail!("the run was recorded without pictures (recording.pictures = false): nothing can be recomputed");
     }
@@ -68,12 +123,21 @@ pub fn build(header: &RunHeader, models: &ModelArgs) -> Result<Box<dyn Replayabl
         depth_source: depth_source(&header.depth_source)?,
         seed: header.seed,
     };
-    let robot = Robot::new(config.robot(&mission), network(models, header, &config)?)?;
-    Ok(Box::new(Loop { robot, networks: handed_over(models, header, &config)? }))
+    let stored = header.model_store.then(|| Stored::open(models, header, &config)).transpose()?;
+    let network = match (&stored, &header.model_digest) {
+        (Some(stored), digest) => digest.as_ref().map(|digest| stored.load(digest)).transpose()?,
+        (None, _) => network(models, header, &config)?,
+    };
+    let robot = Robot::new(config.robot(&mission), network)?;
+    let networks = match &stored {
+        Some(stored) => stored.taken(run)?,
+        None => handed_over(models, header, &config)?,
+    };
+    Ok(Box::new(Loop { robot, networks, stored }))
 }
 
 /// The very network that the run was made with.
-fn network(args: &ModelArgs, header: &RunHeader, config: &Config) -> Result<Option<DepthNetwork>> {
+fn network(args: &RunModels, header: &RunHeader, config: &Config) -> Result<Option<DepthNetwork>> {
     match (&header.model_digest, &args.model) {
         (None, None) => Ok(None),
         (None, Some(path)) => bail!("the run was made without a model; leave out --model {}", path.display()),
@@ -89,7 +153,7 @@ fn network(args: &ModelArgs, header: &RunHeader, config: &Config) -> Result<Opti
 }
 
 /// The networks that the run was handed, as far as there are any: the run may have ended before the next.
-fn handed_over(args: &ModelArgs, header: &RunHeader, config: &Config) -> Result<Vec<(u64, DepthNetwork)>> {
+fn handed_over(args: &RunModels, header: &RunHeader, config: &Config) -> Result<Vec<(u64, Option<DepthNetwork>)>> {
     let (schedule, dir) = match (&header.hand_over, &args.hand_over) {
         (None, None) => return Ok(Vec::new()),
         (None, Some(dir)) => bail!("the run was handed no networks; leave out --hand-over {}", dir.display()),
@@ -100,7 +164,7 @@ fn handed_over(args: &ModelArgs, header: &RunHeader, config: &Config) -> Result<
     let mut networks = Vec::new();
     for (round, path) in paths.enumerate() {
         let tick = schedule.first + round as u64 * schedule.every;
-        networks.push((tick, setup::load_network(&path, &header.camera, config)?));
+        networks.push((tick, Some(setup::load_network(&path, &header.camera, config)?)));
     }
     networks.reverse();
     Ok(networks)

@@ -38,8 +38,12 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
     std::fs::rename(&part, &args.out).with_context(|| format!("cannot write {}", args.out.display()))?;
     let mib = std::fs::metadata(&args.out)?.len() as f64 / f64::from(1 << 20);
     println!("{}: {turns} turns, {mib:.1} MiB", args.out.display());
-    let report =
-        replay(&args.out, Span::default(), |header| build(header, &args.models), &mut std::io::stdout().lock())?;
+    let report = replay(
+        &args.out,
+        Span::default(),
+        |header| build(&args.out, header, &args.models),
+        &mut std::io::stdout().lock(),
+    )?;
     Ok(if report.is_exact() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
@@ -86,7 +90,7 @@ fn write(args: &ReproduceArgs, about: &RecordedTick, part: &Path) -> Result<u64>
     let from_s = from_ns.saturating_sub(run.start_ns()) as f64 * 1e-9;
     let run = Run::open_before(&args.run, Moment::Seconds(from_s))?;
     let header = run.header().clone();
-    let mut robot = build(&header, &args.models)?;
+    let mut robot = build(&args.run, &header, &args.models)?;
     let mut knows = run.is_at_the_start();
     let mut writer: Option<RecordingWriter<BufWriter<File>>> = None;
     let mut turns = 0;

@@ -108,6 +108,7 @@ pub fn run_header(config: &Config, mission: &Mission, model: Option<&str>, fault
         depth_source: mission.depth_source.name().to_owned(),
         model_digest: model.map(ToOwned::to_owned),
         hand_over: None,
+        model_store: false,
         faults: faults.texts(),
         fault_seed: faults.seed(),
         camera: config.camera.model(),
@@ -123,11 +124,19 @@ pub fn run_header(config: &Config, mission: &Mission, model: Option<&str>, fault
 /// A missing file or library, or a model that is not what it says; each names the way out.
 pub fn load_network(path: &Path, camera: &CameraModel, config: &Config) -> Result<DepthNetwork> {
     let model = std::fs::read(path).with_context(|| format!("cannot read the model {}", path.display()))?;
+    network_of(&model, camera, config).with_context(|| format!("model {}", path.display()))
+}
+
+/// As [`load_network`], from the bytes of its file.
+///
+/// # Errors
+/// As [`load_network`].
+pub fn network_of(model: &[u8], camera: &CameraModel, config: &Config) -> Result<DepthNetwork> {
     let (environment, library) = onnx_runtime::init()?;
     tracing::info!(library = %library.display(), "ONNX Runtime");
     let NetworkSection { threads, spin, provider } = config.network;
     let options = NetworkOptions { threads, spin, provider };
-    DepthNetwork::load(&environment, &model, camera, options).with_context(|| format!("model {}", path.display()))
+    Ok(DepthNetwork::load(&environment, model, camera, options)?)
 }
 
 /// The depth source that was asked for, or the one that the presence of a model suggests.

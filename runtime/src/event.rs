@@ -52,6 +52,8 @@ pub enum Event {
         /// BLAKE3 digest of its file, in hex.
         digest: String,
     },
+    /// The depth network was taken away and none came; from this turn on, coarse depth counts.
+    NetworkLeft,
     /// The policy moved from one way of choosing goals to another.
     PolicySwitched {
         /// The new way.

@@ -140,8 +140,8 @@ pub struct Robot {
     last_time_ns: Option<u64>,
     /// Turns since the last picture.
     blind_turns: u64,
-    /// A network that came since the last turn.
-    new_network: Option<String>,
+    /// A network that came or went since the last turn.
+    new_network: Option<Event>,
 }
 
 /// Which depths this turn brought.
@@ -180,11 +180,20 @@ impl Robot {
         })
     }
 
-    /// From the next turn on, the map's depth comes from this network. Everything else goes on as it was.
-    pub fn take_network(&mut self, network: DepthNetwork) {
-        self.new_network = Some(network.digest().to_owned());
-        self.network = Some(network);
+    /// From the next turn on, the map's depth comes from this network. Everything else goes on as it was. Returns the network
+    /// before it.
+    pub fn take_network(&mut self, network: DepthNetwork) -> Option<DepthNetwork> {
+        self.new_network = Some(Event::NetworkTaken { digest: network.digest().to_owned() });
         self.config.depth_source = DepthSource::Network;
+        self.network.replace(network)
+    }
+
+    /// From the next turn on, there is no network, and the map's depth is coarse depth.
+    pub fn leave_network(&mut self) {
+        if self.network.take().is_some() {
+            self.new_network = Some(Event::NetworkLeft);
+            self.config.depth_source = DepthSource::Coarse;
+        }
     }
 
     /// All that it remembers between two turns.
@@ -206,15 +215,8 @@ impl Robot {
     /// # Errors
     /// Bytes of another version, of another robot, or damaged; this robot must not be used any more then.
     pub fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
-        let mut from = snapshot;
-        let mut version = [0_u8; 4];
-        version.iter_mut().try_for_each(|byte| byte.read(&mut from))?;
-        let found = u32::from_le_bytes(version);
-        if found != SNAPSHOT_VERSION {
-            return Err(SnapshotError::Version { found });
-        }
-        let (mut network, here) = (None, self.network_digest());
-        network.read(&mut from)?;
+        let (network, mut from) = begin_snapshot(snapshot)?;
+        let here = self.network_digest();
         if network != here {
             let name = |digest: Option<String>| digest.unwrap_or_else(|| "none".to_owned());
             return Err(SnapshotError::OtherRobot { what: "the model", found: name(network), here: name(here) });
@@ -230,16 +232,24 @@ impl Robot {
         }
     }
 
-    fn network_digest(&self) -> Option<String> {
+    /// Digest of the model that a robot needs to take up `snapshot`; `None`: none.
+    ///
+    /// # Errors
+    /// Bytes of another version, or damaged.
+    pub fn network_of_snapshot(snapshot: &[u8]) -> Result<Option<String>, SnapshotError> {
+        begin_snapshot(snapshot).map(|(network, _)| network)
+    }
+
+    /// Digest of the model that it has.
+    #[must_use]
+    pub fn network_digest(&self) -> Option<String> {
         self.network.as_ref().map(|network| network.digest().to_owned())
     }
 
     /// One turn of the loop. A pure function of this input and all before it.
     pub fn tick(&mut self, input: &TickInput<'_>, timer: &mut impl StageTimer) -> Decision {
         let mut events = Vec::new();
-        if let Some(digest) = self.new_network.take() {
-            events.push(Event::NetworkTaken { digest });
-        }
+        events.extend(self.new_network.take());
         let odom = input.wheel.odom;
         if let Some(why) = self.refusal(input) {
             events.push(Event::InputRefused { why });
@@ -483,6 +493,20 @@ impl Robot {
     pub fn config(&self) -> &RobotConfig {
         &self.config
     }
+}
+
+/// The model's digest, and what comes after it.
+fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotError> {
+    let mut from = snapshot;
+    let mut version = [0_u8; 4];
+    version.iter_mut().try_for_each(|byte| byte.read(&mut from))?;
+    let found = u32::from_le_bytes(version);
+    if found != SNAPSHOT_VERSION {
+        return Err(SnapshotError::Version { found });
+    }
+    let mut network = None;
+    network.read(&mut from)?;
+    Ok((network, from))
 }
 
 remembers!(

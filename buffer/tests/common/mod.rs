@@ -18,6 +18,7 @@ pub const CHUNK_TURNS: u64 = 11;
 pub fn run_header() -> RunHeader {
     RunHeader {
         pictures: true,
+        model_store: false,
         written_by: "test 0.0.0".to_owned(),
         seed: 7,
         scene: None,

@@ -18,8 +18,8 @@ use serde::{Deserialize, Serialize};
 pub use devices::{DevicesSection, LensSection, RunSection};
 pub use error::{ConfigError, Problem};
 pub use sections::{
-    BaseSection, CameraSection, LidarSection, NetworkSection, PlanningSection, RecordingSection, SafetySection,
-    SimulatorSection,
+    BaseSection, CameraSection, LidarSection, ModelsSection, NetworkSection, PlanningSection, RecordingSection,
+    SafetySection, SimulatorSection,
 };
 
 /// The default configuration with its documentation, to print for a user who wants to start from it.
@@ -48,6 +48,8 @@ pub struct Config {
     pub exploration: ExplorationConfig,
     /// The depth network.
     pub network: NetworkSection,
+    /// Signed models: where they are, what the gate and the trial ask for.
+    pub models: ModelsSection,
     /// The recording.
     pub recording: RecordingSection,
     /// The simulated robot and home.

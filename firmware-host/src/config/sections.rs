@@ -2,6 +2,7 @@
 
 use hal::{CameraModel, Pose3, Twist2, camera_mount};
 use runtime::{
+    model_gate::{GateLimits, TrialLimits},
     perception::{NetworkOptions, Provider},
     planning::{FollowerConfig, PlanConfig},
     safety::{BodySector, SafetyConfig},
@@ -227,6 +228,51 @@ impl Default for NetworkSection {
     fn default() -> Self {
         let NetworkOptions { threads, spin, provider } = NetworkOptions::default();
         Self { threads, spin, provider }
+    }
+}
+
+/// `[models]`: signed models.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ModelsSection {
+    /// Folder; empty: none.
+    pub store: String,
+    /// File of public keys.
+    pub trusted_keys: String,
+    /// Folder of recorded runs; empty: none.
+    pub recordings: String,
+    /// 99th percentile of one inference, milliseconds.
+    pub max_p99_ms: f64,
+    /// Address space of the examining process, MiB.
+    pub gate_memory_mib: u64,
+    /// Time of the examining process, seconds.
+    pub gate_timeout_s: u64,
+    /// Turns of a trial.
+    pub trial_turns: u64,
+    /// Way of a trial, metres.
+    pub trial_m: f64,
+}
+
+impl Default for ModelsSection {
+    fn default() -> Self {
+        Self {
+            store: String::new(),
+            trusted_keys: bundle::TRUSTED_KEYS_FILE.to_owned(),
+            recordings: String::new(),
+            max_p99_ms: GateLimits::default().p99_ms,
+            gate_memory_mib: 4096,
+            gate_timeout_s: 600,
+            trial_turns: TrialLimits::default().turns,
+            trial_m: TrialLimits::default().metres,
+        }
+    }
+}
+
+impl ModelsSection {
+    /// What a trial asks for.
+    #[must_use]
+    pub fn trial_limits(&self) -> TrialLimits {
+        TrialLimits { turns: self.trial_turns, metres: self.trial_m, ..TrialLimits::default() }
     }
 }
 

@@ -21,6 +21,7 @@ use crate::cli::ExploreArgs;
 use crate::config::{Config, RecordingSection};
 use crate::dump::{Dump, Shot};
 use crate::evaluation::{Evaluation, Truth};
+use crate::model::LiveModels;
 use crate::record::{Recorder, snapshot};
 use crate::report::coverage::Coverage;
 use crate::report::depth_sample::{SheetRow, SheetSampler};
@@ -47,6 +48,8 @@ pub(super) struct Session {
     pub dump: Option<Dump>,
     /// Where better networks come from.
     pub hand_over: Option<HandOver>,
+    /// Or, signed ones.
+    pub models: Option<LiveModels>,
     evaluation: Evaluation,
     digest: RunDigest,
     stopwatch: Stopwatch,
@@ -112,6 +115,7 @@ impl Session {
             recorder,
             dump: None,
             hand_over: None,
+            models: None,
             evaluation: Evaluation::new(coverage),
             digest: RunDigest::new(),
             stopwatch: Stopwatch::default(),
@@ -203,6 +207,9 @@ impl Session {
             truth: maps_truth.then_some(&senses.mapped_truth),
             safety: None,
         };
+        if let Some(models) = &mut self.models {
+            models.before(&mut self.robot, time_ns);
+        }
         let snapshot = snapshot(self.recorder.as_mut(), &self.robot, time_ns);
         let began = Instant::now();
         self.stopwatch.start();
@@ -214,6 +221,10 @@ impl Session {
         self.digest.add_decision(&decision);
         self.evaluate(&input, &senses.truth, &decision)?;
         self.dump(&input)?;
+        if let Some(models) = &mut self.models {
+            // Virtual time waits: no turn is late.
+            models.after(&mut self.robot, &input, &decision, false);
+        }
         self.stopwatch.start();
         let recorded = self.record(&input, decision, snapshot)?;
         self.stopwatch.lap(Stage::Record);

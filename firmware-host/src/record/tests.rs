@@ -22,6 +22,7 @@ pub(crate) fn run_header() -> RunHeader {
         depth_source: "coarse".to_owned(),
         model_digest: None,
         hand_over: None,
+        model_store: false,
         faults: Vec::new(),
         fault_seed: None,
         camera: CameraModel::pinhole(32, 8, 1.5),

@@ -11,7 +11,7 @@ use std::io::Write;
 use std::path::Path;
 
 use runtime::recording::{RecordedTick, RunHeader};
-use runtime::snapshot::{SNAPSHOT_VERSION, SnapshotError};
+use runtime::snapshot::SNAPSHOT_VERSION;
 use runtime::tick::{Decision, TickInput};
 
 pub use compare::{Difference, differences};
@@ -31,8 +31,8 @@ pub trait Replayable {
     /// Goes on where the snapshot was written.
     ///
     /// # Errors
-    /// A snapshot of another version or of another robot.
-    fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError>;
+    /// A snapshot of another version or of another robot, or one that needs a model that is not there.
+    fn restore(&mut self, snapshot: &[u8]) -> anyhow::Result<()>;
     /// All that it remembers.
     fn snapshot(&self) -> Vec<u8>;
     /// Takes a turn.

@@ -18,9 +18,9 @@ struct DigestRobot {
 impl Replayable for DigestRobot {
     fn hand_over(&mut self, _tick: u64) {}
 
-    fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
+    fn restore(&mut self, snapshot: &[u8]) -> anyhow::Result<()> {
         let bytes = snapshot.get(4..12).and_then(|bytes| bytes.try_into().ok());
-        self.memory = u64::from_le_bytes(bytes.ok_or(SnapshotError::Damaged("cut".to_owned()))?);
+        self.memory = u64::from_le_bytes(bytes.ok_or_else(|| anyhow::anyhow!("cut"))?);
         Ok(())
     }
 

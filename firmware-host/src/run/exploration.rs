@@ -22,6 +22,7 @@ use super::odometry::WheelHistory;
 use super::safety_thread::{News, SafetyThread};
 use super::status::ExplorationStatus;
 use crate::config::{Config, RecordingSection};
+use crate::model::LiveModels;
 use crate::record::{Recorder, snapshot};
 use crate::report::events::EventCounts;
 use crate::report::latency::Stage;
@@ -39,6 +40,9 @@ pub struct Exploration {
     front_end: FrontEnd,
     robot: Robot,
     recorder: Option<Recorder>,
+    /// Signed models that come while it drives.
+    pub models: Option<LiveModels>,
+    period_ns: u64,
     recording: RecordingSection,
     frame: Frame,
     picture: Vec<u8>,
@@ -80,6 +84,8 @@ impl Exploration {
             front_end,
             robot,
             recorder,
+            models: None,
+            period_ns: config.base.tick_ns(),
             recording: config.recording.clone(),
             frame: Frame::empty(),
             picture: vec![0; 3 * target.width * target.height],
@@ -132,12 +138,19 @@ impl Exploration {
             truth: None,
             safety: Some(&self.report),
         };
+        if let Some(models) = &mut self.models {
+            models.before(&mut self.robot, now_ns);
+        }
         let snapshot = snapshot(self.recorder.as_mut(), &self.robot, now_ns);
         self.stopwatch.start();
         let decision = self.robot.tick(&input, &mut self.stopwatch);
         // The plan is as old as what it was decided on.
         safety.plan.write(Some(Plan { twist: decision.command.into(), time_ns: wheel.time_ns }));
         self.stopwatch.since(began, Stage::Total);
+        if let Some(models) = &mut self.models {
+            let late = began.elapsed().as_nanos() > u128::from(self.period_ns);
+            models.after(&mut self.robot, &input, &decision, late);
+        }
         let recorded =
             self.recorder.is_some().then(|| RecordedTick::capture(&input, Some(decision.clone()))).transpose()?;
         let recorded = recorded.map(|tick| RecordedTick { snapshot, ..tick });

@@ -11,7 +11,7 @@ pub mod safety_thread;
 pub mod status;
 mod supervision;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -29,6 +29,7 @@ use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGUSR2};
 
 use crate::cli::RunArgs;
 use crate::config::Config;
+use crate::model::{Keeper, LiveModels};
 
 use crate::record::{FaultyDisk, FileSystem, Quota, Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
@@ -51,10 +52,16 @@ pub fn run(args: &RunArgs) -> Result<()> {
     // Wheels with inertia lose most of their time by stopping for every small turn. The recording says so too.
     config.planning.arcs = true;
     config.check_devices(&args.config)?;
-    let depth_source = if args.model.is_some() { DepthSource::Network } else { DepthSource::Coarse };
-    let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };
     let camera = config.camera.model();
-    let network = args.model.as_deref().map(|path| setup::load_network(path, &camera, &config)).transpose()?;
+    let configured = Some(&config.models.store).filter(|dir| args.model.is_none() && !dir.is_empty());
+    let store = args.model_store.clone().or_else(|| configured.map(PathBuf::from));
+    let mut start = store.as_deref().map(|dir| Keeper::start(dir, &config)).transpose()?;
+    let network = match &mut start {
+        Some((_, start)) => start.network.take(),
+        None => args.model.as_deref().map(|path| setup::load_network(path, &camera, &config)).transpose()?,
+    };
+    let depth_source = if network.is_some() { DepthSource::Network } else { DepthSource::Coarse };
+    let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };
     let model = network.as_ref().map(|network| network.digest().to_owned());
     let robot = Robot::new(config.robot(&mission), network)?;
     prepare_dir(&args.out)?;
@@ -62,7 +69,8 @@ pub fn run(args: &RunArgs) -> Result<()> {
     if plan.seed().is_some() {
         tracing::warn!("devices are broken on purpose: {}", plan.texts().join(", "));
     }
-    let header = setup::run_header(&config, &mission, model.as_deref(), &plan)?;
+    let model_store = start.is_some();
+    let header = RunHeader { model_store, ..setup::run_header(&config, &mission, model.as_deref(), &plan)? };
     let start_ns = monotonic_ns();
     let faults = plan.clone().at(Arc::new(move || monotonic_ns().saturating_sub(start_ns)));
     let recorder = if args.no_recording { None } else { Some(recorder(args, &config, header, &faults)?) };
@@ -73,6 +81,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let (mut safety, lidar) =
         SafetyThread::start(pace, move || devices::open_scanner_and_base(&wiring, &wiring_faults))?;
     let mut exploration = Exploration::new(&config, camera, robot, recorder)?;
+    exploration.models = start.map(|(keeper, start)| LiveModels::threaded(keeper, start, &config)).transpose()?;
     let mut supervision = Supervision::new(args, &config, lidar);
     if config.run.arm_at_start {
         safety.request(Request::Arm);

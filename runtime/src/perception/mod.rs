@@ -26,5 +26,5 @@ pub use coarse::CoarseDepth;
 pub use config::{CoarseConfig, PerceptionError};
 pub use estimate::{DepthEstimate, NoDepth};
 pub use fusion::Belief;
-pub use network::{DepthNetwork, FlowNetwork, NetworkError, NetworkOptions, Provider};
+pub use network::{DepthNetwork, FlowNetwork, InputKind, NetworkError, NetworkOptions, Provider};
 pub use winner::Vote;

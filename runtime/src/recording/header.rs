@@ -28,6 +28,9 @@ pub struct RunHeader {
     /// When other models were handed over, if they were.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub hand_over: Option<HandOverSchedule>,
+    /// Whether models came out of a store on its way; which ones and when stands in the turns' events.
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    pub model_store: bool,
     /// What was broken on purpose; the recorded inputs are as the broken devices gave them.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub faults: Vec<String>,

@@ -42,6 +42,7 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         Event::NetworkTaken { digest } => {
             (Info, format!("another depth network: {}", digest.get(..12).unwrap_or(digest)))
         }
+        Event::NetworkLeft => (Warning, "no depth network any more: coarse depth counts".to_owned()),
         Event::PolicySwitched { to } => (Info, format!("policy now looks for: {}", goal_reason(*to))),
     }
 }

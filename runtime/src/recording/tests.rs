@@ -19,6 +19,7 @@ pub(super) fn run_header() -> RunHeader {
         depth_source: "truth".to_owned(),
         model_digest: None,
         hand_over: None,
+        model_store: false,
         faults: Vec::new(),
         fault_seed: None,
         camera: CameraModel::pinhole(6, 4, std::f64::consts::FRAC_PI_2),

@@ -134,6 +134,7 @@ fn record(turns: &[RecordedTick], dir: &Path) -> Result<firmware_host::record::R
         depth_source: "coarse".to_owned(),
         model_digest: None,
         hand_over: None,
+        model_store: false,
         faults: Vec::new(),
         fault_seed: None,
         pictures: true,

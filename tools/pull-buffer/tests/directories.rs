@@ -19,6 +19,7 @@ fn words(output: &Output) -> String {
 fn segment() -> Vec<u8> {
     let run = RunHeader {
         pictures: true,
+        model_store: false,
         written_by: "test 0.0.0".to_owned(),
         seed: 7,
         scene: None,

@@ -10,6 +10,7 @@
 //! | `volume_min_depth_m`, `volume_max_depth_m` | nearest and farthest plane of the cost volume, metres | 0.3, 20 |
 //! | `input_width`, `input_height` | size of the picture | shape of the input |
 //! | `version` | what the model calls itself | |
+//! | `golden_input`, `golden_output` | an input and what was said of it | |
 //!
 //! All of it is optional and all of it is checked when the model is loaded, together with one run on a grey picture. Inputs and
 //! outputs are 32-bit or 16-bit floats.
@@ -21,6 +22,7 @@
 mod bound;
 mod error;
 mod flow;
+mod golden;
 mod options;
 mod planes;
 mod spec;
@@ -52,6 +54,7 @@ use ort::environment::Environment;
 use super::{DepthEstimate, NoDepth};
 use crate::snapshot::{SnapshotError, State};
 use bound::{BoundSession, Model};
+use golden::Golden;
 use volume::CostVolume;
 
 /// Places of the inputs in `ModelSpec::input_ports`.
@@ -66,6 +69,7 @@ pub struct DepthNetwork {
     session: BoundSession,
     /// For models that take one.
     volume: Option<CostVolume>,
+    golden: Option<Golden>,
     estimate: DepthEstimate,
     refused: u64,
 }
@@ -84,6 +88,7 @@ impl DepthNetwork {
         let (width, height) = (camera.width, camera.height);
         let loaded = Model::load(onnx_runtime, model, options)?;
         let spec = ModelSpec::read(&loaded.inputs, &loaded.outputs, loaded.metadata()?, (width, height))?;
+        let golden = Golden::read(&loaded.metadata()?, &spec.input_ports, spec.size)?;
         let volume = match spec.input {
             InputKind::RgbAndVolume { planes, range_m } => Some(CostVolume::new(camera, planes, range_m)),
             _ => None,
@@ -91,7 +96,7 @@ impl DepthNetwork {
         let session = loaded.bind(&spec.input_ports, &spec.output_port)?;
         let digest = blake3::hash(model).to_hex().to_string();
         let estimate = DepthEstimate::none(width, height);
-        let mut network = Self { spec, digest, session, volume, estimate, refused: 0 };
+        let mut network = Self { spec, digest, session, volume, golden, estimate, refused: 0 };
         network.warm_up()?;
         Ok(network)
     }
@@ -115,6 +120,26 @@ impl DepthNetwork {
             }
             Err(error) => Err(NetworkError::WarmUp { reason: error.to_string() }),
         }
+    }
+
+    /// Runs the golden input and says by how much the output differs at most from what it was when the model was exported (in
+    /// the model's own unit: x in 0..1 or metres). `None`: the model holds no golden pair. Infinite: NaN.
+    ///
+    /// # Errors
+    /// [`NoDepth::NetworkOutput`] when the model fails.
+    pub fn golden_difference(&mut self) -> Result<Option<f32>, NoDepth> {
+        let Self { spec, session, golden, .. } = self;
+        let Some(golden) = golden else { return Ok(None) };
+        let mut before = 0;
+        for (input, port) in spec.input_ports.iter().enumerate() {
+            session.write(input, |planes| golden.write(port, before, planes));
+            before += port.shape[1];
+        }
+        let difference = session.run(|output| golden.difference(output, spec.size.0));
+        difference.map(Some).map_err(|error| {
+            tracing::error!(%error, "the depth network failed on its golden input");
+            NoDepth::NetworkOutput
+        })
     }
 
     /// Depth of one RGB8 picture of the camera's size, taken at `t_odom_camera`. Models that take coarse depth are told "none"

@@ -24,6 +24,7 @@ from .depth_networks import build_network
 from .errors import TrainerError
 from .evaluation import evaluate, table
 from .frames import Frames, join
+from .held_out import without_held_out
 from .labels import with_labels, write_labels
 from .losses import LossOptions
 from .objectives import recipe
@@ -83,7 +84,8 @@ def read_frames(
 
 
 def find_pairs(frames: Frames, gap: int | None, rule: PairRule) -> Pairs:
-    return pairs_by_baseline(frames, rule) if gap is None else pairs_by_gap(frames, gap)
+    """Pairs to train on: what is held out is in none of them."""
+    return without_held_out(frames, pairs_by_baseline(frames, rule) if gap is None else pairs_by_gap(frames, gap))
 
 
 def loss_options(options: argparse.Namespace) -> LossOptions:

@@ -14,12 +14,12 @@ from pathlib import Path
 
 from .calibration import calibrate, table
 from .checkpoint import write_atomically
-from .commands import find_pairs, read_frames
+from .commands import read_frames
 from .errors import TrainerError
 from .export_depth import export_checkpoint
 from .frames import Frames
 from .labels import write_labels
-from .pairs import PairRule
+from .pairs import PairRule, pairs_by_baseline
 from .training import Settings, Trainer, train
 
 FRAMES = 700
@@ -99,7 +99,7 @@ def make_default(robot: Path, work: Path, out: Path) -> float:
     """Writes the network to `out` and everything on the way to it into `work`; `robot` is the firmware-host. Returns
     the largest difference between ONNX Runtime and PyTorch."""
     frames = _frames(robot, RUNS, FRAMES, work)
-    trainer = Trainer(frames, find_pairs(frames, None, PairRule()), SETTINGS)
+    trainer = Trainer(frames, pairs_by_baseline(frames, PairRule()), SETTINGS)
     _tell(f"training on {len(frames)} pictures")
     checkpoint = train(trainer, STEPS, work / "training", told=_progress)
     uncalibrated = work / "uncalibrated.onnx"

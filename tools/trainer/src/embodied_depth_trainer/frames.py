@@ -62,6 +62,8 @@ class Frames:
     lidar: NDArray[np.uint16] | None = None
     """[N, 2, W]; row and z-depth in millimetres (0: none) of what the LiDAR hit, column by column; see
     `lidar_line.py`."""
+    held_out: NDArray[np.bool_] | None = None
+    """[N]; pictures that the robot judges models by, and that nothing is trained on; see `held_out.py`."""
 
     def __len__(self) -> int:
         return len(self.rgb)
@@ -128,6 +130,9 @@ def join(parts: Sequence[Frames]) -> Frames:
         there = [array for array in arrays if array is not None]
         return np.concatenate(there) if len(there) == len(parts) else None
 
+    def held_out(part: Frames) -> NDArray[np.bool_]:
+        return np.zeros(len(part), np.bool_) if part.held_out is None else part.held_out
+
     first_run = np.cumsum([0, *(int(part.run.max(initial=-1)) + 1 for part in parts)])
     return Frames(
         camera,
@@ -139,4 +144,5 @@ def join(parts: Sequence[Frames]) -> Frames:
         all_or_none([part.coarse for part in parts]),
         all_or_none([part.labels for part in parts]),
         all_or_none([part.lidar for part in parts]),
+        np.concatenate([held_out(part) for part in parts]),
     )

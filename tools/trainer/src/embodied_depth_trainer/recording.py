@@ -19,6 +19,7 @@ from torchvision.io import ImageReadMode, decode_png
 
 from .errors import TrainerError
 from .frames import Frames, Intrinsics
+from .held_out import is_held_out
 from .lidar_line import MAX_APART_NS, Scan, line
 
 FORMAT_VERSION = 1
@@ -103,6 +104,7 @@ class _Run:
         self.times: list[int] = []
         self.truth: list[NDArray[np.uint16]] = []
         self.lines: list[NDArray[np.uint16]] = []
+        self.held_out: list[bool] = []
 
     def read(self, file: Path) -> None:
         t_base_camera = np.eye(4)
@@ -126,7 +128,9 @@ class _Run:
                     self.scan = _scan(file, turn, decode(message.data))
                 elif channel.topic == IMAGE:
                     self.rgb.append(self._picture(file, turn, decode(message.data)))
-                    self.poses.append(_pose(file, turn) @ t_base_camera)
+                    x_m, y_m, yaw_rad = _odom(file, turn)
+                    self.poses.append(_pose(x_m, y_m, yaw_rad) @ t_base_camera)
+                    self.held_out.append(is_held_out(x_m, y_m, yaw_rad))
                     self.times.append(int(turn["time_ns"]))
                     self.lines.append(self._line())
                 else:
@@ -186,7 +190,9 @@ class _Run:
                 f"{path} has no LiDAR scan that fits one of its {count} pictures; train on it without --lidar-weight"
             )
         run = np.zeros(count, np.int32)
-        return Frames(self.camera, np.stack(self.rgb), np.stack(self.poses), times, run, truth, lidar=lidar)
+        held_out = np.array(self.held_out, np.bool_)
+        rgb, poses = np.stack(self.rgb), np.stack(self.poses)
+        return Frames(self.camera, rgb, poses, times, run, truth, lidar=lidar, held_out=held_out)
 
 
 def _messages(file: Path) -> Iterator[tuple[Schema | None, Channel, Message]]:
@@ -213,8 +219,8 @@ def _messages(file: Path) -> Iterator[tuple[Schema | None, Channel, Message]]:
         raise _BrokenError(f"{type(problem).__name__} {problem}".strip()) from problem
 
 
-def _pose(file: Path, turn: dict[str, Any]) -> NDArray[np.float64]:
-    """`t_odom_base` [4, 4] of a turn."""
+def _odom(file: Path, turn: dict[str, Any]) -> tuple[float, float, float]:
+    """Where `base_link` is in `odom`, metres and radians."""
     wheel = turn.get("wheel") or {}
     values = [wheel.get(key) for key in ("x_m", "y_m", "yaw_rad")]
     # A number that is not finite is recorded as text.
@@ -223,10 +229,15 @@ def _pose(file: Path, turn: dict[str, Any]) -> NDArray[np.float64]:
             f"{file}: turn {turn.get('tick')} has a picture without a pose (x_m, y_m, yaw_rad = {values}); "
             "train on a recording whose odometry worked"
         )
-    x, y, yaw = (float(value) for value in values if value is not None)
+    x_m, y_m, yaw_rad = (float(value) for value in values if value is not None)
+    return x_m, y_m, yaw_rad
+
+
+def _pose(x_m: float, y_m: float, yaw_rad: float) -> NDArray[np.float64]:
+    """`t_odom_base` [4, 4]."""
     pose = np.eye(4)
-    pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-    pose[:2, 3] = x, y
+    pose[:2, :2] = [[np.cos(yaw_rad), -np.sin(yaw_rad)], [np.sin(yaw_rad), np.cos(yaw_rad)]]
+    pose[:2, 3] = x_m, y_m
     return pose
 
 
