@@ -1,5 +1,5 @@
 //! What a bundle promises.
-#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot set up its scene has failed")]
 
 use std::path::Path;
 

@@ -7,6 +7,7 @@ use anyhow::Result;
 use comfy_table::{ContentArrangement, Table, presets::NOTHING};
 use drivers::MonotonicClock;
 use hal::Clock;
+use runtime::line_monitor::LineAccuracy;
 
 use crate::cli::HealthArgs;
 use crate::run::status::{DeviceHealth, Status, unix_s};
@@ -88,6 +89,12 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
     if let Some(why) = &exploration.no_depth {
         let _ = writeln!(out, "             {why}");
     }
+    if let Some(line) = &exploration.line {
+        let _ = writeln!(out, "depth        {}", depth_words(line, &exploration.line_by_distance));
+    }
+    if let Some(digest) = &exploration.on_trial {
+        let _ = writeln!(out, "model        {} is on trial", digest.get(..12).unwrap_or(digest));
+    }
     let recording = &status.recording;
     let folder = recording.folder.as_deref().unwrap_or("off");
     let _ = write!(out, "recording    {folder}, {} turns dropped", recording.dropped);
@@ -100,6 +107,26 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
     }
     out.push('\n');
     out
+}
+
+/// How right the depth is where the LiDAR sees the same.
+fn depth_words(all: &LineAccuracy, by_distance: &[LineAccuracy]) -> String {
+    let percent = |share: f64| 100.0 * share;
+    let off = percent(all.scale - 1.0);
+    let far = if off < 0.0 { "near" } else { "far" };
+    let mut words = format!(
+        "{:.0} % right within 25 % on the LiDAR's line, {:.0} % too {far}; {:.0} % of it has depth",
+        percent(all.delta1),
+        off.abs(),
+        percent(all.share)
+    );
+    let mut separator = "; right ";
+    for bin in by_distance {
+        let to = bin.to_m.map_or("on".to_owned(), |to_m| format!("to {to_m:.0} m"));
+        let _ = write!(words, "{separator}from {:.0} {to} {:.0} %", bin.from_m, percent(bin.delta1));
+        separator = ", ";
+    }
+    words
 }
 
 fn devices(status: &Status) -> Table {

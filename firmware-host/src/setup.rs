@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use hal::{CameraModel, Pose2, Pose3};
 use runtime::exploration::PolicyKind;
+use runtime::line_monitor::LineMonitor;
 use runtime::perception::{DepthNetwork, NetworkOptions};
 use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, RobotConfig};
@@ -86,6 +87,12 @@ pub fn open_options(file: &SceneFileArgs, config: &Config) -> OpenOptions {
     };
     let footprint = Footprint { radius_m: config.base.footprint_radius_m, ..Footprint::default() };
     OpenOptions { load: LoadOptions { up_axis, scale: file.scene_scale }, footprint }
+}
+
+/// Compares depth with the LiDAR while the robot drives.
+#[must_use]
+pub fn line_monitor(config: &Config) -> LineMonitor {
+    LineMonitor::new(config.camera.model(), config.camera.mount().inverse() * laser_mount(config))
 }
 
 /// `t_base_laser`.

@@ -2,10 +2,12 @@
 //! of every picture. For people and for the trial of a new model; no ground truth of a simulator, and nothing that decides where
 //! the robot goes.
 
+use hal::{CameraModel, Pose3};
 use serde::{Deserialize, Serialize};
 
-use crate::model_gate::LinePoint;
+use crate::model_gate::{LinePoint, MAX_APART_NS, lidar_line};
 use crate::perception::DepthEstimate;
+use crate::tick::TickInput;
 
 /// Where distances are told apart, metres.
 pub const DISTANCES_M: [f32; 3] = [1.0, 2.0, 4.0];
@@ -79,12 +81,29 @@ impl Bin {
 }
 
 /// Compares picture after picture and remembers about the last minute.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct LineMonitor {
+    camera: CameraModel,
+    t_camera_laser: Pose3,
     bins: [Bin; DISTANCES_M.len() + 1],
 }
 
 impl LineMonitor {
+    /// For pictures of `camera`; `t_camera_laser` maps points of `laser` into `camera_optical`.
+    #[must_use]
+    pub fn new(camera: CameraModel, t_camera_laser: Pose3) -> Self {
+        Self { camera, t_camera_laser, bins: Default::default() }
+    }
+
+    /// After a turn: compares the depth of its picture with its scan, where both are there and of the same moment.
+    pub fn look(&mut self, input: &TickInput<'_>, depth: Option<&DepthEstimate>) {
+        let (Some(scan), Some(depth), Some(_)) = (input.scan, depth, input.frame) else { return };
+        // The wheels' measurement is that of the picture's moment.
+        if scan.time_ns.abs_diff(input.wheel.time_ns) <= MAX_APART_NS {
+            self.add(depth, &lidar_line(scan, &self.camera, &self.t_camera_laser));
+        }
+    }
+
     /// Takes a picture's depth and what the LiDAR knows of it. A picture that the LiDAR sees nothing of changes nothing.
     pub fn add(&mut self, estimate: &DepthEstimate, line: &[LinePoint]) {
         if line.is_empty() {
@@ -120,6 +139,10 @@ mod tests {
     use super::*;
     use hal::DepthMap;
 
+    fn monitor() -> LineMonitor {
+        LineMonitor::new(CameraModel::pinhole(8, 1, 1.0), Pose3::identity())
+    }
+
     fn estimate(depths_m: &[f32]) -> DepthEstimate {
         let depth = DepthMap::from_vec(depths_m.len(), 1, depths_m.to_vec()).unwrap();
         DepthEstimate { depth, confidence: vec![1.0; depths_m.len()] }
@@ -131,7 +154,7 @@ mod tests {
 
     #[test]
     fn depth_that_is_a_tenth_too_far_is_right_and_its_scale_is_said() {
-        let mut monitor = LineMonitor::default();
+        let mut monitor = monitor();
         monitor.add(&estimate(&[1.1, 3.3, 5.5, 0.0]), &line(&[1.0, 3.0, 5.0, 3.0]));
         let all = monitor.overall().unwrap();
         assert!((all.scale - 1.1).abs() < 1e-6 && all.delta1 == 1.0, "{all:?}");
@@ -140,7 +163,7 @@ mod tests {
 
     #[test]
     fn distances_are_told_apart_and_those_never_seen_are_left_out() {
-        let mut monitor = LineMonitor::default();
+        let mut monitor = monitor();
         monitor.add(&estimate(&[0.5, 1.5, 9.0]), &line(&[0.5, 1.0, 5.0]));
         let found: Vec<_> = monitor.by_distance().iter().map(|bin| (bin.from_m, bin.to_m, bin.delta1)).collect();
         assert_eq!(found, [(0.0, Some(1.0), 1.0), (1.0, Some(2.0), 0.0), (4.0, None, 0.0)]);
@@ -148,7 +171,7 @@ mod tests {
 
     #[test]
     fn before_anything_was_compared_nothing_is_said() {
-        let mut monitor = LineMonitor::default();
+        let mut monitor = monitor();
         assert_eq!((monitor.overall(), monitor.by_distance().len()), (None, 0));
         monitor.add(&estimate(&[1.0]), &[]);
         monitor.add(&estimate(&[0.0]), &line(&[1.0]));
@@ -158,7 +181,7 @@ mod tests {
 
     #[test]
     fn what_was_long_ago_counts_less() {
-        let mut monitor = LineMonitor::default();
+        let mut monitor = monitor();
         for (depth_m, pictures) in [(4.0, 3000), (2.0, 1800)] {
             (0..pictures).for_each(|_| monitor.add(&estimate(&[depth_m]), &line(&[2.0])));
         }

@@ -9,6 +9,7 @@ use anyhow::Result;
 use drivers::fault::{Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyLidar};
 use hal::{Base, Camera, Clock, DepthMap, DriveCommand, Error, ErrorKind, Frame, LaserScan, Lidar, WheelFeedback};
 use runtime::event::ExploreEnd;
+use runtime::line_monitor::LineMonitor;
 use runtime::mapping::{CellState, OccupancyGrid};
 use runtime::recording::{RecordedTick, RunDigest, Views, quantise_mm};
 use runtime::robot::{DepthSource, Robot};
@@ -30,7 +31,7 @@ use crate::report::latency::Stage;
 use crate::report::map_picture::{self, Cells, MapPicture};
 use crate::report::map_view::map_view;
 use crate::report::progress::{Progress, Status};
-use crate::report::summary::{Summary, peak_resident_mib};
+use crate::report::summary::{LidarLine, Summary, peak_resident_mib};
 use crate::report::table;
 use crate::stopwatch::Stopwatch;
 
@@ -50,6 +51,8 @@ pub(super) struct Session {
     pub hand_over: Option<HandOver>,
     /// Or, signed ones.
     pub models: Option<LiveModels>,
+    /// How right the depth is, as far as the robot can tell.
+    line: LineMonitor,
     evaluation: Evaluation,
     digest: RunDigest,
     stopwatch: Stopwatch,
@@ -116,6 +119,7 @@ impl Session {
             dump: None,
             hand_over: None,
             models: None,
+            line: crate::setup::line_monitor(config),
             evaluation: Evaluation::new(coverage),
             digest: RunDigest::new(),
             stopwatch: Stopwatch::default(),
@@ -221,6 +225,7 @@ impl Session {
         self.digest.add_decision(&decision);
         self.evaluate(&input, &senses.truth, &decision)?;
         self.dump(&input)?;
+        self.line.look(&input, self.robot.mapped_depth());
         if let Some(models) = &mut self.models {
             // Virtual time waits: no turn is late.
             models.after(&mut self.robot, &input, &decision, false);
@@ -302,6 +307,8 @@ impl Session {
         let Some(stream) = &mut self.stream else { return };
         let mut numbers = vec![("linear_mps", decision.command.linear_mps)];
         numbers.extend(self.evaluation.coverage().map(|share| ("coverage", share)));
+        numbers.extend(self.line.overall().map(|line| ("line_delta1", line.delta1)));
+        numbers.extend(self.line.overall().map(|line| ("line_scale", line.scale)));
         stream.offer(crate::rerun_stream::Moment {
             tick: input.tick,
             time_ns: input.time_ns,
@@ -343,6 +350,7 @@ impl Session {
         summary.latency_ms = self.stopwatch.latencies().percentiles();
         summary.digest = Some(self.digest.decisions());
         summary.resident_mib = peak_resident_mib();
+        summary.lidar_line = LidarLine::of(&self.line);
         self.evaluation.summarise(&mut summary);
         let title = title(&summary);
         DepthSheet { title: &title, rows: &self.sheet.into_rows() }.write(&self.out)?;

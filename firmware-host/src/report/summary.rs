@@ -2,6 +2,7 @@
 
 use std::{collections::BTreeMap, path::Path};
 
+use runtime::line_monitor::{LineAccuracy, LineMonitor};
 use runtime::{
     accuracy::{AccuracyRows, Metrics},
     event::ExploreEnd,
@@ -85,6 +86,9 @@ pub struct Summary {
     /// Depth against ground truth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<DepthAccuracy>,
+    /// How right the mapped depth was where the LiDAR saw the same, lately: what the robot itself can know.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lidar_line: Option<LidarLine>,
     /// Most memory that was resident at once, MiB.
     #[serde(skip_serializing_if = "absent")]
     pub resident_mib: Option<f64>,
@@ -100,6 +104,23 @@ pub struct Summary {
     /// Version of the binary.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub version: String,
+}
+
+/// Depth against the LiDAR's line.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LidarLine {
+    /// At all distances.
+    pub all: LineAccuracy,
+    /// Distance by distance.
+    pub by_distance: Vec<LineAccuracy>,
+}
+
+impl LidarLine {
+    /// What a monitor knows; `None` before anything was compared.
+    #[must_use]
+    pub fn of(monitor: &LineMonitor) -> Option<Self> {
+        monitor.overall().map(|all| Self { all, by_distance: monitor.by_distance() })
+    }
 }
 
 /// Accuracy of each source of depth. A source that had nothing to say is absent.

@@ -11,6 +11,7 @@ use hal::{Camera, Frame, ImageView, LaserScan, Pose2, WheelFeedback};
 use runtime::event::{Event, SafetyEvent};
 use runtime::imaging::{FrontEnd, YuvRange};
 use runtime::latency::Percentiles;
+use runtime::line_monitor::LineMonitor;
 use runtime::mapping::CellState;
 use runtime::perception::NoDepth;
 use runtime::recording::{RecordedTick, Views, sentence};
@@ -27,6 +28,8 @@ use crate::record::{Recorder, snapshot};
 use crate::report::events::EventCounts;
 use crate::report::latency::Stage;
 use crate::report::map_view::map_view;
+use crate::report::summary::LidarLine;
+use crate::setup;
 use crate::stopwatch::Stopwatch;
 
 /// Poses for the picture of the map: three hours of driving.
@@ -40,6 +43,8 @@ pub struct Exploration {
     front_end: FrontEnd,
     robot: Robot,
     recorder: Option<Recorder>,
+    /// How right the depth is, as far as the LiDAR can tell.
+    line: LineMonitor,
     /// Signed models that come while it drives.
     pub models: Option<LiveModels>,
     period_ns: u64,
@@ -84,6 +89,7 @@ impl Exploration {
             front_end,
             robot,
             recorder,
+            line: setup::line_monitor(config),
             models: None,
             period_ns: config.base.tick_ns(),
             recording: config.recording.clone(),
@@ -147,6 +153,7 @@ impl Exploration {
         // The plan is as old as what it was decided on.
         safety.plan.write(Some(Plan { twist: decision.command.into(), time_ns: wheel.time_ns }));
         self.stopwatch.since(began, Stage::Total);
+        self.line.look(&input, self.robot.mapped_depth());
         if let Some(models) = &mut self.models {
             let late = began.elapsed().as_nanos() > u128::from(self.period_ns);
             models.after(&mut self.robot, &input, &decision, late);
@@ -257,6 +264,9 @@ impl Exploration {
             no_depth: self.no_depth.map(|why| sentence(&Event::NoDepth { why }).1),
             turn_p50_ms: ms(|total| total.p50),
             turn_p99_ms: ms(|total| total.p99),
+            line: self.line.overall(),
+            line_by_distance: self.line.by_distance(),
+            on_trial: self.models.as_ref().and_then(LiveModels::on_trial).map(str::to_owned),
             mapped_m2: free as f64 * map.cell_m() * map.cell_m(),
         }
     }
@@ -283,6 +293,7 @@ impl Exploration {
         Finished {
             latencies: self.stopwatch,
             counts: self.counts,
+            line: LidarLine::of(&self.line),
             recorder: self.recorder,
             robot: self.robot,
             pictures: self.pictures,
@@ -299,6 +310,8 @@ pub struct Finished {
     pub latencies: Stopwatch,
     /// What happened.
     pub counts: EventCounts,
+    /// How right the depth was on the LiDAR's line.
+    pub line: Option<LidarLine>,
     /// The recording, to be finished.
     pub recorder: Option<Recorder>,
     /// The robot's mind, with its map.

@@ -194,6 +194,7 @@ fn report(
         policy: Some(mission.policy.name().to_owned()),
         depth_source: Some(mission.depth_source),
         path_m: Some(finished.path_m),
+        lidar_line: finished.line,
         events: finished.counts,
         latency_ms: finished.latencies.latencies().percentiles(),
         resident_mib: peak_resident_mib(),

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use drivers::{DeviceState, DeviceStatus};
+use runtime::line_monitor::LineAccuracy;
 use serde::{Deserialize, Serialize};
 
 use crate::report::atomic::write_atomically;
@@ -112,6 +113,14 @@ pub struct ExplorationStatus {
     pub turn_p99_ms: f64,
     /// Mapped floor, square metres.
     pub mapped_m2: f64,
+    /// How right the depth is on the LiDAR's line, over about a minute; absent before anything was compared.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub line: Option<LineAccuracy>,
+    /// The same, distance by distance.
+    pub line_by_distance: Vec<LineAccuracy>,
+    /// Digest of the model that is on trial, if one is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub on_trial: Option<String>,
 }
 
 /// The recording.
