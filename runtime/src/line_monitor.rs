@@ -43,9 +43,9 @@ struct Bin {
 }
 
 impl Bin {
-    fn add(&mut self, depth_m: f32, truth_m: f32) {
+    fn add(&mut self, depth_m: Option<f32>, truth_m: f32) {
         self.pixels += 1.0;
-        if depth_m > 0.0 {
+        if let Some(depth_m) = depth_m {
             self.with_depth += 1.0;
             self.right += f64::from(u8::from((depth_m / truth_m).max(truth_m / depth_m) < DELTA1));
             self.log_ratio += f64::from(depth_m / truth_m).ln();
@@ -113,8 +113,9 @@ impl LineMonitor {
         self.bins.iter_mut().for_each(|bin| bin.fade(keep));
         for point in line.iter().filter(|point| point.depth_m > 0.0) {
             let bin = DISTANCES_M.iter().filter(|edge_m| point.depth_m >= **edge_m).count();
-            if let (Some(depth_m), Some(bin)) = (estimate.depth.get(point.u, point.v), self.bins.get_mut(bin)) {
-                bin.add(depth_m, point.depth_m);
+            let inside = point.u < estimate.depth.width() && point.v < estimate.depth.height();
+            if let Some(bin) = self.bins.get_mut(bin).filter(|_| inside) {
+                bin.add(estimate.depth.get(point.u, point.v), point.depth_m);
             }
         }
     }
