@@ -6,6 +6,7 @@ pub mod hokuyo;
 pub mod motor;
 pub mod rig;
 pub mod scenario;
+pub mod sshd;
 pub mod video;
 pub mod world;
 

@@ -27,6 +27,8 @@ enum Device {
     Motor(hil::motor::MotorArgs),
     /// A simulated home behind all of these devices, for `firmware-host run`.
     World(hil::world::WorldArgs),
+    /// An ssh server on loopback with keys of its own, as a robot has one.
+    Sshd(hil::sshd::SshdArgs),
     /// The real base driver on a CAN bus, driving straight on.
     Base(hil::motor::BaseArgs),
 }
@@ -48,6 +50,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
         Device::RigProbe(args) => hil::rig::run(args),
         Device::World(args) => hil::world::run(args),
         Device::Motor(args) => hil::motor::run(args),
+        Device::Sshd(args) => hil::sshd::run(args),
         Device::Base(args) => hil::motor::run_base(args),
     }
 }

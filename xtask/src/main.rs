@@ -5,6 +5,7 @@
 mod accuracy;
 mod bench;
 mod command;
+mod data_loop;
 mod demo;
 mod dist;
 mod models;
@@ -28,6 +29,9 @@ use clap::Parser;
 enum Chore {
     /// Explore a built-in home and show depth, map, path and recording.
     Demo,
+    /// The whole loop on this computer: a simulated robot, ssh, pull-buffer, the trainer, push-model, the robot's gate. Installs
+    /// PyTorch (5 GB) the first time; takes about a quarter of an hour.
+    Loop,
     /// Format, lints, every test, licences.
     Test {
         /// The trainer as well, also where PyTorch (5 GB) must be installed for it. CI always does.
@@ -98,6 +102,7 @@ fn main() -> ExitCode {
 fn run(chore: &Chore) -> anyhow::Result<()> {
     match chore {
         Chore::Demo => demo::run(),
+        Chore::Loop => data_loop::run(),
         Chore::Test { all } => test::run(*all),
         Chore::Bench { json, filter } => bench::run(*json, filter.as_deref()),
         Chore::Accuracy { arguments } => accuracy::run(arguments),

@@ -9,7 +9,9 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, Result, ensure};
 use buffer::{Catalogue, Root};
 
-use crate::data_sshd::Sshd;
+use hil::sshd::Sshd;
+
+use crate::data_sshd as over;
 use crate::report::{Row, Timing, Unit, time, time_against};
 
 const ROOM: &str = "data";
@@ -107,7 +109,7 @@ fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
     let mut first = |dir: &Path| -> Result<()> {
         // Neither what is here nor what the robot knows of it.
         let _ = fs::remove_dir_all(dir);
-        peak_mib.push(run_measured(sshd.pull(programs, &robot, dir))?);
+        peak_mib.push(run_measured(over::pull(sshd, programs, &robot, dir))?);
         Ok(())
     };
     let cat = || -> Result<()> {
@@ -115,7 +117,7 @@ fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
         fs::create_dir_all(&here)?;
         for number in 0..SEGMENTS {
             let name = format!("recording_{number:04}.mcap");
-            let mut command = sshd.ssh();
+            let mut command = over::ssh(sshd);
             command.arg(format!("cat {}/run/{name}", robot.display())).stdout(File::create(here.join(name))?);
             run(command)?;
         }
@@ -125,7 +127,7 @@ fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
         if fresh {
             let _ = fs::remove_dir_all(&here);
         }
-        run(sshd.rsync(&robot, &here))
+        run(over::rsync(sshd, &robot, &here))
     };
     let (ours, theirs) = both(RUNS, || first(&here), cat)?;
     let mut rows = vec![
@@ -141,10 +143,13 @@ fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
                 .peer("rsync -a --checksum", rate(theirs).median),
         );
         let (pulled, synced) = (scratch.path("pulled"), here.clone());
-        run(sshd.pull(programs, &robot, &pulled))?;
-        run(sshd.rsync(&robot, &synced))?;
-        let (ours, theirs) =
-            both(RUNS, || run(sshd.pull(programs, &robot, &pulled)), || run(sshd.rsync(&robot, &synced)))?;
+        run(over::pull(sshd, programs, &robot, &pulled))?;
+        run(over::rsync(sshd, &robot, &synced))?;
+        let (ours, theirs) = both(
+            RUNS,
+            || run(over::pull(sshd, programs, &robot, &pulled)),
+            || run(over::rsync(sshd, &robot, &synced)),
+        )?;
         rows.push(
             Row::seconds(ROOM, "pull 1 GiB over ssh, nothing new", ours)
                 .peer("rsync -a --checksum", theirs.median)

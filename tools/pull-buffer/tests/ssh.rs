@@ -1,17 +1,14 @@
 //! The real thing: `pull-buffer` over OpenSSH on loopback, with keys of its own. Without an sshd the tests say so and pass.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
 
-use std::fs::{self, Permissions};
-use std::net::{TcpListener, TcpStream};
-use std::os::unix::fs::PermissionsExt;
+use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 
 use drivers::MonotonicClock;
 use hal::Clock;
+use hil::sshd::Sshd;
 use tempfile::{TempDir, tempdir};
-
-const SSHD: &str = "/usr/sbin/sshd";
 
 fn wait_ms(milliseconds: u64) {
     let mut clock = MonotonicClock;
@@ -19,74 +16,18 @@ fn wait_ms(milliseconds: u64) {
     clock.sleep_until_ns(deadline_ns);
 }
 
-/// An ssh server of our own on a free port.
+/// An ssh server on loopback.
 struct Server {
-    dir: TempDir,
-    port: u16,
-    child: Child,
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-fn key(path: &Path) {
-    let made = Command::new("ssh-keygen").args(["-q", "-t", "ed25519", "-N", "", "-f"]).arg(path).status();
-    assert!(made.unwrap().success());
+    sshd: Sshd,
+    /// Its keys.
+    _dir: TempDir,
 }
 
 impl Server {
     /// `None` where there is no sshd, or it may not run here.
     fn start() -> Option<Self> {
-        if !Path::new(SSHD).exists() {
-            eprintln!("skipped: {SSHD} is not installed");
-            return None;
-        }
         let dir = tempdir().unwrap();
-        fs::set_permissions(dir.path(), Permissions::from_mode(0o700)).unwrap();
-        let at = |name: &str| dir.path().join(name);
-        key(&at("host_key"));
-        key(&at("key"));
-        fs::copy(at("key.pub"), at("authorized_keys")).unwrap();
-        // As root, sshd wants a directory that only root may write.
-        let _ = fs::create_dir_all("/run/sshd");
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        let config = format!(
-            "Port {port}\nListenAddress 127.0.0.1\nHostKey {}\nAuthorizedKeysFile {}\nPidFile none\nUsePAM no\nStrictModes no\n\
-             PasswordAuthentication no\nPermitRootLogin prohibit-password\n",
-            at("host_key").display(),
-            at("authorized_keys").display()
-        );
-        fs::write(at("sshd_config"), config).unwrap();
-        let child = Command::new(SSHD)
-            .args(["-D", "-e", "-f"])
-            .arg(at("sshd_config"))
-            .stderr(fs::File::create(at("sshd.log")).unwrap())
-            .spawn();
-        let mut server = Self { port, child: child.unwrap(), dir };
-        for _ in 0..200 {
-            if TcpStream::connect(("127.0.0.1", port)).is_ok() {
-                server.trust("host_key.pub");
-                return Some(server);
-            }
-            if server.child.try_wait().unwrap().is_some() {
-                break;
-            }
-            wait_ms(50);
-        }
-        let log = fs::read_to_string(server.dir.path().join("sshd.log")).unwrap_or_default();
-        eprintln!("skipped: sshd does not run here: {log}");
-        None
-    }
-
-    /// The workstation knows the robot by this key.
-    fn trust(&self, public_key: &str) {
-        let key = fs::read_to_string(self.dir.path().join(public_key)).unwrap();
-        let line = format!("[127.0.0.1]:{} {key}", self.port);
-        fs::write(self.dir.path().join("known_hosts"), line).unwrap();
+        Some(Self { sshd: Sshd::start(dir.path()).unwrap()?, _dir: dir })
     }
 
     fn pull(&self, robot: &Path, here: &Path) -> Command {
@@ -99,12 +40,7 @@ impl Server {
             .arg(format!("robot=127.0.0.1:{}", robot.display()))
             .arg(here)
             .arg(format!("--remote-command={}", remote_command.display()))
-            .arg(format!("--ssh-option=-p{}", self.port))
-            .arg("--ssh-option=-F/dev/null")
-            .arg(format!("--ssh-option=-i{}", self.dir.path().join("key").display()))
-            .arg(format!("--ssh-option=-oUserKnownHostsFile={}", self.dir.path().join("known_hosts").display()))
-            .args(["--ssh-option=-oIdentitiesOnly=yes", "--ssh-option=-oBatchMode=yes"])
-            .args(["--ssh-option=-oStrictHostKeyChecking=yes"])
+            .args(self.sshd.options().iter().map(|option| format!("--ssh-option={option}")))
             .stdin(Stdio::null());
         command
     }
@@ -172,7 +108,7 @@ fn a_robot_is_pulled_over_ssh_and_the_second_time_nothing_moves() {
 fn a_changed_host_key_is_refused_in_sshs_own_words() {
     let Some(server) = Server::start() else { return };
     let (robot, here) = (robot(1, 1000), tempdir().unwrap());
-    server.trust("key.pub");
+    server.sshd.trust("key.pub").unwrap();
     let output = server.pull(robot.path(), here.path()).output().unwrap();
     let words = words(&output);
     assert!(!output.status.success() && words.contains("REMOTE HOST IDENTIFICATION HAS CHANGED"), "{words}");
