@@ -22,11 +22,20 @@ pub trait Disk: Send {
     /// When it cannot be removed.
     fn remove(&mut self, path: &Path) -> io::Result<()>;
 
-    /// How many bytes still fit where `path` is.
+    /// How large the disk is on which `path` lies, and how full.
     ///
     /// # Errors
     /// When the disk does not say.
-    fn free_bytes(&self, path: &Path) -> io::Result<u64>;
+    fn space(&self, path: &Path) -> io::Result<Space>;
+}
+
+/// How large a disk is, and how full.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Space {
+    /// What still fits, bytes.
+    pub free_bytes: u64,
+    /// All of it, bytes.
+    pub total_bytes: u64,
 }
 
 /// A file being written.
@@ -62,9 +71,10 @@ impl Disk for FileSystem {
         std::fs::remove_file(path)
     }
 
-    fn free_bytes(&self, path: &Path) -> io::Result<u64> {
+    fn space(&self, path: &Path) -> io::Result<Space> {
         let disk = rustix::fs::statvfs(path)?;
-        Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+        let bytes = |blocks: u64| blocks.saturating_mul(disk.f_frsize);
+        Ok(Space { free_bytes: bytes(disk.f_bavail), total_bytes: bytes(disk.f_blocks) })
     }
 }
 

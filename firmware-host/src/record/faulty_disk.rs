@@ -7,7 +7,7 @@ use drivers::MonotonicClock;
 use drivers::fault::{Device, Faults, Injector, Kind};
 use hal::Clock;
 
-use super::disk::{Disk, SegmentFile};
+use super::disk::{Disk, SegmentFile, Space};
 
 /// The wrapper.
 pub struct FaultyDisk<D> {
@@ -53,8 +53,8 @@ impl<D: Disk> Disk for FaultyDisk<D> {
         self.inner.remove(path)
     }
 
-    fn free_bytes(&self, path: &Path) -> io::Result<u64> {
-        self.inner.free_bytes(path)
+    fn space(&self, path: &Path) -> io::Result<Space> {
+        self.inner.space(path)
     }
 }
 

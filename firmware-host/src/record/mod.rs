@@ -27,7 +27,7 @@ mod segments;
 #[cfg(test)]
 pub(crate) mod tests;
 
-pub use disk::{Disk, FileSystem, SegmentFile};
+pub use disk::{Disk, FileSystem, SegmentFile, Space};
 pub use error::RecordError;
 pub use faulty_disk::FaultyDisk;
 pub use recorder::{RETRY_NS, Recorder, RecorderOptions, RecordingSummary, WhenFull, Word, snapshot};

@@ -5,13 +5,16 @@ use std::time::SystemTime;
 
 use buffer::is_segment_name;
 
-use super::disk::Disk;
+use super::disk::{Disk, Space};
 use crate::replay::open_segment;
 
 /// Beside a segment: it is at the workstation.
 pub const PULLED: &str = "pulled";
 /// Beside a segment: it is never removed.
 pub const KEEP: &str = "keep";
+
+/// No more than one part in so many of a disk is kept free: what a small one cannot have would cost all that is on it.
+const SMALL_DISK_SHARE: u64 = 10;
 
 /// How much of the disk recordings may take.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -20,7 +23,7 @@ pub struct Quota {
     pub buffer: PathBuf,
     /// All segments of all runs together, bytes; `None`: as much as there is.
     pub bytes: Option<u64>,
-    /// So much of the disk stays free, bytes.
+    /// So much of the disk stays free, bytes; of a small disk a tenth.
     pub free_bytes: u64,
 }
 
@@ -43,17 +46,19 @@ struct Segment {
 }
 
 /// Removes segments until the quota is kept: first those that were pulled, then the others, the oldest first. What is marked
-/// [`KEEP`] stays, and so does what a simulation recorded. Nothing may be open for writing.
-pub(super) fn make_room(disk: &mut dyn Disk, quota: &Quota) -> Removed {
+/// [`KEEP`] stays, and so do what a simulation recorded and `next`, which is about to be written.
+pub(super) fn make_room(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Removed {
     let mut segments = segments(&quota.buffer);
     let mut total: u64 = segments.iter().map(|segment| segment.bytes).sum();
     let mut removed = Removed::default();
-    segments.retain(|segment| !mark(&segment.path, KEEP).exists());
+    segments.retain(|segment| segment.path != next && !mark(&segment.path, KEEP).exists());
     segments.sort_by(|a, b| (!a.pulled, a.written, &a.path).cmp(&(!b.pulled, b.written, &b.path)));
     for segment in segments {
         // A disk that does not say how full it is counts as having room: the next write will tell.
-        let free = disk.free_bytes(&quota.buffer).unwrap_or(u64::MAX);
-        if quota.bytes.is_none_or(|most| total <= most) && free >= quota.free_bytes {
+        let has_room = disk.space(&quota.buffer).map_or(true, |Space { free_bytes, total_bytes }| {
+            free_bytes >= quota.free_bytes.min(total_bytes / SMALL_DISK_SHARE)
+        });
+        if quota.bytes.is_none_or(|most| total <= most) && has_room {
             break;
         }
         if is_simulated(&segment.path) {
@@ -120,6 +125,7 @@ mod tests {
     struct NearlyFull {
         free: u64,
         each: u64,
+        total: u64,
     }
 
     impl Disk for NearlyFull {
@@ -133,8 +139,8 @@ mod tests {
             Ok(())
         }
 
-        fn free_bytes(&self, _path: &Path) -> io::Result<u64> {
-            Ok(self.free)
+        fn space(&self, _path: &Path) -> io::Result<Space> {
+            Ok(Space { free_bytes: self.free, total_bytes: self.total })
         }
     }
 
@@ -172,7 +178,8 @@ mod tests {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "b", 2, None);
         recorded(buffer.path(), "a", 2, None);
-        let removed = make_room(&mut NearlyFull { free: 0, each: 10 }, &quota(buffer.path(), 25));
+        let removed =
+            make_room(&mut NearlyFull { free: 0, each: 10, total: u64::MAX }, &quota(buffer.path(), 25), Path::new(""));
         assert_eq!((removed.segments, removed.not_pulled), (3, 3));
         assert_eq!(left(buffer.path()), ["b/recording_0001.mcap"]);
     }
@@ -188,10 +195,15 @@ mod tests {
         // It has grown since.
         pulled(2, 1);
         std::fs::write(mark(&segment(0), KEEP), "").unwrap();
-        let removed = make_room(&mut NearlyFull { free: 0, each: 10 }, &quota(buffer.path(), 15));
+        let removed =
+            make_room(&mut NearlyFull { free: 0, each: 10, total: u64::MAX }, &quota(buffer.path(), 15), Path::new(""));
         assert_eq!((removed.segments, removed.not_pulled), (2, 1));
         assert_eq!(left(buffer.path()), ["a/recording_0000.mcap", "a/recording_0002.mcap"]);
-        make_room(&mut NearlyFull { free: 0, each: 10 }, &quota(buffer.path(), u64::MAX));
+        make_room(
+            &mut NearlyFull { free: 0, each: 10, total: u64::MAX },
+            &quota(buffer.path(), u64::MAX),
+            Path::new(""),
+        );
         assert_eq!(left(buffer.path()), ["a/recording_0000.mcap"]);
         assert!(!buffer.path().join("a/recording_0003.mcap.pulled").exists(), "a mark goes with its segment");
     }
@@ -202,9 +214,19 @@ mod tests {
         recorded(buffer.path(), "a", 5, None);
         let bytes: u64 = segments(buffer.path()).iter().map(|segment| segment.bytes).sum();
         let quota = Quota { bytes: Some(bytes / 2), ..quota(buffer.path(), 0) };
-        make_room(&mut FileSystem, &quota);
+        make_room(&mut FileSystem, &quota, Path::new(""));
         let left: u64 = segments(buffer.path()).iter().map(|segment| segment.bytes).sum();
         assert!(left <= bytes / 2 && left >= bytes / 5, "{left} of {bytes}");
+    }
+
+    #[test]
+    fn a_small_disk_is_not_emptied_for_room_that_it_cannot_have() {
+        let buffer = tempfile::tempdir().unwrap();
+        recorded(buffer.path(), "a", 4, None);
+        // A tenth of 300 is enough.
+        let mut disk = NearlyFull { free: 15, each: 10, total: 300 };
+        let removed = make_room(&mut disk, &quota(buffer.path(), 2 << 30), Path::new(""));
+        assert_eq!(removed.segments, 2);
     }
 
     #[test]
@@ -221,7 +243,11 @@ mod tests {
         recorded(elsewhere.path(), "a", 1, None);
         let linked = buffer.path().join("linked");
         std::os::unix::fs::symlink(elsewhere.path().join("a"), &linked).unwrap();
-        let removed = make_room(&mut NearlyFull { free: 0, each: 0 }, &quota(buffer.path(), u64::MAX));
+        let removed = make_room(
+            &mut NearlyFull { free: 0, each: 0, total: u64::MAX },
+            &quota(buffer.path(), u64::MAX),
+            Path::new(""),
+        );
         assert_eq!(removed, Removed::default());
         assert!(others.iter().all(|other| buffer.path().join(other).exists()));
         assert_eq!(left(elsewhere.path()).len(), 1);
@@ -237,11 +263,17 @@ mod tests {
             queue_ticks: 100,
             ..RecorderOptions::robot(buffer.path().join("new"))
         };
-        let disk = NearlyFull { free: 0, each: 10 };
+        let disk = NearlyFull { free: 0, each: 10, total: u64::MAX };
         let mut recorder = Recorder::start_on(Box::new(disk), options, run_header()).unwrap();
         (0..30).for_each(|tick| recorder.record(some_tick(tick), Views::default()).unwrap());
         let summary = recorder.finish().unwrap();
         assert_eq!((summary.removed.segments, summary.ticks), (2, 30));
-        assert_eq!(left(buffer.path())[0], "a/recording_0002.mcap");
+        let left = left(buffer.path());
+        assert_eq!(
+            left[..2],
+            ["a/recording_0002.mcap", "new/recording_0000.mcap"],
+            "also the first, which is made before"
+        );
+        assert_eq!(left.len(), 4);
     }
 }

@@ -94,14 +94,14 @@ impl Segments {
     }
 
     fn start(&mut self, tick: u64, time_ns: u64) -> Result<Open, RecordError> {
+        let segment = self.summary.segments;
+        let path = self.options.dir.join(segment_name(segment));
         if let Some(quota) = &self.options.quota {
-            let removed = make_room(self.disk.as_mut(), quota);
+            let removed = make_room(self.disk.as_mut(), quota, &path);
             self.summary.removed.segments += removed.segments;
             self.summary.removed.not_pulled += removed.not_pulled;
             self.summary.removed.bytes += removed.bytes;
         }
-        let segment = self.summary.segments;
-        let path = self.options.dir.join(segment_name(segment));
         let file = match self.first_file.take() {
             Some(file) => file,
             None => self.create(&path)?,

@@ -165,8 +165,8 @@ impl Disk for SmallDisk {
         FileSystem.remove(path)
     }
 
-    fn free_bytes(&self, path: &Path) -> io::Result<u64> {
-        FileSystem.free_bytes(path)
+    fn space(&self, path: &Path) -> io::Result<Space> {
+        FileSystem.space(path)
     }
 }
 
@@ -258,8 +258,8 @@ impl Disk for StalledDisk {
         FileSystem.remove(path)
     }
 
-    fn free_bytes(&self, path: &Path) -> io::Result<u64> {
-        FileSystem.free_bytes(path)
+    fn space(&self, path: &Path) -> io::Result<Space> {
+        FileSystem.space(path)
     }
 }
 
@@ -447,9 +447,9 @@ impl Disk for FailingDisk {
         FileSystem.remove(path)
     }
 
-    fn free_bytes(&self, path: &Path) -> io::Result<u64> {
+    fn space(&self, path: &Path) -> io::Result<Space> {
         self.operation()?;
-        FileSystem.free_bytes(path)
+        FileSystem.space(path)
     }
 }
 

@@ -8,8 +8,9 @@ world_up --lidar urg-04lx --protocol vesc --picture 160x64 --fps 10
 status=/rig/status.json
 "$FIRMWARE" run --config /tmp/world/robot.toml --out /mnt/disk/run --status $status >/rig/run.log 2>&1 &
 robot=$!
-# Little is left once it drives.
+# Little is left once it drives, and the first segment may not make room.
 until_value ticks $status 'v > 30'
+touch /mnt/disk/run/recording_0000.mcap.keep
 fallocate -l "$(($(df --output=avail -B1 /mnt/disk | tail -1) - 200000))" /mnt/disk/ballast
 until_value failure $status 'v != "" && v != "null"'
 "$FIRMWARE" health --status $status >/tmp/health && touch /tmp/well
