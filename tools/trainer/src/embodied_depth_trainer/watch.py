@@ -68,6 +68,7 @@ def watch(settings: WatchSettings) -> list[Path]:
     done, used = _state(settings.work)
     while settings.rounds is None or done < settings.rounds:
         there = sum(pictures_of(run) for run in runs(settings.pulled))
+        # What comes during the round counts as new for the next.
         if there - used < settings.pictures:
             time.sleep(LOOK_EVERY_S)
             continue
@@ -111,8 +112,7 @@ def _round(settings: WatchSettings, number: int) -> Path:
     folders = [_prepare(settings, run) for run in runs(settings.pulled) if pictures_of(run) > 0]
     labels = [folder / "labels.npz" for folder in folders]
     coarse = [folder / "coarse" for folder in folders]
-    recordings = [Path((folder / "run").read_text()) for folder in folders]
-    frames = read_frames(recordings, coarse, [], None, labels, settings.every)
+    frames = read_frames([folder / "run" for folder in folders], coarse, [], None, labels, settings.every)
     trainer = Trainer(frames, find_pairs(frames, None, PairRule()), settings.training)
     steps = (number + 1) * settings.steps
     with tqdm(total=steps, unit="step", disable=None) as bar:
@@ -131,18 +131,21 @@ def _round(settings: WatchSettings, number: int) -> Path:
 
 
 def _prepare(settings: WatchSettings, run: Path) -> Path:
-    """Coarse depth and labels of a run; again when it has grown."""
+    """A run as it is now, with coarse depth and labels; again when it has grown."""
     folder = settings.work / "runs" / "_".join(run.relative_to(settings.pulled).parts or ("run",))
-    there = [f"{file.name} {file.stat().st_size}" for file in segments(run)]
+    files = segments(run)
+    there = [f"{file.name} {file.stat().st_size}" for file in files]
     known = folder / "segments.json"
     if known.exists() and json.loads(known.read_text()) == there:
         return folder
     shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    write_atomically(str(run.resolve()).encode(), folder / "run")
-    command = [str(settings.robot), "perceive", "--recording", str(run)]
+    # Segments that come meanwhile are for the next round.
+    (folder / "run").mkdir(parents=True)
+    for file in files:
+        (folder / "run" / file.name).symlink_to(file.resolve())
+    command = [str(settings.robot), "perceive", "--recording", str(folder / "run")]
     _call([*command, "--out", str(folder / "look"), "--dump", str(folder / "coarse")], folder / "perceive.log")
-    write_labels(read_frames([run], [folder / "coarse"], [], None), folder / "labels.npz")
+    write_labels(read_frames([folder / "run"], [folder / "coarse"], [], None), folder / "labels.npz")
     # Last: what was interrupted is done again.
     write_atomically(json.dumps(there).encode(), known)
     return folder
