@@ -15,9 +15,9 @@ use crate::{command, onnx_runtime, paths, trainer};
 const SCENE: &str = "builtin:apartment?seed=5";
 /// Until it is told to stop.
 const FRAMES: &str = "1000000";
-/// New pictures that begin a round of training, and steps of the second; the first takes one step and knows next to nothing.
-const PICTURES: &str = "300";
-const STEPS: &str = "300";
+/// New pictures that begin a round of training, and its steps. A tenth of the pictures is held out, and the gate wants to see some.
+const PICTURES: &str = "1500";
+const STEPS: &str = "200";
 /// The robot's own file: short segments and short trials, so that a person can wait for them.
 const CONFIG: &str = "\
 [recording]
@@ -101,15 +101,14 @@ impl Demo {
         pull.args(self.ssh.iter().map(|option| format!("--ssh-option={option}")));
         let pull = Running::start("pull", &mut pull)?;
 
-        step("one step of training: a network that knows next to nothing. As the first it needs no proof, but a trial");
-        self.watch("1", "1", &["--unproven"])?;
-        let first = self.workstation.join("train/models/model_0000.onnx");
-        step("a round of training on what has come: the gate compares it with the first, on held-out pictures");
-        self.watch("2", STEPS, &[])?;
+        step("a first round of training on what has come: the gate judges it by held-out pictures, the robot on trial");
+        self.watch("1")?;
         self.wait_for_trial(&mut robot)?;
-        step("the first network once more: now it has to be as good as the second");
-        let again = self.push(&first, &["--again"]);
-        let refused = Running::start("push", &mut self.shell(&again))?.wait()?;
+        step("a second round: the gate compares it with the first on the same held-out pictures");
+        self.watch("2")?;
+        self.wait_for_trial(&mut robot)?;
+        step("a network that somebody has changed after it was signed");
+        let forged = Running::start("push", &mut self.shell(&self.push(&self.forge()?)))?.wait()?;
 
         step("what became of the models");
         drop(pull);
@@ -120,19 +119,22 @@ impl Demo {
         let mut replay = self.program("firmware-host");
         replay.arg("replay").arg(self.robot.join("runs/one")).arg("--model-store").arg(self.store());
         command::run(&mut replay)?;
-        if refused {
-            bail!("the gate took a network that knows next to nothing; please report this");
+        if forged {
+            bail!("the gate took a network that nobody signed; please report this");
         }
         Ok(())
     }
 
     /// One round of the trainer; what it makes is pushed.
-    fn watch(&self, rounds: &str, steps: &str, gate: &[&str]) -> Result<()> {
+    fn watch(&self, rounds: &str) -> Result<()> {
         let mut watch = Command::new(&self.trainer);
         watch.arg("watch").arg("--pulled").arg(self.pulled()).arg("--work").arg(self.workstation.join("train"));
         watch.arg("--firmware-host").arg(self.programs.join("firmware-host"));
-        watch.args(["--pictures", PICTURES, "--rounds", rounds, "--steps", steps]);
-        watch.arg("--then").arg(self.push(Path::new("{}"), gate)).env("ORT_DYLIB_PATH", &self.library);
+        watch.args(["--pictures", PICTURES, "--rounds", rounds, "--steps", STEPS]);
+        watch
+            .arg("--then")
+            .arg(format!("{} --key={}", self.push(Path::new("{}")), self.key().display()))
+            .env("ORT_DYLIB_PATH", &self.library);
         if !Running::start("train", &mut watch)?.wait()? {
             bail!("the training failed; what it said is above");
         }
@@ -140,18 +142,30 @@ impl Demo {
     }
 
     /// The command line that sends a model to the robot.
-    fn push(&self, model: &Path, gate: &[&str]) -> String {
+    fn push(&self, model: &Path) -> String {
         let mut words = vec![self.programs.join("push-model").display().to_string(), model.display().to_string()];
         words.push(format!("127.0.0.1:{}", self.store().display()));
-        words.push(format!("--key={}", self.key().display()));
         let program = self.programs.join("firmware-host");
         words.push(format!("'--program=env ORT_DYLIB_PATH={} {}'", self.library.display(), program.display()));
         words.extend(self.ssh.iter().map(|option| format!("--ssh={option}")));
         words.push(format!("--gate=--config={}", self.config().display()));
         // A robot in virtual time leaves no idle time; a real one does.
         words.push("--gate=--normal-priority".to_owned());
-        words.extend(gate.iter().map(|argument| format!("--gate={argument}")));
         words.join(" ")
+    }
+
+    /// The first network and its signature, with one bit of the network changed.
+    fn forge(&self) -> Result<PathBuf> {
+        let models = self.workstation.join("train/models");
+        let forged = self.workstation.join("forged.onnx");
+        let mut bytes = fs::read(models.join("model_0000.onnx"))?;
+        let middle = bytes.len() / 2;
+        if let Some(byte) = bytes.get_mut(middle) {
+            *byte ^= 1;
+        }
+        fs::write(&forged, bytes)?;
+        fs::copy(models.join("model_0000.onnx.minisig"), self.workstation.join("forged.onnx.minisig"))?;
+        Ok(forged)
     }
 
     fn shell(&self, line: &str) -> Command {

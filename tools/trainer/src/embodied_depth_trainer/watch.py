@@ -169,7 +169,7 @@ def _hand_over(settings: WatchSettings, network: Path) -> None:
         code = subprocess.run(command, check=False).returncode
     except OSError as problem:
         raise TrainerError(f"cannot run `{shlex.join(command)}`: {problem}; see --then") from problem
-    _tell(f"`{shlex.join(command)}` ended with {code}")
+    _tell(f"{network.name}: {Path(command[0]).name} ended with {code}")
 
 
 def _tell(text: str) -> None:
