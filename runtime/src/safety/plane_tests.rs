@@ -482,3 +482,26 @@ fn a_cart_does_not_turn_its_corner_into_a_wall_and_drives_on_ahead() {
     room.pose.y_m = 1.6;
     assert_eq!(room.tick(right).twist(), right);
 }
+
+#[test]
+fn trips_to_the_left_and_to_the_right_are_not_the_same_place() {
+    let mut plane = SafetyPlane::new(SafetyConfig::default());
+    for (turn, y_m) in [0.4, -0.4, 0.4, -0.4, 0.4].into_iter().enumerate() {
+        plane.trip(turn as u64 * TICK_NS, &Pose2::IDENTITY, TripCause::LidarHit, [0.3, y_m]);
+        assert!(matches!(plane.state(), SafetyState::Tripped { .. }), "never an escape");
+        assert_eq!(plane.trips.len(), 1, "the other side is forgotten");
+    }
+}
+
+#[test]
+fn a_refused_plan_is_said_once_and_waiting_for_the_first_not_at_all() {
+    let mut room = Room::new(2.0, Pose2::IDENTITY);
+    let mut said = |room: &mut Room, plan: Option<Plan>| {
+        let scan = room.scan();
+        let input = SafetyInput { plan, ..room.input(FORWARD, Some(&scan), false) };
+        matches!(room.turn(&input).event, Some(SafetyEvent::PlanRefused { .. }))
+    };
+    (0..20).for_each(|_| assert!(!said(&mut room, None)));
+    let nonsense = Plan { twist: Twist2 { linear_mps: f64::NAN, angular_radps: 0.0 }, time_ns: u64::MAX / 4 };
+    assert_eq!((0..20).filter(|_| said(&mut room, Some(nonsense))).count(), 1);
+}
