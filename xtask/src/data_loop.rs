@@ -18,7 +18,8 @@ const FRAMES: &str = "1000000";
 /// New pictures that begin a round of training, and its steps. A tenth of the pictures is held out, and the gate wants to see some.
 const PICTURES: &str = "1500";
 const STEPS: &str = "200";
-/// The robot's own file: short segments and short trials, so that a person can wait for them.
+/// The robot's own file: short segments and short trials, so that a person can wait for them; and time for an inference, for robot
+/// and workstation share their processors here.
 const CONFIG: &str = "\
 [recording]
 segment_s = 30.0
@@ -28,6 +29,7 @@ trusted_keys = \"KEYS\"
 recordings = \"RUNS\"
 trial_turns = 300
 trial_m = 3.0
+max_p99_ms = 1000.0
 ";
 
 pub fn run() -> Result<()> {
