@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 
-use crate::{command, models, onnx_runtime, peers, trainer};
+use crate::{command, models, onnx_runtime, paths, peers, trainer};
 
 pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
     let mut bench = command::cargo();
@@ -23,6 +23,10 @@ pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
         Ok(packages) => _ = bench.env("BENCH_PYTHON", "python3").env("PYTHONPATH", packages),
         Err(error) => eprintln!("no peers in Python: {error:#}"),
     }
+    // What is measured as a program, over ssh.
+    let programs = ["--package=firmware-host", "--package=pull-buffer"];
+    command::run(command::cargo().args(["build", "--release", "--quiet", "--locked"]).args(programs))?;
+    bench.env("BENCH_PROGRAMS", paths::target().join("release"));
     // PyTorch is large: only who asks for its room gets it installed.
     if filter == Some("trainer") || trainer::is_installed() {
         bench.env("BENCH_TRAINER", trainer::install()?);
