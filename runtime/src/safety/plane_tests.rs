@@ -496,7 +496,7 @@ fn trips_to_the_left_and_to_the_right_are_not_the_same_place() {
 #[test]
 fn a_refused_plan_is_said_once_and_waiting_for_the_first_not_at_all() {
     let mut room = Room::new(2.0, Pose2::IDENTITY);
-    let mut said = |room: &mut Room, plan: Option<Plan>| {
+    let said = |room: &mut Room, plan: Option<Plan>| {
         let scan = room.scan();
         let input = SafetyInput { plan, ..room.input(FORWARD, Some(&scan), false) };
         matches!(room.turn(&input).event, Some(SafetyEvent::PlanRefused { .. }))
