@@ -13,7 +13,7 @@ use crate::bytes::Bytes;
 use crate::digest::Digest;
 use crate::error::BufferError;
 use crate::marks::{self, Pulled};
-use crate::name::{FileKind, Name};
+use crate::name::Name;
 use crate::records::{self, Fields, MAGIC_LEN};
 use crate::root::{Listed, Root, list, open_regular};
 
@@ -96,7 +96,7 @@ impl Entry {
 /// Everything in a buffer, in the order of [`Name`].
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Catalogue {
-    /// Segments, lists of what is held out, and clips.
+    /// Segments.
     pub entries: Vec<Entry>,
 }
 
@@ -133,7 +133,7 @@ impl Catalogue {
     #[must_use]
     pub fn runs(&self) -> BTreeMap<&str, Vec<&Entry>> {
         let mut runs: BTreeMap<&str, Vec<&Entry>> = BTreeMap::new();
-        for entry in self.entries.iter().filter(|entry| entry.name.kind() == FileKind::Segment) {
+        for entry in &self.entries {
             runs.entry(entry.name.run()).or_default().push(entry);
         }
         runs
@@ -162,38 +162,22 @@ fn read_run(root: &Root, run: &str, listed: &[Listed], entries: &mut Vec<Entry>)
         };
         entries.extend(read_entry(folder.as_fd(), name, file, has(marks::KEEP), pulled).ok());
     }
-    if run != "held_out" && listed.iter().any(|dir| dir.name == "held_out" && dir.kind == FileType::Directory) {
-        let inside = format!("{prefix}held_out");
-        if let Ok(clips) = root.folder(&inside).and_then(|folder| list(folder.as_fd())) {
-            let clips = clips.iter().filter(|file| file.kind == FileType::RegularFile);
-            entries.extend(clips.filter_map(|file| {
-                let name = Name::parse(&format!("{inside}/{}", file.name)).ok()?;
-                Some(plain(name, file))
-            }));
-        }
-    }
 }
 
-fn plain(name: Name, file: &Listed) -> Entry {
-    Entry {
+fn read_entry(folder: BorrowedFd<'_>, name: Name, listed: &Listed, keep: bool, pulled: Pulled) -> io::Result<Entry> {
+    let file = open_regular(folder, name.file())?;
+    let mut entry = Entry {
         name,
-        bytes: file.bytes,
-        modified_ns: file.modified_ns,
+        bytes: listed.bytes,
+        modified_ns: listed.modified_ns,
         state: State::Closed,
         times: None,
         turns: None,
         events: None,
-        keep: false,
-        pulled: Pulled::No,
-    }
-}
-
-fn read_entry(folder: BorrowedFd<'_>, name: Name, listed: &Listed, keep: bool, pulled: Pulled) -> io::Result<Entry> {
-    let mut entry = Entry { keep, pulled, ..plain(name, listed) };
-    if entry.name.kind() == FileKind::Segment {
-        let file = open_regular(folder, entry.name.file())?;
-        look_into(&file, &mut entry)?;
-    }
+        keep,
+        pulled,
+    };
+    look_into(&file, &mut entry)?;
     Ok(entry)
 }
 
@@ -239,11 +223,8 @@ fn chunk_times<B: Bytes + ?Sized>(file: &B, length: u64) -> io::Result<Option<Ti
 }
 
 fn tell_open_from_cut(entries: &mut [Entry], now_ns: u64) {
-    let last: BTreeMap<String, Name> = entries
-        .iter()
-        .filter(|entry| entry.name.kind() == FileKind::Segment)
-        .map(|entry| (entry.name.run().to_owned(), entry.name.clone()))
-        .collect();
+    let last: BTreeMap<String, Name> =
+        entries.iter().map(|entry| (entry.name.run().to_owned(), entry.name.clone())).collect();
     for entry in entries.iter_mut().filter(|entry| entry.state == State::Cut) {
         // A clock that jumped back makes the file younger than now: it counts as fresh.
         let fresh = now_ns.saturating_sub(entry.modified_ns) < OPEN_FOR_NS;

@@ -6,8 +6,6 @@
 //! BUFFER/RUN/recording_0007.mcap           a segment
 //! BUFFER/RUN/recording_0007.mcap.pulled    a workstation has it: its digest, size and time
 //! BUFFER/RUN/recording_0007.mcap.keep      never deleted by the recorder's quota
-//! BUFFER/RUN/held_out.json                 what must not be trained on
-//! BUFFER/RUN/held_out/CLIP.mcap            the model gate's clips
 //! ```
 //!
 //! Nothing here writes into a buffer but the mark `.pulled`, and nothing follows a symbolic link out of it.
@@ -36,8 +34,8 @@ pub use bytes::Bytes;
 pub use catalogue::{Catalogue, Entry, OPEN_FOR_NS, State, Times};
 pub use digest::{Digest, Hasher};
 pub use error::{BufferError, Kind};
-pub use marks::{Pulled, keep};
-pub use name::{BadName, FileKind, Name, is_segment_name};
+pub use marks::{KEEP, PULLED, Pulled, keep};
+pub use name::{BadName, Name, is_segment_name};
 pub use recover::{Recovered, recover, recover_file};
 pub use root::Root;
 pub use send::{Have, Receive};

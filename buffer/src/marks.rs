@@ -22,23 +22,23 @@ pub enum Pulled {
     Yes(Digest),
 }
 
-/// The suffix that says "pulled".
-pub(crate) const PULLED: &str = ".pulled";
-/// The suffix that says "keep".
-pub(crate) const KEEP: &str = ".keep";
+/// Behind a segment's name: a workstation has it.
+pub const PULLED: &str = ".pulled";
+/// Behind a segment's name: it is never deleted.
+pub const KEEP: &str = ".keep";
 
 /// Marks a segment as one that the recorder never deletes.
 ///
 /// # Errors
 /// When the mark cannot be written.
 pub fn keep(root: &Root, name: &Name) -> io::Result<()> {
-    write_small(root.folder(name.folder())?.as_fd(), &format!("{}{KEEP}", name.file()), "")
+    write_small(root.folder(name.run())?.as_fd(), &format!("{}{KEEP}", name.file()), "")
 }
 
 /// Marks a segment of `bytes` bytes, last changed at `modified_ns`, as pulled.
 pub(crate) fn set_pulled(root: &Root, name: &Name, digest: &Digest, bytes: u64, modified_ns: u64) -> io::Result<()> {
     let text = format!("{digest} {bytes} {modified_ns}\n");
-    write_small(root.folder(name.folder())?.as_fd(), &format!("{}{PULLED}", name.file()), &text)
+    write_small(root.folder(name.run())?.as_fd(), &format!("{}{PULLED}", name.file()), &text)
 }
 
 /// Reads the mark of a segment that has `bytes` bytes and was last changed at `modified_ns`.

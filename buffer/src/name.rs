@@ -7,56 +7,31 @@ use std::fmt;
 /// Longest name of a directory or file; file systems allow 255 and we append to it.
 const MAX_PART: usize = 128;
 
-const HELD_OUT_LIST: &str = "held_out.json";
-const HELD_OUT: &str = "held_out";
-
-/// What a file is by its name.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum FileKind {
-    /// `recording_NNNN.mcap`.
-    Segment,
-    /// `held_out.json`.
-    HeldOutList,
-    /// `held_out/CLIP.mcap`.
-    Clip,
-}
-
 /// Why a name is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "{shown:?} names no file of a buffer, which are [RUN/]recording_NNNN.mcap, [RUN/]held_out.json and [RUN/]held_out/CLIP.mcap"
-)]
+#[error("{shown:?} names no segment of a buffer, which are [RUN/]recording_NNNN.mcap")]
 pub struct BadName {
     shown: String,
 }
 
-/// `[RUN/]recording_NNNN.mcap`, `[RUN/]held_out.json` or `[RUN/]held_out/CLIP.mcap`: relative, without `..`, without hidden
-/// parts. Sorts by run, then in the order of recording.
+/// `[RUN/]recording_NNNN.mcap`: relative, without `..`, without hidden parts. Sorts by run, then in the order of recording.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Name {
     text: String,
-    kind: FileKind,
 }
 
 impl Name {
     /// Checks a name.
     ///
     /// # Errors
-    /// [`BadName`] for everything that is not one of the three forms.
+    /// [`BadName`] for everything else.
     pub fn parse(text: &str) -> Result<Self, BadName> {
-        let bad = || BadName { shown: text.chars().take(200).collect() };
-        // Three parts at most; what is left of a longer name holds a slash, which no part may.
-        let parts: Vec<&str> = text.splitn(3, '/').collect();
-        if !parts.iter().all(|part| is_part(part)) {
-            return Err(bad());
+        let (run, file) = text.rsplit_once('/').map_or((None, text), |(run, file)| (Some(run), file));
+        if run.is_none_or(is_part) && is_part(file) && is_segment_name(file) {
+            Ok(Self { text: text.to_owned() })
+        } else {
+            Err(BadName { shown: text.chars().take(200).collect() })
         }
-        let kind = match parts.as_slice() {
-            [HELD_OUT, clip] | [_, HELD_OUT, clip] if is_clip(clip) => FileKind::Clip,
-            [file] | [_, file] if is_segment_name(file) => FileKind::Segment,
-            [HELD_OUT_LIST] | [_, HELD_OUT_LIST] => FileKind::HeldOutList,
-            _ => return Err(bad()),
-        };
-        Ok(Self { text: text.to_owned(), kind })
     }
 
     /// The name with `/` between its parts.
@@ -65,26 +40,10 @@ impl Name {
         &self.text
     }
 
-    /// What it is.
-    #[must_use]
-    pub fn kind(&self) -> FileKind {
-        self.kind
-    }
-
     /// The directory of its run; empty where the buffer is the run's directory itself.
     #[must_use]
     pub fn run(&self) -> &str {
-        let folder = self.folder();
-        match self.kind {
-            FileKind::Clip => folder.rsplit_once('/').map_or("", |(run, _)| run),
-            _ => folder,
-        }
-    }
-
-    /// All of its directories.
-    #[must_use]
-    pub fn folder(&self) -> &str {
-        self.text.rsplit_once('/').map_or("", |(folder, _)| folder)
+        self.text.rsplit_once('/').map_or("", |(run, _)| run)
     }
 
     /// The last part.
@@ -124,10 +83,6 @@ pub fn is_segment_name(name: &str) -> bool {
     digits.is_some_and(|digits| digits.len() >= 4 && digits.bytes().all(|byte| byte.is_ascii_digit()))
 }
 
-fn is_clip(name: &str) -> bool {
-    name.strip_suffix(".mcap").is_some_and(|stem| !stem.is_empty())
-}
-
 fn is_part(part: &str) -> bool {
     !part.is_empty()
         && part.len() <= MAX_PART
@@ -142,16 +97,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_three_forms_are_names_with_or_without_a_run() {
-        for (text, kind, run, file) in [
-            ("recording_0000.mcap", FileKind::Segment, "", "recording_0000.mcap"),
-            ("monday 3/recording_12345.mcap", FileKind::Segment, "monday 3", "recording_12345.mcap"),
-            ("run/held_out.json", FileKind::HeldOutList, "run", "held_out.json"),
-            ("run/held_out/07.mcap", FileKind::Clip, "run", "07.mcap"),
-            ("held_out/07.mcap", FileKind::Clip, "", "07.mcap"),
+    fn segments_are_names_with_or_without_a_run() {
+        for (text, run, file) in [
+            ("recording_0000.mcap", "", "recording_0000.mcap"),
+            ("monday 3/recording_12345.mcap", "monday 3", "recording_12345.mcap"),
         ] {
             let name = Name::parse(text).unwrap();
-            assert_eq!((name.kind(), name.run(), name.file(), name.as_str()), (kind, run, file, text));
+            assert_eq!((name.run(), name.file(), name.as_str()), (run, file, text));
         }
     }
 
@@ -177,9 +129,9 @@ mod tests {
             "a\0/recording_0000.mcap",
             "a\n/recording_0000.mcap",
             "recording_00x0.mcap",
-            "run/held_out/.mcap",
-            "run/held_out/../recording_0000.mcap",
-            "run/held_out/a/b.mcap",
+            "run/notes.json",
+            "run/clips/../recording_0000.mcap",
+            "run/clips/07.mcap",
         ] {
             assert!(Name::parse(bad).is_err(), "{bad:?}");
         }
@@ -198,11 +150,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_is_accepted_stays_below_where_it_is_joined(text in "[./a\\\\~]{0,6}(/|held_out|recording_0001.mcap|\\.\\.|\0)*") {
+        fn whatever_is_accepted_stays_below_where_it_is_joined(text in "[./a\\\\~]{0,6}(/|run|recording_0001.mcap|\\.\\.|\0)*") {
             if let Ok(name) = Name::parse(&text) {
                 let path = std::path::Path::new(name.as_str());
                 prop_assert!(path.components().all(|part| matches!(part, std::path::Component::Normal(_))));
-                prop_assert!(path.components().count() <= 3);
+                prop_assert!(path.components().count() <= 2);
             }
         }
     }

@@ -54,7 +54,7 @@ impl Root {
     /// # Errors
     /// When it is not there, no regular file, or reached through a symbolic link.
     pub fn open_file(&self, name: &Name) -> io::Result<File> {
-        let folder = self.folder(name.folder())?;
+        let folder = self.folder(name.run())?;
         open_regular(folder.as_fd(), name.file())
     }
 

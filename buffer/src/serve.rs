@@ -6,7 +6,7 @@ use std::io::{self, Read, Write};
 use crate::catalogue::Catalogue;
 use crate::digest::Digest;
 use crate::marks;
-use crate::name::{FileKind, Name};
+use crate::name::Name;
 use crate::root::Root;
 use crate::send::{Have, Receive, SendError, Sent, send};
 use crate::wire::{
@@ -137,9 +137,6 @@ pub(crate) enum MarkError {
 /// Sets the mark of a segment whose contents have this digest; reads them unless they were just sent. No word of a
 /// workstation makes the robot delete what it does not have.
 pub(crate) fn mark(root: &Root, name: &Name, digest: Digest, sent: Option<&Sent>) -> Result<(), MarkError> {
-    if name.kind() != FileKind::Segment {
-        return Ok(());
-    }
     let mut file = root.open_file(name).map_err(MarkError::Disk)?;
     let metadata = file.metadata().map_err(MarkError::Disk)?;
     let (bytes, modified_ns) = (metadata.len(), crate::root::file_modified_ns(&metadata));

@@ -18,22 +18,15 @@ fn everything_arrives_whole_and_the_robot_knows() {
     let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
     robot(there.path());
     let report = pull_into(&mut connect(there.path()), here.path(), Options::default()).unwrap();
-    assert_eq!((report.files, report.there, report.open, report.unmarked), (5, 0, 0, 0));
+    assert_eq!((report.files, report.there, report.open, report.unmarked), (FILES.len() as u64, 0, 0, 0));
     assert_same(there.path(), here.path(), &FILES);
-    assert!(!here.path().join("monday/held_out").exists(), "clips stay where they are");
-    for entry in Catalogue::read(&Root::open(there.path()).unwrap()).unwrap().entries {
-        let is_segment = entry.name.file().starts_with("recording_");
-        let digest = Digest::of(&fs::read(there.path().join(entry.name.as_str())).unwrap());
-        assert_eq!(entry.pulled, if is_segment { Pulled::Yes(digest) } else { Pulled::No }, "{}", entry.name);
+    for other in ["monday/summary.json", "monday/more"] {
+        assert!(!here.path().join(other).exists(), "{other} stays where it is");
     }
-}
-
-#[test]
-fn clips_come_when_they_are_asked_for() {
-    let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
-    robot(there.path());
-    pull_into(&mut connect(there.path()), here.path(), Options { clips: true, ..Options::default() }).unwrap();
-    assert_same(there.path(), here.path(), &["monday/held_out/clip.mcap"]);
+    for entry in Catalogue::read(&Root::open(there.path()).unwrap()).unwrap().entries {
+        let digest = Digest::of(&fs::read(there.path().join(entry.name.as_str())).unwrap());
+        assert_eq!(entry.pulled, Pulled::Yes(digest), "{}", entry.name);
+    }
 }
 
 #[test]
@@ -51,7 +44,7 @@ fn a_second_pull_moves_nothing_and_reads_nothing() {
         let file = fs::File::options().write(true).open(&path).unwrap();
         file.set_modified(modified).unwrap();
         let report = pull_into(source.as_mut(), here.path(), Options::default()).unwrap();
-        assert_eq!((report.files, report.bytes, report.there), (0, 0, 5));
+        assert_eq!((report.files, report.bytes, report.there), (0, 0, FILES.len() as u64));
     }
 }
 
@@ -67,7 +60,7 @@ fn without_its_index_a_destination_is_compared_and_nothing_is_sent_again() {
             Some(text) => fs::write(&index, text).unwrap(),
         }
         let report = pull_into(&mut connect(there.path()), here.path(), Options::default()).unwrap();
-        assert_eq!((report.files, report.bytes), (5, 0));
+        assert_eq!((report.files, report.bytes), (FILES.len() as u64, 0));
         assert_same(there.path(), here.path(), &FILES);
     }
 }
@@ -187,16 +180,16 @@ fn links_and_odd_files_in_a_buffer_are_not_there() {
     let target = secret.path().join("monday/recording_0000.mcap");
     symlink(&target, there.path().join("recording_0000.mcap")).unwrap();
     symlink(secret.path().join("monday"), there.path().join("linked")).unwrap();
-    symlink("/etc", there.path().join("tuesday/held_out")).unwrap();
+    symlink("/etc", there.path().join("etc")).unwrap();
     fs::create_dir(there.path().join("tuesday/recording_0007.mcap")).unwrap();
     let pipe = there.path().join("tuesday/recording_0008.mcap");
     let made = std::process::Command::new("mkfifo").arg(&pipe).status().unwrap();
     assert!(made.success());
     let mut source = connect(there.path());
-    let report = pull_into(&mut source, here.path(), Options { clips: true, ..Options::default() }).unwrap();
-    assert_eq!(report.files, 6, "what robot() made and nothing else");
+    let report = pull_into(&mut source, here.path(), Options::default()).unwrap();
+    assert_eq!(report.files, 4, "what robot() made and nothing else");
     for name in
-        ["recording_0000.mcap", "linked/recording_0000.mcap", "tuesday/recording_0008.mcap", "tuesday/held_out/x.mcap"]
+        ["recording_0000.mcap", "linked/recording_0000.mcap", "tuesday/recording_0008.mcap", "etc/recording_0000.mcap"]
     {
         let error = source.fetch(&Name::parse(name).unwrap(), Have::nothing(), &mut Nobody).unwrap_err().to_string();
         assert!(error.contains("refuses"), "{name}: {error}");

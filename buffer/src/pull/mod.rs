@@ -26,8 +26,6 @@ pub struct Options {
     pub order: Order,
     /// Bytes a second; `None` for as fast as it goes.
     pub limit: Option<u64>,
-    /// Also the model gate's clips.
-    pub clips: bool,
     /// Leave no mark on the robot.
     pub no_mark: bool,
 }

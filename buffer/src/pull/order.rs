@@ -3,7 +3,6 @@
 use std::cmp::Reverse;
 
 use crate::catalogue::Entry;
-use crate::name::FileKind;
 
 /// In which order segments are pulled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -19,7 +18,7 @@ pub enum Order {
 }
 
 impl Order {
-    /// Sorts files. What is held out comes first, whatever the order: nobody may train on it in the meantime.
+    /// Sorts segments.
     pub(super) fn sort(self, entries: &mut [Entry]) {
         match self {
             Self::Oldest => entries.sort_by_key(|entry| (entry.modified_ns, entry.name.clone())),
@@ -29,7 +28,6 @@ impl Order {
                 Reverse((entry.keep, per_gigabyte, entry.modified_ns, entry.name.clone()))
             }),
         }
-        entries.sort_by_key(|entry| entry.name.kind() != FileKind::HeldOutList);
     }
 }
 
@@ -47,15 +45,13 @@ mod tests {
     }
 
     #[test]
-    fn what_is_held_out_comes_first_then_as_asked() {
+    fn segments_come_as_asked() {
         let all = [
             entry("a/recording_0000.mcap", 1, 5, false),
             entry("a/recording_0001.mcap", 2, 0, true),
             entry("b/recording_0000.mcap", 3, 1, false),
-            entry("b/held_out.json", 9, 0, false),
         ];
-        for (order, expected) in
-            [(Order::Oldest, [9, 1, 2, 3]), (Order::Newest, [9, 3, 2, 1]), (Order::Valuable, [9, 2, 1, 3])]
+        for (order, expected) in [(Order::Oldest, [1, 2, 3]), (Order::Newest, [3, 2, 1]), (Order::Valuable, [2, 1, 3])]
         {
             let mut entries = all.clone();
             order.sort(&mut entries);

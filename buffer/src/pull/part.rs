@@ -23,7 +23,7 @@ impl Paths {
     /// Makes the directories.
     pub(super) fn new(dir: &Path, name: &Name) -> Result<Self, BufferError> {
         let whole = dir.join(name.as_str());
-        let folder = dir.join(name.folder());
+        let folder = dir.join(name.run());
         std::fs::create_dir_all(&folder).map_err(BufferError::write(folder))?;
         let part = whole.with_file_name(format!("{}.part", name.file()));
         Ok(Self { name: name.clone(), part, whole })

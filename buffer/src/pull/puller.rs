@@ -14,7 +14,6 @@ use super::{Options, Report, Watch};
 use crate::catalogue::{Entry, State};
 use crate::digest::Digest;
 use crate::error::BufferError;
-use crate::name::FileKind;
 use crate::root::file_modified_ns;
 use crate::source::Source;
 
@@ -135,8 +134,7 @@ impl Work<'_, '_> {
     fn plan(&mut self) -> Result<Vec<Entry>, BufferError> {
         let (mut missing, mut done_bytes, mut bytes) = (Vec::new(), 0, 0);
         for entry in self.source.list()? {
-            let wanted = self.options.clips || entry.name.kind() != FileKind::Clip;
-            if entry.state == State::Open || !wanted || entry.bytes == 0 {
+            if entry.state == State::Open || entry.bytes == 0 {
                 self.report.open += u64::from(entry.state == State::Open);
                 continue;
             }
@@ -213,13 +211,13 @@ impl Work<'_, '_> {
         Ok(Job { part: arrived.part, paths, aside, entry: Entry { bytes: arrived.bytes, ..entry.clone() }, digest })
     }
 
-    /// Where to put a file of the same name that is here. One that had no end, or a list, is replaced; anything else was a
-    /// whole recording, and nothing that was pulled is ever lost.
+    /// Where to put a file of the same name that is here. One that had no end is replaced; anything else was a whole
+    /// recording, and nothing that was pulled is ever lost.
     fn aside(&self, paths: &Paths) -> Result<Option<PathBuf>, BufferError> {
         let name = &paths.name;
         let Ok(metadata) = std::fs::symlink_metadata(&paths.whole) else { return Ok(None) };
         let known = self.to.index.get(name.as_str());
-        if name.kind() == FileKind::HeldOutList || known.is_some_and(|known| known.cut) {
+        if known.is_some_and(|known| known.cut) {
             return Ok(None);
         }
         let word = known.map_or_else(|| file_modified_ns(&metadata).to_string(), |known| known.digest.short());
@@ -250,7 +248,7 @@ impl Work<'_, '_> {
     }
 
     fn mark(&mut self, entry: &Entry, digest: &Digest) -> Result<(), BufferError> {
-        if self.options.no_mark || entry.name.kind() != FileKind::Segment {
+        if self.options.no_mark {
             return Ok(());
         }
         match self.source.mark_pulled(&entry.name, digest) {

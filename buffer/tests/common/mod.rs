@@ -9,7 +9,7 @@ use std::time::Duration;
 use buffer::pull::{Destination, FileSystem, Options, Report, pull};
 use buffer::source::{Remote, Source};
 use buffer::{BufferError, Root};
-use hal::{CameraModel, Pose2, Pose3, VirtualClock, WheelFeedback, camera_mount};
+use hal::{CameraModel, Pose2, VirtualClock, WheelFeedback, camera_mount};
 use runtime::recording::{Picture, RecordedTick, RecordingWriter, RunHeader, SegmentHeader, Views};
 
 /// Turns in a chunk: ten a second, and a chunk is closed after one.
@@ -17,21 +17,9 @@ pub const CHUNK_TURNS: u64 = 11;
 
 pub fn run_header() -> RunHeader {
     RunHeader {
-        pictures: true,
-        model_store: false,
-        written_by: "test 0.0.0".to_owned(),
         seed: 7,
-        scene: None,
-        policy: "random".to_owned(),
-        depth_source: "coarse".to_owned(),
-        model_digest: None,
-        hand_over: None,
-        faults: Vec::new(),
-        fault_seed: None,
-        camera: CameraModel::pinhole(16, 12, 1.5),
         t_base_camera: camera_mount(0.1, 0.8, 0.2),
-        t_base_laser: Pose3::identity(),
-        config: serde_json::json!({}),
+        ..RunHeader::new("test 0.0.0", CameraModel::pinhole(16, 12, 1.5))
     }
 }
 
@@ -57,15 +45,9 @@ pub fn some_tick(tick: u64) -> RecordedTick {
     let (time_ns, mut noise) = (tick * 100_000_000, Noise(tick));
     let odom = Pose2::new(0.03 * tick as f64, 0.0, 0.01 * tick as f64);
     RecordedTick {
-        snapshot: None,
-        tick,
-        time_ns,
         wheel: WheelFeedback { time_ns, odom, ..WheelFeedback::default() },
-        scan: None,
         frame: Some(Picture { width: 16, height: 12, rgb: (0..16 * 12 * 3).map(|_| noise.next() as u8).collect() }),
-        truth: None,
-        safety: None,
-        decision: None,
+        ..RecordedTick::new(tick, time_ns)
     }
 }
 
@@ -87,13 +69,13 @@ pub fn robot(dir: &Path) {
         fs::create_dir_all(dir.join(run)).unwrap();
         fs::write(dir.join(run).join(format!("recording_{number:04}.mcap")), segment(number, first, ticks)).unwrap();
     }
-    fs::write(dir.join("monday/held_out.json"), "{\"clips\": []}").unwrap();
-    fs::create_dir_all(dir.join("monday/held_out")).unwrap();
-    fs::write(dir.join("monday/held_out/clip.mcap"), segment(0, 0, 3)).unwrap();
+    // What else lies there is nobody's business.
+    fs::write(dir.join("monday/summary.json"), "{}").unwrap();
+    fs::create_dir_all(dir.join("monday/more")).unwrap();
+    fs::write(dir.join("monday/more/recording_0000.mcap"), segment(0, 0, 3)).unwrap();
 }
 
-pub const FILES: [&str; 5] = [
-    "monday/held_out.json",
+pub const FILES: [&str; 4] = [
     "monday/recording_0000.mcap",
     "monday/recording_0001.mcap",
     "monday/recording_0002.mcap",

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ::buffer::{Catalogue, Entry, FileKind, Pulled, State};
+use ::buffer::{Catalogue, Entry, Pulled, State};
 use anyhow::{Result, ensure};
 use comfy_table::{CellAlignment, Table, presets::ASCII_MARKDOWN};
 use serde_json::{Value, json};
@@ -15,15 +15,15 @@ pub(super) fn run(dir: &Path, as_json: bool) -> Result<()> {
         return Ok(());
     }
     ensure!(
-        !catalogue.runs().is_empty(),
+        !catalogue.entries.is_empty(),
         "{} holds no recording_NNNN.mcap; give a directory with runs, or the --out directory of a run",
         dir.display()
     );
     println!("{}", table(&catalogue));
-    let segments = || catalogue.entries.iter().filter(|entry| entry.name.kind() == FileKind::Segment);
-    let bytes: u64 = segments().map(|entry| entry.bytes).sum();
-    let pulled = segments().filter(|entry| entry.pulled_digest().is_some()).count();
-    println!("{} segments, {}, {pulled} of them pulled", segments().count(), megabytes(bytes));
+    let segments = &catalogue.entries;
+    let bytes: u64 = segments.iter().map(|entry| entry.bytes).sum();
+    let pulled = segments.iter().filter(|entry| entry.pulled_digest().is_some()).count();
+    println!("{} segments, {}, {pulled} of them pulled", segments.len(), megabytes(bytes));
     Ok(())
 }
 

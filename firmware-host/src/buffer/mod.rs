@@ -8,7 +8,7 @@ use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use ::buffer::{BufferError, Catalogue, Entry, FileKind, Finding, Root, State, export, recover_file, verify};
+use ::buffer::{BufferError, Catalogue, Entry, Finding, Root, State, export, recover_file, verify};
 use anyhow::{Context, Result, bail};
 
 use crate::cli::{BufferArgs, BufferTask, ExportLayout};
@@ -35,7 +35,7 @@ fn segments(path: &Path) -> Result<(Root, Vec<Entry>), BufferError> {
     let (root, catalogue) = Catalogue::open(dir)?;
     let asked = |entry: &Entry| {
         let file = entry.name.run().is_empty() && path.file_name().is_some_and(|file| file == entry.name.file());
-        entry.name.kind() == FileKind::Segment && (!is_file || file)
+        !is_file || file
     };
     let entries: Vec<Entry> = catalogue.entries.into_iter().filter(asked).collect();
     if entries.is_empty() {

@@ -31,5 +31,5 @@ pub use disk::{Disk, FileSystem, SegmentFile, Space};
 pub use error::RecordError;
 pub use faulty_disk::FaultyDisk;
 pub use recorder::{RETRY_NS, Recorder, RecorderOptions, RecordingSummary, WhenFull, Word, snapshot};
-pub use room::{KEEP, PULLED, Quota, Removed};
+pub use room::{Quota, Removed};
 pub use segments::segment_name;

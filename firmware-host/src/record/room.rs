@@ -1,17 +1,11 @@
 //! Room on the disk: the oldest segments go first, so that the newest can be written.
 
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
-use buffer::is_segment_name;
+use buffer::{Catalogue, PULLED};
 
 use super::disk::{Disk, Space};
 use crate::replay::open_segment;
-
-/// Beside a segment: it is at the workstation.
-pub const PULLED: &str = "pulled";
-/// Beside a segment: it is never removed.
-pub const KEEP: &str = "keep";
 
 /// No more than one part in so many of a disk is kept free: what a small one cannot have would cost all that is on it.
 const SMALL_DISK_SHARE: u64 = 10;
@@ -38,21 +32,20 @@ pub struct Removed {
     pub bytes: u64,
 }
 
-struct Segment {
-    path: PathBuf,
-    bytes: u64,
-    written: SystemTime,
-    pulled: bool,
-}
-
 /// Removes segments until the quota is kept: first those that were pulled, then the others, the oldest first. What is marked
-/// [`KEEP`] stays, and so do what a simulation recorded and `next`, which is about to be written.
+/// [`KEEP`](buffer::KEEP) stays, and so do what a simulation recorded and `next`, which is about to be written.
 pub(super) fn make_room(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Removed {
-    let mut segments = segments(&quota.buffer);
-    let mut total: u64 = segments.iter().map(|segment| segment.bytes).sum();
     let mut removed = Removed::default();
-    segments.retain(|segment| segment.path != next && !mark(&segment.path, KEEP).exists());
-    segments.sort_by(|a, b| (!a.pulled, a.written, &a.path).cmp(&(!b.pulled, b.written, &b.path)));
+    let Ok((_, catalogue)) =
+        Catalogue::open(&quota.buffer).inspect_err(|error| tracing::warn!("no room is made: {error}"))
+    else {
+        return removed;
+    };
+    let mut segments = catalogue.entries;
+    let mut total: u64 = segments.iter().map(|segment| segment.bytes).sum();
+    // Only what lies in a run's folder is a robot's.
+    segments.retain(|segment| !segment.keep && !segment.name.run().is_empty());
+    segments.sort_by_key(|segment| (segment.pulled_digest().is_none(), segment.modified_ns, segment.name.clone()));
     for segment in segments {
         // A disk that does not say how full it is counts as having room: the next write will tell.
         let has_room = disk.space(&quota.buffer).map_or(true, |Space { free_bytes, total_bytes }| {
@@ -61,48 +54,23 @@ pub(super) fn make_room(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Remo
         if quota.bytes.is_none_or(|most| total <= most) && has_room {
             break;
         }
-        if is_simulated(&segment.path) {
+        let path = quota.buffer.join(segment.name.as_str());
+        if path == next || is_simulated(&path) {
             continue;
         }
-        if let Err(error) = disk.remove(&segment.path) {
-            tracing::warn!("cannot remove {} to make room: {error}", segment.path.display());
+        if let Err(error) = disk.remove(&path) {
+            tracing::warn!("cannot remove {} to make room: {error}", path.display());
             continue;
         }
         // Without its segment a mark says nothing.
-        let _ = disk.remove(&mark(&segment.path, PULLED));
-        tracing::info!("removed {} to make room", segment.path.display());
+        let _ = disk.remove(&PathBuf::from(format!("{}{PULLED}", path.display())));
+        tracing::info!("removed {} to make room", path.display());
         total -= segment.bytes;
         removed.segments += 1;
-        removed.not_pulled += u64::from(!segment.pulled);
+        removed.not_pulled += u64::from(segment.pulled_digest().is_none());
         removed.bytes += segment.bytes;
     }
     removed
-}
-
-/// `recording_0007.mcap.keep` beside `recording_0007.mcap`.
-fn mark(segment: &Path, mark: &str) -> PathBuf {
-    PathBuf::from(format!("{}.{mark}", segment.display()))
-}
-
-fn segments(buffer: &Path) -> Vec<Segment> {
-    let entries = |dir: &Path| std::fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
-    let files = entries(buffer)
-        .filter(|run| run.file_type().is_ok_and(|kind| kind.is_dir()))
-        .flat_map(|run| entries(&run.path()));
-    files
-        .filter(|file| file.file_name().to_str().is_some_and(is_segment_name))
-        .filter_map(|file| {
-            let metadata = file.metadata().ok().filter(std::fs::Metadata::is_file)?;
-            let (path, pulled) = (file.path(), is_pulled(&file.path(), metadata.len()));
-            Some(Segment { path, bytes: metadata.len(), written: metadata.modified().ok()?, pulled })
-        })
-        .collect()
-}
-
-/// Whether the workstation has it as it is: the mark says digest, bytes and time of what was pulled.
-fn is_pulled(segment: &Path, bytes: u64) -> bool {
-    let text = std::fs::read_to_string(mark(segment, PULLED)).unwrap_or_default();
-    text.split_ascii_whitespace().nth(1).and_then(|word| word.parse().ok()) == Some(bytes)
 }
 
 /// A simulation's recording lies where somebody put it, and is nobody's buffer.
@@ -113,6 +81,7 @@ fn is_simulated(segment: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use std::io;
+    use std::time::SystemTime;
 
     use runtime::recording::Views;
 
@@ -162,11 +131,16 @@ mod tests {
         }
     }
 
+    fn catalogue(buffer: &Path) -> Vec<buffer::Entry> {
+        Catalogue::open(buffer).unwrap().1.entries
+    }
+
     fn left(buffer: &Path) -> Vec<String> {
-        let name = |segment: &Segment| segment.path.strip_prefix(buffer).unwrap().display().to_string();
-        let mut left: Vec<String> = segments(buffer).iter().map(name).collect();
-        left.sort();
-        left
+        catalogue(buffer).iter().map(|entry| entry.name.to_string()).collect()
+    }
+
+    fn bytes(buffer: &Path) -> u64 {
+        catalogue(buffer).iter().map(|entry| entry.bytes).sum()
     }
 
     fn quota(buffer: &Path, free_bytes: u64) -> Quota {
@@ -188,13 +162,16 @@ mod tests {
     fn what_was_pulled_goes_before_what_is_nowhere_else_and_what_is_kept_stays() {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "a", 4, None);
-        let segment = |number| buffer.path().join("a").join(segment_name(number));
-        let pulled =
-            |number, bytes| std::fs::write(mark(&segment(number), PULLED), format!("digest {bytes} 0\n")).unwrap();
-        pulled(3, segment(3).metadata().unwrap().len());
+        let path = |number, mark: &str| buffer.path().join("a").join(format!("{}{mark}", segment_name(number)));
+        let pulled = |number, bytes| {
+            let modified_ns = catalogue(buffer.path())[number as usize].modified_ns;
+            let text = format!("{} {bytes} {modified_ns}\n", buffer::Digest::of(b"as it was"));
+            std::fs::write(path(number, PULLED), text).unwrap();
+        };
+        pulled(3, path(3, "").metadata().unwrap().len());
         // It has grown since.
         pulled(2, 1);
-        std::fs::write(mark(&segment(0), KEEP), "").unwrap();
+        std::fs::write(path(0, buffer::KEEP), "").unwrap();
         let removed =
             make_room(&mut NearlyFull { free: 0, each: 10, total: u64::MAX }, &quota(buffer.path(), 15), Path::new(""));
         assert_eq!((removed.segments, removed.not_pulled), (2, 1));
@@ -212,11 +189,11 @@ mod tests {
     fn all_segments_together_stay_below_the_quota() {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "a", 5, None);
-        let bytes: u64 = segments(buffer.path()).iter().map(|segment| segment.bytes).sum();
-        let quota = Quota { bytes: Some(bytes / 2), ..quota(buffer.path(), 0) };
+        let all = bytes(buffer.path());
+        let quota = Quota { bytes: Some(all / 2), ..quota(buffer.path(), 0) };
         make_room(&mut FileSystem, &quota, Path::new(""));
-        let left: u64 = segments(buffer.path()).iter().map(|segment| segment.bytes).sum();
-        assert!(left <= bytes / 2 && left >= bytes / 5, "{left} of {bytes}");
+        let left = bytes(buffer.path());
+        assert!(left <= all / 2 && left >= all / 5, "{left} of {all}");
     }
 
     #[test]
@@ -233,7 +210,13 @@ mod tests {
     fn nothing_else_is_ever_removed() {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "simulated", 2, Some("builtin:house"));
-        let others = ["notes.txt", "a/map.png", "a/recording_0000.mcap.part", "a/sub/recording_0000.mcap"];
+        let others = [
+            "notes.txt",
+            "a/map.png",
+            "a/recording_0000.mcap.part",
+            "a/sub/recording_0000.mcap",
+            "recording_0000.mcap",
+        ];
         for other in others {
             let path = buffer.path().join(other);
             std::fs::create_dir_all(path.parent().unwrap()).unwrap();

@@ -36,9 +36,6 @@ pub struct Options {
     /// Also write every run in another layout, to DEST/HOST/tum/RUN.
     #[arg(long = "as", value_enum, conflicts_with = "follow", value_name = "LAYOUT")]
     pub layout: Option<Layout>,
-    /// Also the model gate's held-out clips. Never train on them.
-    #[arg(long)]
-    pub clips: bool,
     /// Do not tell the robot what is safe here, so that it does not delete it before the rest.
     #[arg(long)]
     pub no_mark: bool,
@@ -79,7 +76,7 @@ impl Options {
             OrderArg::Newest => Order::Newest,
             OrderArg::Valuable => Order::Valuable,
         };
-        buffer::pull::Options { order, limit: self.limit, clips: self.clips, no_mark: self.no_mark }
+        buffer::pull::Options { order, limit: self.limit, no_mark: self.no_mark }
     }
 }
 
