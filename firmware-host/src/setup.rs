@@ -6,6 +6,7 @@ use anyhow::{Context, Result, bail};
 use hal::{CameraModel, Pose2, Pose3};
 use runtime::exploration::PolicyKind;
 use runtime::line_monitor::LineMonitor;
+use runtime::model_gate::LidarView;
 use runtime::perception::{DepthNetwork, NetworkOptions};
 use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, RobotConfig};
@@ -92,7 +93,14 @@ pub fn open_options(file: &SceneFileArgs, config: &Config) -> OpenOptions {
 /// Compares depth with the LiDAR while the robot drives.
 #[must_use]
 pub fn line_monitor(config: &Config) -> LineMonitor {
-    LineMonitor::new(config.camera.model(), config.camera.mount().inverse() * laser_mount(config))
+    LineMonitor::new(lidar_view(config))
+}
+
+/// The safety LiDAR as the camera sees it.
+#[must_use]
+pub fn lidar_view(config: &Config) -> LidarView {
+    let t_camera_laser = config.camera.mount().inverse() * laser_mount(config);
+    LidarView { camera: config.camera.model(), t_camera_laser }
 }
 
 /// `t_base_laser`.
@@ -108,20 +116,16 @@ pub fn laser_mount(config: &Config) -> Pose3 {
 pub fn run_header(config: &Config, mission: &Mission, model: Option<&str>, faults: &FaultPlan) -> Result<RunHeader> {
     Ok(RunHeader {
         pictures: config.recording.pictures,
-        written_by: concat!("firmware-host ", env!("CARGO_PKG_VERSION")).to_owned(),
         seed: mission.seed,
-        scene: None,
         policy: mission.policy.name().to_owned(),
         depth_source: mission.depth_source.name().to_owned(),
         model_digest: model.map(ToOwned::to_owned),
-        hand_over: None,
-        model_store: false,
         faults: faults.texts(),
         fault_seed: faults.seed(),
-        camera: config.camera.model(),
         t_base_camera: config.camera.mount(),
         t_base_laser: laser_mount(config),
         config: serde_json::to_value(config)?,
+        ..RunHeader::new(concat!("firmware-host ", env!("CARGO_PKG_VERSION")), config.camera.model())
     })
 }
 

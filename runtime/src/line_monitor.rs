@@ -2,10 +2,9 @@
 //! of every picture. For people and for the trial of a new model; no ground truth of a simulator, and nothing that decides where
 //! the robot goes.
 
-use hal::{CameraModel, Pose3};
 use serde::{Deserialize, Serialize};
 
-use crate::model_gate::{LinePoint, MAX_APART_NS, lidar_line};
+use crate::model_gate::{LidarView, LinePoint};
 use crate::perception::DepthEstimate;
 use crate::tick::TickInput;
 
@@ -13,8 +12,6 @@ use crate::tick::TickInput;
 pub const DISTANCES_M: [f32; 3] = [1.0, 2.0, 4.0];
 /// Pictures after which one counts by a factor of e less: a minute at 10 Hz.
 const MEMORY_PICTURES: f64 = 600.0;
-/// Depths within this factor of the truth are right (Eigen et al. 2014).
-const DELTA1: f32 = 1.25;
 
 /// What is known of the depth at one range of distances, or at all.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -43,12 +40,12 @@ struct Bin {
 }
 
 impl Bin {
-    fn add(&mut self, depth_m: Option<f32>, truth_m: f32) {
+    fn add(&mut self, depth_m: Option<f32>, truth: &LinePoint) {
         self.pixels += 1.0;
         if let Some(depth_m) = depth_m {
             self.with_depth += 1.0;
-            self.right += f64::from(u8::from((depth_m / truth_m).max(truth_m / depth_m) < DELTA1));
-            self.log_ratio += f64::from(depth_m / truth_m).ln();
+            self.right += f64::from(u8::from(truth.agrees(depth_m)));
+            self.log_ratio += f64::from(depth_m / truth.depth_m).ln();
         }
     }
 
@@ -83,24 +80,21 @@ impl Bin {
 /// Compares picture after picture and remembers about the last minute.
 #[derive(Debug, Clone)]
 pub struct LineMonitor {
-    camera: CameraModel,
-    t_camera_laser: Pose3,
+    view: LidarView,
     bins: [Bin; DISTANCES_M.len() + 1],
 }
 
 impl LineMonitor {
-    /// For pictures of `camera`; `t_camera_laser` maps points of `laser` into `camera_optical`.
+    /// For a LiDAR that the camera sees like this.
     #[must_use]
-    pub fn new(camera: CameraModel, t_camera_laser: Pose3) -> Self {
-        Self { camera, t_camera_laser, bins: Default::default() }
+    pub fn new(view: LidarView) -> Self {
+        Self { view, bins: Default::default() }
     }
 
     /// After a turn: compares the depth of its picture with its scan, where both are there and of the same moment.
     pub fn look(&mut self, input: &TickInput<'_>, depth: Option<&DepthEstimate>) {
-        let (Some(scan), Some(depth), Some(_)) = (input.scan, depth, input.frame) else { return };
-        // The wheels' measurement is that of the picture's moment.
-        if scan.time_ns.abs_diff(input.wheel.time_ns) <= MAX_APART_NS {
-            self.add(depth, &lidar_line(scan, &self.camera, &self.t_camera_laser));
+        if let Some(depth) = depth {
+            self.add(depth, &self.view.of_turn(input));
         }
     }
 
@@ -115,7 +109,7 @@ impl LineMonitor {
             let bin = DISTANCES_M.iter().filter(|edge_m| point.depth_m >= **edge_m).count();
             let inside = point.u < estimate.depth.width() && point.v < estimate.depth.height();
             if let Some(bin) = self.bins.get_mut(bin).filter(|_| inside) {
-                bin.add(estimate.depth.get(point.u, point.v), point.depth_m);
+                bin.add(estimate.depth.get(point.u, point.v), point);
             }
         }
     }
@@ -138,10 +132,10 @@ impl LineMonitor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use hal::DepthMap;
+    use hal::{CameraModel, DepthMap, Pose3};
 
     fn monitor() -> LineMonitor {
-        LineMonitor::new(CameraModel::pinhole(8, 1, 1.0), Pose3::identity())
+        LineMonitor::new(LidarView { camera: CameraModel::pinhole(8, 1, 1.0), t_camera_laser: Pose3::identity() })
     }
 
     fn estimate(depths_m: &[f32]) -> DepthEstimate {

@@ -7,7 +7,7 @@ use std::time::SystemTime;
 
 use anyhow::Result;
 use hal::{CameraModel, ImageView, Pose2, Pose3};
-use runtime::model_gate::{HeldOutRule, LinePoint, MAX_APART_NS, PoseBin, lidar_line};
+use runtime::model_gate::{HeldOutRule, LidarView, LinePoint, PoseBin};
 use runtime::perception::{CoarseConfig, CoarseDepth, DepthEstimate};
 use runtime::recording::{RecordedTick, RunHeader};
 
@@ -161,8 +161,8 @@ impl Clip {
     fn sample(&self, tick: &RecordedTick, bin: PoseBin) -> Option<Sample<'_>> {
         let (newest, earlier) = (self.seen.back()?, self.seen.len() - 1);
         let t_camera_laser = self.run.t_base_camera.inverse() * self.run.t_base_laser;
-        let near = |scan: &&hal::LaserScan| scan.time_ns.abs_diff(tick.time_ns) <= MAX_APART_NS;
-        let scan = tick.scan.as_ref().filter(near);
+        let view = LidarView { camera: self.run.camera, t_camera_laser };
+        let line = tick.scan.as_ref().map(|scan| view.at(scan, tick.wheel.time_ns)).unwrap_or_default();
         let candidates: Vec<(f64, &Seen)> =
             self.seen.iter().take(earlier).filter_map(|seen| source(seen, newest)).collect();
         let best = |wanted: f64| {
@@ -178,7 +178,7 @@ impl Clip {
             t_odom_camera: newest.t_odom_camera,
             coarse: self.has_coarse.then(|| self.coarse.last()),
             sources: sources.into_iter().map(|(_, seen)| (seen.rgb.as_slice(), seen.t_odom_camera)).collect(),
-            line: scan.map(|scan| lidar_line(scan, &self.run.camera, &t_camera_laser)).unwrap_or_default(),
+            line,
         })
     }
 }

@@ -3,11 +3,9 @@
 //! The model that drove before stays in memory until the trial is over, so going back needs no disk.
 
 use drivers::MonotonicClock;
-use hal::{Clock, Pose2, Pose3};
+use hal::{Clock, Pose2};
 use runtime::event::{Event, SafetyEvent};
-use runtime::model_gate::{
-    MAX_APART_NS, Trial, TrialCounts, TrialLimits, TrialState, TrialTurn, lidar_line, line_score,
-};
+use runtime::model_gate::{LidarView, Trial, TrialCounts, TrialLimits, TrialState, TrialTurn, line_score};
 use runtime::perception::{DepthNetwork, NoDepth};
 use runtime::robot::Robot;
 use runtime::tick::{Decision, TickInput};
@@ -146,7 +144,7 @@ enum Source {
 /// The loop's side: call [`before`](Self::before) and [`after`](Self::after) every turn.
 pub struct LiveModels {
     source: Source,
-    lines: Lines,
+    lidar: LidarView,
     trial: Option<OnTrial>,
     limits: TrialLimits,
     /// What the model that drives without a trial did.
@@ -159,11 +157,6 @@ struct OnTrial {
     trial: Trial,
     digest: String,
     resident: Option<DepthNetwork>,
-}
-
-struct Lines {
-    camera: hal::CameraModel,
-    t_camera_laser: Pose3,
 }
 
 impl LiveModels {
@@ -188,12 +181,11 @@ impl LiveModels {
 
     fn new(source: Source, start: Start, config: &Config) -> Self {
         let limits = config.models.trial_limits();
-        let t_camera_laser = config.camera.mount().inverse() * setup::laser_mount(config);
         let Start { on_trial, resident, .. } = start;
         let new_trial = |digest| OnTrial { trial: Trial::new(limits, TrialCounts::default()), digest, resident };
         Self {
             source,
-            lines: Lines { camera: config.camera.model(), t_camera_laser },
+            lidar: setup::lidar_view(config),
             trial: on_trial.map(new_trial),
             limits,
             resident: TrialCounts::default(),
@@ -232,20 +224,23 @@ impl LiveModels {
 
     /// After a turn: counts it, and ends a trial that is decided. `late`: the turn took longer than it may.
     pub fn after(&mut self, robot: &mut Robot, input: &TickInput<'_>, decision: &Decision, late: bool) {
+        if input.frame.is_none() {
+            return;
+        }
         let odom = input.wheel.odom;
         // A jump is odometry that began anew.
         let moved_m = self.last.replace(odom).map_or(0.0, |last| last.distance_m(&odom));
         let moved_m = if moved_m < 0.5 { moved_m } else { 0.0 };
-        if input.frame.is_none() {
-            return;
-        }
         let said = |wanted: &dyn Fn(&Event) -> bool| decision.events.iter().filter(|event| wanted(event)).count();
         let turn = TrialTurn {
             overrun: late,
             bad_output: said(&|event| matches!(event, Event::NoDepth { why: NoDepth::NetworkOutput })) > 0,
             trips: said(&|event| matches!(event, Event::Safety { what: SafetyEvent::Tripped { .. } })) as u64,
             moved_m,
-            delta1: self.lines.delta1(robot, input),
+            delta1: robot
+                .mapped_depth()
+                .and_then(|estimate| line_score(estimate, &self.lidar.of_turn(input)))
+                .map(|score| score.delta1),
         };
         match &mut self.trial {
             None => self.resident.remember(&turn, REMEMBERED_TURNS),
@@ -292,14 +287,6 @@ impl LiveModels {
     #[must_use]
     pub fn on_trial(&self) -> Option<&str> {
         self.trial.as_ref().map(|on_trial| on_trial.digest.as_str())
-    }
-}
-
-impl Lines {
-    fn delta1(&self, robot: &Robot, input: &TickInput<'_>) -> Option<f64> {
-        let estimate = robot.mapped_depth()?;
-        let scan = input.scan.filter(|scan| scan.time_ns.abs_diff(input.time_ns) <= MAX_APART_NS)?;
-        line_score(estimate, &lidar_line(scan, &self.camera, &self.t_camera_laser)).map(|score| score.delta1)
     }
 }
 

@@ -6,30 +6,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 
-use hal::{CameraModel, Pose3, WheelFeedback};
+use hal::{CameraModel};
 use runtime::recording::{Picture, RecordedTick, RecordingReader, RunHeader, Views};
 use runtime::tick::{Command, Decision};
 
 use super::*;
 
 pub(crate) fn run_header() -> RunHeader {
-    RunHeader {
-        pictures: true,
-        written_by: "test 0.0.0".to_owned(),
-        seed: 7,
-        scene: None,
-        policy: "random".to_owned(),
-        depth_source: "coarse".to_owned(),
-        model_digest: None,
-        hand_over: None,
-        model_store: false,
-        faults: Vec::new(),
-        fault_seed: None,
-        camera: CameraModel::pinhole(32, 8, 1.5),
-        t_base_camera: Pose3::identity(),
-        t_base_laser: Pose3::identity(),
-        config: serde_json::json!({}),
-    }
+    RunHeader { seed: 7, ..RunHeader::new("test 0.0.0", CameraModel::pinhole(32, 8, 1.5)) }
 }
 
 /// A turn with a picture that does not compress, ten a second.
@@ -54,15 +38,9 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
         map_digest: 0,
     };
     RecordedTick {
-        tick,
-        time_ns,
-        wheel: WheelFeedback { time_ns, ..WheelFeedback::default() },
-        scan: None,
         frame: Some(Picture { width: 32, height: 8, rgb: (0..32 * 8 * 3).map(|_| byte()).collect() }),
-        truth: None,
-        safety: None,
         decision: Some(decision),
-        snapshot: None,
+        ..RecordedTick::new(tick, time_ns)
     }
 }
 

@@ -3,8 +3,12 @@
 use hal::{CameraModel, LaserScan, Pose3};
 use nalgebra::Point3;
 
+use crate::tick::TickInput;
+
 /// A scan this much older or newer than its picture shows other columns: at 20 degrees a second, 1 degree.
-pub const MAX_APART_NS: u64 = 50_000_000;
+const MAX_APART_NS: u64 = 50_000_000;
+/// Depths within this factor of the truth are right (Eigen et al. 2014).
+const DELTA1: f32 = 1.25;
 /// What is nearer to the camera than this is no part of a room, metres.
 const NEAREST_M: f64 = 0.1;
 
@@ -19,11 +23,46 @@ pub struct LinePoint {
     pub depth_m: f32,
 }
 
+impl LinePoint {
+    /// Whether a depth here, metres, is right: within 25 % of the LiDAR's. 0, which is no depth, is not.
+    #[must_use]
+    pub fn agrees(&self, depth_m: f32) -> bool {
+        (depth_m / self.depth_m).max(self.depth_m / depth_m) < DELTA1
+    }
+}
+
+/// The safety LiDAR as the camera sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct LidarView {
+    /// The camera.
+    pub camera: CameraModel,
+    /// Maps points of `laser` into `camera_optical`.
+    pub t_camera_laser: Pose3,
+}
+
+impl LidarView {
+    /// What a turn's scan says of its picture; nothing where one of the two is missing or they are of different moments.
+    #[must_use]
+    pub fn of_turn(&self, input: &TickInput<'_>) -> Vec<LinePoint> {
+        let scan = input.scan.filter(|_| input.frame.is_some());
+        // The wheels' measurement is that of the picture's moment; the turn itself is later.
+        scan.map_or_else(Vec::new, |scan| self.at(scan, input.wheel.time_ns))
+    }
+
+    /// What a scan says of a picture that was taken at `picture_ns`; nothing where they are of different moments.
+    #[must_use]
+    pub fn at(&self, scan: &LaserScan, picture_ns: u64) -> Vec<LinePoint> {
+        if scan.time_ns.abs_diff(picture_ns) > MAX_APART_NS {
+            return Vec::new();
+        }
+        lidar_line(scan, &self.camera, &self.t_camera_laser)
+    }
+}
+
 /// The hits of a scan that lie in the picture, left to right; `t_camera_laser` maps points of `laser` into `camera_optical`. Of
 /// several hits in one column the nearest counts: the others may be hidden behind it. No return is not a distance, and neither
 /// is an error. Distortion is ignored, as everywhere behind the front end.
-#[must_use]
-pub fn lidar_line(scan: &LaserScan, camera: &CameraModel, t_camera_laser: &Pose3) -> Vec<LinePoint> {
+fn lidar_line(scan: &LaserScan, camera: &CameraModel, t_camera_laser: &Pose3) -> Vec<LinePoint> {
     let mut nearest: Vec<Option<LinePoint>> = vec![None; camera.width];
     for (angle, range_m) in scan.hits() {
         let range_m = f64::from(range_m);
@@ -48,7 +87,7 @@ pub fn lidar_line(scan: &LaserScan, camera: &CameraModel, t_camera_laser: &Pose3
 #[cfg(test)]
 mod tests {
     use super::*;
-    use hal::{Range, ScanGeometry, camera_mount};
+    use hal::{ImageView, Range, ScanGeometry, WheelFeedback, camera_mount};
 
     fn scan_of(range: impl Fn(f64) -> Range) -> LaserScan {
         let geometry = ScanGeometry::UTM_30LX;
@@ -109,5 +148,30 @@ mod tests {
         assert!(mixed.iter().all(|point| point.depth_m < 4.06) && far.iter().any(|point| point.depth_m > 3.9));
         let crowded = mixed.iter().filter(|point| point.depth_m < 3.1).count();
         assert!(crowded * 10 > mixed.len() * 4, "{crowded} of {}", mixed.len());
+    }
+
+    #[test]
+    fn a_scan_counts_by_the_moment_of_its_picture_however_late_the_turn_is() {
+        let (camera, t_camera_laser) = mounts();
+        let view = LidarView { camera, t_camera_laser };
+        let pixels = vec![0; 3 * camera.width * camera.height];
+        let points = |scan_ms: u64, with_frame: bool| {
+            let scan = LaserScan { time_ns: scan_ms * 1_000_000, ..scan_of(|_| Range::Hit(3.0)) };
+            let frame = ImageView::rgb8(camera.width, camera.height, &pixels).unwrap();
+            let wheel = WheelFeedback { time_ns: 1_000_000_000, ..WheelFeedback::default() };
+            view.of_turn(&TickInput {
+                tick: 0,
+                time_ns: 1_180_000_000,
+                wheel,
+                scan: Some(&scan),
+                frame: with_frame.then_some(frame),
+                truth: None,
+                safety: None,
+            })
+            .len()
+        };
+        assert!(points(950, true) > 300 && points(1050, true) > 300);
+        // Of the turn's moment, but not of the picture's.
+        assert_eq!((points(1180, true), points(949, true), points(1000, false)), (0, 0, 0));
     }
 }

@@ -23,7 +23,7 @@ mod trial;
 mod verdict;
 
 pub use held_out::{HeldOutRule, PoseBin};
-pub use lidar_line::{LinePoint, MAX_APART_NS, lidar_line};
+pub use lidar_line::{LidarView, LinePoint};
 pub use onnx_file::{OPSETS, OnnxFault, check_onnx_file};
 pub use paired::{Paired, compare};
 pub use photometric::{Photometric, Source};

@@ -11,8 +11,6 @@ use crate::perception::DepthEstimate;
 pub const PARALLAX_BINS_PX: [f64; 2] = [6.0, 16.0];
 /// The distance that is assumed for that, metres: as the trainer's pairs.
 const ASSUMED_DEPTH_M: f64 = 2.5;
-/// Depths within this factor of the truth are right (Eigen et al. 2014).
-const DELTA1: f32 = 1.25;
 
 /// What the LiDAR line says of a depth.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -96,8 +94,7 @@ pub fn line_score(estimate: &DepthEstimate, line: &[LinePoint]) -> Option<LineSc
         let at = point.v * width + point.u;
         let there = (estimate.depth.values().get(at), estimate.confidence.get(at));
         let (Some(&depth), Some(confidence), true) = (there.0, there.1, point.u < width) else { continue };
-        let is_right = depth > 0.0 && (depth / point.depth_m).max(point.depth_m / depth) < DELTA1;
-        let is_right = f64::from(u8::from(is_right));
+        let is_right = f64::from(u8::from(point.agrees(depth)));
         points += 1;
         abs_rel += if depth > 0.0 { f64::from((depth - point.depth_m).abs() / point.depth_m) } else { 1.0 };
         right += is_right;

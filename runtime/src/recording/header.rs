@@ -57,6 +57,30 @@ fn yes() -> bool {
     true
 }
 
+impl RunHeader {
+    /// A run by wheels and coarse depth: no world, no model, nothing broken, camera and laser in the robot's middle.
+    #[must_use]
+    pub fn new(written_by: &str, camera: CameraModel) -> Self {
+        Self {
+            written_by: written_by.to_owned(),
+            seed: 0,
+            scene: None,
+            policy: "random".to_owned(),
+            depth_source: "coarse".to_owned(),
+            model_digest: None,
+            hand_over: None,
+            model_store: false,
+            faults: Vec::new(),
+            fault_seed: None,
+            pictures: true,
+            camera,
+            t_base_camera: Pose3::identity(),
+            t_base_laser: Pose3::identity(),
+            config: serde_json::Value::Object(serde_json::Map::new()),
+        }
+    }
+}
+
 /// Turns before which the robot gets a newly trained model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HandOverSchedule {

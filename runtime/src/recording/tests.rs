@@ -11,21 +11,14 @@ use crate::tick::{Command, Decision, SafetyReport};
 
 pub(super) fn run_header() -> RunHeader {
     RunHeader {
-        pictures: true,
-        written_by: "test 0.0.0".to_owned(),
         seed: 7,
         scene: Some("builtin:house?seed=3".to_owned()),
         policy: "active".to_owned(),
         depth_source: "truth".to_owned(),
-        model_digest: None,
-        hand_over: None,
-        model_store: false,
-        faults: Vec::new(),
-        fault_seed: None,
-        camera: CameraModel::pinhole(6, 4, std::f64::consts::FRAC_PI_2),
         t_base_camera: camera_mount(0.1, 0.8, 0.2),
         t_base_laser: Pose3::translation(0.1, 0.0, 0.3),
         config: serde_json::json!({"map": {"cell_m": 0.05}, "third": 1.0 / 3.0}),
+        ..RunHeader::new("test 0.0.0", CameraModel::pinhole(6, 4, std::f64::consts::FRAC_PI_2))
     }
 }
 

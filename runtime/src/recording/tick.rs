@@ -41,6 +41,22 @@ pub struct RecordedTick {
 }
 
 impl RecordedTick {
+    /// A turn in which only the wheels said something.
+    #[must_use]
+    pub fn new(tick: u64, time_ns: u64) -> Self {
+        Self {
+            tick,
+            time_ns,
+            wheel: WheelFeedback { time_ns, ..WheelFeedback::default() },
+            scan: None,
+            frame: None,
+            truth: None,
+            safety: None,
+            decision: None,
+            snapshot: None,
+        }
+    }
+
     /// Copies a turn.
     ///
     /// # Errors

@@ -10,7 +10,7 @@ use std::path::Path;
 use anyhow::Result;
 use drivers::MonotonicClock;
 use firmware_host::record::{Recorder, RecorderOptions};
-use hal::{CameraModel, Clock, DepthMap, LaserScan, Pose3, Range, ScanGeometry, WheelFeedback};
+use hal::{CameraModel, Clock, DepthMap, LaserScan, Range, ScanGeometry};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use runtime::recording::{Picture, RecordedTick, RunHeader, Views};
@@ -89,18 +89,7 @@ fn turns() -> Vec<RecordedTick> {
             let range = |beam: usize| Range::Hit(1.0 + (beam as u64 * 7919 % 20_000 + turn) as f32 * 1e-3);
             let scan = LaserScan { time_ns: 0, geometry, ranges: (0..geometry.beams).map(range).collect() };
             let frame = (turn % 4 != 0).then(|| pictures[turn as usize % PICTURES].clone());
-            let wheel = WheelFeedback::default();
-            RecordedTick {
-                tick: turn,
-                time_ns: 0,
-                wheel,
-                scan: Some(scan),
-                frame,
-                truth: None,
-                safety: None,
-                decision: None,
-                snapshot: None,
-            }
+            RecordedTick { scan: Some(scan), frame, ..RecordedTick::new(turn, 0) }
         })
         .collect()
 }
@@ -126,24 +115,7 @@ fn paced(turns: &[RecordedTick], mut take: impl FnMut(RecordedTick) -> Result<()
 }
 
 fn record(turns: &[RecordedTick], dir: &Path) -> Result<firmware_host::record::RecordingSummary> {
-    let header = RunHeader {
-        written_by: "bench".to_owned(),
-        seed: 0,
-        scene: None,
-        policy: "active".to_owned(),
-        depth_source: "coarse".to_owned(),
-        model_digest: None,
-        hand_over: None,
-        model_store: false,
-        faults: Vec::new(),
-        fault_seed: None,
-        pictures: true,
-        camera: camera(),
-        t_base_camera: Pose3::identity(),
-        t_base_laser: Pose3::identity(),
-        config: serde_json::Value::Null,
-    };
-    let mut recorder = Recorder::start(RecorderOptions::robot(dir), header)?;
+    let mut recorder = Recorder::start(RecorderOptions::robot(dir), RunHeader::new("bench", camera()))?;
     paced(turns, |turn| Ok(recorder.record(turn, Views::default())?))?;
     Ok(recorder.finish()?)
 }

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use runtime::recording::{RecordingWriter, RunHeader, SegmentHeader, Views};
+use runtime::recording::{Picture, RecordedTick, RecordingWriter, RunHeader, SegmentHeader, Views};
 use tempfile::tempdir;
 
 fn pull(arguments: &[&str], dir: &Path) -> Output {
@@ -18,37 +18,15 @@ fn words(output: &Output) -> String {
 
 fn segment() -> Vec<u8> {
     let run = RunHeader {
-        pictures: true,
-        model_store: false,
-        written_by: "test 0.0.0".to_owned(),
-        seed: 7,
-        scene: None,
-        policy: "random".to_owned(),
-        depth_source: "coarse".to_owned(),
-        model_digest: None,
-        hand_over: None,
-        faults: Vec::new(),
-        fault_seed: None,
-        camera: hal::CameraModel::pinhole(16, 12, 1.5),
         t_base_camera: hal::camera_mount(0.1, 0.8, 0.2),
-        t_base_laser: hal::Pose3::identity(),
-        config: serde_json::json!({}),
+        ..RunHeader::new("test 0.0.0", hal::CameraModel::pinhole(16, 12, 1.5))
     };
     let mut writer = RecordingWriter::begin(Vec::new(), SegmentHeader::new(run, 0, 0, 0)).unwrap();
     for tick in 0..20 {
         let time_ns = tick * 100_000_000;
         let rgb = (0..16 * 12 * 3).map(|i| (i * 7 + tick as usize) as u8).collect();
-        let tick = runtime::recording::RecordedTick {
-            snapshot: None,
-            tick,
-            time_ns,
-            wheel: hal::WheelFeedback { time_ns, ..hal::WheelFeedback::default() },
-            scan: None,
-            frame: Some(runtime::recording::Picture { width: 16, height: 12, rgb }),
-            truth: None,
-            safety: None,
-            decision: None,
-        };
+        let tick =
+            RecordedTick { frame: Some(Picture { width: 16, height: 12, rgb }), ..RecordedTick::new(tick, time_ns) };
         writer.write(&tick, &Views::default()).unwrap();
     }
     writer.finish().map_err(|(_, error)| error).unwrap()
