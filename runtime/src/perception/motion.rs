@@ -3,7 +3,7 @@
 use hal::{ImageView, PixelFormat};
 
 use super::census::CensusImage;
-use super::flow::{DenseFlow, FlowError, FlowField, FlowPreset};
+use super::flow::{DenseFlow, FlowConfig, FlowError, FlowField, FlowPreset};
 use crate::snapshot::remembers;
 
 /// Dense flow from every picture to the one before.
@@ -22,7 +22,9 @@ impl PictureMotion {
     /// # Errors
     /// Pictures that are too small.
     pub fn new(width: usize, height: usize) -> Result<Self, FlowError> {
-        let flow = DenseFlow::new(FlowPreset::UltraFast, width, height)?;
+        // Between one picture and the next, refinement made depth no better.
+        let config = FlowConfig { variational_iterations: 0, ..FlowPreset::UltraFast.into() };
+        let flow = DenseFlow::new(config, width, height)?;
         Ok(Self { flow, now: vec![0; width * height], before: vec![0; width * height], has_before: false })
     }
 

@@ -1,7 +1,8 @@
-"""OpenCV's DISOpticalFlow on two pictures in files: FROM TO WIDTH HEIGHT (raw bytes, one a pixel).
+"""OpenCV's DIS optical flow on pairs of grey pictures: `opencv_dis.py FOLDER PAIRS WIDTH HEIGHT`.
 
-Every line on stdin is a preset (`ultra_fast`, `fast`, `medium`): computes its flow and prints the seconds.
-`save PRESET FILE` writes the flow as raw little-endian f32 pairs and prints `saved`.
+Pair N is `FOLDER/N_first` and `FOLDER/N_second`, raw bytes. Every line on stdin is a preset (`ultra_fast`, `fast`, `medium`):
+computes the flow of pair 0 and prints the seconds. `save PRESET N FILE` writes the flow of pair N as raw little-endian f32
+pairs and prints `saved`.
 """
 
 import os
@@ -19,19 +20,23 @@ PRESETS = {
 
 
 def main():
-    width, height = int(sys.argv[3]), int(sys.argv[4])
-    pictures = [np.fromfile(name, np.uint8).reshape(height, width) for name in sys.argv[1:3]]
+    folder, count, width, height = sys.argv[1], *map(int, sys.argv[2:5])
+
+    def picture(pair, which):
+        return np.fromfile(f"{folder}/{pair}_{which}", np.uint8).reshape(height, width)
+
+    pairs = [(picture(pair, "first"), picture(pair, "second")) for pair in range(count)]
     cv2.setNumThreads(int(os.environ.get("RAYON_NUM_THREADS", "0")) or os.cpu_count())
     engines = {name: cv2.DISOpticalFlow_create(preset) for name, preset in PRESETS.items()}
     print("ready", flush=True)
     for line in sys.stdin:
         words = line.split()
         if words[0] == "save":
-            engines[words[1]].calc(*pictures, None).astype("<f4").tofile(words[2])
+            engines[words[1]].calc(*pairs[int(words[2])], None).astype("<f4").tofile(words[3])
             print("saved", flush=True)
             continue
         began = time.perf_counter()
-        engines[words[0]].calc(*pictures, None)
+        engines[words[0]].calc(*pairs[0], None)
         print(time.perf_counter() - began, flush=True)
 
 

@@ -1,13 +1,16 @@
-//! Dense optical flow beside OpenCV's, preset by preset, on the very same two pictures.
+//! Dense optical flow beside OpenCV's, preset by preset, on the very same pictures: time on one pair, errors over all of them.
 
-use anyhow::{Context, Result};
-use hal::{ImageView, PixelFormat};
+use anyhow::Result;
+use hal::{CameraModel, DepthMap, ImageView, PixelFormat, Pose3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use runtime::perception::flow::{DenseFlow, FlowPreset};
+use runtime::perception::flow::{DenseFlow, DepthGuess, FlowField, FlowPreset, predicted_flow};
+use simulator::nuisance::Nuisances;
+use simulator::render::{Lighting, Renderer};
 
 use crate::peers::PeerProcess;
 use crate::report::{Row, Timing};
+use crate::simulator::{hall, view};
 
 const ROOM: &str = "perception";
 const WIDTH: usize = 640;
@@ -15,84 +18,109 @@ const HEIGHT: usize = 192;
 const RUNS: usize = 101;
 const PRESETS: [(&str, FlowPreset); 3] =
     [("ultra_fast", FlowPreset::UltraFast), ("fast", FlowPreset::Fast), ("medium", FlowPreset::Medium)];
-
-/// A box before the plane: left, top, right, bottom in the first picture, and its own motion, pixels.
-const BOX: [f32; 4] = [250.0, 60.0, 360.0, 150.0];
-const BOX_SHIFT: [f32; 2] = [14.0, -3.0];
+/// Pairs of made-up pictures, and of a furnished hall.
+const MADE_UP: u64 = 8;
+const RENDERED: usize = 8;
+/// Larger motions of rendered pictures are not judged, pixels.
+const MOST_PX: f32 = 64.0;
 
 /// Measures each preset, turn by turn with OpenCV where there is a Python with it.
 ///
 /// # Errors
 /// When the pictures cannot be handed to the peer, or it fails.
 pub fn rows() -> Result<Vec<Row>> {
-    let scene = Scene::new();
-    let folder = std::env::temp_dir().join(format!("flow-bench-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-    let measured = measure(&scene, &folder);
-    std::fs::remove_dir_all(&folder).with_context(|| folder.display().to_string())?;
-    measured
-}
-
-fn measure(scene: &Scene, folder: &std::path::Path) -> Result<Vec<Row>> {
-    let file = |name: &str| folder.join(name).display().to_string();
-    std::fs::write(file("first"), &scene.first)?;
-    std::fs::write(file("second"), &scene.second)?;
-    let size = [WIDTH.to_string(), HEIGHT.to_string()];
-    let arguments = [file("first"), file("second")];
-    let mut peer = PeerProcess::start("opencv_dis.py", &[&arguments[0], &arguments[1], &size[0], &size[1]])?;
-    let mut rows = Vec::new();
-    for (name, preset) in PRESETS {
-        let mut engine = DenseFlow::new(preset, WIDTH, HEIGHT)?;
-        let view = |data| ImageView::new(WIDTH, HEIGHT, PixelFormat::Gray8, data);
-        let (first, second) = (view(&scene.first)?, view(&scene.second)?);
-        let (mut ours, mut theirs) = (Vec::new(), Vec::new());
-        // The first turn does not count.
-        for run in 0..=RUNS {
-            let began = std::time::Instant::now();
-            engine.flow(first, second, None)?;
-            let seconds = began.elapsed().as_secs_f64();
-            let peer_seconds = peer.as_mut().map(|peer| peer.seconds(name)).transpose()?;
-            if run > 0 {
-                ours.push(seconds);
-                theirs.extend(peer_seconds);
-            }
-        }
-        let error = scene.error_px(engine.flow(first, second, None)?.values().iter().copied());
-        let threads = rayon::current_num_threads();
-        let mut row = Row::seconds(ROOM, format!("optical flow {name} 640x192"), Timing::of(ours));
-        let mut note = format!("{threads} threads, error {error:.3} px");
-        if let Some(peer) = &mut peer {
-            let timing = Timing::of(theirs);
-            let saved = file(name);
-            anyhow::ensure!(peer.ask(&format!("save {name} {saved}"))? == "saved", "opencv_dis.py saved no flow");
-            let error = scene.error_px(read_flow(&std::fs::read(&saved)?));
-            note += &format!(", OpenCV's {error:.3} px");
-            // As fast as the peer is the floor, 0.7 of its time the target.
-            row = row.peer("OpenCV DIS", timing.median).goal(timing.median, 0.7 * timing.median);
-        }
-        rows.push(row.note(note));
+    let pairs = pairs()?;
+    let folder = tempfile::tempdir()?;
+    let path = |name: String| folder.path().join(name);
+    for (index, pair) in pairs.iter().enumerate() {
+        std::fs::write(path(format!("{index}_first")), &pair.first)?;
+        std::fs::write(path(format!("{index}_second")), &pair.second)?;
     }
-    Ok(rows)
+    let arguments = [folder.path().display().to_string()].into_iter();
+    let arguments: Vec<_> = arguments.chain([pairs.len(), WIDTH, HEIGHT].map(|number| number.to_string())).collect();
+    let arguments: Vec<_> = arguments.iter().map(String::as_str).collect();
+    let mut peer = PeerProcess::start("opencv_dis.py", &arguments)?;
+    PRESETS.into_iter().map(|(name, preset)| row(name, preset, &pairs, peer.as_mut(), folder.path())).collect()
 }
 
-fn read_flow(bytes: &[u8]) -> impl Iterator<Item = [f32; 2]> {
+fn row(
+    name: &str,
+    preset: FlowPreset,
+    pairs: &[Pair],
+    mut peer: Option<&mut PeerProcess>,
+    folder: &std::path::Path,
+) -> Result<Row> {
+    let mut engine = DenseFlow::new(preset, WIDTH, HEIGHT)?;
+    let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+    // The first turn does not count.
+    for run in 0..=RUNS {
+        let began = std::time::Instant::now();
+        pairs[0].flow(&mut engine)?;
+        let seconds = began.elapsed().as_secs_f64();
+        let peer_seconds = peer.as_mut().map(|peer| peer.seconds(name)).transpose()?;
+        if run > 0 {
+            ours.push(seconds);
+            theirs.extend(peer_seconds);
+        }
+    }
+    let error = errors_px(pairs, |_, pair| Ok(pair.flow(&mut engine)?.to_vec()))?;
+    let row = Row::seconds(ROOM, format!("optical flow {name} 640x192"), Timing::of(ours));
+    let note =
+        format!("{} threads, error made-up {:.3}, hall {:.3} px", rayon::current_num_threads(), error[0], error[1]);
+    let Some(peer) = peer else { return Ok(row.note(note)) };
+    let timing = Timing::of(theirs);
+    let peer_error = errors_px(pairs, |index, _| {
+        let saved = folder.join("flow");
+        let answer = peer.ask(&format!("save {name} {index} {}", saved.display()))?;
+        anyhow::ensure!(answer == "saved", "opencv_dis.py saved no flow");
+        Ok(read_flow(&std::fs::read(&saved)?))
+    })?;
+    let note = format!("{note}; OpenCV's {:.3}, {:.3} px", peer_error[0], peer_error[1]);
+    // As fast as the peer is the floor, 0.7 of its time the target.
+    Ok(row.peer("OpenCV DIS", timing.median).goal(timing.median, 0.7 * timing.median).note(note))
+}
+
+/// Mean end-point error of the made-up pairs, and of the rendered ones.
+fn errors_px(pairs: &[Pair], mut flow: impl FnMut(usize, &Pair) -> Result<Vec<[f32; 2]>>) -> Result<[f32; 2]> {
+    let errors = pairs.iter().enumerate().map(|(index, pair)| Ok(pair.error_px(&flow(index, pair)?)));
+    let errors = errors.collect::<Result<Vec<_>>>()?;
+    let (made_up, rendered) = errors.split_at(MADE_UP as usize);
+    Ok([made_up, rendered].map(|errors| errors.iter().sum::<f32>() / errors.len() as f32))
+}
+
+fn read_flow(bytes: &[u8]) -> Vec<[f32; 2]> {
     let value = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
-    bytes.chunks_exact(8).map(move |pair| [value(&pair[..4]), value(&pair[4..])])
+    bytes.chunks_exact(8).map(|pair| [value(&pair[..4]), value(&pair[4..])]).collect()
 }
 
-/// Two pictures of a textured plane that turns, grows and moves behind a textured box that moves another way.
-struct Scene {
+/// Two grey pictures and the true flow from the first to the second.
+struct Pair {
     first: Vec<u8>,
     second: Vec<u8>,
-    flow: Vec<[f32; 2]>,
+    truth: Vec<[f32; 2]>,
 }
 
-impl Scene {
-    fn new() -> Self {
-        let mut random = Pcg64Mcg::seed_from_u64(7);
+fn pairs() -> Result<Vec<Pair>> {
+    let mut pairs: Vec<_> = (0..MADE_UP).map(Pair::made_up).collect();
+    let scene = hall();
+    let renderer = Renderer::new(&scene);
+    for index in 0..RENDERED {
+        pairs.push(Pair::rendered(&renderer, index)?);
+    }
+    Ok(pairs)
+}
+
+impl Pair {
+    /// A textured plane that turns, grows and moves behind a textured box that moves another way.
+    fn made_up(seed: u64) -> Self {
+        let mut random = Pcg64Mcg::seed_from_u64(seed);
         let (plane, cover) = (Texture::new(&mut random), Texture::new(&mut random));
-        let mut scene = Self { first: Vec::new(), second: Vec::new(), flow: Vec::new() };
-        let (angle, growth, shift) = (0.01_f32, 1.02_f32, [6.0, 1.0]);
+        let mut pair = Self { first: Vec::new(), second: Vec::new(), truth: Vec::new() };
+        let mut any = |most: f32| random.random_range(-most..most);
+        let (angle, growth, shift) = (any(0.02), 1.0 + any(0.03), [any(10.0), any(3.0)]);
+        let box_shift = [any(20.0), any(6.0)];
+        let (left, top) = (300.0 + any(200.0), 50.0 + any(40.0));
+        let (right, bottom) = (left + 110.0, top + 90.0);
         let (c, s) = (growth * angle.cos(), growth * angle.sin());
         let middle = [WIDTH as f32 / 2.0, HEIGHT as f32 / 2.0];
         for index in 0..WIDTH * HEIGHT {
@@ -101,23 +129,58 @@ impl Scene {
             let (bx, by) = (fx - shift[0], fy - shift[1]);
             let square = growth * growth;
             let back = [(c * bx + s * by) / square + middle[0], (c * by - s * bx) / square + middle[1]];
-            let covered = |x: f32, y: f32| (BOX[0]..BOX[2]).contains(&x) && (BOX[1]..BOX[3]).contains(&y);
+            let covered = |x: f32, y: f32| (left..right).contains(&x) && (top..bottom).contains(&y);
             let mut noisy = |grey: f32| (grey + random.random_range(-2.0..2.0_f32)).round().clamp(0.0, 255.0) as u8;
-            scene.first.push(noisy(if covered(x, y) { cover.at(x, y) } else { plane.at(x, y) }));
-            let (u, v) = (x - BOX_SHIFT[0], y - BOX_SHIFT[1]);
-            scene.second.push(noisy(if covered(u, v) { cover.at(u, v) } else { plane.at(back[0], back[1]) }));
-            scene.flow.push(match covered(x, y) {
-                true => BOX_SHIFT,
+            pair.first.push(noisy(if covered(x, y) { cover.at(x, y) } else { plane.at(x, y) }));
+            let (u, v) = (x - box_shift[0], y - box_shift[1]);
+            pair.second.push(noisy(if covered(u, v) { cover.at(u, v) } else { plane.at(back[0], back[1]) }));
+            pair.truth.push(match covered(x, y) {
+                true => box_shift,
                 false => [c * fx - s * fy - fx + shift[0], s * fx + c * fy - fy + shift[1]],
             });
         }
-        scene
+        pair
     }
 
-    /// Mean end-point error over the whole picture, covered and vanished pixels too.
-    fn error_px(&self, flow: impl Iterator<Item = [f32; 2]>) -> f32 {
-        let errors = flow.zip(&self.flow).map(|(f, t)| (f[0] - t[0]).hypot(f[1] - t[1]));
-        errors.sum::<f32>() / self.flow.len() as f32
+    /// A step and a turn in a furnished hall, with a sensor's noise.
+    fn rendered(renderer: &Renderer, index: usize) -> Result<Self> {
+        let camera = CameraModel::pinhole(WIDTH, HEIGHT, std::f64::consts::FRAC_PI_2);
+        let mut random = Pcg64Mcg::seed_from_u64(100 + index as u64);
+        let step = Pose3::translation(random.random_range(-0.05..0.05), 0.0, random.random_range(0.03..0.15));
+        // About the camera's y axis, which looks down.
+        let turn = nalgebra::UnitQuaternion::from_euler_angles(0.0, random.random_range(-0.05..0.05), 0.0);
+        let t_first_second = step * Pose3::from_parts(nalgebra::Translation3::identity(), turn);
+        let t_world_first = view(index);
+        let mut picture = |pose: &Pose3, depth: &mut DepthMap| {
+            let mut rgb = Vec::new();
+            renderer.render(&camera, pose, &[], &Lighting::default(), &mut rgb, depth);
+            Nuisances::default().add_sensor_noise(&mut random, &mut rgb);
+            rgb.chunks_exact(3)
+                .map(|rgb| ((2 * u16::from(rgb[0]) + 5 * u16::from(rgb[1]) + u16::from(rgb[2])) / 8) as u8)
+                .collect()
+        };
+        let (mut depth, mut other) = (DepthMap::none(0, 0), DepthMap::none(0, 0));
+        let first = picture(&t_world_first, &mut depth);
+        let second = picture(&(t_world_first * t_first_second), &mut other);
+        let mut truth = FlowField::zero(WIDTH, HEIGHT);
+        predicted_flow(&camera, &t_first_second.inverse(), DepthGuess::Map(&depth), &mut truth)?;
+        // What the camera nearly touches is not judged.
+        let truth =
+            truth.values().iter().map(|flow| if flow[0].hypot(flow[1]) < MOST_PX { *flow } else { [f32::NAN; 2] });
+        Ok(Self { first, second, truth: truth.collect() })
+    }
+
+    fn flow<'e>(&self, engine: &'e mut DenseFlow) -> Result<&'e [[f32; 2]]> {
+        let view = |data| ImageView::new(WIDTH, HEIGHT, PixelFormat::Gray8, data);
+        Ok(engine.flow(view(&self.first)?, view(&self.second)?, None)?.values())
+    }
+
+    /// Mean end-point error over all pixels whose motion is known, covered and vanished ones too.
+    fn error_px(&self, flow: &[[f32; 2]]) -> f32 {
+        let errors = flow.iter().zip(&self.truth).map(|(f, t)| (f[0] - t[0]).hypot(f[1] - t[1]));
+        let (count, sum) =
+            errors.filter(|error| error.is_finite()).fold((0, 0.0), |(n, sum), error| (n + 1, sum + error));
+        sum / count as f32
     }
 }
 

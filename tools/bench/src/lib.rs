@@ -4,7 +4,7 @@
 pub mod can;
 pub mod data;
 mod data_sshd;
-pub mod flow;
+mod flow;
 pub mod imaging;
 pub mod lidar;
 pub mod mapping;

@@ -17,13 +17,13 @@ const AREA: f32 = (PATCH * PATCH) as f32;
 /// Stripes of patch rows that are searched on their own, whatever the number of threads: flow spreads within a stripe only.
 const STRIPES: usize = 8;
 /// Added to the normal matrix (Levenberg 1944): squared gradient, (grey levels / pixel)^2, below which a patch rather keeps the
-/// flow that it starts from, times the pixels of the patch. Without texture, steps are the noise's. Found on handheld pictures
-/// with depth: with 0.05 instead, the mean error is a fifth to a third larger.
-const GRADIENT_NOISE: f32 = 10.0 * AREA;
+/// flow that it starts from, times the pixels of the patch. Without texture, steps are the noise's. Mean errors in pixels with
+/// 0.05, 1 and 10: 3.84, 3.74, 3.58 on handheld pictures with depth, 2.3, 2.5, 3.7 in a rendered hall of smooth things.
+const GRADIENT_NOISE: f32 = AREA;
 /// A step shorter than this is the last one, pixels.
 const LAST_STEP_PX: f32 = 0.02;
 /// A neighbour's flow that differs by less leads down to the same minimum, pixels.
-const SAME_BASIN_PX: f32 = 0.25;
+const SAME_BASIN_PX: f32 = 0.05;
 
 /// The patches of one scale: a grid, its last row and column moved in so that they end with the picture.
 #[derive(Debug, Clone)]
