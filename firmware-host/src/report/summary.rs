@@ -1,6 +1,6 @@
 //! `summary.json`: what a run was, what came of it, in numbers. A key without a value is absent, never 0.
 
-use std::{collections::BTreeMap, path::Path};
+use std::{collections::BTreeMap, fmt, path::Path};
 
 use runtime::line_monitor::{LineAccuracy, LineMonitor};
 use runtime::{
@@ -120,6 +120,18 @@ impl LidarLine {
     #[must_use]
     pub fn of(monitor: &LineMonitor) -> Option<Self> {
         monitor.overall().map(|all| Self { all, by_distance: monitor.by_distance() })
+    }
+}
+
+/// For people.
+impl fmt::Display for LidarLine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let LineAccuracy { delta1, scale, share, .. } = self.all;
+        let (right, there) = (100.0 * delta1, 100.0 * share);
+        write!(
+            f,
+            "{right:.0} % of depth right within 25 % on its line (scale {scale:.2}); {there:.0} % of that has depth"
+        )
     }
 }
 

@@ -5,7 +5,6 @@ use std::fmt::Write as _;
 use comfy_table::{CellAlignment, Table, TableComponent, presets};
 use runtime::{
     accuracy::{AccuracyRows, Metrics},
-    line_monitor::LineAccuracy,
     robot::DepthSource,
 };
 
@@ -79,7 +78,7 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
         ("path", summary.path_m.map_or(String::new(), |path| format!("{path:.1} m"))),
         ("collisions", summary.collisions.map_or(String::new(), |count| count.to_string())),
         ("safety stops", trips),
-        ("LiDAR agrees", summary.lidar_line.as_ref().map_or(String::new(), lidar_line)),
+        ("LiDAR agrees", summary.lidar_line.as_ref().map_or(String::new(), LidarLine::to_string)),
         ("faults", counted(&events.safety_faults, "times")),
         ("broken on purpose", summary.faults.join(", ")),
         ("stuck", stuck(summary)),
@@ -104,16 +103,6 @@ fn frames(summary: &Summary) -> String {
         let _ = write!(text, ", {rate:.1} a second");
     }
     text
-}
-
-/// What the robot itself can know of its depth.
-fn lidar_line(line: &LidarLine) -> String {
-    let LineAccuracy { delta1, scale, share, .. } = line.all;
-    format!(
-        "{:.0} % of depth right within 25 % on its line (scale {scale:.2}); {:.0} % of that has depth",
-        100.0 * delta1,
-        100.0 * share
-    )
 }
 
 fn coverage(summary: &Summary) -> String {

@@ -36,6 +36,8 @@ use crate::stopwatch::Stopwatch;
 const MOST_REMEMBERED: usize = 100_000;
 /// Stops are logged at most this often.
 const LOG_EVERY_NS: u64 = 1_000_000_000;
+/// How right the depth is, is logged so often: as long as the monitor remembers.
+const LOG_LINE_EVERY_NS: u64 = 60_000_000_000;
 
 /// The exploration plane, turn by turn.
 pub struct Exploration {
@@ -66,6 +68,8 @@ pub struct Exploration {
     camera_problem: Option<String>,
     /// What happens again and again is in the recording; the log need not repeat it.
     quiet_until_ns: u64,
+    /// When it is told again how right the depth is.
+    line_told_ns: Option<u64>,
 }
 
 impl Exploration {
@@ -109,6 +113,7 @@ impl Exploration {
             no_depth: None,
             camera_problem: None,
             quiet_until_ns: 0,
+            line_told_ns: None,
         })
     }
 
@@ -154,6 +159,7 @@ impl Exploration {
         safety.plan.write(Some(Plan { twist: decision.command.into(), time_ns: wheel.time_ns }));
         self.stopwatch.since(began, Stage::Total);
         self.line.look(&input, self.robot.mapped_depth());
+        tell_line(&self.line, &mut self.line_told_ns, now_ns);
         if let Some(models) = &mut self.models {
             let late = began.elapsed().as_nanos() > u128::from(self.period_ns);
             models.after(&mut self.robot, &input, &decision, late);
@@ -324,4 +330,17 @@ pub struct Finished {
     pub trajectory: Vec<Pose2>,
     /// What it stopped for, in `odom`, metres.
     pub trips_m: Vec<[f64; 2]>,
+}
+
+/// Logs once a minute how right the depth is.
+fn tell_line(monitor: &LineMonitor, told_ns: &mut Option<u64>, now_ns: u64) {
+    let last_ns = told_ns.get_or_insert(now_ns);
+    if now_ns.saturating_sub(*last_ns) < LOG_LINE_EVERY_NS {
+        return;
+    }
+    *last_ns = now_ns;
+    match LidarLine::of(monitor) {
+        Some(line) => tracing::info!("the LiDAR agrees: {line}"),
+        None => tracing::info!("nothing to compare depth and LiDAR by yet"),
+    }
 }
