@@ -25,6 +25,8 @@ const COVERAGE: [&str; 6] = [
     "-Cllvm-args=-sanitizer-coverage-trace-compares",
     "-Cllvm-args=-simplifycfg-branch-fold-threshold=0",
 ];
+/// What a committed corpus may take.
+const MOST_CORPUS_BYTES: u64 = 150_000;
 /// With this set we are cargo's RUSTC_WORKSPACE_WRAPPER, which it calls for our own crates only.
 const AS_WRAPPER: &str = "XTASK_FUZZ_WRAPPER";
 /// An input that takes longer is a finding. The slowest that is none takes a second on a busy computer.
@@ -159,16 +161,26 @@ fn minimise(place: &Place, target: &str) -> Result<()> {
     replace(&small, &committed(target))
 }
 
+/// The smallest come first: some large ones may not find room.
 fn replace(from: &Path, to: &Path) -> Result<()> {
+    let mut inputs = Vec::new();
+    for entry in fs::read_dir(from)? {
+        let entry = entry?;
+        inputs.push((entry.metadata()?.len(), entry.path()));
+    }
+    inputs.sort();
+    let found = inputs.len();
+    let mut bytes = 0;
+    inputs.retain(|(size, _)| {
+        bytes += size;
+        bytes <= MOST_CORPUS_BYTES
+    });
     fs::remove_dir_all(to).with_context(|| format!("cannot clear {}", to.display()))?;
     fs::create_dir_all(to)?;
-    let (mut files, mut bytes) = (0, 0);
-    for entry in fs::read_dir(from)? {
-        let path = entry?.path();
-        bytes += fs::copy(&path, to.join(path.file_name().unwrap_or_default()))?;
-        files += 1;
+    for (_, path) in &inputs {
+        fs::copy(path, to.join(path.file_name().unwrap_or_default()))?;
     }
-    println!("  {}: {files} inputs, {bytes} bytes", to.display());
+    println!("  {}: {} of {found} inputs", to.display(), inputs.len());
     Ok(())
 }
 

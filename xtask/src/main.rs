@@ -82,7 +82,7 @@ enum Chore {
     /// Whatever reads bytes from outside, with all sorts of bytes. Builds our crates once more the first time.
     Fuzz {
         /// For each target.
-        #[arg(long, default_value_t = 60)]
+        #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..))]
         seconds: u64,
         /// Afterwards put inputs that reach new code into the committed corpora, made as small as that allows.
         #[arg(long)]
