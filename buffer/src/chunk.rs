@@ -119,7 +119,11 @@ mod tests {
     fn a_record_that_reaches_beyond_the_end_of_its_chunk_is_refused() {
         let messages = |length| {
             let mut messages = 0;
-            each_item(&chunk(length), |_| Ok(messages += 1)).map(|()| messages)
+            let counted = each_item(&chunk(length), |_| {
+                messages += 1;
+                Ok(())
+            });
+            counted.map(|()| messages)
         };
         assert!(matches!(messages(31), Ok(1)));
         for length in [1, 8, 9, 30, 32, u64::MAX] {
