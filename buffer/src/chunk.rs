@@ -45,7 +45,7 @@ pub(crate) fn each_item(
     bytes: &[u8],
     mut each: impl FnMut(Item<'_>) -> Result<(), McapError>,
 ) -> Result<(), McapError> {
-    refuse_giants(bytes)?;
+    refuse_impossible(bytes)?;
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(true)
         .with_skip_end_magic(true)
@@ -76,12 +76,58 @@ pub(crate) fn each_item(
     Ok(())
 }
 
-/// A chunk says itself how large it becomes.
-fn refuse_giants(bytes: &[u8]) -> Result<(), McapError> {
-    let mut fields = Fields(bytes);
+/// A chunk says itself how large it becomes. Of one that is not compressed, mcap 0.26 does not notice that a record reaches beyond
+/// its end: it subtracts one length from the other.
+fn refuse_impossible(chunk: &[u8]) -> Result<(), McapError> {
+    let mut fields = Fields(chunk);
+    // Opcode, length, first and last time.
     let size = fields.take(9 + 16).and_then(|_| fields.u64()).ok_or(McapError::UnexpectedEoc)?;
     if size > 4 * MAX_CHUNK {
         return Err(McapError::ChunkTooLarge(size));
     }
+    let (Some(_crc), Some(compression), Some(length)) = (fields.u32(), fields.text(), fields.u64()) else {
+        return Err(McapError::UnexpectedEoc);
+    };
+    let records =
+        usize::try_from(length).ok().and_then(|length| fields.take(length)).ok_or(McapError::UnexpectedEoc)?;
+    if compression.is_empty() { refuse_torn(records) } else { Ok(()) }
+}
+
+/// Every record of a chunk must end within it.
+fn refuse_torn(records: &[u8]) -> Result<(), McapError> {
+    let mut rest = Fields(records);
+    while !rest.0.is_empty() {
+        let (_opcode, length) = (rest.u8(), rest.u64());
+        let length = length.and_then(|length| usize::try_from(length).ok());
+        length.and_then(|length| rest.take(length)).ok_or(McapError::UnexpectedEoc)?;
+    }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A chunk of one message that says that its records have `length` bytes.
+    fn chunk(length: u64) -> Vec<u8> {
+        let message = [&[op::MESSAGE][..], &22_u64.to_le_bytes(), &[0; 22]].concat();
+        let body = [&[0; 16][..], &31_u64.to_le_bytes(), &[0; 8], &length.to_le_bytes(), &message].concat();
+        [&[op::CHUNK][..], &(body.len() as u64).to_le_bytes(), &body].concat()
+    }
+
+    #[test]
+    fn a_record_that_reaches_beyond_the_end_of_its_chunk_is_refused() {
+        let messages = |length| {
+            let mut messages = 0;
+            let counted = each_item(&chunk(length), |_| {
+                messages += 1;
+                Ok(())
+            });
+            counted.map(|()| messages)
+        };
+        assert!(matches!(messages(31), Ok(1)));
+        for length in [1, 8, 9, 30, 32, u64::MAX] {
+            assert!(messages(length).is_err(), "{length}");
+        }
+    }
 }

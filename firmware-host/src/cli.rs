@@ -346,7 +346,7 @@ pub enum BufferTask {
         /// Which.
         #[arg(long = "as", value_enum, value_name = "LAYOUT")]
         layout: ExportLayout,
-        /// File (mcap) or folder (tum) that is not there yet.
+        /// File (mcap) or folder (ros2, tum) that is not there yet.
         #[arg(long)]
         out: PathBuf,
     },
@@ -362,6 +362,8 @@ pub enum BufferTask {
 pub enum ExportLayout {
     /// One plain MCAP file with an index.
     Mcap,
+    /// A ROS 2 bag: pictures, calibration, scans, odometry and transforms.
+    Ros2,
     /// The TUM RGB-D benchmark's layout, with odometry as poses; `perceive --dataset` reads it.
     Tum,
 }

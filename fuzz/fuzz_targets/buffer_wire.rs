@@ -1,33 +1,4 @@
-//! Arbitrary bytes as both sides of `pull-buffer` may get them: to a served buffer, and to a workstation that pulls.
+//! See [`fuzz::buffer_wire`].
 #![no_main]
 
-use std::io::Cursor;
-
-use buffer::Root;
-use buffer::source::{Remote, Source};
-use buffer::wire::{Reply, Request};
-use libfuzzer_sys::fuzz_target;
-
-fuzz_target!(|bytes: &[u8]| {
-    if let Some((kind, body)) = bytes.split_first() {
-        if let Ok(request) = Request::decode(*kind, body) {
-            let mut again = Vec::new();
-            assert_eq!(request.encode(&mut again), *kind);
-            assert_eq!(again, body);
-        }
-        if let Ok(reply) = Reply::decode(*kind, body) {
-            let mut again = Vec::new();
-            assert_eq!(reply.encode(&mut again), *kind);
-        }
-    }
-    // An empty directory that is there on every Linux and takes no files.
-    if let Ok(root) = Root::open("/proc/self/task".as_ref()) {
-        let mut answer = Vec::new();
-        let _ = buffer::serve(&root, &mut Cursor::new(bytes), &mut answer);
-    }
-    if let Ok(mut remote) = Remote::greet("fuzz", Cursor::new(bytes), Vec::new(), 1) {
-        while let Ok(entries) = remote.list() {
-            assert!(entries.iter().all(|entry| !entry.name.as_str().contains("..") || !entry.name.as_str().starts_with('/')));
-        }
-    }
-});
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzz::buffer_wire(bytes));

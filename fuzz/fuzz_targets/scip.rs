@@ -1,6 +1,4 @@
+//! See [`fuzz::scip`].
 #![no_main]
 
-#[path = "../src/scip.rs"]
-mod scip;
-
-libfuzzer_sys::fuzz_target!(|data: &[u8]| scip::check(data));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzz::scip(bytes));

@@ -1,7 +1,4 @@
-//! Any order of events at a camera: the driver does not panic, keeps to the queue's rules, and hands out no stale picture.
+//! See [`fuzz::v4l2_queue`].
 #![no_main]
 
-#[path = "../src/video.rs"]
-mod video;
-
-libfuzzer_sys::fuzz_target!(|data: &[u8]| video::torture::torture(data));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzz::v4l2_queue(bytes));

@@ -1,5 +1,3 @@
-//! What must hold of the SCIP codec for any bytes. Also run over the committed corpus by `tests/tests/fuzz_corpus.rs`.
-
 use drivers::scip::{
     Answer, Command, Encoding, Framer, Mode, Parameters, RangeCodes, Reply, Request, State, Version, message_length,
 };
@@ -18,8 +16,8 @@ const COMMANDS: [Command; 10] = [
     Command::TimeEnd,
 ];
 
-/// Three bytes choose the request and how the rest arrives; the rest is what a scanner sends.
-pub fn check(data: &[u8]) {
+/// What a scanner may send to the SCIP codec. Three bytes choose the request and how the rest arrives; the rest is what is sent.
+pub fn scip(data: &[u8]) {
     let Some((&[how, beams, piece], stream)) = data.split_first_chunk::<3>() else { return };
     let encoding = [Encoding::Two, Encoding::Three, Encoding::ThreeWithIntensity][usize::from(how) % 3];
     let mode = if how & 0x80 == 0 { Mode::Continuous { skip: 0, scans: 0 } } else { Mode::Once };

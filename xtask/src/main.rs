@@ -8,6 +8,7 @@ mod command;
 mod data_loop;
 mod demo;
 mod dist;
+mod fuzz;
 mod models;
 mod mutants;
 mod nextest;
@@ -78,6 +79,17 @@ enum Chore {
         #[arg(long, value_enum)]
         target: Option<dist::Arch>,
     },
+    /// Whatever reads bytes from outside, with all sorts of bytes. Builds our crates once more the first time.
+    Fuzz {
+        /// For each target.
+        #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..))]
+        seconds: u64,
+        /// Afterwards put inputs that reach new code into the committed corpora, made as small as that allows.
+        #[arg(long)]
+        keep: bool,
+        /// Targets [default: all].
+        targets: Vec<String>,
+    },
     /// Every mutant of the safety plane against its own tests. Takes an hour on one core.
     #[command(disable_help_flag = true)]
     Mutants {
@@ -90,6 +102,9 @@ enum Chore {
 }
 
 fn main() -> ExitCode {
+    if let Some(code) = fuzz::as_wrapper() {
+        return code;
+    }
     match run(&Chore::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
@@ -108,6 +123,7 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Accuracy { arguments } => accuracy::run(arguments),
         Chore::Policies { frames, seeds } => policies::run(*frames, *seeds),
         Chore::Models => models::run(),
+        Chore::Fuzz { seconds, keep, targets } => fuzz::run(*seconds, *keep, targets),
         Chore::Mutants { arguments } => mutants::run(arguments),
         Chore::Rig { all, filter } => rig::run(*all, filter.as_deref()),
         Chore::Dist { target } => dist::run(*target),

@@ -4,14 +4,14 @@
 //! which drifts: it is what the robot knew, not the truth. Simulated runs with true depth have `depth/` and `depth.txt` as well.
 
 use std::fmt::Write as _;
-use std::fs::File;
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use hal::{CameraModel, DepthMap, Distortion, Pose3};
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
-use runtime::recording::{RecordedTick, RecordingReader, SegmentHeader};
+use runtime::recording::{RecordedTick, SegmentHeader};
 
+use super::folder::new_folder;
+use super::turns::each_turn;
 use crate::error::BufferError;
 
 /// A depth picture's value for one metre.
@@ -33,24 +33,17 @@ pub struct Exported {
 /// # Errors
 /// When `to` is there already or cannot be written, or a segment is no recording of ours.
 pub fn tum(segments: &[PathBuf], to: &Path) -> Result<Exported, BufferError> {
-    if to.exists() {
-        return Err(BufferError::Exists { path: to.to_owned() });
-    }
-    let partial = to.with_file_name(format!("{}.partial", to.file_name().unwrap_or_default().to_string_lossy()));
-    // Left over from an export that was interrupted; nobody else uses this name.
-    let _ = std::fs::remove_dir_all(&partial);
-    let mut export = Export::new(&partial)?;
-    let mut done = Ok(());
-    for segment in segments {
-        done = done.and_then(|()| export.segment(segment));
-    }
-    let finished = done.and_then(|()| export.finish());
-    let named =
-        finished.and_then(|exported| std::fs::rename(&partial, to).map_err(BufferError::write(to)).map(|()| exported));
-    if named.is_err() {
-        let _ = std::fs::remove_dir_all(&partial);
-    }
-    named
+    new_folder(to, |dir| {
+        let mut export = Export::new(dir)?;
+        for segment in segments {
+            let cut = each_turn(segment, |header, tick| {
+                export.header.get_or_insert_with(|| header.clone());
+                export.tick(tick, &header.run.t_base_camera)
+            })?;
+            export.exported.cut += u64::from(cut);
+        }
+        export.finish()
+    })
 }
 
 struct Export {
@@ -76,30 +69,6 @@ impl Export {
             times_ns: Vec::new(),
             exported: Exported::default(),
         })
-    }
-
-    fn segment(&mut self, path: &Path) -> Result<(), BufferError> {
-        let file = File::open(path).map_err(BufferError::read(path))?;
-        let bad = |detail: String| BufferError::Segment { path: path.to_owned(), detail };
-        let reader = match RecordingReader::open(BufReader::with_capacity(1 << 20, file)) {
-            Ok(reader) => reader,
-            // Cut before its first turn.
-            Err(error) if error.is_truncation() => {
-                self.exported.cut += 1;
-                return Ok(());
-            }
-            Err(error) => return Err(bad(error.to_string())),
-        };
-        let t_base_camera = reader.header().run.t_base_camera;
-        self.header.get_or_insert_with(|| reader.header().clone());
-        for tick in reader {
-            match tick {
-                Ok(tick) => self.tick(&tick, &t_base_camera)?,
-                Err(error) if error.is_truncation() => self.exported.cut += 1,
-                Err(error) => return Err(bad(error.to_string())),
-            }
-        }
-        Ok(())
     }
 
     fn tick(&mut self, tick: &RecordedTick, t_base_camera: &Pose3) -> Result<(), BufferError> {

@@ -119,6 +119,17 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
             let done = export::joined(&files, out)?;
             println!("{}: {} turns, {} messages", out.display(), done.turns, done.messages);
         }
+        ExportLayout::Ros2 => {
+            let done = export::ros2(&files, out)?;
+            println!(
+                "{}: {} messages, of these {} pictures and {} scans; {} turns had no pose",
+                out.display(),
+                done.messages,
+                done.pictures,
+                done.scans,
+                done.without_pose
+            );
+        }
         ExportLayout::Tum => {
             let done = export::tum(&files, out)?;
             println!("{}: {} pictures, {} left out without a pose", out.display(), done.pictures, done.without_pose);

@@ -1,9 +1,9 @@
 //! Messages of an MCAP stream. `mcap::io::MessageReader` would do, but mcap 0.26 panics on a corrupt attachment record
 //! (`parse_record` slices before it checks), and a flipped bit makes any record one. Here only the two kinds of records
-//! that we need are parsed.
+//! that we need are parsed, and chunks one by one, because it does not notice either that a record ends behind its chunk.
 
 use std::collections::BTreeMap;
-use std::io::{ErrorKind, Read};
+use std::io::{Cursor, ErrorKind, Read};
 
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -14,11 +14,14 @@ const MAX_RECORD_BYTES: usize = 256 << 20;
 
 /// The messages of a stream in the order in which they were written, each checked before it is handed out.
 pub(super) struct Messages<R> {
-    source: R,
-    reader: LinearReader,
+    file: Records<R>,
+    /// What is left of the chunk that is being read.
+    chunk: Option<Box<Records<Cursor<Vec<u8>>>>>,
     /// Topics by channel.
-    topics: BTreeMap<u16, String>,
+    topics: Topics,
 }
+
+type Topics = BTreeMap<u16, String>;
 
 /// One message.
 pub(super) struct Message {
@@ -29,17 +32,94 @@ pub(super) struct Message {
 impl<R: Read> Messages<R> {
     pub(super) fn new(source: R) -> Self {
         let options = LinearReaderOptions::default()
-            // A message of a corrupt chunk must not be seen before the chunk's CRC.
-            .with_prevalidate_chunk_crcs(true)
+            .with_emit_chunks(true)
             // A chunk whose opcode is corrupt would be skipped as a record of an unknown kind.
             .with_validate_data_section_crc(true)
-            .with_validate_summary_section_crc(true)
-            .with_record_length_limit(MAX_RECORD_BYTES);
-        Self { source, reader: LinearReader::new_with_options(options), topics: BTreeMap::new() }
+            .with_validate_summary_section_crc(true);
+        Self { file: Records::new(source, options), chunk: None, topics: Topics::new() }
     }
 
     /// The next message; `None` after the stream's proper end.
     pub(super) fn next(&mut self) -> Result<Option<Message>, McapError> {
+        loop {
+            if let Some(chunk) = &mut self.chunk {
+                let found = chunk.find(|opcode, data| message(opcode, data, &mut self.topics));
+                // Only a file can be cut; a chunk that ends early is corrupt.
+                let found = found.map_err(|error| match error {
+                    McapError::UnexpectedEof => McapError::UnexpectedEoc,
+                    other => other,
+                })?;
+                if found.is_some() {
+                    return Ok(found);
+                }
+            }
+            self.chunk = None;
+            let found = self.file.find(|opcode, data| match opcode {
+                op::CHUNK => Records::of_chunk(data).map(|chunk| Some(Found::Chunk(Box::new(chunk)))),
+                _ => message(opcode, data, &mut self.topics).map(|message| message.map(Found::Message)),
+            })?;
+            match found {
+                Some(Found::Chunk(chunk)) => self.chunk = Some(chunk),
+                Some(Found::Message(message)) => return Ok(Some(message)),
+                None => return Ok(None),
+            }
+        }
+    }
+}
+
+enum Found {
+    Chunk(Box<Records<Cursor<Vec<u8>>>>),
+    Message(Message),
+}
+
+fn message(opcode: u8, data: &[u8], topics: &mut Topics) -> Result<Option<Message>, McapError> {
+    if !matches!(opcode, op::CHANNEL | op::MESSAGE) {
+        return Ok(None);
+    }
+    match parse_record(opcode, data)? {
+        Record::Channel(channel) => {
+            topics.insert(channel.id, channel.topic);
+            Ok(None)
+        }
+        Record::Message { header, data } => {
+            let unknown = McapError::UnknownChannel(header.sequence, header.channel_id);
+            let topic = topics.get(&header.channel_id).cloned();
+            Ok(Some(Message { topic: topic.ok_or(unknown)?, data: data.into_owned() }))
+        }
+        _ => Ok(None),
+    }
+}
+
+/// Records one after the other.
+struct Records<R> {
+    source: R,
+    reader: LinearReader,
+}
+
+impl Records<Cursor<Vec<u8>>> {
+    /// Of a chunk without opcode and length. A message of a corrupt chunk must not be seen before the chunk's CRC.
+    fn of_chunk(data: &[u8]) -> Result<Self, McapError> {
+        refuse_torn(data).ok_or(McapError::UnexpectedEoc)?;
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_skip_end_magic(true)
+            .with_prevalidate_chunk_crcs(true);
+        let record = [&[op::CHUNK][..], &(data.len() as u64).to_le_bytes(), data].concat();
+        Ok(Self::new(Cursor::new(record), options))
+    }
+}
+
+impl<R: Read> Records<R> {
+    fn new(source: R, options: LinearReaderOptions) -> Self {
+        let options = options.with_record_length_limit(MAX_RECORD_BYTES);
+        Self { source, reader: LinearReader::new_with_options(options) }
+    }
+
+    /// Reads on until `look`, which gets every record's opcode and contents, has found something; `None` at the proper end.
+    fn find<T>(
+        &mut self,
+        mut look: impl FnMut(u8, &[u8]) -> Result<Option<T>, McapError>,
+    ) -> Result<Option<T>, McapError> {
         while let Some(event) = self.reader.next_event() {
             match event? {
                 LinearReadEvent::ReadRequest(need) => {
@@ -49,22 +129,62 @@ impl<R: Read> Messages<R> {
                     };
                     self.reader.notify_read(read);
                 }
-                LinearReadEvent::Record { opcode: opcode @ (op::CHANNEL | op::MESSAGE), data } => {
-                    match parse_record(opcode, data)? {
-                        Record::Channel(channel) => {
-                            self.topics.insert(channel.id, channel.topic);
-                        }
-                        Record::Message { header, data } => {
-                            let topic = self.topics.get(&header.channel_id).cloned();
-                            let unknown = McapError::UnknownChannel(header.sequence, header.channel_id);
-                            return Ok(Some(Message { topic: topic.ok_or(unknown)?, data: data.into_owned() }));
-                        }
-                        _ => {}
+                LinearReadEvent::Record { opcode, data } => {
+                    let found = look(opcode, data)?;
+                    if found.is_some() {
+                        return Ok(found);
                     }
                 }
-                LinearReadEvent::Record { .. } => {}
             }
         }
         Ok(None)
+    }
+}
+
+/// `None` when the records of an uncompressed chunk do not fill it: mcap 0.26 would subtract one length from the other.
+fn refuse_torn(chunk: &[u8]) -> Option<()> {
+    // First and last time, size and CRC; then the compression's name and the records, each behind its length.
+    let (_, rest) = chunk.split_at_checked(8 + 8 + 8 + 4)?;
+    let (length, rest) = rest.split_first_chunk()?;
+    let (compression, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+    let (mut records, _) = counted(rest)?;
+    while compression.is_empty() && !records.is_empty() {
+        (_, records) = counted(records.get(1..)?)?;
+    }
+    Some(())
+}
+
+/// The bytes behind a length of eight bytes, and what follows them.
+fn counted(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = bytes.split_first_chunk()?;
+    rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file with one chunk, of one message, whose records say that they have `length` bytes.
+    fn file(length: u64) -> Vec<u8> {
+        let channel = [&[0; 4][..], &2_u32.to_le_bytes(), b"/t", &[0; 8]].concat();
+        let record = |opcode: u8, body: &[u8]| [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat();
+        let records = [record(op::CHANNEL, &channel), record(op::MESSAGE, &[0; 22])].concat();
+        assert_eq!(records.len(), 58);
+        let chunk = [&[0; 16][..], &58_u64.to_le_bytes(), &[0; 8], &length.to_le_bytes(), &records].concat();
+        let end = &super::super::END_WITHOUT_SUMMARY;
+        [mcap::MAGIC, &record(op::HEADER, &[0; 8]), &record(op::CHUNK, &chunk), end].concat()
+    }
+
+    #[test]
+    fn a_record_that_reaches_beyond_the_end_of_its_chunk_is_refused() {
+        let all = |length| {
+            let file = file(length);
+            let mut messages = Messages::new(&file[..]);
+            std::iter::from_fn(|| messages.next().transpose()).collect::<Result<Vec<_>, _>>()
+        };
+        assert_eq!(all(58).map(|messages| messages.len()).unwrap(), 1);
+        for length in [1, 20, 40, 57, 59, u64::MAX] {
+            assert!(matches!(all(length), Err(McapError::UnexpectedEoc)), "{length}");
+        }
     }
 }

@@ -1,0 +1,133 @@
+//! What a turn is in ROS's own words. Frames and units are already ROS's (REP-103, REP-105).
+
+use hal::{CameraModel, Distortion, LaserScan, Pose3, Range, WheelFeedback};
+use runtime::recording::Picture;
+
+use super::cdr::Cdr;
+
+/// builtin_interfaces/Time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Stamp {
+    sec: i32,
+    nanosec: u32,
+}
+
+impl Stamp {
+    /// `None` beyond 68 years.
+    pub(super) fn new(time_ns: u64) -> Option<Self> {
+        let sec = i32::try_from(time_ns / 1_000_000_000).ok()?;
+        Some(Self { sec, nanosec: (time_ns % 1_000_000_000) as u32 })
+    }
+}
+
+/// A pose as geometry_msgs/TransformStamped: `child` in `parent`.
+pub(super) struct Transform {
+    pub stamp: Stamp,
+    pub parent: &'static str,
+    pub child: &'static str,
+    pub pose: Pose3,
+}
+
+fn header(cdr: &mut Cdr, stamp: Stamp, frame: &str) {
+    cdr.i32(stamp.sec);
+    cdr.u32(stamp.nanosec);
+    cdr.string(frame);
+}
+
+/// geometry_msgs/Pose and Transform have the same layout.
+fn pose(cdr: &mut Cdr, pose: &Pose3) {
+    let (t, q) = (pose.translation.vector, pose.rotation);
+    cdr.array(&[t.x, t.y, t.z, q.i, q.j, q.k, q.w]);
+}
+
+/// sensor_msgs/Image.
+pub(super) fn image(stamp: Stamp, picture: &Picture) -> Vec<u8> {
+    let mut cdr = Cdr::new();
+    header(&mut cdr, stamp, "camera_optical");
+    cdr.u32(picture.height as u32);
+    cdr.u32(picture.width as u32);
+    cdr.string("rgb8");
+    // Not big-endian.
+    cdr.u8(0);
+    cdr.u32(picture.width as u32 * 3);
+    cdr.octets(&picture.rgb);
+    cdr.into_bytes()
+}
+
+/// sensor_msgs/CameraInfo.
+pub(super) fn camera_info(stamp: Stamp, camera: &CameraModel) -> Vec<u8> {
+    let (model, coefficients) = match &camera.distortion {
+        Distortion::PlumbBob(k) => ("plumb_bob", &k[..]),
+        // ROS's name for Kannala and Brandt's.
+        Distortion::Fisheye(k) => ("equidistant", &k[..]),
+        _ => ("plumb_bob", &[0.0; 5][..]),
+    };
+    let CameraModel { fx, fy, cx, cy, .. } = *camera;
+    let mut cdr = Cdr::new();
+    header(&mut cdr, stamp, "camera_optical");
+    cdr.u32(camera.height as u32);
+    cdr.u32(camera.width as u32);
+    cdr.string(model);
+    cdr.length(coefficients.len());
+    cdr.array(coefficients);
+    cdr.array(&[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]);
+    cdr.array(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+    cdr.array(&[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]);
+    // No binning, and the whole picture.
+    (0..6).for_each(|_| cdr.u32(0));
+    cdr.bool(false);
+    cdr.into_bytes()
+}
+
+/// sensor_msgs/LaserScan, with what is no distance as REP-117 has it: nothing came back is infinity, too near is minus
+/// infinity, not measured is NaN.
+pub(super) fn laser_scan(stamp: Stamp, scan: &LaserScan) -> Vec<u8> {
+    let geometry = &scan.geometry;
+    let period_s = geometry.period_ns as f64 * 1e-9;
+    let last = geometry.angle_rad(scan.ranges.len().saturating_sub(1));
+    let mut cdr = Cdr::new();
+    header(&mut cdr, stamp, "laser");
+    cdr.f32(geometry.angle_min_rad as f32);
+    cdr.f32(last as f32);
+    cdr.f32(geometry.angle_increment_rad as f32);
+    cdr.f32((period_s * geometry.angle_increment_rad / std::f64::consts::TAU) as f32);
+    cdr.f32(period_s as f32);
+    cdr.f32(geometry.range_min_m);
+    cdr.f32(geometry.range_max_m);
+    cdr.length(scan.ranges.len());
+    for range in &scan.ranges {
+        cdr.f32(match range {
+            Range::Hit(distance_m) => *distance_m,
+            Range::NoReturn => f32::INFINITY,
+            Range::TooNear => f32::NEG_INFINITY,
+            Range::Error => f32::NAN,
+        });
+    }
+    // No intensities.
+    cdr.length(0);
+    cdr.into_bytes()
+}
+
+/// nav_msgs/Odometry. The covariances are zero, ROS's word for unknown: recordings do not hold them.
+pub(super) fn odometry(stamp: Stamp, wheel: &WheelFeedback) -> Vec<u8> {
+    let mut cdr = Cdr::new();
+    header(&mut cdr, stamp, "odom");
+    cdr.string("base_link");
+    pose(&mut cdr, &wheel.odom.to_pose3());
+    cdr.array(&[0.0; 36]);
+    cdr.array(&[wheel.twist.linear_mps, 0.0, 0.0, 0.0, 0.0, wheel.twist.angular_radps]);
+    cdr.array(&[0.0; 36]);
+    cdr.into_bytes()
+}
+
+/// tf2_msgs/TFMessage.
+pub(super) fn transforms(transforms: &[Transform]) -> Vec<u8> {
+    let mut cdr = Cdr::new();
+    cdr.length(transforms.len());
+    for transform in transforms {
+        header(&mut cdr, transform.stamp, transform.parent);
+        cdr.string(transform.child);
+        pose(&mut cdr, &transform.pose);
+    }
+    cdr.into_bytes()
+}
