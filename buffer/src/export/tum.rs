@@ -4,14 +4,13 @@
 //! which drifts: it is what the robot knew, not the truth. Simulated runs with true depth have `depth/` and `depth.txt` as well.
 
 use std::fmt::Write as _;
-use std::fs::File;
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use hal::{CameraModel, DepthMap, Distortion, Pose3};
-use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
-use runtime::recording::{RecordedTick, RecordingReader, SegmentHeader};
+use hal::{CameraModel, DepthMap, Distortion};
+use image::ExtendedColorType;
+use runtime::recording::{RecordedTick, SegmentHeader};
 
+use super::turns::{each_turn, frames_per_second, new_directory, png};
 use crate::error::BufferError;
 
 /// A depth picture's value for one metre.
@@ -33,24 +32,12 @@ pub struct Exported {
 /// # Errors
 /// When `to` is there already or cannot be written, or a segment is no recording of ours.
 pub fn tum(segments: &[PathBuf], to: &Path) -> Result<Exported, BufferError> {
-    if to.exists() {
-        return Err(BufferError::Exists { path: to.to_owned() });
-    }
-    let partial = to.with_file_name(format!("{}.partial", to.file_name().unwrap_or_default().to_string_lossy()));
-    // Left over from an export that was interrupted; nobody else uses this name.
-    let _ = std::fs::remove_dir_all(&partial);
-    let mut export = Export::new(&partial)?;
-    let mut done = Ok(());
-    for segment in segments {
-        done = done.and_then(|()| export.segment(segment));
-    }
-    let finished = done.and_then(|()| export.finish());
-    let named =
-        finished.and_then(|exported| std::fs::rename(&partial, to).map_err(BufferError::write(to)).map(|()| exported));
-    if named.is_err() {
-        let _ = std::fs::remove_dir_all(&partial);
-    }
-    named
+    new_directory(to, |partial| {
+        let mut export = Export::new(partial)?;
+        let cut = each_turn(segments, |header, tick| export.tick(header, tick))?;
+        export.exported.cut = cut;
+        export.finish()
+    })
 }
 
 struct Export {
@@ -78,31 +65,8 @@ impl Export {
         })
     }
 
-    fn segment(&mut self, path: &Path) -> Result<(), BufferError> {
-        let file = File::open(path).map_err(BufferError::read(path))?;
-        let bad = |detail: String| BufferError::Segment { path: path.to_owned(), detail };
-        let reader = match RecordingReader::open(BufReader::with_capacity(1 << 20, file)) {
-            Ok(reader) => reader,
-            // Cut before its first turn.
-            Err(error) if error.is_truncation() => {
-                self.exported.cut += 1;
-                return Ok(());
-            }
-            Err(error) => return Err(bad(error.to_string())),
-        };
-        let t_base_camera = reader.header().run.t_base_camera;
-        self.header.get_or_insert_with(|| reader.header().clone());
-        for tick in reader {
-            match tick {
-                Ok(tick) => self.tick(&tick, &t_base_camera)?,
-                Err(error) if error.is_truncation() => self.exported.cut += 1,
-                Err(error) => return Err(bad(error.to_string())),
-            }
-        }
-        Ok(())
-    }
-
-    fn tick(&mut self, tick: &RecordedTick, t_base_camera: &Pose3) -> Result<(), BufferError> {
+    fn tick(&mut self, header: &SegmentHeader, tick: &RecordedTick) -> Result<(), BufferError> {
+        self.header.get_or_insert_with(|| header.clone());
         let Some(frame) = &tick.frame else { return Ok(()) };
         if !tick.wheel.odom.is_finite() {
             self.exported.without_pose += 1;
@@ -111,7 +75,7 @@ impl Export {
         let stamp = stamp(tick.time_ns);
         let name = format!("rgb/{stamp}.png");
         self.png(&name, &frame.rgb, frame.width, frame.height, ExtendedColorType::Rgb8)?;
-        let pose = tick.wheel.odom.to_pose3() * t_base_camera;
+        let pose = tick.wheel.odom.to_pose3() * header.run.t_base_camera;
         let (t, q) = (pose.translation.vector, pose.rotation);
         // Writing into a String cannot fail.
         let _ = writeln!(self.rgb, "{stamp} {name}");
@@ -149,13 +113,8 @@ impl Export {
         height: usize,
         color: ExtendedColorType,
     ) -> Result<(), BufferError> {
-        let mut png = Vec::new();
-        let encoded = PngEncoder::new(&mut png).write_image(bytes, width as u32, height as u32, color);
         let path = self.dir.join(name);
-        encoded
-            .map_err(std::io::Error::other)
-            .and_then(|()| std::fs::write(&path, png))
-            .map_err(BufferError::write(path))
+        png(bytes, width, height, color).and_then(|png| std::fs::write(&path, png)).map_err(BufferError::write(path))
     }
 
     fn finish(self) -> Result<Exported, BufferError> {
@@ -199,12 +158,4 @@ fn manifest(header: &SegmentHeader, times_ns: &[u64]) -> String {
          fx = {fx:?}\nfy = {fy:?}\ncx = {cx:?}\ncy = {cy:?}\ndistortion = {distortion}\n",
         frames_per_second(times_ns)
     )
-}
-
-/// From the middle of the distances between pictures.
-fn frames_per_second(times_ns: &[u64]) -> f64 {
-    let mut steps: Vec<u64> =
-        times_ns.windows(2).filter_map(|pair| Some(pair.get(1)?.saturating_sub(*pair.first()?))).collect();
-    steps.sort_unstable();
-    steps.get(steps.len() / 2).filter(|step| **step > 0).map_or(10.0, |step| 1e9 / *step as f64)
 }
