@@ -83,6 +83,36 @@ pub struct Entry {
 }
 
 impl Entry {
+    /// A file of which only name, size and time are known.
+    #[must_use]
+    pub fn new(name: Name, bytes: u64, modified_ns: u64) -> Self {
+        let (state, pulled) = (State::Cut, Pulled::No);
+        Self { name, bytes, modified_ns, state, times: None, turns: None, events: None, keep: false, pulled }
+    }
+
+    /// Fills in what the end of the file tells, and where there is none the heads of its records.
+    ///
+    /// # Errors
+    /// When it cannot be read. A file without an end is a [cut](State::Cut) one also then.
+    pub fn look_into<B: Bytes + ?Sized>(&mut self, file: &B) -> io::Result<()> {
+        let Some(footer) = records::footer(file, self.bytes)? else {
+            self.state = State::Cut;
+            self.times = chunk_times(file, self.bytes)?;
+            return Ok(());
+        };
+        self.state = State::Unindexed;
+        match records::summary(file, &footer)? {
+            Some(summary) => {
+                self.state = State::Closed;
+                self.times = Some(Times { first_ns: summary.first_ns, last_ns: summary.last_ns });
+                self.turns = Some(summary.messages_on("/robot/tick"));
+                self.events = Some(summary.messages_on("/events"));
+            }
+            None => self.times = chunk_times(file, self.bytes)?,
+        }
+        Ok(())
+    }
+
     /// The digest under which a workstation has it.
     #[must_use]
     pub fn pulled_digest(&self) -> Option<Digest> {
@@ -124,9 +154,15 @@ impl Catalogue {
             let Ok(listed) = root.folder(&run.name).and_then(|folder| list(folder.as_fd())) else { continue };
             read_run(root, &run.name, &listed, &mut entries);
         }
+        Ok(Self::new(entries, now_ns))
+    }
+
+    /// Sorts entries, and tells which of those without an end are still being written at `now_ns`.
+    #[must_use]
+    pub fn new(mut entries: Vec<Entry>, now_ns: u64) -> Self {
         entries.sort_by(|a, b| a.name.cmp(&b.name));
         tell_open_from_cut(&mut entries, now_ns);
-        Ok(Self { entries })
+        Self { entries }
     }
 
     /// The segments of one run after the other.
@@ -166,41 +202,9 @@ fn read_run(root: &Root, run: &str, listed: &[Listed], entries: &mut Vec<Entry>)
 
 fn read_entry(folder: BorrowedFd<'_>, name: Name, listed: &Listed, keep: bool, pulled: Pulled) -> io::Result<Entry> {
     let file = open_regular(folder, name.file())?;
-    let mut entry = Entry {
-        name,
-        bytes: listed.bytes,
-        modified_ns: listed.modified_ns,
-        state: State::Closed,
-        times: None,
-        turns: None,
-        events: None,
-        keep,
-        pulled,
-    };
-    look_into(&file, &mut entry)?;
+    let mut entry = Entry { keep, pulled, ..Entry::new(name, listed.bytes, listed.modified_ns) };
+    entry.look_into(&file)?;
     Ok(entry)
-}
-
-/// Reads the end of a segment, or where there is none the heads of its records.
-pub(crate) fn look_into<B: Bytes + ?Sized>(file: &B, entry: &mut Entry) -> io::Result<()> {
-    let footer = records::footer(file, entry.bytes)?;
-    let summary = match &footer {
-        Some(footer) => records::summary(file, footer)?,
-        None => None,
-    };
-    entry.state = match (&footer, &summary) {
-        (Some(_), Some(_)) => State::Closed,
-        (Some(_), None) => State::Unindexed,
-        (None, _) => State::Cut,
-    };
-    if let Some(summary) = summary {
-        entry.times = Some(Times { first_ns: summary.first_ns, last_ns: summary.last_ns });
-        entry.turns = Some(summary.messages_on("/robot/tick"));
-        entry.events = Some(summary.messages_on("/events"));
-    } else {
-        entry.times = chunk_times(file, entry.bytes)?;
-    }
-    Ok(())
 }
 
 /// Span of the chunks that are there as a whole, from the first sixteen bytes of each.

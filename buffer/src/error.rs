@@ -100,6 +100,14 @@ pub enum BufferError {
         /// Its words.
         refusal: Refusal,
     },
+    /// An object store cannot be used as it is asked to.
+    #[error("{url}: {detail}")]
+    Store {
+        /// Which.
+        url: String,
+        /// What is wrong, and the way out.
+        detail: String,
+    },
     /// What arrived is not what was sent.
     #[error(
         "{name} arrived with another digest than it was sent with and was thrown away; pull again; check the link and the memory"
@@ -134,7 +142,9 @@ impl BufferError {
             Self::Protocol { source, .. } if !source.is_foreign() => Kind::Link,
             Self::Refused { refusal, .. } if refusal.passes() => Kind::Link,
             Self::Write { .. } | Self::Exists { .. } | Self::Busy { .. } => Kind::Disk,
-            Self::Refused { .. } | Self::Protocol { .. } | Self::Name(_) | Self::Silent { .. } => Kind::Refused,
+            Self::Refused { .. } | Self::Protocol { .. } | Self::Name(_) | Self::Silent { .. } | Self::Store { .. } => {
+                Kind::Refused
+            }
             Self::Read { .. } | Self::Segment { .. } | Self::Usage(_) => Kind::Usage,
         }
     }

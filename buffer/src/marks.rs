@@ -22,6 +22,26 @@ pub enum Pulled {
     Yes(Digest),
 }
 
+impl Pulled {
+    /// The mark of a segment of `bytes` bytes, last changed at `modified_ns`.
+    #[must_use]
+    pub fn text(digest: &Digest, bytes: u64, modified_ns: u64) -> String {
+        format!("{digest} {bytes} {modified_ns}\n")
+    }
+
+    /// What a mark says about a segment that has `bytes` bytes and was last changed at `modified_ns`.
+    #[must_use]
+    pub fn parse(text: &str, bytes: u64, modified_ns: u64) -> Self {
+        let mut words = text.split_ascii_whitespace();
+        let digest = words.next().and_then(|word| word.parse().ok());
+        let mut number = || words.next().and_then(|word| word.parse::<u64>().ok());
+        match (digest, number(), number()) {
+            (Some(digest), Some(b), Some(m)) if (b, m) == (bytes, modified_ns) => Self::Yes(digest),
+            _ => Self::Stale,
+        }
+    }
+}
+
 /// Behind a segment's name: a workstation has it.
 pub const PULLED: &str = ".pulled";
 /// Behind a segment's name: it is never deleted.
@@ -37,20 +57,14 @@ pub fn keep(root: &Root, name: &Name) -> io::Result<()> {
 
 /// Marks a segment of `bytes` bytes, last changed at `modified_ns`, as pulled.
 pub(crate) fn set_pulled(root: &Root, name: &Name, digest: &Digest, bytes: u64, modified_ns: u64) -> io::Result<()> {
-    let text = format!("{digest} {bytes} {modified_ns}\n");
+    let text = Pulled::text(digest, bytes, modified_ns);
     write_small(root.folder(name.run())?.as_fd(), &format!("{}{PULLED}", name.file()), &text)
 }
 
 /// Reads the mark of a segment that has `bytes` bytes and was last changed at `modified_ns`.
 pub(crate) fn read_pulled(folder: BorrowedFd<'_>, file: &str, bytes: u64, modified_ns: u64) -> Pulled {
     let text = read_small(folder, &format!("{file}{PULLED}")).unwrap_or_default();
-    let mut words = text.split_ascii_whitespace();
-    let digest = words.next().and_then(|word| word.parse().ok());
-    let mut number = || words.next().and_then(|word| word.parse::<u64>().ok());
-    match (digest, number(), number()) {
-        (Some(digest), Some(b), Some(m)) if (b, m) == (bytes, modified_ns) => Pulled::Yes(digest),
-        _ => Pulled::Stale,
-    }
+    Pulled::parse(&text, bytes, modified_ns)
 }
 
 #[cfg(test)]

@@ -366,6 +366,9 @@ pub enum ExportLayout {
     Ros2,
     /// The TUM RGB-D benchmark's layout, with odometry as poses; `perceive --dataset` reads it.
     Tum,
+    /// LeRobot's layout, version 3.0: Parquet with pictures, odometry and commands.
+    #[cfg(feature = "lerobot")]
+    Lerobot,
 }
 
 /// Policies by their names.

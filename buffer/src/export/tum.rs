@@ -6,12 +6,12 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use hal::{CameraModel, DepthMap, Distortion, Pose3};
-use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use hal::{CameraModel, DepthMap, Distortion};
+use image::ExtendedColorType;
 use runtime::recording::{RecordedTick, SegmentHeader};
 
 use super::folder::new_folder;
-use super::turns::each_turn;
+use super::turns::{each_turn, frames_per_second, png};
 use crate::error::BufferError;
 
 /// A depth picture's value for one metre.
@@ -35,13 +35,8 @@ pub struct Exported {
 pub fn tum(segments: &[PathBuf], to: &Path) -> Result<Exported, BufferError> {
     new_folder(to, |dir| {
         let mut export = Export::new(dir)?;
-        for segment in segments {
-            let cut = each_turn(segment, |header, tick| {
-                export.header.get_or_insert_with(|| header.clone());
-                export.tick(tick, &header.run.t_base_camera)
-            })?;
-            export.exported.cut += u64::from(cut);
-        }
+        let cut = each_turn(segments, |header, tick| export.tick(header, tick))?;
+        export.exported.cut = cut;
         export.finish()
     })
 }
@@ -71,7 +66,8 @@ impl Export {
         })
     }
 
-    fn tick(&mut self, tick: &RecordedTick, t_base_camera: &Pose3) -> Result<(), BufferError> {
+    fn tick(&mut self, header: &SegmentHeader, tick: &RecordedTick) -> Result<(), BufferError> {
+        self.header.get_or_insert_with(|| header.clone());
         let Some(frame) = &tick.frame else { return Ok(()) };
         if !tick.wheel.odom.is_finite() {
             self.exported.without_pose += 1;
@@ -80,7 +76,7 @@ impl Export {
         let stamp = stamp(tick.time_ns);
         let name = format!("rgb/{stamp}.png");
         self.png(&name, &frame.rgb, frame.width, frame.height, ExtendedColorType::Rgb8)?;
-        let pose = tick.wheel.odom.to_pose3() * t_base_camera;
+        let pose = tick.wheel.odom.to_pose3() * header.run.t_base_camera;
         let (t, q) = (pose.translation.vector, pose.rotation);
         // Writing into a String cannot fail.
         let _ = writeln!(self.rgb, "{stamp} {name}");
@@ -118,13 +114,8 @@ impl Export {
         height: usize,
         color: ExtendedColorType,
     ) -> Result<(), BufferError> {
-        let mut png = Vec::new();
-        let encoded = PngEncoder::new(&mut png).write_image(bytes, width as u32, height as u32, color);
         let path = self.dir.join(name);
-        encoded
-            .map_err(std::io::Error::other)
-            .and_then(|()| std::fs::write(&path, png))
-            .map_err(BufferError::write(path))
+        png(bytes, width, height, color).and_then(|png| std::fs::write(&path, png)).map_err(BufferError::write(path))
     }
 
     fn finish(self) -> Result<Exported, BufferError> {
@@ -168,12 +159,4 @@ fn manifest(header: &SegmentHeader, times_ns: &[u64]) -> String {
          fx = {fx:?}\nfy = {fy:?}\ncx = {cx:?}\ncy = {cy:?}\ndistortion = {distortion}\n",
         frames_per_second(times_ns)
     )
-}
-
-/// From the middle of the distances between pictures.
-fn frames_per_second(times_ns: &[u64]) -> f64 {
-    let mut steps: Vec<u64> =
-        times_ns.windows(2).filter_map(|pair| Some(pair.get(1)?.saturating_sub(*pair.first()?))).collect();
-    steps.sort_unstable();
-    steps.get(steps.len() / 2).filter(|step| **step > 0).map_or(10.0, |step| 1e9 / *step as f64)
 }

@@ -12,10 +12,11 @@ use super::pace::Pace;
 use super::part::{Part, Paths};
 use super::{Options, Report, Watch};
 use crate::catalogue::{Entry, State};
-use crate::digest::Digest;
+use crate::digest::{Digest, Hasher};
 use crate::error::BufferError;
 use crate::root::file_modified_ns;
 use crate::source::Source;
+use crate::verify::{Finding, verify};
 
 /// Files that may wait for the disk while the next ones arrive.
 const WAITING: usize = 2;
@@ -75,7 +76,7 @@ pub fn pull(
     clock: &mut dyn Clock,
     watch: &mut dyn Watch,
 ) -> Result<Report, BufferError> {
-    let mut work = Work { source, to, options, watch, report: Report::default() };
+    let mut work = Work { source, to, options, watch, report: Report::default(), damaged: None };
     let missing = work.plan()?;
     let pulled = std::thread::scope(|scope| {
         let (jobs, waiting) = sync_channel::<Job>(WAITING);
@@ -127,6 +128,8 @@ struct Work<'a, 'b> {
     options: &'a Options,
     watch: &'a mut dyn Watch,
     report: Report,
+    /// What was thrown away last because its checksums are wrong.
+    damaged: Option<Digest>,
 }
 
 impl Work<'_, '_> {
@@ -200,24 +203,51 @@ impl Work<'_, '_> {
         let promised = promised?;
         let arrived = part.finish();
         let digest = arrived.hasher.digest();
-        if promised != digest {
+        let is_good = match promised {
+            Some(promised) => promised == digest,
+            None => self.is_whole(entry, if arrived.part.is_some() { &paths.part } else { &paths.whole }, digest)?,
+        };
+        if !is_good {
             drop(arrived.part);
             // Nobody knows which of its bytes are good.
             std::fs::remove_file(&paths.part).map_err(BufferError::write(&paths.part))?;
             return Err(BufferError::Digest { name: entry.name.to_string() });
         }
-        let aside = arrived.part.is_some().then(|| self.aside(&paths)).transpose()?.flatten();
+        let aside = arrived.part.is_some().then(|| self.aside(&paths, digest)).transpose()?.flatten();
         // What came is what is there now, which may be more than was listed.
         Ok(Job { part: arrived.part, paths, aside, entry: Entry { bytes: arrived.bytes, ..entry.clone() }, digest })
     }
 
+    /// Whether a segment's own checksums say that it is what was listed.
+    fn is_whole(&mut self, entry: &Entry, path: &Path, digest: Digest) -> Result<bool, BufferError> {
+        let finding = File::open(path).and_then(|file| verify(&file)).map_err(BufferError::write(path))?.finding;
+        let is_whole = match finding {
+            Finding::Whole | Finding::Unindexed => true,
+            Finding::Cut { .. } => entry.state == State::Cut,
+            Finding::Corrupt { .. } => false,
+        };
+        // The same bytes twice: that is what is there, and not damage on the way.
+        if !is_whole && self.damaged == Some(digest) {
+            self.watch.warns(&format!("{} is damaged where it comes from, too, and is kept as it is", entry.name));
+            return Ok(true);
+        }
+        self.damaged = (!is_whole).then_some(digest);
+        Ok(is_whole)
+    }
+
     /// Where to put a file of the same name that is here. One that had no end is replaced; anything else was a whole
     /// recording, and nothing that was pulled is ever lost.
-    fn aside(&self, paths: &Paths) -> Result<Option<PathBuf>, BufferError> {
+    fn aside(&self, paths: &Paths, digest: Digest) -> Result<Option<PathBuf>, BufferError> {
         let name = &paths.name;
         let Ok(metadata) = std::fs::symlink_metadata(&paths.whole) else { return Ok(None) };
         let known = self.to.index.get(name.as_str());
         if known.is_some_and(|known| known.cut) {
+            return Ok(None);
+        }
+        let mut hasher = Hasher::default();
+        let read = File::open(&paths.whole).and_then(|mut file| hasher.update_from(&mut file, u64::MAX));
+        read.map_err(BufferError::write(&paths.whole))?;
+        if hasher.digest() == digest {
             return Ok(None);
         }
         let word = known.map_or_else(|| file_modified_ns(&metadata).to_string(), |known| known.digest.short());

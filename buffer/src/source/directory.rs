@@ -37,11 +37,16 @@ impl Source for Directory {
         Ok(Catalogue::read(&self.root)?.entries)
     }
 
-    fn fetch(&mut self, name: &Name, have: Have, to: &mut dyn Receive<BufferError>) -> Result<Digest, BufferError> {
+    fn fetch(
+        &mut self,
+        name: &Name,
+        have: Have,
+        to: &mut dyn Receive<BufferError>,
+    ) -> Result<Option<Digest>, BufferError> {
         let path = self.root.path().join(name.as_str());
         let mut file = self.root.open_file(name).map_err(BufferError::read(&path))?;
         match send(&mut file, have, to) {
-            Ok(sent) => Ok(sent.digest),
+            Ok(sent) => Ok(Some(sent.digest)),
             Err(SendError::Sink(error)) => Err(error),
             Err(SendError::Read(error)) => Err(BufferError::read(path)(error)),
             Err(SendError::Changed) => {

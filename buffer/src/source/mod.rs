@@ -24,11 +24,17 @@ pub trait Source: Send {
     /// When it cannot be read or reached.
     fn list(&mut self) -> Result<Vec<Entry>, BufferError>;
 
-    /// Hands `to` the bytes of a file behind what it has, and gives the digest of the whole as the sender computed it.
+    /// Hands `to` the bytes of a file behind what it has, and gives the digest of the whole as the sender computed it. `None`:
+    /// nobody there computes one, and the segment's own checksums must vouch for it.
     ///
     /// # Errors
     /// When the file or the link fails, or `to` does.
-    fn fetch(&mut self, name: &Name, have: Have, to: &mut dyn Receive<BufferError>) -> Result<Digest, BufferError>;
+    fn fetch(
+        &mut self,
+        name: &Name,
+        have: Have,
+        to: &mut dyn Receive<BufferError>,
+    ) -> Result<Option<Digest>, BufferError>;
 
     /// Tells the robot that the segment is safe here, so that it may delete it.
     ///

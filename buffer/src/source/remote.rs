@@ -108,7 +108,12 @@ impl<R: Read + Send, W: Write + Send> Source for Remote<R, W> {
         }
     }
 
-    fn fetch(&mut self, name: &Name, have: Have, to: &mut dyn Receive<BufferError>) -> Result<Digest, BufferError> {
+    fn fetch(
+        &mut self,
+        name: &Name,
+        have: Have,
+        to: &mut dyn Receive<BufferError>,
+    ) -> Result<Option<Digest>, BufferError> {
         self.ask(&Request::Fetch { name: name.clone(), have })?;
         let sender = self.from.clone();
         // Nothing, or where the data are and where they end.
@@ -131,7 +136,7 @@ impl<R: Read + Send, W: Write + Send> Source for Remote<R, W> {
                     to.data(at, bytes)?;
                     progress = Some((at + bytes.len() as u64, length));
                 }
-                (Reply::End { digest }, Some((at, length))) if at == length => return Ok(digest),
+                (Reply::End { digest }, Some((at, length))) if at == length => return Ok(Some(digest)),
                 (other, _) => return Err(unexpected(&sender, &other)),
             }
         }

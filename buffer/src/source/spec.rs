@@ -17,7 +17,12 @@ pub enum Place {
         /// As the other computer has it.
         path: String,
     },
+    /// An object store: `s3://bucket/prefix` and the like.
+    Store(String),
 }
+
+/// The beginnings of object stores' addresses.
+const STORES: [&str; 4] = ["s3://", "gs://", "az://", "file:///"];
 
 /// A buffer and what it is called here.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -29,23 +34,25 @@ pub struct Spec {
 }
 
 impl Spec {
-    /// Reads `[NAME=]DIRECTORY` or `[NAME=][user@]host:path`. As rsync and scp have it, a colon before the first slash means
-    /// another computer. Without a name it is the host's, or the directory's last part.
+    /// Reads `[NAME=]DIRECTORY`, `[NAME=][user@]host:path` or `[NAME=]s3://bucket/prefix`. As rsync and scp have it, a colon before the first slash means
+    /// another computer. Without a name it is the host's, or the last part
+    /// of the directory or address.
     ///
     /// # Errors
     /// When it is neither, or no name can be made of it.
     pub fn parse(text: &str) -> Result<Self, BufferError> {
         let usage = |why: &str| {
-            BufferError::Usage(format!("source {text:?}: {why}; give [user@]host:/path, a directory, or NAME=either"))
+            BufferError::Usage(format!(
+                "source {text:?}: {why}; give [user@]host:/path, a directory, s3://bucket/prefix, or NAME=one of them"
+            ))
         };
         let (name, place) = match text.split_once('=').filter(|(name, _)| !name.contains(['/', ':', '@'])) {
             Some((name, place)) => (Some(name.to_owned()), place),
             None => (None, text),
         };
-        if place.contains("://") {
-            return Err(usage("object stores are not supported; mount them"));
-        }
         let place = match host_and_path(place) {
+            _ if STORES.iter().any(|scheme| place.starts_with(scheme)) => Place::Store(place.to_owned()),
+            _ if place.contains("://") => return Err(usage("object stores are s3://, gs://, az:// or file:///")),
             // ssh would take it for an option.
             Some((host, _)) if host.starts_with('-') || host.is_empty() => return Err(usage("no host's name")),
             Some((_, "")) => return Err(usage("the path is missing")),
@@ -81,6 +88,7 @@ impl Place {
                 let path = std::fs::canonicalize(path).unwrap_or_else(|_| Path::new(path).to_owned());
                 Some(path.file_name()?.to_str()?.to_owned())
             }
+            Self::Store(url) => Some(url.split_once("://")?.1.trim_end_matches('/').rsplit('/').next()?.to_owned()),
         }
     }
 }
@@ -90,6 +98,7 @@ impl fmt::Display for Place {
         match self {
             Self::Directory(path) => write!(f, "{}", path.display()),
             Self::Ssh { host, path } => write!(f, "{host}:{path}"),
+            Self::Store(url) => f.write_str(url),
         }
     }
 }
@@ -115,8 +124,21 @@ mod tests {
     }
 
     #[test]
+    fn an_address_of_an_object_store_is_called_by_its_last_part() {
+        for (text, name, url) in [
+            ("s3://fleet/kitchen", "kitchen", "s3://fleet/kitchen"),
+            ("gs://fleet/", "fleet", "gs://fleet/"),
+            ("r7=az://fleet/a/b", "r7", "az://fleet/a/b"),
+            ("file:///media/a=b/runs", "runs", "file:///media/a=b/runs"),
+        ] {
+            assert_eq!(Spec::parse(text).unwrap(), Spec { name: name.to_owned(), place: Place::Store(url.to_owned()) });
+        }
+    }
+
+    #[test]
     fn what_ssh_would_take_for_an_option_and_other_nonsense_is_refused_with_words() {
-        for bad in ["", "-oProxyCommand=x:/runs", ":/runs", "host:", "s3://bucket/runs", "..=host:/runs", "/"] {
+        for bad in ["", "-oProxyCommand=x:/runs", ":/runs", "host:", "ftp://host/runs", "s3:///", "..=host:/runs", "/"]
+        {
             let error = Spec::parse(bad).unwrap_err().to_string();
             assert!(error.contains("give [user@]host:/path"), "{bad}: {error}");
         }

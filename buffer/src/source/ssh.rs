@@ -101,7 +101,12 @@ impl Source for Ssh {
         self.remote()?.list()
     }
 
-    fn fetch(&mut self, name: &Name, have: Have, to: &mut dyn Receive<BufferError>) -> Result<Digest, BufferError> {
+    fn fetch(
+        &mut self,
+        name: &Name,
+        have: Have,
+        to: &mut dyn Receive<BufferError>,
+    ) -> Result<Option<Digest>, BufferError> {
         self.remote()?.fetch(name, have, to)
     }
 

@@ -134,6 +134,17 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
             let done = export::tum(&files, out)?;
             println!("{}: {} pictures, {} left out without a pose", out.display(), done.pictures, done.without_pose);
         }
+        #[cfg(feature = "lerobot")]
+        ExportLayout::Lerobot => {
+            let done = export::lerobot(&files, out)?;
+            println!(
+                "{}: {} episodes, {} pictures, {} left out without odometry or a command",
+                out.display(),
+                done.episodes,
+                done.frames,
+                done.left_out
+            );
+        }
     }
     Ok(())
 }

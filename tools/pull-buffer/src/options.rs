@@ -5,16 +5,16 @@ use std::path::{Path, PathBuf};
 use buffer::pull::Order;
 use clap::{Parser, ValueEnum};
 
-/// Brings what robots recorded to this computer: over the system's ssh or from a mounted directory. Goes on at the byte where
-/// it was interrupted, verifies every segment by its digest, and never reads again what is here.
+/// Brings what robots recorded to this computer: over the system's ssh, from a mounted directory or out of an object store. Goes
+/// on at the byte where it was interrupted, verifies every segment by its digest, and never reads again what is here.
 ///
 /// Exit codes: 0 everything is here; 1 something needs a person; 2 wrong arguments; 75 only the link failed, the same command
 /// goes on from there.
 #[derive(Debug, Parser)]
 #[command(name = "pull-buffer", version)]
 pub struct Options {
-    /// One or more [user@]host:path or directories, then the destination. Each source goes into DEST/HOST (or DEST/DIRECTORY);
-    /// NAME=SOURCE chooses another name.
+    /// One or more [user@]host:path, directories or object stores (s3://, gs://, az://), then the destination. Each source goes
+    /// into DEST/HOST (or DEST/ and the last part of the directory or address); NAME=SOURCE chooses another name.
     #[arg(required = true, num_args = 2.., value_name = "SOURCE... DEST")]
     places: Vec<String>,
     /// Go on pulling what is recorded from now on, until interrupted. A segment comes when the robot has closed it, at most a
@@ -33,7 +33,7 @@ pub struct Options {
     /// What comes first.
     #[arg(long, value_enum, default_value_t = OrderArg::Oldest)]
     order: OrderArg,
-    /// Also write every run in another layout, to DEST/HOST/tum/RUN.
+    /// Also write every run in another layout, to DEST/HOST/LAYOUT/RUN.
     #[arg(long = "as", value_enum, conflicts_with = "follow", value_name = "LAYOUT")]
     pub layout: Option<Layout>,
     /// Do not tell the robot what is safe here, so that it does not delete it before the rest.
@@ -96,6 +96,9 @@ enum OrderArg {
 pub enum Layout {
     /// The TUM RGB-D benchmark's: rgb.txt, groundtruth.txt from odometry, dataset.toml.
     Tum,
+    /// LeRobot's, version 3.0: Parquet with pictures, odometry and commands.
+    #[cfg(feature = "lerobot")]
+    Lerobot,
 }
 
 /// Bytes a second.

@@ -1,5 +1,7 @@
 //! One robot: connects, pulls, tries again.
 
+use std::path::{Path, PathBuf};
+
 use buffer::pull::{Destination, FileSystem, Report, pull};
 use buffer::source::{Directory, Place, Source, Spec, Ssh, SshOptions};
 use buffer::{BufferError, Kind};
@@ -67,8 +69,8 @@ impl<'a> Robot<'a> {
             clock.sleep_until_ns(deadline_ns);
             pause_s *= 2;
         }
-        if self.options.layout == Some(Layout::Tum) {
-            match self.export(&mut bar) {
+        if let Some(layout) = self.options.layout {
+            match self.export(layout, &mut bar) {
                 Ok(exported) => outcome.exported = exported,
                 Err(error) => outcome.error = Some(error),
             }
@@ -99,25 +101,54 @@ impl<'a> Robot<'a> {
                 };
                 Box::new(Ssh::connect(host, path, &options)?)
             }
+            #[cfg(feature = "object-store")]
+            Place::Store(url) => Box::new(bucket::Bucket::open(url, self.options.stall_s)?),
+            #[cfg(not(feature = "object-store"))]
+            Place::Store(url) => {
+                let text = format!(
+                    "{url}: this program was built without object stores; build it with --features object-store"
+                );
+                return Err(BufferError::Usage(text));
+            }
         })
     }
 
     /// Writes the runs that have no export yet.
-    fn export(&self, bar: &mut Bar) -> Result<u64, BufferError> {
+    fn export(&self, layout: Layout, bar: &mut Bar) -> Result<u64, BufferError> {
         let dir = self.options.directory_of(&self.spec.name);
         let (root, catalogue) = buffer::Catalogue::open(&dir)?;
         let mut exported = 0;
         for (run, entries) in catalogue.runs() {
-            let to = dir.join("tum").join(if run.is_empty() { &self.spec.name } else { run });
+            let to = dir.join(layout.folder()).join(if run.is_empty() { &self.spec.name } else { run });
             if to.exists() {
                 continue;
             }
             let segments: Vec<_> = entries.iter().map(|entry| root.path().join(entry.name.as_str())).collect();
-            let report = buffer::export::tum(&segments, &to)?;
-            bar.say(&format!("{}: {} pictures", to.display(), report.pictures));
+            let pictures = layout.write(&segments, &to)?;
+            bar.say(&format!("{}: {pictures} pictures", to.display()));
             exported += 1;
         }
         Ok(exported)
+    }
+}
+
+impl Layout {
+    /// Below the destination.
+    fn folder(self) -> &'static str {
+        match self {
+            Self::Tum => "tum",
+            #[cfg(feature = "lerobot")]
+            Self::Lerobot => "lerobot",
+        }
+    }
+
+    /// Writes a run; how many pictures it has.
+    fn write(self, segments: &[PathBuf], to: &Path) -> Result<u64, BufferError> {
+        match self {
+            Self::Tum => buffer::export::tum(segments, to).map(|done| done.pictures),
+            #[cfg(feature = "lerobot")]
+            Self::Lerobot => buffer::export::lerobot(segments, to).map(|done| done.frames),
+        }
     }
 }
 

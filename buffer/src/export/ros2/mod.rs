@@ -50,9 +50,9 @@ pub fn ros2(segments: &[PathBuf], to: &Path) -> Result<Bagged, BufferError> {
         let path = dir.join(&name);
         let mut bag = Bag::begin(&path).map_err(|error| failure(error, &path, to))?;
         for segment in segments {
-            let cut =
-                each_turn(segment, |header, turn| bag.turn(header, turn).map_err(|error| refused(error, segment, to)))?;
-            bag.bagged.cut += u64::from(cut);
+            let one = std::slice::from_ref(segment);
+            bag.bagged.cut +=
+                each_turn(one, |header, turn| bag.turn(header, turn).map_err(|error| refused(error, segment, to)))?;
         }
         let (bagged, metadata) = bag.finish(&name).map_err(|error| failure(error, &path, to))?;
         let path = dir.join("metadata.yaml");
