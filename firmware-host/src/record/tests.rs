@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 
-use hal::{CameraModel};
+use hal::CameraModel;
 use runtime::recording::{Picture, RecordedTick, RecordingReader, RunHeader, Views};
 use runtime::tick::{Command, Decision};
 
