@@ -226,6 +226,11 @@ impl Models {
     fn state(&self) -> State {
         self.store.state().unwrap()
     }
+
+    /// What became of the newest model.
+    fn last(&self) -> What {
+        self.store.history().entries.last().unwrap().what
+    }
 }
 
 fn model(name: &str) -> PathBuf {
@@ -249,24 +254,22 @@ fn models_are_swapped_while_it_drives_kept_or_taken_back_and_no_turn_is_left_out
     assert_eq!(drives(&scene).as_ref(), Some(&first));
 
     let better = models.install(&scene, "better");
-    scene.wait("the trial's end", |_| models.state().trial_starts.is_none());
-    assert_eq!(models.state().models, [better.clone(), first.clone()]);
-    assert_eq!(models.store.history().entries.last().unwrap().what, What::Kept);
+    scene.wait("the trial's end", |_| models.last() == What::Kept);
+    assert_eq!(models.state(), State { models: vec![better.clone(), first.clone()], trial_starts: None });
     // An operator goes back and forth.
     for _ in 0..3 {
         models.swap(&scene, &first, |store| drop(store.roll_back("an operator").unwrap()));
         models.install(&scene, "better");
     }
-    scene.wait("the trial's end", |_| models.state().trial_starts.is_none());
-    assert_eq!(drives(&scene).as_ref(), Some(&better));
+    scene.wait("the trial's end", |_| models.last() == What::Kept);
     // One that misbehaves is taken back by the robot itself.
     let bad = std::fs::read(model("nan_in_the_dark")).unwrap();
     models.store.install(&bad, "", "nan_in_the_dark").unwrap();
-    scene.wait("a rollback", |_| models.state().current() == Some(&*better));
-    let history = models.store.history();
-    let last = history.entries.last().unwrap();
-    assert!(last.what == What::RolledBack && last.why.contains("NaN"), "{last:?}");
-    assert_eq!(drives(&scene).as_ref(), Some(&better));
+    scene.wait("a rollback", |_| models.last() == What::RolledBack);
+    let why = models.store.history().entries.last().unwrap().why.clone();
+    assert!(why.contains("NaN"), "{why}");
+    assert_eq!(models.state().current(), Some(&*better));
+    scene.wait("the model before it", |scene| drives(scene).as_ref() == Some(&better));
     scene.drives("driving on");
 
     // Nobody promises that this computer does nothing else. A swap that waits for the disk or for the network to load would

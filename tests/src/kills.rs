@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 /// Kills of a test where `KILLS` does not say how many: enough to notice what breaks often, in seconds.
-const FEW: u64 = 12;
+const FEW: u64 = 6;
 /// Longest wait for a program that should do something.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Between two looks at what a program has done.

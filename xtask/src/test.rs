@@ -9,7 +9,7 @@ use crate::{command, nextest, onnx_runtime, paths, trainer};
 
 /// So often a program is killed in each of the tests that do that.
 const KILLS: &str = "200";
-const FEW_KILLS: &str = "12 of each are among the tests; `cargo xtask test --all` kills 200 times";
+const FEW_KILLS: &str = "6 of each are among the tests; `cargo xtask test --all` kills 200 times";
 
 /// What became of a step.
 enum Outcome {

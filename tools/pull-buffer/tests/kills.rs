@@ -94,15 +94,16 @@ fn killed_again_and_again(mut kill: impl FnMut(&mut Child, &Path) -> bool) {
     while kills < kills::wanted() {
         let mut child =
             server.pull(robot.path(), here.path()).args([LIMIT, "--retries=0"]).stderr(Stdio::null()).spawn().unwrap();
-        moments.wait(&mut child, || kills::listing(here.path())).unwrap();
-        kills += u64::from(kill(&mut child, robot.path()));
+        moments.wait(&mut child, || kills::listing(&here.path().join("robot/run"))).unwrap();
+        let killed = kill(&mut child, robot.path());
+        kills += u64::from(killed);
         child.wait().unwrap();
         let now = have(robot.path(), here.path());
         assert!(now.iter().zip(before).all(|(now, before)| *now >= before), "{before:?}, then {now:?}");
         before = now;
         assert!(rounds <= 50 + kills, "it is through before it can be killed");
         // Killed in one piece for some time, then through to the end.
-        if kills % 4 == 3 || now.iter().sum::<u64>() >= SEGMENTS * BYTES as u64 {
+        if killed && kills % 4 == 3 || now.iter().sum::<u64>() >= SEGMENTS * BYTES as u64 {
             completes(&server, robot.path(), here.path());
             if rounds == 0 {
                 reads_nothing_again(&server, robot.path(), here.path());
