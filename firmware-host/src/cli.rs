@@ -56,8 +56,9 @@ pub struct ExploreArgs {
     /// A depth network (ONNX). Without one, coarse depth is the depth.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// Folder of signed models: the current one drives, and another one that is installed meanwhile takes over, on trial.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["model", "dir", "depth"])]
+    /// Folder of signed models: the current one drives, and another one that is installed meanwhile takes over, on trial. --model
+    /// is its first one, if it never had any.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["dir", "depth"])]
     pub model_store: Option<PathBuf>,
     /// Which depth goes into the map [default: network with --model, else coarse].
     #[arg(long, value_enum)]
@@ -162,9 +163,9 @@ pub struct RunArgs {
     /// A depth network (ONNX). Without one, coarse depth is the depth.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// Folder of signed models: the current one drives, and another one that is installed meanwhile takes over, on trial
-    /// [default: `models.store`].
-    #[arg(long, value_name = "DIR", conflicts_with = "model")]
+    /// Folder of signed models: the current one drives, and another one that is installed meanwhile takes over, on trial. --model
+    /// is its first one, if it never had any [default: `models.store`].
+    #[arg(long, value_name = "DIR")]
     pub model_store: Option<PathBuf>,
     /// Ends after this many pictures [default: goes on until it is told to stop].
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]

@@ -30,7 +30,8 @@ use session::Session;
 /// reason `output_failed`.
 pub fn run(args: &ExploreArgs) -> Result<()> {
     let config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
-    let mut stored = args.model_store.as_deref().map(|dir| Keeper::start(dir, &config)).transpose()?;
+    let mut stored =
+        args.model_store.as_deref().map(|dir| Keeper::start(dir, args.model.as_deref(), &config)).transpose()?;
     let network = match &mut stored {
         Some((_, start)) => start.network.take(),
         None => {

@@ -92,8 +92,9 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
     if let Some(line) = &exploration.line {
         let _ = writeln!(out, "depth        {}", depth_words(line, &exploration.line_by_distance));
     }
-    if let Some(digest) = &exploration.on_trial {
-        let _ = writeln!(out, "model        {} is on trial", digest.get(..12).unwrap_or(digest));
+    if let Some(digest) = &exploration.model {
+        let trial = if exploration.on_trial.is_some() { ", on trial" } else { "" };
+        let _ = writeln!(out, "model        {}{trial}", digest.get(..12).unwrap_or(digest));
     }
     let recording = &status.recording;
     let folder = recording.folder.as_deref().unwrap_or("off");

@@ -364,10 +364,10 @@ fn the_seconds_around_a_moment_become_a_file_that_replays_alone() {
     assert!(!again.status.success() && text(&again.stderr).contains("is there already"), "{}", text(&again.stderr));
 }
 
-/// Set `KILLS` for more.
+/// `KILLS` says how often.
 #[test]
 fn killed_at_any_moment_the_recording_is_good_as_far_as_it_goes() {
-    let kills = std::env::var("KILLS").ok().and_then(|kills| kills.parse().ok()).unwrap_or(12);
+    let kills = hil::kills::wanted();
     let dir = TempDir::new().unwrap();
     let config = dir.path().join("short.toml");
     std::fs::write(&config, SHORT_SEGMENTS).unwrap();

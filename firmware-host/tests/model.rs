@@ -1,137 +1,13 @@
 //! The gate as a user runs it: every bad model is refused with its reason, a better one drives, and what misbehaves is taken back.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot set up its scene has failed")]
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
-use std::sync::OnceLock;
+mod robot;
 
-use firmware_host::model::{State, Store, What};
-use serde_json::Value;
-use tempfile::TempDir;
+use std::path::Path;
 
-const CONFIG: &str = "\
-[camera]\nwidth = 160\nheight = 64\n\
-[models]\nmax_p99_ms = 1000\ngate_timeout_s = 120\ngate_memory_mib = 4096\ntrial_turns = 60\ntrial_m = 0.2\n";
-
-fn binary() -> PathBuf {
-    assert_cmd::cargo::cargo_bin!("firmware-host").to_owned()
-}
-
-fn run(args: &[&str]) -> Output {
-    Command::new(binary()).args(args).env("RUST_LOG", "error").output().unwrap()
-}
-
-fn model_file(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/models/{name}.onnx"))
-}
-
-/// What the robot has seen, once for all tests of this process.
-fn recordings() -> &'static Path {
-    static RECORDED: OnceLock<TempDir> = OnceLock::new();
-    RECORDED
-        .get_or_init(|| {
-            let dir = TempDir::new().unwrap();
-            let config = dir.path().join("robot.toml");
-            std::fs::write(&config, CONFIG).unwrap();
-            let out = dir.path().join("run");
-            let mut args =
-                vec!["explore", "--scene", "builtin:apartment?seed=1", "--policy", "frontier", "--frames", "1500"];
-            args.extend(["--config", config.to_str().unwrap(), "--out", out.to_str().unwrap()]);
-            let explored = run(&args);
-            assert!(explored.status.success(), "{}", String::from_utf8_lossy(&explored.stderr));
-            dir
-        })
-        .path()
-}
-
-/// A robot's folder with keys, configuration and store.
-struct Robot {
-    dir: TempDir,
-    config: String,
-}
-
-impl Robot {
-    fn new() -> Self {
-        Self::with(CONFIG)
-    }
-
-    fn with(config: &str) -> Self {
-        let robot = Self { dir: TempDir::new().unwrap(), config: config.to_owned() };
-        let line = bundle::generate_keys(&robot.path("key"), None, "workshop").unwrap();
-        std::fs::write(robot.path("trusted_keys"), line).unwrap();
-        std::fs::write(robot.path("robot.toml"), &robot.config).unwrap();
-        robot
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.dir.path().join(name)
-    }
-
-    fn text(&self, name: &str) -> String {
-        self.path(name).to_str().unwrap().to_owned()
-    }
-
-    fn store(&self) -> Store {
-        Store::open(&self.path("store")).unwrap()
-    }
-
-    fn state(&self) -> State {
-        self.store().state().unwrap()
-    }
-
-    /// Signs a model's bytes under this name.
-    fn sign(&self, bytes: &[u8], name: &str) -> PathBuf {
-        let path = self.path(&format!("{name}.onnx"));
-        std::fs::write(&path, bytes).unwrap();
-        let key = bundle::read_secret_key(&self.path("key"), || panic!("no password")).unwrap();
-        std::fs::write(bundle::Bundle::signature_path(&path), bundle::sign(bytes, name, &key).unwrap()).unwrap();
-        path
-    }
-
-    fn signed(&self, name: &str) -> PathBuf {
-        self.sign(&std::fs::read(model_file(name)).unwrap(), name)
-    }
-
-    /// `model install`: whether it was accepted, and what was said.
-    fn install(&self, bundle: &Path, more: &[&str]) -> Value {
-        let (config, store, keys) = (self.text("robot.toml"), self.text("store"), self.text("trusted_keys"));
-        let mut args = vec!["model", "install", bundle.to_str().unwrap(), "--json", "--config", &config];
-        // Idle time is scarce on a computer that runs tests.
-        args.extend(["--store", &store, "--trusted-keys", &keys, "--normal-priority"]);
-        args.extend(more);
-        let output = run(&args);
-        let said: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| {
-            panic!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
-        });
-        assert_eq!(output.status.success(), said["accepted"] == true);
-        said
-    }
-
-    /// Installs a model without asking the gate, and takes its trial for done.
-    fn has(&self, name: &str) -> String {
-        let bytes = std::fs::read(model_file(name)).unwrap();
-        let digest = blake3::hash(&bytes).to_hex().to_string();
-        let mut store = self.store();
-        store.install(&bytes, "", name).unwrap();
-        store.keep(&digest, "for the test").unwrap();
-        digest
-    }
-
-    fn judged_by_recordings(&self, name: &str) -> Value {
-        self.install(&self.signed(name), &["--recordings", recordings().to_str().unwrap(), "--frames", "120"])
-    }
-
-    /// Drives with the store; the summary.
-    fn explore(&self, name: &str, frames: &str, more: &[&str]) -> Value {
-        let (config, store, out) = (self.text("robot.toml"), self.text("store"), self.text(name));
-        let mut args = vec!["explore", "--frames", frames, "--seed", "2", "--config", &config, "--out", &out];
-        args.extend(["--model-store", &store]);
-        args.extend(if more.is_empty() { &["--scene", "builtin:apartment?seed=1"][..] } else { more });
-        let output = run(&args);
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        serde_json::from_slice(&std::fs::read(self.path(name).join("summary.json")).unwrap()).unwrap()
-    }
-}
+use firmware_host::config::Config;
+use firmware_host::model::{Keeper, State, Swap, What};
+use robot::{CONFIG, Robot, model_file, run};
 
 #[test]
 fn every_bad_model_is_refused_with_its_reason_and_none_is_accepted() {
@@ -302,38 +178,65 @@ fn rollback_works_while_the_new_model_is_damaged_on_the_disk() {
 }
 
 #[test]
-fn a_kill_at_any_moment_of_an_install_leaves_a_store_that_can_be_used() {
+fn a_robot_starts_although_the_file_that_names_its_model_is_damaged() {
     let robot = Robot::new();
-    let bundle = robot.signed("better");
-    let (config, store, keys) = (robot.text("robot.toml"), robot.text("store"), robot.text("trusted_keys"));
-    let (mut before, mut after) = (0, 0);
-    let mut wait_us = 20_000;
-    for round in 0..60_u64 {
-        let mut child = Command::new(binary())
-            .args(["model", "install", bundle.to_str().unwrap(), "--json", "--config", &config, "--store", &store])
-            .args(["--trusted-keys", &keys, "--normal-priority", "--unproven"])
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
-        // Real time: the moments in which the kernel lets the process be are what is wanted.
-        let pause = rustix::time::Timespec { tv_sec: wait_us / 1_000_000, tv_nsec: wait_us % 1_000_000 * 1000 };
-        let _ = rustix::thread::nanosleep(&pause);
-        let _ = child.kill();
-        child.wait().unwrap();
-        let mut store = robot.store();
-        let state = store.state().unwrap();
-        state.models.iter().for_each(|digest| drop(store.read_model(digest).unwrap()));
-        if state.current().is_none() {
-            before += 1;
-            // Later and later, until it is done before.
-            wait_us += wait_us / 8 + (round as i64 * 7919 % 1000);
-        } else {
-            after += 1;
-            store.roll_back("for the next round").unwrap();
-            std::fs::remove_file(robot.path("store/history.json")).unwrap();
-            wait_us = wait_us * 3 / 4;
-        }
-    }
-    assert!(before > 5 && after > 0, "{before} {after}");
+    robot.has("guess");
+    let better = robot.has("better");
+    std::fs::write(robot.path("store/current"), "{").unwrap();
+    let summary = robot.explore("run", "3", &[]);
+    assert_eq!(summary["model"], *better);
+    assert_eq!(robot.state().current(), Some(&*better));
+    let history = robot.store().history();
+    assert!(history.entries.last().unwrap().why.contains("by the robot itself"), "{history:?}");
+}
+
+#[test]
+fn a_robot_whose_disk_takes_nothing_starts_with_what_has_proved_itself() {
+    let robot = Robot::new();
+    let guess = robot.has("guess");
+    let better = std::fs::read(model_file("better")).unwrap();
+    robot.store().install(&better, "", "better").unwrap();
+    let before = robot.state();
+    // Nobody can write a file where a folder is.
+    std::fs::create_dir(robot.path("store/current.partial")).unwrap();
+    assert_eq!(robot.explore("run", "30", &[])["model"], *guess);
+    assert_eq!(robot.state(), before);
+    std::fs::remove_dir(robot.path("store/current.partial")).unwrap();
+    assert_eq!(robot.explore("again", "3", &[])["model"].as_str(), before.current());
+    assert_eq!(robot.state().trial_starts, Some(1));
+}
+
+#[test]
+fn a_model_that_cannot_be_loaded_leads_to_what_the_store_names_then() {
+    let robot = Robot::new();
+    let guess = robot.has("guess");
+    let config = Config::load(&robot.path("robot.toml")).unwrap();
+    let (mut keeper, start) = Keeper::start(&robot.path("store"), None, &config).unwrap();
+    assert_eq!(start.network.unwrap().digest(), guess);
+    let digest = |swap: Option<Swap>| match swap {
+        Some(Swap::To { network, on_trial }) => Some((network.digest().to_owned(), on_trial)),
+        Some(Swap::ToNone) => Some((String::new(), false)),
+        None => None,
+    };
+    assert_eq!(digest(keeper.look()), None);
+    let better = std::fs::read(model_file("better")).unwrap();
+    robot.store().install(&better, "", "better").unwrap();
+    assert_eq!(digest(keeper.look()), Some((blake3::hash(&better).to_hex().to_string(), true)));
+    // While that one drives on trial, another one is installed, and its file is no network.
+    robot.store().install(b"rot", "", "rot").unwrap();
+    assert_eq!(digest(keeper.look()), None);
+    assert_eq!(robot.state(), State { models: vec![guess.clone()], trial_starts: None });
+    assert_eq!(digest(keeper.look()), Some((guess, false)));
+    assert_eq!(digest(keeper.look()), None);
+}
+
+#[test]
+fn the_network_of_the_program_is_what_a_first_model_is_judged_by() {
+    let robot = Robot::new();
+    let better = model_file("better");
+    let summary =
+        robot.explore("run", "3", &["--scene", "builtin:apartment?seed=1", "--model", better.to_str().unwrap()]);
+    assert_eq!(summary["model"].as_str(), robot.state().current());
+    let worse = robot.judged_by_recordings("worse");
+    assert!(worse["why"].as_str().unwrap().contains("worse than the resident model"), "{worse}");
 }

@@ -1,13 +1,14 @@
 //! The whole binary on simulated devices, in real time and through the real drivers: what it promises when devices come and go.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, reason = "a test that cannot set up its scene has failed")]
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use assert_cmd::cargo::CommandCargoExt;
 use drivers::MonotonicClock;
 use drivers::can::Protocol;
+use firmware_host::model::{State, Store, What};
 use firmware_host::run::status::Status;
 use hal::{CameraModel, Clock};
 use hil::world::{LiveOptions, LiveWorld};
@@ -30,6 +31,11 @@ struct Scene {
 
 impl Scene {
     fn new(protocol: Protocol) -> Self {
+        Self::with(protocol, "", &[])
+    }
+
+    /// With more lines of configuration and more arguments. `{}` is the scene's folder.
+    fn with(protocol: Protocol, more: &str, args: &[&str]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let options = LiveOptions {
             protocol,
@@ -38,16 +44,24 @@ impl Scene {
             ..LiveOptions::default()
         };
         let world = LiveWorld::start(folder.path(), &options).unwrap();
+        let in_folder = |text: &str| text.replace("{}", folder.path().to_str().unwrap());
+        let config = std::fs::read_to_string(world.config()).unwrap();
+        std::fs::write(world.config(), config + &in_folder(more)).unwrap();
         let robot = Command::cargo_bin("firmware-host")
             .unwrap()
             .args(["run", "--config"])
             .arg(world.config())
             .arg("--out")
             .arg(folder.path().join("run"))
+            .args(args.iter().map(|arg| in_folder(arg)))
             .stdout(Stdio::null())
             .spawn()
             .unwrap();
         Self { folder, world, robot }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
     }
 
     fn status(&self) -> Option<Status> {
@@ -91,9 +105,13 @@ impl Scene {
     }
 
     fn ends_well(&mut self) {
+        self.ends_and_replays(&[]);
+    }
+
+    fn ends_and_replays(&mut self, args: &[&Path]) {
         self.signal(Signal::TERM);
         assert!(self.robot.wait().unwrap().success());
-        let (same, text) = replayed(&self.folder.path().join("run"));
+        let (same, text) = replayed(&self.folder.path().join("run"), args);
         assert!(same && text.contains("mismatches=0"), "{text}");
         assert_eq!(self.world.home().score().0, 0, "it touched something");
     }
@@ -106,8 +124,8 @@ impl Drop for Scene {
     }
 }
 
-fn replayed(run: &Path) -> (bool, String) {
-    let output = Command::cargo_bin("firmware-host").unwrap().arg("replay").arg(run).output().unwrap();
+fn replayed(run: &Path, args: &[&Path]) -> (bool, String) {
+    let output = Command::cargo_bin("firmware-host").unwrap().arg("replay").arg(run).args(args).output().unwrap();
     let text = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap()).concat();
     (output.status.success(), text)
 }
@@ -174,9 +192,91 @@ fn killed_in_the_middle_the_wheels_stand_and_the_recording_replays() {
     // The controllers' watchdogs: 100 ms, and the wheels' own lag.
     pause(400);
     assert!(scene.world.wheels().iter().all(|node| node.wheel().velocity_radps().abs() < 0.1));
-    let (_, text) = replayed(&scene.folder.path().join("run"));
+    let (_, text) = replayed(&scene.folder.path().join("run"), &[]);
     assert!(text.contains("mismatches=0") && text.contains("truncated after turn"), "{text}");
     pause(3000);
     let (well, text) = scene.health();
     assert!(!well && text.contains("the program (pid"), "{text}");
+}
+
+/// The robot's models, as another process sees them.
+struct Models {
+    store: Store,
+    /// Turns that were left out while nothing happened but this swap.
+    left_out: Vec<u64>,
+}
+
+impl Models {
+    /// Makes a change in the store, and waits until `digest` drives.
+    fn swap(&mut self, scene: &Scene, digest: &str, change: impl FnOnce(&mut Store)) {
+        let left_out = || scene.status().map_or(0, |status| status.exploration.skipped);
+        let before = left_out();
+        change(&mut self.store);
+        scene.wait("another model", |scene| drives(scene).as_deref() == Some(digest));
+        self.left_out.push(left_out() - before);
+    }
+
+    fn install(&mut self, scene: &Scene, name: &str) -> String {
+        let model = std::fs::read(model(name)).unwrap();
+        let digest = blake3::hash(&model).to_hex().to_string();
+        self.swap(scene, &digest, |store| store.install(&model, "", name).unwrap());
+        digest
+    }
+
+    fn state(&self) -> State {
+        self.store.state().unwrap()
+    }
+
+    /// What became of the newest model.
+    fn last(&self) -> What {
+        self.store.history().entries.last().unwrap().what
+    }
+}
+
+fn model(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/models/{name}.onnx"))
+}
+
+fn drives(scene: &Scene) -> Option<String> {
+    scene.status()?.exploration.model
+}
+
+#[test]
+fn models_are_swapped_while_it_drives_kept_or_taken_back_and_no_turn_is_left_out_for_it() {
+    let more = "\n[models]\nstore = \"{}/models\"\ntrial_turns = 20\ntrial_m = 0.1\n";
+    let guess = model("guess");
+    let mut scene = Scene::with(Protocol::Odrive, more, &["--model", guess.to_str().unwrap()]);
+    scene.drives("the first drive");
+    // The network that came with the program is the store's first.
+    let mut models = Models { store: Store::open(&scene.path("models")).unwrap(), left_out: Vec::new() };
+    let first = models.state().current().unwrap().to_owned();
+    assert_eq!(first, blake3::hash(&std::fs::read(guess).unwrap()).to_hex().to_string());
+    assert_eq!(drives(&scene).as_ref(), Some(&first));
+
+    let better = models.install(&scene, "better");
+    scene.wait("the trial's end", |_| models.last() == What::Kept);
+    assert_eq!(models.state(), State { models: vec![better.clone(), first.clone()], trial_starts: None });
+    // An operator goes back and forth.
+    for _ in 0..3 {
+        models.swap(&scene, &first, |store| drop(store.roll_back("an operator").unwrap()));
+        models.install(&scene, "better");
+    }
+    scene.wait("the trial's end", |_| models.last() == What::Kept);
+    // One that misbehaves is taken back by the robot itself.
+    let bad = std::fs::read(model("nan_in_the_dark")).unwrap();
+    models.store.install(&bad, "", "nan_in_the_dark").unwrap();
+    scene.wait("a rollback", |_| models.last() == What::RolledBack);
+    let why = models.store.history().entries.last().unwrap().why.clone();
+    assert!(why.contains("NaN"), "{why}");
+    assert_eq!(models.state().current(), Some(&*better));
+    scene.wait("the model before it", |scene| drives(scene).as_ref() == Some(&better));
+    scene.drives("driving on");
+
+    // Nobody promises that this computer does nothing else. A swap that waits for the disk or for the network to load would
+    // cost turns every time.
+    let without = models.left_out.iter().filter(|turns| **turns == 0).count();
+    assert!(2 * without > models.left_out.len(), "turns left out at each swap: {:?}", models.left_out);
+    println!("turns left out at each swap: {:?}", models.left_out);
+    let store = scene.path("models");
+    scene.ends_and_replays(&[Path::new("--model-store"), &store]);
 }

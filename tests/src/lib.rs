@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod hokuyo;
+pub mod kills;
 pub mod motor;
 pub mod rig;
 pub mod scenario;

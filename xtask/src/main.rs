@@ -35,7 +35,8 @@ enum Chore {
     Loop,
     /// Format, lints, every test, licences.
     Test {
-        /// The trainer as well, also where PyTorch (5 GB) must be installed for it. CI always does.
+        /// The trainer as well, also where PyTorch (5 GB) must be installed for it (CI always does), and 200 kills instead of 6
+        /// in every test that kills programs.
         #[arg(long)]
         all: bool,
     },

@@ -7,6 +7,10 @@ use anyhow::{Result, bail};
 
 use crate::{command, nextest, onnx_runtime, paths, trainer};
 
+/// So often a program is killed in each of the tests that do that.
+const KILLS: &str = "200";
+const FEW_KILLS: &str = "6 of each are among the tests; `cargo xtask test --all` kills 200 times";
+
 /// What became of a step.
 enum Outcome {
     Passed,
@@ -22,16 +26,22 @@ pub fn run(all: bool) -> Result<()> {
         cargo
     };
     let ci = std::env::var_os("CI").is_some();
-    let tests = match (nextest::install(), ci) {
+    let has_nextest = nextest::install();
+    let tests = match (has_nextest, ci) {
         (true, true) => "nextest run --workspace --locked --profile ci",
         (true, false) => "nextest run --workspace --locked",
         (false, _) => "test --workspace --locked --lib --bins --tests",
+    };
+    let kills = match has_nextest {
+        true => "nextest run --workspace --locked --profile kills",
+        false => "test --workspace --locked --tests killed",
     };
     // All steps run, also after one has failed: whoever waited for them wants to know everything at once.
     let mut outcomes = vec![
         ("format", step(&mut cargo("fmt --all --check"))),
         ("lints", step(&mut cargo("clippy --workspace --all-targets --locked -- -D warnings"))),
         ("tests", step(&mut cargo(tests))),
+        ("kills", if all { step(cargo(kills).env("KILLS", KILLS)) } else { (Outcome::Skipped(FEW_KILLS), 0.0) }),
         ("examples in the documentation", step(&mut cargo("test --workspace --locked --doc --quiet"))),
         ("licences and sources", licences()),
     ];

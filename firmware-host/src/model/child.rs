@@ -1,6 +1,6 @@
 //! Starts the examination in a process of its own and waits for it, no longer than it may take.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
@@ -30,8 +30,8 @@ pub struct ChildLimits {
 pub struct Task<'a> {
     /// The program: this one.
     pub program: &'a Path,
-    /// The model that nobody has run yet.
-    pub candidate: &'a Path,
+    /// The model that nobody has run yet. It gets it through a pipe: no file of it is left behind, whatever is killed when.
+    pub candidate: &'a [u8],
     /// The model that drives.
     pub resident: Option<PathBuf>,
     /// Where held-out pictures are found.
@@ -69,7 +69,7 @@ pub enum Ended {
 pub fn examine(task: &Task<'_>) -> Result<Ended> {
     let ChildLimits { memory_mib, time_s } = task.limits;
     let mut command = Command::new(task.program);
-    command.args(["model", "examine"]).arg("--candidate").arg(task.candidate);
+    command.args(["model", "examine"]);
     for (flag, path) in [("--resident", task.resident.as_deref()), ("--config", task.config)] {
         if let Some(path) = path {
             command.arg(flag).arg(path);
@@ -89,11 +89,14 @@ pub fn examine(task: &Task<'_>) -> Result<Ended> {
     let mut child = command
         // Relative paths in a model lead nowhere; ours are absolute.
         .current_dir("/")
-        .stdin(Stdio::null())
+        .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
         .with_context(|| format!("cannot start {}", task.program.display()))?;
+    let (mut stdin, candidate) = (child.stdin.take().context("no standard input")?, task.candidate.to_vec());
+    // One that does not read is ended when its time is over.
+    std::thread::spawn(move || stdin.write_all(&candidate));
     let (sender, heard) = sync_channel(64);
     let stdout = child.stdout.take().context("no standard output")?;
     let stderr = child.stderr.take().context("no standard error")?;

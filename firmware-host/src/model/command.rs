@@ -104,12 +104,9 @@ pub struct KeygenArgs {
     pub comment: String,
 }
 
-/// Arguments of `model examine`.
+/// Arguments of `model examine`. The model that nobody has run yet comes on standard input.
 #[derive(Debug, Clone, Args)]
 pub struct ExamineArgs {
-    /// The model that nobody has run yet.
-    #[arg(long)]
-    pub candidate: PathBuf,
     /// The model that drives.
     #[arg(long)]
     pub resident: Option<PathBuf>,

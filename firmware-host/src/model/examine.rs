@@ -3,7 +3,7 @@
 //! It limits itself (memory, processor time, priority) before it touches the file, says on standard output how far it is, one
 //! JSON a line, and ends with what it found. Whatever the model does to it, the parent has a reason to refuse.
 
-use std::io::Write;
+use std::io::{Read, Write};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
@@ -11,7 +11,7 @@ use hal::{CameraModel, ImageView, Pose3};
 use ort::environment::Environment;
 use runtime::model_gate::{Examination, FrameScore, Latency, ScoredFrame, Scorer, Source, check_onnx_file};
 use runtime::perception::{DepthNetwork, InputKind, NetworkOptions};
-use rustix::process::{Resource, Rlimit, nice, setrlimit};
+use rustix::process::{Resource, Rlimit, Signal, nice, set_parent_process_death_signal, setrlimit};
 use serde::{Deserialize, Serialize};
 use thread_priority::{NormalThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy};
 
@@ -69,7 +69,8 @@ pub fn run(args: &ExamineArgs) -> Result<()> {
     limit(args);
     say(&Said::Doing("reading the file".to_owned()))?;
     let config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
-    let candidate = std::fs::read(&args.candidate).context("the candidate")?;
+    let mut candidate = Vec::new();
+    std::io::stdin().lock().read_to_end(&mut candidate).context("the candidate")?;
     if let Err(fault) = check_onnx_file(&candidate) {
         return say(&Said::Unfit(Unfit::File(fault.to_string())));
     }
@@ -117,6 +118,10 @@ fn limit(args: &ExamineArgs) {
         if let Err(error) = setrlimit(resource, both(most)) {
             tracing::warn!("{resource:?} cannot be limited: {error}");
         }
+    }
+    // Nobody waits for its word any more.
+    if let Err(error) = set_parent_process_death_signal(Some(Signal::KILL)) {
+        tracing::warn!("it will outlive its parent: {error}");
     }
     if args.idle {
         give_way();

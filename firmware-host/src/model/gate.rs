@@ -8,7 +8,6 @@ use bundle::{Bundle, BundleError, Signed, TrustedKeys};
 use runtime::model_gate::{Examination, GateLimits, Verdict, Why, judge};
 
 use super::child::{ChildLimits, Ended, Task, examine};
-use super::error::StoreError;
 use super::examine::Unfit;
 use super::history::{Entry, What};
 use super::store::Store;
@@ -149,7 +148,7 @@ impl Gate {
         let proven = if state.trial_starts.is_some() { state.previous() } else { state.current() };
         let resident = proven.filter(|digest| store.read_model(digest).is_ok()).map(|digest| store.model_path(digest));
         let has_resident = resident.is_some();
-        let examination = match self.examine(&bundle.model, resident.as_deref(), store)? {
+        let examination = match self.examine(&bundle.model, resident.as_deref())? {
             Ended::Examined(examination) => examination,
             Ended::Unfit(unfit) => return Ok(Err(unfit.into())),
             Ended::Died { doing, how } => return Ok(Err(Refusal::Died { doing, how })),
@@ -162,13 +161,12 @@ impl Gate {
         Ok(Ok((signed, examination, verdict)))
     }
 
-    fn examine(&self, model: &[u8], resident: Option<&Path>, store: &Store) -> Result<Ended> {
-        let candidate = Candidate::write(store.dir(), model)?;
+    fn examine(&self, candidate: &[u8], resident: Option<&Path>) -> Result<Ended> {
         let recordings = self.recordings.iter().map(|path| absolute(path)).collect::<Result<Vec<_>>>()?;
         let config = self.config.as_deref().map(absolute).transpose()?;
         examine(&Task {
             program: &self.program,
-            candidate: &absolute(&candidate.path)?,
+            candidate,
             resident: resident.map(absolute).transpose()?,
             recordings: &recordings,
             config: config.as_deref(),
@@ -181,24 +179,4 @@ impl Gate {
 
 fn absolute(path: &Path) -> Result<PathBuf> {
     Ok(std::path::absolute(path)?)
-}
-
-/// The bytes that were verified, in a file for the child; gone when this is.
-struct Candidate {
-    path: PathBuf,
-}
-
-impl Candidate {
-    fn write(dir: &Path, model: &[u8]) -> std::result::Result<Self, StoreError> {
-        let path = dir.join(format!("candidate.{}", std::process::id()));
-        let candidate = Self { path: path.clone() };
-        std::fs::write(&path, model).map_err(|source| StoreError::Write { path, source })?;
-        Ok(candidate)
-    }
-}
-
-impl Drop for Candidate {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.path);
-    }
 }

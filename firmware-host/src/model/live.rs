@@ -13,9 +13,10 @@ use runtime::tick::{Decision, TickInput};
 use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 
-use super::store::Store;
+use super::error::StoreErrorKind;
+use super::store::{State, Store};
 use crate::config::Config;
 use crate::setup;
 
@@ -39,26 +40,39 @@ pub enum Swap {
 
 /// What becomes of a model, to be written into the store.
 enum Ask {
-    Keep { digest: String, why: String },
-    RollBack { digest: String, why: String },
+    Keep {
+        digest: String,
+        why: String,
+    },
+    /// With what drives instead.
+    RollBack {
+        digest: String,
+        why: String,
+        drives: Option<String>,
+    },
 }
 
 /// Looks after one store: loads what is new in it, and writes into it what became of models.
 pub struct Keeper {
     store: Store,
     config: Config,
-    /// What drives, as far as the store is concerned.
+    /// What drives, as far as this side knows.
     seen: Option<String>,
 }
 
 impl Keeper {
-    /// What the robot starts with: the network that drives and, while that is on trial, the one to go back to.
+    /// What the robot starts with: the network that drives and, while that is on trial, the one to go back to. `first` goes into a
+    /// store that never had a model.
     ///
     /// # Errors
-    /// A store that cannot be used. A current model that cannot be loaded is rolled back instead.
-    pub fn start(dir: &Path, config: &Config) -> Result<(Self, Start)> {
+    /// A store that cannot be used, or no `first` where it is needed. A current model that cannot be loaded is rolled back instead,
+    /// and so is one that nobody knows because the store's own file is damaged.
+    pub fn start(dir: &Path, first: Option<&Path>, config: &Config) -> Result<(Self, Start)> {
         let mut keeper = Self { store: Store::open(dir)?, config: config.clone(), seen: None };
-        let mut state = keeper.store.start()?;
+        if let Some(path) = first {
+            keeper.adopt(path)?;
+        }
+        let mut state = keeper.begin()?;
         let mut network = None;
         while let Some(digest) = state.current().map(str::to_owned) {
             match keeper.load(&digest) {
@@ -67,15 +81,46 @@ impl Keeper {
                     break;
                 }
                 Err(error) => {
-                    tracing::error!("the model {digest} cannot be used and is rolled back: {error:#}");
-                    state = keeper.store.roll_back(&format!("rolled back: it cannot be loaded: {error:#}"))?;
+                    keeper.give_up(&digest, &format!("rolled back: it cannot be loaded: {error:#}"));
+                    // The same again where the disk takes nothing.
+                    state.models.remove(0);
+                    state.trial_starts = None;
                 }
             }
         }
         let on_trial = state.current().filter(|_| state.trial_starts.is_some()).map(str::to_owned);
         let resident = state.previous().filter(|_| on_trial.is_some()).and_then(|digest| keeper.load(digest).ok());
-        keeper.seen = state.current().map(str::to_owned);
+        keeper.seen = keeper.store.state().ok().and_then(|state| state.current().map(str::to_owned));
         Ok((keeper, Start { network, on_trial, resident }))
+    }
+
+    /// What the store says drives. A full disk or a damaged file keeps no robot from driving.
+    fn begin(&mut self) -> Result<State> {
+        let error = match self.store.start() {
+            Ok(state) => return Ok(state),
+            Err(error) => error,
+        };
+        tracing::error!("{error}");
+        if error.kind() == StoreErrorKind::Damaged {
+            return Ok(self.store.roll_back(&format!("rolled back by the robot itself: {error}"))?);
+        }
+        let mut state = self.store.state()?;
+        if let Some(digest) = state.current().filter(|_| state.trial_starts.is_some()) {
+            // A model that ends the program would do so for ever.
+            tracing::error!("nobody could count the starts with {digest}: the model before it drives");
+            state.models.remove(0);
+            state.trial_starts = None;
+        }
+        Ok(state)
+    }
+
+    fn adopt(&mut self, path: &Path) -> Result<()> {
+        if self.store.is_new() {
+            let model = std::fs::read(path).with_context(|| format!("cannot read the model {}", path.display()))?;
+            let name = path.file_stem().unwrap_or_default().to_string_lossy();
+            self.store.adopt(&model, &name)?;
+        }
+        Ok(())
     }
 
     fn load(&self, digest: &str) -> Result<DepthNetwork> {
@@ -89,12 +134,20 @@ impl Keeper {
         if state.current() == self.seen.as_deref() {
             return None;
         }
-        self.seen = state.current().map(str::to_owned);
-        let Some(digest) = state.current() else { return Some(Swap::ToNone) };
+        let Some(digest) = state.current() else {
+            self.seen = None;
+            return Some(Swap::ToNone);
+        };
         match self.load(digest) {
-            Ok(network) => Some(Swap::To { network: Box::new(network), on_trial: state.trial_starts.is_some() }),
+            Ok(network) => {
+                self.seen = Some(digest.to_owned());
+                Some(Swap::To { network: Box::new(network), on_trial: state.trial_starts.is_some() })
+            }
             Err(error) => {
-                self.roll_back(digest, &format!("rolled back: it cannot be loaded: {error:#}"));
+                // What is current then need not be what drives: the next look sees to it.
+                if !self.give_up(digest, &format!("rolled back: it cannot be loaded: {error:#}")) {
+                    self.seen = Some(digest.to_owned());
+                }
                 None
             }
         }
@@ -107,19 +160,22 @@ impl Keeper {
                     tracing::error!("the model {digest} stays on trial: {error}");
                 }
             }
-            Ask::RollBack { digest, why } => self.roll_back(&digest, &why),
+            Ask::RollBack { digest, why, drives } => {
+                // Where the store still names it, it must not come back; nor where another one is on its way to the loop.
+                if self.give_up(&digest, &why) && self.seen == Some(digest) {
+                    self.seen = drives;
+                }
+            }
         }
     }
 
-    /// A model that somebody else has rolled back meanwhile needs no more of that.
-    fn roll_back(&mut self, digest: &str, why: &str) {
+    /// Whether the store names another one now. A model that somebody else has rolled back meanwhile needs no more of that.
+    fn give_up(&mut self, digest: &str, why: &str) -> bool {
         tracing::error!("the model {digest} is given up: {why}");
-        if !self.store.state().is_ok_and(|state| state.current() != Some(digest)) {
-            match self.store.roll_back(why) {
-                Ok(state) => self.seen = state.current().map(str::to_owned),
-                Err(error) => tracing::error!("the store still names it: {error}"),
-            }
-        }
+        self.store
+            .give_up(digest, why)
+            .inspect_err(|error| tracing::error!("the store still names it: {error}"))
+            .is_ok()
     }
 }
 
@@ -259,11 +315,12 @@ impl LiveModels {
             self.resident = *trial.counts();
             return self.ask(Ask::Keep { digest, why: why.to_owned() });
         }
+        let drives = resident.as_ref().map(|resident| resident.digest().to_owned());
         match resident {
             Some(resident) => drop(robot.take_network(resident)),
             None => robot.leave_network(),
         }
-        self.ask(Ask::RollBack { digest, why: why.to_owned() });
+        self.ask(Ask::RollBack { digest, why: why.to_owned(), drives });
     }
 
     fn ask(&mut self, ask: Ask) {

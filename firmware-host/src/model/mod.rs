@@ -30,5 +30,5 @@ pub use error::{StoreError, StoreErrorKind};
 pub use examine::Unfit;
 pub use gate::{Gate, Outcome, Refusal};
 pub use history::{Entry, History, What};
-pub use live::{Keeper, LiveModels, Start};
+pub use live::{Keeper, LiveModels, Start, Swap};
 pub use store::{State, Store};

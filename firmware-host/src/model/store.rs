@@ -130,6 +130,29 @@ impl Store {
         read.filter(whole).ok_or_else(|| StoreError::Model { digest: digest.to_owned(), dir: self.dir.clone() })
     }
 
+    /// Whether it never had a model.
+    #[must_use]
+    pub fn is_new(&self) -> bool {
+        !self.state_path().exists()
+    }
+
+    /// Puts in the model that came with the program, as one that has proved itself. Only into a store that never had any: what an
+    /// operator has rolled back stays away. Whether it did.
+    ///
+    /// # Errors
+    /// When the disk fails; the store is then as it was.
+    pub fn adopt(&mut self, model: &[u8], name: &str) -> Result<bool, StoreError> {
+        let _lock = self.lock()?;
+        if !self.is_new() {
+            return Ok(false);
+        }
+        let digest = blake3::hash(model).to_hex().to_string();
+        self.put(&self.model_path(&digest), model)?;
+        self.set(&State { models: vec![digest.clone()], trial_starts: None })?;
+        self.add_line(Entry::now(What::Kept, &digest, name, "the store's first, it came with the program"));
+        Ok(true)
+    }
+
     /// Makes a model the current one, on trial. One that still was on trial is dropped: what is gone back to has proved itself.
     ///
     /// # Errors
@@ -144,7 +167,7 @@ impl Store {
         let others = old.models.iter().skip(unproven).filter(|other| **other != digest).cloned();
         let models: Vec<String> = std::iter::once(digest.clone()).chain(others).take(KEPT).collect();
         self.set(&State { models, trial_starts: Some(0) })?;
-        self.note(Entry::now(What::Installed, &digest, name, ""));
+        self.add_line(Entry::now(What::Installed, &digest, name, ""));
         self.clean_up();
         Ok(())
     }
@@ -156,6 +179,23 @@ impl Store {
     /// When there is nothing to go back from, or the disk fails.
     pub fn roll_back(&mut self, why: &str) -> Result<State, StoreError> {
         let _lock = self.lock()?;
+        self.go_back(why)
+    }
+
+    /// As [`roll_back`](Self::roll_back), unless another model is current meanwhile.
+    ///
+    /// # Errors
+    /// As [`roll_back`](Self::roll_back).
+    pub fn give_up(&mut self, digest: &str, why: &str) -> Result<State, StoreError> {
+        let _lock = self.lock()?;
+        match self.state() {
+            Ok(state) if state.current() != Some(digest) => Ok(state),
+            _ => self.go_back(why),
+        }
+    }
+
+    /// To be called with the lock.
+    fn go_back(&mut self, why: &str) -> Result<State, StoreError> {
         let (left, rest) = match self.state() {
             Ok(state) => match state.models.split_first() {
                 Some((left, rest)) => (left.clone(), rest.to_vec()),
@@ -168,7 +208,7 @@ impl Store {
         let state = State { models, trial_starts: None };
         self.set(&state)?;
         let name = self.history().name(&left).to_owned();
-        self.note(Entry::now(What::RolledBack, &left, &name, why));
+        self.add_line(Entry::now(What::RolledBack, &left, &name, why));
         Ok(state)
     }
 
@@ -194,7 +234,7 @@ impl Store {
         }
         self.set(&State { trial_starts: None, ..state })?;
         let name = self.history().name(digest).to_owned();
-        self.note(Entry::now(What::Kept, digest, &name, why));
+        self.add_line(Entry::now(What::Kept, digest, &name, why));
         self.clean_up();
         Ok(())
     }
@@ -205,13 +245,13 @@ impl Store {
     /// # Errors
     /// When the disk fails or the state is damaged.
     pub fn start(&mut self) -> Result<State, StoreError> {
+        let _lock = self.lock()?;
         let state = self.state()?;
         match state.trial_starts {
-            Some(starts) if starts >= MOST_TRIAL_STARTS => self.roll_back(&format!(
+            Some(starts) if starts >= MOST_TRIAL_STARTS => self.go_back(&format!(
                 "rolled back: the robot was started {starts} times with it, and its trial never ended"
             )),
             Some(starts) => {
-                let _lock = self.lock()?;
                 let state = State { trial_starts: Some(starts + 1), ..state };
                 self.set(&state)?;
                 Ok(state)
@@ -222,6 +262,14 @@ impl Store {
 
     /// Writes a line of the history. A disk that takes no line is no reason to stop; it is logged.
     pub fn note(&mut self, entry: Entry) {
+        match self.lock() {
+            Ok(_lock) => self.add_line(entry),
+            Err(error) => tracing::warn!("{error}; the history lacks a line"),
+        }
+    }
+
+    /// To be called with the lock: what another process has added meanwhile must not be lost.
+    fn add_line(&mut self, entry: Entry) {
         let mut history = self.history();
         history.add(entry);
         let path = self.dir.join("history.json");

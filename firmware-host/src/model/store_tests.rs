@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::disk::{RealDisk, StoreDisk};
 use super::error::StoreErrorKind;
-use super::history::What;
+use super::history::{Entry, What};
 use super::store::{MOST_TRIAL_STARTS, Store};
 
 const MODELS: [&[u8]; 6] = [b"first", b"second", b"third", b"fourth", b"fifth", b"sixth"];
@@ -232,4 +232,45 @@ fn two_processes_change_a_store_one_after_the_other() {
     let distinct: HashSet<_> = state.models.iter().collect();
     assert_eq!(distinct.len(), state.models.len());
     state.models.iter().for_each(|digest| drop(store.read_model(digest).unwrap()));
+}
+
+#[test]
+fn the_model_that_came_with_the_program_is_the_first_of_a_store_that_never_had_any() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut store = Store::open(dir.path()).unwrap();
+    assert!(store.adopt(MODELS[0], "default").unwrap());
+    let state = store.state().unwrap();
+    assert_eq!((state.current(), state.trial_starts), (Some(&*digest(MODELS[0])), None));
+    assert_eq!(store.history().name(&digest(MODELS[0])), "default");
+    // What is damaged goes back to it.
+    std::fs::write(dir.path().join("current"), "{").unwrap();
+    assert!(!store.adopt(MODELS[1], "newer").unwrap());
+    assert_eq!(store.roll_back("damaged").unwrap().current(), Some(&*digest(MODELS[0])));
+    // What an operator does not want does not come back.
+    store.roll_back("").unwrap();
+    assert!(!store.adopt(MODELS[0], "default").unwrap());
+    assert_eq!(store.state().unwrap().current(), None);
+}
+
+#[test]
+fn a_model_is_given_up_only_while_it_drives() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut store = store_with(dir.path(), 2);
+    let second = digest(MODELS[1]);
+    assert_eq!(store.give_up(&digest(MODELS[0]), "late").unwrap().current(), Some(&*second));
+    assert_eq!(store.give_up(&second, "late").unwrap().current(), Some(&*digest(MODELS[0])));
+    // Twice is once.
+    assert_eq!(store.give_up(&second, "late").unwrap().current(), Some(&*digest(MODELS[0])));
+}
+
+#[test]
+fn no_line_of_the_history_is_lost_when_several_processes_write() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path();
+    let refuse = move |who: usize| {
+        let mut store = Store::open(path).unwrap();
+        (0..20).for_each(|_| store.note(Entry::now(What::Refused, &digest(MODELS[who]), "m", "")));
+    };
+    std::thread::scope(|scope| (0..4).for_each(|who| drop(scope.spawn(move || refuse(who)))));
+    assert_eq!(Store::open(dir.path()).unwrap().history().entries.len(), 80);
 }

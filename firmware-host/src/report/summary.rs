@@ -71,6 +71,9 @@ pub struct Summary {
     /// Most of them in a row.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stuck_longest_frames: Option<u64>,
+    /// Turns of a real robot's exploration plane that were left out because the one before took longer than its period.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub skipped_turns: Option<u64>,
     /// What happened, by reason.
     #[serde(flatten)]
     pub events: EventCounts,

@@ -73,6 +73,10 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
     let goal_counts = (chosen > 0).then(|| format!("{chosen} chosen, {} reached, {dropped} dropped", goals.reached));
     vec![
         ("frames", frames(summary)),
+        (
+            "left out",
+            summary.skipped_turns.map_or(String::new(), |turns| format!("{turns} turns that would have been late")),
+        ),
         ("ended by", summary.end_reason.map_or(String::new(), |end| name(&end))),
         ("coverage", coverage(summary)),
         ("path", summary.path_m.map_or(String::new(), |path| format!("{path:.1} m"))),

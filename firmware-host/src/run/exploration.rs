@@ -272,6 +272,7 @@ impl Exploration {
             turn_p99_ms: ms(|total| total.p99),
             line: self.line.overall(),
             line_by_distance: self.line.by_distance(),
+            model: self.robot.network_digest(),
             on_trial: self.models.as_ref().and_then(LiveModels::on_trial).map(str::to_owned),
             mapped_m2: free as f64 * map.cell_m() * map.cell_m(),
         }

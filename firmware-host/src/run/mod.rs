@@ -53,12 +53,13 @@ pub fn run(args: &RunArgs) -> Result<()> {
     config.planning.arcs = true;
     config.check_devices(&args.config)?;
     let camera = config.camera.model();
-    let configured = Some(&config.models.store).filter(|dir| args.model.is_none() && !dir.is_empty());
+    let configured = Some(&config.models.store).filter(|dir| !dir.is_empty());
     let store = args.model_store.clone().or_else(|| configured.map(PathBuf::from));
-    let mut start = store.as_deref().map(|dir| Keeper::start(dir, &config)).transpose()?;
+    let first = args.model.as_deref();
+    let mut start = store.as_deref().map(|dir| Keeper::start(dir, first, &config)).transpose()?;
     let network = match &mut start {
         Some((_, start)) => start.network.take(),
-        None => args.model.as_deref().map(|path| setup::load_network(path, &camera, &config)).transpose()?,
+        None => first.map(|path| setup::load_network(path, &camera, &config)).transpose()?,
     };
     let depth_source = if network.is_some() { DepthSource::Network } else { DepthSource::Coarse };
     let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };
@@ -88,15 +89,21 @@ pub fn run(args: &RunArgs) -> Result<()> {
     }
     supervision.announce(&safety);
     let mut clock = FaultyClock::new(MonotonicClock, &faults);
-    let end = explore(args, &config, &signals, &mut clock, &mut safety, &mut exploration, &mut supervision)?;
+    let (end, skipped) = explore(args, &config, &signals, &mut clock, &mut safety, &mut exploration, &mut supervision)?;
     let late = safety.shut_down();
     supervision.good_bye();
-    let summary =
-        Summary { model, end_reason: Some(end), faults: plan.texts(), fault_seed: plan.seed(), ..Summary::default() };
+    let summary = Summary {
+        model,
+        end_reason: Some(end),
+        skipped_turns: Some(skipped),
+        faults: plan.texts(),
+        fault_seed: plan.seed(),
+        ..Summary::default()
+    };
     report(args, &mission, summary, exploration.finish(), late)
 }
 
-/// The exploration plane's loop.
+/// The exploration plane's loop. Why it ended, and the turns that were left out because the one before took longer than its period.
 fn explore(
     args: &RunArgs,
     config: &Config,
@@ -105,7 +112,7 @@ fn explore(
     safety: &mut SafetyThread,
     exploration: &mut Exploration,
     supervision: &mut Supervision,
-) -> Result<ExploreEnd> {
+) -> Result<(ExploreEnd, u64)> {
     let period_ns = config.base.tick_ns();
     let mut due_ns = clock.now_ns();
     let mut skipped = 0;
@@ -113,13 +120,13 @@ fn explore(
         due_ns += period_ns;
         clock.sleep_until_ns(due_ns);
         if signals.stop.load(Ordering::Relaxed) {
-            return Ok(ExploreEnd::Interrupted);
+            return Ok((ExploreEnd::Interrupted, skipped));
         }
         if args.frames.is_some_and(|frames| exploration.pictures() >= frames) {
-            return Ok(ExploreEnd::FrameBudget);
+            return Ok((ExploreEnd::FrameBudget, skipped));
         }
         if !safety.is_alive() {
-            return Ok(ExploreEnd::DeviceFailed);
+            return Ok((ExploreEnd::DeviceFailed, skipped));
         }
         if signals.disarm.swap(false, Ordering::Relaxed) {
             safety.request(Request::Disarm);

@@ -118,6 +118,9 @@ pub struct ExplorationStatus {
     pub line: Option<LineAccuracy>,
     /// The same, distance by distance.
     pub line_by_distance: Vec<LineAccuracy>,
+    /// Digest of the model that drives; absent with coarse depth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
     /// Digest of the model that is on trial, if one is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub on_trial: Option<String>,

@@ -5,6 +5,7 @@ pub mod can;
 pub mod data;
 mod data_sshd;
 mod flow;
+pub mod gate;
 pub mod imaging;
 pub mod lidar;
 pub mod mapping;
@@ -39,10 +40,11 @@ fn driver_rows() -> anyhow::Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// What is recorded, and how it comes to the workstation.
+/// What is recorded, how it comes to the workstation, and how the robot judges what comes back.
 fn data_rows() -> anyhow::Result<Vec<Row>> {
     let mut rows = recorder::rows()?;
     rows.extend(data::rows()?);
+    rows.extend(gate::rows()?);
     Ok(rows)
 }
 

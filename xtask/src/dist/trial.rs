@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 
 use super::Arch;
 use crate::{command, paths};
@@ -41,8 +41,36 @@ pub fn run(arch: Arch, package: &Path) -> Result<()> {
     if arch.is_this_computers() {
         // ONNX Runtime does not run under emulation: it crashes when it asks what processor it has.
         explore("network", "5", Some(&root.join("usr/share/embodied-depth/default.onnx")))?;
+        models(&root, &folder, firmware)?;
     }
     service(&root)
+}
+
+/// Explores with what the service is given: the package's network becomes the first of the store in robot.toml.
+fn models(root: &Path, folder: &Path, firmware: impl Fn(&[&str]) -> Command) -> Result<()> {
+    let read = |path: &str| {
+        let path = root.join(path);
+        std::fs::read_to_string(&path).with_context(|| path.display().to_string())
+    };
+    let [config, unit] = ["etc/embodied-depth/robot.toml", "lib/systemd/system/embodied-depth.service"].map(read);
+    let (config, unit) = (config?, unit?);
+    let store = config.lines().find_map(|line| line.strip_prefix("store = \"")?.strip_suffix('"'));
+    let store = store.context("robot.toml names no models.store")?;
+    // Where the service may write: `StateDirectory=`.
+    let name = store.strip_prefix("/var/lib/embodied-depth/").context("the service cannot write its models.store")?;
+    ensure!(unit.lines().any(|line| line == "StateDirectory=embodied-depth"), "the service has no state directory");
+    let arguments = unit.lines().find_map(|line| line.strip_prefix("Environment=\"ARGUMENTS=")?.strip_suffix('"'));
+    let model = arguments.and_then(|words| words.split_whitespace().skip_while(|word| *word != "--model").nth(1));
+    let model = root.join(model.context("the service gives no --model")?.trim_start_matches('/'));
+    let store = folder.join(name);
+    let mut explore = firmware(&["explore", "--scene", "builtin:apartment?seed=1", "--frames", "5", "--out"]);
+    explore.arg(folder.join("stored")).arg("--model-store").arg(&store).arg("--model").arg(&model);
+    command::run(explore.stdout(std::process::Stdio::null()))?;
+    let mut list = firmware(&["model", "list", "--json", "--store"]);
+    list.arg(&store).arg("--config").arg(root.join("etc/embodied-depth/robot.toml"));
+    let said = String::from_utf8_lossy(&list.output()?.stdout).into_owned();
+    ensure!(said.contains("\"name\":\"default\""), "the package's network is not the store's first: {said}");
+    Ok(())
 }
 
 fn program(arch: Arch, path: &Path) -> Command {

@@ -1,0 +1,167 @@
+//! Installing a model and driving with a store, killed at random moments: the store is good, and the robot starts again. `KILLS`
+//! says how often.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot set up its scene has failed")]
+
+mod robot;
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use firmware_host::model::{History, State};
+use hil::kills::{self, Moments};
+use robot::{Robot, binary, run};
+
+/// A program that says nothing.
+fn start(args: &[&str]) -> Child {
+    Command::new(binary()).args(args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+}
+
+/// The store's state, which can be read, as can its history and all of its models.
+fn whole(robot: &Robot) -> State {
+    let store = robot.store();
+    let state = store.state().unwrap();
+    state.models.iter().for_each(|digest| drop(store.read_model(digest).unwrap()));
+    if let Ok(history) = std::fs::read(robot.path("store/history.json")) {
+        serde_json::from_slice::<History>(&history).unwrap();
+    }
+    for entry in std::fs::read_dir(robot.path("store")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        let known = ["current", "models", "history.json", "lock"].contains(&name.as_str());
+        assert!(known || name.ends_with(".partial"), "{name} is left over");
+    }
+    state
+}
+
+/// Processes that examine a model for this robot.
+fn examining(robot: &Robot) -> usize {
+    let config = robot.text("robot.toml");
+    let lines = std::fs::read_dir("/proc").unwrap().flatten();
+    let lines = lines.filter_map(|entry| std::fs::read(entry.path().join("cmdline")).ok());
+    let words = lines.map(|line| String::from_utf8_lossy(&line).into_owned());
+    words.filter(|line| line.contains("examine") && line.contains(&config)).count()
+}
+
+#[test]
+fn an_install_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
+    let robot = Robot::new();
+    let guess = robot.has("guess");
+    let bundle = robot.signed("better");
+    let (config, store, keys) = (robot.text("robot.toml"), robot.text("store"), robot.text("trusted_keys"));
+    let mut args = vec!["model", "install", bundle.to_str().unwrap(), "--json", "--config", &config, "--store", &store];
+    // The resident model's word counts in other tests; here nothing is judged, and everything is done.
+    args.extend(["--trusted-keys", &keys, "--normal-priority", "--unproven", "--again"]);
+    let old = State { models: vec![guess.clone()], trial_starts: None };
+    let recordings = robot::recordings().to_str().unwrap().to_owned();
+    args.extend(["--recordings", &recordings, "--frames", "40"]);
+    let began = Instant::now();
+    assert!(start(&args).wait().unwrap().success());
+    let mut moments = Moments::new(5, began.elapsed());
+    let new = whole(&robot);
+    assert_eq!((new.previous(), new.trial_starts), (Some(&*guess), Some(0)));
+    let back = || {
+        let output = run(&["model", "rollback", "--json", "--store", &store]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(whole(&robot), old);
+    };
+    back();
+    let (mut kills, mut installed, mut tries) = (0, 0, 0);
+    while kills < kills::wanted() {
+        tries += 1;
+        assert!(tries <= 50 + 4 * kills::wanted(), "it is through before it can be killed");
+        let mut child = start(&args);
+        moments.wait(&mut child, || kills::listing(&robot.path("store"))).unwrap();
+        kills += u64::from(child.try_wait().unwrap().is_none());
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let state = whole(&robot);
+        assert!(state == old || state == new, "{state:?}");
+        if state == new {
+            installed += 1;
+            back();
+        }
+    }
+    let began = Instant::now();
+    while examining(&robot) > 0 {
+        assert!(began.elapsed() < Duration::from_secs(10), "what examined outlives what asked for it");
+        std::thread::yield_now();
+    }
+    println!("{kills} kills in {tries} installs, {installed} times the new model was current");
+    // It still can.
+    assert!(start(&args).wait().unwrap().success());
+    assert_eq!(whole(&robot), new);
+}
+
+/// Drives with the store for so many pictures; says nothing.
+fn drive(robot: &Robot, out: &Path, frames: &str) -> Child {
+    let (config, store) = (robot.text("robot.toml"), robot.text("store"));
+    let scene = "builtin:apartment?seed=1";
+    let mut args = vec!["explore", "--frames", frames, "--seed", "2", "--scene", scene, "--config", &config];
+    args.extend(["--model-store", &store, "--out", out.to_str().unwrap()]);
+    start(&args)
+}
+
+/// Kills a robot that takes the model `name` while it drives; the store's states that may come of it.
+fn killed_while_swapping(name: &str, comes_to: fn(guess: &str, new: &str) -> State) {
+    let robot = Robot::new();
+    let guess = robot.has("guess");
+    let bytes = std::fs::read(robot::model_file(name)).unwrap();
+    let new = blake3::hash(&bytes).to_hex().to_string();
+    let old = State { models: vec![guess.clone()], trial_starts: None };
+    let end = comes_to(&guess, &new);
+    let out = robot.path("run");
+    let install = || robot.store().install(&bytes, "", name).unwrap();
+    let forget = || {
+        // As it was before the model was offered.
+        std::fs::remove_file(robot.path("store/history.json")).unwrap();
+        std::fs::write(robot.path("store/current"), serde_json::to_vec(&old).unwrap()).unwrap();
+        let _ = std::fs::remove_dir_all(&out);
+    };
+    install();
+    let began = Instant::now();
+    assert!(drive(&robot, &out, "150").wait().unwrap().success());
+    assert_eq!(whole(&robot), end);
+    let mut moments = Moments::new(9, began.elapsed());
+    let (mut kills, mut tries, mut ends, mut trials) = (0, 0, 0, 0);
+    while kills < kills::wanted() {
+        tries += 1;
+        assert!(tries <= 50 + 4 * kills::wanted(), "it is through before it can be killed");
+        forget();
+        let mut child = drive(&robot, &out, "150");
+        while !out.join("recording_0000.mcap").exists() {
+            assert!(child.try_wait().unwrap().is_none(), "it does not drive");
+            std::thread::yield_now();
+        }
+        install();
+        moments.wait(&mut child, || kills::listing(&robot.path("store"))).unwrap();
+        kills += u64::from(child.try_wait().unwrap().is_none());
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let state = whole(&robot);
+        let on_trial = State { models: vec![new.clone(), guess.clone()], trial_starts: Some(0) };
+        assert!(state == on_trial || state == end, "{state:?}");
+        (ends, trials) = (ends + u64::from(state == end), trials + u64::from(state == on_trial));
+        // It starts again, and drives with what it should.
+        std::fs::remove_dir_all(&out).unwrap();
+        assert!(drive(&robot, &out, "2").wait().unwrap().success(), "after {state:?}");
+        let summary = std::fs::read(out.join("summary.json")).unwrap();
+        let summary: serde_json::Value = serde_json::from_slice(&summary).unwrap();
+        assert_eq!(summary["model"].as_str(), state.current());
+        let again = whole(&robot);
+        assert_eq!(again, State { trial_starts: state.trial_starts.map(|starts| starts + 1), ..state });
+    }
+    println!("{name}: {kills} kills in {tries} drives, {trials} on trial, {ends} after the trial's end");
+}
+
+#[test]
+fn a_robot_killed_while_it_takes_a_good_model_has_it_on_trial_or_keeps_it() {
+    killed_while_swapping("better", |guess, new| State {
+        models: vec![new.to_owned(), guess.to_owned()],
+        trial_starts: None,
+    });
+}
+
+#[test]
+fn a_robot_killed_while_it_takes_a_bad_model_has_it_on_trial_or_is_back() {
+    killed_while_swapping("nan_in_the_dark", |guess, _| State { models: vec![guess.to_owned()], trial_starts: None });
+}

@@ -1,0 +1,134 @@
+//! A robot's folder with keys, configuration and models.
+#![allow(dead_code, missing_docs, clippy::unwrap_used, clippy::panic, reason = "helpers of tests; not all use all")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+use firmware_host::model::{State, Store};
+use serde_json::Value;
+use tempfile::TempDir;
+
+pub const CONFIG: &str = "\
+[camera]\nwidth = 160\nheight = 64\n\
+[models]\nmax_p99_ms = 1000\ngate_timeout_s = 120\ngate_memory_mib = 4096\ntrial_turns = 60\ntrial_m = 0.2\n";
+
+pub fn binary() -> PathBuf {
+    assert_cmd::cargo::cargo_bin!("firmware-host").to_owned()
+}
+
+pub fn run(args: &[&str]) -> Output {
+    Command::new(binary()).args(args).env("RUST_LOG", "error").output().unwrap()
+}
+
+pub fn model_file(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/models/{name}.onnx"))
+}
+
+/// What the robot has seen, once for all tests of this process.
+pub fn recordings() -> &'static Path {
+    static RECORDED: OnceLock<TempDir> = OnceLock::new();
+    RECORDED
+        .get_or_init(|| {
+            let dir = TempDir::new().unwrap();
+            let config = dir.path().join("robot.toml");
+            std::fs::write(&config, CONFIG).unwrap();
+            let out = dir.path().join("run");
+            let mut args =
+                vec!["explore", "--scene", "builtin:apartment?seed=1", "--policy", "frontier", "--frames", "1500"];
+            args.extend(["--config", config.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+            let explored = run(&args);
+            assert!(explored.status.success(), "{}", String::from_utf8_lossy(&explored.stderr));
+            dir
+        })
+        .path()
+}
+
+/// A robot's folder with keys, configuration and store.
+pub struct Robot {
+    pub dir: TempDir,
+    config: String,
+}
+
+impl Robot {
+    pub fn new() -> Self {
+        Self::with(CONFIG)
+    }
+
+    pub fn with(config: &str) -> Self {
+        let robot = Self { dir: TempDir::new().unwrap(), config: config.to_owned() };
+        let line = bundle::generate_keys(&robot.path("key"), None, "workshop").unwrap();
+        std::fs::write(robot.path("trusted_keys"), line).unwrap();
+        std::fs::write(robot.path("robot.toml"), &robot.config).unwrap();
+        robot
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    pub fn text(&self, name: &str) -> String {
+        self.path(name).to_str().unwrap().to_owned()
+    }
+
+    pub fn store(&self) -> Store {
+        Store::open(&self.path("store")).unwrap()
+    }
+
+    pub fn state(&self) -> State {
+        self.store().state().unwrap()
+    }
+
+    /// Signs a model's bytes under this name.
+    pub fn sign(&self, bytes: &[u8], name: &str) -> PathBuf {
+        let path = self.path(&format!("{name}.onnx"));
+        std::fs::write(&path, bytes).unwrap();
+        let key = bundle::read_secret_key(&self.path("key"), || panic!("no password")).unwrap();
+        std::fs::write(bundle::Bundle::signature_path(&path), bundle::sign(bytes, name, &key).unwrap()).unwrap();
+        path
+    }
+
+    pub fn signed(&self, name: &str) -> PathBuf {
+        self.sign(&std::fs::read(model_file(name)).unwrap(), name)
+    }
+
+    /// `model install`: whether it was accepted, and what was said.
+    pub fn install(&self, bundle: &Path, more: &[&str]) -> Value {
+        let (config, store, keys) = (self.text("robot.toml"), self.text("store"), self.text("trusted_keys"));
+        let mut args = vec!["model", "install", bundle.to_str().unwrap(), "--json", "--config", &config];
+        // Idle time is scarce on a computer that runs tests.
+        args.extend(["--store", &store, "--trusted-keys", &keys, "--normal-priority"]);
+        args.extend(more);
+        let output = run(&args);
+        let said: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| {
+            panic!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+        });
+        assert_eq!(output.status.success(), said["accepted"] == true);
+        said
+    }
+
+    /// Installs a model without asking the gate, and takes its trial for done.
+    pub fn has(&self, name: &str) -> String {
+        let bytes = std::fs::read(model_file(name)).unwrap();
+        let digest = blake3::hash(&bytes).to_hex().to_string();
+        let mut store = self.store();
+        store.install(&bytes, "", name).unwrap();
+        store.keep(&digest, "for the test").unwrap();
+        digest
+    }
+
+    pub fn judged_by_recordings(&self, name: &str) -> Value {
+        self.install(&self.signed(name), &["--recordings", recordings().to_str().unwrap(), "--frames", "120"])
+    }
+
+    /// Drives with the store; the summary.
+    pub fn explore(&self, name: &str, frames: &str, more: &[&str]) -> Value {
+        let (config, store, out) = (self.text("robot.toml"), self.text("store"), self.text(name));
+        let mut args = vec!["explore", "--frames", frames, "--seed", "2", "--config", &config, "--out", &out];
+        args.extend(["--model-store", &store]);
+        args.extend(if more.is_empty() { &["--scene", "builtin:apartment?seed=1"][..] } else { more });
+        let output = run(&args);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&std::fs::read(self.path(name).join("summary.json")).unwrap()).unwrap()
+    }
+}

@@ -1,0 +1,148 @@
+//! `push-model` killed at random moments while it sends a model over real ssh: the robot has the old one or the new one. `KILLS` says
+//! how often.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot set up its scene has failed")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use hil::kills::{self, Moments};
+use hil::sshd::Sshd;
+use serde_json::Value;
+use tempfile::{TempDir, tempdir};
+
+/// What an orphan may take to end.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+fn program(name: &str) -> PathBuf {
+    let program = assert_cmd::cargo::cargo_bin(name);
+    assert!(program.is_file(), "build it first: cargo build -p {name}");
+    program
+}
+
+fn said(command: &mut Command) -> String {
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// More than any pipe holds, so that most pushes are killed before the whole model is on its way: ModelProto's `doc_string`, field 6,
+/// of 2^23 spaces.
+fn padded(mut model: Vec<u8>) -> Vec<u8> {
+    model.extend([0x32, 0x80, 0x80, 0x80, 0x04]);
+    model.resize(model.len() + (1 << 23), b' ');
+    model
+}
+
+/// A robot behind an ssh server, and a workstation with a signed model.
+struct Scene {
+    dir: TempDir,
+    sshd: Sshd,
+    library: String,
+}
+
+impl Scene {
+    /// `None` where there is no ssh server or no ONNX Runtime, as in the other tests of those.
+    fn new() -> Option<Self> {
+        let library = std::env::var("ORT_DYLIB_PATH").ok()?;
+        let dir = tempdir().unwrap();
+        let scene = Self { sshd: Sshd::start(&dir.path().join("ssh")).unwrap()?, dir, library };
+        let limits = "[camera]\nwidth = 160\nheight = 64\n[models]\nmax_p99_ms = 1000\n";
+        std::fs::write(scene.path("robot.toml"), limits).unwrap();
+        let push = || Command::new(program("push-model"));
+        let key = said(push().args(["keygen", "--no-password"]).arg(scene.path("key")));
+        std::fs::write(scene.path("trusted_keys"), key).unwrap();
+        for name in ["guess", "better"] {
+            let model =
+                Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../firmware-host/tests/models/{name}.onnx"));
+            let path = scene.path(&format!("{name}.onnx"));
+            std::fs::write(&path, padded(std::fs::read(model).unwrap())).unwrap();
+            said(push().arg("sign").arg(path).arg("--key").arg(scene.path("key")));
+        }
+        Some(scene)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    fn push(&self, name: &str) -> Child {
+        let firmware = format!("env ORT_DYLIB_PATH={} {}", self.library, program("firmware-host").display());
+        let mut push = Command::new(program("push-model"));
+        push.arg(self.path(name)).arg(format!("127.0.0.1:{}", self.path("store").display()));
+        push.args(self.sshd.options().iter().map(|option| format!("--ssh={option}"))).arg("--program").arg(firmware);
+        for (flag, file) in [("--config", "robot.toml"), ("--trusted-keys", "trusted_keys")] {
+            push.arg(format!("--gate={flag}={}", self.path(file).display()));
+        }
+        for flag in ["--unproven", "--again", "--normal-priority"] {
+            push.arg(format!("--gate={flag}"));
+        }
+        push.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+    }
+
+    /// What `firmware-host model` says of the store.
+    fn model(&self, words: &[&str]) -> Value {
+        let mut command = Command::new(program("firmware-host"));
+        command.arg("model").args(words).arg("--json").arg("--store").arg(self.path("store"));
+        serde_json::from_str(&said(command.arg("--config").arg(self.path("robot.toml")))).unwrap()
+    }
+
+    /// Waits for what a killed push left running on the robot. The store's state then.
+    fn settled(&self) -> Value {
+        let began = Instant::now();
+        let store = self.path("store").display().to_string();
+        let busy = || {
+            let lines = std::fs::read_dir("/proc").unwrap().flatten();
+            let mut lines = lines.filter_map(|entry| std::fs::read(entry.path().join("cmdline")).ok());
+            lines.any(|line| String::from_utf8_lossy(&line).contains(&store))
+        };
+        while busy() {
+            assert!(began.elapsed() < PATIENCE, "the robot's side does not end");
+            std::thread::yield_now();
+        }
+        let list = self.model(&["list"]);
+        assert!(list["problem"].is_null() && list["history"].is_array(), "{list}");
+        for digest in list["state"]["models"].as_array().unwrap() {
+            let digest = digest.as_str().unwrap();
+            let model = std::fs::read(self.path("store/models").join(format!("{digest}.onnx"))).unwrap();
+            assert_eq!(blake3::hash(&model).to_hex().as_str(), digest);
+        }
+        list["state"].clone()
+    }
+}
+
+#[test]
+fn a_push_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
+    let Some(scene) = Scene::new() else { return };
+    assert!(scene.push("guess.onnx").wait().unwrap().success());
+    let old = scene.settled();
+    let began = Instant::now();
+    assert!(scene.push("better.onnx").wait().unwrap().success());
+    let mut moments = Moments::new(3, began.elapsed());
+    let new = scene.settled();
+    assert_ne!(old, new);
+    // Both were accepted, and are on trial; going back leads to no model.
+    let begin_again = || {
+        scene.model(&["rollback"]);
+        assert!(scene.push("guess.onnx").wait().unwrap().success());
+        assert_eq!(scene.settled(), old);
+    };
+    begin_again();
+    let (mut kills, mut tries, mut arrived) = (0, 0, 0);
+    while kills < kills::wanted() {
+        tries += 1;
+        assert!(tries <= 50 + 4 * kills::wanted(), "it is through before it can be killed");
+        let mut child = scene.push("better.onnx");
+        moments.wait(&mut child, || kills::listing(&scene.path("store"))).unwrap();
+        kills += u64::from(child.try_wait().unwrap().is_none());
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let state = scene.settled();
+        assert!(state == old || state == new, "{state}");
+        if state == new {
+            arrived += 1;
+            begin_again();
+        }
+    }
+    println!("{kills} kills in {tries} pushes, {arrived} models arrived all the same");
+}
