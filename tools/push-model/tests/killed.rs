@@ -14,9 +14,14 @@ use tempfile::{TempDir, tempdir};
 /// What an orphan may take to end.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-fn program(name: &str) -> PathBuf {
-    let program = assert_cmd::cargo::cargo_bin(name);
-    assert!(program.is_file(), "build it first: cargo build -p {name}");
+fn push_model() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_push-model"))
+}
+
+/// The robot's program, which lies beside ours.
+fn firmware_host() -> PathBuf {
+    let program = Path::new(env!("CARGO_BIN_EXE_push-model")).with_file_name("firmware-host");
+    assert!(program.is_file(), "build it first: cargo build -p firmware-host");
     program
 }
 
@@ -49,15 +54,14 @@ impl Scene {
         let scene = Self { sshd: Sshd::start(&dir.path().join("ssh")).unwrap()?, dir, library };
         let limits = "[camera]\nwidth = 160\nheight = 64\n[models]\nmax_p99_ms = 1000\n";
         std::fs::write(scene.path("robot.toml"), limits).unwrap();
-        let push = || Command::new(program("push-model"));
-        let key = said(push().args(["keygen", "--no-password"]).arg(scene.path("key")));
+        let key = said(push_model().args(["keygen", "--no-password"]).arg(scene.path("key")));
         std::fs::write(scene.path("trusted_keys"), key).unwrap();
         for name in ["guess", "better"] {
             let model =
-                Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../firmware-host/tests/models/{name}.onnx"));
+                Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../firmware-host/tests/models/{name}.onnx"));
             let path = scene.path(&format!("{name}.onnx"));
             std::fs::write(&path, padded(std::fs::read(model).unwrap())).unwrap();
-            said(push().arg("sign").arg(path).arg("--key").arg(scene.path("key")));
+            said(push_model().arg("sign").arg(path).arg("--key").arg(scene.path("key")));
         }
         Some(scene)
     }
@@ -67,8 +71,8 @@ impl Scene {
     }
 
     fn push(&self, name: &str) -> Child {
-        let firmware = format!("env ORT_DYLIB_PATH={} {}", self.library, program("firmware-host").display());
-        let mut push = Command::new(program("push-model"));
+        let firmware = format!("env ORT_DYLIB_PATH={} {}", self.library, firmware_host().display());
+        let mut push = push_model();
         push.arg(self.path(name)).arg(format!("127.0.0.1:{}", self.path("store").display()));
         push.args(self.sshd.options().iter().map(|option| format!("--ssh={option}"))).arg("--program").arg(firmware);
         for (flag, file) in [("--config", "robot.toml"), ("--trusted-keys", "trusted_keys")] {
@@ -82,7 +86,7 @@ impl Scene {
 
     /// What `firmware-host model` says of the store.
     fn model(&self, words: &[&str]) -> Value {
-        let mut command = Command::new(program("firmware-host"));
+        let mut command = Command::new(firmware_host());
         command.arg("model").args(words).arg("--json").arg("--store").arg(self.path("store"));
         serde_json::from_str(&said(command.arg("--config").arg(self.path("robot.toml")))).unwrap()
     }
