@@ -11,6 +11,9 @@ use crate::{command, nextest, onnx_runtime, paths, trainer};
 const KILLS: &str = "200";
 const FEW_KILLS: &str = "6 of each are among the tests; `cargo xtask test --all` kills 200 times";
 
+/// With what `pull-buffer` leaves out by default; the tests build it without.
+const LINTS: &str = "clippy --workspace --all-targets --features pull-buffer/object-store,pull-buffer/lerobot,firmware-host/lerobot --locked -- -D warnings";
+
 /// What became of a step.
 enum Outcome {
     Passed,
@@ -28,8 +31,8 @@ pub fn run(all: bool) -> Result<()> {
     let ci = std::env::var_os("CI").is_some();
     let has_nextest = nextest::install();
     let tests = match (has_nextest, ci) {
-        (true, true) => "nextest run --workspace --locked --profile ci",
-        (true, false) => "nextest run --workspace --locked",
+        (true, true) => "nextest run --workspace --features buffer/lerobot --locked --profile ci",
+        (true, false) => "nextest run --workspace --features buffer/lerobot --locked",
         (false, _) => "test --workspace --locked --lib --bins --tests",
     };
     let kills = match has_nextest {
@@ -39,7 +42,7 @@ pub fn run(all: bool) -> Result<()> {
     // All steps run, also after one has failed: whoever waited for them wants to know everything at once.
     let mut outcomes = vec![
         ("format", step(&mut cargo("fmt --all --check"))),
-        ("lints", step(&mut cargo("clippy --workspace --all-targets --locked -- -D warnings"))),
+        ("lints", step(&mut cargo(LINTS))),
         ("tests", step(&mut cargo(tests))),
         ("kills", if all { step(cargo(kills).env("KILLS", KILLS)) } else { (Outcome::Skipped(FEW_KILLS), 0.0) }),
         ("examples in the documentation", step(&mut cargo("test --workspace --locked --doc --quiet"))),
