@@ -45,7 +45,10 @@ pub fn run(all: bool) -> Result<()> {
         ("lints", step(&mut cargo(LINTS))),
         ("tests", step(&mut cargo(tests))),
         ("kills", if all { step(cargo(kills).env("KILLS", KILLS)) } else { (Outcome::Skipped(FEW_KILLS), 0.0) }),
-        ("examples in the documentation", step(&mut cargo("test --workspace --features buffer/lerobot --locked --doc --quiet"))),
+        (
+            "examples in the documentation",
+            step(&mut cargo("test --workspace --features buffer/lerobot --locked --doc --quiet")),
+        ),
         ("licences and sources", licences()),
     ];
     outcomes.extend(trainer_steps(all || ci)?);
