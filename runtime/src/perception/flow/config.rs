@@ -35,7 +35,7 @@ impl From<FlowPreset> for FlowConfig {
     fn from(preset: FlowPreset) -> Self {
         let (finest_scale, patch_stride_px, descent_iterations, variational_iterations) = match preset {
             FlowPreset::UltraFast => (2, 4, 12, 1),
-            FlowPreset::Fast => (2, 4, 16, 5),
+            FlowPreset::Fast => (2, 4, 16, 6),
             FlowPreset::Medium => (1, 3, 25, 7),
         };
         Self { finest_scale, patch_stride_px, descent_iterations, variational_iterations }
