@@ -34,18 +34,12 @@ impl CensusImage {
     /// Computes the census of `frame`; false when the format is not RGB8 or GRAY8.
     pub fn compute(&mut self, frame: ImageView<'_>) -> bool {
         (self.width, self.height) = (frame.width(), frame.height());
-        self.grey.clear();
-        match frame.format() {
-            PixelFormat::Gray8 => self.grey.extend(frame.data().iter().map(|value| u16::from(*value) << 6)),
-            PixelFormat::Rgb8 => {
-                self.grey.resize(self.width * self.height, 0);
-                let rows =
-                    self.grey.par_chunks_exact_mut(self.width).zip(frame.data().par_chunks_exact(3 * self.width));
-                rows.for_each(|(grey, rgb)| luma(rgb, grey));
-            }
+        let bytes = match frame.format() {
+            PixelFormat::Gray8 => 1,
+            PixelFormat::Rgb8 => 3,
             _ => return false,
-        }
-        self.smooth_2x2();
+        };
+        self.smooth_2x2(frame.data(), bytes);
         self.describe();
         true
     }
@@ -55,18 +49,31 @@ impl CensusImage {
         self.descriptors.iter().filter(|descriptor| **descriptor != 0).count() * 50 >= self.width * self.height
     }
 
-    fn smooth_2x2(&mut self) {
+    /// From `data` of so many bytes a pixel. Every band has its own grey values, the first row of the next included: they stay
+    /// in the cache.
+    fn smooth_2x2(&mut self, data: &[u8], bytes: usize) {
         let (width, height) = (self.width, self.height);
         self.smooth.resize(width * height, 0);
-        let grey = &self.grey;
-        self.smooth.par_chunks_exact_mut(width).enumerate().for_each(|(y, out)| {
-            let upper = &grey[y * width..][..width];
-            let lower = &grey[(y + 1).min(height - 1) * width..][..width];
-            for x in 0..width - 1 {
-                out[x] = upper[x] + upper[x + 1] + lower[x] + lower[x + 1];
+        self.grey.resize(height.div_ceil(BAND) * (BAND + 1) * width, 0);
+        let bands = self.smooth.par_chunks_mut(BAND * width).zip(self.grey.par_chunks_exact_mut((BAND + 1) * width));
+        bands.enumerate().for_each(|(band, (smooth, grey))| {
+            let rows = data.chunks_exact(bytes * width).skip(band * BAND);
+            for (grey, row) in grey.chunks_exact_mut(width).zip(rows) {
+                match bytes {
+                    3 => luma(row, grey),
+                    _ => grey.iter_mut().zip(row).for_each(|(grey, value)| *grey = u16::from(*value) << 6),
+                }
             }
-            out[width - 1] = 2 * (upper[width - 1] + lower[width - 1]);
+            for (row, smooth) in smooth.chunks_exact_mut(width).enumerate() {
+                let below = if band * BAND + row + 1 < height { row + 1 } else { row };
+                smooth_row(&grey[row * width..][..width], &grey[below * width..][..width], smooth);
+            }
         });
+    }
+
+    /// Takes the other's memory that holds nothing from picture to picture.
+    pub fn take_scratch(&mut self, other: &mut Self) {
+        std::mem::swap(&mut self.grey, &mut other.grey);
     }
 
     fn describe(&mut self) {
@@ -111,54 +118,104 @@ fn luma(rgb: &[u8], grey: &mut [u16]) {
     }
 }
 
+/// Rows of a picture that are worked on at once.
+const BAND: usize = 16;
+
+/// Sums of 2x2; beyond the right edge the edge is repeated.
+#[multiversion(targets("x86_64+avx2"))]
+fn smooth_row(upper: &[u16], lower: &[u16], out: &mut [u16]) {
+    let last = out.len() - 1;
+    let next = upper[1..].iter().zip(&lower[1..]);
+    for ((out, (upper, lower)), (next_upper, next_lower)) in out.iter_mut().zip(upper.iter().zip(lower)).zip(next) {
+        *out = upper + next_upper + lower + next_lower;
+    }
+    out[last] = 2 * (upper[last] + lower[last]);
+}
+
 /// Descriptors of one row of a picture of as many columns.
 #[multiversion(targets("x86_64+avx2"))]
 fn describe_row(smooth: &[u16], row: usize, out: &mut [u32]) {
     let width = out.len();
     let last = (smooth.len() / width) as isize - 1;
-    let centre = &smooth[row * width..][..width];
-    // Sixteen bits are compared side by side, so the descriptor is gathered in two halves.
-    let (mut low, mut high) = ([0_u16; BLOCK], [0_u16; BLOCK]);
-    for (block, out) in out.chunks_mut(BLOCK).enumerate() {
-        low.fill(0);
-        high.fill(0);
-        let mut bit = 0;
-        for dy in -2_isize..=2 {
-            let line = (row as isize + 2 * dy).clamp(0, last) as usize;
-            let line = &smooth[line * width..][..width];
-            for dx in -2_isize..=2 {
-                if (dx, dy) != (0, 0) {
-                    let half = if bit < HALF { &mut low } else { &mut high };
-                    compare(&mut half[..out.len()], centre, line, block * BLOCK, 2 * dx, bit % HALF);
-                    bit += 1;
-                }
+    let lines: [&[u16]; 5] = std::array::from_fn(|index| {
+        let line = (row as isize + 2 * (index as isize - 2)).clamp(0, last) as usize;
+        &smooth[line * width..][..width]
+    });
+    // Away from the left and right edge, lanes of pixels side by side; the last ones overlap.
+    let Some(right) = width.checked_sub(REACH + LANES).filter(|right| *right >= REACH) else {
+        return describe_edge(&lines, 0..width, out);
+    };
+    describe_edge(&lines, 0..REACH, out);
+    for column in (REACH..right).step_by(LANES).chain([right]) {
+        describe_lanes(&lines, column, out);
+    }
+    describe_edge(&lines, width - REACH..width, out);
+}
+
+/// Pixels from the middle of a descriptor to its edge, and descriptors that are computed side by side.
+const REACH: usize = 4;
+const LANES: usize = 16;
+/// Bits of half a descriptor: sixteen bits are compared side by side, so it is gathered in two halves.
+const HALF: usize = BITS as usize / 2;
+
+/// The neighbours in the order of their bits: line of the window, and columns from its left edge.
+const NEIGHBOURS: [(usize, usize); BITS as usize] = {
+    let mut all = [(0, 0); BITS as usize];
+    let mut bit = 0;
+    while bit < all.len() {
+        // Place 12 is the middle.
+        let place = if bit < 12 { bit } else { bit + 1 };
+        all[bit] = (place / 5, 2 * (place % 5));
+        bit += 1;
+    }
+    all
+};
+
+/// The value below which a neighbour counts as darker.
+#[inline(always)]
+fn threshold(centre: u16) -> u16 {
+    centre.saturating_sub(NOISE)
+}
+
+#[inline(always)]
+fn describe_lanes(lines: &[&[u16]; 5], column: usize, out: &mut [u32]) {
+    let mut thresholds = [0; LANES];
+    for (threshold_of, centre) in thresholds.iter_mut().zip(&lines[2][column..]) {
+        *threshold_of = threshold(*centre);
+    }
+    let mut windows = [&[0; LANES + 2 * REACH]; 5];
+    for (window, line) in windows.iter_mut().zip(lines) {
+        let Some(values) = line[column - REACH..].first_chunk() else { return };
+        *window = values;
+    }
+    let mut halves = [[0_u16; LANES]; 2];
+    for (half, neighbours) in halves.iter_mut().zip(NEIGHBOURS.chunks_exact(HALF)) {
+        let mut value = 1;
+        for (line, shift) in neighbours {
+            let near = &windows[*line][*shift..][..LANES];
+            for lane in 0..LANES {
+                half[lane] |= if near[lane] < thresholds[lane] { value } else { 0 };
             }
+            value <<= 1;
         }
-        for ((out, low), high) in out.iter_mut().zip(&low).zip(&high) {
-            *out = u32::from(*low) | u32::from(*high) << HALF;
-        }
+    }
+    let [low, high] = halves;
+    for ((out, low), high) in out[column..].iter_mut().zip(low).zip(high) {
+        *out = u32::from(low) | u32::from(high) << HALF;
     }
 }
 
-/// Descriptors that are computed at once, and bits of half a descriptor.
-const BLOCK: usize = 128;
-const HALF: u32 = BITS / 2;
-
-/// Sets `bit` where the neighbour `shift` columns to the right is darker, from column `first` on; beyond the edge the edge is
-/// repeated.
+/// Beyond the edge the edge is repeated.
 #[inline(always)]
-fn compare(out: &mut [u16], centre: &[u16], line: &[u16], first: usize, shift: isize, bit: u32) {
-    let width = line.len();
-    let begin = first.wrapping_add_signed(shift);
-    if let (Some(shifted), Some(centre)) = (line.get(begin..begin.wrapping_add(out.len())), centre.get(first..)) {
-        for ((out, centre), neighbour) in out.iter_mut().zip(centre).zip(shifted) {
-            *out |= u16::from(neighbour.saturating_add(NOISE) < *centre) << bit;
+fn describe_edge(lines: &[&[u16]; 5], columns: std::ops::Range<usize>, out: &mut [u32]) {
+    let width = out.len();
+    for column in columns {
+        let threshold = threshold(lines[2][column]);
+        out[column] = 0;
+        for (bit, (line, shift)) in NEIGHBOURS.iter().enumerate() {
+            let at = (column + shift).saturating_sub(REACH).min(width - 1);
+            out[column] |= u32::from(lines[*line][at] < threshold) << bit;
         }
-        return;
-    }
-    for (index, out) in out.iter_mut().enumerate() {
-        let neighbour = line[(first + index).saturating_add_signed(shift).min(width - 1)];
-        *out |= u16::from(neighbour.saturating_add(NOISE) < centre[first + index]) << bit;
     }
 }
 

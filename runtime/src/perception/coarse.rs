@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::aggregate::{PathRows, Volume};
 use super::census::CensusImage;
 use super::enlarge::Cells;
-use super::fusion::{Belief, Memory};
+use super::fusion::{Belief, CELLS_AT_ONCE, Memory};
 use super::keyframes::{Keyframes, Wanted};
 use super::motion::PictureMotion;
 use super::moving::MovingThings;
@@ -131,7 +131,12 @@ impl CoarseDepth {
     /// Why there is none. A picture of the wrong size, without texture, of a frozen camera or with a pose that is not finite
     /// leaves no trace; every other one is remembered.
     pub fn estimate(&mut self, frame: ImageView<'_>, t_odom_camera: &Pose3) -> Result<&DepthEstimate, NoDepth> {
-        let pose = t_odom_camera;
+        // Into the pool once: to go there for every part of the work takes longer than some of them.
+        rayon::scope(|_| self.estimate_in_pool(frame, t_odom_camera))?;
+        Ok(&self.estimate)
+    }
+
+    fn estimate_in_pool(&mut self, frame: ImageView<'_>, pose: &Pose3) -> Result<(), NoDepth> {
         if !pose.to_homogeneous().iter().all(|value| value.is_finite()) {
             return Err(NoDepth::PoseNotFinite);
         }
@@ -149,7 +154,7 @@ impl CoarseDepth {
         let outcome = self.look(pose);
         self.keyframes.offer(&self.pose, &mut self.picture, &self.config);
         self.last_pose = Some(*pose);
-        outcome.map(|()| &self.estimate)
+        outcome
     }
 
     /// What the last picture says about every cell of 4x4 pixels, and what is believed of it, row-major; for studies.
@@ -175,7 +180,6 @@ impl CoarseDepth {
         if self.keyframes.is_empty() {
             return Err(NoDepth::FirstFrame);
         }
-        self.memory.advance(&self.pose, &self.cells, self.config.memory);
         self.memory.drop_where(self.moving.last());
         self.buffers.votes.fill(Vote::default());
         let jitter_rad = if self.config.steady_rotation { JITTER_MARGIN * self.steady.jitter_rad() } else { 0.0 };
@@ -205,12 +209,13 @@ impl CoarseDepth {
         self.scene_depth_m = FIRST_SCENE_DEPTH_M;
     }
 
-    /// What flow to the picture before tells: where the camera looks, and what moves by itself.
+    /// What flow to the picture before tells: where the camera looks, and what moves by itself. Memory moves along.
     fn follow(&mut self, said: &Pose3) {
         let before = std::mem::replace(&mut self.pose, *said);
         self.moving.forget();
         let Some(flow) = self.motion.follow(&self.picture) else {
             self.steady.begin(said);
+            self.memory.advance(said, &self.cells, self.config.memory);
             return;
         };
         let (picture, camera, cells) = (&self.picture, &self.descriptors, &self.cells);
@@ -220,10 +225,14 @@ impl CoarseDepth {
             let believed = Believed { beliefs, confidence, cells, scene_depth_m: self.scene_depth_m };
             self.pose = self.steady.steady(said, seen, believed);
         }
-        if self.config.find_moving {
-            let t_before_now = before.inverse() * self.pose;
-            self.moving.look(picture, flow, &t_before_now, camera, self.config.min_depth_m);
-        }
+        let (pose, memory, moving) = (&self.pose, &mut self.memory, &mut self.moving);
+        let advance = || memory.advance(pose, cells, self.config.memory);
+        let look = || {
+            if self.config.find_moving {
+                moving.look(picture, flow, &(before.inverse() * pose), camera, self.config.min_depth_m);
+            }
+        };
+        rayon::join(look, advance);
     }
 
     /// Nobody moves and sees the same to the last bit: taken at its word, such a picture shows a world without parallax.
@@ -288,9 +297,8 @@ impl CoarseDepth {
 
     /// The probability of every belief.
     fn judge(&mut self) {
-        for (confidence, belief) in self.buffers.confidence.iter_mut().zip(self.memory.beliefs()) {
-            *confidence = trust::of_belief(&self.config.belief_weights, belief);
-        }
+        let pairs = self.buffers.confidence.par_iter_mut().zip(self.memory.beliefs()).with_min_len(CELLS_AT_ONCE);
+        pairs.for_each(|(confidence, belief)| *confidence = trust::of_belief(&self.config.belief_weights, belief));
     }
 
     fn share_believed(&self) -> f32 {

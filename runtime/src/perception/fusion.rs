@@ -1,6 +1,7 @@
 //! Memory from picture to picture: the last depth, moved by the known motion, is confirmed or contradicted by the new.
 
 use hal::{CameraModel, Pose3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::sweep::nearest;
@@ -13,6 +14,9 @@ const AGREEMENT: f32 = 0.12;
 
 /// What remains of the evidence when a gap takes it from a neighbour.
 const GUESS: f32 = 0.9;
+
+/// Cells of which less are not worth another thread.
+pub const CELLS_AT_ONCE: usize = 512;
 
 /// What is believed of one cell.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -83,9 +87,8 @@ impl Memory {
 
     /// Votes of all cells, row-major, each with the trust that `weights` put in it.
     pub fn vote(&mut self, votes: &[Vote], weights: &[f32; 5]) {
-        for (belief, vote) in self.beliefs.iter_mut().zip(votes) {
-            belief.vote(vote.inverse_depth, trust::of_vote(weights, vote));
-        }
+        let pairs = self.beliefs.par_iter_mut().zip(votes).with_min_len(CELLS_AT_ONCE);
+        pairs.for_each(|(belief, vote)| belief.vote(vote.inverse_depth, trust::of_vote(weights, vote)));
     }
 
     /// Moves every belief to where the camera at `pose` sees it and multiplies its evidence and its votes by `keep`. Where several meet,

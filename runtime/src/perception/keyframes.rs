@@ -69,7 +69,8 @@ impl Keyframes {
         if self.ring.len() >= config.keyframes {
             self.spare.push(self.ring.remove(0).census);
         }
-        let kept = std::mem::replace(census, self.spare.pop().unwrap_or_default());
+        let mut kept = std::mem::replace(census, self.spare.pop().unwrap_or_default());
+        census.take_scratch(&mut kept);
         self.ring.push(Keyframe { pose: *pose, census: kept });
     }
 

@@ -6,10 +6,11 @@
 
 use hal::{CameraModel, Pose3};
 use nalgebra::{Matrix3, Vector3};
+use rayon::prelude::*;
 
 use super::census::CensusImage;
 use super::flow::FlowField;
-use super::sweep::{CELL, homography};
+use super::sweep::{CELL, homography, length};
 
 /// Off its line by more than this, pixels: dense flow of this preset is seldom wrong by more where there is texture ...
 const OFF_PX: f32 = 3.0;
@@ -66,13 +67,15 @@ impl MovingThings {
         self.moving.fill(false);
         let line = Line::new(t_before_now, camera, nearest_m);
         let columns = picture.width / CELL;
-        for (index, off_px) in self.off_px.iter_mut().enumerate() {
-            let (u, v) = (CELL * (index % columns) + CELL / 2, CELL * (index / columns) + CELL / 2);
-            let at = v * picture.width + u;
-            // Without texture, flow is what the neighbours do.
-            *off_px =
-                if picture.descriptors[at] == 0 { 0.0 } else { line.off_px(u as f32, v as f32, flow.values()[at]) };
-        }
+        self.off_px.par_chunks_exact_mut(columns).enumerate().for_each(|(row, off_px)| {
+            for (column, off_px) in off_px.iter_mut().enumerate() {
+                let (u, v) = (CELL * column + CELL / 2, CELL * row + CELL / 2);
+                let at = v * picture.width + u;
+                // Without texture, flow is what the neighbours do.
+                let textured = picture.descriptors[at] != 0;
+                *off_px = if textured { line.off_px(u as f32, v as f32, flow.values()[at]) } else { 0.0 };
+            }
+        });
         let least = OFF_PX.max(OFF_OVER_MEDIAN * self.median());
         self.off.iter_mut().zip(&self.off_px).for_each(|(off, off_px)| *off = *off_px > least);
         self.gather(columns);
@@ -132,7 +135,7 @@ impl Line {
         let (dx, dy) = (near.x / near.z - x0, near.y / near.z - y0);
         let (x, y) = (u + flow[0] - x0, v + flow[1] - y0);
         let along = ((x * dx + y * dy) / (dx * dx + dy * dy).max(1e-6)).clamp(0.0, 1.0);
-        (x - along * dx).hypot(y - along * dy)
+        length(x - along * dx, y - along * dy)
     }
 }
 

@@ -24,6 +24,10 @@ const CORNER: f32 = 400.0;
 const REACH_PX: i32 = 8;
 /// Step along the line, full-size pixels.
 const STEP_PX: f64 = 2.0;
+/// Whole distances from a line that are looked at.
+const DISTANCES: usize = 2 * REACH_PX as usize + 1;
+/// A place beyond every picture.
+const NOWHERE: u32 = u32::MAX;
 /// Nearest depth of a match, metres: the last metre has long lines and few corners.
 const NEAR_M: f64 = 1.0;
 /// Descriptors of a patch, which has its middle at (6, 6).
@@ -39,6 +43,8 @@ const ALONG: f64 = 0.3;
 /// Corners of a picture, as full-size positions.
 #[derive(Debug, Default)]
 pub struct Corners {
+    /// The strongest of every cell, if it has one.
+    cells: Vec<Option<(usize, usize)>>,
     points: Vec<(usize, usize)>,
     residuals: Vec<Option<Residual>>,
 }
@@ -46,23 +52,30 @@ pub struct Corners {
 impl Corners {
     /// The strongest corner of every cell that has one.
     pub fn find(&mut self, picture: &CensusImage) {
+        let cells_within = |size: usize| size.saturating_sub(2 * MARGIN).div_ceil(CELL);
+        let (columns, rows) = (cells_within(picture.width), cells_within(picture.height));
+        let strongest = |cell: usize| strongest(picture, cell % columns, cell / columns);
+        (0..columns * rows).into_par_iter().with_min_len(columns).map(strongest).collect_into_vec(&mut self.cells);
         self.points.clear();
-        let (right, bottom) = (picture.width.saturating_sub(MARGIN), picture.height.saturating_sub(MARGIN));
-        for top in (MARGIN..bottom).step_by(CELL) {
-            for left in (MARGIN..right).step_by(CELL) {
-                let mut best = (CORNER, None);
-                for y in (top..(top + CELL).min(bottom)).step_by(GRID) {
-                    for x in (left..(left + CELL).min(right)).step_by(GRID) {
-                        let strength = strength(picture, x, y);
-                        if strength > best.0 {
-                            best = (strength, Some((x, y)));
-                        }
-                    }
-                }
-                self.points.extend(best.1);
+        self.points.extend(self.cells.iter().flatten());
+    }
+}
+
+fn strongest(picture: &CensusImage, column: usize, row: usize) -> Option<(usize, usize)> {
+    let places = |cell: usize, size: usize| {
+        let first = MARGIN + cell * CELL;
+        (first..(first + CELL).min(size - MARGIN)).step_by(GRID)
+    };
+    let mut best = (CORNER, None);
+    for y in places(row, picture.height) {
+        for x in places(column, picture.width) {
+            let strength = strength(picture, x, y);
+            if strength > best.0 {
+                best = (strength, Some((x, y)));
             }
         }
     }
+    best.1
 }
 
 fn strength(picture: &CensusImage, x: usize, y: usize) -> f32 {
@@ -95,7 +108,7 @@ pub fn refine_rotation(
     t_reference_camera: &Pose3,
     camera: &CameraModel,
 ) -> Pose3 {
-    let Corners { points, residuals } = corners;
+    let Corners { points, residuals, .. } = corners;
     let residual = |corner: &(usize, usize)| residual(picture, *corner, reference, t_reference_camera, camera);
     points.par_iter().map(residual).collect_into_vec(residuals);
     // How far off the pose's rotation may be: tracking jitter, and a share of the turn for timing and shutter.
@@ -123,17 +136,15 @@ fn residual(
         return None;
     }
     let (dx, dy) = (dx / length, dy / length);
+    let patch = Patch::new(picture, (x, y), reference);
     // Best cost for every distance from the line, and the inverse depth where it was found.
-    let mut best = [(u32::MAX, 0.0); 2 * REACH_PX as usize + 1];
+    let mut best = [(u32::MAX, 0.0); DISTANCES];
     let steps = ((length / STEP_PX) as usize).clamp(2, 64);
     for step in 0..=steps {
         let w = step as f64 / steps as f64 / NEAR_M;
-        let Some((u, v)) = place(w) else { continue };
-        for (best, off) in best.iter_mut().zip(-REACH_PX..) {
-            let off = f64::from(off);
-            if let Some(cost) = patch_cost(picture, (x, y), reference, (u - off * dy, v + off * dx))
-                && cost < best.0
-            {
+        let Some(middle) = place(w) else { continue };
+        for (best, cost) in best.iter_mut().zip(patch.costs_across(middle, (-dy, dx))) {
+            if cost < best.0 {
                 *best = (cost, w);
             }
         }
@@ -153,28 +164,61 @@ fn residual(
     Some(Residual { across: far.cross(&(dv * dx - du * dy)), along: far.cross(&(du * dx + dv * dy)), off_px })
 }
 
-/// Differing bits of the descriptors around both places; `None` too near to the edge.
+/// The descriptors around a corner, and the picture that they are looked for in.
+struct Patch<'a> {
+    descriptors: [u32; PATCH.len()],
+    /// From the first descriptor of a patch in the reference to every one.
+    offsets: [usize; PATCH.len()],
+    reference: &'a CensusImage,
+}
+
+impl<'a> Patch<'a> {
+    #[inline(always)]
+    fn new(picture: &CensusImage, (x, y): (usize, usize), reference: &'a CensusImage) -> Self {
+        let here = (y - 6) * picture.width + x - 6;
+        let descriptors = PATCH.map(|(dx, dy)| picture.descriptors[here + dy * picture.width + dx]);
+        Self { descriptors, offsets: PATCH.map(|(dx, dy)| dy * reference.width + dx), reference }
+    }
+
+    /// Differing bits with the patches at every whole distance of up to [`REACH_PX`] from `middle` in `direction`; `u32::MAX`
+    /// too near to the edge.
+    #[inline(always)]
+    fn costs_across(&self, middle: (f64, f64), direction: (f64, f64)) -> [u32; DISTANCES] {
+        let (width, margin) = (self.reference.width as i32, MARGIN as i32);
+        let (right, bottom) = (width - margin, self.reference.height as i32 - margin);
+        let mut places = [NOWHERE; DISTANCES];
+        for (index, place) in places.iter_mut().enumerate() {
+            let off = index as f64 - f64::from(REACH_PX);
+            let (u, v) = (whole(middle.0 + off * direction.0), whole(middle.1 + off * direction.1));
+            let inside = (u >= margin) & (v >= margin) & (u < right) & (v < bottom);
+            let first = (v - 6).wrapping_mul(width).wrapping_add(u - 6);
+            *place = if inside { first as u32 } else { NOWHERE };
+        }
+        // A loop: what is given to `map` would be compiled without the vector unit.
+        let mut costs = [u32::MAX; DISTANCES];
+        for (cost, place) in costs.iter_mut().zip(places) {
+            *cost = self.cost_at(place).unwrap_or(u32::MAX);
+        }
+        costs
+    }
+
+    #[inline(always)]
+    fn cost_at(&self, place: u32) -> Option<u32> {
+        let there = self.reference.descriptors.get(place as usize..)?;
+        let mut bits = 0;
+        for (descriptor, offset) in self.descriptors.iter().zip(&self.offsets) {
+            bits += (descriptor ^ there.get(*offset)?).count_ones();
+        }
+        Some(bits)
+    }
+}
+
+/// Rounds what is not negative to the nearest integer without leaving the vector unit: adding 1.5 * 2^52 leaves the integer
+/// in the mantissa.
 #[inline(always)]
-fn patch_cost(
-    picture: &CensusImage,
-    (x, y): (usize, usize),
-    reference: &CensusImage,
-    (u, v): (f64, f64),
-) -> Option<u32> {
-    let (u, v) = (u.round() as isize, v.round() as isize);
-    let margin = MARGIN as isize;
-    if u < margin || v < margin || u + margin >= reference.width as isize || v + margin >= reference.height as isize {
-        return None;
-    }
-    let here = (y - 6) * picture.width + x - 6;
-    let there = (v as usize - 6) * reference.width + u as usize - 6;
-    let mut bits = 0;
-    for (dx, dy) in PATCH {
-        let a = picture.descriptors[here + dy * picture.width + dx];
-        let b = reference.descriptors[there + dy * reference.width + dx];
-        bits += (a ^ b).count_ones();
-    }
-    Some(bits)
+fn whole(x: f64) -> i32 {
+    const MAGIC: f64 = 6_755_399_441_055_744.0;
+    ((x + 0.5).clamp(-1.0, 1e6).floor() + MAGIC).to_bits() as i32
 }
 
 /// The rotation vector that explains the distances: iteratively reweighted least squares (Geman-McClure, its scale

@@ -7,7 +7,7 @@
 use multiversion::multiversion;
 
 use super::census::CensusImage;
-use super::sweep::{CELL, Look, Reference, nearest};
+use super::sweep::{CELL, Glance, Look, MAX_REFERENCES, Reference, nearest};
 use super::winner::Vote;
 
 /// Samples of a patch along each side, and full-size pixels between them: 8x8 pixels.
@@ -45,11 +45,7 @@ pub fn polish<'a>(
 ) {
     for (column, vote) in votes.iter_mut().enumerate().filter(|(_, vote)| vote.parallax_px > 0.0) {
         let (patch, u, v) = patch(picture, CELL * column, CELL * row);
-        let look = |reference: &Reference<'a>| reference.look(u, v, vote.inverse_depth);
-        let looks = references.iter().flatten().filter_map(|reference| Some((reference.census, look(reference)?)));
-        // The one in which it moves the most tells its depth best.
-        let visible = looks.filter(|(census, look)| is_visible(census, look));
-        let Some((census, look)) = visible.max_by(|a, b| a.1.speed.total_cmp(&b.1.speed)) else {
+        let Some((census, look)) = fastest(references, u, v, vote.inverse_depth) else {
             vote.misfit = 1.0;
             continue;
         };
@@ -59,6 +55,32 @@ pub fn polish<'a>(
             vote.inverse_depth = (vote.inverse_depth + change_px / look.speed).max(farthest);
         }
         vote.misfit = step.misfit;
+    }
+}
+
+/// Of the references that see the whole patch the one in which it moves the most with its depth: that one tells it best.
+#[inline(always)]
+fn fastest<'a>(references: &[Option<Reference<'a>>], u: f32, v: f32, w: f32) -> Option<(&'a CensusImage, Look)> {
+    let mut tried = [false; MAX_REFERENCES];
+    let mut glances = [None; MAX_REFERENCES];
+    for (glance, reference) in glances.iter_mut().zip(references) {
+        *glance = reference.as_ref().and_then(|reference| reference.glance(u, v, w));
+    }
+    loop {
+        let mut best: Option<(usize, Glance)> = None;
+        for (index, glance) in glances.iter().enumerate().filter(|(index, _)| !tried[*index]) {
+            let Some(glance) = glance else { continue };
+            if best.is_none_or(|(_, best)| glance.squared_speed >= best.squared_speed) {
+                best = Some((index, *glance));
+            }
+        }
+        let (index, glance) = best?;
+        tried[index] = true;
+        let reference = references[index].as_ref()?;
+        let look = reference.look(glance);
+        if is_visible(reference.census, &look) {
+            return Some((reference.census, look));
+        }
     }
 }
 
@@ -139,19 +161,16 @@ fn step(patch: &Patch, seen: &[f32; SAMPLES], direction: [f32; 2]) -> Step {
     for ((slope, u), v) in slope.iter_mut().zip(&patch.slope_u).zip(&patch.slope_v) {
         *slope = u * direction[0] + v * direction[1];
     }
-    let mean = |values: &[f32; SAMPLES]| values.iter().sum::<f32>() * share;
-    let (mean_value, mean_seen, mean_slope) = (mean(&patch.value), mean(seen), mean(&slope));
+    let (mean_value, mean_seen, mean_slope) = (total(&patch.value) * share, total(seen) * share, total(&slope) * share);
     // Products of what differs from the mean: slope, value and seen.
-    let (mut ss, mut sv, mut vv, mut es, mut ev, mut ee) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-    for ((slope, value), seen) in slope.iter().zip(&patch.value).zip(seen) {
-        let (slope, value, seen) = (slope - mean_slope, value - mean_value, seen - mean_seen);
-        ss += slope * slope;
-        sv += slope * value;
-        vv += value * value;
-        es += slope * seen;
-        ev += value * seen;
-        ee += seen * seen;
+    let (mut values, mut seens) = ([0.0; SAMPLES], [0.0; SAMPLES]);
+    for index in 0..SAMPLES {
+        slope[index] -= mean_slope;
+        values[index] = patch.value[index] - mean_value;
+        seens[index] = seen[index] - mean_seen;
     }
+    let (ss, sv, vv) = (dot(&slope, &slope), dot(&slope, &values), dot(&values, &values));
+    let (es, ev, ee) = (dot(&slope, &seens), dot(&values, &seens), dot(&seens, &seens));
     // seen = gain * (value - motion * slope), solved without the gain first.
     let per_value = 1.0 / (vv + 1.0);
     let (pull, hold) = (sv * ev * per_value - es, ss - sv * sv * per_value);
@@ -159,6 +178,27 @@ fn step(patch: &Patch, seen: &[f32; SAMPLES], direction: [f32; 2]) -> Step {
     let noise = NOISE * SAMPLES as f32;
     let misfit = ((left + noise) / (ee + noise)).clamp(0.0, 1.0);
     Step { pull, hold: hold * (ev * per_value).clamp(0.5, 2.0), misfit }
+}
+
+/// Sums in lanes, as the vector unit does.
+#[inline(always)]
+fn total(values: &[f32; SAMPLES]) -> f32 {
+    let mut lanes = [0.0; SAMPLES / 2];
+    let (first, second) = values.split_at(SAMPLES / 2);
+    for ((lane, first), second) in lanes.iter_mut().zip(first).zip(second) {
+        *lane = first + second;
+    }
+    let [a, b, c, d, e, f, g, h] = lanes;
+    ((a + e) + (c + g)) + ((b + f) + (d + h))
+}
+
+#[inline(always)]
+fn dot(a: &[f32; SAMPLES], b: &[f32; SAMPLES]) -> f32 {
+    let mut products = [0.0; SAMPLES];
+    for ((product, a), b) in products.iter_mut().zip(a).zip(b) {
+        *product = a * b;
+    }
+    total(&products)
 }
 
 #[cfg(test)]

@@ -24,6 +24,8 @@ pub const WORST_COST: u8 = 2 * TAPS.len() as u8 * BITS as u8;
 const UNSEEN: u8 = WORST_COST / 2;
 /// A single reference's mark for "not seen".
 const OUTSIDE: u8 = u8::MAX;
+/// A place beyond every picture.
+const NOWHERE: u32 = u32::MAX;
 
 /// Inverse depths from far to near, 1/m. The steps grow towards the camera (exponent 1.5): even steps would spend half
 /// of the hypotheses on the last few decimetres.
@@ -57,27 +59,31 @@ impl<'a> Reference<'a> {
         let (x, y) = (near.x / near.z, near.y / near.z);
         let (right, bottom) = ((self.census.width - 1) as f32, (self.census.height - 1) as f32);
         let inside = near.z > 0.05 && x >= 0.0 && y >= 0.0 && x <= right && y <= bottom;
-        inside.then(|| (x - far.x / far.z).hypot(y - far.y / far.z))
+        inside.then(|| length(x - far.x / far.z, y - far.y / far.z))
     }
 
-    /// How the surroundings of the point at (u, v) with inverse depth `w` are seen, as flat and facing the camera; `None` where
-    /// the point does not move with its depth.
+    /// Where the point at (u, v) with inverse depth `w` is seen; `None` where it does not move with its depth.
     #[inline(always)]
-    pub fn look(&self, u: f32, v: f32, w: f32) -> Option<Look> {
-        let (r, t) = (&self.rotation, &self.translation);
-        let near = r * Vector3::new(u, v, 1.0) + t * w;
+    pub fn glance(&self, u: f32, v: f32, w: f32) -> Option<Glance> {
+        let t = &self.translation;
+        let near = self.rotation * Vector3::new(u, v, 1.0) + t * w;
         let per_z = 1.0 / near.z;
         let (x, y) = (near.x * per_z, near.y * per_z);
-        let moved = |by: Vector3<f32>| [(by.x - x * by.z) * per_z, (by.y - y * by.z) * per_z];
-        let motion = moved(*t);
-        let speed = (motion[0] * motion[0] + motion[1] * motion[1]).sqrt();
-        (near.z > 0.05 && speed > f32::EPSILON).then(|| Look {
-            place: [x, y],
-            along_u: moved(r.column(0).into()),
-            along_v: moved(r.column(1).into()),
-            motion,
-            speed,
-        })
+        let motion = [(t.x - x * t.z) * per_z, (t.y - y * t.z) * per_z];
+        let squared_speed = motion[0] * motion[0] + motion[1] * motion[1];
+        let moves = squared_speed > f32::EPSILON * f32::EPSILON;
+        (near.z > 0.05 && moves).then_some(Glance { place: [x, y], per_z, motion, squared_speed })
+    }
+
+    /// How the surroundings of a point are seen, as flat and facing the camera.
+    #[inline(always)]
+    pub fn look(&self, glance: Glance) -> Look {
+        let Glance { place: [x, y], per_z, motion, squared_speed } = glance;
+        let moved = |column: usize| {
+            let by = self.rotation.column(column);
+            [(by[0] - x * by[2]) * per_z, (by[1] - y * by[2]) * per_z]
+        };
+        Look { place: [x, y], along_u: moved(0), along_v: moved(1), motion, speed: squared_speed.sqrt() }
     }
 
     /// Differing bits of all hypotheses for the cell whose descriptors begin at full-size position (u, v); [`OUTSIDE`] where
@@ -97,29 +103,25 @@ impl<'a> Reference<'a> {
         let (width, height) = (self.census.width as i32, self.census.height as i32);
         let (right, bottom) = (width - TAP_SPAN as i32, height - TAP_SPAN as i32);
         let mut places = [0_u32; PLANES];
-        let mut seen = [0_u8; PLANES];
-        for ((place, seen), w) in places.iter_mut().zip(&mut seen).zip(inverse_depth) {
+        for (place, w) in places.iter_mut().zip(inverse_depth) {
             let z = a.z + w * t.z;
             let scale = 1.0 / z;
             let x = nearest((a.x + w * t.x) * scale);
             let y = nearest((a.y + w * t.y) * scale);
             let inside = (z > 0.05) & (x >= 0) & (x < right) & (y >= 0) & (y < bottom);
-            *place = if inside { y.wrapping_mul(width).wrapping_add(x) as u32 } else { 0 };
-            *seen = if inside { 0 } else { OUTSIDE };
+            *place = if inside { y.wrapping_mul(width).wrapping_add(x) as u32 } else { NOWHERE };
         }
-        let mut sums = [0_u32; PLANES];
-        for ((dx, dy), descriptor) in TAPS.iter().zip(descriptors) {
-            let from = self.census.descriptors.get(dy * self.census.width + dx..).unwrap_or_default();
-            let mut found = [0_u32; PLANES];
-            for (found, place) in found.iter_mut().zip(&places) {
-                *found = from.get(*place as usize).copied().unwrap_or_default();
-            }
-            for (sum, found) in sums.iter_mut().zip(&found) {
-                *sum = sum.wrapping_add((found ^ descriptor).count_ones());
-            }
-        }
-        for ((bits, sum), seen) in bits.iter_mut().zip(&sums).zip(&seen) {
-            *bits = *sum as u8 | seen;
+        let [first, second] =
+            TAPS.map(|(dx, dy)| self.census.descriptors.get(dy * self.census.width + dx..).unwrap_or_default());
+        let wanted = u64::from(descriptors[0]) | u64::from(descriptors[1]) << 32;
+        for (bits, place) in bits.iter_mut().zip(&places) {
+            let at = *place as usize;
+            *bits = match (first.get(at), second.get(at)) {
+                (Some(first), Some(second)) => {
+                    ((u64::from(*first) | u64::from(*second) << 32) ^ wanted).count_ones() as u8
+                }
+                _ => OUTSIDE,
+            };
         }
     }
 }
@@ -134,6 +136,22 @@ pub fn homography(t_reference_camera: &Pose3, camera: &CameraModel) -> (Matrix3<
     ]);
     let rotation = k * t_reference_camera.rotation.to_rotation_matrix().matrix() * back;
     (rotation.cast(), (k * t_reference_camera.translation.vector).cast())
+}
+
+/// `hypot` that stays in the vector unit: squares of single precision cannot overflow double.
+#[inline(always)]
+pub fn length(x: f32, y: f32) -> f32 {
+    (f64::from(x) * f64::from(x) + f64::from(y) * f64::from(y)).sqrt() as f32
+}
+
+/// Where a reference sees a point.
+#[derive(Debug, Clone, Copy)]
+pub struct Glance {
+    place: [f32; 2],
+    per_z: f32,
+    motion: [f32; 2],
+    /// Of how far it moves with its inverse depth, pixels metre.
+    pub squared_speed: f32,
 }
 
 /// Where a reference sees a point, full-size pixels, and how that moves.
