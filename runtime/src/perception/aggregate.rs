@@ -1,5 +1,9 @@
 //! Semi-global aggregation (Hirschmueller 2008) along eight straight paths: a neighbour may differ by one hypothesis for a
 //! small penalty and by more for a large one.
+//!
+//! The camera of a robot is upright, and so are walls: seen from anywhere, a wall keeps its depth down a column and changes it
+//! along a row. So a step costs all of the small penalty along columns and little along rows, or else a plain wall takes the
+//! depth of what stands beside it instead of that of its own foot.
 
 use multiversion::multiversion;
 
@@ -24,7 +28,7 @@ pub struct Volume<'a> {
     pub width: usize,
     /// Grey values, rows x columns, 256 to a grey level: an edge makes a jump cheap.
     pub grey: &'a [u16],
-    /// Penalty of one hypothesis.
+    /// Penalty of one hypothesis along columns; along diagonals two thirds, along rows a quarter of it.
     pub small: i16,
     /// Penalty of a jump where the picture is flat.
     pub large: i16,
@@ -80,7 +84,8 @@ fn vertical<'a>(volume: &Volume<'a>, upwards: bool, rows: &mut PathRows, sums: &
                 } else {
                     let jump = volume.jump(above * width + from, at);
                     let (before, least) = (&rows.before[from][direction], rows.least_before[from][direction]);
-                    follow(&volume.costs[at], before, least, volume.small, jump, path)
+                    let small = if direction == 1 { volume.small } else { volume.small * 2 / 3 };
+                    follow(&volume.costs[at], before, least, small, jump, path)
                 };
             }
             let [a, b, c] = &rows.now[column];
@@ -104,7 +109,7 @@ fn horizontal<'a>(volume: &Volume<'a>, row: usize, sums: &mut [[i16; PLANES]]) {
                 begin(&volume.costs[at], &mut now)
             } else {
                 let jump = volume.jump(if backwards { at + 1 } else { at - 1 }, at);
-                follow(&volume.costs[at], &before, least, volume.small, jump, &mut now)
+                follow(&volume.costs[at], &before, least, volume.small / 4, jump, &mut now)
             };
             for (sum, path) in sums[column].iter_mut().zip(&now[1..]) {
                 *sum = sum.wrapping_add(*path);
@@ -198,6 +203,33 @@ mod tests {
         volume.horizontal(2, &mut row);
         let best = (0..PLANES).min_by_key(|d| row[4][*d]).unwrap();
         assert_eq!(best, 20);
+    }
+
+    #[test]
+    fn a_plain_wall_takes_the_depth_of_its_foot_rather_than_of_what_stands_beside_it() {
+        // A shelf in the first column and the foot of the wall in the last row know their planes; the wall has no opinion.
+        let (columns, rows) = (24, 8);
+        let foot = |column: usize| 16 + column / 3;
+        let mut costs = vec![[0_u8; PLANES]; columns * rows];
+        for (at, costs) in costs.iter_mut().enumerate() {
+            let (row, column) = (at / columns, at % columns);
+            if column == 0 || row == rows - 1 {
+                *costs = std::array::from_fn(|plane| if plane == foot(column) { 0 } else { 40 });
+            }
+        }
+        let grey = vec![0; columns * rows];
+        let volume = Volume { costs: &costs, width: columns, grey: &grey, small: 24, large: 160 };
+        let (mut down, mut up) = (vec![[0; PLANES]; columns * rows], vec![[0; PLANES]; columns * rows]);
+        volume.vertical(false, &mut PathRows::default(), &mut down);
+        volume.vertical(true, &mut PathRows::default(), &mut up);
+        let mut sums: Vec<[i16; PLANES]> =
+            (0..columns).map(|i| std::array::from_fn(|d| down[i][d] + up[i][d])).collect();
+        volume.horizontal(0, &mut sums);
+        for column in 2..columns {
+            let best = (0..PLANES).min_by_key(|plane| sums[column][*plane]).unwrap();
+            // Were all steps as dear, it would be the shelf's plane for most of them, up to 7 away.
+            assert!(best.abs_diff(foot(column)) <= 3, "column {column}: plane {best}, not {}", foot(column));
+        }
     }
 
     #[test]

@@ -45,7 +45,8 @@ pub struct CoarseConfig {
     pub max_step_m: f64,
     /// The same for turning, radians.
     pub max_turn_rad: f64,
-    /// Smoothness: cost of a neighbour one hypothesis away; a hypothesis in which every bit differs costs 96.
+    /// Smoothness: cost of a neighbour in the same column one hypothesis away (less across columns; see
+    /// [`aggregate`](super::aggregate)); a hypothesis in which every bit differs costs 96.
     pub penalty_small: i16,
     /// Smoothness: cost of a neighbour farther away where the picture is flat; less across edges.
     pub penalty_large: i16,
@@ -84,8 +85,8 @@ impl Default for CoarseConfig {
             keyframes: 48,
             max_step_m: 0.5,
             max_turn_rad: 0.8,
-            penalty_small: 20,
-            penalty_large: 200,
+            penalty_small: 24,
+            penalty_large: 160,
             memory: 0.92,
             vote_weights: [-0.74, 4.39, 0.37, 0.47, -0.1],
             belief_weights: [-1.35, 3.17, 1.1],

@@ -20,8 +20,6 @@ const TAPS: [(usize, usize); 2] = [(0, 0), (2, 2)];
 const TAP_SPAN: usize = 2;
 /// The cost of a hypothesis in which every bit differs.
 pub const WORST_COST: u8 = 2 * TAPS.len() as u8 * BITS as u8;
-/// Cost of a hypothesis that no reference sees: half of the bits differ, as between random pictures.
-const UNSEEN: u8 = WORST_COST / 2;
 /// A single reference's mark for "not seen".
 const OUTSIDE: u8 = u8::MAX;
 /// A place beyond every picture.
@@ -210,11 +208,12 @@ fn sweep_row<'a>(
     }
 }
 
-/// Mean over the references that see a hypothesis, without the worst of three: there it may be hidden. Returns how many
-/// of the [`FAR`] hypotheses nobody sees.
+/// Mean over the references that see a hypothesis, without the worst of three: there it may be hidden. What nobody sees costs
+/// as much as the mean of what somebody does: on a plain wall, where everything fits, any other cost would speak for or
+/// against it. Returns how many of the [`FAR`] hypotheses nobody sees.
 #[inline(always)]
 fn fuse(each: &[[u8; PLANES]; MAX_REFERENCES], out: &mut [u8; PLANES]) -> u8 {
-    let mut unseen = 0_u8;
+    let (mut unseen, mut seen, mut total) = (0_u8, 0_u16, 0_u16);
     for (plane, out) in out.iter_mut().enumerate() {
         let (mut sum, mut count, mut worst) = (0_u8, 0_u8, 0_u8);
         for bits in each {
@@ -227,8 +226,14 @@ fn fuse(each: &[[u8; PLANES]; MAX_REFERENCES], out: &mut [u8; PLANES]) -> u8 {
         // At most 96: no sum or product here overflows, and saying so keeps checked builds in the vector unit.
         let kept = if count == 3 { sum.wrapping_sub(worst) } else { sum };
         let cost = if count == 1 { kept << 1 } else { kept };
-        *out = if count == 0 { UNSEEN } else { cost };
+        *out = if count == 0 { OUTSIDE } else { cost };
         unseen = unseen.wrapping_add(u8::from(count == 0 && plane < FAR));
+        total = total.wrapping_add(u16::from(cost));
+        seen = seen.wrapping_add(u16::from(count > 0));
+    }
+    let neutral = (total / seen.max(1)) as u8;
+    for cost in out.iter_mut() {
+        *cost = if *cost == OUTSIDE { neutral } else { *cost };
     }
     unseen
 }
@@ -264,7 +269,12 @@ mod tests {
         fuse(&[[4; PLANES], [OUTSIDE; PLANES], [OUTSIDE; PLANES]], &mut out);
         assert_eq!(out[0], 8);
         assert_eq!(fuse(&[[OUTSIDE; PLANES]; 3], &mut out), FAR as u8);
-        assert_eq!(out[0], UNSEEN);
+        assert_eq!(out, [0; PLANES]);
+        let mut half_seen = [4; PLANES];
+        half_seen[FAR..].fill(OUTSIDE);
+        half_seen[0] = 20;
+        assert_eq!(fuse(&[half_seen, [OUTSIDE; PLANES], [OUTSIDE; PLANES]], &mut out), 0);
+        assert_eq!((out[0], out[1], out[FAR]), (40, 8, 10));
     }
 
     #[test]
