@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
 use runtime::exploration::PolicyKind;
 use runtime::robot::DepthSource;
 
@@ -64,7 +64,7 @@ pub struct ExploreArgs {
     #[arg(long, value_enum)]
     pub depth: Option<DepthArg>,
     /// Camera frames to explore for; one step each.
-    #[arg(long, default_value_t = 3000, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    #[arg(long, default_value_t = 3000, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     pub frames: u64,
     /// Seed of everything random: start pose, policy, noise.
     #[arg(long, default_value_t = 1)]
@@ -105,7 +105,7 @@ pub struct SceneFileArgs {
     #[arg(long, value_enum)]
     pub scene_up: Option<UpArg>,
     /// Metres per unit of the scene file.
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true, value_parser = parse_scale)]
     pub scene_scale: f64,
 }
 
@@ -154,9 +154,10 @@ pub struct RunArgs {
     /// Configuration file; see `check`.
     #[arg(long, value_name = "FILE")]
     pub config: PathBuf,
-    /// Folder for the recording and the summary. Made if missing; must be empty of other runs.
+    /// Folder for the recording and the summary. Made if missing; must be empty of other runs [default: DATE-TIME in
+    /// `models.recordings`, else in the current folder].
     #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    pub out: Option<PathBuf>,
     /// How goals are chosen.
     #[arg(long, value_enum, default_value_t = PolicyArg::Active)]
     pub policy: PolicyArg,
@@ -200,9 +201,10 @@ pub struct HealthArgs {
 
 /// Arguments of `perceive`.
 #[derive(Debug, Args)]
+#[command(group(ArgGroup::new("seen").args(["dataset", "recording"]).required(true)))]
 pub struct PerceiveArgs {
     /// Folder with rgb.txt, groundtruth.txt, dataset.toml and perhaps depth.txt.
-    #[arg(long, value_name = "DIR", required_unless_present = "recording", conflicts_with = "recording")]
+    #[arg(long, value_name = "DIR")]
     pub dataset: Option<PathBuf>,
     /// Instead: the --out folder of a run, or one .mcap file. Its own configuration counts, unless --config is given.
     #[arg(long, value_name = "RUN")]
@@ -227,7 +229,7 @@ pub struct ReplayArgs {
     /// The --out folder of a run, or one .mcap file.
     pub run: PathBuf,
     /// Begin at the last segment that begins not after this turn (1200) or time since the first turn (61.5s).
-    #[arg(long, value_name = "TURN|SECONDS")]
+    #[arg(long, value_name = "TURN|SECONDS", allow_negative_numbers = true)]
     pub from: Option<Moment>,
     /// End at the first turn that decides differently.
     #[arg(long)]
@@ -260,10 +262,10 @@ pub struct ReproduceArgs {
     #[arg(long, value_name = "TURN|SECONDS")]
     pub at: Option<Moment>,
     /// Seconds before that.
-    #[arg(long, default_value_t = 3.0, value_parser = parse_seconds)]
+    #[arg(long, default_value_t = 3.0, allow_negative_numbers = true, value_parser = parse_seconds)]
     pub before: f64,
     /// Seconds after that.
-    #[arg(long, default_value_t = 2.0, value_parser = parse_seconds)]
+    #[arg(long, default_value_t = 2.0, allow_negative_numbers = true, value_parser = parse_seconds)]
     pub after: f64,
     /// The file to write, as bug.mcap. Must not be there yet.
     #[arg(long, value_name = "FILE")]
@@ -437,6 +439,11 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
     seconds.ok_or_else(|| format!("`{text}` is not a number of seconds from 0 to 3600"))
 }
 
+fn parse_scale(text: &str) -> Result<f64, String> {
+    let scale = text.parse::<f64>().ok().filter(|scale| *scale > 0.0 && scale.is_finite());
+    scale.ok_or_else(|| format!("`{text}` is not a number above 0"))
+}
+
 fn parse_start(text: &str) -> Result<[f64; 3], String> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
     match numbers.as_deref() {
@@ -453,6 +460,23 @@ mod tests {
     fn the_command_line_is_consistent() {
         use clap::CommandFactory;
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn a_number_below_zero_is_refused_by_its_own_name_and_not_taken_for_an_option() {
+        for line in ["explore --scene s --out o --frames -1", "explore --scene s --out o --scene-scale -2"] {
+            let error =
+                Cli::try_parse_from(["firmware-host"].into_iter().chain(line.split(' '))).unwrap_err().to_string();
+            assert!(error.contains("invalid value '-"), "{error}");
+        }
+        assert!(parse_scale("nan").is_err() && parse_scale("0").is_err() && parse_scale("inf").is_err());
+        assert_eq!(parse_scale("0.01"), Ok(0.01));
+    }
+
+    #[test]
+    fn perceive_names_both_kinds_of_pictures_when_neither_is_given() {
+        let error = Cli::try_parse_from(["firmware-host", "perceive", "--out", "o"]).unwrap_err().to_string();
+        assert!(error.contains("--dataset") && error.contains("--recording"), "{error}");
     }
 
     #[test]

@@ -57,7 +57,7 @@ impl Evaluation {
             constant: ConstantBaseline::new(),
             coverage,
             stuck: StuckMeter::default(),
-            events: EventCounts::default(),
+            events: EventCounts::driving(),
             collisions: 0,
             in_contact: false,
             path_m: 0.0,

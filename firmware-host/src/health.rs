@@ -10,6 +10,7 @@ use hal::Clock;
 use runtime::line_monitor::LineAccuracy;
 
 use crate::cli::HealthArgs;
+use crate::failure::sentence;
 use crate::run::status::{DeviceHealth, Status, unix_s};
 
 /// The status is written twice a second.
@@ -34,7 +35,7 @@ pub fn run(args: &HealthArgs) -> Result<ExitCode> {
     loop {
         let text = match Status::read(&args.status) {
             Ok(status) => screen(&status, unix_s()),
-            Err(error) => format!("{error:#}\n"),
+            Err(error) => format!("{}\n", sentence(&error)),
         };
         // Home, the text with each line cleared to its end, then clear what is below: no flicker.
         print!("\x1b[H{}\x1b[J", text.replace('\n', "\x1b[K\n"));

@@ -9,6 +9,7 @@ pub mod dataset;
 mod dump;
 pub mod evaluation;
 pub mod explore;
+pub mod failure;
 pub mod faults;
 pub mod health;
 pub mod model;

@@ -7,7 +7,7 @@ use std::process::{Command, ExitCode};
 use clap::Parser;
 use firmware_host::cli::{Cli, Command as Task};
 use firmware_host::config::ConfigError;
-use firmware_host::{buffer, check, explore, health, model, perceive, replay_run, reproduce, run, views};
+use firmware_host::{buffer, check, explore, failure, health, model, perceive, replay_run, reproduce, run, views};
 
 /// The run could not be done.
 const FAILED: u8 = 1;
@@ -36,7 +36,7 @@ fn main() -> ExitCode {
         Task::Model(args) => model::run(&args),
     };
     result.unwrap_or_else(|error| {
-        eprintln!("error: {error:#}");
+        eprintln!("error: {}", failure::sentence(&error));
         ExitCode::from(if error.is::<ConfigError>() { MISUSED } else { FAILED })
     })
 }

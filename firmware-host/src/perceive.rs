@@ -4,7 +4,7 @@ mod source;
 
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use hal::ImageView;
 use runtime::accuracy::{Accuracy, ConstantBaseline};
 use runtime::event::Event;
@@ -13,6 +13,7 @@ use runtime::perception::{CoarseDepth, DepthEstimate, DepthNetwork};
 use crate::cli::PerceiveArgs;
 use crate::dataset::{Dataset, Sample};
 use crate::dump::{Dump, Shot};
+use crate::replay::segments;
 use crate::report::atomic::prepare_dir;
 use crate::report::depth_sample::{SheetRow, SheetSampler};
 use crate::report::depth_sheet::DepthSheet;
@@ -35,6 +36,12 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     let config = source.config();
     let camera = *source.camera();
     let network = args.model.as_deref().map(|path| setup::load_network(path, &camera, config)).transpose()?;
+    if segments(&args.out).is_ok_and(|segments| args.out.is_dir() && !segments.is_empty()) {
+        bail!(
+            "{} holds a recorded run, and its summary would be written over; choose another --out",
+            args.out.display()
+        );
+    }
     prepare_dir(&args.out)?;
     let mut dump = args.dump.as_deref().map(|dir| Dump::create(dir, &camera)).transpose()?;
 
@@ -89,18 +96,19 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     let wall_s = began.elapsed().as_secs_f64();
     let name = source.path().display().to_string();
     let summary = looker.summary(frames, wall_s, &name);
+    summary.write(&args.out)?;
+    println!("{}", table::render(&summary));
     let title = format!("{name}, {frames} frames");
     if let (Some(map), Some(dataset)) = (&looker.map, source.dataset()) {
         map.write(&format!("{}, {frames} frames, from above", dataset.manifest().name), &args.out)?;
     }
     DepthSheet { title: &title, rows: &looker.sheet.into_rows() }.write(&args.out)?;
-    summary.write(&args.out)?;
-    println!("{}", table::render(&summary));
     if source.without_pose() > 0 {
         println!("{} pictures were left out: no pose is near them in time.", source.without_pose());
     }
-    let pictures = if source.is_recording() { "depth.png" } else { "depth.png and map.png" };
-    println!("Look at {pictures} in {0}; numbers are in {0}/summary.json.", args.out.display());
+    let out = args.out.display();
+    let map = if source.is_recording() { String::new() } else { format!("{out}/map.png and ") };
+    println!("Look at {map}{out}/depth.png; numbers are in {out}/summary.json.");
     Ok(())
 }
 

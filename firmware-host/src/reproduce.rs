@@ -50,14 +50,16 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
 fn at(run: &Path, moment: Moment) -> Result<RecordedTick> {
     let turns = Run::open_before(run, moment)?;
     let start_ns = turns.start_ns();
+    let mut last = 0;
     for tick in turns {
         match tick {
             Ok(tick) if moment.is_reached(tick.tick, tick.time_ns, start_ns) => return Ok(tick),
+            Ok(tick) => last = tick.tick,
             Err(error) if !error.is_gap() => break,
-            _ => {}
+            Err(_) => {}
         }
     }
-    bail!("{} has no turn at {moment}", run.display())
+    bail!("{} ends before {moment}: its last turn is {last}", run.display())
 }
 
 fn last_stop(run: &Path) -> Result<RecordedTick> {

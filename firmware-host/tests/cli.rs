@@ -90,6 +90,54 @@ fn a_truncated_recording_is_replayed_as_far_as_it_goes_and_fails() {
 }
 
 #[test]
+fn a_segment_that_nobody_writes_on_is_cut_however_young_it_is_and_is_made_whole() {
+    let dir = TempDir::new().unwrap();
+    let (_, run) = explore(&dir, "run", &HOME);
+    let file = run.join("recording_0000.mcap");
+    let bytes = std::fs::read(&file).unwrap();
+    std::fs::write(&file, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    let whole = dir.path().join("whole");
+    let [run, out] = [&run, &whole].map(|path| path.to_str().unwrap());
+    let verify = |folder: &str| firmware_host(&["buffer", "verify", folder]);
+    let cut = verify(run);
+    assert!(cut.status.code() == Some(1) && text(&cut.stdout).contains("cut: complete up to"), "{}", text(&cut.stdout));
+
+    // As a recorder holds it.
+    let held = std::fs::File::open(&file).unwrap();
+    held.lock().unwrap();
+    let open = verify(run);
+    assert!(open.status.success() && text(&open.stdout).contains("still being written"), "{}", text(&open.stdout));
+    drop(held);
+
+    let recover = firmware_host(&["buffer", "recover", run, "--out", out]);
+    assert!(recover.status.success() && text(&recover.stdout).contains("1 recovered"), "{}", text(&recover.stdout));
+    assert!(verify(out).status.success());
+    assert!(firmware_host(&["replay", out]).status.success());
+}
+
+#[test]
+fn perceive_into_the_folder_of_a_run_leaves_its_summary_alone() {
+    let dir = TempDir::new().unwrap();
+    let (_, run) = explore(&dir, "run", &HOME);
+    let before = summary(&run);
+    let folder = run.to_str().unwrap();
+    let perceive = firmware_host(&["perceive", "--recording", folder, "--out", folder]);
+    let said = text(&perceive.stderr);
+    assert!(perceive.status.code() == Some(1) && said.contains("choose another --out"), "{said}");
+    assert_eq!(summary(&run), before);
+}
+
+#[test]
+fn health_takes_no_other_file_for_a_status() {
+    let dir = TempDir::new().unwrap();
+    let file = dir.path().join("summary.json");
+    std::fs::write(&file, "{\"frames\": 3}").unwrap();
+    let health = firmware_host(&["health", "--status", file.to_str().unwrap()]);
+    let said = text(&health.stderr);
+    assert!(health.status.code() == Some(1) && said.contains("is not a status"), "{said}");
+}
+
+#[test]
 fn ground_truth_depth_is_stamped_into_the_summary_and_replays_too() {
     let dir = TempDir::new().unwrap();
     let (_, out) = explore(&dir, "run", &[&HOME[..], &["--depth", "truth", "--policy", "frontier"]].concat());
@@ -151,6 +199,8 @@ fn what_cannot_be_is_refused_with_its_name_a_way_out_and_nothing_left_behind() {
     let cases: &[(&[&str], &str)] = &[
         (&["--scene", "nowhere.glb"], "nowhere.glb"),
         (&["--scene", "builtin:castle"], "apartment, house and office"),
+        (&["--scene", "apartment"], "builtin:apartment"),
+        (&["--scene", "builtin:apartment", "--scene-scale", "-1"], "above 0"),
         (&["--scene", empty.to_str().unwrap()], "triangle"),
         (&["--scene", "builtin:apartment?seed=1", "--start", "90,90,0"], "nearest free place"),
         (&["--scene", "builtin:apartment?seed=1", "--model", no_model.to_str().unwrap()], "none.onnx"),
@@ -161,6 +211,7 @@ fn what_cannot_be_is_refused_with_its_name_a_way_out_and_nothing_left_behind() {
         let said = text(&output.stderr);
         assert!(matches!(output.status.code(), Some(1 | 2)), "{args:?}: {:?}", output.status);
         assert!(said.contains(named) && !said.contains("panicked"), "{args:?}: {said}");
+        assert!(said.matches("os error").count() < 2, "said twice: {said}");
         assert!(!out.join("summary.json").exists() && !out.join("recording_0000.mcap").exists(), "{args:?}");
     }
 }
@@ -343,6 +394,15 @@ fn a_replay_begins_where_it_is_told_to_and_without_the_first_segments() {
         replayed(&["--from", "4.5s"]),
         "from the snapshot of turn 40 at 4.000 s\nreplay: ticks=50 mismatches=0\n"
     );
+    for command in
+        [&["replay", out.to_str().unwrap(), "--from", "90"][..], &["reproduce", out.to_str().unwrap(), "--at", "9s"]]
+    {
+        let bug = dir.path().join("bug.mcap");
+        let more = if command[0] == "replay" { vec![] } else { vec!["--out", bug.to_str().unwrap()] };
+        let beyond = firmware_host(&[command, &more].concat());
+        let said = text(&beyond.stderr);
+        assert!(beyond.status.code() == Some(1) && said.contains("its last turn is 89"), "{said}");
+    }
     std::fs::remove_file(out.join("recording_0000.mcap")).unwrap();
     assert_eq!(replayed(&[]), "from the snapshot of turn 20 at 2.000 s\nreplay: ticks=70 mismatches=0\n");
 }

@@ -131,6 +131,26 @@ fn replayed(run: &Path, args: &[&Path]) -> (bool, String) {
 }
 
 #[test]
+fn a_second_program_for_the_same_base_is_refused_and_the_first_drives_on() {
+    let mut scene = Scene::new(Protocol::Odrive);
+    scene.drives("the first drive");
+    // Without --out, in a folder of its own: nothing may be made there.
+    let elsewhere = tempfile::tempdir().unwrap();
+    let second = Command::cargo_bin("firmware-host")
+        .unwrap()
+        .args(["run", "--config"])
+        .arg(scene.world.config())
+        .current_dir(elsewhere.path())
+        .output()
+        .unwrap();
+    let said = String::from_utf8(second.stderr).unwrap();
+    assert!(second.status.code() == Some(1) && said.contains("another `firmware-host run` drives the base"), "{said}");
+    assert_eq!(std::fs::read_dir(elsewhere.path()).unwrap().count(), 0);
+    scene.drives("driving on");
+    scene.ends_well();
+}
+
+#[test]
 fn it_explores_stands_while_a_device_is_gone_says_so_and_goes_on_without_help() {
     let mut scene = Scene::new(Protocol::Odrive);
     scene.drives("the first drive");

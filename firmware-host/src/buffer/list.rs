@@ -7,8 +7,11 @@ use anyhow::{Result, ensure};
 use comfy_table::{CellAlignment, Table, presets::ASCII_MARKDOWN};
 use serde_json::{Value, json};
 
+use super::settle;
+
 pub(super) fn run(dir: &Path, as_json: bool) -> Result<()> {
-    let (_, catalogue) = Catalogue::open(dir)?;
+    let (root, mut catalogue) = Catalogue::open(dir)?;
+    settle(&root, &mut catalogue.entries);
     if as_json {
         let entries: Vec<Value> = catalogue.entries.iter().map(value).collect();
         println!("{}", serde_json::to_string_pretty(&entries)?);
@@ -23,7 +26,8 @@ pub(super) fn run(dir: &Path, as_json: bool) -> Result<()> {
     let segments = &catalogue.entries;
     let bytes: u64 = segments.iter().map(|entry| entry.bytes).sum();
     let pulled = segments.iter().filter(|entry| entry.pulled_digest().is_some()).count();
-    println!("{} segments, {}, {pulled} of them pulled", segments.len(), megabytes(bytes));
+    let segment = if segments.len() == 1 { "segment" } else { "segments" };
+    println!("{} {segment}, {}, {pulled} of them pulled", segments.len(), megabytes(bytes));
     Ok(())
 }
 

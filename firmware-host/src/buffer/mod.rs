@@ -27,6 +27,16 @@ pub fn run(args: &BufferArgs) -> Result<ExitCode> {
     }
 }
 
+/// Tells what looks as if it were being written from what nobody writes on: a recorder holds a lock on its segment.
+fn settle(root: &Root, entries: &mut [Entry]) {
+    for entry in entries.iter_mut().filter(|entry| entry.state == State::Open) {
+        let file = root.open_file(&entry.name);
+        if file.is_ok_and(|file| file.try_lock_shared().is_ok()) {
+            entry.state = State::Cut;
+        }
+    }
+}
+
 /// The segments below a buffer, of a run, or the one file.
 fn segments(path: &Path) -> Result<(Root, Vec<Entry>), BufferError> {
     let is_file = path.is_file();
@@ -37,7 +47,8 @@ fn segments(path: &Path) -> Result<(Root, Vec<Entry>), BufferError> {
         let file = entry.name.run().is_empty() && path.file_name().is_some_and(|file| file == entry.name.file());
         !is_file || file
     };
-    let entries: Vec<Entry> = catalogue.entries.into_iter().filter(asked).collect();
+    let mut entries: Vec<Entry> = catalogue.entries.into_iter().filter(asked).collect();
+    settle(&root, &mut entries);
     if entries.is_empty() {
         let text = format!(
             "{} holds no recording_NNNN.mcap; give a directory with runs, the --out directory of a run, or one segment",
@@ -70,7 +81,7 @@ fn verify_all(path: &Path) -> Result<ExitCode> {
         println!("{}: {found}; {} turns{until}; blake3 {}", entry.name, verified.turns, verified.digest);
     }
     if bad > 0 {
-        println!("{bad} of {} segments are not whole; `buffer recover` keeps what is good of them", entries.len());
+        println!("not whole: {bad} of {}; `buffer recover` keeps what is good of them", entries.len());
     }
     Ok(if bad == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
@@ -99,7 +110,7 @@ fn recover_all(path: &Path, out: &Path) -> Result<ExitCode> {
         println!("{}: {} turns{end}{lost}", to.display(), done.turns);
         recovered += 1;
     }
-    println!("{recovered} recovered, {} were whole or are being written", entries.len() - recovered);
+    println!("{recovered} recovered, {} whole or being written", entries.len() - recovered);
     Ok(ExitCode::SUCCESS)
 }
 

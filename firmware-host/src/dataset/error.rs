@@ -7,7 +7,11 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum DatasetError {
     /// A file cannot be read.
-    #[error("{path}: {source}", path = path.display())]
+    #[error(
+        "cannot read {path}: {source}; a dataset is a folder with rgb.txt, groundtruth.txt and dataset.toml, as \
+         `buffer export --as tum` writes it",
+        path = path.display()
+    )]
     Read {
         /// The file.
         path: PathBuf,

@@ -352,12 +352,13 @@ impl Session {
         summary.resident_mib = peak_resident_mib();
         summary.lidar_line = LidarLine::of(&self.line);
         self.evaluation.summarise(&mut summary);
+        // Numbers before pictures: they still find room on a disk that is nearly full.
+        summary.write(&self.out)?;
+        println!("{}", table::render(&summary));
         let title = title(&summary);
         DepthSheet { title: &title, rows: &self.sheet.into_rows() }.write(&self.out)?;
         let t_world_odom = self.evaluation.t_world_odom();
         draw_map(&title, self.robot.map(), &t_world_odom, &self.evaluation, &self.devices, &self.out)?;
-        summary.write(&self.out)?;
-        println!("{}", table::render(&summary));
         println!("Look at {0}/map.png and {0}/depth.png; numbers are in {0}/summary.json.", self.out.display());
         if summary.recording_mib.is_some() {
             println!("Open {}/recording_0000.mcap in Foxglove or Rerun.", self.out.display());

@@ -85,10 +85,12 @@ pub fn replay(
         Some(moment) => Run::open_before(path, moment)?,
         None => Run::open(path)?,
     };
+    let start_ns = run.start_ns();
     let mut robot = build(run.header())?;
     let mut knows = run.is_at_the_start();
     let not_the_start = (!knows).then(|| run.not_the_start());
     let mut report = ReplayReport { ticks: 0, mismatches: 0, unknown: 0, problem: None };
+    let mut last = None;
     for tick in run {
         let tick = match tick {
             Ok(tick) => tick,
@@ -99,6 +101,7 @@ pub fn replay(
                 continue;
             }
         };
+        last = Some((tick.tick, tick.time_ns));
         robot.hand_over(tick.tick);
         match &tick.snapshot {
             Some(snapshot) if !knows => {
@@ -119,6 +122,12 @@ pub fn replay(
     }
     if let Some(error) = not_the_start.filter(|_| report.ticks == 0) {
         return Err(error.into());
+    }
+    let stopped = span.until_mismatch && report.mismatches > 0;
+    if let (Some(from), Some((turn, time_ns)), false) = (span.from, last, stopped)
+        && !from.is_reached(turn, time_ns, start_ns)
+    {
+        anyhow::bail!("{} ends before {from}: its last turn is {turn}", path.display());
     }
     conclude(path, &report, out)?;
     Ok(report)

@@ -70,7 +70,7 @@ pub enum ReplayError {
     /// Turns were dropped while recording.
     #[error(
         "{}: turn {found} comes where turn {expected} should be: turns were dropped while recording (the disk \
-         was too slow), \
+         was too slow) or were in a part that was damaged, \
          and what comes after them cannot be recomputed before the next snapshot",
         path.display()
     )]

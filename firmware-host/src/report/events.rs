@@ -22,12 +22,13 @@ pub struct Goals {
     pub dropped: Reasons,
 }
 
-/// Everything that has a reason, counted.
+/// Everything that has a reason, counted. By default nobody drove, and what only driving has is absent.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct EventCounts {
     /// What became of goals.
-    pub goals: Goals,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub goals: Option<Goals>,
     /// Times when no goal could be chosen, by reason.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub no_goal: Reasons,
@@ -35,12 +36,14 @@ pub struct EventCounts {
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub no_depth: Reasons,
     /// Times when the bumper stopped the robot.
-    pub bumper_trips: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bumper_trips: Option<u64>,
     /// The same by what noticed the obstacle.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub bumper_trips_by: Reasons,
     /// Times when the robot turned to get out of a place where the bumper tripped repeatedly.
-    pub bumper_escapes: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bumper_escapes: Option<u64>,
     /// Inputs that were refused, by reason.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub refused_inputs: Reasons,
@@ -50,21 +53,28 @@ pub struct EventCounts {
 }
 
 impl EventCounts {
+    /// Of a robot that drives: that it never tripped is worth saying.
+    #[must_use]
+    pub fn driving() -> Self {
+        let (goals, none) = (Some(Goals::default()), Some(0));
+        Self { goals, bumper_trips: none, bumper_escapes: none, ..Self::default() }
+    }
+
     /// Counts one event.
     pub fn add(&mut self, event: &Event) {
         match event {
-            Event::GoalChosen { why, .. } => count(&mut self.goals.chosen, why),
-            Event::GoalReached => self.goals.reached += 1,
-            Event::GoalDropped { why } => count(&mut self.goals.dropped, why),
+            Event::GoalChosen { why, .. } => count(&mut self.goals.get_or_insert_default().chosen, why),
+            Event::GoalReached => self.goals.get_or_insert_default().reached += 1,
+            Event::GoalDropped { why } => count(&mut self.goals.get_or_insert_default().dropped, why),
             Event::NoGoal { why } => count(&mut self.no_goal, why),
             Event::NoDepth { why } => count(&mut self.no_depth, why),
             Event::InputRefused { why } => count(&mut self.refused_inputs, why),
             Event::Safety { what: SafetyEvent::Tripped { by, .. } } => {
-                self.bumper_trips += 1;
+                *self.bumper_trips.get_or_insert(0) += 1;
                 count(&mut self.bumper_trips_by, by);
             }
             Event::Safety { what: SafetyEvent::Faulted { why } } => count(&mut self.safety_faults, why),
-            Event::Safety { what: SafetyEvent::Escaping } => self.bumper_escapes += 1,
+            Event::Safety { what: SafetyEvent::Escaping } => *self.bumper_escapes.get_or_insert(0) += 1,
             _ => {}
         }
     }
@@ -109,10 +119,11 @@ mod tests {
             Event::Safety { what: SafetyEvent::Escaping },
         ];
         events.iter().for_each(|event| counts.add(event));
-        assert_eq!(counts.goals.chosen, Reasons::from([("frontier".into(), 1), ("inconsistency".into(), 1)]));
-        assert_eq!((counts.goals.reached, counts.goals.dropped["no_progress"]), (1, 1));
+        let goals = counts.goals.unwrap();
+        assert_eq!(goals.chosen, Reasons::from([("frontier".into(), 1), ("inconsistency".into(), 1)]));
+        assert_eq!((goals.reached, goals.dropped["no_progress"]), (1, 1));
         assert_eq!(counts.no_depth, Reasons::from([("too_little_parallax".into(), 2)]));
-        assert_eq!((counts.bumper_trips, counts.bumper_escapes), (2, 1));
+        assert_eq!((counts.bumper_trips, counts.bumper_escapes), (Some(2), Some(1)));
         assert_eq!(counts.bumper_trips_by, Reasons::from([("contact".into(), 1), ("lidar_hit".into(), 1)]));
     }
 }

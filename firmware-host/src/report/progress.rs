@@ -1,11 +1,12 @@
 //! How far a run has come: a bar on a terminal, a line every tenth elsewhere.
 
 use std::{
+    fmt,
     io::{IsTerminal as _, Write as _},
     time::{Duration, Instant},
 };
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 
 /// What is worth knowing while a run lasts.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -37,7 +38,7 @@ impl Progress {
     /// A run of `total` frames starts now.
     #[must_use]
     pub fn start(total: u64) -> Self {
-        let bar = std::io::stderr().is_terminal().then(|| bar(total));
+        let bar = std::io::stderr().is_terminal().then(|| bar(total, ProgressDrawTarget::stderr()));
         Self { total, started: Instant::now(), bar, tenths_told: 0 }
     }
 
@@ -64,10 +65,15 @@ impl Progress {
     }
 }
 
-fn bar(total: u64) -> ProgressBar {
-    let bar = ProgressBar::with_draw_target(Some(total), ProgressDrawTarget::stderr());
-    let template = "{bar:30} {pos}/{len} frames, {per_sec:.1}, {eta} left  {msg}";
-    bar.with_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()))
+fn bar(total: u64, on: ProgressDrawTarget) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(total), on);
+    let template = "{bar:20} {pos}/{len} frames, {rate}, {eta} left  {wide_msg}";
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    // indicatif's own `per_sec` has four decimals, whatever is asked for.
+    bar.with_style(style.with_key("rate", |state: &ProgressState, text: &mut dyn fmt::Write| {
+        // Nothing can be done about a terminal that takes no text.
+        let _ = write!(text, "{:.1} a second", state.per_sec());
+    }))
 }
 
 /// Whole tenths of the run.
@@ -89,6 +95,8 @@ fn plain(done: u64, total: u64, elapsed: Duration, status: &Status<'_>) -> Strin
 #[cfg(test)]
 mod tests {
     use super::*;
+    use indicatif::TermLike;
+    use std::io;
 
     #[test]
     fn a_line_says_how_far_how_fast_and_how_long() {
@@ -97,6 +105,56 @@ mod tests {
         assert_eq!(line, " 50 %  1500/3000 frames, 30.0 a second, 50 s left, 35 % mapped, frontier");
         let line = plain(3000, 3000, Duration::from_secs(100), &Status::default());
         assert_eq!(line, "100 %  3000/3000 frames, 30.0 a second, 0 s left");
+    }
+
+    /// A terminal of 78 columns that keeps what was drawn.
+    #[derive(Debug, Clone, Default)]
+    struct Paper(std::sync::Arc<std::sync::Mutex<String>>);
+
+    impl TermLike for Paper {
+        fn width(&self) -> u16 {
+            78
+        }
+        fn move_cursor_up(&self, _: usize) -> io::Result<()> {
+            Ok(())
+        }
+        fn move_cursor_down(&self, _: usize) -> io::Result<()> {
+            Ok(())
+        }
+        fn move_cursor_right(&self, _: usize) -> io::Result<()> {
+            Ok(())
+        }
+        fn move_cursor_left(&self, _: usize) -> io::Result<()> {
+            Ok(())
+        }
+        fn write_line(&self, text: &str) -> io::Result<()> {
+            self.write_str(text)
+        }
+        fn write_str(&self, text: &str) -> io::Result<()> {
+            self.0.lock().unwrap().push_str(text);
+            Ok(())
+        }
+        fn clear_line(&self) -> io::Result<()> {
+            self.0.lock().unwrap().clear();
+            Ok(())
+        }
+        fn flush(&self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn the_bar_says_the_rate_with_one_decimal_within_the_terminals_width() {
+        let paper = Paper::default();
+        let bar = bar(3000, ProgressDrawTarget::term_like(Box::new(paper.clone())));
+        bar.set_message(Status { coverage: Some(0.347), doing: "going where two looks disagree" }.text());
+        bar.set_position(1500);
+        bar.force_draw();
+        let line = paper.0.lock().unwrap().clone();
+        let rate = line.split(", ").find_map(|part| part.strip_suffix(" a second")).unwrap_or_default();
+        assert_eq!(rate.split_once('.').map(|(_, decimals)| decimals.len()), Some(1), "{line:?}");
+        assert!(line.contains("1500/3000 frames") && line.contains("35 % mapped"), "{line:?}");
+        assert!(line.trim_end().chars().count() <= 78 && !line.contains('\x1b'), "{line:?}");
     }
 
     #[test]

@@ -199,7 +199,10 @@ mod tests {
     #[test]
     fn a_key_without_a_value_is_absent() {
         let empty: serde_json::Value = serde_json::from_str(&Summary::default().to_json()).unwrap();
-        assert_eq!(empty, json!({"frames": 0, "bumper_trips": 0, "bumper_escapes": 0, "goals": {"reached": 0}}));
+        assert_eq!(empty, json!({"frames": 0}));
+        let drive: serde_json::Value =
+            serde_json::from_str(&Summary { events: EventCounts::driving(), ..Summary::default() }.to_json()).unwrap();
+        assert_eq!(drive, json!({"frames": 0, "bumper_trips": 0, "bumper_escapes": 0, "goals": {"reached": 0}}));
     }
 
     #[test]
@@ -243,6 +246,7 @@ mod tests {
                 refined: None,
                 constant: Some(constant),
             }),
+            events: EventCounts::driving(),
             ..Summary::default()
         };
         let mut value: serde_json::Value = serde_json::from_str(&summary.to_json()).unwrap();

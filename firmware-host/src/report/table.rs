@@ -65,10 +65,10 @@ fn line(text: &mut String, label: &str, value: &str) {
 fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
     let events = &summary.events;
     let mut trips = counted(&events.bumper_trips_by, "trips");
-    if events.bumper_escapes > 0 {
-        let _ = write!(trips, ", {} escapes", events.bumper_escapes);
+    if let Some(escapes) = events.bumper_escapes.filter(|escapes| *escapes > 0) {
+        let _ = write!(trips, ", {escapes} {}", if escapes == 1 { "escape" } else { "escapes" });
     }
-    let goals = &events.goals;
+    let goals = events.goals.clone().unwrap_or_default();
     let [chosen, dropped] = [&goals.chosen, &goals.dropped].map(|reasons| reasons.values().sum::<u64>());
     let goal_counts = (chosen > 0).then(|| format!("{chosen} chosen, {} reached, {dropped} dropped", goals.reached));
     vec![
@@ -255,13 +255,13 @@ mod tests {
             stuck_frames: Some(24),
             stuck_longest_frames: Some(24),
             events: EventCounts {
-                goals: Goals {
+                goals: Some(Goals {
                     chosen: reasons(&[("frontier", 31), ("inconsistency", 10)]),
                     reached: 30,
                     dropped: reasons(&[("no_progress", 4), ("resolved", 7)]),
-                },
+                }),
                 no_depth: reasons(&[("first_frame", 1), ("too_little_parallax", 209)]),
-                bumper_trips: 3,
+                bumper_trips: Some(3),
                 bumper_trips_by: reasons(&[("lidar_hit", 3)]),
                 ..EventCounts::default()
             },

@@ -103,7 +103,7 @@ impl Exploration {
             wheels: WheelHistory::default(),
             report: SafetyReport::default(),
             stopwatch: Stopwatch::default(),
-            counts: EventCounts::default(),
+            counts: EventCounts::driving(),
             tick: 0,
             pictures: 0,
             path_m: 0.0,

@@ -4,6 +4,7 @@
 //! the exploration plane ([`exploration`]) turns ten times a second in the main thread; the recorder writes when it can. Drivers
 //! have threads of their own. Nothing waits for a device.
 
+mod alone;
 mod devices;
 mod exploration;
 mod odometry;
@@ -36,6 +37,7 @@ use crate::report::atomic::prepare_dir;
 use crate::report::latency::Stage;
 use crate::report::summary::{Summary, peak_resident_mib};
 use crate::setup::{self, Mission};
+use alone::Alone;
 use exploration::{Exploration, Finished};
 use safety_thread::{Pace, SafetyThread};
 use supervision::Supervision;
@@ -52,6 +54,8 @@ pub fn run(args: &RunArgs) -> Result<()> {
     // Wheels with inertia lose most of their time by stopping for every small turn. The recording says so too.
     config.planning.arcs = true;
     config.check_devices(&args.config)?;
+    // Before anything is opened or written: the other one goes on as if nobody had asked.
+    let _alone = Alone::on(&config.devices.base.bus)?;
     let camera = config.camera.model();
     let configured = Some(&config.models.store).filter(|dir| !dir.is_empty());
     let store = args.model_store.clone().or_else(|| configured.map(PathBuf::from));
@@ -65,7 +69,8 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };
     let model = network.as_ref().map(|network| network.digest().to_owned());
     let robot = Robot::new(config.robot(&mission), network)?;
-    prepare_dir(&args.out)?;
+    let out = &args.out.clone().unwrap_or_else(|| named_by_time(&config));
+    prepare_dir(out)?;
     let plan = args.faults.plan(args.frames.map_or(RANDOM_FAULTS_S, |frames| frames as f64 * config.base.tick_s()));
     if plan.seed().is_some() {
         tracing::warn!("devices are broken on purpose: {}", plan.texts().join(", "));
@@ -74,7 +79,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let header = RunHeader { model_store, ..setup::run_header(&config, &mission, model.as_deref(), &plan)? };
     let start_ns = monotonic_ns();
     let faults = plan.clone().at(Arc::new(move || monotonic_ns().saturating_sub(start_ns)));
-    let recorder = if args.no_recording { None } else { Some(recorder(args, &config, header, &faults)?) };
+    let recorder = if args.no_recording { None } else { Some(recorder(out, &config, header, &faults)?) };
     let signals = Signals::register()?;
     let camera = devices::open_camera(&config, &faults)?;
     let pace = Pace { period_ns: (1e9 / config.run.safety_hz) as u64, priority: config.run.realtime_priority };
@@ -83,7 +88,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
         SafetyThread::start(pace, move || devices::open_scanner_and_base(&wiring, &wiring_faults))?;
     let mut exploration = Exploration::new(&config, camera, robot, recorder)?;
     exploration.models = start.map(|(keeper, start)| LiveModels::threaded(keeper, start, &config)).transpose()?;
-    let mut supervision = Supervision::new(args, &config, lidar);
+    let mut supervision = Supervision::new(args, out, &config, lidar);
     if config.run.arm_at_start {
         safety.request(Request::Arm);
     }
@@ -100,7 +105,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
         fault_seed: plan.seed(),
         ..Summary::default()
     };
-    report(args, &mission, summary, exploration.finish(), late)
+    report(out, &mission, summary, exploration.finish(), late)
 }
 
 /// The exploration plane's loop. Why it ended, and the turns that were left out because the one before took longer than its period.
@@ -168,20 +173,25 @@ impl Signals {
     }
 }
 
-fn recorder(args: &RunArgs, config: &Config, header: RunHeader, faults: &Faults) -> Result<Recorder> {
+/// Universal time, in the form in which the service names its folders; beside the runs by which models are judged.
+fn named_by_time(config: &Config) -> PathBuf {
+    Path::new(&config.models.recordings).join(jiff::Timestamp::now().strftime("%Y-%m-%dT%H-%M-%S").to_string())
+}
+
+fn recorder(out: &Path, config: &Config, header: RunHeader, faults: &Faults) -> Result<Recorder> {
     let options = RecorderOptions {
         segment_ns: (config.recording.segment_s * 1e9) as u64,
         segment_bytes: config.recording.segment_mib << 20,
-        quota: Some(quota(args, config)?),
+        quota: Some(quota(out, config)?),
         pictures: config.recording.pictures,
-        ..RecorderOptions::robot(&args.out)
+        ..RecorderOptions::robot(out)
     };
     Ok(Recorder::start_on(Box::new(FaultyDisk::new(FileSystem, faults)), options, header)?)
 }
 
 /// The runs beside this one are the robot's buffer.
-fn quota(args: &RunArgs, config: &Config) -> Result<Quota> {
-    let out = std::path::absolute(&args.out).context("the working directory is gone")?;
+fn quota(out: &Path, config: &Config) -> Result<Quota> {
+    let out = std::path::absolute(out).context("the working directory is gone")?;
     let buffer = out.parent().unwrap_or(&out).to_owned();
     let bytes = |gib: f64| (gib * (1u64 << 30) as f64) as u64;
     let most = Some(bytes(config.recording.quota_gib)).filter(|most| *most > 0);
@@ -189,7 +199,7 @@ fn quota(args: &RunArgs, config: &Config) -> Result<Quota> {
 }
 
 fn report(
-    args: &RunArgs,
+    out: &Path,
     mission: &Mission,
     summary: Summary,
     finished: Finished,
@@ -197,7 +207,7 @@ fn report(
 ) -> Result<()> {
     let mut summary = Summary {
         frames: finished.pictures,
-        seed: Some(args.seed),
+        seed: Some(mission.seed),
         policy: Some(mission.policy.name().to_owned()),
         depth_source: Some(mission.depth_source),
         path_m: Some(finished.path_m),
@@ -223,10 +233,10 @@ fn report(
         Some(Err(error)) => eprintln!("warning: {error}"),
         None => {}
     }
-    draw_map(&args.out, &finished.robot, &finished.trajectory, &finished.trips_m)?;
-    summary.write(&args.out)?;
+    summary.write(out)?;
     println!("{}", crate::report::table::render(&summary));
-    println!("Look at {0}/map.png; numbers are in {0}/summary.json.", args.out.display());
+    draw_map(out, &finished.robot, &finished.trajectory, &finished.trips_m)?;
+    println!("Look at {0}/map.png; numbers are in {0}/summary.json.", out.display());
     Ok(())
 }
 

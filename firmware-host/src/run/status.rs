@@ -160,7 +160,8 @@ impl Status {
         let text = std::fs::read_to_string(path).with_context(|| {
             format!("no status at {}: is `firmware-host run` running? Else give its file by --status", path.display())
         })?;
-        serde_json::from_str(&text).with_context(|| format!("{} is not a status of this version", path.display()))
+        let status = serde_json::from_str::<Self>(&text).ok().filter(|status| status.pid > 0);
+        status.with_context(|| format!("{} is not a status of this version of `firmware-host run`", path.display()))
     }
 
     /// Everything that an operator should know of now; empty: all is well.

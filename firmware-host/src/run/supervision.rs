@@ -1,6 +1,6 @@
 //! Tells systemd and `health` how the robot is.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
 use drivers::DeviceState;
@@ -16,6 +16,7 @@ use super::safety_thread::{Glance, SafetyThread};
 use super::status::{LastStop, RateMeter, RecordingStatus, SafetyStatus, Status, unix_s};
 use crate::cli::RunArgs;
 use crate::config::Config;
+use crate::failure::sentence;
 
 /// Twice a second.
 const EVERY_NS: u64 = 500_000_000;
@@ -37,7 +38,7 @@ pub struct Supervision {
 
 impl Supervision {
     /// Nothing told yet.
-    pub fn new(args: &RunArgs, config: &Config, lidar: HokuyoMonitor) -> Self {
+    pub fn new(args: &RunArgs, out: &Path, config: &Config, lidar: HokuyoMonitor) -> Self {
         let file = args.status.clone().unwrap_or_else(|| PathBuf::from(&config.run.status_file));
         if let Some(folder) = file.parent() {
             // Where it cannot be made, writing says so.
@@ -46,7 +47,7 @@ impl Supervision {
         let devices = &config.devices;
         Self {
             file,
-            folder: (!args.no_recording).then(|| args.out.display().to_string()),
+            folder: (!args.no_recording).then(|| out.display().to_string()),
             names: [
                 format!("camera {}", devices.camera.device),
                 format!("LiDAR {}", devices.lidar.port),
@@ -100,7 +101,7 @@ impl Supervision {
         if let Err(error) = status.write(&self.file)
             && !std::mem::replace(&mut self.unwritable, true)
         {
-            tracing::warn!("{error:#}; `health` will have nothing to show");
+            tracing::warn!("{}; `health` will have nothing to show", sentence(&error));
         }
     }
 

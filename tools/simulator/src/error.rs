@@ -21,7 +21,8 @@ pub enum SceneError {
         source: std::io::Error,
     },
     /// The file's name says that it is something else than a scene.
-    #[error("'{}' is not a scene that can be read: its name must end in .glb, .gltf or .obj", path.display())]
+    #[error("'{}' is not a scene that can be read: its name must end in .glb, .gltf or .obj; homes of our own are \
+         builtin:apartment, builtin:house and builtin:office", path.display())]
     UnknownFormat {
         /// The path as given.
         path: PathBuf,

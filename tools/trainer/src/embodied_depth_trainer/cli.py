@@ -65,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
     calibrated.add_argument("--model", type=Path, required=True, help="ONNX file of a student")
     for name in ("--recording", "--coarse", "--labels"):
         calibrated.add_argument(name, type=Path, action="append", required=True, help="as of `train`; may be repeated")
-    calibrated.add_argument("--every", type=int, default=1, help="only every so manieth picture [1]")
+    calibrated.add_argument("--every", type=int, default=1, help="every Nth picture only [1]")
     calibrated.add_argument("--out", type=Path, required=True)
     _add_watch(
         commands.add_parser("watch", help="train on what pull-buffer brings, as it comes, and hand each network on")
@@ -89,7 +89,7 @@ def _add_frames(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--dataset", type=Path, action="append", default=[], help="what `perceive --dataset --dump` wrote"
     )
-    command.add_argument("--every", type=int, default=1, help="only every so manieth picture of a recording [1]")
+    command.add_argument("--every", type=int, default=1, help="every Nth picture of a recording only [1]")
     command.add_argument("--size", type=picture_size, help="rows x columns to reduce the pictures to")
     command.add_argument("--device", default="cpu", help="cpu or cuda [cpu]")
     command.add_argument(

@@ -53,7 +53,7 @@ class WatchSettings:
     steps: int = 600
     """Of a round."""
     every: int = 2
-    """Only every so manieth picture is trained on: neighbours say the same."""
+    """Every Nth picture is trained on: neighbours say the same."""
     then: str | None = None
     """Run with each network; `{}` stands for its file."""
     rounds: int | None = None
