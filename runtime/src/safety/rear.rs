@@ -370,4 +370,31 @@ mod tests {
         rear.forget();
         assert_eq!(rear.known_free_m(0, &Pose2::new(0.18, 0.0, 0.0), &ROUND, 0.2), 0.0);
     }
+
+    #[test]
+    fn what_is_known_of_the_ground_behind_is_the_same_after_a_snapshot_and_half_of_one_is_refused() {
+        let mut known = rear();
+        (0..70).for_each(|step| known.stand(step as u64, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0)));
+        known.see(&round_room(2.0), &Pose2::new(1.38, 0.0, 0.5), &nobody());
+        let mut bytes = Vec::new();
+        known.write(&mut bytes);
+        let (mut taken_up, mut rest) = (rear(), bytes.as_slice());
+        taken_up.read(&mut rest).unwrap();
+        assert_eq!((&taken_up, rest.len()), (&known, 0));
+        for len in 0..bytes.len() {
+            assert!(rear().read(&mut &bytes[..len]).is_err(), "{len} of {}", bytes.len());
+        }
+    }
+
+    #[test]
+    fn a_snapshot_that_names_a_place_beyond_the_trail_is_taken_for_one_on_it() {
+        let mut bytes = Vec::new();
+        rear().write(&mut bytes);
+        // Its last number is the next place: 200, in two bytes.
+        assert_eq!(bytes.pop(), Some(0));
+        bytes.extend([0xc8, 0x01]);
+        let mut taken_up = rear();
+        taken_up.read(&mut bytes.as_slice()).unwrap();
+        assert_eq!(taken_up.next, 200 - 3 * TRAIL);
+    }
 }
