@@ -24,8 +24,10 @@ pub fn run() -> Result<()> {
         fs::remove_dir_all(&counts)?;
     }
     let program = build(&safety)?;
-    // One process for all tests.
-    command::run(Command::new(&program).arg("--quiet").env("LLVM_PROFILE_FILE", counts.join("%p.profraw")))?;
+    let mut tests = Command::new(&program);
+    // Few random cases: a place that only many of them reach shall be named.
+    tests.arg("--quiet").env("PROPTEST_CASES", "4").env("LLVM_PROFILE_FILE", counts.join("%p.profraw"));
+    command::run(&mut tests)?;
     let raw = fs::read_dir(&counts)?.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>>>()?;
     let merged = counts.join("merged");
     command::run(Command::new(&llvm.profdata).args(["merge", "-sparse", "-o"]).arg(&merged).args(raw))?;
