@@ -277,7 +277,9 @@ mod tests {
             };
             scan.ranges.iter_mut().enumerate().for_each(dark);
             let mut rear = rear();
-            [0.0, 1.7].map(|yaw| rear.see(&scan, &Pose2::new(0.0, 0.0, yaw), &nobody()));
+            for yaw in [0.0, 1.7] {
+                rear.see(&scan, &Pose2::new(0.0, 0.0, yaw), &nobody());
+            }
             assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), known_m, "one of {every}");
         }
     }
