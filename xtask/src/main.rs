@@ -5,6 +5,7 @@
 mod accuracy;
 mod bench;
 mod command;
+mod coverage;
 mod data_loop;
 mod demo;
 mod dist;
@@ -17,6 +18,7 @@ mod paths;
 mod peers;
 mod policies;
 mod rig;
+mod safety_alone;
 mod test;
 mod trainer;
 
@@ -98,6 +100,8 @@ enum Chore {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
+    /// Which lines and branches of the safety plane its own tests reach. Needs LLVM's tools of the compiler's version.
+    Coverage,
     /// Install what the other chores need, and nothing else.
     Setup,
 }
@@ -125,6 +129,7 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Policies { frames, seeds } => policies::run(*frames, *seeds),
         Chore::Models => models::run(),
         Chore::Fuzz { seconds, keep, targets } => fuzz::run(*seconds, *keep, targets),
+        Chore::Coverage => coverage::run(),
         Chore::Mutants { arguments } => mutants::run(arguments),
         Chore::Rig { all, filter } => rig::run(*all, filter.as_deref()),
         Chore::Dist { target } => dist::run(*target),

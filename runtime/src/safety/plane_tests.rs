@@ -1,5 +1,6 @@
 use super::*;
 use crate::safety::Plan;
+use crate::snapshot::State;
 use hal::{ErrorKind, Range, ScanGeometry};
 use proptest::prelude::*;
 
@@ -504,4 +505,33 @@ fn a_refused_plan_is_said_once_and_waiting_for_the_first_not_at_all() {
     (0..20).for_each(|_| assert!(!said(&mut room, None)));
     let nonsense = Plan { twist: Twist2 { linear_mps: f64::NAN, angular_radps: 0.0 }, time_ns: u64::MAX / 4 };
     assert_eq!((0..20).filter(|_| said(&mut room, Some(nonsense))).count(), 1);
+}
+
+#[test]
+fn a_plane_that_takes_up_a_snapshot_goes_on_as_the_one_that_wrote_it() {
+    let mut room = Room::new(2.0, Pose2::new(1.0, 0.0, 0.0));
+    let mut bytes = Vec::new();
+    let mut states = Vec::new();
+    let mut other = SafetyPlane::new(SafetyConfig::default());
+    for tick in 0..600 {
+        if tick % 7 == 0 {
+            bytes.clear();
+            State::write(&room.plane, &mut bytes);
+            other = SafetyPlane::new(SafetyConfig::default());
+            let mut rest = bytes.as_slice();
+            other.read(&mut rest).unwrap();
+            assert!(rest.is_empty());
+        }
+        let scan = room.scan();
+        let input = room.input(FORWARD, Some(&scan), false);
+        let goes_on = other.step(&input);
+        assert_eq!(room.turn(&input), goes_on, "turn {tick}");
+        states.push(room.plane.state().name());
+    }
+    for state in ["clear", "tripped", "backing off", "escaping"] {
+        assert!(states.contains(&state), "{state} was never looked at");
+    }
+    for len in 0..bytes.len() {
+        assert!(SafetyPlane::new(SafetyConfig::default()).read(&mut &bytes[..len]).is_err(), "{len}");
+    }
 }

@@ -228,7 +228,17 @@ mod tests {
         assert!((0.16..=0.22).contains(&known_m), "{known_m}");
         let turned = Pose2::new(0.18, 0.0, 1.5);
         assert!(rear.known_free_m(0, &turned, &ROUND, 0.5) < 0.03, "the way is not behind any more");
+        assert_eq!(rear.known_free_m(29_000_000_000, &here, &ROUND, 0.5), known_m, "not too long ago");
         assert_eq!(rear.known_free_m(31_000_000_000, &here, &ROUND, 0.5), 0.0, "too long ago");
+    }
+
+    #[test]
+    fn standing_for_long_does_not_forget_the_way_that_was_driven() {
+        let mut rear = rear();
+        let at = |way_m: f64, yaw: f64| Pose2::new(0.0, 0.0, 1.0).compose(&Pose2::new(way_m, 0.0, yaw));
+        (0..10).for_each(|step| rear.stand(0, &at(f64::from(step) * 0.021, 0.0)));
+        (0..1000).for_each(|_| rear.stand(0, &at(0.195, 0.05)));
+        assert!(rear.known_free_m(0, &at(0.195, 0.0), &ROUND, 0.5) > 0.16);
     }
 
     #[test]
@@ -238,8 +248,87 @@ mod tests {
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0, "behind is blind");
         rear.see(&round_room(2.0), &Pose2::new(0.0, 0.0, 1.7), &nobody());
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.2);
-        let moved_on = Pose2::new(0.3, 0.0, 0.0);
-        assert_eq!(rear.known_free_m(0, &moved_on, &ROUND, 0.2), 0.0, "seen from elsewhere");
+        for (x_m, y_m) in [(0.3, 0.0), (-0.3, 0.0), (0.0, 0.3), (0.0, -0.3)] {
+            let moved_on = Pose2::new(x_m, y_m, 0.0);
+            assert_eq!(rear.known_free_m(0, &moved_on, &ROUND, 0.2), 0.0, "seen from elsewhere");
+        }
+        assert_eq!(rear.known_free_m(31_000_000_000, &Pose2::IDENTITY, &ROUND, 0.2), 0.0, "too long ago");
+    }
+
+    #[test]
+    fn only_what_lies_behind_need_be_looked_at_and_a_direction_that_was_seen_in_part_was_not() {
+        // A scan reaches 135 degrees to the left; behind are the directions from 200 to 290 degrees.
+        let here = Pose2::new(1.0, -2.0, 63f64.to_radians());
+        for (looked_deg, known_m) in [(146.1, 0.0), (156.1, 0.2)] {
+            let mut rear = rear();
+            rear.see(&round_room(2.0), &Pose2::new(1.0, -2.0, f64::to_radians(looked_deg)), &nobody());
+            assert_eq!(rear.known_free_m(0, &here, &ROUND, 0.2), known_m, "{looked_deg}");
+        }
+    }
+
+    #[test]
+    fn a_direction_is_seen_when_half_of_its_beams_came_back() {
+        for (every, known_m) in [(2, 0.2), (3, 0.0)] {
+            let mut scan = round_room(2.0);
+            let dark = |(beam, range): (usize, &mut Range)| {
+                if beam % every != 0 {
+                    *range = Range::NoReturn;
+                }
+            };
+            scan.ranges.iter_mut().enumerate().for_each(dark);
+            let mut rear = rear();
+            for yaw in [0.0, 1.7] {
+                rear.see(&scan, &Pose2::new(0.0, 0.0, yaw), &nobody());
+            }
+            assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), known_m, "one of {every}");
+        }
+    }
+
+    #[test]
+    fn a_return_may_be_anywhere_across_its_direction_and_is_where_it_was_when_the_robot_has_moved_a_little() {
+        let mut rear = rear();
+        // Something between 190 and 200 degrees, 0.7 m away; the robot looks that way and turns back.
+        let looked_rad = -1.7;
+        let post = scan_of(|angle| match (angle + looked_rad).to_degrees().rem_euclid(360.0) {
+            at if (190.1..199.9).contains(&at) => Range::Hit(0.7),
+            _ => Range::Hit(3.0),
+        });
+        rear.see(&round_room(3.0), &Pose2::new(0.0, 0.0, 1.7), &nobody());
+        rear.see(&post, &Pose2::new(0.0, 0.0, looked_rad), &nobody());
+        let known_m = |y_m: f64| rear.known_free_m(0, &Pose2::new(0.0, y_m, 0.0), &ROUND, 1.0);
+        // At 190 degrees it would be met; its middle would be passed.
+        let (far_m, aside_m) = (0.7 * 10f64.to_radians().cos(), 0.7 * 10f64.to_radians().sin());
+        let gap_m = |aside_m: f64| far_m - (0.16 * 0.16 - aside_m * aside_m).sqrt();
+        assert!((known_m(0.0) - gap_m(aside_m)).abs() < 1e-6, "{}", known_m(0.0));
+        assert!((known_m(-0.06) - gap_m(aside_m - 0.06)).abs() < 1e-6, "{}", known_m(-0.06));
+        assert_eq!(known_m(0.06), 1.0, "beside it");
+    }
+
+    #[test]
+    fn directions_are_ten_degrees_each_and_there_is_none_beyond_the_last() {
+        assert!((direction_of(0) - 5f64.to_radians()).abs() < 1e-12);
+        assert!((direction_of(35) - 355f64.to_radians()).abs() < 1e-12);
+        for sector in 0..SECTORS {
+            for (turns, off) in [(-1.0, -0.08), (0.0, 0.0), (1.0, 0.08)] {
+                assert_eq!(sector_of(direction_of(sector) + turns * TAU + off), sector);
+            }
+        }
+        assert_eq!(sector_of(-1e-20), SECTORS - 1, "a whole turn, but for less than a number can hold");
+    }
+
+    #[test]
+    fn the_distance_from_a_straight_piece_is_that_from_its_nearest_place() {
+        // Five metres to the north-east: three and four.
+        let (from, to) = (Pose2::new(1.0, 2.0, 0.0), Pose2::new(4.0, 6.0, 0.0));
+        let at = |along_m: f64, aside_m: f64| {
+            Pose2::new(1.0 + 0.6 * along_m - 0.8 * aside_m, 2.0 + 0.8 * along_m + 0.6 * aside_m, 0.0)
+        };
+        for (along_m, aside_m, distance_m) in
+            [(2.0, 0.5, 0.5), (4.0, -0.25, 0.25), (0.0, 1.0, 1.0), (-3.0, 4.0, 5.0), (8.0, -4.0, 5.0)]
+        {
+            assert!((distance_to_way_m(&at(along_m, aside_m), &from, &to) - distance_m).abs() < 1e-12);
+        }
+        assert!((distance_to_way_m(&at(-3.0, 4.0), &from, &from) - 5.0).abs() < 1e-12, "a piece without length");
     }
 
     #[test]
@@ -352,7 +441,25 @@ mod tests {
             let here = Pose2::new(0.19, 0.0, 0.0);
             let known = rear.known_free_m(0, &here, &Footprint::new(0.0, &corners), 0.1);
             assert_eq!(known, known_m, "{yaw}");
+            assert_eq!(rear.known_free_m(0, &here, &ROUND, 0.1), 0.1, "a round robot has no heading");
         }
+    }
+
+    #[test]
+    fn a_cart_that_has_turned_on_the_spot_knows_the_way_that_it_drives_from_there() {
+        let cart = Footprint::new(0.0, &[[0.3, 0.15], [-0.1, 0.15], [-0.1, -0.15], [0.3, -0.15]]);
+        let mut rear = rear();
+        let mut here = Pose2::new(0.5, 0.5, 0.5);
+        for _ in 0..10 {
+            here = here.compose(&Pose2::new(0.0, 0.0, 0.05));
+            rear.stand(0, &here);
+        }
+        for _ in 0..6 {
+            here = here.compose(&Pose2::new(0.02, 0.0, 0.0));
+            rear.stand(0, &here);
+        }
+        let known_m = rear.known_free_m(0, &here, &cart, 0.12);
+        assert!(known_m > 0.11, "{known_m}");
     }
 
     #[test]
@@ -369,5 +476,32 @@ mod tests {
         (0..10).for_each(|step| rear.stand(0, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0)));
         rear.forget();
         assert_eq!(rear.known_free_m(0, &Pose2::new(0.18, 0.0, 0.0), &ROUND, 0.2), 0.0);
+    }
+
+    #[test]
+    fn what_is_known_of_the_ground_behind_is_the_same_after_a_snapshot_and_half_of_one_is_refused() {
+        let mut known = rear();
+        (0..70).for_each(|step| known.stand(step as u64, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0)));
+        known.see(&round_room(2.0), &Pose2::new(1.38, 0.0, 0.5), &nobody());
+        let mut bytes = Vec::new();
+        known.write(&mut bytes);
+        let (mut taken_up, mut rest) = (rear(), bytes.as_slice());
+        taken_up.read(&mut rest).unwrap();
+        assert_eq!((&taken_up, rest.len()), (&known, 0));
+        for len in 0..bytes.len() {
+            assert!(rear().read(&mut &bytes[..len]).is_err(), "{len} of {}", bytes.len());
+        }
+    }
+
+    #[test]
+    fn a_snapshot_that_names_a_place_beyond_the_trail_is_taken_for_one_on_it() {
+        let mut bytes = Vec::new();
+        rear().write(&mut bytes);
+        // Its last number is the next place: 200, in two bytes.
+        assert_eq!(bytes.pop(), Some(0));
+        bytes.extend([0xc8, 0x01]);
+        let mut taken_up = rear();
+        taken_up.read(&mut bytes.as_slice()).unwrap();
+        assert_eq!(taken_up.next, 200 - 3 * TRAIL);
     }
 }

@@ -367,4 +367,29 @@ pub(super) mod tests {
         around.see(&LaserScan { geometry, ..wall_ahead(0.2) });
         assert!(around.first_met(&Footprint::new(0.16, &[]), &FORWARD, 0.1).is_none(), "it looks to the left");
     }
+
+    #[test]
+    fn what_is_seen_lies_where_the_beam_points_and_nothing_beyond_the_horizon_is_kept() {
+        let mut around = Surroundings::new(&SafetyConfig { laser_forward_m: 0.1, ..SafetyConfig::default() });
+        around.see(&scan_of(|angle| if (0.5..0.6).contains(&angle) { Range::Hit(1.0) } else { Range::Hit(3.0) }));
+        assert!(around.obstacles().len() > 20);
+        for obstacle in around.obstacles() {
+            let (x_m, y_m) = (obstacle.x_m - 0.1, obstacle.y_m);
+            assert!((x_m.hypot(y_m) - 1.0).abs() < 1e-6 && (0.5..0.6).contains(&y_m.atan2(x_m)), "{obstacle:?}");
+        }
+        for (range_m, is_kept) in [(1.5, true), (1.51, false), (20.0, false)] {
+            around.see(&scan_of(|_| Range::Hit(range_m)));
+            assert_eq!(!around.obstacles().is_empty(), is_kept, "{range_m}");
+        }
+    }
+
+    #[test]
+    fn whatever_is_within_the_horizon_is_met_by_who_looks_far_enough() {
+        let mut around = Surroundings::new(&SafetyConfig::default());
+        around.see(&scan_of(|_| Range::Hit(1.5)));
+        let robot = Footprint::new(0.16, &[]);
+        let (_, gap_m) = around.first_met(&robot, &FORWARD, 100.0).unwrap();
+        assert!((gap_m - 1.34).abs() < 1e-3, "{gap_m}");
+        assert!(around.first_met(&robot, &FORWARD, 1.3).is_none());
+    }
 }

@@ -1,6 +1,6 @@
 #: title   the deployed program explores a home: pictures by V4L2, scans by USB serial, motors by CAN
 #: icount  0
-#: seconds 1500
+#: seconds 2400
 #: long
 # Names that stay the same over a replug, as udev makes them.
 mkdir -p /dev/v4l/by-id /dev/serial/by-id
@@ -15,7 +15,7 @@ world_up --lidar urg-04lx --protocol vesc --picture 160x64 --fps 15 --camera-at 
 # vivid's camera gives 30 pictures a second: each of the world's twice.
 sed -i 's/^fps = .*/fps = 30.0/' /tmp/world/robot.toml
 # The status lies outside of this machine: so one can watch.
-"$FIRMWARE" run --config /tmp/world/robot.toml --out /tmp/run --status /rig/status.json --frames 300 \
+"$FIRMWARE" run --config /tmp/world/robot.toml --out /tmp/run --status /rig/status.json --frames 3000 \
     --fault random --fault-seed 1 >/rig/run.log 2>&1
 status=$?
 cat /rig/run.log

@@ -110,7 +110,8 @@ fn boot(machine: &Machine<'_>, folder: &Path, report: &mut Report) -> Result<End
     // An end of its standard input would close the guest's port.
     let input = child.stdin.take();
     let allowed = BOOT_SECONDS + machine.scenarios.iter().map(|scenario| scenario.seconds).sum::<u64>();
-    let end = read(&mut child, report, Duration::from_secs(allowed));
+    let clock = Clock::of(machine, &child);
+    let end = read(&mut child, report, &clock, Duration::from_secs(allowed));
     // SIGKILL: what the guest has not handed to its disk is gone.
     _ = child.kill();
     child.wait()?;
@@ -184,8 +185,37 @@ fn qemu(machine: &Machine<'_>, folder: &Path) -> Result<Child> {
     qemu.spawn().context("cannot start qemu-system-x86_64")
 }
 
+/// What a machine's time is counted by.
+struct Clock {
+    start: Instant,
+    /// Of its process, in virtual time.
+    process: Option<u32>,
+}
+
+impl Clock {
+    fn of(machine: &Machine<'_>, child: &Child) -> Self {
+        Self { start: Instant::now(), process: machine.icount.map(|_| child.id()) }
+    }
+
+    /// In virtual time the guest itself ends a scenario that takes too long, and how fast it comes to that is a matter of what else
+    /// the host does: what the machine has worked tells whether it hangs. It may do so without work as well.
+    fn elapsed(&self) -> Duration {
+        let wall = self.start.elapsed();
+        self.process.and_then(processor_time).map_or(wall, |worked| worked.max(wall / 20))
+    }
+}
+
+/// Processor time of a process: the 14th and 15th field of proc(5)'s stat, in hundredths of a second.
+fn processor_time(process: u32) -> Option<Duration> {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+    // Behind its name, which may contain anything, comes the third field.
+    let fields: Vec<_> = stat.rsplit_once(')')?.1.split_whitespace().collect();
+    let hundredths = fields.get(11)?.parse::<u64>().ok()? + fields.get(12)?.parse::<u64>().ok()?;
+    Some(Duration::from_millis(10 * hundredths))
+}
+
 /// Reads until the machine is off, or shall be.
-fn read(child: &mut Child, report: &mut Report, allowed: Duration) -> Result<End> {
+fn read(child: &mut Child, report: &mut Report, clock: &Clock, allowed: Duration) -> Result<End> {
     let output = child.stdout.take().context("qemu without output")?;
     let (lines, received) = sync_channel(100);
     std::thread::spawn(move || {
@@ -195,13 +225,13 @@ fn read(child: &mut Child, report: &mut Report, allowed: Duration) -> Result<End
             }
         }
     });
-    let end = Instant::now() + allowed;
     loop {
-        match received.recv_timeout(end.saturating_duration_since(Instant::now())) {
+        match received.recv_timeout(Duration::from_secs(1)) {
             Ok(line) if line.trim_end() == "POWER CUT" => return Ok(End::PowerCut),
             Ok(line) => report.line(line.trim_end())?,
             Err(RecvTimeoutError::Disconnected) => return Ok(End::Off),
-            Err(RecvTimeoutError::Timeout) => return Ok(End::OutOfTime),
+            Err(RecvTimeoutError::Timeout) if clock.elapsed() > allowed => return Ok(End::OutOfTime),
+            Err(RecvTimeoutError::Timeout) => {}
         }
     }
 }
@@ -266,4 +296,20 @@ impl Report {
 fn last_line(console: &Path) -> String {
     let text = std::fs::read(console).unwrap_or_default();
     String::from_utf8_lossy(&text).lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("no console").to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_process_is_asked_how_long_it_has_worked() {
+        let start = Instant::now();
+        let worked = || processor_time(std::process::id()).unwrap();
+        let before = worked();
+        while worked() < before + Duration::from_millis(20) {
+            assert!(start.elapsed() < Duration::from_secs(60), "{:?}", worked());
+        }
+        assert_eq!(processor_time(u32::MAX), None);
+    }
 }

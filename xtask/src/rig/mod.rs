@@ -61,3 +61,49 @@ fn build(scenarios: &[Scenario]) -> Result<Vec<(&'static str, String)>> {
     let path = |name| folder.join(name).to_str().map(str::to_owned).context("the checkout's path is not UTF-8");
     programs.into_iter().map(|(variable, name)| Ok((variable, path(name)?))).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    fn read_sources(folder: &Path, into: &mut String) {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                read_sources(&path, into);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                *into += &std::fs::read_to_string(&path).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn every_test_and_scenario_that_the_table_of_faults_names_is_there() {
+        let table = std::fs::read_to_string(paths::root().join("docs/faults.md")).unwrap();
+        let mut sources = String::new();
+        for folder in ["tests", "firmware-host", "runtime", "buffer"] {
+            read_sources(&paths::root().join(folder), &mut sources);
+        }
+        let scenarios = scenario::all().unwrap();
+        let mut named = 0;
+        for row in table.lines().filter(|line| line.contains("_")) {
+            let [_, _, _, _, simulated, rig, _] = row.split('|').collect::<Vec<_>>()[..] else { continue };
+            for name in simulated.split('`').skip(1).step_by(2) {
+                // `..._is_stopped_*`: a part of the names of several.
+                let part = name.rsplit("::").next().unwrap().trim_matches(['.', '*']);
+                let text = if part == name || name.contains("::") && !name.ends_with('*') {
+                    format!("fn {part}(")
+                } else {
+                    part.to_owned()
+                };
+                assert!(sources.contains(&text), "{name}");
+                named += 1;
+            }
+            let rig = rig.split(',').next().unwrap().trim();
+            assert!(rig.is_empty() || scenarios.iter().any(|scenario| scenario.name == rig), "{rig}");
+        }
+        assert!(named > 40, "{named}");
+    }
+}

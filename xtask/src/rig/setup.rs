@@ -56,23 +56,13 @@ fn installed(package: &str) -> bool {
     command::works(command::program("dpkg").args(["-s", package]))
 }
 
-/// The text that a program prints.
-fn output(program: &str, arguments: &[&OsStr]) -> Result<String> {
-    let mut command = command::program(program);
-    let output = command.args(arguments).output().with_context(|| format!("cannot start `{program}`"))?;
-    if !output.status.success() {
-        bail!("`{}` failed: {}", command::text(&command), String::from_utf8_lossy(&output.stderr).trim());
-    }
-    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
-}
-
 fn fetch(kernel: Kernel) -> Result<()> {
     let folder = folder(kernel);
     if folder.exists() {
         std::fs::remove_dir_all(&folder)?;
     }
     std::fs::create_dir_all(&folder)?;
-    let depends = output("apt-cache", &["depends".as_ref(), kernel.package().as_ref()])?;
+    let depends = command::output(command::program("apt-cache").args(["depends", kernel.package()]))?;
     let package = depends
         .lines()
         .find_map(|line| line.trim().strip_prefix("Depends: ").filter(|name| name.starts_with("linux-image-")))
@@ -134,16 +124,16 @@ fn first_root(kernel: Kernel) -> Result<()> {
     }
     let busybox = ["/bin/busybox", "/usr/bin/busybox"].into_iter().find(|path| Path::new(path).exists());
     std::fs::copy(busybox.context("busybox-static is not installed")?, root.join("bin/busybox"))?;
-    for name in output("busybox", &["--list".as_ref()])?.lines().filter(|name| *name != "busybox") {
+    for name in command::output(command::program("busybox").arg("--list"))?.lines().filter(|name| *name != "busybox") {
         std::os::unix::fs::symlink("busybox", root.join("bin").join(name))?;
     }
     let version = version(kernel)?;
     for (group, modules) in MODULES {
         let mut order: Vec<String> = Vec::new();
         for module in modules {
-            let arguments =
-                ["-d".as_ref(), folder.as_os_str(), "-S".as_ref(), version.as_ref(), "--show-depends".as_ref()];
-            let listed = output("modprobe", &[&arguments[..], &[module.as_ref()]].concat())?;
+            let mut modprobe = command::program("modprobe");
+            modprobe.arg("-d").arg(&folder).args(["-S", &version, "--show-depends", module]);
+            let listed = command::output(&mut modprobe)?;
             for path in listed.lines().filter_map(|line| line.strip_prefix("insmod ")) {
                 let path = Path::new(path.trim());
                 let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
