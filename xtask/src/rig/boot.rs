@@ -230,8 +230,10 @@ fn read(child: &mut Child, report: &mut Report, clock: &Clock, allowed: Duration
             Ok(line) if line.trim_end() == "POWER CUT" => return Ok(End::PowerCut),
             Ok(line) => report.line(line.trim_end())?,
             Err(RecvTimeoutError::Disconnected) => return Ok(End::Off),
-            Err(RecvTimeoutError::Timeout) if clock.elapsed() > allowed => return Ok(End::OutOfTime),
             Err(RecvTimeoutError::Timeout) => {}
+        }
+        if clock.elapsed() > allowed {
+            return Ok(End::OutOfTime);
         }
     }
 }
