@@ -125,7 +125,8 @@ fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
         Ok(())
     };
     let (ours, theirs) = both(RUNS, || first(&[], &here), cat)?;
-    let first_copy = |what: &str, ours| Row::new(ROOM, format!("pull 1 GiB over ssh{what}"), Unit::MegabytesPerSecond, rate(ours));
+    let first_copy =
+        |what: &str, ours| Row::new(ROOM, format!("pull 1 GiB over ssh{what}"), Unit::MegabytesPerSecond, rate(ours));
     let mut rows = vec![
         first_copy(", first copy", ours)
             .peer("ssh cat", rate(theirs).median)

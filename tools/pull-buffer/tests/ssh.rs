@@ -29,7 +29,8 @@ fn pulls_share_a_connection_that_ssh_keeps() {
     let Some(server) = Server::start() else { return };
     let (robot, here) = (robot(2, 1 << 20), tempdir().unwrap());
     let socket = server.sshd.dir().join("kept");
-    let kept = [format!("-oControlPath={}", socket.display()), "-oControlMaster=auto".into(), "-oControlPersist=60".into()];
+    let kept =
+        [format!("-oControlPath={}", socket.display()), "-oControlMaster=auto".into(), "-oControlPersist=60".into()];
     for _ in 0..3 {
         let mut pull = server.pull(robot.path(), here.path());
         let output = pull.args(kept.iter().map(|option| format!("--ssh-option={option}"))).output().unwrap();
