@@ -3,12 +3,12 @@
 use buffer::pull::{Options, Pace, Report, Watch};
 use buffer::source::Source;
 use buffer::{BufferError, Digest, Entry, Hasher, Have, Name, Receive, State};
-use futures_util::{StreamExt, TryStreamExt};
+use futures_util::TryStreamExt;
 use hal::Clock;
 use object_store::path::Path;
 use object_store::{Error, ObjectStoreExt, WriteMultipart};
 
-use crate::look::DIGEST;
+use crate::look::{DIGEST, Looked};
 use crate::{Bucket, fetch};
 
 /// S3 takes at most 10,000 parts of at least 5 MiB; with this one, 80 GB.
@@ -106,7 +106,7 @@ impl Bucket {
     ) -> Result<Digest, BufferError> {
         let there = self.looked.get(&entry.name);
         let have = match there.filter(|there| there.entry.bytes == entry.bytes) {
-            Some(there) => Have { bytes: entry.bytes, digest: self.digest_there(&entry.name)? },
+            Some(there) => Have { bytes: entry.bytes, digest: self.digest_of(there)? },
             None => Have::nothing(),
         };
         let mut object =
@@ -138,8 +138,7 @@ impl Bucket {
 
     /// The digest of an object; reads it where nothing says so: an upload may have ended between object and digest, or somebody
     /// else put it there.
-    fn digest_there(&self, name: &Name) -> Result<Digest, BufferError> {
-        let Some(there) = self.looked.get(name) else { return Ok(Have::nothing().digest) };
+    fn digest_of(&self, there: &Looked) -> Result<Digest, BufferError> {
         if let Some(digest) = there.digest {
             return Ok(digest);
         }

@@ -156,6 +156,8 @@ fn another_recording_under_an_old_name_does_not_replace_the_old_one() {
             false => fleet.put(NAMES[0], &old),
         }
         write(robot.path(), NAMES[0], &new);
+        let later = std::time::UNIX_EPOCH + std::time::Duration::from_secs(1);
+        fs::File::open(robot.path().join(NAMES[0])).unwrap().set_modified(later).unwrap();
         upload(&fleet, robot.path());
         assert!(fleet.get(NAMES[0]) == new);
         let kept = fleet
