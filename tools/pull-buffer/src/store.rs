@@ -12,13 +12,18 @@ mod without {
     use buffer::{BufferError, Digest, Entry, Have, Name, Receive};
     use hal::Clock;
 
-    /// There is none.
-    pub enum Bucket {}
+    /// Cannot be opened.
+    #[allow(dead_code, reason = "there is none")]
+    pub struct Bucket;
+
+    fn without() -> BufferError {
+        let text = "this program was built without object stores; build it with --features object-store";
+        BufferError::Usage(text.to_owned())
+    }
 
     impl Bucket {
-        pub fn open(url: &str, _stall_s: u64) -> Result<Self, BufferError> {
-            let text = "this program was built without object stores; build it with --features object-store";
-            Err(BufferError::Usage(format!("{url}: {text}")))
+        pub fn open(_url: &str, _stall_s: u64) -> Result<Self, BufferError> {
+            Err(without())
         }
 
         pub fn below(self, _name: &str) -> Self {
@@ -32,13 +37,13 @@ mod without {
             _clock: &mut dyn Clock,
             _watch: &mut dyn Watch,
         ) -> Result<Report, BufferError> {
-            match *self {}
+            Err(without())
         }
     }
 
     impl Source for Bucket {
         fn list(&mut self) -> Result<Vec<Entry>, BufferError> {
-            match *self {}
+            Err(without())
         }
 
         fn fetch(
@@ -47,11 +52,11 @@ mod without {
             _have: Have,
             _to: &mut dyn Receive<BufferError>,
         ) -> Result<Option<Digest>, BufferError> {
-            match *self {}
+            Err(without())
         }
 
         fn mark_pulled(&mut self, _name: &Name, _digest: &Digest) -> Result<(), BufferError> {
-            match *self {}
+            Err(without())
         }
     }
 }
