@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! PREFIX/RUN/recording_0007.mcap           a segment
-//! PREFIX/RUN/recording_0007.mcap.blake3    its digest, as b3sum writes it; whoever uploads may put it there
+//! PREFIX/RUN/recording_0007.mcap.blake3    its digest, as b3sum writes it; whoever uploads puts it there
 //! PREFIX/RUN/recording_0007.mcap.pulled    a workstation has it: its digest, size and time
 //! PREFIX/RUN/recording_0007.mcap.keep      a mark for people and for --order valuable
 //! ```
@@ -16,6 +16,7 @@ mod error;
 mod fetch;
 mod look;
 mod open;
+mod upload;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -46,6 +47,8 @@ pub struct Bucket {
     prefix: Path,
     /// Of the last listing; a segment that has not changed is not looked into again.
     looked: BTreeMap<Name, Looked>,
+    /// Size and time of the robot's segments that were put here by this program.
+    uploaded: BTreeMap<Name, (u64, u64)>,
 }
 
 impl Bucket {
@@ -64,9 +67,9 @@ impl Bucket {
     /// # Errors
     /// When the system gives no event queue.
     pub fn over(store: Arc<dyn ObjectStore>, prefix: Path, url: &str) -> Result<Self, BufferError> {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build();
         let runtime = runtime.map_err(|source| BufferError::Link { to: url.to_owned(), source })?;
-        Ok(Self { url: url.to_owned(), runtime, store, prefix, looked: BTreeMap::new() })
+        Ok(Self { url: url.to_owned(), runtime, store, prefix, looked: BTreeMap::new(), uploaded: BTreeMap::new() })
     }
 
     fn explain(&self, error: &Error, doing: &str) -> BufferError {

@@ -7,7 +7,7 @@ use buffer::{Bytes, Digest, Entry, KEEP, Name, PULLED, Pulled, State};
 use object_store::{Error, GetOptions, GetRange, ObjectMeta, ObjectStore};
 
 /// Behind a segment's name: its digest.
-const DIGEST: &str = ".blake3";
+pub(crate) const DIGEST: &str = ".blake3";
 
 /// The index of a segment of a minute takes 20 KB.
 const TAIL: u64 = 64 << 10;

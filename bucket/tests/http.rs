@@ -12,9 +12,10 @@ use std::time::Duration;
 
 use bucket::Bucket;
 use buffer::pull::Options;
-use buffer::source::Source;
+use buffer::source::{Directory, Source};
 use buffer::{BufferError, Digest, Have, Kind, Receive};
 use common::{SMALL, pull_into, segment};
+use hal::VirtualClock;
 use object_store::RetryConfig;
 use object_store::aws::AmazonS3Builder;
 use tempfile::tempdir;
@@ -36,6 +37,8 @@ enum Fault {
 
 struct State {
     objects: BTreeMap<String, Vec<u8>>,
+    /// Of the one upload that is under way.
+    parts: BTreeMap<u32, Vec<u8>>,
     fault: Fault,
     answers: u64,
 }
@@ -51,7 +54,7 @@ impl Server {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
         let objects = objects.iter().map(|(key, bytes)| ((*key).to_owned(), bytes.clone())).collect();
-        let state = Arc::new(Mutex::new(State { objects, fault, answers: 0 }));
+        let state = Arc::new(Mutex::new(State { objects, parts: BTreeMap::new(), fault, answers: 0 }));
         let shared = Arc::clone(&state);
         std::thread::spawn(move || {
             for stream in listener.incoming() {
@@ -101,10 +104,11 @@ fn answer(mut stream: &TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
     std::io::Read::read_exact(&mut reader, &mut body)?;
     let mut words = request.split(' ');
     let (method, target) = (words.next().unwrap(), words.next().unwrap());
-    let key = target.split('?').next().unwrap().trim_start_matches("/fleet").trim_start_matches('/').to_owned();
+    let (path, query) = target.split_once('?').unwrap_or((target, ""));
+    let key = path.trim_start_matches("/fleet").trim_start_matches('/').to_owned();
     let mut state = state.lock().unwrap();
     state.answers += 1;
-    let (status, extra, body) = respond(&mut state, method, &key, range, body);
+    let (status, extra, body) = respond(&mut state, (method, query), &key, range, body);
     let cut = state.fault == Fault::Cut && state.answers.is_multiple_of(5) && body.len() > 1000;
     drop(state);
     write!(
@@ -122,7 +126,7 @@ fn answer(mut stream: &TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
 
 fn respond(
     state: &mut State,
-    method: &str,
+    (method, query): (&str, &str),
     key: &str,
     range: Option<(usize, usize)>,
     sent: Vec<u8>,
@@ -132,12 +136,33 @@ fn respond(
     };
     match state.fault {
         Fault::Forbidden => return error("403 Forbidden", "AccessDenied"),
-        Fault::ReadOnly if method == "PUT" => return error("403 Forbidden", "AccessDenied"),
+        Fault::ReadOnly if ["PUT", "POST"].contains(&method) => return error("403 Forbidden", "AccessDenied"),
         Fault::NoBucket => return error("404 Not Found", "NoSuchBucket"),
         _ => {}
     }
     let version = if state.fault == Fault::OtherVersions { state.answers } else { 0 };
     let etag = |bytes: &[u8]| format!("\"{}-{version}\"", Digest::of(bytes).short());
+    let part = query.split('&').find_map(|word| word.strip_prefix("partNumber="));
+    if let Some(part) = part {
+        let header = format!("ETag: {}\r\n", etag(&sent));
+        state.parts.insert(part.parse().unwrap(), sent);
+        return ("200 OK".to_owned(), header, Vec::new());
+    }
+    if method == "POST" && query.starts_with("uploads") {
+        let begun = b"<InitiateMultipartUploadResult><UploadId>1</UploadId></InitiateMultipartUploadResult>";
+        return ("200 OK".to_owned(), String::new(), begun.to_vec());
+    }
+    if method == "POST" {
+        let whole = std::mem::take(&mut state.parts).into_values().flatten().collect::<Vec<_>>();
+        let done = "CompleteMultipartUploadResult";
+        let body = format!("<{done}><ETag>{}</ETag></{done}>", etag(&whole).replace('"', "&quot;"));
+        state.objects.insert(key.to_owned(), whole);
+        return ("200 OK".to_owned(), String::new(), body.into_bytes());
+    }
+    if method == "DELETE" {
+        state.parts.clear();
+        return ("204 No Content".to_owned(), String::new(), Vec::new());
+    }
     if method == "PUT" {
         let header = format!("ETag: {}\r\n", etag(&sent));
         state.objects.insert(key.to_owned(), sent);
@@ -269,4 +294,38 @@ fn whoever_may_only_read_pulls_and_is_told_that_nothing_was_marked() {
     let here = tempdir().unwrap();
     let report = pull_into(&mut server.bucket(), here.path(), Options::default()).unwrap();
     assert_eq!((report.files, report.unmarked), (1, 1));
+}
+
+fn upload(server: &Server, robot: &std::path::Path) -> Result<buffer::pull::Report, BufferError> {
+    let mut source = Directory::open(robot).unwrap();
+    server.bucket().upload(&mut source, &Options::default(), &mut VirtualClock::default(), &mut ())
+}
+
+fn robot(bytes: &[u8]) -> tempfile::TempDir {
+    let robot = tempdir().unwrap();
+    let path = robot.path().join("recording_0000.mcap");
+    fs::write(&path, bytes).unwrap();
+    fs::File::open(&path).unwrap().set_modified(std::time::UNIX_EPOCH).unwrap();
+    robot
+}
+
+#[test]
+fn a_segment_is_uploaded_over_http_in_parts_and_is_whole_there() {
+    let whole = segment(1, 30, 700_000);
+    let (server, robot) = (Server::start(Fault::Nothing, &[]), robot(&whole));
+    let report = upload(&server, robot.path()).unwrap();
+    assert_eq!((report.files, report.bytes, report.unmarked), (1, whole.len() as u64, 0));
+    let state = server.state.lock().unwrap();
+    assert!(state.objects["kitchen/recording_0000.mcap"] == whole);
+    let digest = &state.objects["kitchen/recording_0000.mcap.blake3"];
+    assert!(digest.starts_with(Digest::of(&whole).to_string().as_bytes()));
+}
+
+#[test]
+fn a_store_that_may_not_be_written_refuses_an_upload_with_words_and_the_robot_keeps_everything() {
+    let (server, robot) = (Server::start(Fault::ReadOnly, &[]), robot(&segment(1, SMALL, 100)));
+    let error = upload(&server, robot.path()).unwrap_err();
+    assert!(error.to_string().contains("these credentials may not write there"), "{error}");
+    assert_eq!(error.kind(), Kind::Refused);
+    assert!(!robot.path().join("recording_0000.mcap.pulled").exists());
 }

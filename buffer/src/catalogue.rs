@@ -230,8 +230,9 @@ fn tell_open_from_cut(entries: &mut [Entry], now_ns: u64) {
     let last: BTreeMap<String, Name> =
         entries.iter().map(|entry| (entry.name.run().to_owned(), entry.name.clone())).collect();
     for entry in entries.iter_mut().filter(|entry| entry.state == State::Cut) {
-        // A clock that jumped back makes the file younger than now: it counts as fresh.
-        let fresh = now_ns.saturating_sub(entry.modified_ns) < OPEN_FOR_NS;
+        // Younger than now by more than that, it was written before the clock was set back: whoever still writes it changes
+        // its time within a second, and else it would be open for ever.
+        let fresh = now_ns.abs_diff(entry.modified_ns) < OPEN_FOR_NS;
         if fresh && last.get(entry.name.run()) == Some(&entry.name) {
             entry.state = State::Open;
         }

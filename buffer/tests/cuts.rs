@@ -178,7 +178,17 @@ fn only_the_last_segment_of_a_run_that_was_written_just_now_counts_as_open() {
     assert_eq!(states(catalogue), [State::Closed, State::Cut, State::Open]);
     let later = Catalogue::read_at(&root, written_ns + 31_000_000_000).unwrap();
     assert_eq!(states(later), [State::Closed, State::Cut, State::Cut]);
-    // The clock was set back.
-    let before = Catalogue::read_at(&root, written_ns - 31_000_000_000).unwrap();
-    assert_eq!(states(before), [State::Closed, State::Cut, State::Open]);
+}
+
+#[test]
+fn a_clock_that_was_set_back_keeps_no_cut_segment_open_for_ever() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("recording_0000.mcap");
+    fs::write(&path, &segment(0, 0, TURNS)[..5000]).unwrap();
+    let root = Root::open(dir.path()).unwrap();
+    let written_ns = Catalogue::read(&root).unwrap().entries[0].modified_ns;
+    for (set_back_s, state) in [(1, State::Open), (29, State::Open), (31, State::Cut), (3600 * 24 * 365, State::Cut)] {
+        let entry = &Catalogue::read_at(&root, written_ns - set_back_s * 1_000_000_000).unwrap().entries[0];
+        assert_eq!(entry.state, state, "{set_back_s} s");
+    }
 }

@@ -117,7 +117,7 @@ fn a_link_that_is_cut_anywhere_loses_nothing_and_the_next_pull_goes_on() {
 }
 
 #[test]
-fn damage_anywhere_is_noticed_and_the_next_pull_mends_it() {
+fn what_is_changed_swapped_or_lost_anywhere_is_noticed_and_the_next_pull_mends_it() {
     let there = tempdir().unwrap();
     robot(there.path());
     let (total, mut noise) = (carried(&there), Noise(4));

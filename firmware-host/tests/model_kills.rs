@@ -83,7 +83,7 @@ fn an_install_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
     }
     let began = Instant::now();
     while examining(&robot) > 0 {
-        assert!(began.elapsed() < Duration::from_secs(10), "what examined outlives what asked for it");
+        assert!(began.elapsed() < Duration::from_secs(60), "what examined outlives what asked for it");
         std::thread::yield_now();
     }
     println!("{kills} kills in {tries} installs, {installed} times the new model was current");
@@ -128,10 +128,8 @@ fn killed_while_swapping(name: &str, comes_to: fn(guess: &str, new: &str) -> Sta
         assert!(tries <= 50 + 4 * kills::wanted(), "it is through before it can be killed");
         forget();
         let mut child = drive(&robot, &out, "150");
-        while !out.join("recording_0000.mcap").exists() {
-            assert!(child.try_wait().unwrap().is_none(), "it does not drive");
-            std::thread::yield_now();
-        }
+        moments.until(&mut child, || out.join("recording_0000.mcap").exists()).unwrap();
+        assert!(out.join("recording_0000.mcap").exists(), "it does not drive");
         install();
         moments.wait(&mut child, || kills::listing(&robot.path("store"))).unwrap();
         kills += u64::from(child.try_wait().unwrap().is_none());

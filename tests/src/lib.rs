@@ -5,12 +5,14 @@
 pub mod hokuyo;
 pub mod kills;
 pub mod motor;
+mod noise;
 pub mod rig;
 pub mod scenario;
 pub mod sshd;
 pub mod video;
 pub mod world;
 
+pub use noise::noise;
 pub use scenario::{Scenario, Turn, successor};
 
 use std::ops::Range;

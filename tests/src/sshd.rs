@@ -53,14 +53,18 @@ impl Sshd {
                 return Err(io::Error::other("ssh-keygen failed"));
             }
         }
+        let home = dir.join("home");
+        fs::create_dir_all(&home)?;
         // As root, sshd wants a directory that only root may write.
         let _ = fs::create_dir_all("/run/sshd");
         let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
         let config = format!(
             "Port {port}\nListenAddress 127.0.0.1\nHostKey {}\nAuthorizedKeysFile {}\nPidFile none\nUsePAM no\nStrictModes no\n\
-             PasswordAuthentication no\nPermitRootLogin prohibit-password\n",
+             PasswordAuthentication no\nPermitRootLogin prohibit-password\nSetEnv HOME={}\n",
             dir.join("host_key").display(),
-            dir.join("key.pub").display()
+            dir.join("key.pub").display(),
+            // Else what this computer's user lets a shell do first is tried, and measured, as well.
+            home.display()
         );
         fs::write(dir.join("sshd_config"), config)?;
         let log = fs::File::create(dir.join("sshd.log"))?;

@@ -11,8 +11,11 @@ use crate::{command, nextest, onnx_runtime, paths, trainer};
 const KILLS: &str = "200";
 const FEW_KILLS: &str = "6 of each are among the tests; `cargo xtask test --all` kills 200 times";
 
-/// With what `pull-buffer` leaves out by default; the tests build it without.
+/// With what is left out by default.
 const LINTS: &str = "clippy --workspace --all-targets --features pull-buffer/object-store,pull-buffer/lerobot,firmware-host/lerobot --locked -- -D warnings";
+
+/// What tests build, once for all steps.
+const TESTED: &str = "--workspace --features buffer/lerobot,pull-buffer/object-store --locked";
 
 /// What became of a step.
 enum Outcome {
@@ -31,24 +34,21 @@ pub fn run(all: bool) -> Result<()> {
     let ci = std::env::var_os("CI").is_some();
     let has_nextest = nextest::install();
     let tests = match (has_nextest, ci) {
-        (true, true) => "nextest run --workspace --features buffer/lerobot --locked --profile ci",
-        (true, false) => "nextest run --workspace --features buffer/lerobot --locked",
-        (false, _) => "test --workspace --locked --lib --bins --tests",
+        (true, true) => format!("nextest run {TESTED} --profile ci"),
+        (true, false) => format!("nextest run {TESTED}"),
+        (false, _) => format!("test {TESTED} --lib --bins --tests"),
     };
     let kills = match has_nextest {
-        true => "nextest run --workspace --locked --profile kills",
-        false => "test --workspace --locked --tests killed",
+        true => format!("nextest run {TESTED} --profile kills"),
+        false => format!("test {TESTED} --tests killed"),
     };
     // All steps run, also after one has failed: whoever waited for them wants to know everything at once.
     let mut outcomes = vec![
         ("format", step(&mut cargo("fmt --all --check"))),
         ("lints", step(&mut cargo(LINTS))),
-        ("tests", step(&mut cargo(tests))),
-        ("kills", if all { step(cargo(kills).env("KILLS", KILLS)) } else { (Outcome::Skipped(FEW_KILLS), 0.0) }),
-        (
-            "examples in the documentation",
-            step(&mut cargo("test --workspace --features buffer/lerobot --locked --doc --quiet")),
-        ),
+        ("tests", step(&mut cargo(&tests))),
+        ("kills", if all { step(cargo(&kills).env("KILLS", KILLS)) } else { (Outcome::Skipped(FEW_KILLS), 0.0) }),
+        ("examples in the documentation", step(&mut cargo(&format!("test {TESTED} --doc --quiet")))),
         ("licences and sources", licences()),
     ];
     outcomes.extend(trainer_steps(all || ci)?);

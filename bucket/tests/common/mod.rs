@@ -10,6 +10,7 @@ use bucket::Bucket;
 use buffer::BufferError;
 use buffer::pull::{Destination, FileSystem, Options, Report, Watch, pull};
 use buffer::source::Source;
+use futures_util::TryStreamExt;
 use hal::VirtualClock;
 use object_store::local::LocalFileSystem;
 use object_store::memory::InMemory;
@@ -104,6 +105,14 @@ impl Fleet {
 
     pub fn get(&self, name: &str) -> Vec<u8> {
         self.try_get(name).unwrap()
+    }
+
+    /// Of everything.
+    pub fn names(&self) -> Vec<String> {
+        let prefix = "fleet/kitchen".into();
+        let listed = self.runtime.block_on(self.store.list(Some(&prefix)).try_collect::<Vec<_>>()).unwrap();
+        let relative = |path: &str| path.trim_start_matches("fleet/kitchen/").to_owned();
+        listed.iter().map(|object| relative(object.location.as_ref())).collect()
     }
 
     /// Three small segments of two runs, and what else lies beside them.

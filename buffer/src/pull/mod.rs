@@ -17,6 +17,7 @@ use crate::name::Name;
 pub use disk::{Disk, FileSystem, PartFile};
 pub use index::{INDEX_FILE, Indexed};
 pub use order::Order;
+pub use pace::Pace;
 pub use puller::{Destination, pull};
 
 /// What is pulled, and how.

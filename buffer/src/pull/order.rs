@@ -19,7 +19,7 @@ pub enum Order {
 
 impl Order {
     /// Sorts segments.
-    pub(super) fn sort(self, entries: &mut [Entry]) {
+    pub fn sort(self, entries: &mut [Entry]) {
         match self {
             Self::Oldest => entries.sort_by_key(|entry| (entry.modified_ns, entry.name.clone())),
             Self::Newest => entries.sort_by_key(|entry| Reverse((entry.modified_ns, entry.name.clone()))),

@@ -6,7 +6,7 @@ use hal::Clock;
 const BURST_NS: u64 = 200_000_000;
 
 /// Holds a stream back; what is not read, the link does not send.
-pub(super) struct Pace<'a> {
+pub struct Pace<'a> {
     clock: &'a mut dyn Clock,
     bytes_per_s: Option<u64>,
     /// When what came so far should have come.
@@ -14,7 +14,8 @@ pub(super) struct Pace<'a> {
 }
 
 impl<'a> Pace<'a> {
-    pub(super) fn new(clock: &'a mut dyn Clock, bytes_per_s: Option<u64>) -> Self {
+    /// From now on, so many bytes a second; `None` for as fast as it goes.
+    pub fn new(clock: &'a mut dyn Clock, bytes_per_s: Option<u64>) -> Self {
         Self { due_ns: clock.now_ns(), clock, bytes_per_s }
     }
 
@@ -22,8 +23,8 @@ impl<'a> Pace<'a> {
         self.clock.now_ns()
     }
 
-    /// So many bytes came.
-    pub(super) fn came(&mut self, bytes: usize) {
+    /// So many bytes came; returns when the next ones may.
+    pub fn came(&mut self, bytes: usize) {
         let Some(limit) = self.bytes_per_s else { return };
         let earliest = self.clock.now_ns().saturating_sub(BURST_NS);
         let took_ns = (bytes as u64).saturating_mul(1_000_000_000) / limit.max(1);

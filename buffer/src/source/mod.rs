@@ -13,7 +13,7 @@ use crate::send::{Have, Receive};
 
 pub use directory::Directory;
 pub use remote::Remote;
-pub use spec::{Place, Spec};
+pub use spec::{Place, Spec, is_store};
 pub use ssh::{Ssh, SshOptions};
 
 /// A robot's buffer, wherever it is.

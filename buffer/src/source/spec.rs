@@ -51,7 +51,7 @@ impl Spec {
             None => (None, text),
         };
         let place = match host_and_path(place) {
-            _ if STORES.iter().any(|scheme| place.starts_with(scheme)) => Place::Store(place.to_owned()),
+            _ if is_store(place) => Place::Store(place.to_owned()),
             _ if place.contains("://") => return Err(usage("object stores are s3://, gs://, az:// or file:///")),
             // ssh would take it for an option.
             Some((host, _)) if host.starts_with('-') || host.is_empty() => return Err(usage("no host's name")),
@@ -63,6 +63,12 @@ impl Spec {
         let name = name.or_else(|| place.default_name()).filter(|name| is_name(name));
         Ok(Self { name: name.ok_or_else(|| usage("no name for it; write NAME=..."))?, place })
     }
+}
+
+/// Whether this is the address of an object store.
+#[must_use]
+pub fn is_store(text: &str) -> bool {
+    STORES.iter().any(|scheme| text.starts_with(scheme))
 }
 
 /// The parts before and behind the colon that means "another computer".

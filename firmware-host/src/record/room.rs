@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use buffer::{Catalogue, PULLED};
+use buffer::{Catalogue, Entry, PULLED};
 
 use super::disk::{Disk, Space};
 use crate::replay::open_segment;
@@ -45,6 +45,7 @@ pub(super) fn make_room(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Remo
     let mut total: u64 = segments.iter().map(|segment| segment.bytes).sum();
     // Only what lies in a run's folder is a robot's.
     segments.retain(|segment| !segment.keep && !segment.name.run().is_empty());
+    age_by_number(&mut segments);
     segments.sort_by_key(|segment| (segment.pulled_digest().is_none(), segment.modified_ns, segment.name.clone()));
     for segment in segments {
         // A disk that does not say how full it is counts as having room: the next write will tell.
@@ -71,6 +72,17 @@ pub(super) fn make_room(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Remo
         removed.bytes += segment.bytes;
     }
     removed
+}
+
+/// No segment is older than the one before it in its run, also when the clock was set back between them: else the newest would
+/// go first.
+fn age_by_number(segments: &mut [Entry]) {
+    for index in 1..segments.len() {
+        let Some([before, segment]) = segments.get_mut(index - 1..=index) else { return };
+        if before.name.run() == segment.name.run() {
+            segment.modified_ns = segment.modified_ns.max(before.modified_ns);
+        }
+    }
 }
 
 /// A simulation's recording lies where somebody put it, and is nobody's buffer.
@@ -183,6 +195,18 @@ mod tests {
         );
         assert_eq!(left(buffer.path()), ["a/recording_0000.mcap"]);
         assert!(!buffer.path().join("a/recording_0003.mcap.pulled").exists(), "a mark goes with its segment");
+    }
+
+    #[test]
+    fn a_clock_that_was_set_back_does_not_make_the_newest_segments_go_first() {
+        let buffer = tempfile::tempdir().unwrap();
+        recorded(buffer.path(), "a", 4, None);
+        for (number, seconds) in [(0, 5000), (1, 5001), (2, 100), (3, 101)] {
+            let file = std::fs::File::options().append(true).open(buffer.path().join("a").join(segment_name(number)));
+            file.unwrap().set_modified(SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(seconds)).unwrap();
+        }
+        make_room(&mut NearlyFull { free: 0, each: 10, total: u64::MAX }, &quota(buffer.path(), 15), Path::new(""));
+        assert_eq!(left(buffer.path()), ["a/recording_0002.mcap", "a/recording_0003.mcap"]);
     }
 
     #[test]

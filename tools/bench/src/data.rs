@@ -9,6 +9,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, Result, ensure};
 use buffer::{Catalogue, Root};
 
+use hil::noise;
 use hil::sshd::Sshd;
 
 use crate::data_sshd as over;
@@ -106,10 +107,10 @@ fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
         Timing { min: megabytes / timing.max, median: megabytes / timing.median, max: megabytes / timing.min }
     };
     let mut peak_mib = Vec::new();
-    let mut first = |dir: &Path| -> Result<()> {
+    let mut first = |more: &[&str], dir: &Path| -> Result<()> {
         // Neither what is here nor what the robot knows of it.
         let _ = fs::remove_dir_all(dir);
-        peak_mib.push(run_measured(over::pull(sshd, programs, &robot, dir))?);
+        peak_mib.push(run_measured(over::pull(sshd, more, programs, &robot, dir))?);
         Ok(())
     };
     let cat = || -> Result<()> {
@@ -123,42 +124,55 @@ fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
         }
         Ok(())
     };
-    let rsync = |fresh: bool| -> Result<()> {
-        if fresh {
-            let _ = fs::remove_dir_all(&here);
-        }
-        run(over::rsync(sshd, &robot, &here))
-    };
-    let (ours, theirs) = both(RUNS, || first(&here), cat)?;
+    let (ours, theirs) = both(RUNS, || first(&[], &here), cat)?;
+    let first_copy =
+        |what: &str, ours| Row::new(ROOM, format!("pull 1 GiB over ssh{what}"), Unit::MegabytesPerSecond, rate(ours));
     let mut rows = vec![
-        Row::new(ROOM, "pull 1 GiB over ssh, first copy", Unit::MegabytesPerSecond, rate(ours))
+        first_copy(", first copy", ours)
             .peer("ssh cat", rate(theirs).median)
             .note("digest on both sides, synced to the disk; ssh cat does neither"),
     ];
     let have_rsync = Command::new("rsync").arg("--version").stdout(Stdio::null()).status().is_ok();
+    for (what, more) in [(", first copy", &[][..]), (" with AES, first copy", over::AES)] {
+        if !have_rsync {
+            continue;
+        }
+        let rsync = || {
+            let _ = fs::remove_dir_all(&here);
+            run(over::rsync(sshd, more, &robot, &here))
+        };
+        let (ours, theirs) = both(RUNS, || first(more, &here), rsync)?;
+        rows.push(first_copy(what, ours).peer("rsync -a --checksum", rate(theirs).median));
+    }
     if have_rsync {
-        let (ours, theirs) = both(RUNS, || first(&here), || rsync(true))?;
-        rows.push(
-            Row::new(ROOM, "pull 1 GiB over ssh, first copy", Unit::MegabytesPerSecond, rate(ours))
-                .peer("rsync -a --checksum", rate(theirs).median),
-        );
-        let (pulled, synced) = (scratch.path("pulled"), here.clone());
-        run(over::pull(sshd, programs, &robot, &pulled))?;
-        run(over::rsync(sshd, &robot, &synced))?;
-        let (ours, theirs) = both(
-            RUNS,
-            || run(over::pull(sshd, programs, &robot, &pulled)),
-            || run(over::rsync(sshd, &robot, &synced)),
-        )?;
-        rows.push(
-            Row::seconds(ROOM, "pull 1 GiB over ssh, nothing new", ours)
-                .peer("rsync -a --checksum", theirs.median)
-                .note("most of ours is ssh's own greeting"),
-        );
+        rows.extend(nothing_new(scratch, programs, sshd, &robot)?);
     }
     rows.push(
         Row::new(ROOM, "pull-buffer, most memory resident", Unit::Mebibytes, Timing::of(peak_mib)).goal(64.0, 24.0),
     );
+    Ok(rows)
+}
+
+/// The second time, with a connection of its own and over one that is kept; rsync has the same.
+fn nothing_new(scratch: &Scratch, programs: &Path, sshd: &Sshd, robot: &Path) -> Result<Vec<Row>> {
+    let (pulled, synced) = (scratch.path("pulled"), scratch.path("synced"));
+    let kept = over::kept(sshd);
+    let mut rows = Vec::new();
+    for (what, more, note) in [
+        ("", &[][..], "most of ours is ssh's own greeting"),
+        (", kept connection", &kept[..], "ControlMaster of ssh, for both"),
+    ] {
+        let pull = || run(over::pull(sshd, more, programs, robot, &pulled));
+        let rsync = || run(over::rsync(sshd, more, robot, &synced));
+        pull()?;
+        rsync()?;
+        let (ours, theirs) = both(RUNS, pull, rsync)?;
+        let row = Row::seconds(ROOM, format!("pull 1 GiB over ssh, nothing new{what}"), ours);
+        rows.push(row.peer("rsync -a --checksum", theirs.median).note(note));
+    }
+    let mut exit = over::ssh(sshd);
+    exit.args(kept).args(["-O", "exit"]).stderr(Stdio::null());
+    run(exit)?;
     Ok(rows)
 }
 
@@ -201,20 +215,6 @@ fn run_measured(mut command: Command) -> Result<f64> {
         let deadline_ns = hal::Clock::now_ns(&clock) + 10_000_000;
         hal::Clock::sleep_until_ns(&mut clock, deadline_ns);
     }
-}
-
-/// Pictures do not compress, and nor does this.
-fn noise(seed: u64, length: usize) -> Vec<u8> {
-    let mut state = seed | 1;
-    let mut bytes = Vec::with_capacity(length + 8);
-    while bytes.len() < length {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        bytes.extend_from_slice(&state.to_le_bytes());
-    }
-    bytes.truncate(length);
-    bytes
 }
 
 /// A folder that goes away again.

@@ -4,11 +4,12 @@
 mod options;
 mod progress;
 mod robot;
+mod store;
 
 use std::process::ExitCode;
 use std::sync::Mutex;
 
-use buffer::source::Spec;
+use buffer::source::{Place, Spec};
 use buffer::{BufferError, Kind};
 use clap::Parser;
 use drivers::MonotonicClock;
@@ -70,6 +71,13 @@ fn specs(options: &Options) -> Result<Vec<Spec>, BufferError> {
             let text = format!("two sources are called {:?}; write NAME=SOURCE to tell them apart", spec.name);
             return Err(BufferError::Usage(text));
         }
+        if let (Some(to), Place::Store(from)) = (options.store(), &spec.place) {
+            let text = format!("{from} to {to}: use rclone or the stores' own programs from one store to another");
+            return Err(BufferError::Usage(text));
+        }
+    }
+    if let (Some(to), Some(_)) = (options.store(), options.layout) {
+        return Err(BufferError::Usage(format!("{to}: another layout can only be written into a directory")));
     }
     Ok(specs)
 }

@@ -3,18 +3,20 @@
 use std::path::{Path, PathBuf};
 
 use buffer::pull::Order;
+use buffer::source::is_store;
 use clap::{Parser, ValueEnum};
 
 /// Brings what robots recorded to this computer: over the system's ssh, from a mounted directory or out of an object store. Goes
-/// on at the byte where it was interrupted, verifies every segment by its digest, and never reads again what is here.
+/// on at the byte where it was interrupted, verifies every segment by its digest, and never reads again what is here. Where DEST is
+/// an object store, puts them there, from a robot's own directory or over ssh.
 ///
 /// Exit codes: 0 everything is here; 1 something needs a person; 2 wrong arguments; 75 only the link failed, the same command
 /// goes on from there.
 #[derive(Debug, Parser)]
 #[command(name = "pull-buffer", version)]
 pub struct Options {
-    /// One or more [user@]host:path, directories or object stores (s3://, gs://, az://), then the destination. Each source goes
-    /// into DEST/HOST (or DEST/ and the last part of the directory or address); NAME=SOURCE chooses another name.
+    /// One or more [user@]host:path, directories or object stores (s3://, gs://, az://), then the destination: a directory, or
+    /// an object store. Each source goes into DEST/HOST (or DEST/ and the last part of the directory or address); NAME=SOURCE chooses another name.
     #[arg(required = true, num_args = 2.., value_name = "SOURCE... DEST")]
     places: Vec<String>,
     /// Go on pulling what is recorded from now on, until interrupted. A segment comes when the robot has closed it, at most a
@@ -62,6 +64,11 @@ impl Options {
     /// The last place.
     pub fn destination(&self) -> &Path {
         self.places.last().map_or(Path::new("."), Path::new)
+    }
+
+    /// The last place, when it is an object store.
+    pub fn store(&self) -> Option<&str> {
+        self.places.last().map(String::as_str).filter(|place| is_store(place))
     }
 
     /// Where a source's files go.

@@ -10,6 +10,7 @@ use hal::Clock;
 
 use crate::options::{Layout, Options};
 use crate::progress::{Bar, Display};
+use crate::store::Bucket;
 
 /// What came of a pull.
 pub struct Outcome {
@@ -27,12 +28,14 @@ pub struct Robot<'a> {
     options: &'a Options,
     /// Kept while it works, also between two looks.
     source: Option<Box<dyn Source>>,
+    /// Where it goes, when that is no directory.
+    store: Option<Bucket>,
     reached: bool,
 }
 
 impl<'a> Robot<'a> {
     pub fn new(spec: &'a Spec, options: &'a Options) -> Self {
-        Self { spec, options, source: None, reached: false }
+        Self { spec, options, source: None, store: None, reached: false }
     }
 
     pub fn spec(&self) -> &Spec {
@@ -79,14 +82,24 @@ impl<'a> Robot<'a> {
     }
 
     fn pull_once(&mut self, bar: &mut Bar, clock: &mut MonotonicClock) -> Result<Report, BufferError> {
-        let dir = self.options.directory_of(&self.spec.name);
-        let mut destination = Destination::open(&dir, &FileSystem)?;
+        let to_store = self.options.store();
+        if let (Some(url), None) = (to_store, &self.store) {
+            self.store = Some(Bucket::open(url, self.options.stall_s)?.below(&self.spec.name));
+        }
+        let mut directory = match to_store {
+            Some(_) => None,
+            None => Some(Destination::open(&self.options.directory_of(&self.spec.name), &FileSystem)?),
+        };
         if self.source.is_none() {
             self.source = Some(self.connect()?);
         }
         let Some(source) = self.source.as_deref_mut() else { return Ok(Report::default()) };
         self.reached = true;
-        pull(source, &mut destination, &self.options.pull(), clock, bar)
+        match (&mut directory, &mut self.store) {
+            (Some(directory), _) => pull(source, directory, &self.options.pull(), clock, bar),
+            (None, Some(store)) => store.upload(source, &self.options.pull(), clock, bar),
+            (None, None) => Ok(Report::default()),
+        }
     }
 
     fn connect(&self) -> Result<Box<dyn Source>, BufferError> {
@@ -101,15 +114,7 @@ impl<'a> Robot<'a> {
                 };
                 Box::new(Ssh::connect(host, path, &options)?)
             }
-            #[cfg(feature = "object-store")]
-            Place::Store(url) => Box::new(bucket::Bucket::open(url, self.options.stall_s)?),
-            #[cfg(not(feature = "object-store"))]
-            Place::Store(url) => {
-                let text = format!(
-                    "{url}: this program was built without object stores; build it with --features object-store"
-                );
-                return Err(BufferError::Usage(text));
-            }
+            Place::Store(url) => Box::new(Bucket::open(url, self.options.stall_s)?),
         })
     }
 

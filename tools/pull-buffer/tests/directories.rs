@@ -56,6 +56,8 @@ fn mistakes_end_with_exit_code_2_and_the_way_out() {
         (&["a:/x", "b@a:/y", "here"], "NAME=SOURCE"),
         (&["host:", "here"], "[user@]host:/path"),
         (&["a:/x", "here", "--limit", "warp"], "5MB/s"),
+        (&["s3://fleet/kitchen", "gs://fleet"], "rclone"),
+        (&["a:/x", "s3://fleet", "--as=tum"], "into a directory"),
     ] {
         let output = pull(arguments, dir.path());
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", words(&output));

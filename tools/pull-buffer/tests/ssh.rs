@@ -3,7 +3,9 @@
 
 mod common;
 
+use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 use common::{Server, assert_same, robot, words};
 use tempfile::tempdir;
@@ -20,6 +22,25 @@ fn a_robot_is_pulled_over_ssh_and_the_second_time_nothing_moves() {
     let last = String::from_utf8(output.stdout).unwrap().lines().last().unwrap().to_owned();
     let report: serde_json::Value = serde_json::from_str(&last).unwrap();
     assert_eq!((&report["files"], &report["bytes"], &report["there"]), (&0.into(), &0.into(), &3.into()), "{report}");
+}
+
+#[test]
+fn pulls_share_a_connection_that_ssh_keeps() {
+    let Some(server) = Server::start() else { return };
+    let (robot, here) = (robot(2, 1 << 20), tempdir().unwrap());
+    let socket = server.sshd.dir().join("kept");
+    let kept =
+        [format!("-oControlPath={}", socket.display()), "-oControlMaster=auto".into(), "-oControlPersist=60".into()];
+    for _ in 0..3 {
+        let mut pull = server.pull(robot.path(), here.path());
+        let output = pull.args(kept.iter().map(|option| format!("--ssh-option={option}"))).output().unwrap();
+        assert!(output.status.success(), "{}", words(&output));
+    }
+    assert_same(robot.path(), here.path(), 2);
+    let exit = Command::new("ssh").args(server.sshd.options()).args(&kept).args(["-O", "exit", "127.0.0.1"]).output();
+    assert!(exit.unwrap().status.success(), "the connection is not there any more");
+    let log = fs::read_to_string(server.sshd.dir().join("sshd.log")).unwrap();
+    assert_eq!(log.matches("Accepted publickey").count(), 1, "{log}");
 }
 
 #[test]

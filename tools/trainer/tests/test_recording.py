@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -56,6 +57,39 @@ def test_a_cut_segment_gives_its_complete_chunks_and_is_named(tmp_path: Path, sh
     assert list(damage.segments) == ["recording_0001.mcap"]
     assert "1 damaged segments" in str(damage)
     assert np.array_equal(found.rgb[20:], frames.rgb[: len(found) - 20])
+
+
+def chunk_ends(segment: bytes) -> list[int]:
+    """Where each chunk is complete: records are an opcode, a length and so many bytes (MCAP specification, Records)."""
+    at, ends = 8, []
+    while at + 9 <= len(segment):
+        opcode, length = struct.unpack_from("<BQ", segment, at)
+        at += 9 + length
+        if opcode == 0x06:
+            ends.append(at)
+    return ends
+
+
+def test_a_segment_cut_anywhere_gives_every_complete_chunk(tmp_path: Path) -> None:
+    frames = room(20)
+    cut = tmp_path / "recording_0000.mcap"
+    write_segment(cut, frames, straight(20))
+    whole = cut.read_bytes()
+    ends = chunk_ends(whole)
+    assert len(ends) >= 4
+    # Everywhere in the last two chunks, and here and there before them.
+    dice = np.random.default_rng(6)
+    cuts = [*ends[:-1], *range(ends[-3], ends[-1], 101), *dice.integers(ends[0], ends[-3], 50).tolist()]
+    pictures: dict[int, int] = {}
+    for at in cuts:
+        cut.write_bytes(whole[:at])
+        found, damage = read_recording(tmp_path)
+        assert list(damage.segments) == ["recording_0000.mcap"], at
+        assert np.array_equal(found.rgb, frames.rgb[: len(found)]), at
+        complete = sum(end <= at for end in ends)
+        assert len(found) == pictures.setdefault(complete, len(found)), at
+    assert sorted(pictures.values()) == [pictures[complete] for complete in sorted(pictures)]
+    assert len(set(pictures.values())) == len(ends) - 1
 
 
 def test_a_flipped_bit_is_never_trained_on(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
+use hil::noise;
 use hil::sshd::Sshd;
 use tempfile::{TempDir, tempdir};
 
@@ -49,19 +50,6 @@ pub fn serving() -> PathBuf {
     let path = Path::new(env!("CARGO_BIN_EXE_pull-buffer")).with_file_name("examples").join("serve");
     assert!(path.exists(), "{} is missing: cargo build -p pull-buffer --examples", path.display());
     path
-}
-
-pub fn noise(seed: u64, length: usize) -> Vec<u8> {
-    let mut state = seed | 1;
-    let mut bytes = Vec::with_capacity(length + 8);
-    while bytes.len() < length {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        bytes.extend_from_slice(&state.to_le_bytes());
-    }
-    bytes.truncate(length);
-    bytes
 }
 
 /// Segments without sense: nothing on the way looks into them.

@@ -1,0 +1,97 @@
+//! Into an object store, as a user does it: `file:///` is one, too. `KILLS` says how often an upload is killed.
+#![cfg(feature = "object-store")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+
+mod common;
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+use buffer::Digest;
+use common::{assert_same, robot, words};
+use hil::kills::{self, Moments};
+use tempfile::tempdir;
+
+const SEGMENTS: u64 = 4;
+const BYTES: usize = 1 << 20;
+
+fn upload(robot: &Path, store: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pull-buffer"));
+    command.arg(format!("robot={}", robot.display())).arg(format!("file://{}", store.display()));
+    command
+}
+
+/// What has a segment's name in the store is that segment, and what stands beside it is its digest; how many are there.
+fn complete(robot: &Path, store: &Path) -> u64 {
+    let is_there = |number: &u64| {
+        let file = format!("run/recording_{number:04}.mcap");
+        let (original, there) = (fs::read(robot.join(&file)).unwrap(), store.join("robot").join(&file));
+        let whole =
+            fs::read(&there).inspect(|bytes| assert!(*bytes == original, "{file} has its name and is not whole"));
+        let digest = fs::read_to_string(there.with_extension("mcap.blake3"));
+        if let Ok(digest) = &digest {
+            assert!(digest.starts_with(&Digest::of(&original).to_string()), "{file}: {digest}");
+        }
+        assert!(whole.is_ok() || !robot.join(format!("{file}.pulled")).exists(), "{file} is marked and not there");
+        whole.is_ok() && digest.is_ok()
+    };
+    (0..SEGMENTS).filter(is_there).count() as u64
+}
+
+#[test]
+fn an_upload_killed_at_any_moment_leaves_whole_objects_and_the_next_one_completes_it() {
+    let (robot, dir) = (robot(SEGMENTS, BYTES), tempdir().unwrap());
+    let store = dir.path().join("store");
+    let fresh = || {
+        let _ = fs::remove_dir_all(&store);
+        fs::create_dir(&store).unwrap();
+        (0..SEGMENTS).for_each(|number| {
+            let _ = fs::remove_file(robot.path().join(format!("run/recording_{number:04}.mcap.pulled")));
+        });
+    };
+    fresh();
+    // Slow enough that most kills come in the middle of something.
+    let slowly = || upload(robot.path(), &store).arg("--limit=10MB/s").stderr(Stdio::null()).spawn().unwrap();
+    let began = Instant::now();
+    assert!(slowly().wait().unwrap().success());
+    let mut moments = Moments::new(78, began.elapsed());
+    fresh();
+    let (mut kills, mut rounds) = (0, 0);
+    while kills < kills::wanted() {
+        let mut child = slowly();
+        moments.wait(&mut child, || kills::listing(&store)).unwrap();
+        kills += u64::from(child.try_wait().unwrap().is_none());
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let there = complete(robot.path(), &store);
+        assert!(rounds <= 50 + kills, "it is through before it can be killed");
+        if kills % 4 == 3 || there == SEGMENTS {
+            let output = upload(robot.path(), &store).output().unwrap();
+            assert!(output.status.success(), "{}", words(&output));
+            assert_eq!(complete(robot.path(), &store), SEGMENTS);
+            fresh();
+            rounds += 1;
+        }
+    }
+    println!("{kills} kills, {rounds} uploads completed");
+}
+
+#[test]
+fn what_a_robot_put_into_a_store_a_workstation_gets_out_of_it() {
+    let (robot, dir) = (robot(SEGMENTS, 1000), tempdir().unwrap());
+    let (store, here) = (dir.path().join("store"), dir.path().join("here"));
+    fs::create_dir(&store).unwrap();
+    for new in [SEGMENTS, 0] {
+        let output = upload(robot.path(), &store).arg("--json").output().unwrap();
+        assert!(output.status.success(), "{}", words(&output));
+        let last = String::from_utf8(output.stdout).unwrap().lines().last().unwrap().to_owned();
+        let report: serde_json::Value = serde_json::from_str(&last).unwrap();
+        assert_eq!((&report["files"], &report["there"]), (&new.into(), &(SEGMENTS - new).into()), "{report}");
+    }
+    let from = format!("file://{}/robot", store.display());
+    let output = Command::new(env!("CARGO_BIN_EXE_pull-buffer")).arg(from).arg(&here).output().unwrap();
+    assert!(output.status.success(), "{}", words(&output));
+    assert_same(robot.path(), &here, SEGMENTS);
+}
