@@ -15,7 +15,7 @@ use crate::config::Config;
 use crate::dump::Dump;
 use crate::faults::FaultPlan;
 use crate::model::{Keeper, LiveModels};
-use crate::record::{FaultyDisk, FileSystem, Recorder, RecorderOptions};
+use crate::record::{FaultyDisk, FileSystem, Recorder, RecorderOptions, refuse_old_recording};
 use crate::report::atomic::prepare_dir;
 use crate::report::summary::Summary;
 use crate::setup::{self, Mission};
@@ -46,6 +46,8 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let simulated = SimulatedRobot::new(std::sync::Arc::new(world), setup::simulated_robot(&config, args.seed, start))?;
     let robot = Robot::new(config.robot(&mission), network)?;
     prepare_dir(&args.out)?;
+    // Also without a recording: the summary of another run would be written over.
+    refuse_old_recording(&args.out)?;
     let plan = args.faults.plan(args.frames as f64 * config.base.tick_s());
     let header = header(args, &config, &mission, model.as_deref(), &plan)?;
     let (texts, fault_seed) = (plan.texts(), plan.seed());

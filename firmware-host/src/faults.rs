@@ -9,7 +9,7 @@ use drivers::fault::{Fault, FaultTextError, Faults, Now, random_faults};
 #[derive(Debug, Args, Clone, Default)]
 pub struct FaultArgs {
     /// Break a device on purpose: DEVICE:KIND[=AMOUNT][@FROM..TO] in seconds since the start, such as lidar:stall@4..6 or
-    /// camera:drop=0.1; `random`: by dice what a robot must survive; May be given again.
+    /// camera:drop=0.1; `random`: by dice what a robot must survive. May be given again.
     #[arg(long = "fault", value_name = "TEXT")]
     pub texts: Vec<FaultText>,
     /// Seed of everything random in faults.

@@ -193,6 +193,9 @@ fn install(args: &ModelArgs, install: &InstallArgs, config_path: Option<PathBuf>
         again: install.again,
         idle: !install.normal_priority,
     };
+    let patience =
+        if gate.idle { "; at idle priority, which a busy computer makes wait (--normal-priority)" } else { "" };
+    eprintln!("examining it by up to {} held-out pictures and by its speed{patience}", gate.frames);
     // A bundle that is not even one is refused like any other.
     let outcome = match read_bundle(&install.bundle) {
         Ok(bundle) => gate.install(&bundle, &keys, &mut store)?,

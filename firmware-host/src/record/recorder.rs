@@ -352,7 +352,11 @@ fn lock(word: &Mutex<Word>) -> MutexGuard<'_, Word> {
     word.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn refuse_old_recording(dir: &Path) -> Result<(), RecordError> {
+/// A folder holds one run. Makes the folder if it is missing.
+///
+/// # Errors
+/// When it holds a recording, or cannot be read.
+pub fn refuse_old_recording(dir: &Path) -> Result<(), RecordError> {
     let error = |source| RecordError::Directory { dir: dir.to_owned(), source };
     std::fs::create_dir_all(dir).map_err(error)?;
     for entry in std::fs::read_dir(dir).map_err(error)? {

@@ -226,11 +226,16 @@ fn where_turns_are_missing_the_replay_goes_on_at_the_next_snapshot_and_is_not_ex
 #[test]
 fn a_replay_may_begin_at_any_turn_or_time_and_takes_the_snapshot_before_it() {
     let dir = recorded_with_snapshots(60, 20);
-    for (from, first) in [("0", 0), ("19", 0), ("20", 20), ("39", 20), ("59", 40), ("999", 40), ("1.9s", 0), ("2s", 20)]
-    {
+    for (from, first) in [("0", 0), ("19", 0), ("20", 20), ("39", 20), ("59", 40), ("1.9s", 0), ("2s", 20)] {
         let span = Span { from: Some(from.parse().unwrap()), until_mismatch: false };
         let (report, out) = replayed_span(dir.path(), span);
         assert_eq!((report.ticks, report.mismatches), (60 - first, 0), "{from}: {out}");
+    }
+    for beyond in ["60", "999", "99s"] {
+        let span = Span { from: Some(beyond.parse().unwrap()), until_mismatch: false };
+        let replayed = replay(dir.path(), span, |_| Ok(Box::new(DigestRobot::default())), &mut std::io::sink());
+        let error = replayed.unwrap_err().to_string();
+        assert!(error.contains("its last turn is 59"), "{beyond}: {error}");
     }
     for nonsense in ["", "x", "-1", "nans", "infs", "-1s", "1.5"] {
         assert!(nonsense.parse::<Moment>().is_err(), "{nonsense}");
