@@ -24,20 +24,20 @@ pub enum ErrorKind {
 #[non_exhaustive]
 pub enum BundleError {
     /// A file cannot be read or written.
-    #[error("cannot {what} {}: {source}; check the path and its rights", path.display())]
+    #[error("cannot {what} {}: {reason}; check the path and its rights", path.display())]
     File {
         /// `read` or `write`.
         what: &'static str,
         /// The file.
         path: PathBuf,
         /// What the system says.
-        source: io::Error,
+        reason: io::Error,
     },
     /// The bundle breaks off or cannot be read.
-    #[error("the bundle cannot be read: {source}; send it again")]
+    #[error("the bundle cannot be read: {reason}; send it again")]
     Stream {
         /// What the system says.
-        source: io::Error,
+        reason: io::Error,
     },
     /// A key file exists already.
     #[error("{} exists already; a key is never overwritten: give another name or move the old one away", path.display())]

@@ -31,9 +31,9 @@ impl TrustedKeys {
     /// # Errors
     /// A file that cannot be read, a line that is no key, or no key at all.
     pub fn read(path: &Path) -> Result<Self, BundleError> {
-        let text = std::fs::read_to_string(path).map_err(|source| match source.kind() {
+        let text = std::fs::read_to_string(path).map_err(|reason| match reason.kind() {
             std::io::ErrorKind::NotFound => BundleError::NoTrustedKeys { path: path.to_owned() },
-            _ => BundleError::File { what: "read", path: path.to_owned(), source },
+            _ => BundleError::File { what: "read", path: path.to_owned(), reason },
         })?;
         Self::parse(&text, path)
     }

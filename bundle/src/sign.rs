@@ -41,7 +41,7 @@ fn public_path(secret: &Path) -> PathBuf {
 fn write_new(path: &Path, mode: u32, text: &str) -> Result<(), BundleError> {
     let open = || -> std::io::Result<File> { OpenOptions::new().write(true).create_new(true).mode(mode).open(path) };
     let written = open().and_then(|mut file| file.write_all(text.as_bytes()).and_then(|()| file.sync_all()));
-    written.map_err(|source| BundleError::File { what: "write", path: path.to_owned(), source })
+    written.map_err(|reason| BundleError::File { what: "write", path: path.to_owned(), reason })
 }
 
 /// Reads a secret key as [`generate_keys`] or `minisign -G` writes it (with a password: the checksum that `minisign -G -W` 0.11 writes
@@ -53,7 +53,7 @@ pub fn read_secret_key(
     path: &Path,
     password: impl FnOnce() -> std::io::Result<String>,
 ) -> Result<SecretKey, BundleError> {
-    let file = |source| BundleError::File { what: "read", path: path.to_owned(), source };
+    let file = |reason| BundleError::File { what: "read", path: path.to_owned(), reason };
     let refused = |error: minisign::PError| BundleError::SecretKey { path: path.to_owned(), reason: error.to_string() };
     let text = std::fs::read_to_string(path).map_err(file)?;
     let boxed = || SecretKeyBox::from_string(&text).map_err(refused);

@@ -63,7 +63,7 @@ impl Bundle {
         let name = Self::name_of(model)?;
         let bytes = read_file(model, "model", MAX_MODEL_BYTES)?;
         let signature = match read_file(&signature_path, "signature", MAX_SIGNATURE_BYTES) {
-            Err(BundleError::File { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
+            Err(BundleError::File { reason, .. }) if reason.kind() == io::ErrorKind::NotFound => {
                 return Err(BundleError::Unsigned { path: signature_path });
             }
             read => read?,
@@ -114,7 +114,7 @@ fn sizes(line: &str) -> Option<(String, u64, u64)> {
 
 fn read_line(stream: &mut impl BufRead) -> Result<String, BundleError> {
     let mut line = Vec::new();
-    stream.take(LONGEST_LINE).read_until(b'\n', &mut line).map_err(|source| BundleError::Stream { source })?;
+    stream.take(LONGEST_LINE).read_until(b'\n', &mut line).map_err(|reason| BundleError::Stream { reason })?;
     if line.pop_if(|last| *last == b'\n').is_none() {
         return Err(BundleError::NoBundle { found: String::from_utf8_lossy(&line).chars().take(40).collect() });
     }
@@ -122,7 +122,7 @@ fn read_line(stream: &mut impl BufRead) -> Result<String, BundleError> {
 }
 
 fn read_file(path: &Path, what: &'static str, most: u64) -> Result<Vec<u8>, BundleError> {
-    let error = |source| BundleError::File { what: "read", path: path.to_owned(), source };
+    let error = |reason| BundleError::File { what: "read", path: path.to_owned(), reason };
     let file = File::open(path).map_err(error)?;
     let bytes = file.metadata().map_err(error)?.len();
     if bytes > most {
@@ -141,11 +141,11 @@ fn read_exactly(stream: &mut impl Read, what: &'static str, bytes: u64, most: u6
     }
     // Grows with what comes, not with what was promised.
     let mut read = Vec::new();
-    stream.take(bytes).read_to_end(&mut read).map_err(|source| BundleError::Stream { source })?;
+    stream.take(bytes).read_to_end(&mut read).map_err(|reason| BundleError::Stream { reason })?;
     if (read.len() as u64) < bytes {
-        let source =
+        let reason =
             io::Error::new(io::ErrorKind::UnexpectedEof, format!("{} of {bytes} bytes of the {what}", read.len()));
-        return Err(BundleError::Stream { source });
+        return Err(BundleError::Stream { reason });
     }
     Ok(read)
 }

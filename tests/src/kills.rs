@@ -11,10 +11,8 @@ use rand_pcg::Pcg64Mcg;
 
 /// Kills of a test where `KILLS` does not say how many: enough to notice what breaks often, in seconds.
 const FEW: u64 = 6;
-/// Longest wait for a program that should do something: so long, and so many times what it took when nobody killed it. A computer
-/// may have more to do than it had then.
+/// Longest wait for a program that should do something.
 const PATIENCE: Duration = Duration::from_secs(60);
-const PATIENCE_TIMES: u32 = 20;
 /// Between two looks at what a program has done.
 const LOOK_NS: u64 = 100_000;
 /// What follows a change: the next rename, the next sync.
@@ -70,7 +68,7 @@ impl Moments {
     pub fn until(&mut self, program: &mut Child, is_so: impl Fn() -> bool) -> std::io::Result<()> {
         let began = Instant::now();
         while !is_so() && program.try_wait()?.is_none() {
-            if began.elapsed() > PATIENCE + PATIENCE_TIMES * self.whole {
+            if began.elapsed() > PATIENCE {
                 return Err(std::io::Error::other("the program to be killed does nothing"));
             }
             self.clock.sleep_until_ns(self.clock.now_ns() + LOOK_NS);

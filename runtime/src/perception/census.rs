@@ -15,6 +15,9 @@ pub const BITS: u32 = 24;
 /// equally well rather than somewhere by chance.
 const NOISE: u16 = 384;
 
+/// The place in row-major order of what no picture shows.
+pub const NOWHERE: u32 = u32::MAX;
+
 /// The census of one picture: half-size descriptors, computed at every full-size position so that a match can be looked up
 /// to a quarter of a half-size pixel.
 #[derive(Debug, Clone, Default)]
@@ -23,7 +26,7 @@ pub struct CensusImage {
     pub width: usize,
     /// Rows of full-size positions.
     pub height: usize,
-    /// Row-major, and one last entry for "outside".
+    /// Row-major.
     pub descriptors: Vec<u32>,
     /// Means of 2x2 pixels, row-major, 256 to a grey level.
     pub smooth: Vec<u16>,
@@ -78,10 +81,9 @@ impl CensusImage {
 
     fn describe(&mut self) {
         let (width, height) = (self.width, self.height);
-        self.descriptors.clear();
-        self.descriptors.resize(width * height + 1, 0);
+        self.descriptors.resize(width * height, 0);
         let smooth = &self.smooth;
-        let lines = self.descriptors.par_chunks_exact_mut(width).take(height).enumerate();
+        let lines = self.descriptors.par_chunks_exact_mut(width).enumerate();
         lines.for_each(|(row, out)| describe_row(smooth, row, out));
     }
 }

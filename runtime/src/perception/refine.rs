@@ -10,7 +10,7 @@ use multiversion::multiversion;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
-use super::census::CensusImage;
+use super::census::{CensusImage, NOWHERE};
 
 /// One corner is looked for in every cell of this size, full-size pixels.
 const CELL: usize = 32;
@@ -26,8 +26,6 @@ const REACH_PX: i32 = 8;
 const STEP_PX: f64 = 2.0;
 /// Whole distances from a line that are looked at.
 const DISTANCES: usize = 2 * REACH_PX as usize + 1;
-/// A place beyond every picture.
-const NOWHERE: u32 = u32::MAX;
 /// Nearest depth of a match, metres: the last metre has long lines and few corners.
 const NEAR_M: f64 = 1.0;
 /// Descriptors of a patch, which has its middle at (6, 6).

@@ -7,7 +7,7 @@
 use multiversion::multiversion;
 
 use super::census::CensusImage;
-use super::sweep::{CELL, Glance, Look, MAX_REFERENCES, Reference, nearest};
+use super::sweep::{CELL, Look, Reference, nearest};
 use super::winner::Vote;
 
 /// Samples of a patch along each side, and full-size pixels between them: 8x8 pixels.
@@ -61,27 +61,18 @@ pub fn polish<'a>(
 /// Of the references that see the whole patch the one in which it moves the most with its depth: that one tells it best.
 #[inline(always)]
 fn fastest<'a>(references: &[Option<Reference<'a>>], u: f32, v: f32, w: f32) -> Option<(&'a CensusImage, Look)> {
-    let mut tried = [false; MAX_REFERENCES];
-    let mut glances = [None; MAX_REFERENCES];
-    for (glance, reference) in glances.iter_mut().zip(references) {
-        *glance = reference.as_ref().and_then(|reference| reference.glance(u, v, w));
-    }
-    loop {
-        let mut best: Option<(usize, Glance)> = None;
-        for (index, glance) in glances.iter().enumerate().filter(|(index, _)| !tried[*index]) {
-            let Some(glance) = glance else { continue };
-            if best.is_none_or(|(_, best)| glance.squared_speed >= best.squared_speed) {
-                best = Some((index, *glance));
+    let (mut best, mut squared_speed) = (None, 0.0);
+    // The last reference is the farthest away, most often the fastest.
+    for reference in references.iter().rev().flatten() {
+        let Some(glance) = reference.glance(u, v, w) else { continue };
+        if glance.squared_speed > squared_speed {
+            let look = reference.look(glance);
+            if is_visible(reference.census, &look) {
+                (best, squared_speed) = (Some((reference.census, look)), glance.squared_speed);
             }
         }
-        let (index, glance) = best?;
-        tried[index] = true;
-        let reference = references[index].as_ref()?;
-        let look = reference.look(glance);
-        if is_visible(reference.census, &look) {
-            return Some((reference.census, look));
-        }
     }
+    best
 }
 
 /// The patch of the cell that begins at (u, v), and where its middle is. At the edge of the picture it is moved inwards.

@@ -5,7 +5,7 @@ use multiversion::multiversion;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
-use super::census::{BITS, CensusImage};
+use super::census::{BITS, CensusImage, NOWHERE};
 
 /// Number of inverse-depth hypotheses. Fixed, so that the inner loops have a known length.
 pub const PLANES: usize = 64;
@@ -22,8 +22,6 @@ const TAP_SPAN: usize = 2;
 pub const WORST_COST: u8 = 2 * TAPS.len() as u8 * BITS as u8;
 /// A single reference's mark for "not seen".
 const OUTSIDE: u8 = u8::MAX;
-/// A place beyond every picture.
-const NOWHERE: u32 = u32::MAX;
 
 /// Inverse depths from far to near, 1/m. The steps grow towards the camera (exponent 1.5): even steps would spend half
 /// of the hypotheses on the last few decimetres.

@@ -83,7 +83,7 @@ fn main() -> ExitCode {
         (None, None) => Ok(ExitCode::from(2)),
     };
     result.unwrap_or_else(|error| {
-        eprintln!("error: {}", sentence(&error));
+        eprintln!("error: {error:#}");
         ExitCode::FAILURE
     })
 }
@@ -172,15 +172,4 @@ fn ask(question: &str) -> std::io::Result<String> {
 fn echo(on: bool) {
     // Without stty the password is seen; it is taken all the same.
     let _ = Command::new("stty").arg(if on { "echo" } else { "-echo" }).status();
-}
-
-/// The error and its causes, each once: many say themselves what the system said.
-fn sentence(error: &anyhow::Error) -> String {
-    let mut text = String::new();
-    for cause in error.chain().map(ToString::to_string) {
-        if !text.contains(&cause) {
-            text = if text.is_empty() { cause } else { format!("{text}: {cause}") };
-        }
-    }
-    text
 }
