@@ -32,8 +32,17 @@ pub(crate) struct Shot<'a> {
     pub rgb: Option<&'a [u8]>,
     /// Ground truth; `None` where a recording holds it, or there is none.
     pub truth: Option<&'a DepthMap>,
-    /// How the camera came there, for a test view.
-    pub approach: Option<&'static str>,
+    /// The test view that it is, or that was seen on the way to.
+    pub view: Option<View>,
+}
+
+/// A test view. Its picture with ground truth is judged; those before were seen on the way.
+#[derive(Clone, Copy, Serialize)]
+pub(crate) struct View {
+    /// Which, from 0.
+    pub view: u64,
+    /// How the camera came there.
+    pub approach: &'static str,
 }
 
 #[derive(Serialize)]
@@ -57,8 +66,8 @@ struct Entry {
     coarse: bool,
     rgb: bool,
     truth: bool,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    approach: Option<&'static str>,
+    #[serde(flatten)]
+    view: Option<View>,
 }
 
 impl Dump {
@@ -95,7 +104,7 @@ impl Dump {
             coarse: coarse.is_some(),
             rgb: shot.rgb.is_some(),
             truth: shot.truth.is_some(),
-            approach: shot.approach,
+            view: shot.view,
             name,
         });
         Ok(())
@@ -166,7 +175,7 @@ mod tests {
             t_world_camera: Pose3::translation(1.0, 2.0, 3.0),
             rgb: Some(&rgb),
             truth: Some(&truth),
-            approach: None,
+            view: None,
         };
         let depth = DepthMap::from_vec(2, 1, vec![2.5, 70.0]).unwrap();
         let coarse = DepthEstimate { depth, confidence: vec![1.0, 0.5] };

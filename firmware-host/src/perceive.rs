@@ -77,7 +77,7 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
                 t_world_camera: sample.t_world_camera,
                 rgb: kept.map(|sample| &sample.rgb[..]),
                 truth: kept.and_then(|sample| sample.truth.as_ref()),
-                approach: None,
+                view: None,
             };
             dump.add(&shot, coarse)?;
         }

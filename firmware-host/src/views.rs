@@ -16,12 +16,15 @@ use simulator::floor::FloorPlan;
 
 use crate::cli::ViewsArgs;
 use crate::config::Config;
-use crate::dump::{Dump, Shot};
+use crate::dump::{Dump, Shot, View};
 use crate::report::progress::{Progress, Status};
 use crate::setup;
 
 /// Steps of the robot before a view: up to 0.7 m of way, or 48 degrees of turning, with the paper's steps.
 const HISTORY_STEPS: usize = 24;
+/// Every so many steps, the picture is kept as well, for networks that match pictures themselves: eight of them, as many as the
+/// runtime remembers.
+const KEPT_EVERY: usize = 3;
 /// Ways that are tried to one place before another place is drawn.
 const WAYS: usize = 20;
 /// Every so many views, the robot came by turning.
@@ -98,7 +101,7 @@ fn way_to(view: &Pose2, config: &Config, approach: Approach, rng: &mut Pcg64Mcg)
     way
 }
 
-/// Looks along the way as the robot would, and keeps the last picture.
+/// Looks along the way as the robot would; keeps the last picture with its depth, and some before it.
 fn take(
     world: &World,
     config: &Config,
@@ -112,16 +115,17 @@ fn take(
     let mut coarse = CoarseDepth::new(config.coarse.clone(), camera)?;
     let (mut rgb, mut truth) = (Vec::new(), DepthMap::none(camera.width, camera.height));
     let light = config.simulator.nuisances.lighting(0);
+    let view = Some(View { view: index, approach: approach.name() });
     for (step, pose) in way.iter().enumerate() {
         let t_world_camera = pose.to_pose3() * config.camera.mount();
         world.renderer().render(&camera, &t_world_camera, &[], &light, &mut rgb, &mut truth);
         config.simulator.nuisances.add_sensor_noise(rng, &mut rgb);
         let estimate = coarse.estimate(ImageView::rgb8(camera.width, camera.height, &rgb)?, &t_world_camera).ok();
-        if step + 1 == way.len() {
-            let time_ns = index * config.base.tick_ns();
-            let shot =
-                Shot { time_ns, t_world_camera, rgb: Some(&rgb), truth: Some(&truth), approach: Some(approach.name()) };
-            dump.add(&shot, estimate)?;
+        let to_go = way.len() - 1 - step;
+        if to_go % KEPT_EVERY == 0 {
+            let time_ns = (index * way.len() as u64 + step as u64) * config.base.tick_ns();
+            let (truth, estimate) = if to_go == 0 { (Some(&truth), estimate) } else { (None, None) };
+            dump.add(&Shot { time_ns, t_world_camera, rgb: Some(&rgb), truth, view }, estimate)?;
         }
     }
     Ok(())

@@ -324,16 +324,21 @@ fn test_views_hold_pictures_truth_coarse_depth_and_how_the_robot_came_there() {
         (out, index["frames"].as_array().unwrap().clone())
     };
     let (a, frames) = views("a", "1");
-    let turned: Vec<_> = frames.iter().map(|frame| frame["approach"] == "turn").collect();
-    assert_eq!(turned, [false, false, false, true, false, false, false, true]);
-    for frame in &frames {
-        let driven = frame["approach"] == "drive";
+    // Every view after eight pictures from the way to it.
+    assert_eq!(frames.len(), 8 * 9);
+    let mut turned = Vec::new();
+    for (index, frame) in frames.iter().enumerate() {
+        let (is_view, driven) = (index % 9 == 8, frame["approach"] == "drive");
+        assert_eq!((&frame["view"], &frame["rgb"]), (&(index / 9).into(), &true.into()));
         // Who only turns has no parallax, and so no coarse depth.
-        assert_eq!((&frame["rgb"], &frame["truth"], &frame["coarse"]), (&true.into(), &true.into(), &driven.into()));
+        assert_eq!((&frame["truth"], &frame["coarse"]), (&is_view.into(), &(is_view && driven).into()));
+        turned.extend(is_view.then_some(!driven));
     }
+    assert_eq!(turned, [false, false, false, true, false, false, false, true]);
     assert_eq!(views("b", "1").1, frames);
     assert_ne!(views("c", "2").1, frames);
-    assert!(a.join("000007_rgb.npy").exists() && !a.join("000007.npy").exists());
+    // The last of the first view and of the one that was turned to.
+    assert!(a.join("000008.npy").exists() && a.join("000035_rgb.npy").exists() && !a.join("000035.npy").exists());
 }
 
 #[test]

@@ -275,7 +275,7 @@ impl Session {
     fn dump(&mut self, input: &TickInput<'_>) -> Result<()> {
         let (Some(dump), Some(_)) = (&mut self.dump, &input.frame) else { return Ok(()) };
         let t_world_camera = input.wheel.odom.to_pose3() * self.robot.config().t_base_camera;
-        let shot = Shot { time_ns: input.time_ns, t_world_camera, rgb: None, truth: None, approach: None };
+        let shot = Shot { time_ns: input.time_ns, t_world_camera, rgb: None, truth: None, view: None };
         dump.add(&shot, self.robot.coarse_depth())
     }
 

@@ -70,8 +70,8 @@ def test_a_scaled_schedule_keeps_its_shape_and_one_that_is_too_short_is_refused(
 
 def test_the_whole_schedule_keeps_the_papers_turns_between_frontiers_and_inconsistencies() -> None:
     def exploration(scale: float) -> str:
-        settings = LoopSettings("a room", "active", "student", 1, scale=scale)
-        return settings.robot_config(Schedule.scaled(scale)).split("[exploration]\n")[1]
+        schedule = Schedule.scaled(scale)
+        return robot_config((96, 320), 1.0, schedule.warm_up, schedule.frames).split("[exploration]\n")[1]
 
     assert exploration(1.0) == "warm_up_frames = 6000\nfrontier_frames = 800\ninconsistency_frames = 400\n"
     assert exploration(0.25) == "warm_up_frames = 1500\nfrontier_frames = 200\ninconsistency_frames = 100\n"

@@ -16,6 +16,7 @@ from .default_network import make_default
 from .errors import TrainerError
 from .export_depth import DEPTH_NETWORKS, DepthExport, export_checkpoint, export_depth
 from .export_flow import FLOW_NETWORKS, FlowExport, export_flow
+from .fleet_command import add_fleet, run_fleet
 from .loop_command import add_loop, run_loop_command
 from .past_frames import GAP
 from .results_command import add_jobs, add_results, run_jobs_command, run_results
@@ -51,6 +52,7 @@ def parser() -> argparse.ArgumentParser:
     label.add_argument("--out", type=Path, required=True, help="file to write (.npz)")
     _add_train(commands.add_parser("train", help="train a depth network on recordings, without any depth sensor"))
     add_loop(commands.add_parser("loop", help="explore, train, hand over, explore on: the paper's algorithm 1"))
+    add_fleet(commands.add_parser("fleet", help="one network from the recordings of many homes, by policy and network"))
     add_jobs(commands.add_parser("jobs", help="print a job file: every network x policy x scene x seed"))
     add_results(commands.add_parser("results", help="tables and figures of many loops"))
     _add_evaluate(commands.add_parser("evaluate", help="how right a trained network is, beside what is trivial"))
@@ -107,6 +109,12 @@ def _add_train(command: argparse.ArgumentParser) -> None:
     command.add_argument("--seed", type=int, default=0)
     command.add_argument("--batch", type=int, default=12)
     command.add_argument("--learning-rate", type=float, default=1e-4, help="of Adam [1e-4]")
+    command.add_argument(
+        "--encoder",
+        metavar="FILE",
+        help="what the ResNet18 that sees pictures begins with: torchvision's state dict, or `imagenet` to fetch it "
+        "[random]",
+    )
     command.add_argument(
         "--amp", action="store_true", help="bfloat16: where AMX, AVX512-BF16 or a GPU computes with it"
     )
@@ -192,6 +200,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             run_label(options)
         elif options.command == "loop":
             run_loop_command(options)
+        elif options.command == "fleet":
+            run_fleet(options)
         elif options.command == "jobs":
             run_jobs_command(options)
         elif options.command == "results":

@@ -77,7 +77,8 @@ def read_dataset_dump(folder: Path) -> Frames:
         np.stack([np.load(folder / f"{entry['name']}_rgb.npy", allow_pickle=False) for entry in entries]),
         np.array([entry["t_world_camera"] for entry in entries], np.float64).reshape(-1, 4, 4),
         np.array([entry["time_ns"] for entry in entries], np.int64),
-        np.zeros(len(entries), np.int32),
+        # Pictures of different test views know nothing of each other.
+        np.array([entry.get("view", 0) for entry in entries], np.int32),
         np.stack([truth(entry) for entry in entries]) if any(entry["truth"] for entry in entries) else None,
         np.stack([_planes(folder, camera, entry) for entry in entries]),
     )

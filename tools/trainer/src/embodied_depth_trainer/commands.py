@@ -147,6 +147,7 @@ def run_train(options: argparse.Namespace) -> None:
         photometric_weight=options.photometric_weight,
         crop_width=options.crop_width,
         decay=(options.decay_from, options.steps) if options.decay_from is not None else None,
+        encoder=options.encoder,
         amp=options.amp,
         teacher_steps=options.teacher_steps,
         past_frames=options.past_frames,

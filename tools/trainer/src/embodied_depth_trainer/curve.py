@@ -42,7 +42,7 @@ def draw_curve(curves: dict[str, dict[str, list[tuple[int, float]]]], file: Path
 def draw_views(views: Views, network: nn.Module, depth_range_m: tuple[float, float], title: str, file: Path) -> None:
     """Some test views, the last of them without parallax: picture, truth, coarse depth and the network's."""
     frames = views.frames
-    driven, turned = np.flatnonzero(~views.turned), np.flatnonzero(views.turned)
+    driven, turned = (np.flatnonzero(views.judged & way) for way in (~views.turned, views.turned))
     shown = np.concatenate([driven[:: max(1, len(driven) // SHOWN_DRIVEN)][:SHOWN_DRIVEN], turned[:1]])
     said, _ = predict(network, frames, shown, depth_range_m)
     assert frames.truth_mm is not None

@@ -30,16 +30,13 @@ from .locks import the_only_one, wait_for_turn
 from .objectives import recipe
 from .pairs import PairRule
 from .replay_buffer import ReplayBuffer
-from .robot import Exploration, Mission, find_firmware_host, render_views
+from .robot import Exploration, Mission, find_firmware_host, render_views, robot_config
 from .schedule import Round, Schedule
 from .training import CHECKPOINT_FILE, Settings, Trainer, train
 from .views import Rows, Views
 
 RESULT_FILE = "result.json"
 CHECKPOINT_EVERY = 50
-# Frames on frontiers before `active` turns to inconsistencies for half as long (paper, section III-D). Scaled like the
-# schedule, or a short loop would never come to the inconsistencies; at least what a goal takes to be reached.
-FRONTIER, LEAST_FRONTIER = 800, 80
 # What the robot's summary says that does not depend on the computer.
 KEPT_OF_SUMMARY = ("frames", "path_m", "coverage", "collisions", "stuck_frames", "bumper_trips", "digest", "accuracy")
 
@@ -70,17 +67,6 @@ class LoopSettings:
     views: int = 200
     """Test views, the same for all loops of a scene."""
     views_seed: int = 1000
-
-    def robot_config(self, schedule: Schedule) -> str:
-        """What differs from the robot's defaults, as TOML."""
-        height, width = self.size
-        return (
-            f"[camera]\nwidth = {width}\nheight = {height}\n\n"
-            f"[base]\nforward_step_m = {0.03 * self.step_scale:.6g}\nturn_step_deg = {2.0 * self.step_scale:.6g}\n\n"
-            f"[exploration]\nwarm_up_frames = {schedule.warm_up}\n"
-            f"frontier_frames = {max(LEAST_FRONTIER, round(FRONTIER * self.scale))}\n"
-            f"inconsistency_frames = {max(LEAST_FRONTIER, round(FRONTIER * self.scale)) // 2}\n"
-        )
 
     def training(self) -> Settings:
         schedule = Schedule.scaled(self.scale)
@@ -113,7 +99,8 @@ def run_loop(settings: LoopSettings, out: Path, firmware_host: Path | None, view
         if (out / RESULT_FILE).exists():
             return out / RESULT_FILE
         config = out / "robot.toml"
-        write_atomically(settings.robot_config(schedule).encode(), config)
+        text = robot_config(settings.size, settings.step_scale, schedule.warm_up, schedule.frames)
+        write_atomically(text.encode(), config)
         dump = needs_coarse or settings.labels
         mission = Mission(program, settings.scene, settings.policy, settings.seed, config, schedule, dump)
         return _Loop(settings, schedule, out, mission, _views(settings, mission, views or out / "views", out)).run()

@@ -20,6 +20,9 @@ from .schedule import Schedule
 # Between two looks for what the robot writes.
 LOOK_EVERY_S = 0.1
 LOG_LINES = 8
+# Frames of the paper's 30,000 on frontiers before `active` turns to inconsistencies for half as long (section III-D). A
+# short run would never come to the inconsistencies without fewer; at least what a goal takes to be reached.
+FRONTIER, LEAST_FRONTIER = 800 / 30_000, 80
 
 
 def find_firmware_host(given: Path | None) -> Path:
@@ -36,6 +39,19 @@ def find_firmware_host(given: Path | None) -> Path:
     raise TrainerError(
         "firmware-host was not found; build it with `cargo build --release -p firmware-host`, "
         "or give --firmware-host FILE"
+    )
+
+
+def robot_config(size: tuple[int, int], step_scale: float, warm_up: int, frames: int) -> str:
+    """What differs from the robot's defaults, as TOML: pictures of `size`, the paper's steps times `step_scale`, and its
+    phases in a run of so many frames."""
+    height, width = size
+    frontier = max(LEAST_FRONTIER, round(FRONTIER * frames))
+    return (
+        f"[camera]\nwidth = {width}\nheight = {height}\n\n"
+        f"[base]\nforward_step_m = {0.03 * step_scale:.6g}\nturn_step_deg = {2.0 * step_scale:.6g}\n\n"
+        f"[exploration]\nwarm_up_frames = {warm_up}\n"
+        f"frontier_frames = {frontier}\ninconsistency_frames = {frontier // 2}\n"
     )
 
 
@@ -62,6 +78,23 @@ def render_views(program: Path, scene: str, config: Path, count: int, seed: int,
         )
     if done.returncode != 0:
         raise TrainerError(f"firmware-host could not render test views; {log} ends with\n{last_lines(log)}")
+    partial.rename(out)
+
+
+def explore(
+    program: Path, scene: str, policy: str, seed: int, frames: int, config: Path, out: Path, log: Path
+) -> None:
+    """A run on coarse depth, with that in `out`/coarse. `out` is there whole or not at all."""
+    partial = out.with_name(out.name + ".partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.parent.mkdir(parents=True, exist_ok=True)
+    command = [str(program), "explore", "--scene", scene, "--policy", policy, "--seed", str(seed)]
+    command += ["--frames", str(frames), "--config", str(config)]
+    command += ["--out", str(partial), "--dump", str(partial / "coarse")]
+    with log.open("ab") as stream:
+        done = subprocess.run(command, stdout=stream, stderr=stream, check=False, preexec_fn=die_with_parent)
+    if done.returncode != 0:
+        raise TrainerError(f"firmware-host did not explore {scene}; {log} ends with\n{last_lines(log)}")
     partial.rename(out)
 
 

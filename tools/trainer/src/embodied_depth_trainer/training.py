@@ -32,6 +32,7 @@ from .objectives import both_ways, with_teacher
 from .pairs import Pairs
 from .past_frames import GAP
 from .prefetch import Prefetcher
+from .resnet_weights import begin_with
 from .volume import volume_planes
 from .warp import Projector
 
@@ -69,6 +70,8 @@ class Settings:
     past_frames: int = 0
     """Coarse depth is from so many past frames, as the paper's is; 0: the robot's own. See `past_frames.py`."""
     past_gap: int = GAP
+    encoder: str | None = None
+    """What the ResNet18 that sees pictures begins with, a file or `imagenet`; `None`: random. See `resnet_weights.py`."""
     amp: bool = False
     """Convolutions in bfloat16, the loss and the weights in float32."""
     loss: LossOptions = field(default_factory=LossOptions)
@@ -121,6 +124,8 @@ class Trainer:
             raise TrainerError("the LiDAR's line is asked for, but no scans were read; give recordings, not datasets")
         self.frames, self.pairs, self.settings, self.device = frames, pairs, settings, device
         network = build_network(settings.network, settings.depth_range_m, settings.seed)
+        if settings.encoder is not None:
+            begin_with(network, settings.encoder)
         # Channels innermost, as the processors' convolutions want them.
         network = network.to(device).to(memory_format=torch.channels_last)
         self.network = processes.share_batch_norms(network)

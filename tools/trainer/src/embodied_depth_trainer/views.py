@@ -20,11 +20,18 @@ Rows = dict[str, dict[str, dict[str, float]]]
 
 @dataclass(frozen=True)
 class Views:
-    """Pictures with true and with coarse depth."""
+    """Pictures with true and with coarse depth, and without either the pictures that were seen on the way to them."""
 
     frames: Frames
     turned: NDArray[np.bool_]
     """[N]; the robot came there by turning on the spot: no parallax."""
+
+    @property
+    def judged(self) -> NDArray[np.bool_]:
+        """[N]; not on the way, but the view itself."""
+        assert self.frames.truth_mm is not None
+        there: NDArray[np.bool_] = self.frames.truth_mm.any(axis=(1, 2))
+        return there
 
     @staticmethod
     def read(folder: Path) -> Views:

@@ -1,0 +1,56 @@
+"""`embodied-depth fleet`: one network for each policy from the recordings of many homes."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from .arguments import picture_size
+from .depth_networks import DEPTH_NETWORKS
+from .errors import TrainerError
+from .fleet import Fleet, FleetSettings
+from .loop_command import POLICIES
+
+
+def add_fleet(command: argparse.ArgumentParser) -> None:
+    usual = FleetSettings(frames=0, steps=0)
+    command.add_argument("--scene", action="append", required=True, help="a home; may be repeated, as the next two")
+    command.add_argument("--policy", action="append", choices=POLICIES, required=True)
+    command.add_argument("--network", action="append", choices=DEPTH_NETWORKS, required=True)
+    command.add_argument("--frames", type=int, required=True, help="that each robot explores for")
+    command.add_argument("--steps", type=int, required=True, help="of each training")
+    command.add_argument("--out", type=Path, required=True, help="a study in it goes on from where it is")
+    command.add_argument("--seed", type=int, default=usual.seed, help="of everything random [1]")
+    command.add_argument("--size", type=picture_size, default=usual.size, help="rows x columns of pictures [96x320]")
+    command.add_argument(
+        "--step-scale", type=float, default=usual.step_scale, help="of steps of 3 cm and 2 degrees [1]"
+    )
+    command.add_argument("--gap", type=int, help="pairs this many frames apart, as the paper's 4 [by baseline]")
+    command.add_argument("--batch", type=int, default=usual.batch)
+    command.add_argument("--learning-rate", type=float, default=usual.learning_rate, help="of Adam [1e-4]")
+    command.add_argument("--encoder", metavar="FILE", help="as of `train` [random]")
+    command.add_argument("--views", type=int, default=usual.views, help="test views of each home [200]")
+    command.add_argument("--views-seed", type=int, default=usual.views_seed)
+    command.add_argument("--firmware-host", type=Path, metavar="FILE", help="the robot's program [on the PATH]")
+    command.add_argument("--threads", type=int, default=1, help="of the CPU [1]")
+
+
+def run_fleet(options: argparse.Namespace) -> None:
+    settings = FleetSettings(
+        frames=options.frames,
+        steps=options.steps,
+        seed=options.seed,
+        size=options.size,
+        step_scale=options.step_scale,
+        gap=options.gap,
+        batch=options.batch,
+        learning_rate=options.learning_rate,
+        encoder=options.encoder,
+        views=options.views,
+        views_seed=options.views_seed,
+    )
+    if settings.frames < 1 or settings.steps < 1:
+        raise TrainerError(f"{settings.frames} frames and {settings.steps} steps teach nothing; give at least 1 of each")
+    fleet = Fleet(settings, options.scene, options.out, options.firmware_host)
+    fleet.study(options.policy, options.network, options.threads)
+    print(f"{options.out}/results; tables: embodied-depth results --runs {options.out}/results --out DIR")
