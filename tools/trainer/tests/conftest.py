@@ -2,9 +2,24 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from pathlib import Path
 
 import pytest
+
+TRAINER = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Path:
+    """A program that keeps to the protocol of `firmware-host`."""
+    program = tmp_path / "firmware-host"
+    python = shlex.join([sys.executable, "-m", "tests.fake_robot"])
+    paths = f"{TRAINER}:{TRAINER / 'src'}"
+    program.write_text(f'#!/bin/sh\nPYTHONPATH={paths} exec {python} "$@"\n')
+    program.chmod(0o755)
+    return program
 
 
 @pytest.fixture

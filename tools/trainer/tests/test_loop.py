@@ -20,21 +20,10 @@ from embodied_depth_trainer import checkpoint as checkpoints
 from embodied_depth_trainer.cli import main
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.jobs import read_jobs
-from embodied_depth_trainer.loop import LoopSettings
+from embodied_depth_trainer.robot import robot_config
 from embodied_depth_trainer.schedule import Schedule
 
 TRAINER = Path(__file__).resolve().parents[1]
-
-
-@pytest.fixture
-def robot(tmp_path: Path) -> Path:
-    """A program that keeps to the protocol of `firmware-host`."""
-    program = tmp_path / "firmware-host"
-    python = shlex.join([sys.executable, "-m", "tests.fake_robot"])
-    paths = f"{TRAINER}:{TRAINER / 'src'}"
-    program.write_text(f'#!/bin/sh\nPYTHONPATH={paths} exec {python} "$@"\n')
-    program.chmod(0o755)
-    return program
 
 
 def arguments(robot: Path, out: Path, *more: str) -> list[str]:

@@ -16,9 +16,6 @@ from embodied_depth_trainer.watch import STATE_FILE, WatchSettings, pictures_of,
 
 from .fake_robot import walk, wheels
 from .recordings import write_segment
-from .test_loop import robot
-
-__all__ = ["robot"]
 
 
 def pull(folder: Path, run: str, segment: int, pictures: int = 12) -> None:

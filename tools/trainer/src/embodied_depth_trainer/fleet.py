@@ -1,9 +1,9 @@
-"""Many homes at once: a robot explores each of them, one network learns from all that they recorded, and is judged in every
-home. For every policy and every network.
+"""Many homes at once: a robot explores each of them, one network learns from all that they recorded, and is judged in
+every home. For every policy and every network.
 
-The robots drive on coarse depth. So a policy's recordings are the same for all networks, which makes many networks cheap to
-compare; in `loop`, every network drives its own robot. What is there is not made again: a study that was cut off goes on,
-policy by policy.
+The robots drive on coarse depth. So a policy's recordings are the same for all networks, which makes many networks
+cheap to compare; in `loop`, every network drives its own robot. What is there is not made again: a study that was cut
+off goes on, policy by policy.
 """
 
 from __future__ import annotations
@@ -125,7 +125,9 @@ class Fleet:
     def _trained(self, policy: str, network: str, frames: Frames) -> Path:
         settings = self.settings
         pairs = find_pairs(frames, settings.gap, PairRule())
-        print(f"{self._name(policy, network)}: {len(frames)} pictures, {len(pairs)} of them with sources", file=sys.stderr)
+        print(
+            f"{self._name(policy, network)}: {len(frames)} pictures, {len(pairs)} of them with sources", file=sys.stderr
+        )
         trainer = Trainer(frames, pairs, settings.training(network))
         with tqdm(total=settings.steps, unit="step", disable=None) as bar:
 
@@ -140,27 +142,27 @@ class Fleet:
     def _judge(self, policy: str, network: str, checkpoint: Path) -> None:
         """In every home, beside the network as it began."""
         saved = checkpoints.load(checkpoint)
-        untrained = build_network(network, saved.depth_range_m, self.settings.seed).eval()
+        untrained, trained = build_network(network, saved.depth_range_m, self.settings.seed).eval(), saved.build()
         shared = self.settings.plain()
         schedule = {key: shared.pop(key) for key in ("frames", "steps")}
         for scene in self.scenes:
             views = self._views(scene)
+            rows = [views.evaluate({network: judged}, saved.depth_range_m) for judged in (untrained, trained)]
+            seen = self.settings.frames * len(self.scenes)
             curve = [
-                {"frames": frames, "steps": steps, "metrics": views.evaluate({network: judged}, saved.depth_range_m)}
-                for judged, frames, steps in (
-                    (untrained, 0, 0),
-                    (saved.build(), self.settings.frames * len(self.scenes), saved.step),
-                )
+                {"frames": 0, "steps": 0, "metrics": rows[0]},
+                {"frames": seen, "steps": saved.step, "metrics": rows[1]},
             ]
             summary = json.loads((self._run(scene, policy) / "summary.json").read_text())
             result = {
-                "settings": {"scene": scene, "policy": policy, "network": network, **shared},
+                # A file by its name, wherever it lies.
+                "settings": {"scene": Path(scene).name, "policy": policy, "network": network, **shared},
                 "schedule": {**schedule, "homes": len(self.scenes)},
                 "exploration": {"coverage": summary["coverage"]},
                 "curve": curve,
             }
             write_atomically(json.dumps(result, indent=2).encode(), self._result(scene, policy, network))
-            delta1 = curve[-1]["metrics"]["all"][network]["delta1"]
+            delta1 = rows[-1]["all"][network]["delta1"]
             print(f"{self._name(policy, network)}, {scene}: delta1 {delta1:.3f}", file=sys.stderr, flush=True)
 
     def _views(self, scene: str) -> Views:

@@ -50,7 +50,9 @@ def run_fleet(options: argparse.Namespace) -> None:
         views_seed=options.views_seed,
     )
     if settings.frames < 1 or settings.steps < 1:
-        raise TrainerError(f"{settings.frames} frames and {settings.steps} steps teach nothing; give at least 1 of each")
+        raise TrainerError(
+            f"{settings.frames} frames and {settings.steps} steps teach nothing; give at least 1 of each"
+        )
     fleet = Fleet(settings, options.scene, options.out, options.firmware_host)
     fleet.study(options.policy, options.network, options.threads)
     print(f"{options.out}/results; tables: embodied-depth results --runs {options.out}/results --out DIR")

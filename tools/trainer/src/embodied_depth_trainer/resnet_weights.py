@@ -1,5 +1,5 @@
-"""ImageNet's weights for the ResNet18 that look at pictures: from a file, or torchvision's published ones where there is a
-network.
+"""ImageNet's weights for the ResNet18 that look at pictures: from a file, or torchvision's published ones where there
+is a network.
 
 Godard et al. 2019 and the paper begin with them. Nothing here needs them: without, weights are random.
 """
@@ -40,11 +40,12 @@ def begin_with(network: nn.Module, source: str) -> None:
 def _published() -> Mapping[str, Tensor]:
     weights = ResNet18_Weights.IMAGENET1K_V1
     try:
-        return weights.get_state_dict(progress=False, check_hash=True)
+        found: Mapping[str, Tensor] = weights.get_state_dict(progress=False, check_hash=True)
     except (URLError, OSError) as problem:
         raise TrainerError(
             f"torchvision's weights {weights} cannot be fetched ({problem}); give --encoder FILE, or leave it out"
         ) from None
+    return found
 
 
 def resnet18_name(name: str) -> str:

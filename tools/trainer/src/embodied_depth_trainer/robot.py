@@ -43,8 +43,8 @@ def find_firmware_host(given: Path | None) -> Path:
 
 
 def robot_config(size: tuple[int, int], step_scale: float, warm_up: int, frames: int) -> str:
-    """What differs from the robot's defaults, as TOML: pictures of `size`, the paper's steps times `step_scale`, and its
-    phases in a run of so many frames."""
+    """What differs from the robot's defaults, as TOML: pictures of `size`, the paper's steps times `step_scale`, and
+    its phases in a run of so many frames."""
     height, width = size
     frontier = max(LEAST_FRONTIER, round(FRONTIER * frames))
     return (
@@ -81,9 +81,7 @@ def render_views(program: Path, scene: str, config: Path, count: int, seed: int,
     partial.rename(out)
 
 
-def explore(
-    program: Path, scene: str, policy: str, seed: int, frames: int, config: Path, out: Path, log: Path
-) -> None:
+def explore(program: Path, scene: str, policy: str, seed: int, frames: int, config: Path, out: Path, log: Path) -> None:
     """A run on coarse depth, with that in `out`/coarse. `out` is there whole or not at all."""
     partial = out.with_name(out.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)

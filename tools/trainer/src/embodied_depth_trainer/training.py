@@ -71,7 +71,7 @@ class Settings:
     """Coarse depth is from so many past frames, as the paper's is; 0: the robot's own. See `past_frames.py`."""
     past_gap: int = GAP
     encoder: str | None = None
-    """What the ResNet18 that sees pictures begins with, a file or `imagenet`; `None`: random. See `resnet_weights.py`."""
+    """What the ResNet18 that sees pictures begins with, a file or `imagenet`; `None`: random. `resnet_weights.py`."""
     amp: bool = False
     """Convolutions in bfloat16, the loss and the weights in float32."""
     loss: LossOptions = field(default_factory=LossOptions)

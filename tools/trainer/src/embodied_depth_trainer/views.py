@@ -30,8 +30,7 @@ class Views:
     def judged(self) -> NDArray[np.bool_]:
         """[N]; not on the way, but the view itself."""
         assert self.frames.truth_mm is not None
-        there: NDArray[np.bool_] = self.frames.truth_mm.any(axis=(1, 2))
-        return there
+        return np.asarray(self.frames.truth_mm.any(axis=(1, 2)))
 
     @staticmethod
     def read(folder: Path) -> Views:

@@ -1,0 +1,62 @@
+"""`embodied-depth fleet`: many homes, one network for each policy. With a robot that stands in for `firmware-host`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from torchvision.models import resnet18
+
+from embodied_depth_trainer.cli import main
+from embodied_depth_trainer.results import collect
+
+FRAMES, STEPS = 30, 2
+HOME = ("--scene", "builtin:apartment?seed=1")
+
+
+def arguments(robot: Path, out: Path, *more: str) -> list[str]:
+    sizes = ["--frames", f"{FRAMES}", "--steps", f"{STEPS}", "--views", "4", "--size", "32x64", "--batch", "4"]
+    return ["fleet", *sizes, "--policy", "random", "--firmware-host", str(robot), "--out", str(out), *more]
+
+
+def test_every_network_learns_from_all_homes_and_is_judged_in_each(robot: Path, tmp_path: Path) -> None:
+    weights = tmp_path / "weights.pth"
+    torch.save(resnet18(weights=None).state_dict(), weights)
+    more = [*HOME, "--scene", "homes/kitchen.glb", "--network", "student", "--network", "monodepth2_r18"]
+    assert main(arguments(robot, tmp_path, *more, "--encoder", str(weights))) == 0
+    study = collect(tmp_path / "results")
+    found = {(run.scene, run.policy, run.network) for run in study.runs}
+    homes, networks = ("builtin:apartment?seed=1", "kitchen.glb"), ("student", "monodepth2_r18")
+    assert found == {(home, "random", network) for home in homes for network in networks}
+    assert study.settings["schedule"] == {"frames": FRAMES, "steps": STEPS, "homes": 2}
+    assert study.settings["encoder"] == "weights.pth"
+    for run in study.runs:
+        first, last = run.curve
+        assert (first["frames"], last["frames"], last["steps"]) == (0, 2 * FRAMES, STEPS)
+        assert first["metrics"] != last["metrics"]
+        assert 0 < run.value(of="constant") < 1
+    # One recording for both networks.
+    assert len(list((tmp_path / "recordings").iterdir())) == 2
+
+
+def test_a_study_that_was_cut_off_goes_on_without_exploring_again(robot: Path, tmp_path: Path) -> None:
+    wish = arguments(robot, tmp_path, *HOME, "--network", "student")
+    assert main(wish) == 0
+    (file,) = (tmp_path / "results").rglob("result.json")
+    (recording,) = (tmp_path / "recordings").iterdir()
+    before, made = file.read_text(), recording.stat().st_mtime_ns
+    file.unlink()
+    assert main(wish) == 0
+    assert (file.read_text(), recording.stat().st_mtime_ns) == (before, made)
+
+
+def test_a_home_that_cannot_be_explored_is_named_and_no_steps_are_refused(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wish = arguments(robot, tmp_path, "--scene", "nowhere", "--network", "student")
+    assert main(wish) == 1
+    assert "did not explore nowhere" in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()
+    assert main([*wish, "--steps", "0"]) == 1
+    assert "0 steps" in capsys.readouterr().err
