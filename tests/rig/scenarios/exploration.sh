@@ -1,6 +1,6 @@
 #: title   the deployed program explores a home: pictures by V4L2, scans by USB serial, motors by CAN
 #: icount  0
-#: seconds 2400
+#: seconds 3600
 #: long
 # Names that stay the same over a replug, as udev makes them.
 mkdir -p /dev/v4l/by-id /dev/serial/by-id
