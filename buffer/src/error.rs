@@ -84,6 +84,14 @@ pub enum BufferError {
         /// How it ended, if that is known.
         status: String,
     },
+    /// ssh itself failed.
+    #[error("ssh did not get through to {host} ({status}); its own words stand above; try `ssh {host} true`")]
+    Unreached {
+        /// Whom.
+        host: String,
+        /// How it ended.
+        status: String,
+    },
     /// The other side does not speak the protocol.
     #[error("{from}: {source}")]
     Protocol {
@@ -142,9 +150,12 @@ impl BufferError {
             Self::Protocol { source, .. } if !source.is_foreign() => Kind::Link,
             Self::Refused { refusal, .. } if refusal.passes() => Kind::Link,
             Self::Write { .. } | Self::Exists { .. } | Self::Busy { .. } => Kind::Disk,
-            Self::Refused { .. } | Self::Protocol { .. } | Self::Name(_) | Self::Silent { .. } | Self::Store { .. } => {
-                Kind::Refused
-            }
+            Self::Refused { .. }
+            | Self::Protocol { .. }
+            | Self::Name(_)
+            | Self::Silent { .. }
+            | Self::Unreached { .. }
+            | Self::Store { .. } => Kind::Refused,
             Self::Read { .. } | Self::Segment { .. } | Self::Usage(_) => Kind::Usage,
         }
     }

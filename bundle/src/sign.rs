@@ -55,7 +55,9 @@ pub fn read_secret_key(
 ) -> Result<SecretKey, BundleError> {
     let file = |reason| BundleError::File { what: "read", path: path.to_owned(), reason };
     let refused = |error: minisign::PError| BundleError::SecretKey { path: path.to_owned(), reason: error.to_string() };
-    let text = std::fs::read_to_string(path).map_err(file)?;
+    let text = std::fs::read(path).map_err(file)?;
+    let text = String::from_utf8(text)
+        .map_err(|_| BundleError::SecretKey { path: path.to_owned(), reason: "it is not text".to_owned() })?;
     let boxed = || SecretKeyBox::from_string(&text).map_err(refused);
     if let Ok(key) = boxed()?.into_unencrypted_secret_key() {
         return Ok(key);

@@ -13,6 +13,9 @@ use crate::error::BufferError;
 use crate::name::Name;
 use crate::send::{Have, Receive};
 
+/// What ssh ends with when it failed itself, ssh(1).
+const SSH_FAILED: i32 = 255;
+
 /// How ssh is called.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SshOptions {
@@ -73,8 +76,13 @@ impl Ssh {
         match Remote::greet(host, Patient { input, stall_s: options.stall_s }, output, options.stall_s) {
             Ok(remote) => connection.remote = Some(remote),
             Err(BufferError::Silent { from, .. } | BufferError::Link { to: from, .. }) => {
-                let status = connection.child.wait().map(|status| format!(" ({status})")).unwrap_or_default();
-                return Err(BufferError::Silent { from, status });
+                return Err(match connection.child.wait() {
+                    Ok(status) if status.code() == Some(SSH_FAILED) => {
+                        BufferError::Unreached { host: host.to_owned(), status: status.to_string() }
+                    }
+                    Ok(status) => BufferError::Silent { from, status: format!(" ({status})") },
+                    Err(_) => BufferError::Silent { from, status: String::new() },
+                });
             }
             Err(error) => return Err(error),
         }

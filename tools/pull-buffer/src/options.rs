@@ -13,11 +13,11 @@ use clap::{Parser, ValueEnum};
 /// Exit codes: 0 everything is here; 1 something needs a person; 2 wrong arguments; 75 only the link failed, the same command
 /// goes on from there.
 #[derive(Debug, Parser)]
-#[command(name = "pull-buffer", version)]
+#[command(name = "pull-buffer", version, override_usage = "pull-buffer [OPTIONS] SOURCE... DEST")]
 pub struct Options {
     /// One or more [user@]host:path, directories or object stores (s3://, gs://, az://), then the destination: a directory, or
     /// an object store. Each source goes into DEST/HOST (or DEST/ and the last part of the directory or address); NAME=SOURCE chooses another name.
-    #[arg(required = true, num_args = 2.., value_name = "SOURCE... DEST")]
+    #[arg(required = true, num_args = 2.., value_name = "PLACE")]
     places: Vec<String>,
     /// Go on pulling what is recorded from now on, until interrupted. A segment comes when the robot has closed it, at most a
     /// minute after it began.

@@ -55,6 +55,9 @@ impl Display {
             (*exported, "exported"),
         ];
         words.extend(counts.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")));
+        if report.files + report.there + report.open == 0 {
+            words = vec![format!("nothing is recorded in {} yet", spec.place)];
+        }
         match error {
             Some(error) => self.say(&format!("{}: error: {error}", spec.name)),
             None => self.say(&format!("{}: {}", spec.name, words.join(", "))),

@@ -51,7 +51,7 @@ fn a_changed_host_key_is_refused_in_sshs_own_words() {
     let output = server.pull(robot.path(), here.path()).output().unwrap();
     let words = words(&output);
     assert!(!output.status.success() && words.contains("REMOTE HOST IDENTIFICATION HAS CHANGED"), "{words}");
-    assert!(words.contains("127.0.0.1 ended before it said anything") && words.contains("255"), "{words}");
+    assert!(words.contains("ssh did not get through to 127.0.0.1") && words.contains("255"), "{words}");
     assert!(!here.path().join("robot/run").exists());
 }
 

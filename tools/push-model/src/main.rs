@@ -104,6 +104,9 @@ fn keygen(args: &KeygenArgs) -> Result<()> {
 }
 
 fn sign_file(model: &Path, key: &Path, name: Option<String>) -> Result<()> {
+    if model.extension() != Some("onnx".as_ref()) {
+        bail!("{} is not called NAME.onnx; give the file that `embodied-depth export` wrote", model.display());
+    }
     let name = name.map_or_else(|| Bundle::name_of(model), Ok)?;
     let bytes = std::fs::read(model).with_context(|| format!("cannot read {}", model.display()))?;
     let key = read_secret_key(key, || ask("Password of the secret key: "))?;
