@@ -84,7 +84,7 @@ def test_differences_are_paired_by_home_seed_and_network(tmp_path: Path) -> None
     assert (active.scenes, active.above) == (2, 2)
     networks = found["student - monodepth2_r18", "drive"]
     assert (networks.mean, networks.pairs) == pytest.approx((0.1, 4))
-    assert found["the same, random only", "all"].mean == pytest.approx(0.05)
+    assert found["pairs by baseline - 4 frames apart, student, random only", "all"].mean == pytest.approx(0.05)
     assert not any("frontier" in name for name, _ in found), "nothing is said of what was not run"
     unscaled = {(row.name, row.part): row.estimate for row in contrasts(runs, "delta1_unscaled")}
     assert unscaled["active - random, student", "turn"].mean == pytest.approx(0.075)

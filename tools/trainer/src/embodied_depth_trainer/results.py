@@ -136,21 +136,28 @@ def contrasts(study: Study, metric: str = "delta1") -> list[Contrast]:
         name = f"{one} - {other}, {network or 'all networks'}"
         add(name, part, mine, lambda r: r.policy == one, lambda r: r.policy == other, "network")
 
-    def networks(one: str, other: str) -> None:
-        add(f"{one} - {other}", "drive", main, lambda r: r.network == one, lambda r: r.network == other, "policy")
+    def networks(one: str, other: str, policy: str | None = None) -> None:
+        mine = [run for run in main if policy in (None, run.policy)]
+        name = f"{one} - {other}" + (f", {policy} only" if policy else "")
+        add(name, "drive", mine, lambda r: r.network == one, lambda r: r.network == other, "policy")
 
-    def pairs(name: str, policy: str | None) -> None:
-        mine = [run for run in study.runs if run.network == "student" and policy in (None, run.policy)]
+    def pairs(network: str, policy: str | None = None) -> None:
+        mine = [run for run in study.runs if run.network == network and policy in (None, run.policy)]
+        name = f"pairs by baseline - 4 frames apart, {network}" + (f", {policy} only" if policy else "")
         add(name, "all", mine, lambda r: r.gap is None, lambda r: r.gap is not None, "policy")
 
     for network in study.networks():
         for part in VIEWS:
             policies("active", "random", network, part)
     policies("frontier", "random", None, "all")
-    networks("student", "monodepth2_r18")
-    networks("edn_r18", "monodepth2_r18")
-    pairs("pairs by baseline - 4 frames apart, student", None)
-    pairs("the same, random only", "random")
+    for network in ("student", "edn_r18", "manydepth_r18", "sc_depth_r18"):
+        networks(network, "monodepth2_r18")
+    for policy in ("random", "active"):
+        networks("manydepth_r18", "monodepth2_r18", policy)
+    for network in study.networks():
+        pairs(network)
+        pairs(network, "random")
+        pairs(network, "active")
     for one, other in (("active", "frontier"), ("heuristic", "random"), ("forward", "random")):
         policies(one, other, None, "all")
     return found
