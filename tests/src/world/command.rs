@@ -18,6 +18,8 @@ use super::live::{LiveOptions, LiveWorld};
 
 /// Time between two looks at what is to be said and done.
 const LOOK_NS: u64 = 10_000_000;
+/// Devices this late may pass for silent: two scans of 40 Hz.
+const LATE_MS: u64 = 50;
 
 /// A simulated home behind simulated devices, in real time, for `firmware-host run`.
 #[derive(Debug, clap::Args)]
@@ -119,6 +121,10 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
     let (touches, path_m) = world.home().score();
     let faults = mischief.map_or_else(String::new, |mischief| format!(" faults={}", mischief.count()));
     println!("\nworld: path_m={path_m:.2} touches={touches}{faults}");
+    let late_ms = world.worst_late_ns() / 1_000_000;
+    if late_ms >= LATE_MS {
+        println!("This computer was too busy: the devices themselves came up to {late_ms} ms late, as silent ones do.");
+    }
     Ok(())
 }
 

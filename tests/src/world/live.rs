@@ -2,7 +2,7 @@
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
@@ -67,6 +67,7 @@ pub struct LiveWorld {
     wheels: Wheels,
     config: PathBuf,
     running: Arc<AtomicBool>,
+    worst_late_ns: Arc<AtomicU64>,
     camera_on: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
@@ -101,6 +102,7 @@ impl LiveWorld {
             wheels: Arc::new(Mutex::new([1, 2].map(|node| rig::node(options.protocol, node)))),
             config: dir.join("robot.toml"),
             running: Arc::new(AtomicBool::new(true)),
+            worst_late_ns: Arc::default(),
             camera_on: Arc::new(AtomicBool::new(true)),
             threads: Vec::new(),
             home: home.clone(),
@@ -109,8 +111,9 @@ impl LiveWorld {
             Some(cable) => Box::new(SocketBus::new(&cable.world)),
             None => Box::new(Hub::bind(&dir.join("can"))?),
         };
-        let (wheels, running) = (Arc::clone(&live.wheels), Arc::clone(&live.running));
-        let turning = move || turn(&home, &wheels, bus, &running);
+        let (wheels, running, late_ns) =
+            (Arc::clone(&live.wheels), Arc::clone(&live.running), Arc::clone(&live.worst_late_ns));
+        let turning = move || turn(&home, &wheels, bus, &running, &late_ns);
         live.threads.push(std::thread::Builder::new().name("simulated-motors".to_owned()).spawn(turning)?);
         let eyes = HomePicture {
             home: live.home.clone(),
@@ -162,6 +165,12 @@ impl LiveWorld {
         self.wheels.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// How late the motors were at worst, nanoseconds. A busy computer holds the other devices up as well.
+    #[must_use]
+    pub fn worst_late_ns(&self) -> u64 {
+        self.worst_late_ns.load(Ordering::Relaxed)
+    }
+
     /// Pulls the camera's plug, or puts it back in.
     pub fn plug_camera(&self, on: bool) {
         self.camera_on.store(on, Ordering::Relaxed);
@@ -178,14 +187,22 @@ impl Drop for LiveWorld {
     }
 }
 
-fn turn(home: &Home, wheels: &Wheels, mut bus: Box<dyn CanBus + Send>, running: &AtomicBool) {
+fn turn(
+    home: &Home,
+    wheels: &Wheels,
+    mut bus: Box<dyn CanBus + Send>,
+    running: &AtomicBool,
+    worst_late_ns: &AtomicU64,
+) {
     let mut clock = MonotonicClock;
     let start_ns = monotonic_ns();
     let mut due_ns = start_ns;
     let mut outbox = Outbox::default();
     while running.load(Ordering::Relaxed) {
-        due_ns = (due_ns + STEP_NS).max(clock.now_ns());
+        let planned_ns = due_ns + STEP_NS;
+        due_ns = planned_ns.max(clock.now_ns());
         clock.sleep_until_ns(due_ns);
+        worst_late_ns.fetch_max(clock.now_ns().saturating_sub(planned_ns), Ordering::Relaxed);
         let mut wheels = wheels.lock().unwrap_or_else(PoisonError::into_inner);
         rig::step_nodes(&mut *wheels, &mut bus, due_ns, &mut outbox);
         home.pass(due_ns - start_ns, &mut wheels);
