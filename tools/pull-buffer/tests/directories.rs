@@ -73,7 +73,7 @@ fn a_link_that_fails_ends_with_exit_code_75_or_a_persons_attention() {
     let output = pull(&arguments, dir.path());
     assert!(matches!(output.status.code(), Some(1 | 75)), "{}", words(&output));
     assert!(
-        words(&output).contains("ended before it said anything") || words(&output).contains("cannot start"),
+        words(&output).contains("ssh did not get through to 127.0.0.1") || words(&output).contains("cannot start"),
         "{}",
         words(&output)
     );
