@@ -122,7 +122,7 @@ fn take(
         config.simulator.nuisances.add_sensor_noise(rng, &mut rgb);
         let estimate = coarse.estimate(ImageView::rgb8(camera.width, camera.height, &rgb)?, &t_world_camera).ok();
         let to_go = way.len() - 1 - step;
-        if to_go % KEPT_EVERY == 0 {
+        if to_go.is_multiple_of(KEPT_EVERY) {
             let time_ns = (index * way.len() as u64 + step as u64) * config.base.tick_ns();
             let (truth, estimate) = if to_go == 0 { (Some(&truth), estimate) } else { (None, None) };
             dump.add(&Shot { time_ns, t_world_camera, rgb: Some(&rgb), truth, view }, estimate)?;
