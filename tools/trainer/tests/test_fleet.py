@@ -40,7 +40,9 @@ def test_every_network_learns_from_all_homes_and_is_judged_in_each(robot: Path, 
     assert len(list((tmp_path / "recordings").iterdir())) == 2
 
 
-def test_a_study_that_was_cut_off_goes_on_without_exploring_again(robot: Path, tmp_path: Path) -> None:
+def test_a_study_that_was_cut_off_goes_on_without_exploring_again_and_with_nothing_else(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     wish = arguments(robot, tmp_path, *HOME, "--network", "student")
     assert main(wish) == 0
     (file,) = (tmp_path / "results").rglob("result.json")
@@ -49,6 +51,9 @@ def test_a_study_that_was_cut_off_goes_on_without_exploring_again(robot: Path, t
     file.unlink()
     assert main(wish) == 0
     assert (file.read_text(), recording.stat().st_mtime_ns) == (before, made)
+    # Not with other settings: half of it would be of before.
+    assert main([*wish, "--frames", "40"]) == 1
+    assert "frames was 30, now 40; give the same, or another --out" in capsys.readouterr().err
 
 
 def test_a_home_that_cannot_be_explored_is_named_and_no_steps_are_refused(

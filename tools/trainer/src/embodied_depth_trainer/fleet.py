@@ -29,6 +29,7 @@ from .loop import RESULT_FILE
 from .objectives import recipe
 from .pairs import PairRule
 from .robot import explore, find_firmware_host, render_views, robot_config
+from .settings_file import same_settings
 from .training import Settings, Trainer, train
 from .views import Views
 
@@ -91,6 +92,8 @@ class Fleet:
         torch.set_num_threads(threads)
         with the_only_one(self.out):
             settings = self.settings
+            # Other pairs are another training on the same recordings.
+            same_settings({**settings.plain(), "gap": "any"}, self.out)
             config = robot_config(settings.size, settings.step_scale, settings.frames // WARM_UP, settings.frames)
             write_atomically(config.encode(), self.config)
             for policy in policies:

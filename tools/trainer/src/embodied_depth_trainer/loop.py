@@ -32,6 +32,7 @@ from .pairs import PairRule
 from .replay_buffer import ReplayBuffer
 from .robot import Exploration, Mission, find_firmware_host, render_views, robot_config
 from .schedule import Round, Schedule
+from .settings_file import same_settings
 from .training import CHECKPOINT_FILE, Settings, Trainer, train
 from .views import Rows, Views
 
@@ -95,7 +96,7 @@ def run_loop(settings: LoopSettings, out: Path, firmware_host: Path | None, view
     needs_coarse = takes_coarse(build_network(settings.network, settings.training().depth_range_m, settings.seed))
     program = find_firmware_host(firmware_host)
     with the_only_one(out):
-        _same_settings(settings, out)
+        same_settings(asdict(settings), out)
         if (out / RESULT_FILE).exists():
             return out / RESULT_FILE
         config = out / "robot.toml"
@@ -104,20 +105,6 @@ def run_loop(settings: LoopSettings, out: Path, firmware_host: Path | None, view
         dump = needs_coarse or settings.labels
         mission = Mission(program, settings.scene, settings.policy, settings.seed, config, schedule, dump)
         return _Loop(settings, schedule, out, mission, _views(settings, mission, views or out / "views", out)).run()
-
-
-def _same_settings(settings: LoopSettings, out: Path) -> None:
-    """Writes the settings, or finds those that are there to be the same."""
-    file = out / "settings.json"
-    now = json.loads(json.dumps(asdict(settings)))
-    if not file.exists():
-        write_atomically(json.dumps(now, indent=2).encode(), file)
-        return
-    was = json.loads(file.read_text())
-    different = {key: (was.get(key), now[key]) for key in now if was.get(key) != now[key]}
-    if different:
-        said = ", ".join(f"{key} was {old}, now {new}" for key, (old, new) in different.items())
-        raise TrainerError(f"{file}: {said}; give the same, or another --out")
 
 
 def _views(settings: LoopSettings, mission: Mission, folder: Path, out: Path) -> Views:
