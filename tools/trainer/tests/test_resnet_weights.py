@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 from torchvision.models import resnet18
 
-from embodied_depth_trainer.depth_networks import build_network
+from embodied_depth_trainer.batches import to_depth
+from embodied_depth_trainer.depth_networks import build_network, output_of
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.networks import Encoder
 from embodied_depth_trainer.pairs import PairRule, pairs_by_baseline
@@ -88,3 +89,15 @@ def test_a_training_begins_with_them_and_its_checkpoint_says_so(published: Path)
     stem = trainer.checkpoint().weights["rgb.stem.0.weight"]
     assert torch.equal(stem, torch.load(published, weights_only=True)["conv1.weight"])
     assert trainer.checkpoint().settings["encoder"] == str(published)
+
+
+@pytest.mark.parametrize("name", ["monodepth2_r18", "manydepth_r18", "edn_r18"])
+def test_an_untrained_network_begins_in_the_middle_of_a_room_whatever_its_range(name: str) -> None:
+    for near, far, about_m in ((0.1, 20.0, 2.5), (0.3, 10.0, 2.5), (3.0, 20.0, 3.03)):
+        network = build_network(name, (near, far), seed=1).eval()
+        volume, coarse = torch.zeros(1, 96, 8, 16), torch.zeros(1, 3, 32, 64)
+        rgb, second = torch.rand(1, 3, 32, 64), volume if name == "manydepth_r18" else coarse
+        with torch.no_grad():
+            x, _ = output_of(network, rgb, second)
+        depth_m = to_depth(x, (near, far)).median().item()
+        assert depth_m == pytest.approx(about_m, rel=0.25), (near, far)

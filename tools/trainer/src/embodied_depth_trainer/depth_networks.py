@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor, nn
 
 from .errors import TrainerError
 from .manydepth import ManyDepth
-from .networks import Edn, Monodepth2, Padding
+from .networks import Decoder, Edn, Monodepth2, Padding
 from .student import Student
 
 DEPTH_NETWORKS = ("student", "monodepth2_r18", "sc_depth_r18", "manydepth_r18", "edn_r18", "edn_r18_concat")
 # What a network's size must be a multiple of.
 SIZE_STEP = 32
+# What ResNet18 networks say before they have learnt. The middle of x in 0..1 is 20 cm: there, two pictures see nothing of
+# a home in common, the way out overshoots to "infinitely far", and ManyDepth, which nothing calls back, stayed there.
+FIRST_DEPTH_M = 2.5
 
 
 def build_network(name: str, depth_range_m: tuple[float, float], seed: int, padding: Padding = "zeros") -> nn.Module:
@@ -20,13 +25,26 @@ def build_network(name: str, depth_range_m: tuple[float, float], seed: int, padd
     torch.manual_seed(seed)
     if name == "student":
         return Student(depth_range_m)
+    network: nn.Module
     if name in ("monodepth2_r18", "sc_depth_r18"):
-        return Monodepth2(padding)
-    if name == "manydepth_r18":
-        return ManyDepth(padding)
-    if name in ("edn_r18", "edn_r18_concat"):
-        return Edn("concat" if name.endswith("concat") else "add", padding)
-    raise TrainerError(f"`{name}` is no network; give one of {', '.join(DEPTH_NETWORKS)}")
+        network = Monodepth2(padding)
+    elif name == "manydepth_r18":
+        network = ManyDepth(padding)
+    elif name in ("edn_r18", "edn_r18_concat"):
+        network = Edn("concat" if name.endswith("concat") else "add", padding)
+    else:
+        raise TrainerError(f"`{name}` is no network; give one of {', '.join(DEPTH_NETWORKS)}")
+    _begin_at(FIRST_DEPTH_M, network, depth_range_m)
+    return network
+
+
+def _begin_at(depth_m: float, network: nn.Module, depth_range_m: tuple[float, float]) -> None:
+    """The untrained network says about this depth everywhere."""
+    near, far = depth_range_m
+    x = (1 / min(max(depth_m, 1.01 * near), 0.99 * far) - 1 / far) / (1 / near - 1 / far)
+    for decoder in (module for module in network.modules() if isinstance(module, Decoder)):
+        assert decoder.head.bias is not None
+        nn.init.constant_(decoder.head.bias, math.log(x / (1 - x)))
 
 
 def takes_coarse(network: nn.Module) -> bool:
