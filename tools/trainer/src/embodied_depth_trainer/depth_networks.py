@@ -15,8 +15,8 @@ from .student import Student
 DEPTH_NETWORKS = ("student", "monodepth2_r18", "sc_depth_r18", "manydepth_r18", "edn_r18", "edn_r18_concat")
 # What a network's size must be a multiple of.
 SIZE_STEP = 32
-# What ResNet18 networks say before they have learnt. The middle of x in 0..1 is 20 cm: there, two pictures see nothing of
-# a home in common, the way out overshoots to "infinitely far", and ManyDepth, which nothing calls back, stayed there.
+# What ResNet18 networks say before they have learnt. The middle of x in 0..1 is 20 cm: there, two pictures see nothing
+# of a home in common, the way out overshoots to "infinitely far", and ManyDepth, which nothing calls back, stayed there.
 FIRST_DEPTH_M = 2.5
 
 
