@@ -16,7 +16,7 @@ DEPTH_NETWORKS = ("student", "monodepth2_r18", "sc_depth_r18", "manydepth_r18", 
 # What a network's size must be a multiple of.
 SIZE_STEP = 32
 # What ResNet18 networks say before they have learnt. The middle of x in 0..1 is 20 cm: there, two pictures see nothing
-# of a home in common, the way out overshoots to "infinitely far", and ManyDepth, which nothing calls back, stayed there.
+# of a home in common, the way out goes too far, to "infinitely far": ManyDepth stayed there.
 FIRST_DEPTH_M = 2.5
 
 
