@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .arguments import picture_size
 from .depth_networks import DEPTH_NETWORKS
 from .errors import TrainerError
 from .fleet import Fleet, FleetSettings
-from .loop_command import POLICIES
+from .loop_command import POLICIES, add_shared
 
 
 def add_fleet(command: argparse.ArgumentParser) -> None:
@@ -20,19 +19,8 @@ def add_fleet(command: argparse.ArgumentParser) -> None:
     command.add_argument("--frames", type=int, required=True, help="that each robot explores for")
     command.add_argument("--steps", type=int, required=True, help="of each training")
     command.add_argument("--out", type=Path, required=True, help="a study in it goes on from where it is")
-    command.add_argument("--seed", type=int, default=usual.seed, help="of everything random [1]")
-    command.add_argument("--size", type=picture_size, default=usual.size, help="rows x columns of pictures [96x320]")
-    command.add_argument(
-        "--step-scale", type=float, default=usual.step_scale, help="of steps of 3 cm and 2 degrees [1]"
-    )
-    command.add_argument("--gap", type=int, help="pairs this many frames apart, as the paper's 4 [by baseline]")
-    command.add_argument("--batch", type=int, default=usual.batch)
-    command.add_argument("--learning-rate", type=float, default=usual.learning_rate, help="of Adam [1e-4]")
     command.add_argument("--encoder", metavar="FILE", help="as of `train` [random]")
-    command.add_argument("--views", type=int, default=usual.views, help="test views of each home [200]")
-    command.add_argument("--views-seed", type=int, default=usual.views_seed)
-    command.add_argument("--firmware-host", type=Path, metavar="FILE", help="the robot's program [on the PATH]")
-    command.add_argument("--threads", type=int, default=1, help="of the CPU [1]")
+    add_shared(command, usual)
 
 
 def run_fleet(options: argparse.Namespace) -> None:

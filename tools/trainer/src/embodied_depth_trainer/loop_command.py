@@ -9,6 +9,7 @@ from pathlib import Path
 from .arguments import picture_size
 from .depth_networks import DEPTH_NETWORKS
 from .errors import TrainerError
+from .fleet import FleetSettings
 from .jobs import read_jobs, run_jobs
 from .loop import LoopSettings, run_loop
 
@@ -28,11 +29,21 @@ def add_one_loop(command: argparse.ArgumentParser) -> None:
     command.add_argument("--scene", help="builtin:apartment?seed=1 (also house, office), or a .glb, .gltf or .obj file")
     command.add_argument("--policy", choices=POLICIES, default="active")
     command.add_argument("--network", choices=DEPTH_NETWORKS, default="student")
-    command.add_argument("--seed", type=int, default=1, help="of everything random [1]")
     command.add_argument(
         "--scale", type=float, default=usual.scale, help="of the paper's schedule of 30,000 frames [0.1]"
     )
     command.add_argument("--out", type=Path, help="a loop in it goes on from where it is")
+    command.add_argument(
+        "--labels", action="store_true", help="train on labels from the whole recording, as the default network"
+    )
+    command.add_argument("--decay", action="store_true", help="let the learning rate go down in the last training")
+    command.add_argument("--views-dir", type=Path, help="test views to share between loops of a scene [OUT/views]")
+    add_shared(command, usual)
+
+
+def add_shared(command: argparse.ArgumentParser, usual: LoopSettings | FleetSettings) -> None:
+    """What a loop and a fleet take alike."""
+    command.add_argument("--seed", type=int, default=1, help="of everything random [1]")
     command.add_argument("--size", type=picture_size, default=usual.size, help="rows x columns of pictures [96x320]")
     command.add_argument(
         "--step-scale", type=float, default=usual.step_scale, help="of steps of 3 cm and 2 degrees [1]"
@@ -40,13 +51,8 @@ def add_one_loop(command: argparse.ArgumentParser) -> None:
     command.add_argument("--gap", type=int, help="pairs this many frames apart, as the paper's 4 [by baseline]")
     command.add_argument("--batch", type=int, default=usual.batch)
     command.add_argument("--learning-rate", type=float, default=usual.learning_rate, help="of Adam [1e-4]")
-    command.add_argument(
-        "--labels", action="store_true", help="train on labels from the whole recording, as the default network"
-    )
-    command.add_argument("--decay", action="store_true", help="let the learning rate go down in the last training")
-    command.add_argument("--views", type=int, default=usual.views, help="test views of the scene [200]")
+    command.add_argument("--views", type=int, default=usual.views, help="test views of each scene [200]")
     command.add_argument("--views-seed", type=int, default=usual.views_seed)
-    command.add_argument("--views-dir", type=Path, help="test views to share between loops of a scene [OUT/views]")
     command.add_argument("--firmware-host", type=Path, metavar="FILE", help="the robot's program [on the PATH]")
     command.add_argument("--threads", type=int, default=1, help="of the CPU [1]")
 
