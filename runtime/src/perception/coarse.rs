@@ -13,6 +13,7 @@ use super::moving::MovingThings;
 use super::refine::{Corners, refine_rotation};
 use super::steady::{Believed, Seen, SteadyRotation};
 use super::subpixel::polish;
+use super::surround::{Surround, Surroundings};
 use super::sweep::{CELL, FAR, MAX_REFERENCES, PLANES, Reference, hypotheses, sweep};
 use super::trust;
 use super::winner::{Vote, winners};
@@ -71,6 +72,7 @@ struct Buffers {
     paths_up: PathRows,
     votes: Vec<Vote>,
     confidence: Vec<f32>,
+    surroundings: Surroundings,
     sorted: Vec<f32>,
 }
 
@@ -157,9 +159,11 @@ impl CoarseDepth {
         outcome
     }
 
-    /// What the last picture says about every cell of 4x4 pixels, and what is believed of it, row-major; for studies.
-    pub fn cells(&self) -> impl Iterator<Item = (&Vote, &Belief)> {
-        self.buffers.votes.iter().zip(self.memory.beliefs())
+    /// What the last picture says about every cell of 4x4 pixels, and what is believed of it and around it, row-major; for
+    /// studies.
+    pub fn cells(&self) -> impl Iterator<Item = (&Vote, &Belief, &Surround)> {
+        let beliefs = self.memory.beliefs().iter().zip(self.buffers.surroundings.last());
+        self.buffers.votes.iter().zip(beliefs).map(|(vote, (belief, around))| (vote, belief, around))
     }
 
     /// What the last successful [`estimate`](Self::estimate) returned.
@@ -297,8 +301,12 @@ impl CoarseDepth {
 
     /// The probability of every belief.
     fn judge(&mut self) {
-        let pairs = self.buffers.confidence.par_iter_mut().zip(self.memory.beliefs()).with_min_len(CELLS_AT_ONCE);
-        pairs.for_each(|(confidence, belief)| *confidence = trust::of_belief(&self.config.belief_weights, belief));
+        let Buffers { confidence, surroundings, .. } = &mut self.buffers;
+        let beliefs = self.memory.beliefs();
+        let around = surroundings.look(beliefs, self.cells.width);
+        let cells = confidence.par_iter_mut().zip(beliefs.par_iter().zip(around)).with_min_len(CELLS_AT_ONCE);
+        let weights = &self.config.belief_weights;
+        cells.for_each(|(confidence, (belief, around))| *confidence = trust::of_belief(weights, belief, around));
     }
 
     fn share_believed(&self) -> f32 {

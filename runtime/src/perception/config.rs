@@ -55,9 +55,9 @@ pub struct CoarseConfig {
     /// Probability that one picture's vote is right: weights of a constant, margin, logarithms of parallax and texture, and
     /// misfit in a logistic model; see [`trust`](super::trust).
     pub vote_weights: [f32; 5],
-    /// Probability that what is remembered is right: weights of a constant, the mean trust of its votes and the logarithm of
-    /// their number.
-    pub belief_weights: [f32; 3],
+    /// Probability that what is remembered is right: weights of a constant, the mean trust of its votes, the logarithm of their
+    /// number, the mean trust around it and whether its neighbours agree; see [`surround`](super::surround).
+    pub belief_weights: [f32; 5],
     /// Pixels that are less probably right than this are marked as having no depth.
     pub min_confidence: f32,
     /// Without any reference (turning on the spot), the remembered depth is handed out while it covers this share of the
@@ -88,8 +88,8 @@ impl Default for CoarseConfig {
             penalty_small: 24,
             penalty_large: 160,
             memory: 0.92,
-            vote_weights: [-0.74, 4.39, 0.37, 0.47, -0.1],
-            belief_weights: [-1.35, 3.17, 1.1],
+            vote_weights: [-0.99, 5.47, 0.36, 0.28, -0.06],
+            belief_weights: [-3.57, 1.3, 0.87, 3.35, 1.99],
             min_confidence: 0.5,
             min_remembered: 0.3,
         }

@@ -10,7 +10,11 @@ use super::winner::Vote;
 use crate::snapshot::remembers;
 
 /// Two inverse depths agree when they differ by less than this share of the larger one: half of what delta1 allows.
-const AGREEMENT: f32 = 0.12;
+pub const AGREEMENT: f32 = 0.12;
+
+/// With less than that of a vote left, nothing is believed any more: at most 47 pictures after the last look, with the default memory.
+/// No sequence with ground truth tells what older beliefs are worth.
+const STALE_VOTES: f32 = 0.25;
 
 /// What remains of the evidence when a gap takes it from a neighbour.
 const GUESS: f32 = 0.9;
@@ -34,6 +38,12 @@ pub struct Belief {
 }
 
 impl Belief {
+    /// Mean trust in its votes, 0 to 1; those that contradict it count against it.
+    #[inline(always)]
+    pub fn mean_trust(&self) -> f32 {
+        self.evidence / self.votes.max(1e-6)
+    }
+
     /// Lets a measurement vote: agreement adds evidence, contradiction takes it away, the stronger side stays.
     #[inline(always)]
     pub fn vote(&mut self, inverse_depth: f32, trust: f32) {
@@ -92,7 +102,7 @@ impl Memory {
     }
 
     /// Moves every belief to where the camera at `pose` sees it and multiplies its evidence and its votes by `keep`. Where several meet,
-    /// the nearest hides the others.
+    /// the nearest hides the others; what becomes stale is forgotten.
     pub fn advance(&mut self, pose: &Pose3, camera: &CameraModel, keep: f32) {
         let pixels = camera.width * camera.height;
         self.moved.clear();
@@ -101,7 +111,7 @@ impl Memory {
         if let Some(before) = self.pose {
             let t_now_before = (pose.inverse() * before).to_homogeneous().cast::<f32>();
             let (fx, fy, cx, cy) = (camera.fx as f32, camera.fy as f32, camera.cx as f32, camera.cy as f32);
-            for (index, belief) in self.beliefs.iter().enumerate().filter(|(_, belief)| belief.evidence > 0.0) {
+            for (index, belief) in self.beliefs.iter().enumerate().filter(|(_, belief)| lasts(belief, keep)) {
                 let x = ((index % camera.width) as f32 + belief.offset[0] - cx) / fx;
                 let y = ((index / camera.width) as f32 + belief.offset[1] - cy) / fy;
                 // The point is (x, y, 1) / w; everything is kept multiplied by w.
@@ -153,6 +163,11 @@ impl Memory {
             }
         }
     }
+}
+
+/// Whether something is believed and will be after it has aged.
+fn lasts(belief: &Belief, keep: f32) -> bool {
+    belief.evidence > 0.0 && belief.votes * keep >= STALE_VOTES
 }
 
 remembers!(Memory: beliefs, pose);
@@ -207,6 +222,20 @@ mod tests {
         }
         let place = memory.beliefs().iter().position(|belief| belief.evidence > 0.0).unwrap();
         assert_eq!(place, 8 * 64 + 38);
+    }
+
+    #[test]
+    fn what_no_picture_looks_at_any_more_becomes_stale_and_is_forgotten() {
+        let camera = CameraModel::pinhole(64, 16, 1.0);
+        let mut memory = Memory::default();
+        memory.advance(&Pose3::identity(), &camera, 0.5);
+        let vote = Vote { inverse_depth: 0.5, margin: 0.9, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
+        memory.vote(&vec![vote; 64 * 16], &WEIGHTS);
+        let mut believed = || {
+            memory.advance(&Pose3::identity(), &camera, 0.5);
+            memory.beliefs().iter().filter(|belief| belief.evidence > 0.0).count()
+        };
+        assert_eq!([believed(), believed(), believed()], [64 * 16, 64 * 16, 0]);
     }
 
     #[test]

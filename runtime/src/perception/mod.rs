@@ -16,6 +16,7 @@ pub mod network;
 mod refine;
 mod steady;
 mod subpixel;
+pub mod surround;
 mod sweep;
 #[cfg(test)]
 mod test_scene;

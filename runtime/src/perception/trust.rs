@@ -4,6 +4,7 @@
 //! truth; `cargo xtask accuracy --fit` makes their weights. At run time there is no ground truth.
 
 use super::fusion::Belief;
+use super::surround::Surround;
 use super::winner::Vote;
 
 /// What the trust in one picture's vote depends on: a constant, margin, parallax, texture, misfit.
@@ -13,11 +14,12 @@ pub fn vote_features(vote: &Vote) -> [f32; 5] {
     [1.0, vote.margin, (vote.parallax_px + 0.5).ln(), (vote.texture + 0.01).ln(), vote.misfit]
 }
 
-/// What the trust in a belief depends on: a constant, the mean trust of its votes, how many there were.
+/// What the trust in a belief depends on: a constant, the mean trust of its votes, how many there were, the mean trust around
+/// it, whether its neighbours agree.
 #[must_use]
 #[inline(always)]
-pub fn belief_features(belief: &Belief) -> [f32; 3] {
-    [1.0, belief.evidence / belief.votes.max(1e-6), belief.votes.max(1e-6).ln()]
+pub fn belief_features(belief: &Belief, around: &Surround) -> [f32; 5] {
+    [1.0, belief.mean_trust(), belief.votes.max(1e-6).ln(), around.trust, around.agreeing]
 }
 
 /// Probability that one picture's vote is right.
@@ -30,8 +32,8 @@ pub fn of_vote(weights: &[f32; 5], vote: &Vote) -> f32 {
 /// Probability that a belief is right.
 #[must_use]
 #[inline(always)]
-pub fn of_belief(weights: &[f32; 3], belief: &Belief) -> f32 {
-    if belief.evidence > 0.0 { logistic(weights, &belief_features(belief)) } else { 0.0 }
+pub fn of_belief(weights: &[f32; 5], belief: &Belief, around: &Surround) -> f32 {
+    if belief.evidence > 0.0 { logistic(weights, &belief_features(belief, around)) } else { 0.0 }
 }
 
 #[inline(always)]
@@ -45,7 +47,10 @@ mod tests {
     use super::*;
     use crate::perception::CoarseConfig;
 
-    fn weights() -> ([f32; 5], [f32; 3]) {
+    const BELIEF: Belief = Belief { inverse_depth: 0.5, evidence: 4.0, votes: 5.0, offset: [0.0; 2] };
+    const AMONG_FRIENDS: Surround = Surround { trust: 0.8, agreeing: 1.0 };
+
+    fn weights() -> ([f32; 5], [f32; 5]) {
         let config = CoarseConfig::default();
         (config.vote_weights, config.belief_weights)
     }
@@ -64,14 +69,20 @@ mod tests {
     #[test]
     fn nothing_to_compare_with_is_no_trust() {
         assert_eq!(of_vote(&weights().0, &Vote { margin: 1.0, texture: 1.0, ..Vote::default() }), 0.0);
-        assert_eq!(of_belief(&weights().1, &Belief::default()), 0.0);
+        assert_eq!(of_belief(&weights().1, &Belief::default(), &AMONG_FRIENDS), 0.0);
     }
 
     #[test]
     fn a_belief_that_is_contradicted_or_old_is_trusted_less() {
-        let belief = Belief { inverse_depth: 0.5, evidence: 4.0, votes: 5.0, offset: [0.0; 2] };
-        assert!(of_belief(&weights().1, &Belief { evidence: 2.0, ..belief }) < of_belief(&weights().1, &belief));
-        let old = Belief { evidence: 0.04, votes: 0.05, ..belief };
-        assert!(of_belief(&weights().1, &old) < of_belief(&weights().1, &belief));
+        let trust = |belief| of_belief(&weights().1, &belief, &AMONG_FRIENDS);
+        assert!(trust(Belief { evidence: 2.0, ..BELIEF }) < trust(BELIEF));
+        assert!(trust(Belief { evidence: 0.04, votes: 0.05, ..BELIEF }) < trust(BELIEF));
+    }
+
+    #[test]
+    fn a_belief_among_doubtful_or_contradicting_ones_is_trusted_less() {
+        let trust = |around| of_belief(&weights().1, &BELIEF, &around);
+        assert!(trust(Surround { trust: 0.3, ..AMONG_FRIENDS }) < trust(AMONG_FRIENDS));
+        assert!(trust(Surround { agreeing: 0.25, ..AMONG_FRIENDS }) < trust(AMONG_FRIENDS));
     }
 }

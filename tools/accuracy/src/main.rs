@@ -13,6 +13,7 @@ use anyhow::Result;
 use clap::Parser;
 use firmware_host::config::Config;
 use hal::{CameraModel, ImageView};
+use runtime::perception::surround::Surround;
 use runtime::perception::trust::{belief_features, vote_features};
 use runtime::perception::{Belief, CoarseConfig, CoarseDepth, Vote};
 use simulator::{OpenOptions, World};
@@ -139,12 +140,12 @@ fn is_right(inverse_depth: f32, truth_m: f32) -> bool {
 /// First what one picture's vote is worth, then, with that, what is remembered.
 fn fit(sequences: &[Sequence], config: &Config) -> Result<()> {
     let mut coarse = config.coarse.clone();
-    coarse.vote_weights = gather(sequences, &coarse, |vote, _| {
+    coarse.vote_weights = gather(sequences, &coarse, |vote, _, _| {
         (vote.parallax_px > 0.0).then(|| (vote_features(vote), vote.inverse_depth))
     })?;
     println!("vote_weights = {:.2?}", coarse.vote_weights);
-    coarse.belief_weights = gather(sequences, &coarse, |_, belief| {
-        (belief.evidence > 0.0).then(|| (belief_features(belief), belief.inverse_depth))
+    coarse.belief_weights = gather(sequences, &coarse, |_, belief, around| {
+        (belief.evidence > 0.0).then(|| (belief_features(belief, around), belief.inverse_depth))
     })?;
     println!("belief_weights = {:.2?}", coarse.belief_weights);
     Ok(())
@@ -153,7 +154,7 @@ fn fit(sequences: &[Sequence], config: &Config) -> Result<()> {
 fn gather<const N: usize>(
     sequences: &[Sequence],
     coarse: &CoarseConfig,
-    sample: impl Fn(&Vote, &Belief) -> Option<([f32; N], f32)>,
+    sample: impl Fn(&Vote, &Belief, &Surround) -> Option<([f32; N], f32)>,
 ) -> Result<[f32; N]> {
     let mut all = Samples::<N>::default();
     for sequence in sequences {
@@ -168,10 +169,10 @@ fn gather<const N: usize>(
                 };
                 let columns = sequence.camera.width / 4;
                 // Neighbours say the same: every seventh is enough.
-                for (cell, (vote, belief)) in engine.cells().enumerate().skip(index % 7).step_by(7) {
+                for (cell, (vote, belief, around)) in engine.cells().enumerate().skip(index % 7).step_by(7) {
                     let (row, column) = (cell / columns * 4 + 1, cell % columns * 4 + 1);
                     let truth_m = truth.values()[row * sequence.camera.width + column];
-                    if let Some((features, inverse_depth)) = sample(vote, belief).filter(|_| truth_m > 0.0) {
+                    if let Some((features, inverse_depth)) = sample(vote, belief, around).filter(|_| truth_m > 0.0) {
                         samples.add(features, is_right(inverse_depth, truth_m));
                     }
                 }
