@@ -116,8 +116,8 @@ pub fn build(run: &Path, header: &RunHeader, models: &RunModels) -> Result<Box<d
     if !header.pictures {
         bail!("the run was recorded without pictures (recording.pictures = false): nothing can be recomputed");
     }
-    let config: Config =
-        serde_json::from_value(header.config.clone()).context("the recording's configuration cannot be read")?;
+    let config: Config = serde_json::from_value(header.config.clone())
+        .context("the recording's configuration cannot be read; the version that recorded it replays it")?;
     let mission = Mission {
         policy: policy(&header.policy)?,
         depth_source: depth_source(&header.depth_source)?,
