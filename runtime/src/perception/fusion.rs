@@ -95,10 +95,10 @@ impl Memory {
         }
     }
 
-    /// Votes of all cells, row-major, each with the trust that `weights` put in it.
-    pub fn vote(&mut self, votes: &[Vote], weights: &[f32; 5]) {
+    /// Votes of all cells, row-major, each with the trust that `weights` put in it when jitter moves matches by `jitter_px`.
+    pub fn vote(&mut self, votes: &[Vote], weights: &[f32; 5], jitter_px: f32) {
         let pairs = self.beliefs.par_iter_mut().zip(votes).with_min_len(CELLS_AT_ONCE);
-        pairs.for_each(|(belief, vote)| belief.vote(vote.inverse_depth, trust::of_vote(weights, vote)));
+        pairs.for_each(|(belief, vote)| belief.vote(vote.inverse_depth, trust::of_vote(weights, vote, jitter_px)));
     }
 
     /// Moves every belief to where the camera at `pose` sees it and multiplies its evidence and its votes by `keep`. Where several meet,
@@ -200,11 +200,11 @@ mod tests {
         let vote = Vote { inverse_depth: 0.5, margin: 0.5, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
         votes[8 * 64 + 40] = vote;
         votes[8 * 64 + 32] = Vote { inverse_depth: 0.25, ..vote };
-        memory.vote(&votes, &WEIGHTS);
+        memory.vote(&votes, &WEIGHTS, 0.0);
         memory.advance(&Pose3::translation(1.0, 0.0, 0.0), &camera, 0.5);
         let left: Vec<(usize, Belief)> =
             memory.beliefs().iter().copied().enumerate().filter(|(_, b)| b.evidence > 0.0).collect();
-        let evidence = 0.5 * trust::of_vote(&WEIGHTS, &vote);
+        let evidence = 0.5 * trust::of_vote(&WEIGHTS, &vote, 0.0);
         assert_eq!(left, [(8 * 64 + 24, Belief { inverse_depth: 0.5, evidence, votes: 0.5, offset: [0.0; 2] })]);
     }
 
@@ -215,7 +215,7 @@ mod tests {
         memory.advance(&Pose3::identity(), &camera, 1.0);
         let mut votes = vec![Vote::default(); 64 * 16];
         votes[8 * 64 + 40] = Vote { inverse_depth: 0.5, margin: 0.5, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
-        memory.vote(&votes, &WEIGHTS);
+        memory.vote(&votes, &WEIGHTS, 0.0);
         // 32 px / 2 m * (1/48) m = 1/3 px a step.
         for step in 1..=6 {
             memory.advance(&Pose3::translation(f64::from(step) / 48.0, 0.0, 0.0), &camera, 1.0);
@@ -230,7 +230,7 @@ mod tests {
         let mut memory = Memory::default();
         memory.advance(&Pose3::identity(), &camera, 0.5);
         let vote = Vote { inverse_depth: 0.5, margin: 0.9, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
-        memory.vote(&vec![vote; 64 * 16], &WEIGHTS);
+        memory.vote(&vec![vote; 64 * 16], &WEIGHTS, 0.0);
         let mut believed = || {
             memory.advance(&Pose3::identity(), &camera, 0.5);
             memory.beliefs().iter().filter(|belief| belief.evidence > 0.0).count()
@@ -256,7 +256,7 @@ mod tests {
         let mut memory = Memory::default();
         memory.advance(&Pose3::identity(), &camera, 1.0);
         let vote = Vote { inverse_depth: 0.5, margin: 0.5, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
-        memory.vote(&vec![vote; 64 * 16], &WEIGHTS);
+        memory.vote(&vec![vote; 64 * 16], &WEIGHTS, 0.0);
         memory.forget();
         memory.advance(&Pose3::identity(), &camera, 1.0);
         assert!(memory.beliefs().iter().all(|belief| belief.evidence == 0.0));

@@ -22,11 +22,22 @@ pub fn belief_features(belief: &Belief, around: &Surround) -> [f32; 5] {
     [1.0, belief.mean_trust(), belief.votes.max(1e-6).ln(), around.trust, around.agreeing]
 }
 
-/// Probability that one picture's vote is right.
+/// Probability that one picture's vote is right, when wrong rotations move its match by `jitter_px`.
 #[must_use]
 #[inline(always)]
-pub fn of_vote(weights: &[f32; 5], vote: &Vote) -> f32 {
-    if vote.parallax_px > 0.0 { logistic(weights, &vote_features(vote)) } else { 0.0 }
+pub fn of_vote(weights: &[f32; 5], vote: &Vote, jitter_px: f32) -> f32 {
+    if vote.parallax_px <= 0.0 {
+        return 0.0;
+    }
+    logistic(weights, &vote_features(vote)) * withstands(vote.parallax_px, jitter_px)
+}
+
+/// Probability that jitter of `jitter_px` (root mean square) moves a match by less than a quarter of its parallax: by more, depth
+/// is wrong. Of a Rayleigh distribution, whose integral has a closed form.
+#[inline(always)]
+fn withstands(parallax_px: f32, jitter_px: f32) -> f32 {
+    let allowed = 0.25 * parallax_px / jitter_px;
+    1.0 - (-allowed * allowed).exp()
 }
 
 /// Probability that a belief is right.
@@ -58,18 +69,31 @@ mod tests {
     #[test]
     fn clearer_longer_and_better_textured_matches_are_trusted_more() {
         let vote = Vote { inverse_depth: 0.5, margin: 0.3, texture: 0.2, misfit: 0.3, parallax_px: 6.0 };
-        let trust = of_vote(&weights().0, &vote);
+        let trust = of_vote(&weights().0, &vote, 0.0);
         assert!(trust > 0.0 && trust < 1.0);
-        assert!(of_vote(&weights().0, &Vote { margin: 0.6, ..vote }) > trust);
-        assert!(of_vote(&weights().0, &Vote { parallax_px: 20.0, ..vote }) > trust);
-        assert!(of_vote(&weights().0, &Vote { texture: 0.4, ..vote }) > trust);
-        assert!(of_vote(&weights().0, &Vote { misfit: 0.8, ..vote }) < trust);
+        assert!(of_vote(&weights().0, &Vote { margin: 0.6, ..vote }, 0.0) > trust);
+        assert!(of_vote(&weights().0, &Vote { parallax_px: 20.0, ..vote }, 0.0) > trust);
+        assert!(of_vote(&weights().0, &Vote { texture: 0.4, ..vote }, 0.0) > trust);
+        assert!(of_vote(&weights().0, &Vote { misfit: 0.8, ..vote }, 0.0) < trust);
     }
 
     #[test]
     fn nothing_to_compare_with_is_no_trust() {
-        assert_eq!(of_vote(&weights().0, &Vote { margin: 1.0, texture: 1.0, ..Vote::default() }), 0.0);
+        assert_eq!(of_vote(&weights().0, &Vote { margin: 1.0, texture: 1.0, ..Vote::default() }, 0.0), 0.0);
         assert_eq!(of_belief(&weights().1, &Belief::default(), &AMONG_FRIENDS), 0.0);
+    }
+
+    #[test]
+    fn jitter_makes_little_parallax_doubtful_and_none_changes_nothing() {
+        let kept = |parallax_px, jitter_px| {
+            let vote = Vote { inverse_depth: 0.5, margin: 0.3, texture: 0.2, misfit: 0.3, parallax_px };
+            of_vote(&weights().0, &vote, jitter_px) / of_vote(&weights().0, &vote, 0.0)
+        };
+        assert_eq!(kept(0.1, 0.0), 1.0);
+        assert!(kept(20.0, 1.0) > 0.999);
+        // A quarter of 4 px is the root mean square: 1 - 1/e are right.
+        assert!((kept(4.0, 1.0) - 0.632).abs() < 1e-3);
+        assert!(kept(1.0, 1.0) < 0.1);
     }
 
     #[test]
