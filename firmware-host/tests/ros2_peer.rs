@@ -7,7 +7,7 @@ use std::process::Command;
 use buffer::export::ros2;
 
 #[test]
-#[ignore = "needs Python with rosbags 0.11.9, mcap-protobuf-support and pillow; HIL_PYTHON names its interpreter"]
+#[ignore = "needs tests/peers/requirements.txt; `cargo xtask test --all` installs it"]
 fn rosbags_reads_from_a_bag_what_the_mcap_package_reads_from_the_recording() {
     let python = std::env::var("HIL_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -2,7 +2,7 @@
 
 Prints one JSON object: what the client understood. Called by tests/tests/lidar_peer.rs; by hand:
     cargo run -p hil -- hokuyo --tcp 10940 --model ust-10lx
-    python3 -m venv target/peers && target/peers/bin/pip install hokuyolx==0.9.0 numpy
+    python3 -m venv target/peers && target/peers/bin/pip install -r tests/peers/requirements.txt
     target/peers/bin/python tests/peers/hokuyolx_client.py 127.0.0.1 10940
 """
 

@@ -1,7 +1,7 @@
 """A bag that `firmware-host buffer export --as ros2` made, read by somebody else's program (PyPI `rosbags`): every message must
 hold what the recording holds as the `mcap` package reads it. Called by firmware-host/tests/ros2_peer.rs; by hand:
 
-    python3 -m venv target/peers && target/peers/bin/pip install rosbags==0.11.9 mcap-protobuf-support==0.6.0 pillow
+    python3 -m venv target/peers && target/peers/bin/pip install -r tests/peers/requirements.txt
     target/peers/bin/python tests/peers/ros2_bag.py BAG RECORDING.mcap...
     target/peers/bin/python tests/peers/ros2_bag.py --picture bag.png BAG    # wants matplotlib as well
 """

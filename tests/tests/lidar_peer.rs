@@ -25,7 +25,7 @@ fn ramp(step: usize) -> u32 {
 }
 
 #[test]
-#[ignore = "needs Python with hokuyolx 0.9.0; HIL_PYTHON names its interpreter"]
+#[ignore = "needs tests/peers/requirements.txt; `cargo xtask test --all` installs it"]
 fn hokuyolx_understands_every_line_of_the_simulated_scanner() {
     let python = std::env::var("HIL_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));

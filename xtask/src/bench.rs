@@ -19,7 +19,7 @@ pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
     if models::folder().is_dir() && std::env::var_os("BENCH_MODELS").is_none() {
         bench.env("BENCH_MODELS", models::folder());
     }
-    match peers::install() {
+    match peers::of_benchmarks() {
         Ok(packages) => _ = bench.env("BENCH_PYTHON", "python3").env("PYTHONPATH", packages),
         Err(error) => eprintln!("no peers in Python: {error:#}"),
     }

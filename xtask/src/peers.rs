@@ -1,17 +1,17 @@
-//! Installs the Python packages that benchmarks are compared with, into the target directory.
+//! Installs the Python packages that benchmarks are compared with, and those that tests check ours by, into the target directory.
 
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 
-use crate::onnx_runtime::python_with_pip;
+use crate::onnx_runtime::{python, python_with_pip};
 use crate::{command, paths};
 
 /// The folder with the packages of `tools/bench/peers/requirements.txt`, for `PYTHONPATH`.
 ///
 /// # Errors
 /// When they cannot be installed.
-pub fn install() -> Result<PathBuf> {
+pub fn of_benchmarks() -> Result<PathBuf> {
     let requirements = paths::root().join("tools/bench/peers/requirements.txt");
     let wanted = std::fs::read_to_string(&requirements).with_context(|| requirements.display().to_string())?;
     let folder = paths::target().join("tools/peers");
@@ -28,4 +28,27 @@ pub fn install() -> Result<PathBuf> {
     command::run(pip.arg(&folder).arg("--requirement").arg(&requirements))?;
     std::fs::write(&stamp, wanted).with_context(|| stamp.display().to_string())?;
     Ok(folder)
+}
+
+/// The Python that has the packages of `tests/peers/requirements.txt`: some of them come as source only, which wants a virtual
+/// environment.
+///
+/// # Errors
+/// When they cannot be installed.
+pub fn of_tests() -> Result<PathBuf> {
+    let requirements = paths::root().join("tests/peers/requirements.txt");
+    let wanted = std::fs::read_to_string(&requirements).with_context(|| requirements.display().to_string())?;
+    let environment = paths::target().join("tools/test-peers");
+    let (stamp, python_with_peers) = (environment.join("installed.txt"), environment.join("bin/python"));
+    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
+        return Ok(python_with_peers);
+    }
+    eprintln!("installing the peers of the tests into {}", environment.display());
+    command::run(python()?.args(["-m", "venv", "--clear"]).arg(&environment))
+        .context("python3 has no venv; `apt-get install python3-venv` may help")?;
+    let mut pip = command::program(&python_with_peers);
+    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--requirement"]);
+    command::run(pip.arg(&requirements))?;
+    std::fs::write(&stamp, wanted).with_context(|| stamp.display().to_string())?;
+    Ok(python_with_peers)
 }

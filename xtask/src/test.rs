@@ -1,11 +1,12 @@
 //! `cargo xtask test`: everything that must hold before a change is accepted.
 
+use std::path::Path;
 use std::process::Command;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
 
-use crate::{command, nextest, onnx_runtime, paths, trainer};
+use crate::{command, nextest, onnx_runtime, paths, peers, trainer};
 
 /// So often a program is killed in each of the tests that do that.
 const KILLS: &str = "200";
@@ -38,6 +39,10 @@ pub fn run(all: bool) -> Result<()> {
         (true, false) => format!("nextest run {TESTED}"),
         (false, _) => format!("test {TESTED} --lib --bins --tests"),
     };
+    let beside_peers = match has_nextest {
+        true => format!("nextest run {TESTED} --run-ignored only"),
+        false => format!("test {TESTED} --tests -- --ignored"),
+    };
     let kills = match has_nextest {
         true => format!("nextest run {TESTED} --profile kills"),
         false => format!("test {TESTED} --tests killed"),
@@ -47,6 +52,14 @@ pub fn run(all: bool) -> Result<()> {
         ("format", step(&mut cargo("fmt --all --check"))),
         ("lints", step(&mut cargo(LINTS))),
         ("tests", step(&mut cargo(&tests))),
+        ("tests over ssh", over_ssh(ci)),
+        (
+            "tests beside other people's software",
+            match all || ci {
+                true => step(cargo(&beside_peers).env("HIL_PYTHON", peers::of_tests()?)),
+                false => (Outcome::Skipped("`cargo xtask test --all` installs it"), 0.0),
+            },
+        ),
         ("kills", if all { step(cargo(&kills).env("KILLS", KILLS)) } else { (Outcome::Skipped(FEW_KILLS), 0.0) }),
         ("examples in the documentation", step(&mut cargo(&format!("test {TESTED} --doc --quiet")))),
         ("licences and sources", licences()),
@@ -69,6 +82,16 @@ pub fn run(all: bool) -> Result<()> {
     }
     println!("xtask test: all passed");
     Ok(())
+}
+
+/// They are among the tests, and pass without an sshd: nobody shall take that for more than it is.
+fn over_ssh(ci: bool) -> (Outcome, f64) {
+    let outcome = match (Path::new("/usr/sbin/sshd").exists(), ci) {
+        (true, _) => Outcome::Passed,
+        (false, false) => Outcome::Skipped("there is no sshd: `apt-get install openssh-server`"),
+        (false, true) => Outcome::Failed,
+    };
+    (outcome, 0.0)
 }
 
 /// Lints, types and tests of the trainer. PyTorch is large (5 GB, minutes): without `--all` and outside of CI, only who has
