@@ -51,7 +51,7 @@ world_up() {
 world_down() {
     kill -INT $WORLD
     wait $WORLD
-    tail -1 /tmp/world.log
+    grep '^world:' /tmp/world.log
 }
 
 # value KEY FILE: of a JSON file with one key a line. Nothing when there is no such key.
