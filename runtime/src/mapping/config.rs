@@ -17,8 +17,8 @@ pub enum LidarUse {
     HitsAndFree,
 }
 
-/// Size of the map and weight of the evidence. Log-odds values and the range of clearing are those of the released code of
-/// "Embodied Depth Prediction"; the rest is ours.
+/// Size of the map and weight of the evidence. Log-odds values and ranges are those of the released code of "Embodied Depth
+/// Prediction"; the rest is ours.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MapConfig {
@@ -40,8 +40,7 @@ pub struct MapConfig {
     pub band_min_m: f32,
     /// Points up to here can be run into, metres above the floor.
     pub band_max_m: f32,
-    /// Camera points nearer than this mark cells occupied, metres in the plane. More than `clear_range_m`, because a camera that
-    /// looks ahead sees what is low only from afar: 17 degrees down from 0.8 m, the floor begins at 2.7 m.
+    /// Camera points nearer than this mark cells occupied, metres in the plane.
     pub mark_range_m: f32,
     /// The camera's view clears cells nearer than this, metres in the plane.
     pub clear_range_m: f32,
@@ -84,7 +83,7 @@ impl Default for MapConfig {
             limit: 1000.0,
             band_min_m: 0.06,
             band_max_m: 1.4,
-            mark_range_m: 3.0,
+            mark_range_m: 2.0,
             clear_range_m: 2.0,
             clear_margin: 0.05,
             min_confidence: 0.8,
@@ -164,7 +163,7 @@ mod tests {
     fn a_window_too_small_for_the_range_is_refused() {
         let config = MapConfig { side_cells: 200, ..MapConfig::default() };
         assert!(matches!(config.validate(), Err(MapError::Config { field: "recenter_cells", .. })));
-        let small = MapConfig { side_cells: 260, recenter_cells: 20, ..MapConfig::default() };
+        let small = MapConfig { side_cells: 200, recenter_cells: 20, ..MapConfig::default() };
         assert_eq!(small.validate(), Ok(()));
     }
 }

@@ -110,7 +110,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     fn grid_of(cells: impl Iterator<Item = (Cell, f32)>) -> OccupancyGrid {
-        let config = MapConfig { side_cells: 220, recenter_cells: 5, ..MapConfig::default() };
+        let config = MapConfig { side_cells: 150, recenter_cells: 5, ..MapConfig::default() };
         let mut grid = OccupancyGrid::new(&config).unwrap();
         grid.begin_update(&Pose2::new(2.0, -1.0, 0.0)).unwrap();
         for (cell, evidence) in cells {

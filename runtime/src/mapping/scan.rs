@@ -124,7 +124,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn grid(lidar: LidarUse) -> OccupancyGrid {
-        let config = MapConfig { side_cells: 260, recenter_cells: 20, lidar, ..MapConfig::default() };
+        let config = MapConfig { side_cells: 200, recenter_cells: 20, lidar, ..MapConfig::default() };
         OccupancyGrid::new(&config).unwrap()
     }
 

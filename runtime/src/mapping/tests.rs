@@ -15,7 +15,7 @@ fn camera() -> CameraModel {
 }
 
 fn small() -> MapConfig {
-    MapConfig { side_cells: 260, recenter_cells: 20, ..MapConfig::default() }
+    MapConfig { side_cells: 200, recenter_cells: 20, ..MapConfig::default() }
 }
 
 fn mount(pose: &Pose2, pitch_down_rad: f64) -> Pose3 {

@@ -3,7 +3,7 @@ use proptest::prelude::*;
 use std::collections::BTreeMap;
 
 fn small() -> MapConfig {
-    MapConfig { side_cells: 220, recenter_cells: 5, ..MapConfig::default() }
+    MapConfig { side_cells: 150, recenter_cells: 5, ..MapConfig::default() }
 }
 
 fn grid() -> OccupancyGrid {
