@@ -46,11 +46,7 @@ fn hokuyolx_understands_every_line_of_the_simulated_scanner() {
     assert_eq!(read["version"]["SERI"], "H1000484");
     assert_eq!(read["state"]["STAT"], "Sensor works well.");
     let left: Vec<u32> = serde_json::from_value(read["left"].clone()).unwrap();
-    // On a busy computer the client may come too late for the first scans, and a scan may come late itself.
-    assert!((10..=20).contains(&left.len()), "{left:?}");
-    assert_eq!(left, (0..left.len() as u32).rev().collect::<Vec<_>>());
-    let mut steps_ms: Vec<u32> = serde_json::from_value(read["steps_ms"].clone()).unwrap();
-    steps_ms.sort_unstable();
-    let median_ms = steps_ms[steps_ms.len() / 2];
-    assert!((24..=26).contains(&median_ms), "{steps_ms:?}");
+    assert_eq!(left, (0..20).rev().collect::<Vec<_>>());
+    let steps_ms: Vec<u32> = serde_json::from_value(read["steps_ms"].clone()).unwrap();
+    assert!(steps_ms.iter().all(|step| (24..=26).contains(step)), "{steps_ms:?}");
 }

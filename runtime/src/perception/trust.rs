@@ -26,10 +26,11 @@ pub fn belief_features(belief: &Belief, around: &Surround) -> [f32; 5] {
 #[must_use]
 #[inline(always)]
 pub fn of_vote(weights: &[f32; 5], vote: &Vote, jitter_px: f32) -> f32 {
-    if vote.parallax_px <= 0.0 {
-        return 0.0;
+    if vote.parallax_px > 0.0 {
+        logistic(weights, &vote_features(vote)) * withstands(vote.parallax_px, jitter_px)
+    } else {
+        0.0
     }
-    logistic(weights, &vote_features(vote)) * withstands(vote.parallax_px, jitter_px)
 }
 
 /// Probability that jitter of `jitter_px` (root mean square) moves a match by less than a quarter of its parallax: by more, depth
@@ -80,6 +81,7 @@ mod tests {
     #[test]
     fn nothing_to_compare_with_is_no_trust() {
         assert_eq!(of_vote(&weights().0, &Vote { margin: 1.0, texture: 1.0, ..Vote::default() }, 0.0), 0.0);
+        assert_eq!(of_vote(&weights().0, &Vote { parallax_px: f32::NAN, ..Vote::default() }, 1.0), 0.0);
         assert_eq!(of_belief(&weights().1, &Belief::default(), &AMONG_FRIENDS), 0.0);
     }
 
