@@ -17,6 +17,7 @@ mod onnx_runtime;
 mod paths;
 mod peers;
 mod policies;
+mod python;
 mod rig;
 mod safety_alone;
 mod test;

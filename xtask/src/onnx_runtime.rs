@@ -3,12 +3,10 @@
 
 use std::env::consts::ARCH;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
-use crate::command::{self, program};
-use crate::paths;
+use crate::{command, paths, python};
 
 /// The pinned version.
 const VERSION: &str = "1.31.1";
@@ -87,7 +85,7 @@ fn unpack_to(library: &Path, arch: &str) -> Result<()> {
     std::fs::create_dir_all(&folder).with_context(|| format!("creating {}", folder.display()))?;
     download(&folder, arch)?;
     let wheel = only_wheel(&folder)?;
-    command::run(python()?.args(["-m", "zipfile", "-e"]).arg(wheel).arg(&folder))?;
+    command::run(python::system()?.args(["-m", "zipfile", "-e"]).arg(wheel).arg(&folder))?;
     if let Some(parent) = library.parent() {
         std::fs::create_dir_all(parent).with_context(|| format!("creating {}", parent.display()))?;
     }
@@ -107,7 +105,7 @@ fn download(folder: &Path, arch: &str) -> Result<()> {
     let requirements = folder.join("requirements.txt");
     let hashes = WHEELS.map(|hash| format!(" --hash=sha256:{hash}")).concat();
     std::fs::write(&requirements, format!("onnxruntime=={VERSION}{hashes}\n"))?;
-    let mut pip = python_with_pip()?;
+    let mut pip = python::with_pip()?;
     pip.args(["-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:"]);
     pip.args(["--require-hashes", "--platform", &format!("manylinux_2_28_{arch}")]).args(PYTHON);
     command::run(pip.arg("--dest").arg(folder).arg("--requirement").arg(&requirements))
@@ -119,23 +117,4 @@ fn only_wheel(folder: &Path) -> Result<PathBuf> {
         .into_iter()
         .find(|path| path.extension().is_some_and(|extension| extension == "whl"))
         .with_context(|| format!("pip left no wheel in {}", folder.display()))
-}
-
-/// The system's Python.
-pub fn python() -> Result<Command> {
-    if command::works(program("python3").arg("--version")) {
-        Ok(program("python3"))
-    } else {
-        bail!("there is no python3")
-    }
-}
-
-/// The system's Python where it has pip, else one in a virtual environment.
-pub fn python_with_pip() -> Result<Command> {
-    if command::works(python()?.args(["-m", "pip", "--version"])) {
-        return python();
-    }
-    let environment = paths::target().join("tools/python");
-    command::run(python()?.args(["-m", "venv"]).arg(&environment)).context("python3 has neither pip nor venv")?;
-    Ok(program(environment.join("bin/python")))
 }

@@ -4,8 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 
-use crate::onnx_runtime::{python, python_with_pip};
-use crate::{command, paths};
+use crate::{command, paths, python};
 
 /// The folder with the packages of `tools/bench/peers/requirements.txt`, for `PYTHONPATH`.
 ///
@@ -23,7 +22,7 @@ pub fn of_benchmarks() -> Result<PathBuf> {
     if folder.exists() {
         std::fs::remove_dir_all(&folder).with_context(|| format!("removing {}", folder.display()))?;
     }
-    let mut pip = python_with_pip()?;
+    let mut pip = python::with_pip()?;
     pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary=:all:", "--target"]);
     command::run(pip.arg(&folder).arg("--requirement").arg(&requirements))?;
     std::fs::write(&stamp, wanted).with_context(|| stamp.display().to_string())?;
@@ -31,24 +30,26 @@ pub fn of_benchmarks() -> Result<PathBuf> {
 }
 
 /// The Python that has the packages of `tests/peers/requirements.txt`: some of them come as source only, which wants a virtual
-/// environment.
+/// environment. `None` where they are not, unless they may be installed.
 ///
 /// # Errors
 /// When they cannot be installed.
-pub fn of_tests() -> Result<PathBuf> {
+pub fn of_tests(install: bool) -> Result<Option<PathBuf>> {
     let requirements = paths::root().join("tests/peers/requirements.txt");
     let wanted = std::fs::read_to_string(&requirements).with_context(|| requirements.display().to_string())?;
     let environment = paths::target().join("tools/test-peers");
-    let (stamp, python_with_peers) = (environment.join("installed.txt"), environment.join("bin/python"));
+    let stamp = environment.join("installed.txt");
     if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
-        return Ok(python_with_peers);
+        return Ok(Some(environment.join("bin/python")));
+    }
+    if !install {
+        return Ok(None);
     }
     eprintln!("installing the peers of the tests into {}", environment.display());
-    command::run(python()?.args(["-m", "venv", "--clear"]).arg(&environment))
-        .context("python3 has no venv; `apt-get install python3-venv` may help")?;
+    let python_with_peers = python::environment(&environment)?;
     let mut pip = command::program(&python_with_peers);
     pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--requirement"]);
     command::run(pip.arg(&requirements))?;
     std::fs::write(&stamp, wanted).with_context(|| stamp.display().to_string())?;
-    Ok(python_with_peers)
+    Ok(Some(python_with_peers))
 }

@@ -52,18 +52,18 @@ pub fn run(all: bool) -> Result<()> {
         ("format", step(&mut cargo("fmt --all --check"))),
         ("lints", step(&mut cargo(LINTS))),
         ("tests", step(&mut cargo(&tests))),
-        ("tests over ssh", over_ssh(ci)),
         (
             "tests beside other people's software",
-            match all || ci {
-                true => step(cargo(&beside_peers).env("HIL_PYTHON", peers::of_tests()?)),
-                false => (Outcome::Skipped("`cargo xtask test --all` installs it"), 0.0),
+            match peers::of_tests(all || ci)? {
+                Some(python) => step(cargo(&beside_peers).env("HIL_PYTHON", python)),
+                None => (Outcome::Skipped("`cargo xtask test --all` installs it"), 0.0),
             },
         ),
         ("kills", if all { step(cargo(&kills).env("KILLS", KILLS)) } else { (Outcome::Skipped(FEW_KILLS), 0.0) }),
         ("examples in the documentation", step(&mut cargo(&format!("test {TESTED} --doc --quiet")))),
         ("licences and sources", licences()),
     ];
+    outcomes.extend(without_ssh(ci).map(|outcome| ("tests over ssh", (outcome, 0.0))));
     outcomes.extend(trainer_steps(all || ci)?);
     println!();
     let mut failed = Vec::new();
@@ -84,14 +84,11 @@ pub fn run(all: bool) -> Result<()> {
     Ok(())
 }
 
-/// They are among the tests, and pass without an sshd: nobody shall take that for more than it is.
-fn over_ssh(ci: bool) -> (Outcome, f64) {
-    let outcome = match (Path::new("/usr/sbin/sshd").exists(), ci) {
-        (true, _) => Outcome::Passed,
-        (false, false) => Outcome::Skipped("there is no sshd: `apt-get install openssh-server`"),
-        (false, true) => Outcome::Failed,
-    };
-    (outcome, 0.0)
+/// Tests over ssh are among the tests, and pass without an sshd: nobody shall take that for more than it is.
+fn without_ssh(ci: bool) -> Option<Outcome> {
+    let skipped = Outcome::Skipped("there is no sshd: `apt-get install openssh-server`");
+    let missing = if ci { Outcome::Failed } else { skipped };
+    (!Path::new("/usr/sbin/sshd").exists()).then_some(missing)
 }
 
 /// Lints, types and tests of the trainer. PyTorch is large (5 GB, minutes): without `--all` and outside of CI, only who has

@@ -2,10 +2,9 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 
-use crate::onnx_runtime::python;
-use crate::{command, paths};
+use crate::{command, paths, python};
 
 /// Whether it was installed before.
 pub fn is_installed() -> bool {
@@ -18,16 +17,13 @@ pub fn is_installed() -> bool {
 /// When it cannot be installed.
 pub fn install() -> Result<PathBuf> {
     let environment = environment();
-    let python_of_ours = environment.join("bin/python");
     if !is_installed() {
         eprintln!("installing PyTorch (5 GB) into {}, once; this takes some minutes", environment.display());
-        command::run(python()?.args(["-m", "venv"]).arg(&environment))
-            .context("python3 has no venv; `apt-get install python3-venv` may help")?;
-        let mut pip = command::program(&python_of_ours);
+        let mut pip = command::program(python::environment(&environment)?);
         pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--editable"]);
         command::run(pip.arg(format!("{}[dev]", paths::root().join("tools/trainer").display())))?;
     }
-    Ok(python_of_ours)
+    Ok(environment.join("bin/python"))
 }
 
 fn environment() -> PathBuf {
