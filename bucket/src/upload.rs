@@ -32,6 +32,7 @@ impl Bucket {
     ) -> Result<Report, BufferError> {
         let mut report = Report::default();
         let missing = self.missing(source.list()?, options, watch, &mut report)?;
+        source.expect(missing.iter().map(|entry| entry.bytes).fold(0, u64::saturating_add));
         let mut pace = Pace::new(clock, options.limit);
         for entry in missing {
             let put = match self.put(source, &entry, watch, &mut pace, &mut report) {

@@ -14,6 +14,7 @@
 mod bytes;
 mod catalogue;
 mod chunk;
+mod computer;
 mod digest;
 mod error;
 #[cfg(feature = "export")]
@@ -32,6 +33,7 @@ pub mod wire;
 
 pub use bytes::Bytes;
 pub use catalogue::{Catalogue, Entry, OPEN_FOR_NS, State, Times};
+pub use computer::Computer;
 pub use digest::{Digest, Hasher};
 pub use error::{BufferError, Kind};
 pub use marks::{KEEP, PULLED, Pulled, keep};

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 
 use crate::catalogue::Catalogue;
+use crate::computer::Computer;
 use crate::digest::Digest;
 use crate::marks;
 use crate::name::Name;
@@ -16,12 +17,13 @@ use crate::wire::{
 /// Files that were sent and may be marked without being read again.
 const REMEMBERED: usize = 1024;
 
-/// Answers until the other side ends or breaks the rules. Nothing that it sends can read outside of `root`.
+/// Answers until the other side ends or breaks the rules. Nothing that it sends can read outside of `root`. `computer` is the one
+/// that this runs on.
 ///
 /// # Errors
 /// When a stream fails.
-pub fn serve(root: &Root, input: &mut dyn Read, output: &mut dyn Write) -> io::Result<()> {
-    let mut session = Session { root, output, buffer: Vec::new(), sent: BTreeMap::new(), welcome: false };
+pub fn serve(root: &Root, computer: Computer, input: &mut dyn Read, output: &mut dyn Write) -> io::Result<()> {
+    let mut session = Session { root, computer, output, buffer: Vec::new(), sent: BTreeMap::new(), welcome: false };
     let mut body = Vec::new();
     loop {
         let request = match read_frame(input, &mut body, MAX_REQUEST)? {
@@ -42,6 +44,7 @@ pub fn serve(root: &Root, input: &mut dyn Read, output: &mut dyn Write) -> io::R
 
 struct Session<'a> {
     root: &'a Root,
+    computer: Computer,
     output: &'a mut dyn Write,
     buffer: Vec<u8>,
     sent: BTreeMap<Name, Sent>,
@@ -76,6 +79,7 @@ impl Session<'_> {
             Request::List => self.list()?,
             Request::Fetch { name, have } => self.fetch(&name, have)?,
             Request::Mark { name, digest } => self.mark(&name, digest)?,
+            Request::Computer => self.reply(&Reply::Computer(self.computer))?,
         }
         Ok(true)
     }

@@ -9,7 +9,7 @@ use std::io::{Cursor, Read, Write};
 use buffer::pull::Options;
 use buffer::source::{Remote, Source};
 use buffer::wire::{MAX_REPLY, Refusal, RefusalKind, Reply, Request, WireError, read_frame, write_frame};
-use buffer::{BufferError, Digest, Entry, Have, Kind, Name, Pulled, Root, State};
+use buffer::{BufferError, Computer, Digest, Entry, Have, Kind, Name, Pulled, Root, State};
 use common::{pull_into, robot};
 use proptest::prelude::*;
 use tempfile::tempdir;
@@ -33,7 +33,7 @@ fn requests(requests: &[Request]) -> Vec<u8> {
 /// What a served buffer answers to these bytes.
 fn served(root: &Root, bytes: &[u8]) -> Vec<u8> {
     let mut answer = Vec::new();
-    let _ = buffer::serve(root, &mut Cursor::new(bytes), &mut answer);
+    let _ = buffer::serve(root, Computer { aes: true }, &mut Cursor::new(bytes), &mut answer);
     answer
 }
 
@@ -50,10 +50,35 @@ fn refusal(mut answer: &[u8]) -> Option<Refusal> {
 const HELLO: Request = Request::Hello { versions: (1, 1) };
 
 #[test]
+fn a_robot_says_what_computer_it_is_and_an_older_one_is_not_asked() {
+    let (dir, asked) = (tempdir().unwrap(), requests(&[Request::Hello { versions: (1, 2) }, Request::Computer]));
+    let answer = served(&Root::open(dir.path()).unwrap(), &asked);
+    let mut output = Vec::new();
+    let mut remote = Remote::greet("robot", Cursor::new(answer), &mut output, 1).unwrap();
+    assert_eq!(remote.computer().unwrap(), Some(Computer { aes: true }));
+    assert_eq!(output, asked);
+    let (older, mut output) = (frames(&[Reply::Welcome { version: 1 }]), Vec::new());
+    assert_eq!(Remote::greet("robot", Cursor::new(older), &mut output, 1).unwrap().computer().unwrap(), None);
+    assert_eq!(output, requests(&[Request::Hello { versions: (1, 2) }]));
+}
+
+#[test]
+fn a_list_of_more_bytes_than_can_be_counted_is_pulled_like_any_other() {
+    let here = tempdir().unwrap();
+    let entries = ["recording_0000.mcap", "recording_0001.mcap"].map(|name| Reply::Entry(entry(name, u64::MAX)));
+    let mut replies = vec![Reply::Welcome { version: 1 }];
+    replies.extend(entries);
+    replies.push(Reply::ListEnd);
+    let mut remote = Remote::greet("robot", Cursor::new(frames(&replies)), Vec::new(), 1).unwrap();
+    let error = pull_into(&mut remote, here.path(), Options::default()).unwrap_err();
+    assert_eq!(error.kind(), Kind::Link, "{error}");
+}
+
+#[test]
 fn a_workstation_of_another_time_is_refused_with_words() {
     let dir = tempdir().unwrap();
     let root = Root::open(dir.path()).unwrap();
-    for versions in [(2, 3), (0, 0), (900, 901), (3, 2)] {
+    for versions in [(3, 4), (0, 0), (900, 901), (3, 2)] {
         let refusal = refusal(&served(&root, &requests(&[Request::Hello { versions }, Request::List]))).unwrap();
         assert_eq!(refusal.kind, RefusalKind::Version);
         assert!(refusal.text.contains("install the same release"), "{refusal}");
@@ -190,7 +215,7 @@ proptest! {
         let digest = Digest::from_bytes(digest);
         let all = [
             Request::Hello { versions }, Request::List, Request::Fetch { name: name.clone(), have: Have { bytes, digest } },
-            Request::Mark { name, digest },
+            Request::Mark { name, digest }, Request::Computer,
         ];
         for request in all {
             let mut body = Vec::new();
@@ -208,7 +233,9 @@ proptest! {
             turns: flags[1].then_some(turns), events: flags[2].then_some(bytes), keep: flags[3],
             pulled: if flags[0] { Pulled::Yes(digest) } else { Pulled::Stale },
         };
-        for reply in [Reply::Entry(entry), Reply::Data { at: bytes, bytes: &data }, Reply::End { digest }, Reply::Marked] {
+        let computer = Reply::Computer(Computer { aes: flags[1] });
+        let data = Reply::Data { at: bytes, bytes: &data };
+        for reply in [Reply::Entry(entry), data, Reply::End { digest }, Reply::Marked, computer] {
             let mut body = Vec::new();
             let kind = reply.encode(&mut body);
             prop_assert_eq!(Reply::decode(kind, &body), Ok(reply));

@@ -1,8 +1,8 @@
 use std::io::Cursor;
 
-use buffer::Root;
 use buffer::source::{Remote, Source};
 use buffer::wire::{Reply, Request};
+use buffer::{Computer, Root};
 
 /// Arbitrary bytes as both sides of `pull-buffer` may get them: to a served buffer, and to a workstation that pulls.
 pub fn buffer_wire(bytes: &[u8]) {
@@ -20,9 +20,10 @@ pub fn buffer_wire(bytes: &[u8]) {
     // An empty directory that is there on every Linux and takes no files.
     if let Ok(root) = Root::open("/proc/self/task".as_ref()) {
         let mut answer = Vec::new();
-        let _ = buffer::serve(&root, &mut Cursor::new(bytes), &mut answer);
+        let _ = buffer::serve(&root, Computer { aes: true }, &mut Cursor::new(bytes), &mut answer);
     }
     if let Ok(mut remote) = Remote::greet("fuzz", Cursor::new(bytes), Vec::new(), 1) {
+        let _ = remote.computer();
         while let Ok(entries) = remote.list() {
             for entry in &entries {
                 let name = entry.name.as_str();

@@ -141,11 +141,12 @@ impl Work<'_, '_> {
                 self.report.open += u64::from(entry.state == State::Open);
                 continue;
             }
-            bytes += entry.bytes;
+            // As many as the other side says, which may be anything.
+            bytes = u64::saturating_add(bytes, entry.bytes);
             match self.to.index.has(&entry).cloned() {
                 Some(here) => {
                     self.report.there += 1;
-                    done_bytes += entry.bytes;
+                    done_bytes = u64::saturating_add(done_bytes, entry.bytes);
                     if !here.marked && entry.pulled_digest() != Some(here.digest) {
                         self.mark(&entry, &here.digest)?;
                     }
@@ -154,6 +155,7 @@ impl Work<'_, '_> {
             }
         }
         self.options.order.sort(&mut missing);
+        self.source.expect(bytes.saturating_sub(done_bytes));
         self.watch.planned(missing.len() as u64, bytes, done_bytes);
         Ok(missing)
     }

@@ -4,6 +4,7 @@ mod directory;
 mod remote;
 mod spec;
 mod ssh;
+mod ssh_config;
 
 use crate::catalogue::Entry;
 use crate::digest::Digest;
@@ -23,6 +24,11 @@ pub trait Source: Send {
     /// # Errors
     /// When it cannot be read or reached.
     fn list(&mut self) -> Result<Vec<Entry>, BufferError>;
+
+    /// Roughly so many bytes will be fetched: the way they come may be chosen by that.
+    fn expect(&mut self, bytes: u64) {
+        let _ = bytes;
+    }
 
     /// Hands `to` the bytes of a file behind what it has, and gives the digest of the whole as the sender computed it. `None`:
     /// nobody there computes one, and the segment's own checksums must vouch for it.

@@ -4,6 +4,7 @@ use std::io::{self, ErrorKind, Read, Write};
 
 use super::Source;
 use crate::catalogue::Entry;
+use crate::computer::Computer;
 use crate::digest::Digest;
 use crate::error::BufferError;
 use crate::name::Name;
@@ -17,6 +18,7 @@ const MAX_ENTRIES: usize = 200_000;
 /// arrives must have the digest that was promised.
 pub struct Remote<R, W> {
     from: String,
+    version: u16,
     input: R,
     output: W,
     body: Vec<u8>,
@@ -31,7 +33,8 @@ impl<R: Read, W: Write> Remote<R, W> {
     /// # Errors
     /// When the other side is no robot, or speaks no version that we speak.
     pub fn greet(from: impl Into<String>, input: R, output: W, stall_s: u64) -> Result<Self, BufferError> {
-        let mut remote = Self { from: from.into(), input, output, body: Vec::new(), buffer: Vec::new(), stall_s };
+        let (from, version) = (from.into(), *VERSIONS.start());
+        let mut remote = Self { from, version, input, output, body: Vec::new(), buffer: Vec::new(), stall_s };
         remote.ask(&Request::Hello { versions: (*VERSIONS.start(), *VERSIONS.end()) })?;
         let (kind, body) = match read_frame(&mut remote.input, &mut remote.body, MAX_REPLY) {
             Ok(Ok(Some(kind))) => (kind, &remote.body),
@@ -41,9 +44,25 @@ impl<R: Read, W: Write> Remote<R, W> {
             Err(error) => return Err(remote.link(error)),
         };
         match Reply::decode(kind, body) {
-            Ok(Reply::Welcome { version }) if VERSIONS.contains(&version) => Ok(remote),
+            Ok(Reply::Welcome { version }) if VERSIONS.contains(&version) => Ok(Self { version, ..remote }),
             Ok(Reply::Refused(refusal)) => Err(BufferError::Refused { from: remote.from, refusal }),
             _ => Err(remote.foreign()),
+        }
+    }
+
+    /// The other side's computer; `None` when it speaks a version that does not say.
+    ///
+    /// # Errors
+    /// When the link fails.
+    pub fn computer(&mut self) -> Result<Option<Computer>, BufferError> {
+        if self.version < 2 {
+            return Ok(None);
+        }
+        self.ask(&Request::Computer)?;
+        let from = self.from.clone();
+        match self.reply()? {
+            Reply::Computer(computer) => Ok(Some(computer)),
+            other => Err(unexpected(&from, &other)),
         }
     }
 

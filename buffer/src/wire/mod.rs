@@ -10,6 +10,7 @@
 //! | `List` | `Entry` for each file, then `ListEnd` |
 //! | `Fetch` name, length and digest of what is there | `Working`..., `Start` from, length, `Data`..., `End` digest |
 //! | `Mark` name, digest | `Marked` |
+//! | `Computer`, from version 2 on | `Computer` with AES in hardware or not |
 //!
 //! Decoding takes bytes and gives messages; it never reads, waits or panics, and a length beyond the limit is refused before
 //! anything is allocated for it.
@@ -23,7 +24,7 @@ pub use reply::{Refusal, RefusalKind, Reply};
 pub use request::Request;
 
 /// Protocol versions that this program speaks.
-pub const VERSIONS: std::ops::RangeInclusive<u16> = 1..=1;
+pub const VERSIONS: std::ops::RangeInclusive<u16> = 1..=2;
 
 /// The version that both speak, if there is one: the highest.
 #[must_use]

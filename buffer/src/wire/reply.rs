@@ -5,6 +5,7 @@ use std::fmt;
 use super::WireError;
 use super::request::MAGIC;
 use crate::catalogue::{Entry, State, Times};
+use crate::computer::Computer;
 use crate::digest::Digest;
 use crate::marks::Pulled;
 use crate::name::Name;
@@ -89,6 +90,8 @@ pub enum Reply<'a> {
     },
     /// The mark is on the robot's disk.
     Marked,
+    /// The robot's computer.
+    Computer(Computer),
 }
 
 impl<'a> Reply<'a> {
@@ -130,6 +133,10 @@ impl<'a> Reply<'a> {
                 135
             }
             Self::Marked => 136,
+            Self::Computer(computer) => {
+                body.push(u8::from(computer.aes));
+                137
+            }
         }
     }
 
@@ -149,6 +156,7 @@ impl<'a> Reply<'a> {
             134 => fields.u64().map(|at| Self::Data { at, bytes: std::mem::take(&mut fields.0) }),
             135 => fields.array().map(|digest| Self::End { digest: Digest::from_bytes(digest) }),
             136 => Some(Self::Marked),
+            137 => fields.u8().filter(|aes| *aes <= 1).map(|aes| Self::Computer(Computer { aes: aes == 1 })),
             _ => return Err(WireError::Malformed("a reply of unknown kind")),
         };
         reply.filter(|_| fields.0.is_empty()).ok_or(WireError::Malformed("a reply whose contents cannot be"))
@@ -165,6 +173,7 @@ impl<'a> Reply<'a> {
             Self::Data { .. } => "data",
             Self::End { .. } => "the end of a file",
             Self::Marked => "a mark",
+            Self::Computer(_) => "what computer it is",
         }
     }
 }

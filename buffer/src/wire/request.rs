@@ -33,6 +33,8 @@ pub enum Request {
         /// What it has.
         digest: Digest,
     },
+    /// What computer are you? From version 2 on.
+    Computer,
 }
 
 impl Request {
@@ -57,6 +59,7 @@ impl Request {
                 body.extend_from_slice(name.as_str().as_bytes());
                 4
             }
+            Self::Computer => 5,
         }
     }
 
@@ -78,6 +81,7 @@ impl Request {
                 .array()
                 .zip(rest_as_name(&mut fields)?)
                 .map(|(digest, name)| Self::Mark { name, digest: Digest::from_bytes(digest) }),
+            5 => Some(Self::Computer),
             _ => return Err(WireError::Malformed("a request of unknown kind")),
         };
         request.filter(|_| fields.0.is_empty()).ok_or(WireError::Malformed("a request of the wrong length"))

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use buffer::pull::{Destination, FileSystem, Options, Report, pull};
 use buffer::source::{Remote, Source};
-use buffer::{BufferError, Root};
+use buffer::{BufferError, Computer, Root};
 use hal::{CameraModel, Pose2, VirtualClock, WheelFeedback, camera_mount};
 use runtime::recording::{Picture, RecordedTick, RecordingWriter, RunHeader, SegmentHeader, Views};
 
@@ -101,7 +101,7 @@ pub fn serve_on(dir: &Path, mut stream: UnixStream) {
     let root = Root::open(dir).unwrap();
     let mut input = stream.try_clone().unwrap();
     // A client that is gone is no error of the server's.
-    std::thread::spawn(move || drop(buffer::serve(&root, &mut input, &mut stream)));
+    std::thread::spawn(move || drop(buffer::serve(&root, Computer { aes: true }, &mut input, &mut stream)));
 }
 
 pub fn pull_into(source: &mut dyn Source, here: &Path, options: Options) -> Result<Report, BufferError> {

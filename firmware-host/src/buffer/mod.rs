@@ -8,7 +8,7 @@ use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use ::buffer::{BufferError, Catalogue, Entry, Finding, Root, State, export, recover_file, verify};
+use ::buffer::{BufferError, Catalogue, Computer, Entry, Finding, Root, State, export, recover_file, verify};
 use anyhow::{Context, Result, bail};
 
 use crate::cli::{BufferArgs, BufferTask, ExportLayout};
@@ -166,6 +166,6 @@ fn serve(dir: &Path) -> Result<()> {
     // Not Rust's own stdout, which looks for line ends in pictures. Pieces of data are larger than this buffer and pass it by.
     let stdout = File::from(std::io::stdout().as_fd().try_clone_to_owned().context("stdout is closed")?);
     let mut output = BufWriter::with_capacity(64 << 10, stdout);
-    ::buffer::serve(&root, &mut input, &mut output).context("the connection broke off")?;
+    ::buffer::serve(&root, Computer::this(), &mut input, &mut output).context("the connection broke off")?;
     output.flush().context("the connection broke off")
 }

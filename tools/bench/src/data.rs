@@ -153,16 +153,25 @@ fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// The second time, with a connection of its own and over one that is kept; rsync has the same.
+/// The second time: a minute after the first, long after it, and with a connection that ssh keeps for both.
 fn nothing_new(scratch: &Scratch, programs: &Path, sshd: &Sshd, robot: &Path) -> Result<Vec<Row>> {
     let (pulled, synced) = (scratch.path("pulled"), scratch.path("synced"));
+    let runtime_dir = scratch.path("xdg");
+    fs::create_dir_all(&runtime_dir)?;
     let kept = over::kept(sshd);
     let mut rows = Vec::new();
-    for (what, more, note) in [
-        ("", &[][..], "most of ours is ssh's own greeting"),
-        (", kept connection", &kept[..], "ControlMaster of ssh, for both"),
+    for (what, more, shares, note) in [
+        ("", &[][..], true, "over the connection that the pull before left open for a minute"),
+        (", greeting each time", &[][..], false, "most of ours is ssh's own greeting"),
+        (", kept connection", &kept[..], false, "ControlMaster of ssh, for both"),
     ] {
-        let pull = || run(over::pull(sshd, more, programs, robot, &pulled));
+        let pull = || {
+            let mut command = over::pull(sshd, more, programs, robot, &pulled);
+            if shares {
+                command.env("XDG_RUNTIME_DIR", &runtime_dir);
+            }
+            run(command)
+        };
         let rsync = || run(over::rsync(sshd, more, robot, &synced));
         pull()?;
         rsync()?;

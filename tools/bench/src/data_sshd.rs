@@ -42,6 +42,7 @@ pub fn pull(server: &Sshd, more: &[impl AsRef<str>], programs: &Path, from: &Pat
     command.arg(format!("--remote-command={}", programs.join("firmware-host").display()));
     command.args(server.options().iter().map(|option| format!("--ssh-option={option}")));
     command.args(more.iter().map(|option| format!("--ssh-option={}", option.as_ref())));
-    command.stderr(Stdio::null());
+    // It greets anew unless told otherwise.
+    command.env_remove("XDG_RUNTIME_DIR").stderr(Stdio::null());
     command
 }

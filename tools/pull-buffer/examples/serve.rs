@@ -1,5 +1,5 @@
 //! Serves a directory on stdin and stdout as `firmware-host buffer serve DIR` does, so that tests of this package need not
-//! build that program.
+//! build that program. `--without-aes` in front: on a computer that has none.
 
 use std::io::{BufWriter, Write};
 
@@ -11,5 +11,6 @@ fn main() {
     });
     let mut output = BufWriter::new(std::io::stdout().lock());
     // A workstation that was killed is no error of this side.
-    let _ = buffer::serve(&root, &mut std::io::stdin().lock(), &mut output).and_then(|()| output.flush());
+    let computer = buffer::Computer { aes: !std::env::args().any(|argument| argument == "--without-aes") };
+    let _ = buffer::serve(&root, computer, &mut std::io::stdin().lock(), &mut output).and_then(|()| output.flush());
 }

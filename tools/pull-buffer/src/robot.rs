@@ -31,11 +31,13 @@ pub struct Robot<'a> {
     /// Where it goes, when that is no directory.
     store: Option<Bucket>,
     reached: bool,
+    /// A link broke: perhaps the connection that an earlier call left open, so the next one is its own.
+    broke: bool,
 }
 
 impl<'a> Robot<'a> {
     pub fn new(spec: &'a Spec, options: &'a Options) -> Self {
-        Self { spec, options, source: None, store: None, reached: false }
+        Self { spec, options, source: None, store: None, reached: false, broke: false }
     }
 
     pub fn spec(&self) -> &Spec {
@@ -62,6 +64,7 @@ impl<'a> Robot<'a> {
                 Err(error) => error,
             };
             self.source = None;
+            self.broke = true;
             if error.kind() != Kind::Link || tries_left == 0 {
                 outcome.error = Some(error);
                 return outcome;
@@ -110,6 +113,7 @@ impl<'a> Robot<'a> {
                     arguments: self.options.ssh_options.clone(),
                     remote_command: self.options.remote_command.clone(),
                     stall_s: self.options.stall_s,
+                    share: !self.broke,
                     ..SshOptions::default()
                 };
                 Box::new(Ssh::connect(host, path, &options)?)

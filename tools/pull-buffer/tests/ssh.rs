@@ -3,11 +3,11 @@
 
 mod common;
 
-use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use common::{Server, assert_same, robot, words};
+use buffer::Computer;
+use common::{Server, SpiedSsh, assert_same, robot, words};
 use tempfile::tempdir;
 
 #[test]
@@ -39,8 +39,54 @@ fn pulls_share_a_connection_that_ssh_keeps() {
     assert_same(robot.path(), here.path(), 2);
     let exit = Command::new("ssh").args(server.sshd.options()).args(&kept).args(["-O", "exit", "127.0.0.1"]).output();
     assert!(exit.unwrap().status.success(), "the connection is not there any more");
-    let log = fs::read_to_string(server.sshd.dir().join("sshd.log")).unwrap();
-    assert_eq!(log.matches("Accepted publickey").count(), 1, "{log}");
+    assert_eq!(server.greetings(), 1);
+}
+
+#[test]
+fn a_pull_leaves_its_connection_to_the_next_one_for_a_minute() {
+    let Some(server) = Server::start() else { return };
+    let (robot, here, runtime_dir) = (robot(1, 1 << 20), tempdir().unwrap(), tempdir().unwrap());
+    for _ in 0..3 {
+        let output =
+            server.pull(robot.path(), here.path()).env("XDG_RUNTIME_DIR", runtime_dir.path()).output().unwrap();
+        assert!(output.status.success(), "{}", words(&output));
+    }
+    let path = format!("-oControlPath={}/embodied-depth/%C", runtime_dir.path().display());
+    let exit = Command::new("ssh").args(server.sshd.options()).args([&path, "-Oexit", "127.0.0.1"]).output();
+    assert!(exit.unwrap().status.success(), "the connection is not there any more");
+    assert_eq!(server.greetings(), 1);
+}
+
+#[test]
+fn aes_is_asked_for_first_where_this_computer_has_it_and_never_against_the_users_word() {
+    let Some(server) = Server::start() else { return };
+    let (robot, here, ssh) = (robot(1, 1 << 20), tempdir().unwrap(), SpiedSsh::new());
+    let output = server.pull(robot.path(), here.path()).env("PATH", ssh.path()).output().unwrap();
+    assert!(output.status.success(), "{}", words(&output));
+    let [call] = &ssh.calls()[..] else { panic!("{:?}", ssh.calls()) };
+    assert_eq!(call.contains("-oCiphers=aes128-gcm@openssh.com,chacha20"), Computer::this().aes, "{call}");
+    let only = "--ssh-option=-oCiphers=chacha20-poly1305@openssh.com";
+    let output = server.pull(robot.path(), here.path()).arg(only).env("PATH", ssh.path()).output().unwrap();
+    assert!(output.status.success(), "{}", words(&output));
+    assert!(!ssh.calls()[1].contains("aes"), "{:?}", ssh.calls());
+}
+
+#[test]
+fn a_robot_without_aes_is_asked_again_as_ssh_would_when_there_is_much_to_fetch() {
+    let Some(server) = Server::start() else { return };
+    if !Computer::this().aes {
+        return;
+    }
+    for (bytes, calls) in [(1 << 20, 1), (65 << 20, 2)] {
+        let (robot, here, ssh) = (robot(1, bytes), tempdir().unwrap(), SpiedSsh::new());
+        let without = format!("{} --without-aes", common::serving().display());
+        let mut pull = server.pull_with(Path::new(&without), robot.path(), here.path());
+        let output = pull.env("PATH", ssh.path()).output().unwrap();
+        assert!(output.status.success(), "{}", words(&output));
+        assert_same(robot.path(), here.path(), 1);
+        assert_eq!(ssh.calls().len(), calls, "{:?}", ssh.calls());
+        assert_eq!(ssh.calls().last().unwrap().contains("Ciphers"), calls == 1, "{:?}", ssh.calls());
+    }
 }
 
 #[test]

@@ -8,6 +8,7 @@
 )]
 
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
@@ -29,6 +30,12 @@ impl Server {
         Some(Self { sshd: Sshd::start(dir.path()).unwrap()?, _dir: dir })
     }
 
+    /// Connections that it let in.
+    pub fn greetings(&self) -> usize {
+        let log = fs::read_to_string(self.sshd.dir().join("sshd.log")).unwrap();
+        log.matches("Accepted publickey").count()
+    }
+
     pub fn pull(&self, robot: &Path, here: &Path) -> Command {
         self.pull_with(&serving(), robot, here)
     }
@@ -40,8 +47,34 @@ impl Server {
             .arg(here)
             .arg(format!("--remote-command={}", remote_command.display()))
             .args(self.sshd.options().iter().map(|option| format!("--ssh-option={option}")))
+            // No connection outlives a test that does not say so.
+            .env_remove("XDG_RUNTIME_DIR")
             .stdin(Stdio::null());
         command
+    }
+}
+
+/// The system's ssh, with what it was called with written down.
+pub struct SpiedSsh(TempDir);
+
+impl SpiedSsh {
+    pub fn new() -> Self {
+        let dir = tempdir().unwrap();
+        let script = format!("#!/bin/sh\necho \"$@\" >> {}/calls\nexec /usr/bin/ssh \"$@\"\n", dir.path().display());
+        fs::write(dir.path().join("ssh"), script).unwrap();
+        fs::set_permissions(dir.path().join("ssh"), fs::Permissions::from_mode(0o700)).unwrap();
+        Self(dir)
+    }
+
+    /// For `PATH`: found before the system's own.
+    pub fn path(&self) -> String {
+        format!("{}:/usr/bin:/bin", self.0.path().display())
+    }
+
+    /// All calls but those that only ask for the configuration.
+    pub fn calls(&self) -> Vec<String> {
+        let text = fs::read_to_string(self.0.path().join("calls")).unwrap_or_default();
+        text.lines().filter(|call| !call.starts_with("-G ")).map(str::to_owned).collect()
     }
 }
 
