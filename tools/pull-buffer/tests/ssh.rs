@@ -3,6 +3,7 @@
 
 mod common;
 
+use std::fs;
 use std::path::Path;
 use std::process::Command;
 
@@ -55,6 +56,27 @@ fn a_pull_leaves_its_connection_to_the_next_one_for_a_minute() {
     let exit = Command::new("ssh").args(server.sshd.options()).args([&path, "-Oexit", "127.0.0.1"]).output();
     assert!(exit.unwrap().status.success(), "the connection is not there any more");
     assert_eq!(server.greetings(), 1);
+}
+
+#[test]
+fn a_link_that_broke_is_made_anew_and_not_over_the_connection_that_may_be_the_broken_one() {
+    let Some(server) = Server::start() else { return };
+    let (robot, here, runtime_dir, ssh) = (robot(1, 1 << 20), tempdir().unwrap(), tempdir().unwrap(), SpiedSsh::new());
+    // The first time its end is missing.
+    let (script, serve) = (here.path().join("serve"), common::serving());
+    let text = format!(
+        "#!/bin/sh\nif mkdir {}/once 2>&-; then {1} \"$@\" | dd bs=4096 count=9 2>&-; else exec {1} \"$@\"; fi\n",
+        here.path().display(),
+        serve.display()
+    );
+    fs::write(&script, text).unwrap();
+    let command = format!("sh {}", script.display());
+    let mut pull = server.pull_with(Path::new(&command), robot.path(), here.path());
+    let output = pull.env("PATH", ssh.path()).env("XDG_RUNTIME_DIR", runtime_dir.path()).output().unwrap();
+    assert!(output.status.success() && words(&output).contains("trying again"), "{}", words(&output));
+    assert_same(robot.path(), here.path(), 1);
+    let shared: Vec<_> = ssh.calls().iter().map(|call| call.contains("ControlPath")).collect();
+    assert_eq!(shared, [true, false], "{:?}", ssh.calls());
 }
 
 #[test]
