@@ -26,7 +26,7 @@ pub struct MapConfig {
     pub cell_m: f64,
     /// Cells along one side of the square window.
     pub side_cells: usize,
-    /// The window moves when the robot is further than this from its middle, cells.
+    /// The window moves when the robot is further than this from its middle, and only as far, cells.
     pub recenter_cells: usize,
     /// Log-odds added where something was seen.
     pub occupied_increment: f32,
@@ -76,7 +76,7 @@ impl Default for MapConfig {
         Self {
             cell_m: 0.03,
             side_cells: 1000,
-            recenter_cells: 128,
+            recenter_cells: 300,
             occupied_increment: 2.0,
             free_decrement: 1.5,
             decay: 0.98,

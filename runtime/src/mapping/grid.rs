@@ -275,15 +275,17 @@ impl OccupancyGrid {
         self.scale = 1.0;
     }
 
+    /// Moves the window no farther than it must: what it leaves behind is forgotten, and looks like something to explore.
     fn recenter(&mut self, robot: Cell) {
-        let center = self.window.center();
-        let limit = self.config.recenter_cells as i64;
-        let away = |a: i32, b: i32| (i64::from(a) - i64::from(b)).abs();
-        if away(robot.x, center.x).max(away(robot.y, center.y)) <= limit {
+        let old = self.window.center();
+        let limit = i32::try_from(self.config.recenter_cells).unwrap_or(i32::MAX);
+        let follow = |center: i32, robot: i32| center.clamp(robot.saturating_sub(limit), robot.saturating_add(limit));
+        let center = Cell::new(follow(old.x, robot.x), follow(old.y, robot.y));
+        if center == old {
             return;
         }
         let (stored, evidence, top_cm) = (&mut self.stored, &mut self.evidence, &mut self.top_cm);
-        self.window.recenter(robot, |range| {
+        self.window.recenter(center, |range| {
             stored[range.clone()].fill(0.0);
             evidence[range.clone()].fill(0.0);
             top_cm[range].fill(0);

@@ -125,6 +125,21 @@ fn the_window_follows_the_robot_and_keeps_what_it_still_covers() {
 }
 
 #[test]
+fn the_window_moves_no_farther_than_it_must() {
+    // The robot may be 5 cells from the middle of 150: behind it 80 cells stay.
+    let mut grid = grid();
+    let (kept, forgotten) = (Cell::new(-30, 0), Cell::new(-31, 0));
+    update(&mut grid, &[(kept, 2.0), (forgotten, 2.0)]);
+    for x in (0..=50).chain((0..50).rev()) {
+        let [x_m, y_m] = grid.center_m(Cell::new(x, 0));
+        grid.begin_update(&Pose2::new(x_m, y_m, 0.0)).unwrap();
+        grid.finish_update();
+    }
+    assert_eq!(grid.state(kept), CellState::Occupied);
+    assert_eq!(grid.state(forgotten), CellState::Unknown);
+}
+
+#[test]
 fn newly_known_cells_are_told_once() {
     let mut grid = grid();
     let cell = Cell::new(-2, 9);
