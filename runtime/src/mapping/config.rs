@@ -26,7 +26,8 @@ pub struct MapConfig {
     pub cell_m: f64,
     /// Cells along one side of the square window.
     pub side_cells: usize,
-    /// The window moves when the robot is further than this from its middle, and only as far, cells.
+    /// The window moves when the robot is further than this from its middle, and only as far, cells. Earlier where the window is so
+    /// small that a range would reach out of it.
     pub recenter_cells: usize,
     /// Log-odds added where something was seen.
     pub occupied_increment: f32,
@@ -136,13 +137,22 @@ impl MapConfig {
         within("lidar_range_m", f(self.lidar_range_m), 0.1, 30.0, "0.1 to 30")?;
         within("collision_width_m", self.collision_width_m, 0.0, 2.0, "0 to 2")?;
         within("collision_log_odds", f(self.collision_log_odds), 1e-3, 1e6, "0.001 to 1000000")?;
-        let reach = self.mark_range_m.max(self.clear_range_m).max(self.lidar_range_m);
-        let needed = self.recenter_cells as f64 + f(reach) / self.cell_m + 2.0;
-        check(needed <= self.side_cells as f64 / 2.0, "recenter_cells", self.recenter_cells as f64, REACH)
+        check(self.cells_beyond_reach() >= 0.0, "side_cells", self.side_cells as f64, REACH)
+    }
+
+    /// How far from the window's middle the robot may be, cells: the longest range in front of it is always inside.
+    pub(super) fn follow_cells(&self) -> i32 {
+        (self.cells_beyond_reach() as i32).min(i32::try_from(self.recenter_cells).unwrap_or(i32::MAX))
+    }
+
+    /// From a range that starts in the window's middle to the window's edge.
+    fn cells_beyond_reach(&self) -> f64 {
+        let reach_m = self.mark_range_m.max(self.clear_range_m).max(self.lidar_range_m);
+        self.side_cells as f64 / 2.0 - f64::from(reach_m) / self.cell_m - 2.0
     }
 }
 
-const REACH: &str = "so that the longest range still fits into the window: side_cells / 2 - range / cell_m - 2";
+const REACH: &str = "at least twice (range / cell_m + 2), so that the longest range fits into the window";
 
 #[cfg(test)]
 mod tests {
@@ -161,9 +171,16 @@ mod tests {
 
     #[test]
     fn a_window_too_small_for_the_range_is_refused() {
-        let config = MapConfig { side_cells: 200, ..MapConfig::default() };
-        assert!(matches!(config.validate(), Err(MapError::Config { field: "recenter_cells", .. })));
-        let small = MapConfig { side_cells: 200, recenter_cells: 20, ..MapConfig::default() };
-        assert_eq!(small.validate(), Ok(()));
+        // 2 m are 67 cells of 3 cm.
+        let config = MapConfig { side_cells: 136, ..MapConfig::default() };
+        assert!(matches!(config.validate(), Err(MapError::Config { field: "side_cells", .. })));
+    }
+
+    #[test]
+    fn the_robot_stays_so_far_from_the_edge_that_the_longest_range_is_inside() {
+        assert_eq!(MapConfig::default().follow_cells(), 300);
+        let small = MapConfig { side_cells: 200, ..MapConfig::default() };
+        assert_eq!((small.validate(), small.follow_cells()), (Ok(()), 31));
+        assert_eq!(MapConfig { recenter_cells: 20, ..small }.follow_cells(), 20);
     }
 }

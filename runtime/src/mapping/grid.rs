@@ -15,7 +15,7 @@ const FAINTEST: f32 = 1e-20;
 /// The common factor is multiplied out when it gets this small, about every 2,000 updates at a decay of 0.98.
 const RENORMALISE_BELOW: f64 = 1e-18;
 
-/// A robot-centred rolling occupancy grid in `odom`.
+/// A rolling occupancy grid around the robot, in `odom`.
 ///
 /// Every cell holds log-odds: exactly 0 is unknown, above 0 occupied, below 0 free. The decay of all cells at each update is
 /// one multiplication: cells are stored divided by a common factor that shrinks. Evidence of one update is collected and
@@ -278,7 +278,7 @@ impl OccupancyGrid {
     /// Moves the window no farther than it must: what it leaves behind is forgotten, and looks like something to explore.
     fn recenter(&mut self, robot: Cell) {
         let old = self.window.center();
-        let limit = i32::try_from(self.config.recenter_cells).unwrap_or(i32::MAX);
+        let limit = self.config.follow_cells();
         let follow = |center: i32, robot: i32| center.clamp(robot.saturating_sub(limit), robot.saturating_add(limit));
         let center = Cell::new(follow(old.x, robot.x), follow(old.y, robot.y));
         if center == old {
