@@ -13,6 +13,7 @@ check() {
 camera_loop() {
     local size=width=${1:-640},height=${2:-480},pixelformat=YUYV
     v4l2-ctl -d 0 -i 1 -c osd_text_mode=2,loop_video=1 >/dev/null
+    local device
     for device in 0 1; do v4l2-ctl -d $device --set-dv-bt-timings index=5 >/dev/null; done
     v4l2-ctl -d 0 -v $size
     v4l2-ctl -d 1 -x $size
@@ -22,6 +23,7 @@ camera_loop() {
 # receiver; so frames leave at the pace of the bit rate: 16 bytes for a frame, of which a real bus makes 111 bits or more.
 can_up() {
     modprobe sch_tbf
+    local interface
     for interface in can0 can1; do
         ip link set $interface up type can bitrate 500000 restart-ms 100
         tc qdisc replace dev $interface root tbf rate 500kbit burst 16 limit 640
@@ -30,6 +32,7 @@ can_up() {
 
 # /dev/ttyUSB0 is the robot's end of the cable, /dev/ttyS1 the scanner's.
 serial_up() {
+    local port
     for port in /dev/ttyUSB0 /dev/ttyS1; do stty -F $port 115200 raw -echo; done
 }
 

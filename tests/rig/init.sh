@@ -1,7 +1,8 @@
 #!/bin/sh
 # The guest's init, in busybox: loads the devices' drivers, makes the host's own root the guest's (read-only, with a tmpfs
 # above it), runs /rig/commands in it, and switches the machine off.
-# /rig/environment says MODULES (groups to load), VIVID (its parameters) and KERNEL_MODULES (where the rest of them lies).
+# /rig/environment says MODULES (groups to load), VIVID (its parameters), KERNEL_MODULES (where the rest of them lies) and
+# SYSTEMD: `yes` makes systemd the first process, which runs the commands and switches off.
 mount -t proc p /proc
 mount -t sysfs s /sys
 mount -t devtmpfs d /dev
@@ -35,6 +36,37 @@ ip link set lo up
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C
 # busybox does not expand globs in redirections.
 set -- /dev/vport*p1
+if [ "$SYSTEMD" ]; then
+    # Of the host's own configuration nothing shall start.
+    rm -rf /root/etc/systemd/system
+    mkdir -p /root/etc/systemd/system
+    for unit in systemd-hwdb-update systemd-journal-catalog-update ldconfig; do
+        ln -s /dev/null /root/etc/systemd/system/$unit.service
+    done
+    : >/root/etc/fstab
+    echo 00000000000000000000000000000001 >/root/etc/machine-id
+    cat >/root/etc/systemd/system/default.target <<EOF
+[Unit]
+Requires=basic.target
+Wants=rig.service
+After=basic.target
+AllowIsolate=yes
+EOF
+    cat >/root/etc/systemd/system/rig.service <<EOF
+[Unit]
+After=basic.target systemd-udev-settle.service
+Wants=systemd-udev-settle.service
+SuccessAction=poweroff-force
+FailureAction=poweroff-force
+[Service]
+Type=oneshot
+Environment=HOME=/root LC_ALL=C
+ExecStart=/bin/bash /rig/commands
+StandardOutput=file:$1
+StandardError=inherit
+EOF
+    exec switch_root /root /lib/systemd/systemd
+fi
 chroot /root /bin/bash /rig/commands >"$1" 2>&1 </dev/null
 echo $? >/root/rig/status
 sync

@@ -54,6 +54,9 @@ pub enum CameraFormat {
 }
 
 impl CameraFormat {
+    /// All that can be read.
+    pub const ALL: [Self; 4] = [Self::Yuyv, Self::Nv12, Self::Rgb24, Self::Mjpeg];
+
     /// The names that V4L2 drivers have for it, the usual one first.
     #[must_use]
     pub fn names(self) -> &'static [FourCc] {

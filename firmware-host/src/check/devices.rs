@@ -5,7 +5,8 @@ use std::path::Path;
 use drivers::can::protocol::MotorStatus;
 use drivers::can::{BaseConfig, CanError, DifferentialBase, Protocol, open_bus};
 use drivers::hokuyo::{HokuyoConfig, HokuyoLidar, Port};
-use drivers::v4l2::{self, CameraDeviceConfig, V4l2Camera, V4l2Error};
+use drivers::v4l2::node::FourCc;
+use drivers::v4l2::{self, CameraDeviceConfig, CameraFormat, V4l2Camera, V4l2Error};
 use drivers::{DeviceState, DeviceStatus, MonotonicClock};
 use hal::{Base, Camera, CameraModel, Clock, ErrorKind, Frame, LaserScan, Lidar};
 
@@ -108,7 +109,7 @@ fn camera(config: &CameraDeviceConfig) -> Finding {
         Err(error) => return failed(state_of(&error), "", &error),
     };
     let layout = agreement.layout;
-    let offered = agreement.formats.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    let offered = offer(&agreement.formats);
     let what = format!("{} {}x{}; it has {offered}", layout.format, layout.width, layout.height);
     // Only the size counts here: nothing is computed from these pictures.
     let model = CameraModel::pinhole(config.width as usize, config.height as usize, 1.0);
@@ -133,6 +134,17 @@ fn camera(config: &CameraDeviceConfig) -> Finding {
             Finding::unwell("camera", path(), watched.status.state, what, why)
         }
     }
+}
+
+/// The formats that can be read, and how many others there are: some cameras have fifty.
+fn offer(formats: &[FourCc]) -> String {
+    let (ours, others): (Vec<FourCc>, Vec<_>) =
+        formats.iter().partition(|format| CameraFormat::ALL.iter().any(|ours| ours.names().contains(format)));
+    let mut words: Vec<_> = ours.iter().map(ToString::to_string).collect();
+    if !others.is_empty() {
+        words.push(format!("{} that are not read here", others.len()));
+    }
+    words.join(", ")
 }
 
 fn lidar(config: &HokuyoConfig) -> Finding {
@@ -219,5 +231,17 @@ fn state_of(error: &impl hal::Error) -> DeviceState {
         ErrorKind::Disconnected => DeviceState::Disconnected,
         ErrorKind::Timeout => DeviceState::Silent,
         _ => DeviceState::Faulty,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_with_many_formats_is_said_in_a_few_words() {
+        let formats = [b"YUYV", b"UYVY", b"MJPG", b"Y16 "].map(FourCc::new);
+        assert_eq!(offer(&formats), "YUYV, MJPG, 2 that are not read here");
+        assert_eq!(offer(&formats[..1]), "YUYV");
     }
 }

@@ -1,7 +1,7 @@
 //! `cargo xtask dist`: the Debian package for the robot's computer, in `target/dist`, and a trial of what is in it.
 
 mod cross;
-mod package;
+pub mod package;
 mod trial;
 
 use std::path::PathBuf;
@@ -23,6 +23,11 @@ pub enum Arch {
 }
 
 impl Arch {
+    /// What this computer is.
+    pub fn of_this_computer() -> Self {
+        if Self::Arm.is_this_computers() { Self::Arm } else { Self::X86 }
+    }
+
     /// As Rust, Linux and wheels call it.
     pub fn name(self) -> &'static str {
         match self {
@@ -46,10 +51,9 @@ impl Arch {
 
 /// Builds the package for `arch`; without one, for computers like this one.
 pub fn run(arch: Option<Arch>) -> Result<()> {
-    let this = if Arch::Arm.is_this_computers() { Arch::Arm } else { Arch::X86 };
-    let arch = arch.unwrap_or(this);
+    let arch = arch.unwrap_or_else(Arch::of_this_computer);
     let program = if arch.is_this_computers() { build()? } else { cross::build(arch)? };
-    let package = package::make(arch, &program)?;
+    let package = package::make(arch, &program, &paths::target().join("dist"))?;
     trial::run(arch, &package)?;
     println!("\n{}: `apt install ./NAME.deb` on the robot; docs/install.md goes on from there", package.display());
     Ok(())

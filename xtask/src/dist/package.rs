@@ -30,9 +30,9 @@ const SCRIPTS: [&str; 3] = ["postinst", "prerm", "postrm"];
 const LIBRARIES: &str = "usr/lib/embodied-depth";
 const DOCUMENTS: &str = "usr/share/doc/embodied-depth";
 
-/// Packs the program; the package's path.
-pub fn make(arch: Arch, program: &Path) -> Result<PathBuf> {
-    let root = paths::target().join("dist").join(arch.name());
+/// Packs the program into a package in `folder`; the package's path.
+pub fn make(arch: Arch, program: &Path, folder: &Path) -> Result<PathBuf> {
+    let root = folder.join(arch.name());
     if root.exists() {
         fs::remove_dir_all(&root).with_context(|| format!("removing {}", root.display()))?;
     }
@@ -49,7 +49,7 @@ pub fn make(arch: Arch, program: &Path) -> Result<PathBuf> {
     fs::write(root.join(DOCUMENTS).join("third-party.txt"), crates()?)?;
     let glibc = needed_glibc(&installed)?.max(needed_glibc(&library)?);
     control(arch, &root, glibc)?;
-    pack(arch, &root)
+    pack(arch, &root, folder)
 }
 
 fn onnx_runtime(arch: Arch, root: &Path) -> Result<PathBuf> {
@@ -132,9 +132,9 @@ fn control(arch: Arch, root: &Path, (major, minor): (u32, u32)) -> Result<()> {
     command::run(command::program("sh").args(["-c", sums]).current_dir(root))
 }
 
-fn pack(arch: Arch, root: &Path) -> Result<PathBuf> {
+fn pack(arch: Arch, root: &Path, folder: &Path) -> Result<PathBuf> {
     let name = format!("embodied-depth_{}_{}.deb", env!("CARGO_PKG_VERSION"), arch.debian());
-    let package = paths::target().join("dist").join(name);
+    let package = folder.join(name);
     let mut dpkg = command::program("dpkg-deb");
     // The same commit gives the same package.
     if let Ok(time) = output(command::program("git").args(["log", "-1", "--format=%ct"])) {

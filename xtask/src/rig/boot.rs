@@ -26,6 +26,7 @@ pub struct Machine<'a> {
     kernel: Kernel,
     icount: Option<u8>,
     disk_mb: Option<u64>,
+    systemd: bool,
     modules: Vec<&'a str>,
     scenarios: Vec<&'a Scenario>,
 }
@@ -36,13 +37,14 @@ impl<'a> Machine<'a> {
         let mut machines: Vec<Self> = Vec::new();
         for scenario in scenarios {
             let fits = |machine: &Self| {
-                (machine.kernel, machine.icount) == (scenario.kernel, scenario.icount)
+                (machine.kernel, machine.icount, machine.systemd)
+                    == (scenario.kernel, scenario.icount, scenario.systemd)
                     && machine.disk_mb.is_none()
                     && scenario.disk_mb.is_none()
             };
             let index = machines.iter().position(fits).unwrap_or_else(|| {
-                let Scenario { kernel, icount, disk_mb, .. } = *scenario;
-                machines.push(Self { kernel, icount, disk_mb, modules: Vec::new(), scenarios: Vec::new() });
+                let Scenario { kernel, icount, disk_mb, systemd, .. } = *scenario;
+                machines.push(Self { kernel, icount, disk_mb, systemd, modules: Vec::new(), scenarios: Vec::new() });
                 machines.len() - 1
             });
             let machine = &mut machines[index];
@@ -132,8 +134,12 @@ fn prepare(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<PathBuf
         std::fs::File::create(folder.join("disk"))?.set_len(megabytes << 20)?;
     }
     let modules = setup::folder(machine.kernel).join("lib/modules");
-    let environment =
-        format!("MODULES='{}' VIVID='{VIVID}' KERNEL_MODULES='{}'\n", machine.modules.join(" "), modules.display());
+    let environment = format!(
+        "MODULES='{}' VIVID='{VIVID}' KERNEL_MODULES='{}' SYSTEMD='{}'\n",
+        machine.modules.join(" "),
+        modules.display(),
+        if machine.systemd { "yes" } else { "" }
+    );
     std::fs::write(folder.join("environment"), environment)?;
     std::fs::copy(paths::root().join("tests/rig/guest.sh"), folder.join("guest.sh"))?;
     let mut commands = "cd /tmp\n".to_owned();
@@ -228,7 +234,7 @@ fn read(child: &mut Child, report: &mut Report, clock: &Clock, allowed: Duration
     loop {
         match received.recv_timeout(Duration::from_secs(1)) {
             Ok(line) if line.trim_end() == "POWER CUT" => return Ok(End::PowerCut),
-            Ok(line) => report.line(line.trim_end())?,
+            Ok(line) => report.line(line.trim_end_matches('\r'))?,
             Err(RecvTimeoutError::Disconnected) => return Ok(End::Off),
             Err(RecvTimeoutError::Timeout) => {}
         }

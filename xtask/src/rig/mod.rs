@@ -5,10 +5,12 @@ mod scenario;
 mod setup;
 mod table;
 
+use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 
+use crate::dist::{Arch, package};
 use crate::{command, paths};
 use boot::Machine;
 use scenario::Scenario;
@@ -50,16 +52,23 @@ pub fn run(all: bool, filter: Option<&str>) -> Result<()> {
 
 /// Builds what the scenarios run: the names and paths that they see.
 fn build(scenarios: &[Scenario]) -> Result<Vec<(&'static str, String)>> {
+    let uses = |variable| scenarios.iter().any(|scenario| scenario.body.contains(variable));
     let mut programs = vec![("HIL", "hil")];
-    if scenarios.iter().any(|scenario| scenario.body.contains("$FIRMWARE")) {
+    if uses("$FIRMWARE") || uses("$PACKAGE") {
         programs.push(("FIRMWARE", "firmware-host"));
     }
     for (_, package) in &programs {
         command::run(command::cargo().args(["build", "--locked", "--quiet", "--package", package]))?;
     }
     let folder = paths::target().join("debug");
-    let path = |name| folder.join(name).to_str().map(str::to_owned).context("the checkout's path is not UTF-8");
-    programs.into_iter().map(|(variable, name)| Ok((variable, path(name)?))).collect()
+    let mut found: Vec<_> = programs.into_iter().map(|(variable, name)| (variable, folder.join(name))).collect();
+    if uses("$PACKAGE") {
+        let folder = paths::target().join("rig/package");
+        let program = paths::target().join("debug/firmware-host");
+        found.push(("PACKAGE", package::make(Arch::of_this_computer(), &program, &folder)?));
+    }
+    let text = |path: PathBuf| path.to_str().map(str::to_owned).context("the checkout's path is not UTF-8");
+    found.into_iter().map(|(variable, path)| Ok((variable, text(path)?))).collect()
 }
 
 #[cfg(test)]

@@ -13,6 +13,8 @@ pub struct Scenario {
     /// Virtual time, as a power of two of nanoseconds for an instruction.
     pub icount: Option<u8>,
     pub modules: Vec<String>,
+    /// systemd is the guest's first process, and runs the scenario.
+    pub systemd: bool,
     pub seconds: u64,
     pub disk_mb: Option<u64>,
     pub long: bool,
@@ -67,6 +69,7 @@ fn parse(name: &str, body: String) -> Result<Scenario> {
         kernel: Kernel::Std,
         icount: None,
         modules: ["can", "video", "serial"].map(str::to_owned).to_vec(),
+        systemd: false,
         seconds: 60,
         disk_mb: None,
         long: false,
@@ -85,6 +88,7 @@ fn parse(name: &str, body: String) -> Result<Scenario> {
             "modules" => scenario.modules = value.split_whitespace().map(str::to_owned).collect(),
             "seconds" => scenario.seconds = value.parse().with_context(|| format!("`seconds {value}`"))?,
             "disk" => scenario.disk_mb = Some(value.parse().with_context(|| format!("`disk {value}`"))?),
+            "systemd" => scenario.systemd = true,
             "long" => scenario.long = true,
             _ => bail!("`#: {key}` is not known; tests/rig/README.md lists what is"),
         }

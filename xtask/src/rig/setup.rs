@@ -11,8 +11,20 @@ use super::scenario::Kernel;
 use crate::{command, paths};
 
 /// What the host needs. The guest sees the same root, so the tools that run there are among them.
-const PACKAGES: [&str; 9] =
-    ["qemu-system-x86", "busybox-static", "kmod", "cpio", "iproute2", "can-utils", "v4l-utils", "xz-utils", "rt-tests"];
+const PACKAGES: [&str; 12] = [
+    "qemu-system-x86",
+    "busybox-static",
+    "kmod",
+    "cpio",
+    "iproute2",
+    "can-utils",
+    "v4l-utils",
+    "xz-utils",
+    "rt-tests",
+    "systemd",
+    "udev",
+    "procps",
+];
 
 /// Groups of kernel modules; what they depend on comes along.
 const MODULES: [(&str, &[&str]); 4] = [

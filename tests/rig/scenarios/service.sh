@@ -1,0 +1,91 @@
+#: title   the package on a computer whose first process is systemd: it installs, starts, is watched over, and goes
+#: systemd
+#: icount  0
+#: seconds 900
+#: long
+unit=embodied-depth status=/run/embodied-depth/status.json config=/etc/embodied-depth/robot.toml
+state=/var/lib/embodied-depth
+# property NAME: what systemd says of the service.
+property() { systemctl show --value --property "$1" $unit; }
+pid() { property MainPID; }
+# until_restarted TIMES: waits until systemd has started it again so often and it says of itself that it is up.
+until_restarted() {
+    until [ "$(property NRestarts)" -ge "$1" ] && [ "$(property ActiveState)" = active ]; do sleep 0.5; done
+}
+
+dpkg --install "$PACKAGE" >/rig/install.log 2>&1 || cat /rig/install.log
+check 'the package starts nothing' sh -c "! systemctl is-active $unit && ! systemctl is-enabled $unit"
+udevadm settle
+check 'udev names the camera, and gives it to a group' stat -L -c '%n is of %G' /dev/embodied-depth/camera
+check 'udev gives a CAN interface its bit rate' sh -c 'ip -details link show can0 | grep -o "bitrate 500000"'
+scanner=$(echo /dev/serial/by-id/usb-*)
+
+# Frames of the emulated bus leave at the pace of the bit rate: guest.sh says why.
+modprobe sch_tbf
+for interface in can0 can1; do tc qdisc replace dev $interface root tbf rate 500kbit burst 16 limit 640; done
+serial_up
+camera_loop 160 64
+world_up --lidar urg-04lx --protocol vesc --picture 160x64 --fps 15 --camera-at /dev/video1=/dev/embodied-depth/camera \
+    --lidar-at "/dev/ttyS1=$scanner" --motors-at can1=can0
+# The devices of this home, and for the rest what the package says; vivid's camera gives 30 pictures a second.
+sed -e 's/^fps = .*/fps = 30.0/' -e "s,^status_file.*,arm_at_start = false," /tmp/world/robot.toml >$config
+# The default network is for larger pictures than are fast enough here.
+mkdir -p /etc/systemd/system/$unit.service.d
+printf '[Service]\nEnvironment="ARGUMENTS=--policy active"\n' >/etc/systemd/system/$unit.service.d/rig.conf
+systemctl daemon-reload
+
+check 'it takes its devices as the user that it has' sh -c "
+    runuser -u embodied-depth -- firmware-host check --devices --config $config >/rig/check.log 2>&1 && tail -1 /rig/check.log"
+check 'systemd starts it, and hears from it that it is up' sh -c "systemctl start $unit && systemctl is-active $unit"
+check 'it is of its own user, without capabilities, behind a filter of system calls' awk '
+    /^Uid/ { uid = $2 } /^CapEff/ { capabilities = $2 } /^Seccomp:/ { filter = $2 } /^NoNewPrivs/ { stuck = $2 }
+    END {
+        print "uid " uid ", capabilities " capabilities ", filter " filter
+        exit !(uid > 0 && capabilities ~ /^0+$/ && filter == 2 && stuck == 1)
+    }' "/proc/$(pid)/status"
+check 'its safety loop has real-time priority, which needs no capability' sh -c "
+    ps -L -o cls=,rtprio=,comm= -p $(pid) | grep 'FF.* safety'"
+until_value ticks $status 'v > 20'
+check 'anybody may ask how it is, and it is well: not armed' sh -c 'runuser -u nobody -- firmware-host health'
+systemctl kill --signal=SIGUSR1 $unit
+until_value state $status 'v ~ /clear|slow/'
+until grep -Eq '[1-9][0-9.]* m driven|0\.[1-9][0-9]* m driven' /tmp/world.log; do sleep 0.5; done
+check 'armed, it drives' sh -c 'grep -o "[0-9.]* m driven" /tmp/world.log'
+
+old=$(pid)
+kill -STOP "$old"
+until_restarted 1
+check 'one that hangs is killed and started again' sh -c "journalctl -u $unit | grep -o 'Watchdog timeout.*'"
+until_value ticks $status 'v > 5'
+check 'one that was started again does not move until it is armed' sh -c "grep '\"state\": \"disarmed' $status"
+kill -KILL "$(pid)"
+until_restarted 2
+check 'one that was killed is started again' sh -c "echo process $old, now $(pid); [ $(pid) != $old ]"
+until_value ticks $status 'v > 5'
+check 'it ends well when it is told to' sh -c "systemctl stop $unit; systemctl show -p Result $unit | grep Result=success"
+set -- $state/20*
+check 'each start has recorded into a folder of its own' sh -c "ls -d $state/20* | wc -l | grep -x 3; stat -c %U $1 | grep -x $unit"
+check 'the last recording replays' sh -c "firmware-host replay $3 >/tmp/replay 2>&1; grep -o 'replay: .*' /tmp/replay | grep mismatches=0"
+
+# Every restriction of the service, and ONNX Runtime.
+sed -e 's/^Type=.*/Type=oneshot/' -e '/^Restart=\|^WatchdogSec=\|^NotifyAccess=/d' \
+    -e 's,^ExecStart=.*,ExecStart=/usr/bin/firmware-host explore --scene builtin:apartment?seed=1 --frames 3 --no-recording --model /usr/share/embodied-depth/default.onnx --out /var/lib/embodied-depth/trial,' \
+    /lib/systemd/system/$unit.service >/etc/systemd/system/trial.service
+systemctl daemon-reload
+check 'the network runs under all that the service is denied' sh -c "
+    systemctl start trial || journalctl -u trial | tail -2; grep '\"network_frames\"\|\"frames\": 3' $state/trial/summary.json"
+
+sed -i '1i wheels = 5' $config
+systemctl reset-failed
+systemctl start $unit 2>/dev/null
+sleep 5
+check 'a configuration that cannot be is said once, not five times' sh -c "
+    echo restarts: $(property NRestarts), exit $(property ExecMainStatus); [ $(property NRestarts)$(property ExecMainStatus) = 02 ]"
+sed -i 1d $config
+systemctl start $unit
+dpkg --remove $unit >>/rig/install.log 2>&1
+check 'removing the package stops it' sh -c "! systemctl is-active $unit; ! pgrep firmware-host"
+dpkg --purge $unit >>/rig/install.log 2>&1
+check 'purged, it leaves the recordings and nothing else' sh -c "
+    ls -d $state/20* | wc -l | sed 's/\$/ recordings/'; ! ls $config /usr/bin/firmware-host 2>/dev/null"
+journalctl --no-pager >/rig/journal.log
