@@ -234,7 +234,7 @@ fn read(child: &mut Child, report: &mut Report, clock: &Clock, allowed: Duration
     loop {
         match received.recv_timeout(Duration::from_secs(1)) {
             Ok(line) if line.trim_end() == "POWER CUT" => return Ok(End::PowerCut),
-            Ok(line) => report.line(line.trim_end_matches('\r'))?,
+            Ok(line) => report.line(&line)?,
             Err(RecvTimeoutError::Disconnected) => return Ok(End::Off),
             Err(RecvTimeoutError::Timeout) => {}
         }
@@ -261,6 +261,8 @@ impl Report {
     }
 
     fn line(&mut self, line: &str) -> Result<()> {
+        // Not the tab at the end of a check without a figure.
+        let line = line.trim_end_matches('\r');
         std::io::Write::write_all(&mut self.log, format!("{line}\n").as_bytes())?;
         let words: Vec<_> = line.split('\t').collect();
         match words.as_slice() {
@@ -309,6 +311,18 @@ fn last_line(console: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_check_that_fails_without_a_word_has_failed() {
+        let log = std::env::temp_dir().join(format!("rig-report-{}", std::process::id()));
+        let mut report = Report::new(log.clone()).unwrap();
+        for line in ["BEGIN\tservice", "CHECK\tfail\tit starts\t\r", "END\tservice\t0"] {
+            report.line(line).unwrap();
+        }
+        std::fs::remove_file(log).unwrap();
+        let [row] = &report.rows[..] else { panic!("{:?}", report.rows) };
+        assert!(!row.passed && row.promise == "it starts" && row.figure.is_empty());
+    }
 
     #[test]
     fn a_process_is_asked_how_long_it_has_worked() {
