@@ -58,7 +58,8 @@ pub struct CoarseConfig {
     /// Probability that what is remembered is right: weights of a constant, the mean trust of its votes, the logarithm of their
     /// number, the mean trust around it and whether its neighbours agree; see [`surround`](super::surround).
     pub belief_weights: [f32; 5],
-    /// Pixels that are less probably right than this are marked as having no depth.
+    /// Pixels that are less probably right than this are marked as having no depth. At 0.6 a kitchen with white walls, on which
+    /// confidence was not fitted, has 80 % of what is left right; at even odds 78 %.
     pub min_confidence: f32,
     /// Without any reference (turning on the spot), the remembered depth is handed out while it covers this share of the
     /// picture.
@@ -90,7 +91,7 @@ impl Default for CoarseConfig {
             memory: 0.92,
             vote_weights: [-0.99, 5.47, 0.36, 0.28, -0.06],
             belief_weights: [-3.57, 1.3, 0.87, 3.35, 1.99],
-            min_confidence: 0.5,
+            min_confidence: 0.6,
             min_remembered: 0.3,
         }
     }

@@ -77,8 +77,11 @@ fn program(arch: Arch, path: &Path) -> Command {
     if arch.is_this_computers() {
         return command::program(path);
     }
+    let libraries = format!("/usr/{}-linux-gnu", arch.name());
     let mut emulator = command::program(format!("qemu-{}-static", arch.name()));
-    emulator.arg("-L").arg(format!("/usr/{}-linux-gnu", arch.name())).arg(path);
+    // The cross compiler brings a C library, its Rust library another one by multiarch. Loader and library of different builds
+    // hang in the first thread that is started: they disagree where the list of stacks is.
+    emulator.args(["-L", &libraries, "-E", &format!("LD_LIBRARY_PATH={libraries}/lib")]).arg(path);
     emulator
 }
 
