@@ -19,7 +19,6 @@ const LEAD: usize = 2;
 /// Full-size pixels from the first sample to the last, and to the middle.
 const SPAN: usize = (SIDE - 1) * STEP;
 const MIDDLE: f32 = SPAN as f32 / 2.0;
-const FRAMED: usize = SPAN + 3;
 /// A match moves by less than this, pixels: whole pixels and planes are not wrong by more.
 const REACH_PX: f32 = 1.0;
 /// (Sensor noise / expected correction)^2: (2 grey levels / 0.4 px)^2. Where the picture is flat, nothing moves.
@@ -80,18 +79,26 @@ fn fastest<'a>(references: &[Option<Reference<'a>>], u: f32, v: f32, w: f32) -> 
 fn patch(picture: &CensusImage, u: usize, v: usize) -> (Patch, f32, f32) {
     let first = |at: usize, size: usize| at.saturating_sub(LEAD).clamp(1, size - SPAN - 2);
     let (u, v) = (first(u, picture.width), first(v, picture.height));
-    // With a frame of one pixel for the slopes.
-    let mut grey = [[0.0_f32; FRAMED]; FRAMED];
-    for (row, grey) in grey.iter_mut().enumerate() {
-        let line = picture.smooth.get((v - 1 + row) * picture.width + u - 1..).unwrap_or_default();
-        grey.iter_mut().zip(line).for_each(|(grey, smooth)| *grey = f32::from(*smooth) * (1.0 / 256.0));
+    let mut pairs = [[0_u32; SAMPLES]; 4];
+    for row in 0..SIDE {
+        // Every sample and the one to its left; the two to its right; above; below.
+        let line = |offset: usize| {
+            let first = (v - 1 + row * STEP) * picture.width + u - 1 + offset;
+            picture.smooth.get(first..first + SIDE * STEP).unwrap_or(&[0; SIDE * STEP])
+        };
+        let lines = [line(picture.width), line(picture.width + STEP), line(0), line(2 * picture.width)];
+        for (pairs, line) in pairs.iter_mut().zip(lines) {
+            for (pair, two) in pairs[row * SIDE..].iter_mut().zip(line.chunks_exact(STEP)) {
+                *pair = joined(two[0], two[1]);
+            }
+        }
     }
     let mut patch = Patch { value: [0.0; SAMPLES], slope_u: [0.0; SAMPLES], slope_v: [0.0; SAMPLES] };
     for index in 0..SAMPLES {
-        let (row, column) = (index / SIDE * STEP + 1, index % SIDE * STEP + 1);
-        patch.value[index] = grey[row][column];
-        patch.slope_u[index] = 0.5 * (grey[row][column + 1] - grey[row][column - 1]);
-        patch.slope_v[index] = 0.5 * (grey[row + 1][column] - grey[row - 1][column]);
+        let [here, right, above, below] = pairs.each_ref().map(|pairs| pairs[index]);
+        patch.value[index] = second(here);
+        patch.slope_u[index] = 0.5 * (first_of(right) - first_of(here));
+        patch.slope_v[index] = 0.5 * (second(below) - second(above));
     }
     (patch, u as f32 + MIDDLE, v as f32 + MIDDLE)
 }
@@ -120,19 +127,37 @@ fn seen(census: &CensusImage, look: &Look) -> [f32; SAMPLES] {
         (right[index], below[index]) = (x - left as f32, y - top as f32);
         first[index] = (top as u32).wrapping_mul(census.width as u32).wrapping_add(left as u32);
     }
-    let mut corners = [[0.0; SAMPLES]; 4];
+    let (mut uppers, mut lowers) = ([0_u32; SAMPLES], [0_u32; SAMPLES]);
     for (index, first) in first.iter().enumerate() {
-        let pair = |at: usize| census.smooth.get(at..at + 2).map_or([0; 2], |pair| [pair[0], pair[1]]);
-        let (upper, lower) = (pair(*first as usize), pair(*first as usize + census.width));
-        for (corner, value) in corners.iter_mut().zip([upper[0], upper[1], lower[0], lower[1]]) {
-            corner[index] = f32::from(value) * (1.0 / 256.0);
-        }
+        let pair = |at: usize| census.smooth.get(at..at + 2).map_or(0, |pair| joined(pair[0], pair[1]));
+        (uppers[index], lowers[index]) = (pair(*first as usize), pair(*first as usize + census.width));
     }
-    std::array::from_fn(|index| {
-        let [a, b, c, d] = corners.each_ref().map(|corner| corner[index]);
+    let mut seen = [0.0; SAMPLES];
+    for index in 0..SAMPLES {
+        let [a, b] = [first_of(uppers[index]), second(uppers[index])];
+        let [c, d] = [first_of(lowers[index]), second(lowers[index])];
         let (upper, lower) = (a + (b - a) * right[index], c + (d - c) * right[index]);
-        upper + (lower - upper) * below[index]
-    })
+        seen[index] = upper + (lower - upper) * below[index];
+    }
+    seen
+}
+
+/// Two neighbours in one word, so that they are loaded and made into numbers side by side.
+#[inline(always)]
+fn joined(first: u16, second: u16) -> u32 {
+    u32::from(first) | u32::from(second) << 16
+}
+
+/// The first of two neighbours, grey levels.
+#[inline(always)]
+fn first_of(pair: u32) -> f32 {
+    (pair & 0xffff) as i32 as f32 * (1.0 / 256.0)
+}
+
+/// The second.
+#[inline(always)]
+fn second(pair: u32) -> f32 {
+    (pair >> 16) as i32 as f32 * (1.0 / 256.0)
 }
 
 /// What one reference says about a cell.
