@@ -42,9 +42,10 @@ serial_plug() { echo 1 >/sys/bus/usb/devices/1-1/authorized; }
 
 # world_up OPTIONS...: a robot's devices in a simulated home; $WORLD is its process, /tmp/world its folder.
 world_up() {
+    rm -f /tmp/world.log
     "$HIL" world --dir /tmp/world "$@" >/tmp/world.log 2>&1 &
     WORLD=$!
-    until grep -q ready /tmp/world.log; do
+    until grep -qs ready /tmp/world.log; do
         kill -0 $WORLD || { cat /tmp/world.log; exit 1; }
         sleep 0.5
     done
@@ -68,7 +69,7 @@ until_value() {
 # punctuality FIRMWARE SECONDS: how late its safety loop comes while a robot drives, beside cyclictest.
 punctuality() {
     local firmware=$1 seconds=$2 robot turns missed
-    rm -rf /tmp/run
+    rm -rf /tmp/run /rig/status.json
     world_up --lidar urg-04lx --protocol vesc --picture 160x64 --fps 10
     "$firmware" run --config /tmp/world/robot.toml --out /tmp/run --status /rig/status.json >/rig/run.log 2>&1 &
     robot=$!

@@ -272,9 +272,9 @@ impl Report {
                 println!("  {name}, after {:.1} s", self.since.elapsed().as_secs_f64());
                 self.since = Instant::now();
             }
-            ["CHECK", outcome, promise, figure] => {
+            ["CHECK", outcome, promise, figure @ ..] => {
                 self.checks += 1;
-                self.row(promise, figure, *outcome == "pass");
+                self.row(promise, &figure.join(" "), *outcome == "pass");
             }
             ["END", name, status] => {
                 self.ended.push((*name).to_owned());
@@ -313,15 +313,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_check_that_fails_without_a_word_has_failed() {
+    fn a_check_that_fails_has_failed_whatever_it_says() {
         let log = std::env::temp_dir().join(format!("rig-report-{}", std::process::id()));
         let mut report = Report::new(log.clone()).unwrap();
-        for line in ["BEGIN\tservice", "CHECK\tfail\tit starts\t\r", "END\tservice\t0"] {
+        for line in ["BEGIN\tservice", "CHECK\tfail\tit starts\t\r", "CHECK\tfail\tit ends\t1\t2", "END\tservice\t0"] {
             report.line(line).unwrap();
         }
         std::fs::remove_file(log).unwrap();
-        let [row] = &report.rows[..] else { panic!("{:?}", report.rows) };
-        assert!(!row.passed && row.promise == "it starts" && row.figure.is_empty());
+        let [starts, ends] = &report.rows[..] else { panic!("{:?}", report.rows) };
+        assert!(!starts.passed && starts.promise == "it starts" && starts.figure.is_empty());
+        assert!(!ends.passed && ends.figure == "1 2");
     }
 
     #[test]

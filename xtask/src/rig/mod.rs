@@ -97,7 +97,7 @@ mod tests {
         }
         let scenarios = scenario::all().unwrap();
         let mut named = 0;
-        for row in table.lines().filter(|line| line.contains("_")) {
+        for row in table.lines().filter(|line| line.starts_with("| ") && !line.starts_with("| what fails")) {
             let [_, _, _, _, simulated, rig, _] = row.split('|').collect::<Vec<_>>()[..] else { continue };
             for name in simulated.split('`').skip(1).step_by(2) {
                 // `..._is_stopped_*`: a part of the names of several.
