@@ -32,9 +32,9 @@ world_up --lidar urg-04lx --protocol vesc --picture 160x64 --fps 15 --camera-at 
     --lidar-at "/dev/ttyS1=$scanner" --motors-at can1=can0
 # The devices of this home, not armed at the start as in the package; vivid's camera gives 30 pictures a second.
 sed -e 's/^fps = .*/fps = 30.0/' -e "s,^status_file.*,arm_at_start = false," /tmp/world/robot.toml >$config
-# The default network is for larger pictures than are fast enough here.
+# The default network is for larger pictures than are fast enough here; and five starts may take longer than the package's minute.
 mkdir -p /etc/systemd/system/$unit.service.d
-printf '[Service]\nEnvironment="ARGUMENTS=--policy active"\n' >/etc/systemd/system/$unit.service.d/rig.conf
+printf '[Unit]\nStartLimitIntervalSec=600\n[Service]\nEnvironment="ARGUMENTS=--policy active"\n' >/etc/systemd/system/$unit.service.d/rig.conf
 systemctl daemon-reload
 
 check 'it takes its devices as the user that it has' sh -c "
@@ -99,11 +99,11 @@ check 'a configuration that cannot be is said once, and not started again' sh -c
     [ $(property NRestarts)$(property ExecMainStatus) = 02 ] && [ \$(journalctl -u $unit | grep -c 'wheels') = 1 ]"
 sed -i 1d $config
 check 'it starts when that is mended' sh -c "systemctl start $unit && systemctl is-active $unit"
-for kill in 1 2 3 4 5 6; do
-    kill -KILL "$(pid)" 2>/dev/null
-    until [ "$(property ActiveState)" = active ] || [ "$(property Result)" = start-limit-hit ]; do sleep 0.5; done
+until [ "$(property ActiveState)" = failed ]; do
+    systemctl kill --signal=SIGKILL $unit 2>/dev/null
+    sleep 1
 done
-check 'one that dies again and again is left alone' sh -c "systemctl show -p Result $unit | grep start-limit-hit"
+check 'one that dies again and again is left alone' sh -c "journalctl -u $unit | grep -o 'Start request repeated too quickly.*'"
 systemctl reset-failed $unit
 systemctl start $unit
 check 'removing the package stops it' sh -c "
