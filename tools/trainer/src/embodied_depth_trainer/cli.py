@@ -17,6 +17,7 @@ from .errors import TrainerError
 from .export_depth import DEPTH_NETWORKS, DepthExport, export_checkpoint, export_depth
 from .export_flow import FLOW_NETWORKS, FlowExport, export_flow
 from .fleet_command import add_fleet, run_fleet
+from .heap import keep_freed_memory
 from .loop_command import add_loop, run_loop_command
 from .past_frames import GAP
 from .results_command import add_jobs, add_results, run_jobs_command, run_results
@@ -115,9 +116,7 @@ def _add_train(command: argparse.ArgumentParser) -> None:
         help="what the ResNet18 that sees pictures begins with: torchvision's state dict, or `imagenet` to fetch it "
         "[random]",
     )
-    command.add_argument(
-        "--amp", action="store_true", help="bfloat16: where AMX, AVX512-BF16 or a GPU computes with it"
-    )
+    command.add_argument("--amp", action="store_true", help="bfloat16: where AMX or a GPU computes with it")
     command.add_argument("--experiment", type=Path, help="TOML file of these options; what is typed here wins")
     command.add_argument("--tensorboard", action="store_true", help="write OUT/tensorboard")
     command.add_argument("--buffer", type=int, metavar="PICTURES", help="learn from so many at most [all]")
@@ -192,6 +191,7 @@ def with_experiment(arguments: Sequence[str]) -> Sequence[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    keep_freed_memory()
     try:
         options = parser().parse_args(with_experiment(sys.argv[1:] if arguments is None else arguments))
         if options.command == "train":
