@@ -4,9 +4,10 @@ use hal::{CameraModel, Distortion, ImageView, Pose3};
 use rayon::prelude::*;
 
 use super::aggregate::{PathRows, Volume};
+use super::belief::Belief;
 use super::census::CensusImage;
 use super::enlarge::Cells;
-use super::fusion::{Belief, CELLS_AT_ONCE, Memory};
+use super::fusion::{CELLS_AT_ONCE, Memory};
 use super::keyframes::{Keyframes, Wanted};
 use super::motion::PictureMotion;
 use super::moving::MovingThings;

@@ -4,7 +4,7 @@ use multiversion::multiversion;
 use rayon::prelude::*;
 
 use super::DepthEstimate;
-use super::fusion::Belief;
+use super::belief::Belief;
 use super::sweep::CELL;
 
 /// Cells agree when their inverse depths differ by less than this share: one surface, not two.

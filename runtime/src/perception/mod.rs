@@ -1,6 +1,7 @@
 //! From pictures and known ego-motion to depth.
 
 mod aggregate;
+mod belief;
 mod census;
 mod coarse;
 mod config;
@@ -23,9 +24,9 @@ mod test_scene;
 pub mod trust;
 mod winner;
 
+pub use belief::Belief;
 pub use coarse::CoarseDepth;
 pub use config::{CoarseConfig, PerceptionError};
 pub use estimate::{DepthEstimate, NoDepth};
-pub use fusion::Belief;
 pub use network::{DepthNetwork, FlowNetwork, InputKind, NetworkError, NetworkOptions, Provider};
 pub use winner::Vote;

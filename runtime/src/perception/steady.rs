@@ -10,9 +10,9 @@ use hal::{CameraModel, Pose3};
 use nalgebra::{Matrix2, Matrix2x3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
+use super::belief::Belief;
 use super::census::CensusImage;
 use super::flow::FlowField;
-use super::fusion::Belief;
 use crate::snapshot::remembers;
 
 /// Unknowns: the turn, by which factor depth is wrong in the middle of the picture and more towards its right and lower

@@ -6,7 +6,7 @@
 
 use multiversion::multiversion;
 
-use super::fusion::{AGREEMENT, Belief};
+use super::belief::{AGREEMENT, Belief};
 
 /// Cells to each side whose trust counts.
 const REACH: usize = 3;

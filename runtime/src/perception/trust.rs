@@ -3,7 +3,7 @@
 //! Right means a relative error below 25 %, the field's delta1. Both formulas are logistic regressions on sequences with ground
 //! truth; `cargo xtask accuracy --fit` makes their weights. At run time there is no ground truth.
 
-use super::fusion::Belief;
+use super::belief::Belief;
 use super::surround::Surround;
 use super::winner::Vote;
 
