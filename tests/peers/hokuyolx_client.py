@@ -14,7 +14,9 @@ from hokuyolx import HokuyoLX
 
 
 def main() -> None:
-    laser = HokuyoLX(addr=(sys.argv[1], int(sys.argv[2])), convert_time=False)
+    # One byte at a time: it reads until a block's end, and throws away what it has read of the next one beyond that. On a busy
+    # computer this was the first scan.
+    laser = HokuyoLX(addr=(sys.argv[1], int(sys.argv[2])), convert_time=False, buf=1)
     _, once = laser.get_dist()
     _, intensities = laser.get_intens()
     scans = list(itertools.islice(laser.iter_dist(scans=20), 20))
