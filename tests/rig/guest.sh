@@ -83,6 +83,8 @@ punctuality() {
     world_down
     sed -n '/"safety_late"/,/}/p' /tmp/run/summary.json >/tmp/late
 
+    check 'a robot drives meanwhile' \
+        awk -F '[= ]' '/^world:/ { path_m = $3 } END { print path_m " m"; exit !(path_m > 0) }' /tmp/world.log
     check 'the safety loop at 100 Hz leaves out no turn' \
         awk -v missed=$missed -v turns=$turns 'BEGIN { print missed " of " turns; exit !(missed == 0) }'
     check 'the safety loop comes less than 1 ms late' \

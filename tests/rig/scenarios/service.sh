@@ -23,6 +23,10 @@ check 'udev names the camera, and gives it to a group' sh -c "stat -L -c '%n is 
 check 'udev gives a CAN interface its bit rate' sh -c 'ip -details link show can0 | grep -o "bitrate 500000"'
 scanner=$(echo /dev/serial/by-id/usb-*)
 
+check 'it is watched, and started again, as documented' sh -c "
+    echo watched $(property WatchdogUSec), again after $(property RestartUSec), $(property StartLimitBurst) in $(property StartLimitIntervalUSec) |
+        grep -x 'watched 5s, again after 2s, 5 in 1min'"
+
 # Frames of the emulated bus leave at the pace of the bit rate: guest.sh says why.
 modprobe sch_tbf
 for interface in can0 can1; do tc qdisc replace dev $interface root tbf rate 500kbit burst 16 limit 640; done
@@ -87,16 +91,16 @@ sed -e 's/^Type=.*/Type=oneshot/' -e '/^Restart=\|^WatchdogSec=\|^NotifyAccess=/
 systemctl daemon-reload
 check 'the network runs under all that the service is denied' sh -c "
     systemctl start trial || { journalctl -u trial | tail -1; exit 1; }
-    cp $state/trial/summary.json /rig && grep -q '\"depth_source\": \"network\"' /rig/summary.json
+    cp $state/trial/summary.json /rig && grep -q '\"depth_source\": \"network\"' /rig/summary.json || exit 1
     ! grep -A3 no_depth /rig/summary.json && sed -n '/\"network\": {/,/}/s/.*p50/a picture, ms: p50/p' /rig/summary.json | grep p50"
 
-sed -i '1i wheels = 5' $config
+sed -i '1i no_such_key = 5' $config
 systemctl reset-failed
 systemctl start $unit 2>/dev/null
 sleep 10
-check 'a configuration that cannot be is said once, and not started again' sh -c "
-    echo exit $(property ExecMainStatus), $(property NRestarts) restarts, said \$(journalctl -u $unit | grep -c 'wheels') times
-    [ $(property NRestarts)$(property ExecMainStatus) = 02 ] && [ \$(journalctl -u $unit | grep -c 'wheels') = 1 ]"
+check 'an invalid configuration is said once, and not started again' sh -c "
+    echo exit $(property ExecMainStatus), $(property NRestarts) restarts, said \$(journalctl -u $unit | grep -c no_such_key) times
+    [ $(property NRestarts)$(property ExecMainStatus) = 02 ] && [ \$(journalctl -u $unit | grep -c no_such_key) = 1 ]"
 sed -i 1d $config
 check 'it starts when that is mended' sh -c "systemctl start $unit && systemctl is-active $unit"
 until [ "$(property ActiveState)" = failed ]; do

@@ -1,8 +1,7 @@
 #!/usr/bin/env python3
 """The trainer and its textbook: steps of Monodepth2-R18 at 96x320, batch 12, and the loss alone.
 
-Arguments: device, threads, and `trainer` or `textbook`, which has the heap as it comes. The work `shares` is answered
-with the milliseconds of a step's parts instead of seconds.
+Arguments: device and threads. The work `shares` is answered with the milliseconds of a step's parts instead of seconds.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from embodied_depth_trainer.frames import Frames, Intrinsics
-from embodied_depth_trainer.heap import keep_freed_memory
 from embodied_depth_trainer.losses import LossOptions, View, self_supervision
 from embodied_depth_trainer.networks import Monodepth2
 from embodied_depth_trainer.onnx_file import random_picture
@@ -54,12 +52,14 @@ class Bench:
         self.network = Monodepth2().to(device).train()
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=1e-4)
         self.textbook = TextbookLoss(*SIZE, self.float32.projector.k)
+        self.textbook_steps = 0
         self.batch = self.float32.batch(0)
         self.depth_m = to_depth(random_picture(SIZE, 99)[:, :1].repeat(BATCH, 1, 1, 1) ** 4, RANGE_M).to(device)
         self.depth_m.requires_grad_()
 
     def textbook_step(self) -> None:
-        batch = self.float32.batch(self.float32.step)
+        batch = self.float32.batch(self.textbook_steps)
+        self.textbook_steps += 1
         self.optimizer.zero_grad()
         depth_m = to_depth(self.network(batch.seen), RANGE_M)
         loss = self.textbook(depth_m, batch.picture, batch.source_pictures, batch.t_source_target)
@@ -117,8 +117,6 @@ class Bench:
 
 def main() -> None:
     torch.set_num_threads(int(sys.argv[2]))
-    if sys.argv[3] == "trainer":
-        keep_freed_memory()
     bench = Bench(sys.argv[1])
     work: dict[str, Callable[[], object]] = {
         "step": bench.float32.advance,

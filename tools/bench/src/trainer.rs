@@ -21,9 +21,9 @@ pub fn rows() -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     let gpu = Path::new("/dev/nvidia0").exists();
     for device in ["cpu", "cuda"].into_iter().take(if gpu { 2 } else { 1 }) {
-        // Each in a process of its own: how the trainer keeps memory would speed the textbook up as well.
-        let start = |who| PeerProcess::start_trainer("trainer.py", &[device, THREADS, who]);
-        if let (Some(mut trainer), Some(mut textbook)) = (start("trainer")?, start("textbook")?) {
+        // Each in a process of its own: from the trainer's first step on its memory is kept, and the textbook would profit.
+        let start = || PeerProcess::start_trainer("trainer.py", &[device, THREADS]);
+        if let (Some(mut trainer), Some(mut textbook)) = (start()?, start()?) {
             rows.extend(on(device, &mut trainer, &mut textbook)?);
         }
     }

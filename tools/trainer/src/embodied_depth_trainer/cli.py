@@ -17,7 +17,6 @@ from .errors import TrainerError
 from .export_depth import DEPTH_NETWORKS, DepthExport, export_checkpoint, export_depth
 from .export_flow import FLOW_NETWORKS, FlowExport, export_flow
 from .fleet_command import add_fleet, run_fleet
-from .heap import keep_freed_memory
 from .loop_command import add_loop, run_loop_command
 from .past_frames import GAP
 from .results_command import add_jobs, add_results, run_jobs_command, run_results
@@ -191,7 +190,6 @@ def with_experiment(arguments: Sequence[str]) -> Sequence[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    keep_freed_memory()
     try:
         options = parser().parse_args(with_experiment(sys.argv[1:] if arguments is None else arguments))
         if options.command == "train":

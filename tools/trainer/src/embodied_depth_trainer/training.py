@@ -24,6 +24,7 @@ from .checkpoint import Checkpoint
 from .depth_networks import SIZE_STEP, build_network, output_of, takes_coarse
 from .errors import TrainerError
 from .frames import Frames
+from .heap import keep_freed_memory
 from .inputs import second_input
 from .lidar_line import lidar_error
 from .losses import LossOptions, View, self_supervision
@@ -247,6 +248,7 @@ class Trainer:
 
     def advance(self) -> tuple[float, Batch]:
         """One step; its loss. Weights are untouched when that is not finite."""
+        keep_freed_memory()
         batch = self.batches(self.step)
         for group in self.optimizer.param_groups:
             group["lr"] = self.settings.learning_rate_at(self.step)
