@@ -52,8 +52,10 @@ check 'it is of its own user, without capabilities, behind a filter of system ca
 check 'its safety loop has real-time priority, which needs no capability' sh -c "
     ps -L -o cls=,rtprio=,comm= -p $(pid) | grep 'FF.* safety'"
 until_value ticks $status 'v > 20'
+# A device may be late at the moment: all of them are played by one emulated processor.
 check 'anybody may ask how it is; it is well, and not armed' sh -c "
-    runuser -u nobody -- firmware-host health >/tmp/health && grep '\"state\": \"disarmed' $status"
+    for second in \$(seq 30); do runuser -u nobody -- firmware-host health >/rig/health.log && break; sleep 1; done
+    grep '^robot: well' /rig/health.log && grep '\"state\": \"disarmed' $status"
 systemctl kill --signal=SIGUSR1 $unit
 until_value state $status 'v ~ /clear|slow/'
 until [ "$(driven)" ] && [ "$(driven)" != '0.0 m driven' ]; do sleep 0.5; done
