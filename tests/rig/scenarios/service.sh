@@ -16,6 +16,9 @@ until_restarted() {
 # driven: how far the robot went, metres; the world says it every ten seconds.
 driven() { grep -o '[0-9.]* m driven' /tmp/world.log | tail -1; }
 
+# This computer has two cameras; the loop goes through the first.
+mkdir -p /etc/udev/rules.d
+echo 'SUBSYSTEM=="video4linux", KERNEL=="video0", OPTIONS+="link_priority=1"' >/etc/udev/rules.d/61-rig.rules
 check 'the package installs' dpkg --install "$PACKAGE"
 check 'it starts nothing' sh -c "! systemctl is-active $unit && ! systemctl is-enabled $unit"
 udevadm settle
@@ -41,7 +44,8 @@ printf '[Unit]\nStartLimitIntervalSec=600\n[Service]\nEnvironment="ARGUMENTS=--p
 systemctl daemon-reload
 
 check 'it takes its devices as the user that it has' sh -c "
-    runuser -u embodied-depth -- firmware-host check --devices --config $config >/rig/check.log 2>&1 && grep -c ' working ' /rig/check.log"
+    runuser -u embodied-depth -- firmware-host check --devices --config $config >/rig/check.log 2>&1
+    grep -c ' working ' /rig/check.log; [ \$(grep -c ' working ' /rig/check.log) = 3 ]"
 check 'systemd starts it, and hears from it that it is up' sh -c "systemctl start $unit && systemctl is-active $unit"
 check 'it is of its own user, without capabilities, behind a filter of system calls' awk '
     /^Uid/ { uid = $2 } /^CapEff/ { capabilities = $2 } /^Seccomp:/ { filter = $2 } /^NoNewPrivs/ { stuck = $2 }
