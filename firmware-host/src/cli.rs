@@ -36,6 +36,8 @@ pub enum Command {
     Run(RunArgs),
     /// One screen: how the running robot is. Exits with 1 when something is wrong.
     Health(HealthArgs),
+    /// How much later the camera stamps its pictures than it takes them, from a recorded run; what to configure.
+    CameraLatency(CameraLatencyArgs),
     /// Signed models: install, list, verify, go back.
     Model(ModelArgs),
     /// Check a configuration file and print what is in effect; with --devices, check what is connected.
@@ -308,6 +310,13 @@ pub struct CheckArgs {
     /// moves. Exits with 1 unless all are well.
     #[arg(long, requires = "config")]
     pub devices: bool,
+}
+
+/// Arguments of `camera-latency`.
+#[derive(Debug, Args)]
+pub struct CameraLatencyArgs {
+    /// The --out folder of a run, or one .mcap file. A minute in which it turned to and fro is enough.
+    pub run: PathBuf,
 }
 
 /// Arguments of `buffer`.

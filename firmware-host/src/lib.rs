@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 pub mod buffer;
+pub mod camera_latency;
 pub mod check;
 pub mod cli;
 pub mod config;

@@ -7,7 +7,9 @@ use std::process::{Command, ExitCode};
 use clap::Parser;
 use firmware_host::cli::{Cli, Command as Task};
 use firmware_host::config::ConfigError;
-use firmware_host::{buffer, check, explore, failure, health, model, perceive, replay_run, reproduce, run, views};
+use firmware_host::{
+    buffer, camera_latency, check, explore, failure, health, model, perceive, replay_run, reproduce, run, views,
+};
 
 /// The run could not be done.
 const FAILED: u8 = 1;
@@ -32,6 +34,7 @@ fn main() -> ExitCode {
         Task::Run(args) => run::run(&args).map(|()| ExitCode::SUCCESS),
         Task::Health(args) => health::run(&args),
         Task::Check(args) => check::run(&args),
+        Task::CameraLatency(args) => camera_latency::run(&args).map(|()| ExitCode::SUCCESS),
         Task::Buffer(args) => buffer::run(&args),
         Task::Model(args) => model::run(&args),
     };

@@ -253,6 +253,26 @@ fn an_output_folder_that_is_a_file_or_holds_a_recording_is_refused() {
     assert!(std::fs::read(out.join("recording_0000.mcap")).unwrap() == before);
 }
 
+#[test]
+fn a_simulated_camera_is_found_not_to_be_late_and_a_robot_that_stood_is_told_to_turn() {
+    let dir = TempDir::new().unwrap();
+    let latency_of = |policy: &str, frames: &str| {
+        let out = dir.path().join(policy);
+        let out = out.to_str().unwrap();
+        let run = ["--scene", "builtin:house", "--policy", policy, "--frames", frames, "--out", out];
+        assert!(firmware_host(&[&["explore"][..], &run].concat()).status.success());
+        firmware_host(&["camera-latency", out])
+    };
+    let found = latency_of("random", "250");
+    let said = text(&found.stdout);
+    assert!(said.ends_with("It is configured like that.\n"), "{said}{}", text(&found.stderr));
+    let milliseconds = |word: &str| word.parse::<f64>().ok();
+    assert!(said.split(' ').find_map(milliseconds).is_some_and(|found_ms| found_ms < 3.0), "{said}");
+    let refused = latency_of("forward", "20");
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(text(&refused.stderr).contains("record a minute in which it turns to and fro"), "{}", text(&refused.stderr));
+}
+
 /// The same run as `explore`'s, with networks handed over before turns 20 and 40.
 fn explore_with_hand_over(dir: &TempDir, name: &str, more: &[&str]) -> (Output, PathBuf) {
     let models = dir.path().join("models");

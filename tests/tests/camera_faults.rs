@@ -290,6 +290,18 @@ fn the_time_of_a_picture_is_the_middle_of_a_known_exposure() {
     assert_eq!(bench.look().unwrap().unwrap().time_ns, start_ns + 5 * MS);
 }
 
+#[test]
+fn a_camera_that_stamps_late_is_believed_that_much_less() {
+    let mut bench = Bench::new(Device::default(), |config| {
+        (config.exposure_us, config.latency_ms) = (Some(Setting::Manual(10_000)), 30.0);
+    });
+    _ = bench.look();
+    let stamp_ns = bench.now_ns;
+    bench.camera.shoot(stamp_ns, 1);
+    bench.now_ns += INTERVAL;
+    assert_eq!(bench.look().unwrap().unwrap().time_ns, stamp_ns + 5 * MS - 30 * MS);
+}
+
 /// What the driver says of a camera that cannot do what is configured.
 fn refusal(device: Device, configure: impl FnOnce(&mut CameraDeviceConfig)) -> String {
     let mut bench = Bench::new(device, configure);

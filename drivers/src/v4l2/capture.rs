@@ -57,7 +57,7 @@ impl Job {
 /// A picture in the camera's own memory.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Picture<'a> {
-    /// Middle of the exposure, monotonic. Without a configured exposure time: the kernel's stamp.
+    /// Middle of the exposure, monotonic: the kernel's stamp, less what the configured exposure and latency explain.
     pub time_ns: u64,
     /// Counts on over restarts; a gap is pictures that were lost or skipped.
     pub sequence: u32,

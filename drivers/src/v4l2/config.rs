@@ -37,6 +37,9 @@ pub struct CameraDeviceConfig {
     /// A picture older than this when it is looked at is dropped, milliseconds. By default 200: a robot at 0.5 m/s has gone
     /// 10 cm since.
     pub max_age_ms: u32,
+    /// How much later a picture is stamped than the middle of its exposure, beside what a configured exposure time explains,
+    /// milliseconds: readout, the camera's own processing, USB. Taken off every stamp. `firmware-host camera-latency` measures it.
+    pub latency_ms: f64,
 }
 
 /// How pictures come from the camera.
@@ -156,6 +159,7 @@ impl CameraDeviceConfig {
             gain: None,
             white_balance_k: None,
             max_age_ms: 200,
+            latency_ms: 0.0,
         }
     }
 
@@ -201,6 +205,9 @@ impl CameraDeviceConfig {
         if !(10..=10_000).contains(&self.max_age_ms) {
             return wrong("max_age_ms", &self.max_age_ms, "give milliseconds, from 10 to 10000");
         }
+        if !(-100.0..=500.0).contains(&self.latency_ms) || self.latency_ms >= f64::from(self.max_age_ms) {
+            return wrong("latency_ms", &self.latency_ms, "give milliseconds, from -100 to 500 and below max_age_ms");
+        }
         Ok(())
     }
 }
@@ -242,6 +249,11 @@ mod tests {
         assert!(refused(&|config| config.fps = Some(f64::NAN)).contains("fps = NaN"));
         assert!(refused(&|config| config.exposure_us = Some(Setting::Manual(0))).contains("exposure_us = 0"));
         assert!(refused(&|config| config.max_age_ms = 0).contains("max_age_ms = 0"));
+        assert!(refused(&|config| config.latency_ms = f64::NAN).contains("latency_ms = NaN"));
+        assert!(
+            refused(&|config| config.latency_ms = 250.0).contains("below max_age_ms"),
+            "every picture would be too old"
+        );
         let error = toml::from_str::<CameraDeviceConfig>(&TEXT.replace("\"auto\"", "\"much\"")).unwrap_err();
         assert!(error.to_string().contains("\"auto\" or a whole number"), "{error}");
     }

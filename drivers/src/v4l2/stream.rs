@@ -23,7 +23,8 @@ pub struct Stream {
     layout: Layout,
     format: CameraFormat,
     interval_ns: u64,
-    exposure_ns: u64,
+    /// From the middle of the exposure to a stamp at its start, and to one at the picture's end.
+    stamp_ns: [i64; 2],
     buffers: u32,
     last_sequence: Option<u32>,
     position: u32,
@@ -73,16 +74,17 @@ impl Stream {
         if buffers < 2 {
             return Err(failed("allocating two buffers", Errno::NOMEM));
         }
-        let exposure_ns = match config.exposure_us {
-            Some(Setting::Manual(us)) => u64::from(us.unsigned_abs()) * 1000,
+        let half_exposure_ns = match config.exposure_us {
+            Some(Setting::Manual(us)) => i64::from(us) * 500,
             _ => 0,
         };
+        let latency_ns = (config.latency_ms * 1e6) as i64;
         let mut stream = Self {
             node,
             layout,
             format: config.format,
             interval_ns,
-            exposure_ns,
+            stamp_ns: [latency_ns - half_exposure_ns, latency_ns + half_exposure_ns],
             buffers,
             last_sequence: None,
             position: 0,
@@ -140,12 +142,9 @@ impl Stream {
             let step = self.step(filled.sequence);
             drained.lost += u64::from(step - 1);
             self.position = self.position.wrapping_add(step);
-            let half_ns = self.exposure_ns / 2;
-            let time_ns = if filled.stamped_at_start {
-                stamp_ns.saturating_add(half_ns)
-            } else {
-                stamp_ns.saturating_sub(half_ns)
-            };
+            let [at_start_ns, at_end_ns] = self.stamp_ns;
+            let time_ns =
+                stamp_ns.saturating_add_signed(-(if filled.stamped_at_start { at_start_ns } else { at_end_ns }));
             let taken =
                 Taken { index: filled.index, time_ns, position: self.position, bytes_used: filled.bytes_used as usize };
             if filled.damaged || self.view(&taken).is_err() {

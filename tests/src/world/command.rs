@@ -42,6 +42,9 @@ pub struct WorldArgs {
     /// Pictures a second.
     #[arg(long, default_value_t = 15.0)]
     fps: f64,
+    /// How much later than they are taken pictures are stamped, milliseconds.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=500))]
+    late_ms: u64,
     /// Devices that are reached by the kernel's own drivers.
     #[command(flatten)]
     cables: Cables,
@@ -91,6 +94,7 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
             lidar: args.lidar,
             camera: CameraModel::pinhole(args.picture.0, args.picture.1, std::f64::consts::FRAC_PI_2),
             fps: args.fps,
+            late_ms: args.late_ms,
             seed: args.seed,
             cables: args.cables.clone(),
         },

@@ -1,5 +1,6 @@
 //! The robot in its home: wheels in, pose out.
 
+use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use drivers::can::{BaseConfig, Kinematics};
@@ -11,6 +12,8 @@ use crate::motor::MotorNode;
 
 /// Wheels that stop against something and push again touch it once.
 const SAME_TOUCH_NS: u64 = 1_000_000_000;
+/// How long it is known where it was: cameras are late by no more.
+const PAST_NS: u64 = 500_000_000;
 
 /// The robot in its home, shared between its devices.
 #[derive(Clone)]
@@ -32,6 +35,8 @@ struct Inside {
     touched_ns: Option<u64>,
     touches: u64,
     path_m: f64,
+    /// Where it was, and when.
+    past: VecDeque<(u64, Pose2)>,
 }
 
 impl Home {
@@ -54,6 +59,7 @@ impl Home {
             touched_ns: None,
             touches: 0,
             path_m: 0.0,
+            past: VecDeque::new(),
         };
         Ok(Self { world, inside: Arc::new(Mutex::new(inside)) })
     }
@@ -79,7 +85,12 @@ impl Home {
         let _ = inside.base.drive(&command);
         let before = inside.truth.pose();
         inside.clock.sleep_until_ns(time_ns);
-        inside.path_m += before.distance_m(&inside.truth.pose());
+        let pose = inside.truth.pose();
+        inside.path_m += before.distance_m(&pose);
+        inside.past.push_back((time_ns, pose));
+        while inside.past.front().is_some_and(|(then_ns, _)| then_ns + PAST_NS < time_ns) {
+            inside.past.pop_front();
+        }
         let touching = inside.truth.contact();
         if touching {
             let before_ns = inside.touched_ns.replace(time_ns);
@@ -103,6 +114,15 @@ impl Home {
     #[must_use]
     pub fn pose(&self) -> Pose2 {
         self.inside().truth.pose()
+    }
+
+    /// Where it was so long ago, half a second at most.
+    #[must_use]
+    pub fn pose_ago(&self, ago_ns: u64) -> Pose2 {
+        let inside = self.inside();
+        let then_ns = inside.past.back().map_or(0, |(now_ns, _)| now_ns.saturating_sub(ago_ns));
+        let then = inside.past.iter().find(|(time_ns, _)| *time_ns >= then_ns);
+        then.map_or_else(|| inside.truth.pose(), |(_, pose)| *pose)
     }
 
     /// How often it has touched something, and its way in metres.

@@ -39,6 +39,8 @@ pub struct LiveOptions {
     pub camera: CameraModel,
     /// Pictures a second.
     pub fps: f64,
+    /// How much later than they are taken pictures are stamped, milliseconds, 500 at most.
+    pub late_ms: u64,
     /// Seed of the start pose and of the noise.
     pub seed: u64,
     /// Devices that are reached by the kernel's own drivers; the others are made in the folder.
@@ -54,6 +56,7 @@ impl Default for LiveOptions {
             lidar: Model::Utm30lx,
             camera: CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2),
             fps: 15.0,
+            late_ms: 0,
             seed: 1,
             cables: Cables::default(),
         }
@@ -119,6 +122,7 @@ impl LiveWorld {
             home: live.home.clone(),
             model: options.camera,
             t_base_camera,
+            late_ns: options.late_ms * 1_000_000,
             rgb: Vec::new(),
             depth: DepthMap::none(options.camera.width, options.camera.height),
         };

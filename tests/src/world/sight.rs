@@ -37,13 +37,15 @@ pub(super) struct HomePicture {
     pub home: Home,
     pub model: CameraModel,
     pub t_base_camera: Pose3,
+    /// What it shows was so long before its stamp.
+    pub late_ns: u64,
     pub rgb: Vec<u8>,
     pub depth: DepthMap,
 }
 
 impl PictureSource for HomePicture {
     fn picture(&mut self, _time_ns: u64, width: usize, height: usize, yuyv: &mut [u8]) {
-        let at = self.home.pose().to_pose3() * self.t_base_camera;
+        let at = self.home.pose_ago(self.late_ns).to_pose3() * self.t_base_camera;
         let camera = if (width, height) == (self.model.width, self.model.height) {
             self.model
         } else {
