@@ -17,6 +17,7 @@ pub mod model;
 pub mod onnx_runtime;
 pub mod perceive;
 pub mod record;
+pub mod recorded;
 pub mod replay;
 pub mod replay_run;
 pub mod report;

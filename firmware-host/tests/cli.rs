@@ -270,7 +270,11 @@ fn a_simulated_camera_is_found_not_to_be_late_and_a_robot_that_stood_is_told_to_
     assert!(said.split(' ').find_map(milliseconds).is_some_and(|found_ms| found_ms < 3.0), "{said}");
     let refused = latency_of("forward", "20");
     assert_eq!(refused.status.code(), Some(1));
-    assert!(text(&refused.stderr).contains("record a minute in which it turns to and fro"), "{}", text(&refused.stderr));
+    assert!(
+        text(&refused.stderr).contains("record a minute in which it turns to and fro"),
+        "{}",
+        text(&refused.stderr)
+    );
 }
 
 /// The same run as `explore`'s, with networks handed over before turns 20 and 40.

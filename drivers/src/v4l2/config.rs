@@ -169,6 +169,14 @@ impl CameraDeviceConfig {
         self.device.strip_prefix("unix:").map(Path::new)
     }
 
+    /// The least `max_age_ms` with which pictures of this latency are looked at, and not always just too old: one waits for the
+    /// next, or for the next look, 0.1 s at most.
+    #[must_use]
+    pub fn least_max_age_ms(&self) -> u32 {
+        let waits_ms = self.fps.map_or(100.0, |fps| (1000.0 / fps).min(100.0));
+        (self.latency_ms.abs() + waits_ms).ceil() as u32
+    }
+
     /// Refuses what no camera can do.
     ///
     /// # Errors
@@ -205,8 +213,11 @@ impl CameraDeviceConfig {
         if !(10..=10_000).contains(&self.max_age_ms) {
             return wrong("max_age_ms", &self.max_age_ms, "give milliseconds, from 10 to 10000");
         }
-        if !(-100.0..=500.0).contains(&self.latency_ms) || self.latency_ms >= f64::from(self.max_age_ms) {
-            return wrong("latency_ms", &self.latency_ms, "give milliseconds, from -100 to 500 and below max_age_ms");
+        if !(-100.0..=300.0).contains(&self.latency_ms) {
+            return wrong("latency_ms", &self.latency_ms, "give milliseconds, from -100 to 300");
+        }
+        if self.latency_ms != 0.0 && self.max_age_ms < self.least_max_age_ms() {
+            return wrong("latency_ms", &self.latency_ms, "every picture would be too old; raise max_age_ms as well");
         }
         Ok(())
     }
@@ -250,10 +261,8 @@ mod tests {
         assert!(refused(&|config| config.exposure_us = Some(Setting::Manual(0))).contains("exposure_us = 0"));
         assert!(refused(&|config| config.max_age_ms = 0).contains("max_age_ms = 0"));
         assert!(refused(&|config| config.latency_ms = f64::NAN).contains("latency_ms = NaN"));
-        assert!(
-            refused(&|config| config.latency_ms = 250.0).contains("below max_age_ms"),
-            "every picture would be too old"
-        );
+        assert!(refused(&|config| config.latency_ms = 190.0).contains("raise max_age_ms"));
+        assert!(refused(&|config| (config.latency_ms, config.max_age_ms) = (-100.0, 50)).contains("raise max_age_ms"));
         let error = toml::from_str::<CameraDeviceConfig>(&TEXT.replace("\"auto\"", "\"much\"")).unwrap_err();
         assert!(error.to_string().contains("\"auto\" or a whole number"), "{error}");
     }

@@ -8,16 +8,15 @@ mod shift;
 mod turn;
 
 use std::io::Write;
-use std::path::Path;
 
-use anyhow::{Context, Result};
-use runtime::recording::RunHeader;
+use anyhow::{Context, Result, bail};
+use drivers::v4l2::CameraDeviceConfig;
 
 use crate::cli::CameraLatencyArgs;
 use crate::config::Config;
-use crate::replay::{ReplayError, open_segment, segments};
-use shift::{Heading, Shift, Turned, fit};
-use turn::TurnMeter;
+use crate::recorded::Recorded;
+use shift::{Heading, Shift, fit};
+use turn::{TurnMeter, Turned};
 
 /// Pictures that are farther apart have too little in common, seconds.
 const LONGEST_S: f64 = 0.25;
@@ -29,16 +28,26 @@ const ENOUGH: usize = 6000;
 /// # Errors
 /// A recording that cannot be read, or in which the robot turned too little.
 pub fn run(args: &CameraLatencyArgs) -> Result<()> {
-    let (header, heading, turned) = read(&args.run)?;
-    let shift = fit(&heading, &turned)?;
-    let config: Config = serde_json::from_value(header.config)
-        .context("the recording's configuration cannot be read; the program that recorded it can")?;
-    writeln!(std::io::stdout(), "{}", words(&shift, config.devices.camera.latency_ms))?;
+    let recording = Recorded::open(&args.run)?;
+    let header = recording.run();
+    if !header.pictures {
+        bail!("the run was recorded without pictures (recording.pictures = false): they do not show how it turned");
+    }
+    let config: Config = serde_json::from_value(header.config.clone())
+        .context("the recording's configuration cannot be read; record with this version")?;
+    let mut camera = config.devices.camera;
+    if header.scene.is_some() {
+        // The camera of `explore` is no device.
+        camera.latency_ms = 0.0;
+    }
+    let (heading, turned) = read(&recording)?;
+    writeln!(std::io::stdout(), "{}", words(&fit(&heading, &turned)?, &camera))?;
     Ok(())
 }
 
 /// What was found, beside what the recording was made with.
-fn words(shift: &Shift, configured_ms: f64) -> String {
+fn words(shift: &Shift, camera: &CameraDeviceConfig) -> String {
+    let configured_ms = camera.latency_ms;
     let Shift { latency_s, error_s, off_rad, off_without_rad, turns } = shift;
     let (total_ms, error_ms) = (configured_ms + 1000.0 * latency_s, 1000.0 * error_s);
     let found = if total_ms < 0.0 {
@@ -49,7 +58,9 @@ fn words(shift: &Shift, configured_ms: f64) -> String {
     let advice = if (1000.0 * latency_s).abs() <= (2.0 * error_ms).max(1.0) {
         "It is configured like that.".to_owned()
     } else {
-        format!("In the configuration:\n\n[devices.camera]\nlatency_ms = {total_ms:.1}")
+        let least_ms = CameraDeviceConfig { latency_ms: total_ms, ..camera.clone() }.least_max_age_ms();
+        let raised = if camera.max_age_ms < least_ms { format!("\nmax_age_ms = {least_ms}") } else { String::new() };
+        format!("In the configuration:\n\n[devices.camera]\nlatency_ms = {total_ms:.1}{raised}")
     };
     format!(
         "{found}, by {turns} turns between two pictures.\nNine of ten turns are then within {:.1} mrad of what the wheels say, \
@@ -59,40 +70,23 @@ fn words(shift: &Shift, configured_ms: f64) -> String {
     )
 }
 
-/// What wheels and pictures say of a run. A damaged segment is named and read as far as it goes.
-fn read(path: &Path) -> Result<(RunHeader, Heading, Vec<Turned>)> {
-    let (mut run, mut heading, mut turned) = (None, Heading::default(), Vec::new());
-    for path in segments(path)? {
-        let damaged = |error: &dyn std::fmt::Display| {
-            tracing::warn!("{} is damaged and read only as far as it goes: {error}", path.display());
-        };
-        let segment = match open_segment(&path) {
-            Ok(segment) => segment,
-            Err(error) => {
-                damaged(&error);
-                continue;
-            }
-        };
-        let header = run.get_or_insert_with(|| segment.header().run.clone());
-        let (mut meter, mut last_s) = (TurnMeter::new(header.camera, &header.t_base_camera)?, None);
-        for tick in segment.map_while(|tick| tick.inspect_err(|error| damaged(error)).ok()) {
-            heading.push(&tick.wheel);
-            let Some(picture) = tick.frame else { continue };
-            // The wheels of a turn are those of its picture's moment.
-            let to_s = heading.seconds(tick.wheel.time_ns);
-            let seen = meter.turn_rad(&picture.rgb)?;
-            if let Some((yaw_rad, from_s)) = seen.zip(last_s.replace(to_s))
-                && (0.0..=LONGEST_S).contains(&(to_s - from_s))
-            {
-                turned.push(Turned { from_s, to_s, yaw_rad });
-            }
-        }
-        if turned.len() >= ENOUGH {
+/// What wheels and pictures say of a run.
+fn read(recording: &Recorded) -> Result<(Heading, Vec<Turned>)> {
+    let header = recording.run();
+    let mut meter = TurnMeter::new(header.camera, &header.t_base_camera)?;
+    let (mut heading, mut turned) = (Heading::default(), Vec::new());
+    for tick in recording.ticks() {
+        let tick = tick?;
+        heading.push(&tick.wheel);
+        let Some(picture) = tick.frame else { continue };
+        // The wheels of a turn are those of its picture's moment.
+        let seen = meter.turned(heading.seconds(tick.wheel.time_ns), &picture.rgb)?;
+        turned.extend(seen.filter(|seen| seen.to_s > seen.from_s && seen.to_s - seen.from_s <= LONGEST_S));
+        if turned.len() == ENOUGH {
             break;
         }
     }
-    let run = run.ok_or_else(|| ReplayError::NoSegments { dir: path.to_owned() })?;
-    Ok((run, heading, turned))
+    Ok((heading, turned))
 }
 
 #[cfg(test)]
@@ -102,9 +96,20 @@ mod tests {
     const SHIFT: Shift =
         Shift { latency_s: 0.0323, error_s: 0.0004, off_rad: 0.0015, off_without_rad: 0.0074, turns: 244 };
 
+    fn camera(latency_ms: f64) -> CameraDeviceConfig {
+        CameraDeviceConfig { latency_ms, ..CameraDeviceConfig::default() }
+    }
+
+    #[test]
+    fn what_it_advises_is_a_configuration_that_is_taken() {
+        let text = words(&Shift { latency_s: 0.18, ..SHIFT }, &camera(50.0));
+        assert!(text.ends_with("latency_ms = 230.0\nmax_age_ms = 264"), "{text}");
+        CameraDeviceConfig { max_age_ms: 264, ..camera(230.0) }.check().unwrap();
+    }
+
     #[test]
     fn it_says_what_to_write_into_the_configuration_on_top_of_what_is_there() {
-        let text = words(&SHIFT, 5.0);
+        let text = words(&SHIFT, &camera(5.0));
         assert!(
             text.starts_with("Pictures are stamped 37.3 ms (+-0.4 by chance) after they are taken, by 244 turns"),
             "{text}"
@@ -114,7 +119,7 @@ mod tests {
 
     #[test]
     fn what_is_right_already_stays_and_wheels_may_be_the_later_ones() {
-        let text = words(&Shift { latency_s: -0.0005, ..SHIFT }, 0.0);
+        let text = words(&Shift { latency_s: -0.0005, ..SHIFT }, &camera(0.0));
         assert!(text.starts_with("The wheels are 0.5 ms") && text.ends_with("configured like that."), "{text}");
     }
 }

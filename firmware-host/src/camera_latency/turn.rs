@@ -22,7 +22,18 @@ pub(super) struct TurnMeter {
     /// The robot's vertical axis and its direction of driving, in the camera's axes.
     up: Unit<Vector3<f64>>,
     forward: Vector3<f64>,
-    before: Vec<u8>,
+    /// The picture before, and its time, seconds.
+    before: Option<(f64, Vec<u8>)>,
+}
+
+/// What two pictures showed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Turned {
+    /// Their times, seconds.
+    pub from_s: f64,
+    pub to_s: f64,
+    /// To the left positive, radians.
+    pub yaw_rad: f64,
 }
 
 impl TurnMeter {
@@ -34,21 +45,22 @@ impl TurnMeter {
             camera,
             up: to_camera * Vector3::z_axis(),
             forward: to_camera * Vector3::x(),
-            before: Vec::new(),
+            before: None,
         })
     }
 
-    /// How far the robot has turned since the picture before this one, radians, to the left positive. `None` for the first
-    /// picture, for one that is the same, and where flow does not tell.
-    pub fn turn_rad(&mut self, rgb: &[u8]) -> Result<Option<f64>> {
-        let before = std::mem::replace(&mut self.before, rgb.to_vec());
-        if before.is_empty() || before == rgb {
+    /// How far the robot has turned from the picture before this one. `None` for the first picture, where flow does not tell, and
+    /// for a picture that is the same: it shows what was at the time of the one before.
+    pub fn turned(&mut self, to_s: f64, rgb: &[u8]) -> Result<Option<Turned>> {
+        if self.before.as_ref().is_some_and(|(_, before)| before == rgb) {
             return Ok(None);
         }
+        let Some((from_s, before)) = self.before.replace((to_s, rgb.to_vec())) else { return Ok(None) };
         let (width, height) = (self.camera.width, self.camera.height);
         let view = |rgb| ImageView::rgb8(width, height, rgb);
         let flow = self.flow.flow(view(rgb)?, view(&before)?, None)?;
-        Ok(turn_of(&matches(flow, [rgb, &before], &self.camera), &self.camera, &self.up, &self.forward))
+        let yaw_rad = turn_of(&matches(flow, [rgb, &before], &self.camera), &self.camera, &self.up, &self.forward);
+        Ok(yaw_rad.map(|yaw_rad| Turned { from_s, to_s, yaw_rad }))
     }
 }
 
@@ -142,20 +154,43 @@ mod tests {
             let camera = CameraModel::pinhole(320, 96, std::f64::consts::FRAC_PI_2);
             let mount = camera_mount(0.1, 0.3, pitch_rad);
             let mut meter = TurnMeter::new(camera, &mount).unwrap();
-            assert!(meter.turn_rad(&picture(&camera, &mount, 0.4)).unwrap().is_none(), "nothing is before the first picture");
-            let turned = meter.turn_rad(&picture(&camera, &mount, 0.4 + yaw_rad)).unwrap().unwrap();
-            assert!(f64::abs(turned - yaw_rad) < 1e-3, "{turned} instead of {yaw_rad}");
+            let first = meter.turned(1.0, &picture(&camera, &mount, 0.4)).unwrap();
+            prop_assert_eq!(first, None, "nothing is before the first picture");
+            let Turned { from_s, to_s, yaw_rad: found } =
+                meter.turned(1.1, &picture(&camera, &mount, 0.4 + yaw_rad)).unwrap().unwrap();
+            prop_assert_eq!((from_s, to_s), (1.0, 1.1));
+            prop_assert!(f64::abs(found - yaw_rad) < 1e-3, "{} instead of {}", found, yaw_rad);
         }
     }
 
     #[test]
-    fn a_bare_wall_and_the_same_picture_again_say_nothing() {
+    fn the_way_forward_is_no_turn() {
+        let camera = CameraModel::pinhole(320, 96, std::f64::consts::FRAC_PI_2);
+        let mount = camera_mount(0.1, 0.3, 0.0);
+        let mut meter = TurnMeter::new(camera, &mount).unwrap();
+        let far = picture(&camera, &mount, 0.2);
+        // 4 % nearer: what was at u is at 1.04 u from the middle now.
+        let mut near = far.clone();
+        for (at, pixel) in near.chunks_exact_mut(3).enumerate() {
+            let from = |at: usize, middle: f64| ((at as f64 - middle) / 1.04 + middle).round() as usize;
+            let (column, row) = (from(at % 320, camera.cx), from(at / 320, camera.cy));
+            pixel.copy_from_slice(&far[3 * (row * 320 + column)..][..3]);
+        }
+        meter.turned(0.0, &far).unwrap();
+        let turned = meter.turned(0.1, &near).unwrap().unwrap();
+        assert!(turned.yaw_rad.abs() < 1e-3, "{turned:?}");
+    }
+
+    #[test]
+    fn a_bare_wall_says_nothing_and_the_same_picture_again_is_of_the_same_time() {
         let camera = CameraModel::pinhole(320, 96, std::f64::consts::FRAC_PI_2);
         let mount = camera_mount(0.1, 0.3, 0.0);
         let mut meter = TurnMeter::new(camera, &mount).unwrap();
         let (grey, seen) = (vec![128; 3 * 320 * 96], picture(&camera, &mount, 0.0));
-        for rgb in [&grey, &vec![129; 3 * 320 * 96], &grey, &seen, &seen] {
-            assert!(meter.turn_rad(rgb).unwrap().is_none());
+        for (index, rgb) in [&grey, &vec![129; 3 * 320 * 96], &grey, &seen, &seen].into_iter().enumerate() {
+            assert_eq!(meter.turned(index as f64, rgb).unwrap(), None);
         }
+        let turned = meter.turned(5.0, &picture(&camera, &mount, 0.05)).unwrap().unwrap();
+        assert_eq!(turned.from_s, 3.0, "when it was seen first");
     }
 }

@@ -155,8 +155,8 @@ impl Exploration {
         let snapshot = snapshot(self.recorder.as_mut(), &self.robot, now_ns);
         self.stopwatch.start();
         let decision = self.robot.tick(&input, &mut self.stopwatch);
-        // The plan is as old as what it was decided on.
-        safety.plan.write(Some(Plan { twist: decision.command.into(), time_ns: wheel.time_ns }));
+        // The plan is as old as what it was decided on, and never of a time to come.
+        safety.plan.write(Some(Plan { twist: decision.command.into(), time_ns: wheel.time_ns.min(now_ns) }));
         self.stopwatch.since(began, Stage::Total);
         self.line.look(&input, self.robot.mapped_depth());
         tell_line(&self.line, &mut self.line_told_ns, now_ns);

@@ -4,8 +4,10 @@ use std::collections::VecDeque;
 
 use hal::{Pose2, WheelFeedback, wrap_angle};
 
-/// A second at 100 Hz.
-const REMEMBERED: usize = 100;
+/// How long they are remembered: cameras are late by less.
+const REMEMBERED_NS: u64 = 1_000_000_000;
+/// The wheels go on as they do for so long after their newest measurement: they are called silent soon after.
+const AHEAD_NS: u64 = 100_000_000;
 /// No robot of this kind drives so far between two measurements, metres.
 const JUMP_M: f64 = 0.5;
 
@@ -27,10 +29,10 @@ impl WheelHistory {
                 self.past.clear();
             }
         }
-        if self.past.len() == REMEMBERED {
+        self.past.push_back(wheel);
+        while self.past.front().is_some_and(|oldest| wheel.time_ns - oldest.time_ns > REMEMBERED_NS) {
             self.past.pop_front();
         }
-        self.past.push_back(wheel);
     }
 
     /// The newest measurement.
@@ -39,8 +41,8 @@ impl WheelHistory {
         self.past.back()
     }
 
-    /// The wheels at a time, between two measurements in proportion; the nearest measurement outside of what is remembered.
-    /// Contact is the newest, for it is news.
+    /// The wheels at a time: between two measurements in proportion, after the newest as they then turned, before the oldest
+    /// the oldest. Contact is the newest, for it is news.
     #[must_use]
     pub fn at(&self, time_ns: u64) -> Option<WheelFeedback> {
         let newest = *self.past.back()?;
@@ -48,7 +50,15 @@ impl WheelHistory {
         let Some(before) = after.checked_sub(1).and_then(|index| self.past.get(index)) else {
             return self.past.front().map(|oldest| WheelFeedback { contact: newest.contact, ..*oldest });
         };
-        let Some(after) = self.past.get(after) else { return Some(newest) };
+        let Some(after) = self.past.get(after) else {
+            let ahead_ns = (time_ns - newest.time_ns).min(AHEAD_NS);
+            let way = newest.twist.integrate(ahead_ns as f64 * 1e-9);
+            return Some(WheelFeedback {
+                time_ns: newest.time_ns + ahead_ns,
+                odom: newest.odom.compose(&way),
+                ..newest
+            });
+        };
         let share = (time_ns - before.time_ns) as f64 / (after.time_ns - before.time_ns) as f64;
         let mix = |a: f64, b: f64| a + share * (b - a);
         let yaw_rad = before.odom.yaw_rad + share * wrap_angle(after.odom.yaw_rad - before.odom.yaw_rad);
@@ -64,6 +74,7 @@ impl WheelHistory {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use hal::Twist2;
 
     fn at(time_ns: u64, x_m: f64, yaw_rad: f64) -> WheelFeedback {
         WheelFeedback { time_ns, odom: Pose2::new(x_m, 0.0, yaw_rad), ..WheelFeedback::default() }
@@ -80,12 +91,33 @@ mod tests {
     }
 
     #[test]
-    fn outside_of_the_past_the_nearest_measurement_counts() {
+    fn before_the_past_the_oldest_measurement_counts() {
         let mut past = WheelHistory::default();
         assert!(past.at(5).is_none());
         past.push(at(10, 1.0, 0.0));
         past.push(at(20, 1.2, 0.0));
-        assert_eq!((past.at(5).unwrap().time_ns, past.at(50).unwrap().time_ns), (10, 20));
+        assert_eq!(past.at(5).unwrap().time_ns, 10);
+    }
+
+    #[test]
+    fn a_picture_newer_than_the_wheels_is_where_they_have_turned_to_since() {
+        let mut past = WheelHistory::default();
+        let twist = Twist2 { linear_mps: 0.0, angular_radps: 1.0 };
+        past.push(WheelFeedback { twist, ..at(1_000_000_000, 1.0, 0.5) });
+        let soon = past.at(1_020_000_000).unwrap();
+        assert_eq!(soon.time_ns, 1_020_000_000);
+        assert!((soon.odom.yaw_rad - 0.52).abs() < 1e-9, "{:?}", soon.odom);
+        let late = past.at(3_000_000_000).unwrap();
+        assert!((late.odom.yaw_rad - 0.6).abs() < 1e-9, "not for ever: {:?}", late.odom);
+    }
+
+    #[test]
+    fn a_second_is_remembered_however_often_the_wheels_speak() {
+        let mut past = WheelHistory::default();
+        for index in 0..3000 {
+            past.push(at(index * 1_000_000, 0.0, 0.0));
+        }
+        assert_eq!(past.at(0).unwrap().time_ns, 1_999_000_000);
     }
 
     #[test]
