@@ -82,9 +82,9 @@ pub(super) struct Shift {
     pub turns: usize,
 }
 
-/// What is missing.
+/// Why there is no latency to tell.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub(super) enum TooLittle {
+pub(super) enum NoShift {
     #[error(
         "the robot turned between {turns} pairs of pictures only, {LEAST_TURNS} are needed; record a minute in which it turns to and fro, as with `--policy random`"
     )]
@@ -107,27 +107,26 @@ pub(super) enum TooLittle {
 }
 
 /// The latency under which the turns of pictures and wheels agree best.
-pub(super) fn fit(heading: &Heading, turned: &[Turned]) -> Result<Shift, TooLittle> {
+pub(super) fn fit(heading: &Heading, turned: &[Turned]) -> Result<Shift, NoShift> {
     let turns = turned.iter().filter(|turned| turned.yaw_rad.abs() >= LEAST_TURN_RAD).count();
     if turns < LEAST_TURNS {
-        return Err(TooLittle::Turns { turns });
+        return Err(NoShift::Turns { turns });
     }
-    let (latency_s, gain) = best(heading, turned).ok_or(TooLittle::OutOfRange)?;
+    let (latency_s, gain) = best(heading, turned)?;
     if !(GAINS.0..=GAINS.1).contains(&gain) {
-        return Err(TooLittle::Gain { gain });
+        return Err(NoShift::Gain { gain });
     }
-    let without: Option<Vec<(f64, f64)>> = (0..PARTS)
+    let without: Result<Vec<(f64, f64)>, NoShift> = (0..PARTS)
         .map(|part| {
             let (from, to) = (part * turned.len() / PARTS, (part + 1) * turned.len() / PARTS);
             best(heading, &[&turned[..from], &turned[to..]].concat())
         })
         .collect();
-    let without = without.ok_or(TooLittle::OutOfRange)?;
     // The jackknife (Efron and Stein 1981).
-    let square: f64 = without.iter().map(|(other_s, _)| (other_s - latency_s).powi(2)).sum();
+    let square: f64 = without?.iter().map(|(other_s, _)| (other_s - latency_s).powi(2)).sum();
     let error_s = (square * (PARTS - 1) as f64 / PARTS as f64).sqrt();
     if error_s > WORST_ERROR_S {
-        return Err(TooLittle::Change { error_s });
+        return Err(NoShift::Change { error_s });
     }
     let off = |latency_s| {
         let mut off: Vec<f64> =
@@ -138,19 +137,19 @@ pub(super) fn fit(heading: &Heading, turned: &[Turned]) -> Result<Shift, TooLitt
     Ok(Shift { latency_s, error_s, off_rad: off(latency_s), off_without_rad: off(0.0), turns })
 }
 
-/// The best latency of all that are tried, refined, seconds, and how many times as far pictures turn as wheels. `None` when it
-/// is at the end of the range.
-fn best(heading: &Heading, turned: &[Turned]) -> Option<(f64, f64)> {
+/// The best latency of all that are tried, refined, seconds, and how many times as far pictures turn as wheels: lens and track
+/// are not quite as they are said to be, and the camera sits in front of the axle, so that what is near moves more.
+fn best(heading: &Heading, turned: &[Turned]) -> Result<(f64, f64), NoShift> {
     let steps = ((RANGE_S.1 - RANGE_S.0) / STEP_S).round() as usize;
-    let tried = (0..=steps).map(|step| RANGE_S.0 + STEP_S * step as f64);
-    let cost = |latency_s: f64| -> f64 {
-        let squares = turned.iter().map(|turned| (difference(heading, turned, latency_s, 1.0).0 / SCALE_RAD).powi(2));
-        squares.map(|square| square / (1.0 + square)).sum()
-    };
-    let coarse_s = tried.min_by(|a, b| cost(*a).total_cmp(&cost(*b)))?;
-    // Pictures may turn more than wheels: lens and track are not quite as they are said to be, and the camera sits in front of
-    // the axle, so that what is near moves more.
-    let (mut latency_s, mut gain) = (coarse_s, 1.0);
+    let tried = (0..=steps).map(|step| {
+        let latency_s = RANGE_S.0 + STEP_S * step as f64;
+        let gain = median_gain(heading, turned, latency_s);
+        let squares = turned.iter().map(|turned| (difference(heading, turned, latency_s, gain).0 / SCALE_RAD).powi(2));
+        (squares.map(|square| square / (1.0 + square)).sum::<f64>(), latency_s, gain)
+    });
+    // Where any latency explains it as well, none is known.
+    let unknown = NoShift::Change { error_s: RANGE_S.1 - RANGE_S.0 };
+    let (_, mut latency_s, mut gain) = tried.min_by(|a, b| a.0.total_cmp(&b.0)).ok_or(unknown)?;
     for _ in 0..10 {
         let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
         for turned in turned {
@@ -159,11 +158,22 @@ fn best(heading: &Heading, turned: &[Turned]) -> Option<(f64, f64)> {
             normal += slope * slope.transpose() * weight;
             right += slope * off_rad * weight;
         }
-        let step = normal.cholesky()?.solve(&right);
+        let step = normal.cholesky().ok_or(unknown)?.solve(&right);
         latency_s += step.x.clamp(-STEP_S, STEP_S);
         gain += step.y;
     }
-    (latency_s > RANGE_S.0 && latency_s < RANGE_S.1).then_some((latency_s, gain))
+    if latency_s > RANGE_S.0 && latency_s < RANGE_S.1 { Ok((latency_s, gain)) } else { Err(NoShift::OutOfRange) }
+}
+
+/// How many times as far pictures turn as wheels with this latency, in the median.
+fn median_gain(heading: &Heading, turned: &[Turned], latency_s: f64) -> f64 {
+    let gain = |turned| {
+        let (off_rad, slope) = difference(heading, turned, latency_s, 1.0);
+        (slope.y.abs() >= LEAST_TURN_RAD).then(|| 1.0 + off_rad / slope.y)
+    };
+    let mut gains: Vec<f64> = turned.iter().filter_map(gain).collect();
+    gains.sort_by(f64::total_cmp);
+    gains.get(gains.len() / 2).copied().unwrap_or(1.0)
 }
 
 /// By how much pictures turned farther than wheels, and how the wheels' turn answers to latency and gain.
@@ -225,10 +235,10 @@ mod tests {
     fn a_robot_that_hardly_turned_or_only_at_one_speed_is_told_what_to_do() {
         let (heading, turned) = drive(|_| (0.0, 0.0), 0.08, 1.0, 20);
         let error = fit(&heading, &turned).unwrap_err();
-        assert_eq!(error, TooLittle::Turns { turns: 14 });
+        assert_eq!(error, NoShift::Turns { turns: 14 });
         let (heading, turned) = drive(|time_s| (0.5 * time_s, 0.5), 0.08, 1.0, 60);
         let error = fit(&heading, &turned).unwrap_err();
-        assert!(!matches!(error, TooLittle::Turns { .. } | TooLittle::Gain { .. }), "{error}");
+        assert!(matches!(error, NoShift::Change { .. }), "{error}");
     }
 
     #[test]
@@ -236,7 +246,7 @@ mod tests {
         for gain in [-1.0, 0.5, 1.4] {
             let (heading, turned) = drive(swing, 0.08, gain, 60);
             let error = fit(&heading, &turned).unwrap_err();
-            assert!(matches!(error, TooLittle::Gain { gain: found } if (found - gain).abs() < 0.1), "{gain}: {error}");
+            assert!(matches!(error, NoShift::Gain { gain: found } if (found - gain).abs() < 0.01), "{gain}: {error}");
         }
     }
 
