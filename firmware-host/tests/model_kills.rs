@@ -52,7 +52,7 @@ fn an_install_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
     // Clearly better than what drives: the gate takes it however the pictures fall.
     args.extend(["--trusted-keys", &keys, "--normal-priority", "--again"]);
     let old = State { models: vec![resident.clone()], trial_starts: None };
-    let recordings = robot::recordings().to_str().unwrap().to_owned();
+    let recordings = robot.recordings();
     args.extend(["--recordings", &recordings, "--frames", "40"]);
     let began = Instant::now();
     assert!(start(&args).wait().unwrap().success());

@@ -3,7 +3,6 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-use std::sync::OnceLock;
 
 use firmware_host::model::{State, Store};
 use serde_json::Value;
@@ -23,25 +22,6 @@ pub fn run(args: &[&str]) -> Output {
 
 pub fn model_file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/models/{name}.onnx"))
-}
-
-/// What the robot has seen, once for all tests of this process.
-pub fn recordings() -> &'static Path {
-    static RECORDED: OnceLock<TempDir> = OnceLock::new();
-    RECORDED
-        .get_or_init(|| {
-            let dir = TempDir::new().unwrap();
-            let config = dir.path().join("robot.toml");
-            std::fs::write(&config, CONFIG).unwrap();
-            let out = dir.path().join("run");
-            let mut args =
-                vec!["explore", "--scene", "builtin:apartment?seed=1", "--policy", "frontier", "--frames", "1500"];
-            args.extend(["--config", config.to_str().unwrap(), "--out", out.to_str().unwrap()]);
-            let explored = run(&args);
-            assert!(explored.status.success(), "{}", String::from_utf8_lossy(&explored.stderr));
-            dir
-        })
-        .path()
 }
 
 /// A robot's folder with keys, configuration and store.
@@ -117,8 +97,21 @@ impl Robot {
         digest
     }
 
+    /// What the robot has seen in a home; it drives there when this is first asked for.
+    pub fn recordings(&self) -> String {
+        let home = self.text("recordings");
+        if !self.path("recordings").exists() {
+            let mut args = vec!["explore", "--scene", "builtin:apartment?seed=1", "--policy", "frontier"];
+            let config = self.text("robot.toml");
+            args.extend(["--frames", "1500", "--config", &config, "--out", &home]);
+            let explored = run(&args);
+            assert!(explored.status.success(), "{}", String::from_utf8_lossy(&explored.stderr));
+        }
+        home
+    }
+
     pub fn judged_by_recordings(&self, name: &str) -> Value {
-        self.install(&self.signed(name), &["--recordings", recordings().to_str().unwrap(), "--frames", "120"])
+        self.install(&self.signed(name), &["--recordings", &self.recordings(), "--frames", "120"])
     }
 
     /// Drives with the store; the summary.
