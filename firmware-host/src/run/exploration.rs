@@ -7,7 +7,7 @@ use drivers::DeviceStatus;
 use drivers::clock::monotonic_ns;
 use drivers::fault::FaultyCamera;
 use drivers::v4l2::V4l2Camera;
-use hal::{Camera, Frame, ImageView, LaserScan, Pose2, WheelFeedback};
+use hal::{Camera, Frame, ImageView, Pose2, WheelFeedback};
 use runtime::event::{Event, SafetyEvent};
 use runtime::imaging::{FrontEnd, YuvRange};
 use runtime::latency::Percentiles;
@@ -53,7 +53,6 @@ pub struct Exploration {
     recording: RecordingSection,
     frame: Frame,
     picture: Vec<u8>,
-    scan: LaserScan,
     wheels: WheelHistory,
     report: SafetyReport,
     stopwatch: Stopwatch,
@@ -99,7 +98,6 @@ impl Exploration {
             recording: config.recording.clone(),
             frame: Frame::empty(),
             picture: vec![0; 3 * target.width * target.height],
-            scan: LaserScan::empty(config.devices.lidar.model.geometry(config.devices.lidar.upside_down)),
             wheels: WheelHistory::default(),
             report: SafetyReport::default(),
             stopwatch: Stopwatch::default(),
@@ -117,7 +115,7 @@ impl Exploration {
         })
     }
 
-    /// One turn: newest picture, newest scan, wheels of the picture's moment. No decision before the wheels have spoken.
+    /// One turn: newest picture, scan and wheels of its moment. No decision before the wheels have spoken.
     ///
     /// # Errors
     /// A picture that cannot be recorded: a defect.
@@ -127,10 +125,7 @@ impl Exploration {
         while let Ok(wheel) = safety.wheels.pop() {
             self.wheels.push(wheel);
         }
-        let has_scan = safety.scans.update();
-        if has_scan {
-            self.scan.clone_from(safety.scans.output_buffer());
-        }
+        safety.scans.update();
         self.hear(safety);
         let now_ns = monotonic_ns();
         let wheel = match picture_ns {
@@ -144,7 +139,7 @@ impl Exploration {
             tick: self.tick,
             time_ns: now_ns,
             wheel,
-            scan: has_scan.then_some(&self.scan),
+            scan: safety.scans.nearest(wheel.time_ns),
             frame,
             truth: None,
             safety: Some(&self.report),

@@ -9,6 +9,7 @@ mod devices;
 mod exploration;
 mod odometry;
 pub mod safety_thread;
+mod scan_history;
 pub mod status;
 mod supervision;
 

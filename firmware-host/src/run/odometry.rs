@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use hal::{Pose2, WheelFeedback, wrap_angle};
+use hal::{Pose2, Twist2, WheelFeedback, wrap_angle};
 
 /// How long they are remembered: cameras are late by less.
 const REMEMBERED_NS: u64 = 1_000_000_000;
@@ -65,6 +65,10 @@ impl WheelHistory {
         Some(WheelFeedback {
             time_ns,
             odom: Pose2::new(mix(before.odom.x_m, after.odom.x_m), mix(before.odom.y_m, after.odom.y_m), yaw_rad),
+            twist: Twist2 {
+                linear_mps: mix(before.twist.linear_mps, after.twist.linear_mps),
+                angular_radps: mix(before.twist.angular_radps, after.twist.angular_radps),
+            },
             contact: newest.contact,
             ..*before
         })
@@ -74,7 +78,6 @@ impl WheelHistory {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use hal::Twist2;
 
     fn at(time_ns: u64, x_m: f64, yaw_rad: f64) -> WheelFeedback {
         WheelFeedback { time_ns, odom: Pose2::new(x_m, 0.0, yaw_rad), ..WheelFeedback::default() }
@@ -83,10 +86,11 @@ mod tests {
     #[test]
     fn between_two_measurements_the_pose_is_between_them_also_across_half_a_turn() {
         let mut past = WheelHistory::default();
-        past.push(at(10, 1.0, 3.1));
-        past.push(at(20, 1.2, -3.1));
+        past.push(WheelFeedback { twist: Twist2 { linear_mps: 0.1, angular_radps: 0.0 }, ..at(10, 1.0, 3.1) });
+        past.push(WheelFeedback { twist: Twist2 { linear_mps: 0.3, angular_radps: 0.4 }, ..at(20, 1.2, -3.1) });
         let middle = past.at(15).unwrap();
         assert!((middle.odom.x_m - 1.1).abs() < 1e-12);
+        assert!((middle.twist.linear_mps - 0.2).abs() < 1e-12 && (middle.twist.angular_radps - 0.2).abs() < 1e-12);
         assert!((wrap_angle(middle.odom.yaw_rad - std::f64::consts::PI)).abs() < 1e-9, "{:?}", middle.odom);
     }
 

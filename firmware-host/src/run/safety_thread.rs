@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 
 use anyhow::{Context, Result};
 use drivers::{DeviceStatus, MonotonicClock};
-use hal::{Base, Clock, ErrorKind, LaserScan, Lidar, WheelFeedback};
+use hal::{Base, Clock, ErrorKind, Lidar, WheelFeedback};
 use runtime::event::SafetyEvent;
 use runtime::latency::LatencyHistogram;
 use runtime::safety::{Orders, Plan, Request, SafetyLoop, SafetyState};
@@ -18,6 +18,8 @@ use thread_priority::{
     set_thread_priority_and_policy, thread_native_id,
 };
 use triple_buffer::{Input, Output, triple_buffer};
+
+use super::scan_history::{ScanHistory, ScanWriter, scan_history};
 
 /// Half a second of wheels at 100 Hz, and more events than a tick can have.
 const WHEELS: usize = 64;
@@ -75,8 +77,8 @@ pub struct Glance {
 pub struct SafetyThread {
     /// The newest plan goes in here.
     pub plan: Input<Option<Plan>>,
-    /// The newest scan.
-    pub scans: Output<LaserScan>,
+    /// The scanner's recent past.
+    pub scans: ScanHistory,
     /// Every measurement of the wheels.
     pub wheels: rtrb::Consumer<WheelFeedback>,
     /// Everything that happened.
@@ -163,7 +165,7 @@ where
     L: Lidar + Watched,
 {
     let (plan, plans) = triple_buffer(&None);
-    let (scan_input, scans) = triple_buffer(&LaserScan::empty(control.lidar().geometry()));
+    let (scan_writer, scans) = scan_history(control.lidar().geometry());
     let (wheel_producer, wheels) = rtrb::RingBuffer::new(WHEELS);
     let (news_producer, news) = rtrb::RingBuffer::new(NEWS);
     let (glance_input, glance) = triple_buffer(&first_glance(&control));
@@ -171,7 +173,7 @@ where
     let turning = Turning {
         control,
         plans,
-        scans: scan_input,
+        scans: scan_writer,
         wheels: wheel_producer,
         news: news_producer,
         glance: glance_input,
@@ -192,7 +194,7 @@ impl Drop for SafetyThread {
 struct Turning<B, L> {
     control: SafetyLoop<B, L>,
     plans: Output<Option<Plan>>,
-    scans: Input<LaserScan>,
+    scans: ScanWriter,
     wheels: rtrb::Producer<WheelFeedback>,
     news: rtrb::Producer<News>,
     glance: Input<Glance>,
@@ -237,9 +239,7 @@ where
         let turn = self.control.turn(now_ns, &orders);
         let lidar_error = turn.lidar_error;
         if let Some(scan) = turn.scan {
-            // No allocation: the buffer's three scans have their room after their first use.
-            self.scans.input_buffer_mut().clone_from(scan);
-            self.scans.publish();
+            self.scans.push(scan);
         }
         if let Some(wheel) = turn.wheel {
             let _ = self.wheels.push(wheel);

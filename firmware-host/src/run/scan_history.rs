@@ -1,0 +1,153 @@
+//! The scanner's recent past: a picture is taken some milliseconds before it is looked at, and belongs beside the scan of its
+//! moment, not beside the newest.
+//!
+//! Scans go round between the safety thread and exploration, so that nobody waits and nothing is allocated.
+
+use std::collections::VecDeque;
+
+use hal::{LaserScan, ScanGeometry};
+
+/// Scans that are remembered: 0.6 s of a fast scanner (40 Hz), and cameras are late by less.
+const REMEMBERED: usize = 24;
+/// As many may be on their way while exploration is busy.
+const SCANS: usize = 2 * REMEMBERED;
+
+/// Both ends of a round of scans.
+#[must_use]
+pub fn scan_history(geometry: ScanGeometry) -> (ScanWriter, ScanHistory) {
+    let (full, filled) = rtrb::RingBuffer::new(SCANS);
+    let (mut spent, empty) = rtrb::RingBuffer::new(SCANS);
+    for _ in 0..SCANS {
+        let _ = spent.push(LaserScan::empty(geometry));
+    }
+    (ScanWriter { empty, full }, ScanHistory { filled, spent, past: VecDeque::with_capacity(SCANS), told_ns: None })
+}
+
+/// The safety thread's end.
+pub struct ScanWriter {
+    empty: rtrb::Consumer<LaserScan>,
+    full: rtrb::Producer<LaserScan>,
+}
+
+impl ScanWriter {
+    /// Hands a scan on; while nobody fetches them, they are dropped.
+    pub fn push(&mut self, scan: &LaserScan) {
+        if let Ok(mut copy) = self.empty.pop() {
+            copy.clone_from(scan);
+            let _ = self.full.push(copy);
+        }
+    }
+}
+
+/// Exploration's end.
+pub struct ScanHistory {
+    filled: rtrb::Consumer<LaserScan>,
+    spent: rtrb::Producer<LaserScan>,
+    /// Oldest first.
+    past: VecDeque<LaserScan>,
+    told_ns: Option<u64>,
+}
+
+impl ScanHistory {
+    /// Fetches what came since the last call.
+    pub fn update(&mut self) {
+        while let Ok(scan) = self.filled.pop() {
+            self.past.push_back(scan);
+        }
+        while self.past.len() > REMEMBERED {
+            if let Some(scan) = self.past.pop_front() {
+                let _ = self.spent.push(scan);
+            }
+        }
+    }
+
+    /// The scan that was half-way round nearest to this moment. None that is two periods away, and none a second time: that
+    /// would be news of another moment.
+    pub fn nearest(&mut self, time_ns: u64) -> Option<&LaserScan> {
+        let apart_ns = |scan: &LaserScan| (scan.time_ns + scan.geometry.period_ns / 2).abs_diff(time_ns);
+        let scan = self.past.iter().min_by_key(|scan| apart_ns(scan))?;
+        let is_news = self.told_ns.is_none_or(|told_ns| scan.time_ns > told_ns);
+        if !is_news || apart_ns(scan) >= 2 * scan.geometry.period_ns {
+            return None;
+        }
+        self.told_ns = Some(scan.time_ns);
+        Some(scan)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use hal::Range;
+
+    const GEOMETRY: ScanGeometry = ScanGeometry::UTM_30LX;
+    const PERIOD_NS: u64 = GEOMETRY.period_ns;
+
+    /// The scan that begins after so many periods.
+    fn scan(number: u64) -> LaserScan {
+        LaserScan {
+            time_ns: number * PERIOD_NS,
+            geometry: GEOMETRY,
+            ranges: vec![Range::Hit(number as f32); GEOMETRY.beams],
+        }
+    }
+
+    fn with(numbers: std::ops::Range<u64>) -> (ScanWriter, ScanHistory) {
+        let (mut writer, mut history) = scan_history(GEOMETRY);
+        numbers.for_each(|number| writer.push(&scan(number)));
+        history.update();
+        (writer, history)
+    }
+
+    #[test]
+    fn beside_a_picture_lies_the_scan_that_was_half_way_round_when_it_was_taken() {
+        let (_, mut history) = with(0..10);
+        assert_eq!(history.nearest(6 * PERIOD_NS + PERIOD_NS / 2).unwrap(), &scan(6));
+        assert_eq!(history.nearest(8 * PERIOD_NS - 1).unwrap(), &scan(7));
+        assert_eq!(history.nearest(8 * PERIOD_NS + 1).unwrap(), &scan(8));
+    }
+
+    #[test]
+    fn no_scan_is_news_twice_and_none_is_from_before_what_was_told() {
+        let (_, mut history) = with(0..10);
+        assert!(history.nearest(9 * PERIOD_NS).is_some());
+        assert!(history.nearest(9 * PERIOD_NS).is_none());
+        assert!(history.nearest(3 * PERIOD_NS).is_none());
+    }
+
+    #[test]
+    fn a_scan_two_periods_away_is_of_another_moment() {
+        let middle_ns = PERIOD_NS / 2;
+        let (_, mut history) = with(10..11);
+        assert!(history.nearest(12 * PERIOD_NS + middle_ns).is_none());
+        assert!(history.nearest(8 * PERIOD_NS + middle_ns).is_none());
+        assert!(history.nearest(12 * PERIOD_NS + middle_ns - 1).is_some());
+        assert!(scan_history(GEOMETRY).1.nearest(0).is_none());
+    }
+
+    #[test]
+    fn after_exploration_was_busy_for_long_the_scans_of_now_come_again() {
+        let (mut writer, mut history) = with(0..3);
+        (3..1000).for_each(|number| writer.push(&scan(number)));
+        history.update();
+        assert!(history.nearest(1000 * PERIOD_NS).is_none(), "those that were kept are old");
+        (1000..1004).for_each(|number| writer.push(&scan(number)));
+        history.update();
+        assert_eq!(history.nearest(1003 * PERIOD_NS).unwrap(), &scan(1002));
+    }
+
+    #[test]
+    fn handing_scans_on_allocates_nothing() {
+        let (mut writer, mut history) = scan_history(GEOMETRY);
+        let scans: Vec<_> = (0..200).map(scan).collect();
+        let counted = allocation_counter::measure(|| {
+            for scan in &scans {
+                writer.push(scan);
+                if scan.time_ns % (4 * PERIOD_NS) == 0 {
+                    history.update();
+                }
+            }
+        });
+        assert_eq!(counted.count_total, 0);
+    }
+}
