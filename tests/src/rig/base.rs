@@ -24,9 +24,8 @@ pub struct BaseProbe {
     /// The motors' interface.
     #[arg(long, default_value = "can1")]
     motors: String,
-    /// What the controllers speak. Not ODrive's by default: QEMU 7.2's SJA1000 loses its place in the receive buffer at a
-    /// remote frame that asks for 8 bytes, as the request for an ODrive's version is.
-    #[arg(long, value_enum, default_values_t = [Spoken::Vesc, Spoken::Cia402])]
+    /// What the controllers speak.
+    #[arg(long, value_enum, default_values_t = [Spoken::Odrive, Spoken::Vesc, Spoken::Cia402])]
     protocol: Vec<Spoken>,
 }
 

@@ -231,8 +231,9 @@ impl Odrive {
         let node = &self.node;
         let (timeout, enable) = (node.watchdog_timeout_endpoint, node.enable_watchdog_endpoint);
         let frames = match self.step {
+            // Asks for no bytes, as ODrive's own library does (`ODriveCAN::request` of ODriveArduino). The answer has eight.
             Step::Version => {
-                [CanFrame::remote(CanId::Standard((u16::from(node.node) << 5) | command::VERSION), 8), None, None]
+                [CanFrame::remote(CanId::Standard((u16::from(node.node) << 5) | command::VERSION), 0), None, None]
             }
             Step::Timeout => {
                 [Some(self.write(timeout, self.timeout_s().to_le_bytes(), 4)), Some(self.read(timeout)), None]
@@ -375,7 +376,7 @@ mod tests {
     #[test]
     fn the_watchdog_is_written_and_read_back_before_the_motor_is_ready() {
         let mut motor = Odrive::new(NODE);
-        assert_eq!(sent(&mut motor, 0), ["060#R8"]);
+        assert_eq!(sent(&mut motor, 0), ["060#R0"]);
         assert!(hears(&mut motor, 0x060, &[2, 4, 4, 58, 0, 6, 10, 0]));
         assert_eq!(sent(&mut motor, 1), ["064#01C40000CDCCCC3D", "064#00C4000000000000"]);
         hears(&mut motor, 0x065, &[0, 196, 0, 0, 0xcd, 0xcc, 0xcc, 0x3d]);
