@@ -70,7 +70,6 @@ impl WheelHistory {
                 angular_radps: mix(before.twist.angular_radps, after.twist.angular_radps),
             },
             contact: newest.contact,
-            ..*before
         })
     }
 }

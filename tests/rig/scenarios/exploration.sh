@@ -9,7 +9,7 @@ ln -sf /dev/ttyUSB0 /dev/serial/by-id/usb-Hokuyo
 camera_loop 160 64
 can_up
 serial_up
-# The scanner that the emulated port is fast enough for, the motors that the emulated bus can carry.
+# The scanner that the emulated port is fast enough for.
 world_up --lidar urg-04lx --protocol vesc --picture 160x64 --fps 15 --camera-at /dev/video1=/dev/v4l/by-id/rig \
     --lidar-at /dev/ttyS1=/dev/serial/by-id/usb-Hokuyo --motors-at can1=can0
 # vivid's camera gives 30 pictures a second: each of the world's twice.
