@@ -4,12 +4,10 @@
 //! Unsafe code lives only in a module called `sys`, each block with its SAFETY note.
 
 pub mod can;
-pub mod clock;
 pub mod fault;
 pub mod hokuyo;
 pub mod scip;
 pub mod status;
 pub mod v4l2;
 
-pub use clock::MonotonicClock;
 pub use status::{DeviceState, DeviceStatus};

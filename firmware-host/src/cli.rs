@@ -146,7 +146,8 @@ impl RerunArgs {
     pub fn targets(&self, out: &std::path::Path) -> Option<crate::rerun_stream::RerunTargets> {
         let file = self.rerun.then(|| out.join(crate::rerun_stream::RERUN_FILE));
         let viewer = self.rerun_connect.clone();
-        (file.is_some() || viewer.is_some()).then_some(crate::rerun_stream::RerunTargets { file, viewer })
+        (file.is_some() || viewer.is_some())
+            .then_some(crate::rerun_stream::RerunTargets { file, viewer })
     }
 }
 
@@ -454,7 +455,8 @@ fn parse_scale(text: &str) -> Result<f64, String> {
 }
 
 fn parse_start(text: &str) -> Result<[f64; 3], String> {
-    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
+    let numbers: Result<Vec<f64>, _> =
+        text.split(',').map(|part| part.trim().parse::<f64>()).collect();
     match numbers.as_deref() {
         Ok([x, y, yaw]) if [x, y, yaw].iter().all(|value| value.is_finite()) => Ok([*x, *y, *yaw]),
         _ => Err(format!("`{text}` is not three numbers such as 1.5,-2,90")),
@@ -473,18 +475,25 @@ mod tests {
 
     #[test]
     fn a_number_below_zero_is_refused_by_its_own_name_and_not_taken_for_an_option() {
-        for line in ["explore --scene s --out o --frames -1", "explore --scene s --out o --scene-scale -2"] {
-            let error =
-                Cli::try_parse_from(["firmware-host"].into_iter().chain(line.split(' '))).unwrap_err().to_string();
+        for line in
+            ["explore --scene s --out o --frames -1", "explore --scene s --out o --scene-scale -2"]
+        {
+            let error = Cli::try_parse_from(["firmware-host"].into_iter().chain(line.split(' ')))
+                .unwrap_err()
+                .to_string();
             assert!(error.contains("invalid value '-"), "{error}");
         }
-        assert!(parse_scale("nan").is_err() && parse_scale("0").is_err() && parse_scale("inf").is_err());
+        assert!(
+            parse_scale("nan").is_err() && parse_scale("0").is_err() && parse_scale("inf").is_err()
+        );
         assert_eq!(parse_scale("0.01"), Ok(0.01));
     }
 
     #[test]
     fn perceive_names_both_kinds_of_pictures_when_neither_is_given() {
-        let error = Cli::try_parse_from(["firmware-host", "perceive", "--out", "o"]).unwrap_err().to_string();
+        let error = Cli::try_parse_from(["firmware-host", "perceive", "--out", "o"])
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("--dataset") && error.contains("--recording"), "{error}");
     }
 

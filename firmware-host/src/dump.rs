@@ -86,10 +86,14 @@ impl Dump {
     pub fn add(&mut self, shot: &Shot<'_>, coarse: Option<&DepthEstimate>) -> Result<()> {
         let name = format!("{:06}", self.index.frames.len());
         let (rows, columns) = (self.index.height, self.index.width);
-        let write =
-            |suffix: &str, bytes: Vec<u8>| write_atomically(&self.dir.join(format!("{name}{suffix}.npy")), &bytes);
+        let write = |suffix: &str, bytes: Vec<u8>| {
+            write_atomically(&self.dir.join(format!("{name}{suffix}.npy")), &bytes)
+        };
         if let Some(coarse) = coarse {
-            let confidence = coarse.confidence.iter().map(|value| (value.clamp(0.0, 1.0) * 65_535.0).round() as u16);
+            let confidence = coarse
+                .confidence
+                .iter()
+                .map(|value| (value.clamp(0.0, 1.0) * 65_535.0).round() as u16);
             write("", npy_u16(&[2, rows, columns], millimetres(&coarse.depth).chain(confidence)))?;
         }
         if let Some(truth) = shot.truth {
@@ -159,7 +163,8 @@ mod tests {
         assert_eq!((10 + text) % 64, 0);
         let header = std::str::from_utf8(&bytes[10..10 + text]).unwrap();
         assert!(
-            header.starts_with("{'descr': '<u2', 'fortran_order': False, 'shape': (1,2,), }") && header.ends_with('\n')
+            header.starts_with("{'descr': '<u2', 'fortran_order': False, 'shape': (1,2,), }")
+                && header.ends_with('\n')
         );
         assert_eq!(bytes[10 + text..], [1, 0, 3, 2]);
     }
@@ -184,7 +189,8 @@ mod tests {
         dump.add(&shot, Some(&coarse)).unwrap();
         assert!(!dir.path().join(INDEX).exists());
         dump.write_index().unwrap();
-        let index: serde_json::Value = serde_json::from_slice(&std::fs::read(dir.path().join(INDEX)).unwrap()).unwrap();
+        let index: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(dir.path().join(INDEX)).unwrap()).unwrap();
         assert_eq!(index["frames"][0]["coarse"], false);
         assert_eq!(index["frames"][1]["t_world_camera"][3], 1.0);
         let planes = std::fs::read(dir.path().join("000001.npy")).unwrap();

@@ -72,7 +72,12 @@ impl Evaluation {
     ///
     /// # Errors
     /// When ground truth has another size than the depth.
-    pub fn frame(&mut self, truth: &Truth<'_>, robot: &Robot, decision: &Decision) -> Result<(), SizeMismatch> {
+    pub fn frame(
+        &mut self,
+        truth: &Truth<'_>,
+        robot: &Robot,
+        decision: &Decision,
+    ) -> Result<(), SizeMismatch> {
         if let Some(depth) = truth.depth.filter(|_| decision.tick.is_multiple_of(ACCURACY_EVERY)) {
             self.coarse.add(robot.coarse_depth(), depth)?;
             self.constant.add(depth);
@@ -102,7 +107,9 @@ impl Evaluation {
         for event in &decision.events {
             self.events.add(event);
             match event {
-                Event::GoalChosen { x_m, y_m, .. } => self.goals_m.push(t_world_odom.transform(*x_m, *y_m).into()),
+                Event::GoalChosen { x_m, y_m, .. } => {
+                    self.goals_m.push(t_world_odom.transform(*x_m, *y_m).into())
+                }
                 Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } => {
                     self.trips_m.push(t_world_base.transform(*x_m, *y_m).into());
                 }

@@ -30,20 +30,28 @@ use session::Session;
 /// reason `output_failed`.
 pub fn run(args: &ExploreArgs) -> Result<()> {
     let config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
-    let mut stored =
-        args.model_store.as_deref().map(|dir| Keeper::start(dir, args.model.as_deref(), &config)).transpose()?;
+    let mut stored = args
+        .model_store
+        .as_deref()
+        .map(|dir| Keeper::start(dir, args.model.as_deref(), &config))
+        .transpose()?;
     let network = match &mut stored {
         Some((_, start)) => start.network.take(),
-        None => {
-            args.model.as_deref().map(|path| setup::load_network(path, &config.camera.model(), &config)).transpose()?
-        }
+        None => args
+            .model
+            .as_deref()
+            .map(|path| setup::load_network(path, &config.camera.model(), &config))
+            .transpose()?,
     };
     let depth_source = setup::depth_source(args.depth.map(Into::into), network.is_some())?;
     let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };
     let model = network.as_ref().map(|network| network.digest().to_owned());
     let world = World::open(&args.scene, &setup::open_options(&args.scene_file, &config))?;
     let start = args.start.map(|[x_m, y_m, yaw_deg]| Pose2::new(x_m, y_m, yaw_deg.to_radians()));
-    let simulated = SimulatedRobot::new(std::sync::Arc::new(world), setup::simulated_robot(&config, args.seed, start))?;
+    let simulated = SimulatedRobot::new(
+        std::sync::Arc::new(world),
+        setup::simulated_robot(&config, args.seed, start),
+    )?;
     let robot = Robot::new(config.robot(&mission), network)?;
     prepare_dir(&args.out)?;
     // Also without a recording: the summary of another run would be written over.
@@ -53,7 +61,8 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let (texts, fault_seed) = (plan.texts(), plan.seed());
     let clock = simulated.devices().clock;
     let faults = plan.at(std::sync::Arc::new(move || clock.now_ns()));
-    let recorder = if args.no_recording { None } else { Some(recorder(args, &config, header, &faults)?) };
+    let recorder =
+        if args.no_recording { None } else { Some(recorder(args, &config, header, &faults)?) };
     let summary = Summary {
         seed: Some(args.seed),
         policy: Some(mission.policy.name().to_owned()),
@@ -65,7 +74,8 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         ..Summary::default()
     };
-    let dump = args.dump.as_deref().map(|dir| Dump::create(dir, &config.camera.model())).transpose()?;
+    let dump =
+        args.dump.as_deref().map(|dir| Dump::create(dir, &config.camera.model())).transpose()?;
     let hand_over = HandOver::new(&args.hand_over, &config)?;
     let mut session = Session::new(args, &config, &simulated, &faults, robot, recorder);
     session.dump = dump;
@@ -74,10 +84,16 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     #[cfg(feature = "rerun")]
     if let Some(targets) = args.rerun.targets(&args.out) {
         let camera = config.camera.model();
-        session.show_in(crate::rerun_stream::RerunStream::start(&targets, &camera, &config.camera.mount())?);
+        session.show_in(crate::rerun_stream::RerunStream::start(
+            &targets,
+            &camera,
+            &config.camera.mount(),
+        )?);
     }
     let end = session.explore()?;
-    session.report(end, summary).with_context(|| format!("cannot report into {}", args.out.display()))
+    session
+        .report(end, summary)
+        .with_context(|| format!("cannot report into {}", args.out.display()))
 }
 
 fn header(
@@ -95,7 +111,12 @@ fn header(
     })
 }
 
-fn recorder(args: &ExploreArgs, config: &Config, header: RunHeader, faults: &Faults) -> Result<Recorder> {
+fn recorder(
+    args: &ExploreArgs,
+    config: &Config,
+    header: RunHeader,
+    faults: &Faults,
+) -> Result<Recorder> {
     let options = RecorderOptions {
         segment_ns: (config.recording.segment_s * 1e9) as u64,
         segment_bytes: config.recording.segment_mib << 20,

@@ -24,9 +24,14 @@ mod tests {
 
     #[test]
     fn a_cause_that_was_told_is_not_told_again() {
-        let error = anyhow!("disk full").context("cannot write a.png: disk full; make room").context("no report");
+        let error = anyhow!("disk full")
+            .context("cannot write a.png: disk full; make room")
+            .context("no report");
         assert_eq!(sentence(&error), "no report: cannot write a.png: disk full; make room");
-        assert_eq!(sentence(&anyhow!("disk full").context("cannot write")), "cannot write: disk full");
+        assert_eq!(
+            sentence(&anyhow!("disk full").context("cannot write")),
+            "cannot write: disk full"
+        );
         assert_eq!(sentence(&anyhow!("line 1\n  ^\n")), "line 1\n  ^");
     }
 }

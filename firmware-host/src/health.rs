@@ -5,8 +5,8 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use comfy_table::{ContentArrangement, Table, presets::NOTHING};
-use drivers::MonotonicClock;
 use hal::Clock;
+use monotonic_clock::MonotonicClock;
 use runtime::line_monitor::LineAccuracy;
 
 use crate::cli::HealthArgs;
@@ -52,7 +52,8 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
     let mut out = String::new();
     let worries = status.worries(now_unix_s);
     let verdict = if worries.is_empty() { "well" } else { "NOT WELL" };
-    let _ = writeln!(out, "robot: {verdict}   (pid {}, up {})\n", status.pid, span(status.uptime_s));
+    let _ =
+        writeln!(out, "robot: {verdict}   (pid {}, up {})\n", status.pid, span(status.uptime_s));
     for worry in &worries {
         let _ = writeln!(out, "  ! {worry}");
     }
@@ -65,8 +66,13 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
         || "never stopped".to_owned(),
         |stop| format!("last stop {} ago: {}", span(now_unix_s - stop.unix_s), stop.why),
     );
-    let _ =
-        writeln!(out, "safety       {} for {}; {last}; {} obstacles", safety.state, span(safety.for_s), safety.stops);
+    let _ = writeln!(
+        out,
+        "safety       {} for {}; {last}; {} obstacles",
+        safety.state,
+        span(safety.for_s),
+        safety.stops
+    );
     let priority = if safety.realtime { "real-time priority" } else { "no real-time priority" };
     let _ = writeln!(
         out,
@@ -125,7 +131,8 @@ fn depth_words(all: &LineAccuracy, by_distance: &[LineAccuracy]) -> String {
     let mut separator = "; right ";
     for bin in by_distance {
         let to = bin.to_m.map_or("on".to_owned(), |to_m| format!("to {to_m:.0} m"));
-        let _ = write!(words, "{separator}from {:.0} {to} {:.0} %", bin.from_m, percent(bin.delta1));
+        let _ =
+            write!(words, "{separator}from {:.0} {to} {:.0} %", bin.from_m, percent(bin.delta1));
         separator = ", ";
     }
     words
@@ -197,11 +204,17 @@ mod tests {
     #[test]
     fn the_screen_says_well_or_what_is_wrong() {
         let text = screen(&working(), 100.5);
-        assert!(text.starts_with("robot: well") && text.contains("40.0 Hz") && text.contains("12 ms"), "{text}");
+        assert!(
+            text.starts_with("robot: well") && text.contains("40.0 Hz") && text.contains("12 ms"),
+            "{text}"
+        );
         assert!(text.contains("last stop 1 min ago: tripped"), "{text}");
         let mut broken = working();
         broken.lidar.state = "silent".to_owned();
         let text = screen(&broken, 100.5);
-        assert!(text.starts_with("robot: NOT WELL") && text.contains("! LiDAR is silent"), "{text}");
+        assert!(
+            text.starts_with("robot: NOT WELL") && text.contains("! LiDAR is silent"),
+            "{text}"
+        );
     }
 }

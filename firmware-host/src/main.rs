@@ -8,7 +8,8 @@ use clap::Parser;
 use firmware_host::cli::{Cli, Command as Task};
 use firmware_host::config::ConfigError;
 use firmware_host::{
-    buffer, camera_latency, check, explore, failure, health, model, perceive, replay_run, reproduce, run, views,
+    buffer, camera_latency, check, explore, failure, health, model, perceive, replay_run,
+    reproduce, run, views,
 };
 
 /// The run could not be done.
@@ -20,7 +21,9 @@ fn main() -> ExitCode {
     keep_onnx_runtime_silent();
     let cli = Cli::parse();
     tracing_subscriber::fmt()
-        .with_env_filter(tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn".into()))
+        .with_env_filter(
+            tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn".into()),
+        )
         .with_writer(std::io::stderr)
         // A journal shows colours as noise.
         .with_ansi(std::io::stderr().is_terminal())
@@ -35,7 +38,7 @@ fn main() -> ExitCode {
         Task::Health(args) => health::run(&args),
         Task::Check(args) => check::run(&args),
         Task::CameraLatency(args) => camera_latency::run(&args).map(|()| ExitCode::SUCCESS),
-        Task::Buffer(args) => buffer::run(&args),
+        Task::Buffer(args) => segment_store::run(&args),
         Task::Model(args) => model::run(&args),
     };
     result.unwrap_or_else(|error| {

@@ -32,7 +32,9 @@ pub fn init() -> Result<(Environment, PathBuf), OnnxRuntimeMissing> {
         return Ok(loaded.clone());
     }
     let mut tried = Vec::new();
-    for library in candidates(std::env::var_os("ORT_DYLIB_PATH"), std::env::current_exe().ok().as_deref()) {
+    for library in
+        candidates(std::env::var_os("ORT_DYLIB_PATH"), std::env::current_exe().ok().as_deref())
+    {
         match load(&library) {
             Ok(environment) => return Ok(loaded.insert((environment, library)).clone()),
             Err(reason) => tried.push(format!("{}: {reason}", library.display())),
@@ -44,7 +46,11 @@ pub fn init() -> Result<(Environment, PathBuf), OnnxRuntimeMissing> {
 /// `ort` panics when it has to load the library by itself and cannot; loaded by path, it says what is wrong.
 fn load(library: &Path) -> Result<Environment, String> {
     let builder = ort::init_from(library).map_err(|error| error.to_string())?;
-    builder.with_name("embodied-depth").with_telemetry(false).build().map_err(|error| error.to_string())
+    builder
+        .with_name("embodied-depth")
+        .with_telemetry(false)
+        .build()
+        .map_err(|error| error.to_string())
 }
 
 /// Files and names to try, in order.
@@ -53,7 +59,8 @@ fn candidates(variable: Option<OsString>, program: Option<&Path>) -> Vec<PathBuf
         return vec![path.into()];
     }
     // target/release/firmware-host and target/debug/deps/some-test both find target/onnxruntime.
-    let folders = program.into_iter().flat_map(|program| program.ancestors().skip(1).take(3).enumerate());
+    let folders =
+        program.into_iter().flat_map(|program| program.ancestors().skip(1).take(3).enumerate());
     let mut found: Vec<PathBuf> = folders
         .flat_map(|(level, folder)| {
             let beside = if level == 0 { libraries_in(folder) } else { Vec::new() };
@@ -67,7 +74,8 @@ fn candidates(variable: Option<OsString>, program: Option<&Path>) -> Vec<PathBuf
 /// `libonnxruntime.so` with or without a version, newest name first.
 fn libraries_in(folder: &Path) -> Vec<PathBuf> {
     let is_library = |path: &PathBuf| {
-        let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let name =
+            path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         name == "libonnxruntime.so" || name.starts_with("libonnxruntime.so.")
     };
     let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
@@ -123,9 +131,17 @@ mod tests {
 
     #[test]
     fn the_error_names_the_places_and_the_ways_out() {
-        let text =
-            OnnxRuntimeMissing { tried: vec!["/a: no such file".to_owned(), "/b: too old".to_owned()] }.to_string();
-        for word in ["cargo xtask setup", "ORT_DYLIB_PATH", "--depth coarse", "/a: no such file", "/b: too old"] {
+        let text = OnnxRuntimeMissing {
+            tried: vec!["/a: no such file".to_owned(), "/b: too old".to_owned()],
+        }
+        .to_string();
+        for word in [
+            "cargo xtask setup",
+            "ORT_DYLIB_PATH",
+            "--depth coarse",
+            "/a: no such file",
+            "/b: too old",
+        ] {
             assert!(text.contains(word), "{text}");
         }
     }

@@ -35,7 +35,8 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     let source = Source::open(args)?;
     let config = source.config();
     let camera = *source.camera();
-    let network = args.model.as_deref().map(|path| setup::load_network(path, &camera, config)).transpose()?;
+    let network =
+        args.model.as_deref().map(|path| setup::load_network(path, &camera, config)).transpose()?;
     if segments(&args.out).is_ok_and(|segments| args.out.is_dir() && !segments.is_empty()) {
         bail!(
             "{} holds a recorded run, and its summary would be written over; choose another --out",
@@ -65,7 +66,8 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     for sample in source.samples() {
         let sample = sample?;
         if let Some(last) = last {
-            looker.path_m += (sample.t_world_camera.translation.vector - last.translation.vector).norm();
+            looker.path_m +=
+                (sample.t_world_camera.translation.vector - last.translation.vector).norm();
         }
         last = Some(sample.t_world_camera);
         let coarse = looker.look(frames, &sample)?;
@@ -162,13 +164,17 @@ impl Looker {
             if let Some(refined) = refined {
                 self.network_accuracy.add(Some(refined), truth)?;
                 match coarse {
-                    Some(coarse) => self.refined_accuracy.add_where(refined, &coarse.depth, truth)?,
+                    Some(coarse) => {
+                        self.refined_accuracy.add_where(refined, &coarse.depth, truth)?
+                    }
                     None => self.refined_accuracy.add(None, truth)?,
                 }
             }
         }
         let depths = usize::from(coarse.is_some()) + usize::from(refined.is_some());
-        self.sheet.offer(index, depths, || SheetRow::capture(index, &frame, coarse, refined, sample.truth.as_ref()));
+        self.sheet.offer(index, depths, || {
+            SheetRow::capture(index, &frame, coarse, refined, sample.truth.as_ref())
+        });
         Ok(coarse)
     }
 

@@ -31,7 +31,9 @@ impl Recorded {
         });
         match run {
             Some(run) => Ok(Self { segments, run }),
-            None => Err(first_error.unwrap_or_else(|| ReplayError::NoSegments { dir: path.to_owned() }).into()),
+            None => Err(first_error
+                .unwrap_or_else(|| ReplayError::NoSegments { dir: path.to_owned() })
+                .into()),
         }
     }
 
@@ -47,9 +49,15 @@ impl Recorded {
         self.segments.iter().flat_map(|path| self.segment(path))
     }
 
-    fn segment<'a>(&'a self, path: &'a Path) -> Box<dyn Iterator<Item = Result<RecordedTick>> + 'a> {
+    fn segment<'a>(
+        &'a self,
+        path: &'a Path,
+    ) -> Box<dyn Iterator<Item = Result<RecordedTick>> + 'a> {
         let damaged = move |error: &dyn std::fmt::Display| {
-            tracing::warn!("{} is damaged and read only as far as it goes: {error}", path.display());
+            tracing::warn!(
+                "{} is damaged and read only as far as it goes: {error}",
+                path.display()
+            );
         };
         let reader = match open_segment(path) {
             Ok(reader) => reader,
@@ -70,7 +78,12 @@ impl Recorded {
         let (width, height) = (self.run.camera.width, self.run.camera.height);
         match &tick.frame {
             Some(frame) if (frame.width, frame.height) != (width, height) => {
-                bail!("turn {}: a {}x{} picture from a {width}x{height} camera", tick.tick, frame.width, frame.height)
+                bail!(
+                    "turn {}: a {}x{} picture from a {width}x{height} camera",
+                    tick.tick,
+                    frame.width,
+                    frame.height
+                )
             }
             _ => Ok(()),
         }

@@ -36,7 +36,9 @@ struct Stored {
 impl Stored {
     fn open(args: &RunModels, header: &RunHeader, config: &Config) -> Result<Self> {
         let dir = args.model_store.as_deref();
-        let dir = dir.context("the run drove with signed models; give their folder with --model-store DIR")?;
+        let dir = dir.context(
+            "the run drove with signed models; give their folder with --model-store DIR",
+        )?;
         Ok(Self { store: Store::open(dir)?, camera: header.camera, config: config.clone() })
     }
 
@@ -47,7 +49,9 @@ impl Stored {
         for tick in Run::open(run)?.map_while(Result::ok) {
             for event in tick.decision.into_iter().flat_map(|decision| decision.events) {
                 match event {
-                    Event::NetworkTaken { digest } => networks.push((tick.tick, Some(self.load(&digest)?))),
+                    Event::NetworkTaken { digest } => {
+                        networks.push((tick.tick, Some(self.load(&digest)?)))
+                    }
                     Event::NetworkLeft => networks.push((tick.tick, None)),
                     _ => {}
                 }
@@ -59,7 +63,10 @@ impl Stored {
 
     fn load(&self, digest: &str) -> Result<DepthNetwork> {
         let model = self.store.read_model(digest).with_context(|| {
-            format!("the run drove with the model {digest}, which {} no longer holds", self.store.dir().display())
+            format!(
+                "the run drove with the model {digest}, which {} no longer holds",
+                self.store.dir().display()
+            )
         })?;
         setup::network_of(&model, &self.camera, &self.config)
     }
@@ -114,10 +121,13 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
 /// When this version does not know the run's configuration, or its models are not those that were given.
 pub fn build(run: &Path, header: &RunHeader, models: &RunModels) -> Result<Box<dyn Replayable>> {
     if !header.pictures {
-        bail!("the run was recorded without pictures (recording.pictures = false): nothing can be recomputed");
+        bail!(
+            "the run was recorded without pictures (recording.pictures = false): nothing can be recomputed"
+        );
     }
-    let config: Config = serde_json::from_value(header.config.clone())
-        .context("the recording's configuration cannot be read; the version that recorded it replays it")?;
+    let config: Config = serde_json::from_value(header.config.clone()).context(
+        "the recording's configuration cannot be read; the version that recorded it replays it",
+    )?;
     let mission = Mission {
         policy: policy(&header.policy)?,
         depth_source: depth_source(&header.depth_source)?,
@@ -140,12 +150,20 @@ pub fn build(run: &Path, header: &RunHeader, models: &RunModels) -> Result<Box<d
 fn network(args: &RunModels, header: &RunHeader, config: &Config) -> Result<Option<DepthNetwork>> {
     match (&header.model_digest, &args.model) {
         (None, None) => Ok(None),
-        (None, Some(path)) => bail!("the run was made without a model; leave out --model {}", path.display()),
-        (Some(digest), None) => bail!("the run was made with the model {digest}; give it with --model FILE"),
+        (None, Some(path)) => {
+            bail!("the run was made without a model; leave out --model {}", path.display())
+        }
+        (Some(digest), None) => {
+            bail!("the run was made with the model {digest}; give it with --model FILE")
+        }
         (Some(digest), Some(path)) => {
             let network = setup::load_network(path, &header.camera, config)?;
             if network.digest() != digest {
-                bail!("the run was made with the model {digest}, but {} is {}", path.display(), network.digest());
+                bail!(
+                    "the run was made with the model {digest}, but {} is {}",
+                    path.display(),
+                    network.digest()
+                );
             }
             Ok(Some(network))
         }
@@ -153,11 +171,19 @@ fn network(args: &RunModels, header: &RunHeader, config: &Config) -> Result<Opti
 }
 
 /// The networks that the run was handed, as far as there are any: the run may have ended before the next.
-fn handed_over(args: &RunModels, header: &RunHeader, config: &Config) -> Result<Vec<(u64, Option<DepthNetwork>)>> {
+fn handed_over(
+    args: &RunModels,
+    header: &RunHeader,
+    config: &Config,
+) -> Result<Vec<(u64, Option<DepthNetwork>)>> {
     let (schedule, dir) = match (&header.hand_over, &args.hand_over) {
         (None, None) => return Ok(Vec::new()),
-        (None, Some(dir)) => bail!("the run was handed no networks; leave out --hand-over {}", dir.display()),
-        (Some(_), None) => bail!("the run was handed networks on its way; give their folder with --hand-over DIR"),
+        (None, Some(dir)) => {
+            bail!("the run was handed no networks; leave out --hand-over {}", dir.display())
+        }
+        (Some(_), None) => {
+            bail!("the run was handed networks on its way; give their folder with --hand-over DIR")
+        }
         (Some(schedule), Some(dir)) => (schedule, dir),
     };
     let paths = (0..).map(|round| model_path(dir, round)).take_while(|path| path.exists());
@@ -177,5 +203,7 @@ fn policy(name: &str) -> Result<PolicyKind> {
 
 fn depth_source(name: &str) -> Result<DepthSource> {
     let known = DepthSource::ALL.into_iter().find(|source| source.name() == name);
-    known.with_context(|| format!("the recording's depth source `{name}` is not known to this version"))
+    known.with_context(|| {
+        format!("the recording's depth source `{name}` is not known to this version")
+    })
 }

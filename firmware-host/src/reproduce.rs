@@ -35,7 +35,8 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
         let _ = std::fs::remove_file(&part);
     }
     let turns = written?;
-    std::fs::rename(&part, &args.out).with_context(|| format!("cannot write {}", args.out.display()))?;
+    std::fs::rename(&part, &args.out)
+        .with_context(|| format!("cannot write {}", args.out.display()))?;
     let mib = std::fs::metadata(&args.out)?.len() as f64 / f64::from(1 << 20);
     println!("{}: {turns} turns, {mib:.1} MiB", args.out.display());
     let report = replay(
@@ -74,7 +75,10 @@ fn last_stop(run: &Path) -> Result<RecordedTick> {
 
 fn stops(tick: &RecordedTick) -> impl Iterator<Item = &Event> {
     tick.decision.iter().flat_map(|decision| &decision.events).filter(|event| {
-        matches!(event, Event::Safety { what: SafetyEvent::Tripped { .. } | SafetyEvent::Faulted { .. } })
+        matches!(
+            event,
+            Event::Safety { what: SafetyEvent::Tripped { .. } | SafetyEvent::Faulted { .. } }
+        )
     })
 }
 
@@ -87,7 +91,8 @@ fn what_happened(tick: &RecordedTick) -> String {
 /// were written.
 fn write(args: &ReproduceArgs, about: &RecordedTick, part: &Path) -> Result<u64> {
     let ns = |seconds: f64| (seconds * 1e9) as u64;
-    let (from_ns, to_ns) = (about.time_ns.saturating_sub(ns(args.before)), about.time_ns + ns(args.after));
+    let (from_ns, to_ns) =
+        (about.time_ns.saturating_sub(ns(args.before)), about.time_ns + ns(args.after));
     let run = Run::open(&args.run)?;
     let from_s = from_ns.saturating_sub(run.start_ns()) as f64 * 1e-9;
     let run = Run::open_before(&args.run, Moment::Seconds(from_s))?;
@@ -112,7 +117,8 @@ fn write(args: &ReproduceArgs, about: &RecordedTick, part: &Path) -> Result<u64>
             knows = true;
         }
         if knows && writer.is_none() && tick.time_ns >= from_ns {
-            let file = File::create_new(part).with_context(|| format!("cannot create {}", part.display()))?;
+            let file = File::create_new(part)
+                .with_context(|| format!("cannot create {}", part.display()))?;
             let header = SegmentHeader::new(header.clone(), 0, tick.tick, tick.time_ns);
             writer = Some(RecordingWriter::begin(BufWriter::new(file), header)?);
             tick.snapshot = Some(robot.snapshot());
@@ -126,7 +132,9 @@ fn write(args: &ReproduceArgs, about: &RecordedTick, part: &Path) -> Result<u64>
         }
     }
     let Some(writer) = writer else {
-        bail!("nothing at that moment can be recomputed: there is no snapshot before it; choose a later one with --at")
+        bail!(
+            "nothing at that moment can be recomputed: there is no snapshot before it; choose a later one with --at"
+        )
     };
     let file = writer.finish().map_err(|(_, error)| error)?;
     file.into_inner().map_err(std::io::IntoInnerError::into_error)?.sync_all()?;

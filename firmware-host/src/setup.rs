@@ -51,7 +51,9 @@ impl Config {
             follower: self.follower_config(),
             exploration: self.exploration,
             safety: self.safety_config(),
-            stand_without_pictures: Some((self.run.picture_timeout_s / self.base.tick_s()).ceil() as u64),
+            stand_without_pictures: Some(
+                (self.run.picture_timeout_s / self.base.tick_s()).ceil() as u64
+            ),
         }
     }
 }
@@ -113,7 +115,12 @@ pub fn laser_mount(config: &Config) -> Pose3 {
 ///
 /// # Errors
 /// When the configuration holds a number that JSON cannot hold.
-pub fn run_header(config: &Config, mission: &Mission, model: Option<&str>, faults: &FaultPlan) -> Result<RunHeader> {
+pub fn run_header(
+    config: &Config,
+    mission: &Mission,
+    model: Option<&str>,
+    faults: &FaultPlan,
+) -> Result<RunHeader> {
     Ok(RunHeader {
         pictures: config.recording.pictures,
         seed: mission.seed,
@@ -125,7 +132,10 @@ pub fn run_header(config: &Config, mission: &Mission, model: Option<&str>, fault
         t_base_camera: config.camera.mount(),
         t_base_laser: laser_mount(config),
         config: serde_json::to_value(config)?,
-        ..RunHeader::new(concat!("firmware-host ", env!("CARGO_PKG_VERSION")), config.camera.model())
+        ..RunHeader::new(
+            concat!("firmware-host ", env!("CARGO_PKG_VERSION")),
+            config.camera.model(),
+        )
     })
 }
 
@@ -134,7 +144,8 @@ pub fn run_header(config: &Config, mission: &Mission, model: Option<&str>, fault
 /// # Errors
 /// A missing file or library, or a model that is not what it says; each names the way out.
 pub fn load_network(path: &Path, camera: &CameraModel, config: &Config) -> Result<DepthNetwork> {
-    let model = std::fs::read(path).with_context(|| format!("cannot read the model {}", path.display()))?;
+    let model =
+        std::fs::read(path).with_context(|| format!("cannot read the model {}", path.display()))?;
     network_of(&model, camera, config).with_context(|| format!("model {}", path.display()))
 }
 

@@ -57,7 +57,8 @@ pub fn run(args: &ViewsArgs) -> Result<()> {
     let mut rng = Pcg64Mcg::seed_from_u64(args.seed);
     let mut progress = Progress::start(args.count);
     for index in 0..args.count {
-        let approach = if index % TURN_EVERY == TURN_EVERY - 1 { Approach::Turn } else { Approach::Drive };
+        let approach =
+            if index % TURN_EVERY == TURN_EVERY - 1 { Approach::Turn } else { Approach::Drive };
         let way = draw_way(world.floor_plan(), &config, approach, &mut rng);
         take(&world, &config, &way, approach, index, &mut rng, &mut dump)?;
         progress.frame(index + 1, &Status { coverage: None, doing: approach.name() });
@@ -69,7 +70,12 @@ pub fn run(args: &ViewsArgs) -> Result<()> {
 }
 
 /// Poses of `base_link` in the world, the view's own last.
-fn draw_way(plan: &Arc<FloorPlan>, config: &Config, approach: Approach, rng: &mut Pcg64Mcg) -> Vec<Pose2> {
+fn draw_way(
+    plan: &Arc<FloorPlan>,
+    config: &Config,
+    approach: Approach,
+    rng: &mut Pcg64Mcg,
+) -> Vec<Pose2> {
     loop {
         let view = plan.random_pose(rng.random());
         let ways = if approach == Approach::Turn { 1 } else { WAYS };
@@ -120,11 +126,14 @@ fn take(
         let t_world_camera = pose.to_pose3() * config.camera.mount();
         world.renderer().render(&camera, &t_world_camera, &[], &light, &mut rgb, &mut truth);
         config.simulator.nuisances.add_sensor_noise(rng, &mut rgb);
-        let estimate = coarse.estimate(ImageView::rgb8(camera.width, camera.height, &rgb)?, &t_world_camera).ok();
+        let estimate = coarse
+            .estimate(ImageView::rgb8(camera.width, camera.height, &rgb)?, &t_world_camera)
+            .ok();
         let to_go = way.len() - 1 - step;
         if to_go.is_multiple_of(KEPT_EVERY) {
             let time_ns = (index * way.len() as u64 + step as u64) * config.base.tick_ns();
-            let (truth, estimate) = if to_go == 0 { (Some(&truth), estimate) } else { (None, None) };
+            let (truth, estimate) =
+                if to_go == 0 { (Some(&truth), estimate) } else { (None, None) };
             dump.add(&Shot { time_ns, t_world_camera, rgb: Some(&rgb), truth, view }, estimate)?;
         }
     }
@@ -151,7 +160,8 @@ mod tests {
 
     #[test]
     fn the_robot_never_comes_through_a_wall() {
-        let world = World::open("builtin:apartment?seed=1", &simulator::OpenOptions::default()).unwrap();
+        let world =
+            World::open("builtin:apartment?seed=1", &simulator::OpenOptions::default()).unwrap();
         let plan = world.floor_plan();
         let mut rng = Pcg64Mcg::seed_from_u64(2);
         for _ in 0..100 {

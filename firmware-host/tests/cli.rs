@@ -24,7 +24,8 @@ fn explore(dir: &TempDir, name: &str, more: &[&str]) -> (Output, PathBuf) {
     let config = dir.path().join("robot.toml");
     std::fs::write(&config, SMALL).unwrap();
     let out = dir.path().join(name);
-    let mut args = vec!["explore", "--frames", "60", "--seed", "5", "--config", config.to_str().unwrap()];
+    let mut args =
+        vec!["explore", "--frames", "60", "--seed", "5", "--config", config.to_str().unwrap()];
     args.extend(["--out", out.to_str().unwrap()]);
     args.extend(more);
     (firmware_host(&args), out)
@@ -43,7 +44,16 @@ fn the_same_seed_gives_the_same_decisions_and_the_same_recording_byte_for_byte()
     let (_, b) = explore(&dir, "b", &HOME);
     assert!(first.status.success(), "{}", text(&first.stderr));
     let (one, two) = (summary(&a), summary(&b));
-    for key in ["frames", "digest", "recording_digest", "coverage", "path_m", "goals", "accuracy", "end_reason"] {
+    for key in [
+        "frames",
+        "digest",
+        "recording_digest",
+        "coverage",
+        "path_m",
+        "goals",
+        "accuracy",
+        "end_reason",
+    ] {
         assert_eq!(one[key], two[key], "{key}");
     }
     let recording = |out: &Path| std::fs::read(out.join("recording_0000.mcap")).unwrap();
@@ -59,7 +69,11 @@ fn a_replay_makes_every_decision_again_and_one_changed_input_shows() {
     let (run, out) = explore(&dir, "run", &HOME);
     assert!(run.status.success(), "{}", text(&run.stderr));
     let replay = firmware_host(&["replay", out.to_str().unwrap()]);
-    assert!(text(&replay.stdout).trim_end().ends_with("replay: ticks=60 mismatches=0"), "{}", text(&replay.stdout));
+    assert!(
+        text(&replay.stdout).trim_end().ends_with("replay: ticks=60 mismatches=0"),
+        "{}",
+        text(&replay.stdout)
+    );
     assert!(replay.status.success());
 
     let flipped = dir.path().join("flipped");
@@ -73,7 +87,10 @@ fn a_replay_makes_every_decision_again_and_one_changed_input_shows() {
     let replay = firmware_host(&["replay", flipped.to_str().unwrap()]);
     assert!(!replay.status.success());
     let said = text(&replay.stdout);
-    assert!(said.contains("replay: ticks=60 mismatches=") && !said.contains("mismatches=0"), "{said}");
+    assert!(
+        said.contains("replay: ticks=60 mismatches=") && !said.contains("mismatches=0"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -100,17 +117,29 @@ fn a_segment_that_nobody_writes_on_is_cut_however_young_it_is_and_is_made_whole(
     let [run, out] = [&run, &whole].map(|path| path.to_str().unwrap());
     let verify = |folder: &str| firmware_host(&["buffer", "verify", folder]);
     let cut = verify(run);
-    assert!(cut.status.code() == Some(1) && text(&cut.stdout).contains("cut: complete up to"), "{}", text(&cut.stdout));
+    assert!(
+        cut.status.code() == Some(1) && text(&cut.stdout).contains("cut: complete up to"),
+        "{}",
+        text(&cut.stdout)
+    );
 
     // As a recorder holds it.
     let held = std::fs::File::open(&file).unwrap();
     held.lock().unwrap();
     let open = verify(run);
-    assert!(open.status.success() && text(&open.stdout).contains("still being written"), "{}", text(&open.stdout));
+    assert!(
+        open.status.success() && text(&open.stdout).contains("still being written"),
+        "{}",
+        text(&open.stdout)
+    );
     drop(held);
 
     let recover = firmware_host(&["buffer", "recover", run, "--out", out]);
-    assert!(recover.status.success() && text(&recover.stdout).contains("1 recovered"), "{}", text(&recover.stdout));
+    assert!(
+        recover.status.success() && text(&recover.stdout).contains("1 recovered"),
+        "{}",
+        text(&recover.stdout)
+    );
     assert!(verify(out).status.success());
     assert!(firmware_host(&["replay", out]).status.success());
 }
@@ -140,7 +169,8 @@ fn health_takes_no_other_file_for_a_status() {
 #[test]
 fn ground_truth_depth_is_stamped_into_the_summary_and_replays_too() {
     let dir = TempDir::new().unwrap();
-    let (_, out) = explore(&dir, "run", &[&HOME[..], &["--depth", "truth", "--policy", "frontier"]].concat());
+    let (_, out) =
+        explore(&dir, "run", &[&HOME[..], &["--depth", "truth", "--policy", "frontier"]].concat());
     assert_eq!(summary(&out)["depth_source"], "truth");
     assert!(firmware_host(&["replay", out.to_str().unwrap()]).status.success());
 }
@@ -148,13 +178,24 @@ fn ground_truth_depth_is_stamped_into_the_summary_and_replays_too() {
 #[test]
 fn perceive_dumps_the_coarse_depth_of_a_run_even_of_one_that_breaks_off() {
     let dir = TempDir::new().unwrap();
-    let (_, run) = explore(&dir, "run", &[&HOME[..], &["--depth", "truth", "--policy", "forward"]].concat());
+    let (_, run) =
+        explore(&dir, "run", &[&HOME[..], &["--depth", "truth", "--policy", "forward"]].concat());
     let dumped = |name: &str| -> serde_json::Value {
         let (out, dump) = (dir.path().join(name), dir.path().join(name).join("coarse"));
         let paths = [&run, &out, &dump].map(|path| path.to_str().unwrap());
-        let output = firmware_host(&["perceive", "--recording", paths[0], "--out", paths[1], "--dump", paths[2]]);
+        let output = firmware_host(&[
+            "perceive",
+            "--recording",
+            paths[0],
+            "--out",
+            paths[1],
+            "--dump",
+            paths[2],
+        ]);
         assert!(output.status.success(), "{}", text(&output.stderr));
-        assert!(summary(&out)["accuracy"]["coarse"]["all"]["delta1_unscaled"].as_f64().unwrap() > 0.5);
+        assert!(
+            summary(&out)["accuracy"]["coarse"]["all"]["delta1_unscaled"].as_f64().unwrap() > 0.5
+        );
         serde_json::from_slice(&std::fs::read(dump.join("dump.json")).unwrap()).unwrap()
     };
     let whole = dumped("whole");
@@ -175,12 +216,19 @@ fn perceive_dumps_the_coarse_depth_of_a_run_even_of_one_that_breaks_off() {
 #[test]
 fn onnx_runtime_does_not_report_to_its_maker() {
     let dir = TempDir::new().unwrap();
-    let (home, model, config) = (dir.path().join("home"), dir.path().join("model.onnx"), dir.path().join("robot.toml"));
+    let (home, model, config) =
+        (dir.path().join("home"), dir.path().join("model.onnx"), dir.path().join("robot.toml"));
     std::fs::create_dir(&home).unwrap();
     std::fs::write(&model, small_model()).unwrap();
     std::fs::write(&config, SMALL).unwrap();
     let mut explore = Command::cargo_bin("firmware-host").unwrap();
-    explore.arg("explore").args(HOME).args(["--frames", "3", "--model"]).arg(model).arg("--config").arg(config);
+    explore
+        .arg("explore")
+        .args(HOME)
+        .args(["--frames", "3", "--model"])
+        .arg(model)
+        .arg("--config")
+        .arg(config);
     // It is silent by itself where tests run.
     for variable in ["ORT_DISABLE_TELEMETRY", "CI", "ORT_RUNNING_UNIT_TESTS", "XDG_CACHE_HOME"] {
         explore.env_remove(variable);
@@ -203,7 +251,10 @@ fn what_cannot_be_is_refused_with_its_name_a_way_out_and_nothing_left_behind() {
         (&["--scene", "builtin:apartment", "--scene-scale", "-1"], "above 0"),
         (&["--scene", empty.to_str().unwrap()], "triangle"),
         (&["--scene", "builtin:apartment?seed=1", "--start", "90,90,0"], "nearest free place"),
-        (&["--scene", "builtin:apartment?seed=1", "--model", no_model.to_str().unwrap()], "none.onnx"),
+        (
+            &["--scene", "builtin:apartment?seed=1", "--model", no_model.to_str().unwrap()],
+            "none.onnx",
+        ),
         (&["--scene", "builtin:apartment?seed=1", "--depth", "network"], "--model"),
     ];
     for (index, (args, named)) in cases.iter().enumerate() {
@@ -212,7 +263,10 @@ fn what_cannot_be_is_refused_with_its_name_a_way_out_and_nothing_left_behind() {
         assert!(matches!(output.status.code(), Some(1 | 2)), "{args:?}: {:?}", output.status);
         assert!(said.contains(named) && !said.contains("panicked"), "{args:?}: {said}");
         assert!(said.matches("os error").count() < 2, "said twice: {said}");
-        assert!(!out.join("summary.json").exists() && !out.join("recording_0000.mcap").exists(), "{args:?}");
+        assert!(
+            !out.join("summary.json").exists() && !out.join("recording_0000.mcap").exists(),
+            "{args:?}"
+        );
     }
 }
 
@@ -259,7 +313,8 @@ fn a_simulated_camera_is_found_not_to_be_late_and_a_robot_that_stood_is_told_to_
     let latency_of = |policy: &str, frames: &str| {
         let out = dir.path().join(policy);
         let out = out.to_str().unwrap();
-        let run = ["--scene", "builtin:house", "--policy", policy, "--frames", frames, "--out", out];
+        let run =
+            ["--scene", "builtin:house", "--policy", policy, "--frames", frames, "--out", out];
         assert!(firmware_host(&[&["explore"][..], &run].concat()).status.success());
         firmware_host(&["camera-latency", out])
     };
@@ -267,7 +322,10 @@ fn a_simulated_camera_is_found_not_to_be_late_and_a_robot_that_stood_is_told_to_
     let said = text(&found.stdout);
     assert!(said.ends_with("It is configured like that.\n"), "{said}{}", text(&found.stderr));
     let milliseconds = |word: &str| word.parse::<f64>().ok();
-    assert!(said.split(' ').find_map(milliseconds).is_some_and(|found_ms| found_ms < 3.0), "{said}");
+    assert!(
+        said.split(' ').find_map(milliseconds).is_some_and(|found_ms| found_ms < 3.0),
+        "{said}"
+    );
     let refused = latency_of("forward", "20");
     assert_eq!(refused.status.code(), Some(1));
     assert!(
@@ -286,7 +344,8 @@ fn explore_with_hand_over(dir: &TempDir, name: &str, more: &[&str]) -> (Output, 
 
 /// A network for 160x64 pictures that says the mean of each pixel's colours.
 fn small_model() -> Vec<u8> {
-    std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../runtime/tests/models/any_size.onnx")).unwrap()
+    std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../runtime/tests/models/any_size.onnx"))
+        .unwrap()
 }
 
 #[test]
@@ -299,8 +358,13 @@ fn a_run_waits_for_its_networks_and_repeats_itself_after_it_was_killed() {
         serde_json::from_slice(&std::fs::read(models.join(format!("round_000{k}.json"))).ok()?).ok()
     };
     std::thread::scope(|scope| {
-        let run =
-            scope.spawn(|| explore_with_hand_over(&dir, "a", &["--dump", dir.path().join("dump").to_str().unwrap()]));
+        let run = scope.spawn(|| {
+            explore_with_hand_over(
+                &dir,
+                "a",
+                &["--dump", dir.path().join("dump").to_str().unwrap()],
+            )
+        });
         for k in 0..2 {
             while round(k).is_none() && !run.is_finished() {
                 std::thread::sleep(std::time::Duration::from_millis(5));
@@ -314,7 +378,8 @@ fn a_run_waits_for_its_networks_and_repeats_itself_after_it_was_killed() {
             let index: serde_json::Value = serde_json::from_slice(&index).unwrap();
             assert_eq!(index["frames"].as_array().unwrap().len(), 20 * (k as usize + 1));
             std::fs::write(models.join("partial"), small_model()).unwrap();
-            std::fs::rename(models.join("partial"), models.join(format!("model_000{k}.onnx"))).unwrap();
+            std::fs::rename(models.join("partial"), models.join(format!("model_000{k}.onnx")))
+                .unwrap();
         }
         let (output, _) = run.join().unwrap();
         assert!(output.status.success(), "{}", text(&output.stderr));
@@ -327,9 +392,17 @@ fn a_run_waits_for_its_networks_and_repeats_itself_after_it_was_killed() {
 
     let replay = |more: &[&str]| firmware_host(&[&["replay", b.to_str().unwrap()], more].concat());
     let exact = replay(&["--hand-over", models.to_str().unwrap()]);
-    assert!(text(&exact.stdout).contains("replay: ticks=60 mismatches=0"), "{}", text(&exact.stdout));
+    assert!(
+        text(&exact.stdout).contains("replay: ticks=60 mismatches=0"),
+        "{}",
+        text(&exact.stdout)
+    );
     let without = replay(&[]);
-    assert!(!without.status.success() && text(&without.stderr).contains("--hand-over"), "{}", text(&without.stderr));
+    assert!(
+        !without.status.success() && text(&without.stderr).contains("--hand-over"),
+        "{}",
+        text(&without.stderr)
+    );
 }
 
 #[test]
@@ -341,10 +414,15 @@ fn test_views_hold_pictures_truth_coarse_depth_and_how_the_robot_came_there() {
         let out = dir.path().join(name);
         let paths = [&config, &out].map(|path| path.to_str().unwrap());
         let output = firmware_host(
-            &[&["views", "--count", "8", "--seed", seed, "--config", paths[0], "--out", paths[1]], &HOME[..]].concat(),
+            &[
+                &["views", "--count", "8", "--seed", seed, "--config", paths[0], "--out", paths[1]],
+                &HOME[..],
+            ]
+            .concat(),
         );
         assert!(output.status.success(), "{}", text(&output.stderr));
-        let index: serde_json::Value = serde_json::from_slice(&std::fs::read(out.join("dump.json")).unwrap()).unwrap();
+        let index: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(out.join("dump.json")).unwrap()).unwrap();
         (out, index["frames"].as_array().unwrap().clone())
     };
     let (a, frames) = views("a", "1");
@@ -355,26 +433,43 @@ fn test_views_hold_pictures_truth_coarse_depth_and_how_the_robot_came_there() {
         let (is_view, driven) = (index % 9 == 8, frame["approach"] == "drive");
         assert_eq!((&frame["view"], &frame["rgb"]), (&(index / 9).into(), &true.into()));
         // Who only turns has no parallax, and so no coarse depth.
-        assert_eq!((&frame["truth"], &frame["coarse"]), (&is_view.into(), &(is_view && driven).into()));
+        assert_eq!(
+            (&frame["truth"], &frame["coarse"]),
+            (&is_view.into(), &(is_view && driven).into())
+        );
         turned.extend(is_view.then_some(!driven));
     }
     assert_eq!(turned, [false, false, false, true, false, false, false, true]);
     assert_eq!(views("b", "1").1, frames);
     assert_ne!(views("c", "2").1, frames);
     // The last of the first view and of the one that was turned to.
-    assert!(a.join("000008.npy").exists() && a.join("000035_rgb.npy").exists() && !a.join("000035.npy").exists());
+    assert!(
+        a.join("000008.npy").exists()
+            && a.join("000035_rgb.npy").exists()
+            && !a.join("000035.npy").exists()
+    );
 }
 
 #[test]
 fn a_run_with_faults_names_them_and_its_recording_replays_without_them() {
     let dir = TempDir::new().unwrap();
-    let faults = ["--fault", "lidar:stall@2..3", "--fault", "camera:reorder=0.5@1..4", "--fault", "base:drop=0.3"];
+    let faults = [
+        "--fault",
+        "lidar:stall@2..3",
+        "--fault",
+        "camera:reorder=0.5@1..4",
+        "--fault",
+        "base:drop=0.3",
+    ];
     let more = [&HOME[..], &faults, &["--fault", "random", "--fault-seed", "2"]].concat();
     let (output, out) = explore(&dir, "broken", &more);
     assert!(output.status.success(), "{}", text(&output.stderr));
     let (_, well) = explore(&dir, "well", &HOME);
     let (broken, well) = (summary(&out), summary(&well));
-    assert_eq!((&broken["faults"][0], &broken["fault_seed"]), (&"lidar:stall@2..3".into(), &2.into()));
+    assert_eq!(
+        (&broken["faults"][0], &broken["fault_seed"]),
+        (&"lidar:stall@2..3".into(), &2.into())
+    );
     assert!(broken["faults"].as_array().unwrap().len() > 3, "{}", broken["faults"]);
     assert_ne!(broken["digest"], well["digest"]);
     assert!(well.get("faults").is_none());
@@ -386,8 +481,11 @@ fn a_run_with_faults_names_them_and_its_recording_replays_without_them() {
 #[test]
 fn a_disk_that_fills_up_by_order_ends_the_run_with_a_report_and_a_whole_file() {
     let dir = TempDir::new().unwrap();
-    let (_, out) =
-        explore(&dir, "full", &[&HOME[..], &["--fault", "disk:full@2..", "--fault", "disk:slow=1"]].concat());
+    let (_, out) = explore(
+        &dir,
+        "full",
+        &[&HOME[..], &["--fault", "disk:full@2..", "--fault", "disk:slow=1"]].concat(),
+    );
     assert_eq!(summary(&out)["end_reason"], "output_failed");
     let replayed = firmware_host(&["replay", out.to_str().unwrap()]);
     assert!(text(&replayed.stdout).contains("mismatches=0"), "{}", text(&replayed.stdout));
@@ -411,7 +509,15 @@ fn a_replay_begins_where_it_is_told_to_and_without_the_first_segments() {
     let config = dir.path().join("short.toml");
     std::fs::write(&config, SHORT_SEGMENTS).unwrap();
     let out = dir.path().join("run");
-    let arguments = ["explore", "--frames", "90", "--config", config.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let arguments = [
+        "explore",
+        "--frames",
+        "90",
+        "--config",
+        config.to_str().unwrap(),
+        "--out",
+        out.to_str().unwrap(),
+    ];
     let run = firmware_host(&[&arguments[..], &HOME].concat());
     assert!(run.status.success(), "{}", text(&run.stderr));
     let replayed = |more: &[&str]| {
@@ -423,17 +529,22 @@ fn a_replay_begins_where_it_is_told_to_and_without_the_first_segments() {
         replayed(&["--from", "4.5s"]),
         "from the snapshot of turn 40 at 4.000 s\nreplay: ticks=50 mismatches=0\n"
     );
-    for command in
-        [&["replay", out.to_str().unwrap(), "--from", "90"][..], &["reproduce", out.to_str().unwrap(), "--at", "9s"]]
-    {
+    for command in [
+        &["replay", out.to_str().unwrap(), "--from", "90"][..],
+        &["reproduce", out.to_str().unwrap(), "--at", "9s"],
+    ] {
         let bug = dir.path().join("bug.mcap");
-        let more = if command[0] == "replay" { vec![] } else { vec!["--out", bug.to_str().unwrap()] };
+        let more =
+            if command[0] == "replay" { vec![] } else { vec!["--out", bug.to_str().unwrap()] };
         let beyond = firmware_host(&[command, &more].concat());
         let said = text(&beyond.stderr);
         assert!(beyond.status.code() == Some(1) && said.contains("its last turn is 89"), "{said}");
     }
     std::fs::remove_file(out.join("recording_0000.mcap")).unwrap();
-    assert_eq!(replayed(&[]), "from the snapshot of turn 20 at 2.000 s\nreplay: ticks=70 mismatches=0\n");
+    assert_eq!(
+        replayed(&[]),
+        "from the snapshot of turn 20 at 2.000 s\nreplay: ticks=70 mismatches=0\n"
+    );
 }
 
 #[test]
@@ -442,15 +553,25 @@ fn the_seconds_around_a_moment_become_a_file_that_replays_alone() {
     let (run, out) = explore(&dir, "run", &HOME);
     assert!(run.status.success(), "{}", text(&run.stderr));
     let file = dir.path().join("bug.mcap");
-    let arguments = ["reproduce", out.to_str().unwrap(), "--at", "30", "--before", "1", "--after", "0.5"];
+    let arguments =
+        ["reproduce", out.to_str().unwrap(), "--at", "30", "--before", "1", "--after", "0.5"];
     let arguments = [&arguments[..], &["--out", file.to_str().unwrap()]].concat();
     let made = firmware_host(&arguments);
     let said = text(&made.stdout);
-    assert!(made.status.success() && said.contains("16 turns") && said.contains("ticks=16 mismatches=0"), "{said}");
+    assert!(
+        made.status.success()
+            && said.contains("16 turns")
+            && said.contains("ticks=16 mismatches=0"),
+        "{said}"
+    );
     let replay = firmware_host(&["replay", file.to_str().unwrap()]);
     assert!(replay.status.success(), "{}", text(&replay.stdout));
     let again = firmware_host(&arguments);
-    assert!(!again.status.success() && text(&again.stderr).contains("is there already"), "{}", text(&again.stderr));
+    assert!(
+        !again.status.success() && text(&again.stderr).contains("is there already"),
+        "{}",
+        text(&again.stderr)
+    );
 }
 
 /// `KILLS` says how often.
@@ -474,7 +595,7 @@ fn killed_at_any_moment_the_recording_is_good_as_far_as_it_goes() {
         while !out.join("recording_0001.mcap").exists() {
             std::thread::yield_now();
         }
-        let mut clock = drivers::MonotonicClock;
+        let mut clock = monotonic_clock::MonotonicClock;
         let then_ns = clock.now_ns() + kill % 97 * 13_000_000;
         clock.sleep_until_ns(then_ns);
         run.kill().unwrap();

@@ -1,5 +1,9 @@
 //! The gate as a user runs it: every bad model is refused with its reason, a better one drives, and what misbehaves is taken back.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot set up its scene has failed")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that cannot set up its scene has failed"
+)]
 
 mod robot;
 
@@ -15,7 +19,11 @@ fn every_bad_model_is_refused_with_its_reason_and_none_is_accepted() {
     let guess = robot.has("guess");
     let refused = |name: &str, kind: &str, words: &[&str]| {
         let said = robot.install(&robot.signed(name), &[]);
-        assert_eq!((said["accepted"].as_bool(), said["kind"].as_str()), (Some(false), Some(kind)), "{name}: {said}");
+        assert_eq!(
+            (said["accepted"].as_bool(), said["kind"].as_str()),
+            (Some(false), Some(kind)),
+            "{name}: {said}"
+        );
         let why = said["why"].as_str().unwrap();
         words.iter().for_each(|word| assert!(why.contains(word), "{name}: {why}"));
         assert_eq!(robot.state().current(), Some(&*guess), "{name}");
@@ -36,7 +44,10 @@ fn a_model_that_is_slower_than_the_budget_is_refused_with_both_numbers() {
     let robot = Robot::with(&CONFIG.replace("max_p99_ms = 1000", "max_p99_ms = 20"));
     let said = robot.install(&robot.signed("slow"), &["--unproven"]);
     let why = said["why"].as_str().unwrap();
-    assert!(said["kind"] == "judged" && why.contains("too slow") && why.contains("allowed: 20.0 ms"), "{why}");
+    assert!(
+        said["kind"] == "judged" && why.contains("too slow") && why.contains("allowed: 20.0 ms"),
+        "{why}"
+    );
     assert_eq!(robot.state(), State::default());
 }
 
@@ -54,7 +65,11 @@ fn a_model_that_takes_all_memory_ends_its_own_process_and_nothing_else() {
 fn a_model_that_never_ends_is_ended() {
     let robot = Robot::with(&CONFIG.replace("gate_timeout_s = 120", "gate_timeout_s = 5"));
     let said = robot.install(&robot.signed("endless_loop"), &["--unproven"]);
-    assert_eq!((said["accepted"].as_bool(), said["kind"].as_str()), (Some(false), Some("died")), "{said}");
+    assert_eq!(
+        (said["accepted"].as_bool(), said["kind"].as_str()),
+        (Some(false), Some("died")),
+        "{said}"
+    );
     let why = said["why"].as_str().unwrap();
     assert!(why.contains("grey picture") && why.contains("5 s"), "{why}");
 }
@@ -64,7 +79,11 @@ fn what_is_not_signed_by_a_trusted_key_is_not_even_read() {
     let (robot, stranger) = (Robot::new(), Robot::new());
     let kind = |bundle: &Path| {
         let said = robot.install(bundle, &["--unproven"]);
-        assert_eq!((said["accepted"].as_bool(), said["kind"].as_str()), (Some(false), Some("signature")), "{said}");
+        assert_eq!(
+            (said["accepted"].as_bool(), said["kind"].as_str()),
+            (Some(false), Some("signature")),
+            "{said}"
+        );
         said["why"].as_str().unwrap().to_owned()
     };
     let unsigned = robot.path("unsigned.onnx");
@@ -95,7 +114,11 @@ fn a_better_model_is_accepted_a_worse_one_and_one_with_nan_are_not() {
     let robot = Robot::new();
     let guess = robot.has("guess");
     let worse = robot.judged_by_recordings("worse");
-    assert_eq!((worse["accepted"].as_bool(), worse["kind"].as_str()), (Some(false), Some("judged")), "{worse}");
+    assert_eq!(
+        (worse["accepted"].as_bool(), worse["kind"].as_str()),
+        (Some(false), Some("judged")),
+        "{worse}"
+    );
     assert!(worse["why"].as_str().unwrap().contains("worse than the resident model"), "{worse}");
     let nan = robot.judged_by_recordings("nan_in_the_dark");
     assert!(nan["why"].as_str().unwrap().contains("NaN"), "{nan}");
@@ -105,7 +128,10 @@ fn a_better_model_is_accepted_a_worse_one_and_one_with_nan_are_not() {
     let better = robot.judged_by_recordings("better");
     assert_eq!(better["accepted"], true, "{better}");
     let state = robot.state();
-    assert_eq!((state.models.len(), state.previous(), state.trial_starts), (2, Some(&*worse), Some(0)));
+    assert_eq!(
+        (state.models.len(), state.previous(), state.trial_starts),
+        (2, Some(&*worse), Some(0))
+    );
     // Now it is what others are judged by.
     let mut store = robot.store();
     let current = state.current().unwrap().to_owned();
@@ -234,8 +260,11 @@ fn a_model_that_cannot_be_loaded_leads_to_what_the_store_names_then() {
 fn the_network_of_the_program_is_what_a_first_model_is_judged_by() {
     let robot = Robot::new();
     let better = model_file("better");
-    let summary =
-        robot.explore("run", "3", &["--scene", "builtin:apartment?seed=1", "--model", better.to_str().unwrap()]);
+    let summary = robot.explore(
+        "run",
+        "3",
+        &["--scene", "builtin:apartment?seed=1", "--model", better.to_str().unwrap()],
+    );
     assert_eq!(summary["model"].as_str(), robot.state().current());
     let worse = robot.judged_by_recordings("worse");
     assert!(worse["why"].as_str().unwrap().contains("worse than the resident model"), "{worse}");

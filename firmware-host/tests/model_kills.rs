@@ -1,6 +1,10 @@
 //! Installing a model and driving with a store, killed at random moments: the store is good, and the robot starts again. `KILLS`
 //! says how often.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot set up its scene has failed")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that cannot set up its scene has failed"
+)]
 
 mod robot;
 
@@ -47,8 +51,18 @@ fn an_install_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
     let robot = Robot::new();
     let resident = robot.has("worse");
     let bundle = robot.signed("better");
-    let (config, store, keys) = (robot.text("robot.toml"), robot.text("store"), robot.text("trusted_keys"));
-    let mut args = vec!["model", "install", bundle.to_str().unwrap(), "--json", "--config", &config, "--store", &store];
+    let (config, store, keys) =
+        (robot.text("robot.toml"), robot.text("store"), robot.text("trusted_keys"));
+    let mut args = vec![
+        "model",
+        "install",
+        bundle.to_str().unwrap(),
+        "--json",
+        "--config",
+        &config,
+        "--store",
+        &store,
+    ];
     // Clearly better than what drives: the gate takes it however the pictures fall.
     args.extend(["--trusted-keys", &keys, "--normal-priority", "--again"]);
     let old = State { models: vec![resident.clone()], trial_starts: None };
@@ -83,7 +97,10 @@ fn an_install_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
     }
     let began = Instant::now();
     while examining(&robot) > 0 {
-        assert!(began.elapsed() < Duration::from_secs(10), "what examined outlives what asked for it");
+        assert!(
+            began.elapsed() < Duration::from_secs(10),
+            "what examined outlives what asked for it"
+        );
         std::thread::yield_now();
     }
     println!("{kills} kills in {tries} installs, {installed} times the new model was current");
@@ -96,7 +113,8 @@ fn an_install_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
 fn drive(robot: &Robot, out: &Path, frames: &str) -> Child {
     let (config, store) = (robot.text("robot.toml"), robot.text("store"));
     let scene = "builtin:apartment?seed=1";
-    let mut args = vec!["explore", "--frames", frames, "--seed", "2", "--scene", scene, "--config", &config];
+    let mut args =
+        vec!["explore", "--frames", frames, "--seed", "2", "--scene", scene, "--config", &config];
     args.extend(["--model-store", &store, "--out", out.to_str().unwrap()]);
     start(&args)
 }
@@ -146,9 +164,14 @@ fn killed_while_swapping(name: &str, comes_to: fn(guess: &str, new: &str) -> Sta
         let summary: serde_json::Value = serde_json::from_slice(&summary).unwrap();
         assert_eq!(summary["model"].as_str(), state.current());
         let again = whole(&robot);
-        assert_eq!(again, State { trial_starts: state.trial_starts.map(|starts| starts + 1), ..state });
+        assert_eq!(
+            again,
+            State { trial_starts: state.trial_starts.map(|starts| starts + 1), ..state }
+        );
     }
-    println!("{name}: {kills} kills in {tries} drives, {trials} on trial, {ends} after the trial's end");
+    println!(
+        "{name}: {kills} kills in {tries} drives, {trials} on trial, {ends} after the trial's end"
+    );
 }
 
 #[test]
@@ -161,5 +184,8 @@ fn a_robot_killed_while_it_takes_a_good_model_has_it_on_trial_or_keeps_it() {
 
 #[test]
 fn a_robot_killed_while_it_takes_a_bad_model_has_it_on_trial_or_is_back() {
-    killed_while_swapping("nan_in_the_dark", |guess, _| State { models: vec![guess.to_owned()], trial_starts: None });
+    killed_while_swapping("nan_in_the_dark", |guess, _| State {
+        models: vec![guess.to_owned()],
+        trial_starts: None,
+    });
 }

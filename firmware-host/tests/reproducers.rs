@@ -18,8 +18,14 @@ fn folder() -> PathBuf {
 fn replayed(path: &Path) -> Vec<String> {
     let mut out = Vec::new();
     let models = RunModels { model: None, hand_over: None, model_store: None };
-    let report = replay(path, Span::default(), |header| build(path, header, &models), &mut out).unwrap();
-    assert!(report.is_exact() && report.unknown == 0, "{}: {}", path.display(), String::from_utf8_lossy(&out));
+    let report =
+        replay(path, Span::default(), |header| build(path, header, &models), &mut out).unwrap();
+    assert!(
+        report.is_exact() && report.unknown == 0,
+        "{}: {}",
+        path.display(),
+        String::from_utf8_lossy(&out)
+    );
     let turns = Run::open(path).unwrap().map(Result::unwrap);
     let events = turns.flat_map(|turn| turn.decision.unwrap().events);
     events.map(|event| sentence(&event).1).collect()
@@ -28,7 +34,8 @@ fn replayed(path: &Path) -> Vec<String> {
 #[test]
 fn every_reproducer_decides_to_the_last_bit_as_the_robot_did() {
     let paths = fs::read_dir(folder()).unwrap().map(|entry| entry.unwrap().path());
-    let recordings: Vec<_> = paths.filter(|path| path.extension().is_some_and(|end| end == "mcap")).collect();
+    let recordings: Vec<_> =
+        paths.filter(|path| path.extension().is_some_and(|end| end == "mcap")).collect();
     assert!(!recordings.is_empty());
     for path in recordings {
         replayed(&path);

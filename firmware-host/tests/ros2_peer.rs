@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use buffer::export::ros2;
+use segment_store::export::ros2;
 
 #[test]
 #[ignore = "needs tests/peers/requirements.txt; `cargo xtask test --all` installs it"]
@@ -18,6 +18,7 @@ fn rosbags_reads_from_a_bag_what_the_mcap_package_reads_from_the_recording() {
     let script = here.join("../tests/peers/ros2_bag.py");
     let output = Command::new(python).arg(script).args([&bag, &recording]).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let counts: serde_json::Map<String, serde_json::Value> = serde_json::from_slice(&output.stdout).unwrap();
+    let counts: serde_json::Map<String, serde_json::Value> =
+        serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(counts.values().filter_map(serde_json::Value::as_u64).sum::<u64>(), bagged.messages);
 }

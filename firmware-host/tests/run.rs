@@ -1,17 +1,22 @@
 //! The whole binary on simulated devices, in real time and through the real drivers: what it promises when devices come and go.
-#![allow(missing_docs, clippy::unwrap_used, clippy::panic, reason = "a test that cannot set up its scene has failed")]
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that cannot set up its scene has failed"
+)]
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use assert_cmd::cargo::CommandCargoExt;
-use drivers::MonotonicClock;
 use drivers::can::Protocol;
 use firmware_host::model::{State, Store, What};
 use firmware_host::run::status::Status;
 use hal::{CameraModel, Clock};
 use hil::world::{LiveOptions, LiveWorld};
+use monotonic_clock::MonotonicClock;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Long enough for a computer that does something else as well; a robot that works needs a tenth of it.
@@ -95,8 +100,12 @@ impl Scene {
 
     fn health(&self) -> (bool, String) {
         let status = self.folder.path().join("status.json");
-        let output =
-            Command::cargo_bin("firmware-host").unwrap().args(["health", "--status"]).arg(status).output().unwrap();
+        let output = Command::cargo_bin("firmware-host")
+            .unwrap()
+            .args(["health", "--status"])
+            .arg(status)
+            .output()
+            .unwrap();
         (output.status.success(), String::from_utf8(output.stdout).unwrap())
     }
 
@@ -125,7 +134,13 @@ impl Drop for Scene {
 }
 
 fn replayed(run: &Path, args: &[&Path]) -> (bool, String) {
-    let output = Command::cargo_bin("firmware-host").unwrap().arg("replay").arg(run).args(args).output().unwrap();
+    let output = Command::cargo_bin("firmware-host")
+        .unwrap()
+        .arg("replay")
+        .arg(run)
+        .args(args)
+        .output()
+        .unwrap();
     let text = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap()).concat();
     (output.status.success(), text)
 }
@@ -144,7 +159,11 @@ fn a_second_program_for_the_same_base_is_refused_and_the_first_drives_on() {
         .output()
         .unwrap();
     let said = String::from_utf8(second.stderr).unwrap();
-    assert!(second.status.code() == Some(1) && said.contains("another `firmware-host run` drives the base"), "{said}");
+    assert!(
+        second.status.code() == Some(1)
+            && said.contains("another `firmware-host run` drives the base"),
+        "{said}"
+    );
     assert_eq!(std::fs::read_dir(elsewhere.path()).unwrap().count(), 0);
     scene.drives("driving on");
     scene.ends_well();
@@ -164,7 +183,9 @@ fn it_explores_stands_while_a_device_is_gone_says_so_and_goes_on_without_help() 
     scene.drives("driving after the scanner was plugged in again");
 
     scene.world.plug_camera(false);
-    scene.wait("a camera that is gone", |scene| scene.status().is_some_and(|status| status.camera.state != "working"));
+    scene.wait("a camera that is gone", |scene| {
+        scene.status().is_some_and(|status| status.camera.state != "working")
+    });
     pause(2000);
     assert!(scene.way_m() < 0.01, "it drives blindly");
     scene.world.plug_camera(true);
@@ -268,14 +289,18 @@ fn models_are_swapped_while_it_drives_kept_or_taken_back_and_no_turn_is_left_out
     let mut scene = Scene::with(Protocol::Odrive, more, &["--model", guess.to_str().unwrap()]);
     scene.drives("the first drive");
     // The network that came with the program is the store's first.
-    let mut models = Models { store: Store::open(&scene.path("models")).unwrap(), left_out: Vec::new() };
+    let mut models =
+        Models { store: Store::open(&scene.path("models")).unwrap(), left_out: Vec::new() };
     let first = models.state().current().unwrap().to_owned();
     assert_eq!(first, blake3::hash(&std::fs::read(guess).unwrap()).to_hex().to_string());
     assert_eq!(drives(&scene).as_ref(), Some(&first));
 
     let better = models.install(&scene, "better");
     scene.wait("the trial's end", |_| models.last() == What::Kept);
-    assert_eq!(models.state(), State { models: vec![better.clone(), first.clone()], trial_starts: None });
+    assert_eq!(
+        models.state(),
+        State { models: vec![better.clone(), first.clone()], trial_starts: None }
+    );
     // An operator goes back and forth.
     for _ in 0..3 {
         models.swap(&scene, &first, |store| drop(store.roll_back("an operator").unwrap()));
@@ -295,7 +320,11 @@ fn models_are_swapped_while_it_drives_kept_or_taken_back_and_no_turn_is_left_out
     // Nobody promises that this computer does nothing else. A swap that waits for the disk or for the network to load would
     // cost turns every time.
     let without = models.left_out.iter().filter(|turns| **turns == 0).count();
-    assert!(2 * without > models.left_out.len(), "turns left out at each swap: {:?}", models.left_out);
+    assert!(
+        2 * without > models.left_out.len(),
+        "turns left out at each swap: {:?}",
+        models.left_out
+    );
     println!("turns left out at each swap: {:?}", models.left_out);
     let store = scene.path("models");
     scene.ends_and_replays(&[Path::new("--model-store"), &store]);

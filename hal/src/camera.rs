@@ -25,7 +25,14 @@ impl Frame {
     /// An empty frame to hand to [`Camera::poll_frame`].
     #[must_use]
     pub fn empty() -> Self {
-        Self { time_ns: 0, sequence: 0, width: 0, height: 0, format: PixelFormat::Rgb8, data: Vec::new() }
+        Self {
+            time_ns: 0,
+            sequence: 0,
+            width: 0,
+            height: 0,
+            format: PixelFormat::Rgb8,
+            data: Vec::new(),
+        }
     }
 
     /// The picture.

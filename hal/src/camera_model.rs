@@ -62,7 +62,9 @@ impl Distortion {
             }
         };
         let steps = 16_000;
-        let turn = (1..=steps).map(|step| WIDEST_RAY * f64::from(step) / f64::from(steps)).find(|r| slope(*r) <= 0.0);
+        let turn = (1..=steps)
+            .map(|step| WIDEST_RAY * f64::from(step) / f64::from(steps))
+            .find(|r| slope(*r) <= 0.0);
         turn.unwrap_or(f64::INFINITY)
     }
 
@@ -127,7 +129,8 @@ impl CameraModel {
     /// picture. Ignores distortion.
     #[must_use]
     pub fn project(&self, point: &Point3<f64>) -> Option<(f64, f64)> {
-        (point.z > 0.0).then(|| (self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy))
+        (point.z > 0.0)
+            .then(|| (self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy))
     }
 
     /// The pixel of the ray (`x`, `y`, 1) in pictures of this camera as they are, distortion included. May lie outside the
@@ -198,7 +201,7 @@ mod tests {
         assert!(!CameraModel { fy: 0.0, ..model }.is_sound());
     }
 
-    /// cv2.projectPoints and cv2.fisheye.projectPoints of OpenCV 5.0, by tools/fixtures/make_imaging.py.
+    /// cv2.projectPoints and cv2.fisheye.projectPoints of OpenCV 5.0, by tests/fixtures/make_imaging.py.
     #[test]
     fn rays_land_where_opencv_puts_them() {
         let rays = [(0.0, 0.0), (0.1, -0.2), (-0.5, 0.4), (0.75, 0.3), (-0.05, 0.9), (1.2, -1.1)];
@@ -222,11 +225,21 @@ mod tests {
             (Distortion::PlumbBob([-0.25, 0.08, 0.002, -0.003, 0.01]), plumb_bob),
             (Distortion::Fisheye([0.05, -0.02, 0.004, -0.001]), fisheye),
         ] {
-            let camera =
-                CameraModel { width: 640, height: 480, fx: 400.0, fy: 410.0, cx: 322.5, cy: 236.25, distortion };
+            let camera = CameraModel {
+                width: 640,
+                height: 480,
+                fx: 400.0,
+                fy: 410.0,
+                cx: 322.5,
+                cy: 236.25,
+                distortion,
+            };
             for ((x, y), (u, v)) in rays.into_iter().zip(pixels) {
                 let (u2, v2) = camera.distorted_pixel(x, y);
-                assert!((u - u2).abs() < 1e-9 && (v - v2).abs() < 1e-9, "{distortion:?} {x} {y}: {u2} {v2}");
+                assert!(
+                    (u - u2).abs() < 1e-9 && (v - v2).abs() < 1e-9,
+                    "{distortion:?} {x} {y}: {u2} {v2}"
+                );
             }
         }
     }
@@ -246,8 +259,13 @@ mod tests {
     #[test]
     fn nan_distortion_is_not_sound() {
         let model = CameraModel::pinhole(640, 192, FRAC_PI_2);
-        assert!(!CameraModel { distortion: Distortion::PlumbBob([f64::NAN; 5]), ..model }.is_sound());
-        assert!(!CameraModel { distortion: Distortion::Fisheye([f64::INFINITY; 4]), ..model }.is_sound());
+        assert!(
+            !CameraModel { distortion: Distortion::PlumbBob([f64::NAN; 5]), ..model }.is_sound()
+        );
+        assert!(
+            !CameraModel { distortion: Distortion::Fisheye([f64::INFINITY; 4]), ..model }
+                .is_sound()
+        );
     }
 
     proptest! {

@@ -20,7 +20,8 @@ impl DepthMap {
     /// A map from row-major values; `None` when their number is not `width * height` or one is NaN, infinite or negative.
     #[must_use]
     pub fn from_vec(width: usize, height: usize, depth_m: Vec<f32>) -> Option<Self> {
-        let sound = depth_m.len() == width.checked_mul(height)? && depth_m.iter().all(|d| d.is_finite() && *d >= 0.0);
+        let sound = depth_m.len() == width.checked_mul(height)?
+            && depth_m.iter().all(|d| d.is_finite() && *d >= 0.0);
         sound.then_some(Self { width, height, depth_m })
     }
 
@@ -70,7 +71,10 @@ mod tests {
     #[test]
     fn zero_and_outside_are_no_depth() {
         let map = DepthMap::from_vec(2, 1, vec![0.0, 1.5]).unwrap();
-        assert_eq!((map.get(0, 0), map.get(1, 0), map.get(2, 0), map.get(0, 1)), (None, Some(1.5), None, None));
+        assert_eq!(
+            (map.get(0, 0), map.get(1, 0), map.get(2, 0), map.get(0, 1)),
+            (None, Some(1.5), None, None)
+        );
     }
 
     #[test]

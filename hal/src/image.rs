@@ -68,8 +68,12 @@ pub enum ImageError {
 impl fmt::Display for ImageError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Size { width, height, format } => write!(f, "a {format:?} picture cannot be {width}x{height}"),
-            Self::Length { expected, actual } => write!(f, "picture has {actual} bytes, its size needs {expected}"),
+            Self::Size { width, height, format } => {
+                write!(f, "a {format:?} picture cannot be {width}x{height}")
+            }
+            Self::Length { expected, actual } => {
+                write!(f, "picture has {actual} bytes, its size needs {expected}")
+            }
         }
     }
 }
@@ -90,12 +94,19 @@ impl<'a> ImageView<'a> {
     ///
     /// # Errors
     /// When the size is impossible or does not fit the bytes.
-    pub fn new(width: usize, height: usize, format: PixelFormat, data: &'a [u8]) -> Result<Self, ImageError> {
+    pub fn new(
+        width: usize,
+        height: usize,
+        format: PixelFormat,
+        data: &'a [u8],
+    ) -> Result<Self, ImageError> {
         if !format.allows(width, height) {
             return Err(ImageError::Size { width, height, format });
         }
         match format.bytes(width, height) {
-            Some(expected) if expected != data.len() => Err(ImageError::Length { expected, actual: data.len() }),
+            Some(expected) if expected != data.len() => {
+                Err(ImageError::Length { expected, actual: data.len() })
+            }
             None if format != PixelFormat::Mjpeg => Err(ImageError::Size { width, height, format }),
             _ => Ok(Self { width, height, format, data }),
         }

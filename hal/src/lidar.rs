@@ -84,7 +84,10 @@ impl LaserScan {
 
     /// Angle (radians) and distance (metres) of every beam that hit something.
     pub fn hits(&self) -> impl Iterator<Item = (f64, f32)> + '_ {
-        self.ranges.iter().enumerate().filter_map(|(beam, range)| Some((self.geometry.angle_rad(beam), range.hit_m()?)))
+        self.ranges
+            .iter()
+            .enumerate()
+            .filter_map(|(beam, range)| Some((self.geometry.angle_rad(beam), range.hit_m()?)))
     }
 }
 

@@ -38,7 +38,11 @@ impl Pose2 {
     #[must_use]
     pub fn inverse(&self) -> Self {
         let (sin, cos) = sin_cos(self.yaw_rad);
-        Self::new(-(cos * self.x_m + sin * self.y_m), sin * self.x_m - cos * self.y_m, -self.yaw_rad)
+        Self::new(
+            -(cos * self.x_m + sin * self.y_m),
+            sin * self.x_m - cos * self.y_m,
+            -self.yaw_rad,
+        )
     }
 
     /// Maps a point of frame b, metres, into frame a.
@@ -86,7 +90,10 @@ pub fn camera_mount(forward_m: f64, height_m: f64, pitch_down_rad: f64) -> Pose3
     let level = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
     let pitch = Rotation3::from_axis_angle(&Vector3::y_axis(), pitch_down_rad);
     let rotation = pitch * Rotation3::from_matrix_unchecked(level);
-    Pose3::from_parts(Translation3::new(forward_m, 0.0, height_m), UnitQuaternion::from_rotation_matrix(&rotation))
+    Pose3::from_parts(
+        Translation3::new(forward_m, 0.0, height_m),
+        UnitQuaternion::from_rotation_matrix(&rotation),
+    )
 }
 
 fn sin_cos(angle_rad: f64) -> (f64, f64) {

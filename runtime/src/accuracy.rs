@@ -84,7 +84,9 @@ pub struct AccuracyRows {
 
 /// A picture and its truth do not have the same size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("depth is {got_width}x{got_height} but its ground truth is {want_width}x{want_height}; resample one of them")]
+#[error(
+    "depth is {got_width}x{got_height} but its ground truth is {want_width}x{want_height}; resample one of them"
+)]
 pub struct SizeMismatch {
     got_width: usize,
     got_height: usize,
@@ -112,7 +114,11 @@ impl Accuracy {
     ///
     /// # Errors
     /// [`SizeMismatch`]; the picture is then not counted.
-    pub fn add(&mut self, estimate: Option<&DepthEstimate>, truth: &DepthMap) -> Result<(), SizeMismatch> {
+    pub fn add(
+        &mut self,
+        estimate: Option<&DepthEstimate>,
+        truth: &DepthMap,
+    ) -> Result<(), SizeMismatch> {
         let pixels = &mut self.scratch;
         let with_truth = match estimate {
             Some(estimate) => {
@@ -253,7 +259,9 @@ impl Scratch {
     ) -> usize {
         self.clear();
         let mut with_truth = 0;
-        for (at, ((&p, &t), &c)) in depth.values().iter().zip(truth.values()).zip(confidence).enumerate() {
+        for (at, ((&p, &t), &c)) in
+            depth.values().iter().zip(truth.values()).zip(confidence).enumerate()
+        {
             if counts(t) {
                 with_truth += 1;
                 if p > 0.0 && asked(at) {
@@ -319,7 +327,8 @@ impl Errors {
         const RUN: usize = 256;
         let (mut delta, mut relative, mut square) = ([0_u64; 3], 0.0_f64, 0.0_f64);
         for (predicted, truth) in predicted.chunks(RUN).zip(truth.chunks(RUN)) {
-            let (mut hits, mut run_relative, mut run_square) = ([0_u32; 3], [0.0_f32; 8], [0.0_f32; 8]);
+            let (mut hits, mut run_relative, mut run_square) =
+                ([0_u32; 3], [0.0_f32; 8], [0.0_f32; 8]);
             for (lane, (&p, &t)) in predicted.iter().zip(truth).enumerate() {
                 let p = p * scale;
                 let (low, high) = (p.min(t), p.max(t));
@@ -408,7 +417,10 @@ mod tests {
     fn a_perfect_prediction_has_no_error() {
         let all = rows_of(&[1.0, 2.0, 3.0], &[1.0, 0.5, 0.2], &[1.0, 2.0, 3.0]).all.unwrap();
         assert_eq!((all.share, all.delta1, all.delta1_unscaled), (1.0, 1.0, 1.0));
-        assert_eq!((all.abs_rel, all.rmse_m, all.abs_rel_scaled, all.rmse_m_scaled), (0.0, 0.0, 0.0, 0.0));
+        assert_eq!(
+            (all.abs_rel, all.rmse_m, all.abs_rel_scaled, all.rmse_m_scaled),
+            (0.0, 0.0, 0.0, 0.0)
+        );
     }
 
     #[test]
@@ -421,7 +433,9 @@ mod tests {
 
     #[test]
     fn pixels_without_truth_or_outside_the_range_do_not_count() {
-        let all = rows_of(&[1.0, 9.0, 9.0, 9.0, 0.0], &[1.0; 5], &[1.0, 0.0, 0.05, 20.5, 2.0]).all.unwrap();
+        let all = rows_of(&[1.0, 9.0, 9.0, 9.0, 0.0], &[1.0; 5], &[1.0, 0.0, 0.05, 20.5, 2.0])
+            .all
+            .unwrap();
         assert_eq!((all.share, all.delta1_unscaled), (0.5, 1.0));
     }
 
@@ -492,7 +506,9 @@ mod tests {
 
     #[test]
     fn another_size_is_refused() {
-        let error = Accuracy::new().add(Some(&DepthEstimate::none(2, 1)), &DepthMap::none(1, 2)).unwrap_err();
+        let error = Accuracy::new()
+            .add(Some(&DepthEstimate::none(2, 1)), &DepthMap::none(1, 2))
+            .unwrap_err();
         assert!(error.to_string().contains("2x1") && error.to_string().contains("1x2"));
     }
 

@@ -125,7 +125,11 @@ impl LineMonitor {
     pub fn by_distance(&self) -> Vec<LineAccuracy> {
         let ends = DISTANCES_M.iter().copied().map(Some).chain([None]);
         let starts = [0.0].into_iter().chain(DISTANCES_M);
-        self.bins.iter().zip(starts.zip(ends)).filter_map(|(bin, (from_m, to_m))| bin.accuracy(from_m, to_m)).collect()
+        self.bins
+            .iter()
+            .zip(starts.zip(ends))
+            .filter_map(|(bin, (from_m, to_m))| bin.accuracy(from_m, to_m))
+            .collect()
     }
 }
 
@@ -135,7 +139,10 @@ mod tests {
     use hal::{CameraModel, DepthMap, Pose3};
 
     fn monitor() -> LineMonitor {
-        LineMonitor::new(LidarView { camera: CameraModel::pinhole(8, 1, 1.0), t_camera_laser: Pose3::identity() })
+        LineMonitor::new(LidarView {
+            camera: CameraModel::pinhole(8, 1, 1.0),
+            t_camera_laser: Pose3::identity(),
+        })
     }
 
     fn estimate(depths_m: &[f32]) -> DepthEstimate {
@@ -144,7 +151,11 @@ mod tests {
     }
 
     fn line(depths_m: &[f32]) -> Vec<LinePoint> {
-        depths_m.iter().enumerate().map(|(u, depth_m)| LinePoint { u, v: 0, depth_m: *depth_m }).collect()
+        depths_m
+            .iter()
+            .enumerate()
+            .map(|(u, depth_m)| LinePoint { u, v: 0, depth_m: *depth_m })
+            .collect()
     }
 
     #[test]
@@ -160,7 +171,8 @@ mod tests {
     fn distances_are_told_apart_and_those_never_seen_are_left_out() {
         let mut monitor = monitor();
         monitor.add(&estimate(&[0.5, 1.5, 9.0]), &line(&[0.5, 1.0, 5.0]));
-        let found: Vec<_> = monitor.by_distance().iter().map(|bin| (bin.from_m, bin.to_m, bin.delta1)).collect();
+        let found: Vec<_> =
+            monitor.by_distance().iter().map(|bin| (bin.from_m, bin.to_m, bin.delta1)).collect();
         assert_eq!(found, [(0.0, Some(1.0), 1.0), (1.0, Some(2.0), 0.0), (4.0, None, 0.0)]);
     }
 

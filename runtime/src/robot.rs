@@ -10,7 +10,9 @@ use serde::{Deserialize, Serialize};
 use crate::event::{Event, RefusedInput};
 use crate::exploration::{ExplorationConfig, Explorer, PolicyKind, Senses};
 use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
-use crate::perception::{CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError};
+use crate::perception::{
+    CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError,
+};
 use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::recording::input_digest;
 use crate::safety::{Plan, Request, SafetyConfig, SafetyInput, SafetyPlane, SafetyState};
@@ -169,7 +171,13 @@ impl Robot {
             has_depth: HasDepth::default(),
             map: OccupancyGrid::new(&config.map)?,
             looks: VecDeque::new(),
-            explorer: Explorer::new(config.policy, config.exploration, &config.plan, &config.follower, rng)?,
+            explorer: Explorer::new(
+                config.policy,
+                config.exploration,
+                &config.plan,
+                &config.follower,
+                rng,
+            )?,
             safety: SafetyPlane::new(config.safety.clone()),
             bumped: false,
             collision_at: None,
@@ -219,7 +227,11 @@ impl Robot {
         let here = self.network_digest();
         if network != here {
             let name = |digest: Option<String>| digest.unwrap_or_else(|| "none".to_owned());
-            return Err(SnapshotError::OtherRobot { what: "the model", found: name(network), here: name(here) });
+            return Err(SnapshotError::OtherRobot {
+                what: "the model",
+                found: name(network),
+                here: name(here),
+            });
         }
         self.config.depth_source.read(&mut from)?;
         State::read(self, &mut from)?;
@@ -274,7 +286,11 @@ impl Robot {
         timer.ended(Stage::Map);
         let wanted = self.wish(input, odom, &mut events);
         timer.ended(Stage::Plan);
-        let command = if input.safety.is_some() { wanted } else { self.gate(input, scan, wanted, &mut events) };
+        let command = if input.safety.is_some() {
+            wanted
+        } else {
+            self.gate(input, scan, wanted, &mut events)
+        };
         Decision {
             tick: input.tick,
             time_ns: input.time_ns,
@@ -347,7 +363,8 @@ impl Robot {
     }
 
     fn take_truth(&mut self, truth: &DepthMap) -> bool {
-        if (truth.width(), truth.height()) != (self.config.camera.width, self.config.camera.height) {
+        if (truth.width(), truth.height()) != (self.config.camera.width, self.config.camera.height)
+        {
             return false;
         }
         self.truth.depth.values_mut().copy_from_slice(truth.values());
@@ -386,7 +403,9 @@ impl Robot {
         }
         let depth = match self.config.depth_source {
             DepthSource::Coarse => self.has_depth.coarse.then(|| self.coarse.last()),
-            DepthSource::Network => self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last),
+            DepthSource::Network => {
+                self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
+            }
             DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
         };
         if let Some(depth) = depth
@@ -408,8 +427,10 @@ impl Robot {
     }
 
     fn wish(&mut self, input: &TickInput<'_>, pose: Pose2, events: &mut Vec<Event>) -> Twist2 {
-        let in_charge = input.safety.map_or_else(|| self.drives_itself(), |report| report.in_charge);
-        let blind = self.config.stand_without_pictures.is_some_and(|turns| self.blind_turns >= turns);
+        let in_charge =
+            input.safety.map_or_else(|| self.drives_itself(), |report| report.in_charge);
+        let blind =
+            self.config.stand_without_pictures.is_some_and(|turns| self.blind_turns >= turns);
         if in_charge || blind {
             return Twist2::ZERO;
         }
@@ -460,7 +481,10 @@ impl Robot {
     /// While it waits for a scan the policy goes on wishing.
     fn drives_itself(&self) -> bool {
         let state = self.safety.state();
-        matches!(state, SafetyState::Tripped { .. } | SafetyState::BackingOff(_) | SafetyState::Escaping(_))
+        matches!(
+            state,
+            SafetyState::Tripped { .. } | SafetyState::BackingOff(_) | SafetyState::Escaping(_)
+        )
     }
 
     fn note_blocked(&mut self, blocked_m: Option<[f64; 2]>) {
@@ -515,7 +539,11 @@ remembers!(
 
 /// Keeps the newest look and those before it, back to the one `gap` pictures ago.
 fn remember_look(looks: &mut VecDeque<SingleFrameMap>, look: &SingleFrameMap, gap: usize) {
-    let mut slot = if looks.len() > gap { looks.pop_front().unwrap_or_default() } else { SingleFrameMap::default() };
+    let mut slot = if looks.len() > gap {
+        looks.pop_front().unwrap_or_default()
+    } else {
+        SingleFrameMap::default()
+    };
     slot.clone_from(look);
     looks.push_back(slot);
 }

@@ -62,8 +62,8 @@ impl<T: Serialize + DeserializeOwned> State for T {
     }
 
     fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
-        let (value, rest) =
-            postcard::take_from_bytes(from).map_err(|error| SnapshotError::Damaged(error.to_string()))?;
+        let (value, rest) = postcard::take_from_bytes(from)
+            .map_err(|error| SnapshotError::Damaged(error.to_string()))?;
         (*self, *from) = (value, rest);
         Ok(())
     }
@@ -85,7 +85,9 @@ pub(crate) fn read_bulk<T: bytemuck::AnyBitPattern + bytemuck::NoUninit>(
     let (length, rest) = from.split_first_chunk().ok_or_else(|| damaged("it ends too early"))?;
     let count = usize::try_from(u64::from_le_bytes(*length)).ok().filter(|count| *count <= most);
     let count = count.ok_or_else(|| damaged("more values than there can be"))?;
-    let (bytes, rest) = rest.split_at_checked(count * size_of::<T>()).ok_or_else(|| damaged("it ends too early"))?;
+    let (bytes, rest) = rest
+        .split_at_checked(count * size_of::<T>())
+        .ok_or_else(|| damaged("it ends too early"))?;
     values.clear();
     values.resize(count, T::zeroed());
     bytemuck::cast_slice_mut::<T, u8>(values).copy_from_slice(bytes);
@@ -122,7 +124,10 @@ mod tests {
         write_bulk(&values, &mut bytes);
         let mut back = vec![7.0_f32; 9];
         read_bulk(&mut back, 5, &mut bytes.as_slice()).unwrap();
-        assert_eq!(back.iter().map(|value| value.to_bits()).collect::<Vec<_>>(), values.map(f32::to_bits));
+        assert_eq!(
+            back.iter().map(|value| value.to_bits()).collect::<Vec<_>>(),
+            values.map(f32::to_bits)
+        );
         assert!(read_bulk(&mut back, 4, &mut bytes.as_slice()).is_err());
         for len in 0..bytes.len() {
             assert!(read_bulk(&mut back, 5, &mut &bytes[..len]).is_err());

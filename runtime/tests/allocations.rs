@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
 use hal::{
-    Base, CameraModel, DriveCommand, ImageView, LaserScan, Lidar, PixelFormat, Pose3, Range, ScanGeometry, Twist2,
-    WheelFeedback,
+    Base, CameraModel, DriveCommand, ImageView, LaserScan, Lidar, PixelFormat, Pose3, Range,
+    ScanGeometry, Twist2, WheelFeedback,
 };
 use nalgebra::{UnitQuaternion, Vector3};
 use runtime::perception::flow::{DenseFlow, DerotatedFlow, FlowField, FlowPreset};
@@ -55,7 +55,8 @@ fn flow_allocates_nothing_after_the_first_call() {
     let (first, second) = (picture(0.0), picture(2.0));
     let initial = FlowField::zero(WIDTH, HEIGHT);
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.02, 0.0));
-    let mut derotated = DerotatedFlow::new(FlowPreset::Fast, CameraModel::pinhole(WIDTH, HEIGHT, 1.5)).unwrap();
+    let mut derotated =
+        DerotatedFlow::new(FlowPreset::Fast, CameraModel::pinhole(WIDTH, HEIGHT, 1.5)).unwrap();
     for preset in [FlowPreset::UltraFast, FlowPreset::Fast, FlowPreset::Medium] {
         let mut engine = DenseFlow::new(preset, WIDTH, HEIGHT).unwrap();
         let mut run = || {
@@ -116,7 +117,8 @@ fn the_safety_loop_allocates_nothing_after_its_first_scan_whatever_state_it_is_i
     let mut counted = 0;
     for turn in 1..3000_u64 {
         let now_ns = turn * 10_000_000;
-        let plan = Some(Plan { twist: Twist2 { linear_mps: 0.3, angular_radps: 0.0 }, time_ns: now_ns });
+        let plan =
+            Some(Plan { twist: Twist2 { linear_mps: 0.3, angular_radps: 0.0 }, time_ns: now_ns });
         let request = match turn % 1000 {
             1 => Some(Request::Arm),
             900 => Some(Request::ClearFault),

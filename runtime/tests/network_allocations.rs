@@ -1,5 +1,9 @@
 //! How often a network asks the allocator for memory, call by call, once it is loaded.
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot set up its scene has failed")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test that cannot set up its scene has failed"
+)]
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +18,11 @@ const OF_ORT: u64 = 2;
 fn onnx_runtime() -> Environment {
     let library = std::env::var_os("ORT_DYLIB_PATH").map(PathBuf::from).or_else(installed);
     let library = library.expect("no ONNX Runtime: run `cargo xtask setup`, or set ORT_DYLIB_PATH");
-    ort::init_from(library).expect("ONNX Runtime does not load").with_telemetry(false).build().unwrap()
+    ort::init_from(library)
+        .expect("ONNX Runtime does not load")
+        .with_telemetry(false)
+        .build()
+        .unwrap()
 }
 
 fn installed() -> Option<PathBuf> {
@@ -24,7 +32,8 @@ fn installed() -> Option<PathBuf> {
 }
 
 fn model(name: &str) -> Vec<u8> {
-    std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/models/{name}.onnx"))).unwrap()
+    std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/models/{name}.onnx")))
+        .unwrap()
 }
 
 /// Allocations of one call, after some that do not count.

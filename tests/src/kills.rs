@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::Child;
 use std::time::{Duration, Instant, SystemTime};
 
-use drivers::MonotonicClock;
 use hal::Clock;
+use monotonic_clock::MonotonicClock;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -50,7 +50,11 @@ impl Moments {
     ///
     /// # Errors
     /// When the program cannot be looked at, or neither ends nor does anything.
-    pub fn wait<T: PartialEq>(&mut self, program: &mut Child, changes: impl Fn() -> T) -> std::io::Result<()> {
+    pub fn wait<T: PartialEq>(
+        &mut self,
+        program: &mut Child,
+        changes: impl Fn() -> T,
+    ) -> std::io::Result<()> {
         if self.dice.random() {
             self.pass(self.whole);
             return Ok(());

@@ -2,9 +2,12 @@
 
 use std::sync::Arc;
 
-use drivers::fault::{Fault, Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyLidar, random_faults};
+use drivers::fault::{
+    Fault, Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyLidar, random_faults,
+};
 use hal::{
-    Base, Camera, CameraModel, Clock, DriveCommand, Error, Frame, LaserScan, Lidar, Pose2, Twist2, WheelFeedback,
+    Base, Camera, CameraModel, Clock, DriveCommand, Error, Frame, LaserScan, Lidar, Pose2, Twist2,
+    WheelFeedback,
 };
 use runtime::exploration::{ExplorationConfig, PolicyKind};
 use runtime::mapping::MapConfig;
@@ -62,7 +65,11 @@ impl Scenario {
     /// # Errors
     /// A text that names no fault. When a built-in home cannot be opened or a default configuration is refused: a defect of
     /// the project.
-    pub fn new(policy: PolicyKind, faults: &[&str], seed: u64) -> Result<Self, Box<dyn std::error::Error>> {
+    pub fn new(
+        policy: PolicyKind,
+        faults: &[&str],
+        seed: u64,
+    ) -> Result<Self, Box<dyn std::error::Error>> {
         let world = World::open("builtin:apartment?seed=1", &OpenOptions::default())?;
         let camera = CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2);
         let options = RobotOptions { camera, seed, ..RobotOptions::default() };
@@ -144,12 +151,23 @@ impl Scenario {
             self.shadow = Some(successor(&self.robot)?);
         }
         let decision = self.robot.tick(&input, &mut ());
-        if let Some(other) =
-            self.shadow.as_mut().map(|shadow| shadow.tick(&input, &mut ())).filter(|other| *other != decision)
+        if let Some(other) = self
+            .shadow
+            .as_mut()
+            .map(|shadow| shadow.tick(&input, &mut ()))
+            .filter(|other| *other != decision)
         {
-            return Err(format!("from its snapshot, turn {} is {other:?}, not {decision:?}", self.tick).into());
+            return Err(format!(
+                "from its snapshot, turn {} is {other:?}, not {decision:?}",
+                self.tick
+            )
+            .into());
         }
-        let command = DriveCommand { twist: decision.command.into(), counter: self.tick as u32 + 1, plan_age_ns: 0 };
+        let command = DriveCommand {
+            twist: decision.command.into(),
+            counter: self.tick as u32 + 1,
+            plan_age_ns: 0,
+        };
         // A base that cannot be reached stops by its own watchdog; one that refuses to be driven was asked for nonsense.
         if let Err(error) = self.base.drive(&command)
             && error.kind() == hal::ErrorKind::Rejected

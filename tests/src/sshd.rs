@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
 
 use clap::Args;
-use drivers::MonotonicClock;
 use hal::Clock;
+use monotonic_clock::MonotonicClock;
 
 const SSHD: &str = "/usr/sbin/sshd";
 const TRIES: u32 = 200;
@@ -68,7 +68,11 @@ impl Sshd {
         );
         fs::write(dir.join("sshd_config"), config)?;
         let log = fs::File::create(dir.join("sshd.log"))?;
-        let child = Command::new(SSHD).args(["-D", "-e", "-f"]).arg(dir.join("sshd_config")).stderr(log).spawn()?;
+        let child = Command::new(SSHD)
+            .args(["-D", "-e", "-f"])
+            .arg(dir.join("sshd_config"))
+            .stderr(log)
+            .spawn()?;
         let mut server = Self { dir: dir.to_owned(), port, child };
         server.trust("host_key.pub")?;
         let mut clock = MonotonicClock;
@@ -82,7 +86,10 @@ impl Sshd {
             let then_ns = clock.now_ns() + TRY_NS;
             clock.sleep_until_ns(then_ns);
         }
-        eprintln!("sshd does not run here: {}", fs::read_to_string(dir.join("sshd.log")).unwrap_or_default());
+        eprintln!(
+            "sshd does not run here: {}",
+            fs::read_to_string(dir.join("sshd.log")).unwrap_or_default()
+        );
         Ok(None)
     }
 

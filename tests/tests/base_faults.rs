@@ -5,8 +5,8 @@
 use drivers::can::messages::SafetyInput;
 use drivers::can::protocol::MotorStage;
 use drivers::can::{
-    BaseConfig, BusEvent, CanBus, CanError, CanFrame, CanId, DifferentialBase, ErrorState, Phase, Protocol, Side, Trip,
-    UnixBus,
+    BaseConfig, BusEvent, CanBus, CanError, CanFrame, CanId, DifferentialBase, ErrorState, Phase,
+    Protocol, Side, Trip, UnixBus,
 };
 use hal::{Base, Clock, DriveCommand, Error, ErrorKind, Twist2, VirtualClock};
 use hil::motor::rig::{config, node, step_nodes};
@@ -71,7 +71,10 @@ fn every_protocol_arms_drives_and_measures_its_own_motion() {
         let pose = rig.base.odometry().pose();
         let heading = (right - left) / 0.24;
         // One commutation step of the VESC is 1.2 mm at the rim.
-        assert!((hal::wrap_angle(heading) - pose.yaw_rad).abs() < 0.02, "{protocol:?}: {heading} and {pose:?}");
+        assert!(
+            (hal::wrap_angle(heading) - pose.yaw_rad).abs() < 0.02,
+            "{protocol:?}: {heading} and {pose:?}"
+        );
         let travelled = (left + right) / 2.0;
         assert!((0.75..0.8).contains(&travelled), "{protocol:?}: {travelled} m");
         assert!(stands(&rig));
@@ -203,7 +206,11 @@ fn feedback_that_stops_for_100_ms_stops_the_base() {
         assert!(stands(&rig), "{protocol:?}");
         let error = rig.feedback.as_ref().expect_err("silence is no feedback");
         assert_eq!(error.kind(), ErrorKind::Timeout);
-        assert_eq!(rig.base.arm().map_err(|error| error.kind()), Err(ErrorKind::Timeout), "{protocol:?}");
+        assert_eq!(
+            rig.base.arm().map_err(|error| error.kind()),
+            Err(ErrorKind::Timeout),
+            "{protocol:?}"
+        );
     }
 }
 
@@ -275,7 +282,8 @@ fn a_fault_of_a_motor_stops_both_and_is_cleared_by_arming_once_it_is_gone() {
 }
 
 #[test]
-fn a_wheel_that_turns_against_its_command_stops_the_base_within_centimetres_and_is_not_armed_again() {
+fn a_wheel_that_turns_against_its_command_stops_the_base_within_centimetres_and_is_not_armed_again()
+{
     for protocol in ALL {
         let mut rig = armed(protocol);
         rig.nodes[1].wheel_mut().encoder_reversed = true;
@@ -298,7 +306,8 @@ fn a_wheel_that_turns_against_its_command_stops_the_base_within_centimetres_and_
 #[test]
 fn a_motor_mounted_the_other_way_round_is_a_matter_of_configuration() {
     for protocol in ALL {
-        let mut rig = Rig::new(&BaseConfig { invert_right: true, ..config(protocol) }).expect("sound");
+        let mut rig =
+            Rig::new(&BaseConfig { invert_right: true, ..config(protocol) }).expect("sound");
         rig.arm().expect("it arms");
         (0..150).for_each(|_| rig.drive(0.2, 0.0).expect("it drives"));
         let [left, right] = rig.wheels_radps();
@@ -311,7 +320,8 @@ fn a_motor_mounted_the_other_way_round_is_a_matter_of_configuration() {
 fn swapped_wheels_turn_the_robot_the_right_way_with_swap_wheels() {
     for protocol in ALL {
         // Node 1 is mounted right: turning left, it is the one that goes forwards.
-        let mut rig = Rig::new(&BaseConfig { swap_wheels: true, ..config(protocol) }).expect("sound");
+        let mut rig =
+            Rig::new(&BaseConfig { swap_wheels: true, ..config(protocol) }).expect("sound");
         rig.arm().expect("it arms");
         (0..150).for_each(|_| rig.drive(0.0, 0.8).expect("it turns"));
         let [node_1, node_2] = rig.wheels_radps();
@@ -346,8 +356,11 @@ fn somebody_elses_frames_are_ignored_and_counted() {
 fn a_command_that_is_repeated_or_late_is_refused() {
     let mut rig = driving(Protocol::Odrive);
     let counter = rig.counter;
-    let command =
-        |counter| DriveCommand { twist: Twist2 { linear_mps: 0.1, angular_radps: 0.0 }, counter, plan_age_ns: 0 };
+    let command = |counter| DriveCommand {
+        twist: Twist2 { linear_mps: 0.1, angular_radps: 0.0 },
+        counter,
+        plan_age_ns: 0,
+    };
     for old in [counter, counter - 1, counter.wrapping_sub(1000)] {
         let refused = CanError::Counter { found: old, last: counter };
         assert_eq!(rig.base.drive(&command(old)), Err(refused));
@@ -375,7 +388,11 @@ fn a_stale_plan_moves_nothing() {
         for _ in 0..60 {
             rig.listen();
             rig.counter += 1;
-            let error = rig.base.drive(&DriveCommand { twist, counter: rig.counter, plan_age_ns: 501 * MS });
+            let error = rig.base.drive(&DriveCommand {
+                twist,
+                counter: rig.counter,
+                plan_age_ns: 501 * MS,
+            });
             assert_eq!(error, Err(CanError::PlanTooOld { age_ms: 501, limit_ms: 500 }));
         }
         assert!(stands(&rig), "{protocol:?}");
@@ -465,7 +482,11 @@ fn a_safety_board_on_the_bus_stops_the_base_and_so_does_its_silence() {
     assert!(rig.base.is_armed());
     tell(&mut rig, false, true, true).expect("a bumper is contact, not a trip");
     rig.listen();
-    assert!(rig.feedback.as_ref().is_ok_and(|feedback| feedback.is_some_and(|feedback| feedback.contact)));
+    assert!(
+        rig.feedback
+            .as_ref()
+            .is_ok_and(|feedback| feedback.is_some_and(|feedback| feedback.contact))
+    );
     assert_eq!(tell(&mut rig, true, false, true), Err(CanError::Tripped(Trip::EmergencyStop)));
     let _ = tell(&mut rig, false, false, true);
     (0..60).for_each(|_| drop(tell(&mut rig, false, false, true)));
@@ -503,7 +524,10 @@ fn a_blocked_wheel_is_contact() {
                 contact_after.get_or_insert(turn);
             }
         }
-        assert!(contact_after.is_some_and(|turn| (25..45).contains(&turn)), "{protocol:?}: {contact_after:?}");
+        assert!(
+            contact_after.is_some_and(|turn| (25..45).contains(&turn)),
+            "{protocol:?}: {contact_after:?}"
+        );
     }
 }
 
@@ -511,16 +535,29 @@ fn a_blocked_wheel_is_contact() {
 fn lost_doubled_and_late_frames_do_not_spoil_the_ride() {
     for protocol in ALL {
         let mut rig = armed(protocol);
-        let faults = LineFaults { lost_share: 0.03, doubled_share: 0.05, late_ns: 4 * MS, ..LineFaults::default() };
+        let faults = LineFaults {
+            lost_share: 0.03,
+            doubled_share: 0.05,
+            late_ns: 4 * MS,
+            ..LineFaults::default()
+        };
         rig.host.set_faults(faults);
-        rig.motors.set_faults(LineFaults { doubled_share: 0.05, late_ns: 2 * MS, ..LineFaults::default() });
+        rig.motors.set_faults(LineFaults {
+            doubled_share: 0.05,
+            late_ns: 2 * MS,
+            ..LineFaults::default()
+        });
         for _ in 0..1000 {
-            rig.drive(0.2, 0.1).unwrap_or_else(|error| panic!("{protocol:?}: {error}; {}", rig.base.explain()));
+            rig.drive(0.2, 0.1)
+                .unwrap_or_else(|error| panic!("{protocol:?}: {error}; {}", rig.base.explain()));
         }
         (0..50).for_each(|_| drop(rig.drive(0.0, 0.0)));
         let [left, right] = rig.nodes.each_ref().map(|node| node.wheel().position_rad() * 0.05);
         let yaw = hal::wrap_angle((right - left) / 0.24);
-        assert!(hal::wrap_angle(yaw - rig.base.odometry().pose().yaw_rad).abs() < 0.02, "{protocol:?}");
+        assert!(
+            hal::wrap_angle(yaw - rig.base.odometry().pose().yaw_rad).abs() < 0.02,
+            "{protocol:?}"
+        );
     }
 }
 
@@ -567,7 +604,11 @@ fn a_robot_that_is_pushed_is_not_armed() {
         node.faults().broken = true;
     }
     (0..30).for_each(|_| rolling.listen());
-    assert!(matches!(rolling.base.arm(), Err(CanError::Moving { side: Side::Left, .. })), "{:?}", rolling.base.arm());
+    assert!(
+        matches!(rolling.base.arm(), Err(CanError::Moving { side: Side::Left, .. })),
+        "{:?}",
+        rolling.base.arm()
+    );
 }
 
 #[test]
@@ -591,11 +632,13 @@ fn disarming_brakes_before_it_lets_the_motors_go() {
 fn an_armed_turn_allocates_nothing() {
     for protocol in ALL {
         let flags = SocketFlags::NONBLOCK;
-        let (host, motors) = socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, flags, None).expect("two sockets");
+        let (host, motors) = socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, flags, None)
+            .expect("two sockets");
         let (mut motors, mut now_ns) = (UnixBus::from_fd(motors), 1_000 * MS);
         let clock = VirtualClock::starting_at_ns(now_ns);
-        let mut base = DifferentialBase::with_clock(UnixBus::from_fd(host), &config(protocol), clock)
-            .expect("a sound configuration");
+        let mut base =
+            DifferentialBase::with_clock(UnixBus::from_fd(host), &config(protocol), clock)
+                .expect("a sound configuration");
         let mut nodes = [node(protocol, 1), node(protocol, 2)];
         let (mut outbox, mut counter, mut measured) = (Outbox::default(), 0, 0);
         for _ in 0..600 {

@@ -5,11 +5,11 @@
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use drivers::MonotonicClock;
 use drivers::can::Protocol;
 use hal::Clock;
 use hil::motor::rig::{node, step_nodes};
 use hil::motor::{Drive, Hub, MotorNode, Outbox};
+use monotonic_clock::MonotonicClock;
 use rustix::process::{Pid, Signal, kill_process};
 
 const STEP_NS: u64 = 1_000_000;
@@ -36,7 +36,16 @@ impl Controllers {
         let hub = Hub::bind(&path).expect("a hub");
         let mut nodes = [node(protocol, 1), node(protocol, 2)];
         nodes.iter_mut().for_each(|node| node.wheel_mut().lag_s = 0.002);
-        Self { hub, nodes, outbox: Outbox::default(), now_ns: 0, real_ns: clock.now_ns(), clock, path, protocol }
+        Self {
+            hub,
+            nodes,
+            outbox: Outbox::default(),
+            now_ns: 0,
+            real_ns: clock.now_ns(),
+            clock,
+            path,
+            protocol,
+        }
     }
 
     fn step(&mut self) {
@@ -47,11 +56,15 @@ impl Controllers {
     }
 
     fn are_driven(&self) -> bool {
-        self.nodes.iter().all(|node| matches!(node.wheel().drive(), Drive::Velocity(speed) if speed > 1.0))
+        self.nodes
+            .iter()
+            .all(|node| matches!(node.wheel().drive(), Drive::Velocity(speed) if speed > 1.0))
     }
 
     fn are_released(&self) -> bool {
-        self.nodes.iter().all(|node| !matches!(node.wheel().drive(), Drive::Velocity(speed) if speed != 0.0))
+        self.nodes
+            .iter()
+            .all(|node| !matches!(node.wheel().drive(), Drive::Velocity(speed) if speed != 0.0))
     }
 
     /// A host that drives. On a computer so busy that a loop of 10 ms stands still for 100 ms, the base stops itself before the test
@@ -60,7 +73,13 @@ impl Controllers {
         let protocol = format!("{:?}", self.protocol).to_lowercase();
         for _ in 0..10 {
             let mut child = Command::new(env!("CARGO_BIN_EXE_hil"))
-                .args(["base", "--bus", &format!("unix:{}", self.path.display()), "--protocol", &protocol])
+                .args([
+                    "base",
+                    "--bus",
+                    &format!("unix:{}", self.path.display()),
+                    "--protocol",
+                    &protocol,
+                ])
                 .stdout(Stdio::null())
                 .spawn()
                 .expect("a host");
@@ -102,7 +121,11 @@ fn a_host_that_gets(signal: Signal, protocol: Protocol) {
     }
     (0..400).for_each(|_| controllers.step());
     for node in &controllers.nodes {
-        assert!(node.wheel().velocity_radps().abs() < 0.01, "{protocol:?}: {}", node.wheel().velocity_radps());
+        assert!(
+            node.wheel().velocity_radps().abs() < 0.01,
+            "{protocol:?}: {}",
+            node.wheel().velocity_radps()
+        );
     }
     if signal == Signal::STOP {
         // It wakes up, finds itself late, and stays stopped.

@@ -1,5 +1,9 @@
 //! What the camera driver promises when its camera misbehaves: each test's name is the promise.
-#![allow(clippy::unwrap_used, clippy::indexing_slicing, reason = "a test that cannot set up its scene has failed")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::indexing_slicing,
+    reason = "a test that cannot set up its scene has failed"
+)]
 
 use drivers::v4l2::node::FourCc;
 use drivers::v4l2::{CameraDeviceConfig, CameraFormat, Capture, Opener, Setting, V4l2Error};
@@ -52,7 +56,11 @@ impl Bench {
     fn look(&mut self) -> Result<Option<Seen>, V4l2Error> {
         let seen = self.capture.with_newest(self.now_ns, |picture| {
             assert_eq!((picture.view.width(), picture.view.height()), (64, 48));
-            Seen { sequence: picture.sequence, time_ns: picture.time_ns, value: picture.view.data()[0] }
+            Seen {
+                sequence: picture.sequence,
+                time_ns: picture.time_ns,
+                value: picture.view.data()[0],
+            }
         });
         if let Some(job) = self.capture.job(self.now_ns) {
             self.capture.done(job.run(&mut self.open, &self.config), self.now_ns);
@@ -105,7 +113,10 @@ fn an_unplugged_camera_is_disconnected_at_once_and_delivers_again_when_it_is_bac
     }
     assert!(bench.now_ns - begin_ns <= 2_010 * MS, "the longest time between two attempts");
     let seen = bench.shoot(7).unwrap();
-    assert_eq!((seen.value, bench.status().state, bench.status().reopened), (7, DeviceState::Working, 1));
+    assert_eq!(
+        (seen.value, bench.status().state, bench.status().reopened),
+        (7, DeviceState::Working, 1)
+    );
     assert_eq!(seen.sequence, 2, "numbers go on, although the camera counts from 0 again");
 }
 
@@ -140,7 +151,8 @@ fn a_silent_camera_is_a_timeout_after_two_intervals_and_never_blocks() {
 }
 
 #[test]
-fn a_camera_that_stays_silent_is_restarted_after_a_second_and_opened_again_when_that_did_not_help() {
+fn a_camera_that_stays_silent_is_restarted_after_a_second_and_opened_again_when_that_did_not_help()
+{
     let mut bench = Bench::working();
     for _ in 0..11 {
         _ = bench.wait_ms(100);
@@ -241,7 +253,9 @@ fn a_jpeg_without_its_end_is_dropped() {
     let mut shoot = |bytes: &[u8]| {
         bench.now_ns += INTERVAL;
         bench.camera.shoot_bytes(Some(bench.now_ns), bytes, false);
-        let copy = |picture: &drivers::v4l2::Picture<'_>| (picture.view.format(), picture.view.data().len());
+        let copy = |picture: &drivers::v4l2::Picture<'_>| {
+            (picture.view.format(), picture.view.data().len())
+        };
         let seen = bench.capture.with_newest(bench.now_ns, copy).unwrap();
         if let Some(job) = bench.capture.job(bench.now_ns) {
             bench.capture.done(job.run(&mut bench.open, &bench.config), bench.now_ns);
@@ -261,10 +275,14 @@ fn nv12_and_rgb_pictures_have_their_own_sizes() {
         (CameraFormat::Nv12, 64 * 48 * 3 / 2, PixelFormat::Nv12),
         (CameraFormat::Rgb24, 64 * 48 * 3, PixelFormat::Rgb8),
     ] {
-        let mut bench = Bench::new(Device { multiplanar: true, ..Device::default() }, |config| config.format = format);
+        let mut bench = Bench::new(Device { multiplanar: true, ..Device::default() }, |config| {
+            config.format = format
+        });
         _ = bench.look();
         assert!(bench.camera.shoot(bench.now_ns, 1));
-        let look = |picture: &drivers::v4l2::Picture<'_>| (picture.view.format(), picture.view.data().len());
+        let look = |picture: &drivers::v4l2::Picture<'_>| {
+            (picture.view.format(), picture.view.data().len())
+        };
         assert_eq!(bench.capture.with_newest(bench.now_ns, look).unwrap(), Some((pixels, bytes)));
     }
 }
@@ -282,7 +300,8 @@ fn time_stamps_of_another_clock_are_refused_with_the_way_out() {
 
 #[test]
 fn the_time_of_a_picture_is_the_middle_of_a_known_exposure() {
-    let mut bench = Bench::new(Device::default(), |config| config.exposure_us = Some(Setting::Manual(10_000)));
+    let mut bench =
+        Bench::new(Device::default(), |config| config.exposure_us = Some(Setting::Manual(10_000)));
     _ = bench.look();
     let start_ns = bench.now_ns;
     bench.camera.shoot(start_ns, 1);
@@ -335,7 +354,11 @@ fn exposure_gain_and_white_balance_are_set_and_read_back() {
     _ = bench.look();
     let mut values = Vec::new();
     bench.camera.change(|device| values.extend(device.controls.iter().map(|(_, value)| *value)));
-    assert_eq!(values, [1, 35, 4600, 1, 80], "white balance auto, gain, kelvin, exposure manual, 100 us");
+    assert_eq!(
+        values,
+        [1, 35, 4600, 1, 80],
+        "white balance auto, gain, kelvin, exposure manual, 100 us"
+    );
 }
 
 #[test]

@@ -4,10 +4,11 @@
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
+use drivers::DeviceState;
 use drivers::v4l2::{CameraDeviceConfig, CameraFormat, V4l2Camera, V4l2Error, check};
-use drivers::{DeviceState, MonotonicClock};
 use hal::{Camera, CameraModel, Clock, Error as _, ErrorKind, Frame};
 use hil::video::MovingStripes;
+use monotonic_clock::MonotonicClock;
 
 const MS: u64 = 1_000_000;
 /// Far more than anything here takes.
@@ -36,7 +37,8 @@ impl Drop for Simulated {
 }
 
 fn camera(path: &Path) -> V4l2Camera {
-    let mut config = CameraDeviceConfig::new(&format!("unix:{}", path.display()), 64, 48, CameraFormat::Yuyv);
+    let mut config =
+        CameraDeviceConfig::new(&format!("unix:{}", path.display()), 64, 48, CameraFormat::Yuyv);
     config.fps = Some(100.0);
     // A machine that runs many tests at a time is late.
     config.max_age_ms = 10_000;
@@ -44,7 +46,10 @@ fn camera(path: &Path) -> V4l2Camera {
 }
 
 /// Polls until `done`, as a robot's loop does.
-fn poll_until(camera: &mut V4l2Camera, mut done: impl FnMut(Result<Option<&Frame>, V4l2Error>) -> bool) {
+fn poll_until(
+    camera: &mut V4l2Camera,
+    mut done: impl FnMut(Result<Option<&Frame>, V4l2Error>) -> bool,
+) {
     let mut frame = Frame::empty();
     let mut clock = MonotonicClock;
     let start_ns = clock.now_ns();
@@ -69,7 +74,11 @@ fn every_picture_of_a_simulated_camera_arrives_whole_with_its_own_time() {
     let mut count = 0;
     poll_until(&mut camera, |got| {
         if let Ok(Some(frame)) = got {
-            assert_eq!(MovingStripes::time_ns(&frame.data), frame.time_ns, "picture and stamp belong together");
+            assert_eq!(
+                MovingStripes::time_ns(&frame.data),
+                frame.time_ns,
+                "picture and stamp belong together"
+            );
             assert!(last < Some((frame.sequence, frame.time_ns)), "each is newer than the last");
             last = Some((frame.sequence, frame.time_ns));
             count += 1;
@@ -80,7 +89,8 @@ fn every_picture_of_a_simulated_camera_arrives_whole_with_its_own_time() {
 }
 
 #[test]
-fn a_simulated_camera_that_is_killed_is_disconnected_and_the_next_one_is_taken_by_the_same_driver() {
+fn a_simulated_camera_that_is_killed_is_disconnected_and_the_next_one_is_taken_by_the_same_driver()
+{
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("camera");
     let mut simulated = Simulated::at(&path);
@@ -100,7 +110,8 @@ fn a_simulated_camera_that_is_killed_is_disconnected_and_the_next_one_is_taken_b
 fn check_says_what_a_camera_agrees_to_and_what_is_in_the_way_of_one_that_is_not_there() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("camera");
-    let config = CameraDeviceConfig::new(&format!("unix:{}", path.display()), 640, 480, CameraFormat::Yuyv);
+    let config =
+        CameraDeviceConfig::new(&format!("unix:{}", path.display()), 640, 480, CameraFormat::Yuyv);
     assert_eq!(check(&config).unwrap_err().kind(), ErrorKind::Disconnected);
     let _simulated = Simulated::at(&path);
     let mut clock = MonotonicClock;
@@ -111,6 +122,9 @@ fn check_says_what_a_camera_agrees_to_and_what_is_in_the_way_of_one_that_is_not_
         }
         clock.sleep_until_ns(clock.now_ns() + 5 * MS);
     };
-    assert_eq!((agreement.layout.width, agreement.layout.height, agreement.layout.stride), (640, 480, 1280));
+    assert_eq!(
+        (agreement.layout.width, agreement.layout.height, agreement.layout.stride),
+        (640, 480, 1280)
+    );
     assert!(agreement.controls.iter().any(|control| control.name == "Gain"));
 }

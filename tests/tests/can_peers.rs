@@ -6,13 +6,13 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Command;
 
-use drivers::MonotonicClock;
 use drivers::can::Protocol;
 use drivers::can::messages::{BaseCommand, BaseState, SafetyInput};
 use hal::{Clock, Twist2};
 use hil::motor::Outbox;
 use hil::motor::rig::{config, node, step_nodes};
 use hil::motor::{Hub, Rig};
+use monotonic_clock::MonotonicClock;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -106,7 +106,12 @@ fn cantools_reads_and_writes_our_frames_by_our_dbc_file() {
                     r#""Armed": {a}, "Stop": {b}, "PlanAge": {plan_age_ms}, "Linear": {linear}, "Angular": {angular}"#
                 ),
             ),
-            (state, format!(r#""Phase": {phase}, "Trip": {trip}, "EStop": {a}, "Contact": {b}, "Linear": {linear}"#)),
+            (
+                state,
+                format!(
+                    r#""Phase": {phase}, "Trip": {trip}, "EStop": {a}, "Contact": {b}, "Linear": {linear}"#
+                ),
+            ),
             (safety, format!(r#""EStop": {a}, "Bumper": {b}"#)),
         ];
         for (frame, fields) in json {

@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
-use drivers::MonotonicClock;
 use drivers::can::{BaseConfig, Protocol};
 use drivers::scip::Model;
 use hal::Clock;
@@ -16,6 +15,7 @@ use hil::motor::Outbox;
 use hil::motor::rig::{config, node, step_nodes};
 use hil::motor::{Hub, MotorNode};
 use hil::video::{MovingStripes, VideoFaults, serve, simulated};
+use monotonic_clock::MonotonicClock;
 
 const STEP_NS: u64 = 1_000_000;
 
@@ -30,15 +30,24 @@ struct Robot {
 }
 
 impl Robot {
-    fn with(protocol: Protocol, model: Model, spoil: impl Fn(&mut [Box<dyn MotorNode>; 2])) -> Self {
+    fn with(
+        protocol: Protocol,
+        model: Model,
+        spoil: impl Fn(&mut [Box<dyn MotorNode>; 2]),
+    ) -> Self {
         let mut robot = Self::without_devices();
         robot.protocol = protocol;
-        robot.lidar = Some(SimulatedHokuyo::on_pty(model, &robot.path("lidar"), Box::new(Room::new(model))).unwrap());
+        robot.lidar = Some(
+            SimulatedHokuyo::on_pty(model, &robot.path("lidar"), Box::new(Room::new(model)))
+                .unwrap(),
+        );
         let (path, running) = (robot.path("camera"), Arc::clone(&robot.running));
         robot.camera = Some(std::thread::spawn(move || {
-            serve(&path, simulated(), &VideoFaults::default(), &mut MovingStripes, &running).unwrap();
+            serve(&path, simulated(), &VideoFaults::default(), &mut MovingStripes, &running)
+                .unwrap();
         }));
-        let (mut hub, running) = (Hub::bind(&robot.path("can")).unwrap(), Arc::clone(&robot.running));
+        let (mut hub, running) =
+            (Hub::bind(&robot.path("can")).unwrap(), Arc::clone(&robot.running));
         let mut nodes = [node(protocol, 1), node(protocol, 2)];
         spoil(&mut nodes);
         robot.motors = Some(std::thread::spawn(move || turn(&mut hub, &mut nodes, &running)));
@@ -48,7 +57,14 @@ impl Robot {
     fn without_devices() -> Self {
         let running = Arc::new(AtomicBool::new(true));
         let folder = tempfile::tempdir().unwrap();
-        Self { folder, lidar: None, running, camera: None, motors: None, protocol: Protocol::Odrive }
+        Self {
+            folder,
+            lidar: None,
+            running,
+            camera: None,
+            motors: None,
+            protocol: Protocol::Odrive,
+        }
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -56,8 +72,12 @@ impl Robot {
     }
 
     fn check(&self) -> (Output, String) {
-        let base = BaseConfig { bus: format!("unix:{}", self.path("can").display()), ..config(self.protocol) };
-        let base = toml::Table::from_iter([("base".to_owned(), toml::Value::try_from(base).unwrap())]);
+        let base = BaseConfig {
+            bus: format!("unix:{}", self.path("can").display()),
+            ..config(self.protocol)
+        };
+        let base =
+            toml::Table::from_iter([("base".to_owned(), toml::Value::try_from(base).unwrap())]);
         let base = toml::Table::from_iter([("devices".to_owned(), toml::Value::Table(base))]);
         let file = self.path("robot.toml");
         let text = format!(
@@ -92,7 +112,8 @@ fn turn(hub: &mut Hub, nodes: &mut [Box<dyn MotorNode>; 2], running: &AtomicBool
         let now_ns = clock.now_ns() + STEP_NS;
         clock.sleep_until_ns(now_ns);
         step_nodes(nodes, hub, now_ns, &mut outbox);
-        has_moved |= nodes.iter().any(|node| node.is_powered() || node.wheel().velocity_radps() != 0.0);
+        has_moved |=
+            nodes.iter().any(|node| node.is_powered() || node.wheel().velocity_radps() != 0.0);
     }
     has_moved
 }
@@ -100,8 +121,11 @@ fn turn(hub: &mut Hub, nodes: &mut [Box<dyn MotorNode>; 2], running: &AtomicBool
 fn check(file: &Path) -> (Output, String) {
     let program = assert_cmd::cargo::cargo_bin("firmware-host");
     assert!(program.is_file(), "build it first: cargo build -p firmware-host");
-    let output = Command::new(program).args(["check", "--devices", "--config"]).arg(file).output().unwrap();
-    let said = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();
+    let output =
+        Command::new(program).args(["check", "--devices", "--config"]).arg(file).output().unwrap();
+    let said = [&output.stdout, &output.stderr]
+        .map(|bytes| String::from_utf8_lossy(bytes).into_owned())
+        .concat();
     (output, said)
 }
 
@@ -109,7 +133,13 @@ fn a_well_robot_is_told_and_stays_where_it_is(protocol: Protocol) {
     let mut robot = Robot::with(protocol, Model::Utm30lx, |_| {});
     let (output, said) = robot.check();
     assert_eq!(output.status.code(), Some(0), "{said}");
-    for part in ["YUYV 640x480", "pictures a second", "UTM-30LX, serial", "firmware", "left (node 1) watchdog 100 ms"] {
+    for part in [
+        "YUYV 640x480",
+        "pictures a second",
+        "UTM-30LX, serial",
+        "firmware",
+        "left (node 1) watchdog 100 ms",
+    ] {
         assert!(said.contains(part), "{part} in {said}");
     }
     assert_eq!(said.matches("working").count(), 3, "{said}");
@@ -137,19 +167,30 @@ fn devices_that_are_not_there_are_told_with_what_else_there_is_and_the_exit_code
     let (output, said) = robot.check();
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert_eq!(said.matches("disconnected").count(), 3, "{said}");
-    for part in ["! camera: no camera at", "! LiDAR: ", "is it plugged in?", "/dev/serial/by-id", "! base: "] {
+    for part in [
+        "! camera: no camera at",
+        "! LiDAR: ",
+        "is it plugged in?",
+        "/dev/serial/by-id",
+        "! base: ",
+    ] {
         assert!(said.contains(part), "{part} in {said}");
     }
 }
 
 #[test]
 fn another_scanner_and_a_motor_without_its_watchdog_are_told_with_the_way_out() {
-    let mut robot = Robot::with(Protocol::Odrive, Model::Urg04lx, |nodes| nodes[1].faults().forgets_watchdog = true);
+    let mut robot = Robot::with(Protocol::Odrive, Model::Urg04lx, |nodes| {
+        nodes[1].faults().forgets_watchdog = true
+    });
     let (output, said) = robot.check();
     assert_eq!(output.status.code(), Some(1), "{said}");
-    for part in
-        ["correct `model` or `port`", "right (node 2) watchdog not confirmed", "the right motor", "its watchdog is"]
-    {
+    for part in [
+        "correct `model` or `port`",
+        "right (node 2) watchdog not confirmed",
+        "the right motor",
+        "its watchdog is",
+    ] {
         assert!(said.contains(part), "{part} in {said}");
     }
     assert!(!robot.has_moved());
@@ -161,17 +202,25 @@ fn a_can_interface_that_does_not_exist_is_told_with_those_that_do() {
     let file = folder.path().join("robot.toml");
     let base = "[devices.base]\nbus = \"can97\"\nprotocol = \"vesc\"\n";
     let camera = "[devices.camera]\ndevice = \"/dev/v4l/by-id/none\"\n";
-    std::fs::write(&file, format!("[run]\nstatus_file = {:?}\n{camera}{base}", folder.path().join("s"))).unwrap();
+    std::fs::write(
+        &file,
+        format!("[run]\nstatus_file = {:?}\n{camera}{base}", folder.path().join("s")),
+    )
+    .unwrap();
     let (output, said) = check(&file);
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(said.contains("there is no interface can97"), "{said}");
-    assert!(said.contains("! camera: nothing of its kind") || said.contains("! camera: there are:"), "{said}");
+    assert!(
+        said.contains("! camera: nothing of its kind") || said.contains("! camera: there are:"),
+        "{said}"
+    );
 }
 
 #[test]
 fn devices_of_a_robot_that_runs_are_left_alone() {
     let mut robot = Robot::with(Protocol::Cia402, Model::Utm30lx, |_| {});
-    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs_f64();
+    let now =
+        std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs_f64();
     // Written a minute from now, so that a slow computer does not find it old.
     let status = serde_json::json!({ "written_unix_s": now + 60.0, "pid": 4711 });
     std::fs::write(robot.path("status.json"), status.to_string()).unwrap();

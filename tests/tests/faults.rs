@@ -20,7 +20,10 @@ fn way_m(turns: &[Turn]) -> f64 {
 }
 
 fn turned_rad(turns: &[Turn]) -> f64 {
-    turns.windows(2).map(|pair| hal::wrap_angle(pair[1].pose.yaw_rad - pair[0].pose.yaw_rad).abs()).sum()
+    turns
+        .windows(2)
+        .map(|pair| hal::wrap_angle(pair[1].pose.yaw_rad - pair[0].pose.yaw_rad).abs())
+        .sum()
 }
 
 fn events(turns: &[Turn]) -> impl Iterator<Item = &Event> {
@@ -40,7 +43,10 @@ fn a_silent_laser_stops_the_robot_within_its_timeout_and_a_new_scan_lets_it_go_o
     for silence in ["lidar:stall@4..6", "lidar:unplug@4..6", "lidar:drop@4..6"] {
         let turns = run(PolicyKind::Forward, &[silence], 100);
         assert!(way_m(at(&turns, 1.0..4.0)) > 0.3, "{silence}: it drives before");
-        assert!(at(&turns, 4.3..6.0).iter().all(|turn| turn.command() == Twist2::ZERO), "{silence}");
+        assert!(
+            at(&turns, 4.3..6.0).iter().all(|turn| turn.command() == Twist2::ZERO),
+            "{silence}"
+        );
         assert!(faulted(at(&turns, 4.0..4.5), FaultReason::LidarSilent), "{silence}");
         assert!(way_m(at(&turns, 6.0..10.0)) > 0.3, "{silence}: it goes on");
     }
@@ -64,7 +70,11 @@ fn single_ghost_returns_do_not_stop_the_robot() {
 #[test]
 fn without_a_camera_the_bumper_still_works_and_every_turn_says_that_there_is_no_picture() {
     let turns = run(PolicyKind::Forward, &["camera:unplug"], 300);
-    assert!(turns.iter().all(|turn| turn.decision.events.contains(&Event::NoDepth { why: NoDepth::NoFrame })));
+    assert!(
+        turns
+            .iter()
+            .all(|turn| turn.decision.events.contains(&Event::NoDepth { why: NoDepth::NoFrame }))
+    );
     assert!(turns.iter().all(|turn| !turn.contact), "it never touched anything");
     assert!(way_m(&turns) > 2.0);
 }
@@ -74,7 +84,9 @@ fn black_and_saturated_pictures_give_no_depth_and_the_loop_goes_on() {
     let turns = run(PolicyKind::Frontier, &["camera:black@3..5", "camera:white@6..8"], 100);
     for dark in [3.0..5.0, 6.0..8.0] {
         let stretch = at(&turns, dark);
-        assert!(stretch.iter().all(|turn| turn.decision.events.contains(&Event::NoDepth { why: NoDepth::NoTexture })));
+        assert!(stretch.iter().all(|turn| {
+            turn.decision.events.contains(&Event::NoDepth { why: NoDepth::NoTexture })
+        }));
         assert!(stretch.iter().all(|turn| turn.decision.depth_digest == 0));
     }
     assert!(way_m(&turns) + turned_rad(&turns) > 1.0);
@@ -84,7 +96,11 @@ fn black_and_saturated_pictures_give_no_depth_and_the_loop_goes_on() {
 fn a_picture_of_another_size_is_refused_not_misread() {
     let turns = run(PolicyKind::Frontier, &["camera:resize@2..3"], 60);
     let stretch = at(&turns, 2.0..3.0);
-    assert!(stretch.iter().all(|turn| turn.decision.events.contains(&Event::NoDepth { why: NoDepth::FrameSize })));
+    assert!(
+        stretch
+            .iter()
+            .all(|turn| turn.decision.events.contains(&Event::NoDepth { why: NoDepth::FrameSize }))
+    );
 }
 
 #[test]
@@ -100,7 +116,10 @@ fn nan_odometry_is_refused_and_the_robot_stands_until_it_is_gone() {
 #[test]
 fn a_jump_of_the_odometry_is_named_and_forgets_old_pictures() {
     let turns = run(PolicyKind::Forward, &["base:jump=3@4.."], 60);
-    assert!(events(at(&turns, 4.0..4.2)).any(|event| *event == Event::NoDepth { why: NoDepth::PoseJump }));
+    assert!(
+        events(at(&turns, 4.0..4.2))
+            .any(|event| *event == Event::NoDepth { why: NoDepth::PoseJump })
+    );
 }
 
 #[test]
@@ -123,7 +142,13 @@ fn a_scanner_whose_scans_come_too_late_is_as_silent_as_one_that_says_nothing() {
 
 #[test]
 fn scans_that_come_twice_late_or_in_the_wrong_order_lead_into_nothing() {
-    for fault in ["lidar:duplicate", "lidar:delay=1", "lidar:reorder", "lidar:drop=0.5", "lidar:corrupt=0.01"] {
+    for fault in [
+        "lidar:duplicate",
+        "lidar:delay=1",
+        "lidar:reorder",
+        "lidar:drop=0.5",
+        "lidar:corrupt=0.01",
+    ] {
         let turns = run(PolicyKind::Forward, &[fault], 120);
         assert!(turns.iter().all(|turn| !turn.contact), "{fault}: it touched something");
         assert!(way_m(&turns) > 1.0, "{fault}: {} m", way_m(&turns));
@@ -132,7 +157,13 @@ fn scans_that_come_twice_late_or_in_the_wrong_order_lead_into_nothing() {
 
 #[test]
 fn pictures_that_are_late_torn_or_in_the_wrong_order_lead_into_nothing() {
-    for fault in ["camera:delay=2", "camera:duplicate", "camera:reorder", "camera:corrupt=0.5", "camera:drop=0.5"] {
+    for fault in [
+        "camera:delay=2",
+        "camera:duplicate",
+        "camera:reorder",
+        "camera:corrupt=0.5",
+        "camera:drop=0.5",
+    ] {
         let turns = run(PolicyKind::Frontier, &[fault], 120);
         assert!(turns.iter().all(|turn| !turn.contact), "{fault}: it touched something");
         assert!(way_m(&turns) + turned_rad(&turns) > 1.0, "{fault}");
@@ -141,9 +172,18 @@ fn pictures_that_are_late_torn_or_in_the_wrong_order_lead_into_nothing() {
 
 #[test]
 fn wheels_that_say_nothing_stop_the_robot_until_they_speak() {
-    for silence in ["base:stall@2..4", "base:unplug@2..4", "base:corrupt@2..4", "base:drop@2..4", "base:delay=4@2..4"] {
+    for silence in [
+        "base:stall@2..4",
+        "base:unplug@2..4",
+        "base:corrupt@2..4",
+        "base:drop@2..4",
+        "base:delay=4@2..4",
+    ] {
         let turns = run(PolicyKind::Forward, &[silence], 80);
-        assert!(at(&turns, 2.4..4.0).iter().all(|turn| turn.command() == Twist2::ZERO), "{silence}");
+        assert!(
+            at(&turns, 2.4..4.0).iter().all(|turn| turn.command() == Twist2::ZERO),
+            "{silence}"
+        );
         assert!(way_m(at(&turns, 2.5..4.0)) < 1e-9, "{silence}: it stands");
         assert!(faulted(at(&turns, 2.0..2.5), FaultReason::BaseSilent), "{silence}");
         assert!(way_m(at(&turns, 4.2..8.0)) > 0.3, "{silence}: it goes on");
@@ -152,7 +192,9 @@ fn wheels_that_say_nothing_stop_the_robot_until_they_speak() {
 
 #[test]
 fn wheels_on_a_lossy_bus_lead_into_nothing() {
-    for fault in ["base:drop=0.3", "base:duplicate", "base:reorder", "base:delay=1", "base:corrupt=0.3"] {
+    for fault in
+        ["base:drop=0.3", "base:duplicate", "base:reorder", "base:delay=1", "base:corrupt=0.3"]
+    {
         let turns = run(PolicyKind::Forward, &[fault], 120);
         assert!(turns.iter().all(|turn| !turn.contact), "{fault}: it touched something");
         assert!(way_m(&turns) > 1.0, "{fault}: {} m", way_m(&turns));
@@ -169,7 +211,8 @@ fn a_loop_that_is_woken_late_stops_the_robot_and_time_never_goes_back() {
 
 #[test]
 fn a_minute_of_random_faults_ends_without_a_touch_and_can_be_had_again() {
-    let run = |turns| Scenario::new(PolicyKind::Active, &["random"], 1).unwrap().turns(turns).unwrap();
+    let run =
+        |turns| Scenario::new(PolicyKind::Active, &["random"], 1).unwrap().turns(turns).unwrap();
     let (first, second) = (run(600), run(150));
     assert!(first.iter().all(|turn| !turn.contact));
     assert!(way_m(&first[300..]) + turned_rad(&first[300..]) > 1.0, "it still moves");
@@ -182,7 +225,8 @@ fn every_policy_moves_touches_nothing_by_itself_and_does_the_same_again() {
         let first = run(policy, &[], 80);
         let second = run(policy, &[], 80);
         assert!(way_m(&first) + turned_rad(&first) > 0.5, "{policy:?}");
-        let decisions = |turns: &[Turn]| turns.iter().map(|turn| turn.decision.clone()).collect::<Vec<_>>();
+        let decisions =
+            |turns: &[Turn]| turns.iter().map(|turn| turn.decision.clone()).collect::<Vec<_>>();
         assert_eq!(decisions(&first), decisions(&second), "{policy:?}");
         let last: Pose2 = first[79].pose;
         assert!(last.is_finite());

@@ -7,12 +7,13 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
-use drivers::clock::monotonic_ns;
+use drivers::DeviceState;
 use drivers::hokuyo::{HokuyoConfig, HokuyoError, HokuyoLidar, Port};
 use drivers::scip::Model;
-use drivers::{DeviceState, MonotonicClock};
 use hal::{Clock, Error, ErrorKind, LaserScan, Lidar};
 use hil::hokuyo::{Health, Room, ScanSource, SimulatedHokuyo, WireFaults};
+use monotonic_clock::MonotonicClock;
+use monotonic_clock::monotonic_ns;
 
 const MS: u64 = 1_000_000;
 /// Bring-up takes 50 ms here; a computer that is busy with other tests may need longer.
@@ -63,7 +64,10 @@ impl Bench {
         while !is_so(&self.poll()) {
             let monitor = self.lidar.monitor();
             let (status, problem) = (monitor.status(), monitor.problem());
-            assert!(monotonic_ns() < deadline_ns, "waited in vain for {what}: {status:?}, {problem:?}");
+            assert!(
+                monotonic_ns() < deadline_ns,
+                "waited in vain for {what}: {status:?}, {problem:?}"
+            );
         }
     }
 
@@ -72,7 +76,9 @@ impl Bench {
     }
 
     fn until_error(&mut self, kind: ErrorKind) {
-        self.until(&format!("{kind:?}"), |polled| polled.as_ref().is_err_and(|error| error.kind() == kind));
+        self.until(&format!("{kind:?}"), |polled| {
+            polled.as_ref().is_err_and(|error| error.kind() == kind)
+        });
     }
 
     fn until_problem(&mut self, word: &str) -> String {
@@ -118,7 +124,8 @@ fn silence_for_more_than_two_periods_is_a_timeout_and_no_old_scan() {
 
 #[test]
 fn a_truncated_scan_is_dropped_and_the_next_one_is_taken() {
-    let mut bench = Bench::with(Model::Utm30lx, Box::new(Counting::default()), |config| config, |_| {});
+    let mut bench =
+        Bench::with(Model::Utm30lx, Box::new(Counting::default()), |config| config, |_| {});
     bench.until_scan();
     bench.device.set_wire(WireFaults { cut_share: 0.2, ..WireFaults::default() });
     let mut scans = 0;
@@ -132,7 +139,8 @@ fn a_truncated_scan_is_dropped_and_the_next_one_is_taken() {
 
 #[test]
 fn a_scan_with_a_flipped_bit_is_never_handed_out() {
-    let mut bench = Bench::with(Model::Utm30lx, Box::new(Counting::default()), |config| config, |_| {});
+    let mut bench =
+        Bench::with(Model::Utm30lx, Box::new(Counting::default()), |config| config, |_| {});
     bench.until_scan();
     bench.device.set_wire(WireFaults { flip_share: 0.5, ..WireFaults::default() });
     let begin = count_of(&bench.scan);
@@ -181,8 +189,12 @@ fn pulled_and_put_back_it_is_found_by_its_stable_path_without_a_restart() {
 
 #[test]
 fn a_scanner_that_is_plugged_in_later_is_found() {
-    let mut bench =
-        Bench::with(Model::Utm30lx, Box::new(Room::new(Model::Utm30lx)), |config| config, SimulatedHokuyo::unplug);
+    let mut bench = Bench::with(
+        Model::Utm30lx,
+        Box::new(Room::new(Model::Utm30lx)),
+        |config| config,
+        SimulatedHokuyo::unplug,
+    );
     let problem = bench.until_problem("cannot be opened");
     assert!(problem.contains("is it plugged in?"), "{problem}");
     assert_eq!(bench.poll().unwrap_err().kind(), ErrorKind::Disconnected);
@@ -222,14 +234,22 @@ fn a_scan_of_nothing_but_errors_is_a_fault_and_not_free_space() {
 
 #[test]
 fn noise_before_the_first_answer_does_no_harm() {
-    let noise = |device: &SimulatedHokuyo| device.set_wire(WireFaults { noise_bytes: 3000, ..WireFaults::default() });
-    Bench::with(Model::Utm30lx, Box::new(Room::new(Model::Utm30lx)), |config| config, noise).until_scan();
+    let noise = |device: &SimulatedHokuyo| {
+        device.set_wire(WireFaults { noise_bytes: 3000, ..WireFaults::default() })
+    };
+    Bench::with(Model::Utm30lx, Box::new(Room::new(Model::Utm30lx)), |config| config, noise)
+        .until_scan();
 }
 
 #[test]
 fn a_wrong_baud_rate_is_named() {
     let model = Model::Utm30lx;
-    let mut bench = Bench::with(model, Box::new(Room::new(model)), |config| config, |device| device.set_baud(19_200));
+    let mut bench = Bench::with(
+        model,
+        Box::new(Room::new(model)),
+        |config| config,
+        |device| device.set_baud(19_200),
+    );
     let problem = bench.until_problem("wrong baud rate (115200)");
     assert!(problem.contains("19200"), "{problem}");
     assert!(bench.poll().is_err());
@@ -239,13 +259,15 @@ fn a_wrong_baud_rate_is_named() {
 fn the_right_baud_rate_is_set_on_the_port() {
     let model = Model::Utm30lx;
     let configure = |config| HokuyoConfig { baud: 750_000, ..config };
-    Bench::with(model, Box::new(Room::new(model)), configure, |device| device.set_baud(750_000)).until_scan();
+    Bench::with(model, Box::new(Room::new(model)), configure, |device| device.set_baud(750_000))
+        .until_scan();
 }
 
 #[test]
 fn another_model_than_configured_is_refused_by_name() {
     let configure = |config| HokuyoConfig { model: Model::Utm30lx, ..config };
-    let mut bench = Bench::with(Model::Urg04lx, Box::new(Room::new(Model::Urg04lx)), configure, |_| {});
+    let mut bench =
+        Bench::with(Model::Urg04lx, Box::new(Room::new(Model::Urg04lx)), configure, |_| {});
     let problem = bench.until_problem("URG-04LX");
     assert!(problem.contains("configured is UTM-30LX"), "{problem}");
     assert_eq!(bench.poll().unwrap_err().kind(), ErrorKind::Fault);
@@ -286,7 +308,11 @@ fn upside_down_the_beams_are_mirrored() {
         bench.until_scan();
         for (angle_rad, distance_m) in bench.scan.hits() {
             let step = ((-angle_rad - upright.angle_min_rad) / upright.angle_increment_rad).round();
-            assert_eq!(f64::from(distance_m), f64::from((500.0 + step as f32) / 1000.0), "at {angle_rad}");
+            assert_eq!(
+                f64::from(distance_m),
+                f64::from((500.0 + step as f32) / 1000.0),
+                "at {angle_rad}"
+            );
         }
     }
 }

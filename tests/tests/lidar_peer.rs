@@ -32,8 +32,11 @@ fn hokuyolx_understands_every_line_of_the_simulated_scanner() {
     let device = SimulatedHokuyo::on_tcp(Model::Ust10lx, any, Box::new(Ramp)).unwrap();
     let address = device.address().unwrap();
     let client = Path::new(env!("CARGO_MANIFEST_DIR")).join("peers/hokuyolx_client.py");
-    let output =
-        Command::new(python).arg(client).args([address.ip().to_string(), address.port().to_string()]).output().unwrap();
+    let output = Command::new(python)
+        .arg(client)
+        .args([address.ip().to_string(), address.port().to_string()])
+        .output()
+        .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let read: Value = serde_json::from_slice(&output.stdout).unwrap();
 

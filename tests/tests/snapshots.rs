@@ -16,13 +16,23 @@ fn whatever_the_policy_a_robot_from_a_snapshot_decides_as_the_robot_itself() {
 #[test]
 fn while_everything_fails_a_robot_from_a_snapshot_decides_as_the_robot_itself() {
     for seed in 1..=3 {
-        Scenario::new(PolicyKind::Active, &["random"], seed).unwrap().shadowed().unwrap().turns(300).unwrap();
+        Scenario::new(PolicyKind::Active, &["random"], seed)
+            .unwrap()
+            .shadowed()
+            .unwrap()
+            .turns(300)
+            .unwrap();
     }
 }
 
 #[test]
 fn bumping_backing_off_and_escaping_are_remembered() {
-    Scenario::new(PolicyKind::Forward, &["base:contact@3..3.5"], 3).unwrap().shadowed().unwrap().turns(250).unwrap();
+    Scenario::new(PolicyKind::Forward, &["base:contact@3..3.5"], 3)
+        .unwrap()
+        .shadowed()
+        .unwrap()
+        .turns(250)
+        .unwrap();
 }
 
 fn explored() -> Scenario {

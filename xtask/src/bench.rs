@@ -25,7 +25,9 @@ pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
     }
     // What is measured as a program, over ssh.
     let programs = ["--package=firmware-host", "--package=pull-buffer"];
-    command::run(command::cargo().args(["build", "--release", "--quiet", "--locked"]).args(programs))?;
+    command::run(
+        command::cargo().args(["build", "--release", "--quiet", "--locked"]).args(programs),
+    )?;
     bench.env("BENCH_PROGRAMS", paths::target().join("release"));
     // PyTorch is large: only who asks for its room gets it installed.
     if filter == Some("trainer") || trainer::is_installed() {

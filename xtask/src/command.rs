@@ -54,7 +54,11 @@ pub fn output(command: &mut Command) -> Result<String> {
 
 /// Whether a program starts and succeeds; its output is not shown.
 pub fn works(command: &mut Command) -> bool {
-    command.stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok_and(|status| status.success())
+    command
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status()
+        .is_ok_and(|status| status.success())
 }
 
 /// The command line as one would type it.

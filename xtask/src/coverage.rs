@@ -26,11 +26,16 @@ pub fn run() -> Result<()> {
     let program = build(&safety)?;
     let mut tests = Command::new(&program);
     // Few random cases: a place that only many of them reach shall be named.
-    tests.arg("--quiet").env("PROPTEST_CASES", "4").env("LLVM_PROFILE_FILE", counts.join("%p.profraw"));
+    tests
+        .arg("--quiet")
+        .env("PROPTEST_CASES", "4")
+        .env("LLVM_PROFILE_FILE", counts.join("%p.profraw"));
     command::run(&mut tests)?;
     let raw = fs::read_dir(&counts)?.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>>>()?;
     let merged = counts.join("merged");
-    command::run(Command::new(&llvm.profdata).args(["merge", "-sparse", "-o"]).arg(&merged).args(raw))?;
+    command::run(
+        Command::new(&llvm.profdata).args(["merge", "-sparse", "-o"]).arg(&merged).args(raw),
+    )?;
     let mut export = Command::new(&llvm.cov);
     export.args(["export", "-format=lcov", "-instr-profile"]).arg(&merged).arg(&program);
     let lcov = command::output(export.arg(safety.join("src/safety")))?;
@@ -41,10 +46,24 @@ pub fn run() -> Result<()> {
 fn build(safety: &Path) -> Result<PathBuf> {
     let mut cargo = command::cargo();
     // Apart from all other builds: some crates are built anew when `RUSTC_BOOTSTRAP` comes or goes.
-    cargo.current_dir(safety).env("RUSTC_BOOTSTRAP", "1").env("CARGO_TARGET_DIR", safety.join("target"));
-    cargo.args(["rustc", "--quiet", "--lib", "--profile", "test", "--message-format", "json", "--"]);
-    let messages = command::output(cargo.args(["-Cinstrument-coverage", "-Zcoverage-options=branch"]))?;
-    let program = messages.lines().filter_map(|line| line.split_once("\"executable\":\"")).next_back();
+    cargo
+        .current_dir(safety)
+        .env("RUSTC_BOOTSTRAP", "1")
+        .env("CARGO_TARGET_DIR", safety.join("target"));
+    cargo.args([
+        "rustc",
+        "--quiet",
+        "--lib",
+        "--profile",
+        "test",
+        "--message-format",
+        "json",
+        "--",
+    ]);
+    let messages =
+        command::output(cargo.args(["-Cinstrument-coverage", "-Zcoverage-options=branch"]))?;
+    let program =
+        messages.lines().filter_map(|line| line.split_once("\"executable\":\"")).next_back();
     let program = program.and_then(|(_, rest)| rest.split_once('"'));
     Ok(program.context("cargo names no program")?.0.into())
 }
@@ -59,7 +78,9 @@ impl Llvm {
     /// Of rustup's component `llvm-tools`, or of Debian's package of the compiler's own version: others cannot read its counts.
     fn find() -> Result<Self> {
         let about = command::output(Command::new("rustc").arg("-vV"))?;
-        let of = |key: &str| about.lines().find_map(|line| line.strip_prefix(key)).unwrap_or_default().trim();
+        let of = |key: &str| {
+            about.lines().find_map(|line| line.strip_prefix(key)).unwrap_or_default().trim()
+        };
         let major = of("LLVM version:").split('.').next().unwrap_or_default();
         let sysroot = command::output(Command::new("rustc").args(["--print", "sysroot"]))?;
         let component = Path::new(sysroot.trim()).join("lib/rustlib").join(of("host:")).join("bin");
@@ -69,7 +90,9 @@ impl Llvm {
         };
         match (tool("llvm-cov"), tool("llvm-profdata")) {
             (Some(cov), Some(profdata)) => Ok(Self { cov, profdata }),
-            _ => bail!("llvm-cov is missing: `rustup component add llvm-tools`, or `apt install llvm-{major}`"),
+            _ => bail!(
+                "llvm-cov is missing: `rustup component add llvm-tools`, or `apt install llvm-{major}`"
+            ),
         }
     }
 }
@@ -93,7 +116,10 @@ fn read(lcov: &str, first_test_line: impl Fn(&str) -> u32) -> BTreeMap<String, R
             (file, tests_from) = (value.to_owned(), first_test_line(value));
             continue;
         }
-        let (Some((at, _)), Some((place, count))) = (value.split_once(','), value.rsplit_once(',')) else { continue };
+        let (Some((at, _)), Some((place, count))) = (value.split_once(','), value.rsplit_once(','))
+        else {
+            continue;
+        };
         let at: u32 = at.parse().unwrap_or(u32::MAX);
         if at >= tests_from {
             continue;
@@ -113,8 +139,11 @@ fn read(lcov: &str, first_test_line: impl Fn(&str) -> u32) -> BTreeMap<String, R
 fn report(lcov: &str) -> Result<()> {
     // Files that are tests as a whole have no line before them.
     let first_test_line = |file: &str| {
-        let text =
-            if file.ends_with("_tests.rs") { String::new() } else { fs::read_to_string(file).unwrap_or_default() };
+        let text = if file.ends_with("_tests.rs") {
+            String::new()
+        } else {
+            fs::read_to_string(file).unwrap_or_default()
+        };
         text.lines().take_while(|line| line.trim() != "#[cfg(test)]").count() as u32 + 1
     };
     let mut missed = 0;

@@ -36,11 +36,13 @@ pub fn run() -> Result<()> {
     let library = onnx_runtime::install()?;
     let python = trainer::install()?;
     println!("building the programs in release; the first time takes some minutes");
-    let packages = ["firmware-host", "pull-buffer", "push-model", "hil"].map(|package| format!("--package={package}"));
+    let packages = ["firmware-host", "pull-buffer", "push-model", "hil"]
+        .map(|package| format!("--package={package}"));
     command::run(command::cargo().args(["build", "--release", "--locked"]).args(packages))?;
     let dir = paths::target().join("loop");
     if dir.exists() {
-        fs::remove_dir_all(&dir).with_context(|| format!("removing the last loop in {}", dir.display()))?;
+        fs::remove_dir_all(&dir)
+            .with_context(|| format!("removing the last loop in {}", dir.display()))?;
     }
     let demo = Demo::new(&dir, &library, &python)?;
     demo.play()
@@ -75,9 +77,19 @@ impl Demo {
             bail!("there is no ssh server to start; `apt-get install openssh-server` may help");
         }
         let trainer = python.with_file_name("embodied-depth");
-        let demo = Self { robot, workstation, programs, library: library.to_owned(), trainer, ssh, _sshd: sshd };
+        let demo = Self {
+            robot,
+            workstation,
+            programs,
+            library: library.to_owned(),
+            trainer,
+            ssh,
+            _sshd: sshd,
+        };
         command::run(
-            demo.program("push-model").args(["keygen", "--no-password", "--comment", "demo"]).arg(demo.key()),
+            demo.program("push-model")
+                .args(["keygen", "--no-password", "--comment", "demo"])
+                .arg(demo.key()),
         )?;
         fs::copy(demo.key().with_extension("key.pub"), demo.robot.join("trusted_keys"))?;
         let config = CONFIG
@@ -92,18 +104,28 @@ impl Demo {
         step("the robot explores a home, in virtual time, without a network");
         // It never waits in virtual time; the workstation is to have time as well.
         let mut explore = Command::new("nice");
-        explore.args(["-n", "10"]).arg(self.programs.join("firmware-host")).env("ORT_DYLIB_PATH", &self.library);
-        explore.args(["explore", "--scene", SCENE, "--policy", "active", "--frames", FRAMES, "--seed", "1"]);
+        explore
+            .args(["-n", "10"])
+            .arg(self.programs.join("firmware-host"))
+            .env("ORT_DYLIB_PATH", &self.library);
+        explore.args([
+            "explore", "--scene", SCENE, "--policy", "active", "--frames", FRAMES, "--seed", "1",
+        ]);
         explore.arg("--config").arg(self.config()).arg("--model-store").arg(self.store());
         explore.arg("--out").arg(self.robot.join("runs/one"));
-        let mut robot = Running::start("robot", explore.env("RUST_LOG", "firmware_host::model=info,warn"))?;
+        let mut robot =
+            Running::start("robot", explore.env("RUST_LOG", "firmware_host::model=info,warn"))?;
         let mut pull = self.program("pull-buffer");
-        pull.arg(format!("robot=127.0.0.1:{}", self.robot.join("runs").display())).arg(self.pulled()).arg("--follow");
+        pull.arg(format!("robot=127.0.0.1:{}", self.robot.join("runs").display()))
+            .arg(self.pulled())
+            .arg("--follow");
         pull.arg(format!("--remote-command={}", self.programs.join("firmware-host").display()));
         pull.args(self.ssh.iter().map(|option| format!("--ssh-option={option}")));
         let pull = Running::start("pull", &mut pull)?;
 
-        step("a first round of training on what has come: the gate judges it by held-out pictures, the robot on trial");
+        step(
+            "a first round of training on what has come: the gate judges it by held-out pictures, the robot on trial",
+        );
         self.watch("1")?;
         self.wait_for_trial(&mut robot)?;
         step("a second round: the gate compares it with the first on the same held-out pictures");
@@ -119,7 +141,11 @@ impl Demo {
         command::run(list.args(["model", "--config"]).arg(self.config()).arg("list"))?;
         step("every decision of the run again, with the models that it drove with");
         let mut replay = self.program("firmware-host");
-        replay.arg("replay").arg(self.robot.join("runs/one")).arg("--model-store").arg(self.store());
+        replay
+            .arg("replay")
+            .arg(self.robot.join("runs/one"))
+            .arg("--model-store")
+            .arg(self.store());
         command::run(&mut replay)?;
         if forged {
             bail!("the gate took a network that nobody signed; please report this");
@@ -130,7 +156,12 @@ impl Demo {
     /// One round of the trainer; what it makes is pushed.
     fn watch(&self, rounds: &str) -> Result<()> {
         let mut watch = Command::new(&self.trainer);
-        watch.arg("watch").arg("--pulled").arg(self.pulled()).arg("--work").arg(self.workstation.join("train"));
+        watch
+            .arg("watch")
+            .arg("--pulled")
+            .arg(self.pulled())
+            .arg("--work")
+            .arg(self.workstation.join("train"));
         watch.arg("--firmware-host").arg(self.programs.join("firmware-host"));
         watch.args(["--pictures", PICTURES, "--rounds", rounds, "--steps", STEPS]);
         watch
@@ -145,10 +176,17 @@ impl Demo {
 
     /// The command line that sends a model to the robot.
     fn push(&self, model: &Path) -> String {
-        let mut words = vec![self.programs.join("push-model").display().to_string(), model.display().to_string()];
+        let mut words = vec![
+            self.programs.join("push-model").display().to_string(),
+            model.display().to_string(),
+        ];
         words.push(format!("127.0.0.1:{}", self.store().display()));
         let program = self.programs.join("firmware-host");
-        words.push(format!("'--program=env ORT_DYLIB_PATH={} {}'", self.library.display(), program.display()));
+        words.push(format!(
+            "'--program=env ORT_DYLIB_PATH={} {}'",
+            self.library.display(),
+            program.display()
+        ));
         words.extend(self.ssh.iter().map(|option| format!("--ssh={option}")));
         words.push(format!("--gate=--config={}", self.config().display()));
         // A robot in virtual time leaves no idle time; a real one does.
@@ -166,7 +204,10 @@ impl Demo {
             *byte ^= 1;
         }
         fs::write(&forged, bytes)?;
-        fs::copy(models.join("model_0000.onnx.minisig"), self.workstation.join("forged.onnx.minisig"))?;
+        fs::copy(
+            models.join("model_0000.onnx.minisig"),
+            self.workstation.join("forged.onnx.minisig"),
+        )?;
         Ok(forged)
     }
 
@@ -181,8 +222,13 @@ impl Demo {
         println!("waiting for the end of the trial");
         for _ in 0..TRIAL_LOOKS {
             let mut list = self.program("firmware-host");
-            let said = list.args(["model", "--json", "--config"]).arg(self.config()).arg("list").output()?;
-            let said: serde_json::Value = serde_json::from_slice(&said.stdout).context("`model list --json`")?;
+            let said = list
+                .args(["model", "--json", "--config"])
+                .arg(self.config())
+                .arg("list")
+                .output()?;
+            let said: serde_json::Value =
+                serde_json::from_slice(&said.stdout).context("`model list --json`")?;
             if said["state"]["trial_starts"].is_null() {
                 return Ok(());
             }

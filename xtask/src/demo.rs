@@ -8,27 +8,39 @@ use crate::{command, onnx_runtime, paths};
 
 const SCENE: &str = "builtin:apartment?seed=1";
 const FRAMES: &str = "3000";
-/// See models/README.md.
-const MODEL: &str = "models/default.onnx";
+/// See firmware-host/models/README.md.
+const MODEL: &str = "firmware-host/models/default.onnx";
 
 pub fn run() -> Result<()> {
     let model = match onnx_runtime::install() {
         Ok(_) => Some(paths::root().join(MODEL)),
         Err(error) => {
             // One line: depth from motion alone explores as well.
-            println!("no depth network ({error}); the robot explores with depth from its own motion");
+            println!(
+                "no depth network ({error}); the robot explores with depth from its own motion"
+            );
             None
         }
     };
     println!("building firmware-host in release; the first time takes some minutes");
-    command::run(command::cargo().args(["build", "--release", "--locked", "--package", "firmware-host"]))?;
+    command::run(command::cargo().args([
+        "build",
+        "--release",
+        "--locked",
+        "--package",
+        "firmware-host",
+    ]))?;
     let out = paths::target().join("demo");
     if out.exists() {
-        std::fs::remove_dir_all(&out).with_context(|| format!("removing the last demo in {}", out.display()))?;
+        std::fs::remove_dir_all(&out)
+            .with_context(|| format!("removing the last demo in {}", out.display()))?;
     }
     let robot = paths::target().join("release/firmware-host");
     let mut explore = command::program(&robot);
-    explore.args(["explore", "--scene", SCENE, "--policy", "active", "--frames", FRAMES, "--seed", "1", "--out"]);
+    explore.args([
+        "explore", "--scene", SCENE, "--policy", "active", "--frames", FRAMES, "--seed", "1",
+        "--out",
+    ]);
     explore.arg(&out);
     if let Some(model) = &model {
         explore.arg("--model").arg(model);
@@ -38,13 +50,23 @@ pub fn run() -> Result<()> {
     // Prints its own numbers and where they lie.
     command::run(&mut explore)?;
     let seconds = start.elapsed().as_secs_f64();
-    let depth = if model.is_some() { "its own motion, refined by the default network" } else { "its own motion" };
-    println!("\nThe robot saw {FRAMES} frames of {SCENE} in {seconds:.0} s, with depth from {depth}.");
+    let depth = if model.is_some() {
+        "its own motion, refined by the default network"
+    } else {
+        "its own motion"
+    };
+    println!(
+        "\nThe robot saw {FRAMES} frames of {SCENE} in {seconds:.0} s, with depth from {depth}."
+    );
     println!(
         "Open the recording in Foxglove (Open local file) or Rerun (`rerun {}/recording_0000.mcap`).",
         out.display()
     );
     let with_model = model.map_or(String::new(), |model| format!(" --model {}", model.display()));
-    println!("Recompute every decision from it: {} replay {}{with_model}", robot.display(), out.display());
+    println!(
+        "Recompute every decision from it: {} replay {}{with_model}",
+        robot.display(),
+        out.display()
+    );
     Ok(())
 }

@@ -43,9 +43,14 @@ pub fn run(seconds: u64, keep: bool, names: &[String]) -> Result<()> {
     let targets = targets(names)?;
     let programs = build()?;
     let place = Place { programs, dir: paths::target().join("fuzz") };
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get).min(targets.len());
+    let cores =
+        std::thread::available_parallelism().map_or(1, std::num::NonZero::get).min(targets.len());
     let rounds = targets.len().div_ceil(cores) as u64;
-    println!("{} targets, {seconds} s each, {cores} at a time: {} s", targets.len(), rounds * seconds);
+    println!(
+        "{} targets, {seconds} s each, {cores} at a time: {} s",
+        targets.len(),
+        rounds * seconds
+    );
     let next = AtomicUsize::new(0);
     let outcomes: Vec<Result<bool>> = std::thread::scope(|scope| {
         let worker = || {
@@ -78,13 +83,13 @@ struct Place {
 }
 
 fn committed(target: &str) -> PathBuf {
-    paths::root().join("fuzz/corpus").join(target)
+    paths::root().join("tests/fuzzing/corpus").join(target)
 }
 
 /// Those of the names, or all.
 fn targets(names: &[String]) -> Result<Vec<String>> {
     let mut all = Vec::new();
-    for entry in fs::read_dir(paths::root().join("fuzz/fuzz_targets"))? {
+    for entry in fs::read_dir(paths::root().join("tests/fuzzing/fuzz_targets"))? {
         all.extend(entry?.path().file_stem().map(|name| name.to_string_lossy().into_owned()));
     }
     all.sort();
@@ -97,7 +102,7 @@ fn targets(names: &[String]) -> Result<Vec<String>> {
 /// Builds every target; the folder that they are in.
 fn build() -> Result<PathBuf> {
     let mut cargo = command::cargo();
-    cargo.args(["build", "--locked", "-p", "fuzz", "--features", "libfuzzer", "--bins"]);
+    cargo.args(["build", "--locked", "-p", "fuzzing", "--features", "libfuzzer", "--bins"]);
     cargo.env("RUSTC_WORKSPACE_WRAPPER", std::env::current_exe()?).env(AS_WRAPPER, "1");
     command::run(&mut cargo).context("the targets need a C++ compiler besides Rust's")?;
     Ok(paths::target().join("debug"))
@@ -110,7 +115,11 @@ pub fn as_wrapper() -> Option<ExitCode> {
     let mut arguments = std::env::args_os().skip(1);
     let mut rustc = Command::new(arguments.next()?);
     let compiled = rustc.args(arguments).args(COVERAGE).status();
-    Some(if compiled.is_ok_and(|status| status.success()) { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Some(if compiled.is_ok_and(|status| status.success()) {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    })
 }
 
 /// Runs one target; whether it found nothing. Says so in a line.
@@ -129,10 +138,17 @@ fn fuzz(place: &Place, target: &str, seconds: u64) -> Result<bool> {
     program.args([&found, &committed(target)]).arg(format!("-max_total_time={seconds}"));
     program.arg(format!("-artifact_prefix={}/{target}-", findings.display()));
     program.args(["-print_final_stats=1".to_owned(), format!("-timeout={SLOWEST_S}")]);
-    let good =
-        program.stderr(File::create(&log)?).status().with_context(|| format!("cannot start {target}"))?.success();
+    let good = program
+        .stderr(File::create(&log)?)
+        .status()
+        .with_context(|| format!("cannot start {target}"))?
+        .success();
     let report = Report::read(&String::from_utf8_lossy(&fs::read(&log)?));
-    let result = if good { "nothing found".to_owned() } else { format!("FOUND SOMETHING: {}", log.display()) };
+    let result = if good {
+        "nothing found".to_owned()
+    } else {
+        format!("FOUND SOMETHING: {}", log.display())
+    };
     let Report { runs, first, last, added } = report;
     println!(
         "  {target:12} {runs:>9} runs in {:.0} s, reaches {last} places ({} new), {added} new inputs: {result}",

@@ -136,7 +136,10 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Dist { target } => dist::run(*target),
         Chore::Setup => {
             println!("ONNX Runtime: {}", onnx_runtime::install()?.display());
-            println!("test runner:  {}", if nextest::install() { "cargo nextest" } else { "cargo test" });
+            println!(
+                "test runner:  {}",
+                if nextest::install() { "cargo nextest" } else { "cargo test" }
+            );
             Ok(())
         }
     }

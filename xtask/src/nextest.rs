@@ -13,7 +13,15 @@ pub fn install() -> bool {
     }
     eprintln!("installing cargo-nextest {VERSION}, once; this takes some minutes");
     let mut install = command::cargo();
-    install.args(["install", "--quiet", "--locked", "cargo-nextest", "--version", VERSION, "--root"]);
+    install.args([
+        "install",
+        "--quiet",
+        "--locked",
+        "cargo-nextest",
+        "--version",
+        VERSION,
+        "--root",
+    ]);
     install.arg(paths::target().join("tools"));
     if let Err(error) = command::run(&mut install) {
         eprintln!("cargo-nextest cannot be installed ({error:#}); using `cargo test`");

@@ -63,7 +63,8 @@ pub fn with_notices(arch: &str) -> Result<Wheel> {
 
 /// This computer's is where the program looks for it.
 fn library(arch: &str) -> PathBuf {
-    let folder = if arch == ARCH { "onnxruntime".to_owned() } else { format!("onnxruntime-{arch}") };
+    let folder =
+        if arch == ARCH { "onnxruntime".to_owned() } else { format!("onnxruntime-{arch}") };
     paths::target().join(folder).join(format!("libonnxruntime.so.{VERSION}"))
 }
 
@@ -80,14 +81,16 @@ fn install_to(library: &Path, arch: &str) -> Result<()> {
 fn unpack_to(library: &Path, arch: &str) -> Result<()> {
     let folder = paths::target().join("tools/onnxruntime");
     if folder.exists() {
-        std::fs::remove_dir_all(&folder).with_context(|| format!("removing {}", folder.display()))?;
+        std::fs::remove_dir_all(&folder)
+            .with_context(|| format!("removing {}", folder.display()))?;
     }
     std::fs::create_dir_all(&folder).with_context(|| format!("creating {}", folder.display()))?;
     download(&folder, arch)?;
     let wheel = only_wheel(&folder)?;
     command::run(python::system()?.args(["-m", "zipfile", "-e"]).arg(wheel).arg(&folder))?;
     if let Some(parent) = library.parent() {
-        std::fs::create_dir_all(parent).with_context(|| format!("creating {}", parent.display()))?;
+        std::fs::create_dir_all(parent)
+            .with_context(|| format!("creating {}", parent.display()))?;
     }
     let unpacked = folder.join("onnxruntime");
     let take = |from: PathBuf, to: &Path| {
@@ -106,7 +109,15 @@ fn download(folder: &Path, arch: &str) -> Result<()> {
     let hashes = WHEELS.map(|hash| format!(" --hash=sha256:{hash}")).concat();
     std::fs::write(&requirements, format!("onnxruntime=={VERSION}{hashes}\n"))?;
     let mut pip = python::with_pip()?;
-    pip.args(["-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:"]);
+    pip.args([
+        "-m",
+        "pip",
+        "download",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-deps",
+        "--only-binary=:all:",
+    ]);
     pip.args(["--require-hashes", "--platform", &format!("manylinux_2_28_{arch}")]).args(PYTHON);
     command::run(pip.arg("--dest").arg(folder).arg("--requirement").arg(&requirements))
 }

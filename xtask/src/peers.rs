@@ -12,7 +12,8 @@ use crate::{command, paths, python};
 /// When they cannot be installed.
 pub fn of_benchmarks() -> Result<PathBuf> {
     let requirements = paths::root().join("tools/bench/peers/requirements.txt");
-    let wanted = std::fs::read_to_string(&requirements).with_context(|| requirements.display().to_string())?;
+    let wanted = std::fs::read_to_string(&requirements)
+        .with_context(|| requirements.display().to_string())?;
     let folder = paths::target().join("tools/peers");
     let stamp = folder.join("installed.txt");
     if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
@@ -20,10 +21,19 @@ pub fn of_benchmarks() -> Result<PathBuf> {
     }
     eprintln!("installing the peers of the benchmarks into {}", folder.display());
     if folder.exists() {
-        std::fs::remove_dir_all(&folder).with_context(|| format!("removing {}", folder.display()))?;
+        std::fs::remove_dir_all(&folder)
+            .with_context(|| format!("removing {}", folder.display()))?;
     }
     let mut pip = python::with_pip()?;
-    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary=:all:", "--target"]);
+    pip.args([
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--only-binary=:all:",
+        "--target",
+    ]);
     command::run(pip.arg(&folder).arg("--requirement").arg(&requirements))?;
     std::fs::write(&stamp, wanted).with_context(|| stamp.display().to_string())?;
     Ok(folder)
@@ -36,7 +46,8 @@ pub fn of_benchmarks() -> Result<PathBuf> {
 /// When they cannot be installed.
 pub fn of_tests(install: bool) -> Result<Option<PathBuf>> {
     let requirements = paths::root().join("tests/peers/requirements.txt");
-    let wanted = std::fs::read_to_string(&requirements).with_context(|| requirements.display().to_string())?;
+    let wanted = std::fs::read_to_string(&requirements)
+        .with_context(|| requirements.display().to_string())?;
     let environment = paths::target().join("tools/test-peers");
     let stamp = environment.join("installed.txt");
     if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {

@@ -61,7 +61,8 @@ fn copy_tests_and_all(from: &Path, to: &Path) -> Result<()> {
     for entry in fs::read_dir(from)? {
         let path = entry?.path();
         // A shallower search than in the ordinary tests: what only the deep one notices is listed as missed.
-        let text = fs::read_to_string(&path)?.replace("const DEPTH: u32 = 8;", "const DEPTH: u32 = 5;");
+        let text =
+            fs::read_to_string(&path)?.replace("const DEPTH: u32 = 8;", "const DEPTH: u32 = 5;");
         fs::write(to.join(path.file_name().unwrap_or_default()), text)?;
     }
     Ok(())

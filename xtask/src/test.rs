@@ -16,7 +16,8 @@ const FEW_KILLS: &str = "6 of each are among the tests; `cargo xtask test --all`
 const LINTS: &str = "clippy --workspace --all-targets --features pull-buffer/object-store,pull-buffer/lerobot,firmware-host/lerobot --locked -- -D warnings";
 
 /// What tests build, once for all steps.
-const TESTED: &str = "--workspace --features buffer/lerobot,pull-buffer/object-store --locked";
+const TESTED: &str =
+    "--workspace --features segment-store/lerobot,pull-buffer/object-store --locked";
 
 /// What became of a step.
 enum Outcome {
@@ -59,8 +60,18 @@ pub fn run(all: bool) -> Result<()> {
                 None => (Outcome::Skipped("`cargo xtask test --all` installs it"), 0.0),
             },
         ),
-        ("kills", if all { step(cargo(&kills).env("KILLS", KILLS)) } else { (Outcome::Skipped(FEW_KILLS), 0.0) }),
-        ("examples in the documentation", step(&mut cargo(&format!("test {TESTED} --doc --quiet")))),
+        (
+            "kills",
+            if all {
+                step(cargo(&kills).env("KILLS", KILLS))
+            } else {
+                (Outcome::Skipped(FEW_KILLS), 0.0)
+            },
+        ),
+        (
+            "examples in the documentation",
+            step(&mut cargo(&format!("test {TESTED} --doc --quiet"))),
+        ),
         ("licences and sources", licences()),
     ];
     outcomes.extend(without_ssh(ci).map(|outcome| ("tests over ssh", (outcome, 0.0))));
@@ -101,7 +112,10 @@ fn trainer_steps(install: bool) -> Result<Vec<(&'static str, (Outcome, f64))>> {
     let python = trainer::install()?;
     let module = |arguments: &str| {
         let mut module = command::program(&python);
-        module.current_dir(paths::root().join("tools/trainer")).arg("-m").args(arguments.split_whitespace());
+        module
+            .current_dir(paths::root().join("tools/trainer"))
+            .arg("-m")
+            .args(arguments.split_whitespace());
         step(&mut module)
     };
     Ok(vec![

@@ -18,7 +18,10 @@ pub fn is_installed() -> bool {
 pub fn install() -> Result<PathBuf> {
     let environment = environment();
     if !is_installed() {
-        eprintln!("installing PyTorch (5 GB) into {}, once; this takes some minutes", environment.display());
+        eprintln!(
+            "installing PyTorch (5 GB) into {}, once; this takes some minutes",
+            environment.display()
+        );
         let mut pip = command::program(python::environment(&environment)?);
         pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--editable"]);
         command::run(pip.arg(format!("{}[dev]", paths::root().join("tools/trainer").display())))?;

@@ -72,11 +72,15 @@ pub enum SendProblem {
 impl fmt::Display for SendProblem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Full => {
-                f.write_str("its transmit queue is full; check cable, termination, bit rate and `restart-ms`")
+            Self::Full => f.write_str(
+                "its transmit queue is full; check cable, termination, bit rate and `restart-ms`",
+            ),
+            Self::Down => f.write_str(
+                "it is down; `ip link set <name> up type can bitrate <rate> restart-ms 100`",
+            ),
+            Self::Gone => {
+                f.write_str("it does not exist; plug the adapter in, or name another bus")
             }
-            Self::Down => f.write_str("it is down; `ip link set <name> up type can bitrate <rate> restart-ms 100`"),
-            Self::Gone => f.write_str("it does not exist; plug the adapter in, or name another bus"),
             Self::Code(code) => write!(f, "error {code} of the operating system"),
         }
     }

@@ -174,8 +174,18 @@ impl BaseConfig {
         within("limits.linear_mps", limits.linear_mps, 0.01, 5.0)?;
         within("limits.angular_radps", limits.angular_radps, 0.01, 20.0)?;
         within("limits.acceleration_mps2", limits.acceleration_mps2, 0.01, 20.0)?;
-        within("limits.deceleration_mps2", limits.deceleration_mps2, limits.acceleration_mps2, 50.0)?;
-        within("limits.angular_acceleration_radps2", limits.angular_acceleration_radps2, 0.01, 100.0)?;
+        within(
+            "limits.deceleration_mps2",
+            limits.deceleration_mps2,
+            limits.acceleration_mps2,
+            50.0,
+        )?;
+        within(
+            "limits.angular_acceleration_radps2",
+            limits.angular_acceleration_radps2,
+            0.01,
+            100.0,
+        )?;
         let (low, value) = (limits.angular_acceleration_radps2, limits.angular_deceleration_radps2);
         within("limits.angular_deceleration_radps2", value, low, 200.0)?;
         within("limits.jerk_time_s", limits.jerk_time_s, 0.0, 2.0)?;
@@ -192,13 +202,27 @@ impl BaseConfig {
         within("right_node", f64::from(self.right_node), f64::from(low), f64::from(high))?;
         if self.left_node == self.right_node {
             let allowed = "another node than left_node".to_owned();
-            return Err(CanError::Config { field: "right_node", value: self.right_node.to_string(), allowed });
+            return Err(CanError::Config {
+                field: "right_node",
+                value: self.right_node.to_string(),
+                allowed,
+            });
         }
         match self.protocol {
             Protocol::Odrive => {
                 let odrive = &self.odrive;
-                within("odrive.enable_watchdog_endpoint", f64::from(odrive.enable_watchdog_endpoint), 1.0, 65535.0)?;
-                within("odrive.watchdog_timeout_endpoint", f64::from(odrive.watchdog_timeout_endpoint), 1.0, 65535.0)
+                within(
+                    "odrive.enable_watchdog_endpoint",
+                    f64::from(odrive.enable_watchdog_endpoint),
+                    1.0,
+                    65535.0,
+                )?;
+                within(
+                    "odrive.watchdog_timeout_endpoint",
+                    f64::from(odrive.watchdog_timeout_endpoint),
+                    1.0,
+                    65535.0,
+                )
             }
             Protocol::Vesc => {
                 within("vesc.pole_pairs", f64::from(self.vesc.pole_pairs), 1.0, 100.0)?;
@@ -209,7 +233,8 @@ impl BaseConfig {
             Protocol::Cia402 => {
                 within("cia402.host_node", f64::from(self.cia402.host_node), 1.0, 127.0)?;
                 if [self.left_node, self.right_node].contains(&self.cia402.host_node) {
-                    let (value, allowed) = (self.cia402.host_node.to_string(), "a node that no motor has".to_owned());
+                    let (value, allowed) =
+                        (self.cia402.host_node.to_string(), "a node that no motor has".to_owned());
                     return Err(CanError::Config { field: "cia402.host_node", value, allowed });
                 }
                 within("cia402.velocity_units", self.cia402.velocity_units, 1.0, 1e7)?;
@@ -221,8 +246,11 @@ impl BaseConfig {
     /// The motors, left and right.
     #[must_use]
     pub(super) fn motors(&self) -> [Box<dyn MotorProtocol>; 2] {
-        let nodes =
-            if self.swap_wheels { [self.right_node, self.left_node] } else { [self.left_node, self.right_node] };
+        let nodes = if self.swap_wheels {
+            [self.right_node, self.left_node]
+        } else {
+            [self.left_node, self.right_node]
+        };
         let [left, right] = nodes;
         [self.motor(left, true), self.motor(right, false)]
     }
@@ -260,8 +288,11 @@ mod tests {
     use super::*;
 
     fn sound() -> BaseConfig {
-        let odrive =
-            OdriveConfig { enable_watchdog_endpoint: 195, watchdog_timeout_endpoint: 196, ..Default::default() };
+        let odrive = OdriveConfig {
+            enable_watchdog_endpoint: 195,
+            watchdog_timeout_endpoint: 196,
+            ..Default::default()
+        };
         BaseConfig { odrive, ..BaseConfig::default() }
     }
 
@@ -278,7 +309,13 @@ mod tests {
         assert!(sound().validate().is_ok());
         assert!(BaseConfig::default().validate().is_err());
         assert!(BaseConfig { right_node: 1, ..sound() }.validate().is_err());
-        assert!(BaseConfig { protocol: Protocol::Vesc, ..BaseConfig::default() }.validate().is_ok());
-        assert!(BaseConfig { protocol: Protocol::Cia402, left_node: 127, ..BaseConfig::default() }.validate().is_err());
+        assert!(
+            BaseConfig { protocol: Protocol::Vesc, ..BaseConfig::default() }.validate().is_ok()
+        );
+        assert!(
+            BaseConfig { protocol: Protocol::Cia402, left_node: 127, ..BaseConfig::default() }
+                .validate()
+                .is_err()
+        );
     }
 }

@@ -68,24 +68,36 @@ impl Trip {
 impl fmt::Display for Trip {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::BusOff => {
-                f.write_str("the CAN controller is bus-off; check cable, termination and bit rate, then arm")
+            Self::BusOff => f.write_str(
+                "the CAN controller is bus-off; check cable, termination and bit rate, then arm",
+            ),
+            Self::BusGone => {
+                f.write_str("the CAN interface is gone or down; plug it in or set it up, then arm")
             }
-            Self::BusGone => f.write_str("the CAN interface is gone or down; plug it in or set it up, then arm"),
-            Self::TransmitBlocked => {
-                f.write_str("nothing could be sent for 50 ms; check cable and power of the motors, then arm")
+            Self::TransmitBlocked => f.write_str(
+                "nothing could be sent for 50 ms; check cable and power of the motors, then arm",
+            ),
+            Self::FeedbackSilent(side) => {
+                write!(f, "the {side} motor is silent; check its power and cable, then arm")
             }
-            Self::FeedbackSilent(side) => write!(f, "the {side} motor is silent; check its power and cable, then arm"),
-            Self::MotorFault(side) => write!(f, "the {side} motor reports a fault; see its own text, then arm"),
+            Self::MotorFault(side) => {
+                write!(f, "the {side} motor reports a fault; see its own text, then arm")
+            }
             Self::WrongDirection(side) => {
                 write!(
                     f,
                     "the {side} wheel turns against its command; set invert_{side} or swap_wheels and start again"
                 )
             }
-            Self::EmergencyStop => f.write_str("the emergency stop is pressed; release it, then arm"),
-            Self::SafetySilent => f.write_str("the safety board is silent; check its power and cable, then arm"),
-            Self::LoopStalled => f.write_str("the control loop stood still; check the load of the computer, then arm"),
+            Self::EmergencyStop => {
+                f.write_str("the emergency stop is pressed; release it, then arm")
+            }
+            Self::SafetySilent => {
+                f.write_str("the safety board is silent; check its power and cable, then arm")
+            }
+            Self::LoopStalled => f.write_str(
+                "the control loop stood still; check the load of the computer, then arm",
+            ),
         }
     }
 }
@@ -127,7 +139,9 @@ pub enum CanError {
         angular_radps: f64,
     },
     /// The plan behind the command is too old.
-    #[error("the plan is {age_ms} ms old, allowed: {limit_ms} ms; the base stands until a fresh one comes")]
+    #[error(
+        "the plan is {age_ms} ms old, allowed: {limit_ms} ms; the base stands until a fresh one comes"
+    )]
     PlanTooOld {
         /// Its age.
         age_ms: u64,
@@ -167,7 +181,9 @@ pub enum CanError {
         speed_mps: f64,
     },
     /// No feedback.
-    #[error("no feedback of the {side} motor for {age_ms} ms, allowed: {limit_ms} ms; check its power and cable")]
+    #[error(
+        "no feedback of the {side} motor for {age_ms} ms, allowed: {limit_ms} ms; check its power and cable"
+    )]
     Silent {
         /// Which.
         side: Side,
@@ -179,22 +195,28 @@ pub enum CanError {
 }
 
 fn reason(problem: &Option<MotorProblem>) -> String {
-    problem.map_or_else(|| "it is still being set up; wait".to_owned(), |problem| problem.to_string())
+    problem
+        .map_or_else(|| "it is still being set up; wait".to_owned(), |problem| problem.to_string())
 }
 
 impl hal::Error for CanError {
     fn kind(&self) -> ErrorKind {
         match self {
             Self::Config { .. } => ErrorKind::Unsupported,
-            Self::Bus { problem: SendProblem::Down | SendProblem::Gone, .. } => ErrorKind::Disconnected,
+            Self::Bus { problem: SendProblem::Down | SendProblem::Gone, .. } => {
+                ErrorKind::Disconnected
+            }
             Self::Bus { .. } => ErrorKind::Fault,
             Self::Tripped(trip) => match trip {
                 Trip::BusGone => ErrorKind::Disconnected,
-                Trip::FeedbackSilent(_) | Trip::SafetySilent | Trip::LoopStalled => ErrorKind::Timeout,
-                Trip::EmergencyStop => ErrorKind::Rejected,
-                Trip::BusOff | Trip::TransmitBlocked | Trip::MotorFault(_) | Trip::WrongDirection(_) => {
-                    ErrorKind::Fault
+                Trip::FeedbackSilent(_) | Trip::SafetySilent | Trip::LoopStalled => {
+                    ErrorKind::Timeout
                 }
+                Trip::EmergencyStop => ErrorKind::Rejected,
+                Trip::BusOff
+                | Trip::TransmitBlocked
+                | Trip::MotorFault(_)
+                | Trip::WrongDirection(_) => ErrorKind::Fault,
             },
             Self::Motor { .. } => ErrorKind::Fault,
             Self::Silent { .. } => ErrorKind::Timeout,

@@ -142,7 +142,10 @@ mod tests {
     #[test]
     fn a_frame_prints_as_candump_prints_it() {
         let text = |frame: Option<CanFrame>| frame.map(|frame| frame.to_string());
-        assert_eq!(text(CanFrame::new(CanId::Standard(0x1), &[0xde, 0xad])).as_deref(), Some("001#DEAD"));
+        assert_eq!(
+            text(CanFrame::new(CanId::Standard(0x1), &[0xde, 0xad])).as_deref(),
+            Some("001#DEAD")
+        );
         assert_eq!(text(CanFrame::remote(CanId::Extended(0x1), 8)).as_deref(), Some("00000001#R8"));
     }
 }

@@ -22,7 +22,12 @@ pub(super) struct WheelGuard {
 
 impl WheelGuard {
     /// One turn of the loop: velocity commanded, m/s at the rim, and how long it held.
-    pub(super) fn commanded(&mut self, velocity_mps: f64, velocity_measured_mps: f64, elapsed_ns: u64) {
+    pub(super) fn commanded(
+        &mut self,
+        velocity_mps: f64,
+        velocity_measured_mps: f64,
+        elapsed_ns: u64,
+    ) {
         if velocity_mps * self.commanded_m < 0.0 || velocity_mps == 0.0 {
             (self.commanded_m, self.measured_m) = (0.0, 0.0);
         }
@@ -39,7 +44,8 @@ impl WheelGuard {
 
     /// It turns against its command.
     pub(super) fn is_wrong(&self) -> bool {
-        self.commanded_m.abs() >= JUDGED_AFTER_M && self.measured_m * self.commanded_m.signum() <= -WRONG_M
+        self.commanded_m.abs() >= JUDGED_AFTER_M
+            && self.measured_m * self.commanded_m.signum() <= -WRONG_M
     }
 
     /// It is commanded and does not turn.

@@ -54,7 +54,8 @@ impl Odometry {
         let step = self.kinematics.twist(travel_m);
         let (sin, cos) = (self.pose.yaw_rad + step.angular_radps / 2.0).sin_cos();
         let length = step.linear_mps;
-        let along_yaw = Matrix3::new(1.0, 0.0, -length * sin, 0.0, 1.0, length * cos, 0.0, 0.0, 1.0);
+        let along_yaw =
+            Matrix3::new(1.0, 0.0, -length * sin, 0.0, 1.0, length * cos, 0.0, 0.0, 1.0);
         // How x, y and yaw change with the left and with the right wheel's travel.
         let side = length / (2.0 * self.kinematics.track_m);
         let along_wheels = Matrix3x2::new(
@@ -67,8 +68,8 @@ impl Odometry {
         );
         let [left, right] = travel_m.map(|travel| self.slip_m * travel.abs());
         let noise = Matrix2::new(left, 0.0, 0.0, right);
-        self.covariance =
-            along_yaw * self.covariance * along_yaw.transpose() + along_wheels * noise * along_wheels.transpose();
+        self.covariance = along_yaw * self.covariance * along_yaw.transpose()
+            + along_wheels * noise * along_wheels.transpose();
         self.pose = self.pose.compose(&step.integrate(1.0));
     }
 
@@ -126,7 +127,9 @@ mod tests {
         // A linear congruential generator and Box and Muller: the same robots in every run.
         let mut state = 1u64;
         let mut uniform = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             ((state >> 11) as f64 + 0.5) / (1u64 << 53) as f64
         };
         let robots = 4000;

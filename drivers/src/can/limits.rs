@@ -75,9 +75,16 @@ impl Limiter {
             return None;
         }
         let target = self.slowed(wanted);
-        let (dv, dw) = (target.linear_mps - self.now.linear_mps, target.angular_radps - self.now.angular_radps);
-        let (v_limit, v_slows) =
-            rate(self.now.linear_mps, dv, self.config.acceleration_mps2, self.config.deceleration_mps2);
+        let (dv, dw) = (
+            target.linear_mps - self.now.linear_mps,
+            target.angular_radps - self.now.angular_radps,
+        );
+        let (v_limit, v_slows) = rate(
+            self.now.linear_mps,
+            dv,
+            self.config.acceleration_mps2,
+            self.config.deceleration_mps2,
+        );
         let (w_limit, w_slows) = rate(
             self.now.angular_radps,
             dw,
@@ -123,7 +130,10 @@ impl Limiter {
         let over_v = wanted.linear_mps.abs() / self.config.linear_mps;
         let over_w = wanted.angular_radps.abs() / self.config.angular_radps;
         let scale = over_v.max(over_w).max(1.0).recip();
-        Twist2 { linear_mps: wanted.linear_mps * scale, angular_radps: wanted.angular_radps * scale }
+        Twist2 {
+            linear_mps: wanted.linear_mps * scale,
+            angular_radps: wanted.angular_radps * scale,
+        }
     }
 }
 
@@ -145,7 +155,9 @@ mod tests {
     }
 
     fn turns_until(limiter: &mut Limiter, wanted: Twist2) -> usize {
-        (1..10_000).find(|_| limiter.step(&wanted, DT).is_some_and(|now| now == wanted)).expect("it arrives")
+        (1..10_000)
+            .find(|_| limiter.step(&wanted, DT).is_some_and(|now| now == wanted))
+            .expect("it arrives")
     }
 
     proptest! {
@@ -205,7 +217,9 @@ mod tests {
         while limiter.velocity().linear_mps < 0.3 {
             let now = limiter.step(&twist(0.3, 0.0), DT).expect("finite").linear_mps;
             let acceleration = (now - before) / DT;
-            assert!(acceleration - last <= config.acceleration_mps2 / config.jerk_time_s * DT + 1e-9);
+            assert!(
+                acceleration - last <= config.acceleration_mps2 / config.jerk_time_s * DT + 1e-9
+            );
             (before, last) = (now, acceleration);
         }
     }

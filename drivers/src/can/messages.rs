@@ -90,11 +90,7 @@ fn open(id: u32, frame: &CanFrame, length: usize) -> Result<&[u8], MessageError>
     let data = frame.data();
     match data {
         [sum, rest @ ..] if frame.id() == CanId::Extended(id) && data.len() == length => {
-            if *sum == checksum(id, rest) {
-                Ok(rest)
-            } else {
-                Err(MessageError::Checksum)
-            }
+            if *sum == checksum(id, rest) { Ok(rest) } else { Err(MessageError::Checksum) }
         }
         _ => Err(MessageError::Shape),
     }
@@ -115,7 +111,9 @@ impl BaseCommand {
     /// # Errors
     /// When it is another frame or fails its checksum.
     pub fn decode(frame: &CanFrame) -> Result<Self, MessageError> {
-        let [flags, a0, a1, v0, v1, w0, w1] = *open(COMMAND_ID, frame, 8)? else { return Err(MessageError::Shape) };
+        let [flags, a0, a1, v0, v1, w0, w1] = *open(COMMAND_ID, frame, 8)? else {
+            return Err(MessageError::Shape);
+        };
         Ok(Self {
             counter: flags & 0x0f,
             armed: flags & 0x10 != 0,
@@ -141,7 +139,9 @@ impl BaseState {
     /// # Errors
     /// When it is another frame or fails its checksum.
     pub fn decode(frame: &CanFrame) -> Result<Self, MessageError> {
-        let [first, trip, flags, v0, v1, w0, w1] = *open(STATE_ID, frame, 8)? else { return Err(MessageError::Shape) };
+        let [first, trip, flags, v0, v1, w0, w1] = *open(STATE_ID, frame, 8)? else {
+            return Err(MessageError::Shape);
+        };
         Ok(Self {
             counter: first & 0x0f,
             phase: first >> 4,

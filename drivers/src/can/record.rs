@@ -66,7 +66,11 @@ pub fn event(id: u32, length: u8, data: &[u8; 8]) -> Option<BusEvent> {
         return Some(error(id, data));
     }
     let plain = id & 0x1fff_ffff;
-    let name = if id & EXTENDED != 0 { CanId::Extended(plain) } else { CanId::Standard(u16::try_from(plain).ok()?) };
+    let name = if id & EXTENDED != 0 {
+        CanId::Extended(plain)
+    } else {
+        CanId::Standard(u16::try_from(plain).ok()?)
+    };
     let frame = match id & REMOTE != 0 {
         true => CanFrame::remote(name, length),
         false => CanFrame::new(name, data.get(..usize::from(length))?),
@@ -116,11 +120,20 @@ mod tests {
     use proptest::prelude::*;
 
     fn frame() -> impl Strategy<Value = CanFrame> {
-        let id = prop_oneof![(0u16..0x800).prop_map(CanId::Standard), (0u32..0x2000_0000).prop_map(CanId::Extended),];
-        (id, any::<bool>(), proptest::collection::vec(any::<u8>(), 0..=8)).prop_map(|(id, remote, data)| {
-            let frame = if remote { CanFrame::remote(id, data.len() as u8) } else { CanFrame::new(id, &data) };
-            frame.expect("the strategy makes sound frames")
-        })
+        let id = prop_oneof![
+            (0u16..0x800).prop_map(CanId::Standard),
+            (0u32..0x2000_0000).prop_map(CanId::Extended),
+        ];
+        (id, any::<bool>(), proptest::collection::vec(any::<u8>(), 0..=8)).prop_map(
+            |(id, remote, data)| {
+                let frame = if remote {
+                    CanFrame::remote(id, data.len() as u8)
+                } else {
+                    CanFrame::new(id, &data)
+                };
+                frame.expect("the strategy makes sound frames")
+            },
+        )
     }
 
     proptest! {
@@ -146,7 +159,10 @@ mod tests {
         assert_eq!(decode(&bus_off_record()), Some(BusEvent::BusOff));
         assert_eq!(decode(&error_record(0x100, [0; 8])), Some(BusEvent::Restarted));
         assert_eq!(decode(&error_record(0x20, [0; 8])), Some(BusEvent::NoAcknowledge));
-        assert_eq!(decode(&error_record(0x04, [0, 0x01, 0, 0, 0, 0, 0, 0])), Some(BusEvent::Overflow));
+        assert_eq!(
+            decode(&error_record(0x04, [0, 0x01, 0, 0, 0, 0, 0, 0])),
+            Some(BusEvent::Overflow)
+        );
         let passive = BusEvent::Errors { state: ErrorState::Passive, transmit: 128, receive: 3 };
         assert_eq!(decode(&error_record(0x204, [0, 0x20, 0, 0, 0, 0, 128, 3])), Some(passive));
     }

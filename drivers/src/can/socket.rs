@@ -11,7 +11,7 @@ use super::bus::{Backoff, BusEvent, CanBus, Received, SendProblem};
 use super::frame::CanFrame;
 use super::record;
 use super::stamp::HardwareClock;
-use crate::clock::{monotonic_ns, realtime_ahead_ns};
+use monotonic_clock::{monotonic_ns, realtime_ahead_ns};
 
 /// The kernel doubles it; at some 768 bytes of bookkeeping per frame that is ten frames, two turns of the loop.
 const SEND_BUFFER: usize = 4096;
@@ -38,7 +38,13 @@ impl SocketBus {
     /// The interface of that name. It need not be there yet.
     #[must_use]
     pub fn new(name: &str) -> Self {
-        Self { name: name.to_owned(), socket: None, hardware: None, retry: Backoff::new(), was_open: true }
+        Self {
+            name: name.to_owned(),
+            socket: None,
+            hardware: None,
+            retry: Backoff::new(),
+            was_open: true,
+        }
     }
 
     fn reopen(&mut self, now_ns: u64) -> Option<Received> {
@@ -55,7 +61,8 @@ impl SocketBus {
             }
         }
         // Told once.
-        std::mem::take(&mut self.was_open).then_some(Received { time_ns: now_ns, event: BusEvent::Gone })
+        std::mem::take(&mut self.was_open)
+            .then_some(Received { time_ns: now_ns, event: BusEvent::Gone })
     }
 
     fn close(&mut self, now_ns: u64) -> Received {
@@ -66,12 +73,16 @@ impl SocketBus {
     }
 
     fn time_ns(&mut self, stamps: &socketcan::CanTimestamps, now_ns: u64) -> u64 {
-        let since_1970 = |time: SystemTime| time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or(Duration::ZERO);
+        let since_1970 = |time: SystemTime| {
+            time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or(Duration::ZERO)
+        };
         let Some(software) = stamps.sw else { return now_ns };
         let software_ns = since_1970(software).as_nanos() as i64 - realtime_ahead_ns();
         let software_ns = u64::try_from(software_ns).unwrap_or(0).min(now_ns);
         match (&mut self.hardware, stamps.hw) {
-            (Some(clock), Some(hardware)) => clock.monotonic_ns(hardware.as_nanos() as u64, software_ns),
+            (Some(clock), Some(hardware)) => {
+                clock.monotonic_ns(hardware.as_nanos() as u64, software_ns)
+            }
             _ => software_ns,
         }
     }
@@ -121,10 +132,15 @@ impl CanBus for SocketBus {
         match socket.read_frame_with_timestamps() {
             Ok((frame, stamps)) => {
                 let raw = frame.as_ref();
-                let event = record::event(raw.can_id, raw.can_dlc, &raw.data).unwrap_or(BusEvent::Noise);
+                let event =
+                    record::event(raw.can_id, raw.can_dlc, &raw.data).unwrap_or(BusEvent::Noise);
                 Some(Received { time_ns: self.time_ns(&stamps, now_ns.max(monotonic_ns())), event })
             }
-            Err(error) if matches!(error.kind(), IoErrorKind::WouldBlock | IoErrorKind::Interrupted) => None,
+            Err(error)
+                if matches!(error.kind(), IoErrorKind::WouldBlock | IoErrorKind::Interrupted) =>
+            {
+                None
+            }
             // A CAN FD frame: somebody else's.
             Err(error) if error.kind() == IoErrorKind::InvalidData => {
                 Some(Received { time_ns: now_ns, event: BusEvent::Noise })

@@ -21,7 +21,9 @@ impl HardwareClock {
         let seen = (software_ns as i64).wrapping_sub(hardware_ns as i64);
         let allowance = (software_ns.saturating_sub(self.last_ns) as f64 * DRIFT) as i64;
         let ahead = match self.ahead_ns {
-            Some(known) if seen.saturating_sub(known).abs() < RESTART_NS => seen.min(known + allowance),
+            Some(known) if seen.saturating_sub(known).abs() < RESTART_NS => {
+                seen.min(known + allowance)
+            }
             _ => seen,
         };
         self.ahead_ns = Some(ahead);

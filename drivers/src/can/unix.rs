@@ -7,7 +7,8 @@ use std::os::fd::OwnedFd;
 
 use rustix::io::Errno;
 use rustix::net::{
-    AddressFamily, RecvFlags, SendFlags, SocketAddrUnix, SocketFlags, SocketType, connect, recv, send, socket_with,
+    AddressFamily, RecvFlags, SendFlags, SocketAddrUnix, SocketFlags, SocketType, connect, recv,
+    send, socket_with,
 };
 
 use super::bus::{Backoff, BusEvent, CanBus, Received, SendProblem};
@@ -62,7 +63,8 @@ impl UnixBus {
             }
         }
         // Told once.
-        std::mem::take(&mut self.was_open).then_some(Received { time_ns: now_ns, event: BusEvent::Gone })
+        std::mem::take(&mut self.was_open)
+            .then_some(Received { time_ns: now_ns, event: BusEvent::Gone })
     }
 }
 

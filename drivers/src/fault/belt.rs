@@ -28,7 +28,13 @@ enum Next {
 impl<T: Clone> Belt<T> {
     pub fn new(injector: &Injector, make: impl Fn() -> T) -> Self {
         let room = injector.most(Kind::Delay) as usize + 1;
-        Self { late: (0..room).map(|_| make()).collect(), oldest: 0, waiting: 0, aside: make(), next: Next::Nothing }
+        Self {
+            late: (0..room).map(|_| make()).collect(),
+            oldest: 0,
+            waiting: 0,
+            aside: make(),
+            next: Next::Nothing,
+        }
     }
 
     /// Forgets what was on its way.

@@ -11,7 +11,10 @@ use super::schedule::{Device, Kind, kinds_of};
 #[non_exhaustive]
 pub enum FaultTextError {
     /// It has another form.
-    #[error("`{text}` is not DEVICE:KIND[=AMOUNT][@FROM..TO], such as lidar:stall@4..6; there are {}", all_kinds())]
+    #[error(
+        "`{text}` is not DEVICE:KIND[=AMOUNT][@FROM..TO], such as lidar:stall@4..6; there are {}",
+        all_kinds()
+    )]
     Form {
         /// The whole text.
         text: String,
@@ -41,7 +44,9 @@ pub enum FaultTextError {
         rule: &'static str,
     },
     /// A time that cannot be.
-    #[error("`@{text}` is no time: give seconds since the start as @4..6, @4.. or @..6, the first below the second")]
+    #[error(
+        "`@{text}` is no time: give seconds since the start as @4..6, @4.. or @..6, the first below the second"
+    )]
     Window {
         /// What was given.
         text: String,

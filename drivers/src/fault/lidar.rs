@@ -49,7 +49,9 @@ impl<L: Lidar> FaultyLidar<L> {
                     *range = match kind {
                         Kind::Error => Range::Error,
                         Kind::Ghost => Range::Hit(GHOST_M),
-                        _ => Range::Hit(min_m + self.injector.rng().random::<f32>() * (max_m - min_m)),
+                        _ => Range::Hit(
+                            min_m + self.injector.rng().random::<f32>() * (max_m - min_m),
+                        ),
                     };
                 }
             }

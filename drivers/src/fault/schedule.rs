@@ -97,9 +97,15 @@ impl Device {
 pub fn kinds_of(device: Device) -> &'static [Kind] {
     use Kind::*;
     match device {
-        Device::Camera => &[Delay, Drop, Duplicate, Reorder, Corrupt, Stall, Unplug, Black, White, Resize],
-        Device::Lidar => &[Delay, Drop, Duplicate, Reorder, Corrupt, Stall, Unplug, Error, Blind, Ghost],
-        Device::Base => &[Delay, Drop, Duplicate, Reorder, Corrupt, Stall, Unplug, Nan, Jump, Contact],
+        Device::Camera => {
+            &[Delay, Drop, Duplicate, Reorder, Corrupt, Stall, Unplug, Black, White, Resize]
+        }
+        Device::Lidar => {
+            &[Delay, Drop, Duplicate, Reorder, Corrupt, Stall, Unplug, Error, Blind, Ghost]
+        }
+        Device::Base => {
+            &[Delay, Drop, Duplicate, Reorder, Corrupt, Stall, Unplug, Nan, Jump, Contact]
+        }
         Device::Clock => &[Slow],
         Device::Disk => &[Slow, Full, Unplug],
     }
@@ -133,7 +139,12 @@ impl Kind {
 
     fn unit(self) -> Amount {
         match self {
-            Self::Drop | Self::Duplicate | Self::Reorder | Self::Corrupt | Self::Error | Self::Ghost => Amount::Share,
+            Self::Drop
+            | Self::Duplicate
+            | Self::Reorder
+            | Self::Corrupt
+            | Self::Error
+            | Self::Ghost => Amount::Share,
             Self::Delay => Amount::Readings,
             Self::Jump => Amount::Metres,
             Self::Slow => Amount::Milliseconds,
@@ -220,9 +231,12 @@ impl FromStr for Fault {
     type Err = FaultTextError;
 
     fn from_str(text: &str) -> Result<Self, FaultTextError> {
-        let (what, when) = text.split_once('@').map_or((text, None), |(what, when)| (what, Some(when)));
-        let (device, what) = what.split_once(':').ok_or_else(|| FaultTextError::Form { text: text.to_owned() })?;
-        let (kind, amount) = what.split_once('=').map_or((what, None), |(kind, amount)| (kind, Some(amount)));
+        let (what, when) =
+            text.split_once('@').map_or((text, None), |(what, when)| (what, Some(when)));
+        let (device, what) =
+            what.split_once(':').ok_or_else(|| FaultTextError::Form { text: text.to_owned() })?;
+        let (kind, amount) =
+            what.split_once('=').map_or((what, None), |(kind, amount)| (kind, Some(amount)));
         let device = Device::ALL
             .into_iter()
             .find(|known| known.name() == device)
@@ -239,15 +253,17 @@ impl FromStr for Fault {
 }
 
 fn parse_amount(kind: Kind, text: &str) -> Result<f64, FaultTextError> {
-    let refused = || FaultTextError::Amount { kind, text: text.to_owned(), rule: kind.unit().rule() };
+    let refused =
+        || FaultTextError::Amount { kind, text: text.to_owned(), rule: kind.unit().rule() };
     text.parse().ok().filter(|amount| kind.unit().allows(*amount)).ok_or_else(refused)
 }
 
 fn parse_window(text: &str) -> Result<(f64, f64), FaultTextError> {
     let refused = || FaultTextError::Window { text: text.to_owned() };
     let (from, to) = text.split_once("..").ok_or_else(refused)?;
-    let seconds =
-        |text: &str, absent: f64| if text.is_empty() { Ok(absent) } else { text.parse().map_err(|_| refused()) };
+    let seconds = |text: &str, absent: f64| {
+        if text.is_empty() { Ok(absent) } else { text.parse().map_err(|_| refused()) }
+    };
     let (from_s, to_s): (f64, f64) = (seconds(from, 0.0)?, seconds(to, f64::INFINITY)?);
     // Also refuses NaN.
     if from_s >= 0.0 && from_s < to_s { Ok((from_s, to_s)) } else { Err(refused()) }

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use hal::{
-    Base, Camera, CameraModel, Clock, DriveCommand, Error, ErrorKind, ErrorType, Frame, LaserScan, Lidar, PixelFormat,
-    Range, ScanGeometry, Twist2, VirtualClock, WheelFeedback,
+    Base, Camera, CameraModel, Clock, DriveCommand, Error, ErrorKind, ErrorType, Frame, LaserScan,
+    Lidar, PixelFormat, Range, ScanGeometry, Twist2, VirtualClock, WheelFeedback,
 };
 use proptest::prelude::*;
 
@@ -59,8 +59,15 @@ impl Lidar for Device25ms {
     }
 }
 
-const SIZE: CameraModel =
-    CameraModel { width: 8, height: 4, fx: 4.0, fy: 4.0, cx: 4.0, cy: 2.0, distortion: hal::Distortion::None };
+const SIZE: CameraModel = CameraModel {
+    width: 8,
+    height: 4,
+    fx: 4.0,
+    fy: 4.0,
+    cx: 4.0,
+    cy: 2.0,
+    distortion: hal::Distortion::None,
+};
 
 impl Camera for Device25ms {
     fn model(&self) -> &CameraModel {
@@ -69,7 +76,14 @@ impl Camera for Device25ms {
 
     fn poll_frame(&mut self, frame: &mut Frame) -> Result<bool, Infallible> {
         let Some(time_ns) = self.new_reading() else { return Ok(false) };
-        *frame = Frame { time_ns, sequence: 0, width: 8, height: 4, format: PixelFormat::Rgb8, data: vec![9; 96] };
+        *frame = Frame {
+            time_ns,
+            sequence: 0,
+            width: 8,
+            height: 4,
+            format: PixelFormat::Rgb8,
+            data: vec![9; 96],
+        };
         Ok(true)
     }
 }
@@ -122,7 +136,10 @@ fn turns(kind: &str, count: u64) -> Vec<Said> {
 #[test]
 fn late_readings_come_later_by_their_number_and_the_newest_counts_again_when_it_is_over() {
     let now = |turn| Ok(Some(turn));
-    assert_eq!(turns("delay=2@0.025..0.125", 7), [now(0), Ok(None), Ok(None), now(1), now(2), now(5), now(6)]);
+    assert_eq!(
+        turns("delay=2@0.025..0.125", 7),
+        [now(0), Ok(None), Ok(None), now(1), now(2), now(5), now(6)]
+    );
 }
 
 #[test]
@@ -148,7 +165,10 @@ fn a_device_that_stalls_is_silent_and_after_100_ms_its_driver_says_so() {
 #[test]
 fn a_device_that_is_unplugged_is_disconnected_and_comes_back() {
     let said = turns("unplug@0.05..0.1", 5);
-    assert_eq!(said[1..], [Ok(Some(1)), Err(ErrorKind::Disconnected), Err(ErrorKind::Disconnected), Ok(Some(4))]);
+    assert_eq!(
+        said[1..],
+        [Ok(Some(1)), Err(ErrorKind::Disconnected), Err(ErrorKind::Disconnected), Ok(Some(4))]
+    );
 }
 
 #[test]
@@ -156,7 +176,9 @@ fn a_base_that_is_not_there_can_neither_be_driven_nor_armed_nor_stopped() {
     let (faults, time) = faults(&["base:unplug@0..1", "base:drop@1..2"], 1);
     let mut base = FaultyBase::new(Device25ms::new(&time), &faults);
     let command = DriveCommand { twist: Twist2::ZERO, counter: 1, plan_age_ns: 0 };
-    for kind in [base.arm().err(), base.drive(&command).err(), base.stop().err()].map(|error| error.unwrap().kind()) {
+    for kind in [base.arm().err(), base.drive(&command).err(), base.stop().err()]
+        .map(|error| error.unwrap().kind())
+    {
         assert_eq!(kind, ErrorKind::Disconnected);
     }
     time.store(1_500_000_000, Ordering::Relaxed);
@@ -188,7 +210,8 @@ fn feedback_with_a_wrong_checksum_is_an_error_and_no_reading() {
 
 #[test]
 fn wheels_lie_as_they_are_told_to() {
-    let (faults, time) = faults(&["base:nan@0..1", "base:jump=-2.5@1..2", "base:contact@1.5..2"], 1);
+    let (faults, time) =
+        faults(&["base:nan@0..1", "base:jump=-2.5@1..2", "base:contact@1.5..2"], 1);
     let mut base = FaultyBase::new(Device25ms::new(&time), &faults);
     let mut at = |time_ms: u64| {
         time.store(time_ms * 1_000_000, Ordering::Relaxed);
@@ -211,7 +234,8 @@ fn one_scan(text: &str) -> LaserScan {
 
 #[test]
 fn beams_are_spoilt_in_their_share_and_stay_within_what_a_scanner_can_say() {
-    let spoilt = |scan: &LaserScan| scan.ranges.iter().filter(|range| **range != Range::Hit(3.0)).count();
+    let spoilt =
+        |scan: &LaserScan| scan.ranges.iter().filter(|range| **range != Range::Hit(3.0)).count();
     assert_eq!(one_scan("lidar:blind").ranges, vec![Range::NoReturn; 1081]);
     assert_eq!(one_scan("lidar:error").ranges, vec![Range::Error; 1081]);
     for text in ["lidar:error=0.1", "lidar:ghost=0.1", "lidar:corrupt=0.1"] {
@@ -268,7 +292,10 @@ fn the_same_seed_does_the_same_and_devices_draw_apart() {
 #[test]
 fn scanner_and_base_may_be_wrapped_on_the_safety_thread() {
     let every = |device: Device| {
-        kinds_of(device).iter().map(move |kind| format!("{}:{}@0..2", device.name(), kind.name())).collect::<Vec<_>>()
+        kinds_of(device)
+            .iter()
+            .map(move |kind| format!("{}:{}@0..2", device.name(), kind.name()))
+            .collect::<Vec<_>>()
     };
     let texts = [every(Device::Lidar), every(Device::Base)].concat();
     for text in &texts {
@@ -284,7 +311,8 @@ fn scanner_and_base_may_be_wrapped_on_the_safety_thread() {
                 let _ = lidar.poll_scan(&mut scan);
                 handed_on.clone_from(&scan);
                 let _ = base.poll_feedback();
-                let _ = base.drive(&DriveCommand { twist: Twist2::ZERO, counter: 1, plan_age_ns: 0 });
+                let _ =
+                    base.drive(&DriveCommand { twist: Twist2::ZERO, counter: 1, plan_age_ns: 0 });
             }
         });
         assert_eq!(info.count_total, 0, "{text}");
@@ -297,10 +325,16 @@ fn a_driver_reports_what_is_injected() {
     let lidar = FaultyLidar::new(Device25ms::new(&time), &faults);
     let mut state = |time_ms: u64| {
         time.store(time_ms * 1_000_000, Ordering::Relaxed);
-        let working = crate::DeviceStatus { state: crate::DeviceState::Working, ..crate::DeviceStatus::default() };
+        let working = crate::DeviceStatus {
+            state: crate::DeviceState::Working,
+            ..crate::DeviceStatus::default()
+        };
         lidar.injector().status(working).state.to_string()
     };
-    assert_eq!([0, 1050, 1200, 2000].map(&mut state), ["disconnected", "working", "silent", "working"]);
+    assert_eq!(
+        [0, 1050, 1200, 2000].map(&mut state),
+        ["disconnected", "working", "silent", "working"]
+    );
 }
 
 #[test]
@@ -326,8 +360,10 @@ fn a_text_that_names_no_fault_is_answered_with_what_there_is() {
 }
 
 fn any_fault() -> impl Strategy<Value = String> {
-    let kinds: Vec<(Device, Kind)> =
-        Device::ALL.into_iter().flat_map(|device| kinds_of(device).iter().map(move |kind| (device, *kind))).collect();
+    let kinds: Vec<(Device, Kind)> = Device::ALL
+        .into_iter()
+        .flat_map(|device| kinds_of(device).iter().map(move |kind| (device, *kind)))
+        .collect();
     let window = prop_oneof![Just(String::new()), (1u32..99).prop_map(|from| format!("@{from}.."))];
     let ended = (0u32..99, 1u32..99).prop_map(|(from, long)| format!("@{from}.5..{}", from + long));
     (prop::sample::select(kinds), prop_oneof![window, ended])
@@ -359,12 +395,15 @@ proptest! {
 
 #[test]
 fn amounts_come_back_too_and_the_usual_ones_are_as_documented() {
-    for text in ["camera:delay=5@5..10", "lidar:corrupt=0.01", "base:jump=-3@4..", "disk:slow=250@30.5..40"] {
+    for text in
+        ["camera:delay=5@5..10", "lidar:corrupt=0.01", "base:jump=-3@4..", "disk:slow=250@30.5..40"]
+    {
         assert_eq!(text.parse::<Fault>().unwrap().to_string(), text);
     }
     let amount = |text: &str| text.parse::<Fault>().unwrap().amount();
     assert_eq!(
-        ["lidar:drop", "camera:delay", "base:jump", "clock:slow"].map(|text| format!("{}", amount(text))),
+        ["lidar:drop", "camera:delay", "base:jump", "clock:slow"]
+            .map(|text| format!("{}", amount(text))),
         ["1", "3", "1", "50"]
     );
 }

@@ -67,7 +67,10 @@ impl HokuyoConfig {
             return refuse(format!("good_scans = {}: must be 1 to 100", self.good_scans));
         }
         if !(9_600..=4_000_000).contains(&self.baud) {
-            return refuse(format!("baud = {}: must be 9600 to 4000000; the URG-04LX starts with 19200", self.baud));
+            return refuse(format!(
+                "baud = {}: must be 9600 to 4000000; the URG-04LX starts with 19200",
+                self.baud
+            ));
         }
         Ok(())
     }
@@ -87,10 +90,16 @@ impl FromStr for Port {
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let wrong = || HokuyoError::Config {
-            what: format!("port = `{text}`: must be a path like /dev/serial/by-id/... or tcp:HOST or tcp:HOST:PORT"),
+            what: format!(
+                "port = `{text}`: must be a path like /dev/serial/by-id/... or tcp:HOST or tcp:HOST:PORT"
+            ),
         };
         let Some(address) = text.strip_prefix("tcp:") else {
-            return if text.starts_with('/') { Ok(Self::Serial(text.into())) } else { Err(wrong()) };
+            return if text.starts_with('/') {
+                Ok(Self::Serial(text.into()))
+            } else {
+                Err(wrong())
+            };
         };
         let (host, port) = match address.rsplit_once(':') {
             Some((host, port)) => (host, port.parse().map_err(|_| wrong())?),
@@ -125,7 +134,10 @@ mod tests {
         }
         assert_eq!("tcp:robot".parse::<Port>().unwrap().to_string(), "tcp:robot:10940");
         for text in ["", "ttyACM0", "tcp:", "tcp::7", "tcp:robot:lidar", "tcp:robot:99999"] {
-            assert!(text.parse::<Port>().unwrap_err().to_string().contains("/dev/serial/by-id"), "{text}");
+            assert!(
+                text.parse::<Port>().unwrap_err().to_string().contains("/dev/serial/by-id"),
+                "{text}"
+            );
         }
     }
 
@@ -134,9 +146,12 @@ mod tests {
         let config: HokuyoConfig = toml::from_str("port = \"/dev/lidar\"").unwrap();
         assert_eq!(config, HokuyoConfig::new("/dev/lidar".parse().unwrap()));
         let config: HokuyoConfig =
-            toml::from_str("port = \"tcp:10.0.0.2\"\nmodel = \"ust-20lx\"\nupside_down = true").unwrap();
+            toml::from_str("port = \"tcp:10.0.0.2\"\nmodel = \"ust-20lx\"\nupside_down = true")
+                .unwrap();
         assert_eq!((config.model, config.upside_down), (Model::Ust20lx, true));
-        assert!(toml::from_str::<HokuyoConfig>("port = \"/dev/lidar\"\nupsidedown = true").is_err());
+        assert!(
+            toml::from_str::<HokuyoConfig>("port = \"/dev/lidar\"\nupsidedown = true").is_err()
+        );
     }
 
     #[test]

@@ -31,13 +31,17 @@ pub enum HokuyoError {
         limit_ms: u64,
     },
     /// A scan failed its checks.
-    #[error("LiDAR {port}: a scan failed its checks and was dropped; if it happens often, check cable and ground")]
+    #[error(
+        "LiDAR {port}: a scan failed its checks and was dropped; if it happens often, check cable and ground"
+    )]
     Corrupt {
         /// Where it is.
         port: Arc<str>,
     },
     /// It is broken, sees nothing at all, or is another model.
-    #[error("LiDAR {port}: broken, blind or another model; the driver's problem text says which and what to do")]
+    #[error(
+        "LiDAR {port}: broken, blind or another model; the driver's problem text says which and what to do"
+    )]
     Faulty {
         /// Where it is.
         port: Arc<str>,
@@ -57,7 +61,9 @@ pub enum HokuyoError {
         source: io::Error,
     },
     /// The port was there and is gone.
-    #[error("LiDAR {port}: the connection broke ({source}); plug it in again, the driver waits for it")]
+    #[error(
+        "LiDAR {port}: the connection broke ({source}); plug it in again, the driver waits for it"
+    )]
     Gone {
         /// The port.
         port: Arc<str>,
@@ -65,7 +71,9 @@ pub enum HokuyoError {
         source: io::Error,
     },
     /// Nothing comes.
-    #[error("LiDAR {port}: no answer to `{command}`; check that the scanner has power and has finished starting")]
+    #[error(
+        "LiDAR {port}: no answer to `{command}`; check that the scanner has power and has finished starting"
+    )]
     NoAnswer {
         /// The port.
         port: Arc<str>,
@@ -88,7 +96,9 @@ pub enum HokuyoError {
         baud: u32,
     },
     /// Another model.
-    #[error("LiDAR {port}: the scanner says it is `{found}`, configured is {configured}; correct `model` or `port`")]
+    #[error(
+        "LiDAR {port}: the scanner says it is `{found}`, configured is {configured}; correct `model` or `port`"
+    )]
     WrongModel {
         /// The port.
         port: Arc<str>,
@@ -98,7 +108,9 @@ pub enum HokuyoError {
         found: String,
     },
     /// It does not measure because its laser is off.
-    #[error("LiDAR {port}: its laser is off although it was told to switch it on; it says: {says}; power-cycle it")]
+    #[error(
+        "LiDAR {port}: its laser is off although it was told to switch it on; it says: {says}; power-cycle it"
+    )]
     LaserOff {
         /// The port.
         port: Arc<str>,
@@ -133,7 +145,9 @@ pub enum HokuyoError {
         no_return: usize,
     },
     /// Its clock jumped.
-    #[error("LiDAR {port}: its time stamps jumped, as after a restart; the driver sets it up again")]
+    #[error(
+        "LiDAR {port}: its time stamps jumped, as after a restart; the driver sets it up again"
+    )]
     ClockJumped {
         /// The port.
         port: Arc<str>,
@@ -151,12 +165,17 @@ pub enum HokuyoError {
 impl hal::Error for HokuyoError {
     fn kind(&self) -> ErrorKind {
         match self {
-            Self::Disconnected { .. } | Self::Open { .. } | Self::Gone { .. } => ErrorKind::Disconnected,
-            Self::Silent { .. } | Self::NoAnswer { .. } => ErrorKind::Timeout,
-            Self::Corrupt { .. } | Self::NotScip { .. } | Self::ClockJumped { .. } => ErrorKind::Corrupt,
-            Self::Faulty { .. } | Self::Hardware { .. } | Self::Blind { .. } | Self::LaserOff { .. } => {
-                ErrorKind::Fault
+            Self::Disconnected { .. } | Self::Open { .. } | Self::Gone { .. } => {
+                ErrorKind::Disconnected
             }
+            Self::Silent { .. } | Self::NoAnswer { .. } => ErrorKind::Timeout,
+            Self::Corrupt { .. } | Self::NotScip { .. } | Self::ClockJumped { .. } => {
+                ErrorKind::Corrupt
+            }
+            Self::Faulty { .. }
+            | Self::Hardware { .. }
+            | Self::Blind { .. }
+            | Self::LaserOff { .. } => ErrorKind::Fault,
             Self::Config { .. } | Self::WrongModel { .. } => ErrorKind::Unsupported,
             Self::Protocol { source, .. } => source.kind(),
         }
@@ -167,9 +186,15 @@ impl hal::Error for HokuyoError {
 fn way_out(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::NotFound => "is it plugged in? the driver waits for it",
-        io::ErrorKind::PermissionDenied => "add the user to the group `dialout` or install the udev rules",
-        io::ErrorKind::WouldBlock | io::ErrorKind::ResourceBusy => "another program has it open; stop that one",
-        io::ErrorKind::ConnectionRefused => "the address answers, the scanner does not; check `port` and its power",
+        io::ErrorKind::PermissionDenied => {
+            "add the user to the group `dialout` or install the udev rules"
+        }
+        io::ErrorKind::WouldBlock | io::ErrorKind::ResourceBusy => {
+            "another program has it open; stop that one"
+        }
+        io::ErrorKind::ConnectionRefused => {
+            "the address answers, the scanner does not; check `port` and its power"
+        }
         _ => "check cable and `port`; the driver tries again",
     }
 }

@@ -15,7 +15,7 @@ use rustix::termios::{ControlModes, OptionalActions, QueueSelector};
 use rustix::termios::{ioctl_tiocexcl, tcflush, tcgetattr, tcsetattr};
 
 use super::{HokuyoError, Port};
-use crate::clock::monotonic_ns;
+use monotonic_clock::monotonic_ns;
 
 /// Longer than any switch between here and the scanner takes.
 const CONNECT: Duration = Duration::from_secs(1);
@@ -44,7 +44,12 @@ pub(super) enum Received {
 
 impl Link {
     /// Opens a port; what it holds from before is dropped.
-    pub(super) fn open(port: &Port, baud: u32, name: &Arc<str>, stop: &Stop) -> Result<Self, HokuyoError> {
+    pub(super) fn open(
+        port: &Port,
+        baud: u32,
+        name: &Arc<str>,
+        stop: &Stop,
+    ) -> Result<Self, HokuyoError> {
         let fd = match port {
             Port::Serial(path) => open_serial(path, baud),
             Port::Tcp { host, port } => connect(host, *port),
@@ -64,7 +69,9 @@ impl Link {
                     Ok(0) => return Err(self.gone(Errno::PIPE)),
                     Ok(count) => return Ok(Received::Bytes(count)),
                     // A port that hung up may say so only here.
-                    Err(Errno::AGAIN) if !events.contains(PollFlags::IN) => return Err(self.gone(Errno::PIPE)),
+                    Err(Errno::AGAIN) if !events.contains(PollFlags::IN) => {
+                        return Err(self.gone(Errno::PIPE));
+                    }
                     Err(Errno::AGAIN | Errno::INTR) => {}
                     Err(error) => return Err(self.gone(error)),
                 },
@@ -108,11 +115,18 @@ pub(super) fn wait_for_stop(stop: &Stop, deadline_ns: u64) -> bool {
     !matches!(wait(stop, None, deadline_ns), Ok(Ready::Nothing))
 }
 
-fn wait(stop: &Stop, port: Option<(&OwnedFd, PollFlags)>, deadline_ns: u64) -> Result<Ready, Errno> {
+fn wait(
+    stop: &Stop,
+    port: Option<(&OwnedFd, PollFlags)>,
+    deadline_ns: u64,
+) -> Result<Ready, Errno> {
     let (fd, what) = port.unwrap_or((stop, PollFlags::IN));
     loop {
         let left_ns = deadline_ns.saturating_sub(monotonic_ns());
-        let timeout = Timespec { tv_sec: (left_ns / 1_000_000_000) as i64, tv_nsec: (left_ns % 1_000_000_000) as i64 };
+        let timeout = Timespec {
+            tv_sec: (left_ns / 1_000_000_000) as i64,
+            tv_nsec: (left_ns % 1_000_000_000) as i64,
+        };
         let mut fds = [PollFd::new(stop, PollFlags::IN), PollFd::new(fd, what)];
         match poll(&mut fds, Some(&timeout)) {
             Ok(0) => return Ok(Ready::Nothing),

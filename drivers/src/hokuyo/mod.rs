@@ -36,9 +36,9 @@ use hal::{ErrorType, LaserScan, Lidar, Range, ScanGeometry};
 use rustix::event::{EventfdFlags, eventfd};
 use triple_buffer::{Output, triple_buffer};
 
-use crate::clock::monotonic_ns;
 use crate::{DeviceState, DeviceStatus};
 use link::Stop;
+use monotonic_clock::monotonic_ns;
 use reader::Reader;
 
 /// A scanner. Dropping it switches the laser off.
@@ -67,12 +67,21 @@ impl HokuyoLidar {
         let geometry = config.model.geometry(config.upside_down);
         let empty = LaserScan { time_ns: 0, geometry, ranges: vec![Range::Error; geometry.beams] };
         let (input, scans) = triple_buffer(&empty);
-        let stop: Stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC).map_err(|error| failed(error.into()))?);
+        let stop: Stop =
+            Arc::new(eventfd(0, EventfdFlags::CLOEXEC).map_err(|error| failed(error.into()))?);
         let monitor = HokuyoMonitor { shared: Arc::default() };
         monitor.shared.set_state(DeviceState::Disconnected);
-        let reader =
-            Reader { config, port: port.clone(), shared: monitor.shared.clone(), scans: input, stop: stop.clone() };
-        let thread = std::thread::Builder::new().name("hokuyo".to_owned()).spawn(|| reader.run()).map_err(failed)?;
+        let reader = Reader {
+            config,
+            port: port.clone(),
+            shared: monitor.shared.clone(),
+            scans: input,
+            stop: stop.clone(),
+        };
+        let thread = std::thread::Builder::new()
+            .name("hokuyo".to_owned())
+            .spawn(|| reader.run())
+            .map_err(failed)?;
         Ok(Self { scans, geometry, port, monitor, bad_told: 0, stop, reader: Some(thread) })
     }
 
@@ -94,12 +103,18 @@ impl HokuyoLidar {
         let limit_ns = 2 * self.geometry.period_ns;
         let silent = || HokuyoError::Silent { port: port(), limit_ms: limit_ns / 1_000_000 };
         match self.monitor.shared.state() {
-            DeviceState::Starting | DeviceState::Disconnected => Err(HokuyoError::Disconnected { port: port() }),
+            DeviceState::Starting | DeviceState::Disconnected => {
+                Err(HokuyoError::Disconnected { port: port() })
+            }
             DeviceState::Faulty => Err(HokuyoError::Faulty { port: port() }),
             DeviceState::Silent => Err(silent()),
             DeviceState::Working => {
                 let last_ns = self.monitor.shared.last_good_ns.load(Acquire);
-                if monotonic_ns().saturating_sub(last_ns) > limit_ns { Err(silent()) } else { Ok(()) }
+                if monotonic_ns().saturating_sub(last_ns) > limit_ns {
+                    Err(silent())
+                } else {
+                    Ok(())
+                }
             }
         }
     }
@@ -153,7 +168,8 @@ mod tests {
 
     #[test]
     fn a_path_that_is_no_serial_port_is_refused_with_the_way_out() {
-        let mut lidar = HokuyoLidar::open(HokuyoConfig::new(Port::Serial("/dev/null".into()))).unwrap();
+        let mut lidar =
+            HokuyoLidar::open(HokuyoConfig::new(Port::Serial("/dev/null".into()))).unwrap();
         let deadline_ns = monotonic_ns() + 5_000_000_000;
         let problem = loop {
             assert!(monotonic_ns() < deadline_ns, "no problem is told");
@@ -162,7 +178,10 @@ mod tests {
             }
             std::thread::yield_now();
         };
-        assert!(problem.contains("/dev/null") && problem.contains("check cable and `port`"), "{problem}");
+        assert!(
+            problem.contains("/dev/null") && problem.contains("check cable and `port`"),
+            "{problem}"
+        );
         let mut scan = LaserScan::empty(lidar.geometry());
         assert_eq!(lidar.poll_scan(&mut scan).unwrap_err().kind(), ErrorKind::Disconnected);
     }

@@ -11,8 +11,8 @@ use super::session::{End, Session};
 use super::shared::Shared;
 use super::{HokuyoConfig, HokuyoError};
 use crate::DeviceState;
-use crate::clock::monotonic_ns;
 use crate::scip::{ClockSync, Command, Reply, Request, ScipError};
+use monotonic_clock::monotonic_ns;
 
 /// Between two tries to open the port; doubled each time.
 const FIRST_WAIT_NS: u64 = 50_000_000;
@@ -76,7 +76,8 @@ impl Reader {
         };
         self.shared.set_state(DeviceState::Starting);
         let end =
-            Stream::new(&self.shared, &mut self.scans, &self.config, &self.port, clock, was_alive).run(&mut session);
+            Stream::new(&self.shared, &mut self.scans, &self.config, &self.port, clock, was_alive)
+                .run(&mut session);
         // Laser off. If it does not hear this any more, nothing is lost.
         _ = session.link.write(Command::Quit.bytes(), monotonic_ns() + FIRST_WAIT_NS);
         end
@@ -181,11 +182,13 @@ impl<'a> Stream<'a> {
         let codes = &self.config.model.sheet().codes;
         let mut reply = Reply::read(message, &self.request, codes, &mut scan.ranges);
         if matches!(reply, Err(error) if !matches!(error, ScipError::Status { .. }))
-            && let Some(rest) = self.request.last_echo(message).filter(|rest| rest.len() < message.len())
+            && let Some(rest) =
+                self.request.last_echo(message).filter(|rest| rest.len() < message.len())
         {
             // Noise or a cut scan stands before a whole one.
             self.count_bad();
-            reply = Reply::read(rest, &self.request, codes, &mut self.scans.input_buffer_mut().ranges);
+            reply =
+                Reply::read(rest, &self.request, codes, &mut self.scans.input_buffer_mut().ranges);
         }
         match reply {
             Ok(Reply::Accepted) => Ok(false),
@@ -195,10 +198,14 @@ impl<'a> Stream<'a> {
             {
                 Err(Trouble::Status(status))
             }
-            Err(ScipError::Status { status: status @ [b'1', b'0'] }) => Err(Trouble::Status(status)),
+            Err(ScipError::Status { status: status @ [b'1', b'0'] }) => {
+                Err(Trouble::Status(status))
+            }
             Err(error) => {
                 self.count_bad();
-                self.shared.set_problem(HokuyoError::Protocol { port: self.port.clone(), source: error }.to_string());
+                self.shared.set_problem(
+                    HokuyoError::Protocol { port: self.port.clone(), source: error }.to_string(),
+                );
                 Ok(false)
             }
         }
@@ -214,12 +221,18 @@ impl<'a> Stream<'a> {
 
     fn scan(&mut self, stamp_ms: u32, arrival_ns: u64) -> Result<bool, Trouble> {
         let period_ns = self.period_ns;
-        let clock = self.clock.get_or_insert_with(|| ClockSync::from_scan(stamp_ms, arrival_ns, period_ns));
+        let clock =
+            self.clock.get_or_insert_with(|| ClockSync::from_scan(stamp_ms, arrival_ns, period_ns));
         // A scan is sent when it is done, one period after its start; a busy computer reads it later.
-        let Some(time_ns) = clock.scan_start_ns(stamp_ms, arrival_ns, GIVE_UP_PERIODS * period_ns) else {
+        let Some(time_ns) = clock.scan_start_ns(stamp_ms, arrival_ns, GIVE_UP_PERIODS * period_ns)
+        else {
             self.count_bad();
             self.clock_jumps += 1;
-            return if self.clock_jumps < CLOCK_JUMPS { Ok(false) } else { Err(Trouble::ClockJumped) };
+            return if self.clock_jumps < CLOCK_JUMPS {
+                Ok(false)
+            } else {
+                Err(Trouble::ClockJumped)
+            };
         };
         self.clock_jumps = 0;
         self.count_lost(stamp_ms);
@@ -239,7 +252,9 @@ impl<'a> Stream<'a> {
         let period_ms = self.period_ns / 1_000_000;
         if let Some(last_ms) = self.last_stamp_ms.replace(stamp_ms) {
             let passed_ms = u64::from(stamp_ms.wrapping_sub(last_ms) & 0xff_ffff);
-            let missing = ((passed_ms + period_ms / 2) / period_ms).saturating_sub(1).saturating_sub(self.bad_since);
+            let missing = ((passed_ms + period_ms / 2) / period_ms)
+                .saturating_sub(1)
+                .saturating_sub(self.bad_since);
             self.shared.lost.fetch_add(missing, Relaxed);
         }
         self.bad_since = 0;

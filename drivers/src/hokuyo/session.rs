@@ -4,8 +4,10 @@ use std::sync::Arc;
 
 use super::link::{Link, Received};
 use super::{HokuyoConfig, HokuyoError, Identity};
-use crate::clock::monotonic_ns;
-use crate::scip::{Answer, ClockSync, Command, Framer, Parameters, ScipError, State, TimeProbe, Version};
+use crate::scip::{
+    Answer, ClockSync, Command, Framer, Parameters, ScipError, State, TimeProbe, Version,
+};
+use monotonic_clock::monotonic_ns;
 
 /// Two scans of the largest kind: 1081 beams with intensities are 6.7 kB.
 pub(super) const BUFFER: usize = 16 * 1024;
@@ -90,7 +92,9 @@ impl<'a> Session<'a> {
             );
             Ok(if configured.sheet().fits(&parameters) { Ok(model.to_owned()) } else { Err(steps) })
         })?;
-        found.map_err(|found| HokuyoError::WrongModel { port: self.port.clone(), configured, found }.into())
+        found.map_err(|found| {
+            HokuyoError::WrongModel { port: self.port.clone(), configured, found }.into()
+        })
     }
 
     /// Asks how it is, for the texts of faults.
@@ -105,7 +109,8 @@ impl<'a> Session<'a> {
 
     fn compare_clocks(&mut self) -> Result<Option<ClockSync>, End> {
         // 02: is doing so already.
-        let begun = self.ask(Command::TimeStart, |answer| Ok(matches!(&answer.status, b"00" | b"02")))?;
+        let begun =
+            self.ask(Command::TimeStart, |answer| Ok(matches!(&answer.status, b"00" | b"02")))?;
         if !begun {
             return Ok(None);
         }
@@ -113,7 +118,9 @@ impl<'a> Session<'a> {
         for _ in 0..PROBES {
             let sent_ns = monotonic_ns();
             match self.ask(Command::Time, |answer| answer.done()?.time_ms()) {
-                Ok(sensor_ms) => probes.push(TimeProbe { sent_ns, received_ns: monotonic_ns(), sensor_ms }),
+                Ok(sensor_ms) => {
+                    probes.push(TimeProbe { sent_ns, received_ns: monotonic_ns(), sensor_ms })
+                }
                 Err(End::Failed(HokuyoError::Protocol { .. })) => {}
                 Err(end) => return Err(end),
             }
@@ -141,11 +148,20 @@ impl<'a> Session<'a> {
         if status == *b"10" {
             return HokuyoError::LaserOff { port, says }.into();
         }
-        HokuyoError::Hardware { port, status: status.iter().map(|byte| char::from(*byte)).collect(), says }.into()
+        HokuyoError::Hardware {
+            port,
+            status: status.iter().map(|byte| char::from(*byte)).collect(),
+            says,
+        }
+        .into()
     }
 
     /// Sends a command and reads its answer. What else comes meanwhile is passed over: noise, the last scans.
-    fn ask<T>(&mut self, command: Command, read: impl Fn(&Answer<'_>) -> Result<T, ScipError>) -> Result<T, End> {
+    fn ask<T>(
+        &mut self,
+        command: Command,
+        read: impl Fn(&Answer<'_>) -> Result<T, ScipError>,
+    ) -> Result<T, End> {
         let mut bytes = 0;
         let mut wrong = None;
         for _ in 0..TRIES {
@@ -164,7 +180,11 @@ impl<'a> Session<'a> {
                     match Answer::read(message, command).and_then(|answer| read(&answer)) {
                         Ok(answer) => return Ok(answer),
                         Err(error @ (ScipError::OldProtocol | ScipError::Status { .. })) => {
-                            return Err(HokuyoError::Protocol { port: self.port.clone(), source: error }.into());
+                            return Err(HokuyoError::Protocol {
+                                port: self.port.clone(),
+                                source: error,
+                            }
+                            .into());
                         }
                         // The scan that was under way, or noise.
                         Err(ScipError::Echo) => {}

@@ -34,8 +34,13 @@ struct Texts {
     problem: Option<String>,
 }
 
-const STATES: [DeviceState; 5] =
-    [DeviceState::Starting, DeviceState::Working, DeviceState::Silent, DeviceState::Disconnected, DeviceState::Faulty];
+const STATES: [DeviceState; 5] = [
+    DeviceState::Starting,
+    DeviceState::Working,
+    DeviceState::Silent,
+    DeviceState::Disconnected,
+    DeviceState::Faulty,
+];
 
 impl Shared {
     pub(super) fn state(&self) -> DeviceState {

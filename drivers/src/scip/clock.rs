@@ -40,11 +40,15 @@ impl ClockSync {
     /// From questions and answers; `None` without any.
     #[must_use]
     pub fn from_probes(probes: &[TimeProbe]) -> Option<Self> {
-        let best = probes.iter().min_by_key(|probe| probe.received_ns.saturating_sub(probe.sent_ns))?;
+        let best =
+            probes.iter().min_by_key(|probe| probe.received_ns.saturating_sub(probe.sent_ns))?;
         let round_trip_ns = best.received_ns.saturating_sub(best.sent_ns);
         // The sensor's clock shows whole milliseconds: on average it is half a one later.
         let sensor_ns = i64::from(best.sensor_ms) * MS + MS / 2;
-        Some(Self::new((best.sent_ns + round_trip_ns / 2) as i64 - sensor_ns, round_trip_ns / 2 + MS as u64 / 2))
+        Some(Self::new(
+            (best.sent_ns + round_trip_ns / 2) as i64 - sensor_ns,
+            round_trip_ns / 2 + MS as u64 / 2,
+        ))
     }
 
     /// For a sensor that does not tell its time: a scan arrives one period after its start.
@@ -54,7 +58,13 @@ impl ClockSync {
     }
 
     fn new(offset_ns: i64, uncertainty_ns: u64) -> Self {
-        Self { offset_ns, uncertainty_ns, usual_delay_ns: None, window_delay_ns: i64::MAX, window_scans: 0 }
+        Self {
+            offset_ns,
+            uncertainty_ns,
+            usual_delay_ns: None,
+            window_delay_ns: i64::MAX,
+            window_scans: 0,
+        }
     }
 
     /// How far the offset may have been wrong when it was measured.
@@ -79,7 +89,8 @@ impl ClockSync {
     /// Our time that is nearest to `near_ns` of all those at which the sensor's clock shows this.
     fn nearest_host_ns(&self, stamp_ms: u32, near_ns: i64) -> i64 {
         let expected_ms = (near_ns - self.offset_ns).div_euclid(MS);
-        let ahead_ms = (i64::from(stamp_ms) - expected_ms + WRAP_MS / 2).rem_euclid(WRAP_MS) - WRAP_MS / 2;
+        let ahead_ms =
+            (i64::from(stamp_ms) - expected_ms + WRAP_MS / 2).rem_euclid(WRAP_MS) - WRAP_MS / 2;
         (expected_ms + ahead_ms) * MS + self.offset_ns
     }
 
@@ -109,7 +120,11 @@ mod tests {
     const PERIOD_NS: u64 = 25_000_000;
 
     fn probe(sent_ms: u64, round_trip_ms: u64, sensor_ms: u32) -> TimeProbe {
-        TimeProbe { sent_ns: sent_ms * 1_000_000, received_ns: (sent_ms + round_trip_ms) * 1_000_000, sensor_ms }
+        TimeProbe {
+            sent_ns: sent_ms * 1_000_000,
+            received_ns: (sent_ms + round_trip_ms) * 1_000_000,
+            sensor_ms,
+        }
     }
 
     #[test]

@@ -22,18 +22,28 @@ impl RangeCodes {
     pub const UTM_30LX: Self =
         Self { dmin_mm: 23, dmax_mm: 60_000, no_return: Some(1), too_near: &[2, 4], errors: &[] };
     /// URG-04LX: 0 possibly an object at 22 m; 1 to 19 are weak, strong or contradictory echoes.
-    pub const URG_04LX: Self = Self { dmin_mm: 20, dmax_mm: 5_600, no_return: Some(0), too_near: &[], errors: &[] };
+    pub const URG_04LX: Self =
+        Self { dmin_mm: 20, dmax_mm: 5_600, no_return: Some(0), too_near: &[], errors: &[] };
     /// UST-10LX. We have no table of its codes, so below the range everything is an error; above it no echo came, but for the
     /// two largest numbers of 16 bits, which are taken for errors to be careful.
-    pub const UST_10LX: Self =
-        Self { dmin_mm: 20, dmax_mm: 30_000, no_return: None, too_near: &[], errors: &[65_534, 65_535] };
+    pub const UST_10LX: Self = Self {
+        dmin_mm: 20,
+        dmax_mm: 30_000,
+        no_return: None,
+        too_near: &[],
+        errors: &[65_534, 65_535],
+    };
     /// UST-20LX: as the UST-10LX, twice as far.
     pub const UST_20LX: Self = Self { dmax_mm: 60_000, ..Self::UST_10LX };
 
     /// The range of one beam. A code that is not known is an error, never "free".
     #[must_use]
     pub fn range(&self, value_mm: u32) -> Range {
-        if self.is_distance(value_mm) { Range::Hit(to_metres(value_mm)) } else { self.code(value_mm) }
+        if self.is_distance(value_mm) {
+            Range::Hit(to_metres(value_mm))
+        } else {
+            self.code(value_mm)
+        }
     }
 
     /// Whether a number is a distance.
@@ -69,7 +79,10 @@ mod tests {
     #[test]
     fn numbers_below_dmin_are_codes_and_only_one_of_them_means_no_return() {
         let range = |value| RangeCodes::UTM_30LX.range(value);
-        assert_eq!([range(1), range(2), range(4)], [Range::NoReturn, Range::TooNear, Range::TooNear]);
+        assert_eq!(
+            [range(1), range(2), range(4)],
+            [Range::NoReturn, Range::TooNear, Range::TooNear]
+        );
         for code in [0, 3].into_iter().chain(5..23) {
             assert_eq!(range(code), Range::Error, "{code}");
         }

@@ -64,9 +64,12 @@ impl<'a> Answer<'a> {
     /// [`ScipError::Echo`] when it answers something else, [`ScipError::OldProtocol`] when the sensor speaks SCIP 1.1,
     /// another when a checksum or the shape is wrong.
     pub fn read(message: &'a [u8], command: Command) -> Result<Self, ScipError> {
-        let body = message.strip_suffix(b"\n\n").ok_or(ScipError::Shape { missing: "empty line at the end" })?;
+        let body = message
+            .strip_suffix(b"\n\n")
+            .ok_or(ScipError::Shape { missing: "empty line at the end" })?;
         let echo = command.bytes();
-        let at = body.windows(echo.len()).rposition(|window| window == echo).ok_or(ScipError::Echo)?;
+        let at =
+            body.windows(echo.len()).rposition(|window| window == echo).ok_or(ScipError::Echo)?;
         let (status, lines) = split_line(body.get(at + echo.len()..).unwrap_or_default());
         match status {
             // SCIP 1.1 has no checksums: `0` is its "done", `E` its "what?".
@@ -85,7 +88,11 @@ impl<'a> Answer<'a> {
     /// # Errors
     /// [`ScipError::Status`] with the other one.
     pub fn done(self) -> Result<Self, ScipError> {
-        if self.status == *b"00" { Ok(self) } else { Err(ScipError::Status { status: self.status }) }
+        if self.status == *b"00" {
+            Ok(self)
+        } else {
+            Err(ScipError::Status { status: self.status })
+        }
     }
 
     /// What a sensor's clock shows, milliseconds, 24 bits.
@@ -94,7 +101,11 @@ impl<'a> Answer<'a> {
     /// When this is no answer to [`Command::Time`] or its checksum is wrong.
     pub fn time_ms(&self) -> Result<u32, ScipError> {
         let time = checked(self.lines, 2)?;
-        if time.len() == 4 { Ok(decode(time)) } else { Err(ScipError::Shape { missing: "time of four characters" }) }
+        if time.len() == 4 {
+            Ok(decode(time))
+        } else {
+            Err(ScipError::Shape { missing: "time of four characters" })
+        }
     }
 
     /// The value of one line `KEY:value;checksum`, without the spaces around it.
@@ -103,11 +114,15 @@ impl<'a> Answer<'a> {
     /// [`ScipError::Field`] when there is no such line, its checksum is wrong or it holds no text.
     pub fn field(&self, key: &'static str) -> Result<&'a str, ScipError> {
         let wrong = ScipError::Field { key };
-        let line =
-            self.lines.split(|byte| *byte == b'\n').find(|line| line.starts_with(key.as_bytes())).ok_or(wrong)?;
+        let line = self
+            .lines
+            .split(|byte| *byte == b'\n')
+            .find(|line| line.starts_with(key.as_bytes()))
+            .ok_or(wrong)?;
         let Some((content, &[b';', sum])) = line.split_last_chunk::<2>() else { return Err(wrong) };
-        let text =
-            core::str::from_utf8(content).ok().filter(|text| text.bytes().all(|byte| matches!(byte, b' '..=b'~')));
+        let text = core::str::from_utf8(content)
+            .ok()
+            .filter(|text| text.bytes().all(|byte| matches!(byte, b' '..=b'~')));
         let value = text.and_then(|text| text.strip_prefix(key)?.strip_prefix(':')).ok_or(wrong)?;
         if checksum(content) == sum { Ok(value.trim()) } else { Err(wrong) }
     }
@@ -135,7 +150,10 @@ mod tests {
 
     #[test]
     fn a_wrong_checksum_of_the_status_is_noticed() {
-        assert!(matches!(Answer::read(b"QT\n00Q\n\n", Command::Quit), Err(ScipError::Checksum { .. })));
+        assert!(matches!(
+            Answer::read(b"QT\n00Q\n\n", Command::Quit),
+            Err(ScipError::Checksum { .. })
+        ));
     }
 
     #[test]
@@ -146,7 +164,8 @@ mod tests {
 
     #[test]
     fn the_clock_is_four_characters_with_a_checksum() {
-        let read = |message| Answer::read(message, Command::Time).and_then(|answer| answer.time_ms());
+        let read =
+            |message| Answer::read(message, Command::Time).and_then(|answer| answer.time_ms());
         assert_eq!(read(b"TM1\n00P\nm2@0?\n\n"), Ok(16_000_000));
         assert!(read(b"TM1\n00P\nm2@1?\n\n").is_err());
         assert!(read(b"TM1\n00P\n\n").is_err());
@@ -155,9 +174,14 @@ mod tests {
     #[test]
     fn fields_are_checked_one_by_one() {
         // From the specification, spaces removed: its checksums are those of lines without.
-        let answer = Answer::read(b"PP\n00P\nDMIN:20;4\nDMAX:5600;x\n\n", Command::Parameters).unwrap();
+        let answer =
+            Answer::read(b"PP\n00P\nDMIN:20;4\nDMAX:5600;x\n\n", Command::Parameters).unwrap();
         assert_eq!(answer.number("DMIN"), Ok(20));
-        assert_eq!(answer.number("DMAX"), Err(ScipError::Field { key: "DMAX" }), "its checksum is wrong");
+        assert_eq!(
+            answer.number("DMAX"),
+            Err(ScipError::Field { key: "DMAX" }),
+            "its checksum is wrong"
+        );
         assert_eq!(answer.number("ARES"), Err(ScipError::Field { key: "ARES" }), "it is not there");
     }
 

@@ -47,14 +47,22 @@ pub(super) fn read<const WIDTH: usize>(
     for (index, block) in lines.chunks(BLOCK_LINES * (LINE + LINE_END)).enumerate() {
         let found = strip(block, first_line + index * BLOCK_LINES, &mut characters)?;
         let numbers = unpack::<WIDTH>(&characters, found, &mut numbers);
-        beam += if with_intensities { beams.put_pairs(beam, numbers) } else { beams.put(beam, numbers) };
+        beam += if with_intensities {
+            beams.put_pairs(beam, numbers)
+        } else {
+            beams.put(beam, numbers)
+        };
     }
     Ok(())
 }
 
 /// Checks up to three lines and writes their characters, less `0`, without checksums and ends. How many these are.
 #[inline(always)]
-fn strip(block: &[u8], first_line: usize, characters: &mut [u8; BLOCK]) -> Result<usize, ScipError> {
+fn strip(
+    block: &[u8],
+    first_line: usize,
+    characters: &mut [u8; BLOCK],
+) -> Result<usize, ScipError> {
     let mut found = 0;
     let lines = block.chunks(LINE + LINE_END);
     for (index, (line, into)) in lines.zip(characters.chunks_exact_mut(LINE)).enumerate() {
@@ -88,7 +96,9 @@ fn strip_line(line: &[u8], into: &mut [u8]) -> bool {
 
 #[cold]
 fn what_is_wrong(line: &[u8], number: usize) -> ScipError {
-    let Some(content) = line.strip_suffix(b"\n") else { return ScipError::Shape { missing: "line of 64 characters" } };
+    let Some(content) = line.strip_suffix(b"\n") else {
+        return ScipError::Shape { missing: "line of 64 characters" };
+    };
     match checked(content, number) {
         Err(error) => error,
         Ok(_) => ScipError::Shape { missing: "line of 64 characters" },
@@ -118,7 +128,9 @@ impl Beams<'_> {
             *metres = to_metres(number);
         }
         // Sixteen at a time: where all are distances, as nearly everywhere, that is a loop without a branch.
-        for ((ranges, numbers), metres) in ranges.chunks_mut(16).zip(numbers.chunks(16)).zip(metres.chunks(16)) {
+        for ((ranges, numbers), metres) in
+            ranges.chunks_mut(16).zip(numbers.chunks(16)).zip(metres.chunks(16))
+        {
             for (range, &metres) in ranges.iter_mut().zip(metres) {
                 *range = Range::Hit(metres);
             }

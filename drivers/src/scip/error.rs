@@ -34,7 +34,9 @@ pub enum ScipError {
         byte: u8,
     },
     /// Not as many ranges as were asked for.
-    #[error("SCIP reply holds {found} bytes of data with the ends of their lines, the request needs {needed}")]
+    #[error(
+        "SCIP reply holds {found} bytes of data with the ends of their lines, the request needs {needed}"
+    )]
     Length {
         /// Bytes that came.
         found: usize,
@@ -42,7 +44,9 @@ pub enum ScipError {
         needed: usize,
     },
     /// The caller's buffer does not fit the request.
-    #[error("the buffer for ranges or intensities holds {buffer} beams, the request asks for {request}")]
+    #[error(
+        "the buffer for ranges or intensities holds {buffer} beams, the request asks for {request}"
+    )]
     Buffer {
         /// Beams in the buffer.
         buffer: usize,
@@ -92,7 +96,9 @@ fn meaning(status: [u8; 2]) -> &'static str {
         [b'0', b'A'..=b'H'] => "the sensor does not know this command or its parameters",
         b"0M" => "the sensor is unstable and measures again when it has settled",
         b"0I" => "the sensor is in firmware update mode; restart it",
-        _ if is_fault(status) => "hardware fault of laser, motor or electronics; power-cycle the sensor",
+        _ if is_fault(status) => {
+            "hardware fault of laser, motor or electronics; power-cycle the sensor"
+        }
         _ => "the measurement was interrupted; check the sensor and send the request again",
     }
 }

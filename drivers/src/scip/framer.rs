@@ -13,7 +13,8 @@ fn end_of_message(received: &[u8], known: usize) -> Option<usize> {
     // Strides without an empty line are passed over by a loop without a branch, 64 pairs at a time.
     while let Some(stride) = received.get(at..at + STRIDE + 1) {
         let pairs = stride[..STRIDE].iter().zip(&stride[1..]);
-        if pairs.fold(0, |found, (a, b)| found | u8::from(*a == b'\n') & u8::from(*b == b'\n')) != 0 {
+        if pairs.fold(0, |found, (a, b)| found | u8::from(*a == b'\n') & u8::from(*b == b'\n')) != 0
+        {
             break;
         }
         at += STRIDE;

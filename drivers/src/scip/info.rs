@@ -111,9 +111,18 @@ mod tests {
             AMAX:725;o\nAFRT:384;6\nSCAN:600;e\n\n";
         let answer = Answer::read(message, Command::Parameters).unwrap();
         let parameters = Parameters::read(&answer).unwrap();
-        assert_eq!((parameters.dmin_mm, parameters.dmax_mm, parameters.steps_per_turn), (20, 5600, 1024));
-        assert_eq!((parameters.first_step, parameters.last_step, parameters.front_step), (44, 725, 384));
-        assert_eq!((parameters.model, parameters.rpm), ("URG-04LX(Hokuyo Automatic Co., Ltd.)", 600));
+        assert_eq!(
+            (parameters.dmin_mm, parameters.dmax_mm, parameters.steps_per_turn),
+            (20, 5600, 1024)
+        );
+        assert_eq!(
+            (parameters.first_step, parameters.last_step, parameters.front_step),
+            (44, 725, 384)
+        );
+        assert_eq!(
+            (parameters.model, parameters.rpm),
+            ("URG-04LX(Hokuyo Automatic Co., Ltd.)", 600)
+        );
     }
 
     #[test]

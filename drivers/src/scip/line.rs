@@ -20,7 +20,11 @@ pub(super) fn checked(line: &[u8], number: usize) -> Result<&[u8], ScipError> {
     }
     let (&found, content) = line.split_last().ok_or(ScipError::Shape { missing: "checksum" })?;
     let computed = checksum(content);
-    if found == computed { Ok(content) } else { Err(ScipError::Checksum { line: number, found, computed }) }
+    if found == computed {
+        Ok(content)
+    } else {
+        Err(ScipError::Checksum { line: number, found, computed })
+    }
 }
 
 /// The number of characters from which `0` was taken, six bits each, most significant first. Up to five characters fit.

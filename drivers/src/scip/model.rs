@@ -78,10 +78,12 @@ const UTM_30LX: Sheet = Sheet {
 };
 
 /// Data sheet UST-10LX: 0.06 to 10 m, else as the UTM-30LX.
-const UST_10LX: Sheet = Sheet { name: "UST-10LX", codes: RangeCodes::UST_10LX, range_m: (0.06, 10.0), ..UTM_30LX };
+const UST_10LX: Sheet =
+    Sheet { name: "UST-10LX", codes: RangeCodes::UST_10LX, range_m: (0.06, 10.0), ..UTM_30LX };
 
 /// Data sheet UST-20LX: 0.06 to 20 m, else as the UST-10LX.
-const UST_20LX: Sheet = Sheet { name: "UST-20LX", codes: RangeCodes::UST_20LX, range_m: (0.06, 20.0), ..UTM_30LX };
+const UST_20LX: Sheet =
+    Sheet { name: "UST-20LX", codes: RangeCodes::UST_20LX, range_m: (0.06, 20.0), ..UTM_30LX };
 
 impl Model {
     /// All of them.
@@ -177,7 +179,10 @@ mod tests {
             assert!((geometry.angle_min_rad - sheet.angle_min_rad).abs() < 1e-12);
             assert!((geometry.angle_increment_rad - sheet.angle_increment_rad).abs() < 1e-12);
             assert_eq!((geometry.beams, geometry.period_ns), (sheet.beams, sheet.period_ns));
-            assert_eq!((geometry.range_min_m, geometry.range_max_m), (sheet.range_min_m, sheet.range_max_m));
+            assert_eq!(
+                (geometry.range_min_m, geometry.range_max_m),
+                (sheet.range_min_m, sheet.range_max_m)
+            );
         }
     }
 

@@ -51,7 +51,9 @@ impl Reply {
                 return Err(ScipError::Buffer { buffer, request });
             }
         }
-        let body = message.strip_suffix(b"\n\n").ok_or(ScipError::Shape { missing: "empty line at the end" })?;
+        let body = message
+            .strip_suffix(b"\n\n")
+            .ok_or(ScipError::Shape { missing: "empty line at the end" })?;
         let (echo, body) = split_line(body);
         if !request.is_echoed_by(echo) {
             return Err(ScipError::Echo);
@@ -135,8 +137,10 @@ mod tests {
     }
 
     fn read(message: &[u8], request: &Request) -> Result<(Reply, Vec<Range>, Vec<u32>), ScipError> {
-        let (mut ranges, mut intensities) = (vec![Range::NoReturn; request.beams()], vec![0; strengths(request)]);
-        let reply = Reply::read_with_intensities(message, request, &CODES, &mut ranges, &mut intensities)?;
+        let (mut ranges, mut intensities) =
+            (vec![Range::NoReturn; request.beams()], vec![0; strengths(request)]);
+        let reply =
+            Reply::read_with_intensities(message, request, &CODES, &mut ranges, &mut intensities)?;
         Ok((reply, ranges, intensities))
     }
 
@@ -176,14 +180,24 @@ mod tests {
             let message = message(&asked, b"00", 0, &vec![1000; beams]);
             assert!(matches!(read(&message, &asked), Err(ScipError::Length { .. })), "{beams}");
         }
-        let error = Reply::read(&message(&asked, b"00", 0, &[1000; 40]), &asked, &CODES, &mut [Range::Error; 39]);
+        let error = Reply::read(
+            &message(&asked, b"00", 0, &[1000; 40]),
+            &asked,
+            &CODES,
+            &mut [Range::Error; 39],
+        );
         assert_eq!(error, Err(ScipError::Buffer { buffer: 39, request: 40 }));
     }
 
     fn any_request() -> impl Strategy<Value = Request> {
-        let encoding = prop_oneof![Just(Encoding::Two), Just(Encoding::Three), Just(Encoding::ThreeWithIntensity)];
+        let encoding = prop_oneof![
+            Just(Encoding::Two),
+            Just(Encoding::Three),
+            Just(Encoding::ThreeWithIntensity)
+        ];
         let mode = prop_oneof![Just(Mode::Once), Just(CONTINUOUS)];
-        (encoding, mode, 1..120_u16).prop_map(|(encoding, mode, beams)| request(encoding, mode, beams))
+        (encoding, mode, 1..120_u16)
+            .prop_map(|(encoding, mode, beams)| request(encoding, mode, beams))
     }
 
     /// A request and a sound message for it, with its time stamp and values.

@@ -68,7 +68,9 @@ impl Request {
     /// How many ranges the reply holds.
     #[must_use]
     pub fn beams(&self) -> usize {
-        usize::from(self.last_step.saturating_sub(self.first_step)) / usize::from(self.cluster.max(1)) + 1
+        usize::from(self.last_step.saturating_sub(self.first_step))
+            / usize::from(self.cluster.max(1))
+            + 1
     }
 
     /// The bytes to send, and how many of the array they fill.
@@ -137,8 +139,14 @@ mod tests {
             String::from_utf8(bytes[..length].to_vec()).unwrap()
         };
         assert_eq!(text(WHOLE), "MD0000108001215\n");
-        assert_eq!(text(Request { mode: Mode::Once, encoding: Encoding::Two, cluster: 12, ..WHOLE }), "GS0000108012\n");
-        assert_eq!(text(Request { encoding: Encoding::ThreeWithIntensity, ..WHOLE }), "ME0000108001215\n");
+        assert_eq!(
+            text(Request { mode: Mode::Once, encoding: Encoding::Two, cluster: 12, ..WHOLE }),
+            "GS0000108012\n"
+        );
+        assert_eq!(
+            text(Request { encoding: Encoding::ThreeWithIntensity, ..WHOLE }),
+            "ME0000108001215\n"
+        );
         assert_eq!((WHOLE.beams(), Request { cluster: 12, ..WHOLE }.beams()), (1081, 91));
     }
 

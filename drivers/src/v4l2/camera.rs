@@ -15,7 +15,7 @@ use super::remote::RemoteNode;
 use super::stream::Stream;
 use super::sys::KernelNode;
 use crate::DeviceStatus;
-use crate::clock::monotonic_ns;
+use monotonic_clock::monotonic_ns;
 
 /// A V4L2 camera.
 ///
@@ -42,7 +42,11 @@ impl V4l2Camera {
     ///
     /// # Errors
     /// As [`new`](Self::new).
-    pub fn with_opener(config: &CameraDeviceConfig, model: CameraModel, open: Opener) -> Result<Self, V4l2Error> {
+    pub fn with_opener(
+        config: &CameraDeviceConfig,
+        model: CameraModel,
+        open: Opener,
+    ) -> Result<Self, V4l2Error> {
         if (model.width, model.height) != (config.width as usize, config.height as usize) {
             let pictures = (config.width, config.height);
             return Err(V4l2Error::Model { pictures, model: (model.width, model.height) });
@@ -66,7 +70,10 @@ impl V4l2Camera {
     ///
     /// # Errors
     /// As [`Camera::poll_frame`].
-    pub fn with_newest<R>(&mut self, look: impl FnOnce(&Picture<'_>) -> R) -> Result<Option<R>, V4l2Error> {
+    pub fn with_newest<R>(
+        &mut self,
+        look: impl FnOnce(&Picture<'_>) -> R,
+    ) -> Result<Option<R>, V4l2Error> {
         let now_ns = monotonic_ns();
         if let Ok(result) = self.results.try_recv() {
             self.capture.done(result, now_ns);

@@ -35,11 +35,16 @@ impl Job {
     ///
     /// # Errors
     /// When there is no camera, or not one that can do what is configured.
-    pub fn run(self, open: &mut Opener, config: &CameraDeviceConfig) -> Result<Box<Stream>, V4l2Error> {
+    pub fn run(
+        self,
+        open: &mut Opener,
+        config: &CameraDeviceConfig,
+    ) -> Result<Box<Stream>, V4l2Error> {
         let device: Arc<str> = config.device.as_str().into();
         match self {
             Self::Open => {
-                let node = open().map_err(|errno| V4l2Error::setup(&device, "opening it", errno))?;
+                let node =
+                    open().map_err(|errno| V4l2Error::setup(&device, "opening it", errno))?;
                 Ok(Box::new(Stream::start(node, config)?))
             }
             Self::Restart(mut stream) => match stream.restart() {
@@ -183,7 +188,9 @@ impl Capture {
         now_ns: u64,
         look: impl FnOnce(&Picture<'_>) -> R,
     ) -> Result<Option<R>, V4l2Error> {
-        let Link::Streaming { stream, heard_ns, had_picture } = &mut self.link else { return self.absent(now_ns) };
+        let Link::Streaming { stream, heard_ns, had_picture } = &mut self.link else {
+            return self.absent(now_ns);
+        };
         let drained = match stream.newest() {
             Ok(drained) => drained,
             Err(errno) => return Err(self.fail(errno)),
@@ -204,9 +211,12 @@ impl Capture {
         }
         let fresh = now_ns.saturating_sub(taken.time_ns) <= self.max_age_ns;
         let seen = match stream.view(&taken) {
-            Ok(view) if fresh => {
-                Some(look(&Picture { time_ns: taken.time_ns, sequence: self.sequence, buffer: taken.index, view }))
-            }
+            Ok(view) if fresh => Some(look(&Picture {
+                time_ns: taken.time_ns,
+                sequence: self.sequence,
+                buffer: taken.index,
+                view,
+            })),
             _ => None,
         };
         let returned = stream.give_back(taken);
@@ -228,7 +238,9 @@ impl Capture {
     fn absent<R>(&mut self, now_ns: u64) -> Result<Option<R>, V4l2Error> {
         match (&self.error, &self.link) {
             (Some(error), _) => Err(error.clone()),
-            (None, Link::Pending { since_ns }) if now_ns.saturating_sub(*since_ns) > PATIENCE_NS => {
+            (None, Link::Pending { since_ns })
+                if now_ns.saturating_sub(*since_ns) > PATIENCE_NS =>
+            {
                 Err(self.report_silence(now_ns.saturating_sub(*since_ns)))
             }
             (None, _) => Ok(None),
@@ -251,7 +263,11 @@ impl Capture {
 
     fn fail(&mut self, errno: Errno) -> V4l2Error {
         let device = self.device.clone();
-        let error = if errno == Errno::PROTO { V4l2Error::Clock { device } } else { V4l2Error::Lost { device, errno } };
+        let error = if errno == Errno::PROTO {
+            V4l2Error::Clock { device }
+        } else {
+            V4l2Error::Lost { device, errno }
+        };
         self.give_up(error.clone(), !matches!(errno, Errno::NODEV | Errno::PROTO));
         error
     }
@@ -262,7 +278,9 @@ impl Capture {
         self.restarted = true;
         self.set_error(error.clone());
         match std::mem::replace(&mut self.link, Link::Closed { retry_ns: 0 }) {
-            Link::Streaming { stream, .. } => self.link = Link::Broken { stream, reason: error, restart },
+            Link::Streaming { stream, .. } => {
+                self.link = Link::Broken { stream, reason: error, restart }
+            }
             other => self.link = other,
         }
     }

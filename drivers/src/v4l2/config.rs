@@ -123,7 +123,11 @@ impl<'de> Deserialize<'de> for Setting {
             }
 
             fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Setting, E> {
-                if text == "auto" { Ok(Setting::Auto) } else { Err(E::custom("expected \"auto\" or a whole number")) }
+                if text == "auto" {
+                    Ok(Setting::Auto)
+                } else {
+                    Err(E::custom("expected \"auto\" or a whole number"))
+                }
             }
 
             fn visit_i64<E: serde::de::Error>(self, value: i64) -> Result<Setting, E> {
@@ -208,7 +212,11 @@ impl CameraDeviceConfig {
         if let Some(Setting::Manual(us)) = self.exposure_us
             && !(100..=10_000_000).contains(&us)
         {
-            return wrong("exposure_us", &us, "give microseconds, from 100 to 10000000, or \"auto\"");
+            return wrong(
+                "exposure_us",
+                &us,
+                "give microseconds, from 100 to 10000000, or \"auto\"",
+            );
         }
         if !(10..=10_000).contains(&self.max_age_ms) {
             return wrong("max_age_ms", &self.max_age_ms, "give milliseconds, from 10 to 10000");
@@ -217,7 +225,11 @@ impl CameraDeviceConfig {
             return wrong("latency_ms", &self.latency_ms, "give milliseconds, from -100 to 300");
         }
         if self.latency_ms != 0.0 && self.max_age_ms < self.least_max_age_ms() {
-            return wrong("latency_ms", &self.latency_ms, "every picture would be too old; raise max_age_ms as well");
+            return wrong(
+                "latency_ms",
+                &self.latency_ms,
+                "every picture would be too old; raise max_age_ms as well",
+            );
         }
         Ok(())
     }
@@ -241,9 +253,15 @@ mod tests {
     fn a_configuration_is_read_and_written_as_an_engineer_writes_it() {
         let config: CameraDeviceConfig = toml::from_str(TEXT).unwrap();
         config.check().unwrap();
-        assert_eq!((config.exposure_us, config.gain), (Some(Setting::Manual(8000)), Some(Setting::Auto)));
+        assert_eq!(
+            (config.exposure_us, config.gain),
+            (Some(Setting::Manual(8000)), Some(Setting::Auto))
+        );
         assert_eq!((config.white_balance_k, config.max_age_ms), (None, 200));
-        assert_eq!(toml::from_str::<CameraDeviceConfig>(&toml::to_string(&config).unwrap()).unwrap(), config);
+        assert_eq!(
+            toml::from_str::<CameraDeviceConfig>(&toml::to_string(&config).unwrap()).unwrap(),
+            config
+        );
     }
 
     #[test]
@@ -258,12 +276,19 @@ mod tests {
         assert!(refused(&|config| config.width = 0).contains("width = 0"));
         assert!(refused(&|config| config.height = 481).contains("height = 481"));
         assert!(refused(&|config| config.fps = Some(f64::NAN)).contains("fps = NaN"));
-        assert!(refused(&|config| config.exposure_us = Some(Setting::Manual(0))).contains("exposure_us = 0"));
+        assert!(
+            refused(&|config| config.exposure_us = Some(Setting::Manual(0)))
+                .contains("exposure_us = 0")
+        );
         assert!(refused(&|config| config.max_age_ms = 0).contains("max_age_ms = 0"));
         assert!(refused(&|config| config.latency_ms = f64::NAN).contains("latency_ms = NaN"));
         assert!(refused(&|config| config.latency_ms = 190.0).contains("raise max_age_ms"));
-        assert!(refused(&|config| (config.latency_ms, config.max_age_ms) = (-100.0, 50)).contains("raise max_age_ms"));
-        let error = toml::from_str::<CameraDeviceConfig>(&TEXT.replace("\"auto\"", "\"much\"")).unwrap_err();
+        assert!(
+            refused(&|config| (config.latency_ms, config.max_age_ms) = (-100.0, 50))
+                .contains("raise max_age_ms")
+        );
+        let error = toml::from_str::<CameraDeviceConfig>(&TEXT.replace("\"auto\"", "\"much\""))
+            .unwrap_err();
         assert!(error.to_string().contains("\"auto\" or a whole number"), "{error}");
     }
 }

@@ -30,7 +30,9 @@ pub enum V4l2Error {
         model: (usize, usize),
     },
     /// Nothing there.
-    #[error("no camera at {device} ({errno}); plug it in, or find its name with `ls /dev/v4l/by-id`")]
+    #[error(
+        "no camera at {device} ({errno}); plug it in, or find its name with `ls /dev/v4l/by-id`"
+    )]
     NotThere {
         /// The configured device.
         device: Arc<str>,
@@ -50,7 +52,9 @@ pub enum V4l2Error {
         device: Arc<str>,
     },
     /// Something else than a camera.
-    #[error("{device} hands out no pictures to map; a camera has several nodes, the first is usually the right one")]
+    #[error(
+        "{device} hands out no pictures to map; a camera has several nodes, the first is usually the right one"
+    )]
     NotACamera {
         /// The configured device.
         device: Arc<str>,
@@ -66,7 +70,9 @@ pub enum V4l2Error {
         offered: String,
     },
     /// The camera makes something else of the size and format.
-    #[error("{device} makes {got} of {asked}; configure what it can: `v4l2-ctl -d {device} --list-formats-ext`")]
+    #[error(
+        "{device} makes {got} of {asked}; configure what it can: `v4l2-ctl -d {device} --list-formats-ext`"
+    )]
     Layout {
         /// The configured device.
         device: Arc<str>,
@@ -108,7 +114,9 @@ pub enum V4l2Error {
         device: Arc<str>,
     },
     /// Open, and silent.
-    #[error("{device} is silent for {silent_ms} ms; the driver restarts it by itself; check the cable if this stays")]
+    #[error(
+        "{device} is silent for {silent_ms} ms; the driver restarts it by itself; check the cable if this stays"
+    )]
     Silent {
         /// The configured device.
         device: Arc<str>,
@@ -140,7 +148,9 @@ impl V4l2Error {
     pub(super) fn setup(device: &Arc<str>, step: &'static str, errno: Errno) -> Self {
         let device = device.clone();
         match errno {
-            Errno::NOENT | Errno::NODEV | Errno::NXIO | Errno::CONNREFUSED => Self::NotThere { device, errno },
+            Errno::NOENT | Errno::NODEV | Errno::NXIO | Errno::CONNREFUSED => {
+                Self::NotThere { device, errno }
+            }
             Errno::ACCESS | Errno::PERM => Self::Denied { device },
             Errno::BUSY => Self::Busy { device },
             Errno::NOTTY => Self::NotACamera { device },

@@ -84,7 +84,9 @@ impl Interval {
     /// Nanoseconds; `None` when the node does not know.
     #[must_use]
     pub fn ns(self) -> Option<u64> {
-        (u64::from(self.numerator) * 1_000_000_000).checked_div(u64::from(self.denominator)).filter(|ns| *ns > 0)
+        (u64::from(self.numerator) * 1_000_000_000)
+            .checked_div(u64::from(self.denominator))
+            .filter(|ns| *ns > 0)
     }
 }
 

@@ -31,7 +31,8 @@ impl RemoteNode {
     /// # Errors
     /// `ENOENT` or `ECONNREFUSED` when nobody listens there.
     pub fn open(path: &Path) -> Result<Self, Errno> {
-        let socket = socket_with(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None)?;
+        let socket =
+            socket_with(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None)?;
         // A camera that has stopped listening would let `connect` wait for ever, too.
         set_socket_timeout(&socket, Timeout::Recv, Some(ANSWER))?;
         set_socket_timeout(&socket, Timeout::Send, Some(ANSWER))?;
@@ -43,7 +44,11 @@ impl RemoteNode {
         self.call_for_file(operation, words).map(|(words, _)| words)
     }
 
-    fn call_for_file(&mut self, operation: u32, words: &[u32]) -> Result<(Words, Option<OwnedFd>), Errno> {
+    fn call_for_file(
+        &mut self,
+        operation: u32,
+        words: &[u32],
+    ) -> Result<(Words, Option<OwnedFd>), Errno> {
         Message::new(operation, words).send(&self.socket, None)?;
         loop {
             // No answer in time: this camera hangs, and an answer that came later would be taken for the next one.
@@ -71,8 +76,10 @@ impl VideoNode for RemoteNode {
     }
 
     fn interval(&mut self, wish: Option<Interval>) -> Result<Interval, Errno> {
-        let Interval { numerator, denominator } = wish.unwrap_or(Interval { numerator: 0, denominator: 0 });
-        let words = self.call(wire::INTERVAL, &[u32::from(wish.is_some()), numerator, denominator])?;
+        let Interval { numerator, denominator } =
+            wish.unwrap_or(Interval { numerator: 0, denominator: 0 });
+        let words =
+            self.call(wire::INTERVAL, &[u32::from(wish.is_some()), numerator, denominator])?;
         Ok(Interval::from_words(&words))
     }
 

@@ -60,7 +60,10 @@ impl Stream {
     ///
     /// # Errors
     /// When it is no camera or cannot do what is configured.
-    pub fn start(mut node: Box<dyn VideoNode>, config: &CameraDeviceConfig) -> Result<Self, V4l2Error> {
+    pub fn start(
+        mut node: Box<dyn VideoNode>,
+        config: &CameraDeviceConfig,
+    ) -> Result<Self, V4l2Error> {
         let device: Arc<str> = config.device.as_str().into();
         let failed = |step, errno| V4l2Error::setup(&device, step, errno);
         let capability = node.capability().map_err(|errno| failed("asking what it is", errno))?;
@@ -70,7 +73,8 @@ impl Stream {
         let layout = agree_on_layout(node.as_mut(), config, &device)?;
         let interval_ns = agree_on_interval(node.as_mut(), config, &device)?;
         controls::apply(node.as_mut(), config, &device)?;
-        let buffers = node.allocate(BUFFERS).map_err(|errno| failed("allocating buffers", errno))?;
+        let buffers =
+            node.allocate(BUFFERS).map_err(|errno| failed("allocating buffers", errno))?;
         if buffers < 2 {
             return Err(failed("allocating two buffers", Errno::NOMEM));
         }
@@ -143,10 +147,15 @@ impl Stream {
             drained.lost += u64::from(step - 1);
             self.position = self.position.wrapping_add(step);
             let [at_start_ns, at_end_ns] = self.stamp_ns;
-            let time_ns =
-                stamp_ns.saturating_add_signed(-(if filled.stamped_at_start { at_start_ns } else { at_end_ns }));
-            let taken =
-                Taken { index: filled.index, time_ns, position: self.position, bytes_used: filled.bytes_used as usize };
+            let time_ns = stamp_ns.saturating_add_signed(
+                -(if filled.stamped_at_start { at_start_ns } else { at_end_ns }),
+            );
+            let taken = Taken {
+                index: filled.index,
+                time_ns,
+                position: self.position,
+                bytes_used: filled.bytes_used as usize,
+            };
             if filled.damaged || self.view(&taken).is_err() {
                 drained.damaged += 1;
                 self.node.queue(filled.index)?;
@@ -178,7 +187,12 @@ impl Stream {
             // Some drivers count their padding at the end as well.
             Some(bytes) => filled.get(..bytes).unwrap_or(filled),
             None if is_whole_jpeg(filled) => filled,
-            None => return Err(ImageError::Length { expected: self.layout.size as usize, actual: filled.len() }),
+            None => {
+                return Err(ImageError::Length {
+                    expected: self.layout.size as usize,
+                    actual: filled.len(),
+                });
+            }
         };
         ImageView::new(width, height, pixels, data)
     }
@@ -212,7 +226,8 @@ fn agree_on_layout(
     config: &CameraDeviceConfig,
     device: &Arc<str>,
 ) -> Result<Layout, V4l2Error> {
-    let offered = formats(node).map_err(|errno| V4l2Error::setup(device, "listing its formats", errno))?;
+    let offered =
+        formats(node).map_err(|errno| V4l2Error::setup(device, "listing its formats", errno))?;
     let names = config.format.names();
     let Some(format) = names.iter().copied().find(|name| offered.contains(name)) else {
         let asked = names.first().copied().unwrap_or(FourCc::YUYV);
@@ -221,9 +236,12 @@ fn agree_on_layout(
     };
     let (width, height) = (config.width, config.height);
     let asked = Layout { width, height, format, stride: 0, size: 0, planes: 1 };
-    let got = node.set_layout(asked).map_err(|errno| V4l2Error::setup(device, "setting its format", errno))?;
+    let got = node
+        .set_layout(asked)
+        .map_err(|errno| V4l2Error::setup(device, "setting its format", errno))?;
     let same = (got.width, got.height, got.format) == (width, height, format);
-    let rows_fit = config.format == CameraFormat::Mjpeg || got.stride == config.format.row_bytes(width);
+    let rows_fit =
+        config.format == CameraFormat::Mjpeg || got.stride == config.format.row_bytes(width);
     if same && got.planes == 1 && rows_fit {
         return Ok(got);
     }
@@ -242,7 +260,9 @@ fn agree_on_interval(
     device: &Arc<str>,
 ) -> Result<u64, V4l2Error> {
     // Thousandths: 29.97 is 1000/29970.
-    let wish = config.fps.map(|fps| Interval { numerator: 1000, denominator: (fps * 1000.0).round() as u32 });
+    let wish = config
+        .fps
+        .map(|fps| Interval { numerator: 1000, denominator: (fps * 1000.0).round() as u32 });
     let got = match node.interval(wish) {
         Ok(interval) => interval.ns(),
         Err(Errno::NOTTY | Errno::INVAL) => None,

@@ -11,8 +11,8 @@ use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
 use rustix::io::Errno;
 use rustix::net::{
-    RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, SendAncillaryBuffer, SendAncillaryMessage, SendFlags,
-    recvmsg, sendmsg,
+    RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, SendAncillaryBuffer,
+    SendAncillaryMessage, SendFlags, recvmsg, sendmsg,
 };
 
 use super::node::{Capability, Control, Filled, FourCc, Interval, Layout};
@@ -111,8 +111,10 @@ impl Message {
         let mut bytes = [0; BYTES];
         let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(1))];
         let mut extra = RecvAncillaryBuffer::new(&mut space);
-        let flags = RecvFlags::CMSG_CLOEXEC | if wait { RecvFlags::empty() } else { RecvFlags::DONTWAIT };
-        let got = recvmsg(socket, &mut [IoSliceMut::new(&mut bytes)], &mut extra, flags).map_err(gone)?;
+        let flags =
+            RecvFlags::CMSG_CLOEXEC | if wait { RecvFlags::empty() } else { RecvFlags::DONTWAIT };
+        let got =
+            recvmsg(socket, &mut [IoSliceMut::new(&mut bytes)], &mut extra, flags).map_err(gone)?;
         let file = extra.drain().find_map(|message| match message {
             RecvAncillaryMessage::ScmRights(mut files) => files.next(),
             _ => None,
@@ -122,10 +124,15 @@ impl Message {
             BYTES => {}
             _ => return Err(Errno::BADMSG),
         }
-        let mut numbers =
-            bytes.chunks_exact(4).map(|word| word.iter().rev().fold(0, |sum, byte| sum << 8 | u32::from(*byte)));
-        let (operation, errno) = (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0).cast_signed());
-        Ok((Self { operation, errno, words: std::array::from_fn(|_| numbers.next().unwrap_or(0)) }, file))
+        let mut numbers = bytes
+            .chunks_exact(4)
+            .map(|word| word.iter().rev().fold(0, |sum, byte| sum << 8 | u32::from(*byte)));
+        let (operation, errno) =
+            (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0).cast_signed());
+        Ok((
+            Self { operation, errno, words: std::array::from_fn(|_| numbers.next().unwrap_or(0)) },
+            file,
+        ))
     }
 }
 
@@ -183,14 +190,16 @@ impl InWords for Control {
         name.iter_mut().zip(self.name.bytes()).for_each(|(to, from)| *to = from);
         let mut words = vec![self.id, numbers[0], numbers[1], numbers[2], u32::from(self.disabled)];
         words.extend(
-            name.chunks_exact(4).map(|four| four.iter().rev().fold(0, |sum, byte| sum << 8 | u32::from(*byte))),
+            name.chunks_exact(4)
+                .map(|four| four.iter().rev().fold(0, |sum, byte| sum << 8 | u32::from(*byte))),
         );
         words
     }
 
     fn from_words(words: &Words) -> Self {
         let [id, minimum, maximum, step, disabled, name @ ..] = *words;
-        let name: Vec<u8> = name.iter().flat_map(|word| word.to_le_bytes()).take_while(|byte| *byte != 0).collect();
+        let name: Vec<u8> =
+            name.iter().flat_map(|word| word.to_le_bytes()).take_while(|byte| *byte != 0).collect();
         Self {
             id,
             name: String::from_utf8_lossy(&name).into_owned(),
@@ -233,8 +242,14 @@ mod tests {
 
     #[test]
     fn everything_that_travels_arrives_as_it_was_sent() {
-        let control =
-            Control { id: 7, name: "Exposure, Absolute".into(), minimum: -3, maximum: 9, step: 2, disabled: true };
+        let control = Control {
+            id: 7,
+            name: "Exposure, Absolute".into(),
+            minimum: -3,
+            maximum: 9,
+            step: 2,
+            disabled: true,
+        };
         assert_eq!(there_and_back(&control), control);
         let filled = Filled {
             index: 3,
@@ -246,14 +261,19 @@ mod tests {
         };
         assert_eq!(there_and_back(&filled), filled);
         assert_eq!(there_and_back(&Filled { time_ns: None, ..filled }).time_ns, None);
-        let layout = Layout { width: 1, height: 2, format: FourCc::NV12, stride: 3, size: 4, planes: 5 };
+        let layout =
+            Layout { width: 1, height: 2, format: FourCc::NV12, stride: 3, size: 4, planes: 5 };
         assert_eq!(there_and_back(&layout), layout);
     }
 
     #[test]
     fn a_message_crosses_a_socket_whole_and_a_closed_socket_is_an_unplugged_camera() {
         let (ours, theirs) = pair();
-        let sent = Message { operation: 5, errno: -3, words: std::array::from_fn(|index| index as u32 * 0x1234_5678) };
+        let sent = Message {
+            operation: 5,
+            errno: -3,
+            words: std::array::from_fn(|index| index as u32 * 0x1234_5678),
+        };
         sent.send(&ours, Some(ours.as_fd())).unwrap();
         let (received, file) = Message::receive(&theirs, false).unwrap();
         assert_eq!((received, file.is_some()), (sent, true));

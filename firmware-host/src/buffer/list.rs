@@ -47,8 +47,11 @@ fn table(catalogue: &Catalogue) -> Table {
 }
 
 fn cells(entry: &Entry) -> [String; 8] {
-    let seconds = |ns: Option<u64>| ns.map_or_else(|| "-".to_owned(), |ns| format!("{:.1} s", ns as f64 * 1e-9));
-    let count = |number: Option<u64>| number.map_or_else(|| "-".to_owned(), |number| number.to_string());
+    let seconds = |ns: Option<u64>| {
+        ns.map_or_else(|| "-".to_owned(), |ns| format!("{:.1} s", ns as f64 * 1e-9))
+    };
+    let count =
+        |number: Option<u64>| number.map_or_else(|| "-".to_owned(), |number| number.to_string());
     [
         entry.name.to_string(),
         megabytes(entry.bytes),

@@ -8,7 +8,9 @@ use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use ::buffer::{BufferError, Catalogue, Computer, Entry, Finding, Root, State, export, recover_file, verify};
+use ::buffer::{
+    BufferError, Catalogue, Computer, Entry, Finding, Root, State, export, recover_file, verify,
+};
 use anyhow::{Context, Result, bail};
 
 use crate::cli::{BufferArgs, BufferTask, ExportLayout};
@@ -22,7 +24,9 @@ pub fn run(args: &BufferArgs) -> Result<ExitCode> {
         BufferTask::List { dir, json } => list::run(dir, *json).map(|()| ExitCode::SUCCESS),
         BufferTask::Verify { path } => verify_all(path),
         BufferTask::Recover { path, out } => recover_all(path, out),
-        BufferTask::Export { path, layout, out } => export_run(path, *layout, out).map(|()| ExitCode::SUCCESS),
+        BufferTask::Export { path, layout, out } => {
+            export_run(path, *layout, out).map(|()| ExitCode::SUCCESS)
+        }
         BufferTask::Serve { dir } => serve(dir).map(|()| ExitCode::SUCCESS),
     }
 }
@@ -40,11 +44,15 @@ fn settle(root: &Root, entries: &mut [Entry]) {
 /// The segments below a buffer, of a run, or the one file.
 fn segments(path: &Path) -> Result<(Root, Vec<Entry>), BufferError> {
     let is_file = path.is_file();
-    let dir =
-        if is_file { path.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new(".")) } else { path };
+    let dir = if is_file {
+        path.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."))
+    } else {
+        path
+    };
     let (root, catalogue) = Catalogue::open(dir)?;
     let asked = |entry: &Entry| {
-        let file = entry.name.run().is_empty() && path.file_name().is_some_and(|file| file == entry.name.file());
+        let file = entry.name.run().is_empty()
+            && path.file_name().is_some_and(|file| file == entry.name.file());
         !is_file || file
     };
     let mut entries: Vec<Entry> = catalogue.entries.into_iter().filter(asked).collect();
@@ -64,7 +72,8 @@ fn verify_all(path: &Path) -> Result<ExitCode> {
     let (root, entries) = segments(path)?;
     let mut bad = 0;
     for entry in &entries {
-        let file = root.open_file(&entry.name).with_context(|| format!("cannot open {}", entry.name))?;
+        let file =
+            root.open_file(&entry.name).with_context(|| format!("cannot open {}", entry.name))?;
         let verified = verify(&file).with_context(|| format!("cannot read {}", entry.name))?;
         let found = match &verified.finding {
             Finding::Whole => "whole".to_owned(),
@@ -75,13 +84,23 @@ fn verify_all(path: &Path) -> Result<ExitCode> {
             }
             Finding::Corrupt { at, detail } => format!("CORRUPT at byte {at}: {detail}"),
         };
-        bad +=
-            u32::from(!matches!(verified.finding, Finding::Whole | Finding::Unindexed) && entry.state != State::Open);
-        let until = verified.last_ns.map_or_else(String::new, |ns| format!(", until {:.3} s", ns as f64 * 1e-9));
-        println!("{}: {found}; {} turns{until}; blake3 {}", entry.name, verified.turns, verified.digest);
+        bad += u32::from(
+            !matches!(verified.finding, Finding::Whole | Finding::Unindexed)
+                && entry.state != State::Open,
+        );
+        let until = verified
+            .last_ns
+            .map_or_else(String::new, |ns| format!(", until {:.3} s", ns as f64 * 1e-9));
+        println!(
+            "{}: {found}; {} turns{until}; blake3 {}",
+            entry.name, verified.turns, verified.digest
+        );
     }
     if bad > 0 {
-        println!("not whole: {bad} of {}; `buffer recover` keeps what is good of them", entries.len());
+        println!(
+            "not whole: {bad} of {}; `buffer recover` keeps what is good of them",
+            entries.len()
+        );
     }
     Ok(if bad == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
@@ -91,7 +110,8 @@ fn recover_all(path: &Path, out: &Path) -> Result<ExitCode> {
     let (root, entries) = segments(path)?;
     let mut recovered = 0;
     for entry in &entries {
-        let file = root.open_file(&entry.name).with_context(|| format!("cannot open {}", entry.name))?;
+        let file =
+            root.open_file(&entry.name).with_context(|| format!("cannot open {}", entry.name))?;
         match verify(&file).with_context(|| format!("cannot read {}", entry.name))?.finding {
             Finding::Whole => continue,
             _ if entry.state == State::Open => {
@@ -104,9 +124,14 @@ fn recover_all(path: &Path, out: &Path) -> Result<ExitCode> {
         std::fs::create_dir_all(to.parent().unwrap_or(out))
             .with_context(|| format!("cannot make {}", out.display()))?;
         let done = recover_file(&file, &root.path().join(entry.name.as_str()), &to)?;
-        let lost =
-            if done.bad_chunks > 0 { format!(", {} broken chunks left out", done.bad_chunks) } else { String::new() };
-        let end = done.last_ns.map_or_else(String::new, |ns| format!(", until {:.3} s", ns as f64 * 1e-9));
+        let lost = if done.bad_chunks > 0 {
+            format!(", {} broken chunks left out", done.bad_chunks)
+        } else {
+            String::new()
+        };
+        let end = done
+            .last_ns
+            .map_or_else(String::new, |ns| format!(", until {:.3} s", ns as f64 * 1e-9));
         println!("{}: {} turns{end}{lost}", to.display(), done.turns);
         recovered += 1;
     }
@@ -124,7 +149,8 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
             other.name.run()
         );
     }
-    let files: Vec<PathBuf> = entries.iter().map(|entry| root.path().join(entry.name.as_str())).collect();
+    let files: Vec<PathBuf> =
+        entries.iter().map(|entry| root.path().join(entry.name.as_str())).collect();
     match layout {
         ExportLayout::Mcap => {
             let done = export::joined(&files, out)?;
@@ -143,7 +169,12 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
         }
         ExportLayout::Tum => {
             let done = export::tum(&files, out)?;
-            println!("{}: {} pictures, {} left out without a pose", out.display(), done.pictures, done.without_pose);
+            println!(
+                "{}: {} pictures, {} left out without a pose",
+                out.display(),
+                done.pictures,
+                done.without_pose
+            );
         }
         #[cfg(feature = "lerobot")]
         ExportLayout::Lerobot => {
@@ -164,8 +195,10 @@ fn serve(dir: &Path) -> Result<()> {
     let root = Root::open(dir)?;
     let mut input = std::io::stdin().lock();
     // Not Rust's own stdout, which looks for line ends in pictures. Pieces of data are larger than this buffer and pass it by.
-    let stdout = File::from(std::io::stdout().as_fd().try_clone_to_owned().context("stdout is closed")?);
+    let stdout =
+        File::from(std::io::stdout().as_fd().try_clone_to_owned().context("stdout is closed")?);
     let mut output = BufWriter::with_capacity(64 << 10, stdout);
-    ::buffer::serve(&root, Computer::this(), &mut input, &mut output).context("the connection broke off")?;
+    ::buffer::serve(&root, Computer::this(), &mut input, &mut output)
+        .context("the connection broke off")?;
     output.flush().context("the connection broke off")
 }

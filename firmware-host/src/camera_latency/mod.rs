@@ -31,7 +31,9 @@ pub fn run(args: &CameraLatencyArgs) -> Result<()> {
     let recording = Recorded::open(&args.run)?;
     let header = recording.run();
     if !header.pictures {
-        bail!("the run was recorded without pictures (recording.pictures = false): they do not show how it turned");
+        bail!(
+            "the run was recorded without pictures (recording.pictures = false): they do not show how it turned"
+        );
     }
     let config: Config = serde_json::from_value(header.config.clone())
         .context("the recording's configuration cannot be read; record with this version")?;
@@ -51,15 +53,25 @@ fn words(shift: &Shift, camera: &CameraDeviceConfig) -> String {
     let Shift { latency_s, error_s, off_rad, off_without_rad, turns } = shift;
     let (total_ms, error_ms) = (configured_ms + 1000.0 * latency_s, 1000.0 * error_s);
     let found = if total_ms < 0.0 {
-        format!("The wheels are {:.1} ms (+-{error_ms:.1} by chance) later than pictures", -total_ms)
+        format!(
+            "The wheels are {:.1} ms (+-{error_ms:.1} by chance) later than pictures",
+            -total_ms
+        )
     } else {
-        format!("Pictures are stamped {total_ms:.1} ms (+-{error_ms:.1} by chance) after they are taken")
+        format!(
+            "Pictures are stamped {total_ms:.1} ms (+-{error_ms:.1} by chance) after they are taken"
+        )
     };
     let advice = if (1000.0 * latency_s).abs() <= (2.0 * error_ms).max(1.0) {
         "It is configured like that.".to_owned()
     } else {
-        let least_ms = CameraDeviceConfig { latency_ms: total_ms, ..camera.clone() }.least_max_age_ms();
-        let raised = if camera.max_age_ms < least_ms { format!("\nmax_age_ms = {least_ms}") } else { String::new() };
+        let least_ms =
+            CameraDeviceConfig { latency_ms: total_ms, ..camera.clone() }.least_max_age_ms();
+        let raised = if camera.max_age_ms < least_ms {
+            format!("\nmax_age_ms = {least_ms}")
+        } else {
+            String::new()
+        };
         format!("In the configuration:\n\n[devices.camera]\nlatency_ms = {total_ms:.1}{raised}")
     };
     format!(
@@ -81,7 +93,9 @@ fn read(recording: &Recorded) -> Result<(Heading, Vec<Turned>)> {
         let Some(picture) = tick.frame else { continue };
         // The wheels of a turn are those of its picture's moment.
         let seen = meter.turned(heading.seconds(tick.wheel.time_ns), &picture.rgb)?;
-        turned.extend(seen.filter(|seen| seen.to_s > seen.from_s && seen.to_s - seen.from_s <= LONGEST_S));
+        turned.extend(
+            seen.filter(|seen| seen.to_s > seen.from_s && seen.to_s - seen.from_s <= LONGEST_S),
+        );
         if turned.len() == ENOUGH {
             break;
         }
@@ -93,8 +107,13 @@ fn read(recording: &Recorded) -> Result<(Heading, Vec<Turned>)> {
 mod tests {
     use super::*;
 
-    const SHIFT: Shift =
-        Shift { latency_s: 0.0323, error_s: 0.0004, off_rad: 0.0015, off_without_rad: 0.0074, turns: 244 };
+    const SHIFT: Shift = Shift {
+        latency_s: 0.0323,
+        error_s: 0.0004,
+        off_rad: 0.0015,
+        off_without_rad: 0.0074,
+        turns: 244,
+    };
 
     fn camera(latency_ms: f64) -> CameraDeviceConfig {
         CameraDeviceConfig { latency_ms, ..CameraDeviceConfig::default() }
@@ -111,7 +130,9 @@ mod tests {
     fn it_says_what_to_write_into_the_configuration_on_top_of_what_is_there() {
         let text = words(&SHIFT, &camera(5.0));
         assert!(
-            text.starts_with("Pictures are stamped 37.3 ms (+-0.4 by chance) after they are taken, by 244 turns"),
+            text.starts_with(
+                "Pictures are stamped 37.3 ms (+-0.4 by chance) after they are taken, by 244 turns"
+            ),
             "{text}"
         );
         assert!(text.ends_with("\n\n[devices.camera]\nlatency_ms = 37.3"), "{text}");
@@ -120,6 +141,9 @@ mod tests {
     #[test]
     fn what_is_right_already_stays_and_wheels_may_be_the_later_ones() {
         let text = words(&Shift { latency_s: -0.0005, ..SHIFT }, &camera(0.0));
-        assert!(text.starts_with("The wheels are 0.5 ms") && text.ends_with("configured like that."), "{text}");
+        assert!(
+            text.starts_with("The wheels are 0.5 ms") && text.ends_with("configured like that."),
+            "{text}"
+        );
     }
 }

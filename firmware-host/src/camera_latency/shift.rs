@@ -41,8 +41,9 @@ impl Heading {
         {
             return;
         }
-        let yaw_rad =
-            last.map_or(wheel.odom.yaw_rad, |[_, yaw_rad, _]| yaw_rad + wrap_angle(wheel.odom.yaw_rad - yaw_rad));
+        let yaw_rad = last.map_or(wheel.odom.yaw_rad, |[_, yaw_rad, _]| {
+            yaw_rad + wrap_angle(wheel.odom.yaw_rad - yaw_rad)
+        });
         self.knots.push([time_s, yaw_rad, wheel.twist.angular_radps]);
     }
 
@@ -55,7 +56,10 @@ impl Heading {
     /// Heading and rate at a time: a cubic that has the measured headings and rates (Hermite). At the ends, the nearest.
     fn at(&self, time_s: f64) -> (f64, f64) {
         let after = self.knots.partition_point(|[then_s, ..]| *then_s <= time_s);
-        let pair = after.checked_sub(1).and_then(|before| self.knots.get(before)).zip(self.knots.get(after));
+        let pair = after
+            .checked_sub(1)
+            .and_then(|before| self.knots.get(before))
+            .zip(self.knots.get(after));
         let Some(([t0, y0, r0], [t1, y1, r1])) = pair else {
             let end = if after == 0 { self.knots.first() } else { self.knots.last() };
             return end.map_or((0.0, 0.0), |[_, yaw_rad, _]| (*yaw_rad, 0.0));
@@ -64,7 +68,10 @@ impl Heading {
         let x = (time_s - t0) / span;
         let (rise, begin, end) = (y1 - y0, r0 * span, r1 * span);
         let (square, cube) = (3.0 * rise - 2.0 * begin - end, begin + end - 2.0 * rise);
-        (y0 + x * (begin + x * (square + x * cube)), (begin + x * (2.0 * square + x * 3.0 * cube)) / span)
+        (
+            y0 + x * (begin + x * (square + x * cube)),
+            (begin + x * (2.0 * square + x * 3.0 * cube)) / span,
+        )
     }
 }
 
@@ -129,8 +136,10 @@ pub(super) fn fit(heading: &Heading, turned: &[Turned]) -> Result<Shift, NoShift
         return Err(NoShift::Change { error_s });
     }
     let off = |latency_s| {
-        let mut off: Vec<f64> =
-            turned.iter().map(|turned| difference(heading, turned, latency_s, 1.0).0.abs()).collect();
+        let mut off: Vec<f64> = turned
+            .iter()
+            .map(|turned| difference(heading, turned, latency_s, 1.0).0.abs())
+            .collect();
         off.sort_by(f64::total_cmp);
         off.get(9 * off.len() / 10).copied().unwrap_or(0.0)
     };
@@ -144,7 +153,9 @@ fn best(heading: &Heading, turned: &[Turned]) -> Result<(f64, f64), NoShift> {
     let tried = (0..=steps).map(|step| {
         let latency_s = RANGE_S.0 + STEP_S * step as f64;
         let gain = median_gain(heading, turned, latency_s);
-        let squares = turned.iter().map(|turned| (difference(heading, turned, latency_s, gain).0 / SCALE_RAD).powi(2));
+        let squares = turned
+            .iter()
+            .map(|turned| (difference(heading, turned, latency_s, gain).0 / SCALE_RAD).powi(2));
         (squares.map(|square| square / (1.0 + square)).sum::<f64>(), latency_s, gain)
     });
     // Where any latency explains it as well, none is known.
@@ -162,7 +173,11 @@ fn best(heading: &Heading, turned: &[Turned]) -> Result<(f64, f64), NoShift> {
         latency_s += step.x.clamp(-STEP_S, STEP_S);
         gain += step.y;
     }
-    if latency_s > RANGE_S.0 && latency_s < RANGE_S.1 { Ok((latency_s, gain)) } else { Err(NoShift::OutOfRange) }
+    if latency_s > RANGE_S.0 && latency_s < RANGE_S.1 {
+        Ok((latency_s, gain))
+    } else {
+        Err(NoShift::OutOfRange)
+    }
 }
 
 /// How many times as far pictures turn as wheels with this latency, in the median.
@@ -177,7 +192,12 @@ fn median_gain(heading: &Heading, turned: &[Turned], latency_s: f64) -> f64 {
 }
 
 /// By how much pictures turned farther than wheels, and how the wheels' turn answers to latency and gain.
-fn difference(heading: &Heading, turned: &Turned, latency_s: f64, gain: f64) -> (f64, Vector2<f64>) {
+fn difference(
+    heading: &Heading,
+    turned: &Turned,
+    latency_s: f64,
+    gain: f64,
+) -> (f64, Vector2<f64>) {
     let (from, to) = (heading.at(turned.from_s - latency_s), heading.at(turned.to_s - latency_s));
     (turned.yaw_rad - gain * (to.0 - from.0), Vector2::new(-gain * (to.1 - from.1), to.0 - from.0))
 }
@@ -190,11 +210,19 @@ mod tests {
 
     /// A robot that turns to and fro, four times in ten seconds; heading and rate.
     fn swing(time_s: f64) -> (f64, f64) {
-        (0.4 * (2.5 * time_s).sin() + 0.2 * (0.9 * time_s).sin(), (2.5 * time_s).cos() + 0.18 * (0.9 * time_s).cos())
+        (
+            0.4 * (2.5 * time_s).sin() + 0.2 * (0.9 * time_s).sin(),
+            (2.5 * time_s).cos() + 0.18 * (0.9 * time_s).cos(),
+        )
     }
 
     /// Ten measurements a second for so long, and what pictures say that are so late; every fifteenth pair is nonsense.
-    fn drive(swing: fn(f64) -> (f64, f64), latency_s: f64, gain: f64, seconds: usize) -> (Heading, Vec<Turned>) {
+    fn drive(
+        swing: fn(f64) -> (f64, f64),
+        latency_s: f64,
+        gain: f64,
+        seconds: usize,
+    ) -> (Heading, Vec<Turned>) {
         let mut heading = Heading::default();
         let mut turned = Vec::new();
         for index in 0..10 * seconds {
@@ -246,7 +274,10 @@ mod tests {
         for gain in [-1.0, 0.5, 1.4] {
             let (heading, turned) = drive(swing, 0.08, gain, 60);
             let error = fit(&heading, &turned).unwrap_err();
-            assert!(matches!(error, NoShift::Gain { gain: found } if (found - gain).abs() < 0.01), "{gain}: {error}");
+            assert!(
+                matches!(error, NoShift::Gain { gain: found } if (found - gain).abs() < 0.01),
+                "{gain}: {error}"
+            );
         }
     }
 

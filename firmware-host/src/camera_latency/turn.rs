@@ -55,21 +55,33 @@ impl TurnMeter {
         if self.before.as_ref().is_some_and(|(_, before)| before == rgb) {
             return Ok(None);
         }
-        let Some((from_s, before)) = self.before.replace((to_s, rgb.to_vec())) else { return Ok(None) };
+        let Some((from_s, before)) = self.before.replace((to_s, rgb.to_vec())) else {
+            return Ok(None);
+        };
         let (width, height) = (self.camera.width, self.camera.height);
         let view = |rgb| ImageView::rgb8(width, height, rgb);
         let flow = self.flow.flow(view(rgb)?, view(&before)?, None)?;
-        let yaw_rad = turn_of(&matches(flow, [rgb, &before], &self.camera), &self.camera, &self.up, &self.forward);
+        let yaw_rad = turn_of(
+            &matches(flow, [rgb, &before], &self.camera),
+            &self.camera,
+            &self.up,
+            &self.forward,
+        );
         Ok(yaw_rad.map(|yaw_rad| Turned { from_s, to_s, yaw_rad }))
     }
 }
 
 /// Where something with texture is seen now, as a ray of length 1 forward, and where it was in the picture before, pixels.
-fn matches(flow: &FlowField, [rgb, before]: [&[u8]; 2], camera: &CameraModel) -> Vec<(Vector3<f64>, Vector2<f64>)> {
+fn matches(
+    flow: &FlowField,
+    [rgb, before]: [&[u8]; 2],
+    camera: &CameraModel,
+) -> Vec<(Vector3<f64>, Vector2<f64>)> {
     let margin = MARGIN as usize;
     let along = |size: usize| (margin..size.saturating_sub(margin)).step_by(EVERY);
     let inside = |at: f64, size: usize| at >= MARGIN && at < size as f64 - MARGIN;
-    let places = along(camera.height).flat_map(|row| along(camera.width).map(move |column| (column, row)));
+    let places =
+        along(camera.height).flat_map(|row| along(camera.width).map(move |column| (column, row)));
     places
         .filter(|(column, row)| has_texture(rgb, camera.width, *column, *row))
         .filter_map(|(column, row)| {
@@ -104,7 +116,8 @@ fn turn_of(
             let Some((u, v)) = camera.project(&point.into()) else { continue };
             let off = there - Vector2::new(u, v);
             let (x, y, z) = (point.x / point.z, point.y / point.z, point.z);
-            let slope = Matrix2x3::new(camera.fx, 0.0, -camera.fx * x, 0.0, camera.fy, -camera.fy * y) / z;
+            let slope =
+                Matrix2x3::new(camera.fx, 0.0, -camera.fx * x, 0.0, camera.fy, -camera.fy * y) / z;
             let slopes = Matrix2::from_columns(&[slope * up.cross(&turned), slope * forward]);
             let weight = (1.0 + off.norm_squared() / (scale_px * scale_px)).powi(-2);
             normal += slopes.transpose() * slopes * weight;
@@ -140,7 +153,8 @@ mod tests {
                 let (bearing, rise) = (ray.y.atan2(ray.x), ray.z / ray.x.hypot(ray.y));
                 // Nothing repeats, at any scale of a pyramid.
                 let waves = [(7.0, 11.0), (13.3, -5.0), (23.7, 17.0), (41.1, -31.0), (67.9, 23.0)];
-                let tone: f64 = waves.iter().map(|(across, up)| f64::sin(across * bearing + up * rise)).sum();
+                let tone: f64 =
+                    waves.iter().map(|(across, up)| f64::sin(across * bearing + up * rise)).sum();
                 rgb.extend([(128.0 + 25.0 * tone) as u8; 3]);
             }
         }
@@ -172,7 +186,8 @@ mod tests {
         // 4 % nearer: what was at u is at 1.04 u from the middle now.
         let mut near = far.clone();
         for (at, pixel) in near.chunks_exact_mut(3).enumerate() {
-            let from = |at: usize, middle: f64| ((at as f64 - middle) / 1.04 + middle).round() as usize;
+            let from =
+                |at: usize, middle: f64| ((at as f64 - middle) / 1.04 + middle).round() as usize;
             let (column, row) = (from(at % 320, camera.cx), from(at / 320, camera.cy));
             pixel.copy_from_slice(&far[3 * (row * 320 + column)..][..3]);
         }
@@ -187,7 +202,9 @@ mod tests {
         let mount = camera_mount(0.1, 0.3, 0.0);
         let mut meter = TurnMeter::new(camera, &mount).unwrap();
         let (grey, seen) = (vec![128; 3 * 320 * 96], picture(&camera, &mount, 0.0));
-        for (index, rgb) in [&grey, &vec![129; 3 * 320 * 96], &grey, &seen, &seen].into_iter().enumerate() {
+        for (index, rgb) in
+            [&grey, &vec![129; 3 * 320 * 96], &grey, &seen, &seen].into_iter().enumerate()
+        {
             assert_eq!(meter.turned(index as f64, rgb).unwrap(), None);
         }
         let turned = meter.turned(5.0, &picture(&camera, &mount, 0.05)).unwrap().unwrap();

@@ -38,10 +38,23 @@ pub struct Finding {
 
 impl Finding {
     fn well(device: &'static str, path: String, what: String) -> Self {
-        Self { device, path, is_well: true, state: DeviceState::Working.to_string(), what, to_do: Vec::new() }
+        Self {
+            device,
+            path,
+            is_well: true,
+            state: DeviceState::Working.to_string(),
+            what,
+            to_do: Vec::new(),
+        }
     }
 
-    fn unwell(device: &'static str, path: String, state: DeviceState, what: String, why: String) -> Self {
+    fn unwell(
+        device: &'static str,
+        path: String,
+        state: DeviceState,
+        what: String,
+        why: String,
+    ) -> Self {
         Self { device, path, is_well: false, state: state.to_string(), what, to_do: vec![why] }
     }
 
@@ -125,12 +138,16 @@ fn camera(config: &CameraDeviceConfig) -> Finding {
     match last_error {
         None if watched.status.state == DeviceState::Working => {
             let what = format!("{what}; {:.1} pictures a second", watched.rate_hz);
-            let stable = nearby::CAMERAS.stable_name_of(Path::new(&config.device)).map(|name| renamed(&name));
+            let stable = nearby::CAMERAS
+                .stable_name_of(Path::new(&config.device))
+                .map(|name| renamed(&name));
             Finding::well("camera", path(), what).advise(stable)
         }
         Some(error) => failed(watched.status.state, &what, &error),
         None => {
-            let why = "it has not given a picture yet; look again, and check the cable if this stays".to_owned();
+            let why =
+                "it has not given a picture yet; look again, and check the cable if this stays"
+                    .to_owned();
             Finding::unwell("camera", path(), watched.status.state, what, why)
         }
     }
@@ -138,8 +155,9 @@ fn camera(config: &CameraDeviceConfig) -> Finding {
 
 /// The formats that can be read, and how many others there are: some cameras have fifty.
 fn offer(formats: &[FourCc]) -> String {
-    let (ours, others): (Vec<FourCc>, Vec<_>) =
-        formats.iter().partition(|format| CameraFormat::ALL.iter().any(|ours| ours.names().contains(format)));
+    let (ours, others): (Vec<FourCc>, Vec<_>) = formats
+        .iter()
+        .partition(|format| CameraFormat::ALL.iter().any(|ours| ours.names().contains(format)));
     let mut words: Vec<_> = ours.iter().map(ToString::to_string).collect();
     if !others.is_empty() {
         words.push(format!("{} that are not read here", others.len()));
@@ -151,7 +169,15 @@ fn lidar(config: &HokuyoConfig) -> Finding {
     let path = || config.port.to_string();
     let mut device = match HokuyoLidar::open(config.clone()) {
         Ok(device) => device,
-        Err(error) => return Finding::unwell("LiDAR", path(), state_of(&error), String::new(), error.to_string()),
+        Err(error) => {
+            return Finding::unwell(
+                "LiDAR",
+                path(),
+                state_of(&error),
+                String::new(),
+                error.to_string(),
+            );
+        }
     };
     let monitor = device.monitor();
     let mut scan = LaserScan::empty(device.geometry());
@@ -162,7 +188,12 @@ fn lidar(config: &HokuyoConfig) -> Finding {
     });
     let what = monitor.identity().map_or_else(String::new, |identity| {
         let known = |text: String| if text.is_empty() { "unknown".to_owned() } else { text };
-        format!("{}, serial {}, firmware {}", identity.model, known(identity.serial), known(identity.firmware))
+        format!(
+            "{}, serial {}, firmware {}",
+            identity.model,
+            known(identity.serial),
+            known(identity.firmware)
+        )
     });
     let serial = match &config.port {
         Port::Serial(path) => Some(path.as_path()),
@@ -171,13 +202,19 @@ fn lidar(config: &HokuyoConfig) -> Finding {
     if watched.status.state == DeviceState::Working {
         let hits = scan.ranges.iter().filter(|range| range.hit_m().is_some()).count();
         let beams = scan.ranges.len();
-        let what = format!("{what}; {:.1} scans a second, {hits} of {beams} beams meet something", watched.rate_hz);
-        let stable = serial.and_then(|path| nearby::PORTS.stable_name_of(path)).map(|name| renamed(&name));
+        let what = format!(
+            "{what}; {:.1} scans a second, {hits} of {beams} beams meet something",
+            watched.rate_hz
+        );
+        let stable =
+            serial.and_then(|path| nearby::PORTS.stable_name_of(path)).map(|name| renamed(&name));
         let bad = watched.status.bad;
-        let noise = (bad > 0).then(|| format!("{bad} scans failed their checks meanwhile; check cable and ground"));
+        let noise = (bad > 0)
+            .then(|| format!("{bad} scans failed their checks meanwhile; check cable and ground"));
         return Finding::well("LiDAR", path(), what).advise(stable).advise(noise);
     }
-    let starting = "its first good scans have not come yet; it may be starting: look again".to_owned();
+    let starting =
+        "its first good scans have not come yet; it may be starting: look again".to_owned();
     let why = monitor.problem().unwrap_or(starting);
     let others = serial.filter(|path| !path.exists()).map(|_| nearby::PORTS.list());
     Finding::unwell("LiDAR", path(), watched.status.state, what, why).advise(others)
@@ -187,7 +224,15 @@ fn base(config: &BaseConfig) -> Finding {
     let path = || config.bus.clone();
     let mut device = match DifferentialBase::new(open_bus(&config.bus), config) {
         Ok(device) => device,
-        Err(error) => return Finding::unwell("base", path(), state_of(&error), String::new(), error.to_string()),
+        Err(error) => {
+            return Finding::unwell(
+                "base",
+                path(),
+                state_of(&error),
+                String::new(),
+                error.to_string(),
+            );
+        }
     };
     let watched = watch(|| {
         // Sets the motors up, reads their watchdogs back and holds zero; whether it got there stands in the status.
@@ -202,15 +247,19 @@ fn base(config: &BaseConfig) -> Finding {
         Protocol::Cia402 => "CiA 402",
     };
     let (left_node, right_node) = (config.left_node, config.right_node);
-    let what = format!("{protocol}: left (node {left_node}) {left}, right (node {right_node}) {right}");
+    let what =
+        format!("{protocol}: left (node {left_node}) {left}, right (node {right_node}) {right}");
     let why = match (device.check(), device.motors().into_iter().find_map(|motor| motor.problem)) {
-        (Ok(()), None) if state == DeviceState::Working => return Finding::well("base", path(), what),
+        (Ok(()), None) if state == DeviceState::Working => {
+            return Finding::well("base", path(), what);
+        }
         (Err(CanError::Tripped(trip)), _) => trip.to_string(),
         (Err(error), _) => error.to_string(),
         (Ok(()), _) => device.explain(),
     };
     let state = if state == DeviceState::Working { DeviceState::Faulty } else { state };
-    let interface = if config.bus.starts_with("unix:") { None } else { nearby::can_interface(&config.bus) };
+    let interface =
+        if config.bus.starts_with("unix:") { None } else { nearby::can_interface(&config.bus) };
     Finding::unwell("base", path(), state, what, why).advise(interface)
 }
 

@@ -31,7 +31,11 @@ pub fn run(args: &CheckArgs) -> Result<ExitCode> {
     refuse_beside_a_running_robot(&config)?;
     let findings = devices::look(&config);
     println!("{} is sound. What is connected:\n\n{}", path.display(), screen(&findings));
-    Ok(if findings.iter().all(|finding| finding.is_well) { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(if findings.iter().all(|finding| finding.is_well) {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    })
 }
 
 /// Setting a motor up again while another program drives it would take the wheels from under that one.
@@ -84,7 +88,10 @@ mod tests {
             to_do: to_do.iter().map(ToString::to_string).collect(),
         };
         let text = screen(&[finding("LiDAR", true, &[]), finding("base", false, &["plug it in"])]);
-        assert!(text.lines().nth(1).unwrap().contains("LiDAR") && text.contains("UTM-30LX"), "{text}");
+        assert!(
+            text.lines().nth(1).unwrap().contains("LiDAR") && text.contains("UTM-30LX"),
+            "{text}"
+        );
         assert!(text.ends_with("  ! base: plug it in"), "{text}");
     }
 

@@ -18,14 +18,17 @@ pub struct Names {
 /// Of cameras.
 pub const CAMERAS: Names = Names { stable: "/dev/v4l/by-id", kernel: &["/dev/video"] };
 /// Of serial ports, also those behind USB.
-pub const PORTS: Names = Names { stable: "/dev/serial/by-id", kernel: &["/dev/ttyACM", "/dev/ttyUSB"] };
+pub const PORTS: Names =
+    Names { stable: "/dev/serial/by-id", kernel: &["/dev/ttyACM", "/dev/ttyUSB"] };
 
 impl Names {
     /// Which there are, as a sentence.
     pub fn list(&self) -> String {
         let mut found = entries(Path::new(self.stable));
         if found.is_empty() {
-            let begins = |path: &PathBuf| self.kernel.iter().any(|name| path.to_string_lossy().starts_with(name));
+            let begins = |path: &PathBuf| {
+                self.kernel.iter().any(|name| path.to_string_lossy().starts_with(name))
+            };
             found = entries(Path::new("/dev")).into_iter().filter(begins).collect();
         }
         if found.is_empty() {
@@ -49,15 +52,20 @@ impl Names {
 }
 
 fn entries(folder: &Path) -> Vec<PathBuf> {
-    let mut paths: Vec<_> =
-        std::fs::read_dir(folder).into_iter().flatten().filter_map(|entry| Some(entry.ok()?.path())).collect();
+    let mut paths: Vec<_> = std::fs::read_dir(folder)
+        .into_iter()
+        .flatten()
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .collect();
     paths.sort();
     paths
 }
 
 fn same_device(folder: &Path, path: &Path) -> Option<PathBuf> {
     let device = path.canonicalize().ok()?;
-    entries(folder).into_iter().find(|name| name.canonicalize().is_ok_and(|target| target == device))
+    entries(folder)
+        .into_iter()
+        .find(|name| name.canonicalize().is_ok_and(|target| target == device))
 }
 
 /// What is wrong with a CAN interface as the kernel tells it, and what to type.
@@ -66,7 +74,8 @@ pub fn can_interface(name: &str) -> Option<String> {
 }
 
 fn interface(folder: &Path, name: &str) -> Option<String> {
-    let attribute = |interface: &Path, file| std::fs::read_to_string(interface.join(file)).unwrap_or_default();
+    let attribute =
+        |interface: &Path, file| std::fs::read_to_string(interface.join(file)).unwrap_or_default();
     let is_can = |interface: &Path| attribute(interface, "type").trim() == CAN;
     let wanted = folder.join(name);
     if !wanted.exists() {
@@ -87,7 +96,11 @@ fn interface(folder: &Path, name: &str) -> Option<String> {
         return Some(format!("{name} is no CAN interface"));
     }
     let flags = attribute(&wanted, "flags");
-    let flags = flags.trim().strip_prefix("0x").and_then(|hex| u32::from_str_radix(hex, 16).ok()).unwrap_or_default();
+    let flags = flags
+        .trim()
+        .strip_prefix("0x")
+        .and_then(|hex| u32::from_str_radix(hex, 16).ok())
+        .unwrap_or_default();
     (flags & UP == 0).then(|| {
         format!(
             "{name} is down: `ip link set {name} up type can bitrate 500000 restart-ms 100` as root, at the bit rate of the motors"
@@ -134,9 +147,11 @@ mod tests {
 
     #[test]
     fn a_computer_without_such_devices_is_told_where_they_would_be() {
-        let nowhere = Names { stable: "/nowhere/by-id", kernel: &["/dev/no-such-a", "/dev/no-such-b"] };
+        let nowhere =
+            Names { stable: "/nowhere/by-id", kernel: &["/dev/no-such-a", "/dev/no-such-b"] };
         let text = nowhere.list();
-        for part in ["nothing of its kind", "/nowhere/by-id", "/dev/no-such-a*", "/dev/no-such-b*"] {
+        for part in ["nothing of its kind", "/nowhere/by-id", "/dev/no-such-a*", "/dev/no-such-b*"]
+        {
             assert!(text.contains(part), "{text}");
         }
     }

@@ -41,8 +41,12 @@ fn table(
                 let advice = advice(name.get_ref(), prefix, known, root);
                 found.push((offset, Problem::UnknownKey { line: 0, key, advice }));
             }
-            (Some(toml::Value::Table(known)), DeValue::Table(given)) => table(given, known, &key, root, found),
-            (Some(known), value) => found.extend(impossible(&key, value, known).map(|problem| (offset, problem))),
+            (Some(toml::Value::Table(known)), DeValue::Table(given)) => {
+                table(given, known, &key, root, found)
+            }
+            (Some(known), value) => {
+                found.extend(impossible(&key, value, known).map(|problem| (offset, problem)))
+            }
         }
     }
 }
@@ -67,15 +71,21 @@ fn impossible(key: &str, value: &DeValue<'_>, known: &toml::Value) -> Option<Pro
         (Some(number), Some(limit)) => limit.allows(number),
         _ => true,
     };
-    let problem =
-        || Problem::Impossible { line: 0, key: key.into(), value: written(value), allowed: allowed(known, limit) };
+    let problem = || Problem::Impossible {
+        line: 0,
+        key: key.into(),
+        value: written(value),
+        allowed: allowed(known, limit),
+    };
     (!(fits && in_range)).then(problem)
 }
 
 /// Of a list, or a list of lists, whose default is empty.
 fn all_allowed(value: &DeValue<'_>, limit: &limits::Limit) -> bool {
     match value {
-        DeValue::Array(elements) => elements.iter().all(|element| all_allowed(element.get_ref(), limit)),
+        DeValue::Array(elements) => {
+            elements.iter().all(|element| all_allowed(element.get_ref(), limit))
+        }
         value => number(value).is_some_and(|number| limit.allows(number)),
     }
 }
@@ -83,9 +93,10 @@ fn all_allowed(value: &DeValue<'_>, limit: &limits::Limit) -> bool {
 fn number(value: &DeValue<'_>) -> Option<f64> {
     match value {
         // A number that no integer type holds is in no range.
-        DeValue::Integer(integer) => {
-            Some(i128::from_str_radix(integer.as_str(), integer.radix()).map_or(f64::NAN, |number| number as f64))
-        }
+        DeValue::Integer(integer) => Some(
+            i128::from_str_radix(integer.as_str(), integer.radix())
+                .map_or(f64::NAN, |number| number as f64),
+        ),
         DeValue::Float(float) => float.as_str().parse().ok(),
         _ => None,
     }
@@ -99,7 +110,14 @@ fn written(value: &DeValue<'_>) -> String {
         DeValue::Boolean(yes) => yes.to_string(),
         DeValue::Datetime(time) => time.to_string(),
         DeValue::Array(elements) => {
-            format!("[{}]", elements.iter().map(|element| written(element.get_ref())).collect::<Vec<_>>().join(", "))
+            format!(
+                "[{}]",
+                elements
+                    .iter()
+                    .map(|element| written(element.get_ref()))
+                    .collect::<Vec<_>>()
+                    .join(", ")
+            )
         }
         DeValue::Table(_) => "{...}".to_owned(),
     }
@@ -117,23 +135,34 @@ fn allowed(known: &toml::Value, limit: Option<&limits::Limit>) -> String {
 
 /// A similar key of the same table; else the same or a similar name elsewhere; else all keys of the table.
 fn advice(name: &str, prefix: &str, siblings: &toml::Table, root: &toml::Table) -> String {
-    if let Some(similar) = most_alike(name, siblings.keys().map(|key| (key.as_str(), key.clone()))) {
+    if let Some(similar) = most_alike(name, siblings.keys().map(|key| (key.as_str(), key.clone())))
+    {
         return format!("did you mean `{similar}`?");
     }
     let mut everywhere = Vec::new();
     leaves(root, "", &mut everywhere);
-    let by_leaf = everywhere.iter().map(|full| (full.rsplit('.').next().unwrap_or(full), full.clone()));
+    let by_leaf =
+        everywhere.iter().map(|full| (full.rsplit('.').next().unwrap_or(full), full.clone()));
     if let Some(similar) = most_alike(name, by_leaf) {
         return format!("did you mean `{similar}`?");
     }
-    let place = if prefix.is_empty() { "the sections are".to_owned() } else { format!("the keys of `{prefix}` are") };
+    let place = if prefix.is_empty() {
+        "the sections are".to_owned()
+    } else {
+        format!("the keys of `{prefix}` are")
+    };
     let names: Vec<String> = siblings.keys().map(|key| format!("`{key}`")).collect();
     format!("{place} {}", names.join(", "))
 }
 
-fn most_alike<'a>(name: &str, candidates: impl Iterator<Item = (&'a str, String)>) -> Option<String> {
+fn most_alike<'a>(
+    name: &str,
+    candidates: impl Iterator<Item = (&'a str, String)>,
+) -> Option<String> {
     candidates
-        .map(|(candidate, answer)| (strsim::normalized_damerau_levenshtein(name, candidate), answer))
+        .map(|(candidate, answer)| {
+            (strsim::normalized_damerau_levenshtein(name, candidate), answer)
+        })
         .filter(|(score, _)| *score >= ALIKE)
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, answer)| answer)
@@ -161,7 +190,9 @@ fn line_of(text: &str, offset: usize) -> usize {
 fn with_line(problem: Problem, at: usize) -> Problem {
     match problem {
         Problem::UnknownKey { key, advice, .. } => Problem::UnknownKey { line: at, key, advice },
-        Problem::Impossible { key, value, allowed, .. } => Problem::Impossible { line: at, key, value, allowed },
+        Problem::Impossible { key, value, allowed, .. } => {
+            Problem::Impossible { line: at, key, value, allowed }
+        }
         together @ Problem::Together { .. } => together,
     }
 }
@@ -174,12 +205,17 @@ pub(super) fn together(config: &Config) -> Vec<Problem> {
         ("map", config.map.validate().map_err(|error| error.to_string())),
         ("planning", config.plan_config().validate().map_err(|error| error.to_string())),
         ("planning", config.follower_config().validate().map_err(|error| error.to_string())),
-        ("simulator.nuisances", config.simulator.nuisances.check().map_err(|error| error.to_string())),
+        (
+            "simulator.nuisances",
+            config.simulator.nuisances.check().map_err(|error| error.to_string()),
+        ),
         ("safety", back_off_in_time(config)),
         ("base", corners_within_radius(config)),
     ];
     let refused = parts.into_iter().filter_map(|(section, result)| Some((section, result.err()?)));
-    refused.map(|(section, why)| Problem::Together { message: format!("[{section}]: {why}") }).collect()
+    refused
+        .map(|(section, why)| Problem::Together { message: format!("[{section}]: {why}") })
+        .collect()
 }
 
 /// What the drivers refuse: a simulated robot has none, so only `run` and `check` ask.
@@ -192,7 +228,9 @@ pub(super) fn devices(config: &Config) -> Vec<Problem> {
         ("devices.base", devices.base.validate().map_err(|error| error.to_string())),
     ];
     let refused = parts.into_iter().filter_map(|(section, result)| Some((section, result.err()?)));
-    refused.map(|(section, why)| Problem::Together { message: format!("[{section}]: {why}") }).collect()
+    refused
+        .map(|(section, why)| Problem::Together { message: format!("[{section}]: {why}") })
+        .collect()
 }
 
 fn back_off_in_time(config: &Config) -> Result<(), String> {
@@ -212,7 +250,10 @@ fn back_off_in_time(config: &Config) -> Result<(), String> {
 fn corners_within_radius(config: &Config) -> Result<(), String> {
     let base = &config.base;
     if !base.footprint_m.is_empty() && base.footprint_m.len() < 3 {
-        return Err(format!("`footprint_m` has {} corners: give at least three, or none", base.footprint_m.len()));
+        return Err(format!(
+            "`footprint_m` has {} corners: give at least three, or none",
+            base.footprint_m.len()
+        ));
     }
     let farthest_m = base.footprint_m.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
     if farthest_m <= base.footprint_radius_m + 1e-9 {

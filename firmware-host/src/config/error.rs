@@ -63,7 +63,8 @@ pub enum Problem {
 }
 
 fn list(path: &std::path::Path, problems: &[Problem]) -> String {
-    let lines: Vec<String> = problems.iter().map(|problem| InFile(problem, path).to_string()).collect();
+    let lines: Vec<String> =
+        problems.iter().map(|problem| InFile(problem, path).to_string()).collect();
     lines.join("\n")
 }
 
@@ -77,7 +78,10 @@ impl fmt::Display for InFile<'_> {
                 write!(f, "unknown key `{key}` in {path} line {line}: {advice}")
             }
             Problem::Impossible { line, key, value, allowed } => {
-                write!(f, "`{key} = {value}` in {path} line {line} is not possible: allowed is {allowed}")
+                write!(
+                    f,
+                    "`{key} = {value}` in {path} line {line} is not possible: allowed is {allowed}"
+                )
             }
             Problem::Together { message } => write!(f, "{path}: {message}"),
         }

@@ -18,8 +18,8 @@ use serde::{Deserialize, Serialize};
 pub use devices::{DevicesSection, LensSection, RunSection};
 pub use error::{ConfigError, Problem};
 pub use sections::{
-    BaseSection, CameraSection, LidarSection, ModelsSection, NetworkSection, PlanningSection, RecordingSection,
-    SafetySection, SimulatorSection,
+    BaseSection, CameraSection, LidarSection, ModelsSection, NetworkSection, PlanningSection,
+    RecordingSection, SafetySection, SimulatorSection,
 };
 
 /// The default configuration with its documentation, to print for a user who wants to start from it.
@@ -76,8 +76,10 @@ impl Config {
     /// # Errors
     /// As [`Config::load`].
     pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
-        let not_toml =
-            |error: toml::de::Error| ConfigError::NotToml { path: path.to_path_buf(), message: error.to_string() };
+        let not_toml = |error: toml::de::Error| ConfigError::NotToml {
+            path: path.to_path_buf(),
+            message: error.to_string(),
+        };
         let document = toml::de::DeTable::parse(text).map_err(not_toml)?;
         let problems = check::file(document.get_ref(), text);
         if !problems.is_empty() {
@@ -85,7 +87,11 @@ impl Config {
         }
         let config: Self = toml::from_str(text).map_err(not_toml)?;
         let problems = check::together(&config);
-        if problems.is_empty() { Ok(config) } else { Err(ConfigError::Refused { path: path.to_path_buf(), problems }) }
+        if problems.is_empty() {
+            Ok(config)
+        } else {
+            Err(ConfigError::Refused { path: path.to_path_buf(), problems })
+        }
     }
 
     /// Asks the drivers whether `[devices]` can be. A simulated robot has none.
@@ -94,7 +100,11 @@ impl Config {
     /// What they refuse; `path` names the file.
     pub fn check_devices(&self, path: &Path) -> Result<(), ConfigError> {
         let problems = check::devices(self);
-        if problems.is_empty() { Ok(()) } else { Err(ConfigError::Refused { path: path.to_path_buf(), problems }) }
+        if problems.is_empty() {
+            Ok(())
+        } else {
+            Err(ConfigError::Refused { path: path.to_path_buf(), problems })
+        }
     }
 
     /// Every key with its effective value, as TOML.

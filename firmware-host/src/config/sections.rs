@@ -32,7 +32,14 @@ pub struct CameraSection {
 
 impl Default for CameraSection {
     fn default() -> Self {
-        Self { width: 640, height: 192, horizontal_fov_deg: 90.0, height_m: 0.8, forward_m: 0.0, pitch_down_deg: 0.0 }
+        Self {
+            width: 640,
+            height: 192,
+            horizontal_fov_deg: 90.0,
+            height_m: 0.8,
+            forward_m: 0.0,
+            pitch_down_deg: 0.0,
+        }
     }
 }
 
@@ -257,7 +264,7 @@ impl Default for ModelsSection {
     fn default() -> Self {
         Self {
             store: String::new(),
-            trusted_keys: bundle::TRUSTED_KEYS_FILE.to_owned(),
+            trusted_keys: signed_model::TRUSTED_KEYS_FILE.to_owned(),
             recordings: String::new(),
             max_p99_ms: GateLimits::default().p99_ms,
             gate_memory_mib: 4096,

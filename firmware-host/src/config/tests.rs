@@ -18,9 +18,13 @@ fn refusal(text: &str) -> String {
 #[test]
 fn the_documented_default_file_is_the_default_and_an_empty_file_too() {
     let documented = parse(DEFAULT_FILE).unwrap();
-    let [documented_lines, default_lines] = [&documented, &Config::default()].map(|config| config.to_toml().unwrap());
+    let [documented_lines, default_lines] =
+        [&documented, &Config::default()].map(|config| config.to_toml().unwrap());
     for (documented, default) in documented_lines.lines().zip(default_lines.lines()) {
-        assert_eq!(documented, default, "robot.default.toml (left) differs from the default in the code (right)");
+        assert_eq!(
+            documented, default,
+            "robot.default.toml (left) differs from the default in the code (right)"
+        );
     }
     assert_eq!(documented, Config::default());
     assert_eq!(parse("").unwrap(), Config::default());
@@ -41,7 +45,9 @@ fn the_default_file_has_every_key_and_states_every_range() {
         } else if let Some((name, rest)) = line.split_once(" = ") {
             let name = name.trim();
             match limits::of(&format!("{section}.{name}")) {
-                Some(limit) => assert!(rest.contains(&format!("# {limit}")), "{section}.{name}: {limit}"),
+                Some(limit) => {
+                    assert!(rest.contains(&format!("# {limit}")), "{section}.{name}: {limit}")
+                }
                 None => assert!(rest.contains("# "), "{section}.{name} is not explained"),
             }
         }
@@ -59,7 +65,9 @@ fn every_number_has_a_limit_and_every_limit_a_number_within_it() {
                 toml::Value::Float(number) => into.push((key, *number)),
                 toml::Value::Array(numbers) => {
                     // A list that is empty by default may still have a limit.
-                    let number = numbers.first().map_or(limits::of(&key).map(|_| 0.0), toml::Value::as_float);
+                    let number = numbers
+                        .first()
+                        .map_or(limits::of(&key).map(|_| 0.0), toml::Value::as_float);
                     into.extend(number.map(|number| (key, number)));
                 }
                 _ => {}
@@ -71,7 +79,10 @@ fn every_number_has_a_limit_and_every_limit_a_number_within_it() {
     // What drivers are given they check themselves.
     found.retain(|(key, _)| !key.starts_with("devices."));
     for (key, value) in &found {
-        assert!(limits::of(key).unwrap_or_else(|| panic!("{key} has no limit")).allows(*value), "{key} = {value}");
+        assert!(
+            limits::of(key).unwrap_or_else(|| panic!("{key} has no limit")).allows(*value),
+            "{key} = {value}"
+        );
     }
     assert_eq!(found.len(), limits::LIMITS.len());
 }
@@ -79,7 +90,10 @@ fn every_number_has_a_limit_and_every_limit_a_number_within_it() {
 #[test]
 fn a_typing_error_is_refused_with_file_line_and_the_key_that_was_meant() {
     let error = refusal("[camera]\nwidth = 640\n\n[exploration]\nfrontier_frame = 3\n");
-    assert_eq!(error, "unknown key `exploration.frontier_frame` in robot.toml line 5: did you mean `frontier_frames`?");
+    assert_eq!(
+        error,
+        "unknown key `exploration.frontier_frame` in robot.toml line 5: did you mean `frontier_frames`?"
+    );
 }
 
 #[test]
@@ -93,7 +107,10 @@ fn a_key_like_nothing_else_is_answered_with_the_keys_that_exist() {
     let error = refusal("[lidar]\nqqqq = 1\n");
     assert!(error.ends_with("line 2: the keys of `lidar` are `forward_m`, `height_m`"), "{error}");
     let error = refusal("[zzzzzzzzz]\na = 1\n");
-    assert!(error.contains("unknown key `zzzzzzzzz`") && error.contains("the sections are `base`"), "{error}");
+    assert!(
+        error.contains("unknown key `zzzzzzzzz`") && error.contains("the sections are `base`"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -104,7 +121,9 @@ fn a_value_out_of_range_is_refused_with_its_range() {
         "`base.footprint_radius_m = 7.5` in robot.toml line 2 is not possible: allowed is 0.05 to 1 metres"
     );
     assert!(refusal("camera.width = -640").contains("`camera.width = -640` in robot.toml line 1"));
-    assert!(refusal("camera.width = 0x1_0000").contains("allowed is a whole number, 64 to 4096 pixels"));
+    assert!(
+        refusal("camera.width = 0x1_0000").contains("allowed is a whole number, 64 to 4096 pixels")
+    );
 }
 
 #[test]
@@ -120,16 +139,25 @@ fn all_problems_are_told_at_once_in_the_order_of_the_file() {
     let error = refusal("[lidar]\nheight = 1\n[camera]\nwidth = 1\n[base]\ntick = 1\n");
     let lines: Vec<&str> = error.lines().collect();
     assert_eq!(lines.len(), 3, "{error}");
-    assert!(lines[0].contains("line 2") && lines[1].contains("line 4") && lines[2].contains("line 6"), "{error}");
+    assert!(
+        lines[0].contains("line 2") && lines[1].contains("line 4") && lines[2].contains("line 6"),
+        "{error}"
+    );
 }
 
 #[test]
 fn a_value_of_another_type_is_refused_with_what_is_allowed() {
     for value in ["\"wide\"", "640.5", "true", "[640]", "{ px = 640 }", "2026-01-01"] {
         let error = refusal(&format!("[camera]\nwidth = {value}\n"));
-        assert!(error.contains("line 2") && error.contains("a whole number, 64 to 4096 pixels"), "{value}: {error}");
+        assert!(
+            error.contains("line 2") && error.contains("a whole number, 64 to 4096 pixels"),
+            "{value}: {error}"
+        );
     }
-    assert!(refusal("simulator.sliding = 1").ends_with("line 1 is not possible: allowed is true or false"));
+    assert!(
+        refusal("simulator.sliding = 1")
+            .ends_with("line 1 is not possible: allowed is true or false")
+    );
     assert!(refusal("camera = 3").contains("allowed is a table"));
     assert_eq!(parse("base.turn_step_deg = 2").unwrap(), Config::default());
 }
@@ -162,15 +190,24 @@ fn what_a_part_of_the_runtime_refuses_is_refused_here_with_the_file() {
 fn every_element_of_a_list_must_be_possible() {
     for list in ["[6.0, -1.0]", "[6.0, nan]", "[\"six\"]", "6.0"] {
         let error = refusal(&format!("coarse.parallax_px = {list}"));
-        assert!(error.ends_with("line 1 is not possible: allowed is a list of 0.5 to 200 pixels"), "{error}");
+        assert!(
+            error.ends_with("line 1 is not possible: allowed is a list of 0.5 to 200 pixels"),
+            "{error}"
+        );
     }
-    assert_eq!(parse("coarse.parallax_px = [5, 10, 20.5]").unwrap().coarse.parallax_px, [5.0, 10.0, 20.5]);
+    assert_eq!(
+        parse("coarse.parallax_px = [5, 10, 20.5]").unwrap().coarse.parallax_px,
+        [5.0, 10.0, 20.5]
+    );
 }
 
 #[test]
 fn a_choice_that_does_not_exist_is_refused_with_the_choices() {
     let error = refusal("[map]\nlidar = \"hit\"\n");
-    assert!(error.contains("line 2") && error.contains("`hits`") && error.contains("`hits-and-free`"), "{error}");
+    assert!(
+        error.contains("line 2") && error.contains("`hits`") && error.contains("`hits-and-free`"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -202,7 +239,8 @@ fn the_assembled_safety_plane_is_its_own_default() {
 #[test]
 fn the_assembled_planner_and_follower_are_their_own_defaults_with_this_robots_footprint() {
     let config = Config::default();
-    let theirs = PlanConfig { footprint_radius_m: config.base.footprint_radius_m, ..PlanConfig::default() };
+    let theirs =
+        PlanConfig { footprint_radius_m: config.base.footprint_radius_m, ..PlanConfig::default() };
     assert_eq!(config.plan_config(), theirs);
     assert_eq!(config.follower_config(), FollowerConfig::default());
 }
@@ -238,6 +276,9 @@ fn a_corner_outside_of_the_circle_that_the_planner_keeps_clear_is_refused() {
 fn corners_are_checked_one_by_one() {
     for corners in ["[[0.1, 0.1], [7.0, 0.1], [0.0, 0.0]]", "[[0.1, nan]]", "[[true, 0.1]]"] {
         let error = refusal(&format!("base.footprint_m = {corners}"));
-        assert!(error.ends_with("line 1 is not possible: allowed is a list of -1 to 1 metres"), "{error}");
+        assert!(
+            error.ends_with("line 1 is not possible: allowed is a list of -1 to 1 metres"),
+            "{error}"
+        );
     }
 }

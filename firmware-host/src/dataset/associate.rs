@@ -10,7 +10,11 @@ pub fn nearest(entries: &[ImageEntry], time_ns: u64, tolerance_ns: u64) -> Optio
     let after = entries.partition_point(|entry| entry.time_ns < time_ns);
     let around = [after.checked_sub(1).and_then(|i| entries.get(i)), entries.get(after)];
     let distance = |entry: &ImageEntry| entry.time_ns.abs_diff(time_ns);
-    around.into_iter().flatten().min_by_key(|entry| distance(entry)).filter(|entry| distance(entry) <= tolerance_ns)
+    around
+        .into_iter()
+        .flatten()
+        .min_by_key(|entry| distance(entry))
+        .filter(|entry| distance(entry) <= tolerance_ns)
 }
 
 /// The pose at `time_ns`: the listed one, or between two listed ones that are at most `3 * tolerance_ns` apart (slerp;
@@ -42,7 +46,10 @@ mod tests {
 
     fn pose(time_ns: u64, x_m: f64, yaw_rad: f64) -> PoseEntry {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), yaw_rad);
-        PoseEntry { time_ns, t_world_camera: Pose3::from_parts(Translation3::new(x_m, 0.0, 0.0), turn) }
+        PoseEntry {
+            time_ns,
+            t_world_camera: Pose3::from_parts(Translation3::new(x_m, 0.0, 0.0), turn),
+        }
     }
 
     fn image(time_ns: u64) -> ImageEntry {
@@ -61,7 +68,9 @@ mod tests {
     #[test]
     fn between_two_poses_both_the_place_and_the_heading_are_in_between() {
         let at = pose_at(&[pose(100, 0.0, 0.0), pose(200, 1.0, 0.4)], 125, 50).unwrap();
-        assert!((at.translation.x - 0.25).abs() < 1e-12 && (at.rotation.angle() - 0.1).abs() < 1e-9);
+        assert!(
+            (at.translation.x - 0.25).abs() < 1e-12 && (at.rotation.angle() - 0.1).abs() < 1e-9
+        );
     }
 
     #[test]
@@ -82,7 +91,8 @@ mod tests {
     #[test]
     fn quaternions_of_opposite_sign_are_the_same_heading() {
         let mut b = pose(200, 0.0, 0.2);
-        b.t_world_camera.rotation = UnitQuaternion::new_unchecked(-b.t_world_camera.rotation.into_inner());
+        b.t_world_camera.rotation =
+            UnitQuaternion::new_unchecked(-b.t_world_camera.rotation.into_inner());
         let at = pose_at(&[pose(100, 0.0, 0.0), b], 150, 50).unwrap();
         assert!((at.rotation.angle() - 0.1).abs() < 1e-9);
     }

@@ -72,19 +72,27 @@ fn for_each_line(
     path: &Path,
     mut each: impl FnMut(usize, u64, &[&str]) -> Result<(), DatasetError>,
 ) -> Result<(), DatasetError> {
-    let text = std::fs::read_to_string(path).map_err(|source| DatasetError::Read { path: path.to_owned(), source })?;
+    let text = std::fs::read_to_string(path)
+        .map_err(|source| DatasetError::Read { path: path.to_owned(), source })?;
     let mut previous: Option<(u64, &str)> = None;
     for (index, text) in text.lines().enumerate() {
         let line = index + 1;
-        let fields: Vec<&str> = text.split('#').next().unwrap_or_default().split_ascii_whitespace().collect();
+        let fields: Vec<&str> =
+            text.split('#').next().unwrap_or_default().split_ascii_whitespace().collect();
         let Some((&stamp, rest)) = fields.split_first() else { continue };
         let time_ns = parse_seconds(stamp).ok_or_else(|| {
-            bad_line(path, line, format!("`{stamp}` is not a timestamp; expected seconds such as 1305031102.175304"))
+            bad_line(
+                path,
+                line,
+                format!("`{stamp}` is not a timestamp; expected seconds such as 1305031102.175304"),
+            )
         })?;
         if let Some((before, before_text)) = previous
             && time_ns <= before
         {
-            let what = format!("timestamp {stamp} is not later than {before_text} before it; sort the list by time");
+            let what = format!(
+                "timestamp {stamp} is not later than {before_text} before it; sort the list by time"
+            );
             return Err(bad_line(path, line, what));
         }
         previous = Some((time_ns, stamp));
@@ -107,10 +115,15 @@ fn parse_seconds(text: &str) -> Option<u64> {
 
 fn parse_pose(fields: &[&str]) -> Result<Pose3, String> {
     if fields.len() != 7 {
-        return Err(format!("expected `timestamp tx ty tz qx qy qz qw`, found {} fields", fields.len() + 1));
+        return Err(format!(
+            "expected `timestamp tx ty tz qx qy qz qw`, found {} fields",
+            fields.len() + 1
+        ));
     }
     let mut values = [0.0; 7];
-    for ((value, text), name) in values.iter_mut().zip(fields).zip(["tx", "ty", "tz", "qx", "qy", "qz", "qw"]) {
+    for ((value, text), name) in
+        values.iter_mut().zip(fields).zip(["tx", "ty", "tz", "qx", "qy", "qz", "qw"])
+    {
         *value = text.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(|| {
             format!("{name} = {text} is not a finite number; a pose that is not known must be left out of the list")
         })?;
@@ -130,7 +143,11 @@ fn bad_line(path: &Path, line: usize, what: String) -> DatasetError {
     DatasetError::Line { path: path.to_owned(), line, what }
 }
 
-fn not_empty<T>(entries: Vec<T>, path: PathBuf, form: &'static str) -> Result<Vec<T>, DatasetError> {
+fn not_empty<T>(
+    entries: Vec<T>,
+    path: PathBuf,
+    form: &'static str,
+) -> Result<Vec<T>, DatasetError> {
     if entries.is_empty() { Err(DatasetError::EmptyList { path, form }) } else { Ok(entries) }
 }
 
@@ -151,8 +168,12 @@ mod tests {
 
     #[test]
     fn comments_and_blank_lines_are_skipped() {
-        let entries = poses("# time ...\n\n0.5 1 2 3 0 0 0 1 # fine\n0.75 1 2 3 0 0 0 -1\n").unwrap();
-        assert_eq!(entries.iter().map(|e| e.time_ns).collect::<Vec<_>>(), [500_000_000, 750_000_000]);
+        let entries =
+            poses("# time ...\n\n0.5 1 2 3 0 0 0 1 # fine\n0.75 1 2 3 0 0 0 -1\n").unwrap();
+        assert_eq!(
+            entries.iter().map(|e| e.time_ns).collect::<Vec<_>>(),
+            [500_000_000, 750_000_000]
+        );
     }
 
     #[test]
@@ -167,7 +188,10 @@ mod tests {
     #[test]
     fn unsorted_timestamps_name_file_line_and_both_values() {
         let error = message("2.0 0 0 0 0 0 0 1\n1.5 0 0 0 0 0 0 1\n");
-        assert!(error.contains("groundtruth.txt:2") && error.contains("1.5") && error.contains("2.0"), "{error}");
+        assert!(
+            error.contains("groundtruth.txt:2") && error.contains("1.5") && error.contains("2.0"),
+            "{error}"
+        );
     }
 
     #[test]
@@ -181,7 +205,12 @@ mod tests {
     #[test]
     fn an_empty_list_and_a_missing_one_are_errors() {
         assert!(message("# nothing\n").contains("empty"));
-        assert!(read_poses(Path::new("/nowhere"), "groundtruth.txt").unwrap_err().to_string().contains("/nowhere"));
+        assert!(
+            read_poses(Path::new("/nowhere"), "groundtruth.txt")
+                .unwrap_err()
+                .to_string()
+                .contains("/nowhere")
+        );
     }
 
     #[test]

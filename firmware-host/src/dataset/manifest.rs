@@ -67,10 +67,12 @@ impl Manifest {
     /// # Errors
     /// A file that cannot be read or parsed, an unknown key, an impossible value.
     pub fn read(path: &Path) -> Result<Self, DatasetError> {
-        let text =
-            std::fs::read_to_string(path).map_err(|source| DatasetError::Read { path: path.to_owned(), source })?;
-        let manifest: Self = toml::from_str(&text)
-            .map_err(|error| DatasetError::Manifest { path: path.to_owned(), detail: error.to_string() })?;
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| DatasetError::Read { path: path.to_owned(), source })?;
+        let manifest: Self = toml::from_str(&text).map_err(|error| DatasetError::Manifest {
+            path: path.to_owned(),
+            detail: error.to_string(),
+        })?;
         manifest.check(path)?;
         Ok(manifest)
     }
@@ -83,18 +85,31 @@ impl Manifest {
         require(path, "nominal_fps", &self.nominal_fps, is_positive(self.nominal_fps), positive)?;
         require(path, "depth_scale", &self.depth_scale, is_positive(self.depth_scale), positive)?;
         if let Some(up) = &self.up {
-            let direction = up.iter().all(|part| part.is_finite()) && up.iter().any(|part| part.abs() > 1e-6);
+            let direction =
+                up.iter().all(|part| part.is_finite()) && up.iter().any(|part| part.abs() > 1e-6);
             require(path, "up", &format!("{up:?}"), direction, "a direction, as [0.0, 0.0, 1.0]")?;
         }
         require(path, "camera.width", &camera.width, (1..=16384).contains(&camera.width), pixels)?;
-        require(path, "camera.height", &camera.height, (1..=16384).contains(&camera.height), pixels)?;
+        require(
+            path,
+            "camera.height",
+            &camera.height,
+            (1..=16384).contains(&camera.height),
+            pixels,
+        )?;
         require(path, "camera.fx", &camera.fx, is_positive(camera.fx), positive)?;
         require(path, "camera.fy", &camera.fy, is_positive(camera.fy), positive)?;
         require(path, "camera.cx", &camera.cx, camera.cx.is_finite(), "a finite number")?;
         require(path, "camera.cy", &camera.cy, camera.cy.is_finite(), "a finite number")?;
         let k = &camera.distortion;
         let sound = matches!(k.len(), 0 | 4 | 5) && k.iter().all(|value| value.is_finite());
-        require(path, "camera.distortion", &format!("{k:?}"), sound, "[] or finite k1 k2 p1 p2 [k3]")
+        require(
+            path,
+            "camera.distortion",
+            &format!("{k:?}"),
+            sound,
+            "[] or finite k1 k2 p1 p2 [k3]",
+        )
     }
 
     /// The camera as it is, distortion included.
@@ -151,7 +166,8 @@ mod tests {
 
     #[test]
     fn four_distortion_coefficients_leave_k3_at_zero() {
-        let model = read(&GOOD.replace("[]\n", "[0.1, -0.2, 0.01, 0.02]\n")).unwrap().camera_model();
+        let model =
+            read(&GOOD.replace("[]\n", "[0.1, -0.2, 0.01, 0.02]\n")).unwrap().camera_model();
         assert_eq!(model.distortion, Distortion::PlumbBob([0.1, -0.2, 0.01, 0.02, 0.0]));
     }
 

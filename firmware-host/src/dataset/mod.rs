@@ -56,8 +56,11 @@ impl Dataset {
     pub fn open(folder: &Path, width: usize, height: usize) -> Result<Self, DatasetError> {
         let manifest = Manifest::read(&folder.join("dataset.toml"))?;
         let pictures = list::read_images(folder, "rgb.txt")?;
-        let depths =
-            if folder.join("depth.txt").exists() { list::read_images(folder, "depth.txt")? } else { Vec::new() };
+        let depths = if folder.join("depth.txt").exists() {
+            list::read_images(folder, "depth.txt")?
+        } else {
+            Vec::new()
+        };
         let poses = list::read_poses(folder, "groundtruth.txt")?;
         let tolerance_ns = (0.5e9 / manifest.nominal_fps) as u64;
         let total = pictures.len();
@@ -65,8 +68,14 @@ impl Dataset {
             .into_iter()
             .filter_map(|picture| {
                 let t_world_camera = associate::pose_at(&poses, picture.time_ns, tolerance_ns)?;
-                let depth = associate::nearest(&depths, picture.time_ns, tolerance_ns).map(|entry| entry.path.clone());
-                Some(FrameEntry { time_ns: picture.time_ns, rgb: picture.path, depth, t_world_camera })
+                let depth = associate::nearest(&depths, picture.time_ns, tolerance_ns)
+                    .map(|entry| entry.path.clone());
+                Some(FrameEntry {
+                    time_ns: picture.time_ns,
+                    rgb: picture.path,
+                    depth,
+                    t_world_camera,
+                })
             })
             .collect();
         if frames.is_empty() {
@@ -136,17 +145,22 @@ impl Dataset {
     fn read_depth(&self, path: &Path) -> Result<DepthMap, DatasetError> {
         let image = self.decode(path)?;
         let Some(values) = image.as_luma16() else {
-            return Err(DatasetError::DepthFormat { path: path.to_owned(), color: format!("{:?}", image.color()) });
+            return Err(DatasetError::DepthFormat {
+                path: path.to_owned(),
+                color: format!("{:?}", image.color()),
+            });
         };
         let scale = 1.0 / self.manifest.depth_scale;
-        let depth_m: Vec<f32> = values.as_raw().iter().map(|value| (f64::from(*value) * scale) as f32).collect();
+        let depth_m: Vec<f32> =
+            values.as_raw().iter().map(|value| (f64::from(*value) * scale) as f32).collect();
         Ok(self.resampler.depth(&depth_m))
     }
 
     fn decode(&self, path: &Path) -> Result<image::DynamicImage, DatasetError> {
-        let bytes = std::fs::read(path).map_err(|source| DatasetError::Read { path: path.to_owned(), source })?;
-        let image =
-            image::load_from_memory(&bytes).map_err(|source| DatasetError::Image { path: path.to_owned(), source })?;
+        let bytes = std::fs::read(path)
+            .map_err(|source| DatasetError::Read { path: path.to_owned(), source })?;
+        let image = image::load_from_memory(&bytes)
+            .map_err(|source| DatasetError::Image { path: path.to_owned(), source })?;
         let camera = &self.manifest.camera;
         if (image.width() as usize, image.height() as usize) != (camera.width, camera.height) {
             return Err(DatasetError::ImageSize {

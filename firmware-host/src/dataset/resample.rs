@@ -57,7 +57,9 @@ impl Resampler {
             for (dy, weight_y) in row.weights.iter().enumerate() {
                 let line = &source[(row.first + dy) * self.source.width * 3..];
                 for (sum, column) in sums.chunks_exact_mut(3).zip(&columns) {
-                    for (pixel, weight_x) in line[column.first * 3..].chunks_exact(3).zip(&column.weights) {
+                    for (pixel, weight_x) in
+                        line[column.first * 3..].chunks_exact(3).zip(&column.weights)
+                    {
                         for (sum, value) in sum.iter_mut().zip(pixel) {
                             *sum += weight_y * weight_x * f32::from(*value);
                         }
@@ -106,7 +108,11 @@ impl Resampler {
 
     fn distorted_depth(&self, source_m: &[f32], [x, y]: [f32; 2]) -> f32 {
         let (x, y) = (x.round(), y.round());
-        if x >= 0.0 && y >= 0.0 && (x as usize) < self.source.width && (y as usize) < self.source.height {
+        if x >= 0.0
+            && y >= 0.0
+            && (x as usize) < self.source.width
+            && (y as usize) < self.source.height
+        {
             source_m[y as usize * self.source.width + x as usize]
         } else {
             0.0
@@ -138,8 +144,9 @@ fn taps(start: f64, step: f64, targets: usize, sources: usize) -> Vec<Taps> {
         let centre = (target as f64 + 0.5) * step + start - 0.5;
         let first = nearest((centre - reach).floor() + 1.0, sources);
         let last = nearest((centre + reach).ceil() - 1.0, sources);
-        let mut weights: Vec<f32> =
-            (first..=last).map(|at| (1.0 - (at as f64 - centre).abs() / reach).max(0.0) as f32).collect();
+        let mut weights: Vec<f32> = (first..=last)
+            .map(|at| (1.0 - (at as f64 - centre).abs() / reach).max(0.0) as f32)
+            .collect();
         let sum: f32 = weights.iter().sum();
         weights.iter_mut().for_each(|weight| *weight /= sum);
         Taps { first, weights }
@@ -188,13 +195,18 @@ mod tests {
         let small = Resampler::new(&camera, 64, 32).rgb(&ramp(128, 64));
         // Target pixel (10, 5) is centred on source (20.5, 10.5).
         let at = (5 * 64 + 10) * 3;
-        assert!((f32::from(small[at]) - 20.5).abs() <= 0.5 && (f32::from(small[at + 1]) - 10.5).abs() <= 0.5);
+        assert!(
+            (f32::from(small[at]) - 20.5).abs() <= 0.5
+                && (f32::from(small[at + 1]) - 10.5).abs() <= 0.5
+        );
     }
 
     #[test]
     fn a_checkerboard_becomes_grey_instead_of_aliasing() {
         let camera = CameraModel { width: 90, height: 90, ..kinect() };
-        let board: Vec<u8> = (0..90 * 90).flat_map(|i| [if (i % 90 + i / 90) % 2 == 0 { 255 } else { 0 }; 3]).collect();
+        let board: Vec<u8> = (0..90 * 90)
+            .flat_map(|i| [if (i % 90 + i / 90) % 2 == 0 { 255 } else { 0 }; 3])
+            .collect();
         let small = Resampler::new(&camera, 30, 30).rgb(&board);
         assert!(small.iter().all(|value| (100..156).contains(value)));
     }
@@ -222,7 +234,8 @@ mod tests {
         let mut seen = vec![0_u8; 640 * 480 * 3];
         for v in 0..480 {
             for u in 0..640 {
-                let (mut x, mut y) = ((u as f64 - camera.cx) / camera.fx, (v as f64 - camera.cy) / camera.fy);
+                let (mut x, mut y) =
+                    ((u as f64 - camera.cx) / camera.fx, (v as f64 - camera.cy) / camera.fy);
                 let wanted = (x, y);
                 for _ in 0..20 {
                     let (dx, dy) = camera.distortion.distort(x, y);

@@ -14,7 +14,9 @@ fn sequence() -> TempDir {
     fs::write(root.join("dataset.toml"), manifest).unwrap();
     let (mut rgb_list, mut depth_list, mut poses) = (String::new(), String::new(), String::new());
     for i in 0..3_u8 {
-        RgbImage::from_pixel(64, 48, image::Rgb([i * 10, 20, 30])).save(root.join(format!("{i}.png"))).unwrap();
+        RgbImage::from_pixel(64, 48, image::Rgb([i * 10, 20, 30]))
+            .save(root.join(format!("{i}.png")))
+            .unwrap();
         let depth = |x, _| Luma([if x == 0 { 0_u16 } else { 1000 + x as u16 }]);
         ImageBuffer::from_fn(64, 48, depth).save(root.join(format!("d{i}.png"))).unwrap();
         rgb_list += &format!("0.{i} {i}.png\n");
@@ -54,7 +56,8 @@ fn samples_come_in_order_with_pose_picture_and_truth() {
 #[test]
 fn pictures_without_a_pose_are_left_out_and_counted() {
     let dir = sequence();
-    fs::write(dir.path().join("groundtruth.txt"), "0.0 0 0 0 0 0 0 1\n0.1 1 0 0 0 0 0 1\n").unwrap();
+    fs::write(dir.path().join("groundtruth.txt"), "0.0 0 0 0 0 0 0 1\n0.1 1 0 0 0 0 0 1\n")
+        .unwrap();
     let dataset = open(&dir).unwrap();
     assert_eq!((dataset.len(), dataset.without_pose()), (2, 1));
     fs::write(dir.path().join("groundtruth.txt"), "77.0 0 0 0 0 0 0 1\n").unwrap();
@@ -73,7 +76,10 @@ fn an_image_of_another_size_is_refused_with_both_sizes() {
     let dir = sequence();
     ImageBuffer::from_pixel(32, 24, Luma([5_u16])).save(dir.path().join("d1.png")).unwrap();
     let error = first_error(&dir);
-    assert!(error.contains("d1.png") && error.contains("32x24") && error.contains("64x48"), "{error}");
+    assert!(
+        error.contains("d1.png") && error.contains("32x24") && error.contains("64x48"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -53,7 +53,9 @@ impl HandOver {
 
     /// `None` when no networks come.
     pub fn new(args: &HandOverArgs, config: &Config) -> Result<Option<Self>> {
-        let (Some(dir), Some(schedule)) = (&args.dir, Self::schedule(args)) else { return Ok(None) };
+        let (Some(dir), Some(schedule)) = (&args.dir, Self::schedule(args)) else {
+            return Ok(None);
+        };
         prepare_dir(dir)?;
         Ok(Some(Self { dir: dir.clone(), schedule, config: config.clone() }))
     }
@@ -64,8 +66,15 @@ impl HandOver {
     }
 
     /// Tells the trainer, and waits for the model; `None`: interrupted.
-    #[expect(clippy::disallowed_methods, reason = "another process trains, and the run's own time stands still")]
-    pub fn exchange(&self, round: &Round, interrupted: &AtomicBool) -> Result<Option<DepthNetwork>> {
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "another process trains, and the run's own time stands still"
+    )]
+    pub fn exchange(
+        &self,
+        round: &Round,
+        interrupted: &AtomicBool,
+    ) -> Result<Option<DepthNetwork>> {
         let told = self.dir.join(format!("round_{:04}.json", round.round));
         write_atomically(&told, &serde_json::to_vec_pretty(round)?)?;
         let path = model_path(&self.dir, round.round);

@@ -7,7 +7,10 @@ use std::time::Instant;
 
 use anyhow::Result;
 use drivers::fault::{Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyLidar};
-use hal::{Base, Camera, Clock, DepthMap, DriveCommand, Error, ErrorKind, Frame, LaserScan, Lidar, WheelFeedback};
+use hal::{
+    Base, Camera, Clock, DepthMap, DriveCommand, Error, ErrorKind, Frame, LaserScan, Lidar,
+    WheelFeedback,
+};
 use runtime::event::ExploreEnd;
 use runtime::line_monitor::LineMonitor;
 use runtime::mapping::{CellState, OccupancyGrid};
@@ -161,9 +164,14 @@ impl Session {
                 break;
             }
             self.done = tick + 1;
-            let doing = self.robot.explorer().goal().map_or_else(String::new, |goal| format!("{:?}", goal.why));
+            let doing = self
+                .robot
+                .explorer()
+                .goal()
+                .map_or_else(String::new, |goal| format!("{:?}", goal.why));
             let doing = doing.to_lowercase();
-            progress.frame(self.done, &Status { coverage: self.evaluation.coverage(), doing: &doing });
+            progress
+                .frame(self.done, &Status { coverage: self.evaluation.coverage(), doing: &doing });
         }
         let _ = self.devices.base.stop();
         progress.finish();
@@ -191,7 +199,11 @@ impl Session {
     }
 
     /// One turn. The inner error: the recording failed, and the run must end.
-    fn turn(&mut self, tick: u64, senses: &mut Senses) -> Result<Result<(), crate::record::RecordError>> {
+    fn turn(
+        &mut self,
+        tick: u64,
+        senses: &mut Senses,
+    ) -> Result<Result<(), crate::record::RecordError>> {
         self.stopwatch.start();
         self.devices.clock.sleep_until_ns(tick * self.tick_ns);
         let time_ns = self.devices.clock.now_ns();
@@ -219,7 +231,8 @@ impl Session {
         self.stopwatch.start();
         let decision = self.robot.tick(&input, &mut self.stopwatch);
         self.stopwatch.since(began, Stage::Total);
-        let command = DriveCommand { twist: decision.command.into(), counter: tick as u32, plan_age_ns: 0 };
+        let command =
+            DriveCommand { twist: decision.command.into(), counter: tick as u32, plan_age_ns: 0 };
         self.drive(&command)?;
         self.digest.add_input(&input);
         self.digest.add_decision(&decision);
@@ -255,7 +268,12 @@ impl Session {
         }
     }
 
-    fn evaluate(&mut self, input: &TickInput<'_>, depth: &DepthMap, decision: &Decision) -> Result<()> {
+    fn evaluate(
+        &mut self,
+        input: &TickInput<'_>,
+        depth: &DepthMap,
+        decision: &Decision,
+    ) -> Result<()> {
         let truth = Truth {
             pose: self.devices.truth.pose(),
             odom: input.wheel.odom,
@@ -266,7 +284,9 @@ impl Session {
         if let Some(frame) = &input.frame {
             let (coarse, network) = (self.robot.coarse_depth(), self.robot.network_depth());
             let depths = usize::from(coarse.is_some()) + usize::from(network.is_some());
-            self.sheet.offer(input.tick, depths, || SheetRow::capture(input.tick, frame, coarse, network, Some(depth)));
+            self.sheet.offer(input.tick, depths, || {
+                SheetRow::capture(input.tick, frame, coarse, network, Some(depth))
+            });
         }
         Ok(())
     }
@@ -275,7 +295,8 @@ impl Session {
     fn dump(&mut self, input: &TickInput<'_>) -> Result<()> {
         let (Some(dump), Some(_)) = (&mut self.dump, &input.frame) else { return Ok(()) };
         let t_world_camera = input.wheel.odom.to_pose3() * self.robot.config().t_base_camera;
-        let shot = Shot { time_ns: input.time_ns, t_world_camera, rgb: None, truth: None, view: None };
+        let shot =
+            Shot { time_ns: input.time_ns, t_world_camera, rgb: None, truth: None, view: None };
         dump.add(&shot, self.robot.coarse_depth())
     }
 
@@ -288,7 +309,9 @@ impl Session {
         let path_m = self.robot.explorer().path_m();
         let shows = |every: u64| input.tick.is_multiple_of(every);
         let views = Views {
-            map: shows(self.recording.map_every_ticks).then(|| map_view(self.robot.map())).flatten(),
+            map: shows(self.recording.map_every_ticks)
+                .then(|| map_view(self.robot.map()))
+                .flatten(),
             path_m: shows(self.recording.depth_every_ticks).then(|| path_m.to_vec()),
             depth: if shows(self.recording.depth_every_ticks) {
                 self.robot.mapped_depth().map(|estimate| estimate.depth.clone())
@@ -299,7 +322,10 @@ impl Session {
         #[cfg(feature = "rerun")]
         self.show(input, &decision, &views);
         let Some(recorder) = &mut self.recorder else { return Ok(Ok(())) };
-        Ok(recorder.record(RecordedTick { snapshot, ..RecordedTick::capture(input, Some(decision))? }, views))
+        Ok(recorder.record(
+            RecordedTick { snapshot, ..RecordedTick::capture(input, Some(decision))? },
+            views,
+        ))
     }
 
     #[cfg(feature = "rerun")]
@@ -358,8 +384,18 @@ impl Session {
         let title = title(&summary);
         DepthSheet { title: &title, rows: &self.sheet.into_rows() }.write(&self.out)?;
         let t_world_odom = self.evaluation.t_world_odom();
-        draw_map(&title, self.robot.map(), &t_world_odom, &self.evaluation, &self.devices, &self.out)?;
-        println!("Look at {0}/map.png and {0}/depth.png; numbers are in {0}/summary.json.", self.out.display());
+        draw_map(
+            &title,
+            self.robot.map(),
+            &t_world_odom,
+            &self.evaluation,
+            &self.devices,
+            &self.out,
+        )?;
+        println!(
+            "Look at {0}/map.png and {0}/depth.png; numbers are in {0}/summary.json.",
+            self.out.display()
+        );
         if summary.recording_mib.is_some() {
             println!("Open {}/recording_0000.mcap in Foxglove or Rerun.", self.out.display());
         }
@@ -370,7 +406,9 @@ impl Session {
 fn title(summary: &Summary) -> String {
     let scene = summary.scene.as_deref().unwrap_or_default();
     let policy = summary.policy.as_deref().unwrap_or_default();
-    let coverage = summary.coverage.map_or_else(String::new, |share| format!(", {:.0} % mapped", 100.0 * share));
+    let coverage = summary
+        .coverage
+        .map_or_else(String::new, |share| format!(", {:.0} % mapped", 100.0 * share));
     format!("{scene}, {policy}, {} frames{coverage} (simulated)", summary.frames)
 }
 

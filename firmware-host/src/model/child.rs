@@ -78,9 +78,11 @@ pub fn examine(task: &Task<'_>) -> Result<Ended> {
     for recordings in task.recordings {
         command.arg("--recordings").arg(recordings);
     }
-    for (flag, number) in
-        [("--frames", task.frames as u64), ("--memory-mib", memory_mib), ("--cpu-s", time_s.saturating_mul(2))]
-    {
+    for (flag, number) in [
+        ("--frames", task.frames as u64),
+        ("--memory-mib", memory_mib),
+        ("--cpu-s", time_s.saturating_mul(2)),
+    ] {
         command.args([flag, &number.to_string()]);
     }
     if task.idle {
@@ -94,7 +96,8 @@ pub fn examine(task: &Task<'_>) -> Result<Ended> {
         .stderr(Stdio::piped())
         .spawn()
         .with_context(|| format!("cannot start {}", task.program.display()))?;
-    let (mut stdin, candidate) = (child.stdin.take().context("no standard input")?, task.candidate.to_vec());
+    let (mut stdin, candidate) =
+        (child.stdin.take().context("no standard input")?, task.candidate.to_vec());
     // One that does not read is ended when its time is over.
     std::thread::spawn(move || stdin.write_all(&candidate));
     let (sender, heard) = sync_channel(64);
@@ -119,7 +122,10 @@ pub fn examine(task: &Task<'_>) -> Result<Ended> {
             Ok(Said::Unfit(unfit)) => break Some(Ended::Unfit(unfit)),
             Err(RecvTimeoutError::Timeout) => {
                 let _ = child.kill();
-                break Some(Ended::Died { doing: doing.clone(), how: format!("it was not done after {time_s} s") });
+                break Some(Ended::Died {
+                    doing: doing.clone(),
+                    how: format!("it was not done after {time_s} s"),
+                });
             }
             Err(RecvTimeoutError::Disconnected) => break None,
         }

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
-use bundle::{Bundle, TrustedKeys, generate_keys};
 use clap::{Args, Subcommand};
 use runtime::model_gate::{Examination, GateLimits, Verdict};
 use serde_json::json;
+use signed_model::{Bundle, TrustedKeys, generate_keys};
 
 use super::{ChildLimits, Gate, Outcome, Store, examine};
 use crate::config::Config;
@@ -135,7 +135,10 @@ pub struct ExamineArgs {
 /// # Errors
 /// What keeps it from being done. A model that is refused is no error but exit code 1.
 pub fn run(args: &ModelArgs) -> Result<ExitCode> {
-    let config_path = args.config.clone().or_else(|| Some(PathBuf::from(USUAL_CONFIG)).filter(|path| path.exists()));
+    let config_path = args
+        .config
+        .clone()
+        .or_else(|| Some(PathBuf::from(USUAL_CONFIG)).filter(|path| path.exists()));
     if let ModelCommand::Examine(examine) = &args.command {
         let examine = ExamineArgs { config: args.config.clone(), ..examine.clone() };
         return examine::run(&examine).map(|()| ExitCode::SUCCESS);
@@ -145,7 +148,9 @@ pub fn run(args: &ModelArgs) -> Result<ExitCode> {
         ModelCommand::Install(install) => self::install(args, install, config_path, &config),
         ModelCommand::List => list(&open(args, &config)?, args.json),
         ModelCommand::Verify(verify) => self::verify(args, verify, &config),
-        ModelCommand::Rollback(rollback) => roll_back(&mut open(args, &config)?, &rollback.why, args.json),
+        ModelCommand::Rollback(rollback) => {
+            roll_back(&mut open(args, &config)?, &rollback.why, args.json)
+        }
         ModelCommand::Keygen(keygen) => {
             println!("{}", generate_keys(&keygen.key, None, &keygen.comment)?);
             eprintln!(
@@ -159,22 +164,34 @@ pub fn run(args: &ModelArgs) -> Result<ExitCode> {
 }
 
 fn open(args: &ModelArgs, config: &Config) -> Result<Store> {
-    let configured = || Some(PathBuf::from(&config.models.store)).filter(|path| !path.as_os_str().is_empty());
+    let configured =
+        || Some(PathBuf::from(&config.models.store)).filter(|path| !path.as_os_str().is_empty());
     match args.store.clone().or_else(configured) {
         Some(dir) => Ok(Store::open(&dir)?),
-        None => bail!("where are the models? give --store DIR, or set models.store in the configuration"),
+        None => bail!(
+            "where are the models? give --store DIR, or set models.store in the configuration"
+        ),
     }
 }
 
 fn read_bundle(path: &Path) -> Result<Bundle> {
-    Ok(if path == Path::new("-") { Bundle::read_stream(std::io::stdin().lock())? } else { Bundle::read_files(path)? })
+    Ok(if path == Path::new("-") {
+        Bundle::read_stream(std::io::stdin().lock())?
+    } else {
+        Bundle::read_files(path)?
+    })
 }
 
 fn keys(given: Option<&PathBuf>, config: &Config) -> Result<TrustedKeys> {
     Ok(TrustedKeys::read(given.map_or(Path::new(&config.models.trusted_keys), PathBuf::as_path))?)
 }
 
-fn install(args: &ModelArgs, install: &InstallArgs, config_path: Option<PathBuf>, config: &Config) -> Result<ExitCode> {
+fn install(
+    args: &ModelArgs,
+    install: &InstallArgs,
+    config_path: Option<PathBuf>,
+    config: &Config,
+) -> Result<ExitCode> {
     let mut store = open(args, config)?;
     let keys = keys(install.trusted_keys.as_ref(), config)?;
     let mut recordings = install.recordings.clone();
@@ -183,7 +200,8 @@ fn install(args: &ModelArgs, install: &InstallArgs, config_path: Option<PathBuf>
     }
     let models = &config.models;
     let gate = Gate {
-        program: std::env::current_exe().context("cannot find this program to start it once more")?,
+        program: std::env::current_exe()
+            .context("cannot find this program to start it once more")?,
         config: config_path,
         recordings,
         frames: install.frames as usize,
@@ -193,8 +211,11 @@ fn install(args: &ModelArgs, install: &InstallArgs, config_path: Option<PathBuf>
         again: install.again,
         idle: !install.normal_priority,
     };
-    let patience =
-        if gate.idle { "; at idle priority, which a busy computer makes wait (--normal-priority)" } else { "" };
+    let patience = if gate.idle {
+        "; at idle priority, which a busy computer makes wait (--normal-priority)"
+    } else {
+        ""
+    };
     eprintln!("examining it by up to {} held-out pictures and by its speed{patience}", gate.frames);
     // A bundle that is not even one is refused like any other.
     let outcome = match read_bundle(&install.bundle) {
@@ -210,7 +231,12 @@ fn install(args: &ModelArgs, install: &InstallArgs, config_path: Option<PathBuf>
                     json!({"accepted": true, "name": signed.name, "digest": signed.digest, "verdict": verdict, "latency_ms": latency})
                 );
             } else {
-                println!("accepted: {} ({}), signed by {}", signed.name, short(&signed.digest), signed.by);
+                println!(
+                    "accepted: {} ({}), signed by {}",
+                    signed.name,
+                    short(&signed.digest),
+                    signed.by
+                );
                 print_measured(&examination, &verdict);
                 println!(
                     "It drives on trial from the robot's next look, within a second; `model list` tells how it ends."
@@ -236,7 +262,10 @@ fn print_measured(examination: &Examination, verdict: &Verdict) {
     for (measure, paired) in &verdict.compared {
         let (candidate, resident) = (paired.candidate, paired.resident);
         let (lower, upper) = (paired.lower, paired.upper);
-        println!("  {}: {candidate:.4}, before {resident:.4} (difference {lower:+.4} to {upper:+.4})", measure.name());
+        println!(
+            "  {}: {candidate:.4}, before {resident:.4} (difference {lower:+.4} to {upper:+.4})",
+            measure.name()
+        );
     }
     let latency = &examination.latency;
     println!(
@@ -247,11 +276,14 @@ fn print_measured(examination: &Examination, verdict: &Verdict) {
 
 fn verify(args: &ModelArgs, verify: &VerifyArgs, config: &Config) -> Result<ExitCode> {
     let keys = keys(verify.trusted_keys.as_ref(), config)?;
-    let read =
-        read_bundle(&verify.bundle).and_then(|bundle| Ok(bundle::verify(&bundle.model, &bundle.signature, &keys)?));
+    let read = read_bundle(&verify.bundle)
+        .and_then(|bundle| Ok(signed_model::verify(&bundle.model, &bundle.signature, &keys)?));
     match read {
         Ok(signed) if args.json => {
-            println!("{}", json!({"verified": true, "name": signed.name, "digest": signed.digest, "by": signed.by}));
+            println!(
+                "{}",
+                json!({"verified": true, "name": signed.name, "digest": signed.digest, "by": signed.by})
+            );
             Ok(ExitCode::SUCCESS)
         }
         Ok(signed) => {
@@ -266,8 +298,12 @@ fn roll_back(store: &mut Store, why: &str, as_json: bool) -> Result<ExitCode> {
     let state = store.roll_back(why)?;
     match (as_json, state.current()) {
         (true, current) => println!("{}", json!({"current": current})),
-        (false, Some(digest)) => println!("{} ({}) drives from now on", store.history().name(digest), short(digest)),
-        (false, None) => println!("no model is left: the robot drives with coarse depth from now on"),
+        (false, Some(digest)) => {
+            println!("{} ({}) drives from now on", store.history().name(digest), short(digest))
+        }
+        (false, None) => {
+            println!("no model is left: the robot drives with coarse depth from now on")
+        }
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -69,8 +69,10 @@ pub(super) fn replace(disk: &mut dyn StoreDisk, path: &Path, bytes: &[u8]) -> io
     let mut name = path.file_name().unwrap_or_default().to_os_string();
     name.push(PARTIAL);
     let partial = path.with_file_name(name);
-    let renamed =
-        disk.write(&partial, bytes).and_then(|()| disk.sync(&partial)).and_then(|()| disk.rename(&partial, path));
+    let renamed = disk
+        .write(&partial, bytes)
+        .and_then(|()| disk.sync(&partial))
+        .and_then(|()| disk.rename(&partial, path));
     if let Err(error) = renamed {
         // Best effort: the first error is the one that says what is wrong.
         let _ = disk.remove(&partial);

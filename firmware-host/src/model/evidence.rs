@@ -53,11 +53,13 @@ impl Sample<'_> {
 pub fn newest_segments(paths: &[PathBuf]) -> Vec<PathBuf> {
     let mut found: Vec<(SystemTime, PathBuf)> = Vec::new();
     for path in paths {
-        let inner = std::fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path());
+        let inner =
+            std::fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path());
         let runs = std::iter::once(path.clone()).chain(inner.filter(|path| path.is_dir()));
         for segment in runs.filter_map(|run| segments(&run).ok()).flatten() {
-            let changed =
-                std::fs::metadata(&segment).and_then(|data| data.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
+            let changed = std::fs::metadata(&segment)
+                .and_then(|data| data.modified())
+                .unwrap_or(SystemTime::UNIX_EPOCH);
             found.push((changed, segment));
         }
     }
@@ -93,7 +95,10 @@ pub fn read_segment(
     let Ok(coarse) = CoarseDepth::new(coarse.clone(), *camera) else { return Ok(true) };
     let mut clip = Clip { run, coarse, has_coarse: false, seen: VecDeque::new(), last: None };
     for tick in reader {
-        let Ok(tick) = tick.inspect_err(|error| tracing::warn!("{}: {error}", path.display())) else { break };
+        let Ok(tick) = tick.inspect_err(|error| tracing::warn!("{}: {error}", path.display()))
+        else {
+            break;
+        };
         if let Some(bin) = clip.take(&tick)
             && let Some(sample) = clip.sample(&tick, bin)
             && !judge(&sample)?
@@ -139,7 +144,8 @@ impl Clip {
         }
         self.match_pictures();
         let far = |last: &Pose2| {
-            last.distance_m(&odom) >= STEP_M || hal::wrap_angle(last.yaw_rad - odom.yaw_rad).abs() >= STEP_RAD
+            last.distance_m(&odom) >= STEP_M
+                || hal::wrap_angle(last.yaw_rad - odom.yaw_rad).abs() >= STEP_RAD
         };
         if !self.last.as_ref().is_none_or(far) {
             return None;
@@ -154,7 +160,8 @@ impl Clip {
         for seen in self.seen.iter_mut().filter(|seen| !seen.matched) {
             seen.matched = true;
             let view = ImageView::rgb8(width, height, &seen.rgb);
-            self.has_coarse = view.is_ok_and(|view| self.coarse.estimate(view, &seen.t_odom_camera).is_ok());
+            self.has_coarse =
+                view.is_ok_and(|view| self.coarse.estimate(view, &seen.t_odom_camera).is_ok());
         }
     }
 
@@ -162,7 +169,8 @@ impl Clip {
         let (newest, earlier) = (self.seen.back()?, self.seen.len() - 1);
         let t_camera_laser = self.run.t_base_camera.inverse() * self.run.t_base_laser;
         let view = LidarView { camera: self.run.camera, t_camera_laser };
-        let line = tick.scan.as_ref().map(|scan| view.at(scan, tick.wheel.time_ns)).unwrap_or_default();
+        let line =
+            tick.scan.as_ref().map(|scan| view.at(scan, tick.wheel.time_ns)).unwrap_or_default();
         let candidates: Vec<(f64, &Seen)> =
             self.seen.iter().take(earlier).filter_map(|seen| source(seen, newest)).collect();
         let best = |wanted: f64| {
@@ -177,7 +185,10 @@ impl Clip {
             rgb: &newest.rgb,
             t_odom_camera: newest.t_odom_camera,
             coarse: self.has_coarse.then(|| self.coarse.last()),
-            sources: sources.into_iter().map(|(_, seen)| (seen.rgb.as_slice(), seen.t_odom_camera)).collect(),
+            sources: sources
+                .into_iter()
+                .map(|(_, seen)| (seen.rgb.as_slice(), seen.t_odom_camera))
+                .collect(),
             line,
         })
     }

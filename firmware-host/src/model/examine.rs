@@ -9,7 +9,9 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use hal::{CameraModel, ImageView, Pose3};
 use ort::environment::Environment;
-use runtime::model_gate::{Examination, FrameScore, Latency, ScoredFrame, Scorer, Source, check_onnx_file};
+use runtime::model_gate::{
+    Examination, FrameScore, Latency, ScoredFrame, Scorer, Source, check_onnx_file,
+};
 use runtime::perception::{DepthNetwork, InputKind, NetworkOptions};
 use rustix::process::{Resource, Rlimit, Signal, nice, set_parent_process_death_signal, setrlimit};
 use serde::{Deserialize, Serialize};
@@ -52,7 +54,9 @@ pub enum Unfit {
     #[error("{0}")]
     Network(String),
     /// No golden pair.
-    #[error("the model holds no golden pair; export it with `embodied-depth export`, which puts one into the file")]
+    #[error(
+        "the model holds no golden pair; export it with `embodied-depth export`, which puts one into the file"
+    )]
     NoGoldenPair,
     /// Another output than when it was exported.
     #[error(
@@ -85,13 +89,21 @@ pub fn run(args: &ExamineArgs) -> Result<()> {
     say(&Said::Doing("running its golden pair".to_owned()))?;
     let golden_difference = match candidate.golden_difference() {
         Ok(Some(difference)) if f64::from(difference) <= GOLDEN_TOLERANCE => f64::from(difference),
-        Ok(Some(difference)) => return say(&Said::Unfit(Unfit::GoldenPair(f64::from(difference.min(f32::MAX))))),
+        Ok(Some(difference)) => {
+            return say(&Said::Unfit(Unfit::GoldenPair(f64::from(difference.min(f32::MAX)))));
+        }
         Ok(None) => return say(&Said::Unfit(Unfit::NoGoldenPair)),
-        Err(why) => return say(&Said::Unfit(Unfit::Network(format!("it fails on its golden input ({why:?})")))),
+        Err(why) => {
+            return say(&Said::Unfit(Unfit::Network(format!(
+                "it fails on its golden input ({why:?})"
+            ))));
+        }
     };
     let mut resident = match &args.resident {
         // A resident model that is damaged is none.
-        Some(path) => std::fs::read(path).ok().and_then(|bytes| examiner.load(&environment, &bytes).ok()),
+        Some(path) => {
+            std::fs::read(path).ok().and_then(|bytes| examiner.load(&environment, &bytes).ok())
+        }
         None => None,
     };
     say(&Said::Doing("judging it by held-out pictures".to_owned()))?;
@@ -132,7 +144,9 @@ fn limit(args: &ExamineArgs) {
 fn give_way() {
     let idle = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Idle);
     let thread = thread_priority::thread_native_id();
-    if let Err(error) = thread_priority::set_thread_priority_and_policy(thread, ThreadPriority::Min, idle) {
+    if let Err(error) =
+        thread_priority::set_thread_priority_and_policy(thread, ThreadPriority::Min, idle)
+    {
         tracing::debug!("no idle priority: {error:?}");
     }
     let _ = nice(19);
@@ -169,7 +183,11 @@ impl Examiner {
         }
     }
 
-    fn load(&self, environment: &Environment, bytes: &[u8]) -> Result<DepthNetwork, runtime::perception::NetworkError> {
+    fn load(
+        &self,
+        environment: &Environment,
+        bytes: &[u8],
+    ) -> Result<DepthNetwork, runtime::perception::NetworkError> {
         DepthNetwork::load(environment, bytes, &self.camera, self.options)
     }
 
@@ -203,7 +221,10 @@ impl Examiner {
         let sources: Vec<Source<'_>> = sample
             .sources
             .iter()
-            .map(|(rgb, t_odom_source)| Source { rgb, t_source_target: t_odom_source.inverse() * t_odom_target })
+            .map(|(rgb, t_odom_source)| Source {
+                rgb,
+                t_source_target: t_odom_source.inverse() * t_odom_target,
+            })
             .collect();
         let parallax_px = self.scorer.parallax_px(&sources);
         let (of_candidate, ms) = self.score(sample, &sources, candidate)?;
@@ -217,7 +238,13 @@ impl Examiner {
             None => None,
         };
         let (candidate, resident) = (of_candidate, of_resident);
-        self.frames.push(ScoredFrame { tick: sample.tick, bin: sample.bin, parallax_px, candidate, resident });
+        self.frames.push(ScoredFrame {
+            tick: sample.tick,
+            bin: sample.bin,
+            parallax_px,
+            candidate,
+            resident,
+        });
         Ok(())
     }
 
@@ -238,14 +265,21 @@ impl Examiner {
         let began = Instant::now();
         let estimate = network.estimate(view, &sample.t_odom_camera, sample.coarse);
         let ms = began.elapsed().as_secs_f64() * 1e3;
-        let score = estimate.ok().map(|estimate| self.scorer.score(sample.rgb, estimate, sources, &sample.line));
+        let score = estimate
+            .ok()
+            .map(|estimate| self.scorer.score(sample.rgb, estimate, sources, &sample.line));
         Ok((score, ms))
     }
 
     /// More inferences by turns until there are enough to speak of a 99th percentile.
-    fn time(&mut self, candidate: &mut DepthNetwork, mut resident: Option<&mut DepthNetwork>) -> Result<()> {
-        let rgb: Vec<u8> =
-            (0..3 * self.camera.width * self.camera.height).map(|i| (i * 7919 / 13 % 256) as u8).collect();
+    fn time(
+        &mut self,
+        candidate: &mut DepthNetwork,
+        mut resident: Option<&mut DepthNetwork>,
+    ) -> Result<()> {
+        let rgb: Vec<u8> = (0..3 * self.camera.width * self.camera.height)
+            .map(|i| (i * 7919 / 13 % 256) as u8)
+            .collect();
         while self.times.len() < LEAST_RUNS {
             let view = ImageView::rgb8(self.camera.width, self.camera.height, &rgb)?;
             let timed = |network: &mut DepthNetwork| {
@@ -268,7 +302,10 @@ impl Examiner {
 
 fn latency(mut ms: Vec<f64>) -> Latency {
     ms.sort_by(f64::total_cmp);
-    let at =
-        |share: f64| ms.get((share * ms.len().saturating_sub(1) as f64).ceil() as usize).copied().unwrap_or(f64::NAN);
+    let at = |share: f64| {
+        ms.get((share * ms.len().saturating_sub(1) as f64).ceil() as usize)
+            .copied()
+            .unwrap_or(f64::NAN)
+    };
     Latency { p50_ms: at(0.5), p99_ms: at(0.99), runs: ms.len() }
 }

@@ -4,8 +4,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use bundle::{Bundle, BundleError, Signed, TrustedKeys};
 use runtime::model_gate::{Examination, GateLimits, Verdict, Why, judge};
+use signed_model::{Bundle, BundleError, Signed, TrustedKeys};
 
 use super::child::{ChildLimits, Ended, Task, examine};
 use super::examine::Unfit;
@@ -43,7 +43,9 @@ pub enum Refusal {
     #[error(transparent)]
     Signature(#[from] BundleError),
     /// It was rolled back before.
-    #[error("it was rolled back before ({why}); train another one, or try it once more with --again")]
+    #[error(
+        "it was rolled back before ({why}); train another one, or try it once more with --again"
+    )]
     RolledBackBefore {
         /// Why, then.
         why: String,
@@ -114,12 +116,19 @@ impl Gate {
     ///
     /// # Errors
     /// When the gate itself cannot work: a store that cannot be written, a process that cannot be started.
-    pub fn install(&self, bundle: &Bundle, keys: &TrustedKeys, store: &mut Store) -> Result<Outcome> {
+    pub fn install(
+        &self,
+        bundle: &Bundle,
+        keys: &TrustedKeys,
+        store: &mut Store,
+    ) -> Result<Outcome> {
         let digest = blake3::hash(&bundle.model).to_hex().to_string();
         match self.try_install(bundle, keys, store)? {
-            Ok((signed, examination, verdict)) => {
-                Ok(Outcome::Accepted { signed, examination: Box::new(examination), verdict: Box::new(verdict) })
-            }
+            Ok((signed, examination, verdict)) => Ok(Outcome::Accepted {
+                signed,
+                examination: Box::new(examination),
+                verdict: Box::new(verdict),
+            }),
             Err(why) => {
                 store.note(Entry::now(What::Refused, &digest, &bundle.name, why.to_string()));
                 Ok(Outcome::Refused { name: bundle.name.clone(), digest, why })
@@ -133,7 +142,7 @@ impl Gate {
         keys: &TrustedKeys,
         store: &mut Store,
     ) -> Result<std::result::Result<(Signed, Examination, Verdict), Refusal>> {
-        let signed = match bundle::verify(&bundle.model, &bundle.signature, keys) {
+        let signed = match signed_model::verify(&bundle.model, &bundle.signature, keys) {
             Ok(signed) => signed,
             Err(error) => return Ok(Err(error.into())),
         };
@@ -146,7 +155,9 @@ impl Gate {
         }
         // What is judged against has proved itself; a damaged one is none.
         let proven = if state.trial_starts.is_some() { state.previous() } else { state.current() };
-        let resident = proven.filter(|digest| store.read_model(digest).is_ok()).map(|digest| store.model_path(digest));
+        let resident = proven
+            .filter(|digest| store.read_model(digest).is_ok())
+            .map(|digest| store.model_path(digest));
         let has_resident = resident.is_some();
         let examination = match self.examine(&bundle.model, resident.as_deref())? {
             Ended::Examined(examination) => examination,
@@ -162,7 +173,8 @@ impl Gate {
     }
 
     fn examine(&self, candidate: &[u8], resident: Option<&Path>) -> Result<Ended> {
-        let recordings = self.recordings.iter().map(|path| absolute(path)).collect::<Result<Vec<_>>>()?;
+        let recordings =
+            self.recordings.iter().map(|path| absolute(path)).collect::<Result<Vec<_>>>()?;
         let config = self.config.as_deref().map(absolute).transpose()?;
         examine(&Task {
             program: &self.program,

@@ -40,8 +40,15 @@ impl Entry {
     /// Now.
     #[must_use]
     pub fn now(what: What, digest: &str, name: &str, why: impl Into<String>) -> Self {
-        let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
-        Self { unix_s: since.as_secs(), what, digest: digest.to_owned(), name: name.to_owned(), why: why.into() }
+        let since =
+            std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+        Self {
+            unix_s: since.as_secs(),
+            what,
+            digest: digest.to_owned(),
+            name: name.to_owned(),
+            why: why.into(),
+        }
     }
 }
 

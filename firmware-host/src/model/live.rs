@@ -2,10 +2,12 @@
 //!
 //! The model that drove before stays in memory until the trial is over, so going back needs no disk.
 
-use drivers::MonotonicClock;
 use hal::{Clock, Pose2};
+use monotonic_clock::MonotonicClock;
 use runtime::event::{Event, SafetyEvent};
-use runtime::model_gate::{LidarView, Trial, TrialCounts, TrialLimits, TrialState, TrialTurn, line_score};
+use runtime::model_gate::{
+    LidarView, Trial, TrialCounts, TrialLimits, TrialState, TrialTurn, line_score,
+};
 use runtime::perception::{DepthNetwork, NoDepth};
 use runtime::robot::Robot;
 use runtime::tick::{Decision, TickInput};
@@ -81,7 +83,8 @@ impl Keeper {
                     break;
                 }
                 Err(error) => {
-                    keeper.give_up(&digest, &format!("rolled back: it cannot be loaded: {error:#}"));
+                    keeper
+                        .give_up(&digest, &format!("rolled back: it cannot be loaded: {error:#}"));
                     // The same again where the disk takes nothing.
                     state.models.remove(0);
                     state.trial_starts = None;
@@ -89,8 +92,12 @@ impl Keeper {
             }
         }
         let on_trial = state.current().filter(|_| state.trial_starts.is_some()).map(str::to_owned);
-        let resident = state.previous().filter(|_| on_trial.is_some()).and_then(|digest| keeper.load(digest).ok());
-        keeper.seen = keeper.store.state().ok().and_then(|state| state.current().map(str::to_owned));
+        let resident = state
+            .previous()
+            .filter(|_| on_trial.is_some())
+            .and_then(|digest| keeper.load(digest).ok());
+        keeper.seen =
+            keeper.store.state().ok().and_then(|state| state.current().map(str::to_owned));
         Ok((keeper, Start { network, on_trial, resident }))
     }
 
@@ -102,12 +109,16 @@ impl Keeper {
         };
         tracing::error!("{error}");
         if error.kind() == StoreErrorKind::Damaged {
-            return Ok(self.store.roll_back(&format!("rolled back by the robot itself: {error}"))?);
+            return Ok(self
+                .store
+                .roll_back(&format!("rolled back by the robot itself: {error}"))?);
         }
         let mut state = self.store.state()?;
         if let Some(digest) = state.current().filter(|_| state.trial_starts.is_some()) {
             // A model that ends the program would do so for ever.
-            tracing::error!("nobody could count the starts with {digest}: the model before it drives");
+            tracing::error!(
+                "nobody could count the starts with {digest}: the model before it drives"
+            );
             state.models.remove(0);
             state.trial_starts = None;
         }
@@ -116,7 +127,8 @@ impl Keeper {
 
     fn adopt(&mut self, path: &Path) -> Result<()> {
         if self.store.is_new() {
-            let model = std::fs::read(path).with_context(|| format!("cannot read the model {}", path.display()))?;
+            let model = std::fs::read(path)
+                .with_context(|| format!("cannot read the model {}", path.display()))?;
             let name = path.file_stem().unwrap_or_default().to_string_lossy();
             self.store.adopt(&model, &name)?;
         }
@@ -141,7 +153,10 @@ impl Keeper {
         match self.load(digest) {
             Ok(network) => {
                 self.seen = Some(digest.to_owned());
-                Some(Swap::To { network: Box::new(network), on_trial: state.trial_starts.is_some() })
+                Some(Swap::To {
+                    network: Box::new(network),
+                    on_trial: state.trial_starts.is_some(),
+                })
             }
             Err(error) => {
                 // What is current then need not be what drives: the next look sees to it.
@@ -238,7 +253,11 @@ impl LiveModels {
     fn new(source: Source, start: Start, config: &Config) -> Self {
         let limits = config.models.trial_limits();
         let Start { on_trial, resident, .. } = start;
-        let new_trial = |digest| OnTrial { trial: Trial::new(limits, TrialCounts::default()), digest, resident };
+        let new_trial = |digest| OnTrial {
+            trial: Trial::new(limits, TrialCounts::default()),
+            digest,
+            resident,
+        };
         Self {
             source,
             lidar: setup::lidar_view(config),
@@ -263,7 +282,10 @@ impl LiveModels {
         match swap {
             Some(Swap::To { network, on_trial }) => {
                 let digest = network.digest().to_owned();
-                tracing::warn!("the model {digest} drives from now on{}", if on_trial { ", on trial" } else { "" });
+                tracing::warn!(
+                    "the model {digest} drives from now on{}",
+                    if on_trial { ", on trial" } else { "" }
+                );
                 let old = robot.take_network(*network);
                 // What is on trial is not what is gone back to.
                 let resident = self.trial.take().map_or(old, |trial| trial.resident);
@@ -279,7 +301,13 @@ impl LiveModels {
     }
 
     /// After a turn: counts it, and ends a trial that is decided. `late`: the turn took longer than it may.
-    pub fn after(&mut self, robot: &mut Robot, input: &TickInput<'_>, decision: &Decision, late: bool) {
+    pub fn after(
+        &mut self,
+        robot: &mut Robot,
+        input: &TickInput<'_>,
+        decision: &Decision,
+        late: bool,
+    ) {
         if input.frame.is_none() {
             return;
         }
@@ -287,11 +315,17 @@ impl LiveModels {
         // A jump is odometry that began anew.
         let moved_m = self.last.replace(odom).map_or(0.0, |last| last.distance_m(&odom));
         let moved_m = if moved_m < 0.5 { moved_m } else { 0.0 };
-        let said = |wanted: &dyn Fn(&Event) -> bool| decision.events.iter().filter(|event| wanted(event)).count();
+        let said = |wanted: &dyn Fn(&Event) -> bool| {
+            decision.events.iter().filter(|event| wanted(event)).count()
+        };
         let turn = TrialTurn {
             overrun: late,
-            bad_output: said(&|event| matches!(event, Event::NoDepth { why: NoDepth::NetworkOutput })) > 0,
-            trips: said(&|event| matches!(event, Event::Safety { what: SafetyEvent::Tripped { .. } })) as u64,
+            bad_output: said(&|event| {
+                matches!(event, Event::NoDepth { why: NoDepth::NetworkOutput })
+            }) > 0,
+            trips: said(&|event| {
+                matches!(event, Event::Safety { what: SafetyEvent::Tripped { .. } })
+            }) as u64,
             moved_m,
             delta1: robot
                 .mapped_depth()
@@ -328,7 +362,9 @@ impl LiveModels {
             Source::Direct(keeper) => keeper.done(ask),
             Source::Thread { asks, .. } => {
                 if asks.try_send(ask).is_err() {
-                    tracing::error!("the store does not answer; at the next start the model is on trial again");
+                    tracing::error!(
+                        "the store does not answer; at the next start the model is on trial again"
+                    );
                 }
             }
         }

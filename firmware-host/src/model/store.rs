@@ -73,7 +73,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Folder`].
     pub fn open_on(dir: &Path, disk: Box<dyn StoreDisk>) -> Result<Self, StoreError> {
-        fs::create_dir_all(dir.join("models")).map_err(|source| StoreError::Folder { dir: dir.to_owned(), source })?;
+        fs::create_dir_all(dir.join("models"))
+            .map_err(|source| StoreError::Folder { dir: dir.to_owned(), source })?;
         Ok(Self { dir: dir.to_owned(), disk })
     }
 
@@ -101,10 +102,13 @@ impl Store {
         let path = self.state_path();
         let damaged = |reason: String| StoreError::State { path: path.clone(), reason };
         let text = match fs::read_to_string(&path) {
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(State::default()),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                return Ok(State::default());
+            }
             read => read.map_err(|error| damaged(error.to_string()))?,
         };
-        let state: State = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
+        let state: State =
+            serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
         // Digests become file names.
         match state.models.iter().find(|digest| !is_digest(digest)) {
             Some(other) => Err(damaged(format!("`{other}` is no digest"))),
@@ -127,7 +131,8 @@ impl Store {
     pub fn read_model(&self, digest: &str) -> Result<Vec<u8>, StoreError> {
         let whole = |bytes: &Vec<u8>| blake3::hash(bytes).to_hex().as_str() == digest;
         let read = if is_digest(digest) { fs::read(self.model_path(digest)).ok() } else { None };
-        read.filter(whole).ok_or_else(|| StoreError::Model { digest: digest.to_owned(), dir: self.dir.clone() })
+        read.filter(whole)
+            .ok_or_else(|| StoreError::Model { digest: digest.to_owned(), dir: self.dir.clone() })
     }
 
     /// Whether it never had a model.
@@ -149,7 +154,12 @@ impl Store {
         let digest = blake3::hash(model).to_hex().to_string();
         self.put(&self.model_path(&digest), model)?;
         self.set(&State { models: vec![digest.clone()], trial_starts: None })?;
-        self.add_line(Entry::now(What::Kept, &digest, name, "the store's first, it came with the program"));
+        self.add_line(Entry::now(
+            What::Kept,
+            &digest,
+            name,
+            "the store's first, it came with the program",
+        ));
         Ok(true)
     }
 
@@ -165,7 +175,8 @@ impl Store {
         self.put(&self.dir.join("models").join(format!("{digest}.minisig")), signature.as_bytes())?;
         let unproven = usize::from(old.trial_starts.is_some());
         let others = old.models.iter().skip(unproven).filter(|other| **other != digest).cloned();
-        let models: Vec<String> = std::iter::once(digest.clone()).chain(others).take(KEPT).collect();
+        let models: Vec<String> =
+            std::iter::once(digest.clone()).chain(others).take(KEPT).collect();
         self.set(&State { models, trial_starts: Some(0) })?;
         self.add_line(Entry::now(What::Installed, &digest, name, ""));
         self.clean_up();
@@ -204,7 +215,8 @@ impl Store {
             // What the history says has proved itself.
             Err(_) => (String::new(), self.kept_by_history()),
         };
-        let models = rest.into_iter().skip_while(|digest| self.read_model(digest).is_err()).collect();
+        let models =
+            rest.into_iter().skip_while(|digest| self.read_model(digest).is_err()).collect();
         let state = State { models, trial_starts: None };
         self.set(&state)?;
         let name = self.history().name(&left).to_owned();
@@ -284,11 +296,13 @@ impl Store {
     fn set(&mut self, state: &State) -> Result<(), StoreError> {
         let path = self.state_path();
         let bytes = serde_json::to_vec(state).unwrap_or_default();
-        replace(self.disk.as_mut(), &path, &bytes).map_err(|source| StoreError::Write { path, source })
+        replace(self.disk.as_mut(), &path, &bytes)
+            .map_err(|source| StoreError::Write { path, source })
     }
 
     fn put(&mut self, path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
-        replace(self.disk.as_mut(), path, bytes).map_err(|source| StoreError::Write { path: path.to_owned(), source })
+        replace(self.disk.as_mut(), path, bytes)
+            .map_err(|source| StoreError::Write { path: path.to_owned(), source })
     }
 
     /// Removes models that no `current` names, and what a crash left half-written. Best effort.
@@ -313,5 +327,6 @@ impl Store {
 
 /// Whether this is a BLAKE3 digest in hex: it becomes part of a path.
 fn is_digest(text: &str) -> bool {
-    text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte))
+    text.len() == 64
+        && text.bytes().all(|byte| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte))
 }

@@ -32,7 +32,10 @@ fn an_installed_model_is_current_and_on_trial_until_it_is_kept() {
     assert_eq!(store.state().unwrap().trial_starts, None);
     store.install(MODELS[1], "signature", "better").unwrap();
     let state = store.state().unwrap();
-    assert_eq!((state.current(), state.previous()), (Some(&*digest(MODELS[1])), Some(&*digest(MODELS[0]))));
+    assert_eq!(
+        (state.current(), state.previous()),
+        (Some(&*digest(MODELS[1])), Some(&*digest(MODELS[0])))
+    );
     assert_eq!(state.trial_starts, Some(0));
     assert_eq!(store.read_model(&digest(MODELS[1])).unwrap(), MODELS[1]);
     assert_eq!(store.history().name(&digest(MODELS[1])), "better");
@@ -95,7 +98,11 @@ fn only_the_last_models_take_room() {
     let dir = tempfile::tempdir().unwrap();
     let store = store_with(dir.path(), MODELS.len());
     assert_eq!(store.state().unwrap().models.len(), 4);
-    assert_eq!(std::fs::read_dir(dir.path().join("models")).unwrap().count(), 8, "four models, four signatures");
+    assert_eq!(
+        std::fs::read_dir(dir.path().join("models")).unwrap().count(),
+        8,
+        "four models, four signatures"
+    );
 }
 
 #[test]
@@ -195,9 +202,14 @@ fn wherever_the_disk_fails_or_the_program_dies_the_store_is_as_before_or_as_afte
                 // Another process looks.
                 let mut store = Store::open(dir.path()).unwrap();
                 let state = store.state().unwrap();
-                assert!(state == after || !done && state == before, "{name}, {error}, {fails_at}: {state:?}");
+                assert!(
+                    state == after || !done && state == before,
+                    "{name}, {error}, {fails_at}: {state:?}"
+                );
                 for digest in &state.models {
-                    store.read_model(digest).unwrap_or_else(|error| panic!("{name}, {fails_at}: {error}"));
+                    store
+                        .read_model(digest)
+                        .unwrap_or_else(|error| panic!("{name}, {fails_at}: {error}"));
                 }
                 // It can still be used.
                 store.install(MODELS[3], "signature", "m").unwrap();

@@ -43,7 +43,11 @@ impl Source {
         let config = asked
             .map_or_else(recorded, Ok)
             .context("the recording's configuration cannot be read; give one with --config FILE")?;
-        Ok(Self { path: path.to_owned(), config, pictures: Pictures::Recording(Box::new(recording)) })
+        Ok(Self {
+            path: path.to_owned(),
+            config,
+            pictures: Pictures::Recording(Box::new(recording)),
+        })
     }
 
     /// What shapes coarse depth and networks.
@@ -97,7 +101,9 @@ impl Source {
         match &self.pictures {
             Pictures::Dataset(dataset) => Box::new(dataset.samples().map(|sample| Ok(sample?))),
             Pictures::Recording(recording) => Box::new(
-                recording.ticks().filter_map(|tick| tick.map(|tick| sample(tick, recording.run())).transpose()),
+                recording
+                    .ticks()
+                    .filter_map(|tick| tick.map(|tick| sample(tick, recording.run())).transpose()),
             ),
         }
     }

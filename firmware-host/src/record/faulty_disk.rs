@@ -3,9 +3,9 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use drivers::MonotonicClock;
 use drivers::fault::{Device, Faults, Injector, Kind};
 use hal::Clock;
+use monotonic_clock::MonotonicClock;
 
 use super::disk::{Disk, SegmentFile, Space};
 
@@ -37,7 +37,10 @@ fn trouble(injector: &Injector) -> io::Result<()> {
         return Err(io::Error::other("the disk is not there (an injected fault)"));
     }
     if injector.on(Kind::Full).is_some() {
-        return Err(io::Error::new(io::ErrorKind::StorageFull, "no space left on device (an injected fault)"));
+        return Err(io::Error::new(
+            io::ErrorKind::StorageFull,
+            "no space left on device (an injected fault)",
+        ));
     }
     Ok(())
 }

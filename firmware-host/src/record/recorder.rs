@@ -5,9 +5,9 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-use buffer::is_segment_name;
 use runtime::recording::{RecordedTick, RunHeader, Views};
 use runtime::robot::Robot;
+use segment_store::is_segment_name;
 
 use super::disk::{Disk, FileSystem};
 use super::error::RecordError;
@@ -147,19 +147,30 @@ impl Recorder {
     ///
     /// # Errors
     /// As [`start`](Self::start).
-    pub fn start_on(mut disk: Box<dyn Disk>, options: RecorderOptions, run: RunHeader) -> Result<Self, RecordError> {
+    pub fn start_on(
+        mut disk: Box<dyn Disk>,
+        options: RecorderOptions,
+        run: RunHeader,
+    ) -> Result<Self, RecordError> {
         refuse_old_recording(&options.dir)?;
         let path = options.dir.join(segment_name(0));
-        let first_file = disk.create(&path).map_err(|source| RecordError::Create { path, source })?;
+        let first_file =
+            disk.create(&path).map_err(|source| RecordError::Create { path, source })?;
         let (sender, receiver) = sync_channel(options.queue_ticks);
-        let (when_full, segment_ns, pictures) = (options.when_full, options.segment_ns, options.pictures);
+        let (when_full, segment_ns, pictures) =
+            (options.when_full, options.segment_ns, options.pictures);
         let run = RunHeader { pictures, ..run };
         let word = Arc::new(Mutex::new(Word::default()));
         let thread_word = Arc::clone(&word);
         let thread = std::thread::Builder::new()
             .name("recording".to_owned())
             .spawn(move || {
-                record_all(&receiver, Segments::new(options, disk, run, first_file), when_full, &thread_word)
+                record_all(
+                    &receiver,
+                    Segments::new(options, disk, run, first_file),
+                    when_full,
+                    &thread_word,
+                )
             })
             .map_err(|error| RecordError::Thread(error.to_string()))?;
         Ok(Self {
@@ -207,7 +218,9 @@ impl Recorder {
         let turn = Told::Turn(Box::new(Turn { tick, views, may_begin }));
         let accepted = match (&self.queue, self.when_full) {
             (None, _) => Err(TrySendError::Disconnected(())),
-            (Some(queue), WhenFull::Wait) => queue.send(turn).map_err(|_| TrySendError::Disconnected(())),
+            (Some(queue), WhenFull::Wait) => {
+                queue.send(turn).map_err(|_| TrySendError::Disconnected(()))
+            }
             (Some(queue), WhenFull::Drop) => queue.try_send(turn).map_err(|error| match error {
                 TrySendError::Full(_) => TrySendError::Full(()),
                 TrySendError::Disconnected(_) => TrySendError::Disconnected(()),
@@ -279,7 +292,9 @@ impl Recorder {
     fn join(&mut self) -> Option<Result<RecordingSummary, RecordError>> {
         self.queue = None;
         let joined = self.thread.take()?.join();
-        Some(joined.unwrap_or_else(|_| Err(RecordError::Thread("it panicked; please report this".to_owned()))))
+        Some(joined.unwrap_or_else(|_| {
+            Err(RecordError::Thread("it panicked; please report this".to_owned()))
+        }))
     }
 }
 

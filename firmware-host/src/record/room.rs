@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use buffer::{Catalogue, Entry, PULLED};
+use segment_store::{Catalogue, Entry, PULLED};
 
 use super::disk::{Disk, Space};
 use crate::replay::open_segment;
@@ -33,11 +33,11 @@ pub struct Removed {
 }
 
 /// Removes segments until the quota is kept: first those that were pulled, then the others, the oldest first. What is marked
-/// [`KEEP`](buffer::KEEP) stays, and so do what a simulation recorded and `next`, which is about to be written.
+/// [`KEEP`](segment_store::KEEP) stays, and so do what a simulation recorded and `next`, which is about to be written.
 pub(super) fn make_room(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Removed {
     let mut removed = Removed::default();
-    let Ok((_, catalogue)) =
-        Catalogue::open(&quota.buffer).inspect_err(|error| tracing::warn!("no room is made: {error}"))
+    let Ok((_, catalogue)) = Catalogue::open(&quota.buffer)
+        .inspect_err(|error| tracing::warn!("no room is made: {error}"))
     else {
         return removed;
     };
@@ -46,12 +46,15 @@ pub(super) fn make_room(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Remo
     // Only what lies in a run's folder is a robot's.
     segments.retain(|segment| !segment.keep && !segment.name.run().is_empty());
     age_by_number(&mut segments);
-    segments.sort_by_key(|segment| (segment.pulled_digest().is_none(), segment.modified_ns, segment.name.clone()));
+    segments.sort_by_key(|segment| {
+        (segment.pulled_digest().is_none(), segment.modified_ns, segment.name.clone())
+    });
     for segment in segments {
         // A disk that does not say how full it is counts as having room: the next write will tell.
-        let has_room = disk.space(&quota.buffer).map_or(true, |Space { free_bytes, total_bytes }| {
-            free_bytes >= quota.free_bytes.min(total_bytes / SMALL_DISK_SHARE)
-        });
+        let has_room =
+            disk.space(&quota.buffer).map_or(true, |Space { free_bytes, total_bytes }| {
+                free_bytes >= quota.free_bytes.min(total_bytes / SMALL_DISK_SHARE)
+            });
         if quota.bytes.is_none_or(|most| total <= most) && has_room {
             break;
         }
@@ -116,7 +119,8 @@ mod tests {
 
         fn remove(&mut self, path: &Path) -> io::Result<()> {
             FileSystem.remove(path)?;
-            self.free += if path.extension().is_some_and(|end| end == "mcap") { self.each } else { 0 };
+            self.free +=
+                if path.extension().is_some_and(|end| end == "mcap") { self.each } else { 0 };
             Ok(())
         }
 
@@ -127,8 +131,10 @@ mod tests {
 
     /// A run of `segments` segments in `buffer`, older than what is recorded after it.
     fn recorded(buffer: &Path, run: &str, segments: u64, scene: Option<&str>) {
-        let options = RecorderOptions { segment_ns: 1, ..RecorderOptions::simulation(buffer.join(run)) };
-        let header = runtime::recording::RunHeader { scene: scene.map(str::to_owned), ..run_header() };
+        let options =
+            RecorderOptions { segment_ns: 1, ..RecorderOptions::simulation(buffer.join(run)) };
+        let header =
+            runtime::recording::RunHeader { scene: scene.map(str::to_owned), ..run_header() };
         let mut recorder = Recorder::start(options, header).unwrap();
         (0..segments).for_each(|tick| recorder.record(some_tick(tick), Views::default()).unwrap());
         recorder.finish().unwrap();
@@ -139,11 +145,12 @@ mod tests {
                 .open(buffer.join(run).join(segment_name(segment as u32)))
                 .unwrap();
             let number = run.bytes().map(u64::from).sum::<u64>() * 100 + segment;
-            file.set_modified(SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(number)).unwrap();
+            file.set_modified(SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(number))
+                .unwrap();
         }
     }
 
-    fn catalogue(buffer: &Path) -> Vec<buffer::Entry> {
+    fn catalogue(buffer: &Path) -> Vec<segment_store::Entry> {
         Catalogue::open(buffer).unwrap().1.entries
     }
 
@@ -164,8 +171,11 @@ mod tests {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "b", 2, None);
         recorded(buffer.path(), "a", 2, None);
-        let removed =
-            make_room(&mut NearlyFull { free: 0, each: 10, total: u64::MAX }, &quota(buffer.path(), 25), Path::new(""));
+        let removed = make_room(
+            &mut NearlyFull { free: 0, each: 10, total: u64::MAX },
+            &quota(buffer.path(), 25),
+            Path::new(""),
+        );
         assert_eq!((removed.segments, removed.not_pulled), (3, 3));
         assert_eq!(left(buffer.path()), ["b/recording_0001.mcap"]);
     }
@@ -174,18 +184,24 @@ mod tests {
     fn what_was_pulled_goes_before_what_is_nowhere_else_and_what_is_kept_stays() {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "a", 4, None);
-        let path = |number, mark: &str| buffer.path().join("a").join(format!("{}{mark}", segment_name(number)));
+        let path = |number, mark: &str| {
+            buffer.path().join("a").join(format!("{}{mark}", segment_name(number)))
+        };
         let pulled = |number, bytes| {
             let modified_ns = catalogue(buffer.path())[number as usize].modified_ns;
-            let text = format!("{} {bytes} {modified_ns}\n", buffer::Digest::of(b"as it was"));
+            let text =
+                format!("{} {bytes} {modified_ns}\n", segment_store::Digest::of(b"as it was"));
             std::fs::write(path(number, PULLED), text).unwrap();
         };
         pulled(3, path(3, "").metadata().unwrap().len());
         // It has grown since.
         pulled(2, 1);
-        std::fs::write(path(0, buffer::KEEP), "").unwrap();
-        let removed =
-            make_room(&mut NearlyFull { free: 0, each: 10, total: u64::MAX }, &quota(buffer.path(), 15), Path::new(""));
+        std::fs::write(path(0, segment_store::KEEP), "").unwrap();
+        let removed = make_room(
+            &mut NearlyFull { free: 0, each: 10, total: u64::MAX },
+            &quota(buffer.path(), 15),
+            Path::new(""),
+        );
         assert_eq!((removed.segments, removed.not_pulled), (2, 1));
         assert_eq!(left(buffer.path()), ["a/recording_0000.mcap", "a/recording_0002.mcap"]);
         make_room(
@@ -194,7 +210,10 @@ mod tests {
             Path::new(""),
         );
         assert_eq!(left(buffer.path()), ["a/recording_0000.mcap"]);
-        assert!(!buffer.path().join("a/recording_0003.mcap.pulled").exists(), "a mark goes with its segment");
+        assert!(
+            !buffer.path().join("a/recording_0003.mcap.pulled").exists(),
+            "a mark goes with its segment"
+        );
     }
 
     #[test]
@@ -202,10 +221,18 @@ mod tests {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "a", 4, None);
         for (number, seconds) in [(0, 5000), (1, 5001), (2, 100), (3, 101)] {
-            let file = std::fs::File::options().append(true).open(buffer.path().join("a").join(segment_name(number)));
-            file.unwrap().set_modified(SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(seconds)).unwrap();
+            let file = std::fs::File::options()
+                .append(true)
+                .open(buffer.path().join("a").join(segment_name(number)));
+            file.unwrap()
+                .set_modified(SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(seconds))
+                .unwrap();
         }
-        make_room(&mut NearlyFull { free: 0, each: 10, total: u64::MAX }, &quota(buffer.path(), 15), Path::new(""));
+        make_room(
+            &mut NearlyFull { free: 0, each: 10, total: u64::MAX },
+            &quota(buffer.path(), 15),
+            Path::new(""),
+        );
         assert_eq!(left(buffer.path()), ["a/recording_0002.mcap", "a/recording_0003.mcap"]);
     }
 

@@ -5,7 +5,9 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
-use runtime::recording::{RecordedTick, RecordingWriter, RunDigest, RunHeader, SegmentHeader, Views};
+use runtime::recording::{
+    RecordedTick, RecordingWriter, RunDigest, RunHeader, SegmentHeader, Views,
+};
 
 use super::disk::{Disk, SegmentFile, Sink};
 use super::error::RecordError;
@@ -45,7 +47,15 @@ impl Segments {
         first_file: Box<dyn SegmentFile>,
     ) -> Self {
         let summary = RecordingSummary::default();
-        Self { options, disk, run, first_file: Some(first_file), open: None, digest: RunDigest::new(), summary }
+        Self {
+            options,
+            disk,
+            run,
+            first_file: Some(first_file),
+            open: None,
+            digest: RunDigest::new(),
+            summary,
+        }
     }
 
     /// Writes a turn. An error closes the segment at its last complete chunk; the next turn begins another one.
@@ -157,13 +167,15 @@ impl Segments {
 fn salvage(sink: Sink, path: &Path) {
     match sink.salvage() {
         Ok(()) => tracing::warn!("{} was cut back to its last complete chunk", path.display()),
-        Err(error) => tracing::warn!("{} could not be closed and has no end: {error}", path.display()),
+        Err(error) => {
+            tracing::warn!("{} could not be closed and has no end: {error}", path.display())
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use buffer::is_segment_name;
+    use segment_store::is_segment_name;
 
     use super::*;
 
@@ -173,9 +185,13 @@ mod tests {
             assert!(is_segment_name(&segment_name(segment)));
         }
         assert!(segment_name(9) < segment_name(10));
-        for other in
-            ["recording_.mcap", "recording_1.mcap", "recording_0000.mcap.part", "map.png", "recording_00a0.mcap"]
-        {
+        for other in [
+            "recording_.mcap",
+            "recording_1.mcap",
+            "recording_0000.mcap.part",
+            "map.png",
+            "recording_00a0.mcap",
+        ] {
             assert!(!is_segment_name(other), "{other}");
         }
     }

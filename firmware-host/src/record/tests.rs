@@ -38,7 +38,11 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
         map_digest: 0,
     };
     RecordedTick {
-        frame: Some(Picture { width: 32, height: 8, rgb: (0..32 * 8 * 3).map(|_| byte()).collect() }),
+        frame: Some(Picture {
+            width: 32,
+            height: 8,
+            rgb: (0..32 * 8 * 3).map(|_| byte()).collect(),
+        }),
         decision: Some(decision),
         ..RecordedTick::new(tick, time_ns)
     }
@@ -46,13 +50,16 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
 
 /// Turns of every segment in the directory, each of which must be a whole file.
 fn read_all(dir: &Path) -> Vec<RecordedTick> {
-    let mut names: Vec<_> = std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let mut names: Vec<_> =
+        std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).collect();
     names.sort();
     let mut ticks = Vec::new();
     for (number, name) in names.iter().enumerate() {
         let reader = RecordingReader::open(std::fs::File::open(name).unwrap()).unwrap();
         assert_eq!(reader.header().segment as usize, number);
-        ticks.extend(reader.map(|tick| tick.unwrap_or_else(|error| panic!("{}: {error}", name.display()))));
+        ticks.extend(
+            reader.map(|tick| tick.unwrap_or_else(|error| panic!("{}: {error}", name.display()))),
+        );
     }
     ticks
 }
@@ -68,7 +75,8 @@ fn record(options: RecorderOptions, ticks: u64) -> RecordingSummary {
 #[test]
 fn a_run_is_split_by_time_and_nothing_is_lost() {
     let dir = tempfile::tempdir().unwrap();
-    let options = RecorderOptions { segment_ns: 2_000_000_000, ..RecorderOptions::simulation(dir.path()) };
+    let options =
+        RecorderOptions { segment_ns: 2_000_000_000, ..RecorderOptions::simulation(dir.path()) };
     let summary = record(options, 50);
     assert_eq!((summary.ticks, summary.segments, summary.dropped), (50, 3, 0));
     assert_eq!(read_all(dir.path()), (0..50).map(some_tick).collect::<Vec<_>>());
@@ -77,13 +85,22 @@ fn a_run_is_split_by_time_and_nothing_is_lost() {
 #[test]
 fn a_run_is_split_by_size_and_the_digest_does_not_know() {
     let (small, large) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let cut = record(RecorderOptions { segment_bytes: 10_000, ..RecorderOptions::simulation(small.path()) }, 100);
+    let cut = record(
+        RecorderOptions { segment_bytes: 10_000, ..RecorderOptions::simulation(small.path()) },
+        100,
+    );
     let whole = record(RecorderOptions::simulation(large.path()), 100);
     assert!(cut.segments > 5, "{}", cut.segments);
     assert_eq!(whole.segments, 1);
-    assert_eq!((cut.inputs_digest, cut.decisions_digest), (whole.inputs_digest, whole.decisions_digest));
+    assert_eq!(
+        (cut.inputs_digest, cut.decisions_digest),
+        (whole.inputs_digest, whole.decisions_digest)
+    );
     assert_eq!(read_all(small.path()), read_all(large.path()));
-    let size: u64 = std::fs::read_dir(large.path()).unwrap().map(|e| e.unwrap().metadata().unwrap().len()).sum();
+    let size: u64 = std::fs::read_dir(large.path())
+        .unwrap()
+        .map(|e| e.unwrap().metadata().unwrap().len())
+        .sum();
     assert_eq!(whole.bytes, size);
 }
 
@@ -109,8 +126,12 @@ fn an_old_recording_is_never_written_over() {
     let dir = tempfile::tempdir().unwrap();
     record(RecorderOptions::simulation(dir.path()), 3);
     let before = std::fs::read(dir.path().join(segment_name(0))).unwrap();
-    let error = Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).err().unwrap();
-    assert!(matches!(error, RecordError::HoldsRecording { .. }) && error.to_string().contains("--out"), "{error}");
+    let error =
+        Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).err().unwrap();
+    assert!(
+        matches!(error, RecordError::HoldsRecording { .. }) && error.to_string().contains("--out"),
+        "{error}"
+    );
     assert_eq!(std::fs::read(dir.path().join(segment_name(0))).unwrap(), before);
 }
 
@@ -119,7 +140,8 @@ fn a_directory_that_cannot_be_made_is_named() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("file");
     std::fs::write(&file, "").unwrap();
-    let error = Recorder::start(RecorderOptions::simulation(file.join("run")), run_header()).err().unwrap();
+    let error =
+        Recorder::start(RecorderOptions::simulation(file.join("run")), run_header()).err().unwrap();
     assert!(error.to_string().contains("file/run"), "{error}");
 }
 
@@ -136,7 +158,11 @@ struct SmallFile {
 
 impl Disk for SmallDisk {
     fn create(&mut self, path: &Path) -> io::Result<Box<dyn SegmentFile>> {
-        Ok(Box::new(SmallFile { file: FileSystem.create(path)?, len: 0, room: Arc::clone(&self.room) }))
+        Ok(Box::new(SmallFile {
+            file: FileSystem.create(path)?,
+            len: 0,
+            room: Arc::clone(&self.room),
+        }))
     }
 
     fn remove(&mut self, path: &Path) -> io::Result<()> {
@@ -182,10 +208,14 @@ fn a_disk_that_fills_ends_the_run_with_its_reason_and_leaves_only_whole_files() 
     let mut kept = Vec::new();
     for room in (0..90_000).step_by(1_777) {
         let dir = tempfile::tempdir().unwrap();
-        let options = RecorderOptions { segment_ns: 4_000_000_000, ..RecorderOptions::simulation(dir.path()) };
+        let options = RecorderOptions {
+            segment_ns: 4_000_000_000,
+            ..RecorderOptions::simulation(dir.path())
+        };
         let disk = SmallDisk { room: Arc::new(AtomicU64::new(room)) };
         let mut recorder = Recorder::start_on(Box::new(disk), options, run_header()).unwrap();
-        let failed = (0..200).find_map(|tick| recorder.record(some_tick(tick), Views::default()).err());
+        let failed =
+            (0..200).find_map(|tick| recorder.record(some_tick(tick), Views::default()).err());
         let error = match failed {
             Some(error) => error,
             None => recorder.finish().unwrap_err(),
@@ -201,7 +231,8 @@ fn a_disk_that_fills_ends_the_run_with_its_reason_and_leaves_only_whole_files() 
 #[test]
 fn a_turn_that_would_not_replay_ends_the_recording_and_keeps_the_turns_before() {
     let dir = tempfile::tempdir().unwrap();
-    let mut recorder = Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
+    let mut recorder =
+        Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
     for tick in 0..30 {
         recorder.record(some_tick(tick), Views::default()).unwrap();
     }
@@ -209,7 +240,10 @@ fn a_turn_that_would_not_replay_ends_the_recording_and_keeps_the_turns_before() 
     bad.decision.as_mut().unwrap().wanted.linear_mps = f64::NAN;
     recorder.record(bad, Views::default()).unwrap();
     let error = recorder.finish().unwrap_err();
-    assert!(matches!(error, RecordError::Content { .. }) && error.to_string().contains("turn 30"), "{error}");
+    assert!(
+        matches!(error, RecordError::Content { .. }) && error.to_string().contains("turn 30"),
+        "{error}"
+    );
     assert_eq!(read_all(dir.path()).len(), 22);
 }
 
@@ -338,7 +372,9 @@ fn a_robot_goes_on_when_its_disk_is_full_says_so_and_records_again_when_there_is
 fn a_run_that_ends_while_nothing_is_recorded_says_why() {
     let dir = tempfile::tempdir().unwrap();
     let disk = SmallDisk { room: Arc::new(AtomicU64::new(0)) };
-    let mut recorder = Recorder::start_on(Box::new(disk), RecorderOptions::robot(dir.path()), run_header()).unwrap();
+    let mut recorder =
+        Recorder::start_on(Box::new(disk), RecorderOptions::robot(dir.path()), run_header())
+            .unwrap();
     hand_over(&mut recorder, 0);
     wait_for(&recorder, |word| word.failure.is_some());
     let summary = recorder.finish().unwrap();
@@ -354,7 +390,9 @@ fn without_pictures_nothing_that_holds_one_is_recorded() {
     let turn = RecordedTick { truth: depth.clone(), snapshot: Some(vec![9]), ..some_tick(0) };
     recorder.record(turn, Views { depth, ..Views::default() }).unwrap();
     recorder.finish().unwrap();
-    let reader = RecordingReader::open(std::fs::File::open(dir.path().join(segment_name(0))).unwrap()).unwrap();
+    let reader =
+        RecordingReader::open(std::fs::File::open(dir.path().join(segment_name(0))).unwrap())
+            .unwrap();
     assert!(!reader.header().run.pictures);
     let ticks: Vec<_> = reader.map(Result::unwrap).collect();
     assert!(ticks[0].frame.is_none() && ticks[0].truth.is_none() && ticks[0].snapshot.is_none());
@@ -367,7 +405,8 @@ fn without_pictures_nothing_that_holds_one_is_recorded() {
 #[test]
 fn a_recorder_that_is_dropped_leaves_whole_files() {
     let dir = tempfile::tempdir().unwrap();
-    let mut recorder = Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
+    let mut recorder =
+        Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
     for tick in 0..15 {
         recorder.record(some_tick(tick), Views::default()).unwrap();
     }
@@ -378,7 +417,8 @@ fn a_recorder_that_is_dropped_leaves_whole_files() {
 #[test]
 fn a_cut_leaves_whole_files_while_the_run_goes_on() {
     let dir = tempfile::tempdir().unwrap();
-    let mut recorder = Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
+    let mut recorder =
+        Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
     for tick in 0..5 {
         recorder.record(some_tick(tick), Views::default()).unwrap();
     }
@@ -456,7 +496,8 @@ impl SegmentFile for FailingFile {
 
 /// What is in the folder: turns of whole or cut segments. Nothing may be corrupt.
 fn turns_on_disk(dir: &Path) -> Vec<RecordedTick> {
-    let mut paths: Vec<_> = std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let mut paths: Vec<_> =
+        std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).collect();
     paths.sort();
     let mut ticks = Vec::new();
     for path in paths {
@@ -470,7 +511,10 @@ fn turns_on_disk(dir: &Path) -> Vec<RecordedTick> {
                 }
             }
             // Cut before its first chunk, on a disk that does not even let it be removed.
-            Err(error) => assert!(error.is_truncation() || std::fs::metadata(&path).unwrap().len() < 8, "{error}"),
+            Err(error) => assert!(
+                error.is_truncation() || std::fs::metadata(&path).unwrap().len() < 8,
+                "{error}"
+            ),
         }
     }
     ticks
@@ -480,7 +524,8 @@ fn turns_on_disk(dir: &Path) -> Vec<RecordedTick> {
 fn whichever_operation_of_the_disk_fails_the_robot_goes_on_and_what_is_recorded_is_sound() {
     const TURNS: u64 = 130;
     let mut failed = 0;
-    let errors = [io::ErrorKind::StorageFull, io::ErrorKind::Other, io::ErrorKind::ReadOnlyFilesystem];
+    let errors =
+        [io::ErrorKind::StorageFull, io::ErrorKind::Other, io::ErrorKind::ReadOnlyFilesystem];
     // The first operation is the creation of the first file, which ends the start.
     for (operation, error) in (2..34).zip(errors.into_iter().cycle()) {
         for for_good in [false, true] {
@@ -507,11 +552,18 @@ fn whichever_operation_of_the_disk_fails_the_robot_goes_on_and_what_is_recorded_
             };
             assert!(ticks.iter().is_sorted_by_key(|tick| tick.tick), "{case}");
             assert!(
-                ticks.iter().all(|tick| RecordedTick { snapshot: None, ..tick.clone() } == some_tick(tick.tick)),
+                ticks
+                    .iter()
+                    .all(|tick| RecordedTick { snapshot: None, ..tick.clone() }
+                        == some_tick(tick.tick)),
                 "{case}"
             );
             // A failure costs the chunk that was being written and what came until the next try.
-            assert!(for_good || ticks.len() as u64 + lost + 11 >= TURNS, "{case}: {} turns, {lost} lost", ticks.len());
+            assert!(
+                for_good || ticks.len() as u64 + lost + 11 >= TURNS,
+                "{case}: {} turns, {lost} lost",
+                ticks.len()
+            );
             assert!(for_good || ticks.len() >= 15, "{case}: {}", ticks.len());
             failed += u64::from(lost > 0);
         }
@@ -522,8 +574,17 @@ fn whichever_operation_of_the_disk_fails_the_robot_goes_on_and_what_is_recorded_
 #[test]
 fn a_directory_that_cannot_be_written_ends_the_start_with_a_way_out() {
     let dir = tempfile::tempdir().unwrap();
-    let disk =
-        FailingDisk { left: Arc::new(AtomicU64::new(1)), error: io::ErrorKind::ReadOnlyFilesystem, for_good: true };
-    let error = Recorder::start_on(Box::new(disk), RecorderOptions::robot(dir.path()), run_header()).err().unwrap();
-    assert!(matches!(error, RecordError::Create { .. }) && error.to_string().contains("--out"), "{error}");
+    let disk = FailingDisk {
+        left: Arc::new(AtomicU64::new(1)),
+        error: io::ErrorKind::ReadOnlyFilesystem,
+        for_good: true,
+    };
+    let error =
+        Recorder::start_on(Box::new(disk), RecorderOptions::robot(dir.path()), run_header())
+            .err()
+            .unwrap();
+    assert!(
+        matches!(error, RecordError::Create { .. }) && error.to_string().contains("--out"),
+        "{error}"
+    );
 }

@@ -26,7 +26,11 @@ impl Difference {
     }
 
     pub(super) fn not_recorded() -> Self {
-        Self { field: "decision".to_owned(), recorded: "nothing".to_owned(), recomputed: "a decision".to_owned() }
+        Self {
+            field: "decision".to_owned(),
+            recorded: "nothing".to_owned(),
+            recomputed: "a decision".to_owned(),
+        }
     }
 }
 
@@ -40,7 +44,10 @@ impl fmt::Display for Difference {
 ///
 /// # Errors
 /// When a decision cannot be put into JSON.
-pub fn differences(recorded: &Decision, recomputed: &Decision) -> serde_json::Result<Vec<Difference>> {
+pub fn differences(
+    recorded: &Decision,
+    recomputed: &Decision,
+) -> serde_json::Result<Vec<Difference>> {
     let mut found = Vec::new();
     collect("", &serde_json::to_value(recorded)?, &serde_json::to_value(recomputed)?, &mut found);
     Ok(found)
@@ -65,7 +72,9 @@ fn collect(path: &str, recorded: &Value, recomputed: &Value, found: &mut Vec<Dif
         }
         _ => {
             // As text, because as numbers -0.0 equals 0.0.
-            let text = |value: &Value| if value.is_null() { "nothing".to_owned() } else { value.to_string() };
+            let text = |value: &Value| {
+                if value.is_null() { "nothing".to_owned() } else { value.to_string() }
+            };
             let (recorded, recomputed) = (text(recorded), text(recomputed));
             if recorded != recomputed {
                 found.push(Difference { field: path.to_owned(), recorded, recomputed });
@@ -94,9 +103,15 @@ mod tests {
 
     #[test]
     fn a_difference_reads_as_field_recorded_now() {
-        assert_eq!(changed(|d| d.command.linear_mps = 0.25), ["command.linear_mps: recorded 0.3, now 0.25"]);
+        assert_eq!(
+            changed(|d| d.command.linear_mps = 0.25),
+            ["command.linear_mps: recorded 0.3, now 0.25"]
+        );
         assert_eq!(changed(|d| d.goal_m = None), ["goal_m: recorded [1.0,2.0], now nothing"]);
-        assert_eq!(changed(|d| d.depth_digest = u64::MAX), ["depth_digest: recorded 3, now 18446744073709551615"]);
+        assert_eq!(
+            changed(|d| d.depth_digest = u64::MAX),
+            ["depth_digest: recorded 3, now 18446744073709551615"]
+        );
         let event = changed(|d| d.events.push(Event::GoalReached));
         assert_eq!(event, [r#"events[0]: recorded nothing, now {"event":"goal_reached"}"#]);
     }
@@ -104,7 +119,10 @@ mod tests {
     #[test]
     fn the_last_bit_the_sign_of_zero_and_nan_count() {
         assert_eq!(changed(|d| d.wanted.linear_mps = 0.3_f64.next_up()).len(), 1);
-        assert_eq!(changed(|d| d.command.angular_radps = -0.0), ["command.angular_radps: recorded 0.0, now -0.0"]);
+        assert_eq!(
+            changed(|d| d.command.angular_radps = -0.0),
+            ["command.angular_radps: recorded 0.0, now -0.0"]
+        );
         assert_eq!(changed(|d| d.command.angular_radps = f64::NAN).len(), 1);
     }
 }

@@ -106,7 +106,12 @@ pub fn replay(
         match &tick.snapshot {
             Some(snapshot) if !knows => {
                 robot.restore(snapshot)?;
-                writeln!(out, "from the snapshot of turn {} at {:.3} s", tick.tick, seconds(&tick))?;
+                writeln!(
+                    out,
+                    "from the snapshot of turn {} at {:.3} s",
+                    tick.tick,
+                    seconds(&tick)
+                )?;
                 knows = true;
             }
             _ if !knows => {
@@ -138,7 +143,11 @@ fn conclude(path: &Path, report: &ReplayReport, out: &mut dyn Write) -> anyhow::
         writeln!(out, "... and {} more turns", report.mismatches - SHOWN_TURNS)?;
     }
     if report.unknown > 0 {
-        writeln!(out, "warning: {} turns come before a snapshot and could not be recomputed", report.unknown)?;
+        writeln!(
+            out,
+            "warning: {} turns come before a snapshot and could not be recomputed",
+            report.unknown
+        )?;
     }
     if report.ticks == 0 && report.problem.is_none() {
         writeln!(out, "warning: {} holds no turns, so nothing was compared", path.display())?;
@@ -157,10 +166,9 @@ fn compare_turn(
     out: &mut dyn Write,
 ) -> anyhow::Result<()> {
     // Only snapshots of this version can be compared; another version's decisions can.
-    let remembers_otherwise = tick
-        .snapshot
-        .as_ref()
-        .is_some_and(|recorded| recorded.starts_with(&SNAPSHOT_VERSION.to_le_bytes()) && *recorded != robot.snapshot());
+    let remembers_otherwise = tick.snapshot.as_ref().is_some_and(|recorded| {
+        recorded.starts_with(&SNAPSHOT_VERSION.to_le_bytes()) && *recorded != robot.snapshot()
+    });
     let recomputed = robot.step(&tick.input()?);
     report.ticks += 1;
     let mut differences = match &tick.decision {

@@ -13,7 +13,11 @@ use crate::record::{Recorder, RecorderOptions, RecordingSummary};
 ///
 /// # Errors
 /// When `from` cannot be read to its end or `to` cannot be written.
-pub fn rewrite(from: &Path, to: &Path, mut edit: impl FnMut(&mut RecordedTick)) -> anyhow::Result<RecordingSummary> {
+pub fn rewrite(
+    from: &Path,
+    to: &Path,
+    mut edit: impl FnMut(&mut RecordedTick),
+) -> anyhow::Result<RecordingSummary> {
     let run = Run::open(from)?;
     let mut recorder = Recorder::start(RecorderOptions::simulation(to), run.header().clone())?;
     for tick in run {

@@ -4,8 +4,8 @@ use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 
-use buffer::is_segment_name;
 use runtime::recording::{RecordedTick, RecordingError, RecordingReader, RunHeader};
+use segment_store::is_segment_name;
 
 /// Why a run cannot be replayed (any further).
 #[derive(Debug, thiserror::Error)]
@@ -113,7 +113,9 @@ impl std::str::FromStr for Moment {
     fn from_str(text: &str) -> Result<Self, String> {
         let seconds = text.strip_suffix('s').map(|number| number.trim().parse::<f64>());
         match (seconds, text.parse::<u64>()) {
-            (Some(Ok(seconds)), _) if seconds.is_finite() && seconds >= 0.0 => Ok(Self::Seconds(seconds)),
+            (Some(Ok(seconds)), _) if seconds.is_finite() && seconds >= 0.0 => {
+                Ok(Self::Seconds(seconds))
+            }
             (None, Ok(turn)) => Ok(Self::Turn(turn)),
             _ => Err(format!("`{text}` is neither a turn such as 1200 nor a time such as 61.5s")),
         }
@@ -163,7 +165,8 @@ impl Run {
     /// When there is no recording.
     pub fn open(path: &Path) -> Result<Self, ReplayError> {
         let paths = segments(path)?;
-        let first = paths.first().ok_or_else(|| ReplayError::NoSegments { dir: path.to_owned() })?;
+        let first =
+            paths.first().ok_or_else(|| ReplayError::NoSegments { dir: path.to_owned() })?;
         let start_ns = open_segment(first)?.header().first_time_ns;
         Self::begin(paths, 0, start_ns)
     }
@@ -177,11 +180,15 @@ impl Run {
         let start_ns = run.start_ns;
         let paths = segments(path)?;
         for at in (1..paths.len()).rev() {
-            let Some(mut reader) = paths.get(at).and_then(|path| open_segment(path).ok()) else { continue };
+            let Some(mut reader) = paths.get(at).and_then(|path| open_segment(path).ok()) else {
+                continue;
+            };
             let (tick, time_ns) = (reader.header().first_tick, reader.header().first_time_ns);
             let is_later = match moment {
                 Moment::Turn(turn) => tick > turn,
-                Moment::Seconds(seconds) => time_ns.saturating_sub(start_ns) as f64 * 1e-9 > seconds,
+                Moment::Seconds(seconds) => {
+                    time_ns.saturating_sub(start_ns) as f64 * 1e-9 > seconds
+                }
             };
             if is_later {
                 continue;
@@ -200,7 +207,17 @@ impl Run {
         let reader = open_segment(&path)?;
         let header = reader.header().clone();
         let (segment, next_tick) = (header.segment, header.first_tick);
-        Ok(Self { rest, path, reader, header: header.run, segment, next_tick, start_ns, held: None, done: false })
+        Ok(Self {
+            rest,
+            path,
+            reader,
+            header: header.run,
+            segment,
+            next_tick,
+            start_ns,
+            held: None,
+            done: false,
+        })
     }
 
     /// Whether what comes next is the run's very first turn, before which nothing is remembered.
@@ -232,7 +249,8 @@ impl Run {
         }
         loop {
             if let Some(tick) = self.reader.next() {
-                let tick = tick.map_err(|source| ReplayError::Segment { path: self.path.clone(), source })?;
+                let tick = tick
+                    .map_err(|source| ReplayError::Segment { path: self.path.clone(), source })?;
                 let (expected, found) = (self.next_tick, tick.tick);
                 self.next_tick = found.saturating_add(1);
                 if found != expected {
@@ -279,7 +297,8 @@ impl Iterator for Run {
 /// # Errors
 /// When it cannot be read or is no recording.
 pub fn open_segment(path: &Path) -> Result<RecordingReader<BufReader<File>>, ReplayError> {
-    let file = File::open(path).map_err(|source| ReplayError::Open { path: path.to_owned(), source })?;
+    let file =
+        File::open(path).map_err(|source| ReplayError::Open { path: path.to_owned(), source })?;
     RecordingReader::open(BufReader::with_capacity(1 << 20, file))
         .map_err(|source| ReplayError::Segment { path: path.to_owned(), source })
 }

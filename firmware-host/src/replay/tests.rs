@@ -29,7 +29,8 @@ impl Replayable for DigestRobot {
     }
 
     fn step(&mut self, input: &TickInput<'_>) -> Decision {
-        self.memory = (self.memory.rotate_left(9) ^ input_digest(input)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        self.memory =
+            (self.memory.rotate_left(9) ^ input_digest(input)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         let digest = self.memory;
         let mut decision = some_tick(input.tick).decision.unwrap();
         (decision.depth_digest, decision.map_digest) = (digest, digest.rotate_left(7));
@@ -52,14 +53,17 @@ fn recorded(ticks: u64) -> TempDir {
 
 fn recorded_with_snapshots(ticks: u64, snapshot_every: u64) -> TempDir {
     let dir = tempfile::tempdir().unwrap();
-    let options = RecorderOptions { segment_ns: 2_000_000_000, ..RecorderOptions::simulation(dir.path()) };
+    let options =
+        RecorderOptions { segment_ns: 2_000_000_000, ..RecorderOptions::simulation(dir.path()) };
     let mut recorder = Recorder::start(options, run_header()).unwrap();
     let mut robot = DigestRobot::default();
     for tick in 0..ticks {
         let input = input_of(tick);
         let snapshot = (tick > 0 && tick.is_multiple_of(snapshot_every)).then(|| robot.snapshot());
         let decision = robot.step(&input.input().unwrap());
-        recorder.record(RecordedTick { decision: Some(decision), snapshot, ..input }, Views::default()).unwrap();
+        recorder
+            .record(RecordedTick { decision: Some(decision), snapshot, ..input }, Views::default())
+            .unwrap();
     }
     recorder.finish().unwrap();
     dir
@@ -76,8 +80,13 @@ fn replayed_span(path: &Path, span: Span) -> (ReplayReport, String) {
 }
 
 fn refused(path: &Path) -> String {
-    let error =
-        replay(path, Span::default(), |_| Ok(Box::new(DigestRobot::default())), &mut std::io::sink()).unwrap_err();
+    let error = replay(
+        path,
+        Span::default(),
+        |_| Ok(Box::new(DigestRobot::default())),
+        &mut std::io::sink(),
+    )
+    .unwrap_err();
     error.to_string()
 }
 
@@ -121,8 +130,17 @@ fn one_changed_input_is_found_wherever_it_is() {
         let (report, out) = replayed(&changed);
         // The digest robot remembers: every turn from the changed one on differs.
         assert_eq!((report.ticks, report.mismatches), (50, 17), "{name}: {out}");
-        assert!(out.starts_with("turn 33 at 3.300 s decides differently:\n  command.linear_mps: recorded 0."), "{out}");
-        assert!(out.contains("... and 14 more turns\n") && out.ends_with("replay: ticks=50 mismatches=17\n"), "{out}");
+        assert!(
+            out.starts_with(
+                "turn 33 at 3.300 s decides differently:\n  command.linear_mps: recorded 0."
+            ),
+            "{out}"
+        );
+        assert!(
+            out.contains("... and 14 more turns\n")
+                && out.ends_with("replay: ticks=50 mismatches=17\n"),
+            "{out}"
+        );
         assert!(!report.is_exact());
     }
 }
@@ -226,14 +244,21 @@ fn where_turns_are_missing_the_replay_goes_on_at_the_next_snapshot_and_is_not_ex
 #[test]
 fn a_replay_may_begin_at_any_turn_or_time_and_takes_the_snapshot_before_it() {
     let dir = recorded_with_snapshots(60, 20);
-    for (from, first) in [("0", 0), ("19", 0), ("20", 20), ("39", 20), ("59", 40), ("1.9s", 0), ("2s", 20)] {
+    for (from, first) in
+        [("0", 0), ("19", 0), ("20", 20), ("39", 20), ("59", 40), ("1.9s", 0), ("2s", 20)]
+    {
         let span = Span { from: Some(from.parse().unwrap()), until_mismatch: false };
         let (report, out) = replayed_span(dir.path(), span);
         assert_eq!((report.ticks, report.mismatches), (60 - first, 0), "{from}: {out}");
     }
     for beyond in ["60", "999", "99s"] {
         let span = Span { from: Some(beyond.parse().unwrap()), until_mismatch: false };
-        let replayed = replay(dir.path(), span, |_| Ok(Box::new(DigestRobot::default())), &mut std::io::sink());
+        let replayed = replay(
+            dir.path(),
+            span,
+            |_| Ok(Box::new(DigestRobot::default())),
+            &mut std::io::sink(),
+        );
         let error = replayed.unwrap_err().to_string();
         assert!(error.contains("its last turn is 59"), "{beyond}: {error}");
     }
@@ -247,7 +272,10 @@ fn until_mismatch_ends_at_the_first_turn_that_decides_differently() {
     let original = recorded(50);
     let dir = tempfile::tempdir().unwrap();
     let changed = dir.path().join("changed");
-    rewrite(original.path(), &changed, |tick| tick.wheel.odom.x_m += if tick.tick == 33 { 1e-9 } else { 0.0 }).unwrap();
+    rewrite(original.path(), &changed, |tick| {
+        tick.wheel.odom.x_m += if tick.tick == 33 { 1e-9 } else { 0.0 }
+    })
+    .unwrap();
     let (report, out) = replayed_span(&changed, Span { from: None, until_mismatch: true });
     assert_eq!((report.ticks, report.mismatches), (34, 1), "{out}");
 }
@@ -271,7 +299,8 @@ fn a_memory_that_differs_is_found_although_the_decision_is_the_same() {
 #[test]
 fn dropped_turns_end_the_replay_with_their_numbers() {
     let dir = tempfile::tempdir().unwrap();
-    let mut recorder = Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
+    let mut recorder =
+        Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
     for tick in [0, 1, 5] {
         recorder.record(input_of(tick), Views::default()).unwrap();
     }
@@ -284,7 +313,8 @@ fn dropped_turns_end_the_replay_with_their_numbers() {
 #[test]
 fn a_turn_without_a_recorded_decision_is_a_mismatch() {
     let dir = tempfile::tempdir().unwrap();
-    let mut recorder = Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
+    let mut recorder =
+        Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
     recorder.record(input_of(0), Views::default()).unwrap();
     recorder.finish().unwrap();
     let (report, out) = replayed(dir.path());
@@ -297,14 +327,20 @@ fn a_run_without_turns_is_not_exact() {
     let dir = recorded(0);
     let (report, out) = replayed(dir.path());
     assert!(!report.is_exact());
-    assert!(out.contains("holds no turns") && out.ends_with("replay: ticks=0 mismatches=0\n"), "{out}");
+    assert!(
+        out.contains("holds no turns") && out.ends_with("replay: ticks=0 mismatches=0\n"),
+        "{out}"
+    );
 }
 
 #[test]
 fn what_is_no_run_is_refused_with_its_name_and_a_way_out() {
     let dir = tempfile::tempdir().unwrap();
     let message = refused(dir.path());
-    assert!(message.contains("holds no recording_NNNN.mcap") && message.contains("--out"), "{message}");
+    assert!(
+        message.contains("holds no recording_NNNN.mcap") && message.contains("--out"),
+        "{message}"
+    );
     let missing = refused(&dir.path().join("gone"));
     assert!(missing.contains("gone") && missing.contains("--out"), "{missing}");
     for (name, bytes) in [("text.mcap", &b"this is not an MCAP file"[..]), ("empty.mcap", b"")] {
@@ -317,6 +353,8 @@ fn what_is_no_run_is_refused_with_its_name_and_a_way_out() {
 #[test]
 fn a_loop_that_cannot_be_built_is_an_error() {
     let dir = recorded(1);
-    let error = replay(dir.path(), Span::default(), |_| anyhow::bail!("no model"), &mut std::io::sink()).unwrap_err();
+    let error =
+        replay(dir.path(), Span::default(), |_| anyhow::bail!("no model"), &mut std::io::sink())
+            .unwrap_err();
     assert_eq!(error.to_string(), "no model");
 }

@@ -49,7 +49,8 @@ pub fn prepare_dir(dir: &Path) -> Result<(), ReportError> {
     let unwritable = |source| ReportError::Unwritable { path: dir.to_path_buf(), source };
     fs::create_dir_all(dir).map_err(unwritable)?;
     let probe = dir.join(".probe.partial");
-    let written = File::create(&probe).and_then(|mut file| file.write_all(&[0; 4096]).and_then(|()| file.sync_all()));
+    let written = File::create(&probe)
+        .and_then(|mut file| file.write_all(&[0; 4096]).and_then(|()| file.sync_all()));
     let removed = fs::remove_file(&probe);
     written.and(removed).map_err(unwritable)
 }
@@ -78,7 +79,10 @@ mod tests {
     use super::*;
 
     fn names(dir: &Path) -> Vec<String> {
-        fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
+        fs::read_dir(dir)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect()
     }
 
     #[test]
@@ -97,7 +101,10 @@ mod tests {
         let path = dir.path().join("summary.json");
         fs::create_dir(&path).unwrap();
         let error = write_atomically(&path, b"new").unwrap_err().to_string();
-        assert!(error.contains("summary.json") && error.contains("choose another output directory"), "{error}");
+        assert!(
+            error.contains("summary.json") && error.contains("choose another output directory"),
+            "{error}"
+        );
         assert_eq!(names(dir.path()), ["summary.json"]);
     }
 

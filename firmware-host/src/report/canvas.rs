@@ -105,17 +105,23 @@ impl Canvas {
     pub fn line(&mut self, a: [f64; 2], b: [f64; 2], width: f64, color: Rgb, opacity: f64) {
         let middle = [(a[0] + b[0]) / 2.0, (a[1] + b[1]) / 2.0];
         let reach = (a[0] - b[0]).hypot(a[1] - b[1]) / 2.0 + width;
-        self.shape(middle, reach, color, opacity, |point| distance_to_segment(point, a, b) - width / 2.0);
+        self.shape(middle, reach, color, opacity, |point| {
+            distance_to_segment(point, a, b) - width / 2.0
+        });
     }
 
     /// A filled circle.
     pub fn disc(&mut self, center: [f64; 2], radius: f64, color: Rgb) {
-        self.shape(center, radius, color, 1.0, |[x, y]| (x - center[0]).hypot(y - center[1]) - radius);
+        self.shape(center, radius, color, 1.0, |[x, y]| {
+            (x - center[0]).hypot(y - center[1]) - radius
+        });
     }
 
     /// A square standing on its corner; `radius` to the corners.
     pub fn diamond(&mut self, center: [f64; 2], radius: f64, color: Rgb) {
-        let distance = |[x, y]: [f64; 2]| ((x - center[0]).abs() + (y - center[1]).abs() - radius) / 2f64.sqrt();
+        let distance = |[x, y]: [f64; 2]| {
+            ((x - center[0]).abs() + (y - center[1]).abs() - radius) / 2f64.sqrt()
+        };
         self.shape(center, radius, color, 1.0, distance);
     }
 
@@ -127,7 +133,14 @@ impl Canvas {
     }
 
     /// Everything whose signed distance (negative inside) is below zero, with smooth edges.
-    fn shape(&mut self, center: [f64; 2], reach: f64, color: Rgb, opacity: f64, distance: impl Fn([f64; 2]) -> f64) {
+    fn shape(
+        &mut self,
+        center: [f64; 2],
+        reach: f64,
+        color: Rgb,
+        opacity: f64,
+        distance: impl Fn([f64; 2]) -> f64,
+    ) {
         let (width, height) = (f64::from(self.image.width()), f64::from(self.image.height()));
         let range = |center: f64, end: f64| {
             // An empty range where the centre is NaN; no longer than the picture where it is huge.
@@ -149,13 +162,20 @@ impl Canvas {
         let (weight, height) = font.raster();
         let advance = get_raster_width(weight, height) as i64;
         for (index, letter) in text.chars().enumerate() {
-            let Some(raster) = get_raster(letter, weight, height).or_else(|| get_raster('?', weight, height)) else {
+            let Some(raster) =
+                get_raster(letter, weight, height).or_else(|| get_raster('?', weight, height))
+            else {
                 continue;
             };
             let left = x + index as i64 * advance;
             for (row, values) in raster.rows().enumerate() {
                 for (column, value) in values.iter().enumerate() {
-                    self.blend(left + column as i64, y + row as i64, color, f64::from(*value) / 255.0);
+                    self.blend(
+                        left + column as i64,
+                        y + row as i64,
+                        color,
+                        f64::from(*value) / 255.0,
+                    );
                 }
             }
         }
@@ -173,7 +193,10 @@ impl Canvas {
     pub fn write_png(&self, path: &Path) -> Result<(), ReportError> {
         let mut bytes = Cursor::new(Vec::new());
         let encoded = self.image.write_to(&mut bytes, ImageFormat::Png);
-        encoded.map_err(|error| ReportError::Encoding { path: path.to_path_buf(), message: error.to_string() })?;
+        encoded.map_err(|error| ReportError::Encoding {
+            path: path.to_path_buf(),
+            message: error.to_string(),
+        })?;
         write_atomically(path, bytes.get_ref())
     }
 }
@@ -181,7 +204,11 @@ impl Canvas {
 fn distance_to_segment(point: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     let (along, to) = ([b[0] - a[0], b[1] - a[1]], [point[0] - a[0], point[1] - a[1]]);
     let squared = along[0] * along[0] + along[1] * along[1];
-    let share = if squared > 0.0 { ((to[0] * along[0] + to[1] * along[1]) / squared).clamp(0.0, 1.0) } else { 0.0 };
+    let share = if squared > 0.0 {
+        ((to[0] * along[0] + to[1] * along[1]) / squared).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
     (to[0] - share * along[0]).hypot(to[1] - share * along[1])
 }
 

@@ -17,7 +17,12 @@ impl Coverage {
     /// A home of which nothing is mapped. `reachable` is row-major, `width` cells a row; `origin_m` is the outer corner of
     /// its first cell. `None` when the sizes do not fit, the resolution is not positive or nothing is reachable.
     #[must_use]
-    pub fn new(reachable: Vec<bool>, width: usize, origin_m: [f64; 2], resolution_m: f64) -> Option<Self> {
+    pub fn new(
+        reachable: Vec<bool>,
+        width: usize,
+        origin_m: [f64; 2],
+        resolution_m: f64,
+    ) -> Option<Self> {
         let height = reachable.len().checked_div(width)?;
         let reachable_cells = reachable.iter().filter(|cell| **cell).count();
         let sound = width * height == reachable.len()
@@ -44,7 +49,8 @@ impl Coverage {
         if !(x_m.is_finite() && y_m.is_finite() && cell_m.is_finite()) {
             return;
         }
-        let [column, row] = [0, 1].map(|axis| ([x_m, y_m][axis] - self.origin_m[axis]) / self.resolution_m);
+        let [column, row] =
+            [0, 1].map(|axis| ([x_m, y_m][axis] - self.origin_m[axis]) / self.resolution_m);
         let half = cell_m / 2.0 / self.resolution_m;
         self.set(column.floor(), row.floor());
         for v in centres(row, half) {
@@ -67,7 +73,8 @@ impl Coverage {
     }
 
     fn set(&mut self, column: f64, row: f64) {
-        let inside = (0.0..self.width as f64).contains(&column) && (0.0..self.height as f64).contains(&row);
+        let inside =
+            (0.0..self.width as f64).contains(&column) && (0.0..self.height as f64).contains(&row);
         if !inside {
             return;
         }
@@ -91,7 +98,8 @@ mod tests {
 
     #[test]
     fn only_reachable_floor_counts_and_only_once() {
-        let mut coverage = Coverage::new(vec![true, true, false, true], 2, [-1.0, -1.0], 1.0).unwrap();
+        let mut coverage =
+            Coverage::new(vec![true, true, false, true], 2, [-1.0, -1.0], 1.0).unwrap();
         assert!((coverage.reachable_m2() - 3.0).abs() < 1e-12);
         coverage.mark(-0.5, 0.5, 1.0);
         assert_eq!(coverage.share(), 0.0);
@@ -103,7 +111,8 @@ mod tests {
     #[test]
     fn outside_the_home_and_nan_change_nothing() {
         let mut coverage = Coverage::new(vec![true; 4], 2, [0.0, 0.0], 1.0).unwrap();
-        for (x, y) in [(-0.5, 0.5), (0.5, 2.5), (f64::NAN, 0.5), (f64::INFINITY, 0.5), (1e300, 0.5)] {
+        for (x, y) in [(-0.5, 0.5), (0.5, 2.5), (f64::NAN, 0.5), (f64::INFINITY, 0.5), (1e300, 0.5)]
+        {
             coverage.mark(x, y, 1.0);
         }
         assert_eq!(coverage.share(), 0.0);

@@ -59,13 +59,20 @@ impl SheetRow {
         truth: Option<&DepthMap>,
     ) -> Option<Self> {
         let (width, height) = (picture.width(), picture.height());
-        let depths = [coarse.map(|estimate| &estimate.depth), network.map(|estimate| &estimate.depth), truth];
-        let fits = depths.iter().flatten().all(|depth| (depth.width(), depth.height()) == (width, height));
+        let depths = [
+            coarse.map(|estimate| &estimate.depth),
+            network.map(|estimate| &estimate.depth),
+            truth,
+        ];
+        let fits =
+            depths.iter().flatten().all(|depth| (depth.width(), depth.height()) == (width, height));
         if picture.format() != PixelFormat::Rgb8 || !fits {
             return None;
         }
         let stride = width.div_ceil(WIDTH);
-        let reduce = |values: &[f32]| -> Vec<f32> { kept(width, height, stride).map(|index| values[index]).collect() };
+        let reduce = |values: &[f32]| -> Vec<f32> {
+            kept(width, height, stride).map(|index| values[index]).collect()
+        };
         Some(Self {
             frame,
             width: width.div_ceil(stride),
@@ -79,9 +86,14 @@ impl SheetRow {
 }
 
 impl SampledDepth {
-    fn of(estimate: &DepthEstimate, truth: Option<&DepthMap>, reduce: impl Fn(&[f32]) -> Vec<f32>) -> Option<Self> {
+    fn of(
+        estimate: &DepthEstimate,
+        truth: Option<&DepthMap>,
+        reduce: impl Fn(&[f32]) -> Vec<f32>,
+    ) -> Option<Self> {
         let values = estimate.depth.values();
-        let share = values.iter().filter(|depth| **depth > 0.0).count() as f64 / values.len().max(1) as f64;
+        let share =
+            values.iter().filter(|depth| **depth > 0.0).count() as f64 / values.len().max(1) as f64;
         let metrics = truth.and_then(|truth| judge(estimate, truth));
         (share > 0.0).then(|| Self {
             depth_m: reduce(values),
@@ -131,7 +143,11 @@ impl SheetSampler {
     /// Frames come in increasing order.
     pub fn offer(&mut self, frame: u64, depths: usize, capture: impl FnOnce() -> Option<SheetRow>) {
         let slot = frame / self.slot_frames;
-        let rival = self.kept.last().filter(|(_, row)| row.frame / self.slot_frames == slot).map(|(depths, _)| *depths);
+        let rival = self
+            .kept
+            .last()
+            .filter(|(_, row)| row.frame / self.slot_frames == slot)
+            .map(|(depths, _)| *depths);
         if rival.is_some_and(|rival| rival >= depths) {
             return;
         }
@@ -177,12 +193,20 @@ mod tests {
     fn row(frame: u64, with_depth: bool) -> Option<SheetRow> {
         let rgb = [7; 4 * 2 * 3];
         let picture = ImageView::rgb8(4, 2, &rgb).unwrap();
-        SheetRow::capture(frame, &picture, with_depth.then(|| estimate(4, 2, 2.0)).as_ref(), None, None)
+        SheetRow::capture(
+            frame,
+            &picture,
+            with_depth.then(|| estimate(4, 2, 2.0)).as_ref(),
+            None,
+            None,
+        )
     }
 
     fn sampled(frames: u64, depths: impl Fn(u64) -> usize) -> Vec<SheetRow> {
         let mut sampler = SheetSampler::default();
-        (0..frames).for_each(|frame| sampler.offer(frame, depths(frame), || row(frame, depths(frame) > 0)));
+        (0..frames).for_each(|frame| {
+            sampler.offer(frame, depths(frame), || row(frame, depths(frame) > 0))
+        });
         sampler.into_rows()
     }
 
@@ -192,7 +216,10 @@ mod tests {
             let kept: Vec<u64> = sampled(frames, |_| 1).iter().map(|row| row.frame).collect();
             let enough = frames.min(SHEET_ROWS as u64 / 2) as usize;
             assert!((enough..=SHEET_ROWS).contains(&kept.len()), "{frames}: {kept:?}");
-            assert!(kept.windows(2).all(|pair| pair[1] - pair[0] <= frames.div_ceil(4)), "{frames}: {kept:?}");
+            assert!(
+                kept.windows(2).all(|pair| pair[1] - pair[0] <= frames.div_ceil(4)),
+                "{frames}: {kept:?}"
+            );
         }
     }
 
@@ -217,7 +244,8 @@ mod tests {
     fn wide_pictures_are_reduced_and_small_ones_are_not() {
         let rgb = vec![9; 640 * 192 * 3];
         let picture = ImageView::rgb8(640, 192, &rgb).unwrap();
-        let wide = SheetRow::capture(5, &picture, Some(&estimate(640, 192, 3.0)), None, None).unwrap();
+        let wide =
+            SheetRow::capture(5, &picture, Some(&estimate(640, 192, 3.0)), None, None).unwrap();
         assert_eq!((wide.width, wide.height, wide.rgb.len()), (320, 96, 320 * 96));
         assert_eq!(wide.coarse.unwrap().depth_m, vec![3.0; 320 * 96]);
         assert_eq!(row(0, true).unwrap().width, 4);
@@ -228,9 +256,13 @@ mod tests {
         let rgb = [7; 4 * 2 * 3];
         let picture = ImageView::rgb8(4, 2, &rgb).unwrap();
         let truth = DepthMap::from_vec(4, 2, vec![2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 4.0, 4.0]).unwrap();
-        let row = SheetRow::capture(0, &picture, Some(&estimate(4, 2, 2.0)), None, Some(&truth)).unwrap();
+        let row =
+            SheetRow::capture(0, &picture, Some(&estimate(4, 2, 2.0)), None, Some(&truth)).unwrap();
         let coarse = row.coarse.unwrap();
-        assert!((coarse.delta1.unwrap() - 0.75).abs() < 1e-6 && (coarse.abs_rel.unwrap() - 0.125).abs() < 1e-6);
+        assert!(
+            (coarse.delta1.unwrap() - 0.75).abs() < 1e-6
+                && (coarse.abs_rel.unwrap() - 0.125).abs() < 1e-6
+        );
     }
 
     #[test]

@@ -27,7 +27,8 @@ const WORST: f32 = 0.5;
 /// A pixel that is as probably right as this counts as sure.
 const SURE: f32 = 0.9;
 /// Depths that a colour bar may name, metres.
-const TICKS_M: [f32; 14] = [0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0];
+const TICKS_M: [f32; 14] =
+    [0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0];
 
 /// What a column shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -68,9 +69,15 @@ impl DepthSheet<'_> {
     pub fn draw(&self) -> Result<Option<Canvas>, ReportError> {
         let Some(first) = self.rows.first() else { return Ok(None) };
         let (width, height) = (first.width, first.height);
-        if let Some(other) = self.rows.iter().find(|row| (row.width, row.height) != (width, height)) {
+        if let Some(other) = self.rows.iter().find(|row| (row.width, row.height) != (width, height))
+        {
             let actual = other.width * other.height;
-            return Err(ReportError::Shape { what: "row of the contact sheet", width, height, actual });
+            return Err(ReportError::Shape {
+                what: "row of the contact sheet",
+                width,
+                height,
+                actual,
+            });
         }
         let columns = self.columns();
         let scale = DepthScale::of(self.rows);
@@ -81,13 +88,31 @@ impl DepthSheet<'_> {
             height: height as i64,
         };
         let mut canvas = Canvas::new(layout.page_width() as u32, layout.page_height() as u32, PAGE);
-        canvas.text(GAP, 10, &Font::Title.fit(self.title, layout.page_width() - 2 * GAP), Font::Title, INK);
+        canvas.text(
+            GAP,
+            10,
+            &Font::Title.fit(self.title, layout.page_width() - 2 * GAP),
+            Font::Title,
+            INK,
+        );
         for (index, column) in columns.iter().enumerate() {
             let x = layout.x(index);
-            canvas.text(x, 44, &Font::Strong.fit(self.heading(*column), layout.width), Font::Strong, INK);
+            canvas.text(
+                x,
+                44,
+                &Font::Strong.fit(self.heading(*column), layout.width),
+                Font::Strong,
+                INK,
+            );
             for (line, row) in self.rows.iter().enumerate() {
                 let y = layout.y(line);
-                canvas.text(x, y, &Font::Label.fit(&self.caption(*column, row), layout.width), Font::Label, FAINT);
+                canvas.text(
+                    x,
+                    y,
+                    &Font::Label.fit(&self.caption(*column, row), layout.width),
+                    Font::Label,
+                    FAINT,
+                );
                 self.draw_cell(&mut canvas, *column, row, &scale, (x, y + CAPTION));
             }
         }
@@ -146,8 +171,12 @@ impl DepthSheet<'_> {
             Column::Network => depth(row.network.as_ref()),
             Column::Truth => String::new(),
             Column::Confidence => self.judged(row).map_or_else(String::new, |judged| {
-                let sure = judged.confidence.iter().filter(|confidence| **confidence >= SURE).count();
-                format!("{:.0} % of pixels above {SURE}", 100.0 * sure as f64 / judged.confidence.len().max(1) as f64)
+                let sure =
+                    judged.confidence.iter().filter(|confidence| **confidence >= SURE).count();
+                format!(
+                    "{:.0} % of pixels above {SURE}",
+                    100.0 * sure as f64 / judged.confidence.len().max(1) as f64
+                )
             }),
             Column::Error => match self.judged(row).and_then(|judged| judged.abs_rel) {
                 Some(abs_rel) => format!("mean {:.0} %", 100.0 * abs_rel),
@@ -156,24 +185,36 @@ impl DepthSheet<'_> {
         }
     }
 
-    fn draw_cell(&self, canvas: &mut Canvas, column: Column, row: &SheetRow, scale: &DepthScale, at: (i64, i64)) {
+    fn draw_cell(
+        &self,
+        canvas: &mut Canvas,
+        column: Column,
+        row: &SheetRow,
+        scale: &DepthScale,
+        at: (i64, i64),
+    ) {
         let value = |depth: Option<&[f32]>, index: usize| depth.map_or(0.0, |depth| depth[index]);
         let depth_color = |depth: f32| (depth > 0.0).then(|| scale.color(depth));
-        let of = |depth: &Option<SampledDepth>, index| value(depth.as_ref().map(|depth| &depth.depth_m[..]), index);
+        let of = |depth: &Option<SampledDepth>, index| {
+            value(depth.as_ref().map(|depth| &depth.depth_m[..]), index)
+        };
         for index in 0..row.width * row.height {
             let color = match column {
                 Column::Camera => Some(row.rgb[index]),
                 Column::Coarse => depth_color(of(&row.coarse, index)),
                 Column::Network => depth_color(of(&row.network, index)),
                 Column::Confidence => {
-                    let confidence = value(self.judged(row).map(|judged| &judged.confidence[..]), index);
+                    let confidence =
+                        value(self.judged(row).map(|judged| &judged.confidence[..]), index);
                     (confidence > 0.0).then(|| colors::error(1.0 - f64::from(confidence)))
                 }
                 Column::Truth => depth_color(value(row.truth.as_deref(), index)),
                 Column::Error => {
-                    let predicted = value(self.judged(row).map(|judged| &judged.depth_m[..]), index);
+                    let predicted =
+                        value(self.judged(row).map(|judged| &judged.depth_m[..]), index);
                     let truth = value(row.truth.as_deref(), index);
-                    (predicted > 0.0 && truth > 0.0).then(|| error_color((predicted - truth).abs() / truth))
+                    (predicted > 0.0 && truth > 0.0)
+                        .then(|| error_color((predicted - truth).abs() / truth))
                 }
             };
             let (x, y) = (at.0 + (index % row.width) as i64, at.1 + (index / row.width) as i64);
@@ -202,8 +243,11 @@ impl DepthScale {
     /// From the 1st to the 99th percentile of what is shown, of the ground truth where there is any.
     fn of(rows: &[SheetRow]) -> Self {
         let truth = rows.iter().filter_map(|row| row.truth.as_deref());
-        let computed =
-            rows.iter().flat_map(|row| [&row.coarse, &row.network]).flatten().map(|depth| &depth.depth_m[..]);
+        let computed = rows
+            .iter()
+            .flat_map(|row| [&row.coarse, &row.network])
+            .flatten()
+            .map(|depth| &depth.depth_m[..]);
         let valid = |depths: &mut dyn Iterator<Item = &[f32]>| -> Vec<f32> {
             depths.flatten().copied().filter(|depth| *depth > 0.0).collect()
         };
@@ -282,14 +326,15 @@ fn draw_bars(canvas: &mut Canvas, layout: &Layout, scale: &DepthScale, columns: 
     let mut right = bar.x + bar.width + 40;
     if columns.contains(&Column::Confidence) {
         let bar = Bar { x: right + Font::Label.width("probability "), y, width: 160 };
-        let ticks = [(0.0, "0"), (0.5, "0.5"), (1.0, "1")].map(|(at, label)| (at, label.to_owned()));
+        let ticks =
+            [(0.0, "0"), (0.5, "0.5"), (1.0, "1")].map(|(at, label)| (at, label.to_owned()));
         bar.draw(canvas, "probability", |share| colors::error(1.0 - f64::from(share)), &ticks);
         right = bar.x + bar.width + 40;
     }
     if columns.contains(&Column::Error) {
         let bar = Bar { x: right + Font::Label.width("error "), y, width: 200 };
-        let ticks =
-            [(0.0, "0"), (0.2, "10 %"), (0.5, "25 %"), (1.0, "50 %+")].map(|(at, label)| (at, label.to_owned()));
+        let ticks = [(0.0, "0"), (0.2, "10 %"), (0.5, "25 %"), (1.0, "50 %+")]
+            .map(|(at, label)| (at, label.to_owned()));
         bar.draw(canvas, "error", |share| error_color(share * WORST), &ticks);
         right = bar.x + bar.width + 40;
     }
@@ -309,7 +354,13 @@ struct Bar {
 }
 
 impl Bar {
-    fn draw(&self, canvas: &mut Canvas, name: &str, color: impl Fn(f32) -> Rgb, ticks: &[(f32, String)]) {
+    fn draw(
+        &self,
+        canvas: &mut Canvas,
+        name: &str,
+        color: impl Fn(f32) -> Rgb,
+        ticks: &[(f32, String)],
+    ) {
         canvas.text(self.x - Font::Label.width(name) - 8, self.y, name, Font::Label, INK);
         for step in 0..self.width {
             canvas.fill(self.x + step, self.y, 1, 16, color(step as f32 / (self.width - 1) as f32));

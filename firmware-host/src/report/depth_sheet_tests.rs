@@ -57,7 +57,10 @@ fn columns_without_anything_to_show_are_left_out() {
         columns(SheetRow { truth: None, network: None, ..row() }),
         [Column::Camera, Column::Coarse, Column::Confidence]
     );
-    assert_eq!(columns(SheetRow { coarse: None, network: None, ..row() }), [Column::Camera, Column::Truth]);
+    assert_eq!(
+        columns(SheetRow { coarse: None, network: None, ..row() }),
+        [Column::Camera, Column::Truth]
+    );
 }
 
 #[test]
@@ -74,11 +77,17 @@ fn no_depth_is_hatched_and_never_a_colour_of_the_scale() {
     row.coarse.as_mut().unwrap().depth_m.fill(0.0);
     let canvas = draw(&[row]);
     for u in 0..WIDTH as i64 {
-        assert!(NO_DEPTH.contains(&cell(&canvas, 5, 1, u)) && NO_DEPTH.contains(&cell(&canvas, 5, 4, u)));
+        assert!(
+            NO_DEPTH.contains(&cell(&canvas, 5, 1, u))
+                && NO_DEPTH.contains(&cell(&canvas, 5, 4, u))
+        );
     }
     for step in 0..=1000 {
         let color = near_warm(step as f32 / 1000.0);
-        assert!(NO_DEPTH.iter().all(|gray| gray.iter().zip(color).any(|(a, b)| a.abs_diff(b) > 40)), "{color:?}");
+        assert!(
+            NO_DEPTH.iter().all(|gray| gray.iter().zip(color).any(|(a, b)| a.abs_diff(b) > 40)),
+            "{color:?}"
+        );
     }
 }
 
@@ -95,7 +104,10 @@ fn near_is_warm_and_equal_ratios_are_equal_steps() {
 fn ticks_are_named_where_they_stand_and_do_not_touch() {
     for (near_m, far_m) in [(0.9, 2.6), (0.1, 20.0), (3.0, 3.6)] {
         let ticks = DepthScale { near_m, far_m }.ticks();
-        assert!(!ticks.is_empty() && ticks.windows(2).all(|pair| pair[1].0 - pair[0].0 > 0.1), "{ticks:?}");
+        assert!(
+            !ticks.is_empty() && ticks.windows(2).all(|pair| pair[1].0 - pair[0].0 > 0.1),
+            "{ticks:?}"
+        );
     }
     assert!(DepthScale { near_m: 0.9, far_m: 2.6 }.ticks().len() >= 3);
 }

@@ -63,9 +63,13 @@ impl EventCounts {
     /// Counts one event.
     pub fn add(&mut self, event: &Event) {
         match event {
-            Event::GoalChosen { why, .. } => count(&mut self.goals.get_or_insert_default().chosen, why),
+            Event::GoalChosen { why, .. } => {
+                count(&mut self.goals.get_or_insert_default().chosen, why)
+            }
             Event::GoalReached => self.goals.get_or_insert_default().reached += 1,
-            Event::GoalDropped { why } => count(&mut self.goals.get_or_insert_default().dropped, why),
+            Event::GoalDropped { why } => {
+                count(&mut self.goals.get_or_insert_default().dropped, why)
+            }
             Event::NoGoal { why } => count(&mut self.no_goal, why),
             Event::NoDepth { why } => count(&mut self.no_depth, why),
             Event::InputRefused { why } => count(&mut self.refused_inputs, why),
@@ -73,8 +77,12 @@ impl EventCounts {
                 *self.bumper_trips.get_or_insert(0) += 1;
                 count(&mut self.bumper_trips_by, by);
             }
-            Event::Safety { what: SafetyEvent::Faulted { why } } => count(&mut self.safety_faults, why),
-            Event::Safety { what: SafetyEvent::Escaping } => *self.bumper_escapes.get_or_insert(0) += 1,
+            Event::Safety { what: SafetyEvent::Faulted { why } } => {
+                count(&mut self.safety_faults, why)
+            }
+            Event::Safety { what: SafetyEvent::Escaping } => {
+                *self.bumper_escapes.get_or_insert(0) += 1
+            }
             _ => {}
         }
     }
@@ -115,15 +123,23 @@ mod tests {
             Event::NoDepth { why: NoDepth::TooLittleParallax },
             trip(TripCause::LidarHit),
             trip(TripCause::Contact),
-            Event::Safety { what: SafetyEvent::BackedOff { distance_m: 0.2, end: BackOffEnd::Distance } },
+            Event::Safety {
+                what: SafetyEvent::BackedOff { distance_m: 0.2, end: BackOffEnd::Distance },
+            },
             Event::Safety { what: SafetyEvent::Escaping },
         ];
         events.iter().for_each(|event| counts.add(event));
         let goals = counts.goals.unwrap();
-        assert_eq!(goals.chosen, Reasons::from([("frontier".into(), 1), ("inconsistency".into(), 1)]));
+        assert_eq!(
+            goals.chosen,
+            Reasons::from([("frontier".into(), 1), ("inconsistency".into(), 1)])
+        );
         assert_eq!((goals.reached, goals.dropped["no_progress"]), (1, 1));
         assert_eq!(counts.no_depth, Reasons::from([("too_little_parallax".into(), 2)]));
         assert_eq!((counts.bumper_trips, counts.bumper_escapes), (Some(2), Some(1)));
-        assert_eq!(counts.bumper_trips_by, Reasons::from([("contact".into(), 1), ("lidar_hit".into(), 1)]));
+        assert_eq!(
+            counts.bumper_trips_by,
+            Reasons::from([("contact".into(), 1), ("lidar_hit".into(), 1)])
+        );
     }
 }

@@ -54,16 +54,21 @@ pub struct Cells<'a, T> {
 
 impl<T: Copy> Cells<'_, T> {
     fn get(&self, x_m: f64, y_m: f64) -> Option<T> {
-        let [column, row] =
-            [x_m - self.origin_m[0], y_m - self.origin_m[1]].map(|along| (along / self.resolution_m).floor());
+        let [column, row] = [x_m - self.origin_m[0], y_m - self.origin_m[1]]
+            .map(|along| (along / self.resolution_m).floor());
         let inside = column >= 0.0 && row >= 0.0 && (column as usize) < self.width;
-        inside.then(|| self.cells.get(row as usize * self.width + column as usize).copied()).flatten()
+        inside
+            .then(|| self.cells.get(row as usize * self.width + column as usize).copied())
+            .flatten()
     }
 
     fn check(&self, what: &'static str) -> Result<(), ReportError> {
         let height = self.cells.len().checked_div(self.width).unwrap_or(0);
-        let sound = self.width * height == self.cells.len() && self.resolution_m > 0.0 && self.resolution_m.is_finite();
-        let error = ReportError::Shape { what, width: self.width, height, actual: self.cells.len() };
+        let sound = self.width * height == self.cells.len()
+            && self.resolution_m > 0.0
+            && self.resolution_m.is_finite();
+        let error =
+            ReportError::Shape { what, width: self.width, height, actual: self.cells.len() };
         if sound { Ok(()) } else { Err(error) }
     }
 
@@ -73,7 +78,9 @@ impl<T: Copy> Cells<'_, T> {
         for (index, _) in self.cells.iter().enumerate().filter(|(_, cell)| counts(**cell)) {
             for corner in [0, 1] {
                 let place = [index % self.width + corner, index / self.width + corner];
-                extent.add([0, 1].map(|axis| self.origin_m[axis] + place[axis] as f64 * self.resolution_m));
+                extent.add(
+                    [0, 1].map(|axis| self.origin_m[axis] + place[axis] as f64 * self.resolution_m),
+                );
             }
         }
         extent
@@ -117,7 +124,13 @@ impl MapPicture<'_> {
         }
         let view = View::of(self);
         let mut canvas = Canvas::new(view.page_width as u32, view.page_height as u32, PAGE);
-        canvas.text(GAP, 10, &Font::Title.fit(self.title, view.page_width - 2 * GAP), Font::Title, INK);
+        canvas.text(
+            GAP,
+            10,
+            &Font::Title.fit(self.title, view.page_width - 2 * GAP),
+            Font::Title,
+            INK,
+        );
         self.draw_cells(&mut canvas, &view);
         self.draw_plan(&mut canvas, &view);
         self.draw_trajectory(&mut canvas, &view);
@@ -165,7 +178,8 @@ impl MapPicture<'_> {
         for (index, pose) in self.trajectory.iter().enumerate() {
             let at = view.pixel([pose.x_m, pose.y_m]);
             // Steps shorter than a pixel only cost time.
-            let far = way.last().is_none_or(|(_, from)| (at[0] - from[0]).hypot(at[1] - from[1]) >= 1.0);
+            let far =
+                way.last().is_none_or(|(_, from)| (at[0] - from[0]).hypot(at[1] - from[1]) >= 1.0);
             if pose.is_finite() && (far || index + 1 == self.trajectory.len()) {
                 way.push((index as f64 / last, at));
             }
@@ -197,7 +211,13 @@ impl MapPicture<'_> {
             row.swatch(canvas, color, label);
         }
         if self.reachable.is_some() {
-            canvas.line([row.x as f64, row.y as f64 + 8.0], [row.x as f64 + 14.0, row.y as f64 + 8.0], 1.5, PLAN, 0.8);
+            canvas.line(
+                [row.x as f64, row.y as f64 + 8.0],
+                [row.x as f64 + 14.0, row.y as f64 + 8.0],
+                1.5,
+                PLAN,
+                0.8,
+            );
             row.label(canvas, "true reachable floor");
         }
         let mut row = Legend { x: GAP, y: view.page_height - LEGEND + 26 };
@@ -324,8 +344,10 @@ impl View {
         }
         // Whole cells from a cell's corner on, each a whole number of pixels, so that all look alike.
         let (cell_m, origin_m) = (picture.map.resolution_m, picture.map.origin_m);
-        let low = [0, 1].map(|axis| ((extent.min_m[axis] - MARGIN_M - origin_m[axis]) / cell_m).floor());
-        let high = [0, 1].map(|axis| ((extent.max_m[axis] + MARGIN_M - origin_m[axis]) / cell_m).ceil());
+        let low =
+            [0, 1].map(|axis| ((extent.min_m[axis] - MARGIN_M - origin_m[axis]) / cell_m).floor());
+        let high =
+            [0, 1].map(|axis| ((extent.max_m[axis] + MARGIN_M - origin_m[axis]) / cell_m).ceil());
         let columns = [0, 1].map(|axis| ((high[axis] - low[axis]) as i64).clamp(1, 8192));
         let cell = (MAP_SIDE / columns[0].max(columns[1])).clamp(1, MAX_CELL);
         let (width, height) = (columns[0] * cell, columns[1] * cell);

@@ -47,13 +47,18 @@ fn cells_have_their_colours_and_y_points_up() {
 #[test]
 fn the_path_has_the_colour_of_its_time() {
     let cells = room();
-    let way: Vec<Pose2> = (0..=100).map(|i| Pose2::new(-0.5 + 0.02 * f64::from(i), -0.5, 0.0)).collect();
+    let way: Vec<Pose2> =
+        (0..=100).map(|i| Pose2::new(-0.5 + 0.02 * f64::from(i), -0.5, 0.0)).collect();
     let picture = picture(&cells, &way);
     let (canvas, view) = (picture.draw().unwrap(), View::of(&picture));
     for index in [25, 50, 75] {
-        let [seen, wanted] = [color_at(&canvas, &view, [way[index].x_m, -0.5]), colors::time(index as f64 / 100.0)];
+        let [seen, wanted] =
+            [color_at(&canvas, &view, [way[index].x_m, -0.5]), colors::time(index as f64 / 100.0)];
         // The next segment's round end reaches back over this point.
-        assert!(seen.iter().zip(wanted).all(|(a, b)| a.abs_diff(b) <= 6), "{seen:?} for {wanted:?}");
+        assert!(
+            seen.iter().zip(wanted).all(|(a, b)| a.abs_diff(b) <= 6),
+            "{seen:?} for {wanted:?}"
+        );
     }
     assert_eq!(color_at(&canvas, &view, [way[0].x_m, -0.5]), START);
     assert_eq!(color_at(&canvas, &view, [way[100].x_m, -0.5]), END);
@@ -65,7 +70,8 @@ fn the_scale_bar_is_one_metre_long() {
     let picture = picture(&cells, &[]);
     let (canvas, view) = (picture.draw().unwrap(), View::of(&picture));
     let y = view.top + view.height - 18;
-    let bar = (view.left..view.left + view.width).filter(|x| canvas.get(*x, y) == Some(INK)).count();
+    let bar =
+        (view.left..view.left + view.width).filter(|x| canvas.get(*x, y) == Some(INK)).count();
     assert_eq!(bar as f64, view.pixels_per_m.round());
     let [a, b] = [view.pixel([0.0, 0.0]), view.pixel([1.0, 0.0])];
     assert!((b[0] - a[0] - view.pixels_per_m).abs() < 1e-9);
@@ -86,18 +92,22 @@ fn the_view_is_what_is_known_with_a_margin_and_wide_enough_to_read() {
 #[test]
 fn marks_stand_where_things_happened() {
     let cells = room();
-    let picture = MapPicture { goals: &[[0.5, -1.0]], trips: &[[0.0, -1.5]], ..picture(&cells, &[]) };
+    let picture =
+        MapPicture { goals: &[[0.5, -1.0]], trips: &[[0.0, -1.5]], ..picture(&cells, &[]) };
     let (canvas, view) = (picture.draw().unwrap(), View::of(&picture));
     assert_eq!(color_at(&canvas, &view, [0.0, -1.5]), TRIP);
     let [x, y] = view.pixel([0.5, -1.0]);
-    assert!((3..6).any(|right| canvas.get(x.round() as i64 + right, y.round() as i64) == Some(GOAL)));
+    assert!(
+        (3..6).any(|right| canvas.get(x.round() as i64 + right, y.round() as i64) == Some(GOAL))
+    );
 }
 
 #[test]
 fn the_true_floor_is_outlined_also_where_the_map_knows_nothing() {
     let cells = vec![CellState::Unknown; 80 * 60];
     let floor = vec![true; 40 * 30];
-    let reachable = Cells { width: 40, cells: &floor[..], resolution_m: 0.1, origin_m: [-1.0, -2.0] };
+    let reachable =
+        Cells { width: 40, cells: &floor[..], resolution_m: 0.1, origin_m: [-1.0, -2.0] };
     let picture = MapPicture { reachable: Some(reachable), ..picture(&cells, &[]) };
     let (canvas, view) = (picture.draw().unwrap(), View::of(&picture));
     let [x, y] = view.pixel([3.0, -0.5]).map(|value| value.round() as i64);

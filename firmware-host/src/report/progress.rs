@@ -53,7 +53,11 @@ impl Progress {
         if tenths > self.tenths_told {
             self.tenths_told = tenths;
             // Nobody may be reading; a run does not end for that.
-            let _ = writeln!(std::io::stderr(), "{}", plain(done, self.total, self.started.elapsed(), status));
+            let _ = writeln!(
+                std::io::stderr(),
+                "{}",
+                plain(done, self.total, self.started.elapsed(), status)
+            );
         }
     }
 
@@ -68,7 +72,8 @@ impl Progress {
 fn bar(total: u64, on: ProgressDrawTarget) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(Some(total), on);
     let template = "{bar:20} {pos}/{len} frames, {rate}, {eta} left  {wide_msg}";
-    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    let style =
+        ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     // indicatif's own `per_sec` has four decimals, whatever is asked for, and in the first second any number of digits.
     bar.with_style(style.with_key("rate", |state: &ProgressState, text: &mut dyn fmt::Write| {
         // Nothing can be done about a terminal that takes no text.
@@ -107,7 +112,10 @@ mod tests {
     fn a_line_says_how_far_how_fast_and_how_long() {
         let status = Status { coverage: Some(0.347), doing: "frontier" };
         let line = plain(1500, 3000, Duration::from_secs(50), &status);
-        assert_eq!(line, " 50 %  1500/3000 frames, 30.0 a second, 50 s left, 35 % mapped, frontier");
+        assert_eq!(
+            line,
+            " 50 %  1500/3000 frames, 30.0 a second, 50 s left, 35 % mapped, frontier"
+        );
         let line = plain(3000, 3000, Duration::from_secs(100), &Status::default());
         assert_eq!(line, "100 %  3000/3000 frames, 30.0 a second, 0 s left");
     }
@@ -151,13 +159,16 @@ mod tests {
     #[test]
     fn the_bar_says_the_rate_with_one_decimal_within_the_terminals_width() {
         let paper = Paper::default();
-        let bar =
-            bar(3000, ProgressDrawTarget::term_like(Box::new(paper.clone()))).with_elapsed(Duration::from_secs(50));
-        bar.set_message(Status { coverage: Some(0.347), doing: "going where two looks disagree" }.text());
+        let bar = bar(3000, ProgressDrawTarget::term_like(Box::new(paper.clone())))
+            .with_elapsed(Duration::from_secs(50));
+        bar.set_message(
+            Status { coverage: Some(0.347), doing: "going where two looks disagree" }.text(),
+        );
         bar.set_position(1500);
         bar.force_draw();
         let line = paper.0.lock().unwrap().clone();
-        let rate = line.split(", ").find_map(|part| part.strip_suffix(" a second")).unwrap_or_default();
+        let rate =
+            line.split(", ").find_map(|part| part.strip_suffix(" a second")).unwrap_or_default();
         assert_eq!(rate.split_once('.').map(|(_, decimals)| decimals.len()), Some(1), "{line:?}");
         assert!(line.contains("1500/3000 frames") && line.contains("35 % mapped"), "{line:?}");
         assert!(line.trim_end().chars().count() <= 78 && !line.contains('\x1b'), "{line:?}");

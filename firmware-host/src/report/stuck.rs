@@ -35,7 +35,8 @@ impl StuckMeter {
         self.recent.push_back(pose);
         self.seen += 1;
         let stays = |other: &Pose2| {
-            pose.distance_m(other) < DISTANCE_M && wrap_angle(pose.yaw_rad - other.yaw_rad).abs() < TURN_RAD
+            pose.distance_m(other) < DISTANCE_M
+                && wrap_angle(pose.yaw_rad - other.yaw_rad).abs() < TURN_RAD
         };
         if self.recent.len() < WINDOW || !self.recent.iter().all(stays) {
             return;
@@ -71,7 +72,9 @@ mod tests {
 
     fn meter(poses: impl IntoIterator<Item = (f64, f64)>) -> StuckMeter {
         let mut meter = StuckMeter::default();
-        poses.into_iter().for_each(|(x, degrees)| meter.frame(Pose2::new(x, 0.0, f64::to_radians(degrees))));
+        poses
+            .into_iter()
+            .for_each(|(x, degrees)| meter.frame(Pose2::new(x, 0.0, f64::to_radians(degrees))));
         meter
     }
 

@@ -187,7 +187,8 @@ pub fn peak_resident_mib() -> Option<f64> {
 }
 
 fn peak_resident_in(status: &str) -> Option<f64> {
-    let kib = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?.trim().strip_suffix("kB")?;
+    let kib =
+        status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?.trim().strip_suffix("kB")?;
     Some(kib.trim().parse::<f64>().ok()? / 1024.0)
 }
 
@@ -200,9 +201,14 @@ mod tests {
     fn a_key_without_a_value_is_absent() {
         let empty: serde_json::Value = serde_json::from_str(&Summary::default().to_json()).unwrap();
         assert_eq!(empty, json!({"frames": 0}));
-        let drive: serde_json::Value =
-            serde_json::from_str(&Summary { events: EventCounts::driving(), ..Summary::default() }.to_json()).unwrap();
-        assert_eq!(drive, json!({"frames": 0, "bumper_trips": 0, "bumper_escapes": 0, "goals": {"reached": 0}}));
+        let drive: serde_json::Value = serde_json::from_str(
+            &Summary { events: EventCounts::driving(), ..Summary::default() }.to_json(),
+        )
+        .unwrap();
+        assert_eq!(
+            drive,
+            json!({"frames": 0, "bumper_trips": 0, "bumper_escapes": 0, "goals": {"reached": 0}})
+        );
     }
 
     #[test]
@@ -216,15 +222,24 @@ mod tests {
 
     #[test]
     fn a_number_that_json_cannot_hold_is_absent_not_null() {
-        let summary = Summary { path_m: Some(f64::NAN), wall_s: Some(f64::INFINITY), ..Summary::default() };
+        let summary =
+            Summary { path_m: Some(f64::NAN), wall_s: Some(f64::INFINITY), ..Summary::default() };
         let text = summary.to_json();
-        assert!(!text.contains("null") && !text.contains("path_m") && !text.contains("wall_s"), "{text}");
+        assert!(
+            !text.contains("null") && !text.contains("path_m") && !text.contains("wall_s"),
+            "{text}"
+        );
     }
 
     #[test]
     fn keys_and_nesting_are_those_that_tools_rely_on() {
         let rows = |metrics| AccuracyRows { all: Some(metrics), confident: None };
-        let coarse = rows(Metrics { share: 0.71, delta1: 0.86, delta1_unscaled: 0.84, ..Metrics::default() });
+        let coarse = rows(Metrics {
+            share: 0.71,
+            delta1: 0.86,
+            delta1_unscaled: 0.84,
+            ..Metrics::default()
+        });
         let constant = rows(Metrics { delta1: 0.65, ..Metrics::default() });
         let summary = Summary {
             frames: 3000,
@@ -239,7 +254,10 @@ mod tests {
             stuck_frames: Some(12),
             wall_s: Some(95.1),
             digest: Some("ab12".into()),
-            latency_ms: BTreeMap::from([(Stage::Total, Percentiles { p50: 6.1, p99: 9.7, max: 14.0 })]),
+            latency_ms: BTreeMap::from([(
+                Stage::Total,
+                Percentiles { p50: 6.1, p99: 9.7, max: 14.0 },
+            )]),
             accuracy: Some(DepthAccuracy {
                 coarse: Some(coarse),
                 network: None,
@@ -272,12 +290,21 @@ mod tests {
         summary.write(dir.path()).unwrap();
         let text = std::fs::read_to_string(dir.path().join("summary.json")).unwrap();
         assert_eq!(serde_json::from_str::<Summary>(&text).unwrap(), summary);
-        assert!(summary.write(&dir.path().join("absent")).unwrap_err().to_string().contains("absent/summary.json"));
+        assert!(
+            summary
+                .write(&dir.path().join("absent"))
+                .unwrap_err()
+                .to_string()
+                .contains("absent/summary.json")
+        );
     }
 
     #[test]
     fn peak_memory_is_read_in_mebibytes() {
-        assert_eq!(peak_resident_in("VmPeak:\t 9 kB\nVmHWM:\t    2048 kB\nVmRSS:\t 1 kB\n"), Some(2.0));
+        assert_eq!(
+            peak_resident_in("VmPeak:\t 9 kB\nVmHWM:\t    2048 kB\nVmRSS:\t 1 kB\n"),
+            Some(2.0)
+        );
         assert_eq!(peak_resident_in("Name: x\n"), None);
     }
 }

@@ -40,7 +40,8 @@ fn title(text: &mut String, summary: &Summary) {
         DepthSource::Truth => "ground-truth depth (a test of mapping, not of the robot)".to_owned(),
         other => format!("{} depth", name(&other)),
     });
-    let parts: Vec<String> = [place.cloned(), summary.policy.clone(), seed, depth].into_iter().flatten().collect();
+    let parts: Vec<String> =
+        [place.cloned(), summary.policy.clone(), seed, depth].into_iter().flatten().collect();
     let _ = writeln!(text, "{}", parts.join(", "));
 }
 
@@ -69,13 +70,17 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
         let _ = write!(trips, ", {escapes} {}", if escapes == 1 { "escape" } else { "escapes" });
     }
     let goals = events.goals.clone().unwrap_or_default();
-    let [chosen, dropped] = [&goals.chosen, &goals.dropped].map(|reasons| reasons.values().sum::<u64>());
-    let goal_counts = (chosen > 0).then(|| format!("{chosen} chosen, {} reached, {dropped} dropped", goals.reached));
+    let [chosen, dropped] =
+        [&goals.chosen, &goals.dropped].map(|reasons| reasons.values().sum::<u64>());
+    let goal_counts = (chosen > 0)
+        .then(|| format!("{chosen} chosen, {} reached, {dropped} dropped", goals.reached));
     vec![
         ("frames", frames(summary)),
         (
             "left out",
-            summary.skipped_turns.map_or(String::new(), |turns| format!("{turns} turns that would have been late")),
+            summary
+                .skipped_turns
+                .map_or(String::new(), |turns| format!("{turns} turns that would have been late")),
         ),
         ("ended by", summary.end_reason.map_or(String::new(), |end| name(&end))),
         ("coverage", coverage(summary)),
@@ -92,9 +97,18 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
         ("no goal", counted(&events.no_goal, "times")),
         ("no depth", counted(&events.no_depth, "frames")),
         ("refused", counted(&events.refused_inputs, "inputs")),
-        ("memory", summary.resident_mib.map_or(String::new(), |mib| format!("{mib:.0} MiB at most"))),
+        (
+            "memory",
+            summary.resident_mib.map_or(String::new(), |mib| format!("{mib:.0} MiB at most")),
+        ),
         ("recording", recording(summary)),
-        ("decisions", summary.digest.as_ref().map_or(String::new(), |digest| format!("digest {}", short(digest)))),
+        (
+            "decisions",
+            summary
+                .digest
+                .as_ref()
+                .map_or(String::new(), |digest| format!("digest {}", short(digest))),
+        ),
     ]
 }
 
@@ -128,7 +142,8 @@ fn stuck(summary: &Summary) -> String {
 
 fn recording(summary: &Summary) -> String {
     let size = summary.recording_mib.map(|mib| format!("{mib:.1} MiB"));
-    let digest = summary.recording_digest.as_ref().map(|digest| format!("digest {}", short(digest)));
+    let digest =
+        summary.recording_digest.as_ref().map(|digest| format!("digest {}", short(digest)));
     [size, digest].into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
@@ -140,7 +155,8 @@ fn short(digest: &str) -> &str {
 fn by_reason(reasons: &Reasons) -> String {
     let mut sorted: Vec<(&String, &u64)> = reasons.iter().collect();
     sorted.sort_by_key(|(reason, count)| (std::cmp::Reverse(**count), reason.as_str()));
-    let parts: Vec<String> = sorted.into_iter().map(|(reason, count)| format!("{count} {reason}")).collect();
+    let parts: Vec<String> =
+        sorted.into_iter().map(|(reason, count)| format!("{count} {reason}")).collect();
     parts.join(", ")
 }
 
@@ -155,7 +171,15 @@ fn counted(reasons: &Reasons, what: &str) -> String {
 
 fn accuracy(summary: &Summary) -> Option<Table> {
     let accuracy = summary.accuracy.as_ref()?;
-    let mut table = numbers(&["depth accuracy", "share", "right of all", "delta1", "unscaled", "abs rel", "rmse (m)"]);
+    let mut table = numbers(&[
+        "depth accuracy",
+        "share",
+        "right of all",
+        "delta1",
+        "unscaled",
+        "abs rel",
+        "rmse (m)",
+    ]);
     let mut source = |label: &str, of: Option<AccuracyRows>| {
         let of = of.unwrap_or_default();
         for (which, row) in [("all", of.all), ("confident half", of.confident)] {
@@ -186,7 +210,12 @@ fn latency(summary: &Summary) -> Option<Table> {
     let mut table = numbers(&["time per frame (ms)", "median", "p99", "max"]);
     for (stage, times) in &summary.latency_ms {
         let number = |value: f64| format!("{value:.2}");
-        table.add_row(vec![stage.name().to_owned(), number(times.p50), number(times.p99), number(times.max)]);
+        table.add_row(vec![
+            stage.name().to_owned(),
+            number(times.p50),
+            number(times.p99),
+            number(times.max),
+        ]);
     }
     (table.row_count() > 0).then_some(table)
 }
@@ -239,7 +268,8 @@ mod tests {
             rmse_m: 0.4,
             ..Metrics::default()
         };
-        let rows = AccuracyRows { all: Some(metrics(0.71, 0.86)), confident: Some(metrics(0.36, 0.96)) };
+        let rows =
+            AccuracyRows { all: Some(metrics(0.71, 0.86)), confident: Some(metrics(0.36, 0.96)) };
         let times = Percentiles { p50: 6.1, p99: 9.7, max: 14.0 };
         Summary {
             frames: 3000,
@@ -307,13 +337,18 @@ mod tests {
 
     #[test]
     fn what_is_not_known_is_not_said() {
-        let text = render(&Summary { frames: 360, dataset: Some("redkitchen".into()), ..Summary::default() });
+        let text = render(&Summary {
+            frames: 360,
+            dataset: Some("redkitchen".into()),
+            ..Summary::default()
+        });
         assert_eq!(text, "redkitchen\n  frames      360\n");
     }
 
     #[test]
     fn long_lists_of_reasons_are_wrapped_below_themselves() {
-        let many: Vec<String> = (0..12).map(|index| format!("a_rather_long_reason_{index}")).collect();
+        let many: Vec<String> =
+            (0..12).map(|index| format!("a_rather_long_reason_{index}")).collect();
         let mut summary = full();
         summary.events.no_depth = many.iter().map(|reason| (reason.clone(), 7)).collect();
         let text = render(&summary);
@@ -335,7 +370,8 @@ mod tests {
 
     #[test]
     fn ground_truth_depth_cannot_be_mistaken_for_the_robots() {
-        let text = render(&Summary { depth_source: Some(DepthSource::Truth), ..Summary::default() });
+        let text =
+            render(&Summary { depth_source: Some(DepthSource::Truth), ..Summary::default() });
         assert!(text.contains("a test of mapping, not of the robot"));
     }
 }

@@ -80,9 +80,13 @@ impl TopView {
 
     /// Everything known: columns, cells row by row, and the outer corner of the first.
     fn cells(&self) -> (usize, Vec<CellState>, [f64; 2]) {
-        let Some(known) = self.grid.known_box() else { return (1, vec![CellState::Unknown], [0.0; 2]) };
+        let Some(known) = self.grid.known_box() else {
+            return (1, vec![CellState::Unknown], [0.0; 2]);
+        };
         let rows = known.min.y..=known.max.y;
-        let cells = rows.flat_map(|y| (known.min.x..=known.max.x).map(move |x| self.grid.state(Cell::new(x, y))));
+        let cells = rows.flat_map(|y| {
+            (known.min.x..=known.max.x).map(move |x| self.grid.state(Cell::new(x, y)))
+        });
         let corner = [known.min.x, known.min.y].map(|cells| f64::from(cells) * self.grid.cell_m());
         (known.width(), cells.collect(), corner)
     }
@@ -94,7 +98,8 @@ fn upward(poses: &[Pose3]) -> Vector3<f64> {
     let count = poses.len().max(1) as f64;
     let mean: Vector3<f64> = poses.iter().map(|pose| pose * -Vector3::y() / count).sum();
     let mean = mean.try_normalize(1e-9).unwrap_or_else(Vector3::z);
-    let horizons: Matrix3<f64> = poses.iter().map(|pose| pose * Vector3::x()).map(|x| x * x.transpose() / count).sum();
+    let horizons: Matrix3<f64> =
+        poses.iter().map(|pose| pose * Vector3::x()).map(|x| x * x.transpose() / count).sum();
     let tilt = horizons + UPRIGHT * (Matrix3::identity() - mean * mean.transpose());
     let eigen = tilt.symmetric_eigen();
     let up = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
@@ -106,13 +111,21 @@ fn levelled(poses: &[Pose3], up: Vector3<f64>) -> Pose3 {
     let up = up.try_normalize(1e-9).unwrap_or_else(Vector3::z);
     let level = |axis: Vector3<f64>| (axis - up * axis.dot(&up)).try_normalize(1e-3);
     // A first picture of the floor has its upper edge ahead.
-    let ahead = poses.first().and_then(|first| level(first * Vector3::z()).or_else(|| level(first * -Vector3::y())));
-    let ahead = ahead.or_else(|| level(Vector3::x())).or_else(|| level(Vector3::y())).unwrap_or_else(Vector3::y);
+    let ahead = poses
+        .first()
+        .and_then(|first| level(first * Vector3::z()).or_else(|| level(first * -Vector3::y())));
+    let ahead = ahead
+        .or_else(|| level(Vector3::x()))
+        .or_else(|| level(Vector3::y()))
+        .unwrap_or_else(Vector3::y);
     let rotation = Rotation3::from_basis_unchecked(&[ahead.cross(&up), ahead, up]).inverse();
     let mut heights: Vec<f64> = poses.iter().map(|pose| up.dot(&pose.translation.vector)).collect();
     heights.sort_by(f64::total_cmp);
     let median_m = heights.get(heights.len() / 2).copied().unwrap_or(0.0);
-    Pose3::from_parts(Translation3::new(0.0, 0.0, BELOW_M - median_m), UnitQuaternion::from_rotation_matrix(&rotation))
+    Pose3::from_parts(
+        Translation3::new(0.0, 0.0, BELOW_M - median_m),
+        UnitQuaternion::from_rotation_matrix(&rotation),
+    )
 }
 
 #[cfg(test)]
@@ -134,7 +147,8 @@ mod tests {
                 let yaw = turn_rad * part;
                 let pitch = nod_rad + 0.1 * (part * 40.0).sin();
                 let mount = hal::camera_mount(0.0, 1.4 + 0.05 * (part * 23.0).sin(), pitch);
-                let roll = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.08 * (part * 31.0).sin());
+                let roll =
+                    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.08 * (part * 31.0).sin());
                 Pose2::new(0.7 * yaw.cos(), 0.5 * yaw.sin(), yaw).to_pose3() * mount * roll
             })
             .collect()
@@ -151,7 +165,8 @@ mod tests {
                 let to = |axis: usize, low: f64, high: f64| {
                     (if ray[axis] > 0.0 { high } else { low } - at[axis]) / ray[axis]
                 };
-                let depth_m = to(0, -HALF[0], HALF[0]).min(to(1, -HALF[1], HALF[1])).min(to(2, 0.0, 2.6));
+                let depth_m =
+                    to(0, -HALF[0], HALF[0]).min(to(1, -HALF[1], HALF[1])).min(to(2, 0.0, 2.6));
                 estimate.depth.values_mut()[v * camera.width + u] = depth_m as f32;
             }
         }
@@ -162,7 +177,10 @@ mod tests {
     /// Any frame that a recording may use for its world.
     fn t_world_room() -> Pose3 {
         let turn = Vector3::new(2.0, -0.7, 0.4);
-        Pose3::from_parts(Translation3::new(7.0, -3.0, 11.0), UnitQuaternion::from_scaled_axis(turn))
+        Pose3::from_parts(
+            Translation3::new(7.0, -3.0, 11.0),
+            UnitQuaternion::from_scaled_axis(turn),
+        )
     }
 
     #[test]
@@ -201,9 +219,13 @@ mod tests {
     fn up_is_found_however_the_camera_is_held() {
         // Turning round it does not matter where the camera looks; looking one way it has to be held upright.
         for (turn_rad, nod_rad, most_rad) in [(6.0, 0.5, 0.03), (1.0, 0.3, 0.1), (0.0, 0.0, 0.03)] {
-            let poses: Vec<Pose3> = carried(200, turn_rad, nod_rad).iter().map(|pose| t_world_room() * pose).collect();
+            let poses: Vec<Pose3> =
+                carried(200, turn_rad, nod_rad).iter().map(|pose| t_world_room() * pose).collect();
             let error_rad = upward(&poses).angle(&(t_world_room() * Vector3::z()));
-            assert!(error_rad < most_rad, "turned {turn_rad}, nodding {nod_rad}: off by {error_rad}");
+            assert!(
+                error_rad < most_rad,
+                "turned {turn_rad}, nodding {nod_rad}: off by {error_rad}"
+            );
         }
     }
 

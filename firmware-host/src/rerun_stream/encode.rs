@@ -10,7 +10,12 @@ use runtime::recording::MapView;
 /// JPEG of an RGB8 picture: a tenth of its size, and nobody measures on it.
 pub(super) fn jpeg(width: usize, height: usize, rgb: &[u8]) -> ImageResult<Vec<u8>> {
     let mut bytes = Vec::new();
-    JpegEncoder::new_with_quality(&mut bytes, 85).encode(rgb, width as u32, height as u32, ExtendedColorType::Rgb8)?;
+    JpegEncoder::new_with_quality(&mut bytes, 85).encode(
+        rgb,
+        width as u32,
+        height as u32,
+        ExtendedColorType::Rgb8,
+    )?;
     Ok(bytes)
 }
 
@@ -21,7 +26,12 @@ pub(super) fn map_png(map: &MapView) -> ImageResult<Vec<u8>> {
     let gray: Vec<u8> = rows.flatten().map(|occupancy| gray(*occupancy)).collect();
     let mut bytes = Vec::new();
     let height = gray.len() / columns;
-    PngEncoder::new(&mut bytes).write_image(&gray, columns as u32, height as u32, ExtendedColorType::L8)?;
+    PngEncoder::new(&mut bytes).write_image(
+        &gray,
+        columns as u32,
+        height as u32,
+        ExtendedColorType::L8,
+    )?;
     Ok(bytes)
 }
 
@@ -34,7 +44,11 @@ fn gray(occupancy: i8) -> u8 {
 
 /// Millimetres, little-endian, as depth cameras give them; 0 is no depth.
 pub(super) fn depth_mm(depth: &DepthMap) -> Vec<u8> {
-    depth.values().iter().flat_map(|depth_m| ((depth_m * 1000.0).round() as u16).to_le_bytes()).collect()
+    depth
+        .values()
+        .iter()
+        .flat_map(|depth_m| ((depth_m * 1000.0).round() as u16).to_le_bytes())
+        .collect()
 }
 
 #[cfg(test)]
@@ -43,7 +57,12 @@ mod tests {
 
     #[test]
     fn a_map_has_its_largest_y_on_top() {
-        let map = MapView { origin_m: [0.0, 0.0], cell_m: 0.1, columns: 2, occupancy: vec![-1, 0, 100, 100] };
+        let map = MapView {
+            origin_m: [0.0, 0.0],
+            cell_m: 0.1,
+            columns: 2,
+            occupancy: vec![-1, 0, 100, 100],
+        };
         let picture = image::load_from_memory(&map_png(&map).unwrap()).unwrap().into_luma8();
         assert_eq!(picture.into_raw(), [50, 50, 150, 250]);
     }
@@ -51,7 +70,10 @@ mod tests {
     #[test]
     fn depth_is_in_millimetres_and_saturates() {
         let depth = DepthMap::from_vec(3, 1, vec![0.0, 1.2345, 100.0]).unwrap();
-        assert_eq!(depth_mm(&depth), [[0, 0], 1235u16.to_le_bytes(), u16::MAX.to_le_bytes()].concat());
+        assert_eq!(
+            depth_mm(&depth),
+            [[0, 0], 1235u16.to_le_bytes(), u16::MAX.to_le_bytes()].concat()
+        );
     }
 
     #[test]

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use hal::{CameraModel, Pose2, Pose3};
 use rerun::{
-    DepthImage, EncodedImage, LineStrips2D, LineStrips3D, Pinhole, Points2D, Points3D, Quaternion, RecordingStream,
-    RecordingStreamBuilder, Scalars, Transform3D, ViewCoordinates,
+    DepthImage, EncodedImage, LineStrips2D, LineStrips3D, Pinhole, Points2D, Points3D, Quaternion,
+    RecordingStream, RecordingStreamBuilder, Scalars, Transform3D, ViewCoordinates,
     blueprint::{Blueprint, Horizontal, Spatial2DView, Spatial3DView, TimeSeriesView, Vertical},
 };
 use runtime::recording::MapView;
@@ -120,7 +120,10 @@ impl RunLog {
         if let Some((width, height, rgb)) = &moment.picture {
             match encode::jpeg(*width, *height, rgb) {
                 Ok(jpeg) => self.each(|stream| {
-                    stream.log("world/robot/camera/picture", &EncodedImage::from_file_contents(jpeg.clone()))
+                    stream.log(
+                        "world/robot/camera/picture",
+                        &EncodedImage::from_file_contents(jpeg.clone()),
+                    )
                 }),
                 Err(_) => self.failed += 1,
             }
@@ -137,7 +140,9 @@ impl RunLog {
         self.map = Some(MapFrame::of(map));
         match encode::map_png(map) {
             Ok(png) => {
-                self.each(|stream| stream.log("map/cells", &EncodedImage::from_file_contents(png.clone())));
+                self.each(|stream| {
+                    stream.log("map/cells", &EncodedImage::from_file_contents(png.clone()))
+                });
             }
             Err(_) => self.failed += 1,
         }
@@ -168,7 +173,8 @@ impl RunLog {
     fn line(&mut self, name: &str, line_m: &[[f64; 2]], color: [u8; 3]) {
         let map = self.map;
         self.each(|stream| {
-            let space = LineStrips3D::new([on_floor(line_m)]).with_colors([color]).with_radii([0.015]);
+            let space =
+                LineStrips3D::new([on_floor(line_m)]).with_colors([color]).with_radii([0.015]);
             stream.log(format!("world/{name}"), &space)?;
             let Some(map) = map else { return Ok(()) };
             let flat = LineStrips2D::new([map.line(line_m)]).with_colors([color]).with_radii([0.8]);
@@ -201,14 +207,26 @@ impl Drop for RunLog {
     }
 }
 
-fn named(target: &str, stream: rerun::RecordingStreamResult<RecordingStream>) -> Result<RecordingStream, RerunError> {
-    stream.map_err(|error| RerunError::Target { target: target.to_owned(), reason: error.to_string() })
+fn named(
+    target: &str,
+    stream: rerun::RecordingStreamResult<RecordingStream>,
+) -> Result<RecordingStream, RerunError> {
+    stream.map_err(|error| RerunError::Target {
+        target: target.to_owned(),
+        reason: error.to_string(),
+    })
 }
 
 fn layout() -> Blueprint {
     let seen = Vertical::new([
-        Spatial2DView::new("camera").with_origin("world/robot/camera").with_contents(["$origin/picture"]).into(),
-        Spatial2DView::new("depth").with_origin("world/robot/camera").with_contents(["$origin/depth"]).into(),
+        Spatial2DView::new("camera")
+            .with_origin("world/robot/camera")
+            .with_contents(["$origin/picture"])
+            .into(),
+        Spatial2DView::new("depth")
+            .with_origin("world/robot/camera")
+            .with_contents(["$origin/depth"])
+            .into(),
         Spatial3DView::new("space").with_origin("world").into(),
     ]);
     let known = Vertical::new([
@@ -220,8 +238,10 @@ fn layout() -> Blueprint {
 }
 
 fn transform(pose: &Pose3) -> Transform3D {
-    let [x, y, z, w] = [pose.rotation.i, pose.rotation.j, pose.rotation.k, pose.rotation.w].map(|value| value as f32);
-    let translation = [pose.translation.x as f32, pose.translation.y as f32, pose.translation.z as f32];
+    let [x, y, z, w] = [pose.rotation.i, pose.rotation.j, pose.rotation.k, pose.rotation.w]
+        .map(|value| value as f32);
+    let translation =
+        [pose.translation.x as f32, pose.translation.y as f32, pose.translation.z as f32];
     Transform3D::from_translation_rotation(translation, Quaternion::from_xyzw([x, y, z, w]))
 }
 
@@ -240,7 +260,8 @@ mod tests {
 
     #[test]
     fn a_point_of_the_world_stands_at_its_cell_of_the_picture() {
-        let map = MapView { origin_m: [-1.0, -2.0], cell_m: 0.5, columns: 4, occupancy: vec![0; 12] };
+        let map =
+            MapView { origin_m: [-1.0, -2.0], cell_m: 0.5, columns: 4, occupancy: vec![0; 12] };
         let frame = MapFrame::of(&map);
         assert_eq!(frame.pixel([-1.0, -2.0]), [0.0, 3.0]);
         assert_eq!(frame.pixel([1.0, -0.5]), [4.0, 0.0]);

@@ -92,13 +92,20 @@ impl RerunStream {
     ///
     /// # Errors
     /// [`RerunError`]; a viewer that is not running is no error, it may come later.
-    pub fn start(targets: &RerunTargets, camera: &CameraModel, t_base_camera: &Pose3) -> Result<Self, RerunError> {
+    pub fn start(
+        targets: &RerunTargets,
+        camera: &CameraModel,
+        t_base_camera: &Pose3,
+    ) -> Result<Self, RerunError> {
         let mut log = RunLog::open(targets, camera, t_base_camera)?;
         Self::with(move |moment| log.moment(moment), QUEUE)
     }
 
     /// Calls `send` on a thread; it returns how many values failed.
-    fn with(mut send: impl FnMut(&Moment) -> u64 + Send + 'static, queue: usize) -> Result<Self, RerunError> {
+    fn with(
+        mut send: impl FnMut(&Moment) -> u64 + Send + 'static,
+        queue: usize,
+    ) -> Result<Self, RerunError> {
         let (sender, receiver) = sync_channel::<Moment>(queue);
         let thread = std::thread::Builder::new().name("rerun".to_owned()).spawn(move || {
             let mut counts = RerunCounts::default();
@@ -161,7 +168,8 @@ mod tests {
         let targets = RerunTargets { file: Some(file.clone()), viewer: None };
         let camera = CameraModel::pinhole(64, 32, 1.5);
         let mut log = RunLog::open(&targets, &camera, &camera_mount(0.0, 0.8, 0.0)).unwrap();
-        let map = MapView { origin_m: [-1.0, -1.0], cell_m: 0.1, columns: 20, occupancy: vec![-1; 400] };
+        let map =
+            MapView { origin_m: [-1.0, -1.0], cell_m: 0.1, columns: 20, occupancy: vec![-1; 400] };
         for tick in 0..30 {
             let moment = Moment {
                 tick,
@@ -185,9 +193,13 @@ mod tests {
     #[test]
     fn a_file_that_cannot_be_written_is_named() {
         let targets = RerunTargets { file: Some("/nowhere/run.rrd".into()), viewer: None };
-        let error = RunLog::open(&targets, &CameraModel::pinhole(64, 32, 1.5), &Pose3::identity()).err().unwrap();
+        let error = RunLog::open(&targets, &CameraModel::pinhole(64, 32, 1.5), &Pose3::identity())
+            .err()
+            .unwrap();
         assert!(error.to_string().contains("/nowhere/run.rrd"), "{error}");
         let targets = RerunTargets { file: None, viewer: Some("not a url".into()) };
-        assert!(RunLog::open(&targets, &CameraModel::pinhole(64, 32, 1.5), &Pose3::identity()).is_err());
+        assert!(
+            RunLog::open(&targets, &CameraModel::pinhole(64, 32, 1.5), &Pose3::identity()).is_err()
+        );
     }
 }

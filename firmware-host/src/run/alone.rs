@@ -28,9 +28,9 @@ impl Alone {
             Err(error) if error.kind() == io::ErrorKind::AddrInUse => bail!(
                 "another `firmware-host run` drives the base on {bus}: end it first (`firmware-host health` says which it is)"
             ),
-            Err(error) => {
-                Err(error).with_context(|| format!("cannot make sure that nobody else drives the base on {bus}"))
-            }
+            Err(error) => Err(error).with_context(|| {
+                format!("cannot make sure that nobody else drives the base on {bus}")
+            }),
         }
     }
 }

@@ -36,7 +36,8 @@ pub fn open_scanner_and_base(config: &Config, faults: &Faults) -> Result<(Contro
     let devices = &config.devices;
     let lidar = HokuyoLidar::open(devices.lidar.clone()).context("[devices.lidar]")?;
     let monitor = lidar.monitor();
-    let base = AnyBase::new(open_bus(&devices.base.bus), &devices.base).context("[devices.base]")?;
+    let base =
+        AnyBase::new(open_bus(&devices.base.bus), &devices.base).context("[devices.base]")?;
     let (base, lidar) = (FaultyBase::new(base, faults), FaultyLidar::new(lidar, faults));
     Ok((SafetyLoop::new(config.live_safety_config(), base, lidar), monitor))
 }

@@ -4,10 +4,10 @@
 
 use anyhow::{Context, Result};
 use drivers::DeviceStatus;
-use drivers::clock::monotonic_ns;
 use drivers::fault::FaultyCamera;
 use drivers::v4l2::V4l2Camera;
 use hal::{Camera, Frame, ImageView, Pose2, WheelFeedback};
+use monotonic_clock::monotonic_ns;
 use runtime::event::{Event, SafetyEvent};
 use runtime::imaging::{FrontEnd, YuvRange};
 use runtime::latency::Percentiles;
@@ -134,7 +134,9 @@ impl Exploration {
         };
         let Some(wheel) = wheel else { return Ok(()) };
         let target = *self.front_end.target();
-        let frame = picture_ns.map(|_| ImageView::rgb8(target.width, target.height, &self.picture)).transpose()?;
+        let frame = picture_ns
+            .map(|_| ImageView::rgb8(target.width, target.height, &self.picture))
+            .transpose()?;
         let input = TickInput {
             tick: self.tick,
             time_ns: now_ns,
@@ -151,7 +153,10 @@ impl Exploration {
         self.stopwatch.start();
         let decision = self.robot.tick(&input, &mut self.stopwatch);
         // The plan is as old as what it was decided on, and never of a time to come.
-        safety.plan.write(Some(Plan { twist: decision.command.into(), time_ns: wheel.time_ns.min(now_ns) }));
+        safety.plan.write(Some(Plan {
+            twist: decision.command.into(),
+            time_ns: wheel.time_ns.min(now_ns),
+        }));
         self.stopwatch.since(began, Stage::Total);
         self.line.look(&input, self.robot.mapped_depth());
         tell_line(&self.line, &mut self.line_told_ns, now_ns);
@@ -159,8 +164,11 @@ impl Exploration {
             let late = began.elapsed().as_nanos() > u128::from(self.period_ns);
             models.after(&mut self.robot, &input, &decision, late);
         }
-        let recorded =
-            self.recorder.is_some().then(|| RecordedTick::capture(&input, Some(decision.clone()))).transpose()?;
+        let recorded = self
+            .recorder
+            .is_some()
+            .then(|| RecordedTick::capture(&input, Some(decision.clone())))
+            .transpose()?;
         let recorded = recorded.map(|tick| RecordedTick { snapshot, ..tick });
         self.note(&decision, &wheel);
         self.record(recorded)?;
@@ -180,8 +188,9 @@ impl Exploration {
             }
         }
         let view = self.frame.view().map_err(|error| error.to_string());
-        let made =
-            view.and_then(|view| self.front_end.to_rgb(view, &mut self.picture).map_err(|error| error.to_string()));
+        let made = view.and_then(|view| {
+            self.front_end.to_rgb(view, &mut self.picture).map_err(|error| error.to_string())
+        });
         self.camera_problem = made.err();
         self.camera_problem.is_none().then_some(self.frame.time_ns)
     }
@@ -207,7 +216,8 @@ impl Exploration {
             if let Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } = event {
                 self.trips_m.push(wheel.odom.transform(*x_m, *y_m).into());
             }
-            if let Event::Safety { what: SafetyEvent::Faulted { .. } | SafetyEvent::Tripped { .. } } = event
+            if let Event::Safety { what: SafetyEvent::Faulted { .. } | SafetyEvent::Tripped { .. } } =
+                event
                 && decision.time_ns >= self.quiet_until_ns
             {
                 tracing::warn!("{}", sentence(event).1);
@@ -230,8 +240,11 @@ impl Exploration {
         let (Some(tick), Some(recorder)) = (tick, &mut self.recorder) else { return Ok(()) };
         let shows = |every: u64| tick.tick.is_multiple_of(every);
         let views = Views {
-            map: shows(self.recording.map_every_ticks).then(|| map_view(self.robot.map())).flatten(),
-            path_m: shows(self.recording.depth_every_ticks).then(|| self.robot.explorer().path_m().to_vec()),
+            map: shows(self.recording.map_every_ticks)
+                .then(|| map_view(self.robot.map()))
+                .flatten(),
+            path_m: shows(self.recording.depth_every_ticks)
+                .then(|| self.robot.explorer().path_m().to_vec()),
             depth: if shows(self.recording.depth_every_ticks) {
                 self.robot.mapped_depth().map(|estimate| estimate.depth.clone())
             } else {
@@ -253,7 +266,8 @@ impl Exploration {
         let total = self.percentiles();
         let ms = |part: fn(&Percentiles) -> f64| total.as_ref().map_or(0.0, part);
         let map = self.robot.map();
-        let free = map.known_cells().filter(|(cell, _)| map.state(*cell) == CellState::Free).count();
+        let free =
+            map.known_cells().filter(|(cell, _)| map.state(*cell) == CellState::Free).count();
         ExplorationStatus {
             ticks: self.tick,
             skipped,

@@ -18,10 +18,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result};
-use drivers::MonotonicClock;
-use drivers::clock::monotonic_ns;
 use drivers::fault::{Faults, FaultyClock};
 use hal::{Clock, Pose2};
+use monotonic_clock::MonotonicClock;
+use monotonic_clock::monotonic_ns;
 use runtime::event::ExploreEnd;
 use runtime::latency::LatencyHistogram;
 use runtime::recording::RunHeader;
@@ -72,30 +72,46 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let robot = Robot::new(config.robot(&mission), network)?;
     let out = &args.out.clone().unwrap_or_else(|| named_by_time(&config));
     prepare_dir(out)?;
-    let plan = args.faults.plan(args.frames.map_or(RANDOM_FAULTS_S, |frames| frames as f64 * config.base.tick_s()));
+    let plan = args
+        .faults
+        .plan(args.frames.map_or(RANDOM_FAULTS_S, |frames| frames as f64 * config.base.tick_s()));
     if plan.seed().is_some() {
         tracing::warn!("devices are broken on purpose: {}", plan.texts().join(", "));
     }
     let model_store = start.is_some();
-    let header = RunHeader { model_store, ..setup::run_header(&config, &mission, model.as_deref(), &plan)? };
+    let header =
+        RunHeader { model_store, ..setup::run_header(&config, &mission, model.as_deref(), &plan)? };
     let start_ns = monotonic_ns();
     let faults = plan.clone().at(Arc::new(move || monotonic_ns().saturating_sub(start_ns)));
-    let recorder = if args.no_recording { None } else { Some(recorder(out, &config, header, &faults)?) };
+    let recorder =
+        if args.no_recording { None } else { Some(recorder(out, &config, header, &faults)?) };
     let signals = Signals::register()?;
     let camera = devices::open_camera(&config, &faults)?;
-    let pace = Pace { period_ns: (1e9 / config.run.safety_hz) as u64, priority: config.run.realtime_priority };
+    let pace = Pace {
+        period_ns: (1e9 / config.run.safety_hz) as u64,
+        priority: config.run.realtime_priority,
+    };
     let (wiring, wiring_faults) = (config.clone(), faults.clone());
     let (mut safety, lidar) =
         SafetyThread::start(pace, move || devices::open_scanner_and_base(&wiring, &wiring_faults))?;
     let mut exploration = Exploration::new(&config, camera, robot, recorder)?;
-    exploration.models = start.map(|(keeper, start)| LiveModels::threaded(keeper, start, &config)).transpose()?;
+    exploration.models =
+        start.map(|(keeper, start)| LiveModels::threaded(keeper, start, &config)).transpose()?;
     let mut supervision = Supervision::new(args, out, &config, lidar);
     if config.run.arm_at_start {
         safety.request(Request::Arm);
     }
     supervision.announce(&safety);
     let mut clock = FaultyClock::new(MonotonicClock, &faults);
-    let (end, skipped) = explore(args, &config, &signals, &mut clock, &mut safety, &mut exploration, &mut supervision)?;
+    let (end, skipped) = explore(
+        args,
+        &config,
+        &signals,
+        &mut clock,
+        &mut safety,
+        &mut exploration,
+        &mut supervision,
+    )?;
     let late = safety.shut_down();
     supervision.good_bye();
     let summary = Summary {
@@ -165,10 +181,12 @@ impl Signals {
     fn register() -> Result<Self> {
         let signals = Self { stop: Arc::default(), arm: Arc::default(), disarm: Arc::default() };
         for signal in [SIGINT, SIGTERM] {
-            signal_hook::flag::register(signal, Arc::clone(&signals.stop)).context("cannot listen for signals")?;
+            signal_hook::flag::register(signal, Arc::clone(&signals.stop))
+                .context("cannot listen for signals")?;
         }
         for (signal, flag) in [(SIGUSR1, &signals.arm), (SIGUSR2, &signals.disarm)] {
-            signal_hook::flag::register(signal, Arc::clone(flag)).context("cannot listen for signals")?;
+            signal_hook::flag::register(signal, Arc::clone(flag))
+                .context("cannot listen for signals")?;
         }
         Ok(signals)
     }
@@ -176,7 +194,8 @@ impl Signals {
 
 /// Universal time, in the form in which the service names its folders; beside the runs by which models are judged.
 fn named_by_time(config: &Config) -> PathBuf {
-    Path::new(&config.models.recordings).join(jiff::Timestamp::now().strftime("%Y-%m-%dT%H-%M-%S").to_string())
+    Path::new(&config.models.recordings)
+        .join(jiff::Timestamp::now().strftime("%Y-%m-%dT%H-%M-%S").to_string())
 }
 
 fn recorder(out: &Path, config: &Config, header: RunHeader, faults: &Faults) -> Result<Recorder> {
@@ -251,7 +270,12 @@ fn draw_map(out: &Path, robot: &Robot, trajectory: &[Pose2], trips: &[[f64; 2]])
         _ => CellState::Occupied,
     };
     let cells: Vec<CellState> = view.occupancy.iter().map(state).collect();
-    let map = Cells { width: view.columns, cells: &cells, resolution_m: view.cell_m, origin_m: view.origin_m };
+    let map = Cells {
+        width: view.columns,
+        cells: &cells,
+        resolution_m: view.cell_m,
+        origin_m: view.origin_m,
+    };
     let title = "the map as the robot has it";
     let picture = MapPicture { title, map, trajectory, goals: &[], trips, reachable: None };
     Ok(picture.write(out)?)

@@ -30,7 +30,8 @@ impl WheelHistory {
             }
         }
         self.past.push_back(wheel);
-        while self.past.front().is_some_and(|oldest| wheel.time_ns - oldest.time_ns > REMEMBERED_NS) {
+        while self.past.front().is_some_and(|oldest| wheel.time_ns - oldest.time_ns > REMEMBERED_NS)
+        {
             self.past.pop_front();
         }
     }
@@ -48,7 +49,10 @@ impl WheelHistory {
         let newest = *self.past.back()?;
         let after = self.past.partition_point(|wheel| wheel.time_ns <= time_ns);
         let Some(before) = after.checked_sub(1).and_then(|index| self.past.get(index)) else {
-            return self.past.front().map(|oldest| WheelFeedback { contact: newest.contact, ..*oldest });
+            return self
+                .past
+                .front()
+                .map(|oldest| WheelFeedback { contact: newest.contact, ..*oldest });
         };
         let Some(after) = self.past.get(after) else {
             let ahead_ns = (time_ns - newest.time_ns).min(AHEAD_NS);
@@ -61,10 +65,15 @@ impl WheelHistory {
         };
         let share = (time_ns - before.time_ns) as f64 / (after.time_ns - before.time_ns) as f64;
         let mix = |a: f64, b: f64| a + share * (b - a);
-        let yaw_rad = before.odom.yaw_rad + share * wrap_angle(after.odom.yaw_rad - before.odom.yaw_rad);
+        let yaw_rad =
+            before.odom.yaw_rad + share * wrap_angle(after.odom.yaw_rad - before.odom.yaw_rad);
         Some(WheelFeedback {
             time_ns,
-            odom: Pose2::new(mix(before.odom.x_m, after.odom.x_m), mix(before.odom.y_m, after.odom.y_m), yaw_rad),
+            odom: Pose2::new(
+                mix(before.odom.x_m, after.odom.x_m),
+                mix(before.odom.y_m, after.odom.y_m),
+                yaw_rad,
+            ),
             twist: Twist2 {
                 linear_mps: mix(before.twist.linear_mps, after.twist.linear_mps),
                 angular_radps: mix(before.twist.angular_radps, after.twist.angular_radps),
@@ -85,12 +94,25 @@ mod tests {
     #[test]
     fn between_two_measurements_the_pose_is_between_them_also_across_half_a_turn() {
         let mut past = WheelHistory::default();
-        past.push(WheelFeedback { twist: Twist2 { linear_mps: 0.1, angular_radps: 0.0 }, ..at(10, 1.0, 3.1) });
-        past.push(WheelFeedback { twist: Twist2 { linear_mps: 0.3, angular_radps: 0.4 }, ..at(20, 1.2, -3.1) });
+        past.push(WheelFeedback {
+            twist: Twist2 { linear_mps: 0.1, angular_radps: 0.0 },
+            ..at(10, 1.0, 3.1)
+        });
+        past.push(WheelFeedback {
+            twist: Twist2 { linear_mps: 0.3, angular_radps: 0.4 },
+            ..at(20, 1.2, -3.1)
+        });
         let middle = past.at(15).unwrap();
         assert!((middle.odom.x_m - 1.1).abs() < 1e-12);
-        assert!((middle.twist.linear_mps - 0.2).abs() < 1e-12 && (middle.twist.angular_radps - 0.2).abs() < 1e-12);
-        assert!((wrap_angle(middle.odom.yaw_rad - std::f64::consts::PI)).abs() < 1e-9, "{:?}", middle.odom);
+        assert!(
+            (middle.twist.linear_mps - 0.2).abs() < 1e-12
+                && (middle.twist.angular_radps - 0.2).abs() < 1e-12
+        );
+        assert!(
+            (wrap_angle(middle.odom.yaw_rad - std::f64::consts::PI)).abs() < 1e-9,
+            "{:?}",
+            middle.odom
+        );
     }
 
     #[test]

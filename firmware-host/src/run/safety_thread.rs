@@ -8,8 +8,9 @@ use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 
 use anyhow::{Context, Result};
-use drivers::{DeviceStatus, MonotonicClock};
+use drivers::DeviceStatus;
 use hal::{Base, Clock, ErrorKind, Lidar, WheelFeedback};
+use monotonic_clock::MonotonicClock;
 use runtime::event::SafetyEvent;
 use runtime::latency::LatencyHistogram;
 use runtime::safety::{Orders, Plan, Request, SafetyLoop, SafetyState};
@@ -134,7 +135,8 @@ impl SafetyThread {
             }
         };
         let thread = std::thread::Builder::new().name("safety".to_owned()).spawn(work)?;
-        let (mut ends, rest) = hears.recv().context("the safety thread has panicked; please report this")??;
+        let (mut ends, rest) =
+            hears.recv().context("the safety thread has panicked; please report this")??;
         ends.thread = Some(thread);
         Ok((ends, rest))
     }
@@ -148,7 +150,9 @@ impl SafetyThread {
     pub fn shut_down(&mut self) -> Option<LatencyHistogram> {
         self.stop.store(true, Ordering::Release);
         let joined = self.thread.take()?.join();
-        joined.inspect_err(|_| tracing::error!("the safety thread has panicked; please report this")).ok()
+        joined
+            .inspect_err(|_| tracing::error!("the safety thread has panicked; please report this"))
+            .ok()
     }
 
     /// Whether the thread is there.
@@ -181,7 +185,21 @@ where
         stop: Arc::clone(&stop),
         turns: Arc::clone(&turns),
     };
-    (turning, SafetyThread { plan, scans, wheels, news, glance, turns, realtime, request, stop, thread: None })
+    (
+        turning,
+        SafetyThread {
+            plan,
+            scans,
+            wheels,
+            news,
+            glance,
+            turns,
+            realtime,
+            request,
+            stop,
+            thread: None,
+        },
+    )
 }
 
 impl Drop for SafetyThread {
@@ -245,10 +263,13 @@ where
             let _ = self.wheels.push(wheel);
         }
         if turn.output.event.is_some() || turn.output.blocked_m.is_some() {
-            let _ = self.news.push(News { event: turn.output.event, blocked_m: turn.output.blocked_m });
+            let _ =
+                self.news.push(News { event: turn.output.event, blocked_m: turn.output.blocked_m });
         }
         let state = self.control.plane().state();
-        if state.name() != glance.state.name() || matches!(state, SafetyState::Fault(_)) && state != glance.state {
+        if state.name() != glance.state.name()
+            || matches!(state, SafetyState::Fault(_)) && state != glance.state
+        {
             glance.since_ns = now_ns;
         }
         glance.time_ns = now_ns;
@@ -285,8 +306,13 @@ fn become_realtime(priority: u8) -> bool {
     }
     let Ok(value) = ThreadPriorityValue::try_from(priority) else { return false };
     let fifo = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-    let locked = rustix::mm::mlockall(rustix::mm::MlockAllFlags::CURRENT | rustix::mm::MlockAllFlags::FUTURE).is_ok();
-    set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Crossplatform(value), fifo).is_ok() && locked
+    let locked = rustix::mm::mlockall(
+        rustix::mm::MlockAllFlags::CURRENT | rustix::mm::MlockAllFlags::FUTURE,
+    )
+    .is_ok();
+    set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Crossplatform(value), fifo)
+        .is_ok()
+        && locked
 }
 
 fn number_of(request: Option<Request>) -> u8 {
@@ -299,5 +325,7 @@ fn number_of(request: Option<Request>) -> u8 {
 }
 
 fn request_of(number: u8) -> Option<Request> {
-    [Request::Arm, Request::Disarm, Request::ClearFault].into_iter().find(|request| number_of(Some(*request)) == number)
+    [Request::Arm, Request::Disarm, Request::ClearFault]
+        .into_iter()
+        .find(|request| number_of(Some(*request)) == number)
 }

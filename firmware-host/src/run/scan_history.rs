@@ -20,7 +20,10 @@ pub fn scan_history(geometry: ScanGeometry) -> (ScanWriter, ScanHistory) {
     for _ in 0..SCANS {
         let _ = spent.push(LaserScan::empty(geometry));
     }
-    (ScanWriter { empty, full }, ScanHistory { filled, spent, past: VecDeque::with_capacity(SCANS), told_ns: None })
+    (
+        ScanWriter { empty, full },
+        ScanHistory { filled, spent, past: VecDeque::with_capacity(SCANS), told_ns: None },
+    )
 }
 
 /// The safety thread's end.
@@ -64,7 +67,8 @@ impl ScanHistory {
     /// The scan that was half-way round nearest to this moment. None that is two periods away, and none a second time: that
     /// would be news of another moment.
     pub fn nearest(&mut self, time_ns: u64) -> Option<&LaserScan> {
-        let apart_ns = |scan: &LaserScan| (scan.time_ns + scan.geometry.period_ns / 2).abs_diff(time_ns);
+        let apart_ns =
+            |scan: &LaserScan| (scan.time_ns + scan.geometry.period_ns / 2).abs_diff(time_ns);
         let scan = self.past.iter().min_by_key(|scan| apart_ns(scan))?;
         let is_news = self.told_ns.is_none_or(|told_ns| scan.time_ns > told_ns);
         if !is_news || apart_ns(scan) >= 2 * scan.geometry.period_ns {

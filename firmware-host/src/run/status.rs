@@ -149,7 +149,8 @@ impl Status {
     /// When the folder cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let json = serde_json::to_vec_pretty(self)?;
-        write_atomically(path, &json).with_context(|| format!("cannot write the status to {}", path.display()))
+        write_atomically(path, &json)
+            .with_context(|| format!("cannot write the status to {}", path.display()))
     }
 
     /// Reads the file.
@@ -158,10 +159,15 @@ impl Status {
     /// When it is not there or not a status.
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).with_context(|| {
-            format!("no status at {}: is `firmware-host run` running? Else give its file by --status", path.display())
+            format!(
+                "no status at {}: is `firmware-host run` running? Else give its file by --status",
+                path.display()
+            )
         })?;
         let status = serde_json::from_str::<Self>(&text).ok().filter(|status| status.pid > 0);
-        status.with_context(|| format!("{} is not a status of this version of `firmware-host run`", path.display()))
+        status.with_context(|| {
+            format!("{} is not a status of this version of `firmware-host run`", path.display())
+        })
     }
 
     /// Everything that an operator should know of now; empty: all is well.
@@ -170,23 +176,38 @@ impl Status {
         let age_s = now_unix_s - self.written_unix_s;
         let mut worries = Vec::new();
         if age_s > STALE_S {
-            worries
-                .push(format!("the status is {age_s:.0} s old: the program (pid {}) has stopped or hangs", self.pid));
+            worries.push(format!(
+                "the status is {age_s:.0} s old: the program (pid {}) has stopped or hangs",
+                self.pid
+            ));
         }
         for device in [&self.camera, &self.lidar, &self.base] {
             if device.state != DeviceState::Working.to_string() {
-                let problem = device.problem.as_ref().map_or_else(String::new, |problem| format!(": {problem}"));
+                let problem = device
+                    .problem
+                    .as_ref()
+                    .map_or_else(String::new, |problem| format!(": {problem}"));
                 worries.push(format!("{} is {}{problem}", device.name, device.state));
             }
         }
         if self.safety.needs_person {
             let state = &self.safety.state;
-            worries
-                .push(format!("the robot needs a person ({state}): see to it, then `kill -USR1 {}` arms it", self.pid));
+            worries.push(format!(
+                "the robot needs a person ({state}): see to it, then `kill -USR1 {}` arms it",
+                self.pid
+            ));
         } else if self.safety.state.starts_with("fault") {
-            worries.push(format!("the robot stands ({}) and goes on by itself when that is over", self.safety.state));
+            worries.push(format!(
+                "the robot stands ({}) and goes on by itself when that is over",
+                self.safety.state
+            ));
         }
-        worries.extend(self.recording.failure.as_ref().map(|failure| format!("nothing is recorded: {failure}")));
+        worries.extend(
+            self.recording
+                .failure
+                .as_ref()
+                .map(|failure| format!("nothing is recorded: {failure}")),
+        );
         worries
     }
 }
@@ -210,12 +231,19 @@ impl RateMeter {
     }
 
     /// A device's health from its driver's counts.
-    pub fn health(&mut self, name: &str, status: &DeviceStatus, now_ns: u64, problem: Option<String>) -> DeviceHealth {
+    pub fn health(
+        &mut self,
+        name: &str,
+        status: &DeviceStatus,
+        now_ns: u64,
+        problem: Option<String>,
+    ) -> DeviceHealth {
         DeviceHealth {
             name: name.to_owned(),
             state: status.state.to_string(),
             rate_hz: self.rate_hz(status.good, now_ns),
-            age_s: (status.last_good_ns > 0).then(|| now_ns.saturating_sub(status.last_good_ns) as f64 * 1e-9),
+            age_s: (status.last_good_ns > 0)
+                .then(|| now_ns.saturating_sub(status.last_good_ns) as f64 * 1e-9),
             good: status.good,
             bad: status.bad,
             lost: status.lost,
@@ -228,7 +256,9 @@ impl RateMeter {
 /// Seconds since 1970.
 #[must_use]
 pub fn unix_s() -> f64 {
-    std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
+    std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .map_or(0.0, |since| since.as_secs_f64())
 }
 
 #[cfg(test)]
@@ -236,7 +266,11 @@ mod tests {
     use super::*;
 
     fn working(name: &str) -> DeviceHealth {
-        DeviceHealth { name: name.to_owned(), state: "working".to_owned(), ..DeviceHealth::default() }
+        DeviceHealth {
+            name: name.to_owned(),
+            state: "working".to_owned(),
+            ..DeviceHealth::default()
+        }
     }
 
     fn well() -> Status {
@@ -262,10 +296,20 @@ mod tests {
         let mut status = well();
         status.lidar.state = "disconnected".to_owned();
         status.lidar.problem = Some("/dev/ttyACM0 is not there".to_owned());
-        status.safety = SafetyStatus { state: "fault: bus".to_owned(), needs_person: true, ..SafetyStatus::default() };
+        status.safety = SafetyStatus {
+            state: "fault: bus".to_owned(),
+            needs_person: true,
+            ..SafetyStatus::default()
+        };
         status.recording.failure = Some("disk full".to_owned());
         let worries = status.worries(110.0).join("\n");
-        for part in ["10 s old", "pid 7", "LiDAR is disconnected: /dev/ttyACM0", "kill -USR1 7", "disk full"] {
+        for part in [
+            "10 s old",
+            "pid 7",
+            "LiDAR is disconnected: /dev/ttyACM0",
+            "kill -USR1 7",
+            "disk full",
+        ] {
             assert!(worries.contains(part), "{part} in {worries}");
         }
     }
@@ -276,13 +320,16 @@ mod tests {
         let path = dir.path().join("status.json");
         well().write(&path).unwrap();
         assert_eq!(Status::read(&path).unwrap(), well());
-        assert!(Status::read(&dir.path().join("none")).unwrap_err().to_string().contains("--status"));
+        assert!(
+            Status::read(&dir.path().join("none")).unwrap_err().to_string().contains("--status")
+        );
     }
 
     #[test]
     fn rates_are_counted_between_two_looks() {
         let mut meter = RateMeter::default();
-        let status = |good| DeviceStatus { state: DeviceState::Working, good, ..DeviceStatus::default() };
+        let status =
+            |good| DeviceStatus { state: DeviceState::Working, good, ..DeviceStatus::default() };
         meter.health("x", &status(0), 1_000_000_000, None);
         let health = meter.health("x", &status(20), 1_500_000_000, None);
         assert!((health.rate_hz - 40.0).abs() < 1e-9);

@@ -5,8 +5,8 @@ use std::sync::atomic::Ordering;
 
 use drivers::DeviceState;
 use drivers::can::Phase;
-use drivers::clock::monotonic_ns;
 use drivers::hokuyo::HokuyoMonitor;
+use monotonic_clock::monotonic_ns;
 use runtime::recording::fault_reason;
 use runtime::safety::SafetyState;
 use sd_notify::NotifyState;
@@ -118,9 +118,10 @@ impl Supervision {
         let base_problem = match (glance.phase, glance.base.state) {
             (Phase::Tripped(trip), _) => Some(trip.to_string()),
             (_, DeviceState::Disconnected) => Some(no_bus(&self.bus)),
-            (_, DeviceState::Silent | DeviceState::Starting) => {
-                Some("the motors' controllers do not answer: are they powered, and are the nodes right?".to_owned())
-            }
+            (_, DeviceState::Silent | DeviceState::Starting) => Some(
+                "the motors' controllers do not answer: are they powered, and are the nodes right?"
+                    .to_owned(),
+            ),
             _ => None,
         };
         let recorder = exploration.recorder();

@@ -1,5 +1,11 @@
 //! A robot's folder with keys, configuration and models.
-#![allow(dead_code, missing_docs, clippy::unwrap_used, clippy::panic, reason = "helpers of tests; not all use all")]
+#![allow(
+    dead_code,
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "helpers of tests; not all use all"
+)]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -37,7 +43,7 @@ impl Robot {
 
     pub fn with(config: &str) -> Self {
         let robot = Self { dir: TempDir::new().unwrap(), config: config.to_owned() };
-        let line = bundle::generate_keys(&robot.path("key"), None, "workshop").unwrap();
+        let line = signed_model::generate_keys(&robot.path("key"), None, "workshop").unwrap();
         std::fs::write(robot.path("trusted_keys"), line).unwrap();
         std::fs::write(robot.path("robot.toml"), &robot.config).unwrap();
         robot
@@ -63,8 +69,13 @@ impl Robot {
     pub fn sign(&self, bytes: &[u8], name: &str) -> PathBuf {
         let path = self.path(&format!("{name}.onnx"));
         std::fs::write(&path, bytes).unwrap();
-        let key = bundle::read_secret_key(&self.path("key"), || panic!("no password")).unwrap();
-        std::fs::write(bundle::Bundle::signature_path(&path), bundle::sign(bytes, name, &key).unwrap()).unwrap();
+        let key =
+            signed_model::read_secret_key(&self.path("key"), || panic!("no password")).unwrap();
+        std::fs::write(
+            signed_model::Bundle::signature_path(&path),
+            signed_model::sign(bytes, name, &key).unwrap(),
+        )
+        .unwrap();
         path
     }
 
@@ -74,14 +85,20 @@ impl Robot {
 
     /// `model install`: whether it was accepted, and what was said.
     pub fn install(&self, bundle: &Path, more: &[&str]) -> Value {
-        let (config, store, keys) = (self.text("robot.toml"), self.text("store"), self.text("trusted_keys"));
-        let mut args = vec!["model", "install", bundle.to_str().unwrap(), "--json", "--config", &config];
+        let (config, store, keys) =
+            (self.text("robot.toml"), self.text("store"), self.text("trusted_keys"));
+        let mut args =
+            vec!["model", "install", bundle.to_str().unwrap(), "--json", "--config", &config];
         // Idle time is scarce on a computer that runs tests.
         args.extend(["--store", &store, "--trusted-keys", &keys, "--normal-priority"]);
         args.extend(more);
         let output = run(&args);
         let said: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| {
-            panic!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+            panic!(
+                "{}{}",
+                String::from_utf8_lossy(&output.stdout),
+                String::from_utf8_lossy(&output.stderr)
+            )
         });
         assert_eq!(output.status.success(), said["accepted"] == true);
         said
@@ -101,7 +118,8 @@ impl Robot {
     pub fn recordings(&self) -> String {
         let home = self.text("recordings");
         if !self.path("recordings").exists() {
-            let mut args = vec!["explore", "--scene", "builtin:apartment?seed=1", "--policy", "frontier"];
+            let mut args =
+                vec!["explore", "--scene", "builtin:apartment?seed=1", "--policy", "frontier"];
             let config = self.text("robot.toml");
             args.extend(["--frames", "1500", "--config", &config, "--out", &home]);
             let explored = run(&args);
@@ -117,11 +135,17 @@ impl Robot {
     /// Drives with the store; the summary.
     pub fn explore(&self, name: &str, frames: &str, more: &[&str]) -> Value {
         let (config, store, out) = (self.text("robot.toml"), self.text("store"), self.text(name));
-        let mut args = vec!["explore", "--frames", frames, "--seed", "2", "--config", &config, "--out", &out];
+        let mut args =
+            vec!["explore", "--frames", frames, "--seed", "2", "--config", &config, "--out", &out];
         args.extend(["--model-store", &store]);
-        args.extend(if more.is_empty() { &["--scene", "builtin:apartment?seed=1"][..] } else { more });
+        args.extend(if more.is_empty() {
+            &["--scene", "builtin:apartment?seed=1"][..]
+        } else {
+            more
+        });
         let output = run(&args);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        serde_json::from_slice(&std::fs::read(self.path(name).join("summary.json")).unwrap()).unwrap()
+        serde_json::from_slice(&std::fs::read(self.path(name).join("summary.json")).unwrap())
+            .unwrap()
     }
 }

@@ -53,14 +53,19 @@ pub(super) fn best(
     if listed == 0 {
         return Err(NoGoalReason::AllBlacklisted);
     }
-    let ways: Vec<(Candidate, f64)> =
-        candidates.iter().filter(allowed).filter_map(|candidate| Some((*candidate, candidate.travel_m?))).collect();
+    let ways: Vec<(Candidate, f64)> = candidates
+        .iter()
+        .filter(allowed)
+        .filter_map(|candidate| Some((*candidate, candidate.travel_m?)))
+        .collect();
     let chosen = match config.goal_choice {
         GoalChoice::Nearest => ways
             .iter()
             .min_by(|a, b| cost(&a.0, a.1, pose).total_cmp(&cost(&b.0, b.1, pose)))
             .map(|(candidate, _)| *candidate),
-        GoalChoice::Paper => ways.choose_weighted(rng, |(_, travel_m)| *travel_m + 1e-3).ok().map(|(one, _)| *one),
+        GoalChoice::Paper => {
+            ways.choose_weighted(rng, |(_, travel_m)| *travel_m + 1e-3).ok().map(|(one, _)| *one)
+        }
     };
     chosen.ok_or(NoGoalReason::AllUnreachable)
 }
@@ -78,8 +83,9 @@ pub(super) fn revisit(
     blacklist: &Blacklist,
     config: &ExplorationConfig,
 ) -> Option<[f64; 2]> {
-    let far_from_recent =
-        |place: [f64; 2]| recent_m.iter().map(|been| distance_m(*been, place)).fold(f64::INFINITY, f64::min);
+    let far_from_recent = |place: [f64; 2]| {
+        recent_m.iter().map(|been| distance_m(*been, place)).fold(f64::INFINITY, f64::min)
+    };
     places_m
         .iter()
         .copied()
@@ -96,7 +102,11 @@ mod tests {
         Candidate { target_m: [x_m, 0.0], interest_m: [x_m, 0.0], size_m, travel_m }
     }
 
-    fn choose(candidates: &[Candidate], blacklist: &Blacklist, goal_choice: GoalChoice) -> Result<f64, NoGoalReason> {
+    fn choose(
+        candidates: &[Candidate],
+        blacklist: &Blacklist,
+        goal_choice: GoalChoice,
+    ) -> Result<f64, NoGoalReason> {
         let config = ExplorationConfig { goal_choice, ..ExplorationConfig::default() };
         let mut rng = Pcg64Mcg::seed_from_u64(5);
         best(candidates, &Pose2::IDENTITY, blacklist, &config, &mut rng, NoGoalReason::NoFrontier)
@@ -114,28 +124,49 @@ mod tests {
     #[test]
     fn of_two_equal_ways_the_one_ahead_is_chosen() {
         let none = Blacklist::default();
-        assert_eq!(choose(&[at(-1.0, 1.0, Some(1.0)), at(1.0, 1.0, Some(1.0))], &none, GoalChoice::Nearest), Ok(1.0));
+        assert_eq!(
+            choose(
+                &[at(-1.0, 1.0, Some(1.0)), at(1.0, 1.0, Some(1.0))],
+                &none,
+                GoalChoice::Nearest
+            ),
+            Ok(1.0)
+        );
     }
 
     #[test]
     fn every_way_of_having_no_goal_has_its_reason() {
         let mut list = Blacklist::default();
         assert_eq!(choose(&[], &list, GoalChoice::Nearest), Err(NoGoalReason::NoFrontier));
-        assert_eq!(choose(&[at(1.0, 1.0, None)], &list, GoalChoice::Nearest), Err(NoGoalReason::AllUnreachable));
+        assert_eq!(
+            choose(&[at(1.0, 1.0, None)], &list, GoalChoice::Nearest),
+            Err(NoGoalReason::AllUnreachable)
+        );
         list.add([1.0, 0.0], 10);
-        assert_eq!(choose(&[at(1.0, 1.0, Some(1.0))], &list, GoalChoice::Nearest), Err(NoGoalReason::AllBlacklisted));
+        assert_eq!(
+            choose(&[at(1.0, 1.0, Some(1.0))], &list, GoalChoice::Nearest),
+            Err(NoGoalReason::AllBlacklisted)
+        );
     }
 
     #[test]
     fn the_papers_choice_prefers_far_frontiers_in_proportion() {
         let candidates = [at(1.0, 1.0, Some(1.0)), at(3.0, 1.0, Some(3.0))];
-        let config = ExplorationConfig { goal_choice: GoalChoice::Paper, ..ExplorationConfig::default() };
+        let config =
+            ExplorationConfig { goal_choice: GoalChoice::Paper, ..ExplorationConfig::default() };
         let mut rng = Pcg64Mcg::seed_from_u64(5);
         let none = Blacklist::default();
         let far = (0..1000)
             .filter(|_| {
-                best(&candidates, &Pose2::IDENTITY, &none, &config, &mut rng, NoGoalReason::NoFrontier)
-                    .is_ok_and(|chosen| chosen.target_m[0] > 2.0)
+                best(
+                    &candidates,
+                    &Pose2::IDENTITY,
+                    &none,
+                    &config,
+                    &mut rng,
+                    NoGoalReason::NoFrontier,
+                )
+                .is_ok_and(|chosen| chosen.target_m[0] > 2.0)
             })
             .count();
         assert!((far as f64 / 1000.0 - 0.75).abs() < 0.05, "{far}");

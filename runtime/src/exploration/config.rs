@@ -22,8 +22,14 @@ pub enum PolicyKind {
 
 impl PolicyKind {
     /// Every policy, weakest expected coverage first.
-    pub const ALL: [Self; 6] =
-        [Self::Random, Self::Heuristic, Self::Forward, Self::Inconsistency, Self::Frontier, Self::Active];
+    pub const ALL: [Self; 6] = [
+        Self::Random,
+        Self::Heuristic,
+        Self::Forward,
+        Self::Inconsistency,
+        Self::Frontier,
+        Self::Active,
+    ];
 
     /// The name on the command line and in the summary.
     #[must_use]

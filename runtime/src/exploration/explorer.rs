@@ -13,7 +13,9 @@ use super::goal::Goal;
 use super::navigator::Navigator;
 use crate::event::{DropReason, Event, GoalReason, NoGoalReason};
 use crate::mapping::{CellState, OccupancyGrid, SingleFrameMap};
-use crate::planning::{ConfigError, Follower, FollowerConfig, NoPath, PlanConfig, Primitive, Progress};
+use crate::planning::{
+    ConfigError, Follower, FollowerConfig, NoPath, PlanConfig, Primitive, Progress,
+};
 use crate::snapshot::remembers;
 
 /// Ticks of heuristic walking when there is no goal: one of its moves.
@@ -79,7 +81,11 @@ impl Explorer {
             PolicyKind::Forward => BlindPolicy::Forward { turns_left: 0 },
             _ => BlindPolicy::Heuristic { queue: VecDeque::new() },
         };
-        let mode = if kind == PolicyKind::Inconsistency { GoalReason::Inconsistency } else { GoalReason::Frontier };
+        let mode = if kind == PolicyKind::Inconsistency {
+            GoalReason::Inconsistency
+        } else {
+            GoalReason::Frontier
+        };
         Ok(Self {
             kind,
             config,
@@ -171,7 +177,9 @@ impl Explorer {
     fn judge_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
         let Some(goal) = &mut self.goal else { return };
         let now_ns = senses.time_ns;
-        if distance_m(goal.target_m, [senses.pose.x_m, senses.pose.y_m]) < self.config.goal_reached_m {
+        if distance_m(goal.target_m, [senses.pose.x_m, senses.pose.y_m])
+            < self.config.goal_reached_m
+        {
             self.goal_reached(senses, events);
             return;
         }
@@ -222,7 +230,11 @@ impl Explorer {
         }
     }
 
-    fn best_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) -> Option<([f64; 2], [f64; 2], GoalReason)> {
+    fn best_goal(
+        &mut self,
+        senses: &Senses<'_>,
+        events: &mut Vec<Event>,
+    ) -> Option<([f64; 2], [f64; 2], GoalReason)> {
         let survey = match self.navigator.survey(senses.map, &senses.pose, 0.0) {
             Ok(survey) => survey,
             Err(_) => {
@@ -238,8 +250,9 @@ impl Explorer {
         for kind in kinds {
             let (candidates, none) = match (kind, senses.looks) {
                 (GoalReason::Inconsistency, Some((new, old))) => {
-                    let listed =
-                        |place: &Candidate| self.blacklist.holds(place.interest_m, self.config.blacklist_radius_m);
+                    let listed = |place: &Candidate| {
+                        self.blacklist.holds(place.interest_m, self.config.blacklist_radius_m)
+                    };
                     let reachable = |place: &Candidate| place.travel_m.is_some() && !listed(place);
                     // The largest one, not the nearest ("Embodied Depth Prediction", section III-D).
                     let largest = survey.inconsistencies(new, old).into_iter().find(reachable);
@@ -248,7 +261,14 @@ impl Explorer {
                 (GoalReason::Inconsistency, None) => (Vec::new(), NoGoalReason::NoInconsistency),
                 _ => (survey.frontiers(), NoGoalReason::NoFrontier),
             };
-            match choose::best(&candidates, &senses.pose, &self.blacklist, &self.config, &mut self.rng, none) {
+            match choose::best(
+                &candidates,
+                &senses.pose,
+                &self.blacklist,
+                &self.config,
+                &mut self.rng,
+                none,
+            ) {
                 Ok(chosen) => return Some((chosen.target_m, chosen.interest_m, *kind)),
                 Err(why) => events.push(Event::NoGoal { why }),
             }
@@ -266,15 +286,19 @@ impl Explorer {
         let doubt = self.config.doubtful_log_odds;
         let survey = self.navigator.survey(senses.map, &senses.pose, doubt).ok()?;
         let (candidates, none) = (survey.frontiers(), NoGoalReason::NoFrontier);
-        choose::best(&candidates, &senses.pose, &self.blacklist, &self.config, &mut self.rng, none).ok()
+        choose::best(&candidates, &senses.pose, &self.blacklist, &self.config, &mut self.rng, none)
+            .ok()
     }
 
     fn plan(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
         let Some(goal) = &mut self.goal else { return };
         self.plan_at = senses.tick + self.config.replan_ticks;
-        let doubt = if goal.why == GoalReason::LookAgain { self.config.doubtful_log_odds } else { 0.0 };
+        let doubt =
+            if goal.why == GoalReason::LookAgain { self.config.doubtful_log_odds } else { 0.0 };
         let way = self.navigator.plan(senses.map, &senses.pose, goal.target_m, doubt);
-        match way.and_then(|path_m| self.follower.set_path(&path_m).map_err(|_| NoPath::Unreachable)) {
+        match way
+            .and_then(|path_m| self.follower.set_path(&path_m).map_err(|_| NoPath::Unreachable))
+        {
             Ok(()) if senses.bumped => goal.note_new_way(),
             Ok(()) => {}
             Err(_) => self.drop_goal(DropReason::Unreachable, senses, events),
@@ -318,7 +342,9 @@ fn frontier_is_left(map: &OccupancyGrid, place_m: [f64; 2]) -> bool {
     (-steps..=steps).any(|dy| {
         (-steps..=steps).any(|dx| {
             known(dx, dy) == CellState::Unknown
-                && [(1, 0), (-1, 0), (0, 1), (0, -1)].iter().any(|(x, y)| known(dx + x, dy + y) == CellState::Free)
+                && [(1, 0), (-1, 0), (0, 1), (0, -1)]
+                    .iter()
+                    .any(|(x, y)| known(dx + x, dy + y) == CellState::Free)
         })
     })
 }
@@ -339,10 +365,15 @@ mod tests {
         let geometry = ScanGeometry::UTM_30LX;
         for yaw_rad in [0.0, std::f64::consts::PI] {
             let pose = Pose2 { x_m: 0.0, y_m: 0.0, yaw_rad };
-            let ranges = (0..geometry.beams)
-                .map(|beam| Range::Hit(range_m(hal::wrap_angle(yaw_rad + geometry.angle_rad(beam)))));
+            let ranges = (0..geometry.beams).map(|beam| {
+                Range::Hit(range_m(hal::wrap_angle(yaw_rad + geometry.angle_rad(beam))))
+            });
             map.begin_update(&pose).unwrap();
-            map.integrate_scan(&LaserScan { time_ns: 0, geometry, ranges: ranges.collect() }, &pose).unwrap();
+            map.integrate_scan(
+                &LaserScan { time_ns: 0, geometry, ranges: ranges.collect() },
+                &pose,
+            )
+            .unwrap();
             map.finish_update();
         }
     }
@@ -361,12 +392,23 @@ mod tests {
         let config = ExplorationConfig { doubtful_log_odds, ..ExplorationConfig::default() };
         let (plan, follow) = (PlanConfig::default(), FollowerConfig::default());
         let rng = Pcg64Mcg::seed_from_u64(1);
-        let mut explorer = Explorer::new(PolicyKind::Frontier, config, &plan, &follow, rng).unwrap();
+        let mut explorer =
+            Explorer::new(PolicyKind::Frontier, config, &plan, &follow, rng).unwrap();
         let map = room_with_a_doubtful_bay();
-        let senses = Senses { tick: 0, time_ns: 0, pose: Pose2::IDENTITY, map: &map, looks: None, bumped: false };
+        let senses = Senses {
+            tick: 0,
+            time_ns: 0,
+            pose: Pose2::IDENTITY,
+            map: &map,
+            looks: None,
+            bumped: false,
+        };
         let mut events = Vec::new();
         explorer.step(&senses, &mut events);
-        assert!(events.contains(&Event::NoGoal { why: NoGoalReason::AllUnreachable }), "{events:?}");
+        assert!(
+            events.contains(&Event::NoGoal { why: NoGoalReason::AllUnreachable }),
+            "{events:?}"
+        );
         explorer.goal().unwrap().why
     }
 
@@ -386,9 +428,19 @@ mod tests {
         let map = OccupancyGrid::new(&MapConfig::default()).unwrap();
         let steps = |kind: PolicyKind| -> Vec<Primitive> {
             let (plan, follow) = (PlanConfig::default(), FollowerConfig::default());
-            let mut explorer = Explorer::new(kind, config, &plan, &follow, Pcg64Mcg::seed_from_u64(4)).unwrap();
-            let senses = Senses { tick: 0, time_ns: 0, pose: Pose2::IDENTITY, map: &map, looks: None, bumped: false };
-            (0..128).map(|tick| explorer.step(&Senses { tick, ..senses }, &mut Vec::new())).collect()
+            let mut explorer =
+                Explorer::new(kind, config, &plan, &follow, Pcg64Mcg::seed_from_u64(4)).unwrap();
+            let senses = Senses {
+                tick: 0,
+                time_ns: 0,
+                pose: Pose2::IDENTITY,
+                map: &map,
+                looks: None,
+                bumped: false,
+            };
+            (0..128)
+                .map(|tick| explorer.step(&Senses { tick, ..senses }, &mut Vec::new()))
+                .collect()
         };
         let heuristic = steps(PolicyKind::Heuristic);
         for kind in PolicyKind::ALL {

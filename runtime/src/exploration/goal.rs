@@ -26,7 +26,15 @@ impl Goal {
     /// A goal chosen at `now_ns`.
     #[must_use]
     pub fn new(target_m: [f64; 2], interest_m: [f64; 2], why: GoalReason, now_ns: u64) -> Self {
-        Self { target_m, interest_m, why, chosen_ns: now_ns, nearest_m: f64::INFINITY, nearest_ns: now_ns, trips: 0 }
+        Self {
+            target_m,
+            interest_m,
+            why,
+            chosen_ns: now_ns,
+            nearest_m: f64::INFINITY,
+            nearest_ns: now_ns,
+            trips: 0,
+        }
     }
 
     /// Whether there is something unknown to see.

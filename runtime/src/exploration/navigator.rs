@@ -5,7 +5,9 @@ use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
 use super::choose::Candidate;
-use crate::mapping::{Cell, CellState, Frontier, FrontierFinder, OccupancyGrid, SingleFrameMap, inconsistencies};
+use crate::mapping::{
+    Cell, CellState, Frontier, FrontierFinder, OccupancyGrid, SingleFrameMap, inconsistencies,
+};
 use crate::planning::{ConfigError, Costmap, NoPath, PlanConfig, Planner, Reach};
 
 /// A frontier's approach cell may lie in an obstacle's margin: the reachable cell nearest to it within this is taken, metres.
@@ -46,7 +48,12 @@ impl Navigator {
 
     /// Looks at the whole map: costs, frontiers, and the distance to everywhere. Marks of at most `doubt` log-odds are in
     /// nobody's way.
-    pub(super) fn survey(&mut self, map: &OccupancyGrid, pose: &Pose2, doubt: f32) -> Result<Survey<'_>, NoPath> {
+    pub(super) fn survey(
+        &mut self,
+        map: &OccupancyGrid,
+        pose: &Pose2,
+        doubt: f32,
+    ) -> Result<Survey<'_>, NoPath> {
         self.costmap.update_doubting(map, doubt);
         self.finder.find(map, FrontierFinder::MIN_CELLS, &mut self.frontiers);
         let start = map.cell_at(pose.x_m, pose.y_m);
@@ -65,7 +72,8 @@ impl Navigator {
         self.costmap.update_doubting(map, doubt);
         let start = map.cell_at(pose.x_m, pose.y_m);
         let wanted = map.cell_at(goal_m[0], goal_m[1]);
-        let goal = self.costmap.nearest_passable(wanted, GOAL_MOVES_M).ok_or(NoPath::GoalBlocked)?;
+        let goal =
+            self.costmap.nearest_passable(wanted, GOAL_MOVES_M).ok_or(NoPath::GoalBlocked)?;
         let path = self.planner.plan(&self.costmap, start, goal)?;
         Ok(self.costmap.shorten(path))
     }
@@ -89,7 +97,11 @@ impl Survey<'_> {
     }
 
     /// Places that two looks disagree about, largest first, each with the way to floor from where it can be looked at.
-    pub(super) fn inconsistencies(&self, new: &SingleFrameMap, old: &SingleFrameMap) -> Vec<Candidate> {
+    pub(super) fn inconsistencies(
+        &self,
+        new: &SingleFrameMap,
+        old: &SingleFrameMap,
+    ) -> Vec<Candidate> {
         inconsistencies(new, old, self.cell_m)
             .iter()
             .filter(|place| place.cells >= SMALLEST_INCONSISTENCY)
@@ -107,7 +119,12 @@ impl Survey<'_> {
     }
 
     /// Reachable places drawn at random, at most `count`.
-    pub(super) fn random_places(&self, count: usize, map: &OccupancyGrid, rng: &mut Pcg64Mcg) -> Vec<[f64; 2]> {
+    pub(super) fn random_places(
+        &self,
+        count: usize,
+        map: &OccupancyGrid,
+        rng: &mut Pcg64Mcg,
+    ) -> Vec<[f64; 2]> {
         let Some(known) = map.known_box() else { return Vec::new() };
         let mut places = Vec::with_capacity(count);
         for _ in 0..count * DRAWS_PER_PLACE {

@@ -69,7 +69,13 @@ impl YuvMatrix {
 /// given to both as it is. For formats with shared colour, `column` and the length of `out` are even. A JPEG has no rows: it
 /// is decoded before.
 #[inline(always)]
-pub(super) fn convert(matrix: &YuvMatrix, frame: ImageView<'_>, column: usize, row: usize, out: &mut [u32]) {
+pub(super) fn convert(
+    matrix: &YuvMatrix,
+    frame: ImageView<'_>,
+    column: usize,
+    row: usize,
+    out: &mut [u32],
+) {
     let (width, data) = (frame.width(), frame.data());
     let at = row * width + column;
     match frame.format() {
@@ -86,7 +92,8 @@ pub(super) fn convert(matrix: &YuvMatrix, frame: ImageView<'_>, column: usize, r
         PixelFormat::Yuyv => {
             for (out, yuyv) in out.chunks_exact_mut(2).zip(data[2 * at..].chunks_exact(4)) {
                 let yuyv = u32::from_le_bytes([yuyv[0], yuyv[1], yuyv[2], yuyv[3]]);
-                let pair = matrix.pair([yuyv & 0xff, yuyv >> 16 & 0xff], yuyv >> 8 & 0xff, yuyv >> 24);
+                let pair =
+                    matrix.pair([yuyv & 0xff, yuyv >> 16 & 0xff], yuyv >> 8 & 0xff, yuyv >> 24);
                 (out[0], out[1]) = (pair[0], pair[1]);
             }
         }
@@ -114,7 +121,8 @@ mod tests {
             YuvRange::Limited => ((y - 16.0) / 219.0, (u - 128.0) / 224.0, (v - 128.0) / 224.0),
             YuvRange::Full => (y / 255.0, (u - 128.0) / 255.0, (v - 128.0) / 255.0),
         };
-        [y + 1.402 * v, y - 0.344136 * u - 0.714136 * v, y + 1.772 * u].map(|c| (c * 255.0).clamp(0.0, 255.0))
+        [y + 1.402 * v, y - 0.344136 * u - 0.714136 * v, y + 1.772 * u]
+            .map(|c| (c * 255.0).clamp(0.0, 255.0))
     }
 
     #[test]
@@ -127,7 +135,10 @@ mod tests {
                         let got = bytes(matrix.pair([y.into(); 2], u.into(), v.into())[1]);
                         let want = exact(range, [y, u, v]);
                         for (got, want) in got.into_iter().zip(want) {
-                            assert!((f64::from(got) - want).abs() < 0.56, "{range:?} {y} {u} {v}: {got}, {want}");
+                            assert!(
+                                (f64::from(got) - want).abs() < 0.56,
+                                "{range:?} {y} {u} {v}: {got}, {want}"
+                            );
                         }
                     }
                 }
@@ -140,6 +151,10 @@ mod tests {
         let grey = |range, y| bytes(YuvMatrix::bt601(range).pair([y; 2], 128, 128)[0]);
         assert_eq!([grey(YuvRange::Limited, 16), grey(YuvRange::Limited, 235)], [[0; 3], [255; 3]]);
         assert_eq!([grey(YuvRange::Full, 0), grey(YuvRange::Full, 255)], [[0; 3], [255; 3]]);
-        assert_eq!([grey(YuvRange::Limited, 0), grey(YuvRange::Limited, 255)], [[0; 3], [255; 3]], "clamped");
+        assert_eq!(
+            [grey(YuvRange::Limited, 0), grey(YuvRange::Limited, 255)],
+            [[0; 3], [255; 3]],
+            "clamped"
+        );
     }
 }

@@ -25,7 +25,9 @@ pub enum ImagingError {
         found: String,
     },
     /// The camera cannot send this format at its size.
-    #[error("a camera of {width}x{height} cannot send {format:?}, whose pixels come in pairs; choose an even size")]
+    #[error(
+        "a camera of {width}x{height} cannot send {format:?}, whose pixels come in pairs; choose an even size"
+    )]
     OddSize {
         /// Columns.
         width: usize,
@@ -35,7 +37,9 @@ pub enum ImagingError {
         format: PixelFormat,
     },
     /// The format is newer than this code.
-    #[error("pictures in {format:?} cannot be converted; set the camera to YUYV, NV12, RGB8, GRAY8 or MJPEG")]
+    #[error(
+        "pictures in {format:?} cannot be converted; set the camera to YUYV, NV12, RGB8, GRAY8 or MJPEG"
+    )]
     Format {
         /// The format.
         format: PixelFormat,
@@ -94,7 +98,9 @@ pub enum ImagingError {
         found: usize,
     },
     /// Not a JPEG file, or not a whole one.
-    #[error("the camera's JPEG is broken: {reason}; drop the frame (if all are: check cable and USB bandwidth)")]
+    #[error(
+        "the camera's JPEG is broken: {reason}; drop the frame (if all are: check cable and USB bandwidth)"
+    )]
     Jpeg {
         /// The decoder's words.
         reason: String,

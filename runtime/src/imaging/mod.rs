@@ -71,7 +71,8 @@ impl FrontEnd {
         );
         // Columns and rows at the right and lower edge that fill no mean are left out.
         let (columns, rows) = (source.width / mean_of.0, source.height / mean_of.1);
-        let small = source.cropped(0.0, 0.0, columns * mean_of.0, rows * mean_of.1).resized(columns, rows);
+        let small =
+            source.cropped(0.0, 0.0, columns * mean_of.0, rows * mean_of.1).resized(columns, rows);
         let remap = Remap::new(&small, &target).ok_or(ImagingError::NothingInView)?;
         let shares_colour = matches!(format, PixelFormat::Yuyv | PixelFormat::Nv12);
         let part = remap.part().filter(|(left, _)| {
@@ -79,9 +80,24 @@ impl FrontEnd {
             mean_of == (1, 1) && (pairs_stay_together || !shares_colour)
         });
         let picture = vec![0; if part.is_some() { 0 } else { remap.source_pixels() }];
-        let decoded = vec![0; if format == PixelFormat::Mjpeg { 3 * source.width * source.height } else { 0 }];
+        let decoded =
+            vec![
+                0;
+                if format == PixelFormat::Mjpeg { 3 * source.width * source.height } else { 0 }
+            ];
         let (matrix, normalisation) = (YuvMatrix::bt601(range), Normalisation::NONE);
-        Ok(Self { source, target, format, matrix, normalisation, mean_of, remap, part, picture, decoded })
+        Ok(Self {
+            source,
+            target,
+            format,
+            matrix,
+            normalisation,
+            mean_of,
+            remap,
+            part,
+            picture,
+            decoded,
+        })
     }
 
     /// With planes of (value - mean) / std instead of values in 0..1, for red, green and blue.
@@ -89,7 +105,8 @@ impl FrontEnd {
     /// # Errors
     /// When a number is not finite or a deviation not positive.
     pub fn normalised(mut self, mean: [f32; 3], std: [f32; 3]) -> Result<Self, ImagingError> {
-        let sound = mean.iter().all(|mean| mean.is_finite()) && std.iter().all(|std| std.is_normal() && *std > 0.0);
+        let sound = mean.iter().all(|mean| mean.is_finite())
+            && std.iter().all(|std| std.is_normal() && *std > 0.0);
         if !sound {
             return Err(ImagingError::Normalisation { mean, std });
         }
@@ -136,7 +153,9 @@ impl FrontEnd {
         let (green, blue) = rest.split_at_mut(pixels);
         let [red, green, blue] = [red, green, blue].map(|plane| plane.par_chunks_mut(width * BAND));
         let bands = red.zip(green).zip(blue).enumerate();
-        bands.for_each(|(band, ((red, green), blue))| band_to_planes(self, frame, band * BAND, [red, green, blue]));
+        bands.for_each(|(band, ((red, green), blue))| {
+            band_to_planes(self, frame, band * BAND, [red, green, blue])
+        });
         Ok(())
     }
 
@@ -161,7 +180,11 @@ impl FrontEnd {
 
     fn check_output(&self, found: usize) -> Result<(), ImagingError> {
         let CameraModel { width, height, .. } = self.target;
-        if found == 3 * width * height { Ok(()) } else { Err(ImagingError::Output { width, height, found }) }
+        if found == 3 * width * height {
+            Ok(())
+        } else {
+            Err(ImagingError::Output { width, height, found })
+        }
     }
 
     /// What must be done before the first row: decoding, and packing the rows that the remapping will look at.
@@ -170,7 +193,14 @@ impl FrontEnd {
         let (found_width, found_height, found) = (frame.width(), frame.height(), frame.format());
         if (found_width, found_height, found) != (width, height, self.format) {
             let format = self.format;
-            return Err(ImagingError::Frame { width, height, format, found_width, found_height, found });
+            return Err(ImagingError::Frame {
+                width,
+                height,
+                format,
+                found_width,
+                found_height,
+                found,
+            });
         }
         if self.format == PixelFormat::Mjpeg {
             jpeg::decode(frame.data(), (width, height), &mut self.decoded)?;
@@ -210,7 +240,10 @@ impl FrontEnd {
             } else {
                 let sums = &mut sums[..block.len()];
                 self.remap.sample(&self.picture, row * width + first, sums);
-                block.iter_mut().zip(sums).for_each(|(pixel, sum)| *pixel = packed::mean(*sum, 2 * WEIGHT_BITS));
+                block
+                    .iter_mut()
+                    .zip(sums)
+                    .for_each(|(pixel, sum)| *pixel = packed::mean(*sum, 2 * WEIGHT_BITS));
             }
             emit(first, block);
         }
@@ -229,13 +262,21 @@ fn band_to_rgb<'a>(front: &FrontEnd, frame: ImageView<'a>, first_row: usize, out
 
 /// Rows of the target's planes from `first_row` on.
 #[multiversion(targets("x86_64+avx2"))]
-fn band_to_planes<'a>(front: &FrontEnd, frame: ImageView<'a>, first_row: usize, planes: [&mut [f32]; 3]) {
+fn band_to_planes<'a>(
+    front: &FrontEnd,
+    frame: ImageView<'a>,
+    first_row: usize,
+    planes: [&mut [f32]; 3],
+) {
     let width = front.target.width;
     let [red, green, blue] = planes;
     for row in 0..red.len() / width {
         front.row(frame, first_row + row, |first, pixels| {
             let place = row * width + first..row * width + first + pixels.len();
-            front.normalisation.write(pixels, [&mut red[place.clone()], &mut green[place.clone()], &mut blue[place]]);
+            front.normalisation.write(
+                pixels,
+                [&mut red[place.clone()], &mut green[place.clone()], &mut blue[place]],
+            );
         });
     }
 }
@@ -281,7 +322,11 @@ fn largest_power(count: usize) -> usize {
     1 << count.ilog2()
 }
 
-fn check(source: &CameraModel, target: &CameraModel, format: PixelFormat) -> Result<(), ImagingError> {
+fn check(
+    source: &CameraModel,
+    target: &CameraModel,
+    format: PixelFormat,
+) -> Result<(), ImagingError> {
     for (role, camera) in [("source", source), ("target", target)] {
         let sides = if role == "source" { 2..=65_535 } else { 1..=65_535 };
         if !camera.is_sound() || !sides.contains(&camera.width) || !sides.contains(&camera.height) {
@@ -295,7 +340,11 @@ fn check(source: &CameraModel, target: &CameraModel, format: PixelFormat) -> Res
     match format {
         PixelFormat::Yuyv if odd.0 => {}
         PixelFormat::Nv12 if odd.0 || odd.1 => {}
-        PixelFormat::Yuyv | PixelFormat::Nv12 | PixelFormat::Rgb8 | PixelFormat::Gray8 | PixelFormat::Mjpeg => {
+        PixelFormat::Yuyv
+        | PixelFormat::Nv12
+        | PixelFormat::Rgb8
+        | PixelFormat::Gray8
+        | PixelFormat::Mjpeg => {
             return Ok(());
         }
         _ => return Err(ImagingError::Format { format }),

@@ -34,7 +34,8 @@ pub(super) fn widen(pixel: u32) -> u64 {
 pub(super) fn mean(sum: u64, bits: u32) -> u32 {
     let half = ONES << bits >> 1;
     let means = ((sum + half) >> bits) & (ONES * 0xff);
-    ((means & 0xff) | (means >> (FIELD - 8) & 0xff00) | (means >> (2 * FIELD - 16) & 0x00ff_0000)) as u32
+    ((means & 0xff) | (means >> (FIELD - 8) & 0xff00) | (means >> (2 * FIELD - 16) & 0x00ff_0000))
+        as u32
 }
 
 /// The value between four wide pixels, times 2^(2 [`WEIGHT_BITS`]); `x` and `y` in 0..=32 tell how far to the right and to the
@@ -42,7 +43,8 @@ pub(super) fn mean(sum: u64, bits: u32) -> u32 {
 #[inline(always)]
 pub(super) fn bilinear(upper: [u64; 2], lower: [u64; 2], x: u64, y: u64) -> u64 {
     // The differences borrow from field to field, but the end result has no negative field, so modulo 2^64 it is right.
-    let blend = |a: u64, b: u64, t: u64| (a << WEIGHT_BITS).wrapping_add(b.wrapping_sub(a).wrapping_mul(t));
+    let blend =
+        |a: u64, b: u64, t: u64| (a << WEIGHT_BITS).wrapping_add(b.wrapping_sub(a).wrapping_mul(t));
     blend(blend(upper[0], upper[1], x), blend(lower[0], lower[1], x), y)
 }
 
@@ -66,7 +68,8 @@ impl Normalisation {
     /// Writes pixels into the three planes.
     #[inline(always)]
     pub fn write(&self, pixels: &[u32], [red, green, blue]: [&mut [f32]; 3]) {
-        let place = |byte: u8, colour: usize| (unit(byte) - self.mean[colour]) * self.inverse_std[colour];
+        let place =
+            |byte: u8, colour: usize| (unit(byte) - self.mean[colour]) * self.inverse_std[colour];
         for (((pixel, red), green), blue) in pixels.iter().zip(red).zip(green).zip(blue) {
             let [r, g, b] = bytes(*pixel);
             *red = place(r, 0);

@@ -74,7 +74,9 @@ impl Remap {
     pub(super) fn part(&self) -> Option<(usize, usize)> {
         // A fraction of 32 is the next pixel, at the right or lower edge of the source.
         let (left, top) = self.whole(0)?;
-        let same = |index: usize| self.whole(index) == Some((left + index % self.width, top + index / self.width));
+        let same = |index: usize| {
+            self.whole(index) == Some((left + index % self.width, top + index / self.width))
+        };
         (0..self.offsets.len()).all(same).then_some((left, top))
     }
 
@@ -83,7 +85,10 @@ impl Remap {
         let (offset, fraction) = (self.offsets[index] as usize, self.fractions[index]);
         let (x, y) = (fraction & 0xff, fraction >> 8);
         let whole = self.valid[index] && x.is_multiple_of(32) && y.is_multiple_of(32);
-        let (column, row) = (offset % self.stride + usize::from(x / 32), offset / self.stride + usize::from(y / 32));
+        let (column, row) = (
+            offset % self.stride + usize::from(x / 32),
+            offset / self.stride + usize::from(y / 32),
+        );
         whole.then_some((column, self.first_row + row))
     }
 
@@ -150,8 +155,9 @@ mod tests {
     #[test]
     fn a_part_of_the_source_is_recognised() {
         let source = CameraModel::pinhole(64, 48, 1.0);
-        let part =
-            |left: f64, top: f64| Remap::new(&source, &source.cropped(left, top, 20, 10)).and_then(|map| map.part());
+        let part = |left: f64, top: f64| {
+            Remap::new(&source, &source.cropped(left, top, 20, 10)).and_then(|map| map.part())
+        };
         assert_eq!(part(0.0, 0.0), Some((0, 0)));
         assert_eq!(part(7.0, 30.0), Some((7, 30)));
         assert_eq!(part(44.0, 38.0), Some((44, 38)), "the lower right corner");

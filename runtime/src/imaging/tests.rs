@@ -4,7 +4,8 @@ use super::*;
 use proptest::prelude::*;
 
 const BARREL: Distortion = Distortion::PlumbBob([-0.25, 0.08, 0.002, -0.003, 0.01]);
-const FORMATS: [PixelFormat; 4] = [PixelFormat::Rgb8, PixelFormat::Gray8, PixelFormat::Yuyv, PixelFormat::Nv12];
+const FORMATS: [PixelFormat; 4] =
+    [PixelFormat::Rgb8, PixelFormat::Gray8, PixelFormat::Yuyv, PixelFormat::Nv12];
 
 fn camera(width: usize, height: usize, focal: f64, distortion: Distortion) -> CameraModel {
     let (cx, cy) = (width as f64 / 2.0 - 1.0, height as f64 / 2.0 + 0.5);
@@ -58,7 +59,8 @@ fn a_constant_colour_stays_constant_through_every_lens_and_size() {
     for distortion in lenses {
         for (width, height) in [(64, 48), (32, 20), (101, 33), (8, 4)] {
             let source = camera(96, 64, 90.0, distortion);
-            let target = CameraModel { distortion: Distortion::None, ..source }.resized(width, height);
+            let target =
+                CameraModel { distortion: Distortion::None, ..source }.resized(width, height);
             let mut front = front_end(source, target, PixelFormat::Rgb8);
             let data = [10, 200, 255].repeat(96 * 64);
             let out = rgb(&mut front, view(source, PixelFormat::Rgb8, &data));
@@ -86,9 +88,16 @@ fn the_short_way_and_the_remapping_agree() {
         let data = noise(format.bytes(96, 64).unwrap());
         for (left, top) in [(0.0, 0.0), (10.0, 7.0), (11.0, 16.0), (26.0, 34.0)] {
             let mut short = front_end(source, source.cropped(left, top, 70, 30), format);
-            let mut long = FrontEnd { part: None, picture: vec![0; short.remap.source_pixels()], ..short.clone() };
+            let mut long = FrontEnd {
+                part: None,
+                picture: vec![0; short.remap.source_pixels()],
+                ..short.clone()
+            };
             let frame = view(source, format, &data);
-            assert!(rgb(&mut short, frame) == rgb(&mut long, frame), "{format:?} from {left}, {top}");
+            assert!(
+                rgb(&mut short, frame) == rgb(&mut long, frame),
+                "{format:?} from {left}, {top}"
+            );
         }
     }
 }
@@ -96,10 +105,14 @@ fn the_short_way_and_the_remapping_agree() {
 #[test]
 fn a_ramp_shifted_by_part_of_a_pixel_is_exact_to_a_32th() {
     let source = camera(40, 30, 50.0, Distortion::None);
-    let ramp: Vec<u8> = (0..40 * 30).flat_map(|i| [(i % 40 * 6) as u8, (i / 40 * 8) as u8, 0]).collect();
+    let ramp: Vec<u8> =
+        (0..40 * 30).flat_map(|i| [(i % 40 * 6) as u8, (i / 40 * 8) as u8, 0]).collect();
     for shift in [0.1, 0.25, 0.4, 0.77] {
         let target = source.cropped(3.0 + shift, 2.0 + shift, 30, 20);
-        let out = rgb(&mut front_end(source, target, PixelFormat::Rgb8), view(source, PixelFormat::Rgb8, &ramp));
+        let out = rgb(
+            &mut front_end(source, target, PixelFormat::Rgb8),
+            view(source, PixelFormat::Rgb8, &ramp),
+        );
         for (index, pixel) in out.chunks_exact(3).enumerate() {
             let (u, v) = ((index % 30) as f64 + 3.0 + shift, (index / 30) as f64 + 2.0 + shift);
             // Half a 32th of a pixel at the ramp's slope, and half a grey level.
@@ -115,17 +128,28 @@ fn lines_that_a_lens_bent_are_straight_again() {
     let bar = |x: f64, at: f64| 255.0 * (-((x - at) / 0.012).powi(2)).exp();
     for distortion in [BARREL, Distortion::Fisheye([0.05, -0.02, 0.004, -0.001])] {
         let source = camera(640, 480, 450.0, distortion);
-        let target = CameraModel { distortion: Distortion::None, ..camera(500, 380, 450.0, Distortion::None) };
+        let target = CameraModel {
+            distortion: Distortion::None,
+            ..camera(500, 380, 450.0, Distortion::None)
+        };
         let mut front = front_end(source, target, PixelFormat::Rgb8);
         for at in [-0.45, -0.2, 0.05, 0.3, 0.5] {
             let upright = seen(&source, |x, _| bar(x, at));
             let out = rgb(&mut front, view(source, PixelFormat::Rgb8, &upright));
             for row in out.chunks_exact(3 * 500) {
                 let weight: f64 = row.iter().step_by(3).map(|value| f64::from(*value)).sum();
-                let moment: f64 =
-                    row.iter().step_by(3).enumerate().map(|(column, value)| column as f64 * f64::from(*value)).sum();
+                let moment: f64 = row
+                    .iter()
+                    .step_by(3)
+                    .enumerate()
+                    .map(|(column, value)| column as f64 * f64::from(*value))
+                    .sum();
                 let wanted = target.fx * at + target.cx;
-                assert!((moment / weight - wanted).abs() < 0.1, "{distortion:?}: {} is not {wanted}", moment / weight);
+                assert!(
+                    (moment / weight - wanted).abs() < 0.1,
+                    "{distortion:?}: {} is not {wanted}",
+                    moment / weight
+                );
             }
         }
     }
@@ -150,7 +174,8 @@ fn halving_again_and_again_is_the_mean_of_the_pixels() {
 #[test]
 fn a_fine_checkerboard_becomes_grey_instead_of_false_pattern() {
     let source = CameraModel::pinhole(1280, 720, 1.2);
-    let board: Vec<u8> = (0..1280 * 720).map(|i| if (i % 1280 + i / 1280) % 2 == 0 { 255 } else { 0 }).collect();
+    let board: Vec<u8> =
+        (0..1280 * 720).map(|i| if (i % 1280 + i / 1280) % 2 == 0 { 255 } else { 0 }).collect();
     for (width, height) in [(320, 180), (500, 100), (300, 200), (16, 9)] {
         let mut front = front_end(source, source.resized(width, height), PixelFormat::Gray8);
         let out = rgb(&mut front, view(source, PixelFormat::Gray8, &board));
@@ -165,8 +190,10 @@ fn the_tensor_is_the_picture_divided_by_255_to_the_last_bit_and_comes_back_exact
         let target = camera(75, 41, 80.0, Distortion::None);
         let mut front = front_end(source, target, format);
         let data = noise(format.bytes(96, 64).unwrap());
-        let (bytes, planes) =
-            (rgb(&mut front, view(source, format, &data)), tensor(&mut front, view(source, format, &data)));
+        let (bytes, planes) = (
+            rgb(&mut front, view(source, format, &data)),
+            tensor(&mut front, view(source, format, &data)),
+        );
         for (index, byte) in bytes.iter().enumerate() {
             assert_eq!(planes[index % 3 * 75 * 41 + index / 3], f32::from(*byte) / 255.0);
         }
@@ -204,7 +231,10 @@ fn any_number_of_threads_gives_the_same_bits() {
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            tensor(&mut front_end(source, target, PixelFormat::Yuyv), view(source, PixelFormat::Yuyv, &data))
+            tensor(
+                &mut front_end(source, target, PixelFormat::Yuyv),
+                view(source, PixelFormat::Yuyv, &data),
+            )
         })
     };
     let one = with(1);
@@ -217,7 +247,11 @@ fn a_call_allocates_nothing() {
     pool.install(|| {
         for format in FORMATS {
             let source = camera(96, 64, 90.0, BARREL);
-            for target in [source.resized(30, 10), source.cropped(0.0, 0.0, 40, 40), camera(200, 100, 99.0, BARREL)] {
+            for target in [
+                source.resized(30, 10),
+                source.cropped(0.0, 0.0, 40, 40),
+                camera(200, 100, 99.0, BARREL),
+            ] {
                 let target = CameraModel { distortion: Distortion::None, ..target };
                 let mut front = front_end(source, target, format);
                 let data = noise(format.bytes(96, 64).unwrap());
@@ -245,7 +279,7 @@ fn the_jpeg_decoder_alone_allocates() {
     assert!(count.count_total > 0 && count.count_current == 0, "{count:?}");
 }
 
-/// OpenCV 5.0's results, by tools/fixtures/make_imaging.py.
+/// OpenCV 5.0's results, by tests/fixtures/make_imaging.py.
 mod opencv {
     use super::*;
 
@@ -274,11 +308,17 @@ mod opencv {
         assert_eq!(ours.len(), theirs.len());
         let pairs = ours.iter().zip(theirs).enumerate().filter(|(index, _)| valid[index / 3]);
         let differences: Vec<u8> = pairs.map(|(_, (a, b))| a.abs_diff(*b)).collect();
-        let mean = differences.iter().map(|d| f64::from(*d)).sum::<f64>() / differences.len() as f64;
+        let mean =
+            differences.iter().map(|d| f64::from(*d)).sum::<f64>() / differences.len() as f64;
         (differences.into_iter().max().unwrap(), mean)
     }
 
-    fn compare(distortion: Distortion, format: PixelFormat, data: &[u8], theirs: &[u8]) -> (u8, f64) {
+    fn compare(
+        distortion: Distortion,
+        format: PixelFormat,
+        data: &[u8],
+        theirs: &[u8],
+    ) -> (u8, f64) {
         let mut front = front_end(source(distortion), target(), format);
         assert!(front.valid().iter().all(|valid| *valid), "the fixture has no border");
         let ours = rgb(&mut front, view(source(distortion), format, data));
@@ -308,7 +348,8 @@ mod opencv {
 
     #[test]
     fn jpeg_differs_from_opencv_by_the_decoders_rounding() {
-        let (largest, mean) = compare(BARREL, PixelFormat::Mjpeg, JPEG, fixture!("jpeg_plumb_bob.rgb"));
+        let (largest, mean) =
+            compare(BARREL, PixelFormat::Mjpeg, JPEG, fixture!("jpeg_plumb_bob.rgb"));
         assert!(largest <= 5 && mean < 0.6, "{largest} {mean}");
     }
 
@@ -330,7 +371,10 @@ mod opencv {
             let camera = CameraModel::pinhole(width, height, 1.0);
             let mut front = front_end(camera, camera, PixelFormat::Mjpeg);
             let mut out = vec![0; 3 * width * height];
-            let error = front.to_rgb(view(camera, PixelFormat::Mjpeg, JPEG), &mut out).unwrap_err().to_string();
+            let error = front
+                .to_rgb(view(camera, PixelFormat::Mjpeg, JPEG), &mut out)
+                .unwrap_err()
+                .to_string();
             assert!(error.contains("96") && error.contains(&width.to_string()), "{error}");
         }
     }
@@ -355,13 +399,18 @@ mod opencv {
 #[test]
 fn what_cannot_be_is_refused_with_a_reason() {
     let good = CameraModel::pinhole(64, 48, 1.0);
-    let refused =
-        |source, target, format| FrontEnd::new(source, target, format, YuvRange::Full).unwrap_err().to_string();
+    let refused = |source, target, format| {
+        FrontEnd::new(source, target, format, YuvRange::Full).unwrap_err().to_string()
+    };
     let rgb8 = PixelFormat::Rgb8;
-    assert!(refused(CameraModel { fx: f64::NAN, ..good }, good, rgb8).starts_with("the source camera"));
+    assert!(
+        refused(CameraModel { fx: f64::NAN, ..good }, good, rgb8).starts_with("the source camera")
+    );
     assert!(refused(good, CameraModel { width: 0, ..good }, rgb8).starts_with("the target camera"));
     assert!(refused(CameraModel { width: 1, ..good }, good, rgb8).starts_with("the source camera"));
-    assert!(refused(good, CameraModel { distortion: BARREL, ..good }, rgb8).contains("no distortion"));
+    assert!(
+        refused(good, CameraModel { distortion: BARREL, ..good }, rgb8).contains("no distortion")
+    );
     assert!(refused(CameraModel { width: 63, ..good }, good, PixelFormat::Yuyv).contains("63x48"));
     assert!(refused(CameraModel { height: 47, ..good }, good, PixelFormat::Nv12).contains("64x47"));
     assert!(refused(good, CameraModel { cx: 1e6, ..good }, rgb8).contains("no pixel"));
@@ -373,14 +422,20 @@ fn a_frame_or_output_of_another_size_is_refused() {
     let mut front = front_end(source, source.resized(32, 24), PixelFormat::Gray8);
     let mut out = vec![0; 3 * 32 * 24];
     let small = ImageView::new(32, 24, PixelFormat::Gray8, &[0; 32 * 24]).unwrap();
-    assert!(matches!(front.to_rgb(small, &mut out), Err(ImagingError::Frame { found_width: 32, .. })));
+    assert!(matches!(
+        front.to_rgb(small, &mut out),
+        Err(ImagingError::Frame { found_width: 32, .. })
+    ));
     let yuyv = vec![0; 64 * 48 * 2];
     assert!(front.to_rgb(view(source, PixelFormat::Yuyv, &yuyv), &mut out).is_err());
     let grey = vec![0; 64 * 48];
     let grey = view(source, PixelFormat::Gray8, &grey);
     assert!(matches!(front.to_rgb(grey, &mut out[1..]), Err(ImagingError::Output { .. })));
     assert!(front.to_tensor(grey, &mut [0.0; 9]).is_err());
-    assert!(matches!(front.tensor_to_rgb(&[0.0; 9], &mut out), Err(ImagingError::Planes { found: 9, .. })));
+    assert!(matches!(
+        front.tensor_to_rgb(&[0.0; 9], &mut out),
+        Err(ImagingError::Planes { found: 9, .. })
+    ));
 }
 
 fn any_lens() -> impl Strategy<Value = Distortion> {
@@ -390,9 +445,16 @@ fn any_lens() -> impl Strategy<Value = Distortion> {
 }
 
 fn any_camera() -> impl Strategy<Value = CameraModel> {
-    (1_usize..140, 1_usize..90, 0.1..300.0, 0.1..300.0, -50.0..200.0, -50.0..150.0, any_lens()).prop_map(
-        |(width, height, fx, fy, cx, cy, distortion)| CameraModel { width, height, fx, fy, cx, cy, distortion },
-    )
+    (1_usize..140, 1_usize..90, 0.1..300.0, 0.1..300.0, -50.0..200.0, -50.0..150.0, any_lens())
+        .prop_map(|(width, height, fx, fy, cx, cy, distortion)| CameraModel {
+            width,
+            height,
+            fx,
+            fy,
+            cx,
+            cy,
+            distortion,
+        })
 }
 
 proptest! {

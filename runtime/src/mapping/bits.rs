@@ -60,7 +60,12 @@ impl BitPlane {
 }
 
 /// Reads the free and the known cells of `cells` out of the map.
-pub(super) fn free_and_known(grid: &OccupancyGrid, cells: CellBox, free: &mut BitPlane, known: &mut BitPlane) {
+pub(super) fn free_and_known(
+    grid: &OccupancyGrid,
+    cells: CellBox,
+    free: &mut BitPlane,
+    known: &mut BitPlane,
+) {
     free.reset(cells);
     known.reset(cells);
     for row in 0..cells.height() {
@@ -76,7 +81,8 @@ fn pack(values: &[f32], first: usize, free: &mut [u64], known: &mut [u64]) {
     let (head, body) = values.split_at(head);
     let mut at = first;
     for chunk in core::iter::once(head).chain(body.chunks(64)).filter(|chunk| !chunk.is_empty()) {
-        let (negative, nonzero) = (bits_of(chunk, |value| value < 0.0), bits_of(chunk, |value| value != 0.0));
+        let (negative, nonzero) =
+            (bits_of(chunk, |value| value < 0.0), bits_of(chunk, |value| value != 0.0));
         free[at / 64] |= negative << (at % 64);
         known[at / 64] |= nonzero << (at % 64);
         at += chunk.len();

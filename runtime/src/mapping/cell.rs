@@ -4,7 +4,9 @@ use serde::{Deserialize, Serialize};
 
 /// A square of the `odom` plane: column `x` covers `[x, x + 1) * cell_m`, row `y` likewise. Cells are absolute: they keep
 /// their name when the map moves along with the robot.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize,
+)]
 pub struct Cell {
     /// Row; first, so that cells sort row by row.
     pub y: i32,

@@ -124,7 +124,12 @@ impl MapConfig {
         within("limit", f(self.limit), 1.0, 1e6, "1 to 1000000")?;
         within("band_min_m", f(self.band_min_m), 0.0, 2.0, "0 to 2")?;
         within("band_max_m", f(self.band_max_m), 0.0, 2.5, "0 to 2.5")?;
-        check(self.band_max_m > self.band_min_m, "band_max_m", f(self.band_max_m), "above band_min_m")?;
+        check(
+            self.band_max_m > self.band_min_m,
+            "band_max_m",
+            f(self.band_max_m),
+            "above band_min_m",
+        )?;
         within("mark_range_m", f(self.mark_range_m), 0.1, 20.0, "0.1 to 20")?;
         within("clear_range_m", f(self.clear_range_m), 0.1, 20.0, "0.1 to 20")?;
         within("clear_margin", f(self.clear_margin), 0.0, 0.9, "0 to 0.9")?;
@@ -142,7 +147,8 @@ impl MapConfig {
 
     /// How far from the window's middle the robot may be, cells: the longest range in front of it is always inside.
     pub(super) fn follow_cells(&self) -> i32 {
-        (self.cells_beyond_reach() as i32).min(i32::try_from(self.recenter_cells).unwrap_or(i32::MAX))
+        (self.cells_beyond_reach() as i32)
+            .min(i32::try_from(self.recenter_cells).unwrap_or(i32::MAX))
     }
 
     /// From a range that starts in the window's middle to the window's edge.
@@ -152,7 +158,8 @@ impl MapConfig {
     }
 }
 
-const REACH: &str = "at least twice (range / cell_m + 2), so that the longest range fits into the window";
+const REACH: &str =
+    "at least twice (range / cell_m + 2), so that the longest range fits into the window";
 
 #[cfg(test)]
 mod tests {

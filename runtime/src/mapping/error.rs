@@ -28,7 +28,9 @@ pub enum MapError {
     #[error("the camera's axis is within 6 degrees of vertical; check the camera mount")]
     CameraVertical,
     /// Depth, confidence and camera model are not of one size.
-    #[error("depth is {depth:?}, confidence has {confidence} values, the camera model is {camera:?}: they must agree")]
+    #[error(
+        "depth is {depth:?}, confidence has {confidence} values, the camera model is {camera:?}: they must agree"
+    )]
     SizeMismatch {
         /// Columns and rows of the depth.
         depth: (usize, usize),
@@ -38,7 +40,9 @@ pub enum MapError {
         camera: (usize, usize),
     },
     /// The camera model cannot be a camera.
-    #[error("the camera model is not sound: size and focal lengths must be positive, all values finite")]
+    #[error(
+        "the camera model is not sound: size and focal lengths must be positive, all values finite"
+    )]
     CameraModel,
     /// The scan has another number of ranges than its geometry says.
     #[error("the scan has {ranges} ranges for {beams} beams")]

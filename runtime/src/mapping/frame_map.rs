@@ -188,14 +188,24 @@ impl FrameMapper {
         let width = estimate.depth.width();
         let per_cell = 1.0 / config.cell_m as f32;
         let side = 2 * self.half + 1;
-        let depths = estimate.depth.values().chunks_exact(width).skip(config.stride_v / 2).step_by(config.stride_v);
-        let trusts = estimate.confidence.chunks_exact(width).skip(config.stride_v / 2).step_by(config.stride_v);
+        let depths = estimate
+            .depth
+            .values()
+            .chunks_exact(width)
+            .skip(config.stride_v / 2)
+            .step_by(config.stride_v);
+        let trusts = estimate
+            .confidence
+            .chunks_exact(width)
+            .skip(config.stride_v / 2)
+            .step_by(config.stride_v);
         let rays = self.table.rays.chunks_exact(used(width, config.stride_u).count().max(1));
         for ((depths, trusts), rays) in depths.zip(trusts).zip(rays) {
             for (u, ray) in used(width, config.stride_u).zip(rays) {
                 let (depth_m, confidence) = (depths[u], trusts[u]);
                 // Also refuses NaN.
-                let usable = depth_m > 0.0 && depth_m < f32::INFINITY && confidence >= config.min_confidence;
+                let usable =
+                    depth_m > 0.0 && depth_m < f32::INFINITY && confidence >= config.min_confidence;
                 if !usable || ray.forward <= 0.0 {
                     continue;
                 }
@@ -215,14 +225,20 @@ impl FrameMapper {
                 }
                 if is_obstacle && range_m <= config.mark_range_m {
                     let (forward_m, right_m) = (depth_m * ray.forward, depth_m * ray.right);
-                    let x = (view.x_m + forward_m * view.heading[0] + right_m * view.heading[1]) * per_cell;
-                    let y = (view.y_m + forward_m * view.heading[1] - right_m * view.heading[0]) * per_cell;
+                    let x = (view.x_m + forward_m * view.heading[0] + right_m * view.heading[1])
+                        * per_cell;
+                    let y = (view.y_m + forward_m * view.heading[1] - right_m * view.heading[0])
+                        * per_cell;
                     let index = y as i32 as usize * side + x as i32 as usize;
                     let slot = &mut self.slots[index];
                     slot.points += 1;
                     slot.confidence += confidence;
                     slot.top_m = slot.top_m.max(height_m);
-                    self.points.push(ObstaclePoint { bearing: ray.bearing, slot: index as u32, range_m });
+                    self.points.push(ObstaclePoint {
+                        bearing: ray.bearing,
+                        slot: index as u32,
+                        range_m,
+                    });
                 }
             }
         }
@@ -244,7 +260,8 @@ impl FrameMapper {
         let config = &self.config;
         let of_bearing = &self.bearings[bearing];
         let buckets = &self.buckets[bearing * self.ranges..(bearing + 1) * self.ranges];
-        let enough = u32::from(config.min_points).max((config.outlier_share * of_bearing.points as f32).ceil() as u32);
+        let enough = u32::from(config.min_points)
+            .max((config.outlier_share * of_bearing.points as f32).ceil() as u32);
         let start_m = |interval: usize| (interval as f64 * config.cell_m) as f32;
 
         let mut points = 0;
@@ -267,13 +284,17 @@ impl FrameMapper {
             Some(interval) if interval + 1 < self.ranges => start_m(interval),
             _ => f32::INFINITY,
         };
-        let free_m = seen_m.min(obstacle_m.min(of_bearing.confirmed_m) * (1.0 - config.clear_margin));
+        let free_m =
+            seen_m.min(obstacle_m.min(of_bearing.confirmed_m) * (1.0 - config.clear_margin));
         let reached = (free_m / config.cell_m as f32) as usize;
         let trust = of_bearing.confidence / of_bearing.points.max(1) as f32;
         Fan {
             free2: free_m * free_m,
             evidence: -config.free_decrement * trust.max(f32::MIN_POSITIVE),
-            lowest: buckets.iter().skip(reached).fold(f32::INFINITY, |lowest, bucket| lowest.min(bucket.lowest)),
+            lowest: buckets
+                .iter()
+                .skip(reached)
+                .fold(f32::INFINITY, |lowest, bucket| lowest.min(bucket.lowest)),
         }
     }
 
@@ -320,14 +341,22 @@ impl FrameMapper {
     }
 }
 
-fn check(estimate: &DepthEstimate, camera: &CameraModel, t_odom_camera: &Pose3) -> Result<(), MapError> {
+fn check(
+    estimate: &DepthEstimate,
+    camera: &CameraModel,
+    t_odom_camera: &Pose3,
+) -> Result<(), MapError> {
     let depth = (estimate.depth.width(), estimate.depth.height());
     let confidence = estimate.confidence.len();
     if !camera.is_sound() {
         return Err(MapError::CameraModel);
     }
     if depth != (camera.width, camera.height) || confidence != depth.0 * depth.1 {
-        return Err(MapError::SizeMismatch { depth, confidence, camera: (camera.width, camera.height) });
+        return Err(MapError::SizeMismatch {
+            depth,
+            confidence,
+            camera: (camera.width, camera.height),
+        });
     }
     super::grid::check_pose3("t_odom_camera", t_odom_camera)
 }

@@ -36,14 +36,22 @@ impl FrontierFinder {
     /// Writes all groups of more than `min_cells` cells into `found`, in the order of their first cells, row by row.
     pub fn find(&mut self, grid: &OccupancyGrid, min_cells: usize, found: &mut Vec<Frontier>) {
         found.clear();
-        let Some(cells) = grid.known_box().and_then(|known| known.grown(1).intersection(grid.window())) else { return };
+        let Some(cells) =
+            grid.known_box().and_then(|known| known.grown(1).intersection(grid.window()))
+        else {
+            return;
+        };
         free_and_known(grid, cells, &mut self.free, &mut self.known);
         self.mark_frontier_cells();
         self.components.find(&self.frontier);
         approach_cells(&self.components, &self.free, min_cells, &mut self.nearest);
         for (group, nearest) in self.components.groups().iter().zip(&self.nearest) {
             if let Some((_, approach)) = *nearest {
-                found.push(Frontier { cells: group.cells, centroid_m: group.centroid_m(grid.cell_m()), approach });
+                found.push(Frontier {
+                    cells: group.cells,
+                    centroid_m: group.centroid_m(grid.cell_m()),
+                    approach,
+                });
             }
         }
     }
@@ -80,7 +88,12 @@ impl FrontierFinder {
 
 /// For every group of more than `min_cells` cells: the free cell beside it that is nearest to its centroid; of several, the
 /// first row by row.
-fn approach_cells(components: &Components, free: &BitPlane, min_cells: usize, nearest: &mut Vec<Option<(i64, Cell)>>) {
+fn approach_cells(
+    components: &Components,
+    free: &BitPlane,
+    min_cells: usize,
+    nearest: &mut Vec<Option<(i64, Cell)>>,
+) {
     let groups = components.groups();
     nearest.clear();
     nearest.resize(groups.len(), None);
@@ -93,7 +106,8 @@ fn approach_cells(components: &Components, free: &BitPlane, min_cells: usize, ne
         for y in run.y - 1..=run.y + 1 {
             for x in run.first_x - 1..=run.last_x + 1 {
                 let candidate = (Cell::new(x, y).distance2(centroid), Cell::new(x, y));
-                if nearest[place].is_none_or(|best| candidate < best) && free.contains(candidate.1) {
+                if nearest[place].is_none_or(|best| candidate < best) && free.contains(candidate.1)
+                {
                     nearest[place] = Some(candidate);
                 }
             }
@@ -123,16 +137,19 @@ mod tests {
     }
 
     fn neighbours(cell: Cell) -> impl Iterator<Item = Cell> {
-        (-1..=1).flat_map(move |dy| (-1..=1).map(move |dx| cell.offset(dx, dy))).filter(move |near| *near != cell)
+        (-1..=1)
+            .flat_map(move |dy| (-1..=1).map(move |dx| cell.offset(dx, dy)))
+            .filter(move |near| *near != cell)
     }
 
     /// The definition, one cell at a time.
     fn naive(grid: &OccupancyGrid, min_cells: usize) -> Vec<(usize, Cell)> {
         let window = grid.window();
-        let all =
-            (window.min.y..=window.max.y).flat_map(|y| (window.min.x..=window.max.x).map(move |x| Cell::new(x, y)));
+        let all = (window.min.y..=window.max.y)
+            .flat_map(|y| (window.min.x..=window.max.x).map(move |x| Cell::new(x, y)));
         let is_frontier = |cell: &Cell| {
-            grid.state(*cell) == CellState::Unknown && neighbours(*cell).any(|near| grid.state(near) == CellState::Free)
+            grid.state(*cell) == CellState::Unknown
+                && neighbours(*cell).any(|near| grid.state(near) == CellState::Free)
         };
         let mut left: BTreeSet<Cell> = all.filter(is_frontier).collect();
         let mut found = Vec::new();
@@ -145,7 +162,8 @@ mod tests {
             }
             if group.len() > min_cells {
                 let mean = |of: fn(&Cell) -> i32| {
-                    (group.iter().map(|cell| f64::from(of(cell))).sum::<f64>() / group.len() as f64).round() as i32
+                    (group.iter().map(|cell| f64::from(of(cell))).sum::<f64>() / group.len() as f64)
+                        .round() as i32
                 };
                 let centroid = Cell::new(mean(|cell| cell.x), mean(|cell| cell.y));
                 let beside = group.iter().flat_map(|cell| neighbours(*cell));
@@ -188,8 +206,15 @@ mod tests {
         let mut found = Vec::new();
         FrontierFinder::default().find(&grid, FrontierFinder::MIN_CELLS, &mut found);
         let [door] = found[..] else { panic!("{found:?}") };
-        assert_eq!((door.cells, door.approach.x), (27, 39), "the door's 25 cells and one beyond either end");
-        assert!((door.centroid_m[0] - 40.5 * 0.03).abs() < 1e-9 && (door.centroid_m[1] - 17.5 * 0.03).abs() < 1e-9);
+        assert_eq!(
+            (door.cells, door.approach.x),
+            (27, 39),
+            "the door's 25 cells and one beyond either end"
+        );
+        assert!(
+            (door.centroid_m[0] - 40.5 * 0.03).abs() < 1e-9
+                && (door.centroid_m[1] - 17.5 * 0.03).abs() < 1e-9
+        );
     }
 
     #[test]

@@ -161,7 +161,8 @@ impl OccupancyGrid {
         let middle = t_odom_base.compose(&Pose2::new(ahead_m, 0.0, 0.0));
         check_pose2("t_odom_base and ahead_m", &middle)?;
         let half_m = self.config.collision_width_m / 2.0;
-        let steps = (self.config.collision_width_m / self.config.cell_m * 2.0).ceil().max(1.0) as i32;
+        let steps =
+            (self.config.collision_width_m / self.config.cell_m * 2.0).ceil().max(1.0) as i32;
         let expires = self.updates + self.config.collision_updates;
         for step in 0..=steps {
             let across_m = half_m * (2.0 * f64::from(step) / f64::from(steps) - 1.0);
@@ -184,7 +185,8 @@ impl OccupancyGrid {
         if !(0.0..=5.0).contains(&radius_m) {
             return Err(MapError::Config { field: "radius_m", value: radius_m, allowed: "0 to 5" });
         }
-        self.standing = Some((self.cell_at(t_odom_base.x_m, t_odom_base.y_m), radius_m / self.config.cell_m));
+        self.standing =
+            Some((self.cell_at(t_odom_base.x_m, t_odom_base.y_m), radius_m / self.config.cell_m));
         Ok(())
     }
 
@@ -238,7 +240,8 @@ impl OccupancyGrid {
 
     /// Cells of old collisions become unknown: what is there now has to be seen again.
     fn forget_old_collisions(&mut self) {
-        let (window, stored, top_cm, now) = (&self.window, &mut self.stored, &mut self.top_cm, self.updates);
+        let (window, stored, top_cm, now) =
+            (&self.window, &mut self.stored, &mut self.top_cm, self.updates);
         self.collisions.retain(|collision| {
             let stays = collision.expires > now;
             if let (false, Some(index)) = (stays, window.index(collision.cell)) {
@@ -279,7 +282,9 @@ impl OccupancyGrid {
     fn recenter(&mut self, robot: Cell) {
         let old = self.window.center();
         let limit = self.config.follow_cells();
-        let follow = |center: i32, robot: i32| center.clamp(robot.saturating_sub(limit), robot.saturating_add(limit));
+        let follow = |center: i32, robot: i32| {
+            center.clamp(robot.saturating_sub(limit), robot.saturating_add(limit))
+        };
         let center = Cell::new(follow(old.x, robot.x), follow(old.y, robot.y));
         if center == old {
             return;
@@ -329,7 +334,9 @@ impl OccupancyGrid {
     /// What is known of a cell; unknown outside the window.
     #[must_use]
     pub fn state(&self, cell: Cell) -> CellState {
-        self.window.index(cell).map_or(CellState::Unknown, |index| CellState::of(self.stored[index]))
+        self.window
+            .index(cell)
+            .map_or(CellState::Unknown, |index| CellState::of(self.stored[index]))
     }
 
     /// What is known of the cell at a point of `odom`, metres.
@@ -370,7 +377,10 @@ impl OccupancyGrid {
 
     /// Every known cell with its log-odds, row by row.
     pub fn known_cells(&self) -> impl Iterator<Item = (Cell, f32)> + '_ {
-        let rows = self.known.into_iter().flat_map(|known| (known.min.y..=known.max.y).map(move |y| (known, y)));
+        let rows = self
+            .known
+            .into_iter()
+            .flat_map(|known| (known.min.y..=known.max.y).map(move |y| (known, y)));
         rows.flat_map(move |(known, y)| {
             let (left, right) = self.row(y, known.min.x, known.width());
             left.iter()
@@ -444,7 +454,12 @@ pub(super) fn check_pose2(pose: &'static str, value: &Pose2) -> Result<(), MapEr
 }
 
 pub(super) fn check_pose3(pose: &'static str, value: &Pose3) -> Result<(), MapError> {
-    let finite = value.translation.vector.iter().chain(value.rotation.coords.iter()).all(|number| number.is_finite());
+    let finite = value
+        .translation
+        .vector
+        .iter()
+        .chain(value.rotation.coords.iter())
+        .all(|number| number.is_finite());
     if !finite {
         return Err(MapError::PoseNotFinite { pose, value: format!("{value}") });
     }

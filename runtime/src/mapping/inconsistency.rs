@@ -16,7 +16,11 @@ pub struct Inconsistency {
 /// Compares two pictures' maps: a cell is inconsistent if both know it and only one calls it occupied ("Embodied Depth
 /// Prediction", section III-D). 8-connected groups, the largest first; of equal ones, the first row by row.
 #[must_use]
-pub fn inconsistencies(now: &SingleFrameMap, before: &SingleFrameMap, cell_m: f64) -> Vec<Inconsistency> {
+pub fn inconsistencies(
+    now: &SingleFrameMap,
+    before: &SingleFrameMap,
+    cell_m: f64,
+) -> Vec<Inconsistency> {
     let mut cells = Vec::new();
     let mut older = before.cells.iter().peekable();
     for newer in &now.cells {
@@ -28,7 +32,9 @@ pub fn inconsistencies(now: &SingleFrameMap, before: &SingleFrameMap, cell_m: f6
             }
         }
     }
-    let Some(bounds) = cells.iter().map(|cell| CellBox::of(*cell)).reduce(|all, one| all.including(one.min)) else {
+    let Some(bounds) =
+        cells.iter().map(|cell| CellBox::of(*cell)).reduce(|all, one| all.including(one.min))
+    else {
         return Vec::new();
     };
     let mut plane = BitPlane::default();
@@ -39,8 +45,9 @@ pub fn inconsistencies(now: &SingleFrameMap, before: &SingleFrameMap, cell_m: f6
     let mut components = Components::default();
     components.find(&plane);
     let groups = components.groups().iter();
-    let mut found: Vec<_> =
-        groups.map(|group| Inconsistency { cells: group.cells, centroid_m: group.centroid_m(cell_m) }).collect();
+    let mut found: Vec<_> = groups
+        .map(|group| Inconsistency { cells: group.cells, centroid_m: group.centroid_m(cell_m) })
+        .collect();
     // Stable: groups of equal size stay in the order of their first cells.
     found.sort_by_key(|group| core::cmp::Reverse(group.cells));
     found

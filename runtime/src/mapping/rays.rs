@@ -55,17 +55,29 @@ impl RayTable {
         }
     }
 
-    fn ray(&self, config: &MapConfig, camera: &CameraModel, view: &View, (u, v): (usize, usize)) -> Ray {
+    fn ray(
+        &self,
+        config: &MapConfig,
+        camera: &CameraModel,
+        view: &View,
+        (u, v): (usize, usize),
+    ) -> Ray {
         let direction = camera.ray(u as f64, v as f64);
-        let [right, down, ahead] = view.axes.map(|axis| axis.map(|steps| f64::from(steps) / STEPS_PER_UNIT));
-        let along = |part: usize| right[part] * direction.x + down[part] * direction.y + ahead[part];
+        let [right, down, ahead] =
+            view.axes.map(|axis| axis.map(|steps| f64::from(steps) / STEPS_PER_UNIT));
+        let along =
+            |part: usize| right[part] * direction.x + down[part] * direction.y + ahead[part];
         let (forward, sideways, rise) = (along(0), along(1), along(2));
         let range = forward.hypot(sideways);
         let slope = rise / range;
         let height_m = f64::from(view.height) / STEPS_PER_UNIT;
-        let leaves_band_m =
-            if slope < 0.0 { height_m / -slope } else { (f64::from(config.band_max_m) - height_m) / slope.max(1e-9) };
-        let bin = ((camera.cx + camera.fx * sideways / forward + 0.5) / config.stride_u as f64).floor();
+        let leaves_band_m = if slope < 0.0 {
+            height_m / -slope
+        } else {
+            (f64::from(config.band_max_m) - height_m) / slope.max(1e-9)
+        };
+        let bin =
+            ((camera.cx + camera.fx * sideways / forward + 0.5) / config.stride_u as f64).floor();
         let in_fan = forward > 0.0 && bin >= 0.0 && bin < self.bearings as f64;
         Ray {
             forward: forward as f32,
@@ -116,7 +128,8 @@ impl View {
             let axis = rotation.matrix().column(axis);
             [axis.x * hx + axis.y * hy, axis.x * hy - axis.y * hx, axis.z].map(rounded)
         });
-        let corner = Cell::containing(position.x, position.y, config.cell_m).offset(-(half as i32), -(half as i32));
+        let corner = Cell::containing(position.x, position.y, config.cell_m)
+            .offset(-(half as i32), -(half as i32));
         Ok(Self {
             corner,
             x_m: (position.x - f64::from(corner.x) * config.cell_m) as f32,

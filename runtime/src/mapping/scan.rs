@@ -13,7 +13,11 @@ impl OccupancyGrid {
     ///
     /// # Errors
     /// When the pose is not finite or out of reach, or the scan has another number of ranges than beams.
-    pub fn integrate_scan(&mut self, scan: &LaserScan, t_odom_laser: &Pose2) -> Result<(), MapError> {
+    pub fn integrate_scan(
+        &mut self,
+        scan: &LaserScan,
+        t_odom_laser: &Pose2,
+    ) -> Result<(), MapError> {
         check_pose2("t_odom_laser", t_odom_laser)?;
         let beams = scan.geometry.beams;
         if scan.ranges.len() != beams {
@@ -52,8 +56,8 @@ impl OccupancyGrid {
             let shortest = beams.iter().map(|range| reach_m(*range)).fold(f32::INFINITY, f32::min);
             let reach_m = f64::from(shortest.min(limit_m)) - cell_m;
             if reach_m > 0.0 {
-                let angle_rad =
-                    scan.geometry.angle_rad(first) + scan.geometry.angle_increment_rad * (beams.len() - 1) as f64 / 2.0;
+                let angle_rad = scan.geometry.angle_rad(first)
+                    + scan.geometry.angle_increment_rad * (beams.len() - 1) as f64 / 2.0;
                 let end_m = end_of(t_odom_laser, angle_rad, reach_m);
                 self.clear_line([t_odom_laser.x_m, t_odom_laser.y_m], end_m);
             }
@@ -124,7 +128,8 @@ mod tests {
     use proptest::prelude::*;
 
     fn grid(lidar: LidarUse) -> OccupancyGrid {
-        let config = MapConfig { side_cells: 200, recenter_cells: 20, lidar, ..MapConfig::default() };
+        let config =
+            MapConfig { side_cells: 200, recenter_cells: 20, lidar, ..MapConfig::default() };
         OccupancyGrid::new(&config).unwrap()
     }
 
@@ -146,15 +151,22 @@ mod tests {
         update(&mut grid, &scan(|_| Range::Hit(1.2)), &laser);
         for beam in (0..1081).step_by(7) {
             let angle = ScanGeometry::UTM_30LX.angle_rad(beam);
-            for (range_m, state) in
-                [(0.5, CellState::Free), (1.1, CellState::Free), (1.2, CellState::Occupied), (1.3, CellState::Unknown)]
-            {
+            for (range_m, state) in [
+                (0.5, CellState::Free),
+                (1.1, CellState::Free),
+                (1.2, CellState::Occupied),
+                (1.3, CellState::Unknown),
+            ] {
                 let [x, y] = end_of(&laser, angle, range_m);
                 assert_eq!(grid.state_at(x, y), state, "beam {beam} at {range_m} m");
             }
         }
         let behind = end_of(&laser, core::f64::consts::PI, 0.5);
-        assert_eq!(grid.state_at(behind[0], behind[1]), CellState::Unknown, "the scanner does not look back");
+        assert_eq!(
+            grid.state_at(behind[0], behind[1]),
+            CellState::Unknown,
+            "the scanner does not look back"
+        );
     }
 
     #[test]
@@ -200,7 +212,10 @@ mod tests {
         assert_eq!(off.known_cells().count(), 0);
         let mut only_hits = grid(LidarUse::Hits);
         update(&mut only_hits, &hits, &Pose2::IDENTITY);
-        assert!(only_hits.known_cells().count() > 50 && only_hits.known_cells().all(|(_, log_odds)| log_odds > 0.0));
+        assert!(
+            only_hits.known_cells().count() > 50
+                && only_hits.known_cells().all(|(_, log_odds)| log_odds > 0.0)
+        );
     }
 
     #[test]

@@ -38,7 +38,8 @@ fn room(size_m: [f64; 2]) -> Vec<Solid> {
 fn enter(solid: &Solid, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
     let (mut near, mut far) = (0.0f64, f64::INFINITY);
     for axis in 0..3 {
-        let crossings = [0, 1].map(|end: usize| (solid[end][axis] - origin[axis]) / direction[axis]);
+        let crossings =
+            [0, 1].map(|end: usize| (solid[end][axis] - origin[axis]) / direction[axis]);
         near = near.max(crossings[0].min(crossings[1]));
         far = far.min(crossings[0].max(crossings[1]));
     }
@@ -53,7 +54,8 @@ fn look(solids: &[Solid], camera: &CameraModel, t_odom_camera: &Pose3) -> DepthE
         for u in 0..camera.width {
             let direction = t_odom_camera.rotation * camera.ray(u as f64, v as f64);
             let floor = if direction.z < 0.0 { -origin.z / direction.z } else { f64::INFINITY };
-            let depth = solids.iter().map(|solid| enter(solid, &origin, &direction)).fold(floor, f64::min);
+            let depth =
+                solids.iter().map(|solid| enter(solid, &origin, &direction)).fold(floor, f64::min);
             if depth.is_finite() {
                 estimate.depth.values_mut()[v * camera.width + u] = depth as f32;
                 estimate.confidence[v * camera.width + u] = 1.0;
@@ -82,10 +84,17 @@ fn a_wall_at_a_known_depth_marks_exactly_its_cells() {
     // In range where 1.515^2 + dy^2 <= 2^2: dy up to 1.305 m.
     let expected: Vec<Cell> = (-43..=43).map(|y| Cell::new(50, y)).collect();
     assert_eq!(cells_of(&frame, CellState::Occupied), expected);
-    assert!(frame.cells.iter().all(|known| known.cell.x <= 50), "something behind the wall is known");
+    assert!(
+        frame.cells.iter().all(|known| known.cell.x <= 50),
+        "something behind the wall is known"
+    );
     let occupied = frame.cells.iter().find(|known| known.cell == Cell::new(50, 0)).unwrap();
     assert_eq!(occupied.evidence, 2.0);
-    assert!((occupied.height_m - 1.25).abs() < 0.02, "top of what the camera sees of it: {}", occupied.height_m);
+    assert!(
+        (occupied.height_m - 1.25).abs() < 0.02,
+        "top of what the camera sees of it: {}",
+        occupied.height_m
+    );
 }
 
 #[test]
@@ -158,7 +167,12 @@ fn bearings_without_depth_or_trust_are_not_known() {
     // Left is +y.
     assert!(frame.cells.iter().all(|known| known.cell.y <= 0));
     // Right of 45/2 degrees the confidence is below the threshold.
-    assert!(frame.cells.iter().all(|known| f64::from(-known.cell.y) <= f64::from(known.cell.x) * 0.51 + 1.0));
+    assert!(
+        frame
+            .cells
+            .iter()
+            .all(|known| f64::from(-known.cell.y) <= f64::from(known.cell.x) * 0.51 + 1.0)
+    );
     assert_eq!(frame.state(Cell::new(30, -5)), CellState::Free);
 }
 
@@ -203,17 +217,29 @@ fn wrong_sizes_wild_poses_and_vertical_cameras_are_refused() {
         mapper.map(estimate, camera, pose, &mut frame).unwrap_err()
     };
     let half = DepthEstimate::none(320, 192);
-    assert!(matches!(refuse(&half, &camera(), &level), MapError::SizeMismatch { depth: (320, 192), .. }));
+    assert!(matches!(
+        refuse(&half, &camera(), &level),
+        MapError::SizeMismatch { depth: (320, 192), .. }
+    ));
     let short = DepthEstimate { depth: DepthMap::none(640, 192), confidence: vec![1.0; 7] };
-    assert!(matches!(refuse(&short, &camera(), &level), MapError::SizeMismatch { confidence: 7, .. }));
+    assert!(matches!(
+        refuse(&short, &camera(), &level),
+        MapError::SizeMismatch { confidence: 7, .. }
+    ));
     let mut nan = level;
     nan.translation.vector.x = f64::NAN;
-    assert!(matches!(refuse(&estimate, &camera(), &nan), MapError::PoseNotFinite { pose: "t_odom_camera", .. }));
+    assert!(matches!(
+        refuse(&estimate, &camera(), &nan),
+        MapError::PoseNotFinite { pose: "t_odom_camera", .. }
+    ));
     nan.translation.vector.x = 1e9;
     assert!(matches!(refuse(&estimate, &camera(), &nan), MapError::PoseOutOfReach { .. }));
     let down = mount(&Pose2::IDENTITY, core::f64::consts::FRAC_PI_2);
     assert_eq!(refuse(&estimate, &camera(), &down), MapError::CameraVertical);
-    assert_eq!(refuse(&estimate, &CameraModel { fx: 0.0, ..camera() }, &level), MapError::CameraModel);
+    assert_eq!(
+        refuse(&estimate, &CameraModel { fx: 0.0, ..camera() }, &level),
+        MapError::CameraModel
+    );
 }
 
 proptest! {
@@ -258,7 +284,11 @@ fn a_low_obstacle_that_leaves_the_view_below_stays_in_the_map() {
     for _ in 0..20 {
         update(&mut grid, &[stool, wall], &Pose2::new(1.2, 0.0, 0.0));
     }
-    assert_eq!(grid.state_at(1.91, 0.0), CellState::Occupied, "still there, though rays pass above it");
+    assert_eq!(
+        grid.state_at(1.91, 0.0),
+        CellState::Occupied,
+        "still there, though rays pass above it"
+    );
 }
 
 #[test]
@@ -285,7 +315,11 @@ fn two_looks_at_a_moved_box_are_inconsistent_where_it_was_and_where_it_is() {
     assert!(inconsistencies(&now, &now, 0.03).is_empty());
     let found = inconsistencies(&now, &before, 0.03);
     // The faces; sides seen at a glancing angle give single cells besides.
-    assert!(found[0].cells >= found[1].cells && found[1].cells >= 10 && found[2..].iter().all(|rest| rest.cells <= 2));
+    assert!(
+        found[0].cells >= found[1].cells
+            && found[1].cells >= 10
+            && found[2..].iter().all(|rest| rest.cells <= 2)
+    );
     let mut sides: Vec<f64> = found[..2].iter().map(|group| group.centroid_m[1]).collect();
     sides.sort_by(f64::total_cmp);
     assert!((sides[0] + 0.35).abs() < 0.05 && (sides[1] - 0.45).abs() < 0.05, "{sides:?}");

@@ -115,7 +115,13 @@ impl Window {
     }
 
     /// Row `y` (in the window) of a plane of `data`, from column `min_x` on, as one or two contiguous parts.
-    pub fn row<'a, T>(&self, data: &'a [T], y: i32, min_x: i32, width: usize) -> (&'a [T], &'a [T]) {
+    pub fn row<'a, T>(
+        &self,
+        data: &'a [T],
+        y: i32,
+        min_x: i32,
+        width: usize,
+    ) -> (&'a [T], &'a [T]) {
         let Some(start) = self.index(Cell::new(min_x, y)) else { return (&[], &[]) };
         let side = self.side as usize;
         let row_start = start - start % side;

@@ -59,7 +59,8 @@ impl HeldOutRule {
     #[must_use]
     pub fn holds_out(&self, bin: &PoseBin) -> bool {
         let numbers = [bin.x, bin.y, bin.sector];
-        numbers.iter().fold(self.seed, |hash, number| mixed(hash ^ *number as u64)) % 1000 < self.per_mille
+        numbers.iter().fold(self.seed, |hash, number| mixed(hash ^ *number as u64)) % 1000
+            < self.per_mille
     }
 }
 
@@ -77,7 +78,7 @@ mod tests {
     use std::f64::consts::PI;
 
     /// Written by the trainer's own rule: `tools/trainer/tests/test_held_out.py` reads the same file.
-    const SHIPPED: &str = include_str!("../../../tools/fixtures/held_out.json");
+    const SHIPPED: &str = include_str!("../../../tests/fixtures/held_out.json");
 
     #[derive(Deserialize)]
     struct Row {
@@ -93,8 +94,16 @@ mod tests {
         let rows: Vec<Row> = serde_json::from_str(SHIPPED).unwrap();
         let rule = HeldOutRule::default();
         for row in &rows {
-            let bin = rule.bin(&Pose2 { x_m: row.x_m, y_m: row.y_m, yaw_rad: row.yaw_rad }).unwrap();
-            assert_eq!([bin.x, bin.y, bin.sector], row.bin, "{} {} {}", row.x_m, row.y_m, row.yaw_rad);
+            let bin =
+                rule.bin(&Pose2 { x_m: row.x_m, y_m: row.y_m, yaw_rad: row.yaw_rad }).unwrap();
+            assert_eq!(
+                [bin.x, bin.y, bin.sector],
+                row.bin,
+                "{} {} {}",
+                row.x_m,
+                row.y_m,
+                row.yaw_rad
+            );
             assert_eq!(rule.holds_out(&bin), row.held_out, "{bin:?}");
         }
         assert!(rows.len() >= 500 && rows.iter().filter(|row| row.held_out).count() > 20);
@@ -103,7 +112,9 @@ mod tests {
     #[test]
     fn about_a_tenth_of_all_bins_is_held_out_and_a_seed_changes_which() {
         let bins: Vec<PoseBin> = (-20..20)
-            .flat_map(|x| (-20..20).flat_map(move |y| (0..8).map(move |sector| PoseBin { x, y, sector })))
+            .flat_map(|x| {
+                (-20..20).flat_map(move |y| (0..8).map(move |sector| PoseBin { x, y, sector }))
+            })
             .collect();
         let held = |seed| {
             let rule = HeldOutRule { seed, ..HeldOutRule::default() };

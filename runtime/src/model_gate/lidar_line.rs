@@ -123,14 +123,18 @@ mod tests {
     fn nothing_came_back_and_errors_are_no_depth() {
         let (camera, t_camera_laser) = mounts();
         for range in [Range::NoReturn, Range::TooNear, Range::Error, Range::Hit(f32::NAN)] {
-            assert!(lidar_line(&scan_of(|_| range), &camera, &t_camera_laser).is_empty(), "{range:?}");
+            assert!(
+                lidar_line(&scan_of(|_| range), &camera, &t_camera_laser).is_empty(),
+                "{range:?}"
+            );
         }
     }
 
     #[test]
     fn what_stands_behind_the_robot_is_not_in_the_picture() {
         let (camera, t_camera_laser) = mounts();
-        let behind = scan_of(|angle| if angle.abs() > 1.7 { Range::Hit(3.0) } else { Range::NoReturn });
+        let behind =
+            scan_of(|angle| if angle.abs() > 1.7 { Range::Hit(3.0) } else { Range::NoReturn });
         assert!(lidar_line(&behind, &camera, &t_camera_laser).is_empty());
     }
 
@@ -144,8 +148,14 @@ mod tests {
             nearer = !nearer;
             *range = Range::Hit(if nearer { 3.0 } else { 4.0 });
         }
-        let (far, mixed) = (lidar_line(&both, &camera, &t_camera_laser), lidar_line(&mixed, &camera, &t_camera_laser));
-        assert!(mixed.iter().all(|point| point.depth_m < 4.06) && far.iter().any(|point| point.depth_m > 3.9));
+        let (far, mixed) = (
+            lidar_line(&both, &camera, &t_camera_laser),
+            lidar_line(&mixed, &camera, &t_camera_laser),
+        );
+        assert!(
+            mixed.iter().all(|point| point.depth_m < 4.06)
+                && far.iter().any(|point| point.depth_m > 3.9)
+        );
         let crowded = mixed.iter().filter(|point| point.depth_m < 3.1).count();
         assert!(crowded * 10 > mixed.len() * 4, "{crowded} of {}", mixed.len());
     }

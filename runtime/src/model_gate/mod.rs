@@ -27,6 +27,8 @@ pub use lidar_line::{LidarView, LinePoint};
 pub use onnx_file::{OPSETS, OnnxFault, check_onnx_file};
 pub use paired::{Paired, compare};
 pub use photometric::{Photometric, Source};
-pub use score::{FrameScore, LineScore, PARALLAX_BINS_PX, Scorer, line_score, parallax_bin, parallax_px};
+pub use score::{
+    FrameScore, LineScore, PARALLAX_BINS_PX, Scorer, line_score, parallax_bin, parallax_px,
+};
 pub use trial::{Trial, TrialCounts, TrialLimits, TrialState, TrialTurn, TrialVerdict};
 pub use verdict::{Examination, GateLimits, Latency, Measure, ScoredFrame, Verdict, Why, judge};

@@ -16,7 +16,9 @@ const DEEPEST: usize = 16;
 #[non_exhaustive]
 pub enum OnnxFault {
     /// Not a protobuf, or cut.
-    #[error("the file is no whole ONNX model (it breaks off or is something else at byte {at}); export it again")]
+    #[error(
+        "the file is no whole ONNX model (it breaks off or is something else at byte {at}); export it again"
+    )]
     Broken {
         /// Where, in bytes.
         at: usize,
@@ -34,7 +36,9 @@ pub enum OnnxFault {
         domain: String,
     },
     /// Weights in other files.
-    #[error("the model keeps the tensor `{tensor}` in another file; export it with all weights inside (one file)")]
+    #[error(
+        "the model keeps the tensor `{tensor}` in another file; export it with all weights inside (one file)"
+    )]
     ExternalData {
         /// Which tensor.
         tensor: String,
@@ -264,19 +268,30 @@ mod tests {
     #[test]
     fn the_models_of_the_tests_and_the_default_model_are_whole_files_of_a_known_opset() {
         let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
-        let mut files: Vec<_> =
-            std::fs::read_dir(root.join("tests/models")).unwrap().map(|entry| entry.unwrap().path()).collect();
-        files.push(root.join("../models/default.onnx"));
+        let mut files: Vec<_> = std::fs::read_dir(root.join("tests/models"))
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .collect();
+        files.push(root.join("../firmware-host/models/default.onnx"));
         assert!(files.len() > 30);
         for file in files {
-            assert_eq!(check_onnx_file(&std::fs::read(&file).unwrap()), Ok(()), "{}", file.display());
+            assert_eq!(
+                check_onnx_file(&std::fs::read(&file).unwrap()),
+                Ok(()),
+                "{}",
+                file.display()
+            );
         }
     }
 
     #[test]
     fn opsets_that_robots_do_not_run_and_foreign_operators_are_refused() {
         for (version, taken) in [(10, false), (11, true), (21, true), (22, false)] {
-            assert_eq!(check_onnx_file(&message(&[(8, &opset(b"", version))])).is_ok(), taken, "{version}");
+            assert_eq!(
+                check_onnx_file(&message(&[(8, &opset(b"", version))])).is_ok(),
+                taken,
+                "{version}"
+            );
         }
         assert_eq!(check_onnx_file(&message(&[(7, b"")])), Err(OnnxFault::Opset { found: 0 }));
         let foreign = message(&[(8, &opset(b"", 17)), (8, &opset(b"com.example", 1))]);
@@ -288,7 +303,9 @@ mod tests {
         let outside = message(&[(8, b"weights"), (13, b"")]);
         let mut by_location = message(&[(8, b"weights")]);
         by_location.extend([14 << 3, 1]);
-        let node = |attribute: u64, inner: &[u8]| message(&[(1, &message(&[(5, &message(&[(attribute, inner)]))]))]);
+        let node = |attribute: u64, inner: &[u8]| {
+            message(&[(1, &message(&[(5, &message(&[(attribute, inner)]))]))])
+        };
         let graphs = [
             message(&[(5, &outside)]),
             message(&[(5, &by_location)]),
@@ -303,7 +320,10 @@ mod tests {
             let refused = Err(OnnxFault::ExternalData { tensor: "weights".to_owned() });
             assert_eq!(check_onnx_file(&model_with(graph)), refused, "{index}");
         }
-        assert_eq!(check_onnx_file(&model_with(&message(&[(5, &message(&[(8, b"weights")]))]))), Ok(()));
+        assert_eq!(
+            check_onnx_file(&model_with(&message(&[(5, &message(&[(8, b"weights")]))]))),
+            Ok(())
+        );
     }
 
     #[test]

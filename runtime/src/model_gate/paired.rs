@@ -51,9 +51,12 @@ pub fn compare(errors: &[(PoseBin, f64, f64)]) -> Option<Paired> {
     let clusters: Vec<(f64, f64)> = bins.into_values().collect();
     let count = errors.len() as f64;
     let mut rng = Pcg64Mcg::seed_from_u64(SEED);
-    let mut means: Vec<f64> = (0..RESAMPLES).filter_map(|_| resampled_mean(&clusters, &mut rng)).collect();
+    let mut means: Vec<f64> =
+        (0..RESAMPLES).filter_map(|_| resampled_mean(&clusters, &mut rng)).collect();
     means.sort_by(f64::total_cmp);
-    let quantile = |share: f64| means.get((share * (means.len().saturating_sub(1)) as f64).round() as usize).copied();
+    let quantile = |share: f64| {
+        means.get((share * (means.len().saturating_sub(1)) as f64).round() as usize).copied()
+    };
     Some(Paired {
         pictures: errors.len(),
         places: clusters.len(),
@@ -68,7 +71,8 @@ fn resampled_mean(clusters: &[(f64, f64)], rng: &mut Pcg64Mcg) -> Option<f64> {
     if clusters.is_empty() {
         return None;
     }
-    let drawn = (0..clusters.len()).filter_map(|_| clusters.get(rng.random_range(0..clusters.len())));
+    let drawn =
+        (0..clusters.len()).filter_map(|_| clusters.get(rng.random_range(0..clusters.len())));
     let (sum, count) = drawn.fold((0.0, 0.0), |(sum, count), (s, c)| (sum + s, count + c));
     Some(sum / count)
 }
@@ -97,9 +101,13 @@ mod tests {
 
     #[test]
     fn equal_models_differ_by_nothing() {
-        let same: Vec<_> = errors(20, 10, 0.0, 1).iter().map(|(bin, _, error)| (*bin, *error, *error)).collect();
+        let same: Vec<_> =
+            errors(20, 10, 0.0, 1).iter().map(|(bin, _, error)| (*bin, *error, *error)).collect();
         let paired = compare(&same).unwrap();
-        assert_eq!((paired.lower, paired.upper, paired.places, paired.pictures), (0.0, 0.0, 20, 200));
+        assert_eq!(
+            (paired.lower, paired.upper, paired.places, paired.pictures),
+            (0.0, 0.0, 20, 200)
+        );
         assert_eq!(compare(&[]), None);
     }
 

@@ -53,7 +53,12 @@ impl Photometric {
 
     /// Mean error over the picture with the depth (metres, row-major, 0: none), and with sources that are not moved at all.
     /// `None` without a source.
-    pub fn error(&mut self, rgb: &[u8], depth_m: &[f32], sources: &[Source<'_>]) -> Option<(f64, f64)> {
+    pub fn error(
+        &mut self,
+        rgb: &[u8],
+        depth_m: &[f32],
+        sources: &[Source<'_>],
+    ) -> Option<(f64, f64)> {
         if sources.is_empty() {
             return None;
         }
@@ -83,10 +88,16 @@ impl Photometric {
         for v in 0..height {
             for u in 0..width {
                 let depth = mean_depth(depth_m, self.full_width, 2 * u, 2 * v);
-                let point: Point3<f64> = t_source_target * self.camera.unproject(u as f64, v as f64, f64::from(depth));
+                let point: Point3<f64> =
+                    t_source_target * self.camera.unproject(u as f64, v as f64, f64::from(depth));
                 let pixel = self.camera.project(&point).filter(|_| depth > 0.0);
                 self.warped[v * width + u] = match pixel {
-                    Some((x, y)) if x >= 0.0 && y >= 0.0 && x <= (width - 1) as f64 && y <= (height - 1) as f64 => {
+                    Some((x, y))
+                        if x >= 0.0
+                            && y >= 0.0
+                            && x <= (width - 1) as f64
+                            && y <= (height - 1) as f64 =>
+                    {
                         bilinear(&self.source, width, height, x as f32, y as f32)
                     }
                     _ => [f32::NAN; 3],
@@ -99,7 +110,8 @@ impl Photometric {
 /// Of the 2x2 pixels from (u, v) on, those that have a depth; by inverse depth, which is even where surfaces are.
 fn mean_depth(depth_m: &[f32], width: usize, u: usize, v: usize) -> f32 {
     let block = [v * width + u, v * width + u + 1, (v + 1) * width + u, (v + 1) * width + u + 1];
-    let inverse = block.map(|at| depth_m.get(at).copied().filter(|depth| *depth > 0.0).map_or(0.0, f32::recip));
+    let inverse = block
+        .map(|at| depth_m.get(at).copied().filter(|depth| *depth > 0.0).map_or(0.0, f32::recip));
     let known = inverse.iter().filter(|inverse| **inverse > 0.0).count();
     if known == 0 { 0.0 } else { known as f32 / inverse.iter().sum::<f32>() }
 }
@@ -110,7 +122,9 @@ fn shrink(rgb: &[u8], width: usize, out: &mut [[f32; 3]]) {
     for (index, pixel) in out.iter_mut().enumerate() {
         let (u, v) = (2 * (index % half), 2 * (index / half));
         *pixel = [0, 1, 2].map(|colour| {
-            let value = |u: usize, v: usize| f32::from(rgb.get(3 * (v * width + u) + colour).copied().unwrap_or(0));
+            let value = |u: usize, v: usize| {
+                f32::from(rgb.get(3 * (v * width + u) + colour).copied().unwrap_or(0))
+            };
             (value(u, v) + value(u + 1, v) + value(u, v + 1) + value(u + 1, v + 1)) / (4.0 * 255.0)
         });
     }
@@ -118,7 +132,8 @@ fn shrink(rgb: &[u8], width: usize, out: &mut [[f32; 3]]) {
 
 /// The colour at (x, y), which is inside.
 fn bilinear(pixels: &[[f32; 3]], width: usize, height: usize, x: f32, y: f32) -> [f32; 3] {
-    let (left, top) = ((x as usize).min(width.saturating_sub(2)), (y as usize).min(height.saturating_sub(2)));
+    let (left, top) =
+        ((x as usize).min(width.saturating_sub(2)), (y as usize).min(height.saturating_sub(2)));
     let (fx, fy) = (x - left as f32, y - top as f32);
     let at = |u: usize, v: usize| pixels.get(v * width + u).copied().unwrap_or([f32::NAN; 3]);
     let (a, b, c, d) = (at(left, top), at(left + 1, top), at(left, top + 1), at(left + 1, top + 1));
@@ -129,8 +144,15 @@ fn bilinear(pixels: &[[f32; 3]], width: usize, height: usize, x: f32, y: f32) ->
 }
 
 /// Error of the 3x3 pixels around (u, v), the border repeated; NaN where one of them is not known.
-fn patch_error(x: &[[f32; 3]], y: &[[f32; 3]], (width, height): (usize, usize), u: usize, v: usize) -> f32 {
-    let (mut sx, mut sy, mut sxx, mut syy, mut sxy) = ([0.0; 3], [0.0; 3], [0.0; 3], [0.0; 3], [0.0; 3]);
+fn patch_error(
+    x: &[[f32; 3]],
+    y: &[[f32; 3]],
+    (width, height): (usize, usize),
+    u: usize,
+    v: usize,
+) -> f32 {
+    let (mut sx, mut sy, mut sxx, mut syy, mut sxy) =
+        ([0.0; 3], [0.0; 3], [0.0; 3], [0.0; 3], [0.0; 3]);
     for row in [v.saturating_sub(1), v, (v + 1).min(height - 1)] {
         for column in [u.saturating_sub(1), u, (u + 1).min(width - 1)] {
             let (a, b) = (x[row * width + column], y[row * width + column]);
@@ -147,9 +169,10 @@ fn patch_error(x: &[[f32; 3]], y: &[[f32; 3]], (width, height): (usize, usize), 
     let mut error = 0.0;
     for i in 0..3 {
         let (mx, my) = (sx[i] / 9.0, sy[i] / 9.0);
-        let (vx, vy, cov) = (sxx[i] / 9.0 - mx * mx, syy[i] / 9.0 - my * my, sxy[i] / 9.0 - mx * my);
-        let ssim =
-            (2.0 * mx * my + C1) * (2.0 * cov + C2) / ((mx * mx + my * my + C1) * (vx.max(0.0) + vy.max(0.0) + C2));
+        let (vx, vy, cov) =
+            (sxx[i] / 9.0 - mx * mx, syy[i] / 9.0 - my * my, sxy[i] / 9.0 - mx * my);
+        let ssim = (2.0 * mx * my + C1) * (2.0 * cov + C2)
+            / ((mx * mx + my * my + C1) * (vx.max(0.0) + vy.max(0.0) + C2));
         error += ALPHA * 0.5 * (1.0 - ssim) + (1.0 - ALPHA) * (a[i] - b[i]).abs();
     }
     error / 3.0
@@ -176,7 +199,8 @@ pub(super) mod tests {
         let colour = |index: usize| {
             let ray = camera.ray((index % SIZE.0) as f64, (index / SIZE.0) as f64) * depth_m;
             let (x, y) = (ray.x + x_m, ray.y);
-            [5.0, 7.0, 9.0].map(|f| (120.0 + 50.0 * (f * x).sin() + 40.0 * (f * 1.3 * y).cos()).round() as u8)
+            [5.0, 7.0, 9.0]
+                .map(|f| (120.0 + 50.0 * (f * x).sin() + 40.0 * (f * 1.3 * y).cos()).round() as u8)
         };
         (0..SIZE.0 * SIZE.1).flat_map(colour).collect()
     }
@@ -184,12 +208,15 @@ pub(super) mod tests {
     fn error_at(depth_m: f32) -> (f64, f64) {
         let (target, source) = (wall(2.0, 0.0), wall(2.0, -0.2));
         let sources = [Source { rgb: &source, t_source_target: Pose3::translation(0.2, 0.0, 0.0) }];
-        Photometric::new(&camera()).error(&target, &vec![depth_m; SIZE.0 * SIZE.1], &sources).unwrap()
+        Photometric::new(&camera())
+            .error(&target, &vec![depth_m; SIZE.0 * SIZE.1], &sources)
+            .unwrap()
     }
 
     #[test]
     fn the_true_depth_explains_a_picture_best_and_the_error_grows_both_ways() {
-        let errors: Vec<f64> = [0.8, 1.2, 1.6, 2.0, 2.6, 3.5, 6.0].map(|depth| error_at(depth).0).to_vec();
+        let errors: Vec<f64> =
+            [0.8, 1.2, 1.6, 2.0, 2.6, 3.5, 6.0].map(|depth| error_at(depth).0).to_vec();
         let best = errors.iter().copied().fold(f64::INFINITY, f64::min);
         assert!((errors[3] - best).abs() < 1e-12 && errors[3] < 0.5 * errors[5], "{errors:?}");
         assert!(errors[3..].is_sorted(), "{errors:?}");
@@ -211,7 +238,8 @@ pub(super) mod tests {
         let source = |rgb, x| Source { rgb, t_source_target: Pose3::translation(x, 0.0, 0.0) };
         let mut photometric = Photometric::new(&camera());
         let alone = photometric.error(&target, &depth, &[source(&one, 0.2)]).unwrap().0;
-        let both = photometric.error(&target, &depth, &[source(&one, 0.2), source(&two, -0.1)]).unwrap().0;
+        let both =
+            photometric.error(&target, &depth, &[source(&one, 0.2), source(&two, -0.1)]).unwrap().0;
         assert!(both <= alone, "{both} {alone}");
         assert_eq!(photometric.error(&target, &depth, &[]), None);
     }

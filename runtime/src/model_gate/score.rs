@@ -41,7 +41,8 @@ pub struct FrameScore {
 #[must_use]
 pub fn parallax_px(camera: &CameraModel, sources: &[Source<'_>]) -> f64 {
     let baseline = |pose: &Pose3| pose.translation.vector.norm();
-    let farthest = sources.iter().map(|source| baseline(&source.t_source_target)).fold(0.0, f64::max);
+    let farthest =
+        sources.iter().map(|source| baseline(&source.t_source_target)).fold(0.0, f64::max);
     camera.fx * farthest / ASSUMED_DEPTH_M
 }
 
@@ -93,15 +94,26 @@ pub fn line_score(estimate: &DepthEstimate, line: &[LinePoint]) -> Option<LineSc
     for point in line {
         let at = point.v * width + point.u;
         let there = (estimate.depth.values().get(at), estimate.confidence.get(at));
-        let (Some(&depth), Some(confidence), true) = (there.0, there.1, point.u < width) else { continue };
+        let (Some(&depth), Some(confidence), true) = (there.0, there.1, point.u < width) else {
+            continue;
+        };
         let is_right = f64::from(u8::from(point.agrees(depth)));
         points += 1;
-        abs_rel += if depth > 0.0 { f64::from((depth - point.depth_m).abs() / point.depth_m) } else { 1.0 };
+        abs_rel += if depth > 0.0 {
+            f64::from((depth - point.depth_m).abs() / point.depth_m)
+        } else {
+            1.0
+        };
         right += is_right;
         brier += (f64::from(*confidence) - is_right).powi(2);
     }
     let count = f64::from(points);
-    (points > 0).then(|| LineScore { points, abs_rel: abs_rel / count, delta1: right / count, brier: brier / count })
+    (points > 0).then(|| LineScore {
+        points,
+        abs_rel: abs_rel / count,
+        delta1: right / count,
+        brier: brier / count,
+    })
 }
 
 #[cfg(test)]
@@ -110,11 +122,18 @@ mod tests {
     use hal::DepthMap;
 
     fn estimate(depth_m: f32, confidence: f32) -> DepthEstimate {
-        DepthEstimate { depth: DepthMap::from_vec(4, 2, vec![depth_m; 8]).unwrap(), confidence: vec![confidence; 8] }
+        DepthEstimate {
+            depth: DepthMap::from_vec(4, 2, vec![depth_m; 8]).unwrap(),
+            confidence: vec![confidence; 8],
+        }
     }
 
     fn line(depths_m: &[f32]) -> Vec<LinePoint> {
-        depths_m.iter().enumerate().map(|(u, depth_m)| LinePoint { u, v: 1, depth_m: *depth_m }).collect()
+        depths_m
+            .iter()
+            .enumerate()
+            .map(|(u, depth_m)| LinePoint { u, v: 1, depth_m: *depth_m })
+            .collect()
     }
 
     #[test]
@@ -130,7 +149,10 @@ mod tests {
         let score = line_score(&estimate(0.0, 0.0), &line(&[2.0])).unwrap();
         assert_eq!((score.delta1, score.abs_rel, score.brier), (0.0, 1.0, 0.0));
         assert_eq!(line_score(&estimate(2.0, 1.0), &[]), None);
-        assert_eq!(line_score(&estimate(2.0, 1.0), &[LinePoint { u: 9, v: 9, depth_m: 1.0 }]), None);
+        assert_eq!(
+            line_score(&estimate(2.0, 1.0), &[LinePoint { u: 9, v: 9, depth_m: 1.0 }]),
+            None
+        );
     }
 
     #[test]

@@ -95,9 +95,13 @@ impl TrialCounts {
     /// As [`add`](Self::add), but when there are `most` turns, all that was counts half.
     pub fn remember(&mut self, turn: &TrialTurn, most: u64) {
         if self.turns >= most {
-            for count in
-                [&mut self.turns, &mut self.overruns, &mut self.bad_outputs, &mut self.trips, &mut self.line_pictures]
-            {
+            for count in [
+                &mut self.turns,
+                &mut self.overruns,
+                &mut self.bad_outputs,
+                &mut self.trips,
+                &mut self.line_pictures,
+            ] {
                 *count /= 2;
             }
             self.metres /= 2.0;
@@ -152,7 +156,9 @@ pub enum TrialVerdict {
         turns: u64,
     },
     /// Late turns.
-    #[error("rolled back: {late} of {turns} turns came late, the resident model's share was {resident:.3}")]
+    #[error(
+        "rolled back: {late} of {turns} turns came late, the resident model's share was {resident:.3}"
+    )]
     Overruns {
         /// How many.
         late: u64,
@@ -162,7 +168,9 @@ pub enum TrialVerdict {
         resident: f64,
     },
     /// Bumper trips.
-    #[error("rolled back: {trips} bumper trips on {metres:.1} m, the resident model had {resident_per_m:.2} a metre")]
+    #[error(
+        "rolled back: {trips} bumper trips on {metres:.1} m, the resident model had {resident_per_m:.2} a metre"
+    )]
     Trips {
         /// How many.
         trips: u64,
@@ -227,7 +235,8 @@ impl Trial {
             return Some(TrialVerdict::BadOutput { times: counts.bad_outputs, turns });
         }
         // Early on, one late turn is a large share: the trial's whole length counts.
-        let allowed = (resident.overrun_share() + limits.overrun_share) * turns.max(limits.turns) as f64;
+        let allowed =
+            (resident.overrun_share() + limits.overrun_share) * turns.max(limits.turns) as f64;
         if counts.overruns >= 3 && counts.overruns as f64 > allowed {
             let resident = resident.overrun_share();
             return Some(TrialVerdict::Overruns { late: counts.overruns, turns, resident });
@@ -239,12 +248,17 @@ impl Trial {
         }
         let delta1 = counts.delta1(limits.line_pictures)?;
         let least = resident.delta1(limits.line_pictures)? - limits.delta1_drop;
-        (delta1 < least).then_some(TrialVerdict::Accuracy { delta1, pictures: counts.line_pictures, least })
+        (delta1 < least).then_some(TrialVerdict::Accuracy {
+            delta1,
+            pictures: counts.line_pictures,
+            least,
+        })
     }
 
     fn success(&self) -> Option<TrialVerdict> {
         let TrialCounts { turns, metres, .. } = self.counts;
-        let done = turns >= self.limits.turns && metres >= self.limits.metres || turns >= 10 * self.limits.turns;
+        let done = turns >= self.limits.turns && metres >= self.limits.metres
+            || turns >= 10 * self.limits.turns;
         done.then_some(TrialVerdict::Keep { turns, metres })
     }
 }
@@ -265,11 +279,13 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const GOOD: TrialTurn = TrialTurn { overrun: false, bad_output: false, trips: 0, moved_m: 0.02, delta1: Some(0.8) };
+    const GOOD: TrialTurn =
+        TrialTurn { overrun: false, bad_output: false, trips: 0, moved_m: 0.02, delta1: Some(0.8) };
 
     fn resident() -> TrialCounts {
         let mut counts = TrialCounts::default();
-        (0..1000).for_each(|turn| counts.add(&TrialTurn { trips: u64::from(turn % 200 == 0), ..GOOD }));
+        (0..1000)
+            .for_each(|turn| counts.add(&TrialTurn { trips: u64::from(turn % 200 == 0), ..GOOD }));
         counts
     }
 
@@ -288,7 +304,11 @@ mod tests {
         assert_eq!(run(|_| GOOD).0, 600);
         assert!(run(|_| GOOD).1.keeps());
         assert_eq!(run(|_| TrialTurn { moved_m: 0.005_001, ..GOOD }).0, 1000, "5 m at 5 mm a turn");
-        assert_eq!(run(|_| TrialTurn { moved_m: 0.0, ..GOOD }).0, 6000, "standing still is no reason for ever");
+        assert_eq!(
+            run(|_| TrialTurn { moved_m: 0.0, ..GOOD }).0,
+            6000,
+            "standing still is no reason for ever"
+        );
     }
 
     #[test]
@@ -300,12 +320,16 @@ mod tests {
     #[test]
     fn late_turns_end_it_once_they_are_more_than_the_whole_trial_may_have() {
         let (turns, verdict) = run(|turn| TrialTurn { overrun: turn % 2 == 0, ..GOOD });
-        assert!(turns <= 30 && matches!(verdict, TrialVerdict::Overruns { .. }), "{turns} {verdict}");
+        assert!(
+            turns <= 30 && matches!(verdict, TrialVerdict::Overruns { .. }),
+            "{turns} {verdict}"
+        );
         assert!(run(|turn| TrialTurn { overrun: turn % 100 == 0, ..GOOD }).1.keeps());
     }
 
     #[test]
-    fn a_model_that_runs_into_things_is_rolled_back_and_one_that_does_it_as_often_as_before_is_kept() {
+    fn a_model_that_runs_into_things_is_rolled_back_and_one_that_does_it_as_often_as_before_is_kept()
+     {
         let (turns, verdict) = run(|turn| TrialTurn { trips: u64::from(turn % 20 == 19), ..GOOD });
         assert!(turns <= 200 && matches!(verdict, TrialVerdict::Trips { .. }), "{turns} {verdict}");
         assert!(run(|turn| TrialTurn { trips: u64::from(turn % 200 == 0), ..GOOD }).1.keeps());
@@ -322,7 +346,10 @@ mod tests {
     #[test]
     fn without_a_resident_model_only_what_is_bad_by_itself_counts() {
         let mut trial = Trial::new(TrialLimits::default(), TrialCounts::default());
-        let ended = (0..600).map(|_| trial.observe(&TrialTurn { delta1: Some(0.1), ..GOOD })).last().unwrap();
+        let ended = (0..600)
+            .map(|_| trial.observe(&TrialTurn { delta1: Some(0.1), ..GOOD }))
+            .last()
+            .unwrap();
         assert!(matches!(ended, TrialState::Ended(TrialVerdict::Keep { .. })));
     }
 

@@ -103,7 +103,8 @@ pub enum Measure {
 }
 
 impl Measure {
-    const PHOTOMETRIC: [Self; 3] = [Self::PhotometricNear, Self::PhotometricMiddle, Self::PhotometricFar];
+    const PHOTOMETRIC: [Self; 3] =
+        [Self::PhotometricNear, Self::PhotometricMiddle, Self::PhotometricFar];
 
     /// In words.
     #[must_use]
@@ -231,7 +232,12 @@ impl Verdict {
 
 /// Judges what was measured. `unproven`: a first model may come without held-out pictures; with a resident one it changes nothing.
 #[must_use]
-pub fn judge(examination: &Examination, has_resident: bool, unproven: bool, limits: &GateLimits) -> Verdict {
+pub fn judge(
+    examination: &Examination,
+    has_resident: bool,
+    unproven: bool,
+    limits: &GateLimits,
+) -> Verdict {
     let frames = &examination.frames;
     let mut bins: Vec<PoseBin> = frames.iter().map(|frame| frame.bin).collect();
     bins.sort_unstable();
@@ -243,8 +249,9 @@ pub fn judge(examination: &Examination, has_resident: bool, unproven: bool, limi
         refused.push(Why::BadOutput { pictures: bad, of: pictures });
     }
     let compared = if has_resident { compare_all(frames, limits) } else { Vec::new() };
-    let enough =
-        pictures >= limits.min_pictures && places >= limits.min_places && !(has_resident && compared.is_empty());
+    let enough = pictures >= limits.min_pictures
+        && places >= limits.min_places
+        && !(has_resident && compared.is_empty());
     if !enough && (has_resident || !unproven) {
         let GateLimits { min_pictures, min_places, .. } = *limits;
         refused.push(Why::TooLittle { pictures, places, min_pictures, min_places });
@@ -257,15 +264,18 @@ pub fn judge(examination: &Examination, has_resident: bool, unproven: bool, limi
 }
 
 fn mean_of(frames: &[ScoredFrame], value: impl Fn(&FrameScore) -> Option<f64>) -> Option<f64> {
-    let values: Vec<f64> = frames.iter().filter_map(|frame| value(frame.candidate.as_ref()?)).collect();
+    let values: Vec<f64> =
+        frames.iter().filter_map(|frame| value(frame.candidate.as_ref()?)).collect();
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
 /// What no comparison is needed for.
 fn insane(frames: &[ScoredFrame], delta1: Option<f64>, limits: &GateLimits) -> Vec<Why> {
     let mut why = Vec::new();
-    let shows: Vec<ScoredFrame> = frames.iter().filter(|frame| parallax_bin(frame.parallax_px) > 0).copied().collect();
-    if let (Some(error), Some(unmoved)) = (mean_of(&shows, |s| s.photometric), mean_of(&shows, |s| s.unmoved))
+    let shows: Vec<ScoredFrame> =
+        frames.iter().filter(|frame| parallax_bin(frame.parallax_px) > 0).copied().collect();
+    if let (Some(error), Some(unmoved)) =
+        (mean_of(&shows, |s| s.photometric), mean_of(&shows, |s| s.unmoved))
         && error >= unmoved
     {
         why.push(Why::NotSane { error, unmoved });
@@ -279,7 +289,9 @@ fn insane(frames: &[ScoredFrame], delta1: Option<f64>, limits: &GateLimits) -> V
 /// By every measure that enough pictures speak of: a few pictures would refuse good models as often as bad ones.
 fn compare_all(frames: &[ScoredFrame], limits: &GateLimits) -> Vec<(Measure, Paired)> {
     let by = |measure: Measure, error: &dyn Fn(&FrameScore) -> Option<f64>, bin: Option<usize>| {
-        let counted = frames.iter().filter(|frame| bin.is_none_or(|bin| parallax_bin(frame.parallax_px) == bin));
+        let counted = frames
+            .iter()
+            .filter(|frame| bin.is_none_or(|bin| parallax_bin(frame.parallax_px) == bin));
         let pair = |frame: &ScoredFrame| {
             Some((frame.bin, error(frame.candidate.as_ref()?)?, error(frame.resident.as_ref()?)?))
         };
@@ -317,7 +329,9 @@ fn worse(measure: Measure, paired: &Paired, limits: &GateLimits) -> Option<Why> 
 }
 
 fn too_slow(examination: &Examination, limits: &GateLimits) -> Option<Why> {
-    let of_resident = examination.resident_latency.map_or(0.0, |latency| latency.p99_ms * limits.p99_over_resident);
+    let of_resident = examination
+        .resident_latency
+        .map_or(0.0, |latency| latency.p99_ms * limits.p99_over_resident);
     let (p99_ms, most_ms) = (examination.latency.p99_ms, limits.p99_ms.max(of_resident));
     // NaN is too slow.
     if p99_ms <= most_ms { None } else { Some(Why::TooSlow { p99_ms, most_ms }) }
@@ -373,7 +387,12 @@ mod tests {
         assert_eq!(refused.len(), 6, "{refused:?}");
         assert!(refused.iter().all(|why| matches!(why, Why::Worse { .. })), "{refused:?}");
         let text = refused[3].to_string();
-        assert!(text.contains("|d - z| / z") && text.contains("0.15") && text.contains("60 pictures of 10"), "{text}");
+        assert!(
+            text.contains("|d - z| / z")
+                && text.contains("0.15")
+                && text.contains("60 pictures of 10"),
+            "{text}"
+        );
     }
 
     #[test]
@@ -382,7 +401,10 @@ mod tests {
         for frame in &mut examination.frames {
             frame.candidate.as_mut().unwrap().line.as_mut().unwrap().brier = 0.2;
         }
-        assert!(matches!(why(&examination, true)[..], [Why::Worse { measure: Measure::Calibration, .. }]));
+        assert!(matches!(
+            why(&examination, true)[..],
+            [Why::Worse { measure: Measure::Calibration, .. }]
+        ));
     }
 
     #[test]
@@ -392,7 +414,10 @@ mod tests {
             let line = frame.candidate.as_mut().unwrap().line.as_mut().unwrap();
             line.abs_rel += if frame.bin.x % 2 == 0 { 0.15 } else { -0.15 };
         }
-        assert!(matches!(why(&examination, true)[..], [Why::NotShown { measure: Measure::AbsRel, .. }]));
+        assert!(matches!(
+            why(&examination, true)[..],
+            [Why::NotShown { measure: Measure::AbsRel, .. }]
+        ));
     }
 
     #[test]
@@ -409,7 +434,10 @@ mod tests {
     fn too_few_pictures_are_no_proof_and_only_a_first_model_may_do_without() {
         let mut examination = scored(0.5, None);
         examination.frames.truncate(15);
-        assert!(matches!(why(&examination, false)[..], [Why::TooLittle { pictures: 15, places: 3, .. }]));
+        assert!(matches!(
+            why(&examination, false)[..],
+            [Why::TooLittle { pictures: 15, places: 3, .. }]
+        ));
         assert!(judge(&examination, false, true, &GateLimits::default()).is_accepted());
         assert!(!judge(&examination, true, true, &GateLimits::default()).is_accepted());
     }
@@ -417,14 +445,26 @@ mod tests {
     #[test]
     fn a_measure_that_few_pictures_speak_of_decides_nothing() {
         let mut examination = scored(0.7, Some(1.0));
-        for frame in examination.frames.iter_mut().filter(|frame| parallax_bin(frame.parallax_px) == 2).skip(10) {
+        for frame in examination
+            .frames
+            .iter_mut()
+            .filter(|frame| parallax_bin(frame.parallax_px) == 2)
+            .skip(10)
+        {
             frame.parallax_px = 0.0;
         }
-        for frame in examination.frames.iter_mut().filter(|frame| parallax_bin(frame.parallax_px) == 2) {
+        for frame in
+            examination.frames.iter_mut().filter(|frame| parallax_bin(frame.parallax_px) == 2)
+        {
             frame.candidate.as_mut().unwrap().photometric = Some(0.25);
         }
         let verdict = judge(&examination, true, false, &GateLimits::default());
-        assert_eq!((verdict.refused.len(), verdict.compared.len()), (0, 5), "{:?}", verdict.refused);
+        assert_eq!(
+            (verdict.refused.len(), verdict.compared.len()),
+            (0, 5),
+            "{:?}",
+            verdict.refused
+        );
     }
 
     #[test]
@@ -435,7 +475,10 @@ mod tests {
             frame.candidate.as_mut().unwrap().photometric = Some(0.31);
         }
         assert!(matches!(why(&blind, false)[..], [Why::NotSane { .. }]));
-        assert!(matches!(why(&scored(5.0, None), false)[..], [Why::NotSane { .. }, Why::NotMetric { .. }]));
+        assert!(matches!(
+            why(&scored(5.0, None), false)[..],
+            [Why::NotSane { .. }, Why::NotMetric { .. }]
+        ));
     }
 
     #[test]

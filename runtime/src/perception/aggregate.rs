@@ -63,7 +63,12 @@ impl Volume<'_> {
 }
 
 #[multiversion(targets("x86_64+avx2"))]
-fn vertical<'a>(volume: &Volume<'a>, upwards: bool, rows: &mut PathRows, sums: &mut [[i16; PLANES]]) {
+fn vertical<'a>(
+    volume: &Volume<'a>,
+    upwards: bool,
+    rows: &mut PathRows,
+    sums: &mut [[i16; PLANES]],
+) {
     let (width, height) = (volume.width, volume.costs.len() / volume.width);
     for paths in [&mut rows.before, &mut rows.now] {
         paths.clear();
@@ -83,7 +88,8 @@ fn vertical<'a>(volume: &Volume<'a>, upwards: bool, rows: &mut PathRows, sums: &
                     begin(&volume.costs[at], path)
                 } else {
                     let jump = volume.jump(above * width + from, at);
-                    let (before, least) = (&rows.before[from][direction], rows.least_before[from][direction]);
+                    let (before, least) =
+                        (&rows.before[from][direction], rows.least_before[from][direction]);
                     let small = if direction == 1 { volume.small } else { volume.small * 2 / 3 };
                     follow(&volume.costs[at], before, least, small, jump, path)
                 };
@@ -121,7 +127,14 @@ fn horizontal<'a>(volume: &Volume<'a>, row: usize, sums: &mut [[i16; PLANES]]) {
 
 /// Continues a path from `before`, whose smallest cost is `least`; returns the smallest cost now.
 #[inline(always)]
-fn follow(costs: &[u8; PLANES], before: &PathCosts, least: i16, small: i16, large: i16, now: &mut PathCosts) -> i16 {
+fn follow(
+    costs: &[u8; PLANES],
+    before: &PathCosts,
+    least: i16,
+    small: i16,
+    large: i16,
+    now: &mut PathCosts,
+) -> i16 {
     let jump = least + large;
     let mut smallest = [WALL; LANES];
     for block in (0..PLANES).step_by(LANES) {
@@ -199,7 +212,8 @@ mod tests {
         let (mut down, mut up) = (vec![[0; PLANES]; 45], vec![[0; PLANES]; 45]);
         volume.vertical(false, &mut PathRows::default(), &mut down);
         volume.vertical(true, &mut PathRows::default(), &mut up);
-        let mut row: Vec<[i16; PLANES]> = (18..27).map(|i| std::array::from_fn(|d| down[i][d] + up[i][d])).collect();
+        let mut row: Vec<[i16; PLANES]> =
+            (18..27).map(|i| std::array::from_fn(|d| down[i][d] + up[i][d])).collect();
         volume.horizontal(2, &mut row);
         let best = (0..PLANES).min_by_key(|d| row[4][*d]).unwrap();
         assert_eq!(best, 20);
@@ -219,7 +233,8 @@ mod tests {
         }
         let grey = vec![0; columns * rows];
         let volume = Volume { costs: &costs, width: columns, grey: &grey, small: 24, large: 160 };
-        let (mut down, mut up) = (vec![[0; PLANES]; columns * rows], vec![[0; PLANES]; columns * rows]);
+        let (mut down, mut up) =
+            (vec![[0; PLANES]; columns * rows], vec![[0; PLANES]; columns * rows]);
         volume.vertical(false, &mut PathRows::default(), &mut down);
         volume.vertical(true, &mut PathRows::default(), &mut up);
         let mut sums: Vec<[i16; PLANES]> =
@@ -228,7 +243,11 @@ mod tests {
         for column in 2..columns {
             let best = (0..PLANES).min_by_key(|plane| sums[column][*plane]).unwrap();
             // Were all steps as dear, it would be the shelf's plane for most of them, up to 7 away.
-            assert!(best.abs_diff(foot(column)) <= 3, "column {column}: plane {best}, not {}", foot(column));
+            assert!(
+                best.abs_diff(foot(column)) <= 3,
+                "column {column}: plane {best}, not {}",
+                foot(column)
+            );
         }
     }
 

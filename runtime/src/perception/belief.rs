@@ -39,7 +39,12 @@ impl Belief {
             self.votes += 1.0;
             self.inverse_depth += (inverse_depth - self.inverse_depth) * trust / self.evidence;
         } else if trust > self.evidence {
-            *self = Self { inverse_depth, evidence: trust - self.evidence, votes: 1.0, offset: [0.0; 2] };
+            *self = Self {
+                inverse_depth,
+                evidence: trust - self.evidence,
+                votes: 1.0,
+                offset: [0.0; 2],
+            };
         } else {
             self.evidence -= trust;
             self.votes += 1.0;

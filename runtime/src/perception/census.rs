@@ -49,7 +49,8 @@ impl CensusImage {
 
     /// Whether at least one pixel in fifty has something to be recognised by.
     pub fn has_texture(&self) -> bool {
-        self.descriptors.iter().filter(|descriptor| **descriptor != 0).count() * 50 >= self.width * self.height
+        self.descriptors.iter().filter(|descriptor| **descriptor != 0).count() * 50
+            >= self.width * self.height
     }
 
     /// From `data` of so many bytes a pixel. Every band has its own grey values, the first row of the next included: they stay
@@ -58,13 +59,19 @@ impl CensusImage {
         let (width, height) = (self.width, self.height);
         self.smooth.resize(width * height, 0);
         self.grey.resize(height.div_ceil(BAND) * (BAND + 1) * width, 0);
-        let bands = self.smooth.par_chunks_mut(BAND * width).zip(self.grey.par_chunks_exact_mut((BAND + 1) * width));
+        let bands = self
+            .smooth
+            .par_chunks_mut(BAND * width)
+            .zip(self.grey.par_chunks_exact_mut((BAND + 1) * width));
         bands.enumerate().for_each(|(band, (smooth, grey))| {
             let rows = data.chunks_exact(bytes * width).skip(band * BAND);
             for (grey, row) in grey.chunks_exact_mut(width).zip(rows) {
                 match bytes {
                     3 => luma(row, grey),
-                    _ => grey.iter_mut().zip(row).for_each(|(grey, value)| *grey = u16::from(*value) << 6),
+                    _ => grey
+                        .iter_mut()
+                        .zip(row)
+                        .for_each(|(grey, value)| *grey = u16::from(*value) << 6),
                 }
             }
             for (row, smooth) in smooth.chunks_exact_mut(width).enumerate() {
@@ -105,7 +112,10 @@ impl State for CensusImage {
         read_bulk(&mut self.smooth, MOST_PIXELS, from)?;
         if self.width == 0 || self.width.checked_mul(self.height) != Some(self.smooth.len()) {
             let pixels = self.smooth.len();
-            return Err(SnapshotError::Damaged(format!("{}x{} are not {pixels} pixels", self.width, self.height)));
+            return Err(SnapshotError::Damaged(format!(
+                "{}x{} are not {pixels} pixels",
+                self.width, self.height
+            )));
         }
         self.describe();
         Ok(())
@@ -128,7 +138,9 @@ const BAND: usize = 16;
 fn smooth_row(upper: &[u16], lower: &[u16], out: &mut [u16]) {
     let last = out.len() - 1;
     let next = upper[1..].iter().zip(&lower[1..]);
-    for ((out, (upper, lower)), (next_upper, next_lower)) in out.iter_mut().zip(upper.iter().zip(lower)).zip(next) {
+    for ((out, (upper, lower)), (next_upper, next_lower)) in
+        out.iter_mut().zip(upper.iter().zip(lower)).zip(next)
+    {
         *out = upper + next_upper + lower + next_lower;
     }
     out[last] = 2 * (upper[last] + lower[last]);
@@ -247,13 +259,15 @@ mod tests {
         let plain = texture(40, 30);
         let bright: Vec<u8> = plain.iter().map(|v| (f32::from(*v) * 1.3) as u8).collect();
         let (a, b) = (census(40, 30, &plain), census(40, 30, &bright));
-        let changed: u32 = a.descriptors.iter().zip(&b.descriptors).map(|(a, b)| (a ^ b).count_ones()).sum();
+        let changed: u32 =
+            a.descriptors.iter().zip(&b.descriptors).map(|(a, b)| (a ^ b).count_ones()).sum();
         assert!(changed < 40 * 30 * BITS / 50, "{changed}");
     }
 
     #[test]
     fn noise_of_one_grey_level_is_no_texture() {
-        let noisy: Vec<u8> = (0..400_usize).map(|i| 77 + ((i * 2_654_435_761) >> 13) as u8 % 2).collect();
+        let noisy: Vec<u8> =
+            (0..400_usize).map(|i| 77 + ((i * 2_654_435_761) >> 13) as u8 % 2).collect();
         assert!(!census(20, 20, &noisy).has_texture());
     }
 
@@ -265,7 +279,8 @@ mod tests {
     #[test]
     fn a_shifted_picture_has_shifted_descriptors() {
         let wide = texture(60, 30);
-        let shifted: Vec<u8> = (0..30).flat_map(|y| wide[y * 60 + 7..y * 60 + 57].to_vec()).collect();
+        let shifted: Vec<u8> =
+            (0..30).flat_map(|y| wide[y * 60 + 7..y * 60 + 57].to_vec()).collect();
         let (a, b) = (census(60, 30, &wide), census(50, 30, &shifted));
         for (x, y) in [(10, 10), (20, 15), (30, 20)] {
             assert_eq!(a.descriptors[y * 60 + x + 7], b.descriptors[y * 50 + x]);

@@ -137,7 +137,11 @@ impl CoarseDepth {
     /// # Errors
     /// Why there is none. A picture of the wrong size, without texture, of a frozen camera or with a pose that is not finite
     /// leaves no trace; every other one is remembered.
-    pub fn estimate(&mut self, frame: ImageView<'_>, t_odom_camera: &Pose3) -> Result<&DepthEstimate, NoDepth> {
+    pub fn estimate(
+        &mut self,
+        frame: ImageView<'_>,
+        t_odom_camera: &Pose3,
+    ) -> Result<&DepthEstimate, NoDepth> {
         // Into the pool once: to go there for every part of the work takes longer than some of them.
         rayon::scope(|_| self.estimate_in_pool(frame, t_odom_camera))?;
         Ok(&self.estimate)
@@ -168,7 +172,11 @@ impl CoarseDepth {
     /// studies.
     pub fn cells(&self) -> impl Iterator<Item = (&Vote, &Belief, &Surround)> {
         let beliefs = self.memory.beliefs().iter().zip(self.buffers.surroundings.last());
-        self.buffers.votes.iter().zip(beliefs).map(|(vote, (belief, around))| (vote, belief, around))
+        self.buffers
+            .votes
+            .iter()
+            .zip(beliefs)
+            .map(|(vote, (belief, around))| (vote, belief, around))
     }
 
     /// What the last successful [`estimate`](Self::estimate) returned.
@@ -191,7 +199,10 @@ impl CoarseDepth {
         }
         self.memory.drop_where(self.moving.last());
         self.buffers.votes.fill(Vote::default());
-        let wanted = Wanted { depth_m: self.scene_depth_m, jitter_rad: REFERENCE_MARGIN * self.jitter_rad() };
+        let wanted = Wanted {
+            depth_m: self.scene_depth_m,
+            jitter_rad: REFERENCE_MARGIN * self.jitter_rad(),
+        };
         let chosen = self.keyframes.choose(&self.pose, &self.descriptors, wanted, &self.config);
         if chosen.iter().flatten().next().is_none() {
             self.judge();
@@ -230,14 +241,21 @@ impl CoarseDepth {
         if self.config.steady_rotation {
             let (beliefs, confidence) = (self.memory.beliefs(), &*self.buffers.confidence);
             let seen = Seen { flow, picture, camera };
-            let believed = Believed { beliefs, confidence, cells, scene_depth_m: self.scene_depth_m };
+            let believed =
+                Believed { beliefs, confidence, cells, scene_depth_m: self.scene_depth_m };
             self.pose = self.steady.steady(said, seen, believed);
         }
         let (pose, memory, moving) = (&self.pose, &mut self.memory, &mut self.moving);
         let advance = || memory.advance(pose, cells, self.config.memory);
         let look = || {
             if self.config.find_moving {
-                moving.look(picture, flow, &(before.inverse() * pose), camera, self.config.min_depth_m);
+                moving.look(
+                    picture,
+                    flow,
+                    &(before.inverse() * pose),
+                    camera,
+                    self.config.min_depth_m,
+                );
             }
         };
         rayon::join(look, advance);
@@ -255,7 +273,8 @@ impl CoarseDepth {
 
     fn is_jump(&self, last: &Pose3, pose: &Pose3) -> bool {
         let step = last.inverse() * pose;
-        step.translation.vector.norm() > self.config.max_step_m || step.rotation.angle() > self.config.max_turn_rad
+        step.translation.vector.norm() > self.config.max_step_m
+            || step.rotation.angle() > self.config.max_turn_rad
     }
 
     /// What rotations are known to jitter by about each axis.
@@ -265,8 +284,10 @@ impl CoarseDepth {
 
     fn match_against(&mut self, chosen: &[Option<usize>; MAX_REFERENCES]) {
         let jitter_px = (VOTE_MARGIN * self.jitter_rad() * self.camera.fx) as f32;
-        let Buffers { corners, grey, costs, unseen, down, up, paths_down, paths_up, votes, .. } = &mut self.buffers;
-        let (picture, inverse_depth, width) = (&self.picture, &self.inverse_depth, self.cells.width);
+        let Buffers { corners, grey, costs, unseen, down, up, paths_down, paths_up, votes, .. } =
+            &mut self.buffers;
+        let (picture, inverse_depth, width) =
+            (&self.picture, &self.inverse_depth, self.cells.width);
         if self.config.refine_rotation {
             corners.find(picture);
         }
@@ -283,7 +304,10 @@ impl CoarseDepth {
         shrink(picture, width, grey);
         let (small, large) = (self.config.penalty_small, self.config.penalty_large);
         let volume = Volume { costs, width, grey, small, large };
-        rayon::join(|| volume.vertical(false, paths_down, down), || volume.vertical(true, paths_up, up));
+        rayon::join(
+            || volume.vertical(false, paths_down, down),
+            || volume.vertical(true, paths_up, up),
+        );
         let lines = votes.par_chunks_exact_mut(width).zip(down.par_chunks_exact_mut(width));
         lines.zip(up.par_chunks_exact(width)).enumerate().for_each(|(row, ((votes, sums), up))| {
             for (sums, up) in sums.iter_mut().zip(up) {
@@ -297,7 +321,8 @@ impl CoarseDepth {
                 }
                 let (u, v) = ((CELL * column) as f32, (CELL * row) as f32);
                 let parallax_px = |r: &Reference<'_>| r.parallax_px(u, v, vote.inverse_depth);
-                vote.parallax_px = references.iter().flatten().filter_map(parallax_px).fold(0.0, f32::max);
+                vote.parallax_px =
+                    references.iter().flatten().filter_map(parallax_px).fold(0.0, f32::max);
             }
             polish(picture, &references, row, inverse_depth[0], votes);
         });
@@ -314,14 +339,22 @@ impl CoarseDepth {
         let Buffers { confidence, surroundings, .. } = &mut self.buffers;
         let beliefs = self.memory.beliefs();
         let around = surroundings.look(beliefs, self.cells.width);
-        let cells = confidence.par_iter_mut().zip(beliefs.par_iter().zip(around)).with_min_len(CELLS_AT_ONCE);
+        let cells = confidence
+            .par_iter_mut()
+            .zip(beliefs.par_iter().zip(around))
+            .with_min_len(CELLS_AT_ONCE);
         let weights = &self.config.belief_weights;
-        cells.for_each(|(confidence, (belief, around))| *confidence = trust::of_belief(weights, belief, around));
+        cells.for_each(|(confidence, (belief, around))| {
+            *confidence = trust::of_belief(weights, belief, around)
+        });
     }
 
     fn share_believed(&self) -> f32 {
         let confidence = &self.buffers.confidence;
-        let believed = confidence.iter().filter(|confidence| **confidence >= self.config.min_confidence).count();
+        let believed = confidence
+            .iter()
+            .filter(|confidence| **confidence >= self.config.min_confidence)
+            .count();
         believed as f32 / confidence.len() as f32
     }
 
@@ -330,8 +363,10 @@ impl CoarseDepth {
         let Buffers { sorted, confidence, .. } = &mut self.buffers;
         let beliefs = self.memory.beliefs();
         sorted.clear();
-        let trusted =
-            beliefs.iter().zip(&*confidence).filter(|(_, confidence)| **confidence >= self.config.min_confidence);
+        let trusted = beliefs
+            .iter()
+            .zip(&*confidence)
+            .filter(|(_, confidence)| **confidence >= self.config.min_confidence);
         sorted.extend(trusted.map(|(belief, _)| belief.inverse_depth));
         // A few cells may be anything.
         if sorted.len() * 20 > beliefs.len() {
@@ -346,14 +381,17 @@ impl CoarseDepth {
         let Buffers { grey, confidence, .. } = &mut self.buffers;
         shrink(&self.picture, self.cells.width, grey);
         let (width, beliefs) = (self.cells.width, self.memory.beliefs());
-        let cells = Cells { width, beliefs, confidence, grey, min_confidence: self.config.min_confidence };
+        let cells =
+            Cells { width, beliefs, confidence, grey, min_confidence: self.config.min_confidence };
         cells.enlarge(&self.picture.smooth, &mut self.estimate);
     }
 }
 
 /// The grey value in the middle of every cell.
 fn shrink(picture: &CensusImage, width: usize, grey: &mut [u16]) {
-    for (line, grey) in picture.smooth.chunks_exact(CELL * picture.width).zip(grey.chunks_exact_mut(width)) {
+    for (line, grey) in
+        picture.smooth.chunks_exact(CELL * picture.width).zip(grey.chunks_exact_mut(width))
+    {
         let middle = line.get(picture.width + 1..).unwrap_or_default().iter().step_by(CELL);
         grey.iter_mut().zip(middle).for_each(|(grey, smooth)| *grey = *smooth);
     }
@@ -392,14 +430,19 @@ impl State for CoarseDepth {
         let mut poses = (None, 0.0, Pose3::identity());
         poses.read(from)?;
         (self.last_pose, self.scene_depth_m, self.pose) = poses;
-        let (pixels, cells) = (self.camera.width * self.camera.height, self.cells.width * self.cells.height);
+        let (pixels, cells) =
+            (self.camera.width * self.camera.height, self.cells.width * self.cells.height);
         read_bulk(&mut self.last_smooth, pixels, from)?;
         read_bulk(&mut self.buffers.confidence, cells, from)?;
         let sound = self.buffers.confidence.len() == cells
             && self.motion.has_size(pixels)
             && self.memory.has_size(cells)
             && self.keyframes.all().iter().all(|keyframe| keyframe.census.smooth.len() == pixels);
-        if sound { Ok(()) } else { Err(SnapshotError::Damaged("pictures of another size".to_owned())) }
+        if sound {
+            Ok(())
+        } else {
+            Err(SnapshotError::Damaged("pictures of another size".to_owned()))
+        }
     }
 }
 

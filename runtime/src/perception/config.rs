@@ -112,7 +112,9 @@ pub enum PerceptionError {
         allowed: &'static str,
     },
     /// A flow field does not belong to the camera.
-    #[error("perception: the flow is {width}x{height}, the camera {want_width}x{want_height}; resample the flow")]
+    #[error(
+        "perception: the flow is {width}x{height}, the camera {want_width}x{want_height}; resample the flow"
+    )]
     FlowSize {
         /// Columns of the flow.
         width: usize,
@@ -159,32 +161,72 @@ impl CoarseConfig {
         require("min_depth_m", self.min_depth_m, ok(self.min_depth_m), positive)?;
         let deep = ok(self.max_depth_m) && self.max_depth_m > self.min_depth_m;
         require("max_depth_m", self.max_depth_m, deep, "a finite number above min_depth_m")?;
-        let parallax =
-            (1..=MAX_REFERENCES).contains(&self.parallax_px.len()) && self.parallax_px.iter().all(|p| ok(*p));
-        require("parallax_px", format!("{:?}", self.parallax_px), parallax, "one to three finite numbers above 0")?;
+        let parallax = (1..=MAX_REFERENCES).contains(&self.parallax_px.len())
+            && self.parallax_px.iter().all(|p| ok(*p));
+        require(
+            "parallax_px",
+            format!("{:?}", self.parallax_px),
+            parallax,
+            "one to three finite numbers above 0",
+        )?;
         let error = "0 or a finite number above 0";
         let not_negative = |v: f64| v.is_finite() && v >= 0.0;
         require("turn_error", self.turn_error, not_negative(self.turn_error), error)?;
-        require("turn_error_floor_rad", self.turn_error_floor_rad, not_negative(self.turn_error_floor_rad), error)?;
-        require("parallax_over_error", self.parallax_over_error, not_negative(self.parallax_over_error), error)?;
+        require(
+            "turn_error_floor_rad",
+            self.turn_error_floor_rad,
+            not_negative(self.turn_error_floor_rad),
+            error,
+        )?;
+        require(
+            "parallax_over_error",
+            self.parallax_over_error,
+            not_negative(self.parallax_over_error),
+            error,
+        )?;
         require("min_baseline_m", self.min_baseline_m, ok(self.min_baseline_m), positive)?;
         let far = ok(self.max_baseline_m) && self.max_baseline_m >= self.min_baseline_m;
-        require("max_baseline_m", self.max_baseline_m, far, "a finite number, min_baseline_m or more")?;
-        require("min_overlap", self.min_overlap, (0.0..=1.0).contains(&self.min_overlap), "0 to 1")?;
+        require(
+            "max_baseline_m",
+            self.max_baseline_m,
+            far,
+            "a finite number, min_baseline_m or more",
+        )?;
+        require(
+            "min_overlap",
+            self.min_overlap,
+            (0.0..=1.0).contains(&self.min_overlap),
+            "0 to 1",
+        )?;
         require("keyframe_step_m", self.keyframe_step_m, ok(self.keyframe_step_m), positive)?;
         require("keyframe_turn_rad", self.keyframe_turn_rad, ok(self.keyframe_turn_rad), positive)?;
         require("keyframes", self.keyframes, (1..=256).contains(&self.keyframes), "1 to 256")?;
         require("max_step_m", self.max_step_m, ok(self.max_step_m), positive)?;
         require("max_turn_rad", self.max_turn_rad, ok(self.max_turn_rad), positive)?;
-        require("penalty_small", self.penalty_small, (0..=200).contains(&self.penalty_small), "0 to 200")?;
+        require(
+            "penalty_small",
+            self.penalty_small,
+            (0..=200).contains(&self.penalty_small),
+            "0 to 200",
+        )?;
         let large = (self.penalty_small..=1000).contains(&self.penalty_large);
         require("penalty_large", self.penalty_large, large, "penalty_small to 1000")?;
         require("memory", self.memory, (0.0..1.0).contains(&self.memory), "0 to below 1")?;
         let weights = self.vote_weights.iter().chain(&self.belief_weights).all(|w| w.is_finite());
         let all = format!("{:?} and {:?}", self.vote_weights, self.belief_weights);
         require("vote_weights and belief_weights", all, weights, "finite numbers")?;
-        require("min_remembered", self.min_remembered, (0.0..=1.0).contains(&self.min_remembered), "0 to 1")?;
-        require("min_confidence", self.min_confidence, (0.0..1.0).contains(&self.min_confidence), "0 to below 1")
+        require(
+            "min_remembered",
+            self.min_remembered,
+            (0.0..=1.0).contains(&self.min_remembered),
+            "0 to 1",
+        )?;
+        require(
+            "min_confidence",
+            self.min_confidence,
+            (0.0..1.0).contains(&self.min_confidence),
+            "0 to below 1",
+        )
     }
 }
 
@@ -196,7 +238,11 @@ fn require(
     sound: bool,
     allowed: &'static str,
 ) -> Result<(), PerceptionError> {
-    if sound { Ok(()) } else { Err(PerceptionError::Setting { field, value: value.to_string(), allowed }) }
+    if sound {
+        Ok(())
+    } else {
+        Err(PerceptionError::Setting { field, value: value.to_string(), allowed })
+    }
 }
 
 #[cfg(test)]
@@ -226,7 +272,8 @@ mod tests {
 
     #[test]
     fn unknown_settings_are_refused() {
-        let error = serde_json::from_str::<CoarseConfig>(r#"{"penalty_smal": 6}"#).unwrap_err().to_string();
+        let error =
+            serde_json::from_str::<CoarseConfig>(r#"{"penalty_smal": 6}"#).unwrap_err().to_string();
         assert!(error.contains("penalty_smal`") && error.contains("penalty_small"), "{error}");
     }
 }

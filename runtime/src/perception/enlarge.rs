@@ -43,9 +43,14 @@ impl Cells<'_> {
     pub fn enlarge(&self, grey: &[u16], estimate: &mut DepthEstimate) {
         let width = estimate.depth.width();
         let DepthEstimate { depth, confidence } = estimate;
-        let lines = depth.values_mut().par_chunks_exact_mut(width).zip(confidence.par_chunks_exact_mut(width));
+        let lines = depth
+            .values_mut()
+            .par_chunks_exact_mut(width)
+            .zip(confidence.par_chunks_exact_mut(width));
         let lines = lines.zip(grey.par_chunks_exact(width)).enumerate();
-        lines.for_each(|(row, ((depth, confidence), grey))| enlarge_row(self, row, grey, depth, confidence));
+        lines.for_each(|(row, ((depth, confidence), grey))| {
+            enlarge_row(self, row, grey, depth, confidence)
+        });
     }
 
     #[inline(always)]
@@ -53,15 +58,28 @@ impl Cells<'_> {
         let confidence = self.confidence[at];
         let known = confidence >= self.min_confidence;
         let inverse_depth = if known { self.beliefs[at].inverse_depth } else { 0.0 };
-        Corner { inverse_depth, confidence: if known { confidence } else { 0.0 }, grey: f32::from(self.grey[at]) }
+        Corner {
+            inverse_depth,
+            confidence: if known { confidence } else { 0.0 },
+            grey: f32::from(self.grey[at]),
+        }
     }
 }
 
 #[multiversion(targets("x86_64+avx2"))]
-fn enlarge_row<'a>(cells: &Cells<'a>, row: usize, grey: &[u16], depth: &mut [f32], confidence: &mut [f32]) {
+fn enlarge_row<'a>(
+    cells: &Cells<'a>,
+    row: usize,
+    grey: &[u16],
+    depth: &mut [f32],
+    confidence: &mut [f32],
+) {
     let height = cells.beliefs.len() / cells.width;
     let block = (row + CELL / 2) / CELL;
-    let (top, bottom) = (block.saturating_sub(1).min(height - 1) * cells.width, block.min(height - 1) * cells.width);
+    let (top, bottom) = (
+        block.saturating_sub(1).min(height - 1) * cells.width,
+        block.min(height - 1) * cells.width,
+    );
     let below = PLACES[(row + CELL / 2) % CELL];
     let mut left = [cells.corner(top), cells.corner(bottom)];
     // Pixels left of the first cell's middle, then those between each cell's middle and the next one's.
@@ -73,9 +91,14 @@ fn enlarge_row<'a>(cells: &Cells<'a>, row: usize, grey: &[u16], depth: &mut [f32
         let four = blend(&left, &right, below, grey, block * CELL);
         // What lies outside of the picture is not written; what lies right of the last block repeats it.
         let first = (block * CELL).saturating_sub(CELL / 2);
-        let end = if block == cells.width { depth.len() } else { (block * CELL + CELL / 2).min(depth.len()) };
+        let end = if block == cells.width {
+            depth.len()
+        } else {
+            (block * CELL + CELL / 2).min(depth.len())
+        };
         for column in first..end {
-            (depth[column], confidence[column]) = four[(column + CELL / 2 - block * CELL).min(CELL - 1)];
+            (depth[column], confidence[column]) =
+                four[(column + CELL / 2 - block * CELL).min(CELL - 1)];
         }
         left = right;
     }
@@ -83,7 +106,13 @@ fn enlarge_row<'a>(cells: &Cells<'a>, row: usize, grey: &[u16], depth: &mut [f32
 
 /// Depth and confidence of the four pixels of a row between four cells; the first one is at column `place` - 2.
 #[inline(always)]
-fn blend(left: &[Corner; 2], right: &[Corner; 2], below: f32, grey: &[u16], place: usize) -> [(f32, f32); CELL] {
+fn blend(
+    left: &[Corner; 2],
+    right: &[Corner; 2],
+    below: f32,
+    grey: &[u16],
+    place: usize,
+) -> [(f32, f32); CELL] {
     let corners = [left[0], right[0], left[1], right[1]];
     let least = corners.iter().map(|corner| corner.inverse_depth).fold(f32::INFINITY, f32::min);
     let most = corners.iter().map(|corner| corner.inverse_depth).fold(0.0, f32::max);
@@ -94,8 +123,12 @@ fn blend(left: &[Corner; 2], right: &[Corner; 2], below: f32, grey: &[u16], plac
         return std::array::from_fn(|index| {
             let column = (place + index).saturating_sub(CELL / 2).min(grey.len() - 1);
             let across = PLACES[index];
-            let weights =
-                [(1.0 - below) * (1.0 - across), (1.0 - below) * across, below * (1.0 - across), below * across];
+            let weights = [
+                (1.0 - below) * (1.0 - across),
+                (1.0 - below) * across,
+                below * (1.0 - across),
+                below * across,
+            ];
             alike(&corners, &weights, f32::from(grey[column]))
         });
     }
@@ -128,7 +161,12 @@ mod tests {
         Belief { inverse_depth, evidence: 1.0, votes: 1.0, offset: [0.0; 2] }
     }
 
-    fn enlarged(beliefs: &[Belief], confidence: &[f32], grey: &[u16], picture: &[u16]) -> DepthEstimate {
+    fn enlarged(
+        beliefs: &[Belief],
+        confidence: &[f32],
+        grey: &[u16],
+        picture: &[u16],
+    ) -> DepthEstimate {
         let cells = Cells { width: 4, beliefs, confidence, grey, min_confidence: 0.3 };
         let mut estimate = DepthEstimate::none(17, 13);
         cells.enlarge(picture, &mut estimate);
@@ -152,9 +190,11 @@ mod tests {
     #[test]
     fn a_step_follows_the_edge_of_the_picture() {
         // Near on the left, far on the right; the picture's edge is two pixels to the right of the cells' border.
-        let beliefs: Vec<Belief> = (0..12).map(|at| belief(if at % 4 < 2 { 1.0 } else { 0.25 })).collect();
+        let beliefs: Vec<Belief> =
+            (0..12).map(|at| belief(if at % 4 < 2 { 1.0 } else { 0.25 })).collect();
         let grey: Vec<u16> = (0..12).map(|at| if at % 4 < 2 { 10_000 } else { 40_000 }).collect();
-        let picture: Vec<u16> = (0..17 * 13).map(|at| if at % 17 < 9 { 10_000 } else { 40_000 }).collect();
+        let picture: Vec<u16> =
+            (0..17 * 13).map(|at| if at % 17 < 9 { 10_000 } else { 40_000 }).collect();
         let estimate = enlarged(&beliefs, &[0.8; 12], &grey, &picture);
         for row in 0..13 {
             assert_eq!(estimate.depth.values()[row * 17 + 8], 1.0);

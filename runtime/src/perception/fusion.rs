@@ -53,7 +53,9 @@ impl Memory {
     /// Votes of all cells, row-major, each with the trust that `weights` put in it when jitter moves matches by `jitter_px`.
     pub fn vote(&mut self, votes: &[Vote], weights: &[f32; 5], jitter_px: f32) {
         let pairs = self.beliefs.par_iter_mut().zip(votes).with_min_len(CELLS_AT_ONCE);
-        pairs.for_each(|(belief, vote)| belief.vote(vote.inverse_depth, trust::of_vote(weights, vote, jitter_px)));
+        pairs.for_each(|(belief, vote)| {
+            belief.vote(vote.inverse_depth, trust::of_vote(weights, vote, jitter_px))
+        });
     }
 
     /// Moves every belief to where the camera at `pose` sees it and multiplies its evidence and its votes by `keep`. Where several meet,
@@ -65,8 +67,11 @@ impl Memory {
         self.beliefs.resize(pixels, Belief::default());
         if let Some(before) = self.pose {
             let t_now_before = (pose.inverse() * before).to_homogeneous().cast::<f32>();
-            let (fx, fy, cx, cy) = (camera.fx as f32, camera.fy as f32, camera.cx as f32, camera.cy as f32);
-            for (index, belief) in self.beliefs.iter().enumerate().filter(|(_, belief)| lasts(belief, keep)) {
+            let (fx, fy, cx, cy) =
+                (camera.fx as f32, camera.fy as f32, camera.cx as f32, camera.cy as f32);
+            for (index, belief) in
+                self.beliefs.iter().enumerate().filter(|(_, belief)| lasts(belief, keep))
+            {
                 let x = ((index % camera.width) as f32 + belief.offset[0] - cx) / fx;
                 let y = ((index / camera.width) as f32 + belief.offset[1] - cy) / fy;
                 // The point is (x, y, 1) / w; everything is kept multiplied by w.
@@ -80,7 +85,8 @@ impl Memory {
                 let z = row(2);
                 let (exact_u, exact_v) = (fx * row(0) / z + cx, fy * row(1) / z + cy);
                 let (u, v) = (nearest(exact_u), nearest(exact_v));
-                let inside = u >= 0 && v >= 0 && u < camera.width as i32 && v < camera.height as i32;
+                let inside =
+                    u >= 0 && v >= 0 && u < camera.width as i32 && v < camera.height as i32;
                 if z > 0.05 && inside {
                     let slot = &mut self.moved[v as usize * camera.width + u as usize];
                     if w / z > slot.inverse_depth {
@@ -113,8 +119,10 @@ impl Memory {
             if known.clone().count() < 2 {
                 continue;
             }
-            if let Some(farthest) = known.min_by(|a, b| a.inverse_depth.total_cmp(&b.inverse_depth)) {
-                self.moved[at] = Belief { offset: [0.0; 2], evidence: farthest.evidence * GUESS, ..*farthest };
+            if let Some(farthest) = known.min_by(|a, b| a.inverse_depth.total_cmp(&b.inverse_depth))
+            {
+                self.moved[at] =
+                    Belief { offset: [0.0; 2], evidence: farthest.evidence * GUESS, ..*farthest };
             }
         }
     }
@@ -152,15 +160,24 @@ mod tests {
         memory.advance(&Pose3::identity(), &camera, 1.0);
         let mut votes = vec![Vote::default(); 64 * 16];
         // One metre to the right is 32 px / depth: the point at 2 m lands where the one at 4 m lands.
-        let vote = Vote { inverse_depth: 0.5, margin: 0.5, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
+        let vote =
+            Vote { inverse_depth: 0.5, margin: 0.5, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
         votes[8 * 64 + 40] = vote;
         votes[8 * 64 + 32] = Vote { inverse_depth: 0.25, ..vote };
         memory.vote(&votes, &WEIGHTS, 0.0);
         memory.advance(&Pose3::translation(1.0, 0.0, 0.0), &camera, 0.5);
-        let left: Vec<(usize, Belief)> =
-            memory.beliefs().iter().copied().enumerate().filter(|(_, b)| b.evidence > 0.0).collect();
+        let left: Vec<(usize, Belief)> = memory
+            .beliefs()
+            .iter()
+            .copied()
+            .enumerate()
+            .filter(|(_, b)| b.evidence > 0.0)
+            .collect();
         let evidence = 0.5 * trust::of_vote(&WEIGHTS, &vote, 0.0);
-        assert_eq!(left, [(8 * 64 + 24, Belief { inverse_depth: 0.5, evidence, votes: 0.5, offset: [0.0; 2] })]);
+        assert_eq!(
+            left,
+            [(8 * 64 + 24, Belief { inverse_depth: 0.5, evidence, votes: 0.5, offset: [0.0; 2] })]
+        );
     }
 
     #[test]
@@ -169,7 +186,8 @@ mod tests {
         let mut memory = Memory::default();
         memory.advance(&Pose3::identity(), &camera, 1.0);
         let mut votes = vec![Vote::default(); 64 * 16];
-        votes[8 * 64 + 40] = Vote { inverse_depth: 0.5, margin: 0.5, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
+        votes[8 * 64 + 40] =
+            Vote { inverse_depth: 0.5, margin: 0.5, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
         memory.vote(&votes, &WEIGHTS, 0.0);
         // 32 px / 2 m * (1/48) m = 1/3 px a step.
         for step in 1..=6 {
@@ -184,7 +202,8 @@ mod tests {
         let camera = CameraModel::pinhole(64, 16, 1.0);
         let mut memory = Memory::default();
         memory.advance(&Pose3::identity(), &camera, 0.5);
-        let vote = Vote { inverse_depth: 0.5, margin: 0.9, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
+        let vote =
+            Vote { inverse_depth: 0.5, margin: 0.9, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
         memory.vote(&vec![vote; 64 * 16], &WEIGHTS, 0.0);
         let mut believed = || {
             memory.advance(&Pose3::identity(), &camera, 0.5);
@@ -210,7 +229,8 @@ mod tests {
         let camera = CameraModel::pinhole(64, 16, 1.0);
         let mut memory = Memory::default();
         memory.advance(&Pose3::identity(), &camera, 1.0);
-        let vote = Vote { inverse_depth: 0.5, margin: 0.5, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
+        let vote =
+            Vote { inverse_depth: 0.5, margin: 0.5, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
         memory.vote(&vec![vote; 64 * 16], &WEIGHTS, 0.0);
         memory.forget();
         memory.advance(&Pose3::identity(), &camera, 1.0);

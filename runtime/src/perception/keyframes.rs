@@ -85,7 +85,9 @@ impl Keyframes {
     ) -> [Option<usize>; MAX_REFERENCES] {
         let Self { ring, promises, .. } = self;
         promises.clear();
-        promises.extend(ring.iter().map(|keyframe| promise_within(keyframe, pose, camera, wanted, config)));
+        promises.extend(
+            ring.iter().map(|keyframe| promise_within(keyframe, pose, camera, wanted, config)),
+        );
         let mut chosen = [None; MAX_REFERENCES];
         for (place, wanted) in config.parallax_px.iter().take(MAX_REFERENCES).enumerate() {
             let cost = |promise: &Promise| (promise.parallax_px / wanted).ln().abs();
@@ -118,7 +120,8 @@ impl State for Keyframes {
         count.read(from)?;
         self.forget();
         for _ in 0..count {
-            let mut keyframe = Keyframe { pose: Pose3::identity(), census: self.spare.pop().unwrap_or_default() };
+            let mut keyframe =
+                Keyframe { pose: Pose3::identity(), census: self.spare.pop().unwrap_or_default() };
             keyframe.pose.read(from)?;
             keyframe.census.read(from)?;
             self.ring.push(keyframe);
@@ -140,8 +143,8 @@ fn promise_within(
         return None;
     }
     let promise = promise(&t_reference_camera, camera, depth_m);
-    let error_rad =
-        config.turn_error_floor_rad.max(jitter_rad) + config.turn_error * t_reference_camera.rotation.angle();
+    let error_rad = config.turn_error_floor_rad.max(jitter_rad)
+        + config.turn_error * t_reference_camera.rotation.angle();
     let needed_px = (config.parallax_over_error * error_rad * camera.fx).max(1.0);
     (promise.overlap >= config.min_overlap && promise.parallax_px >= needed_px).then_some(promise)
 }
@@ -157,11 +160,16 @@ pub fn promise(t_reference_camera: &Pose3, camera: &CameraModel, depth_m: f64) -
             let v = (f64::from(row) + 0.5) / 4.0 * camera.height as f64 - 0.5;
             let turned: Vector3<f64> = t_reference_camera.rotation * camera.ray(u, v);
             let moved = t_reference_camera * Point3::from(camera.ray(u, v) * depth_m);
-            let (Some(far), Some(near)) = (camera.project(&Point3::from(turned)), camera.project(&moved)) else {
+            let (Some(far), Some(near)) =
+                (camera.project(&Point3::from(turned)), camera.project(&moved))
+            else {
                 continue;
             };
             let inside = |(u, v): (f64, f64)| {
-                u >= 0.0 && v >= 0.0 && u <= camera.width as f64 - 1.0 && v <= camera.height as f64 - 1.0
+                u >= 0.0
+                    && v >= 0.0
+                    && u <= camera.width as f64 - 1.0
+                    && v <= camera.height as f64 - 1.0
             };
             if inside(near) {
                 seen += 1;
@@ -169,7 +177,10 @@ pub fn promise(t_reference_camera: &Pose3, camera: &CameraModel, depth_m: f64) -
             }
         }
     }
-    Promise { parallax_px: parallax_px / f64::from(seen.max(1)), overlap: f64::from(seen) / f64::from(total) }
+    Promise {
+        parallax_px: parallax_px / f64::from(seen.max(1)),
+        overlap: f64::from(seen) / f64::from(total),
+    }
 }
 
 #[cfg(test)]
@@ -210,7 +221,8 @@ mod tests {
         for i in 0..20 {
             keyframes.offer(&at(0.05 * f64::from(i), 0.0), &mut CensusImage::default(), &config);
         }
-        let chosen = keyframes.choose(&at(1.0, 0.0), &camera(), WANTED, &config).map(Option::unwrap);
+        let chosen =
+            keyframes.choose(&at(1.0, 0.0), &camera(), WANTED, &config).map(Option::unwrap);
         let parallax = |i: &usize| 80.0 * (1.0 - 0.05 * *i as f64);
         for (index, wanted) in chosen.iter().zip(&config.parallax_px) {
             assert!((parallax(index) - wanted).abs() <= 2.5);
@@ -238,7 +250,13 @@ mod tests {
             keyframes.offer(&at(0.0, 0.0), &mut CensusImage::default(), &config);
         }
         assert_eq!(keyframes.all().len(), 1);
-        assert_eq!(keyframes.choose(&at(0.0, 0.0), &camera(), WANTED, &config), [None; MAX_REFERENCES]);
-        assert_eq!(keyframes.choose(&at(0.001, 0.1), &camera(), WANTED, &config), [None; MAX_REFERENCES]);
+        assert_eq!(
+            keyframes.choose(&at(0.0, 0.0), &camera(), WANTED, &config),
+            [None; MAX_REFERENCES]
+        );
+        assert_eq!(
+            keyframes.choose(&at(0.001, 0.1), &camera(), WANTED, &config),
+            [None; MAX_REFERENCES]
+        );
     }
 }

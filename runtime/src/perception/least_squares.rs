@@ -87,7 +87,13 @@ struct Normal {
 }
 
 impl Normal {
-    fn add(&mut self, ray: &Vector3<f64>, bearing: &Vector3<f64>, t_view_camera: &Pose3, range_m: (f64, f64)) {
+    fn add(
+        &mut self,
+        ray: &Vector3<f64>,
+        bearing: &Vector3<f64>,
+        t_view_camera: &Pose3,
+        range_m: (f64, f64),
+    ) {
         let turned = t_view_camera.rotation * ray;
         let s = bearing.cross(&turned);
         let r = bearing.cross(&t_view_camera.translation.vector);
@@ -130,7 +136,12 @@ mod tests {
             let (x, y) = camera.project(&(t_view_camera * point)).unwrap();
             [(x - u) as f32, (y - v) as f32]
         };
-        FlowField::from_vec(camera.width, camera.height, (0..camera.width * camera.height).map(flow).collect()).unwrap()
+        FlowField::from_vec(
+            camera.width,
+            camera.height,
+            (0..camera.width * camera.height).map(flow).collect(),
+        )
+        .unwrap()
     }
 
     fn view<'a>(flow: &'a FlowField, t_world_view: &Pose3) -> FlowView<'a> {
@@ -164,7 +175,11 @@ mod tests {
         let camera = camera();
         let p = pose([-0.1, 0.0, 0.0], 0.0);
         let flow = exact_flow(&p);
-        let gone = FlowField::from_vec(camera.width, camera.height, vec![[f32::NAN; 2]; camera.width * camera.height]);
+        let gone = FlowField::from_vec(
+            camera.width,
+            camera.height,
+            vec![[f32::NAN; 2]; camera.width * camera.height],
+        );
         let gone = gone.unwrap();
         let both = triangulate(&camera, &[view(&flow, &p), view(&gone, &p)], RANGE).unwrap();
         assert_eq!(both, triangulate(&camera, &[view(&flow, &p)], RANGE).unwrap());

@@ -25,7 +25,12 @@ impl PictureMotion {
         // Between one picture and the next, refinement made depth no better.
         let config = FlowConfig { variational_iterations: 0, ..FlowPreset::UltraFast.into() };
         let flow = DenseFlow::new(config, width, height)?;
-        Ok(Self { flow, now: vec![0; width * height], before: vec![0; width * height], has_before: false })
+        Ok(Self {
+            flow,
+            now: vec![0; width * height],
+            before: vec![0; width * height],
+            has_before: false,
+        })
     }
 
     /// Forgets the picture before.
@@ -41,11 +46,15 @@ impl PictureMotion {
     /// From this picture to the one before; `None` for the first.
     pub fn follow(&mut self, picture: &CensusImage) -> Option<&FlowField> {
         std::mem::swap(&mut self.now, &mut self.before);
-        self.now.iter_mut().zip(&picture.smooth).for_each(|(now, smooth)| *now = (smooth >> 8) as u8);
+        self.now
+            .iter_mut()
+            .zip(&picture.smooth)
+            .for_each(|(now, smooth)| *now = (smooth >> 8) as u8);
         if !std::mem::replace(&mut self.has_before, true) {
             return None;
         }
-        let grey = |data| ImageView::new(picture.width, picture.height, PixelFormat::Gray8, data).ok();
+        let grey =
+            |data| ImageView::new(picture.width, picture.height, PixelFormat::Gray8, data).ok();
         self.flow.flow(grey(&self.now)?, grey(&self.before)?, None).ok()
     }
 }

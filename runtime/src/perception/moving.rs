@@ -73,7 +73,8 @@ impl MovingThings {
                 let at = v * picture.width + u;
                 // Without texture, flow is what the neighbours do.
                 let textured = picture.descriptors[at] != 0;
-                *off_px = if textured { line.off_px(u as f32, v as f32, flow.values()[at]) } else { 0.0 };
+                *off_px =
+                    if textured { line.off_px(u as f32, v as f32, flow.values()[at]) } else { 0.0 };
             }
         });
         let least = OFF_PX.max(OFF_OVER_MEDIAN * self.median());
@@ -86,7 +87,11 @@ impl MovingThings {
         self.sorted.clear();
         self.sorted.extend(self.off_px.iter().filter(|off_px| **off_px > 0.0));
         let middle = self.sorted.len() / 2;
-        if self.sorted.is_empty() { 0.0 } else { *self.sorted.select_nth_unstable_by(middle, f32::total_cmp).1 }
+        if self.sorted.is_empty() {
+            0.0
+        } else {
+            *self.sorted.select_nth_unstable_by(middle, f32::total_cmp).1
+        }
     }
 
     /// From single cells to things.
@@ -101,7 +106,9 @@ impl MovingThings {
         let enough = ((2 * SQUARE + 1) * (2 * SQUARE + 1)) as usize * 3 / 5;
         for index in 0..self.off.len() {
             let (row, column) = (index / columns, index % columns);
-            if self.off[index] && around(row, column, SQUARE).filter(|near| self.off[*near]).count() >= enough {
+            if self.off[index]
+                && around(row, column, SQUARE).filter(|near| self.off[*near]).count() >= enough
+            {
                 around(row, column, MARGIN).for_each(|near| self.moving[near] = true);
             }
         }
@@ -129,8 +136,11 @@ impl Line {
         let far = self.rotation * Vector3::new(u, v, 1.0);
         let near = far + self.translation * self.nearest;
         // Nearer than the camera itself: the line goes on to the edge of the picture and beyond.
-        let near =
-            if near.z > 0.1 * far.z { near } else { far + self.translation * (-0.9 * far.z / self.translation.z) };
+        let near = if near.z > 0.1 * far.z {
+            near
+        } else {
+            far + self.translation * (-0.9 * far.z / self.translation.z)
+        };
         let (x0, y0) = (far.x / far.z, far.y / far.z);
         let (dx, dy) = (near.x / near.z - x0, near.y / near.z - y0);
         let (x, y) = (u + flow[0] - x0, v + flow[1] - y0);
@@ -157,7 +167,8 @@ mod tests {
         for (y, row) in picture.chunks_exact_mut(320).skip(20 + down).take(48).enumerate() {
             for (x, value) in row[120..184].iter_mut().enumerate() {
                 let (x, y) = (x as f64, y as f64);
-                *value = (128.0 + 60.0 * (0.5 * x + 0.2 * y).sin() * (0.45 * y - 0.15 * x).cos()) as u8;
+                *value =
+                    (128.0 + 60.0 * (0.5 * x + 0.2 * y).sin() * (0.45 * y - 0.15 * x).cos()) as u8;
             }
         }
         picture
@@ -181,7 +192,9 @@ mod tests {
             assert!(census.compute(ImageView::new(320, 96, PixelFormat::Gray8, picture).unwrap()));
             let t_before_now = std::mem::replace(&mut self.before, *at).inverse() * at;
             let Some(flow) = self.motion.follow(&census) else { return vec![false; 80 * 24] };
-            self.moving.look(&census, flow, &t_before_now, &camera().cropped(0.5, 0.5, 320, 96), NEAREST_M).to_vec()
+            self.moving
+                .look(&census, flow, &t_before_now, &camera().cropped(0.5, 0.5, 320, 96), NEAREST_M)
+                .to_vec()
         }
     }
 
@@ -211,10 +224,12 @@ mod tests {
         let mut moving = Vec::new();
         for i in 0_u8..3 {
             let at = pose([0.03 * f64::from(i), 0.0, 0.0], 0.0);
-            moving = finder.look(&with_block(render(&camera(), &at, 1.0, 0.0), 6 * usize::from(i)), &at);
+            moving =
+                finder.look(&with_block(render(&camera(), &at, 1.0, 0.0), 6 * usize::from(i)), &at);
         }
         // The block is at columns 30 to 45 and rows 8 to 19 of the cells.
-        let in_block = |index: &usize| (30..46).contains(&(index % 80)) && (8..20).contains(&(index / 80));
+        let in_block =
+            |index: &usize| (30..46).contains(&(index % 80)) && (8..20).contains(&(index / 80));
         // Flow is blurred by its patches, 8 cells wide.
         let near_block = |index: &usize| (22..54).contains(&(index % 80));
         let found = (0..moving.len()).filter(|index| moving[*index] && in_block(index)).count();

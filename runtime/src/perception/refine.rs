@@ -53,7 +53,11 @@ impl Corners {
         let cells_within = |size: usize| size.saturating_sub(2 * MARGIN).div_ceil(CELL);
         let (columns, rows) = (cells_within(picture.width), cells_within(picture.height));
         let strongest = |cell: usize| strongest(picture, cell % columns, cell / columns);
-        (0..columns * rows).into_par_iter().with_min_len(columns).map(strongest).collect_into_vec(&mut self.cells);
+        (0..columns * rows)
+            .into_par_iter()
+            .with_min_len(columns)
+            .map(strongest)
+            .collect_into_vec(&mut self.cells);
         self.points.clear();
         self.points.extend(self.cells.iter().flatten());
     }
@@ -107,7 +111,8 @@ pub fn refine_rotation(
     camera: &CameraModel,
 ) -> Pose3 {
     let Corners { points, residuals, .. } = corners;
-    let residual = |corner: &(usize, usize)| residual(picture, *corner, reference, t_reference_camera, camera);
+    let residual =
+        |corner: &(usize, usize)| residual(picture, *corner, reference, t_reference_camera, camera);
     points.par_iter().map(residual).collect_into_vec(residuals);
     // How far off the pose's rotation may be: tracking jitter, and a share of the turn for timing and shutter.
     let sigma_rad = 0.002 + 0.05 * t_reference_camera.rotation.angle();
@@ -150,7 +155,8 @@ fn residual(
     let winner = (0..best.len()).min_by_key(|index| best[*index].0)?;
     let (cost, w) = best[winner];
     // A point on a straight edge fits everywhere along it and must not vote.
-    let rival = best.iter().enumerate().filter(|(i, _)| i.abs_diff(winner) > 2).map(|(_, b)| b.0).min()?;
+    let rival =
+        best.iter().enumerate().filter(|(i, _)| i.abs_diff(winner) > 2).map(|(_, b)| b.0).min()?;
     if cost > MAX_BITS || rival < cost + CLEAR_BITS || winner == 0 || winner == best.len() - 1 {
         return None;
     }
@@ -159,7 +165,11 @@ fn residual(
     let du = Vector3::new(camera.fx / p.z, 0.0, -camera.fx * p.x / (p.z * p.z));
     let dv = Vector3::new(0.0, camera.fy / p.z, -camera.fy * p.y / (p.z * p.z));
     let off_px = winner as f64 - f64::from(REACH_PX);
-    Some(Residual { across: far.cross(&(dv * dx - du * dy)), along: far.cross(&(du * dx + dv * dy)), off_px })
+    Some(Residual {
+        across: far.cross(&(dv * dx - du * dy)),
+        along: far.cross(&(du * dx + dv * dy)),
+        off_px,
+    })
 }
 
 /// The descriptors around a corner, and the picture that they are looked for in.
@@ -246,7 +256,11 @@ mod tests {
     use super::*;
 
     /// Residuals of corners all over a picture for a true rotation, seen by a camera that moved along `direction`.
-    fn residuals(direction: Vector3<f64>, truth: Vector3<f64>, outliers: usize) -> Vec<Option<Residual>> {
+    fn residuals(
+        direction: Vector3<f64>,
+        truth: Vector3<f64>,
+        outliers: usize,
+    ) -> Vec<Option<Residual>> {
         let camera = CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2);
         let mut all = Vec::new();
         for index in 0..60_usize {

@@ -143,7 +143,8 @@ impl SteadyRotation {
         let steady = self.before.and_then(|before| {
             let turn = before.said.rotation.inverse() * said.rotation;
             let expected = Pose3::from_parts(said.translation, before.steady.rotation * turn);
-            let correction = self.correction(&(expected.inverse() * before.steady), seen, believed)?;
+            let correction =
+                self.correction(&(expected.inverse() * before.steady), seen, believed)?;
             Some(self.weigh(&expected, said, correction))
         });
         let Some(steady) = steady else {
@@ -160,7 +161,8 @@ impl SteadyRotation {
         if let Some(before) = self.correction.replace(turn.correction) {
             self.pictures = (self.pictures + 1.0).min(JITTER_MEMORY);
             self.square += (turn.correction.norm_squared() / 3.0 - self.square) / self.pictures;
-            self.turned_back += (-turn.correction.dot(&before) / 3.0 - self.turned_back) / self.pictures;
+            self.turned_back +=
+                (-turn.correction.dot(&before) / 3.0 - self.turned_back) / self.pictures;
         }
         self.variance += turn.variance;
         let jitter = self.jitter();
@@ -173,7 +175,12 @@ impl SteadyRotation {
 
     /// How the camera is turned beside `t_now_before`, a rotation vector in its own axes: robust least squares
     /// (Geman-McClure) with the expected errors as prior. `None` where too little is known.
-    fn correction(&mut self, t_now_before: &Pose3, seen: Seen<'_>, believed: Believed<'_>) -> Option<Turn> {
+    fn correction(
+        &mut self,
+        t_now_before: &Pose3,
+        seen: Seen<'_>,
+        believed: Believed<'_>,
+    ) -> Option<Turn> {
         let Believed { beliefs, confidence, cells, scene_depth_m } = believed;
         self.equations.clear();
         self.equations.reserve((cells.width * cells.height).div_ceil(EVERY * EVERY));
@@ -182,7 +189,8 @@ impl SteadyRotation {
                 let index = row * cells.width + column;
                 let belief = beliefs.get(index).filter(|_| confidence[index] >= LEAST_CONFIDENCE);
                 let [du, dv] = belief.map_or([0.0; 2], |belief| belief.offset.map(f64::from));
-                let depth = belief.map_or(scene_depth_m, |belief| 1.0 / f64::from(belief.inverse_depth));
+                let depth =
+                    belief.map_or(scene_depth_m, |belief| 1.0 / f64::from(belief.inverse_depth));
                 let depth_error = if belief.is_some() { DEPTH_ERROR } else { UNKNOWN_DEPTH_ERROR };
                 let point = cells.ray(column as f64 + du, row as f64 + dv) * depth;
                 self.equations.extend(equation(t_now_before, &point, depth_error, seen));
@@ -197,7 +205,12 @@ impl SteadyRotation {
 }
 
 /// Of `point` in the camera before; `None` where flow does not show it.
-fn equation(t_now_before: &Pose3, point: &Vector3<f64>, depth_error: f64, seen: Seen<'_>) -> Option<Equation> {
+fn equation(
+    t_now_before: &Pose3,
+    point: &Vector3<f64>,
+    depth_error: f64,
+    seen: Seen<'_>,
+) -> Option<Equation> {
     let Seen { flow, picture, camera } = seen;
     let turned = t_now_before.rotation * point;
     let now = turned + t_now_before.translation.vector;
@@ -245,7 +258,8 @@ fn solve(equations: &[Equation], turn_error: f64) -> Option<Turn> {
         let mut right = SVector::<f64, UNKNOWNS>::zeros();
         for Equation { slopes, off } in equations {
             let error = (off + slopes * unknowns).norm() / scale_px;
-            let weighted = slopes.transpose() * ((1.0 + error * error).powi(-2) / (FLOW_ERROR_PX * FLOW_ERROR_PX));
+            let weighted = slopes.transpose()
+                * ((1.0 + error * error).powi(-2) / (FLOW_ERROR_PX * FLOW_ERROR_PX));
             normal += weighted * slopes;
             right -= weighted * off;
         }
@@ -254,7 +268,8 @@ fn solve(equations: &[Equation], turn_error: f64) -> Option<Turn> {
         let variance = cholesky.inverse().diagonal();
         turn = Turn {
             correction: unknowns.fixed_rows::<3>(0).into(),
-            variance: Vector3::from(variance.fixed_rows::<3>(0)).add_scalar(SEEN_ERROR_RAD * SEEN_ERROR_RAD),
+            variance: Vector3::from(variance.fixed_rows::<3>(0))
+                .add_scalar(SEEN_ERROR_RAD * SEEN_ERROR_RAD),
         };
     }
     Some(turn)
@@ -291,7 +306,9 @@ mod tests {
     fn jitter(index: usize) -> Vector3<f64> {
         let noise = |axis: usize| {
             let hash = ((index * 3 + axis) as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-            ((hash ^ (hash >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 40) as f64 / f64::from(1 << 24) - 0.5
+            ((hash ^ (hash >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 40) as f64
+                / f64::from(1 << 24)
+                - 0.5
         };
         Vector3::new(noise(0), noise(1), noise(2)) * (0.002 * 12.0_f64.sqrt())
     }
@@ -316,13 +333,23 @@ mod tests {
             }
             let said = now * UnitQuaternion::from_scaled_axis(error(index));
             let seen = Seen { flow: &flow, picture: &picture, camera: &camera };
-            let believed = Believed { beliefs: &beliefs, confidence: &confidence, cells: &cells, scene_depth_m: 2.0 };
+            let believed = Believed {
+                beliefs: &beliefs,
+                confidence: &confidence,
+                cells: &cells,
+                scene_depth_m: 2.0,
+            };
             let found = steady.steady(&said, seen, believed);
             assert_eq!(found.translation, said.translation);
             errors.push((now.rotation.inverse() * found.rotation).scaled_axis());
             for (at, belief) in beliefs.iter_mut().enumerate() {
                 let depth = depth(&cells, &now, (at % 160) as f64, (at / 160) as f64);
-                *belief = Belief { inverse_depth: (1.0 / depth) as f32, evidence: 1.0, votes: 1.0, offset: [0.0; 2] };
+                *belief = Belief {
+                    inverse_depth: (1.0 / depth) as f32,
+                    evidence: 1.0,
+                    votes: 1.0,
+                    offset: [0.0; 2],
+                };
             }
         }
         errors
@@ -330,7 +357,8 @@ mod tests {
 
     /// Root mean square of how errors change over ten pictures, once the jitter is known.
     fn over_ten(errors: &[Vector3<f64>]) -> f64 {
-        let squares: Vec<f64> = errors[20..].windows(11).map(|w| (w[10] - w[0]).norm_squared()).collect();
+        let squares: Vec<f64> =
+            errors[20..].windows(11).map(|w| (w[10] - w[0]).norm_squared()).collect();
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     }
 
@@ -358,7 +386,8 @@ mod tests {
     fn without_texture_the_pose_stays() {
         let mut steady = SteadyRotation::default();
         let cells = camera().resized(160, 48);
-        let believed = Believed { beliefs: &[], confidence: &[], cells: &cells, scene_depth_m: 2.0 };
+        let believed =
+            Believed { beliefs: &[], confidence: &[], cells: &cells, scene_depth_m: 2.0 };
         let flow = FlowField::zero(640, 192);
         let mut picture = CensusImage::default();
         (picture.width, picture.height, picture.descriptors) = (640, 192, vec![0; 640 * 192]);

@@ -48,7 +48,8 @@ pub fn polish<'a>(
             vote.misfit = 1.0;
             continue;
         };
-        let step = step(&patch, &seen(census, &look), look.motion.map(|motion| motion / look.speed));
+        let step =
+            step(&patch, &seen(census, &look), look.motion.map(|motion| motion / look.speed));
         let change_px = step.pull / (step.hold + PRIOR);
         if change_px.abs() < REACH_PX {
             vote.inverse_depth = (vote.inverse_depth + change_px / look.speed).max(farthest);
@@ -59,7 +60,12 @@ pub fn polish<'a>(
 
 /// Of the references that see the whole patch the one in which it moves the most with its depth: that one tells it best.
 #[inline(always)]
-fn fastest<'a>(references: &[Option<Reference<'a>>], u: f32, v: f32, w: f32) -> Option<(&'a CensusImage, Look)> {
+fn fastest<'a>(
+    references: &[Option<Reference<'a>>],
+    u: f32,
+    v: f32,
+    w: f32,
+) -> Option<(&'a CensusImage, Look)> {
     let (mut best, mut squared_speed) = (None, 0.0);
     // The last reference is the farthest away, most often the fastest.
     for reference in references.iter().rev().flatten() {
@@ -86,14 +92,16 @@ fn patch(picture: &CensusImage, u: usize, v: usize) -> (Patch, f32, f32) {
             let first = (v - 1 + row * STEP) * picture.width + u - 1 + offset;
             picture.smooth.get(first..first + SIDE * STEP).unwrap_or(&[0; SIDE * STEP])
         };
-        let lines = [line(picture.width), line(picture.width + STEP), line(0), line(2 * picture.width)];
+        let lines =
+            [line(picture.width), line(picture.width + STEP), line(0), line(2 * picture.width)];
         for (pairs, line) in pairs.iter_mut().zip(lines) {
             for (pair, two) in pairs[row * SIDE..].iter_mut().zip(line.chunks_exact(STEP)) {
                 *pair = joined(two[0], two[1]);
             }
         }
     }
-    let mut patch = Patch { value: [0.0; SAMPLES], slope_u: [0.0; SAMPLES], slope_v: [0.0; SAMPLES] };
+    let mut patch =
+        Patch { value: [0.0; SAMPLES], slope_u: [0.0; SAMPLES], slope_v: [0.0; SAMPLES] };
     for index in 0..SAMPLES {
         let [here, right, above, below] = pairs.each_ref().map(|pairs| pairs[index]);
         patch.value[index] = second(here);
@@ -129,8 +137,10 @@ fn seen(census: &CensusImage, look: &Look) -> [f32; SAMPLES] {
     }
     let (mut uppers, mut lowers) = ([0_u32; SAMPLES], [0_u32; SAMPLES]);
     for (index, first) in first.iter().enumerate() {
-        let pair = |at: usize| census.smooth.get(at..at + 2).map_or(0, |pair| joined(pair[0], pair[1]));
-        (uppers[index], lowers[index]) = (pair(*first as usize), pair(*first as usize + census.width));
+        let pair =
+            |at: usize| census.smooth.get(at..at + 2).map_or(0, |pair| joined(pair[0], pair[1]));
+        (uppers[index], lowers[index]) =
+            (pair(*first as usize), pair(*first as usize + census.width));
     }
     let mut seen = [0.0; SAMPLES];
     for index in 0..SAMPLES {
@@ -177,7 +187,8 @@ fn step(patch: &Patch, seen: &[f32; SAMPLES], direction: [f32; 2]) -> Step {
     for ((slope, u), v) in slope.iter_mut().zip(&patch.slope_u).zip(&patch.slope_v) {
         *slope = u * direction[0] + v * direction[1];
     }
-    let (mean_value, mean_seen, mean_slope) = (total(&patch.value) * share, total(seen) * share, total(&slope) * share);
+    let (mean_value, mean_seen, mean_slope) =
+        (total(&patch.value) * share, total(seen) * share, total(&slope) * share);
     // Products of what differs from the mean: slope, value and seen.
     let (mut values, mut seens) = ([0.0; SAMPLES], [0.0; SAMPLES]);
     for index in 0..SAMPLES {
@@ -231,7 +242,8 @@ mod tests {
     }
 
     fn image(grey: impl Fn(f64, f64) -> f64) -> CensusImage {
-        let data: Vec<u8> = (0..SIZE * SIZE).map(|i| grey((i % SIZE) as f64, (i / SIZE) as f64) as u8).collect();
+        let data: Vec<u8> =
+            (0..SIZE * SIZE).map(|i| grey((i % SIZE) as f64, (i / SIZE) as f64) as u8).collect();
         let mut image = CensusImage::default();
         assert!(image.compute(ImageView::new(SIZE, SIZE, PixelFormat::Gray8, &data).unwrap()));
         image
@@ -242,7 +254,8 @@ mod tests {
         let camera = CameraModel::pinhole(SIZE, SIZE, std::f64::consts::FRAC_PI_2);
         let camera = camera.cropped(0.5, 0.5, SIZE, SIZE);
         let reference = Reference::new(reference, &Pose3::translation(-0.5, 0.0, 0.0), &camera);
-        let mut votes = vec![Vote { inverse_depth, parallax_px: 8.0, ..Vote::default() }; SIZE / CELL];
+        let mut votes =
+            vec![Vote { inverse_depth, parallax_px: 8.0, ..Vote::default() }; SIZE / CELL];
         polish(picture, &[None, Some(reference)], SIZE / CELL / 2, FARTHEST, &mut votes);
         votes.drain(..3);
         votes.truncate(10);
@@ -273,7 +286,8 @@ mod tests {
     #[test]
     fn another_thing_does_not_fit() {
         let other = image(|x, y| 120.0 + 50.0 * (0.7 * y - 0.5 * x).sin());
-        let misfit: f32 = polished(&image(waves), &other, 0.5).iter().map(|vote| vote.misfit).sum::<f32>() / 10.0;
+        let misfit: f32 =
+            polished(&image(waves), &other, 0.5).iter().map(|vote| vote.misfit).sum::<f32>() / 10.0;
         assert!(misfit > 0.5, "{misfit}");
     }
 

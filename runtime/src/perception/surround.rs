@@ -47,15 +47,21 @@ impl Surroundings {
         self.all.resize(height * width, Surround::default());
         for (row, beliefs) in beliefs.chunks_exact(width).enumerate() {
             let row_of = row * wide..(row + 1) * wide;
-            spread(beliefs, &mut self.inverse_depth[row_of.clone()], &mut self.trust[row_of.clone()]);
+            spread(
+                beliefs,
+                &mut self.inverse_depth[row_of.clone()],
+                &mut self.trust[row_of.clone()],
+            );
             sum_along(&self.trust[row_of], &mut self.along[row * width..(row + 1) * width]);
         }
         for (row, all) in self.all.chunks_exact_mut(width).enumerate() {
-            let clamped = |offset: usize, reach: usize| (row + offset).saturating_sub(reach).min(height - 1);
+            let clamped =
+                |offset: usize, reach: usize| (row + offset).saturating_sub(reach).min(height - 1);
             let sums = std::array::from_fn(|i| &self.along[clamped(i, REACH) * width..][..width]);
             average(sums, all);
-            let depths =
-                std::array::from_fn(|i| &self.inverse_depth[clamped(i, 1) * wide..][REACH - 1..=width + REACH]);
+            let depths = std::array::from_fn(|i| {
+                &self.inverse_depth[clamped(i, 1) * wide..][REACH - 1..=width + REACH]
+            });
             agree(depths, all);
         }
         &self.all
@@ -138,7 +144,8 @@ mod tests {
     }
 
     #[test]
-    fn the_edge_of_a_step_is_as_good_as_its_middle_a_post_half_as_good_and_a_lonely_belief_has_nobody() {
+    fn the_edge_of_a_step_is_as_good_as_its_middle_a_post_half_as_good_and_a_lonely_belief_has_nobody()
+     {
         let mut beliefs: Vec<Belief> =
             (0..WIDTH * 8).map(|i| believed(if i % WIDTH < 4 { 0.5 } else { 1.0 }, 0.5)).collect();
         beliefs[at(4, 7)] = believed(0.2, 0.5);

@@ -27,7 +27,9 @@ const OUTSIDE: u8 = u8::MAX;
 /// of the hypotheses on the last few decimetres.
 pub fn hypotheses(min_depth_m: f64, max_depth_m: f64) -> [f32; PLANES] {
     let (far, near) = (1.0 / max_depth_m, 1.0 / min_depth_m);
-    std::array::from_fn(|i| (far + (near - far) * (i as f64 / (PLANES - 1) as f64).powf(1.5)) as f32)
+    std::array::from_fn(|i| {
+        (far + (near - far) * (i as f64 / (PLANES - 1) as f64).powf(1.5)) as f32
+    })
 }
 
 /// A picture to compare with, ready to look up matches: the point behind position `u` at inverse depth `w` is seen at the
@@ -79,7 +81,13 @@ impl<'a> Reference<'a> {
             let by = self.rotation.column(column);
             [(by[0] - x * by[2]) * per_z, (by[1] - y * by[2]) * per_z]
         };
-        Look { place: [x, y], along_u: moved(0), along_v: moved(1), motion, speed: squared_speed.sqrt() }
+        Look {
+            place: [x, y],
+            along_u: moved(0),
+            along_v: moved(1),
+            motion,
+            speed: squared_speed.sqrt(),
+        }
     }
 
     /// Differing bits of all hypotheses for the cell whose descriptors begin at full-size position (u, v); [`OUTSIDE`] where
@@ -107,8 +115,9 @@ impl<'a> Reference<'a> {
             let inside = (z > 0.05) & (x >= 0) & (x < right) & (y >= 0) & (y < bottom);
             *place = if inside { y.wrapping_mul(width).wrapping_add(x) as u32 } else { NOWHERE };
         }
-        let [first, second] =
-            TAPS.map(|(dx, dy)| self.census.descriptors.get(dy * self.census.width + dx..).unwrap_or_default());
+        let [first, second] = TAPS.map(|(dx, dy)| {
+            self.census.descriptors.get(dy * self.census.width + dx..).unwrap_or_default()
+        });
         let wanted = u64::from(descriptors[0]) | u64::from(descriptors[1]) << 32;
         for (bits, place) in bits.iter_mut().zip(&places) {
             let at = *place as usize;
@@ -123,7 +132,10 @@ impl<'a> Reference<'a> {
 }
 
 /// Where another view sees the point behind pixel `u` at inverse depth `w`: at `rotation * u + w * translation`, homogeneous.
-pub fn homography(t_reference_camera: &Pose3, camera: &CameraModel) -> (Matrix3<f32>, Vector3<f32>) {
+pub fn homography(
+    t_reference_camera: &Pose3,
+    camera: &CameraModel,
+) -> (Matrix3<f32>, Vector3<f32>) {
     let k = Matrix3::new(camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0);
     let back = Matrix3::from_columns(&[
         camera.ray(1.0, 0.0) - camera.ray(0.0, 0.0),
@@ -181,8 +193,11 @@ pub fn sweep(
     unseen: &mut [u8],
 ) {
     let columns = picture.width / CELL;
-    let lines = volume.par_chunks_exact_mut(columns).zip(unseen.par_chunks_exact_mut(columns)).enumerate();
-    lines.for_each(|(row, (line, unseen))| sweep_row(picture, references, inverse_depth, row, line, unseen));
+    let lines =
+        volume.par_chunks_exact_mut(columns).zip(unseen.par_chunks_exact_mut(columns)).enumerate();
+    lines.for_each(|(row, (line, unseen))| {
+        sweep_row(picture, references, inverse_depth, row, line, unseen)
+    });
 }
 
 #[multiversion(targets("x86_64+avx2+bmi1+bmi2+popcnt"))]
@@ -281,7 +296,9 @@ mod tests {
         (census.width, census.height) = (640, 192);
         let camera = CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2);
         let reference = Reference::new(&census, &Pose3::translation(0.1, 0.0, 0.0), &camera);
-        assert!((reference.parallax_px(300.0, 90.0, 0.5).unwrap() - 320.0 * 0.1 * 0.5).abs() < 1e-3);
+        assert!(
+            (reference.parallax_px(300.0, 90.0, 0.5).unwrap() - 320.0 * 0.1 * 0.5).abs() < 1e-3
+        );
         assert_eq!(reference.parallax_px(639.0, 90.0, 0.5), None);
     }
 }

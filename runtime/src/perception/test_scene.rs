@@ -39,7 +39,8 @@ pub fn render(camera: &CameraModel, t_world_camera: &Pose3, gain: f64, offset: f
             // Four samples for one pixel, against aliasing.
             for (du, dv) in [(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)] {
                 let (u, v) = (u as f64 + du, v as f64 + dv);
-                let point = t_world_camera * camera.unproject(u, v, depth_m(camera, t_world_camera, u, v));
+                let point =
+                    t_world_camera * camera.unproject(u, v, depth_m(camera, t_world_camera, u, v));
                 sum += texture(&point);
             }
             picture.push((sum / 4.0 * gain + offset).clamp(0.0, 255.0) as u8);
@@ -64,8 +65,9 @@ fn texture(point: &Point3<f64>) -> f64 {
 }
 
 fn hash(i: i32, j: i32, seed: u32) -> f64 {
-    let mut h =
-        (i as u32).wrapping_mul(0x9E37_79B1) ^ (j as u32).wrapping_mul(0x85EB_CA77) ^ seed.wrapping_mul(0xC2B2_AE3D);
+    let mut h = (i as u32).wrapping_mul(0x9E37_79B1)
+        ^ (j as u32).wrapping_mul(0x85EB_CA77)
+        ^ seed.wrapping_mul(0xC2B2_AE3D);
     for _ in 0..2 {
         h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
     }

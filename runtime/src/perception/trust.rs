@@ -59,7 +59,8 @@ mod tests {
     use super::*;
     use crate::perception::CoarseConfig;
 
-    const BELIEF: Belief = Belief { inverse_depth: 0.5, evidence: 4.0, votes: 5.0, offset: [0.0; 2] };
+    const BELIEF: Belief =
+        Belief { inverse_depth: 0.5, evidence: 4.0, votes: 5.0, offset: [0.0; 2] };
     const AMONG_FRIENDS: Surround = Surround { trust: 0.8, agreeing: 1.0 };
 
     fn weights() -> ([f32; 5], [f32; 5]) {
@@ -69,7 +70,8 @@ mod tests {
 
     #[test]
     fn clearer_longer_and_better_textured_matches_are_trusted_more() {
-        let vote = Vote { inverse_depth: 0.5, margin: 0.3, texture: 0.2, misfit: 0.3, parallax_px: 6.0 };
+        let vote =
+            Vote { inverse_depth: 0.5, margin: 0.3, texture: 0.2, misfit: 0.3, parallax_px: 6.0 };
         let trust = of_vote(&weights().0, &vote, 0.0);
         assert!(trust > 0.0 && trust < 1.0);
         assert!(of_vote(&weights().0, &Vote { margin: 0.6, ..vote }, 0.0) > trust);
@@ -80,15 +82,22 @@ mod tests {
 
     #[test]
     fn nothing_to_compare_with_is_no_trust() {
-        assert_eq!(of_vote(&weights().0, &Vote { margin: 1.0, texture: 1.0, ..Vote::default() }, 0.0), 0.0);
-        assert_eq!(of_vote(&weights().0, &Vote { parallax_px: f32::NAN, ..Vote::default() }, 1.0), 0.0);
+        assert_eq!(
+            of_vote(&weights().0, &Vote { margin: 1.0, texture: 1.0, ..Vote::default() }, 0.0),
+            0.0
+        );
+        assert_eq!(
+            of_vote(&weights().0, &Vote { parallax_px: f32::NAN, ..Vote::default() }, 1.0),
+            0.0
+        );
         assert_eq!(of_belief(&weights().1, &Belief::default(), &AMONG_FRIENDS), 0.0);
     }
 
     #[test]
     fn jitter_makes_little_parallax_doubtful_and_none_changes_nothing() {
         let kept = |parallax_px, jitter_px| {
-            let vote = Vote { inverse_depth: 0.5, margin: 0.3, texture: 0.2, misfit: 0.3, parallax_px };
+            let vote =
+                Vote { inverse_depth: 0.5, margin: 0.3, texture: 0.2, misfit: 0.3, parallax_px };
             of_vote(&weights().0, &vote, jitter_px) / of_vote(&weights().0, &vote, 0.0)
         };
         assert_eq!(kept(0.1, 0.0), 1.0);

@@ -26,7 +26,12 @@ pub struct Vote {
 
 /// The votes of some cells.
 #[multiversion(targets("x86_64+avx2"))]
-pub fn winners(sums: &[[i16; PLANES]], costs: &[[u8; PLANES]], inverse_depth: &[f32; PLANES], votes: &mut [Vote]) {
+pub fn winners(
+    sums: &[[i16; PLANES]],
+    costs: &[[u8; PLANES]],
+    inverse_depth: &[f32; PLANES],
+    votes: &mut [Vote],
+) {
     for ((vote, sums), costs) in votes.iter_mut().zip(sums).zip(costs) {
         *vote = winner(sums, costs, inverse_depth);
     }
@@ -45,15 +50,22 @@ fn winner(sums: &[i16; PLANES], costs: &[u8; PLANES], inverse_depth: &[f32; PLAN
     let margin = f32::from(rival - least) / f32::from(rival.max(1));
     let mut refined = inverse_depth[plane];
     if plane > 0 && plane + 1 < PLANES {
-        let (before, after) = (f32::from(sums[plane - 1] - least), f32::from(sums[plane + 1] - least));
+        let (before, after) =
+            (f32::from(sums[plane - 1] - least), f32::from(sums[plane + 1] - least));
         if before.max(after) > 0.0 {
             let fraction = 0.5 * (before - after) / before.max(after);
-            let neighbour = if fraction < 0.0 { inverse_depth[plane - 1] } else { inverse_depth[plane + 1] };
+            let neighbour =
+                if fraction < 0.0 { inverse_depth[plane - 1] } else { inverse_depth[plane + 1] };
             refined += fraction.abs() * (neighbour - refined);
         }
     }
     let mean = costs.iter().map(|cost| u32::from(*cost)).sum::<u32>() as f32 / PLANES as f32;
-    Vote { inverse_depth: refined, margin, texture: mean / f32::from(WORST_COST), ..Vote::default() }
+    Vote {
+        inverse_depth: refined,
+        margin,
+        texture: mean / f32::from(WORST_COST),
+        ..Vote::default()
+    }
 }
 
 #[inline(always)]
@@ -80,7 +92,11 @@ mod tests {
         let sums = std::array::from_fn(|i| ((i as f32 - 20.3).abs() * 100.0) as i16 + 7);
         let winner = winner(&sums, &COSTS, &w);
         let want = w[20] + 0.3 * (w[21] - w[20]);
-        assert!((winner.inverse_depth - want).abs() < 0.02 * (w[21] - w[20]), "{}", winner.inverse_depth);
+        assert!(
+            (winner.inverse_depth - want).abs() < 0.02 * (w[21] - w[20]),
+            "{}",
+            winner.inverse_depth
+        );
         assert!(winner.margin > 0.8);
     }
 

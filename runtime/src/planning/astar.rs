@@ -2,7 +2,9 @@
 
 use super::buckets::{Buckets, Entry};
 use super::costmap::{Costmap, LEVEL, WEIGHT};
-use super::steps::{DIAGONAL, FREE_DIAGONAL, FREE_STEP, NATURAL, NO_STEP, STEPS, STRAIGHT, all_allowed, onward};
+use super::steps::{
+    DIAGONAL, FREE_DIAGONAL, FREE_STEP, NATURAL, NO_STEP, STEPS, STRAIGHT, all_allowed, onward,
+};
 use crate::mapping::Cell;
 
 /// What a search knows of a cell.
@@ -134,7 +136,12 @@ impl Planner {
         self.expanded
     }
 
-    fn search(&mut self, costmap: &Costmap, start: Cell, goal: Option<Cell>) -> Result<bool, NoPath> {
+    fn search(
+        &mut self,
+        costmap: &Costmap,
+        start: Cell,
+        goal: Option<Cell>,
+    ) -> Result<bool, NoPath> {
         self.prepare(costmap);
         let start = Place::of(costmap, start).ok_or(NoPath::StartBlocked)?;
         let goal = goal.and_then(|cell| Place::of(costmap, cell));
@@ -147,7 +154,8 @@ impl Planner {
             if goal.is_some_and(|goal| self.cost(goal.index) <= self.queue.now()) {
                 return Ok(true);
             }
-            let node = &mut self.nodes[usize::from(entry.y) * costmap.stride + usize::from(entry.x)];
+            let node =
+                &mut self.nodes[usize::from(entry.y) * costmap.stride + usize::from(entry.x)];
             let mut open = node.mark.open();
             if node.cost != entry.cost || open == 0 {
                 continue;
@@ -191,7 +199,11 @@ impl Planner {
             if cost > known {
                 break false;
             }
-            let onward = if weight & level == level { NATURAL[direction] } else { onward(costmap, index, direction) };
+            let onward = if weight & level == level {
+                NATURAL[direction]
+            } else {
+                onward(costmap, index, direction)
+            };
             if cost == known {
                 // As cheap from here as from elsewhere: the steps that are natural from here have to be taken too.
                 let (open, done) = (node.mark.open(), node.mark.done());
@@ -284,7 +296,8 @@ impl Planner {
         self.path.push(cell);
         while let Some(&(dx, dy)) = STEPS.get(usize::from(self.nodes[index].mark.step())) {
             cell = cell.offset(-dx, -dy);
-            index = index.wrapping_add_signed(-(dx as isize + dy as isize * costmap.stride as isize));
+            index =
+                index.wrapping_add_signed(-(dx as isize + dy as isize * costmap.stride as isize));
             self.path.push(cell);
         }
         self.path.extend(self.escape.iter().rev());

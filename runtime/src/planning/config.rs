@@ -14,7 +14,13 @@ pub struct ConfigError {
     pub allowed: &'static str,
 }
 
-fn within(field: &'static str, value: f64, low: f64, high: f64, allowed: &'static str) -> Result<(), ConfigError> {
+fn within(
+    field: &'static str,
+    value: f64,
+    low: f64,
+    high: f64,
+    allowed: &'static str,
+) -> Result<(), ConfigError> {
     // A NaN is in no range.
     if (low..=high).contains(&value) { Ok(()) } else { Err(ConfigError { field, value, allowed }) }
 }
@@ -122,7 +128,13 @@ impl FollowerConfig {
         // Half a step is the best that a step can align to.
         within("aligned_rad", self.aligned_rad, self.turn_rad / 2.0, 1.0, "turn_rad / 2 to 1")?;
         within("correct_rad", self.correct_rad, self.aligned_rad, 1.0, "aligned_rad to 1")?;
-        within("turn_in_place_rad", self.turn_in_place_rad, self.correct_rad, 3.0, "correct_rad to 3")?;
+        within(
+            "turn_in_place_rad",
+            self.turn_in_place_rad,
+            self.correct_rad,
+            3.0,
+            "correct_rad to 3",
+        )?;
         within("goal_tolerance_m", self.goal_tolerance_m, self.forward_m, 1.0, "forward_m to 1")?;
         within("off_path_m", self.off_path_m, self.forward_m, 5.0, "forward_m to 5")
     }

@@ -62,7 +62,11 @@ impl Costmap {
 
     /// A costmap with given weights: `None` is never entered, 1.0 is free floor, up to 15. For tests and other planners.
     #[must_use]
-    pub fn from_weights(cells: CellBox, cell_m: f64, mut weight: impl FnMut(Cell) -> Option<f64>) -> Self {
+    pub fn from_weights(
+        cells: CellBox,
+        cell_m: f64,
+        mut weight: impl FnMut(Cell) -> Option<f64>,
+    ) -> Self {
         let mut costmap = Self {
             config: PlanConfig::default(),
             cell_m,
@@ -81,7 +85,8 @@ impl Costmap {
                 let cell = Cell::new(x, y);
                 if let Some(index) = costmap.index(cell) {
                     costmap.weights[index] = weight(cell).map_or(BLOCKED, quantised);
-                    costmap.clearance2[index] = if costmap.weights[index] == BLOCKED { 0 } else { FAR };
+                    costmap.clearance2[index] =
+                        if costmap.weights[index] == BLOCKED { 0 } else { FAR };
                 }
             }
         }
@@ -109,7 +114,8 @@ impl Costmap {
     pub fn update_doubting(&mut self, grid: &OccupancyGrid, doubt: f32) {
         let doubt = grid.row_value(doubt);
         let padding = (self.config.padding_m / grid.cell_m()).ceil() as i32;
-        let known = grid.known_box().and_then(|known| known.grown(padding).intersection(grid.window()));
+        let known =
+            grid.known_box().and_then(|known| known.grown(padding).intersection(grid.window()));
         let cells = known.unwrap_or(CellBox::of(grid.window().min));
         self.reset(cells, grid.cell_m());
         let reach = self.make_tables();
@@ -160,7 +166,9 @@ impl Costmap {
             for (level, along, aside) in [(LEVEL[0], 1, stride), (LEVEL[1], stride, 1)] {
                 for middle in [inner.start - aside, inner.start, inner.start + aside] {
                     let pairs = row(middle - along).iter().zip(row(middle + along));
-                    for (((out, here), middle), (one, other)) in out.iter_mut().zip(here).zip(row(middle)).zip(pairs) {
+                    for (((out, here), middle), (one, other)) in
+                        out.iter_mut().zip(here).zip(row(middle)).zip(pairs)
+                    {
                         let same = (one == middle) & (other == middle) & (middle <= here);
                         *out &= if same { 0xff } else { !level };
                     }
@@ -184,7 +192,8 @@ impl Costmap {
                 let distance_m = f64::from(distance2).sqrt() * self.cell_m;
                 // An occupied cell is blocked even for a robot without extent.
                 let blocked = distance2 == 0 || distance_m <= hard_m;
-                let nearness = ((soft_m - distance_m) / (soft_m - hard_m).max(1e-9)).clamp(0.0, 1.0);
+                let nearness =
+                    ((soft_m - distance_m) / (soft_m - hard_m).max(1e-9)).clamp(0.0, 1.0);
                 let weight = quantised(base + config.inflation_cost * nearness * nearness);
                 table.push(if blocked { BLOCKED } else { weight });
             }
@@ -224,7 +233,9 @@ impl Costmap {
     /// Cost of a metre in this cell, in metres of free floor; `None` where the robot must not go.
     #[must_use]
     pub fn weight(&self, cell: Cell) -> Option<f64> {
-        let weight = self.index(cell).and_then(|index| self.weights.get(index).copied()).unwrap_or(BLOCKED) & WEIGHT;
+        let weight =
+            self.index(cell).and_then(|index| self.weights.get(index).copied()).unwrap_or(BLOCKED)
+                & WEIGHT;
         (weight != BLOCKED).then(|| f64::from(weight) / f64::from(FREE))
     }
 
@@ -252,7 +263,12 @@ impl Costmap {
     }
 
     /// The cell nearest to `cell` that is `wanted`, at most `radius_m` away.
-    pub(super) fn nearest(&self, cell: Cell, radius_m: f64, wanted: impl Fn(Cell) -> bool) -> Option<Cell> {
+    pub(super) fn nearest(
+        &self,
+        cell: Cell,
+        radius_m: f64,
+        wanted: impl Fn(Cell) -> bool,
+    ) -> Option<Cell> {
         let radius = radius_m / self.cell_m;
         let reach = radius.clamp(0.0, 1000.0) as i32;
         let around = CellBox::of(cell).grown(reach).intersection(self.cells)?;
@@ -286,7 +302,8 @@ mod tests {
     fn ring() -> OccupancyGrid {
         let mut grid = OccupancyGrid::new(&MapConfig::default()).unwrap();
         let geometry = ScanGeometry::UTM_30LX;
-        let scan = LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(1.5); geometry.beams] };
+        let scan =
+            LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(1.5); geometry.beams] };
         grid.begin_update(&Pose2::IDENTITY).unwrap();
         grid.integrate_scan(&scan, &Pose2::IDENTITY).unwrap();
         grid.finish_update();
@@ -303,8 +320,9 @@ mod tests {
     fn cost_rises_towards_an_obstacle_until_it_is_closed() {
         let grid = ring();
         let costmap = costmap(&grid);
-        let weights: Vec<Option<f64>> =
-            (0..=50).map(|x| costmap.weight(grid.cell_at(f64::from(x) * 0.03 + 0.001, 0.001))).collect();
+        let weights: Vec<Option<f64>> = (0..=50)
+            .map(|x| costmap.weight(grid.cell_at(f64::from(x) * 0.03 + 0.001, 0.001)))
+            .collect();
         assert_eq!(weights[10], Some(1.0));
         // Hits at 1.5 m: closed from 0.14 m before, dearer from 0.24 m before.
         let closed = weights.iter().position(Option::is_none).unwrap();
@@ -334,7 +352,8 @@ mod tests {
         costmap.update_doubting(&grid, 0.5);
         assert_eq!(costmap.weight(wall), None);
         let geometry = ScanGeometry::UTM_30LX;
-        let scan = LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(1.5); geometry.beams] };
+        let scan =
+            LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(1.5); geometry.beams] };
         for _ in 0..10 {
             grid.begin_update(&Pose2::IDENTITY).unwrap();
             grid.integrate_scan(&scan, &Pose2::IDENTITY).unwrap();
@@ -353,7 +372,8 @@ mod tests {
         let mut planner = Planner::new(1_000_000);
         let path = planner.plan(&costmap, start, grid.cell_at(0.0, 0.9)).unwrap();
         assert_eq!(path[0], start);
-        let clearances: Vec<f64> = path.iter().map_while(|cell| costmap.clearance_m(*cell)).collect();
+        let clearances: Vec<f64> =
+            path.iter().map_while(|cell| costmap.clearance_m(*cell)).collect();
         let inside = path.iter().take_while(|cell| !costmap.is_passable(**cell)).count();
         assert!((1..=4).contains(&inside), "{inside} cells to leave");
         assert!(clearances[..=inside].windows(2).all(|pair| pair[0] <= pair[1]), "{clearances:?}");
@@ -370,7 +390,10 @@ mod tests {
         let mut planner = Planner::new(1_000_000);
         let path = planner.plan(&costmap, outside, grid.cell_at(1.8, 0.0)).unwrap();
         assert!(path.iter().all(|cell| cell.x >= outside.x));
-        assert_eq!(planner.plan(&costmap, grid.cell_at(9.0, 9.0), outside), Err(NoPath::StartBlocked));
+        assert_eq!(
+            planner.plan(&costmap, grid.cell_at(9.0, 9.0), outside),
+            Err(NoPath::StartBlocked)
+        );
     }
 
     #[test]
@@ -388,6 +411,9 @@ mod tests {
         let grid = OccupancyGrid::new(&MapConfig::default()).unwrap();
         let costmap = costmap(&grid);
         let mut planner = Planner::new(100);
-        assert_eq!(planner.plan(&costmap, Cell::new(0, 0), Cell::new(5, 5)), Err(NoPath::StartBlocked));
+        assert_eq!(
+            planner.plan(&costmap, Cell::new(0, 0), Cell::new(5, 5)),
+            Err(NoPath::StartBlocked)
+        );
     }
 }

@@ -81,7 +81,13 @@ impl Follower {
     /// When the configuration is out of range.
     pub fn new(config: &FollowerConfig) -> Result<Self, ConfigError> {
         config.validate()?;
-        Ok(Self { config: config.clone(), points_m: Vec::new(), lengths_m: Vec::new(), done_m: 0.0, turning: false })
+        Ok(Self {
+            config: config.clone(),
+            points_m: Vec::new(),
+            lengths_m: Vec::new(),
+            done_m: 0.0,
+            turning: false,
+        })
     }
 
     /// Begins a new path: corner points in the frame of the poses, metres.
@@ -126,16 +132,21 @@ impl Follower {
         if !pose.is_finite() {
             return Err(FollowError::PoseNotFinite);
         }
-        let (Some(goal), Some(length_m)) = (self.points_m.last().copied(), self.lengths_m.last().copied()) else {
+        let (Some(goal), Some(length_m)) =
+            (self.points_m.last().copied(), self.lengths_m.last().copied())
+        else {
             return Err(FollowError::NoPath);
         };
         let here = [pose.x_m, pose.y_m];
         let (done_m, cross_track_m) = self.locate(here);
         self.done_m = done_m;
         let remaining_m = length_m - done_m;
-        let ended = |progress| Step { primitive: Primitive::Stay, progress, remaining_m, cross_track_m };
+        let ended =
+            |progress| Step { primitive: Primitive::Stay, progress, remaining_m, cross_track_m };
         // A loop passes its end early: only the last stretch counts.
-        if distance(here, goal) <= self.config.goal_tolerance_m && remaining_m <= self.config.lookahead_m {
+        if distance(here, goal) <= self.config.goal_tolerance_m
+            && remaining_m <= self.config.lookahead_m
+        {
             return Ok(ended(Progress::Reached));
         }
         if cross_track_m > self.config.off_path_m {
@@ -150,7 +161,8 @@ impl Follower {
     fn steer(&mut self, error_rad: f64) -> Primitive {
         let config = &self.config;
         let size = error_rad.abs();
-        self.turning = if self.turning { size > config.aligned_rad } else { size > config.turn_in_place_rad };
+        self.turning =
+            if self.turning { size > config.aligned_rad } else { size > config.turn_in_place_rad };
         let left = error_rad > 0.0;
         match (self.turning, config.arcs) {
             (false, _) if size <= config.correct_rad => Primitive::Forward,
@@ -171,7 +183,8 @@ impl Follower {
             if end_m < self.done_m || start_m > until_m || end_m <= start_m {
                 continue;
             }
-            let along = ((here[0] - a[0]) * (b[0] - a[0]) + (here[1] - a[1]) * (b[1] - a[1])) / (end_m - start_m);
+            let along = ((here[0] - a[0]) * (b[0] - a[0]) + (here[1] - a[1]) * (b[1] - a[1]))
+                / (end_m - start_m);
             let at_m = (start_m + along).clamp(start_m, end_m).clamp(self.done_m, until_m);
             let away = distance(here, self.point_at(at_m));
             if away < best.1 {
@@ -251,9 +264,15 @@ mod tests {
 
     #[test]
     fn a_bent_path_is_followed_on_arcs_without_a_stop() {
-        let bend: Vec<[f64; 2]> =
-            (0..100).map(|i| f64::from(i) * 0.01).map(|a| [2.0 * a.sin(), 2.0 - 2.0 * a.cos()]).collect();
-        let arcs = drive_with(&FollowerConfig { arcs: true, ..FollowerConfig::default() }, &bend, Pose2::IDENTITY);
+        let bend: Vec<[f64; 2]> = (0..100)
+            .map(|i| f64::from(i) * 0.01)
+            .map(|a| [2.0 * a.sin(), 2.0 - 2.0 * a.cos()])
+            .collect();
+        let arcs = drive_with(
+            &FollowerConfig { arcs: true, ..FollowerConfig::default() },
+            &bend,
+            Pose2::IDENTITY,
+        );
         let steps = drive(&bend, Pose2::IDENTITY);
         assert!(arcs.reached && arcs.turns == 0, "{} turns on the spot", arcs.turns);
         assert!(steps.turns > 10);
@@ -262,8 +281,9 @@ mod tests {
     #[test]
     fn a_staircase_along_a_diagonal_takes_few_turns() {
         for slope in [1.0, 0.5, 0.3] {
-            let stairs: Vec<[f64; 2]> =
-                (0..150).map(|x| [f64::from(x) * 0.03, (f64::from(x) * slope).round() * 0.03]).collect();
+            let stairs: Vec<[f64; 2]> = (0..150)
+                .map(|x| [f64::from(x) * 0.03, (f64::from(x) * slope).round() * 0.03])
+                .collect();
             let result = drive(&stairs, Pose2::new(0.0, 0.0, f64::atan(slope)));
             assert!(result.reached);
             assert!(result.turns < 10, "{} turns", result.turns);
@@ -276,7 +296,11 @@ mod tests {
         let length_m = 2.0 + 1.5 + 5f64.sqrt();
         let result = drive(&path, Pose2::IDENTITY);
         assert!(result.reached);
-        assert!((result.length_m - length_m).abs() < 0.05 * length_m, "{} m instead of {length_m} m", result.length_m);
+        assert!(
+            (result.length_m - length_m).abs() < 0.05 * length_m,
+            "{} m instead of {length_m} m",
+            result.length_m
+        );
     }
 
     #[test]

@@ -23,7 +23,9 @@ impl Costmap {
                 steps_cost = add(steps_cost, self.piece_cost(path[next - 1], path[next]));
                 let straight = self.piece_cost(path[anchor], path[next]);
                 match (straight, steps_cost) {
-                    (Some(straight), Some(steps)) if straight <= steps * TOLERANCE => reached = next,
+                    (Some(straight), Some(steps)) if straight <= steps * TOLERANCE => {
+                        reached = next
+                    }
                     // Nothing is gained further on once a piece is blocked.
                     (None, _) => break,
                     _ => {}

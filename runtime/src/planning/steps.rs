@@ -12,20 +12,30 @@ pub(super) const FREE_DIAGONAL: u32 = DIAGONAL * FREE as u32;
 /// No step led here: the start.
 pub(super) const NO_STEP: u8 = 8;
 /// Steps by column and row: even ones are straight, odd ones lie between their neighbours in this list.
-pub(super) const STEPS: [(i32, i32); 8] = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)];
+pub(super) const STEPS: [(i32, i32); 8] =
+    [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)];
 
 /// By the step that led into a cell on level ground: the steps worth taking next. Every other neighbour is reached as cheaply
 /// from the cell before without this one: directly, or by the same two steps with the diagonal one first. This is the
 /// pruning of jump point search (Harabor and Grastien 2011); [`onward`] does the same where weights differ.
-pub(super) const NATURAL: [u8; 8] =
-    [0b0000_0001, 0b0000_0111, 0b0000_0100, 0b0001_1100, 0b0001_0000, 0b0111_0000, 0b0100_0000, 0b1100_0001];
+pub(super) const NATURAL: [u8; 8] = [
+    0b0000_0001,
+    0b0000_0111,
+    0b0000_0100,
+    0b0001_1100,
+    0b0001_0000,
+    0b0111_0000,
+    0b0100_0000,
+    0b1100_0001,
+];
 
 /// The steps that lead to a cell that may be entered, and not across the corner of one that may not.
 pub(super) fn all_allowed(costmap: &Costmap, index: usize) -> u8 {
     let around = around(costmap, index);
     let is_open = |direction: usize| weight(around, direction % 8) != 0;
     let is_allowed = |direction: usize| {
-        is_open(direction) && (direction.is_multiple_of(2) || (is_open(direction + 7) && is_open(direction + 1)))
+        is_open(direction)
+            && (direction.is_multiple_of(2) || (is_open(direction + 7) && is_open(direction + 1)))
     };
     (0..8).fold(0, |steps, direction| steps | u8::from(is_allowed(direction)) << direction)
 }
@@ -38,7 +48,8 @@ pub(super) fn onward(costmap: &Costmap, index: usize, direction: usize) -> u8 {
     let here = u32::from(costmap.weights[index] & WEIGHT);
     // Turned so that ahead comes first: left of it are 1, 2, 3 eighths of a turn, right of it 7, 6, 5.
     let around = around(costmap, index).rotate_right(8 * direction as u32);
-    let (left, right) = ([1, 2, 3].map(|turn| weight(around, turn)), [7, 6, 5].map(|turn| weight(around, turn)));
+    let (left, right) =
+        ([1, 2, 3].map(|turn| weight(around, turn)), [7, 6, 5].map(|turn| weight(around, turn)));
     let ahead = weight(around, 0) != 0;
     let steps = if direction.is_multiple_of(2) {
         bits(ahead, after_straight(here, ahead, left), after_straight(here, ahead, right))
@@ -56,7 +67,8 @@ fn around(costmap: &Costmap, index: usize) -> u64 {
         let [a, b, c] = *costmap.weights[middle - 1..].first_chunk().unwrap_or(&[BLOCKED; 3]);
         (u64::from(a), u64::from(b), u64::from(c))
     };
-    let ((a, b, c), (d, _, e), (f, g, h)) = (row(index - costmap.stride), row(index), row(index + costmap.stride));
+    let ((a, b, c), (d, _, e), (f, g, h)) =
+        (row(index - costmap.stride), row(index), row(index + costmap.stride));
     let all = e | h << 8 | g << 16 | f << 24 | d << 32 | a << 40 | b << 48 | c << 56;
     all & u64::from_le_bytes([WEIGHT; 8])
 }
@@ -106,8 +118,9 @@ mod tests {
         let mut seen = [0; 4];
         for _ in 0..20_000 {
             // Few values in rows or columns, so that level ground is frequent.
-            let values: [Option<f64>; 9] =
-                core::array::from_fn(|_| [None, Some(1.0), Some(1.0), Some(2.0)][random.random_range(0..4)]);
+            let values: [Option<f64>; 9] = core::array::from_fn(|_| {
+                [None, Some(1.0), Some(1.0), Some(2.0)][random.random_range(0..4)]
+            });
             let (along, rows) = (random.random_bool(0.8), random.random_bool(0.5));
             let costmap = Costmap::from_weights(cells, 1.0, |cell| {
                 let at = if rows { (cell.y, cell.x) } else { (cell.x, cell.y) };
@@ -115,11 +128,17 @@ mod tests {
             });
             let Some(index) = costmap.index(Cell::new(1, 1)) else { unreachable!() };
             let marks = costmap.weights[index];
-            for (direction, natural) in NATURAL.into_iter().enumerate().filter(|_| marks & WEIGHT != 0) {
+            for (direction, natural) in
+                NATURAL.into_iter().enumerate().filter(|_| marks & WEIGHT != 0)
+            {
                 let axis = LEVEL[direction / 2 % 2];
                 let wanted = if direction % 2 == 0 { axis } else { LEVEL[0] | LEVEL[1] };
                 if marks & wanted == wanted {
-                    assert_eq!(onward(&costmap, index, direction), natural, "{values:?} {direction}");
+                    assert_eq!(
+                        onward(&costmap, index, direction),
+                        natural,
+                        "{values:?} {direction}"
+                    );
                 }
             }
             seen[usize::from(marks >> 6)] += 1;

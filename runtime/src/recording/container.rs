@@ -55,8 +55,11 @@ impl<R: Read> Messages<R> {
             }
             self.chunk = None;
             let found = self.file.find(|opcode, data| match opcode {
-                op::CHUNK => Records::of_chunk(data).map(|chunk| Some(Found::Chunk(Box::new(chunk)))),
-                _ => message(opcode, data, &mut self.topics).map(|message| message.map(Found::Message)),
+                op::CHUNK => {
+                    Records::of_chunk(data).map(|chunk| Some(Found::Chunk(Box::new(chunk))))
+                }
+                _ => message(opcode, data, &mut self.topics)
+                    .map(|message| message.map(Found::Message)),
             })?;
             match found {
                 Some(Found::Chunk(chunk)) => self.chunk = Some(chunk),
@@ -167,10 +170,13 @@ mod tests {
     /// A file with one chunk, of one message, whose records say that they have `length` bytes.
     fn file(length: u64) -> Vec<u8> {
         let channel = [&[0; 4][..], &2_u32.to_le_bytes(), b"/t", &[0; 8]].concat();
-        let record = |opcode: u8, body: &[u8]| [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat();
+        let record = |opcode: u8, body: &[u8]| {
+            [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat()
+        };
         let records = [record(op::CHANNEL, &channel), record(op::MESSAGE, &[0; 22])].concat();
         assert_eq!(records.len(), 58);
-        let chunk = [&[0; 16][..], &58_u64.to_le_bytes(), &[0; 8], &length.to_le_bytes(), &records].concat();
+        let chunk = [&[0; 16][..], &58_u64.to_le_bytes(), &[0; 8], &length.to_le_bytes(), &records]
+            .concat();
         let end = &super::super::END_WITHOUT_SUMMARY;
         [mcap::MAGIC, &record(op::HEADER, &[0; 8]), &record(op::CHUNK, &chunk), end].concat()
     }

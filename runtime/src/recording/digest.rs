@@ -121,12 +121,16 @@ fn hash_scan(hasher: &mut Hasher, scan: &LaserScan) {
 }
 
 fn hash_frame(hasher: &mut Hasher, frame: &ImageView<'_>) {
-    hasher.update(&(frame.width() as u64).to_le_bytes()).update(&(frame.height() as u64).to_le_bytes());
+    hasher
+        .update(&(frame.width() as u64).to_le_bytes())
+        .update(&(frame.height() as u64).to_le_bytes());
     hasher.update(&(frame.data().len() as u64).to_le_bytes()).update(frame.data());
 }
 
 fn hash_depth(hasher: &mut Hasher, depth: &DepthMap) {
-    hasher.update(&(depth.width() as u64).to_le_bytes()).update(&(depth.height() as u64).to_le_bytes());
+    hasher
+        .update(&(depth.width() as u64).to_le_bytes())
+        .update(&(depth.height() as u64).to_le_bytes());
     for row in depth.values().chunks(depth.width().max(1)) {
         let bytes: Vec<u8> = row.iter().flat_map(|value| value.to_bits().to_le_bytes()).collect();
         hasher.update(&bytes);

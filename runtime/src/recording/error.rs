@@ -72,7 +72,9 @@ pub enum RecordingError {
         detail: String,
     },
     /// Turns that do not count up.
-    #[error("turn {found} follows turn {previous}; turns count up: the recording was put together wrongly")]
+    #[error(
+        "turn {found} follows turn {previous}; turns count up: the recording was put together wrongly"
+    )]
     TickOrder {
         /// The earlier one.
         previous: u64,
@@ -109,7 +111,9 @@ pub enum RecordingError {
         depth_m: f32,
     },
     /// A decision that holds NaN or infinity.
-    #[error("turn {tick}: the decision holds a number that is not finite, so it could not be compared at replay")]
+    #[error(
+        "turn {tick}: the decision holds a number that is not finite, so it could not be compared at replay"
+    )]
     DecisionNotFinite {
         /// The turn.
         tick: u64,
@@ -157,5 +161,8 @@ impl RecordingError {
 }
 
 fn after(tick: Option<u64>) -> String {
-    tick.map_or_else(|| "before the first complete turn".to_owned(), |tick| format!("after turn {tick}"))
+    tick.map_or_else(
+        || "before the first complete turn".to_owned(),
+        |tick| format!("after turn {tick}"),
+    )
 }

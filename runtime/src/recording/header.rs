@@ -140,7 +140,11 @@ mod tests {
 
     #[test]
     fn faults_are_in_the_header_and_a_header_from_before_there_were_any_is_read() {
-        let run = RunHeader { faults: vec!["lidar:stall@4..6".to_owned()], fault_seed: Some(3), ..run_header() };
+        let run = RunHeader {
+            faults: vec!["lidar:stall@4..6".to_owned()],
+            fault_seed: Some(3),
+            ..run_header()
+        };
         let text = serde_json::to_string(&run).unwrap();
         assert_eq!(serde_json::from_str::<RunHeader>(&text).unwrap(), run);
         let old = serde_json::to_string(&run_header()).unwrap();
@@ -151,7 +155,8 @@ mod tests {
     #[test]
     fn models_are_handed_over_at_the_first_turn_and_then_regularly() {
         let schedule = HandOverSchedule { first: 600, every: 300 };
-        let rounds: Vec<_> = (0..1300).filter_map(|tick| Some((tick, schedule.round(tick)?))).collect();
+        let rounds: Vec<_> =
+            (0..1300).filter_map(|tick| Some((tick, schedule.round(tick)?))).collect();
         assert_eq!(rounds, [(600, 0), (900, 1), (1200, 2)]);
         assert_eq!(HandOverSchedule { first: 0, every: 0 }.round(5), None);
     }

@@ -126,10 +126,13 @@ pub(super) mod pose3 {
 
     pub(crate) fn serialize<S: Serializer>(pose: &Pose3, serializer: S) -> Result<S::Ok, S::Error> {
         let (t, q) = (&pose.translation, &pose.rotation);
-        Json { translation_m: [t.x, t.y, t.z], rotation_xyzw: [q.i, q.j, q.k, q.w] }.serialize(serializer)
+        Json { translation_m: [t.x, t.y, t.z], rotation_xyzw: [q.i, q.j, q.k, q.w] }
+            .serialize(serializer)
     }
 
-    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Pose3, D::Error> {
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Pose3, D::Error> {
         let json = Json::deserialize(deserializer)?;
         let [x, y, z] = json.translation_m;
         let [i, j, k, w] = json.rotation_xyzw;
@@ -165,18 +168,27 @@ pub(super) mod camera_model {
         KannalaBrandt([f64; 4]),
     }
 
-    pub(crate) fn serialize<S: Serializer>(model: &CameraModel, serializer: S) -> Result<S::Ok, S::Error> {
+    pub(crate) fn serialize<S: Serializer>(
+        model: &CameraModel,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
         let distortion = match model.distortion {
             Distortion::None => DistortionJson::None,
             Distortion::PlumbBob(coefficients) => DistortionJson::PlumbBob(coefficients),
             Distortion::Fisheye(coefficients) => DistortionJson::KannalaBrandt(coefficients),
-            _ => return Err(serde::ser::Error::custom("a lens model that the recording format does not know")),
+            _ => {
+                return Err(serde::ser::Error::custom(
+                    "a lens model that the recording format does not know",
+                ));
+            }
         };
         let CameraModel { width, height, fx, fy, cx, cy, .. } = *model;
         Json { width, height, fx, fy, cx, cy, distortion }.serialize(serializer)
     }
 
-    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<CameraModel, D::Error> {
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<CameraModel, D::Error> {
         let Json { width, height, fx, fy, cx, cy, distortion } = Json::deserialize(deserializer)?;
         let distortion = match distortion {
             DistortionJson::None => Distortion::None,
@@ -184,7 +196,11 @@ pub(super) mod camera_model {
             DistortionJson::KannalaBrandt(coefficients) => Distortion::Fisheye(coefficients),
         };
         let model = CameraModel { width, height, fx, fy, cx, cy, distortion };
-        if model.is_sound() { Ok(model) } else { Err(D::Error::custom("the camera model's numbers make no camera")) }
+        if model.is_sound() {
+            Ok(model)
+        } else {
+            Err(D::Error::custom("the camera model's numbers make no camera"))
+        }
     }
 }
 
@@ -204,9 +220,17 @@ mod tests {
 
     #[test]
     fn special_numbers_come_back_bit_for_bit() {
-        for value in
-            [0.0, -0.0, f64::NAN, -f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MIN_POSITIVE, 5e-324, 1e308]
-        {
+        for value in [
+            0.0,
+            -0.0,
+            f64::NAN,
+            -f64::NAN,
+            f64::INFINITY,
+            f64::NEG_INFINITY,
+            f64::MIN_POSITIVE,
+            5e-324,
+            1e308,
+        ] {
             let text = serde_json::to_string(&Exact(value)).unwrap();
             let back: Exact = serde_json::from_str(&text).unwrap();
             assert_eq!(back.0.to_bits(), value.to_bits(), "{text}");

@@ -18,7 +18,10 @@ const MAX_PIXELS: u64 = 64_000_000;
 pub(super) fn encode_png(picture: &Picture) -> Result<Vec<u8>, String> {
     let (width, height) = size_u32(picture.width, picture.height)?;
     if picture.rgb.len() != picture.width * picture.height * 3 {
-        return Err(format!("{} bytes do not make a {width}x{height} RGB8 picture", picture.rgb.len()));
+        return Err(format!(
+            "{} bytes do not make a {width}x{height} RGB8 picture",
+            picture.rgb.len()
+        ));
     }
     let mut png = Vec::with_capacity(picture.rgb.len());
     PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Paeth)
@@ -53,8 +56,11 @@ pub fn quantise_mm(depth: &mut DepthMap) {
 /// Depth as a `16UC1` picture of millimetres, rounded; 0 where there is none or more than 65.535 m.
 pub(super) fn depth_image(depth: &DepthMap) -> Result<RawImage, String> {
     let (width, height) = size_u32(depth.width(), depth.height())?;
-    let data: Vec<u8> = depth.values().iter().flat_map(|value| to_mm(*value).unwrap_or(0).to_le_bytes()).collect();
-    let step = width.checked_mul(2).ok_or_else(|| format!("a depth picture {width} pixels wide is too wide"))?;
+    let data: Vec<u8> =
+        depth.values().iter().flat_map(|value| to_mm(*value).unwrap_or(0).to_le_bytes()).collect();
+    let step = width
+        .checked_mul(2)
+        .ok_or_else(|| format!("a depth picture {width} pixels wide is too wide"))?;
     Ok(RawImage {
         timestamp: None,
         frame_id: String::new(),
@@ -69,20 +75,26 @@ pub(super) fn depth_image(depth: &DepthMap) -> Result<RawImage, String> {
 /// The inverse of [`depth_image`], for depth of whole millimetres.
 pub(super) fn decode_depth(image: &RawImage) -> Result<DepthMap, String> {
     let (width, height) = (image.width as usize, image.height as usize);
-    if image.encoding != "16UC1" || image.step as usize != 2 * width || image.data.len() != 2 * width * height {
+    if image.encoding != "16UC1"
+        || image.step as usize != 2 * width
+        || image.data.len() != 2 * width * height
+    {
         return Err(format!(
             "{} of {width}x{height} with {} bytes is not packed 16UC1",
             image.encoding,
             image.data.len()
         ));
     }
-    let depth_m = image.data.as_chunks().0.iter().map(|bytes| from_mm(u16::from_le_bytes(*bytes))).collect();
-    DepthMap::from_vec(width, height, depth_m).ok_or_else(|| "depth picture of an impossible size".to_owned())
+    let depth_m =
+        image.data.as_chunks().0.iter().map(|bytes| from_mm(u16::from_le_bytes(*bytes))).collect();
+    DepthMap::from_vec(width, height, depth_m)
+        .ok_or_else(|| "depth picture of an impossible size".to_owned())
 }
 
 /// The first pixel that [`depth_image`] would change, and its depth.
 pub(super) fn first_not_mm(depth: &DepthMap) -> Option<(usize, f32)> {
-    let changes = |value: f32| to_mm(value).is_none_or(|mm| from_mm(mm).to_bits() != value.to_bits());
+    let changes =
+        |value: f32| to_mm(value).is_none_or(|mm| from_mm(mm).to_bits() != value.to_bits());
     depth.values().iter().copied().enumerate().find(|(_, value)| changes(*value))
 }
 

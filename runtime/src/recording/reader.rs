@@ -31,7 +31,9 @@ impl<R: Read> RecordingReader<R> {
     pub fn open(source: R) -> Result<Self, RecordingError> {
         let mut messages = Messages::new(source);
         let header = match messages.next() {
-            Ok(Some(message)) if message.topic == Topic::Header.name() => parse_header(&message.data)?,
+            Ok(Some(message)) if message.topic == Topic::Header.name() => {
+                parse_header(&message.data)?
+            }
             Ok(_) => return Err(RecordingError::MissingHeader { topic: Topic::Header.name() }),
             Err(McapError::BadMagic) => return Err(RecordingError::NotMcap),
             Err(error) => return Err(RecordingError::reading(error, None)),
@@ -49,11 +51,18 @@ impl<R: Read> RecordingReader<R> {
     fn next_tick(&mut self) -> Result<Option<RecordedTick>, RecordingError> {
         let mut open: Option<Parts> = None;
         loop {
-            let message = self.messages.next().map_err(|error| RecordingError::reading(error, self.last_tick))?;
-            let Some(message) = message else { return open.map_or(Ok(None), |parts| Err(parts.missing())) };
+            let message = self
+                .messages
+                .next()
+                .map_err(|error| RecordingError::reading(error, self.last_tick))?;
+            let Some(message) = message else {
+                return open.map_or(Ok(None), |parts| Err(parts.missing()));
+            };
             match (Topic::of_replay(&message.topic), &mut open) {
                 (Some(Topic::Tick), Some(parts)) => return Err(parts.missing()),
-                (Some(Topic::Tick), None) => open = Some(Parts::new(self.parse_tick(&message.data)?)),
+                (Some(Topic::Tick), None) => {
+                    open = Some(Parts::new(self.parse_tick(&message.data)?))
+                }
                 (Some(topic), Some(parts)) => parts.add(topic, &message.data)?,
                 // Pictures for people, and channels that other tools have added.
                 _ => {}
@@ -67,9 +76,12 @@ impl<R: Read> RecordingReader<R> {
 
     fn parse_tick(&self, data: &[u8]) -> Result<TickJson, RecordingError> {
         let next = self.last_tick.map_or(self.header.first_tick, |tick| tick.saturating_add(1));
-        let json: TickJson = serde_json::from_slice(data).map_err(|error| bad_message(next, Topic::Tick, &error))?;
+        let json: TickJson =
+            serde_json::from_slice(data).map_err(|error| bad_message(next, Topic::Tick, &error))?;
         match self.last_tick {
-            Some(previous) if json.tick <= previous => Err(RecordingError::TickOrder { previous, found: json.tick }),
+            Some(previous) if json.tick <= previous => {
+                Err(RecordingError::TickOrder { previous, found: json.tick })
+            }
             _ => Ok(json),
         }
     }
@@ -110,15 +122,18 @@ impl Parts {
             Topic::Snapshot => self.snapshot = Some(data.to_vec()),
             Topic::Scan => self.scan = Some(self.parse_scan(data).map_err(bad)?),
             Topic::Image => {
-                let message = fox::CompressedImage::decode(data).map_err(|error| bad(error.to_string()))?;
+                let message =
+                    fox::CompressedImage::decode(data).map_err(|error| bad(error.to_string()))?;
                 self.frame = Some(picture::decode_png(&message.data).map_err(bad)?);
             }
             Topic::TruthDepth => {
-                let message = fox::RawImage::decode(data).map_err(|error| bad(error.to_string()))?;
+                let message =
+                    fox::RawImage::decode(data).map_err(|error| bad(error.to_string()))?;
                 self.truth = Some(picture::decode_depth(&message).map_err(bad)?);
             }
             Topic::Decision => {
-                self.decision = Some(serde_json::from_slice(data).map_err(|error| bad(error.to_string()))?);
+                self.decision =
+                    Some(serde_json::from_slice(data).map_err(|error| bad(error.to_string()))?);
             }
             _ => {}
         }
@@ -129,9 +144,14 @@ impl Parts {
         let json = self.json.scan.as_ref().ok_or("the turn says that it has no scan")?;
         let message = fox::LaserScan::decode(data).map_err(|error| error.to_string())?;
         let ranges = message.ranges.iter().map(|number| {
-            scan::decode(*number).ok_or_else(|| format!("{number} is not a distance that this program writes"))
+            scan::decode(*number)
+                .ok_or_else(|| format!("{number} is not a distance that this program writes"))
         });
-        Ok(LaserScan { time_ns: json.time_ns, geometry: json.geometry(), ranges: ranges.collect::<Result<_, _>>()? })
+        Ok(LaserScan {
+            time_ns: json.time_ns,
+            geometry: json.geometry(),
+            ranges: ranges.collect::<Result<_, _>>()?,
+        })
     }
 
     fn first_missing(&self) -> Option<Topic> {

@@ -54,7 +54,10 @@ mod tests {
         for range in [Range::NoReturn, Range::TooNear, Range::Error] {
             assert_eq!(decode(encode(range)), Some(range));
         }
-        assert_eq!((encode(Range::NoReturn), encode(Range::TooNear)), (f64::INFINITY, f64::NEG_INFINITY));
+        assert_eq!(
+            (encode(Range::NoReturn), encode(Range::TooNear)),
+            (f64::INFINITY, f64::NEG_INFINITY)
+        );
         assert!(encode(Range::Error).is_nan());
     }
 
@@ -63,7 +66,9 @@ mod tests {
         for bad in [f32::INFINITY, f32::NEG_INFINITY, f32::NAN] {
             let number = encode(Range::Hit(bad));
             assert!(number.is_nan());
-            assert!(matches!(decode(number), Some(Range::Hit(back)) if back.to_bits() == bad.to_bits()));
+            assert!(
+                matches!(decode(number), Some(Range::Hit(back)) if back.to_bits() == bad.to_bits())
+            );
         }
     }
 

@@ -1,8 +1,8 @@
 //! Events as sentences.
 
 use crate::event::{
-    BackOffEnd, DropReason, Event, FaultReason, GoalReason, NoGoalReason, PlanRefusal, RefusedInput, SafetyEvent,
-    TripCause,
+    BackOffEnd, DropReason, Event, FaultReason, GoalReason, NoGoalReason, PlanRefusal,
+    RefusedInput, SafetyEvent, TripCause,
 };
 use crate::perception::NoDepth;
 
@@ -28,7 +28,9 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         Event::GoalReached => (Info, "goal reached".to_owned()),
         Event::GoalDropped { why } => (Info, format!("goal given up: {}", drop_reason(*why))),
         Event::NoGoal { why } => (Warning, format!("no goal: {}", no_goal_reason(*why))),
-        Event::StandsWithoutPictures => (Warning, "standing: no picture has come for too long".to_owned()),
+        Event::StandsWithoutPictures => {
+            (Warning, "standing: no picture has come for too long".to_owned())
+        }
         Event::Safety { what } => (Warning, safety(what)),
         Event::NoDepth { why } => {
             let severity = match why {
@@ -42,8 +44,12 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         Event::NetworkTaken { digest } => {
             (Info, format!("another depth network: {}", digest.get(..12).unwrap_or(digest)))
         }
-        Event::NetworkLeft => (Warning, "no depth network any more: coarse depth counts".to_owned()),
-        Event::PolicySwitched { to } => (Info, format!("policy now looks for: {}", goal_reason(*to))),
+        Event::NetworkLeft => {
+            (Warning, "no depth network any more: coarse depth counts".to_owned())
+        }
+        Event::PolicySwitched { to } => {
+            (Info, format!("policy now looks for: {}", goal_reason(*to)))
+        }
     }
 }
 
@@ -73,14 +79,19 @@ fn no_goal_reason(why: NoGoalReason) -> &'static str {
         NoGoalReason::NoInconsistency => "the last two looks agree everywhere",
         NoGoalReason::AllUnreachable => "no candidate has a way to it",
         NoGoalReason::AllBlacklisted => "every candidate is on the blacklist for now",
-        NoGoalReason::StartBlocked => "the robot does not stand on floor that the map knows as free",
+        NoGoalReason::StartBlocked => {
+            "the robot does not stand on floor that the map knows as free"
+        }
     }
 }
 
 fn safety(what: &SafetyEvent) -> String {
     match what {
         SafetyEvent::Tripped { by, x_m, y_m } => {
-            format!("stopped for something at ({x_m:.2}, {y_m:.2}) m from the robot: {}", trip_cause(*by))
+            format!(
+                "stopped for something at ({x_m:.2}, {y_m:.2}) m from the robot: {}",
+                trip_cause(*by)
+            )
         }
         SafetyEvent::BackedOff { distance_m, end } => {
             let end = match end {
@@ -93,7 +104,9 @@ fn safety(what: &SafetyEvent) -> String {
         }
         SafetyEvent::Escaping => "stops repeat here: turning until there is a way out".to_owned(),
         SafetyEvent::Cleared => "the way is clear again".to_owned(),
-        SafetyEvent::Slowed { limit_mps } => format!("slower, {limit_mps:.2} m/s: something is ahead"),
+        SafetyEvent::Slowed { limit_mps } => {
+            format!("slower, {limit_mps:.2} m/s: something is ahead")
+        }
         SafetyEvent::Faulted { why } => format!("standing: {}", fault_reason(*why)),
         SafetyEvent::PlanRefused { why } => format!("standing: {}", plan_refusal(*why)),
         SafetyEvent::Armed => "armed: plans move the robot".to_owned(),
@@ -140,7 +153,9 @@ fn no_depth(why: NoDepth) -> &'static str {
         NoDepth::PoseNotFinite => "the pose is not finite",
         NoDepth::FrameSize => "the picture has another size than the camera model",
         NoDepth::NoTexture => "the picture has no texture to match",
-        NoDepth::SamePicture => "the robot has moved but the picture is the one before: the camera is frozen",
+        NoDepth::SamePicture => {
+            "the robot has moved but the picture is the one before: the camera is frozen"
+        }
         NoDepth::NetworkOutput => "the network failed or left its allowed range",
     }
 }
@@ -160,7 +175,9 @@ mod tests {
 
     #[test]
     fn a_trip_reads_like_a_sentence_with_its_place_and_cause() {
-        let event = Event::Safety { what: SafetyEvent::Tripped { by: TripCause::LidarHit, x_m: 0.25, y_m: -0.1 } };
+        let event = Event::Safety {
+            what: SafetyEvent::Tripped { by: TripCause::LidarHit, x_m: 0.25, y_m: -0.1 },
+        };
         let expected = "stopped for something at (0.25, -0.10) m from the robot: a LiDAR return in the stop zone";
         assert_eq!(sentence(&event), (Severity::Warning, expected.to_owned()));
     }

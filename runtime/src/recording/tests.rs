@@ -2,7 +2,10 @@
 
 use std::io::Write;
 
-use hal::{CameraModel, DepthMap, LaserScan, Pose2, Pose3, Range, ScanGeometry, Twist2, WheelFeedback, camera_mount};
+use hal::{
+    CameraModel, DepthMap, LaserScan, Pose2, Pose3, Range, ScanGeometry, Twist2, WheelFeedback,
+    camera_mount,
+};
 use proptest::prelude::*;
 
 use super::*;
@@ -39,7 +42,13 @@ fn decision(tick: u64) -> Decision {
 /// A turn with everything in it.
 pub(super) fn some_tick(tick: u64) -> RecordedTick {
     let geometry = ScanGeometry { beams: 5, ..ScanGeometry::UTM_30LX };
-    let ranges = vec![Range::Hit(1.1), Range::NoReturn, Range::TooNear, Range::Error, Range::Hit(tick as f32 * 0.01)];
+    let ranges = vec![
+        Range::Hit(1.1),
+        Range::NoReturn,
+        Range::TooNear,
+        Range::Error,
+        Range::Hit(tick as f32 * 0.01),
+    ];
     let rgb = (0..6 * 4 * 3).map(|i| (i * 37 + tick as usize * 11) as u8).collect();
     RecordedTick {
         tick,
@@ -52,11 +61,18 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
         },
         scan: Some(LaserScan { time_ns: tick * 100_000_000 - tick, geometry, ranges }),
         frame: Some(Picture { width: 6, height: 4, rgb }),
-        truth: DepthMap::from_vec(6, 4, (0..24).map(|i| f32::from(i as u16 + tick as u16) / 1000.0).collect()),
+        truth: DepthMap::from_vec(
+            6,
+            4,
+            (0..24).map(|i| f32::from(i as u16 + tick as u16) / 1000.0).collect(),
+        ),
         safety: Some(SafetyReport {
             in_charge: tick.is_multiple_of(3),
             blocked_m: Some([0.1 + 0.2, -1e-17]),
-            events: vec![SafetyEvent::Armed, SafetyEvent::BackedOff { distance_m: 0.2, end: BackOffEnd::RearUnknown }],
+            events: vec![
+                SafetyEvent::Armed,
+                SafetyEvent::BackedOff { distance_m: 0.2, end: BackOffEnd::RearUnknown },
+            ],
         }),
         decision: Some(decision(tick)),
         snapshot: Some(vec![tick as u8; 9]),
@@ -65,11 +81,23 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
 
 /// A turn with the least that a turn has.
 fn bare_tick(tick: u64) -> RecordedTick {
-    RecordedTick { scan: None, frame: None, truth: None, safety: None, snapshot: None, ..some_tick(tick) }
+    RecordedTick {
+        scan: None,
+        frame: None,
+        truth: None,
+        safety: None,
+        snapshot: None,
+        ..some_tick(tick)
+    }
 }
 
 fn some_views(tick: u64) -> Views {
-    let map = MapView { origin_m: [-1.0, 2.0], cell_m: 0.05, columns: 3, occupancy: vec![-1, 0, 100, 50, 0, -1] };
+    let map = MapView {
+        origin_m: [-1.0, 2.0],
+        cell_m: 0.05,
+        columns: 3,
+        occupancy: vec![-1, 0, 100, 50, 0, -1],
+    };
     Views {
         map: tick.is_multiple_of(5).then_some(map),
         path_m: Some(vec![[0.0, 0.0], [1.0, 1.0]]),
@@ -78,7 +106,8 @@ fn some_views(tick: u64) -> Views {
 }
 
 pub(super) fn segment(ticks: &[RecordedTick]) -> Vec<u8> {
-    let mut writer = RecordingWriter::begin(Vec::new(), SegmentHeader::new(run_header(), 0, 0, 0)).unwrap();
+    let mut writer =
+        RecordingWriter::begin(Vec::new(), SegmentHeader::new(run_header(), 0, 0, 0)).unwrap();
     for tick in ticks {
         writer.write(tick, &some_views(tick.tick)).unwrap();
     }
@@ -132,55 +161,73 @@ fn finite() -> impl Strategy<Value = f64> {
 
 fn any_scan() -> impl Strategy<Value = LaserScan> {
     let geometry = (any_f64(), any_f64(), 0usize..2000, any::<f32>(), any::<f32>(), any::<u64>());
-    (any::<u64>(), geometry, prop::collection::vec(any_range(), 0..20)).prop_map(|(time_ns, g, ranges)| LaserScan {
-        time_ns,
-        geometry: ScanGeometry {
-            angle_min_rad: g.0,
-            angle_increment_rad: g.1,
-            beams: g.2,
-            range_min_m: g.3,
-            range_max_m: g.4,
-            period_ns: g.5,
+    (any::<u64>(), geometry, prop::collection::vec(any_range(), 0..20)).prop_map(
+        |(time_ns, g, ranges)| LaserScan {
+            time_ns,
+            geometry: ScanGeometry {
+                angle_min_rad: g.0,
+                angle_increment_rad: g.1,
+                beams: g.2,
+                range_min_m: g.3,
+                range_max_m: g.4,
+                period_ns: g.5,
+            },
+            ranges,
         },
-        ranges,
-    })
+    )
 }
 
 fn any_wheel() -> impl Strategy<Value = WheelFeedback> {
-    (any::<u64>(), prop::array::uniform5(any_f64()), any::<bool>()).prop_map(|(time_ns, v, contact)| WheelFeedback {
-        time_ns,
-        odom: Pose2 { x_m: v[0], y_m: v[1], yaw_rad: v[2] },
-        twist: Twist2 { linear_mps: v[3], angular_radps: v[4] },
-        contact,
-    })
+    (any::<u64>(), prop::array::uniform5(any_f64()), any::<bool>()).prop_map(
+        |(time_ns, v, contact)| WheelFeedback {
+            time_ns,
+            odom: Pose2 { x_m: v[0], y_m: v[1], yaw_rad: v[2] },
+            twist: Twist2 { linear_mps: v[3], angular_radps: v[4] },
+            contact,
+        },
+    )
 }
 
 fn any_picture() -> impl Strategy<Value = Picture> {
     (1usize..9, 1usize..5).prop_flat_map(|(width, height)| {
-        prop::collection::vec(any::<u8>(), width * height * 3).prop_map(move |rgb| Picture { width, height, rgb })
+        prop::collection::vec(any::<u8>(), width * height * 3).prop_map(move |rgb| Picture {
+            width,
+            height,
+            rgb,
+        })
     })
 }
 
 fn any_truth() -> impl Strategy<Value = DepthMap> {
     (1usize..9, 1usize..5).prop_flat_map(|(width, height)| {
         prop::collection::vec(any::<u16>(), width * height).prop_map(move |mm| {
-            DepthMap::from_vec(width, height, mm.into_iter().map(|mm| f32::from(mm) / 1000.0).collect()).unwrap()
+            DepthMap::from_vec(
+                width,
+                height,
+                mm.into_iter().map(|mm| f32::from(mm) / 1000.0).collect(),
+            )
+            .unwrap()
         })
     })
 }
 
 fn any_decision() -> impl Strategy<Value = Decision> {
-    (prop::array::uniform8(finite()), any::<[u64; 2]>(), any::<bool>()).prop_map(|(v, digests, goal)| Decision {
-        tick: 0,
-        time_ns: digests[0],
-        wanted: Command { linear_mps: v[0], angular_radps: v[1] },
-        command: Command { linear_mps: v[2], angular_radps: v[3] },
-        goal_m: goal.then_some([v[4], v[5]]),
-        events: vec![Event::GoalReached, Event::GoalChosen { x_m: v[6], y_m: v[7], why: GoalReason::Revisit }],
-        input_digest: 3,
-        depth_digest: digests[0],
-        map_digest: digests[1],
-    })
+    (prop::array::uniform8(finite()), any::<[u64; 2]>(), any::<bool>()).prop_map(
+        |(v, digests, goal)| Decision {
+            tick: 0,
+            time_ns: digests[0],
+            wanted: Command { linear_mps: v[0], angular_radps: v[1] },
+            command: Command { linear_mps: v[2], angular_radps: v[3] },
+            goal_m: goal.then_some([v[4], v[5]]),
+            events: vec![
+                Event::GoalReached,
+                Event::GoalChosen { x_m: v[6], y_m: v[7], why: GoalReason::Revisit },
+            ],
+            input_digest: 3,
+            depth_digest: digests[0],
+            map_digest: digests[1],
+        },
+    )
 }
 
 prop_compose! {
@@ -263,9 +310,13 @@ fn a_segment_cut_at_any_byte_gives_every_turn_of_its_complete_chunks_and_says_th
     let mut seen = std::collections::BTreeSet::new();
     for cut in 0..bytes.len() {
         let (back, error) = read(&bytes[..cut]);
-        let error = error.unwrap_or_else(|| panic!("cut at {cut} of {} was not noticed", bytes.len()));
+        let error =
+            error.unwrap_or_else(|| panic!("cut at {cut} of {} was not noticed", bytes.len()));
         assert!(error.is_truncation(), "cut at {cut}: {error}");
-        assert!(seen.last().is_none_or(|best| back.len() >= *best), "cut at {cut} gives less than a shorter cut");
+        assert!(
+            seen.last().is_none_or(|best| back.len() >= *best),
+            "cut at {cut} gives less than a shorter cut"
+        );
         assert_eq!(back[..], ticks[..back.len()]);
         seen.insert(back.len());
     }
@@ -275,7 +326,8 @@ fn a_segment_cut_at_any_byte_gives_every_turn_of_its_complete_chunks_and_says_th
 #[test]
 fn a_cut_in_the_last_chunk_costs_only_that_chunk() {
     let ticks: Vec<_> = (0..25).map(some_tick).collect();
-    let mut writer = RecordingWriter::begin(Vec::new(), SegmentHeader::new(run_header(), 0, 0, 0)).unwrap();
+    let mut writer =
+        RecordingWriter::begin(Vec::new(), SegmentHeader::new(run_header(), 0, 0, 0)).unwrap();
     for tick in &ticks {
         writer.write(tick, &Views::default()).unwrap();
     }
@@ -287,7 +339,8 @@ fn a_cut_in_the_last_chunk_costs_only_that_chunk() {
 #[test]
 fn complete_chunks_and_the_short_end_make_a_whole_file() {
     let ticks: Vec<_> = (0..25).map(some_tick).collect();
-    let mut writer = RecordingWriter::begin(Vec::new(), SegmentHeader::new(run_header(), 0, 0, 0)).unwrap();
+    let mut writer =
+        RecordingWriter::begin(Vec::new(), SegmentHeader::new(run_header(), 0, 0, 0)).unwrap();
     for tick in &ticks {
         writer.write(tick, &Views::default()).unwrap();
     }
@@ -326,7 +379,8 @@ fn rewrite(bytes: &[u8], edit: impl Fn(&str, Vec<u8>) -> Option<Vec<u8>>) -> Vec
 #[test]
 fn a_recording_of_another_format_is_refused_with_both_versions() {
     let bytes = rewrite(&segment(&[some_tick(0)]), |topic, data| {
-        let text = String::from_utf8_lossy(&data).replace("\"format_version\":1", "\"format_version\":99");
+        let text =
+            String::from_utf8_lossy(&data).replace("\"format_version\":1", "\"format_version\":99");
         Some(if topic == "/robot/header" { text.into_bytes() } else { data })
     });
     let message = read(&bytes).1.unwrap().to_string();
@@ -339,9 +393,13 @@ fn a_channel_that_was_filtered_out_is_named() {
     for gone in ["/scan", "/camera/image", "/camera/truth_depth", "/robot/decision"] {
         let (back, error) = read(&rewrite(&bytes, |topic, data| (topic != gone).then_some(data)));
         assert!(back.is_empty());
-        assert!(matches!(&error, Some(RecordingError::MissingPart { tick: 0, topic }) if *topic == gone), "{error:?}");
+        assert!(
+            matches!(&error, Some(RecordingError::MissingPart { tick: 0, topic }) if *topic == gone),
+            "{error:?}"
+        );
     }
-    let (back, error) = read(&rewrite(&bytes, |topic, data| (topic != "/map" && topic != "/tf").then_some(data)));
+    let (back, error) =
+        read(&rewrite(&bytes, |topic, data| (topic != "/map" && topic != "/tf").then_some(data)));
     assert!(error.is_none() && back.len() == 2, "channels for people are not needed");
 }
 
@@ -353,11 +411,15 @@ fn turns_that_do_not_count_up_are_refused() {
 
 #[test]
 fn what_cannot_be_recorded_exactly_is_refused_when_written() {
-    let begin = || RecordingWriter::begin(Vec::new(), SegmentHeader::new(run_header(), 0, 0, 0)).unwrap();
+    let begin =
+        || RecordingWriter::begin(Vec::new(), SegmentHeader::new(run_header(), 0, 0, 0)).unwrap();
     let mut between = some_tick(1);
     between.truth.as_mut().unwrap().values_mut()[3] = 0.000_4;
     let error = begin().write(&between, &Views::default()).unwrap_err();
-    assert!(matches!(error, RecordingError::TruthNotMillimetres { tick: 1, pixel: 3, .. }), "{error}");
+    assert!(
+        matches!(error, RecordingError::TruthNotMillimetres { tick: 1, pixel: 3, .. }),
+        "{error}"
+    );
     let mut lost = some_tick(2);
     lost.decision.as_mut().unwrap().command.linear_mps = f64::NAN;
     let error = begin().write(&lost, &Views::default()).unwrap_err();
@@ -365,7 +427,10 @@ fn what_cannot_be_recorded_exactly_is_refused_when_written() {
     let mut torn = some_tick(3);
     torn.frame.as_mut().unwrap().rgb.pop();
     let error = begin().write(&torn, &Views::default()).unwrap_err();
-    assert!(matches!(error, RecordingError::Encode { tick: 3, topic: "/camera/image", .. }), "{error}");
+    assert!(
+        matches!(error, RecordingError::Encode { tick: 3, topic: "/camera/image", .. }),
+        "{error}"
+    );
 }
 
 /// A sink with room for so many bytes.
@@ -394,11 +459,19 @@ fn a_full_sink_is_an_error_and_the_sink_comes_back() {
     let whole = segment(&(0..60).map(some_tick).collect::<Vec<_>>()).len();
     for room in (0..whole).step_by(97) {
         let sink = FullDisk { room, bytes: Vec::new() };
-        let Ok(mut writer) = RecordingWriter::begin(sink, SegmentHeader::new(run_header(), 0, 0, 0)) else { continue };
-        let failed = (0..60).map(some_tick).find_map(|tick| writer.write(&tick, &some_views(tick.tick)).err());
+        let Ok(mut writer) =
+            RecordingWriter::begin(sink, SegmentHeader::new(run_header(), 0, 0, 0))
+        else {
+            continue;
+        };
+        let failed = (0..60)
+            .map(some_tick)
+            .find_map(|tick| writer.write(&tick, &some_views(tick.tick)).err());
         let (sink, error) = match failed {
             Some(error) => (writer.abandon(), error),
-            None => writer.finish().map(|_| panic!("{room} bytes cannot hold {whole}")).unwrap_err(),
+            None => {
+                writer.finish().map(|_| panic!("{room} bytes cannot hold {whole}")).unwrap_err()
+            }
         };
         assert!(matches!(error, RecordingError::Io(_)), "{error}");
         assert!(sink.bytes.len() <= room);

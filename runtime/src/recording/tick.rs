@@ -61,9 +61,16 @@ impl RecordedTick {
     ///
     /// # Errors
     /// [`FrameFormat`](RecordingError::FrameFormat) for a picture that is not RGB8.
-    pub fn capture(input: &TickInput<'_>, decision: Option<Decision>) -> Result<Self, RecordingError> {
+    pub fn capture(
+        input: &TickInput<'_>,
+        decision: Option<Decision>,
+    ) -> Result<Self, RecordingError> {
         let frame = input.frame.map(|view| match view.format() {
-            PixelFormat::Rgb8 => Ok(Picture { width: view.width(), height: view.height(), rgb: view.data().to_vec() }),
+            PixelFormat::Rgb8 => Ok(Picture {
+                width: view.width(),
+                height: view.height(),
+                rgb: view.data().to_vec(),
+            }),
             format => Err(RecordingError::FrameFormat { tick: input.tick, format }),
         });
         Ok(Self {
@@ -84,13 +91,18 @@ impl RecordedTick {
     /// # Errors
     /// [`Frame`](RecordingError::Frame) when the picture's bytes do not fit its size.
     pub fn input(&self) -> Result<TickInput<'_>, RecordingError> {
-        let frame = self.frame.as_ref().map(|picture| ImageView::rgb8(picture.width, picture.height, &picture.rgb));
+        let frame = self
+            .frame
+            .as_ref()
+            .map(|picture| ImageView::rgb8(picture.width, picture.height, &picture.rgb));
         Ok(TickInput {
             tick: self.tick,
             time_ns: self.time_ns,
             wheel: self.wheel,
             scan: self.scan.as_ref(),
-            frame: frame.transpose().map_err(|source| RecordingError::Frame { tick: self.tick, source })?,
+            frame: frame
+                .transpose()
+                .map_err(|source| RecordingError::Frame { tick: self.tick, source })?,
             truth: self.truth.as_ref(),
             safety: self.safety.as_ref(),
         })

@@ -50,7 +50,9 @@ impl Topic {
     /// The channels that replay reads; the others are for people.
     pub(super) fn of_replay(name: &str) -> Option<Self> {
         use Topic::{Decision, Header, Image, Scan, Snapshot, Tick, TruthDepth};
-        [Header, Tick, Snapshot, Scan, Image, TruthDepth, Decision].into_iter().find(|topic| topic.name() == name)
+        [Header, Tick, Snapshot, Scan, Image, TruthDepth, Decision]
+            .into_iter()
+            .find(|topic| topic.name() == name)
     }
 
     /// How a message is laid out.

@@ -57,7 +57,11 @@ pub(super) fn calibration(model: &CameraModel, time_ns: u64) -> fox::CameraCalib
 /// A pose in `odom`; `None` when it is not finite, because viewers drop the whole scene over a NaN.
 pub(super) fn pose_in_odom(pose: &Pose2, time_ns: u64) -> Option<fox::PoseInFrame> {
     let pose = pose.is_finite().then(|| fox_pose(&pose.to_pose3()))?;
-    Some(fox::PoseInFrame { timestamp: timestamp(time_ns), frame_id: "odom".to_owned(), pose: Some(pose) })
+    Some(fox::PoseInFrame {
+        timestamp: timestamp(time_ns),
+        frame_id: "odom".to_owned(),
+        pose: Some(pose),
+    })
 }
 
 /// The robot in `odom` and its sensors on it. The mounts never change, but a viewer that jumps in time sees only the
@@ -75,8 +79,10 @@ pub(super) fn transforms(
         translation: Some(fox_vector(pose)),
         rotation: Some(fox_quaternion(&pose.rotation)),
     };
-    let mut transforms =
-        vec![transform("base_link", "camera_optical", t_base_camera), transform("base_link", "laser", t_base_laser)];
+    let mut transforms = vec![
+        transform("base_link", "camera_optical", t_base_camera),
+        transform("base_link", "laser", t_base_laser),
+    ];
     if odom.is_finite() {
         transforms.push(transform("odom", "base_link", &odom.to_pose3()));
     }
@@ -95,13 +101,18 @@ pub(super) fn path(points_m: &[[f64; 2]], time_ns: u64) -> fox::PosesInFrame {
         let [x_m, y_m] = points_m[at];
         fox_pose(&Pose2 { x_m, y_m, yaw_rad: yaw(at) }.to_pose3())
     });
-    fox::PosesInFrame { timestamp: timestamp(time_ns), frame_id: "odom".to_owned(), poses: poses.collect() }
+    fox::PosesInFrame {
+        timestamp: timestamp(time_ns),
+        frame_id: "odom".to_owned(),
+        poses: poses.collect(),
+    }
 }
 
 /// Colours for eyes and the value itself for programs, side by side in every cell.
 pub(super) fn grid(map: &MapView, time_ns: u64) -> Result<fox::Grid, String> {
     const CELL_BYTES: u32 = 5;
-    let columns = u32::try_from(map.columns).map_err(|_| format!("{} columns are too many", map.columns))?;
+    let columns =
+        u32::try_from(map.columns).map_err(|_| format!("{} columns are too many", map.columns))?;
     if columns == 0 || !map.occupancy.len().is_multiple_of(map.columns) {
         return Err(format!("{} cells do not make rows of {columns}", map.occupancy.len()));
     }
@@ -114,7 +125,9 @@ pub(super) fn grid(map: &MapView, time_ns: u64) -> Result<fox::Grid, String> {
     Ok(fox::Grid {
         timestamp: timestamp(time_ns),
         frame_id: "odom".to_owned(),
-        pose: Some(fox_pose(&Pose2 { x_m: map.origin_m[0], y_m: map.origin_m[1], yaw_rad: 0.0 }.to_pose3())),
+        pose: Some(fox_pose(
+            &Pose2 { x_m: map.origin_m[0], y_m: map.origin_m[1], yaw_rad: 0.0 }.to_pose3(),
+        )),
         column_count: columns,
         cell_size: Some(fox::Vector2 { x: map.cell_m, y: map.cell_m }),
         row_stride: columns * CELL_BYTES,
@@ -141,7 +154,10 @@ fn cell_bytes(occupancy: i8) -> [u8; 5] {
 }
 
 fn fox_pose(pose: &Pose3) -> fox::Pose {
-    fox::Pose { position: Some(fox_vector(pose)), orientation: Some(fox_quaternion(&pose.rotation)) }
+    fox::Pose {
+        position: Some(fox_vector(pose)),
+        orientation: Some(fox_quaternion(&pose.rotation)),
+    }
 }
 
 fn fox_vector(pose: &Pose3) -> fox::Vector3 {
@@ -174,11 +190,17 @@ mod tests {
     #[test]
     fn poses_on_a_path_look_along_it() {
         let message = path(&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]], 0);
-        let yaws: Vec<f64> =
-            message.poses.iter().map(|p| p.orientation.unwrap()).map(|q| 2.0 * q.z.atan2(q.w)).collect();
+        let yaws: Vec<f64> = message
+            .poses
+            .iter()
+            .map(|p| p.orientation.unwrap())
+            .map(|q| 2.0 * q.z.atan2(q.w))
+            .collect();
         let quarter = std::f64::consts::FRAC_PI_2;
         assert!(
-            (yaws[0] - 0.0).abs() < 1e-12 && (yaws[1] - quarter).abs() < 1e-12 && (yaws[2] - quarter).abs() < 1e-12
+            (yaws[0] - 0.0).abs() < 1e-12
+                && (yaws[1] - quarter).abs() < 1e-12
+                && (yaws[2] - quarter).abs() < 1e-12
         );
         assert!(path(&[], 0).poses.is_empty());
     }

@@ -99,9 +99,11 @@ impl<W: Write> RecordingWriter<W> {
             header,
         };
         let (tick, time_ns) = (writer.header.first_tick, writer.header.first_time_ns);
-        let json = serde_json::to_vec(&writer.header).map_err(|error| encode_error(tick, Topic::Header, &error))?;
+        let json = serde_json::to_vec(&writer.header)
+            .map_err(|error| encode_error(tick, Topic::Header, &error))?;
         // What cannot be read back is refused now, not at replay.
-        serde_json::from_slice::<SegmentHeader>(&json).map_err(|error| encode_error(tick, Topic::Header, &error))?;
+        serde_json::from_slice::<SegmentHeader>(&json)
+            .map_err(|error| encode_error(tick, Topic::Header, &error))?;
         writer.put(Topic::Header, tick, time_ns, &json)?;
         writer.flush()?;
         Ok(writer)
@@ -167,7 +169,8 @@ impl<W: Write> RecordingWriter<W> {
             snapshot: tick.snapshot.is_some(),
             safety: tick.safety.clone(),
         };
-        let json = serde_json::to_vec(&json).map_err(|error| encode_error(tick.tick, Topic::Tick, &error))?;
+        let json = serde_json::to_vec(&json)
+            .map_err(|error| encode_error(tick.tick, Topic::Tick, &error))?;
         self.put(Topic::Tick, tick.tick, tick.time_ns, &json)?;
         if let Some(snapshot) = &tick.snapshot {
             self.put(Topic::Snapshot, tick.tick, tick.time_ns, snapshot)?;
@@ -177,7 +180,10 @@ impl<W: Write> RecordingWriter<W> {
             let message = fox::LaserScan {
                 timestamp: views::timestamp(scan.time_ns),
                 frame_id: "laser".to_owned(),
-                pose: Some(fox::Pose { position: Some(fox::Vector3::default()), orientation: Some(UPRIGHT) }),
+                pose: Some(fox::Pose {
+                    position: Some(fox::Vector3::default()),
+                    orientation: Some(UPRIGHT),
+                }),
                 start_angle: geometry.angle_min_rad,
                 end_angle: geometry.angle_rad(scan.ranges.len().saturating_sub(1)),
                 ranges: scan.ranges.iter().map(|range| scan::encode(*range)).collect(),
@@ -186,7 +192,8 @@ impl<W: Write> RecordingWriter<W> {
             self.put_message(Topic::Scan, tick, &message)?;
         }
         if let Some(frame) = &tick.frame {
-            let png = picture::encode_png(frame).map_err(|error| encode_error(tick.tick, Topic::Image, &error))?;
+            let png = picture::encode_png(frame)
+                .map_err(|error| encode_error(tick.tick, Topic::Image, &error))?;
             let message = fox::CompressedImage {
                 timestamp: views::timestamp(tick.time_ns),
                 frame_id: "camera_optical".to_owned(),
@@ -199,7 +206,11 @@ impl<W: Write> RecordingWriter<W> {
         }
         if let Some(truth) = &tick.truth {
             if let Some((pixel, depth_m)) = picture::first_not_mm(truth) {
-                return Err(RecordingError::TruthNotMillimetres { tick: tick.tick, pixel, depth_m });
+                return Err(RecordingError::TruthNotMillimetres {
+                    tick: tick.tick,
+                    pixel,
+                    depth_m,
+                });
             }
             self.put_depth(Topic::TruthDepth, tick, truth)?;
         }
@@ -208,7 +219,12 @@ impl<W: Write> RecordingWriter<W> {
 
     fn put_poses(&mut self, tick: &RecordedTick) -> Result<(), RecordingError> {
         let run = &self.header.run;
-        let transforms = views::transforms(&tick.wheel.odom, &run.t_base_camera, &run.t_base_laser, tick.time_ns);
+        let transforms = views::transforms(
+            &tick.wheel.odom,
+            &run.t_base_camera,
+            &run.t_base_laser,
+            tick.time_ns,
+        );
         self.put_message(Topic::Tf, tick, &transforms)?;
         match views::pose_in_odom(&tick.wheel.odom, tick.time_ns) {
             Some(pose) => self.put_message(Topic::Odom, tick, &pose),
@@ -218,7 +234,8 @@ impl<W: Write> RecordingWriter<W> {
 
     fn put_views(&mut self, tick: &RecordedTick, views: &Views) -> Result<(), RecordingError> {
         if let Some(map) = &views.map {
-            let grid = views::grid(map, tick.time_ns).map_err(|error| encode_error(tick.tick, Topic::Map, &error))?;
+            let grid = views::grid(map, tick.time_ns)
+                .map_err(|error| encode_error(tick.tick, Topic::Map, &error))?;
             self.put_message(Topic::Map, tick, &grid)?;
         }
         if let Some(points_m) = &views.path_m {
@@ -228,7 +245,8 @@ impl<W: Write> RecordingWriter<W> {
             self.put_depth(Topic::Depth, tick, depth)?;
         }
         let Some(decision) = &tick.decision else { return Ok(()) };
-        if let Some([x_m, y_m]) = decision.goal_m.filter(|goal_m| self.last_goal_m != Some(*goal_m)) {
+        if let Some([x_m, y_m]) = decision.goal_m.filter(|goal_m| self.last_goal_m != Some(*goal_m))
+        {
             let goal = hal::Pose2 { x_m, y_m, yaw_rad: 0.0 };
             if let Some(pose) = views::pose_in_odom(&goal, tick.time_ns) {
                 self.put_message(Topic::Goal, tick, &pose)?;
@@ -255,15 +273,26 @@ impl<W: Write> RecordingWriter<W> {
         Ok(())
     }
 
-    fn put_depth(&mut self, topic: Topic, tick: &RecordedTick, depth: &hal::DepthMap) -> Result<(), RecordingError> {
-        let mut message = picture::depth_image(depth).map_err(|error| encode_error(tick.tick, topic, &error))?;
+    fn put_depth(
+        &mut self,
+        topic: Topic,
+        tick: &RecordedTick,
+        depth: &hal::DepthMap,
+    ) -> Result<(), RecordingError> {
+        let mut message =
+            picture::depth_image(depth).map_err(|error| encode_error(tick.tick, topic, &error))?;
         message.timestamp = views::timestamp(tick.time_ns);
         "camera_optical".clone_into(&mut message.frame_id);
         self.put_message(topic, tick, &message)
     }
 
-    fn put_decision(&mut self, tick: &RecordedTick, decision: &Decision) -> Result<(), RecordingError> {
-        let json = serde_json::to_vec(decision).map_err(|error| encode_error(tick.tick, Topic::Decision, &error))?;
+    fn put_decision(
+        &mut self,
+        tick: &RecordedTick,
+        decision: &Decision,
+    ) -> Result<(), RecordingError> {
+        let json = serde_json::to_vec(decision)
+            .map_err(|error| encode_error(tick.tick, Topic::Decision, &error))?;
         // JSON writes NaN as null: such a decision does not come back.
         if serde_json::from_slice::<Decision>(&json).ok().as_ref() != Some(decision) {
             return Err(RecordingError::DecisionNotFinite { tick: tick.tick });
@@ -271,7 +300,12 @@ impl<W: Write> RecordingWriter<W> {
         self.put(Topic::Decision, tick.tick, tick.time_ns, &json)
     }
 
-    fn put_message(&mut self, topic: Topic, tick: &RecordedTick, message: &impl Encode) -> Result<(), RecordingError> {
+    fn put_message(
+        &mut self,
+        topic: Topic,
+        tick: &RecordedTick,
+        message: &impl Encode,
+    ) -> Result<(), RecordingError> {
         let mut buffer = std::mem::take(&mut self.buffer);
         buffer.clear();
         message.encode(&mut buffer).map_err(|error| encode_error(tick.tick, topic, &error))?;
@@ -280,11 +314,22 @@ impl<W: Write> RecordingWriter<W> {
         written
     }
 
-    fn put(&mut self, topic: Topic, tick: u64, time_ns: u64, data: &[u8]) -> Result<(), RecordingError> {
+    fn put(
+        &mut self,
+        topic: Topic,
+        tick: u64,
+        time_ns: u64,
+        data: &[u8],
+    ) -> Result<(), RecordingError> {
         let channel_id = self.channel(topic)?;
         self.chunk_bytes += data.len() as u64;
         // The sequence is for viewers, the exact turn stands in `/robot/tick`.
-        let header = MessageHeader { channel_id, sequence: tick as u32, log_time: time_ns, publish_time: time_ns };
+        let header = MessageHeader {
+            channel_id,
+            sequence: tick as u32,
+            log_time: time_ns,
+            publish_time: time_ns,
+        };
         self.mcap.write_to_known_channel(&header, data).map_err(RecordingError::writing)
     }
 
@@ -294,7 +339,9 @@ impl<W: Write> RecordingWriter<W> {
         }
         // 0 stands for "no schema" (MCAP specification, "Channel").
         let schema_id = topic.schema().map_or(Ok(0), |schema| {
-            self.mcap.add_schema(&schema.name, &schema.encoding, &schema.data).map_err(RecordingError::writing)
+            self.mcap
+                .add_schema(&schema.name, &schema.encoding, &schema.data)
+                .map_err(RecordingError::writing)
         })?;
         let id = self
             .mcap

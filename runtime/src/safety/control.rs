@@ -91,7 +91,8 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
             Some(Request::Disarm) => self.let_go(),
             Some(Request::ClearFault) | None => {}
         }
-        let passing_fault = matches!(self.plane.state(), SafetyState::Fault(why) if why.clears_itself());
+        let passing_fault =
+            matches!(self.plane.state(), SafetyState::Fault(why) if why.clears_itself());
         if !self.wants_arming || !(self.plane.state() == SafetyState::Disarmed || passing_fault) {
             return request.filter(|request| *request != Request::Arm);
         }
@@ -141,7 +142,9 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
         let plan_age_ns = if output.in_charge { 0 } else { plan_age_ns };
         // A plan that was refused for its age has become zero; its age is no matter then.
         let plan_age_ns = if twist == hal::Twist2::ZERO { 0 } else { plan_age_ns };
-        if let Err(error) = self.base.drive(&DriveCommand { twist, counter: self.counter, plan_age_ns }) {
+        if let Err(error) =
+            self.base.drive(&DriveCommand { twist, counter: self.counter, plan_age_ns })
+        {
             self.refusal = Some(error.kind());
             let _ = self.base.stop();
         }
@@ -244,7 +247,12 @@ mod tests {
                 return Err(Broken(ErrorKind::Timeout));
             }
             self.unheard.map_or(Ok(()), |kind| Err(Broken(kind)))?;
-            Ok(Some(WheelFeedback { time_ns: self.time_ns, odom: self.pose, twist: Twist2::ZERO, contact: false }))
+            Ok(Some(WheelFeedback {
+                time_ns: self.time_ns,
+                odom: self.pose,
+                twist: Twist2::ZERO,
+                contact: false,
+            }))
         }
     }
 
@@ -331,7 +339,10 @@ mod tests {
         robot.turn(Some(Request::Arm));
         robot.drives_after(20);
         let counters = &robot.control.base.counters;
-        assert!(counters.len() > 10 && counters.windows(2).all(|pair| pair[1] == pair[0] + 1), "{counters:?}");
+        assert!(
+            counters.len() > 10 && counters.windows(2).all(|pair| pair[1] == pair[0] + 1),
+            "{counters:?}"
+        );
     }
 
     #[test]
@@ -340,7 +351,10 @@ mod tests {
         robot.turn(Some(Request::Arm));
         assert!(robot.drives_after(10));
         robot.control.base.broken = Some(ErrorKind::Timeout);
-        assert_eq!(robot.turn(None).event, Some(SafetyEvent::Faulted { why: FaultReason::BaseSilent }));
+        assert_eq!(
+            robot.turn(None).event,
+            Some(SafetyEvent::Faulted { why: FaultReason::BaseSilent })
+        );
         assert!(!robot.drives_after(10));
         robot.control.base.broken = None;
         assert!(robot.drives_after(10));
@@ -450,9 +464,14 @@ mod tests {
         robot.turn(Some(Request::Arm));
         assert!(robot.drives_after(10));
         assert_eq!(robot.control.lidar().error, None);
-        assert!(robot.control.base().arming > 3 && robot.control.plane().state() == SafetyState::Clear);
+        assert!(
+            robot.control.base().arming > 3 && robot.control.plane().state() == SafetyState::Clear
+        );
         let (base, lidar) = robot.control.shut_down();
-        assert_eq!((base.moved.last(), base.arming, lidar.time_ns), (Some(&Twist2::ZERO), 0, robot.now_ns));
+        assert_eq!(
+            (base.moved.last(), base.arming, lidar.time_ns),
+            (Some(&Twist2::ZERO), 0, robot.now_ns)
+        );
     }
 
     #[test]

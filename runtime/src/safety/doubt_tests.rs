@@ -26,7 +26,11 @@ fn when_time_goes_back_it_stands_and_nothing_old_counts_as_young() {
     assert_eq!(room.tick(FORWARD).event, Some(SafetyEvent::Cleared));
     room.time_ns = 0;
     let input = SafetyInput { wheel: None, ..room.input(FORWARD, None, false) };
-    assert_eq!(room.turn(&input).event, faulted(FaultReason::BaseSilent), "what it knew is not of this time");
+    assert_eq!(
+        room.turn(&input).event,
+        faulted(FaultReason::BaseSilent),
+        "what it knew is not of this time"
+    );
     assert_eq!(room.tick_with(FORWARD, None, false).event, faulted(FaultReason::LidarSilent));
 }
 
@@ -63,14 +67,16 @@ fn what_claims_to_come_from_the_future_is_not_taken_in() {
     for _ in 0..4 {
         let scan = room.scan();
         let mut input = room.input(FORWARD, Some(&scan), false);
-        input.wheel = input.wheel.map(|wheel| WheelFeedback { time_ns: room.time_ns + hour_ns, ..wheel });
+        input.wheel =
+            input.wheel.map(|wheel| WheelFeedback { time_ns: room.time_ns + hour_ns, ..wheel });
         stopped.extend(room.turn(&input).event);
     }
     assert_eq!(stopped, [SafetyEvent::Faulted { why: FaultReason::BaseSilent }]);
     assert_eq!(room.tick(FORWARD).twist(), FORWARD);
     let scan = room.scan();
     let late = Plan { twist: FORWARD, time_ns: room.time_ns + TICK_NS + 1 };
-    let output = room.turn(&SafetyInput { plan: Some(late), ..room.input(FORWARD, Some(&scan), false) });
+    let output =
+        room.turn(&SafetyInput { plan: Some(late), ..room.input(FORWARD, Some(&scan), false) });
     assert_eq!(output.event, Some(SafetyEvent::PlanRefused { why: PlanRefusal::Stale }));
     assert_eq!(output.twist(), Twist2::ZERO);
 }
@@ -81,7 +87,8 @@ fn what_is_ahead_by_no_more_than_a_turn_of_the_loop_is_taken_in() {
     for _ in 0..5 {
         let scan = LaserScan { time_ns: room.time_ns + TICK_NS, ..room.scan() };
         let mut input = room.input(FORWARD, Some(&scan), false);
-        input.wheel = input.wheel.map(|wheel| WheelFeedback { time_ns: room.time_ns + TICK_NS, ..wheel });
+        input.wheel =
+            input.wheel.map(|wheel| WheelFeedback { time_ns: room.time_ns + TICK_NS, ..wheel });
         input.plan = Some(Plan { twist: FORWARD, time_ns: room.time_ns + TICK_NS });
         assert_eq!(room.turn(&input).twist(), FORWARD);
     }
@@ -137,11 +144,18 @@ fn scanner_and_wheels_that_fell_silent_together_still_need_good_scans() {
 fn an_emergency_stop_is_kept_also_where_nobody_had_armed() {
     let mut room = Room::new(5.0, Pose2::IDENTITY);
     let scan = room.scan();
-    let input = SafetyInput { emergency_stop: true, request: None, ..room.input(FORWARD, Some(&scan), false) };
+    let input = SafetyInput {
+        emergency_stop: true,
+        request: None,
+        ..room.input(FORWARD, Some(&scan), false)
+    };
     assert_eq!(room.turn(&input).event, faulted(FaultReason::EmergencyStop));
     assert_eq!(room.tick(FORWARD).command, None, "arming does not clear it");
     let scan = room.scan();
-    let clear = SafetyInput { request: Some(Request::ClearFault), ..room.input(FORWARD, Some(&scan), false) };
+    let clear = SafetyInput {
+        request: Some(Request::ClearFault),
+        ..room.input(FORWARD, Some(&scan), false)
+    };
     assert_eq!(room.turn(&clear).event, Some(SafetyEvent::Disarmed));
     assert_eq!(room.tick(FORWARD).twist(), FORWARD);
 }
@@ -150,10 +164,14 @@ fn an_emergency_stop_is_kept_also_where_nobody_had_armed() {
 fn disarming_is_no_way_around_a_fault_that_needs_a_person() {
     let mut room = driving();
     let scan = room.scan();
-    let fault = SafetyInput { base_error: Some(ErrorKind::Fault), ..room.input(FORWARD, Some(&scan), false) };
+    let fault = SafetyInput {
+        base_error: Some(ErrorKind::Fault),
+        ..room.input(FORWARD, Some(&scan), false)
+    };
     room.turn(&fault);
     let scan = room.scan();
-    let disarm = SafetyInput { request: Some(Request::Disarm), ..room.input(FORWARD, Some(&scan), false) };
+    let disarm =
+        SafetyInput { request: Some(Request::Disarm), ..room.input(FORWARD, Some(&scan), false) };
     assert_eq!(room.turn(&disarm), SafetyOutput::STOP);
     assert_eq!(room.tick(FORWARD).command, None);
     assert_eq!(room.plane.state(), SafetyState::Fault(FaultReason::BaseFault));
@@ -201,9 +219,13 @@ fn a_base_that_was_away_remembers_nothing_of_the_ground_behind() {
     for kind in [ErrorKind::Timeout, ErrorKind::Disconnected] {
         let mut room = looked_around(1.75);
         let scan = room.scan();
-        let away = SafetyInput { base_error: Some(kind), ..room.input(FORWARD, Some(&scan), false) };
+        let away =
+            SafetyInput { base_error: Some(kind), ..room.input(FORWARD, Some(&scan), false) };
         room.turn(&away);
-        let clear = SafetyInput { request: Some(Request::ClearFault), ..room.input(Twist2::ZERO, None, false) };
+        let clear = SafetyInput {
+            request: Some(Request::ClearFault),
+            ..room.input(Twist2::ZERO, None, false)
+        };
         room.turn(&clear);
         let gone_m = backs_off_m(room);
         assert!(gone_m < 0.06, "{kind:?}: {gone_m} m blindly");
@@ -221,10 +243,14 @@ fn odometry_that_turned_by_a_jump_has_forgotten_the_ground_behind() {
 }
 
 #[test]
-fn a_bumper_that_stays_pressed_for_a_moment_does_not_end_the_back_off_and_one_that_is_pressed_later_does() {
-    let cases = [([true, false, false], false), ([true, false, true], true), ([false, false, true], true)];
+fn a_bumper_that_stays_pressed_for_a_moment_does_not_end_the_back_off_and_one_that_is_pressed_later_does()
+ {
+    let cases =
+        [([true, false, false], false), ([true, false, true], true), ([false, false, true], true)];
     // Slowly, it is still near to what it leaves when it is pressed again.
-    for ((felt, ends), back_off_mps) in cases.into_iter().flat_map(|case| [(case, 0.3), (case, 0.05)]) {
+    for ((felt, ends), back_off_mps) in
+        cases.into_iter().flat_map(|case| [(case, 0.3), (case, 0.05)])
+    {
         let config = SafetyConfig { back_off_mps, ..SafetyConfig::default() };
         let mut room = Room::with(config, 2.0, Pose2::IDENTITY);
         room.until(FORWARD, tripped);
@@ -233,7 +259,8 @@ fn a_bumper_that_stays_pressed_for_a_moment_does_not_end_the_back_off_and_one_th
             let scan = room.scan();
             end = end.or(room.tick_with(FORWARD, Some(&scan), contact).event);
         }
-        let blocked = matches!(end, Some(SafetyEvent::BackedOff { end: BackOffEnd::RearBlocked, .. }));
+        let blocked =
+            matches!(end, Some(SafetyEvent::BackedOff { end: BackOffEnd::RearBlocked, .. }));
         assert_eq!(blocked, ends, "{felt:?}: {end:?}");
     }
 }
@@ -251,19 +278,32 @@ fn a_bumper_that_is_still_pressed_three_centimetres_away_is_one_behind() {
         }
         room.pose.x_m = room.pose.x_m.max(from.x_m - 0.031);
     };
-    assert!(matches!(end.event, Some(SafetyEvent::BackedOff { end: BackOffEnd::RearBlocked, .. })), "{end:?}");
+    assert!(
+        matches!(end.event, Some(SafetyEvent::BackedOff { end: BackOffEnd::RearBlocked, .. })),
+        "{end:?}"
+    );
     assert!(room.pose.distance_m(&from) > 0.029);
 }
 
 #[test]
 fn wishes_beyond_all_measure_are_answered_at_once() {
     for corners in [cart(), SafetyConfig::default()] {
-        for twist in [(0.0, 1e300), (1e300, 1e300), (1e300, 1e299), (-1e300, 1e300), (1e300, 0.0), (-1e300, 0.0)] {
+        for twist in [
+            (0.0, 1e300),
+            (1e300, 1e300),
+            (1e300, 1e299),
+            (-1e300, 1e300),
+            (1e300, 0.0),
+            (-1e300, 0.0),
+        ] {
             let mut room = Room::with(corners.clone(), 0.7, Pose2::IDENTITY);
             room.tick(Twist2::ZERO);
             let wish = Twist2 { linear_mps: twist.0, angular_radps: twist.1 };
             let output = room.tick(wish);
-            assert!(output.twist().is_finite() && output.twist().linear_mps.abs() < 16.0, "{wish:?}: {output:?}");
+            assert!(
+                output.twist().is_finite() && output.twist().linear_mps.abs() < 16.0,
+                "{wish:?}: {output:?}"
+            );
         }
     }
 }
@@ -283,7 +323,10 @@ fn clearing_a_fault_that_passes_by_itself_does_not_hurry_it() {
     (0..3).for_each(|_| _ = room.tick(FORWARD));
     (0..4).for_each(|_| _ = room.tick_with(FORWARD, None, false));
     let scan = room.scan();
-    let clear = SafetyInput { request: Some(Request::ClearFault), ..room.input(FORWARD, Some(&scan), false) };
+    let clear = SafetyInput {
+        request: Some(Request::ClearFault),
+        ..room.input(FORWARD, Some(&scan), false)
+    };
     assert_eq!(room.turn(&clear), SafetyOutput::STOP);
     assert_eq!(room.plane.state(), SafetyState::Fault(FaultReason::LidarSilent));
 }
@@ -293,12 +336,18 @@ fn what_is_seen_and_touched_at_once_was_seen_and_what_is_too_near_to_be_measured
     let mut room = driving();
     let mut scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(0.2) };
     let output = room.tick_with(FORWARD, Some(&scan), true);
-    assert!(matches!(output.event, Some(SafetyEvent::Tripped { by: TripCause::LidarHit, .. })), "{output:?}");
+    assert!(
+        matches!(output.event, Some(SafetyEvent::Tripped { by: TripCause::LidarHit, .. })),
+        "{output:?}"
+    );
     let mut room = driving();
     scan.ranges[530..550].fill(Range::TooNear);
     scan.time_ns = room.time_ns;
     let output = room.tick_with(FORWARD, Some(&scan), false);
-    assert!(matches!(output.event, Some(SafetyEvent::Tripped { by: TripCause::LidarTooNear, .. })), "{output:?}");
+    assert!(
+        matches!(output.event, Some(SafetyEvent::Tripped { by: TripCause::LidarTooNear, .. })),
+        "{output:?}"
+    );
 }
 
 #[test]

@@ -30,7 +30,11 @@ impl Footprint {
     /// A polygon with these corners, or a circle where there are none.
     #[must_use]
     pub fn new(radius_m: f64, corners_m: &[[f64; 2]]) -> Self {
-        if corners_m.is_empty() { Self::Round { radius_m } } else { Self::Corners { corners_m: corners_m.to_vec() } }
+        if corners_m.is_empty() {
+            Self::Round { radius_m }
+        } else {
+            Self::Corners { corners_m: corners_m.to_vec() }
+        }
     }
 
     /// Distance of its farthest point from the origin, metres.
@@ -38,17 +42,22 @@ impl Footprint {
     pub fn reach_m(&self) -> f64 {
         match self {
             Self::Round { radius_m } => *radius_m,
-            Self::Corners { corners_m } => corners_m.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max),
+            Self::Corners { corners_m } => {
+                corners_m.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max)
+            }
         }
     }
 
     /// Largest x of the outline at `y_m` (`sign` = 1), or smallest, negated (`sign` = -1); `None` beside the robot.
     fn edge_m(&self, y_m: f64, sign: f64) -> Option<f64> {
         match self {
-            Self::Round { radius_m } => (y_m.abs() < *radius_m).then(|| (radius_m * radius_m - y_m * y_m).sqrt()),
-            Self::Corners { corners_m } => {
-                edges(corners_m).filter_map(|(a, b)| crossing(a, b, y_m)).map(|x_m| sign * x_m).reduce(f64::max)
+            Self::Round { radius_m } => {
+                (y_m.abs() < *radius_m).then(|| (radius_m * radius_m - y_m * y_m).sqrt())
             }
+            Self::Corners { corners_m } => edges(corners_m)
+                .filter_map(|(a, b)| crossing(a, b, y_m))
+                .map(|x_m| sign * x_m)
+                .reduce(f64::max),
         }
     }
 
@@ -74,7 +83,8 @@ impl Footprint {
         match self {
             Self::Round { radius_m } => x_m.hypot(y_m) < *radius_m,
             Self::Corners { corners_m } => {
-                let right_of_it = edges(corners_m).filter_map(|(a, b)| crossing(a, b, y_m)).filter(|x| *x > x_m);
+                let right_of_it =
+                    edges(corners_m).filter_map(|(a, b)| crossing(a, b, y_m)).filter(|x| *x > x_m);
                 right_of_it.count() % 2 == 1
             }
         }
@@ -86,7 +96,9 @@ impl Footprint {
     pub fn gap_m(&self, point_m: [f64; 2], twist: &Twist2, reach_m: f64) -> Option<f64> {
         let speed = twist.linear_mps.abs();
         if twist.angular_radps.abs() <= STRAIGHT_PER_M * speed {
-            return self.straight_gap_m(point_m, twist.linear_mps.signum()).filter(|gap| *gap < reach_m);
+            return self
+                .straight_gap_m(point_m, twist.linear_mps.signum())
+                .filter(|gap| *gap < reach_m);
         }
         let radius_m = speed / twist.angular_radps.abs();
         let step_m = match self {
@@ -109,7 +121,9 @@ impl Footprint {
     /// Whether turning on the spot by `turn_rad` brings a corner onto a point that is free of the robot now.
     #[must_use]
     pub fn meets_when_turned(&self, point_m: [f64; 2], turn_rad: f64) -> bool {
-        if matches!(self, Self::Round { .. }) || self.contains(point_m) || point_m[0].hypot(point_m[1]) > self.reach_m()
+        if matches!(self, Self::Round { .. })
+            || self.contains(point_m)
+            || point_m[0].hypot(point_m[1]) > self.reach_m()
         {
             return false;
         }
@@ -134,7 +148,8 @@ fn edges(corners_m: &[[f64; 2]]) -> impl Iterator<Item = ([f64; 2], [f64; 2])> +
 /// x where an edge crosses the line at `y_m`. The lower end belongs to the edge, the upper one to the next.
 fn crossing(a: [f64; 2], b: [f64; 2], y_m: f64) -> Option<f64> {
     let (low, high) = if a[1] <= b[1] { (a, b) } else { (b, a) };
-    (low[1] <= y_m && y_m < high[1]).then(|| low[0] + (high[0] - low[0]) * (y_m - low[1]) / (high[1] - low[1]))
+    (low[1] <= y_m && y_m < high[1])
+        .then(|| low[0] + (high[0] - low[0]) * (y_m - low[1]) / (high[1] - low[1]))
 }
 
 #[cfg(test)]
@@ -166,11 +181,15 @@ mod tests {
         assert!(cart().meets_when_turned(beside_the_nose, 0.4));
         assert!(!cart().meets_when_turned(beside_the_nose, -0.4));
         assert!(!cart().meets_when_turned([0.0, 0.4], 3.0), "out of its reach");
-        assert!(!Footprint::new(0.16, &[]).meets_when_turned([0.161, 0.0], 3.0), "a round robot sweeps nothing");
+        assert!(
+            !Footprint::new(0.16, &[]).meets_when_turned([0.161, 0.0], 3.0),
+            "a round robot sweeps nothing"
+        );
     }
 
     #[test]
-    fn on_an_arc_to_the_left_what_stands_straight_ahead_is_passed_and_what_stands_on_the_arc_is_met() {
+    fn on_an_arc_to_the_left_what_stands_straight_ahead_is_passed_and_what_stands_on_the_arc_is_met()
+     {
         let left = ahead(0.3, 0.6);
         let robot = Footprint::new(0.16, &[]);
         assert_eq!(robot.gap_m([0.6, -0.25], &left, 0.5), None);
@@ -183,7 +202,11 @@ mod tests {
     fn a_bow_of_a_metre_is_no_straight_way() {
         let robot = Footprint::new(0.16, &[]);
         assert!(robot.gap_m([0.8, -0.12], &ahead(0.3, 0.0), 0.7).is_some());
-        assert_eq!(robot.gap_m([0.8, -0.12], &ahead(0.3, 0.3), 0.7), None, "it has turned away by then");
+        assert_eq!(
+            robot.gap_m([0.8, -0.12], &ahead(0.3, 0.3), 0.7),
+            None,
+            "it has turned away by then"
+        );
         assert!(robot.gap_m([0.8, 0.4], &ahead(0.3, 0.3), 0.9).is_some());
     }
 
@@ -210,7 +233,8 @@ mod tests {
         let mut reversed = corners;
         reversed.reverse();
         let (one, other) = (Footprint::new(0.0, &corners), Footprint::new(0.0, &reversed));
-        for (point, within) in [([0.25, 0.0], false), ([0.25, 0.12], true), ([0.19, 0.0], true), ([0.31, 0.12], false)]
+        for (point, within) in
+            [([0.25, 0.0], false), ([0.25, 0.12], true), ([0.19, 0.0], true), ([0.31, 0.12], false)]
         {
             assert_eq!((one.contains(point), other.contains(point)), (within, within), "{point:?}");
         }

@@ -63,7 +63,9 @@ impl Scans {
         let scan = |ahead| LaserScan {
             time_ns: 0,
             geometry: GEOMETRY,
-            ranges: (0..17).map(|beam| if (6..=10).contains(&beam) { ahead } else { Range::Hit(3.0) }).collect(),
+            ranges: (0..17)
+                .map(|beam| if (6..=10).contains(&beam) { ahead } else { Range::Hit(3.0) })
+                .collect(),
         };
         let mut broken = scan(Range::Error);
         broken.ranges.fill(Range::Error);
@@ -106,8 +108,10 @@ impl Robot {
             self.looked_ns = self.time_ns;
         }
         let contact = happening == Happening::Contact;
-        let plan = if contact { Twist2 { linear_mps: f64::NAN, angular_radps: 0.0 } } else { FORWARD };
-        let wheel = WheelFeedback { time_ns: self.time_ns, odom: self.pose, twist: Twist2::ZERO, contact };
+        let plan =
+            if contact { Twist2 { linear_mps: f64::NAN, angular_radps: 0.0 } } else { FORWARD };
+        let wheel =
+            WheelFeedback { time_ns: self.time_ns, odom: self.pose, twist: Twist2::ZERO, contact };
         let output = self.plane.step(&SafetyInput {
             time_ns: self.time_ns,
             scan: scans.at(happening, self.time_ns),
@@ -131,7 +135,12 @@ impl Robot {
     fn check(&mut self, happening: Happening, before: SafetyState, output: &SafetyOutput) {
         let twist = output.twist();
         assert!(twist.is_finite());
-        let blind = [Happening::Silence, Happening::BrokenScan, Happening::BaseFault, Happening::EmergencyStop];
+        let blind = [
+            Happening::Silence,
+            Happening::BrokenScan,
+            Happening::BaseFault,
+            Happening::EmergencyStop,
+        ];
         if blind.contains(&happening) {
             assert_eq!(output.command, None, "stands on {happening:?}");
         }
@@ -152,9 +161,16 @@ impl Robot {
             assert!(self.needs_person || happening == Happening::Clear);
         }
         let changed = std::mem::discriminant(&before) != std::mem::discriminant(&state);
-        let rolls = matches!((before, state), (SafetyState::Tripped { .. }, SafetyState::BackingOff(_)));
-        assert!(!changed || rolls || output.event.is_some(), "{before:?} -> {state:?} without a word");
-        assert!(!changed || state != SafetyState::Fault(FaultReason::LoopOverrun), "silence has a better reason");
+        let rolls =
+            matches!((before, state), (SafetyState::Tripped { .. }, SafetyState::BackingOff(_)));
+        assert!(
+            !changed || rolls || output.event.is_some(),
+            "{before:?} -> {state:?} without a word"
+        );
+        assert!(
+            !changed || state != SafetyState::Fault(FaultReason::LoopOverrun),
+            "silence has a better reason"
+        );
     }
 
     /// With everything well and a person to help, it drives forward again.
@@ -174,7 +190,13 @@ impl Robots {
         // Only to find equals quickly.
         let like_it = self
             .0
-            .entry(format!("{:?} {:?} {} {}", robot.plane.state(), robot.pose, robot.time_ns, robot.looked_ns))
+            .entry(format!(
+                "{:?} {:?} {} {}",
+                robot.plane.state(),
+                robot.pose,
+                robot.time_ns,
+                robot.looked_ns
+            ))
             .or_default();
         match like_it.iter_mut().find(|(known, _)| *known == robot) {
             Some((_, count)) => *count += orders,
@@ -195,7 +217,9 @@ fn in_every_order_of_eight_events_it_stands_when_it_must_says_why_and_can_go_on(
     robots.add(Robot::new(), 1);
     for depth in 1..=DEPTH {
         let (mut next, mut walked) = (Robots::default(), 0);
-        for ((robot, orders), happening) in robots.each().flat_map(|robot| ALL.map(|happening| (robot, happening))) {
+        for ((robot, orders), happening) in
+            robots.each().flat_map(|robot| ALL.map(|happening| (robot, happening)))
+        {
             let mut robot = robot.clone();
             let before = robot.plane.state();
             let output = robot.turn(happening, &mut scans);

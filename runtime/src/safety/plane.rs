@@ -190,13 +190,18 @@ impl SafetyPlane {
         self.good_scans = self.good_scans.saturating_add(1);
         self.around.see(scan);
         if let Some(wheel) = &self.wheel {
-            let t_odom_laser = wheel.odom.compose(&Pose2::new(self.config.laser_forward_m, 0.0, 0.0));
+            let t_odom_laser =
+                wheel.odom.compose(&Pose2::new(self.config.laser_forward_m, 0.0, 0.0));
             self.rear.see(scan, &t_odom_laser, &self.around);
         }
     }
 
     /// What the wheels say, or what forbids every motion now, the gravest first.
-    fn may_move(&self, input: &SafetyInput<'_>, in_time: bool) -> Result<WheelFeedback, FaultReason> {
+    fn may_move(
+        &self,
+        input: &SafetyInput<'_>,
+        in_time: bool,
+    ) -> Result<WheelFeedback, FaultReason> {
         if input.emergency_stop {
             return Err(FaultReason::EmergencyStop);
         }
@@ -206,8 +211,9 @@ impl SafetyPlane {
         if self.odometry_broken {
             return Err(FaultReason::OdometryNotFinite);
         }
-        let is_new =
-            |wheel: &WheelFeedback| !is_older(Some(wheel.time_ns), input.time_ns, self.config.feedback_timeout_s);
+        let is_new = |wheel: &WheelFeedback| {
+            !is_older(Some(wheel.time_ns), input.time_ns, self.config.feedback_timeout_s)
+        };
         let wheel = self.wheel.filter(is_new).ok_or(FaultReason::BaseSilent)?;
         if is_older(self.scan_end_ns, input.time_ns, self.config.scan_timeout_s) {
             return Err(FaultReason::LidarSilent);
@@ -223,12 +229,17 @@ impl SafetyPlane {
         match before {
             // Who was not armed does not become armed by a fault that goes away. An emergency stop is kept all the same:
             // whoever asked for motion before it was pressed has to ask again.
-            SafetyState::Disarmed if why != FaultReason::EmergencyStop => return SafetyOutput::STOP,
+            SafetyState::Disarmed if why != FaultReason::EmergencyStop => {
+                return SafetyOutput::STOP;
+            }
             // The reason that needs an operator is not forgotten for one that does not.
-            SafetyState::Fault(known) if known == why || !known.clears_itself() => return SafetyOutput::STOP,
+            SafetyState::Fault(known) if known == why || !known.clears_itself() => {
+                return SafetyOutput::STOP;
+            }
             _ => self.state = SafetyState::Fault(why),
         }
-        SafetyOutput { blocked_m: blocked_by(&before), ..SafetyOutput::STOP }.because(SafetyEvent::Faulted { why })
+        SafetyOutput { blocked_m: blocked_by(&before), ..SafetyOutput::STOP }
+            .because(SafetyEvent::Faulted { why })
     }
 
     fn wait_for_arming(&mut self, input: &SafetyInput<'_>, wheel: &WheelFeedback) -> SafetyOutput {
@@ -240,11 +251,20 @@ impl SafetyPlane {
         if output.event.is_some() { output } else { output.because(SafetyEvent::Armed) }
     }
 
-    fn leave_fault(&mut self, why: FaultReason, input: &SafetyInput<'_>, wheel: &WheelFeedback) -> SafetyOutput {
+    fn leave_fault(
+        &mut self,
+        why: FaultReason,
+        input: &SafetyInput<'_>,
+        wheel: &WheelFeedback,
+    ) -> SafetyOutput {
         if why.clears_itself() && self.good_scans >= self.config.good_scans {
             self.state = SafetyState::Clear;
             let output = self.pass_or_trip(input, wheel);
-            return if output.event.is_some() { output } else { output.because(SafetyEvent::Cleared) };
+            return if output.event.is_some() {
+                output
+            } else {
+                output.because(SafetyEvent::Cleared)
+            };
         }
         if input.request == Some(Request::ClearFault) && !why.clears_itself() {
             self.state = SafetyState::Disarmed;
@@ -283,7 +303,11 @@ impl SafetyPlane {
             return SafetyOutput::pass(wanted);
         }
         let turn = Twist2 { linear_mps: 0.0, ..wanted };
-        SafetyOutput::pass(if self.corner_would_meet(turn.angular_radps) { Twist2::ZERO } else { turn })
+        SafetyOutput::pass(if self.corner_would_meet(turn.angular_radps) {
+            Twist2::ZERO
+        } else {
+            turn
+        })
     }
 
     /// Whether the robot may drive back by `twist` until the next call: it can then still stop on ground that is known.
@@ -295,7 +319,12 @@ impl SafetyPlane {
             && self.rear.known_free_m(time_ns, odom, &self.footprint, way_m) >= way_m
     }
 
-    fn pass_forward(&mut self, time_ns: u64, wheel: &WheelFeedback, wanted: Twist2) -> SafetyOutput {
+    fn pass_forward(
+        &mut self,
+        time_ns: u64,
+        wheel: &WheelFeedback,
+        wanted: Twist2,
+    ) -> SafetyOutput {
         let speed = wanted.linear_mps.max(wheel.twist.linear_mps);
         let reach_m = self.config.stop_distance_m + self.stopping_m(speed);
         let met = self.around.first_met(&self.footprint, &wanted, reach_m);
@@ -337,19 +366,33 @@ impl SafetyPlane {
     fn slow(&mut self, wanted: Twist2, allowed_mps: f64) -> SafetyOutput {
         // Both by the same factor: the robot stays on the arc that it wanted.
         let factor = allowed_mps / wanted.linear_mps;
-        let twist = Twist2 { linear_mps: allowed_mps, angular_radps: wanted.angular_radps * factor };
+        let twist =
+            Twist2 { linear_mps: allowed_mps, angular_radps: wanted.angular_radps * factor };
         let was_slow = self.state == SafetyState::Slow;
         self.state = SafetyState::Slow;
         let output = SafetyOutput::pass(twist);
-        if was_slow { output } else { output.because(SafetyEvent::Slowed { limit_mps: allowed_mps }) }
+        if was_slow {
+            output
+        } else {
+            output.because(SafetyEvent::Slowed { limit_mps: allowed_mps })
+        }
     }
 
     fn corner_would_meet(&self, angular_radps: f64) -> bool {
         let turn_rad = (angular_radps * (self.config.reaction_s + TURN_AHEAD_S)).clamp(-TAU, TAU);
-        self.around.obstacles().iter().any(|obstacle| self.footprint.meets_when_turned(obstacle.point_m(), turn_rad))
+        self.around
+            .obstacles()
+            .iter()
+            .any(|obstacle| self.footprint.meets_when_turned(obstacle.point_m(), turn_rad))
     }
 
-    fn trip(&mut self, time_ns: u64, odom: &Pose2, by: TripCause, [x_m, y_m]: [f64; 2]) -> SafetyOutput {
+    fn trip(
+        &mut self,
+        time_ns: u64,
+        odom: &Pose2,
+        by: TripCause,
+        [x_m, y_m]: [f64; 2],
+    ) -> SafetyOutput {
         self.trip_count += 1;
         let (blocked_x_m, blocked_y_m) = odom.transform(x_m, y_m);
         let blocked_m = [blocked_x_m, blocked_y_m];
@@ -371,13 +414,19 @@ impl SafetyPlane {
         since_ns: u64,
         blocked_m: [f64; 2],
     ) -> SafetyOutput {
-        let standing = wheel.twist.linear_mps.abs() < STANDING.0 && wheel.twist.angular_radps.abs() < STANDING.1;
+        let standing = wheel.twist.linear_mps.abs() < STANDING.0
+            && wheel.twist.angular_radps.abs() < STANDING.1;
         if !standing && time_ns.saturating_sub(since_ns) < STANDING_WITHIN_NS {
             return SafetyOutput::STOP;
         }
         let (from, touching) = (wheel.odom, wheel.contact);
-        let known_free_m = self.rear.known_free_m(time_ns, &from, &self.footprint, self.config.back_off_m);
-        self.back_off(time_ns, wheel, BackOff { from, since_ns: time_ns, known_free_m, touching, blocked_m })
+        let known_free_m =
+            self.rear.known_free_m(time_ns, &from, &self.footprint, self.config.back_off_m);
+        self.back_off(
+            time_ns,
+            wheel,
+            BackOff { from, since_ns: time_ns, known_free_m, touching, blocked_m },
+        )
     }
 
     fn back_off(&mut self, time_ns: u64, wheel: &WheelFeedback, back_off: BackOff) -> SafetyOutput {
@@ -404,14 +453,20 @@ impl SafetyPlane {
             // The last step is as long as what is left, so that it ends at the distance and not a step behind it.
             let step_m = left_m.min(known_m - gone_m);
             let braking_mps = (2.0 * self.config.brake_mps2 * step_m).sqrt();
-            let speed_mps = self.config.back_off_mps.min(step_m / self.config.period_s).min(braking_mps);
+            let speed_mps =
+                self.config.back_off_mps.min(step_m / self.config.period_s).min(braking_mps);
             self.state = SafetyState::BackingOff(BackOff { touching, ..back_off });
             return SafetyOutput::drive(Twist2 { linear_mps: -speed_mps, angular_radps: 0.0 });
         };
         let wedged = end != BackOffEnd::Distance || self.trips.len() >= TRIPS_BEFORE_ESCAPE;
         self.state = if wedged {
             let (direction, last_yaw_rad) = (self.around.open_side(), wheel.odom.yaw_rad);
-            SafetyState::Escaping(Escape { since_ns: None, direction, turned_rad: 0.0, last_yaw_rad })
+            SafetyState::Escaping(Escape {
+                since_ns: None,
+                direction,
+                turned_rad: 0.0,
+                last_yaw_rad,
+            })
         } else {
             SafetyState::Clear
         };
@@ -425,7 +480,8 @@ impl SafetyPlane {
         let way_out = self.around.first_met(&self.footprint, &ahead, WAY_OUT_M).is_none();
         let wanted_radps = escape.direction * self.config.escape_radps;
         let since_ns = escape.since_ns.unwrap_or(time_ns);
-        let late = is_older(Some(since_ns), time_ns, ESCAPE_PATIENCE * TAU / self.config.escape_radps);
+        let late =
+            is_older(Some(since_ns), time_ns, ESCAPE_PATIENCE * TAU / self.config.escape_radps);
         // Once round without a way out, or wedged: the planner knows better than another round.
         let over = turned_rad >= TAU || late || self.corner_would_meet(wanted_radps);
         if over || (way_out && turned_rad > FRAC_PI_4) {
@@ -452,7 +508,8 @@ fn cause_of(obstacle: &Obstacle) -> TripCause {
 /// The obstacle that the robot was leaving when something else stopped it: the planner should know of it all the same.
 fn blocked_by(state: &SafetyState) -> Option<[f64; 2]> {
     match state {
-        SafetyState::Tripped { blocked_m, .. } | SafetyState::BackingOff(BackOff { blocked_m, .. }) => Some(*blocked_m),
+        SafetyState::Tripped { blocked_m, .. }
+        | SafetyState::BackingOff(BackOff { blocked_m, .. }) => Some(*blocked_m),
         _ => None,
     }
 }

@@ -37,10 +37,19 @@ impl Room {
             };
             Range::Hit(along(self.pose.x_m, cos).min(along(self.pose.y_m, sin)) as f32)
         };
-        LaserScan { time_ns: self.time_ns, geometry, ranges: (0..geometry.beams).map(range).collect() }
+        LaserScan {
+            time_ns: self.time_ns,
+            geometry,
+            ranges: (0..geometry.beams).map(range).collect(),
+        }
     }
 
-    pub fn input<'a>(&self, wanted: Twist2, scan: Option<&'a LaserScan>, contact: bool) -> SafetyInput<'a> {
+    pub fn input<'a>(
+        &self,
+        wanted: Twist2,
+        scan: Option<&'a LaserScan>,
+        contact: bool,
+    ) -> SafetyInput<'a> {
         let twist = self.driving;
         SafetyInput {
             time_ns: self.time_ns,
@@ -62,7 +71,12 @@ impl Room {
         output
     }
 
-    pub fn tick_with(&mut self, wanted: Twist2, scan: Option<&LaserScan>, contact: bool) -> SafetyOutput {
+    pub fn tick_with(
+        &mut self,
+        wanted: Twist2,
+        scan: Option<&LaserScan>,
+        contact: bool,
+    ) -> SafetyOutput {
         let input = self.input(wanted, scan, contact);
         self.turn(&input)
     }
@@ -72,7 +86,11 @@ impl Room {
         self.tick_with(wanted, Some(&scan), false)
     }
 
-    pub fn until(&mut self, wanted: Twist2, mut done: impl FnMut(&SafetyOutput) -> bool) -> SafetyOutput {
+    pub fn until(
+        &mut self,
+        wanted: Twist2,
+        mut done: impl FnMut(&SafetyOutput) -> bool,
+    ) -> SafetyOutput {
         for _ in 0..2000 {
             let output = self.tick(wanted);
             if done(&output) {
@@ -132,7 +150,10 @@ fn backs_off_exactly_0_2_m_then_hands_a_blocked_cell_to_the_planner() {
     };
     assert!((distance_m - 0.2).abs() < 1e-3);
     let blocked = end.blocked_m.unwrap();
-    assert!((blocked[0] - 2.0).abs() < 0.02 && blocked[1].abs() < 0.17, "the wall is at x = 2: {blocked:?}");
+    assert!(
+        (blocked[0] - 2.0).abs() < 0.02 && blocked[1].abs() < 0.17,
+        "the wall is at x = 2: {blocked:?}"
+    );
     assert_eq!(room.plane.state(), SafetyState::Clear);
 }
 
@@ -261,7 +282,13 @@ proptest! {
 
 /// A robot of flesh: turned a hundred times a second, brakes at 1 m/s2 after 50 ms.
 fn real() -> SafetyConfig {
-    SafetyConfig { period_s: 0.01, brake_mps2: 1.0, reaction_s: 0.05, good_scans: 3, ..SafetyConfig::default() }
+    SafetyConfig {
+        period_s: 0.01,
+        brake_mps2: 1.0,
+        reaction_s: 0.05,
+        good_scans: 3,
+        ..SafetyConfig::default()
+    }
 }
 
 /// A room whose robot is armed and drives.
@@ -281,7 +308,8 @@ fn nobody_drives_a_robot_that_was_not_armed() {
     }
     assert_eq!(room.plane.state(), SafetyState::Disarmed);
     assert_eq!(room.tick(FORWARD).event, Some(SafetyEvent::Armed));
-    let input = SafetyInput { request: Some(Request::Disarm), ..room.input(FORWARD, Some(&scan), false) };
+    let input =
+        SafetyInput { request: Some(Request::Disarm), ..room.input(FORWARD, Some(&scan), false) };
     assert_eq!(room.turn(&input), SafetyOutput::STOP.because(SafetyEvent::Disarmed));
 }
 
@@ -327,17 +355,33 @@ fn a_fault_of_the_base_and_the_emergency_stop_need_a_person() {
         let mut input = room.input(FORWARD, Some(&scan), false);
         fault(&mut input);
         let output = room.turn(&input);
-        assert!(matches!(output.event, Some(SafetyEvent::Faulted { why }) if !why.clears_itself()), "{output:?}");
+        assert!(
+            matches!(output.event, Some(SafetyEvent::Faulted { why }) if !why.clears_itself()),
+            "{output:?}"
+        );
         assert_eq!(output.command, None);
         for _ in 0..10 {
-            assert_eq!(room.tick(FORWARD).command, None, "gone, but nobody has said so, and arming alone does not");
+            assert_eq!(
+                room.tick(FORWARD).command,
+                None,
+                "gone, but nobody has said so, and arming alone does not"
+            );
         }
         let scan = room.scan();
-        let mut clear = SafetyInput { request: Some(Request::ClearFault), ..room.input(FORWARD, Some(&scan), false) };
+        let mut clear = SafetyInput {
+            request: Some(Request::ClearFault),
+            ..room.input(FORWARD, Some(&scan), false)
+        };
         fault(&mut clear);
         room.turn(&clear);
-        assert!(matches!(room.plane.state(), SafetyState::Fault(_)), "it is still there: nothing to clear");
-        let clear = SafetyInput { request: Some(Request::ClearFault), ..room.input(FORWARD, Some(&scan), false) };
+        assert!(
+            matches!(room.plane.state(), SafetyState::Fault(_)),
+            "it is still there: nothing to clear"
+        );
+        let clear = SafetyInput {
+            request: Some(Request::ClearFault),
+            ..room.input(FORWARD, Some(&scan), false)
+        };
         assert_eq!(room.turn(&clear).event, Some(SafetyEvent::Disarmed));
         assert_eq!(room.tick(FORWARD).twist(), FORWARD, "armed anew");
     }
@@ -347,7 +391,10 @@ fn a_fault_of_the_base_and_the_emergency_stop_need_a_person() {
 fn silence_after_a_fault_of_the_base_does_not_make_it_one_that_passes() {
     let mut room = driving();
     let scan = room.scan();
-    let fault = SafetyInput { base_error: Some(ErrorKind::Fault), ..room.input(FORWARD, Some(&scan), false) };
+    let fault = SafetyInput {
+        base_error: Some(ErrorKind::Fault),
+        ..room.input(FORWARD, Some(&scan), false)
+    };
     room.turn(&fault);
     (0..5).for_each(|_| _ = room.tick_with(FORWARD, None, false));
     assert_eq!(room.plane.state(), SafetyState::Fault(FaultReason::BaseFault));
@@ -358,8 +405,12 @@ fn odometry_that_is_nan_stops_the_robot_and_is_never_used() {
     let mut room = driving();
     let scan = room.scan();
     let mut input = room.input(FORWARD, Some(&scan), false);
-    input.wheel = input.wheel.map(|wheel| WheelFeedback { odom: Pose2::new(f64::NAN, 0.0, 0.0), ..wheel });
-    assert_eq!(room.turn(&input).event, Some(SafetyEvent::Faulted { why: FaultReason::OdometryNotFinite }));
+    input.wheel =
+        input.wheel.map(|wheel| WheelFeedback { odom: Pose2::new(f64::NAN, 0.0, 0.0), ..wheel });
+    assert_eq!(
+        room.turn(&input).event,
+        Some(SafetyEvent::Faulted { why: FaultReason::OdometryNotFinite })
+    );
     assert_eq!(room.tick(FORWARD).event, Some(SafetyEvent::Cleared));
 }
 
@@ -379,7 +430,10 @@ fn a_plan_that_is_nan_or_old_or_missing_is_refused_with_a_reason_said_once() {
         let fresh = LaserScan { time_ns: room.time_ns, ..scan.clone() };
         let output = room.turn(&SafetyInput { plan, ..room.input(FORWARD, Some(&fresh), false) });
         assert_eq!(output.twist(), Twist2::ZERO);
-        assert!(said.is_none() || output.event == said.map(|why| SafetyEvent::PlanRefused { why }), "{output:?}");
+        assert!(
+            said.is_none() || output.event == said.map(|why| SafetyEvent::PlanRefused { why }),
+            "{output:?}"
+        );
     }
     assert_eq!(room.tick(FORWARD).twist(), FORWARD);
     room.time_ns += 100_000_000;
@@ -394,7 +448,10 @@ fn a_loop_that_comes_two_periods_late_stands_for_that_turn_and_goes_on_without_a
     let mut room = driving();
     room.time_ns += 2 * TICK_NS + 1;
     let output = room.tick(FORWARD);
-    assert_eq!(output, SafetyOutput::STOP.because(SafetyEvent::Faulted { why: FaultReason::LoopOverrun }));
+    assert_eq!(
+        output,
+        SafetyOutput::STOP.because(SafetyEvent::Faulted { why: FaultReason::LoopOverrun })
+    );
     assert_eq!(room.tick(FORWARD).twist(), FORWARD);
 }
 
@@ -405,7 +462,8 @@ fn the_nearer_the_wall_the_slower_and_it_stops_with_the_distance_left_however_it
     let mut slowed = false;
     for turn in 0..800_u64 {
         let time_ns = turn * 10_000_000;
-        let scan = LaserScan { time_ns, ..crate::safety::surroundings::tests::wall_ahead(1.0 - x_m) };
+        let scan =
+            LaserScan { time_ns, ..crate::safety::surroundings::tests::wall_ahead(1.0 - x_m) };
         let odom = Pose2::new(x_m, 0.0, 0.0);
         let twist = Twist2 { linear_mps: speed, angular_radps: 0.0 };
         let output = plane.step(&SafetyInput {
@@ -421,7 +479,10 @@ fn the_nearer_the_wall_the_slower_and_it_stops_with_the_distance_left_however_it
             slowed = true;
             let command = output.twist();
             assert!(command.linear_mps <= last_allowed + 1e-9, "never faster again");
-            assert!((command.angular_radps / command.linear_mps - 0.4).abs() < 1e-9, "the arc is kept");
+            assert!(
+                (command.angular_radps / command.linear_mps - 0.4).abs() < 1e-9,
+                "the arc is kept"
+            );
             last_allowed = command.linear_mps;
         }
         if matches!(plane.state(), SafetyState::Tripped { .. }) {
@@ -455,7 +516,10 @@ fn it_never_backs_off_blindly_for_longer_than_configured() {
     room.until(FORWARD, tripped);
     let stopped_at = room.pose;
     let output = room.until(FORWARD, |output| output.blocked_m.is_some());
-    assert!(matches!(output.event, Some(SafetyEvent::BackedOff { end: BackOffEnd::RearUnknown, .. })), "{output:?}");
+    assert!(
+        matches!(output.event, Some(SafetyEvent::BackedOff { end: BackOffEnd::RearUnknown, .. })),
+        "{output:?}"
+    );
     let gone_m = room.pose.distance_m(&stopped_at);
     assert!(gone_m > 0.0 && gone_m < 0.051, "{gone_m}");
     room.until(FORWARD, |output| output.event == Some(SafetyEvent::Cleared));
@@ -503,7 +567,8 @@ fn a_refused_plan_is_said_once_and_waiting_for_the_first_not_at_all() {
         matches!(room.turn(&input).event, Some(SafetyEvent::PlanRefused { .. }))
     };
     (0..20).for_each(|_| assert!(!said(&mut room, None)));
-    let nonsense = Plan { twist: Twist2 { linear_mps: f64::NAN, angular_radps: 0.0 }, time_ns: u64::MAX / 4 };
+    let nonsense =
+        Plan { twist: Twist2 { linear_mps: f64::NAN, angular_radps: 0.0 }, time_ns: u64::MAX / 4 };
     assert_eq!((0..20).filter(|_| said(&mut room, Some(nonsense))).count(), 1);
 }
 
@@ -532,6 +597,9 @@ fn a_plane_that_takes_up_a_snapshot_goes_on_as_the_one_that_wrote_it() {
         assert!(states.contains(&state), "{state} was never looked at");
     }
     for len in 0..bytes.len() {
-        assert!(SafetyPlane::new(SafetyConfig::default()).read(&mut &bytes[..len]).is_err(), "{len}");
+        assert!(
+            SafetyPlane::new(SafetyConfig::default()).read(&mut &bytes[..len]).is_err(),
+            "{len}"
+        );
     }
 }

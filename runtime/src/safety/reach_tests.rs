@@ -46,7 +46,8 @@ fn a_cart_that_may_not_drive_back_does_not_turn_its_corner_into_a_wall_either() 
 }
 
 #[test]
-fn a_cart_on_an_arc_so_narrow_that_it_turns_nearly_on_the_spot_is_stopped_like_one_that_turns_on_it() {
+fn a_cart_on_an_arc_so_narrow_that_it_turns_nearly_on_the_spot_is_stopped_like_one_that_turns_on_it()
+ {
     for linear_mps in [1e-9, 1e-4, 1e-3, 1e-2] {
         let mut room = Room::with(cart(), 2.0, Pose2::new(0.0, 1.84, 0.0));
         room.tick(Twist2::ZERO);
@@ -81,12 +82,19 @@ fn a_stop_distance_beyond_the_usual_horizon_is_kept() {
 fn a_touch_is_taken_to_be_three_centimetres_before_the_outline_where_the_robot_stands() {
     let mut room = Room::new(5.0, Pose2::new(1.0, 2.0, std::f64::consts::FRAC_PI_2));
     let scan = room.scan();
-    let Some(SafetyEvent::Tripped { x_m, y_m, .. }) = room.tick_with(FORWARD, Some(&scan), true).event else {
+    let Some(SafetyEvent::Tripped { x_m, y_m, .. }) =
+        room.tick_with(FORWARD, Some(&scan), true).event
+    else {
         panic!("{:?}", room.plane.state())
     };
     assert!((x_m - 0.19).abs() < 1e-12 && y_m == 0.0);
-    let SafetyState::Tripped { blocked_m, .. } = room.plane.state() else { panic!("{:?}", room.plane.state()) };
-    assert!((blocked_m[0] - 1.0).abs() < 1e-9 && (blocked_m[1] - 2.19).abs() < 1e-9, "{blocked_m:?}");
+    let SafetyState::Tripped { blocked_m, .. } = room.plane.state() else {
+        panic!("{:?}", room.plane.state())
+    };
+    assert!(
+        (blocked_m[0] - 1.0).abs() < 1e-9 && (blocked_m[1] - 2.19).abs() < 1e-9,
+        "{blocked_m:?}"
+    );
 }
 
 #[test]
@@ -102,7 +110,9 @@ fn slow_is_over_when_the_way_is_clear_again_and_said_once_each() {
         assert_eq!(slow, wall_m < 1.0);
     }
     let limit_mps = (2.0 * 0.2 * (0.4_f64 - 0.16 - 0.1)).sqrt();
-    assert!(matches!(said[0], Some(SafetyEvent::Slowed { limit_mps: told }) if (told - limit_mps).abs() < 0.01));
+    assert!(
+        matches!(said[0], Some(SafetyEvent::Slowed { limit_mps: told }) if (told - limit_mps).abs() < 0.01)
+    );
     assert_eq!(said[1..], [None, Some(SafetyEvent::Cleared), None]);
 }
 
@@ -136,7 +146,10 @@ fn trips_at(room: &mut Room, at: Pose2, wall_m: f64) {
     assert!(tripped(&room.tick_with(FORWARD, Some(&scan), false)), "{:?}", room.plane.state());
     for error in [Some(ErrorKind::Timeout), None] {
         let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(3.0) };
-        room.turn(&SafetyInput { base_error: error, ..room.input(Twist2::ZERO, Some(&scan), false) });
+        room.turn(&SafetyInput {
+            base_error: error,
+            ..room.input(Twist2::ZERO, Some(&scan), false)
+        });
     }
 }
 
@@ -146,7 +159,10 @@ fn trips_that_are_near_in_place_and_time_are_one_problem_and_others_are_not() {
     let mut room = driving();
     for count in [1, 2, 3, 3] {
         trips_at(&mut room, if count == 2 { near } else { Pose2::IDENTITY }, 0.2);
-        assert_eq!((room.plane.trips.len(), room.plane.trips.capacity()), (count, TRIPS_BEFORE_ESCAPE + 1));
+        assert_eq!(
+            (room.plane.trips.len(), room.plane.trips.capacity()),
+            (count, TRIPS_BEFORE_ESCAPE + 1)
+        );
     }
     assert_eq!(room.plane.trip_count(), 4);
     for far in [Pose2::new(0.51, 0.0, 0.0), Pose2::new(0.0, -0.51, 0.0)] {
@@ -175,7 +191,8 @@ fn post_behind(room: &Room, range_m: f32) -> LaserScan {
 }
 
 #[test]
-fn a_wish_to_drive_back_leaves_three_centimetres_and_what_the_next_turn_takes_before_what_is_seen() {
+fn a_wish_to_drive_back_leaves_three_centimetres_and_what_the_next_turn_takes_before_what_is_seen()
+{
     for (range_m, goes) in [(0.195, false), (0.2, true)] {
         let mut room = looked_around(0.5);
         let scan = post_behind(&room, range_m);
@@ -189,7 +206,8 @@ fn a_wish_to_drive_back_leaves_three_centimetres_and_what_the_next_turn_takes_be
 fn backing_off_leaves_three_centimetres_and_the_way_to_stop_before_what_is_seen() {
     let config = SafetyConfig { brake_mps2: 0.8, reaction_s: 0.05, ..SafetyConfig::default() };
     // 0.3 m/s: 1.5 cm until the brakes answer, 5.6 cm of braking.
-    for (range_m, speed, ends) in [(0.213, -0.3, true), (0.218, -0.3, false), (0.195, 0.3, false), (0.195, 0.0, false)]
+    for (range_m, speed, ends) in
+        [(0.213, -0.3, true), (0.218, -0.3, false), (0.195, 0.3, false), (0.195, 0.0, false)]
     {
         let mut room = Room::with(config.clone(), 2.0, Pose2::IDENTITY);
         room.until(FORWARD, tripped);
@@ -197,21 +215,33 @@ fn backing_off_leaves_three_centimetres_and_the_way_to_stop_before_what_is_seen(
         let scan = post_behind(&room, range_m);
         room.driving = Twist2 { linear_mps: speed, angular_radps: 0.0 };
         let output = room.tick_with(FORWARD, Some(&scan), false);
-        let blocked = matches!(output.event, Some(SafetyEvent::BackedOff { end: BackOffEnd::RearBlocked, .. }));
+        let blocked = matches!(
+            output.event,
+            Some(SafetyEvent::BackedOff { end: BackOffEnd::RearBlocked, .. })
+        );
         assert_eq!(blocked, ends, "{range_m} {speed}: {output:?}");
     }
 }
 
 #[test]
 fn the_last_steps_back_are_as_long_as_what_is_left_and_no_faster_than_the_brakes_allow() {
-    for (brake_mps2, left_m, speed) in [(100.0, 0.02, 0.2), (0.5, 0.02, 0.02_f64.sqrt()), (100.0, 0.05, 0.3)] {
-        let mut room = Room::with(SafetyConfig { brake_mps2, ..SafetyConfig::default() }, 2.0, Pose2::IDENTITY);
+    for (brake_mps2, left_m, speed) in
+        [(100.0, 0.02, 0.2), (0.5, 0.02, 0.02_f64.sqrt()), (100.0, 0.05, 0.3)]
+    {
+        let mut room = Room::with(
+            SafetyConfig { brake_mps2, ..SafetyConfig::default() },
+            2.0,
+            Pose2::IDENTITY,
+        );
         room.until(FORWARD, tripped);
         let from = room.pose;
         room.until(FORWARD, |output| output.twist().linear_mps < 0.0);
         room.pose = Pose2::new(from.x_m - 0.2 + left_m, 0.0, 0.0);
         let output = room.tick(FORWARD);
-        assert!((output.twist().linear_mps + speed).abs() < 1e-9, "{left_m} with {brake_mps2}: {output:?}");
+        assert!(
+            (output.twist().linear_mps + speed).abs() < 1e-9,
+            "{left_m} with {brake_mps2}: {output:?}"
+        );
         assert_eq!(output.twist().angular_radps, 0.0);
     }
 }
@@ -223,7 +253,10 @@ fn an_escape_turns_to_the_side_with_more_room_as_fast_as_configured_and_once_rou
         room.until(FORWARD, |output| output.event == Some(SafetyEvent::Escaping));
         let begun_ns = room.time_ns - TICK_NS;
         let output = room.tick(FORWARD);
-        assert_eq!(output.twist(), Twist2 { linear_mps: 0.0, angular_radps: side * 20_f64.to_radians() });
+        assert_eq!(
+            output.twist(),
+            Twist2 { linear_mps: 0.0, angular_radps: side * 20_f64.to_radians() }
+        );
         room.until(FORWARD, |output| output.event == Some(SafetyEvent::Cleared));
         let took_s = (room.time_ns - TICK_NS - begun_ns) as f64 * 1e-9;
         assert!((17.9..18.2).contains(&took_s), "{took_s}");
@@ -248,7 +281,8 @@ fn an_escape_ends_where_a_corner_would_meet_the_wall() {
 fn a_turn_on_the_spot_is_looked_at_as_far_as_it_goes_until_the_wheels_answer_and_0_3_s_more() {
     // At 0.5 rad/s 0.15 rad; with a reaction of 0.2 s 0.25 rad. The nose's corner is 0.335 m from the axle.
     for (reaction_s, y_m, turns) in [(0.0, 1.79, true), (0.2, 1.79, false), (0.0, 1.82, false)] {
-        let mut room = Room::with(SafetyConfig { reaction_s, ..cart() }, 2.0, Pose2::new(0.0, y_m, 0.0));
+        let mut room =
+            Room::with(SafetyConfig { reaction_s, ..cart() }, 2.0, Pose2::new(0.0, y_m, 0.0));
         room.tick(Twist2::ZERO);
         let left = Twist2 { linear_mps: 0.0, angular_radps: 0.5 };
         assert_eq!(room.tick(left).twist() == left, turns, "{reaction_s} {y_m}");

@@ -46,7 +46,12 @@ pub(super) struct Rear {
 
 impl Rear {
     pub fn new(memory_s: f64) -> Self {
-        Self { memory_ns: (memory_s * 1e9) as u64, looks: [None; SECTORS], trail: [None; TRAIL], next: 0 }
+        Self {
+            memory_ns: (memory_s * 1e9) as u64,
+            looks: [None; SECTORS],
+            trail: [None; TRAIL],
+            next: 0,
+        }
     }
 
     /// The robot stands here.
@@ -72,9 +77,11 @@ impl Rear {
     pub fn see(&mut self, scan: &LaserScan, t_odom_laser: &Pose2, around: &Surroundings) {
         let mut returned = [(0_u32, 0_u32, f64::INFINITY); SECTORS];
         for (beam, range) in scan.ranges.iter().enumerate() {
-            let (all, back, nearest_m) = &mut returned[sector_of(scan.geometry.angle_rad(beam) + t_odom_laser.yaw_rad)];
+            let (all, back, nearest_m) =
+                &mut returned[sector_of(scan.geometry.angle_rad(beam) + t_odom_laser.yaw_rad)];
             *all += 1;
-            let range_m = distance_m(*range, &scan.geometry).filter(|range_m| *range_m > around.own_body_m(beam));
+            let range_m = distance_m(*range, &scan.geometry)
+                .filter(|range_m| *range_m > around.own_body_m(beam));
             if let Some(range_m) = range_m {
                 *back += 1;
                 *nearest_m = nearest_m.min(f64::from(range_m));
@@ -85,15 +92,26 @@ impl Rear {
         let whole = (TAU / SECTORS as f64 / scan.geometry.angle_increment_rad) as u32;
         for (look, (all, back, nearest_m)) in self.looks.iter_mut().zip(returned) {
             if all >= whole.max(1) {
-                *look = (2 * back >= all).then_some(Look { time_ns: scan.time_ns, from_m, nearest_m });
+                *look =
+                    (2 * back >= all).then_some(Look { time_ns: scan.time_ns, from_m, nearest_m });
             }
         }
     }
 
     /// How far back from `pose` the ground is known to be free, up to `wanted_m`, metres.
-    pub fn known_free_m(&self, time_ns: u64, pose: &Pose2, footprint: &Footprint, wanted_m: f64) -> f64 {
+    pub fn known_free_m(
+        &self,
+        time_ns: u64,
+        pose: &Pose2,
+        footprint: &Footprint,
+        wanted_m: f64,
+    ) -> f64 {
         if self.looks_behind(time_ns, pose).all(|look| look.is_some()) {
-            let looks = self.looks.iter().enumerate().filter_map(|(sector, look)| Some((sector, look.as_ref()?)));
+            let looks = self
+                .looks
+                .iter()
+                .enumerate()
+                .filter_map(|(sector, look)| Some((sector, look.as_ref()?)));
             return seen_gap_m(looks, pose, footprint).min(wanted_m).max(0.0);
         }
         // Whoever has stepped onto the way since was seen, if somebody looked.
@@ -107,11 +125,17 @@ impl Rear {
                 same_way && distance_to_way_m(&place, &was, &then) < ON_TRAIL_M
             })
         };
-        ((1..=steps).take_while(driven_over).count() as f64 * STEP_M).min(wanted_m).min(seen_m.max(0.0))
+        ((1..=steps).take_while(driven_over).count() as f64 * STEP_M)
+            .min(wanted_m)
+            .min(seen_m.max(0.0))
     }
 
     /// The way that was driven a moment ago, piece by piece, up to here.
-    fn way<'a>(&'a self, time_ns: u64, here: &'a Pose2) -> impl Iterator<Item = (Pose2, Pose2)> + 'a {
+    fn way<'a>(
+        &'a self,
+        time_ns: u64,
+        here: &'a Pose2,
+    ) -> impl Iterator<Item = (Pose2, Pose2)> + 'a {
         let place = move |back: usize| self.trail[(self.next + 2 * TRAIL - 1 - back) % TRAIL];
         (0..TRAIL)
             .map_while(place)
@@ -129,7 +153,9 @@ impl Rear {
         time_ns: u64,
         pose: &'a Pose2,
     ) -> impl Iterator<Item = Option<(usize, &'a Look)>> + 'a {
-        let behind = move |sector: &usize| wrap_angle(direction_of(*sector) - pose.yaw_rad).abs() > 0.75 * PI;
+        let behind = move |sector: &usize| {
+            wrap_angle(direction_of(*sector) - pose.yaw_rad).abs() > 0.75 * PI
+        };
         (0..SECTORS).filter(behind).map(move |sector| {
             let look = self.looks[sector].as_ref()?;
             let near = (look.from_m[0] - pose.x_m).hypot(look.from_m[1] - pose.y_m) < MOVED_ON_M;
@@ -140,13 +166,18 @@ impl Rear {
 
 /// Free way back to what looks saw, metres; infinite where they saw nothing in the way. A return may be anywhere across its
 /// direction.
-fn seen_gap_m<'a>(looks: impl Iterator<Item = (usize, &'a Look)>, pose: &Pose2, footprint: &Footprint) -> f64 {
+fn seen_gap_m<'a>(
+    looks: impl Iterator<Item = (usize, &'a Look)>,
+    pose: &Pose2,
+    footprint: &Footprint,
+) -> f64 {
     let half = PI / SECTORS as f64;
     let t_base_odom = pose.inverse();
     let points = looks.flat_map(|(sector, look)| {
         [-half, 0.0, half].map(|off| {
             let (sin, cos) = (direction_of(sector) + off).sin_cos();
-            let (x_m, y_m) = (look.from_m[0] + look.nearest_m * cos, look.from_m[1] + look.nearest_m * sin);
+            let (x_m, y_m) =
+                (look.from_m[0] + look.nearest_m * cos, look.from_m[1] + look.nearest_m * sin);
             let (x_m, y_m) = t_base_odom.transform(x_m, y_m);
             [x_m, y_m]
         })
@@ -159,7 +190,8 @@ fn distance_to_way_m(place: &Pose2, from: &Pose2, to: &Pose2) -> f64 {
     let (along_x, along_y) = (to.x_m - from.x_m, to.y_m - from.y_m);
     let (x, y) = (place.x_m - from.x_m, place.y_m - from.y_m);
     let length_2 = along_x * along_x + along_y * along_y;
-    let share = if length_2 > 0.0 { ((x * along_x + y * along_y) / length_2).clamp(0.0, 1.0) } else { 0.0 };
+    let share =
+        if length_2 > 0.0 { ((x * along_x + y * along_y) / length_2).clamp(0.0, 1.0) } else { 0.0 };
     (x - share * along_x).hypot(y - share * along_y)
 }
 
@@ -227,15 +259,23 @@ mod tests {
         let known_m = rear.known_free_m(0, &here, &ROUND, 0.5);
         assert!((0.16..=0.22).contains(&known_m), "{known_m}");
         let turned = Pose2::new(0.18, 0.0, 1.5);
-        assert!(rear.known_free_m(0, &turned, &ROUND, 0.5) < 0.03, "the way is not behind any more");
-        assert_eq!(rear.known_free_m(29_000_000_000, &here, &ROUND, 0.5), known_m, "not too long ago");
+        assert!(
+            rear.known_free_m(0, &turned, &ROUND, 0.5) < 0.03,
+            "the way is not behind any more"
+        );
+        assert_eq!(
+            rear.known_free_m(29_000_000_000, &here, &ROUND, 0.5),
+            known_m,
+            "not too long ago"
+        );
         assert_eq!(rear.known_free_m(31_000_000_000, &here, &ROUND, 0.5), 0.0, "too long ago");
     }
 
     #[test]
     fn standing_for_long_does_not_forget_the_way_that_was_driven() {
         let mut rear = rear();
-        let at = |way_m: f64, yaw: f64| Pose2::new(0.0, 0.0, 1.0).compose(&Pose2::new(way_m, 0.0, yaw));
+        let at =
+            |way_m: f64, yaw: f64| Pose2::new(0.0, 0.0, 1.0).compose(&Pose2::new(way_m, 0.0, yaw));
         (0..10).for_each(|step| rear.stand(0, &at(f64::from(step) * 0.021, 0.0)));
         (0..1000).for_each(|_| rear.stand(0, &at(0.195, 0.05)));
         assert!(rear.known_free_m(0, &at(0.195, 0.0), &ROUND, 0.5) > 0.16);
@@ -252,7 +292,11 @@ mod tests {
             let moved_on = Pose2::new(x_m, y_m, 0.0);
             assert_eq!(rear.known_free_m(0, &moved_on, &ROUND, 0.2), 0.0, "seen from elsewhere");
         }
-        assert_eq!(rear.known_free_m(31_000_000_000, &Pose2::IDENTITY, &ROUND, 0.2), 0.0, "too long ago");
+        assert_eq!(
+            rear.known_free_m(31_000_000_000, &Pose2::IDENTITY, &ROUND, 0.2),
+            0.0,
+            "too long ago"
+        );
     }
 
     #[test]
@@ -261,7 +305,11 @@ mod tests {
         let here = Pose2::new(1.0, -2.0, 63f64.to_radians());
         for (looked_deg, known_m) in [(146.1, 0.0), (156.1, 0.2)] {
             let mut rear = rear();
-            rear.see(&round_room(2.0), &Pose2::new(1.0, -2.0, f64::to_radians(looked_deg)), &nobody());
+            rear.see(
+                &round_room(2.0),
+                &Pose2::new(1.0, -2.0, f64::to_radians(looked_deg)),
+                &nobody(),
+            );
             assert_eq!(rear.known_free_m(0, &here, &ROUND, 0.2), known_m, "{looked_deg}");
         }
     }
@@ -280,12 +328,17 @@ mod tests {
             for yaw in [0.0, 1.7] {
                 rear.see(&scan, &Pose2::new(0.0, 0.0, yaw), &nobody());
             }
-            assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), known_m, "one of {every}");
+            assert_eq!(
+                rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2),
+                known_m,
+                "one of {every}"
+            );
         }
     }
 
     #[test]
-    fn a_return_may_be_anywhere_across_its_direction_and_is_where_it_was_when_the_robot_has_moved_a_little() {
+    fn a_return_may_be_anywhere_across_its_direction_and_is_where_it_was_when_the_robot_has_moved_a_little()
+     {
         let mut rear = rear();
         // Something between 190 and 200 degrees, 0.7 m away; the robot looks that way and turns back.
         let looked_rad = -1.7;
@@ -313,7 +366,11 @@ mod tests {
                 assert_eq!(sector_of(direction_of(sector) + turns * TAU + off), sector);
             }
         }
-        assert_eq!(sector_of(-1e-20), SECTORS - 1, "a whole turn, but for less than a number can hold");
+        assert_eq!(
+            sector_of(-1e-20),
+            SECTORS - 1,
+            "a whole turn, but for less than a number can hold"
+        );
     }
 
     #[test]
@@ -321,14 +378,27 @@ mod tests {
         // Five metres to the north-east: three and four.
         let (from, to) = (Pose2::new(1.0, 2.0, 0.0), Pose2::new(4.0, 6.0, 0.0));
         let at = |along_m: f64, aside_m: f64| {
-            Pose2::new(1.0 + 0.6 * along_m - 0.8 * aside_m, 2.0 + 0.8 * along_m + 0.6 * aside_m, 0.0)
+            Pose2::new(
+                1.0 + 0.6 * along_m - 0.8 * aside_m,
+                2.0 + 0.8 * along_m + 0.6 * aside_m,
+                0.0,
+            )
         };
-        for (along_m, aside_m, distance_m) in
-            [(2.0, 0.5, 0.5), (4.0, -0.25, 0.25), (0.0, 1.0, 1.0), (-3.0, 4.0, 5.0), (8.0, -4.0, 5.0)]
-        {
-            assert!((distance_to_way_m(&at(along_m, aside_m), &from, &to) - distance_m).abs() < 1e-12);
+        for (along_m, aside_m, distance_m) in [
+            (2.0, 0.5, 0.5),
+            (4.0, -0.25, 0.25),
+            (0.0, 1.0, 1.0),
+            (-3.0, 4.0, 5.0),
+            (8.0, -4.0, 5.0),
+        ] {
+            assert!(
+                (distance_to_way_m(&at(along_m, aside_m), &from, &to) - distance_m).abs() < 1e-12
+            );
         }
-        assert!((distance_to_way_m(&at(-3.0, 4.0), &from, &from) - 5.0).abs() < 1e-12, "a piece without length");
+        assert!(
+            (distance_to_way_m(&at(-3.0, 4.0), &from, &from) - 5.0).abs() < 1e-12,
+            "a piece without length"
+        );
     }
 
     #[test]
@@ -382,17 +452,26 @@ mod tests {
 
     #[test]
     fn a_scanner_so_coarse_that_no_beam_looks_behind_has_not_looked_there() {
-        let geometry =
-            ScanGeometry { angle_min_rad: -2.0, angle_increment_rad: 0.25, beams: 17, ..ScanGeometry::UTM_30LX };
+        let geometry = ScanGeometry {
+            angle_min_rad: -2.0,
+            angle_increment_rad: 0.25,
+            beams: 17,
+            ..ScanGeometry::UTM_30LX
+        };
         let mut rear = rear();
-        rear.see(&LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(3.0); 17] }, &Pose2::IDENTITY, &nobody());
+        rear.see(
+            &LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(3.0); 17] },
+            &Pose2::IDENTITY,
+            &nobody(),
+        );
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
     }
 
     #[test]
     fn the_robots_own_mast_is_neither_free_ground_nor_an_obstacle_behind() {
         let mast = |sector: BodySector| {
-            let mut around = Surroundings::new(&SafetyConfig { body: vec![sector], ..SafetyConfig::default() });
+            let mut around =
+                Surroundings::new(&SafetyConfig { body: vec![sector], ..SafetyConfig::default() });
             around.see(&round_room(0.17));
             around
         };
@@ -441,7 +520,11 @@ mod tests {
             let here = Pose2::new(0.19, 0.0, 0.0);
             let known = rear.known_free_m(0, &here, &Footprint::new(0.0, &corners), 0.1);
             assert_eq!(known, known_m, "{yaw}");
-            assert_eq!(rear.known_free_m(0, &here, &ROUND, 0.1), 0.1, "a round robot has no heading");
+            assert_eq!(
+                rear.known_free_m(0, &here, &ROUND, 0.1),
+                0.1,
+                "a round robot has no heading"
+            );
         }
     }
 
@@ -479,9 +562,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_known_of_the_ground_behind_is_the_same_after_a_snapshot_and_half_of_one_is_refused() {
+    fn what_is_known_of_the_ground_behind_is_the_same_after_a_snapshot_and_half_of_one_is_refused()
+    {
         let mut known = rear();
-        (0..70).for_each(|step| known.stand(step as u64, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0)));
+        (0..70).for_each(|step| {
+            known.stand(step as u64, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0))
+        });
         known.see(&round_room(2.0), &Pose2::new(1.38, 0.0, 0.5), &nobody());
         let mut bytes = Vec::new();
         known.write(&mut bytes);

@@ -132,7 +132,8 @@ pub struct SafetyOutput {
 }
 
 impl SafetyOutput {
-    pub(super) const STOP: Self = Self { command: None, event: None, blocked_m: None, in_charge: true };
+    pub(super) const STOP: Self =
+        Self { command: None, event: None, blocked_m: None, in_charge: true };
 
     pub(super) fn drive(command: Twist2) -> Self {
         Self { command: Some(command), ..Self::STOP }
@@ -160,8 +161,13 @@ mod tests {
 
     #[test]
     fn every_state_has_a_name_and_only_two_of_them_follow_plans() {
-        let back_off =
-            BackOff { from: Pose2::IDENTITY, since_ns: 0, known_free_m: 0.0, touching: false, blocked_m: [0.0; 2] };
+        let back_off = BackOff {
+            from: Pose2::IDENTITY,
+            since_ns: 0,
+            known_free_m: 0.0,
+            touching: false,
+            blocked_m: [0.0; 2],
+        };
         let escape = Escape { since_ns: None, direction: 1.0, turned_rad: 0.0, last_yaw_rad: 0.0 };
         let states = [
             (SafetyState::Disarmed, "disarmed", true),

@@ -53,7 +53,11 @@ impl ScanHealth {
         let errors = scan.ranges.iter().filter(|range| is_error(**range)).count();
         let measured = scan.ranges.iter().any(|range| distance_m(*range, &scan.geometry).is_some());
         let too_many_errors = errors as f64 > MAX_ERROR_SHARE * scan.ranges.len() as f64;
-        if too_many_errors || !measured || scan.ranges.len() != scan.geometry.beams { Self::Bad } else { Self::Good }
+        if too_many_errors || !measured || scan.ranges.len() != scan.geometry.beams {
+            Self::Bad
+        } else {
+            Self::Good
+        }
     }
 }
 
@@ -100,7 +104,8 @@ impl Surroundings {
     #[must_use]
     pub fn new(config: &SafetyConfig) -> Self {
         let footprint = Footprint::new(config.footprint_radius_m, &config.footprint_m);
-        let needed_m = config.laser_forward_m.abs() + footprint.reach_m() + config.stop_distance_m + SIGHT_M;
+        let needed_m =
+            config.laser_forward_m.abs() + footprint.reach_m() + config.stop_distance_m + SIGHT_M;
         Self {
             laser_forward_m: config.laser_forward_m,
             horizon_m: needed_m.max(f64::from(HORIZON_M)) as f32,
@@ -115,7 +120,9 @@ impl Surroundings {
     fn learn(&mut self, geometry: ScanGeometry) {
         let body = &self.body;
         let beam = |angle: f64| {
-            let own = body.iter().filter(|part| (part.from_deg..=part.to_deg).contains(&angle.to_degrees()));
+            let own = body
+                .iter()
+                .filter(|part| (part.from_deg..=part.to_deg).contains(&angle.to_degrees()));
             let own_body_m = own.map(|part| part.up_to_m as f32).fold(0.0, f32::max);
             Beam { cos: angle.cos(), sin: angle.sin(), own_body_m }
         };
@@ -146,7 +153,8 @@ impl Surroundings {
                 neighbours = 0;
                 continue;
             }
-            neighbours = if (range_m - last_m).abs() < NEIGHBOUR_GAP_M { neighbours + 1 } else { 1 };
+            neighbours =
+                if (range_m - last_m).abs() < NEIGHBOUR_GAP_M { neighbours + 1 } else { 1 };
             last_m = range_m;
             if neighbours >= MIN_NEIGHBOURS {
                 let range_m = f64::from(range_m);
@@ -175,10 +183,17 @@ impl Surroundings {
 
     /// What the robot would meet first, and after which way, when it drives by `twist`; looked at up to `reach_m`.
     #[must_use]
-    pub fn first_met(&self, footprint: &Footprint, twist: &hal::Twist2, reach_m: f64) -> Option<(Obstacle, f64)> {
+    pub fn first_met(
+        &self,
+        footprint: &Footprint,
+        twist: &hal::Twist2,
+        reach_m: f64,
+    ) -> Option<(Obstacle, f64)> {
         // Nothing is known beyond the horizon.
         let reach_m = reach_m.min(2.0 * f64::from(self.horizon_m));
-        let gap = |obstacle: &Obstacle| Some((*obstacle, footprint.gap_m(obstacle.point_m(), twist, reach_m)?));
+        let gap = |obstacle: &Obstacle| {
+            Some((*obstacle, footprint.gap_m(obstacle.point_m(), twist, reach_m)?))
+        };
         self.obstacles.iter().filter_map(gap).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
@@ -246,15 +261,22 @@ pub(super) mod tests {
     #[test]
     fn a_single_stray_return_is_not_an_obstacle_but_a_thin_leg_is() {
         let beam_rad = ScanGeometry::UTM_30LX.angle_increment_rad;
-        let stray = scan_of(|angle| if angle.abs() < 0.4 * beam_rad { Range::Hit(0.2) } else { Range::Hit(3.0) });
+        let stray =
+            scan_of(
+                |angle| {
+                    if angle.abs() < 0.4 * beam_rad { Range::Hit(0.2) } else { Range::Hit(3.0) }
+                },
+            );
         assert!(met(&stray, FORWARD).is_none());
-        let leg = scan_of(|angle| if angle.abs() < 0.05 { Range::Hit(0.2) } else { Range::Hit(3.0) });
+        let leg =
+            scan_of(|angle| if angle.abs() < 0.05 { Range::Hit(0.2) } else { Range::Hit(3.0) });
         assert!(met(&leg, FORWARD).is_some());
     }
 
     #[test]
     fn too_near_ahead_is_an_obstacle_and_no_return_is_not() {
-        let near = scan_of(|angle| if angle.abs() < 0.3 { Range::TooNear } else { Range::Hit(3.0) });
+        let near =
+            scan_of(|angle| if angle.abs() < 0.3 { Range::TooNear } else { Range::Hit(3.0) });
         assert!(met(&near, FORWARD).unwrap().0.too_near);
         assert!(met(&scan_of(|_| Range::NoReturn), FORWARD).is_none());
     }
@@ -263,7 +285,8 @@ pub(super) mod tests {
     fn the_robots_own_mast_is_not_an_obstacle_and_what_stands_behind_the_mast_is() {
         let body = vec![BodySector { from_deg: -10.0, to_deg: 10.0, up_to_m: 0.15 }];
         let config = SafetyConfig { body, ..SafetyConfig::default() };
-        let mast = scan_of(|angle| if angle.abs() < 0.15 { Range::Hit(0.12) } else { Range::Hit(3.0) });
+        let mast =
+            scan_of(|angle| if angle.abs() < 0.15 { Range::Hit(0.12) } else { Range::Hit(3.0) });
         assert!(met(&mast, FORWARD).is_some());
         assert!(met_with(&config, &mast, FORWARD).is_none());
         assert!(met_with(&config, &wall_ahead(0.2), FORWARD).is_some());
@@ -299,8 +322,11 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn errors_between_returns_do_not_hide_what_returned_and_nothing_between_them_leaves_them_single() {
-        for (between, hidden) in [(Range::Error, false), (Range::Hit(f32::NAN), false), (Range::NoReturn, true)] {
+    fn errors_between_returns_do_not_hide_what_returned_and_nothing_between_them_leaves_them_single()
+     {
+        for (between, hidden) in
+            [(Range::Error, false), (Range::Hit(f32::NAN), false), (Range::NoReturn, true)]
+        {
             let mut scan = wall_ahead(0.2);
             scan.ranges.iter_mut().step_by(2).for_each(|range| *range = between);
             assert_eq!(met(&scan, FORWARD).is_none(), hidden, "{between:?}");
@@ -322,7 +348,9 @@ pub(super) mod tests {
     #[test]
     fn the_robot_turns_to_the_side_with_more_room() {
         let mut around = Surroundings::new(&SafetyConfig::default());
-        for (left_m, right_m, side) in [(1.0, 0.5, 1.0), (0.5, 1.0, -1.0), (5.0, 2.5, 1.0), (1.0, 1.0, 1.0)] {
+        for (left_m, right_m, side) in
+            [(1.0, 0.5, 1.0), (0.5, 1.0, -1.0), (5.0, 2.5, 1.0), (1.0, 1.0, 1.0)]
+        {
             around.see(&scan_of(|angle| match angle.sin() {
                 sin if sin.abs() < 1e-6 => Range::NoReturn,
                 sin => Range::Hit(if sin > 0.0 { left_m } else { right_m }),
@@ -335,17 +363,27 @@ pub(super) mod tests {
     fn a_laser_in_front_of_the_axle_sees_from_there_and_as_far_as_it_must() {
         let config = SafetyConfig { laser_forward_m: 0.1, ..SafetyConfig::default() };
         let (obstacle, gap_m) = met_with(&config, &wall_ahead(0.15), FORWARD).unwrap();
-        assert!((obstacle.x_m - 0.25).abs() < 1e-3 && (gap_m - 0.09).abs() < 1e-3, "{obstacle:?} {gap_m}");
-        let sight = |config: &SafetyConfig| Surroundings::new(config).sight_m(&Footprint::new(0.16, &[]));
+        assert!(
+            (obstacle.x_m - 0.25).abs() < 1e-3 && (gap_m - 0.09).abs() < 1e-3,
+            "{obstacle:?} {gap_m}"
+        );
+        let sight =
+            |config: &SafetyConfig| Surroundings::new(config).sight_m(&Footprint::new(0.16, &[]));
         assert!((sight(&config) - (1.5 + 0.1 - 0.16)).abs() < 1e-6);
         for laser_forward_m in [-0.5, 0.5] {
-            let far = SafetyConfig { laser_forward_m, stop_distance_m: 2.0, ..SafetyConfig::default() };
-            assert!((sight(&far) - (0.5 + laser_forward_m + 2.0 + 1.0)).abs() < 1e-6, "{}", sight(&far));
+            let far =
+                SafetyConfig { laser_forward_m, stop_distance_m: 2.0, ..SafetyConfig::default() };
+            assert!(
+                (sight(&far) - (0.5 + laser_forward_m + 2.0 + 1.0)).abs() < 1e-6,
+                "{}",
+                sight(&far)
+            );
         }
     }
 
     #[test]
-    fn a_body_that_is_seen_between_two_directions_is_masked_between_them_and_up_to_its_distance_only() {
+    fn a_body_that_is_seen_between_two_directions_is_masked_between_them_and_up_to_its_distance_only()
+     {
         let body = vec![
             BodySector { from_deg: -10.0, to_deg: 10.0, up_to_m: 0.15 },
             BodySector { from_deg: 5.0, to_deg: 20.0, up_to_m: 0.3 },
@@ -355,7 +393,8 @@ pub(super) mod tests {
         assert_eq!(around.own_body_m(540), 0.0, "no scan yet");
         around.see(&wall_ahead(1.0));
         let beam = |degrees: f64| (540.0 + 4.0 * degrees) as usize;
-        let seen: Vec<f32> = [-11.0, -9.0, 0.0, 6.0, 19.0, 21.0].map(|at| around.own_body_m(beam(at))).to_vec();
+        let seen: Vec<f32> =
+            [-11.0, -9.0, 0.0, 6.0, 19.0, 21.0].map(|at| around.own_body_m(beam(at))).to_vec();
         assert_eq!(seen, [0.0, 0.15, 0.15, 0.3, 0.3, 0.0]);
     }
 
@@ -365,17 +404,26 @@ pub(super) mod tests {
         around.see(&wall_ahead(0.2));
         let geometry = ScanGeometry { angle_min_rad: 0.0, ..ScanGeometry::UTM_30LX };
         around.see(&LaserScan { geometry, ..wall_ahead(0.2) });
-        assert!(around.first_met(&Footprint::new(0.16, &[]), &FORWARD, 0.1).is_none(), "it looks to the left");
+        assert!(
+            around.first_met(&Footprint::new(0.16, &[]), &FORWARD, 0.1).is_none(),
+            "it looks to the left"
+        );
     }
 
     #[test]
     fn what_is_seen_lies_where_the_beam_points_and_nothing_beyond_the_horizon_is_kept() {
-        let mut around = Surroundings::new(&SafetyConfig { laser_forward_m: 0.1, ..SafetyConfig::default() });
-        around.see(&scan_of(|angle| if (0.5..0.6).contains(&angle) { Range::Hit(1.0) } else { Range::Hit(3.0) }));
+        let mut around =
+            Surroundings::new(&SafetyConfig { laser_forward_m: 0.1, ..SafetyConfig::default() });
+        around.see(&scan_of(|angle| {
+            if (0.5..0.6).contains(&angle) { Range::Hit(1.0) } else { Range::Hit(3.0) }
+        }));
         assert!(around.obstacles().len() > 20);
         for obstacle in around.obstacles() {
             let (x_m, y_m) = (obstacle.x_m - 0.1, obstacle.y_m);
-            assert!((x_m.hypot(y_m) - 1.0).abs() < 1e-6 && (0.5..0.6).contains(&y_m.atan2(x_m)), "{obstacle:?}");
+            assert!(
+                (x_m.hypot(y_m) - 1.0).abs() < 1e-6 && (0.5..0.6).contains(&y_m.atan2(x_m)),
+                "{obstacle:?}"
+            );
         }
         for (range_m, is_kept) in [(1.5, true), (1.51, false), (20.0, false)] {
             around.see(&scan_of(|_| Range::Hit(range_m)));

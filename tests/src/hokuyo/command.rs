@@ -5,10 +5,10 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
 use clap::Args;
-use drivers::MonotonicClock;
-use drivers::clock::monotonic_ns;
 use drivers::scip::Model;
 use hal::Clock;
+use monotonic_clock::MonotonicClock;
+use monotonic_clock::monotonic_ns;
 
 use super::faults::{EventKind, FaultPlan};
 use super::{Health, Room, SimulatedHokuyo, WireFaults};
@@ -46,12 +46,17 @@ pub fn run(args: &HokuyoArgs) -> Result<(), Box<dyn Error>> {
     let device = match (&args.pty, &args.serial, args.tcp) {
         (_, Some(port), _) => SimulatedHokuyo::on_serial(args.model, port, source)
             .map_err(|error| format!("no serial port at {}: {error}", port.display()))?,
-        (Some(link), ..) => SimulatedHokuyo::on_pty(args.model, link, source)
-            .map_err(|error| format!("no pty at {}: {error}; is something else there?", link.display()))?,
+        (Some(link), ..) => SimulatedHokuyo::on_pty(args.model, link, source).map_err(|error| {
+            format!("no pty at {}: {error}; is something else there?", link.display())
+        })?,
         (None, None, port) => {
             let port = port.unwrap_or_default();
-            SimulatedHokuyo::on_tcp(args.model, SocketAddr::from((Ipv4Addr::LOCALHOST, port)), source)
-                .map_err(|error| format!("no TCP port {port}: {error}; choose another with --tcp"))?
+            SimulatedHokuyo::on_tcp(
+                args.model,
+                SocketAddr::from((Ipv4Addr::LOCALHOST, port)),
+                source,
+            )
+            .map_err(|error| format!("no TCP port {port}: {error}; choose another with --tcp"))?
         }
     };
     match (args.pty.as_ref().or(args.serial.as_ref()), device.address()) {
@@ -92,7 +97,10 @@ fn play(args: &HokuyoArgs, device: &SimulatedHokuyo) -> Result<(), Box<dyn Error
                 (true, true) => "sending",
                 (true, false) => "waiting for a request",
             };
-            println!("{now_s:6.1} s  {what}, {} scans/s", scans - std::mem::replace(&mut scans_before, scans));
+            println!(
+                "{now_s:6.1} s  {what}, {} scans/s",
+                scans - std::mem::replace(&mut scans_before, scans)
+            );
         }
     }
     Ok(())

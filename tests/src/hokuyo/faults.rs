@@ -32,7 +32,8 @@ impl WireFaults {
         if rng.random::<f64>() < self.cut_share {
             message.truncate(rng.random_range(0..message.len()));
         }
-        let noise: Vec<u8> = (0..std::mem::take(&mut self.noise_bytes)).map(|_| rng.random()).collect();
+        let noise: Vec<u8> =
+            (0..std::mem::take(&mut self.noise_bytes)).map(|_| rng.random()).collect();
         message.splice(0..0, noise);
         if self.is_stalled {
             message.clear();
@@ -126,8 +127,15 @@ impl FaultPlan {
 }
 
 impl EventKind {
-    const ALL: [Self; 7] =
-        [Self::Stall, Self::Unplug, Self::Reboot, Self::Noise, Self::Blind, Self::Motor, Self::Laser];
+    const ALL: [Self; 7] = [
+        Self::Stall,
+        Self::Unplug,
+        Self::Reboot,
+        Self::Noise,
+        Self::Blind,
+        Self::Motor,
+        Self::Laser,
+    ];
 }
 
 impl fmt::Display for EventKind {

@@ -37,7 +37,8 @@ impl Plug {
     pub(super) fn put_in(place: &Place) -> io::Result<Self> {
         match place {
             Place::Pty(link) => {
-                let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+                let master =
+                    openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
                 grantpt(&master)?;
                 unlockpt(&master)?;
                 rustix::io::ioctl_fionbio(&master, true)?;
@@ -90,7 +91,9 @@ impl Plug {
         while !bytes.is_empty() {
             let written = match self {
                 Self::Pty { master, .. } => rustix::io::write(&*master, bytes),
-                Self::Serial { port } => wait_for_room(port).and_then(|()| rustix::io::write(&*port, bytes)),
+                Self::Serial { port } => {
+                    wait_for_room(port).and_then(|()| rustix::io::write(&*port, bytes))
+                }
                 Self::Tcp { client: Some(client), .. } => rustix::io::write(client.as_fd(), bytes),
                 Self::Tcp { .. } => return,
             };
@@ -104,7 +107,9 @@ impl Plug {
     /// The rate that the host has set, where there is such a thing.
     pub(super) fn baud(&self) -> Option<u32> {
         match self {
-            Self::Pty { master, .. } => tcgetattr(master).ok().map(|settings| settings.output_speed()),
+            Self::Pty { master, .. } => {
+                tcgetattr(master).ok().map(|settings| settings.output_speed())
+            }
             // Its rate is its own, not the host's.
             Self::Serial { .. } | Self::Tcp { .. } => None,
         }

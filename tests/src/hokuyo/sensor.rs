@@ -159,7 +159,11 @@ impl Sensor {
         let mut characters = Vec::new();
         for cluster in self.ranges_mm[first..=last].chunks(layout.cluster) {
             // The nearest that is no code, if there is one.
-            let nearest = cluster.iter().filter(|range| **range >= codes.dmin_mm).min().unwrap_or(&cluster[0]);
+            let nearest = cluster
+                .iter()
+                .filter(|range| **range >= codes.dmin_mm)
+                .min()
+                .unwrap_or(&cluster[0]);
             let value = if self.health == Health::Blind { 5 } else { *nearest };
             match layout.letter {
                 b'S' => number(&mut characters, value.min(4095), 2),
@@ -174,7 +178,8 @@ impl Sensor {
     }
 
     fn clock_ms(&self, at_ns: u64) -> u32 {
-        let passed_ms = at_ns.saturating_sub(self.booted_ns) as f64 * 1e-6 * (1.0 + self.clock_ppm * 1e-6);
+        let passed_ms =
+            at_ns.saturating_sub(self.booted_ns) as f64 * 1e-6 * (1.0 + self.clock_ppm * 1e-6);
         (passed_ms as u64 % (1 << 24)) as u32
     }
 
@@ -284,7 +289,8 @@ impl Sensor {
 
     fn state(&self, now_ns: u64, out: &mut Vec<u8>) {
         line(out, b"00");
-        let laser = self.laser_on && matches!(self.health, Health::Well | Health::Blind | Health::MotorFault);
+        let laser = self.laser_on
+            && matches!(self.health, Health::Well | Health::Blind | Health::MotorFault);
         field(out, "MODL", &format!("{}(Hokuyo Automatic Co., Ltd.)", self.model));
         field(out, "LASR", if laser { "ON" } else { "OFF" });
         field(out, "SCSP", &self.model.sheet().rpm.to_string());
@@ -309,7 +315,8 @@ impl Sensor {
         if !continuous {
             if self.laser_on && matches!(self.health, Health::Well | Health::Blind) {
                 line(out, b"00");
-                let begun_ns = self.turn_begin_ns.saturating_sub(self.model.geometry(false).period_ns);
+                let begun_ns =
+                    self.turn_begin_ns.saturating_sub(self.model.geometry(false).period_ns);
                 self.scan(begun_ns.max(self.booted_ns), layout, out);
             } else {
                 line(out, b"10");

@@ -6,10 +6,10 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-use drivers::MonotonicClock;
-use drivers::clock::monotonic_ns;
 use drivers::scip::Model;
 use hal::Clock;
+use monotonic_clock::MonotonicClock;
+use monotonic_clock::monotonic_ns;
 use rand::RngExt;
 
 use super::faults::seeded;
@@ -57,7 +57,11 @@ impl SimulatedHokuyo {
     ///
     /// # Errors
     /// When the port is taken.
-    pub fn on_tcp(model: Model, address: SocketAddr, source: Box<dyn ScanSource>) -> io::Result<Self> {
+    pub fn on_tcp(
+        model: Model,
+        address: SocketAddr,
+        source: Box<dyn ScanSource>,
+    ) -> io::Result<Self> {
         Self::start(model, Place::Tcp(address), source)
     }
 
@@ -77,7 +81,9 @@ impl SimulatedHokuyo {
         };
         let inside = Arc::new(Mutex::new(inside));
         let worker = inside.clone();
-        let thread = std::thread::Builder::new().name("simulated-hokuyo".to_owned()).spawn(move || work(&worker))?;
+        let thread = std::thread::Builder::new()
+            .name("simulated-hokuyo".to_owned())
+            .spawn(move || work(&worker))?;
         Ok(Self { inside, thread: Some(thread) })
     }
 
@@ -172,8 +178,11 @@ fn work(inside: &Mutex<Inside>) {
         let now_ns = monotonic_ns();
         answer.clear();
         scan.clear();
-        let is_understood =
-            one.plug.as_ref().and_then(Plug::baud).is_none_or(|set| one.baud.is_none_or(|own| own == set));
+        let is_understood = one
+            .plug
+            .as_ref()
+            .and_then(Plug::baud)
+            .is_none_or(|set| one.baud.is_none_or(|own| own == set));
         if let Some(plug) = &mut one.plug {
             let (count, is_gone) = plug.read(&mut buffer);
             if is_gone {

@@ -138,24 +138,30 @@ impl Cia402Sim {
     fn write(&mut self, index: u16, sub: u8, value: u32) -> Result<(), u32> {
         let is_off = |index: u16| self.value(index, 1) & 0x8000_0000 != 0;
         match index {
-            0x1000 | 0x1001 | 0x1008 | 0x1018 | 0x6041 | 0x6061 | 0x6064 | 0x606c => return Err(0x0601_0002),
+            0x1000 | 0x1001 | 0x1008 | 0x1018 | 0x6041 | 0x6061 | 0x6064 | 0x606c => {
+                return Err(0x0601_0002);
+            }
             // A PDO is mapped only while it is off, an entry only while the count is zero.
             0x1600 if !is_off(0x1400) => return Err(0x0601_0000),
             0x1a00 | 0x1a01 if !is_off(index - 0x200) => return Err(0x0601_0000),
-            0x1600 | 0x1a00 | 0x1a01 if sub > 0 && self.value(index, 0) != 0 => return Err(0x0601_0000),
+            0x1600 | 0x1a00 | 0x1a01 if sub > 0 && self.value(index, 0) != 0 => {
+                return Err(0x0601_0000);
+            }
             _ => {}
         }
         if (index, sub) == (0x1016, 1) && self.faults.forgets_watchdog {
             return Ok(());
         }
         if let Some((stored, bytes)) = self.dictionary.get_mut(&(index, sub)) {
-            *stored = if *bytes == 4 { value } else { value & ((1 << (8 * u32::from(*bytes))) - 1) };
+            *stored =
+                if *bytes == 4 { value } else { value & ((1 << (8 * u32::from(*bytes))) - 1) };
         }
         match (index, sub) {
             // Watched from the first heartbeat on.
             (0x1016, 1) => self.watchdog.limit_ns = None,
             (0x1017, 0) => {
-                self.heartbeat = (value & 0xffff > 0).then(|| Every::milliseconds(u64::from(value & 0xffff)));
+                self.heartbeat =
+                    (value & 0xffff > 0).then(|| Every::milliseconds(u64::from(value & 0xffff)));
             }
             (0x6040, 0) => self.on_controlword(value as u16),
             (0x6060, 0) => {
@@ -206,7 +212,8 @@ impl Cia402Sim {
             self.state = State::Fault;
             self.dictionary.insert((0x1001, 0), (0x11, 1));
             let [low, high] = code.to_le_bytes();
-            self.answers.push(standard(0x080 + u16::from(self.node), &[low, high, 0x11, 0, 0, 0, 0, 0]));
+            self.answers
+                .push(standard(0x080 + u16::from(self.node), &[low, high, 0x11, 0, 0, 0, 0, 0]));
         }
     }
 
@@ -232,7 +239,8 @@ impl Cia402Sim {
         let Some((_, objects)) = self.mapped(0x1400, 0x1600) else { return };
         let mut rest = data;
         for object in objects {
-            let (index, sub, bytes) = ((object >> 16) as u16, (object >> 8) as u8, (object & 0xff) as usize / 8);
+            let (index, sub, bytes) =
+                ((object >> 16) as u16, (object >> 8) as u8, (object & 0xff) as usize / 8);
             let Some((value, behind)) = rest.split_at_checked(bytes) else { return };
             let mut word = [0; 4];
             word.iter_mut().zip(value).for_each(|(byte, value)| *byte = *value);
@@ -247,7 +255,11 @@ impl Cia402Sim {
             .iter()
             .flat_map(|object| {
                 let value = self.value((object >> 16) as u16, (object >> 8) as u8);
-                value.to_le_bytes().into_iter().take((object & 0xff) as usize / 8).collect::<Vec<_>>()
+                value
+                    .to_le_bytes()
+                    .into_iter()
+                    .take((object & 0xff) as usize / 8)
+                    .collect::<Vec<_>>()
             })
             .collect();
         out.push(standard(cob_id, &payload));
@@ -267,7 +279,9 @@ impl MotorNode for Cia402Sim {
                     self.on_sdo(data);
                 }
             }
-            (id, [_]) if consumer & 0xffff != 0 && u32::from(id) == 0x700 + (consumer >> 16 & 0x7f) => {
+            (id, [_])
+                if consumer & 0xffff != 0 && u32::from(id) == 0x700 + (consumer >> 16 & 0x7f) =>
+            {
                 self.watchdog.limit_ns = Some(u64::from(consumer & 0xffff) * 1_000_000);
                 self.watchdog.feed(now_ns);
             }
@@ -278,7 +292,12 @@ impl MotorNode for Cia402Sim {
     fn step(&mut self, now_ns: u64, out: &mut Vec<CanFrame>) {
         if self.faults.reboot {
             let faults = NodeFaults { reboot: false, ..self.faults };
-            *self = Self { wheel: self.wheel.clone(), last_ns: self.last_ns, faults, ..Self::new(self.node) };
+            *self = Self {
+                wheel: self.wheel.clone(),
+                last_ns: self.last_ns,
+                faults,
+                ..Self::new(self.node)
+            };
         }
         if self.watchdog.expires(now_ns) {
             self.fail(0x8130);
@@ -288,7 +307,9 @@ impl MotorNode for Cia402Sim {
         }
         let target = self.value(0x60ff, 0) as i32;
         self.wheel.set_drive(match self.state {
-            State::Enabled if self.value(0x6060, 0) == 3 => Drive::Velocity(f64::from(target) / COUNTS * TAU),
+            State::Enabled if self.value(0x6060, 0) == 3 => {
+                Drive::Velocity(f64::from(target) / COUNTS * TAU)
+            }
             // 0x605E and 0x605A at 2: the quick-stop ramp.
             State::Fault | State::QuickStop if self.value(0x605e, 0) == 2 => Drive::Brake,
             _ => Drive::Coast,

@@ -3,9 +3,9 @@
 use std::error::Error;
 
 use clap::Args;
-use drivers::MonotonicClock;
 use drivers::can::{DifferentialBase, Phase, open_bus};
 use hal::{Base, Clock, DriveCommand, Twist2};
+use monotonic_clock::MonotonicClock;
 
 use super::rig;
 use super::run::Spoken;
@@ -60,7 +60,8 @@ pub fn run_base(args: &BaseArgs) -> Result<(), Box<dyn Error>> {
             println!("{:8.3} s  {says}", (clock.now_ns() - start_ns) as f64 * 1e-9);
             said = says;
         }
-        if args.seconds.is_some_and(|seconds| (clock.now_ns() - start_ns) as f64 * 1e-9 >= seconds) {
+        if args.seconds.is_some_and(|seconds| (clock.now_ns() - start_ns) as f64 * 1e-9 >= seconds)
+        {
             println!("feedback {feedback:?}");
             println!("counts {:?}", base.counts());
             return Ok(());

@@ -8,8 +8,8 @@ use drivers::can::record::{self, RECORD_BYTES};
 use drivers::can::{BusEvent, CanBus, CanFrame, Received, SendProblem};
 use rustix::io::Errno;
 use rustix::net::{
-    AddressFamily, RecvFlags, SendFlags, SocketAddrUnix, SocketFlags, SocketType, accept_with, bind, listen, recv,
-    send, socket_with,
+    AddressFamily, RecvFlags, SendFlags, SocketAddrUnix, SocketFlags, SocketType, accept_with,
+    bind, listen, recv, send, socket_with,
 };
 
 /// The hub. As a [`CanBus`] it is the connection of those who live in its own process.
@@ -35,7 +35,10 @@ impl Hub {
         let probe = socket_with(AddressFamily::UNIX, SocketType::SEQPACKET, flags, None)?;
         match rustix::net::connect(&probe, &address) {
             Ok(()) => {
-                return Err(std::io::Error::other(format!("another hub listens at {}; end it first", path.display())));
+                return Err(std::io::Error::other(format!(
+                    "another hub listens at {}; end it first",
+                    path.display()
+                )));
             }
             Err(Errno::CONNREFUSED) => std::fs::remove_file(path)?,
             Err(_) => {}
@@ -64,7 +67,9 @@ impl Hub {
 
     /// Takes in who waits at the door, and hands on what the connections sent.
     fn turn(&mut self) {
-        while let Ok(connection) = accept_with(&self.listener, SocketFlags::NONBLOCK | SocketFlags::CLOEXEC) {
+        while let Ok(connection) =
+            accept_with(&self.listener, SocketFlags::NONBLOCK | SocketFlags::CLOEXEC)
+        {
             self.connections.push(connection);
         }
         let mut at = 0;
@@ -93,7 +98,9 @@ impl Hub {
     }
 
     fn hand_on(&mut self, record: &[u8; RECORD_BYTES], from: Option<usize>) {
-        for (_, connection) in self.connections.iter().enumerate().filter(|(at, _)| Some(*at) != from) {
+        for (_, connection) in
+            self.connections.iter().enumerate().filter(|(at, _)| Some(*at) != from)
+        {
             if send(connection, record, SendFlags::DONTWAIT | SendFlags::NOSIGNAL).is_err() {
                 self.dropped += 1;
             }

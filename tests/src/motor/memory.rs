@@ -78,7 +78,8 @@ impl MemoryBus {
     /// A new bus with one connection. The seed decides which frames are lost.
     #[must_use]
     pub fn new(seed: u64) -> Self {
-        let network = Network { now_ns: 0, rng: Pcg64Mcg::seed_from_u64(seed), lines: vec![Line::default()] };
+        let network =
+            Network { now_ns: 0, rng: Pcg64Mcg::seed_from_u64(seed), lines: vec![Line::default()] };
         Self { network: Arc::new(Mutex::new(network)), line: 0 }
     }
 
@@ -210,7 +211,10 @@ mod tests {
         assert!(a.send(&frame(1)).is_ok());
         assert_eq!(a.receive(0), None);
         for other in [&mut b, &mut c] {
-            assert_eq!(other.receive(0).map(|received| received.event), Some(BusEvent::Frame(frame(1))));
+            assert_eq!(
+                other.receive(0).map(|received| received.event),
+                Some(BusEvent::Frame(frame(1)))
+            );
         }
     }
 

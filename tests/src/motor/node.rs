@@ -89,8 +89,8 @@ impl Every {
     pub(super) fn is_due(&mut self, now_ns: u64) -> bool {
         let due = now_ns >= self.next_ns;
         if due {
-            self.next_ns =
-                (self.next_ns + self.period_ns).max(now_ns - now_ns % self.period_ns.max(1) + self.period_ns);
+            self.next_ns = (self.next_ns + self.period_ns)
+                .max(now_ns - now_ns % self.period_ns.max(1) + self.period_ns);
         }
         due
     }

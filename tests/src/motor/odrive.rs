@@ -74,8 +74,12 @@ impl OdriveSim {
             (1, WATCHDOG_TIMEOUT_ENDPOINT, [a, b, c, d]) if !self.faults.forgets_watchdog => {
                 self.timeout_s = f32::from_le_bytes([*a, *b, *c, *d]);
             }
-            (0, ENABLE_WATCHDOG_ENDPOINT, _) => self.answer(endpoint, &[u8::from(self.watchdog_on)]),
-            (0, WATCHDOG_TIMEOUT_ENDPOINT, _) => self.answer(endpoint, &self.timeout_s.to_le_bytes()),
+            (0, ENABLE_WATCHDOG_ENDPOINT, _) => {
+                self.answer(endpoint, &[u8::from(self.watchdog_on)])
+            }
+            (0, WATCHDOG_TIMEOUT_ENDPOINT, _) => {
+                self.answer(endpoint, &self.timeout_s.to_le_bytes())
+            }
             _ => {}
         }
         let on = self.watchdog_on && self.timeout_s > 0.0;
@@ -111,7 +115,9 @@ impl MotorNode for OdriveSim {
                 IDLE => self.state = IDLE,
                 _ => {}
             },
-            (0x0b, [mode, 0, 0, 0, input, 0, 0, 0]) => self.velocity_mode = (*mode, *input) == (2, 1),
+            (0x0b, [mode, 0, 0, 0, input, 0, 0, 0]) => {
+                self.velocity_mode = (*mode, *input) == (2, 1)
+            }
             (0x0d, [a, b, c, d, ..]) => {
                 self.input_turns_per_s = f32::from_le_bytes([*a, *b, *c, *d]);
                 self.watchdog.feed(now_ns);
@@ -123,8 +129,14 @@ impl MotorNode for OdriveSim {
 
     fn step(&mut self, now_ns: u64, out: &mut Vec<CanFrame>) {
         if self.faults.reboot {
-            let (node, faults) = ((self.node >> 5) as u8, NodeFaults { reboot: false, ..self.faults });
-            *self = Self { wheel: self.wheel.clone(), last_ns: self.last_ns, faults, ..Self::new(node) };
+            let (node, faults) =
+                ((self.node >> 5) as u8, NodeFaults { reboot: false, ..self.faults });
+            *self = Self {
+                wheel: self.wheel.clone(),
+                last_ns: self.last_ns,
+                faults,
+                ..Self::new(node)
+            };
         }
         if self.watchdog.expires(now_ns) {
             self.disarm(WATCHDOG_EXPIRED);
@@ -147,7 +159,10 @@ impl MotorNode for OdriveSim {
             out.push(standard(self.node | 0x09, &turns.concat()));
         }
         if self.heartbeat.is_due(now_ns) {
-            out.push(standard(self.node | 0x01, &[&self.errors.to_le_bytes()[..], &[self.state, 0, 0, 0]].concat()));
+            out.push(standard(
+                self.node | 0x01,
+                &[&self.errors.to_le_bytes()[..], &[self.state, 0, 0, 0]].concat(),
+            ));
         }
     }
 

@@ -39,7 +39,12 @@ pub fn node(protocol: Protocol, node: u8) -> Box<dyn MotorNode> {
 }
 
 /// The nodes take what is on the bus, and send what they have to.
-pub fn step_nodes(nodes: &mut [Box<dyn MotorNode>], bus: &mut impl CanBus, now_ns: u64, outbox: &mut Outbox) {
+pub fn step_nodes(
+    nodes: &mut [Box<dyn MotorNode>],
+    bus: &mut impl CanBus,
+    now_ns: u64,
+    outbox: &mut Outbox,
+) {
     while let Some(received) = bus.receive(now_ns) {
         if let drivers::can::BusEvent::Frame(frame) = received.event {
             nodes.iter_mut().for_each(|node| node.receive(&frame, now_ns));
@@ -80,9 +85,22 @@ impl Rig {
         // Not zero: a boot takes a while, and 0 means never.
         let now_ns = 1_000_000_000;
         host.set_now(now_ns);
-        let base = DifferentialBase::with_clock(host.clone(), config, VirtualClock::starting_at_ns(now_ns))?;
+        let base = DifferentialBase::with_clock(
+            host.clone(),
+            config,
+            VirtualClock::starting_at_ns(now_ns),
+        )?;
         let nodes = [node(config.protocol, 1), node(config.protocol, 2)];
-        Ok(Self { base, nodes, host, motors, now_ns, counter: 0, feedback: Ok(None), outbox: Outbox::default() })
+        Ok(Self {
+            base,
+            nodes,
+            host,
+            motors,
+            now_ns,
+            counter: 0,
+            feedback: Ok(None),
+            outbox: Outbox::default(),
+        })
     }
 
     /// Only the motors' time passes, and the base's clock.

@@ -6,9 +6,9 @@ use std::path::Path;
 use std::str::FromStr;
 
 use clap::{Args, ValueEnum};
-use drivers::MonotonicClock;
 use drivers::can::{CanBus, Protocol, SocketBus};
 use hal::Clock;
+use monotonic_clock::MonotonicClock;
 
 use super::hub::Hub;
 use super::node::MotorNode;
@@ -72,8 +72,10 @@ impl FromStr for Scheduled {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        const KNOWN: [&str; 8] = ["block", "reverse", "silent", "break", "forget", "reboot", "bus-off", "heal"];
-        let (fault, seconds) = text.split_once('@').ok_or("write FAULT@SECONDS, such as block@5")?;
+        const KNOWN: [&str; 8] =
+            ["block", "reverse", "silent", "break", "forget", "reboot", "bus-off", "heal"];
+        let (fault, seconds) =
+            text.split_once('@').ok_or("write FAULT@SECONDS, such as block@5")?;
         if !KNOWN.contains(&fault) {
             return Err(format!("`{fault}` is no fault; there are {}", KNOWN.join(", ")));
         }
@@ -101,10 +103,15 @@ pub fn run(args: &MotorArgs) -> Result<(), Box<dyn Error>> {
     let right = args.node.checked_add(1).ok_or("--node must be below 255")?;
     let mut nodes = [rig::node(protocol, args.node), rig::node(protocol, right)];
     let mut wire = match args.bus.strip_prefix("unix:") {
-        Some(path) => Wire::Hub(Hub::bind(Path::new(path)).map_err(|error| format!("{path}: {error}"))?),
+        Some(path) => {
+            Wire::Hub(Hub::bind(Path::new(path)).map_err(|error| format!("{path}: {error}"))?)
+        }
         None => Wire::Interface(SocketBus::new(&args.bus)),
     };
-    println!("{:?} nodes {} (left) and {right} (right) on {}; end with Ctrl-C", args.protocol, args.node, args.bus);
+    println!(
+        "{:?} nodes {} (left) and {right} (right) on {}; end with Ctrl-C",
+        args.protocol, args.node, args.bus
+    );
     let mut clock = MonotonicClock;
     let start_ns = clock.now_ns();
     let mut schedule = args.faults.clone();
@@ -163,11 +170,16 @@ fn inject(fault: &str, nodes: &mut [Box<dyn MotorNode>; 2], wire: &mut Wire) {
 /// A wheel counts as driven while its controller powers it towards a velocity other than zero.
 fn report_changes(nodes: &[Box<dyn MotorNode>; 2], driven: &mut [bool; 2], now_ns: u64) {
     for ((node, driven), side) in nodes.iter().zip(driven).zip(["left", "right"]) {
-        let is_driven = matches!(node.wheel().drive(), super::Drive::Velocity(velocity) if velocity != 0.0);
+        let is_driven =
+            matches!(node.wheel().drive(), super::Drive::Velocity(velocity) if velocity != 0.0);
         if is_driven != *driven {
             *driven = is_driven;
             let what = if is_driven { "driven" } else { "released" };
-            println!("{now_ns} {side} {what} fed {} expired {}", node.watchdog().fed_ns, node.watchdog().expired);
+            println!(
+                "{now_ns} {side} {what} fed {} expired {}",
+                node.watchdog().fed_ns,
+                node.watchdog().expired
+            );
             let _ = stdout().flush();
         }
     }
@@ -176,8 +188,9 @@ fn report_changes(nodes: &[Box<dyn MotorNode>; 2], driven: &mut [bool; 2], now_n
 fn show(nodes: &[Box<dyn MotorNode>; 2], wire: &Wire, run_ns: u64) -> std::io::Result<()> {
     let [left, right] = nodes.each_ref().map(|node| {
         let watchdog = node.watchdog();
-        let limit =
-            watchdog.limit_ns.map_or_else(|| "off".to_owned(), |limit_ns| format!("{} ms", limit_ns / 1_000_000));
+        let limit = watchdog
+            .limit_ns
+            .map_or_else(|| "off".to_owned(), |limit_ns| format!("{} ms", limit_ns / 1_000_000));
         let power = if node.is_powered() { "powered" } else { "idle   " };
         let velocity = node.wheel().velocity_radps();
         format!("{velocity:+7.2} rad/s {power} watchdog {limit}, expired {}", watchdog.expired)
@@ -202,7 +215,10 @@ mod tests {
 
     #[test]
     fn a_fault_needs_a_name_and_a_time() {
-        assert_eq!("block@1.5".parse(), Ok(Scheduled { fault: "block".to_owned(), at_ns: 1_500_000_000 }));
+        assert_eq!(
+            "block@1.5".parse(),
+            Ok(Scheduled { fault: "block".to_owned(), at_ns: 1_500_000_000 })
+        );
         assert!("block".parse::<Scheduled>().is_err());
         assert!("burn@1".parse::<Scheduled>().is_err_and(|error| error.contains("reverse")));
         assert!("block@NaN".parse::<Scheduled>().is_err());

@@ -75,7 +75,8 @@ impl VescSim {
             at += piece.len();
         }
         let (length, crc) = ((bytes.len() as u16).to_be_bytes(), crc16(bytes).to_be_bytes());
-        self.answers.push(extended(7 << 8 | to, &[self.node, 1, length[0], length[1], crc[0], crc[1]]));
+        self.answers
+            .push(extended(7 << 8 | to, &[self.node, 1, length[0], length[1], crc[0], crc[1]]));
     }
 }
 
@@ -101,7 +102,8 @@ impl MotorNode for VescSim {
             (3, [a, b, c, d]) => {
                 let erpm = i32::from_be_bytes([*a, *b, *c, *d]);
                 let velocity = f64::from(erpm) / f64::from(POLE_PAIRS) / 60.0 * TAU;
-                self.command = if erpm.abs() < LOWEST_ERPM { Drive::Coast } else { Drive::Velocity(velocity) };
+                self.command =
+                    if erpm.abs() < LOWEST_ERPM { Drive::Coast } else { Drive::Velocity(velocity) };
                 self.watchdog.feed(now_ns);
             }
             (1 | 2, [a, b, c, d]) => {
@@ -122,7 +124,8 @@ impl MotorNode for VescSim {
         if std::mem::take(&mut self.faults.reboot) {
             self.command = Drive::Coast;
         }
-        self.watchdog.limit_ns = (self.timeout_ms > 0).then_some(u64::from(self.timeout_ms) * 1_000_000);
+        self.watchdog.limit_ns =
+            (self.timeout_ms > 0).then_some(u64::from(self.timeout_ms) * 1_000_000);
         if self.watchdog.expires(now_ns) {
             self.command = if self.timeout_brake_a > 0.0 { Drive::Brake } else { Drive::Coast };
         }
@@ -139,7 +142,10 @@ impl MotorNode for VescSim {
             let erpm = (turns_per_s * 60.0 * f64::from(POLE_PAIRS)).round() as i32;
             let steps = (position / TAU * 6.0 * f64::from(POLE_PAIRS)).floor() as i32;
             let id = |kind: u32| kind << 8 | u32::from(self.node);
-            out.push(extended(id(27), &[&steps.to_be_bytes()[..], &240i16.to_be_bytes(), &[0, 0]].concat()));
+            out.push(extended(
+                id(27),
+                &[&steps.to_be_bytes()[..], &240i16.to_be_bytes(), &[0, 0]].concat(),
+            ));
             out.push(extended(id(16), &[1, 44, 1, 14, 0, 10, 0, 0]));
             out.push(extended(id(9), &[&erpm.to_be_bytes()[..], &[0, 0, 0, 0]].concat()));
         }

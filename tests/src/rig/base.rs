@@ -5,10 +5,10 @@ use std::error::Error;
 use std::process::{Child, Command, Stdio};
 
 use clap::ValueEnum;
-use drivers::MonotonicClock;
 use drivers::can::{DifferentialBase, Phase, Protocol, SocketBus};
-use drivers::clock::monotonic_ns;
 use hal::{Base, Clock, DriveCommand, Twist2};
+use monotonic_clock::MonotonicClock;
+use monotonic_clock::monotonic_ns;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::check;
@@ -106,19 +106,28 @@ impl Controllers {
     }
 
     fn are_driven(&self) -> bool {
-        self.nodes.iter().all(|node| matches!(node.wheel().drive(), Drive::Velocity(speed) if speed > 1.0))
+        self.nodes
+            .iter()
+            .all(|node| matches!(node.wheel().drive(), Drive::Velocity(speed) if speed > 1.0))
     }
 
     fn are_released(&self) -> bool {
-        self.nodes.iter().all(|node| !matches!(node.wheel().drive(), Drive::Velocity(speed) if speed != 0.0))
+        self.nodes
+            .iter()
+            .all(|node| !matches!(node.wheel().drive(), Drive::Velocity(speed) if speed != 0.0))
     }
 
-    fn until(&mut self, what: &str, mut done: impl FnMut(&mut Self) -> bool) -> Result<f64, Box<dyn Error>> {
+    fn until(
+        &mut self,
+        what: &str,
+        mut done: impl FnMut(&mut Self) -> bool,
+    ) -> Result<f64, Box<dyn Error>> {
         let start_ns = monotonic_ns();
         while !done(self) {
             self.step();
             if monotonic_ns() - start_ns > PATIENCE_NS {
-                let stages = self.nodes.each_ref().map(|node| (node.is_powered(), *node.watchdog()));
+                let stages =
+                    self.nodes.each_ref().map(|node| (node.is_powered(), *node.watchdog()));
                 return Err(format!("waited in vain for {what}; {stages:?}").into());
             }
         }
@@ -127,7 +136,10 @@ impl Controllers {
 
     /// The longest that a controller waited since its last command before it let go, by its own clock.
     fn waited_ms(&self) -> f64 {
-        let waited = self.nodes.iter().map(|node| node.watchdog().expired_ns.saturating_sub(node.watchdog().fed_ns));
+        let waited = self
+            .nodes
+            .iter()
+            .map(|node| node.watchdog().expired_ns.saturating_sub(node.watchdog().fed_ns));
         waited.max().unwrap_or(0) as f64 * 1e-6
     }
 }
@@ -136,9 +148,15 @@ impl Controllers {
 struct Host(Child);
 
 impl Host {
-    fn driving(controllers: &mut Controllers, probe: &BaseProbe, spoken: Spoken) -> Result<Self, Box<dyn Error>> {
+    fn driving(
+        controllers: &mut Controllers,
+        probe: &BaseProbe,
+        spoken: Spoken,
+    ) -> Result<Self, Box<dyn Error>> {
         let arguments = ["base", "--bus", &probe.robot, "--protocol", &spoken.name()];
-        let host = Self(Command::new(std::env::current_exe()?).args(arguments).stdout(Stdio::null()).spawn()?);
+        let host = Self(
+            Command::new(std::env::current_exe()?).args(arguments).stdout(Stdio::null()).spawn()?,
+        );
         controllers.until("a base that drives", |controllers| controllers.are_driven())?;
         Ok(host)
     }
@@ -155,15 +173,24 @@ impl Drop for Host {
     }
 }
 
-fn a_host_that_gets(signal: Signal, what: &str, probe: &BaseProbe, spoken: Spoken) -> Result<(), Box<dyn Error>> {
+fn a_host_that_gets(
+    signal: Signal,
+    what: &str,
+    probe: &BaseProbe,
+    spoken: Spoken,
+) -> Result<(), Box<dyn Error>> {
     let mut controllers = Controllers::new(&probe.motors, spoken.protocol());
     let host = Host::driving(&mut controllers, probe, spoken)?;
     host.signal(signal)?;
-    let released_ms = controllers.until("wheels at zero", |controllers| controllers.are_released())?;
+    let released_ms =
+        controllers.until("wheels at zero", |controllers| controllers.are_released())?;
     let waited_ms = controllers.waited_ms();
-    let promise =
-        format!("{}: the wheels are released within the watchdog's 100 ms when the host is {what}", spoken.name());
-    let figure = format!("{released_ms:.0} ms after the signal, {waited_ms:.0} ms after the last command");
+    let promise = format!(
+        "{}: the wheels are released within the watchdog's 100 ms when the host is {what}",
+        spoken.name()
+    );
+    let figure =
+        format!("{released_ms:.0} ms after the signal, {waited_ms:.0} ms after the last command");
     check(&promise, figure, released_ms <= LIMIT_MS && waited_ms <= LIMIT_MS);
     if signal == Signal::STOP {
         host.signal(Signal::CONT)?;
@@ -208,7 +235,8 @@ fn a_bus_that_fails(failure: &Failure<'_>) -> Result<(), Box<dyn Error>> {
         tripped_ns > 0 && controllers.are_released()
     })?;
     let after_trip_ms = (monotonic_ns() - tripped_ns) as f64 * 1e-6;
-    let figure = format!("{after_trip_ms:.0} ms after the driver noticed: {}", driver.base.explain());
+    let figure =
+        format!("{after_trip_ms:.0} ms after the driver noticed: {}", driver.base.explain());
     check(failure.promise, figure, after_trip_ms <= LIMIT_MS);
     failing.wait()?;
     shell(failure.cure)?.wait()?;

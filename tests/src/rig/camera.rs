@@ -4,11 +4,14 @@
 use std::error::Error;
 use std::process::{Child, Command, Stdio};
 
-use drivers::clock::monotonic_ns;
+use drivers::DeviceState;
 use drivers::v4l2::node::controls;
-use drivers::v4l2::{CameraDeviceConfig, CameraFormat, Picture, Setting, V4l2Camera, V4l2Error, check as agree, open};
-use drivers::{DeviceState, MonotonicClock};
+use drivers::v4l2::{
+    CameraDeviceConfig, CameraFormat, Picture, Setting, V4l2Camera, V4l2Error, check as agree, open,
+};
 use hal::{CameraModel, Clock, Error as _, ErrorKind};
+use monotonic_clock::MonotonicClock;
+use monotonic_clock::monotonic_ns;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -133,14 +136,22 @@ fn random_pictures() -> Vec<Vec<u8>> {
 
 fn write_pictures(pictures: &[Vec<u8>]) -> Result<Child, Box<dyn Error>> {
     std::fs::write("/tmp/pictures.yuyv", pictures.concat())?;
-    let arguments = ["-d", "1", "--stream-out-mmap=4", "--stream-from=/tmp/pictures.yuyv", "--stream-loop"];
-    Ok(Command::new("v4l2-ctl").args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?)
+    let arguments =
+        ["-d", "1", "--stream-out-mmap=4", "--stream-from=/tmp/pictures.yuyv", "--stream-loop"];
+    Ok(Command::new("v4l2-ctl")
+        .args(arguments)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()?)
 }
 
 fn exact_pictures(bench: &mut Bench, pictures: &[Vec<u8>]) -> Result<(), Box<dyn Error>> {
     // Before the writer's first picture vivid shows something else.
-    let known = |picture: &Picture<'_>| pictures.iter().any(|known| known[..] == *picture.view.data());
-    bench.until("the writer's first picture", |got| got.is_ok_and(|picture| picture.is_some_and(known)))?;
+    let known =
+        |picture: &Picture<'_>| pictures.iter().any(|known| known[..] == *picture.view.data());
+    bench.until("the writer's first picture", |got| {
+        got.is_ok_and(|picture| picture.is_some_and(known))
+    })?;
     let (mut exact, mut count, mut last, mut rising, mut ages) = (0, 0, (0, 0), true, Vec::new());
     let ms = bench.until("60 pictures", |got| {
         if let Ok(Some(picture)) = got {
@@ -154,14 +165,26 @@ fn exact_pictures(bench: &mut Bench, pictures: &[Vec<u8>]) -> Result<(), Box<dyn
     })?;
     let status = bench.camera.status();
     let figure = format!("{exact} of {count} in {ms} ms, {} lost", status.lost);
-    check("pictures arrive as another program has written them, byte for byte", figure, exact == count);
-    check("each picture is newer than the one before, by number and by time", format!("{count} pictures"), rising);
+    check(
+        "pictures arrive as another program has written them, byte for byte",
+        figure,
+        exact == count,
+    );
+    check(
+        "each picture is newer than the one before, by number and by time",
+        format!("{count} pictures"),
+        rising,
+    );
     ages.sort_unstable();
     let (median, worst) = (ages[ages.len() / 2] / 1_000, ages[ages.len() - 1] / 1_000);
     // Vivid stamps the end of a picture, and says so up to a frame's time before it is over.
     let bound = i64::from(bench.config.max_age_ms) * 1_000;
     let figure = format!("median {median} us, worst {worst} us, youngest {} us", ages[0] / 1_000);
-    check("a picture is never older than its budget of 200 ms", figure, ages[0] > -40_000_000 && worst <= bound);
+    check(
+        "a picture is never older than its budget of 200 ms",
+        figure,
+        ages[0] > -40_000_000 && worst <= bound,
+    );
     Ok(())
 }
 
@@ -215,7 +238,11 @@ fn disconnection(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
     let noticed = bench.until_error(ErrorKind::Disconnected)?;
     let ms = bench.until_picture()?;
     let figure = format!("noticed in {noticed} ms, a picture {ms} ms later");
-    check("a camera that disconnects (ENODEV) is opened again by its stable path", figure, ms < 5_000);
+    check(
+        "a camera that disconnects (ENODEV) is opened again by its stable path",
+        figure,
+        ms < 5_000,
+    );
     Ok(())
 }
 
@@ -227,7 +254,9 @@ fn exported_buffers(bench: &mut Bench) {
         .filter_map(|file| rustix::fs::seek(file, rustix::fs::SeekFrom::End(0)).ok())
         .collect();
     let passed = sizes.len() == 4 && sizes.iter().all(|size| *size >= SIZE as u64);
-    let figure = exported.err().map_or(format!("{} of {sizes:?} bytes", sizes.len()), |error| error.to_string());
+    let figure = exported
+        .err()
+        .map_or(format!("{} of {sizes:?} bytes", sizes.len()), |error| error.to_string());
     check("each buffer can be exported as a dma-buf", figure, passed);
 }
 
@@ -242,13 +271,19 @@ fn replug(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
         other += u32::from(got.is_ok());
         monotonic_ns() > end_ns
     })?;
-    let figure = format!("noticed in {noticed} ms, {other} looks said otherwise in the next second");
+    let figure =
+        format!("noticed in {noticed} ms, {other} looks said otherwise in the next second");
     check("an unplugged camera is disconnected, and nothing is handed out", figure, other == 0);
     std::fs::write(format!("{VIVID}/bind"), "vivid.0")?;
     let ms = bench.until_picture()?;
     let status = bench.camera.status();
-    let passed = ms < 5_000 && status.state == DeviceState::Working && status.reopened > before.reopened;
-    check("a camera that is plugged in again is taken by its stable path", format!("a picture {ms} ms later"), passed);
+    let passed =
+        ms < 5_000 && status.state == DeviceState::Working && status.reopened > before.reopened;
+    check(
+        "a camera that is plugged in again is taken by its stable path",
+        format!("a picture {ms} ms later"),
+        passed,
+    );
     Ok(())
 }
 
@@ -262,11 +297,16 @@ fn settings(device: &str) {
         Ok(node.control_value(gain.ok_or("vivid has no gain")?.id)?)
     };
     let held = read_back();
-    let figure = held.as_ref().map_or_else(ToString::to_string, |held| format!("77 set, {held} read back"));
+    let figure =
+        held.as_ref().map_or_else(ToString::to_string, |held| format!("77 set, {held} read back"));
     check("a configured gain is held by the camera", figure, held.is_ok_and(|held| held == 77));
     config.gain = None;
     config.exposure_us = Some(Setting::Manual(5_000));
-    refused("a control that the camera has not got is refused with words", &config, "no such control");
+    refused(
+        "a control that the camera has not got is refused with words",
+        &config,
+        "no such control",
+    );
     let odd = CameraDeviceConfig::new(device, 642, HEIGHT, CameraFormat::Yuyv);
     refused("a size that the camera has not got is refused with words", &odd, "makes ");
     let none = CameraDeviceConfig::new("/dev/v4l/by-id/none", WIDTH, HEIGHT, CameraFormat::Yuyv);
@@ -286,14 +326,17 @@ fn refused(promise: &str, config: &CameraDeviceConfig, words: &str) {
 
 /// Every format that vivid's webcam has and we know, each until its fifth picture.
 fn formats(device: &str, kind: &str) -> Result<(), Box<dyn Error>> {
-    for (format, bytes) in
-        [(CameraFormat::Yuyv, SIZE), (CameraFormat::Nv12, SIZE * 3 / 4), (CameraFormat::Rgb24, SIZE * 3 / 2)]
-    {
+    for (format, bytes) in [
+        (CameraFormat::Yuyv, SIZE),
+        (CameraFormat::Nv12, SIZE * 3 / 4),
+        (CameraFormat::Rgb24, SIZE * 3 / 2),
+    ] {
         let mut bench = Bench::with(CameraDeviceConfig::new(device, WIDTH, HEIGHT, format))?;
         let (mut count, mut whole) = (0, true);
         let ms = bench.until("five pictures", |got| {
             if let Ok(Some(picture)) = got {
-                whole &= picture.view.data().len() == bytes && picture.view.data().iter().any(|byte| *byte != 0);
+                whole &= picture.view.data().len() == bytes
+                    && picture.view.data().iter().any(|byte| *byte != 0);
                 count += 1;
             }
             count == 5

@@ -3,11 +3,12 @@
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
-use drivers::clock::monotonic_ns;
+use drivers::DeviceState;
 use drivers::hokuyo::{HokuyoConfig, HokuyoError, HokuyoLidar, Port};
 use drivers::scip::Model;
-use drivers::{DeviceState, MonotonicClock};
 use hal::{Clock, Error as _, ErrorKind, LaserScan, Lidar};
+use monotonic_clock::MonotonicClock;
+use monotonic_clock::monotonic_ns;
 
 use super::check;
 use crate::hokuyo::{ScanSource, SimulatedHokuyo, WireFaults};
@@ -50,7 +51,8 @@ fn ramp_mm(step: u32) -> u32 {
 /// When the scene cannot be set up, or the scanner never delivers.
 pub fn run(probe: &LidarProbe) -> Result<(), Box<dyn Error>> {
     let scanner = SimulatedHokuyo::on_serial(MODEL, &probe.scanner, Box::new(Ramp))?;
-    let config = HokuyoConfig { model: MODEL, ..HokuyoConfig::new(Port::Serial(probe.port.clone())) };
+    let config =
+        HokuyoConfig { model: MODEL, ..HokuyoConfig::new(Port::Serial(probe.port.clone())) };
     let lidar = HokuyoLidar::open(config)?;
     let mut bench = Bench { scan: LaserScan::empty(lidar.geometry()), lidar };
     exact_scans(&mut bench)?;
@@ -120,7 +122,8 @@ fn exact_scans(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
     let first = bench.until_scan()?;
     let (exact, ms) = bench.scans(30)?;
     let status = bench.lidar.status();
-    let figure = format!("{exact} of 30 in {ms} ms, the first after {first} ms, {} bad", status.bad);
+    let figure =
+        format!("{exact} of 30 in {ms} ms, the first after {first} ms, {} bad", status.bad);
     check("scans arrive over USB serial as the scanner measured them", figure, exact == 30);
     Ok(())
 }
@@ -142,7 +145,11 @@ fn silence(bench: &mut Bench, scanner: &SimulatedHokuyo) -> Result<(), Box<dyn E
     scanner.set_wire(WireFaults { is_stalled: true, ..WireFaults::default() });
     bench.until_error(ErrorKind::Timeout)?;
     let ms = (monotonic_ns() - bench.lidar.status().last_good_ns.max(last_ns)) / MS;
-    check("a silent scanner is a timeout after two periods (200 ms)", format!("{ms} ms"), (190..400).contains(&ms));
+    check(
+        "a silent scanner is a timeout after two periods (200 ms)",
+        format!("{ms} ms"),
+        (190..400).contains(&ms),
+    );
     scanner.set_wire(WireFaults::default());
     let ms = bench.until_scan()?;
     check("a scanner that was silent delivers again without help", format!("{ms} ms"), true);
@@ -159,12 +166,17 @@ fn replug(bench: &mut Bench, usb: &Path) -> Result<(), Box<dyn Error>> {
         otherwise += u32::from(polled.is_ok());
         monotonic_ns() > end_ns
     })?;
-    let figure = format!("noticed in {noticed} ms, {otherwise} looks said otherwise in the next second");
+    let figure =
+        format!("noticed in {noticed} ms, {otherwise} looks said otherwise in the next second");
     check("a scanner whose USB plug is pulled is disconnected", figure, otherwise == 0);
     std::fs::write(usb.join("authorized"), "1")?;
     let ms = bench.until_scan()?;
     let passed = bench.lidar.status().state == DeviceState::Working;
-    check("a scanner that is plugged in again is found by its stable path", format!("a scan {ms} ms later"), passed);
+    check(
+        "a scanner that is plugged in again is found by its stable path",
+        format!("a scan {ms} ms later"),
+        passed,
+    );
     let (exact, _) = bench.scans(10)?;
     check("its scans are exact again", format!("{exact} of 10"), exact == 10);
     Ok(())

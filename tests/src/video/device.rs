@@ -50,7 +50,14 @@ impl Default for Device {
                 control(0x009a_0902, "Exposure Time, Absolute", 3, 2047, 1, 250),
             ],
             queue: Queue::default(),
-            layout: Layout { width: 640, height: 480, format: FourCc::YUYV, stride: 1280, size: 614_400, planes: 1 },
+            layout: Layout {
+                width: 640,
+                height: 480,
+                format: FourCc::YUYV,
+                stride: 1280,
+                size: 614_400,
+                planes: 1,
+            },
             interval: Interval { numerator: 1, denominator: 30 },
         }
     }
@@ -79,7 +86,8 @@ impl Device {
         if self.queue.counts()[0] > 0 {
             return Err(Errno::BUSY);
         }
-        let format = if self.formats.contains(&asked.format) { asked.format } else { self.formats[0] };
+        let format =
+            if self.formats.contains(&asked.format) { asked.format } else { self.formats[0] };
         let area = |(width, height): (u32, u32)| u64::from(width) * u64::from(height);
         let wish = area((asked.width, asked.height));
         let exact = self.sizes.iter().copied().find(|size| *size == (asked.width, asked.height));
@@ -87,7 +95,9 @@ impl Device {
         let (width, height) = exact.or(nearest).unwrap_or((640, 480));
         let (row, size) = match format {
             FourCc::YUYV => (2 * width + self.row_padding, (2 * width + self.row_padding) * height),
-            FourCc::RGB24 => (3 * width + self.row_padding, (3 * width + self.row_padding) * height),
+            FourCc::RGB24 => {
+                (3 * width + self.row_padding, (3 * width + self.row_padding) * height)
+            }
             FourCc::NV12 => (width + self.row_padding, (width + self.row_padding) * height * 3 / 2),
             _ => (0, 2 * width * height),
         };
@@ -111,7 +121,12 @@ impl Device {
     pub fn control(&self, id: u32) -> Result<Control, Errno> {
         let (id, next) = (id & !NEXT_CONTROL, id & NEXT_CONTROL != 0);
         let fits = |control: &Control| if next { control.id > id } else { control.id == id };
-        self.controls.iter().map(|(control, _)| control).find(|control| fits(control)).cloned().ok_or(Errno::INVAL)
+        self.controls
+            .iter()
+            .map(|(control, _)| control)
+            .find(|control| fits(control))
+            .cloned()
+            .ok_or(Errno::INVAL)
     }
 
     /// `VIDIOC_G_CTRL`.
@@ -119,7 +134,11 @@ impl Device {
     /// # Errors
     /// `EINVAL` when there is none.
     pub fn control_value(&self, id: u32) -> Result<i32, Errno> {
-        self.controls.iter().find(|(control, _)| control.id == id).map(|(_, value)| *value).ok_or(Errno::INVAL)
+        self.controls
+            .iter()
+            .find(|(control, _)| control.id == id)
+            .map(|(_, value)| *value)
+            .ok_or(Errno::INVAL)
     }
 
     /// `VIDIOC_S_CTRL`: rounded to a step, as the kernel does.
@@ -127,7 +146,8 @@ impl Device {
     /// # Errors
     /// `EINVAL` when there is none, `ERANGE` past its ends.
     pub fn set_control(&mut self, id: u32, value: i32) -> Result<(), Errno> {
-        let (control, held) = self.controls.iter_mut().find(|(control, _)| control.id == id).ok_or(Errno::INVAL)?;
+        let (control, held) =
+            self.controls.iter_mut().find(|(control, _)| control.id == id).ok_or(Errno::INVAL)?;
         if !(control.minimum..=control.maximum).contains(&value) {
             return Err(Errno::RANGE);
         }

@@ -81,7 +81,8 @@ impl FakeCamera {
         if inner.unplugged || !inner.device.queue.is_streaming() {
             return false;
         }
-        let shot = Shot { bytes_used: bytes.len() as u32, sequence: inner.sequence, time_ns, damaged };
+        let shot =
+            Shot { bytes_used: bytes.len() as u32, sequence: inner.sequence, time_ns, damaged };
         inner.sequence = inner.sequence.wrapping_add(1);
         let Some(index) = inner.device.queue.fill(shot) else { return false };
         let length = bytes.len().min(inner.memory[index as usize].len());
@@ -173,7 +174,8 @@ impl VideoNode for FakeNode {
 
     fn allocate(&mut self, count: u32) -> Result<u32, Errno> {
         let (count, size) = self.with(|inner| {
-            let (count, size) = (inner.device.queue.allocate(count)?, inner.device.layout.size as usize);
+            let (count, size) =
+                (inner.device.queue.allocate(count)?, inner.device.layout.size as usize);
             inner.memory = vec![vec![0; size]; count as usize];
             Ok((count, size))
         })?;

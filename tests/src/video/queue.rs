@@ -48,7 +48,11 @@ impl Queue {
             return self.misuse(Errno::BUSY);
         }
         let count = count.min(MOST_BUFFERS);
-        *self = Self { buffers: vec![State::Dequeued; count as usize], misuses: self.misuses, ..Self::default() };
+        *self = Self {
+            buffers: vec![State::Dequeued; count as usize],
+            misuses: self.misuses,
+            ..Self::default()
+        };
         Ok(count)
     }
 

@@ -6,15 +6,17 @@ use std::os::fd::{AsFd, OwnedFd};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use drivers::clock::monotonic_ns;
 use drivers::v4l2::node::{Filled, Interval, Layout};
 use drivers::v4l2::wire::{self, InWords, Message};
+use monotonic_clock::monotonic_ns;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, ftruncate, memfd_create};
 use rustix::io::{Errno, pwrite};
-use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, accept_with, bind, listen, socket_with};
+use rustix::net::{
+    AddressFamily, SocketAddrUnix, SocketFlags, SocketType, accept_with, bind, listen, socket_with,
+};
 
 use super::device::Device;
 use super::picture::PictureSource;
@@ -49,7 +51,8 @@ pub fn serve(
     running: &AtomicBool,
 ) -> io::Result<()> {
     let start_ns = monotonic_ns();
-    let mut camera = Camera { device, files: Vec::new(), sequence: 0, due_ns: 0, picture: Vec::new() };
+    let mut camera =
+        Camera { device, files: Vec::new(), sequence: 0, due_ns: 0, picture: Vec::new() };
     let mut socket = Some(listen_at(path)?);
     let mut client: Option<OwnedFd> = None;
     let mut rng = Pcg64Mcg::seed_from_u64(1);
@@ -67,7 +70,8 @@ pub fn serve(
             camera.device.queue.fail();
         }
         if camera.device.queue.is_streaming() && now_ns >= camera.due_ns {
-            let lost = rng.random::<f64>() < faults.drop_share || holds(faults.silent.as_ref(), since_ns);
+            let lost =
+                rng.random::<f64>() < faults.drop_share || holds(faults.silent.as_ref(), since_ns);
             if let Some(client) = &client {
                 // A program that is gone is noticed below.
                 _ = camera.take_picture(now_ns, lost, source, client);
@@ -101,7 +105,8 @@ fn listen_at(path: &Path) -> io::Result<OwnedFd> {
 fn wait(socket: Option<&OwnedFd>, client: Option<&OwnedFd>, nap_ns: u64) -> io::Result<()> {
     // A second program waits in the socket's queue until the first has gone.
     let waited_for = client.or(socket);
-    let mut files: Vec<_> = waited_for.iter().map(|file| PollFd::new(*file, PollFlags::IN)).collect();
+    let mut files: Vec<_> =
+        waited_for.iter().map(|file| PollFd::new(*file, PollFlags::IN)).collect();
     let nap = Timespec { tv_sec: 0, tv_nsec: nap_ns as i64 };
     match poll(&mut files, Some(&nap)) {
         Ok(_) | Err(Errno::INTR) => Ok(()),
@@ -143,7 +148,12 @@ impl Camera {
         // On a grid, without making up for what a stopped process has missed.
         self.due_ns = (self.due_ns + self.interval_ns()).max(now_ns);
         let layout = self.device.layout;
-        let shot = Shot { bytes_used: layout.size, sequence: self.sequence, time_ns: Some(now_ns), damaged: false };
+        let shot = Shot {
+            bytes_used: layout.size,
+            sequence: self.sequence,
+            time_ns: Some(now_ns),
+            damaged: false,
+        };
         self.sequence = self.sequence.wrapping_add(1);
         if lost {
             return Ok(());
@@ -158,14 +168,17 @@ impl Camera {
         }
         let (index, shot) = self.device.queue.dequeue()?;
         let Shot { bytes_used, sequence, time_ns, damaged } = shot;
-        let filled = Filled { index, bytes_used, sequence, time_ns, stamped_at_start: true, damaged };
+        let filled =
+            Filled { index, bytes_used, sequence, time_ns, stamped_at_start: true, damaged };
         Message::new(wire::FILLED, &filled.to_words()).send(client, None)
     }
 
     /// No buffer free: nothing to say. Streaming has failed: the program shall know.
     fn report_failure(&mut self, client: &OwnedFd) -> Result<(), Errno> {
         match self.device.queue.dequeue() {
-            Err(errno) if errno != Errno::AGAIN => Message::error(wire::FILLED, errno).send(client, None),
+            Err(errno) if errno != Errno::AGAIN => {
+                Message::error(wire::FILLED, errno).send(client, None)
+            }
             _ => Ok(()),
         }
     }
@@ -192,7 +205,11 @@ impl Camera {
             Ok(words) => Message::new(operation, &words),
             Err(errno) => Message::error(operation, errno),
         };
-        let file = if operation == wire::BUFFER { self.files.get(request.words[0] as usize) } else { None };
+        let file = if operation == wire::BUFFER {
+            self.files.get(request.words[0] as usize)
+        } else {
+            None
+        };
         answer.send(client, file.map(AsFd::as_fd))
     }
 

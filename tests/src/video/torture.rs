@@ -32,7 +32,13 @@ pub fn torture(bytes: &[u8]) {
             3 => camera.lose(amount as u32),
             4 => _ = camera.shoot_bytes(Some(now_ns), &good[..amount as usize * 100], false),
             5 => _ = camera.shoot_bytes(Some(now_ns), &good, true),
-            6 => _ = camera.shoot_bytes(if amount == 0 { None } else { Some(now_ns << amount) }, &good, false),
+            6 => {
+                _ = camera.shoot_bytes(
+                    if amount == 0 { None } else { Some(now_ns << amount) },
+                    &good,
+                    false,
+                )
+            }
             7 => now_ns += amount * 100_000_000,
             8..12 => _ = camera.shoot_bytes(Some(now_ns), &good, false),
             _ => now_ns += amount * 3_000_000,
@@ -44,7 +50,10 @@ pub fn torture(bytes: &[u8]) {
         });
         if let Ok(Some((sequence, time_ns))) = seen {
             assert!(sequence > last_sequence, "numbers rise");
-            assert!(time_ns >= last_time_ns || now_ns < last_time_ns, "a picture is handed out once");
+            assert!(
+                time_ns >= last_time_ns || now_ns < last_time_ns,
+                "a picture is handed out once"
+            );
             assert!(now_ns.abs_diff(time_ns) <= 200_000_000, "no picture is older than its budget");
             (last_sequence, last_time_ns) = (sequence, time_ns);
         }
@@ -58,7 +67,9 @@ pub fn torture(bytes: &[u8]) {
             capture.done(job.run(&mut open, &config), now_ns);
         }
         let status = capture.status();
-        assert!(status.good >= before.good && status.bad >= before.bad && status.lost >= before.lost);
+        assert!(
+            status.good >= before.good && status.bad >= before.bad && status.lost >= before.lost
+        );
         assert_eq!(camera.misuses(), 0, "the kernel would refuse a call of the driver's");
         before = status;
     }

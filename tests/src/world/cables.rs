@@ -48,7 +48,10 @@ mod tests {
         let cable = Cable { world: "can1".to_owned(), robot: "can0".to_owned() };
         assert_eq!("can1=can0".parse(), Ok(cable));
         for text in ["can0", "=can0", "can1=", ""] {
-            assert!(text.parse::<Cable>().is_err_and(|error| error.contains("can1=can0")), "{text}");
+            assert!(
+                text.parse::<Cable>().is_err_and(|error| error.contains("can1=can0")),
+                "{text}"
+            );
         }
     }
 }

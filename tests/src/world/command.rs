@@ -7,10 +7,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use drivers::MonotonicClock;
 use drivers::can::Protocol;
 use drivers::scip::Model;
 use hal::{CameraModel, Clock};
+use monotonic_clock::MonotonicClock;
 
 use super::cables::Cables;
 use super::faults::Mischief;
@@ -92,7 +92,11 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
             scene: args.scene.clone(),
             protocol: args.protocol,
             lidar: args.lidar,
-            camera: CameraModel::pinhole(args.picture.0, args.picture.1, std::f64::consts::FRAC_PI_2),
+            camera: CameraModel::pinhole(
+                args.picture.0,
+                args.picture.1,
+                std::f64::consts::FRAC_PI_2,
+            ),
             fps: args.fps,
             late_ms: args.late_ms,
             seed: args.seed,
@@ -123,11 +127,14 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
         }
     }
     let (touches, path_m) = world.home().score();
-    let faults = mischief.map_or_else(String::new, |mischief| format!(" faults={}", mischief.count()));
+    let faults =
+        mischief.map_or_else(String::new, |mischief| format!(" faults={}", mischief.count()));
     println!("\nworld: path_m={path_m:.2} touches={touches}{faults}");
     let late_ms = world.worst_late_ns() / 1_000_000;
     if late_ms >= LATE_MS {
-        println!("This computer was too busy: the devices themselves came up to {late_ms} ms late, as silent ones do.");
+        println!(
+            "This computer was too busy: the devices themselves came up to {late_ms} ms late, as silent ones do."
+        );
     }
     Ok(())
 }

@@ -44,7 +44,11 @@ impl Home {
     ///
     /// # Errors
     /// When it does not fit there.
-    pub fn new(world: Arc<World>, options: RobotOptions, base: &BaseConfig) -> Result<Self, SceneError> {
+    pub fn new(
+        world: Arc<World>,
+        options: RobotOptions,
+        base: &BaseConfig,
+    ) -> Result<Self, SceneError> {
         let devices = SimulatedRobot::new(Arc::clone(&world), options)?.devices();
         let scan = LaserScan::empty(devices.lidar.geometry());
         let inside = Inside {
@@ -77,7 +81,8 @@ impl Home {
     /// Time passes up to `time_ns` while the wheels turn as they do. A wheel whose robot stands against something does not turn.
     pub fn pass(&self, time_ns: u64, wheels: &mut [Box<dyn MotorNode>; 2]) {
         let mut inside = self.inside();
-        let rims = wheels.each_ref().map(|node| node.wheel().velocity_radps() * inside.wheel_radius_m);
+        let rims =
+            wheels.each_ref().map(|node| node.wheel().velocity_radps() * inside.wheel_radius_m);
         let twist = inside.kinematics.twist(rims);
         inside.counter = inside.counter.wrapping_add(1);
         let command = DriveCommand { twist, counter: inside.counter, plan_age_ns: 0 };
@@ -94,7 +99,8 @@ impl Home {
         let touching = inside.truth.contact();
         if touching {
             let before_ns = inside.touched_ns.replace(time_ns);
-            inside.touches += u64::from(before_ns.is_none_or(|before_ns| time_ns - before_ns > SAME_TOUCH_NS));
+            inside.touches +=
+                u64::from(before_ns.is_none_or(|before_ns| time_ns - before_ns > SAME_TOUCH_NS));
         }
         for node in wheels {
             node.wheel_mut().blocked = touching;

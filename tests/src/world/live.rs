@@ -6,11 +6,11 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-use drivers::MonotonicClock;
 use drivers::can::{BaseConfig, CanBus, Protocol, SocketBus};
-use drivers::clock::monotonic_ns;
 use drivers::scip::Model;
 use hal::{CameraModel, Clock, DepthMap};
+use monotonic_clock::MonotonicClock;
+use monotonic_clock::monotonic_ns;
 use simulator::laser::LaserModel;
 use simulator::{OpenOptions, RobotOptions, World};
 
@@ -91,9 +91,13 @@ impl LiveWorld {
         let robot = RobotOptions { seed: options.seed, laser, ..RobotOptions::default() };
         let t_base_camera = robot.t_base_camera;
         let Cables { camera_at, lidar_at, motors_at } = &options.cables;
-        let robots_end =
-            |cable: &Option<Cable>, else_here: String| cable.as_ref().map_or(else_here, |cable| cable.robot.clone());
-        let base = BaseConfig { bus: robots_end(motors_at, socket(&dir, "can")), ..rig::config(options.protocol) };
+        let robots_end = |cable: &Option<Cable>, else_here: String| {
+            cable.as_ref().map_or(else_here, |cable| cable.robot.clone())
+        };
+        let base = BaseConfig {
+            bus: robots_end(motors_at, socket(&dir, "can")),
+            ..rig::config(options.protocol)
+        };
         let home = Home::new(world, robot, &base)?;
         let view = Box::new(HomeScan { home: home.clone(), model });
         let mut live = Self {
@@ -117,7 +121,8 @@ impl LiveWorld {
         let (wheels, running, late_ns) =
             (Arc::clone(&live.wheels), Arc::clone(&live.running), Arc::clone(&live.worst_late_ns));
         let turning = move || turn(&home, &wheels, bus, &running, &late_ns);
-        live.threads.push(std::thread::Builder::new().name("simulated-motors".to_owned()).spawn(turning)?);
+        live.threads
+            .push(std::thread::Builder::new().name("simulated-motors".to_owned()).spawn(turning)?);
         let eyes = HomePicture {
             home: live.home.clone(),
             model: options.camera,
@@ -129,7 +134,8 @@ impl LiveWorld {
         let (running, on) = (Arc::clone(&live.running), Arc::clone(&live.camera_on));
         let filming: Box<dyn FnOnce() + Send> = match camera_at {
             Some(cable) => {
-                let (mut output, period_ns) = (output::Output::start(&cable.world)?, (1e9 / options.fps) as u64);
+                let (mut output, period_ns) =
+                    (output::Output::start(&cable.world)?, (1e9 / options.fps) as u64);
                 Box::new(move || output.film(eyes, period_ns, &running, &on))
             }
             None => {
@@ -137,7 +143,8 @@ impl LiveWorld {
                 Box::new(move || film(&path, eyes, &running, &on))
             }
         };
-        live.threads.push(std::thread::Builder::new().name("simulated-camera".to_owned()).spawn(filming)?);
+        live.threads
+            .push(std::thread::Builder::new().name("simulated-camera".to_owned()).spawn(filming)?);
         let ends = [
             robots_end(camera_at, socket(&dir, "camera")),
             robots_end(lidar_at, dir.join("lidar").display().to_string()),
@@ -260,6 +267,9 @@ fn configuration(
     // The base's own tables go below `[devices.base]`.
     let base = toml::Table::try_from(base)?;
     let devices = toml::Table::from_iter([("base".to_owned(), toml::Value::Table(base))]);
-    text += &toml::to_string(&toml::Table::from_iter([("devices".to_owned(), toml::Value::Table(devices))]))?;
+    text += &toml::to_string(&toml::Table::from_iter([(
+        "devices".to_owned(),
+        toml::Value::Table(devices),
+    )]))?;
     Ok(text)
 }

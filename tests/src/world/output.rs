@@ -4,8 +4,8 @@ use std::io::{Error, Write};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use drivers::MonotonicClock;
 use hal::Clock;
+use monotonic_clock::MonotonicClock;
 
 use super::sight::HomePicture;
 use crate::video::PictureSource;
@@ -25,13 +25,22 @@ impl Output {
         // With two buffers, vivid shows one while the other is filled: more would make pictures older.
         let mut command = Command::new("v4l2-ctl");
         command.args(["-d", node, "--stream-out-mmap=2", "--stream-from=-"]);
-        let writer = command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
-        let writer = writer.map_err(|error| Error::other(format!("cannot start `v4l2-ctl` for {node}: {error}")))?;
+        let writer =
+            command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+        let writer = writer.map_err(|error| {
+            Error::other(format!("cannot start `v4l2-ctl` for {node}: {error}"))
+        })?;
         Ok(Self { writer, node: node.to_owned() })
     }
 
     /// Writes a picture in every period while `on`. Without new ones vivid shows the last one again: a camera that is frozen.
-    pub fn film(&mut self, mut eyes: HomePicture, period_ns: u64, running: &AtomicBool, on: &AtomicBool) {
+    pub fn film(
+        &mut self,
+        mut eyes: HomePicture,
+        period_ns: u64,
+        running: &AtomicBool,
+        on: &AtomicBool,
+    ) {
         let Some(mut pipe) = self.writer.stdin.take() else { return };
         let (width, height) = (eyes.model.width, eyes.model.height);
         let mut picture = vec![0; 2 * width * height];

@@ -61,7 +61,8 @@ impl PictureSource for HomePicture {
 
 /// Two RGB pixels as Y U Y V, ITU-R BT.601 with limited range: what USB cameras send.
 fn yuyv_of(pair: &[u8]) -> [u8; 4] {
-    let [r0, g0, b0, r1, g1, b1] = [0, 1, 2, 3, 4, 5].map(|index| f32::from(pair.get(index).copied().unwrap_or(0)));
+    let [r0, g0, b0, r1, g1, b1] =
+        [0, 1, 2, 3, 4, 5].map(|index| f32::from(pair.get(index).copied().unwrap_or(0)));
     let luma = |r: f32, g: f32, b: f32| 16.0 + (65.481 * r + 128.553 * g + 24.966 * b) / 255.0;
     let (r, g, b) = ((r0 + r1) / 2.0, (g0 + g1) / 2.0, (b0 + b1) / 2.0);
     let u = 128.0 + (-37.797 * r - 74.203 * g + 112.0 * b) / 255.0;

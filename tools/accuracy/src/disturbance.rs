@@ -39,8 +39,11 @@ impl Disturbance {
     #[must_use]
     pub fn of(self, index: usize, view: &View) -> (Vec<u8>, Pose3) {
         let brighter = self == Self::Exposure && (index / EXPOSURE_PERIOD) % 2 == 1;
-        let expose = |value: &u8| if brighter { (f32::from(*value) * 1.15 + 4.0).min(255.0) as u8 } else { *value };
-        let pose = if self == Self::Pose { noisy(index, &view.t_odom_camera) } else { view.t_odom_camera };
+        let expose = |value: &u8| {
+            if brighter { (f32::from(*value) * 1.15 + 4.0).min(255.0) as u8 } else { *value }
+        };
+        let pose =
+            if self == Self::Pose { noisy(index, &view.t_odom_camera) } else { view.t_odom_camera };
         (view.rgb.iter().map(expose).collect(), pose)
     }
 }

@@ -25,7 +25,12 @@ pub trait Engine {
     ///
     /// # Errors
     /// When it cannot work at all; a picture without depth is `None`.
-    fn look(&mut self, frame: ImageView<'_>, pose: &Pose3, wanted: bool) -> Result<Option<DepthEstimate>>;
+    fn look(
+        &mut self,
+        frame: ImageView<'_>,
+        pose: &Pose3,
+        wanted: bool,
+    ) -> Result<Option<DepthEstimate>>;
 }
 
 /// Our coarse depth.
@@ -49,7 +54,12 @@ impl Engine for Coarse {
         self.name.clone()
     }
 
-    fn look(&mut self, frame: ImageView<'_>, pose: &Pose3, _wanted: bool) -> Result<Option<DepthEstimate>> {
+    fn look(
+        &mut self,
+        frame: ImageView<'_>,
+        pose: &Pose3,
+        _wanted: bool,
+    ) -> Result<Option<DepthEstimate>> {
         Ok(self.engine.estimate(frame, pose).ok().cloned())
     }
 }
@@ -87,7 +97,12 @@ impl FlowDepth {
         let (onnx_runtime, _) = firmware_host::onnx_runtime::init()?;
         let bytes = std::fs::read(model).with_context(|| model.display().to_string())?;
         let options = NetworkOptions { threads: 2, ..NetworkOptions::default() };
-        let flow = Box::new(FlowNetwork::load(&onnx_runtime, &bytes, (camera.width, camera.height), options)?);
+        let flow = Box::new(FlowNetwork::load(
+            &onnx_runtime,
+            &bytes,
+            (camera.width, camera.height),
+            options,
+        )?);
         Ok(Self { name: "RAFT + LS", camera, flow: Flow::Network(flow), past: VecDeque::new() })
     }
 }
@@ -97,13 +112,21 @@ impl Engine for FlowDepth {
         self.name.to_owned()
     }
 
-    fn look(&mut self, frame: ImageView<'_>, pose: &Pose3, wanted: bool) -> Result<Option<DepthEstimate>> {
+    fn look(
+        &mut self,
+        frame: ImageView<'_>,
+        pose: &Pose3,
+        wanted: bool,
+    ) -> Result<Option<DepthEstimate>> {
         let mut found = None;
-        if let Some((rgb, before)) = self.past.front().filter(|_| wanted && self.past.len() == GAP) {
+        if let Some((rgb, before)) = self.past.front().filter(|_| wanted && self.past.len() == GAP)
+        {
             let past = ImageView::rgb8(self.camera.width, self.camera.height, rgb)?;
             let field = match &mut self.flow {
                 Flow::Search(engine) => engine.flow(frame, past, None)?,
-                Flow::Network(network) => network.estimate(frame, past).ok().context("the flow network failed")?,
+                Flow::Network(network) => {
+                    network.estimate(frame, past).ok().context("the flow network failed")?
+                }
             };
             let view = FlowView { flow: field, t_view_camera: before.inverse() * pose };
             let found_depth = triangulate(&self.camera, &[view], RANGE_M)?;
@@ -113,7 +136,8 @@ impl Engine for FlowDepth {
                 true => (0.25 * parallax / (0.25 * parallax + BEARING_ERROR_RAD)).clamp(0.0, 1.0),
                 false => 0.0,
             });
-            found = Some(DepthEstimate { confidence: confidence.collect(), depth: found_depth.depth });
+            found =
+                Some(DepthEstimate { confidence: confidence.collect(), depth: found_depth.depth });
         }
         if self.past.len() == GAP {
             self.past.pop_front();

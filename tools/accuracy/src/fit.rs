@@ -37,7 +37,8 @@ impl<const N: usize> Samples<N> {
                 gradient += x * (f64::from(u8::from(*right)) - p) * f64::from(*weight);
                 hessian += x * x.transpose() * (p * (1.0 - p) * f64::from(*weight)).max(1e-12);
             }
-            weights += hessian.cholesky().context("features that depend on each other")?.solve(&gradient);
+            weights +=
+                hessian.cholesky().context("features that depend on each other")?.solve(&gradient);
         }
         Ok(weights.into())
     }

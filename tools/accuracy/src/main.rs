@@ -82,7 +82,9 @@ fn main() -> Result<()> {
         compare(&options, &sequences, None, |camera| Ok(Box::new(FlowDepth::search(camera)?)))?;
     }
     if let Some(model) = &options.flow_model {
-        compare(&options, &sequences, None, |camera| Ok(Box::new(FlowDepth::network(model, camera)?)))?;
+        compare(&options, &sequences, None, |camera| {
+            Ok(Box::new(FlowDepth::network(model, camera)?))
+        })?;
     }
     if let Some(folder) = &options.out {
         println!("Look at {}.", folder.display());
@@ -97,7 +99,9 @@ fn sequences(options: &Options) -> Result<Vec<Sequence>> {
     }
     for scene in &options.scenes {
         let world = Arc::new(World::open(scene, &OpenOptions::default())?);
-        let wanted = |motion: &Motion| options.motions.is_empty() || options.motions.iter().any(|m| m == motion.name());
+        let wanted = |motion: &Motion| {
+            options.motions.is_empty() || options.motions.iter().any(|m| m == motion.name())
+        };
         for motion in Motion::ALL.into_iter().filter(wanted) {
             eprintln!("driving through {scene}, {}", motion.name());
             sequences.push(simulated(&world, motion, options.frames, 1, options.people)?);
@@ -118,7 +122,8 @@ fn compare(
         for disturbance in disturbances {
             let mut engine = engine(sequence.camera)?;
             let sheet = out.filter(|_| *disturbance == Disturbance::None);
-            let outcome = measure(sequence, *disturbance, engine.as_mut(), options.every.max(1), sheet)?;
+            let outcome =
+                measure(sequence, *disturbance, engine.as_mut(), options.every.max(1), sheet)?;
             println!("{}", outcome.line());
             all.push(outcome);
         }
@@ -126,7 +131,8 @@ fn compare(
     let mean = Outcome::mean(&all);
     println!("{}", mean.line());
     if let Some(folder) = out {
-        mean.reliability.draw(&format!("{}: confidence", mean.engine), &folder.join("reliability.png"))?;
+        mean.reliability
+            .draw(&format!("{}: confidence", mean.engine), &folder.join("reliability.png"))?;
     }
     Ok(())
 }
@@ -164,15 +170,21 @@ fn gather<const N: usize>(
             for (index, view) in sequence.views.iter().enumerate() {
                 let (rgb, pose) = disturbance.of(index, view);
                 let frame = ImageView::rgb8(sequence.camera.width, sequence.camera.height, &rgb)?;
-                let Some(truth) = view.truth.as_ref().filter(|_| engine.estimate(frame, &pose).is_ok()) else {
+                let Some(truth) =
+                    view.truth.as_ref().filter(|_| engine.estimate(frame, &pose).is_ok())
+                else {
                     continue;
                 };
                 let columns = sequence.camera.width / 4;
                 // Neighbours say the same: every seventh is enough.
-                for (cell, (vote, belief, around)) in engine.cells().enumerate().skip(index % 7).step_by(7) {
+                for (cell, (vote, belief, around)) in
+                    engine.cells().enumerate().skip(index % 7).step_by(7)
+                {
                     let (row, column) = (cell / columns * 4 + 1, cell % columns * 4 + 1);
                     let truth_m = truth.values()[row * sequence.camera.width + column];
-                    if let Some((features, inverse_depth)) = sample(vote, belief, around).filter(|_| truth_m > 0.0) {
+                    if let Some((features, inverse_depth)) =
+                        sample(vote, belief, around).filter(|_| truth_m > 0.0)
+                    {
                         samples.add(features, is_right(inverse_depth, truth_m));
                     }
                 }

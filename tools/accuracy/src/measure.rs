@@ -78,14 +78,17 @@ impl Outcome {
     #[must_use]
     pub fn mean(all: &[Self]) -> Self {
         let seen: Vec<&Self> = all.iter().filter(|outcome| outcome.all.share > 0.0).collect();
-        let mean = |value: fn(&Self) -> f64| seen.iter().map(|outcome| value(outcome)).sum::<f64>() / seen.len() as f64;
+        let mean = |value: fn(&Self) -> f64| {
+            seen.iter().map(|outcome| value(outcome)).sum::<f64>() / seen.len() as f64
+        };
         let mut reliability = Reliability::default();
         seen.iter().for_each(|outcome| reliability.add_normalised(&outcome.reliability));
         let metrics = |of: fn(&Self) -> &Metrics| {
             let mean = |value: fn(&Metrics) -> f64| {
                 seen.iter().map(|outcome| value(of(outcome))).sum::<f64>() / seen.len() as f64
             };
-            let (share, delta1, delta1_unscaled) = (mean(|m| m.share), mean(|m| m.delta1), mean(|m| m.delta1_unscaled));
+            let (share, delta1, delta1_unscaled) =
+                (mean(|m| m.share), mean(|m| m.delta1), mean(|m| m.delta1_unscaled));
             Metrics { share, delta1, delta1_unscaled, ..Metrics::default() }
         };
         Self {
@@ -131,8 +134,9 @@ pub fn measure(
             reliability.add(found, truth);
         }
         let depths = usize::from(found.is_some());
-        sampler
-            .offer(index as u64, depths, || SheetRow::capture(index as u64, &frame, found.as_ref(), None, Some(truth)));
+        sampler.offer(index as u64, depths, || {
+            SheetRow::capture(index as u64, &frame, found.as_ref(), None, Some(truth))
+        });
     }
     seconds.sort_by(f64::total_cmp);
     let name = [sequence.name.as_str(), disturbance.name()].join(" ").trim().to_owned();
@@ -140,7 +144,10 @@ pub fn measure(
         let folder = folder.join(sequence.name.replace(|c: char| !c.is_alphanumeric(), "_"));
         std::fs::create_dir_all(&folder)?;
         DepthSheet { title: &name, rows: &sampler.into_rows() }.write(&folder)?;
-        anyhow::ensure!(folder.join(DEPTH_FILE).exists() || accuracy.rows().all.is_none(), "no sheet of {name}");
+        anyhow::ensure!(
+            folder.join(DEPTH_FILE).exists() || accuracy.rows().all.is_none(),
+            "no sheet of {name}"
+        );
     }
     let rows = accuracy.rows();
     Ok(Outcome {

@@ -31,7 +31,9 @@ impl Reliability {
     /// Counts the pixels of one picture.
     pub fn add(&mut self, estimate: &DepthEstimate, truth: &DepthMap) {
         let pixels = estimate.depth.values().iter().zip(&estimate.confidence).zip(truth.values());
-        for ((&depth, &confidence), &truth) in pixels.filter(|((depth, _), truth)| **depth > 0.0 && **truth > 0.1) {
+        for ((&depth, &confidence), &truth) in
+            pixels.filter(|((depth, _), truth)| **depth > 0.0 && **truth > 0.1)
+        {
             let bin = &mut self.bins[((confidence * BINS as f32) as usize).min(BINS - 1)];
             bin.pixels += 1.0;
             bin.confidence += f64::from(confidence);
@@ -53,7 +55,8 @@ impl Reliability {
     #[must_use]
     pub fn error(&self) -> f64 {
         let total: f64 = self.bins.iter().map(|bin| bin.pixels).sum();
-        self.bins.iter().map(|bin| (bin.confidence - bin.right).abs()).sum::<f64>() / total.max(f64::MIN_POSITIVE)
+        self.bins.iter().map(|bin| (bin.confidence - bin.right).abs()).sum::<f64>()
+            / total.max(f64::MIN_POSITIVE)
     }
 
     /// Draws the share of right pixels over the promised one, and how many pixels promise it.
@@ -67,7 +70,13 @@ impl Reliability {
             [MARGIN as f64 + promised * SIDE as f64, (MARGIN + SIDE) as f64 - kept * SIDE as f64]
         };
         canvas.text(MARGIN, 16, title, Font::Strong, INK);
-        canvas.text(MARGIN, 40, &format!("calibration error {:.3}", self.error()), Font::Label, INK);
+        canvas.text(
+            MARGIN,
+            40,
+            &format!("calibration error {:.3}", self.error()),
+            Font::Label,
+            INK,
+        );
         let most = self.bins.iter().map(|bin| bin.pixels).fold(f64::MIN_POSITIVE, f64::max);
         for (index, bin) in self.bins.iter().enumerate() {
             let height = (bin.pixels / most * SIDE as f64 * 0.3) as i64;

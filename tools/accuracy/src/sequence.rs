@@ -8,7 +8,8 @@ use firmware_host::config::Config;
 use firmware_host::dataset::Dataset;
 use firmware_host::setup::{self, Mission};
 use hal::{
-    Base, Camera, CameraModel, Clock, DepthMap, DriveCommand, Frame, LaserScan, Lidar, Pose3, Twist2, WheelFeedback,
+    Base, Camera, CameraModel, Clock, DepthMap, DriveCommand, Frame, LaserScan, Lidar, Pose3,
+    Twist2, WheelFeedback,
 };
 use runtime::exploration::PolicyKind;
 use runtime::robot::{DepthSource, Robot};
@@ -69,10 +70,17 @@ impl Motion {
 ///
 /// # Errors
 /// When the robot or its devices fail.
-pub fn simulated(world: &Arc<World>, motion: Motion, frames: u64, seed: u64, people: usize) -> Result<Sequence> {
+pub fn simulated(
+    world: &Arc<World>,
+    motion: Motion,
+    frames: u64,
+    seed: u64,
+    people: usize,
+) -> Result<Sequence> {
     let mut config = Config::default();
     config.simulator.nuisances.people = people;
-    let simulated = SimulatedRobot::new(Arc::clone(world), setup::simulated_robot(&config, seed, None))?;
+    let simulated =
+        SimulatedRobot::new(Arc::clone(world), setup::simulated_robot(&config, seed, None))?;
     let policy = if let Motion::Policy(policy) = motion { policy } else { PolicyKind::Random };
     let mission = Mission { policy, depth_source: DepthSource::Truth, seed };
     let mut robot = Robot::new(config.robot(&mission), None)?;
@@ -83,9 +91,10 @@ pub fn simulated(world: &Arc<World>, motion: Motion, frames: u64, seed: u64, peo
         let (view, twist) = turn(&config, &mut devices, &mut robot, tick)?;
         let twist = match motion {
             Motion::Policy(_) => twist,
-            Motion::Rotation => {
-                Twist2 { linear_mps: 0.0, angular_radps: config.base.turn_step_deg.to_radians() / config.base.tick_s() }
-            }
+            Motion::Rotation => Twist2 {
+                linear_mps: 0.0,
+                angular_radps: config.base.turn_step_deg.to_radians() / config.base.tick_s(),
+            },
         };
         devices.base.drive(&DriveCommand { twist, counter: tick as u32, plan_age_ns: 0 })?;
         views.extend(view);
@@ -93,7 +102,12 @@ pub fn simulated(world: &Arc<World>, motion: Motion, frames: u64, seed: u64, peo
     Ok(Sequence { name: format!("{}, {}", short(world.name()), motion.name()), camera, views })
 }
 
-fn turn(config: &Config, devices: &mut Devices, robot: &mut Robot, tick: u64) -> Result<(Option<View>, Twist2)> {
+fn turn(
+    config: &Config,
+    devices: &mut Devices,
+    robot: &mut Robot,
+    tick: u64,
+) -> Result<(Option<View>, Twist2)> {
     let time_ns = tick * config.base.tick_ns();
     let model = *devices.camera.model();
     let mut frame = Frame::empty();
@@ -115,7 +129,11 @@ fn turn(config: &Config, devices: &mut Devices, robot: &mut Robot, tick: u64) ->
     };
     let decision = robot.tick(&input, &mut ());
     let t_odom_camera = devices.truth.pose().to_pose3() * config.camera.mount();
-    let view = input.frame.map(|frame| View { rgb: frame.data().to_vec(), truth: Some(truth.clone()), t_odom_camera });
+    let view = input.frame.map(|frame| View {
+        rgb: frame.data().to_vec(),
+        truth: Some(truth.clone()),
+        t_odom_camera,
+    });
     Ok((view, decision.command.into()))
 }
 

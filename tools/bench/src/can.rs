@@ -53,7 +53,8 @@ fn enabled() -> Result<Odrive> {
     ];
     for round in 0..2 {
         for (id, data) in &answers {
-            let frame = CanFrame::new(CanId::Standard(*id), data).context("an answer is no frame")?;
+            let frame =
+                CanFrame::new(CanId::Standard(*id), data).context("an answer is no frame")?;
             motor.receive(&frame, 1);
         }
         if round == 0 {
@@ -62,7 +63,11 @@ fn enabled() -> Result<Odrive> {
     }
     motor.tick(1, &mut out);
     motor.receive(&CanFrame::standard(0x21, [0, 0, 0, 0, 8, 0, 0, 0]), 1);
-    anyhow::ensure!(motor.status().stage == MotorStage::Enabled, "the motor is not enabled: {:?}", motor.status());
+    anyhow::ensure!(
+        motor.status().stage == MotorStage::Enabled,
+        "the motor is not enabled: {:?}",
+        motor.status()
+    );
     Ok(motor)
 }
 
@@ -100,7 +105,13 @@ fn message() -> Row {
         let mut sum = 0.0;
         for _ in 0..BATCH {
             counter = counter.wrapping_add(1) & 0x0f;
-            let command = BaseCommand { counter, armed: true, stop: false, plan_age_ms: 12, twist: black_box(twist) };
+            let command = BaseCommand {
+                counter,
+                armed: true,
+                stop: false,
+                plan_age_ms: 12,
+                twist: black_box(twist),
+            };
             let bytes = encode(&command.encode());
             if let Some(BusEvent::Frame(frame)) = decode(black_box(&bytes)) {
                 sum += BaseCommand::decode(&frame).map_or(0.0, |command| command.twist.linear_mps);

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
-use buffer::{Catalogue, Root};
+use segment_store::{Catalogue, Root};
 
 use hil::noise;
 use hil::sshd::Sshd;
@@ -32,7 +32,9 @@ pub fn rows() -> Result<Vec<Row>> {
     match (programs, Sshd::start(&scratch.path("ssh"))?) {
         (Some(programs), Some(sshd)) => rows.extend(pulls(&scratch, &programs, &sshd)?),
         (None, _) => {
-            eprintln!("no rows of pull-buffer: BENCH_PROGRAMS names no folder with pull-buffer and firmware-host");
+            eprintln!(
+                "no rows of pull-buffer: BENCH_PROGRAMS names no folder with pull-buffer and firmware-host"
+            );
         }
         (_, None) => eprintln!("no rows of pull-buffer: there is no sshd"),
     }
@@ -50,7 +52,11 @@ fn listing(dir: &Path) -> Result<Row> {
     let root = Root::open(dir)?;
     let entries = Catalogue::read(&root)?.entries;
     let bytes: u64 = entries.iter().map(|entry| entry.bytes).sum();
-    ensure!(entries.len() == 400 && bytes >= 10_000_000_000, "{} segments, {bytes} bytes", entries.len());
+    ensure!(
+        entries.len() == 400 && bytes >= 10_000_000_000,
+        "{} segments, {bytes} bytes",
+        entries.len()
+    );
     ensure!(entries.iter().all(|entry| entry.turns == Some(20)), "the index was not read");
     let timing = time(20, || Catalogue::read(&root).map(|catalogue| catalogue.entries.len()));
     Ok(Row::seconds(ROOM, "list a buffer of 10 GB, 400 segments", timing)
@@ -63,10 +69,16 @@ fn small_segment() -> Result<Vec<u8>> {
     let mut file = Vec::new();
     let options = mcap::WriteOptions::new().compression(None).disable_seeking(true);
     let mut writer = options.create(mcap::write::NoSeek::new(&mut file))?;
-    let channel = writer.add_channel(0, "/robot/tick", "json", &std::collections::BTreeMap::new())?;
+    let channel =
+        writer.add_channel(0, "/robot/tick", "json", &std::collections::BTreeMap::new())?;
     for sequence in 0..20 {
         let time = u64::from(sequence) * 100_000_000;
-        let header = mcap::records::MessageHeader { channel_id: channel, sequence, log_time: time, publish_time: time };
+        let header = mcap::records::MessageHeader {
+            channel_id: channel,
+            sequence,
+            log_time: time,
+            publish_time: time,
+        };
         writer.write_to_known_channel(&header, b"{}")?;
     }
     writer.finish()?;
@@ -77,7 +89,8 @@ fn small_segment() -> Result<Vec<u8>> {
 /// Moves the index of `segment` to the end of a file of `length` bytes with a hole in front.
 fn sparse(path: &Path, segment: &[u8], length: u64) -> Result<()> {
     let tail = segment.len().checked_sub(37).context("too short")?;
-    let number = |at: usize| segment.get(at..at + 8).and_then(|b| b.try_into().ok()).map(u64::from_le_bytes);
+    let number =
+        |at: usize| segment.get(at..at + 8).and_then(|b| b.try_into().ok()).map(u64::from_le_bytes);
     let summary_start = number(tail + 9).context("no footer")?;
     let mut index = segment.get(usize::try_from(summary_start)?..).context("no index")?.to_vec();
     let moved = length - index.len() as u64;
@@ -104,7 +117,11 @@ fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
     let bytes = (SEGMENTS * SEGMENT_BYTES) as f64;
     let rate = |timing: Timing| {
         let megabytes = bytes * 1e-6;
-        Timing { min: megabytes / timing.max, median: megabytes / timing.median, max: megabytes / timing.min }
+        Timing {
+            min: megabytes / timing.max,
+            median: megabytes / timing.median,
+            max: megabytes / timing.min,
+        }
     };
     let mut peak_mib = Vec::new();
     let mut first = |more: &[&str], dir: &Path| -> Result<()> {
@@ -119,14 +136,17 @@ fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
         for number in 0..SEGMENTS {
             let name = format!("recording_{number:04}.mcap");
             let mut command = over::ssh(sshd);
-            command.arg(format!("cat {}/run/{name}", robot.display())).stdout(File::create(here.join(name))?);
+            command
+                .arg(format!("cat {}/run/{name}", robot.display()))
+                .stdout(File::create(here.join(name))?);
             run(command)?;
         }
         Ok(())
     };
     let (ours, theirs) = both(RUNS, || first(&[], &here), cat)?;
-    let first_copy =
-        |what: &str, ours| Row::new(ROOM, format!("pull 1 GiB over ssh{what}"), Unit::MegabytesPerSecond, rate(ours));
+    let first_copy = |what: &str, ours| {
+        Row::new(ROOM, format!("pull 1 GiB over ssh{what}"), Unit::MegabytesPerSecond, rate(ours))
+    };
     let mut rows = vec![
         first_copy(", first copy", ours)
             .peer("ssh cat", rate(theirs).median)
@@ -148,7 +168,8 @@ fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
         rows.extend(nothing_new(scratch, programs, sshd, &robot)?);
     }
     rows.push(
-        Row::new(ROOM, "pull-buffer, most memory resident", Unit::Mebibytes, Timing::of(peak_mib)).goal(64.0, 24.0),
+        Row::new(ROOM, "pull-buffer, most memory resident", Unit::Mebibytes, Timing::of(peak_mib))
+            .goal(64.0, 24.0),
     );
     Ok(rows)
 }
@@ -211,11 +232,12 @@ fn run_measured(mut command: Command) -> Result<f64> {
     let mut child = command.stdin(Stdio::null()).spawn().with_context(|| format!("{command:?}"))?;
     let status_file = format!("/proc/{}/status", child.id());
     let mut peak_kib = 0.0_f64;
-    let mut clock = drivers::MonotonicClock;
+    let mut clock = monotonic_clock::MonotonicClock;
     loop {
         let status = fs::read_to_string(&status_file).unwrap_or_default();
         let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-        let kib = line.and_then(|line| line.trim().trim_end_matches(" kB").parse().ok()).unwrap_or(0.0);
+        let kib =
+            line.and_then(|line| line.trim().trim_end_matches(" kB").parse().ok()).unwrap_or(0.0);
         peak_kib = peak_kib.max(kib);
         if let Some(status) = child.try_wait()? {
             ensure!(status.success(), "{command:?}: {status}");

@@ -20,8 +20,12 @@ pub const AES: &[&str] = &["-caes128-gcm@openssh.com"];
 #[must_use]
 pub fn kept(server: &Sshd) -> Vec<String> {
     let socket = server.dir().join("%C");
-    ["-oControlMaster=auto".to_owned(), "-oControlPersist=60".to_owned(), format!("-oControlPath={}", socket.display())]
-        .into()
+    [
+        "-oControlMaster=auto".to_owned(),
+        "-oControlPersist=60".to_owned(),
+        format!("-oControlPath={}", socket.display()),
+    ]
+    .into()
 }
 
 /// `rsync -a --checksum` from it.
@@ -36,7 +40,13 @@ pub fn rsync(server: &Sshd, more: &[impl AsRef<str>], from: &Path, to: &Path) ->
 
 /// `pull-buffer` from it.
 #[must_use]
-pub fn pull(server: &Sshd, more: &[impl AsRef<str>], programs: &Path, from: &Path, to: &Path) -> Command {
+pub fn pull(
+    server: &Sshd,
+    more: &[impl AsRef<str>],
+    programs: &Path,
+    from: &Path,
+    to: &Path,
+) -> Command {
     let mut command = Command::new(programs.join("pull-buffer"));
     command.arg(format!("127.0.0.1:{}", from.display())).arg(to);
     command.arg(format!("--remote-command={}", programs.join("firmware-host").display()));

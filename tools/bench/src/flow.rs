@@ -16,8 +16,11 @@ const ROOM: &str = "perception";
 const WIDTH: usize = 640;
 const HEIGHT: usize = 192;
 const RUNS: usize = 101;
-const PRESETS: [(&str, FlowPreset); 3] =
-    [("ultra_fast", FlowPreset::UltraFast), ("fast", FlowPreset::Fast), ("medium", FlowPreset::Medium)];
+const PRESETS: [(&str, FlowPreset); 3] = [
+    ("ultra_fast", FlowPreset::UltraFast),
+    ("fast", FlowPreset::Fast),
+    ("medium", FlowPreset::Medium),
+];
 /// Pairs of made-up pictures, and of a furnished hall.
 const MADE_UP: u64 = 8;
 const RENDERED: usize = 8;
@@ -37,10 +40,14 @@ pub fn rows() -> Result<Vec<Row>> {
         std::fs::write(path(format!("{index}_second")), &pair.second)?;
     }
     let arguments = [folder.path().display().to_string()].into_iter();
-    let arguments: Vec<_> = arguments.chain([pairs.len(), WIDTH, HEIGHT].map(|number| number.to_string())).collect();
+    let arguments: Vec<_> =
+        arguments.chain([pairs.len(), WIDTH, HEIGHT].map(|number| number.to_string())).collect();
     let arguments: Vec<_> = arguments.iter().map(String::as_str).collect();
     let mut peer = PeerProcess::start("opencv_dis.py", &arguments)?;
-    PRESETS.into_iter().map(|(name, preset)| row(name, preset, &pairs, peer.as_mut(), folder.path())).collect()
+    PRESETS
+        .into_iter()
+        .map(|(name, preset)| row(name, preset, &pairs, peer.as_mut(), folder.path()))
+        .collect()
 }
 
 fn row(
@@ -65,8 +72,12 @@ fn row(
     }
     let error = errors_px(pairs, |_, pair| Ok(pair.flow(&mut engine)?.to_vec()))?;
     let row = Row::seconds(ROOM, format!("optical flow {name} 640x192"), Timing::of(ours));
-    let note =
-        format!("{} threads, error made-up {:.3}, hall {:.3} px", rayon::current_num_threads(), error[0], error[1]);
+    let note = format!(
+        "{} threads, error made-up {:.3}, hall {:.3} px",
+        rayon::current_num_threads(),
+        error[0],
+        error[1]
+    );
     let Some(peer) = peer else { return Ok(row.note(note)) };
     let timing = Timing::of(theirs);
     let peer_error = errors_px(pairs, |index, _| {
@@ -81,8 +92,12 @@ fn row(
 }
 
 /// Mean end-point error of the made-up pairs, and of the rendered ones.
-fn errors_px(pairs: &[Pair], mut flow: impl FnMut(usize, &Pair) -> Result<Vec<[f32; 2]>>) -> Result<[f32; 2]> {
-    let errors = pairs.iter().enumerate().map(|(index, pair)| Ok(pair.error_px(&flow(index, pair)?)));
+fn errors_px(
+    pairs: &[Pair],
+    mut flow: impl FnMut(usize, &Pair) -> Result<Vec<[f32; 2]>>,
+) -> Result<[f32; 2]> {
+    let errors =
+        pairs.iter().enumerate().map(|(index, pair)| Ok(pair.error_px(&flow(index, pair)?)));
     let errors = errors.collect::<Result<Vec<_>>>()?;
     let (made_up, rendered) = errors.split_at(MADE_UP as usize);
     Ok([made_up, rendered].map(|errors| errors.iter().sum::<f32>() / errors.len() as f32))
@@ -128,12 +143,19 @@ impl Pair {
             let (fx, fy) = (x - middle[0], y - middle[1]);
             let (bx, by) = (fx - shift[0], fy - shift[1]);
             let square = growth * growth;
-            let back = [(c * bx + s * by) / square + middle[0], (c * by - s * bx) / square + middle[1]];
+            let back =
+                [(c * bx + s * by) / square + middle[0], (c * by - s * bx) / square + middle[1]];
             let covered = |x: f32, y: f32| (left..right).contains(&x) && (top..bottom).contains(&y);
-            let mut noisy = |grey: f32| (grey + random.random_range(-2.0..2.0_f32)).round().clamp(0.0, 255.0) as u8;
+            let mut noisy = |grey: f32| {
+                (grey + random.random_range(-2.0..2.0_f32)).round().clamp(0.0, 255.0) as u8
+            };
             pair.first.push(noisy(if covered(x, y) { cover.at(x, y) } else { plane.at(x, y) }));
             let (u, v) = (x - box_shift[0], y - box_shift[1]);
-            pair.second.push(noisy(if covered(u, v) { cover.at(u, v) } else { plane.at(back[0], back[1]) }));
+            pair.second.push(noisy(if covered(u, v) {
+                cover.at(u, v)
+            } else {
+                plane.at(back[0], back[1])
+            }));
             pair.truth.push(match covered(x, y) {
                 true => box_shift,
                 false => [c * fx - s * fy - fx + shift[0], s * fx + c * fy - fy + shift[1]],
@@ -146,9 +168,14 @@ impl Pair {
     fn rendered(renderer: &Renderer, index: usize) -> Result<Self> {
         let camera = CameraModel::pinhole(WIDTH, HEIGHT, std::f64::consts::FRAC_PI_2);
         let mut random = Pcg64Mcg::seed_from_u64(100 + index as u64);
-        let step = Pose3::translation(random.random_range(-0.05..0.05), 0.0, random.random_range(0.03..0.15));
+        let step = Pose3::translation(
+            random.random_range(-0.05..0.05),
+            0.0,
+            random.random_range(0.03..0.15),
+        );
         // About the camera's y axis, which looks down.
-        let turn = nalgebra::UnitQuaternion::from_euler_angles(0.0, random.random_range(-0.05..0.05), 0.0);
+        let turn =
+            nalgebra::UnitQuaternion::from_euler_angles(0.0, random.random_range(-0.05..0.05), 0.0);
         let t_first_second = step * Pose3::from_parts(nalgebra::Translation3::identity(), turn);
         let t_world_first = view(index);
         let mut picture = |pose: &Pose3, depth: &mut DepthMap| {
@@ -156,7 +183,9 @@ impl Pair {
             renderer.render(&camera, pose, &[], &Lighting::default(), &mut rgb, depth);
             Nuisances::default().add_sensor_noise(&mut random, &mut rgb);
             rgb.chunks_exact(3)
-                .map(|rgb| ((2 * u16::from(rgb[0]) + 5 * u16::from(rgb[1]) + u16::from(rgb[2])) / 8) as u8)
+                .map(|rgb| {
+                    ((2 * u16::from(rgb[0]) + 5 * u16::from(rgb[1]) + u16::from(rgb[2])) / 8) as u8
+                })
                 .collect()
         };
         let (mut depth, mut other) = (DepthMap::none(0, 0), DepthMap::none(0, 0));
@@ -165,8 +194,10 @@ impl Pair {
         let mut truth = FlowField::zero(WIDTH, HEIGHT);
         predicted_flow(&camera, &t_first_second.inverse(), DepthGuess::Map(&depth), &mut truth)?;
         // What the camera nearly touches is not judged.
-        let truth =
-            truth.values().iter().map(|flow| if flow[0].hypot(flow[1]) < MOST_PX { *flow } else { [f32::NAN; 2] });
+        let truth = truth
+            .values()
+            .iter()
+            .map(|flow| if flow[0].hypot(flow[1]) < MOST_PX { *flow } else { [f32::NAN; 2] });
         Ok(Self { first, second, truth: truth.collect() })
     }
 
@@ -178,8 +209,9 @@ impl Pair {
     /// Mean end-point error over all pixels whose motion is known, covered and vanished ones too.
     fn error_px(&self, flow: &[[f32; 2]]) -> f32 {
         let errors = flow.iter().zip(&self.truth).map(|(f, t)| (f[0] - t[0]).hypot(f[1] - t[1]));
-        let (count, sum) =
-            errors.filter(|error| error.is_finite()).fold((0, 0.0), |(n, sum), error| (n + 1, sum + error));
+        let (count, sum) = errors
+            .filter(|error| error.is_finite())
+            .fold((0, 0.0), |(n, sum), error| (n + 1, sum + error));
         sum / count as f32
     }
 }

@@ -7,11 +7,11 @@ use std::process::{Child, Command, Stdio};
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
-use drivers::MonotonicClock;
 use firmware_host::model::Store;
 use firmware_host::run::status::Status;
 use hal::Clock;
 use hil::world::{LiveOptions, LiveWorld};
+use monotonic_clock::MonotonicClock;
 use serde_json::Value;
 
 use crate::report::{Row, Timing, Unit};
@@ -19,7 +19,8 @@ use crate::report::{Row, Timing, Unit};
 const ROOM: &str = "data";
 const PICTURES: u64 = 300;
 /// 150 of the 3000 pictures of a run are held out and far enough from each other.
-const RUNS: [&str; 3] = ["builtin:apartment?seed=1", "builtin:house?seed=2", "builtin:office?seed=3"];
+const RUNS: [&str; 3] =
+    ["builtin:apartment?seed=1", "builtin:house?seed=2", "builtin:office?seed=3"];
 const FRAMES: &str = "3000";
 /// A robot that starts is busier than one that drives.
 const SETTLED_TURNS: u64 = 50;
@@ -31,8 +32,11 @@ const ALONE_S: u64 = 60;
 /// # Errors
 /// When a program fails or judges fewer pictures.
 pub fn rows() -> Result<Vec<Row>> {
-    let programs = std::env::var_os("BENCH_PROGRAMS").map(|folder| PathBuf::from(folder).join("firmware-host"));
-    let Some(program) = programs.filter(|path| path.is_file() && std::env::var_os("ORT_DYLIB_PATH").is_some()) else {
+    let programs = std::env::var_os("BENCH_PROGRAMS")
+        .map(|folder| PathBuf::from(folder).join("firmware-host"));
+    let Some(program) =
+        programs.filter(|path| path.is_file() && std::env::var_os("ORT_DYLIB_PATH").is_some())
+    else {
         eprintln!("no rows of the gate: no firmware-host in BENCH_PROGRAMS, or no ONNX Runtime");
         return Ok(Vec::new());
     };
@@ -54,15 +58,20 @@ pub fn rows() -> Result<Vec<Row>> {
             .goal(60.0, 30.0)
             .note("at idle priority"),
         seconds("gate: the same beside a robot that drives", beside_s).note("at idle priority"),
-        Row::new(ROOM, "turns in time of a robot that drives, the gate beside it", Unit::Share, one(with.in_time()))
-            .peer("without the gate", without.in_time())
-            .note(format!(
-                "{} of {} turns left out; without {} of {}",
-                with.left_out,
-                with.all(),
-                without.left_out,
-                without.all()
-            )),
+        Row::new(
+            ROOM,
+            "turns in time of a robot that drives, the gate beside it",
+            Unit::Share,
+            one(with.in_time()),
+        )
+        .peer("without the gate", without.in_time())
+        .note(format!(
+            "{} of {} turns left out; without {} of {}",
+            with.left_out,
+            with.all(),
+            without.left_out,
+            without.all()
+        )),
     ])
 }
 
@@ -77,20 +86,34 @@ struct Workshop {
 impl Workshop {
     /// Keys, recordings, and the default network twice: as itself, and signed under another digest.
     fn new(program: &Path, dir: &Path) -> Result<Self> {
-        let resident = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/default.onnx");
+        let resident =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("../../firmware-host/models/default.onnx");
         let candidate = dir.join("candidate.onnx");
         // ModelProto's `doc_string`, field 6: says nothing, and changes the digest.
         let bytes = [std::fs::read(&resident)?, b"\x32\x05again".to_vec()].concat();
         std::fs::write(&candidate, &bytes)?;
-        std::fs::write(dir.join("trusted_keys"), bundle::generate_keys(&dir.join("key"), None, "bench")?)?;
-        let key = bundle::read_secret_key(&dir.join("key"), || Ok(String::new()))?;
-        std::fs::write(bundle::Bundle::signature_path(&candidate), bundle::sign(&bytes, "candidate", &key)?)?;
+        std::fs::write(
+            dir.join("trusted_keys"),
+            signed_model::generate_keys(&dir.join("key"), None, "bench")?,
+        )?;
+        let key = signed_model::read_secret_key(&dir.join("key"), || Ok(String::new()))?;
+        std::fs::write(
+            signed_model::Bundle::signature_path(&candidate),
+            signed_model::sign(&bytes, "candidate", &key)?,
+        )?;
         // Slowness is shown by the table, not refused.
-        std::fs::write(dir.join("robot.toml"), "[models]\nmax_p99_ms = 10000.0\ngate_timeout_s = 3600\n")?;
-        let workshop = Self { program: program.to_owned(), dir: dir.to_owned(), resident, candidate };
+        std::fs::write(
+            dir.join("robot.toml"),
+            "[models]\nmax_p99_ms = 10000.0\ngate_timeout_s = 3600\n",
+        )?;
+        let workshop =
+            Self { program: program.to_owned(), dir: dir.to_owned(), resident, candidate };
         for (number, scene) in RUNS.iter().enumerate() {
             let mut explore = workshop.firmware(&["explore", "--frames", FRAMES, "--scene", scene]);
-            explore.arg("--out").arg(dir.join("runs").join(number.to_string())).stdout(Stdio::null());
+            explore
+                .arg("--out")
+                .arg(dir.join("runs").join(number.to_string()))
+                .stdout(Stdio::null());
             ensure!(explore.status()?.success(), "{explore:?}");
         }
         Ok(workshop)
@@ -106,8 +129,17 @@ impl Workshop {
     fn gate(&self, store: &Path) -> Result<f64> {
         Store::open(store)?.adopt(&std::fs::read(&self.resident)?, "default")?;
         let mut install = self.firmware(&["model", "install", "--json"]);
-        install.arg(&self.candidate).arg("--store").arg(store).arg("--config").arg(self.dir.join("robot.toml"));
-        install.arg("--trusted-keys").arg(self.dir.join("trusted_keys")).arg("--recordings").arg(self.dir.join("runs"));
+        install
+            .arg(&self.candidate)
+            .arg("--store")
+            .arg(store)
+            .arg("--config")
+            .arg(self.dir.join("robot.toml"));
+        install
+            .arg("--trusted-keys")
+            .arg(self.dir.join("trusted_keys"))
+            .arg("--recordings")
+            .arg(self.dir.join("runs"));
         install.args(["--frames", &PICTURES.to_string()]);
         let began = Instant::now();
         let output = install.output()?;
@@ -135,7 +167,8 @@ impl Drop for Robot {
 
 impl Robot {
     fn start(workshop: &Workshop, dir: &Path) -> Result<Self> {
-        let world = LiveWorld::start(dir, &LiveOptions::default()).map_err(|error| anyhow::anyhow!("{error}"))?;
+        let world = LiveWorld::start(dir, &LiveOptions::default())
+            .map_err(|error| anyhow::anyhow!("{error}"))?;
         let mut run = workshop.firmware(&["run"]);
         run.arg("--config")
             .arg(world.config())

@@ -30,7 +30,15 @@ const SOURCE: CameraModel = CameraModel {
 /// # Errors
 /// When a frame is refused, or the peer fails.
 pub fn rows() -> Result<Vec<Row>> {
-    let target = CameraModel { width: 640, height: 192, fx: 400.0, fy: 400.0, cx: 319.5, cy: 95.5, ..SOURCE };
+    let target = CameraModel {
+        width: 640,
+        height: 192,
+        fx: 400.0,
+        fy: 400.0,
+        cx: 319.5,
+        cy: 95.5,
+        ..SOURCE
+    };
     let target = CameraModel { distortion: Distortion::None, ..target };
     let plain = CameraModel { distortion: Distortion::None, ..SOURCE };
     let rgb = scene();
@@ -47,7 +55,10 @@ pub fn rows() -> Result<Vec<Row>> {
         std::fs::write(folder.join(name), data)?;
     }
     let threads = rayon::current_num_threads();
-    let mut peer = PeerProcess::start("opencv_imaging.py", &[&threads.to_string(), &folder.to_string_lossy()])?;
+    let mut peer = PeerProcess::start(
+        "opencv_imaging.py",
+        &[&threads.to_string(), &folder.to_string_lossy()],
+    )?;
     let mut rows = Vec::new();
     for (name, format, data, source, target) in &works {
         let frame = ImageView::new(source.width, source.height, *format, data)?;
@@ -94,7 +105,8 @@ fn scene() -> Vec<u8> {
         let wave = |fu: f64, fv: f64| 50.0 * (u * fu + v * fv).sin();
         let tile = index % SOURCE.width / 40 + index / SOURCE.width / 30;
         let edge = if tile.is_multiple_of(2) { 30.0 } else { -30.0 };
-        [wave(0.05, 0.02), wave(-0.03, 0.07), wave(0.31, 0.23)].map(|wave| (128.0 + edge + wave) as u8)
+        [wave(0.05, 0.02), wave(-0.03, 0.07), wave(0.31, 0.23)]
+            .map(|wave| (128.0 + edge + wave) as u8)
     };
     (0..SOURCE.width * SOURCE.height).flat_map(pixel).collect()
 }
@@ -113,6 +125,11 @@ fn nv12(rgb: &[u8]) -> Vec<u8> {
 fn jpeg(rgb: &[u8]) -> Result<Vec<u8>> {
     let mut file = Cursor::new(Vec::new());
     let (width, height) = (SOURCE.width as u32, SOURCE.height as u32);
-    JpegEncoder::new_with_quality(&mut file, 85).encode(rgb, width, height, image::ExtendedColorType::Rgb8)?;
+    JpegEncoder::new_with_quality(&mut file, 85).encode(
+        rgb,
+        width,
+        height,
+        image::ExtendedColorType::Rgb8,
+    )?;
     Ok(file.into_inner())
 }

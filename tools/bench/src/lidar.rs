@@ -27,7 +27,9 @@ const PIECE: usize = 512;
 pub fn rows() -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for (what, without_return) in [("all distances", 0), ("2 % without return", 2)] {
-        let far = |beam: u32| if beam * 7919 % 100 < without_return { 1 } else { 500 + beam * 37 % 20_000 };
+        let far = |beam: u32| {
+            if beam * 7919 % 100 < without_return { 1 } else { 500 + beam * 37 % 20_000 }
+        };
         let (request, message) = scan(far);
         rows.push(decode(what, &request, &message)?);
     }
@@ -57,10 +59,15 @@ fn decode(what: &str, request: &scip::Request, message: &[u8]) -> Result<Row> {
         median: megabytes / timing.median,
         max: megabytes / timing.min,
     };
-    Ok(Row::new(ROOM, format!("SCIP decode, MD, 1081 beams, {what}"), Unit::MegabytesPerSecond, rate(ours))
-        .peer("textbook", rate(theirs).median)
-        .goal(500.0, 2000.0)
-        .note(format!("{} bytes a scan, every checksum", message.len())))
+    Ok(Row::new(
+        ROOM,
+        format!("SCIP decode, MD, 1081 beams, {what}"),
+        Unit::MegabytesPerSecond,
+        rate(ours),
+    )
+    .peer("textbook", rate(theirs).median)
+    .goal(500.0, 2000.0)
+    .note(format!("{} bytes a scan, every checksum", message.len())))
 }
 
 /// Bytes in pieces as they are read, to what the safety plane decides about a robot that drives through a narrow place: every
@@ -76,7 +83,11 @@ fn latency() -> Result<Vec<Row>> {
     for turn in 1..=SINGLES as u64 {
         let start = Instant::now();
         for piece in message.chunks(PIECE) {
-            framer.room().get_mut(..piece.len()).context("the buffer is too small")?.copy_from_slice(piece);
+            framer
+                .room()
+                .get_mut(..piece.len())
+                .context("the buffer is too small")?
+                .copy_from_slice(piece);
             framer.received(piece.len());
         }
         let whole = framer.message().context("no message")?;
@@ -135,7 +146,9 @@ fn push_line(message: &mut Vec<u8>, content: &[u8]) {
 /// Lines, their sums, their characters behind each other, three of them a number.
 fn textbook(message: &[u8], codes: &RangeCodes) -> Option<Vec<Range>> {
     let mut data = Vec::with_capacity(message.len());
-    for (number, line) in message.strip_suffix(b"\n\n")?.split(|byte| *byte == b'\n').enumerate().skip(1) {
+    for (number, line) in
+        message.strip_suffix(b"\n\n")?.split(|byte| *byte == b'\n').enumerate().skip(1)
+    {
         let (sum, content) = line.split_last()?;
         let mut total = 0_u32;
         for byte in content {
@@ -148,7 +161,8 @@ fn textbook(message: &[u8], codes: &RangeCodes) -> Option<Vec<Range>> {
             data.extend_from_slice(content);
         }
     }
-    let number =
-        |characters: &[u8]| characters.iter().fold(0, |number, byte| number << 6 | u32::from(byte.wrapping_sub(0x30)));
+    let number = |characters: &[u8]| {
+        characters.iter().fold(0, |number, byte| number << 6 | u32::from(byte.wrapping_sub(0x30)))
+    };
     Some(data.chunks_exact(3).map(|characters| codes.range(number(characters))).collect())
 }

@@ -24,7 +24,13 @@ pub fn measure() -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-fn row(name: &str, value: Timing, peer: Option<Timing>, goal_ms: Option<(f64, f64)>, note: &str) -> Row {
+fn row(
+    name: &str,
+    value: Timing,
+    peer: Option<Timing>,
+    goal_ms: Option<(f64, f64)>,
+    note: &str,
+) -> Row {
     Row {
         room: ROOM,
         name: name.to_owned(),
@@ -74,7 +80,13 @@ fn map_updates() -> Result<Vec<Row>> {
     let camera_only = time(300, || update(false).ok());
     let both = time(300, || update(true).ok());
     Ok(vec![
-        row("map update, depth 640x192", camera_only, None, Some((2.0, 0.3)), "decay, marking, clearing, digest"),
+        row(
+            "map update, depth 640x192",
+            camera_only,
+            None,
+            Some((2.0, 0.3)),
+            "decay, marking, clearing, digest",
+        ),
         row("map update, depth and scan of 1081 beams", both, None, Some((2.0, 0.3)), ""),
     ])
 }
@@ -87,7 +99,11 @@ fn explored() -> Result<OccupancyGrid> {
     for row in -6..6 {
         for column in -6..6 {
             let radius_m = if (row + column) % 2 == 0 { 1.5 } else { 1.0 };
-            let place = Pose2::new(f64::from(column) * 2.4 + 1.2, f64::from(row) * 2.4 + 1.2, f64::from(row));
+            let place = Pose2::new(
+                f64::from(column) * 2.4 + 1.2,
+                f64::from(row) * 2.4 + 1.2,
+                f64::from(row),
+            );
             grid.begin_update(&Pose2::IDENTITY)?;
             grid.mark_standing(&place, radius_m)?;
             grid.mark_collision(&place, 0.6)?;
@@ -108,14 +124,21 @@ fn decisions() -> Result<Vec<Row>> {
     let mut costmap = Costmap::new(&PlanConfig::default())?;
     let update = time(20, || costmap.update(&grid));
     let mut planner = Planner::new(usize::MAX);
-    let start = costmap.nearest_passable(Cell::new(0, 0), 3.0).context("no passable cell in the middle")?;
+    let start =
+        costmap.nearest_passable(Cell::new(0, 0), 3.0).context("no passable cell in the middle")?;
     let flood = time(10, || planner.flood(&costmap, start).is_ok());
     let cells = grid.known_box().map_or(0, |known| known.width() * known.height());
     let note = format!("{cells} cells, {} frontiers", found.len());
     Ok(vec![
         row("frontiers of 1000x1000 cells", frontier, None, Some((5.0, 1.0)), &note),
         row("costmap of 1000x1000 cells", update, None, None, "inflation of every obstacle"),
-        row("distance to everywhere, 1000x1000 cells", flood, None, None, "once for all goals of a decision"),
+        row(
+            "distance to everywhere, 1000x1000 cells",
+            flood,
+            None,
+            None,
+            "once for all goals of a decision",
+        ),
     ])
 }
 
@@ -128,7 +151,12 @@ struct Field {
 }
 
 impl Field {
-    fn new(name: &'static str, start: (i32, i32), goal: (i32, i32), weight: impl Fn(i32, i32) -> u8) -> Self {
+    fn new(
+        name: &'static str,
+        start: (i32, i32),
+        goal: (i32, i32),
+        weight: impl Fn(i32, i32) -> u8,
+    ) -> Self {
         let weights = (0..SIDE * SIDE).map(|at| weight(at % SIDE, at / SIDE)).collect();
         Self { name, weights, start: Cell::new(start.0, start.1), goal: Cell::new(goal.0, goal.1) }
     }
@@ -148,7 +176,8 @@ impl Field {
 
     /// The same rules for the peer: 8 neighbours, no cut corners, 12 a straight and 17 a diagonal step.
     fn successors(&self, (x, y): (i32, i32)) -> impl Iterator<Item = ((i32, i32), u32)> {
-        let around = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))).filter(|step| *step != (0, 0));
+        let around =
+            (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))).filter(|step| *step != (0, 0));
         around.filter_map(move |(dx, dy)| {
             let weight = self.weight(x + dx, y + dy);
             let open = weight > 0 && self.weight(x + dx, y) > 0 && self.weight(x, y + dy) > 0;
@@ -164,7 +193,8 @@ impl Field {
             12 * dx.max(dy) + 5 * dx.min(dy)
         };
         let start = (self.start.x, self.start.y);
-        pathfinding::prelude::astar(&start, |at| self.successors(*at), bound, |at| *at == goal).map(|(_, cost)| cost)
+        pathfinding::prelude::astar(&start, |at| self.successors(*at), bound, |at| *at == goal)
+            .map(|(_, cost)| cost)
     }
 }
 

@@ -17,11 +17,12 @@ const EMPTY: &[u8] = include_bytes!("../../../runtime/tests/models/any_size.onnx
 /// Hands one plane of the volume on: as good as no inference.
 const VOLUME: &[u8] = include_bytes!("../../../runtime/tests/models/volume_64_any_size.onnx");
 /// The network that the robot ships with.
-const DEFAULT: &[u8] = include_bytes!("../../../models/default.onnx");
+const DEFAULT: &[u8] = include_bytes!("../../../firmware-host/models/default.onnx");
 const DEFAULT_TURNS: usize = 101;
 const SIZE: (usize, usize) = (640, 192);
 /// Real networks as `cargo xtask models` exports them, with the turns that they are worth.
-const REAL: [(&str, usize); 4] = [("monodepth2_r18", 20), ("edn_r18", 20), ("raft_small_12", 7), ("raft_large_12", 5)];
+const REAL: [(&str, usize); 4] =
+    [("monodepth2_r18", 20), ("edn_r18", 20), ("raft_small_12", 7), ("raft_large_12", 5)];
 
 /// Measures the room. Without ONNX Runtime (`ORT_DYLIB_PATH`) it has no rows; real networks are those in the folder that
 /// `BENCH_MODELS` names.
@@ -31,11 +32,13 @@ const REAL: [(&str, usize); 4] = [("monodepth2_r18", 20), ("edn_r18", 20), ("raf
 pub fn rows() -> anyhow::Result<Vec<Row>> {
     let Some(library) = std::env::var_os("ORT_DYLIB_PATH") else { return Ok(Vec::new()) };
     let onnx_runtime = ort::init_from(library)?.with_telemetry(false).build()?;
-    let picture = |step: usize| (0..3 * SIZE.0 * SIZE.1).map(|i| (i * step % 256) as u8).collect::<Vec<_>>();
+    let picture =
+        |step: usize| (0..3 * SIZE.0 * SIZE.1).map(|i| (i * step % 256) as u8).collect::<Vec<_>>();
     let pictures = [picture(31), picture(37)];
     let mut rows = vec![empty(&onnx_runtime, &pictures[0])?, volume(&onnx_runtime, &pictures)?];
     for threads in [1, 2] {
-        let row = real(&onnx_runtime, "default network", DEFAULT, threads, DEFAULT_TURNS, &pictures)?;
+        let row =
+            real(&onnx_runtime, "default network", DEFAULT, threads, DEFAULT_TURNS, &pictures)?;
         rows.push(row.goal(0.006, 0.004));
     }
     if let Some(folder) = std::env::var_os("BENCH_MODELS") {
@@ -44,7 +47,8 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
             if !file.is_file() {
                 continue;
             }
-            let model = std::fs::read(&file).with_context(|| format!("reading {}", file.display()))?;
+            let model =
+                std::fs::read(&file).with_context(|| format!("reading {}", file.display()))?;
             for threads in [1, 2] {
                 rows.push(real(&onnx_runtime, name, &model, threads, turns, &pictures)?);
             }
@@ -55,7 +59,8 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
 
 /// What surrounds inference: planes in, depth out.
 fn empty(onnx_runtime: &Environment, picture: &[u8]) -> anyhow::Result<Row> {
-    let mut network = DepthNetwork::load(onnx_runtime, EMPTY, &camera(), NetworkOptions::default())?;
+    let mut network =
+        DepthNetwork::load(onnx_runtime, EMPTY, &camera(), NetworkOptions::default())?;
     let mut session = bare_session(onnx_runtime, EMPTY, 1)?;
     let frame = view(picture)?;
     let (ours, peer) = time_against(
@@ -70,7 +75,8 @@ fn empty(onnx_runtime: &Environment, picture: &[u8]) -> anyhow::Result<Row> {
 
 /// The cost volume of a robot that drives forward.
 fn volume(onnx_runtime: &Environment, pictures: &[Vec<u8>; 2]) -> anyhow::Result<Row> {
-    let mut network = DepthNetwork::load(onnx_runtime, VOLUME, &camera(), NetworkOptions::default())?;
+    let mut network =
+        DepthNetwork::load(onnx_runtime, VOLUME, &camera(), NetworkOptions::default())?;
     let frame = view(&pictures[0])?;
     let mut way_m = 0.0;
     let mut step = || {
@@ -79,7 +85,11 @@ fn volume(onnx_runtime: &Environment, pictures: &[Vec<u8>; 2]) -> anyhow::Result
     };
     // Until there are two pictures to compare with.
     (0..20).for_each(|_| _ = step());
-    Ok(Row::seconds("network", "cost volume, 64 planes of 160x48, 2 references, 1 thread", time(50, step)))
+    Ok(Row::seconds(
+        "network",
+        "cost volume, 64 planes of 160x48, 2 references, 1 thread",
+        time(50, step),
+    ))
 }
 
 /// A real network on `threads` threads, through us and with nothing but ort.
@@ -93,7 +103,8 @@ fn real(
 ) -> anyhow::Result<Row> {
     let options = NetworkOptions { threads, ..NetworkOptions::default() };
     let mut session = bare_session(onnx_runtime, model, threads)?;
-    let inputs: Vec<&[u8]> = pictures.iter().take(session.inputs().len()).map(Vec::as_slice).collect();
+    let inputs: Vec<&[u8]> =
+        pictures.iter().take(session.inputs().len()).map(Vec::as_slice).collect();
     let [first, second] = [view(&pictures[0])?, view(&pictures[1])?];
     let peer = || bare_run(&mut session, &inputs);
     let (ours, peer) = if name.starts_with("raft") {

@@ -46,7 +46,9 @@ impl PeerProcess {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
-            .with_context(|| format!("starting {} with {}", path.display(), python.get_program().display()))?;
+            .with_context(|| {
+                format!("starting {} with {}", path.display(), python.get_program().display())
+            })?;
         let input = child.stdin.take().context("a peer without input")?;
         let output = BufReader::new(child.stdout.take().context("a peer without output")?);
         let mut peer = Self { script: script.to_owned(), child, input, output };
@@ -69,7 +71,9 @@ impl PeerProcess {
     /// # Errors
     /// When the script ends instead.
     pub fn ask(&mut self, line: &str) -> Result<String> {
-        writeln!(self.input, "{line}").and_then(|()| self.input.flush()).with_context(|| self.script.clone())?;
+        writeln!(self.input, "{line}")
+            .and_then(|()| self.input.flush())
+            .with_context(|| self.script.clone())?;
         self.answer()
     }
 

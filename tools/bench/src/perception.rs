@@ -27,15 +27,21 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
     let camera = CameraModel::pinhole(WIDTH, HEIGHT, std::f64::consts::FRAC_PI_2);
     let threads = rayon::current_num_threads();
     let mut rows = Vec::new();
-    for (name, direction, rectified) in [("sideways", [1.0, 0.0, 0.0], true), ("on an arc", [0.5, 0.0, 0.7], false)] {
+    for (name, direction, rectified) in
+        [("sideways", [1.0, 0.0, 0.0], true), ("on an arc", [0.5, 0.0, 0.7], false)]
+    {
         let walk = Walk::new(camera, direction);
         // Semi-global matching needs rectified pictures.
         let mut peer = if rectified { walk.semi_global_matching()? } else { None };
         let (coarse, theirs) = walk.coarse(peer.as_mut())?;
         let coarse = Timing::of(coarse);
-        let note =
-            format!("{threads} threads, 64 planes, up to {} references", CoarseConfig::default().parallax_px.len());
-        let row = Row::seconds(ROOM, format!("coarse depth 640x192, {name}"), coarse).goal(0.008, 0.003).note(note);
+        let note = format!(
+            "{threads} threads, 64 planes, up to {} references",
+            CoarseConfig::default().parallax_px.len()
+        );
+        let row = Row::seconds(ROOM, format!("coarse depth 640x192, {name}"), coarse)
+            .goal(0.008, 0.003)
+            .note(note);
         rows.push(match theirs.is_empty() {
             true => row,
             false => row.peer("OpenCV SGBM, 3 paths, 1 reference", Timing::of(theirs).median),
@@ -44,7 +50,8 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
         whole.sort_by(f64::total_cmp);
         let p99 = whole[(whole.len() * 99).div_ceil(100) - 1];
         let whole = Timing { median: p99, ..Timing::of(whole) };
-        let row = Row::seconds(ROOM, format!("YUYV to coarse depth, 99th percentile, {name}"), whole);
+        let row =
+            Row::seconds(ROOM, format!("YUYV to coarse depth, 99th percentile, {name}"), whole);
         rows.push(row.goal(0.015, 0.008).note("front end and coarse depth; no network"));
     }
     rows.push(accuracy());
@@ -53,7 +60,8 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
 
 fn accuracy() -> Row {
     let depths = (0..WIDTH * HEIGHT).map(|i| 1.0 + (i * 7919 % 4001) as f32 / 1e3).collect();
-    let truth = DepthMap::from_vec(WIDTH, HEIGHT, depths).unwrap_or_else(|| DepthMap::none(WIDTH, HEIGHT));
+    let truth =
+        DepthMap::from_vec(WIDTH, HEIGHT, depths).unwrap_or_else(|| DepthMap::none(WIDTH, HEIGHT));
     let confidence = (0..WIDTH * HEIGHT).map(|i| (i * 31 % 1009) as f32 / 1009.0).collect();
     let estimate = DepthEstimate { depth: truth.clone(), confidence };
     let mut accuracy = Accuracy::new();
@@ -79,7 +87,8 @@ impl Walk {
     fn semi_global_matching(&self) -> anyhow::Result<Option<PeerProcess>> {
         let folder = std::env::temp_dir().join(format!("bench-sgbm-{}", std::process::id()));
         std::fs::create_dir_all(&folder)?;
-        let files = [folder.join("left"), folder.join("right")].map(|file| file.display().to_string());
+        let files =
+            [folder.join("left"), folder.join("right")].map(|file| file.display().to_string());
         // Moving to the right, the later picture is the right one.
         for (file, picture) in files.iter().zip([&self.pictures[0], &self.pictures[APART]]) {
             std::fs::write(file, picture.iter().step_by(3).copied().collect::<Vec<u8>>())?;
@@ -140,9 +149,11 @@ fn wall(camera: &CameraModel, t_world_camera: &Pose3) -> Vec<u8> {
     let mut picture = Vec::with_capacity(WIDTH * HEIGHT * 3);
     for index in 0..WIDTH * HEIGHT {
         let ray = camera.ray((index % WIDTH) as f64, (index / WIDTH) as f64);
-        let place: Point3<f64> = t_world_camera * Point3::from(ray * (3.0 - t_world_camera.translation.z));
+        let place: Point3<f64> =
+            t_world_camera * Point3::from(ray * (3.0 - t_world_camera.translation.z));
         let wave = |fx: f64, fy: f64, phase: f64| (place.x * fx + place.y * fy + phase).sin();
-        let value = wave(7.0, 3.0, 0.3) * wave(-4.0, 9.0, 1.0) + wave(23.0, -17.0, 0.7) * wave(11.0, 29.0, 2.0);
+        let value = wave(7.0, 3.0, 0.3) * wave(-4.0, 9.0, 1.0)
+            + wave(23.0, -17.0, 0.7) * wave(11.0, 29.0, 2.0);
         picture.extend([(128.0 + 50.0 * value) as u8; 3]);
     }
     picture

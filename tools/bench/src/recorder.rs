@@ -8,9 +8,9 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use anyhow::Result;
-use drivers::MonotonicClock;
 use firmware_host::record::{Recorder, RecorderOptions};
 use hal::{CameraModel, Clock, DepthMap, LaserScan, Range, ScanGeometry};
+use monotonic_clock::MonotonicClock;
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use runtime::recording::{Picture, RecordedTick, RunHeader, Views};
@@ -57,9 +57,15 @@ pub fn rows() -> Result<Vec<Row>> {
         mib_a_minute(bytes.0),
         mib_a_minute(bytes.1)
     );
-    let row = Row::seconds(ROOM, "recorder: processor time of a second, 30 Hz 640x480, 40 Hz scans", Timing::of(ours));
+    let row = Row::seconds(
+        ROOM,
+        "recorder: processor time of a second, 30 Hz 640x480, 40 Hz scans",
+        Timing::of(ours),
+    );
     Ok(vec![
-        row.peer("mcap's writer as it comes, raw pictures", Timing::of(theirs).median).goal(0.15, 0.075).note(note),
+        row.peer("mcap's writer as it comes, raw pictures", Timing::of(theirs).median)
+            .goal(0.15, 0.075)
+            .note(note),
     ])
 }
 
@@ -86,8 +92,13 @@ fn turns() -> Vec<RecordedTick> {
     let geometry = ScanGeometry::UTM_30LX;
     (0..TURNS_HZ)
         .map(|turn| {
-            let range = |beam: usize| Range::Hit(1.0 + (beam as u64 * 7919 % 20_000 + turn) as f32 * 1e-3);
-            let scan = LaserScan { time_ns: 0, geometry, ranges: (0..geometry.beams).map(range).collect() };
+            let range =
+                |beam: usize| Range::Hit(1.0 + (beam as u64 * 7919 % 20_000 + turn) as f32 * 1e-3);
+            let scan = LaserScan {
+                time_ns: 0,
+                geometry,
+                ranges: (0..geometry.beams).map(range).collect(),
+            };
             let frame = (turn % 4 != 0).then(|| pictures[turn as usize % PICTURES].clone());
             RecordedTick { scan: Some(scan), frame, ..RecordedTick::new(turn, 0) }
         })
@@ -115,14 +126,16 @@ fn paced(turns: &[RecordedTick], mut take: impl FnMut(RecordedTick) -> Result<()
 }
 
 fn record(turns: &[RecordedTick], dir: &Path) -> Result<firmware_host::record::RecordingSummary> {
-    let mut recorder = Recorder::start(RecorderOptions::robot(dir), RunHeader::new("bench", camera()))?;
+    let mut recorder =
+        Recorder::start(RecorderOptions::robot(dir), RunHeader::new("bench", camera()))?;
     paced(turns, |turn| Ok(recorder.record(turn, Views::default())?))?;
     Ok(recorder.finish()?)
 }
 
 fn write_plainly(turns: &[RecordedTick], path: &Path) -> Result<()> {
     let mut writer = mcap::Writer::new(BufWriter::new(File::create(path)?))?;
-    let channel = |writer: &mut mcap::Writer<_>, topic| writer.add_channel(0, topic, "raw", &BTreeMap::new());
+    let channel =
+        |writer: &mut mcap::Writer<_>, topic| writer.add_channel(0, topic, "raw", &BTreeMap::new());
     let (images, scans) = (channel(&mut writer, "/camera/image")?, channel(&mut writer, "/scan")?);
     paced(turns, |turn| {
         let header = |channel_id| mcap::records::MessageHeader {
@@ -132,7 +145,8 @@ fn write_plainly(turns: &[RecordedTick], path: &Path) -> Result<()> {
             publish_time: turn.time_ns,
         };
         let ranges = turn.scan.iter().flat_map(|scan| &scan.ranges);
-        let bytes: Vec<u8> = ranges.flat_map(|range| range.hit_m().unwrap_or(0.0).to_le_bytes()).collect();
+        let bytes: Vec<u8> =
+            ranges.flat_map(|range| range.hit_m().unwrap_or(0.0).to_le_bytes()).collect();
         writer.write_to_known_channel(&header(scans), &bytes)?;
         if let Some(frame) = &turn.frame {
             writer.write_to_known_channel(&header(images), &Cow::Borrowed(&frame.rgb))?;

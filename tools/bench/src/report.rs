@@ -37,7 +37,11 @@ pub fn time<T>(runs: usize, mut work: impl FnMut() -> T) -> Timing {
 }
 
 /// Seconds of ours and of a peer's way to do the same, turn by turn, so that a busy machine slows both down alike.
-pub fn time_against<A, B>(runs: usize, mut ours: impl FnMut() -> A, mut peer: impl FnMut() -> B) -> (Timing, Timing) {
+pub fn time_against<A, B>(
+    runs: usize,
+    mut ours: impl FnMut() -> A,
+    mut peer: impl FnMut() -> B,
+) -> (Timing, Timing) {
     seconds(&mut ours);
     seconds(&mut peer);
     let (a, b) = (0..runs).map(|_| (seconds(&mut ours), seconds(&mut peer))).unzip();
@@ -131,8 +135,17 @@ impl Row {
 
     /// The same as a rate; `pieces` of work were done in each timed run.
     #[must_use]
-    pub fn per_second(room: &'static str, name: impl Into<String>, pieces: f64, timing: Timing) -> Self {
-        let rate = Timing { min: pieces / timing.max, median: pieces / timing.median, max: pieces / timing.min };
+    pub fn per_second(
+        room: &'static str,
+        name: impl Into<String>,
+        pieces: f64,
+        timing: Timing,
+    ) -> Self {
+        let rate = Timing {
+            min: pieces / timing.max,
+            median: pieces / timing.median,
+            max: pieces / timing.min,
+        };
         Self::new(room, name, Unit::PerSecond, rate)
     }
 
@@ -164,7 +177,11 @@ impl Row {
     #[must_use]
     pub fn ratio(&self) -> Option<f64> {
         let peer = self.peer.as_ref()?.median;
-        Some(if self.unit.more_is_better() { self.value.median / peer } else { peer / self.value.median })
+        Some(if self.unit.more_is_better() {
+            self.value.median / peer
+        } else {
+            peer / self.value.median
+        })
     }
 
     fn verdict(&self) -> String {
@@ -188,7 +205,9 @@ impl Row {
             self.name.clone(),
             text(self.value.median),
             format!("{} .. {}", text(self.value.min), text(self.value.max)),
-            self.peer.as_ref().map_or_else(String::new, |peer| format!("{} {}", peer.name, text(peer.median))),
+            self.peer
+                .as_ref()
+                .map_or_else(String::new, |peer| format!("{} {}", peer.name, text(peer.median))),
             self.ratio().map_or_else(String::new, |ratio| format!("{ratio:.2}x")),
             self.verdict(),
             self.note.clone(),
@@ -201,7 +220,16 @@ impl Row {
 pub fn table(rows: &[Row]) -> Table {
     let mut table = Table::new();
     table.load_preset(ASCII_MARKDOWN);
-    table.set_header(["room", "what", "median", "spread", "peer", "ratio", "floor / target", "note"]);
+    table.set_header([
+        "room",
+        "what",
+        "median",
+        "spread",
+        "peer",
+        "ratio",
+        "floor / target",
+        "note",
+    ]);
     table.add_rows(rows.iter().map(Row::cells));
     for column in [2, 3, 5] {
         if let Some(column) = table.column_mut(column) {
@@ -251,7 +279,8 @@ mod tests {
 
     #[test]
     fn a_time_above_its_floor_is_called_out() {
-        let verdict = |floor, target| Row::seconds("mapping", "update", TIMING).goal(floor, target).verdict();
+        let verdict =
+            |floor, target| Row::seconds("mapping", "update", TIMING).goal(floor, target).verdict();
         assert!(verdict(0.9, 0.5).ends_with("BELOW FLOOR"));
         assert!(verdict(1.0, 0.5).ends_with("floor reached"));
         assert!(verdict(3.0, 1.0).ends_with("target reached"));
@@ -260,6 +289,9 @@ mod tests {
     #[test]
     fn numbers_are_printed_in_the_unit_that_fits() {
         let text = |value| Unit::Seconds.text(value);
-        assert_eq!([text(2e-8), text(2.5e-4), text(0.0123), text(3.0)], ["20 ns", "250.0 us", "12.30 ms", "3.00 s"]);
+        assert_eq!(
+            [text(2e-8), text(2.5e-4), text(0.0123), text(3.0)],
+            ["20 ns", "250.0 us", "12.30 ms", "3.00 s"]
+        );
     }
 }

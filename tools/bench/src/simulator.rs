@@ -34,11 +34,18 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
         }
     };
     let rays = SingleRays::new(&scene);
-    let (ours, peer) = time_against(7, &mut render, || views.iter().map(|pose| rays.depth(&camera, pose)).sum::<f32>());
-    let pictures = Row::per_second(ROOM, format!("RGB + depth 640x192, {count} triangles"), VIEWS as f64, ours)
-        .peer("obvhs CWBVH, one ray a pixel, depth only", VIEWS as f64 / peer.median)
-        .goal(40.0, 100.0)
-        .note(format!("{} threads", rayon::current_num_threads()));
+    let (ours, peer) = time_against(7, &mut render, || {
+        views.iter().map(|pose| rays.depth(&camera, pose)).sum::<f32>()
+    });
+    let pictures = Row::per_second(
+        ROOM,
+        format!("RGB + depth 640x192, {count} triangles"),
+        VIEWS as f64,
+        ours,
+    )
+    .peer("obvhs CWBVH, one ray a pixel, depth only", VIEWS as f64 / peer.median)
+    .goal(40.0, 100.0)
+    .note(format!("{} threads", rayon::current_num_threads()));
 
     let mut rng = Pcg64Mcg::seed_from_u64(1);
     let mut scan = LaserScan::empty(ScanGeometry::UTM_30LX);
@@ -52,7 +59,11 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
         pictures,
         Row::seconds(ROOM, "laser scan, 1081 beams", scans),
         Row::seconds(ROOM, "sensor noise 640x192", noise),
-        Row::seconds(ROOM, format!("hierarchy and mip chains, {count} triangles"), time(3, || Renderer::new(&scene))),
+        Row::seconds(
+            ROOM,
+            format!("hierarchy and mip chains, {count} triangles"),
+            time(3, || Renderer::new(&scene)),
+        ),
     ])
 }
 
@@ -79,8 +90,13 @@ impl SingleRays {
                 obvhs::triangle::Triangle { v0, v1, v2 }
             })
             .collect();
-        let bvh = build_cwbvh_from_tris(&boxed, BvhBuildParams::medium_build(), &mut std::time::Duration::default());
-        let triangles = bvh.primitive_indices.iter().map(|&i| (&boxed[i as usize]).into()).collect();
+        let bvh = build_cwbvh_from_tris(
+            &boxed,
+            BvhBuildParams::medium_build(),
+            &mut std::time::Duration::default(),
+        );
+        let triangles =
+            bvh.primitive_indices.iter().map(|&i| (&boxed[i as usize]).into()).collect();
         Self { bvh, triangles }
     }
 
@@ -88,10 +104,14 @@ impl SingleRays {
         let origin = <[f32; 3]>::from(pose.translation.vector.cast::<f32>()).into();
         let row = |v: usize| -> f32 {
             let pixel = |u: usize| {
-                let direction = <[f32; 3]>::from((pose.rotation * camera.ray(u as f64, v as f64)).cast::<f32>()).into();
+                let direction = <[f32; 3]>::from(
+                    (pose.rotation * camera.ray(u as f64, v as f64)).cast::<f32>(),
+                )
+                .into();
                 let mut hit = RayHit::none();
-                self.bvh
-                    .ray_traverse(Ray::new_inf(origin, direction), &mut hit, |ray, i| self.triangles[i].intersect(ray));
+                self.bvh.ray_traverse(Ray::new_inf(origin, direction), &mut hit, |ray, i| {
+                    self.triangles[i].intersect(ray)
+                });
                 if hit.t.is_finite() { hit.t } else { 0.0 }
             };
             (0..camera.width).map(pixel).sum()
@@ -121,14 +141,17 @@ pub(crate) fn hall() -> Scene {
         let centre: [f32; 3] = std::array::from_fn(|i| rng.random_range(0.05..0.95) * HALL_M[i]);
         let radius = rng.random_range(0.1..0.4);
         patch(&mut triangles, ball % 3, 32, 16, |u, v| {
-            let ((sin, cos), (s, c)) = ((u * std::f32::consts::TAU).sin_cos(), (v * std::f32::consts::PI).sin_cos());
+            let ((sin, cos), (s, c)) =
+                ((u * std::f32::consts::TAU).sin_cos(), (v * std::f32::consts::PI).sin_cos());
             [centre[0] + radius * s * cos, centre[1] + radius * s * sin, centre[2] + radius * c]
         });
     }
     let mut texture = || Texture {
         width: 1024,
         height: 1024,
-        rgba: (0..1024 * 1024).flat_map(|_| [rng.random_range(90..220), rng.random_range(90..200), 120, 255]).collect(),
+        rgba: (0..1024 * 1024)
+            .flat_map(|_| [rng.random_range(90..220), rng.random_range(90..200), 120, 255])
+            .collect(),
     };
     let textures = vec![texture(), texture(), texture()];
     let material = |texture| Material {
@@ -142,7 +165,13 @@ pub(crate) fn hall() -> Scene {
 }
 
 /// A surface over the unit square, in `columns` x `rows` pairs of triangles.
-fn patch(out: &mut Vec<Triangle>, material: u32, columns: usize, rows: usize, at: impl Fn(f32, f32) -> [f32; 3]) {
+fn patch(
+    out: &mut Vec<Triangle>,
+    material: u32,
+    columns: usize,
+    rows: usize,
+    at: impl Fn(f32, f32) -> [f32; 3],
+) {
     let vertex = |i: usize, j: usize| {
         let (u, v) = (i as f32 / columns as f32, j as f32 / rows as f32);
         Vertex { position_m: at(u, v), uv: [u * 4.0, v * 2.0], ambient: 0.9 }

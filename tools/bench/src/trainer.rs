@@ -31,7 +31,8 @@ pub fn rows() -> Result<Vec<Row>> {
 }
 
 fn on(device: &str, trainer: &mut PeerProcess, textbook: &mut PeerProcess) -> Result<Vec<Row>> {
-    let ([step, amp], textbook_step) = in_turn(trainer, ["step", "step_amp"], textbook, "textbook_step")?;
+    let ([step, amp], textbook_step) =
+        in_turn(trainer, ["step", "step_amp"], textbook, "textbook_step")?;
     let ([loss], textbook_loss) = in_turn(trainer, ["loss"], textbook, "textbook_loss")?;
     let work = format!("Monodepth2-R18 96x320, batch 12, {device}");
     let mut rows = Vec::new();
@@ -46,15 +47,24 @@ fn on(device: &str, trainer: &mut PeerProcess, textbook: &mut PeerProcess) -> Re
         rows.push(if how == best(device) { samples.goal(1.5 * peer, 2.5 * peer) } else { samples });
         let busy = Timing { min: busy, median: busy, max: busy };
         rows.push(
-            Row::new("trainer", format!("share of time not waiting for data, {device}, {how}"), Unit::Share, busy)
-                .goal(0.95, 0.99),
+            Row::new(
+                "trainer",
+                format!("share of time not waiting for data, {device}, {how}"),
+                Unit::Share,
+                busy,
+            )
+            .goal(0.95, 0.99),
         );
     }
     let peer = textbook_loss.median;
     rows.push(
-        Row::seconds("trainer", format!("warp, SSIM, minimum and smoothness with gradient, {work}"), loss)
-            .peer("textbook PyTorch", peer)
-            .goal(peer / 2.0, peer / 3.0),
+        Row::seconds(
+            "trainer",
+            format!("warp, SSIM, minimum and smoothness with gradient, {work}"),
+            loss,
+        )
+        .peer("textbook PyTorch", peer)
+        .goal(peer / 2.0, peer / 3.0),
     );
     Ok(rows)
 }

@@ -5,12 +5,15 @@ use std::io::{BufWriter, Write};
 
 fn main() {
     let dir = std::env::args().next_back().unwrap_or_default();
-    let root = buffer::Root::open(dir.as_ref()).unwrap_or_else(|error| {
+    let root = segment_store::Root::open(dir.as_ref()).unwrap_or_else(|error| {
         eprintln!("error: {error}");
         std::process::exit(1);
     });
     let mut output = BufWriter::new(std::io::stdout().lock());
     // A workstation that was killed is no error of this side.
-    let computer = buffer::Computer { aes: !std::env::args().any(|argument| argument == "--without-aes") };
-    let _ = buffer::serve(&root, computer, &mut std::io::stdin().lock(), &mut output).and_then(|()| output.flush());
+    let computer = segment_store::Computer {
+        aes: !std::env::args().any(|argument| argument == "--without-aes"),
+    };
+    let _ = segment_store::serve(&root, computer, &mut std::io::stdin().lock(), &mut output)
+        .and_then(|()| output.flush());
 }

@@ -9,14 +9,14 @@ mod store;
 use std::process::ExitCode;
 use std::sync::Mutex;
 
-use buffer::source::{Place, Spec};
-use buffer::{BufferError, Kind};
 use clap::Parser;
-use drivers::MonotonicClock;
 use hal::Clock;
+use monotonic_clock::MonotonicClock;
 use options::Options;
 use progress::Display;
 use robot::{Outcome, Robot};
+use segment_store::source::{Place, Spec};
+use segment_store::{BufferError, Kind};
 
 /// Something failed that needs a person.
 const FAILED: u8 = 1;
@@ -56,7 +56,8 @@ fn run(options: &Options) -> Result<u8, BufferError> {
                 let code = follow(&mut Robot::new(spec, options), options, display);
                 if let Ok(mut worst) = worst.lock() {
                     // Trying again later helps only where nothing else is wrong.
-                    *worst = if *worst == 0 || *worst == TRY_AGAIN && code != 0 { code } else { *worst };
+                    *worst =
+                        if *worst == 0 || *worst == TRY_AGAIN && code != 0 { code } else { *worst };
                 }
             });
         }
@@ -65,19 +66,27 @@ fn run(options: &Options) -> Result<u8, BufferError> {
 }
 
 fn specs(options: &Options) -> Result<Vec<Spec>, BufferError> {
-    let specs = options.sources().iter().map(|text| Spec::parse(text)).collect::<Result<Vec<_>, _>>()?;
+    let specs =
+        options.sources().iter().map(|text| Spec::parse(text)).collect::<Result<Vec<_>, _>>()?;
     for (at, spec) in specs.iter().enumerate() {
         if specs.iter().take(at).any(|other| other.name == spec.name) {
-            let text = format!("two sources are called {:?}; write NAME=SOURCE to tell them apart", spec.name);
+            let text = format!(
+                "two sources are called {:?}; write NAME=SOURCE to tell them apart",
+                spec.name
+            );
             return Err(BufferError::Usage(text));
         }
         if let (Some(to), Place::Store(from)) = (options.store(), &spec.place) {
-            let text = format!("{from} to {to}: use rclone or the stores' own programs from one store to another");
+            let text = format!(
+                "{from} to {to}: use rclone or the stores' own programs from one store to another"
+            );
             return Err(BufferError::Usage(text));
         }
     }
     if let (Some(to), Some(_)) = (options.store(), options.layout) {
-        return Err(BufferError::Usage(format!("{to}: another layout can only be written into a directory")));
+        return Err(BufferError::Usage(format!(
+            "{to}: another layout can only be written into a directory"
+        )));
     }
     Ok(specs)
 }
@@ -91,10 +100,14 @@ fn follow(robot: &mut Robot<'_>, options: &Options, display: &Display) -> u8 {
         match (&outcome, options.follow) {
             (Outcome { error: Some(error), .. }, false) => return code_of(error),
             // A robot that is away comes back; a refusal stays one.
-            (Outcome { error: Some(error), .. }, true) if error.kind() != Kind::Link && !robot.has_been_reached() => {
+            (Outcome { error: Some(error), .. }, true)
+                if error.kind() != Kind::Link && !robot.has_been_reached() =>
+            {
                 return code_of(error);
             }
-            (Outcome { error: Some(error), .. }, true) if error.kind() == Kind::Disk => return FAILED,
+            (Outcome { error: Some(error), .. }, true) if error.kind() == Kind::Disk => {
+                return FAILED;
+            }
             (_, false) => return 0,
             (_, true) => {
                 let deadline_ns = clock.now_ns() + options.every_s * 1_000_000_000;

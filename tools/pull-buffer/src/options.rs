@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use buffer::pull::Order;
-use buffer::source::is_store;
 use clap::{Parser, ValueEnum};
+use segment_store::pull::Order;
+use segment_store::source::is_store;
 
 /// Brings what robots recorded to this computer: over the system's ssh, from a mounted directory or out of an object store. Goes
 /// on at the byte where it was interrupted, verifies every segment by its digest, and never reads again what is here. Where DEST is
@@ -77,13 +77,13 @@ impl Options {
     }
 
     /// How the library wants it.
-    pub fn pull(&self) -> buffer::pull::Options {
+    pub fn pull(&self) -> segment_store::pull::Options {
         let order = match self.order {
             OrderArg::Oldest => Order::Oldest,
             OrderArg::Newest => Order::Newest,
             OrderArg::Valuable => Order::Valuable,
         };
-        buffer::pull::Options { order, limit: self.limit, no_mark: self.no_mark }
+        segment_store::pull::Options { order, limit: self.limit, no_mark: self.no_mark }
     }
 }
 
@@ -141,9 +141,13 @@ mod tests {
 
     #[test]
     fn rates_are_read_as_people_write_them() {
-        for (text, rate) in
-            [("5MB/s", 5_000_000), ("500k", 500_000), ("2MiB", 2 << 20), ("1.5 MB/s", 1_500_000), ("12345", 12_345)]
-        {
+        for (text, rate) in [
+            ("5MB/s", 5_000_000),
+            ("500k", 500_000),
+            ("2MiB", 2 << 20),
+            ("1.5 MB/s", 1_500_000),
+            ("12345", 12_345),
+        ] {
             assert_eq!(parse_rate(text), Ok(rate), "{text}");
         }
         for bad in ["", "fast", "-5MB/s", "0", "5 parsecs", "nan", "1e99GB"] {

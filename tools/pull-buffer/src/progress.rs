@@ -2,10 +2,10 @@
 
 use std::io::{IsTerminal, Write};
 
-use buffer::pull::Watch;
-use buffer::source::Spec;
-use buffer::{Digest, Name};
 use indicatif::{HumanBytes, MultiProgress, ProgressBar, ProgressStyle};
+use segment_store::pull::Watch;
+use segment_store::source::Spec;
+use segment_store::{Digest, Name};
 use serde_json::json;
 
 use crate::robot::Outcome;
@@ -24,8 +24,10 @@ impl Display {
     /// A bar for one source.
     pub fn bar(&self, name: &str) -> Bar {
         let bar = self.bars.as_ref().map(|bars| {
-            let template = "{prefix:.bold} {bar:24} {bytes}/{total_bytes}, {bytes_per_sec}, {eta} left  {msg}";
-            let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+            let template =
+                "{prefix:.bold} {bar:24} {bytes}/{total_bytes}, {bytes_per_sec}, {eta} left  {msg}";
+            let style = ProgressStyle::with_template(template)
+                .unwrap_or_else(|_| ProgressStyle::default_bar());
             bars.add(ProgressBar::no_length().with_style(style).with_prefix(name.to_owned()))
         });
         Bar { bar, name: name.to_owned(), json: self.json }
@@ -46,15 +48,24 @@ impl Display {
             });
             print_line(&line);
         }
-        let mut words =
-            vec![format!("{} new ({}), {} here already", report.files, HumanBytes(report.bytes), report.there)];
+        let mut words = vec![format!(
+            "{} new ({}), {} here already",
+            report.files,
+            HumanBytes(report.bytes),
+            report.there
+        )];
         let counts = [
             (report.open, "still being written"),
             (report.cut, "without their end: firmware-host buffer recover makes them whole"),
             (report.unmarked, "not marked as pulled on the robot"),
             (*exported, "exported"),
         ];
-        words.extend(counts.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")));
+        words.extend(
+            counts
+                .iter()
+                .filter(|(count, _)| *count > 0)
+                .map(|(count, what)| format!("{count} {what}")),
+        );
         if report.files + report.there + report.open == 0 {
             words = vec![format!("nothing is recorded in {} yet", spec.place)];
         }
@@ -122,7 +133,9 @@ impl Watch for Bar {
 
     fn complete(&mut self, name: &Name, digest: &Digest) {
         if self.json {
-            print_line(&json!({"event": "file", "source": self.name, "file": name.as_str(), "digest": digest}));
+            print_line(
+                &json!({"event": "file", "source": self.name, "file": name.as_str(), "digest": digest}),
+            );
         } else if self.bar.is_none() {
             self.say(name.as_str());
         }

@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use buffer::pull::{Destination, FileSystem, Report, pull};
-use buffer::source::{Directory, Place, Source, Spec, Ssh, SshOptions};
-use buffer::{BufferError, Kind};
-use drivers::MonotonicClock;
 use hal::Clock;
+use monotonic_clock::MonotonicClock;
+use segment_store::pull::{Destination, FileSystem, Report, pull};
+use segment_store::source::{Directory, Place, Source, Spec, Ssh, SshOptions};
+use segment_store::{BufferError, Kind};
 
 use crate::options::{Layout, Options};
 use crate::progress::{Bar, Display};
@@ -84,14 +84,20 @@ impl<'a> Robot<'a> {
         outcome
     }
 
-    fn pull_once(&mut self, bar: &mut Bar, clock: &mut MonotonicClock) -> Result<Report, BufferError> {
+    fn pull_once(
+        &mut self,
+        bar: &mut Bar,
+        clock: &mut MonotonicClock,
+    ) -> Result<Report, BufferError> {
         let to_store = self.options.store();
         if let (Some(url), None) = (to_store, &self.store) {
             self.store = Some(Bucket::open(url, self.options.stall_s)?.below(&self.spec.name));
         }
         let mut directory = match to_store {
             Some(_) => None,
-            None => Some(Destination::open(&self.options.directory_of(&self.spec.name), &FileSystem)?),
+            None => {
+                Some(Destination::open(&self.options.directory_of(&self.spec.name), &FileSystem)?)
+            }
         };
         if self.source.is_none() {
             self.source = Some(self.connect()?);
@@ -125,14 +131,16 @@ impl<'a> Robot<'a> {
     /// Writes the runs that have no export yet.
     fn export(&self, layout: Layout, bar: &mut Bar) -> Result<u64, BufferError> {
         let dir = self.options.directory_of(&self.spec.name);
-        let (root, catalogue) = buffer::Catalogue::open(&dir)?;
+        let (root, catalogue) = segment_store::Catalogue::open(&dir)?;
         let mut exported = 0;
         for (run, entries) in catalogue.runs() {
-            let to = dir.join(layout.folder()).join(if run.is_empty() { &self.spec.name } else { run });
+            let to =
+                dir.join(layout.folder()).join(if run.is_empty() { &self.spec.name } else { run });
             if to.exists() {
                 continue;
             }
-            let segments: Vec<_> = entries.iter().map(|entry| root.path().join(entry.name.as_str())).collect();
+            let segments: Vec<_> =
+                entries.iter().map(|entry| root.path().join(entry.name.as_str())).collect();
             let pictures = layout.write(&segments, &to)?;
             bar.say(&format!("{}: {pictures} pictures", to.display()));
             exported += 1;
@@ -154,9 +162,9 @@ impl Layout {
     /// Writes a run; how many pictures it has.
     fn write(self, segments: &[PathBuf], to: &Path) -> Result<u64, BufferError> {
         match self {
-            Self::Tum => buffer::export::tum(segments, to).map(|done| done.pictures),
+            Self::Tum => segment_store::export::tum(segments, to).map(|done| done.pictures),
             #[cfg(feature = "lerobot")]
-            Self::Lerobot => buffer::export::lerobot(segments, to).map(|done| done.frames),
+            Self::Lerobot => segment_store::export::lerobot(segments, to).map(|done| done.frames),
         }
     }
 }

@@ -1,23 +1,24 @@
 //! Object stores, where this program was built with them.
 
 #[cfg(feature = "object-store")]
-pub use bucket::Bucket;
+pub use segment_store::bucket::Bucket;
 #[cfg(not(feature = "object-store"))]
 pub use without::Bucket;
 
 #[cfg(not(feature = "object-store"))]
 mod without {
-    use buffer::pull::{Options, Report, Watch};
-    use buffer::source::Source;
-    use buffer::{BufferError, Digest, Entry, Have, Name, Receive};
     use hal::Clock;
+    use segment_store::pull::{Options, Report, Watch};
+    use segment_store::source::Source;
+    use segment_store::{BufferError, Digest, Entry, Have, Name, Receive};
 
     /// Cannot be opened.
     #[allow(dead_code, reason = "there is none")]
     pub struct Bucket;
 
     fn without() -> BufferError {
-        let text = "this program was built without object stores; build it with --features object-store";
+        let text =
+            "this program was built without object stores; build it with --features object-store";
         BufferError::Usage(text.to_owned())
     }
 

@@ -9,7 +9,11 @@ use runtime::recording::{Picture, RecordedTick, RecordingWriter, RunHeader, Segm
 use tempfile::tempdir;
 
 fn pull(arguments: &[&str], dir: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_pull-buffer")).args(arguments).current_dir(dir).output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_pull-buffer"))
+        .args(arguments)
+        .current_dir(dir)
+        .output()
+        .unwrap()
 }
 
 fn words(output: &Output) -> String {
@@ -25,8 +29,10 @@ fn segment() -> Vec<u8> {
     for tick in 0..20 {
         let time_ns = tick * 100_000_000;
         let rgb = (0..16 * 12 * 3).map(|i| (i * 7 + tick as usize) as u8).collect();
-        let tick =
-            RecordedTick { frame: Some(Picture { width: 16, height: 12, rgb }), ..RecordedTick::new(tick, time_ns) };
+        let tick = RecordedTick {
+            frame: Some(Picture { width: 16, height: 12, rgb }),
+            ..RecordedTick::new(tick, time_ns)
+        };
         writer.write(&tick, &Views::default()).unwrap();
     }
     writer.finish().map_err(|(_, error)| error).unwrap()
@@ -42,7 +48,8 @@ fn two_robots_come_side_by_side_each_into_its_own_directory() {
     let output = pull(&["kitchen", "east=hall", "all"], dir.path());
     assert!(output.status.success(), "{}", words(&output));
     for name in ["kitchen", "east"] {
-        let here = fs::read(dir.path().join("all").join(name).join("run/recording_0000.mcap")).unwrap();
+        let here =
+            fs::read(dir.path().join("all").join(name).join("run/recording_0000.mcap")).unwrap();
         assert!(here == segment());
     }
 }
@@ -69,11 +76,13 @@ fn mistakes_end_with_exit_code_2_and_the_way_out() {
 fn a_link_that_fails_ends_with_exit_code_75_or_a_persons_attention() {
     let dir = tempdir().unwrap();
     // Port 1 on loopback: nobody listens there.
-    let arguments = ["127.0.0.1:/x", "here", "--retries=0", "--ssh-option=-p1", "--ssh-option=-oBatchMode=yes"];
+    let arguments =
+        ["127.0.0.1:/x", "here", "--retries=0", "--ssh-option=-p1", "--ssh-option=-oBatchMode=yes"];
     let output = pull(&arguments, dir.path());
     assert!(matches!(output.status.code(), Some(1 | 75)), "{}", words(&output));
     assert!(
-        words(&output).contains("ssh did not get through to 127.0.0.1") || words(&output).contains("cannot start"),
+        words(&output).contains("ssh did not get through to 127.0.0.1")
+            || words(&output).contains("cannot start"),
         "{}",
         words(&output)
     );

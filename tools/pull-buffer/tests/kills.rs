@@ -41,7 +41,8 @@ fn have(robot: &Path, here: &Path) -> [u64; SEGMENTS as usize] {
 
 /// Pulls to the end: brings exactly what was missing, and leaves nothing behind.
 fn completes(server: &Server, robot: &Path, here: &Path) {
-    let missing = SEGMENTS * BYTES as u64 + (0..SEGMENTS).sum::<u64>() - have(robot, here).iter().sum::<u64>();
+    let missing = SEGMENTS * BYTES as u64 + (0..SEGMENTS).sum::<u64>()
+        - have(robot, here).iter().sum::<u64>();
     let report = report(server, robot, here);
     assert_eq!(report["bytes"], missing, "{report}");
     assert_same(robot, here, SEGMENTS);
@@ -71,7 +72,10 @@ fn reads_nothing_again(server: &Server, robot: &Path, here: &Path) {
     write(&vec![7; original.len()]);
     let report = report(server, robot, here);
     write(&original);
-    assert_eq!((&report["files"], &report["bytes"], &report["there"]), (&0.into(), &0.into(), &SEGMENTS.into()));
+    assert_eq!(
+        (&report["files"], &report["bytes"], &report["there"]),
+        (&0.into(), &0.into(), &SEGMENTS.into())
+    );
     assert_same(robot, here, SEGMENTS);
 }
 
@@ -80,26 +84,43 @@ fn killed_again_and_again(mut kill: impl FnMut(&mut Child, &Path) -> bool) {
     let Some(server) = Server::start() else { return };
     let (robot, here) = (robot(SEGMENTS, BYTES), tempdir().unwrap());
     let began = Instant::now();
-    assert!(server.pull(robot.path(), here.path()).arg(LIMIT).stderr(Stdio::null()).status().unwrap().success());
+    assert!(
+        server
+            .pull(robot.path(), here.path())
+            .arg(LIMIT)
+            .stderr(Stdio::null())
+            .status()
+            .unwrap()
+            .success()
+    );
     let mut moments = Moments::new(77, began.elapsed());
     let fresh = || {
         fs::remove_dir_all(here.path().join("robot")).unwrap();
         (0..SEGMENTS).for_each(|number| {
             // Nor does the robot remember.
-            let _ = fs::remove_file(robot.path().join(format!("run/recording_{number:04}.mcap.pulled")));
+            let _ = fs::remove_file(
+                robot.path().join(format!("run/recording_{number:04}.mcap.pulled")),
+            );
         });
     };
     fresh();
     let (mut kills, mut rounds, mut before) = (0, 0, [0; SEGMENTS as usize]);
     while kills < kills::wanted() {
-        let mut child =
-            server.pull(robot.path(), here.path()).args([LIMIT, "--retries=0"]).stderr(Stdio::null()).spawn().unwrap();
+        let mut child = server
+            .pull(robot.path(), here.path())
+            .args([LIMIT, "--retries=0"])
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
         moments.wait(&mut child, || kills::listing(&here.path().join("robot/run"))).unwrap();
         let killed = kill(&mut child, robot.path());
         kills += u64::from(killed);
         child.wait().unwrap();
         let now = have(robot.path(), here.path());
-        assert!(now.iter().zip(before).all(|(now, before)| *now >= before), "{before:?}, then {now:?}");
+        assert!(
+            now.iter().zip(before).all(|(now, before)| *now >= before),
+            "{before:?}, then {now:?}"
+        );
         before = now;
         assert!(rounds <= 50 + kills, "it is through before it can be killed");
         // Killed in one piece for some time, then through to the end.
@@ -137,7 +158,8 @@ fn the_robots_side_killed_at_any_moment_the_next_pull_goes_on_at_the_byte() {
 fn the_robots_side_killed_in_the_middle_the_puller_goes_on_by_itself() {
     let Some(server) = Server::start() else { return };
     let (robot, here) = (robot(SEGMENTS, BYTES), tempdir().unwrap());
-    let mut child = server.pull(robot.path(), here.path()).arg(LIMIT).stderr(Stdio::null()).spawn().unwrap();
+    let mut child =
+        server.pull(robot.path(), here.path()).arg(LIMIT).stderr(Stdio::null()).spawn().unwrap();
     let part = here.path().join("robot/run/recording_0001.mcap.part");
     while !part.exists() {
         assert!(child.try_wait().unwrap().is_none());
@@ -150,12 +172,15 @@ fn the_robots_side_killed_in_the_middle_the_puller_goes_on_by_itself() {
 
 /// What serves this robot's buffer behind the ssh server.
 fn serving_process(robot: &Path) -> Option<Pid> {
-    let wanted = [serving(), robot.to_owned()].map(|path| path.into_os_string().into_encoded_bytes());
+    let wanted =
+        [serving(), robot.to_owned()].map(|path| path.into_os_string().into_encoded_bytes());
     fs::read_dir("/proc").unwrap().flatten().find_map(|entry| {
         let pid = entry.file_name().to_str()?.parse().ok()?;
         let line = fs::read(entry.path().join("cmdline")).ok()?;
         let words: Vec<_> = line.split(|byte| *byte == 0).collect();
         // Not the shell that starts it.
-        (words.first() == Some(&&*wanted[0]) && words.contains(&&*wanted[1])).then(|| Pid::from_raw(pid)).flatten()
+        (words.first() == Some(&&*wanted[0]) && words.contains(&&*wanted[1]))
+            .then(|| Pid::from_raw(pid))
+            .flatten()
     })
 }

@@ -7,8 +7,8 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use buffer::Computer;
 use common::{Server, SpiedSsh, assert_same, robot, words};
+use segment_store::Computer;
 use tempfile::tempdir;
 
 #[test]
@@ -22,7 +22,11 @@ fn a_robot_is_pulled_over_ssh_and_the_second_time_nothing_moves() {
     let output = server.pull(robot.path(), here.path()).arg("--json").output().unwrap();
     let last = String::from_utf8(output.stdout).unwrap().lines().last().unwrap().to_owned();
     let report: serde_json::Value = serde_json::from_str(&last).unwrap();
-    assert_eq!((&report["files"], &report["bytes"], &report["there"]), (&0.into(), &0.into(), &3.into()), "{report}");
+    assert_eq!(
+        (&report["files"], &report["bytes"], &report["there"]),
+        (&0.into(), &0.into(), &3.into()),
+        "{report}"
+    );
 }
 
 #[test]
@@ -30,15 +34,23 @@ fn pulls_share_a_connection_that_ssh_keeps() {
     let Some(server) = Server::start() else { return };
     let (robot, here) = (robot(2, 1 << 20), tempdir().unwrap());
     let socket = server.sshd.dir().join("kept");
-    let kept =
-        [format!("-oControlPath={}", socket.display()), "-oControlMaster=auto".into(), "-oControlPersist=60".into()];
+    let kept = [
+        format!("-oControlPath={}", socket.display()),
+        "-oControlMaster=auto".into(),
+        "-oControlPersist=60".into(),
+    ];
     for _ in 0..3 {
         let mut pull = server.pull(robot.path(), here.path());
-        let output = pull.args(kept.iter().map(|option| format!("--ssh-option={option}"))).output().unwrap();
+        let output =
+            pull.args(kept.iter().map(|option| format!("--ssh-option={option}"))).output().unwrap();
         assert!(output.status.success(), "{}", words(&output));
     }
     assert_same(robot.path(), here.path(), 2);
-    let exit = Command::new("ssh").args(server.sshd.options()).args(&kept).args(["-O", "exit", "127.0.0.1"]).output();
+    let exit = Command::new("ssh")
+        .args(server.sshd.options())
+        .args(&kept)
+        .args(["-O", "exit", "127.0.0.1"])
+        .output();
     assert!(exit.unwrap().status.success(), "the connection is not there any more");
     assert_eq!(server.greetings(), 1);
 }
@@ -48,12 +60,18 @@ fn a_pull_leaves_its_connection_to_the_next_one_for_a_minute() {
     let Some(server) = Server::start() else { return };
     let (robot, here, runtime_dir) = (robot(1, 1 << 20), tempdir().unwrap(), tempdir().unwrap());
     for _ in 0..3 {
-        let output =
-            server.pull(robot.path(), here.path()).env("XDG_RUNTIME_DIR", runtime_dir.path()).output().unwrap();
+        let output = server
+            .pull(robot.path(), here.path())
+            .env("XDG_RUNTIME_DIR", runtime_dir.path())
+            .output()
+            .unwrap();
         assert!(output.status.success(), "{}", words(&output));
     }
     let path = format!("-oControlPath={}/embodied-depth/%C", runtime_dir.path().display());
-    let exit = Command::new("ssh").args(server.sshd.options()).args([&path, "-Oexit", "127.0.0.1"]).output();
+    let exit = Command::new("ssh")
+        .args(server.sshd.options())
+        .args([&path, "-Oexit", "127.0.0.1"])
+        .output();
     assert!(exit.unwrap().status.success(), "the connection is not there any more");
     assert_eq!(server.greetings(), 1);
 }
@@ -61,7 +79,8 @@ fn a_pull_leaves_its_connection_to_the_next_one_for_a_minute() {
 #[test]
 fn a_link_that_broke_is_made_anew_and_not_over_the_connection_that_may_be_the_broken_one() {
     let Some(server) = Server::start() else { return };
-    let (robot, here, runtime_dir, ssh) = (robot(1, 1 << 20), tempdir().unwrap(), tempdir().unwrap(), SpiedSsh::new());
+    let (robot, here, runtime_dir, ssh) =
+        (robot(1, 1 << 20), tempdir().unwrap(), tempdir().unwrap(), SpiedSsh::new());
     // The first time its end is missing.
     let (script, serve) = (here.path().join("serve"), common::serving());
     let text = format!(
@@ -72,8 +91,13 @@ fn a_link_that_broke_is_made_anew_and_not_over_the_connection_that_may_be_the_br
     fs::write(&script, text).unwrap();
     let command = format!("sh {}", script.display());
     let mut pull = server.pull_with(Path::new(&command), robot.path(), here.path());
-    let output = pull.env("PATH", ssh.path()).env("XDG_RUNTIME_DIR", runtime_dir.path()).output().unwrap();
-    assert!(output.status.success() && words(&output).contains("trying again"), "{}", words(&output));
+    let output =
+        pull.env("PATH", ssh.path()).env("XDG_RUNTIME_DIR", runtime_dir.path()).output().unwrap();
+    assert!(
+        output.status.success() && words(&output).contains("trying again"),
+        "{}",
+        words(&output)
+    );
     assert_same(robot.path(), here.path(), 1);
     let shared: Vec<_> = ssh.calls().iter().map(|call| call.contains("ControlPath")).collect();
     assert_eq!(shared, [true, false], "{:?}", ssh.calls());
@@ -86,9 +110,14 @@ fn aes_is_asked_for_first_where_this_computer_has_it_and_never_against_the_users
     let output = server.pull(robot.path(), here.path()).env("PATH", ssh.path()).output().unwrap();
     assert!(output.status.success(), "{}", words(&output));
     let [call] = &ssh.calls()[..] else { panic!("{:?}", ssh.calls()) };
-    assert_eq!(call.contains("-oCiphers=aes128-gcm@openssh.com,chacha20"), Computer::this().aes, "{call}");
+    assert_eq!(
+        call.contains("-oCiphers=aes128-gcm@openssh.com,chacha20"),
+        Computer::this().aes,
+        "{call}"
+    );
     let only = "--ssh-option=-oCiphers=chacha20-poly1305@openssh.com";
-    let output = server.pull(robot.path(), here.path()).arg(only).env("PATH", ssh.path()).output().unwrap();
+    let output =
+        server.pull(robot.path(), here.path()).arg(only).env("PATH", ssh.path()).output().unwrap();
     assert!(output.status.success(), "{}", words(&output));
     assert!(!ssh.calls()[1].contains("aes"), "{:?}", ssh.calls());
 }
@@ -107,7 +136,12 @@ fn a_robot_without_aes_is_asked_again_as_ssh_would_when_there_is_much_to_fetch()
         assert!(output.status.success(), "{}", words(&output));
         assert_same(robot.path(), here.path(), 1);
         assert_eq!(ssh.calls().len(), calls, "{:?}", ssh.calls());
-        assert_eq!(ssh.calls().last().unwrap().contains("Ciphers"), calls == 1, "{:?}", ssh.calls());
+        assert_eq!(
+            ssh.calls().last().unwrap().contains("Ciphers"),
+            calls == 1,
+            "{:?}",
+            ssh.calls()
+        );
     }
 }
 
@@ -118,8 +152,14 @@ fn a_changed_host_key_is_refused_in_sshs_own_words() {
     server.sshd.trust("key.pub").unwrap();
     let output = server.pull(robot.path(), here.path()).output().unwrap();
     let words = words(&output);
-    assert!(!output.status.success() && words.contains("REMOTE HOST IDENTIFICATION HAS CHANGED"), "{words}");
-    assert!(words.contains("ssh did not get through to 127.0.0.1") && words.contains("255"), "{words}");
+    assert!(
+        !output.status.success() && words.contains("REMOTE HOST IDENTIFICATION HAS CHANGED"),
+        "{words}"
+    );
+    assert!(
+        words.contains("ssh did not get through to 127.0.0.1") && words.contains("255"),
+        "{words}"
+    );
     assert!(!here.path().join("robot/run").exists());
 }
 
@@ -127,7 +167,10 @@ fn a_changed_host_key_is_refused_in_sshs_own_words() {
 fn a_robot_without_the_program_is_named_with_the_way_out() {
     let Some(server) = Server::start() else { return };
     let (robot, here) = (robot(1, 1000), tempdir().unwrap());
-    let output = server.pull_with(Path::new("/no/such/program"), robot.path(), here.path()).output().unwrap();
+    let output = server
+        .pull_with(Path::new("/no/such/program"), robot.path(), here.path())
+        .output()
+        .unwrap();
     let words = words(&output);
     assert!(words.contains("/no/such/program") && words.contains("--remote-command"), "{words}");
     assert_eq!(output.status.code(), Some(1));

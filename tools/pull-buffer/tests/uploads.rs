@@ -9,9 +9,9 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-use buffer::Digest;
 use common::{assert_same, robot, words};
 use hil::kills::{self, Moments};
+use segment_store::Digest;
 use tempfile::tempdir;
 
 const SEGMENTS: u64 = 4;
@@ -27,14 +27,18 @@ fn upload(robot: &Path, store: &Path) -> Command {
 fn complete(robot: &Path, store: &Path) -> u64 {
     let is_there = |number: &u64| {
         let file = format!("run/recording_{number:04}.mcap");
-        let (original, there) = (fs::read(robot.join(&file)).unwrap(), store.join("robot").join(&file));
-        let whole =
-            fs::read(&there).inspect(|bytes| assert!(*bytes == original, "{file} has its name and is not whole"));
+        let (original, there) =
+            (fs::read(robot.join(&file)).unwrap(), store.join("robot").join(&file));
+        let whole = fs::read(&there)
+            .inspect(|bytes| assert!(*bytes == original, "{file} has its name and is not whole"));
         let digest = fs::read_to_string(there.with_extension("mcap.blake3"));
         if let Ok(digest) = &digest {
             assert!(digest.starts_with(&Digest::of(&original).to_string()), "{file}: {digest}");
         }
-        assert!(whole.is_ok() || !robot.join(format!("{file}.pulled")).exists(), "{file} is marked and not there");
+        assert!(
+            whole.is_ok() || !robot.join(format!("{file}.pulled")).exists(),
+            "{file} is marked and not there"
+        );
         whole.is_ok() && digest.is_ok()
     };
     (0..SEGMENTS).filter(is_there).count() as u64
@@ -48,12 +52,16 @@ fn an_upload_killed_at_any_moment_leaves_whole_objects_and_the_next_one_complete
         let _ = fs::remove_dir_all(&store);
         fs::create_dir(&store).unwrap();
         (0..SEGMENTS).for_each(|number| {
-            let _ = fs::remove_file(robot.path().join(format!("run/recording_{number:04}.mcap.pulled")));
+            let _ = fs::remove_file(
+                robot.path().join(format!("run/recording_{number:04}.mcap.pulled")),
+            );
         });
     };
     fresh();
     // Slow enough that most kills come in the middle of something.
-    let slowly = || upload(robot.path(), &store).arg("--limit=10MB/s").stderr(Stdio::null()).spawn().unwrap();
+    let slowly = || {
+        upload(robot.path(), &store).arg("--limit=10MB/s").stderr(Stdio::null()).spawn().unwrap()
+    };
     let began = Instant::now();
     assert!(slowly().wait().unwrap().success());
     let mut moments = Moments::new(78, began.elapsed());
@@ -88,15 +96,21 @@ fn what_a_robot_put_into_a_store_a_workstation_gets_out_of_it() {
         assert!(output.status.success(), "{}", words(&output));
         let last = String::from_utf8(output.stdout).unwrap().lines().last().unwrap().to_owned();
         let report: serde_json::Value = serde_json::from_str(&last).unwrap();
-        assert_eq!((&report["files"], &report["there"]), (&new.into(), &(SEGMENTS - new).into()), "{report}");
+        assert_eq!(
+            (&report["files"], &report["there"]),
+            (&new.into(), &(SEGMENTS - new).into()),
+            "{report}"
+        );
     }
     // A segment without its end is left alone for half a minute: something else may still be copying it into the store.
     for number in 0..SEGMENTS {
-        let object = fs::File::open(store.join(format!("robot/run/recording_{number:04}.mcap"))).unwrap();
+        let object =
+            fs::File::open(store.join(format!("robot/run/recording_{number:04}.mcap"))).unwrap();
         object.set_modified(std::time::UNIX_EPOCH).unwrap();
     }
     let from = format!("file://{}/robot", store.display());
-    let output = Command::new(env!("CARGO_BIN_EXE_pull-buffer")).arg(from).arg(&here).output().unwrap();
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_pull-buffer")).arg(from).arg(&here).output().unwrap();
     assert!(output.status.success(), "{}", words(&output));
     assert_same(robot.path(), &here, SEGMENTS);
 }

@@ -8,13 +8,18 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 
 use anyhow::{Context, Result, bail};
-use bundle::{Bundle, generate_keys, read_secret_key, sign};
 use clap::{Args, Parser, Subcommand};
+use signed_model::{Bundle, generate_keys, read_secret_key, sign};
 use target::Target;
 
 /// Sends a signed model to a robot.
 #[derive(Debug, Parser)]
-#[command(name = "push-model", version, args_conflicts_with_subcommands = true, arg_required_else_help = true)]
+#[command(
+    name = "push-model",
+    version,
+    args_conflicts_with_subcommands = true,
+    arg_required_else_help = true
+)]
 struct Cli {
     #[command(flatten)]
     push: Option<PushArgs>,
@@ -78,7 +83,9 @@ fn main() -> ExitCode {
     let cli = Cli::parse();
     let result = match (cli.command, cli.push) {
         (Some(Task::Keygen(args)), _) => keygen(&args).map(|()| ExitCode::SUCCESS),
-        (Some(Task::Sign(args)), _) => sign_file(&args.model, &args.key, args.name).map(|()| ExitCode::SUCCESS),
+        (Some(Task::Sign(args)), _) => {
+            sign_file(&args.model, &args.key, args.name).map(|()| ExitCode::SUCCESS)
+        }
         (None, Some(args)) => push(&args),
         (None, None) => Ok(ExitCode::from(2)),
     };
@@ -99,13 +106,18 @@ fn keygen(args: &KeygenArgs) -> Result<()> {
         Some(password)
     };
     println!("{}", generate_keys(&args.key, password, &args.comment)?);
-    eprintln!("Put this line into /etc/embodied-depth/trusted_keys of every robot that shall take your models.");
+    eprintln!(
+        "Put this line into /etc/embodied-depth/trusted_keys of every robot that shall take your models."
+    );
     Ok(())
 }
 
 fn sign_file(model: &Path, key: &Path, name: Option<String>) -> Result<()> {
     if model.extension() != Some("onnx".as_ref()) {
-        bail!("{} is not called NAME.onnx; give the file that `embodied-depth export` wrote", model.display());
+        bail!(
+            "{} is not called NAME.onnx; give the file that `embodied-depth export` wrote",
+            model.display()
+        );
     }
     let name = name.map_or_else(|| Bundle::name_of(model), Ok)?;
     let bytes = std::fs::read(model).with_context(|| format!("cannot read {}", model.display()))?;
@@ -134,7 +146,9 @@ fn push(args: &PushArgs) -> Result<ExitCode> {
         }
     };
     command.args(target.install_arguments(&args.gate)).stdin(Stdio::piped());
-    let mut child = command.spawn().with_context(|| format!("cannot start {}", command.get_program().display()))?;
+    let mut child = command
+        .spawn()
+        .with_context(|| format!("cannot start {}", command.get_program().display()))?;
     let mut input = child.stdin.take().context("no standard input")?;
     let mib = bundle.model.len() as f64 / f64::from(1 << 20);
     eprintln!("sending {} ({mib:.1} MiB) to {}", bundle.name, args.target);

@@ -29,11 +29,17 @@ impl Target {
         if text.starts_with('.') || before_colon.contains('/') {
             return Ok(Self::Local { store: text.to_owned() });
         }
-        let (host, store) = text.split_once(':').map_or((text, None), |(host, store)| (host, Some(store)));
+        let (host, store) =
+            text.split_once(':').map_or((text, None), |(host, store)| (host, Some(store)));
         if host.is_empty() || host.starts_with('-') || host.contains(char::is_whitespace) {
-            bail!("`{text}` is no target; give [user@]host, [user@]host:STORE, or a folder such as ./store");
+            bail!(
+                "`{text}` is no target; give [user@]host, [user@]host:STORE, or a folder such as ./store"
+            );
         }
-        Ok(Self::Remote { host: host.to_owned(), store: store.filter(|store| !store.is_empty()).map(str::to_owned) })
+        Ok(Self::Remote {
+            host: host.to_owned(),
+            store: store.filter(|store| !store.is_empty()).map(str::to_owned),
+        })
     }
 
     /// Arguments of the robot's program, quoted where a shell reads them.
@@ -62,8 +68,10 @@ mod tests {
 
     #[test]
     fn hosts_folders_and_stores_are_told_apart() {
-        let remote =
-            |host: &str, store: Option<&str>| Target::Remote { host: host.into(), store: store.map(Into::into) };
+        let remote = |host: &str, store: Option<&str>| Target::Remote {
+            host: host.into(),
+            store: store.map(Into::into),
+        };
         let local = |store: &str| Target::Local { store: store.into() };
         for (text, target) in [
             ("robot", remote("robot", None)),

@@ -1,6 +1,10 @@
 //! `push-model` killed at random moments while it sends a model over real ssh: the robot has the old one or the new one. `KILLS` says
 //! how often.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot set up its scene has failed")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that cannot set up its scene has failed"
+)]
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -57,8 +61,8 @@ impl Scene {
         let key = said(push_model().args(["keygen", "--no-password"]).arg(scene.path("key")));
         std::fs::write(scene.path("trusted_keys"), key).unwrap();
         for name in ["guess", "better"] {
-            let model =
-                Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../firmware-host/tests/models/{name}.onnx"));
+            let model = Path::new(env!("CARGO_MANIFEST_DIR"))
+                .join(format!("../../firmware-host/tests/models/{name}.onnx"));
             let path = scene.path(&format!("{name}.onnx"));
             std::fs::write(&path, padded(std::fs::read(model).unwrap())).unwrap();
             said(push_model().arg("sign").arg(path).arg("--key").arg(scene.path("key")));
@@ -74,7 +78,9 @@ impl Scene {
         let firmware = format!("env ORT_DYLIB_PATH={} {}", self.library, firmware_host().display());
         let mut push = push_model();
         push.arg(self.path(name)).arg(format!("127.0.0.1:{}", self.path("store").display()));
-        push.args(self.sshd.options().iter().map(|option| format!("--ssh={option}"))).arg("--program").arg(firmware);
+        push.args(self.sshd.options().iter().map(|option| format!("--ssh={option}")))
+            .arg("--program")
+            .arg(firmware);
         for (flag, file) in [("--config", "robot.toml"), ("--trusted-keys", "trusted_keys")] {
             push.arg(format!("--gate={flag}={}", self.path(file).display()));
         }
@@ -97,7 +103,8 @@ impl Scene {
         let store = self.path("store").display().to_string();
         let busy = || {
             let lines = std::fs::read_dir("/proc").unwrap().flatten();
-            let mut lines = lines.filter_map(|entry| std::fs::read(entry.path().join("cmdline")).ok());
+            let mut lines =
+                lines.filter_map(|entry| std::fs::read(entry.path().join("cmdline")).ok());
             lines.any(|line| String::from_utf8_lossy(&line).contains(&store))
         };
         while busy() {
@@ -108,7 +115,8 @@ impl Scene {
         assert!(list["problem"].is_null() && list["history"].is_array(), "{list}");
         for digest in list["state"]["models"].as_array().unwrap() {
             let digest = digest.as_str().unwrap();
-            let model = std::fs::read(self.path("store/models").join(format!("{digest}.onnx"))).unwrap();
+            let model =
+                std::fs::read(self.path("store/models").join(format!("{digest}.onnx"))).unwrap();
             assert_eq!(blake3::hash(&model).to_hex().as_str(), digest);
         }
         list["state"].clone()

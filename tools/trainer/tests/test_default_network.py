@@ -16,7 +16,7 @@ from embodied_depth_trainer.default_network import CALIBRATION_RUNS, RUNS, SETTI
 from embodied_depth_trainer.golden import at_block_centres, golden_inputs, golden_output
 from embodied_depth_trainer.training import Settings
 
-FILE = Path(__file__).resolve().parents[3] / "models/default.onnx"
+FILE = Path(__file__).resolve().parents[3] / "firmware-host/models/default.onnx"
 SIZE = (192, 640)
 
 

@@ -19,7 +19,7 @@ from .recordings import write_segment
 from .rooms import room
 from .test_pairs import frames_at
 
-SHIPPED = Path(__file__).parents[2] / "fixtures" / "held_out.json"
+SHIPPED = Path(__file__).parents[3] / "tests" / "fixtures" / "held_out.json"
 
 
 def test_robot_and_trainer_hold_out_the_same_pictures() -> None:

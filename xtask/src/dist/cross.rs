@@ -25,7 +25,10 @@ const RUSTC: &str = "/usr/bin/rustc";
 /// Builds the program; installs what that needs.
 pub fn build(arch: Arch) -> Result<PathBuf> {
     if arch != Arch::Arm {
-        bail!("packages for {} are built on such a computer: the cross toolchain is for aarch64 only", arch.name());
+        bail!(
+            "packages for {} are built on such a computer: the cross toolchain is for aarch64 only",
+            arch.name()
+        );
     }
     install().context("the cross build needs root on Debian 12 once, for apt")?;
     let mut cargo = command::program(CARGO);
@@ -45,13 +48,17 @@ pub fn build(arch: Arch) -> Result<PathBuf> {
         cargo.env_remove(variable);
     }
     cargo.env("RUSTC", RUSTC).env("CC_aarch64_unknown_linux_gnu", "aarch64-linux-gnu-gcc");
-    command::run(cargo.env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER", "aarch64-linux-gnu-gcc"))?;
+    command::run(
+        cargo.env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER", "aarch64-linux-gnu-gcc"),
+    )?;
     Ok(paths::target().join("cross/aarch64-unknown-linux-gnu/release/firmware-host"))
 }
 
 fn install() -> Result<()> {
-    let missing: Vec<_> =
-        PACKAGES.into_iter().filter(|name| !command::works(command::program("dpkg").args(["-s", name]))).collect();
+    let missing: Vec<_> = PACKAGES
+        .into_iter()
+        .filter(|name| !command::works(command::program("dpkg").args(["-s", name])))
+        .collect();
     if missing.is_empty() {
         return Ok(());
     }

@@ -55,11 +55,20 @@ pub fn run(arch: Option<Arch>) -> Result<()> {
     let program = if arch.is_this_computers() { build()? } else { cross::build(arch)? };
     let package = package::make(arch, &program, &paths::target().join("dist"))?;
     trial::run(arch, &package)?;
-    println!("\n{}: `apt install ./NAME.deb` on the robot; docs/install.md goes on from there", package.display());
+    println!(
+        "\n{}: `apt install ./NAME.deb` on the robot; docs/install.md goes on from there",
+        package.display()
+    );
     Ok(())
 }
 
 fn build() -> Result<PathBuf> {
-    command::run(command::cargo().args(["build", "--locked", "--release", "--package", "firmware-host"]))?;
+    command::run(command::cargo().args([
+        "build",
+        "--locked",
+        "--release",
+        "--package",
+        "firmware-host",
+    ]))?;
     Ok(paths::target().join("release/firmware-host"))
 }

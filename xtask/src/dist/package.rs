@@ -12,16 +12,16 @@ use crate::{command, onnx_runtime, paths};
 
 /// What is taken as it is: from the repository, to the robot.
 const FILES: [(&str, &str); 10] = [
-    ("models/default.onnx", "usr/share/embodied-depth/default.onnx"),
-    ("models/README.md", "usr/share/doc/embodied-depth/default.onnx.md"),
+    ("firmware-host/models/default.onnx", "usr/share/embodied-depth/default.onnx"),
+    ("firmware-host/models/README.md", "usr/share/doc/embodied-depth/default.onnx.md"),
     ("firmware-host/robot.default.toml", "usr/share/doc/embodied-depth/robot.default.toml"),
     ("docs/install.md", "usr/share/doc/embodied-depth/install.md"),
-    ("packaging/copyright", "usr/share/doc/embodied-depth/copyright"),
-    ("packaging/robot.toml", "etc/embodied-depth/robot.toml"),
-    ("packaging/embodied-depth.service", "lib/systemd/system/embodied-depth.service"),
-    ("packaging/60-embodied-depth.rules", "lib/udev/rules.d/60-embodied-depth.rules"),
-    ("packaging/sysusers.conf", "usr/lib/sysusers.d/embodied-depth.conf"),
-    ("packaging/modules-load.conf", "usr/lib/modules-load.d/embodied-depth.conf"),
+    ("firmware-host/packaging/copyright", "usr/share/doc/embodied-depth/copyright"),
+    ("firmware-host/packaging/robot.toml", "etc/embodied-depth/robot.toml"),
+    ("firmware-host/packaging/embodied-depth.service", "lib/systemd/system/embodied-depth.service"),
+    ("firmware-host/packaging/60-embodied-depth.rules", "lib/udev/rules.d/60-embodied-depth.rules"),
+    ("firmware-host/packaging/sysusers.conf", "usr/lib/sysusers.d/embodied-depth.conf"),
+    ("firmware-host/packaging/modules-load.conf", "usr/lib/modules-load.d/embodied-depth.conf"),
 ];
 /// Files that the user changes and an upgrade keeps.
 const CONFFILES: &str = "/etc/embodied-depth/robot.toml\n";
@@ -73,17 +73,34 @@ fn copy(from: &Path, to: &Path, mode: u32) -> Result<()> {
 }
 
 fn strip(arch: Arch) -> String {
-    if arch.is_this_computers() { "strip".to_owned() } else { format!("{}-linux-gnu-strip", arch.name()) }
+    if arch.is_this_computers() {
+        "strip".to_owned()
+    } else {
+        format!("{}-linux-gnu-strip", arch.name())
+    }
 }
 
 /// Every crate in the program, with its licence.
 fn crates() -> Result<String> {
     let mut tree = command::cargo();
-    tree.args(["tree", "--locked", "--quiet", "--package", "firmware-host", "--edges", "normal", "--prefix", "none"]);
+    tree.args([
+        "tree",
+        "--locked",
+        "--quiet",
+        "--package",
+        "firmware-host",
+        "--edges",
+        "normal",
+        "--prefix",
+        "none",
+    ]);
     let listed = output(tree.args(["--format", "{p}  {l}", "--target", "all"]))?;
     // Ours are named by their paths, and repeated crates have a star.
-    let mut lines: Vec<_> =
-        listed.lines().filter(|line| !line.contains("(/")).map(|line| line.trim_end_matches(" (*)")).collect();
+    let mut lines: Vec<_> = listed
+        .lines()
+        .filter(|line| !line.contains("(/"))
+        .map(|line| line.trim_end_matches(" (*)"))
+        .collect();
     lines.sort_unstable();
     lines.dedup();
     Ok(lines.join("\n") + "\n")
@@ -93,12 +110,21 @@ fn crates() -> Result<String> {
 fn needed_glibc(file: &Path) -> Result<(u32, u32)> {
     const NAME: &[u8] = b"GLIBC_2.";
     let bytes = fs::read(file).with_context(|| format!("reading {}", file.display()))?;
-    let minors = bytes.windows(NAME.len() + 2).filter(|window| window.starts_with(NAME)).filter_map(|window| {
-        let digits: String =
-            window[NAME.len()..].iter().map(|byte| char::from(*byte)).take_while(char::is_ascii_digit).collect();
-        digits.parse().ok()
-    });
-    minors.max().map(|minor| (2, minor)).with_context(|| format!("{} names no version of glibc", file.display()))
+    let minors = bytes
+        .windows(NAME.len() + 2)
+        .filter(|window| window.starts_with(NAME))
+        .filter_map(|window| {
+            let digits: String = window[NAME.len()..]
+                .iter()
+                .map(|byte| char::from(*byte))
+                .take_while(char::is_ascii_digit)
+                .collect();
+            digits.parse().ok()
+        });
+    minors
+        .max()
+        .map(|minor| (2, minor))
+        .with_context(|| format!("{} names no version of glibc", file.display()))
 }
 
 fn control(arch: Arch, root: &Path, (major, minor): (u32, u32)) -> Result<()> {
@@ -126,7 +152,11 @@ fn control(arch: Arch, root: &Path, (major, minor): (u32, u32)) -> Result<()> {
     fs::write(folder.join("control"), text)?;
     fs::write(folder.join("conffiles"), CONFFILES)?;
     for script in SCRIPTS {
-        copy(&paths::root().join("packaging/debian").join(script), &folder.join(script), 0o755)?;
+        copy(
+            &paths::root().join("firmware-host/packaging/debian").join(script),
+            &folder.join(script),
+            0o755,
+        )?;
     }
     let sums = "find . -type f ! -path './DEBIAN/*' -printf '%P\\0' | sort -z | xargs -0 md5sum > DEBIAN/md5sums";
     command::run(command::program("sh").args(["-c", sums]).current_dir(root))

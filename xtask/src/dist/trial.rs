@@ -12,7 +12,8 @@ use crate::{command, paths};
 pub fn run(arch: Arch, package: &Path) -> Result<()> {
     let folder = paths::target().join("dist/trial").join(arch.name());
     if folder.exists() {
-        std::fs::remove_dir_all(&folder).with_context(|| format!("removing {}", folder.display()))?;
+        std::fs::remove_dir_all(&folder)
+            .with_context(|| format!("removing {}", folder.display()))?;
     }
     let root = folder.join("root");
     std::fs::create_dir_all(&root)?;
@@ -28,7 +29,14 @@ pub fn run(arch: Arch, package: &Path) -> Result<()> {
     command::run(firmware(&["check", "--config"]).arg(config).stdout(std::process::Stdio::null()))?;
     let explore = |name: &str, frames: &str, model: Option<&Path>| {
         let run = folder.join(name);
-        let mut explore = firmware(&["explore", "--scene", "builtin:apartment?seed=1", "--frames", frames, "--out"]);
+        let mut explore = firmware(&[
+            "explore",
+            "--scene",
+            "builtin:apartment?seed=1",
+            "--frames",
+            frames,
+            "--out",
+        ]);
         explore.arg(&run);
         if let Some(model) = model {
             explore.arg("--model").arg(model);
@@ -52,24 +60,37 @@ fn models(root: &Path, folder: &Path, firmware: impl Fn(&[&str]) -> Command) -> 
         let path = root.join(path);
         std::fs::read_to_string(&path).with_context(|| path.display().to_string())
     };
-    let [config, unit] = ["etc/embodied-depth/robot.toml", "lib/systemd/system/embodied-depth.service"].map(read);
+    let [config, unit] =
+        ["etc/embodied-depth/robot.toml", "lib/systemd/system/embodied-depth.service"].map(read);
     let (config, unit) = (config?, unit?);
     let store = config.lines().find_map(|line| line.strip_prefix("store = \"")?.strip_suffix('"'));
     let store = store.context("robot.toml names no models.store")?;
     // Where the service may write: `StateDirectory=`.
-    let name = store.strip_prefix("/var/lib/embodied-depth/").context("the service cannot write its models.store")?;
-    ensure!(unit.lines().any(|line| line == "StateDirectory=embodied-depth"), "the service has no state directory");
-    let arguments = unit.lines().find_map(|line| line.strip_prefix("Environment=\"ARGUMENTS=")?.strip_suffix('"'));
-    let model = arguments.and_then(|words| words.split_whitespace().skip_while(|word| *word != "--model").nth(1));
+    let name = store
+        .strip_prefix("/var/lib/embodied-depth/")
+        .context("the service cannot write its models.store")?;
+    ensure!(
+        unit.lines().any(|line| line == "StateDirectory=embodied-depth"),
+        "the service has no state directory"
+    );
+    let arguments = unit
+        .lines()
+        .find_map(|line| line.strip_prefix("Environment=\"ARGUMENTS=")?.strip_suffix('"'));
+    let model = arguments
+        .and_then(|words| words.split_whitespace().skip_while(|word| *word != "--model").nth(1));
     let model = root.join(model.context("the service gives no --model")?.trim_start_matches('/'));
     let store = folder.join(name);
-    let mut explore = firmware(&["explore", "--scene", "builtin:apartment?seed=1", "--frames", "5", "--out"]);
+    let mut explore =
+        firmware(&["explore", "--scene", "builtin:apartment?seed=1", "--frames", "5", "--out"]);
     explore.arg(folder.join("stored")).arg("--model-store").arg(&store).arg("--model").arg(&model);
     command::run(explore.stdout(std::process::Stdio::null()))?;
     let mut list = firmware(&["model", "list", "--json", "--store"]);
     list.arg(&store).arg("--config").arg(root.join("etc/embodied-depth/robot.toml"));
     let said = String::from_utf8_lossy(&list.output()?.stdout).into_owned();
-    ensure!(said.contains("\"name\":\"default\""), "the package's network is not the store's first: {said}");
+    ensure!(
+        said.contains("\"name\":\"default\""),
+        "the package's network is not the store's first: {said}"
+    );
     Ok(())
 }
 
@@ -96,5 +117,6 @@ fn service(root: &Path) -> Result<()> {
     // Of ten; 2.1 when this was written. What is left of it are the devices and the network.
     let mut security = command::program("systemd-analyze");
     security.args(["security", "--no-pager", "--offline=yes", "--threshold=25"]).arg(&unit);
-    command::run(security.stdout(std::process::Stdio::null())).context("the service has more rights than it had")
+    command::run(security.stdout(std::process::Stdio::null()))
+        .context("the service has more rights than it had")
 }

@@ -44,7 +44,14 @@ impl<'a> Machine<'a> {
             };
             let index = machines.iter().position(fits).unwrap_or_else(|| {
                 let Scenario { kernel, icount, disk_mb, systemd, .. } = *scenario;
-                machines.push(Self { kernel, icount, disk_mb, systemd, modules: Vec::new(), scenarios: Vec::new() });
+                machines.push(Self {
+                    kernel,
+                    icount,
+                    disk_mb,
+                    systemd,
+                    modules: Vec::new(),
+                    scenarios: Vec::new(),
+                });
                 machines.len() - 1
             });
             let machine = &mut machines[index];
@@ -91,7 +98,10 @@ pub fn run(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<Vec<Row
     };
     for scenario in &machine.scenarios {
         if !report.ended.contains(&scenario.name) {
-            report.fail(&scenario.name, &format!("{why}: {}", last_line(&folder.join("console.log"))));
+            report.fail(
+                &scenario.name,
+                &format!("{why}: {}", last_line(&folder.join("console.log"))),
+            );
         }
     }
     if report.rows.iter().all(|row| row.passed) {
@@ -111,7 +121,8 @@ fn boot(machine: &Machine<'_>, folder: &Path, report: &mut Report) -> Result<End
     let mut child = qemu(machine, folder)?;
     // An end of its standard input would close the guest's port.
     let input = child.stdin.take();
-    let allowed = BOOT_SECONDS + machine.scenarios.iter().map(|scenario| scenario.seconds).sum::<u64>();
+    let allowed =
+        BOOT_SECONDS + machine.scenarios.iter().map(|scenario| scenario.seconds).sum::<u64>();
     let clock = Clock::of(machine, &child);
     let end = read(&mut child, report, &clock, Duration::from_secs(allowed));
     // SIGKILL: what the guest has not handed to its disk is gone.
@@ -125,7 +136,8 @@ fn boot(machine: &Machine<'_>, folder: &Path, report: &mut Report) -> Result<End
 fn prepare(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<PathBuf> {
     let icount = machine.icount.map_or(String::new(), |shift| format!("-i{shift}"));
     let first = machine.scenarios.first().map_or("", |scenario| &scenario.name);
-    let folder = paths::target().join("rig/run").join(format!("{}{icount}-{first}", machine.kernel.name()));
+    let folder =
+        paths::target().join("rig/run").join(format!("{}{icount}-{first}", machine.kernel.name()));
     if folder.exists() {
         std::fs::remove_dir_all(&folder)?;
     }
@@ -148,8 +160,14 @@ fn prepare(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<PathBuf
     }
     for scenario in &machine.scenarios {
         let (name, seconds) = (&scenario.name, scenario.seconds);
-        std::fs::write(folder.join(format!("{name}.sh")), format!(". /rig/guest.sh\n{}", scenario.body))?;
-        writeln!(commands, "printf 'BEGIN\\t{name}\\n'; timeout -k 5 {seconds} bash /rig/{name}.sh")?;
+        std::fs::write(
+            folder.join(format!("{name}.sh")),
+            format!(". /rig/guest.sh\n{}", scenario.body),
+        )?;
+        writeln!(
+            commands,
+            "printf 'BEGIN\\t{name}\\n'; timeout -k 5 {seconds} bash /rig/{name}.sh"
+        )?;
         writeln!(commands, "printf 'END\\t{name}\\t%s\\n' $?")?;
     }
     std::fs::write(folder.join("commands"), commands)?;
@@ -175,7 +193,9 @@ fn qemu(machine: &Machine<'_>, folder: &Path) -> Result<Child> {
     );
     match machine.icount {
         // Virtual time has one processor: two hang in the boot.
-        Some(shift) => write!(line, " -smp 1 -accel tcg,thread=single -icount shift={shift},sleep=off")?,
+        Some(shift) => {
+            write!(line, " -smp 1 -accel tcg,thread=single -icount shift={shift},sleep=off")?
+        }
         None => line.push_str(" -smp 2 -accel tcg,thread=multi"),
     }
     if machine.disk_mb.is_some() {
@@ -257,7 +277,14 @@ struct Report {
 impl Report {
     fn new(log: PathBuf) -> Result<Self> {
         let log = std::fs::File::create(log)?;
-        Ok(Self { log, rows: Vec::new(), ended: Vec::new(), scenario: String::new(), checks: 0, since: Instant::now() })
+        Ok(Self {
+            log,
+            rows: Vec::new(),
+            ended: Vec::new(),
+            scenario: String::new(),
+            checks: 0,
+            since: Instant::now(),
+        })
     }
 
     fn line(&mut self, line: &str) -> Result<()> {
@@ -293,7 +320,8 @@ impl Report {
         let seconds = self.since.elapsed().as_secs_f64();
         self.since = Instant::now();
         println!("  {}  {promise}: {figure}", if passed { "pass" } else { "FAIL" });
-        let (scenario, promise, figure) = (self.scenario.clone(), promise.to_owned(), figure.to_owned());
+        let (scenario, promise, figure) =
+            (self.scenario.clone(), promise.to_owned(), figure.to_owned());
         self.rows.push(Row { scenario, promise, figure, passed, seconds });
     }
 
@@ -305,7 +333,12 @@ impl Report {
 
 fn last_line(console: &Path) -> String {
     let text = std::fs::read(console).unwrap_or_default();
-    String::from_utf8_lossy(&text).lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("no console").to_owned()
+    String::from_utf8_lossy(&text)
+        .lines()
+        .rev()
+        .find(|line| !line.trim().is_empty())
+        .unwrap_or("no console")
+        .to_owned()
 }
 
 #[cfg(test)]
@@ -316,7 +349,12 @@ mod tests {
     fn a_check_that_fails_has_failed_whatever_it_says() {
         let log = std::env::temp_dir().join(format!("rig-report-{}", std::process::id()));
         let mut report = Report::new(log.clone()).unwrap();
-        for line in ["BEGIN\tservice", "CHECK\tfail\tit starts\t\r", "CHECK\tfail\tit ends\t1\t2", "END\tservice\t0"] {
+        for line in [
+            "BEGIN\tservice",
+            "CHECK\tfail\tit starts\t\r",
+            "CHECK\tfail\tit ends\t1\t2",
+            "END\tservice\t0",
+        ] {
             report.line(line).unwrap();
         }
         std::fs::remove_file(log).unwrap();

@@ -19,14 +19,21 @@ use table::Row;
 pub fn run(all: bool, filter: Option<&str>) -> Result<()> {
     let chosen: Vec<Scenario> = scenario::all()?
         .into_iter()
-        .filter(|scenario| filter.map_or(all || !scenario.long, |part| scenario.name.contains(part)))
+        .filter(|scenario| {
+            filter.map_or(all || !scenario.long, |part| scenario.name.contains(part))
+        })
         .collect();
     if chosen.is_empty() {
-        bail!("no scenario's name contains `{}`; they lie in tests/rig/scenarios", filter.unwrap_or_default());
+        bail!(
+            "no scenario's name contains `{}`; they lie in tests/rig/scenarios",
+            filter.unwrap_or_default()
+        );
     }
     for place in ["/tmp", "/run", "/dev"] {
         if paths::target().starts_with(place) {
-            bail!("the guest has its own {place} and would not see this checkout; move it elsewhere");
+            bail!(
+                "the guest has its own {place} and would not see this checkout; move it elsewhere"
+            );
         }
     }
     let start = Instant::now();
@@ -58,16 +65,25 @@ fn build(scenarios: &[Scenario]) -> Result<Vec<(&'static str, String)>> {
         programs.push(("FIRMWARE", "firmware-host"));
     }
     for (_, package) in &programs {
-        command::run(command::cargo().args(["build", "--locked", "--quiet", "--package", package]))?;
+        command::run(command::cargo().args([
+            "build",
+            "--locked",
+            "--quiet",
+            "--package",
+            package,
+        ]))?;
     }
     let folder = paths::target().join("debug");
-    let mut found: Vec<_> = programs.into_iter().map(|(variable, name)| (variable, folder.join(name))).collect();
+    let mut found: Vec<_> =
+        programs.into_iter().map(|(variable, name)| (variable, folder.join(name))).collect();
     if uses("$PACKAGE") {
         let folder = paths::target().join("rig/package");
         let program = paths::target().join("debug/firmware-host");
         found.push(("PACKAGE", package::make(Arch::of_this_computer(), &program, &folder)?));
     }
-    let text = |path: PathBuf| path.to_str().map(str::to_owned).context("the checkout's path is not UTF-8");
+    let text = |path: PathBuf| {
+        path.to_str().map(str::to_owned).context("the checkout's path is not UTF-8")
+    };
     found.into_iter().map(|(variable, path)| Ok((variable, text(path)?))).collect()
 }
 
@@ -92,13 +108,17 @@ mod tests {
     fn every_test_and_scenario_that_the_table_of_faults_names_is_there() {
         let table = std::fs::read_to_string(paths::root().join("docs/faults.md")).unwrap();
         let mut sources = String::new();
-        for folder in ["tests", "firmware-host", "runtime", "buffer"] {
+        for folder in ["tests", "firmware-host", "runtime"] {
             read_sources(&paths::root().join(folder), &mut sources);
         }
         let scenarios = scenario::all().unwrap();
         let mut named = 0;
-        for row in table.lines().filter(|line| line.starts_with("| ") && !line.starts_with("| what fails")) {
-            let [_, _, _, _, simulated, rig, _] = row.split('|').collect::<Vec<_>>()[..] else { continue };
+        for row in
+            table.lines().filter(|line| line.starts_with("| ") && !line.starts_with("| what fails"))
+        {
+            let [_, _, _, _, simulated, rig, _] = row.split('|').collect::<Vec<_>>()[..] else {
+                continue;
+            };
             for name in simulated.split('`').skip(1).step_by(2) {
                 // `..._is_stopped_*`: a part of the names of several.
                 let part = name.rsplit("::").next().unwrap().trim_matches(['.', '*']);
@@ -111,7 +131,10 @@ mod tests {
                 named += 1;
             }
             let rig = rig.split(',').next().unwrap().trim();
-            assert!(rig.is_empty() || scenarios.iter().any(|scenario| scenario.name == rig), "{rig}");
+            assert!(
+                rig.is_empty() || scenarios.iter().any(|scenario| scenario.name == rig),
+                "{rig}"
+            );
         }
         assert!(named > 40, "{named}");
     }

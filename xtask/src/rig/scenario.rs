@@ -50,7 +50,9 @@ impl Kernel {
 pub fn all() -> Result<Vec<Scenario>> {
     let folder = paths::root().join("tests/rig/scenarios");
     let mut scenarios = Vec::new();
-    for entry in std::fs::read_dir(&folder).with_context(|| format!("reading {}", folder.display()))? {
+    for entry in
+        std::fs::read_dir(&folder).with_context(|| format!("reading {}", folder.display()))?
+    {
         let path = entry?.path();
         let Some(name) = path.file_stem().and_then(|name| name.to_str()) else { continue };
         if path.extension().is_some_and(|extension| extension == "sh") {
@@ -84,10 +86,16 @@ fn parse(name: &str, body: String) -> Result<Scenario> {
                 let found = Kernel::ALL.into_iter().find(|kernel| kernel.name() == value);
                 scenario.kernel = found.with_context(|| format!("`kernel {value}`: std or rt"))?;
             }
-            "icount" => scenario.icount = Some(value.parse().with_context(|| format!("`icount {value}`"))?),
+            "icount" => {
+                scenario.icount = Some(value.parse().with_context(|| format!("`icount {value}`"))?)
+            }
             "modules" => scenario.modules = value.split_whitespace().map(str::to_owned).collect(),
-            "seconds" => scenario.seconds = value.parse().with_context(|| format!("`seconds {value}`"))?,
-            "disk" => scenario.disk_mb = Some(value.parse().with_context(|| format!("`disk {value}`"))?),
+            "seconds" => {
+                scenario.seconds = value.parse().with_context(|| format!("`seconds {value}`"))?
+            }
+            "disk" => {
+                scenario.disk_mb = Some(value.parse().with_context(|| format!("`disk {value}`"))?)
+            }
             "systemd" => scenario.systemd = true,
             "long" => scenario.long = true,
             _ => bail!("`#: {key}` is not known; tests/rig/README.md lists what is"),
@@ -103,10 +111,14 @@ mod tests {
 
     #[test]
     fn a_scenario_says_what_machine_it_needs_and_a_line_that_is_not_known_is_refused() {
-        let scenario = parse("loop", "#: kernel rt\n#: icount 1\n#: modules can\n#: long\ntrue\n".to_owned()).unwrap();
+        let scenario =
+            parse("loop", "#: kernel rt\n#: icount 1\n#: modules can\n#: long\ntrue\n".to_owned())
+                .unwrap();
         assert_eq!((scenario.kernel, scenario.icount, scenario.long), (Kernel::Rt, Some(1), true));
         assert_eq!((scenario.modules, scenario.seconds), (vec!["can".to_owned()], 60));
-        assert!(parse("loop", "#: kernal rt\n".to_owned()).unwrap_err().to_string().contains("kernal"));
+        assert!(
+            parse("loop", "#: kernal rt\n".to_owned()).unwrap_err().to_string().contains("kernal")
+        );
     }
 
     #[test]

@@ -28,7 +28,10 @@ const PACKAGES: [&str; 12] = [
 
 /// Groups of kernel modules; what they depend on comes along.
 const MODULES: [(&str, &[&str]); 4] = [
-    ("base", &["virtio_pci", "9pnet_virtio", "9p", "overlay", "virtio_console", "virtio_blk", "ext4"]),
+    (
+        "base",
+        &["virtio_pci", "9pnet_virtio", "9p", "overlay", "virtio_console", "virtio_blk", "ext4"],
+    ),
     ("can", &["kvaser_pci", "can_raw", "vcan", "vxcan"]),
     ("video", &["vivid"]),
     ("serial", &["uhci_hcd", "ftdi_sio"]),
@@ -45,7 +48,10 @@ pub fn folder(kernel: Kernel) -> PathBuf {
 /// When this is not a Debian 12 whose packages can be had.
 pub fn install() -> Result<()> {
     let missing: Vec<_> = PACKAGES.into_iter().filter(|name| !installed(name)).collect();
-    let kernels: Vec<_> = Kernel::ALL.into_iter().filter(|kernel| !folder(*kernel).join("vmlinux").exists()).collect();
+    let kernels: Vec<_> = Kernel::ALL
+        .into_iter()
+        .filter(|kernel| !folder(*kernel).join("vmlinux").exists())
+        .collect();
     if !missing.is_empty() || !kernels.is_empty() {
         command::run(command::program("apt-get").args(["-qq", "update"]))
             .context("the rig needs root on Debian 12 once, for apt")?;
@@ -74,13 +80,18 @@ fn fetch(kernel: Kernel) -> Result<()> {
         std::fs::remove_dir_all(&folder)?;
     }
     std::fs::create_dir_all(&folder)?;
-    let depends = command::output(command::program("apt-cache").args(["depends", kernel.package()]))?;
+    let depends =
+        command::output(command::program("apt-cache").args(["depends", kernel.package()]))?;
     let package = depends
         .lines()
-        .find_map(|line| line.trim().strip_prefix("Depends: ").filter(|name| name.starts_with("linux-image-")))
+        .find_map(|line| {
+            line.trim().strip_prefix("Depends: ").filter(|name| name.starts_with("linux-image-"))
+        })
         .with_context(|| format!("apt knows no kernel for {}", kernel.package()))?;
     let mut apt = command::program("apt-get");
-    command::run(apt.args(["-qq", "download", package]).current_dir(&folder).stderr(Stdio::null()))?;
+    command::run(
+        apt.args(["-qq", "download", package]).current_dir(&folder).stderr(Stdio::null()),
+    )?;
     let archive = find(&folder, |name| name.ends_with(".deb"))?;
     command::run(command::program("dpkg-deb").arg("--extract").arg(&archive).arg(&folder))?;
     std::fs::remove_file(&archive)?;
@@ -98,7 +109,8 @@ fn version(kernel: Kernel) -> Result<String> {
 }
 
 fn find(folder: &Path, wanted: impl Fn(&str) -> bool) -> Result<PathBuf> {
-    let entries = std::fs::read_dir(folder).with_context(|| format!("reading {}", folder.display()))?;
+    let entries =
+        std::fs::read_dir(folder).with_context(|| format!("reading {}", folder.display()))?;
     entries
         .filter_map(|entry| Some(entry.ok()?.path()))
         .find(|path| path.file_name().and_then(OsStr::to_str).is_some_and(&wanted))
@@ -108,9 +120,15 @@ fn find(folder: &Path, wanted: impl Fn(&str) -> bool) -> Result<PathBuf> {
 /// The uncompressed kernel inside a bzImage: an xz stream with other things behind it.
 fn unpack(image: &[u8]) -> Result<Vec<u8>> {
     const XZ: &[u8] = b"\xfd7zXZ\0";
-    let start = image.windows(XZ.len()).position(|bytes| bytes == XZ).context("the kernel is not packed with xz")?;
+    let start = image
+        .windows(XZ.len())
+        .position(|bytes| bytes == XZ)
+        .context("the kernel is not packed with xz")?;
     let mut xz = command::program("xz");
-    xz.args(["-dcq", "--single-stream"]).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
+    xz.args(["-dcq", "--single-stream"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null());
     let mut xz = xz.spawn().context("cannot start `xz`")?;
     let mut input = xz.stdin.take().context("xz without input")?;
     let packed = image[start..].to_vec();
@@ -134,9 +152,13 @@ fn first_root(kernel: Kernel) -> Result<()> {
     for name in ["bin", "modules", "proc", "sys", "dev", "root", "host", "above"] {
         std::fs::create_dir_all(root.join(name))?;
     }
-    let busybox = ["/bin/busybox", "/usr/bin/busybox"].into_iter().find(|path| Path::new(path).exists());
+    let busybox =
+        ["/bin/busybox", "/usr/bin/busybox"].into_iter().find(|path| Path::new(path).exists());
     std::fs::copy(busybox.context("busybox-static is not installed")?, root.join("bin/busybox"))?;
-    for name in command::output(command::program("busybox").arg("--list"))?.lines().filter(|name| *name != "busybox") {
+    for name in command::output(command::program("busybox").arg("--list"))?
+        .lines()
+        .filter(|name| *name != "busybox")
+    {
         std::os::unix::fs::symlink("busybox", root.join("bin").join(name))?;
     }
     let version = version(kernel)?;
@@ -160,5 +182,7 @@ fn first_root(kernel: Kernel) -> Result<()> {
     std::fs::copy(paths::root().join("tests/rig/init.sh"), root.join("init"))?;
     command::run(command::program("chmod").arg("+x").arg(root.join("init")))?;
     let mut cpio = command::program("sh");
-    command::run(cpio.current_dir(&root).args(["-c", "find . | cpio -o -H newc --quiet >../initrd.img"]))
+    command::run(
+        cpio.current_dir(&root).args(["-c", "find . | cpio -o -H newc --quiet >../initrd.img"]),
+    )
 }

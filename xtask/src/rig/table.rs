@@ -19,9 +19,13 @@ pub fn print(rows: &[Row]) {
     let width = |column: fn(&Row) -> &str, title: &str| {
         rows.iter().map(|row| column(row).chars().count()).chain([title.len()]).max().unwrap_or(0)
     };
-    let (scenario, promise) = (width(|row| &row.scenario, "scenario"), width(|row| &row.promise, "promise"));
+    let (scenario, promise) =
+        (width(|row| &row.scenario, "scenario"), width(|row| &row.promise, "promise"));
     let figure = width(|row| &row.figure, "figure").min(FIGURE);
-    println!("\n{:scenario$}  {:promise$}  {:figure$}  outcome  {:>6}", "scenario", "promise", "figure", "wall s");
+    println!(
+        "\n{:scenario$}  {:promise$}  {:figure$}  outcome  {:>6}",
+        "scenario", "promise", "figure", "wall s"
+    );
     for row in rows {
         let outcome = if row.passed { "pass" } else { "FAIL" };
         println!(

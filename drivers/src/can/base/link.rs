@@ -35,7 +35,9 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
                 self.status.reopened += u64::from(std::mem::take(&mut self.gone));
             }
             BusEvent::Restarted => self.error_state = ErrorState::Active,
-            BusEvent::NoAcknowledge | BusEvent::Overflow | BusEvent::Noise => self.counts.bus_errors += 1,
+            BusEvent::NoAcknowledge | BusEvent::Overflow | BusEvent::Noise => {
+                self.counts.bus_errors += 1
+            }
         }
     }
 
@@ -80,7 +82,13 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         let counter = (self.turns % 16) as u8;
         let plan_age_ms = u16::try_from(self.plan_age_ns / MS).unwrap_or(u16::MAX);
         let (armed, stop) = (self.phase == Phase::Armed, matches!(self.phase, Phase::Tripped(_)));
-        let command = BaseCommand { counter, armed, stop, plan_age_ms, twist: self.kinematics.twist(self.wheels_mps) };
+        let command = BaseCommand {
+            counter,
+            armed,
+            stop,
+            plan_age_ms,
+            twist: self.kinematics.twist(self.wheels_mps),
+        };
         self.send(&command.encode(), first_problem);
         if self.turns.is_multiple_of(10) {
             let (phase, trip) = match self.phase {
@@ -91,8 +99,14 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
                 Phase::Tripped(trip) => (4, trip.number()),
             };
             let counter = (self.turns / 10 % 16) as u8;
-            let state =
-                BaseState { counter, phase, trip, estop: self.estop, contact: self.contact(), twist: self.twist };
+            let state = BaseState {
+                counter,
+                phase,
+                trip,
+                estop: self.estop,
+                contact: self.contact(),
+                twist: self.twist,
+            };
             self.send(&state.encode(), first_problem);
         }
         self.turns += 1;

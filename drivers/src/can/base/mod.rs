@@ -29,7 +29,9 @@ use super::kinematics::{Kinematics, Odometry, Wheels};
 use super::limits::Limiter;
 use super::messages::SafetyInput;
 use super::protocol::{MotorProtocol, MotorStage, Outbox};
-use crate::{DeviceStatus, MonotonicClock};
+use monotonic_clock::MonotonicClock;
+
+use crate::DeviceStatus;
 
 const MS: u64 = 1_000_000;
 /// Events taken from the bus per turn: 100 Hz times this is more than a bus at 1 Mbit/s can carry (47 bits a frame at least), so
@@ -258,7 +260,8 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             // A fault is cleared, and the watchdog confirmed, on the way to being enabled.
             (MotorStage::Faulted, _) => {}
             (MotorStage::Ready | MotorStage::Enabled, _)
-                if motor.watchdog_ms.is_some_and(|ms| ms <= f64::from(self.config.watchdog_ms)) => {}
+                if motor.watchdog_ms.is_some_and(|ms| ms <= f64::from(self.config.watchdog_ms)) => {
+            }
             (_, problem) => return Err(CanError::NotReady { side, problem }),
         }
         if let Some(error) = self.silent(now_ns) {
@@ -299,7 +302,8 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
     }
 
     fn signs(&self) -> Wheels {
-        [self.config.invert_left, self.config.invert_right].map(|inverted| if inverted { -1.0 } else { 1.0 })
+        [self.config.invert_left, self.config.invert_right]
+            .map(|inverted| if inverted { -1.0 } else { 1.0 })
     }
 
     /// What came, and what follows from it.
@@ -324,7 +328,9 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             ([left.position_rad, right.position_rad], [left.velocity_radps, right.velocity_radps]);
         let signs = self.signs();
         let at = |values: Wheels| {
-            [0, 1].map(|k: usize| signs.get(k).unwrap_or(&1.0) * self.rim(*values.get(k).unwrap_or(&0.0)))
+            [0, 1].map(|k: usize| {
+                signs.get(k).unwrap_or(&1.0) * self.rim(*values.get(k).unwrap_or(&0.0))
+            })
         };
         let (position_m, velocity_mps) = (at(positions), at(velocities));
         self.twist = self.kinematics.twist(velocity_mps);
@@ -355,14 +361,16 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         SIDES.into_iter().zip(&self.motors).find_map(|(side, motor)| {
             let last_ns = motor.status().feedback_ns.max(self.started_ns);
             let age_ms = now_ns.saturating_sub(last_ns) / MS;
-            (age_ms > limit_ms || (age_ms == limit_ms && now_ns.saturating_sub(last_ns) > limit_ms * MS))
+            (age_ms > limit_ms
+                || (age_ms == limit_ms && now_ns.saturating_sub(last_ns) > limit_ms * MS))
                 .then_some(CanError::Silent { side, age_ms, limit_ms })
         })
     }
 
     /// Everything that may trip the base.
     fn watch(&mut self, now_ns: u64) {
-        let stalled = now_ns.saturating_sub(self.served_ns) > u64::from(self.config.watchdog_ms) * MS;
+        let stalled =
+            now_ns.saturating_sub(self.served_ns) > u64::from(self.config.watchdog_ms) * MS;
         if self.phase == Phase::Armed && stalled {
             self.trip(Trip::LoopStalled, now_ns);
         }
@@ -392,7 +400,11 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         match self.phase {
             Phase::Arming if stages == [MotorStage::Enabled; 2] => self.enter(Phase::Armed, now_ns),
             Phase::Arming if waited_ns > ARMING_NS => {
-                let side = if stages.first() == Some(&MotorStage::Enabled) { Side::Right } else { Side::Left };
+                let side = if stages.first() == Some(&MotorStage::Enabled) {
+                    Side::Right
+                } else {
+                    Side::Left
+                };
                 self.trip(Trip::MotorFault(side), now_ns);
             }
             Phase::Disarming if waited_ns >= DISARMING_NS => {
@@ -428,17 +440,20 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
 
     /// Wheel velocities of this turn.
     fn steer(&mut self, now_ns: u64, elapsed_ns: u64) {
-        let fresh = now_ns.saturating_sub(self.command_ns) < u64::from(self.config.watchdog_ms) * MS;
+        let fresh =
+            now_ns.saturating_sub(self.command_ns) < u64::from(self.config.watchdog_ms) * MS;
         let target = if self.phase == Phase::Armed && fresh { self.target } else { Twist2::ZERO };
         if self.phase != Phase::Armed {
             self.wheels_mps = [0.0; 2];
             return;
         }
         let measured = self.kinematics.wheels(&self.twist);
-        for ((guard, wanted), measured) in self.guards.iter_mut().zip(self.wheels_mps).zip(measured) {
+        for ((guard, wanted), measured) in self.guards.iter_mut().zip(self.wheels_mps).zip(measured)
+        {
             guard.commanded(wanted, measured, elapsed_ns);
         }
-        let twist = self.limiter.step(&target, elapsed_ns.max(1) as f64 * 1e-9).unwrap_or(Twist2::ZERO);
+        let twist =
+            self.limiter.step(&target, elapsed_ns.max(1) as f64 * 1e-9).unwrap_or(Twist2::ZERO);
         self.wheels_mps = self.kinematics.wheels(&twist);
         let per_metre = self.config.gear_ratio / self.config.wheel_radius_m;
         let signs = self.signs();
@@ -448,7 +463,8 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
     }
 
     fn contact(&self) -> bool {
-        self.safety.is_some_and(|(_, input)| input.bumper) || self.guards.iter().any(WheelGuard::is_stalled)
+        self.safety.is_some_and(|(_, input)| input.bumper)
+            || self.guards.iter().any(WheelGuard::is_stalled)
     }
 
     /// Whether a command may move the base.
@@ -539,13 +555,17 @@ impl<B: CanBus, C: Clock> Base for DifferentialBase<B, C> {
             twist: self.twist,
             contact: self.contact(),
         };
-        let is_new = self.fed_back_ns > std::mem::replace(&mut self.handed_out_ns, self.fed_back_ns);
+        let is_new =
+            self.fed_back_ns > std::mem::replace(&mut self.handed_out_ns, self.fed_back_ns);
         Ok(is_new.then_some(feedback))
     }
 }
 
 impl<B, C> std::fmt::Debug for DifferentialBase<B, C> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("DifferentialBase").field("bus", &self.name).field("phase", &self.phase).finish_non_exhaustive()
+        f.debug_struct("DifferentialBase")
+            .field("bus", &self.name)
+            .field("phase", &self.phase)
+            .finish_non_exhaustive()
     }
 }

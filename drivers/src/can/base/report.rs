@@ -34,7 +34,8 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
     pub fn status(&self) -> DeviceStatus {
         let now_ns = self.clock.now_ns();
         let stages = self.motors.each_ref().map(|motor| motor.status().stage);
-        let is_faulty = stages.iter().any(|stage| matches!(stage, MotorStage::Faulted | MotorStage::Refused));
+        let is_faulty =
+            stages.iter().any(|stage| matches!(stage, MotorStage::Faulted | MotorStage::Refused));
         let state = if self.gone {
             DeviceState::Disconnected
         } else if is_faulty || !self.backoff.is_over(now_ns) || self.wrong_direction.is_some() {
@@ -46,8 +47,9 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         } else {
             DeviceState::Working
         };
-        let bad =
-            self.status.bad + self.counts.corrupt + self.motors.iter().map(|motor| motor.status().bad).sum::<u64>();
+        let bad = self.status.bad
+            + self.counts.corrupt
+            + self.motors.iter().map(|motor| motor.status().bad).sum::<u64>();
         DeviceStatus { state, bad, ..self.status }
     }
 
@@ -79,17 +81,24 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
     #[must_use]
     pub fn explain(&self) -> String {
         let now_ns = self.clock.now_ns();
-        let motor = SIDES.iter().zip(&self.motors).find_map(|(side, motor)| Some((side, motor.status().problem?)));
+        let motor = SIDES
+            .iter()
+            .zip(&self.motors)
+            .find_map(|(side, motor)| Some((side, motor.status().problem?)));
         let what = match (self.phase, motor) {
             (Phase::Tripped(Trip::MotorFault(_)), Some((side, problem))) => {
                 format!("stopped: the {side} motor: {problem}; then arm")
             }
             (Phase::Tripped(trip), _) => format!("stopped: {trip}"),
-            (Phase::Disarmed, _) if self.obstacle(now_ns).is_some() => match self.obstacle(now_ns) {
-                Some(trip) => format!("not armed: {trip}"),
-                None => "not armed".to_owned(),
-            },
-            (Phase::Disarmed, Some((side, problem))) => format!("not armed: the {side} motor: {problem}"),
+            (Phase::Disarmed, _) if self.obstacle(now_ns).is_some() => {
+                match self.obstacle(now_ns) {
+                    Some(trip) => format!("not armed: {trip}"),
+                    None => "not armed".to_owned(),
+                }
+            }
+            (Phase::Disarmed, Some((side, problem))) => {
+                format!("not armed: the {side} motor: {problem}")
+            }
             (Phase::Disarmed, None) => "not armed".to_owned(),
             (Phase::Arming, _) => "arming: the motors confirm their watchdogs".to_owned(),
             (Phase::Armed, _) => "armed".to_owned(),

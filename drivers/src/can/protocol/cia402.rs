@@ -10,7 +10,9 @@
 use std::f64::consts::TAU;
 
 use super::sdo::{Answer, Entry, answer};
-use super::{MotorProblem, MotorProtocol, MotorStage, MotorStatus, Outbox, Question, Unwrapped, put};
+use super::{
+    MotorProblem, MotorProtocol, MotorStage, MotorStatus, Outbox, Question, Unwrapped, put,
+};
 use crate::can::frame::{CanFrame, CanId};
 
 const NMT: u16 = 0x000;
@@ -165,7 +167,9 @@ impl Cia402 {
             (_, Answer::Abort { index, sub, code }) if is_ours(index, sub) => {
                 self.halt(MotorStage::Refused, MotorProblem::Parameter { index, sub, code });
             }
-            (Step::Write(_), Answer::Written { index, sub }) if is_ours(index, sub) => self.next(Step::ReadBack(at)),
+            (Step::Write(_), Answer::Written { index, sub }) if is_ours(index, sub) => {
+                self.next(Step::ReadBack(at))
+            }
             (Step::ReadBack(_), Answer::Value { index, sub, value }) if is_ours(index, sub) => {
                 self.on_read_back(at, &wanted, value);
             }
@@ -179,8 +183,12 @@ impl Cia402 {
             let watches_us = value >> 16 == wanted.value >> 16 && value & 0xffff != 0;
             let read_ms = if watches_us { f64::from(value & 0xffff) } else { f64::NAN };
             let problem = match is_watchdog {
-                true => MotorProblem::Watchdog { read_ms, wanted_ms: f64::from(self.node.watchdog_ms) },
-                false => MotorProblem::Parameter { index: wanted.index, sub: wanted.sub, code: value },
+                true => {
+                    MotorProblem::Watchdog { read_ms, wanted_ms: f64::from(self.node.watchdog_ms) }
+                }
+                false => {
+                    MotorProblem::Parameter { index: wanted.index, sub: wanted.sub, code: value }
+                }
             };
             self.halt(MotorStage::Refused, problem);
         } else if is_watchdog {
@@ -206,7 +214,9 @@ impl Cia402 {
                 self.next(Step::Enabled);
                 self.status.stage = MotorStage::Enabled;
             }
-            Step::Enabled if state != State::Enabled => self.halt(MotorStage::Faulted, self.fault()),
+            Step::Enabled if state != State::Enabled => {
+                self.halt(MotorStage::Faulted, self.fault())
+            }
             _ => {}
         }
     }
@@ -233,7 +243,8 @@ impl Cia402 {
 
     fn on_heartbeat(&mut self, state: u8) {
         let reboots = state & 0x7f == BOOT_UP;
-        let stopped = state & 0x7f != OPERATIONAL && matches!(self.step, Step::Powering | Step::Enabled);
+        let stopped =
+            state & 0x7f != OPERATIONAL && matches!(self.step, Step::Powering | Step::Enabled);
         if stopped {
             self.halt(MotorStage::Faulted, self.fault());
         }
@@ -242,7 +253,10 @@ impl Cia402 {
             self.restart();
             // A fault stays one until somebody enables again.
             if stage == MotorStage::Faulted {
-                self.halt(MotorStage::Faulted, MotorProblem::Fault { code: 0, meaning: "it has restarted" });
+                self.halt(
+                    MotorStage::Faulted,
+                    MotorProblem::Fault { code: 0, meaning: "it has restarted" },
+                );
             }
         }
     }
@@ -275,7 +289,8 @@ impl Cia402 {
         if again && self.status.problem.is_none() {
             self.status.problem = Some(MotorProblem::NoAnswer { question });
         }
-        let nmt = |command| CanFrame::standard_short(NMT, [command, self.node.node, 0, 0, 0, 0, 0, 0], 2);
+        let nmt =
+            |command| CanFrame::standard_short(NMT, [command, self.node.node, 0, 0, 0, 0, 0, 0], 2);
         let entry = |at: usize| self.script.get(at);
         let frame = match self.step {
             Step::PreOperational => Some(nmt(NMT_PRE_OPERATIONAL)),
@@ -342,9 +357,17 @@ impl MotorProtocol for Cia402 {
         }
         if self.status.watchdog_ms.is_some() {
             let radps = if self.step == Step::Enabled { self.velocity_radps } else { 0.0 };
-            let [a, b, c, d] = ((radps / TAU * self.node.velocity_units).round() as i32).to_le_bytes();
+            let [a, b, c, d] =
+                ((radps / TAU * self.node.velocity_units).round() as i32).to_le_bytes();
             let [w0, w1] = self.controlword().to_le_bytes();
-            put(out, [CanFrame::standard_short(RPDO1 + u16::from(self.node.node), [w0, w1, a, b, c, d, 0, 0], 6)]);
+            put(
+                out,
+                [CanFrame::standard_short(
+                    RPDO1 + u16::from(self.node.node),
+                    [w0, w1, a, b, c, d, 0, 0],
+                    6,
+                )],
+            );
         }
         self.ask(now_ns, out);
         if self.node.leads {
@@ -359,8 +382,11 @@ impl MotorProtocol for Cia402 {
     fn enable(&mut self) {
         if matches!(self.status.stage, MotorStage::Ready | MotorStage::Faulted) {
             // A fault may have been a reboot: all of the set-up. Otherwise the watchdog alone is confirmed again.
-            let from =
-                if self.status.stage == MotorStage::Faulted { Step::PreOperational } else { Step::Write(ENTRIES - 1) };
+            let from = if self.status.stage == MotorStage::Faulted {
+                Step::PreOperational
+            } else {
+                Step::Write(ENTRIES - 1)
+            };
             self.restart();
             self.next(from);
             self.power = true;
@@ -448,14 +474,30 @@ mod tests {
         let answer = CanFrame::standard(0x585, [0x43, 0x16, 0x10, 1, 0xf4, 0x01, 0x7f, 0]);
         assert!(motor.receive(&answer, 0));
         let problem = MotorProblem::Watchdog { read_ms: 500.0, wanted_ms: 100.0 };
-        assert_eq!((motor.status.stage, motor.status.problem), (MotorStage::Refused, Some(problem)));
+        assert_eq!(
+            (motor.status.stage, motor.status.problem),
+            (MotorStage::Refused, Some(problem))
+        );
     }
 
     #[test]
     fn the_states_of_the_standard_are_told_apart() {
-        let states = [0x0250, 0x0231, 0x0233, 0x0237, 0x0217, 0x0218, 0x021f, 0x0000].map(State::of);
+        let states =
+            [0x0250, 0x0231, 0x0233, 0x0237, 0x0217, 0x0218, 0x021f, 0x0000].map(State::of);
         use State::*;
-        assert_eq!(states, [SwitchOnDisabled, ReadyToSwitchOn, SwitchedOn, Enabled, QuickStop, Fault, Other, Other]);
+        assert_eq!(
+            states,
+            [
+                SwitchOnDisabled,
+                ReadyToSwitchOn,
+                SwitchedOn,
+                Enabled,
+                QuickStop,
+                Fault,
+                Other,
+                Other
+            ]
+        );
     }
 
     #[test]

@@ -164,7 +164,10 @@ impl Odrive {
                     self.status.watchdog_ms = Some(wanted_ms);
                     self.next(Step::Feedback);
                 } else {
-                    self.halt(MotorStage::Refused, MotorProblem::Watchdog { read_ms: f64::NAN, wanted_ms });
+                    self.halt(
+                        MotorStage::Refused,
+                        MotorProblem::Watchdog { read_ms: f64::NAN, wanted_ms },
+                    );
                 }
             }
             _ => {}
@@ -186,8 +189,10 @@ impl Odrive {
             Step::ClosedLoop => self.status.problem = (errors != 0).then(|| fault(errors)),
             Step::Enabled if errors != 0 => self.halt(MotorStage::Faulted, fault(errors)),
             Step::Enabled if state != CLOSED_LOOP => {
-                let problem =
-                    MotorProblem::Fault { code: u32::from(state), meaning: "it left closed-loop control by itself" };
+                let problem = MotorProblem::Fault {
+                    code: u32::from(state),
+                    meaning: "it left closed-loop control by itself",
+                };
                 self.halt(MotorStage::Faulted, problem);
             }
             _ => {}
@@ -196,7 +201,8 @@ impl Odrive {
 
     fn on_encoder(&mut self, data: &[u8; 8], time_ns: u64) {
         let [a, b, c, d, e, f, g, h] = *data;
-        let (position, velocity) = (f32::from_le_bytes([a, b, c, d]), f32::from_le_bytes([e, f, g, h]));
+        let (position, velocity) =
+            (f32::from_le_bytes([a, b, c, d]), f32::from_le_bytes([e, f, g, h]));
         if !(position.is_finite() && velocity.is_finite()) {
             self.status.bad += 1;
             return;
@@ -232,18 +238,31 @@ impl Odrive {
         let (timeout, enable) = (node.watchdog_timeout_endpoint, node.enable_watchdog_endpoint);
         let frames = match self.step {
             // Asks for no bytes, as ODrive's own library does (`ODriveCAN::request` of ODriveArduino). The answer has eight.
-            Step::Version => {
-                [CanFrame::remote(CanId::Standard((u16::from(node.node) << 5) | command::VERSION), 0), None, None]
+            Step::Version => [
+                CanFrame::remote(
+                    CanId::Standard((u16::from(node.node) << 5) | command::VERSION),
+                    0,
+                ),
+                None,
+                None,
+            ],
+            Step::Timeout => [
+                Some(self.write(timeout, self.timeout_s().to_le_bytes(), 4)),
+                Some(self.read(timeout)),
+                None,
+            ],
+            Step::Watchdog => {
+                [Some(self.write(enable, [1, 0, 0, 0], 1)), Some(self.read(enable)), None]
             }
-            Step::Timeout => {
-                [Some(self.write(timeout, self.timeout_s().to_le_bytes(), 4)), Some(self.read(timeout)), None]
-            }
-            Step::Watchdog => [Some(self.write(enable, [1, 0, 0, 0], 1)), Some(self.read(enable)), None],
             Step::ClosedLoop => {
                 self.tries += 1;
                 [
                     Some(self.frame(command::CLEAR_ERRORS, &[0])),
-                    Some(self.pair(command::MODES, VELOCITY_CONTROL.to_le_bytes(), PASSTHROUGH.to_le_bytes())),
+                    Some(self.pair(
+                        command::MODES,
+                        VELOCITY_CONTROL.to_le_bytes(),
+                        PASSTHROUGH.to_le_bytes(),
+                    )),
                     Some(self.frame(command::AXIS_STATE, &u32::from(CLOSED_LOOP).to_le_bytes())),
                 ]
             }
@@ -346,8 +365,10 @@ fn fault(errors: u32) -> MotorProblem {
         (0x0000_0001, "it is starting"),
         (0x0000_0004, "it missed its own timing"),
     ];
-    let meaning =
-        MEANINGS.iter().find(|(bit, _)| errors & bit != 0).map_or("an error of its own", |(_, meaning)| meaning);
+    let meaning = MEANINGS
+        .iter()
+        .find(|(bit, _)| errors & bit != 0)
+        .map_or("an error of its own", |(_, meaning)| meaning);
     MotorProblem::Fault { code: errors, meaning }
 }
 

@@ -108,13 +108,19 @@ mod tests {
     fn requests_are_those_of_the_standard() {
         assert_eq!(Entry::u16(0x1017, 0, 500).download(5).to_string(), "605#2B171000F4010000");
         assert_eq!(Entry::u8(0x6060, 0, 3).download(5).to_string(), "605#2F60600003000000");
-        assert_eq!(Entry::u32(0x1016, 1, 0x007f_0064).download(5).to_string(), "605#2316100164007F00");
+        assert_eq!(
+            Entry::u32(0x1016, 1, 0x007f_0064).download(5).to_string(),
+            "605#2316100164007F00"
+        );
         assert_eq!(Entry::u32(0x1016, 1, 0).upload(5).to_string(), "605#4016100100000000");
     }
 
     #[test]
     fn answers_carry_only_the_bytes_that_were_sent() {
-        assert_eq!(answer(&[0x4f, 0x61, 0x60, 0, 3, 9, 9, 9]), Some(Answer::Value { index: 0x6061, sub: 0, value: 3 }));
+        assert_eq!(
+            answer(&[0x4f, 0x61, 0x60, 0, 3, 9, 9, 9]),
+            Some(Answer::Value { index: 0x6061, sub: 0, value: 3 })
+        );
         let abort = Answer::Abort { index: 0x1016, sub: 1, code: 0x0602_0000 };
         assert_eq!(answer(&[0x80, 0x16, 0x10, 1, 0, 0, 2, 6]), Some(abort));
         assert_eq!(answer(&[0x41, 0, 0, 0, 0, 0, 0, 0]), None);

@@ -17,7 +17,9 @@
 use std::f64::consts::TAU;
 
 use super::crc::crc16;
-use super::{MotorProblem, MotorProtocol, MotorStage, MotorStatus, Outbox, Question, Unwrapped, put};
+use super::{
+    MotorProblem, MotorProtocol, MotorStage, MotorStatus, Outbox, Question, Unwrapped, put,
+};
 use crate::can::frame::{CanFrame, CanId};
 
 /// `CAN_PACKET_ID` of the firmware's `datatypes.h`.
@@ -162,8 +164,10 @@ impl Vesc {
             self.status.bad += 1;
             return;
         }
-        if let ([GET_APPCONF, _, _, _, _, id, t0, t1, t2, t3, a, b, c, d, ..], Step::Configuration) =
-            (answer, self.step)
+        if let (
+            [GET_APPCONF, _, _, _, _, id, t0, t1, t2, t3, a, b, c, d, ..],
+            Step::Configuration,
+        ) = (answer, self.step)
         {
             let milliseconds = u32::from_be_bytes([*t0, *t1, *t2, *t3]);
             let brake_a = f32::from_be_bytes([*a, *b, *c, *d]);
@@ -212,7 +216,8 @@ impl Vesc {
             None => {}
             Some(0) => {
                 self.next(if self.power { Step::Enabled } else { Step::Ready });
-                self.status.stage = if self.power { MotorStage::Enabled } else { MotorStage::Ready };
+                self.status.stage =
+                    if self.power { MotorStage::Enabled } else { MotorStage::Ready };
             }
             Some(code) => self.halt(MotorStage::Faulted, fault(code)),
         }
@@ -242,10 +247,13 @@ impl Vesc {
     fn on_answer(&mut self, kind: u32, data: &[u8]) {
         match (kind, data) {
             (packet::FILL, [at, bytes @ ..]) => self.fill(usize::from(*at), bytes),
-            (packet::FILL_LONG, [a0, a1, bytes @ ..]) => self.fill(usize::from(u16::from_be_bytes([*a0, *a1])), bytes),
+            (packet::FILL_LONG, [a0, a1, bytes @ ..]) => {
+                self.fill(usize::from(u16::from_be_bytes([*a0, *a1])), bytes)
+            }
             (packet::PROCESS, data) => self.on_complete(data),
             (packet::PROCESS_SHORT, [from, _, GET_VALUES_SELECTIVE, m0, m1, m2, m3, code])
-                if *from == self.node.node && u32::from_be_bytes([*m0, *m1, *m2, *m3]) == FAULT_BIT =>
+                if *from == self.node.node
+                    && u32::from_be_bytes([*m0, *m1, *m2, *m3]) == FAULT_BIT =>
             {
                 self.on_fault(*code);
             }
@@ -266,7 +274,9 @@ impl MotorProtocol for Vesc {
             packet::STATUS_5 if to == self.node.node => self.on_position(frame.data(), time_ns),
             // STATUS_2, _3, _4, _6 and PONG.
             14..=16 | 18 | 58 if to == self.node.node => {}
-            packet::FILL..=packet::PROCESS_SHORT if to == self.node.host => self.on_answer(kind, frame.data()),
+            packet::FILL..=packet::PROCESS_SHORT if to == self.node.host => {
+                self.on_answer(kind, frame.data())
+            }
             _ => return false,
         }
         true
@@ -348,7 +358,8 @@ fn fault(code: u8) -> MotorProblem {
 mod tests {
     use super::*;
 
-    const NODE: VescNode = VescNode { node: 10, host: 254, pole_pairs: 7.0, brake_a: 5.0, watchdog_ms: 100 };
+    const NODE: VescNode =
+        VescNode { node: 10, host: 254, pole_pairs: 7.0, brake_a: 5.0, watchdog_ms: 100 };
 
     fn sent(motor: &mut Vesc, now_ns: u64) -> Vec<String> {
         let mut out = Outbox::new();
@@ -375,7 +386,9 @@ mod tests {
         }
         let (length, crc) = ((at as u16).to_be_bytes(), crc.to_be_bytes());
         let end = [10, 1, length[0], length[1], crc[0], crc[1]];
-        assert!(motor.receive(&CanFrame::new(CanId::Extended(7 << 8 | 254), &end).expect("sound"), 0));
+        assert!(
+            motor.receive(&CanFrame::new(CanId::Extended(7 << 8 | 254), &end).expect("sound"), 0)
+        );
     }
 
     #[test]
@@ -396,10 +409,19 @@ mod tests {
             (motor.status().stage, motor.status().problem)
         };
         let refused = |problem| (MotorStage::Refused, Some(problem));
-        assert_eq!(refusal(10, 1000, 3.0), refused(MotorProblem::Watchdog { read_ms: 1000.0, wanted_ms: 100.0 }));
+        assert_eq!(
+            refusal(10, 1000, 3.0),
+            refused(MotorProblem::Watchdog { read_ms: 1000.0, wanted_ms: 100.0 })
+        );
         assert_eq!(refusal(10, 80, 0.0), refused(MotorProblem::CoastsOnTimeout));
-        assert_eq!(refusal(11, 80, 3.0), refused(MotorProblem::Nonsense { question: "application configuration" }));
-        assert!(matches!(refusal(10, 0, 3.0), (MotorStage::Refused, Some(MotorProblem::Watchdog { .. }))));
+        assert_eq!(
+            refusal(11, 80, 3.0),
+            refused(MotorProblem::Nonsense { question: "application configuration" })
+        );
+        assert!(matches!(
+            refusal(10, 0, 3.0),
+            (MotorStage::Refused, Some(MotorProblem::Watchdog { .. }))
+        ));
     }
 
     #[test]

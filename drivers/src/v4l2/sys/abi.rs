@@ -211,4 +211,5 @@ const _: () = assert!(QBUF == 0xc058_560f && DQBUF == 0xc058_5611 && STREAMON ==
 const _: () = assert!(STREAMOFF == 0x4004_5613 && G_PARM == 0xc0cc_5615 && S_PARM == 0xc0cc_5616);
 const _: () = assert!(G_CTRL == 0xc008_561b && S_CTRL == 0xc008_561c && QUERYCTRL == 0xc044_5624);
 const _: () = assert!(size_of::<Plane>() == 64 && size_of::<PixFormatPlanes>() == 192);
-const _: () = assert!(std::mem::offset_of!(Format, fmt) == 8 && std::mem::offset_of!(Buffer, m) == 64);
+const _: () =
+    assert!(std::mem::offset_of!(Format, fmt) == 8 && std::mem::offset_of!(Buffer, m) == 64);

@@ -37,7 +37,11 @@ impl KernelNode {
     /// What `open` says: `ENOENT` when it is not there, `EACCES` without permission.
     pub fn open(path: &Path) -> Result<Self, Errno> {
         // Non-blocking: DQBUF answers EAGAIN instead of waiting.
-        let file = rustix::fs::open(path, OFlags::RDWR | OFlags::NONBLOCK | OFlags::CLOEXEC, Mode::empty())?;
+        let file = rustix::fs::open(
+            path,
+            OFlags::RDWR | OFlags::NONBLOCK | OFlags::CLOEXEC,
+            Mode::empty(),
+        )?;
         Ok(Self { file, kind: abi::CAPTURE, buffers: Buffers::default() })
     }
 
@@ -54,7 +58,10 @@ impl KernelNode {
     }
 
     /// An ioctl with a `v4l2_buffer`. Returns its first plane, which a single-planar node has in the buffer itself.
-    fn buffer_call<const CODE: Opcode>(&self, buffer: &mut abi::Buffer) -> Result<abi::Plane, Errno> {
+    fn buffer_call<const CODE: Opcode>(
+        &self,
+        buffer: &mut abi::Buffer,
+    ) -> Result<abi::Plane, Errno> {
         let mut planes: [abi::Plane; 8] = Default::default();
         (buffer.kind, buffer.memory) = (self.kind, abi::MEMORY_MMAP);
         if self.kind == abi::CAPTURE {
@@ -70,7 +77,8 @@ impl KernelNode {
     }
 
     fn map(&mut self, index: u32) -> Result<(), Errno> {
-        let plane = self.buffer_call::<{ abi::QUERYBUF }>(&mut zeroed!(abi::Buffer { index: index }))?;
+        let plane =
+            self.buffer_call::<{ abi::QUERYBUF }>(&mut zeroed!(abi::Buffer { index: index }))?;
         // The offset is 32 bits; what lies above it in the union is not the kernel's.
         self.buffers.map_device(self.file.as_fd(), plane.m & 0xffff_ffff, plane.length as usize)
     }
@@ -84,7 +92,8 @@ impl KernelNode {
 impl VideoNode for KernelNode {
     fn capability(&mut self) -> Result<Capability, Errno> {
         // SAFETY: QUERYCAP writes a `Capability`.
-        let found = unsafe { ioctl(&self.file, Getter::<{ abi::QUERYCAP }, abi::Capability>::new()) }?;
+        let found =
+            unsafe { ioctl(&self.file, Getter::<{ abi::QUERYCAP }, abi::Capability>::new()) }?;
         let own = found.capabilities & abi::CAP_DEVICE_CAPS != 0;
         let flags = if own { found.device_caps } else { found.capabilities };
         let has = |flag| flags & flag != 0;
@@ -107,8 +116,12 @@ impl VideoNode for KernelNode {
         let mut format = zeroed!(abi::Format { kind: self.kind });
         let (width, height, code) = (asked.width, asked.height, asked.format.0);
         if self.kind == abi::CAPTURE {
-            format.fmt.pix =
-                zeroed!(abi::PixFormat { width: width, height: height, format: code, field: abi::FIELD_NONE });
+            format.fmt.pix = zeroed!(abi::PixFormat {
+                width: width,
+                height: height,
+                format: code,
+                field: abi::FIELD_NONE
+            });
             self.update::<{ abi::S_FMT }, _>(&mut format)?;
             // SAFETY: `kind` says that the kernel filled this member, and every bit pattern is a value of it.
             let got = unsafe { format.fmt.pix };
@@ -130,7 +143,14 @@ impl VideoNode for KernelNode {
         let got = unsafe { format.fmt.planes };
         let (stride, size) = (got.planes[0].bytes_per_line, got.planes[0].size_image);
         let planes = u32::from(got.num_planes);
-        Ok(Layout { width: got.width, height: got.height, format: FourCc(got.format), stride, size, planes })
+        Ok(Layout {
+            width: got.width,
+            height: got.height,
+            format: FourCc(got.format),
+            stride,
+            size,
+            planes,
+        })
     }
 
     fn interval(&mut self, wish: Option<Interval>) -> Result<Interval, Errno> {
@@ -172,7 +192,11 @@ impl VideoNode for KernelNode {
 
     fn allocate(&mut self, count: u32) -> Result<u32, Errno> {
         self.buffers.clear();
-        let mut request = zeroed!(abi::RequestBuffers { count: count, kind: self.kind, memory: abi::MEMORY_MMAP });
+        let mut request = zeroed!(abi::RequestBuffers {
+            count: count,
+            kind: self.kind,
+            memory: abi::MEMORY_MMAP
+        });
         self.update::<{ abi::REQBUFS }, _>(&mut request)?;
         for index in 0..request.count {
             self.map(index)?;
@@ -196,7 +220,11 @@ impl VideoNode for KernelNode {
             // Nobody but codecs puts the picture at an offset; a capture node that does is refused as damaged.
             bytes_used: plane.bytes_used,
             sequence: buffer.sequence,
-            time_ns: if monotonic { nanoseconds(buffer.seconds, buffer.microseconds) } else { None },
+            time_ns: if monotonic {
+                nanoseconds(buffer.seconds, buffer.microseconds)
+            } else {
+                None
+            },
             stamped_at_start: buffer.flags & abi::FLAG_STAMP == abi::FLAG_STAMP_START,
             damaged: buffer.flags & abi::FLAG_ERROR != 0 || plane.data_offset != 0,
         })

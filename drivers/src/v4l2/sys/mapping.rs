@@ -21,7 +21,12 @@ impl Buffers {
     ///
     /// # Errors
     /// What `mmap` says.
-    pub fn map_device(&mut self, device: BorrowedFd<'_>, offset: u64, length: usize) -> Result<(), Errno> {
+    pub fn map_device(
+        &mut self,
+        device: BorrowedFd<'_>,
+        offset: u64,
+        length: usize,
+    ) -> Result<(), Errno> {
         self.0.push(Slot { mapping: Mapping::new(device, offset, length)?, lent: false });
         Ok(())
     }
@@ -87,7 +92,9 @@ unsafe impl Send for Mapping {}
 impl Mapping {
     fn new(file: impl AsFd, offset: u64, length: usize) -> Result<Self, Errno> {
         // SAFETY: the kernel chooses an address where nothing is; the mapping is only read and not executable.
-        let start = unsafe { mmap(std::ptr::null_mut(), length, ProtFlags::READ, MapFlags::SHARED, file, offset) }?;
+        let start = unsafe {
+            mmap(std::ptr::null_mut(), length, ProtFlags::READ, MapFlags::SHARED, file, offset)
+        }?;
         Ok(Self { start: start.cast_const().cast(), length })
     }
 

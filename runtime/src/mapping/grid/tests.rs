@@ -201,8 +201,14 @@ fn poses_that_are_not_finite_are_refused_and_change_nothing() {
     let mut grid = grid();
     update(&mut grid, &[(Cell::new(1, 2), 2.0)]);
     let nan = Pose2 { yaw_rad: f64::NAN, ..Pose2::IDENTITY };
-    assert!(matches!(grid.begin_update(&nan), Err(MapError::PoseNotFinite { pose: "t_odom_base", .. })));
-    assert!(matches!(grid.begin_update(&Pose2::new(1e6, 0.0, 0.0)), Err(MapError::PoseOutOfReach { .. })));
+    assert!(matches!(
+        grid.begin_update(&nan),
+        Err(MapError::PoseNotFinite { pose: "t_odom_base", .. })
+    ));
+    assert!(matches!(
+        grid.begin_update(&Pose2::new(1e6, 0.0, 0.0)),
+        Err(MapError::PoseOutOfReach { .. })
+    ));
     assert!(grid.mark_collision(&nan, 0.1).is_err());
     assert!(grid.mark_collision(&Pose2::IDENTITY, f64::INFINITY).is_err());
     assert!(grid.mark_standing(&Pose2::IDENTITY, f64::NAN).is_err());

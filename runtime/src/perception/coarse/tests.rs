@@ -10,10 +10,18 @@ fn engine() -> CoarseDepth {
     CoarseDepth::new(CoarseConfig::default(), small_camera()).unwrap()
 }
 
-fn look<'a>(engine: &'a mut CoarseDepth, at: &Pose3, gain: f64, offset: f64) -> Result<&'a DepthEstimate, NoDepth> {
+fn look<'a>(
+    engine: &'a mut CoarseDepth,
+    at: &Pose3,
+    gain: f64,
+    offset: f64,
+) -> Result<&'a DepthEstimate, NoDepth> {
     let camera = engine.camera;
     let picture = render(&camera, at, gain, offset);
-    engine.estimate(ImageView::new(camera.width, camera.height, PixelFormat::Gray8, &picture).unwrap(), at)
+    engine.estimate(
+        ImageView::new(camera.width, camera.height, PixelFormat::Gray8, &picture).unwrap(),
+        at,
+    )
 }
 
 /// Sideways, and on an arc forward.
@@ -35,13 +43,20 @@ fn errors(camera: &CameraModel, estimate: &DepthEstimate, at: &Pose3) -> (f64, f
         .iter()
         .enumerate()
         .filter(|(_, depth)| **depth > 0.0)
-        .map(|(i, depth)| (f64::from(*depth) / depth_m(camera, at, pixel(i).0, pixel(i).1) - 1.0).abs())
+        .map(|(i, depth)| {
+            (f64::from(*depth) / depth_m(camera, at, pixel(i).0, pixel(i).1) - 1.0).abs()
+        })
         .collect();
     errors.sort_by(f64::total_cmp);
     (errors[errors.len() / 2], errors.len() as f64 / (camera.width * camera.height) as f64)
 }
 
-fn travel(camera: CameraModel, path: impl Fn(u32) -> Pose3, steps: u32, gain: impl Fn(u32) -> f64) -> (f64, f64) {
+fn travel(
+    camera: CameraModel,
+    path: impl Fn(u32) -> Pose3,
+    steps: u32,
+    gain: impl Fn(u32) -> f64,
+) -> (f64, f64) {
     let mut engine = CoarseDepth::new(CoarseConfig::default(), camera).unwrap();
     for i in 0..steps {
         let _ = look(&mut engine, &path(i), gain(i), 0.0);
@@ -64,7 +79,8 @@ fn a_plane_seen_on_an_arc_forward_is_found() {
 
 #[test]
 fn a_change_of_exposure_changes_little() {
-    let (error, share) = travel(small_camera(), sideways, 12, |i| if i % 2 == 0 { 1.0 } else { 1.3 });
+    let (error, share) =
+        travel(small_camera(), sideways, 12, |i| if i % 2 == 0 { 1.0 } else { 1.3 });
     assert!(error < 0.01 && share > 0.7, "{error} {share}");
 }
 
@@ -132,7 +148,10 @@ fn a_refused_picture_leaves_no_trace() {
         let small = ImageView::new(32, 32, PixelFormat::Gray8, &[0; 1024]).unwrap();
         assert_eq!(two.estimate(small, &sideways(i)).unwrap_err(), NoDepth::FrameSize);
     }
-    assert_eq!(look(&mut one, &sideways(8), 1.0, 0.0).unwrap(), look(&mut two, &sideways(8), 1.0, 0.0).unwrap());
+    assert_eq!(
+        look(&mut one, &sideways(8), 1.0, 0.0).unwrap(),
+        look(&mut two, &sideways(8), 1.0, 0.0).unwrap()
+    );
 }
 
 #[test]
@@ -176,7 +195,10 @@ fn a_camera_that_cannot_work_is_refused() {
     let good = small_camera();
     let distorted = CameraModel { distortion: Distortion::PlumbBob([0.1; 5]), ..good };
     for bad in [CameraModel { fx: f64::NAN, ..good }, CameraModel { width: 8, ..good }, distorted] {
-        assert!(matches!(CoarseDepth::new(CoarseConfig::default(), bad), Err(PerceptionError::Camera { .. })));
+        assert!(matches!(
+            CoarseDepth::new(CoarseConfig::default(), bad),
+            Err(PerceptionError::Camera { .. })
+        ));
     }
 }
 
@@ -186,7 +208,8 @@ fn odd_sizes_work() {
     let mut engine = CoarseDepth::new(CoarseConfig::default(), camera).unwrap();
     for i in 0..12 {
         let picture = render(&camera, &sideways(i), 1.0, 0.0);
-        let _ = engine.estimate(ImageView::new(101, 53, PixelFormat::Gray8, &picture).unwrap(), &sideways(i));
+        let _ = engine
+            .estimate(ImageView::new(101, 53, PixelFormat::Gray8, &picture).unwrap(), &sideways(i));
     }
     assert!(engine.last().depth.values().iter().any(|depth| *depth > 0.0));
 }

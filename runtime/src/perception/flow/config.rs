@@ -33,11 +33,12 @@ impl From<FlowPreset> for FlowConfig {
     /// The numbers are those that OpenCV documents for its presets, but for the iterations of the refinement (0, 5 and 5): ours
     /// are cheap enough for more.
     fn from(preset: FlowPreset) -> Self {
-        let (finest_scale, patch_stride_px, descent_iterations, variational_iterations) = match preset {
-            FlowPreset::UltraFast => (2, 4, 12, 1),
-            FlowPreset::Fast => (2, 4, 16, 6),
-            FlowPreset::Medium => (1, 3, 25, 7),
-        };
+        let (finest_scale, patch_stride_px, descent_iterations, variational_iterations) =
+            match preset {
+                FlowPreset::UltraFast => (2, 4, 12, 1),
+                FlowPreset::Fast => (2, 4, 16, 6),
+                FlowPreset::Medium => (1, 3, 25, 7),
+            };
         Self { finest_scale, patch_stride_px, descent_iterations, variational_iterations }
     }
 }
@@ -90,9 +91,17 @@ pub enum FlowError {
 
 impl FlowError {
     /// Refuses a `size` (columns, rows) that is not the wanted one.
-    pub(super) fn check_size(what: &'static str, size: (usize, usize), want: (usize, usize)) -> Result<(), Self> {
+    pub(super) fn check_size(
+        what: &'static str,
+        size: (usize, usize),
+        want: (usize, usize),
+    ) -> Result<(), Self> {
         let ((width, height), (want_width, want_height)) = (size, want);
-        if size == want { Ok(()) } else { Err(Self::Size { what, width, height, want_width, want_height }) }
+        if size == want {
+            Ok(())
+        } else {
+            Err(Self::Size { what, width, height, want_width, want_height })
+        }
     }
 }
 

@@ -12,16 +12,32 @@ use super::search::{PatchGrid, Window};
 const BAND_ROWS: usize = 16;
 
 /// Fills `flow` (x and y, row-major) and uses `weight` of the same size.
-pub fn densify(grid: &PatchGrid, from: &Plane, to: &Plane, flow: &mut [Vec<f32>; 2], weight: &mut [f32]) {
+pub fn densify(
+    grid: &PatchGrid,
+    from: &Plane,
+    to: &Plane,
+    flow: &mut [Vec<f32>; 2],
+    weight: &mut [f32],
+) {
     let band = BAND_ROWS * from.width;
     let [u, v] = flow;
     let bands = u.par_chunks_mut(band).zip(v.par_chunks_mut(band)).zip(weight.par_chunks_mut(band));
-    bands.enumerate().for_each(|(index, ((u, v), weight))| fill(grid, from, to, index * BAND_ROWS, u, v, weight));
+    bands.enumerate().for_each(|(index, ((u, v), weight))| {
+        fill(grid, from, to, index * BAND_ROWS, u, v, weight)
+    });
 }
 
 /// Every patch adds to its pixels in the band; patches come in the same order for every pixel, whatever the bands.
 #[multiversion(targets("x86_64+avx2"))]
-fn fill(grid: &PatchGrid, from: &Plane, to: &Plane, first: usize, u: &mut [f32], v: &mut [f32], weight: &mut [f32]) {
+fn fill(
+    grid: &PatchGrid,
+    from: &Plane,
+    to: &Plane,
+    first: usize,
+    u: &mut [f32],
+    v: &mut [f32],
+    weight: &mut [f32],
+) {
     let width = from.width;
     let end = first + u.len() / width;
     u.fill(0.0);

@@ -55,10 +55,13 @@ impl DerotatedFlow {
         });
         let turned = ImageView::new(width, camera.height, PixelFormat::Gray8, &self.turned);
         // The buffer was made for this size.
-        let turned =
-            turned.map_err(|_| FlowError::Format { what: "the turned picture", format: PixelFormat::Gray8 })?;
+        let turned = turned.map_err(|_| FlowError::Format {
+            what: "the turned picture",
+            format: PixelFormat::Gray8,
+        })?;
         let flow = self.engine.flow(from, turned, None)?;
-        let rows = self.result.values_mut().par_chunks_mut(width).zip(flow.values().par_chunks(width));
+        let rows =
+            self.result.values_mut().par_chunks_mut(width).zip(flow.values().par_chunks(width));
         rows.enumerate().for_each(|(y, (out, flow))| {
             for (x, (out, [dx, dy])) in out.iter_mut().zip(flow).enumerate() {
                 let (u, v) = (x as f64, y as f64);

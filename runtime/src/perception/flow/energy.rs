@@ -69,7 +69,14 @@ pub fn mixed(corners: [&[f32]; 4], out: &mut [f32]) {
 /// A term `x (u - u0) + y (v - v0) + t`, divided by the length of its gradient, as `x u + y v + t`; zero where the flow leaves
 /// the picture.
 #[multiversion(targets("x86_64+avx2"))]
-pub fn normalise(x: &mut [f32], y: &mut [f32], t: &mut [f32], inside: &[f32], u0: &[f32], v0: &[f32]) {
+pub fn normalise(
+    x: &mut [f32],
+    y: &mut [f32],
+    t: &mut [f32],
+    inside: &[f32],
+    u0: &[f32],
+    v0: &[f32],
+) {
     let n = x.len();
     let (y, t, inside, u0, v0) = (&mut y[..n], &mut t[..n], &inside[..n], &u0[..n], &v0[..n]);
     for i in 0..n {
@@ -86,7 +93,8 @@ pub fn bind(u: [&[f32]; 3], v: [&[f32]; 3], out: &mut [f32]) {
     let n = out.len();
     let ([u, u_right, u_below], [v, v_right, v_below]) = (u.map(|u| &u[..n]), v.map(|v| &v[..n]));
     for i in 0..n {
-        let (ux, uy, vx, vy) = (u_right[i] - u[i], u_below[i] - u[i], v_right[i] - v[i], v_below[i] - v[i]);
+        let (ux, uy, vx, vy) =
+            (u_right[i] - u[i], u_below[i] - u[i], v_right[i] - v[i], v_below[i] - v[i]);
         out[i] = SMOOTHNESS / (ux * ux + uy * uy + vx * vx + vy * vy + EPSILON * EPSILON).sqrt();
     }
 }
@@ -135,7 +143,13 @@ pub fn invert(links: [&[f32]; 4], diagonal: &mut [f32]) {
 /// Half a row of over-relaxation for one component of the flow. `links` are to the left, right, upper and lower neighbour,
 /// `weights` the inverse diagonal, the right-hand side and the coefficient of the `other` component.
 #[multiversion(targets("x86_64+avx2"))]
-pub fn relax(own: &mut [f32], neighbours: [&[f32]; 4], links: [&[f32]; 4], weights: [&[f32]; 3], other: &[f32]) {
+pub fn relax(
+    own: &mut [f32],
+    neighbours: [&[f32]; 4],
+    links: [&[f32]; 4],
+    weights: [&[f32]; 3],
+    other: &[f32],
+) {
     let n = own.len();
     let [left, right, up, down] = neighbours.map(|neighbour| &neighbour[..n]);
     let [to_left, to_right, to_up, to_down] = links.map(|link| &link[..n]);

@@ -11,7 +11,13 @@ const BAND_ROWS: usize = 32;
 
 /// Fills `out` from `flow` (x and y, row-major, `width` columns, pixels of a picture 2^`scale` times smaller) by bilinear
 /// interpolation. `lines` holds one line for each band of [`bands`].
-pub fn enlarge(flow: &[Vec<f32>; 2], width: usize, scale: usize, lines: &mut [Vec<[f32; 2]>], out: &mut FlowField) {
+pub fn enlarge(
+    flow: &[Vec<f32>; 2],
+    width: usize,
+    scale: usize,
+    lines: &mut [Vec<[f32; 2]>],
+    out: &mut FlowField,
+) {
     let columns = out.width();
     let bands = out.values_mut().par_chunks_mut(BAND_ROWS * columns).zip(lines);
     bands.enumerate().for_each(|(band, (out, line))| match scale {
@@ -59,7 +65,8 @@ fn between_rows(rows: [&[f32]; 4], t: f32, factor: f32, line: &mut [[f32; 2]]) {
     let [u_upper, u_lower, v_upper, v_lower] = rows.map(|row| &row[..n]);
     let middle = &mut line[1..=n];
     for x in 0..n {
-        middle[x] = [factor * lerp(u_upper[x], u_lower[x], t), factor * lerp(v_upper[x], v_lower[x], t)];
+        middle[x] =
+            [factor * lerp(u_upper[x], u_lower[x], t), factor * lerp(v_upper[x], v_lower[x], t)];
     }
     (line[0], line[n + 1]) = (line[1], line[n]);
 }
@@ -82,7 +89,8 @@ fn between_columns<const FACTOR: usize>(line: &[[f32; 2]], out: &mut [[f32; 2]])
     for (group, near) in groups.by_ref().zip(line.windows(3)) {
         for phase in 0..FACTOR {
             let t = (phase as f32 + 0.5) / FACTOR as f32 - 0.5;
-            let (a, b, t) = if t < 0.0 { (near[0], near[1], t + 1.0) } else { (near[1], near[2], t) };
+            let (a, b, t) =
+                if t < 0.0 { (near[0], near[1], t + 1.0) } else { (near[1], near[2], t) };
             group[phase] = [lerp(a[0], b[0], t), lerp(a[1], b[1], t)];
         }
     }

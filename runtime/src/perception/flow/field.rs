@@ -18,7 +18,11 @@ impl FlowField {
     /// A field from row-major (x, y) displacements; `None` when their number is not `width * height`.
     #[must_use]
     pub fn from_vec(width: usize, height: usize, flow_px: Vec<[f32; 2]>) -> Option<Self> {
-        (Some(flow_px.len()) == width.checked_mul(height)).then_some(Self { width, height, flow_px })
+        (Some(flow_px.len()) == width.checked_mul(height)).then_some(Self {
+            width,
+            height,
+            flow_px,
+        })
     }
 
     /// Columns.

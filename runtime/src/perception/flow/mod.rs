@@ -67,12 +67,20 @@ impl DenseFlow {
     ///
     /// # Errors
     /// An impossible setting, or pictures smaller than a patch.
-    pub fn new(config: impl Into<FlowConfig>, width: usize, height: usize) -> Result<Self, FlowError> {
+    pub fn new(
+        config: impl Into<FlowConfig>,
+        width: usize,
+        height: usize,
+    ) -> Result<Self, FlowError> {
         let config = config.into();
         config.validate()?;
         let least = width.min(height);
         if least < PATCH {
-            return Err(FlowError::Setting { field: "width or height", value: least, allowed: "8 or more" });
+            return Err(FlowError::Setting {
+                field: "width or height",
+                value: least,
+                allowed: "8 or more",
+            });
         }
         let coarsest = coarsest_scale(width, height);
         let finest = config.finest_scale.min(coarsest);
@@ -113,7 +121,9 @@ impl DenseFlow {
 
     fn check(&self, what: &'static str, picture: ImageView<'_>) -> Result<(), FlowError> {
         match picture.format() {
-            PixelFormat::Gray8 | PixelFormat::Rgb8 => self.check_size(what, picture.width(), picture.height()),
+            PixelFormat::Gray8 | PixelFormat::Rgb8 => {
+                self.check_size(what, picture.width(), picture.height())
+            }
             format => Err(FlowError::Format { what, format }),
         }
     }
@@ -128,7 +138,12 @@ impl DenseFlow {
         for index in (0..self.scales.len()).rev() {
             let (fine, coarse) = self.scales.split_at_mut(index + 1);
             let (from, to) = (&self.from.scales[finest + index], &self.to.scales[finest + index]);
-            let starts = Starts { coarse: coarse.first(), width: from.width / 2, initial, scale: finest + index };
+            let starts = Starts {
+                coarse: coarse.first(),
+                width: from.width / 2,
+                initial,
+                scale: finest + index,
+            };
             fine[index].find(&self.config, from, to, &starts);
         }
         let flow = &self.scales[0].flow;
@@ -159,10 +174,18 @@ impl Scale {
     fn find(&mut self, config: &FlowConfig, from: &Plane, to: &Plane, starts: &Starts<'_>) {
         pyramid::gradients(from, &mut self.along_x, &mut self.along_y);
         let (along_x, along_y) = (&self.along_x, &self.along_y);
-        let input = SearchInput { from, along_x, along_y, to, steps: config.descent_iterations.div_ceil(2) };
+        let input = SearchInput {
+            from,
+            along_x,
+            along_y,
+            to,
+            steps: config.descent_iterations.div_ceil(2),
+        };
         match starts.initial {
             None => self.grid.search(input, |x, y| [starts.coarser(x, y)]),
-            Some(initial) => self.grid.search(input, |x, y| [starts.coarser(x, y), starts.given(initial, x, y)]),
+            Some(initial) => {
+                self.grid.search(input, |x, y| [starts.coarser(x, y), starts.given(initial, x, y)])
+            }
         }
         densify(&self.grid, from, to, &mut self.flow, &mut self.weight);
         if config.variational_iterations > 0 {
@@ -200,7 +223,8 @@ impl Starts<'_> {
     /// The initial flow at the middle of a patch; where there is none (or one that leaves any picture), as without.
     fn given(&self, initial: &FlowField, x: usize, y: usize) -> [f32; 2] {
         let (column, row) = ((x + PATCH / 2) << self.scale, (y + PATCH / 2) << self.scale);
-        let flow = initial.values()[row.min(initial.height() - 1) * initial.width() + column.min(initial.width() - 1)];
+        let flow = initial.values()
+            [row.min(initial.height() - 1) * initial.width() + column.min(initial.width() - 1)];
         let most = (initial.width() + initial.height()) as f32;
         if flow.iter().all(|value| value.abs() <= most) {
             flow.map(|value| value / (1 << self.scale) as f32)

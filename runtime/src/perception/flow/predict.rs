@@ -57,5 +57,7 @@ pub fn predicted_flow(
 
 /// From pixel (`u`, `v`) to where `point` is seen; NaN when it is not in front of the camera.
 pub fn displacement(camera: &CameraModel, (u, v): (f64, f64), point: Vector3<f64>) -> [f32; 2] {
-    camera.project(&Point3::from(point)).map_or([f32::NAN; 2], |(x, y)| [(x - u) as f32, (y - v) as f32])
+    camera
+        .project(&Point3::from(point))
+        .map_or([f32::NAN; 2], |(x, y)| [(x - u) as f32, (y - v) as f32])
 }

@@ -88,7 +88,9 @@ fn grey_row<'a>(picture: ImageView<'a>, y: usize, out: &mut [f32]) {
             *out = f32::from(*grey);
         }
     } else {
-        for (out, rgb) in out.iter_mut().zip(picture.data()[y * width * 3..][..width * 3].chunks_exact(3)) {
+        for (out, rgb) in
+            out.iter_mut().zip(picture.data()[y * width * 3..][..width * 3].chunks_exact(3))
+        {
             *out = luma(rgb);
         }
     }
@@ -117,11 +119,13 @@ pub fn gradients(picture: &Plane, along_x: &mut Plane, along_y: &mut Plane) {
     let (width, stride) = (picture.width, picture.stride);
     for y in 0..picture.height {
         let start = picture.start(y);
-        let (left, right) = (&picture.data[start - 1..][..width], &picture.data[start + 1..][..width]);
+        let (left, right) =
+            (&picture.data[start - 1..][..width], &picture.data[start + 1..][..width]);
         for ((out, l), r) in along_x.row_mut(y).iter_mut().zip(left).zip(right) {
             *out = 0.5 * (r - l);
         }
-        let (up, down) = (&picture.data[start - stride..][..width], &picture.data[start + stride..][..width]);
+        let (up, down) =
+            (&picture.data[start - stride..][..width], &picture.data[start + stride..][..width]);
         for ((out, u), d) in along_y.row_mut(y).iter_mut().zip(up).zip(down) {
             *out = 0.5 * (d - u);
         }

@@ -130,7 +130,8 @@ impl PatchGrid {
                 }
             }
             if count > 1 || !found[index].settled {
-                found[index] = descend(input, (self.left(column), self.top(row)), &candidates[..count]);
+                found[index] =
+                    descend(input, (self.left(column), self.top(row)), &candidates[..count]);
             }
         }
     }
@@ -171,7 +172,8 @@ fn descend(input: SearchInput<'_>, at: (usize, usize), candidates: &[[f32; 2]]) 
     let steps = if mostly_outside(input.to, at, best.found.flow) { 0 } else { input.steps };
     for _ in 0..steps {
         let [x, y] = best.step;
-        let next = compare(&template, input.to, at, [best.found.flow[0] - x, best.found.flow[1] - y]);
+        let next =
+            compare(&template, input.to, at, [best.found.flow[0] - x, best.found.flow[1] - y]);
         let better = next.found.cost < best.found.cost;
         if better {
             best = next;
@@ -182,7 +184,8 @@ fn descend(input: SearchInput<'_>, at: (usize, usize), candidates: &[[f32; 2]]) 
         }
     }
     // Farther than a patch from the start, it is another thing that looks alike.
-    let (x, y) = (best.found.flow[0] - start.found.flow[0], best.found.flow[1] - start.found.flow[1]);
+    let (x, y) =
+        (best.found.flow[0] - start.found.flow[0], best.found.flow[1] - start.found.flow[1]);
     if x * x + y * y > AREA { start.found } else { best.found }
 }
 
@@ -202,7 +205,8 @@ fn cut<'a>(input: SearchInput<'a>, at: (usize, usize)) -> Template {
     let (mut gx, mut gy) = (block(input.along_x, x, y), block(input.along_y, x, y));
     take_out_mean(&mut gx);
     take_out_mean(&mut gy);
-    let (xx, xy, yy) = (dot(&gx, &gx) + GRADIENT_NOISE, dot(&gx, &gy), dot(&gy, &gy) + GRADIENT_NOISE);
+    let (xx, xy, yy) =
+        (dot(&gx, &gx) + GRADIENT_NOISE, dot(&gx, &gy), dot(&gy, &gy) + GRADIENT_NOISE);
     let determinant = xx * yy - xy * xy;
     let (ixx, ixy, iyy) = (yy / determinant, -xy / determinant, xx / determinant);
     let mut template = Template { grey, step_x: gx, step_y: gy };

@@ -175,13 +175,18 @@ mod tests {
             split.join_row(0, &mut back);
             assert_eq!(row, back);
             for (part, offset) in [(Part::Even, 0), (Part::Odd, 1)] {
-                let (left, right) = (split.left_of(0, part).to_vec(), split.right_of(0, part).to_vec());
+                let (left, right) =
+                    (split.left_of(0, part).to_vec(), split.right_of(0, part).to_vec());
                 let (own, around) = split.cross(0, part);
                 assert_eq!((around[0], around[1]), (left.as_slice(), right.as_slice()));
                 for x in (offset..width).step_by(2) {
-                    let value = |x: Option<usize>| x.and_then(|x| row.get(x)).copied().unwrap_or(0.0);
+                    let value =
+                        |x: Option<usize>| x.and_then(|x| row.get(x)).copied().unwrap_or(0.0);
                     assert_eq!(own[x / 2], value(Some(x)));
-                    assert_eq!((left[x / 2], right[x / 2]), (value(x.checked_sub(1)), value(Some(x + 1))));
+                    assert_eq!(
+                        (left[x / 2], right[x / 2]),
+                        (value(x.checked_sub(1)), value(Some(x + 1)))
+                    );
                 }
             }
         }

@@ -45,12 +45,16 @@ fn texture(x: f32, y: f32) -> f32 {
         let wave = wave as f32;
         let (angle, length) = (wave * 2.4, 5.0 * 1.115_f32.powf(wave));
         let along = x * angle.cos() + y * angle.sin();
-        sum + 3.5 * (length / 12.0).sqrt() * (along * std::f32::consts::TAU / length + wave * wave).sin()
+        sum + 3.5
+            * (length / 12.0).sqrt()
+            * (along * std::f32::consts::TAU / length + wave * wave).sin()
     })
 }
 
 fn picture(grey: impl Fn(f32, f32) -> f32) -> Vec<u8> {
-    (0..WIDTH * HEIGHT).map(|i| grey((i % WIDTH) as f32, (i / WIDTH) as f32).round().clamp(0.0, 255.0) as u8).collect()
+    (0..WIDTH * HEIGHT)
+        .map(|i| grey((i % WIDTH) as f32, (i / WIDTH) as f32).round().clamp(0.0, 255.0) as u8)
+        .collect()
 }
 
 fn moved(motion: Motion, gain: f32, offset: f32) -> Vec<u8> {
@@ -87,7 +91,9 @@ fn flow(preset: FlowPreset, second: &[u8], initial: Option<&FlowField>) -> FlowF
 #[test]
 fn a_shifted_picture_gives_its_shift() {
     for (preset, bound_px) in PRESETS.into_iter().zip([0.2, 0.1, 0.08]) {
-        for motion in [Motion::shift(0.5, 0.25), Motion::shift(3.3, -1.7), Motion::shift(-11.0, 4.6)] {
+        for motion in
+            [Motion::shift(0.5, 0.25), Motion::shift(3.3, -1.7), Motion::shift(-11.0, 4.6)]
+        {
             let error = error_px(&flow(preset, &moved(motion, 1.0, 0.0), None), motion);
             assert!(error < bound_px, "{preset:?} {:?}: {error}", motion.shift);
         }
@@ -128,7 +134,10 @@ fn an_initial_flow_of_nan_or_absurd_numbers_does_no_harm() {
     let second = moved(Motion::shift(3.3, -1.7), 1.0, 0.0);
     for bad in [f32::NAN, f32::INFINITY, -1e30] {
         let initial = FlowField::from_vec(WIDTH, HEIGHT, vec![[0.0, bad]; WIDTH * HEIGHT]).unwrap();
-        assert_eq!(flow(FlowPreset::Fast, &second, Some(&initial)), flow(FlowPreset::Fast, &second, None));
+        assert_eq!(
+            flow(FlowPreset::Fast, &second, Some(&initial)),
+            flow(FlowPreset::Fast, &second, None)
+        );
     }
 }
 
@@ -136,7 +145,8 @@ fn an_initial_flow_of_nan_or_absurd_numbers_does_no_harm() {
 fn a_wrong_initial_flow_is_overruled_by_the_pictures() {
     let motion = Motion::shift(3.3, -1.7);
     let initial = FlowField::from_vec(WIDTH, HEIGHT, vec![[-25.0, 14.0]; WIDTH * HEIGHT]).unwrap();
-    let error = error_px(&flow(FlowPreset::Medium, &moved(motion, 1.0, 0.0), Some(&initial)), motion);
+    let error =
+        error_px(&flow(FlowPreset::Medium, &moved(motion, 1.0, 0.0), Some(&initial)), motion);
     assert!(error < 0.2, "{error}");
 }
 
@@ -190,12 +200,16 @@ fn the_number_of_threads_changes_no_bit() {
 
 #[test]
 fn an_engine_forgets_its_last_pictures() {
-    let (second, other) = (moved(Motion::shift(3.3, -1.7), 1.0, 0.0), moved(Motion::shift(-9.0, 6.0), 1.3, -20.0));
+    let (second, other) =
+        (moved(Motion::shift(3.3, -1.7), 1.0, 0.0), moved(Motion::shift(-9.0, 6.0), 1.3, -20.0));
     let first = picture(texture);
     for preset in PRESETS {
         let mut engine = DenseFlow::new(preset, WIDTH, HEIGHT).unwrap();
         engine.flow(view(&other), view(&first), None).unwrap();
-        assert_eq!(*engine.flow(view(&first), view(&second), None).unwrap(), flow(preset, &second, None));
+        assert_eq!(
+            *engine.flow(view(&first), view(&second), None).unwrap(),
+            flow(preset, &second, None)
+        );
     }
 }
 
@@ -207,9 +221,15 @@ fn a_picture_of_another_size_or_format_is_refused() {
     let error = engine.flow(view(&good), small, None).unwrap_err().to_string();
     assert!(error.contains("second picture is 200x119") && error.contains("200x120"), "{error}");
     let jpeg = ImageView::new(WIDTH, HEIGHT, PixelFormat::Mjpeg, &good).unwrap();
-    assert!(matches!(engine.flow(jpeg, view(&good), None), Err(FlowError::Format { what: "the first picture", .. })));
+    assert!(matches!(
+        engine.flow(jpeg, view(&good), None),
+        Err(FlowError::Format { what: "the first picture", .. })
+    ));
     let initial = FlowField::zero(WIDTH / 2, HEIGHT / 2);
-    assert!(matches!(engine.flow(view(&good), view(&good), Some(&initial)), Err(FlowError::Size { .. })));
+    assert!(matches!(
+        engine.flow(view(&good), view(&good), Some(&initial)),
+        Err(FlowError::Size { .. })
+    ));
     assert!(DenseFlow::new(FlowPreset::Fast, 7, 100).is_err());
 }
 
@@ -262,9 +282,18 @@ fn without_depth_only_the_rotation_is_predicted_and_behind_the_camera_nothing() 
     let (x, y) = camera.project(&(turn * camera.unproject(7.0, 3.0, 1.0))).unwrap();
     let [dx, dy] = found.values()[3 * 40 + 7];
     assert!((f64::from(dx) - (x - 7.0)).abs() < 1e-4 && (f64::from(dy) - (y - 3.0)).abs() < 1e-4);
-    predicted_flow(&camera, &Pose3::translation(0.0, 0.0, -2.0), DepthGuess::Constant(1.0), &mut found).unwrap();
+    predicted_flow(
+        &camera,
+        &Pose3::translation(0.0, 0.0, -2.0),
+        DepthGuess::Constant(1.0),
+        &mut found,
+    )
+    .unwrap();
     assert!(found.values().iter().flatten().all(|value| value.is_nan()));
-    assert!(predicted_flow(&camera, &t_to_from, DepthGuess::Infinite, &mut FlowField::zero(24, 40)).is_err());
+    assert!(
+        predicted_flow(&camera, &t_to_from, DepthGuess::Infinite, &mut FlowField::zero(24, 40))
+            .is_err()
+    );
 }
 
 /// Mean end-point error of the flow between two pictures of the slanted plane, pixels.
@@ -291,7 +320,8 @@ fn a_turn_too_large_to_be_found_is_found_when_it_is_known() {
     let t_to_from = t_world_to.inverse();
     let first = test_scene::render(&camera, &Pose3::identity(), 1.0, 0.0);
     let second = test_scene::render(&camera, &t_world_to, 1.0, 0.0);
-    let view = |data| ImageView::new(camera.width, camera.height, PixelFormat::Gray8, data).unwrap();
+    let view =
+        |data| ImageView::new(camera.width, camera.height, PixelFormat::Gray8, data).unwrap();
     let mut derotated = DerotatedFlow::new(FlowPreset::Medium, camera).unwrap();
     let turned = derotated.flow(view(&first), view(&second), &t_to_from.rotation).unwrap();
     let error = plane_error_px(turned, &t_to_from);
@@ -313,13 +343,17 @@ fn read_flow(name: &str) -> Vec<[f32; 2]> {
 
 #[test]
 fn the_error_is_not_above_that_of_opencv() {
-    let read =
-        |name: &str| image::open(format!("{}/tests/flow/{name}.png", env!("CARGO_MANIFEST_DIR"))).unwrap().into_luma8();
+    let read = |name: &str| {
+        image::open(format!("{}/tests/flow/{name}.png", env!("CARGO_MANIFEST_DIR")))
+            .unwrap()
+            .into_luma8()
+    };
     let (first, second) = (read("first"), read("second"));
     let (width, height) = (first.width() as usize, first.height() as usize);
     let truth = read_flow("truth");
     let mean_error = |flow: &mut dyn Iterator<Item = [f32; 2]>| {
-        flow.zip(&truth).map(|(f, t)| (f[0] - t[0]).hypot(f[1] - t[1])).sum::<f32>() / truth.len() as f32
+        flow.zip(&truth).map(|(f, t)| (f[0] - t[0]).hypot(f[1] - t[1])).sum::<f32>()
+            / truth.len() as f32
     };
     for (preset, name) in PRESETS.into_iter().zip(["ultra_fast", "fast", "medium"]) {
         let mut engine = DenseFlow::new(preset, width, height).unwrap();

@@ -36,12 +36,19 @@ impl Variational {
 
     fn with_bands(width: usize, height: usize, count: usize) -> Self {
         let edge = |band: usize| band * height / count;
-        let bands = (0..count).map(|band| Band::new(width, height, edge(band), edge(band + 1))).collect();
+        let bands =
+            (0..count).map(|band| Band::new(width, height, edge(band), edge(band + 1))).collect();
         Self { bands, flow: [Split::new(width, height), Split::new(width, height)] }
     }
 
     /// Improves `flow` (x and y, row-major).
-    pub fn refine(&mut self, from: &Plane, to: &Plane, flow: &mut [Vec<f32>; 2], iterations: usize) {
+    pub fn refine(
+        &mut self,
+        from: &Plane,
+        to: &Plane,
+        flow: &mut [Vec<f32>; 2],
+        iterations: usize,
+    ) {
         let width = from.width;
         for (split, plane) in self.flow.iter_mut().zip(flow.iter()) {
             plane.chunks_exact(width).enumerate().for_each(|(y, row)| split.split_row(y, row));
@@ -120,7 +127,10 @@ impl Band {
             mean: Plane::new(width, seen, 2),
             change: Plane::new(width, seen, 2),
             inside: Plane::new(width, seen, 0),
-            terms: Terms { planes: std::array::from_fn(|_| split()), line: std::array::from_fn(|_| vec![0.0; width]) },
+            terms: Terms {
+                planes: std::array::from_fn(|_| split()),
+                line: std::array::from_fn(|_| vec![0.0; width]),
+            },
             links: Links { right: split(), below: split() },
             system: System { inverse: [split(), split()], cross: split(), b: [split(), split()] },
             u: split(),
@@ -196,7 +206,8 @@ impl Band {
         let next = if last { y } else { y + 1 };
         for part in [Part::Even, Part::Odd] {
             let right = self.links.right.part_mut(y, part);
-            let [u, v] = [&self.u, &self.v].map(|w| [w.part(y, part), w.right_of(y, part), w.part(next, part)]);
+            let [u, v] = [&self.u, &self.v]
+                .map(|w| [w.part(y, part), w.right_of(y, part), w.part(next, part)]);
             energy::bind(u, v, right);
             self.links.below.part_mut(y, part).copy_from_slice(right);
         }
@@ -212,11 +223,17 @@ impl Band {
         let terms = std::array::from_fn(|term| self.terms.planes[term].row(y));
         let [inverse_u, inverse_v] = &mut self.system.inverse;
         let [b_u, b_v] = &mut self.system.b;
-        let (a_u, a_v, cross) = (inverse_u.row_mut(y), inverse_v.row_mut(y), self.system.cross.row_mut(y));
+        let (a_u, a_v, cross) =
+            (inverse_u.row_mut(y), inverse_v.row_mut(y), self.system.cross.row_mut(y));
         energy::assemble(flow, terms, a_u, a_v, cross, b_u.row_mut(y), b_v.row_mut(y));
         for part in [Part::Even, Part::Odd] {
             let (right, below) = (&self.links.right, &self.links.below);
-            let links = [right.part(y, part), right.left_of(y, part), below.part(y, part), below.part_above(y, part)];
+            let links = [
+                right.part(y, part),
+                right.left_of(y, part),
+                below.part(y, part),
+                below.part_above(y, part),
+            ];
             for inverse in &mut self.system.inverse {
                 energy::invert(links, inverse.part_mut(y, part));
             }
@@ -225,12 +242,25 @@ impl Band {
 
     /// Relaxes every other pixel of a row.
     fn relax(&mut self, y: usize, half_sweep: usize) {
-        let part = if (self.rows.start + y + half_sweep).is_multiple_of(2) { Part::Even } else { Part::Odd };
+        let part = if (self.rows.start + y + half_sweep).is_multiple_of(2) {
+            Part::Even
+        } else {
+            Part::Odd
+        };
         let (right, below) = (&self.links.right, &self.links.below);
-        let links = [right.left_of(y, part), right.part(y, part), below.part_above(y, part), below.part(y, part)];
+        let links = [
+            right.left_of(y, part),
+            right.part(y, part),
+            below.part_above(y, part),
+            below.part(y, part),
+        ];
         let cross = self.system.cross.part(y, part);
         let weights = |component: usize| {
-            [self.system.inverse[component].part(y, part), self.system.b[component].part(y, part), cross]
+            [
+                self.system.inverse[component].part(y, part),
+                self.system.b[component].part(y, part),
+                cross,
+            ]
         };
         let (own, neighbours) = self.u.cross(y, part);
         energy::relax(own, neighbours, links, weights(0), self.v.part(y, part));
@@ -271,7 +301,9 @@ mod tests {
                 for y in 0..height {
                     for (x, grey) in plane.row_mut(y).iter_mut().enumerate() {
                         let (x, y) = (x as f32 + phase, y as f32);
-                        *grey = 128.0 + 50.0 * (0.5 * x + 0.2 * y).sin() + 40.0 * (0.3 * y - 0.1 * x).cos();
+                        *grey = 128.0
+                            + 50.0 * (0.5 * x + 0.2 * y).sin()
+                            + 40.0 * (0.3 * y - 0.1 * x).cos();
                     }
                 }
                 plane.fill_border();

@@ -84,11 +84,17 @@ pub(super) struct Model {
 }
 
 impl Model {
-    pub fn load(onnx_runtime: &Environment, bytes: &[u8], options: NetworkOptions) -> Result<Self, NetworkError> {
+    pub fn load(
+        onnx_runtime: &Environment,
+        bytes: &[u8],
+        options: NetworkOptions,
+    ) -> Result<Self, NetworkError> {
         if let Some(found) = error::other_kind(bytes) {
             return Err(NetworkError::NotOnnx { found });
         }
-        let session = session_builder(onnx_runtime, options)?.commit_from_memory(bytes).map_err(load_error)?;
+        let session = session_builder(onnx_runtime, options)?
+            .commit_from_memory(bytes)
+            .map_err(load_error)?;
         let inputs = session.inputs().iter().map(TensorInfo::of).collect();
         let outputs = session.outputs().iter().map(TensorInfo::of).collect();
         Ok(Self { session, inputs, outputs, has_own_memory: options.provider.has_own_memory() })
@@ -114,14 +120,23 @@ impl Model {
         let name = output.name.as_str();
         let mut converted = Vec::new();
         match output.float {
-            Float::Single => binding.bind_output(name, Tensor::<f32>::new(&Allocator::default(), output.shape)?)?,
+            Float::Single => binding
+                .bind_output(name, Tensor::<f32>::new(&Allocator::default(), output.shape)?)?,
             Float::Half => {
-                binding.bind_output(name, Tensor::<f16>::new(&Allocator::default(), output.shape)?)?;
+                binding
+                    .bind_output(name, Tensor::<f16>::new(&Allocator::default(), output.shape)?)?;
                 converted = vec![0.0; output.len()];
             }
         }
         let Self { session, has_own_memory, .. } = self;
-        Ok(BoundSession { session, binding, inputs, float: output.float, converted, has_own_memory })
+        Ok(BoundSession {
+            session,
+            binding,
+            inputs,
+            float: output.float,
+            converted,
+            has_own_memory,
+        })
     }
 }
 
@@ -188,7 +203,10 @@ impl Input {
         let len = port.len();
         let tensor = match port.float {
             Float::Single => InputTensor::Single(Tensor::from_array((port.shape, vec![0.0; len]))?),
-            Float::Half => InputTensor::Half(Tensor::from_array((port.shape, vec![f16::ZERO; len]))?, vec![0.0; len]),
+            Float::Half => InputTensor::Half(
+                Tensor::from_array((port.shape, vec![f16::ZERO; len]))?,
+                vec![0.0; len],
+            ),
         };
         Ok(Self { name: port.name.clone(), tensor })
     }

@@ -5,7 +5,9 @@
 #[non_exhaustive]
 pub enum NetworkError {
     /// The bytes are a well-known kind of file, but not ONNX.
-    #[error("the model is {found}, not an ONNX file; export the network with torch.onnx.export and give that file")]
+    #[error(
+        "the model is {found}, not an ONNX file; export the network with torch.onnx.export and give that file"
+    )]
     NotOnnx {
         /// What the first bytes say.
         found: &'static str,

@@ -11,7 +11,8 @@ use crate::perception::NoDepth;
 use crate::perception::flow::FlowField;
 
 const TWO_PICTURES: &str = "two pictures, each [1, 3, height, width]";
-const ONE_FLOW: &str = "one flow field [1, 2, height, width] in pixels; export only the last iteration";
+const ONE_FLOW: &str =
+    "one flow field [1, 2, height, width] in pixels; export only the last iteration";
 
 /// Everything that must be known about a flow model to run it.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,7 +42,8 @@ impl FlowSpec {
         let [flow] = outputs else {
             return Err(NetworkError::Outputs { found: list(outputs), needed: ONE_FLOW });
         };
-        let mut input_ports = [check_tensor("input", first, &[3], size)?, check_tensor("input", second, &[3], size)?];
+        let mut input_ports =
+            [check_tensor("input", first, &[3], size)?, check_tensor("input", second, &[3], size)?];
         let output_port = check_tensor("output", flow, &[2], size)?;
         match metadata("kind") {
             Some(value) if value != "flow" => {
@@ -101,8 +103,9 @@ impl FlowNetwork {
         let session = loaded.bind(&spec.input_ports, &spec.output_port)?;
         let digest = blake3::hash(model).to_hex().to_string();
         let no_flow = vec![[0.0; 2]; size.0 * size.1];
-        let flow = FlowField::from_vec(size.0, size.1, no_flow)
-            .ok_or_else(|| NetworkError::WarmUp { reason: "the picture is too large".to_owned() })?;
+        let flow = FlowField::from_vec(size.0, size.1, no_flow).ok_or_else(|| {
+            NetworkError::WarmUp { reason: "the picture is too large".to_owned() }
+        })?;
         let mut network = Self { spec, digest, session, flow };
         network.warm_up()?;
         Ok(network)
@@ -115,7 +118,9 @@ impl FlowNetwork {
         }
         match self.run() {
             Ok(true) => Ok(()),
-            Ok(false) => Err(NetworkError::WarmUp { reason: "its flow is NaN or infinite".to_owned() }),
+            Ok(false) => {
+                Err(NetworkError::WarmUp { reason: "its flow is NaN or infinite".to_owned() })
+            }
             Err(error) => Err(NetworkError::WarmUp { reason: error.to_string() }),
         }
     }
@@ -126,9 +131,15 @@ impl FlowNetwork {
     /// # Errors
     /// [`NoDepth::FrameSize`] for another size or format; [`NoDepth::NetworkOutput`] when the model fails or its flow holds NaN
     /// or infinity.
-    pub fn estimate(&mut self, from: ImageView<'_>, to: ImageView<'_>) -> Result<&FlowField, NoDepth> {
+    pub fn estimate(
+        &mut self,
+        from: ImageView<'_>,
+        to: ImageView<'_>,
+    ) -> Result<&FlowField, NoDepth> {
         for (input, frame) in [from, to].into_iter().enumerate() {
-            if frame.format() != PixelFormat::Rgb8 || (frame.width(), frame.height()) != self.spec.size {
+            if frame.format() != PixelFormat::Rgb8
+                || (frame.width(), frame.height()) != self.spec.size
+            {
                 return Err(NoDepth::FrameSize);
             }
             let range = self.spec.input_range;

@@ -32,12 +32,16 @@ impl Golden {
         ports: &[Port],
         (width, height): (usize, usize),
     ) -> Result<Option<Self>, NetworkError> {
-        let (Some(input), Some(output)) = (metadata(INPUT), metadata(OUTPUT)) else { return Ok(None) };
+        let (Some(input), Some(output)) = (metadata(INPUT), metadata(OUTPUT)) else {
+            return Ok(None);
+        };
         let (rows, columns) = (height / BLOCK, width / BLOCK);
         let channels: usize = ports.iter().map(|port| port.shape[1]).sum();
         let input = decoded(INPUT, &input, channels * rows * columns)?;
         let output = decoded(OUTPUT, &output, 4 * rows * columns)?;
-        let output = output.chunks_exact(4).map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]));
+        let output = output
+            .chunks_exact(4)
+            .map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]));
         Ok(Some(Self { input, output: output.collect(), rows, columns }))
     }
 
@@ -61,11 +65,15 @@ impl Golden {
     /// Largest absolute difference of an output with this many columns; infinite where one of the two is no number.
     pub fn difference(&self, output: &[f32], width: usize) -> f32 {
         let expected = self.output.iter().enumerate().map(|(index, expected)| {
-            let (row, column) = (index / self.columns * BLOCK + BLOCK / 2, index % self.columns * BLOCK + BLOCK / 2);
+            let (row, column) = (
+                index / self.columns * BLOCK + BLOCK / 2,
+                index % self.columns * BLOCK + BLOCK / 2,
+            );
             (output.get(row * width + column).copied().unwrap_or(f32::NAN) - expected).abs()
         });
-        expected
-            .fold(0.0, |largest, difference| if difference.is_nan() { f32::INFINITY } else { largest.max(difference) })
+        expected.fold(0.0, |largest, difference| {
+            if difference.is_nan() { f32::INFINITY } else { largest.max(difference) }
+        })
     }
 }
 

@@ -87,10 +87,13 @@ impl DepthNetwork {
     ) -> Result<Self, NetworkError> {
         let (width, height) = (camera.width, camera.height);
         let loaded = Model::load(onnx_runtime, model, options)?;
-        let spec = ModelSpec::read(&loaded.inputs, &loaded.outputs, loaded.metadata()?, (width, height))?;
+        let spec =
+            ModelSpec::read(&loaded.inputs, &loaded.outputs, loaded.metadata()?, (width, height))?;
         let golden = Golden::read(&loaded.metadata()?, &spec.input_ports, spec.size)?;
         let volume = match spec.input {
-            InputKind::RgbAndVolume { planes, range_m } => Some(CostVolume::new(camera, planes, range_m)),
+            InputKind::RgbAndVolume { planes, range_m } => {
+                Some(CostVolume::new(camera, planes, range_m))
+            }
             _ => None,
         };
         let session = loaded.bind(&spec.input_ports, &spec.output_port)?;
@@ -174,7 +177,10 @@ impl DepthNetwork {
     ) -> Result<(), NoDepth> {
         let size = self.spec.size;
         let fits = |coarse: &DepthEstimate| (coarse.depth.width(), coarse.depth.height()) == size;
-        if frame.format() != PixelFormat::Rgb8 || (frame.width(), frame.height()) != size || !coarse.is_none_or(fits) {
+        if frame.format() != PixelFormat::Rgb8
+            || (frame.width(), frame.height()) != size
+            || !coarse.is_none_or(fits)
+        {
             return Err(NoDepth::FrameSize);
         }
         self.write_inputs(frame.data(), t_odom_camera, coarse)?;
@@ -188,7 +194,12 @@ impl DepthNetwork {
         }
     }
 
-    fn write_inputs(&mut self, rgb: &[u8], pose: &Pose3, coarse: Option<&DepthEstimate>) -> Result<(), NoDepth> {
+    fn write_inputs(
+        &mut self,
+        rgb: &[u8],
+        pose: &Pose3,
+        coarse: Option<&DepthEstimate>,
+    ) -> Result<(), NoDepth> {
         let range_m = self.spec.depth_range_m;
         let joined = self.spec.input == InputKind::RgbCoarseJoined;
         self.session.write(PICTURE, |planes| {

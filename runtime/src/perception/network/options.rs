@@ -75,7 +75,9 @@ impl Provider {
     fn register(self, threads: NonZeroUsize, builder: &mut SessionBuilder) -> ort::Result<()> {
         match self {
             Self::Cpu => Ok(()),
-            Self::Xnnpack => ep::XNNPACK::default().with_intra_op_num_threads(threads).register(builder),
+            Self::Xnnpack => {
+                ep::XNNPACK::default().with_intra_op_num_threads(threads).register(builder)
+            }
             Self::Cuda => ep::CUDA::default().register(builder),
             Self::TensorRt => {
                 ep::TensorRT::default().register(builder)?;
@@ -93,16 +95,21 @@ pub(super) fn session_builder(
 ) -> Result<SessionBuilder, NetworkError> {
     let provider = options.provider;
     if !provider.is_available() {
-        let available = Provider::ALL.into_iter().filter(|provider| provider.is_available()).map(Provider::name);
+        let available = Provider::ALL
+            .into_iter()
+            .filter(|provider| provider.is_available())
+            .map(Provider::name);
         let available = available.collect::<Vec<_>>().join(", ");
         return Err(NetworkError::NoProvider { wanted: provider.name(), available });
     }
     let threads = NonZeroUsize::new(options.threads).unwrap_or(NonZeroUsize::MIN);
-    let mut builder = plain_builder(onnx_runtime, threads, options)
-        .map_err(|error| NetworkError::Options { threads: options.threads, reason: error.to_string() })?;
-    provider
-        .register(threads, &mut builder)
-        .map_err(|error| NetworkError::Provider { wanted: provider.name(), reason: error.to_string() })?;
+    let mut builder = plain_builder(onnx_runtime, threads, options).map_err(|error| {
+        NetworkError::Options { threads: options.threads, reason: error.to_string() }
+    })?;
+    provider.register(threads, &mut builder).map_err(|error| NetworkError::Provider {
+        wanted: provider.name(),
+        reason: error.to_string(),
+    })?;
     Ok(builder)
 }
 

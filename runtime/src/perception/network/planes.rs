@@ -31,7 +31,11 @@ pub(super) fn write_rgb(rgb: &[u8], (low, high): (f32, f32), planes: &mut [f32])
 }
 
 /// Coarse depth into planes of disparity (0..1 over the model's depth range), validity (0 or 1) and confidence.
-pub(super) fn write_coarse(coarse: Option<&DepthEstimate>, (min_m, max_m): (f32, f32), planes: &mut [f32]) {
+pub(super) fn write_coarse(
+    coarse: Option<&DepthEstimate>,
+    (min_m, max_m): (f32, f32),
+    planes: &mut [f32],
+) {
     let Some(coarse) = coarse else {
         planes.fill(0.0);
         return;
@@ -40,7 +44,9 @@ pub(super) fn write_coarse(coarse: Option<&DepthEstimate>, (min_m, max_m): (f32,
     let pixels = planes.len() / 3;
     let (disparity, rest) = planes.split_at_mut(pixels);
     let (validity, confidence) = rest.split_at_mut(pixels);
-    for ((disparity, validity), &depth) in disparity.iter_mut().zip(validity).zip(coarse.depth.values()) {
+    for ((disparity, validity), &depth) in
+        disparity.iter_mut().zip(validity).zip(coarse.depth.values())
+    {
         let valid = depth > 0.0;
         *disparity = if valid { ((1.0 / depth - far) / span).clamp(0.0, 1.0) } else { 0.0 };
         *validity = f32::from(u8::from(valid));
@@ -53,7 +59,9 @@ pub(super) fn write_coarse(coarse: Option<&DepthEstimate>, (min_m, max_m): (f32,
 /// The network's output into depth and confidence. `false` when it holds NaN or leaves the range that the model promises;
 /// the estimate is then worthless.
 pub(super) fn read_output(output: &[f32], spec: &ModelSpec, estimate: &mut DepthEstimate) -> bool {
-    let Some((depth, uncertainty)) = output.split_at_checked(spec.size.0 * spec.size.1) else { return false };
+    let Some((depth, uncertainty)) = output.split_at_checked(spec.size.0 * spec.size.1) else {
+        return false;
+    };
     let sound = read_depth(depth, spec, &mut estimate.depth);
     if !spec.uncertainty {
         estimate.confidence.fill(UNSAID_CONFIDENCE);
@@ -80,7 +88,8 @@ fn read_depth(output: &[f32], spec: &ModelSpec, depth: &mut DepthMap) -> bool {
         OutputKind::Depth => (min_m, max_m),
         OutputKind::Disparity => (0.0, 1.0),
     };
-    let rounding = high * if spec.output_port.float == Float::Half { ROUNDING_HALF } else { ROUNDING };
+    let rounding =
+        high * if spec.output_port.float == Float::Half { ROUNDING_HALF } else { ROUNDING };
     let allowed = low - rounding..=high + rounding;
     let (far, span) = (1.0 / max_m, 1.0 / min_m - 1.0 / max_m);
     let mut sound = true;
@@ -114,7 +123,9 @@ fn exp(x: f32) -> f32 {
     let n = (x * std::f32::consts::LOG2_E + ROUND) - ROUND;
     // ln 2 in two parts, the first with few enough bits that n times it is exact.
     let r = (x - n * 0.693_359_4) + n * 2.121_944_4e-4;
-    let series = 1.0 + r * (1.0 + r * (1.0 / 2.0 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0 + r / 720.0)))));
+    let series = 1.0
+        + r * (1.0
+            + r * (1.0 / 2.0 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0 + r / 720.0)))));
     f32::from_bits(((n as i32 + 127) << 23) as u32) * series
 }
 
@@ -159,8 +170,11 @@ mod tests {
 
     #[test]
     fn an_uncertainty_that_is_nan_makes_the_whole_output_worthless() {
-        let port =
-            |name: &str, channels| Port { name: name.to_owned(), float: Float::Single, shape: [1, channels, 1, 2] };
+        let port = |name: &str, channels| Port {
+            name: name.to_owned(),
+            float: Float::Single,
+            shape: [1, channels, 1, 2],
+        };
         let spec = ModelSpec {
             input: crate::perception::network::InputKind::Rgb,
             output: OutputKind::Depth,

@@ -16,8 +16,7 @@ const MAX_PLANES: usize = 256;
 const INPUTS: &str = "one picture [1, 3, height, width], alone or with a second input: coarse disparity, validity and \
     confidence [1, 3, height, width] (or joined with the picture in [1, 6, height, width]), or a cost volume \
     [1, planes, height / 4, width / 4]";
-const ONE_OUTPUT: &str =
-    "one output, [1, 1, height, width], or [1, 2, height, width] with log-uncertainty; export only the finest scale";
+const ONE_OUTPUT: &str = "one output, [1, 1, height, width], or [1, 2, height, width] with log-uncertainty; export only the finest scale";
 
 /// What enters the model. Planes lie in rows, channel after channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -93,7 +92,8 @@ impl ModelSpec {
     ) -> Result<Self, NetworkError> {
         let (picture, second) = picture_and_second(inputs)?;
         let joined = second.is_none() && picture.size(1, 3) == 6;
-        let mut input_ports = vec![check_tensor("input", picture, &[if joined { 6 } else { 3 }], camera)?];
+        let mut input_ports =
+            vec![check_tensor("input", picture, &[if joined { 6 } else { 3 }], camera)?];
         let input = match second {
             None if joined => InputKind::RgbCoarseJoined,
             None => InputKind::Rgb,
@@ -102,7 +102,10 @@ impl ModelSpec {
                 let planes = port.shape[1];
                 input_ports.push(port);
                 let keys = ["volume_min_depth_m", "volume_max_depth_m"];
-                InputKind::RgbAndVolume { planes, range_m: depth_range(&metadata, keys, VOLUME_RANGE_M)? }
+                InputKind::RgbAndVolume {
+                    planes,
+                    range_m: depth_range(&metadata, keys, VOLUME_RANGE_M)?,
+                }
             }
             Some(coarse) => {
                 input_ports.push(check_tensor("input", coarse, &[3], camera)?);
@@ -119,7 +122,11 @@ impl ModelSpec {
             input,
             output: output_kind(&metadata, &output.name)?,
             uncertainty: output_port.shape[1] == 2,
-            depth_range_m: depth_range(&metadata, ["min_depth_m", "max_depth_m"], DEFAULT_DEPTH_RANGE_M)?,
+            depth_range_m: depth_range(
+                &metadata,
+                ["min_depth_m", "max_depth_m"],
+                DEFAULT_DEPTH_RANGE_M,
+            )?,
             size: camera,
             version: metadata("version"),
             input_ports,
@@ -129,7 +136,9 @@ impl ModelSpec {
 }
 
 /// What accompanies the picture is the input whose name says so, else the second.
-fn picture_and_second(inputs: &[TensorInfo]) -> Result<(&TensorInfo, Option<&TensorInfo>), NetworkError> {
+fn picture_and_second(
+    inputs: &[TensorInfo],
+) -> Result<(&TensorInfo, Option<&TensorInfo>), NetworkError> {
     let is_second = |tensor: &TensorInfo| {
         let name = tensor.name.to_ascii_lowercase();
         name.contains("coarse") || name.contains("volume")
@@ -143,7 +152,8 @@ fn picture_and_second(inputs: &[TensorInfo]) -> Result<(&TensorInfo, Option<&Ten
 }
 
 fn is_volume(second: &TensorInfo, metadata: &impl Fn(&str) -> Option<String>) -> bool {
-    metadata("kind").as_deref() == Some("rgb+volume") || second.name.to_ascii_lowercase().contains("volume")
+    metadata("kind").as_deref() == Some("rgb+volume")
+        || second.name.to_ascii_lowercase().contains("volume")
 }
 
 pub(super) fn list(tensors: &[TensorInfo]) -> String {
@@ -159,21 +169,32 @@ pub(super) fn check_tensor(
     (width, height): (usize, usize),
 ) -> Result<Port, NetworkError> {
     let found_channels = tensor.size(1, channels[0]);
-    let fits = tensor.shape.len() == 4 && tensor.size(0, 1) == 1 && channels.contains(&found_channels);
+    let fits =
+        tensor.shape.len() == 4 && tensor.size(0, 1) == 1 && channels.contains(&found_channels);
     let (Some(float), true) = (tensor.float, fits) else {
         let channels: Vec<_> = channels.iter().map(i64::to_string).collect();
-        let needed = format!("Tensor<f32>(1, {}, {height}, {width}), or the same of f16", channels.join(" or "));
+        let needed = format!(
+            "Tensor<f32>(1, {}, {height}, {width}), or the same of f16",
+            channels.join(" or ")
+        );
         return Err(NetworkError::Tensor { role, found: tensor.text(), needed });
     };
     let found = (tensor.size(3, width as i64) as usize, tensor.size(2, height as i64) as usize);
     if found != (width, height) {
         return Err(size_error(found, (width, height)));
     }
-    Ok(Port { name: tensor.name.clone(), float, shape: [1, found_channels as usize, height, width] })
+    Ok(Port {
+        name: tensor.name.clone(),
+        float,
+        shape: [1, found_channels as usize, height, width],
+    })
 }
 
 /// A fixed number of planes, a quarter of the camera's size.
-fn check_volume(tensor: &TensorInfo, (width, height): (usize, usize)) -> Result<Port, NetworkError> {
+fn check_volume(
+    tensor: &TensorInfo,
+    (width, height): (usize, usize),
+) -> Result<Port, NetworkError> {
     let (rows, columns) = (height / REDUCTION, width / REDUCTION);
     let planes = tensor.size(1, 0) as usize;
     let whole = width % REDUCTION == 0 && height % REDUCTION == 0 && rows > 1 && columns > 1;
@@ -195,10 +216,16 @@ fn check_volume(tensor: &TensorInfo, (width, height): (usize, usize)) -> Result<
 }
 
 fn size_error(model: (usize, usize), camera: (usize, usize)) -> NetworkError {
-    NetworkError::Size { model: format!("{}x{}", model.0, model.1), camera: format!("{}x{}", camera.0, camera.1) }
+    NetworkError::Size {
+        model: format!("{}x{}", model.0, model.1),
+        camera: format!("{}x{}", camera.0, camera.1),
+    }
 }
 
-fn check_kind(metadata: &impl Fn(&str) -> Option<String>, input: InputKind) -> Result<(), NetworkError> {
+fn check_kind(
+    metadata: &impl Fn(&str) -> Option<String>,
+    input: InputKind,
+) -> Result<(), NetworkError> {
     let shown = input.name();
     match metadata("kind") {
         Some(value) if value != shown => {
@@ -213,18 +240,26 @@ pub(super) fn check_stated_size(
     metadata: &impl Fn(&str) -> Option<String>,
     camera: (usize, usize),
 ) -> Result<(), NetworkError> {
-    let stated =
-        |key, default| number::<usize>(metadata, key, "a whole number of pixels").map(|n| n.unwrap_or(default));
+    let stated = |key, default| {
+        number::<usize>(metadata, key, "a whole number of pixels").map(|n| n.unwrap_or(default))
+    };
     let size = (stated("input_width", camera.0)?, stated("input_height", camera.1)?);
     if size == camera { Ok(()) } else { Err(size_error(size, camera)) }
 }
 
-fn output_kind(metadata: &impl Fn(&str) -> Option<String>, name: &str) -> Result<OutputKind, NetworkError> {
+fn output_kind(
+    metadata: &impl Fn(&str) -> Option<String>,
+    name: &str,
+) -> Result<OutputKind, NetworkError> {
     let allowed = || "`depth`, `disparity`".to_owned();
     match metadata("output").as_deref() {
         Some("depth") => Ok(OutputKind::Depth),
         Some("disparity") => Ok(OutputKind::Disparity),
-        Some(value) => Err(NetworkError::Metadata { key: "output", value: value.to_owned(), allowed: allowed() }),
+        Some(value) => Err(NetworkError::Metadata {
+            key: "output",
+            value: value.to_owned(),
+            allowed: allowed(),
+        }),
         None if name.contains("depth") => Ok(OutputKind::Depth),
         None if name.contains("disp") => Ok(OutputKind::Disparity),
         None => Err(NetworkError::OutputMeaning { name: name.to_owned() }),
@@ -278,18 +313,30 @@ mod tests {
         }
     }
 
-    fn read(inputs: &[TensorInfo], output: TensorInfo, metadata: &[(&str, &str)]) -> Result<ModelSpec, NetworkError> {
-        let lookup = |key: &str| metadata.iter().find(|(k, _)| *k == key).map(|(_, value)| (*value).to_owned());
+    fn read(
+        inputs: &[TensorInfo],
+        output: TensorInfo,
+        metadata: &[(&str, &str)],
+    ) -> Result<ModelSpec, NetworkError> {
+        let lookup = |key: &str| {
+            metadata.iter().find(|(k, _)| *k == key).map(|(_, value)| (*value).to_owned())
+        };
         ModelSpec::read(inputs, &[output], lookup, CAMERA)
     }
 
     #[test]
     fn without_metadata_names_and_shapes_decide() {
         let spec = read(&[tensor("rgb", 3)], tensor("disp_0", 1), &[]).unwrap();
-        assert_eq!((spec.input, spec.output, spec.uncertainty), (InputKind::Rgb, OutputKind::Disparity, false));
+        assert_eq!(
+            (spec.input, spec.output, spec.uncertainty),
+            (InputKind::Rgb, OutputKind::Disparity, false)
+        );
         assert_eq!((spec.depth_range_m, spec.size), (DEFAULT_DEPTH_RANGE_M, CAMERA));
         let spec = read(&[tensor("x", 6)], tensor("depth", 2), &[]).unwrap();
-        assert_eq!((spec.input, spec.output, spec.uncertainty), (InputKind::RgbCoarseJoined, OutputKind::Depth, true));
+        assert_eq!(
+            (spec.input, spec.output, spec.uncertainty),
+            (InputKind::RgbCoarseJoined, OutputKind::Depth, true)
+        );
     }
 
     #[test]
@@ -304,13 +351,15 @@ mod tests {
 
     #[test]
     fn metadata_overrules_the_name_of_the_output() {
-        let spec = read(&[tensor("rgb", 3)], tensor("depth", 1), &[("output", "disparity")]).unwrap();
+        let spec =
+            read(&[tensor("rgb", 3)], tensor("depth", 1), &[("output", "disparity")]).unwrap();
         assert_eq!(spec.output, OutputKind::Disparity);
     }
 
     #[test]
     fn metadata_that_contradicts_the_inputs_is_refused() {
-        let error = read(&[tensor("rgb", 3)], tensor("depth", 1), &[("kind", "rgb+coarse")]).unwrap_err();
+        let error =
+            read(&[tensor("rgb", 3)], tensor("depth", 1), &[("kind", "rgb+coarse")]).unwrap_err();
         assert!(matches!(error, NetworkError::Metadata { key: "kind", .. }), "{error}");
     }
 
@@ -326,27 +375,43 @@ mod tests {
         assert_eq!(spec.input, InputKind::RgbAndVolume { planes: 32, range_m });
         assert_eq!(spec.input_ports[1].shape, [1, 32, 48, 160]);
         let kind = ("kind", "rgb+volume");
-        let spec = read(&[tensor("rgb", 3), volume("x", 64)], depth(), &[kind, ("volume_max_depth_m", "10")]).unwrap();
+        let spec = read(
+            &[tensor("rgb", 3), volume("x", 64)],
+            depth(),
+            &[kind, ("volume_max_depth_m", "10")],
+        )
+        .unwrap();
         assert_eq!(spec.input, InputKind::RgbAndVolume { planes: 64, range_m: (0.3, 10.0) });
-        let error = read(&[tensor("rgb", 3), volume("volume", 32)], depth(), &[("kind", "rgb+coarse")]).unwrap_err();
+        let error =
+            read(&[tensor("rgb", 3), volume("volume", 32)], depth(), &[("kind", "rgb+coarse")])
+                .unwrap_err();
         assert!(matches!(error, NetworkError::Metadata { key: "kind", .. }), "{error}");
     }
 
     #[test]
     fn a_volume_of_another_size_or_with_an_open_number_of_planes_is_refused() {
-        for shape in [vec![1, -1, 48, 160], vec![1, 1, 48, 160], vec![1, 32, 192, 640], vec![1, 32, 48]] {
+        for shape in
+            [vec![1, -1, 48, 160], vec![1, 1, 48, 160], vec![1, 32, 192, 640], vec![1, 32, 48]]
+        {
             let volume = TensorInfo { shape, ..volume("volume", 32) };
             let error = read(&[tensor("rgb", 3), volume], tensor("depth", 1), &[]).unwrap_err();
             assert!(matches!(error, NetworkError::Tensor { role: "cost volume", .. }), "{error}");
         }
-        let error =
-            read(&[tensor("rgb", 3), volume("volume", 32)], tensor("depth", 1), &[("volume_min_depth_m", "-1")]);
+        let error = read(
+            &[tensor("rgb", 3), volume("volume", 32)],
+            tensor("depth", 1),
+            &[("volume_min_depth_m", "-1")],
+        );
         assert!(matches!(error, Err(NetworkError::Metadata { key: "volume_min_depth_m", .. })));
     }
 
     #[test]
     fn depth_ranges_that_cannot_be_are_refused_with_the_key() {
-        let key = |metadata: &[(&str, &str)]| match read(&[tensor("rgb", 3)], tensor("depth", 1), metadata) {
+        let key = |metadata: &[(&str, &str)]| match read(
+            &[tensor("rgb", 3)],
+            tensor("depth", 1),
+            metadata,
+        ) {
             Err(NetworkError::Metadata { key, .. }) => key,
             other => panic!("{other:?}"),
         };
@@ -364,13 +429,17 @@ mod tests {
         small.shape = vec![1, 3, 96, 320];
         let text = read(&[small], tensor("depth", 1), &[]).unwrap_err().to_string();
         assert!(text.contains("320x96") && text.contains("640x192"), "{text}");
-        let error = read(&[tensor("rgb", 3)], tensor("depth", 1), &[("input_width", "320")]).unwrap_err();
+        let error =
+            read(&[tensor("rgb", 3)], tensor("depth", 1), &[("input_width", "320")]).unwrap_err();
         assert!(matches!(error, NetworkError::Size { .. }), "{error}");
     }
 
     #[test]
     fn open_sizes_take_the_cameras() {
-        let open = |name, channels| TensorInfo { shape: vec![-1, channels, -1, -1], ..tensor(name, channels) };
+        let open = |name, channels| TensorInfo {
+            shape: vec![-1, channels, -1, -1],
+            ..tensor(name, channels)
+        };
         assert!(read(&[open("rgb", 3)], open("depth", -1), &[]).is_ok());
         let two_pictures = TensorInfo { shape: vec![2, 3, 192, 640], ..tensor("rgb", 3) };
         assert!(read(&[two_pictures], tensor("depth", 1), &[]).is_err());

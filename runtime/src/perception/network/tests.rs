@@ -1,4 +1,4 @@
-//! Against the real ONNX Runtime, with the models of `tools/fixtures/make_models.py`.
+//! Against the real ONNX Runtime, with the models of `tests/fixtures/make_models.py`.
 
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -13,8 +13,13 @@ const PIXELS: usize = 32;
 
 /// ONNX Runtime allows one environment in a process.
 static ONNX_RUNTIME: LazyLock<Environment> = LazyLock::new(|| {
-    let library = onnx_runtime_library().expect("no ONNX Runtime: run `cargo xtask setup`, or set ORT_DYLIB_PATH");
-    ort::init_from(library).expect("ONNX Runtime does not load").with_telemetry(false).build().unwrap()
+    let library = onnx_runtime_library()
+        .expect("no ONNX Runtime: run `cargo xtask setup`, or set ORT_DYLIB_PATH");
+    ort::init_from(library)
+        .expect("ONNX Runtime does not load")
+        .with_telemetry(false)
+        .build()
+        .unwrap()
 });
 
 fn onnx_runtime_library() -> Option<PathBuf> {
@@ -72,8 +77,14 @@ fn every_pixel_has_the_depth_that_the_disparity_formula_gives_its_own_colour() {
 fn black_is_the_far_end_and_white_the_near_end_of_the_models_own_range() {
     let mut network = load("mean_1_to_5_m").unwrap();
     assert_eq!(network.spec().version.as_deref(), Some("fixture-7"));
-    let mut depth =
-        |colour| network.estimate(view(&plain(colour)), &Pose3::identity(), None).unwrap().depth.get(3, 2).unwrap();
+    let mut depth = |colour| {
+        network
+            .estimate(view(&plain(colour)), &Pose3::identity(), None)
+            .unwrap()
+            .depth
+            .get(3, 2)
+            .unwrap()
+    };
     assert_close(depth([0; 3]), 5.0);
     assert_close(depth([255; 3]), 1.0);
 }
@@ -81,7 +92,9 @@ fn black_is_the_far_end_and_white_the_near_end_of_the_models_own_range() {
 #[test]
 fn red_green_and_blue_arrive_in_this_order() {
     let mut network = load("weighted").unwrap();
-    for (colour, x) in [([255, 0, 0], 0.1), ([0, 255, 0], 0.2), ([0, 0, 255], 0.4), ([51, 102, 204], 0.42)] {
+    for (colour, x) in
+        [([255, 0, 0], 0.1), ([0, 255, 0], 0.2), ([0, 0, 255], 0.4), ([51, 102, 204], 0.42)]
+    {
         let estimate = network.estimate(view(&plain(colour)), &Pose3::identity(), None).unwrap();
         assert_close(estimate.depth.get(0, 0).unwrap(), depth_of(x, DEFAULT_DEPTH_RANGE_M));
     }
@@ -93,7 +106,10 @@ fn a_model_that_says_depth_is_taken_at_its_word_within_its_range() {
     let estimate = network.estimate(view(&plain([9, 51, 7])), &Pose3::identity(), None).unwrap();
     assert_close(estimate.depth.get(7, 3).unwrap(), 2.2);
     // 2 + 1 m is beyond the 2.8 m that it promises.
-    assert_eq!(network.estimate(view(&plain([0, 255, 0])), &Pose3::identity(), None), Err(NoDepth::NetworkOutput));
+    assert_eq!(
+        network.estimate(view(&plain([0, 255, 0])), &Pose3::identity(), None),
+        Err(NoDepth::NetworkOutput)
+    );
 }
 
 #[test]
@@ -117,7 +133,8 @@ fn coarse_depth_goes_through_a_model_that_hands_it_on() {
     for name in ["coarse_second_input", "coarse_six_channels"] {
         let mut network = load(name).unwrap();
         assert!(network.spec().input.takes_coarse());
-        let estimate = network.estimate(view(&plain([128; 3])), &Pose3::identity(), Some(&coarse)).unwrap();
+        let estimate =
+            network.estimate(view(&plain([128; 3])), &Pose3::identity(), Some(&coarse)).unwrap();
         for (pixel, &depth) in coarse.depth.values().iter().enumerate() {
             assert_close(estimate.depth.values()[pixel], if depth > 0.0 { depth } else { 20.0 });
         }
@@ -131,10 +148,17 @@ fn coarse_depth_goes_through_a_model_that_hands_it_on() {
 #[test]
 fn coarse_depth_changes_nothing_for_a_model_that_takes_none() {
     let mut network = load("mean").unwrap();
-    assert_eq!(network.last(), &DepthEstimate::none(SIZE.0, SIZE.1), "nothing is left of the try at loading");
+    assert_eq!(
+        network.last(),
+        &DepthEstimate::none(SIZE.0, SIZE.1),
+        "nothing is left of the try at loading"
+    );
     let frame = plain([128, 64, 32]);
     let without = network.estimate(view(&frame), &Pose3::identity(), None).unwrap().clone();
-    assert_eq!(network.estimate(view(&frame), &Pose3::identity(), Some(&coarse_with_a_hole())), Ok(&without));
+    assert_eq!(
+        network.estimate(view(&frame), &Pose3::identity(), Some(&coarse_with_a_hole())),
+        Ok(&without)
+    );
     assert_eq!(network.last(), &without);
 }
 
@@ -143,9 +167,15 @@ fn the_confidence_of_coarse_depth_arrives_and_none_means_zero() {
     let mut network = load("coarse_confidence").unwrap();
     let frame = plain([128; 3]);
     let coarse = coarse_with_a_hole();
-    let with = network.estimate(view(&frame), &Pose3::identity(), Some(&coarse)).unwrap().depth.get(0, 0).unwrap();
+    let with = network
+        .estimate(view(&frame), &Pose3::identity(), Some(&coarse))
+        .unwrap()
+        .depth
+        .get(0, 0)
+        .unwrap();
     assert_close(with, depth_of(0.75, DEFAULT_DEPTH_RANGE_M));
-    let without = network.estimate(view(&frame), &Pose3::identity(), None).unwrap().depth.get(0, 0).unwrap();
+    let without =
+        network.estimate(view(&frame), &Pose3::identity(), None).unwrap().depth.get(0, 0).unwrap();
     assert_close(without, 20.0);
 }
 
@@ -178,7 +208,9 @@ fn a_picture_or_coarse_depth_of_another_size_is_refused() {
         ImageView::new(8, 4, PixelFormat::Gray8, &grey)
             .map(|frame| network.estimate(frame, &Pose3::identity(), None).cloned())
             .unwrap(),
-        network.estimate(view(&plain([0; 3])), &Pose3::identity(), Some(&DepthEstimate::none(4, 8))).cloned(),
+        network
+            .estimate(view(&plain([0; 3])), &Pose3::identity(), Some(&DepthEstimate::none(4, 8)))
+            .cloned(),
     ];
     assert!(wrong.iter().all(|result| *result == Err(NoDepth::FrameSize)));
     assert_eq!(network.refused(), 3);
@@ -186,8 +218,10 @@ fn a_picture_or_coarse_depth_of_another_size_is_refused() {
 
 #[test]
 fn bytes_that_are_no_model_are_refused_by_name() {
-    let refuse =
-        |bytes: &[u8]| DepthNetwork::load(&ONNX_RUNTIME, bytes, &camera(SIZE), NetworkOptions::default()).unwrap_err();
+    let refuse = |bytes: &[u8]| {
+        DepthNetwork::load(&ONNX_RUNTIME, bytes, &camera(SIZE), NetworkOptions::default())
+            .unwrap_err()
+    };
     for (bytes, word) in [
         (&b""[..], "empty"),
         (b"PK\x03\x04rest", "PyTorch"),
@@ -204,7 +238,12 @@ fn bytes_that_are_no_model_are_refused_by_name() {
 fn a_model_that_is_cut_anywhere_is_refused_or_harmless() {
     let whole = model("weighted");
     for length in 0..whole.len() {
-        let cut = DepthNetwork::load(&ONNX_RUNTIME, &whole[..length], &camera(SIZE), NetworkOptions::default());
+        let cut = DepthNetwork::load(
+            &ONNX_RUNTIME,
+            &whole[..length],
+            &camera(SIZE),
+            NetworkOptions::default(),
+        );
         if let Ok(mut network) = cut {
             assert!(network.estimate(view(&plain([51; 3])), &Pose3::identity(), None).is_ok());
         }
@@ -235,8 +274,13 @@ fn unfit_models_are_refused_with_what_was_found_and_what_is_needed() {
 
 #[test]
 fn a_model_for_another_camera_is_refused_with_both_sizes() {
-    let error =
-        DepthNetwork::load(&ONNX_RUNTIME, &model("mean"), &camera((640, 192)), NetworkOptions::default()).unwrap_err();
+    let error = DepthNetwork::load(
+        &ONNX_RUNTIME,
+        &model("mean"),
+        &camera((640, 192)),
+        NetworkOptions::default(),
+    )
+    .unwrap_err();
     let text = error.to_string();
     assert!(text.contains("8x4") && text.contains("640x192"), "{text}");
 }
@@ -248,13 +292,23 @@ fn depth_is_the_same_bit_for_bit_on_every_run_and_any_number_of_threads() {
     let frame = ImageView::rgb8(width, height, &bytes).unwrap();
     let depth = |threads, runs| {
         let options = NetworkOptions { threads, ..NetworkOptions::default() };
-        let mut network = DepthNetwork::load(&ONNX_RUNTIME, &model("deep"), &camera((width, height)), options).unwrap();
-        (0..runs).map(|_| network.estimate(frame, &Pose3::identity(), None).unwrap().clone()).collect::<Vec<_>>()
+        let mut network =
+            DepthNetwork::load(&ONNX_RUNTIME, &model("deep"), &camera((width, height)), options)
+                .unwrap();
+        (0..runs)
+            .map(|_| network.estimate(frame, &Pose3::identity(), None).unwrap().clone())
+            .collect::<Vec<_>>()
     };
     let reference = depth(1, 1).remove(0);
-    assert!(reference.depth.values().windows(2).any(|pair| pair[0] != pair[1]), "a constant would prove nothing");
+    assert!(
+        reference.depth.values().windows(2).any(|pair| pair[0] != pair[1]),
+        "a constant would prove nothing"
+    );
     for threads in [1, 2, 3, 7] {
-        assert!(depth(threads, 3).iter().all(|estimate| *estimate == reference), "{threads} threads");
+        assert!(
+            depth(threads, 3).iter().all(|estimate| *estimate == reference),
+            "{threads} threads"
+        );
     }
 }
 
@@ -275,7 +329,9 @@ fn a_network_can_move_to_the_thread_that_runs_it() {
 fn sixteen_bit_inputs_and_outputs_give_the_same_depth_up_to_their_rounding() {
     let (mut single, mut half) = (load("weighted").unwrap(), load("half").unwrap());
     let bytes: Vec<u8> = (0..3 * PIXELS).map(|i| (i * 37 % 256) as u8).collect();
-    let depth = |network: &mut DepthNetwork| network.estimate(view(&bytes), &Pose3::identity(), None).unwrap().clone();
+    let depth = |network: &mut DepthNetwork| {
+        network.estimate(view(&bytes), &Pose3::identity(), None).unwrap().clone()
+    };
     let (single, half) = (depth(&mut single), depth(&mut half));
     for (single, half) in single.depth.values().iter().zip(half.depth.values()) {
         // 11 significant bits of x become this of a depth at most.
@@ -288,8 +344,11 @@ fn sixteen_bit_inputs_and_outputs_give_the_same_depth_up_to_their_rounding() {
 fn coarse_depth_goes_through_a_sixteen_bit_input() {
     let coarse = coarse_with_a_hole();
     let mut network = load("half_six_channels").unwrap();
-    let estimate = network.estimate(view(&plain([128; 3])), &Pose3::identity(), Some(&coarse)).unwrap();
-    for (&found, &expected) in estimate.depth.values().iter().zip(coarse.depth.values()).filter(|&(_, &m)| m > 0.0) {
+    let estimate =
+        network.estimate(view(&plain([128; 3])), &Pose3::identity(), Some(&coarse)).unwrap();
+    for (&found, &expected) in
+        estimate.depth.values().iter().zip(coarse.depth.values()).filter(|&(_, &m)| m > 0.0)
+    {
         assert!((found / expected - 1.0).abs() < 0.05, "{found} {expected}");
     }
 }
@@ -297,11 +356,17 @@ fn coarse_depth_goes_through_a_sixteen_bit_input() {
 #[test]
 fn the_cost_volume_arrives_and_tells_a_moved_picture_from_a_still_one() {
     let size = (32, 16);
-    let mut network =
-        DepthNetwork::load(&ONNX_RUNTIME, &model("volume"), &camera(size), NetworkOptions::default()).unwrap();
+    let mut network = DepthNetwork::load(
+        &ONNX_RUNTIME,
+        &model("volume"),
+        &camera(size),
+        NetworkOptions::default(),
+    )
+    .unwrap();
     assert_eq!(network.spec().input, InputKind::RgbAndVolume { planes: 4, range_m: (0.5, 10.0) });
-    let striped: Vec<u8> =
-        (0..3 * size.0 * size.1).map(|i| if i / 3 % size.0 / 8 % 2 == 0 { 10 } else { 250 }).collect();
+    let striped: Vec<u8> = (0..3 * size.0 * size.1)
+        .map(|i| if i / 3 % size.0 / 8 % 2 == 0 { 10 } else { 250 })
+        .collect();
     let frame = ImageView::rgb8(size.0, size.1, &striped).unwrap();
     let mut nearest = |x_m: f64| {
         let estimate = network.estimate(frame, &Pose3::translation(x_m, 0.0, 0.0), None).unwrap();
@@ -316,8 +381,13 @@ fn the_cost_volume_arrives_and_tells_a_moved_picture_from_a_still_one() {
 #[test]
 fn a_pose_that_is_not_finite_is_refused_where_it_is_needed() {
     let size = (32, 16);
-    let mut network =
-        DepthNetwork::load(&ONNX_RUNTIME, &model("volume"), &camera(size), NetworkOptions::default()).unwrap();
+    let mut network = DepthNetwork::load(
+        &ONNX_RUNTIME,
+        &model("volume"),
+        &camera(size),
+        NetworkOptions::default(),
+    )
+    .unwrap();
     let bytes = vec![0; 3 * size.0 * size.1];
     let frame = ImageView::rgb8(size.0, size.1, &bytes).unwrap();
     let nowhere = Pose3::translation(f64::NAN, 0.0, 0.0);
@@ -327,11 +397,13 @@ fn a_pose_that_is_not_finite_is_refused_where_it_is_needed() {
 
 #[test]
 fn a_provider_that_the_library_lacks_is_an_error_that_names_what_there_is() {
-    let refused = [Provider::Xnnpack, Provider::Cuda, Provider::TensorRt].into_iter().filter_map(|provider| {
-        let options = NetworkOptions { provider, ..NetworkOptions::default() };
-        let loaded = DepthNetwork::load(&ONNX_RUNTIME, &model("mean"), &camera(SIZE), options);
-        Some((provider, loaded.err()?.to_string()))
-    });
+    let refused = [Provider::Xnnpack, Provider::Cuda, Provider::TensorRt].into_iter().filter_map(
+        |provider| {
+            let options = NetworkOptions { provider, ..NetworkOptions::default() };
+            let loaded = DepthNetwork::load(&ONNX_RUNTIME, &model("mean"), &camera(SIZE), options);
+            Some((provider, loaded.err()?.to_string()))
+        },
+    );
     for (provider, text) in refused {
         // A library with GPU support on a computer without a GPU gets one step further.
         let said = text.contains("it has: cpu") || text.contains("does not start");

@@ -83,9 +83,18 @@ impl CostVolume {
         shrink(rgb, self.camera.width, &mut self.picture);
         let references = choose(&self.keyframes, t_odom_camera);
         volume.fill(if references[0].is_some() { UNSEEN } else { 0.0 });
-        for keyframe in references.into_iter().flatten().filter_map(|index| self.keyframes.get(index)) {
+        for keyframe in
+            references.into_iter().flatten().filter_map(|index| self.keyframes.get(index))
+        {
             let warp = Warp::new(&self.camera, &(keyframe.pose.inverse() * t_odom_camera));
-            compare(&self.camera, &self.picture, &keyframe.picture, &warp, &self.inverse_depth, volume);
+            compare(
+                &self.camera,
+                &self.picture,
+                &keyframe.picture,
+                &warp,
+                &self.inverse_depth,
+                volume,
+            );
         }
         fill_unseen(volume, &mut self.largest);
         self.remember(t_odom_camera);
@@ -94,7 +103,9 @@ impl CostVolume {
     fn remember(&mut self, pose: &Pose3) {
         if let Some(last) = self.keyframes.last() {
             let step = last.pose.inverse() * pose;
-            if step.translation.vector.norm() < KEYFRAME_STEP_M && step.rotation.angle() < KEYFRAME_TURN_RAD {
+            if step.translation.vector.norm() < KEYFRAME_STEP_M
+                && step.rotation.angle() < KEYFRAME_TURN_RAD
+            {
                 return;
             }
         }
@@ -129,7 +140,11 @@ impl State for CostVolume {
             self.keyframes.push(Keyframe { pose: pose.0, picture });
         }
         let sound = self.keyframes.iter().all(|keyframe| keyframe.picture.pixels.len() == pixels);
-        if sound { Ok(()) } else { Err(SnapshotError::Damaged("pictures of another size".to_owned())) }
+        if sound {
+            Ok(())
+        } else {
+            Err(SnapshotError::Damaged("pictures of another size".to_owned()))
+        }
     }
 }
 
@@ -138,7 +153,9 @@ fn shrink(rgb: &[u8], width: usize, small: &mut Small) {
     const SCALE: f32 = 1.0 / (255 * REDUCTION * REDUCTION) as f32;
     let stride = 3 * REDUCTION * width;
     let mut total = 0_u64;
-    for (rows, out) in rgb.chunks_exact(stride * REDUCTION).zip(small.pixels.chunks_exact_mut(width)) {
+    for (rows, out) in
+        rgb.chunks_exact(stride * REDUCTION).zip(small.pixels.chunks_exact_mut(width))
+    {
         for (u, out) in out.iter_mut().enumerate() {
             let mut sum = [0_u32; 3];
             for row in rows.chunks_exact(stride) {
@@ -213,7 +230,9 @@ fn compare(
     let (right, bottom) = ((width - 1) as f32, (height - 1) as f32);
     let gain = if earlier.brightness > 0.0 { this.brightness / earlier.brightness } else { 1.0 };
     for (plane, &inverse_depth) in volume.chunks_exact_mut(width * height).zip(inverse_depth) {
-        for (v, (row, cells)) in this.pixels.chunks_exact(width).zip(plane.chunks_exact_mut(width)).enumerate() {
+        for (v, (row, cells)) in
+            this.pixels.chunks_exact(width).zip(plane.chunks_exact_mut(width)).enumerate()
+        {
             let start = warp.turn * Vector3::new(0.0, v as f32, 1.0) + warp.shift * inverse_depth;
             let step = warp.turn.column(0);
             for (u, (colour, cell)) in row.iter().zip(cells).enumerate() {
@@ -283,9 +302,12 @@ mod tests {
     fn wall(depth_m: f64, at: [f64; 3], gain: f64) -> Vec<u8> {
         let camera = camera();
         let colour = |index: usize| {
-            let ray = camera.ray((index % SIZE.0) as f64, (index / SIZE.0) as f64) * (depth_m - at[2]);
+            let ray =
+                camera.ray((index % SIZE.0) as f64, (index / SIZE.0) as f64) * (depth_m - at[2]);
             let (x, y) = ((ray.x + at[0]) / depth_m, (ray.y + at[1]) / depth_m);
-            [7.0, 9.0, 11.0].map(|f| (gain * (100.0 + 50.0 * (f * x).sin() + 40.0 * (f * 1.3 * y).cos())).round() as u8)
+            [7.0, 9.0, 11.0].map(|f| {
+                (gain * (100.0 + 50.0 * (f * x).sin() + 40.0 * (f * 1.3 * y).cos())).round() as u8
+            })
         };
         (0..SIZE.0 * SIZE.1).flat_map(colour).collect()
     }
@@ -305,7 +327,9 @@ mod tests {
         let pixels = volume.len() / PLANES;
         let cost = |plane: usize, pixel: usize| volume[plane * pixels + pixel];
         (0..pixels)
-            .map(|pixel| (0..PLANES).min_by(|a, b| cost(*a, pixel).total_cmp(&cost(*b, pixel))).unwrap())
+            .map(|pixel| {
+                (0..PLANES).min_by(|a, b| cost(*a, pixel).total_cmp(&cost(*b, pixel))).unwrap()
+            })
             .collect()
     }
 
@@ -318,7 +342,10 @@ mod tests {
             let costs = compute(&mut volume, &wall(depth_m, [0.0; 3], 1.0), [0.0; 3]);
             let winners = winners(&costs);
             // Right, upper and lower edge were not in view before.
-            let seen = winners.iter().enumerate().filter(|(pixel, _)| pixel % 40 < 28 && (40..920).contains(pixel));
+            let seen = winners
+                .iter()
+                .enumerate()
+                .filter(|(pixel, _)| pixel % 40 < 28 && (40..920).contains(pixel));
             let right = seen.clone().filter(|(_, winner)| winner.abs_diff(plane) <= 1).count();
             assert!(right * 100 >= seen.count() * 95, "plane {plane}, gain {gain}: {winners:?}");
         }
@@ -339,7 +366,9 @@ mod tests {
         compute(&mut volume, &wall(2.0, [-0.2, 0.0, 0.0], 1.0), [-0.2, 0.0, 0.0]);
         let costs = compute(&mut volume, &wall(2.0, [0.0; 3], 1.0), [0.0; 3]);
         let pixels = costs.len() / PLANES;
-        let column = |u: usize| (0..PLANES).map(|plane| costs[plane * pixels + 12 * 40 + u]).collect::<Vec<_>>();
+        let column = |u: usize| {
+            (0..PLANES).map(|plane| costs[plane * pixels + 12 * 40 + u]).collect::<Vec<_>>()
+        };
         // Near the right edge only far points were in view, at the edge none.
         let near_edge = column(36);
         let largest = near_edge.iter().copied().fold(0.0, f32::max);

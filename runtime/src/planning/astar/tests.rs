@@ -14,7 +14,9 @@ fn random_map(size: (i32, i32), patch: i32, blocked: f64, rough: f64, seed: u64)
         })
         .collect();
     let cells = CellBox { min: Cell::new(-3, 5), max: Cell::new(size.0 - 4, size.1 + 4) };
-    Costmap::from_weights(cells, 0.03, |cell| patches[((cell.y - 5) / patch * 50 + (cell.x + 3) / patch) as usize])
+    Costmap::from_weights(cells, 0.03, |cell| {
+        patches[((cell.y - 5) / patch * 50 + (cell.x + 3) / patch) as usize]
+    })
 }
 
 /// Neighbours and whole-number costs, by the rules as documented.
@@ -104,7 +106,8 @@ proptest! {
 #[test]
 fn a_corner_is_not_cut() {
     let cells = CellBox { min: Cell::new(0, 0), max: Cell::new(1, 1) };
-    let costmap = Costmap::from_weights(cells, 0.03, |cell| (cell != Cell::new(1, 0)).then_some(1.0));
+    let costmap =
+        Costmap::from_weights(cells, 0.03, |cell| (cell != Cell::new(1, 0)).then_some(1.0));
     let mut planner = Planner::new(100);
     let path = planner.plan(&costmap, Cell::new(0, 0), Cell::new(1, 1)).unwrap();
     assert_eq!(path, [Cell::new(0, 0), Cell::new(0, 1), Cell::new(1, 1)]);

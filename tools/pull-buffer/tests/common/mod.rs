@@ -60,7 +60,10 @@ pub struct SpiedSsh(TempDir);
 impl SpiedSsh {
     pub fn new() -> Self {
         let dir = tempdir().unwrap();
-        let script = format!("#!/bin/sh\necho \"$@\" >> {}/calls\nexec /usr/bin/ssh \"$@\"\n", dir.path().display());
+        let script = format!(
+            "#!/bin/sh\necho \"$@\" >> {}/calls\nexec /usr/bin/ssh \"$@\"\n",
+            dir.path().display()
+        );
         fs::write(dir.path().join("ssh"), script).unwrap();
         fs::set_permissions(dir.path().join("ssh"), fs::Permissions::from_mode(0o700)).unwrap();
         Self(dir)
@@ -80,7 +83,8 @@ impl SpiedSsh {
 
 /// Serves as `firmware-host buffer serve` does: this package's example, which stands beside its binary.
 pub fn serving() -> PathBuf {
-    let path = Path::new(env!("CARGO_BIN_EXE_pull-buffer")).with_file_name("examples").join("serve");
+    let path =
+        Path::new(env!("CARGO_BIN_EXE_pull-buffer")).with_file_name("examples").join("serve");
     assert!(path.exists(), "{} is missing: cargo build -p pull-buffer --examples", path.display());
     path
 }
@@ -101,7 +105,11 @@ pub fn robot(segments: u64, bytes: usize) -> TempDir {
 pub fn assert_same(robot: &Path, here: &Path, segments: u64) {
     for number in 0..segments {
         let file = format!("run/recording_{number:04}.mcap");
-        assert!(fs::read(robot.join(&file)).unwrap() == fs::read(here.join("robot").join(&file)).unwrap(), "{file}");
+        assert!(
+            fs::read(robot.join(&file)).unwrap()
+                == fs::read(here.join("robot").join(&file)).unwrap(),
+            "{file}"
+        );
     }
 }
 

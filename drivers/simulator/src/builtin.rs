@@ -1,0 +1,70 @@
+//! The names of built-in homes.
+
+use crate::error::SceneError;
+use crate::homes::{self, HomeKind, HomeOptions};
+use crate::scene::Scene;
+
+/// Builds `NAME?seed=K&texture=T&moved=M`; `spec` is the whole, for messages.
+pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
+    let refuse = |problem: String| SceneError::Builtin { spec: spec.into(), problem };
+    let (name, query) = home.split_once('?').unwrap_or((home, ""));
+    let kind: HomeKind =
+        name.parse().map_err(|error: homes::UnknownHome| refuse(error.to_string()))?;
+    let mut options = HomeOptions::new(0);
+    for pair in query.split('&').filter(|pair| !pair.is_empty()) {
+        let (key, value) =
+            pair.split_once('=').ok_or_else(|| refuse(format!("`{pair}` is not key=value")))?;
+        let wrong = |allowed: &str| refuse(format!("{key} is `{value}`, but must be {allowed}"));
+        match key {
+            "seed" => {
+                options.seed =
+                    value.parse().map_err(|_| wrong("a whole number from 0 to 2^64 - 1"))?
+            }
+            "texture" => {
+                let texture = value.parse().ok().filter(|texture| (0.0..=1.0).contains(texture));
+                options.texture = texture
+                    .ok_or_else(|| wrong("a number from 0 (blank walls) to 1 (rich ones)"))?;
+            }
+            "moved" => {
+                options.moved = match value {
+                    "0" | "false" => false,
+                    "1" | "true" => true,
+                    _ => return Err(wrong("0 or 1")),
+                }
+            }
+            _ => {
+                return Err(refuse(format!(
+                    "there is no `{key}`; there are seed, texture and moved"
+                )));
+            }
+        }
+    }
+    Ok(homes::build(kind, &options).scene)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refusal(home: &str) -> String {
+        build("the spec", home).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_name_with_and_without_options_builds_a_home() {
+        let plain = build("", "apartment").unwrap();
+        let same = build("", "apartment?seed=0&moved=0").unwrap();
+        let other = build("", "apartment?seed=1").unwrap();
+        assert!(plain == same && plain != other);
+    }
+
+    #[test]
+    fn a_wrong_name_key_or_value_is_refused_with_what_is_allowed() {
+        assert!(refusal("castle").contains("apartment, house and office"));
+        assert!(refusal("house?rooms=3").contains("seed, texture and moved"));
+        assert!(refusal("house?seed=-1").contains("whole number"));
+        assert!(refusal("house?texture=nan").contains("from 0"));
+        assert!(refusal("house?moved=maybe").contains("0 or 1"));
+        assert!(refusal("house?seed").contains("key=value"));
+    }
+}

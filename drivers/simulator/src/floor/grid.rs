@@ -1,0 +1,121 @@
+//! Square cells over the floor.
+
+/// Where the cells of a raster lie. Cell (column, row) covers `origin + resolution * [column, column + 1)`, and so for rows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grid {
+    /// Corner of cell (0, 0) with the least x and y, metres.
+    pub origin_m: [f64; 2],
+    /// Side of a cell, metres.
+    pub resolution_m: f64,
+    /// Columns, along x.
+    pub width: usize,
+    /// Rows, along y.
+    pub height: usize,
+}
+
+impl Grid {
+    /// Cells that cover a rectangle.
+    pub(super) fn covering(min_m: [f64; 2], max_m: [f64; 2], resolution_m: f64) -> Self {
+        let cells =
+            |axis: usize| ((max_m[axis] - min_m[axis]) / resolution_m).ceil().max(1.0) as usize;
+        Self { origin_m: min_m, resolution_m, width: cells(0), height: cells(1) }
+    }
+
+    /// Number of cells.
+    #[must_use]
+    pub fn cells(&self) -> usize {
+        self.width * self.height
+    }
+
+    /// Row-major index of the cell that holds a point, or `None` outside.
+    #[must_use]
+    pub fn index(&self, x_m: f64, y_m: f64) -> Option<usize> {
+        let column = ((x_m - self.origin_m[0]) / self.resolution_m).floor();
+        let row = ((y_m - self.origin_m[1]) / self.resolution_m).floor();
+        let inside =
+            column >= 0.0 && row >= 0.0 && column < self.width as f64 && row < self.height as f64;
+        inside.then(|| row as usize * self.width + column as usize)
+    }
+
+    /// Centre of a cell, metres.
+    #[must_use]
+    pub fn center(&self, index: usize) -> [f64; 2] {
+        let (column, row) = (index % self.width, index / self.width);
+        [(column, 0), (row, 1)]
+            .map(|(i, axis)| self.origin_m[axis] + (i as f64 + 0.5) * self.resolution_m)
+    }
+
+    /// Distance from a cell's centre to its corners, metres.
+    #[must_use]
+    pub fn half_diagonal_m(&self) -> f64 {
+        self.resolution_m * std::f64::consts::FRAC_1_SQRT_2
+    }
+
+    /// The eight cells around a cell, as far as they exist.
+    pub(super) fn neighbours(&self, index: usize) -> impl Iterator<Item = usize> + use<> {
+        let (column, row, width, height) =
+            (index % self.width, index / self.width, self.width, self.height);
+        let rows = row.saturating_sub(1)..=(row + 1).min(height - 1);
+        rows.flat_map(move |r| {
+            (column.saturating_sub(1)..=(column + 1).min(width - 1)).map(move |c| r * width + c)
+        })
+        .filter(move |&i| i != index)
+    }
+
+    /// The cells above, below, left and right.
+    pub(super) fn sides(&self, index: usize) -> impl Iterator<Item = usize> + use<> {
+        let (column, row, width, height) =
+            (index % self.width, index / self.width, self.width, self.height);
+        [
+            (column > 0).then(|| index - 1),
+            (column + 1 < width).then(|| index + 1),
+            (row > 0).then(|| index - width),
+            (row + 1 < height).then(|| index + width),
+        ]
+        .into_iter()
+        .flatten()
+    }
+
+    /// Columns and rows of the cells that a rectangle touches, cut to the grid.
+    pub(super) fn range(&self, min_m: [f64; 2], max_m: [f64; 2]) -> [std::ops::Range<usize>; 2] {
+        [(0, self.width), (1, self.height)].map(|(axis, cells)| {
+            let cell = |at: f64| {
+                ((at - self.origin_m[axis]) / self.resolution_m).floor().clamp(-1.0, cells as f64)
+            };
+            let (first, last) = (cell(min_m[axis]), cell(max_m[axis]));
+            if last < 0.0 { 0..0 } else { first.max(0.0) as usize..(last as usize + 1).min(cells) }
+        })
+    }
+
+    /// Corners of the band that a row covers along y, metres.
+    pub(super) fn row_band(&self, row: usize) -> [f64; 2] {
+        [row, row + 1].map(|r| self.origin_m[1] + r as f64 * self.resolution_m)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cells_centre_lies_in_the_cell_and_outside_is_outside() {
+        let grid = Grid::covering([-1.0, 2.0], [1.0, 3.0], 0.05);
+        assert_eq!((grid.width, grid.height), (40, 20));
+        for index in [0, 39, 40, 799] {
+            let [x, y] = grid.center(index);
+            assert_eq!(grid.index(x, y), Some(index));
+        }
+        assert_eq!(
+            (grid.index(-1.01, 2.5), grid.index(0.0, 3.01), grid.index(f64::NAN, 2.5)),
+            (None, None, None)
+        );
+    }
+
+    #[test]
+    fn a_corner_cell_has_three_neighbours_and_two_sides() {
+        let grid = Grid::covering([0.0; 2], [0.3, 0.3], 0.1);
+        assert_eq!(grid.neighbours(0).collect::<Vec<_>>(), [1, 3, 4]);
+        assert_eq!(grid.sides(8).collect::<Vec<_>>(), [7, 5]);
+        assert_eq!(grid.neighbours(4).count(), 8);
+    }
+}

@@ -1,0 +1,241 @@
+//! The free space of one storey.
+
+use std::sync::Arc;
+
+use hal::Pose2;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use rayon::prelude::*;
+
+use super::components::{Components, cells_along};
+use super::distance::distance_to;
+use super::grid::Grid;
+use super::obstacles::Obstacles;
+use super::polygon::Polygon;
+use super::raster::{Raster, obstacle, region};
+use super::{Corners, Footprint, LEAST_FREE_M2, corners};
+use crate::scene::Scene;
+
+/// Where a robot can be in a world whose floor is at z = 0.
+///
+/// A raster of 5 cm cells for questions about places; motion and the freedom of a cell's centre use the exact shapes.
+#[derive(Debug, Clone)]
+pub struct FloorPlan {
+    pub(super) footprint: Footprint,
+    pub(super) obstacles: Arc<Obstacles>,
+    raster: Raster,
+    /// Lower bound of the distance from a cell's centre to the nearest obstacle, metres; exact where it decides.
+    clearance_m: Vec<f32>,
+    components: Components,
+    /// The piece of free space that the robot lives in.
+    home: u32,
+    reachable_floor: Vec<bool>,
+}
+
+impl FloorPlan {
+    /// Finds the free space of a world whose floor is at z = 0, and takes the largest enclosed piece of it as reachable.
+    ///
+    /// # Errors
+    /// What was looked for and not found, for [`SceneError::NoFloor`](crate::error::SceneError::NoFloor).
+    pub fn new(scene: &Scene, footprint: &Footprint) -> Result<Self, String> {
+        let triangles: Vec<Corners> = scene.triangles.iter().map(corners).collect();
+        let raster = Raster::new(&triangles, region(&triangles), 0.0, footprint.height_m);
+        let obstacles = obstacles(&triangles, &raster, footprint.height_m);
+        let clearance_m = clearance(&raster, &obstacles, footprint.radius_m);
+        let components =
+            Components::new(&raster, |cell| f64::from(clearance_m[cell]) >= footprint.radius_m);
+        let Some((home, _)) = components.best(&raster, LEAST_FREE_M2) else {
+            let radius = footprint.radius_m;
+            return Err(format!(
+                "nowhere on the floor at height 0 is room for a robot of {radius} m radius"
+            ));
+        };
+        let obstacles = Arc::new(obstacles);
+        let reachable_floor = Vec::new();
+        let mut plan = Self {
+            footprint: *footprint,
+            obstacles,
+            raster,
+            clearance_m,
+            components,
+            home,
+            reachable_floor,
+        };
+        plan.find_reachable_floor();
+        Ok(plan)
+    }
+
+    /// The same plan with the piece of free space around a place as the reachable one; `None` where it is not free.
+    #[must_use]
+    pub fn around(&self, x_m: f64, y_m: f64) -> Option<Self> {
+        let label = self.components.label[self.grid().index(x_m, y_m)?];
+        if label == 0 {
+            return None;
+        }
+        let mut plan = Self { home: label, ..self.clone() };
+        plan.find_reachable_floor();
+        Some(plan)
+    }
+
+    /// Where the cells lie.
+    #[must_use]
+    pub fn grid(&self) -> &Grid {
+        &self.raster.grid
+    }
+
+    /// The robot that the plan is for.
+    #[must_use]
+    pub fn footprint(&self) -> &Footprint {
+        &self.footprint
+    }
+
+    /// Whether there is floor at a place.
+    #[must_use]
+    pub fn is_supported(&self, x_m: f64, y_m: f64) -> bool {
+        self.at(x_m, y_m).is_some_and(|cell| self.raster.supported[cell])
+    }
+
+    /// Whether something stands in the cell of a place, between 6 cm and the robot's height.
+    #[must_use]
+    pub fn is_blocked(&self, x_m: f64, y_m: f64) -> bool {
+        self.at(x_m, y_m).is_some_and(|cell| self.raster.blocked[cell])
+    }
+
+    /// Whether the robot can stand with its middle in the centre of a place's cell.
+    #[must_use]
+    pub fn is_free(&self, x_m: f64, y_m: f64) -> bool {
+        self.at(x_m, y_m).is_some_and(|cell| self.components.label[cell] != 0)
+    }
+
+    /// Whether it is free and the robot can get there.
+    #[must_use]
+    pub fn is_reachable(&self, x_m: f64, y_m: f64) -> bool {
+        self.at(x_m, y_m).is_some_and(|cell| self.components.label[cell] == self.home)
+    }
+
+    /// Whether it is floor that the robot can cover with its base: what there is to map.
+    #[must_use]
+    pub fn is_reachable_floor(&self, x_m: f64, y_m: f64) -> bool {
+        self.at(x_m, y_m).is_some_and(|cell| self.reachable_floor[cell])
+    }
+
+    /// Centres of the cells of the reachable floor, metres: the whole of which coverage is a share.
+    pub fn reachable_floor(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        self.reachable_floor
+            .iter()
+            .enumerate()
+            .filter(|(_, is)| **is)
+            .map(|(cell, _)| self.grid().center(cell))
+    }
+
+    /// Area of the reachable floor, square metres.
+    #[must_use]
+    pub fn reachable_floor_m2(&self) -> f64 {
+        self.reachable_floor().count() as f64 * self.grid().resolution_m.powi(2)
+    }
+
+    /// Centres of the cells that the robot's middle can reach, metres.
+    pub fn reachable(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        self.home_cells().iter().map(|&cell| self.grid().center(cell as usize))
+    }
+
+    /// The reachable place that is nearest to a place, metres.
+    #[must_use]
+    pub fn nearest_free(&self, x_m: f64, y_m: f64) -> [f64; 2] {
+        let squared = |p: &[f64; 2]| (p[0] - x_m).powi(2) + (p[1] - y_m).powi(2);
+        self.reachable().min_by(|a, b| squared(a).total_cmp(&squared(b))).unwrap_or([x_m, y_m])
+    }
+
+    /// How far the centre of a place's cell is from the nearest obstacle, metres; may be up to 4 cm less than the truth, and
+    /// is 0 off the floor.
+    #[must_use]
+    pub fn clearance_m(&self, x_m: f64, y_m: f64) -> f64 {
+        self.at(x_m, y_m).map_or(0.0, |cell| f64::from(self.clearance_m[cell]))
+    }
+
+    /// A reachable pose, the same for the same seed, any place and heading as likely as any other.
+    #[must_use]
+    pub fn random_pose(&self, seed: u64) -> Pose2 {
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        let cells = self.home_cells();
+        let [x, y] = self.grid().center(cells[rng.random_range(0..cells.len())] as usize);
+        Pose2::new(x, y, rng.random_range(-std::f64::consts::PI..std::f64::consts::PI))
+    }
+
+    /// A pose to start from, the same for the same seed: among the tenth of the reachable places that are farthest from
+    /// everything, looking to where it is open the farthest.
+    #[must_use]
+    pub fn start_pose(&self, seed: u64) -> Pose2 {
+        let mut cells = self.home_cells().to_vec();
+        cells.sort_by(|a, b| {
+            let clearance = |cell: &u32| self.clearance_m[*cell as usize];
+            clearance(b).total_cmp(&clearance(a)).then(a.cmp(b))
+        });
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        let cell = cells[rng.random_range(0..cells.len().div_ceil(10))] as usize;
+        let open = |yaw: f64| {
+            cells_along(&self.raster, cell, yaw)
+                .take_while(|&along| !self.raster.is_obstacle(along))
+                .count()
+        };
+        let headings = (0..32).map(|i| f64::from(i) * std::f64::consts::TAU / 32.0);
+        // The first of the best: max_by_key would take the last.
+        let (_, yaw) = headings.fold((0, 0.0), |best, yaw| {
+            let length = open(yaw);
+            if length > best.0 { (length, yaw) } else { best }
+        });
+        let [x, y] = self.grid().center(cell);
+        Pose2::new(x, y, yaw)
+    }
+
+    fn at(&self, x_m: f64, y_m: f64) -> Option<usize> {
+        self.grid().index(x_m, y_m)
+    }
+
+    fn home_cells(&self) -> &[u32] {
+        &self.components.cells[self.home as usize]
+    }
+
+    fn find_reachable_floor(&mut self) {
+        let to_home = distance_to(self.grid(), |cell| self.components.label[cell] == self.home);
+        let radius = self.footprint.radius_m as f32;
+        self.reachable_floor = (0..self.grid().cells())
+            .map(|cell| !self.raster.is_obstacle(cell) && to_home[cell] <= radius)
+            .collect();
+    }
+}
+
+/// Everything between a step and the robot's height, and the edge of the floor.
+fn obstacles(triangles: &[Corners], raster: &Raster, height_m: f64) -> Obstacles {
+    let grid = raster.grid;
+    let mut shapes: Vec<Polygon> =
+        triangles.iter().filter_map(|t| obstacle(t, 0.0, height_m)).collect();
+    let half = grid.resolution_m / 2.0;
+    for cell in 0..grid.cells() {
+        if !raster.supported[cell] && grid.neighbours(cell).any(|next| raster.supported[next]) {
+            let center = grid.center(cell);
+            shapes.push(Polygon::rectangle(center.map(|c| c - half), center.map(|c| c + half)));
+        }
+    }
+    Obstacles::new(grid, &shapes)
+}
+
+/// Distance from the centre of every cell to the nearest obstacle: a lower bound from the raster, and exact where the raster
+/// cannot tell whether the robot fits.
+fn clearance(raster: &Raster, obstacles: &Obstacles, radius_m: f64) -> Vec<f32> {
+    let grid = raster.grid;
+    let half = grid.half_diagonal_m();
+    let between_centers = distance_to(&grid, |cell| raster.is_obstacle(cell));
+    let mut clearance_m: Vec<f32> =
+        between_centers.iter().map(|d| (d - half as f32).max(0.0)).collect();
+    clearance_m.par_iter_mut().enumerate().for_each(|(cell, clearance)| {
+        let may_fit = f64::from(*clearance) + 2.0 * half >= radius_m;
+        if !raster.is_obstacle(cell) && may_fit && f64::from(*clearance) < radius_m {
+            let limit = radius_m + half;
+            let exact =
+                obstacles.nearest(grid.center(cell), limit).map_or(limit, |(_, distance)| distance);
+            *clearance = exact as f32;
+        }
+    });
+    clearance_m
+}

@@ -1,0 +1,48 @@
+//! Rooms, doors and windows of a home, before anything is built.
+
+use rand_pcg::Pcg64Mcg;
+
+use super::geometry::Rect;
+use super::openings::{self, Door, Leaf, WALL_M, Window};
+use super::plan::{self, Cell};
+use super::{HomeKind, Room};
+
+/// A home's plan.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Layout {
+    pub cells: Vec<Cell>,
+    pub rooms: Vec<Room>,
+    pub doors: Vec<Door>,
+    pub windows: Vec<Window>,
+    pub leaves: Vec<Leaf>,
+}
+
+impl Layout {
+    /// Draws plans until doors can connect all rooms: nearly always the first one.
+    pub fn draw(kind: HomeKind, height_m: f32, rng: &mut Pcg64Mcg) -> Self {
+        loop {
+            let cells = plan::cells(kind, rng);
+            let Some(doors) = openings::doors(&cells, rng) else { continue };
+            let rooms = rooms(&cells, height_m);
+            let windows = openings::windows(&cells, &rooms, rng);
+            let leaves = openings::leaves(&doors, &rooms, rng);
+            return Self { cells, rooms, doors, windows, leaves };
+        }
+    }
+}
+
+/// Rooms within their walls, named by purpose and number.
+fn rooms(cells: &[Cell], height_m: f32) -> Vec<Room> {
+    let mut rooms: Vec<Room> = Vec::with_capacity(cells.len());
+    for cell in cells {
+        let number = 1 + rooms.iter().filter(|r| r.kind == cell.kind).count();
+        let rect: Rect = cell.rect.grown(-WALL_M / 2.0);
+        rooms.push(Room {
+            name: format!("{}-{number}", cell.kind),
+            kind: cell.kind,
+            rect,
+            height_m,
+        });
+    }
+    rooms
+}

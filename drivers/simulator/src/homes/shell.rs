@@ -1,0 +1,175 @@
+//! Walls, floors and ceilings as grids of quads: fine enough for baked light to vary over them.
+
+use super::Surface;
+use super::geometry::{Rect, Side, WallFrame};
+use super::layout::Layout;
+use super::looks::Look;
+use super::mesh::Mesh;
+use super::openings::{
+    CASING_M, DOOR_HEIGHT_M, Hole, LINING_M, WALL_M, outer_spans, side_of, span_of,
+};
+use super::styles::HomeStyle;
+
+/// Longest edge of a wall's, floor's or ceiling's quads, metres.
+const GRID_M: f32 = 0.2;
+const SKIRTING_HEIGHT_M: f32 = 0.07;
+const SKIRTING_DEPTH_M: f32 = 0.012;
+
+/// Holes that doors and windows make in one wall of a room.
+pub fn holes(layout: &Layout, room: usize, side: Side) -> Vec<Hole> {
+    let rect = layout.rooms[room].rect;
+    let wall = rect.wall(side);
+    let doors =
+        layout.doors.iter().filter(|d| d.rooms.contains(&room) && side_of(d, &rect) == side).map(
+            |d| {
+                let [a, b] = span_of(d, &wall);
+                Hole { span: [a - LINING_M, b + LINING_M], height: [0.0, DOOR_HEIGHT_M + LINING_M] }
+            },
+        );
+    let windows = layout.windows.iter().filter(|w| w.room == room && w.side == side);
+    doors.chain(windows.map(|w| Hole { span: w.span, height: w.height })).collect()
+}
+
+/// Everything that stays when furniture moves, but for openings and what hangs on walls.
+pub fn build(layout: &Layout, style: &HomeStyle, mesh: &mut Mesh) {
+    for (index, room) in layout.rooms.iter().enumerate() {
+        let look = &style.rooms[index];
+        let mark = mesh.mark();
+        horizontal(room.rect, 0.0, false, look.floor, mesh);
+        mesh.tag(mark, index, Surface::Floor);
+        let mark = mesh.mark();
+        horizontal(room.rect, room.height_m, true, style.ceiling, mesh);
+        mesh.tag(mark, index, Surface::Ceiling);
+        for side in Side::ALL {
+            let wall = room.rect.wall(side);
+            let holes = holes(layout, index, side);
+            let mark = mesh.mark();
+            // Each wall starts elsewhere on the texture.
+            let shift = index as f32 * 0.37 + side.quarter_turns() as f32 * 0.61;
+            panel(
+                &wall,
+                [0.0, wall.length_m],
+                room.height_m,
+                &holes,
+                look.wall_at(side),
+                shift,
+                mesh,
+            );
+            mesh.tag(mark, index, Surface::Wall);
+            let mark = mesh.mark();
+            skirting(&wall, &holes, style.skirting, mesh);
+            mesh.tag(mark, index, Surface::Opening);
+            let mark = mesh.mark();
+            facade(layout, index, side, style.outside, mesh);
+            mesh.tag(mark, index, Surface::Outside);
+        }
+    }
+}
+
+/// Cuts from `low` to `high` no longer than the grid, through every one of `through`.
+fn cuts(low: f32, high: f32, through: impl Iterator<Item = f32>) -> Vec<f32> {
+    let mut marks: Vec<f32> = through.filter(|m| *m > low + 1e-3 && *m < high - 1e-3).collect();
+    marks.extend([low, high]);
+    marks.sort_by(f32::total_cmp);
+    marks.dedup_by(|a, b| *a - *b < 1e-3);
+    let mut all = vec![low];
+    for pair in marks.windows(2) {
+        let steps = ((pair[1] - pair[0]) / GRID_M).ceil().max(1.0) as usize;
+        all.extend((1..=steps).map(|i| pair[0] + (pair[1] - pair[0]) * i as f32 / steps as f32));
+    }
+    all
+}
+
+fn horizontal(rect: Rect, z: f32, down: bool, look: Look, mesh: &mut Mesh) {
+    let (xs, ys) = (
+        cuts(rect.min[0], rect.max[0], [].into_iter()),
+        cuts(rect.min[1], rect.max[1], [].into_iter()),
+    );
+    for x in xs.windows(2) {
+        for y in ys.windows(2) {
+            let mut corners = [[x[0], y[0], z], [x[1], y[0], z], [x[1], y[1], z], [x[0], y[1], z]];
+            if down {
+                corners.reverse();
+            }
+            mesh.quad(corners, corners.map(|c| [c[0] / look.tile_m, c[1] / look.tile_m]), look);
+        }
+    }
+}
+
+/// A wall's face with its holes; u runs to the right as seen from the room, v downwards.
+fn panel(
+    wall: &WallFrame,
+    span: [f32; 2],
+    height: f32,
+    holes: &[Hole],
+    look: Look,
+    shift: f32,
+    mesh: &mut Mesh,
+) {
+    let ss = cuts(span[0], span[1], holes.iter().flat_map(|h| h.span));
+    let zs = cuts(0.0, height, holes.iter().flat_map(|h| h.height));
+    for s in ss.windows(2) {
+        for z in zs.windows(2) {
+            let middle = [(s[0] + s[1]) / 2.0, (z[0] + z[1]) / 2.0];
+            let inside = |r: [f32; 2], m: f32| m > r[0] && m < r[1];
+            if holes.iter().any(|h| inside(h.span, middle[0]) && inside(h.height, middle[1])) {
+                continue;
+            }
+            let stations = [(s[1], z[0]), (s[0], z[0]), (s[0], z[1]), (s[1], z[1])];
+            let corners = stations.map(|(s, z)| wall.at3(s, 0.0, z));
+            mesh.quad(
+                corners,
+                stations.map(|(s, z)| [shift - s / look.tile_m, -z / look.tile_m]),
+                look,
+            );
+        }
+    }
+}
+
+fn skirting(wall: &WallFrame, holes: &[Hole], look: Look, mesh: &mut Mesh) {
+    let mut doors: Vec<[f32; 2]> = holes
+        .iter()
+        .filter(|h| h.height[0] <= 0.0)
+        .map(|h| [h.span[0] - CASING_M, h.span[1] + CASING_M])
+        .collect();
+    doors.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let mut from = 0.0;
+    for door in doors.iter().copied().chain([[wall.length_m, 0.0]]) {
+        if door[0] - from > 0.01 {
+            // Leaning against the wall: an upper edge of 1 cm would be thinner than a pixel and flicker.
+            let stations = [
+                (door[0], SKIRTING_DEPTH_M),
+                (from, SKIRTING_DEPTH_M),
+                (from, 0.0),
+                (door[0], 0.0),
+            ];
+            let corners = stations
+                .map(|(s, d)| wall.at3(s, d, if d > 0.0 { 0.0 } else { SKIRTING_HEIGHT_M }));
+            mesh.quad(corners, stations.map(|(s, d)| [s / look.tile_m, d]), look);
+        }
+        from = door[1];
+    }
+}
+
+/// The outer face of an outer wall, longer by the wall's thickness at the building's convex corners.
+fn facade(layout: &Layout, index: usize, side: Side, look: Look, mesh: &mut Mesh) {
+    let wall = layout.rooms[index].rect.wall(side);
+    for [mut from, mut to] in outer_spans(&layout.cells, index, side, &wall) {
+        let built = |p: [f32; 2]| layout.cells.iter().any(|c| c.rect.contains(p));
+        let reach = |corner: bool, beyond: f32| match (corner, built(wall.at(beyond, 0.3))) {
+            (true, false) => WALL_M,
+            (true, true) => WALL_M / 2.0,
+            _ => 0.0,
+        };
+        from -= reach(from < 0.01, -0.5);
+        to += reach(to > wall.length_m - 0.01, wall.length_m + 0.5);
+        let stations = [
+            (from, 0.0),
+            (to, 0.0),
+            (to, layout.rooms[index].height_m),
+            (from, layout.rooms[index].height_m),
+        ];
+        let corners = stations.map(|(s, z)| wall.at3(s, -WALL_M, z));
+        mesh.quad(corners, stations.map(|(s, z)| [s / look.tile_m, -z / look.tile_m]), look);
+    }
+}

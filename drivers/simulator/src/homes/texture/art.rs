@@ -1,0 +1,170 @@
+//! Pictures that are stretched over one face: paintings, views through windows, rugs, screens.
+
+use super::noise::{Field, hash};
+use super::{mix, scaled, square};
+use crate::scene::Texture;
+
+const SIZE: usize = 256;
+
+/// Versions: a landscape in layers, fields of colour, and a bunch of flowers.
+pub fn painting(version: u8, seed: u64) -> Texture {
+    let seed = seed ^ u64::from(version) << 24;
+    let brush = Field::fractal([SIZE, SIZE], [6, 9], 5, 0.9, seed ^ 50);
+    match version % 3 {
+        0 => landscape(seed, &brush),
+        1 => color_fields(seed, &brush),
+        _ => flowers(seed, &brush),
+    }
+}
+
+/// A muted colour by number.
+fn pigment(seed: u64, id: u64) -> [f32; 3] {
+    let gray = 70.0 + 130.0 * hash(seed ^ 51, id);
+    std::array::from_fn(|i| gray + 56.0 * (hash(seed ^ 52 ^ i as u64, id) - 0.5))
+}
+
+fn landscape(seed: u64, brush: &Field) -> Texture {
+    let ridges = Field::fractal([SIZE, 8], [3, 8], 5, 0.5, seed ^ 53);
+    let (top, low) =
+        (mix([120.0, 160.0, 205.0], [225.0, 180.0, 150.0], hash(seed, 1)), [236.0, 222.0, 200.0]);
+    square(SIZE, |x, y| {
+        let v = y as f32 / SIZE as f32;
+        let mut color = mix(top, low, (v * 1.6).min(1.0));
+        for layer in 0..5_usize {
+            let crest = 0.34 + 0.13 * layer as f32 + 0.05 * ridges.at(x, layer);
+            if v > crest {
+                let far = [150.0, 165.0, 180.0];
+                let near =
+                    mix([58.0, 84.0, 52.0], [122.0, 92.0, 50.0], hash(seed, 2 + layer as u64));
+                color = mix(far, near, layer as f32 / 4.0);
+            }
+        }
+        color.map(|c| c + 9.0 * brush.at(x, y))
+    })
+}
+
+fn color_fields(seed: u64, brush: &Field) -> Texture {
+    let wobble = Field::fractal([SIZE, SIZE], [3, 3], 3, 0.6, seed ^ 54);
+    let boxes: Vec<[f32; 4]> =
+        (0..9).map(|i| std::array::from_fn(|k| hash(seed ^ 55, i * 4 + k as u64))).collect();
+    square(SIZE, |x, y| {
+        let (u, v) = (x as f32 / SIZE as f32, y as f32 / SIZE as f32 + 0.012 * wobble.at(x, y));
+        let inside = |b: &[f32; 4]| {
+            (u - b[0]).abs() < 0.06 + 0.22 * b[2] && (v - b[1]).abs() < 0.06 + 0.22 * b[3]
+        };
+        let top = boxes.iter().rposition(inside).map_or(20, |i| i as u64);
+        pigment(seed, top).map(|c| c + 10.0 * brush.at(x, y))
+    })
+}
+
+fn flowers(seed: u64, brush: &Field) -> Texture {
+    let ground = pigment(seed, 30);
+    square(SIZE, |x, y| {
+        let (u, v) = (x as f32 / SIZE as f32, y as f32 / SIZE as f32);
+        let mut color = scaled(ground, 1.1 - 0.5 * v);
+        if v > 0.72 && (u - 0.5).abs() < 0.16 - 0.2 * (v - 0.86).abs() {
+            color = pigment(seed, 31);
+        }
+        for i in 0..26 {
+            let (cx, cy) =
+                (0.5 + 0.62 * (hash(seed, 60 + i) - 0.5), 0.4 + 0.56 * (hash(seed, 90 + i) - 0.5));
+            let (r, r_max) = ((u - cx).hypot(v - cy), 0.03 + 0.05 * hash(seed, 120 + i));
+            if r < r_max {
+                color = mix(
+                    pigment(seed, 32 + i % 4).map(|c| c + 40.0),
+                    [60.0, 70.0, 40.0],
+                    r / r_max * 0.6,
+                );
+            }
+        }
+        color.map(|c| c + 8.0 * brush.at(x, y))
+    })
+}
+
+/// Sky, a far line of trees or roofs, and a hedge.
+pub fn view(version: u8, seed: u64) -> Texture {
+    let seed = seed ^ u64::from(version) << 32;
+    let clouds = Field::fractal([SIZE, SIZE], [2, 4], 5, 0.6, seed ^ 56);
+    let leaves = Field::fractal([SIZE, SIZE], [10, 10], 5, 0.9, seed ^ 57);
+    let crowns = Field::fractal([SIZE, 4], [5, 4], 4, 0.6, seed ^ 58);
+    square(SIZE, |x, y| {
+        let v = y as f32 / SIZE as f32;
+        let sky = mix(
+            [176.0, 205.0, 238.0],
+            [240.0, 244.0, 248.0],
+            (0.3 + v + 0.18 * clouds.at(x, y)).clamp(0.0, 1.0),
+        );
+        let trees = 0.55 + 0.07 * crowns.at(x, 0);
+        let house = hash(seed, (x / 32) as u64);
+        let roofs = 0.52 - 0.12 * house;
+        if v > 0.8 + 0.03 * crowns.at(x, 2) {
+            [104.0, 128.0, 84.0].map(|c| c + 14.0 * leaves.at(x, y))
+        } else if v > trees {
+            [128.0, 150.0, 118.0].map(|c| c + 12.0 * leaves.at(x, y))
+        } else if version % 2 == 1 && v > roofs {
+            let pane = x % 11 > 6 && y % 16 > 9;
+            scaled(
+                mix([205.0, 190.0, 178.0], [176.0, 168.0, 170.0], house),
+                if pane { 0.72 } else { 1.0 },
+            )
+        } else {
+            sky
+        }
+    })
+}
+
+/// A border, a field of jittered diamonds, and wear.
+pub fn rug(version: u8, seed: u64) -> Texture {
+    let seed = seed ^ u64::from(version) << 40;
+    let pile = Field::fractal([SIZE, SIZE], [64, 64], 2, 1.0, seed ^ 59);
+    let wear = Field::fractal([SIZE, SIZE], [3, 3], 5, 0.9, seed ^ 60);
+    let (field, border, motif) = (pigment(seed, 1), pigment(seed, 2), pigment(seed, 3));
+    square(SIZE, |x, y| {
+        let edge = x.min(y).min(SIZE - 1 - x).min(SIZE - 1 - y);
+        let (column, row) = (x / 20, y / 20);
+        let id = (row * 16 + column) as u64;
+        let diamond = (x % 20).abs_diff(10) + (y % 20).abs_diff(10);
+        let color = match edge {
+            0..4 => scaled(border, 0.7),
+            4..24 => {
+                if (x + y) % 14 < 7 && hash(seed, id) > 0.3 {
+                    border
+                } else {
+                    scaled(border, 1.15)
+                }
+            }
+            24..28 => motif,
+            _ if diamond < 3 + (7.0 * hash(seed ^ 61, id)) as usize => {
+                mix(motif, border, hash(seed ^ 62, id))
+            }
+            _ => field,
+        };
+        color.map(|c| c + 7.0 * pile.at(x, y) + 7.0 * wear.at(x, y))
+    })
+}
+
+/// Windows with lines of text.
+pub fn screen(version: u8, seed: u64) -> Texture {
+    let seed = seed ^ u64::from(version) << 48;
+    let dark = version % 2 == 1;
+    square(SIZE, |x, y| {
+        let (ink, paper) = if dark {
+            ([190.0, 205.0, 190.0], [30.0, 34.0, 42.0])
+        } else {
+            ([70.0, 74.0, 84.0], [214.0, 220.0, 226.0])
+        };
+        let (line, column) = ((y / 8) as u64, x as f32 / SIZE as f32);
+        let reach = 0.1 + 0.55 * hash(seed, line);
+        if y < 12 || x < 40 {
+            mix(paper, [90.0, 130.0, 170.0], 0.5)
+        } else if y % 8 < 3
+            && column > 0.2
+            && column < 0.2 + reach
+            && hash(seed ^ 63, line * 128 + (x / 3) as u64) > 0.25
+        {
+            ink
+        } else {
+            paper
+        }
+    })
+}

@@ -1,0 +1,89 @@
+//! Floors: boards and tiles repeat, but no two of them are alike.
+
+use super::noise::{Field, hash};
+use super::{gray, mix, scaled, square};
+use crate::scene::Texture;
+
+/// Boards, tiles and blocks differ from each other in any home; only the detail on them follows `texture`.
+fn partly(texture: f32) -> f32 {
+    0.55 + 0.9 * texture
+}
+
+/// Boards of 15 cm and uneven lengths; versions are oak, walnut and grey laminate.
+pub fn planks(version: u8, seed: u64, texture: f32) -> Texture {
+    const SIZE: usize = 1024;
+    const ROWS: usize = 16;
+    let grain = Field::fractal([SIZE, SIZE], [3, 48], 5, 0.85, seed ^ 10);
+    let cloud = Field::fractal([SIZE, SIZE], [4, 4], 6, 1.0, seed ^ 11);
+    let (light, dark) = match version % 3 {
+        0 => ([196.0, 158.0, 112.0], [160.0, 120.0, 80.0]),
+        1 => ([138.0, 98.0, 70.0], [102.0, 70.0, 50.0]),
+        _ => ([176.0, 168.0, 158.0], [140.0, 132.0, 122.0]),
+    };
+    let contrast = partly(texture);
+    // Three boards a row, with joints where chance puts them.
+    let joint = |row: usize, k: usize| {
+        ((k as f32 + 0.7 * hash(seed ^ row as u64, k as u64)) / 3.0 * SIZE as f32) as usize
+    };
+    square(SIZE, |x, y| {
+        let (row, within) = (y * ROWS / SIZE, y * ROWS % SIZE / ROWS);
+        let board = (0..3).rev().find(|k| x >= joint(row, *k)).unwrap_or(2);
+        let id = (row * 3 + board) as u64;
+        let offset = (hash(seed ^ 12, id) * SIZE as f32) as usize;
+        let tone = hash(seed ^ 13, id)
+            + contrast * (0.17 * grain.at(x + offset, y + offset * 7) + 0.07 * cloud.at(x, y));
+        let gap = within < 1 || (0..3).any(|k| x.abs_diff(joint(row, k)) < 1);
+        scaled(mix(dark, light, tone), if gap { 0.62 } else { 1.0 })
+    })
+}
+
+/// Blocks of 24 cm with five strips each, turned alternately.
+pub fn parquet(seed: u64, texture: f32) -> Texture {
+    const SIZE: usize = 1024;
+    const BLOCKS: usize = 10;
+    const STRIPS: usize = 5;
+    let along = Field::fractal([SIZE, SIZE], [6, 96], 4, 0.85, seed ^ 14);
+    let cloud = Field::fractal([SIZE, SIZE], [4, 4], 6, 1.0, seed ^ 15);
+    let contrast = partly(texture);
+    square(SIZE, |x, y| {
+        let (column, row) = (x * BLOCKS / SIZE, y * BLOCKS / SIZE);
+        let (u, v) = (x * BLOCKS % SIZE, y * BLOCKS % SIZE);
+        let (across, length) = if (row + column) % 2 == 0 { (v, u) } else { (u, v) };
+        let strip = across * STRIPS / SIZE;
+        let id = ((row * BLOCKS + column) * STRIPS + strip) as u64;
+        let offset = (hash(seed ^ 16, id) * SIZE as f32) as usize;
+        let grain =
+            if (row + column) % 2 == 0 { along.at(x + offset, y) } else { along.at(y + offset, x) };
+        let tone = hash(seed ^ 17, id) + contrast * (0.12 * grain + 0.06 * cloud.at(x, y));
+        let gap = across * STRIPS % SIZE < SIZE / 9 || length < BLOCKS * 2;
+        scaled(mix([150.0, 106.0, 68.0], [190.0, 148.0, 102.0], tone), if gap { 0.74 } else { 1.0 })
+    })
+}
+
+/// Square tiles, large for floors (40 cm) and small for walls (15 cm), with veins and grey grout.
+pub fn tiles(small: bool, seed: u64, texture: f32) -> Texture {
+    const SIZE: usize = 512;
+    let (count, grout, rms) = if small { (10, 0.03, 3.0) } else { (6, 0.018, 8.0) };
+    let stone = Field::fractal([SIZE, SIZE], [5, 5], 6, 0.95, seed ^ 18);
+    let fleck = Field::fractal([SIZE, SIZE], [90, 90], 2, 0.9, seed ^ 19);
+    let contrast = partly(texture);
+    gray(SIZE, |x, y| {
+        let (u, v) = (x as f32 * count as f32 / SIZE as f32, y as f32 * count as f32 / SIZE as f32);
+        let id = u64::from(v as u32 * count + u as u32);
+        if u.fract() < grout || v.fract() < grout {
+            return 160.0 + 6.0 * fleck.at(x, y);
+        }
+        let offset = (hash(seed ^ 20, id) * SIZE as f32) as usize;
+        let detail = 0.8 * stone.at(x + offset, y + 2 * offset) + 0.4 * fleck.at(x, y);
+        214.0 + 12.0 * (hash(seed ^ 21, id) - 0.5) + contrast * rms * detail
+    })
+}
+
+/// Tufts, and the traces of feet and of the vacuum cleaner.
+pub fn carpet(seed: u64, texture: f32) -> Texture {
+    const SIZE: usize = 512;
+    let tufts = Field::fractal([SIZE, SIZE], [128, 128], 3, 1.0, seed ^ 22);
+    let traces = Field::fractal([SIZE, SIZE], [3, 4], 6, 0.95, seed ^ 23);
+    let contrast = partly(texture);
+    gray(SIZE, |x, y| 205.0 + contrast * (21.0 * tufts.at(x, y) + 15.0 * traces.at(x, y)))
+}

@@ -1,0 +1,105 @@
+//! Periodic value noise: sums of random lattices, interpolated smoothly, that wrap at the texture's border.
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+/// A periodic grid of values, row-major.
+#[derive(Debug, Clone)]
+pub struct Field {
+    pub width: usize,
+    pub height: usize,
+    pub values: Vec<f32>,
+}
+
+impl Field {
+    /// All zero.
+    pub fn new(width: usize, height: usize) -> Self {
+        Self { width, height, values: vec![0.0; width * height] }
+    }
+
+    /// Octaves from `cells` (columns and rows of the coarsest lattice) on, each twice as fine as the one before and
+    /// `gain` times as strong; mean 0, standard deviation 1. A gain of 1 has the same contrast at every scale, as
+    /// photographs of surfaces have.
+    pub fn fractal(
+        size: [usize; 2],
+        cells: [usize; 2],
+        octaves: u32,
+        gain: f32,
+        seed: u64,
+    ) -> Self {
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        let mut field = Self::new(size[0], size[1]);
+        for octave in 0..octaves {
+            let lattice = [(cells[0] << octave).min(size[0]), (cells[1] << octave).min(size[1])];
+            field.add_lattice(lattice, gain.powi(octave as i32), &mut rng);
+        }
+        field.standardise();
+        field
+    }
+
+    /// Adds one octave of `cells` lattice points with values in -amplitude..amplitude.
+    pub fn add_lattice(&mut self, cells: [usize; 2], amplitude: f32, rng: &mut Pcg64Mcg) {
+        let lattice: Vec<f32> =
+            (0..cells[0] * cells[1]).map(|_| rng.random_range(-amplitude..=amplitude)).collect();
+        let columns: Vec<(usize, usize, f32)> =
+            (0..self.width).map(|x| station(x, self.width, cells[0])).collect();
+        let mut row = vec![0.0; cells[0]];
+        for y in 0..self.height {
+            let (low, high, t) = station(y, self.height, cells[1]);
+            for (i, value) in row.iter_mut().enumerate() {
+                let (a, b) = (lattice[low * cells[0] + i], lattice[high * cells[0] + i]);
+                *value = a + (b - a) * t;
+            }
+            let out = &mut self.values[y * self.width..(y + 1) * self.width];
+            for (value, &(low, high, t)) in out.iter_mut().zip(&columns) {
+                *value += row[low] + (row[high] - row[low]) * t;
+            }
+        }
+    }
+
+    /// Shifts and scales to mean 0 and standard deviation 1.
+    pub fn standardise(&mut self) {
+        let n = self.values.len() as f32;
+        let mean = self.values.iter().sum::<f32>() / n;
+        let variance = self.values.iter().map(|v| (v - mean).powi(2)).sum::<f32>() / n;
+        let scale = 1.0 / variance.sqrt().max(1e-6);
+        self.values.iter_mut().for_each(|v| *v = (*v - mean) * scale);
+    }
+
+    /// The value at a texel, wrapped.
+    pub fn at(&self, x: usize, y: usize) -> f32 {
+        self.values[(y % self.height) * self.width + x % self.width]
+    }
+}
+
+/// Lattice points before and after texel `i`, and the smooth weight of the later one.
+fn station(i: usize, size: usize, cells: usize) -> (usize, usize, f32) {
+    let p = (i as f32 + 0.5) * cells as f32 / size as f32;
+    let (low, t) = (p as usize % cells, p.fract());
+    (low, (low + 1) % cells, t * t * (3.0 - 2.0 * t))
+}
+
+/// A number in 0..1 that depends on nothing but its inputs.
+pub fn hash(a: u64, b: u64) -> f32 {
+    let mut h = a.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ b.wrapping_mul(0xC2B2_AE3D_27D4_EB4F);
+    h = (h ^ (h >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    h = (h ^ (h >> 32)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    ((h ^ (h >> 31)) >> 40) as f32 / (1 << 24) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn noise_wraps_without_a_seam_and_is_standardised() {
+        let field = Field::fractal([64, 32], [4, 2], 3, 0.7, 5);
+        let step = |a: f32, b: f32| (a - b).abs();
+        let inside: f32 = (0..32).map(|y| step(field.at(30, y), field.at(31, y))).sum();
+        let across: f32 = (0..32).map(|y| step(field.at(63, y), field.at(64, y))).sum();
+        assert!(across < 3.0 * inside, "seam {across} against {inside}");
+        let mean = field.values.iter().sum::<f32>() / 2048.0;
+        let power = field.values.iter().map(|v| v * v).sum::<f32>() / 2048.0;
+        assert!(mean.abs() < 1e-3 && (power - 1.0).abs() < 1e-3, "{mean} {power}");
+    }
+}

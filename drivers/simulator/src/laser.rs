@@ -1,0 +1,233 @@
+//! The planar laser scanner.
+
+use hal::{LaserScan, Pose3, Range, ScanGeometry};
+use nalgebra::Vector3;
+use rand::{Rng, RngExt};
+use rayon::prelude::*;
+
+use crate::people::Person;
+use crate::random::normal;
+use crate::render::{Hit, Renderer};
+
+/// How a scanner measures.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LaserModel {
+    /// Beams and limits.
+    pub geometry: ScanGeometry,
+    /// Standard deviation of a range up to [`Self::near_m`], metres.
+    pub noise_near_m: f64,
+    /// The same beyond.
+    pub noise_far_m: f64,
+    /// Where the noise changes, metres.
+    pub near_m: f64,
+    /// Chance that a beam comes back with nothing although it met something.
+    pub dropout: f64,
+    /// Beams that meet a surface at less than this angle to it are lost, radians.
+    pub grazing_rad: f64,
+    /// Beams are lost on surfaces that throw back less than this beyond a third of the range, 0 to 1.
+    pub dark_reflectance: f32,
+}
+
+impl LaserModel {
+    /// Hokuyo UTM-30LX by its data sheet: repeated accuracy sigma < 10 mm from 0.1 to 10 m and < 30 mm from 10 to 30 m.
+    /// Losses (one beam in a thousand, less than 3 degrees to the surface, black things far away) are our own choice.
+    pub const UTM_30LX: Self = Self {
+        geometry: ScanGeometry::UTM_30LX,
+        noise_near_m: 0.01,
+        noise_far_m: 0.03,
+        near_m: 10.0,
+        dropout: 0.001,
+        grazing_rad: 0.052,
+        dark_reflectance: 0.02,
+    };
+
+    /// The same beams, measured exactly and without loss.
+    pub const IDEAL: Self = Self {
+        noise_near_m: 0.0,
+        noise_far_m: 0.0,
+        dropout: 0.0,
+        grazing_rad: 0.0,
+        dark_reflectance: 0.0,
+        ..Self::UTM_30LX
+    };
+
+    fn measure(&self, hit: Option<Hit>, direction: &Vector3<f64>, rng: &mut impl Rng) -> Range {
+        // Every beam draws the same numbers, whatever it meets: one changed beam leaves the others as they were.
+        let (lost, noise) = (rng.random::<f64>() < self.dropout, normal(rng));
+        let Some(hit) = hit else { return Range::NoReturn };
+        let (min_m, max_m) =
+            (f64::from(self.geometry.range_min_m), f64::from(self.geometry.range_max_m));
+        let facing = Vector3::from(hit.normal).dot(direction).abs();
+        let too_dark = hit.reflectance < self.dark_reflectance && hit.distance_m > max_m / 3.0;
+        if lost || facing < self.grazing_rad.sin() || too_dark {
+            return Range::NoReturn;
+        }
+        let sigma =
+            if hit.distance_m <= self.near_m { self.noise_near_m } else { self.noise_far_m };
+        let measured = hit.distance_m + sigma * noise;
+        if measured < min_m {
+            Range::TooNear
+        } else if measured > max_m {
+            Range::NoReturn
+        } else {
+            Range::Hit(measured as f32)
+        }
+    }
+}
+
+/// Takes one scan from `t_world_laser` into `scan`. All beams are taken at one moment.
+pub fn scan(
+    renderer: &Renderer,
+    t_world_laser: &Pose3,
+    people: &[Person],
+    model: &LaserModel,
+    rng: &mut impl Rng,
+    time_ns: u64,
+    scan: &mut LaserScan,
+) {
+    let geometry = &model.geometry;
+    let origin = t_world_laser.translation.vector.into();
+    let directions: Vec<Vector3<f64>> = (0..geometry.beams)
+        .map(|beam| {
+            let (sin, cos) = geometry.angle_rad(beam).sin_cos();
+            t_world_laser.rotation * Vector3::new(cos, sin, 0.0)
+        })
+        .collect();
+    // A little further than the range, so that noise can bring a return into it.
+    let reach_m = f64::from(geometry.range_max_m) + 4.0 * model.noise_far_m;
+    let hits: Vec<Option<Hit>> = directions
+        .par_iter()
+        .with_min_len(64)
+        .map(|direction| renderer.hit(origin, (*direction).into(), reach_m, people))
+        .collect();
+    scan.time_ns = time_ns;
+    scan.geometry = *geometry;
+    scan.ranges.clear();
+    scan.ranges.extend(
+        hits.iter().zip(&directions).map(|(hit, direction)| model.measure(*hit, direction, rng)),
+    );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::tests::{plain, room};
+    use crate::scene::Scene;
+    use hal::Pose2;
+    use rand::SeedableRng;
+    use rand_pcg::Pcg64Mcg;
+
+    fn hall(size: [f32; 3], color: f32) -> Renderer {
+        let scene = Scene {
+            triangles: room(size, 0),
+            materials: vec![plain([color; 3])],
+            textures: vec![],
+        };
+        Renderer::new(&scene)
+    }
+
+    fn take(renderer: &Renderer, x_m: f64, y_m: f64, model: &LaserModel, seed: u64) -> LaserScan {
+        let mut out = LaserScan::empty(model.geometry);
+        let pose = Pose2::new(x_m, y_m, 0.4).to_pose3() * Pose3::translation(0.0, 0.0, 0.3);
+        scan(renderer, &pose, &[], model, &mut Pcg64Mcg::seed_from_u64(seed), 7, &mut out);
+        out
+    }
+
+    #[test]
+    fn a_box_room_gives_the_distances_that_geometry_gives() {
+        let scan = take(&hall([8.0, 6.0, 2.6], 0.5), 3.0, 2.0, &LaserModel::IDEAL, 0);
+        assert_eq!((scan.time_ns, scan.ranges.len()), (7, 1081));
+        for (beam, range) in scan.ranges.iter().enumerate() {
+            let (sin, cos) = (scan.geometry.angle_rad(beam) + 0.4).sin_cos();
+            let to_x = if cos > 0.0 { 5.0 / cos } else { -3.0 / cos };
+            let to_y = if sin > 0.0 { 4.0 / sin } else { -2.0 / sin };
+            let expected = to_x.min(to_y);
+            assert!(
+                (f64::from(range.hit_m().unwrap()) - expected).abs() < 1e-4,
+                "beam {beam}: {range:?} for {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn noise_has_the_spread_of_the_data_sheet_near_and_far() {
+        let model = LaserModel { dropout: 0.0, grazing_rad: 0.0, ..LaserModel::UTM_30LX };
+        for (size, sigma) in [([8.0, 8.0, 2.0], 0.01), ([40.0, 40.0, 2.0], 0.03)] {
+            let renderer = hall(size, 0.5);
+            let middle = f64::from(size[0]) / 2.0;
+            let truth = take(&renderer, middle, middle, &LaserModel::IDEAL, 0);
+            let errors: Vec<f64> = (0..8)
+                .flat_map(|seed| {
+                    let scan = take(&renderer, middle, middle, &model, seed);
+                    let pairs = scan.ranges.into_iter().zip(truth.ranges.clone());
+                    pairs
+                        .filter_map(|(a, b)| Some(f64::from(a.hit_m()? - b.hit_m()?)))
+                        .collect::<Vec<_>>()
+                })
+                .collect();
+            let count = errors.len() as f64;
+            let mean = errors.iter().sum::<f64>() / count;
+            let spread = (errors.iter().map(|e| e * e).sum::<f64>() / count).sqrt();
+            assert!(mean.abs() < 4.0 * sigma / count.sqrt(), "mean {mean}");
+            assert!((spread / sigma - 1.0).abs() < 0.05, "spread {spread} for {sigma}");
+        }
+    }
+
+    #[test]
+    fn beams_drop_out_at_the_given_rate() {
+        let model = LaserModel { dropout: 0.1, grazing_rad: 0.0, ..LaserModel::UTM_30LX };
+        let renderer = hall([6.0, 6.0, 2.0], 0.5);
+        let lost: usize = (0..10)
+            .map(|seed| {
+                take(&renderer, 3.0, 3.0, &model, seed)
+                    .ranges
+                    .iter()
+                    .filter(|r| **r == Range::NoReturn)
+                    .count()
+            })
+            .sum();
+        let rate = lost as f64 / 10810.0;
+        assert!((rate - 0.1).abs() < 0.012, "{rate}");
+    }
+
+    #[test]
+    fn beams_along_a_wall_and_onto_black_far_away_are_lost() {
+        let grazing = LaserModel { grazing_rad: 0.2, ..LaserModel::IDEAL };
+        let scan = take(&hall([20.0, 2.0, 2.0], 0.5), 1.0, 1.0, &grazing, 0);
+        let lost = |angle_rad: f64| {
+            let beam = ((angle_rad - 0.4 - scan.geometry.angle_min_rad)
+                / scan.geometry.angle_increment_rad)
+                .round();
+            scan.ranges[beam as usize] == Range::NoReturn
+        };
+        assert!(lost(0.15) && !lost(0.3) && !lost(0.0));
+        let black = LaserModel { dark_reflectance: 0.05, ..LaserModel::IDEAL };
+        let scan = take(&hall([26.0, 4.0, 2.0], 0.01), 13.0, 2.0, &black, 0);
+        for (_, range_m) in scan.hits() {
+            assert!(range_m <= 10.0 + 1e-3);
+        }
+        assert!(scan.ranges.contains(&Range::NoReturn));
+    }
+
+    #[test]
+    fn nearer_than_the_range_and_farther_than_the_range_are_told_apart() {
+        // 5 cm from the wall x = 0; the other end is 60 m away.
+        let scan = take(&hall([60.0, 8.0, 2.0], 0.5), 0.05, 4.0, &LaserModel::IDEAL, 0);
+        let towards = |angle_rad: f64| {
+            let beam = ((angle_rad - 0.4 - scan.geometry.angle_min_rad)
+                / scan.geometry.angle_increment_rad)
+                .round();
+            scan.ranges[beam as usize]
+        };
+        assert_eq!(towards(0.0), Range::NoReturn);
+        assert_eq!(towards(2.7), Range::TooNear);
+        assert!(towards(1.5).hit_m().is_some());
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_scan() {
+        let renderer = hall([6.0, 6.0, 2.0], 0.5);
+        let take = |seed| take(&renderer, 2.0, 3.0, &LaserModel::UTM_30LX, seed).ranges;
+        assert!(take(1) == take(1) && take(1) != take(2));
+    }
+}

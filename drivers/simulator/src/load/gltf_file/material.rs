@@ -1,0 +1,221 @@
+//! Materials and their textures.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+
+use gltf::json::extensions::texture::TextureTransform;
+use gltf::json::validation::Checked::Valid;
+use gltf::json::{Index, material, texture};
+use rayon::prelude::*;
+
+use super::super::texture::decode;
+use super::super::vertex_color::{ColorAtlas, srgb_from_linear};
+use super::container::File;
+use crate::error::SceneError;
+use crate::scene::{Material, Scene};
+
+/// Materials of the document as far as triangles use them.
+pub(super) struct Materials<'a> {
+    file: &'a File,
+    /// By index in the document; `None` is glTF's default material.
+    surfaces: BTreeMap<Option<usize>, Surface>,
+    /// Scene texture of every picture that was read, by its index in the document.
+    textures: BTreeMap<usize, u32>,
+    /// Names and bytes of the scene's textures, in their order.
+    encoded: Vec<(String, Cow<'a, [u8]>)>,
+    /// Materials of triangles that are coloured by their corners, by the material that tints them.
+    colored: BTreeMap<u32, u32>,
+    atlas: ColorAtlas,
+    /// Triangles whose texture coordinates are known when the atlas is complete: (triangle, block).
+    pending: Vec<(usize, usize)>,
+}
+
+/// What a primitive needs to know of its material.
+#[derive(Clone)]
+pub(super) struct Surface {
+    /// Index in the scene.
+    pub material: u32,
+    pub is_textured: bool,
+    pub uv_set: u32,
+    transform: Option<TextureTransform>,
+}
+
+impl Surface {
+    /// KHR_texture_transform: scale, then rotate, then move.
+    pub fn transform_uv(&self, [u, v]: [f32; 2]) -> [f32; 2] {
+        let Some(transform) = &self.transform else { return [u, v] };
+        let ([du, dv], [su, sv]) = (transform.offset.0, transform.scale.0);
+        let (sin, cos) = transform.rotation.0.sin_cos();
+        let (u, v) = (u * su, v * sv);
+        [cos * u + sin * v + du, cos * v - sin * u + dv]
+    }
+}
+
+impl<'a> Materials<'a> {
+    pub fn new(file: &'a File) -> Self {
+        Self {
+            file,
+            surfaces: BTreeMap::new(),
+            textures: BTreeMap::new(),
+            encoded: Vec::new(),
+            colored: BTreeMap::new(),
+            atlas: ColorAtlas::default(),
+            pending: Vec::new(),
+        }
+    }
+
+    /// The material of a primitive; read once.
+    pub fn surface(
+        &mut self,
+        index: Option<Index<material::Material>>,
+        scene: &mut Scene,
+    ) -> Result<Surface, SceneError> {
+        let key = index.map(|index| index.value());
+        if let Some(surface) = self.surfaces.get(&key) {
+            return Ok(surface.clone());
+        }
+        let surface = match index {
+            Some(index) => self.read(index, scene)?,
+            None => add(scene, Material { name: "default".into(), ..plain() }, None),
+        };
+        self.surfaces.insert(key, surface.clone());
+        Ok(surface)
+    }
+
+    fn read(
+        &mut self,
+        index: Index<material::Material>,
+        scene: &mut Scene,
+    ) -> Result<Surface, SceneError> {
+        let source = self.file.get(index, "material")?;
+        let extensions = source.extensions.as_ref();
+        let (mut factor, mut picture) =
+            match extensions.and_then(|e| e.pbr_specular_glossiness.as_ref()) {
+                Some(old) => (old.diffuse_factor.0, old.diffuse_texture.as_ref()),
+                None => {
+                    let pbr = &source.pbr_metallic_roughness;
+                    (pbr.base_color_factor.0, pbr.base_color_texture.as_ref())
+                }
+            };
+        let mut emissive = source.emissive_factor.0;
+        if let Some(glow) = &source.emissive_texture {
+            // Photogrammetry exports put their only picture here so that viewers show it unlit; elsewhere it is mostly black.
+            if picture.is_none() {
+                picture = Some(glow);
+                factor[..3].copy_from_slice(&emissive);
+            }
+            emissive = [0.0; 3];
+        }
+        let texture = picture.map(|info| self.texture(info.index)).transpose()?;
+        let alpha_cutoff = match source.alpha_mode {
+            Valid(material::AlphaMode::Mask) => {
+                Some(source.alpha_cutoff.map_or(0.5, |cutoff| cutoff.0))
+            }
+            // Half-transparent texels are there or not: there is no blending in a world with one depth a pixel.
+            Valid(material::AlphaMode::Blend) => Some(0.5),
+            _ => None,
+        };
+        let material = Material {
+            name: source.name.clone().unwrap_or_else(|| format!("material {}", index.value())),
+            base_color: [factor[0], factor[1], factor[2]],
+            texture,
+            alpha_cutoff: alpha_cutoff.filter(|_| texture.is_some()),
+            emissive,
+        };
+        Ok(add(scene, material, picture))
+    }
+
+    fn texture(&mut self, index: Index<texture::Texture>) -> Result<u32, SceneError> {
+        let file = self.file;
+        let source = file.get(index, "texture")?.source;
+        if let Some(&known) = self.textures.get(&source.value()) {
+            return Ok(known);
+        }
+        let Some(image) = file.root.get(source) else {
+            let feature = format!("texture {} without a PNG or JPEG picture", index.value());
+            return Err(file.unsupported(feature, super::super::texture::WAY_OUT));
+        };
+        let label = format!("image {}", source.value());
+        let picture = match (image.buffer_view, &image.uri) {
+            (Some(view), _) => {
+                (image.name.clone().unwrap_or(label), Cow::Borrowed(file.view(view)?))
+            }
+            (None, Some(uri)) => {
+                let name = if uri.starts_with("data:") { label } else { uri.clone() };
+                (name, Cow::Owned(file.fetch(uri, "texture")?))
+            }
+            (None, None) => {
+                return Err(file.malformed(format!("{label} has neither bytes nor a file")));
+            }
+        };
+        let texture = self.encoded.len() as u32;
+        self.encoded.push(picture);
+        self.textures.insert(source.value(), texture);
+        Ok(texture)
+    }
+
+    /// The material of a triangle that is coloured by its corners (linear light), which is the next one of the scene.
+    pub fn color(
+        &mut self,
+        surface: &Surface,
+        corners: [u32; 3],
+        colors: &[[f32; 3]],
+        scene: &mut Scene,
+    ) -> u32 {
+        let color = |corner: u32| {
+            colors.get(corner as usize).copied().unwrap_or([1.0; 3]).map(srgb_from_linear)
+        };
+        let block = self.atlas.push(corners.map(color));
+        self.pending.push((scene.triangles.len(), block));
+        *self.colored.entry(surface.material).or_insert_with(|| {
+            scene.materials.push(scene.materials[surface.material as usize].clone());
+            scene.materials.len() as u32 - 1
+        })
+    }
+
+    /// Completes the scene, after its last triangle: decodes the pictures, all cores at once.
+    pub fn finish(self, scene: &mut Scene) -> Result<(), SceneError> {
+        let path = &self.file.path;
+        let decoded: Vec<_> =
+            self.encoded.par_iter().map(|(name, bytes)| decode(path, name, bytes)).collect();
+        scene.textures = decoded.into_iter().collect::<Result<_, _>>()?;
+        if self.pending.is_empty() {
+            return Ok(());
+        }
+        for (triangle, block) in self.pending {
+            for (vertex, uv) in
+                scene.triangles[triangle].vertices.iter_mut().zip(self.atlas.uv(block))
+            {
+                vertex.uv = uv;
+            }
+        }
+        scene.textures.push(self.atlas.into_texture());
+        for material in self.colored.into_values() {
+            scene.materials[material as usize].texture = Some(scene.textures.len() as u32 - 1);
+        }
+        Ok(())
+    }
+}
+
+fn add(scene: &mut Scene, material: Material, picture: Option<&texture::Info>) -> Surface {
+    scene.materials.push(material);
+    let transform = picture.and_then(|info| info.extensions.as_ref()?.texture_transform.clone());
+    let uv_set = picture
+        .map_or(0, |info| transform.as_ref().and_then(|t| t.tex_coord).unwrap_or(info.tex_coord));
+    Surface {
+        material: scene.materials.len() as u32 - 1,
+        is_textured: picture.is_some(),
+        uv_set,
+        transform,
+    }
+}
+
+fn plain() -> Material {
+    Material {
+        name: String::new(),
+        base_color: [1.0; 3],
+        texture: None,
+        alpha_cutoff: None,
+        emissive: [0.0; 3],
+    }
+}

@@ -1,0 +1,103 @@
+//! Worlds from files: glTF/GLB and OBJ/MTL.
+
+mod axes;
+mod gltf_file;
+mod obj_file;
+mod texture;
+mod vertex_color;
+
+use std::path::Path;
+
+pub use axes::UpAxis;
+
+use crate::error::SceneError;
+use crate::scene::{Scene, Triangle, Vertex};
+
+/// How the numbers in a file become metres with z up.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LoadOptions {
+    /// Which axis of the file points up.
+    pub up_axis: UpAxis,
+    /// Metres in one unit of the file.
+    pub scale: f64,
+}
+
+impl Default for LoadOptions {
+    fn default() -> Self {
+        Self { up_axis: UpAxis::Auto, scale: 1.0 }
+    }
+}
+
+/// A scene from a file, z up, metres, at the height that the file gives it.
+#[derive(Debug)]
+pub struct Loaded {
+    /// The triangles that are sound.
+    pub scene: Scene,
+    /// The axis that was taken as up: never [`UpAxis::Auto`].
+    pub up_axis: UpAxis,
+    /// Triangles that were left out because a corner is NaN or infinite.
+    pub dropped_triangles: usize,
+}
+
+/// Reads a scene; the kind of file is chosen by its name's ending.
+///
+/// Normals and normal maps are not used: a surface is lit by the way its triangles lie. Texture coordinates always wrap.
+///
+/// # Errors
+/// When the file or something that it refers to is missing, damaged or not supported, or nothing in it is a triangle.
+pub fn load(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneError> {
+    if !(options.scale.is_finite() && (1e-6..=1e6).contains(&options.scale)) {
+        return Err(SceneError::Option {
+            option: "scale",
+            value: options.scale.to_string(),
+            allowed: "a number from 1e-6 to 1e6 (metres in one unit of the file)",
+        });
+    }
+    let extension =
+        path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let read: fn(&Path) -> Result<Scene, SceneError> = match extension.as_str() {
+        "glb" | "gltf" => gltf_file::read,
+        "obj" => obj_file::read,
+        _ => return Err(SceneError::UnknownFormat { path: path.into() }),
+    };
+    if !path.exists() {
+        return Err(SceneError::NotFound { path: path.into() });
+    }
+    let mut scene = read(path)?;
+    let name = || path.display().to_string();
+    let triangles = scene.triangles.len();
+    if triangles == 0 {
+        return Err(SceneError::Empty { scene: name() });
+    }
+    scene.triangles.retain(is_finite);
+    if scene.triangles.is_empty() {
+        return Err(SceneError::NotFinite { scene: name(), triangles });
+    }
+    let dropped_triangles = triangles - scene.triangles.len();
+    if dropped_triangles > 0 {
+        tracing::warn!(
+            scene = name(),
+            dropped_triangles,
+            "left out triangles with NaN or infinite corners"
+        );
+    }
+    let up_axis = axes::resolve(options.up_axis, extension != "obj", &scene.triangles);
+    axes::apply(up_axis, options.scale as f32, &mut scene.triangles);
+    Ok(Loaded { scene, up_axis, dropped_triangles })
+}
+
+fn is_finite(triangle: &Triangle) -> bool {
+    triangle.vertices.iter().all(|v| v.position_m.iter().chain(&v.uv).all(|c| c.is_finite()))
+}
+
+/// A corner before baking: nothing shades it.
+fn corner(position_m: [f32; 3], uv: [f32; 2]) -> Vertex {
+    Vertex { position_m, uv, ambient: 1.0 }
+}
+
+fn read_bytes(path: &Path) -> Result<Vec<u8>, SceneError> {
+    std::fs::read(path).map_err(|source| SceneError::Read { path: path.into(), source })
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

@@ -1,0 +1,104 @@
+//! Meshes that carry their picture in their vertices, as scans without textures do (Replica, Gibson's small exports).
+
+use crate::scene::Texture;
+
+/// Packs the corner colours of triangles into one texture, two by two texels a triangle.
+///
+/// With texels c0 c1 / c2 (c1 + c2 - c0), bilinear filtering inside the block is the linear blend of the three corners.
+#[derive(Debug, Default)]
+pub struct ColorAtlas {
+    blocks: Vec<[[u8; 3]; 4]>,
+}
+
+/// Blocks in one row of the texture.
+const BLOCKS_PER_ROW: usize = 2048;
+
+impl ColorAtlas {
+    /// Packs one triangle's corners, sRGB, and returns the place of its block.
+    pub fn push(&mut self, [c0, c1, c2]: [[u8; 3]; 3]) -> usize {
+        let opposite = std::array::from_fn(|i| {
+            (i16::from(c1[i]) + i16::from(c2[i]) - i16::from(c0[i])).clamp(0, 255) as u8
+        });
+        self.blocks.push([c0, c1, c2, opposite]);
+        self.blocks.len() - 1
+    }
+
+    /// Texture coordinates of a block's three corners, once it is known how many blocks there are.
+    pub fn uv(&self, block: usize) -> [[f32; 2]; 3] {
+        let (columns, rows) = self.shape();
+        let (left, top) = (block % columns, block / columns);
+        [(0, 0), (1, 0), (0, 1)].map(|(u, v)| {
+            let texel = |block: usize, part: usize, blocks: usize| {
+                (((2 * block + part) as f64 + 0.5) / (2 * blocks) as f64) as f32
+            };
+            [texel(left, u, columns), texel(top, v, rows)]
+        })
+    }
+
+    /// The texture.
+    pub fn into_texture(self) -> Texture {
+        let (columns, rows) = self.shape();
+        let (width, height) = (2 * columns, 2 * rows);
+        let mut rgba = vec![255; width * height * 4];
+        for (index, block) in self.blocks.iter().enumerate() {
+            let (left, top) = (2 * (index % columns), 2 * (index / columns));
+            for (part, color) in block.iter().enumerate() {
+                let texel = (top + part / 2) * width + left + part % 2;
+                rgba[4 * texel..4 * texel + 3].copy_from_slice(color);
+            }
+        }
+        Texture { width: width as u32, height: height as u32, rgba }
+    }
+
+    fn shape(&self) -> (usize, usize) {
+        let columns = self.blocks.len().clamp(1, BLOCKS_PER_ROW);
+        (columns, self.blocks.len().div_ceil(columns).max(1))
+    }
+}
+
+/// sRGB code of a linear-light value.
+pub fn srgb_from_linear(linear: f32) -> u8 {
+    let linear = linear.clamp(0.0, 1.0);
+    let code =
+        if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
+    (code * 255.0).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bilinear_filtering_inside_a_block_blends_the_corners() {
+        let mut atlas = ColorAtlas::default();
+        for _ in 0..5 {
+            atlas.push([[9; 3]; 3]);
+        }
+        let corners = [[40, 0, 0], [0, 80, 10], [100, 60, 30]];
+        let block = atlas.push(corners);
+        let uv = atlas.uv(block);
+        let texture = atlas.into_texture();
+        // A point inside the triangle, by its weights.
+        let weights = [0.2_f32, 0.5, 0.3];
+        let at = |axis: usize, side: u32| {
+            (0..3).map(|i| weights[i] * uv[i][axis]).sum::<f32>() * side as f32 - 0.5
+        };
+        let (x, y) = (at(0, texture.width), at(1, texture.height));
+        let (fx, fy) = (x.fract(), y.fract());
+        for channel in 0..3 {
+            let texel = |dx: u32, dy: u32| {
+                let index = (y as u32 + dy) * texture.width + x as u32 + dx;
+                f32::from(texture.rgba[4 * index as usize + channel])
+            };
+            let upper = texel(0, 0) * (1.0 - fx) + texel(1, 0) * fx;
+            let lower = texel(0, 1) * (1.0 - fx) + texel(1, 1) * fx;
+            let blend: f32 = (0..3).map(|i| weights[i] * f32::from(corners[i][channel])).sum();
+            assert!((upper * (1.0 - fy) + lower * fy - blend).abs() < 0.01);
+        }
+    }
+
+    #[test]
+    fn the_srgb_curve_meets_its_published_points() {
+        assert_eq!([0.0, 0.215_861, 1.0, 7.0].map(srgb_from_linear), [0, 128, 255, 255]);
+    }
+}

@@ -1,0 +1,238 @@
+//! What makes real pictures harder than rendered ones, as options.
+
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::random::NormalTable;
+use crate::render::{Lighting, SunPatches};
+
+/// How much of each nuisance there is. The default is a steady camera in steady light with a little sensor noise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Nuisances {
+    /// The exposure wanders by at most this, in stops (1 doubles or halves the light). Default 0, at most 4.
+    pub exposure_drift_stops: f64,
+    /// Time that the slower part of the drift takes, seconds. Default 20, at least 0.1.
+    pub exposure_drift_period_s: f64,
+    /// Lamps on mains light up and down by this share. Default 0, at most 1.
+    pub flicker: f64,
+    /// How often they do so, Hz: twice the mains frequency. Default 100. Frame rates alias it to slow waves.
+    pub flicker_hz: f64,
+    /// Strength of sun patches on floor and walls, times white. Default 0, at most 4.
+    pub sun_patches: f64,
+    /// Standard deviation of the sensor's noise, in steps of the 8-bit picture. Default 1.5, at most 64.
+    pub sensor_noise: f64,
+    /// Exposure time for motion blur, seconds. Default 0 (none), at most 1.
+    pub shutter_s: f64,
+    /// People who walk about. Default 0, at most 32.
+    pub people: usize,
+}
+
+impl Default for Nuisances {
+    fn default() -> Self {
+        Self {
+            exposure_drift_stops: 0.0,
+            exposure_drift_period_s: 20.0,
+            flicker: 0.0,
+            flicker_hz: 100.0,
+            sun_patches: 0.0,
+            sensor_noise: 1.5,
+            shutter_s: 0.0,
+            people: 0,
+        }
+    }
+}
+
+/// A nuisance outside of what makes sense.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("nuisance `{field}` is {value}, but must be from {least} to {most}")]
+#[non_exhaustive]
+pub struct NuisanceError {
+    /// Field of [`Nuisances`].
+    pub field: &'static str,
+    /// What it was.
+    pub value: f64,
+    /// Smallest value allowed.
+    pub least: f64,
+    /// Largest value allowed.
+    pub most: f64,
+}
+
+impl Nuisances {
+    /// None at all: the renderer's own pictures.
+    #[must_use]
+    pub fn none() -> Self {
+        Self { sensor_noise: 0.0, ..Self::default() }
+    }
+
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// For the first value that is not a number or outside its range.
+    pub fn check(&self) -> Result<(), NuisanceError> {
+        let ranges = [
+            ("exposure_drift_stops", self.exposure_drift_stops, 0.0, 4.0),
+            ("exposure_drift_period_s", self.exposure_drift_period_s, 0.1, 1e6),
+            ("flicker", self.flicker, 0.0, 1.0),
+            ("flicker_hz", self.flicker_hz, 0.0, 1e5),
+            ("sun_patches", self.sun_patches, 0.0, 4.0),
+            ("sensor_noise", self.sensor_noise, 0.0, 64.0),
+            ("shutter_s", self.shutter_s, 0.0, 1.0),
+            ("people", self.people as f64, 0.0, 32.0),
+        ];
+        match ranges.into_iter().find(|(_, value, least, most)| !(least..=most).contains(&value)) {
+            Some((field, value, least, most)) => Err(NuisanceError { field, value, least, most }),
+            None => Ok(()),
+        }
+    }
+
+    /// Factor on all light at a time: the camera's drift times the lamps' flicker. The drift is a sum of two sines, starts
+    /// at 1 and stays within `exposure_drift_stops`.
+    #[must_use]
+    pub fn gain(&self, time_ns: u64) -> f64 {
+        use std::f64::consts::{SQRT_2, TAU};
+        let time_s = time_ns as f64 * 1e-9;
+        let turn = TAU * time_s / self.exposure_drift_period_s;
+        let drift = 0.65 * turn.sin() + 0.35 * (turn * 3.0 * SQRT_2).sin();
+        let flicker = self.flicker * (TAU * (time_s * self.flicker_hz).fract()).sin();
+        (self.exposure_drift_stops * drift).exp2() * (1.0 + flicker)
+    }
+
+    /// The scene's light at a time.
+    #[must_use]
+    pub fn lighting(&self, time_ns: u64) -> Lighting {
+        let sun = (self.sun_patches > 0.0).then_some(SunPatches {
+            strength: self.sun_patches as f32,
+            direction: [0.6, 0.35, 0.7],
+            size_m: [0.9, 1.4],
+            spacing_m: 3.1,
+        });
+        let neutral = Lighting::default();
+        Lighting { exposure: neutral.exposure * self.gain(time_ns) as f32, sun, ..neutral }
+    }
+
+    /// Adds the sensor's noise to a rendered picture: independent for every byte, normally distributed. One draw from
+    /// `rng` a picture, whatever its size, so the rest of a simulation does not depend on it.
+    pub fn add_sensor_noise(&self, rng: &mut impl Rng, rgb: &mut [u8]) {
+        let seed = rng.next_u64();
+        if self.sensor_noise <= 0.0 {
+            return;
+        }
+        let table = NormalTable::new();
+        let sigma = self.sensor_noise as f32;
+        // Each block of bytes has its own generator: the same bytes on any number of threads.
+        rgb.par_chunks_mut(NOISE_BLOCK).enumerate().for_each(|(block, bytes)| {
+            let mut rng = Pcg64Mcg::seed_from_u64(seed.wrapping_add(block as u64));
+            for five in bytes.chunks_mut(5) {
+                for (byte, noise) in five.iter_mut().zip(table.five(&mut rng)) {
+                    // Truncation rounds down what is not negative: `as` saturates below 0 and above 255.
+                    *byte = (f32::from(*byte) + sigma * noise + 0.5) as u8;
+                }
+            }
+        });
+    }
+}
+
+const NOISE_BLOCK: usize = 16_000;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND_NS: u64 = 1_000_000_000;
+
+    #[test]
+    fn by_default_there_is_only_a_little_sensor_noise() {
+        let nuisances = Nuisances::default();
+        assert_eq!(nuisances.lighting(12 * SECOND_NS), Lighting::default());
+        assert_eq!((nuisances.people, nuisances.shutter_s, nuisances.sensor_noise), (0, 0.0, 1.5));
+        nuisances.check().unwrap();
+    }
+
+    #[test]
+    fn exposure_drifts_within_its_bound_and_uses_most_of_it() {
+        let nuisances = Nuisances { exposure_drift_stops: 0.5, ..Nuisances::none() };
+        let gains: Vec<f64> = (0..4000).map(|i| nuisances.gain(i * SECOND_NS / 20)).collect();
+        let (low, high) = gains.iter().fold((f64::MAX, 0.0_f64), |(l, h), &g| (l.min(g), h.max(g)));
+        assert!((gains[0] - 1.0).abs() < 1e-12);
+        assert!(low >= (-0.5_f64).exp2() && high <= 0.5_f64.exp2());
+        assert!(high / low > 1.7, "{low} to {high}");
+        // From one frame to the next it moves little.
+        assert!(gains.windows(2).all(|g| (g[1] / g[0] - 1.0).abs() < 0.02));
+    }
+
+    #[test]
+    fn lamps_flicker_at_their_frequency() {
+        let nuisances = Nuisances { flicker: 0.2, flicker_hz: 100.0, ..Nuisances::none() };
+        for i in 0..50 {
+            let time_ns = i * 1_234_567;
+            let period_ns = SECOND_NS / 100;
+            assert!((nuisances.gain(time_ns) - nuisances.gain(time_ns + period_ns)).abs() < 1e-9);
+            // Half a period later it is the other way round.
+            assert!(
+                (nuisances.gain(time_ns) + nuisances.gain(time_ns + period_ns / 2) - 2.0).abs()
+                    < 1e-9
+            );
+        }
+        assert!((nuisances.gain(SECOND_NS / 400) - 1.2).abs() < 1e-9);
+    }
+
+    #[test]
+    fn sensor_noise_has_its_spread_no_bias_and_no_pattern() {
+        let nuisances = Nuisances { sensor_noise: 3.0, ..Nuisances::none() };
+        let mut rgb = vec![128_u8; 640 * 192 * 3];
+        nuisances.add_sensor_noise(&mut Pcg64Mcg::seed_from_u64(1), &mut rgb);
+        let errors: Vec<f64> = rgb.iter().map(|&b| f64::from(b) - 128.0).collect();
+        let count = errors.len() as f64;
+        let mean = errors.iter().sum::<f64>() / count;
+        let variance = errors.iter().map(|e| e * e).sum::<f64>() / count;
+        assert!(mean.abs() < 0.03, "{mean}");
+        // Rounding to bytes adds a twelfth.
+        assert!((variance - 9.0 - 1.0 / 12.0).abs() < 0.1, "{variance}");
+        for lag in [1, 3, 5, 640 * 3, NOISE_BLOCK] {
+            let product: f64 = errors.iter().zip(&errors[lag..]).map(|(a, b)| a * b).sum();
+            assert!((product / count / variance).abs() < 0.01, "lag {lag}");
+        }
+    }
+
+    #[test]
+    fn black_and_white_stay_in_range() {
+        let nuisances = Nuisances { sensor_noise: 20.0, ..Nuisances::none() };
+        let mut rgb = [[0_u8; 300], [255; 300]].concat();
+        nuisances.add_sensor_noise(&mut Pcg64Mcg::seed_from_u64(1), &mut rgb);
+        assert!(rgb[..300].iter().all(|&b| b < 120) && rgb[300..].iter().all(|&b| b > 135));
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_noise_on_any_number_of_threads() {
+        let noisy = |seed: u64, threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let mut rgb = vec![100_u8; 100_000];
+            pool.install(|| {
+                Nuisances::default().add_sensor_noise(&mut Pcg64Mcg::seed_from_u64(seed), &mut rgb)
+            });
+            rgb
+        };
+        let one = noisy(4, 1);
+        assert!(noisy(4, 2) == one && noisy(4, 4) == one && noisy(5, 1) != one);
+    }
+
+    #[test]
+    fn impossible_values_are_refused_with_their_range() {
+        for (nuisances, field) in [
+            (Nuisances { sensor_noise: f64::NAN, ..Nuisances::none() }, "sensor_noise"),
+            (Nuisances { flicker: 1.5, ..Nuisances::none() }, "flicker"),
+            (
+                Nuisances { exposure_drift_period_s: 0.0, ..Nuisances::none() },
+                "exposure_drift_period_s",
+            ),
+            (Nuisances { people: 1000, ..Nuisances::none() }, "people"),
+        ] {
+            let error = nuisances.check().unwrap_err();
+            assert_eq!(error.field, field);
+            assert!(error.to_string().contains("must be from"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,318 @@
+//! People who walk about: simple bodies on known paths, seen by the camera and by the laser.
+
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+/// One person at one moment.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Person {
+    /// Where the body's axis meets the floor (z = 0), world frame, metres.
+    pub position_m: [f64; 2],
+    /// Where the person faces, radians.
+    pub yaw_rad: f64,
+    /// Phase of the step, radians; 0 is feet together.
+    pub stride_rad: f64,
+    /// From sole to crown, metres.
+    pub height_m: f64,
+    /// Linear-light colours.
+    pub clothes: Clothes,
+}
+
+/// Linear-light colours of a person.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Clothes {
+    /// Torso and arms.
+    pub shirt: [f32; 3],
+    /// Legs.
+    pub trousers: [f32; 3],
+    /// Head.
+    pub skin: [f32; 3],
+}
+
+/// A rounded cylinder: every point nearer to the segment from `from` to `to` than `radius_m`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Capsule {
+    pub from: Vector3<f64>,
+    pub to: Vector3<f64>,
+    pub radius_m: f64,
+    pub color: [f32; 3],
+}
+
+impl Person {
+    /// A grown-up of 1.75 m who stands with feet together, facing along x.
+    #[must_use]
+    pub fn standing(x_m: f64, y_m: f64) -> Self {
+        let clothes = Clothes {
+            shirt: [0.08, 0.16, 0.42],
+            trousers: [0.05, 0.05, 0.06],
+            skin: [0.55, 0.33, 0.22],
+        };
+        Self { position_m: [x_m, y_m], yaw_rad: 0.0, stride_rad: 0.0, height_m: 1.75, clothes }
+    }
+
+    /// Legs, torso, arms and head. Proportions of a grown-up, scaled by height.
+    pub(crate) fn body(&self) -> [Capsule; 6] {
+        let scale = self.height_m / 1.75;
+        let (sin, cos) = self.yaw_rad.sin_cos();
+        let [x, y] = self.position_m;
+        // forward, left, up in metres of a 1.75 m person.
+        let at = |forward: f64, left: f64, up: f64| {
+            let (forward, left) = (forward * scale, left * scale);
+            Vector3::new(x + forward * cos - left * sin, y + forward * sin + left * cos, up * scale)
+        };
+        let swing = self.stride_rad.sin();
+        let part = |from, to, radius_m: f64, color| Capsule {
+            from,
+            to,
+            radius_m: radius_m * scale,
+            color,
+        };
+        let Clothes { shirt, trousers, skin } = self.clothes;
+        let leg = |side: f64| {
+            part(
+                at(0.3 * side * swing, 0.1 * side, 0.07),
+                at(0.0, 0.1 * side, 0.86),
+                0.07,
+                trousers,
+            )
+        };
+        let arm = |side: f64| {
+            part(
+                at(-0.2 * side * swing, 0.27 * side, 0.85),
+                at(0.0, 0.22 * side, 1.38),
+                0.045,
+                shirt,
+            )
+        };
+        [
+            leg(1.0),
+            leg(-1.0),
+            part(at(0.0, 0.0, 0.98), at(0.0, 0.0, 1.3), 0.18, shirt),
+            arm(1.0),
+            arm(-1.0),
+            part(at(0.0, 0.0, 1.62), at(0.0, 0.0, 1.64), 0.11, skin),
+        ]
+    }
+}
+
+impl Capsule {
+    /// Distance, in lengths of `direction`, at which a ray enters. `None` for a ray that misses or starts inside.
+    pub fn entry(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
+        let axis = self.to - self.from;
+        let start = origin - self.from;
+        let (length_2, axis_direction, axis_start) =
+            (axis.dot(&axis), axis.dot(direction), axis.dot(&start));
+        // The infinite cylinder: quadratic in the part of the ray across the axis.
+        let a = length_2 * direction.norm_squared() - axis_direction * axis_direction;
+        let b = length_2 * direction.dot(&start) - axis_start * axis_direction;
+        let c = length_2 * (start.norm_squared() - self.radius_m * self.radius_m)
+            - axis_start * axis_start;
+        let discriminant = b * b - a * c;
+        if discriminant < 0.0 {
+            return None;
+        }
+        let mut end = if axis_direction > 0.0 { &self.from } else { &self.to };
+        if a > f64::EPSILON * length_2 {
+            let t = (-b - discriminant.sqrt()) / a;
+            let along = axis_start + t * axis_direction;
+            if along > 0.0 && along < length_2 {
+                return (t >= 0.0).then_some(t);
+            }
+            end = if along <= 0.0 { &self.from } else { &self.to };
+        }
+        sphere_entry(&(origin - end), direction, self.radius_m)
+    }
+
+    /// Unit normal at a point of the surface.
+    pub fn normal(&self, point: &Vector3<f64>) -> Vector3<f64> {
+        let axis = self.to - self.from;
+        let along = ((point - self.from).dot(&axis) / axis.norm_squared()).clamp(0.0, 1.0);
+        (point - self.from - axis * along) / self.radius_m
+    }
+}
+
+/// `start`: the ray's origin as seen from the sphere's centre.
+fn sphere_entry(start: &Vector3<f64>, direction: &Vector3<f64>, radius: f64) -> Option<f64> {
+    let (a, b) = (direction.norm_squared(), direction.dot(start));
+    let discriminant = b * b - a * (start.norm_squared() - radius * radius);
+    if discriminant < 0.0 {
+        return None;
+    }
+    let t = (-b - discriminant.sqrt()) / a;
+    (t >= 0.0).then_some(t)
+}
+
+/// Someone who walks along a line of waypoints and back, for ever.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Walker {
+    waypoints_m: Vec<[f64; 2]>,
+    /// Length of the way up to each waypoint, metres.
+    reached_m: Vec<f64>,
+    speed_mps: f64,
+    start_m: f64,
+    height_m: f64,
+    clothes: Clothes,
+}
+
+/// Length of a whole step cycle (two steps) of a walking grown-up, metres.
+const STRIDE_M: f64 = 1.4;
+
+impl Walker {
+    /// Somebody on this path, metres, at this speed, m/s. The seed chooses clothes, height and where the walk begins.
+    /// `None` without waypoints, or when a number is not finite or the speed negative.
+    #[must_use]
+    pub fn new(waypoints_m: Vec<[f64; 2]>, speed_mps: f64, seed: u64) -> Option<Self> {
+        let sound = waypoints_m.iter().flatten().all(|c| c.is_finite())
+            && speed_mps.is_finite()
+            && speed_mps >= 0.0;
+        if waypoints_m.is_empty() || !sound {
+            return None;
+        }
+        let mut reached_m = vec![0.0];
+        for pair in waypoints_m.windows(2) {
+            let step = (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]);
+            reached_m.push(reached_m[reached_m.len() - 1] + step);
+        }
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        let start_m = rng.random_range(0.0..=1.0) * reached_m[reached_m.len() - 1];
+        let height_m = rng.random_range(1.55..1.9);
+        let mut fabric = |brightest: f32| [(); 3].map(|()| rng.random_range(0.02..brightest));
+        let clothes =
+            Clothes { shirt: fabric(0.6), trousers: fabric(0.25), skin: [0.55, 0.33, 0.22] };
+        Some(Self { waypoints_m, reached_m, speed_mps, start_m, height_m, clothes })
+    }
+
+    /// Where and how this person is at a time.
+    #[must_use]
+    pub fn at(&self, time_ns: u64) -> Person {
+        let length = self.reached_m[self.reached_m.len() - 1];
+        let walked = self.start_m + self.speed_mps * time_ns as f64 * 1e-9;
+        // There and back again: a triangle wave.
+        let lap = if length > 0.0 { walked.rem_euclid(2.0 * length) } else { 0.0 };
+        let (along, backwards) =
+            if lap <= length { (lap, false) } else { (2.0 * length - lap, true) };
+        let segment = self
+            .reached_m
+            .partition_point(|&r| r <= along)
+            .clamp(1, self.reached_m.len().max(2) - 1);
+        let from = self.waypoints_m[segment - 1];
+        let to = self.waypoints_m.get(segment).copied().unwrap_or(from);
+        let step = [to[0] - from[0], to[1] - from[1]];
+        let share =
+            (along - self.reached_m[segment - 1]) / step[0].hypot(step[1]).max(f64::MIN_POSITIVE);
+        let heading = if backwards { [-step[0], -step[1]] } else { step };
+        Person {
+            position_m: [from[0] + share * step[0], from[1] + share * step[1]],
+            yaw_rad: heading[1].atan2(heading[0]),
+            stride_rad: if length > 0.0 { walked / STRIDE_M * std::f64::consts::TAU } else { 0.0 },
+            height_m: self.height_m,
+            clothes: self.clothes,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const SECOND_NS: u64 = 1_000_000_000;
+
+    fn corridor(speed_mps: f64, seed: u64) -> Walker {
+        Walker::new(vec![[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]], speed_mps, seed).unwrap()
+    }
+
+    #[test]
+    fn a_walker_keeps_to_the_line_and_to_the_speed() {
+        let walker = corridor(1.2, 7);
+        let (mut before, mut turns) = (walker.at(0), 0);
+        for step in 1..2000 {
+            let now = walker.at(step * SECOND_NS / 50);
+            let [x, y] = now.position_m;
+            let on_line = (y.abs() < 1e-9 && (-1e-9..=4.0 + 1e-9).contains(&x))
+                || ((x - 4.0).abs() < 1e-9 && (-1e-9..=3.0 + 1e-9).contains(&y));
+            assert!(on_line, "({x}, {y})");
+            let moved = (x - before.position_m[0]).hypot(y - before.position_m[1]);
+            assert!(moved <= 1.2 / 50.0 + 1e-9);
+            turns += usize::from(moved < 1.2 / 50.0 - 1e-6);
+            before = now;
+        }
+        // 48 m on a line of 7 m with one corner: it turns or rounds the corner about 13 times.
+        assert!((8..=16).contains(&turns), "{turns}");
+    }
+
+    #[test]
+    fn a_walker_looks_where_it_goes() {
+        let walker = corridor(1.0, 1);
+        for step in 0..700 {
+            let (now, next) =
+                (walker.at(step * SECOND_NS / 10), walker.at(step * SECOND_NS / 10 + 1_000_000));
+            let going =
+                [next.position_m[0] - now.position_m[0], next.position_m[1] - now.position_m[1]];
+            let ahead = going[0] * now.yaw_rad.cos() + going[1] * now.yaw_rad.sin();
+            assert!(ahead > 0.9e-3 || going[0].hypot(going[1]) < 0.95e-3, "{ahead}");
+        }
+    }
+
+    #[test]
+    fn the_seed_chooses_clothes_and_start_and_nothing_else_does() {
+        assert_eq!(corridor(1.0, 3).at(5 * SECOND_NS), corridor(1.0, 3).at(5 * SECOND_NS));
+        let (a, b) = (corridor(1.0, 3).at(0), corridor(1.0, 4).at(0));
+        assert!(a.clothes != b.clothes && a.position_m != b.position_m);
+    }
+
+    #[test]
+    fn one_waypoint_is_a_place_to_stand_and_none_is_refused() {
+        let still = Walker::new(vec![[1.0, 2.0]], 1.0, 0).unwrap();
+        assert_eq!(still.at(9 * SECOND_NS).position_m, [1.0, 2.0]);
+        assert!(Walker::new(vec![], 1.0, 0).is_none());
+        assert!(Walker::new(vec![[f64::NAN, 0.0]], 1.0, 0).is_none());
+        assert!(Walker::new(vec![[0.0, 0.0]], -1.0, 0).is_none());
+    }
+
+    #[test]
+    fn a_capsule_is_entered_at_its_side_and_at_its_caps() {
+        let part = Capsule {
+            from: Vector3::new(0.0, 0.0, 1.0),
+            to: Vector3::new(0.0, 0.0, 2.0),
+            radius_m: 0.5,
+            color: [0.0; 3],
+        };
+        let entry =
+            |origin: [f64; 3], direction: [f64; 3]| part.entry(&origin.into(), &direction.into());
+        assert!((entry([-3.0, 0.0, 1.5], [1.0, 0.0, 0.0]).unwrap() - 2.5).abs() < 1e-12);
+        // Down its axis, and beside it.
+        assert!((entry([0.0, 0.0, 5.0], [0.0, 0.0, -1.0]).unwrap() - 2.5).abs() < 1e-12);
+        assert!((entry([0.3, 0.0, 5.0], [0.0, 0.0, -1.0]).unwrap() - 2.6).abs() < 1e-12);
+        assert_eq!(entry([0.6, 0.0, 5.0], [0.0, 0.0, -1.0]), None);
+        assert_eq!(entry([-3.0, 0.0, 1.5], [-1.0, 0.0, 0.0]), None);
+        assert_eq!(
+            entry([0.1, 0.0, 1.5], [1.0, 0.0, 0.0]),
+            None,
+            "from inside there is nothing to enter"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn where_a_ray_enters_is_on_the_surface_and_outside_before(
+            origin in prop::array::uniform3(-4.0..4.0_f64), target in prop::array::uniform3(-0.6..0.6_f64),
+            from in prop::array::uniform3(-0.5..0.5_f64), to in prop::array::uniform3(-0.5..0.5_f64),
+        ) {
+            let part = Capsule { from: from.into(), to: to.into(), radius_m: 0.3, color: [0.0; 3] };
+            let (origin, target): (Vector3<f64>, Vector3<f64>) = (origin.into(), target.into());
+            let distance = |point: &Vector3<f64>| part.normal(point).norm() * part.radius_m;
+            prop_assume!(distance(&origin) > 0.31);
+            let direction = target - origin;
+            let first_inside = (0..4000).map(|i| f64::from(i) / 2000.0).find(|s| distance(&(origin + direction * *s)) < 0.3);
+            match part.entry(&origin, &direction) {
+                Some(t) => {
+                    prop_assert!((distance(&(origin + direction * t)) - 0.3).abs() < 1e-6);
+                    prop_assert!(first_inside.is_none_or(|s| s >= t - 1e-9));
+                }
+                None => prop_assert!(first_inside.is_none()),
+            }
+        }
+    }
+}

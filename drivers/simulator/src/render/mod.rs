@@ -1,0 +1,381 @@
+//! Colour and depth pictures of a scene, and distances along rays.
+//!
+//! A pinhole camera over textured triangles: every pixel's depth is that of the ray through its centre; colour is filtered
+//! over the pixel's footprint. Light is diffuse: a surface looks the same from everywhere.
+
+mod ambient;
+mod bvh;
+mod light;
+mod surface;
+#[cfg(test)]
+pub(crate) mod tests;
+mod texture;
+mod tile;
+
+use hal::{CameraModel, DepthMap, Pose3};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use crate::people::{Capsule, Person};
+use crate::scene::{Material, Scene};
+pub use ambient::{AmbientOptions, bake_ambient};
+use bvh::{Bvh, Corners, V3};
+use light::ToneCurve;
+pub use light::{Lighting, SunPatches, Window};
+use surface::Surface;
+use texture::{Footprint, MipChain};
+use tile::{Block, NOTHING, SIZE, View};
+
+/// A scene made ready to be looked at. Immutable; share it between threads.
+///
+/// Keeps its own copy of everything, so the [`Scene`]'s textures can be dropped after [`Renderer::new`].
+#[derive(Debug)]
+pub struct Renderer {
+    bvh: Bvh,
+    /// In the order of the hierarchy's triangles.
+    surfaces: Vec<Surface>,
+    materials: Vec<Material>,
+    textures: Vec<Option<MipChain>>,
+    tone: ToneCurve,
+}
+
+/// What a ray met first.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hit {
+    /// Along the ray, metres.
+    pub distance_m: f64,
+    /// Unit normal, towards the ray's origin.
+    pub normal: [f64; 3],
+    /// How much light the surface throws back, 0 to 1 (its colour's luminance).
+    pub reflectance: f32,
+}
+
+impl Renderer {
+    /// Builds the hierarchy and the mip chains. Triangles without area, with a corner that is not a number, or with a
+    /// material that does not exist are left out; a texture whose bytes do not fit its size is left out as well.
+    #[must_use]
+    pub fn new(scene: &Scene) -> Self {
+        let seen = |t: &&crate::scene::Triangle| (t.material as usize) < scene.materials.len();
+        let visible: Vec<_> = scene
+            .triangles
+            .iter()
+            .filter(seen)
+            .filter_map(|t| Some((t, Surface::new(t)?)))
+            .collect();
+        let corners: Vec<_> = visible
+            .iter()
+            .map(|(t, _)| Corners {
+                points: t.vertices.map(|v| v.position_m.into()),
+                has_holes: scene.materials[t.material as usize].alpha_cutoff.is_some(),
+            })
+            .collect();
+        let (bvh, order) = Bvh::build(&corners);
+        Self {
+            bvh,
+            surfaces: order.iter().map(|&i| visible[i as usize].1).collect(),
+            materials: scene.materials.clone(),
+            textures: scene.textures.par_iter().map(MipChain::new).collect(),
+            tone: ToneCurve::new(),
+        }
+    }
+
+    /// Renders RGB8 (sRGB) into `rgb`, which becomes `width * height * 3` bytes, and z-depth into `depth`, metres, 0 where
+    /// nothing is seen within 200 m. The camera's distortion is ignored. The same bytes on any number of threads.
+    pub fn render(
+        &self,
+        camera: &CameraModel,
+        t_world_camera: &Pose3,
+        people: &[Person],
+        light: &Lighting,
+        rgb: &mut Vec<u8>,
+        depth: &mut DepthMap,
+    ) {
+        let (width, height) = (camera.width, camera.height);
+        rgb.resize(width * height * 3, 0);
+        if (depth.width(), depth.height()) != (width, height) {
+            *depth = DepthMap::none(width, height);
+        }
+        if width == 0 || height == 0 {
+            return;
+        }
+        let view = view(camera, t_world_camera);
+        let bodies: Vec<Capsule> = people.iter().flat_map(Person::body).collect();
+        rgb.par_chunks_mut(width * SIZE * 3)
+            .zip(depth.values_mut().par_chunks_mut(width * SIZE))
+            .enumerate()
+            .for_each_init(Vec::new, |stack, (band, (rgb, depth))| {
+                for left in (0..width).step_by(SIZE) {
+                    let place = (left, band * SIZE);
+                    let block = tile::see(&self.bvh, &view, place, stack, |triangle, point| {
+                        self.is_hole(triangle, &(view.origin + point))
+                    });
+                    let mut out = Out { left, width, rgb, depth };
+                    self.shade(&view, light, place, &block, &mut out);
+                    self.draw_people(&view, light, place, &bodies, &mut out);
+                }
+            });
+    }
+
+    /// As [`Renderer::render`], blurred by the camera's motion while the shutter is open: the average light of `pictures`
+    /// views evenly from `t_world_camera[0]` to `t_world_camera[1]`. The depth is that of the middle.
+    pub fn render_blurred(
+        &self,
+        camera: &CameraModel,
+        t_world_camera: [&Pose3; 2],
+        pictures: usize,
+        people: &[Person],
+        light: &Lighting,
+        rgb: &mut Vec<u8>,
+        depth: &mut DepthMap,
+    ) {
+        let [from, to] = t_world_camera;
+        let between = |share: f64| from.try_lerp_slerp(to, share, 1e-9).unwrap_or(*to);
+        let mut sum = vec![0.0; camera.width * camera.height * 3];
+        let linear: Vec<f32> = (0..=255).map(light::srgb_to_linear).collect();
+        for picture in 0..pictures {
+            let pose = between((picture as f64 + 0.5) / pictures as f64);
+            self.render(camera, &pose, people, light, rgb, depth);
+            for (sum, byte) in sum.iter_mut().zip(rgb.iter()) {
+                *sum += linear[*byte as usize];
+            }
+        }
+        self.render(camera, &between(0.5), people, light, rgb, depth);
+        if pictures > 0 {
+            for (sum, byte) in sum.iter().zip(rgb.iter_mut()) {
+                *byte = light::linear_to_srgb(sum / pictures as f32);
+            }
+        }
+    }
+
+    /// Distance along a ray to the first surface or person, metres; `None` when there is none within `max_m` or the
+    /// direction (of any length) is zero or not finite.
+    #[must_use]
+    pub fn cast(
+        &self,
+        origin: [f64; 3],
+        direction: [f64; 3],
+        max_m: f64,
+        people: &[Person],
+    ) -> Option<f64> {
+        self.hit(origin, direction, max_m, people).map(|hit| hit.distance_m)
+    }
+
+    /// As [`Renderer::cast`], with what the surface is like.
+    #[must_use]
+    pub fn hit(
+        &self,
+        origin: [f64; 3],
+        direction: [f64; 3],
+        max_m: f64,
+        people: &[Person],
+    ) -> Option<Hit> {
+        let direction = Vector3::from(direction)
+            .try_normalize(0.0)
+            .filter(|d| d.iter().all(|c| c.is_finite()))?;
+        let origin = Vector3::from(origin);
+        let wall =
+            self.bvh.nearest(origin.cast(), direction.cast(), max_m as f32, |triangle, t| {
+                !self.bvh.triangles[triangle as usize].has_holes
+                    || !self.is_hole(triangle, &(origin + direction * f64::from(t)).cast())
+            });
+        let wall = wall.map(|(t, triangle)| self.describe(triangle, &origin, &direction, t));
+        let body = people.iter().flat_map(Person::body).filter_map(|part| {
+            let distance_m = part.entry(&origin, &direction).filter(|t| *t <= max_m)?;
+            let normal = part.normal(&(origin + direction * distance_m)).into();
+            Some(Hit { distance_m, normal, reflectance: luminance(part.color) })
+        });
+        body.chain(wall).min_by(|a, b| a.distance_m.total_cmp(&b.distance_m))
+    }
+
+    fn describe(
+        &self,
+        triangle: u32,
+        origin: &Vector3<f64>,
+        direction: &Vector3<f64>,
+        t: f32,
+    ) -> Hit {
+        let surface = &self.surfaces[triangle as usize];
+        let normal = surface.normal.cast::<f64>();
+        let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
+        let material = &self.materials[surface.material as usize];
+        let mut reflectance = luminance(material.base_color);
+        if let Some(texture) = self.texture(material) {
+            let offset = (origin + direction * f64::from(t)).cast() - surface.origin;
+            let footprint =
+                Footprint { uv: surface.uv(&offset), per_column: [0.0; 2], per_row: [0.0; 2] };
+            let [r, g, b, _] = texture.sample(&footprint);
+            reflectance *= luminance([r, g, b]);
+        }
+        Hit { distance_m: f64::from(t), normal: normal.into(), reflectance }
+    }
+
+    fn texture(&self, material: &Material) -> Option<&MipChain> {
+        self.textures.get(material.texture? as usize)?.as_ref()
+    }
+
+    /// Whether the texture says that there is nothing at this point of a triangle.
+    fn is_hole(&self, triangle: u32, point: &V3) -> bool {
+        let surface = &self.surfaces[triangle as usize];
+        let material = &self.materials[surface.material as usize];
+        let (Some(cutoff), Some(texture)) = (material.alpha_cutoff, self.texture(material)) else {
+            return false;
+        };
+        texture.alpha(surface.uv(&(point - surface.origin))) < cutoff
+    }
+
+    fn shade(
+        &self,
+        view: &View,
+        light: &Lighting,
+        (left, top): (usize, usize),
+        block: &Block,
+        out: &mut Out<'_>,
+    ) {
+        let background = light.background.map(|b| self.tone.encode(b * light.exposure));
+        let mut last = (NOTHING, [0.0; 3]);
+        for row in 0..SIZE.min(out.rows()) {
+            for column in 0..SIZE.min(out.width - left) {
+                let triangle = block.triangle[row][column];
+                if triangle == NOTHING {
+                    out.put(row, column, background, 0.0);
+                    continue;
+                }
+                let direction = view.direction((left + column) as f32, (top + row) as f32);
+                let surface = &self.surfaces[triangle as usize];
+                let facing = surface.normal.dot(&direction);
+                if triangle != last.0 {
+                    let normal = if facing > 0.0 { -surface.normal } else { surface.normal };
+                    last = (triangle, light.on_surface(&normal));
+                }
+                let depth = 1.0 / block.inverse_depth[row][column];
+                let colour = self.colour(view, light, surface, (direction, depth, facing), &last.1);
+                let [r, g, b] = colour;
+                out.put(
+                    row,
+                    column,
+                    [self.tone.encode(r), self.tone.encode(g), self.tone.encode(b)],
+                    depth,
+                );
+            }
+        }
+    }
+
+    /// Linear light that leaves a surface; `direction` is 1 m deep and `facing` its product with the surface's normal.
+    #[inline(always)]
+    fn colour(
+        &self,
+        view: &View,
+        light: &Lighting,
+        surface: &Surface,
+        (direction, depth, facing): (V3, f32, f32),
+        on_surface: &[f32; 3],
+    ) -> [f32; 3] {
+        let material = &self.materials[surface.material as usize];
+        let offset = direction * depth + (view.origin - surface.origin);
+        let mut albedo = material.base_color;
+        if let Some(texture) = self.texture(material) {
+            // How the point moves over the surface from this pixel to the next (Igehy, "Tracing ray differentials", 1999).
+            let step =
+                |pixel: &V3| (pixel - direction * (surface.normal.dot(pixel) / facing)) * depth;
+            let footprint = Footprint {
+                uv: surface.uv(&offset),
+                per_column: surface.uv_change(&step(&view.column)),
+                per_row: surface.uv_change(&step(&view.row)),
+            };
+            let texel = texture.sample(&footprint);
+            albedo = [albedo[0] * texel[0], albedo[1] * texel[1], albedo[2] * texel[2]];
+        }
+        let ambient = surface.ambient(&offset);
+        let sun = light.sun.as_ref().map_or(0.0, |sun| {
+            let normal = if facing > 0.0 { -surface.normal } else { surface.normal };
+            sun.at(&(surface.origin + offset), &normal) * light.exposure
+        });
+        let leaves = |c: usize| {
+            albedo[c] * (on_surface[c] * ambient + sun) + material.emissive[c] * light.exposure
+        };
+        [leaves(0), leaves(1), leaves(2)]
+    }
+
+    fn draw_people(
+        &self,
+        view: &View,
+        light: &Lighting,
+        (left, top): (usize, usize),
+        bodies: &[Capsule],
+        out: &mut Out<'_>,
+    ) {
+        let middle =
+            view.direction(left as f32 + SIZE as f32 / 2.0, top as f32 + SIZE as f32 / 2.0);
+        let spread = (view.column.norm() + view.row.norm()) * SIZE as f32;
+        for part in bodies.iter().filter(|part| may_see(part, view, &middle, spread)) {
+            for row in 0..SIZE.min(out.rows()) {
+                for column in 0..SIZE.min(out.width - left) {
+                    let direction =
+                        view.direction((left + column) as f32, (top + row) as f32).cast::<f64>();
+                    let origin = view.origin.cast::<f64>();
+                    let Some(depth) = part.entry(&origin, &direction) else { continue };
+                    let behind = out.depth_at(row, column);
+                    if behind == 0.0 || (depth as f32) < behind {
+                        let normal = part.normal(&(origin + direction * depth)).cast();
+                        let on_surface = light.on_surface(&normal);
+                        let colour = std::array::from_fn(|c| {
+                            self.tone.encode(part.color[c] * on_surface[c])
+                        });
+                        out.put(row, column, colour, depth as f32);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Whether a body part may be in a block whose middle ray is `middle` (1 m deep) and whose rays end within `spread` of it.
+fn may_see(part: &Capsule, view: &View, middle: &V3, spread: f32) -> bool {
+    let centre = ((part.from + part.to) * 0.5).cast::<f32>() - view.origin;
+    let reach = ((part.to - part.from).norm() * 0.5 + part.radius_m) as f32;
+    let depth = centre.dot(&view.forward);
+    let aside = (centre - middle * depth).norm();
+    // Within `reach` of the centre the pyramid's width changes by the same factor again.
+    depth + reach > 0.0 && aside <= reach * (1.0 + middle.norm() + spread) + spread * depth.max(0.0)
+}
+
+fn view(camera: &CameraModel, t_world_camera: &Pose3) -> View {
+    let turn = t_world_camera.rotation;
+    View {
+        origin: t_world_camera.translation.vector.cast(),
+        corner: (turn * camera.ray(0.0, 0.0)).cast(),
+        column: (turn * Vector3::new(1.0 / camera.fx, 0.0, 0.0)).cast(),
+        row: (turn * Vector3::new(0.0, 1.0 / camera.fy, 0.0)).cast(),
+        forward: (turn * Vector3::z()).cast(),
+    }
+}
+
+/// Rec. 709.
+fn luminance(color: [f32; 3]) -> f32 {
+    0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
+}
+
+/// A block's place in its band of the picture.
+struct Out<'a> {
+    left: usize,
+    width: usize,
+    rgb: &'a mut [u8],
+    depth: &'a mut [f32],
+}
+
+impl Out<'_> {
+    fn rows(&self) -> usize {
+        self.depth.len() / self.width
+    }
+
+    #[inline(always)]
+    fn put(&mut self, row: usize, column: usize, colour: [u8; 3], depth: f32) {
+        let index = row * self.width + self.left + column;
+        self.rgb[index * 3..index * 3 + 3].copy_from_slice(&colour);
+        self.depth[index] = depth;
+    }
+
+    fn depth_at(&self, row: usize, column: usize) -> f32 {
+        self.depth[row * self.width + self.left + column]
+    }
+}

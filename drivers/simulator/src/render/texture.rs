@@ -1,0 +1,346 @@
+//! Textures as mip chains.
+
+use super::light::srgb_to_linear;
+use crate::scene::Texture;
+
+/// One texture with its ever smaller copies.
+///
+/// Colour bytes hold the square root of linear light: a code with about the resolution of sRGB where the eye needs it, that
+/// is decoded by one multiplication. Alpha is linear.
+#[derive(Debug)]
+pub(super) struct MipChain {
+    levels: Vec<Level>,
+}
+
+/// Linear RGB and alpha.
+pub(super) type Rgba = [f32; 4];
+
+/// Where and how wide a pixel looks at a texture.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Footprint {
+    /// Texture coordinates of the pixel's centre.
+    pub uv: [f32; 2],
+    /// Change of the texture coordinates from one pixel to the next, along columns and rows.
+    pub per_column: [f32; 2],
+    pub per_row: [f32; 2],
+}
+
+/// Samples along the longer axis of a footprint, at most. Floors seen from 0.8 m are stretched 4 times at 3 m.
+const MAX_TAPS: f32 = 4.0;
+
+impl MipChain {
+    /// `None` when the texture's bytes do not fit its size or it has no texels.
+    pub fn new(texture: &Texture) -> Option<Self> {
+        let (mut width, mut height) = (texture.width as usize, texture.height as usize);
+        if width == 0
+            || height == 0
+            || texture.rgba.len() != width.checked_mul(height)?.checked_mul(4)?
+        {
+            return None;
+        }
+        let light: Vec<f32> = (0..=255).map(srgb_to_linear).collect();
+        let texels = texture.rgba.chunks_exact(4);
+        // Levels are averaged from unrounded values, or dark tones would drift from one to the next.
+        let mut linear: Vec<Rgba> = texels
+            .map(|p| {
+                [
+                    light[p[0] as usize],
+                    light[p[1] as usize],
+                    light[p[2] as usize],
+                    f32::from(p[3]) / 255.0,
+                ]
+            })
+            .collect();
+        let mut levels = vec![Level::new(width, height, &linear)];
+        while width > 1 || height > 1 {
+            let (half_width, half_height) = ((width / 2).max(1), (height / 2).max(1));
+            linear = shrink(&linear, (width, height), (half_width, half_height));
+            (width, height) = (half_width, half_height);
+            levels.push(Level::new(width, height, &linear));
+        }
+        Some(Self { levels })
+    }
+
+    /// Alpha at full resolution, 0 to 1, bilinear.
+    pub fn alpha(&self, uv: [f32; 2]) -> f32 {
+        self.levels[0].bilinear(wrap(uv[0]), wrap(uv[1])).linear(1)[3]
+    }
+
+    /// Filtered colour: trilinear across the footprint, repeated along its longer axis.
+    #[inline]
+    pub fn sample(&self, footprint: &Footprint) -> Rgba {
+        let size = [self.levels[0].width as i32 as f32, self.levels[0].height as i32 as f32];
+        let length = |d: &[f32; 2]| {
+            ((d[0] * size[0]) * (d[0] * size[0]) + (d[1] * size[1]) * (d[1] * size[1])).sqrt()
+        };
+        let (column, row) = (length(&footprint.per_column), length(&footprint.per_row));
+        let (axis, long, short) = if column > row {
+            (footprint.per_column, column, row)
+        } else {
+            (footprint.per_row, row, column)
+        };
+        if long <= 1.0 {
+            return self.levels[0].bilinear(wrap(footprint.uv[0]), wrap(footprint.uv[1])).linear(1);
+        }
+        let taps = ((long / short.max(1.0)).min(MAX_TAPS) + 0.5) as usize;
+        if taps < 2 {
+            return self.trilinear(footprint.uv, long);
+        }
+        let share = 1.0 / taps as f32;
+        let mut sum = [0.0; 4];
+        for tap in 0..taps {
+            let along = (tap as f32 + 0.5) * share - 0.5;
+            let uv = [footprint.uv[0] + along * axis[0], footprint.uv[1] + along * axis[1]];
+            let colour = self.trilinear(uv, (long * share).max(1.0));
+            for channel in 0..4 {
+                sum[channel] += colour[channel] * share;
+            }
+        }
+        sum
+    }
+
+    /// `texels`: size of the pixel, at least 1.
+    #[inline]
+    fn trilinear(&self, uv: [f32; 2], texels: f32) -> Rgba {
+        // The exponent is the level and the mantissa the way to the next: log2 in straight pieces, which is smooth enough.
+        let bits = texels.to_bits();
+        let level = (bits >> 23) as usize - 127;
+        // From 0 at a quarter of the way to 1 at three quarters: half of all looks need one level only.
+        const WHOLE: u64 = 1 << Mix::LEVEL_BITS;
+        let fraction = u64::from((bits & 0x007f_ffff) >> (22 - Mix::LEVEL_BITS))
+            .saturating_sub(WHOLE / 2)
+            .min(WHOLE);
+        let (u, v) = (wrap(uv[0]), wrap(uv[1]));
+        let Some([fine, coarse]) = self.levels.get(level..level + 2) else {
+            return self.levels[self.levels.len() - 1].bilinear(u, v).linear(1);
+        };
+        if fraction == 0 {
+            return fine.bilinear(u, v).linear(1);
+        }
+        if fraction == WHOLE {
+            return coarse.bilinear(u, v).linear(1);
+        }
+        let mut mix = Mix::default();
+        mix.add(&fine.bilinear(u, v), WHOLE - fraction);
+        mix.add(&coarse.bilinear(u, v), fraction);
+        mix.linear(WHOLE)
+    }
+}
+
+/// A weighted sum of texels, two channels of 32 bits in one register: plain integer instructions filter four channels with
+/// two multiplications a texel.
+#[derive(Debug, Default, Clone, Copy)]
+struct Mix {
+    red_blue: u64,
+    green_alpha: u64,
+}
+
+impl Mix {
+    /// Resolution of the place between two texels. Eight bits of colour, twice eight of place and seven of level make 31.
+    const PLACE_BITS: u32 = 8;
+    /// Resolution of the place between two levels.
+    const LEVEL_BITS: u32 = 7;
+
+    #[inline(always)]
+    fn add_texel(&mut self, texel: u32, weight: u64) {
+        const CHANNELS: u64 = 0x0000_00ff_0000_00ff;
+        let (red_blue, green_alpha) =
+            (u64::from(texel & 0x00ff_00ff), u64::from((texel >> 8) & 0x00ff_00ff));
+        self.red_blue += ((red_blue | (red_blue << 16)) & CHANNELS) * weight;
+        self.green_alpha += ((green_alpha | (green_alpha << 16)) & CHANNELS) * weight;
+    }
+
+    #[inline(always)]
+    fn add(&mut self, other: &Self, weight: u64) {
+        self.red_blue += other.red_blue * weight;
+        self.green_alpha += other.green_alpha * weight;
+    }
+
+    /// Linear light of a sum whose weights were those of a bilinear mix times `weight`.
+    #[inline(always)]
+    fn linear(&self, weight: u64) -> Rgba {
+        let scale = 1.0 / (255 * (weight << (2 * Self::PLACE_BITS))) as f32;
+        let channel = |lane: u64| lane as i32 as f32 * scale;
+        let (r, g) = (channel(self.red_blue), channel(self.green_alpha));
+        let (b, a) = (channel(self.red_blue >> 32), channel(self.green_alpha >> 32));
+        [r * r, g * g, b * b, a]
+    }
+}
+
+/// One size of a texture, in tiles of 4 x 4 texels: a cache line each, so that neighbours in any direction share lines and
+/// pages.
+#[derive(Debug)]
+struct Level {
+    width: u32,
+    height: u32,
+    /// Texels from one row of tiles to the next.
+    tile_row: u32,
+    /// R, G, B, A from the lowest byte.
+    texels: Vec<u32>,
+}
+
+impl Level {
+    fn new(width: usize, height: usize, linear: &[Rgba]) -> Self {
+        let tile_row = width.div_ceil(4) * 16;
+        let texels = vec![0; tile_row * height.div_ceil(4)];
+        let mut level =
+            Self { width: width as u32, height: height as u32, tile_row: tile_row as u32, texels };
+        for (y, row) in linear.chunks_exact(width).enumerate() {
+            let start = level.row_start(y as u32);
+            for (x, colour) in row.iter().enumerate() {
+                level.texels[(start + column_start(x as u32)) as usize] = encode(colour);
+            }
+        }
+        level
+    }
+
+    #[inline(always)]
+    fn row_start(&self, y: u32) -> u32 {
+        (y >> 2) * self.tile_row + ((y & 3) << 2)
+    }
+
+    /// `u`, `v` in [0, 1]; texel centres lie at half-integers; the picture repeats.
+    #[inline(always)]
+    fn bilinear(&self, u: f32, v: f32) -> Mix {
+        let (x0, x1, fx) = neighbours(u, self.width);
+        let (y0, y1, fy) = neighbours(v, self.height);
+        let (upper, lower) = (self.row_start(y0), self.row_start(y1));
+        let (left, right) = (column_start(x0), column_start(x1));
+        const WHOLE: u64 = 1 << Mix::PLACE_BITS;
+        let mut mix = Mix::default();
+        mix.add_texel(self.texels[(upper + left) as usize], (WHOLE - fx) * (WHOLE - fy));
+        mix.add_texel(self.texels[(upper + right) as usize], fx * (WHOLE - fy));
+        mix.add_texel(self.texels[(lower + left) as usize], (WHOLE - fx) * fy);
+        mix.add_texel(self.texels[(lower + right) as usize], fx * fy);
+        mix
+    }
+}
+
+#[inline(always)]
+fn column_start(x: u32) -> u32 {
+    ((x >> 2) << 4) | (x & 3)
+}
+
+/// The two texels beside coordinate `s` in [0, 1] and how much the second counts, of 2^[`Mix::PLACE_BITS`].
+#[inline(always)]
+fn neighbours(s: f32, size: u32) -> (u32, u32, u64) {
+    // Half a texel to the right, so that truncation is floor. Signed: its conversions are single instructions.
+    let place = ((s * size as i32 as f32 + 0.5) * (1 << Mix::PLACE_BITS) as f32) as i32 as u32;
+    let whole = (place >> Mix::PLACE_BITS).min(size);
+    let left = if whole == 0 { size - 1 } else { whole - 1 };
+    let right = if whole == size { 0 } else { whole };
+    (left, right, u64::from(place & ((1 << Mix::PLACE_BITS) - 1)))
+}
+
+/// The fractional part, in [0, 1]; without a call to `floor`, which plain x86-64 has no instruction for.
+#[inline(always)]
+fn wrap(s: f32) -> f32 {
+    let fraction = s - (s as i32) as f32;
+    let fraction = if fraction < 0.0 { fraction + 1.0 } else { fraction };
+    fraction.clamp(0.0, 1.0) // beyond the range of i32 it is not a fraction
+}
+
+fn encode(colour: &Rgba) -> u32 {
+    let byte = |value: f32| (value * 255.0 + 0.5) as u8;
+    u32::from_le_bytes([
+        byte(colour[0].sqrt()),
+        byte(colour[1].sqrt()),
+        byte(colour[2].sqrt()),
+        byte(colour[3]),
+    ])
+}
+
+/// Area average.
+fn shrink(
+    texels: &[Rgba],
+    (width, height): (usize, usize),
+    (to_width, to_height): (usize, usize),
+) -> Vec<Rgba> {
+    let (columns, rows) = (shares(width, to_width), shares(height, to_height));
+    let mut out = Vec::with_capacity(to_width * to_height);
+    let mut line: Vec<Rgba> = vec![[0.0; 4]; width];
+    for sources in &rows {
+        line.fill([0.0; 4]);
+        for (y, share) in sources {
+            for (sum, texel) in line.iter_mut().zip(&texels[y * width..(y + 1) * width]) {
+                for channel in 0..4 {
+                    sum[channel] += share * texel[channel];
+                }
+            }
+        }
+        for sources in &columns {
+            let mut sum = [0.0; 4];
+            for (x, share) in sources {
+                for channel in 0..4 {
+                    sum[channel] += share * line[*x][channel];
+                }
+            }
+            out.push(sum);
+        }
+    }
+    out
+}
+
+/// For each of `target` equal parts of a line of `size` texels: which texels it covers, and their shares of it.
+fn shares(size: usize, target: usize) -> Vec<Vec<(usize, f32)>> {
+    let span = size as f32 / target as f32;
+    let part = |index: usize| {
+        let (from, to) = (index as f32 * span, (index + 1) as f32 * span);
+        let texels = from as usize..(to.ceil() as usize).min(size);
+        texels.map(|i| (i, (to.min(i as f32 + 1.0) - from.max(i as f32)) / span)).collect()
+    };
+    (0..target).map(part).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn every_level_keeps_the_average_of_a_texture_of_any_size() {
+        for (width, height) in [(8, 8), (7, 5), (1, 9), (12, 1), (33, 17)] {
+            let rgba: Vec<u8> = (0..width * height * 4).map(|i| (i * 37 % 251) as u8).collect();
+            let chain = MipChain::new(&Texture { width, height, rgba: rgba.clone() }).unwrap();
+            let light = rgba.chunks_exact(4).map(|p| srgb_to_linear(p[1])).sum::<f32>()
+                / (width * height) as f32;
+            let smallest = &chain.levels[chain.levels.len() - 1];
+            assert_eq!((smallest.width, smallest.height), (1, 1));
+            assert!((smallest.bilinear(0.5, 0.5).linear(1)[1] - light).abs() < 0.004);
+        }
+    }
+
+    #[test]
+    fn textures_of_the_wrong_size_are_not_made() {
+        assert!(MipChain::new(&Texture { width: 2, height: 2, rgba: vec![0; 15] }).is_none());
+        assert!(MipChain::new(&Texture { width: 0, height: 2, rgba: vec![] }).is_none());
+    }
+
+    proptest! {
+        #[test]
+        fn any_coordinate_is_between_the_texels_beside_it(u in -3.0..3.0_f32, v in -3.0..3.0_f32) {
+            // Red rises by 20 with every column, green by 30 with every row, in the square root of light.
+            let byte = |code: u32| super::super::light::linear_to_srgb((code as f32 / 255.0).powi(2));
+            let rgba = (0..48).flat_map(|i| [byte(20 + i % 8 * 20), byte(30 + i / 8 * 30), 0, 255]).collect();
+            let chain = MipChain::new(&Texture { width: 8, height: 6, rgba }).unwrap();
+            let (x, y) = (u.rem_euclid(1.0) * 8.0 - 0.5, v.rem_euclid(1.0) * 6.0 - 0.5);
+            prop_assume!((0.0..7.0).contains(&x) && (0.0..5.0).contains(&y));
+            let narrow = Footprint { uv: [u, v], per_column: [0.001, 0.0], per_row: [0.0, 0.001] };
+            let [red, green, _, alpha] = chain.sample(&narrow);
+            prop_assert!((red.sqrt() * 255.0 - (20.0 + 20.0 * x)).abs() < 1.5, "{} at {x}", red.sqrt() * 255.0);
+            prop_assert!((green.sqrt() * 255.0 - (30.0 + 30.0 * y)).abs() < 1.5, "{} at {y}", green.sqrt() * 255.0);
+            prop_assert!((alpha - 1.0).abs() < 1e-6);
+        }
+
+        #[test]
+        fn no_coordinate_and_no_footprint_leaves_the_texture(
+            uv in prop::array::uniform2(prop::num::f32::ANY),
+            per_column in prop::array::uniform2(prop::num::f32::ANY),
+            per_row in prop::array::uniform2(prop::num::f32::ANY),
+        ) {
+            let chain = MipChain::new(&Texture { width: 5, height: 3, rgba: vec![90; 60] }).unwrap();
+            chain.sample(&Footprint { uv, per_column, per_row });
+            chain.alpha(uv);
+        }
+    }
+}

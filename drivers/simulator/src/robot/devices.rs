@@ -1,0 +1,211 @@
+//! The hal traits, and the evaluation's own handle.
+
+use std::convert::Infallible;
+use std::fmt;
+use std::sync::{Arc, Mutex};
+
+use hal::{
+    Base, Camera, CameraModel, Clock, DepthMap, DriveCommand, ErrorKind, ErrorType, Frame,
+    LaserScan, Lidar, Pose2, ScanGeometry, Twist2, WheelFeedback,
+};
+
+use super::{State, lock};
+use crate::floor::FloorPlan;
+
+type Shared = Arc<Mutex<State>>;
+
+/// The base refuses a command that is not finite, and stops.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DriveRefused {
+    /// What was asked for.
+    pub twist: Twist2,
+}
+
+impl fmt::Display for DriveRefused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Twist2 { linear_mps, angular_radps } = self.twist;
+        write!(f, "refused to drive {linear_mps} m/s, {angular_radps} rad/s: both must be finite")
+    }
+}
+
+impl std::error::Error for DriveRefused {}
+
+impl hal::Error for DriveRefused {
+    fn kind(&self) -> ErrorKind {
+        ErrorKind::Rejected
+    }
+}
+
+/// Renders a picture when asked at a new time.
+pub struct SimCamera {
+    shared: Shared,
+    model: CameraModel,
+}
+
+impl SimCamera {
+    pub(super) fn new(shared: Shared, model: CameraModel) -> Self {
+        Self { shared, model }
+    }
+}
+
+impl ErrorType for SimCamera {
+    type Error = Infallible;
+}
+
+impl Camera for SimCamera {
+    fn model(&self) -> &CameraModel {
+        &self.model
+    }
+
+    fn poll_frame(&mut self, frame: &mut Frame) -> Result<bool, Infallible> {
+        let mut state = lock(&self.shared);
+        let now_ns = state.now_ns;
+        if state.frame_ns.replace(now_ns) == Some(now_ns) {
+            return Ok(false);
+        }
+        state.take_frame(frame);
+        Ok(true)
+    }
+}
+
+/// Casts a scan when asked, at most one in the scanner's period.
+pub struct SimLidar {
+    shared: Shared,
+    geometry: ScanGeometry,
+}
+
+impl SimLidar {
+    pub(super) fn new(shared: Shared, geometry: ScanGeometry) -> Self {
+        Self { shared, geometry }
+    }
+}
+
+impl ErrorType for SimLidar {
+    type Error = Infallible;
+}
+
+impl Lidar for SimLidar {
+    fn geometry(&self) -> ScanGeometry {
+        self.geometry
+    }
+
+    fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Infallible> {
+        let mut state = lock(&self.shared);
+        let now_ns = state.now_ns;
+        if state
+            .scan_ns
+            .is_some_and(|last_ns| now_ns < last_ns.saturating_add(self.geometry.period_ns.max(1)))
+        {
+            return Ok(false);
+        }
+        state.scan_ns = Some(now_ns);
+        state.take_scan(scan);
+        Ok(true)
+    }
+}
+
+/// The wheels.
+pub struct SimBase {
+    shared: Shared,
+}
+
+impl SimBase {
+    pub(super) fn new(shared: Shared) -> Self {
+        Self { shared }
+    }
+}
+
+impl ErrorType for SimBase {
+    type Error = DriveRefused;
+}
+
+impl Base for SimBase {
+    fn drive(&mut self, command: &DriveCommand) -> Result<(), DriveRefused> {
+        let mut state = lock(&self.shared);
+        // A repeated frame is not a sign of life.
+        let is_new = state.last_counter.replace(command.counter) != Some(command.counter);
+        if !command.twist.is_finite() {
+            state.command = Twist2::ZERO;
+            return Err(DriveRefused { twist: command.twist });
+        }
+        if is_new {
+            state.command = command.twist;
+            state.commanded_ns = state.now_ns;
+        }
+        Ok(())
+    }
+
+    fn stop(&mut self) -> Result<(), DriveRefused> {
+        lock(&self.shared).command = Twist2::ZERO;
+        Ok(())
+    }
+
+    fn poll_feedback(&mut self) -> Result<Option<WheelFeedback>, DriveRefused> {
+        let mut state = lock(&self.shared);
+        let now_ns = state.now_ns;
+        let fresh = state.feedback_ns.replace(now_ns) != Some(now_ns);
+        Ok(fresh.then(|| state.feedback()))
+    }
+}
+
+/// Virtual time. Sleeping lets the robot drive.
+pub struct SimClock {
+    shared: Shared,
+}
+
+impl SimClock {
+    pub(super) fn new(shared: Shared) -> Self {
+        Self { shared }
+    }
+}
+
+impl Clock for SimClock {
+    fn now_ns(&self) -> u64 {
+        lock(&self.shared).now_ns
+    }
+
+    fn sleep_until_ns(&mut self, deadline_ns: u64) {
+        lock(&self.shared).run_until(deadline_ns);
+    }
+}
+
+/// What only the evaluation may know. Never reachable through the hal traits.
+pub struct Truth {
+    shared: Shared,
+}
+
+impl Truth {
+    pub(super) fn new(shared: Shared) -> Self {
+        Self { shared }
+    }
+
+    /// `t_world_base`.
+    #[must_use]
+    pub fn pose(&self) -> Pose2 {
+        lock(&self.shared).pose
+    }
+
+    /// Where the frame of the odometry lies in the world, now. Moves as odometry drifts; without noise it is the start pose.
+    #[must_use]
+    pub fn t_world_odom(&self) -> Pose2 {
+        let state = lock(&self.shared);
+        state.pose.compose(&state.odometer.pose().inverse())
+    }
+
+    /// Where the robot can be.
+    #[must_use]
+    pub fn floor_plan(&self) -> Arc<FloorPlan> {
+        lock(&self.shared).plan.clone()
+    }
+
+    /// Whether the last motion was blocked.
+    #[must_use]
+    pub fn contact(&self) -> bool {
+        lock(&self.shared).contact
+    }
+
+    /// Copies the z-depth of the last picture.
+    pub fn depth(&self, into: &mut DepthMap) {
+        into.clone_from(&lock(&self.shared).depth);
+    }
+}

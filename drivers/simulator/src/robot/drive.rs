@@ -1,0 +1,33 @@
+//! Wheels on the floor: motion along the commanded arc until something is in the way.
+
+use hal::Twist2;
+
+use super::State;
+use crate::floor::Body;
+
+impl State {
+    /// Lets the robot drive until `deadline_ns`, by the last command while that is fresh. Blocked wheels stall: they do not
+    /// count what was not driven.
+    pub(super) fn run_until(&mut self, deadline_ns: u64) {
+        if deadline_ns <= self.now_ns {
+            return;
+        }
+        self.pose_before = self.pose;
+        self.step_s = (deadline_ns - self.now_ns) as f64 * 1e-9;
+        let fresh_until_ns = self.commanded_ns.saturating_add(self.options.watchdog_ns);
+        let seconds = (deadline_ns.min(fresh_until_ns).saturating_sub(self.now_ns)) as f64 * 1e-9;
+        self.now_ns = deadline_ns;
+        let body = Body { sliding: self.options.sliding };
+        let moved = self.plan.drive(&self.pose, &self.command, seconds, &body, &self.bodies());
+        let odom_before = self.odometer.pose();
+        self.odometer.advance(&self.pose.inverse().compose(&moved.pose));
+        let measured = odom_before.inverse().compose(&self.odometer.pose());
+        self.pose = moved.pose;
+        self.contact = moved.contact;
+        self.touched |= moved.contact;
+        self.twist = Twist2 {
+            linear_mps: measured.x_m / self.step_s,
+            angular_radps: measured.yaw_rad / self.step_s,
+        };
+    }
+}

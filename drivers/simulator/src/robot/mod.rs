@@ -1,0 +1,345 @@
+//! A robot in a simulated home: the hal traits over rendered pictures, cast beams and moved wheels, in virtual time.
+
+mod devices;
+mod drive;
+#[cfg(test)]
+mod tests;
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use hal::{
+    CameraModel, DepthMap, Distortion, Frame, LaserScan, Pose2, Pose3, Twist2, WheelFeedback,
+    camera_mount,
+};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use crate::error::SceneError;
+use crate::floor::{Disc, FloorPlan};
+use crate::laser::{self, LaserModel};
+use crate::nuisance::Nuisances;
+use crate::odometry::{Odometer, OdometryNoise};
+use crate::people::{Person, Walker};
+use crate::world::World;
+
+pub use devices::{DriveRefused, SimBase, SimCamera, SimClock, SimLidar, Truth};
+
+/// Random streams of one run, apart from each other so that one option does not change what another draws.
+const LASER_STREAM: u64 = 0x6c61_7365;
+const CAMERA_STREAM: u64 = 0x6361_6d65;
+const WHEEL_STREAM: u64 = 0x7768_6565;
+const PEOPLE_STREAM: u64 = 0x7065_6f70;
+/// Pictures that make one motion-blurred picture.
+const BLUR_PICTURES: usize = 4;
+/// People walk at about this speed indoors, m/s.
+const WALKING_MPS: f64 = 0.8;
+/// Corners of a person's way, and how often a next one that can be seen from the last is looked for.
+const WAYPOINTS: usize = 4;
+const WAYPOINT_TRIES: usize = 200;
+/// Half the width of a person, metres.
+const PERSON_RADIUS_M: f64 = 0.25;
+
+/// The simulated robot. Defaults as in "Embodied Depth Prediction", section IV: a 640x192 camera of 90 degrees, 0.8 m high.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RobotOptions {
+    /// Intrinsics.
+    pub camera: CameraModel,
+    /// The camera's place on the robot.
+    pub t_base_camera: Pose3,
+    /// The laser's place on the robot; level.
+    pub t_base_laser: Pose3,
+    /// Slide along obstacles (as Habitat does by default) or stop at them.
+    pub sliding: bool,
+    /// Wheel noise.
+    pub odometry: OdometryNoise,
+    /// The scanner.
+    pub laser: LaserModel,
+    /// What makes pictures hard, and people.
+    pub nuisances: Nuisances,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Where to start; `None`: a free place, by the seed.
+    pub start: Option<Pose2>,
+    /// The base stops by itself this long after the last command.
+    pub watchdog_ns: u64,
+}
+
+impl Default for RobotOptions {
+    fn default() -> Self {
+        Self {
+            camera: CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2),
+            t_base_camera: camera_mount(0.0, 0.8, 0.0),
+            t_base_laser: Pose3::translation(0.0, 0.0, 0.18),
+            sliding: false,
+            odometry: OdometryNoise::default(),
+            laser: LaserModel::UTM_30LX,
+            nuisances: Nuisances::default(),
+            seed: 0,
+            start: None,
+            watchdog_ns: 200_000_000,
+        }
+    }
+}
+
+impl RobotOptions {
+    fn check(&self) -> Result<(), SceneError> {
+        self.nuisances.check()?;
+        self.odometry.check()?;
+        let refuse =
+            |option, value: String, allowed| Err(SceneError::Option { option, value, allowed });
+        if !self.camera.is_sound() || self.camera.distortion != Distortion::None {
+            let allowed = "a pinhole without distortion, of positive size and focal length";
+            return refuse("camera model", format!("{:?}", self.camera), allowed);
+        }
+        let mounts = [("camera mount", &self.t_base_camera), ("laser mount", &self.t_base_laser)];
+        for (option, mount) in mounts {
+            if !mount
+                .translation
+                .vector
+                .iter()
+                .chain(mount.rotation.coords.iter())
+                .all(|c| c.is_finite())
+            {
+                return refuse(option, mount.to_string(), "finite");
+            }
+        }
+        if self.watchdog_ns == 0 {
+            return refuse("watchdog", "0 ns".into(), "longer than the time between two commands");
+        }
+        match self.start.filter(|start| !start.is_finite()) {
+            Some(start) => refuse("start pose", format!("{start:?}"), "finite"),
+            None => Ok(()),
+        }
+    }
+}
+
+/// A robot in a home. Hand out its [`devices`](Self::devices) and let the clock run.
+#[derive(Clone)]
+pub struct SimulatedRobot {
+    shared: Arc<Mutex<State>>,
+}
+
+/// One handle for each hal trait, and one for the evaluation.
+pub struct Devices {
+    /// Pictures.
+    pub camera: SimCamera,
+    /// Scans.
+    pub lidar: SimLidar,
+    /// Wheels.
+    pub base: SimBase,
+    /// Time; moving it moves the robot.
+    pub clock: SimClock,
+    /// What only the evaluation may know.
+    pub truth: Truth,
+}
+
+pub(crate) struct State {
+    world: Arc<World>,
+    /// The world's plan, or the part of it around the start.
+    plan: Arc<FloorPlan>,
+    options: RobotOptions,
+    now_ns: u64,
+    pose: Pose2,
+    /// Where it was before the newest step, and how long that took.
+    pose_before: Pose2,
+    step_s: f64,
+    odometer: Odometer,
+    twist: Twist2,
+    command: Twist2,
+    commanded_ns: u64,
+    /// Something was in the way during the newest step.
+    contact: bool,
+    /// Something was in the way since the last feedback.
+    touched: bool,
+    last_counter: Option<u32>,
+    walkers: Vec<Walker>,
+    laser_rng: Pcg64Mcg,
+    camera_rng: Pcg64Mcg,
+    frame_ns: Option<u64>,
+    scan_ns: Option<u64>,
+    feedback_ns: Option<u64>,
+    sequence: u32,
+    depth: DepthMap,
+}
+
+impl SimulatedRobot {
+    /// Puts a robot into a home.
+    ///
+    /// # Errors
+    /// [`SceneError::StartBlocked`] when the start pose does not fit; nuisances out of range.
+    pub fn new(world: Arc<World>, options: RobotOptions) -> Result<Self, SceneError> {
+        options.check()?;
+        let rng = |stream: u64| Pcg64Mcg::seed_from_u64(options.seed ^ (stream << 16));
+        let (start, plan) = place(&world, &options)?;
+        let walkers = walkers(&plan, options.nuisances.people, &mut rng(PEOPLE_STREAM));
+        let state = State {
+            now_ns: 0,
+            pose: start,
+            pose_before: start,
+            step_s: 0.0,
+            odometer: Odometer::new(options.odometry, options.seed ^ (WHEEL_STREAM << 16)),
+            twist: Twist2::ZERO,
+            command: Twist2::ZERO,
+            commanded_ns: 0,
+            contact: false,
+            touched: false,
+            last_counter: None,
+            walkers,
+            laser_rng: rng(LASER_STREAM),
+            camera_rng: rng(CAMERA_STREAM),
+            frame_ns: None,
+            scan_ns: None,
+            feedback_ns: None,
+            sequence: 0,
+            depth: DepthMap::none(options.camera.width, options.camera.height),
+            world,
+            plan,
+            options,
+        };
+        Ok(Self { shared: Arc::new(Mutex::new(state)) })
+    }
+
+    /// Handles that share this robot.
+    #[must_use]
+    pub fn devices(&self) -> Devices {
+        let (model, geometry) = {
+            let state = lock(&self.shared);
+            (state.options.camera, state.options.laser.geometry)
+        };
+        Devices {
+            camera: SimCamera::new(self.shared.clone(), model),
+            lidar: SimLidar::new(self.shared.clone(), geometry),
+            base: SimBase::new(self.shared.clone()),
+            clock: SimClock::new(self.shared.clone()),
+            truth: Truth::new(self.shared.clone()),
+        }
+    }
+}
+
+/// A panic elsewhere does not make the robot's state wrong.
+pub(crate) fn lock(shared: &Mutex<State>) -> MutexGuard<'_, State> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl State {
+    /// People as the base meets them.
+    fn bodies(&self) -> Vec<Disc> {
+        let body =
+            |person: &Person| Disc { center_m: person.position_m, radius_m: PERSON_RADIUS_M };
+        self.people().iter().map(body).collect()
+    }
+
+    fn people(&self) -> Vec<Person> {
+        self.walkers.iter().map(|walker| walker.at(self.now_ns)).collect()
+    }
+
+    fn take_frame(&mut self, frame: &mut Frame) {
+        let people = self.people();
+        let nuisances = &self.options.nuisances;
+        let light = nuisances.lighting(self.now_ns);
+        let camera = &self.options.camera;
+        let at = |pose: &Pose2| pose.to_pose3() * self.options.t_base_camera;
+        let now = at(&self.pose);
+        let renderer = self.world.renderer();
+        if nuisances.shutter_s > 0.0 && self.pose_before != self.pose {
+            // The frame's time is the middle of its exposure.
+            let half = self.motion_in(nuisances.shutter_s / 2.0);
+            let open = [&at(&self.pose.compose(&half.inverse())), &at(&self.pose.compose(&half))];
+            renderer.render_blurred(
+                camera,
+                open,
+                BLUR_PICTURES,
+                &people,
+                &light,
+                &mut frame.data,
+                &mut self.depth,
+            );
+        } else {
+            renderer.render(camera, &now, &people, &light, &mut frame.data, &mut self.depth);
+        }
+        nuisances.add_sensor_noise(&mut self.camera_rng, &mut frame.data);
+        frame.time_ns = self.now_ns;
+        frame.sequence = self.sequence;
+        frame.width = camera.width;
+        frame.height = camera.height;
+        frame.format = hal::PixelFormat::Rgb8;
+        self.sequence = self.sequence.wrapping_add(1);
+    }
+
+    fn take_scan(&mut self, scan: &mut LaserScan) {
+        let people = self.people();
+        let t_world_laser = self.pose.to_pose3() * self.options.t_base_laser;
+        let rng = &mut self.laser_rng;
+        laser::scan(
+            self.world.renderer(),
+            &t_world_laser,
+            &people,
+            &self.options.laser,
+            rng,
+            self.now_ns,
+            scan,
+        );
+    }
+
+    /// The motion within a time, at the true velocity of the newest step.
+    fn motion_in(&self, seconds: f64) -> Pose2 {
+        let step = self.pose_before.inverse().compose(&self.pose);
+        let share = seconds / self.step_s;
+        Pose2::new(step.x_m * share, step.y_m * share, step.yaw_rad * share)
+    }
+
+    fn feedback(&mut self) -> WheelFeedback {
+        let contact = std::mem::take(&mut self.touched);
+        WheelFeedback {
+            time_ns: self.now_ns,
+            odom: self.odometer.pose(),
+            twist: self.twist,
+            contact,
+        }
+    }
+}
+
+/// Where the robot starts, and the free space around that.
+fn place(world: &World, options: &RobotOptions) -> Result<(Pose2, Arc<FloorPlan>), SceneError> {
+    let whole = world.floor_plan();
+    let Some(asked) = options.start else {
+        return Ok((whole.start_pose(options.seed), whole.clone()));
+    };
+    let (x_m, y_m) = (asked.x_m, asked.y_m);
+    let around = whole.around(x_m, y_m).filter(|plan| plan.fits(x_m, y_m, &[]));
+    match around {
+        Some(plan) => Ok((asked, Arc::new(plan))),
+        None => {
+            let [nearest_x_m, nearest_y_m] = whole.nearest_free(x_m, y_m);
+            Err(SceneError::StartBlocked { x_m, y_m, nearest_x_m, nearest_y_m })
+        }
+    }
+}
+
+/// People who walk between free places that see each other.
+fn walkers(plan: &FloorPlan, count: usize, rng: &mut Pcg64Mcg) -> Vec<Walker> {
+    let clear = |a: [f64; 2], b: [f64; 2]| {
+        let steps = ((a[0] - b[0]).hypot(a[1] - b[1]) / 0.05).ceil().max(1.0) as usize;
+        (0..=steps).all(|step| {
+            let share = step as f64 / steps as f64;
+            plan.clearance_m(a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+                > PERSON_RADIUS_M
+        })
+    };
+    (0..count)
+        .filter_map(|_| {
+            let mut way: Vec<[f64; 2]> = Vec::new();
+            for _ in 0..WAYPOINT_TRIES {
+                let place = plan.random_pose(rng.random());
+                let place = [place.x_m, place.y_m];
+                if way.last().is_none_or(|last| clear(*last, place)) {
+                    way.push(place);
+                }
+                if way.len() == WAYPOINTS {
+                    break;
+                }
+            }
+            Walker::new(way, WALKING_MPS, rng.random())
+        })
+        .collect()
+}

@@ -1,0 +1,274 @@
+use std::sync::LazyLock;
+
+use hal::{Base, Camera, Clock, DriveCommand, ErrorKind, Lidar, Range};
+use proptest::prelude::*;
+
+use super::*;
+use crate::render::tests::{plain, room};
+use crate::scene::Scene;
+use crate::world::OpenOptions;
+
+const TICK_NS: u64 = 100_000_000;
+
+/// An empty room of 5 by 4 m.
+static ROOM: LazyLock<Arc<World>> = LazyLock::new(|| {
+    let scene = Scene {
+        triangles: room([5.0, 4.0, 2.5], 0),
+        materials: vec![plain([0.5; 3])],
+        textures: vec![],
+    };
+    Arc::new(World::from_scene("room", scene, &crate::floor::Footprint::default()).unwrap())
+});
+
+static APARTMENT: LazyLock<Arc<World>> = LazyLock::new(|| {
+    Arc::new(World::open("builtin:apartment?seed=1", &OpenOptions::default()).unwrap())
+});
+
+fn exact(start: Pose2) -> RobotOptions {
+    RobotOptions {
+        odometry: OdometryNoise::NONE,
+        nuisances: Nuisances::none(),
+        start: Some(start),
+        ..small()
+    }
+}
+
+fn small() -> RobotOptions {
+    RobotOptions {
+        camera: CameraModel::pinhole(80, 24, std::f64::consts::FRAC_PI_2),
+        ..RobotOptions::default()
+    }
+}
+
+fn robot(options: RobotOptions) -> Devices {
+    SimulatedRobot::new(ROOM.clone(), options).unwrap().devices()
+}
+
+/// Commands a twist and lets a tick pass.
+fn tick(devices: &mut Devices, linear_mps: f64, angular_radps: f64) -> WheelFeedback {
+    let now_ns = devices.clock.now_ns();
+    let twist = Twist2 { linear_mps, angular_radps };
+    devices
+        .base
+        .drive(&DriveCommand { twist, counter: (now_ns / TICK_NS) as u32, plan_age_ns: 0 })
+        .unwrap();
+    devices.clock.sleep_until_ns(now_ns + TICK_NS);
+    devices.base.poll_feedback().unwrap().unwrap()
+}
+
+#[test]
+fn a_command_moves_the_robot_along_its_arc_and_odometry_tells_so() {
+    let start = Pose2::new(1.0, 1.0, 0.2);
+    let mut devices = robot(exact(start));
+    let feedback = tick(&mut devices, 0.3, 0.5);
+    let moved = Twist2 { linear_mps: 0.3, angular_radps: 0.5 }.integrate(0.1);
+    assert!(devices.truth.pose().distance_m(&start.compose(&moved)) < 1e-12);
+    assert!(
+        feedback.odom.distance_m(&moved) < 1e-12
+            && !feedback.contact
+            && feedback.time_ns == TICK_NS
+    );
+    // Measured along the chord.
+    assert!(
+        (feedback.twist.linear_mps - 0.3).abs() < 1e-3
+            && (feedback.twist.angular_radps - 0.5).abs() < 1e-9
+    );
+    assert!(devices.base.poll_feedback().unwrap().is_none());
+}
+
+#[test]
+fn without_new_commands_the_watchdog_stops_the_base() {
+    let mut devices = robot(exact(Pose2::new(1.0, 2.0, 0.0)));
+    let command = |counter| DriveCommand {
+        twist: Twist2 { linear_mps: 0.5, angular_radps: 0.0 },
+        counter,
+        plan_age_ns: 0,
+    };
+    devices.base.drive(&command(7)).unwrap();
+    devices.clock.sleep_until_ns(10 * TICK_NS);
+    assert!(
+        (devices.truth.pose().x_m - 1.1).abs() < 1e-9,
+        "0.2 s at 0.5 m/s: {:?}",
+        devices.truth.pose()
+    );
+    // The same counter again is a repeated frame.
+    devices.base.drive(&command(7)).unwrap();
+    devices.clock.sleep_until_ns(12 * TICK_NS);
+    assert!((devices.truth.pose().x_m - 1.1).abs() < 1e-9);
+    devices.base.drive(&command(8)).unwrap();
+    devices.clock.sleep_until_ns(13 * TICK_NS);
+    devices.base.stop().unwrap();
+    devices.clock.sleep_until_ns(14 * TICK_NS);
+    assert!((devices.truth.pose().x_m - 1.15).abs() < 1e-9);
+}
+
+#[test]
+fn a_command_that_is_no_number_is_rejected_and_stops_the_base() {
+    let mut devices = robot(exact(Pose2::new(1.0, 2.0, 0.0)));
+    tick(&mut devices, 0.5, 0.0);
+    let twist = Twist2 { linear_mps: f64::NAN, angular_radps: 0.0 };
+    let error =
+        devices.base.drive(&DriveCommand { twist, counter: 99, plan_age_ns: 0 }).unwrap_err();
+    assert_eq!(hal::Error::kind(&error), ErrorKind::Rejected);
+    devices.clock.sleep_until_ns(2 * TICK_NS);
+    assert!((devices.truth.pose().x_m - 1.05).abs() < 1e-9);
+}
+
+#[test]
+fn at_a_wall_the_wheels_stall_and_the_bumper_says_so_once_for_every_time_it_is_asked() {
+    let mut devices = robot(exact(Pose2::new(4.7, 2.0, 0.0)));
+    let feedback: Vec<WheelFeedback> = (0..6).map(|_| tick(&mut devices, 0.5, 0.0)).collect();
+    assert!(!feedback[0].contact && feedback[5].contact);
+    assert!((devices.truth.pose().x_m - 4.84).abs() < 1e-4);
+    assert!((feedback[5].odom.x_m - 0.14).abs() < 1e-4, "{:?}", feedback[5].odom);
+    assert!(feedback[5].twist.linear_mps.abs() < 1e-3);
+    // Contact in the first of two steps is not forgotten by the second.
+    let twist = Twist2 { linear_mps: 0.5, angular_radps: 0.0 };
+    devices.base.drive(&DriveCommand { twist, counter: 1000, plan_age_ns: 0 }).unwrap();
+    devices.clock.sleep_until_ns(7 * TICK_NS);
+    devices.base.stop().unwrap();
+    devices.clock.sleep_until_ns(8 * TICK_NS);
+    assert!(devices.base.poll_feedback().unwrap().unwrap().contact && !devices.truth.contact());
+    assert!(!tick(&mut devices, -0.5, 0.0).contact);
+}
+
+#[test]
+fn a_frame_is_what_the_camera_sees_now_and_is_handed_out_once() {
+    let mut devices = robot(exact(Pose2::new(2.0, 2.0, 0.0)));
+    let (mut frame, mut depth) = (Frame::empty(), DepthMap::none(0, 0));
+    assert!(devices.camera.poll_frame(&mut frame).unwrap());
+    assert!(!devices.camera.poll_frame(&mut frame).unwrap());
+    assert_eq!((frame.time_ns, frame.sequence, frame.view().unwrap().width()), (0, 0, 80));
+    devices.truth.depth(&mut depth);
+    assert!((depth.get(40, 11).unwrap() - 3.0).abs() < 1e-3, "the wall x = 5");
+    tick(&mut devices, 0.5, 0.0);
+    assert!(devices.camera.poll_frame(&mut frame).unwrap());
+    devices.truth.depth(&mut depth);
+    assert!((depth.get(40, 11).unwrap() - 2.95).abs() < 1e-3);
+    assert_eq!((frame.time_ns, frame.sequence), (TICK_NS, 1));
+}
+
+#[test]
+fn scans_come_at_most_once_a_period_and_show_the_room() {
+    let mut devices =
+        robot(RobotOptions { laser: LaserModel::IDEAL, ..exact(Pose2::new(2.0, 2.0, 0.0)) });
+    let mut scan = LaserScan::empty(devices.lidar.geometry());
+    assert!(devices.lidar.poll_scan(&mut scan).unwrap());
+    let Range::Hit(ahead_m) = scan.ranges[540] else { panic!("{:?}", scan.ranges[540]) };
+    assert!((ahead_m - 3.0).abs() < 1e-4);
+    devices.clock.sleep_until_ns(24_999_999);
+    assert!(!devices.lidar.poll_scan(&mut scan).unwrap());
+    devices.clock.sleep_until_ns(25_000_000);
+    assert!(devices.lidar.poll_scan(&mut scan).unwrap());
+    assert_eq!(scan.time_ns, 25_000_000);
+}
+
+#[test]
+fn a_start_inside_a_wall_is_refused_with_the_nearest_free_place() {
+    let refused = |x, y| SimulatedRobot::new(ROOM.clone(), exact(Pose2::new(x, y, 0.0))).err();
+    match refused(4.95, 2.0) {
+        Some(SceneError::StartBlocked { x_m, nearest_x_m, nearest_y_m, .. }) => {
+            assert!(
+                (x_m - 4.95).abs() < 1e-9
+                    && (nearest_x_m - 4.8).abs() < 0.06
+                    && (nearest_y_m - 2.0).abs() < 0.06
+            );
+        }
+        other => panic!("{other:?}"),
+    }
+    assert!(matches!(refused(40.0, 2.0), Some(SceneError::StartBlocked { .. })));
+    assert!(matches!(
+        refused(f64::NAN, 2.0),
+        Some(SceneError::Option { option: "start pose", .. })
+    ));
+}
+
+#[test]
+fn impossible_options_are_refused_by_name() {
+    let refused = |options| match SimulatedRobot::new(ROOM.clone(), options).err() {
+        Some(SceneError::Option { option, .. }) => option,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(
+        refused(RobotOptions { camera: CameraModel { fx: f64::NAN, ..small().camera }, ..small() }),
+        "camera model"
+    );
+    assert_eq!(refused(RobotOptions { watchdog_ns: 0, ..small() }), "watchdog");
+    let sunk = Pose3::translation(0.0, 0.0, f64::INFINITY);
+    assert_eq!(refused(RobotOptions { t_base_camera: sunk, ..small() }), "camera mount");
+    let nuisances = Nuisances { flicker: 2.0, ..Nuisances::none() };
+    let error = SimulatedRobot::new(ROOM.clone(), RobotOptions { nuisances, ..small() }).err();
+    assert!(matches!(error, Some(SceneError::Nuisance(_))));
+}
+
+/// Everything that a robot sees and feels on a fixed drive.
+fn diary(options: RobotOptions, threads: usize) -> Vec<u8> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    pool.install(|| {
+        let mut devices = SimulatedRobot::new(APARTMENT.clone(), options).unwrap().devices();
+        let (mut frame, mut scan) = (Frame::empty(), LaserScan::empty(devices.lidar.geometry()));
+        let mut bytes = Vec::new();
+        for step in 0..12 {
+            let feedback = tick(&mut devices, 0.4, f64::from(step % 5) * 0.3 - 0.5);
+            devices.camera.poll_frame(&mut frame).unwrap();
+            devices.lidar.poll_scan(&mut scan).unwrap();
+            bytes.extend(&frame.data);
+            bytes.extend(
+                format!("{feedback:?} {:?} {:?}", scan.ranges, devices.truth.pose()).bytes(),
+            );
+        }
+        bytes
+    })
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads_and_another_seed_others() {
+    let nuisances =
+        Nuisances { shutter_s: 0.02, people: 2, exposure_drift_stops: 0.5, ..Nuisances::default() };
+    let options = |seed| RobotOptions { nuisances: nuisances.clone(), seed, ..small() };
+    let one = diary(options(5), 1);
+    assert!(one == diary(options(5), 2) && one == diary(options(5), 5));
+    assert!(one != diary(options(6), 1));
+}
+
+#[test]
+fn motion_blur_is_as_long_as_the_shutter_is_open() {
+    let blurred = |shutter_s: f64| {
+        let nuisances = Nuisances { shutter_s, ..Nuisances::none() };
+        let options =
+            RobotOptions { nuisances, start: None, odometry: OdometryNoise::NONE, ..small() };
+        let mut devices = SimulatedRobot::new(APARTMENT.clone(), options).unwrap().devices();
+        tick(&mut devices, 0.0, 1.0);
+        let mut frame = Frame::empty();
+        devices.camera.poll_frame(&mut frame).unwrap();
+        frame.data
+    };
+    let sharp = blurred(0.0);
+    let difference = |picture: &[u8]| {
+        sharp.iter().zip(picture).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>()
+    };
+    let (short, long) = (difference(&blurred(0.002)), difference(&blurred(0.08)));
+    assert!(short < long / 3, "{short} and {long}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+
+    #[test]
+    fn without_noise_the_frame_of_the_odometry_never_moves(
+        seed: u64,
+        sliding: bool,
+        drives in prop::collection::vec((-1.0..1.0, -2.0..2.0), 1..30),
+    ) {
+        let options = RobotOptions { sliding, seed, start: None, ..exact(Pose2::IDENTITY) };
+        let mut devices = robot(options);
+        let start = devices.truth.pose();
+        for (linear_mps, angular_radps) in drives {
+            tick(&mut devices, linear_mps, angular_radps);
+            let t_world_odom = devices.truth.t_world_odom();
+            prop_assert!(t_world_odom.distance_m(&start) < 1e-9, "{t_world_odom:?}");
+            let pose = devices.truth.pose();
+            prop_assert!(devices.truth.floor_plan().fits(pose.x_m, pose.y_m, &[]));
+        }
+    }
+}

@@ -1,0 +1,68 @@
+//! What all exports of turns have in common.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::PathBuf;
+
+use runtime::recording::{RecordedTick, RecordingReader, SegmentHeader};
+
+use crate::error::BufferError;
+
+/// Hands out the turns of `segments` in this order; how many of them end early.
+pub(super) fn each_turn(
+    segments: &[PathBuf],
+    mut each: impl FnMut(&SegmentHeader, &RecordedTick) -> Result<(), BufferError>,
+) -> Result<u64, BufferError> {
+    let mut cut = 0;
+    for path in segments {
+        let file = File::open(path).map_err(BufferError::read(path))?;
+        let bad = |detail: String| BufferError::Segment { path: path.clone(), detail };
+        let reader = match RecordingReader::open(BufReader::with_capacity(1 << 20, file)) {
+            Ok(reader) => reader,
+            // Cut before its first turn.
+            Err(error) if error.is_truncation() => {
+                cut += 1;
+                continue;
+            }
+            Err(error) => return Err(bad(error.to_string())),
+        };
+        let header = reader.header().clone();
+        for tick in reader {
+            match tick {
+                Ok(tick) => each(&header, &tick)?,
+                Err(error) if error.is_truncation() => {
+                    cut += 1;
+                    break;
+                }
+                Err(error) => return Err(bad(error.to_string())),
+            }
+        }
+    }
+    Ok(cut)
+}
+
+/// A picture as PNG.
+pub(super) fn png(
+    bytes: &[u8],
+    width: usize,
+    height: usize,
+    color: image::ExtendedColorType,
+) -> std::io::Result<Vec<u8>> {
+    use image::ImageEncoder;
+    let mut png = Vec::new();
+    let encoder = image::codecs::png::PngEncoder::new(&mut png);
+    encoder
+        .write_image(bytes, width as u32, height as u32, color)
+        .map_err(std::io::Error::other)?;
+    Ok(png)
+}
+
+/// From the middle of the distances between pictures.
+pub(super) fn frames_per_second(times_ns: &[u64]) -> f64 {
+    let mut steps: Vec<u64> = times_ns
+        .windows(2)
+        .filter_map(|pair| Some(pair.get(1)?.saturating_sub(*pair.first()?)))
+        .collect();
+    steps.sort_unstable();
+    steps.get(steps.len() / 2).filter(|step| **step > 0).map_or(10.0, |step| 1e9 / *step as f64)
+}

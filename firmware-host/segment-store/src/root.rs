@@ -1,0 +1,143 @@
+//! A buffer's directory, opened once. Every file in it is reached from there part by part, and no part may be a symbolic
+//! link: what stands outside cannot be read, whoever can write inside.
+
+use std::ffi::OsStr;
+use std::fs::File;
+use std::io::{self, Write};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::unix::ffi::OsStrExt;
+use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
+
+use rustix::fs::{AtFlags, Dir, FileType, Mode, OFlags, open, openat, renameat, statat, unlinkat};
+
+use crate::error::BufferError;
+use crate::name::Name;
+
+/// Longest mark that is read.
+const MAX_SMALL_FILE: usize = 256;
+
+/// An opened buffer.
+#[derive(Debug)]
+pub struct Root {
+    dir: OwnedFd,
+    path: PathBuf,
+}
+
+/// An entry of a directory, as it is and not as a link would have it.
+pub(crate) struct Listed {
+    pub name: String,
+    pub kind: FileType,
+    pub bytes: u64,
+    pub modified_ns: u64,
+}
+
+impl Root {
+    /// Opens the directory at `path`, which may itself be a symbolic link.
+    ///
+    /// # Errors
+    /// When it is not there or no directory.
+    pub fn open(path: &Path) -> Result<Self, BufferError> {
+        let dir = open(path, OFlags::DIRECTORY | OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty())
+            .map_err(|errno| BufferError::read(path)(errno.into()))?;
+        Ok(Self { dir, path: path.to_owned() })
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Opens a file to be read.
+    ///
+    /// # Errors
+    /// When it is not there, no regular file, or reached through a symbolic link.
+    pub fn open_file(&self, name: &Name) -> io::Result<File> {
+        let folder = self.folder(name.run())?;
+        open_regular(folder.as_fd(), name.file())
+    }
+
+    /// Opens a directory inside; empty for the buffer's own.
+    pub(crate) fn folder(&self, relative: &str) -> io::Result<OwnedFd> {
+        let mut folder = self.dir.try_clone()?;
+        for part in relative.split('/').filter(|part| !part.is_empty()) {
+            let flags = OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::RDONLY | OFlags::CLOEXEC;
+            folder = openat(&folder, part, flags, Mode::empty())?;
+        }
+        Ok(folder)
+    }
+}
+
+/// What is in a directory. Names that are no UTF-8 are none of ours.
+pub(crate) fn list(folder: BorrowedFd<'_>) -> io::Result<Vec<Listed>> {
+    let mut found = Vec::new();
+    for entry in Dir::read_from(folder)? {
+        let entry = entry?;
+        let Ok(name) = entry.file_name().to_str() else { continue };
+        if name.starts_with('.') {
+            continue;
+        }
+        // A file that was deleted in between is not there.
+        let Ok(stat) = statat(folder, name, AtFlags::SYMLINK_NOFOLLOW) else { continue };
+        found.push(Listed {
+            name: name.to_owned(),
+            kind: FileType::from_raw_mode(stat.st_mode),
+            bytes: u64::try_from(stat.st_size).unwrap_or(0),
+            modified_ns: modified_ns(stat.st_mtime, stat.st_mtime_nsec),
+        });
+    }
+    Ok(found)
+}
+
+pub(crate) fn open_regular(folder: BorrowedFd<'_>, file: &str) -> io::Result<File> {
+    // Without NONBLOCK, opening a named pipe would wait for its writer.
+    let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let file =
+        File::from(openat(folder, OsStr::from_bytes(file.as_bytes()), flags, Mode::empty())?);
+    if !file.metadata()?.is_file() {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is no regular file"));
+    }
+    Ok(file)
+}
+
+/// Reads a small text file; `None` where there is none that is readable.
+pub(crate) fn read_small(folder: BorrowedFd<'_>, file: &str) -> Option<String> {
+    let file = open_regular(folder, file).ok()?;
+    let mut bytes = Vec::new();
+    io::Read::read_to_end(&mut io::Read::take(file, MAX_SMALL_FILE as u64), &mut bytes).ok()?;
+    String::from_utf8(bytes).ok()
+}
+
+/// Writes a small file: whole or not at all, also through a power cut.
+pub(crate) fn write_small(folder: BorrowedFd<'_>, file: &str, text: &str) -> io::Result<()> {
+    let partial = format!(".{file}.partial");
+    let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::EXCL | OFlags::NOFOLLOW | OFlags::CLOEXEC;
+    // Left over from a crash; EXCL then proves that we write into no other's file.
+    let _ = unlinkat(folder, partial.as_str(), AtFlags::empty());
+    let written = openat(folder, partial.as_str(), flags, Mode::from_raw_mode(0o644))
+        .map_err(io::Error::from)
+        .and_then(|fd| {
+            let mut to = File::from(fd);
+            to.write_all(text.as_bytes())?;
+            to.sync_all()
+        });
+    let renamed = written.and_then(|()| Ok(renameat(folder, partial.as_str(), folder, file)?));
+    if renamed.is_err() {
+        let _ = unlinkat(folder, partial.as_str(), AtFlags::empty());
+    }
+    renamed
+}
+
+/// When a file was last written, since 1970.
+pub(crate) fn file_modified_ns(metadata: &std::fs::Metadata) -> u64 {
+    let since = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    since.and_then(|since| u64::try_from(since.as_nanos()).ok()).unwrap_or(0)
+}
+
+#[allow(clippy::cast_sign_loss, reason = "times before 1970 are 0")]
+fn modified_ns(seconds: i64, nanoseconds: impl TryInto<u64>) -> u64 {
+    (seconds.max(0) as u64)
+        .saturating_mul(1_000_000_000)
+        .saturating_add(nanoseconds.try_into().unwrap_or(0))
+}

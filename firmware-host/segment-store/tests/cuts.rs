@@ -1,0 +1,216 @@
+//! A power cut at any moment: what is complete is kept.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+
+mod common;
+
+use std::fs;
+
+use common::{CHUNK_TURNS, Noise, pull_into, segment, some_tick};
+use runtime::recording::RecordingReader;
+use segment_store::pull::Options;
+use segment_store::source::Directory;
+use segment_store::{Catalogue, Finding, Root, State, recover, verify};
+
+/// Where chunks begin, from the file's frame: opcode, length, body (MCAP specification, "Records").
+fn chunk_starts(file: &[u8]) -> Vec<usize> {
+    let (mut at, mut starts) = (8, Vec::new());
+    while at + 9 <= file.len() {
+        let length = u64::from_le_bytes(file[at + 1..at + 9].try_into().unwrap()) as usize;
+        if file[at] == 6 {
+            starts.push(at);
+        }
+        at += 9 + length;
+    }
+    starts
+}
+
+/// Where each chunk is complete.
+fn chunk_ends(file: &[u8]) -> Vec<usize> {
+    let length = |at: usize| u64::from_le_bytes(file[at + 1..at + 9].try_into().unwrap()) as usize;
+    chunk_starts(file).into_iter().map(|at| at + 9 + length(at)).collect()
+}
+
+/// Turns in the complete chunks of the first `cut` bytes; the first chunk holds the header only.
+fn complete_turns(ends: &[usize], cut: usize, total: u64) -> u64 {
+    let chunks = ends.iter().filter(|end| **end <= cut).count() as u64;
+    (chunks.saturating_sub(1) * CHUNK_TURNS).min(total)
+}
+
+fn assert_recovered(cut: &[u8], turns: u64) {
+    let mut whole = Vec::new();
+    let done = recover(cut, &mut whole).unwrap();
+    assert_eq!((done.turns, done.bad_chunks), (turns, 0));
+    assert_eq!(verify(&whole[..]).unwrap().finding, Finding::Whole);
+    assert!(mcap::Summary::read(&whole).unwrap().is_some(), "it has an index");
+    if done.messages > 0 {
+        let ticks: Vec<_> =
+            RecordingReader::open(&whole[..]).unwrap().map(Result::unwrap).collect();
+        assert!(ticks.iter().eq((0..turns).map(some_tick).collect::<Vec<_>>().iter()));
+    }
+}
+
+const TURNS: u64 = 40;
+
+#[test]
+fn a_segment_cut_at_every_byte_of_its_last_two_chunks_gives_back_every_complete_message() {
+    let file = segment(0, 0, TURNS);
+    let (starts, ends) = (chunk_starts(&file), chunk_ends(&file));
+    let from = starts[starts.len() - 2];
+    assert!(ends[ends.len() - 1] - from > 5000, "the two chunks are worth cutting");
+    for cut in from..file.len() {
+        let turns = complete_turns(&ends, cut, TURNS);
+        let mut whole = Vec::new();
+        let done = recover(&file[..cut], &mut whole).unwrap();
+        assert_eq!((done.turns, done.bad_chunks), (turns, 0), "cut at {cut}");
+        // In full at every 31st: reading pictures takes its time.
+        if cut % 31 == 0 {
+            assert_recovered(&file[..cut], turns);
+        }
+    }
+}
+
+#[test]
+fn a_segment_cut_at_a_thousand_random_bytes_gives_back_every_complete_message_and_the_reader_says_where_it_ends()
+ {
+    let file = segment(0, 0, TURNS);
+    let ends = chunk_ends(&file);
+    let mut noise = Noise(6);
+    for _ in 0..1000 {
+        let cut = noise.below(file.len() as u64) as usize;
+        let turns = complete_turns(&ends, cut, TURNS);
+        assert_recovered(&file[..cut], turns);
+        match verify(&file[..cut]).unwrap() {
+            found if matches!(found.finding, Finding::Cut { at } if at <= cut as u64) => {
+                assert_eq!(found.turns, turns)
+            }
+            found => panic!("cut at {cut}: {found:?}"),
+        }
+        // The recording's own reader.
+        if let Ok(reader) = RecordingReader::open(&file[..cut]) {
+            let read: Vec<_> = reader.collect();
+            let good = read.iter().filter(|tick| tick.is_ok()).count() as u64;
+            assert_eq!(good, turns, "cut at {cut}");
+            let error = read.last().unwrap().as_ref().unwrap_err();
+            let end = if turns == 0 {
+                "before the first".to_owned()
+            } else {
+                format!("after turn {}", turns - 1)
+            };
+            assert!(error.is_truncation() && error.to_string().contains(&end), "{error}");
+        }
+    }
+}
+
+#[test]
+fn cut_segments_are_pulled_as_they_are() {
+    let (robot, here) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let file = segment(0, 0, TURNS);
+    let mut noise = Noise(9);
+    let cuts: Vec<usize> =
+        (0..60).map(|_| 1 + noise.below(file.len() as u64 - 1) as usize).collect();
+    let name = |run: usize| format!("run{run}/recording_0000.mcap");
+    for (run, cut) in cuts.iter().enumerate() {
+        fs::create_dir(robot.path().join(format!("run{run}"))).unwrap();
+        let path = robot.path().join(name(run));
+        fs::write(&path, &file[..*cut]).unwrap();
+        // Nobody has written to it for a while.
+        fs::File::open(&path).unwrap().set_modified(std::time::SystemTime::UNIX_EPOCH).unwrap();
+    }
+    let report =
+        pull_into(&mut Directory::open(robot.path()).unwrap(), here.path(), Options::default())
+            .unwrap();
+    assert_eq!((report.files, report.cut), (60, 60));
+    for (run, cut) in cuts.iter().enumerate() {
+        assert!(fs::read(here.path().join(name(run))).unwrap() == file[..*cut], "cut at {cut}");
+    }
+}
+
+#[test]
+fn a_changed_byte_is_found_wherever_it_is_and_costs_at_most_its_chunk() {
+    let file = segment(0, 0, TURNS);
+    let mut noise = Noise(12);
+    for _ in 0..1000 {
+        let at = noise.below(file.len() as u64) as usize;
+        let mut bad = file.clone();
+        bad[at] ^= 1 << noise.below(8);
+        let verified = verify(&bad[..]).unwrap();
+        assert!(
+            !matches!(verified.finding, Finding::Whole | Finding::Unindexed),
+            "byte {at}: {verified:?}"
+        );
+        let mut sink = Vec::new();
+        // Refused, or without what nothing vouches for.
+        if let Ok(done) = recover(&bad[..], &mut sink) {
+            for tick in RecordingReader::open(&sink[..]).into_iter().flatten().map_while(Result::ok)
+            {
+                assert_eq!(tick, some_tick(tick.tick), "byte {at}");
+            }
+            assert!(done.turns <= TURNS);
+        }
+    }
+}
+
+#[test]
+fn a_broken_chunk_in_the_middle_leaves_the_others() {
+    let file = segment(0, 0, TURNS);
+    let mut bad = file.clone();
+    bad[chunk_starts(&file)[2] + 200] ^= 1;
+    let done = recover(&bad[..], &mut Vec::new()).unwrap();
+    assert_eq!((done.turns, done.bad_chunks), (TURNS - CHUNK_TURNS, 1));
+}
+
+#[test]
+fn arbitrary_bytes_are_no_recording_and_no_panic() {
+    let mut noise = Noise(1);
+    for length in (0..400).chain([4096, 70_000]) {
+        let mut bytes: Vec<u8> = (0..length).map(|_| noise.next() as u8).collect();
+        for magic in [false, true] {
+            if magic && bytes.len() >= 8 {
+                bytes[..8].copy_from_slice(mcap::MAGIC);
+            }
+            assert!(!matches!(verify(&bytes[..]).unwrap().finding, Finding::Whole));
+            let _ = recover(&bytes[..], &mut Vec::new());
+        }
+    }
+}
+
+#[test]
+fn only_the_last_segment_of_a_run_that_was_written_just_now_counts_as_open() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = segment(0, 0, TURNS);
+    for (name, length) in [
+        ("recording_0000.mcap", file.len()),
+        ("recording_0001.mcap", 5000),
+        ("recording_0002.mcap", 5000),
+    ] {
+        fs::write(dir.path().join(name), &file[..length]).unwrap();
+    }
+    let root = Root::open(dir.path()).unwrap();
+    let states = |catalogue: Catalogue| {
+        catalogue.entries.iter().map(|entry| entry.state).collect::<Vec<_>>()
+    };
+    let catalogue = Catalogue::read(&root).unwrap();
+    assert_eq!(catalogue.entries[0].turns, Some(TURNS));
+    let times = catalogue.entries[0].times.unwrap();
+    assert_eq!((times.first_ns, times.last_ns), (0, 3_900_000_000));
+    let written_ns = catalogue.entries[2].modified_ns;
+    assert_eq!(states(catalogue), [State::Closed, State::Cut, State::Open]);
+    let later = Catalogue::read_at(&root, written_ns + 31_000_000_000).unwrap();
+    assert_eq!(states(later), [State::Closed, State::Cut, State::Cut]);
+}
+
+#[test]
+fn a_clock_that_was_set_back_keeps_no_cut_segment_open_for_ever() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("recording_0000.mcap");
+    fs::write(&path, &segment(0, 0, TURNS)[..5000]).unwrap();
+    let root = Root::open(dir.path()).unwrap();
+    let written_ns = Catalogue::read(&root).unwrap().entries[0].modified_ns;
+    for (set_back_s, state) in
+        [(1, State::Open), (29, State::Open), (31, State::Cut), (3600 * 24 * 365, State::Cut)]
+    {
+        let entry =
+            &Catalogue::read_at(&root, written_ns - set_back_s * 1_000_000_000).unwrap().entries[0];
+        assert_eq!(entry.state, state, "{set_back_s} s");
+    }
+}

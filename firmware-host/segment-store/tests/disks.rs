@@ -1,0 +1,135 @@
+//! The workstation's disk refuses at any moment.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+
+mod common;
+
+use std::fs;
+use std::io::{self, Read, Write};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+
+use common::{FILES, assert_same, connect, pull_into, robot};
+use hal::VirtualClock;
+use rustix::io::Errno;
+use segment_store::BufferError;
+use segment_store::pull::{Destination, Disk, FileSystem, Options, PartFile, pull};
+use tempfile::tempdir;
+
+/// Fails with `errno` once `left` operations have gone well, and from then on.
+#[derive(Clone)]
+struct Failing {
+    left: Arc<AtomicI64>,
+    errno: Errno,
+}
+
+impl Failing {
+    fn check(&self) -> io::Result<()> {
+        if self.left.fetch_sub(1, Ordering::Relaxed) <= 0 { Err(self.errno.into()) } else { Ok(()) }
+    }
+}
+
+struct FailingFile(Box<dyn PartFile>, Failing);
+
+impl Disk for Failing {
+    fn open_part(&self, path: &Path) -> io::Result<Box<dyn PartFile>> {
+        self.check()?;
+        Ok(Box::new(FailingFile(FileSystem.open_part(path)?, self.clone())))
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        self.check()?;
+        FileSystem.rename(from, to)
+    }
+}
+
+impl Read for FailingFile {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.0.read(buffer)
+    }
+}
+
+impl Write for FailingFile {
+    fn write(&mut self, data: &[u8]) -> io::Result<usize> {
+        if let Err(error) = self.1.check() {
+            // A full disk takes what still fits.
+            let _ = self.0.write(&data[..data.len() / 2]);
+            return Err(error);
+        }
+        self.0.write(data)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.flush()
+    }
+}
+
+impl PartFile for FailingFile {
+    fn cut(&mut self, len: u64) -> io::Result<()> {
+        self.1.check()?;
+        self.0.cut(len)
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        self.1.check()?;
+        self.0.sync()
+    }
+}
+
+#[test]
+fn a_disk_that_fails_at_any_write_sync_or_rename_leaves_whole_files_only_and_the_next_pull_ends_well()
+ {
+    let there = tempdir().unwrap();
+    robot(there.path());
+    for errno in [Errno::NOSPC, Errno::IO, Errno::ROFS] {
+        for operations in 0.. {
+            let here = tempdir().unwrap();
+            let disk = Failing { left: Arc::new(AtomicI64::new(operations)), errno };
+            let result = Destination::open(here.path(), &disk).and_then(|mut to| {
+                let mut source = connect(there.path());
+                pull(
+                    &mut source,
+                    &mut to,
+                    &Options::default(),
+                    &mut VirtualClock::default(),
+                    &mut (),
+                )
+            });
+            for file in FILES {
+                if let Ok(bytes) = fs::read(here.path().join(file)) {
+                    assert!(
+                        bytes == fs::read(there.path().join(file)).unwrap(),
+                        "{file} after {operations}"
+                    );
+                }
+            }
+            let Err(error) = result else {
+                assert!(
+                    operations > 20,
+                    "each of five files is opened, cut, written, synced and renamed"
+                );
+                break;
+            };
+            assert!(matches!(error, BufferError::Write { .. }), "{error}");
+            assert!(error.to_string().contains("free disk space"), "{error}");
+            pull_into(&mut connect(there.path()), here.path(), Options::default()).unwrap();
+            assert_same(there.path(), here.path(), &FILES);
+        }
+    }
+}
+
+#[test]
+fn a_robot_whose_disk_takes_no_marks_is_pulled_all_the_same() {
+    let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
+    robot(there.path());
+    // A directory in the mark's place: root, too, is refused.
+    for number in 0..3 {
+        fs::create_dir_all(
+            there.path().join(format!("monday/recording_{number:04}.mcap.pulled/full")),
+        )
+        .unwrap();
+    }
+    let report = pull_into(&mut connect(there.path()), here.path(), Options::default()).unwrap();
+    assert_eq!((report.files, report.unmarked), (FILES.len() as u64, 3));
+    assert_same(there.path(), here.path(), &FILES);
+}

@@ -1,0 +1,55 @@
+use std::collections::BTreeMap;
+use std::io::Cursor;
+
+use mcap::records::MessageHeader;
+use runtime::recording::RecordingReader;
+
+/// The channels that a replay reads, and one that it does not know.
+const TOPICS: [&str; 8] = [
+    "/robot/header",
+    "/robot/tick",
+    "/scan",
+    "/camera/image",
+    "/camera/truth_depth",
+    "/robot/decision",
+    "/robot/snapshot",
+    "/map",
+];
+
+/// Arbitrary bytes as a recording, and as the messages of one: turns that come out are in order and can be taken.
+///
+/// Checksums keep a fuzzer out of an MCAP file, so here they are right: the input is messages, each a byte for its channel, two for
+/// its length (little-endian) and its bytes.
+pub fn recording(bytes: &[u8]) {
+    read(bytes);
+    read(&with_checksums(bytes));
+}
+
+fn read(bytes: &[u8]) {
+    let Ok(reader) = RecordingReader::open(bytes) else { return };
+    let mut last = None;
+    for tick in reader.map_while(Result::ok) {
+        assert!(last < Some(tick.tick), "{} after {last:?}", tick.tick);
+        last = Some(tick.tick);
+        let _ = tick.input();
+    }
+}
+
+fn with_checksums(mut bytes: &[u8]) -> Vec<u8> {
+    let mut writer = mcap::WriteOptions::new()
+        .compression(None)
+        .create(Cursor::new(Vec::new()))
+        .expect("memory takes everything");
+    let channels =
+        TOPICS.map(|topic| writer.add_channel(0, topic, "", &BTreeMap::new()).expect("a channel"));
+    while let Some((&[channel, low, high], rest)) = bytes.split_first_chunk() {
+        let (data, rest) =
+            rest.split_at(usize::from(u16::from_le_bytes([low, high])).min(rest.len()));
+        let channel_id = channels[usize::from(channel) % channels.len()];
+        let header = MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 };
+        writer.write_to_known_channel(&header, data).expect("memory takes everything");
+        bytes = rest;
+    }
+    writer.finish().expect("memory takes everything");
+    writer.into_inner().into_inner()
+}

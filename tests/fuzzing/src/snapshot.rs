@@ -1,0 +1,52 @@
+use std::sync::LazyLock;
+
+use firmware_host::config::Config;
+use firmware_host::setup::Mission;
+use hal::{ImageView, LaserScan, Range, ScanGeometry, WheelFeedback};
+use runtime::exploration::PolicyKind;
+use runtime::robot::{DepthSource, Robot, RobotConfig};
+use runtime::tick::TickInput;
+
+/// The smallest robot that may be, so that its memory is small.
+const CONFIG: &str = "
+camera = { width = 64, height = 32 }
+map = { cell_m = 0.5, side_cells = 16, recenter_cells = 1 }
+coarse = { keyframes = 1, parallax_px = [1.0] }
+";
+const TURNS: u64 = 3;
+
+static ROBOT: LazyLock<RobotConfig> = LazyLock::new(|| {
+    let config = Config::parse(CONFIG, "robot.toml".as_ref()).expect("a configuration");
+    config.robot(&Mission {
+        policy: PolicyKind::Active,
+        depth_source: DepthSource::Coarse,
+        seed: 1,
+    })
+});
+
+/// Arbitrary bytes as what a robot remembers: they are refused, or the robot goes on.
+pub fn snapshot(bytes: &[u8]) {
+    let mut robot = Robot::new(ROBOT.clone(), None).expect("a robot");
+    if robot.restore(bytes).is_ok() {
+        turns(&mut robot);
+    }
+}
+
+fn turns(robot: &mut Robot) {
+    let (camera, geometry) = (ROBOT.camera, ScanGeometry { beams: 31, ..ScanGeometry::UTM_30LX });
+    let picture: Vec<u8> =
+        (0..camera.width * camera.height * 3).map(|at| (at * at % 251) as u8).collect();
+    for tick in 0..TURNS {
+        // Behind every time that the robot may remember, or the turn is refused.
+        let time_ns = u64::MAX / 2 + tick * 100_000_000;
+        let scan = LaserScan { time_ns, geometry, ranges: vec![Range::Hit(1.0); geometry.beams] };
+        let frame = ImageView::rgb8(camera.width, camera.height, &picture).ok();
+        let wheel = WheelFeedback { time_ns, ..WheelFeedback::default() };
+        let input =
+            TickInput { tick, time_ns, wheel, scan: Some(&scan), frame, truth: None, safety: None };
+        let decision = robot.tick(&input, &mut ());
+        assert!(
+            decision.command.linear_mps.is_finite() && decision.command.angular_radps.is_finite()
+        );
+    }
+}
