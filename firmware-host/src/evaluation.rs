@@ -108,7 +108,7 @@ impl Evaluation {
             self.events.add(event);
             match event {
                 Event::GoalChosen { x_m, y_m, .. } => {
-                    self.goals_m.push(t_world_odom.transform(*x_m, *y_m).into())
+                    self.goals_m.push(t_world_odom.transform(*x_m, *y_m).into());
                 }
                 Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } => {
                     self.trips_m.push(t_world_base.transform(*x_m, *y_m).into());

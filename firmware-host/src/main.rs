@@ -38,7 +38,7 @@ fn main() -> ExitCode {
         Task::Health(args) => health::run(&args),
         Task::Check(args) => check::run(&args),
         Task::CameraLatency(args) => camera_latency::run(&args).map(|()| ExitCode::SUCCESS),
-        Task::Buffer(args) => segment_store::run(&args),
+        Task::Buffer(args) => buffer::run(&args),
         Task::Model(args) => model::run(&args),
     };
     result.unwrap_or_else(|error| {

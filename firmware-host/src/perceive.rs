@@ -165,7 +165,7 @@ impl Looker {
                 self.network_accuracy.add(Some(refined), truth)?;
                 match coarse {
                     Some(coarse) => {
-                        self.refined_accuracy.add_where(refined, &coarse.depth, truth)?
+                        self.refined_accuracy.add_where(refined, &coarse.depth, truth)?;
                     }
                     None => self.refined_accuracy.add(None, truth)?,
                 }

@@ -50,7 +50,7 @@ impl Stored {
             for event in tick.decision.into_iter().flat_map(|decision| decision.events) {
                 match event {
                     Event::NetworkTaken { digest } => {
-                        networks.push((tick.tick, Some(self.load(&digest)?)))
+                        networks.push((tick.tick, Some(self.load(&digest)?)));
                     }
                     Event::NetworkLeft => networks.push((tick.tick, None)),
                     _ => {}

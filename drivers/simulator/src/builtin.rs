@@ -18,7 +18,7 @@ pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
         match key {
             "seed" => {
                 options.seed =
-                    value.parse().map_err(|_| wrong("a whole number from 0 to 2^64 - 1"))?
+                    value.parse().map_err(|_| wrong("a whole number from 0 to 2^64 - 1"))?;
             }
             "texture" => {
                 let texture = value.parse().ok().filter(|texture| (0.0..=1.0).contains(texture));

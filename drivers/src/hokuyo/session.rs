@@ -119,7 +119,7 @@ impl<'a> Session<'a> {
             let sent_ns = monotonic_ns();
             match self.ask(Command::Time, |answer| answer.done()?.time_ms()) {
                 Ok(sensor_ms) => {
-                    probes.push(TimeProbe { sent_ns, received_ns: monotonic_ns(), sensor_ms })
+                    probes.push(TimeProbe { sent_ns, received_ns: monotonic_ns(), sensor_ms });
                 }
                 Err(End::Failed(HokuyoError::Protocol { .. })) => {}
                 Err(end) => return Err(end),

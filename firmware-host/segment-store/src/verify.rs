@@ -138,7 +138,7 @@ impl<B: Bytes + ?Sized> Reading<'_, B> {
         chunk::each_item(bytes, |item| {
             match item {
                 Item::Channel(channel) if channel.topic == "/robot/tick" => {
-                    *tick = Some(channel.id)
+                    *tick = Some(channel.id);
                 }
                 Item::Message(header, _) => {
                     verified.messages += 1;

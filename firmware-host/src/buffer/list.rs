@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use ::buffer::{Catalogue, Entry, Pulled, State};
 use anyhow::{Result, ensure};
 use comfy_table::{CellAlignment, Table, presets::ASCII_MARKDOWN};
+use segment_store::{Catalogue, Entry, Pulled, State};
 use serde_json::{Value, json};
 
 use super::settle;

@@ -8,10 +8,10 @@ use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use ::buffer::{
+use anyhow::{Context, Result, bail};
+use segment_store::{
     BufferError, Catalogue, Computer, Entry, Finding, Root, State, export, recover_file, verify,
 };
-use anyhow::{Context, Result, bail};
 
 use crate::cli::{BufferArgs, BufferTask, ExportLayout};
 
@@ -198,7 +198,7 @@ fn serve(dir: &Path) -> Result<()> {
     let stdout =
         File::from(std::io::stdout().as_fd().try_clone_to_owned().context("stdout is closed")?);
     let mut output = BufWriter::with_capacity(64 << 10, stdout);
-    ::buffer::serve(&root, Computer::this(), &mut input, &mut output)
+    segment_store::serve(&root, Computer::this(), &mut input, &mut output)
         .context("the connection broke off")?;
     output.flush().context("the connection broke off")
 }

@@ -7,8 +7,9 @@ use drivers::can::{BaseConfig, CanError, DifferentialBase, Protocol, open_bus};
 use drivers::hokuyo::{HokuyoConfig, HokuyoLidar, Port};
 use drivers::v4l2::node::FourCc;
 use drivers::v4l2::{self, CameraDeviceConfig, CameraFormat, V4l2Camera, V4l2Error};
-use drivers::{DeviceState, DeviceStatus, MonotonicClock};
+use drivers::{DeviceState, DeviceStatus};
 use hal::{Base, Camera, CameraModel, Clock, ErrorKind, Frame, LaserScan, Lidar};
+use monotonic_clock::MonotonicClock;
 
 use super::nearby;
 use crate::config::Config;

@@ -42,10 +42,10 @@ fn table(
                 found.push((offset, Problem::UnknownKey { line: 0, key, advice }));
             }
             (Some(toml::Value::Table(known)), DeValue::Table(given)) => {
-                table(given, known, &key, root, found)
+                table(given, known, &key, root, found);
             }
             (Some(known), value) => {
-                found.extend(impossible(&key, value, known).map(|problem| (offset, problem)))
+                found.extend(impossible(&key, value, known).map(|problem| (offset, problem)));
             }
         }
     }

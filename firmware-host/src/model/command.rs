@@ -299,10 +299,10 @@ fn roll_back(store: &mut Store, why: &str, as_json: bool) -> Result<ExitCode> {
     match (as_json, state.current()) {
         (true, current) => println!("{}", json!({"current": current})),
         (false, Some(digest)) => {
-            println!("{} ({}) drives from now on", store.history().name(digest), short(digest))
+            println!("{} ({}) drives from now on", store.history().name(digest), short(digest));
         }
         (false, None) => {
-            println!("no model is left: the robot drives with coarse depth from now on")
+            println!("no model is left: the robot drives with coarse depth from now on");
         }
     }
     Ok(ExitCode::SUCCESS)

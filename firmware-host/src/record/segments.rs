@@ -168,7 +168,7 @@ fn salvage(sink: Sink, path: &Path) {
     match sink.salvage() {
         Ok(()) => tracing::warn!("{} was cut back to its last complete chunk", path.display()),
         Err(error) => {
-            tracing::warn!("{} could not be closed and has no end: {error}", path.display())
+            tracing::warn!("{} could not be closed and has no end: {error}", path.display());
         }
     }
 }

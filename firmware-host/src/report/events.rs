@@ -64,11 +64,11 @@ impl EventCounts {
     pub fn add(&mut self, event: &Event) {
         match event {
             Event::GoalChosen { why, .. } => {
-                count(&mut self.goals.get_or_insert_default().chosen, why)
+                count(&mut self.goals.get_or_insert_default().chosen, why);
             }
             Event::GoalReached => self.goals.get_or_insert_default().reached += 1,
             Event::GoalDropped { why } => {
-                count(&mut self.goals.get_or_insert_default().dropped, why)
+                count(&mut self.goals.get_or_insert_default().dropped, why);
             }
             Event::NoGoal { why } => count(&mut self.no_goal, why),
             Event::NoDepth { why } => count(&mut self.no_depth, why),
@@ -78,10 +78,10 @@ impl EventCounts {
                 count(&mut self.bumper_trips_by, by);
             }
             Event::Safety { what: SafetyEvent::Faulted { why } } => {
-                count(&mut self.safety_faults, why)
+                count(&mut self.safety_faults, why);
             }
             Event::Safety { what: SafetyEvent::Escaping } => {
-                *self.bumper_escapes.get_or_insert(0) += 1
+                *self.bumper_escapes.get_or_insert(0) += 1;
             }
             _ => {}
         }

@@ -154,7 +154,7 @@ impl FrontEnd {
         let [red, green, blue] = [red, green, blue].map(|plane| plane.par_chunks_mut(width * BAND));
         let bands = red.zip(green).zip(blue).enumerate();
         bands.for_each(|(band, ((red, green), blue))| {
-            band_to_planes(self, frame, band * BAND, [red, green, blue])
+            band_to_planes(self, frame, band * BAND, [red, green, blue]);
         });
         Ok(())
     }

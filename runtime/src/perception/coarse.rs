@@ -345,7 +345,7 @@ impl CoarseDepth {
             .with_min_len(CELLS_AT_ONCE);
         let weights = &self.config.belief_weights;
         cells.for_each(|(confidence, (belief, around))| {
-            *confidence = trust::of_belief(weights, belief, around)
+            *confidence = trust::of_belief(weights, belief, around);
         });
     }
 

@@ -49,7 +49,7 @@ impl Cells<'_> {
             .zip(confidence.par_chunks_exact_mut(width));
         let lines = lines.zip(grey.par_chunks_exact(width)).enumerate();
         lines.for_each(|(row, ((depth, confidence), grey))| {
-            enlarge_row(self, row, grey, depth, confidence)
+            enlarge_row(self, row, grey, depth, confidence);
         });
     }
 

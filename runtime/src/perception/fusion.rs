@@ -54,7 +54,7 @@ impl Memory {
     pub fn vote(&mut self, votes: &[Vote], weights: &[f32; 5], jitter_px: f32) {
         let pairs = self.beliefs.par_iter_mut().zip(votes).with_min_len(CELLS_AT_ONCE);
         pairs.for_each(|(belief, vote)| {
-            belief.vote(vote.inverse_depth, trust::of_vote(weights, vote, jitter_px))
+            belief.vote(vote.inverse_depth, trust::of_vote(weights, vote, jitter_px));
         });
     }
 

@@ -196,7 +196,7 @@ pub fn sweep(
     let lines =
         volume.par_chunks_exact_mut(columns).zip(unseen.par_chunks_exact_mut(columns)).enumerate();
     lines.for_each(|(row, (line, unseen))| {
-        sweep_row(picture, references, inverse_depth, row, line, unseen)
+        sweep_row(picture, references, inverse_depth, row, line, unseen);
     });
 }
 

@@ -24,7 +24,7 @@ impl Costmap {
                 let straight = self.piece_cost(path[anchor], path[next]);
                 match (straight, steps_cost) {
                     (Some(straight), Some(steps)) if straight <= steps * TOLERANCE => {
-                        reached = next
+                        reached = next;
                     }
                     // Nothing is gained further on once a piece is blocked.
                     (None, _) => break,

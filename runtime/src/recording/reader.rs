@@ -61,7 +61,7 @@ impl<R: Read> RecordingReader<R> {
             match (Topic::of_replay(&message.topic), &mut open) {
                 (Some(Topic::Tick), Some(parts)) => return Err(parts.missing()),
                 (Some(Topic::Tick), None) => {
-                    open = Some(Parts::new(self.parse_tick(&message.data)?))
+                    open = Some(Parts::new(self.parse_tick(&message.data)?));
                 }
                 (Some(topic), Some(parts)) => parts.add(topic, &message.data)?,
                 // Pictures for people, and channels that other tools have added.

@@ -566,7 +566,7 @@ mod tests {
     {
         let mut known = rear();
         (0..70).for_each(|step| {
-            known.stand(step as u64, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0))
+            known.stand(step as u64, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0));
         });
         known.see(&round_room(2.0), &Pose2::new(1.38, 0.0, 0.5), &nobody());
         let mut bytes = Vec::new();

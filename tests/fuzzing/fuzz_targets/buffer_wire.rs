@@ -1,4 +1,4 @@
-//! See [`fuzz::buffer_wire`].
+//! See [`fuzzing::buffer_wire`].
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzz::buffer_wire(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzzing::buffer_wire(bytes));

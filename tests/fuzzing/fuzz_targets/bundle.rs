@@ -1,4 +1,4 @@
-//! See [`fuzz::bundle`].
+//! See [`fuzzing::bundle`].
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzz::bundle(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzzing::bundle(bytes));

@@ -1,4 +1,4 @@
-//! See [`fuzz::can`].
+//! See [`fuzzing::can`].
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzz::can(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzzing::can(bytes));

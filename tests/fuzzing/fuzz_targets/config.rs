@@ -1,4 +1,4 @@
-//! See [`fuzz::config`].
+//! See [`fuzzing::config`].
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzz::config(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzzing::config(bytes));

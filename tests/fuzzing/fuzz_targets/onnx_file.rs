@@ -1,4 +1,4 @@
-//! See [`fuzz::onnx_file`].
+//! See [`fuzzing::onnx_file`].
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzz::onnx_file(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzzing::onnx_file(bytes));

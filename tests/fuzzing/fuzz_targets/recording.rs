@@ -1,4 +1,4 @@
-//! See [`fuzz::recording`].
+//! See [`fuzzing::recording`].
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzz::recording(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzzing::recording(bytes));

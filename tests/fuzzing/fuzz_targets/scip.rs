@@ -1,4 +1,4 @@
-//! See [`fuzz::scip`].
+//! See [`fuzzing::scip`].
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzz::scip(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzzing::scip(bytes));

@@ -1,4 +1,4 @@
-//! See [`fuzz::segment`].
+//! See [`fuzzing::segment`].
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzz::segment(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzzing::segment(bytes));

@@ -1,4 +1,4 @@
-//! See [`fuzz::snapshot`].
+//! See [`fuzzing::snapshot`].
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzz::snapshot(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzzing::snapshot(bytes));

@@ -1,4 +1,4 @@
-//! See [`fuzz::v4l2_queue`].
+//! See [`fuzzing::v4l2_queue`].
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzz::v4l2_queue(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| fuzzing::v4l2_queue(bytes));

@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::PathBuf;
 
-use fuzz::TARGETS;
+use fuzzing::TARGETS;
 
 fn corpus() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("corpus")

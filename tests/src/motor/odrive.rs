@@ -75,10 +75,10 @@ impl OdriveSim {
                 self.timeout_s = f32::from_le_bytes([*a, *b, *c, *d]);
             }
             (0, ENABLE_WATCHDOG_ENDPOINT, _) => {
-                self.answer(endpoint, &[u8::from(self.watchdog_on)])
+                self.answer(endpoint, &[u8::from(self.watchdog_on)]);
             }
             (0, WATCHDOG_TIMEOUT_ENDPOINT, _) => {
-                self.answer(endpoint, &self.timeout_s.to_le_bytes())
+                self.answer(endpoint, &self.timeout_s.to_le_bytes());
             }
             _ => {}
         }
@@ -116,7 +116,7 @@ impl MotorNode for OdriveSim {
                 _ => {}
             },
             (0x0b, [mode, 0, 0, 0, input, 0, 0, 0]) => {
-                self.velocity_mode = (*mode, *input) == (2, 1)
+                self.velocity_mode = (*mode, *input) == (2, 1);
             }
             (0x0d, [a, b, c, d, ..]) => {
                 self.input_turns_per_s = f32::from_le_bytes([*a, *b, *c, *d]);

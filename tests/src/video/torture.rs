@@ -37,7 +37,7 @@ pub fn torture(bytes: &[u8]) {
                     if amount == 0 { None } else { Some(now_ns << amount) },
                     &good,
                     false,
-                )
+                );
             }
             7 => now_ns += amount * 100_000_000,
             8..12 => _ = camera.shoot_bytes(Some(now_ns), &good, false),

@@ -88,7 +88,7 @@ pub(super) fn see(
         let (a, b) = (node.first, node.first + 1);
         match (pyramid.entry(&bvh.nodes[a as usize]), pyramid.entry(&bvh.nodes[b as usize])) {
             (Some(near_a), Some(near_b)) if near_a <= near_b => {
-                stack.extend([(b, near_b), (a, near_a)])
+                stack.extend([(b, near_b), (a, near_a)]);
             }
             (Some(near_a), Some(near_b)) => stack.extend([(a, near_a), (b, near_b)]),
             (Some(near), None) => stack.push((a, near)),

@@ -36,7 +36,7 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             }
             BusEvent::Restarted => self.error_state = ErrorState::Active,
             BusEvent::NoAcknowledge | BusEvent::Overflow | BusEvent::Noise => {
-                self.counts.bus_errors += 1
+                self.counts.bus_errors += 1;
             }
         }
     }

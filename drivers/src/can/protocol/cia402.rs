@@ -168,7 +168,7 @@ impl Cia402 {
                 self.halt(MotorStage::Refused, MotorProblem::Parameter { index, sub, code });
             }
             (Step::Write(_), Answer::Written { index, sub }) if is_ours(index, sub) => {
-                self.next(Step::ReadBack(at))
+                self.next(Step::ReadBack(at));
             }
             (Step::ReadBack(_), Answer::Value { index, sub, value }) if is_ours(index, sub) => {
                 self.on_read_back(at, &wanted, value);
@@ -215,7 +215,7 @@ impl Cia402 {
                 self.status.stage = MotorStage::Enabled;
             }
             Step::Enabled if state != State::Enabled => {
-                self.halt(MotorStage::Faulted, self.fault())
+                self.halt(MotorStage::Faulted, self.fault());
             }
             _ => {}
         }

@@ -248,7 +248,7 @@ impl Vesc {
         match (kind, data) {
             (packet::FILL, [at, bytes @ ..]) => self.fill(usize::from(*at), bytes),
             (packet::FILL_LONG, [a0, a1, bytes @ ..]) => {
-                self.fill(usize::from(u16::from_be_bytes([*a0, *a1])), bytes)
+                self.fill(usize::from(u16::from_be_bytes([*a0, *a1])), bytes);
             }
             (packet::PROCESS, data) => self.on_complete(data),
             (packet::PROCESS_SHORT, [from, _, GET_VALUES_SELECTIVE, m0, m1, m2, m3, code])
@@ -275,7 +275,7 @@ impl MotorProtocol for Vesc {
             // STATUS_2, _3, _4, _6 and PONG.
             14..=16 | 18 | 58 if to == self.node.node => {}
             packet::FILL..=packet::PROCESS_SHORT if to == self.node.host => {
-                self.on_answer(kind, frame.data())
+                self.on_answer(kind, frame.data());
             }
             _ => return false,
         }

@@ -9,7 +9,7 @@ use object_store::path::Path;
 use object_store::{Error, ObjectStoreExt, WriteMultipart};
 
 use super::look::{DIGEST, Looked};
-use crate::{Bucket, fetch};
+use super::{Bucket, fetch};
 
 /// S3 takes at most 10,000 parts of at least 5 MiB; with this one, 80 GB.
 const PART: usize = 8 << 20;

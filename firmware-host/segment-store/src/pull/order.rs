@@ -23,7 +23,7 @@ impl Order {
         match self {
             Self::Oldest => entries.sort_by_key(|entry| (entry.modified_ns, entry.name.clone())),
             Self::Newest => {
-                entries.sort_by_key(|entry| Reverse((entry.modified_ns, entry.name.clone())))
+                entries.sort_by_key(|entry| Reverse((entry.modified_ns, entry.name.clone())));
             }
             Self::Valuable => entries.sort_by_key(|entry| {
                 let per_gigabyte =

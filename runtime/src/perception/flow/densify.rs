@@ -23,7 +23,7 @@ pub fn densify(
     let [u, v] = flow;
     let bands = u.par_chunks_mut(band).zip(v.par_chunks_mut(band)).zip(weight.par_chunks_mut(band));
     bands.enumerate().for_each(|(index, ((u, v), weight))| {
-        fill(grid, from, to, index * BAND_ROWS, u, v, weight)
+        fill(grid, from, to, index * BAND_ROWS, u, v, weight);
     });
 }
 

@@ -184,7 +184,7 @@ impl Scale {
         match starts.initial {
             None => self.grid.search(input, |x, y| [starts.coarser(x, y)]),
             Some(initial) => {
-                self.grid.search(input, |x, y| [starts.coarser(x, y), starts.given(initial, x, y)])
+                self.grid.search(input, |x, y| [starts.coarser(x, y), starts.given(initial, x, y)]);
             }
         }
         densify(&self.grid, from, to, &mut self.flow, &mut self.weight);
