@@ -1,5 +1,6 @@
 //! `firmware-host explore`: a simulated robot explores a home in virtual time.
 
+mod devices;
 mod hand_over;
 mod session;
 
@@ -21,7 +22,7 @@ use crate::report::summary::Summary;
 use crate::setup::{self, Mission};
 use hand_over::HandOver;
 pub use hand_over::model_path;
-use session::Session;
+use session::Exploration;
 
 /// Explores, then reports.
 ///
@@ -77,21 +78,22 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let dump =
         args.dump.as_deref().map(|dir| Dump::create(dir, &config.camera.model())).transpose()?;
     let hand_over = HandOver::new(&args.hand_over, &config)?;
-    let mut session = Session::new(args, &config, &simulated, &faults, robot, recorder);
-    session.dump = dump;
-    session.hand_over = hand_over;
-    session.models = stored.map(|(keeper, start)| LiveModels::direct(keeper, start, &config));
+    let mut exploration = Exploration::new(args, &config, &simulated, &faults, robot, recorder);
+    exploration.log.dump = dump;
+    exploration.hand_over = hand_over;
+    exploration.log.models =
+        stored.map(|(keeper, start)| LiveModels::direct(keeper, start, &config));
     #[cfg(feature = "rerun")]
     if let Some(targets) = args.rerun.targets(&args.out) {
         let camera = config.camera.model();
-        session.show_in(crate::rerun_stream::RerunStream::start(
+        exploration.show_in(crate::rerun_stream::RerunStream::start(
             &targets,
             &camera,
             &config.camera.mount(),
         )?);
     }
-    let end = session.explore()?;
-    session
+    let end = exploration.explore()?;
+    exploration
         .report(end, summary)
         .with_context(|| format!("cannot report into {}", args.out.display()))
 }

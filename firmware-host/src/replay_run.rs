@@ -8,9 +8,10 @@ use hal::CameraModel;
 use runtime::event::Event;
 use runtime::exploration::PolicyKind;
 use runtime::perception::DepthNetwork;
-use runtime::recording::RunHeader;
+use runtime::recording::{RecordedTick, RunHeader};
 use runtime::robot::{DepthSource, Robot};
-use runtime::tick::{Decision, TickInput};
+use runtime::session::recompute;
+use runtime::tick::Decision;
 
 use crate::cli::{ReplayArgs, RunModels};
 use crate::config::Config;
@@ -99,8 +100,8 @@ impl Replayable for Loop {
         self.robot.snapshot()
     }
 
-    fn step(&mut self, input: &TickInput<'_>) -> Decision {
-        self.robot.tick(input, &mut ())
+    fn step(&mut self, tick: &RecordedTick) -> Result<Decision> {
+        Ok(recompute(&mut self.robot, tick)?)
     }
 }
 

@@ -128,7 +128,7 @@ fn write(args: &ReproduceArgs, about: &RecordedTick, part: &Path) -> Result<u64>
             turns += 1;
         }
         if knows {
-            robot.step(&tick.input()?);
+            robot.step(&tick)?;
         }
     }
     let Some(writer) = writer else {

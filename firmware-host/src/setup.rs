@@ -10,6 +10,7 @@ use runtime::model_gate::LidarView;
 use runtime::perception::{DepthNetwork, NetworkOptions};
 use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, RobotConfig};
+use runtime::safety::SafetyConfig;
 use simulator::floor::Footprint;
 use simulator::load::{LoadOptions, UpAxis};
 use simulator::odometry::OdometryNoise;
@@ -32,6 +33,24 @@ pub struct Mission {
 }
 
 impl Config {
+    /// Time from step to step of the safety loop.
+    #[must_use]
+    pub fn safety_period_ns(&self) -> u64 {
+        (1e9 / self.run.safety_hz) as u64
+    }
+
+    /// The safety plane's configuration in simulation: the simulated base answers at once and stops within a step.
+    #[must_use]
+    pub fn simulated_safety_config(&self) -> SafetyConfig {
+        SafetyConfig {
+            good_scans: self.run.good_scans,
+            feedback_timeout_s: self.run.feedback_timeout_s,
+            plan_timeout_s: self.run.plan_timeout_s,
+            period_s: 1.0 / self.run.safety_hz,
+            ..self.safety_config()
+        }
+    }
+
     /// Everything that shapes the robot's decisions.
     #[must_use]
     pub fn robot(&self, mission: &Mission) -> RobotConfig {
@@ -50,8 +69,8 @@ impl Config {
             plan: self.plan_config(),
             follower: self.follower_config(),
             exploration: self.exploration,
-            safety: self.safety_config(),
-            stand_without_pictures: Some(
+            footprint_radius_m: self.base.footprint_radius_m,
+            stand_without_frames: Some(
                 (self.run.picture_timeout_s / self.base.tick_s()).ceil() as u64
             ),
         }

@@ -82,6 +82,12 @@ impl LaserScan {
         Self { time_ns: 0, geometry, ranges: Vec::with_capacity(geometry.beams) }
     }
 
+    /// The time halfway through the scan, monotonic nanoseconds.
+    #[must_use]
+    pub fn middle_ns(&self) -> u64 {
+        self.time_ns + self.geometry.period_ns / 2
+    }
+
     /// Angle (radians) and distance (metres) of every beam that hit something.
     pub fn hits(&self) -> impl Iterator<Item = (f64, f32)> + '_ {
         self.ranges

@@ -40,8 +40,8 @@ pub enum Event {
         /// Why.
         why: NoDepth,
     },
-    /// No picture has come for too long: the robot stands until there is one.
-    StandsWithoutPictures,
+    /// No frame has come for too long: the robot stands until there is one.
+    StandsWithoutFrames,
     /// An input was refused; the loop goes on without it.
     InputRefused {
         /// Why.

@@ -15,5 +15,6 @@ pub mod planning;
 pub mod recording;
 pub mod robot;
 pub mod safety;
+pub mod session;
 pub mod snapshot;
 pub mod tick;

@@ -1,4 +1,4 @@
-//! The loop: what the robot does with one turn's inputs.
+//! The exploration plane's decisions: perceive, map, choose a goal, plan, for one tick's input.
 
 use std::collections::VecDeque;
 
@@ -15,9 +15,8 @@ use crate::perception::{
 };
 use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::recording::input_digest;
-use crate::safety::{Plan, Request, SafetyConfig, SafetyInput, SafetyPlane, SafetyState};
 use crate::snapshot::{SNAPSHOT_VERSION, SnapshotError, State, remembers};
-use crate::tick::{Decision, TickInput};
+use crate::tick::{Decision, SentCommand, TickInput};
 
 /// Where the depth that goes into the map comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -77,10 +76,10 @@ pub struct RobotConfig {
     pub follower: FollowerConfig,
     /// Goals.
     pub exploration: ExplorationConfig,
-    /// The safety plane.
-    pub safety: SafetyConfig,
-    /// Turns in a row without a picture after which the robot stands until there is one; `None`: it goes on by its map.
-    pub stand_without_pictures: Option<u64>,
+    /// Ticks in a row without a frame after which the robot stands until there is one; `None`: it goes on by its map.
+    pub stand_without_frames: Option<u64>,
+    /// Radius of the robot's footprint, metres: the floor below it is free.
+    pub footprint_radius_m: f64,
 }
 
 /// The configuration cannot be: which part, and why.
@@ -135,13 +134,11 @@ pub struct Robot {
     map: OccupancyGrid,
     looks: VecDeque<SingleFrameMap>,
     explorer: Explorer,
-    /// Turned with every tick, unless one outside reports ([`TickInput::safety`]).
-    safety: SafetyPlane,
     bumped: bool,
     collision_at: Option<[f64; 2]>,
     last_time_ns: Option<u64>,
-    /// Turns since the last picture.
-    blind_turns: u64,
+    /// Ticks since the last frame.
+    ticks_without_frame: u64,
     /// A network that came or went since the last turn.
     new_network: Option<Event>,
 }
@@ -178,11 +175,10 @@ impl Robot {
                 &config.follower,
                 rng,
             )?,
-            safety: SafetyPlane::new(config.safety.clone()),
             bumped: false,
             collision_at: None,
             last_time_ns: None,
-            blind_turns: 0,
+            ticks_without_frame: 0,
             new_network: None,
             config,
         })
@@ -258,44 +254,37 @@ impl Robot {
         self.network.as_ref().map(|network| network.digest().to_owned())
     }
 
-    /// One turn of the loop. A pure function of this input and all before it.
-    pub fn tick(&mut self, input: &TickInput<'_>, timer: &mut impl StageTimer) -> Decision {
+    /// One tick: a pure function of this input and all inputs before it. Called by [`Session`](crate::session::Session) alone.
+    pub(crate) fn tick(&mut self, input: &TickInput<'_>, timer: &mut impl StageTimer) -> Decision {
         let mut events = Vec::new();
         events.extend(self.new_network.take());
-        let odom = input.wheel.odom;
         if let Some(why) = self.refusal(input) {
             events.push(Event::InputRefused { why });
             return Self::stand(input, events);
         }
         self.last_time_ns = Some(input.time_ns);
         let scan = input.scan.filter(|scan| {
-            let sound = scan.ranges.len() == scan.geometry.beams;
+            let sound = scan.ranges.len() == scan.geometry.beams && input.scan_odom.is_finite();
             if !sound {
                 events.push(Event::InputRefused { why: RefusedInput::ScanShape });
             }
             sound
         });
-        if let Some(report) = input.safety {
-            events.extend(report.events.iter().map(|what| Event::Safety { what: *what }));
-            self.note_blocked(report.blocked_m);
-        }
+        events.extend(input.safety.events.iter().map(|what| Event::Safety { what: *what }));
+        self.note_blocked(input.safety.blocked_m);
+        let odom = input.wheel.odom;
         let t_odom_camera = odom.to_pose3() * self.config.t_base_camera;
         self.see(input, &t_odom_camera, &mut events, timer);
         let depth_digest = self.mapped_depth().map_or(0, digest_of);
-        self.update_map(scan, &odom, &t_odom_camera);
+        self.update_map(scan, &input.scan_odom, &odom, &t_odom_camera);
         timer.ended(Stage::Map);
-        let wanted = self.wish(input, odom, &mut events);
+        let desired = self.desired(input, odom, &mut events);
         timer.ended(Stage::Plan);
-        let command = if input.safety.is_some() {
-            wanted
-        } else {
-            self.gate(input, scan, wanted, &mut events)
-        };
         Decision {
             tick: input.tick,
             time_ns: input.time_ns,
-            wanted: wanted.into(),
-            command: command.into(),
+            desired: desired.into(),
+            sent: input.safety.sent.last().map(SentCommand::command),
             goal_m: self.explorer.goal().map(|goal| goal.target_m),
             events,
             input_digest: input_digest(input),
@@ -313,12 +302,11 @@ impl Robot {
     }
 
     fn stand(input: &TickInput<'_>, events: Vec<Event>) -> Decision {
-        let still = Twist2::ZERO.into();
         Decision {
             tick: input.tick,
             time_ns: input.time_ns,
-            wanted: still,
-            command: still,
+            desired: Twist2::ZERO.into(),
+            sent: input.safety.sent.last().map(SentCommand::command),
             goal_m: None,
             events,
             input_digest: input_digest(input),
@@ -340,13 +328,13 @@ impl Robot {
         }
         let Some(frame) = input.frame else {
             events.push(Event::NoDepth { why: NoDepth::NoFrame });
-            self.blind_turns += 1;
-            if self.config.stand_without_pictures == Some(self.blind_turns) {
-                events.push(Event::StandsWithoutPictures);
+            self.ticks_without_frame += 1;
+            if self.config.stand_without_frames == Some(self.ticks_without_frame) {
+                events.push(Event::StandsWithoutFrames);
             }
             return;
         };
-        self.blind_turns = 0;
+        self.ticks_without_frame = 0;
         let coarse = self.coarse.estimate(frame, t_odom_camera);
         timer.ended(Stage::Coarse);
         self.has_depth.coarse = coarse.is_ok();
@@ -396,8 +384,14 @@ impl Robot {
         self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
     }
 
-    fn update_map(&mut self, scan: Option<&LaserScan>, odom: &Pose2, t_odom_camera: &Pose3) {
-        // Poses were checked in `refusal`, shapes in `tick`: an error here means "not this turn", and the map is as it was.
+    fn update_map(
+        &mut self,
+        scan: Option<&LaserScan>,
+        scan_odom: &Pose2,
+        odom: &Pose2,
+        t_odom_camera: &Pose3,
+    ) {
+        // Poses were checked in `refusal`, shapes in `tick`: an error here means that the map stays as it was in this tick.
         if self.map.begin_update(odom).is_err() {
             return;
         }
@@ -414,7 +408,8 @@ impl Robot {
             remember_look(&mut self.looks, look, self.config.exploration.inconsistency_gap);
         }
         if let Some(scan) = scan {
-            let t_odom_laser = odom.compose(&Pose2::new(self.config.laser_forward_m, 0.0, 0.0));
+            let t_base_laser = Pose2::new(self.config.laser_forward_m, 0.0, 0.0);
+            let t_odom_laser = scan_odom.compose(&t_base_laser);
             let _ = self.map.integrate_scan(scan, &t_odom_laser);
         }
         if let Some([x_m, y_m]) = self.collision_at.take() {
@@ -422,16 +417,14 @@ impl Robot {
             let facing = Pose2::new(odom.x_m, odom.y_m, towards);
             let _ = self.map.mark_collision(&facing, (x_m - odom.x_m).hypot(y_m - odom.y_m));
         }
-        let _ = self.map.mark_standing(odom, self.config.safety.footprint_radius_m);
+        let _ = self.map.mark_standing(odom, self.config.footprint_radius_m);
         self.map.finish_update();
     }
 
-    fn wish(&mut self, input: &TickInput<'_>, pose: Pose2, events: &mut Vec<Event>) -> Twist2 {
-        let in_charge =
-            input.safety.map_or_else(|| self.drives_itself(), |report| report.in_charge);
-        let blind =
-            self.config.stand_without_pictures.is_some_and(|turns| self.blind_turns >= turns);
-        if in_charge || blind {
+    fn desired(&mut self, input: &TickInput<'_>, pose: Pose2, events: &mut Vec<Event>) -> Twist2 {
+        let stands_blind =
+            self.config.stand_without_frames.is_some_and(|ticks| self.ticks_without_frame >= ticks);
+        if input.safety.in_charge || stands_blind {
             return Twist2::ZERO;
         }
         let looks = self.looks.back().zip(self.looks.front()).filter(|_| self.looks.len() > 1);
@@ -456,37 +449,6 @@ impl Robot {
         }
     }
 
-    /// The safety plane's own turn, where nobody else turns it. A simulated base is always armed.
-    fn gate(
-        &mut self,
-        input: &TickInput<'_>,
-        scan: Option<&LaserScan>,
-        wanted: Twist2,
-        events: &mut Vec<Event>,
-    ) -> Twist2 {
-        let gated = self.safety.step(&SafetyInput {
-            time_ns: input.time_ns,
-            scan,
-            wheel: Some(input.wheel),
-            base_error: None,
-            emergency_stop: false,
-            plan: Some(Plan { twist: wanted, time_ns: input.time_ns }),
-            request: (self.safety.state() == SafetyState::Disarmed).then_some(Request::Arm),
-        });
-        events.extend(gated.event.map(|what| Event::Safety { what }));
-        self.note_blocked(gated.blocked_m);
-        gated.twist()
-    }
-
-    /// While it waits for a scan the policy goes on wishing.
-    fn drives_itself(&self) -> bool {
-        let state = self.safety.state();
-        matches!(
-            state,
-            SafetyState::Tripped { .. } | SafetyState::BackingOff(_) | SafetyState::Escaping(_)
-        )
-    }
-
     fn note_blocked(&mut self, blocked_m: Option<[f64; 2]>) {
         if blocked_m.is_some() {
             self.collision_at = blocked_m;
@@ -506,10 +468,10 @@ impl Robot {
         &self.explorer
     }
 
-    /// The safety plane as it stands; it stands still where one outside reports.
+    /// Whether ground truth goes into the map ([`DepthSource::Truth`]).
     #[must_use]
-    pub fn safety(&self) -> &SafetyPlane {
-        &self.safety
+    pub fn maps_truth(&self) -> bool {
+        self.config.depth_source == DepthSource::Truth
     }
 
     /// What shapes this robot's decisions.
@@ -534,7 +496,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, map, looks, explorer, safety, bumped, collision_at, last_time_ns, blind_turns, new_network
+    Robot: coarse, map, looks, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// Keeps the newest look and those before it, back to the one `gap` pictures ago.

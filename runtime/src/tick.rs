@@ -1,70 +1,127 @@
-//! What goes into one turn of the loop, and what comes out.
+//! The input and the decision of one tick of the exploration loop.
 
-use hal::{DepthMap, ImageView, LaserScan, Twist2, WheelFeedback};
+use hal::{DepthMap, ImageView, LaserScan, Pose2, Twist2, WheelFeedback};
 use serde::{Deserialize, Serialize};
 
 use crate::event::{Event, SafetyEvent};
 
-/// Everything that one turn of the loop knows of the world. Recording this replays the run.
+/// Everything that enters one tick. A recording of all inputs replays the run.
 #[derive(Debug, Clone, Copy)]
 pub struct TickInput<'a> {
     /// Counts up from 0.
     pub tick: u64,
-    /// Now, monotonic.
+    /// Time of the tick, monotonic.
     pub time_ns: u64,
-    /// What the base measured.
+    /// Wheel feedback at the time of `frame`; the newest where there is no frame.
     pub wheel: WheelFeedback,
-    /// A new scan, if one came.
+    /// The scan nearest to the frame in time, if it is a new one.
     pub scan: Option<&'a LaserScan>,
-    /// A new picture, if one came: RGB8 in the size that perception works on.
+    /// `t_odom_base` when the scanner was halfway through `scan`; that of `wheel` where there is no scan.
+    pub scan_odom: Pose2,
+    /// A new frame, if one came: RGB8 in the size that perception works on.
     pub frame: Option<ImageView<'a>>,
-    /// Ground-truth depth of `frame`. Only with the depth source `truth`, which exists to test what comes after depth.
+    /// Ground-truth depth of `frame`. Only with the depth source `truth`, which exists to test mapping and planning apart from
+    /// depth.
     pub truth: Option<&'a DepthMap>,
-    /// What the safety plane did since the last turn, where it turns by itself, faster than this loop. `None`: it is turned
-    /// with this loop.
-    pub safety: Option<&'a SafetyReport>,
+    /// What the safety loop did since the previous tick.
+    pub safety: &'a SafetyReport,
 }
 
-/// What the safety plane tells the exploration plane.
+/// What the safety loop did between two ticks.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct SafetyReport {
-    /// Wishes have no effect at the moment.
+    /// The safety plane moves or stops the robot itself at the moment; the desired command has no effect.
     pub in_charge: bool,
-    /// A place that it could not pass, in `odom`, metres: said once.
+    /// A place in `odom` that could not be passed, metres. Each place is reported once.
     pub blocked_m: Option<[f64; 2]>,
-    /// What happened since the last turn, in order.
+    /// Changes of state since the previous tick, in order.
     pub events: Vec<SafetyEvent>,
+    /// Every command that left the safety loop since the previous tick, in order.
+    pub sent: Vec<SentCommand>,
+    /// Sent commands that are missing in `sent` because the exploration loop was late for longer than the queue holds.
+    #[serde(skip_serializing_if = "is_zero", default)]
+    pub sent_dropped: u64,
 }
 
-/// What one turn of the loop decided. Two runs are the same when all of their decisions are equal.
+fn is_zero(count: &u64) -> bool {
+    *count == 0
+}
+
+impl SafetyReport {
+    /// Forgets the previous tick and keeps the memory of its lists.
+    pub fn clear(&mut self) {
+        self.in_charge = false;
+        self.blocked_m = None;
+        self.events.clear();
+        self.sent.clear();
+        self.sent_dropped = 0;
+    }
+}
+
+/// A command as it left the safety loop for the base.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct SentCommand {
+    /// When it was sent, monotonic.
+    pub time_ns: u64,
+    /// The drive command's counter; `None` for a stop, which brakes as hard as the base can.
+    pub counter: Option<u32>,
+    /// Forward speed, m/s.
+    pub linear_mps: f64,
+    /// Yaw rate, rad/s, left is positive.
+    pub angular_radps: f64,
+}
+
+impl SentCommand {
+    /// A drive command.
+    #[must_use]
+    pub fn drive(time_ns: u64, counter: u32, twist: Twist2) -> Self {
+        let Twist2 { linear_mps, angular_radps } = twist;
+        Self { time_ns, counter: Some(counter), linear_mps, angular_radps }
+    }
+
+    /// A stop.
+    #[must_use]
+    pub fn stop(time_ns: u64) -> Self {
+        Self { time_ns, counter: None, linear_mps: 0.0, angular_radps: 0.0 }
+    }
+
+    /// Its velocity.
+    #[must_use]
+    pub fn command(&self) -> Command {
+        Command { linear_mps: self.linear_mps, angular_radps: self.angular_radps }
+    }
+}
+
+/// What one tick decided. Two runs are the same when all of their decisions are equal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Decision {
-    /// The turn.
+    /// The tick's number.
     pub tick: u64,
-    /// Its time.
+    /// The tick's time, monotonic.
     pub time_ns: u64,
-    /// What the policy wanted, before the safety plane.
-    pub wanted: Command,
-    /// What the base is told, after the safety plane.
-    pub command: Command,
+    /// The velocity that the policy desires. The safety loop passes it on, slows it down, stops it, or replaces it.
+    pub desired: Command,
+    /// The velocity that was in force when this tick began: the newest command that left the safety loop since the previous
+    /// tick (the whole list is in [`SafetyReport::sent`]). `None` when none left it.
+    pub sent: Option<Command>,
     /// Where the robot is heading, in `odom`, metres.
     pub goal_m: Option<[f64; 2]>,
     /// What happened, with reasons.
     pub events: Vec<Event>,
-    /// First 8 bytes of the BLAKE3 digest of the whole input: a decision says what it was made on, to the last bit.
+    /// First 8 bytes of the BLAKE3 digest of the whole input: identifies what the decision was made on, to the last bit.
     pub input_digest: u64,
     /// First 8 bytes of the BLAKE3 digest of the depth that went into the map (bytes of depth and confidence); 0: none.
     pub depth_digest: u64,
-    /// First 8 bytes of the BLAKE3 digest of the cells that the map changed this turn.
+    /// First 8 bytes of the BLAKE3 digest of the cells that the map changed in this tick.
     pub map_digest: u64,
 }
 
-/// A velocity as it stands in a log: m/s and rad/s.
+/// A velocity as recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Command {
     /// Forward speed, m/s.
     pub linear_mps: f64,
-    /// Turn rate, rad/s, left is positive.
+    /// Yaw rate, rad/s, left is positive.
     pub angular_radps: f64,
 }
 

@@ -13,7 +13,7 @@ pub mod video;
 pub mod world;
 
 pub use noise::noise;
-pub use scenario::{Scenario, Turn, successor};
+pub use scenario::{Scenario, Tick, successor};
 
 use std::ops::Range;
 

@@ -1,203 +1,201 @@
 //! A robot in a built-in home with devices that may misbehave, in virtual time.
 
+use std::error::Error;
 use std::sync::Arc;
 
 use drivers::fault::{
-    Fault, Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyLidar, random_faults,
+    Fault, FaultTextError, Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyLidar,
+    random_faults,
 };
-use hal::{
-    Base, Camera, CameraModel, Clock, DriveCommand, Error, Frame, LaserScan, Lidar, Pose2, Twist2,
-    WheelFeedback,
-};
+use hal::{CameraModel, Clock, Pose2, Twist2};
 use runtime::exploration::{ExplorationConfig, PolicyKind};
 use runtime::mapping::MapConfig;
 use runtime::perception::CoarseConfig;
 use runtime::planning::{FollowerConfig, PlanConfig};
-use runtime::robot::{DepthSource, Robot, RobotConfig};
-use runtime::safety::SafetyConfig;
-use runtime::tick::{Decision, TickInput};
+use runtime::recording::RecordedTick;
+use runtime::robot::{DepthSource, Robot, RobotConfig, Stage, StageTimer};
+use runtime::safety::{Request, SafetyConfig, SafetyLoop};
+use runtime::session::{Observer, Session, VirtualDevices, VirtualTime, recompute, safety_link};
+use runtime::tick::{Decision, SentCommand, TickInput};
 use simulator::robot::{SimBase, SimCamera, SimClock, SimLidar, Truth};
 use simulator::{OpenOptions, RobotOptions, SimulatedRobot, World};
 
 const TICK_NS: u64 = 100_000_000;
-/// A shadow begins anew after so many turns.
-const SHADOW_TURNS: u64 = 7;
+const SAFETY_NS: u64 = 10_000_000;
+const FOOTPRINT_M: f64 = 0.16;
+/// Ticks after which a shadow starts again from a snapshot.
+const SHADOW_TICKS: u64 = 7;
+
+type Time = FaultyClock<VirtualTime<SimClock, FaultyBase<SimBase>, FaultyLidar<SimLidar>>>;
+type Devices = VirtualDevices<Time, FaultyCamera<SimCamera>>;
 
 /// A run in progress.
 pub struct Scenario {
-    camera: FaultyCamera<SimCamera>,
-    lidar: FaultyLidar<SimLidar>,
-    base: FaultyBase<SimBase>,
-    clock: FaultyClock<SimClock>,
+    session: Session<Devices>,
     truth: Truth,
-    robot: Robot,
-    /// Decides the same turns, and begins anew from a snapshot now and then.
-    shadow: Option<Robot>,
-    frame: Frame,
-    scan: LaserScan,
-    wheel: WheelFeedback,
-    tick: u64,
+    observer: ScenarioObserver,
 }
 
-/// One turn as seen from outside.
+/// One tick as seen from outside.
 #[derive(Debug, Clone)]
-pub struct Turn {
+pub struct Tick {
     /// What the robot decided.
     pub decision: Decision,
-    /// Where it really is.
+    /// Every command that the base received since the previous tick.
+    pub sent: Vec<SentCommand>,
+    /// Where the robot really is: `t_world_base`.
     pub pose: Pose2,
-    /// Whether it really touches something.
+    /// Whether the robot really touched something since the previous tick.
     pub contact: bool,
 }
 
-impl Turn {
-    /// The command that went to the base.
+impl Tick {
+    /// The newest command that the base received before this tick.
     #[must_use]
     pub fn command(&self) -> Twist2 {
-        self.decision.command.into()
+        self.decision.sent.map_or(Twist2::ZERO, Into::into)
     }
 }
 
 impl Scenario {
-    /// A robot with a small camera in an apartment, and what is wrong with its devices; `random` stands for a minute's faults
-    /// by dice.
+    /// A robot with a small camera in an apartment, with injected faults; `random` stands for a minute of random faults.
     ///
     /// # Errors
-    /// A text that names no fault. When a built-in home cannot be opened or a default configuration is refused: a defect of
-    /// the project.
-    pub fn new(
-        policy: PolicyKind,
-        faults: &[&str],
-        seed: u64,
-    ) -> Result<Self, Box<dyn std::error::Error>> {
+    /// A text that is not a fault. A built-in home that cannot be opened or a default configuration that is refused is a defect
+    /// of the project.
+    pub fn new(policy: PolicyKind, faults: &[&str], seed: u64) -> Result<Self, Box<dyn Error>> {
         let world = World::open("builtin:apartment?seed=1", &OpenOptions::default())?;
         let camera = CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2);
         let options = RobotOptions { camera, seed, ..RobotOptions::default() };
-        let t_base_camera = options.t_base_camera;
+        let robot = Robot::new(robot_config(policy, &options), None)?;
         let simulated = SimulatedRobot::new(Arc::new(world), options)?;
-        let (devices, clock) = (simulated.devices(), simulated.devices().clock);
-        let faults = Faults::new(read(faults, seed)?, seed, Arc::new(move || clock.now_ns()));
-        let config = RobotConfig {
-            camera,
-            t_base_camera,
-            laser_forward_m: 0.0,
-            forward_step_m: 0.03,
-            turn_step_rad: 2f64.to_radians(),
-            tick_s: TICK_NS as f64 * 1e-9,
-            policy,
-            seed,
-            depth_source: DepthSource::Coarse,
-            coarse: CoarseConfig::default(),
-            map: MapConfig::default(),
-            plan: PlanConfig { footprint_radius_m: 0.16, ..PlanConfig::default() },
-            follower: FollowerConfig::default(),
-            exploration: ExplorationConfig::default(),
-            safety: SafetyConfig::default(),
-            stand_without_pictures: None,
-        };
-        Ok(Self {
-            scan: LaserScan::empty(devices.lidar.geometry()),
-            camera: FaultyCamera::new(devices.camera, &faults),
-            lidar: FaultyLidar::new(devices.lidar, &faults),
-            base: FaultyBase::new(devices.base, &faults),
-            clock: FaultyClock::new(devices.clock, &faults),
-            truth: devices.truth,
-            robot: Robot::new(config, None)?,
-            shadow: None,
-            frame: Frame::empty(),
-            wheel: WheelFeedback::default(),
-            tick: 0,
-        })
+        let devices = simulated.devices();
+        let clock = simulated.devices().clock;
+        let faults = Faults::new(parse(faults, seed)?, seed, Arc::new(move || clock.now_ns()));
+        let base = FaultyBase::new(devices.base, &faults);
+        let lidar = FaultyLidar::new(devices.lidar, &faults);
+        let safety = SafetyConfig { period_s: SAFETY_NS as f64 * 1e-9, ..SafetyConfig::default() };
+        let (task, port) = safety_link(SafetyLoop::new(safety, base, lidar));
+        let mut time = VirtualTime::new(devices.clock, task, SAFETY_NS);
+        time.request(Request::Arm);
+        let camera = FaultyCamera::new(devices.camera, &faults);
+        let devices = VirtualDevices::new(FaultyClock::new(time, &faults), camera);
+        let observer = ScenarioObserver { shadow: None, sent: Vec::new() };
+        let session = Session::new(devices, robot, port, TICK_NS);
+        Ok(Self { session, truth: simulated.devices().truth, observer })
     }
 
-    /// From now on every turn is also decided by a robot that knew nothing but a snapshot of this one some turns ago.
+    /// From now on every tick is also decided by a second robot, which starts from a snapshot of this one every few ticks.
     ///
     /// # Errors
     /// As [`successor`].
-    pub fn shadowed(self) -> Result<Self, Box<dyn std::error::Error>> {
-        Ok(Self { shadow: Some(successor(&self.robot)?), ..self })
+    pub fn shadowed(mut self) -> Result<Self, Box<dyn Error>> {
+        self.observer.shadow = Some(successor(self.session.robot())?);
+        Ok(self)
     }
 
     /// The robot.
     #[must_use]
     pub fn robot(&self) -> &Robot {
-        &self.robot
+        self.session.robot()
     }
 
-    /// One turn of the loop, as `firmware-host` does it.
-    ///
-    /// # Errors
-    /// When the shadow decides otherwise, when a frame is not what it says, or a command is refused.
-    pub fn turn(&mut self) -> Result<Turn, Box<dyn std::error::Error>> {
-        self.clock.sleep_until_ns(self.tick * TICK_NS);
-        let time_ns = self.clock.now_ns();
-        // An error is no reading, and never a reason to keep the last one.
-        let has_frame = self.camera.poll_frame(&mut self.frame).unwrap_or(false);
-        let has_scan = self.lidar.poll_scan(&mut self.scan).unwrap_or(false);
-        if let Ok(Some(wheel)) = self.base.poll_feedback() {
-            self.wheel = wheel;
-        }
-        let contact = self.truth.contact();
-        let input = TickInput {
-            tick: self.tick,
-            time_ns,
-            wheel: self.wheel,
-            scan: has_scan.then_some(&self.scan),
-            frame: if has_frame { Some(self.frame.view()?) } else { None },
-            truth: None,
-            safety: None,
-        };
-        if self.shadow.is_some() && self.tick.is_multiple_of(SHADOW_TURNS) {
-            self.shadow = Some(successor(&self.robot)?);
-        }
-        let decision = self.robot.tick(&input, &mut ());
-        if let Some(other) = self
-            .shadow
-            .as_mut()
-            .map(|shadow| shadow.tick(&input, &mut ()))
-            .filter(|other| *other != decision)
-        {
-            return Err(format!(
-                "from its snapshot, turn {} is {other:?}, not {decision:?}",
-                self.tick
-            )
-            .into());
-        }
-        let command = DriveCommand {
-            twist: decision.command.into(),
-            counter: self.tick as u32 + 1,
-            plan_age_ns: 0,
-        };
-        // A base that cannot be reached stops by its own watchdog; one that refuses to be driven was asked for nonsense.
-        if let Err(error) = self.base.drive(&command)
-            && error.kind() == hal::ErrorKind::Rejected
-        {
-            return Err(error.to_string().into());
-        }
-        self.tick += 1;
-        Ok(Turn { decision, pose: self.truth.pose(), contact })
+    /// Passes an operator's request to the safety loop.
+    pub fn request(&mut self, request: Request) {
+        self.session.devices_mut().clock_mut().inner_mut().request(request);
     }
 
-    /// Many turns.
+    /// One tick of the loop.
     ///
     /// # Errors
-    /// As [`turn`](Self::turn).
-    pub fn turns(&mut self, count: usize) -> Result<Vec<Turn>, Box<dyn std::error::Error>> {
-        (0..count).map(|_| self.turn()).collect()
+    /// When the shadow decides otherwise, or the wheels have never reported.
+    pub fn tick(&mut self) -> Result<Tick, Box<dyn Error>> {
+        self.session.wait();
+        let decision = self.session.tick(&mut self.observer)?;
+        let decision = decision.ok_or("the wheels have not reported yet")?;
+        let contact = self.truth.take_contact();
+        let sent = std::mem::take(&mut self.observer.sent);
+        Ok(Tick { decision, sent, pose: self.truth.pose(), contact })
+    }
+
+    /// Many ticks.
+    ///
+    /// # Errors
+    /// As [`tick`](Self::tick).
+    pub fn ticks(&mut self, count: usize) -> Result<Vec<Tick>, Box<dyn Error>> {
+        (0..count).map(|_| self.tick()).collect()
     }
 }
 
-/// A new robot of the same configuration that knows what this one knows.
+/// Compares the robot with its shadow and keeps the sent commands.
+struct ScenarioObserver {
+    shadow: Option<Robot>,
+    sent: Vec<SentCommand>,
+}
+
+impl StageTimer for ScenarioObserver {
+    fn ended(&mut self, _stage: Stage) {}
+}
+
+impl Observer for ScenarioObserver {
+    type Error = Box<dyn Error>;
+
+    fn before(&mut self, robot: &mut Robot, input: &TickInput<'_>) -> Result<(), Self::Error> {
+        if self.shadow.is_some() && input.tick.is_multiple_of(SHADOW_TICKS) {
+            self.shadow = Some(successor(robot)?);
+        }
+        Ok(())
+    }
+
+    fn after(
+        &mut self,
+        _robot: &mut Robot,
+        input: &TickInput<'_>,
+        decision: &Decision,
+    ) -> Result<(), Self::Error> {
+        self.sent.extend_from_slice(&input.safety.sent);
+        let Some(shadow) = &mut self.shadow else { return Ok(()) };
+        let other = recompute(shadow, &RecordedTick::capture(input, None)?)?;
+        if other == *decision {
+            return Ok(());
+        }
+        let tick = input.tick;
+        Err(format!("from its snapshot, tick {tick} is {other:?}, not {decision:?}").into())
+    }
+}
+
+/// A new robot of the same configuration, with this one's memory.
 ///
 /// # Errors
-/// A snapshot that cannot be taken up: a defect.
-pub fn successor(robot: &Robot) -> Result<Robot, Box<dyn std::error::Error>> {
+/// A snapshot that is refused: a defect.
+pub fn successor(robot: &Robot) -> Result<Robot, Box<dyn Error>> {
     let mut new = Robot::new(robot.config().clone(), None)?;
     new.restore(&robot.snapshot())?;
     Ok(new)
 }
 
-fn read(texts: &[&str], seed: u64) -> Result<Vec<Fault>, drivers::fault::FaultTextError> {
+fn robot_config(policy: PolicyKind, options: &RobotOptions) -> RobotConfig {
+    RobotConfig {
+        camera: options.camera,
+        t_base_camera: options.t_base_camera,
+        laser_forward_m: 0.0,
+        forward_step_m: 0.03,
+        turn_step_rad: 2f64.to_radians(),
+        tick_s: TICK_NS as f64 * 1e-9,
+        policy,
+        seed: options.seed,
+        depth_source: DepthSource::Coarse,
+        coarse: CoarseConfig::default(),
+        map: MapConfig::default(),
+        plan: PlanConfig { footprint_radius_m: FOOTPRINT_M, ..PlanConfig::default() },
+        follower: FollowerConfig::default(),
+        exploration: ExplorationConfig::default(),
+        stand_without_frames: None,
+        footprint_radius_m: FOOTPRINT_M,
+    }
+}
+
+fn parse(texts: &[&str], seed: u64) -> Result<Vec<Fault>, FaultTextError> {
     let mut faults = Vec::new();
     for text in texts {
         match *text {

@@ -9,7 +9,7 @@ use runtime::snapshot::SnapshotError;
 #[test]
 fn whatever_the_policy_a_robot_from_a_snapshot_decides_as_the_robot_itself() {
     for policy in PolicyKind::ALL {
-        Scenario::new(policy, &[], 3).unwrap().shadowed().unwrap().turns(150).unwrap();
+        Scenario::new(policy, &[], 3).unwrap().shadowed().unwrap().ticks(150).unwrap();
     }
 }
 
@@ -20,7 +20,7 @@ fn while_everything_fails_a_robot_from_a_snapshot_decides_as_the_robot_itself() 
             .unwrap()
             .shadowed()
             .unwrap()
-            .turns(300)
+            .ticks(300)
             .unwrap();
     }
 }
@@ -31,13 +31,13 @@ fn bumping_backing_off_and_escaping_are_remembered() {
         .unwrap()
         .shadowed()
         .unwrap()
-        .turns(250)
+        .ticks(250)
         .unwrap();
 }
 
 fn explored() -> Scenario {
     let mut scenario = Scenario::new(PolicyKind::Active, &[], 3).unwrap();
-    scenario.turns(40).unwrap();
+    scenario.ticks(40).unwrap();
     scenario
 }
 

@@ -16,6 +16,21 @@ impl<C: Clock> FaultyClock<C> {
     pub fn new(inner: C, faults: &Faults) -> Self {
         Self { inner, injector: faults.of(Device::Clock) }
     }
+
+    /// The wrapped clock.
+    pub fn inner(&self) -> &C {
+        &self.inner
+    }
+
+    /// Removes the wrapper.
+    pub fn into_inner(self) -> C {
+        self.inner
+    }
+
+    /// The wrapped clock.
+    pub fn inner_mut(&mut self) -> &mut C {
+        &mut self.inner
+    }
 }
 
 impl<C: Clock> Clock for FaultyClock<C> {

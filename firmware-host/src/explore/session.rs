@@ -1,103 +1,94 @@
-//! One run: the loop over the simulated devices, and what is kept of it.
+//! A simulated run: the loop over simulated devices in virtual time, and what is kept of it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::Result;
-use drivers::fault::{Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyLidar};
-use hal::{
-    Base, Camera, Clock, DepthMap, DriveCommand, Error, ErrorKind, Frame, LaserScan, Lidar,
-    WheelFeedback,
-};
+use drivers::fault::Faults;
+use hal::DepthMap;
 use runtime::event::ExploreEnd;
 use runtime::line_monitor::LineMonitor;
 use runtime::mapping::{CellState, OccupancyGrid};
-use runtime::recording::{RecordedTick, RunDigest, Views, quantise_mm};
-use runtime::robot::{DepthSource, Robot};
+use runtime::recording::{RecordedTick, RunDigest};
+use runtime::robot::{Robot, Stage as RobotStage, StageTimer};
+use runtime::session::{Observer, Session};
 use runtime::tick::{Decision, TickInput};
 use simulator::SimulatedRobot;
 use simulator::floor::FloorPlan;
-use simulator::robot::{SimBase, SimCamera, SimClock, SimLidar, Truth as World};
+use simulator::robot::Truth as World;
 
+use super::devices::{SimulatedDevices, simulated_devices};
+use super::hand_over::{HandOver, Round};
 use crate::cli::ExploreArgs;
 use crate::config::{Config, RecordingSection};
 use crate::dump::{Dump, Shot};
 use crate::evaluation::{Evaluation, Truth};
 use crate::model::LiveModels;
-use crate::record::{Recorder, snapshot};
+use crate::record::{RecordError, Recorder, recorded_views, snapshot};
 use crate::report::coverage::Coverage;
 use crate::report::depth_sample::{SheetRow, SheetSampler};
 use crate::report::depth_sheet::DepthSheet;
 use crate::report::latency::Stage;
 use crate::report::map_picture::{self, Cells, MapPicture};
-use crate::report::map_view::map_view;
 use crate::report::progress::{Progress, Status};
 use crate::report::summary::{LidarLine, Summary, peak_resident_mib};
 use crate::report::table;
 use crate::stopwatch::Stopwatch;
 
-use super::hand_over::{HandOver, Round};
-
-pub(super) struct Session {
+/// A simulated run in progress.
+pub(super) struct Exploration {
     out: PathBuf,
     frames: u64,
-    tick_ns: u64,
+    session: Session<SimulatedDevices>,
+    /// Where better networks come from.
+    pub hand_over: Option<HandOver>,
+    /// What is kept of the run.
+    pub log: RunLog,
+    done: u64,
+    interrupted: Arc<AtomicBool>,
+}
+
+/// What is kept of a simulated run: the recording, the evaluation against ground truth, latencies and plots.
+pub(super) struct RunLog {
     recording: RecordingSection,
-    devices: Devices,
-    robot: Robot,
     recorder: Option<Recorder>,
     /// Where coarse depth is written for training.
     pub dump: Option<Dump>,
-    /// Where better networks come from.
-    pub hand_over: Option<HandOver>,
-    /// Or, signed ones.
+    /// Signed models that arrive during the run.
     pub models: Option<LiveModels>,
-    /// How right the depth is, as far as the robot can tell.
+    /// How well the depth agrees with the LiDAR.
     line: LineMonitor,
+    world: World,
+    /// Ground-truth depth of the newest frame.
+    true_depth: DepthMap,
     evaluation: Evaluation,
     digest: RunDigest,
     stopwatch: Stopwatch,
     sheet: SheetSampler,
     began: Instant,
-    done: u64,
-    interrupted: Arc<AtomicBool>,
+    started: Instant,
+    snapshot: Option<Vec<u8>>,
     #[cfg(feature = "rerun")]
     stream: Option<crate::rerun_stream::RerunStream>,
 }
 
-/// The simulated devices, and what is wrong with them.
-struct Devices {
-    camera: FaultyCamera<SimCamera>,
-    lidar: FaultyLidar<SimLidar>,
-    base: FaultyBase<SimBase>,
-    clock: FaultyClock<SimClock>,
-    truth: World,
+/// Why a run ends early.
+pub(super) enum Failure {
+    /// The recording cannot be written. The run ends with a report.
+    Recording(RecordError),
+    /// A defect, or output that cannot be written.
+    Other(anyhow::Error),
 }
 
-impl Devices {
-    fn new(devices: simulator::Devices, faults: &Faults) -> Self {
-        Self {
-            camera: FaultyCamera::new(devices.camera, faults),
-            lidar: FaultyLidar::new(devices.lidar, faults),
-            base: FaultyBase::new(devices.base, faults),
-            clock: FaultyClock::new(devices.clock, faults),
-            truth: devices.truth,
-        }
+impl<E: Into<anyhow::Error>> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::Other(error.into())
     }
 }
 
-/// Memory for one turn's inputs, reused.
-struct Senses {
-    frame: Frame,
-    scan: LaserScan,
-    truth: DepthMap,
-    mapped_truth: DepthMap,
-    wheel: WheelFeedback,
-}
-
-impl Session {
+impl Exploration {
     pub fn new(
         args: &ExploreArgs,
         config: &Config,
@@ -106,51 +97,51 @@ impl Session {
         robot: Robot,
         recorder: Option<Recorder>,
     ) -> Self {
-        let devices = Devices::new(simulated.devices(), faults);
-        let plan = devices.truth.floor_plan();
+        let world = simulated.devices().truth;
+        let plan = world.floor_plan();
         let grid = plan.grid();
         let reachable = reachable_cells(&plan);
         let coverage = Coverage::new(reachable, grid.width, grid.origin_m, grid.resolution_m);
-        Self {
-            out: args.out.clone(),
-            frames: args.frames,
-            tick_ns: config.base.tick_ns(),
+        let camera = config.camera.model();
+        let maps_truth = robot.maps_truth();
+        let (devices, port) = simulated_devices(config, simulated, faults, maps_truth);
+        let log = RunLog {
             recording: config.recording.clone(),
-            devices,
-            robot,
             recorder,
             dump: None,
-            hand_over: None,
             models: None,
             line: crate::setup::line_monitor(config),
+            world,
+            true_depth: DepthMap::none(camera.width, camera.height),
             evaluation: Evaluation::new(coverage),
             digest: RunDigest::new(),
             stopwatch: Stopwatch::default(),
             sheet: SheetSampler::default(),
             began: Instant::now(),
-            done: 0,
-            interrupted: stop_on_interrupt(),
+            started: Instant::now(),
+            snapshot: None,
             #[cfg(feature = "rerun")]
             stream: None,
+        };
+        Self {
+            out: args.out.clone(),
+            frames: args.frames,
+            session: Session::new(devices, robot, port, config.base.tick_ns()),
+            hand_over: None,
+            log,
+            done: 0,
+            interrupted: stop_on_interrupt(),
         }
     }
 
     /// Also shows the run in Rerun.
     #[cfg(feature = "rerun")]
     pub fn show_in(&mut self, stream: crate::rerun_stream::RerunStream) {
-        self.stream = Some(stream);
+        self.log.stream = Some(stream);
     }
 
     /// Runs the loop to its end.
     pub fn explore(&mut self) -> Result<ExploreEnd> {
-        let model = *self.devices.camera.model();
-        let mut senses = Senses {
-            frame: Frame::empty(),
-            scan: LaserScan::empty(self.devices.lidar.geometry()),
-            truth: DepthMap::none(model.width, model.height),
-            mapped_truth: DepthMap::none(model.width, model.height),
-            wheel: WheelFeedback::default(),
-        };
         let mut progress = Progress::start(self.frames);
         let mut end = ExploreEnd::FrameBudget;
         for tick in 0..self.frames {
@@ -158,22 +149,22 @@ impl Session {
                 end = ExploreEnd::Interrupted;
                 break;
             }
-            if let Err(error) = self.turn(tick, &mut senses)? {
-                tracing::error!(%error, "the recording has failed; the run ends");
-                end = ExploreEnd::OutputFailed;
-                break;
+            self.log.stopwatch.start();
+            self.session.wait();
+            match self.session.tick(&mut self.log) {
+                Ok(_) => self.done = tick + 1,
+                Err(Failure::Recording(error)) => {
+                    tracing::error!(%error, "the recording has failed; the run ends");
+                    end = ExploreEnd::OutputFailed;
+                    break;
+                }
+                Err(Failure::Other(error)) => return Err(error),
             }
-            self.done = tick + 1;
-            let doing = self
-                .robot
-                .explorer()
-                .goal()
-                .map_or_else(String::new, |goal| format!("{:?}", goal.why));
-            let doing = doing.to_lowercase();
-            progress
-                .frame(self.done, &Status { coverage: self.evaluation.coverage(), doing: &doing });
+            let goal = self.session.robot().explorer().goal();
+            let doing = goal.map_or_else(String::new, |goal| format!("{:?}", goal.why));
+            let coverage = self.log.evaluation.coverage();
+            progress.frame(self.done, &Status { coverage, doing: &doing.to_lowercase() });
         }
-        let _ = self.devices.base.stop();
         progress.finish();
         Ok(end)
     }
@@ -183,180 +174,35 @@ impl Session {
         let Some(hand_over) = &self.hand_over else { return Ok(true) };
         let Some(round) = hand_over.round(tick) else { return Ok(true) };
         let began = Instant::now();
-        if let Some(dump) = &self.dump {
+        if let Some(dump) = &self.log.dump {
             dump.write_index()?;
         }
-        let segments = self.recorder.as_mut().map_or(Ok(0), Recorder::cut)?;
-        let round = Round { round, frames: tick, segments, digest: self.digest.decisions() };
+        let segments = self.log.recorder.as_mut().map_or(Ok(0), Recorder::cut)?;
+        let round = Round { round, frames: tick, segments, digest: self.log.digest.decisions() };
         let network = hand_over.exchange(&round, &self.interrupted)?;
-        // Waiting is no part of the run.
-        self.began += began.elapsed();
+        // Waiting for the trainer is not part of the run.
+        self.log.began += began.elapsed();
         let came = network.is_some();
         if let Some(network) = network {
-            self.robot.take_network(network);
+            self.session.robot_mut().take_network(network);
         }
         Ok(came)
     }
 
-    /// One turn. The inner error: the recording failed, and the run must end.
-    fn turn(
-        &mut self,
-        tick: u64,
-        senses: &mut Senses,
-    ) -> Result<Result<(), crate::record::RecordError>> {
-        self.stopwatch.start();
-        self.devices.clock.sleep_until_ns(tick * self.tick_ns);
-        let time_ns = self.devices.clock.now_ns();
-        let (has_frame, has_scan) = self.sense(senses);
-        self.stopwatch.lap(Stage::Simulator);
-        let maps_truth = self.robot.config().depth_source == DepthSource::Truth;
-        if maps_truth {
-            senses.mapped_truth.clone_from(&senses.truth);
-            quantise_mm(&mut senses.mapped_truth);
-        }
-        let input = TickInput {
-            tick,
-            time_ns,
-            wheel: senses.wheel,
-            scan: has_scan.then_some(&senses.scan),
-            frame: if has_frame { Some(senses.frame.view()?) } else { None },
-            truth: maps_truth.then_some(&senses.mapped_truth),
-            safety: None,
-        };
-        if let Some(models) = &mut self.models {
-            models.before(&mut self.robot, time_ns);
-        }
-        let snapshot = snapshot(self.recorder.as_mut(), &self.robot, time_ns);
-        let began = Instant::now();
-        self.stopwatch.start();
-        let decision = self.robot.tick(&input, &mut self.stopwatch);
-        self.stopwatch.since(began, Stage::Total);
-        let command =
-            DriveCommand { twist: decision.command.into(), counter: tick as u32, plan_age_ns: 0 };
-        self.drive(&command)?;
-        self.digest.add_input(&input);
-        self.digest.add_decision(&decision);
-        self.evaluate(&input, &senses.truth, &decision)?;
-        self.dump(&input)?;
-        self.line.look(&input, self.robot.mapped_depth());
-        if let Some(models) = &mut self.models {
-            // Virtual time waits: no turn is late.
-            models.after(&mut self.robot, &input, &decision, false);
-        }
-        self.stopwatch.start();
-        let recorded = self.record(&input, decision, snapshot)?;
-        self.stopwatch.lap(Stage::Record);
-        Ok(recorded)
-    }
-
-    /// Reads the devices. An error is no reading, and never a reason to keep the last one.
-    fn sense(&mut self, senses: &mut Senses) -> (bool, bool) {
-        let has_frame = self.devices.camera.poll_frame(&mut senses.frame).unwrap_or(false);
-        let has_scan = self.devices.lidar.poll_scan(&mut senses.scan).unwrap_or(false);
-        if let Ok(Some(wheel)) = self.devices.base.poll_feedback() {
-            senses.wheel = wheel;
-        }
-        self.devices.truth.depth(&mut senses.truth);
-        (has_frame, has_scan)
-    }
-
-    /// A base that cannot be reached stops by its own watchdog; one that refuses was asked for nonsense, and the run ends.
-    fn drive(&mut self, command: &DriveCommand) -> Result<()> {
-        match self.devices.base.drive(command) {
-            Err(error) if error.kind() == ErrorKind::Rejected => Err(error.into()),
-            _ => Ok(()),
-        }
-    }
-
-    fn evaluate(
-        &mut self,
-        input: &TickInput<'_>,
-        depth: &DepthMap,
-        decision: &Decision,
-    ) -> Result<()> {
-        let truth = Truth {
-            pose: self.devices.truth.pose(),
-            odom: input.wheel.odom,
-            depth: Some(depth),
-            contact: self.devices.truth.contact(),
-        };
-        self.evaluation.frame(&truth, &self.robot, decision)?;
-        if let Some(frame) = &input.frame {
-            let (coarse, network) = (self.robot.coarse_depth(), self.robot.network_depth());
-            let depths = usize::from(coarse.is_some()) + usize::from(network.is_some());
-            self.sheet.offer(input.tick, depths, || {
-                SheetRow::capture(input.tick, frame, coarse, network, Some(depth))
-            });
-        }
-        Ok(())
-    }
-
-    /// A picture's coarse depth, with the pose that the robot believes in.
-    fn dump(&mut self, input: &TickInput<'_>) -> Result<()> {
-        let (Some(dump), Some(_)) = (&mut self.dump, &input.frame) else { return Ok(()) };
-        let t_world_camera = input.wheel.odom.to_pose3() * self.robot.config().t_base_camera;
-        let shot =
-            Shot { time_ns: input.time_ns, t_world_camera, rgb: None, truth: None, view: None };
-        dump.add(&shot, self.robot.coarse_depth())
-    }
-
-    fn record(
-        &mut self,
-        input: &TickInput<'_>,
-        decision: Decision,
-        snapshot: Option<Vec<u8>>,
-    ) -> Result<Result<(), crate::record::RecordError>> {
-        let path_m = self.robot.explorer().path_m();
-        let shows = |every: u64| input.tick.is_multiple_of(every);
-        let views = Views {
-            map: shows(self.recording.map_every_ticks)
-                .then(|| map_view(self.robot.map()))
-                .flatten(),
-            path_m: shows(self.recording.depth_every_ticks).then(|| path_m.to_vec()),
-            depth: if shows(self.recording.depth_every_ticks) {
-                self.robot.mapped_depth().map(|estimate| estimate.depth.clone())
-            } else {
-                None
-            },
-        };
-        #[cfg(feature = "rerun")]
-        self.show(input, &decision, &views);
-        let Some(recorder) = &mut self.recorder else { return Ok(Ok(())) };
-        Ok(recorder.record(
-            RecordedTick { snapshot, ..RecordedTick::capture(input, Some(decision))? },
-            views,
-        ))
-    }
-
-    #[cfg(feature = "rerun")]
-    fn show(&mut self, input: &TickInput<'_>, decision: &Decision, views: &Views) {
-        let Some(stream) = &mut self.stream else { return };
-        let mut numbers = vec![("linear_mps", decision.command.linear_mps)];
-        numbers.extend(self.evaluation.coverage().map(|share| ("coverage", share)));
-        numbers.extend(self.line.overall().map(|line| ("line_delta1", line.delta1)));
-        numbers.extend(self.line.overall().map(|line| ("line_scale", line.scale)));
-        stream.offer(crate::rerun_stream::Moment {
-            tick: input.tick,
-            time_ns: input.time_ns,
-            odom: input.wheel.odom,
-            goal_m: decision.goal_m,
-            picture: input.frame.map(|view| (view.width(), view.height(), view.data().to_vec())),
-            views: views.clone(),
-            numbers,
-        });
-    }
-
-    /// Writes summary and pictures, and prints what a person wants to know.
+    /// Writes summary and plots, and prints the summary.
     pub fn report(self, end: ExploreEnd, mut summary: Summary) -> Result<()> {
-        let wall_s = self.began.elapsed().as_secs_f64();
+        let Self { out, session, log, done, .. } = self;
+        let (devices, robot) = session.into_parts();
+        devices.into_clock().into_inner().shut_down();
+        let wall_s = log.began.elapsed().as_secs_f64();
         #[cfg(feature = "rerun")]
-        if let Some(counts) = self.stream.map(crate::rerun_stream::RerunStream::finish) {
+        if let Some(counts) = log.stream.map(crate::rerun_stream::RerunStream::finish) {
             println!("Rerun: {} turns shown, {} dropped.", counts.sent, counts.dropped);
         }
-        if let Some(dump) = &self.dump {
+        if let Some(dump) = &log.dump {
             dump.write_index()?;
         }
-        let recording = self.recorder.map(Recorder::finish);
+        let recording = log.recorder.map(Recorder::finish);
         let mut end = end;
         match recording {
             Some(Ok(recording)) => {
@@ -369,37 +215,144 @@ impl Session {
             }
             None => {}
         }
-        summary.frames = self.done;
+        summary.frames = done;
         summary.end_reason = Some(end);
         summary.wall_s = Some(wall_s);
-        summary.frames_per_s = Some(self.done as f64 / wall_s);
-        summary.latency_ms = self.stopwatch.latencies().percentiles();
-        summary.digest = Some(self.digest.decisions());
+        summary.frames_per_s = Some(done as f64 / wall_s);
+        summary.latency_ms = log.stopwatch.latencies().percentiles();
+        summary.digest = Some(log.digest.decisions());
         summary.resident_mib = peak_resident_mib();
-        summary.lidar_line = LidarLine::of(&self.line);
-        self.evaluation.summarise(&mut summary);
+        summary.lidar_line = LidarLine::of(&log.line);
+        log.evaluation.summarise(&mut summary);
         // Numbers before pictures: they still find room on a disk that is nearly full.
-        summary.write(&self.out)?;
+        summary.write(&out)?;
         println!("{}", table::render(&summary));
         let title = title(&summary);
-        DepthSheet { title: &title, rows: &self.sheet.into_rows() }.write(&self.out)?;
-        let t_world_odom = self.evaluation.t_world_odom();
-        draw_map(
-            &title,
-            self.robot.map(),
-            &t_world_odom,
-            &self.evaluation,
-            &self.devices,
-            &self.out,
-        )?;
+        DepthSheet { title: &title, rows: &log.sheet.into_rows() }.write(&out)?;
+        let t_world_odom = log.evaluation.t_world_odom();
+        draw_map(&title, robot.map(), &t_world_odom, &log.evaluation, &log.world, &out)?;
         println!(
             "Look at {0}/map.png and {0}/depth.png; numbers are in {0}/summary.json.",
-            self.out.display()
+            out.display()
         );
         if summary.recording_mib.is_some() {
-            println!("Open {}/recording_0000.mcap in Foxglove or Rerun.", self.out.display());
+            println!("Open {}/recording_0000.mcap in Foxglove or Rerun.", out.display());
         }
         Ok(())
+    }
+}
+
+impl StageTimer for RunLog {
+    fn ended(&mut self, stage: RobotStage) {
+        self.stopwatch.ended(stage);
+    }
+}
+
+impl Observer for RunLog {
+    type Error = Failure;
+
+    fn before(&mut self, robot: &mut Robot, input: &TickInput<'_>) -> Result<(), Failure> {
+        self.stopwatch.lap(Stage::Simulator);
+        if let Some(models) = &mut self.models {
+            models.before(robot, input.time_ns);
+        }
+        self.snapshot = snapshot(self.recorder.as_mut(), robot, input.time_ns);
+        self.started = Instant::now();
+        self.stopwatch.start();
+        Ok(())
+    }
+
+    fn after(
+        &mut self,
+        robot: &mut Robot,
+        input: &TickInput<'_>,
+        decision: &Decision,
+    ) -> Result<(), Failure> {
+        self.stopwatch.since(self.started, Stage::Total);
+        self.digest.add_input(input);
+        self.digest.add_decision(decision);
+        self.world.depth(&mut self.true_depth);
+        self.evaluate(robot, input, decision)?;
+        self.dump(robot, input)?;
+        self.line.look(input, robot.mapped_depth());
+        if let Some(models) = &mut self.models {
+            // Virtual time waits: no tick is late.
+            models.after(robot, input, decision, false);
+        }
+        self.stopwatch.start();
+        self.record(robot, input, decision)?;
+        self.stopwatch.lap(Stage::Record);
+        Ok(())
+    }
+}
+
+impl RunLog {
+    fn evaluate(
+        &mut self,
+        robot: &Robot,
+        input: &TickInput<'_>,
+        decision: &Decision,
+    ) -> Result<()> {
+        let truth = Truth {
+            pose: self.world.pose(),
+            odom: input.wheel.odom,
+            depth: Some(&self.true_depth),
+            contact: self.world.take_contact(),
+        };
+        self.evaluation.frame(&truth, robot, decision)?;
+        if let Some(frame) = &input.frame {
+            let coarse = robot.coarse_depth();
+            let network = robot.network_depth();
+            let depths = usize::from(coarse.is_some()) + usize::from(network.is_some());
+            let truth = Some(&self.true_depth);
+            self.sheet.offer(input.tick, depths, || {
+                SheetRow::capture(input.tick, frame, coarse, network, truth)
+            });
+        }
+        Ok(())
+    }
+
+    /// Writes a frame's coarse depth, with the pose that the robot believes in.
+    fn dump(&mut self, robot: &Robot, input: &TickInput<'_>) -> Result<()> {
+        let (Some(dump), Some(_)) = (&mut self.dump, &input.frame) else { return Ok(()) };
+        let t_world_camera = input.wheel.odom.to_pose3() * robot.config().t_base_camera;
+        let shot =
+            Shot { time_ns: input.time_ns, t_world_camera, rgb: None, truth: None, view: None };
+        dump.add(&shot, robot.coarse_depth())
+    }
+
+    fn record(
+        &mut self,
+        robot: &Robot,
+        input: &TickInput<'_>,
+        decision: &Decision,
+    ) -> Result<(), Failure> {
+        #[cfg(feature = "rerun")]
+        self.show(robot, input, decision);
+        let Some(recorder) = &mut self.recorder else { return Ok(()) };
+        let tick = RecordedTick::capture(input, Some(decision.clone()))?;
+        let tick = RecordedTick { snapshot: self.snapshot.take(), ..tick };
+        let views = recorded_views(robot, input.tick, &self.recording);
+        recorder.record(tick, views).map_err(Failure::Recording)
+    }
+
+    #[cfg(feature = "rerun")]
+    fn show(&mut self, robot: &Robot, input: &TickInput<'_>, decision: &Decision) {
+        let Some(stream) = &mut self.stream else { return };
+        let mut numbers = vec![("desired_mps", decision.desired.linear_mps)];
+        numbers.extend(decision.sent.map(|sent| ("sent_mps", sent.linear_mps)));
+        numbers.extend(self.evaluation.coverage().map(|share| ("coverage", share)));
+        numbers.extend(self.line.overall().map(|line| ("line_delta1", line.delta1)));
+        numbers.extend(self.line.overall().map(|line| ("line_scale", line.scale)));
+        stream.offer(crate::rerun_stream::Moment {
+            tick: input.tick,
+            time_ns: input.time_ns,
+            odom: input.wheel.odom,
+            goal_m: decision.goal_m,
+            picture: input.frame.map(|view| (view.width(), view.height(), view.data().to_vec())),
+            views: recorded_views(robot, input.tick, &self.recording),
+            numbers,
+        });
     }
 }
 
@@ -412,16 +365,16 @@ fn title(summary: &Summary) -> String {
     format!("{scene}, {policy}, {} frames{coverage} (simulated)", summary.frames)
 }
 
-/// The map in the world's frame, so that the true floor and way lie on it.
+/// The map in the world's frame, so that the true floor and the driven path lie on it.
 fn draw_map(
     title: &str,
     map: &OccupancyGrid,
     t_world_odom: &hal::Pose2,
     evaluation: &Evaluation,
-    devices: &Devices,
-    out: &std::path::Path,
+    world: &World,
+    out: &Path,
 ) -> Result<()> {
-    let plan = devices.truth.floor_plan();
+    let plan = world.floor_plan();
     let grid = plan.grid();
     let reachable = reachable_cells(&plan);
     // Resampled into the world at the map's own resolution: without drift the frames differ by the start pose only.

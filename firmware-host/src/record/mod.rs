@@ -31,8 +31,8 @@ pub use disk::{Disk, FileSystem, SegmentFile, Space};
 pub use error::RecordError;
 pub use faulty_disk::FaultyDisk;
 pub use recorder::{
-    RETRY_NS, Recorder, RecorderOptions, RecordingSummary, WhenFull, Word, refuse_old_recording,
-    snapshot,
+    RETRY_NS, Recorder, RecorderOptions, RecordingSummary, WhenFull, Word, recorded_views,
+    refuse_old_recording, snapshot,
 };
 pub use room::{Quota, Removed};
 pub use segments::segment_name;

@@ -13,6 +13,8 @@ use super::disk::{Disk, FileSystem};
 use super::error::RecordError;
 use super::room::{Quota, Removed};
 use super::segments::{Segments, segment_name};
+use crate::config::RecordingSection;
+use crate::report::map_view::map_view;
 
 /// What happens to a turn when the disk is slower than the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -304,6 +306,22 @@ impl Drop for Recorder {
             tracing::error!("{error}");
         }
     }
+}
+
+/// What people look at in a recording: map, path and depth at their configured rates.
+#[must_use]
+pub fn recorded_views(robot: &Robot, tick: u64, config: &RecordingSection) -> Views {
+    let shows_map = tick.is_multiple_of(config.map_every_ticks);
+    let shows_depth = tick.is_multiple_of(config.depth_every_ticks);
+    let mut views = Views::default();
+    if shows_map {
+        views.map = map_view(robot.map());
+    }
+    if shows_depth {
+        views.path_m = Some(robot.explorer().path_m().to_vec());
+        views.depth = robot.mapped_depth().map(|estimate| estimate.depth.clone());
+    }
+    views
 }
 
 /// What `robot` remembers, when the recorder wants it with the turn at `time_ns`.

@@ -12,7 +12,7 @@ use std::path::Path;
 
 use runtime::recording::{RecordedTick, RunHeader};
 use runtime::snapshot::SNAPSHOT_VERSION;
-use runtime::tick::{Decision, TickInput};
+use runtime::tick::Decision;
 
 pub use compare::{Difference, differences};
 pub use rewrite::rewrite;
@@ -35,8 +35,11 @@ pub trait Replayable {
     fn restore(&mut self, snapshot: &[u8]) -> anyhow::Result<()>;
     /// All that it remembers.
     fn snapshot(&self) -> Vec<u8>;
-    /// Takes a turn.
-    fn step(&mut self, input: &TickInput<'_>) -> Decision;
+    /// Decides a recorded tick again.
+    ///
+    /// # Errors
+    /// A frame whose bytes do not fit its size.
+    fn step(&mut self, tick: &RecordedTick) -> anyhow::Result<Decision>;
 }
 
 /// Which turns are recomputed.
@@ -169,7 +172,7 @@ fn compare_turn(
     let remembers_otherwise = tick.snapshot.as_ref().is_some_and(|recorded| {
         recorded.starts_with(&SNAPSHOT_VERSION.to_le_bytes()) && *recorded != robot.snapshot()
     });
-    let recomputed = robot.step(&tick.input()?);
+    let recomputed = robot.step(tick)?;
     report.ticks += 1;
     let mut differences = match &tick.decision {
         Some(recorded) => differences(recorded, &recomputed)?,

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use runtime::recording::{RecordedTick, Views, input_digest};
-use runtime::tick::{Decision, TickInput};
+use runtime::tick::Decision;
 use tempfile::TempDir;
 
 use super::*;
@@ -28,14 +28,15 @@ impl Replayable for DigestRobot {
         [&SNAPSHOT_VERSION.to_le_bytes()[..], &self.memory.to_le_bytes()].concat()
     }
 
-    fn step(&mut self, input: &TickInput<'_>) -> Decision {
+    fn step(&mut self, tick: &RecordedTick) -> anyhow::Result<Decision> {
+        let input = &tick.input()?;
         self.memory =
             (self.memory.rotate_left(9) ^ input_digest(input)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         let digest = self.memory;
         let mut decision = some_tick(input.tick).decision.unwrap();
         (decision.depth_digest, decision.map_digest) = (digest, digest.rotate_left(7));
-        decision.command.linear_mps = digest as f64 / u64::MAX as f64 / 3.0;
-        decision
+        decision.desired.linear_mps = digest as f64 / u64::MAX as f64 / 3.0;
+        Ok(decision)
     }
 }
 

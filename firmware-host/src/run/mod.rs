@@ -1,15 +1,14 @@
 //! `firmware-host run`: the real robot.
 //!
-//! Three threads that matter: the safety plane ([`safety_thread`]) owns scanner and wheels and turns a hundred times a second;
-//! the exploration plane ([`exploration`]) turns ten times a second in the main thread; the recorder writes when it can. Drivers
-//! have threads of their own. Nothing waits for a device.
+//! Three threads matter. The safety loop ([`safety_thread`]) owns scanner and base and runs at 100 Hz; the exploration loop
+//! ([`runtime::session`]) runs at 10 Hz in the main thread; the recorder writes when the disk allows. Drivers have threads of
+//! their own. No loop waits for a device.
 
-mod alone;
 mod devices;
 mod exploration;
-mod odometry;
+mod instance_lock;
+mod live_devices;
 pub mod safety_thread;
-mod scan_history;
 pub mod status;
 mod supervision;
 
@@ -36,10 +35,11 @@ use crate::model::{Keeper, LiveModels};
 use crate::record::{FaultyDisk, FileSystem, Quota, Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
 use crate::report::latency::Stage;
-use crate::report::summary::{Summary, peak_resident_mib};
+use crate::report::summary::{LidarLine, Summary, peak_resident_mib};
 use crate::setup::{self, Mission};
-use alone::Alone;
-use exploration::{Exploration, Finished};
+use exploration::{Exploration, RunLog};
+use instance_lock::InstanceLock;
+use live_devices::LiveDevices;
 use safety_thread::{Pace, SafetyThread};
 use supervision::Supervision;
 
@@ -55,8 +55,8 @@ pub fn run(args: &RunArgs) -> Result<()> {
     // Wheels with inertia lose most of their time by stopping for every small turn. The recording says so too.
     config.planning.arcs = true;
     config.check_devices(&args.config)?;
-    // Before anything is opened or written: the other one goes on as if nobody had asked.
-    let _alone = Alone::on(&config.devices.base.bus)?;
+    // Before anything is opened or written, so that a running instance is not disturbed.
+    let _lock = InstanceLock::on(&config.devices.base.bus)?;
     let camera = config.camera.model();
     let configured = Some(&config.models.store).filter(|dir| !dir.is_empty());
     let store = args.model_store.clone().or_else(|| configured.map(PathBuf::from));
@@ -87,86 +87,70 @@ pub fn run(args: &RunArgs) -> Result<()> {
         if args.no_recording { None } else { Some(recorder(out, &config, header, &faults)?) };
     let signals = Signals::register()?;
     let camera = devices::open_camera(&config, &faults)?;
-    let pace = Pace {
-        period_ns: (1e9 / config.run.safety_hz) as u64,
-        priority: config.run.realtime_priority,
-    };
-    let (wiring, wiring_faults) = (config.clone(), faults.clone());
-    let (mut safety, lidar) =
-        SafetyThread::start(pace, move || devices::open_scanner_and_base(&wiring, &wiring_faults))?;
-    let mut exploration = Exploration::new(&config, camera, robot, recorder)?;
-    exploration.models =
+    let pace =
+        Pace { period_ns: config.safety_period_ns(), priority: config.run.realtime_priority };
+    let wiring = config.clone();
+    let wiring_faults = faults.clone();
+    let open = move || devices::open_scanner_and_base(&wiring, &wiring_faults);
+    let (mut safety, port, lidar) = SafetyThread::start(pace, open)?;
+    let clock = FaultyClock::new(MonotonicClock, &faults);
+    let devices = LiveDevices::new(&config, clock, camera)?;
+    let models =
         start.map(|(keeper, start)| LiveModels::threaded(keeper, start, &config)).transpose()?;
+    let mut exploration = Exploration::new(&config, devices, robot, port, recorder, models);
     let mut supervision = Supervision::new(args, out, &config, lidar);
     if config.run.arm_at_start {
         safety.request(Request::Arm);
     }
     supervision.announce(&safety);
-    let mut clock = FaultyClock::new(MonotonicClock, &faults);
-    let (end, skipped) = explore(
-        args,
-        &config,
-        &signals,
-        &mut clock,
-        &mut safety,
-        &mut exploration,
-        &mut supervision,
-    )?;
+    let end = explore(args, &config, &signals, &mut safety, &mut exploration, &mut supervision)?;
     let late = safety.shut_down();
     supervision.good_bye();
     let summary = Summary {
         model,
         end_reason: Some(end),
-        skipped_turns: Some(skipped),
+        skipped_turns: Some(exploration.session.skipped()),
         faults: plan.texts(),
         fault_seed: plan.seed(),
         ..Summary::default()
     };
-    report(out, &mission, summary, exploration.finish(), late)
+    let (robot, log) = exploration.finish();
+    report(out, &mission, summary, &robot, log, late)
 }
 
-/// The exploration plane's loop. Why it ended, and the turns that were left out because the one before took longer than its period.
+/// Runs the exploration loop until something ends it.
 fn explore(
     args: &RunArgs,
     config: &Config,
     signals: &Signals,
-    clock: &mut impl Clock,
     safety: &mut SafetyThread,
     exploration: &mut Exploration,
     supervision: &mut Supervision,
-) -> Result<(ExploreEnd, u64)> {
-    let period_ns = config.base.tick_ns();
-    let mut due_ns = clock.now_ns();
-    let mut skipped = 0;
+) -> Result<ExploreEnd> {
     loop {
-        due_ns += period_ns;
-        clock.sleep_until_ns(due_ns);
+        exploration.session.wait();
         if signals.stop.load(Ordering::Relaxed) {
-            return Ok((ExploreEnd::Interrupted, skipped));
+            return Ok(ExploreEnd::Interrupted);
         }
-        if args.frames.is_some_and(|frames| exploration.pictures() >= frames) {
-            return Ok((ExploreEnd::FrameBudget, skipped));
+        if args.frames.is_some_and(|frames| exploration.log.frames >= frames) {
+            return Ok(ExploreEnd::FrameBudget);
         }
         if !safety.is_alive() {
-            return Ok((ExploreEnd::DeviceFailed, skipped));
+            return Ok(ExploreEnd::DeviceFailed);
         }
         if signals.disarm.swap(false, Ordering::Relaxed) {
             safety.request(Request::Disarm);
         }
         if signals.arm.swap(false, Ordering::Relaxed) {
-            // What an operator means by it: I have looked, go on.
+            // The operator means: I have looked at the robot, it may go on.
             safety.request(Request::ClearFault);
-            clock.sleep_until_ns(clock.now_ns() + 3 * (1e9 / config.run.safety_hz) as u64);
+            let three_steps_ns = 3 * config.safety_period_ns();
+            let mut clock = MonotonicClock;
+            clock.sleep_until_ns(clock.now_ns() + three_steps_ns);
             safety.request(Request::Arm);
         }
-        exploration.turn(safety)?;
-        supervision.look(safety, exploration, skipped);
-        let now_ns = clock.now_ns();
-        if now_ns > due_ns + period_ns {
-            let missed = (now_ns - due_ns) / period_ns;
-            skipped += missed;
-            due_ns += missed * period_ns;
-        }
+        exploration.tick()?;
+        supervision.update(safety, exploration);
     }
 }
 
@@ -222,25 +206,26 @@ fn report(
     out: &Path,
     mission: &Mission,
     summary: Summary,
-    finished: Finished,
+    robot: &Robot,
+    log: RunLog,
     late: Option<LatencyHistogram>,
 ) -> Result<()> {
     let mut summary = Summary {
-        frames: finished.pictures,
+        frames: log.frames,
         seed: Some(mission.seed),
         policy: Some(mission.policy.name().to_owned()),
         depth_source: Some(mission.depth_source),
-        path_m: Some(finished.path_m),
-        lidar_line: finished.line,
-        events: finished.counts,
-        latency_ms: finished.latencies.latencies().percentiles(),
+        path_m: Some(log.path_m),
+        lidar_line: LidarLine::of(&log.line),
+        events: log.counts,
+        latency_ms: log.stopwatch.latencies().percentiles(),
         resident_mib: peak_resident_mib(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         ..summary
     };
     let late = late.and_then(|late| late.percentiles());
     summary.latency_ms.extend(late.map(|late| (Stage::SafetyLate, late)));
-    match finished.recorder.map(Recorder::finish) {
+    match log.recorder.map(Recorder::finish) {
         Some(Ok(recording)) => {
             summary.recording_mib = Some(recording.bytes as f64 / f64::from(1 << 20));
             summary.recording_digest = Some(recording.inputs_digest);
@@ -255,7 +240,7 @@ fn report(
     }
     summary.write(out)?;
     println!("{}", crate::report::table::render(&summary));
-    draw_map(out, &finished.robot, &finished.trajectory, &finished.trips_m)?;
+    draw_map(out, robot, &log.trajectory, &log.trips_m)?;
     println!("Look at {0}/map.png; numbers are in {0}/summary.json.", out.display());
     Ok(())
 }

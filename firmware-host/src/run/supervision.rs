@@ -12,7 +12,7 @@ use runtime::safety::SafetyState;
 use sd_notify::NotifyState;
 
 use super::exploration::Exploration;
-use super::safety_thread::{Glance, SafetyThread};
+use super::safety_thread::{LoopStatus, SafetyThread};
 use super::status::{LastStop, RateMeter, RecordingStatus, SafetyStatus, Status, unix_s};
 use crate::cli::RunArgs;
 use crate::config::Config;
@@ -31,7 +31,7 @@ pub struct Supervision {
     meters: [RateMeter; 3],
     began_ns: u64,
     due_ns: u64,
-    turns: u64,
+    safety_steps: u64,
     last_stop: Option<LastStop>,
     unwritable: bool,
 }
@@ -58,7 +58,7 @@ impl Supervision {
             meters: [RateMeter::default(); 3],
             began_ns: monotonic_ns(),
             due_ns: 0,
-            turns: 0,
+            safety_steps: 0,
             last_stop: None,
             unwritable: false,
         }
@@ -81,23 +81,23 @@ impl Supervision {
         let _ = std::fs::remove_file(&self.file);
     }
 
-    /// To be called after every turn.
-    pub fn look(&mut self, safety: &mut SafetyThread, exploration: &Exploration, skipped: u64) {
-        let glance = *safety.glance.read();
-        if let SafetyState::Fault(_) | SafetyState::Tripped { .. } = glance.state {
-            self.last_stop = Some(LastStop { why: words(&glance.state), unix_s: unix_s() });
+    /// To be called after every tick.
+    pub fn update(&mut self, safety: &mut SafetyThread, exploration: &Exploration) {
+        let safety_status = *safety.status.read();
+        if let SafetyState::Fault(_) | SafetyState::Tripped { .. } = safety_status.state {
+            self.last_stop = Some(LastStop { why: words(&safety_status.state), unix_s: unix_s() });
         }
         let now_ns = monotonic_ns();
         if now_ns < self.due_ns {
             return;
         }
         self.due_ns = now_ns + EVERY_NS;
-        // systemd's watchdog is fed only while both planes turn; this one just has.
-        let turns = safety.turns.load(Ordering::Acquire);
-        if std::mem::replace(&mut self.turns, turns) != turns {
+        // systemd's watchdog is fed only while both loops run; this one just did.
+        let steps = safety.steps.load(Ordering::Acquire);
+        if std::mem::replace(&mut self.safety_steps, steps) != steps {
             let _ = sd_notify::notify(&[NotifyState::Watchdog]);
         }
-        let status = self.status(&glance, safety.realtime, exploration, skipped, now_ns);
+        let status = self.status(&safety_status, safety.realtime, exploration, now_ns);
         if let Err(error) = status.write(&self.file)
             && !std::mem::replace(&mut self.unwritable, true)
         {
@@ -107,15 +107,14 @@ impl Supervision {
 
     fn status(
         &mut self,
-        glance: &Glance,
+        safety: &LoopStatus,
         realtime: bool,
         exploration: &Exploration,
-        skipped: u64,
         now_ns: u64,
     ) -> Status {
         let (camera, camera_problem) = exploration.camera();
         let [camera_meter, lidar_meter, base_meter] = &mut self.meters;
-        let base_problem = match (glance.phase, glance.base.state) {
+        let base_problem = match (safety.phase, safety.base.state) {
             (Phase::Tripped(trip), _) => Some(trip.to_string()),
             (_, DeviceState::Disconnected) => Some(no_bus(&self.bus)),
             (_, DeviceState::Silent | DeviceState::Starting) => Some(
@@ -124,26 +123,26 @@ impl Supervision {
             ),
             _ => None,
         };
-        let recorder = exploration.recorder();
+        let recorder = exploration.log.recorder.as_ref();
         Status {
             written_unix_s: unix_s(),
             pid: std::process::id(),
             uptime_s: (now_ns - self.began_ns) as f64 * 1e-9,
             safety: SafetyStatus {
-                state: words(&glance.state),
-                for_s: now_ns.saturating_sub(glance.since_ns.max(self.began_ns)) as f64 * 1e-9,
-                needs_person: matches!(glance.state, SafetyState::Fault(why) if !why.clears_itself()),
+                state: words(&safety.state),
+                for_s: now_ns.saturating_sub(safety.since_ns.max(self.began_ns)) as f64 * 1e-9,
+                needs_person: matches!(safety.state, SafetyState::Fault(why) if !why.clears_itself()),
                 last_stop: self.last_stop.clone(),
-                stops: glance.trips,
-                turns: glance.turns,
-                skipped: glance.skipped,
-                worst_late_us: glance.worst_late_ns as f64 * 1e-3,
+                stops: safety.trips,
+                turns: safety.steps,
+                skipped: safety.skipped,
+                worst_late_us: safety.worst_late_ns as f64 * 1e-3,
                 realtime,
             },
             camera: camera_meter.health(&self.names[0], &camera, now_ns, camera_problem.cloned()),
-            lidar: lidar_meter.health(&self.names[1], &glance.lidar, now_ns, self.lidar.problem()),
-            base: base_meter.health(&self.names[2], &glance.base, now_ns, base_problem),
-            exploration: exploration.status(skipped),
+            lidar: lidar_meter.health(&self.names[1], &safety.lidar, now_ns, self.lidar.problem()),
+            base: base_meter.health(&self.names[2], &safety.base, now_ns, base_problem),
+            exploration: exploration.status(),
             recording: RecordingStatus {
                 folder: self.folder.clone(),
                 dropped: recorder.map_or(0, crate::record::Recorder::dropped),
@@ -157,7 +156,7 @@ impl Supervision {
 
 fn no_bus(bus: &str) -> String {
     if bus.starts_with("unix:") {
-        return "nobody plays the bus there; start `hil world` or `hil motor`".to_owned();
+        return "no simulated bus listens there; start `hil world` or `hil motor`".to_owned();
     }
     format!(
         "the interface is not there or down; `ip link set {bus} up type can bitrate 500000 restart-ms 100` brings it up"

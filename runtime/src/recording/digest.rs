@@ -1,7 +1,7 @@
 //! Two runs are the same when their digests are.
 
 use blake3::Hasher;
-use hal::{DepthMap, ImageView, LaserScan, Range, WheelFeedback};
+use hal::{DepthMap, ImageView, LaserScan, Pose2, Range, WheelFeedback};
 
 use crate::tick::{Decision, SafetyReport, TickInput};
 
@@ -73,10 +73,8 @@ fn hash_input(hasher: &mut Hasher, input: &TickInput<'_>) {
     if let Some(truth) = input.truth {
         hash_depth(hasher, truth);
     }
-    // Only where there is one: digests of runs without are as they were before there was such a part.
-    if let Some(safety) = input.safety {
-        hash_safety(hasher, safety);
-    }
+    hash_pose(hasher, &input.scan_odom);
+    hash_safety(hasher, input.safety);
 }
 
 fn hash_safety(hasher: &mut Hasher, safety: &SafetyReport) {
@@ -84,9 +82,25 @@ fn hash_safety(hasher: &mut Hasher, safety: &SafetyReport) {
     for value in safety.blocked_m.into_iter().flatten() {
         hasher.update(&value.to_bits().to_le_bytes());
     }
+    hasher.update(&(safety.events.len() as u64).to_le_bytes());
     for event in &safety.events {
         // As it is recorded; numbers come back to the last bit.
         hasher.update(serde_json::to_string(event).unwrap_or_default().as_bytes());
+    }
+    hasher.update(&(safety.sent.len() as u64).to_le_bytes());
+    for sent in &safety.sent {
+        // Counters are 32 bits wide; a stop has none.
+        let counter = sent.counter.map_or(u64::MAX, u64::from);
+        hasher.update(&sent.time_ns.to_le_bytes()).update(&counter.to_le_bytes());
+        hasher.update(&sent.linear_mps.to_bits().to_le_bytes());
+        hasher.update(&sent.angular_radps.to_bits().to_le_bytes());
+    }
+    hasher.update(&safety.sent_dropped.to_le_bytes());
+}
+
+fn hash_pose(hasher: &mut Hasher, pose: &Pose2) {
+    for value in [pose.x_m, pose.y_m, pose.yaw_rad] {
+        hasher.update(&value.to_bits().to_le_bytes());
     }
 }
 

@@ -6,7 +6,11 @@ use serde::{Deserialize, Serialize};
 use super::json;
 
 /// Version of the recording's format. Goes up when an old reader would misread a new recording.
-pub const FORMAT_VERSION: u32 = 1;
+///
+/// 2: every tick holds the safety loop's report with all sent commands, and the pose at the scan's time; decisions hold `desired`
+/// and `sent`. Recordings of format 1 are refused: they do not hold what the wheels received, and their decisions cannot be
+/// recomputed by a loop whose safety plane stands outside.
+pub const FORMAT_VERSION: u32 = 2;
 
 /// Everything besides the recorded inputs that decides what a run decides. The same in every segment of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -77,6 +77,27 @@ impl From<&WheelJson> for WheelFeedback {
     }
 }
 
+/// [`Pose2`] in the plane, flat.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(super) struct PoseJson {
+    x_m: Exact,
+    y_m: Exact,
+    yaw_rad: Exact,
+}
+
+impl From<&Pose2> for PoseJson {
+    fn from(pose: &Pose2) -> Self {
+        Self { x_m: Exact(pose.x_m), y_m: Exact(pose.y_m), yaw_rad: Exact(pose.yaw_rad) }
+    }
+}
+
+impl From<&PoseJson> for Pose2 {
+    fn from(json: &PoseJson) -> Self {
+        // Not `Pose2::new`: that wraps the yaw, and a replay needs the bits that were recorded.
+        Self { x_m: json.x_m.0, y_m: json.y_m.0, yaw_rad: json.yaw_rad.0 }
+    }
+}
+
 /// Time and geometry of a scan; `foxglove.LaserScan` keeps neither the increment nor the limits.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct ScanJson {

@@ -3,7 +3,7 @@
 use std::io::Read;
 
 use foxglove::{Decode, messages as fox};
-use hal::{DepthMap, LaserScan, WheelFeedback};
+use hal::{DepthMap, LaserScan, Pose2, WheelFeedback};
 use mcap::McapError;
 
 use super::container::Messages;
@@ -176,6 +176,7 @@ impl Parts {
             time_ns: self.json.time_ns,
             wheel: WheelFeedback::from(&self.json.wheel),
             scan: self.scan,
+            scan_odom: Pose2::from(&self.json.scan_odom),
             frame: self.frame,
             truth: self.truth,
             decision: self.decision,

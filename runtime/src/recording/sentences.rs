@@ -28,8 +28,8 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         Event::GoalReached => (Info, "goal reached".to_owned()),
         Event::GoalDropped { why } => (Info, format!("goal given up: {}", drop_reason(*why))),
         Event::NoGoal { why } => (Warning, format!("no goal: {}", no_goal_reason(*why))),
-        Event::StandsWithoutPictures => {
-            (Warning, "standing: no picture has come for too long".to_owned())
+        Event::StandsWithoutFrames => {
+            (Warning, "standing: no frame has come for too long".to_owned())
         }
         Event::Safety { what } => (Warning, safety(what)),
         Event::NoDepth { why } => {

@@ -1,6 +1,6 @@
 //! One turn of the loop with its own memory.
 
-use hal::{DepthMap, ImageView, LaserScan, PixelFormat, WheelFeedback};
+use hal::{DepthMap, ImageView, LaserScan, PixelFormat, Pose2, WheelFeedback};
 
 use super::RecordingError;
 use crate::tick::{Decision, SafetyReport, TickInput};
@@ -27,12 +27,14 @@ pub struct RecordedTick {
     pub wheel: WheelFeedback,
     /// A new scan, if one came.
     pub scan: Option<LaserScan>,
+    /// `t_odom_base` when the scanner was halfway through `scan`.
+    pub scan_odom: Pose2,
     /// A new picture, if one came.
     pub frame: Option<Picture>,
     /// Ground-truth depth of `frame`, with the depth source `truth`. Whole millimetres.
     pub truth: Option<DepthMap>,
-    /// What the safety plane did, where it turns by itself.
-    pub safety: Option<SafetyReport>,
+    /// What the safety loop did since the previous tick, with every command that it sent.
+    pub safety: SafetyReport,
     /// What the loop decided.
     pub decision: Option<Decision>,
     /// What the loop remembered before this turn, [`Robot::snapshot`](crate::robot::Robot::snapshot): now and then, so that a
@@ -49,9 +51,10 @@ impl RecordedTick {
             time_ns,
             wheel: WheelFeedback { time_ns, ..WheelFeedback::default() },
             scan: None,
+            scan_odom: Pose2::IDENTITY,
             frame: None,
             truth: None,
-            safety: None,
+            safety: SafetyReport::default(),
             decision: None,
             snapshot: None,
         }
@@ -78,9 +81,10 @@ impl RecordedTick {
             time_ns: input.time_ns,
             wheel: input.wheel,
             scan: input.scan.cloned(),
+            scan_odom: input.scan_odom,
             frame: frame.transpose()?,
             truth: input.truth.cloned(),
-            safety: input.safety.cloned(),
+            safety: input.safety.clone(),
             decision,
             snapshot: None,
         })
@@ -100,11 +104,12 @@ impl RecordedTick {
             time_ns: self.time_ns,
             wheel: self.wheel,
             scan: self.scan.as_ref(),
+            scan_odom: self.scan_odom,
             frame: frame
                 .transpose()
                 .map_err(|source| RecordingError::Frame { tick: self.tick, source })?,
             truth: self.truth.as_ref(),
-            safety: self.safety.as_ref(),
+            safety: &self.safety,
         })
     }
 }

@@ -108,12 +108,15 @@ const TICK: &str = r#"{"title":"robot.Tick","type":"object","properties":{
 "range_max_m":{"type":"number"},"period_ns":{"type":"integer"}}},
 "frame":{"type":"boolean"},"truth":{"type":"boolean"},"decision":{"type":"boolean"},"snapshot":{"type":"boolean"},
 "safety":{"type":"object","properties":{"in_charge":{"type":"boolean"},
-"blocked_m":{"type":"array","items":{"type":"number"}},"events":{"type":"array","items":{}}}}}}"#;
+"blocked_m":{"type":"array","items":{"type":"number"}},"events":{"type":"array","items":{}},
+"sent":{"type":"array","items":{"type":"object","properties":{"time_ns":{"type":"integer"},"counter":{"type":"integer"},
+"linear_mps":{"type":"number"},"angular_radps":{"type":"number"}}}},"sent_dropped":{"type":"integer"}}},
+"scan_odom":{"type":"object","properties":{"x_m":{"type":"number"},"y_m":{"type":"number"},"yaw_rad":{"type":"number"}}}}}"#;
 
 const DECISION: &str = r#"{"title":"robot.Decision","type":"object","properties":{"tick":{"type":"integer"},
 "time_ns":{"type":"integer"},
-"wanted":{"type":"object","properties":{"linear_mps":{"type":"number"},"angular_radps":{"type":"number"}}},
-"command":{"type":"object","properties":{"linear_mps":{"type":"number"},"angular_radps":{"type":"number"}}},
+"desired":{"type":"object","properties":{"linear_mps":{"type":"number"},"angular_radps":{"type":"number"}}},
+"sent":{"type":"object","properties":{"linear_mps":{"type":"number"},"angular_radps":{"type":"number"}}},
 "goal_m":{"type":"array","items":{"type":"number"}},
 "events":{"type":"array","items":{"type":"object","properties":{"event":{"type":"string"}}}},
 "input_digest":{"type":"integer"},"depth_digest":{"type":"integer"},"map_digest":{"type":"integer"}}}"#;

@@ -9,7 +9,7 @@ use mcap::write::NoSeek;
 use serde::{Deserialize, Serialize};
 
 use super::header::SegmentHeader;
-use super::json::{ScanJson, WheelJson};
+use super::json::{PoseJson, ScanJson, WheelJson};
 use super::sentences::{Severity, sentence};
 use super::tick::RecordedTick;
 use super::topics::Topic;
@@ -51,13 +51,13 @@ pub(super) struct TickJson {
     pub time_ns: u64,
     pub wheel: WheelJson,
     pub scan: Option<ScanJson>,
+    pub scan_odom: PoseJson,
     pub frame: bool,
     pub truth: bool,
     pub decision: bool,
     #[serde(skip_serializing_if = "std::ops::Not::not", default)]
     pub snapshot: bool,
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub safety: Option<SafetyReport>,
+    pub safety: SafetyReport,
 }
 
 /// Writes one segment of a run. Everything that is written between two flushes reaches the sink in order and in whole
@@ -163,6 +163,7 @@ impl<W: Write> RecordingWriter<W> {
             time_ns: tick.time_ns,
             wheel: WheelJson::from(&tick.wheel),
             scan: tick.scan.as_ref().map(|scan| ScanJson::new(scan.time_ns, &scan.geometry)),
+            scan_odom: PoseJson::from(&tick.scan_odom),
             frame: tick.frame.is_some(),
             truth: tick.truth.is_some(),
             decision: tick.decision.is_some(),

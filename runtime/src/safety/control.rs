@@ -1,38 +1,44 @@
-//! One turn of the safety thread: scanner and wheels in, state machine, wheels out.
+//! One step of the safety loop: scan and wheel feedback in, state machine, command out.
 
 use hal::{Base, DriveCommand, Error, ErrorKind, LaserScan, Lidar, WheelFeedback};
 
 use super::{Plan, Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyPlane, SafetyState};
 use crate::event::SafetyEvent;
+use crate::tick::SentCommand;
 
-/// What comes from outside for one turn.
+/// What one step gets from outside the safety loop.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Orders {
     /// The newest plan.
     pub plan: Option<Plan>,
-    /// What an operator asks for. Asking once is enough.
+    /// The operator's request. It is remembered: one step is enough.
     pub request: Option<Request>,
     /// The emergency stop is pressed.
     pub emergency_stop: bool,
 }
 
-/// What one turn brought.
+/// The result of one step.
 #[derive(Debug, Clone, Copy)]
-pub struct Turn<'a> {
-    /// What the state machine let through, and what it has to say.
+pub struct SafetyStep<'a> {
+    /// The state machine's answer.
     pub output: SafetyOutput,
+    /// The state after the step.
+    pub state: SafetyState,
+    /// The command that the base received, or the stop that took its place.
+    pub sent: SentCommand,
     /// A new scan, if one came.
     pub scan: Option<&'a LaserScan>,
-    /// A new measurement of the wheels, if one came.
+    /// New wheel feedback, if some came.
     pub wheel: Option<WheelFeedback>,
-    /// What is wrong with the scanner now.
+    /// The scanner's current error.
     pub lidar_error: Option<ErrorKind>,
-    /// What is wrong with the base now.
+    /// The base's current error.
     pub base_error: Option<ErrorKind>,
 }
 
-/// The owner of the one handle that moves the robot. Generic over the devices, so that the same turns run in the thread of a
-/// real robot and, in virtual time, in tests. A turn allocates nothing after the first scan and takes no lock.
+/// The owner of the one handle that moves the robot. It is generic over the devices: a thread of its own steps it on a real
+/// robot, and [`VirtualTime`](crate::session::VirtualTime) steps it in simulation. A step allocates nothing after the first
+/// scan and takes no lock.
 #[derive(Debug)]
 pub struct SafetyLoop<B, L> {
     base: B,
@@ -40,9 +46,9 @@ pub struct SafetyLoop<B, L> {
     plane: SafetyPlane,
     scan: LaserScan,
     counter: u32,
-    /// Somebody wants the robot armed, and nothing has happened since that needs a person.
+    /// The operator asked for arming, and no fault since then needs the operator again.
     wants_arming: bool,
-    /// The base would not be driven in the last turn.
+    /// Why the base refused to be driven in the last step.
     refusal: Option<ErrorKind>,
 }
 
@@ -54,20 +60,20 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
         Self { base, lidar, plane, scan, counter: 0, wants_arming: false, refusal: None }
     }
 
-    /// One turn at `now_ns`, monotonic.
-    pub fn turn(&mut self, now_ns: u64, orders: &Orders) -> Turn<'_> {
+    /// One step at `now_ns`, monotonic.
+    pub fn step(&mut self, now_ns: u64, orders: &Orders) -> SafetyStep<'_> {
         let (has_scan, lidar_error) = match self.lidar.poll_scan(&mut self.scan) {
             Ok(has_scan) => (has_scan, None),
             Err(error) => (false, Some(error.kind())),
         };
-        let (wheel, unwell) = match self.base.poll_feedback() {
+        let (wheel, feedback_error) = match self.base.poll_feedback() {
             Ok(wheel) => (wheel, None),
-            // One broken frame is no reason: silence will be.
+            // One corrupt message is not a fault; silence will be.
             Err(error) if error.kind() == ErrorKind::Corrupt => (None, None),
             Err(error) => (None, Some(error.kind())),
         };
         let request = self.arming(orders.request);
-        let base_error = unwell.or(self.refusal.take());
+        let base_error = feedback_error.or(self.refusal.take());
         let output = self.plane.step(&SafetyInput {
             time_ns: now_ns,
             scan: has_scan.then_some(&self.scan),
@@ -77,18 +83,26 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
             plan: orders.plan,
             request,
         });
-        self.let_go_after(output.event);
+        self.disarm_after(output.event);
         let plan_age_ns = orders.plan.map_or(0, |plan| now_ns.saturating_sub(plan.time_ns));
-        self.command(&output, plan_age_ns);
-        Turn { output, scan: has_scan.then_some(&self.scan), wheel, lidar_error, base_error }
+        let sent = self.command(now_ns, &output, plan_age_ns);
+        SafetyStep {
+            output,
+            state: self.plane.state(),
+            sent,
+            scan: has_scan.then_some(&self.scan),
+            wheel,
+            lidar_error,
+            base_error,
+        }
     }
 
-    /// Arms the base as long as somebody wants it; the state machine hears of it when the base is ready. A base that has
-    /// dropped out for a reason that passes is armed again in the same way.
+    /// Arms the base as long as arming is requested, and passes the request on to the state machine once the base is ready. A
+    /// base that dropped out because of a fault that clears itself is armed again in the same way.
     fn arming(&mut self, request: Option<Request>) -> Option<Request> {
         match request {
             Some(Request::Arm) => self.wants_arming = true,
-            Some(Request::Disarm) => self.let_go(),
+            Some(Request::Disarm) => self.disarm(),
             Some(Request::ClearFault) | None => {}
         }
         let passing_fault =
@@ -106,7 +120,7 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
                 None
             }
             Err(error) => {
-                // "Not yet" is not a fault that needs a person.
+                // `Rejected` means "not ready yet", which is not a fault that needs the operator.
                 let not_yet = error.kind() == ErrorKind::Rejected;
                 self.refusal = Some(if not_yet { ErrorKind::Timeout } else { error.kind() });
                 None
@@ -114,43 +128,43 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
         }
     }
 
-    fn let_go_after(&mut self, event: Option<SafetyEvent>) {
-        let needs_person = match event {
+    fn disarm_after(&mut self, event: Option<SafetyEvent>) {
+        let needs_operator = match event {
             Some(SafetyEvent::Faulted { why }) => !why.clears_itself(),
             Some(SafetyEvent::Disarmed) => true,
             _ => false,
         };
-        if needs_person {
-            self.let_go();
+        if needs_operator {
+            self.disarm();
         }
     }
 
-    fn let_go(&mut self) {
+    fn disarm(&mut self) {
         self.wants_arming = false;
         self.refusal = None;
         self.base.disarm();
     }
 
-    fn command(&mut self, output: &SafetyOutput, plan_age_ns: u64) {
+    fn command(&mut self, now_ns: u64, output: &SafetyOutput, plan_age_ns: u64) -> SentCommand {
         let Some(twist) = output.command else {
             // A base that cannot be reached stops by its own watchdog.
             let _ = self.base.stop();
-            return;
+            return SentCommand::stop(now_ns);
         };
         self.counter = self.counter.wrapping_add(1);
-        // While it drives by itself there is no plan that could be old.
-        let plan_age_ns = if output.in_charge { 0 } else { plan_age_ns };
-        // A plan that was refused for its age has become zero; its age is no matter then.
-        let plan_age_ns = if twist == hal::Twist2::ZERO { 0 } else { plan_age_ns };
-        if let Err(error) =
-            self.base.drive(&DriveCommand { twist, counter: self.counter, plan_age_ns })
-        {
+        let counter = self.counter;
+        // No plan is behind a motion of the safety plane's own, and none behind standing still after a refused plan.
+        let without_plan = output.in_charge || twist == hal::Twist2::ZERO;
+        let plan_age_ns = if without_plan { 0 } else { plan_age_ns };
+        if let Err(error) = self.base.drive(&DriveCommand { twist, counter, plan_age_ns }) {
             self.refusal = Some(error.kind());
             let _ = self.base.stop();
+            return SentCommand::stop(now_ns);
         }
+        SentCommand::drive(now_ns, counter, twist)
     }
 
-    /// The state machine as it stands.
+    /// The state machine.
     pub fn plane(&self) -> &SafetyPlane {
         &self.plane
     }
@@ -165,7 +179,7 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
         &self.lidar
     }
 
-    /// Brakes, lets the motors go, and gives the devices back.
+    /// Brakes, disarms the base, and returns the devices.
     pub fn shut_down(mut self) -> (B, L) {
         let _ = self.base.stop();
         self.base.disarm();
@@ -293,19 +307,19 @@ mod tests {
             Self { control: SafetyLoop::new(config, Motors::default(), lidar), now_ns: 0 }
         }
 
-        fn turn(&mut self, request: Option<Request>) -> SafetyOutput {
+        fn step(&mut self, request: Option<Request>) -> SafetyOutput {
             self.now_ns += 10 * MS;
             (self.control.base.time_ns, self.control.lidar.time_ns) = (self.now_ns, self.now_ns);
             let plan = Some(Plan { twist: FORWARD, time_ns: self.now_ns });
-            self.control.turn(self.now_ns, &Orders { plan, request, emergency_stop: false }).output
+            self.control.step(self.now_ns, &Orders { plan, request, emergency_stop: false }).output
         }
 
         /// The age that the base was told.
-        fn turn_with_plan_of_age(&mut self, age_ns: u64) -> u64 {
+        fn step_with_plan_of_age(&mut self, age_ns: u64) -> u64 {
             self.now_ns += 10 * MS;
             (self.control.base.time_ns, self.control.lidar.time_ns) = (self.now_ns, self.now_ns);
             let plan = Some(Plan { twist: FORWARD, time_ns: self.now_ns - age_ns });
-            self.control.turn(self.now_ns, &Orders { plan, ..Orders::default() });
+            self.control.step(self.now_ns, &Orders { plan, ..Orders::default() });
             self.control.base.plan_age_ns
         }
 
@@ -313,8 +327,8 @@ mod tests {
             self.control.base.moved.last() == Some(&FORWARD)
         }
 
-        fn drives_after(&mut self, turns: usize) -> bool {
-            (0..turns).for_each(|_| _ = self.turn(None));
+        fn drives_after(&mut self, steps: usize) -> bool {
+            (0..steps).for_each(|_| _ = self.step(None));
             self.drives()
         }
     }
@@ -323,7 +337,7 @@ mod tests {
     fn one_order_to_arm_is_enough_and_nothing_moves_before_the_motors_are_ready() {
         let mut robot = Robot::new();
         assert!(!robot.drives_after(10), "nobody has armed it");
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::Arm));
         assert!(!robot.drives());
         assert!(robot.drives_after(10));
         assert_eq!(
@@ -336,7 +350,7 @@ mod tests {
     #[test]
     fn every_command_has_a_counter_of_its_own() {
         let mut robot = Robot::new();
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::Arm));
         robot.drives_after(20);
         let counters = &robot.control.base.counters;
         assert!(
@@ -348,11 +362,11 @@ mod tests {
     #[test]
     fn wheels_that_fell_silent_are_armed_again_when_they_speak() {
         let mut robot = Robot::new();
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::Arm));
         assert!(robot.drives_after(10));
         robot.control.base.broken = Some(ErrorKind::Timeout);
         assert_eq!(
-            robot.turn(None).event,
+            robot.step(None).event,
             Some(SafetyEvent::Faulted { why: FaultReason::BaseSilent })
         );
         assert!(!robot.drives_after(10));
@@ -363,34 +377,34 @@ mod tests {
     #[test]
     fn a_base_that_refuses_to_be_driven_stops_the_robot_until_a_person_has_looked() {
         let mut robot = Robot::new();
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::Arm));
         assert!(robot.drives_after(10));
         robot.control.base.broken = Some(ErrorKind::Fault);
-        robot.turn(None);
+        robot.step(None);
         assert!(!robot.drives());
-        robot.turn(None);
+        robot.step(None);
         assert_eq!(robot.control.plane.state(), SafetyState::Fault(FaultReason::BaseFault));
         robot.control.base.broken = None;
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::Arm));
         assert!(!robot.drives_after(20), "arming alone does not clear a fault");
-        robot.turn(Some(Request::ClearFault));
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::ClearFault));
+        robot.step(Some(Request::Arm));
         assert!(robot.drives_after(10));
     }
 
     #[test]
     fn an_order_to_arm_that_was_given_before_the_emergency_stop_does_not_move_the_robot_after_it() {
         let mut robot = Robot::new();
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::Arm));
         robot.now_ns += 10 * MS;
         let pressed = Orders { emergency_stop: true, ..Orders::default() };
-        robot.control.turn(robot.now_ns, &pressed);
+        robot.control.step(robot.now_ns, &pressed);
         assert_eq!(robot.control.base.arming, 0, "and the motors are let go");
         assert!(!robot.drives_after(20), "released, and nobody has asked again");
-        robot.turn(Some(Request::Arm));
-        robot.turn(Some(Request::ClearFault));
+        robot.step(Some(Request::Arm));
+        robot.step(Some(Request::ClearFault));
         assert!(!robot.drives_after(20), "cleared, and nobody has asked since");
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::Arm));
         assert!(robot.drives_after(10));
     }
 
@@ -398,10 +412,10 @@ mod tests {
     fn an_order_to_disarm_lets_the_motors_go_also_before_the_robot_was_ready() {
         let mut robot = Robot::new();
         robot.control.lidar.error = Some(ErrorKind::Timeout);
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::Arm));
         robot.drives_after(5);
         assert!(robot.control.base.arming > 3, "powered, waiting for the scanner");
-        robot.turn(Some(Request::Disarm));
+        robot.step(Some(Request::Disarm));
         assert_eq!(robot.control.base.arming, 0);
         robot.control.lidar.error = None;
         assert!(!robot.drives_after(20));
@@ -412,7 +426,7 @@ mod tests {
         for kind in [ErrorKind::Rejected, ErrorKind::Disconnected, ErrorKind::Fault] {
             let mut robot = Robot::new();
             robot.control.base.broken = Some(kind);
-            robot.turn(Some(Request::Arm));
+            robot.step(Some(Request::Arm));
             assert!(!robot.drives_after(5));
             robot.control.base.broken = None;
             assert!(robot.drives_after(10), "{kind:?}");
@@ -422,10 +436,10 @@ mod tests {
     #[test]
     fn a_base_that_says_not_yet_while_it_comes_back_needs_no_person() {
         let mut robot = Robot::new();
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::Arm));
         robot.drives_after(10);
         robot.control.base.broken = Some(ErrorKind::Timeout);
-        robot.turn(None);
+        robot.step(None);
         robot.control.base.broken = Some(ErrorKind::Rejected);
         robot.drives_after(5);
         assert_eq!(robot.control.plane.state(), SafetyState::Fault(FaultReason::BaseSilent));
@@ -436,7 +450,7 @@ mod tests {
     #[test]
     fn a_broken_frame_of_feedback_is_no_fault_and_silence_is() {
         let mut robot = Robot::new();
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::Arm));
         robot.drives_after(10);
         robot.control.base.unheard = Some(ErrorKind::Corrupt);
         assert!(robot.drives_after(20), "the last one is not 0.2 s old");
@@ -447,13 +461,13 @@ mod tests {
     #[test]
     fn a_command_tells_the_age_of_its_plan_unless_the_robot_stands_or_drives_by_itself() {
         let mut robot = Robot::new();
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::Arm));
         robot.drives_after(50);
-        assert_eq!(robot.turn_with_plan_of_age(40 * MS), 40 * MS);
-        assert_eq!(robot.turn_with_plan_of_age(400 * MS), 0, "refused: it stands");
+        assert_eq!(robot.step_with_plan_of_age(40 * MS), 40 * MS);
+        assert_eq!(robot.step_with_plan_of_age(400 * MS), 0, "refused: it stands");
         // A wall: after a turn at a stand it drives back by itself, however old the plan.
         robot.control.lidar.ahead_m = 0.2;
-        let ages: Vec<u64> = (0..3).map(|_| robot.turn_with_plan_of_age(40 * MS)).collect();
+        let ages: Vec<u64> = (0..3).map(|_| robot.step_with_plan_of_age(40 * MS)).collect();
         assert!(robot.control.base.moved.last().is_some_and(|twist| twist.linear_mps < 0.0));
         assert_eq!(ages[2], 0);
     }
@@ -461,7 +475,7 @@ mod tests {
     #[test]
     fn shutting_down_brakes_lets_the_motors_go_and_gives_the_devices_back() {
         let mut robot = Robot::new();
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::Arm));
         assert!(robot.drives_after(10));
         assert_eq!(robot.control.lidar().error, None);
         assert!(
@@ -477,12 +491,12 @@ mod tests {
     #[test]
     fn a_scanner_that_is_gone_is_told_with_its_kind_and_stops_the_robot_in_time() {
         let mut robot = Robot::new();
-        robot.turn(Some(Request::Arm));
+        robot.step(Some(Request::Arm));
         assert!(robot.drives_after(10));
         robot.control.lidar.error = Some(ErrorKind::Disconnected);
         assert!(!robot.drives_after(24), "the default allows 0.2 s after the end of the last scan");
-        let turn = robot.control.turn(robot.now_ns + 10 * MS, &Orders::default());
-        assert_eq!(turn.lidar_error, Some(ErrorKind::Disconnected));
-        assert!(turn.scan.is_none());
+        let step = robot.control.step(robot.now_ns + 10 * MS, &Orders::default());
+        assert_eq!(step.lidar_error, Some(ErrorKind::Disconnected));
+        assert!(step.scan.is_none());
     }
 }

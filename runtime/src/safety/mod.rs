@@ -9,7 +9,7 @@ mod state;
 mod surroundings;
 
 pub use config::{BodySector, SafetyConfig};
-pub use control::{Orders, SafetyLoop, Turn};
+pub use control::{Orders, SafetyLoop, SafetyStep};
 pub use footprint::Footprint;
 pub use plane::SafetyPlane;
 pub use state::{BackOff, Escape, Plan, Request, SafetyInput, SafetyOutput, SafetyState};

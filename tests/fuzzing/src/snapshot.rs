@@ -4,8 +4,10 @@ use firmware_host::config::Config;
 use firmware_host::setup::Mission;
 use hal::{ImageView, LaserScan, Range, ScanGeometry, WheelFeedback};
 use runtime::exploration::PolicyKind;
+use runtime::recording::RecordedTick;
 use runtime::robot::{DepthSource, Robot, RobotConfig};
-use runtime::tick::TickInput;
+use runtime::session::recompute;
+use runtime::tick::{SafetyReport, TickInput};
 
 /// The smallest robot that may be, so that its memory is small.
 const CONFIG: &str = "
@@ -42,11 +44,19 @@ fn turns(robot: &mut Robot) {
         let scan = LaserScan { time_ns, geometry, ranges: vec![Range::Hit(1.0); geometry.beams] };
         let frame = ImageView::rgb8(camera.width, camera.height, &picture).ok();
         let wheel = WheelFeedback { time_ns, ..WheelFeedback::default() };
-        let input =
-            TickInput { tick, time_ns, wheel, scan: Some(&scan), frame, truth: None, safety: None };
-        let decision = robot.tick(&input, &mut ());
-        assert!(
-            decision.command.linear_mps.is_finite() && decision.command.angular_radps.is_finite()
-        );
+        let input = TickInput {
+            tick,
+            time_ns,
+            wheel,
+            scan: Some(&scan),
+            scan_odom: wheel.odom,
+            frame,
+            truth: None,
+            safety: &SafetyReport::default(),
+        };
+        let recorded = RecordedTick::capture(&input, None).expect("an RGB8 frame");
+        let decision = recompute(robot, &recorded).expect("the frame has its size");
+        let desired = decision.desired;
+        assert!(desired.linear_mps.is_finite() && desired.angular_radps.is_finite());
     }
 }

@@ -8,13 +8,15 @@ use firmware_host::config::Config;
 use firmware_host::dataset::Dataset;
 use firmware_host::setup::{self, Mission};
 use hal::{
-    Base, Camera, CameraModel, Clock, DepthMap, DriveCommand, Frame, LaserScan, Lidar, Pose3,
-    Twist2, WheelFeedback,
+    Base, Camera, CameraModel, DepthMap, DriveCommand, ErrorType, Pose3, Twist2, WheelFeedback,
 };
 use runtime::exploration::PolicyKind;
-use runtime::robot::{DepthSource, Robot};
-use runtime::tick::TickInput;
-use simulator::{Devices, SimulatedRobot, World};
+use runtime::robot::{DepthSource, Robot, Stage, StageTimer};
+use runtime::safety::{Request, SafetyLoop};
+use runtime::session::{Observer, Session, VirtualDevices, VirtualTime, safety_link};
+use runtime::tick::{Decision, TickInput};
+use simulator::robot::Truth;
+use simulator::{SimulatedRobot, World};
 
 /// One picture.
 pub struct View {
@@ -64,9 +66,15 @@ impl Motion {
             Self::Rotation => "rotation",
         }
     }
+
+    /// The twist that replaces every command.
+    fn instead(self, config: &Config) -> Option<Twist2> {
+        let angular_radps = config.base.turn_step_deg.to_radians() / config.base.tick_s();
+        (self == Self::Rotation).then_some(Twist2 { linear_mps: 0.0, angular_radps })
+    }
 }
 
-/// `frames` pictures of a robot that drives through `world`.
+/// `frames` frames of a robot that drives through `world`.
 ///
 /// # Errors
 /// When the robot or its devices fail.
@@ -79,62 +87,94 @@ pub fn simulated(
 ) -> Result<Sequence> {
     let mut config = Config::default();
     config.simulator.nuisances.people = people;
-    let simulated =
-        SimulatedRobot::new(Arc::clone(world), setup::simulated_robot(&config, seed, None))?;
-    let policy = if let Motion::Policy(policy) = motion { policy } else { PolicyKind::Random };
+    let options = setup::simulated_robot(&config, seed, None);
+    let simulated = SimulatedRobot::new(Arc::clone(world), options)?;
+    let policy = match motion {
+        Motion::Policy(policy) => policy,
+        Motion::Rotation => PolicyKind::Random,
+    };
     let mission = Mission { policy, depth_source: DepthSource::Truth, seed };
-    let mut robot = Robot::new(config.robot(&mission), None)?;
-    let mut devices = simulated.devices();
+    let robot = Robot::new(config.robot(&mission), None)?;
+    let devices = simulated.devices();
     let camera = *devices.camera.model();
-    let mut views = Vec::new();
-    for tick in 0..frames {
-        let (view, twist) = turn(&config, &mut devices, &mut robot, tick)?;
-        let twist = match motion {
-            Motion::Policy(_) => twist,
-            Motion::Rotation => Twist2 {
-                linear_mps: 0.0,
-                angular_radps: config.base.turn_step_deg.to_radians() / config.base.tick_s(),
-            },
-        };
-        devices.base.drive(&DriveCommand { twist, counter: tick as u32, plan_age_ns: 0 })?;
-        views.extend(view);
+    let base = MovedBase { base: devices.base, instead: motion.instead(&config) };
+    let safety = SafetyLoop::new(config.simulated_safety_config(), base, devices.lidar);
+    let (task, port) = safety_link(safety);
+    let mut time = VirtualTime::new(devices.clock, task, config.safety_period_ns());
+    time.request(Request::Arm);
+    // Ground truth is mapped: the sequence must not depend on the depth that is measured on it.
+    let truth = simulated.devices().truth;
+    let devices = VirtualDevices::new(time, devices.camera)
+        .with_ground_truth(move |depth| truth.depth(depth));
+    let truth = simulated.devices().truth;
+    let mut views = Views { views: Vec::new(), truth, mount: config.camera.mount() };
+    let mut session = Session::new(devices, robot, port, config.base.tick_ns());
+    for _ in 0..frames {
+        session.wait();
+        session.tick(&mut views)?;
     }
-    Ok(Sequence { name: format!("{}, {}", short(world.name()), motion.name()), camera, views })
+    let name = format!("{}, {}", short(world.name()), motion.name());
+    Ok(Sequence { name, camera, views: views.views })
 }
 
-fn turn(
-    config: &Config,
-    devices: &mut Devices,
-    robot: &mut Robot,
-    tick: u64,
-) -> Result<(Option<View>, Twist2)> {
-    let time_ns = tick * config.base.tick_ns();
-    let model = *devices.camera.model();
-    let mut frame = Frame::empty();
-    let mut scan = LaserScan::empty(devices.lidar.geometry());
-    let mut truth = DepthMap::none(model.width, model.height);
-    devices.clock.sleep_until_ns(time_ns);
-    let has_frame = devices.camera.poll_frame(&mut frame)?;
-    let has_scan = devices.lidar.poll_scan(&mut scan)?;
-    let wheel = devices.base.poll_feedback()?.unwrap_or(WheelFeedback::default());
-    devices.truth.depth(&mut truth);
-    let input = TickInput {
-        tick,
-        time_ns,
-        wheel,
-        scan: has_scan.then_some(&scan),
-        frame: if has_frame { Some(frame.view()?) } else { None },
-        truth: Some(&truth),
-        safety: None,
-    };
-    let decision = robot.tick(&input, &mut ());
-    let t_odom_camera = devices.truth.pose().to_pose3() * config.camera.mount();
-    let view = input.frame.map(|frame| View {
-        rgb: frame.data().to_vec(),
-        truth: Some(truth.clone()),
-        t_odom_camera,
-    });
-    Ok((view, decision.command.into()))
+/// A base that drives another twist than the commanded one.
+struct MovedBase<B> {
+    base: B,
+    /// What it drives, if not what is commanded.
+    instead: Option<Twist2>,
+}
+
+impl<B: ErrorType> ErrorType for MovedBase<B> {
+    type Error = B::Error;
+}
+
+impl<B: Base> Base for MovedBase<B> {
+    fn drive(&mut self, command: &DriveCommand) -> Result<(), B::Error> {
+        let twist = self.instead.unwrap_or(command.twist);
+        self.base.drive(&DriveCommand { twist, ..*command })
+    }
+
+    fn stop(&mut self) -> Result<(), B::Error> {
+        self.base.stop()
+    }
+
+    fn poll_feedback(&mut self) -> Result<Option<WheelFeedback>, B::Error> {
+        self.base.poll_feedback()
+    }
+}
+
+/// Keeps every frame with its true depth and pose.
+struct Views {
+    views: Vec<View>,
+    truth: Truth,
+    mount: Pose3,
+}
+
+impl StageTimer for Views {
+    fn ended(&mut self, _stage: Stage) {}
+}
+
+impl Observer for Views {
+    type Error = anyhow::Error;
+
+    fn before(&mut self, _robot: &mut Robot, _input: &TickInput<'_>) -> Result<()> {
+        Ok(())
+    }
+
+    fn after(
+        &mut self,
+        _robot: &mut Robot,
+        input: &TickInput<'_>,
+        _decision: &Decision,
+    ) -> Result<()> {
+        let Some(frame) = &input.frame else { return Ok(()) };
+        self.views.push(View {
+            rgb: frame.data().to_vec(),
+            truth: input.truth.cloned(),
+            t_odom_camera: self.truth.pose().to_pose3() * self.mount,
+        });
+        Ok(())
+    }
 }
 
 /// Every picture of a recorded sequence.

@@ -204,6 +204,11 @@ impl Truth {
         lock(&self.shared).contact
     }
 
+    /// Whether a motion was blocked since the last call.
+    pub fn take_contact(&self) -> bool {
+        std::mem::take(&mut lock(&self.shared).touched_in_truth)
+    }
+
     /// Copies the z-depth of the last picture.
     pub fn depth(&self, into: &mut DepthMap) {
         into.clone_from(&lock(&self.shared).depth);

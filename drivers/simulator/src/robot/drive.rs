@@ -25,6 +25,7 @@ impl State {
         self.pose = moved.pose;
         self.contact = moved.contact;
         self.touched |= moved.contact;
+        self.touched_in_truth |= moved.contact;
         self.twist = Twist2 {
             linear_mps: measured.x_m / self.step_s,
             angular_radps: measured.yaw_rad / self.step_s,

@@ -151,6 +151,8 @@ pub(crate) struct State {
     contact: bool,
     /// Something was in the way since the last feedback.
     touched: bool,
+    /// Something was in the way since the evaluation last asked.
+    touched_in_truth: bool,
     last_counter: Option<u32>,
     walkers: Vec<Walker>,
     laser_rng: Pcg64Mcg,
@@ -183,6 +185,7 @@ impl SimulatedRobot {
             commanded_ns: 0,
             contact: false,
             touched: false,
+            touched_in_truth: false,
             last_counter: None,
             walkers,
             laser_rng: rng(LASER_STREAM),
@@ -276,7 +279,8 @@ impl State {
             &people,
             &self.options.laser,
             rng,
-            self.now_ns,
+            // All beams are taken at one moment, which is the middle of the scan.
+            self.now_ns.saturating_sub(self.options.laser.geometry.period_ns / 2),
             scan,
         );
     }

@@ -8,13 +8,13 @@ use anyhow::{Context, Result, bail};
 
 /// As long as it lives, no other program on this computer takes the same base.
 #[derive(Debug)]
-pub struct Alone {
+pub struct InstanceLock {
     /// A name in the kernel's abstract namespace, and nobody connects to it: it needs no file and no right, belongs to the network
     /// namespace like CAN interfaces do, and is gone when the program is, however it ended (unix(7)).
     _name: UnixListener,
 }
 
-impl Alone {
+impl InstanceLock {
     /// Takes the base on this bus.
     ///
     /// # Errors
@@ -37,17 +37,17 @@ impl Alone {
 
 #[cfg(test)]
 mod tests {
-    use super::Alone;
+    use super::InstanceLock;
 
     #[test]
     fn a_base_is_taken_once_and_free_again_when_its_program_ends() {
         let bus = format!("test bus of process {}", std::process::id());
-        let first = Alone::on(&bus).unwrap();
-        let refused = Alone::on(&bus).unwrap_err().to_string();
+        let first = InstanceLock::on(&bus).unwrap();
+        let refused = InstanceLock::on(&bus).unwrap_err().to_string();
         assert!(refused.contains(&bus) && refused.contains("end it first"), "{refused}");
-        let other = Alone::on(&format!("{bus}, another one"));
+        let other = InstanceLock::on(&format!("{bus}, another one"));
         assert!(other.is_ok(), "{other:?}");
         drop(first);
-        Alone::on(&bus).unwrap();
+        InstanceLock::on(&bus).unwrap();
     }
 }

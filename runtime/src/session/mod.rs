@@ -1,0 +1,190 @@
+//! The one loop of the project: sense, perceive, map, decide, hand the plan to the safety loop, record.
+//!
+//! `explore`, `run`, the hardware-in-the-loop scenarios and the accuracy tool are [`Session`]s that differ in their [`Devices`]
+//! and their clock only. [`Robot::tick`] is visible in this crate alone, and its two callers are [`Session::tick`] and
+//! [`recompute`], which takes a recorded tick; a second loop does not compile.
+//!
+//! The safety loop stands outside. On a robot a thread of its own steps it; in simulation [`VirtualTime`] steps it, at the same
+//! rate and through the same queues ([`safety_link`]).
+
+mod safety_link;
+mod scan_history;
+#[cfg(test)]
+mod tests;
+mod virtual_time;
+mod wheel_history;
+
+use hal::{Clock, DepthMap, ImageView};
+
+pub use safety_link::{SafetyPort, SafetyTask, safety_link};
+pub use virtual_time::{VirtualDevices, VirtualTime};
+
+use crate::recording::{RecordedTick, RecordingError};
+use crate::robot::{Robot, StageTimer};
+use crate::safety::Plan;
+use crate::tick::{Decision, SafetyReport, TickInput};
+use wheel_history::WheelHistory;
+
+/// The exploration loop's devices: a clock and a camera. Wheels and scans come through the [`SafetyPort`].
+pub trait Devices: Clock {
+    /// Fetches the newest frame, if there is a new one. Returns the time at which it was taken, monotonic nanoseconds.
+    fn poll_frame(&mut self) -> Option<u64>;
+
+    /// The frame that was fetched last: RGB8, of the size that perception works on.
+    fn frame(&self) -> Option<ImageView<'_>>;
+
+    /// Ground-truth depth of that frame. Only simulated devices have it, and only for the depth source `truth`.
+    fn truth(&self) -> Option<&DepthMap> {
+        None
+    }
+}
+
+/// What a program adds to the loop: recording, reports, new models. None of it changes a decision but the models, which are
+/// recorded as events.
+pub trait Observer: StageTimer {
+    /// Ends the session.
+    type Error;
+
+    /// A tick begins.
+    fn started(&mut self) {}
+
+    /// The tick's input is complete, and the robot has not seen it yet.
+    ///
+    /// # Errors
+    /// What ends the session.
+    fn before(&mut self, robot: &mut Robot, input: &TickInput<'_>) -> Result<(), Self::Error>;
+
+    /// The robot has decided, and the plan is with the safety loop.
+    ///
+    /// # Errors
+    /// What ends the session.
+    fn after(
+        &mut self,
+        robot: &mut Robot,
+        input: &TickInput<'_>,
+        decision: &Decision,
+    ) -> Result<(), Self::Error>;
+}
+
+/// The exploration loop over some devices.
+pub struct Session<D> {
+    devices: D,
+    robot: Robot,
+    port: SafetyPort,
+    wheels: WheelHistory,
+    report: SafetyReport,
+    period_ns: u64,
+    due_ns: u64,
+    tick: u64,
+    skipped: u64,
+}
+
+impl<D: Devices> Session<D> {
+    /// A session whose first tick is one period from now.
+    pub fn new(devices: D, robot: Robot, port: SafetyPort, period_ns: u64) -> Self {
+        let due_ns = devices.now_ns();
+        Self {
+            devices,
+            robot,
+            port,
+            wheels: WheelHistory::default(),
+            report: SafetyReport::default(),
+            period_ns,
+            due_ns,
+            tick: 0,
+            skipped: 0,
+        }
+    }
+
+    /// Sleeps until the next tick is due. Ticks that are already over are skipped and counted, not made up for.
+    pub fn wait(&mut self) {
+        let now_ns = self.devices.now_ns();
+        self.due_ns += self.period_ns;
+        if now_ns > self.due_ns {
+            let missed = (now_ns - self.due_ns) / self.period_ns + 1;
+            self.skipped += missed;
+            self.due_ns += missed * self.period_ns;
+        }
+        self.devices.sleep_until_ns(self.due_ns);
+    }
+
+    /// One tick: the newest frame, with the wheels and the scan of its moment. `None`, and no tick is counted, before the first
+    /// wheel feedback.
+    ///
+    /// # Errors
+    /// The observer's.
+    pub fn tick<O: Observer>(&mut self, observer: &mut O) -> Result<Option<Decision>, O::Error> {
+        observer.started();
+        let frame_ns = self.devices.poll_frame();
+        self.port.update(&mut self.wheels, &mut self.report);
+        let time_ns = self.devices.now_ns();
+        let wheel = match frame_ns {
+            Some(frame_ns) => self.wheels.at(frame_ns),
+            None => self.wheels.newest().copied(),
+        };
+        let Some(wheel) = wheel else { return Ok(None) };
+        let scan = self.port.scans.nearest(wheel.time_ns);
+        let scan_wheel = scan.and_then(|scan| self.wheels.at(scan.middle_ns()));
+        let input = TickInput {
+            tick: self.tick,
+            time_ns,
+            wheel,
+            scan,
+            scan_odom: scan_wheel.unwrap_or(wheel).odom,
+            frame: frame_ns.and_then(|_| self.devices.frame()),
+            truth: frame_ns.and_then(|_| self.devices.truth()),
+            safety: &self.report,
+        };
+        observer.before(&mut self.robot, &input)?;
+        let decision = self.robot.tick(&input, observer);
+        // The plan is as old as the observation it was made on, and never newer than now.
+        let plan_ns = wheel.time_ns.min(time_ns);
+        self.port.plan.write(Some(Plan { twist: decision.desired.into(), time_ns: plan_ns }));
+        self.tick += 1;
+        observer.after(&mut self.robot, &input, &decision)?;
+        Ok(Some(decision))
+    }
+
+    /// Ticks so far.
+    pub fn ticks(&self) -> u64 {
+        self.tick
+    }
+
+    /// Ticks that were skipped because the one before took longer than its period.
+    pub fn skipped(&self) -> u64 {
+        self.skipped
+    }
+
+    /// The robot.
+    pub fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// The robot, for a new model between two ticks.
+    pub fn robot_mut(&mut self) -> &mut Robot {
+        &mut self.robot
+    }
+
+    /// The devices.
+    pub fn devices(&self) -> &D {
+        &self.devices
+    }
+
+    /// The devices.
+    pub fn devices_mut(&mut self) -> &mut D {
+        &mut self.devices
+    }
+
+    /// Ends the session.
+    pub fn into_parts(self) -> (D, Robot) {
+        (self.devices, self.robot)
+    }
+}
+
+/// Decides a recorded tick again.
+///
+/// # Errors
+/// A frame whose bytes do not fit its size.
+pub fn recompute(robot: &mut Robot, tick: &RecordedTick) -> Result<Decision, RecordingError> {
+    Ok(robot.tick(&tick.input()?, &mut ()))
+}

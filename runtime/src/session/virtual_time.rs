@@ -1,0 +1,123 @@
+//! Devices in one thread and in virtual time: for simulation, scenarios and accuracy tables.
+
+use hal::{Base, Camera, Clock, DepthMap, Frame, ImageView, Lidar};
+
+use super::{Devices, SafetyTask};
+use crate::safety::Request;
+
+/// A clock that steps the safety loop while it sleeps, at the rate at which a thread would step it on a robot.
+pub struct VirtualTime<K, B, L> {
+    clock: K,
+    safety: SafetyTask<B, L>,
+    period_ns: u64,
+    next_ns: u64,
+    request: Option<Request>,
+}
+
+impl<K: Clock, B: Base, L: Lidar> VirtualTime<K, B, L> {
+    /// Steps `safety` every `period_ns` of `clock`, from now on.
+    pub fn new(clock: K, safety: SafetyTask<B, L>, period_ns: u64) -> Self {
+        let next_ns = clock.now_ns();
+        Self { clock, safety, period_ns: period_ns.max(1), next_ns, request: None }
+    }
+
+    /// Passes the operator's request to the next step of the safety loop.
+    pub fn request(&mut self, request: Request) {
+        self.request = Some(request);
+    }
+
+    /// The safety loop.
+    pub fn safety(&self) -> &SafetyTask<B, L> {
+        &self.safety
+    }
+
+    /// Brakes, disarms the base, and returns the devices.
+    pub fn shut_down(self) -> (B, L) {
+        self.safety.shut_down()
+    }
+}
+
+impl<K: Clock, B: Base, L: Lidar> Clock for VirtualTime<K, B, L> {
+    fn now_ns(&self) -> u64 {
+        self.clock.now_ns()
+    }
+
+    fn sleep_until_ns(&mut self, deadline_ns: u64) {
+        while self.next_ns <= deadline_ns {
+            self.clock.sleep_until_ns(self.next_ns);
+            self.safety.step(self.clock.now_ns(), self.request.take(), false);
+            self.next_ns += self.period_ns;
+        }
+        self.clock.sleep_until_ns(deadline_ns);
+    }
+}
+
+/// [`Devices`] of a clock and a camera whose frames have perception's size.
+pub struct VirtualDevices<K, C> {
+    clock: K,
+    camera: C,
+    frame: Frame,
+    ground_truth: Option<GroundTruth>,
+}
+
+/// Where the depth source `truth` gets its depth from.
+struct GroundTruth {
+    read: Box<dyn FnMut(&mut DepthMap)>,
+    depth: DepthMap,
+}
+
+impl<K: Clock, C: Camera> VirtualDevices<K, C> {
+    /// Nothing fetched yet.
+    pub fn new(clock: K, camera: C) -> Self {
+        Self { clock, camera, frame: Frame::empty(), ground_truth: None }
+    }
+
+    /// With every frame, `read` copies its ground-truth depth, for the depth source `truth`.
+    #[must_use]
+    pub fn with_ground_truth(self, read: impl FnMut(&mut DepthMap) + 'static) -> Self {
+        let truth = GroundTruth { read: Box::new(read), depth: DepthMap::none(0, 0) };
+        Self { ground_truth: Some(truth), ..self }
+    }
+
+    /// The clock.
+    pub fn clock_mut(&mut self) -> &mut K {
+        &mut self.clock
+    }
+
+    /// The clock, to be shut down.
+    pub fn into_clock(self) -> K {
+        self.clock
+    }
+}
+
+impl<K: Clock, C: Camera> Clock for VirtualDevices<K, C> {
+    fn now_ns(&self) -> u64 {
+        self.clock.now_ns()
+    }
+
+    fn sleep_until_ns(&mut self, deadline_ns: u64) {
+        self.clock.sleep_until_ns(deadline_ns);
+    }
+}
+
+impl<K: Clock, C: Camera> Devices for VirtualDevices<K, C> {
+    fn poll_frame(&mut self) -> Option<u64> {
+        // An error is no frame, and never a reason to use the previous one again.
+        let has_frame = self.camera.poll_frame(&mut self.frame).unwrap_or(false);
+        if !has_frame {
+            return None;
+        }
+        if let Some(truth) = &mut self.ground_truth {
+            (truth.read)(&mut truth.depth);
+        }
+        Some(self.frame.time_ns)
+    }
+
+    fn frame(&self) -> Option<ImageView<'_>> {
+        self.frame.view().ok()
+    }
+
+    fn truth(&self) -> Option<&DepthMap> {
+        self.ground_truth.as_ref().map(|truth| &truth.depth)
+    }
+}
