@@ -29,8 +29,8 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
     let decision = Decision {
         tick,
         time_ns,
-        wanted: Command { linear_mps: 0.3, angular_radps: 0.1 },
-        command: Command { linear_mps: 0.3, angular_radps: 0.0 },
+        desired: Command { linear_mps: 0.3, angular_radps: 0.0 },
+        sent: Some(Command { linear_mps: 0.3, angular_radps: 0.1 }),
         goal_m: Some([1.0, 2.0]),
         events: Vec::new(),
         input_digest: 3,
@@ -237,7 +237,7 @@ fn a_turn_that_would_not_replay_ends_the_recording_and_keeps_the_turns_before() 
         recorder.record(some_tick(tick), Views::default()).unwrap();
     }
     let mut bad = some_tick(30);
-    bad.decision.as_mut().unwrap().wanted.linear_mps = f64::NAN;
+    bad.decision.as_mut().unwrap().desired.linear_mps = f64::NAN;
     recorder.record(bad, Views::default()).unwrap();
     let error = recorder.finish().unwrap_err();
     assert!(

@@ -8,7 +8,7 @@ use serde_json::Value;
 /// A field in which two decisions differ. Values as JSON, which shows every number exactly.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Difference {
-    /// Path of the field, such as `command.linear_mps` or `events[0].why`.
+    /// Path of the field, such as `desired.linear_mps` or `events[0].why`.
     pub field: String,
     /// What was recorded.
     pub recorded: String,
@@ -104,8 +104,8 @@ mod tests {
     #[test]
     fn a_difference_reads_as_field_recorded_now() {
         assert_eq!(
-            changed(|d| d.command.linear_mps = 0.25),
-            ["command.linear_mps: recorded 0.3, now 0.25"]
+            changed(|d| d.desired.linear_mps = 0.25),
+            ["desired.linear_mps: recorded 0.3, now 0.25"]
         );
         assert_eq!(changed(|d| d.goal_m = None), ["goal_m: recorded [1.0,2.0], now nothing"]);
         assert_eq!(
@@ -118,11 +118,11 @@ mod tests {
 
     #[test]
     fn the_last_bit_the_sign_of_zero_and_nan_count() {
-        assert_eq!(changed(|d| d.wanted.linear_mps = 0.3_f64.next_up()).len(), 1);
+        assert_eq!(changed(|d| d.desired.linear_mps = 0.3_f64.next_up()).len(), 1);
         assert_eq!(
-            changed(|d| d.command.angular_radps = -0.0),
-            ["command.angular_radps: recorded 0.0, now -0.0"]
+            changed(|d| d.desired.angular_radps = -0.0),
+            ["desired.angular_radps: recorded 0.0, now -0.0"]
         );
-        assert_eq!(changed(|d| d.command.angular_radps = f64::NAN).len(), 1);
+        assert_eq!(changed(|d| d.desired.angular_radps = f64::NAN).len(), 1);
     }
 }

@@ -61,7 +61,7 @@ fn recorded_with_snapshots(ticks: u64, snapshot_every: u64) -> TempDir {
     for tick in 0..ticks {
         let input = input_of(tick);
         let snapshot = (tick > 0 && tick.is_multiple_of(snapshot_every)).then(|| robot.snapshot());
-        let decision = robot.step(&input.input().unwrap());
+        let decision = robot.step(&input).unwrap();
         recorder
             .record(RecordedTick { decision: Some(decision), snapshot, ..input }, Views::default())
             .unwrap();

@@ -87,6 +87,7 @@ fn lidar_line(scan: &LaserScan, camera: &CameraModel, t_camera_laser: &Pose3) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tick::SafetyReport;
     use hal::{ImageView, Range, ScanGeometry, WheelFeedback, camera_mount};
 
     fn scan_of(range: impl Fn(f64) -> Range) -> LaserScan {
@@ -174,9 +175,10 @@ mod tests {
                 time_ns: 1_180_000_000,
                 wheel,
                 scan: Some(&scan),
+                scan_odom: wheel.odom,
                 frame: with_frame.then_some(frame),
                 truth: None,
-                safety: None,
+                safety: &SafetyReport::default(),
             })
             .len()
         };

@@ -10,7 +10,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::event::{BackOffEnd, Event, GoalReason, SafetyEvent};
-use crate::tick::{Command, Decision, SafetyReport};
+use crate::tick::{Command, Decision, SafetyReport, SentCommand};
 
 pub(super) fn run_header() -> RunHeader {
     RunHeader {
@@ -29,8 +29,8 @@ fn decision(tick: u64) -> Decision {
     Decision {
         tick,
         time_ns: tick * 100_000_000,
-        wanted: Command { linear_mps: 0.3, angular_radps: 1.0 / 3.0 },
-        command: Command { linear_mps: 0.1 * tick as f64, angular_radps: -0.0 },
+        desired: Command { linear_mps: 0.3, angular_radps: 1.0 / 3.0 },
+        sent: Some(Command { linear_mps: 0.1 * tick as f64, angular_radps: -0.0 }),
         goal_m: (!tick.is_multiple_of(3)).then_some([1.5, -0.1]),
         events: vec![Event::GoalChosen { x_m: 1.5, y_m: -0.1, why: GoalReason::Frontier }],
         input_digest: 3,
@@ -66,14 +66,24 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
             4,
             (0..24).map(|i| f32::from(i as u16 + tick as u16) / 1000.0).collect(),
         ),
-        safety: Some(SafetyReport {
+        scan_odom: Pose2 { x_m: 0.1 * tick as f64 - 1e-3, y_m: -0.3, yaw_rad: 3.0 },
+        safety: SafetyReport {
             in_charge: tick.is_multiple_of(3),
             blocked_m: Some([0.1 + 0.2, -1e-17]),
             events: vec![
                 SafetyEvent::Armed,
                 SafetyEvent::BackedOff { distance_m: 0.2, end: BackOffEnd::RearUnknown },
             ],
-        }),
+            sent: vec![
+                SentCommand::drive(
+                    tick * 100_000_000,
+                    u32::MAX,
+                    Twist2 { linear_mps: 0.1 + 0.2, angular_radps: -0.0 },
+                ),
+                SentCommand::stop(tick * 100_000_000 + 7),
+            ],
+            sent_dropped: tick,
+        },
         decision: Some(decision(tick)),
         snapshot: Some(vec![tick as u8; 9]),
     }
@@ -85,7 +95,7 @@ fn bare_tick(tick: u64) -> RecordedTick {
         scan: None,
         frame: None,
         truth: None,
-        safety: None,
+        safety: SafetyReport::default(),
         snapshot: None,
         ..some_tick(tick)
     }
@@ -216,8 +226,8 @@ fn any_decision() -> impl Strategy<Value = Decision> {
         |(v, digests, goal)| Decision {
             tick: 0,
             time_ns: digests[0],
-            wanted: Command { linear_mps: v[0], angular_radps: v[1] },
-            command: Command { linear_mps: v[2], angular_radps: v[3] },
+            desired: Command { linear_mps: v[0], angular_radps: v[1] },
+            sent: goal.then_some(Command { linear_mps: v[2], angular_radps: v[3] }),
             goal_m: goal.then_some([v[4], v[5]]),
             events: vec![
                 Event::GoalReached,
@@ -231,6 +241,18 @@ fn any_decision() -> impl Strategy<Value = Decision> {
 }
 
 prop_compose! {
+    fn any_sent()(time_ns in any::<u64>(), counter in any::<Option<u32>>(), v in prop::array::uniform2(finite())) -> SentCommand {
+        SentCommand { time_ns, counter, linear_mps: v[0], angular_radps: v[1] }
+    }
+}
+
+prop_compose! {
+    fn any_report()(in_charge in any::<bool>(), sent in prop::collection::vec(any_sent(), 0..12), sent_dropped in any::<u64>()) -> SafetyReport {
+        SafetyReport { in_charge, sent, sent_dropped, ..SafetyReport::default() }
+    }
+}
+
+prop_compose! {
     fn any_tick()(
         time_ns in any::<u64>(),
         wheel in any_wheel(),
@@ -238,8 +260,10 @@ prop_compose! {
         frame in prop::option::of(any_picture()),
         truth in prop::option::of(any_truth()),
         decision in prop::option::of(any_decision()),
+        safety in any_report(),
     ) -> RecordedTick {
-        RecordedTick { tick: 0, time_ns, wheel, scan, frame, truth, safety: None, decision, snapshot: None }
+        let scan_odom = wheel.odom;
+        RecordedTick { tick: 0, time_ns, wheel, scan, scan_odom, frame, truth, safety, decision, snapshot: None }
     }
 }
 
@@ -421,7 +445,7 @@ fn what_cannot_be_recorded_exactly_is_refused_when_written() {
         "{error}"
     );
     let mut lost = some_tick(2);
-    lost.decision.as_mut().unwrap().command.linear_mps = f64::NAN;
+    lost.decision.as_mut().unwrap().desired.linear_mps = f64::NAN;
     let error = begin().write(&lost, &Views::default()).unwrap_err();
     assert!(matches!(error, RecordingError::DecisionNotFinite { tick: 2 }), "{error}");
     let mut torn = some_tick(3);

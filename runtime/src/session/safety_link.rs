@@ -54,9 +54,7 @@ pub struct SafetyPort {
 
 /// Connects a safety loop with the exploration loop that it watches over.
 #[must_use]
-pub fn safety_link<B: Base, L: Lidar>(
-    control: SafetyLoop<B, L>,
-) -> (SafetyTask<B, L>, SafetyPort) {
+pub fn safety_link<B: Base, L: Lidar>(control: SafetyLoop<B, L>) -> (SafetyTask<B, L>, SafetyPort) {
     let (plan, plans) = triple_buffer(&None);
     let (scan_writer, scans) = scan_history(control.lidar().geometry());
     let (wheel_producer, wheels) = rtrb::RingBuffer::new(WHEELS);

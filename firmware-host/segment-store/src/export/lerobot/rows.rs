@@ -18,7 +18,7 @@ type Action = [f32; 2];
 /// What the robot knew and did, if it did.
 pub(super) fn numbers(tick: &RecordedTick) -> Option<(State, Action)> {
     let (odom, twist) = (&tick.wheel.odom, &tick.wheel.twist);
-    let command = tick.decision.as_ref()?.command;
+    let command = tick.decision.as_ref()?.sent?;
     let state = [odom.x_m, odom.y_m, odom.yaw_rad, twist.linear_mps, twist.angular_radps]
         .map(|value| value as f32);
     let action = [command.linear_mps, command.angular_radps].map(|value| value as f32);
