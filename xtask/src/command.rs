@@ -17,7 +17,12 @@ pub fn program(name: impl AsRef<OsStr>) -> Command {
 
 /// The cargo that runs this chore. It finds the tools that chores installed.
 pub fn cargo() -> Command {
-    let mut command = program(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    tool(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+}
+
+/// A program that a chore installed, or one of the system's.
+pub fn tool(name: impl AsRef<OsStr>) -> Command {
+    let mut command = program(name);
     let mut path = vec![paths::target().join("tools/bin")];
     path.extend(std::env::split_paths(&std::env::var_os("PATH").unwrap_or_default()));
     if let Ok(path) = std::env::join_paths(path) {

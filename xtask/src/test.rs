@@ -1,40 +1,54 @@
 //! `cargo xtask test`: everything that must hold before a change is accepted.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 
-use crate::{command, nextest, onnx_runtime, paths, peers, trainer};
+use crate::{command, docs, licences, nextest, onnx_runtime, paths, peers, quality, trainer};
 
-/// So often a program is killed in each of the tests that do that.
+/// Measured with two cores and an empty target directory, and again with everything built; without the trainer.
+const FIRST_RUN_MIN: u32 = 12;
+const LATER_RUN_MIN: u32 = 6;
+
+/// Kills in each of the tests that kill programs.
 const KILLS: &str = "200";
 const FEW_KILLS: &str = "6 of each are among the tests; `cargo xtask test --all` kills 200 times";
+const NO_SITE: &str = "its links are checked by a test; `cargo xtask docs` builds it";
 
-/// With what is left out by default.
-const LINTS: &str = "clippy --workspace --all-targets --features pull-buffer/object-store,pull-buffer/lerobot,firmware-host/lerobot --locked -- -D warnings";
+/// What is built, once for all steps, with the features that are off by default.
+const TESTED: &str = "--workspace --features segment-store/lerobot,pull-buffer/object-store,pull-buffer/lerobot,firmware-host/lerobot --locked";
 
-/// What tests build, once for all steps.
-const TESTED: &str =
-    "--workspace --features segment-store/lerobot,pull-buffer/object-store --locked";
-
-/// What became of a step.
-enum Outcome {
+/// The result of a step.
+pub enum Outcome {
     Passed,
     Failed,
     Skipped(&'static str),
 }
 
+/// Runs all steps, also after one has failed, so that one run shows every failure.
+///
+/// # Errors
+/// When a step has failed.
 pub fn run(all: bool) -> Result<()> {
+    println!(
+        "On 2 cores the first run takes {FIRST_RUN_MIN} minutes and a later one {LATER_RUN_MIN}, most of it tests."
+    );
     let onnx_runtime = onnx_runtime::install()?;
+    let lints = Lints::new()?;
     let cargo = |arguments: &str| {
         let mut cargo = command::cargo();
         cargo.args(arguments.split_whitespace()).env("ORT_DYLIB_PATH", &onnx_runtime);
+        lints.during(&mut cargo);
         cargo
     };
     let ci = std::env::var_os("CI").is_some();
     let has_nextest = nextest::install();
+    let build = match has_nextest {
+        true => format!("nextest run {TESTED} --no-run"),
+        false => format!("test {TESTED} --lib --bins --tests --no-run"),
+    };
     let tests = match (has_nextest, ci) {
         (true, true) => format!("nextest run {TESTED} --profile ci"),
         (true, false) => format!("nextest run {TESTED}"),
@@ -48,11 +62,11 @@ pub fn run(all: bool) -> Result<()> {
         true => format!("nextest run {TESTED} --profile kills"),
         false => format!("test {TESTED} --tests killed"),
     };
-    // All steps run, also after one has failed: whoever waited for them wants to know everything at once.
     let mut outcomes = vec![
-        ("format", step(&mut cargo("fmt --all --check"))),
-        ("lints", step(&mut cargo(LINTS))),
+        ("format", step(command::cargo().args(["fmt", "--all", "--check"]))),
+        ("build and lints", step(&mut cargo(&build))),
         ("tests", step(&mut cargo(&tests))),
+        ("quality of depth and map", quality()),
         (
             "tests beside other people's software",
             match peers::of_tests(all || ci)? {
@@ -62,26 +76,37 @@ pub fn run(all: bool) -> Result<()> {
         ),
         (
             "kills",
-            if all {
-                step(cargo(&kills).env("KILLS", KILLS))
-            } else {
-                (Outcome::Skipped(FEW_KILLS), 0.0)
+            match all {
+                true => step(cargo(&kills).env("KILLS", KILLS)),
+                false => (Outcome::Skipped(FEW_KILLS), 0.0),
             },
         ),
         (
             "examples in the documentation",
             step(&mut cargo(&format!("test {TESTED} --doc --quiet"))),
         ),
-        ("licences and sources", licences()),
+        ("licences and sources", licences::check(all || ci)),
+        (
+            "documentation site",
+            if all || ci { timed(docs::run) } else { (Outcome::Skipped(NO_SITE), 0.0) },
+        ),
     ];
     outcomes.extend(without_ssh(ci).map(|outcome| ("tests over ssh", (outcome, 0.0))));
     outcomes.extend(trainer_steps(all || ci)?);
+    conclude(&outcomes)
+}
+
+fn conclude(outcomes: &[(&str, (Outcome, f64))]) -> Result<()> {
     println!();
     let mut failed = Vec::new();
-    for (name, (outcome, seconds)) in &outcomes {
+    let mut skipped = 0;
+    for (name, (outcome, seconds)) in outcomes {
         match outcome {
             Outcome::Passed => println!("  passed   {name} ({seconds:.0} s)"),
-            Outcome::Skipped(why) => println!("  skipped  {name}: {why}"),
+            Outcome::Skipped(why) => {
+                skipped += 1;
+                println!("  skipped  {name}: {why}");
+            }
             Outcome::Failed => {
                 println!("  FAILED   {name} ({seconds:.0} s)");
                 failed.push(*name);
@@ -91,8 +116,52 @@ pub fn run(all: bool) -> Result<()> {
     if !failed.is_empty() {
         bail!("failed: {}", failed.join(", "));
     }
-    println!("xtask test: all passed");
+    match skipped {
+        0 => println!("xtask test: all {} steps passed", outcomes.len()),
+        _ => println!("xtask test: {} steps passed, {skipped} skipped", outcomes.len() - skipped),
+    }
     Ok(())
+}
+
+/// Clippy's compiler builds the workspace's crates, so that lints cost no second compilation.
+struct Lints {
+    compiler: PathBuf,
+}
+
+impl Lints {
+    fn new() -> Result<Self> {
+        let sysroot = command::output(command::program("rustc").args(["--print", "sysroot"]))?;
+        let compiler = Path::new(sysroot.trim()).join("bin/clippy-driver");
+        ensure!(
+            compiler.exists(),
+            "{} is not there: `rustup component add clippy`",
+            compiler.display()
+        );
+        Ok(Self { compiler })
+    }
+
+    /// Makes a cargo command lint what it compiles; warnings are errors. `cargo clippy` sets the same two variables.
+    fn during(&self, cargo: &mut Command) {
+        cargo.env("RUSTC_WORKSPACE_WRAPPER", &self.compiler);
+        cargo.env("CLIPPY_ARGS", "-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__");
+    }
+}
+
+/// With the program that the tests were built with.
+fn quality() -> (Outcome, f64) {
+    timed(|| quality::run(&paths::target().join("debug/firmware-host"), false))
+}
+
+fn timed(work: impl FnOnce() -> Result<()>) -> (Outcome, f64) {
+    let start = Instant::now();
+    let outcome = match work() {
+        Ok(()) => Outcome::Passed,
+        Err(error) => {
+            eprintln!("{error:#}");
+            Outcome::Failed
+        }
+    };
+    (outcome, start.elapsed().as_secs_f64())
 }
 
 /// Tests over ssh are among the tests, and pass without an sshd: nobody shall take that for more than it is.
@@ -126,24 +195,7 @@ fn trainer_steps(install: bool) -> Result<Vec<(&'static str, (Outcome, f64))>> {
     ])
 }
 
-fn step(command: &mut Command) -> (Outcome, f64) {
+pub fn step(command: &mut Command) -> (Outcome, f64) {
     println!("\n> {}", command::text(command));
-    let start = Instant::now();
-    let outcome = match command::run(command) {
-        Ok(()) => Outcome::Passed,
-        Err(error) => {
-            eprintln!("{error:#}");
-            Outcome::Failed
-        }
-    };
-    (outcome, start.elapsed().as_secs_f64())
-}
-
-/// Advisories need a database from the network and change without us; a build must not fail by them.
-fn licences() -> (Outcome, f64) {
-    let mut deny = command::cargo();
-    if command::works(command::cargo().args(["deny", "--version"])) {
-        return step(deny.args(["deny", "check", "bans", "licenses", "sources"]));
-    }
-    (Outcome::Skipped("cargo-deny is not installed (`cargo install --locked cargo-deny`)"), 0.0)
+    timed(|| command::run(command))
 }

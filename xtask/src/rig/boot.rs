@@ -194,7 +194,7 @@ fn qemu(machine: &Machine<'_>, folder: &Path) -> Result<Child> {
     match machine.icount {
         // Virtual time has one processor: two hang in the boot.
         Some(shift) => {
-            write!(line, " -smp 1 -accel tcg,thread=single -icount shift={shift},sleep=off")?
+            write!(line, " -smp 1 -accel tcg,thread=single -icount shift={shift},sleep=off")?;
         }
         None => line.push_str(" -smp 2 -accel tcg,thread=multi"),
     }

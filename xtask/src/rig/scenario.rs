@@ -87,14 +87,14 @@ fn parse(name: &str, body: String) -> Result<Scenario> {
                 scenario.kernel = found.with_context(|| format!("`kernel {value}`: std or rt"))?;
             }
             "icount" => {
-                scenario.icount = Some(value.parse().with_context(|| format!("`icount {value}`"))?)
+                scenario.icount = Some(value.parse().with_context(|| format!("`icount {value}`"))?);
             }
             "modules" => scenario.modules = value.split_whitespace().map(str::to_owned).collect(),
             "seconds" => {
-                scenario.seconds = value.parse().with_context(|| format!("`seconds {value}`"))?
+                scenario.seconds = value.parse().with_context(|| format!("`seconds {value}`"))?;
             }
             "disk" => {
-                scenario.disk_mb = Some(value.parse().with_context(|| format!("`disk {value}`"))?)
+                scenario.disk_mb = Some(value.parse().with_context(|| format!("`disk {value}`"))?);
             }
             "systemd" => scenario.systemd = true,
             "long" => scenario.long = true,

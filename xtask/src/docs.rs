@@ -1,0 +1,76 @@
+//! `cargo xtask docs`: the documentation as a site in target/book, with every relative link checked.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+
+use crate::{command, paths};
+
+/// The version that is installed where there is none; any other that is already there will do.
+const VERSION: &str = "0.5.4";
+
+/// Checks links, installs mdBook where it is missing, and builds the site.
+///
+/// # Errors
+/// A link without a target; when mdBook cannot be installed or refuses the book.
+pub fn run() -> Result<()> {
+    check_links()?;
+    if !command::works(command::tool("mdbook").arg("--version")) {
+        eprintln!("installing mdBook {VERSION}, once; this takes some minutes");
+        let mut install = command::cargo();
+        install.args(["install", "--quiet", "--locked", "mdbook", "--no-default-features"]);
+        install.args(["--features", "search", "--version", VERSION, "--root"]);
+        command::run(install.arg(paths::target().join("tools")))?;
+    }
+    let book = paths::target().join("book");
+    command::run(command::tool("mdbook").args(["build", "docs", "--dest-dir"]).arg(&book))?;
+    println!("Open {}.", book.join("index.html").display());
+    Ok(())
+}
+
+/// Every relative link of every document must lead to a file.
+///
+/// # Errors
+/// Names each link that does not.
+pub fn check_links() -> Result<()> {
+    let listed = command::output(command::program("git").args(["ls-files", "*.md"]))?;
+    let mut broken = Vec::new();
+    for name in listed.lines() {
+        let path = paths::root().join(name);
+        let text = std::fs::read_to_string(&path).with_context(|| name.to_owned())?;
+        for link in links(&text) {
+            if !target(&path, link).exists() {
+                broken.push(format!("{name}: {link}"));
+            }
+        }
+    }
+    ensure!(broken.is_empty(), "links that lead nowhere:\n  {}", broken.join("\n  "));
+    Ok(())
+}
+
+/// The relative links of a Markdown text, without their anchors.
+fn links(text: &str) -> impl Iterator<Item = &str> {
+    let found = text.split("](").skip(1).filter_map(|rest| rest.split(')').next());
+    let relative = found.filter(|link| !link.contains("://") && !link.starts_with(['#', '<']));
+    relative.filter_map(|link| link.split('#').next()).filter(|link| !link.is_empty())
+}
+
+fn target(document: &Path, link: &str) -> PathBuf {
+    document.parent().unwrap_or(document).join(link)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn relative_links_are_found_without_their_anchors() {
+        let text = "a [b](c.md#d), [e](https://f.g), [h](#i), ![j](k.png)";
+        assert_eq!(links(text).collect::<Vec<_>>(), ["c.md", "k.png"]);
+    }
+
+    #[test]
+    fn every_link_of_the_documents_leads_to_a_file() {
+        check_links().unwrap();
+    }
+}

@@ -1,0 +1,197 @@
+//! `cargo xtask quality`: four homes, 300 frames each, with fixed seeds. Depth, map and touches must be as good as the committed
+//! figures in docs/data/quality.json say, and never worse than the floors below.
+
+use std::path::{Path, PathBuf};
+use std::process::Child;
+
+use anyhow::{Context, Result, bail, ensure};
+use serde_json::{Value, json};
+
+use crate::{command, paths};
+
+/// Homes that no default was tuned on have seeds from 11 on.
+const SCENES: [&str; 4] = [
+    "builtin:apartment?seed=11",
+    "builtin:house?seed=11",
+    "builtin:office?seed=11",
+    "builtin:apartment?seed=12&texture=0.3",
+];
+const FRAMES: u64 = 300;
+const SEED: &str = "1";
+const FIGURES: &str = "docs/data/quality.json";
+/// Two processes: the machine that this must fit has two cores.
+const AT_ONCE: usize = 2;
+
+/// No change may bring a figure below its floor, whatever it says in its commit. A constant depth, which knows every frame's true
+/// median, is right for .46 of all pixels.
+const FLOORS: [(&str, f64); 3] =
+    [("right_of_all", 0.60), ("confident_unscaled", 0.97), ("coverage", 0.20)];
+/// Touches in all four runs together.
+const MOST_TOUCHES: u64 = 1;
+/// Figures are the same to the last bit where decisions are; a committed figure has this many decimals.
+const TOLERANCE: f64 = 5e-5;
+
+/// Runs the four homes with the program at `robot`, and compares the figures with the committed ones, or commits them.
+///
+/// # Errors
+/// A figure below its floor, and figures that differ from the committed ones.
+pub fn run(robot: &Path, update: bool) -> Result<()> {
+    let figures = measure(robot)?;
+    print_table(&figures);
+    check_floors(&figures)?;
+    let path = paths::root().join(FIGURES);
+    if update {
+        let text = format!("{:#}\n", with_command(&figures));
+        return std::fs::write(&path, text).with_context(|| path.display().to_string());
+    }
+    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+    let committed: Value = serde_json::from_str(&text).with_context(|| FIGURES)?;
+    compare(&committed["homes"], &figures)
+}
+
+/// Builds the program as the demo does, and runs the homes.
+///
+/// # Errors
+/// As [`run`].
+pub fn build_and_run(update: bool) -> Result<()> {
+    let arguments = "build --release --locked --package firmware-host";
+    command::run(command::cargo().args(arguments.split_whitespace()))?;
+    run(&paths::target().join("release/firmware-host"), update)
+}
+
+fn with_command(figures: &[Value]) -> Value {
+    json!({
+        "made_by": "cargo xtask quality --update",
+        "simulated": true,
+        "odometry": "perfect",
+        "depth": "coarse",
+        "frames": FRAMES,
+        "homes": figures,
+    })
+}
+
+fn measure(robot: &Path) -> Result<Vec<Value>> {
+    let folder = paths::target().join("quality");
+    let mut figures = Vec::new();
+    for scenes in SCENES.chunks(AT_ONCE) {
+        let runs: Vec<(&str, PathBuf, Child)> =
+            scenes.iter().map(|scene| start(robot, scene, &folder)).collect::<Result<_>>()?;
+        for (scene, out, run) in runs {
+            let output = run.wait_with_output()?;
+            let complaint = String::from_utf8_lossy(&output.stderr);
+            ensure!(output.status.success(), "{scene}: {complaint}");
+            let text = std::fs::read_to_string(out.join("summary.json"))?;
+            figures.push(figures_of(scene, &serde_json::from_str(&text)?)?);
+        }
+    }
+    Ok(figures)
+}
+
+fn start<'a>(robot: &Path, scene: &'a str, folder: &Path) -> Result<(&'a str, PathBuf, Child)> {
+    let name: String = scene.chars().map(|c| if c.is_alphanumeric() { c } else { '_' }).collect();
+    let out = folder.join(name);
+    let mut explore = command::program(robot);
+    explore.args(["explore", "--no-recording", "--policy", "active", "--seed", SEED]);
+    explore.args(["--scene", scene, "--frames", &FRAMES.to_string(), "--out"]).arg(&out);
+    explore.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::piped());
+    let run = explore.spawn().with_context(|| command::text(&explore))?;
+    Ok((scene, out, run))
+}
+
+fn figures_of(scene: &str, summary: &Value) -> Result<Value> {
+    let number = |path: &str| -> Result<f64> {
+        let value = summary.pointer(path).and_then(Value::as_f64);
+        let value = value.with_context(|| format!("{scene}: summary.json has no {path}"))?;
+        Ok((value * 1e4).round() / 1e4)
+    };
+    Ok(json!({
+        "scene": scene,
+        "right_of_all": number("/accuracy/coarse/all/right")?,
+        "confident_unscaled": number("/accuracy/coarse/confident/delta1_unscaled")?,
+        "constant_right": number("/accuracy/constant/all/right")?,
+        "coverage": number("/coverage")?,
+        "collisions": summary["collisions"],
+        "digest": summary["digest"],
+    }))
+}
+
+fn print_table(figures: &[Value]) {
+    println!("{:<40} {:>9} {:>9} {:>9} {:>7}", "home", "right", "confident", "coverage", "touches");
+    for home in figures {
+        let number = |key: &str| home[key].as_f64().unwrap_or(f64::NAN);
+        println!(
+            "{:<40} {:>9.3} {:>9.3} {:>9.3} {:>7}",
+            home["scene"].as_str().unwrap_or_default(),
+            number("right_of_all"),
+            number("confident_unscaled"),
+            number("coverage"),
+            home["collisions"],
+        );
+    }
+}
+
+fn check_floors(figures: &[Value]) -> Result<()> {
+    for home in figures {
+        for (key, floor) in FLOORS {
+            let value = home[key].as_f64().unwrap_or(f64::NAN);
+            if value.is_nan() || value < floor {
+                bail!("{}: {key} is {value}, and its floor is {floor}", home["scene"]);
+            }
+        }
+    }
+    let touches: u64 = figures.iter().filter_map(|home| home["collisions"].as_u64()).sum();
+    ensure!(touches <= MOST_TOUCHES, "{touches} touches in {} runs", figures.len());
+    Ok(())
+}
+
+fn compare(committed: &Value, figures: &[Value]) -> Result<()> {
+    let mut moved = Vec::new();
+    for home in figures {
+        let scene = &home["scene"];
+        let before =
+            committed.as_array().and_then(|homes| homes.iter().find(|h| h["scene"] == *scene));
+        let before = before.with_context(|| format!("{FIGURES} has no {scene}"))?;
+        for (key, value) in home.as_object().into_iter().flatten() {
+            let same = match (value.as_f64(), before[key].as_f64()) {
+                (Some(now), Some(then)) => (now - then).abs() < TOLERANCE,
+                _ => *value == before[key],
+            };
+            if !same {
+                moved.push(format!("{scene}: {key} was {}, is {value}", before[key]));
+            }
+        }
+    }
+    ensure!(
+        moved.is_empty(),
+        "decisions or depth have changed:\n  {}\nIf that is meant, run `cargo xtask quality --update`, commit {FIGURES} with the \
+         change, and say why in its message",
+        moved.join("\n  ")
+    );
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn home(right: f64, touches: u64) -> Value {
+        json!({"scene": "s", "right_of_all": right, "confident_unscaled": 0.99, "coverage": 0.5,
+               "collisions": touches, "digest": "d"})
+    }
+
+    #[test]
+    fn depth_that_is_right_less_often_than_the_floor_fails_whatever_is_committed() {
+        assert!(check_floors(&[home(0.7, 0)]).is_ok());
+        assert!(check_floors(&[home(0.7, 0), home(0.59, 0)]).is_err());
+        assert!(check_floors(&[home(f64::NAN, 0)]).is_err());
+        assert!(check_floors(&[home(0.7, 1), home(0.7, 1)]).is_err());
+    }
+
+    #[test]
+    fn a_figure_that_moved_is_named_with_both_values() {
+        let committed = json!([home(0.7, 0)]);
+        assert!(compare(&committed, &[home(0.7, 0)]).is_ok());
+        let moved = compare(&committed, &[home(0.71, 0)]).unwrap_err().to_string();
+        assert!(moved.contains("right_of_all was 0.7, is 0.71"), "{moved}");
+    }
+}
