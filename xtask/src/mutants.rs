@@ -57,7 +57,7 @@ fn install() -> Result<()> {
 /// Fails if an exclusion does not match exactly one mutant: it is out of date, or it excuses more than its reason covers.
 fn check_exclusions(folder: &Path) -> Result<()> {
     let mut list = command::cargo();
-    list.current_dir(folder).args(["mutants", "--no-config", "--list"]);
+    list.current_dir(folder).args(["mutants", "--no-config", "--list", "--colors", "never"]);
     let mutants = command::output(list.args(["--file", "src/safety/*.rs"]))?;
     let patterns: Vec<String> = mutants.lines().filter_map(pattern_of).collect();
     let config = fs::read_to_string(paths::root().join(CONFIG)).context(CONFIG)?;
