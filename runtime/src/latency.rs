@@ -1,4 +1,5 @@
-//! Percentiles of durations, in memory of constant size. The runtime reads no clock, so the caller measures the durations.
+//! Percentiles of durations, in memory of constant size. The runtime reads no clock, so the caller
+//! measures the durations.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,8 +12,8 @@ pub struct Percentiles {
     pub max: f64,
 }
 
-/// Counts durations in log-linear buckets like HdrHistogram, with 64 buckets per octave. A percentile is within 0.8 % of the
-/// exact one.
+/// Counts durations in log-linear buckets like HdrHistogram, with 64 buckets per octave. A
+/// percentile is within 0.8 % of the exact one.
 #[derive(Debug, Clone)]
 pub struct LatencyHistogram {
     counts: Vec<u64>,
@@ -39,8 +40,8 @@ impl LatencyHistogram {
         self.max_ns = self.max_ns.max(duration_ns);
     }
 
-    /// The duration, nanoseconds, that a share `quantile` of all durations does not exceed (nearest rank); `None` if no
-    /// duration was recorded.
+    /// The duration, nanoseconds, that a share `quantile` of all durations does not exceed (nearest
+    /// rank); `None` if no duration was recorded.
     #[must_use]
     pub fn quantile_ns(&self, quantile: f64) -> Option<u64> {
         let rank = ((quantile * self.total as f64).ceil() as u64).clamp(1, self.total.max(1));
@@ -67,7 +68,8 @@ fn milliseconds(ns: u64) -> f64 {
     ns as f64 / 1e6
 }
 
-/// Index of a duration's bucket. Durations below 64 ns have one bucket each; above, each octave has 64 equal buckets.
+/// Index of a duration's bucket. Durations below 64 ns have one bucket each; above, each octave has
+/// 64 equal buckets.
 fn bucket(ns: u64) -> usize {
     if ns < PER_OCTAVE {
         return ns as usize;

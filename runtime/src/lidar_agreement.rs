@@ -1,6 +1,7 @@
-//! The agreement of the depth with the safety LiDAR while the robot drives. The LiDAR measures metric depth along one line of
-//! each frame. The result is for status output and for the trial of a new model. It uses no ground truth of a simulator, and
-//! it does not influence where the robot drives.
+//! The agreement of the depth with the safety LiDAR while the robot drives. The LiDAR measures
+//! metric depth along one line of each frame. The result is for status output and for the trial of
+//! a new model. It uses no ground truth of a simulator, and it does not influence where the robot
+//! drives.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +11,8 @@ use crate::tick::TickInput;
 
 /// Edges of the distance bins, metres.
 pub const DISTANCES_M: [f32; 3] = [1.0, 2.0, 4.0];
-/// Time constant of the exponential average: after this many frames (one minute at 10 Hz) a frame's weight has fallen to 1/e.
+/// Time constant of the exponential average: after this many frames (one minute at 10 Hz) a frame's
+/// weight has fallen to 1/e.
 const MEMORY_FRAMES: f64 = 600.0;
 
 /// Agreement of the depth with the LiDAR in one range of distances, or in all.
@@ -25,7 +27,8 @@ pub struct LineAccuracy {
     pub pixels: f64,
     /// Share of the compared pixels that have a depth.
     pub share: f64,
-    /// Share of the pixels with a depth whose depth is within a factor of 1.25 of the LiDAR's, without scaling.
+    /// Share of the pixels with a depth whose depth is within a factor of 1.25 of the LiDAR's,
+    /// without scaling.
     pub delta1: f64,
     /// Geometric mean of the depth divided by the LiDAR's depth: above 1 the depth is too large.
     pub scale: f64,
@@ -91,15 +94,16 @@ impl LidarAgreement {
         Self { view, bins: Default::default() }
     }
 
-    /// Compares the depth of a tick's frame with the tick's scan, if both exist and their times agree. Call it after the
-    /// robot has processed the tick.
+    /// Compares the depth of a tick's frame with the tick's scan, if both exist and their times
+    /// agree. Call it after the robot has processed the tick.
     pub fn observe(&mut self, input: &TickInput<'_>, depth: Option<&DepthEstimate>) {
         if let Some(depth) = depth {
             self.add(depth, &self.view.of_turn(input));
         }
     }
 
-    /// Adds the depth of one frame and the LiDAR's depth at some of its pixels. Without LiDAR pixels nothing changes.
+    /// Adds the depth of one frame and the LiDAR's depth at some of its pixels. Without LiDAR
+    /// pixels nothing changes.
     pub fn add(&mut self, estimate: &DepthEstimate, line: &[LinePoint]) {
         if line.is_empty() {
             return;
@@ -121,7 +125,8 @@ impl LidarAgreement {
         self.bins.iter().fold(Bin::default(), |sum, bin| sum.plus(*bin)).accuracy(0.0, None)
     }
 
-    /// The agreement in each range of distances, the nearest first. Ranges without compared pixels are left out.
+    /// The agreement in each range of distances, the nearest first. Ranges without compared pixels
+    /// are left out.
     #[must_use]
     pub fn by_distance(&self) -> Vec<LineAccuracy> {
         let ends = DISTANCES_M.iter().copied().map(Some).chain([None]);

@@ -1,7 +1,8 @@
 //! Line and branch coverage of the safety plane by its own tests.
 //!
-//! The compiler inserts counters, and LLVM's tools of the same version read them. Branch coverage is an unstable option, which
-//! the stable compiler accepts with `RUSTC_BOOTSTRAP`. Lines of tests are not counted.
+//! The compiler inserts counters, and LLVM's tools of the same version read them. Branch coverage
+//! is an unstable option, which the stable compiler accepts with `RUSTC_BOOTSTRAP`. Lines of tests
+//! are not counted.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -45,7 +46,8 @@ pub fn run() -> Result<()> {
 /// Builds the test executable with counters and returns its path, which cargo reports as JSON.
 fn build(safety: &Path) -> Result<PathBuf> {
     let mut cargo = command::cargo();
-    // A target directory of its own, because some crates are rebuilt whenever `RUSTC_BOOTSTRAP` changes.
+    // A target directory of its own, because some crates are rebuilt whenever `RUSTC_BOOTSTRAP`
+    // changes.
     cargo
         .current_dir(safety)
         .env("RUSTC_BOOTSTRAP", "1")
@@ -75,8 +77,8 @@ struct Llvm {
 }
 
 impl Llvm {
-    /// Finds the tools in rustup's component `llvm-tools` or in Debian's package. They must have the compiler's LLVM version;
-    /// other versions cannot read its counters.
+    /// Finds the tools in rustup's component `llvm-tools` or in Debian's package. They must have
+    /// the compiler's LLVM version; other versions cannot read its counters.
     fn find() -> Result<Self> {
         let about = command::output(Command::new("rustc").arg("-vV"))?;
         let major = field(&about, "LLVM version:").split('.').next().unwrap_or_default();

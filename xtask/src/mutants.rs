@@ -1,4 +1,5 @@
-//! Mutation tests of the safety plane: every mutant must fail a test of the safety plane's own folder.
+//! Mutation tests of the safety plane: every mutant must fail a test of the safety plane's own
+//! folder.
 
 use std::fs;
 use std::path::Path;
@@ -7,16 +8,18 @@ use anyhow::{Context, Result, bail, ensure};
 
 use crate::{command, paths, safety_alone};
 
-/// This version of cargo-mutants is installed if there is none. Any other version that is installed already is used.
+/// This version of cargo-mutants is installed if there is none. Any other version that is installed
+/// already is used.
 const VERSION: &str = "27.1.0";
 /// The mutants that may survive, each with a reason.
 const CONFIG: &str = ".cargo/mutants.toml";
 
-/// Runs all mutants; `arguments` are passed on to `cargo mutants`. It takes about an hour on one core.
+/// Runs all mutants; `arguments` are passed on to `cargo mutants`. It takes about an hour on one
+/// core.
 ///
 /// # Errors
-/// If cargo-mutants cannot be installed, an exclusion in `.cargo/mutants.toml` does not match exactly one mutant, or a mutant
-/// survives that is not excluded there.
+/// If cargo-mutants cannot be installed, an exclusion in `.cargo/mutants.toml` does not match
+/// exactly one mutant, or a mutant survives that is not excluded there.
 pub fn run(arguments: &[String]) -> Result<()> {
     if !command::works(command::cargo().args(["mutants", "--version"])) {
         install()?;
@@ -43,7 +46,8 @@ pub fn run(arguments: &[String]) -> Result<()> {
         missed.is_empty(),
         "no test fails with these mutants, and {CONFIG} does not exclude them:\n{missed}"
     );
-    // Exit code 3: some mutants timed out, which counts as detected. The code does not depend on missed mutants.
+    // Exit code 3: some mutants timed out, which counts as detected. The code does not depend on
+    // missed mutants.
     ensure!(matches!(status.code(), Some(0 | 3)), "`cargo mutants` failed ({status})");
     Ok(())
 }
@@ -54,7 +58,8 @@ fn install() -> Result<()> {
     command::run(install.arg("--root").arg(paths::target().join("tools")))
 }
 
-/// Fails if an exclusion does not match exactly one mutant: it is out of date, or it excuses more than its reason covers.
+/// Fails if an exclusion does not match exactly one mutant: it is out of date, or it excuses more
+/// than its reason covers.
 fn check_exclusions(folder: &Path) -> Result<()> {
     let mut list = command::cargo();
     list.current_dir(folder).args(["mutants", "--no-config", "--list", "--colors", "never"]);

@@ -1,7 +1,8 @@
 //! Copies the safety plane into a crate of its own under the target directory.
 //!
-//! `safety/` needs only `hal`, the types of `event.rs`, and `snapshot.rs`. A build of this crate with its tests takes two
-//! seconds. A build of the whole `runtime` crate for each of hundreds of mutants would take days.
+//! `safety/` needs only `hal`, the types of `event.rs`, and `snapshot.rs`. A build of this crate
+//! with its tests takes two seconds. A build of the whole `runtime` crate for each of hundreds of
+//! mutants would take days.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -41,7 +42,8 @@ pub mod perception {
 }
 ";
 
-/// Copies the current sources into the folder `name` under the target directory and returns its path.
+/// Copies the current sources into the folder `name` under the target directory and returns its
+/// path.
 pub fn make(name: &str) -> Result<PathBuf> {
     let to = paths::target().join(name);
     let source = paths::root().join("runtime/src");
@@ -60,8 +62,8 @@ pub fn make(name: &str) -> Result<PathBuf> {
 fn copy_safety(from: &Path, to: &Path) -> Result<()> {
     for entry in fs::read_dir(from)? {
         let path = entry?.path();
-        // The exhaustive search is shallower than in the ordinary tests, to save time. A mutant that only the deeper search
-        // detects counts as missed.
+        // The exhaustive search is shallower than in the ordinary tests, to save time. A mutant
+        // that only the deeper search detects counts as missed.
         let text =
             fs::read_to_string(&path)?.replace("const DEPTH: u32 = 8;", "const DEPTH: u32 = 5;");
         fs::write(to.join(path.file_name().unwrap_or_default()), text)?;

@@ -8,7 +8,8 @@ struct Entry {
     expires_ns: u64,
 }
 
-/// Places that were given up, each with an expiry time: a door may open, a chair may move, the map may improve.
+/// Places that were given up, each with an expiry time: a door may open, a chair may move, the map
+/// may improve.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Blacklist {
     entries: Vec<Entry>,

@@ -8,10 +8,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::planning::Primitive;
 
-/// Rotation steps to the right of `forward` after a collision: 5 steps of 2 degrees (released code of the paper,
-/// `ForwardAgent`).
+/// Rotation steps to the right of `forward` after a collision: 5 steps of 2 degrees (released code
+/// of the paper, `ForwardAgent`).
 const FORWARD_ROTATIONS: usize = 5;
-/// Steps in each half of one of `heuristic`'s three moves (released code of the paper, `HeuristicRandomAgent`).
+/// Steps in each half of one of `heuristic`'s three moves (released code of the paper,
+/// `HeuristicRandomAgent`).
 const HEURISTIC_STEPS: usize = 8;
 
 /// A policy without a map, with its state.
@@ -19,7 +20,8 @@ const HEURISTIC_STEPS: usize = 8;
 pub enum BlindPolicy {
     /// Each frame one step forward, left or right, each with probability 1/3.
     Random,
-    /// Moves of 16 steps: 8 left + 8 forward, 8 right + 8 forward, or 16 forward, each with probability 1/3.
+    /// Moves of 16 steps: 8 left + 8 forward, 8 right + 8 forward, or 16 forward, each with
+    /// probability 1/3.
     Heuristic {
         /// Remaining steps of the current move.
         queue: VecDeque<Primitive>,

@@ -14,7 +14,8 @@ use hal::{Pose2, wrap_angle};
 const FRONTIER_BONUS: f64 = 0.5;
 /// Frontier length beyond this does not count, metres.
 const LONGEST_FRONTIER_M: f64 = 4.0;
-/// A rotation by one radian costs as much as this many metres of path: at 0.3 m/s and 20 degrees/s it takes as long.
+/// A rotation by one radian costs as much as this many metres of path: at 0.3 m/s and 20 degrees/s
+/// it takes as long.
 const ROTATION_COST_M: f64 = 0.86;
 
 /// A place that the robot might choose as its goal.
@@ -72,7 +73,8 @@ pub(super) fn select_best(
     chosen.ok_or(NoGoalReason::AllUnreachable)
 }
 
-/// Cost of a candidate in metres of path: path length and initial rotation, minus the bonus for a long frontier.
+/// Cost of a candidate in metres of path: path length and initial rotation, minus the bonus for a
+/// long frontier.
 fn cost(candidate: &Candidate, travel_m: f64, pose: &Pose2) -> f64 {
     let bearing = (candidate.target_m[1] - pose.y_m).atan2(candidate.target_m[0] - pose.x_m);
     let rotation_rad = wrap_angle(bearing - pose.yaw_rad).abs();
@@ -80,7 +82,8 @@ fn cost(candidate: &Candidate, travel_m: f64, pose: &Pose2) -> f64 {
         - FRONTIER_BONUS * candidate.size_m.min(LONGEST_FRONTIER_M)
 }
 
-/// Of the reachable places, the one that is farthest from the robot's recent positions and not on the blacklist.
+/// Of the reachable places, the one that is farthest from the robot's recent positions and not on
+/// the blacklist.
 pub(super) fn select_revisit(
     places_m: &[[f64; 2]],
     recent_positions_m: &VecDeque<[f64; 2]>,

@@ -1,4 +1,5 @@
-//! The exploration policy: chooses goals, plans and follows paths, gives goals up, and reports each decision as an event.
+//! The exploration policy: chooses goals, plans and follows paths, gives goals up, and reports each
+//! decision as an event.
 
 use std::collections::VecDeque;
 
@@ -18,16 +19,17 @@ use crate::planning::{
 };
 use crate::snapshot::remembers;
 
-/// Ticks until the next attempt to choose a goal when there is none: one move of the heuristic policy, which drives
-/// meanwhile.
+/// Ticks until the next attempt to choose a goal when there is none: one move of the heuristic
+/// policy, which drives meanwhile.
 const RETRY_TICKS: u64 = 16;
 /// Ticks between two recorded positions, and the number of positions kept: the last 100 s at 10 Hz.
 const POSITION_EVERY_TICKS: u64 = 10;
 const POSITION_COUNT: usize = 100;
-/// A frontier still exists while unknown floor meets free floor within this distance of its centroid, metres.
+/// A frontier still exists while unknown floor meets free floor within this distance of its
+/// centroid, metres.
 const FRONTIER_RADIUS_M: f64 = 0.45;
-/// Number of places drawn at random when nothing is left to explore; the one farthest from the robot's recent positions is
-/// chosen.
+/// Number of places drawn at random when nothing is left to explore; the one farthest from the
+/// robot's recent positions is chosen.
 const REVISIT_DRAWS: usize = 16;
 
 /// The policy's inputs of one tick.
@@ -49,7 +51,8 @@ pub struct Explorer {
     kind: PolicyKind,
     config: ExplorationConfig,
     rng: Pcg64Mcg,
-    /// The policy itself if it is a blind one; otherwise the policy that drives while there is no goal.
+    /// The policy itself if it is a blind one; otherwise the policy that drives while there is no
+    /// goal.
     blind: BlindPolicy,
     warm_up: BlindPolicy,
     mode: GoalReason,
@@ -150,7 +153,8 @@ impl Explorer {
         }
     }
 
-    /// The `active` policy alternates: by default 800 frames of frontiers, then 400 frames of inconsistencies.
+    /// The `active` policy alternates: by default 800 frames of frontiers, then 400 frames of
+    /// inconsistencies.
     fn update_mode(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
         let budget = match (self.kind, self.mode) {
             (PolicyKind::Active, GoalReason::Frontier) => self.config.frontier_frames,
@@ -217,8 +221,8 @@ impl Explorer {
         self.blacklist.add(place_m, senses.time_ns + expiry_ns);
     }
 
-    /// Chooses a goal: of the mode's own kind first, then of the other kind, then a frontier behind doubtful obstacles, then
-    /// any reachable place.
+    /// Chooses a goal: of the mode's own kind first, then of the other kind, then a frontier behind
+    /// doubtful obstacles, then any reachable place.
     fn choose_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
         match self.select_goal(senses, events) {
             Some((target_m, interest_m, why)) => {
@@ -250,7 +254,8 @@ impl Explorer {
         for kind in kinds {
             let (candidates, none) = match (kind, senses.looks) {
                 (GoalReason::Inconsistency, Some((new, old))) => {
-                    // The largest one, not the nearest ("Embodied Depth Prediction", section III-D).
+                    // The largest one, not the nearest ("Embodied Depth Prediction", section
+                    // III-D).
                     let largest = survey.inconsistencies(new, old).into_iter().find(|place| {
                         let radius_m = self.config.blacklist_radius_m;
                         place.travel_m.is_some()
@@ -341,7 +346,8 @@ impl Explorer {
         events.push(Event::GoalReached);
         let Some(goal) = self.goal else { return };
         self.forget_goal();
-        // A place that is still unknown when the robot stands in front of it stays unknown: explore elsewhere for a while.
+        // A place that is still unknown when the robot stands in front of it stays unknown: explore
+        // elsewhere for a while.
         self.blacklist_place(goal.interest_m, senses);
     }
 }
@@ -371,7 +377,8 @@ mod tests {
     use hal::{LaserScan, Range, ScanGeometry};
     use rand::SeedableRng;
 
-    /// Integrates two scans from the origin, forward and backward; `range_m` gives the range at a bearing.
+    /// Integrates two scans from the origin, forward and backward; `range_m` gives the range at a
+    /// bearing.
     fn look_around(map: &mut OccupancyGrid, range_m: impl Fn(f64) -> f32) {
         let geometry = ScanGeometry::UTM_30LX;
         for yaw_rad in [0.0, std::f64::consts::PI] {

@@ -12,7 +12,8 @@ const PROGRESS_M: f64 = 0.1;
 pub struct Goal {
     /// Where to drive: free floor in `odom`, metres.
     pub target_m: [f64; 2],
-    /// The place to observe from there (the frontier's centroid, the inconsistent place), in `odom`, metres.
+    /// The place to observe from there (the frontier's centroid, the inconsistent place), in
+    /// `odom`, metres.
     pub interest_m: [f64; 2],
     pub why: GoalReason,
     chosen_ns: u64,
@@ -50,8 +51,8 @@ impl Goal {
         }
     }
 
-    /// Restarts the distance comparison because the path has changed: a detour may be longer. The time of the last progress
-    /// stays.
+    /// Restarts the distance comparison because the path has changed: a detour may be longer. The
+    /// time of the last progress stays.
     pub fn restart_progress(&mut self) {
         self.nearest_m = f64::INFINITY;
     }

@@ -1,9 +1,10 @@
 //! Exploration policies: which motion primitive the robot drives next.
 //!
-//! [`Explorer::step`] answers this once per tick from the pose, the occupancy map and the newest single-frame maps. The
-//! goal-driven policies choose a goal (a frontier or an inconsistent place), plan a path to it with [`crate::planning`],
-//! follow the path, and give the goal up when it is blocked, unreachable or takes too long. Every choice and every dropped
-//! goal is reported as an event with its reason. The blind policies are the paper's baselines: they use only the bumper.
+//! [`Explorer::step`] answers this once per tick from the pose, the occupancy map and the newest
+//! single-frame maps. The goal-driven policies choose a goal (a frontier or an inconsistent place),
+//! plan a path to it with [`crate::planning`], follow the path, and give the goal up when it is
+//! blocked, unreachable or takes too long. Every choice and every dropped goal is reported as an
+//! event with its reason. The blind policies are the paper's baselines: they use only the bumper.
 //!
 //! | file | what it answers |
 //! |---|---|

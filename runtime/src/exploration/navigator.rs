@@ -10,8 +10,8 @@ use crate::mapping::{
 };
 use crate::planning::{ConfigError, Costmap, NoPath, PlanConfig, Planner, Reach};
 
-/// A frontier's approach cell may lie in an obstacle's margin. The nearest reachable cell within this radius replaces it,
-/// metres.
+/// A frontier's approach cell may lie in an obstacle's margin. The nearest reachable cell within
+/// this radius replaces it, metres.
 const APPROACH_RADIUS_M: f64 = 0.5;
 /// An inconsistent place is observed from reachable floor at most this far away, metres.
 const VIEWPOINT_RADIUS_M: f64 = 1.5;
@@ -47,8 +47,8 @@ impl Navigator {
         })
     }
 
-    /// Computes the costmap, the frontiers and the distance to every reachable cell. Occupied cells with at most
-    /// `doubtful_log_odds` count as unknown.
+    /// Computes the costmap, the frontiers and the distance to every reachable cell. Occupied cells
+    /// with at most `doubtful_log_odds` count as unknown.
     pub(super) fn survey(
         &mut self,
         map: &OccupancyGrid,
@@ -62,7 +62,8 @@ impl Navigator {
         Ok(Survey { reach, frontiers: &self.frontiers, cell_m: map.cell_m() })
     }
 
-    /// The path to a place in `odom` as corner points, metres; `doubtful_log_odds` as for [`survey`](Self::survey).
+    /// The path to a place in `odom` as corner points, metres; `doubtful_log_odds` as for
+    /// [`survey`](Self::survey).
     pub(super) fn plan(
         &mut self,
         map: &OccupancyGrid,
@@ -97,8 +98,8 @@ impl Survey<'_> {
             .collect()
     }
 
-    /// Places about which two single-frame maps disagree, the largest first, each with a viewpoint and the length of the
-    /// path to it.
+    /// Places about which two single-frame maps disagree, the largest first, each with a viewpoint
+    /// and the length of the path to it.
     pub(super) fn inconsistencies(
         &self,
         new: &SingleFrameMap,

@@ -97,13 +97,15 @@ fn bits_of(values: &[f32], test: impl Fn(f32) -> bool) -> u64 {
     }
     let mut bits = 0;
     for (at, eight) in flags.as_chunks::<8>().0.iter().enumerate() {
-        // The multiplication collects the lowest bits of 8 bytes: byte k becomes bit k of the top byte, and no sum carries.
+        // The multiplication collects the lowest bits of 8 bytes: byte k becomes bit k of the top
+        // byte, and no sum carries.
         bits |= (u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * at);
     }
     bits
 }
 
-/// Writes the row dilated by one cell: a bit is set if it or its left or right neighbour is set in `row`.
+/// Writes the row dilated by one cell: a bit is set if it or its left or right neighbour is set in
+/// `row`.
 pub(super) fn widen(row: &[u64], out: &mut [u64]) {
     for (at, wide) in out.iter_mut().enumerate() {
         let word = row[at];

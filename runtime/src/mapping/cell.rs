@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A square of the `odom` plane: column `x` covers `[x, x + 1) * cell_m`, row `y` likewise. Indices are absolute, so a cell
-/// keeps its index when the map window moves with the robot.
+/// A square of the `odom` plane: column `x` covers `[x, x + 1) * cell_m`, row `y` likewise. Indices
+/// are absolute, so a cell keeps its index when the map window moves with the robot.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize,
 )]
@@ -21,8 +21,8 @@ impl Cell {
         Self { y, x }
     }
 
-    /// The cell that contains a point, metres. The caller must refuse points that are not finite or out of reach; here they
-    /// saturate.
+    /// The cell that contains a point, metres. The caller must refuse points that are not finite or
+    /// out of reach; here they saturate.
     #[must_use]
     pub fn containing(x_m: f64, y_m: f64, cell_m: f64) -> Self {
         Self::new((x_m / cell_m).floor() as i32, (y_m / cell_m).floor() as i32)

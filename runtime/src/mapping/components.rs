@@ -1,5 +1,5 @@
-//! Connected components: 8-connected groups of cells. The algorithm first collects runs of neighbouring cells in each row and
-//! then unites touching runs of neighbouring rows.
+//! Connected components: 8-connected groups of cells. The algorithm first collects runs of
+//! neighbouring cells in each row and then unites touching runs of neighbouring rows.
 
 use super::Cell;
 use super::bits::BitPlane;
@@ -10,7 +10,8 @@ pub(super) struct Run {
     pub y: i32,
     pub first_x: i32,
     pub last_x: i32,
-    /// Index of the parent in the union-find forest. A root is its own parent and the first run of its group.
+    /// Index of the parent in the union-find forest. A root is its own parent and the first run of
+    /// its group.
     parent: u32,
 }
 
@@ -46,7 +47,8 @@ pub(super) struct Components {
 }
 
 impl Components {
-    /// Finds all groups of a set; [`groups`](Self::groups) and [`runs`](Self::runs) return the result.
+    /// Finds all groups of a set; [`groups`](Self::groups) and [`runs`](Self::runs) return the
+    /// result.
     pub fn find(&mut self, plane: &BitPlane) {
         self.runs.clear();
         let mut above = 0..0;
@@ -78,7 +80,8 @@ impl Components {
         self.runs.iter().map(|run| (run, self.group_index[run.parent as usize] as usize))
     }
 
-    /// Unites the runs of one row with the runs of the next row that touch them, including diagonally.
+    /// Unites the runs of one row with the runs of the next row that touch them, including
+    /// diagonally.
     fn join(&mut self, above: core::ops::Range<usize>, here: core::ops::Range<usize>) {
         let mut a = above.start;
         let mut b = here.start;
@@ -111,7 +114,8 @@ impl Components {
     fn unite(&mut self, a: u32, b: u32) {
         let root_a = self.root(a);
         let root_b = self.root(b);
-        // The earlier run becomes the root, so the order of groups does not depend on the order of unions.
+        // The earlier run becomes the root, so the order of groups does not depend on the order of
+        // unions.
         self.runs[root_a.max(root_b) as usize].parent = root_a.min(root_b);
     }
 

@@ -1,4 +1,5 @@
-//! Single-frame maps: the occupancy of the cells in front of the camera according to one depth frame.
+//! Single-frame maps: the occupancy of the cells in front of the camera according to one depth
+//! frame.
 
 use hal::{CameraModel, Pose3};
 use serde::{Deserialize, Serialize};
@@ -13,8 +14,8 @@ pub struct FrameCell {
     pub cell: Cell,
     /// Log-odds to add: positive for occupied, negative for free, never 0.
     pub evidence: f32,
-    /// Metres above the floor. Of an occupied cell: its highest observed point. Of a free cell: the lowest ray that passed
-    /// through it.
+    /// Metres above the floor. Of an occupied cell: its highest observed point. Of a free cell: the
+    /// lowest ray that passed through it.
     pub height_m: f32,
 }
 
@@ -25,7 +26,8 @@ impl FrameCell {
     }
 }
 
-/// The cells that one depth frame observes, row by row. It is small enough to keep a history of frames.
+/// The cells that one depth frame observes, row by row. It is small enough to keep a history of
+/// frames.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct SingleFrameMap {
     /// Sorted by cell, each cell once.
@@ -45,9 +47,10 @@ impl SingleFrameMap {
 
 /// Converts depth frames to [`SingleFrameMap`]s and reuses its buffers.
 ///
-/// Pixels with enough confidence become points. Points within the height band are obstacles, and a cell with enough obstacle
-/// points is occupied. A cell is free if, at its bearing, enough pixels see something farther away and no obstacle of this
-/// frame stands in between. Bearings are bins as wide as a used column of the image.
+/// Pixels with enough confidence become points. Points within the height band are obstacles, and a
+/// cell with enough obstacle points is occupied. A cell is free if, at its bearing, enough pixels
+/// see something farther away and no obstacle of this frame stands in between. Bearings are bins as
+/// wide as a used column of the image.
 #[derive(Debug, Clone)]
 pub struct FrameMapper {
     config: MapConfig,
@@ -146,11 +149,12 @@ impl FrameMapper {
         })
     }
 
-    /// Writes the single-frame map of `estimate`, taken at `t_odom_camera`, to `out`. The floor is at height 0 of `odom`.
+    /// Writes the single-frame map of `estimate`, taken at `t_odom_camera`, to `out`. The floor is
+    /// at height 0 of `odom`.
     ///
     /// # Errors
-    /// If the pose is not finite or out of reach, the sizes do not agree, the camera model is invalid, or the camera looks
-    /// straight up or down. `out` is then empty.
+    /// If the pose is not finite or out of reach, the sizes do not agree, the camera model is
+    /// invalid, or the camera looks straight up or down. `out` is then empty.
     pub fn map(
         &mut self,
         estimate: &DepthEstimate,
@@ -217,7 +221,8 @@ impl FrameMapper {
                 if let Some(bearing_points) = self.bearings.get_mut(ray.bearing as usize) {
                     bearing_points.points += 1;
                     bearing_points.confidence += confidence;
-                    // A ray that leaves the height band before its point has not observed the band beyond that range.
+                    // A ray that leaves the height band before its point has not observed the band
+                    // beyond that range.
                     let seen_m = range_m.min(ray.leaves_band_m);
                     let interval =
                         ((seen_m * cells_per_m) as i32 as usize).min(self.range_bins - 1);
@@ -261,8 +266,8 @@ impl FrameMapper {
         }
     }
 
-    /// Decides up to which range a bearing is free: up to the range that enough points reach, but less than the range of
-    /// enough obstacle points.
+    /// Decides up to which range a bearing is free: up to the range that enough points reach, but
+    /// less than the range of enough obstacle points.
     fn free_range(&self, bearing: usize) -> FreeRange {
         let config = &self.config;
         let bearing_points = &self.bearings[bearing];
@@ -329,13 +334,14 @@ impl FrameMapper {
         }
     }
 
-    /// Fills `polar_row` for row `y` of the square. The loop has no branches, so that the compiler can vectorise it.
+    /// Fills `polar_row` for row `y` of the square. The loop has no branches, so that the compiler
+    /// can vectorise it.
     fn fill_polar_row(&mut self, camera: &CameraModel, view: &View, y: usize) {
         let cell_m = self.config.cell_m as f32;
         let per_bearing = 1.0 / self.config.stride_u as f32;
         let focal = camera.fx as f32 * per_bearing;
-        // The conversion to an integer rounds towards 0. Adding 1 here and subtracting it below keeps cells to the left of
-        // the first bin out of that bin.
+        // The conversion to an integer rounds towards 0. Adding 1 here and subtracting it below
+        // keeps cells to the left of the first bin out of that bin.
         let center = (camera.cx as f32 + 0.5) * per_bearing + 1.0;
         let dy = (y as f32 + 0.5) * cell_m - view.y_m;
         let [hx, hy] = view.heading;
@@ -344,7 +350,8 @@ impl FrameMapper {
             let forward_m = dx * hx + dy * hy;
             let right_m = dx * hy - dy * hx;
             polar.range2 = if forward_m > 0.0 { dx * dx + dy * dy } else { f32::INFINITY };
-            // Beside the camera the quotient grows without bound. Any value outside of the image is correct there.
+            // Beside the camera the quotient grows without bound. Any value outside of the image is
+            // correct there.
             polar.bearing = (center + focal * right_m / forward_m).max(-1e6) as i32 - 1;
         }
     }

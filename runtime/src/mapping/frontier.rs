@@ -11,14 +11,16 @@ pub struct Frontier {
     pub cells: usize,
     /// Centroid of the cells in `odom`, metres. It may lie inside a wall or behind one.
     pub centroid_m: [f64; 2],
-    /// The free cell next to the group that is nearest to the centroid: the robot observes the frontier from there.
+    /// The free cell next to the group that is nearest to the centroid: the robot observes the
+    /// frontier from there.
     pub approach: Cell,
 }
 
-/// Finds frontiers (Yamauchi 1997, "A frontier-based approach for autonomous exploration") and reuses its buffers.
+/// Finds frontiers (Yamauchi 1997, "A frontier-based approach for autonomous exploration") and
+/// reuses its buffers.
 ///
-/// A frontier cell is unknown and has a free cell among its 8 neighbours. Frontier cells form 8-connected groups, and groups
-/// of at most `min_cells` cells are noise (20 in the paper's code).
+/// A frontier cell is unknown and has a free cell among its 8 neighbours. Frontier cells form
+/// 8-connected groups, and groups of at most `min_cells` cells are noise (20 in the paper's code).
 #[derive(Debug, Clone, Default)]
 pub struct FrontierFinder {
     free: BitPlane,
@@ -33,7 +35,8 @@ impl FrontierFinder {
     /// Value of `min_cells` in the paper's code.
     pub const MIN_CELLS: usize = 20;
 
-    /// Writes all groups of more than `min_cells` cells into `found`, in the order of their first cells, row by row.
+    /// Writes all groups of more than `min_cells` cells into `found`, in the order of their first
+    /// cells, row by row.
     pub fn find(&mut self, grid: &OccupancyGrid, min_cells: usize, found: &mut Vec<Frontier>) {
         found.clear();
         let Some(cells) =
@@ -86,8 +89,8 @@ impl FrontierFinder {
     }
 }
 
-/// For every group of more than `min_cells` cells, the free cell next to it that is nearest to its centroid; of several
-/// equally near ones, the first in row order.
+/// For every group of more than `min_cells` cells, the free cell next to it that is nearest to its
+/// centroid; of several equally near ones, the first in row order.
 fn approach_cells(
     components: &Components,
     free: &BitPlane,

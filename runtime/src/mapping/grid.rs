@@ -8,21 +8,22 @@ use super::{Cell, CellBox, CellState, FrameMapper, MapConfig, MapError, SingleFr
 use crate::perception::DepthEstimate;
 use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 
-/// Largest distance from the origin of `odom` at which f32 metres are still accurate enough for cells.
+/// Largest distance from the origin of `odom` at which f32 metres are still accurate enough for
+/// cells.
 const REACH_M: f64 = 100_000.0;
-/// The log-odds of a known cell never come closer to 0 than this: decay reduces the certainty of a cell, but the cell stays
-/// free or occupied.
+/// The log-odds of a known cell never come closer to 0 than this: decay reduces the certainty of a
+/// cell, but the cell stays free or occupied.
 const FAINTEST: f32 = 1e-20;
-/// The common factor is multiplied into the cells when it becomes smaller than this: about every 2,000 updates at a decay of
-/// 0.98.
+/// The common factor is multiplied into the cells when it becomes smaller than this: about every
+/// 2,000 updates at a decay of 0.98.
 const RENORMALISE_BELOW: f64 = 1e-18;
 
 /// An occupancy grid in `odom` whose window follows the robot.
 ///
-/// Every cell holds log-odds: exactly 0 is unknown, above 0 occupied, below 0 free. Cells are stored divided by a common
-/// factor, so that the decay of all cells at each update is a single multiplication of that factor. The evidence of one
-/// update is collected and applied at its end: `l <- clamp(decay * l + evidence)`, where an occupied observation of a cell
-/// wins over free ones.
+/// Every cell holds log-odds: exactly 0 is unknown, above 0 occupied, below 0 free. Cells are
+/// stored divided by a common factor, so that the decay of all cells at each update is a single
+/// multiplication of that factor. The evidence of one update is collected and applied at its end:
+/// `l <- clamp(decay * l + evidence)`, where an occupied observation of a cell wins over free ones.
 #[derive(Debug, Clone)]
 pub struct OccupancyGrid {
     pub(super) config: MapConfig,
@@ -34,8 +35,8 @@ pub struct OccupancyGrid {
     evidence: Vec<f32>,
     /// The cells with evidence.
     touched: Vec<Cell>,
-    /// Height of the obstacle in an occupied cell according to the camera, centimetres; 0 if only the LiDAR or a collision
-    /// marked it.
+    /// Height of the obstacle in an occupied cell according to the camera, centimetres; 0 if only
+    /// the LiDAR or a collision marked it.
     top_cm: Vec<u8>,
     /// The robot's cell and the radius of the floor that it stands on, in cells.
     standing: Option<(Cell, f64)>,
@@ -85,8 +86,8 @@ impl OccupancyGrid {
         })
     }
 
-    /// Begins an update with the robot at `t_odom_base`: moves the window if the robot has come close to its edge, and applies
-    /// the decay to all cells.
+    /// Begins an update with the robot at `t_odom_base`: moves the window if the robot has come
+    /// close to its edge, and applies the decay to all cells.
     ///
     /// # Errors
     /// If the pose is not finite or out of reach; the map is then unchanged.
@@ -105,7 +106,8 @@ impl OccupancyGrid {
         Ok(())
     }
 
-    /// Integrates a depth frame. Returns its single-frame map, for comparison with those of other frames.
+    /// Integrates a depth frame. Returns its single-frame map, for comparison with those of other
+    /// frames.
     ///
     /// # Errors
     /// As [`FrameMapper::map`]; the map is then unchanged.
@@ -145,7 +147,8 @@ impl OccupancyGrid {
         }
     }
 
-    /// Records an observation of a cell until the update is finished. The order of observations does not matter.
+    /// Records an observation of a cell until the update is finished. The order of observations
+    /// does not matter.
     pub(super) fn add_evidence(&mut self, cell: Cell, index: usize, evidence: f32) {
         let so_far = &mut self.evidence[index];
         if *so_far == 0.0 && evidence != 0.0 {
@@ -158,8 +161,9 @@ impl OccupancyGrid {
         }
     }
 
-    /// Marks an obstacle that the robot collided with: a segment across its heading, `ahead_m` in front of `t_odom_base`. The
-    /// mark stays until it expires, even if the camera or the LiDAR observes free floor there.
+    /// Marks an obstacle that the robot collided with: a segment across its heading, `ahead_m` in
+    /// front of `t_odom_base`. The mark stays until it expires, even if the camera or the LiDAR
+    /// observes free floor there.
     ///
     /// # Errors
     /// If the pose or the distance is not finite or out of reach.
@@ -182,7 +186,8 @@ impl OccupancyGrid {
         Ok(())
     }
 
-    /// Marks the floor under the robot as free: everything within `radius_m` of `t_odom_base` except collision marks.
+    /// Marks the floor under the robot as free: everything within `radius_m` of `t_odom_base`
+    /// except collision marks.
     ///
     /// # Errors
     /// If the pose or the radius is not finite or out of reach.
@@ -282,7 +287,8 @@ impl OccupancyGrid {
         self.scale = 1.0;
     }
 
-    /// Moves the window as little as necessary, because cells that leave it become unknown and are explored again.
+    /// Moves the window as little as necessary, because cells that leave it become unknown and are
+    /// explored again.
     fn recenter(&mut self, robot: Cell) {
         let old = self.window.center();
         let limit = self.config.follow_cells();
@@ -312,13 +318,15 @@ impl OccupancyGrid {
         self.window.index(cell)
     }
 
-    /// Whether the planar LiDAR may mark this cell as free: the cell is unknown, or the camera did not mark it as occupied.
+    /// Whether the planar LiDAR may mark this cell as free: the cell is unknown, or the camera did
+    /// not mark it as occupied.
     pub(super) fn lidar_may_clear(&self, index: usize) -> bool {
         let stored = self.stored[index];
         stored == 0.0 || (stored > 0.0 && self.top_cm[index] == 0)
     }
 
-    /// The stored values of row `y` from column `min_x` on, as one or two slices. The sign is the cell's state; 0 is unknown.
+    /// The stored values of row `y` from column `min_x` on, as one or two slices. The sign is the
+    /// cell's state; 0 is unknown.
     pub(crate) fn row(&self, y: i32, min_x: i32, width: usize) -> (&[f32], &[f32]) {
         self.window.row(&self.stored, y, min_x, width)
     }
@@ -394,13 +402,15 @@ impl OccupancyGrid {
         })
     }
 
-    /// Cells that became known in the last finished update, in the order in which they were written.
+    /// Cells that became known in the last finished update, in the order in which they were
+    /// written.
     #[must_use]
     pub fn newly_known(&self) -> &[Cell] {
         &self.newly_known
     }
 
-    /// First 8 bytes of the BLAKE3 digest of all cells that the last update wrote, with their new values.
+    /// First 8 bytes of the BLAKE3 digest of all cells that the last update wrote, with their new
+    /// values.
     #[must_use]
     pub fn changes_digest(&self) -> u64 {
         self.changes_digest

@@ -13,9 +13,9 @@ pub struct Inconsistency {
     pub centroid_m: [f64; 2],
 }
 
-/// Compares the maps of two frames. A cell is inconsistent if both maps know it and exactly one calls it occupied ("Embodied
-/// Depth Prediction", section III-D). Returns the 8-connected groups of such cells, the largest first; groups of equal size
-/// are in row order.
+/// Compares the maps of two frames. A cell is inconsistent if both maps know it and exactly one
+/// calls it occupied ("Embodied Depth Prediction", section III-D). Returns the 8-connected groups
+/// of such cells, the largest first; groups of equal size are in row order.
 #[must_use]
 pub fn inconsistencies(
     now: &SingleFrameMap,

@@ -1,8 +1,9 @@
 //! The local occupancy map around the robot, in `odom`.
 //!
-//! One update of the map consists of [`OccupancyGrid::begin_update`], any number of observations, and
-//! [`OccupancyGrid::finish_update`]. Observations only collect evidence and finishing applies it. So within one update an
-//! occupied observation of a cell wins over a free one, in whatever order they arrive.
+//! One update of the map consists of [`OccupancyGrid::begin_update`], any number of observations,
+//! and [`OccupancyGrid::finish_update`]. Observations only collect evidence and finishing applies
+//! it. So within one update an occupied observation of a cell wins over a free one, in whatever
+//! order they arrive.
 
 mod bits;
 mod cell;

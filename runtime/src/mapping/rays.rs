@@ -6,8 +6,9 @@ use super::{Cell, MapConfig, MapError};
 
 /// Bearing of rays that lie outside of the bearing bins, as rays of a tilted camera may.
 const NO_BEARING: u32 = u32::MAX;
-/// Directions and heights are rounded to this many steps per unit, so that the table stays valid while the camera only
-/// rotates about the vertical and moves on the floor. The rounding of 1e-6 is 0.02 mm at a distance of 20 m.
+/// Directions and heights are rounded to this many steps per unit, so that the table stays valid
+/// while the camera only rotates about the vertical and moves on the floor. The rounding of 1e-6 is
+/// 0.02 mm at a distance of 20 m.
 const STEPS_PER_UNIT: f64 = 1_048_576.0;
 
 /// The ray of a used pixel. Lengths are those for one metre of z-depth.
@@ -23,14 +24,15 @@ pub(super) struct Ray {
     pub range: f32,
     /// `rise / range`.
     pub slope: f32,
-    /// Range at which the ray meets the floor or leaves the height band upwards, metres (not per metre of depth).
+    /// Range at which the ray meets the floor or leaves the height band upwards, metres (not per
+    /// metre of depth).
     pub leaves_band_m: f32,
     /// Index of the bearing bin, or [`NO_BEARING`].
     pub bearing: u32,
 }
 
-/// The rays of all used pixels, row by row. They depend on the camera's intrinsics, tilt and height, but not on its position
-/// and heading in the plane.
+/// The rays of all used pixels, row by row. They depend on the camera's intrinsics, tilt and
+/// height, but not on its position and heading in the plane.
 #[derive(Debug, Clone, Default)]
 pub(super) struct RayTable {
     key: Option<(CameraModel, [[i32; 3]; 3], i32)>,
@@ -111,8 +113,8 @@ pub(super) struct View {
     pub height_m: f32,
     /// Unit vector of the optical axis in the plane.
     pub heading: [f32; 2],
-    /// The camera's x, y and z axes, each as components along the heading, to the right of it and up, in
-    /// 1 / [`STEPS_PER_UNIT`].
+    /// The camera's x, y and z axes, each as components along the heading, to the right of it and
+    /// up, in 1 / [`STEPS_PER_UNIT`].
     axes: [[i32; 3]; 3],
     height: i32,
 }

@@ -6,13 +6,15 @@ use super::grid::check_pose2;
 use super::{Cell, LidarUse, MapError, OccupancyGrid};
 
 impl OccupancyGrid {
-    /// Integrates a scan: hits within the range limit mark their cells as occupied, and the cells before a hit become free.
+    /// Integrates a scan: hits within the range limit mark their cells as occupied, and the cells
+    /// before a hit become free.
     ///
-    /// A planar scan observes one height only. So it clears cells that only the LiDAR marked, and never those that the camera
-    /// saw. "No return", "too near" and error beams carry no evidence.
+    /// A planar scan observes one height only. So it clears cells that only the LiDAR marked, and
+    /// never those that the camera saw. "No return", "too near" and error beams carry no evidence.
     ///
     /// # Errors
-    /// If the pose is not finite or out of reach, or the number of ranges differs from the number of beams.
+    /// If the pose is not finite or out of reach, or the number of ranges differs from the number
+    /// of beams.
     pub fn integrate_scan(
         &mut self,
         scan: &LaserScan,
@@ -45,8 +47,9 @@ impl OccupancyGrid {
         }
     }
 
-    /// Clears one line of cells for every group of neighbouring beams that are closer together than cells are. A line ends
-    /// before the shortest range of its group, and is left out if one of the beams is not a hit.
+    /// Clears one line of cells for every group of neighbouring beams that are closer together than
+    /// cells are. A line ends before the shortest range of its group, and is left out if one of the
+    /// beams is not a hit.
     fn clear_to_hits(&mut self, scan: &LaserScan, t_odom_laser: &Pose2) {
         let limit_m = self.config.lidar_range_m;
         let cell_m = self.config.cell_m;
@@ -95,7 +98,8 @@ pub(crate) fn cells_on_line(
     let end = Cell::containing(end_m[0], end_m[1], cell_m);
     let mut along_x = Crossings::new(start_m[0], end_m[0], cell.x, cell_m);
     let mut along_y = Crossings::new(start_m[1], end_m[1], cell.y, cell_m);
-    // The crossings of each axis are counted, so that the line ends in the right cell in spite of rounding.
+    // The crossings of each axis are counted, so that the line ends in the right cell in spite of
+    // rounding.
     let mut left_x = (end.x - cell.x).unsigned_abs();
     let mut left_y = (end.y - cell.y).unsigned_abs();
     (0..=left_x + left_y).map(move |_| {
@@ -113,7 +117,8 @@ pub(crate) fn cells_on_line(
     })
 }
 
-/// The crossings of a line segment with the cell edges of one axis, as shares of the segment's length.
+/// The crossings of a line segment with the cell edges of one axis, as shares of the segment's
+/// length.
 struct Crossings {
     /// Direction of the segment along the axis: +1 or -1.
     step: i32,

@@ -1,4 +1,5 @@
-//! Tests of the map in a synthetic home. The exact depth is computed by intersecting rays with boxes.
+//! Tests of the map in a synthetic home. The exact depth is computed by intersecting rays with
+//! boxes.
 
 use hal::{CameraModel, DepthMap, Pose2, Pose3, camera_mount};
 use nalgebra::Vector3;

@@ -1,5 +1,5 @@
-//! The square map window that moves with the robot. Cells keep their place in memory when the window moves, and the memory
-//! wraps around at its ends.
+//! The square map window that moves with the robot. Cells keep their place in memory when the
+//! window moves, and the memory wraps around at its ends.
 
 use serde::{Deserialize, Serialize};
 
@@ -63,8 +63,9 @@ impl CellBox {
     }
 }
 
-/// Maps the cells of a square window to memory. A cell's place is its column and row modulo the side, so moving the window
-/// moves no data: only the rows and columns that enter the window have to be cleared.
+/// Maps the cells of a square window to memory. A cell's place is its column and row modulo the
+/// side, so moving the window moves no data: only the rows and columns that enter the window have
+/// to be cleared.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Window {
     side: i32,
@@ -129,7 +130,8 @@ impl Window {
         (&data[start..start + first], &data[row_start..row_start + width - first])
     }
 
-    /// Moves the window to a new centre. Calls `clear` with each range of memory that now belongs to other cells.
+    /// Moves the window to a new centre. Calls `clear` with each range of memory that now belongs
+    /// to other cells.
     pub fn recenter(&mut self, center: Cell, mut clear: impl FnMut(core::ops::Range<usize>)) {
         let old = self.cells();
         let half = self.side / 2;

@@ -1,11 +1,13 @@
-//! Held-out frames: frames that no model is trained on, so that the robot can judge a model by them.
+//! Held-out frames: frames that no model is trained on, so that the robot can judge a model by
+//! them.
 //!
-//! Consecutive frames are nearly the same, so whole places are held out instead of single frames: bins of 1 m x 1 m and 45
-//! degrees of heading, in the odometry of the run. A hash of the bin's indices decides. The hash uses integer arithmetic and
-//! the indices take three IEEE operations, so `tools/trainer` (`held_out.py`) makes the same decision for every frame.
+//! Consecutive frames are nearly the same, so whole places are held out instead of single frames:
+//! bins of 1 m x 1 m and 45 degrees of heading, in the odometry of the run. A hash of the bin's
+//! indices decides. The hash uses integer arithmetic and the indices take three IEEE operations, so
+//! `tools/trainer` (`held_out.py`) makes the same decision for every frame.
 //!
-//! Limits: the odometry of another run has another origin, so a place that is held out in one run may be trained on in
-//! another run. Frames on both sides of a bin's edge look alike.
+//! Limits: the odometry of another run has another origin, so a place that is held out in one run
+//! may be trained on in another run. Frames on both sides of a bin's edge look alike.
 
 use std::f64::consts::TAU;
 
@@ -43,7 +45,8 @@ impl Default for HeldOutRule {
 }
 
 impl HeldOutRule {
-    /// The bin of the robot's pose (`base_link` in `odom`, as recorded); `None` for a pose that is not finite.
+    /// The bin of the robot's pose (`base_link` in `odom`, as recorded); `None` for a pose that is
+    /// not finite.
     #[must_use]
     pub fn bin(&self, odom: &Pose2) -> Option<PoseBin> {
         let x = (odom.x_m / self.cell_m).floor() as i64;
@@ -74,7 +77,8 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// Decisions of the trainer's implementation. `tools/trainer/tests/test_held_out.py` reads the same file.
+    /// Decisions of the trainer's implementation. `tools/trainer/tests/test_held_out.py` reads the
+    /// same file.
     const SHIPPED: &str = include_str!("../../../tests/fixtures/held_out.json");
 
     #[derive(Deserialize)]

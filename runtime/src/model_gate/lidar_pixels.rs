@@ -1,12 +1,13 @@
-//! The metric depth that the safety LiDAR measures in a camera frame: along one line, about one pixel in each column.
+//! The metric depth that the safety LiDAR measures in a camera frame: along one line, about one
+//! pixel in each column.
 
 use hal::{CameraModel, LaserScan, Pose3};
 use nalgebra::Point3;
 
 use crate::tick::TickInput;
 
-/// Largest time difference between a scan and a frame. At 20 degrees per second the robot rotates 1 degree meanwhile, which
-/// moves returns to other columns.
+/// Largest time difference between a scan and a frame. At 20 degrees per second the robot rotates 1
+/// degree meanwhile, which moves returns to other columns.
 const MAX_TIME_DIFFERENCE_NS: u64 = 50_000_000;
 /// Depths within this factor of the LiDAR's depth are right (Eigen et al. 2014).
 const DELTA1: f32 = 1.25;
@@ -25,7 +26,8 @@ pub struct LinePoint {
 }
 
 impl LinePoint {
-    /// Whether a depth at this pixel, metres, is right: within a factor of 1.25 of the LiDAR's. 0 (no depth) is not right.
+    /// Whether a depth at this pixel, metres, is right: within a factor of 1.25 of the LiDAR's. 0
+    /// (no depth) is not right.
     #[must_use]
     pub fn agrees(&self, depth_m: f32) -> bool {
         (depth_m / self.depth_m).max(self.depth_m / depth_m) < DELTA1
@@ -41,7 +43,8 @@ pub struct LidarView {
 }
 
 impl LidarView {
-    /// The LiDAR pixels of a tick's frame; none if the frame or the scan is missing, or their times differ too much.
+    /// The LiDAR pixels of a tick's frame; none if the frame or the scan is missing, or their times
+    /// differ too much.
     #[must_use]
     pub fn of_turn(&self, input: &TickInput<'_>) -> Vec<LinePoint> {
         let scan = input.scan.filter(|_| input.frame.is_some());
@@ -49,7 +52,8 @@ impl LidarView {
         scan.map_or_else(Vec::new, |scan| self.at(scan, input.wheel.time_ns))
     }
 
-    /// The LiDAR pixels of a frame that was taken at `frame_ns`; none if the time of the scan differs too much.
+    /// The LiDAR pixels of a frame that was taken at `frame_ns`; none if the time of the scan
+    /// differs too much.
     #[must_use]
     pub fn at(&self, scan: &LaserScan, frame_ns: u64) -> Vec<LinePoint> {
         if scan.time_ns.abs_diff(frame_ns) > MAX_TIME_DIFFERENCE_NS {
@@ -59,9 +63,9 @@ impl LidarView {
     }
 }
 
-/// The hits of a scan that lie in the image, from left to right. `t_camera_laser` maps points of `laser` into
-/// `camera_optical`. Of several hits in one column the nearest is used, because the others may be hidden behind it. Lens
-/// distortion is ignored, because frames are rectified before.
+/// The hits of a scan that lie in the image, from left to right. `t_camera_laser` maps points of
+/// `laser` into `camera_optical`. Of several hits in one column the nearest is used, because the
+/// others may be hidden behind it. Lens distortion is ignored, because frames are rectified before.
 fn project_hits(scan: &LaserScan, camera: &CameraModel, t_camera_laser: &Pose3) -> Vec<LinePoint> {
     let mut nearest: Vec<Option<LinePoint>> = vec![None; camera.width];
     for (angle, range_m) in scan.hits() {
@@ -111,7 +115,8 @@ mod tests {
         });
         let line = project_hits(&wall, &camera, &t_camera_laser);
         assert!(line.len() > 300, "{}", line.len());
-        // The scanner's plane is 0.62 m below the camera; at 3 m this is 320 * 0.62 / 3 rows below the image centre.
+        // The scanner's plane is 0.62 m below the camera; at 3 m this is 320 * 0.62 / 3 rows below
+        // the image centre.
         let row = (95.5 + 320.0 * 0.62 / 3.0f64).round() as usize;
         for point in &line {
             assert!((point.depth_m - 3.0).abs() < 1e-3 && point.v == row, "{point:?}");

@@ -1,5 +1,5 @@
-//! The model gate: decides whether a depth model may drive the robot. This module only decides; the caller reads files,
-//! starts processes and measures time.
+//! The model gate: decides whether a depth model may drive the robot. This module only decides; the
+//! caller reads files, starts processes and measures time.
 //!
 //! | file | question |
 //! |---|---|

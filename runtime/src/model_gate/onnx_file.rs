@@ -1,12 +1,14 @@
-//! Checks an ONNX file before an inference runtime parses it: it must use a supported opset and keep all weights inside.
+//! Checks an ONNX file before an inference runtime parses it: it must use a supported opset and
+//! keep all weights inside.
 //!
-//! The check reads only the protobuf fields that it needs and skips the rest (onnx.proto3 of ONNX 1.16; the field numbers are
-//! part of that format and do not change). It never allocates memory by a length from the file.
+//! The check reads only the protobuf fields that it needs and skips the rest (onnx.proto3 of ONNX
+//! 1.16; the field numbers are part of that format and do not change). It never allocates memory by
+//! a length from the file.
 
 use std::ops::RangeInclusive;
 
-/// Accepted opsets of `ai.onnx`. The oldest exporters in use write 11. ONNX Runtime supports 21 since version 1.20, and the
-/// robot requires version 1.22. `tools/trainer` writes 17.
+/// Accepted opsets of `ai.onnx`. The oldest exporters in use write 11. ONNX Runtime supports 21
+/// since version 1.20, and the robot requires version 1.22. `tools/trainer` writes 17.
 pub const OPSETS: RangeInclusive<i64> = 11..=21;
 /// Largest nesting of subgraphs; a loop in a loop in a branch has three levels.
 const MAX_DEPTH: usize = 16;
@@ -91,7 +93,8 @@ fn graph(inner: Inner<'_>, depth: usize) -> Result<(), OnnxFault> {
     nodes(inner, 1, depth)
 }
 
-/// NodeProto: attribute 5. AttributeProto: t 5, g 6, tensors 10, graphs 11, sparse_tensor 22, sparse_tensors 23.
+/// NodeProto: attribute 5. AttributeProto: t 5, g 6, tensors 10, graphs 11, sparse_tensor 22,
+/// sparse_tensors 23.
 fn nodes(inner: Inner<'_>, number: u64, depth: usize) -> Result<(), OnnxFault> {
     let mut fields = inner.fields();
     while let Some(field) = fields.next()? {

@@ -1,10 +1,12 @@
 //! A paired comparison of two models on the same frames, with confidence bounds.
 //!
-//! For each frame the difference d = candidate - resident of an error counts (a larger error is worse). Frames from one place
-//! are not independent, so the bootstrap draws whole pose bins with replacement (cluster bootstrap, Field and Welsh 2007).
-//! Each resample gives sum(d) / count over the drawn bins, and the 5 % and 95 % quantiles of 2,000 resamples bound the mean
-//! difference. The candidate is shown to be as good if the upper bound is within the margin (a non-inferiority test), and
-//! shown to be worse if the lower bound is above 0. The seed is fixed, so the same scores give the same verdict.
+//! For each frame the difference d = candidate - resident of an error counts (a larger error is
+//! worse). Frames from one place are not independent, so the bootstrap draws whole pose bins with
+//! replacement (cluster bootstrap, Field and Welsh 2007). Each resample gives sum(d) / count over
+//! the drawn bins, and the 5 % and 95 % quantiles of 2,000 resamples bound the mean difference. The
+//! candidate is shown to be as good if the upper bound is within the margin (a non-inferiority
+//! test), and shown to be worse if the lower bound is above 0. The seed is fixed, so the same
+//! scores give the same verdict.
 
 use std::collections::BTreeMap;
 
@@ -36,7 +38,8 @@ pub struct Paired {
     pub upper: f64,
 }
 
-/// Compares the errors of frames, each as (pose bin, candidate's error, resident's error); `None` without frames.
+/// Compares the errors of frames, each as (pose bin, candidate's error, resident's error); `None`
+/// without frames.
 #[must_use]
 pub fn compare(errors: &[(PoseBin, f64, f64)]) -> Option<Paired> {
     let mut bins: BTreeMap<PoseBin, (f64, f64)> = BTreeMap::new();
@@ -119,7 +122,8 @@ mod tests {
             let paired = compare(&errors(25, 4, 0.01, *seed)).unwrap();
             paired.lower <= 0.01 && 0.01 <= paired.upper
         });
-        // The nominal coverage is 90 %; with only 25 places a bootstrap gives bounds that are slightly too narrow.
+        // The nominal coverage is 90 %; with only 25 places a bootstrap gives bounds that are
+        // slightly too narrow.
         let within = within.count();
         assert!((160..=198).contains(&within), "{within} of 200");
     }

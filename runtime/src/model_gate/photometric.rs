@@ -1,9 +1,11 @@
-//! The photometric error of a depth map: how well earlier frames, warped by the depth and the known motion, match a frame.
+//! The photometric error of a depth map: how well earlier frames, warped by the depth and the known
+//! motion, match a frame.
 //!
-//! The error is the one that the trainer uses: 0.85 (1 - SSIM) / 2 + 0.15 L1 over 3x3 pixels (Godard et al. 2019), the minimum
-//! over all sources for each pixel. A pixel without depth, or one that the warp moves outside of the source, has the error of
-//! the source without a warp, so that a missing depth is never better than assuming no motion. Frames are compared at half
-//! size, which needs a quarter of the time; a depth error that moves a pixel is still visible there.
+//! The error is the one that the trainer uses: 0.85 (1 - SSIM) / 2 + 0.15 L1 over 3x3 pixels
+//! (Godard et al. 2019), the minimum over all sources for each pixel. A pixel without depth, or one
+//! that the warp moves outside of the source, has the error of the source without a warp, so that a
+//! missing depth is never better than assuming no motion. Frames are compared at half size, which
+//! needs a quarter of the time; a depth error that moves a pixel is still visible there.
 
 use hal::{CameraModel, Pose3};
 use nalgebra::Point3;
@@ -51,8 +53,8 @@ impl Photometric {
         }
     }
 
-    /// The mean errors over the frame: with sources warped by the depth (metres, row-major, 0: none), and with sources that
-    /// are not warped. `None` without a source.
+    /// The mean errors over the frame: with sources warped by the depth (metres, row-major, 0:
+    /// none), and with sources that are not warped. `None` without a source.
     pub fn error(
         &mut self,
         rgb: &[u8],
@@ -82,7 +84,8 @@ impl Photometric {
         Some((mean(&self.error), mean(&self.unmoved)))
     }
 
-    /// Fills `warped` with the source, warped to the target by the depth; NaN where the source does not show the point.
+    /// Fills `warped` with the source, warped to the target by the depth; NaN where the source does
+    /// not show the point.
     fn warp(&mut self, depth_m: &[f32], t_source_target: &Pose3) {
         let width = self.camera.width;
         let height = self.camera.height;
@@ -108,8 +111,8 @@ impl Photometric {
     }
 }
 
-/// Mean depth of the 2x2 pixels from (u, v) on that have a depth; 0 if none has. The mean is taken over inverse depth,
-/// because inverse depth is linear in the image on flat surfaces.
+/// Mean depth of the 2x2 pixels from (u, v) on that have a depth; 0 if none has. The mean is taken
+/// over inverse depth, because inverse depth is linear in the image on flat surfaces.
 fn mean_depth(depth_m: &[f32], width: usize, u: usize, v: usize) -> f32 {
     let block = [v * width + u, v * width + u + 1, (v + 1) * width + u, (v + 1) * width + u + 1];
     let inverse = block
@@ -148,7 +151,8 @@ fn bilinear(pixels: &[[f32; 3]], width: usize, height: usize, x: f32, y: f32) ->
     })
 }
 
-/// Error of the 3x3 pixels around (u, v), with the border pixels repeated; NaN if one of them is NaN.
+/// Error of the 3x3 pixels around (u, v), with the border pixels repeated; NaN if one of them is
+/// NaN.
 fn patch_error(
     x: &[[f32; 3]],
     y: &[[f32; 3]],
@@ -205,7 +209,8 @@ pub(super) mod tests {
         CameraModel::pinhole(SIZE.0, SIZE.1, FRAC_PI_2)
     }
 
-    /// An image of a textured wall at a right angle to the optical axis, `depth_m` ahead of a camera at `x_m`.
+    /// An image of a textured wall at a right angle to the optical axis, `depth_m` ahead of a
+    /// camera at `x_m`.
     pub fn wall(depth_m: f64, x_m: f64) -> Vec<u8> {
         let camera = camera();
         (0..SIZE.0 * SIZE.1)

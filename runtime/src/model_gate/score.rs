@@ -1,4 +1,5 @@
-//! Scores of one model's depth of one frame, from data that the robot itself records: earlier frames and LiDAR scans.
+//! Scores of one model's depth of one frame, from data that the robot itself records: earlier
+//! frames and LiDAR scans.
 
 use hal::CameraModel;
 use serde::{Deserialize, Serialize};
@@ -6,11 +7,12 @@ use serde::{Deserialize, Serialize};
 use super::{LinePoint, Photometric, Source};
 use crate::perception::DepthEstimate;
 
-/// Edges of the parallax bins, in pixels. Frames are compared separately by the parallax between a frame and its farthest
-/// source, for a point 2.5 m away: below the first edge the depth hardly changes the warped image, above the second edge it
-/// changes every pixel.
+/// Edges of the parallax bins, in pixels. Frames are compared separately by the parallax between a
+/// frame and its farthest source, for a point 2.5 m away: below the first edge the depth hardly
+/// changes the warped image, above the second edge it changes every pixel.
 pub const PARALLAX_BINS_PX: [f64; 2] = [6.0, 16.0];
-/// The depth that the parallax refers to, metres; the trainer selects its pairs with the same value.
+/// The depth that the parallax refers to, metres; the trainer selects its pairs with the same
+/// value.
 const ASSUMED_DEPTH_M: f64 = 2.5;
 
 /// Agreement of a depth map with the LiDAR.
@@ -18,12 +20,14 @@ const ASSUMED_DEPTH_M: f64 = 2.5;
 pub struct LineScore {
     /// Number of compared pixels.
     pub points: u32,
-    /// Mean of |d - z| / z with depth d and LiDAR depth z, without scaling; a pixel without depth counts as 1.
+    /// Mean of |d - z| / z with depth d and LiDAR depth z, without scaling; a pixel without depth
+    /// counts as 1.
     pub abs_rel: f64,
-    /// Share of pixels with max(d / z, z / d) < 1.25, without scaling; a pixel without depth is wrong.
+    /// Share of pixels with max(d / z, z / d) < 1.25, without scaling; a pixel without depth is
+    /// wrong.
     pub delta1: f64,
-    /// Brier score of the confidence (Brier 1950): mean of (confidence - right)^2, where right is 0 or 1. It is least if
-    /// each confidence equals the probability that the depth is right.
+    /// Brier score of the confidence (Brier 1950): mean of (confidence - right)^2, where right is 0
+    /// or 1. It is least if each confidence equals the probability that the depth is right.
     pub brier: f64,
 }
 

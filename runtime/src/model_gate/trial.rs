@@ -1,12 +1,15 @@
-//! The trial of a model that passed the gate: it drives the robot, and its behaviour is compared with that of the resident
-//! model before it.
+//! The trial of a model that passed the gate: it drives the robot, and its behaviour is compared
+//! with that of the resident model before it.
 //!
 //! The model is rolled back as soon as one of these holds:
 //! - its output was NaN or out of range [`TrialLimits::bad_outputs`] times;
-//! - at least 3 ticks were late, and their share exceeds the resident's share by more than `overrun_share`;
-//! - the safety plane trips more often. With the resident's rate r per metre (at least `least_trips_per_m`), the probability
-//!   of this many trips or more on m metres is below 1 % (the tail of a Poisson distribution with mean r m);
-//! - the share of right depths against the LiDAR is lower by more than `delta1_drop`, over `line_pictures` frames.
+//! - at least 3 ticks were late, and their share exceeds the resident's share by more than
+//!   `overrun_share`;
+//! - the safety plane trips more often. With the resident's rate r per metre (at least
+//!   `least_trips_per_m`), the probability of this many trips or more on m metres is below 1 % (the
+//!   tail of a Poisson distribution with mean r m);
+//! - the share of right depths against the LiDAR is lower by more than `delta1_drop`, over
+//!   `line_pictures` frames.
 //!
 //! It is kept after `turns` ticks and `metres` metres, or after ten times as many ticks.
 
@@ -93,8 +96,8 @@ impl TrialCounts {
         }
     }
 
-    /// Counts one tick like [`add`](Self::add), but first halves all counts if they cover `most` ticks, so that old ticks
-    /// count less.
+    /// Counts one tick like [`add`](Self::add), but first halves all counts if they cover `most`
+    /// ticks, so that old ticks count less.
     pub fn remember(&mut self, tick: &TrialTurn, most: u64) {
         if self.turns >= most {
             for count in [
@@ -202,7 +205,8 @@ impl Trial {
         if counts.bad_outputs >= limits.bad_outputs {
             return Some(TrialVerdict::BadOutput { times: counts.bad_outputs, turns });
         }
-        // At the start of a trial one late tick is a large share, so the share refers to at least the whole trial.
+        // At the start of a trial one late tick is a large share, so the share refers to at least
+        // the whole trial.
         let allowed =
             (resident.overrun_share() + limits.overrun_share) * turns.max(limits.turns) as f64;
         if counts.overruns >= 3 && counts.overruns as f64 > allowed {

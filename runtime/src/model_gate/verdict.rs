@@ -1,5 +1,6 @@
-//! The verdict of the gate. A candidate is accepted only if its output is plausible without a comparison, it is fast enough,
-//! and it is shown to be as good as the resident model on every measure.
+//! The verdict of the gate. A candidate is accepted only if its output is plausible without a
+//! comparison, it is fast enough, and it is shown to be as good as the resident model on every
+//! measure.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +11,8 @@ use super::{FrameScore, Paired, PoseBin, compare, parallax_bin};
 pub struct GateLimits {
     /// Minimum number of held-out frames for a comparison.
     pub min_pictures: usize,
-    /// Minimum number of places (pose bins) that these frames come from, so that the result is not about one place only.
+    /// Minimum number of places (pose bins) that these frames come from, so that the result is not
+    /// about one place only.
     pub min_places: usize,
     /// The candidate's photometric error may exceed the resident's by this share of it.
     pub photometric_margin: f64,
@@ -24,8 +26,9 @@ pub struct GateLimits {
     pub least_delta1: f64,
     /// Maximum of the 99th percentile of one inference, milliseconds.
     pub p99_ms: f64,
-    /// A candidate that is slower than `p99_ms` is still accepted if its 99th percentile is at most this factor of the
-    /// resident's, because the robot already runs with that one. Both are measured alternately in the same process.
+    /// A candidate that is slower than `p99_ms` is still accepted if its 99th percentile is at most
+    /// this factor of the resident's, because the robot already runs with that one. Both are
+    /// measured alternately in the same process.
     pub p99_over_resident: f64,
 }
 
@@ -77,7 +80,8 @@ pub struct Examination {
     pub latency: Latency,
     /// Latency of the resident model, if there is one.
     pub resident_latency: Option<Latency>,
-    /// Largest difference between the candidate's output and the golden output, in the output's unit: 0..1 or metres.
+    /// Largest difference between the candidate's output and the golden output, in the output's
+    /// unit: 0..1 or metres.
     pub golden_difference: f64,
 }
 
@@ -109,8 +113,8 @@ impl Measure {
         Self::Calibration,
     ];
 
-    /// The errors of both models on a frame as (pose bin, candidate's error, resident's error); `None` if the measure does
-    /// not apply to the frame or one of the scores is missing.
+    /// The errors of both models on a frame as (pose bin, candidate's error, resident's error);
+    /// `None` if the measure does not apply to the frame or one of the scores is missing.
     fn errors(self, frame: &ScoredFrame) -> Option<(PoseBin, f64, f64)> {
         let bin = parallax_bin(frame.parallax_px);
         if self.parallax_bin().is_some_and(|required| bin != required) {
@@ -171,7 +175,8 @@ pub enum Why {
         "only {pictures} held-out frames of {places} places, needed: {min_pictures} of {min_places}; let the robot record more, or install with --unproven if it has no model yet"
     )]
     TooLittle { pictures: usize, places: usize, min_pictures: usize, min_places: usize },
-    /// On frames with enough parallax, sources warped by the depth match no better than sources without a warp.
+    /// On frames with enough parallax, sources warped by the depth match no better than sources
+    /// without a warp.
     #[error(
         "its depth explains earlier frames no better ({error:.4}) than the assumption of no motion ({unmoved:.4}); train it longer"
     )]
@@ -187,7 +192,8 @@ pub enum Why {
         measure.name(), paired.candidate, paired.resident, paired.lower, paired.upper, paired.pictures, paired.places
     )]
     Worse { measure: Measure, paired: Paired, margin: f64 },
-    /// The difference to the resident model may exceed the margin, but the candidate is not shown to be worse.
+    /// The difference to the resident model may exceed the margin, but the candidate is not shown
+    /// to be worse.
     #[error(
         "not shown to be as good as the resident model: {} differs by {:.4} to {:.4} (90 %) over {} frames of {} places, allowed: {margin:.4}; let the robot record more places and install it again",
         measure.name(), paired.lower, paired.upper, paired.pictures, paired.places
@@ -221,8 +227,8 @@ impl Verdict {
     }
 }
 
-/// Decides about a candidate. `unproven` allows a first model without enough held-out frames; it has no effect if there is a
-/// resident model.
+/// Decides about a candidate. `unproven` allows a first model without enough held-out frames; it
+/// has no effect if there is a resident model.
 #[must_use]
 pub fn judge(
     examination: &Examination,
@@ -279,8 +285,8 @@ fn implausible(frames: &[ScoredFrame], delta1: Option<f64>, limits: &GateLimits)
     reasons
 }
 
-/// Compares the models by every measure for which there are enough frames: with few frames, a comparison would refuse good
-/// models as often as bad ones.
+/// Compares the models by every measure for which there are enough frames: with few frames, a
+/// comparison would refuse good models as often as bad ones.
 fn compare_all(frames: &[ScoredFrame], limits: &GateLimits) -> Vec<(Measure, Paired)> {
     Measure::ALL
         .into_iter()

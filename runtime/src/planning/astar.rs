@@ -1,4 +1,5 @@
-//! Path search on the costmap: the cheapest path to a goal (A*) and the distance to every cell (Dijkstra).
+//! Path search on the costmap: the cheapest path to a goal (A*) and the distance to every cell
+//! (Dijkstra).
 
 use super::buckets::{Buckets, Entry};
 use super::costmap::{Costmap, LEVEL, WEIGHT};
@@ -20,8 +21,9 @@ struct Node {
 struct PackedState(u32);
 
 impl PackedState {
-    /// `entered_by` is the step with which the cheapest path enters the cell, `open` is the set of steps still to take from
-    /// here, and `expanded` is the set of steps already taken at this cost.
+    /// `entered_by` is the step with which the cheapest path enters the cell, `open` is the set of
+    /// steps still to take from here, and `expanded` is the set of steps already taken at this
+    /// cost.
     #[inline]
     fn new(generation: u8, entered_by: u8, open: u8, expanded: u8) -> Self {
         Self(u32::from_le_bytes([entered_by, open, expanded, generation]))
@@ -42,8 +44,8 @@ impl PackedState {
         self.0.to_le_bytes()[2]
     }
 
-    /// Number of the search that wrote this entry. Entries of earlier searches count as unvisited, so the memory need not be
-    /// cleared.
+    /// Number of the search that wrote this entry. Entries of earlier searches count as unvisited,
+    /// so the memory need not be cleared.
     #[inline]
     fn generation(self) -> u8 {
         self.0.to_le_bytes()[3]
@@ -52,8 +54,9 @@ impl PackedState {
 
 const UNVISITED: Node = Node { cost: u32::MAX, state: PackedState(0) };
 
-/// At most this many steps in one direction are taken without using the queue. Longer runs save queue operations, but expand
-/// cells that the search does not need. All priorities also have to fit into the queue's ring.
+/// At most this many steps in one direction are taken without using the queue. Longer runs save
+/// queue operations, but expand cells that the search does not need. All priorities also have to
+/// fit into the queue's ring.
 const MAX_RUN: usize = 8;
 
 /// Why there is no path.
@@ -76,8 +79,9 @@ pub enum NoPath {
 
 /// Searches costmaps and reuses its buffers.
 ///
-/// A step leads to one of the 8 neighbours, but never across the corner of a blocked cell. It costs its length times the
-/// weight of the cell that it enters. Costs are integers, so equal maps give equal paths on every machine.
+/// A step leads to one of the 8 neighbours, but never across the corner of a blocked cell. It costs
+/// its length times the weight of the cell that it enters. Costs are integers, so equal maps give
+/// equal paths on every machine.
 #[derive(Debug, Clone)]
 pub struct Planner {
     max_expanded: usize,
@@ -85,7 +89,8 @@ pub struct Planner {
     /// Number of the current search, from 1; nodes with another number are unvisited.
     generation: u8,
     queue: Buckets,
-    /// Cells from a start inside an obstacle's margin to the first passable cell, excluding that cell.
+    /// Cells from a start inside an obstacle's margin to the first passable cell, excluding that
+    /// cell.
     exit_path: Vec<Cell>,
     path: Vec<Cell>,
     expanded: usize,
@@ -106,8 +111,9 @@ impl Planner {
         }
     }
 
-    /// The cheapest path from `start` to `goal`, both included (A*). If the start is too close to an obstacle, the path first
-    /// leaves the obstacle on the shortest path along which the distance to obstacles never decreases.
+    /// The cheapest path from `start` to `goal`, both included (A*). If the start is too close to
+    /// an obstacle, the path first leaves the obstacle on the shortest path along which the
+    /// distance to obstacles never decreases.
     ///
     /// # Errors
     /// The reason why there is no path.
@@ -181,9 +187,10 @@ impl Planner {
         Ok(goal.is_none_or(|goal| self.cost(goal.index) != u32::MAX))
     }
 
-    /// Takes an allowed step and queues the cell that it leads to if that cell has new steps to expand. While the only
-    /// natural successor is the same step again, up to [`MAX_RUN`] steps are taken without the queue. This is correct because
-    /// a cell that is reached at a lower cost later is queued again.
+    /// Takes an allowed step and queues the cell that it leads to if that cell has new steps to
+    /// expand. While the only natural successor is the same step again, up to [`MAX_RUN`] steps are
+    /// taken without the queue. This is correct because a cell that is reached at a lower cost
+    /// later is queued again.
     #[inline]
     fn expand(
         &mut self,
@@ -222,7 +229,8 @@ impl Planner {
                 successors(costmap, index, direction)
             };
             if cost == known_cost {
-                // Two paths reach this cell at the same cost: the natural successors of both have to be expanded.
+                // Two paths reach this cell at the same cost: the natural successors of both have
+                // to be expanded.
                 let open = node.state.open();
                 let expanded = node.state.expanded();
                 let added = successors & !(open | expanded);
@@ -270,14 +278,16 @@ impl Planner {
         self.expanded = 0;
     }
 
-    /// Fills `exit_path` and returns the cell where the search begins: `start` itself if it is passable.
+    /// Fills `exit_path` and returns the cell where the search begins: `start` itself if it is
+    /// passable.
     fn leave_margin(&mut self, costmap: &Costmap, start: Cell) -> Result<Cell, NoPath> {
         self.exit_path.clear();
         if costmap.is_passable(start) {
             return Ok(start);
         }
         let start_index = costmap.index(start).ok_or(NoPath::StartBlocked)?;
-        // A breadth-first search in which the distance to obstacles never decreases, so it cannot pass through a wall.
+        // A breadth-first search in which the distance to obstacles never decreases, so it cannot
+        // pass through a wall.
         let mut seen: Vec<(usize, usize)> = vec![(start_index, 0)];
         let mut next = 0;
         while let Some(&(index, _)) = seen.get(next) {
@@ -331,7 +341,8 @@ impl Planner {
     }
 }
 
-/// At most this many cells are visited to leave an obstacle's margin: a disc with a radius of 16 cells.
+/// At most this many cells are visited to leave an obstacle's margin: a disc with a radius of 16
+/// cells.
 const MAX_EXIT_CELLS: usize = 800;
 
 /// A cell's position in the costmap's memory.
@@ -349,8 +360,8 @@ impl GridIndex {
     }
 }
 
-/// Octile distance to the goal on free floor. The heuristic is admissible (never more than the true cost) and consistent (no
-/// step lowers it by more than the cost of the step).
+/// Octile distance to the goal on free floor. The heuristic is admissible (never more than the true
+/// cost) and consistent (no step lowers it by more than the cost of the step).
 #[inline]
 fn lower_bound(goal: Option<GridIndex>, x: u16, y: u16) -> u32 {
     let Some(goal) = goal else { return 0 };

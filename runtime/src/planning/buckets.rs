@@ -3,9 +3,10 @@
 /// Number of buckets in the ring; it exceeds the largest difference of two queued priorities.
 const RING: usize = 2048;
 
-/// Entries ordered by priority. A priority is never less than the last one popped and exceeds it by less than [`RING`], so a
-/// ring of buckets holds all of them. One bit for each bucket finds the next filled bucket. Entries of equal priority are
-/// popped newest first, which in A* prefers the entry nearest to the goal.
+/// Entries ordered by priority. A priority is never less than the last one popped and exceeds it by
+/// less than [`RING`], so a ring of buckets holds all of them. One bit for each bucket finds the
+/// next filled bucket. Entries of equal priority are popped newest first, which in A* prefers the
+/// entry nearest to the goal.
 #[derive(Debug, Clone)]
 pub(super) struct Buckets {
     ring: Vec<Vec<Entry>>,
@@ -14,8 +15,8 @@ pub(super) struct Buckets {
     len: usize,
 }
 
-/// A cell (column and row in memory) with the cost at which it was queued. The entry is stale if the cell was reached at a
-/// lower cost since then.
+/// A cell (column and row in memory) with the cost at which it was queued. The entry is stale if
+/// the cell was reached at a lower cost since then.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Entry {
     pub x: u16,

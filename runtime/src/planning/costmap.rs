@@ -10,21 +10,24 @@ pub(super) const FREE: u8 = 4;
 pub(super) const HEAVIEST: u8 = 60;
 /// Weight of a cell that is never entered.
 pub(super) const BLOCKED: u8 = 0;
-/// Flags in the weight of a cell on level ground along its row (first) or column (second): in each of the three rows
-/// (columns) of the 3x3 cells around it all weights are equal, and none is larger than that of the cell. A path that drives
-/// straight along the row (column) has no reason to leave it there. Both flags are set where all 9 weights are equal.
+/// Flags in the weight of a cell on level ground along its row (first) or column (second): in each
+/// of the three rows (columns) of the 3x3 cells around it all weights are equal, and none is larger
+/// than that of the cell. A path that drives straight along the row (column) has no reason to leave
+/// it there. Both flags are set where all 9 weights are equal.
 pub(super) const LEVEL: [u8; 2] = [0x80, 0x40];
 /// The bits of the weight without the flags.
 pub(super) const WEIGHT: u8 = 0x3f;
 
-/// The cost weight of every cell in and around the known part of the map: 1 on free floor, more near obstacles and on
-/// unknown floor, and [not passable](Self::is_passable) within the footprint's radius of an obstacle.
+/// The cost weight of every cell in and around the known part of the map: 1 on free floor, more
+/// near obstacles and on unknown floor, and [not passable](Self::is_passable) within the
+/// footprint's radius of an obstacle.
 #[derive(Debug, Clone)]
 pub struct Costmap {
     config: PlanConfig,
     pub(super) cell_m: f64,
     pub(super) cells: CellBox,
-    /// Columns in memory: the box and one blocked cell on either side, so that searches need no bounds checks.
+    /// Columns in memory: the box and one blocked cell on either side, so that searches need no
+    /// bounds checks.
     pub(super) stride: usize,
     pub(super) weights: Vec<u8>,
     levels: Vec<u8>,
@@ -33,7 +36,8 @@ pub struct Costmap {
     distances: Distances,
     /// Buffer for one row of the map.
     row_values: Vec<f32>,
-    /// Weights of a free and of an unknown cell, indexed by the squared distance to the nearest obstacle.
+    /// Weights of a free and of an unknown cell, indexed by the squared distance to the nearest
+    /// obstacle.
     tables: [Vec<u8>; 2],
 }
 
@@ -60,7 +64,8 @@ impl Costmap {
         Ok(costmap)
     }
 
-    /// A costmap with given weights from 1.0 (free floor) to 15; `None` is never entered. For tests and other planners.
+    /// A costmap with given weights from 1.0 (free floor) to 15; `None` is never entered. For tests
+    /// and other planners.
     #[must_use]
     pub fn from_weights(
         cells: CellBox,
@@ -158,7 +163,8 @@ impl Costmap {
             for (out, here) in out.iter_mut().zip(here) {
                 *out = if *here == BLOCKED { 0 } else { LEVEL[0] | LEVEL[1] };
             }
-            // Compares one pair of neighbours for all cells of the row at a time, so that the compiler can vectorise it.
+            // Compares one pair of neighbours for all cells of the row at a time, so that the
+            // compiler can vectorise it.
             for (level, along, aside) in [(LEVEL[0], 1, stride), (LEVEL[1], stride, 1)] {
                 for middle in [inner.start - aside, inner.start, inner.start + aside] {
                     let pairs = row(middle - along).iter().zip(row(middle + along));
@@ -176,7 +182,8 @@ impl Costmap {
         }
     }
 
-    /// Fills the weight tables; returns the distance up to which obstacles change weights, in cells.
+    /// Fills the weight tables; returns the distance up to which obstacles change weights, in
+    /// cells.
     fn make_tables(&mut self) -> u16 {
         let config = &self.config;
         let hard_m = config.footprint_radius_m + config.margin_m;
@@ -226,7 +233,8 @@ impl Costmap {
         self.cell_m
     }
 
-    /// Cost of one metre in this cell, in metres of free floor; `None` where the robot must not drive.
+    /// Cost of one metre in this cell, in metres of free floor; `None` where the robot must not
+    /// drive.
     #[must_use]
     pub fn weight(&self, cell: Cell) -> Option<f64> {
         let weight =
@@ -241,7 +249,8 @@ impl Costmap {
         self.weight(cell).is_some()
     }
 
-    /// Distance to the nearest obstacle, metres; `None` if there is none within the inflation radius.
+    /// Distance to the nearest obstacle, metres; `None` if there is none within the inflation
+    /// radius.
     #[must_use]
     pub fn clearance_m(&self, cell: Cell) -> Option<f64> {
         let clearance2 = self.clearance2(self.index(cell)?);
@@ -252,14 +261,15 @@ impl Costmap {
         self.clearance2.get(index).copied().unwrap_or(0)
     }
 
-    /// The passable cell nearest to `cell`, at most `radius_m` away; of several equally near ones, the first in row order.
+    /// The passable cell nearest to `cell`, at most `radius_m` away; of several equally near ones,
+    /// the first in row order.
     #[must_use]
     pub fn nearest_passable(&self, cell: Cell, radius_m: f64) -> Option<Cell> {
         self.nearest(cell, radius_m, |near| self.is_passable(near))
     }
 
-    /// The nearest cell that `is_suitable`, at most `radius_m` away from `cell`; of several equally near ones, the first in
-    /// row order.
+    /// The nearest cell that `is_suitable`, at most `radius_m` away from `cell`; of several equally
+    /// near ones, the first in row order.
     pub(super) fn nearest(
         &self,
         cell: Cell,
@@ -330,7 +340,8 @@ mod tests {
             .map(|x| costmap.weight(grid.cell_at(f64::from(x) * 0.03 + 0.001, 0.001)))
             .collect();
         assert_eq!(weights[10], Some(1.0));
-        // The hits lie at 1.5 m: cells are blocked from 0.14 m before them and cost more from 0.24 m before them.
+        // The hits lie at 1.5 m: cells are blocked from 0.14 m before them and cost more from 0.24
+        // m before them.
         let blocked = weights.iter().position(Option::is_none).unwrap();
         assert!((45..=46).contains(&blocked), "{weights:?}");
         let expensive = weights.iter().position(|weight| *weight > Some(1.0)).unwrap();

@@ -5,8 +5,9 @@ pub(super) const FAR: u16 = u16::MAX;
 
 /// Exact squared Euclidean distances in cells, up to a reach; reuses its buffers.
 ///
-/// The transform is separable: first the squared distance along the row, then the minimum over nearby rows (Felzenszwalb and
-/// Huttenlocher 2012). With a reach of a few cells, the second step is a short loop over whole rows.
+/// The transform is separable: first the squared distance along the row, then the minimum over
+/// nearby rows (Felzenszwalb and Huttenlocher 2012). With a reach of a few cells, the second step
+/// is a short loop over whole rows.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Distances {
     along_row: Vec<u16>,

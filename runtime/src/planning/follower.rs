@@ -58,9 +58,10 @@ pub enum FollowError {
     NoPath,
 }
 
-/// Follows a polyline by pure pursuit (Coulter 1992) with hysteresis: the robot rotates on the spot when its heading differs
-/// much from the direction of the lookahead point, and otherwise drives and corrects only larger errors. So the staircase
-/// shape of a path of cells does not make the robot rotate at every cell.
+/// Follows a polyline by pure pursuit (Coulter 1992) with hysteresis: the robot rotates on the spot
+/// when its heading differs much from the direction of the lookahead point, and otherwise drives
+/// and corrects only larger errors. So the staircase shape of a path of cells does not make the
+/// robot rotate at every cell.
 #[derive(Debug, Clone)]
 pub struct Follower {
     config: FollowerConfig,
@@ -91,7 +92,8 @@ impl Follower {
     /// Starts a new path, given as corner points in the frame of the poses, metres.
     ///
     /// # Errors
-    /// [`FollowError::NoPath`] if there are no points or one is not finite; the follower then has no path.
+    /// [`FollowError::NoPath`] if there are no points or one is not finite; the follower then has
+    /// no path.
     pub fn set_path(&mut self, points_m: &[[f64; 2]]) -> Result<(), FollowError> {
         self.clear();
         if points_m.is_empty() || points_m.iter().flatten().any(|number| !number.is_finite()) {
@@ -136,7 +138,8 @@ impl Follower {
         let (done_m, cross_track_m) = self.locate(here);
         self.done_m = done_m;
         let remaining_m = length_m - done_m;
-        // A path that is a loop passes its end early, so the end counts only on the last part of the path.
+        // A path that is a loop passes its end early, so the end counts only on the last part of
+        // the path.
         let at_end = distance(here, goal) <= self.config.goal_tolerance_m
             && remaining_m <= self.config.lookahead_m;
         let (progress, primitive) = if at_end {
@@ -166,8 +169,9 @@ impl Follower {
         }
     }
 
-    /// Length of the path up to the point nearest to `here`, and the distance to that point. Searches from the last position
-    /// to a little beyond the lookahead point only, so that a path that comes back close to itself is not cut short.
+    /// Length of the path up to the point nearest to `here`, and the distance to that point.
+    /// Searches from the last position to a little beyond the lookahead point only, so that a path
+    /// that comes back close to itself is not cut short.
     fn locate(&self, here: [f64; 2]) -> (f64, f64) {
         let until_m = self.done_m + 2.0 * self.config.lookahead_m;
         let mut best = (self.done_m, distance(here, self.point_at(self.done_m)));

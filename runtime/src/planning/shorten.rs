@@ -5,13 +5,14 @@ use crate::mapping::Cell;
 
 /// Straight segments across more than this many steps are not tried, which bounds the work.
 const LONGEST: usize = 256;
-/// A straight segment may cost this factor of the steps that it replaces: the cost of steps is only accurate to a cell.
+/// A straight segment may cost this factor of the steps that it replaces: the cost of steps is only
+/// accurate to a cell.
 const TOLERANCE: f64 = 1.02;
 
 impl Costmap {
-    /// Replaces steps by straight segments that are passable and cost no more than the steps (within 2 %), so a shorter path
-    /// does not lead closer to obstacles or through unknown floor. Returns corner points in `odom`, metres, including start
-    /// and goal.
+    /// Replaces steps by straight segments that are passable and cost no more than the steps
+    /// (within 2 %), so a shorter path does not lead closer to obstacles or through unknown floor.
+    /// Returns corner points in `odom`, metres, including start and goal.
     #[must_use]
     pub fn shorten(&self, path: &[Cell]) -> Vec<[f64; 2]> {
         let mut points: Vec<[f64; 2]> = Vec::new();
@@ -27,7 +28,8 @@ impl Costmap {
                     (Some(straight), Some(steps)) if straight <= steps * TOLERANCE => {
                         reached = next;
                     }
-                    // Once a segment is blocked, a longer one would only pass the same obstacle at another angle.
+                    // Once a segment is blocked, a longer one would only pass the same obstacle at
+                    // another angle.
                     (None, _) => break,
                     _ => {}
                 }
@@ -38,8 +40,8 @@ impl Costmap {
         points
     }
 
-    /// Cost of the straight segment between the centres of two cells, in metres of free floor; `None` if it touches a blocked
-    /// cell.
+    /// Cost of the straight segment between the centres of two cells, in metres of free floor;
+    /// `None` if it touches a blocked cell.
     fn segment_cost(&self, from: Cell, to: Cell) -> Option<f64> {
         let start = from.center_m(self.cell_m);
         let end = to.center_m(self.cell_m);

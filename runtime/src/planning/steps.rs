@@ -1,8 +1,10 @@
-//! Steps between neighbouring cells, and the pruning rules that decide which of them a search has to try.
+//! Steps between neighbouring cells, and the pruning rules that decide which of them a search has
+//! to try.
 
 use super::costmap::{BLOCKED, Costmap, FREE, WEIGHT};
 
-/// Cost of a step along a row or column, for weight 1/[`FREE`]. 17/12 is the square root of 2 within 0.2 %.
+/// Cost of a step along a row or column, for weight 1/[`FREE`]. 17/12 is the square root of 2
+/// within 0.2 %.
 pub(super) const STRAIGHT: u32 = 12;
 /// Cost of a diagonal step.
 pub(super) const DIAGONAL: u32 = 17;
@@ -11,14 +13,15 @@ pub(super) const FREE_STEP: u32 = STRAIGHT * FREE as u32;
 pub(super) const FREE_DIAGONAL: u32 = DIAGONAL * FREE as u32;
 /// The start cell was not entered by a step.
 pub(super) const NO_STEP: u8 = 8;
-/// Steps as (column, row), counter-clockwise from +x in eighths of a rotation: even ones are straight, odd ones diagonal.
+/// Steps as (column, row), counter-clockwise from +x in eighths of a rotation: even ones are
+/// straight, odd ones diagonal.
 pub(super) const STEPS: [(i32, i32); 8] =
     [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)];
 
-/// For each step that leads into a cell on level ground, the set of natural successor steps. Every other neighbour can be
-/// reached at the same cost from the previous cell without this cell: directly, or by the same two steps with the diagonal
-/// one first. This is the pruning rule of jump point search (Harabor and Grastien 2011). [`successors`] applies it where
-/// weights differ.
+/// For each step that leads into a cell on level ground, the set of natural successor steps. Every
+/// other neighbour can be reached at the same cost from the previous cell without this cell:
+/// directly, or by the same two steps with the diagonal one first. This is the pruning rule of jump
+/// point search (Harabor and Grastien 2011). [`successors`] applies it where weights differ.
 pub(super) const NATURAL: [u8; 8] = [
     0b0000_0001,
     0b0000_0111,
@@ -44,13 +47,15 @@ fn is_passable_step(neighbours: u64, direction: usize) -> bool {
         && (direction.is_multiple_of(2) || (is_open(direction + 7) && is_open(direction + 1)))
 }
 
-/// [`NATURAL`] for arbitrary weights: for the step that leads into a cell, the set of allowed steps that may be part of a
-/// cheapest path. A step is left out if, within these 3x3 cells, the previous cell has a cheaper path to the same neighbour,
-/// or an equally cheap one that takes its diagonal step first. So one of several equally cheap paths always remains.
+/// [`NATURAL`] for arbitrary weights: for the step that leads into a cell, the set of allowed steps
+/// that may be part of a cheapest path. A step is left out if, within these 3x3 cells, the previous
+/// cell has a cheaper path to the same neighbour, or an equally cheap one that takes its diagonal
+/// step first. So one of several equally cheap paths always remains.
 #[inline(never)]
 pub(super) fn successors(costmap: &Costmap, index: usize, direction: usize) -> u8 {
     let here = u32::from(costmap.weights[index] & WEIGHT);
-    // Rotated so that the step ahead comes first. To its left are the steps 1, 2 and 3, to its right 7, 6 and 5.
+    // Rotated so that the step ahead comes first. To its left are the steps 1, 2 and 3, to its
+    // right 7, 6 and 5.
     let neighbours = neighbours(costmap, index).rotate_right(8 * direction as u32);
     let left = [1, 2, 3].map(|eighths| weight(neighbours, eighths));
     let right = [7, 6, 5].map(|eighths| weight(neighbours, eighths));
@@ -81,22 +86,24 @@ fn three_weights(costmap: &Costmap, middle: usize) -> [u64; 3] {
     weights.map(u64::from)
 }
 
-/// The weight of the neighbour that lies this many eighths of a rotation to the left of the first one.
+/// The weight of the neighbour that lies this many eighths of a rotation to the left of the first
+/// one.
 #[inline]
 fn weight(neighbours: u64, eighths: usize) -> u32 {
     (neighbours >> (8 * eighths)) as u32 & 0xff
 }
 
-/// The set of steps made of the step ahead and the steps at 1 and 2 eighths of a rotation to either side.
+/// The set of steps made of the step ahead and the steps at 1 and 2 eighths of a rotation to either
+/// side.
 #[inline]
 fn bits(ahead: bool, left: [bool; 2], right: [bool; 2]) -> u8 {
     let steps = [(ahead, 0), (left[0], 1), (left[1], 2), (right[0], 7), (right[1], 6)];
     steps.into_iter().fold(0, |set, (is_in_set, eighths)| set | u8::from(is_in_set) << eighths)
 }
 
-/// Which of the steps at 1 and 2 eighths to one side are successors of a straight step. The alternative is a diagonal step
-/// from the previous cell to the side, and from there straight on. This function and the next have no branches, because
-/// the outcome is hard to predict.
+/// Which of the steps at 1 and 2 eighths to one side are successors of a straight step. The
+/// alternative is a diagonal step from the previous cell to the side, and from there straight on.
+/// This function and the next have no branches, because the outcome is hard to predict.
 #[inline]
 fn after_straight(here: u32, ahead: bool, [beyond, side, behind]: [u32; 3]) -> [bool; 2] {
     let alternative = behind != 0;
@@ -105,8 +112,8 @@ fn after_straight(here: u32, ahead: bool, [beyond, side, behind]: [u32; 3]) -> [
     [(side != 0) & diagonal, (side != 0) & sideways]
 }
 
-/// The same for the successors of a diagonal step. The alternative is a straight step from the previous cell, which is
-/// passable if the diagonal step was, and a second step from there.
+/// The same for the successors of a diagonal step. The alternative is a straight step from the
+/// previous cell, which is passable if the diagonal step was, and a second step from there.
 #[inline]
 fn after_diagonal(here: u32, [next, side, behind]: [u32; 3]) -> [bool; 2] {
     let straight = !((side != 0) & (12 * behind + 5 * next < 17 * here));

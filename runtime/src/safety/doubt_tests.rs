@@ -1,4 +1,5 @@
-//! Tests with wrong inputs: time that goes backwards, wrong time stamps, odometry resets, stuck bumpers, huge commands.
+//! Tests with wrong inputs: time that goes backwards, wrong time stamps, odometry resets, stuck
+//! bumpers, huge commands.
 
 use super::tests::{FORWARD, Room, TICK_NS, cart, driving, rotated_once, tripped};
 use super::*;

@@ -8,7 +8,8 @@ const ARC_STEP_M: f64 = 0.01;
 const ROTATION_STEP_RAD: f64 = 0.03;
 /// An arc is checked up to this rotation, radians.
 const MAX_ARC_RAD: f64 = 1.0;
-/// A path with at most this curvature, 1/m, is treated as straight: over half a metre it deviates by 6 mm.
+/// A path with at most this curvature, 1/m, is treated as straight: over half a metre it deviates
+/// by 6 mm.
 const STRAIGHT_PER_M: f64 = 0.05;
 
 /// The outline of the robot on the floor, in `base_link`.
@@ -42,8 +43,8 @@ impl Footprint {
         }
     }
 
-    /// With `sign` = 1 the largest x of the outline at `y_m`; with `sign` = -1 the smallest x, negated. `None` where the
-    /// line at `y_m` does not cross the outline.
+    /// With `sign` = 1 the largest x of the outline at `y_m`; with `sign` = -1 the smallest x,
+    /// negated. `None` where the line at `y_m` does not cross the outline.
     fn edge_m(&self, y_m: f64, sign: f64) -> Option<f64> {
         match self {
             Self::Round { radius_m } => {
@@ -62,8 +63,9 @@ impl Footprint {
         self.edge_m(0.0, 1.0).unwrap_or_else(|| self.circumscribed_radius_m())
     }
 
-    /// Free distance straight ahead (`sign` = 1.0) or straight back (-1.0) from the outline to a point, metres. Negative for
-    /// a point inside the outline; `None` if the robot passes beside the point.
+    /// Free distance straight ahead (`sign` = 1.0) or straight back (-1.0) from the outline to a
+    /// point, metres. Negative for a point inside the outline; `None` if the robot passes beside
+    /// the point.
     #[must_use]
     pub fn straight_gap_m(&self, [x_m, y_m]: [f64; 2], sign: f64) -> Option<f64> {
         if sign * x_m <= 0.0 {
@@ -85,8 +87,8 @@ impl Footprint {
         }
     }
 
-    /// Distance that the origin can travel along `twist` until the outline meets the point, metres. `None` if it does not
-    /// meet the point within `reach_m`.
+    /// Distance that the origin can travel along `twist` until the outline meets the point, metres.
+    /// `None` if it does not meet the point within `reach_m`.
     #[must_use]
     pub fn gap_m(&self, point_m: [f64; 2], twist: &Twist2, reach_m: f64) -> Option<f64> {
         let speed = twist.linear_mps.abs();
@@ -109,11 +111,13 @@ impl Footprint {
             let t_now_then = twist.integrate(travelled_m / speed);
             self.contains(in_frame_of(&t_now_then, point_m))
         });
-        // The outline met the point somewhere within the last step; the start of that step is the safe answer.
+        // The outline met the point somewhere within the last step; the start of that step is the
+        // safe answer.
         met.map(|travelled_m| travelled_m - step_m)
     }
 
-    /// Whether rotating on the spot by `rotation_rad` moves a corner onto a point that is outside of the outline now.
+    /// Whether rotating on the spot by `rotation_rad` moves a corner onto a point that is outside
+    /// of the outline now.
     #[must_use]
     pub fn collides_when_rotated(&self, point_m: [f64; 2], rotation_rad: f64) -> bool {
         if matches!(self, Self::Round { .. })
@@ -139,8 +143,8 @@ fn edges(corners_m: &[[f64; 2]]) -> impl Iterator<Item = ([f64; 2], [f64; 2])> +
     corners_m.iter().copied().zip(corners_m.iter().copied().cycle().skip(1))
 }
 
-/// x where an edge crosses the line at `y_m`. The lower end belongs to the edge and the upper end to the next edge, so that a
-/// crossing at a corner counts once.
+/// x where an edge crosses the line at `y_m`. The lower end belongs to the edge and the upper end
+/// to the next edge, so that a crossing at a corner counts once.
 fn crossing(a: [f64; 2], b: [f64; 2], y_m: f64) -> Option<f64> {
     let (low, high) = if a[1] <= b[1] { (a, b) } else { (b, a) };
     (low[1] <= y_m && y_m < high[1])

@@ -1,13 +1,16 @@
-//! The safety plane: the state machine that every velocity command passes before it reaches the wheels.
+//! The safety plane: the state machine that every velocity command passes before it reaches the
+//! wheels.
 //!
-//! It reads the safety LiDAR, the wheel feedback and the emergency stop directly, and needs neither the camera nor the map.
-//! The planner's command (the plan) passes unchanged while the way is clear. Near an obstacle the safety plane reduces the
-//! speed so that the robot can always stop before it. When the robot comes too close, the safety plane stops it, backs off
-//! and, if that does not help, rotates it towards free space.
+//! It reads the safety LiDAR, the wheel feedback and the emergency stop directly, and needs neither
+//! the camera nor the map. The planner's command (the plan) passes unchanged while the way is
+//! clear. Near an obstacle the safety plane reduces the speed so that the robot can always stop
+//! before it. When the robot comes too close, the safety plane stops it, backs off and, if that
+//! does not help, rotates it towards free space.
 //!
 //! # States
 //!
-//! [`SafetyPlane::step`] is called once per control period. In each call the first matching row decides:
+//! [`SafetyPlane::step`] is called once per control period. In each call the first matching row
+//! decides:
 //!
 //! | from | condition | to |
 //! |---|---|---|
@@ -25,9 +28,9 @@
 //! | `BackingOff` | it ends for any other reason: blocked or unknown ground behind, timeout, third trip | `Escaping` |
 //! | `Escaping` | 0.5 m ahead are free after 45 degrees; or one full rotation, a timeout, or a corner that would collide | `Clear` |
 //!
-//! A call that enters `Clear` from `Disarmed` or `Fault` also checks the plan, so it may end in `Slow` or `Tripped`. Plans
-//! have an effect in `Clear` and `Slow` only. A plan that is missing, too old or not finite stops the robot without a
-//! change of state.
+//! A call that enters `Clear` from `Disarmed` or `Fault` also checks the plan, so it may end in
+//! `Slow` or `Tripped`. Plans have an effect in `Clear` and `Slow` only. A plan that is missing,
+//! too old or not finite stops the robot without a change of state.
 //!
 //! # Glossary
 //!

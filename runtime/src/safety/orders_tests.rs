@@ -1,5 +1,5 @@
-//! Exhaustive search over all sequences of eight events: the invariants hold after each of them, and the robot can always
-//! drive again.
+//! Exhaustive search over all sequences of eight events: the invariants hold after each of them,
+//! and the robot can always drive again.
 
 use std::collections::BTreeMap;
 
@@ -177,15 +177,16 @@ impl Robot {
         );
     }
 
-    /// Whether the robot drives forward again when all inputs are good and an operator clears the fault.
+    /// Whether the robot drives forward again when all inputs are good and an operator clears the
+    /// fault.
     fn can_go_on(mut self, scans: &mut Scans) -> bool {
         self.step(Happening::Clear, scans);
         (0..300).any(|_| self.step(Happening::Free, scans).twist() == FORWARD)
     }
 }
 
-/// Robots, each with the number of event sequences that have led to it. Sequences that end in the same complete state behave
-/// the same from there on, so they are continued together.
+/// Robots, each with the number of event sequences that have led to it. Sequences that end in the
+/// same complete state behave the same from there on, so they are continued together.
 #[derive(Default)]
 struct Robots(BTreeMap<String, Vec<(Robot, u64)>>);
 

@@ -1,7 +1,8 @@
 //! The state machine that every velocity command passes before it reaches the wheels.
 //!
-//! Its output depends only on its inputs and its own state: it reads no clock and no device. It allocates no memory after
-//! the first scan. `safety/mod.rs` lists the states and the transitions between them.
+//! Its output depends only on its inputs and its own state: it reads no clock and no device. It
+//! allocates no memory after the first scan. `safety/mod.rs` lists the states and the transitions
+//! between them.
 
 use std::f64::consts::{FRAC_PI_4, TAU};
 
@@ -14,11 +15,12 @@ use super::{BackOff, Escape, Request, SafetyConfig, SafetyInput, SafetyOutput, S
 use crate::event::{BackOffEnd, FaultReason, PlanRefusal, SafetyEvent, TripCause};
 use crate::snapshot::remembers;
 
-/// Trips closer to each other than this distance and this time count as repeated trips at one place: backing off has not
-/// solved the problem.
+/// Trips closer to each other than this distance and this time count as repeated trips at one
+/// place: backing off has not solved the problem.
 const SAME_PLACE_M: f64 = 0.5;
 const TRIP_MEMORY_NS: u64 = 30_000_000_000;
-/// After this many trips at one place the robot escapes: it rotates on the spot and leaves in another direction.
+/// After this many trips at one place the robot escapes: it rotates on the spot and leaves in
+/// another direction.
 const TRIPS_BEFORE_ESCAPE: usize = 3;
 /// An escape may end in a direction with at least this much free distance ahead, metres.
 const EXIT_CLEARANCE_M: f64 = 0.5;
@@ -26,23 +28,28 @@ const EXIT_CLEARANCE_M: f64 = 0.5;
 const REAR_GAP_M: f64 = 0.03;
 /// The bumper reports no position: the obstacle is assumed this far ahead of the footprint, metres.
 const CONTACT_AHEAD_M: f64 = 0.03;
-/// A speed limit below this trips the safety plane; otherwise the robot would creep towards the obstacle forever. m/s.
+/// A speed limit below this trips the safety plane; otherwise the robot would creep towards the
+/// obstacle forever. m/s.
 const CREEP_MPS: f64 = 0.05;
 /// Below both of these speeds the wheels count as standing still.
 const STANDSTILL_MPS: f64 = 0.02;
 const STANDSTILL_RADPS: f64 = 0.05;
-/// The wait for the wheels to stand still ends after this time; backing off then begins while they are still rolling.
+/// The wait for the wheels to stand still ends after this time; backing off then begins while they
+/// are still rolling.
 const STANDSTILL_TIMEOUT_NS: u64 = 500_000_000;
-/// Odometry that changes by more than either of these between two measurements was reset by the base.
+/// Odometry that changes by more than either of these between two measurements was reset by the
+/// base.
 const ODOMETRY_JUMP_M: f64 = 0.5;
 const ODOMETRY_JUMP_RAD: f64 = 1.0;
-/// An escape times out after the time that this many full rotations take, because stuck wheels never complete one.
+/// An escape times out after the time that this many full rotations take, because stuck wheels
+/// never complete one.
 const ESCAPE_TIMEOUT_ROTATIONS: f64 = 2.0;
-/// A footprint with corners checks a rotation on the spot this far ahead, in addition to the reaction time, seconds.
+/// A footprint with corners checks a rotation on the spot this far ahead, in addition to the
+/// reaction time, seconds.
 const ROTATION_LOOKAHEAD_S: f64 = 0.3;
 
-/// The safety plane: call [`step`](Self::step) once per control period with the newest inputs and send its output to the
-/// base.
+/// The safety plane: call [`step`](Self::step) once per control period with the newest inputs and
+/// send its output to the base.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SafetyPlane {
     config: SafetyConfig,
@@ -113,7 +120,8 @@ impl SafetyPlane {
         }
         let wheel = self.check_inputs(input, in_time);
         if matches!(wheel, Err(FaultReason::BaseSilent | FaultReason::BaseFault)) {
-            // A base that was disconnected may restart its odometry anywhere, and somebody may have pushed the robot.
+            // A base that was disconnected may restart its odometry anywhere, and somebody may have
+            // pushed the robot.
             self.rear.forget();
         }
         // Disarming must not clear a fault that needs an operator.
@@ -140,8 +148,8 @@ impl SafetyPlane {
         }
     }
 
-    /// Whether this call is on time. When the time went backwards, the ages of all stored measurements are wrong, so they
-    /// are discarded.
+    /// Whether this call is on time. When the time went backwards, the ages of all stored
+    /// measurements are wrong, so they are discarded.
     fn check_timing(&mut self, now_ns: u64) -> bool {
         if self.last_call_ns.is_some_and(|last_ns| now_ns < last_ns) {
             self.wheel = None;
@@ -156,8 +164,8 @@ impl SafetyPlane {
         last_ns <= now_ns && !is_older(Some(last_ns), now_ns, 3.0 * self.config.period_s)
     }
 
-    /// Whether a measurement claims to be newer than now by more than one period. Within one period, a measurement may
-    /// arrive from another thread that read the clock later.
+    /// Whether a measurement claims to be newer than now by more than one period. Within one
+    /// period, a measurement may arrive from another thread that read the clock later.
     fn is_in_future(&self, time_ns: u64, now_ns: u64) -> bool {
         is_older(Some(now_ns), time_ns, self.config.period_s)
     }
@@ -236,8 +244,9 @@ impl SafetyPlane {
     fn enter_fault(&mut self, why: FaultReason) -> SafetyOutput {
         let before = self.state;
         match before {
-            // A fault that clears itself leads to `Clear`, so a disarmed robot must not enter it: it would become armed.
-            // The emergency stop is entered all the same: a request to arm that was given before must be given again.
+            // A fault that clears itself leads to `Clear`, so a disarmed robot must not enter it:
+            // it would become armed. The emergency stop is entered all the same: a request to arm
+            // that was given before must be given again.
             SafetyState::Disarmed if why != FaultReason::EmergencyStop => {
                 return SafetyOutput::STOP;
             }
@@ -319,8 +328,8 @@ impl SafetyPlane {
         })
     }
 
-    /// Whether the robot may reverse with `twist` until the next call and can then still stop on ground that is known to be
-    /// free.
+    /// Whether the robot may reverse with `twist` until the next call and can then still stop on
+    /// ground that is known to be free.
     fn is_clear_behind(&self, time_ns: u64, odom: &Pose2, twist: &Twist2) -> bool {
         let speed = -twist.linear_mps;
         let needed_m = self.stopping_distance_m(speed) + speed * self.config.period_s;
@@ -339,7 +348,8 @@ impl SafetyPlane {
         let speed = desired.linear_mps.max(wheel.twist.linear_mps);
         let reach_m = self.config.stop_distance_m + self.stopping_distance_m(speed);
         let nearest = self.surroundings.first_obstacle(&self.footprint, &desired, reach_m);
-        // An obstacle may stand just beyond the horizon, so the free distance is never more than the visible one.
+        // An obstacle may stand just beyond the horizon, so the free distance is never more than
+        // the visible one.
         let visible_m = self.surroundings.visible_ahead_m(&self.footprint);
         let free_m = nearest.map_or(visible_m, |(_, gap_m)| gap_m.min(visible_m));
         let limit_mps = self.speed_limit_mps(free_m);
@@ -361,13 +371,15 @@ impl SafetyPlane {
         }
     }
 
-    /// Distance from the command to stop until the robot stands still: reaction time and braking, metres.
+    /// Distance from the command to stop until the robot stands still: reaction time and braking,
+    /// metres.
     fn stopping_distance_m(&self, speed_mps: f64) -> f64 {
         speed_mps * self.config.reaction_s + speed_mps * speed_mps / (2.0 * self.config.brake_mps2)
     }
 
-    /// The highest speed from which the robot still stops `stop_distance_m` before an obstacle that is `gap_m` ahead: the
-    /// positive root v of v^2 / 2b + v t = d, with braking deceleration b, reaction time t and available distance d.
+    /// The highest speed from which the robot still stops `stop_distance_m` before an obstacle that
+    /// is `gap_m` ahead: the positive root v of v^2 / 2b + v t = d, with braking deceleration b,
+    /// reaction time t and available distance d.
     fn speed_limit_mps(&self, gap_m: f64) -> f64 {
         let brake_mps2 = self.config.brake_mps2;
         let available_m = (gap_m - self.config.stop_distance_m).max(0.0);
@@ -449,8 +461,8 @@ impl SafetyPlane {
         let late = is_older(Some(back_off.since_ns), time_ns, self.config.back_off_timeout_s);
         let back = Twist2 { linear_mps: -self.config.back_off_mps, angular_radps: 0.0 };
         let rear_m = REAR_GAP_M + self.stopping_distance_m(wheel.twist.linear_mps.min(0.0).abs());
-        // A bumper that caused the trip stays pressed for a moment. A contact after it was released, or at this distance
-        // from the obstacle, comes from something behind the robot.
+        // A bumper that caused the trip stays pressed for a moment. A contact after it was
+        // released, or at this distance from the obstacle, comes from something behind the robot.
         let touching = back_off.touching && wheel.contact && gone_m < CONTACT_AHEAD_M;
         let touched = wheel.contact && !touching;
         let end = if self.odometry_jumped {
@@ -466,7 +478,8 @@ impl SafetyPlane {
         } else if late {
             BackOffEnd::Timeout
         } else {
-            // The last step covers exactly the distance that is left, so that the robot does not overshoot by one step.
+            // The last step covers exactly the distance that is left, so that the robot does not
+            // overshoot by one step.
             let step_m = left_m.min(known_m - gone_m);
             let braking_mps = (2.0 * self.config.brake_mps2 * step_m).sqrt();
             let speed_mps =
@@ -501,7 +514,8 @@ impl SafetyPlane {
             time_ns,
             ESCAPE_TIMEOUT_ROTATIONS * TAU / self.config.escape_radps,
         );
-        // After one full rotation without an exit, or when a corner is wedged, the planner decides what to do next.
+        // After one full rotation without an exit, or when a corner is wedged, the planner decides
+        // what to do next.
         let over = turned_rad >= TAU || late || self.rotation_would_collide(desired_radps);
         if over || (exit_is_clear && turned_rad > FRAC_PI_4) {
             self.state = SafetyState::Clear;
@@ -528,8 +542,8 @@ fn cause_of(obstacle: &Obstacle) -> TripCause {
     if obstacle.too_near { TripCause::LidarTooNear } else { TripCause::LidarHit }
 }
 
-/// The obstacle that the robot was backing away from. When a fault interrupts the back-off, the planner still has to be
-/// informed of it.
+/// The obstacle that the robot was backing away from. When a fault interrupts the back-off, the
+/// planner still has to be informed of it.
 fn blocked_point_m(state: &SafetyState) -> Option<[f64; 2]> {
     match state {
         SafetyState::Tripped { blocked_m, .. }

@@ -40,7 +40,8 @@ impl Room {
         Range::Hit(along_x.min(self.distance_to_wall_m(self.pose.y_m, sin)) as f32)
     }
 
-    /// Distance along a ray to the walls of one axis: `position` of the ray's start and `slope` of the ray on that axis.
+    /// Distance along a ray to the walls of one axis: `position` of the ray's start and `slope` of
+    /// the ray on that axis.
     fn distance_to_wall_m(&self, position: f64, slope: f64) -> f64 {
         if slope > 1e-9 {
             (self.half_m - position) / slope
@@ -179,7 +180,8 @@ fn a_reverse_command_towards_an_obstacle_behind_keeps_only_its_rotation() {
     for (beam, range) in scan.ranges.iter_mut().enumerate() {
         *range = if beam < 4 { Range::Hit(0.17) } else { Range::Hit(3.0) };
     }
-    // The rear beams at 135 degrees meet a post at 0.17 m: x = -0.12, y = 0.12, inside the strip behind.
+    // The rear beams at 135 degrees meet a post at 0.17 m: x = -0.12, y = 0.12, inside the strip
+    // behind.
     let output = room.tick_with(back, Some(&scan), false);
     assert_eq!(output.twist(), Twist2 { linear_mps: 0.0, angular_radps: 0.1 });
 }
@@ -279,7 +281,8 @@ proptest! {
     ) {
         let mut room = Room::new(0.8, Pose2::new(0.1, -0.2, yaw));
         for (linear_mps, angular_radps) in commands {
-            // The scanner does not cover the ground behind, so the property holds for forward commands only.
+            // The scanner does not cover the ground behind, so the property holds for forward
+            // commands only.
             room.tick(Twist2 { linear_mps: linear_mps.max(0.0), angular_radps });
             let reach = room.pose.x_m.abs().max(room.pose.y_m.abs()) + 0.16;
             prop_assert!(reach < 0.8, "footprint reaches {reach}");

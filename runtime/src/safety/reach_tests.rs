@@ -1,5 +1,5 @@
-//! Tests of distances and speeds: how close and how fast the safety plane lets plans drive, and how far it backs off and
-//! rotates without a plan.
+//! Tests of distances and speeds: how close and how fast the safety plane lets plans drive, and how
+//! far it backs off and rotates without a plan.
 
 use super::tests::{FORWARD, Room, TICK_NS, cart, driving, rotated_once, tripped};
 use super::*;
@@ -140,8 +140,8 @@ fn the_back_off_begins_after_half_a_second_even_if_the_wheels_never_stand_still(
     }
 }
 
-/// Trips the safety plane at `at`. A fault that clears itself then ends the back-off, so that only the count of trips
-/// remains.
+/// Trips the safety plane at `at`. A fault that clears itself then ends the back-off, so that only
+/// the count of trips remains.
 fn trips_at(room: &mut Room, at: Pose2, wall_m: f64) {
     room.pose = at;
     let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(wall_m) };
@@ -184,8 +184,8 @@ fn trips_close_in_place_and_time_are_counted_together_and_others_are_not() {
     }
 }
 
-/// A post at 135 degrees, in the strip behind the robot, this far from the laser: the gap behind the outline is
-/// 5.7 cm at 0.195 m, 6.7 at 0.2, 9.7 at 0.213 and 11.1 at 0.218.
+/// A post at 135 degrees, in the strip behind the robot, this far from the laser: the gap behind
+/// the outline is 5.7 cm at 0.195 m, 6.7 at 0.2, 9.7 at 0.213 and 11.1 at 0.218.
 fn post_behind(room: &Room, range_m: f32) -> LaserScan {
     let mut scan = room.scan();
     scan.ranges[1077..].fill(Range::Hit(range_m));
@@ -280,7 +280,8 @@ fn an_escape_ends_where_a_corner_would_meet_the_wall() {
 
 #[test]
 fn a_rotation_on_the_spot_is_checked_for_the_reaction_time_and_0_3_s_more() {
-    // 0.15 rad at 0.5 rad/s; 0.25 rad with a reaction time of 0.2 s. The front corner is 0.335 m from the axle.
+    // 0.15 rad at 0.5 rad/s; 0.25 rad with a reaction time of 0.2 s. The front corner is 0.335 m
+    // from the axle.
     for (reaction_s, y_m, turns) in [(0.0, 1.79, true), (0.2, 1.79, false), (0.0, 1.82, false)] {
         let mut room =
             Room::with(SafetyConfig { reaction_s, ..cart() }, 2.0, Pose2::new(0.0, y_m, 0.0));

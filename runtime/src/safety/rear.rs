@@ -1,7 +1,8 @@
-//! Memory of the ground behind the robot, which a scanner with a field of view of 270 degrees does not see.
+//! Memory of the ground behind the robot, which a scanner with a field of view of 270 degrees does
+//! not see.
 //!
-//! Ground counts as known to be free for two reasons: the robot drove over it a moment ago, or the scanner saw it a moment
-//! ago, before the robot rotated.
+//! Ground counts as known to be free for two reasons: the robot drove over it a moment ago, or the
+//! scanner saw it a moment ago, before the robot rotated.
 
 use std::f64::consts::{PI, TAU};
 
@@ -19,10 +20,12 @@ const SAME_PLACE_M: f64 = 0.1;
 /// Number of stored poses of the driven path, and the distance between two of them, metres.
 const TRAIL_LENGTH: usize = 64;
 const TRAIL_STEP_M: f64 = 0.02;
-/// A point within this distance of the driven path counts as driven over, metres. It is less than [`CHECK_STEP_M`], so that a
-/// robot that has only stood somewhere does not know the ground behind it.
+/// A point within this distance of the driven path counts as driven over, metres. It is less than
+/// [`CHECK_STEP_M`], so that a robot that has only stood somewhere does not know the ground behind
+/// it.
 const ON_TRAIL_M: f64 = 0.019;
-/// A footprint with corners covered the ground only if its heading was the same within this tolerance, radians.
+/// A footprint with corners covered the ground only if its heading was the same within this
+/// tolerance, radians.
 const SAME_HEADING_RAD: f64 = 0.2;
 /// The path behind the robot is checked in steps of this length, metres.
 const CHECK_STEP_M: f64 = 0.02;
@@ -49,7 +52,8 @@ impl SectorReturns {
     const NONE: Self = Self { beams: 0, returns: 0, nearest_m: f64::INFINITY };
 }
 
-/// Recent observations and the recently driven path. Its size is fixed, so it never allocates memory.
+/// Recent observations and the recently driven path. Its size is fixed, so it never allocates
+/// memory.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct RearMemory {
     memory_ns: u64,
@@ -89,9 +93,9 @@ impl RearMemory {
         self.trail = [None; TRAIL_LENGTH];
     }
 
-    /// Records a scan that was taken with the laser at `t_odom_laser`. A direction counts as observed when at least half of
-    /// its beams returned from something other than the robot's own body. With fewer returns, an older observation of this
-    /// direction is dropped.
+    /// Records a scan that was taken with the laser at `t_odom_laser`. A direction counts as
+    /// observed when at least half of its beams returned from something other than the robot's own
+    /// body. With fewer returns, an older observation of this direction is dropped.
     pub fn record_scan(
         &mut self,
         scan: &LaserScan,
@@ -111,7 +115,8 @@ impl RearMemory {
             }
         }
         let from_m = [t_odom_laser.x_m, t_odom_laser.y_m];
-        // Directions at the edge of the field of view have fewer beams: they are observed only in part.
+        // Directions at the edge of the field of view have fewer beams: they are observed only in
+        // part.
         let beams_of_sector = (TAU / SECTORS as f64 / scan.geometry.angle_increment_rad) as u32;
         for (observation, sector) in self.observations.iter_mut().zip(sectors) {
             if sector.beams >= beams_of_sector.max(1) {
@@ -124,7 +129,8 @@ impl RearMemory {
         }
     }
 
-    /// Distance behind `pose` within which the ground is known to be free, metres, at most `limit_m`.
+    /// Distance behind `pose` within which the ground is known to be free, metres, at most
+    /// `limit_m`.
     pub fn known_free_m(
         &self,
         time_ns: u64,
@@ -140,7 +146,8 @@ impl RearMemory {
                 .filter_map(|(sector, observation)| Some((sector, observation.as_ref()?)));
             return observed_gap_m(observations, pose, footprint).min(limit_m).max(0.0);
         }
-        // The robot drove over this ground, but somebody may have stepped onto it since: an observation shows that.
+        // The robot drove over this ground, but somebody may have stepped onto it since: an
+        // observation shows that.
         let observations = self.observations_behind(time_ns, pose).flatten();
         let observed_m = observed_gap_m(observations, pose, footprint);
         let steps = (limit_m / CHECK_STEP_M).ceil() as usize;
@@ -167,7 +174,8 @@ impl RearMemory {
         })
     }
 
-    /// The segments of the recently driven path as (start, end), the newest first; the first one ends at `here`.
+    /// The segments of the recently driven path as (start, end), the newest first; the first one
+    /// ends at `here`.
     fn driven_segments<'a>(
         &'a self,
         time_ns: u64,
@@ -185,7 +193,8 @@ impl RearMemory {
         time_ns.saturating_sub(when_ns) <= self.memory_ns
     }
 
-    /// One item for every direction behind the robot: its observation, if that is recent and was made near `pose`.
+    /// One item for every direction behind the robot: its observation, if that is recent and was
+    /// made near `pose`.
     fn observations_behind<'a>(
         &'a self,
         time_ns: u64,
@@ -203,8 +212,9 @@ impl RearMemory {
     }
 }
 
-/// Free distance straight back to the nearest observed return, metres; infinite if no return is in the way. A return may lie
-/// anywhere across the width of its direction, so its middle and both edges are checked.
+/// Free distance straight back to the nearest observed return, metres; infinite if no return is in
+/// the way. A return may lie anywhere across the width of its direction, so its middle and both
+/// edges are checked.
 fn observed_gap_m<'a>(
     observations: impl Iterator<Item = (usize, &'a Observation)>,
     pose: &Pose2,
@@ -342,7 +352,8 @@ mod tests {
 
     #[test]
     fn only_directions_behind_must_be_observed_and_a_direction_that_is_partly_in_view_is_not() {
-        // A scan reaches 135 degrees to the left; behind are the directions from 200 to 290 degrees.
+        // A scan reaches 135 degrees to the left; behind are the directions from 200 to 290
+        // degrees.
         let here = Pose2::new(1.0, -2.0, 63f64.to_radians());
         for (looked_deg, known_m) in [(146.1, 0.0), (156.1, 0.2)] {
             let mut rear = rear();
@@ -379,7 +390,8 @@ mod tests {
     #[test]
     fn a_return_may_lie_anywhere_across_its_direction_and_keeps_its_place_when_the_robot_moves() {
         let mut rear = rear();
-        // An obstacle between 190 and 200 degrees, 0.7 m away; the robot rotates towards it and back.
+        // An obstacle between 190 and 200 degrees, 0.7 m away; the robot rotates towards it and
+        // back.
         let looked_rad = -1.7;
         let post = scan_of(|angle| match (angle + looked_rad).to_degrees().rem_euclid(360.0) {
             at if (190.1..199.9).contains(&at) => Range::Hit(0.7),

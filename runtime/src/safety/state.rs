@@ -8,7 +8,8 @@ use crate::event::{FaultReason, SafetyEvent};
 /// The state of the safety plane. The table in `safety/mod.rs` lists the transitions.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum SafetyState {
-    /// The operator has not armed the robot yet, or has disarmed it or cleared a fault. Nothing moves.
+    /// The operator has not armed the robot yet, or has disarmed it or cleared a fault. Nothing
+    /// moves.
     Disarmed,
     /// Plans pass unchanged.
     Clear,
@@ -24,7 +25,8 @@ pub enum SafetyState {
     BackingOff(BackOff),
     /// Rotating on the spot until there is free space ahead, without a plan.
     Escaping(Escape),
-    /// Stopped until the reason is gone. `FaultReason::clears_itself` tells which reasons need an operator.
+    /// Stopped until the reason is gone. `FaultReason::clears_itself` tells which reasons need an
+    /// operator.
     Fault(FaultReason),
 }
 
@@ -92,7 +94,8 @@ pub enum Request {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plan {
     pub twist: Twist2,
-    /// Time of the measurements that the plan is based on, monotonic. A plan that is too old is refused.
+    /// Time of the measurements that the plan is based on, monotonic. A plan that is too old is
+    /// refused.
     pub time_ns: u64,
 }
 
@@ -122,7 +125,8 @@ pub struct SafetyOutput {
     pub command: Option<Twist2>,
     /// What changed in this tick, with the reason.
     pub event: Option<SafetyEvent>,
-    /// A point in `odom`, metres, that the planner has to treat as blocked. Set once, when the back-off has ended.
+    /// A point in `odom`, metres, that the planner has to treat as blocked. Set once, when the
+    /// back-off has ended.
     pub blocked_m: Option<[f64; 2]>,
     /// The plan has no effect in this tick.
     pub in_charge: bool,

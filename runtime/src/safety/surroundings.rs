@@ -8,14 +8,15 @@ use crate::snapshot::remembers;
 
 /// A scan with a larger share of error beams is bad.
 const MAX_ERROR_SHARE: f64 = 0.5;
-/// Number of neighbouring beams that must agree before a return counts as an obstacle: a single return is dust or crosstalk.
-/// Within one metre the beams of a scanner with 0.25 degrees of resolution are at most 4 mm apart, so a chair leg always
-/// meets several of them.
+/// Number of neighbouring beams that must agree before a return counts as an obstacle: a single
+/// return is dust or crosstalk. Within one metre the beams of a scanner with 0.25 degrees of
+/// resolution are at most 4 mm apart, so a chair leg always meets several of them.
 const MIN_RUN: usize = 2;
-/// Neighbouring beams agree when their ranges differ by less than this: twice the ±30 mm accuracy of a UTM-30LX, plus
-/// 20 mm of tolerance.
+/// Neighbouring beams agree when their ranges differ by less than this: twice the ±30 mm accuracy
+/// of a UTM-30LX, plus 20 mm of tolerance.
 const NEIGHBOUR_GAP_M: f32 = 0.08;
-/// Horizon: obstacles farther from the laser than this are ignored, metres. A large configured stop distance extends it.
+/// Horizon: obstacles farther from the laser than this are ignored, metres. A large configured stop
+/// distance extends it.
 pub(super) const HORIZON_M: f32 = 1.5;
 /// The horizon lies at least this far beyond the stop distance, metres.
 const SIGHT_M: f64 = 1.0;
@@ -25,7 +26,8 @@ const SIGHT_M: f64 = 1.0;
 pub struct Obstacle {
     pub x_m: f64,
     pub y_m: f64,
-    /// The obstacle is nearer than the sensor's minimum range; its position is that of the minimum range.
+    /// The obstacle is nearer than the sensor's minimum range; its position is that of the minimum
+    /// range.
     pub too_near: bool,
 }
 
@@ -40,8 +42,8 @@ impl Obstacle {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ScanHealth {
     Good,
-    /// More than half of the beams are errors, no beam returned, or beams are missing: the sensor is covered, blinded or
-    /// broken. In a home some beam always meets a wall.
+    /// More than half of the beams are errors, no beam returned, or beams are missing: the sensor
+    /// is covered, blinded or broken. In a home some beam always meets a wall.
     Bad,
 }
 
@@ -59,7 +61,8 @@ impl ScanHealth {
     }
 }
 
-/// A range that is not finite or is negative counts as an error even if the driver reports it as a hit.
+/// A range that is not finite or is negative counts as an error even if the driver reports it as a
+/// hit.
 fn is_error(range: Range) -> bool {
     match range {
         Range::Hit(range_m) => !(range_m.is_finite() && range_m >= 0.0),
@@ -68,7 +71,8 @@ fn is_error(range: Range) -> bool {
     }
 }
 
-/// Distance of a beam's return, metres. For a return below the minimum range this is the minimum range: an upper bound.
+/// Distance of a beam's return, metres. For a return below the minimum range this is the minimum
+/// range: an upper bound.
 pub(super) fn distance_m(range: Range, geometry: &ScanGeometry) -> Option<f32> {
     match range {
         Range::TooNear => Some(geometry.range_min_m),
@@ -76,7 +80,8 @@ pub(super) fn distance_m(range: Range, geometry: &ScanGeometry) -> Option<f32> {
     }
 }
 
-/// The newest scan as obstacle points in `base_link`. It allocates memory only when the scan geometry changes.
+/// The newest scan as obstacle points in `base_link`. It allocates memory only when the scan
+/// geometry changes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Surroundings {
     laser_forward_m: f64,
@@ -86,7 +91,8 @@ pub struct Surroundings {
     beams: Vec<Beam>,
     geometry: Option<ScanGeometry>,
     obstacles: Vec<Obstacle>,
-    /// Sum of the ranges to the left minus the sum of the ranges to the right, each range limited to 2 m.
+    /// Sum of the ranges to the left minus the sum of the ranges to the right, each range limited
+    /// to 2 m.
     left_minus_right_m: f32,
 }
 
@@ -146,7 +152,8 @@ impl Surroundings {
         let mut run_length = 0;
         let mut last_m = f32::NEG_INFINITY;
         for (beam, range) in self.beams.iter().zip(&scan.ranges) {
-            // An error beam carries no information, so it does not interrupt a run of agreeing beams.
+            // An error beam carries no information, so it does not interrupt a run of agreeing
+            // beams.
             if is_error(*range) {
                 continue;
             }
@@ -173,7 +180,8 @@ impl Surroundings {
         }
     }
 
-    /// Returns of this beam up to this distance come from the robot's own body, metres; 0 if the beam does not meet it.
+    /// Returns of this beam up to this distance come from the robot's own body, metres; 0 if the
+    /// beam does not meet it.
     pub(super) fn own_body_m(&self, beam: usize) -> f32 {
         self.beams.get(beam).map_or(0.0, |beam| beam.own_body_m)
     }
@@ -190,8 +198,8 @@ impl Surroundings {
         &self.obstacles
     }
 
-    /// The obstacle that the footprint would meet first when the robot drives with `twist`, and the free distance to it,
-    /// metres; `None` if it meets none within `reach_m`.
+    /// The obstacle that the footprint would meet first when the robot drives with `twist`, and the
+    /// free distance to it, metres; `None` if it meets none within `reach_m`.
     #[must_use]
     pub fn first_obstacle(
         &self,

@@ -128,7 +128,8 @@ fn the_window_follows_the_robot_and_keeps_the_cells_that_it_still_covers() {
 
 #[test]
 fn the_window_moves_as_little_as_necessary() {
-    // The robot may be 5 cells away from the centre of 150 cells, so 80 cells behind it stay in the window.
+    // The robot may be 5 cells away from the centre of 150 cells, so 80 cells behind it stay in the
+    // window.
     let mut grid = grid();
     let kept = Cell::new(-30, 0);
     let forgotten = Cell::new(-31, 0);

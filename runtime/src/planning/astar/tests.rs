@@ -3,7 +3,8 @@ use crate::mapping::CellBox;
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 
-/// A random costmap of square patches: `None` with probability `blocked`, otherwise mostly 1, or up to 15.
+/// A random costmap of square patches: `None` with probability `blocked`, otherwise mostly 1, or up
+/// to 15.
 fn random_map(size: (i32, i32), patch: i32, blocked: f64, rough: f64, seed: u64) -> Costmap {
     let mut random = rand_pcg::Pcg64::seed_from_u64(seed);
     let patches: Vec<Option<f64>> = (0..50 * 50)
@@ -19,7 +20,8 @@ fn random_map(size: (i32, i32), patch: i32, blocked: f64, rough: f64, seed: u64)
     })
 }
 
-/// The neighbours of a cell and the integer costs of the steps, computed directly from the documented rules.
+/// The neighbours of a cell and the integer costs of the steps, computed directly from the
+/// documented rules.
 fn successors(costmap: &Costmap, cell: Cell) -> Vec<(Cell, u32)> {
     let mut found = Vec::new();
     for (dx, dy) in STEPS {
