@@ -1,20 +1,19 @@
-//! Percentiles of durations in memory that never grows. The runtime reads no clock: whoever has one, records.
+//! Percentiles of durations, in memory of constant size. The runtime reads no clock, so the caller
+//! measures the durations.
 
 use serde::{Deserialize, Serialize};
 
 /// Median, 99th percentile and maximum, milliseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Percentiles {
-    /// Median.
     pub p50: f64,
-    /// 99th percentile.
     pub p99: f64,
-    /// Maximum, exact.
+    /// The exact maximum.
     pub max: f64,
 }
 
-/// Counts durations in log-linear buckets, as in HdrHistogram: 64 buckets an octave, so a percentile is within 0.8 % of the
-/// exact one, in memory that never grows.
+/// Counts durations in log-linear buckets like HdrHistogram, with 64 buckets per octave. A
+/// percentile is within 0.8 % of the exact one.
 #[derive(Debug, Clone)]
 pub struct LatencyHistogram {
     counts: Vec<u64>,
@@ -24,7 +23,7 @@ pub struct LatencyHistogram {
 
 const BITS: u32 = 6;
 const PER_OCTAVE: u64 = 1 << BITS;
-/// Longer durations (18 minutes) count as this.
+/// Durations above this (18 minutes) are counted as this.
 const LONGEST_NS: u64 = (1 << 40) - 1;
 
 impl Default for LatencyHistogram {
@@ -34,15 +33,15 @@ impl Default for LatencyHistogram {
 }
 
 impl LatencyHistogram {
-    /// Adds one duration, nanoseconds. Does not allocate.
+    /// Adds one duration, nanoseconds. It does not allocate.
     pub fn record(&mut self, duration_ns: u64) {
         self.counts[bucket(duration_ns.min(LONGEST_NS))] += 1;
         self.total += 1;
         self.max_ns = self.max_ns.max(duration_ns);
     }
 
-    /// The duration, nanoseconds, that a share `quantile` of all durations does not exceed (nearest rank); `None` when
-    /// nothing was recorded.
+    /// The duration, nanoseconds, that a share `quantile` of all durations does not exceed (nearest
+    /// rank); `None` if no duration was recorded.
     #[must_use]
     pub fn quantile_ns(&self, quantile: f64) -> Option<u64> {
         let rank = ((quantile * self.total as f64).ceil() as u64).clamp(1, self.total.max(1));
@@ -54,17 +53,23 @@ impl LatencyHistogram {
         Some(middle_ns(index).min(self.max_ns))
     }
 
-    /// `None` when nothing was recorded.
+    /// `None` if no duration was recorded.
     #[must_use]
     pub fn percentiles(&self) -> Option<Percentiles> {
-        let ms = |ns: u64| ns as f64 / 1e6;
-        let p50 = ms(self.quantile_ns(0.5)?);
-        let p99 = ms(self.quantile_ns(0.99)?);
-        Some(Percentiles { p50, p99, max: ms(self.max_ns) })
+        Some(Percentiles {
+            p50: milliseconds(self.quantile_ns(0.5)?),
+            p99: milliseconds(self.quantile_ns(0.99)?),
+            max: milliseconds(self.max_ns),
+        })
     }
 }
 
-/// Durations below 64 ns have a bucket each; above, every octave has 64 equal ones.
+fn milliseconds(ns: u64) -> f64 {
+    ns as f64 / 1e6
+}
+
+/// Index of a duration's bucket. Durations below 64 ns have one bucket each; above, each octave has
+/// 64 equal buckets.
 fn bucket(ns: u64) -> usize {
     if ns < PER_OCTAVE {
         return ns as usize;
@@ -73,6 +78,7 @@ fn bucket(ns: u64) -> usize {
     (u64::from(shift) * PER_OCTAVE + (ns >> shift)) as usize
 }
 
+/// The duration in the middle of a bucket, nanoseconds.
 fn middle_ns(bucket: usize) -> u64 {
     let bucket = bucket as u64;
     if bucket < 2 * PER_OCTAVE {
@@ -110,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_recorded_is_nothing_reported() {
+    fn without_durations_there_are_no_percentiles() {
         assert_eq!(LatencyHistogram::default().percentiles(), None);
     }
 

@@ -7,7 +7,7 @@ pub mod event;
 pub mod exploration;
 pub mod imaging;
 pub mod latency;
-pub mod line_monitor;
+pub mod lidar_agreement;
 pub mod mapping;
 pub mod model_gate;
 pub mod perception;

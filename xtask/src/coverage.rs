@@ -1,7 +1,8 @@
-//! Which lines and branches of the safety plane its own tests reach.
+//! Line and branch coverage of the safety plane by its own tests.
 //!
-//! The compiler counts, LLVM's tools of the same version read the counts. Branches are an unstable option of the stable compiler.
-//! Lines of tests are not counted.
+//! The compiler inserts counters, and LLVM's tools of the same version read them. Branch coverage
+//! is an unstable option, which the stable compiler accepts with `RUSTC_BOOTSTRAP`. Lines of tests
+//! are not counted.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -12,10 +13,10 @@ use anyhow::{Context, Result, bail};
 
 use crate::{command, safety_alone};
 
-/// Prints a line for each file and each place that no test reaches.
+/// Prints one line for each file and for each line or branch that no test reaches.
 ///
 /// # Errors
-/// When LLVM's tools are missing, the tests fail, or a place is not reached.
+/// If LLVM's tools are missing, the tests fail, or a line or branch is not reached.
 pub fn run() -> Result<()> {
     let llvm = Llvm::find()?;
     let safety = safety_alone::make("coverage")?;
@@ -25,7 +26,7 @@ pub fn run() -> Result<()> {
     }
     let program = build(&safety)?;
     let mut tests = Command::new(&program);
-    // Few random cases: a place that only many of them reach shall be named.
+    // With few random cases, lines that only rare cases reach are reported as not reached.
     tests
         .arg("--quiet")
         .env("PROPTEST_CASES", "4")
@@ -42,10 +43,11 @@ pub fn run() -> Result<()> {
     report(&lcov)
 }
 
-/// The tests' program, which counts; cargo names it among what it made.
+/// Builds the test executable with counters and returns its path, which cargo reports as JSON.
 fn build(safety: &Path) -> Result<PathBuf> {
     let mut cargo = command::cargo();
-    // Apart from all other builds: some crates are built anew when `RUSTC_BOOTSTRAP` comes or goes.
+    // A target directory of its own, because some crates are rebuilt whenever `RUSTC_BOOTSTRAP`
+    // changes.
     cargo
         .current_dir(safety)
         .env("RUSTC_BOOTSTRAP", "1")
@@ -65,30 +67,27 @@ fn build(safety: &Path) -> Result<PathBuf> {
     let program =
         messages.lines().filter_map(|line| line.split_once("\"executable\":\"")).next_back();
     let program = program.and_then(|(_, rest)| rest.split_once('"'));
-    Ok(program.context("cargo names no program")?.0.into())
+    Ok(program.context("cargo reported no test executable")?.0.into())
 }
 
-/// LLVM's tools.
+/// Paths of LLVM's coverage tools.
 struct Llvm {
     cov: PathBuf,
     profdata: PathBuf,
 }
 
 impl Llvm {
-    /// Of rustup's component `llvm-tools`, or of Debian's package of the compiler's own version: others cannot read its counts.
+    /// Finds the tools in rustup's component `llvm-tools` or in Debian's package. They must have
+    /// the compiler's LLVM version; other versions cannot read its counters.
     fn find() -> Result<Self> {
         let about = command::output(Command::new("rustc").arg("-vV"))?;
-        let of = |key: &str| {
-            about.lines().find_map(|line| line.strip_prefix(key)).unwrap_or_default().trim()
-        };
-        let major = of("LLVM version:").split('.').next().unwrap_or_default();
+        let major = field(&about, "LLVM version:").split('.').next().unwrap_or_default();
         let sysroot = command::output(Command::new("rustc").args(["--print", "sysroot"]))?;
-        let component = Path::new(sysroot.trim()).join("lib/rustlib").join(of("host:")).join("bin");
-        let tool = |name: &str| {
-            let places = [component.join(name), format!("{name}-{major}").into(), name.into()];
-            places.into_iter().find(|place| command::works(Command::new(place).arg("--version")))
-        };
-        match (tool("llvm-cov"), tool("llvm-profdata")) {
+        let host = field(&about, "host:");
+        let component = Path::new(sysroot.trim()).join("lib/rustlib").join(host).join("bin");
+        let cov = find_tool("llvm-cov", &component, major);
+        let profdata = find_tool("llvm-profdata", &component, major);
+        match (cov, profdata) {
             (Some(cov), Some(profdata)) => Ok(Self { cov, profdata }),
             _ => bail!(
                 "llvm-cov is missing: `rustup component add llvm-tools`, or `apt install llvm-{major}`"
@@ -97,34 +96,44 @@ impl Llvm {
     }
 }
 
-/// What one file of the safety plane has, without its tests.
+/// The value of a line `key value` in the output of `rustc -vV`.
+fn field<'a>(about: &'a str, key: &str) -> &'a str {
+    about.lines().find_map(|line| line.strip_prefix(key)).unwrap_or_default().trim()
+}
+
+fn find_tool(name: &str, component: &Path, major: &str) -> Option<PathBuf> {
+    let places = [component.join(name), format!("{name}-{major}").into(), name.into()];
+    places.into_iter().find(|place| command::works(Command::new(place).arg("--version")))
+}
+
+/// Counters of one file of the safety plane, without its tests.
 #[derive(Debug, Default, PartialEq)]
 struct Reached {
-    /// How often each line was reached.
+    /// Number of executions of each line.
     lines: BTreeMap<u32, u64>,
-    /// How often each way on from a line was taken: the line, the place in it, the way.
+    /// Number of executions of each branch; the key is the line and lcov's name of the branch.
     branches: BTreeMap<(u32, String), u64>,
 }
 
-/// Reads LLVM's `lcov` text. Lines from `first_test_line` of a file on are tests.
+/// Reads LLVM's `lcov` text. The lines of a file from `first_test_line` on are tests.
 fn read(lcov: &str, first_test_line: impl Fn(&str) -> u32) -> BTreeMap<String, Reached> {
     let mut files: BTreeMap<String, Reached> = BTreeMap::new();
-    let (mut file, mut tests_from) = (String::new(), 0);
+    let mut file = String::new();
+    let mut tests_from = 0;
     for line in lcov.lines() {
         let Some((key, value)) = line.split_once(':') else { continue };
         if key == "SF" {
-            (file, tests_from) = (value.to_owned(), first_test_line(value));
+            file = value.to_owned();
+            tests_from = first_test_line(value);
             continue;
         }
-        let (Some((at, _)), Some((place, count))) = (value.split_once(','), value.rsplit_once(','))
-        else {
-            continue;
-        };
+        let Some((at, _)) = value.split_once(',') else { continue };
+        let Some((place, count)) = value.rsplit_once(',') else { continue };
         let at: u32 = at.parse().unwrap_or(u32::MAX);
         if at >= tests_from {
             continue;
         }
-        // `-`: the line was not reached at all.
+        // The count is `-` for branches of a line that was not reached.
         let count = count.parse().unwrap_or(0);
         let reached = files.entry(file.clone()).or_default();
         match key {
@@ -136,21 +145,22 @@ fn read(lcov: &str, first_test_line: impl Fn(&str) -> u32) -> BTreeMap<String, R
     files
 }
 
+/// The line on which the tests of a source file begin; 1 for a file that contains only tests.
+fn first_test_line(file: &str) -> u32 {
+    if file.ends_with("_tests.rs") {
+        return 1;
+    }
+    let text = fs::read_to_string(file).unwrap_or_default();
+    text.lines().take_while(|line| line.trim() != "#[cfg(test)]").count() as u32 + 1
+}
+
 fn report(lcov: &str) -> Result<()> {
-    // Files that are tests as a whole have no line before them.
-    let first_test_line = |file: &str| {
-        let text = if file.ends_with("_tests.rs") {
-            String::new()
-        } else {
-            fs::read_to_string(file).unwrap_or_default()
-        };
-        text.lines().take_while(|line| line.trim() != "#[cfg(test)]").count() as u32 + 1
-    };
     let mut missed = 0;
     println!("{:18} {:>12} {:>12}", "safety/", "lines", "branches");
     for (file, Reached { lines, branches }) in read(lcov, first_test_line) {
         let name = Path::new(&file).file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let (reached, taken) = (count(lines.values()), count(branches.values()));
+        let reached = count(lines.values());
+        let taken = count(branches.values());
         println!(
             "{name:18} {:>12} {:>12}",
             format!("{reached}/{}", lines.len()),
@@ -160,7 +170,7 @@ fn report(lcov: &str) -> Result<()> {
             println!("  {name}:{line} is not reached");
         }
         for ((line, _), _) in branches.iter().filter(|(_, count)| **count == 0) {
-            println!("  {name}:{line}: one way on is never taken");
+            println!("  {name}:{line}: a branch is never taken");
         }
         missed += lines.len() - reached + branches.len() - taken;
     }
@@ -170,6 +180,7 @@ fn report(lcov: &str) -> Result<()> {
     Ok(())
 }
 
+/// Number of counters that are not 0.
 fn count<'a>(counts: impl Iterator<Item = &'a u64>) -> usize {
     counts.filter(|count| **count > 0).count()
 }
@@ -179,7 +190,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_llvm_counted_is_read_and_tests_are_left_out() {
+    fn counters_are_read_from_lcov_and_lines_of_tests_are_left_out() {
         let lcov = "SF:/a/plane.rs\nDA:1,5\nDA:2,0\nBRDA:2,0,0,3\nBRDA:2,0,1,-\nBRDA:2,0,0,1\nDA:9,0\nend_of_record\n\
                     SF:/a/plane_tests.rs\nDA:1,0\nend_of_record\n";
         let files = read(lcov, |file| if file.ends_with("_tests.rs") { 1 } else { 9 });

@@ -1,7 +1,8 @@
-//! The safety plane as a crate of its own, under the target directory.
+//! Copies the safety plane into a crate of its own under the target directory.
 //!
-//! `safety/` needs only `hal`, the words of `event.rs` and `snapshot.rs`. A build of it with its tests costs two seconds; one of all
-//! of `runtime`, for each of hundreds of mutants, would take days.
+//! `safety/` needs only `hal`, the types of `event.rs`, and `snapshot.rs`. A build of this crate
+//! with its tests takes two seconds. A build of the whole `runtime` crate for each of hundreds of
+//! mutants would take days.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -30,7 +31,7 @@ debug = false
 opt-level = 3
 "#;
 
-/// `event.rs` names one type of perception.
+/// The crate's `lib.rs`. `event.rs` uses one type of the perception module, which is replaced here.
 const LIBRARY: &str = "
 pub mod event;
 pub mod safety;
@@ -41,7 +42,8 @@ pub mod perception {
 }
 ";
 
-/// Copies it, as it is now, into a folder of this name; its path.
+/// Copies the current sources into the folder `name` under the target directory and returns its
+/// path.
 pub fn make(name: &str) -> Result<PathBuf> {
     let to = paths::target().join(name);
     let source = paths::root().join("runtime/src");
@@ -53,14 +55,15 @@ pub fn make(name: &str) -> Result<PathBuf> {
     for file in ["event.rs", "snapshot.rs"] {
         fs::copy(source.join(file), to.join("src").join(file))?;
     }
-    copy_tests_and_all(&source.join("safety"), &to.join("src/safety"))?;
+    copy_safety(&source.join("safety"), &to.join("src/safety"))?;
     Ok(to)
 }
 
-fn copy_tests_and_all(from: &Path, to: &Path) -> Result<()> {
+fn copy_safety(from: &Path, to: &Path) -> Result<()> {
     for entry in fs::read_dir(from)? {
         let path = entry?.path();
-        // A shallower search than in the ordinary tests: what only the deep one notices is listed as missed.
+        // The exhaustive search is shallower than in the ordinary tests, to save time. A mutant
+        // that only the deeper search detects counts as missed.
         let text =
             fs::read_to_string(&path)?.replace("const DEPTH: u32 = 8;", "const DEPTH: u32 = 5;");
         fs::write(to.join(path.file_name().unwrap_or_default()), text)?;

@@ -1,4 +1,4 @@
-//! Policies that look at nothing but the bumper: the paper's baselines.
+//! Policies that use only the bumper and no map: the paper's baselines.
 
 use std::collections::VecDeque;
 
@@ -8,30 +8,33 @@ use serde::{Deserialize, Serialize};
 
 use crate::planning::Primitive;
 
-/// Right turns of `forward` after a collision: 5 steps of 2 degrees (released code of the paper, `ForwardAgent`).
-const FORWARD_TURNS: usize = 5;
-/// Length of the short arms of `heuristic`'s three moves (released code of the paper, `HeuristicRandomAgent`).
+/// Rotation steps to the right of `forward` after a collision: 5 steps of 2 degrees (released code
+/// of the paper, `ForwardAgent`).
+const FORWARD_ROTATIONS: usize = 5;
+/// Steps in each half of one of `heuristic`'s three moves (released code of the paper,
+/// `HeuristicRandomAgent`).
 const HEURISTIC_STEPS: usize = 8;
 
-/// A policy without a map.
+/// A policy without a map, with its state.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub enum BlindPolicy {
-    /// Forward, left or right, each with probability 1/3, anew every frame.
+    /// Each frame one step forward, left or right, each with probability 1/3.
     Random,
-    /// 8 left + 8 forward, 8 right + 8 forward, or 16 forward, each with probability 1/3.
+    /// Moves of 16 steps: 8 left + 8 forward, 8 right + 8 forward, or 16 forward, each with
+    /// probability 1/3.
     Heuristic {
-        /// Steps still to do.
+        /// Remaining steps of the current move.
         queue: VecDeque<Primitive>,
     },
-    /// Forward; after a collision 10 degrees to the right.
+    /// Forward; after a collision it rotates 10 degrees to the right.
     Forward {
-        /// Turns still to do.
-        turns_left: usize,
+        /// Remaining rotation steps.
+        rotations_left: usize,
     },
 }
 
 impl BlindPolicy {
-    /// The next step. `blocked`: the bumper has just backed off from something.
+    /// The next step. `blocked`: the safety plane has just backed off from an obstacle.
     pub fn next(&mut self, rng: &mut Pcg64Mcg, blocked: bool) -> Primitive {
         use Primitive::{Forward, TurnLeft, TurnRight};
         match self {
@@ -47,14 +50,14 @@ impl BlindPolicy {
                 }
                 queue.pop_front().unwrap_or(Forward)
             }
-            Self::Forward { turns_left } => {
+            Self::Forward { rotations_left } => {
                 if blocked {
-                    *turns_left = FORWARD_TURNS;
+                    *rotations_left = FORWARD_ROTATIONS;
                 }
-                if *turns_left == 0 {
+                if *rotations_left == 0 {
                     return Forward;
                 }
-                *turns_left -= 1;
+                *rotations_left -= 1;
                 TurnRight
             }
         }
@@ -91,7 +94,7 @@ mod tests {
 
     #[test]
     fn forward_turns_ten_degrees_to_the_right_after_a_collision_and_drives_on() {
-        let mut policy = BlindPolicy::Forward { turns_left: 0 };
+        let mut policy = BlindPolicy::Forward { rotations_left: 0 };
         let mut rng = Pcg64Mcg::seed_from_u64(1);
         assert_eq!(policy.next(&mut rng, false), Primitive::Forward);
         assert_eq!(policy.next(&mut rng, true), Primitive::TurnRight);

@@ -1,4 +1,4 @@
-//! Which of many places to go to.
+//! Choice of the goal among the candidates.
 
 use std::collections::VecDeque;
 
@@ -10,31 +10,32 @@ use super::config::{ExplorationConfig, GoalChoice};
 use crate::event::NoGoalReason;
 use hal::{Pose2, wrap_angle};
 
-/// How many metres of way one metre of frontier is worth.
-const FRONTIER_WORTH: f64 = 0.5;
-/// A frontier is not worth more for being longer than this, metres.
+/// One metre of frontier makes up for this many metres of path.
+const FRONTIER_BONUS: f64 = 0.5;
+/// Frontier length beyond this does not count, metres.
 const LONGEST_FRONTIER_M: f64 = 4.0;
-/// How many metres of way a turn by one radian is worth: at 0.3 m/s and 20 degrees/s, a radian takes as long as 0.86 m.
-const TURN_WORTH_M: f64 = 0.86;
+/// A rotation by one radian costs as much as this many metres of path: at 0.3 m/s and 20 degrees/s
+/// it takes as long.
+const ROTATION_COST_M: f64 = 0.86;
 
-/// A place that the robot could go to.
+/// A place that the robot might choose as its goal.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Candidate {
-    /// Free floor to drive to, in `odom`, metres.
+    /// Where to drive: free floor in `odom`, metres.
     pub target_m: [f64; 2],
-    /// What there is to see, in `odom`, metres.
+    /// The place to observe, in `odom`, metres.
     pub interest_m: [f64; 2],
-    /// Its size, metres of frontier.
+    /// Length of the frontier, metres.
     pub size_m: f64,
-    /// Length of the way there, metres; `None`: no way.
+    /// Length of the path to the target, metres; `None` if there is no path.
     pub travel_m: Option<f64>,
 }
 
-/// The best of the candidates that have a way and are not on the blacklist.
+/// The best candidate that can be reached and is not on the blacklist.
 ///
 /// # Errors
-/// Why there is none; `none` when there are no candidates at all.
-pub(super) fn best(
+/// The reason why there is no such candidate; `none` if there are no candidates at all.
+pub(super) fn select_best(
     candidates: &[Candidate],
     pose: &Pose2,
     blacklist: &Blacklist,
@@ -45,52 +46,63 @@ pub(super) fn best(
     if candidates.is_empty() {
         return Err(none);
     }
-    let allowed = |candidate: &&Candidate| {
-        !blacklist.holds(candidate.interest_m, config.blacklist_radius_m)
-            && !blacklist.holds(candidate.target_m, config.blacklist_radius_m)
-    };
-    let listed = candidates.iter().filter(allowed).count();
-    if listed == 0 {
+    let allowed: Vec<&Candidate> = candidates
+        .iter()
+        .filter(|candidate| {
+            !blacklist.is_listed(candidate.interest_m, config.blacklist_radius_m)
+                && !blacklist.is_listed(candidate.target_m, config.blacklist_radius_m)
+        })
+        .collect();
+    if allowed.is_empty() {
         return Err(NoGoalReason::AllBlacklisted);
     }
-    let ways: Vec<(Candidate, f64)> = candidates
-        .iter()
-        .filter(allowed)
+    let reachable: Vec<(Candidate, f64)> = allowed
+        .into_iter()
         .filter_map(|candidate| Some((*candidate, candidate.travel_m?)))
         .collect();
     let chosen = match config.goal_choice {
-        GoalChoice::Nearest => ways
+        GoalChoice::Nearest => reachable
             .iter()
             .min_by(|a, b| cost(&a.0, a.1, pose).total_cmp(&cost(&b.0, b.1, pose)))
             .map(|(candidate, _)| *candidate),
-        GoalChoice::Paper => {
-            ways.choose_weighted(rng, |(_, travel_m)| *travel_m + 1e-3).ok().map(|(one, _)| *one)
-        }
+        GoalChoice::Paper => reachable
+            .choose_weighted(rng, |(_, travel_m)| *travel_m + 1e-3)
+            .ok()
+            .map(|(one, _)| *one),
     };
     chosen.ok_or(NoGoalReason::AllUnreachable)
 }
 
+/// Cost of a candidate in metres of path: path length and initial rotation, minus the bonus for a
+/// long frontier.
 fn cost(candidate: &Candidate, travel_m: f64, pose: &Pose2) -> f64 {
     let bearing = (candidate.target_m[1] - pose.y_m).atan2(candidate.target_m[0] - pose.x_m);
-    let turn_rad = wrap_angle(bearing - pose.yaw_rad).abs();
-    travel_m + TURN_WORTH_M * turn_rad - FRONTIER_WORTH * candidate.size_m.min(LONGEST_FRONTIER_M)
+    let rotation_rad = wrap_angle(bearing - pose.yaw_rad).abs();
+    travel_m + ROTATION_COST_M * rotation_rad
+        - FRONTIER_BONUS * candidate.size_m.min(LONGEST_FRONTIER_M)
 }
 
-/// Of some reachable places, the one to look at again: furthest from where the robot has been lately.
-pub(super) fn revisit(
+/// Of the reachable places, the one that is farthest from the robot's recent positions and not on
+/// the blacklist.
+pub(super) fn select_revisit(
     places_m: &[[f64; 2]],
-    recent_m: &VecDeque<[f64; 2]>,
+    recent_positions_m: &VecDeque<[f64; 2]>,
     blacklist: &Blacklist,
     config: &ExplorationConfig,
 ) -> Option<[f64; 2]> {
-    let far_from_recent = |place: [f64; 2]| {
-        recent_m.iter().map(|been| distance_m(*been, place)).fold(f64::INFINITY, f64::min)
-    };
     places_m
         .iter()
         .copied()
-        .filter(|place| !blacklist.holds(*place, config.blacklist_radius_m))
-        .max_by(|a, b| far_from_recent(*a).total_cmp(&far_from_recent(*b)))
+        .filter(|place| !blacklist.is_listed(*place, config.blacklist_radius_m))
+        .max_by(|a, b| {
+            distance_from_all_m(recent_positions_m, *a)
+                .total_cmp(&distance_from_all_m(recent_positions_m, *b))
+        })
+}
+
+/// Distance of a place from the nearest of the positions, metres.
+fn distance_from_all_m(positions_m: &VecDeque<[f64; 2]>, place_m: [f64; 2]) -> f64 {
+    positions_m.iter().map(|position| distance_m(*position, place_m)).fold(f64::INFINITY, f64::min)
 }
 
 #[cfg(test)]
@@ -109,8 +121,15 @@ mod tests {
     ) -> Result<f64, NoGoalReason> {
         let config = ExplorationConfig { goal_choice, ..ExplorationConfig::default() };
         let mut rng = Pcg64Mcg::seed_from_u64(5);
-        best(candidates, &Pose2::IDENTITY, blacklist, &config, &mut rng, NoGoalReason::NoFrontier)
-            .map(|c| c.target_m[0])
+        select_best(
+            candidates,
+            &Pose2::IDENTITY,
+            blacklist,
+            &config,
+            &mut rng,
+            NoGoalReason::NoFrontier,
+        )
+        .map(|c| c.target_m[0])
     }
 
     #[test]
@@ -122,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_equal_ways_the_one_ahead_is_chosen() {
+    fn of_two_equally_long_paths_the_one_ahead_is_chosen() {
         let none = Blacklist::default();
         assert_eq!(
             choose(
@@ -135,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn every_way_of_having_no_goal_has_its_reason() {
+    fn each_cause_of_having_no_goal_has_its_own_reason() {
         let mut list = Blacklist::default();
         assert_eq!(choose(&[], &list, GoalChoice::Nearest), Err(NoGoalReason::NoFrontier));
         assert_eq!(
@@ -150,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn the_papers_choice_prefers_far_frontiers_in_proportion() {
+    fn the_papers_choice_is_proportional_to_the_distance() {
         let candidates = [at(1.0, 1.0, Some(1.0)), at(3.0, 1.0, Some(3.0))];
         let config =
             ExplorationConfig { goal_choice: GoalChoice::Paper, ..ExplorationConfig::default() };
@@ -158,7 +177,7 @@ mod tests {
         let none = Blacklist::default();
         let far = (0..1000)
             .filter(|_| {
-                best(
+                select_best(
                     &candidates,
                     &Pose2::IDENTITY,
                     &none,
@@ -173,14 +192,14 @@ mod tests {
     }
 
     #[test]
-    fn a_revisit_goes_where_the_robot_has_not_been_lately() {
+    fn a_revisit_goes_to_the_place_farthest_from_the_recent_positions() {
         let places: Vec<[f64; 2]> = (0..20).map(|i| [f64::from(i), 0.0]).collect();
         let config = ExplorationConfig::default();
         let mut list = Blacklist::default();
         let been = VecDeque::from([[0.0, 0.0], [1.0, 0.0]]);
-        assert_eq!(revisit(&places, &been, &list, &config), Some([19.0, 0.0]));
+        assert_eq!(select_revisit(&places, &been, &list, &config), Some([19.0, 0.0]));
         list.add([19.0, 0.0], 10);
-        assert_eq!(revisit(&places, &been, &list, &config), Some([18.0, 0.0]));
-        assert_eq!(revisit(&[], &been, &list, &config), None);
+        assert_eq!(select_revisit(&places, &been, &list, &config), Some([18.0, 0.0]));
+        assert_eq!(select_revisit(&[], &been, &list, &config), None);
     }
 }

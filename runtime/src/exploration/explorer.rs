@@ -1,4 +1,5 @@
-//! A policy at work: chooses goals, plans ways, follows them, gives up, and says why.
+//! The exploration policy: chooses goals, plans and follows paths, gives goals up, and reports each
+//! decision as an event.
 
 use std::collections::VecDeque;
 
@@ -18,39 +19,40 @@ use crate::planning::{
 };
 use crate::snapshot::remembers;
 
-/// Ticks of heuristic walking when there is no goal: one of its moves.
-const FILL_IN_TICKS: u64 = 16;
-/// Ticks between two notes of where the robot has been, and how many are kept: the last 100 s at 10 Hz.
-const TRAIL_EVERY_TICKS: u64 = 10;
-const TRAIL_LENGTH: usize = 100;
-/// A frontier is still there while unknown floor meets free floor this near to its middle, metres.
-const FRONTIER_REACH_M: f64 = 0.45;
-/// Places drawn at random when nothing is left to explore; the one furthest from where the robot has been lately wins.
+/// Ticks until the next attempt to choose a goal when there is none: one move of the heuristic
+/// policy, which drives meanwhile.
+const RETRY_TICKS: u64 = 16;
+/// Ticks between two recorded positions, and the number of positions kept: the last 100 s at 10 Hz.
+const POSITION_EVERY_TICKS: u64 = 10;
+const POSITION_COUNT: usize = 100;
+/// A frontier still exists while unknown floor meets free floor within this distance of its
+/// centroid, metres.
+const FRONTIER_RADIUS_M: f64 = 0.45;
+/// Number of places drawn at random when nothing is left to explore; the one farthest from the
+/// robot's recent positions is chosen.
 const REVISIT_DRAWS: usize = 16;
 
-/// What the policy knows at one turn.
+/// The policy's inputs of one tick.
 #[derive(Debug, Clone, Copy)]
 pub struct Senses<'a> {
-    /// The turn.
     pub tick: u64,
-    /// Its time.
     pub time_ns: u64,
     /// `t_odom_base`.
     pub pose: Pose2,
-    /// The map.
     pub map: &'a OccupancyGrid,
-    /// The newest look at the world and an older one, each by itself.
+    /// The newest single-frame map and an older one, to compare them.
     pub looks: Option<(&'a SingleFrameMap, &'a SingleFrameMap)>,
-    /// The bumper has just backed off from something.
+    /// The safety plane has just backed off from an obstacle.
     pub bumped: bool,
 }
 
-/// A policy and its memory.
+/// An exploration policy with its state: the current goal, path and blacklist.
 pub struct Explorer {
     kind: PolicyKind,
     config: ExplorationConfig,
     rng: Pcg64Mcg,
-    /// The policy itself when it is blind; otherwise what fills in while there is no goal.
+    /// The policy itself if it is a blind one; otherwise the policy that drives while there is no
+    /// goal.
     blind: BlindPolicy,
     warm_up: BlindPolicy,
     mode: GoalReason,
@@ -59,13 +61,13 @@ pub struct Explorer {
     navigator: Navigator,
     follower: Follower,
     blacklist: Blacklist,
-    trail_m: VecDeque<[f64; 2]>,
+    recent_positions_m: VecDeque<[f64; 2]>,
     plan_at: u64,
     choose_at: u64,
 }
 
 impl Explorer {
-    /// A policy that has seen nothing yet.
+    /// A policy without a goal.
     ///
     /// # Errors
     /// When the planner's or the follower's configuration is out of range.
@@ -78,7 +80,7 @@ impl Explorer {
     ) -> Result<Self, ConfigError> {
         let blind = match kind {
             PolicyKind::Random => BlindPolicy::Random,
-            PolicyKind::Forward => BlindPolicy::Forward { turns_left: 0 },
+            PolicyKind::Forward => BlindPolicy::Forward { rotations_left: 0 },
             _ => BlindPolicy::Heuristic { queue: VecDeque::new() },
         };
         let mode = if kind == PolicyKind::Inconsistency {
@@ -98,25 +100,24 @@ impl Explorer {
             navigator: Navigator::new(plan)?,
             follower: Follower::new(follower)?,
             blacklist: Blacklist::default(),
-            trail_m: VecDeque::with_capacity(TRAIL_LENGTH + 1),
+            recent_positions_m: VecDeque::with_capacity(POSITION_COUNT + 1),
             plan_at: 0,
             choose_at: 0,
         })
     }
 
-    /// The current goal.
     #[must_use]
     pub fn goal(&self) -> Option<&Goal> {
         self.goal.as_ref()
     }
 
-    /// The way to the goal, in `odom`, metres.
+    /// The path to the goal as corner points in `odom`, metres.
     #[must_use]
     pub fn path_m(&self) -> &[[f64; 2]] {
         self.follower.path_m()
     }
 
-    /// The next step, and what happened on the way to it.
+    /// Decides the next motion primitive and appends what happened to `events`.
     pub fn step(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) -> Primitive {
         if senses.tick < self.config.warm_up_frames {
             return self.warm_up.next(&mut self.rng, senses.bumped);
@@ -130,10 +131,10 @@ impl Explorer {
     }
 
     fn step_to_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) -> Primitive {
-        self.leave_trail(senses);
-        self.blacklist.forgive(senses.time_ns);
-        self.switch_mode(senses, events);
-        self.judge_goal(senses, events);
+        self.record_position(senses);
+        self.blacklist.expire(senses.time_ns);
+        self.update_mode(senses, events);
+        self.check_goal(senses, events);
         if self.goal.is_none() && senses.tick >= self.choose_at {
             self.choose_goal(senses, events);
         }
@@ -143,17 +144,18 @@ impl Explorer {
         self.follow(senses, events).unwrap_or_else(|| self.blind.next(&mut self.rng, senses.bumped))
     }
 
-    fn leave_trail(&mut self, senses: &Senses<'_>) {
-        if senses.tick.is_multiple_of(TRAIL_EVERY_TICKS) {
-            self.trail_m.push_back([senses.pose.x_m, senses.pose.y_m]);
-            if self.trail_m.len() > TRAIL_LENGTH {
-                self.trail_m.pop_front();
+    fn record_position(&mut self, senses: &Senses<'_>) {
+        if senses.tick.is_multiple_of(POSITION_EVERY_TICKS) {
+            self.recent_positions_m.push_back([senses.pose.x_m, senses.pose.y_m]);
+            if self.recent_positions_m.len() > POSITION_COUNT {
+                self.recent_positions_m.pop_front();
             }
         }
     }
 
-    /// `active`: 800 frames of frontiers, 400 of inconsistencies, and again.
-    fn switch_mode(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
+    /// The `active` policy alternates: by default 800 frames of frontiers, then 400 frames of
+    /// inconsistencies.
+    fn update_mode(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
         let budget = match (self.kind, self.mode) {
             (PolicyKind::Active, GoalReason::Frontier) => self.config.frontier_frames,
             (PolicyKind::Active, _) => self.config.inconsistency_frames,
@@ -173,8 +175,8 @@ impl Explorer {
         }
     }
 
-    /// Gives up a goal that has been reached, seen, blocked or tried for too long.
-    fn judge_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
+    /// Ends a goal that was reached, has become resolved or blocked, or has taken too long.
+    fn check_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
         let Some(goal) = &mut self.goal else { return };
         let now_ns = senses.time_ns;
         if distance_m(goal.target_m, [senses.pose.x_m, senses.pose.y_m])
@@ -183,12 +185,13 @@ impl Explorer {
             self.goal_reached(senses, events);
             return;
         }
-        let seconds = |time_ns: u64| time_ns as f64 * 1e-9;
-        let why = if senses.bumped && goal.note_trip() >= self.config.trips_per_goal {
+        let stalled_s = goal.stalled_ns(now_ns) as f64 * 1e-9;
+        let age_s = goal.age_ns(now_ns) as f64 * 1e-9;
+        let why = if senses.bumped && goal.record_trip() >= self.config.trips_per_goal {
             DropReason::Blocked
-        } else if seconds(goal.stalled_ns(now_ns)) > self.config.progress_timeout_s {
+        } else if stalled_s > self.config.progress_timeout_s {
             DropReason::NoProgress
-        } else if seconds(goal.age_ns(now_ns)) > self.config.goal_timeout_s {
+        } else if age_s > self.config.goal_timeout_s {
             DropReason::Timeout
         } else if goal.is_frontier() && !frontier_is_left(senses.map, goal.interest_m) {
             DropReason::Resolved
@@ -203,8 +206,8 @@ impl Explorer {
         let Some(goal) = self.goal else { return };
         self.forget_goal();
         if !matches!(why, DropReason::Resolved | DropReason::PolicySwitched) {
-            self.list(goal.interest_m, senses);
-            self.list(goal.target_m, senses);
+            self.blacklist_place(goal.interest_m, senses);
+            self.blacklist_place(goal.target_m, senses);
         }
     }
 
@@ -213,24 +216,25 @@ impl Explorer {
         self.follower.clear();
     }
 
-    fn list(&mut self, place_m: [f64; 2], senses: &Senses<'_>) {
+    fn blacklist_place(&mut self, place_m: [f64; 2], senses: &Senses<'_>) {
         let expiry_ns = (self.config.blacklist_expiry_s * 1e9) as u64;
         self.blacklist.add(place_m, senses.time_ns + expiry_ns);
     }
 
-    /// Looks for a goal: the mode's own first, then the other kind, then a frontier behind doubtful marks, then any place.
+    /// Chooses a goal: of the mode's own kind first, then of the other kind, then a frontier behind
+    /// doubtful obstacles, then any reachable place.
     fn choose_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
-        match self.best_goal(senses, events) {
+        match self.select_goal(senses, events) {
             Some((target_m, interest_m, why)) => {
                 events.push(Event::GoalChosen { x_m: target_m[0], y_m: target_m[1], why });
                 self.goal = Some(Goal::new(target_m, interest_m, why, senses.time_ns));
                 self.plan_at = senses.tick;
             }
-            None => self.choose_at = senses.tick + FILL_IN_TICKS,
+            None => self.choose_at = senses.tick + RETRY_TICKS,
         }
     }
 
-    fn best_goal(
+    fn select_goal(
         &mut self,
         senses: &Senses<'_>,
         events: &mut Vec<Event>,
@@ -250,18 +254,19 @@ impl Explorer {
         for kind in kinds {
             let (candidates, none) = match (kind, senses.looks) {
                 (GoalReason::Inconsistency, Some((new, old))) => {
-                    let listed = |place: &Candidate| {
-                        self.blacklist.holds(place.interest_m, self.config.blacklist_radius_m)
-                    };
-                    let reachable = |place: &Candidate| place.travel_m.is_some() && !listed(place);
-                    // The largest one, not the nearest ("Embodied Depth Prediction", section III-D).
-                    let largest = survey.inconsistencies(new, old).into_iter().find(reachable);
+                    // The largest one, not the nearest ("Embodied Depth Prediction", section
+                    // III-D).
+                    let largest = survey.inconsistencies(new, old).into_iter().find(|place| {
+                        let radius_m = self.config.blacklist_radius_m;
+                        place.travel_m.is_some()
+                            && !self.blacklist.is_listed(place.interest_m, radius_m)
+                    });
                     (largest.into_iter().collect(), NoGoalReason::NoInconsistency)
                 }
                 (GoalReason::Inconsistency, None) => (Vec::new(), NoGoalReason::NoInconsistency),
                 _ => (survey.frontiers(), NoGoalReason::NoFrontier),
             };
-            match choose::best(
+            match choose::select_best(
                 &candidates,
                 &senses.pose,
                 &self.blacklist,
@@ -274,44 +279,56 @@ impl Explorer {
             }
         }
         let places = survey.random_places(REVISIT_DRAWS, senses.map, &mut self.rng);
-        if let Some(again) = self.look_again(senses) {
+        if let Some(again) = self.select_doubtful_frontier(senses) {
             return Some((again.target_m, again.interest_m, GoalReason::LookAgain));
         }
-        let place_m = choose::revisit(&places, &self.trail_m, &self.blacklist, &self.config)?;
+        let place_m = choose::select_revisit(
+            &places,
+            &self.recent_positions_m,
+            &self.blacklist,
+            &self.config,
+        )?;
         Some((place_m, place_m, GoalReason::Revisit))
     }
 
-    /// A frontier that doubtful marks stand before.
-    fn look_again(&mut self, senses: &Senses<'_>) -> Option<Candidate> {
-        let doubt = self.config.doubtful_log_odds;
-        let survey = self.navigator.survey(senses.map, &senses.pose, doubt).ok()?;
-        let (candidates, none) = (survey.frontiers(), NoGoalReason::NoFrontier);
-        choose::best(&candidates, &senses.pose, &self.blacklist, &self.config, &mut self.rng, none)
-            .ok()
+    /// The best frontier that can be reached when doubtful obstacles count as unknown floor.
+    fn select_doubtful_frontier(&mut self, senses: &Senses<'_>) -> Option<Candidate> {
+        let doubtful_log_odds = self.config.doubtful_log_odds;
+        let survey = self.navigator.survey(senses.map, &senses.pose, doubtful_log_odds).ok()?;
+        choose::select_best(
+            &survey.frontiers(),
+            &senses.pose,
+            &self.blacklist,
+            &self.config,
+            &mut self.rng,
+            NoGoalReason::NoFrontier,
+        )
+        .ok()
     }
 
     fn plan(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
         let Some(goal) = &mut self.goal else { return };
         self.plan_at = senses.tick + self.config.replan_ticks;
-        let doubt =
+        let doubtful_log_odds =
             if goal.why == GoalReason::LookAgain { self.config.doubtful_log_odds } else { 0.0 };
-        let way = self.navigator.plan(senses.map, &senses.pose, goal.target_m, doubt);
-        match way
-            .and_then(|path_m| self.follower.set_path(&path_m).map_err(|_| NoPath::Unreachable))
-        {
-            Ok(()) if senses.bumped => goal.note_new_way(),
+        let planned =
+            self.navigator.plan(senses.map, &senses.pose, goal.target_m, doubtful_log_odds);
+        let followed = planned
+            .and_then(|path_m| self.follower.set_path(&path_m).map_err(|_| NoPath::Unreachable));
+        match followed {
+            Ok(()) if senses.bumped => goal.restart_progress(),
             Ok(()) => {}
             Err(_) => self.drop_goal(DropReason::Unreachable, senses, events),
         }
     }
 
-    /// The next step on the way; `None` when there is no way to follow.
+    /// The next step along the path; `None` if there is no path.
     fn follow(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) -> Option<Primitive> {
         let goal = self.goal.as_mut()?;
         let step = self.follower.next(&senses.pose).ok()?;
         match step.progress {
             Progress::Following => {
-                goal.note_distance(step.remaining_m, senses.time_ns);
+                goal.record_distance(step.remaining_m, senses.time_ns);
                 Some(step.primitive)
             }
             Progress::Reached => {
@@ -329,28 +346,28 @@ impl Explorer {
         events.push(Event::GoalReached);
         let Some(goal) = self.goal else { return };
         self.forget_goal();
-        // What is still unknown there will not become known by standing in front of it: look elsewhere for a while.
-        self.list(goal.interest_m, senses);
+        // A place that is still unknown when the robot stands in front of it stays unknown: explore
+        // elsewhere for a while.
+        self.blacklist_place(goal.interest_m, senses);
     }
 }
 
 /// Whether unknown floor still meets free floor near `place_m`.
 fn frontier_is_left(map: &OccupancyGrid, place_m: [f64; 2]) -> bool {
-    let steps = (FRONTIER_REACH_M / map.cell_m()).ceil() as i32;
+    let steps = (FRONTIER_RADIUS_M / map.cell_m()).ceil() as i32;
     let middle = map.cell_at(place_m[0], place_m[1]);
-    let known = |dx: i32, dy: i32| map.state(middle.offset(dx, dy));
-    (-steps..=steps).any(|dy| {
-        (-steps..=steps).any(|dx| {
-            known(dx, dy) == CellState::Unknown
+    (-steps..=steps).flat_map(|dy| (-steps..=steps).map(move |dx| middle.offset(dx, dy))).any(
+        |cell| {
+            map.state(cell) == CellState::Unknown
                 && [(1, 0), (-1, 0), (0, 1), (0, -1)]
                     .iter()
-                    .any(|(x, y)| known(dx + x, dy + y) == CellState::Free)
-        })
-    })
+                    .any(|(dx, dy)| map.state(cell.offset(*dx, *dy)) == CellState::Free)
+        },
+    )
 }
 
 remembers!(
-    Explorer: rng, blind, warm_up, mode, mode_since, goal, follower, blacklist, trail_m, plan_at, choose_at
+    Explorer: rng, blind, warm_up, mode, mode_since, goal, follower, blacklist, recent_positions_m, plan_at, choose_at
 );
 
 #[cfg(test)]
@@ -360,7 +377,8 @@ mod tests {
     use hal::{LaserScan, Range, ScanGeometry};
     use rand::SeedableRng;
 
-    /// Looks around from the origin, both ways; `range_m` of a bearing.
+    /// Integrates two scans from the origin, forward and backward; `range_m` gives the range at a
+    /// bearing.
     fn look_around(map: &mut OccupancyGrid, range_m: impl Fn(f64) -> f32) {
         let geometry = ScanGeometry::UTM_30LX;
         for yaw_rad in [0.0, std::f64::consts::PI] {
@@ -378,7 +396,7 @@ mod tests {
         }
     }
 
-    /// A round room with a bay ahead that something was seen in front of, once.
+    /// A round room with a bay ahead; one scan saw an obstacle in front of the bay.
     fn room_with_a_doubtful_bay() -> OccupancyGrid {
         let mut map = OccupancyGrid::new(&MapConfig::default()).unwrap();
         for _ in 0..10 {
@@ -388,12 +406,15 @@ mod tests {
         map
     }
 
+    fn explorer(kind: PolicyKind, config: ExplorationConfig, seed: u64) -> Explorer {
+        let plan = PlanConfig::default();
+        let follow = FollowerConfig::default();
+        Explorer::new(kind, config, &plan, &follow, Pcg64Mcg::seed_from_u64(seed)).unwrap()
+    }
+
     fn first_goal(doubtful_log_odds: f32) -> GoalReason {
         let config = ExplorationConfig { doubtful_log_odds, ..ExplorationConfig::default() };
-        let (plan, follow) = (PlanConfig::default(), FollowerConfig::default());
-        let rng = Pcg64Mcg::seed_from_u64(1);
-        let mut explorer =
-            Explorer::new(PolicyKind::Frontier, config, &plan, &follow, rng).unwrap();
+        let mut explorer = explorer(PolicyKind::Frontier, config, 1);
         let map = room_with_a_doubtful_bay();
         let senses = Senses {
             tick: 0,
@@ -413,23 +434,21 @@ mod tests {
     }
 
     #[test]
-    fn a_frontier_behind_doubtful_marks_is_looked_at_again_when_no_other_can_be_reached() {
+    fn a_frontier_behind_doubtful_obstacles_is_chosen_when_no_other_can_be_reached() {
         assert_eq!(first_goal(5.0), GoalReason::LookAgain);
     }
 
     #[test]
-    fn who_never_doubts_goes_to_any_known_place_instead() {
+    fn without_doubtful_obstacles_any_known_place_is_chosen_instead() {
         assert_eq!(first_goal(0.0), GoalReason::Revisit);
     }
 
     #[test]
-    fn all_policies_begin_with_the_same_warm_up_and_then_part() {
-        let config = ExplorationConfig { warm_up_frames: 64, ..ExplorationConfig::default() };
-        let map = OccupancyGrid::new(&MapConfig::default()).unwrap();
-        let steps = |kind: PolicyKind| -> Vec<Primitive> {
-            let (plan, follow) = (PlanConfig::default(), FollowerConfig::default());
-            let mut explorer =
-                Explorer::new(kind, config, &plan, &follow, Pcg64Mcg::seed_from_u64(4)).unwrap();
+    fn all_policies_begin_with_the_same_warm_up_and_then_differ() {
+        fn steps(kind: PolicyKind) -> Vec<Primitive> {
+            let config = ExplorationConfig { warm_up_frames: 64, ..ExplorationConfig::default() };
+            let map = OccupancyGrid::new(&MapConfig::default()).unwrap();
+            let mut explorer = explorer(kind, config, 4);
             let senses = Senses {
                 tick: 0,
                 time_ns: 0,
@@ -441,7 +460,7 @@ mod tests {
             (0..128)
                 .map(|tick| explorer.step(&Senses { tick, ..senses }, &mut Vec::new()))
                 .collect()
-        };
+        }
         let heuristic = steps(PolicyKind::Heuristic);
         for kind in PolicyKind::ALL {
             assert_eq!(steps(kind)[..64], heuristic[..64], "{kind:?}");

@@ -1,20 +1,20 @@
-//! A place to go to, and whether we are getting there.
+//! The current goal, and whether the robot makes progress towards it.
 
 use serde::{Deserialize, Serialize};
 
 use crate::event::GoalReason;
 
-/// Coming nearer by less than this is not progress, metres.
+/// The remaining path must become shorter by more than this to count as progress, metres.
 const PROGRESS_M: f64 = 0.1;
 
-/// A goal and the record of the way to it.
+/// A goal with the progress towards it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Goal {
-    /// Where to drive, in `odom`, metres: on free floor.
+    /// Where to drive: free floor in `odom`, metres.
     pub target_m: [f64; 2],
-    /// What is worth looking at there (the frontier's middle, the inconsistent place), in `odom`, metres.
+    /// The place to observe from there (the frontier's centroid, the inconsistent place), in
+    /// `odom`, metres.
     pub interest_m: [f64; 2],
-    /// Why it was chosen.
     pub why: GoalReason,
     chosen_ns: u64,
     nearest_m: f64,
@@ -37,27 +37,28 @@ impl Goal {
         }
     }
 
-    /// Whether there is something unknown to see.
+    /// Whether the goal is a frontier, so that it is resolved once no unknown floor is left there.
     #[must_use]
     pub fn is_frontier(&self) -> bool {
         matches!(self.why, GoalReason::Frontier | GoalReason::LookAgain)
     }
 
-    /// Notes that `left_m` of the way are left.
-    pub fn note_distance(&mut self, left_m: f64, now_ns: u64) {
+    /// Records that `left_m` metres of the path are left.
+    pub fn record_distance(&mut self, left_m: f64, now_ns: u64) {
         if left_m < self.nearest_m - PROGRESS_M {
             self.nearest_m = left_m;
             self.nearest_ns = now_ns;
         }
     }
 
-    /// The way has become another one (a detour may be longer): progress is counted anew, the clock is not.
-    pub fn note_new_way(&mut self) {
+    /// Restarts the distance comparison because the path has changed: a detour may be longer. The
+    /// time of the last progress stays.
+    pub fn restart_progress(&mut self) {
         self.nearest_m = f64::INFINITY;
     }
 
-    /// Notes that the bumper tripped on the way; returns how often it has.
-    pub fn note_trip(&mut self) -> u32 {
+    /// Counts a trip of the safety plane on the path; returns the number of trips so far.
+    pub fn record_trip(&mut self) -> u32 {
         self.trips += 1;
         self.trips
     }
@@ -68,7 +69,7 @@ impl Goal {
         now_ns.saturating_sub(self.nearest_ns)
     }
 
-    /// Time since it was chosen.
+    /// Time since the goal was chosen.
     #[must_use]
     pub fn age_ns(&self, now_ns: u64) -> u64 {
         now_ns.saturating_sub(self.chosen_ns)
@@ -80,13 +81,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn coming_nearer_resets_the_progress_clock_and_wobbling_does_not() {
+    fn only_a_clearly_shorter_path_resets_the_progress_clock() {
         let mut goal = Goal::new([1.0, 0.0], [1.0, 0.0], GoalReason::Frontier, 0);
-        goal.note_distance(3.0, 10);
-        goal.note_distance(2.95, 20);
-        goal.note_distance(3.2, 30);
+        goal.record_distance(3.0, 10);
+        goal.record_distance(2.95, 20);
+        goal.record_distance(3.2, 30);
         assert_eq!(goal.stalled_ns(40), 30);
-        goal.note_distance(2.5, 50);
+        goal.record_distance(2.5, 50);
         assert_eq!(goal.stalled_ns(60), 10);
         assert_eq!(goal.age_ns(60), 60);
     }
@@ -94,6 +95,6 @@ mod tests {
     #[test]
     fn trips_are_counted() {
         let mut goal = Goal::new([1.0, 0.0], [1.0, 0.0], GoalReason::Frontier, 0);
-        assert_eq!((goal.note_trip(), goal.note_trip()), (1, 2));
+        assert_eq!((goal.record_trip(), goal.record_trip()), (1, 2));
     }
 }

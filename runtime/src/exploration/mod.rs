@@ -1,4 +1,19 @@
-//! Where to go next: the policies.
+//! Exploration policies: which motion primitive the robot drives next.
+//!
+//! [`Explorer::step`] answers this once per tick from the pose, the occupancy map and the newest
+//! single-frame maps. The goal-driven policies choose a goal (a frontier or an inconsistent place),
+//! plan a path to it with [`crate::planning`], follow the path, and give the goal up when it is
+//! blocked, unreachable or takes too long. Every choice and every dropped goal is reported as an
+//! event with its reason. The blind policies are the paper's baselines: they use only the bumper.
+//!
+//! | file | what it answers |
+//! |---|---|
+//! | `explorer.rs` | what is the next step of this policy? |
+//! | `navigator.rs` | which places can be reached, and what is the path to a place? |
+//! | `choose.rs` | which candidate is the best goal? |
+//! | `goal.rs` | is the robot making progress towards its goal? |
+//! | `blacklist.rs` | which places were given up recently? |
+//! | `blind.rs` | what is the next step of a policy without a map? |
 
 mod blacklist;
 mod blind;

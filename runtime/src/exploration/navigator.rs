@@ -1,4 +1,4 @@
-//! The policy's view of the map: what can be reached, what is worth looking at, and the way there.
+//! The policy's view of the map: reachable places, goal candidates, and the path to a place.
 
 use hal::Pose2;
 use rand::RngExt;
@@ -10,18 +10,19 @@ use crate::mapping::{
 };
 use crate::planning::{ConfigError, Costmap, NoPath, PlanConfig, Planner, Reach};
 
-/// A frontier's approach cell may lie in an obstacle's margin: the reachable cell nearest to it within this is taken, metres.
-const APPROACH_WITHIN_M: f64 = 0.5;
-/// An inconsistent place is looked at from floor at most this far away, metres.
-const LOOK_FROM_M: f64 = 1.5;
-/// Inconsistent places smaller than this are noise, cells.
+/// A frontier's approach cell may lie in an obstacle's margin. The nearest reachable cell within
+/// this radius replaces it, metres.
+const APPROACH_RADIUS_M: f64 = 0.5;
+/// An inconsistent place is observed from reachable floor at most this far away, metres.
+const VIEWPOINT_RADIUS_M: f64 = 1.5;
+/// Inconsistent places with fewer cells than this are noise.
 const SMALLEST_INCONSISTENCY: usize = 4;
-/// A goal that has become blocked is moved to passable floor at most this far away, metres.
-const GOAL_MOVES_M: f64 = 0.3;
-/// Cells drawn at random to find one reachable place.
+/// A goal that has become blocked is replaced by passable floor at most this far away, metres.
+const GOAL_SHIFT_M: f64 = 0.3;
+/// At most this many cells are drawn at random for each reachable place.
 const DRAWS_PER_PLACE: usize = 32;
 
-/// Costmap, search and frontier finder with their memory.
+/// Costmap, path search and frontier search with their buffers.
 pub(super) struct Navigator {
     costmap: Costmap,
     planner: Planner,
@@ -29,7 +30,7 @@ pub(super) struct Navigator {
     frontiers: Vec<Frontier>,
 }
 
-/// What can be reached from where the robot stands.
+/// The places that can be reached from the robot's pose.
 pub(super) struct Survey<'a> {
     reach: Reach<'a>,
     frontiers: &'a [Frontier],
@@ -46,46 +47,47 @@ impl Navigator {
         })
     }
 
-    /// Looks at the whole map: costs, frontiers, and the distance to everywhere. Marks of at most `doubt` log-odds are in
-    /// nobody's way.
+    /// Computes the costmap, the frontiers and the distance to every reachable cell. Occupied cells
+    /// with at most `doubtful_log_odds` count as unknown.
     pub(super) fn survey(
         &mut self,
         map: &OccupancyGrid,
         pose: &Pose2,
-        doubt: f32,
+        doubtful_log_odds: f32,
     ) -> Result<Survey<'_>, NoPath> {
-        self.costmap.update_doubting(map, doubt);
+        self.costmap.update_with_doubt(map, doubtful_log_odds);
         self.finder.find(map, FrontierFinder::MIN_CELLS, &mut self.frontiers);
         let start = map.cell_at(pose.x_m, pose.y_m);
         let reach = self.planner.flood(&self.costmap, start)?;
         Ok(Survey { reach, frontiers: &self.frontiers, cell_m: map.cell_m() })
     }
 
-    /// The way to a place in `odom`, as corner points, metres; `doubt` as for [`survey`](Self::survey).
+    /// The path to a place in `odom` as corner points, metres; `doubtful_log_odds` as for
+    /// [`survey`](Self::survey).
     pub(super) fn plan(
         &mut self,
         map: &OccupancyGrid,
         pose: &Pose2,
         goal_m: [f64; 2],
-        doubt: f32,
+        doubtful_log_odds: f32,
     ) -> Result<Vec<[f64; 2]>, NoPath> {
-        self.costmap.update_doubting(map, doubt);
+        self.costmap.update_with_doubt(map, doubtful_log_odds);
         let start = map.cell_at(pose.x_m, pose.y_m);
-        let wanted = map.cell_at(goal_m[0], goal_m[1]);
+        let desired = map.cell_at(goal_m[0], goal_m[1]);
         let goal =
-            self.costmap.nearest_passable(wanted, GOAL_MOVES_M).ok_or(NoPath::GoalBlocked)?;
+            self.costmap.nearest_passable(desired, GOAL_SHIFT_M).ok_or(NoPath::GoalBlocked)?;
         let path = self.planner.plan(&self.costmap, start, goal)?;
         Ok(self.costmap.shorten(path))
     }
 }
 
 impl Survey<'_> {
-    /// Every frontier with the way to it.
+    /// Every frontier with the length of the path to it.
     pub(super) fn frontiers(&self) -> Vec<Candidate> {
         self.frontiers
             .iter()
             .map(|frontier| {
-                let approach = self.reach.nearest(frontier.approach, APPROACH_WITHIN_M);
+                let approach = self.reach.nearest(frontier.approach, APPROACH_RADIUS_M);
                 Candidate {
                     target_m: approach.unwrap_or(frontier.approach).center_m(self.cell_m),
                     interest_m: frontier.centroid_m,
@@ -96,7 +98,8 @@ impl Survey<'_> {
             .collect()
     }
 
-    /// Places that two looks disagree about, largest first, each with the way to floor from where it can be looked at.
+    /// Places about which two single-frame maps disagree, the largest first, each with a viewpoint
+    /// and the length of the path to it.
     pub(super) fn inconsistencies(
         &self,
         new: &SingleFrameMap,
@@ -107,12 +110,12 @@ impl Survey<'_> {
             .filter(|place| place.cells >= SMALLEST_INCONSISTENCY)
             .map(|place| {
                 let cell = Cell::containing(place.centroid_m[0], place.centroid_m[1], self.cell_m);
-                let look_from = self.reach.nearest(cell, LOOK_FROM_M);
+                let viewpoint = self.reach.nearest(cell, VIEWPOINT_RADIUS_M);
                 Candidate {
-                    target_m: look_from.unwrap_or(cell).center_m(self.cell_m),
+                    target_m: viewpoint.unwrap_or(cell).center_m(self.cell_m),
                     interest_m: place.centroid_m,
                     size_m: place.cells as f64 * self.cell_m,
-                    travel_m: look_from.and_then(|cell| self.reach.distance_m(cell)),
+                    travel_m: viewpoint.and_then(|cell| self.reach.distance_m(cell)),
                 }
             })
             .collect()

@@ -1,8 +1,8 @@
-//! Sets of cells as bits, 64 cells a word.
+//! Sets of cells as bit planes with 64 cells per word.
 
 use super::{Cell, CellBox, OccupancyGrid};
 
-/// A set of cells within a box. Bits beyond the box are 0.
+/// A set of cells within a box. The bits that pad each row to whole words are 0.
 #[derive(Debug, Clone)]
 pub(super) struct BitPlane {
     pub cells: CellBox,
@@ -17,7 +17,7 @@ impl Default for BitPlane {
 }
 
 impl BitPlane {
-    /// Empties the set and gives it another box.
+    /// Empties the set and changes its box.
     pub fn reset(&mut self, cells: CellBox) {
         self.cells = cells;
         self.words_per_row = cells.width().div_ceil(64);
@@ -47,7 +47,7 @@ impl BitPlane {
         Some((y * self.words_per_row + x / 64, (x % 64) as u32))
     }
 
-    /// Adds a cell; cells outside the box are left out.
+    /// Adds a cell; cells outside the box are ignored.
     pub fn insert(&mut self, cell: Cell) {
         if let Some((word, bit)) = self.place(cell) {
             self.words[word] |= 1 << bit;
@@ -59,7 +59,7 @@ impl BitPlane {
     }
 }
 
-/// Reads the free and the known cells of `cells` out of the map.
+/// Fills `free` and `known` with the free and the known cells of the map within `cells`.
 pub(super) fn free_and_known(
     grid: &OccupancyGrid,
     cells: CellBox,
@@ -75,21 +75,21 @@ pub(super) fn free_and_known(
     }
 }
 
-/// Sets the bits from `first` on.
+/// Writes the states of `values` to the bits from position `first` on.
 fn pack(values: &[f32], first: usize, free: &mut [u64], known: &mut [u64]) {
     let head = values.len().min((64 - first % 64) % 64);
     let (head, body) = values.split_at(head);
     let mut at = first;
     for chunk in core::iter::once(head).chain(body.chunks(64)).filter(|chunk| !chunk.is_empty()) {
-        let (negative, nonzero) =
-            (bits_of(chunk, |value| value < 0.0), bits_of(chunk, |value| value != 0.0));
+        let negative = bits_of(chunk, |value| value < 0.0);
+        let nonzero = bits_of(chunk, |value| value != 0.0);
         free[at / 64] |= negative << (at % 64);
         known[at / 64] |= nonzero << (at % 64);
         at += chunk.len();
     }
 }
 
-/// One bit for each of up to 64 values.
+/// One bit for each of at most 64 values.
 fn bits_of(values: &[f32], test: impl Fn(f32) -> bool) -> u64 {
     let mut flags = [0u8; 64];
     for (flag, value) in flags.iter_mut().zip(values) {
@@ -97,13 +97,15 @@ fn bits_of(values: &[f32], test: impl Fn(f32) -> bool) -> u64 {
     }
     let mut bits = 0;
     for (at, eight) in flags.as_chunks::<8>().0.iter().enumerate() {
-        // Moves the lowest bits of 8 bytes side by side: byte k lands in bit k of the top byte, and no sum carries.
+        // The multiplication collects the lowest bits of 8 bytes: byte k becomes bit k of the top
+        // byte, and no sum carries.
         bits |= (u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * at);
     }
     bits
 }
 
-/// Every bit of a row together with its left and right neighbours.
+/// Writes the row dilated by one cell: a bit is set if it or its left or right neighbour is set in
+/// `row`.
 pub(super) fn widen(row: &[u64], out: &mut [u64]) {
     for (at, wide) in out.iter_mut().enumerate() {
         let word = row[at];
@@ -120,11 +122,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn packing_in_two_parts_is_packing_each_value(values in proptest::collection::vec(-1..2i32, 1..300), cut in 0..300usize) {
+        fn packing_in_two_parts_equals_packing_each_value(values in proptest::collection::vec(-1..2i32, 1..300), cut in 0..300usize) {
             let values: Vec<f32> = values.iter().map(|value| *value as f32).collect();
             let cut = cut.min(values.len());
             let words = values.len().div_ceil(64);
-            let (mut free, mut known) = (vec![0; words], vec![0; words]);
+            let mut free = vec![0; words];
+            let mut known = vec![0; words];
             pack(&values[..cut], 0, &mut free, &mut known);
             pack(&values[cut..], cut, &mut free, &mut known);
             for (at, value) in values.iter().enumerate() {

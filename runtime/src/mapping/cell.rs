@@ -1,14 +1,14 @@
-//! Cells of the plane.
+//! The cells of the occupancy grid.
 
 use serde::{Deserialize, Serialize};
 
-/// A square of the `odom` plane: column `x` covers `[x, x + 1) * cell_m`, row `y` likewise. Cells are absolute: they keep
-/// their name when the map moves along with the robot.
+/// A square of the `odom` plane: column `x` covers `[x, x + 1) * cell_m`, row `y` likewise. Indices
+/// are absolute, so a cell keeps its index when the map window moves with the robot.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize,
 )]
 pub struct Cell {
-    /// Row; first, so that cells sort row by row.
+    /// Row. It is the first field so that cells sort row by row.
     pub y: i32,
     /// Column.
     pub x: i32,
@@ -21,25 +21,26 @@ impl Cell {
         Self { y, x }
     }
 
-    /// The cell that holds a point, metres. Points that are not finite or out of reach saturate; refuse them before.
+    /// The cell that contains a point, metres. The caller must refuse points that are not finite or
+    /// out of reach; here they saturate.
     #[must_use]
     pub fn containing(x_m: f64, y_m: f64, cell_m: f64) -> Self {
         Self::new((x_m / cell_m).floor() as i32, (y_m / cell_m).floor() as i32)
     }
 
-    /// The middle of the cell, metres.
+    /// The centre of the cell, metres.
     #[must_use]
     pub fn center_m(self, cell_m: f64) -> [f64; 2] {
         [(f64::from(self.x) + 0.5) * cell_m, (f64::from(self.y) + 0.5) * cell_m]
     }
 
-    /// The cell `dx` columns and `dy` rows further.
+    /// The cell at an offset of `dx` columns and `dy` rows.
     #[must_use]
     pub const fn offset(self, dx: i32, dy: i32) -> Self {
         Self { y: self.y.saturating_add(dy), x: self.x.saturating_add(dx) }
     }
 
-    /// Square of the distance between two cells' middles, in cells.
+    /// Squared distance between the centres of two cells, in cells.
     #[must_use]
     pub fn distance2(self, other: Self) -> i64 {
         let dx = i64::from(self.x) - i64::from(other.x);
@@ -48,19 +49,19 @@ impl Cell {
     }
 }
 
-/// What the map knows of a cell.
+/// Occupancy of a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum CellState {
-    /// Never seen, scrolled out, or outside the map: log-odds exactly 0.
+    /// Never observed, or outside the map window: log-odds of exactly 0.
     Unknown,
-    /// Nothing stands there: log-odds below 0.
+    /// Log-odds below 0.
     Free,
-    /// Something stands there: log-odds above 0.
+    /// Log-odds above 0.
     Occupied,
 }
 
 impl CellState {
-    /// The state that a log-odds value stands for.
+    /// The state that corresponds to a log-odds value.
     #[must_use]
     pub fn of(log_odds: f32) -> Self {
         if log_odds > 0.0 {
@@ -84,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn the_middle_of_a_cell_is_in_the_cell() {
+    fn the_centre_of_a_cell_is_in_the_cell() {
         for cell in [Cell::new(-7, 12), Cell::new(0, -1), Cell::new(499, 500)] {
             let [x_m, y_m] = cell.center_m(0.03);
             assert_eq!(Cell::containing(x_m, y_m, 0.03), cell);

@@ -1,4 +1,5 @@
-//! 8-connected groups of cells, found by runs: neighbouring cells of a row first, touching runs of neighbouring rows next.
+//! Connected components: 8-connected groups of cells. The algorithm first collects runs of
+//! neighbouring cells in each row and then unites touching runs of neighbouring rows.
 
 use super::Cell;
 use super::bits::BitPlane;
@@ -9,7 +10,8 @@ pub(super) struct Run {
     pub y: i32,
     pub first_x: i32,
     pub last_x: i32,
-    /// Parent in the union-find forest; a root points to itself and is the first run of its group.
+    /// Index of the parent in the union-find forest. A root is its own parent and the first run of
+    /// its group.
     parent: u32,
 }
 
@@ -22,30 +24,31 @@ pub(super) struct Component {
 }
 
 impl Component {
-    /// Mean of the cells' middles, metres.
+    /// Mean of the cells' centres, metres.
     pub fn centroid_m(&self, cell_m: f64) -> [f64; 2] {
-        let mean = |sum: i64| (sum as f64 / self.cells as f64 + 0.5) * cell_m;
-        [mean(self.sum_x), mean(self.sum_y)]
+        [self.sum_x, self.sum_y].map(|sum| (sum as f64 / self.cells as f64 + 0.5) * cell_m)
     }
 
-    /// The cell that holds the centroid.
+    /// The cell nearest to the centroid.
     pub fn centroid(&self) -> Cell {
-        let mean = |sum: i64| (sum as f64 / self.cells as f64).round() as i32;
-        Cell::new(mean(self.sum_x), mean(self.sum_y))
+        let [x, y] =
+            [self.sum_x, self.sum_y].map(|sum| (sum as f64 / self.cells as f64).round() as i32);
+        Cell::new(x, y)
     }
 }
 
-/// Finds groups; reuses its memory.
+/// Finds the connected components of a set of cells and reuses its buffers.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Components {
     runs: Vec<Run>,
     groups: Vec<Component>,
-    /// For each run that is a root: its place in `groups`.
-    place: Vec<u32>,
+    /// For each run that is a root, the index of its group in `groups`.
+    group_index: Vec<u32>,
 }
 
 impl Components {
-    /// Finds all groups of the set.
+    /// Finds all groups of a set; [`groups`](Self::groups) and [`runs`](Self::runs) return the
+    /// result.
     pub fn find(&mut self, plane: &BitPlane) {
         self.runs.clear();
         let mut above = 0..0;
@@ -53,32 +56,38 @@ impl Components {
             let start = self.runs.len();
             let y = plane.cells.min.y + row as i32;
             for_each_run(plane.row(row), |first, last| {
-                let parent = self.runs.len() as u32;
-                let x = |at: usize| plane.cells.min.x + at as i32;
-                self.runs.push(Run { y, first_x: x(first), last_x: x(last), parent });
+                self.runs.push(Run {
+                    y,
+                    first_x: plane.cells.min.x + first as i32,
+                    last_x: plane.cells.min.x + last as i32,
+                    parent: self.runs.len() as u32,
+                });
             });
             let here = start..self.runs.len();
             self.join(above, here.clone());
             above = here;
         }
-        self.count();
+        self.collect_groups();
     }
 
-    /// The groups that were found, in the order of their first cells, row by row.
+    /// The groups in the order of their first cells, row by row.
     pub fn groups(&self) -> &[Component] {
         &self.groups
     }
 
-    /// Every run with the place of its group in [`groups`](Self::groups).
+    /// Every run with the index of its group in [`groups`](Self::groups).
     pub fn runs(&self) -> impl Iterator<Item = (&Run, usize)> {
-        self.runs.iter().map(|run| (run, self.place[run.parent as usize] as usize))
+        self.runs.iter().map(|run| (run, self.group_index[run.parent as usize] as usize))
     }
 
-    /// Unites runs of one row with those of the next that touch them, diagonals included.
+    /// Unites the runs of one row with the runs of the next row that touch them, including
+    /// diagonally.
     fn join(&mut self, above: core::ops::Range<usize>, here: core::ops::Range<usize>) {
-        let (mut a, mut b) = (above.start, here.start);
+        let mut a = above.start;
+        let mut b = here.start;
         while a < above.end && b < here.end {
-            let (upper, lower) = (self.runs[a], self.runs[b]);
+            let upper = self.runs[a];
+            let lower = self.runs[b];
             if upper.first_x <= lower.last_x + 1 && lower.first_x <= upper.last_x + 1 {
                 self.unite(a as u32, b as u32);
             }
@@ -103,26 +112,28 @@ impl Components {
     }
 
     fn unite(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
-        // The earlier run becomes the root, so a group's name does not depend on the order of unions.
-        let (first, second) = (a.min(b), a.max(b));
-        self.runs[second as usize].parent = first;
+        let root_a = self.root(a);
+        let root_b = self.root(b);
+        // The earlier run becomes the root, so the order of groups does not depend on the order of
+        // unions.
+        self.runs[root_a.max(root_b) as usize].parent = root_a.min(root_b);
     }
 
-    fn count(&mut self) {
+    /// Fills `groups` from the runs.
+    fn collect_groups(&mut self) {
         self.groups.clear();
-        self.place.clear();
-        self.place.resize(self.runs.len(), 0);
+        self.group_index.clear();
+        self.group_index.resize(self.runs.len(), 0);
         for at in 0..self.runs.len() as u32 {
             let root = self.root(at);
             self.runs[at as usize].parent = root;
             if root == at {
-                self.place[at as usize] = self.groups.len() as u32;
+                self.group_index[at as usize] = self.groups.len() as u32;
                 self.groups.push(Component { cells: 0, sum_x: 0, sum_y: 0 });
             }
             let run = self.runs[at as usize];
             let length = i64::from(run.last_x - run.first_x + 1);
-            let group = &mut self.groups[self.place[root as usize] as usize];
+            let group = &mut self.groups[self.group_index[root as usize] as usize];
             group.cells += length as usize;
             group.sum_x += length * (i64::from(run.first_x) + i64::from(run.last_x)) / 2;
             group.sum_y += length * i64::from(run.y);
@@ -134,7 +145,7 @@ impl Components {
 fn for_each_run(row: &[u64], mut found: impl FnMut(usize, usize)) {
     let mut open = None;
     for (at, &word) in row.iter().enumerate() {
-        // Bits that differ from their left neighbour: where runs begin and end.
+        // Bits that differ from their left neighbour mark where runs begin and end.
         let carry = u64::from(open.is_some());
         let mut edges = word ^ (word << 1 | carry);
         while edges != 0 {

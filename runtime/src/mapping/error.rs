@@ -1,33 +1,30 @@
-//! What can be wrong with what the map is given.
+//! Errors of the occupancy map.
 
-/// Why an observation or a configuration was refused. The map is as it was before.
+/// Why an observation or a configuration was refused. The map is unchanged.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum MapError {
     /// A pose holds NaN or infinity.
     #[error("{pose} is not finite: {value}; leave this observation out")]
     PoseNotFinite {
-        /// Which pose.
+        /// Name of the pose.
         pose: &'static str,
-        /// The pose as text.
         value: String,
     },
-    /// A pose is further from the origin of `odom` than cells can be counted.
+    /// A pose is too far from the origin of `odom` for cell indices and f32 metres.
     #[error(
         "{pose} is {distance_m} m from the origin of odom, at most {limit_m} m can be mapped; restart the odometry"
     )]
     PoseOutOfReach {
-        /// Which pose.
+        /// Name of the pose.
         pose: &'static str,
-        /// Its distance from the origin.
         distance_m: f64,
-        /// The largest distance allowed.
         limit_m: f64,
     },
-    /// The camera looks straight up or down: it has no bearing in the plane.
+    /// The camera's optical axis is nearly vertical, so it has no heading in the plane.
     #[error("the camera's axis is within 6 degrees of vertical; check the camera mount")]
     CameraVertical,
-    /// Depth, confidence and camera model are not of one size.
+    /// Depth, confidence and camera model have different sizes.
     #[error(
         "depth is {depth:?}, confidence has {confidence} values, the camera model is {camera:?}: they must agree"
     )]
@@ -39,27 +36,21 @@ pub enum MapError {
         /// Columns and rows of the camera model.
         camera: (usize, usize),
     },
-    /// The camera model cannot be a camera.
+    /// The camera model is invalid.
     #[error(
-        "the camera model is not sound: size and focal lengths must be positive, all values finite"
+        "the camera model is invalid: size and focal lengths must be positive, all values finite"
     )]
     CameraModel,
-    /// The scan has another number of ranges than its geometry says.
+    /// The number of ranges in the scan differs from the number of beams of its geometry.
     #[error("the scan has {ranges} ranges for {beams} beams")]
-    ScanShape {
-        /// Number of ranges.
-        ranges: usize,
-        /// Number of beams.
-        beams: usize,
-    },
+    ScanShape { ranges: usize, beams: usize },
     /// A configuration value is out of range.
     #[error("{field} is {value}, allowed is {allowed}")]
     Config {
-        /// Name of the field.
+        /// Name of the configuration field.
         field: &'static str,
-        /// Its value.
         value: f64,
-        /// The allowed range.
+        /// The allowed range as text.
         allowed: &'static str,
     },
 }

@@ -1,4 +1,4 @@
-//! Where known free floor meets the unknown.
+//! Frontiers: places where known free floor meets unknown cells.
 
 use super::bits::{BitPlane, free_and_known, widen};
 use super::components::Components;
@@ -7,18 +7,20 @@ use super::{Cell, OccupancyGrid};
 /// A group of frontier cells.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frontier {
-    /// Number of unknown cells in it.
+    /// Number of cells in the group; all of them are unknown.
     pub cells: usize,
-    /// Their centroid in `odom`, metres. May lie in a wall or beyond one.
+    /// Centroid of the cells in `odom`, metres. It may lie inside a wall or behind one.
     pub centroid_m: [f64; 2],
-    /// The free cell beside the group that is nearest to the centroid: where to look from.
+    /// The free cell next to the group that is nearest to the centroid: the robot observes the
+    /// frontier from there.
     pub approach: Cell,
 }
 
-/// Finds frontiers; reuses its memory.
+/// Finds frontiers (Yamauchi 1997, "A frontier-based approach for autonomous exploration") and
+/// reuses its buffers.
 ///
-/// A frontier cell is unknown and has a free cell among its 8 neighbours; frontier cells group by 8-connection, and groups of
-/// `min_cells` or less are noise (the paper's code: 20). Yamauchi 1997, "A frontier-based approach for autonomous exploration".
+/// A frontier cell is unknown and has a free cell among its 8 neighbours. Frontier cells form
+/// 8-connected groups, and groups of at most `min_cells` cells are noise (20 in the paper's code).
 #[derive(Debug, Clone, Default)]
 pub struct FrontierFinder {
     free: BitPlane,
@@ -30,10 +32,11 @@ pub struct FrontierFinder {
 }
 
 impl FrontierFinder {
-    /// Groups of more than this many cells are frontiers in the paper's code.
+    /// Value of `min_cells` in the paper's code.
     pub const MIN_CELLS: usize = 20;
 
-    /// Writes all groups of more than `min_cells` cells into `found`, in the order of their first cells, row by row.
+    /// Writes all groups of more than `min_cells` cells into `found`, in the order of their first
+    /// cells, row by row.
     pub fn find(&mut self, grid: &OccupancyGrid, min_cells: usize, found: &mut Vec<Frontier>) {
         found.clear();
         let Some(cells) =
@@ -56,7 +59,7 @@ impl FrontierFinder {
         }
     }
 
-    /// `frontier = widened free & not known`, a word at a time.
+    /// Computes `frontier = dilated free & !known`, 64 cells at a time.
     fn mark_frontier_cells(&mut self) {
         let rows = self.free.rows();
         let words = self.free.words_per_row;
@@ -67,7 +70,7 @@ impl FrontierFinder {
             wide.clear();
             wide.resize(words, 0);
         }
-        // `wide` holds the widened rows above, here and below.
+        // `wide` holds the dilated rows above, at and below the current row.
         widen(self.free.row(0), &mut self.wide[1]);
         for row in 0..rows {
             match row + 1 < rows {
@@ -86,8 +89,8 @@ impl FrontierFinder {
     }
 }
 
-/// For every group of more than `min_cells` cells: the free cell beside it that is nearest to its centroid; of several, the
-/// first row by row.
+/// For every group of more than `min_cells` cells, the free cell next to it that is nearest to its
+/// centroid; of several equally near ones, the first in row order.
 fn approach_cells(
     components: &Components,
     free: &BitPlane,
@@ -142,16 +145,21 @@ mod tests {
             .filter(move |near| *near != cell)
     }
 
-    /// The definition, one cell at a time.
+    fn rounded_mean(values: impl ExactSizeIterator<Item = i32>) -> i32 {
+        let count = values.len() as f64;
+        (values.map(f64::from).sum::<f64>() / count).round() as i32
+    }
+
+    /// Computes the frontiers one cell at a time, directly from the definition.
     fn naive(grid: &OccupancyGrid, min_cells: usize) -> Vec<(usize, Cell)> {
         let window = grid.window();
         let all = (window.min.y..=window.max.y)
             .flat_map(|y| (window.min.x..=window.max.x).map(move |x| Cell::new(x, y)));
-        let is_frontier = |cell: &Cell| {
+        let frontier_cells = all.filter(|cell| {
             grid.state(*cell) == CellState::Unknown
                 && neighbours(*cell).any(|near| grid.state(near) == CellState::Free)
-        };
-        let mut left: BTreeSet<Cell> = all.filter(is_frontier).collect();
+        });
+        let mut left: BTreeSet<Cell> = frontier_cells.collect();
         let mut found = Vec::new();
         while let Some(first) = left.pop_first() {
             let mut group = vec![first];
@@ -161,11 +169,10 @@ mod tests {
                 next += 1;
             }
             if group.len() > min_cells {
-                let mean = |of: fn(&Cell) -> i32| {
-                    (group.iter().map(|cell| f64::from(of(cell))).sum::<f64>() / group.len() as f64)
-                        .round() as i32
-                };
-                let centroid = Cell::new(mean(|cell| cell.x), mean(|cell| cell.y));
+                let centroid = Cell::new(
+                    rounded_mean(group.iter().map(|cell| cell.x)),
+                    rounded_mean(group.iter().map(|cell| cell.y)),
+                );
                 let beside = group.iter().flat_map(|cell| neighbours(*cell));
                 let free = beside.filter(|near| grid.state(*near) == CellState::Free);
                 let approach = free.min_by_key(|near| (near.distance2(centroid), *near)).unwrap();

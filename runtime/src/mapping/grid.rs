@@ -1,4 +1,4 @@
-//! The map: log-odds of every cell around the robot.
+//! The occupancy grid: log-odds of the cells around the robot.
 
 use hal::{CameraModel, Pose2, Pose3};
 use serde::{Deserialize, Serialize};
@@ -8,18 +8,22 @@ use super::{Cell, CellBox, CellState, FrameMapper, MapConfig, MapError, SingleFr
 use crate::perception::DepthEstimate;
 use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 
-/// Farther from the origin of `odom` than this, cells and f32 metres lose their meaning.
+/// Largest distance from the origin of `odom` at which f32 metres are still accurate enough for
+/// cells.
 const REACH_M: f64 = 100_000.0;
-/// A known cell's log-odds never come nearer to 0 than this: decay forgets how sure we are, not what we saw.
+/// The log-odds of a known cell never come closer to 0 than this: decay reduces the certainty of a
+/// cell, but the cell stays free or occupied.
 const FAINTEST: f32 = 1e-20;
-/// The common factor is multiplied out when it gets this small, about every 2,000 updates at a decay of 0.98.
+/// The common factor is multiplied into the cells when it becomes smaller than this: about every
+/// 2,000 updates at a decay of 0.98.
 const RENORMALISE_BELOW: f64 = 1e-18;
 
-/// A rolling occupancy grid around the robot, in `odom`.
+/// An occupancy grid in `odom` whose window follows the robot.
 ///
-/// Every cell holds log-odds: exactly 0 is unknown, above 0 occupied, below 0 free. The decay of all cells at each update is
-/// one multiplication: cells are stored divided by a common factor that shrinks. Evidence of one update is collected and
-/// applied at its end, `l <- clamp(decay * l + evidence)`, an occupied observation of a cell winning over free ones.
+/// Every cell holds log-odds: exactly 0 is unknown, above 0 occupied, below 0 free. Cells are
+/// stored divided by a common factor, so that the decay of all cells at each update is a single
+/// multiplication of that factor. The evidence of one update is collected and applied at its end:
+/// `l <- clamp(decay * l + evidence)`, where an occupied observation of a cell wins over free ones.
 #[derive(Debug, Clone)]
 pub struct OccupancyGrid {
     pub(super) config: MapConfig,
@@ -27,11 +31,14 @@ pub struct OccupancyGrid {
     /// Log-odds divided by `scale`.
     stored: Vec<f32>,
     scale: f64,
-    /// What this update says of a cell, 0: nothing.
+    /// Evidence of the current update for each cell; 0 if there is none.
     evidence: Vec<f32>,
+    /// The cells with evidence.
     touched: Vec<Cell>,
-    /// Height of the obstacle in an occupied cell as the camera saw it, centimetres; 0: only the LiDAR or a collision did.
+    /// Height of the obstacle in an occupied cell according to the camera, centimetres; 0 if only
+    /// the LiDAR or a collision marked it.
     top_cm: Vec<u8>,
+    /// The robot's cell and the radius of the floor that it stands on, in cells.
     standing: Option<(Cell, f64)>,
     collisions: Vec<Collision>,
     known: Option<CellBox>,
@@ -79,11 +86,11 @@ impl OccupancyGrid {
         })
     }
 
-    /// Begins an update with the robot at `t_odom_base`: moves the window after the robot if it has come near its edge, and
-    /// lets everything known decay.
+    /// Begins an update with the robot at `t_odom_base`: moves the window if the robot has come
+    /// close to its edge, and applies the decay to all cells.
     ///
     /// # Errors
-    /// When the pose is not finite or out of reach; the map is then as it was.
+    /// If the pose is not finite or out of reach; the map is then unchanged.
     pub fn begin_update(&mut self, t_odom_base: &Pose2) -> Result<(), MapError> {
         check_pose2("t_odom_base", t_odom_base)?;
         self.recenter(self.cell_at(t_odom_base.x_m, t_odom_base.y_m));
@@ -95,14 +102,15 @@ impl OccupancyGrid {
         if self.scale < RENORMALISE_BELOW {
             self.renormalise();
         }
-        self.forget_old_collisions();
+        self.expire_collisions();
         Ok(())
     }
 
-    /// Takes in what the camera sees; returns what this picture alone says, for comparison with other pictures.
+    /// Integrates a depth frame. Returns its single-frame map, for comparison with those of other
+    /// frames.
     ///
     /// # Errors
-    /// As [`FrameMapper::map`]; the map is then as it was.
+    /// As [`FrameMapper::map`]; the map is then unchanged.
     pub fn integrate_depth(
         &mut self,
         estimate: &DepthEstimate,
@@ -139,7 +147,8 @@ impl OccupancyGrid {
         }
     }
 
-    /// Remembers one observation of a cell until the update is finished. The order of observations does not matter.
+    /// Records an observation of a cell until the update is finished. The order of observations
+    /// does not matter.
     pub(super) fn add_evidence(&mut self, cell: Cell, index: usize, evidence: f32) {
         let so_far = &mut self.evidence[index];
         if *so_far == 0.0 && evidence != 0.0 {
@@ -152,11 +161,12 @@ impl OccupancyGrid {
         }
     }
 
-    /// Marks what the robot ran into: a segment across its heading, `ahead_m` in front of `t_odom_base`. It stays until it
-    /// expires, whatever the camera says.
+    /// Marks an obstacle that the robot collided with: a segment across its heading, `ahead_m` in
+    /// front of `t_odom_base`. The mark stays until it expires, even if the camera or the LiDAR
+    /// observes free floor there.
     ///
     /// # Errors
-    /// When the pose or distance is not finite or out of reach.
+    /// If the pose or the distance is not finite or out of reach.
     pub fn mark_collision(&mut self, t_odom_base: &Pose2, ahead_m: f64) -> Result<(), MapError> {
         let middle = t_odom_base.compose(&Pose2::new(ahead_m, 0.0, 0.0));
         check_pose2("t_odom_base and ahead_m", &middle)?;
@@ -176,10 +186,11 @@ impl OccupancyGrid {
         Ok(())
     }
 
-    /// The robot stands here, so everything within `radius_m` is free, whatever was seen; only collisions stay.
+    /// Marks the floor under the robot as free: everything within `radius_m` of `t_odom_base`
+    /// except collision marks.
     ///
     /// # Errors
-    /// When the pose or the radius is not finite or out of reach.
+    /// If the pose or the radius is not finite or out of reach.
     pub fn mark_standing(&mut self, t_odom_base: &Pose2, radius_m: f64) -> Result<(), MapError> {
         check_pose2("t_odom_base", t_odom_base)?;
         if !(0.0..=5.0).contains(&radius_m) {
@@ -190,7 +201,7 @@ impl OccupancyGrid {
         Ok(())
     }
 
-    /// Ends the update: applies all evidence.
+    /// Ends the update and applies all evidence.
     pub fn finish_update(&mut self) {
         let touched = core::mem::take(&mut self.touched);
         for cell in &touched {
@@ -198,7 +209,7 @@ impl OccupancyGrid {
             let evidence = core::mem::take(&mut self.evidence[index]);
             let old = self.log_odds_at(index);
             let new = (old + evidence).clamp(-self.config.limit, self.config.limit);
-            // Evidence that cancels exactly must not make a known cell unknown.
+            // Evidence that cancels the old value exactly must not make a known cell unknown.
             let new = if new.abs() < FAINTEST { FAINTEST.copysign(evidence) } else { new };
             self.write(*cell, index, new);
         }
@@ -238,15 +249,13 @@ impl OccupancyGrid {
         self.collisions = collisions;
     }
 
-    /// Cells of old collisions become unknown: what is there now has to be seen again.
-    fn forget_old_collisions(&mut self) {
-        let (window, stored, top_cm, now) =
-            (&self.window, &mut self.stored, &mut self.top_cm, self.updates);
+    /// Removes expired collision marks. Their cells become unknown and have to be observed again.
+    fn expire_collisions(&mut self) {
         self.collisions.retain(|collision| {
-            let stays = collision.expires > now;
-            if let (false, Some(index)) = (stays, window.index(collision.cell)) {
-                stored[index] = 0.0;
-                top_cm[index] = 0;
+            let stays = collision.expires > self.updates;
+            if !stays && let Some(index) = self.window.index(collision.cell) {
+                self.stored[index] = 0.0;
+                self.top_cm[index] = 0;
             }
             stays
         });
@@ -278,22 +287,22 @@ impl OccupancyGrid {
         self.scale = 1.0;
     }
 
-    /// Moves the window no farther than it must: what it leaves behind is forgotten, and looks like something to explore.
+    /// Moves the window as little as necessary, because cells that leave it become unknown and are
+    /// explored again.
     fn recenter(&mut self, robot: Cell) {
         let old = self.window.center();
         let limit = self.config.follow_cells();
-        let follow = |center: i32, robot: i32| {
-            center.clamp(robot.saturating_sub(limit), robot.saturating_add(limit))
-        };
-        let center = Cell::new(follow(old.x, robot.x), follow(old.y, robot.y));
+        let center = Cell::new(
+            old.x.clamp(robot.x.saturating_sub(limit), robot.x.saturating_add(limit)),
+            old.y.clamp(robot.y.saturating_sub(limit), robot.y.saturating_add(limit)),
+        );
         if center == old {
             return;
         }
-        let (stored, evidence, top_cm) = (&mut self.stored, &mut self.evidence, &mut self.top_cm);
         self.window.recenter(center, |range| {
-            stored[range.clone()].fill(0.0);
-            evidence[range.clone()].fill(0.0);
-            top_cm[range].fill(0);
+            self.stored[range.clone()].fill(0.0);
+            self.evidence[range.clone()].fill(0.0);
+            self.top_cm[range].fill(0);
         });
         let cells = self.window.cells();
         self.known = self.known.and_then(|known| known.intersection(cells));
@@ -309,18 +318,20 @@ impl OccupancyGrid {
         self.window.index(cell)
     }
 
-    /// Whether the planar LiDAR may call this cell free: nobody knows it, or nobody but the LiDAR marked it.
+    /// Whether the planar LiDAR may mark this cell as free: the cell is unknown, or the camera did
+    /// not mark it as occupied.
     pub(super) fn lidar_may_clear(&self, index: usize) -> bool {
         let stored = self.stored[index];
         stored == 0.0 || (stored > 0.0 && self.top_cm[index] == 0)
     }
 
-    /// The signed values of row `y` from column `min_x` on, as one or two runs: sign is state, 0 unknown.
+    /// The stored values of row `y` from column `min_x` on, as one or two slices. The sign is the
+    /// cell's state; 0 is unknown.
     pub(crate) fn row(&self, y: i32, min_x: i32, width: usize) -> (&[f32], &[f32]) {
         self.window.row(&self.stored, y, min_x, width)
     }
 
-    /// The value in [`row`](Self::row) that stands for these log-odds.
+    /// The value in [`row`](Self::row) that corresponds to these log-odds.
     pub(crate) fn row_value(&self, log_odds: f32) -> f32 {
         (f64::from(log_odds) / self.scale) as f32
     }
@@ -331,7 +342,7 @@ impl OccupancyGrid {
         self.window.index(cell).map_or(0.0, |index| self.log_odds_at(index))
     }
 
-    /// What is known of a cell; unknown outside the window.
+    /// State of a cell; unknown outside the window.
     #[must_use]
     pub fn state(&self, cell: Cell) -> CellState {
         self.window
@@ -339,37 +350,37 @@ impl OccupancyGrid {
             .map_or(CellState::Unknown, |index| CellState::of(self.stored[index]))
     }
 
-    /// What is known of the cell at a point of `odom`, metres.
+    /// State of the cell that contains a point in `odom`, metres.
     #[must_use]
     pub fn state_at(&self, x_m: f64, y_m: f64) -> CellState {
         self.state(self.cell_at(x_m, y_m))
     }
 
-    /// The cell at a point of `odom`, metres.
+    /// The cell that contains a point in `odom`, metres.
     #[must_use]
     pub fn cell_at(&self, x_m: f64, y_m: f64) -> Cell {
         Cell::containing(x_m, y_m, self.config.cell_m)
     }
 
-    /// The middle of a cell in `odom`, metres.
+    /// The centre of a cell in `odom`, metres.
     #[must_use]
     pub fn center_m(&self, cell: Cell) -> [f64; 2] {
         cell.center_m(self.config.cell_m)
     }
 
-    /// Side of a cell, metres.
+    /// Edge length of a cell, metres.
     #[must_use]
     pub fn cell_m(&self) -> f64 {
         self.config.cell_m
     }
 
-    /// The cells that the map can hold now.
+    /// The cells that the map window covers now.
     #[must_use]
     pub fn window(&self) -> CellBox {
         self.window.cells()
     }
 
-    /// A box that holds every known cell; `None` while nothing is known.
+    /// A box that contains every known cell; `None` if no cell is known.
     #[must_use]
     pub fn known_box(&self) -> Option<CellBox> {
         self.known
@@ -391,32 +402,33 @@ impl OccupancyGrid {
         })
     }
 
-    /// Cells that were unknown before the last finished update and are known now, in the order they were written.
+    /// Cells that became known in the last finished update, in the order in which they were
+    /// written.
     #[must_use]
     pub fn newly_known(&self) -> &[Cell] {
         &self.newly_known
     }
 
-    /// First 8 bytes of the BLAKE3 digest of every cell that the last update wrote, with its new value.
+    /// First 8 bytes of the BLAKE3 digest of all cells that the last update wrote, with their new
+    /// values.
     #[must_use]
     pub fn changes_digest(&self) -> u64 {
         self.changes_digest
     }
 
-    /// Updates begun so far.
+    /// Number of updates begun so far.
     #[must_use]
     pub fn updates(&self) -> u64 {
         self.updates
     }
 
-    /// How this map was configured.
     #[must_use]
     pub fn config(&self) -> &MapConfig {
         &self.config
     }
 }
 
-/// Between two updates; what only reports read is left out.
+/// A snapshot is taken between two updates. Data that only reports use is left out.
 impl State for OccupancyGrid {
     fn write(&self, to: &mut Vec<u8>) {
         self.window.write(to);

@@ -1,20 +1,21 @@
-//! Where two looks at the same place disagree.
+//! Inconsistencies: places where the single-frame maps of two frames disagree.
 
 use super::bits::BitPlane;
 use super::components::Components;
 use super::{CellBox, CellState, SingleFrameMap};
 
-/// A group of cells that one look calls free and another occupied.
+/// A group of cells that are free in one single-frame map and occupied in the other.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Inconsistency {
     /// Number of cells.
     pub cells: usize,
-    /// Their centroid in `odom`, metres. May lie in an obstacle.
+    /// Centroid of the cells in `odom`, metres. It may lie inside an obstacle.
     pub centroid_m: [f64; 2],
 }
 
-/// Compares two pictures' maps: a cell is inconsistent if both know it and only one calls it occupied ("Embodied Depth
-/// Prediction", section III-D). 8-connected groups, the largest first; of equal ones, the first row by row.
+/// Compares the maps of two frames. A cell is inconsistent if both maps know it and exactly one
+/// calls it occupied ("Embodied Depth Prediction", section III-D). Returns the 8-connected groups
+/// of such cells, the largest first; groups of equal size are in row order.
 #[must_use]
 pub fn inconsistencies(
     now: &SingleFrameMap,
@@ -26,8 +27,9 @@ pub fn inconsistencies(
     for newer in &now.cells {
         while older.next_if(|old| old.cell < newer.cell).is_some() {}
         if let Some(old) = older.next_if(|old| old.cell == newer.cell) {
-            let occupied = |state| state == CellState::Occupied;
-            if occupied(newer.state()) != occupied(old.state()) {
+            let is_occupied = newer.state() == CellState::Occupied;
+            let was_occupied = old.state() == CellState::Occupied;
+            if is_occupied != was_occupied {
                 cells.push(newer.cell);
             }
         }
@@ -48,7 +50,7 @@ pub fn inconsistencies(
     let mut found: Vec<_> = groups
         .map(|group| Inconsistency { cells: group.cells, centroid_m: group.centroid_m(cell_m) })
         .collect();
-    // Stable: groups of equal size stay in the order of their first cells.
+    // The sort is stable, so groups of equal size stay in the order of their first cells.
     found.sort_by_key(|group| core::cmp::Reverse(group.cells));
     found
 }

@@ -1,8 +1,9 @@
-//! What is where: a local occupancy map around the robot, in `odom`.
+//! The local occupancy map around the robot, in `odom`.
 //!
-//! One update of the map is [`OccupancyGrid::begin_update`], any number of observations, then
-//! [`OccupancyGrid::finish_update`]. Observations only collect evidence; finishing applies it, so within one update an
-//! occupied cell wins over a free one whatever came first.
+//! One update of the map consists of [`OccupancyGrid::begin_update`], any number of observations,
+//! and [`OccupancyGrid::finish_update`]. Observations only collect evidence and finishing applies
+//! it. So within one update an occupied observation of a cell wins over a free one, in whatever
+//! order they arrive.
 
 mod bits;
 mod cell;
@@ -27,5 +28,5 @@ pub use frontier::{Frontier, FrontierFinder};
 pub use grid::OccupancyGrid;
 pub use inconsistency::{Inconsistency, inconsistencies};
 #[cfg(test)]
-pub(crate) use scan::line;
+pub(crate) use scan::cells_on_line;
 pub use window::CellBox;

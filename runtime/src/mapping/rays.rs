@@ -1,45 +1,48 @@
-//! Where the pixels of a camera look, seen from above.
+//! The rays of a camera's pixels, projected onto the floor plane.
 
 use hal::{CameraModel, Pose3};
 
 use super::{Cell, MapConfig, MapError};
 
-/// The bearing of rays that leave the picture's fan sideways, as rays of a tilted camera may.
+/// Bearing of rays that lie outside of the bearing bins, as rays of a tilted camera may.
 const NO_BEARING: u32 = u32::MAX;
-/// Directions and heights are rounded to this many steps per unit, so that a camera that only turns and drives keeps its
-/// table: 1e-6 of a distance of 20 m is nothing.
+/// Directions and heights are rounded to this many steps per unit, so that the table stays valid
+/// while the camera only rotates about the vertical and moves on the floor. The rounding of 1e-6 is
+/// 0.02 mm at a distance of 20 m.
 const STEPS_PER_UNIT: f64 = 1_048_576.0;
 
-/// A used pixel's ray, for one metre of z-depth.
+/// The ray of a used pixel. Lengths are those for one metre of z-depth.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ray {
-    /// Along the camera's heading in the plane.
+    /// Component along the camera's heading in the plane.
     pub forward: f32,
-    /// To the right of it.
+    /// Component to the right of the heading.
     pub right: f32,
-    /// Up.
+    /// Vertical component, positive upwards.
     pub rise: f32,
-    /// In the plane, whatever the direction.
+    /// Length in the plane.
     pub range: f32,
-    /// Height per range.
+    /// `rise / range`.
     pub slope: f32,
-    /// Range at which the ray meets the floor or leaves the height band upwards, metres (not per depth).
+    /// Range at which the ray meets the floor or leaves the height band upwards, metres (not per
+    /// metre of depth).
     pub leaves_band_m: f32,
-    /// Bin of its direction in the plane.
+    /// Index of the bearing bin, or [`NO_BEARING`].
     pub bearing: u32,
 }
 
-/// The rays of all used pixels, row by row. They depend on intrinsics, tilt and height of the camera, not on where it stands.
+/// The rays of all used pixels, row by row. They depend on the camera's intrinsics, tilt and
+/// height, but not on its position and heading in the plane.
 #[derive(Debug, Clone, Default)]
 pub(super) struct RayTable {
     key: Option<(CameraModel, [[i32; 3]; 3], i32)>,
     pub rays: Vec<Ray>,
-    /// Bins of direction.
+    /// Number of bearing bins.
     pub bearings: usize,
 }
 
 impl RayTable {
-    /// Makes this the table of `view`, if it is not already.
+    /// Recomputes the table for `view` unless it is up to date.
     pub fn prepare(&mut self, config: &MapConfig, camera: &CameraModel, view: &View) {
         let key = (*camera, view.axes, view.height);
         if self.key == Some(key) {
@@ -65,9 +68,8 @@ impl RayTable {
         let direction = camera.ray(u as f64, v as f64);
         let [right, down, ahead] =
             view.axes.map(|axis| axis.map(|steps| f64::from(steps) / STEPS_PER_UNIT));
-        let along =
-            |part: usize| right[part] * direction.x + down[part] * direction.y + ahead[part];
-        let (forward, sideways, rise) = (along(0), along(1), along(2));
+        let [forward, sideways, rise] = [0, 1, 2]
+            .map(|part| right[part] * direction.x + down[part] * direction.y + ahead[part]);
         let range = forward.hypot(sideways);
         let slope = rise / range;
         let height_m = f64::from(view.height) / STEPS_PER_UNIT;
@@ -91,29 +93,34 @@ impl RayTable {
     }
 }
 
-/// The used rows or columns of `size`: the middle one of each group of `stride`.
+/// The indices of the used rows or columns out of `size`: the middle one of each group of `stride`.
 pub(super) fn used(size: usize, stride: usize) -> impl Iterator<Item = usize> {
     (stride / 2..size).step_by(stride)
 }
 
-/// A camera over a square of cells.
+fn rounded(value: f64) -> i32 {
+    (value * STEPS_PER_UNIT).round() as i32
+}
+
+/// A camera pose relative to the square of cells around it.
 #[derive(Debug)]
 pub(super) struct View {
-    /// The square's first cell.
+    /// The cell of the square with the lowest column and row.
     pub corner: Cell,
-    /// The camera in the square, metres.
+    /// Position of the camera relative to `corner`, metres.
     pub x_m: f32,
     pub y_m: f32,
     pub height_m: f32,
-    /// Heading of the optical axis, a unit vector.
+    /// Unit vector of the optical axis in the plane.
     pub heading: [f32; 2],
-    /// The camera's x, y and z axis along its heading, to the right of it and up; and its height; rounded.
+    /// The camera's x, y and z axes, each as components along the heading, to the right of it and
+    /// up, in 1 / [`STEPS_PER_UNIT`].
     axes: [[i32; 3]; 3],
     height: i32,
 }
 
 impl View {
-    /// The view over the square that reaches `half` cells from the camera's own.
+    /// The view of the square that extends `half` cells in each direction from the camera's cell.
     pub fn new(config: &MapConfig, half: usize, t_odom_camera: &Pose3) -> Result<Self, MapError> {
         let position = t_odom_camera.translation.vector;
         let rotation = t_odom_camera.rotation.to_rotation_matrix();
@@ -122,8 +129,8 @@ impl View {
         if level < 0.1 {
             return Err(MapError::CameraVertical);
         }
-        let (hx, hy) = (ahead.x / level, ahead.y / level);
-        let rounded = |value: f64| (value * STEPS_PER_UNIT).round() as i32;
+        let hx = ahead.x / level;
+        let hy = ahead.y / level;
         let axes = [0, 1, 2].map(|axis| {
             let axis = rotation.matrix().column(axis);
             [axis.x * hx + axis.y * hy, axis.x * hy - axis.y * hx, axis.z].map(rounded)

@@ -1,4 +1,4 @@
-//! What the planar LiDAR says about the cells around it.
+//! Integration of planar LiDAR scans into the occupancy grid.
 
 use hal::{LaserScan, Pose2, Range};
 
@@ -6,13 +6,15 @@ use super::grid::check_pose2;
 use super::{Cell, LidarUse, MapError, OccupancyGrid};
 
 impl OccupancyGrid {
-    /// Takes in a scan: hits within the range limit mark their cells; the way to a hit is free where nothing was known.
+    /// Integrates a scan: hits within the range limit mark their cells as occupied, and the cells
+    /// before a hit become free.
     ///
-    /// A planar scan sees one height, so it never clears what the camera saw; what only the LiDAR marked it clears. "No
-    /// return" says nothing, neither do "too near" and errors.
+    /// A planar scan observes one height only. So it clears cells that only the LiDAR marked, and
+    /// never those that the camera saw. "No return", "too near" and error beams carry no evidence.
     ///
     /// # Errors
-    /// When the pose is not finite or out of reach, or the scan has another number of ranges than beams.
+    /// If the pose is not finite or out of reach, or the number of ranges differs from the number
+    /// of beams.
     pub fn integrate_scan(
         &mut self,
         scan: &LaserScan,
@@ -45,8 +47,9 @@ impl OccupancyGrid {
         }
     }
 
-    /// One line for every group of beams that lie closer together than cells do; a group reaches as far as its shortest
-    /// beam, and nowhere if one of them is not a hit.
+    /// Clears one line of cells for every group of neighbouring beams that are closer together than
+    /// cells are. A line ends before the shortest range of its group, and is left out if one of the
+    /// beams is not a hit.
     fn clear_to_hits(&mut self, scan: &LaserScan, t_odom_laser: &Pose2) {
         let limit_m = self.config.lidar_range_m;
         let cell_m = self.config.cell_m;
@@ -66,7 +69,7 @@ impl OccupancyGrid {
 
     fn clear_line(&mut self, start_m: [f64; 2], end_m: [f64; 2]) {
         let free = -self.config.free_decrement;
-        for cell in line(start_m, end_m, self.config.cell_m) {
+        for cell in cells_on_line(start_m, end_m, self.config.cell_m) {
             if let Some(index) = self.index(cell)
                 && self.lidar_may_clear(index)
             {
@@ -85,39 +88,57 @@ fn end_of(from: &Pose2, angle_rad: f64, distance_m: f64) -> [f64; 2] {
     [from.x_m + cos * distance_m, from.y_m + sin * distance_m]
 }
 
-/// Every cell that a straight line touches, from start to end (Amanatides and Woo 1987).
-pub(crate) fn line(start_m: [f64; 2], end_m: [f64; 2], cell_m: f64) -> impl Iterator<Item = Cell> {
+/// The cells that a line segment touches, from start to end (Amanatides and Woo 1987).
+pub(crate) fn cells_on_line(
+    start_m: [f64; 2],
+    end_m: [f64; 2],
+    cell_m: f64,
+) -> impl Iterator<Item = Cell> {
     let mut cell = Cell::containing(start_m[0], start_m[1], cell_m);
     let end = Cell::containing(end_m[0], end_m[1], cell_m);
-    let axis = |start: f64, end: f64, at: i32| {
-        let delta = end - start;
-        let step = if delta > 0.0 { 1 } else { -1 };
-        let edge = f64::from(at + i32::from(delta > 0.0)) * cell_m;
-        // In shares of the line's length: where the next edge is crossed, and how far apart crossings are.
-        if delta == 0.0 {
-            (step, f64::INFINITY, f64::INFINITY)
-        } else {
-            (step, (edge - start) / delta, cell_m / delta.abs())
-        }
-    };
-    let (step_x, mut next_x, apart_x) = axis(start_m[0], end_m[0], cell.x);
-    let (step_y, mut next_y, apart_y) = axis(start_m[1], end_m[1], cell.y);
-    // Counting the crossings of each axis makes the line end in the right cell whatever the rounding.
+    let mut along_x = Crossings::new(start_m[0], end_m[0], cell.x, cell_m);
+    let mut along_y = Crossings::new(start_m[1], end_m[1], cell.y, cell_m);
+    // The crossings of each axis are counted, so that the line ends in the right cell in spite of
+    // rounding.
     let mut left_x = (end.x - cell.x).unsigned_abs();
     let mut left_y = (end.y - cell.y).unsigned_abs();
     (0..=left_x + left_y).map(move |_| {
         let here = cell;
-        if left_x > 0 && (left_y == 0 || next_x < next_y) {
+        if left_x > 0 && (left_y == 0 || along_x.next < along_y.next) {
             left_x -= 1;
-            cell.x += step_x;
-            next_x += apart_x;
+            cell.x += along_x.step;
+            along_x.next += along_x.spacing;
         } else if left_y > 0 {
             left_y -= 1;
-            cell.y += step_y;
-            next_y += apart_y;
+            cell.y += along_y.step;
+            along_y.next += along_y.spacing;
         }
         here
     })
+}
+
+/// The crossings of a line segment with the cell edges of one axis, as shares of the segment's
+/// length.
+struct Crossings {
+    /// Direction of the segment along the axis: +1 or -1.
+    step: i32,
+    /// Where the segment crosses the next edge.
+    next: f64,
+    /// Distance between two crossings.
+    spacing: f64,
+}
+
+impl Crossings {
+    fn new(start_m: f64, end_m: f64, start_cell: i32, cell_m: f64) -> Self {
+        let delta_m = end_m - start_m;
+        let step = if delta_m > 0.0 { 1 } else { -1 };
+        let edge_m = f64::from(start_cell + i32::from(delta_m > 0.0)) * cell_m;
+        if delta_m == 0.0 {
+            Self { step, next: f64::INFINITY, spacing: f64::INFINITY }
+        } else {
+            Self { step, next: (edge_m - start_m) / delta_m, spacing: cell_m / delta_m.abs() }
+        }
+    }
 }
 
 #[cfg(test)]
@@ -165,7 +186,7 @@ mod tests {
         assert_eq!(
             grid.state_at(behind[0], behind[1]),
             CellState::Unknown,
-            "the scanner does not look back"
+            "behind is outside of the scanner's field of view"
         );
     }
 
@@ -188,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_camera_saw_stays_and_what_only_the_lidar_saw_is_cleared() {
+    fn the_lidar_clears_its_own_obstacles_and_not_those_of_the_camera() {
         let mut grid = grid(LidarUse::HitsAndFree);
         let by_camera = Cell::new(20, 0);
         let by_lidar = Cell::new(0, 20);
@@ -219,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_with_missing_beams_or_a_wild_pose_is_refused() {
+    fn a_scan_with_missing_beams_or_a_nan_pose_is_refused() {
         let mut grid = grid(LidarUse::HitsAndFree);
         let mut short = scan(|_| Range::Hit(1.0));
         short.ranges.pop();
@@ -232,7 +253,7 @@ mod tests {
     proptest! {
         #[test]
         fn a_line_goes_from_cell_to_neighbouring_cell(x0 in -2.0..2.0f64, y0 in -2.0..2.0f64, x1 in -2.0..2.0f64, y1 in -2.0..2.0f64) {
-            let cells: Vec<Cell> = line([x0, y0], [x1, y1], 0.03).collect();
+            let cells: Vec<Cell> = cells_on_line([x0, y0], [x1, y1], 0.03).collect();
             prop_assert_eq!(cells[0], Cell::containing(x0, y0, 0.03));
             prop_assert_eq!(cells[cells.len() - 1], Cell::containing(x1, y1, 0.03));
             let length = (x1 - x0).hypot(y1 - y0);

@@ -1,4 +1,5 @@
-//! The map in a synthetic home whose truth is known: depth by intersecting rays with boxes.
+//! Tests of the map in a synthetic home. The exact depth is computed by intersecting rays with
+//! boxes.
 
 use hal::{CameraModel, DepthMap, Pose2, Pose3, camera_mount};
 use nalgebra::Vector3;
@@ -7,7 +8,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::perception::DepthEstimate;
 
-/// Corners of an axis-aligned box, metres.
+/// An axis-aligned box as its minimum and maximum corner, metres.
 type Solid = [[f64; 3]; 2];
 
 fn camera() -> CameraModel {
@@ -22,7 +23,7 @@ fn mount(pose: &Pose2, pitch_down_rad: f64) -> Pose3 {
     pose.to_pose3() * camera_mount(0.0, 0.8, pitch_down_rad)
 }
 
-/// Four walls around `size` metres centred on the origin, from the floor to 2.5 m.
+/// Four walls around a floor of `size_m` centred on the origin, from the floor to 2.5 m.
 fn room(size_m: [f64; 2]) -> Vec<Solid> {
     let [x, y] = size_m.map(|size| size / 2.0);
     let t = 0.2;
@@ -34,9 +35,10 @@ fn room(size_m: [f64; 2]) -> Vec<Solid> {
     ]
 }
 
-/// Where a ray enters a box, in lengths of its direction.
+/// Where a ray enters a box, in multiples of the direction's length; infinite if it misses the box.
 fn enter(solid: &Solid, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
-    let (mut near, mut far) = (0.0f64, f64::INFINITY);
+    let mut near = 0.0f64;
+    let mut far = f64::INFINITY;
     for axis in 0..3 {
         let crossings =
             [0, 1].map(|end: usize| (solid[end][axis] - origin[axis]) / direction[axis]);
@@ -46,8 +48,8 @@ fn enter(solid: &Solid, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 
     if near <= far { near } else { f64::INFINITY }
 }
 
-/// True depth of solids on an infinite floor, with full confidence.
-fn look(solids: &[Solid], camera: &CameraModel, t_odom_camera: &Pose3) -> DepthEstimate {
+/// The exact depth of solids on an infinite floor, with full confidence.
+fn exact_depth(solids: &[Solid], camera: &CameraModel, t_odom_camera: &Pose3) -> DepthEstimate {
     let origin = t_odom_camera.translation.vector;
     let mut estimate = DepthEstimate::none(camera.width, camera.height);
     for v in 0..camera.height {
@@ -80,19 +82,19 @@ fn a_wall_at_a_known_depth_marks_exactly_its_cells() {
     // A wall whose face lies in the middle of column 50, across the whole view.
     let wall = [[1.515, -5.0, 0.0], [1.7, 5.0, 2.5]];
     let pose = mount(&Pose2::new(0.0, 0.015, 0.0), 0.0);
-    let frame = map(&small(), &look(&[wall], &camera(), &pose), &pose);
+    let frame = map(&small(), &exact_depth(&[wall], &camera(), &pose), &pose);
     // In range where 1.515^2 + dy^2 <= 2^2: dy up to 1.305 m.
     let expected: Vec<Cell> = (-43..=43).map(|y| Cell::new(50, y)).collect();
     assert_eq!(cells_of(&frame, CellState::Occupied), expected);
     assert!(
         frame.cells.iter().all(|known| known.cell.x <= 50),
-        "something behind the wall is known"
+        "no cell behind the wall may be known"
     );
     let occupied = frame.cells.iter().find(|known| known.cell == Cell::new(50, 0)).unwrap();
     assert_eq!(occupied.evidence, 2.0);
     assert!(
         (occupied.height_m - 1.25).abs() < 0.02,
-        "top of what the camera sees of it: {}",
+        "the highest point of it in the image: {}",
         occupied.height_m
     );
 }
@@ -101,9 +103,9 @@ fn a_wall_at_a_known_depth_marks_exactly_its_cells() {
 fn the_floor_in_front_of_a_wall_is_free_up_to_the_clear_margin() {
     let wall = [[1.515, -5.0, 0.0], [1.7, 5.0, 2.5]];
     let pose = mount(&Pose2::new(0.0, 0.015, 0.0), 0.0);
-    let frame = map(&small(), &look(&[wall], &camera(), &pose), &pose);
+    let frame = map(&small(), &exact_depth(&[wall], &camera(), &pose), &pose);
     let ahead: Vec<CellState> = (1..=50).map(|x| frame.state(Cell::new(x, 0))).collect();
-    // 5 % of 1.515 m and less than two cells for rounding.
+    // The margin is 5 % of 1.515 m, and less than two cells for rounding.
     assert!(ahead[..45].iter().all(|state| *state == CellState::Free), "{ahead:?}");
     assert_eq!(frame.state(Cell::new(-1, 0)), CellState::Unknown, "behind the camera");
     assert_eq!(frame.state(Cell::new(10, 12)), CellState::Unknown, "outside the view");
@@ -111,10 +113,10 @@ fn the_floor_in_front_of_a_wall_is_free_up_to_the_clear_margin() {
 }
 
 #[test]
-fn a_wall_beyond_the_ranges_clears_the_whole_clear_range_and_marks_nothing() {
+fn a_wall_beyond_the_range_limits_clears_the_whole_clear_range_and_marks_nothing() {
     let wall = [[4.0, -9.0, 0.0], [4.2, 9.0, 2.5]];
     let pose = mount(&Pose2::IDENTITY, 0.0);
-    let frame = map(&small(), &look(&[wall], &camera(), &pose), &pose);
+    let frame = map(&small(), &exact_depth(&[wall], &camera(), &pose), &pose);
     assert!(cells_of(&frame, CellState::Occupied).is_empty());
     for cell in [Cell::new(65, 0), Cell::new(46, 45), Cell::new(46, -46)] {
         assert_eq!(frame.state(cell), CellState::Free, "{cell:?}");
@@ -126,7 +128,7 @@ fn a_wall_beyond_the_ranges_clears_the_whole_clear_range_and_marks_nothing() {
 fn nothing_is_known_behind_a_box() {
     let solids = [[[1.0, -0.2, 0.0], [1.2, 0.2, 1.2]], [[1.8, -5.0, 0.0], [2.0, 5.0, 2.5]]];
     let pose = mount(&Pose2::IDENTITY, 0.0);
-    let frame = map(&small(), &look(&solids, &camera(), &pose), &pose);
+    let frame = map(&small(), &exact_depth(&solids, &camera(), &pose), &pose);
     assert_eq!(frame.state(Cell::new(33, 0)), CellState::Occupied);
     for x in 41..59 {
         assert_eq!(frame.state(Cell::new(x, 0)), CellState::Unknown, "column {x} behind the box");
@@ -135,12 +137,12 @@ fn nothing_is_known_behind_a_box() {
 }
 
 #[test]
-fn a_few_wrong_pixels_neither_mark_nor_shadow() {
+fn a_few_wrong_pixels_neither_mark_cells_nor_hide_free_floor() {
     let wall = [[1.815, -5.0, 0.0], [2.0, 5.0, 2.5]];
     let pose = mount(&Pose2::IDENTITY, 0.0);
-    let clean = look(&[wall], &camera(), &pose);
+    let clean = exact_depth(&[wall], &camera(), &pose);
     let mut noisy = clean.clone();
-    // Two used pixels of one cell: one fewer than `min_points`.
+    // Two used pixels in one cell are one fewer than `min_points`.
     for v in [81, 83] {
         noisy.depth.values_mut()[v * 640 + 322] = 0.615;
     }
@@ -150,10 +152,10 @@ fn a_few_wrong_pixels_neither_mark_nor_shadow() {
 }
 
 #[test]
-fn bearings_without_depth_or_trust_are_not_known() {
+fn bearings_without_depth_or_confidence_are_unknown() {
     let wall = [[1.515, -5.0, 0.0], [1.7, 5.0, 2.5]];
     let pose = mount(&Pose2::IDENTITY, 0.0);
-    let mut estimate = look(&[wall], &camera(), &pose);
+    let mut estimate = exact_depth(&[wall], &camera(), &pose);
     for v in 0..192 {
         for u in 0..320 {
             estimate.depth.values_mut()[v * 640 + u] = 0.0;
@@ -177,7 +179,7 @@ fn bearings_without_depth_or_trust_are_not_known() {
 }
 
 #[test]
-fn nan_confidence_and_infinite_depth_are_no_points() {
+fn pixels_with_nan_confidence_or_infinite_depth_are_ignored() {
     let pose = mount(&Pose2::IDENTITY, 0.0);
     let mut estimate = DepthEstimate::none(640, 192);
     estimate.depth.values_mut().fill(1.0);
@@ -189,26 +191,26 @@ fn nan_confidence_and_infinite_depth_are_no_points() {
 }
 
 #[test]
-fn what_hangs_above_the_band_and_the_floor_itself_are_no_obstacles() {
+fn objects_above_the_height_band_and_the_floor_are_no_obstacles() {
     let shelf = [[1.0, -1.0, 1.45], [1.4, 1.0, 2.0]];
     for pitch_down_rad in [-0.3, 0.0, 0.3, 0.6] {
         let pose = mount(&Pose2::new(0.3, -0.2, 0.4), pitch_down_rad);
-        let frame = map(&small(), &look(&[shelf], &camera(), &pose), &pose);
+        let frame = map(&small(), &exact_depth(&[shelf], &camera(), &pose), &pose);
         assert!(cells_of(&frame, CellState::Occupied).is_empty(), "pitch {pitch_down_rad}");
     }
 }
 
 #[test]
-fn a_camera_that_looks_down_sees_low_things_and_free_floor() {
+fn a_camera_that_is_tilted_down_observes_low_obstacles_and_free_floor() {
     let step = [[1.2, -2.0, 0.0], [3.0, 2.0, 0.1]];
     let pose = mount(&Pose2::IDENTITY, 0.5);
-    let frame = map(&small(), &look(&[step], &camera(), &pose), &pose);
+    let frame = map(&small(), &exact_depth(&[step], &camera(), &pose), &pose);
     assert_eq!(frame.state(Cell::new(40, 0)), CellState::Occupied);
     assert_eq!(frame.state(Cell::new(36, 0)), CellState::Free);
 }
 
 #[test]
-fn wrong_sizes_wild_poses_and_vertical_cameras_are_refused() {
+fn wrong_sizes_invalid_poses_and_vertical_cameras_are_refused() {
     let mut mapper = FrameMapper::new(&small()).unwrap();
     let mut frame = SingleFrameMap::default();
     let estimate = DepthEstimate::none(640, 192);
@@ -249,8 +251,8 @@ proptest! {
         x_m in -0.8..0.8f64, y_m in -0.8..0.8f64, yaw_rad in -3.2..3.2f64, pitch_down_rad in -0.1..0.3f64,
     ) {
         let pose = mount(&Pose2::new(x_m, y_m, yaw_rad), pitch_down_rad);
-        let frame = map(&small(), &look(&room([3.0, 2.4]), &camera(), &pose), &pose);
-        // From some places only a corner is within the range of marks.
+        let frame = map(&small(), &exact_depth(&room([3.0, 2.4]), &camera(), &pose), &pose);
+        // From some places only a corner of the room is within the mark range.
         prop_assert!(!cells_of(&frame, CellState::Occupied).is_empty());
         for known in &frame.cells {
             let [cx, cy] = known.cell.center_m(0.03);
@@ -267,13 +269,13 @@ proptest! {
 fn update(grid: &mut OccupancyGrid, solids: &[Solid], robot: &Pose2) {
     grid.begin_update(robot).unwrap();
     let pose = mount(robot, 0.0);
-    grid.integrate_depth(&look(solids, &camera(), &pose), &camera(), &pose).unwrap();
+    grid.integrate_depth(&exact_depth(solids, &camera(), &pose), &camera(), &pose).unwrap();
     grid.finish_update();
 }
 
 #[test]
 fn a_low_obstacle_that_leaves_the_view_below_stays_in_the_map() {
-    // Seen from 1.9 m, where the lowest ray is 0.23 m high; from 0.7 m away it passes 0.6 m high.
+    // From 1.9 m away the lowest ray is 0.23 m high at the stool; from 0.7 m away it is 0.6 m high.
     let stool = [[1.9, -0.3, 0.0], [2.1, 0.3, 0.45]];
     let wall = [[6.0, -9.0, 0.0], [6.2, 9.0, 2.5]];
     let mut grid = OccupancyGrid::new(&small()).unwrap();
@@ -287,7 +289,7 @@ fn a_low_obstacle_that_leaves_the_view_below_stays_in_the_map() {
     assert_eq!(
         grid.state_at(1.91, 0.0),
         CellState::Occupied,
-        "still there, though rays pass above it"
+        "it stays although rays pass above it"
     );
 }
 
@@ -307,14 +309,18 @@ fn a_tall_obstacle_that_was_moved_away_is_cleared() {
 }
 
 #[test]
-fn two_looks_at_a_moved_box_are_inconsistent_where_it_was_and_where_it_is() {
+fn two_frames_of_a_moved_box_are_inconsistent_where_it_was_and_where_it_is() {
     let pose = mount(&Pose2::IDENTITY, 0.0);
     let wall = [[4.0, -9.0, 0.0], [4.2, 9.0, 2.5]];
-    let at = |y: f64| look(&[[[1.2, y, 0.0], [1.5, y + 0.3, 1.3]], wall], &camera(), &pose);
-    let (before, now) = (map(&small(), &at(-0.5), &pose), map(&small(), &at(0.3), &pose));
+    let map_with_box_at = |y: f64| {
+        let solids = [[[1.2, y, 0.0], [1.5, y + 0.3, 1.3]], wall];
+        map(&small(), &exact_depth(&solids, &camera(), &pose), &pose)
+    };
+    let before = map_with_box_at(-0.5);
+    let now = map_with_box_at(0.3);
     assert!(inconsistencies(&now, &now, 0.03).is_empty());
     let found = inconsistencies(&now, &before, 0.03);
-    // The faces; sides seen at a glancing angle give single cells besides.
+    // The two largest groups are the front faces; side faces at a glancing angle add single cells.
     assert!(
         found[0].cells >= found[1].cells
             && found[1].cells >= 10

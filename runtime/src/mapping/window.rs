@@ -1,4 +1,5 @@
-//! A square of cells that rolls along with the robot: cells keep their place in memory, the ends wrap around.
+//! The square map window that moves with the robot. Cells keep their place in memory when the
+//! window moves, and the memory wraps around at its ends.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,20 +9,20 @@ use crate::snapshot::{SnapshotError, State};
 /// A rectangle of cells, both ends included.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CellBox {
-    /// Lowest column and row.
+    /// The cell with the lowest column and row.
     pub min: Cell,
-    /// Highest column and row.
+    /// The cell with the highest column and row.
     pub max: Cell,
 }
 
 impl CellBox {
-    /// The box of one cell.
+    /// A box that contains one cell.
     #[must_use]
     pub fn of(cell: Cell) -> Self {
         Self { min: cell, max: cell }
     }
 
-    /// The smallest box that holds this one and `cell`.
+    /// The smallest box that contains this box and `cell`.
     #[must_use]
     pub fn including(self, cell: Cell) -> Self {
         Self {
@@ -30,7 +31,7 @@ impl CellBox {
         }
     }
 
-    /// What both boxes hold, if anything.
+    /// The overlap of both boxes; `None` if there is none.
     #[must_use]
     pub fn intersection(self, other: Self) -> Option<Self> {
         let min = Cell::new(self.min.x.max(other.min.x), self.min.y.max(other.min.y));
@@ -38,38 +39,38 @@ impl CellBox {
         (min.x <= max.x && min.y <= max.y).then_some(Self { min, max })
     }
 
-    /// The box with `cells` more on every side.
+    /// The box extended by `cells` on every side.
     #[must_use]
     pub fn grown(self, cells: i32) -> Self {
         Self { min: self.min.offset(-cells, -cells), max: self.max.offset(cells, cells) }
     }
 
-    /// Columns.
+    /// Number of columns.
     #[must_use]
     pub fn width(&self) -> usize {
         (self.max.x - self.min.x + 1) as usize
     }
 
-    /// Rows.
+    /// Number of rows.
     #[must_use]
     pub fn height(&self) -> usize {
         (self.max.y - self.min.y + 1) as usize
     }
 
-    /// Whether the box holds `cell`.
     #[must_use]
     pub fn contains(&self, cell: Cell) -> bool {
         (self.min.x..=self.max.x).contains(&cell.x) && (self.min.y..=self.max.y).contains(&cell.y)
     }
 }
 
-/// Which cells are in memory, and where. A cell's place is its coordinates modulo the side, so moving the window moves no
-/// data: only the rows and columns that come in have to be emptied.
+/// Maps the cells of a square window to memory. A cell's place is its column and row modulo the
+/// side, so moving the window moves no data: only the rows and columns that enter the window have
+/// to be cleared.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Window {
     side: i32,
     min: Cell,
-    /// Where column `min.x` and row `min.y` lie in memory.
+    /// Memory column of `min.x` and memory row of `min.y`.
     wrap_x: usize,
     wrap_y: usize,
 }
@@ -100,7 +101,7 @@ impl Window {
         self.min.offset(self.side / 2, self.side / 2)
     }
 
-    /// Where a cell lies in memory; `None` outside the window.
+    /// Index of a cell in memory; `None` outside the window.
     #[inline]
     pub fn index(&self, cell: Cell) -> Option<usize> {
         let x = cell.x.wrapping_sub(self.min.x) as u32 as usize;
@@ -114,7 +115,7 @@ impl Window {
         Some(row * side + column)
     }
 
-    /// Row `y` (in the window) of a plane of `data`, from column `min_x` on, as one or two contiguous parts.
+    /// The values of row `y` from column `min_x` on, as one or two contiguous slices of `data`.
     pub fn row<'a, T>(
         &self,
         data: &'a [T],
@@ -129,14 +130,15 @@ impl Window {
         (&data[start..start + first], &data[row_start..row_start + width - first])
     }
 
-    /// Moves the window to a new middle; `forget` gets the ranges of memory that now stand for other cells.
-    pub fn recenter(&mut self, center: Cell, mut forget: impl FnMut(core::ops::Range<usize>)) {
+    /// Moves the window to a new centre. Calls `clear` with each range of memory that now belongs
+    /// to other cells.
+    pub fn recenter(&mut self, center: Cell, mut clear: impl FnMut(core::ops::Range<usize>)) {
         let old = self.cells();
         let half = self.side / 2;
         self.set_min(center.offset(-half, -half));
         let side = self.side();
-        let Some(kept) = old.intersection(self.cells()) else { return forget(0..side * side) };
-        // Columns that stay, in memory: at most two runs of columns that go.
+        let Some(kept) = old.intersection(self.cells()) else { return clear(0..side * side) };
+        // In memory, the columns that leave the window form at most two runs.
         let gone = side - kept.width();
         let gone_min_x = if kept.min.x == self.min.x { kept.max.x + 1 } else { self.min.x };
         let start_x = gone_min_x.rem_euclid(self.side) as usize;
@@ -144,17 +146,17 @@ impl Window {
             let y = self.min.y + (row as i32 - self.wrap_y as i32).rem_euclid(self.side);
             let base = row * side;
             if y < kept.min.y || y > kept.max.y {
-                forget(base..base + side);
+                clear(base..base + side);
             } else if gone > 0 {
                 let first = gone.min(side - start_x);
-                forget(base + start_x..base + start_x + first);
-                forget(base..base + gone - first);
+                clear(base + start_x..base + start_x + first);
+                clear(base..base + gone - first);
             }
         }
     }
 }
 
-/// Only where it lies: its side is configuration.
+/// A snapshot holds only the position, because the side is configuration.
 impl State for Window {
     fn write(&self, to: &mut Vec<u8>) {
         self.min.write(to);
@@ -190,10 +192,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn moving_keeps_what_stays_and_forgets_what_comes_in(
+        fn moving_keeps_the_cells_that_stay_and_clears_the_cells_that_enter(
             ax in -40..40i32, ay in -40..40i32, dx in -30..30i32, dy in -30..30i32, side in 5..24usize,
         ) {
-            let name = |cell: Cell| i64::from(cell.y) * 1_000_000 + i64::from(cell.x);
+            fn name(cell: Cell) -> i64 {
+                i64::from(cell.y) * 1_000_000 + i64::from(cell.x)
+            }
             let mut window = Window::centered(side, Cell::new(ax, ay));
             let mut data = vec![i64::MIN; side * side];
             let before = window.cells();

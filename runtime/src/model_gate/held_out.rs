@@ -1,38 +1,40 @@
-//! Which pictures are held out: never trained on, so that the robot can judge a model by them.
+//! Held-out frames: frames that no model is trained on, so that the robot can judge a model by
+//! them.
 //!
-//! Neighbouring pictures are nearly the same, so whole places are held out, not single pictures: a bin of 1 m x 1 m and 45
-//! degrees of heading, in the odometry of its run. A hash of the bin's numbers decides; it is integer arithmetic, and what comes
-//! before it are three IEEE operations, so that `tools/trainer` (`held_out.py`) decides the same, picture by picture.
+//! Consecutive frames are nearly the same, so whole places are held out instead of single frames:
+//! bins of 1 m x 1 m and 45 degrees of heading, in the odometry of the run. A hash of the bin's
+//! indices decides. The hash uses integer arithmetic and the indices take three IEEE operations, so
+//! `tools/trainer` (`held_out.py`) makes the same decision for every frame.
 //!
-//! What it cannot do: odometry of another run has another origin, so a place that is held out in one run may be trained on
-//! from another. Pictures on both sides of a bin's edge look alike.
+//! Limits: the odometry of another run has another origin, so a place that is held out in one run
+//! may be trained on in another run. Frames on both sides of a bin's edge look alike.
 
 use std::f64::consts::TAU;
 
 use hal::Pose2;
 use serde::{Deserialize, Serialize};
 
-/// A place and a heading, coarsely.
+/// A bin of positions and headings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct PoseBin {
-    /// Cell along x.
+    /// Index of the cell along x.
     pub x: i64,
-    /// Cell along y.
+    /// Index of the cell along y.
     pub y: i64,
-    /// Sector of the heading, from -180 degrees on.
+    /// Index of the heading's sector, counted from -180 degrees.
     pub sector: i64,
 }
 
-/// Which bins are held out.
+/// The rule that decides which bins are held out.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct HeldOutRule {
-    /// Side of a cell, metres.
+    /// Edge length of a cell, metres.
     pub cell_m: f64,
-    /// Sectors of a whole turn.
+    /// Number of heading sectors in 360 degrees.
     pub sectors: i64,
-    /// Of a thousand bins, so many are held out.
+    /// Number of held-out bins per thousand.
     pub per_mille: u64,
-    /// Which ones.
+    /// Seed of the hash; another seed holds out other bins.
     pub seed: u64,
 }
 
@@ -43,19 +45,17 @@ impl Default for HeldOutRule {
 }
 
 impl HeldOutRule {
-    /// The bin of the robot's pose (`base_link` in `odom`, as recorded); `None` for a pose that is not finite.
+    /// The bin of the robot's pose (`base_link` in `odom`, as recorded); `None` for a pose that is
+    /// not finite.
     #[must_use]
     pub fn bin(&self, odom: &Pose2) -> Option<PoseBin> {
-        let cell = |metres: f64| (metres / self.cell_m).floor() as i64;
+        let x = (odom.x_m / self.cell_m).floor() as i64;
+        let y = (odom.y_m / self.cell_m).floor() as i64;
         let sector = ((odom.yaw_rad / TAU + 0.5) * self.sectors as f64).floor() as i64;
-        odom.is_finite().then(|| PoseBin {
-            x: cell(odom.x_m),
-            y: cell(odom.y_m),
-            sector: sector.rem_euclid(self.sectors.max(1)),
-        })
+        odom.is_finite().then(|| PoseBin { x, y, sector: sector.rem_euclid(self.sectors.max(1)) })
     }
 
-    /// Whether pictures of this bin are held out.
+    /// Whether the frames of this bin are held out.
     #[must_use]
     pub fn holds_out(&self, bin: &PoseBin) -> bool {
         let numbers = [bin.x, bin.y, bin.sector];
@@ -77,7 +77,8 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// Written by the trainer's own rule: `tools/trainer/tests/test_held_out.py` reads the same file.
+    /// Decisions of the trainer's implementation. `tools/trainer/tests/test_held_out.py` reads the
+    /// same file.
     const SHIPPED: &str = include_str!("../../../tests/fixtures/held_out.json");
 
     #[derive(Deserialize)]
@@ -90,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn robot_and_trainer_hold_out_the_same_pictures() {
+    fn robot_and_trainer_hold_out_the_same_frames() {
         let rows: Vec<Row> = serde_json::from_str(SHIPPED).unwrap();
         let rule = HeldOutRule::default();
         for row in &rows {
@@ -116,12 +117,11 @@ mod tests {
                 (-20..20).flat_map(move |y| (0..8).map(move |sector| PoseBin { x, y, sector }))
             })
             .collect();
-        let held = |seed| {
+        let [one, two] = [1, 2].map(|seed| {
             let rule = HeldOutRule { seed, ..HeldOutRule::default() };
             bins.iter().filter(|bin| rule.holds_out(bin)).copied().collect::<Vec<_>>()
-        };
-        let (one, two) = (held(1), held(2));
-        // 12,800 bins: 1,280, three standard deviations are 102.
+        });
+        // 1,280 of the 12,800 bins are expected; three standard deviations are 102.
         assert!((1178..1382).contains(&one.len()), "{}", one.len());
         let both = one.iter().filter(|bin| two.contains(bin)).count();
         assert!(both < one.len() / 4, "{both}");
@@ -130,8 +130,9 @@ mod tests {
     #[test]
     fn all_headings_have_a_sector_and_a_pose_that_is_not_finite_has_no_bin() {
         let rule = HeldOutRule::default();
-        let sector = |yaw_rad| rule.bin(&Pose2 { x_m: 0.0, y_m: 0.0, yaw_rad }).unwrap().sector;
-        assert_eq!((sector(-PI + 0.01), sector(0.0), sector(PI - 0.01), sector(PI)), (0, 4, 7, 0));
+        let sectors = [-PI + 0.01, 0.0, PI - 0.01, PI]
+            .map(|yaw_rad| rule.bin(&Pose2 { x_m: 0.0, y_m: 0.0, yaw_rad }).unwrap().sector);
+        assert_eq!(sectors, [0, 4, 7, 0]);
         assert_eq!(rule.bin(&Pose2 { x_m: f64::NAN, ..Pose2::IDENTITY }), None);
     }
 }

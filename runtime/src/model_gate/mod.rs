@@ -1,20 +1,21 @@
-//! May this model drive the robot? Decisions only: who calls reads files, starts processes and measures time.
+//! The model gate: decides whether a depth model may drive the robot. This module only decides; the
+//! caller reads files, starts processes and measures time.
 //!
 //! | file | question |
 //! |---|---|
-//! | `held_out.rs` | which pictures is no model ever trained on? |
-//! | `onnx_file.rs` | is the file what a model may be: known opset, no data outside? |
-//! | `lidar_line.rs` | how far is what the safety LiDAR sees in the picture? |
-//! | `photometric.rs` | do earlier pictures, moved by the model's depth, look like this one? |
-//! | `score.rs` | how good is one model's depth of one picture? |
-//! | `paired.rs` | is one model worse than the other on the same pictures, or is that chance? |
-//! | `verdict.rs` | is it taken? |
-//! | `trial.rs` | does it stay? |
+//! | `held_out.rs` | which frames is no model ever trained on? |
+//! | `onnx_file.rs` | may this file be loaded: known opset, all weights inside? |
+//! | `lidar_pixels.rs` | which depth does the safety LiDAR measure at which pixels of a frame? |
+//! | `photometric.rs` | do earlier frames, warped by the model's depth, match this frame? |
+//! | `score.rs` | how good is one model's depth of one frame? |
+//! | `paired.rs` | is one model worse than the other on the same frames, or is the difference chance? |
+//! | `verdict.rs` | is the candidate accepted? |
+//! | `trial.rs` | is the accepted model kept after it has driven the robot? |
 //!
-//! Nothing here uses ground truth: pictures, wheels and the safety LiDAR are what a robot in a home has.
+//! No ground truth is used: a robot in a home has only its frames, wheel odometry and safety LiDAR.
 
 mod held_out;
-mod lidar_line;
+mod lidar_pixels;
 mod onnx_file;
 mod paired;
 mod photometric;
@@ -23,7 +24,7 @@ mod trial;
 mod verdict;
 
 pub use held_out::{HeldOutRule, PoseBin};
-pub use lidar_line::{LidarView, LinePoint};
+pub use lidar_pixels::{LidarView, LinePoint};
 pub use onnx_file::{OPSETS, OnnxFault, check_onnx_file};
 pub use paired::{Paired, compare};
 pub use photometric::{Photometric, Source};

@@ -1,57 +1,47 @@
-//! What an ONNX file may be before any runtime parses it: one of the opsets that robots run, and nothing outside the file.
+//! Checks an ONNX file before an inference runtime parses it: it must use a supported opset and
+//! keep all weights inside.
 //!
-//! Reads the few fields of the protobuf that say so (onnx.proto3 of ONNX 1.16; field numbers are part of that format and do not
-//! change), steps over the rest, and never allocates by a length in the file.
+//! The check reads only the protobuf fields that it needs and skips the rest (onnx.proto3 of ONNX
+//! 1.16; the field numbers are part of that format and do not change). It never allocates memory by
+//! a length from the file.
 
 use std::ops::RangeInclusive;
 
-/// Opsets of `ai.onnx` that are taken: 11 is what the oldest exporters in use write; 21 is run by every ONNX Runtime since 1.20, and
-/// a robot needs 1.22. `tools/trainer` writes 17.
+/// Accepted opsets of `ai.onnx`. The oldest exporters in use write 11. ONNX Runtime supports 21
+/// since version 1.20, and the robot requires version 1.22. `tools/trainer` writes 17.
 pub const OPSETS: RangeInclusive<i64> = 11..=21;
-/// Subgraphs in subgraphs; a loop in a loop in a branch has three.
-const DEEPEST: usize = 16;
+/// Largest nesting of subgraphs; a loop in a loop in a branch has three levels.
+const MAX_DEPTH: usize = 16;
 
 /// Why a file may not be loaded.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum OnnxFault {
-    /// Not a protobuf, or cut.
+    /// The file is not a protobuf message or is truncated.
     #[error(
-        "the file is no whole ONNX model (it breaks off or is something else at byte {at}); export it again"
+        "the file is not a complete ONNX model (it is truncated or not ONNX at byte {at}); export it again"
     )]
-    Broken {
-        /// Where, in bytes.
-        at: usize,
-    },
-    /// An opset that not all robots run.
-    #[error("the model is of opset {found}, allowed: {} to {}; export it with opset 17", OPSETS.start(), OPSETS.end())]
-    Opset {
-        /// What it says; 0: nothing.
-        found: i64,
-    },
-    /// Operators that are not ONNX's own.
+    Broken { at: usize },
+    /// The opset is not supported, or missing (0).
+    #[error("the model uses opset {found}, allowed: {} to {}; export it with opset 17", OPSETS.start(), OPSETS.end())]
+    Opset { found: i64 },
+    /// The model uses operators of another domain than ONNX's own.
     #[error("the model needs operators of `{domain}`; export it with ONNX's own operators only")]
-    Domain {
-        /// Whose.
-        domain: String,
-    },
-    /// Weights in other files.
+    Domain { domain: String },
+    /// The model keeps weights in other files.
     #[error(
         "the model keeps the tensor `{tensor}` in another file; export it with all weights inside (one file)"
     )]
-    ExternalData {
-        /// Which tensor.
-        tensor: String,
-    },
-    /// Deeper than any real network.
-    #[error("the model nests graphs more than {DEEPEST} deep; no depth network needs that")]
+    ExternalData { tensor: String },
+    /// Subgraphs are nested deeper than in any real network.
+    #[error("the model nests graphs more than {MAX_DEPTH} deep; no depth network needs that")]
     TooDeep,
 }
 
-/// Checks a model's bytes.
+/// Checks the bytes of an ONNX file.
 ///
 /// # Errors
-/// The first fault that was found.
+/// The first fault in the file.
 pub fn check_onnx_file(bytes: &[u8]) -> Result<(), OnnxFault> {
     let mut opset = 0;
     let mut fields = Fields { bytes, at: 0, base: 0 };
@@ -60,7 +50,7 @@ pub fn check_onnx_file(bytes: &[u8]) -> Result<(), OnnxFault> {
             // ModelProto.opset_import: domain 1, version 2.
             (8, Value::Bytes(inner)) => match opset_import(inner)? {
                 (domain, version) if domain.is_empty() || domain == "ai.onnx" => opset = version,
-                // What ONNX itself puts beside its operators.
+                // ONNX's own second domain.
                 (domain, _) if domain == "ai.onnx.ml" => {}
                 (domain, _) => return Err(OnnxFault::Domain { domain }),
             },
@@ -74,7 +64,8 @@ pub fn check_onnx_file(bytes: &[u8]) -> Result<(), OnnxFault> {
 }
 
 fn opset_import(inner: Inner<'_>) -> Result<(String, i64), OnnxFault> {
-    let (mut domain, mut version) = (String::new(), 0);
+    let mut domain = String::new();
+    let mut version = 0;
     let mut fields = inner.fields();
     while let Some(field) = fields.next()? {
         match (field.number, field.value) {
@@ -88,7 +79,7 @@ fn opset_import(inner: Inner<'_>) -> Result<(String, i64), OnnxFault> {
 
 /// GraphProto: node 1, initializer 5, sparse_initializer 15.
 fn graph(inner: Inner<'_>, depth: usize) -> Result<(), OnnxFault> {
-    if depth > DEEPEST {
+    if depth > MAX_DEPTH {
         return Err(OnnxFault::TooDeep);
     }
     let mut fields = inner.fields();
@@ -102,7 +93,8 @@ fn graph(inner: Inner<'_>, depth: usize) -> Result<(), OnnxFault> {
     nodes(inner, 1, depth)
 }
 
-/// NodeProto: attribute 5. AttributeProto: t 5, g 6, tensors 10, graphs 11, sparse_tensor 22, sparse_tensors 23.
+/// NodeProto: attribute 5. AttributeProto: t 5, g 6, tensors 10, graphs 11, sparse_tensor 22,
+/// sparse_tensors 23.
 fn nodes(inner: Inner<'_>, number: u64, depth: usize) -> Result<(), OnnxFault> {
     let mut fields = inner.fields();
     while let Some(field) = fields.next()? {
@@ -137,7 +129,8 @@ fn sparse_tensor(inner: Inner<'_>) -> Result<(), OnnxFault> {
 
 /// TensorProto: name 8, external_data 13, data_location 14 (1: external).
 fn tensor(inner: Inner<'_>) -> Result<(), OnnxFault> {
-    let (mut name, mut external) = (String::new(), false);
+    let mut name = String::new();
+    let mut external = false;
     let mut fields = inner.fields();
     while let Some(field) = fields.next()? {
         match (field.number, field.value) {
@@ -150,7 +143,7 @@ fn tensor(inner: Inner<'_>) -> Result<(), OnnxFault> {
     if external { Err(OnnxFault::ExternalData { tensor: name }) } else { Ok(()) }
 }
 
-/// Bytes of a field, and where they begin in the file.
+/// The bytes of a field and their offset in the file.
 #[derive(Clone, Copy)]
 struct Inner<'a> {
     bytes: &'a [u8],
@@ -162,7 +155,7 @@ impl<'a> Inner<'a> {
         Fields { bytes: self.bytes, at: 0, base: self.base }
     }
 
-    /// At most 64 characters: it only names the thing in an error.
+    /// The first 64 characters, for an error message.
     fn text(self) -> String {
         String::from_utf8_lossy(self.bytes).chars().take(64).collect()
     }
@@ -176,11 +169,11 @@ struct Field<'a> {
 enum Value<'a> {
     Number(u64),
     Bytes(Inner<'a>),
-    /// Of fixed width: none that is needed here.
+    /// A value of fixed width; none of the checked fields has one.
     Fixed,
 }
 
-/// The fields of one protobuf message in their order.
+/// Iterates over the fields of one protobuf message.
 struct Fields<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -261,12 +254,17 @@ mod tests {
         inner
     }
 
+    /// A graph of one node with this attribute.
+    fn node(attribute: u64, inner: &[u8]) -> Vec<u8> {
+        message(&[(1, &message(&[(5, &message(&[(attribute, inner)]))]))])
+    }
+
     fn model_with(graph: &[u8]) -> Vec<u8> {
         message(&[(8, &opset(b"", 17)), (7, graph)])
     }
 
     #[test]
-    fn the_models_of_the_tests_and_the_default_model_are_whole_files_of_a_known_opset() {
+    fn the_test_models_and_the_default_model_are_accepted() {
         let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
         let mut files: Vec<_> = std::fs::read_dir(root.join("tests/models"))
             .unwrap()
@@ -285,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn opsets_that_robots_do_not_run_and_foreign_operators_are_refused() {
+    fn unsupported_opsets_and_foreign_operators_are_refused() {
         for (version, taken) in [(10, false), (11, true), (21, true), (22, false)] {
             assert_eq!(
                 check_onnx_file(&message(&[(8, &opset(b"", version))])).is_ok(),
@@ -299,13 +297,10 @@ mod tests {
     }
 
     #[test]
-    fn data_outside_is_found_wherever_a_tensor_may_stand() {
+    fn external_data_is_found_in_every_place_of_a_tensor() {
         let outside = message(&[(8, b"weights"), (13, b"")]);
         let mut by_location = message(&[(8, b"weights")]);
         by_location.extend([14 << 3, 1]);
-        let node = |attribute: u64, inner: &[u8]| {
-            message(&[(1, &message(&[(5, &message(&[(attribute, inner)]))]))])
-        };
         let graphs = [
             message(&[(5, &outside)]),
             message(&[(5, &by_location)]),
@@ -327,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn graphs_within_graphs_without_end_are_refused() {
+    fn deeply_nested_graphs_are_refused() {
         let mut graph = Vec::new();
         for _ in 0..40 {
             graph = message(&[(1, &message(&[(5, &message(&[(6, &graph)]))]))]);
@@ -337,7 +332,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_are_a_model_or_a_fault(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+        fn arbitrary_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
             let _ = check_onnx_file(&bytes);
             let _ = check_onnx_file(&model_with(&bytes));
         }

@@ -1,58 +1,64 @@
-//! How good one model's depth of one picture is, by what the robot itself can see.
+//! Scores of one model's depth of one frame, from data that the robot itself records: earlier
+//! frames and LiDAR scans.
 
-use hal::{CameraModel, Pose3};
+use hal::CameraModel;
 use serde::{Deserialize, Serialize};
 
 use super::{LinePoint, Photometric, Source};
 use crate::perception::DepthEstimate;
 
-/// Pictures are compared apart by the parallax between them and their farthest source, in pixels of something 2.5 m away: below
-/// the first a depth hardly shows, above the second it shows in every pixel.
+/// Edges of the parallax bins, in pixels. Frames are compared separately by the parallax between a
+/// frame and its farthest source, for a point 2.5 m away: below the first edge the depth hardly
+/// changes the warped image, above the second edge it changes every pixel.
 pub const PARALLAX_BINS_PX: [f64; 2] = [6.0, 16.0];
-/// The distance that is assumed for that, metres: as the trainer's pairs.
+/// The depth that the parallax refers to, metres; the trainer selects its pairs with the same
+/// value.
 const ASSUMED_DEPTH_M: f64 = 2.5;
 
-/// What the LiDAR line says of a depth.
+/// Agreement of a depth map with the LiDAR.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LineScore {
-    /// Pixels that were compared.
+    /// Number of compared pixels.
     pub points: u32,
-    /// Mean of |d - z| / z, metric; a pixel without depth counts 1.
+    /// Mean of |d - z| / z with depth d and LiDAR depth z, without scaling; a pixel without depth
+    /// counts as 1.
     pub abs_rel: f64,
-    /// Share with max(d / z, z / d) < 1.25, metric; a pixel without depth is wrong.
+    /// Share of pixels with max(d / z, z / d) < 1.25, without scaling; a pixel without depth is
+    /// wrong.
     pub delta1: f64,
-    /// Brier score of the confidence: mean of (confidence - right)^2, where right is 0 or 1. Least when confidences are the
-    /// probabilities that they are said to be (Brier 1950).
+    /// Brier score of the confidence (Brier 1950): mean of (confidence - right)^2, where right is 0
+    /// or 1. It is least if each confidence equals the probability that the depth is right.
     pub brier: f64,
 }
 
-/// How good one model's depth of one picture is.
+/// Scores of one model's depth of one frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FrameScore {
     /// Mean photometric error; absent without a source.
     pub photometric: Option<f64>,
-    /// The same with sources that are not moved.
+    /// Mean photometric error with sources that are not warped.
     pub unmoved: Option<f64>,
-    /// Absent where the LiDAR sees nothing of the picture.
+    /// Agreement with the LiDAR; absent if the LiDAR measures no pixel of the frame.
     pub line: Option<LineScore>,
 }
 
-/// Parallax of a picture's farthest source, pixels of something 2.5 m away.
+/// Parallax between a frame and its farthest source for a point 2.5 m away, pixels.
 #[must_use]
 pub fn parallax_px(camera: &CameraModel, sources: &[Source<'_>]) -> f64 {
-    let baseline = |pose: &Pose3| pose.translation.vector.norm();
-    let farthest =
-        sources.iter().map(|source| baseline(&source.t_source_target)).fold(0.0, f64::max);
-    camera.fx * farthest / ASSUMED_DEPTH_M
+    let longest_baseline_m = sources
+        .iter()
+        .map(|source| source.t_source_target.translation.vector.norm())
+        .fold(0.0, f64::max);
+    camera.fx * longest_baseline_m / ASSUMED_DEPTH_M
 }
 
-/// Which of the bins of [`PARALLAX_BINS_PX`] a parallax is in: 0, 1 or 2.
+/// Index of the bin of [`PARALLAX_BINS_PX`] that contains a parallax: 0, 1 or 2.
 #[must_use]
 pub fn parallax_bin(parallax_px: f64) -> usize {
     PARALLAX_BINS_PX.iter().filter(|edge| parallax_px >= **edge).count()
 }
 
-/// Scores depths of one camera's pictures.
+/// Scores the depth of one camera's frames.
 #[derive(Debug)]
 pub struct Scorer {
     photometric: Photometric,
@@ -60,13 +66,13 @@ pub struct Scorer {
 }
 
 impl Scorer {
-    /// For pictures of `camera`.
+    /// Allocates the buffers for frames of `camera`.
     #[must_use]
     pub fn new(camera: &CameraModel) -> Self {
         Self { photometric: Photometric::new(camera), camera: *camera }
     }
 
-    /// Scores the depth of the picture `rgb`.
+    /// Scores the depth of the frame `rgb`.
     pub fn score(
         &mut self,
         rgb: &[u8],
@@ -75,28 +81,32 @@ impl Scorer {
         line: &[LinePoint],
     ) -> FrameScore {
         let errors = self.photometric.error(rgb, estimate.depth.values(), sources);
-        let (photometric, unmoved) = (errors.map(|errors| errors.0), errors.map(|errors| errors.1));
-        FrameScore { photometric, unmoved, line: line_score(estimate, line) }
+        FrameScore {
+            photometric: errors.map(|(warped, _)| warped),
+            unmoved: errors.map(|(_, unmoved)| unmoved),
+            line: line_score(estimate, line),
+        }
     }
 
-    /// As the free [`parallax_px`].
+    /// [`parallax_px`] for this scorer's camera.
     #[must_use]
     pub fn parallax_px(&self, sources: &[Source<'_>]) -> f64 {
         parallax_px(&self.camera, sources)
     }
 }
 
-/// Depth against the LiDAR; `None` where it sees nothing.
+/// Compares a depth map with the LiDAR; `None` if there is no pixel to compare.
 #[must_use]
 pub fn line_score(estimate: &DepthEstimate, line: &[LinePoint]) -> Option<LineScore> {
     let width = estimate.depth.width();
-    let (mut points, mut abs_rel, mut right, mut brier) = (0_u32, 0.0, 0.0, 0.0);
-    for point in line {
-        let at = point.v * width + point.u;
-        let there = (estimate.depth.values().get(at), estimate.confidence.get(at));
-        let (Some(&depth), Some(confidence), true) = (there.0, there.1, point.u < width) else {
-            continue;
-        };
+    let mut points = 0_u32;
+    let mut abs_rel = 0.0;
+    let mut right = 0.0;
+    let mut brier = 0.0;
+    for point in line.iter().filter(|point| point.u < width) {
+        let index = point.v * width + point.u;
+        let Some(&depth) = estimate.depth.values().get(index) else { continue };
+        let Some(confidence) = estimate.confidence.get(index) else { continue };
         let is_right = f64::from(u8::from(point.agrees(depth)));
         points += 1;
         abs_rel += if depth > 0.0 {
@@ -119,7 +129,7 @@ pub fn line_score(estimate: &DepthEstimate, line: &[LinePoint]) -> Option<LineSc
 #[cfg(test)]
 mod tests {
     use super::*;
-    use hal::DepthMap;
+    use hal::{DepthMap, Pose3};
 
     fn estimate(depth_m: f32, confidence: f32) -> DepthEstimate {
         DepthEstimate {
@@ -137,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn the_line_is_scored_by_the_textbook() {
+    fn the_scores_follow_their_textbook_definitions() {
         let score = line_score(&estimate(2.0, 0.75), &line(&[2.0, 2.4, 3.0, 1.0])).unwrap();
         assert_eq!((score.points, score.delta1), (4, 0.5));
         assert!((score.abs_rel - (0.0 + 0.4 / 2.4 + 1.0 / 3.0 + 1.0) / 4.0).abs() < 1e-6);
@@ -145,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn no_depth_is_wrong_and_no_line_is_no_score() {
+    fn a_missing_depth_is_wrong_and_without_lidar_pixels_there_is_no_score() {
         let score = line_score(&estimate(0.0, 0.0), &line(&[2.0])).unwrap();
         assert_eq!((score.delta1, score.abs_rel, score.brier), (0.0, 1.0, 0.0));
         assert_eq!(line_score(&estimate(2.0, 1.0), &[]), None);

@@ -1,32 +1,36 @@
-//! A model that passed the gate is on trial: it drives, and is watched against what the resident model did before it.
+//! The trial of a model that passed the gate: it drives the robot, and its behaviour is compared
+//! with that of the resident model before it.
 //!
-//! Rolled back at once when one of these is shown:
-//! - its output is worthless (NaN, out of range) [`TrialLimits::bad_outputs`] times;
-//! - turns come late: at least 3, and more than the resident's share and `overrun_share` together;
-//! - the bumper trips more often: with the resident's rate r per metre (at least `least_trips_per_m`) the probability of so many
-//!   trips or more on m metres, a Poisson tail with mean r m, is below 1 %;
-//! - on the LiDAR line a smaller share of depths is right, by more than `delta1_drop`, over `line_pictures` pictures.
+//! The model is rolled back as soon as one of these holds:
+//! - its output was NaN or out of range [`TrialLimits::bad_outputs`] times;
+//! - at least 3 ticks were late, and their share exceeds the resident's share by more than
+//!   `overrun_share`;
+//! - the safety plane trips more often. With the resident's rate r per metre (at least
+//!   `least_trips_per_m`), the probability of this many trips or more on m metres is below 1 % (the
+//!   tail of a Poisson distribution with mean r m);
+//! - the share of right depths against the LiDAR is lower by more than `delta1_drop`, over
+//!   `line_pictures` frames.
 //!
-//! Kept when it has driven `turns` turns and `metres` metres, or ten times as many turns.
+//! It is kept after `turns` ticks and `metres` metres, or after ten times as many ticks.
 
 use serde::{Deserialize, Serialize};
 
-/// What the trial asks for.
+/// Limits of the trial.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TrialLimits {
-    /// Turns with a picture.
+    /// Minimum number of ticks with a frame before the model is kept.
     pub turns: u64,
-    /// Way, metres.
+    /// Minimum driven distance before the model is kept, metres.
     pub metres: f64,
-    /// So many worthless outputs end it.
+    /// The model is rolled back after this many outputs that are NaN or out of range.
     pub bad_outputs: u64,
-    /// Late turns may be this much more of all turns than the resident's.
+    /// The share of late ticks may exceed the resident's share by this.
     pub overrun_share: f64,
-    /// Trips per metre that are always forgiven.
+    /// Trips per metre that are accepted even if the resident model had fewer.
     pub least_trips_per_m: f64,
-    /// So much less of the depths on the LiDAR line may be right.
+    /// The share of right depths against the LiDAR may fall below the resident's by this.
     pub delta1_drop: f64,
-    /// Pictures with a LiDAR line before their mean counts.
+    /// Minimum number of frames with LiDAR pixels before the share of right depths is compared.
     pub line_pictures: u64,
 }
 
@@ -44,56 +48,57 @@ impl Default for TrialLimits {
     }
 }
 
-/// One turn with a picture, as far as the trial is concerned.
+/// What the trial needs to know about one tick with a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct TrialTurn {
-    /// It came late.
+    /// The tick took longer than its period.
     pub overrun: bool,
-    /// The network's output was worthless.
+    /// The network's output was NaN or out of range.
     pub bad_output: bool,
-    /// Times when the bumper tripped.
+    /// Number of trips of the safety plane.
     pub trips: u64,
-    /// Way since the turn before, metres.
+    /// Distance driven since the previous tick, metres.
     pub moved_m: f64,
-    /// Share of right depths on the LiDAR line, where there is one.
+    /// Share of right depths against the LiDAR; `None` without LiDAR pixels.
     pub delta1: Option<f64>,
 }
 
-/// What happened with one model.
+/// Counts of what happened while one model drove the robot.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct TrialCounts {
-    /// Turns with a picture.
+    /// Number of ticks with a frame.
     pub turns: u64,
-    /// Of these late.
+    /// Number of late ticks.
     pub overruns: u64,
-    /// Of these without output.
+    /// Number of outputs that were NaN or out of range.
     pub bad_outputs: u64,
-    /// Bumper trips.
+    /// Number of trips of the safety plane.
     pub trips: u64,
-    /// Way, metres.
+    /// Driven distance, metres.
     pub metres: f64,
-    /// Pictures with a LiDAR line.
+    /// Number of frames with LiDAR pixels.
     pub line_pictures: u64,
-    /// Sum of their shares of right depths.
+    /// Sum of the shares of right depths over these frames.
     pub delta1_sum: f64,
 }
 
 impl TrialCounts {
-    /// Counts one turn.
-    pub fn add(&mut self, turn: &TrialTurn) {
+    /// Counts one tick.
+    pub fn add(&mut self, tick: &TrialTurn) {
         self.turns += 1;
-        self.overruns += u64::from(turn.overrun);
-        self.bad_outputs += u64::from(turn.bad_output);
-        self.trips += turn.trips;
-        self.metres += turn.moved_m;
-        if let Some(delta1) = turn.delta1 {
+        self.overruns += u64::from(tick.overrun);
+        self.bad_outputs += u64::from(tick.bad_output);
+        self.trips += tick.trips;
+        self.metres += tick.moved_m;
+        if let Some(delta1) = tick.delta1 {
             self.line_pictures += 1;
             self.delta1_sum += delta1;
         }
     }
 
-    /// As [`add`](Self::add), but when there are `most` turns, all that was counts half.
-    pub fn remember(&mut self, turn: &TrialTurn, most: u64) {
+    /// Counts one tick like [`add`](Self::add), but first halves all counts if they cover `most`
+    /// ticks, so that old ticks count less.
+    pub fn remember(&mut self, tick: &TrialTurn, most: u64) {
         if self.turns >= most {
             for count in [
                 &mut self.turns,
@@ -107,10 +112,10 @@ impl TrialCounts {
             self.metres /= 2.0;
             self.delta1_sum /= 2.0;
         }
-        self.add(turn);
+        self.add(tick);
     }
 
-    /// Mean share of right depths on the LiDAR line, from `least` pictures on.
+    /// Mean share of right depths against the LiDAR; `None` with fewer than `least` frames.
     #[must_use]
     pub fn delta1(&self, least: u64) -> Option<f64> {
         (self.line_pictures >= least.max(1)).then(|| self.delta1_sum / self.line_pictures as f64)
@@ -125,83 +130,49 @@ impl TrialCounts {
     }
 }
 
-/// Where a trial stands.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TrialState {
-    /// Not decided.
     Running,
-    /// Decided.
     Ended(TrialVerdict),
 }
 
-/// How a trial ended, with the numbers.
+/// The result of a trial, with the numbers that decided it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(tag = "trial", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum TrialVerdict {
-    /// It stays.
-    #[error("kept after {turns} turns and {metres:.1} m")]
-    Keep {
-        /// Turns.
-        turns: u64,
-        /// Way, metres.
-        metres: f64,
-    },
-    /// Worthless output.
-    #[error("rolled back: its output was NaN or out of range {times} times in {turns} turns")]
-    BadOutput {
-        /// How often.
-        times: u64,
-        /// In so many turns.
-        turns: u64,
-    },
-    /// Late turns.
+    /// The model is kept.
+    #[error("kept after {turns} ticks and {metres:.1} m")]
+    Keep { turns: u64, metres: f64 },
+    /// The output was NaN or out of range too often.
+    #[error("rolled back: its output was NaN or out of range {times} times in {turns} ticks")]
+    BadOutput { times: u64, turns: u64 },
+    /// Too many ticks were late. `resident` is the resident model's share of late ticks.
     #[error(
-        "rolled back: {late} of {turns} turns came late, the resident model's share was {resident:.3}"
+        "rolled back: {late} of {turns} ticks were late, the resident model's share was {resident:.3}"
     )]
-    Overruns {
-        /// How many.
-        late: u64,
-        /// Of so many.
-        turns: u64,
-        /// Of the resident model.
-        resident: f64,
-    },
-    /// Bumper trips.
+    Overruns { late: u64, turns: u64, resident: f64 },
+    /// The safety plane tripped too often.
     #[error(
-        "rolled back: {trips} bumper trips on {metres:.1} m, the resident model had {resident_per_m:.2} a metre"
+        "rolled back: {trips} trips on {metres:.1} m, the resident model had {resident_per_m:.2} per metre"
     )]
-    Trips {
-        /// How many.
-        trips: u64,
-        /// On this way, metres.
-        metres: f64,
-        /// Of the resident model.
-        resident_per_m: f64,
-    },
-    /// Less right on the LiDAR line.
+    Trips { trips: u64, metres: f64, resident_per_m: f64 },
+    /// The share of right depths against the LiDAR was too low.
     #[error(
-        "rolled back: {delta1:.3} of its depths on the LiDAR line were right over {pictures} pictures, least: {least:.3}"
+        "rolled back: {delta1:.3} of its depths were right against the LiDAR over {pictures} frames, minimum: {least:.3}"
     )]
-    Accuracy {
-        /// Share of right depths.
-        delta1: f64,
-        /// Pictures.
-        pictures: u64,
-        /// Least.
-        least: f64,
-    },
+    Accuracy { delta1: f64, pictures: u64, least: f64 },
 }
 
 impl TrialVerdict {
-    /// Whether the model stays.
+    /// Whether the model is kept.
     #[must_use]
     pub fn keeps(&self) -> bool {
         matches!(self, Self::Keep { .. })
     }
 }
 
-/// A model on trial.
+/// The trial of one model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trial {
     limits: TrialLimits,
@@ -210,31 +181,32 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// A trial against what the resident model did; all zero where it did nothing.
+    /// A trial against the counts of the resident model; all counts are 0 if there was none.
     #[must_use]
     pub fn new(limits: TrialLimits, resident: TrialCounts) -> Self {
         Self { limits, resident, counts: TrialCounts::default() }
     }
 
-    /// What happened so far.
     #[must_use]
     pub fn counts(&self) -> &TrialCounts {
         &self.counts
     }
 
-    /// Counts a turn and decides.
-    pub fn observe(&mut self, turn: &TrialTurn) -> TrialState {
-        self.counts.add(turn);
+    /// Counts a tick and decides whether the trial has ended.
+    pub fn observe(&mut self, tick: &TrialTurn) -> TrialState {
+        self.counts.add(tick);
         self.fault().or_else(|| self.success()).map_or(TrialState::Running, TrialState::Ended)
     }
 
     fn fault(&self) -> Option<TrialVerdict> {
         let Self { limits, resident, counts } = self;
-        let (turns, metres) = (counts.turns, counts.metres);
+        let turns = counts.turns;
+        let metres = counts.metres;
         if counts.bad_outputs >= limits.bad_outputs {
             return Some(TrialVerdict::BadOutput { times: counts.bad_outputs, turns });
         }
-        // Early on, one late turn is a large share: the trial's whole length counts.
+        // At the start of a trial one late tick is a large share, so the share refers to at least
+        // the whole trial.
         let allowed =
             (resident.overrun_share() + limits.overrun_share) * turns.max(limits.turns) as f64;
         if counts.overruns >= 3 && counts.overruns as f64 > allowed {
@@ -263,7 +235,7 @@ impl Trial {
     }
 }
 
-/// P(N >= n) for N Poisson with this mean.
+/// P(N >= n) for a Poisson distribution with this mean.
 fn poisson_tail(n: u64, mean: f64) -> f64 {
     let mut term = (-mean).exp();
     let mut below = 0.0;
@@ -285,14 +257,14 @@ mod tests {
     fn resident() -> TrialCounts {
         let mut counts = TrialCounts::default();
         (0..1000)
-            .for_each(|turn| counts.add(&TrialTurn { trips: u64::from(turn % 200 == 0), ..GOOD }));
+            .for_each(|tick| counts.add(&TrialTurn { trips: u64::from(tick % 200 == 0), ..GOOD }));
         counts
     }
 
-    fn run(turn: impl Fn(u64) -> TrialTurn) -> (u64, TrialVerdict) {
+    fn run(tick: impl Fn(u64) -> TrialTurn) -> (u64, TrialVerdict) {
         let mut trial = Trial::new(TrialLimits::default(), resident());
         for index in 0.. {
-            if let TrialState::Ended(verdict) = trial.observe(&turn(index)) {
+            if let TrialState::Ended(verdict) = trial.observe(&tick(index)) {
                 return (index + 1, verdict);
             }
         }
@@ -300,51 +272,54 @@ mod tests {
     }
 
     #[test]
-    fn a_model_that_behaves_is_kept_when_its_time_and_way_are_over() {
+    fn a_model_without_faults_is_kept_after_the_ticks_and_metres_of_the_trial() {
         assert_eq!(run(|_| GOOD).0, 600);
         assert!(run(|_| GOOD).1.keeps());
-        assert_eq!(run(|_| TrialTurn { moved_m: 0.005_001, ..GOOD }).0, 1000, "5 m at 5 mm a turn");
+        assert_eq!(
+            run(|_| TrialTurn { moved_m: 0.005_001, ..GOOD }).0,
+            1000,
+            "5 m at 5 mm per tick"
+        );
         assert_eq!(
             run(|_| TrialTurn { moved_m: 0.0, ..GOOD }).0,
             6000,
-            "standing still is no reason for ever"
+            "a robot that does not move ends the trial as well"
         );
     }
 
     #[test]
-    fn worthless_outputs_end_it_at_the_third() {
-        let (turns, verdict) = run(|turn| TrialTurn { bad_output: turn >= 40, ..GOOD });
-        assert_eq!((turns, verdict), (43, TrialVerdict::BadOutput { times: 3, turns: 43 }));
+    fn the_third_bad_output_ends_the_trial() {
+        let (ticks, verdict) = run(|tick| TrialTurn { bad_output: tick >= 40, ..GOOD });
+        assert_eq!((ticks, verdict), (43, TrialVerdict::BadOutput { times: 3, turns: 43 }));
     }
 
     #[test]
-    fn late_turns_end_it_once_they_are_more_than_the_whole_trial_may_have() {
-        let (turns, verdict) = run(|turn| TrialTurn { overrun: turn % 2 == 0, ..GOOD });
+    fn late_ticks_end_the_trial_once_they_exceed_the_share_of_the_whole_trial() {
+        let (ticks, verdict) = run(|tick| TrialTurn { overrun: tick % 2 == 0, ..GOOD });
         assert!(
-            turns <= 30 && matches!(verdict, TrialVerdict::Overruns { .. }),
-            "{turns} {verdict}"
+            ticks <= 30 && matches!(verdict, TrialVerdict::Overruns { .. }),
+            "{ticks} {verdict}"
         );
-        assert!(run(|turn| TrialTurn { overrun: turn % 100 == 0, ..GOOD }).1.keeps());
+        assert!(run(|tick| TrialTurn { overrun: tick % 100 == 0, ..GOOD }).1.keeps());
     }
 
     #[test]
-    fn a_model_that_runs_into_things_is_rolled_back_and_one_that_does_it_as_often_as_before_is_kept()
-     {
-        let (turns, verdict) = run(|turn| TrialTurn { trips: u64::from(turn % 20 == 19), ..GOOD });
-        assert!(turns <= 200 && matches!(verdict, TrialVerdict::Trips { .. }), "{turns} {verdict}");
-        assert!(run(|turn| TrialTurn { trips: u64::from(turn % 200 == 0), ..GOOD }).1.keeps());
+    fn a_model_with_more_trips_is_rolled_back_and_one_with_as_many_as_before_is_kept() {
+        let (ticks, verdict) = run(|tick| TrialTurn { trips: u64::from(tick % 20 == 19), ..GOOD });
+        assert!(ticks <= 200 && matches!(verdict, TrialVerdict::Trips { .. }), "{ticks} {verdict}");
+        assert!(run(|tick| TrialTurn { trips: u64::from(tick % 200 == 0), ..GOOD }).1.keeps());
     }
 
     #[test]
-    fn a_model_that_is_less_right_on_the_lidar_line_is_rolled_back_as_soon_as_that_is_known() {
-        let (turns, verdict) = run(|_| TrialTurn { delta1: Some(0.6), ..GOOD });
-        assert_eq!(turns, 50);
+    fn a_model_with_fewer_right_depths_is_rolled_back_after_the_minimum_number_of_frames() {
+        let (ticks, verdict) = run(|_| TrialTurn { delta1: Some(0.6), ..GOOD });
+        assert_eq!(ticks, 50);
         assert!(matches!(verdict, TrialVerdict::Accuracy { .. }) && !verdict.keeps(), "{verdict}");
         assert!(run(|_| TrialTurn { delta1: Some(0.72), ..GOOD }).1.keeps());
     }
 
     #[test]
-    fn without_a_resident_model_only_what_is_bad_by_itself_counts() {
+    fn without_a_resident_model_the_depths_are_not_compared() {
         let mut trial = Trial::new(TrialLimits::default(), TrialCounts::default());
         let ended = (0..600)
             .map(|_| trial.observe(&TrialTurn { delta1: Some(0.1), ..GOOD }))
@@ -354,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn the_poisson_tail_is_the_textbooks() {
+    fn the_poisson_tail_matches_textbook_values() {
         assert!((poisson_tail(3, 1.0) - 0.080_301_4).abs() < 1e-6);
         assert!((poisson_tail(10, 3.0) - 0.001_102_49).abs() < 1e-6);
         assert_eq!(poisson_tail(0, 2.0), 1.0);
@@ -364,12 +339,12 @@ mod tests {
         #[test]
         fn every_trial_ends(late in 0.0..1.0f64, trips in 0..3u64, delta1 in 0.0..1.0f64, moved in 0.0..0.1f64) {
             let mut trial = Trial::new(TrialLimits::default(), resident());
-            let ended = (0..6000).any(|turn| {
-                let turn = TrialTurn {
-                    overrun: f64::from(turn % 100) < 100.0 * late, bad_output: false, trips, moved_m: moved,
+            let ended = (0..6000).any(|tick| {
+                let tick = TrialTurn {
+                    overrun: f64::from(tick % 100) < 100.0 * late, bad_output: false, trips, moved_m: moved,
                     delta1: Some(delta1),
                 };
-                trial.observe(&turn) != TrialState::Running
+                trial.observe(&tick) != TrialState::Running
             });
             prop_assert!(ended);
         }

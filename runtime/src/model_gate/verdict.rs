@@ -1,31 +1,34 @@
-//! Is the candidate taken? Only when it is sane by itself, fast enough, and shown to be as good as the resident model on every
-//! measure there is.
+//! The verdict of the gate. A candidate is accepted only if its output is plausible without a
+//! comparison, it is fast enough, and it is shown to be as good as the resident model on every
+//! measure.
 
 use serde::{Deserialize, Serialize};
 
 use super::{FrameScore, Paired, PoseBin, compare, parallax_bin};
 
-/// What the gate asks for. Each number is a limit that the default states and the operator may not loosen.
+/// Limits of the gate. The operator may make them stricter than the defaults, but not looser.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct GateLimits {
-    /// Held-out pictures that a comparison needs.
+    /// Minimum number of held-out frames for a comparison.
     pub min_pictures: usize,
-    /// Places (pose bins) that they must come from: fewer say too little about homes.
+    /// Minimum number of places (pose bins) that these frames come from, so that the result is not
+    /// about one place only.
     pub min_places: usize,
-    /// A photometric error may be larger by this share of the resident's.
+    /// The candidate's photometric error may exceed the resident's by this share of it.
     pub photometric_margin: f64,
-    /// The mean of |d - z| / z on the LiDAR line may be larger by this.
+    /// The candidate's mean of |d - z| / z against the LiDAR may exceed the resident's by this.
     pub abs_rel_margin: f64,
-    /// The share of wrong depths on the LiDAR line may be larger by this.
+    /// The candidate's share of wrong depths against the LiDAR may exceed the resident's by this.
     pub delta1_margin: f64,
-    /// The Brier score of the confidence may be larger by this.
+    /// The candidate's Brier score of the confidence may exceed the resident's by this.
     pub brier_margin: f64,
-    /// Without a resident model, the least share of right depths on the LiDAR line.
+    /// Without a resident model: the minimum share of right depths against the LiDAR.
     pub least_delta1: f64,
-    /// 99th percentile of one inference, milliseconds.
+    /// Maximum of the 99th percentile of one inference, milliseconds.
     pub p99_ms: f64,
-    /// A candidate above `p99_ms` is still taken when it is at most this many times as slow as the resident model, measured
-    /// by turns in the same process: the robot lives with that one.
+    /// A candidate that is slower than `p99_ms` is still accepted if its 99th percentile is at most
+    /// this factor of the resident's, because the robot already runs with that one. Both are
+    /// measured alternately in the same process.
     pub p99_over_resident: f64,
 }
 
@@ -45,77 +48,114 @@ impl Default for GateLimits {
     }
 }
 
-/// One held-out picture and how both models did on it.
+/// One held-out frame with the scores of both models.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ScoredFrame {
-    /// Turn of its run.
+    /// Tick of the frame in its run.
     pub tick: u64,
-    /// Where it was taken.
     pub bin: PoseBin,
-    /// To the farthest source, pixels of something 2.5 m away.
+    /// Parallax to the farthest source for a point 2.5 m away, pixels.
     pub parallax_px: f64,
-    /// `None`: the candidate's output was NaN or out of range.
+    /// `None` if the candidate's output was NaN or out of range.
     pub candidate: Option<FrameScore>,
-    /// `None`: no resident model, or its output was worthless.
+    /// `None` if there is no resident model, or its output was NaN or out of range.
     pub resident: Option<FrameScore>,
 }
 
 /// Time of one inference, milliseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Latency {
-    /// Half are faster.
     pub p50_ms: f64,
-    /// One in a hundred is slower.
     pub p99_ms: f64,
-    /// Inferences that were timed.
+    /// Number of timed inferences.
     pub runs: usize,
 }
 
-/// Everything that was measured.
+/// All measurements that the verdict is based on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Examination {
-    /// Held-out pictures, in the order in which they were read.
+    /// The held-out frames in the order in which they were read.
     pub frames: Vec<ScoredFrame>,
-    /// Of the candidate.
+    /// Latency of the candidate.
     pub latency: Latency,
-    /// Of the resident model, if there is one.
+    /// Latency of the resident model, if there is one.
     pub resident_latency: Option<Latency>,
-    /// Largest difference from the golden output, of x in 0..1 or metres.
+    /// Largest difference between the candidate's output and the golden output, in the output's
+    /// unit: 0..1 or metres.
     pub golden_difference: f64,
 }
 
-/// What two models are compared by.
+/// A measure that two models are compared by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Measure {
-    /// Photometric error with little parallax.
+    /// Photometric error of frames in the first parallax bin.
     PhotometricNear,
-    /// Photometric error with some parallax.
+    /// Photometric error of frames in the second parallax bin.
     PhotometricMiddle,
-    /// Photometric error with much parallax.
+    /// Photometric error of frames in the third parallax bin.
     PhotometricFar,
-    /// |d - z| / z on the LiDAR line.
+    /// Mean of |d - z| / z against the LiDAR.
     AbsRel,
-    /// Share of wrong depths on the LiDAR line.
+    /// Share of wrong depths against the LiDAR.
     Wrong,
-    /// Brier score of the confidence on the LiDAR line.
+    /// Brier score of the confidence against the LiDAR.
     Calibration,
 }
 
 impl Measure {
-    const PHOTOMETRIC: [Self; 3] =
-        [Self::PhotometricNear, Self::PhotometricMiddle, Self::PhotometricFar];
+    const ALL: [Self; 6] = [
+        Self::PhotometricNear,
+        Self::PhotometricMiddle,
+        Self::PhotometricFar,
+        Self::AbsRel,
+        Self::Wrong,
+        Self::Calibration,
+    ];
 
-    /// In words.
+    /// The errors of both models on a frame as (pose bin, candidate's error, resident's error);
+    /// `None` if the measure does not apply to the frame or one of the scores is missing.
+    fn errors(self, frame: &ScoredFrame) -> Option<(PoseBin, f64, f64)> {
+        let bin = parallax_bin(frame.parallax_px);
+        if self.parallax_bin().is_some_and(|required| bin != required) {
+            return None;
+        }
+        let candidate = self.error(frame.candidate.as_ref()?)?;
+        let resident = self.error(frame.resident.as_ref()?)?;
+        Some((frame.bin, candidate, resident))
+    }
+
+    /// The parallax bin whose frames this measure compares; `None` if it compares all frames.
+    fn parallax_bin(self) -> Option<usize> {
+        match self {
+            Self::PhotometricNear => Some(0),
+            Self::PhotometricMiddle => Some(1),
+            Self::PhotometricFar => Some(2),
+            Self::AbsRel | Self::Wrong | Self::Calibration => None,
+        }
+    }
+
+    fn error(self, score: &FrameScore) -> Option<f64> {
+        match self {
+            Self::PhotometricNear | Self::PhotometricMiddle | Self::PhotometricFar => {
+                score.photometric
+            }
+            Self::AbsRel => Some(score.line?.abs_rel),
+            Self::Wrong => Some(1.0 - score.line?.delta1),
+            Self::Calibration => Some(score.line?.brier),
+        }
+    }
+
+    /// The measure's name in messages.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::PhotometricNear => "photometric error, parallax below 6 px",
             Self::PhotometricMiddle => "photometric error, parallax 6 to 16 px",
             Self::PhotometricFar => "photometric error, parallax above 16 px",
-            Self::AbsRel => "|d - z| / z on the LiDAR line",
-            Self::Wrong => "share of wrong depths on the LiDAR line",
-            Self::Calibration => "Brier score of the confidence on the LiDAR line",
+            Self::AbsRel => "|d - z| / z against the LiDAR",
+            Self::Wrong => "share of wrong depths against the LiDAR",
+            Self::Calibration => "Brier score of the confidence against the LiDAR",
         }
     }
 }
@@ -125,112 +165,70 @@ impl Measure {
 #[serde(tag = "why", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Why {
-    /// NaN or out of range.
+    /// The output was NaN or out of range on `pictures` of `of` frames.
     #[error(
-        "its output was NaN or out of range on {pictures} of {of} held-out pictures; look for overflow in training"
+        "its output was NaN or out of range on {pictures} of {of} held-out frames; look for overflow in training"
     )]
-    BadOutput {
-        /// On so many.
-        pictures: usize,
-        /// Of so many.
-        of: usize,
-    },
-    /// Not enough to judge by.
+    BadOutput { pictures: usize, of: usize },
+    /// There are too few held-out frames or places for a verdict.
     #[error(
-        "only {pictures} held-out pictures of {places} places, needed: {min_pictures} of {min_places}; let the robot record more, or install with --unproven if it has no model yet"
+        "only {pictures} held-out frames of {places} places, needed: {min_pictures} of {min_places}; let the robot record more, or install with --unproven if it has no model yet"
     )]
-    TooLittle {
-        /// Pictures.
-        pictures: usize,
-        /// Places.
-        places: usize,
-        /// Wanted.
-        min_pictures: usize,
-        /// Wanted.
-        min_places: usize,
-    },
-    /// Depth that explains nothing.
+    TooLittle { pictures: usize, places: usize, min_pictures: usize, min_places: usize },
+    /// On frames with enough parallax, sources warped by the depth match no better than sources
+    /// without a warp.
     #[error(
-        "its depth explains earlier pictures no better ({error:.4}) than not moving at all ({unmoved:.4}); train it longer"
+        "its depth explains earlier frames no better ({error:.4}) than the assumption of no motion ({unmoved:.4}); train it longer"
     )]
-    NotSane {
-        /// Photometric error where parallax is large enough to show.
-        error: f64,
-        /// Of unmoved pictures.
-        unmoved: f64,
-    },
-    /// Depth that is wrong by itself.
+    NotSane { error: f64, unmoved: f64 },
+    /// Without a resident model: too few depths are right against the LiDAR.
     #[error(
-        "only {delta1:.3} of its depths on the LiDAR line are right, least: {least:.3}; check units and camera height"
+        "only {delta1:.3} of its depths are right against the LiDAR, minimum: {least:.3}; check units and camera height"
     )]
-    NotMetric {
-        /// Share of right depths.
-        delta1: f64,
-        /// Least.
-        least: f64,
-    },
-    /// Worse than the resident model.
+    NotMetric { delta1: f64, least: f64 },
+    /// The candidate is shown to be worse than the resident model by this measure.
     #[error(
-        "worse than the resident model: {} is {:.4}, the resident's {:.4}; the difference is {:.4} to {:.4} (90 %) over {} pictures of {} places, allowed: {margin:.4}; train it on more of this robot's recordings",
+        "worse than the resident model: {} is {:.4}, the resident's {:.4}; the difference is {:.4} to {:.4} (90 %) over {} frames of {} places, allowed: {margin:.4}; train it on more of this robot's recordings",
         measure.name(), paired.candidate, paired.resident, paired.lower, paired.upper, paired.pictures, paired.places
     )]
-    Worse {
-        /// By what.
-        measure: Measure,
-        /// The numbers.
-        paired: Paired,
-        /// Allowed.
-        margin: f64,
-    },
-    /// Perhaps as good, perhaps not.
+    Worse { measure: Measure, paired: Paired, margin: f64 },
+    /// The difference to the resident model may exceed the margin, but the candidate is not shown
+    /// to be worse.
     #[error(
-        "not shown to be as good as the resident model: {} differs by {:.4} to {:.4} (90 %) over {} pictures of {} places, allowed: {margin:.4}; let the robot record more places and install it again",
+        "not shown to be as good as the resident model: {} differs by {:.4} to {:.4} (90 %) over {} frames of {} places, allowed: {margin:.4}; let the robot record more places and install it again",
         measure.name(), paired.lower, paired.upper, paired.pictures, paired.places
     )]
-    NotShown {
-        /// By what.
-        measure: Measure,
-        /// The numbers.
-        paired: Paired,
-        /// Allowed.
-        margin: f64,
-    },
-    /// Too slow.
+    NotShown { measure: Measure, paired: Paired, margin: f64 },
+    /// Inference takes longer than allowed.
     #[error(
         "too slow: p99 {p99_ms:.1} ms on this computer, allowed: {most_ms:.1} ms; train a smaller network or give it more threads"
     )]
-    TooSlow {
-        /// Measured.
-        p99_ms: f64,
-        /// Allowed.
-        most_ms: f64,
-    },
+    TooSlow { p99_ms: f64, most_ms: f64 },
 }
 
-/// What the gate decided, and by which comparisons.
+/// The decision of the gate, with the comparisons that it is based on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Verdict {
-    /// Why not; none: it is taken.
+    /// The reasons for a refusal. Without any, the model is accepted.
     pub refused: Vec<Why>,
-    /// What was compared.
     pub compared: Vec<(Measure, Paired)>,
-    /// Held-out pictures.
+    /// Number of held-out frames.
     pub pictures: usize,
-    /// Places that they come from.
+    /// Number of pose bins that the frames come from.
     pub places: usize,
-    /// Mean share of right depths on the LiDAR line.
+    /// Mean share of right depths against the LiDAR.
     pub delta1: Option<f64>,
 }
 
 impl Verdict {
-    /// Whether the model is taken.
     #[must_use]
     pub fn is_accepted(&self) -> bool {
         self.refused.is_empty()
     }
 }
 
-/// Judges what was measured. `unproven`: a first model may come without held-out pictures; with a resident one it changes nothing.
+/// Decides about a candidate. `unproven` allows a first model without enough held-out frames; it
+/// has no effect if there is a resident model.
 #[must_use]
 pub fn judge(
     examination: &Examination,
@@ -242,7 +240,8 @@ pub fn judge(
     let mut bins: Vec<PoseBin> = frames.iter().map(|frame| frame.bin).collect();
     bins.sort_unstable();
     bins.dedup();
-    let (pictures, places) = (frames.len(), bins.len());
+    let pictures = frames.len();
+    let places = bins.len();
     let mut refused = Vec::new();
     let bad = frames.iter().filter(|frame| frame.candidate.is_none()).count();
     if bad > 0 {
@@ -257,7 +256,7 @@ pub fn judge(
         refused.push(Why::TooLittle { pictures, places, min_pictures, min_places });
     }
     let delta1 = mean_of(frames, |score| Some(score.line?.delta1));
-    refused.extend(insane(frames, delta1.filter(|_| !has_resident), limits));
+    refused.extend(implausible(frames, delta1.filter(|_| !has_resident), limits));
     refused.extend(compared.iter().filter_map(|(measure, paired)| worse(*measure, paired, limits)));
     refused.extend(too_slow(examination, limits));
     Verdict { refused, compared, pictures, places, delta1 }
@@ -269,42 +268,36 @@ fn mean_of(frames: &[ScoredFrame], value: impl Fn(&FrameScore) -> Option<f64>) -
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// What no comparison is needed for.
-fn insane(frames: &[ScoredFrame], delta1: Option<f64>, limits: &GateLimits) -> Vec<Why> {
-    let mut why = Vec::new();
-    let shows: Vec<ScoredFrame> =
+/// Reasons for a refusal that need no comparison with a resident model.
+fn implausible(frames: &[ScoredFrame], delta1: Option<f64>, limits: &GateLimits) -> Vec<Why> {
+    let mut reasons = Vec::new();
+    let with_parallax: Vec<ScoredFrame> =
         frames.iter().filter(|frame| parallax_bin(frame.parallax_px) > 0).copied().collect();
-    if let (Some(error), Some(unmoved)) =
-        (mean_of(&shows, |s| s.photometric), mean_of(&shows, |s| s.unmoved))
+    if let Some(error) = mean_of(&with_parallax, |score| score.photometric)
+        && let Some(unmoved) = mean_of(&with_parallax, |score| score.unmoved)
         && error >= unmoved
     {
-        why.push(Why::NotSane { error, unmoved });
+        reasons.push(Why::NotSane { error, unmoved });
     }
     if let Some(delta1) = delta1.filter(|delta1| *delta1 < limits.least_delta1) {
-        why.push(Why::NotMetric { delta1, least: limits.least_delta1 });
+        reasons.push(Why::NotMetric { delta1, least: limits.least_delta1 });
     }
-    why
+    reasons
 }
 
-/// By every measure that enough pictures speak of: a few pictures would refuse good models as often as bad ones.
+/// Compares the models by every measure for which there are enough frames: with few frames, a
+/// comparison would refuse good models as often as bad ones.
 fn compare_all(frames: &[ScoredFrame], limits: &GateLimits) -> Vec<(Measure, Paired)> {
-    let by = |measure: Measure, error: &dyn Fn(&FrameScore) -> Option<f64>, bin: Option<usize>| {
-        let counted = frames
-            .iter()
-            .filter(|frame| bin.is_none_or(|bin| parallax_bin(frame.parallax_px) == bin));
-        let pair = |frame: &ScoredFrame| {
-            Some((frame.bin, error(frame.candidate.as_ref()?)?, error(frame.resident.as_ref()?)?))
-        };
-        let paired = compare(&counted.filter_map(pair).collect::<Vec<_>>())?;
-        let enough = paired.pictures >= limits.min_pictures && paired.places >= limits.min_places;
-        enough.then_some((measure, paired))
-    };
-    let photometric = Measure::PHOTOMETRIC.into_iter().enumerate();
-    photometric
-        .filter_map(|(bin, measure)| by(measure, &|score| score.photometric, Some(bin)))
-        .chain(by(Measure::AbsRel, &|score| Some(score.line?.abs_rel), None))
-        .chain(by(Measure::Wrong, &|score| Some(1.0 - score.line?.delta1), None))
-        .chain(by(Measure::Calibration, &|score| Some(score.line?.brier), None))
+    Measure::ALL
+        .into_iter()
+        .filter_map(|measure| {
+            let errors: Vec<(PoseBin, f64, f64)> =
+                frames.iter().filter_map(|frame| measure.errors(frame)).collect();
+            let paired = compare(&errors)?;
+            let enough =
+                paired.pictures >= limits.min_pictures && paired.places >= limits.min_places;
+            enough.then_some((measure, paired))
+        })
         .collect()
 }
 
@@ -317,8 +310,8 @@ fn worse(measure: Measure, paired: &Paired, limits: &GateLimits) -> Option<Why> 
         Measure::Wrong => limits.delta1_margin,
         Measure::Calibration => limits.brier_margin,
     };
-    let (measure, paired) = (measure, *paired);
-    // NaN is within no margin.
+    let paired = *paired;
+    // NaN fails this comparison and is refused.
     if paired.upper <= margin {
         None
     } else if paired.lower > 0.0 {
@@ -329,11 +322,12 @@ fn worse(measure: Measure, paired: &Paired, limits: &GateLimits) -> Option<Why> 
 }
 
 fn too_slow(examination: &Examination, limits: &GateLimits) -> Option<Why> {
-    let of_resident = examination
+    let resident_limit_ms = examination
         .resident_latency
         .map_or(0.0, |latency| latency.p99_ms * limits.p99_over_resident);
-    let (p99_ms, most_ms) = (examination.latency.p99_ms, limits.p99_ms.max(of_resident));
-    // NaN is too slow.
+    let most_ms = limits.p99_ms.max(resident_limit_ms);
+    let p99_ms = examination.latency.p99_ms;
+    // NaN fails this comparison and is refused.
     if p99_ms <= most_ms { None } else { Some(Why::TooSlow { p99_ms, most_ms }) }
 }
 
@@ -342,9 +336,9 @@ mod tests {
     use super::*;
     use crate::model_gate::LineScore;
 
-    /// A model whose errors are those of an even one times `factor`, on pictures of 10 places.
-    fn scored(candidate: f64, resident: Option<f64>) -> Examination {
-        let score = |factor: f64, noise: f64| FrameScore {
+    /// The score of a model whose errors are those of an average model times `factor`.
+    fn score(factor: f64, noise: f64) -> FrameScore {
+        FrameScore {
             photometric: Some(0.1 * factor + noise),
             unmoved: Some(0.3),
             line: Some(LineScore {
@@ -353,7 +347,11 @@ mod tests {
                 delta1: 1.0 - 0.15 * factor - noise,
                 brier: 0.1 * factor,
             }),
-        };
+        }
+    }
+
+    /// An examination on frames of 10 places with these factors of both models' errors.
+    fn scored(candidate: f64, resident: Option<f64>) -> Examination {
         let frames = (0..60).map(|tick| {
             let noise = 0.002 * (tick % 7) as f64;
             ScoredFrame {
@@ -374,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn a_better_and_an_equal_model_are_taken() {
+    fn a_better_and_an_equal_model_are_accepted() {
         assert_eq!(why(&scored(0.7, Some(1.0)), true), []);
         assert_eq!(why(&scored(1.0, Some(1.0)), true), []);
         let verdict = judge(&scored(0.7, Some(1.0)), true, false, &GateLimits::default());
@@ -390,7 +388,7 @@ mod tests {
         assert!(
             text.contains("|d - z| / z")
                 && text.contains("0.15")
-                && text.contains("60 pictures of 10"),
+                && text.contains("60 frames of 10"),
             "{text}"
         );
     }
@@ -408,7 +406,7 @@ mod tests {
     }
 
     #[test]
-    fn a_difference_that_may_be_chance_is_not_enough_to_take_a_model() {
+    fn a_difference_that_may_be_chance_is_not_enough_to_accept_a_model() {
         let mut examination = scored(1.0, Some(1.0));
         for frame in &mut examination.frames {
             let line = frame.candidate.as_mut().unwrap().line.as_mut().unwrap();
@@ -421,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn nan_output_is_refused_whatever_the_rest_says() {
+    fn nan_output_is_refused_whatever_the_other_scores_are() {
         let mut examination = scored(0.5, Some(1.0));
         examination.frames[17].candidate = None;
         assert_eq!(why(&examination, true), [Why::BadOutput { pictures: 1, of: 60 }]);
@@ -431,7 +429,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_pictures_are_no_proof_and_only_a_first_model_may_do_without() {
+    fn too_few_frames_refuse_a_model_unless_it_is_the_first_and_marked_unproven() {
         let mut examination = scored(0.5, None);
         examination.frames.truncate(15);
         assert!(matches!(
@@ -443,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn a_measure_that_few_pictures_speak_of_decides_nothing() {
+    fn a_measure_with_too_few_frames_decides_nothing() {
         let mut examination = scored(0.7, Some(1.0));
         for frame in examination
             .frames
@@ -468,7 +466,7 @@ mod tests {
     }
 
     #[test]
-    fn a_first_model_must_explain_pictures_and_be_metric() {
+    fn a_first_model_must_match_earlier_frames_and_be_metric() {
         assert_eq!(why(&scored(1.0, None), false), []);
         let mut blind = scored(1.0, None);
         for frame in &mut blind.frames {
@@ -493,7 +491,7 @@ mod tests {
     }
 
     #[test]
-    fn a_verdict_travels_as_json() {
+    fn a_verdict_survives_a_round_trip_through_json() {
         let verdict = judge(&scored(1.5, Some(1.0)), true, false, &GateLimits::default());
         let text = serde_json::to_string(&verdict).unwrap();
         assert_eq!(serde_json::from_str::<Verdict>(&text).unwrap(), verdict);

@@ -1,11 +1,12 @@
-//! A priority queue for small whole-number steps (Dial 1969).
+//! A bucket priority queue for priorities that grow in small integer steps (Dial 1969).
 
-/// Buckets in the ring; more than the largest step of a priority.
+/// Number of buckets in the ring; it exceeds the largest difference of two queued priorities.
 const RING: usize = 2048;
 
-/// Entries by priority. Priorities never fall below the last one popped and never exceed it by [`RING`] or more, so a ring of
-/// buckets holds them all; a bit for each bucket finds the next one. Among equals the newest comes first, which in A* means
-/// the one nearest to the goal.
+/// Entries ordered by priority. A priority is never less than the last one popped and exceeds it by
+/// less than [`RING`], so a ring of buckets holds all of them. One bit for each bucket finds the
+/// next filled bucket. Entries of equal priority are popped newest first, which in A* prefers the
+/// entry nearest to the goal.
 #[derive(Debug, Clone)]
 pub(super) struct Buckets {
     ring: Vec<Vec<Entry>>,
@@ -14,8 +15,8 @@ pub(super) struct Buckets {
     len: usize,
 }
 
-/// A cell, by its column and row in memory, with the cost at which it was queued; the entry is stale when the cell has become
-/// cheaper since.
+/// A cell (column and row in memory) with the cost at which it was queued. The entry is stale if
+/// the cell was reached at a lower cost since then.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Entry {
     pub x: u16,
@@ -30,7 +31,7 @@ impl Default for Buckets {
 }
 
 impl Buckets {
-    /// Empties the queue; the first entry will have priority `now` or more.
+    /// Empties the queue. All entries that follow have a priority of at least `now`.
     pub fn restart(&mut self, now: u32) {
         if self.len > 0 {
             self.ring.iter_mut().for_each(Vec::clear);
@@ -72,7 +73,7 @@ impl Buckets {
         }
     }
 
-    /// Buckets from `slot` to the next that is filled, going round.
+    /// Distance from `slot` to the next filled bucket, around the ring.
     fn next_filled(&self, slot: usize) -> u32 {
         let first = self.filled[slot / 64] >> (slot % 64);
         if first != 0 {
@@ -86,7 +87,7 @@ impl Buckets {
             }
             steps += 64;
         }
-        // Not reached: `len` counts what is in the ring.
+        // Not reached, because `len` is the number of entries in the ring and is not 0 here.
         RING as u32
     }
 }

@@ -1,44 +1,48 @@
-//! Where the robot may drive, and what it costs.
+//! The costmap: where the robot's centre may be, and what driving there costs.
 
 use super::config::{ConfigError, PlanConfig};
 use super::distance::{Distances, FAR};
 use crate::mapping::{Cell, CellBox, OccupancyGrid};
 
-/// Weight of a free cell far from everything; weights count in quarters of it.
+/// Weight of a free cell far from obstacles. Weights are integers in quarters of this cost.
 pub(super) const FREE: u8 = 4;
-/// The largest weight.
+/// The largest weight: 15 times the cost of free floor.
 pub(super) const HEAVIEST: u8 = 60;
-/// Never entered.
+/// Weight of a cell that is never entered.
 pub(super) const BLOCKED: u8 = 0;
-/// Set in the weight of a cell on which a robot that drives along the row or column, either way, has no reason to turn: in each
-/// of the three rows (columns) of the 3x3 cells around it all weights are the same, and none is larger than that of the cell.
-/// Both are set where all 9 weights are the same.
+/// Flags in the weight of a cell on level ground along its row (first) or column (second): in each
+/// of the three rows (columns) of the 3x3 cells around it all weights are equal, and none is larger
+/// than that of the cell. A path that drives straight along the row (column) has no reason to leave
+/// it there. Both flags are set where all 9 weights are equal.
 pub(super) const LEVEL: [u8; 2] = [0x80, 0x40];
-/// The weight itself.
+/// The bits of the weight without the flags.
 pub(super) const WEIGHT: u8 = 0x3f;
 
-/// The weight of every cell around what is known: [`BLOCKED`](Self::is_passable) within the footprint's radius of an
-/// obstacle, more than 1 near obstacles and in the unknown, 1 on free floor.
+/// The cost weight of every cell in and around the known part of the map: 1 on free floor, more
+/// near obstacles and on unknown floor, and [not passable](Self::is_passable) within the
+/// footprint's radius of an obstacle.
 #[derive(Debug, Clone)]
 pub struct Costmap {
     config: PlanConfig,
     pub(super) cell_m: f64,
     pub(super) cells: CellBox,
-    /// Columns in memory: the box and a blocked cell on either side, so that searches need not look where they are.
+    /// Columns in memory: the box and one blocked cell on either side, so that searches need no
+    /// bounds checks.
     pub(super) stride: usize,
     pub(super) weights: Vec<u8>,
     levels: Vec<u8>,
-    /// Squared distance to the nearest obstacle, cells.
+    /// Squared distance to the nearest obstacle, in cells.
     clearance2: Vec<u16>,
     distances: Distances,
-    /// One row of the map.
-    values: Vec<f32>,
-    /// Weight of a free and of an unknown cell by squared distance to an obstacle.
+    /// Buffer for one row of the map.
+    row_values: Vec<f32>,
+    /// Weights of a free and of an unknown cell, indexed by the squared distance to the nearest
+    /// obstacle.
     tables: [Vec<u8>; 2],
 }
 
 impl Costmap {
-    /// A costmap of nothing.
+    /// A costmap without passable cells.
     ///
     /// # Errors
     /// When the configuration is out of range.
@@ -53,14 +57,15 @@ impl Costmap {
             levels: Vec::new(),
             clearance2: Vec::new(),
             distances: Distances::default(),
-            values: Vec::new(),
+            row_values: Vec::new(),
             tables: [Vec::new(), Vec::new()],
         };
         costmap.reset(CellBox::of(Cell::default()), 1.0);
         Ok(costmap)
     }
 
-    /// A costmap with given weights: `None` is never entered, 1.0 is free floor, up to 15. For tests and other planners.
+    /// A costmap with given weights from 1.0 (free floor) to 15; `None` is never entered. For tests
+    /// and other planners.
     #[must_use]
     pub fn from_weights(
         cells: CellBox,
@@ -76,7 +81,7 @@ impl Costmap {
             levels: Vec::new(),
             clearance2: Vec::new(),
             distances: Distances::default(),
-            values: Vec::new(),
+            row_values: Vec::new(),
             tables: [Vec::new(), Vec::new()],
         };
         costmap.reset(cells, cell_m);
@@ -105,53 +110,49 @@ impl Costmap {
         self.clearance2.resize(size, 0);
     }
 
-    /// Reads the map anew.
+    /// Recomputes all weights from the map.
     pub fn update(&mut self, grid: &OccupancyGrid) {
-        self.update_doubting(grid, 0.0);
+        self.update_with_doubt(grid, 0.0);
     }
 
-    /// Reads the map anew; what was marked with at most `doubt` log-odds left counts as unknown.
-    pub fn update_doubting(&mut self, grid: &OccupancyGrid, doubt: f32) {
-        let doubt = grid.row_value(doubt);
+    /// Recomputes all weights; occupied cells with at most `doubtful_log_odds` count as unknown.
+    pub fn update_with_doubt(&mut self, grid: &OccupancyGrid, doubtful_log_odds: f32) {
+        let doubtful = grid.row_value(doubtful_log_odds);
         let padding = (self.config.padding_m / grid.cell_m()).ceil() as i32;
         let known =
             grid.known_box().and_then(|known| known.grown(padding).intersection(grid.window()));
         let cells = known.unwrap_or(CellBox::of(grid.window().min));
         self.reset(cells, grid.cell_m());
         let reach = self.make_tables();
-        let (width, height) = (cells.width(), cells.height());
+        let width = cells.width();
+        let height = cells.height();
         self.distances.reset(width, height);
-        let mut values = core::mem::take(&mut self.values);
-        let read_row = |row: usize, values: &mut Vec<f32>| {
-            let (left, right) = grid.row(cells.min.y + row as i32, cells.min.x, width);
-            values.clear();
-            values.extend_from_slice(left);
-            values.extend_from_slice(right);
-        };
+        let mut values = core::mem::take(&mut self.row_values);
         for row in 0..height {
-            read_row(row, &mut values);
-            self.distances.set_row(row, values.iter().map(|value| *value > doubt), reach);
+            read_row(grid, cells, row, &mut values);
+            self.distances.set_row(row, values.iter().map(|value| *value > doubtful), reach);
         }
         for row in 0..height {
-            read_row(row, &mut values);
+            read_row(grid, cells, row, &mut values);
             let start = (row + 1) * self.stride + 1;
             let clearance2 = &mut self.clearance2[start..start + width];
             self.distances.row(row, reach, clearance2);
             let weights = &mut self.weights[start..start + width];
             for ((weight, clearance2), value) in weights.iter_mut().zip(clearance2).zip(&values) {
-                let is_unknown = *value == 0.0 || (*value > 0.0 && *value <= doubt);
+                let is_unknown = *value == 0.0 || (*value > 0.0 && *value <= doubtful);
                 let table = &self.tables[usize::from(is_unknown)];
                 // The last entry stands for everything beyond the reach.
                 *weight = table[usize::from(*clearance2).min(table.len() - 1)];
             }
         }
-        self.values = values;
+        self.row_values = values;
         self.mark_level();
     }
 
-    /// Finds the cells on level ground, where searches have an easy time.
+    /// Sets the [`LEVEL`] flags, which let searches skip cells.
     fn mark_level(&mut self) {
-        let (stride, weights) = (self.stride, &self.weights);
+        let stride = self.stride;
+        let weights = &self.weights;
         self.levels.clear();
         self.levels.resize(weights.len(), 0);
         for start in (stride..weights.len().saturating_sub(stride)).step_by(stride) {
@@ -162,7 +163,8 @@ impl Costmap {
             for (out, here) in out.iter_mut().zip(here) {
                 *out = if *here == BLOCKED { 0 } else { LEVEL[0] | LEVEL[1] };
             }
-            // One pair of neighbours of all cells of the row at a time: that is done many cells at once.
+            // Compares one pair of neighbours for all cells of the row at a time, so that the
+            // compiler can vectorise it.
             for (level, along, aside) in [(LEVEL[0], 1, stride), (LEVEL[1], stride, 1)] {
                 for middle in [inner.start - aside, inner.start, inner.start + aside] {
                     let pairs = row(middle - along).iter().zip(row(middle + along));
@@ -180,7 +182,8 @@ impl Costmap {
         }
     }
 
-    /// Fills the weight tables; returns how far obstacles reach, cells.
+    /// Fills the weight tables; returns the distance up to which obstacles change weights, in
+    /// cells.
     fn make_tables(&mut self) -> u16 {
         let config = &self.config;
         let hard_m = config.footprint_radius_m + config.margin_m;
@@ -218,19 +221,20 @@ impl Costmap {
         self.cells.min.offset(x, y)
     }
 
-    /// The cells that this costmap speaks of. What is outside is never entered.
+    /// The cells that this costmap covers. Cells outside are never entered.
     #[must_use]
     pub fn cells(&self) -> CellBox {
         self.cells
     }
 
-    /// Side of a cell, metres.
+    /// Edge length of a cell, metres.
     #[must_use]
     pub fn cell_m(&self) -> f64 {
         self.cell_m
     }
 
-    /// Cost of a metre in this cell, in metres of free floor; `None` where the robot must not go.
+    /// Cost of one metre in this cell, in metres of free floor; `None` where the robot must not
+    /// drive.
     #[must_use]
     pub fn weight(&self, cell: Cell) -> Option<f64> {
         let weight =
@@ -239,13 +243,14 @@ impl Costmap {
         (weight != BLOCKED).then(|| f64::from(weight) / f64::from(FREE))
     }
 
-    /// Whether the robot's middle may be in this cell.
+    /// Whether the robot's centre may be in this cell.
     #[must_use]
     pub fn is_passable(&self, cell: Cell) -> bool {
         self.weight(cell).is_some()
     }
 
-    /// Distance to the nearest obstacle, metres; `None` when there is none within the inflation radius.
+    /// Distance to the nearest obstacle, metres; `None` if there is none within the inflation
+    /// radius.
     #[must_use]
     pub fn clearance_m(&self, cell: Cell) -> Option<f64> {
         let clearance2 = self.clearance2(self.index(cell)?);
@@ -256,18 +261,20 @@ impl Costmap {
         self.clearance2.get(index).copied().unwrap_or(0)
     }
 
-    /// The passable cell nearest to `cell`, at most `radius_m` away; of several, the first row by row.
+    /// The passable cell nearest to `cell`, at most `radius_m` away; of several equally near ones,
+    /// the first in row order.
     #[must_use]
     pub fn nearest_passable(&self, cell: Cell, radius_m: f64) -> Option<Cell> {
         self.nearest(cell, radius_m, |near| self.is_passable(near))
     }
 
-    /// The cell nearest to `cell` that is `wanted`, at most `radius_m` away.
+    /// The nearest cell that `is_suitable`, at most `radius_m` away from `cell`; of several equally
+    /// near ones, the first in row order.
     pub(super) fn nearest(
         &self,
         cell: Cell,
         radius_m: f64,
-        wanted: impl Fn(Cell) -> bool,
+        is_suitable: impl Fn(Cell) -> bool,
     ) -> Option<Cell> {
         let radius = radius_m / self.cell_m;
         let reach = radius.clamp(0.0, 1000.0) as i32;
@@ -278,7 +285,7 @@ impl Costmap {
                 let near = Cell::new(x, y);
                 let distance2 = near.distance2(cell);
                 let nearer = best.is_none_or(|(so_far, _)| distance2 < so_far);
-                if nearer && distance2 as f64 <= radius * radius && wanted(near) {
+                if nearer && distance2 as f64 <= radius * radius && is_suitable(near) {
                     best = Some((distance2, near));
                 }
             }
@@ -287,6 +294,15 @@ impl Costmap {
     }
 }
 
+/// Reads one row of `cells` from the map into `values`.
+fn read_row(grid: &OccupancyGrid, cells: CellBox, row: usize, values: &mut Vec<f32>) {
+    let (left, right) = grid.row(cells.min.y + row as i32, cells.min.x, cells.width());
+    values.clear();
+    values.extend_from_slice(left);
+    values.extend_from_slice(right);
+}
+
+/// The weight in quarters of the cost of free floor.
 fn quantised(weight: f64) -> u8 {
     (weight * f64::from(FREE)).round().clamp(f64::from(FREE), f64::from(HEAVIEST)) as u8
 }
@@ -298,7 +314,7 @@ mod tests {
     use crate::planning::{NoPath, Planner};
     use hal::{LaserScan, Pose2, Range, ScanGeometry};
 
-    /// A map made with a scan: free within a ring of hits of 1.5 m, open behind.
+    /// A map of one scan: free floor within a ring of hits at 1.5 m, and unknown behind the robot.
     fn ring() -> OccupancyGrid {
         let mut grid = OccupancyGrid::new(&MapConfig::default()).unwrap();
         let geometry = ScanGeometry::UTM_30LX;
@@ -317,39 +333,43 @@ mod tests {
     }
 
     #[test]
-    fn cost_rises_towards_an_obstacle_until_it_is_closed() {
+    fn cost_rises_towards_an_obstacle_until_the_cell_is_blocked() {
         let grid = ring();
         let costmap = costmap(&grid);
         let weights: Vec<Option<f64>> = (0..=50)
             .map(|x| costmap.weight(grid.cell_at(f64::from(x) * 0.03 + 0.001, 0.001)))
             .collect();
         assert_eq!(weights[10], Some(1.0));
-        // Hits at 1.5 m: closed from 0.14 m before, dearer from 0.24 m before.
-        let closed = weights.iter().position(Option::is_none).unwrap();
-        assert!((45..=46).contains(&closed), "{weights:?}");
-        let dearer = weights.iter().position(|weight| *weight > Some(1.0)).unwrap();
-        assert!((42..=43).contains(&dearer), "{weights:?}");
-        assert!(weights[dearer..closed].windows(2).all(|pair| pair[0] < pair[1]), "{weights:?}");
-        assert!(weights[closed..].iter().all(Option::is_none));
+        // The hits lie at 1.5 m: cells are blocked from 0.14 m before them and cost more from 0.24
+        // m before them.
+        let blocked = weights.iter().position(Option::is_none).unwrap();
+        assert!((45..=46).contains(&blocked), "{weights:?}");
+        let expensive = weights.iter().position(|weight| *weight > Some(1.0)).unwrap();
+        assert!((42..=43).contains(&expensive), "{weights:?}");
+        assert!(
+            weights[expensive..blocked].windows(2).all(|pair| pair[0] < pair[1]),
+            "{weights:?}"
+        );
+        assert!(weights[blocked..].iter().all(Option::is_none));
     }
 
     #[test]
-    fn the_unknown_is_passable_at_its_price() {
+    fn unknown_floor_is_passable_at_the_configured_cost() {
         let grid = ring();
         let costmap = costmap(&grid);
-        // Behind the robot, where the scanner does not look.
+        // Behind the robot is outside of the scanner's field of view.
         assert_eq!(costmap.weight(grid.cell_at(-1.0, 0.0)), Some(4.0));
         assert_eq!(costmap.weight(grid.cell_at(-4.0, 0.0)), None, "beyond the padding");
     }
 
     #[test]
-    fn who_doubts_takes_marks_that_were_seen_once_for_unknown_and_believes_those_seen_often() {
+    fn with_doubt_obstacles_seen_once_count_as_unknown_and_those_seen_often_stay_blocked() {
         let mut grid = ring();
         let wall = grid.cell_at(1.501, 0.001);
         let mut costmap = costmap(&grid);
-        costmap.update_doubting(&grid, 5.0);
+        costmap.update_with_doubt(&grid, 5.0);
         assert_eq!(costmap.weight(wall), Some(4.0));
-        costmap.update_doubting(&grid, 0.5);
+        costmap.update_with_doubt(&grid, 0.5);
         assert_eq!(costmap.weight(wall), None);
         let geometry = ScanGeometry::UTM_30LX;
         let scan =
@@ -359,12 +379,12 @@ mod tests {
             grid.integrate_scan(&scan, &Pose2::IDENTITY).unwrap();
             grid.finish_update();
         }
-        costmap.update_doubting(&grid, 5.0);
+        costmap.update_with_doubt(&grid, 5.0);
         assert_eq!(costmap.weight(wall), None);
     }
 
     #[test]
-    fn a_robot_too_near_to_an_obstacle_drives_away_from_it_first() {
+    fn a_robot_too_close_to_an_obstacle_drives_away_from_it_first() {
         let grid = ring();
         let costmap = costmap(&grid);
         let start = grid.cell_at(1.41, 0.0);
@@ -383,7 +403,7 @@ mod tests {
 
     #[test]
     fn leaving_an_obstacle_does_not_lead_through_a_wall() {
-        // A robot pressed to the outside of the ring must not come out inside.
+        // A path from a start close to the outside of the ring must not come out inside of it.
         let grid = ring();
         let costmap = costmap(&grid);
         let outside = grid.cell_at(1.56, 0.0);
@@ -407,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_map_has_a_costmap_without_a_way() {
+    fn an_empty_map_has_a_costmap_without_paths() {
         let grid = OccupancyGrid::new(&MapConfig::default()).unwrap();
         let costmap = costmap(&grid);
         let mut planner = Planner::new(100);

@@ -1,39 +1,40 @@
-//! Distance of every cell to the nearest obstacle, as far as anybody asks.
+//! Distance transform: the distance of every cell to the nearest obstacle, up to a limited reach.
 
-/// "No obstacle within reach."
+/// There is no obstacle within the reach.
 pub(super) const FAR: u16 = u16::MAX;
 
-/// Exact squared distances in cells, up to a reach; reuses its memory.
+/// Exact squared Euclidean distances in cells, up to a reach; reuses its buffers.
 ///
-/// The Euclidean distance transform splits by axis: squared distance along the row first, then the minimum over nearby rows
-/// (Felzenszwalb and Huttenlocher 2012). With a reach of a few cells the second minimum is a short loop over whole rows.
+/// The transform is separable: first the squared distance along the row, then the minimum over
+/// nearby rows (Felzenszwalb and Huttenlocher 2012). With a reach of a few cells, the second step
+/// is a short loop over whole rows.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Distances {
     along_row: Vec<u16>,
-    /// Whether the row has anything within reach at all.
-    busy: Vec<bool>,
+    /// Whether the row contains an obstacle.
+    has_obstacle: Vec<bool>,
 }
 
 impl Distances {
-    /// Empties the transform for `height` rows.
+    /// Prepares the transform for a map without obstacles.
     pub fn reset(&mut self, width: usize, height: usize) {
         self.along_row.clear();
         self.along_row.resize(width * height, FAR);
-        self.busy.clear();
-        self.busy.resize(height, false);
+        self.has_obstacle.clear();
+        self.has_obstacle.resize(height, false);
     }
 
-    /// Sets row `row` from the columns that are obstacles.
+    /// Sets the obstacles of one row, one item for each column.
     pub fn set_row(&mut self, row: usize, obstacles: impl Iterator<Item = bool>, reach: u16) {
-        let width = self.along_row.len() / self.busy.len().max(1);
+        let width = self.along_row.len() / self.has_obstacle.len().max(1);
         let line = &mut self.along_row[row * width..(row + 1) * width];
         let mut since = FAR;
         for (out, obstacle) in line.iter_mut().zip(obstacles) {
             since = if obstacle { 0 } else { since.saturating_add(1) };
             *out = since;
-            self.busy[row] |= obstacle;
+            self.has_obstacle[row] |= obstacle;
         }
-        if !self.busy[row] {
+        if !self.has_obstacle[row] {
             line.fill(FAR);
             return;
         }
@@ -45,13 +46,13 @@ impl Distances {
         }
     }
 
-    /// Squared distances of row `row` into `out`: [`FAR`] beyond `reach`.
+    /// Writes the squared distances of one row to `out`, with [`FAR`] beyond `reach`.
     pub fn row(&self, row: usize, reach: u16, out: &mut [u16]) {
         let width = out.len();
         out.fill(FAR);
         let reach = usize::from(reach);
-        for near in row.saturating_sub(reach)..(row + reach + 1).min(self.busy.len()) {
-            if self.busy[near] {
+        for near in row.saturating_sub(reach)..(row + reach + 1).min(self.has_obstacle.len()) {
+            if self.has_obstacle[near] {
                 let apart = near.abs_diff(row);
                 let apart2 = (apart * apart) as u16;
                 let line = &self.along_row[near * width..(near + 1) * width];
@@ -74,7 +75,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn distances_are_those_of_trying_every_obstacle(
+        fn distances_equal_those_of_a_search_over_all_obstacles(
             width in 1..40usize, height in 1..25usize, reach in 0..12u16, obstacles in proptest::collection::vec((0..40usize, 0..25usize), 0..8),
         ) {
             let mut distances = Distances::default();

@@ -1,4 +1,4 @@
-//! From a path to motion primitives.
+//! Path following: chooses the motion primitives that lead along a path.
 
 use hal::{Pose2, wrap_angle};
 use serde::{Deserialize, Serialize};
@@ -12,35 +12,33 @@ use crate::snapshot::remembers;
 pub enum Primitive {
     /// A step forward, by default 0.03 m.
     Forward,
-    /// A step of turning counter-clockwise, by default 2 degrees.
+    /// A step of rotating counter-clockwise, by default 2 degrees.
     TurnLeft,
-    /// A step of turning clockwise.
+    /// A step of rotating clockwise, by default 2 degrees.
     TurnRight,
-    /// Half a step forward while turning counter-clockwise: corrects the heading of a base that should not stop for it.
+    /// Half a step forward while rotating counter-clockwise: corrects the heading without a stop.
     ArcLeft,
-    /// Half a step forward while turning clockwise.
+    /// Half a step forward while rotating clockwise.
     ArcRight,
-    /// Nothing.
+    /// No motion.
     Stay,
 }
 
-/// How far along the path the robot is.
+/// State of path following.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Progress {
-    /// On the way.
     Following,
-    /// Within the tolerance of the path's end.
+    /// The robot is within the tolerance of the path's end.
     Reached,
-    /// Too far from the path: plan again.
+    /// The robot is too far from the path; a new plan is needed.
     OffPath,
 }
 
-/// What to do next.
+/// The next motion and the state of path following.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
     /// The motion; [`Primitive::Stay`] unless following.
     pub primitive: Primitive,
-    /// Where the robot is on its way.
     pub progress: Progress,
     /// Length of the path that is left, metres.
     pub remaining_m: f64,
@@ -60,18 +58,19 @@ pub enum FollowError {
     NoPath,
 }
 
-/// Follows a polyline by pure pursuit (Coulter 1992) with a hysteresis: the robot turns on the spot when it looks far away
-/// from the point ahead, and otherwise drives, correcting only errors that matter. Steps of the path's cells then do not turn
-/// into turns of the robot.
+/// Follows a polyline by pure pursuit (Coulter 1992) with hysteresis: the robot rotates on the spot
+/// when its heading differs much from the direction of the lookahead point, and otherwise drives
+/// and corrects only larger errors. So the staircase shape of a path of cells does not make the
+/// robot rotate at every cell.
 #[derive(Debug, Clone)]
 pub struct Follower {
     config: FollowerConfig,
     points_m: Vec<[f64; 2]>,
     /// Length of the path up to each point, metres.
     lengths_m: Vec<f64>,
-    /// Length of the path that is done, metres.
+    /// Length of the path that the robot has completed, metres.
     done_m: f64,
-    turning: bool,
+    rotating: bool,
 }
 
 impl Follower {
@@ -86,14 +85,15 @@ impl Follower {
             points_m: Vec::new(),
             lengths_m: Vec::new(),
             done_m: 0.0,
-            turning: false,
+            rotating: false,
         })
     }
 
-    /// Begins a new path: corner points in the frame of the poses, metres.
+    /// Starts a new path, given as corner points in the frame of the poses, metres.
     ///
     /// # Errors
-    /// [`FollowError::NoPath`] when there are no points or one is not finite; there is then no path.
+    /// [`FollowError::NoPath`] if there are no points or one is not finite; the follower then has
+    /// no path.
     pub fn set_path(&mut self, points_m: &[[f64; 2]]) -> Result<(), FollowError> {
         self.clear();
         if points_m.is_empty() || points_m.iter().flatten().any(|number| !number.is_finite()) {
@@ -110,12 +110,12 @@ impl Follower {
         Ok(())
     }
 
-    /// Forgets the path.
+    /// Drops the path.
     pub fn clear(&mut self) {
         self.points_m.clear();
         self.lengths_m.clear();
         self.done_m = 0.0;
-        self.turning = false;
+        self.rotating = false;
     }
 
     /// The path's corner points, metres; empty without a path.
@@ -132,39 +132,35 @@ impl Follower {
         if !pose.is_finite() {
             return Err(FollowError::PoseNotFinite);
         }
-        let (Some(goal), Some(length_m)) =
-            (self.points_m.last().copied(), self.lengths_m.last().copied())
-        else {
-            return Err(FollowError::NoPath);
-        };
+        let goal = self.points_m.last().copied().ok_or(FollowError::NoPath)?;
+        let length_m = self.lengths_m.last().copied().ok_or(FollowError::NoPath)?;
         let here = [pose.x_m, pose.y_m];
         let (done_m, cross_track_m) = self.locate(here);
         self.done_m = done_m;
         let remaining_m = length_m - done_m;
-        let ended =
-            |progress| Step { primitive: Primitive::Stay, progress, remaining_m, cross_track_m };
-        // A loop passes its end early: only the last stretch counts.
-        if distance(here, goal) <= self.config.goal_tolerance_m
-            && remaining_m <= self.config.lookahead_m
-        {
-            return Ok(ended(Progress::Reached));
-        }
-        if cross_track_m > self.config.off_path_m {
-            return Ok(ended(Progress::OffPath));
-        }
-        let ahead = self.point_at(done_m + self.config.lookahead_m);
-        let bearing_rad = (ahead[1] - here[1]).atan2(ahead[0] - here[0]);
-        let primitive = self.steer(wrap_angle(bearing_rad - pose.yaw_rad));
-        Ok(Step { primitive, progress: Progress::Following, remaining_m, cross_track_m })
+        // A path that is a loop passes its end early, so the end counts only on the last part of
+        // the path.
+        let at_end = distance(here, goal) <= self.config.goal_tolerance_m
+            && remaining_m <= self.config.lookahead_m;
+        let (progress, primitive) = if at_end {
+            (Progress::Reached, Primitive::Stay)
+        } else if cross_track_m > self.config.off_path_m {
+            (Progress::OffPath, Primitive::Stay)
+        } else {
+            let ahead = self.point_at(done_m + self.config.lookahead_m);
+            let bearing_rad = (ahead[1] - here[1]).atan2(ahead[0] - here[0]);
+            (Progress::Following, self.steer(wrap_angle(bearing_rad - pose.yaw_rad)))
+        };
+        Ok(Step { primitive, progress, remaining_m, cross_track_m })
     }
 
     fn steer(&mut self, error_rad: f64) -> Primitive {
         let config = &self.config;
         let size = error_rad.abs();
-        self.turning =
-            if self.turning { size > config.aligned_rad } else { size > config.turn_in_place_rad };
+        self.rotating =
+            if self.rotating { size > config.aligned_rad } else { size > config.turn_in_place_rad };
         let left = error_rad > 0.0;
-        match (self.turning, config.arcs) {
+        match (self.rotating, config.arcs) {
             (false, _) if size <= config.correct_rad => Primitive::Forward,
             (false, true) if left => Primitive::ArcLeft,
             (false, true) => Primitive::ArcRight,
@@ -173,8 +169,9 @@ impl Follower {
         }
     }
 
-    /// Length of the path up to the point nearest to `here`, and the distance to it. Looks from where the robot was to a
-    /// little beyond the point ahead, so that a path that comes back close to itself is not cut short.
+    /// Length of the path up to the point nearest to `here`, and the distance to that point.
+    /// Searches from the last position to a little beyond the lookahead point only, so that a path
+    /// that comes back close to itself is not cut short.
     fn locate(&self, here: [f64; 2]) -> (f64, f64) {
         let until_m = self.done_m + 2.0 * self.config.lookahead_m;
         let mut best = (self.done_m, distance(here, self.point_at(self.done_m)));
@@ -194,13 +191,14 @@ impl Follower {
         best
     }
 
-    /// The point of the path after `length_m`; its end beyond.
+    /// The point of the path after `length_m` metres; the path's end beyond its length.
     fn point_at(&self, length_m: f64) -> [f64; 2] {
         let next = self.lengths_m.partition_point(|end_m| *end_m < length_m);
         let before = next.saturating_sub(1);
         match (self.points_m.get(before), self.points_m.get(next)) {
             (Some(a), Some(b)) if next > before => {
-                let (start_m, end_m) = (self.lengths_m[before], self.lengths_m[next]);
+                let start_m = self.lengths_m[before];
+                let end_m = self.lengths_m[next];
                 let share = (length_m - start_m) / (end_m - start_m);
                 [a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])]
             }
@@ -214,7 +212,7 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-remembers!(Follower: points_m, lengths_m, done_m, turning);
+remembers!(Follower: points_m, lengths_m, done_m, rotating);
 
 #[cfg(test)]
 mod tests {
@@ -224,12 +222,12 @@ mod tests {
     struct Drive {
         end: Pose2,
         reached: bool,
-        turns: usize,
+        rotations: usize,
         length_m: f64,
         steps: usize,
     }
 
-    /// Drives an ideal unicycle along a path.
+    /// Drives an ideal unicycle robot along a path.
     fn drive(points_m: &[[f64; 2]], start: Pose2) -> Drive {
         drive_with(&FollowerConfig::default(), points_m, start)
     }
@@ -237,7 +235,8 @@ mod tests {
     fn drive_with(config: &FollowerConfig, points_m: &[[f64; 2]], start: Pose2) -> Drive {
         let mut follower = Follower::new(config).unwrap();
         follower.set_path(points_m).unwrap();
-        let mut result = Drive { end: start, reached: false, turns: 0, length_m: 0.0, steps: 0 };
+        let mut result =
+            Drive { end: start, reached: false, rotations: 0, length_m: 0.0, steps: 0 };
         while result.steps < 5_000 {
             let step = follower.next(&result.end).unwrap();
             if step.progress != Progress::Following {
@@ -249,13 +248,13 @@ mod tests {
                 Primitive::Forward => Pose2::new(config.forward_m, 0.0, 0.0),
                 Primitive::TurnLeft => Pose2::new(0.0, 0.0, config.turn_rad),
                 Primitive::TurnRight => Pose2::new(0.0, 0.0, -config.turn_rad),
-                // Half a step on a small arc: its chord is as long within a thousandth.
+                // The chord of the small arc has the same length within 0.1 %.
                 Primitive::ArcLeft => Pose2::new(config.forward_m / 2.0, 0.0, config.turn_rad),
                 Primitive::ArcRight => Pose2::new(config.forward_m / 2.0, 0.0, -config.turn_rad),
                 Primitive::Stay => panic!("stays while following"),
             };
             result.end = result.end.compose(&motion);
-            result.turns += usize::from(motion.x_m == 0.0);
+            result.rotations += usize::from(motion.x_m == 0.0);
             result.length_m += motion.x_m;
             result.steps += 1;
         }
@@ -263,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bent_path_is_followed_on_arcs_without_a_stop() {
+    fn a_curved_path_is_followed_on_arcs_without_a_stop() {
         let bend: Vec<[f64; 2]> = (0..100)
             .map(|i| f64::from(i) * 0.01)
             .map(|a| [2.0 * a.sin(), 2.0 - 2.0 * a.cos()])
@@ -274,19 +273,19 @@ mod tests {
             Pose2::IDENTITY,
         );
         let steps = drive(&bend, Pose2::IDENTITY);
-        assert!(arcs.reached && arcs.turns == 0, "{} turns on the spot", arcs.turns);
-        assert!(steps.turns > 10);
+        assert!(arcs.reached && arcs.rotations == 0, "{} rotations on the spot", arcs.rotations);
+        assert!(steps.rotations > 10);
     }
 
     #[test]
-    fn a_staircase_along_a_diagonal_takes_few_turns() {
+    fn a_staircase_along_a_diagonal_takes_few_rotations() {
         for slope in [1.0, 0.5, 0.3] {
             let stairs: Vec<[f64; 2]> = (0..150)
                 .map(|x| [f64::from(x) * 0.03, (f64::from(x) * slope).round() * 0.03])
                 .collect();
             let result = drive(&stairs, Pose2::new(0.0, 0.0, f64::atan(slope)));
             assert!(result.reached);
-            assert!(result.turns < 10, "{} turns", result.turns);
+            assert!(result.rotations < 10, "{} rotations", result.rotations);
         }
     }
 
@@ -304,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn far_from_the_path_it_asks_for_a_new_one() {
+    fn a_robot_far_from_the_path_is_reported_as_off_path() {
         let mut follower = Follower::new(&FollowerConfig::default()).unwrap();
         follower.set_path(&[[0.0, 0.0], [3.0, 0.0]]).unwrap();
         let step = follower.next(&Pose2::new(1.0, 0.5, 0.0)).unwrap();
@@ -343,7 +342,8 @@ mod tests {
             pieces in proptest::collection::vec((0.15..1.5f64, -2.6..2.6f64), 1..7),
         ) {
             let mut points = vec![[0.0, 0.0]];
-            let (mut at, mut heading) = ([0.0f64, 0.0], 0.0f64);
+            let mut at = [0.0f64, 0.0];
+            let mut heading = 0.0f64;
             for (length, turn) in &pieces {
                 heading += turn;
                 at = [at[0] + length * heading.cos(), at[1] + length * heading.sin()];

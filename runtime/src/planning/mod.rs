@@ -1,7 +1,11 @@
-//! Ways through the map, and how to drive them.
+//! Path planning on the occupancy map, and path following.
 //!
-//! [`Costmap`] says where the robot may go and how willingly; [`Planner`] finds the cheapest way (A*) or the distance to
-//! everywhere (Dijkstra); [`Costmap::shorten`] straightens it; [`Follower`] turns it into motion primitives.
+//! | part | what it answers |
+//! |---|---|
+//! | [`Costmap`] | may the robot's centre be in this cell, and what does a metre there cost? |
+//! | [`Planner`] | what is the cheapest path to a goal (A*), and what is the distance to every cell (Dijkstra)? |
+//! | [`Costmap::shorten`] | which straight segments replace the path's steps at no higher cost? |
+//! | [`Follower`] | which motion primitive follows the path from the robot's pose? |
 
 mod astar;
 mod buckets;

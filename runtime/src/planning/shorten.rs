@@ -1,48 +1,52 @@
-//! Straightening a path.
+//! Path shortening: replaces steps between cells by straight segments.
 
 use super::costmap::Costmap;
 use crate::mapping::Cell;
 
-/// Straight pieces longer than this many cells are not tried: nobody sees further.
+/// Straight segments across more than this many steps are not tried, which bounds the work.
 const LONGEST: usize = 256;
-/// A straight piece may cost this much more than the steps it replaces: cells are coarse, and straight is worth something.
+/// A straight segment may cost this factor of the steps that it replaces: the cost of steps is only
+/// accurate to a cell.
 const TOLERANCE: f64 = 1.02;
 
 impl Costmap {
-    /// Replaces steps by straight pieces where these are free of obstacles and cost no more, so a shorter path does not lead
-    /// closer to an obstacle or through the unknown. Returns corner points in `odom`, metres, start and goal included.
+    /// Replaces steps by straight segments that are passable and cost no more than the steps
+    /// (within 2 %), so a shorter path does not lead closer to obstacles or through unknown floor.
+    /// Returns corner points in `odom`, metres, including start and goal.
     #[must_use]
     pub fn shorten(&self, path: &[Cell]) -> Vec<[f64; 2]> {
-        let center = |cell: &Cell| cell.center_m(self.cell_m);
-        let mut points: Vec<[f64; 2]> = path.first().map(center).into_iter().collect();
+        let mut points: Vec<[f64; 2]> = Vec::new();
+        points.extend(path.first().map(|start| start.center_m(self.cell_m)));
         let mut anchor = 0;
         while anchor + 1 < path.len() {
             let mut reached = anchor + 1;
-            let mut steps_cost = self.piece_cost(path[anchor], path[reached]);
+            let mut steps_cost = self.segment_cost(path[anchor], path[reached]);
             for next in anchor + 2..path.len().min(anchor + LONGEST) {
-                steps_cost = add(steps_cost, self.piece_cost(path[next - 1], path[next]));
-                let straight = self.piece_cost(path[anchor], path[next]);
+                steps_cost = sum(steps_cost, self.segment_cost(path[next - 1], path[next]));
+                let straight = self.segment_cost(path[anchor], path[next]);
                 match (straight, steps_cost) {
                     (Some(straight), Some(steps)) if straight <= steps * TOLERANCE => {
                         reached = next;
                     }
-                    // Nothing is gained further on once a piece is blocked.
+                    // Once a segment is blocked, a longer one would only pass the same obstacle at
+                    // another angle.
                     (None, _) => break,
                     _ => {}
                 }
             }
-            points.push(center(&path[reached]));
+            points.push(path[reached].center_m(self.cell_m));
             anchor = reached;
         }
         points
     }
 
-    /// Cost of the straight way between two cells' middles, in metres of free floor; `None` if it touches a blocked cell. Any
-    /// piece may begin inside an obstacle's margin: that is how a path leaves one.
-    fn piece_cost(&self, from: Cell, to: Cell) -> Option<f64> {
-        let (start, end) = (from.center_m(self.cell_m), to.center_m(self.cell_m));
+    /// Cost of the straight segment between the centres of two cells, in metres of free floor;
+    /// `None` if it touches a blocked cell.
+    fn segment_cost(&self, from: Cell, to: Cell) -> Option<f64> {
+        let start = from.center_m(self.cell_m);
+        let end = to.center_m(self.cell_m);
         let length_m = (end[0] - start[0]).hypot(end[1] - start[1]);
-        // Half a cell apart, no cell that matters is missed: blocked cells lie in discs.
+        // Samples half a cell apart miss no cell that matters, because blocked cells form discs.
         let samples = (2.0 * length_m / self.cell_m).ceil().max(1.0) as i32;
         let mut total = 0.0;
         for sample in 0..samples {
@@ -55,7 +59,7 @@ impl Costmap {
     }
 }
 
-fn add(a: Option<f64>, b: Option<f64>) -> Option<f64> {
+fn sum(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     Some(a? + b?)
 }
 
@@ -91,10 +95,12 @@ mod tests {
     }
 
     #[test]
-    fn a_detour_around_dear_cells_is_not_straightened_through_them() {
-        // A dear square in the middle.
-        let dear = |cell: Cell| (40..60).contains(&cell.x) && (20..60).contains(&cell.y);
-        let costmap = open(|cell| Some(if dear(cell) { 6.0 } else { 1.0 }));
+    fn a_detour_around_expensive_cells_is_not_straightened_through_them() {
+        // A square of expensive cells in the middle.
+        let costmap = open(|cell| {
+            let is_expensive = (40..60).contains(&cell.x) && (20..60).contains(&cell.y);
+            Some(if is_expensive { 6.0 } else { 1.0 })
+        });
         let points = shortened(&costmap, Cell::new(20, 35), Cell::new(80, 35));
         assert!(points.len() > 2);
         for ends in points.windows(2) {
@@ -103,7 +109,7 @@ mod tests {
                 let at = [0, 1].map(|axis| ends[0][axis] + share * (ends[1][axis] - ends[0][axis]));
                 let cell = Cell::containing(at[0], at[1], 0.03);
                 let inside = (41..59).contains(&cell.x) && (21..59).contains(&cell.y);
-                assert!(!inside, "{at:?} is in the dear square");
+                assert!(!inside, "{at:?} is in the expensive square");
             }
         }
     }
@@ -125,15 +131,15 @@ mod tests {
                 boxes.iter().any(|(x, y, w, h)| (*x..x + w).contains(&cell.x) && (*y..y + h).contains(&cell.y))
             };
             let costmap = open(|cell| (!inside(cell)).then_some(1.0));
-            let (start, goal) = (Cell::new(1, 1), Cell::new(98, 78));
             let mut planner = Planner::new(usize::MAX);
-            let Ok(path) = planner.plan(&costmap, start, goal) else { return Ok(()) };
+            let planned = planner.plan(&costmap, Cell::new(1, 1), Cell::new(98, 78));
+            let Ok(path) = planned else { return Ok(()) };
             let centers: Vec<[f64; 2]> = path.iter().map(|cell| cell.center_m(0.03)).collect();
             let points = costmap.shorten(path);
             prop_assert_eq!((points[0], points[points.len() - 1]), (centers[0], centers[centers.len() - 1]));
             prop_assert!(length_m(&points) <= length_m(&centers) + 1e-9);
             for ends in points.windows(2) {
-                for cell in crate::mapping::line(ends[0], ends[1], 0.03) {
+                for cell in crate::mapping::cells_on_line(ends[0], ends[1], 0.03) {
                     // A line through a corner touches cells on both sides of it.
                     let [cx, cy] = cell.center_m(0.03);
                     let length = (ends[1][0] - ends[0][0]).hypot(ends[1][1] - ends[0][1]);

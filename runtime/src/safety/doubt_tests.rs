@@ -1,6 +1,7 @@
-//! What the plane is told may be wrong: time, stamps, odometry, bumpers, wishes beyond all measure.
+//! Tests with wrong inputs: time that goes backwards, wrong time stamps, odometry resets, stuck
+//! bumpers, huge commands.
 
-use super::tests::{FORWARD, Room, TICK_NS, cart, driving, looked_around, tripped};
+use super::tests::{FORWARD, Room, TICK_NS, cart, driving, rotated_once, tripped};
 use super::*;
 use crate::safety::Plan;
 use crate::safety::surroundings::tests::wall_ahead;
@@ -17,7 +18,7 @@ fn faulted(why: FaultReason) -> Option<SafetyEvent> {
 }
 
 #[test]
-fn when_time_goes_back_it_stands_and_nothing_old_counts_as_young() {
+fn when_time_goes_backwards_the_robot_stops_and_old_measurements_do_not_count_as_new() {
     let mut room = driving();
     room.time_ns += 50_000_000;
     room.tick(FORWARD);
@@ -27,15 +28,15 @@ fn when_time_goes_back_it_stands_and_nothing_old_counts_as_young() {
     room.time_ns = 0;
     let input = SafetyInput { wheel: None, ..room.input(FORWARD, None, false) };
     assert_eq!(
-        room.turn(&input).event,
+        room.step(&input).event,
         faulted(FaultReason::BaseSilent),
-        "what it knew is not of this time"
+        "feedback from before the time jump is not used"
     );
     assert_eq!(room.tick_with(FORWARD, None, false).event, faulted(FaultReason::LidarSilent));
 }
 
 #[test]
-fn a_trip_before_time_went_back_does_not_count_as_one_at_this_place() {
+fn a_trip_before_time_went_backwards_does_not_count_towards_an_escape() {
     let mut room = Room::new(2.0, Pose2::new(1.5, 0.0, 0.0));
     for _ in 0..2 {
         room.until(FORWARD, tripped);
@@ -53,7 +54,7 @@ fn unknown_behind(output: &SafetyOutput) -> bool {
 }
 
 #[test]
-fn what_claims_to_come_from_the_future_is_not_taken_in() {
+fn measurements_and_plans_from_the_future_are_refused() {
     let mut room = driving();
     let hour_ns = 3_600_000_000_000;
     let mut stopped = Vec::new();
@@ -69,20 +70,20 @@ fn what_claims_to_come_from_the_future_is_not_taken_in() {
         let mut input = room.input(FORWARD, Some(&scan), false);
         input.wheel =
             input.wheel.map(|wheel| WheelFeedback { time_ns: room.time_ns + hour_ns, ..wheel });
-        stopped.extend(room.turn(&input).event);
+        stopped.extend(room.step(&input).event);
     }
     assert_eq!(stopped, [SafetyEvent::Faulted { why: FaultReason::BaseSilent }]);
     assert_eq!(room.tick(FORWARD).twist(), FORWARD);
     let scan = room.scan();
     let late = Plan { twist: FORWARD, time_ns: room.time_ns + TICK_NS + 1 };
     let output =
-        room.turn(&SafetyInput { plan: Some(late), ..room.input(FORWARD, Some(&scan), false) });
+        room.step(&SafetyInput { plan: Some(late), ..room.input(FORWARD, Some(&scan), false) });
     assert_eq!(output.event, Some(SafetyEvent::PlanRefused { why: PlanRefusal::Stale }));
     assert_eq!(output.twist(), Twist2::ZERO);
 }
 
 #[test]
-fn what_is_ahead_by_no_more_than_a_turn_of_the_loop_is_taken_in() {
+fn measurements_and_plans_at_most_one_period_ahead_are_accepted() {
     let mut room = driving();
     for _ in 0..5 {
         let scan = LaserScan { time_ns: room.time_ns + TICK_NS, ..room.scan() };
@@ -90,24 +91,24 @@ fn what_is_ahead_by_no_more_than_a_turn_of_the_loop_is_taken_in() {
         input.wheel =
             input.wheel.map(|wheel| WheelFeedback { time_ns: room.time_ns + TICK_NS, ..wheel });
         input.plan = Some(Plan { twist: FORWARD, time_ns: room.time_ns + TICK_NS });
-        assert_eq!(room.turn(&input).twist(), FORWARD);
+        assert_eq!(room.step(&input).twist(), FORWARD);
     }
 }
 
 #[test]
-fn a_scan_that_comes_three_times_is_not_three_good_scans() {
+fn a_scan_that_arrives_three_times_is_not_three_good_scans() {
     let mut room = Room::with(three_good_scans(), 5.0, Pose2::IDENTITY);
     let scan = room.scan();
     for _ in 0..3 {
         assert_eq!(room.tick_with(FORWARD, Some(&scan), false).command, None);
     }
-    assert_eq!(room.tick(FORWARD).command, None, "it has gone stale and counts no more");
+    assert_eq!(room.tick(FORWARD).command, None, "it is too old and no longer counts");
     assert_eq!(room.tick(FORWARD).command, None);
     assert_eq!(room.tick(FORWARD).twist(), FORWARD);
 }
 
 #[test]
-fn a_scan_that_was_overtaken_does_not_hide_what_the_newer_one_saw() {
+fn an_older_scan_that_arrives_late_does_not_replace_the_newer_one() {
     let mut room = driving();
     let overtaken = room.scan();
     room.time_ns += 50_000_000;
@@ -117,14 +118,14 @@ fn a_scan_that_was_overtaken_does_not_hide_what_the_newer_one_saw() {
 }
 
 #[test]
-fn feedback_that_was_overtaken_does_not_bring_the_robot_back_to_where_it_was() {
+fn older_feedback_that_arrives_late_is_ignored() {
     let mut room = driving();
     room.tick(FORWARD);
     let scan = room.scan();
     let mut input = room.input(FORWARD, Some(&scan), false);
     let nan = Pose2 { x_m: f64::NAN, ..Pose2::IDENTITY };
     input.wheel = input.wheel.map(|wheel| WheelFeedback { time_ns: 0, odom: nan, ..wheel });
-    assert_eq!(room.turn(&input).event, None, "it was never used");
+    assert_eq!(room.step(&input).event, None, "the NaN pose was not used");
 }
 
 #[test]
@@ -133,7 +134,7 @@ fn scanner_and_wheels_that_fell_silent_together_still_need_good_scans() {
     (0..3).for_each(|_| _ = room.tick(FORWARD));
     for _ in 0..6 {
         let input = SafetyInput { wheel: None, ..room.input(FORWARD, None, false) };
-        room.turn(&input);
+        room.step(&input);
     }
     assert_eq!(room.plane.state(), SafetyState::Fault(FaultReason::BaseSilent));
     let moves: Vec<bool> = (0..3).map(|_| room.tick(FORWARD).twist() == FORWARD).collect();
@@ -141,7 +142,7 @@ fn scanner_and_wheels_that_fell_silent_together_still_need_good_scans() {
 }
 
 #[test]
-fn an_emergency_stop_is_kept_also_where_nobody_had_armed() {
+fn an_emergency_stop_is_kept_also_while_the_robot_is_disarmed() {
     let mut room = Room::new(5.0, Pose2::IDENTITY);
     let scan = room.scan();
     let input = SafetyInput {
@@ -149,63 +150,64 @@ fn an_emergency_stop_is_kept_also_where_nobody_had_armed() {
         request: None,
         ..room.input(FORWARD, Some(&scan), false)
     };
-    assert_eq!(room.turn(&input).event, faulted(FaultReason::EmergencyStop));
+    assert_eq!(room.step(&input).event, faulted(FaultReason::EmergencyStop));
     assert_eq!(room.tick(FORWARD).command, None, "arming does not clear it");
     let scan = room.scan();
     let clear = SafetyInput {
         request: Some(Request::ClearFault),
         ..room.input(FORWARD, Some(&scan), false)
     };
-    assert_eq!(room.turn(&clear).event, Some(SafetyEvent::Disarmed));
+    assert_eq!(room.step(&clear).event, Some(SafetyEvent::Disarmed));
     assert_eq!(room.tick(FORWARD).twist(), FORWARD);
 }
 
 #[test]
-fn disarming_is_no_way_around_a_fault_that_needs_a_person() {
+fn disarming_does_not_clear_a_fault_that_needs_an_operator() {
     let mut room = driving();
     let scan = room.scan();
     let fault = SafetyInput {
         base_error: Some(ErrorKind::Fault),
         ..room.input(FORWARD, Some(&scan), false)
     };
-    room.turn(&fault);
+    room.step(&fault);
     let scan = room.scan();
     let disarm =
         SafetyInput { request: Some(Request::Disarm), ..room.input(FORWARD, Some(&scan), false) };
-    assert_eq!(room.turn(&disarm), SafetyOutput::STOP);
+    assert_eq!(room.step(&disarm), SafetyOutput::STOP);
     assert_eq!(room.tick(FORWARD).command, None);
     assert_eq!(room.plane.state(), SafetyState::Fault(FaultReason::BaseFault));
 }
 
 #[test]
-fn a_fault_that_passes_leaves_a_disarmed_robot_disarmed() {
+fn a_disarmed_robot_stays_disarmed_when_a_fault_clears_itself() {
     let mut room = driving();
     (0..4).for_each(|_| _ = room.tick_with(FORWARD, None, false));
     let disarm = SafetyInput { request: Some(Request::Disarm), ..room.input(FORWARD, None, false) };
-    assert_eq!(room.turn(&disarm).event, Some(SafetyEvent::Disarmed));
+    assert_eq!(room.step(&disarm).event, Some(SafetyEvent::Disarmed));
     let scan = room.scan();
     let idle = SafetyInput { request: None, ..room.input(FORWARD, Some(&scan), false) };
-    assert_eq!(room.turn(&idle), SafetyOutput::STOP);
+    assert_eq!(room.step(&idle), SafetyOutput::STOP);
     let again = SafetyInput { request: Some(Request::Disarm), ..room.input(FORWARD, None, false) };
-    assert_eq!(room.turn(&again), SafetyOutput::STOP, "said once");
+    assert_eq!(room.step(&again), SafetyOutput::STOP, "the event is reported once");
 }
 
 #[test]
-fn odometry_that_begins_anew_while_backing_off_ends_it() {
+fn an_odometry_reset_ends_the_back_off() {
     for anew in [Pose2::IDENTITY, Pose2::new(1.7, 0.0, 1.1), Pose2::new(1.2, 0.0, 0.0)] {
         let mut room = Room::new(2.0, Pose2::new(1.2, 0.0, 0.0));
         room.until(FORWARD, tripped);
         room.until(FORWARD, |output| output.twist().linear_mps < 0.0);
-        let (scan, before) = (room.scan(), room.pose);
+        let scan = room.scan();
+        let before = room.pose;
         let mut input = room.input(FORWARD, Some(&scan), false);
         input.wheel = input.wheel.map(|wheel| WheelFeedback { odom: anew, ..wheel });
-        let output = room.turn(&input);
+        let output = room.step(&input);
         assert!(unknown_behind(&output), "{before:?} -> {anew:?}: {output:?}");
         assert!(matches!(room.plane.state(), SafetyState::Escaping(_)));
     }
 }
 
-/// How far it backs off, put before a wall after driving up to it.
+/// The distance of the back-off after the robot drove up to a wall.
 fn backs_off_m(mut room: Room) -> f64 {
     room.until(FORWARD, tripped);
     let from = room.pose;
@@ -214,27 +216,27 @@ fn backs_off_m(mut room: Room) -> f64 {
 }
 
 #[test]
-fn a_base_that_was_away_remembers_nothing_of_the_ground_behind() {
-    assert!(backs_off_m(looked_around(1.75)) > 0.19, "the ground is known");
+fn a_base_that_was_disconnected_makes_the_ground_behind_unknown() {
+    assert!(backs_off_m(rotated_once(1.75)) > 0.19, "the ground is known");
     for kind in [ErrorKind::Timeout, ErrorKind::Disconnected] {
-        let mut room = looked_around(1.75);
+        let mut room = rotated_once(1.75);
         let scan = room.scan();
         let away =
             SafetyInput { base_error: Some(kind), ..room.input(FORWARD, Some(&scan), false) };
-        room.turn(&away);
+        room.step(&away);
         let clear = SafetyInput {
             request: Some(Request::ClearFault),
             ..room.input(Twist2::ZERO, None, false)
         };
-        room.turn(&clear);
+        room.step(&clear);
         let gone_m = backs_off_m(room);
-        assert!(gone_m < 0.06, "{kind:?}: {gone_m} m blindly");
+        assert!(gone_m < 0.06, "{kind:?}: {gone_m} m over unknown ground");
     }
 }
 
 #[test]
-fn odometry_that_turned_by_a_jump_has_forgotten_the_ground_behind() {
-    let mut room = looked_around(0.5);
+fn a_jump_of_the_yaw_makes_the_ground_behind_unknown() {
+    let mut room = rotated_once(0.5);
     room.pose.yaw_rad = 1.01;
     room.tick(Twist2::ZERO);
     room.pose.yaw_rad = 0.0;
@@ -243,11 +245,10 @@ fn odometry_that_turned_by_a_jump_has_forgotten_the_ground_behind() {
 }
 
 #[test]
-fn a_bumper_that_stays_pressed_for_a_moment_does_not_end_the_back_off_and_one_that_is_pressed_later_does()
- {
+fn a_bumper_that_stays_pressed_at_first_does_not_end_the_back_off_and_a_later_contact_does() {
     let cases =
         [([true, false, false], false), ([true, false, true], true), ([false, false, true], true)];
-    // Slowly, it is still near to what it leaves when it is pressed again.
+    // At 0.05 m/s the robot is still near the obstacle when the bumper is pressed again.
     for ((felt, ends), back_off_mps) in
         cases.into_iter().flat_map(|case| [(case, 0.3), (case, 0.05)])
     {
@@ -266,7 +267,7 @@ fn a_bumper_that_stays_pressed_for_a_moment_does_not_end_the_back_off_and_one_th
 }
 
 #[test]
-fn a_bumper_that_is_still_pressed_three_centimetres_away_is_one_behind() {
+fn a_bumper_that_is_still_pressed_three_centimetres_away_counts_as_a_contact_behind() {
     let mut room = Room::new(2.0, Pose2::IDENTITY);
     room.until(FORWARD, tripped);
     let from = room.pose;
@@ -286,7 +287,7 @@ fn a_bumper_that_is_still_pressed_three_centimetres_away_is_one_behind() {
 }
 
 #[test]
-fn wishes_beyond_all_measure_are_answered_at_once() {
+fn huge_commands_are_limited_without_a_long_computation() {
     for corners in [cart(), SafetyConfig::default()] {
         for twist in [
             (0.0, 1e300),
@@ -298,27 +299,27 @@ fn wishes_beyond_all_measure_are_answered_at_once() {
         ] {
             let mut room = Room::with(corners.clone(), 0.7, Pose2::IDENTITY);
             room.tick(Twist2::ZERO);
-            let wish = Twist2 { linear_mps: twist.0, angular_radps: twist.1 };
-            let output = room.tick(wish);
+            let command = Twist2 { linear_mps: twist.0, angular_radps: twist.1 };
+            let output = room.tick(command);
             assert!(
                 output.twist().is_finite() && output.twist().linear_mps.abs() < 16.0,
-                "{wish:?}: {output:?}"
+                "{command:?}: {output:?}"
             );
         }
     }
 }
 
 #[test]
-fn a_scan_that_comes_before_the_first_feedback_is_good_to_stop_by() {
+fn a_scan_that_arrives_before_the_first_feedback_can_trip_the_safety_plane() {
     let mut room = Room::new(0.25, Pose2::IDENTITY);
     let scan = room.scan();
     let input = SafetyInput { wheel: None, ..room.input(FORWARD, Some(&scan), false) };
-    assert_eq!(room.turn(&input), SafetyOutput::STOP);
+    assert_eq!(room.step(&input), SafetyOutput::STOP);
     assert!(tripped(&room.tick_with(FORWARD, None, false)));
 }
 
 #[test]
-fn clearing_a_fault_that_passes_by_itself_does_not_hurry_it() {
+fn a_clear_request_does_not_shorten_a_fault_that_clears_itself() {
     let mut room = Room::with(three_good_scans(), 5.0, Pose2::IDENTITY);
     (0..3).for_each(|_| _ = room.tick(FORWARD));
     (0..4).for_each(|_| _ = room.tick_with(FORWARD, None, false));
@@ -327,12 +328,12 @@ fn clearing_a_fault_that_passes_by_itself_does_not_hurry_it() {
         request: Some(Request::ClearFault),
         ..room.input(FORWARD, Some(&scan), false)
     };
-    assert_eq!(room.turn(&clear), SafetyOutput::STOP);
+    assert_eq!(room.step(&clear), SafetyOutput::STOP);
     assert_eq!(room.plane.state(), SafetyState::Fault(FaultReason::LidarSilent));
 }
 
 #[test]
-fn what_is_seen_and_touched_at_once_was_seen_and_what_is_too_near_to_be_measured_is_told() {
+fn a_trip_reports_the_lidar_before_the_contact_and_a_too_near_return_as_such() {
     let mut room = driving();
     let mut scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(0.2) };
     let output = room.tick_with(FORWARD, Some(&scan), true);
@@ -351,28 +352,28 @@ fn what_is_seen_and_touched_at_once_was_seen_and_what_is_too_near_to_be_measured
 }
 
 #[test]
-fn a_blocked_place_is_told_also_when_a_fault_comes_while_the_robot_drives_back() {
+fn a_fault_during_a_back_off_still_reports_the_blocked_point() {
     let mut room = Room::new(2.0, Pose2::IDENTITY);
     room.until(FORWARD, tripped);
     room.until(FORWARD, |output| output.twist().linear_mps < 0.0);
     let scan = room.scan();
     let input = SafetyInput { emergency_stop: true, ..room.input(FORWARD, Some(&scan), false) };
-    let blocked_m = room.turn(&input).blocked_m.unwrap();
+    let blocked_m = room.step(&input).blocked_m.unwrap();
     assert!((blocked_m[0] - 2.0).abs() < 0.02, "{blocked_m:?}");
     let mut room = driving();
     let input = SafetyInput { emergency_stop: true, ..room.input(FORWARD, None, false) };
-    assert_eq!(room.turn(&input).blocked_m, None, "nothing was blocked");
+    assert_eq!(room.step(&input).blocked_m, None, "nothing was blocked");
 }
 
 #[test]
-fn the_plane_tells_its_configuration() {
+fn the_configuration_can_be_read_back() {
     assert_eq!(*SafetyPlane::new(cart()).config(), cart());
 }
 
 #[test]
-fn two_calls_at_one_time_are_no_fault_and_nothing_is_forgotten() {
+fn two_calls_at_the_same_time_are_no_fault_and_discard_nothing() {
     let mut room = driving();
     room.time_ns -= TICK_NS;
     let input = SafetyInput { wheel: None, ..room.input(FORWARD, None, false) };
-    assert_eq!(room.turn(&input).twist(), FORWARD);
+    assert_eq!(room.step(&input).twist(), FORWARD);
 }

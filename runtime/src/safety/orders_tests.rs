@@ -1,4 +1,5 @@
-//! Every order of events, eight deep: what must never happen does not, and the robot can always go on.
+//! Exhaustive search over all sequences of eight events: the invariants hold after each of them,
+//! and the robot can always drive again.
 
 use std::collections::BTreeMap;
 
@@ -10,24 +11,23 @@ const DEPTH: u32 = 8;
 const TICK_NS: u64 = 100_000_000;
 const FORWARD: Twist2 = Twist2 { linear_mps: 0.3, angular_radps: 0.0 };
 
-/// What may happen in one turn. In every one the planner wants to drive on.
+/// What happens in one tick. The planner asks for forward motion in each of them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Happening {
-    /// A scan of free ground; whoever may arm, arms.
+    /// A scan of free ground, and a request to arm.
     Free,
     /// A scan with a wall in the stop zone.
     Wall,
-    /// No scan and no wheels for longer than allowed.
+    /// No scan and no wheel feedback for longer than allowed.
     Silence,
-    /// A scan of errors.
+    /// A scan in which every beam is an error.
     BrokenScan,
-    /// The base says that it has a fault.
+    /// The base reports a fault.
     BaseFault,
-    /// The emergency stop is pressed.
     EmergencyStop,
-    /// An operator clears the fault.
+    /// The operator clears the fault.
     Clear,
-    /// The plan is NaN, the wheels are blocked and feel it.
+    /// The plan is NaN, the wheels are blocked and the bumper is pressed.
     Contact,
 }
 
@@ -42,7 +42,7 @@ const ALL: [Happening; 8] = [
     Happening::Contact,
 ];
 
-/// A coarse scanner: the search takes millions of turns.
+/// A coarse scanner, because the search takes millions of ticks.
 const GEOMETRY: ScanGeometry = ScanGeometry {
     angle_min_rad: -2.0,
     angle_increment_rad: 0.25,
@@ -60,16 +60,20 @@ struct Scans {
 
 impl Scans {
     fn new() -> Self {
-        let scan = |ahead| LaserScan {
+        let mut broken = Self::scan(Range::Error);
+        broken.ranges.fill(Range::Error);
+        Self { free: Self::scan(Range::Hit(3.0)), wall: Self::scan(Range::Hit(0.2)), broken }
+    }
+
+    /// A scan with this range in the five beams ahead and 3 m in all others.
+    fn scan(ahead: Range) -> LaserScan {
+        LaserScan {
             time_ns: 0,
             geometry: GEOMETRY,
             ranges: (0..17)
                 .map(|beam| if (6..=10).contains(&beam) { ahead } else { Range::Hit(3.0) })
                 .collect(),
-        };
-        let mut broken = scan(Range::Error);
-        broken.ranges.fill(Range::Error);
-        Self { free: scan(Range::Hit(3.0)), wall: scan(Range::Hit(0.2)), broken }
+        }
     }
 
     fn at(&mut self, happening: Happening, time_ns: u64) -> Option<&LaserScan> {
@@ -89,23 +93,23 @@ struct Robot {
     plane: SafetyPlane,
     time_ns: u64,
     pose: Pose2,
-    /// When it looked around last.
-    looked_ns: u64,
-    /// What the plane was told and not told again since: a person is needed.
-    needs_person: bool,
+    /// Time of the last good scan.
+    observed_ns: u64,
+    /// A fault that needs an operator has occurred and was not cleared since.
+    needs_operator: bool,
 }
 
 impl Robot {
     fn new() -> Self {
         let plane = SafetyPlane::new(SafetyConfig::default());
-        Self { plane, time_ns: 0, pose: Pose2::IDENTITY, looked_ns: 0, needs_person: false }
+        Self { plane, time_ns: 0, pose: Pose2::IDENTITY, observed_ns: 0, needs_operator: false }
     }
 
-    fn turn(&mut self, happening: Happening, scans: &mut Scans) -> SafetyOutput {
+    fn step(&mut self, happening: Happening, scans: &mut Scans) -> SafetyOutput {
         let silent = happening == Happening::Silence;
         self.time_ns += TICK_NS * if silent { 3 } else { 1 };
         if !matches!(happening, Happening::Silence | Happening::BrokenScan) {
-            self.looked_ns = self.time_ns;
+            self.observed_ns = self.time_ns;
         }
         let contact = happening == Happening::Contact;
         let plan =
@@ -131,7 +135,7 @@ impl Robot {
         output
     }
 
-    /// What must hold after every turn.
+    /// Asserts the invariants that hold after every tick.
     fn check(&mut self, happening: Happening, before: SafetyState, output: &SafetyOutput) {
         let twist = output.twist();
         assert!(twist.is_finite());
@@ -142,7 +146,7 @@ impl Robot {
             Happening::EmergencyStop,
         ];
         if blind.contains(&happening) {
-            assert_eq!(output.command, None, "stands on {happening:?}");
+            assert_eq!(output.command, None, "must stop on {happening:?}");
         }
         if happening == Happening::Wall || happening == Happening::Contact {
             assert!(twist.linear_mps <= 0.0, "never forward into {happening:?}");
@@ -153,54 +157,55 @@ impl Robot {
         }
         let armed = before != SafetyState::Disarmed;
         if happening == Happening::EmergencyStop || armed && happening == Happening::BaseFault {
-            self.needs_person = true;
+            self.needs_operator = true;
         }
-        if self.needs_person {
-            assert_eq!(output.command, None, "nothing moves before a person has cleared it");
-            self.needs_person = state != SafetyState::Disarmed;
-            assert!(self.needs_person || happening == Happening::Clear);
+        if self.needs_operator {
+            assert_eq!(output.command, None, "nothing moves before an operator has cleared it");
+            self.needs_operator = state != SafetyState::Disarmed;
+            assert!(self.needs_operator || happening == Happening::Clear);
         }
         let changed = std::mem::discriminant(&before) != std::mem::discriminant(&state);
         let rolls =
             matches!((before, state), (SafetyState::Tripped { .. }, SafetyState::BackingOff(_)));
         assert!(
             !changed || rolls || output.event.is_some(),
-            "{before:?} -> {state:?} without a word"
+            "{before:?} -> {state:?} without an event"
         );
         assert!(
             !changed || state != SafetyState::Fault(FaultReason::LoopOverrun),
-            "silence has a better reason"
+            "silence must be reported with its own reason"
         );
     }
 
-    /// With everything well and a person to help, it drives forward again.
+    /// Whether the robot drives forward again when all inputs are good and an operator clears the
+    /// fault.
     fn can_go_on(mut self, scans: &mut Scans) -> bool {
-        self.turn(Happening::Clear, scans);
-        (0..300).any(|_| self.turn(Happening::Free, scans).twist() == FORWARD)
+        self.step(Happening::Clear, scans);
+        (0..300).any(|_| self.step(Happening::Free, scans).twist() == FORWARD)
     }
 }
 
-/// Robots, each with the number of orders of events that have led to it. Orders that end in the same state of everything
-/// cannot differ from there on: they are walked on together.
+/// Robots, each with the number of event sequences that have led to it. Sequences that end in the
+/// same complete state behave the same from there on, so they are continued together.
 #[derive(Default)]
 struct Robots(BTreeMap<String, Vec<(Robot, u64)>>);
 
 impl Robots {
-    fn add(&mut self, robot: Robot, orders: u64) {
-        // Only to find equals quickly.
-        let like_it = self
+    fn add(&mut self, robot: Robot, sequences: u64) {
+        // The key only finds candidates for equality quickly.
+        let candidates = self
             .0
             .entry(format!(
                 "{:?} {:?} {} {}",
                 robot.plane.state(),
                 robot.pose,
                 robot.time_ns,
-                robot.looked_ns
+                robot.observed_ns
             ))
             .or_default();
-        match like_it.iter_mut().find(|(known, _)| *known == robot) {
-            Some((_, count)) => *count += orders,
-            None => like_it.push((robot, orders)),
+        match candidates.iter_mut().find(|(known, _)| *known == robot) {
+            Some((_, count)) => *count += sequences,
+            None => candidates.push((robot, sequences)),
         }
     }
 
@@ -210,28 +215,29 @@ impl Robots {
 }
 
 #[test]
-fn in_every_order_of_eight_events_it_stands_when_it_must_says_why_and_can_go_on() {
+fn after_every_sequence_of_eight_events_the_invariants_hold_and_the_robot_can_drive_again() {
     let mut scans = Scans::new();
-    // Armed and driving, and not yet armed: the first turn of `Free` is what arms.
+    // The robot begins disarmed; the first `Free` event arms it.
     let mut robots = Robots::default();
     robots.add(Robot::new(), 1);
     for depth in 1..=DEPTH {
-        let (mut next, mut walked) = (Robots::default(), 0);
-        for ((robot, orders), happening) in
+        let mut next = Robots::default();
+        let mut walked = 0;
+        for ((robot, sequences), happening) in
             robots.each().flat_map(|robot| ALL.map(|happening| (robot, happening)))
         {
             let mut robot = robot.clone();
             let before = robot.plane.state();
-            let output = robot.turn(happening, &mut scans);
+            let output = robot.step(happening, &mut scans);
             robot.check(happening, before, &output);
-            walked += orders;
+            walked += sequences;
             if depth < DEPTH {
-                next.add(robot, *orders);
+                next.add(robot, *sequences);
             }
         }
-        assert_eq!(walked, 8_u64.pow(depth), "no order was left out");
+        assert_eq!(walked, 8_u64.pow(depth), "no sequence was left out");
         robots = next;
-        // The way back to driving is long; it is walked from every state five deep.
+        // Driving again takes many ticks, so it is tried from every state up to depth five only.
         if depth <= 5 {
             for (robot, _) in robots.each() {
                 assert!(robot.clone().can_go_on(&mut scans), "stuck in {:?}", robot.plane.state());

@@ -1,73 +1,86 @@
-//! The state machine between every wish and the wheels.
+//! The state machine that every velocity command passes before it reaches the wheels.
 //!
-//! Pure: what it is told and its past decide, nothing else. It allocates nothing after the first scan.
+//! Its output depends only on its inputs and its own state: it reads no clock and no device. It
+//! allocates no memory after the first scan. `safety/mod.rs` lists the states and the transitions
+//! between them.
 
 use std::f64::consts::{FRAC_PI_4, TAU};
 
 use hal::{LaserScan, Pose2, Twist2, WheelFeedback, wrap_angle};
 
 use super::footprint::Footprint;
-use super::rear::Rear;
+use super::rear::RearMemory;
 use super::surroundings::{HORIZON_M, Obstacle, ScanHealth, Surroundings};
 use super::{BackOff, Escape, Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyState};
 use crate::event::{BackOffEnd, FaultReason, PlanRefusal, SafetyEvent, TripCause};
 use crate::snapshot::remembers;
 
-/// Trips nearer to each other than this, in place and time, are one problem that backing off has not solved.
+/// Trips closer to each other than this distance and this time count as repeated trips at one
+/// place: backing off has not solved the problem.
 const SAME_PLACE_M: f64 = 0.5;
-const SAME_PROBLEM_NS: u64 = 30_000_000_000;
-/// Trips at one place after which the robot turns and leaves.
+const TRIP_MEMORY_NS: u64 = 30_000_000_000;
+/// After this many trips at one place the robot escapes: it rotates on the spot and leaves in
+/// another direction.
 const TRIPS_BEFORE_ESCAPE: usize = 3;
-/// Free way that makes a direction a way out, metres.
-const WAY_OUT_M: f64 = 0.5;
-/// Free way that must remain behind while backing off, metres.
+/// An escape may end in a direction with at least this much free distance ahead, metres.
+const EXIT_CLEARANCE_M: f64 = 0.5;
+/// Free distance that must remain behind the footprint while backing off, metres.
 const REAR_GAP_M: f64 = 0.03;
-/// A touch has no position: the obstacle is taken to be just ahead of the footprint, metres.
+/// The bumper reports no position: the obstacle is assumed this far ahead of the footprint, metres.
 const CONTACT_AHEAD_M: f64 = 0.03;
-/// A slow-down below this speed is a stop: else the robot would creep towards the obstacle for ever, m/s.
+/// A speed limit below this trips the safety plane; otherwise the robot would creep towards the
+/// obstacle forever. m/s.
 const CREEP_MPS: f64 = 0.05;
-/// Below these the wheels stand, m/s and rad/s.
-const STANDING: (f64, f64) = (0.02, 0.05);
-/// Waiting for the wheels to stand ends after this; backing off then begins while they roll on.
-const STANDING_WITHIN_NS: u64 = 500_000_000;
-/// Odometry that moves by more than this between two measurements has begun anew, metres and radians.
-const ODOMETRY_JUMP: (f64, f64) = (0.5, 1.0);
-/// Escaping ends after so many times the time that one round takes: wheels that are stuck never turn it.
-const ESCAPE_PATIENCE: f64 = 2.0;
-/// A footprint with corners looks this far ahead in a turn on the spot, beyond the reaction time, seconds.
-const TURN_AHEAD_S: f64 = 0.3;
+/// Below both of these speeds the wheels count as standing still.
+const STANDSTILL_MPS: f64 = 0.02;
+const STANDSTILL_RADPS: f64 = 0.05;
+/// The wait for the wheels to stand still ends after this time; backing off then begins while they
+/// are still rolling.
+const STANDSTILL_TIMEOUT_NS: u64 = 500_000_000;
+/// Odometry that changes by more than either of these between two measurements was reset by the
+/// base.
+const ODOMETRY_JUMP_M: f64 = 0.5;
+const ODOMETRY_JUMP_RAD: f64 = 1.0;
+/// An escape times out after the time that this many full rotations take, because stuck wheels
+/// never complete one.
+const ESCAPE_TIMEOUT_ROTATIONS: f64 = 2.0;
+/// A footprint with corners checks a rotation on the spot this far ahead, in addition to the
+/// reaction time, seconds.
+const ROTATION_LOOKAHEAD_S: f64 = 0.3;
 
-/// The safety plane's memory between calls.
+/// The safety plane: call [`step`](Self::step) once per control period with the newest inputs and
+/// send its output to the base.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SafetyPlane {
     config: SafetyConfig,
     footprint: Footprint,
     state: SafetyState,
-    around: Surroundings,
-    rear: Rear,
-    /// When the newest scan was complete.
+    surroundings: Surroundings,
+    rear: RearMemory,
+    /// End time of the newest scan: start of the scan plus the scan period.
     scan_end_ns: Option<u64>,
     scan_bad: bool,
     good_scans: u32,
     wheel: Option<WheelFeedback>,
     odometry_broken: bool,
-    /// It has begun anew in this turn.
+    /// The odometry was reset between the previous measurement and the one of this tick.
     odometry_jumped: bool,
     last_call_ns: Option<u64>,
     refused: Option<PlanRefusal>,
+    /// Time and place (in `odom`, metres) of recent trips at one place.
     trips: Vec<(u64, [f64; 2])>,
     trip_count: u64,
 }
 
 impl SafetyPlane {
-    /// Nothing seen yet, nothing allowed.
+    /// A disarmed safety plane that has received no scan yet.
     #[must_use]
     pub fn new(config: SafetyConfig) -> Self {
         Self {
             footprint: Footprint::new(config.footprint_radius_m, &config.footprint_m),
             state: SafetyState::Disarmed,
-            around: Surroundings::new(&config),
-            rear: Rear::new(config.rear_memory_s),
+            surroundings: Surroundings::new(&config),
+            rear: RearMemory::new(config.rear_memory_s),
             scan_end_ns: None,
             scan_bad: false,
             good_scans: 0,
@@ -82,37 +95,36 @@ impl SafetyPlane {
         }
     }
 
-    /// What it is doing.
     #[must_use]
     pub fn state(&self) -> SafetyState {
         self.state
     }
 
-    /// Obstacles that it has stopped for since the start.
+    /// Number of trips (stops for an obstacle) since the start.
     #[must_use]
     pub fn trip_count(&self) -> u64 {
         self.trip_count
     }
 
-    /// Sizes, speeds and limits.
     #[must_use]
     pub fn config(&self) -> &SafetyConfig {
         &self.config
     }
 
-    /// One turn of the loop.
+    /// One control tick: takes in the new measurements and returns the command for the base.
     pub fn step(&mut self, input: &SafetyInput<'_>) -> SafetyOutput {
-        let in_time = self.keep_time(input.time_ns);
-        self.read_wheels(input);
+        let in_time = self.check_timing(input.time_ns);
+        self.update_wheels(input);
         if let Some(scan) = input.scan {
-            self.read_scan(input.time_ns, scan);
+            self.update_scan(input.time_ns, scan);
         }
-        let wheel = self.may_move(input, in_time);
+        let wheel = self.check_inputs(input, in_time);
         if matches!(wheel, Err(FaultReason::BaseSilent | FaultReason::BaseFault)) {
-            // A base that was away may count from anywhere, and may have been pushed.
+            // A base that was disconnected may restart its odometry anywhere, and somebody may have
+            // pushed the robot.
             self.rear.forget();
         }
-        // A fault that needs an operator is not forgotten on the way through `Disarmed`.
+        // Disarming must not clear a fault that needs an operator.
         let stays = matches!(self.state, SafetyState::Fault(why) if !why.clears_itself());
         if input.request == Some(Request::Disarm) && self.state != SafetyState::Disarmed && !stays {
             self.state = SafetyState::Disarmed;
@@ -120,24 +132,28 @@ impl SafetyPlane {
         }
         let wheel = match wheel {
             Ok(wheel) => wheel,
-            Err(why) => return self.stand(why),
+            Err(why) => return self.enter_fault(why),
         };
         match self.state {
-            SafetyState::Disarmed => self.wait_for_arming(input, &wheel),
-            SafetyState::Fault(why) => self.leave_fault(why, input, &wheel),
-            SafetyState::Clear | SafetyState::Slow => self.pass_or_trip(input, &wheel),
+            SafetyState::Disarmed => self.step_disarmed(input, &wheel),
+            SafetyState::Fault(why) => self.step_fault(why, input, &wheel),
+            SafetyState::Clear | SafetyState::Slow => self.step_driving(input, &wheel),
             SafetyState::Tripped { since_ns, blocked_m } => {
-                self.come_to_a_stand(input.time_ns, &wheel, since_ns, blocked_m)
+                self.step_tripped(input.time_ns, &wheel, since_ns, blocked_m)
             }
-            SafetyState::BackingOff(back_off) => self.back_off(input.time_ns, &wheel, back_off),
-            SafetyState::Escaping(escape) => self.escape(input.time_ns, &wheel.odom, escape),
+            SafetyState::BackingOff(back_off) => {
+                self.step_backing_off(input.time_ns, &wheel, back_off)
+            }
+            SafetyState::Escaping(escape) => self.step_escaping(input.time_ns, &wheel.odom, escape),
         }
     }
 
-    /// Whether this call comes in time. When time itself has gone back, nothing that is known is as young as it seems.
-    fn keep_time(&mut self, now_ns: u64) -> bool {
+    /// Whether this call is on time. When the time went backwards, the ages of all stored
+    /// measurements are wrong, so they are discarded.
+    fn check_timing(&mut self, now_ns: u64) -> bool {
         if self.last_call_ns.is_some_and(|last_ns| now_ns < last_ns) {
-            (self.wheel, self.scan_end_ns) = (None, None);
+            self.wheel = None;
+            self.scan_end_ns = None;
             self.rear.forget();
             self.trips.clear();
         }
@@ -148,16 +164,17 @@ impl SafetyPlane {
         last_ns <= now_ns && !is_older(Some(last_ns), now_ns, 3.0 * self.config.period_s)
     }
 
-    /// Whether something claims to have been measured later than now, by more than two threads' clocks can differ.
-    fn is_ahead(&self, time_ns: u64, now_ns: u64) -> bool {
+    /// Whether a measurement claims to be newer than now by more than one period. Within one
+    /// period, a measurement may arrive from another thread that read the clock later.
+    fn is_in_future(&self, time_ns: u64, now_ns: u64) -> bool {
         is_older(Some(now_ns), time_ns, self.config.period_s)
     }
 
-    fn read_wheels(&mut self, input: &SafetyInput<'_>) {
+    fn update_wheels(&mut self, input: &SafetyInput<'_>) {
         self.odometry_jumped = false;
         let Some(wheel) = input.wheel else { return };
         let overtaken = self.wheel.is_some_and(|last| wheel.time_ns < last.time_ns);
-        if overtaken || self.is_ahead(wheel.time_ns, input.time_ns) {
+        if overtaken || self.is_in_future(wheel.time_ns, input.time_ns) {
             return;
         }
         self.odometry_broken = !(wheel.odom.is_finite() && wheel.twist.is_finite());
@@ -165,20 +182,20 @@ impl SafetyPlane {
             return;
         }
         self.odometry_jumped = self.wheel.is_some_and(|last| {
-            last.odom.distance_m(&wheel.odom) > ODOMETRY_JUMP.0
-                || wrap_angle(last.odom.yaw_rad - wheel.odom.yaw_rad).abs() > ODOMETRY_JUMP.1
+            last.odom.distance_m(&wheel.odom) > ODOMETRY_JUMP_M
+                || wrap_angle(last.odom.yaw_rad - wheel.odom.yaw_rad).abs() > ODOMETRY_JUMP_RAD
         });
         if self.odometry_jumped {
             self.rear.forget();
         }
-        self.rear.stand(input.time_ns, &wheel.odom);
+        self.rear.record_pose(input.time_ns, &wheel.odom);
         self.wheel = Some(wheel);
     }
 
-    fn read_scan(&mut self, now_ns: u64, scan: &LaserScan) {
+    fn update_scan(&mut self, now_ns: u64, scan: &LaserScan) {
         let end_ns = scan.time_ns.saturating_add(scan.geometry.period_ns);
         let known = self.scan_end_ns.is_some_and(|newest_ns| end_ns <= newest_ns);
-        if known || self.is_ahead(scan.time_ns, now_ns) {
+        if known || self.is_in_future(scan.time_ns, now_ns) {
             return;
         }
         self.scan_end_ns = Some(end_ns);
@@ -188,16 +205,16 @@ impl SafetyPlane {
             return;
         }
         self.good_scans = self.good_scans.saturating_add(1);
-        self.around.see(scan);
+        self.surroundings.update(scan);
         if let Some(wheel) = &self.wheel {
             let t_odom_laser =
                 wheel.odom.compose(&Pose2::new(self.config.laser_forward_m, 0.0, 0.0));
-            self.rear.see(scan, &t_odom_laser, &self.around);
+            self.rear.record_scan(scan, &t_odom_laser, &self.surroundings);
         }
     }
 
-    /// What the wheels say, or what forbids every motion now, the gravest first.
-    fn may_move(
+    /// The newest wheel feedback, or the most serious reason why no motion is allowed now.
+    fn check_inputs(
         &self,
         input: &SafetyInput<'_>,
         in_time: bool,
@@ -211,10 +228,10 @@ impl SafetyPlane {
         if self.odometry_broken {
             return Err(FaultReason::OdometryNotFinite);
         }
-        let is_new = |wheel: &WheelFeedback| {
-            !is_older(Some(wheel.time_ns), input.time_ns, self.config.feedback_timeout_s)
-        };
-        let wheel = self.wheel.filter(is_new).ok_or(FaultReason::BaseSilent)?;
+        let wheel = self.wheel.ok_or(FaultReason::BaseSilent)?;
+        if is_older(Some(wheel.time_ns), input.time_ns, self.config.feedback_timeout_s) {
+            return Err(FaultReason::BaseSilent);
+        }
         if is_older(self.scan_end_ns, input.time_ns, self.config.scan_timeout_s) {
             return Err(FaultReason::LidarSilent);
         }
@@ -224,34 +241,35 @@ impl SafetyPlane {
         if in_time { Ok(wheel) } else { Err(FaultReason::LoopOverrun) }
     }
 
-    fn stand(&mut self, why: FaultReason) -> SafetyOutput {
+    fn enter_fault(&mut self, why: FaultReason) -> SafetyOutput {
         let before = self.state;
         match before {
-            // Who was not armed does not become armed by a fault that goes away. An emergency stop is kept all the same:
-            // whoever asked for motion before it was pressed has to ask again.
+            // A fault that clears itself leads to `Clear`, so a disarmed robot must not enter it:
+            // it would become armed. The emergency stop is entered all the same: a request to arm
+            // that was given before must be given again.
             SafetyState::Disarmed if why != FaultReason::EmergencyStop => {
                 return SafetyOutput::STOP;
             }
-            // The reason that needs an operator is not forgotten for one that does not.
+            // A fault that needs an operator is not replaced by one that clears itself.
             SafetyState::Fault(known) if known == why || !known.clears_itself() => {
                 return SafetyOutput::STOP;
             }
             _ => self.state = SafetyState::Fault(why),
         }
-        SafetyOutput { blocked_m: blocked_by(&before), ..SafetyOutput::STOP }
+        SafetyOutput { blocked_m: blocked_point_m(&before), ..SafetyOutput::STOP }
             .because(SafetyEvent::Faulted { why })
     }
 
-    fn wait_for_arming(&mut self, input: &SafetyInput<'_>, wheel: &WheelFeedback) -> SafetyOutput {
+    fn step_disarmed(&mut self, input: &SafetyInput<'_>, wheel: &WheelFeedback) -> SafetyOutput {
         if input.request != Some(Request::Arm) || self.good_scans < self.config.good_scans {
             return SafetyOutput::STOP;
         }
         self.state = SafetyState::Clear;
-        let output = self.pass_or_trip(input, wheel);
+        let output = self.step_driving(input, wheel);
         if output.event.is_some() { output } else { output.because(SafetyEvent::Armed) }
     }
 
-    fn leave_fault(
+    fn step_fault(
         &mut self,
         why: FaultReason,
         input: &SafetyInput<'_>,
@@ -259,7 +277,7 @@ impl SafetyPlane {
     ) -> SafetyOutput {
         if why.clears_itself() && self.good_scans >= self.config.good_scans {
             self.state = SafetyState::Clear;
-            let output = self.pass_or_trip(input, wheel);
+            let output = self.step_driving(input, wheel);
             return if output.event.is_some() {
                 output
             } else {
@@ -273,22 +291,22 @@ impl SafetyPlane {
         SafetyOutput::STOP
     }
 
-    /// The plan's twist, or why it is not followed.
-    fn wanted(&self, input: &SafetyInput<'_>) -> Result<Twist2, PlanRefusal> {
+    /// The twist that the planner asks for, or why the plan is refused.
+    fn desired_twist(&self, input: &SafetyInput<'_>) -> Result<Twist2, PlanRefusal> {
         let plan = input.plan.ok_or(PlanRefusal::None)?;
         if !plan.twist.is_finite() {
             return Err(PlanRefusal::NotFinite);
         }
         let old = is_older(Some(plan.time_ns), input.time_ns, self.config.plan_timeout_s);
-        if old || self.is_ahead(plan.time_ns, input.time_ns) {
+        if old || self.is_in_future(plan.time_ns, input.time_ns) {
             return Err(PlanRefusal::Stale);
         }
         Ok(plan.twist)
     }
 
-    fn pass_or_trip(&mut self, input: &SafetyInput<'_>, wheel: &WheelFeedback) -> SafetyOutput {
-        let wanted = match self.wanted(input) {
-            Ok(wanted) => wanted,
+    fn step_driving(&mut self, input: &SafetyInput<'_>, wheel: &WheelFeedback) -> SafetyOutput {
+        let desired = match self.desired_twist(input) {
+            Ok(desired) => desired,
             Err(why) => {
                 let news = self.refused.replace(why) != Some(why) && why != PlanRefusal::None;
                 let halt = SafetyOutput::pass(Twist2::ZERO);
@@ -296,94 +314,96 @@ impl SafetyPlane {
             }
         };
         self.refused = None;
-        if wanted.linear_mps > 0.0 {
-            return self.pass_forward(input.time_ns, wheel, wanted);
+        if desired.linear_mps > 0.0 {
+            return self.drive_forward(input.time_ns, wheel, desired);
         }
-        if wanted.linear_mps < 0.0 && self.is_free_behind(input.time_ns, &wheel.odom, &wanted) {
-            return SafetyOutput::pass(wanted);
+        if desired.linear_mps < 0.0 && self.is_clear_behind(input.time_ns, &wheel.odom, &desired) {
+            return SafetyOutput::pass(desired);
         }
-        let turn = Twist2 { linear_mps: 0.0, ..wanted };
-        SafetyOutput::pass(if self.corner_would_meet(turn.angular_radps) {
+        let rotation = Twist2 { linear_mps: 0.0, ..desired };
+        SafetyOutput::pass(if self.rotation_would_collide(rotation.angular_radps) {
             Twist2::ZERO
         } else {
-            turn
+            rotation
         })
     }
 
-    /// Whether the robot may drive back by `twist` until the next call: it can then still stop on ground that is known.
-    fn is_free_behind(&self, time_ns: u64, odom: &Pose2, twist: &Twist2) -> bool {
+    /// Whether the robot may reverse with `twist` until the next call and can then still stop on
+    /// ground that is known to be free.
+    fn is_clear_behind(&self, time_ns: u64, odom: &Pose2, twist: &Twist2) -> bool {
         let speed = -twist.linear_mps;
-        let way_m = self.stopping_m(speed) + speed * self.config.period_s;
-        way_m < f64::from(HORIZON_M)
-            && self.around.first_met(&self.footprint, twist, REAR_GAP_M + way_m).is_none()
-            && self.rear.known_free_m(time_ns, odom, &self.footprint, way_m) >= way_m
+        let needed_m = self.stopping_distance_m(speed) + speed * self.config.period_s;
+        let needed_gap_m = REAR_GAP_M + needed_m;
+        needed_m < f64::from(HORIZON_M)
+            && self.surroundings.first_obstacle(&self.footprint, twist, needed_gap_m).is_none()
+            && self.rear.known_free_m(time_ns, odom, &self.footprint, needed_m) >= needed_m
     }
 
-    fn pass_forward(
+    fn drive_forward(
         &mut self,
         time_ns: u64,
         wheel: &WheelFeedback,
-        wanted: Twist2,
+        desired: Twist2,
     ) -> SafetyOutput {
-        let speed = wanted.linear_mps.max(wheel.twist.linear_mps);
-        let reach_m = self.config.stop_distance_m + self.stopping_m(speed);
-        let met = self.around.first_met(&self.footprint, &wanted, reach_m);
-        // Whatever stands beyond the horizon is as near as the horizon.
-        let sight_m = self.around.sight_m(&self.footprint);
-        let allowed_mps = self.allowed_mps(met.map_or(sight_m, |(_, gap_m)| gap_m.min(sight_m)));
-        match met {
-            Some((obstacle, _)) if allowed_mps < CREEP_MPS => {
+        let speed = desired.linear_mps.max(wheel.twist.linear_mps);
+        let reach_m = self.config.stop_distance_m + self.stopping_distance_m(speed);
+        let nearest = self.surroundings.first_obstacle(&self.footprint, &desired, reach_m);
+        // An obstacle may stand just beyond the horizon, so the free distance is never more than
+        // the visible one.
+        let visible_m = self.surroundings.visible_ahead_m(&self.footprint);
+        let free_m = nearest.map_or(visible_m, |(_, gap_m)| gap_m.min(visible_m));
+        let limit_mps = self.speed_limit_mps(free_m);
+        match nearest {
+            Some((obstacle, _)) if limit_mps < CREEP_MPS => {
                 self.trip(time_ns, &wheel.odom, cause_of(&obstacle), obstacle.point_m())
             }
             _ if wheel.contact => {
-                let ahead_m = self.footprint.straight_edge_m() + CONTACT_AHEAD_M;
+                let ahead_m = self.footprint.front_edge_m() + CONTACT_AHEAD_M;
                 self.trip(time_ns, &wheel.odom, TripCause::Contact, [ahead_m, 0.0])
             }
-            _ if allowed_mps < wanted.linear_mps => self.slow(wanted, allowed_mps),
+            _ if limit_mps < desired.linear_mps => self.slow_down(desired, limit_mps),
             _ => {
                 let was_slow = self.state == SafetyState::Slow;
                 self.state = SafetyState::Clear;
-                let pass = SafetyOutput::pass(wanted);
+                let pass = SafetyOutput::pass(desired);
                 if was_slow { pass.because(SafetyEvent::Cleared) } else { pass }
             }
         }
     }
 
-    /// The way from the wish to stop until the robot stands, metres.
-    fn stopping_m(&self, speed_mps: f64) -> f64 {
+    /// Distance from the command to stop until the robot stands still: reaction time and braking,
+    /// metres.
+    fn stopping_distance_m(&self, speed_mps: f64) -> f64 {
         speed_mps * self.config.reaction_s + speed_mps * speed_mps / (2.0 * self.config.brake_mps2)
     }
 
-    /// The speed from which the robot still stops `stop_distance_m` before something that is `gap_m` ahead: the root of
-    /// v^2 / 2b + v t = way, with brake b and reaction time t.
-    fn allowed_mps(&self, gap_m: f64) -> f64 {
-        let (brake, reaction) = (self.config.brake_mps2, self.config.reaction_s);
-        let way_m = (gap_m - self.config.stop_distance_m).max(0.0);
-        let lag = brake * reaction;
-        (lag * lag + 2.0 * brake * way_m).sqrt() - lag
+    /// The highest speed from which the robot still stops `stop_distance_m` before an obstacle that
+    /// is `gap_m` ahead: the positive root v of v^2 / 2b + v t = d, with braking deceleration b,
+    /// reaction time t and available distance d.
+    fn speed_limit_mps(&self, gap_m: f64) -> f64 {
+        let brake_mps2 = self.config.brake_mps2;
+        let available_m = (gap_m - self.config.stop_distance_m).max(0.0);
+        let lag_mps = brake_mps2 * self.config.reaction_s;
+        (lag_mps * lag_mps + 2.0 * brake_mps2 * available_m).sqrt() - lag_mps
     }
 
-    fn slow(&mut self, wanted: Twist2, allowed_mps: f64) -> SafetyOutput {
-        // Both by the same factor: the robot stays on the arc that it wanted.
-        let factor = allowed_mps / wanted.linear_mps;
-        let twist =
-            Twist2 { linear_mps: allowed_mps, angular_radps: wanted.angular_radps * factor };
+    fn slow_down(&mut self, desired: Twist2, limit_mps: f64) -> SafetyOutput {
+        // Both speeds are scaled by the same factor, so the robot stays on the desired arc.
+        let factor = limit_mps / desired.linear_mps;
+        let twist = Twist2 { linear_mps: limit_mps, angular_radps: desired.angular_radps * factor };
         let was_slow = self.state == SafetyState::Slow;
         self.state = SafetyState::Slow;
         let output = SafetyOutput::pass(twist);
-        if was_slow {
-            output
-        } else {
-            output.because(SafetyEvent::Slowed { limit_mps: allowed_mps })
-        }
+        if was_slow { output } else { output.because(SafetyEvent::Slowed { limit_mps }) }
     }
 
-    fn corner_would_meet(&self, angular_radps: f64) -> bool {
-        let turn_rad = (angular_radps * (self.config.reaction_s + TURN_AHEAD_S)).clamp(-TAU, TAU);
-        self.around
+    fn rotation_would_collide(&self, angular_radps: f64) -> bool {
+        let rotation_rad =
+            (angular_radps * (self.config.reaction_s + ROTATION_LOOKAHEAD_S)).clamp(-TAU, TAU);
+        self.surroundings
             .obstacles()
             .iter()
-            .any(|obstacle| self.footprint.meets_when_turned(obstacle.point_m(), turn_rad))
+            .any(|obstacle| self.footprint.collides_when_rotated(obstacle.point_m(), rotation_rad))
     }
 
     fn trip(
@@ -394,11 +414,10 @@ impl SafetyPlane {
         [x_m, y_m]: [f64; 2],
     ) -> SafetyOutput {
         self.trip_count += 1;
-        let (blocked_x_m, blocked_y_m) = odom.transform(x_m, y_m);
-        let blocked_m = [blocked_x_m, blocked_y_m];
+        let blocked_m = <[f64; 2]>::from(odom.transform(x_m, y_m));
         self.trips.retain(|(when_ns, place)| {
             let near = (place[0] - blocked_m[0]).hypot(place[1] - blocked_m[1]) < SAME_PLACE_M;
-            near && time_ns.saturating_sub(*when_ns) < SAME_PROBLEM_NS
+            near && time_ns.saturating_sub(*when_ns) < TRIP_MEMORY_NS
         });
         if self.trips.len() < TRIPS_BEFORE_ESCAPE {
             self.trips.push((time_ns, blocked_m));
@@ -407,50 +426,60 @@ impl SafetyPlane {
         SafetyOutput::STOP.because(SafetyEvent::Tripped { by, x_m, y_m })
     }
 
-    fn come_to_a_stand(
+    fn step_tripped(
         &mut self,
         time_ns: u64,
         wheel: &WheelFeedback,
         since_ns: u64,
         blocked_m: [f64; 2],
     ) -> SafetyOutput {
-        let standing = wheel.twist.linear_mps.abs() < STANDING.0
-            && wheel.twist.angular_radps.abs() < STANDING.1;
-        if !standing && time_ns.saturating_sub(since_ns) < STANDING_WITHIN_NS {
+        let standing = wheel.twist.linear_mps.abs() < STANDSTILL_MPS
+            && wheel.twist.angular_radps.abs() < STANDSTILL_RADPS;
+        if !standing && time_ns.saturating_sub(since_ns) < STANDSTILL_TIMEOUT_NS {
             return SafetyOutput::STOP;
         }
-        let (from, touching) = (wheel.odom, wheel.contact);
+        let from = wheel.odom;
         let known_free_m =
             self.rear.known_free_m(time_ns, &from, &self.footprint, self.config.back_off_m);
-        self.back_off(
+        let touching = wheel.contact;
+        self.step_backing_off(
             time_ns,
             wheel,
             BackOff { from, since_ns: time_ns, known_free_m, touching, blocked_m },
         )
     }
 
-    fn back_off(&mut self, time_ns: u64, wheel: &WheelFeedback, back_off: BackOff) -> SafetyOutput {
+    fn step_backing_off(
+        &mut self,
+        time_ns: u64,
+        wheel: &WheelFeedback,
+        back_off: BackOff,
+    ) -> SafetyOutput {
         let gone_m = wheel.odom.distance_m(&back_off.from);
         let left_m = self.config.back_off_m - gone_m;
         let known_m = back_off.known_free_m + self.config.blind_back_off_m;
         let late = is_older(Some(back_off.since_ns), time_ns, self.config.back_off_timeout_s);
         let back = Twist2 { linear_mps: -self.config.back_off_mps, angular_radps: 0.0 };
-        let rear_m = REAR_GAP_M + self.stopping_m(wheel.twist.linear_mps.min(0.0).abs());
-        // A bumper ahead stays pressed for a moment; whatever is felt after it was let go, or so far away from it, is behind.
+        let rear_m = REAR_GAP_M + self.stopping_distance_m(wheel.twist.linear_mps.min(0.0).abs());
+        // A bumper that caused the trip stays pressed for a moment. A contact after it was
+        // released, or at this distance from the obstacle, comes from something behind the robot.
         let touching = back_off.touching && wheel.contact && gone_m < CONTACT_AHEAD_M;
         let touched = wheel.contact && !touching;
         let end = if self.odometry_jumped {
             BackOffEnd::RearUnknown
         } else if left_m < 1e-3 {
             BackOffEnd::Distance
-        } else if touched || self.around.first_met(&self.footprint, &back, rear_m).is_some() {
+        } else if touched
+            || self.surroundings.first_obstacle(&self.footprint, &back, rear_m).is_some()
+        {
             BackOffEnd::RearBlocked
         } else if known_m - gone_m < 1e-3 {
             BackOffEnd::RearUnknown
         } else if late {
             BackOffEnd::Timeout
         } else {
-            // The last step is as long as what is left, so that it ends at the distance and not a step behind it.
+            // The last step covers exactly the distance that is left, so that the robot does not
+            // overshoot by one step.
             let step_m = left_m.min(known_m - gone_m);
             let braking_mps = (2.0 * self.config.brake_mps2 * step_m).sqrt();
             let speed_mps =
@@ -460,12 +489,11 @@ impl SafetyPlane {
         };
         let wedged = end != BackOffEnd::Distance || self.trips.len() >= TRIPS_BEFORE_ESCAPE;
         self.state = if wedged {
-            let (direction, last_yaw_rad) = (self.around.open_side(), wheel.odom.yaw_rad);
             SafetyState::Escaping(Escape {
                 since_ns: None,
-                direction,
+                direction: self.surroundings.side_with_more_space(),
                 turned_rad: 0.0,
-                last_yaw_rad,
+                last_yaw_rad: wheel.odom.yaw_rad,
             })
         } else {
             SafetyState::Clear
@@ -474,29 +502,38 @@ impl SafetyPlane {
         SafetyOutput { blocked_m: Some(back_off.blocked_m), ..SafetyOutput::STOP }.because(event)
     }
 
-    fn escape(&mut self, time_ns: u64, odom: &Pose2, escape: Escape) -> SafetyOutput {
+    fn step_escaping(&mut self, time_ns: u64, odom: &Pose2, escape: Escape) -> SafetyOutput {
         let turned_rad = escape.turned_rad + wrap_angle(odom.yaw_rad - escape.last_yaw_rad).abs();
         let ahead = Twist2 { linear_mps: self.config.back_off_mps, angular_radps: 0.0 };
-        let way_out = self.around.first_met(&self.footprint, &ahead, WAY_OUT_M).is_none();
-        let wanted_radps = escape.direction * self.config.escape_radps;
+        let exit_is_clear =
+            self.surroundings.first_obstacle(&self.footprint, &ahead, EXIT_CLEARANCE_M).is_none();
+        let desired_radps = escape.direction * self.config.escape_radps;
         let since_ns = escape.since_ns.unwrap_or(time_ns);
-        let late =
-            is_older(Some(since_ns), time_ns, ESCAPE_PATIENCE * TAU / self.config.escape_radps);
-        // Once round without a way out, or wedged: the planner knows better than another round.
-        let over = turned_rad >= TAU || late || self.corner_would_meet(wanted_radps);
-        if over || (way_out && turned_rad > FRAC_PI_4) {
+        let late = is_older(
+            Some(since_ns),
+            time_ns,
+            ESCAPE_TIMEOUT_ROTATIONS * TAU / self.config.escape_radps,
+        );
+        // After one full rotation without an exit, or when a corner is wedged, the planner decides
+        // what to do next.
+        let over = turned_rad >= TAU || late || self.rotation_would_collide(desired_radps);
+        if over || (exit_is_clear && turned_rad > FRAC_PI_4) {
             self.state = SafetyState::Clear;
             self.trips.clear();
             return SafetyOutput::STOP.because(SafetyEvent::Cleared);
         }
-        let (since_ns, last_yaw_rad) = (Some(since_ns), odom.yaw_rad);
-        self.state = SafetyState::Escaping(Escape { since_ns, turned_rad, last_yaw_rad, ..escape });
-        let output = SafetyOutput::drive(Twist2 { linear_mps: 0.0, angular_radps: wanted_radps });
+        self.state = SafetyState::Escaping(Escape {
+            since_ns: Some(since_ns),
+            turned_rad,
+            last_yaw_rad: odom.yaw_rad,
+            ..escape
+        });
+        let output = SafetyOutput::drive(Twist2 { linear_mps: 0.0, angular_radps: desired_radps });
         if escape.since_ns.is_none() { output.because(SafetyEvent::Escaping) } else { output }
     }
 }
 
-/// Whether something is older than allowed; what never was, is.
+/// Whether a time stamp is more than `limit_s` in the past. A missing time stamp counts as too old.
 fn is_older(time_ns: Option<u64>, now_ns: u64, limit_s: f64) -> bool {
     time_ns.is_none_or(|time_ns| now_ns.saturating_sub(time_ns) as f64 > limit_s * 1e9)
 }
@@ -505,8 +542,9 @@ fn cause_of(obstacle: &Obstacle) -> TripCause {
     if obstacle.too_near { TripCause::LidarTooNear } else { TripCause::LidarHit }
 }
 
-/// The obstacle that the robot was leaving when something else stopped it: the planner should know of it all the same.
-fn blocked_by(state: &SafetyState) -> Option<[f64; 2]> {
+/// The obstacle that the robot was backing away from. When a fault interrupts the back-off, the
+/// planner still has to be informed of it.
+fn blocked_point_m(state: &SafetyState) -> Option<[f64; 2]> {
     match state {
         SafetyState::Tripped { blocked_m, .. }
         | SafetyState::BackingOff(BackOff { blocked_m, .. }) => Some(*blocked_m),
@@ -515,7 +553,7 @@ fn blocked_by(state: &SafetyState) -> Option<[f64; 2]> {
 }
 
 remembers!(
-    SafetyPlane: state, around, rear, scan_end_ns, scan_bad, good_scans, wheel, odometry_broken, odometry_jumped, last_call_ns, refused,
+    SafetyPlane: state, surroundings, rear, scan_end_ns, scan_bad, good_scans, wheel, odometry_broken, odometry_jumped, last_call_ns, refused,
     trips, trip_count
 );
 

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 pub const FORWARD: Twist2 = Twist2 { linear_mps: 0.3, angular_radps: 0.0 };
 pub const TICK_NS: u64 = 100_000_000;
 
-/// A round robot in a square room without corners cut: exact ranges, exact wheels.
+/// A round robot in a square room, with exact ranges and wheels that follow commands exactly.
 pub struct Room {
     pub half_m: f64,
     pub pose: Pose2,
@@ -27,26 +27,34 @@ impl Room {
 
     pub fn scan(&self) -> LaserScan {
         let geometry = ScanGeometry::UTM_30LX;
-        let range = |beam| {
-            let angle = geometry.angle_rad(beam) + self.pose.yaw_rad;
-            let (sin, cos) = angle.sin_cos();
-            let along = |position: f64, slope: f64| match slope {
-                s if s > 1e-9 => (self.half_m - position) / s,
-                s if s < -1e-9 => (-self.half_m - position) / s,
-                _ => f64::INFINITY,
-            };
-            Range::Hit(along(self.pose.x_m, cos).min(along(self.pose.y_m, sin)) as f32)
-        };
         LaserScan {
             time_ns: self.time_ns,
             geometry,
-            ranges: (0..geometry.beams).map(range).collect(),
+            ranges: (0..geometry.beams).map(|beam| self.range(geometry.angle_rad(beam))).collect(),
+        }
+    }
+
+    fn range(&self, beam_rad: f64) -> Range {
+        let (sin, cos) = (beam_rad + self.pose.yaw_rad).sin_cos();
+        let along_x = self.distance_to_wall_m(self.pose.x_m, cos);
+        Range::Hit(along_x.min(self.distance_to_wall_m(self.pose.y_m, sin)) as f32)
+    }
+
+    /// Distance along a ray to the walls of one axis: `position` of the ray's start and `slope` of
+    /// the ray on that axis.
+    fn distance_to_wall_m(&self, position: f64, slope: f64) -> f64 {
+        if slope > 1e-9 {
+            (self.half_m - position) / slope
+        } else if slope < -1e-9 {
+            (-self.half_m - position) / slope
+        } else {
+            f64::INFINITY
         }
     }
 
     pub fn input<'a>(
         &self,
-        wanted: Twist2,
+        desired: Twist2,
         scan: Option<&'a LaserScan>,
         contact: bool,
     ) -> SafetyInput<'a> {
@@ -57,14 +65,14 @@ impl Room {
             wheel: Some(WheelFeedback { time_ns: self.time_ns, odom: self.pose, twist, contact }),
             base_error: None,
             emergency_stop: false,
-            plan: Some(Plan { twist: wanted, time_ns: self.time_ns }),
+            plan: Some(Plan { twist: desired, time_ns: self.time_ns }),
             request: Some(Request::Arm),
         }
     }
 
-    pub fn turn(&mut self, input: &SafetyInput<'_>) -> SafetyOutput {
+    pub fn step(&mut self, input: &SafetyInput<'_>) -> SafetyOutput {
         let output = self.plane.step(input);
-        // Exact wheels that stop at once.
+        // The wheels follow exactly and stop at once.
         self.driving = Twist2::ZERO;
         self.pose = self.pose.compose(&output.twist().integrate(0.1));
         self.time_ns += TICK_NS;
@@ -73,26 +81,26 @@ impl Room {
 
     pub fn tick_with(
         &mut self,
-        wanted: Twist2,
+        desired: Twist2,
         scan: Option<&LaserScan>,
         contact: bool,
     ) -> SafetyOutput {
-        let input = self.input(wanted, scan, contact);
-        self.turn(&input)
+        let input = self.input(desired, scan, contact);
+        self.step(&input)
     }
 
-    pub fn tick(&mut self, wanted: Twist2) -> SafetyOutput {
+    pub fn tick(&mut self, desired: Twist2) -> SafetyOutput {
         let scan = self.scan();
-        self.tick_with(wanted, Some(&scan), false)
+        self.tick_with(desired, Some(&scan), false)
     }
 
     pub fn until(
         &mut self,
-        wanted: Twist2,
+        desired: Twist2,
         mut done: impl FnMut(&SafetyOutput) -> bool,
     ) -> SafetyOutput {
         for _ in 0..2000 {
-            let output = self.tick(wanted);
+            let output = self.tick(desired);
             if done(&output) {
                 return output;
             }
@@ -101,14 +109,14 @@ impl Room {
     }
 }
 
-/// 40 cm long, 30 cm wide, the axle 10 cm before its end.
+/// 40 cm long and 30 cm wide, with the axle 10 cm before the rear end.
 pub fn cart() -> SafetyConfig {
     let footprint_m = vec![[0.3, 0.15], [-0.1, 0.15], [-0.1, -0.15], [0.3, -0.15]];
     SafetyConfig { footprint_m, ..SafetyConfig::default() }
 }
 
-/// A robot that has turned once round on the spot and therefore knows the ground behind.
-pub fn looked_around(x_m: f64) -> Room {
+/// A robot that has rotated once on the spot and therefore knows the ground behind it.
+pub fn rotated_once(x_m: f64) -> Room {
     let mut room = Room::new(2.0, Pose2::new(x_m, 0.0, 0.0));
     for _ in 0..210 {
         room.tick(Twist2 { linear_mps: 0.0, angular_radps: 0.3 });
@@ -160,25 +168,26 @@ fn backs_off_exactly_0_2_m_then_hands_a_blocked_cell_to_the_planner() {
 #[test]
 fn turning_on_the_spot_beside_a_wall_is_not_stopped() {
     let mut room = Room::new(2.0, Pose2::new(1.8, 0.0, 0.0));
-    let turn = Twist2 { linear_mps: 0.0, angular_radps: 0.3 };
-    assert_eq!(room.tick(turn).twist(), turn);
+    let rotation = Twist2 { linear_mps: 0.0, angular_radps: 0.3 };
+    assert_eq!(room.tick(rotation).twist(), rotation);
 }
 
 #[test]
-fn a_wish_to_drive_back_into_something_seen_behind_keeps_only_its_turn() {
+fn a_reverse_command_towards_an_obstacle_behind_keeps_only_its_rotation() {
     let mut room = Room::new(3.0, Pose2::IDENTITY);
     let back = Twist2 { linear_mps: -0.3, angular_radps: 0.1 };
     let mut scan = room.scan();
     for (beam, range) in scan.ranges.iter_mut().enumerate() {
         *range = if beam < 4 { Range::Hit(0.17) } else { Range::Hit(3.0) };
     }
-    // The rear beams at 135 degrees meet a post at 0.17 m: x = -0.12, y = 0.12, inside the strip behind.
+    // The rear beams at 135 degrees meet a post at 0.17 m: x = -0.12, y = 0.12, inside the strip
+    // behind.
     let output = room.tick_with(back, Some(&scan), false);
     assert_eq!(output.twist(), Twist2 { linear_mps: 0.0, angular_radps: 0.1 });
 }
 
 #[test]
-fn a_touch_that_no_laser_saw_trips_and_blocks_the_place_just_ahead() {
+fn a_contact_without_a_lidar_return_trips_the_safety_plane() {
     let mut room = Room::new(5.0, Pose2::IDENTITY);
     room.tick(FORWARD);
     let scan = room.scan();
@@ -187,7 +196,7 @@ fn a_touch_that_no_laser_saw_trips_and_blocks_the_place_just_ahead() {
 }
 
 #[test]
-fn silence_of_the_laser_stops_the_robot_once_with_a_reason_and_a_new_scan_lets_it_go_on() {
+fn a_silent_lidar_stops_the_robot_with_one_event_and_a_new_scan_clears_the_fault() {
     let mut room = Room::new(5.0, Pose2::IDENTITY);
     room.tick(FORWARD);
     let mut reasons = Vec::new();
@@ -212,7 +221,7 @@ fn a_scan_of_nothing_but_errors_stops_the_robot() {
 }
 
 #[test]
-fn backing_off_ends_by_time_when_the_wheels_report_no_motion() {
+fn backing_off_times_out_when_the_wheels_report_no_motion() {
     let mut room = Room::new(2.0, Pose2::IDENTITY);
     room.until(FORWARD, tripped);
     let stuck_at = room.pose;
@@ -231,7 +240,7 @@ fn backing_off_ends_by_time_when_the_wheels_report_no_motion() {
 }
 
 #[test]
-fn the_third_trip_at_one_place_turns_the_robot_until_there_is_a_way_out() {
+fn the_third_trip_at_one_place_rotates_the_robot_until_the_space_ahead_is_free() {
     let mut room = Room::new(2.0, Pose2::new(1.5, 0.0, 0.0));
     for _ in 0..3 {
         room.until(FORWARD, tripped);
@@ -240,12 +249,12 @@ fn the_third_trip_at_one_place_turns_the_robot_until_there_is_a_way_out() {
     room.until(FORWARD, |output| matches!(output.event, Some(SafetyEvent::Cleared)));
     assert!(room.pose.yaw_rad.abs() > std::f64::consts::FRAC_PI_4);
     for _ in 0..10 {
-        assert_eq!(room.tick(FORWARD).twist(), FORWARD, "the way out is free");
+        assert_eq!(room.tick(FORWARD).twist(), FORWARD, "the space ahead is free");
     }
 }
 
 #[test]
-fn an_escape_without_any_way_out_ends_after_one_round() {
+fn an_escape_without_free_space_ends_after_one_rotation() {
     let mut room = Room::new(0.3, Pose2::IDENTITY);
     for _ in 0..3 {
         room.until(FORWARD, tripped);
@@ -254,7 +263,7 @@ fn an_escape_without_any_way_out_ends_after_one_round() {
 }
 
 #[test]
-fn the_robot_always_drives_on_to_somewhere_else_whatever_room_it_is_put_in() {
+fn a_robot_in_a_corner_of_a_small_room_keeps_moving_to_other_places() {
     let mut room = Room::new(1.0, Pose2::new(0.7, 0.7, 0.3));
     let mut seen = std::collections::BTreeSet::new();
     for _ in 0..3000 {
@@ -266,13 +275,14 @@ fn the_robot_always_drives_on_to_somewhere_else_whatever_room_it_is_put_in() {
 
 proptest! {
     #[test]
-    fn no_wish_ever_brings_the_footprint_into_a_wall(
-        wishes in proptest::collection::vec((-0.1..0.3f64, -0.4..0.4f64), 1..300),
+    fn no_forward_command_ever_brings_the_footprint_into_a_wall(
+        commands in proptest::collection::vec((-0.1..0.3f64, -0.4..0.4f64), 1..300),
         yaw in -3.0..3.0f64,
     ) {
         let mut room = Room::new(0.8, Pose2::new(0.1, -0.2, yaw));
-        for (linear_mps, angular_radps) in wishes {
-            // Behind is partly blind; a policy that drives back does so on its own map. Forward is the promise here.
+        for (linear_mps, angular_radps) in commands {
+            // The scanner does not cover the ground behind, so the property holds for forward
+            // commands only.
             room.tick(Twist2 { linear_mps: linear_mps.max(0.0), angular_radps });
             let reach = room.pose.x_m.abs().max(room.pose.y_m.abs()) + 0.16;
             prop_assert!(reach < 0.8, "footprint reaches {reach}");
@@ -280,7 +290,7 @@ proptest! {
     }
 }
 
-/// A robot of flesh: turned a hundred times a second, brakes at 1 m/s2 after 50 ms.
+/// A realistic robot: control at 100 Hz, braking at 1 m/s2 after a reaction time of 50 ms.
 fn real() -> SafetyConfig {
     SafetyConfig {
         period_s: 0.01,
@@ -291,7 +301,7 @@ fn real() -> SafetyConfig {
     }
 }
 
-/// A room whose robot is armed and drives.
+/// A room with an armed robot that drives forward.
 pub fn driving() -> Room {
     let mut room = Room::new(5.0, Pose2::IDENTITY);
     assert_eq!(room.tick(FORWARD).twist(), FORWARD);
@@ -299,18 +309,18 @@ pub fn driving() -> Room {
 }
 
 #[test]
-fn nobody_drives_a_robot_that_was_not_armed() {
+fn a_robot_that_was_not_armed_does_not_move() {
     let mut room = Room::new(5.0, Pose2::IDENTITY);
     let scan = room.scan();
     for _ in 0..5 {
         let input = SafetyInput { request: None, ..room.input(FORWARD, Some(&scan), false) };
-        assert_eq!(room.turn(&input).command, None);
+        assert_eq!(room.step(&input).command, None);
     }
     assert_eq!(room.plane.state(), SafetyState::Disarmed);
     assert_eq!(room.tick(FORWARD).event, Some(SafetyEvent::Armed));
     let input =
         SafetyInput { request: Some(Request::Disarm), ..room.input(FORWARD, Some(&scan), false) };
-    assert_eq!(room.turn(&input), SafetyOutput::STOP.because(SafetyEvent::Disarmed));
+    assert_eq!(room.step(&input), SafetyOutput::STOP.because(SafetyEvent::Disarmed));
 }
 
 #[test]
@@ -318,7 +328,7 @@ fn after_silence_three_good_scans_in_a_row_come_before_motion() {
     let config = SafetyConfig { good_scans: 3, ..SafetyConfig::default() };
     let mut room = Room::with(config, 5.0, Pose2::IDENTITY);
     let moves: Vec<bool> = (0..4).map(|_| room.tick(FORWARD).twist() == FORWARD).collect();
-    assert_eq!(moves, [false, false, true, true], "also at the start");
+    assert_eq!(moves, [false, false, true, true], "the start requires them too");
     (0..5).for_each(|_| _ = room.tick_with(FORWARD, None, false));
     let mut bad = room.scan();
     bad.ranges.fill(Range::Error);
@@ -326,19 +336,19 @@ fn after_silence_three_good_scans_in_a_row_come_before_motion() {
     bad.time_ns = room.time_ns;
     assert_eq!(room.tick_with(FORWARD, Some(&bad), false).twist(), Twist2::ZERO);
     let moves: Vec<bool> = (0..3).map(|_| room.tick(FORWARD).twist() == FORWARD).collect();
-    assert_eq!(moves, [false, false, true], "a bad one begins the count anew");
+    assert_eq!(moves, [false, false, true], "a bad scan resets the count");
 }
 
 #[test]
-fn silence_of_the_wheels_stops_the_robot_and_their_word_lets_it_go_on() {
+fn silent_wheels_stop_the_robot_and_new_feedback_clears_the_fault() {
     let mut room = driving();
     let scan = room.scan();
     let mut stopped_after = 0;
-    for turn in 1..=5 {
+    for tick in 1..=5 {
         let fresh = LaserScan { time_ns: room.time_ns, ..scan.clone() };
         let input = SafetyInput { wheel: None, ..room.input(FORWARD, Some(&fresh), false) };
-        if room.turn(&input).event == Some(SafetyEvent::Faulted { why: FaultReason::BaseSilent }) {
-            stopped_after = turn;
+        if room.step(&input).event == Some(SafetyEvent::Faulted { why: FaultReason::BaseSilent }) {
+            stopped_after = tick;
         }
     }
     assert_eq!(stopped_after, 3, "feedback may be 0.2 s old");
@@ -346,7 +356,7 @@ fn silence_of_the_wheels_stops_the_robot_and_their_word_lets_it_go_on() {
 }
 
 #[test]
-fn a_fault_of_the_base_and_the_emergency_stop_need_a_person() {
+fn a_fault_of_the_base_and_the_emergency_stop_need_an_operator() {
     let faults: [fn(&mut SafetyInput<'_>); 2] =
         [|input| input.base_error = Some(ErrorKind::Fault), |input| input.emergency_stop = true];
     for fault in faults {
@@ -354,7 +364,7 @@ fn a_fault_of_the_base_and_the_emergency_stop_need_a_person() {
         let scan = room.scan();
         let mut input = room.input(FORWARD, Some(&scan), false);
         fault(&mut input);
-        let output = room.turn(&input);
+        let output = room.step(&input);
         assert!(
             matches!(output.event, Some(SafetyEvent::Faulted { why }) if !why.clears_itself()),
             "{output:?}"
@@ -364,7 +374,7 @@ fn a_fault_of_the_base_and_the_emergency_stop_need_a_person() {
             assert_eq!(
                 room.tick(FORWARD).command,
                 None,
-                "gone, but nobody has said so, and arming alone does not"
+                "the cause is gone, but arming alone does not clear the fault"
             );
         }
         let scan = room.scan();
@@ -373,29 +383,29 @@ fn a_fault_of_the_base_and_the_emergency_stop_need_a_person() {
             ..room.input(FORWARD, Some(&scan), false)
         };
         fault(&mut clear);
-        room.turn(&clear);
+        room.step(&clear);
         assert!(
             matches!(room.plane.state(), SafetyState::Fault(_)),
-            "it is still there: nothing to clear"
+            "the cause is still present, so the fault cannot be cleared"
         );
         let clear = SafetyInput {
             request: Some(Request::ClearFault),
             ..room.input(FORWARD, Some(&scan), false)
         };
-        assert_eq!(room.turn(&clear).event, Some(SafetyEvent::Disarmed));
+        assert_eq!(room.step(&clear).event, Some(SafetyEvent::Disarmed));
         assert_eq!(room.tick(FORWARD).twist(), FORWARD, "armed anew");
     }
 }
 
 #[test]
-fn silence_after_a_fault_of_the_base_does_not_make_it_one_that_passes() {
+fn silence_after_a_fault_of_the_base_does_not_replace_the_fault() {
     let mut room = driving();
     let scan = room.scan();
     let fault = SafetyInput {
         base_error: Some(ErrorKind::Fault),
         ..room.input(FORWARD, Some(&scan), false)
     };
-    room.turn(&fault);
+    room.step(&fault);
     (0..5).for_each(|_| _ = room.tick_with(FORWARD, None, false));
     assert_eq!(room.plane.state(), SafetyState::Fault(FaultReason::BaseFault));
 }
@@ -408,14 +418,14 @@ fn odometry_that_is_nan_stops_the_robot_and_is_never_used() {
     input.wheel =
         input.wheel.map(|wheel| WheelFeedback { odom: Pose2::new(f64::NAN, 0.0, 0.0), ..wheel });
     assert_eq!(
-        room.turn(&input).event,
+        room.step(&input).event,
         Some(SafetyEvent::Faulted { why: FaultReason::OdometryNotFinite })
     );
     assert_eq!(room.tick(FORWARD).event, Some(SafetyEvent::Cleared));
 }
 
 #[test]
-fn a_plan_that_is_nan_or_old_or_missing_is_refused_with_a_reason_said_once() {
+fn a_nan_or_old_or_missing_plan_stops_the_robot_and_the_reason_is_reported_once() {
     let mut room = driving();
     let scan = room.scan();
     let nan = Twist2 { linear_mps: f64::NAN, angular_radps: 0.0 };
@@ -425,13 +435,14 @@ fn a_plan_that_is_nan_or_old_or_missing_is_refused_with_a_reason_said_once() {
         (Some(Plan { twist: FORWARD, time_ns: 0 }), None),
         (None, None),
     ];
-    for (plan, said) in plans {
+    for (plan, reported) in plans {
         room.time_ns += 50_000_000;
         let fresh = LaserScan { time_ns: room.time_ns, ..scan.clone() };
-        let output = room.turn(&SafetyInput { plan, ..room.input(FORWARD, Some(&fresh), false) });
+        let output = room.step(&SafetyInput { plan, ..room.input(FORWARD, Some(&fresh), false) });
         assert_eq!(output.twist(), Twist2::ZERO);
         assert!(
-            said.is_none() || output.event == said.map(|why| SafetyEvent::PlanRefused { why }),
+            reported.is_none()
+                || output.event == reported.map(|why| SafetyEvent::PlanRefused { why }),
             "{output:?}"
         );
     }
@@ -439,12 +450,12 @@ fn a_plan_that_is_nan_or_old_or_missing_is_refused_with_a_reason_said_once() {
     room.time_ns += 100_000_000;
     let old = Some(Plan { twist: FORWARD, time_ns: room.time_ns - 300_000_001 });
     let fresh = LaserScan { time_ns: room.time_ns, ..scan };
-    let output = room.turn(&SafetyInput { plan: old, ..room.input(FORWARD, Some(&fresh), false) });
+    let output = room.step(&SafetyInput { plan: old, ..room.input(FORWARD, Some(&fresh), false) });
     assert_eq!(output.event, Some(SafetyEvent::PlanRefused { why: PlanRefusal::Stale }));
 }
 
 #[test]
-fn a_loop_that_comes_two_periods_late_stands_for_that_turn_and_goes_on_without_a_burst() {
+fn a_tick_that_is_two_periods_late_stops_the_robot_for_that_tick_only() {
     let mut room = driving();
     room.time_ns += 2 * TICK_NS + 1;
     let output = room.tick(FORWARD);
@@ -456,12 +467,14 @@ fn a_loop_that_comes_two_periods_late_stands_for_that_turn_and_goes_on_without_a
 }
 
 #[test]
-fn the_nearer_the_wall_the_slower_and_it_stops_with_the_distance_left_however_it_brakes() {
+fn the_speed_falls_towards_a_wall_and_the_robot_stops_at_the_stop_distance() {
     let mut plane = SafetyPlane::new(real());
-    let (mut x_m, mut speed, mut last_allowed) = (0.0_f64, 0.0_f64, f64::INFINITY);
+    let mut x_m = 0.0_f64;
+    let mut speed = 0.0_f64;
+    let mut last_allowed = f64::INFINITY;
     let mut slowed = false;
-    for turn in 0..800_u64 {
-        let time_ns = turn * 10_000_000;
+    for tick in 0..800_u64 {
+        let time_ns = tick * 10_000_000;
         let scan =
             LaserScan { time_ns, ..crate::safety::surroundings::tests::wall_ahead(1.0 - x_m) };
         let odom = Pose2::new(x_m, 0.0, 0.0);
@@ -478,7 +491,7 @@ fn the_nearer_the_wall_the_slower_and_it_stops_with_the_distance_left_however_it
         if plane.state() == SafetyState::Slow {
             slowed = true;
             let command = output.twist();
-            assert!(command.linear_mps <= last_allowed + 1e-9, "never faster again");
+            assert!(command.linear_mps <= last_allowed + 1e-9, "the speed never rises again");
             assert!(
                 (command.angular_radps / command.linear_mps - 0.4).abs() < 1e-9,
                 "the arc is kept"
@@ -498,7 +511,7 @@ fn the_nearer_the_wall_the_slower_and_it_stops_with_the_distance_left_however_it
 }
 
 #[test]
-fn a_robot_that_rolls_on_waits_until_it_stands_before_it_drives_back() {
+fn a_robot_that_is_still_rolling_waits_before_it_backs_off() {
     let mut room = Room::new(2.0, Pose2::new(1.7, 0.0, 0.0));
     room.until(FORWARD, tripped);
     for _ in 0..4 {
@@ -510,8 +523,8 @@ fn a_robot_that_rolls_on_waits_until_it_stands_before_it_drives_back() {
 }
 
 #[test]
-fn it_never_backs_off_blindly_for_longer_than_configured() {
-    // Put down before a wall: nobody knows what is behind.
+fn backing_off_over_unknown_ground_is_limited_to_the_configured_distance() {
+    // The robot starts in front of a wall, so the ground behind it is unknown.
     let mut room = Room::new(2.0, Pose2::new(1.75, 0.0, 0.0));
     room.until(FORWARD, tripped);
     let stopped_at = room.pose;
@@ -526,16 +539,16 @@ fn it_never_backs_off_blindly_for_longer_than_configured() {
 }
 
 #[test]
-fn a_fault_while_backing_off_still_tells_the_planner_what_is_blocked() {
+fn a_fault_right_after_a_trip_still_reports_the_blocked_point() {
     let mut room = Room::new(2.0, Pose2::IDENTITY);
     room.until(FORWARD, tripped);
     let scan = room.scan();
     let input = SafetyInput { emergency_stop: true, ..room.input(FORWARD, Some(&scan), false) };
-    assert!(room.turn(&input).blocked_m.is_some());
+    assert!(room.step(&input).blocked_m.is_some());
 }
 
 #[test]
-fn a_cart_does_not_turn_its_corner_into_a_wall_and_drives_on_ahead() {
+fn a_cart_does_not_rotate_its_corner_into_a_wall_and_may_drive_forward() {
     let corners = vec![[0.3, 0.15], [-0.1, 0.15], [-0.1, -0.15], [0.3, -0.15]];
     let config = SafetyConfig { footprint_m: corners, ..SafetyConfig::default() };
     let mut room = Room::with(config, 2.0, Pose2::new(0.0, 1.84, 0.0));
@@ -551,29 +564,29 @@ fn a_cart_does_not_turn_its_corner_into_a_wall_and_drives_on_ahead() {
 #[test]
 fn trips_to_the_left_and_to_the_right_are_not_the_same_place() {
     let mut plane = SafetyPlane::new(SafetyConfig::default());
-    for (turn, y_m) in [0.4, -0.4, 0.4, -0.4, 0.4].into_iter().enumerate() {
-        plane.trip(turn as u64 * TICK_NS, &Pose2::IDENTITY, TripCause::LidarHit, [0.3, y_m]);
+    for (tick, y_m) in [0.4, -0.4, 0.4, -0.4, 0.4].into_iter().enumerate() {
+        plane.trip(tick as u64 * TICK_NS, &Pose2::IDENTITY, TripCause::LidarHit, [0.3, y_m]);
         assert!(matches!(plane.state(), SafetyState::Tripped { .. }), "never an escape");
-        assert_eq!(plane.trips.len(), 1, "the other side is forgotten");
+        assert_eq!(plane.trips.len(), 1, "the trip on the other side is dropped");
     }
 }
 
 #[test]
-fn a_refused_plan_is_said_once_and_waiting_for_the_first_not_at_all() {
+fn a_refused_plan_is_reported_once_and_a_missing_first_plan_is_not() {
     let mut room = Room::new(2.0, Pose2::IDENTITY);
-    let said = |room: &mut Room, plan: Option<Plan>| {
+    fn reports_a_refusal(room: &mut Room, plan: Option<Plan>) -> bool {
         let scan = room.scan();
         let input = SafetyInput { plan, ..room.input(FORWARD, Some(&scan), false) };
-        matches!(room.turn(&input).event, Some(SafetyEvent::PlanRefused { .. }))
-    };
-    (0..20).for_each(|_| assert!(!said(&mut room, None)));
+        matches!(room.step(&input).event, Some(SafetyEvent::PlanRefused { .. }))
+    }
+    (0..20).for_each(|_| assert!(!reports_a_refusal(&mut room, None)));
     let nonsense =
         Plan { twist: Twist2 { linear_mps: f64::NAN, angular_radps: 0.0 }, time_ns: u64::MAX / 4 };
-    assert_eq!((0..20).filter(|_| said(&mut room, Some(nonsense))).count(), 1);
+    assert_eq!((0..20).filter(|_| reports_a_refusal(&mut room, Some(nonsense))).count(), 1);
 }
 
 #[test]
-fn a_plane_that_takes_up_a_snapshot_goes_on_as_the_one_that_wrote_it() {
+fn a_plane_restored_from_a_snapshot_behaves_like_the_original() {
     let mut room = Room::new(2.0, Pose2::new(1.0, 0.0, 0.0));
     let mut bytes = Vec::new();
     let mut states = Vec::new();
@@ -590,11 +603,11 @@ fn a_plane_that_takes_up_a_snapshot_goes_on_as_the_one_that_wrote_it() {
         let scan = room.scan();
         let input = room.input(FORWARD, Some(&scan), false);
         let goes_on = other.step(&input);
-        assert_eq!(room.turn(&input), goes_on, "turn {tick}");
+        assert_eq!(room.step(&input), goes_on, "tick {tick}");
         states.push(room.plane.state().name());
     }
     for state in ["clear", "tripped", "backing off", "escaping"] {
-        assert!(states.contains(&state), "{state} was never looked at");
+        assert!(states.contains(&state), "the state {state} was never reached");
     }
     for len in 0..bytes.len() {
         assert!(

@@ -1,6 +1,7 @@
-//! How near, how far and how fast the plane lets the robot drive, and drives it by itself.
+//! Tests of distances and speeds: how close and how fast the safety plane lets plans drive, and how
+//! far it backs off and rotates without a plan.
 
-use super::tests::{FORWARD, Room, TICK_NS, cart, driving, looked_around, tripped};
+use super::tests::{FORWARD, Room, TICK_NS, cart, driving, rotated_once, tripped};
 use super::*;
 use crate::safety::surroundings::tests::wall_ahead;
 use hal::{ErrorKind, Range};
@@ -8,46 +9,46 @@ use hal::{ErrorKind, Range};
 const BACK: Twist2 = Twist2 { linear_mps: -0.3, angular_radps: 0.1 };
 
 #[test]
-fn an_escape_on_wheels_that_are_stuck_is_said_once_and_ends_after_the_time_of_two_rounds() {
+fn an_escape_with_stuck_wheels_is_reported_once_and_ends_after_the_time_of_two_rotations() {
     let mut room = Room::new(2.0, Pose2::new(1.75, 0.0, 0.0));
     room.until(FORWARD, |output| output.event == Some(SafetyEvent::Escaping));
-    let (stuck, begun_ns) = (Pose2::new(1.7, 0.0, 0.0), room.time_ns - TICK_NS);
-    let mut said = Vec::new();
+    let stuck = Pose2::new(1.7, 0.0, 0.0);
+    let begun_ns = room.time_ns - TICK_NS;
+    let mut reported = Vec::new();
     while matches!(room.plane.state(), SafetyState::Escaping(_)) {
         room.pose = stuck;
-        said.extend(room.tick(FORWARD).event);
+        reported.extend(room.tick(FORWARD).event);
     }
-    assert_eq!(said, [SafetyEvent::Cleared]);
+    assert_eq!(reported, [SafetyEvent::Cleared]);
     let took_s = (room.time_ns - TICK_NS - begun_ns) as f64 * 1e-9;
-    assert!((36.0..36.2).contains(&took_s), "a round takes 18 s: {took_s}");
+    assert!((36.0..36.2).contains(&took_s), "one rotation takes 18 s: {took_s}");
 }
 
 #[test]
-fn a_wish_to_drive_back_is_followed_over_known_ground_only_and_else_keeps_its_turn() {
+fn a_reverse_command_passes_over_known_ground_only_and_otherwise_keeps_its_rotation() {
     let mut room = Room::new(5.0, Pose2::IDENTITY);
     room.tick(Twist2::ZERO);
-    let turn = Twist2 { linear_mps: 0.0, ..BACK };
-    assert_eq!(room.tick(BACK).twist(), turn, "nobody has looked there");
+    let rotation = Twist2 { linear_mps: 0.0, ..BACK };
+    assert_eq!(room.tick(BACK).twist(), rotation, "the ground behind is unknown");
     (0..5).for_each(|_| _ = room.tick(FORWARD));
     let straight_back = Twist2 { angular_radps: 0.0, ..BACK };
     let gone_m = (0..20).map(|_| -room.tick(straight_back).twist().linear_mps * 0.1).sum::<f64>();
-    assert!((0.1..=0.21).contains(&gone_m), "it knows the 0.18 m that it came: {gone_m}");
-    let mut room = looked_around(0.5);
+    assert!((0.1..=0.21).contains(&gone_m), "the 0.18 m that it drove are known: {gone_m}");
+    let mut room = rotated_once(0.5);
     assert_eq!(room.tick(BACK).twist(), BACK);
     let fast = Twist2 { linear_mps: -20.0, angular_radps: 0.0 };
     assert_eq!(room.tick(fast).twist(), Twist2::ZERO, "two metres until the next call");
 }
 
 #[test]
-fn a_cart_that_may_not_drive_back_does_not_turn_its_corner_into_a_wall_either() {
+fn a_cart_that_may_not_reverse_does_not_rotate_its_corner_into_a_wall_either() {
     let mut room = Room::with(cart(), 2.0, Pose2::new(0.0, 1.84, 0.0));
     room.tick(Twist2::ZERO);
     assert_eq!(room.tick(Twist2 { linear_mps: -0.3, angular_radps: 0.3 }).twist(), Twist2::ZERO);
 }
 
 #[test]
-fn a_cart_on_an_arc_so_narrow_that_it_turns_nearly_on_the_spot_is_stopped_like_one_that_turns_on_it()
- {
+fn a_cart_on_a_very_narrow_arc_is_stopped_like_one_that_rotates_on_the_spot() {
     for linear_mps in [1e-9, 1e-4, 1e-3, 1e-2] {
         let mut room = Room::with(cart(), 2.0, Pose2::new(0.0, 1.84, 0.0));
         room.tick(Twist2::ZERO);
@@ -57,7 +58,7 @@ fn a_cart_on_an_arc_so_narrow_that_it_turns_nearly_on_the_spot_is_stopped_like_o
 }
 
 #[test]
-fn a_plan_that_is_faster_than_the_robot_can_see_is_slowed_to_what_it_sees() {
+fn a_fast_plan_is_slowed_so_that_the_robot_can_stop_within_the_horizon() {
     let config = SafetyConfig { brake_mps2: 1.0, reaction_s: 0.05, ..SafetyConfig::default() };
     let mut room = Room::with(config, 50.0, Pose2::IDENTITY);
     room.tick(Twist2::ZERO);
@@ -79,7 +80,7 @@ fn a_stop_distance_beyond_the_usual_horizon_is_kept() {
 }
 
 #[test]
-fn a_touch_is_taken_to_be_three_centimetres_before_the_outline_where_the_robot_stands() {
+fn a_contact_is_assumed_three_centimetres_ahead_of_the_outline() {
     let mut room = Room::new(5.0, Pose2::new(1.0, 2.0, std::f64::consts::FRAC_PI_2));
     let scan = room.scan();
     let Some(SafetyEvent::Tripped { x_m, y_m, .. }) =
@@ -98,26 +99,26 @@ fn a_touch_is_taken_to_be_three_centimetres_before_the_outline_where_the_robot_s
 }
 
 #[test]
-fn slow_is_over_when_the_way_is_clear_again_and_said_once_each() {
+fn slowing_and_clearing_are_each_reported_once() {
     let config = SafetyConfig { brake_mps2: 0.2, ..SafetyConfig::default() };
     let mut room = Room::with(config, 50.0, Pose2::IDENTITY);
     room.tick(FORWARD);
-    let mut said = Vec::new();
+    let mut reported = Vec::new();
     for wall_m in [0.4, 0.4, 5.0, 5.0] {
         let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(wall_m) };
-        said.push(room.tick_with(FORWARD, Some(&scan), false).event);
+        reported.push(room.tick_with(FORWARD, Some(&scan), false).event);
         let slow = room.plane.state() == SafetyState::Slow;
         assert_eq!(slow, wall_m < 1.0);
     }
     let limit_mps = (2.0 * 0.2 * (0.4_f64 - 0.16 - 0.1)).sqrt();
     assert!(
-        matches!(said[0], Some(SafetyEvent::Slowed { limit_mps: told }) if (told - limit_mps).abs() < 0.01)
+        matches!(reported[0], Some(SafetyEvent::Slowed { limit_mps: got }) if (got - limit_mps).abs() < 0.01)
     );
-    assert_eq!(said[1..], [None, Some(SafetyEvent::Cleared), None]);
+    assert_eq!(reported[1..], [None, Some(SafetyEvent::Cleared), None]);
 }
 
 #[test]
-fn wheels_that_never_stand_are_driven_back_after_half_a_second() {
+fn the_back_off_begins_after_half_a_second_even_if_the_wheels_never_stand_still() {
     for rolling in [(0.021, 0.0), (-0.021, 0.0), (0.0, 0.051), (0.0, -0.051)] {
         let mut room = Room::new(2.0, Pose2::new(1.75, 0.0, 0.0));
         room.until(FORWARD, tripped);
@@ -139,14 +140,15 @@ fn wheels_that_never_stand_are_driven_back_after_half_a_second() {
     }
 }
 
-/// Trips at `at`, and a fault that passes ends the back-off, so that nothing but the count of trips is left.
+/// Trips the safety plane at `at`. A fault that clears itself then ends the back-off, so that only
+/// the count of trips remains.
 fn trips_at(room: &mut Room, at: Pose2, wall_m: f64) {
     room.pose = at;
     let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(wall_m) };
     assert!(tripped(&room.tick_with(FORWARD, Some(&scan), false)), "{:?}", room.plane.state());
     for error in [Some(ErrorKind::Timeout), None] {
         let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(3.0) };
-        room.turn(&SafetyInput {
+        room.step(&SafetyInput {
             base_error: error,
             ..room.input(Twist2::ZERO, Some(&scan), false)
         });
@@ -154,7 +156,7 @@ fn trips_at(room: &mut Room, at: Pose2, wall_m: f64) {
 }
 
 #[test]
-fn trips_that_are_near_in_place_and_time_are_one_problem_and_others_are_not() {
+fn trips_close_in_place_and_time_are_counted_together_and_others_are_not() {
     let near = Pose2::new(0.3, 0.3, 0.0);
     let mut room = driving();
     for count in [1, 2, 3, 3] {
@@ -174,7 +176,7 @@ fn trips_that_are_near_in_place_and_time_are_one_problem_and_others_are_not() {
     for (pause_ns, count) in [(29_999_000_000, 2), (30_000_000_000, 1)] {
         let mut room = driving();
         trips_at(&mut room, Pose2::IDENTITY, 0.2);
-        // Three turns have passed since the trip; two more come before the next one.
+        // Three ticks have passed since the trip; two more come before the next one.
         room.time_ns += pause_ns - 5 * TICK_NS;
         (0..2).for_each(|_| _ = room.tick(Twist2::ZERO));
         trips_at(&mut room, Pose2::IDENTITY, 0.2);
@@ -182,8 +184,8 @@ fn trips_that_are_near_in_place_and_time_are_one_problem_and_others_are_not() {
     }
 }
 
-/// A post at 135 degrees, in the strip behind the robot, this far from the laser: the gap behind the outline is
-/// 5.7 cm at 0.195 m, 6.7 at 0.2, 9.7 at 0.213 and 11.1 at 0.218.
+/// A post at 135 degrees, in the strip behind the robot, this far from the laser: the gap behind
+/// the outline is 5.7 cm at 0.195 m, 6.7 at 0.2, 9.7 at 0.213 and 11.1 at 0.218.
 fn post_behind(room: &Room, range_m: f32) -> LaserScan {
     let mut scan = room.scan();
     scan.ranges[1077..].fill(Range::Hit(range_m));
@@ -191,19 +193,18 @@ fn post_behind(room: &Room, range_m: f32) -> LaserScan {
 }
 
 #[test]
-fn a_wish_to_drive_back_leaves_three_centimetres_and_what_the_next_turn_takes_before_what_is_seen()
-{
+fn a_reverse_command_keeps_three_centimetres_and_the_distance_of_one_tick_from_an_obstacle() {
     for (range_m, goes) in [(0.195, false), (0.2, true)] {
-        let mut room = looked_around(0.5);
+        let mut room = rotated_once(0.5);
         let scan = post_behind(&room, range_m);
-        let wish = Twist2 { linear_mps: -0.3, angular_radps: 0.0 };
-        let output = room.tick_with(wish, Some(&scan), false);
-        assert_eq!(output.twist() == wish, goes, "{range_m}: {output:?}");
+        let command = Twist2 { linear_mps: -0.3, angular_radps: 0.0 };
+        let output = room.tick_with(command, Some(&scan), false);
+        assert_eq!(output.twist() == command, goes, "{range_m}: {output:?}");
     }
 }
 
 #[test]
-fn backing_off_leaves_three_centimetres_and_the_way_to_stop_before_what_is_seen() {
+fn backing_off_keeps_three_centimetres_and_the_stopping_distance_from_an_obstacle() {
     let config = SafetyConfig { brake_mps2: 0.8, reaction_s: 0.05, ..SafetyConfig::default() };
     // 0.3 m/s: 1.5 cm until the brakes answer, 5.6 cm of braking.
     for (range_m, speed, ends) in
@@ -224,7 +225,7 @@ fn backing_off_leaves_three_centimetres_and_the_way_to_stop_before_what_is_seen(
 }
 
 #[test]
-fn the_last_steps_back_are_as_long_as_what_is_left_and_no_faster_than_the_brakes_allow() {
+fn the_last_steps_back_cover_the_remaining_distance_and_respect_the_brakes() {
     for (brake_mps2, left_m, speed) in
         [(100.0, 0.02, 0.2), (0.5, 0.02, 0.02_f64.sqrt()), (100.0, 0.05, 0.3)]
     {
@@ -247,7 +248,7 @@ fn the_last_steps_back_are_as_long_as_what_is_left_and_no_faster_than_the_brakes
 }
 
 #[test]
-fn an_escape_turns_to_the_side_with_more_room_as_fast_as_configured_and_once_round() {
+fn an_escape_rotates_once_towards_the_side_with_more_space_at_the_configured_speed() {
     for (y_m, side) in [(-0.05, 1.0), (0.05, -1.0)] {
         let mut room = Room::new(0.3, Pose2::new(0.0, y_m, 0.0));
         room.until(FORWARD, |output| output.event == Some(SafetyEvent::Escaping));
@@ -269,7 +270,7 @@ fn an_escape_ends_where_a_corner_would_meet_the_wall() {
     let mut room = Room::with(cart(), 2.0, Pose2::new(1.65, 1.84, 0.0));
     room.until(FORWARD, |output| matches!(output.event, Some(SafetyEvent::BackedOff { .. })));
     assert!(matches!(room.plane.state(), SafetyState::Escaping(Escape { direction: -1.0, .. })));
-    // Somebody shuts the other side.
+    // An obstacle appears on the other side.
     room.pose.y_m = -1.84;
     let shut = room.scan();
     room.pose.y_m = 1.84;
@@ -278,8 +279,9 @@ fn an_escape_ends_where_a_corner_would_meet_the_wall() {
 }
 
 #[test]
-fn a_turn_on_the_spot_is_looked_at_as_far_as_it_goes_until_the_wheels_answer_and_0_3_s_more() {
-    // At 0.5 rad/s 0.15 rad; with a reaction of 0.2 s 0.25 rad. The nose's corner is 0.335 m from the axle.
+fn a_rotation_on_the_spot_is_checked_for_the_reaction_time_and_0_3_s_more() {
+    // 0.15 rad at 0.5 rad/s; 0.25 rad with a reaction time of 0.2 s. The front corner is 0.335 m
+    // from the axle.
     for (reaction_s, y_m, turns) in [(0.0, 1.79, true), (0.2, 1.79, false), (0.0, 1.82, false)] {
         let mut room =
             Room::with(SafetyConfig { reaction_s, ..cart() }, 2.0, Pose2::new(0.0, y_m, 0.0));

@@ -1,7 +1,8 @@
-//! What is known of the ground behind the robot, where a scanner of 270 degrees does not look.
+//! Memory of the ground behind the robot, which a scanner with a field of view of 270 degrees does
+//! not see.
 //!
-//! Two things make ground known: the robot drove over it a moment ago, or the scanner looked that way a moment ago, before the
-//! robot turned away.
+//! Ground counts as known to be free for two reasons: the robot drove over it a moment ago, or the
+//! scanner saw it a moment ago, before the robot rotated.
 
 use std::f64::consts::{PI, TAU};
 
@@ -12,183 +13,232 @@ use super::Footprint;
 use super::surroundings::{Surroundings, distance_m};
 use crate::snapshot::{SnapshotError, State};
 
-/// Directions in `odom` that are remembered apart: 10 degrees each.
+/// Number of directions in `odom` for which observations are stored: 10 degrees each.
 const SECTORS: usize = 36;
-/// A look from farther away than this no longer tells what is behind the robot here, metres.
-const MOVED_ON_M: f64 = 0.1;
-/// Places of the way that are remembered, and the way between two, metres.
-const TRAIL: usize = 64;
+/// An observation from a place farther away than this is not used, metres.
+const SAME_PLACE_M: f64 = 0.1;
+/// Number of stored poses of the driven path, and the distance between two of them, metres.
+const TRAIL_LENGTH: usize = 64;
 const TRAIL_STEP_M: f64 = 0.02;
-/// Beside the way by less than this is still on it, metres. Less than a step, so that standing somewhere says nothing of what
-/// is behind.
+/// A point within this distance of the driven path counts as driven over, metres. It is less than
+/// [`CHECK_STEP_M`], so that a robot that has only stood somewhere does not know the ground behind
+/// it.
 const ON_TRAIL_M: f64 = 0.019;
-/// A footprint with corners drove over the ground only when it pointed the same way, within this, radians.
+/// A footprint with corners covered the ground only if its heading was the same within this
+/// tolerance, radians.
 const SAME_HEADING_RAD: f64 = 0.2;
-/// Steps in which the way back is checked, metres.
-const STEP_M: f64 = 0.02;
+/// The path behind the robot is checked in steps of this length, metres.
+const CHECK_STEP_M: f64 = 0.02;
 
+/// What the scanner last saw in one direction.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-struct Look {
+struct Observation {
     time_ns: u64,
+    /// Position of the laser in `odom`, metres.
     from_m: [f64; 2],
-    /// The nearest return of that direction, metres.
+    /// Distance of the nearest return in this direction, metres.
     nearest_m: f64,
 }
 
-/// What is known of the ground behind. Fixed size: nothing is allocated.
+/// The beams of one scan that lie in one direction.
+#[derive(Debug, Clone, Copy)]
+struct SectorReturns {
+    beams: u32,
+    returns: u32,
+    nearest_m: f64,
+}
+
+impl SectorReturns {
+    const NONE: Self = Self { beams: 0, returns: 0, nearest_m: f64::INFINITY };
+}
+
+/// Recent observations and the recently driven path. Its size is fixed, so it never allocates
+/// memory.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Rear {
+pub(super) struct RearMemory {
     memory_ns: u64,
-    looks: [Option<Look>; SECTORS],
-    trail: [Option<(u64, Pose2)>; TRAIL],
+    observations: [Option<Observation>; SECTORS],
+    /// Ring buffer of times and poses in `odom`.
+    trail: [Option<(u64, Pose2)>; TRAIL_LENGTH],
+    /// Index of the next entry of `trail` to overwrite.
     next: usize,
 }
 
-impl Rear {
+impl RearMemory {
     pub fn new(memory_s: f64) -> Self {
         Self {
             memory_ns: (memory_s * 1e9) as u64,
-            looks: [None; SECTORS],
-            trail: [None; TRAIL],
+            observations: [None; SECTORS],
+            trail: [None; TRAIL_LENGTH],
             next: 0,
         }
     }
 
-    /// The robot stands here.
-    pub fn stand(&mut self, time_ns: u64, pose: &Pose2) {
-        let last = self.trail[(self.next + TRAIL - 1) % TRAIL];
+    /// Adds the robot's pose in `odom` to the driven path.
+    pub fn record_pose(&mut self, time_ns: u64, pose: &Pose2) {
+        let last = self.trail[(self.next + TRAIL_LENGTH - 1) % TRAIL_LENGTH];
         let moved = last.is_none_or(|(_, last)| {
             last.distance_m(pose) >= TRAIL_STEP_M
                 || wrap_angle(last.yaw_rad - pose.yaw_rad).abs() > SAME_HEADING_RAD / 2.0
         });
         if moved {
             self.trail[self.next] = Some((time_ns, *pose));
-            self.next = (self.next + 1) % TRAIL;
+            self.next = (self.next + 1) % TRAIL_LENGTH;
         }
     }
 
-    /// Odometry jumped or began anew: nothing that was known is where it was.
+    /// Forgets everything: the odometry was reset, so stored positions are wrong.
     pub fn forget(&mut self) {
-        (self.looks, self.trail) = ([None; SECTORS], [None; TRAIL]);
+        self.observations = [None; SECTORS];
+        self.trail = [None; TRAIL_LENGTH];
     }
 
-    /// A scan, taken while the laser was at `t_odom_laser`. A direction counts as looked at when half of its beams came back
-    /// from something that is not the robot itself. When fewer did, what an older look saw there no longer counts.
-    pub fn see(&mut self, scan: &LaserScan, t_odom_laser: &Pose2, around: &Surroundings) {
-        let mut returned = [(0_u32, 0_u32, f64::INFINITY); SECTORS];
+    /// Records a scan that was taken with the laser at `t_odom_laser`. A direction counts as
+    /// observed when at least half of its beams returned from something other than the robot's own
+    /// body. With fewer returns, an older observation of this direction is dropped.
+    pub fn record_scan(
+        &mut self,
+        scan: &LaserScan,
+        t_odom_laser: &Pose2,
+        surroundings: &Surroundings,
+    ) {
+        let mut sectors = [SectorReturns::NONE; SECTORS];
         for (beam, range) in scan.ranges.iter().enumerate() {
-            let (all, back, nearest_m) =
-                &mut returned[sector_of(scan.geometry.angle_rad(beam) + t_odom_laser.yaw_rad)];
-            *all += 1;
+            let sector =
+                &mut sectors[sector_of(scan.geometry.angle_rad(beam) + t_odom_laser.yaw_rad)];
+            sector.beams += 1;
             let range_m = distance_m(*range, &scan.geometry)
-                .filter(|range_m| *range_m > around.own_body_m(beam));
+                .filter(|range_m| *range_m > surroundings.own_body_m(beam));
             if let Some(range_m) = range_m {
-                *back += 1;
-                *nearest_m = nearest_m.min(f64::from(range_m));
+                sector.returns += 1;
+                sector.nearest_m = sector.nearest_m.min(f64::from(range_m));
             }
         }
         let from_m = [t_odom_laser.x_m, t_odom_laser.y_m];
-        // Directions at the border of the view are seen in part only.
-        let whole = (TAU / SECTORS as f64 / scan.geometry.angle_increment_rad) as u32;
-        for (look, (all, back, nearest_m)) in self.looks.iter_mut().zip(returned) {
-            if all >= whole.max(1) {
-                *look =
-                    (2 * back >= all).then_some(Look { time_ns: scan.time_ns, from_m, nearest_m });
+        // Directions at the edge of the field of view have fewer beams: they are observed only in
+        // part.
+        let beams_of_sector = (TAU / SECTORS as f64 / scan.geometry.angle_increment_rad) as u32;
+        for (observation, sector) in self.observations.iter_mut().zip(sectors) {
+            if sector.beams >= beams_of_sector.max(1) {
+                *observation = (2 * sector.returns >= sector.beams).then_some(Observation {
+                    time_ns: scan.time_ns,
+                    from_m,
+                    nearest_m: sector.nearest_m,
+                });
             }
         }
     }
 
-    /// How far back from `pose` the ground is known to be free, up to `wanted_m`, metres.
+    /// Distance behind `pose` within which the ground is known to be free, metres, at most
+    /// `limit_m`.
     pub fn known_free_m(
         &self,
         time_ns: u64,
         pose: &Pose2,
         footprint: &Footprint,
-        wanted_m: f64,
+        limit_m: f64,
     ) -> f64 {
-        if self.looks_behind(time_ns, pose).all(|look| look.is_some()) {
-            let looks = self
-                .looks
+        if self.observations_behind(time_ns, pose).all(|observation| observation.is_some()) {
+            let observations = self
+                .observations
                 .iter()
                 .enumerate()
-                .filter_map(|(sector, look)| Some((sector, look.as_ref()?)));
-            return seen_gap_m(looks, pose, footprint).min(wanted_m).max(0.0);
+                .filter_map(|(sector, observation)| Some((sector, observation.as_ref()?)));
+            return observed_gap_m(observations, pose, footprint).min(limit_m).max(0.0);
         }
-        // Whoever has stepped onto the way since was seen, if somebody looked.
-        let seen_m = seen_gap_m(self.looks_behind(time_ns, pose).flatten(), pose, footprint);
-        let steps = (wanted_m / STEP_M).ceil() as usize;
-        let driven_over = |step: &usize| {
-            let place = pose.compose(&Pose2::new(-(*step as f64 * STEP_M).min(wanted_m), 0.0, 0.0));
-            self.way(time_ns, pose).any(|(was, then)| {
-                let same_way = matches!(footprint, Footprint::Round { .. })
-                    || wrap_angle(was.yaw_rad - pose.yaw_rad).abs() < SAME_HEADING_RAD;
-                same_way && distance_to_way_m(&place, &was, &then) < ON_TRAIL_M
-            })
-        };
-        ((1..=steps).take_while(driven_over).count() as f64 * STEP_M)
-            .min(wanted_m)
-            .min(seen_m.max(0.0))
+        // The robot drove over this ground, but somebody may have stepped onto it since: an
+        // observation shows that.
+        let observations = self.observations_behind(time_ns, pose).flatten();
+        let observed_m = observed_gap_m(observations, pose, footprint);
+        let steps = (limit_m / CHECK_STEP_M).ceil() as usize;
+        let driven_steps = (1..=steps).take_while(|step| {
+            let back_m = (*step as f64 * CHECK_STEP_M).min(limit_m);
+            let place = pose.compose(&Pose2::new(-back_m, 0.0, 0.0));
+            self.was_driven_over(time_ns, pose, footprint, &place)
+        });
+        (driven_steps.count() as f64 * CHECK_STEP_M).min(limit_m).min(observed_m.max(0.0))
     }
 
-    /// The way that was driven a moment ago, piece by piece, up to here.
-    fn way<'a>(
+    /// Whether the footprint recently covered `place` with about the heading of `pose`.
+    fn was_driven_over(
+        &self,
+        time_ns: u64,
+        pose: &Pose2,
+        footprint: &Footprint,
+        place: &Pose2,
+    ) -> bool {
+        self.driven_segments(time_ns, pose).any(|(start, end)| {
+            let same_heading = matches!(footprint, Footprint::Round { .. })
+                || wrap_angle(start.yaw_rad - pose.yaw_rad).abs() < SAME_HEADING_RAD;
+            same_heading && distance_to_segment_m(place, &start, &end) < ON_TRAIL_M
+        })
+    }
+
+    /// The segments of the recently driven path as (start, end), the newest first; the first one
+    /// ends at `here`.
+    fn driven_segments<'a>(
         &'a self,
         time_ns: u64,
         here: &'a Pose2,
     ) -> impl Iterator<Item = (Pose2, Pose2)> + 'a {
-        let place = move |back: usize| self.trail[(self.next + 2 * TRAIL - 1 - back) % TRAIL];
-        (0..TRAIL)
-            .map_while(place)
-            .take_while(move |(when_ns, _)| self.recent(time_ns, *when_ns))
+        (0..TRAIL_LENGTH)
+            .map_while(move |back| {
+                self.trail[(self.next + 2 * TRAIL_LENGTH - 1 - back) % TRAIL_LENGTH]
+            })
+            .take_while(move |(when_ns, _)| self.is_recent(time_ns, *when_ns))
             .scan(*here, |then, (_, was)| Some((was, std::mem::replace(then, was))))
     }
 
-    fn recent(&self, time_ns: u64, when_ns: u64) -> bool {
+    fn is_recent(&self, time_ns: u64, when_ns: u64) -> bool {
         time_ns.saturating_sub(when_ns) <= self.memory_ns
     }
 
-    /// The looks behind, as far as they are recent and were taken near here.
-    fn looks_behind<'a>(
+    /// One item for every direction behind the robot: its observation, if that is recent and was
+    /// made near `pose`.
+    fn observations_behind<'a>(
         &'a self,
         time_ns: u64,
         pose: &'a Pose2,
-    ) -> impl Iterator<Item = Option<(usize, &'a Look)>> + 'a {
-        let behind = move |sector: &usize| {
-            wrap_angle(direction_of(*sector) - pose.yaw_rad).abs() > 0.75 * PI
-        };
-        (0..SECTORS).filter(behind).map(move |sector| {
-            let look = self.looks[sector].as_ref()?;
-            let near = (look.from_m[0] - pose.x_m).hypot(look.from_m[1] - pose.y_m) < MOVED_ON_M;
-            (near && self.recent(time_ns, look.time_ns)).then_some((sector, look))
-        })
+    ) -> impl Iterator<Item = Option<(usize, &'a Observation)>> + 'a {
+        (0..SECTORS)
+            .filter(|sector| wrap_angle(direction_of(*sector) - pose.yaw_rad).abs() > 0.75 * PI)
+            .map(move |sector| {
+                let observation = self.observations[sector].as_ref()?;
+                let [from_x_m, from_y_m] = observation.from_m;
+                let is_near = (from_x_m - pose.x_m).hypot(from_y_m - pose.y_m) < SAME_PLACE_M;
+                (is_near && self.is_recent(time_ns, observation.time_ns))
+                    .then_some((sector, observation))
+            })
     }
 }
 
-/// Free way back to what looks saw, metres; infinite where they saw nothing in the way. A return may be anywhere across its
-/// direction.
-fn seen_gap_m<'a>(
-    looks: impl Iterator<Item = (usize, &'a Look)>,
+/// Free distance straight back to the nearest observed return, metres; infinite if no return is in
+/// the way. A return may lie anywhere across the width of its direction, so its middle and both
+/// edges are checked.
+fn observed_gap_m<'a>(
+    observations: impl Iterator<Item = (usize, &'a Observation)>,
     pose: &Pose2,
     footprint: &Footprint,
 ) -> f64 {
     let half = PI / SECTORS as f64;
     let t_base_odom = pose.inverse();
-    let points = looks.flat_map(|(sector, look)| {
+    let points = observations.flat_map(|(sector, observation)| {
         [-half, 0.0, half].map(|off| {
             let (sin, cos) = (direction_of(sector) + off).sin_cos();
-            let (x_m, y_m) =
-                (look.from_m[0] + look.nearest_m * cos, look.from_m[1] + look.nearest_m * sin);
-            let (x_m, y_m) = t_base_odom.transform(x_m, y_m);
-            [x_m, y_m]
+            let x_m = observation.from_m[0] + observation.nearest_m * cos;
+            let y_m = observation.from_m[1] + observation.nearest_m * sin;
+            <[f64; 2]>::from(t_base_odom.transform(x_m, y_m))
         })
     });
     points.filter_map(|point| footprint.straight_gap_m(point, -1.0)).fold(f64::INFINITY, f64::min)
 }
 
-/// Distance of a place from the straight piece between two others.
-fn distance_to_way_m(place: &Pose2, from: &Pose2, to: &Pose2) -> f64 {
-    let (along_x, along_y) = (to.x_m - from.x_m, to.y_m - from.y_m);
-    let (x, y) = (place.x_m - from.x_m, place.y_m - from.y_m);
+/// Distance of a place from the line segment between two others, metres.
+fn distance_to_segment_m(place: &Pose2, from: &Pose2, to: &Pose2) -> f64 {
+    let along_x = to.x_m - from.x_m;
+    let along_y = to.y_m - from.y_m;
+    let x = place.x_m - from.x_m;
+    let y = place.y_m - from.y_m;
     let length_2 = along_x * along_x + along_y * along_y;
     let share =
         if length_2 > 0.0 { ((x * along_x + y * along_y) / length_2).clamp(0.0, 1.0) } else { 0.0 };
@@ -196,27 +246,27 @@ fn distance_to_way_m(place: &Pose2, from: &Pose2, to: &Pose2) -> f64 {
 }
 
 fn sector_of(angle_rad: f64) -> usize {
-    let turns = (angle_rad / TAU).rem_euclid(1.0);
-    ((turns * SECTORS as f64) as usize).min(SECTORS - 1)
+    let share_of_circle = (angle_rad / TAU).rem_euclid(1.0);
+    ((share_of_circle * SECTORS as f64) as usize).min(SECTORS - 1)
 }
 
-/// The middle of a sector.
+/// Direction of the middle of a sector in `odom`, radians.
 fn direction_of(sector: usize) -> f64 {
     (sector as f64 + 0.5) * TAU / SECTORS as f64
 }
 
-impl State for Rear {
+impl State for RearMemory {
     fn write(&self, to: &mut Vec<u8>) {
-        self.looks.iter().for_each(|look| look.write(to));
+        self.observations.iter().for_each(|observation| observation.write(to));
         self.trail.iter().for_each(|place| place.write(to));
         self.next.write(to);
     }
 
     fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
-        self.looks.iter_mut().try_for_each(|look| look.read(from))?;
+        self.observations.iter_mut().try_for_each(|observation| observation.read(from))?;
         self.trail.iter_mut().try_for_each(|place| place.read(from))?;
         self.next.read(from)?;
-        self.next %= TRAIL;
+        self.next %= TRAIL_LENGTH;
         Ok(())
     }
 }
@@ -230,12 +280,12 @@ mod tests {
 
     const ROUND: Footprint = Footprint::Round { radius_m: 0.16 };
 
-    fn rear() -> Rear {
-        Rear::new(30.0)
+    fn rear() -> RearMemory {
+        RearMemory::new(30.0)
     }
 
-    /// A scanner that sees nothing of the robot itself.
-    fn nobody() -> Surroundings {
+    /// A scanner whose view is not blocked by the robot's own body.
+    fn no_body() -> Surroundings {
         Surroundings::new(&SafetyConfig::default())
     }
 
@@ -253,7 +303,7 @@ mod tests {
     fn the_ground_that_the_robot_has_just_driven_over_is_free_and_no_farther() {
         let mut rear = rear();
         for step in 0..10 {
-            rear.stand(0, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0));
+            rear.record_pose(0, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0));
         }
         let here = Pose2::new(0.18, 0.0, 0.0);
         let known_m = rear.known_free_m(0, &here, &ROUND, 0.5);
@@ -261,7 +311,7 @@ mod tests {
         let turned = Pose2::new(0.18, 0.0, 1.5);
         assert!(
             rear.known_free_m(0, &turned, &ROUND, 0.5) < 0.03,
-            "the way is not behind any more"
+            "the driven path is no longer behind"
         );
         assert_eq!(
             rear.known_free_m(29_000_000_000, &here, &ROUND, 0.5),
@@ -272,21 +322,22 @@ mod tests {
     }
 
     #[test]
-    fn standing_for_long_does_not_forget_the_way_that_was_driven() {
+    fn standing_for_long_does_not_forget_the_driven_path() {
+        fn at(forward_m: f64, yaw: f64) -> Pose2 {
+            Pose2::new(0.0, 0.0, 1.0).compose(&Pose2::new(forward_m, 0.0, yaw))
+        }
         let mut rear = rear();
-        let at =
-            |way_m: f64, yaw: f64| Pose2::new(0.0, 0.0, 1.0).compose(&Pose2::new(way_m, 0.0, yaw));
-        (0..10).for_each(|step| rear.stand(0, &at(f64::from(step) * 0.021, 0.0)));
-        (0..1000).for_each(|_| rear.stand(0, &at(0.195, 0.05)));
+        (0..10).for_each(|step| rear.record_pose(0, &at(f64::from(step) * 0.021, 0.0)));
+        (0..1000).for_each(|_| rear.record_pose(0, &at(0.195, 0.05)));
         assert!(rear.known_free_m(0, &at(0.195, 0.0), &ROUND, 0.5) > 0.16);
     }
 
     #[test]
-    fn a_turn_on_the_spot_lets_the_scanner_see_what_is_then_behind() {
+    fn a_rotation_on_the_spot_lets_the_scanner_observe_the_ground_that_is_then_behind() {
         let mut rear = rear();
-        rear.see(&round_room(2.0), &Pose2::IDENTITY, &nobody());
+        rear.record_scan(&round_room(2.0), &Pose2::IDENTITY, &no_body());
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0, "behind is blind");
-        rear.see(&round_room(2.0), &Pose2::new(0.0, 0.0, 1.7), &nobody());
+        rear.record_scan(&round_room(2.0), &Pose2::new(0.0, 0.0, 1.7), &no_body());
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.2);
         for (x_m, y_m) in [(0.3, 0.0), (-0.3, 0.0), (0.0, 0.3), (0.0, -0.3)] {
             let moved_on = Pose2::new(x_m, y_m, 0.0);
@@ -300,15 +351,16 @@ mod tests {
     }
 
     #[test]
-    fn only_what_lies_behind_need_be_looked_at_and_a_direction_that_was_seen_in_part_was_not() {
-        // A scan reaches 135 degrees to the left; behind are the directions from 200 to 290 degrees.
+    fn only_directions_behind_must_be_observed_and_a_direction_that_is_partly_in_view_is_not() {
+        // A scan reaches 135 degrees to the left; behind are the directions from 200 to 290
+        // degrees.
         let here = Pose2::new(1.0, -2.0, 63f64.to_radians());
         for (looked_deg, known_m) in [(146.1, 0.0), (156.1, 0.2)] {
             let mut rear = rear();
-            rear.see(
+            rear.record_scan(
                 &round_room(2.0),
                 &Pose2::new(1.0, -2.0, f64::to_radians(looked_deg)),
-                &nobody(),
+                &no_body(),
             );
             assert_eq!(rear.known_free_m(0, &here, &ROUND, 0.2), known_m, "{looked_deg}");
         }
@@ -318,15 +370,14 @@ mod tests {
     fn a_direction_is_seen_when_half_of_its_beams_came_back() {
         for (every, known_m) in [(2, 0.2), (3, 0.0)] {
             let mut scan = round_room(2.0);
-            let dark = |(beam, range): (usize, &mut Range)| {
+            for (beam, range) in scan.ranges.iter_mut().enumerate() {
                 if beam % every != 0 {
                     *range = Range::NoReturn;
                 }
-            };
-            scan.ranges.iter_mut().enumerate().for_each(dark);
+            }
             let mut rear = rear();
             for yaw in [0.0, 1.7] {
-                rear.see(&scan, &Pose2::new(0.0, 0.0, yaw), &nobody());
+                rear.record_scan(&scan, &Pose2::new(0.0, 0.0, yaw), &no_body());
             }
             assert_eq!(
                 rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2),
@@ -337,20 +388,21 @@ mod tests {
     }
 
     #[test]
-    fn a_return_may_be_anywhere_across_its_direction_and_is_where_it_was_when_the_robot_has_moved_a_little()
-     {
+    fn a_return_may_lie_anywhere_across_its_direction_and_keeps_its_place_when_the_robot_moves() {
         let mut rear = rear();
-        // Something between 190 and 200 degrees, 0.7 m away; the robot looks that way and turns back.
+        // An obstacle between 190 and 200 degrees, 0.7 m away; the robot rotates towards it and
+        // back.
         let looked_rad = -1.7;
         let post = scan_of(|angle| match (angle + looked_rad).to_degrees().rem_euclid(360.0) {
             at if (190.1..199.9).contains(&at) => Range::Hit(0.7),
             _ => Range::Hit(3.0),
         });
-        rear.see(&round_room(3.0), &Pose2::new(0.0, 0.0, 1.7), &nobody());
-        rear.see(&post, &Pose2::new(0.0, 0.0, looked_rad), &nobody());
+        rear.record_scan(&round_room(3.0), &Pose2::new(0.0, 0.0, 1.7), &no_body());
+        rear.record_scan(&post, &Pose2::new(0.0, 0.0, looked_rad), &no_body());
         let known_m = |y_m: f64| rear.known_free_m(0, &Pose2::new(0.0, y_m, 0.0), &ROUND, 1.0);
-        // At 190 degrees it would be met; its middle would be passed.
-        let (far_m, aside_m) = (0.7 * 10f64.to_radians().cos(), 0.7 * 10f64.to_radians().sin());
+        // The robot would hit its edge at 190 degrees and pass beside its middle.
+        let far_m = 0.7 * 10f64.to_radians().cos();
+        let aside_m = 0.7 * 10f64.to_radians().sin();
         let gap_m = |aside_m: f64| far_m - (0.16 * 0.16 - aside_m * aside_m).sqrt();
         assert!((known_m(0.0) - gap_m(aside_m)).abs() < 1e-6, "{}", known_m(0.0));
         assert!((known_m(-0.06) - gap_m(aside_m - 0.06)).abs() < 1e-6, "{}", known_m(-0.06));
@@ -369,21 +421,22 @@ mod tests {
         assert_eq!(
             sector_of(-1e-20),
             SECTORS - 1,
-            "a whole turn, but for less than a number can hold"
+            "rounding must not give a sector beyond the last"
         );
     }
 
     #[test]
-    fn the_distance_from_a_straight_piece_is_that_from_its_nearest_place() {
-        // Five metres to the north-east: three and four.
-        let (from, to) = (Pose2::new(1.0, 2.0, 0.0), Pose2::new(4.0, 6.0, 0.0));
-        let at = |along_m: f64, aside_m: f64| {
+    fn the_distance_from_a_segment_is_that_from_its_nearest_point() {
+        // A segment of five metres: 3 m along x and 4 m along y.
+        fn at(along_m: f64, aside_m: f64) -> Pose2 {
             Pose2::new(
                 1.0 + 0.6 * along_m - 0.8 * aside_m,
                 2.0 + 0.8 * along_m + 0.6 * aside_m,
                 0.0,
             )
-        };
+        }
+        let from = Pose2::new(1.0, 2.0, 0.0);
+        let to = Pose2::new(4.0, 6.0, 0.0);
         for (along_m, aside_m, distance_m) in [
             (2.0, 0.5, 0.5),
             (4.0, -0.25, 0.25),
@@ -392,20 +445,21 @@ mod tests {
             (8.0, -4.0, 5.0),
         ] {
             assert!(
-                (distance_to_way_m(&at(along_m, aside_m), &from, &to) - distance_m).abs() < 1e-12
+                (distance_to_segment_m(&at(along_m, aside_m), &from, &to) - distance_m).abs()
+                    < 1e-12
             );
         }
         assert!(
-            (distance_to_way_m(&at(-3.0, 4.0), &from, &from) - 5.0).abs() < 1e-12,
-            "a piece without length"
+            (distance_to_segment_m(&at(-3.0, 4.0), &from, &from) - 5.0).abs() < 1e-12,
+            "a segment without length"
         );
     }
 
     #[test]
-    fn what_was_seen_before_the_turn_is_still_there_after_it() {
+    fn an_obstacle_observed_before_a_rotation_is_remembered_after_it() {
         let mut rear = rear();
-        rear.see(&round_room(0.3), &Pose2::IDENTITY, &nobody());
-        rear.see(&round_room(0.3), &Pose2::new(0.0, 0.0, 1.7), &nobody());
+        rear.record_scan(&round_room(0.3), &Pose2::IDENTITY, &no_body());
+        rear.record_scan(&round_room(0.3), &Pose2::new(0.0, 0.0, 1.7), &no_body());
         let known_m = rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.5);
         assert!(known_m > 0.05 && known_m < 0.15, "a wall 0.14 m behind the footprint: {known_m}");
     }
@@ -415,34 +469,38 @@ mod tests {
         let mut rear = rear();
         let dark = scan_of(|angle| if angle > 0.5 { Range::NoReturn } else { Range::Hit(2.0) });
         for yaw in [0.0, 1.7] {
-            rear.see(&dark, &Pose2::new(0.0, 0.0, yaw), &nobody());
+            rear.record_scan(&dark, &Pose2::new(0.0, 0.0, yaw), &no_body());
         }
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
     }
 
     #[test]
-    fn a_direction_that_fell_dark_is_not_known_any_more() {
+    fn a_direction_whose_beams_stop_returning_is_no_longer_known() {
         let mut rear = rear();
-        rear.see(&round_room(2.0), &Pose2::IDENTITY, &nobody());
-        rear.see(&round_room(2.0), &Pose2::new(0.0, 0.0, 1.7), &nobody());
-        rear.see(&scan_of(|_| Range::NoReturn), &Pose2::new(0.0, 0.0, 1.7), &nobody());
+        rear.record_scan(&round_room(2.0), &Pose2::IDENTITY, &no_body());
+        rear.record_scan(&round_room(2.0), &Pose2::new(0.0, 0.0, 1.7), &no_body());
+        rear.record_scan(&scan_of(|_| Range::NoReturn), &Pose2::new(0.0, 0.0, 1.7), &no_body());
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
     }
 
     #[test]
-    fn a_distance_that_is_nan_says_nothing_of_the_ground() {
+    fn nan_ranges_do_not_make_ground_known() {
         let mut rear = rear();
         for yaw in [0.0, 1.7] {
-            rear.see(&scan_of(|_| Range::Hit(f32::NAN)), &Pose2::new(0.0, 0.0, yaw), &nobody());
+            rear.record_scan(
+                &scan_of(|_| Range::Hit(f32::NAN)),
+                &Pose2::new(0.0, 0.0, yaw),
+                &no_body(),
+            );
         }
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
     }
 
     #[test]
-    fn something_too_near_behind_is_as_near_as_can_be_measured() {
+    fn a_too_near_return_behind_counts_as_an_obstacle_at_the_minimum_range() {
         let mut rear = rear();
         for yaw in [0.0, 1.7] {
-            rear.see(&scan_of(|_| Range::TooNear), &Pose2::new(0.0, 0.0, yaw), &nobody());
+            rear.record_scan(&scan_of(|_| Range::TooNear), &Pose2::new(0.0, 0.0, yaw), &no_body());
         }
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
         let slim = Footprint::Round { radius_m: 0.04 };
@@ -451,7 +509,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scanner_so_coarse_that_no_beam_looks_behind_has_not_looked_there() {
+    fn a_scanner_too_coarse_to_have_a_beam_in_every_direction_observes_none() {
         let geometry = ScanGeometry {
             angle_min_rad: -2.0,
             angle_increment_rad: 0.25,
@@ -459,64 +517,65 @@ mod tests {
             ..ScanGeometry::UTM_30LX
         };
         let mut rear = rear();
-        rear.see(
+        rear.record_scan(
             &LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(3.0); 17] },
             &Pose2::IDENTITY,
-            &nobody(),
+            &no_body(),
         );
         assert_eq!(rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
     }
 
     #[test]
     fn the_robots_own_mast_is_neither_free_ground_nor_an_obstacle_behind() {
-        let mast = |sector: BodySector| {
-            let mut around =
-                Surroundings::new(&SafetyConfig { body: vec![sector], ..SafetyConfig::default() });
-            around.see(&round_room(0.17));
-            around
-        };
-        let (wide, narrow) = (
-            mast(BodySector { from_deg: -135.0, to_deg: 135.0, up_to_m: 0.17 }),
-            mast(BodySector { from_deg: 90.0, to_deg: 92.0, up_to_m: 0.17 }),
-        );
-        // Behind is free, but for the mast before the scanner.
+        fn with_body(sector: BodySector) -> Surroundings {
+            let config = SafetyConfig { body: vec![sector], ..SafetyConfig::default() };
+            let mut surroundings = Surroundings::new(&config);
+            surroundings.update(&round_room(0.17));
+            surroundings
+        }
+        fn known_m(scan: &LaserScan, surroundings: &Surroundings) -> f64 {
+            let mut rear = rear();
+            for yaw in [0.0, 1.7] {
+                rear.record_scan(scan, &Pose2::new(0.0, 0.0, yaw), surroundings);
+            }
+            rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2)
+        }
+        let wide = with_body(BodySector { from_deg: -135.0, to_deg: 135.0, up_to_m: 0.17 });
+        let narrow = with_body(BodySector { from_deg: 90.0, to_deg: 92.0, up_to_m: 0.17 });
+        // The ground behind is free except for the mast in front of the scanner.
         let with_mast = scan_of(|angle| match angle.to_degrees() {
             at if (90.0..=92.0).contains(&at) => Range::Hit(0.165),
             _ => Range::Hit(2.0),
         });
-        let known_m = |scan: &LaserScan, around: &Surroundings| {
-            let mut rear = rear();
-            for yaw in [0.0, 1.7] {
-                rear.see(scan, &Pose2::new(0.0, 0.0, yaw), around);
-            }
-            rear.known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2)
-        };
-        assert_eq!(known_m(&round_room(0.17), &wide), 0.0, "nothing but the robot was seen");
+        assert_eq!(known_m(&round_room(0.17), &wide), 0.0, "every return is the robot's own body");
         assert_eq!(known_m(&with_mast, &narrow), 0.2);
-        assert!(known_m(&with_mast, &nobody()) < 0.05, "unknown masts are obstacles");
+        assert!(known_m(&with_mast, &no_body()) < 0.05, "unknown masts are obstacles");
     }
 
     #[test]
-    fn whoever_stepped_onto_the_way_that_was_driven_is_seen_there_if_anybody_looked() {
+    fn an_observed_obstacle_on_the_driven_path_limits_the_known_ground() {
         let mut rear = rear();
-        (0..=10).for_each(|step| rear.stand(0, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0)));
+        (0..=10)
+            .for_each(|step| rear.record_pose(0, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0)));
         let here = Pose2::new(0.2, 0.0, 0.0);
         assert_eq!(rear.known_free_m(0, &here, &ROUND, 0.2), 0.2);
-        // A look over the left shoulder: a foot 10 cm behind the outline.
+        // A scan to the left rear sees a foot 10 cm behind the outline.
         let foot = scan_of(|angle| if angle > 1.5 { Range::Hit(0.26) } else { Range::Hit(2.0) });
-        rear.see(&foot, &Pose2::new(0.2, 0.0, 0.9), &nobody());
+        rear.record_scan(&foot, &Pose2::new(0.2, 0.0, 0.9), &no_body());
         let known_m = rear.known_free_m(0, &here, &ROUND, 0.2);
         assert!((0.05..=0.12).contains(&known_m), "{known_m}");
         let elsewhere = Pose2::new(0.05, 0.0, 0.0);
-        assert!(rear.known_free_m(0, &elsewhere, &ROUND, 0.04) > 0.03, "seen from elsewhere");
+        assert!(rear.known_free_m(0, &elsewhere, &ROUND, 0.04) > 0.03, "observed from elsewhere");
     }
 
     #[test]
-    fn a_cart_has_driven_over_the_ground_only_where_it_pointed_the_same_way() {
+    fn a_cart_has_driven_over_the_ground_only_with_the_same_heading() {
         let corners = [[0.3, 0.15], [-0.1, 0.15], [-0.1, -0.15], [0.3, -0.15]];
         for (yaw, known_m) in [(0.0, 0.1), (0.19, 0.1), (0.21, 0.0), (-0.21, 0.0)] {
             let mut rear = rear();
-            (0..10).for_each(|step| rear.stand(0, &Pose2::new(f64::from(step) * 0.02, 0.0, yaw)));
+            (0..10).for_each(|step| {
+                rear.record_pose(0, &Pose2::new(f64::from(step) * 0.02, 0.0, yaw));
+            });
             let here = Pose2::new(0.19, 0.0, 0.0);
             let known = rear.known_free_m(0, &here, &Footprint::new(0.0, &corners), 0.1);
             assert_eq!(known, known_m, "{yaw}");
@@ -529,26 +588,28 @@ mod tests {
     }
 
     #[test]
-    fn a_cart_that_has_turned_on_the_spot_knows_the_way_that_it_drives_from_there() {
+    fn a_cart_that_has_rotated_on_the_spot_knows_the_path_that_it_drives_from_there() {
         let cart = Footprint::new(0.0, &[[0.3, 0.15], [-0.1, 0.15], [-0.1, -0.15], [0.3, -0.15]]);
         let mut rear = rear();
-        // When it stood at the beginning of its way first, it pointed 0.27 rad to the side: its corners were elsewhere.
+        // At first its heading was 0.27 rad off, so its corners covered other ground.
         let start = Pose2::new(0.5, 0.5, 0.5);
-        let turned = |rad: f64| start.compose(&Pose2::new(0.0, 0.0, rad));
-        [0.0, 0.04, 0.08, 0.12, 0.16, 0.19].iter().for_each(|rad| rear.stand(0, &turned(*rad)));
-        let mut here = turned(0.19);
+        for yaw_rad in [0.0, 0.04, 0.08, 0.12, 0.16, 0.19] {
+            rear.record_pose(0, &start.compose(&Pose2::new(0.0, 0.0, yaw_rad)));
+        }
+        let mut here = start.compose(&Pose2::new(0.0, 0.0, 0.19));
         for _ in 0..4 {
             here = here.compose(&Pose2::new(0.0249, 0.0, 0.02));
-            rear.stand(0, &here);
+            rear.record_pose(0, &here);
         }
         let known_m = rear.known_free_m(0, &here, &cart, 0.12);
         assert!((0.1..0.12).contains(&known_m), "{known_m}");
     }
 
     #[test]
-    fn the_trail_is_as_long_as_its_places_and_older_ones_are_overwritten() {
+    fn a_full_trail_overwrites_its_oldest_poses() {
         let mut rear = rear();
-        (0..200).for_each(|step| rear.stand(0, &Pose2::new(f64::from(step) * 0.021, 0.0, 0.0)));
+        (0..200)
+            .for_each(|step| rear.record_pose(0, &Pose2::new(f64::from(step) * 0.021, 0.0, 0.0)));
         let known_m = rear.known_free_m(0, &Pose2::new(199.0 * 0.021, 0.0, 0.0), &ROUND, 3.0);
         assert!((known_m - 63.0 * 0.021).abs() < 0.021, "{known_m}");
     }
@@ -556,38 +617,38 @@ mod tests {
     #[test]
     fn a_jump_of_the_odometry_forgets_everything() {
         let mut rear = rear();
-        (0..10).for_each(|step| rear.stand(0, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0)));
+        (0..10).for_each(|step| rear.record_pose(0, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0)));
         rear.forget();
         assert_eq!(rear.known_free_m(0, &Pose2::new(0.18, 0.0, 0.0), &ROUND, 0.2), 0.0);
     }
 
     #[test]
-    fn what_is_known_of_the_ground_behind_is_the_same_after_a_snapshot_and_half_of_one_is_refused()
-    {
+    fn a_snapshot_restores_the_memory_and_a_truncated_one_is_refused() {
         let mut known = rear();
         (0..70).for_each(|step| {
-            known.stand(step as u64, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0));
+            known.record_pose(step as u64, &Pose2::new(f64::from(step) * 0.02, 0.0, 0.0));
         });
-        known.see(&round_room(2.0), &Pose2::new(1.38, 0.0, 0.5), &nobody());
+        known.record_scan(&round_room(2.0), &Pose2::new(1.38, 0.0, 0.5), &no_body());
         let mut bytes = Vec::new();
         known.write(&mut bytes);
-        let (mut taken_up, mut rest) = (rear(), bytes.as_slice());
-        taken_up.read(&mut rest).unwrap();
-        assert_eq!((&taken_up, rest.len()), (&known, 0));
+        let mut restored = rear();
+        let mut rest = bytes.as_slice();
+        restored.read(&mut rest).unwrap();
+        assert_eq!((&restored, rest.len()), (&known, 0));
         for len in 0..bytes.len() {
             assert!(rear().read(&mut &bytes[..len]).is_err(), "{len} of {}", bytes.len());
         }
     }
 
     #[test]
-    fn a_snapshot_that_names_a_place_beyond_the_trail_is_taken_for_one_on_it() {
+    fn a_snapshot_whose_next_index_is_beyond_the_trail_wraps_around() {
         let mut bytes = Vec::new();
         rear().write(&mut bytes);
-        // Its last number is the next place: 200, in two bytes.
+        // The last number is the next index: 200 takes two bytes.
         assert_eq!(bytes.pop(), Some(0));
         bytes.extend([0xc8, 0x01]);
-        let mut taken_up = rear();
-        taken_up.read(&mut bytes.as_slice()).unwrap();
-        assert_eq!(taken_up.next, 200 - 3 * TRAIL);
+        let mut restored = rear();
+        restored.read(&mut bytes.as_slice()).unwrap();
+        assert_eq!(restored.next, 200 - 3 * TRAIL_LENGTH);
     }
 }

@@ -1,70 +1,70 @@
-//! States of the safety plane, what goes into it and what comes out.
+//! The states of the safety plane, its inputs and its outputs.
 
 use hal::{ErrorKind, LaserScan, Pose2, Twist2, WheelFeedback};
 use serde::{Deserialize, Serialize};
 
 use crate::event::{FaultReason, SafetyEvent};
 
-/// What the safety plane is doing.
+/// The state of the safety plane. The table in `safety/mod.rs` lists the transitions.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum SafetyState {
-    /// Nobody has asked for motion yet, or a fault was cleared. Only [`Request::Arm`] leads out.
+    /// The operator has not armed the robot yet, or has disarmed it or cleared a fault. Nothing
+    /// moves.
     Disarmed,
-    /// Passing plans through.
+    /// Plans pass unchanged.
     Clear,
-    /// Passing plans through, slower: something is ahead.
+    /// Plans pass at a reduced speed because an obstacle is ahead.
     Slow,
-    /// Something is in the stop zone: waiting until the wheels stand.
+    /// An obstacle is in the stop zone: the robot brakes and waits until the wheels stand still.
     Tripped {
-        /// When it began.
         since_ns: u64,
         /// The obstacle, in `odom`, metres.
         blocked_m: [f64; 2],
     },
-    /// Driving back from an obstacle.
+    /// Reversing away from the obstacle, without a plan.
     BackingOff(BackOff),
-    /// Turning on the spot to find a way out.
+    /// Rotating on the spot until there is free space ahead, without a plan.
     Escaping(Escape),
-    /// Standing until the reason is gone; some need an operator.
+    /// Stopped until the reason is gone. `FaultReason::clears_itself` tells which reasons need an
+    /// operator.
     Fault(FaultReason),
 }
 
-/// Driving back from an obstacle.
+/// Progress of a back-off.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct BackOff {
-    /// Where it began, in `odom`.
+    /// Pose in `odom` where the back-off began.
     pub from: Pose2,
-    /// When it began.
     pub since_ns: u64,
-    /// How far back the ground was known to be free, metres.
+    /// Distance behind the robot that was known to be free when the back-off began, metres.
     pub known_free_m: f64,
-    /// It still feels what it is leaving.
+    /// The bumper has been pressed without a break since before the back-off began.
     pub touching: bool,
     /// The obstacle, in `odom`, metres.
     pub blocked_m: [f64; 2],
 }
 
-/// Turning on the spot to find a way out.
+/// Progress of an escape.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Escape {
-    /// When its first turn was; `None` before.
+    /// Time of the first tick of the escape; `None` before that tick.
     pub since_ns: Option<u64>,
-    /// +1 turns left, -1 right.
+    /// +1 rotates left, -1 rotates right.
     pub direction: f64,
-    /// Turned so far, radians.
+    /// Sum of the absolute yaw changes so far, radians.
     pub turned_rad: f64,
-    /// Heading at the last call.
+    /// Yaw in `odom` at the previous tick.
     pub last_yaw_rad: f64,
 }
 
 impl SafetyState {
-    /// Whether the safety plane drives by itself, or lets nobody drive: plans have no effect.
+    /// Whether plans have no effect: the safety plane stops the robot, or drives it without a plan.
     #[must_use]
     pub fn is_in_charge(&self) -> bool {
         !matches!(self, Self::Clear | Self::Slow)
     }
 
-    /// In one word.
+    /// The state's name for logs and status output.
     #[must_use]
     pub fn name(&self) -> &'static str {
         match self {
@@ -79,55 +79,56 @@ impl SafetyState {
     }
 }
 
-/// What an operator, or the program on his behalf, asks for.
+/// A request of the operator, or of a program on the operator's behalf.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Request {
-    /// Let plans move the robot as soon as scanner and wheels are well.
+    /// Let plans move the robot as soon as scanner and wheels are healthy.
     Arm,
-    /// Stop and let nothing move it.
+    /// Stop, and allow no motion until the robot is armed again.
     Disarm,
-    /// The reason of a fault is seen to: go to `Disarmed`.
+    /// The operator has removed the cause of the fault: go to `Disarmed`.
     ClearFault,
 }
 
-/// What the planner wants.
+/// The velocity that the planner asks for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plan {
-    /// Wanted velocity.
     pub twist: Twist2,
-    /// When what it was decided on was measured, monotonic.
+    /// Time of the measurements that the plan is based on, monotonic. A plan that is too old is
+    /// refused.
     pub time_ns: u64,
 }
 
-/// What is known at one call.
+/// The inputs of one control tick.
 #[derive(Debug, Clone, Copy)]
 pub struct SafetyInput<'a> {
-    /// Now, monotonic.
+    /// The current time, monotonic.
     pub time_ns: u64,
-    /// A new scan, if one came.
+    /// The scan that arrived since the previous tick, if any.
     pub scan: Option<&'a LaserScan>,
-    /// A new measurement of the wheels, if one came.
+    /// The wheel feedback that arrived since the previous tick, if any.
     pub wheel: Option<WheelFeedback>,
-    /// The base says that it cannot be driven.
+    /// Why the base cannot be driven, if it reports an error.
     pub base_error: Option<ErrorKind>,
     /// The emergency stop is pressed.
     pub emergency_stop: bool,
-    /// The newest plan; `None` before the first.
+    /// The newest plan; `None` before the first one.
     pub plan: Option<Plan>,
-    /// What an operator asks for.
+    /// The operator's request, if there is one in this tick.
     pub request: Option<Request>,
 }
 
-/// What the safety plane lets through, and what it has to say.
+/// The output of one control tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SafetyOutput {
-    /// The command for the base. `None`: stop, as hard as the base can.
+    /// The command for the base. `None`: stop as hard as the base can.
     pub command: Option<Twist2>,
-    /// A change, with its reason.
+    /// What changed in this tick, with the reason.
     pub event: Option<SafetyEvent>,
-    /// A place that the planner should treat as blocked, in `odom`, metres: set once, when backing off has ended.
+    /// A point in `odom`, metres, that the planner has to treat as blocked. Set once, when the
+    /// back-off has ended.
     pub blocked_m: Option<[f64; 2]>,
-    /// The planner's wish has no effect.
+    /// The plan has no effect in this tick.
     pub in_charge: bool,
 }
 
@@ -139,7 +140,7 @@ impl SafetyOutput {
         Self { command: Some(command), ..Self::STOP }
     }
 
-    /// The planner's wish, or what is left of it.
+    /// The planner's command, possibly with a reduced speed.
     pub(super) fn pass(twist: Twist2) -> Self {
         Self { in_charge: false, ..Self::drive(twist) }
     }
@@ -148,7 +149,7 @@ impl SafetyOutput {
         Self { event: Some(event), ..self }
     }
 
-    /// The command as a velocity.
+    /// The command as a velocity; a stop is the zero velocity.
     #[must_use]
     pub fn twist(&self) -> Twist2 {
         self.command.unwrap_or(Twist2::ZERO)

@@ -1,4 +1,4 @@
-//! What the newest scan says about the ground around the robot.
+//! The obstacles of the newest LiDAR scan.
 
 use hal::{LaserScan, Range, ScanGeometry};
 use serde::{Deserialize, Serialize};
@@ -6,48 +6,48 @@ use serde::{Deserialize, Serialize};
 use super::{BodySector, Footprint, SafetyConfig};
 use crate::snapshot::remembers;
 
-/// Share of error beams above which a scan is no longer believed.
+/// A scan with a larger share of error beams is bad.
 const MAX_ERROR_SHARE: f64 = 0.5;
-/// Neighbouring beams that must agree before a return counts: a single one is rain, dust or crosstalk. Nearer than a metre the
-/// beams of a scanner with 0.25 degrees lie within 4 mm, so that no leg of a chair hides between two of them.
-const MIN_NEIGHBOURS: usize = 2;
-/// Neighbouring beams "agree" when their ranges differ by less than this: twice the ±30 mm of a UTM-30LX, and slack.
+/// Number of neighbouring beams that must agree before a return counts as an obstacle: a single
+/// return is dust or crosstalk. Within one metre the beams of a scanner with 0.25 degrees of
+/// resolution are at most 4 mm apart, so a chair leg always meets several of them.
+const MIN_RUN: usize = 2;
+/// Neighbouring beams agree when their ranges differ by less than this: twice the ±30 mm accuracy
+/// of a UTM-30LX, plus 20 mm of tolerance.
 const NEIGHBOUR_GAP_M: f32 = 0.08;
-/// Nothing farther from the laser than this, metres, changes what the safety plane does, unless it is told to stop farther away.
+/// Horizon: obstacles farther from the laser than this are ignored, metres. A large configured stop
+/// distance extends it.
 pub(super) const HORIZON_M: f32 = 1.5;
-/// So much is seen beyond the stop distance at least, metres.
+/// The horizon lies at least this far beyond the stop distance, metres.
 const SIGHT_M: f64 = 1.0;
 
-/// Something near the robot, in `base_link`.
+/// A LiDAR return near the robot, in `base_link` (x forward, y left).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Obstacle {
-    /// Forward, metres.
     pub x_m: f64,
-    /// Left, metres.
     pub y_m: f64,
-    /// The sensor only knows that it is nearer than it can measure.
+    /// The obstacle is nearer than the sensor's minimum range; its position is that of the minimum
+    /// range.
     pub too_near: bool,
 }
 
 impl Obstacle {
-    /// Where it is.
     #[must_use]
     pub fn point_m(&self) -> [f64; 2] {
         [self.x_m, self.y_m]
     }
 }
 
-/// Whether a scan may be driven by.
+/// Whether a scan is good enough to drive by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ScanHealth {
-    /// Enough beams measured something.
     Good,
-    /// Too many beams are errors, or not one of all beams came back: a covered, blinded or broken sensor. A home has walls.
+    /// More than half of the beams are errors, no beam returned, or beams are missing: the sensor
+    /// is covered, blinded or broken. In a home some beam always meets a wall.
     Bad,
 }
 
 impl ScanHealth {
-    /// Judges a scan.
     #[must_use]
     pub fn of(scan: &LaserScan) -> Self {
         let errors = scan.ranges.iter().filter(|range| is_error(**range)).count();
@@ -61,7 +61,8 @@ impl ScanHealth {
     }
 }
 
-/// A distance that is none is an error, whatever the driver calls it.
+/// A range that is not finite or is negative counts as an error even if the driver reports it as a
+/// hit.
 fn is_error(range: Range) -> bool {
     match range {
         Range::Hit(range_m) => !(range_m.is_finite() && range_m >= 0.0),
@@ -70,7 +71,8 @@ fn is_error(range: Range) -> bool {
     }
 }
 
-/// How far away the beam met something, metres: at most, where it is nearer than can be measured.
+/// Distance of a beam's return, metres. For a return below the minimum range this is the minimum
+/// range: an upper bound.
 pub(super) fn distance_m(range: Range, geometry: &ScanGeometry) -> Option<f32> {
     match range {
         Range::TooNear => Some(geometry.range_min_m),
@@ -78,34 +80,49 @@ pub(super) fn distance_m(range: Range, geometry: &ScanGeometry) -> Option<f32> {
     }
 }
 
-/// The newest scan as points around the robot. Allocates when a scanner is seen first, not after.
+/// The newest scan as obstacle points in `base_link`. It allocates memory only when the scan
+/// geometry changes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Surroundings {
     laser_forward_m: f64,
     horizon_m: f32,
     body: Vec<BodySector>,
-    /// Cosine and sine of every beam of `geometry`, and up to where it meets the robot itself.
+    /// One entry for every beam of `geometry`.
     beams: Vec<Beam>,
     geometry: Option<ScanGeometry>,
     obstacles: Vec<Obstacle>,
-    /// Room to the left minus room to the right, metres summed over beams.
-    left_over_right_m: f32,
+    /// Sum of the ranges to the left minus the sum of the ranges to the right, each range limited
+    /// to 2 m.
+    left_minus_right_m: f32,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Beam {
     cos: f64,
     sin: f64,
+    /// Returns up to this distance come from the robot's own body, metres.
     own_body_m: f32,
 }
 
+impl Beam {
+    fn new(angle_rad: f64, body: &[BodySector]) -> Self {
+        let own_sectors = body
+            .iter()
+            .filter(|part| (part.from_deg..=part.to_deg).contains(&angle_rad.to_degrees()));
+        let own_body_m = own_sectors.map(|part| part.up_to_m as f32).fold(0.0, f32::max);
+        Self { cos: angle_rad.cos(), sin: angle_rad.sin(), own_body_m }
+    }
+}
+
 impl Surroundings {
-    /// Nothing seen yet.
+    /// Surroundings before the first scan: no obstacles.
     #[must_use]
     pub fn new(config: &SafetyConfig) -> Self {
         let footprint = Footprint::new(config.footprint_radius_m, &config.footprint_m);
-        let needed_m =
-            config.laser_forward_m.abs() + footprint.reach_m() + config.stop_distance_m + SIGHT_M;
+        let needed_m = config.laser_forward_m.abs()
+            + footprint.circumscribed_radius_m()
+            + config.stop_distance_m
+            + SIGHT_M;
         Self {
             laser_forward_m: config.laser_forward_m,
             horizon_m: needed_m.max(f64::from(HORIZON_M)) as f32,
@@ -113,98 +130,101 @@ impl Surroundings {
             beams: Vec::new(),
             geometry: None,
             obstacles: Vec::new(),
-            left_over_right_m: 0.0,
+            left_minus_right_m: 0.0,
         }
     }
 
-    fn learn(&mut self, geometry: ScanGeometry) {
-        let body = &self.body;
-        let beam = |angle: f64| {
-            let own = body
-                .iter()
-                .filter(|part| (part.from_deg..=part.to_deg).contains(&angle.to_degrees()));
-            let own_body_m = own.map(|part| part.up_to_m as f32).fold(0.0, f32::max);
-            Beam { cos: angle.cos(), sin: angle.sin(), own_body_m }
-        };
-        self.beams = (0..geometry.beams).map(|index| beam(geometry.angle_rad(index))).collect();
+    fn set_geometry(&mut self, geometry: ScanGeometry) {
+        self.beams = (0..geometry.beams)
+            .map(|index| Beam::new(geometry.angle_rad(index), &self.body))
+            .collect();
         self.obstacles.reserve(geometry.beams);
         self.geometry = Some(geometry);
     }
 
-    /// Takes in a scan.
-    pub fn see(&mut self, scan: &LaserScan) {
+    /// Replaces the obstacles with those of a new scan.
+    pub fn update(&mut self, scan: &LaserScan) {
         if self.geometry != Some(scan.geometry) {
-            self.learn(scan.geometry);
+            self.set_geometry(scan.geometry);
         }
         self.obstacles.clear();
-        self.left_over_right_m = 0.0;
-        let (mut neighbours, mut last_m) = (0, f32::NEG_INFINITY);
+        self.left_minus_right_m = 0.0;
+        let mut run_length = 0;
+        let mut last_m = f32::NEG_INFINITY;
         for (beam, range) in self.beams.iter().zip(&scan.ranges) {
-            // An error says nothing, also not that its neighbours are single.
+            // An error beam carries no information, so it does not interrupt a run of agreeing
+            // beams.
             if is_error(*range) {
                 continue;
             }
             let Some(range_m) = distance_m(*range, &scan.geometry) else {
-                neighbours = 0;
+                run_length = 0;
                 continue;
             };
-            self.left_over_right_m += range_m.min(2.0).copysign(beam.sin as f32);
+            self.left_minus_right_m += range_m.min(2.0).copysign(beam.sin as f32);
             if range_m > self.horizon_m || range_m <= beam.own_body_m {
-                neighbours = 0;
+                run_length = 0;
                 continue;
             }
-            neighbours =
-                if (range_m - last_m).abs() < NEIGHBOUR_GAP_M { neighbours + 1 } else { 1 };
+            run_length =
+                if (range_m - last_m).abs() < NEIGHBOUR_GAP_M { run_length + 1 } else { 1 };
             last_m = range_m;
-            if neighbours >= MIN_NEIGHBOURS {
+            if run_length >= MIN_RUN {
                 let range_m = f64::from(range_m);
-                let (x_m, y_m) = (self.laser_forward_m + range_m * beam.cos, range_m * beam.sin);
-                self.obstacles.push(Obstacle { x_m, y_m, too_near: *range == Range::TooNear });
+                self.obstacles.push(Obstacle {
+                    x_m: self.laser_forward_m + range_m * beam.cos,
+                    y_m: range_m * beam.sin,
+                    too_near: *range == Range::TooNear,
+                });
             }
         }
     }
 
-    /// Up to where a beam of the newest scan meets the robot itself, metres; 0: nowhere.
+    /// Returns of this beam up to this distance come from the robot's own body, metres; 0 if the
+    /// beam does not meet it.
     pub(super) fn own_body_m(&self, beam: usize) -> f32 {
         self.beams.get(beam).map_or(0.0, |beam| beam.own_body_m)
     }
 
-    /// Free way straight ahead of the outline within which everything is seen, metres.
+    /// Distance straight ahead of the outline within which every obstacle is known, metres.
     #[must_use]
-    pub fn sight_m(&self, footprint: &Footprint) -> f64 {
-        f64::from(self.horizon_m) + self.laser_forward_m - footprint.straight_edge_m()
+    pub fn visible_ahead_m(&self, footprint: &Footprint) -> f64 {
+        f64::from(self.horizon_m) + self.laser_forward_m - footprint.front_edge_m()
     }
 
-    /// Everything that was seen within the horizon of the laser, but for single stray returns.
+    /// All returns within the horizon, without single stray returns and the robot's own body.
     #[must_use]
     pub fn obstacles(&self) -> &[Obstacle] {
         &self.obstacles
     }
 
-    /// What the robot would meet first, and after which way, when it drives by `twist`; looked at up to `reach_m`.
+    /// The obstacle that the footprint would meet first when the robot drives with `twist`, and the
+    /// free distance to it, metres; `None` if it meets none within `reach_m`.
     #[must_use]
-    pub fn first_met(
+    pub fn first_obstacle(
         &self,
         footprint: &Footprint,
         twist: &hal::Twist2,
         reach_m: f64,
     ) -> Option<(Obstacle, f64)> {
-        // Nothing is known beyond the horizon.
+        // Limits the work: no obstacle is known beyond the horizon.
         let reach_m = reach_m.min(2.0 * f64::from(self.horizon_m));
-        let gap = |obstacle: &Obstacle| {
-            Some((*obstacle, footprint.gap_m(obstacle.point_m(), twist, reach_m)?))
-        };
-        self.obstacles.iter().filter_map(gap).min_by(|a, b| a.1.total_cmp(&b.1))
+        self.obstacles
+            .iter()
+            .filter_map(|obstacle| {
+                Some((*obstacle, footprint.gap_m(obstacle.point_m(), twist, reach_m)?))
+            })
+            .min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Side with more room: +1 left, -1 right.
+    /// The side with more free space: +1 left, -1 right.
     #[must_use]
-    pub fn open_side(&self) -> f64 {
-        if self.left_over_right_m >= 0.0 { 1.0 } else { -1.0 }
+    pub fn side_with_more_space(&self) -> f64 {
+        if self.left_minus_right_m >= 0.0 { 1.0 } else { -1.0 }
     }
 }
 
-remembers!(Surroundings: obstacles, left_over_right_m);
+remembers!(Surroundings: obstacles, left_minus_right_m);
 
 #[cfg(test)]
 pub(super) mod tests {
@@ -219,7 +239,7 @@ pub(super) mod tests {
         LaserScan { time_ns: 0, geometry, ranges }
     }
 
-    /// A wall across the way, `distance_m` ahead of the sensor.
+    /// A wall at a right angle to the x axis, `distance_m` ahead of the sensor.
     pub fn wall_ahead(distance_m: f64) -> LaserScan {
         scan_of(|angle| match angle.cos() {
             cos if cos > 0.1 => Range::Hit((distance_m / cos) as f32),
@@ -227,26 +247,33 @@ pub(super) mod tests {
         })
     }
 
-    fn met(scan: &LaserScan, twist: Twist2) -> Option<(Obstacle, f64)> {
-        met_with(&SafetyConfig::default(), scan, twist)
+    fn first_obstacle(scan: &LaserScan, twist: Twist2) -> Option<(Obstacle, f64)> {
+        first_obstacle_with(&SafetyConfig::default(), scan, twist)
     }
 
-    fn met_with(config: &SafetyConfig, scan: &LaserScan, twist: Twist2) -> Option<(Obstacle, f64)> {
-        let mut around = Surroundings::new(config);
-        around.see(scan);
-        around.first_met(&Footprint::new(0.16, &[]), &twist, 0.1)
+    fn first_obstacle_with(
+        config: &SafetyConfig,
+        scan: &LaserScan,
+        twist: Twist2,
+    ) -> Option<(Obstacle, f64)> {
+        let mut surroundings = Surroundings::new(config);
+        surroundings.update(scan);
+        surroundings.first_obstacle(&Footprint::new(0.16, &[]), &twist, 0.1)
     }
 
     #[test]
     fn a_wall_nearer_than_the_reach_is_found_with_its_gap() {
-        let (_, gap_m) = met(&wall_ahead(0.25), FORWARD).unwrap();
+        let (_, gap_m) = first_obstacle(&wall_ahead(0.25), FORWARD).unwrap();
         assert!((gap_m - 0.09).abs() < 1e-3, "{gap_m}");
-        assert!(met(&wall_ahead(0.27), FORWARD).is_none());
+        assert!(first_obstacle(&wall_ahead(0.27), FORWARD).is_none());
     }
 
     #[test]
-    fn a_wall_ahead_does_not_block_the_way_back() {
-        assert!(met(&wall_ahead(0.2), Twist2 { linear_mps: -0.3, angular_radps: 0.0 }).is_none());
+    fn a_wall_ahead_does_not_block_reversing() {
+        assert!(
+            first_obstacle(&wall_ahead(0.2), Twist2 { linear_mps: -0.3, angular_radps: 0.0 })
+                .is_none()
+        );
     }
 
     #[test]
@@ -255,7 +282,7 @@ pub(super) mod tests {
             sin if sin > 0.1 => Range::Hit((0.18 / sin) as f32),
             _ => Range::Hit(5.0),
         });
-        assert!(met(&beside, FORWARD).is_none());
+        assert!(first_obstacle(&beside, FORWARD).is_none());
     }
 
     #[test]
@@ -267,18 +294,18 @@ pub(super) mod tests {
                     if angle.abs() < 0.4 * beam_rad { Range::Hit(0.2) } else { Range::Hit(3.0) }
                 },
             );
-        assert!(met(&stray, FORWARD).is_none());
+        assert!(first_obstacle(&stray, FORWARD).is_none());
         let leg =
             scan_of(|angle| if angle.abs() < 0.05 { Range::Hit(0.2) } else { Range::Hit(3.0) });
-        assert!(met(&leg, FORWARD).is_some());
+        assert!(first_obstacle(&leg, FORWARD).is_some());
     }
 
     #[test]
     fn too_near_ahead_is_an_obstacle_and_no_return_is_not() {
         let near =
             scan_of(|angle| if angle.abs() < 0.3 { Range::TooNear } else { Range::Hit(3.0) });
-        assert!(met(&near, FORWARD).unwrap().0.too_near);
-        assert!(met(&scan_of(|_| Range::NoReturn), FORWARD).is_none());
+        assert!(first_obstacle(&near, FORWARD).unwrap().0.too_near);
+        assert!(first_obstacle(&scan_of(|_| Range::NoReturn), FORWARD).is_none());
     }
 
     #[test]
@@ -287,9 +314,9 @@ pub(super) mod tests {
         let config = SafetyConfig { body, ..SafetyConfig::default() };
         let mast =
             scan_of(|angle| if angle.abs() < 0.15 { Range::Hit(0.12) } else { Range::Hit(3.0) });
-        assert!(met(&mast, FORWARD).is_some());
-        assert!(met_with(&config, &mast, FORWARD).is_none());
-        assert!(met_with(&config, &wall_ahead(0.2), FORWARD).is_some());
+        assert!(first_obstacle(&mast, FORWARD).is_some());
+        assert!(first_obstacle_with(&config, &mast, FORWARD).is_none());
+        assert!(first_obstacle_with(&config, &wall_ahead(0.2), FORWARD).is_some());
     }
 
     #[test]
@@ -306,138 +333,140 @@ pub(super) mod tests {
     fn a_distance_that_is_none_is_an_error_whatever_the_driver_calls_it() {
         for none in [f32::NAN, f32::INFINITY, -0.2] {
             assert_eq!(ScanHealth::of(&scan_of(|_| Range::Hit(none))), ScanHealth::Bad, "{none}");
-            assert!(met(&scan_of(|_| Range::Hit(none)), FORWARD).is_none(), "{none}");
+            assert!(first_obstacle(&scan_of(|_| Range::Hit(none)), FORWARD).is_none(), "{none}");
         }
     }
 
     #[test]
     fn half_of_the_beams_may_be_errors_and_not_one_more() {
-        let with = |errors: usize| {
+        fn health_with(errors: usize) -> ScanHealth {
             let mut scan = scan_of(|_| Range::Hit(1.0));
             scan.ranges[..errors].fill(Range::Error);
             ScanHealth::of(&scan)
-        };
-        assert_eq!((with(540), with(541)), (ScanHealth::Good, ScanHealth::Bad));
+        }
+        assert_eq!(health_with(540), ScanHealth::Good);
+        assert_eq!(health_with(541), ScanHealth::Bad);
         assert_eq!(ScanHealth::of(&scan_of(|_| Range::TooNear)), ScanHealth::Good);
     }
 
     #[test]
-    fn errors_between_returns_do_not_hide_what_returned_and_nothing_between_them_leaves_them_single()
-     {
+    fn error_beams_between_returns_do_not_hide_an_obstacle_and_beams_without_return_do() {
         for (between, hidden) in
             [(Range::Error, false), (Range::Hit(f32::NAN), false), (Range::NoReturn, true)]
         {
             let mut scan = wall_ahead(0.2);
             scan.ranges.iter_mut().step_by(2).for_each(|range| *range = between);
-            assert_eq!(met(&scan, FORWARD).is_none(), hidden, "{between:?}");
+            assert_eq!(first_obstacle(&scan, FORWARD).is_none(), hidden, "{between:?}");
         }
     }
 
     #[test]
     fn neighbours_agree_within_eight_centimetres() {
-        let teeth = |depth_m: f32| {
+        fn teeth_are_an_obstacle(depth_m: f32) -> bool {
             let mut scan = scan_of(|_| Range::Hit(3.0));
             for beam in 535..545 {
                 scan.ranges[beam] = Range::Hit(if beam % 2 == 0 { 0.2 } else { 0.2 + depth_m });
             }
-            met(&scan, FORWARD).is_some()
-        };
-        assert!(teeth(0.079) && !teeth(0.081));
+            first_obstacle(&scan, FORWARD).is_some()
+        }
+        assert!(teeth_are_an_obstacle(0.079) && !teeth_are_an_obstacle(0.081));
     }
 
     #[test]
-    fn the_robot_turns_to_the_side_with_more_room() {
-        let mut around = Surroundings::new(&SafetyConfig::default());
+    fn the_side_with_larger_ranges_has_more_space() {
+        let mut surroundings = Surroundings::new(&SafetyConfig::default());
         for (left_m, right_m, side) in
             [(1.0, 0.5, 1.0), (0.5, 1.0, -1.0), (5.0, 2.5, 1.0), (1.0, 1.0, 1.0)]
         {
-            around.see(&scan_of(|angle| match angle.sin() {
+            surroundings.update(&scan_of(|angle| match angle.sin() {
                 sin if sin.abs() < 1e-6 => Range::NoReturn,
                 sin => Range::Hit(if sin > 0.0 { left_m } else { right_m }),
             }));
-            assert_eq!(around.open_side(), side, "{left_m} {right_m}");
+            assert_eq!(surroundings.side_with_more_space(), side, "{left_m} {right_m}");
         }
     }
 
     #[test]
-    fn a_laser_in_front_of_the_axle_sees_from_there_and_as_far_as_it_must() {
+    fn the_laser_position_and_a_large_stop_distance_shift_the_horizon() {
         let config = SafetyConfig { laser_forward_m: 0.1, ..SafetyConfig::default() };
-        let (obstacle, gap_m) = met_with(&config, &wall_ahead(0.15), FORWARD).unwrap();
+        let (obstacle, gap_m) = first_obstacle_with(&config, &wall_ahead(0.15), FORWARD).unwrap();
         assert!(
             (obstacle.x_m - 0.25).abs() < 1e-3 && (gap_m - 0.09).abs() < 1e-3,
             "{obstacle:?} {gap_m}"
         );
-        let sight =
-            |config: &SafetyConfig| Surroundings::new(config).sight_m(&Footprint::new(0.16, &[]));
-        assert!((sight(&config) - (1.5 + 0.1 - 0.16)).abs() < 1e-6);
+        fn visible_m(config: &SafetyConfig) -> f64 {
+            Surroundings::new(config).visible_ahead_m(&Footprint::new(0.16, &[]))
+        }
+        assert!((visible_m(&config) - (1.5 + 0.1 - 0.16)).abs() < 1e-6);
         for laser_forward_m in [-0.5, 0.5] {
             let far =
                 SafetyConfig { laser_forward_m, stop_distance_m: 2.0, ..SafetyConfig::default() };
             assert!(
-                (sight(&far) - (0.5 + laser_forward_m + 2.0 + 1.0)).abs() < 1e-6,
+                (visible_m(&far) - (0.5 + laser_forward_m + 2.0 + 1.0)).abs() < 1e-6,
                 "{}",
-                sight(&far)
+                visible_m(&far)
             );
         }
     }
 
     #[test]
-    fn a_body_that_is_seen_between_two_directions_is_masked_between_them_and_up_to_its_distance_only()
-     {
+    fn body_sectors_mask_their_directions_up_to_their_distance_only() {
         let body = vec![
             BodySector { from_deg: -10.0, to_deg: 10.0, up_to_m: 0.15 },
             BodySector { from_deg: 5.0, to_deg: 20.0, up_to_m: 0.3 },
         ];
         let config = SafetyConfig { body, ..SafetyConfig::default() };
-        let mut around = Surroundings::new(&config);
-        assert_eq!(around.own_body_m(540), 0.0, "no scan yet");
-        around.see(&wall_ahead(1.0));
-        let beam = |degrees: f64| (540.0 + 4.0 * degrees) as usize;
-        let seen: Vec<f32> =
-            [-11.0, -9.0, 0.0, 6.0, 19.0, 21.0].map(|at| around.own_body_m(beam(at))).to_vec();
-        assert_eq!(seen, [0.0, 0.15, 0.15, 0.3, 0.3, 0.0]);
+        let mut surroundings = Surroundings::new(&config);
+        assert_eq!(surroundings.own_body_m(540), 0.0, "no scan yet");
+        surroundings.update(&wall_ahead(1.0));
+        let masked_m = [-11.0, -9.0, 0.0, 6.0, 19.0, 21.0].map(|degrees: f64| {
+            let beam = (540.0 + 4.0 * degrees) as usize;
+            surroundings.own_body_m(beam)
+        });
+        assert_eq!(masked_m, [0.0, 0.15, 0.15, 0.3, 0.3, 0.0]);
     }
 
     #[test]
-    fn another_scanner_is_learned_anew() {
-        let mut around = Surroundings::new(&SafetyConfig::default());
-        around.see(&wall_ahead(0.2));
+    fn a_change_of_the_scan_geometry_is_taken_over() {
+        let mut surroundings = Surroundings::new(&SafetyConfig::default());
+        surroundings.update(&wall_ahead(0.2));
         let geometry = ScanGeometry { angle_min_rad: 0.0, ..ScanGeometry::UTM_30LX };
-        around.see(&LaserScan { geometry, ..wall_ahead(0.2) });
+        surroundings.update(&LaserScan { geometry, ..wall_ahead(0.2) });
         assert!(
-            around.first_met(&Footprint::new(0.16, &[]), &FORWARD, 0.1).is_none(),
-            "it looks to the left"
+            surroundings.first_obstacle(&Footprint::new(0.16, &[]), &FORWARD, 0.1).is_none(),
+            "the new scanner looks to the left"
         );
     }
 
     #[test]
-    fn what_is_seen_lies_where_the_beam_points_and_nothing_beyond_the_horizon_is_kept() {
-        let mut around =
+    fn obstacles_lie_in_the_direction_of_their_beam_and_within_the_horizon() {
+        let mut surroundings =
             Surroundings::new(&SafetyConfig { laser_forward_m: 0.1, ..SafetyConfig::default() });
-        around.see(&scan_of(|angle| {
+        surroundings.update(&scan_of(|angle| {
             if (0.5..0.6).contains(&angle) { Range::Hit(1.0) } else { Range::Hit(3.0) }
         }));
-        assert!(around.obstacles().len() > 20);
-        for obstacle in around.obstacles() {
-            let (x_m, y_m) = (obstacle.x_m - 0.1, obstacle.y_m);
+        assert!(surroundings.obstacles().len() > 20);
+        for obstacle in surroundings.obstacles() {
+            let x_m = obstacle.x_m - 0.1;
+            let y_m = obstacle.y_m;
             assert!(
                 (x_m.hypot(y_m) - 1.0).abs() < 1e-6 && (0.5..0.6).contains(&y_m.atan2(x_m)),
                 "{obstacle:?}"
             );
         }
         for (range_m, is_kept) in [(1.5, true), (1.51, false), (20.0, false)] {
-            around.see(&scan_of(|_| Range::Hit(range_m)));
-            assert_eq!(!around.obstacles().is_empty(), is_kept, "{range_m}");
+            surroundings.update(&scan_of(|_| Range::Hit(range_m)));
+            assert_eq!(!surroundings.obstacles().is_empty(), is_kept, "{range_m}");
         }
     }
 
     #[test]
-    fn whatever_is_within_the_horizon_is_met_by_who_looks_far_enough() {
-        let mut around = Surroundings::new(&SafetyConfig::default());
-        around.see(&scan_of(|_| Range::Hit(1.5)));
+    fn a_long_reach_finds_every_obstacle_within_the_horizon() {
+        let mut surroundings = Surroundings::new(&SafetyConfig::default());
+        surroundings.update(&scan_of(|_| Range::Hit(1.5)));
         let robot = Footprint::new(0.16, &[]);
-        let (_, gap_m) = around.first_met(&robot, &FORWARD, 100.0).unwrap();
+        let (_, gap_m) = surroundings.first_obstacle(&robot, &FORWARD, 100.0).unwrap();
         assert!((gap_m - 1.34).abs() < 1e-3, "{gap_m}");
-        assert!(around.first_met(&robot, &FORWARD, 1.3).is_none());
+        assert!(surroundings.first_obstacle(&robot, &FORWARD, 1.3).is_none());
     }
 }

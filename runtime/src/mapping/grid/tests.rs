@@ -24,7 +24,7 @@ fn update(grid: &mut OccupancyGrid, observations: &[(Cell, f32)]) {
     grid.finish_update();
 }
 
-/// The formula as written, one cell at a time.
+/// The documented formula, applied to one cell at a time.
 fn naive(map: &mut BTreeMap<Cell, f32>, config: &MapConfig, observations: &[(Cell, f32)]) {
     map.values_mut().for_each(|value| *value *= config.decay);
     let mut evidence: BTreeMap<Cell, (bool, bool)> = BTreeMap::new();
@@ -43,7 +43,7 @@ fn naive(map: &mut BTreeMap<Cell, f32>, config: &MapConfig, observations: &[(Cel
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
     #[test]
-    fn decay_is_that_of_multiplying_every_cell(
+    fn decay_equals_multiplying_every_cell(
         steps in proptest::collection::vec(proptest::collection::vec((0..6i32, 0..6i32, any::<bool>()), 0..12), 1..40),
         decay in 0.6..1.0f32, limit in 1.0..10.0f32, repeats in 1..40usize,
     ) {
@@ -70,7 +70,8 @@ proptest! {
         let seen: Vec<(Cell, f32)> = seen.into_iter().map(|(x, value)| (Cell::new(x, 0), value as f32)).collect();
         let mut sorted = seen.clone();
         sorted.sort_by(|a, b| a.1.total_cmp(&b.1));
-        let (mut a, mut b) = (grid(), grid());
+        let mut a = grid();
+        let mut b = grid();
         update(&mut a, &seen);
         update(&mut b, &sorted);
         for x in 0..3 {
@@ -88,7 +89,7 @@ fn in_one_update_occupied_wins_over_free() {
 }
 
 #[test]
-fn a_cell_stays_known_for_ever() {
+fn decay_never_makes_a_known_cell_unknown() {
     let mut grid = grid();
     update(&mut grid, &[(Cell::new(0, 0), 2.0), (Cell::new(1, 0), -1.5)]);
     for _ in 0..20_000 {
@@ -109,9 +110,10 @@ fn evidence_that_cancels_does_not_make_a_cell_unknown() {
 }
 
 #[test]
-fn the_window_follows_the_robot_and_keeps_what_it_still_covers() {
+fn the_window_follows_the_robot_and_keeps_the_cells_that_it_still_covers() {
     let mut grid = grid();
-    let (near, far) = (Cell::new(70, 3), Cell::new(-70, 3));
+    let near = Cell::new(70, 3);
+    let far = Cell::new(-70, 3);
     update(&mut grid, &[(near, 2.0), (far, 2.0)]);
     grid.begin_update(&Pose2::new(1.5, 0.0, 0.0)).unwrap();
     grid.finish_update();
@@ -120,15 +122,17 @@ fn the_window_follows_the_robot_and_keeps_what_it_still_covers() {
     assert_eq!(grid.known_cells().map(|(cell, _)| cell).collect::<Vec<_>>(), [near]);
     grid.begin_update(&Pose2::IDENTITY).unwrap();
     grid.finish_update();
-    assert_eq!(grid.state(far), CellState::Unknown, "what left the window is forgotten");
+    assert_eq!(grid.state(far), CellState::Unknown, "a cell that left the window is unknown");
     assert_eq!(grid.state(near), CellState::Occupied);
 }
 
 #[test]
-fn the_window_moves_no_farther_than_it_must() {
-    // The robot may be 5 cells from the middle of 150: behind it 80 cells stay.
+fn the_window_moves_as_little_as_necessary() {
+    // The robot may be 5 cells away from the centre of 150 cells, so 80 cells behind it stay in the
+    // window.
     let mut grid = grid();
-    let (kept, forgotten) = (Cell::new(-30, 0), Cell::new(-31, 0));
+    let kept = Cell::new(-30, 0);
+    let forgotten = Cell::new(-31, 0);
     update(&mut grid, &[(kept, 2.0), (forgotten, 2.0)]);
     for x in (0..=50).chain((0..50).rev()) {
         let [x_m, y_m] = grid.center_m(Cell::new(x, 0));
@@ -140,7 +144,7 @@ fn the_window_moves_no_farther_than_it_must() {
 }
 
 #[test]
-fn newly_known_cells_are_told_once() {
+fn newly_known_cells_are_reported_once() {
     let mut grid = grid();
     let cell = Cell::new(-2, 9);
     update(&mut grid, &[(cell, -1.5)]);
@@ -150,7 +154,7 @@ fn newly_known_cells_are_told_once() {
 }
 
 #[test]
-fn a_collision_neither_decays_nor_clears_until_it_expires() {
+fn a_collision_neither_decays_nor_is_cleared_until_it_expires() {
     let config = MapConfig { collision_updates: 100, ..small() };
     let mut grid = OccupancyGrid::new(&config).unwrap();
     let robot = Pose2::new(0.0, 0.015, core::f64::consts::FRAC_PI_2);
@@ -169,7 +173,7 @@ fn a_collision_neither_decays_nor_clears_until_it_expires() {
 }
 
 #[test]
-fn the_robot_stands_on_free_floor_but_a_collision_stays() {
+fn the_floor_under_the_robot_is_free_except_for_collisions() {
     let mut grid = grid();
     update(&mut grid, &[(Cell::new(1, 1), 50.0)]);
     grid.begin_update(&Pose2::IDENTITY).unwrap();
@@ -185,8 +189,10 @@ fn the_robot_stands_on_free_floor_but_a_collision_stays() {
 }
 
 #[test]
-fn the_digest_tells_what_was_written() {
-    let (mut a, mut b, mut c) = (grid(), grid(), grid());
+fn the_digest_depends_on_the_written_cells_and_values() {
+    let mut a = grid();
+    let mut b = grid();
+    let mut c = grid();
     update(&mut a, &[(Cell::new(1, 2), 2.0)]);
     update(&mut b, &[(Cell::new(1, 2), 2.0)]);
     update(&mut c, &[(Cell::new(1, 2), -1.5)]);

@@ -3,13 +3,14 @@ use crate::mapping::CellBox;
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 
-/// A random costmap of square patches: `None` with probability `blocked`, otherwise mostly 1, or up to 15.
+/// A random costmap of square patches: `None` with probability `blocked`, otherwise mostly 1, or up
+/// to 15.
 fn random_map(size: (i32, i32), patch: i32, blocked: f64, rough: f64, seed: u64) -> Costmap {
     let mut random = rand_pcg::Pcg64::seed_from_u64(seed);
     let patches: Vec<Option<f64>> = (0..50 * 50)
         .map(|_| {
-            let dear = f64::from(random.random_range(4..60)) / 4.0;
-            let weight = if random.random_bool(rough) { dear } else { 1.0 };
+            let expensive = f64::from(random.random_range(4..60)) / 4.0;
+            let weight = if random.random_bool(rough) { expensive } else { 1.0 };
             (!random.random_bool(blocked)).then_some(weight)
         })
         .collect();
@@ -19,15 +20,15 @@ fn random_map(size: (i32, i32), patch: i32, blocked: f64, rough: f64, seed: u64)
     })
 }
 
-/// Neighbours and whole-number costs, by the rules as documented.
+/// The neighbours of a cell and the integer costs of the steps, computed directly from the
+/// documented rules.
 fn successors(costmap: &Costmap, cell: Cell) -> Vec<(Cell, u32)> {
     let mut found = Vec::new();
     for (dx, dy) in STEPS {
         let next = cell.offset(dx, dy);
-        let open = |dx, dy| costmap.is_passable(cell.offset(dx, dy));
         if let Some(weight) = costmap.weight(next)
-            && open(dx, 0)
-            && open(0, dy)
+            && costmap.is_passable(cell.offset(dx, 0))
+            && costmap.is_passable(cell.offset(0, dy))
         {
             let length = if dx != 0 && dy != 0 { DIAGONAL } else { STRAIGHT };
             found.push((next, length * (weight * 4.0) as u32));
@@ -48,7 +49,7 @@ fn cost_of(costmap: &Costmap, path: &[Cell]) -> u32 {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
     #[test]
-    fn paths_cost_what_those_of_the_pathfinding_crate_cost(
+    fn paths_cost_the_same_as_those_of_the_pathfinding_crate(
         width in 2..40i32, height in 2..40i32, blocked in 0.0..0.5f64, rough in prop_oneof![Just(0.0), Just(0.02), 0.0..1.0f64], patch in 1..9i32, seed: u64,
         ends in (0.0..1.0f64, 0.0..1.0f64, 0.0..1.0f64, 0.0..1.0f64),
     ) {
@@ -56,11 +57,12 @@ proptest! {
         let at = |x: f64, y: f64| {
             Cell::new(-3 + (x * f64::from(width)) as i32, 5 + (y * f64::from(height)) as i32)
         };
-        let (start, goal) = (at(ends.0, ends.1), at(ends.2, ends.3));
+        let start = at(ends.0, ends.1);
+        let goal = at(ends.2, ends.3);
         let mut planner = Planner::new(usize::MAX);
         prop_assume!(costmap.is_passable(start));
         let expected = pathfinding::prelude::astar(&start, |cell| successors(&costmap, *cell), |_| 0, |cell| *cell == goal);
-        // Twice: the second search must not be disturbed by what the first left behind.
+        // Planned twice: data of the first search must not disturb the second.
         let _ = planner.plan(&costmap, goal, start);
         match (planner.plan(&costmap, start, goal), expected) {
             (Ok(path), Some((_, cost))) => {
@@ -114,11 +116,12 @@ fn a_corner_is_not_cut() {
 }
 
 #[test]
-fn every_reason_is_told_apart() {
+fn each_cause_of_a_missing_path_has_its_own_reason() {
     let cells = CellBox { min: Cell::new(0, 0), max: Cell::new(20, 20) };
     // A wall in column 10.
     let costmap = Costmap::from_weights(cells, 0.03, |cell| (cell.x != 10).then_some(1.0));
-    let (here, there) = (Cell::new(2, 2), Cell::new(18, 2));
+    let here = Cell::new(2, 2);
+    let there = Cell::new(18, 2);
     let mut planner = Planner::new(1000);
     assert_eq!(planner.plan(&costmap, here, there), Err(NoPath::Unreachable));
     assert_eq!(planner.plan(&costmap, here, Cell::new(10, 2)), Err(NoPath::GoalBlocked));
@@ -129,11 +132,12 @@ fn every_reason_is_told_apart() {
 }
 
 #[test]
-fn what_hundreds_of_searches_ago_was_known_is_forgotten() {
+fn data_of_hundreds_of_earlier_searches_does_not_disturb_a_search() {
     let cells = CellBox { min: Cell::new(0, 0), max: Cell::new(20, 20) };
     let open = Costmap::from_weights(cells, 0.03, |_| Some(1.0));
     let walled = Costmap::from_weights(cells, 0.03, |cell| (cell.x != 10).then_some(1.0));
-    let (here, there) = (Cell::new(2, 2), Cell::new(18, 2));
+    let here = Cell::new(2, 2);
+    let there = Cell::new(18, 2);
     let mut planner = Planner::new(10_000);
     for _ in 0..600 {
         assert_eq!(planner.plan(&open, here, there).map(<[Cell]>::len), Ok(17));

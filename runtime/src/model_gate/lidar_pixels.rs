@@ -1,75 +1,79 @@
-//! What the safety LiDAR says about a picture: metric depth along a line, about one pixel in each column.
+//! The metric depth that the safety LiDAR measures in a camera frame: along one line, about one
+//! pixel in each column.
 
 use hal::{CameraModel, LaserScan, Pose3};
 use nalgebra::Point3;
 
 use crate::tick::TickInput;
 
-/// A scan this much older or newer than its picture shows other columns: at 20 degrees a second, 1 degree.
-const MAX_APART_NS: u64 = 50_000_000;
-/// Depths within this factor of the truth are right (Eigen et al. 2014).
+/// Largest time difference between a scan and a frame. At 20 degrees per second the robot rotates 1
+/// degree meanwhile, which moves returns to other columns.
+const MAX_TIME_DIFFERENCE_NS: u64 = 50_000_000;
+/// Depths within this factor of the LiDAR's depth are right (Eigen et al. 2014).
 const DELTA1: f32 = 1.25;
-/// What is nearer to the camera than this is no part of a room, metres.
+/// Returns closer to the camera than this are ignored, metres: no object of a room is that close.
 const NEAREST_M: f64 = 0.1;
 
-/// A pixel whose distance the LiDAR knows.
+/// A pixel whose depth the LiDAR has measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LinePoint {
-    /// Column.
+    /// Image column.
     pub u: usize,
-    /// Row.
+    /// Image row.
     pub v: usize,
-    /// z-depth, metres.
+    /// z-depth in the camera's frame, metres.
     pub depth_m: f32,
 }
 
 impl LinePoint {
-    /// Whether a depth here, metres, is right: within 25 % of the LiDAR's. 0, which is no depth, is not.
+    /// Whether a depth at this pixel, metres, is right: within a factor of 1.25 of the LiDAR's. 0
+    /// (no depth) is not right.
     #[must_use]
     pub fn agrees(&self, depth_m: f32) -> bool {
         (depth_m / self.depth_m).max(self.depth_m / depth_m) < DELTA1
     }
 }
 
-/// The safety LiDAR as the camera sees it.
+/// Projects LiDAR scans into camera frames.
 #[derive(Debug, Clone, Copy)]
 pub struct LidarView {
-    /// The camera.
     pub camera: CameraModel,
     /// Maps points of `laser` into `camera_optical`.
     pub t_camera_laser: Pose3,
 }
 
 impl LidarView {
-    /// What a turn's scan says of its picture; nothing where one of the two is missing or they are of different moments.
+    /// The LiDAR pixels of a tick's frame; none if the frame or the scan is missing, or their times
+    /// differ too much.
     #[must_use]
     pub fn of_turn(&self, input: &TickInput<'_>) -> Vec<LinePoint> {
         let scan = input.scan.filter(|_| input.frame.is_some());
-        // The wheels' measurement is that of the picture's moment; the turn itself is later.
+        // The wheel feedback has the time of the frame; the time of the tick itself is later.
         scan.map_or_else(Vec::new, |scan| self.at(scan, input.wheel.time_ns))
     }
 
-    /// What a scan says of a picture that was taken at `picture_ns`; nothing where they are of different moments.
+    /// The LiDAR pixels of a frame that was taken at `frame_ns`; none if the time of the scan
+    /// differs too much.
     #[must_use]
-    pub fn at(&self, scan: &LaserScan, picture_ns: u64) -> Vec<LinePoint> {
-        if scan.time_ns.abs_diff(picture_ns) > MAX_APART_NS {
+    pub fn at(&self, scan: &LaserScan, frame_ns: u64) -> Vec<LinePoint> {
+        if scan.time_ns.abs_diff(frame_ns) > MAX_TIME_DIFFERENCE_NS {
             return Vec::new();
         }
-        lidar_line(scan, &self.camera, &self.t_camera_laser)
+        project_hits(scan, &self.camera, &self.t_camera_laser)
     }
 }
 
-/// The hits of a scan that lie in the picture, left to right; `t_camera_laser` maps points of `laser` into `camera_optical`. Of
-/// several hits in one column the nearest counts: the others may be hidden behind it. No return is not a distance, and neither
-/// is an error. Distortion is ignored, as everywhere behind the front end.
-fn lidar_line(scan: &LaserScan, camera: &CameraModel, t_camera_laser: &Pose3) -> Vec<LinePoint> {
+/// The hits of a scan that lie in the image, from left to right. `t_camera_laser` maps points of
+/// `laser` into `camera_optical`. Of several hits in one column the nearest is used, because the
+/// others may be hidden behind it. Lens distortion is ignored, because frames are rectified before.
+fn project_hits(scan: &LaserScan, camera: &CameraModel, t_camera_laser: &Pose3) -> Vec<LinePoint> {
     let mut nearest: Vec<Option<LinePoint>> = vec![None; camera.width];
     for (angle, range_m) in scan.hits() {
         let range_m = f64::from(range_m);
         let point = t_camera_laser * Point3::new(range_m * angle.cos(), range_m * angle.sin(), 0.0);
         let pixel = camera.project(&point).filter(|_| point.z > NEAREST_M);
         let Some((u, v)) = pixel.map(|(u, v)| (u.round(), v.round())) else { continue };
-        // NaN is in no picture.
+        // NaN fails these comparisons.
         let inside = u >= 0.0 && v >= 0.0 && u < camera.width as f64 && v < camera.height as f64;
         if !inside {
             continue;
@@ -103,16 +107,17 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_across_the_way_is_one_row_of_one_depth() {
+    fn a_wall_ahead_gives_one_row_of_equal_depths() {
         let (camera, t_camera_laser) = mounts();
         // The wall is 3 m ahead of the camera, 2.95 m ahead of the scanner.
         let wall = scan_of(|angle| match angle.cos() {
             cos if cos > 0.05 => Range::Hit((2.95 / cos) as f32),
             _ => Range::NoReturn,
         });
-        let line = lidar_line(&wall, &camera, &t_camera_laser);
+        let line = project_hits(&wall, &camera, &t_camera_laser);
         assert!(line.len() > 300, "{}", line.len());
-        // 0.62 m below the camera at 3 m: 320 * 0.62 / 3 rows below the middle.
+        // The scanner's plane is 0.62 m below the camera; at 3 m this is 320 * 0.62 / 3 rows below
+        // the image centre.
         let row = (95.5 + 320.0 * 0.62 / 3.0f64).round() as usize;
         for point in &line {
             assert!((point.depth_m - 3.0).abs() < 1e-3 && point.v == row, "{point:?}");
@@ -121,26 +126,26 @@ mod tests {
     }
 
     #[test]
-    fn nothing_came_back_and_errors_are_no_depth() {
+    fn beams_without_a_hit_give_no_depth() {
         let (camera, t_camera_laser) = mounts();
         for range in [Range::NoReturn, Range::TooNear, Range::Error, Range::Hit(f32::NAN)] {
             assert!(
-                lidar_line(&scan_of(|_| range), &camera, &t_camera_laser).is_empty(),
+                project_hits(&scan_of(|_| range), &camera, &t_camera_laser).is_empty(),
                 "{range:?}"
             );
         }
     }
 
     #[test]
-    fn what_stands_behind_the_robot_is_not_in_the_picture() {
+    fn hits_behind_the_robot_are_not_in_the_image() {
         let (camera, t_camera_laser) = mounts();
         let behind =
             scan_of(|angle| if angle.abs() > 1.7 { Range::Hit(3.0) } else { Range::NoReturn });
-        assert!(lidar_line(&behind, &camera, &t_camera_laser).is_empty());
+        assert!(project_hits(&behind, &camera, &t_camera_laser).is_empty());
     }
 
     #[test]
-    fn of_two_hits_in_a_column_the_nearer_counts() {
+    fn of_two_hits_in_a_column_the_nearer_one_is_used() {
         let (camera, t_camera_laser) = mounts();
         let mut nearer = true;
         let both = scan_of(|_| Range::Hit(4.0));
@@ -149,10 +154,8 @@ mod tests {
             nearer = !nearer;
             *range = Range::Hit(if nearer { 3.0 } else { 4.0 });
         }
-        let (far, mixed) = (
-            lidar_line(&both, &camera, &t_camera_laser),
-            lidar_line(&mixed, &camera, &t_camera_laser),
-        );
+        let far = project_hits(&both, &camera, &t_camera_laser);
+        let mixed = project_hits(&mixed, &camera, &t_camera_laser);
         assert!(
             mixed.iter().all(|point| point.depth_m < 4.06)
                 && far.iter().any(|point| point.depth_m > 3.9)
@@ -162,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_counts_by_the_moment_of_its_picture_however_late_the_turn_is() {
+    fn the_time_of_a_scan_is_compared_with_that_of_the_frame_and_not_of_the_tick() {
         let (camera, t_camera_laser) = mounts();
         let view = LidarView { camera, t_camera_laser };
         let pixels = vec![0; 3 * camera.width * camera.height];
@@ -183,7 +186,7 @@ mod tests {
             .len()
         };
         assert!(points(950, true) > 300 && points(1050, true) > 300);
-        // Of the turn's moment, but not of the picture's.
+        // The first scan has the time of the tick, but not that of the frame.
         assert_eq!((points(1180, true), points(949, true), points(1000, false)), (0, 0, 0));
     }
 }

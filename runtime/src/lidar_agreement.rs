@@ -1,6 +1,7 @@
-//! How right is the depth, as far as the robot can tell while it drives? The safety LiDAR knows the metric truth along one line
-//! of every picture. For people and for the trial of a new model; no ground truth of a simulator, and nothing that decides where
-//! the robot goes.
+//! The agreement of the depth with the safety LiDAR while the robot drives. The LiDAR measures
+//! metric depth along one line of each frame. The result is for status output and for the trial of
+//! a new model. It uses no ground truth of a simulator, and it does not influence where the robot
+//! drives.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,26 +9,28 @@ use crate::model_gate::{LidarView, LinePoint};
 use crate::perception::DepthEstimate;
 use crate::tick::TickInput;
 
-/// Where distances are told apart, metres.
+/// Edges of the distance bins, metres.
 pub const DISTANCES_M: [f32; 3] = [1.0, 2.0, 4.0];
-/// Pictures after which one counts by a factor of e less: a minute at 10 Hz.
-const MEMORY_PICTURES: f64 = 600.0;
+/// Time constant of the exponential average: after this many frames (one minute at 10 Hz) a frame's
+/// weight has fallen to 1/e.
+const MEMORY_FRAMES: f64 = 600.0;
 
-/// What is known of the depth at one range of distances, or at all.
+/// Agreement of the depth with the LiDAR in one range of distances, or in all.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LineAccuracy {
-    /// Distances from here on, metres ...
+    /// Lower end of the range of distances, metres.
     pub from_m: f32,
-    /// ... to here; absent: no end.
+    /// Upper end of the range, metres; `None` if it has no end.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub to_m: Option<f32>,
-    /// Pixels that were compared, older ones counting less.
+    /// Weighted number of compared pixels; older pixels have a lower weight.
     pub pixels: f64,
-    /// Share of them that has a depth.
+    /// Share of the compared pixels that have a depth.
     pub share: f64,
-    /// Share of those within 25 % of the LiDAR's distance, unscaled.
+    /// Share of the pixels with a depth whose depth is within a factor of 1.25 of the LiDAR's,
+    /// without scaling.
     pub delta1: f64,
-    /// Geometric mean of depth over the LiDAR's distance: above 1 the depth is too far.
+    /// Geometric mean of the depth divided by the LiDAR's depth: above 1 the depth is too large.
     pub scale: f64,
 }
 
@@ -40,12 +43,12 @@ struct Bin {
 }
 
 impl Bin {
-    fn add(&mut self, depth_m: Option<f32>, truth: &LinePoint) {
+    fn add(&mut self, depth_m: Option<f32>, lidar: &LinePoint) {
         self.pixels += 1.0;
         if let Some(depth_m) = depth_m {
             self.with_depth += 1.0;
-            self.right += f64::from(u8::from(truth.agrees(depth_m)));
-            self.log_ratio += f64::from(depth_m / truth.depth_m).ln();
+            self.right += f64::from(u8::from(lidar.agrees(depth_m)));
+            self.log_ratio += f64::from(depth_m / lidar.depth_m).ln();
         }
     }
 
@@ -64,7 +67,7 @@ impl Bin {
         }
     }
 
-    /// `None` while nothing with a depth was compared.
+    /// `None` if no pixel with a depth was compared yet.
     fn accuracy(&self, from_m: f32, to_m: Option<f32>) -> Option<LineAccuracy> {
         (self.with_depth > 0.0).then(|| LineAccuracy {
             from_m,
@@ -77,33 +80,35 @@ impl Bin {
     }
 }
 
-/// Compares picture after picture and remembers about the last minute.
+/// Compares the depth of each frame with the LiDAR and averages over about one minute.
 #[derive(Debug, Clone)]
-pub struct LineMonitor {
+pub struct LidarAgreement {
     view: LidarView,
     bins: [Bin; DISTANCES_M.len() + 1],
 }
 
-impl LineMonitor {
-    /// For a LiDAR that the camera sees like this.
+impl LidarAgreement {
+    /// An average without frames; `view` projects the LiDAR's scans into the camera.
     #[must_use]
     pub fn new(view: LidarView) -> Self {
         Self { view, bins: Default::default() }
     }
 
-    /// After a turn: compares the depth of its picture with its scan, where both are there and of the same moment.
-    pub fn look(&mut self, input: &TickInput<'_>, depth: Option<&DepthEstimate>) {
+    /// Compares the depth of a tick's frame with the tick's scan, if both exist and their times
+    /// agree. Call it after the robot has processed the tick.
+    pub fn observe(&mut self, input: &TickInput<'_>, depth: Option<&DepthEstimate>) {
         if let Some(depth) = depth {
             self.add(depth, &self.view.of_turn(input));
         }
     }
 
-    /// Takes a picture's depth and what the LiDAR knows of it. A picture that the LiDAR sees nothing of changes nothing.
+    /// Adds the depth of one frame and the LiDAR's depth at some of its pixels. Without LiDAR
+    /// pixels nothing changes.
     pub fn add(&mut self, estimate: &DepthEstimate, line: &[LinePoint]) {
         if line.is_empty() {
             return;
         }
-        let keep = 1.0 - 1.0 / MEMORY_PICTURES;
+        let keep = 1.0 - 1.0 / MEMORY_FRAMES;
         self.bins.iter_mut().for_each(|bin| bin.fade(keep));
         for point in line.iter().filter(|point| point.depth_m > 0.0) {
             let bin = DISTANCES_M.iter().filter(|edge_m| point.depth_m >= **edge_m).count();
@@ -114,13 +119,14 @@ impl LineMonitor {
         }
     }
 
-    /// At all distances together; `None` before there was anything to compare.
+    /// The agreement over all distances; `None` if nothing was compared yet.
     #[must_use]
     pub fn overall(&self) -> Option<LineAccuracy> {
         self.bins.iter().fold(Bin::default(), |sum, bin| sum.plus(*bin)).accuracy(0.0, None)
     }
 
-    /// Distance by distance, the nearest first; those of which nothing is known are left out.
+    /// The agreement in each range of distances, the nearest first. Ranges without compared pixels
+    /// are left out.
     #[must_use]
     pub fn by_distance(&self) -> Vec<LineAccuracy> {
         let ends = DISTANCES_M.iter().copied().map(Some).chain([None]);
@@ -138,8 +144,8 @@ mod tests {
     use super::*;
     use hal::{CameraModel, DepthMap, Pose3};
 
-    fn monitor() -> LineMonitor {
-        LineMonitor::new(LidarView {
+    fn agreement() -> LidarAgreement {
+        LidarAgreement::new(LidarView {
             camera: CameraModel::pinhole(8, 1, 1.0),
             t_camera_laser: Pose3::identity(),
         })
@@ -159,41 +165,44 @@ mod tests {
     }
 
     #[test]
-    fn depth_that_is_a_tenth_too_far_is_right_and_its_scale_is_said() {
-        let mut monitor = monitor();
-        monitor.add(&estimate(&[1.1, 3.3, 5.5, 0.0]), &line(&[1.0, 3.0, 5.0, 3.0]));
-        let all = monitor.overall().unwrap();
+    fn depth_that_is_10_percent_too_large_is_right_and_its_scale_is_reported() {
+        let mut agreement = agreement();
+        agreement.add(&estimate(&[1.1, 3.3, 5.5, 0.0]), &line(&[1.0, 3.0, 5.0, 3.0]));
+        let all = agreement.overall().unwrap();
         assert!((all.scale - 1.1).abs() < 1e-6 && all.delta1 == 1.0, "{all:?}");
-        assert!((all.share - 0.75).abs() < 1e-12, "no depth is not wrong, but is counted");
+        assert!(
+            (all.share - 0.75).abs() < 1e-12,
+            "a pixel without depth is not wrong, but it is counted"
+        );
     }
 
     #[test]
-    fn distances_are_told_apart_and_those_never_seen_are_left_out() {
-        let mut monitor = monitor();
-        monitor.add(&estimate(&[0.5, 1.5, 9.0]), &line(&[0.5, 1.0, 5.0]));
+    fn each_range_of_distances_is_reported_and_ranges_without_pixels_are_left_out() {
+        let mut agreement = agreement();
+        agreement.add(&estimate(&[0.5, 1.5, 9.0]), &line(&[0.5, 1.0, 5.0]));
         let found: Vec<_> =
-            monitor.by_distance().iter().map(|bin| (bin.from_m, bin.to_m, bin.delta1)).collect();
+            agreement.by_distance().iter().map(|bin| (bin.from_m, bin.to_m, bin.delta1)).collect();
         assert_eq!(found, [(0.0, Some(1.0), 1.0), (1.0, Some(2.0), 0.0), (4.0, None, 0.0)]);
     }
 
     #[test]
-    fn before_anything_was_compared_nothing_is_said() {
-        let mut monitor = monitor();
-        assert_eq!((monitor.overall(), monitor.by_distance().len()), (None, 0));
-        monitor.add(&estimate(&[1.0]), &[]);
-        monitor.add(&estimate(&[0.0]), &line(&[1.0]));
-        monitor.add(&estimate(&[1.0]), &[LinePoint { u: 7, v: 0, depth_m: 1.0 }]);
-        assert_eq!(monitor.overall(), None);
+    fn nothing_is_reported_before_the_first_comparison() {
+        let mut agreement = agreement();
+        assert_eq!((agreement.overall(), agreement.by_distance().len()), (None, 0));
+        agreement.add(&estimate(&[1.0]), &[]);
+        agreement.add(&estimate(&[0.0]), &line(&[1.0]));
+        agreement.add(&estimate(&[1.0]), &[LinePoint { u: 7, v: 0, depth_m: 1.0 }]);
+        assert_eq!(agreement.overall(), None);
     }
 
     #[test]
-    fn what_was_long_ago_counts_less() {
-        let mut monitor = monitor();
-        for (depth_m, pictures) in [(4.0, 3000), (2.0, 1800)] {
-            (0..pictures).for_each(|_| monitor.add(&estimate(&[depth_m]), &line(&[2.0])));
+    fn older_frames_have_a_lower_weight() {
+        let mut agreement = agreement();
+        for (depth_m, frames) in [(4.0, 3000), (2.0, 1800)] {
+            (0..frames).for_each(|_| agreement.add(&estimate(&[depth_m]), &line(&[2.0])));
         }
-        // Three memories later, e^-3 = 5 % of what was before is left.
-        let delta1 = monitor.overall().unwrap().delta1;
+        // After three time constants the old frames have e^-3 = 5 % of the weight.
+        let delta1 = agreement.overall().unwrap().delta1;
         assert!((delta1 - 0.95).abs() < 0.005, "{delta1}");
     }
 }
