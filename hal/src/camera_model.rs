@@ -287,14 +287,21 @@ mod tests {
         }
 
         #[test]
-        fn projecting_an_unprojected_pixel_gives_the_pixel(u in -10.0..650.0, v in -10.0..200.0, depth in 0.1..20.0) {
+        fn projecting_an_unprojected_pixel_gives_the_pixel(
+            u in -10.0..650.0,
+            v in -10.0..200.0,
+            depth in 0.1..20.0,
+        ) {
             let model = CameraModel::pinhole(640, 192, FRAC_PI_2);
             let (u2, v2) = model.project(&model.unproject(u, v, depth)).unwrap();
             prop_assert!((u - u2).abs() < 1e-9 && (v - v2).abs() < 1e-9);
         }
 
         #[test]
-        fn resizing_keeps_the_direction_behind_every_point_of_the_image(x in 0.0..1.0f64, y in 0.0..1.0f64) {
+        fn resizing_keeps_the_direction_behind_every_point_of_the_image(
+            x in 0.0..1.0f64,
+            y in 0.0..1.0f64,
+        ) {
             let model = CameraModel::pinhole(640, 480, 1.2);
             let small = model.resized(320, 96);
             let large_ray = model.ray(x * model.width as f64 - 0.5, y * model.height as f64 - 0.5);

@@ -132,7 +132,11 @@ mod tests {
         }
 
         #[test]
-        fn a_planar_pose_and_its_spatial_pose_map_points_equally(a in pose(), x in -5.0..5.0, y in -5.0..5.0) {
+        fn a_planar_pose_and_its_spatial_pose_map_points_equally(
+            a in pose(),
+            x in -5.0..5.0,
+            y in -5.0..5.0,
+        ) {
             let (px, py) = a.transform(x, y);
             let p = a.to_pose3() * Point3::new(x, y, 0.0);
             prop_assert!((p.x - px).abs() < 1e-9 && (p.y - py).abs() < 1e-9 && p.z.abs() < 1e-12);
@@ -141,8 +145,10 @@ mod tests {
         #[test]
         fn wrapped_angles_are_equivalent_and_in_range(angle in -100.0..100.0f64) {
             let wrapped = wrap_angle(angle);
-            prop_assert!(wrapped > -core::f64::consts::PI - 1e-12 && wrapped <= core::f64::consts::PI + 1e-12);
-            prop_assert!((wrapped.sin() - angle.sin()).abs() < 1e-9 && (wrapped.cos() - angle.cos()).abs() < 1e-9);
+            prop_assert!(wrapped > -core::f64::consts::PI - 1e-12);
+            prop_assert!(wrapped <= core::f64::consts::PI + 1e-12);
+            prop_assert!((wrapped.sin() - angle.sin()).abs() < 1e-9);
+            prop_assert!((wrapped.cos() - angle.cos()).abs() < 1e-9);
         }
     }
 

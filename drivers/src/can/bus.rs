@@ -79,11 +79,13 @@ impl fmt::Display for SendProblem {
                 "the transmit queue is full; check cable, termination, bit rate and `restart-ms`",
             ),
             Self::Down => f.write_str(
-                "the interface is down; run `ip link set <name> up type can bitrate <rate> restart-ms 100`",
+                "the interface is down; run `ip link set <name> up type can bitrate <rate> \
+                 restart-ms 100`",
             ),
-            Self::Gone => {
-                f.write_str("the interface does not exist; plug the adapter in, or name another bus")
-            }
+            Self::Gone => f.write_str(
+                "the interface does not exist; plug the adapter in, or name another \
+                    bus",
+            ),
             Self::Code(code) => write!(f, "operating system error {code}"),
         }
     }

@@ -84,7 +84,8 @@ impl fmt::Display for Trip {
             Self::WrongDirection(side) => {
                 write!(
                     f,
-                    "the {side} wheel rotates against its command; set invert_{side} or swap_wheels and start again"
+                    "the {side} wheel rotates against its command; set invert_{side} or \
+                     swap_wheels and start again"
                 )
             }
             Self::EmergencyStop => {
@@ -126,13 +127,10 @@ pub enum CanError {
     NotFinite { linear_mps: f64, angular_radps: f64 },
     /// The plan behind the command is too old.
     #[error(
-        "the plan is {age_ms} ms old, allowed: {limit_ms} ms; the base stops until a newer plan arrives"
+        "the plan is {age_ms} ms old, allowed: {limit_ms} ms; the base stops until a newer plan \
+         arrives"
     )]
-    PlanTooOld {
-        /// Its age.
-        age_ms: u64,
-        limit_ms: u64,
-    },
+    PlanTooOld { age_ms: u64, limit_ms: u64 },
     /// The command's counter did not increase: the command is repeated or late.
     #[error("the command's counter is {found} after {last}; every command needs a higher one")]
     Counter { found: u32, last: u32 },
@@ -148,7 +146,8 @@ pub enum CanError {
     Motor { side: Side, problem: MotorProblem },
     /// A wheel rotates although the base is not armed.
     #[error(
-        "the {side} wheel rotates at {speed_mps:.2} m/s; the base can be armed only while it stands still"
+        "the {side} wheel rotates at {speed_mps:.2} m/s; the base can be armed only while it \
+         stands still"
     )]
     Moving {
         side: Side,
@@ -157,14 +156,10 @@ pub enum CanError {
     },
     /// A motor sent no feedback within its time-out.
     #[error(
-        "no feedback of the {side} motor for {age_ms} ms, allowed: {limit_ms} ms; check its power and cable"
+        "no feedback of the {side} motor for {age_ms} ms, allowed: {limit_ms} ms; check its \
+         power and cable"
     )]
-    Silent {
-        side: Side,
-        /// Its age.
-        age_ms: u64,
-        limit_ms: u64,
-    },
+    Silent { side: Side, age_ms: u64, limit_ms: u64 },
 }
 
 fn not_ready_reason(problem: &Option<MotorProblem>) -> String {

@@ -97,10 +97,15 @@ mod tests {
 
     proptest! {
         #[test]
-        fn forward_kinematics_inverts_inverse_kinematics(v in -2.0..2.0, w in -5.0..5.0, track_m in 0.05..1.0) {
+        fn forward_kinematics_inverts_inverse_kinematics(
+            v in -2.0..2.0,
+            w in -5.0..5.0,
+            track_m in 0.05..1.0,
+        ) {
             let drive = Kinematics { track_m };
             let twist = drive.twist(drive.wheels(&Twist2 { linear_mps: v, angular_radps: w }));
-            prop_assert!((twist.linear_mps - v).abs() < 1e-12 && (twist.angular_radps - w).abs() < 1e-9);
+            prop_assert!((twist.linear_mps - v).abs() < 1e-12);
+            prop_assert!((twist.angular_radps - w).abs() < 1e-9);
         }
 
         #[test]

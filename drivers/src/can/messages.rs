@@ -175,26 +175,49 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// A twist of `v` mm/s and `w` mrad/s.
+    fn milli_twist(v: i16, w: i16) -> Twist2 {
+        Twist2 { linear_mps: f64::from(v) * 1e-3, angular_radps: f64::from(w) * 1e-3 }
+    }
+
     proptest! {
         #[test]
         fn a_command_is_decoded_as_it_was_encoded(
-            counter in 0u8..16, armed: bool, stop: bool, plan_age_ms: u16, v in -32_768i16..=32_767, w in -32_768i16..=32_767,
+            counter in 0u8..16,
+            armed: bool,
+            stop: bool,
+            plan_age_ms: u16,
+            v in -32_768i16..=32_767,
+            w in -32_768i16..=32_767,
         ) {
-            let twist = Twist2 { linear_mps: f64::from(v) * 1e-3, angular_radps: f64::from(w) * 1e-3 };
+            let twist = milli_twist(v, w);
             let command = BaseCommand { counter, armed, stop, plan_age_ms, twist };
             prop_assert_eq!(BaseCommand::decode(&command.encode()), Ok(command));
         }
 
         #[test]
-        fn a_state_is_decoded_as_it_was_encoded(counter in 0u8..16, phase in 0u8..5, trip: u8, estop: bool, contact: bool, v: i16, w: i16) {
-            let twist = Twist2 { linear_mps: f64::from(v) * 1e-3, angular_radps: f64::from(w) * 1e-3 };
+        fn a_state_is_decoded_as_it_was_encoded(
+            counter in 0u8..16,
+            phase in 0u8..5,
+            trip: u8,
+            estop: bool,
+            contact: bool,
+            v: i16,
+            w: i16,
+        ) {
+            let twist = milli_twist(v, w);
             let state = BaseState { counter, phase, trip, estop, contact, twist };
             prop_assert_eq!(BaseState::decode(&state.encode()), Ok(state));
         }
 
         #[test]
-        fn one_or_two_flipped_bits_fail_the_checksum(counter in 0u8..16, v: i16, a in 0usize..64, b in 0usize..64) {
-            let twist = Twist2 { linear_mps: f64::from(v) * 1e-3, angular_radps: 0.0 };
+        fn one_or_two_flipped_bits_fail_the_checksum(
+            counter in 0u8..16,
+            v: i16,
+            a in 0usize..64,
+            b in 0usize..64,
+        ) {
+            let twist = milli_twist(v, 0);
             let frame = BaseCommand { counter, twist, ..BaseCommand::default() }.encode();
             let mut data = *frame.eight().expect("8 bytes");
             data[a / 8] ^= 1 << (a % 8);

@@ -4,9 +4,9 @@
 //! |---|---|
 //! | [`frame`], [`record`], [`stamp`] | a frame, its 16 bytes in Linux, and its time of reception |
 //! | [`bus`] | the trait of a bus: non-blocking send and receive, and reports of bus errors |
-//! | [`socket`], [`unix`] | SocketCAN, and a replacement over a Unix socket for kernels without CAN |
+//! | [`socket`], [`unix`] | SocketCAN, and a Unix socket for kernels without CAN |
 //! | [`protocol`] | motor controllers: ODrive CANSimple, VESC, CiA 402 |
-//! | [`kinematics`], [`limits`] | differential kinematics, odometry, limits of velocity and acceleration |
+//! | [`kinematics`], [`limits`] | kinematics, odometry, limits of velocity and acceleration |
 //! | [`messages`] | the project's own frames, described in `embodied.dbc` |
 //! | [`base`] | all of this as a [`hal::Base`] |
 

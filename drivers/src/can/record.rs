@@ -143,7 +143,9 @@ mod tests {
         }
 
         #[test]
-        fn only_records_of_16_bytes_are_decoded(bytes in proptest::collection::vec(any::<u8>(), 0..24)) {
+        fn only_records_of_16_bytes_are_decoded(
+            bytes in proptest::collection::vec(any::<u8>(), 0..24),
+        ) {
             if decode(&bytes).is_some() {
                 prop_assert_eq!(bytes.len(), RECORD_BYTES);
             }

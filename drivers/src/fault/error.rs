@@ -32,7 +32,8 @@ pub enum FaultTextError {
     },
     /// The time window is malformed or empty.
     #[error(
-        "`@{text}` is not a time window: give seconds since the start as @4..6, @4.. or @..6, with the start before the end"
+        "`@{text}` is not a time window: give seconds since the start as @4..6, @4.. or @..6, \
+         with the start before the end"
     )]
     Window { text: String },
 }

@@ -138,9 +138,13 @@ fn poll_ticks(kind: &str, count: u64) -> Vec<Polled> {
     results
 }
 
+/// The result of a poll that returns the reading of this tick.
+fn taken_at(tick: u64) -> Polled {
+    Ok(Some(tick))
+}
+
 #[test]
 fn delayed_readings_arrive_two_ticks_late_and_after_the_fault_the_newest_is_returned_again() {
-    let taken_at = |tick| Ok(Some(tick));
     assert_eq!(
         poll_ticks("delay=2@0.025..0.125", 7),
         [taken_at(0), Ok(None), Ok(None), taken_at(1), taken_at(2), taken_at(5), taken_at(6)]
@@ -149,7 +153,7 @@ fn delayed_readings_arrive_two_ticks_late_and_after_the_fault_the_newest_is_retu
 
 #[test]
 fn a_duplicated_reading_replaces_the_next_one() {
-    assert_eq!(poll_ticks("duplicate", 5), [0, 0, 2, 2, 4].map(|tick| Ok(Some(tick))));
+    assert_eq!(poll_ticks("duplicate", 5), [0, 0, 2, 2, 4].map(taken_at));
 }
 
 #[test]
@@ -161,7 +165,7 @@ fn a_reordered_reading_arrives_after_the_one_that_followed_it() {
 #[test]
 fn a_stalled_device_is_silent_and_after_100_ms_its_driver_reports_a_timeout() {
     let results = poll_ticks("stall@0.05..0.25", 11);
-    assert_eq!(results[..2], [0, 1].map(|tick| Ok(Some(tick))));
+    assert_eq!(results[..2], [0, 1].map(taken_at));
     assert_eq!(results[2..7], [Ok(None); 5]);
     assert_eq!(results[7..10], [Err(ErrorKind::Timeout); 3]);
     assert_eq!(results[10], Ok(Some(10)), "readings taken during the stall are lost, not delayed");
@@ -379,14 +383,20 @@ proptest! {
     }
 
     #[test]
-    fn a_random_schedule_is_repeatable_and_survives_its_text(seed in any::<u64>(), span_s in 0.0..500.0f64) {
+    fn a_random_schedule_is_repeatable_and_survives_its_text(
+        seed in any::<u64>(),
+        span_s in 0.0..500.0f64,
+    ) {
         let faults = random_faults(seed, span_s);
         prop_assert_eq!(&faults, &random_faults(seed, span_s));
         for fault in &faults {
-            prop_assert!(fault.from_s < span_s && fault.from_s >= 0.5 && fault.to_s - fault.from_s < 3.05);
+            prop_assert!(fault.from_s < span_s);
+            prop_assert!(fault.from_s >= 0.5);
+            prop_assert!(fault.to_s - fault.from_s < 3.05);
             prop_assert_eq!(&fault.to_string().parse::<Fault>().unwrap(), fault);
         }
-        prop_assert!(faults.len() as f64 >= (span_s / 9.0).floor() - 1.0, "{} in {} s", faults.len(), span_s);
+        let fewest = (span_s / 9.0).floor() - 1.0;
+        prop_assert!(faults.len() as f64 >= fewest, "{} in {} s", faults.len(), span_s);
     }
 
     #[test]

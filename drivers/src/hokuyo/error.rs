@@ -15,12 +15,14 @@ use crate::scip::{Model, ScipError};
 pub enum HokuyoError {
     /// The scanner is absent, or its first good scans are still being counted.
     #[error(
-        "LiDAR {port}: not connected, or its first good scans are being counted; the driver keeps trying to open it"
+        "LiDAR {port}: not connected, or its first good scans are being counted; the driver \
+         keeps trying to open it"
     )]
     Disconnected { port: Arc<str> },
     /// No good scan arrived within the time-out.
     #[error(
-        "LiDAR {port}: no good scan for more than {limit_ms} ms; check its power and cable, the driver keeps listening"
+        "LiDAR {port}: no good scan for more than {limit_ms} ms; check its power and cable, the \
+         driver keeps listening"
     )]
     Silent {
         port: Arc<str>,
@@ -29,12 +31,14 @@ pub enum HokuyoError {
     },
     /// A scan failed its checks.
     #[error(
-        "LiDAR {port}: a scan failed its checks and was dropped; if it happens often, check cable and ground"
+        "LiDAR {port}: a scan failed its checks and was dropped; if it happens often, check \
+         cable and ground"
     )]
     Corrupt { port: Arc<str> },
     /// The scanner is broken, covered, or another model than the configured one.
     #[error(
-        "LiDAR {port}: broken, covered or another model; the driver's problem text names the reason and the remedy"
+        "LiDAR {port}: broken, covered or another model; the driver's problem text names the \
+         reason and the remedy"
     )]
     Faulty { port: Arc<str> },
     /// A value of the configuration is invalid.
@@ -48,18 +52,21 @@ pub enum HokuyoError {
     Open { port: Arc<str>, source: io::Error },
     /// The connection to the port was lost.
     #[error(
-        "LiDAR {port}: the connection was lost ({source}); plug it in again, the driver waits for it"
+        "LiDAR {port}: the connection was lost ({source}); plug it in again, the driver waits \
+         for it"
     )]
     Gone { port: Arc<str>, source: io::Error },
     /// The scanner sends nothing.
     #[error(
-        "LiDAR {port}: no answer to `{command}`; check that the scanner has power and has finished starting"
+        "LiDAR {port}: no answer to `{command}`; check that the scanner has power and has \
+         finished starting"
     )]
     NoAnswer { port: Arc<str>, command: &'static str },
     /// The device sends bytes, but no SCIP messages.
     #[error(
-        "LiDAR {port}: {bytes} bytes arrived but no answer to `{command}`: wrong baud rate ({baud}) or another device; set \
-         `baud` (19200, 57600, 115200, 250000, 500000, 750000) or correct `port`"
+        "LiDAR {port}: {bytes} bytes arrived but no answer to `{command}`: wrong baud rate \
+         ({baud}) or another device; set `baud` (19200, 57600, 115200, 250000, 500000, 750000) or correct \
+         `port`"
     )]
     NotScip {
         port: Arc<str>,
@@ -71,7 +78,8 @@ pub enum HokuyoError {
     },
     /// The scanner is another model than the configured one.
     #[error(
-        "LiDAR {port}: the scanner reports that it is `{found}`, configured is {configured}; correct `model` or `port`"
+        "LiDAR {port}: the scanner reports that it is `{found}`, configured is {configured}; \
+         correct `model` or `port`"
     )]
     WrongModel {
         port: Arc<str>,
@@ -81,12 +89,14 @@ pub enum HokuyoError {
     },
     /// The scanner does not measure because its laser is off.
     #[error(
-        "LiDAR {port}: its laser is off although the driver switched it on; it reports: {reported}; power-cycle it"
+        "LiDAR {port}: its laser is off although the driver switched it on; it reports: \
+         {reported}; power-cycle it"
     )]
     LaserOff { port: Arc<str>, reported: String },
     /// The laser, the motor or the electronics are broken.
     #[error(
-        "LiDAR {port}: hardware fault, status {status}; it reports: {reported}; power-cycle it, replace it if that does not help"
+        "LiDAR {port}: hardware fault, status {status}; it reports: {reported}; power-cycle it, \
+         replace it if that does not help"
     )]
     Hardware {
         port: Arc<str>,
@@ -96,8 +106,8 @@ pub enum HokuyoError {
     },
     /// No beam of the scans has a distance.
     #[error(
-        "LiDAR {port}: no beam measures a distance ({errors} errors, {too_near} too near, {no_return} without echo); \
-         uncover and clean the scanner"
+        "LiDAR {port}: no beam measures a distance ({errors} errors, {too_near} too near, \
+         {no_return} without echo); uncover and clean the scanner"
     )]
     Blind {
         port: Arc<str>,

@@ -155,7 +155,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_clock_that_wraps_does_not_falsify_the_time(start_ms in 0..1_u32 << 24, scans in 1..2000_u64) {
+        fn a_clock_that_wraps_does_not_falsify_the_time(
+            start_ms in 0..1_u32 << 24,
+            scans in 1..2000_u64,
+        ) {
             let mut sync = ClockSync::from_probes(&[probe(5000, 0, start_ms)]).unwrap();
             let passed_ms = scans * 3_600_000 / 2000 * 12;
             let stamp = ((u64::from(start_ms) + passed_ms) % (1 << 24)) as u32;
@@ -172,7 +175,8 @@ mod tests {
                 let stamp_ms = (begun_ns as f64 * (1.0 + ppm * 1e-6) / 1e6) as u32;
                 let arrival_ns = begun_ns + PERIOD_NS + scan * 7919 % 2_000_000;
                 let found = sync.scan_start_ns(stamp_ms, arrival_ns, 2 * PERIOD_NS).unwrap();
-                prop_assert!(found.abs_diff(begun_ns) < 4_000_000, "scan {scan}: {found} for {begun_ns}");
+                prop_assert!(found.abs_diff(begun_ns) < 4_000_000, "scan {scan}: {found} for \
+                    {begun_ns}");
             }
         }
     }

@@ -196,7 +196,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_are_parsed_without_a_panic(bytes in proptest::collection::vec(any::<u8>(), 0..60)) {
+        fn any_bytes_are_parsed_without_a_panic(
+            bytes in proptest::collection::vec(any::<u8>(), 0..60),
+        ) {
             for command in [Command::Quit, Command::Scip2, Command::Parameters, Command::Time] {
                 let mut message = command.bytes().to_vec();
                 message.extend(&bytes);

@@ -13,7 +13,11 @@ pub enum ScipError {
     #[error("SCIP message echoes another request than the one that was sent")]
     Echo,
     /// The checksum of a line is wrong.
-    #[error("SCIP line {line} has the wrong checksum: `{found}` instead of `{computed}`", found = char::from(*.found), computed = char::from(*.computed))]
+    #[error(
+        "SCIP line {line} has the wrong checksum: `{}` instead of `{}`",
+        char::from(*.found),
+        char::from(*.computed)
+    )]
     Checksum {
         /// Number of the line; the echo is line 0.
         line: usize,
@@ -42,7 +46,12 @@ pub enum ScipError {
     #[error("the scanner speaks SCIP 1.1; send `SCIP2.0` first")]
     OldProtocol,
     /// The sensor refused the request or reports a fault.
-    #[error("the scanner answers status `{}{}`: {}", char::from(.status[0]), char::from(.status[1]), meaning(*.status))]
+    #[error(
+        "the scanner answers status `{}{}`: {}",
+        char::from(.status[0]),
+        char::from(.status[1]),
+        meaning(*.status)
+    )]
     Status {
         /// The two characters of the status.
         status: [u8; 2],

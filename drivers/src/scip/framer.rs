@@ -108,9 +108,15 @@ mod tests {
         assert!(framer.message().is_some_and(|message| message.ends_with(b"\n\n")));
     }
 
+    fn any_lines() -> impl Strategy<Value = Vec<u8>> {
+        proptest::collection::vec(prop_oneof![9 => Just(b'x'), 1 => Just(b'\n')], 0..300)
+    }
+
     proptest! {
         #[test]
-        fn the_length_equals_that_of_a_simple_search(bytes in proptest::collection::vec(prop_oneof![9 => Just(b'x'), 1 => Just(b'\n')], 0..300)) {
+        fn the_length_equals_that_of_a_simple_search(
+            bytes in any_lines(),
+        ) {
             let simple = bytes.windows(2).position(|pair| pair == b"\n\n").map(|at| at + 2);
             prop_assert_eq!(message_length(&bytes), simple);
         }

@@ -219,19 +219,25 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_reply_is_decoded_as_it_was_encoded((request, message, timestamp_ms, values) in exchange()) {
+        fn a_reply_is_decoded_as_it_was_encoded(
+            (request, message, timestamp_ms, values) in exchange(),
+        ) {
             let (reply, ranges, intensities) = read(&message, &request).unwrap();
             prop_assert_eq!(reply, Reply::Scan { timestamp_ms });
             let step = if request.encoding == Encoding::ThreeWithIntensity { 2 } else { 1 };
-            let expected: Vec<_> = values.iter().step_by(step).map(|value| CODES.range(*value)).collect();
+            let expected: Vec<_> =
+                values.iter().step_by(step).map(|value| CODES.range(*value)).collect();
             prop_assert_eq!(ranges, expected);
-            let expected: Vec<_> = values.iter().skip(1).step_by(2).copied().take(intensities.len()).collect();
+            let expected: Vec<_> =
+                values.iter().skip(1).step_by(2).copied().take(intensities.len()).collect();
             prop_assert_eq!(intensities, expected);
         }
 
         #[test]
         fn a_changed_byte_is_refused_or_does_not_change_the_scan(
-            (request, message, ..) in exchange(), place in any::<prop::sample::Index>(), byte in any::<u8>(),
+            (request, message, ..) in exchange(),
+            place in any::<prop::sample::Index>(),
+            byte in any::<u8>(),
         ) {
             let sound = read(&message, &request).unwrap();
             let mut changed = message.clone();
@@ -242,12 +248,18 @@ mod tests {
         }
 
         #[test]
-        fn a_truncated_message_is_refused((request, message, ..) in exchange(), at in any::<prop::sample::Index>()) {
+        fn a_truncated_message_is_refused(
+            (request, message, ..) in exchange(),
+            at in any::<prop::sample::Index>(),
+        ) {
             prop_assert!(read(&message[..at.index(message.len())], &request).is_err());
         }
 
         #[test]
-        fn random_bytes_are_refused(request in any_request(), bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+        fn random_bytes_are_refused(
+            request in any_request(),
+            bytes in proptest::collection::vec(any::<u8>(), 0..200),
+        ) {
             prop_assert!(read(&bytes, &request).is_err());
         }
     }

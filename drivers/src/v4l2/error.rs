@@ -15,7 +15,8 @@ pub enum V4l2Error {
     #[error("camera configuration: {field} = {value}; {way_out}")]
     Config { field: &'static str, value: String, way_out: &'static str },
     /// The frames and the lens model have different sizes.
-    #[error("the camera's frames are {}x{}, but its lens model is for {}x{}; calibrate at the size that is used", .frames.0, .frames.1, .model.0, .model.1)]
+    #[error("the camera's frames are {}x{}, but its lens model is for {}x{}; calibrate at the \
+        size that is used", .frames.0, .frames.1, .model.0, .model.1)]
     Model { frames: (u32, u32), model: (usize, usize) },
     /// The device does not exist.
     #[error(
@@ -30,7 +31,8 @@ pub enum V4l2Error {
     Busy { device: Arc<str> },
     /// The device is not a camera.
     #[error(
-        "{device} does not support streaming capture; a camera has several nodes, the first is usually the right one"
+        "{device} does not support streaming capture; a camera has several nodes, the first is \
+         usually the right one"
     )]
     NotACamera { device: Arc<str> },
     /// The camera does not offer the configured format.
@@ -38,12 +40,14 @@ pub enum V4l2Error {
     Format { device: Arc<str>, asked: FourCc, offered: String },
     /// The camera does not offer the configured size in this format.
     #[error(
-        "{device} makes {got} of {asked}; configure what it can: `v4l2-ctl -d {device} --list-formats-ext`"
+        "{device} makes {got} of {asked}; configure what it can: `v4l2-ctl -d {device} \
+         --list-formats-ext`"
     )]
     Layout { device: Arc<str>, asked: String, got: String },
     /// The camera does not offer the configured frame rate.
     #[error(
-        "{device} gives {got_fps:.2} frames per second, {asked_fps:.2} are configured; a longer exposure or larger frames may make it slower"
+        "{device} gives {got_fps:.2} frames per second, {asked_fps:.2} are configured; a longer \
+         exposure or larger frames may make it slower"
     )]
     Rate { device: Arc<str>, asked_fps: f64, got_fps: f64 },
     /// A control does not accept the configured value.
@@ -52,12 +56,14 @@ pub enum V4l2Error {
     /// The camera's timestamps are not of the monotonic clock, so they cannot be compared with
     /// other times.
     #[error(
-        "{device} does not use the monotonic clock for its timestamps; for USB cameras: `modprobe uvcvideo clock=CLOCK_MONOTONIC`"
+        "{device} does not use the monotonic clock for its timestamps; for USB cameras: \
+         `modprobe uvcvideo clock=CLOCK_MONOTONIC`"
     )]
     Clock { device: Arc<str> },
     /// The camera is open but sends no frames.
     #[error(
-        "{device} has sent no frame for {silent_ms} ms; the driver restarts it automatically; check the cable if this persists"
+        "{device} has sent no frame for {silent_ms} ms; the driver restarts it automatically; \
+         check the cable if this persists"
     )]
     Silent {
         device: Arc<str>,

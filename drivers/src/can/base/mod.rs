@@ -5,7 +5,7 @@
 //! dropped, and the next tick sends the newest one.
 //!
 //! ```text
-//! Disarmed --arm()--> Arming --both motors enabled--> Armed --disarm()--> Disarming --0.5 s--> Disarmed
+//! Disarmed --arm()--> Arming --motors enabled--> Armed --disarm()--> Disarming --0.5 s--> Disarmed
 //!                        \______________ any Trip ______/
 //!                                          v
 //!                                       Tripped --arm()--> Arming

@@ -166,16 +166,15 @@ impl Cia402 {
         let (Step::Write(at) | Step::ReadBack(at)) = self.step else { return };
         let Some(response) = sdo::decode(data) else { return };
         let Some(entry) = self.script.get(at).copied() else { return };
-        let is_expected = |index, sub| (index, sub) == (entry.index, entry.sub);
         match (self.step, response) {
-            (_, Response::Abort { index, sub, code }) if is_expected(index, sub) => {
+            (_, Response::Abort { index, sub, code }) if entry.is_at(index, sub) => {
                 self.halt(MotorStage::Refused, MotorProblem::Parameter { index, sub, code });
             }
-            (Step::Write(_), Response::Written { index, sub }) if is_expected(index, sub) => {
+            (Step::Write(_), Response::Written { index, sub }) if entry.is_at(index, sub) => {
                 self.enter(Step::ReadBack(at));
             }
             (Step::ReadBack(_), Response::Value { index, sub, value })
-                if is_expected(index, sub) =>
+                if entry.is_at(index, sub) =>
             {
                 self.on_read_back(at, &entry, value);
             }

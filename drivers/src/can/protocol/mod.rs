@@ -99,30 +99,48 @@ impl fmt::Display for MotorProblem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NoResponse { request } => {
-                write!(f, "no response to the request for its {request}; check power, cable, bit rate and node id")
+                write!(
+                    f,
+                    "no response to the request for its {request}; check power, cable, bit \
+                    rate and node id"
+                )
             }
             Self::Watchdog { read_ms, required_ms } if read_ms.is_nan() => {
-                write!(f, "its watchdog is off; set it to {required_ms} ms or less in the controller's own tool")
+                write!(
+                    f,
+                    "its watchdog is off; set it to {required_ms} ms or less in the \
+                    controller's own tool"
+                )
             }
             Self::Watchdog { read_ms, required_ms } => {
                 write!(
                     f,
-                    "its watchdog is {read_ms} ms, but must be {required_ms} ms or less; set it in the controller's own tool"
+                    "its watchdog is {read_ms} ms, but must be {required_ms} ms or less; set it \
+                     in the controller's own tool"
                 )
             }
             Self::CoastsOnTimeout => f.write_str(
-                "it lets the wheel coast when its watchdog expires; set a brake current or a stop ramp for time-outs",
+                "it lets the wheel coast when its watchdog expires; set a brake current or a \
+                 stop ramp for time-outs",
             ),
             Self::Firmware { found: [major, minor, revision] } => {
                 write!(
                     f,
-                    "it runs firmware {major}.{minor}.{revision}, but the configuration names another; configure this one with the endpoint numbers from its flat_endpoints.json"
+                    "it runs firmware {major}.{minor}.{revision}, but the configuration names \
+                     another; configure this one with the endpoint numbers from its \
+                     flat_endpoints.json"
                 )
             }
-            Self::Parameter { index, sub, code } => write!(f, "it refuses parameter {index:#06x}:{sub} ({code:#010x})"),
+            Self::Parameter { index, sub, code } => {
+                write!(f, "it refuses parameter {index:#06x}:{sub} ({code:#010x})")
+            }
             Self::Fault { code, meaning } => write!(f, "it reports fault {code:#x}, {meaning}"),
             Self::Mismatch { request } => {
-                write!(f, "its response does not match the request for its {request}; check the node id and the protocol")
+                write!(
+                    f,
+                    "its response does not match the request for its {request}; check the \
+                    node id and the protocol"
+                )
             }
         }
     }

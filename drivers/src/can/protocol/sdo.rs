@@ -33,6 +33,12 @@ impl Entry {
         Self { index, sub, value, bytes: 4 }
     }
 
+    /// Whether the entry has this index and sub-index.
+    #[must_use]
+    pub fn is_at(&self, index: u16, sub: u8) -> bool {
+        (self.index, self.sub) == (index, sub)
+    }
+
     /// The request that writes this entry.
     #[must_use]
     pub fn download(&self, node: u8) -> CanFrame {

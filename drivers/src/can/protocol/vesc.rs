@@ -381,15 +381,20 @@ mod tests {
         out.iter().map(ToString::to_string).collect()
     }
 
-    /// Delivers an application configuration in fragments, as a controller sends it. `spoil`
-    /// falsifies its CRC.
-    fn configuration(motor: &mut Vesc, id: u8, milliseconds: u32, brake_a: f32, spoil: bool) {
+    /// Delivers an application configuration in fragments, as a controller sends it.
+    fn configuration(
+        motor: &mut Vesc,
+        id: u8,
+        milliseconds: u32,
+        brake_a: f32,
+        with_wrong_crc: bool,
+    ) {
         let mut bytes = vec![17, 0x1d, 0, 0, 1, id];
         bytes.extend(milliseconds.to_be_bytes());
         bytes.extend(brake_a.to_be_bytes());
         bytes.extend((0..300).map(|k| k as u8));
         let crc = crc16(bytes.iter().copied());
-        if spoil {
+        if with_wrong_crc {
             bytes[7] ^= 1;
         }
         let mut at = 0;

@@ -22,7 +22,8 @@ pub struct KernelNode {
 /// Makes a structure of the kernel's interface whose fields are zero except for the given ones.
 macro_rules! zeroed {
     ($kind:ty { $($field:ident: $value:expr),* $(,)? }) => {{
-        // SAFETY: the structures of `abi` are plain numbers and arrays of them; all zeros is a value of each.
+        // SAFETY: the structures of `abi` are plain numbers and arrays of them; all zeros is a
+        // value of each.
         #[allow(unused_mut, reason = "unused where no field is set")]
         let mut value: $kind = unsafe { std::mem::zeroed() };
         $(value.$field = $value;)*
@@ -48,8 +49,9 @@ impl KernelNode {
     /// Calls an ioctl that reads and writes a structure of `abi`.
     fn update<const CODE: Opcode, T>(&self, value: &mut T) -> Result<(), Errno> {
         loop {
-            // SAFETY: private, and every call passes the structure whose size is part of `CODE`; `abi` checks these sizes.
-            // Structures that contain an address are only passed by `buffer_call`.
+            // SAFETY: private, and every call passes the structure whose size is part of `CODE`;
+            // `abi` checks these sizes. Structures that contain an address are only passed by
+            // `buffer_call`.
             match unsafe { ioctl(&self.file, Updater::<CODE, T>::new(value)) } {
                 Err(Errno::INTR) => {}
                 outcome => return outcome,
@@ -132,7 +134,8 @@ impl VideoNode for KernelNode {
                 field: abi::FIELD_NONE
             });
             self.update::<{ abi::S_FMT }, _>(&mut format)?;
-            // SAFETY: `kind` says that the kernel filled this member, and every bit pattern is a value of it.
+            // SAFETY: `kind` says that the kernel filled this member, and every bit pattern is a
+            // value of it.
             let got = unsafe { format.fmt.pix };
             return Ok(Layout {
                 width: got.width,

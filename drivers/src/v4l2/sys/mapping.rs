@@ -93,7 +93,8 @@ unsafe impl Send for Mapping {}
 
 impl Mapping {
     fn new(file: impl AsFd, offset: u64, length: usize) -> Result<Self, Errno> {
-        // SAFETY: the kernel chooses an address where nothing is; the mapping is only read and not executable.
+        // SAFETY: the kernel chooses an address where nothing is; the mapping is only read and not
+        // executable.
         let start = unsafe {
             mmap(std::ptr::null_mut(), length, ProtFlags::READ, MapFlags::SHARED, file, offset)
         }?;
@@ -102,10 +103,10 @@ impl Mapping {
 
     /// Private to `Buffers`, which calls it only for buffers that are not lent.
     fn bytes(&self) -> &[u8] {
-        // SAFETY: `start` and `length` are those of a mapping that lives as long as `self`. Its file keeps its length: a
-        // device's memory does, also after an unplug, and a memory file is sealed. The other side
-        // of the queue, be it the kernel or the simulated camera, writes only to buffers that are
-        // lent to it, and lending ends this borrow.
+        // SAFETY: `start` and `length` are those of a mapping that lives as long as `self`. Its
+        // file keeps its length: a device's memory does, also after an unplug, and a memory file is
+        // sealed. The other side of the queue, be it the kernel or the simulated camera, writes
+        // only to buffers that are lent to it, and lending ends this borrow.
         unsafe { std::slice::from_raw_parts(self.start, self.length) }
     }
 }
