@@ -65,8 +65,8 @@ pub enum HokuyoError {
     /// The device sends bytes, but no SCIP messages.
     #[error(
         "LiDAR {port}: {bytes} bytes arrived but no answer to `{command}`: wrong baud rate \
-         ({baud}) or another device; set `baud` (19200, 57600, 115200, 250000, 500000, 750000) or correct \
-         `port`"
+         ({baud}) or another device; set `baud` (19200, 57600, 115200, 250000, 500000, 750000) or \
+         correct `port`"
     )]
     NotScip {
         port: Arc<str>,

@@ -8,7 +8,7 @@
 //!   process. Tests implement a strict model of the queue.
 //! * [`Stream`](stream::Stream): one opened camera with its negotiated format and its queue of
 //!   mapped buffers.
-//! * [`Capture`](capture::Capture): a camera that can be unplugged and reopened, as a state machine
+//! * [`Capture`]: a camera that can be unplugged and reopened, as a state machine
 //!   without a clock.
 //! * [`V4l2Camera`]: all of this behind [`hal::Camera`].
 //!

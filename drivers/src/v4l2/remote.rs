@@ -1,4 +1,4 @@
-//! The client of a simulated camera in another process, at `unix:/path`. See [`wire`](super::wire)
+//! The client of a simulated camera in another process, at `unix:/path`. See [`wire`]
 //! for the protocol.
 
 use std::collections::VecDeque;

@@ -18,13 +18,13 @@ use rustix::net::{
 
 use super::node::{Capability, Control, Filled, FourCc, Interval, Layout};
 
-/// Operation `VIDIOC_QUERYCAP`.
+/// The operation `VIDIOC_QUERYCAP`.
 pub const CAPABILITY: u32 = 0;
-/// Operation `VIDIOC_ENUM_FMT`.
+/// The operation `VIDIOC_ENUM_FMT`.
 pub const FORMAT: u32 = 2;
-/// Operation `VIDIOC_S_FMT`.
+/// The operation `VIDIOC_S_FMT`.
 pub const SET_LAYOUT: u32 = 5;
-/// Operation `VIDIOC_REQBUFS`.
+/// The operation `VIDIOC_REQBUFS`.
 pub const ALLOCATE: u32 = 8;
 /// `VIDIOC_QUERYBUF`. The response carries the memory file.
 pub const BUFFER: u32 = 9;
@@ -32,17 +32,17 @@ pub const BUFFER: u32 = 9;
 pub const QUEUE: u32 = 15;
 /// `VIDIOC_DQBUF`, which only the camera sends.
 pub const FILLED: u32 = 17;
-/// Operation `VIDIOC_STREAMON`.
+/// The operation `VIDIOC_STREAMON`.
 pub const START: u32 = 18;
-/// Operation `VIDIOC_STREAMOFF`.
+/// The operation `VIDIOC_STREAMOFF`.
 pub const STOP: u32 = 19;
 /// `VIDIOC_G_PARM`, or `VIDIOC_S_PARM` if the first word is 1.
 pub const INTERVAL: u32 = 22;
-/// Operation `VIDIOC_G_CTRL`.
+/// The operation `VIDIOC_G_CTRL`.
 pub const CONTROL_VALUE: u32 = 27;
-/// Operation `VIDIOC_S_CTRL`.
+/// The operation `VIDIOC_S_CTRL`.
 pub const SET_CONTROL: u32 = 28;
-/// Operation `VIDIOC_QUERYCTRL`.
+/// The operation `VIDIOC_QUERYCTRL`.
 pub const CONTROL: u32 = 36;
 
 /// The words of a message after its operation and error number.
