@@ -1,7 +1,15 @@
-//! One module per real device. Protocols are codecs over bytes that somebody else reads and writes, so that they can be tested
-//! without a device and replayed from a recording.
+//! Drivers for real devices, each behind a trait of [`hal`].
 //!
-//! Unsafe code lives only in a module called `sys`, each block with its SAFETY note.
+//! * [`can`] drives a differential base on a CAN bus. Motor controllers are implementations of
+//!   [`can::protocol::MotorProtocol`]; `examples/new_motor_protocol.rs` shows how to add one.
+//! * [`scip`] is the protocol of Hokuyo's laser scanners, and [`hokuyo`] the driver that speaks it
+//!   over a serial port or TCP.
+//! * [`v4l2`] is the driver for cameras of Linux's Video4Linux2.
+//! * [`fault`] wraps any device and injects faults, for tests and simulated runs.
+//!
+//! Protocols are sans-I/O codecs: the caller reads and writes the bytes and passes in the time.
+//! They can therefore be tested without a device and replayed from a recording. Unsafe code exists
+//! only in modules called `sys`; each block has a SAFETY comment.
 
 pub mod can;
 pub mod fault;

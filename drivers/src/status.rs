@@ -1,20 +1,21 @@
-//! What a driver says of its device, for `check`, `health` and the log.
+//! The state of a device as its driver reports it, for `check`, `health` and the log.
 
 use std::fmt;
 
-/// How a device is.
+/// The state of a device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DeviceState {
-    /// Opened, not yet trusted: being set up, or its first good readings are being counted.
+    /// Open but not in use yet: the device is being set up, or its first good readings are being
+    /// counted.
     #[default]
     Starting,
-    /// Delivers.
+    /// Readings arrive as they should.
     Working,
-    /// Open, but silent for longer than it may be.
+    /// Open, but no reading has arrived for longer than the device's time-out.
     Silent,
-    /// Not there. The driver keeps trying to open it.
+    /// The device is absent. The driver keeps trying to open it.
     Disconnected,
-    /// There, and says itself that it is broken.
+    /// The device is present and reports a fault of its own.
     Faulty,
 }
 
@@ -30,19 +31,19 @@ impl fmt::Display for DeviceState {
     }
 }
 
-/// One device's state and counts since the driver was made. Plain numbers, so that a real-time thread may copy it.
+/// A device's state, and counts since its driver was made. Plain numbers, so that a real-time
+/// thread can copy it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DeviceStatus {
-    /// How it is now.
     pub state: DeviceState,
-    /// Readings that were taken.
+    /// Readings that passed every check.
     pub good: u64,
     /// Readings that were dropped because they failed a check.
     pub bad: u64,
-    /// Readings that the device counted and that never came.
+    /// Readings that never arrived, as gaps in the device's own counter show.
     pub lost: u64,
-    /// Times that the device was opened again after it had gone.
+    /// How often the device was opened again after it had disappeared.
     pub reopened: u64,
-    /// When the last good reading was taken, monotonic; 0 before the first.
+    /// Monotonic time of the last good reading; 0 before the first.
     pub last_good_ns: u64,
 }

@@ -1,28 +1,24 @@
-//! The camera.
+//! The camera trait, and the frame into which a camera copies its data.
 
 use alloc::vec::Vec;
 
 use crate::{CameraModel, ErrorType, ImageError, ImageView, PixelFormat};
 
-/// One picture with its own memory, made to be reused: a driver writes into it and grows it at most once.
+/// A camera frame that owns its memory. It is meant to be reused: a driver overwrites it and grows
+/// the buffer at most once.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
-    /// Middle of the exposure, monotonic.
+    /// Middle of the exposure on the monotonic clock.
     pub time_ns: u64,
     /// The camera's own frame counter; a gap is a lost frame.
     pub sequence: u32,
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
-    /// How `data` is laid out.
     pub format: PixelFormat,
-    /// The picture's bytes.
     pub data: Vec<u8>,
 }
 
 impl Frame {
-    /// An empty frame to hand to [`Camera::poll_frame`].
     #[must_use]
     pub fn empty() -> Self {
         Self {
@@ -35,10 +31,10 @@ impl Frame {
         }
     }
 
-    /// The picture.
+    /// Borrows the frame as an image.
     ///
     /// # Errors
-    /// When the bytes do not fit the size and format.
+    /// When the number of bytes does not match the size and format.
     pub fn view(&self) -> Result<ImageView<'_>, ImageError> {
         ImageView::new(self.width, self.height, self.format, &self.data)
     }
@@ -46,19 +42,22 @@ impl Frame {
 
 /// A camera on a robot.
 ///
-/// * *Blocking*: none.
-/// * *Freshness*: hands out the newest frame and drops older ones; a caller sees the loss as a gap in
+/// * *Blocking*: no method blocks.
+/// * *Freshness*: returns the newest frame and drops older ones, which the caller sees as a gap in
 ///   [`Frame::sequence`].
-/// * *Unplug*: [`Disconnected`](crate::ErrorKind::Disconnected) until the driver has reopened it by its stable path; the
-///   first frame after that may follow a jump in exposure.
-/// * *Who retries*: the driver.
+/// * *Unplug*: returns [`Disconnected`](crate::ErrorKind::Disconnected) until the driver has
+///   reopened the device by its stable path. The first frame after that may have a different
+///   exposure.
+/// * *Retries*: the driver retries; the caller only polls.
 pub trait Camera: ErrorType {
-    /// Intrinsics of the frames that this camera hands out.
+    /// Intrinsics of the frames that this camera returns.
     fn model(&self) -> &CameraModel;
 
-    /// Copies the newest frame that was not handed out before into `frame` and returns true; false when there is none.
+    /// Copies the newest frame into `frame` and returns true. Returns false when there is no frame
+    /// that was not returned before.
     ///
     /// # Errors
-    /// [`Timeout`](crate::ErrorKind::Timeout) when no frame has come for longer than two frame periods.
+    /// [`Timeout`](crate::ErrorKind::Timeout) when no frame has arrived for longer than two frame
+    /// periods.
     fn poll_frame(&mut self, frame: &mut Frame) -> Result<bool, Self::Error>;
 }

@@ -1,12 +1,13 @@
-//! Intrinsics.
+//! Camera intrinsics: projection, lens distortion, and how both change when an image is cropped or
+//! resized.
 
 use nalgebra::{ComplexField, Point3, Vector3};
 
-/// Lens distortion. Models and coefficient order as in OpenCV.
+/// A lens distortion model. The models and the order of their coefficients are OpenCV's.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub enum Distortion {
-    /// A pinhole.
+    /// An ideal pinhole without distortion.
     #[default]
     None,
     /// Brown-Conrady: k1 k2 p1 p2 k3.
@@ -15,12 +16,14 @@ pub enum Distortion {
     Fisheye([f64; 4]),
 }
 
-/// Rays beyond this many focal lengths from the axis (86 degrees) are in no picture that a pinhole can show.
+/// Rays further than this from the optical axis, in focal lengths (86 degrees), appear in no
+/// pinhole image of practical use.
 const WIDEST_RAY: f64 = 16.0;
 
 impl Distortion {
-    /// Where the lens puts the ray (`x`, `y`, 1), in focal lengths from the optical axis. Formulas as in OpenCV's
-    /// `projectPoints` and `fisheye::projectPoints` (Brown 1966; Kannala and Brandt 2006).
+    /// The image position of the ray (`x`, `y`, 1), in focal lengths from the optical axis. The
+    /// formulas are those of OpenCV's `projectPoints` and `fisheye::projectPoints` (Brown 1966;
+    /// Kannala and Brandt 2006).
     #[must_use]
     pub fn distort(&self, x: f64, y: f64) -> (f64, f64) {
         match self {
@@ -45,12 +48,22 @@ impl Distortion {
         }
     }
 
-    /// Up to which distance of a ray from the optical axis, in focal lengths, the model can be believed: beyond it the
-    /// radial polynomial turns back and would show the middle of the picture a second time.
+    /// The largest distance of a ray from the optical axis, in focal lengths, for which the model
+    /// is valid. Beyond it the radial polynomial decreases, so the model would show the middle of
+    /// the image a second time.
     #[must_use]
-    pub fn reach(&self) -> f64 {
-        // Derivatives of the radial polynomials.
-        let slope = |r: f64| match self {
+    pub fn valid_radius(&self) -> f64 {
+        let steps = 16_000;
+        (1..=steps)
+            .map(|step| WIDEST_RAY * f64::from(step) / f64::from(steps))
+            .find(|r| self.radial_slope(*r) <= 0.0)
+            .unwrap_or(f64::INFINITY)
+    }
+
+    /// Derivative of the radial polynomial at the distance `r`, which decides whether the model is
+    /// still monotonic there.
+    fn radial_slope(&self, r: f64) -> f64 {
+        match self {
             Self::None => 1.0,
             Self::PlumbBob([k1, k2, _, _, k3]) => {
                 let r2 = r * r;
@@ -60,12 +73,7 @@ impl Distortion {
                 let a2 = ComplexField::atan(r) * ComplexField::atan(r);
                 1.0 + a2 * (3.0 * k1 + a2 * (5.0 * k2 + a2 * (7.0 * k3 + a2 * 9.0 * k4)))
             }
-        };
-        let steps = 16_000;
-        let turn = (1..=steps)
-            .map(|step| WIDEST_RAY * f64::from(step) / f64::from(steps))
-            .find(|r| slope(*r) <= 0.0);
-        turn.unwrap_or(f64::INFINITY)
+        }
     }
 
     fn is_finite(&self) -> bool {
@@ -80,9 +88,7 @@ impl Distortion {
 /// A camera's intrinsics, in pixels, with pixel centres at integer coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CameraModel {
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// Focal length along x, pixels.
     pub fx: f64,
@@ -92,13 +98,12 @@ pub struct CameraModel {
     pub cx: f64,
     /// Row of the optical axis.
     pub cy: f64,
-    /// Lens distortion of the pictures.
     pub distortion: Distortion,
 }
 
 impl CameraModel {
-    /// A square-pixel pinhole with the optical axis in the middle and the given horizontal field of view.
-    /// 640x192 at 90 degrees: f = 320, cx = 319.5, cy = 95.5.
+    /// A pinhole with square pixels, the optical axis in the middle of the image, and the given
+    /// horizontal field of view. For 640x192 at 90 degrees: f = 320, cx = 319.5, cy = 95.5.
     #[must_use]
     pub fn pinhole(width: usize, height: usize, horizontal_fov_rad: f64) -> Self {
         let focal = width as f64 / 2.0 / ComplexField::tan(horizontal_fov_rad / 2.0);
@@ -113,7 +118,8 @@ impl CameraModel {
         }
     }
 
-    /// The point at z-depth `depth_m` behind pixel (`u`, `v`), in `camera_optical`. Ignores distortion.
+    /// The point at z-depth `depth_m` behind pixel (`u`, `v`), in `camera_optical`. Ignores
+    /// distortion.
     #[must_use]
     pub fn unproject(&self, u: f64, v: f64, depth_m: f64) -> Point3<f64> {
         Point3::from(self.ray(u, v) * depth_m)
@@ -125,30 +131,31 @@ impl CameraModel {
         Vector3::new((u - self.cx) / self.fx, (v - self.cy) / self.fy, 1.0)
     }
 
-    /// The pixel of a point in `camera_optical`, or `None` when it is not in front of the camera. May lie outside the
-    /// picture. Ignores distortion.
+    /// The pixel of a point in `camera_optical`, or `None` when the point is not in front of the
+    /// camera. The pixel may lie outside the image. Ignores distortion.
     #[must_use]
     pub fn project(&self, point: &Point3<f64>) -> Option<(f64, f64)> {
         (point.z > 0.0)
             .then(|| (self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy))
     }
 
-    /// The pixel of the ray (`x`, `y`, 1) in pictures of this camera as they are, distortion included. May lie outside the
-    /// picture.
+    /// The pixel of the ray (`x`, `y`, 1) in this camera's raw, distorted images. The pixel may lie
+    /// outside the image.
     #[must_use]
     pub fn distorted_pixel(&self, x: f64, y: f64) -> (f64, f64) {
         let (x, y) = self.distortion.distort(x, y);
         (self.fx * x + self.cx, self.fy * y + self.cy)
     }
 
-    /// The model of the picture after cutting out `width` x `height` pixels from column `left`, row `top`.
+    /// The model of the image after cropping it to `width` x `height` pixels from column `left`,
+    /// row `top`.
     #[must_use]
     pub fn cropped(&self, left: f64, top: f64, width: usize, height: usize) -> Self {
         Self { width, height, cx: self.cx - left, cy: self.cy - top, ..*self }
     }
 
-    /// The model of the picture after resampling to `width` x `height`, with the pictures' outer edges aligned (the
-    /// half-pixel convention of OpenCV's `resize`).
+    /// The model of the image after resampling it to `width` x `height`, with the outer edges of
+    /// both images aligned (the half-pixel convention of OpenCV's `resize`).
     #[must_use]
     pub fn resized(&self, width: usize, height: usize) -> Self {
         let sx = width as f64 / self.width as f64;
@@ -164,7 +171,8 @@ impl CameraModel {
         }
     }
 
-    /// Whether this can be a camera: a size, positive finite focal lengths, a finite centre and distortion.
+    /// Whether the intrinsics are usable: a size above zero, positive finite focal lengths, and a
+    /// finite centre and distortion.
     #[must_use]
     pub fn is_sound(&self) -> bool {
         let finite = [self.fx, self.fy, self.cx, self.cy].iter().copied().all(f64::is_finite);
@@ -201,7 +209,8 @@ mod tests {
         assert!(!CameraModel { fy: 0.0, ..model }.is_sound());
     }
 
-    /// cv2.projectPoints and cv2.fisheye.projectPoints of OpenCV 5.0, by tests/fixtures/make_imaging.py.
+    /// cv2.projectPoints and cv2.fisheye.projectPoints of OpenCV 5.0, by
+    /// tests/fixtures/make_imaging.py.
     #[test]
     fn rays_land_where_opencv_puts_them() {
         let rays = [(0.0, 0.0), (0.1, -0.2), (-0.5, 0.4), (0.75, 0.3), (-0.05, 0.9), (1.2, -1.1)];
@@ -245,15 +254,15 @@ mod tests {
     }
 
     #[test]
-    fn a_lens_is_believed_up_to_where_its_polynomial_turns_back() {
+    fn a_lens_model_is_valid_up_to_the_radius_where_its_polynomial_decreases() {
         // d/dr (r - 0.3 r^3) = 0 at r = sqrt(1 / 0.9).
-        let reach = Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]).reach();
-        assert!((reach - (1.0_f64 / 0.9).sqrt()).abs() < 2e-3);
+        let valid_radius = Distortion::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]).valid_radius();
+        assert!((valid_radius - (1.0_f64 / 0.9).sqrt()).abs() < 2e-3);
         // The same for the angle: 1 - 0.9 a^2 = 0.
-        let reach = Distortion::Fisheye([-0.3, 0.0, 0.0, 0.0]).reach();
-        assert!((ComplexField::atan(reach) - (1.0_f64 / 0.9).sqrt()).abs() < 2e-3);
-        assert_eq!(Distortion::None.reach(), f64::INFINITY);
-        assert_eq!(Distortion::PlumbBob([0.1, 0.01, 0.0, 0.0, 0.0]).reach(), f64::INFINITY);
+        let valid_radius = Distortion::Fisheye([-0.3, 0.0, 0.0, 0.0]).valid_radius();
+        assert!((ComplexField::atan(valid_radius) - (1.0_f64 / 0.9).sqrt()).abs() < 2e-3);
+        assert_eq!(Distortion::None.valid_radius(), f64::INFINITY);
+        assert_eq!(Distortion::PlumbBob([0.1, 0.01, 0.0, 0.0, 0.0]).valid_radius(), f64::INFINITY);
     }
 
     #[test]
@@ -270,7 +279,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_lens_without_coefficients_of_its_own_distorts_nothing(x in -2.0..2.0, y in -2.0..2.0) {
+        fn a_lens_with_zero_coefficients_does_not_distort(x in -2.0..2.0, y in -2.0..2.0) {
             prop_assert_eq!(Distortion::PlumbBob([0.0; 5]).distort(x, y), (x, y));
             // The equidistant fisheye: the distance from the axis is the angle.
             let (dx, dy) = Distortion::Fisheye([0.0; 4]).distort(x, y);
@@ -278,18 +287,26 @@ mod tests {
         }
 
         #[test]
-        fn projecting_an_unprojected_pixel_gives_the_pixel(u in -10.0..650.0, v in -10.0..200.0, depth in 0.1..20.0) {
+        fn projecting_an_unprojected_pixel_gives_the_pixel(
+            u in -10.0..650.0,
+            v in -10.0..200.0,
+            depth in 0.1..20.0,
+        ) {
             let model = CameraModel::pinhole(640, 192, FRAC_PI_2);
             let (u2, v2) = model.project(&model.unproject(u, v, depth)).unwrap();
             prop_assert!((u - u2).abs() < 1e-9 && (v - v2).abs() < 1e-9);
         }
 
         #[test]
-        fn resizing_keeps_the_direction_behind_every_place_of_the_picture(x in 0.0..1.0f64, y in 0.0..1.0f64) {
+        fn resizing_keeps_the_direction_behind_every_point_of_the_image(
+            x in 0.0..1.0f64,
+            y in 0.0..1.0f64,
+        ) {
             let model = CameraModel::pinhole(640, 480, 1.2);
             let small = model.resized(320, 96);
-            let at = |m: &CameraModel| m.ray(x * m.width as f64 - 0.5, y * m.height as f64 - 0.5);
-            prop_assert!((at(&model) - at(&small)).norm() < 1e-12);
+            let large_ray = model.ray(x * model.width as f64 - 0.5, y * model.height as f64 - 0.5);
+            let small_ray = small.ray(x * small.width as f64 - 0.5, y * small.height as f64 - 0.5);
+            prop_assert!((large_ray - small_ray).norm() < 1e-12);
         }
 
         #[test]

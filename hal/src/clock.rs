@@ -1,23 +1,25 @@
-//! One monotonic clock.
+//! The monotonic clock on which all times of this workspace are measured.
 
 /// Monotonic time in nanoseconds. The epoch is arbitrary but fixed for the life of the clock.
 pub trait Clock {
-    /// Now. Never goes back.
+    /// The current time. It never decreases.
     fn now_ns(&self) -> u64;
 
-    /// Returns at `deadline_ns` or as soon after it as the scheduler allows; at once when it has passed.
-    /// The only method in this crate that may block. A [`VirtualClock`] jumps instead.
+    /// Returns at `deadline_ns`, or as soon after it as the scheduler allows. Returns at once when
+    /// the deadline has passed. This is the only method of this crate that may block. A
+    /// [`VirtualClock`] jumps to the deadline instead.
     fn sleep_until_ns(&mut self, deadline_ns: u64);
 }
 
-/// Time that moves only when told to: as fast as the machine allows, the same in every run.
+/// A clock for simulation and tests. Its time advances only when a caller sleeps, so runs are as
+/// fast as the machine allows and repeatable.
 #[derive(Debug, Clone, Default)]
 pub struct VirtualClock {
     now_ns: u64,
 }
 
 impl VirtualClock {
-    /// A clock that stands at `now_ns`.
+    /// A clock whose current time is `now_ns`.
     #[must_use]
     pub fn starting_at_ns(now_ns: u64) -> Self {
         Self { now_ns }

@@ -1,8 +1,9 @@
-//! Depth pictures.
+//! Depth images.
 
 use alloc::{vec, vec::Vec};
 
-/// z-depth of every pixel, row-major, metres. `0.0` is "no depth here"; a value is never NaN, infinite or negative.
+/// A depth image: the z-depth of every pixel, row-major, metres. `0.0` means "no depth here". A
+/// value is never NaN, infinite or negative.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthMap {
     width: usize,
@@ -11,13 +12,14 @@ pub struct DepthMap {
 }
 
 impl DepthMap {
-    /// A map without any depth.
+    /// A map in which no pixel has a depth.
     #[must_use]
     pub fn none(width: usize, height: usize) -> Self {
         Self { width, height, depth_m: vec![0.0; width * height] }
     }
 
-    /// A map from row-major values; `None` when their number is not `width * height` or one is NaN, infinite or negative.
+    /// A map of row-major values. `None` when their count is not `width * height`, or when a value
+    /// is NaN, infinite or negative.
     #[must_use]
     pub fn from_vec(width: usize, height: usize, depth_m: Vec<f32>) -> Option<Self> {
         let sound = depth_m.len() == width.checked_mul(height)?
@@ -25,31 +27,29 @@ impl DepthMap {
         sound.then_some(Self { width, height, depth_m })
     }
 
-    /// Columns.
     #[must_use]
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows.
     #[must_use]
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// Row-major values, metres, 0 where there is none.
+    /// The row-major values in metres, 0 where there is no depth.
     #[must_use]
     pub fn values(&self) -> &[f32] {
         &self.depth_m
     }
 
-    /// The same, to write. The writer keeps the promise of the type.
+    /// Mutable access to the values. The caller must keep them finite and not negative.
     #[must_use]
     pub fn values_mut(&mut self) -> &mut [f32] {
         &mut self.depth_m
     }
 
-    /// The depth at column `u`, row `v`, or `None` where there is none or outside.
+    /// The depth at column `u`, row `v`. `None` where there is no depth or outside the image.
     #[must_use]
     pub fn get(&self, u: usize, v: usize) -> Option<f32> {
         if u >= self.width {
@@ -58,7 +58,7 @@ impl DepthMap {
         self.depth_m.get(v * self.width + u).copied().filter(|depth| *depth > 0.0)
     }
 
-    /// Forgets every depth.
+    /// Sets every pixel to "no depth".
     pub fn clear(&mut self) {
         self.depth_m.fill(0.0);
     }

@@ -1,36 +1,38 @@
-//! What went wrong with a device, in terms that a caller can act on.
+//! Device errors, classified so that a caller can act on them without knowing the driver.
 
 use core::fmt::{Debug, Display};
 
-/// An error of a device. Keeps the driver's own detail for people; generic code acts on [`kind`](Error::kind).
+/// A device error. Its text carries the driver's details for the operator; generic code acts on
+/// [`kind`](Error::kind).
 pub trait Error: Debug + Display {
-    /// The class of this error.
     fn kind(&self) -> ErrorKind;
 }
 
-/// Classes of device errors.
+/// The class of a device error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ErrorKind {
-    /// The device is not there: unplugged, not powered, path missing. The driver keeps trying to reopen it.
+    /// The device is absent: unplugged, not powered, or its path is missing. The driver keeps
+    /// trying to reopen it.
     Disconnected,
-    /// The device is open but silent for longer than its data sheet allows. The driver keeps listening.
+    /// The device is open but silent for longer than its data sheet allows. The driver keeps
+    /// listening.
     Timeout,
-    /// The device answered with something that fails its checksum, its length or its allowed range. The reading is dropped.
+    /// A reading failed its checksum, its length or its allowed range, and was dropped.
     Corrupt,
-    /// The device refused a request that it understood (wrong mode, not armed, value out of its limits).
+    /// The device understood a request and refused it (wrong mode, not armed, value out of limits).
     Rejected,
-    /// The device reports a fault of its own (over-temperature, bus off, laser failure). Needs an operator or a reset.
+    /// The device reports a fault of its own (over-temperature, bus off, laser failure). Needs an
+    /// operator or a reset.
     Fault,
-    /// The device cannot do this at all. A configuration mistake.
+    /// The device does not support the request at all. This is a configuration mistake.
     Unsupported,
-    /// Anything else; see the error's text.
+    /// Any other error; its text says more.
     Other,
 }
 
 /// Names the error type of a device once for all of its traits.
 pub trait ErrorType {
-    /// The device's error.
     type Error: Error;
 }
 
@@ -38,7 +40,7 @@ impl<T: ErrorType + ?Sized> ErrorType for &mut T {
     type Error = T::Error;
 }
 
-/// A fake that cannot fail needs no error type of its own.
+/// Lets a fake device that cannot fail use `Infallible` instead of defining an error type.
 impl Error for core::convert::Infallible {
     fn kind(&self) -> ErrorKind {
         match *self {}

@@ -1,25 +1,27 @@
-//! Borrowed pictures.
+//! Borrowed images and their pixel formats.
 
 use core::fmt;
 
-/// How the bytes of a picture are laid out.
+/// How the bytes of an image are laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum PixelFormat {
-    /// Three bytes a pixel: red, green, blue.
+    /// Three bytes per pixel: red, green, blue.
     Rgb8,
-    /// One byte a pixel.
+    /// One byte of brightness per pixel.
     Gray8,
-    /// YUV 4:2:2 packed as Y0 U Y1 V, two bytes a pixel, even width.
+    /// YUV 4:2:2 packed as Y0 U Y1 V: two bytes per pixel, even width.
     Yuyv,
-    /// YUV 4:2:0: a plane of Y, then a plane of interleaved U and V at half the size; even width and height.
+    /// YUV 4:2:0: a plane of Y, then a plane of interleaved U and V at half the resolution; even
+    /// width and height.
     Nv12,
-    /// A whole JPEG file, as the camera compressed it.
+    /// A complete JPEG file as compressed by the camera.
     Mjpeg,
 }
 
 impl PixelFormat {
-    /// Bytes of a picture of this size; `None` where the size depends on the content.
+    /// The number of bytes of an image of this size. `None` when it depends on the content or
+    /// overflows.
     #[must_use]
     pub fn bytes(self, width: usize, height: usize) -> Option<usize> {
         let pixels = width.checked_mul(height)?;
@@ -32,7 +34,7 @@ impl PixelFormat {
         }
     }
 
-    /// Whether a picture of this format can have this size.
+    /// Whether an image of this format can have this size.
     fn allows(self, width: usize, height: usize) -> bool {
         let even = match self {
             Self::Yuyv => width.is_multiple_of(2),
@@ -43,24 +45,17 @@ impl PixelFormat {
     }
 }
 
-/// The bytes do not make the picture that they are said to be.
+/// The bytes do not match the declared size and format of an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ImageError {
     /// Width or height is zero, or odd where the format needs pairs.
-    Size {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-        /// The format.
-        format: PixelFormat,
-    },
-    /// Too many or too few bytes.
+    Size { width: usize, height: usize, format: PixelFormat },
+    /// There are too many or too few bytes.
     Length {
-        /// Bytes that the size and format need.
+        /// Number of bytes that the size and format require.
         expected: usize,
-        /// Bytes that came.
+        /// Number of bytes that were given.
         actual: usize,
     },
 }
@@ -69,10 +64,10 @@ impl fmt::Display for ImageError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Size { width, height, format } => {
-                write!(f, "a {format:?} picture cannot be {width}x{height}")
+                write!(f, "a {format:?} image cannot be {width}x{height}")
             }
             Self::Length { expected, actual } => {
-                write!(f, "picture has {actual} bytes, its size needs {expected}")
+                write!(f, "the image has {actual} bytes, its size requires {expected}")
             }
         }
     }
@@ -80,7 +75,7 @@ impl fmt::Display for ImageError {
 
 impl core::error::Error for ImageError {}
 
-/// A picture that somebody else owns: row-major, no padding between rows.
+/// A borrowed image: row-major, without padding between rows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImageView<'a> {
     width: usize,
@@ -90,10 +85,10 @@ pub struct ImageView<'a> {
 }
 
 impl<'a> ImageView<'a> {
-    /// A checked view: later reads cannot be out of bounds.
+    /// Checks that `data` matches the size and format, so that later reads cannot be out of bounds.
     ///
     /// # Errors
-    /// When the size is impossible or does not fit the bytes.
+    /// When the size is impossible for the format, or `data` has another length.
     pub fn new(
         width: usize,
         height: usize,
@@ -112,7 +107,7 @@ impl<'a> ImageView<'a> {
         }
     }
 
-    /// An RGB view.
+    /// A view of an [`Rgb8`](PixelFormat::Rgb8) image.
     ///
     /// # Errors
     /// As [`ImageView::new`].
@@ -120,25 +115,21 @@ impl<'a> ImageView<'a> {
         Self::new(width, height, PixelFormat::Rgb8, data)
     }
 
-    /// Columns.
     #[must_use]
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows.
     #[must_use]
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// Layout of [`data`](Self::data).
     #[must_use]
     pub fn format(&self) -> PixelFormat {
         self.format
     }
 
-    /// The bytes.
     #[must_use]
     pub fn data(&self) -> &'a [u8] {
         self.data
@@ -150,20 +141,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_picture_of_the_wrong_length_is_refused_with_both_numbers() {
+    fn an_image_of_the_wrong_length_is_refused_with_both_lengths() {
         let error = ImageView::rgb8(4, 2, &[0; 23]).unwrap_err();
         assert_eq!(error, ImageError::Length { expected: 24, actual: 23 });
     }
 
     #[test]
-    fn an_empty_or_odd_yuyv_picture_is_refused() {
+    fn an_empty_image_and_a_yuyv_image_of_odd_width_are_refused() {
         assert!(ImageView::new(0, 2, PixelFormat::Gray8, &[]).is_err());
         assert!(ImageView::new(3, 2, PixelFormat::Yuyv, &[0; 12]).is_err());
         assert!(ImageView::new(4, 2, PixelFormat::Yuyv, &[0; 16]).is_ok());
     }
 
     #[test]
-    fn nv12_has_half_a_byte_of_colour_a_pixel_and_even_sizes() {
+    fn nv12_has_half_a_byte_of_colour_per_pixel_and_even_sizes() {
         assert!(ImageView::new(4, 2, PixelFormat::Nv12, &[0; 12]).is_ok());
         assert!(ImageView::new(4, 3, PixelFormat::Nv12, &[0; 18]).is_err());
         assert!(ImageView::new(3, 2, PixelFormat::Nv12, &[0; 9]).is_err());

@@ -1,28 +1,32 @@
-//! The boundary between devices and decisions.
+//! The hardware abstraction layer: the boundary between devices and the code that decides.
 //!
-//! Four traits ([`Camera`], [`Lidar`], [`Base`], [`Clock`]) and the plain data that crosses them. A driver, the
-//! simulator and a fault injector implement the traits; everything that decides is written against them.
+//! Four traits ([`Camera`], [`Lidar`], [`Base`], [`Clock`]) and the plain data that they exchange.
+//! Drivers, the simulator and the fault injectors implement the traits; perception, mapping,
+//! planning and safety are written against them. `examples/fake_devices.rs` is the smallest
+//! complete implementation, to copy when porting a new device.
 //!
 //! # Conventions
 //!
-//! * SI units. A field whose unit is not its type's says so in its name: `_m`, `_rad`, `_ns`, `_mps`, `_radps`.
-//! * Right-handed frames as in REP-103 and REP-105: `map`, `odom`, `base_link` (x forward, y left, z up), `laser`
-//!   (as `base_link`), `camera_optical` (x right, y down, z forward).
+//! * SI units. The name of a number ends with its unit: `_m`, `_rad`, `_ns`, `_mps`, `_radps`.
+//! * Right-handed frames as in REP-103 and REP-105: `map`, `odom`, `base_link` (x forward, y left,
+//!   z up), `laser` (as `base_link`), `camera_optical` (x right, y down, z forward).
 //! * A pose written `t_a_b` maps points of frame b into frame a, so `t_a_c = t_a_b * t_b_c`.
 //! * Depth is z-depth (distance along the optical axis), in metres; `0.0` means "no depth here".
 //! * Pixel centres are at integer coordinates.
-//! * Time is one monotonic clock in nanoseconds, taken at the device (the kernel's timestamp where there is one).
+//! * All times are of one monotonic clock, in nanoseconds, and are taken at the device (the
+//!   kernel's timestamp where there is one).
 //!
 //! # For driver authors
 //!
-//! Every method is non-blocking: it returns within a millisecond, also when the device is gone. Reading a device is the
-//! driver's own thread's work. A driver retries by itself (reopens by stable path, with backoff) and reports what it is
-//! doing through its error's [`ErrorKind`]; a caller never has to reopen anything. Stale data is not data: a reading is
-//! handed out once.
+//! No method may block: each returns within a millisecond, even when the device is absent. A driver
+//! reads its device on a thread of its own. It reopens the device automatically (by stable path,
+//! with back-off) and reports its state through the [`ErrorKind`] of its errors, so a caller never
+//! has to reopen anything. A reading is returned once: a driver must not return stale data as new.
 //!
 //! # For callers
 //!
-//! Act on [`Error::kind`], print the error itself. An error is never a reason to keep the last reading.
+//! Act on [`Error::kind`] and print the error itself. After an error, do not go on using the last
+//! reading.
 #![no_std]
 #![forbid(unsafe_code)]
 

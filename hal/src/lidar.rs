@@ -1,25 +1,26 @@
-//! The planar safety LiDAR.
+//! The planar safety LiDAR: its geometry, its scans and its trait.
 
 use alloc::vec::Vec;
 
 use crate::ErrorType;
 
-/// What one beam met. "No return" is not "free", and an error is neither.
+/// The result of one beam. `NoReturn` does not mean "free space", and neither does `Error`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Range {
-    /// Something at this distance along the beam, metres.
+    /// An object at this distance along the beam, metres.
     Hit(f32),
-    /// Nothing came back within the sensor's range: nothing there, or something black, shiny or transparent.
+    /// No echo within the sensor's range: there is nothing, or something black, shiny or
+    /// transparent.
     #[default]
     NoReturn,
-    /// Something nearer than the sensor can measure.
+    /// An object nearer than the sensor can measure.
     TooNear,
     /// The sensor could not measure this beam.
     Error,
 }
 
 impl Range {
-    /// The distance of a hit, metres.
+    /// The distance in metres if the beam hit something.
     #[must_use]
     pub fn hit_m(self) -> Option<f32> {
         match self {
@@ -29,25 +30,26 @@ impl Range {
     }
 }
 
-/// Where the beams of a scan point and how far they reach. Angles counter-clockwise from the `laser` frame's x axis.
+/// Directions and limits of the beams of a scan. Angles are counter-clockwise from the x axis of
+/// the `laser` frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScanGeometry {
-    /// Direction of the first beam, radians.
+    /// Direction of the first beam.
     pub angle_min_rad: f64,
-    /// Angle between neighbouring beams, radians, positive.
+    /// Angle between neighbouring beams; positive.
     pub angle_increment_rad: f64,
-    /// Number of beams.
     pub beams: usize,
-    /// Shortest distance that is measured, metres.
+    /// Shortest distance that the sensor measures.
     pub range_min_m: f32,
-    /// Longest distance that is measured, metres.
+    /// Longest distance that the sensor measures.
     pub range_max_m: f32,
-    /// Time between two scans.
+    /// Time from the start of one scan to the start of the next.
     pub period_ns: u64,
 }
 
 impl ScanGeometry {
-    /// Hokuyo UTM-30LX by its data sheet: 270 degrees in 1081 beams, 0.1 to 30 m, 25 ms.
+    /// The Hokuyo UTM-30LX according to its data sheet: 270 degrees in 1081 beams, 0.1 to 30 m, 25
+    /// ms.
     pub const UTM_30LX: Self = Self {
         angle_min_rad: -0.75 * core::f64::consts::PI,
         angle_increment_rad: 1.5 * core::f64::consts::PI / 1080.0,
@@ -57,26 +59,24 @@ impl ScanGeometry {
         period_ns: 25_000_000,
     };
 
-    /// Direction of a beam, radians.
     #[must_use]
     pub fn angle_rad(&self, beam: usize) -> f64 {
         self.angle_min_rad + self.angle_increment_rad * beam as f64
     }
 }
 
-/// One turn of the scanner. Owns its memory and is made to be reused.
+/// The ranges of one revolution of the scanner. It owns its memory and is meant to be reused.
 #[derive(Debug, PartialEq)]
 pub struct LaserScan {
-    /// Start of the scan, monotonic.
+    /// Start of the scan on the monotonic clock.
     pub time_ns: u64,
-    /// Beams and limits.
     pub geometry: ScanGeometry,
-    /// One entry a beam, in the order of [`ScanGeometry::angle_rad`].
+    /// One entry per beam, in the order of [`ScanGeometry::angle_rad`].
     pub ranges: Vec<Range>,
 }
 
 impl LaserScan {
-    /// A scan without beams, to hand to [`Lidar::poll_scan`].
+    /// A scan without ranges, with capacity for all beams, to pass to [`Lidar::poll_scan`].
     #[must_use]
     pub fn empty(geometry: ScanGeometry) -> Self {
         Self { time_ns: 0, geometry, ranges: Vec::with_capacity(geometry.beams) }
@@ -88,7 +88,7 @@ impl LaserScan {
         self.time_ns + self.geometry.period_ns / 2
     }
 
-    /// Angle (radians) and distance (metres) of every beam that hit something.
+    /// The angle in radians and the distance in metres of every beam that hit something.
     pub fn hits(&self) -> impl Iterator<Item = (f64, f32)> + '_ {
         self.ranges
             .iter()
@@ -97,34 +97,38 @@ impl LaserScan {
     }
 }
 
-/// `clone_from` reuses the room of the scan that it overwrites: a real-time thread hands scans on without allocating.
+/// `clone_from` reuses the buffer of the scan that it overwrites, so that a real-time thread can
+/// copy scans without allocating.
 impl Clone for LaserScan {
     fn clone(&self) -> Self {
         Self { ranges: self.ranges.clone(), ..*self }
     }
 
     fn clone_from(&mut self, source: &Self) {
-        (self.time_ns, self.geometry) = (source.time_ns, source.geometry);
+        self.time_ns = source.time_ns;
+        self.geometry = source.geometry;
         self.ranges.clone_from(&source.ranges);
     }
 }
 
-/// A planar scanner, level, in the `laser` frame.
+/// A planar laser scanner, mounted level, in the `laser` frame.
 ///
-/// * *Blocking*: none.
-/// * *Freshness*: hands out the newest complete scan once. Silence for more than two periods is
-///   [`Timeout`](crate::ErrorKind::Timeout), not an old scan.
-/// * *Unplug*: [`Disconnected`](crate::ErrorKind::Disconnected) until the driver has reopened it and several good scans
-///   in a row have come.
-/// * *Who retries*: the driver.
+/// * *Blocking*: no method blocks.
+/// * *Freshness*: returns the newest complete scan once. When no scan has arrived for more than two
+///   periods, it returns [`Timeout`](crate::ErrorKind::Timeout), not an old scan.
+/// * *Unplug*: returns [`Disconnected`](crate::ErrorKind::Disconnected) until the driver has
+///   reopened the device and received several good scans in a row.
+/// * *Retries*: the driver retries; the caller only polls.
 pub trait Lidar: ErrorType {
-    /// Beams and limits of this scanner.
+    /// Directions and limits of this scanner's beams.
     fn geometry(&self) -> ScanGeometry;
 
-    /// Copies the newest scan that was not handed out before into `scan` and returns true; false when there is none.
+    /// Copies the newest scan into `scan` and returns true. Returns false when there is no scan
+    /// that was not returned before.
     ///
     /// # Errors
-    /// See the trait's own notes; a scan with a wrong checksum is [`Corrupt`](crate::ErrorKind::Corrupt) and dropped.
+    /// As described for the trait. A scan with a wrong checksum is dropped and reported as
+    /// [`Corrupt`](crate::ErrorKind::Corrupt).
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Self::Error>;
 }
 
@@ -133,14 +137,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_utm_30lx_looks_270_degrees_around_with_its_middle_beam_ahead() {
+    fn the_utm_30lx_covers_270_degrees_with_its_middle_beam_straight_ahead() {
         let geometry = ScanGeometry::UTM_30LX;
-        assert!((geometry.angle_rad(540)).abs() < 1e-12);
+        assert!((geometry.angle_rad(0) + 0.75 * core::f64::consts::PI).abs() < 1e-12);
+        assert!(geometry.angle_rad(540).abs() < 1e-12);
         assert!((geometry.angle_rad(1080) - 0.75 * core::f64::consts::PI).abs() < 1e-12);
     }
 
     #[test]
-    fn only_hits_are_hits() {
+    fn beams_without_a_distance_are_not_among_the_hits() {
         let mut scan = LaserScan::empty(ScanGeometry::UTM_30LX);
         scan.ranges.extend([Range::NoReturn, Range::Hit(1.0), Range::TooNear, Range::Error]);
         assert_eq!(scan.hits().count(), 1);

@@ -2,26 +2,25 @@
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-/// A rigid transform in space. `t_a_b` maps points of frame b into frame a; compose with `*`, invert with `.inverse()`.
+/// A rigid transform in space. `t_a_b` maps points of frame b into frame a; compose with `*`,
+/// invert with `.inverse()`.
 pub type Pose3 = Isometry3<f64>;
 
-/// A rigid transform in the plane: the pose of b in a is `t_a_b`. Yaw counter-clockwise from x, in (-pi, pi].
+/// A rigid transform in the plane. The pose of frame b in frame a is `t_a_b`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Pose2 {
-    /// Along x, metres.
     pub x_m: f64,
-    /// Along y, metres.
     pub y_m: f64,
-    /// Heading, radians, counter-clockwise, wrapped to (-pi, pi].
+    /// Heading, counter-clockwise from the x axis, in (-pi, pi].
     pub yaw_rad: f64,
 }
 
 impl Pose2 {
-    /// The transform that changes nothing.
+    /// The identity transform.
     pub const IDENTITY: Self = Self { x_m: 0.0, y_m: 0.0, yaw_rad: 0.0 };
 
-    /// A pose; the heading is wrapped.
+    /// A pose whose heading is wrapped to (-pi, pi].
     #[must_use]
     pub fn new(x_m: f64, y_m: f64, yaw_rad: f64) -> Self {
         Self { x_m, y_m, yaw_rad: wrap_angle(yaw_rad) }
@@ -45,7 +44,7 @@ impl Pose2 {
         )
     }
 
-    /// Maps a point of frame b, metres, into frame a.
+    /// Maps a point of frame b into frame a.
     #[must_use]
     pub fn transform(&self, x_m: f64, y_m: f64) -> (f64, f64) {
         let (sin, cos) = sin_cos(self.yaw_rad);
@@ -55,10 +54,10 @@ impl Pose2 {
     /// Straight-line distance between the two origins, metres.
     #[must_use]
     pub fn distance_m(&self, other: &Self) -> f64 {
-        libm_hypot(self.x_m - other.x_m, self.y_m - other.y_m)
+        hypot(self.x_m - other.x_m, self.y_m - other.y_m)
     }
 
-    /// The same pose in space, at height zero.
+    /// The same pose in space, at height 0.
     #[must_use]
     pub fn to_pose3(&self) -> Pose3 {
         Pose3::from_parts(
@@ -67,14 +66,15 @@ impl Pose2 {
         )
     }
 
-    /// Whether every number is finite. A pose that is not must be refused, never repaired.
+    /// Whether every component is finite. A pose that is not finite must be refused, never
+    /// repaired.
     #[must_use]
     pub fn is_finite(&self) -> bool {
         self.x_m.is_finite() && self.y_m.is_finite() && self.yaw_rad.is_finite()
     }
 }
 
-/// `angle_rad` brought into (-pi, pi].
+/// Wraps `angle_rad` to (-pi, pi].
 #[must_use]
 pub fn wrap_angle(angle_rad: f64) -> f64 {
     use core::f64::consts::{PI, TAU};
@@ -82,11 +82,12 @@ pub fn wrap_angle(angle_rad: f64) -> f64 {
     if wrapped <= -PI { wrapped + TAU } else { wrapped }
 }
 
-/// The camera's place on the robot: `t_base_camera` of a `camera_optical` frame `height_m` above `base_link`'s origin and
-/// `forward_m` in front of it, looking forward and `pitch_down_rad` below the horizon.
+/// The camera's mounting pose `t_base_camera`: a `camera_optical` frame `height_m` above the origin
+/// of `base_link` and `forward_m` in front of it, facing forward and pitched `pitch_down_rad` below
+/// the horizon.
 #[must_use]
 pub fn camera_mount(forward_m: f64, height_m: f64, pitch_down_rad: f64) -> Pose3 {
-    // Columns: where the optical x (right), y (down), z (forward) axes point in base_link.
+    // The columns are the optical axes x (right), y (down), z (forward) in base_link.
     let level = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
     let pitch = Rotation3::from_axis_angle(&Vector3::y_axis(), pitch_down_rad);
     let rotation = pitch * Rotation3::from_matrix_unchecked(level);
@@ -100,7 +101,7 @@ fn sin_cos(angle_rad: f64) -> (f64, f64) {
     nalgebra::ComplexField::sin_cos(angle_rad)
 }
 
-fn libm_hypot(x: f64, y: f64) -> f64 {
+fn hypot(x: f64, y: f64) -> f64 {
     nalgebra::ComplexField::hypot(x, y)
 }
 
@@ -131,7 +132,11 @@ mod tests {
         }
 
         #[test]
-        fn the_plane_and_space_agree(a in pose(), x in -5.0..5.0, y in -5.0..5.0) {
+        fn a_planar_pose_and_its_spatial_pose_map_points_equally(
+            a in pose(),
+            x in -5.0..5.0,
+            y in -5.0..5.0,
+        ) {
             let (px, py) = a.transform(x, y);
             let p = a.to_pose3() * Point3::new(x, y, 0.0);
             prop_assert!((p.x - px).abs() < 1e-9 && (p.y - py).abs() < 1e-9 && p.z.abs() < 1e-12);
@@ -140,8 +145,10 @@ mod tests {
         #[test]
         fn wrapped_angles_are_equivalent_and_in_range(angle in -100.0..100.0f64) {
             let wrapped = wrap_angle(angle);
-            prop_assert!(wrapped > -core::f64::consts::PI - 1e-12 && wrapped <= core::f64::consts::PI + 1e-12);
-            prop_assert!((wrapped.sin() - angle.sin()).abs() < 1e-9 && (wrapped.cos() - angle.cos()).abs() < 1e-9);
+            prop_assert!(wrapped > -core::f64::consts::PI - 1e-12);
+            prop_assert!(wrapped <= core::f64::consts::PI + 1e-12);
+            prop_assert!((wrapped.sin() - angle.sin()).abs() < 1e-9);
+            prop_assert!((wrapped.cos() - angle.cos()).abs() < 1e-9);
         }
     }
 

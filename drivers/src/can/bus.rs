@@ -1,71 +1,74 @@
-//! A CAN bus as the base driver sees it: frames go in and come out, and the bus tells how it is.
+//! The interface between the base driver and a CAN bus: it sends frames, receives frames, and
+//! reports the state of the bus.
 
 use std::fmt;
 
 use super::frame::CanFrame;
 
-/// What came from the bus, and when.
+/// An event on the bus with its time of reception.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Received {
-    /// When it came, monotonic; the kernel's or the controller's own time stamp where there is one.
+    /// Time of reception on the monotonic clock: the timestamp of the kernel or the controller
+    /// where there is one.
     pub time_ns: u64,
-    /// What came.
     pub event: BusEvent,
 }
 
-/// A frame, or news of the bus itself.
+/// A received frame, or a change in the state of the bus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BusEvent {
-    /// A frame of another node.
+    /// A frame that another node sent.
     Frame(CanFrame),
-    /// The controller took part in errors: its state, and its error counters where it tells them.
+    /// The controller detected errors on the bus.
     Errors {
-        /// How bad.
         state: ErrorState,
-        /// Transmit error counter (TEC), 0 where it is not told.
+        /// Transmit error counter (TEC), 0 if the controller does not report it.
         transmit: u8,
-        /// Receive error counter (REC), 0 where it is not told.
+        /// Receive error counter (REC), 0 if the controller does not report it.
         receive: u8,
     },
-    /// The controller has left the bus after 256 transmit errors. Nothing goes out until it is restarted.
+    /// The controller left the bus after 256 transmit errors. It sends nothing until it is
+    /// restarted.
     BusOff,
-    /// The controller is back on the bus after a bus-off.
+    /// The controller rejoined the bus after a bus-off.
     Restarted,
-    /// Nobody acknowledged a frame: cable, termination, bit rate, or everybody else is off.
+    /// No node acknowledged a frame. The cause is the cable, the termination, the bit rate, or that
+    /// every other node is off.
     NoAcknowledge,
-    /// Frames were lost because somebody did not fetch them in time.
+    /// Received frames were lost because a receive buffer overflowed.
     Overflow,
     /// Any other error frame.
     Noise,
-    /// The interface is gone or down; the bus tries to open it again.
+    /// The interface is absent or down. The bus tries to open it again.
     Gone,
     /// The interface is open again.
     Back,
 }
 
-/// ISO 11898-1 error states short of bus-off.
+/// The error states of ISO 11898-1 other than bus-off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ErrorState {
-    /// Takes part fully.
+    /// Error counters are low; the controller takes part fully.
     #[default]
     Active,
-    /// A counter has passed 96.
+    /// An error counter exceeds 96.
     Warning,
-    /// A counter has passed 127: it may no longer signal errors.
+    /// An error counter exceeds 127, so the controller may no longer signal errors.
     Passive,
 }
 
-/// Why a frame did not go out. It is never repeated by the bus: by then it is old.
+/// Why a frame could not be sent. The bus never sends it later, because it would be stale by then.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SendProblem {
-    /// The transmit queue is full (`ENOBUFS`, `EAGAIN`): the bus is jammed, off, or nobody acknowledges.
+    /// The transmit queue is full (`ENOBUFS`, `EAGAIN`): the bus is overloaded or bus-off, or no
+    /// node acknowledges.
     Full,
     /// The interface is down (`ENETDOWN`).
     Down,
     /// The interface does not exist (`ENODEV`, `ENXIO`, closed socket).
     Gone,
-    /// Any other error code of the operating system.
+    /// Any other error code of the operating system (`errno`).
     Code(i32),
 }
 
@@ -73,36 +76,39 @@ impl fmt::Display for SendProblem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Full => f.write_str(
-                "its transmit queue is full; check cable, termination, bit rate and `restart-ms`",
+                "the transmit queue is full; check cable, termination, bit rate and `restart-ms`",
             ),
             Self::Down => f.write_str(
-                "it is down; `ip link set <name> up type can bitrate <rate> restart-ms 100`",
+                "the interface is down; run `ip link set <name> up type can bitrate <rate> \
+                 restart-ms 100`",
             ),
-            Self::Gone => {
-                f.write_str("it does not exist; plug the adapter in, or name another bus")
-            }
-            Self::Code(code) => write!(f, "error {code} of the operating system"),
+            Self::Gone => f.write_str(
+                "the interface does not exist; plug the adapter in, or name another \
+                    bus",
+            ),
+            Self::Code(code) => write!(f, "operating system error {code}"),
         }
     }
 }
 
-/// A CAN bus. Nothing blocks, nothing is queued beyond what the kernel holds, nothing is sent twice.
+/// A CAN bus. No method blocks. An implementation queues nothing beyond the kernel's own queue and
+/// never sends a frame twice.
 pub trait CanBus {
     /// Sends a frame now or not at all.
     ///
     /// # Errors
-    /// Why it did not go out.
+    /// The reason why the frame was not sent. It is dropped then.
     fn send(&mut self, frame: &CanFrame) -> Result<(), SendProblem>;
 
-    /// The oldest event that was not fetched yet. Also opens the interface again when it had gone and its waiting time is over;
-    /// `now_ns` is monotonic.
+    /// Returns the oldest pending event. Also reopens a lost interface when its back-off is over.
+    /// `now_ns` is the monotonic time.
     fn receive(&mut self, now_ns: u64) -> Option<Received>;
 
-    /// Drops what waits to be sent, as far as the operating system lets it. See [`SocketBus`](super::SocketBus) for what Linux
-    /// may still send.
+    /// Drops the frames that are queued for sending, as far as the operating system permits. See
+    /// [`SocketBus`](super::SocketBus) for the frames that Linux may still send.
     fn drop_pending(&mut self);
 
-    /// The name that people know it by.
+    /// The configured name of the bus, for messages.
     fn name(&self) -> &str;
 }
 
@@ -124,8 +130,8 @@ impl<B: CanBus + ?Sized> CanBus for Box<B> {
     }
 }
 
-/// Waiting times that double from 100 ms to 2 s: long enough that a broken bus costs no processor time, short enough that a
-/// repaired one is back before a person looks.
+/// A back-off whose delay doubles from 100 ms to 2 s: long enough that a broken bus costs no
+/// processor time, short enough that a repaired one is in use again within seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Backoff {
     wait_ns: u64,
@@ -133,36 +139,33 @@ pub struct Backoff {
 }
 
 impl Backoff {
-    /// The shortest wait.
     pub const FIRST_NS: u64 = 100_000_000;
-    /// The longest wait.
     pub const LONGEST_NS: u64 = 2_000_000_000;
 
-    /// Not waiting.
     #[must_use]
     pub fn new() -> Self {
         Self { wait_ns: Self::FIRST_NS, until_ns: 0 }
     }
 
-    /// Waits from now on, and twice as long the next time.
+    /// Starts a delay now, and doubles the next one.
     pub fn wait(&mut self, now_ns: u64) {
         self.until_ns = now_ns.saturating_add(self.wait_ns);
         self.wait_ns = (self.wait_ns * 2).min(Self::LONGEST_NS);
     }
 
-    /// Whether the wait is over.
+    /// Whether the delay is over.
     #[must_use]
     pub fn is_over(&self, now_ns: u64) -> bool {
         now_ns >= self.until_ns
     }
 
-    /// When the wait is over, monotonic.
+    /// The monotonic time at which the delay is over.
     #[must_use]
     pub fn until_ns(&self) -> u64 {
         self.until_ns
     }
 
-    /// All is well: the next wait is the shortest again.
+    /// Ends the delay, and makes the next one the shortest again.
     pub fn reset(&mut self) {
         *self = Self::new();
     }
@@ -179,14 +182,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn waits_double_up_to_two_seconds() {
+    fn delays_double_up_to_two_seconds_and_start_again_after_a_reset() {
         let mut backoff = Backoff::new();
-        let mut waits = Vec::new();
+        let mut delays_ms = Vec::new();
         for _ in 0..7 {
             backoff.wait(0);
-            waits.push(backoff.until_ns() / 1_000_000);
+            delays_ms.push(backoff.until_ns() / 1_000_000);
         }
-        assert_eq!(waits, [100, 200, 400, 800, 1600, 2000, 2000]);
+        assert_eq!(delays_ms, [100, 200, 400, 800, 1600, 2000, 2000]);
         backoff.reset();
         assert!(backoff.is_over(0));
     }

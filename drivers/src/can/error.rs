@@ -1,4 +1,4 @@
-//! What can be wrong with the base.
+//! Errors of the base, and the reasons for which it takes itself out of service.
 
 use std::fmt;
 use std::sync::Arc;
@@ -8,12 +8,10 @@ use hal::ErrorKind;
 use super::bus::SendProblem;
 use super::protocol::MotorProblem;
 
-/// A wheel.
+/// One of the two driven wheels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
-    /// The left one.
     Left,
-    /// The right one.
     Right,
 }
 
@@ -23,32 +21,32 @@ impl fmt::Display for Side {
     }
 }
 
-/// What took an armed base out of service. Stays until somebody arms it again.
+/// The reason why an armed base went out of service. It stays until the caller arms the base again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Trip {
-    /// The CAN controller left the bus.
+    /// The CAN controller is bus-off.
     BusOff,
-    /// The interface is gone or down.
+    /// The CAN interface is absent or down.
     BusGone,
     /// Nothing could be sent for 50 ms.
     TransmitBlocked,
-    /// A motor is silent.
+    /// A motor stopped sending feedback.
     FeedbackSilent(Side),
-    /// A motor reports a fault or has left operation.
+    /// A motor reports a fault or left operation.
     MotorFault(Side),
-    /// A motor turns against its command. Only another configuration clears it.
+    /// A wheel rotates against its command. Only a changed configuration clears this trip.
     WrongDirection(Side),
     /// The emergency stop is pressed.
     EmergencyStop,
-    /// The safety board is silent.
+    /// The safety board stopped sending.
     SafetySilent,
-    /// The control loop stood still for longer than the motors' watchdog.
+    /// The control loop paused for longer than the motors' watchdog time.
     LoopStalled,
 }
 
 impl Trip {
-    /// Its number in `BaseState` of `embodied.dbc`.
+    /// The number of this trip in `BaseState` of `embodied.dbc`.
     #[must_use]
     pub fn number(self) -> u8 {
         match self {
@@ -71,38 +69,39 @@ impl fmt::Display for Trip {
             Self::BusOff => f.write_str(
                 "the CAN controller is bus-off; check cable, termination and bit rate, then arm",
             ),
-            Self::BusGone => {
-                f.write_str("the CAN interface is gone or down; plug it in or set it up, then arm")
-            }
+            Self::BusGone => f.write_str(
+                "the CAN interface is absent or down; plug it in or set it up, then arm",
+            ),
             Self::TransmitBlocked => f.write_str(
-                "nothing could be sent for 50 ms; check cable and power of the motors, then arm",
+                "no frame could be sent for 50 ms; check cable and power of the motors, then arm",
             ),
             Self::FeedbackSilent(side) => {
-                write!(f, "the {side} motor is silent; check its power and cable, then arm")
+                write!(f, "the {side} motor sends no feedback; check its power and cable, then arm")
             }
             Self::MotorFault(side) => {
-                write!(f, "the {side} motor reports a fault; see its own text, then arm")
+                write!(f, "the {side} motor reports a fault; clear its cause, then arm")
             }
             Self::WrongDirection(side) => {
                 write!(
                     f,
-                    "the {side} wheel turns against its command; set invert_{side} or swap_wheels and start again"
+                    "the {side} wheel rotates against its command; set invert_{side} or \
+                     swap_wheels and start again"
                 )
             }
             Self::EmergencyStop => {
                 f.write_str("the emergency stop is pressed; release it, then arm")
             }
             Self::SafetySilent => {
-                f.write_str("the safety board is silent; check its power and cable, then arm")
+                f.write_str("the safety board sends nothing; check its power and cable, then arm")
             }
             Self::LoopStalled => f.write_str(
-                "the control loop stood still; check the load of the computer, then arm",
+                "the control loop paused for too long; check the load of the computer, then arm",
             ),
         }
     }
 }
 
-/// Why the base does not do what it was asked.
+/// Why the base refuses a request or cannot report.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CanError {
@@ -111,19 +110,12 @@ pub enum CanError {
     Config {
         /// Field of [`BaseConfig`](super::BaseConfig).
         field: &'static str,
-        /// What stands there.
         value: String,
-        /// What may stand there.
         allowed: String,
     },
     /// A frame could not be sent.
     #[error("CAN bus {bus}: {problem}")]
-    Bus {
-        /// Its name.
-        bus: Arc<str>,
-        /// Why.
-        problem: SendProblem,
-    },
+    Bus { bus: Arc<str>, problem: SendProblem },
     /// The base was not armed.
     #[error("the base is not armed; call arm() when it may move")]
     NotArmed,
@@ -131,70 +123,46 @@ pub enum CanError {
     #[error("the base has stopped: {0}")]
     Tripped(Trip),
     /// The command holds a number that is not finite.
-    #[error("the command {linear_mps} m/s, {angular_radps} rad/s is not finite; the base stands")]
-    NotFinite {
-        /// Its speed.
-        linear_mps: f64,
-        /// Its turn rate.
-        angular_radps: f64,
-    },
+    #[error("the command {linear_mps} m/s, {angular_radps} rad/s is not finite; the base stops")]
+    NotFinite { linear_mps: f64, angular_radps: f64 },
     /// The plan behind the command is too old.
     #[error(
-        "the plan is {age_ms} ms old, allowed: {limit_ms} ms; the base stands until a fresh one comes"
+        "the plan is {age_ms} ms old, allowed: {limit_ms} ms; the base stops until a newer plan \
+         arrives"
     )]
-    PlanTooOld {
-        /// Its age.
-        age_ms: u64,
-        /// `plan_age_limit_ms`.
-        limit_ms: u64,
-    },
-    /// The command's counter did not go up: a repeated or late command.
+    PlanTooOld { age_ms: u64, limit_ms: u64 },
+    /// The command's counter did not increase: the command is repeated or late.
     #[error("the command's counter is {found} after {last}; every command needs a higher one")]
-    Counter {
-        /// Of this command.
-        found: u32,
-        /// Of the one before.
-        last: u32,
-    },
-    /// A motor has not confirmed its watchdog.
-    #[error("the {side} motor has not confirmed its watchdog yet: {}", reason(.problem))]
+    Counter { found: u32, last: u32 },
+    /// A motor has not confirmed its watchdog yet.
+    #[error("the {side} motor has not confirmed its watchdog yet: {}", not_ready_reason(.problem))]
     NotReady {
-        /// Which.
         side: Side,
-        /// What stands in the way, if it is known.
+        /// The reason, if it is known.
         problem: Option<MotorProblem>,
     },
-    /// A motor's own problem.
+    /// A motor cannot be used because of its configuration.
     #[error("the {side} motor cannot be used: {problem}")]
-    Motor {
-        /// Which.
-        side: Side,
-        /// What it says.
-        problem: MotorProblem,
-    },
-    /// The wheels turn although nobody commands them.
-    #[error("the {side} wheel turns at {speed_mps:.2} m/s; the base is armed only at a stand")]
+    Motor { side: Side, problem: MotorProblem },
+    /// A wheel rotates although the base is not armed.
+    #[error(
+        "the {side} wheel rotates at {speed_mps:.2} m/s; the base can be armed only while it \
+         stands still"
+    )]
     Moving {
-        /// Which.
         side: Side,
-        /// Its speed at the rim.
+        /// Speed at the rim.
         speed_mps: f64,
     },
-    /// No feedback.
+    /// A motor sent no feedback within its time-out.
     #[error(
-        "no feedback of the {side} motor for {age_ms} ms, allowed: {limit_ms} ms; check its power and cable"
+        "no feedback of the {side} motor for {age_ms} ms, allowed: {limit_ms} ms; check its \
+         power and cable"
     )]
-    Silent {
-        /// Which.
-        side: Side,
-        /// Its age.
-        age_ms: u64,
-        /// `feedback_timeout_ms`.
-        limit_ms: u64,
-    },
+    Silent { side: Side, age_ms: u64, limit_ms: u64 },
 }
 
-fn reason(problem: &Option<MotorProblem>) -> String {
+fn not_ready_reason(problem: &Option<MotorProblem>) -> String {
     problem
         .map_or_else(|| "it is still being set up; wait".to_owned(), |problem| problem.to_string())
 }

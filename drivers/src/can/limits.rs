@@ -1,26 +1,27 @@
-//! Limits of velocity, acceleration and jerk that keep the curve: what is too fast becomes slower on the same arc, never a
-//! different arc.
+//! Limits of velocity, acceleration and jerk that preserve curvature: a command that is too fast is
+//! followed more slowly on the same arc, never on another arc.
 
 use hal::Twist2;
 use serde::{Deserialize, Serialize};
 
-/// What the robot may do at most.
+/// The largest velocities and accelerations of the robot.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LimitConfig {
-    /// Speed, m/s.
+    /// Largest speed, m/s.
     pub linear_mps: f64,
-    /// Turn rate, rad/s.
+    /// Largest yaw rate, rad/s.
     pub angular_radps: f64,
-    /// Speeding up, m/s².
+    /// Largest increase of the speed, m/s².
     pub acceleration_mps2: f64,
-    /// Slowing down, m/s²; not below the acceleration.
+    /// Largest decrease of the speed, m/s²; not below the acceleration.
     pub deceleration_mps2: f64,
-    /// Turning faster, rad/s².
+    /// Largest increase of the yaw rate, rad/s².
     pub angular_acceleration_radps2: f64,
-    /// Turning slower, rad/s²; not below the acceleration.
+    /// Largest decrease of the yaw rate, rad/s²; not below the acceleration.
     pub angular_deceleration_radps2: f64,
-    /// Time to reach full acceleration, s: the jerk limit is acceleration over this. 0 for none. Slowing down never waits.
+    /// Time to reach full acceleration, s. The jerk limit is the acceleration divided by this time;
+    /// 0 disables it. Braking is never delayed by it.
     pub jerk_time_s: f64,
 }
 
@@ -39,67 +40,64 @@ impl Default for LimitConfig {
     }
 }
 
-/// Brings the present velocity towards the wanted one, turn by turn.
+/// Moves the current velocity towards the desired one within the limits, tick by tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limiter {
     config: LimitConfig,
     now: Twist2,
-    /// Share of the full acceleration that the last turn used.
+    /// Share of the full acceleration that the last step used.
     share: f64,
 }
 
 impl Limiter {
-    /// At a stand.
     #[must_use]
     pub fn new(config: LimitConfig) -> Self {
         Self { config, now: Twist2::ZERO, share: 0.0 }
     }
 
-    /// The present velocity.
     #[must_use]
     pub fn velocity(&self) -> Twist2 {
         self.now
     }
 
-    /// An emergency stop: zero at once, whatever the limits say. The motors' own current limits then decide how fast.
+    /// An emergency stop: the velocity becomes zero at once, regardless of the limits. The motors'
+    /// current limits then determine the deceleration.
     pub fn stop(&mut self) {
         self.now = Twist2::ZERO;
         self.share = 0.0;
     }
 
-    /// The velocity `seconds` later on the way to `wanted`; `None`, and nothing changes, when a number is not finite or the time
-    /// is not positive.
-    pub fn step(&mut self, wanted: &Twist2, seconds: f64) -> Option<Twist2> {
+    /// Returns the velocity `seconds` later on the way to `desired`. When a number is not finite or
+    /// the time is not positive, returns `None` and changes nothing.
+    pub fn step(&mut self, desired: &Twist2, seconds: f64) -> Option<Twist2> {
         let is_time = seconds > 0.0 && seconds.is_finite();
-        if !(wanted.is_finite() && is_time) {
+        if !(desired.is_finite() && is_time) {
             return None;
         }
-        let target = self.slowed(wanted);
-        let (dv, dw) = (
-            target.linear_mps - self.now.linear_mps,
-            target.angular_radps - self.now.angular_radps,
-        );
-        let (v_limit, v_slows) = rate(
+        let target = self.within_velocity_limits(desired);
+        let dv = target.linear_mps - self.now.linear_mps;
+        let dw = target.angular_radps - self.now.angular_radps;
+        let (v_limit, v_slows) = acceleration_limit(
             self.now.linear_mps,
             dv,
             self.config.acceleration_mps2,
             self.config.deceleration_mps2,
         );
-        let (w_limit, w_slows) = rate(
+        let (w_limit, w_slows) = acceleration_limit(
             self.now.angular_radps,
             dw,
             self.config.angular_acceleration_radps2,
             self.config.angular_deceleration_radps2,
         );
-        // Seconds at full acceleration until both are there. Both change by the same share of their way, so that a robot that
-        // starts or stops stays on its arc.
+        // Seconds at full acceleration until both have reached their target. Both change by the
+        // same share of their difference, so that a robot that starts or stops stays on its arc.
         let needed = (dv.abs() / v_limit).max(dw.abs() / w_limit);
         if needed == 0.0 {
             self.share = 0.0;
             return Some(self.now);
         }
         let slows = (v_slows || dv == 0.0) && (w_slows || dw == 0.0);
-        self.share = if slows { 1.0 } else { self.eased(needed, seconds) };
+        self.share = if slows { 1.0 } else { self.jerk_limited_share(needed, seconds) };
         let part = (self.share * seconds / needed).min(1.0);
         self.now.linear_mps += dv * part;
         self.now.angular_radps += dw * part;
@@ -112,33 +110,35 @@ impl Limiter {
         Some(self.now)
     }
 
-    /// The share of full acceleration that the jerk limit leaves: it grows with time, and shrinks before the goal.
-    fn eased(&self, needed_s: f64, seconds: f64) -> f64 {
+    /// The share of the full acceleration that the jerk limit permits. It rises over time and falls
+    /// before the target is reached.
+    fn jerk_limited_share(&self, needed_s: f64, seconds: f64) -> f64 {
         let rise_s = self.config.jerk_time_s;
         if rise_s <= 0.0 {
             return 1.0;
         }
         let rising = self.share + seconds / rise_s;
-        // From share s, coming down to zero at 1/rise per second covers s² rise / 2 of the way that is left.
+        // Falling from the share s to zero at 1/rise per second covers s² rise / 2 of the remaining
+        // difference.
         let falling = (2.0 * needed_s / rise_s).sqrt();
-        // Never so small that the end is not reached.
+        // The lower bound makes sure that the target is reached.
         rising.min(falling).clamp((seconds / rise_s).min(1.0), 1.0)
     }
 
-    /// On the same arc, no faster than allowed.
-    fn slowed(&self, wanted: &Twist2) -> Twist2 {
-        let over_v = wanted.linear_mps.abs() / self.config.linear_mps;
-        let over_w = wanted.angular_radps.abs() / self.config.angular_radps;
+    /// Scales a twist down to the velocity limits, on the same arc.
+    fn within_velocity_limits(&self, desired: &Twist2) -> Twist2 {
+        let over_v = desired.linear_mps.abs() / self.config.linear_mps;
+        let over_w = desired.angular_radps.abs() / self.config.angular_radps;
         let scale = over_v.max(over_w).max(1.0).recip();
         Twist2 {
-            linear_mps: wanted.linear_mps * scale,
-            angular_radps: wanted.angular_radps * scale,
+            linear_mps: desired.linear_mps * scale,
+            angular_radps: desired.angular_radps * scale,
         }
     }
 }
 
-/// The limit for a change, and whether the change slows.
-fn rate(now: f64, change: f64, up: f64, down: f64) -> (f64, bool) {
+/// The acceleration limit for a change of velocity, and whether the change reduces the speed.
+fn acceleration_limit(now: f64, change: f64, up: f64, down: f64) -> (f64, bool) {
     let slows = now * change < 0.0;
     (if slows { down } else { up }, slows)
 }
@@ -154,78 +154,93 @@ mod tests {
         Twist2 { linear_mps, angular_radps }
     }
 
-    fn turns_until(limiter: &mut Limiter, wanted: Twist2) -> usize {
+    fn ticks_until(limiter: &mut Limiter, desired: Twist2) -> usize {
         (1..10_000)
-            .find(|_| limiter.step(&wanted, DT).is_some_and(|now| now == wanted))
-            .expect("it arrives")
+            .find(|_| limiter.step(&desired, DT).is_some_and(|now| now == desired))
+            .expect("the velocity is reached")
     }
 
     proptest! {
         #[test]
-        fn from_a_stand_the_robot_stays_on_the_wanted_arc(v in -1.0..1.0, w in -3.0..3.0, turns in 1usize..200) {
+        fn from_standstill_the_robot_stays_on_the_desired_arc(
+            v in -1.0..1.0,
+            w in -3.0..3.0,
+            ticks in 1usize..200,
+        ) {
             let mut limiter = Limiter::new(LimitConfig::default());
-            for _ in 0..turns {
+            for _ in 0..ticks {
                 let now = limiter.step(&twist(v, w), DT).expect("finite");
                 prop_assert!((now.linear_mps * w - now.angular_radps * v).abs() < 1e-9);
             }
-            for _ in 0..turns {
+            for _ in 0..ticks {
                 let now = limiter.step(&Twist2::ZERO, DT).expect("finite");
                 prop_assert!((now.linear_mps * w - now.angular_radps * v).abs() < 1e-9);
             }
         }
 
         #[test]
-        fn no_limit_is_ever_passed(wishes in proptest::collection::vec((-2.0..2.0, -6.0..6.0, 1usize..60), 1..10)) {
+        fn no_limit_is_ever_exceeded(
+            commands in proptest::collection::vec((-2.0..2.0, -6.0..6.0, 1usize..60), 1..10),
+        ) {
             let config = LimitConfig::default();
             let mut limiter = Limiter::new(config);
-            for (v, w, turns) in wishes {
-                for _ in 0..turns {
+            for (v, w, ticks) in commands {
+                for _ in 0..ticks {
                     let before = limiter.velocity();
                     let now = limiter.step(&twist(v, w), DT).expect("finite");
                     prop_assert!(now.linear_mps.abs() <= config.linear_mps + 1e-12);
                     prop_assert!(now.angular_radps.abs() <= config.angular_radps + 1e-12);
                     let dv = (now.linear_mps - before.linear_mps).abs() / DT;
                     let dw = (now.angular_radps - before.angular_radps).abs() / DT;
-                    prop_assert!(dv <= config.deceleration_mps2 + 1e-9 && dw <= config.angular_deceleration_radps2 + 1e-9);
-                    let speeds_up = now.linear_mps.abs() > before.linear_mps.abs() && now.linear_mps * before.linear_mps >= 0.0;
+                    prop_assert!(dv <= config.deceleration_mps2 + 1e-9);
+                    prop_assert!(dw <= config.angular_deceleration_radps2 + 1e-9);
+                    let is_faster = now.linear_mps.abs() > before.linear_mps.abs();
+                    let keeps_direction = now.linear_mps * before.linear_mps >= 0.0;
+                    let speeds_up = is_faster && keeps_direction;
                     prop_assert!(!speeds_up || dv <= config.acceleration_mps2 + 1e-9);
                 }
             }
         }
 
         #[test]
-        fn every_wish_is_reached(v in -0.3..0.3, w in -1.0..1.0, v0 in -0.3..0.3, w0 in -1.0..1.0) {
+        fn every_allowed_velocity_is_reached(
+            v in -0.3..0.3,
+            w in -1.0..1.0,
+            v0 in -0.3..0.3,
+            w0 in -1.0..1.0,
+        ) {
             let mut limiter = Limiter::new(LimitConfig::default());
-            turns_until(&mut limiter, twist(v0, w0));
-            prop_assert!(turns_until(&mut limiter, twist(v, w)) < 300);
+            ticks_until(&mut limiter, twist(v0, w0));
+            prop_assert!(ticks_until(&mut limiter, twist(v, w)) < 300);
         }
     }
 
     #[test]
     fn the_robot_stops_faster_than_it_starts() {
         let mut limiter = Limiter::new(LimitConfig::default());
-        let start = turns_until(&mut limiter, twist(0.3, 0.0));
-        let stop = turns_until(&mut limiter, Twist2::ZERO);
-        assert!(stop * 2 <= start, "start {start} turns, stop {stop}");
+        let start = ticks_until(&mut limiter, twist(0.3, 0.0));
+        let stop = ticks_until(&mut limiter, Twist2::ZERO);
+        assert!(stop * 2 <= start, "start {start} ticks, stop {stop}");
     }
 
     #[test]
     fn acceleration_rises_no_faster_than_the_jerk_limit() {
         let config = LimitConfig::default();
         let mut limiter = Limiter::new(config);
-        let (mut before, mut last) = (0.0, 0.0);
+        let mut speed = 0.0;
+        let mut acceleration = 0.0;
         while limiter.velocity().linear_mps < 0.3 {
-            let now = limiter.step(&twist(0.3, 0.0), DT).expect("finite").linear_mps;
-            let acceleration = (now - before) / DT;
-            assert!(
-                acceleration - last <= config.acceleration_mps2 / config.jerk_time_s * DT + 1e-9
-            );
-            (before, last) = (now, acceleration);
+            let next_speed = limiter.step(&twist(0.3, 0.0), DT).expect("finite").linear_mps;
+            let next_acceleration = (next_speed - speed) / DT;
+            let rise = next_acceleration - acceleration;
+            assert!(rise <= config.acceleration_mps2 / config.jerk_time_s * DT + 1e-9);
+            speed = next_speed;
+            acceleration = next_acceleration;
         }
     }
 
     #[test]
-    fn what_is_not_finite_is_refused_and_changes_nothing() {
+    fn a_command_that_is_not_finite_is_refused_and_changes_nothing() {
         let mut limiter = Limiter::new(LimitConfig::default());
         limiter.step(&twist(0.3, 0.0), DT);
         let before = limiter;
@@ -236,9 +251,9 @@ mod tests {
     }
 
     #[test]
-    fn an_emergency_stop_is_zero_at_once() {
+    fn an_emergency_stop_sets_the_velocity_to_zero_at_once() {
         let mut limiter = Limiter::new(LimitConfig::default());
-        turns_until(&mut limiter, twist(0.3, 1.0));
+        ticks_until(&mut limiter, twist(0.3, 1.0));
         limiter.stop();
         assert_eq!(limiter.velocity(), Twist2::ZERO);
     }

@@ -1,8 +1,10 @@
-//! Our own frames on the bus, described in `embodied.dbc`: what the host commands and what it sees, for loggers and for a safety
-//! board, and what such a board tells us. Each has a counter and a checksum: CRC-8/SAE-J1850 over the id (four bytes, low byte first)
-//! and every byte but the checksum itself.
+//! The project's own frames on the bus, described in `embodied.dbc`. The host publishes its command
+//! and the state of the base, for loggers and a safety board; the safety board sends its inputs.
+//! Each frame has a counter and a checksum: CRC-8/SAE-J1850 over the id (four bytes, low byte
+//! first) and every byte except the checksum itself.
 //!
-//! The ids have 29 bits: every one of 11 bits belongs to a node of ODrive or CANopen, every one up to 0xFFFF to a VESC.
+//! The ids have 29 bits, because every 11-bit id belongs to a node of ODrive or CANopen, and every
+//! 29-bit id up to 0xFFFF to a VESC.
 
 use hal::Twist2;
 
@@ -16,68 +18,64 @@ pub const STATE_ID: u32 = 0x00ed_0001;
 /// Id of [`SafetyInput`].
 pub const SAFETY_ID: u32 = 0x00ed_0002;
 
-/// What the wheels are told, once per turn.
+/// The host's command to the wheels, sent once per tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct BaseCommand {
-    /// Counts turns, 0 to 15.
+    /// Counts the ticks, 0 to 15.
     pub counter: u8,
-    /// Whether the motors follow.
     pub armed: bool,
-    /// Whether a stop is being forced.
+    /// The base is stopped by a trip.
     pub stop: bool,
-    /// Age of the plan, ms; 65,535 for older.
+    /// Age of the plan, saturated at 65,535 ms.
     pub plan_age_ms: u16,
-    /// Velocity after the limits; 1 mm/s and 1 mrad/s resolution, saturated.
+    /// The velocity after the limiter; resolution 1 mm/s and 1 mrad/s, saturated.
     pub twist: Twist2,
 }
 
-/// What the host knows of the base, ten times a second.
+/// The state of the base as the host knows it, sent with every tenth tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct BaseState {
     /// Counts these frames, 0 to 15.
     pub counter: u8,
     /// [`Phase`](super::Phase) as a number: 0 disarmed, 1 arming, 2 armed, 3 disarming, 4 tripped.
     pub phase: u8,
-    /// Number of the [`Trip`](super::Trip), 0 for none.
+    /// [`Trip::number`](super::Trip::number), 0 for none.
     pub trip: u8,
-    /// Whether the emergency stop is pressed.
+    /// The emergency stop is pressed.
     pub estop: bool,
-    /// Whether something is touched or the wheels are stalled.
+    /// A bumper is pressed or a wheel is stalled.
     pub contact: bool,
-    /// Measured velocity.
     pub twist: Twist2,
 }
 
-/// What a safety board says: its emergency stop and bumper switches.
+/// The inputs of a safety board: its emergency stop and bumper switches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct SafetyInput {
-    /// Counts frames, 0 to 15.
+    /// Counts these frames, 0 to 15.
     pub counter: u8,
-    /// Pressed.
     pub estop: bool,
-    /// Pressed.
     pub bumper: bool,
 }
 
-/// Why a frame of ours is dropped.
+/// Why a frame is not one of these messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MessageError {
-    /// Another id, a remote frame, or another length.
+    /// The frame has another id or length, or is a remote frame.
     Shape,
-    /// The checksum does not fit.
+    /// The checksum is wrong.
     Checksum,
 }
 
-fn milli(value: f64) -> [u8; 2] {
-    // `as` saturates, and NaN is 0; only finite numbers come here.
+fn to_milli(value: f64) -> [u8; 2] {
+    // `as` saturates, and converts NaN to 0; the callers pass finite numbers.
     ((value * 1e3).round() as i16).to_le_bytes()
 }
 
-fn unit(low: u8, high: u8) -> f64 {
+fn from_milli(low: u8, high: u8) -> f64 {
     f64::from(i16::from_le_bytes([low, high])) * 1e-3
 }
 
-fn seal(id: u32, mut data: [u8; 8], length: usize) -> CanFrame {
+fn with_checksum(id: u32, mut data: [u8; 8], length: usize) -> CanFrame {
     data[0] = checksum(id, data.get(1..length).unwrap_or_default());
     CanFrame::extended_short(id, data, length)
 }
@@ -86,7 +84,7 @@ fn checksum(id: u32, rest: &[u8]) -> u8 {
     crc8(id.to_le_bytes().into_iter().chain(rest.iter().copied()))
 }
 
-fn open(id: u32, frame: &CanFrame, length: usize) -> Result<&[u8], MessageError> {
+fn checked_payload(id: u32, frame: &CanFrame, length: usize) -> Result<&[u8], MessageError> {
     let data = frame.data();
     match data {
         [sum, rest @ ..] if frame.id() == CanId::Extended(id) && data.len() == length => {
@@ -97,21 +95,21 @@ fn open(id: u32, frame: &CanFrame, length: usize) -> Result<&[u8], MessageError>
 }
 
 impl BaseCommand {
-    /// As a frame.
     #[must_use]
     pub fn encode(&self) -> CanFrame {
         let flags = self.counter & 0x0f | u8::from(self.armed) << 4 | u8::from(self.stop) << 5;
         let [a0, a1] = self.plan_age_ms.to_le_bytes();
-        let ([v0, v1], [w0, w1]) = (milli(self.twist.linear_mps), milli(self.twist.angular_radps));
-        seal(COMMAND_ID, [0, flags, a0, a1, v0, v1, w0, w1], 8)
+        let [v0, v1] = to_milli(self.twist.linear_mps);
+        let [w0, w1] = to_milli(self.twist.angular_radps);
+        with_checksum(COMMAND_ID, [0, flags, a0, a1, v0, v1, w0, w1], 8)
     }
 
-    /// From a frame.
+    /// Decodes a frame.
     ///
     /// # Errors
-    /// When it is another frame or fails its checksum.
+    /// When the frame is another message or fails its checksum.
     pub fn decode(frame: &CanFrame) -> Result<Self, MessageError> {
-        let [flags, a0, a1, v0, v1, w0, w1] = *open(COMMAND_ID, frame, 8)? else {
+        let [flags, a0, a1, v0, v1, w0, w1] = *checked_payload(COMMAND_ID, frame, 8)? else {
             return Err(MessageError::Shape);
         };
         Ok(Self {
@@ -119,27 +117,27 @@ impl BaseCommand {
             armed: flags & 0x10 != 0,
             stop: flags & 0x20 != 0,
             plan_age_ms: u16::from_le_bytes([a0, a1]),
-            twist: Twist2 { linear_mps: unit(v0, v1), angular_radps: unit(w0, w1) },
+            twist: Twist2 { linear_mps: from_milli(v0, v1), angular_radps: from_milli(w0, w1) },
         })
     }
 }
 
 impl BaseState {
-    /// As a frame.
     #[must_use]
     pub fn encode(&self) -> CanFrame {
         let first = self.counter & 0x0f | self.phase << 4;
         let flags = u8::from(self.estop) | u8::from(self.contact) << 1;
-        let ([v0, v1], [w0, w1]) = (milli(self.twist.linear_mps), milli(self.twist.angular_radps));
-        seal(STATE_ID, [0, first, self.trip, flags, v0, v1, w0, w1], 8)
+        let [v0, v1] = to_milli(self.twist.linear_mps);
+        let [w0, w1] = to_milli(self.twist.angular_radps);
+        with_checksum(STATE_ID, [0, first, self.trip, flags, v0, v1, w0, w1], 8)
     }
 
-    /// From a frame.
+    /// Decodes a frame.
     ///
     /// # Errors
-    /// When it is another frame or fails its checksum.
+    /// When the frame is another message or fails its checksum.
     pub fn decode(frame: &CanFrame) -> Result<Self, MessageError> {
-        let [first, trip, flags, v0, v1, w0, w1] = *open(STATE_ID, frame, 8)? else {
+        let [first, trip, flags, v0, v1, w0, w1] = *checked_payload(STATE_ID, frame, 8)? else {
             return Err(MessageError::Shape);
         };
         Ok(Self {
@@ -148,25 +146,26 @@ impl BaseState {
             trip,
             estop: flags & 1 != 0,
             contact: flags & 2 != 0,
-            twist: Twist2 { linear_mps: unit(v0, v1), angular_radps: unit(w0, w1) },
+            twist: Twist2 { linear_mps: from_milli(v0, v1), angular_radps: from_milli(w0, w1) },
         })
     }
 }
 
 impl SafetyInput {
-    /// As a frame.
     #[must_use]
     pub fn encode(&self) -> CanFrame {
         let flags = self.counter & 0x0f | u8::from(self.estop) << 4 | u8::from(self.bumper) << 5;
-        seal(SAFETY_ID, [0, flags, 0, 0, 0, 0, 0, 0], 2)
+        with_checksum(SAFETY_ID, [0, flags, 0, 0, 0, 0, 0, 0], 2)
     }
 
-    /// From a frame.
+    /// Decodes a frame.
     ///
     /// # Errors
-    /// When it is another frame or fails its checksum.
+    /// When the frame is another message or fails its checksum.
     pub fn decode(frame: &CanFrame) -> Result<Self, MessageError> {
-        let [flags] = *open(SAFETY_ID, frame, 2)? else { return Err(MessageError::Shape) };
+        let [flags] = *checked_payload(SAFETY_ID, frame, 2)? else {
+            return Err(MessageError::Shape);
+        };
         Ok(Self { counter: flags & 0x0f, estop: flags & 0x10 != 0, bumper: flags & 0x20 != 0 })
     }
 }
@@ -176,26 +175,49 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// A twist of `v` mm/s and `w` mrad/s.
+    fn milli_twist(v: i16, w: i16) -> Twist2 {
+        Twist2 { linear_mps: f64::from(v) * 1e-3, angular_radps: f64::from(w) * 1e-3 }
+    }
+
     proptest! {
         #[test]
-        fn a_command_survives_its_frame(
-            counter in 0u8..16, armed: bool, stop: bool, plan_age_ms: u16, v in -32_768i16..=32_767, w in -32_768i16..=32_767,
+        fn a_command_is_decoded_as_it_was_encoded(
+            counter in 0u8..16,
+            armed: bool,
+            stop: bool,
+            plan_age_ms: u16,
+            v in -32_768i16..=32_767,
+            w in -32_768i16..=32_767,
         ) {
-            let twist = Twist2 { linear_mps: f64::from(v) * 1e-3, angular_radps: f64::from(w) * 1e-3 };
+            let twist = milli_twist(v, w);
             let command = BaseCommand { counter, armed, stop, plan_age_ms, twist };
             prop_assert_eq!(BaseCommand::decode(&command.encode()), Ok(command));
         }
 
         #[test]
-        fn a_state_survives_its_frame(counter in 0u8..16, phase in 0u8..5, trip: u8, estop: bool, contact: bool, v: i16, w: i16) {
-            let twist = Twist2 { linear_mps: f64::from(v) * 1e-3, angular_radps: f64::from(w) * 1e-3 };
+        fn a_state_is_decoded_as_it_was_encoded(
+            counter in 0u8..16,
+            phase in 0u8..5,
+            trip: u8,
+            estop: bool,
+            contact: bool,
+            v: i16,
+            w: i16,
+        ) {
+            let twist = milli_twist(v, w);
             let state = BaseState { counter, phase, trip, estop, contact, twist };
             prop_assert_eq!(BaseState::decode(&state.encode()), Ok(state));
         }
 
         #[test]
-        fn one_or_two_flipped_bits_fail_the_checksum(counter in 0u8..16, v: i16, a in 0usize..64, b in 0usize..64) {
-            let twist = Twist2 { linear_mps: f64::from(v) * 1e-3, angular_radps: 0.0 };
+        fn one_or_two_flipped_bits_fail_the_checksum(
+            counter in 0u8..16,
+            v: i16,
+            a in 0usize..64,
+            b in 0usize..64,
+        ) {
+            let twist = milli_twist(v, 0);
             let frame = BaseCommand { counter, twist, ..BaseCommand::default() }.encode();
             let mut data = *frame.eight().expect("8 bytes");
             data[a / 8] ^= 1 << (a % 8);
@@ -208,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_bytes_under_another_id_are_no_message() {
+    fn the_same_bytes_with_another_id_are_refused() {
         let command = BaseCommand::default().encode();
         let disguised = CanFrame::extended_short(STATE_ID, *command.eight().expect("8 bytes"), 8);
         assert_eq!(BaseState::decode(&disguised), Err(MessageError::Checksum));

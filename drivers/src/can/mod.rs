@@ -1,14 +1,14 @@
-//! A drive base on a CAN bus.
+//! A differential drive base on a CAN bus.
 //!
-//! | module | what it knows |
+//! | module | content |
 //! |---|---|
-//! | [`frame`], [`record`], [`stamp`] | a frame, its 16 bytes in Linux, and when it came |
-//! | [`bus`] | the trait of a bus: send or not, never block, tell when it is ill |
-//! | [`socket`], [`unix`] | SocketCAN, and the same over a Unix socket where the kernel has no CAN |
+//! | [`frame`], [`record`], [`stamp`] | a frame, its 16 bytes in Linux, and its time of reception |
+//! | [`bus`] | the trait of a bus: non-blocking send and receive, and reports of bus errors |
+//! | [`socket`], [`unix`] | SocketCAN, and a Unix socket for kernels without CAN |
 //! | [`protocol`] | motor controllers: ODrive CANSimple, VESC, CiA 402 |
-//! | [`kinematics`], [`limits`] | two wheels, odometry, and how fast they may change |
-//! | [`messages`] | our own frames, described in `embodied.dbc` |
-//! | [`base`] | all of it as a [`hal::Base`] |
+//! | [`kinematics`], [`limits`] | kinematics, odometry, limits of velocity and acceleration |
+//! | [`messages`] | the project's own frames, described in `embodied.dbc` |
+//! | [`base`] | all of this as a [`hal::Base`] |
 
 pub mod base;
 pub mod bus;
@@ -35,7 +35,8 @@ pub use limits::{LimitConfig, Limiter};
 pub use socket::SocketBus;
 pub use unix::UnixBus;
 
-/// The bus of that name: an interface such as `can0`, or `unix:PATH`. It need not be there yet.
+/// Makes the bus of this name: an interface such as `can0`, or `unix:PATH`. The interface may
+/// appear later.
 #[must_use]
 pub fn open_bus(name: &str) -> Box<dyn CanBus + Send> {
     match name.strip_prefix("unix:") {

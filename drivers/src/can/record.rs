@@ -1,5 +1,6 @@
-//! The 16 bytes of Linux's `struct can_frame` (`linux/can.h`), error frames included (`linux/can/error.h`): what SocketCAN
-//! reads and writes, and what our Unix socket carries.
+//! The 16 bytes of Linux's `struct can_frame` (`linux/can.h`), including error frames
+//! (`linux/can/error.h`). SocketCAN reads and writes these records, and [`UnixBus`](super::UnixBus)
+//! transfers them over its socket.
 //!
 //! ```text
 //! 0..4   identifier, host byte order; bit 31 extended, bit 30 remote, bit 29 error
@@ -11,7 +12,6 @@
 use super::bus::{BusEvent, ErrorState};
 use super::frame::{CanFrame, CanId};
 
-/// Bytes of one record.
 pub const RECORD_BYTES: usize = 16;
 
 const EXTENDED: u32 = 0x8000_0000;
@@ -34,7 +34,7 @@ mod controller {
     pub const ACTIVE: u8 = 0x40;
 }
 
-/// The record of a frame.
+/// Encodes a frame as a record.
 #[must_use]
 pub fn encode(frame: &CanFrame) -> [u8; RECORD_BYTES] {
     let id = match frame.id() {
@@ -51,7 +51,7 @@ pub fn encode(frame: &CanFrame) -> [u8; RECORD_BYTES] {
     record
 }
 
-/// What a record says; `None` when it is no classic CAN frame.
+/// Decodes a record. `None` when it is not a classic CAN frame.
 #[must_use]
 pub fn decode(record: &[u8]) -> Option<BusEvent> {
     let record: &[u8; RECORD_BYTES] = record.try_into().ok()?;
@@ -59,26 +59,26 @@ pub fn decode(record: &[u8]) -> Option<BusEvent> {
     event(u32::from_ne_bytes([*i0, *i1, *i2, *i3]), *length, data)
 }
 
-/// What the fields of a record say; `None` when they are no classic CAN frame.
+/// Decodes the fields of a record. `None` when they are not those of a classic CAN frame.
 #[must_use]
 pub fn event(id: u32, length: u8, data: &[u8; 8]) -> Option<BusEvent> {
     if id & ERROR != 0 {
         return Some(error(id, data));
     }
-    let plain = id & 0x1fff_ffff;
-    let name = if id & EXTENDED != 0 {
-        CanId::Extended(plain)
+    let number = id & 0x1fff_ffff;
+    let can_id = if id & EXTENDED != 0 {
+        CanId::Extended(number)
     } else {
-        CanId::Standard(u16::try_from(plain).ok()?)
+        CanId::Standard(u16::try_from(number).ok()?)
     };
     let frame = match id & REMOTE != 0 {
-        true => CanFrame::remote(name, length),
-        false => CanFrame::new(name, data.get(..usize::from(length))?),
+        true => CanFrame::remote(can_id, length),
+        false => CanFrame::new(can_id, data.get(..usize::from(length))?),
     };
     frame.map(BusEvent::Frame)
 }
 
-/// The record of a bus-off, as a CAN controller's driver reports it: for simulators.
+/// The record with which a CAN controller's driver reports a bus-off, for simulators.
 #[must_use]
 pub fn bus_off_record() -> [u8; RECORD_BYTES] {
     let mut record = [0; RECORD_BYTES];
@@ -87,7 +87,7 @@ pub fn bus_off_record() -> [u8; RECORD_BYTES] {
     record
 }
 
-/// The worst news of an error frame first: one frame may carry several.
+/// The most severe event of an error frame, because one frame may report several.
 fn error(id: u32, data: &[u8; 8]) -> BusEvent {
     if id & class::BUS_OFF != 0 {
         return BusEvent::BusOff;
@@ -97,7 +97,7 @@ fn error(id: u32, data: &[u8; 8]) -> BusEvent {
     }
     if id & class::CONTROLLER != 0 {
         let [_, problem, .., transmit, receive] = *data;
-        // Bytes 6 and 7; drivers that do not know their counters leave them 0.
+        // The counters are bytes 6 and 7; drivers that do not know them leave them 0.
         let state = match problem {
             problem if problem & controller::PASSIVE != 0 => Some(ErrorState::Passive),
             problem if problem & controller::WARNING != 0 => Some(ErrorState::Warning),
@@ -131,19 +131,21 @@ mod tests {
                 } else {
                     CanFrame::new(id, &data)
                 };
-                frame.expect("the strategy makes sound frames")
+                frame.expect("the strategy makes valid frames")
             },
         )
     }
 
     proptest! {
         #[test]
-        fn a_frame_survives_its_record(frame in frame()) {
+        fn a_frame_is_decoded_as_it_was_encoded(frame in frame()) {
             prop_assert_eq!(decode(&encode(&frame)), Some(BusEvent::Frame(frame)));
         }
 
         #[test]
-        fn any_bytes_are_decoded_or_refused(bytes in proptest::collection::vec(any::<u8>(), 0..24)) {
+        fn only_records_of_16_bytes_are_decoded(
+            bytes in proptest::collection::vec(any::<u8>(), 0..24),
+        ) {
             if decode(&bytes).is_some() {
                 prop_assert_eq!(bytes.len(), RECORD_BYTES);
             }
@@ -155,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn error_frames_tell_the_state_of_the_controller() {
+    fn error_frames_report_the_state_of_the_controller() {
         assert_eq!(decode(&bus_off_record()), Some(BusEvent::BusOff));
         assert_eq!(decode(&error_record(0x100, [0; 8])), Some(BusEvent::Restarted));
         assert_eq!(decode(&error_record(0x20, [0; 8])), Some(BusEvent::NoAcknowledge));

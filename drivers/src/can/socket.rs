@@ -1,4 +1,4 @@
-//! A CAN interface of the Linux kernel.
+//! A CAN interface of the Linux kernel (SocketCAN).
 
 use std::io::{ErrorKind as IoErrorKind, Write};
 use std::time::{Duration, SystemTime};
@@ -13,18 +13,22 @@ use super::record;
 use super::stamp::HardwareClock;
 use monotonic_clock::{monotonic_ns, realtime_ahead_ns};
 
-/// The kernel doubles it; at some 768 bytes of bookkeeping per frame that is ten frames, two turns of the loop.
+/// Size of the send buffer in bytes. The kernel doubles it; at about 768 bytes of bookkeeping per
+/// frame it holds ten frames, which are two control ticks.
 const SEND_BUFFER: usize = 4096;
 
-/// A SocketCAN interface, opened by name and opened again by name whenever it had gone.
+/// A SocketCAN interface. It is opened by name, and reopened by name after it disappeared.
 ///
-/// *What may still be sent after a bus-off.* Closing the socket drops what the socket holds. What the queueing discipline or
-/// the controller's mailboxes took already is theirs: Linux drops it when the carrier goes, which may come up to a second
-/// later, or sends it after a quick restart. So the send buffer holds two turns of the loop, the driver's first frames after
-/// a bus-off are zeros, and the motors' own watchdogs have expired by then.
+/// *Frames that may still be sent after a bus-off.* Closing the socket drops the frames in the
+/// socket's buffer. Frames that the queueing discipline or the controller's mailboxes have already
+/// taken are out of reach: Linux drops them when the carrier goes down, up to a second later, or
+/// sends them after a quick restart. Therefore the send buffer holds only two control ticks, the
+/// driver's first frames after a bus-off command zero velocity, and the motors' own watchdogs have
+/// expired by then.
 ///
-/// *Restart.* A controller that is bus-off comes back by `restart-ms` of the interface (`ip link set can0 type can restart-ms
-/// 100`); this driver has no right to restart it and needs none.
+/// *Restart.* The kernel restarts a bus-off controller after the interface's `restart-ms` (`ip link
+/// set can0 type can restart-ms 100`). This driver has no permission to restart it and does not
+/// need it.
 #[derive(Debug)]
 pub struct SocketBus {
     name: String,
@@ -35,7 +39,7 @@ pub struct SocketBus {
 }
 
 impl SocketBus {
-    /// The interface of that name. It need not be there yet.
+    /// Uses the interface of this name, which may appear later.
     #[must_use]
     pub fn new(name: &str) -> Self {
         Self {
@@ -60,7 +64,7 @@ impl SocketBus {
                 Err(_) => self.retry.wait(now_ns),
             }
         }
-        // Told once.
+        // The loss is reported once.
         std::mem::take(&mut self.was_open)
             .then_some(Received { time_ns: now_ns, event: BusEvent::Gone })
     }
@@ -73,11 +77,9 @@ impl SocketBus {
     }
 
     fn time_ns(&mut self, stamps: &socketcan::CanTimestamps, now_ns: u64) -> u64 {
-        let since_1970 = |time: SystemTime| {
-            time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or(Duration::ZERO)
-        };
         let Some(software) = stamps.sw else { return now_ns };
-        let software_ns = since_1970(software).as_nanos() as i64 - realtime_ahead_ns();
+        let since_1970 = software.duration_since(SystemTime::UNIX_EPOCH).unwrap_or(Duration::ZERO);
+        let software_ns = since_1970.as_nanos() as i64 - realtime_ahead_ns();
         let software_ns = u64::try_from(software_ns).unwrap_or(0).min(now_ns);
         match (&mut self.hardware, stamps.hw) {
             (Some(clock), Some(hardware)) => {
@@ -88,11 +90,12 @@ impl SocketBus {
     }
 }
 
-/// Opened, not blocking, with error frames and time stamps; an error when the interface is down.
+/// Opens a non-blocking socket that receives error frames and timestamps. Fails when the interface
+/// is down.
 fn open(name: &str) -> std::io::Result<CanSocket> {
     let socket = CanSocket::open(name)?;
     socket.set_nonblocking(true)?;
-    // Off by default, and without them a bus-off is never seen.
+    // Error frames are off by default, and without them a bus-off would never be noticed.
     socket.set_error_filter_accept_all()?;
     socket.set_timestamping(
         timestamp::SOF_TIMESTAMPING_RX_SOFTWARE
@@ -119,7 +122,7 @@ fn classify(error: &std::io::Error) -> SendProblem {
 impl CanBus for SocketBus {
     fn send(&mut self, frame: &CanFrame) -> Result<(), SendProblem> {
         let socket = self.socket.as_mut().ok_or(SendProblem::Gone)?;
-        // One `write`: never `write_frame_insist`, which spins on a full queue.
+        // A single `write`, because `write_frame_insist` spins on a full queue.
         match socket.write(&record::encode(frame)) {
             Ok(record::RECORD_BYTES) => Ok(()),
             Ok(_) => Err(SendProblem::Code(0)),
@@ -141,7 +144,7 @@ impl CanBus for SocketBus {
             {
                 None
             }
-            // A CAN FD frame: somebody else's.
+            // A CAN FD frame, which none of our nodes sends.
             Err(error) if error.kind() == IoErrorKind::InvalidData => {
                 Some(Received { time_ns: now_ns, event: BusEvent::Noise })
             }
@@ -150,7 +153,7 @@ impl CanBus for SocketBus {
     }
 
     fn drop_pending(&mut self) {
-        // Closed here, opened again by the next `receive`.
+        // The next `receive` opens the socket again.
         self.socket = None;
         self.retry.reset();
     }

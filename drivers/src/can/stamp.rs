@@ -1,13 +1,14 @@
-//! Time stamps of CAN adapters, brought to the monotonic clock.
+//! Conversion of a CAN adapter's hardware timestamps to the monotonic clock.
 
-/// Two crystals of 50 ppm each, in opposite directions.
+/// Relative drift of two crystals of 50 ppm each, in opposite directions.
 const DRIFT: f64 = 100e-6;
-/// A jump by more than this means that the adapter has started counting anew.
+/// A larger jump means that the adapter restarted its clock.
 const RESTART_NS: i64 = 1_000_000_000;
 
-/// Maps an adapter's own clock to ours. A frame's software stamp is late by a varying delay, its hardware stamp is not, so the
-/// smallest distance seen between the two is the best estimate of the clocks' distance; it is let go at the rate at which
-/// crystals drift.
+/// Maps an adapter's clock to the monotonic clock. A frame's software timestamp is late by a
+/// varying delay, and its hardware timestamp is not. The smallest difference difference between the
+/// two is therefore the best estimate of the clocks' offset. The estimate may grow at the rate at
+/// which crystals drift.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct HardwareClock {
     ahead_ns: Option<i64>,
@@ -15,16 +16,16 @@ pub struct HardwareClock {
 }
 
 impl HardwareClock {
-    /// When a frame came, monotonic, from its hardware stamp and its software stamp, the latter monotonic already. Never later
-    /// than the software stamp.
+    /// The monotonic reception time of a frame, from its hardware timestamp and its software
+    /// timestamp, which is monotonic already. Never later than the software timestamp.
     pub fn monotonic_ns(&mut self, hardware_ns: u64, software_ns: u64) -> u64 {
-        let seen = (software_ns as i64).wrapping_sub(hardware_ns as i64);
+        let difference = (software_ns as i64).wrapping_sub(hardware_ns as i64);
         let allowance = (software_ns.saturating_sub(self.last_ns) as f64 * DRIFT) as i64;
         let ahead = match self.ahead_ns {
-            Some(known) if seen.saturating_sub(known).abs() < RESTART_NS => {
-                seen.min(known + allowance)
+            Some(known) if difference.saturating_sub(known).abs() < RESTART_NS => {
+                difference.min(known + allowance)
             }
-            _ => seen,
+            _ => difference,
         };
         self.ahead_ns = Some(ahead);
         self.last_ns = software_ns;
@@ -37,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn late_software_stamps_do_not_spoil_the_time() {
+    fn late_software_timestamps_do_not_falsify_the_time() {
         let mut clock = HardwareClock::default();
         let true_ahead = 5_000_000_000u64;
         let mut worst = 0;
@@ -51,7 +52,7 @@ mod tests {
     }
 
     #[test]
-    fn an_adapter_that_counts_anew_is_followed() {
+    fn an_adapter_that_restarts_its_clock_is_followed() {
         let mut clock = HardwareClock::default();
         assert_eq!(clock.monotonic_ns(10_000_000_000, 20_000_000_000), 20_000_000_000);
         assert_eq!(clock.monotonic_ns(0, 21_000_000_000), 21_000_000_000);

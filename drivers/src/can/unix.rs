@@ -1,7 +1,9 @@
-//! A CAN bus without a kernel that has one: records of `struct can_frame` over a Unix seqpacket socket. A hub accepts the
-//! connections and hands every record to all others; simulated devices in another process connect to it as this driver does.
+//! A CAN bus for kernels without CAN: records of `struct can_frame` over a Unix seqpacket socket. A
+//! hub accepts the connections and forwards every record to all other connections. Simulated
+//! devices in another process connect to it in the same way.
 //!
-//! There are no kernel time stamps on such a socket: a frame counts as received when it is read.
+//! Such a socket has no kernel timestamps, so the time of reception is the time at which a frame is
+//! read.
 
 use std::os::fd::OwnedFd;
 
@@ -15,7 +17,7 @@ use super::bus::{Backoff, BusEvent, CanBus, Received, SendProblem};
 use super::frame::CanFrame;
 use super::record::{self, RECORD_BYTES};
 
-/// One connection to a hub, made again whenever it had gone.
+/// A connection to a hub, reconnected after it was lost.
 #[derive(Debug)]
 pub struct UnixBus {
     path: String,
@@ -26,7 +28,7 @@ pub struct UnixBus {
 }
 
 impl UnixBus {
-    /// The hub that listens at `path`. It need not be there yet.
+    /// Connects to the hub that listens at `path`, which may appear later.
     #[must_use]
     pub fn new(path: &str) -> Self {
         Self {
@@ -38,7 +40,7 @@ impl UnixBus {
         }
     }
 
-    /// Uses a connection that somebody else made, and makes no other.
+    /// Uses an existing connection, and does not reconnect.
     #[must_use]
     pub fn from_fd(socket: OwnedFd) -> Self {
         Self {
@@ -62,7 +64,7 @@ impl UnixBus {
                 Err(_) => self.retry.wait(now_ns),
             }
         }
-        // Told once.
+        // The loss is reported once.
         std::mem::take(&mut self.was_open)
             .then_some(Received { time_ns: now_ns, event: BusEvent::Gone })
     }
@@ -103,7 +105,7 @@ impl CanBus for UnixBus {
     }
 
     fn drop_pending(&mut self) {
-        // As with SocketCAN, what the other side's queue took already is not recalled.
+        // As with SocketCAN, frames in the receiver's queue cannot be recalled.
         self.socket = None;
         self.retry.reset();
     }

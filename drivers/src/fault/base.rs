@@ -1,51 +1,49 @@
-//! A base that misbehaves.
+//! Injects faults into a drive base.
 
 use hal::{Base, DriveCommand, ErrorType, WheelFeedback};
 
-use super::belt::Belt;
 use super::error::{Faulty, FaultyError, Symptom};
 use super::injector::{Faults, Injector};
+use super::reorder_buffer::ReorderBuffer;
 use super::schedule::{Device, Kind};
 
-/// The wrapper. A stop is lost only where the base is not there: its own watchdog is what stops it then.
+/// Wraps a base and injects faults. A stop command is lost only while the base is unplugged; its
+/// own watchdog stops it then.
 pub struct FaultyBase<B> {
     inner: B,
     injector: Injector,
-    belt: Belt<WheelFeedback>,
+    buffer: ReorderBuffer<WheelFeedback>,
 }
 
 impl<B: Base> FaultyBase<B> {
-    /// Wraps a base.
     pub fn new(inner: B, faults: &Faults) -> Self {
-        let injector = faults.of(Device::Base);
-        let belt = Belt::new(&injector, WheelFeedback::default);
-        Self { inner, injector, belt }
+        let injector = faults.for_device(Device::Base);
+        let buffer = ReorderBuffer::new(&injector, WheelFeedback::default);
+        Self { inner, injector, buffer }
     }
 
-    /// The base itself.
     pub fn inner(&self) -> &B {
         &self.inner
     }
 
-    /// What goes wrong.
     pub fn injector(&self) -> &Injector {
         &self.injector
     }
 
-    /// Refuses what cannot reach a base that is not there.
-    fn reach(&self) -> Faulty<(), B> {
-        match self.injector.on(Kind::Unplug) {
+    /// Returns an error while the base is unplugged.
+    fn check_connected(&self) -> Faulty<(), B> {
+        match self.injector.active(Kind::Unplug) {
             Some(_) => Err(self.injector.error(Symptom::Unplugged)),
             None => Ok(()),
         }
     }
 
-    fn spoil(&self, wheel: &mut WheelFeedback) {
-        if self.injector.on(Kind::Nan).is_some() {
+    fn apply_faults(&self, wheel: &mut WheelFeedback) {
+        if self.injector.active(Kind::Nan).is_some() {
             wheel.odom.x_m = f64::NAN;
         }
-        wheel.odom.x_m += self.injector.on(Kind::Jump).map_or(0.0, |fault| fault.amount());
-        wheel.contact |= self.injector.on(Kind::Contact).is_some();
+        wheel.odom.x_m += self.injector.active(Kind::Jump).map_or(0.0, |fault| fault.amount());
+        wheel.contact |= self.injector.active(Kind::Contact).is_some();
     }
 }
 
@@ -55,7 +53,7 @@ impl<B: ErrorType> ErrorType for FaultyBase<B> {
 
 impl<B: Base> Base for FaultyBase<B> {
     fn arm(&mut self) -> Faulty<bool, B> {
-        self.reach()?;
+        self.check_connected()?;
         self.inner.arm().map_err(FaultyError::Device)
     }
 
@@ -64,38 +62,38 @@ impl<B: Base> Base for FaultyBase<B> {
     }
 
     fn drive(&mut self, command: &DriveCommand) -> Faulty<(), B> {
-        self.reach()?;
-        if self.injector.strikes(Kind::Drop) {
+        self.check_connected()?;
+        if self.injector.triggers(Kind::Drop) {
             return Ok(());
         }
         self.inner.drive(command).map_err(FaultyError::Device)
     }
 
     fn stop(&mut self) -> Faulty<(), B> {
-        self.reach()?;
+        self.check_connected()?;
         self.inner.stop().map_err(FaultyError::Device)
     }
 
     fn poll_feedback(&mut self) -> Faulty<Option<WheelFeedback>, B> {
         let mut wheel = WheelFeedback::default();
-        if self.belt.due(&mut wheel) {
+        if self.buffer.take_due(&mut wheel) {
             return Ok(Some(wheel));
         }
-        // Also asked while nobody hears it: what it has to say then is lost, not late.
+        // Polled during a silence too: readings taken then are lost, not delayed.
         let new = self.inner.poll_feedback().map_err(FaultyError::Device)?;
         self.injector.check()?;
         if self.injector.is_silent() {
-            self.belt.clear();
+            self.buffer.clear();
             return Ok(None);
         }
         let Some(mut wheel) = new else { return Ok(None) };
-        if self.injector.strikes(Kind::Drop) {
+        if self.injector.triggers(Kind::Drop) {
             return Ok(None);
         }
-        if self.injector.strikes(Kind::Corrupt) {
+        if self.injector.triggers(Kind::Corrupt) {
             return Err(self.injector.error(Symptom::Corrupt));
         }
-        self.spoil(&mut wheel);
-        Ok(self.belt.pass(&mut wheel, &mut self.injector).then_some(wheel))
+        self.apply_faults(&mut wheel);
+        Ok(self.buffer.push(&mut wheel, &mut self.injector).then_some(wheel))
     }
 }

@@ -1,53 +1,50 @@
-//! A camera that misbehaves.
+//! Injects faults into a camera.
 
 use hal::{Camera, CameraModel, ErrorType, Frame};
 use rand::RngExt;
 
-use super::belt::Belt;
 use super::error::{Faulty, FaultyError};
 use super::injector::{Faults, Injector};
+use super::reorder_buffer::ReorderBuffer;
 use super::schedule::{Device, Kind};
 
-/// The wrapper.
+/// Wraps a camera and injects faults into its frames.
 pub struct FaultyCamera<C> {
     inner: C,
     injector: Injector,
-    belt: Belt<Frame>,
+    buffer: ReorderBuffer<Frame>,
 }
 
 impl<C: Camera> FaultyCamera<C> {
-    /// Wraps a camera.
     pub fn new(inner: C, faults: &Faults) -> Self {
-        let injector = faults.of(Device::Camera);
-        let belt = Belt::new(&injector, Frame::empty);
-        Self { inner, injector, belt }
+        let injector = faults.for_device(Device::Camera);
+        let buffer = ReorderBuffer::new(&injector, Frame::empty);
+        Self { inner, injector, buffer }
     }
 
-    /// The camera itself.
     pub fn inner(&self) -> &C {
         &self.inner
     }
 
-    /// What goes wrong.
     pub fn injector(&self) -> &Injector {
         &self.injector
     }
 
-    fn spoil(&mut self, frame: &mut Frame) {
-        if self.injector.on(Kind::Black).is_some() {
+    fn apply_faults(&mut self, frame: &mut Frame) {
+        if self.injector.active(Kind::Black).is_some() {
             frame.data.fill(0);
         }
-        if self.injector.on(Kind::White).is_some() {
+        if self.injector.active(Kind::White).is_some() {
             frame.data.fill(255);
         }
-        if self.injector.on(Kind::Resize).is_some()
+        if self.injector.active(Kind::Resize).is_some()
             && let Some(bytes) = frame.format.bytes(frame.width, frame.height / 2)
         {
             frame.height /= 2;
             frame.data.truncate(bytes);
         }
-        if self.injector.strikes(Kind::Corrupt) {
-            // As where a transfer broke off: from some byte on, nonsense.
+        if self.injector.triggers(Kind::Corrupt) {
+            // Like a broken-off transfer: random bytes from some position on.
             let from = self.injector.rng().random_range(0..=frame.data.len());
             if let Some(rest) = frame.data.get_mut(from..) {
                 self.injector.rng().fill(rest);
@@ -66,20 +63,20 @@ impl<C: Camera> Camera for FaultyCamera<C> {
     }
 
     fn poll_frame(&mut self, frame: &mut Frame) -> Faulty<bool, C> {
-        if self.belt.due(frame) {
+        if self.buffer.take_due(frame) {
             return Ok(true);
         }
-        // Also asked while nobody hears it: what it has to say then is lost, not late.
+        // Polled during a silence too: frames taken then are lost, not delayed.
         let is_new = self.inner.poll_frame(frame).map_err(FaultyError::Device)?;
         self.injector.check()?;
         if self.injector.is_silent() {
-            self.belt.clear();
+            self.buffer.clear();
             return Ok(false);
         }
-        if !is_new || self.injector.strikes(Kind::Drop) {
+        if !is_new || self.injector.triggers(Kind::Drop) {
             return Ok(false);
         }
-        self.spoil(frame);
-        Ok(self.belt.pass(frame, &mut self.injector))
+        self.apply_faults(frame);
+        Ok(self.buffer.push(frame, &mut self.injector))
     }
 }

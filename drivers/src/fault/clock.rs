@@ -1,20 +1,19 @@
-//! A loop that is woken late.
+//! Injects late wake-ups into a control loop.
 
 use hal::Clock;
 
 use super::injector::{Faults, Injector};
 use super::schedule::{Device, Kind};
 
-/// The wrapper.
+/// Wraps a clock and wakes its sleepers late.
 pub struct FaultyClock<C> {
     inner: C,
     injector: Injector,
 }
 
 impl<C: Clock> FaultyClock<C> {
-    /// Wraps a clock.
     pub fn new(inner: C, faults: &Faults) -> Self {
-        Self { inner, injector: faults.of(Device::Clock) }
+        Self { inner, injector: faults.for_device(Device::Clock) }
     }
 
     /// The wrapped clock.
@@ -39,7 +38,8 @@ impl<C: Clock> Clock for FaultyClock<C> {
     }
 
     fn sleep_until_ns(&mut self, deadline_ns: u64) {
-        let late_ns = self.injector.on(Kind::Slow).map_or(0, |fault| (fault.amount() * 1e6) as u64);
+        let late_ns =
+            self.injector.active(Kind::Slow).map_or(0, |fault| (fault.amount() * 1e6) as u64);
         self.inner.sleep_until_ns(deadline_ns.saturating_add(late_ns));
     }
 }

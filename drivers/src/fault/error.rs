@@ -1,4 +1,4 @@
-//! What an injector says: of its own text, and in the place of a device.
+//! Errors in the text of a fault, and the errors that an injector returns in place of a device.
 
 use std::fmt::Write;
 
@@ -6,55 +6,40 @@ use hal::ErrorKind;
 
 use super::schedule::{Device, Kind, kinds_of};
 
-/// A text that names no fault.
+/// A text that cannot be parsed as a [`Fault`](super::Fault).
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FaultTextError {
-    /// It has another form.
+    /// The text is not of the form `DEVICE:KIND[=AMOUNT][@FROM..TO]`.
     #[error(
         "`{text}` is not DEVICE:KIND[=AMOUNT][@FROM..TO], such as lidar:stall@4..6; there are {}",
         all_kinds()
     )]
-    Form {
-        /// The whole text.
-        text: String,
-    },
-    /// No such device.
+    Form { text: String },
+    /// There is no device of this name.
     #[error("there is no device `{name}`; there are {}", all_kinds())]
-    Device {
-        /// What was asked for.
-        name: String,
-    },
-    /// The device has no such fault.
+    Device { name: String },
+    /// The device has no fault of this name.
     #[error("`{}` has no fault `{name}`; it has {}", device.name(), kind_names(*device))]
-    Kind {
-        /// The device.
-        device: Device,
-        /// What was asked for.
-        name: String,
-    },
-    /// An amount that cannot be.
+    Kind { device: Device, name: String },
+    /// The amount is outside the range of this kind of fault.
     #[error("`{}={text}`: `{}` takes {rule}", kind.name(), kind.name())]
     Amount {
-        /// The kind.
         kind: Kind,
-        /// What was given.
         text: String,
-        /// What it may be.
+        /// Which amounts the kind allows.
         rule: &'static str,
     },
-    /// A time that cannot be.
+    /// The time window is malformed or empty.
     #[error(
-        "`@{text}` is no time: give seconds since the start as @4..6, @4.. or @..6, the first below the second"
+        "`@{text}` is not a time window: give seconds since the start as @4..6, @4.. or @..6, \
+         with the start before the end"
     )]
-    Window {
-        /// What was given.
-        text: String,
-    },
+    Window { text: String },
 }
 
 impl FaultTextError {
-    /// A configuration mistake, always.
+    /// The class of the error: always a configuration mistake.
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
         ErrorKind::Unsupported
@@ -75,22 +60,21 @@ fn all_kinds() -> String {
     text
 }
 
-/// What an injected fault looks like from outside.
+/// How an injected fault appears to the caller of the device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Symptom {
-    /// As of a device that is not there.
+    /// As if the device were unplugged.
     #[error("not there (an injected fault)")]
     Unplugged,
-    /// As of a device that says nothing any more.
+    /// As if the device had stopped sending.
     #[error("silent (an injected fault)")]
     Silent,
-    /// As of a reading that fails its checksum.
+    /// As if a reading had failed its checksum.
     #[error("a reading failed its checksum (an injected fault)")]
     Corrupt,
 }
 
 impl Symptom {
-    /// The class of the error.
     #[must_use]
     pub fn kind(self) -> ErrorKind {
         match self {
@@ -101,18 +85,12 @@ impl Symptom {
     }
 }
 
-/// An error of a wrapped device.
+/// An error of a wrapped device: an injected one or the device's own.
 #[derive(Debug, thiserror::Error)]
 pub enum FaultyError<E> {
-    /// Injected.
     #[error("{}: {symptom}", device.name())]
-    Injected {
-        /// In the place of which device.
-        device: Device,
-        /// What it looks like.
-        symptom: Symptom,
-    },
-    /// The device's own.
+    Injected { device: Device, symptom: Symptom },
+    /// The wrapped device returned this error.
     #[error("{0}")]
     Device(E),
 }
@@ -126,5 +104,5 @@ impl<E: hal::Error> hal::Error for FaultyError<E> {
     }
 }
 
-/// What a wrapper around a device of type `D` returns.
+/// The result type of a wrapper around a device of type `D`.
 pub type Faulty<T, D> = Result<T, FaultyError<<D as hal::ErrorType>::Error>>;

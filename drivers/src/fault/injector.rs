@@ -1,4 +1,4 @@
-//! One device's share of a run's faults.
+//! The faults of one run, and the part of them that concerns one device.
 
 use std::sync::Arc;
 
@@ -9,13 +9,15 @@ use super::error::{FaultyError, Symptom};
 use super::schedule::{Device, Fault, Kind};
 use crate::{DeviceState, DeviceStatus};
 
-/// Nanoseconds since the start of the run. Called on every thread that has a wrapped device; must neither wait nor allocate.
+/// Returns the nanoseconds since the start of the run. Called on every thread that has a wrapped
+/// device, so it must neither block nor allocate.
 pub type Now = Arc<dyn Fn() -> u64 + Send + Sync>;
 
-/// A driver has noticed silence after this time: the longest of ours (feedback of the base, 100 ms).
-const NOTICED_NS: u64 = 100_000_000;
+/// After this time every driver has detected a silence. It is the longest time-out of our drivers
+/// (the base's feedback, 100 ms).
+const SILENCE_DETECTED_NS: u64 = 100_000_000;
 
-/// All that goes wrong in a run.
+/// The fault schedule of one run, for all devices.
 #[derive(Clone)]
 pub struct Faults {
     faults: Vec<Fault>,
@@ -24,15 +26,15 @@ pub struct Faults {
 }
 
 impl Faults {
-    /// These faults; everything random in them comes from `seed`.
+    /// A schedule of these faults. `seed` determines all of their randomness.
     #[must_use]
     pub fn new(faults: Vec<Fault>, seed: u64, now: Now) -> Self {
         Self { faults, seed, now }
     }
 
-    /// The part of one device. Devices draw apart from each other.
+    /// The injector of one device. Each device has a random stream of its own.
     #[must_use]
-    pub fn of(&self, device: Device) -> Injector {
+    pub fn for_device(&self, device: Device) -> Injector {
         let stream = device.name().bytes().fold(0, |stream, byte| (stream << 8) | u64::from(byte));
         Injector {
             device,
@@ -43,7 +45,7 @@ impl Faults {
     }
 }
 
-/// One device's faults.
+/// Decides when the faults of one device occur.
 pub struct Injector {
     device: Device,
     faults: Vec<Fault>,
@@ -52,23 +54,24 @@ pub struct Injector {
 }
 
 impl Injector {
-    /// The fault of this kind that is on now.
+    /// The fault of this kind that is active now, if any.
     #[must_use]
-    pub fn on(&self, kind: Kind) -> Option<Fault> {
-        // Most runs have none, and then nobody needs to know the time.
+    pub fn active(&self, kind: Kind) -> Option<Fault> {
+        // Most runs have no faults; they do not need to read the time.
         if self.faults.is_empty() {
             return None;
         }
         let now_ns = (self.now)();
-        self.faults.iter().find(|fault| fault.kind == kind && fault.is_on(now_ns)).copied()
+        self.faults.iter().find(|fault| fault.kind == kind && fault.is_active(now_ns)).copied()
     }
 
-    /// Whether a fault that meets a share of the readings meets this one.
-    pub fn strikes(&mut self, kind: Kind) -> bool {
-        self.on(kind).is_some_and(|fault| self.draw(fault.amount()))
+    /// Whether a fault that concerns a share of the readings concerns this one. Draws a random
+    /// number if such a fault is active.
+    pub fn triggers(&mut self, kind: Kind) -> bool {
+        self.active(kind).is_some_and(|fault| self.draw(fault.amount()))
     }
 
-    /// True with this probability.
+    /// Returns true with the probability `share`.
     pub(super) fn draw(&mut self, share: f64) -> bool {
         self.rng.random::<f64>() < share
     }
@@ -77,28 +80,28 @@ impl Injector {
         &mut self.rng
     }
 
-    /// The most that a fault of this kind ever amounts to; 0 when there is none.
-    pub(super) fn most(&self, kind: Kind) -> f64 {
+    /// The largest amount of all faults of this kind, whether active or not; 0 when there is none.
+    pub(super) fn max_amount(&self, kind: Kind) -> f64 {
         self.faults.iter().filter(|fault| fault.kind == kind).map(Fault::amount).fold(0.0, f64::max)
     }
 
-    /// Whether the device says nothing now.
+    /// Whether the device sends nothing now.
     pub(super) fn is_silent(&self) -> bool {
-        self.on(Kind::Unplug).or_else(|| self.on(Kind::Stall)).is_some()
+        self.active(Kind::Unplug).or_else(|| self.active(Kind::Stall)).is_some()
     }
 
-    /// What its driver would have noticed by now.
+    /// What the device's driver would have detected by now.
     #[must_use]
     pub fn symptom(&self) -> Option<Symptom> {
-        if self.on(Kind::Unplug).is_some() {
+        if self.active(Kind::Unplug).is_some() {
             return Some(Symptom::Unplugged);
         }
-        let fault = self.on(Kind::Stall)?;
+        let fault = self.active(Kind::Stall)?;
         let silent_ns = (self.now)().saturating_sub((fault.from_s * 1e9) as u64);
-        (silent_ns > NOTICED_NS).then_some(Symptom::Silent)
+        (silent_ns > SILENCE_DETECTED_NS).then_some(Symptom::Silent)
     }
 
-    /// An error if the driver would report one.
+    /// Returns an error if the driver would report one.
     pub(super) fn check<E>(&self) -> Result<(), FaultyError<E>> {
         self.symptom().map_or(Ok(()), |symptom| Err(self.error(symptom)))
     }
@@ -107,7 +110,7 @@ impl Injector {
         FaultyError::Injected { device: self.device, symptom }
     }
 
-    /// What the driver says of the device, as it would with these faults.
+    /// The status that the driver would report with these faults, given its actual `status`.
     #[must_use]
     pub fn status(&self, status: DeviceStatus) -> DeviceStatus {
         let state = match self.symptom() {

@@ -1,49 +1,47 @@
-//! A scanner that misbehaves.
+//! Injects faults into a laser scanner.
 
 use hal::{ErrorType, LaserScan, Lidar, Range, ScanGeometry};
 use rand::RngExt;
 
-use super::belt::Belt;
 use super::error::{Faulty, FaultyError};
 use super::injector::{Faults, Injector};
+use super::reorder_buffer::ReorderBuffer;
 use super::schedule::{Device, Kind};
 
-/// Where ghosts stand, metres: inside of every stop zone.
+/// Distance of ghost obstacles, metres: inside of every stop zone.
 const GHOST_M: f32 = 0.15;
 
-/// The wrapper.
+/// Wraps a scanner and injects faults into its scans.
 pub struct FaultyLidar<L> {
     inner: L,
     injector: Injector,
-    belt: Belt<LaserScan>,
+    buffer: ReorderBuffer<LaserScan>,
 }
 
 impl<L: Lidar> FaultyLidar<L> {
-    /// Wraps a scanner.
     pub fn new(inner: L, faults: &Faults) -> Self {
-        let injector = faults.of(Device::Lidar);
+        let injector = faults.for_device(Device::Lidar);
         let geometry = inner.geometry();
-        let belt = Belt::new(&injector, || LaserScan::empty(geometry));
-        Self { inner, injector, belt }
+        let buffer = ReorderBuffer::new(&injector, || LaserScan::empty(geometry));
+        Self { inner, injector, buffer }
     }
 
-    /// The scanner itself.
     pub fn inner(&self) -> &L {
         &self.inner
     }
 
-    /// What goes wrong.
     pub fn injector(&self) -> &Injector {
         &self.injector
     }
 
-    fn spoil(&mut self, scan: &mut LaserScan) {
-        if self.injector.on(Kind::Blind).is_some() {
+    fn apply_faults(&mut self, scan: &mut LaserScan) {
+        if self.injector.active(Kind::Blind).is_some() {
             scan.ranges.fill(Range::NoReturn);
         }
-        let (min_m, max_m) = (scan.geometry.range_min_m, scan.geometry.range_max_m);
+        let min_m = scan.geometry.range_min_m;
+        let max_m = scan.geometry.range_max_m;
         for kind in [Kind::Error, Kind::Ghost, Kind::Corrupt] {
-            let Some(fault) = self.injector.on(kind) else { continue };
+            let Some(fault) = self.injector.active(kind) else { continue };
             for range in &mut scan.ranges {
                 if self.injector.draw(fault.amount()) {
                     *range = match kind {
@@ -69,20 +67,20 @@ impl<L: Lidar> Lidar for FaultyLidar<L> {
     }
 
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Faulty<bool, L> {
-        if self.belt.due(scan) {
+        if self.buffer.take_due(scan) {
             return Ok(true);
         }
-        // Also asked while nobody hears it: what it has to say then is lost, not late.
+        // Polled during a silence too: scans taken then are lost, not delayed.
         let is_new = self.inner.poll_scan(scan).map_err(FaultyError::Device)?;
         self.injector.check()?;
         if self.injector.is_silent() {
-            self.belt.clear();
+            self.buffer.clear();
             return Ok(false);
         }
-        if !is_new || self.injector.strikes(Kind::Drop) {
+        if !is_new || self.injector.triggers(Kind::Drop) {
             return Ok(false);
         }
-        self.spoil(scan);
-        Ok(self.belt.pass(scan, &mut self.injector))
+        self.apply_faults(scan);
+        Ok(self.buffer.push(scan, &mut self.injector))
     }
 }

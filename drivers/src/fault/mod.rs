@@ -1,17 +1,20 @@
-//! Fault injectors: each implements the hal trait of the device that it wraps, so that a fault found anywhere replays anywhere.
+//! Fault injectors. Each implements the `hal` trait of the device that it wraps, so the same faults
+//! can be injected into the simulator, a replayed run and the real robot.
 //!
-//! A [`Fault`] is a line of text, such as `lidar:stall@4..6` or `camera:drop=0.1`; a run's [`Faults`] are all of them with a seed
-//! and a time. A wrapper without faults hands everything through. Nothing here allocates after a wrapper is made (a camera's
-//! buffers grow once, with its first pictures) and nothing waits, so that scanner and base may be wrapped on the safety thread.
+//! A [`Fault`] is one line of text, such as `lidar:stall@4..6` or `camera:drop=0.1`. The [`Faults`]
+//! of a run are all of its faults with a random seed and a clock. A wrapper without faults passes
+//! everything through unchanged. Nothing here allocates after a wrapper is made (a camera's buffers
+//! grow once, with its first frames) and nothing blocks, so the scanner and the base can be wrapped
+//! on the safety thread.
 
 mod base;
-mod belt;
 mod camera;
 mod clock;
 mod error;
 mod injector;
 mod lidar;
 mod random;
+mod reorder_buffer;
 mod schedule;
 #[cfg(test)]
 mod tests;

@@ -1,11 +1,12 @@
-//! A schedule by dice.
+//! A random fault schedule.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::schedule::Fault;
 
-/// What a robot must survive without help. A base that is not there is not among it, nor is a full disk.
+/// The faults that a robot must survive without an operator. An unplugged base and a full disk are
+/// not among them.
 const SURVIVABLE: [&str; 26] = [
     "camera:stall",
     "camera:unplug",
@@ -34,12 +35,14 @@ const SURVIVABLE: [&str; 26] = [
     "base:contact",
     "clock:slow=100",
 ];
-/// When the first begins, also in a short run; time from the beginning of one to that of the next, and how long each is on, tenths of a second.
+/// Start of the first fault, in tenths of a second: early enough that a short run has one too.
 const FIRST_DS: std::ops::RangeInclusive<u32> = 5..=40;
-const APART_DS: std::ops::RangeInclusive<u32> = 30..=90;
-const LONG_DS: std::ops::RangeInclusive<u32> = 5..=30;
+/// Time from the start of one fault to the start of the next, in tenths of a second.
+const SPACING_DS: std::ops::RangeInclusive<u32> = 30..=90;
+/// Duration of a fault, in tenths of a second.
+const DURATION_DS: std::ops::RangeInclusive<u32> = 5..=30;
 
-/// Faults of all devices over `span_s` seconds, one about every 6 s.
+/// Random faults of all devices over `span_s` seconds, one about every 6 s.
 #[must_use]
 pub fn random_faults(seed: u64, span_s: f64) -> Vec<Fault> {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
@@ -50,13 +53,14 @@ pub fn random_faults(seed: u64, span_s: f64) -> Vec<Fault> {
         if from_s >= span_s {
             return faults;
         }
-        let to_s = f64::from(time_ds + rng.random_range(LONG_DS)) / 10.0;
-        let what = SURVIVABLE.get(rng.random_range(0..SURVIVABLE.len()));
-        // They can all be read; a test says so.
-        if let Some(mut fault) = what.and_then(|what| what.parse::<Fault>().ok()) {
-            (fault.from_s, fault.to_s) = (from_s, to_s);
+        let to_s = f64::from(time_ds + rng.random_range(DURATION_DS)) / 10.0;
+        let text = SURVIVABLE.get(rng.random_range(0..SURVIVABLE.len()));
+        // All of them can be parsed, which a test checks.
+        if let Some(mut fault) = text.and_then(|text| text.parse::<Fault>().ok()) {
+            fault.from_s = from_s;
+            fault.to_s = to_s;
             faults.push(fault);
         }
-        time_ds += rng.random_range(APART_DS);
+        time_ds += rng.random_range(SPACING_DS);
     }
 }

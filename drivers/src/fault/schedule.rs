@@ -1,67 +1,67 @@
-//! What goes wrong, and when, as text: `DEVICE:KIND[=AMOUNT][@FROM..TO]`.
+//! A fault and its time window, with the text format `DEVICE:KIND[=AMOUNT][@FROM..TO]`.
 
 use std::fmt;
 use std::str::FromStr;
 
 use super::error::FaultTextError;
 
-/// What can be wrapped.
+/// The devices into which faults can be injected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Device {
-    /// The camera.
     Camera,
-    /// The scanner.
     Lidar,
-    /// The wheels.
     Base,
-    /// Whatever wakes the loop.
+    /// The clock that wakes the control loop.
     Clock,
-    /// The recording's disk.
+    /// The disk to which the run is recorded.
     Disk,
 }
 
-/// How something goes wrong.
+/// The kind of a fault. Which devices have it is listed by [`kinds_of`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Kind {
-    /// Readings come so many readings late.
+    /// Readings arrive late by a number of readings.
     Delay,
-    /// A share of the readings is lost; of the base's commands, too.
+    /// A share of the readings is lost. For the base, the same share of the commands is lost too.
     Drop,
-    /// A share of the readings comes twice.
+    /// A share of the readings arrives twice.
     Duplicate,
-    /// A share of the readings comes after the one that follows it.
+    /// A share of the readings arrives after the reading that follows it.
     Reorder,
-    /// A share is wrong: rows of a picture or beams of a scan hold nonsense; the base's feedback fails its checksum.
+    /// A share is corrupt: the end of a frame or the beams of a scan hold random values; the base's
+    /// feedback fails its checksum.
     Corrupt,
-    /// Nothing comes, and after 100 ms the driver says so. The base still hears commands.
+    /// No reading arrives, which the driver reports after 100 ms. The base still receives commands.
     Stall,
-    /// The device is not there.
+    /// The device is absent.
     Unplug,
-    /// Pictures are black: the lens is covered.
+    /// Frames are black, as with a covered lens.
     Black,
-    /// Pictures are white: the sun shines in.
+    /// Frames are white, as when the sun shines into the lens.
     White,
-    /// Pictures have half their height: somebody changed the mode.
+    /// Frames have half their height, as if another process had changed the camera's mode.
     Resize,
-    /// A share of the beams are errors.
+    /// A share of the beams reports an error.
     Error,
-    /// No beam comes back.
+    /// No beam has an echo.
     Blind,
-    /// A share of the beams reports something 0.15 m away that is not there.
+    /// A share of the beams reports an obstacle at 0.15 m that does not exist.
     Ghost,
-    /// Odometry is NaN: a broken encoder.
+    /// The odometry is NaN, as with a broken encoder.
     Nan,
-    /// Odometry is off along x by so many metres: a reset, or a lost wheel.
+    /// The odometry is wrong along x by a number of metres, as after a reset or a wheel that lost
+    /// contact.
     Jump,
-    /// The base reports a touch: a bumper switch that is stuck.
+    /// The base reports contact, as with a bumper switch that is stuck.
     Contact,
-    /// Every turn of the loop, or every write to the disk, comes so many milliseconds late.
+    /// Every tick of the control loop, or every write to the disk, is late by a number of
+    /// milliseconds.
     Slow,
-    /// The disk has no room.
+    /// The disk has no free space.
     Full,
 }
 
-/// What a kind's amount means.
+/// The unit of a fault's amount.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Amount {
     None,
@@ -71,15 +71,13 @@ pub(super) enum Amount {
     Milliseconds,
 }
 
-/// More late readings than this are silence; also bounds a wrapper's memory.
-const MAX_LATE: f64 = 50.0;
+/// A longer delay would be a silence. The limit also bounds the memory of a wrapper.
+const MAX_DELAY: f64 = 50.0;
 const MAX_SLOW_MS: f64 = 10_000.0;
 
 impl Device {
-    /// Every device.
     pub const ALL: [Self; 5] = [Self::Camera, Self::Lidar, Self::Base, Self::Clock, Self::Disk];
 
-    /// Its name in a fault's text.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -92,7 +90,7 @@ impl Device {
     }
 }
 
-/// What can go wrong with a device.
+/// The kinds of faults that can be injected into a device.
 #[must_use]
 pub fn kinds_of(device: Device) -> &'static [Kind] {
     use Kind::*;
@@ -112,7 +110,6 @@ pub fn kinds_of(device: Device) -> &'static [Kind] {
 }
 
 impl Kind {
-    /// Its name in a fault's text.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -154,7 +151,7 @@ impl Kind {
 }
 
 impl Amount {
-    /// What an amount must be, in words.
+    /// Which amounts are allowed, for an error text.
     pub(super) fn rule(self) -> &'static str {
         match self {
             Self::None => "no amount",
@@ -169,14 +166,14 @@ impl Amount {
         match self {
             Self::None => false,
             Self::Share => amount > 0.0 && amount <= 1.0,
-            Self::Readings => amount.fract() == 0.0 && (1.0..=MAX_LATE).contains(&amount),
+            Self::Readings => amount.fract() == 0.0 && (1.0..=MAX_DELAY).contains(&amount),
             Self::Metres => amount.is_finite() && amount != 0.0,
             Self::Milliseconds => amount > 0.0 && amount <= MAX_SLOW_MS,
         }
     }
 
-    /// Where the text gives none: all of them, three readings, a metre, 50 ms.
-    fn usual(self) -> f64 {
+    /// The amount when the text gives none: every reading, three readings, one metre, 50 ms.
+    fn default_amount(self) -> f64 {
         match self {
             Self::None | Self::Share | Self::Metres => 1.0,
             Self::Readings => 3.0,
@@ -185,30 +182,28 @@ impl Amount {
     }
 }
 
-/// One thing that goes wrong.
+/// One fault of one device, with the time window in which it is active.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fault {
-    /// With which device.
     pub device: Device,
-    /// How.
     pub kind: Kind,
     amount: Option<f64>,
-    /// From this time on, seconds since the start of the run.
+    /// Start of the window, seconds since the start of the run.
     pub from_s: f64,
-    /// Up to this time, seconds; infinity: to the end.
+    /// End of the window, seconds since the start of the run; infinity for the end of the run.
     pub to_s: f64,
 }
 
 impl Fault {
-    /// How much: a share, a number of readings, metres or milliseconds, by the kind.
+    /// The amount: a share, a number of readings, metres or milliseconds, depending on the kind.
     #[must_use]
     pub fn amount(&self) -> f64 {
-        self.amount.unwrap_or_else(|| self.kind.unit().usual())
+        self.amount.unwrap_or_else(|| self.kind.unit().default_amount())
     }
 
-    /// Whether it is on at this time since the start of the run.
+    /// Whether the fault is active at this time since the start of the run.
     #[must_use]
-    pub fn is_on(&self, time_ns: u64) -> bool {
+    pub fn is_active(&self, time_ns: u64) -> bool {
         (self.from_s..self.to_s).contains(&(time_ns as f64 * 1e-9))
     }
 }
@@ -253,18 +248,22 @@ impl FromStr for Fault {
 }
 
 fn parse_amount(kind: Kind, text: &str) -> Result<f64, FaultTextError> {
-    let refused =
-        || FaultTextError::Amount { kind, text: text.to_owned(), rule: kind.unit().rule() };
-    text.parse().ok().filter(|amount| kind.unit().allows(*amount)).ok_or_else(refused)
+    match text.parse() {
+        Ok(amount) if kind.unit().allows(amount) => Ok(amount),
+        _ => Err(FaultTextError::Amount { kind, text: text.to_owned(), rule: kind.unit().rule() }),
+    }
 }
 
 fn parse_window(text: &str) -> Result<(f64, f64), FaultTextError> {
-    let refused = || FaultTextError::Window { text: text.to_owned() };
-    let (from, to) = text.split_once("..").ok_or_else(refused)?;
-    let seconds = |text: &str, absent: f64| {
-        if text.is_empty() { Ok(absent) } else { text.parse().map_err(|_| refused()) }
-    };
-    let (from_s, to_s): (f64, f64) = (seconds(from, 0.0)?, seconds(to, f64::INFINITY)?);
-    // Also refuses NaN.
-    if from_s >= 0.0 && from_s < to_s { Ok((from_s, to_s)) } else { Err(refused()) }
+    let window = text.split_once("..").and_then(|(from, to)| {
+        let from_s = parse_seconds(from, 0.0)?;
+        let to_s = parse_seconds(to, f64::INFINITY)?;
+        // The comparisons also refuse NaN.
+        (from_s >= 0.0 && from_s < to_s).then_some((from_s, to_s))
+    });
+    window.ok_or_else(|| FaultTextError::Window { text: text.to_owned() })
+}
+
+fn parse_seconds(text: &str, absent: f64) -> Option<f64> {
+    if text.is_empty() { Some(absent) } else { text.parse().ok() }
 }

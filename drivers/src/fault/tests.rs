@@ -1,4 +1,4 @@
-//! Injectors over devices that count their readings, one a turn of 25 ms.
+//! Injectors around devices that have one new reading per tick of 25 ms.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-const TURN_NS: u64 = 25_000_000;
+const TICK_NS: u64 = 25_000_000;
 
 type Time = Arc<AtomicU64>;
 
@@ -23,16 +23,16 @@ fn faults(texts: &[&str], seed: u64) -> (Faults, Time) {
     (Faults::new(faults, seed, Arc::new(move || now.load(Ordering::Relaxed))), time)
 }
 
-/// Has a new reading at every new time.
+/// A camera, scanner and base that has a new reading whenever the time has changed.
 struct Device25ms {
     time: Time,
     last_ns: Option<u64>,
-    moved: u32,
+    commands: u32,
 }
 
 impl Device25ms {
     fn new(time: &Time) -> Self {
-        Self { time: Arc::clone(time), last_ns: None, moved: 0 }
+        Self { time: Arc::clone(time), last_ns: None, commands: 0 }
     }
 
     fn new_reading(&mut self) -> Option<u64> {
@@ -52,7 +52,8 @@ impl Lidar for Device25ms {
 
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Infallible> {
         let Some(time_ns) = self.new_reading() else { return Ok(false) };
-        (scan.time_ns, scan.geometry) = (time_ns, self.geometry());
+        scan.time_ns = time_ns;
+        scan.geometry = self.geometry();
         scan.ranges.clear();
         scan.ranges.resize(scan.geometry.beams, Range::Hit(3.0));
         Ok(true)
@@ -90,7 +91,7 @@ impl Camera for Device25ms {
 
 impl Base for Device25ms {
     fn drive(&mut self, _: &DriveCommand) -> Result<(), Infallible> {
-        self.moved += 1;
+        self.commands += 1;
         Ok(())
     }
 
@@ -103,76 +104,84 @@ impl Base for Device25ms {
     }
 }
 
-/// What a device says in one turn: the turn of the reading, nothing, or an error.
-type Said = Result<Option<u64>, ErrorKind>;
+/// The result of one poll: the tick in which the returned reading was taken, no reading, or an
+/// error.
+type Polled = Result<Option<u64>, ErrorKind>;
 
-fn said<E: Error>(result: Result<Option<u64>, E>) -> Said {
-    result.map(|time| time.map(|time_ns| time_ns / TURN_NS)).map_err(|error| error.kind())
+fn polled<E: Error>(result: Result<Option<u64>, E>) -> Polled {
+    result.map(|time| time.map(|time_ns| time_ns / TICK_NS)).map_err(|error| error.kind())
 }
 
-/// The turns of a device with faults, by the turn of the reading that each hands out. All three must say the same, for what
-/// all of them know.
-fn turns(kind: &str, count: u64) -> Vec<Said> {
+/// Polls all three devices with the same fault once per tick. They must agree, because all of them
+/// have this kind of fault.
+fn poll_ticks(kind: &str, count: u64) -> Vec<Polled> {
     let (lidar_faults, lidar_time) = faults(&[&format!("lidar:{kind}")], 1);
     let (camera_faults, camera_time) = faults(&[&format!("camera:{kind}")], 1);
     let (base_faults, base_time) = faults(&[&format!("base:{kind}")], 1);
     let mut lidar = FaultyLidar::new(Device25ms::new(&lidar_time), &lidar_faults);
     let mut camera = FaultyCamera::new(Device25ms::new(&camera_time), &camera_faults);
     let mut base = FaultyBase::new(Device25ms::new(&base_time), &base_faults);
-    let (mut scan, mut frame) = (LaserScan::empty(ScanGeometry::UTM_30LX), Frame::empty());
-    let mut turn = |number: u64| {
+    let mut scan = LaserScan::empty(ScanGeometry::UTM_30LX);
+    let mut frame = Frame::empty();
+    let mut results = Vec::new();
+    for tick in 0..count {
         for time in [&lidar_time, &camera_time, &base_time] {
-            time.store(number * TURN_NS, Ordering::Relaxed);
+            time.store(tick * TICK_NS, Ordering::Relaxed);
         }
-        let of_lidar = said(lidar.poll_scan(&mut scan).map(|new| new.then_some(scan.time_ns)));
-        let of_camera = said(camera.poll_frame(&mut frame).map(|new| new.then_some(frame.time_ns)));
-        let of_base = said(base.poll_feedback().map(|wheel| wheel.map(|wheel| wheel.time_ns)));
-        assert_eq!((&of_lidar, &of_lidar), (&of_camera, &of_base), "turn {number}");
-        of_lidar
-    };
-    (0..count).map(&mut turn).collect()
+        let of_lidar = polled(lidar.poll_scan(&mut scan).map(|new| new.then_some(scan.time_ns)));
+        let of_camera =
+            polled(camera.poll_frame(&mut frame).map(|new| new.then_some(frame.time_ns)));
+        let of_base = polled(base.poll_feedback().map(|wheel| wheel.map(|wheel| wheel.time_ns)));
+        assert_eq!((&of_lidar, &of_lidar), (&of_camera, &of_base), "tick {tick}");
+        results.push(of_lidar);
+    }
+    results
+}
+
+/// The result of a poll that returns the reading of this tick.
+fn taken_at(tick: u64) -> Polled {
+    Ok(Some(tick))
 }
 
 #[test]
-fn late_readings_come_later_by_their_number_and_the_newest_counts_again_when_it_is_over() {
-    let now = |turn| Ok(Some(turn));
+fn delayed_readings_arrive_two_ticks_late_and_after_the_fault_the_newest_is_returned_again() {
     assert_eq!(
-        turns("delay=2@0.025..0.125", 7),
-        [now(0), Ok(None), Ok(None), now(1), now(2), now(5), now(6)]
+        poll_ticks("delay=2@0.025..0.125", 7),
+        [taken_at(0), Ok(None), Ok(None), taken_at(1), taken_at(2), taken_at(5), taken_at(6)]
     );
 }
 
 #[test]
-fn a_reading_comes_twice_instead_of_the_next_one() {
-    assert_eq!(turns("duplicate", 5), [0, 0, 2, 2, 4].map(|turn| Ok(Some(turn))));
+fn a_duplicated_reading_replaces_the_next_one() {
+    assert_eq!(poll_ticks("duplicate", 5), [0, 0, 2, 2, 4].map(taken_at));
 }
 
 #[test]
-fn a_reading_comes_after_the_one_that_followed_it() {
-    let said = turns("reorder", 6);
-    assert_eq!(said, [None, Some(1), Some(0), None, Some(4), Some(3)].map(Ok));
+fn a_reordered_reading_arrives_after_the_one_that_followed_it() {
+    let results = poll_ticks("reorder", 6);
+    assert_eq!(results, [None, Some(1), Some(0), None, Some(4), Some(3)].map(Ok));
 }
 
 #[test]
-fn a_device_that_stalls_is_silent_and_after_100_ms_its_driver_says_so() {
-    let said = turns("stall@0.05..0.25", 11);
-    assert_eq!(said[..2], [0, 1].map(|turn| Ok(Some(turn))));
-    assert_eq!(said[2..7], [Ok(None); 5]);
-    assert_eq!(said[7..10], [Err(ErrorKind::Timeout); 3]);
-    assert_eq!(said[10], Ok(Some(10)), "what it measured meanwhile is lost, not late");
+fn a_stalled_device_is_silent_and_after_100_ms_its_driver_reports_a_timeout() {
+    let results = poll_ticks("stall@0.05..0.25", 11);
+    assert_eq!(results[..2], [0, 1].map(taken_at));
+    assert_eq!(results[2..7], [Ok(None); 5]);
+    assert_eq!(results[7..10], [Err(ErrorKind::Timeout); 3]);
+    assert_eq!(results[10], Ok(Some(10)), "readings taken during the stall are lost, not delayed");
 }
 
 #[test]
-fn a_device_that_is_unplugged_is_disconnected_and_comes_back() {
-    let said = turns("unplug@0.05..0.1", 5);
+fn an_unplugged_device_is_disconnected_until_it_is_plugged_in_again() {
+    let results = poll_ticks("unplug@0.05..0.1", 5);
     assert_eq!(
-        said[1..],
+        results[1..],
         [Ok(Some(1)), Err(ErrorKind::Disconnected), Err(ErrorKind::Disconnected), Ok(Some(4))]
     );
 }
 
 #[test]
-fn a_base_that_is_not_there_can_neither_be_driven_nor_armed_nor_stopped() {
+fn an_unplugged_base_can_neither_be_armed_nor_driven_nor_stopped() {
     let (faults, time) = faults(&["base:unplug@0..1", "base:drop@1..2"], 1);
     let mut base = FaultyBase::new(Device25ms::new(&time), &faults);
     let command = DriveCommand { twist: Twist2::ZERO, counter: 1, plan_age_ns: 0 };
@@ -183,10 +192,10 @@ fn a_base_that_is_not_there_can_neither_be_driven_nor_armed_nor_stopped() {
     }
     time.store(1_500_000_000, Ordering::Relaxed);
     base.drive(&command).unwrap();
-    assert_eq!(base.inner().moved, 0, "the command was lost on its way");
+    assert_eq!(base.inner().commands, 0, "the command was dropped");
     time.store(2_500_000_000, Ordering::Relaxed);
     base.drive(&command).unwrap();
-    assert_eq!(base.inner().moved, 1);
+    assert_eq!(base.inner().commands, 1);
 }
 
 #[test]
@@ -194,10 +203,10 @@ fn feedback_with_a_wrong_checksum_is_an_error_and_no_reading() {
     let (faults, time) = faults(&["base:corrupt=0.5"], 7);
     let mut base = FaultyBase::new(Device25ms::new(&time), &faults);
     let mut bad = 0;
-    for turn in 1..=1000 {
-        time.store(turn * TURN_NS, Ordering::Relaxed);
+    for tick in 1..=1000 {
+        time.store(tick * TICK_NS, Ordering::Relaxed);
         match base.poll_feedback() {
-            Ok(wheel) => assert_eq!(wheel.unwrap().time_ns, turn * TURN_NS),
+            Ok(wheel) => assert_eq!(wheel.unwrap().time_ns, tick * TICK_NS),
             Err(error) => {
                 assert_eq!(error.kind(), ErrorKind::Corrupt);
                 bad += 1;
@@ -209,16 +218,15 @@ fn feedback_with_a_wrong_checksum_is_an_error_and_no_reading() {
 }
 
 #[test]
-fn wheels_lie_as_they_are_told_to() {
+fn wheel_feedback_has_the_injected_nan_jump_and_contact() {
     let (faults, time) =
         faults(&["base:nan@0..1", "base:jump=-2.5@1..2", "base:contact@1.5..2"], 1);
     let mut base = FaultyBase::new(Device25ms::new(&time), &faults);
-    let mut at = |time_ms: u64| {
+    let [broken, jumped, touched, well] = [500, 1200, 1700, 2500].map(|time_ms| {
         time.store(time_ms * 1_000_000, Ordering::Relaxed);
         base.poll_feedback().unwrap().unwrap()
-    };
-    assert!(at(500).odom.x_m.is_nan());
-    let (jumped, touched, well) = (at(1200), at(1700), at(2500));
+    });
+    assert!(broken.odom.x_m.is_nan());
     assert_eq!((jumped.odom.x_m.to_bits(), jumped.contact), ((-2.5f64).to_bits(), false));
     assert!(touched.contact);
     assert_eq!(well, WheelFeedback { time_ns: 2_500_000_000, ..WheelFeedback::default() });
@@ -233,83 +241,83 @@ fn one_scan(text: &str) -> LaserScan {
 }
 
 #[test]
-fn beams_are_spoilt_in_their_share_and_stay_within_what_a_scanner_can_say() {
-    let spoilt =
-        |scan: &LaserScan| scan.ranges.iter().filter(|range| **range != Range::Hit(3.0)).count();
+fn the_given_share_of_beams_is_corrupted_and_stays_within_the_scanners_range() {
     assert_eq!(one_scan("lidar:blind").ranges, vec![Range::NoReturn; 1081]);
     assert_eq!(one_scan("lidar:error").ranges, vec![Range::Error; 1081]);
     for text in ["lidar:error=0.1", "lidar:ghost=0.1", "lidar:corrupt=0.1"] {
         let scan = one_scan(text);
         // Five standard deviations of a binomial with 1081 draws of 0.1.
-        assert!((60..=157).contains(&spoilt(&scan)), "{text}: {}", spoilt(&scan));
+        let changed = scan.ranges.iter().filter(|range| **range != Range::Hit(3.0)).count();
+        assert!((60..=157).contains(&changed), "{text}: {changed}");
         assert!(scan.hits().all(|(_, range_m)| (0.1..=30.0).contains(&range_m)), "{text}");
     }
 }
 
+fn one_frame(text: &str) -> Frame {
+    let (faults, time) = faults(&[text], 3);
+    let mut frame = Frame::empty();
+    assert!(FaultyCamera::new(Device25ms::new(&time), &faults).poll_frame(&mut frame).unwrap());
+    frame.view().unwrap();
+    frame
+}
+
 #[test]
-fn pictures_are_black_white_cut_or_torn() {
-    let picture = |text| {
-        let (faults, time) = faults(&[text], 3);
-        let mut frame = Frame::empty();
-        assert!(FaultyCamera::new(Device25ms::new(&time), &faults).poll_frame(&mut frame).unwrap());
-        frame.view().unwrap();
-        frame
-    };
-    assert_eq!(picture("camera:black").data, [0; 96]);
-    assert_eq!(picture("camera:white").data, [255; 96]);
-    assert_eq!((picture("camera:resize").height, picture("camera:resize").data.len()), (2, 48));
-    let torn = picture("camera:corrupt").data;
+fn frames_are_black_white_halved_or_torn() {
+    assert_eq!(one_frame("camera:black").data, [0; 96]);
+    assert_eq!(one_frame("camera:white").data, [255; 96]);
+    assert_eq!((one_frame("camera:resize").height, one_frame("camera:resize").data.len()), (2, 48));
+    let torn = one_frame("camera:corrupt").data;
     let from = torn.iter().position(|byte| *byte != 9).unwrap();
     assert!(from > 0 && torn.len() == 96, "from byte {from}");
 }
 
 #[test]
-fn a_loop_is_woken_late_and_time_still_goes_on() {
+fn a_slow_clock_wakes_the_loop_late_and_never_goes_back() {
     let (faults, time) = faults(&["clock:slow=30@0.1..0.2"], 1);
     let mut clock = FaultyClock::new(VirtualClock::default(), &faults);
-    let woken: Vec<u64> = (1..6)
-        .map(|turn| {
-            time.store(turn * 50_000_000, Ordering::Relaxed);
-            clock.sleep_until_ns(turn * 50_000_000);
+    let woken_ms: Vec<u64> = (1..6)
+        .map(|tick| {
+            time.store(tick * 50_000_000, Ordering::Relaxed);
+            clock.sleep_until_ns(tick * 50_000_000);
             clock.now_ns() / 1_000_000
         })
         .collect();
-    assert_eq!(woken, [50, 130, 180, 200, 250]);
+    assert_eq!(woken_ms, [50, 130, 180, 200, 250]);
+}
+
+fn dropped(device: Device, seed: u64) -> Vec<bool> {
+    let (faults, _) = faults(&["lidar:drop=0.5", "camera:drop=0.5"], seed);
+    let mut injector = faults.for_device(device);
+    (0..64).map(|_| injector.triggers(Kind::Drop)).collect()
 }
 
 #[test]
-fn the_same_seed_does_the_same_and_devices_draw_apart() {
-    let lost = |device: Device, seed| {
-        let (faults, _) = faults(&["lidar:drop=0.5", "camera:drop=0.5"], seed);
-        let mut injector = faults.of(device);
-        (0..64).map(|_| injector.strikes(Kind::Drop)).collect::<Vec<_>>()
-    };
-    assert_eq!(lost(Device::Lidar, 1), lost(Device::Lidar, 1));
-    assert_ne!(lost(Device::Lidar, 1), lost(Device::Lidar, 2));
-    assert_ne!(lost(Device::Lidar, 1), lost(Device::Camera, 1));
+fn the_same_seed_drops_the_same_readings_and_devices_are_independent() {
+    assert_eq!(dropped(Device::Lidar, 1), dropped(Device::Lidar, 1));
+    assert_ne!(dropped(Device::Lidar, 1), dropped(Device::Lidar, 2));
+    assert_ne!(dropped(Device::Lidar, 1), dropped(Device::Camera, 1));
+}
+
+/// Every kind of fault of a device, as text.
+fn every_fault(device: Device) -> Vec<String> {
+    kinds_of(device).iter().map(|kind| format!("{}:{}@0..2", device.name(), kind.name())).collect()
 }
 
 #[test]
-fn scanner_and_base_may_be_wrapped_on_the_safety_thread() {
-    let every = |device: Device| {
-        kinds_of(device)
-            .iter()
-            .map(move |kind| format!("{}:{}@0..2", device.name(), kind.name()))
-            .collect::<Vec<_>>()
-    };
-    let texts = [every(Device::Lidar), every(Device::Base)].concat();
+fn polling_a_wrapped_scanner_or_base_does_not_allocate() {
+    let texts = [every_fault(Device::Lidar), every_fault(Device::Base)].concat();
     for text in &texts {
         let (faults, time) = faults(&[text], 1);
         let mut lidar = FaultyLidar::new(Device25ms::new(&time), &faults);
         let mut base = FaultyBase::new(Device25ms::new(&time), &faults);
         let mut scan = LaserScan::empty(lidar.geometry());
-        let mut handed_on = scan.clone();
-        handed_on.ranges.reserve(scan.geometry.beams);
+        let mut copy = scan.clone();
+        copy.ranges.reserve(scan.geometry.beams);
         let info = allocation_counter::measure(|| {
-            for turn in 0..100 {
-                time.store(turn * TURN_NS, Ordering::Relaxed);
+            for tick in 0..100 {
+                time.store(tick * TICK_NS, Ordering::Relaxed);
                 let _ = lidar.poll_scan(&mut scan);
-                handed_on.clone_from(&scan);
+                copy.clone_from(&scan);
                 let _ = base.poll_feedback();
                 let _ =
                     base.drive(&DriveCommand { twist: Twist2::ZERO, counter: 1, plan_age_ns: 0 });
@@ -320,26 +328,22 @@ fn scanner_and_base_may_be_wrapped_on_the_safety_thread() {
 }
 
 #[test]
-fn a_driver_reports_what_is_injected() {
+fn the_status_shows_the_injected_fault() {
     let (faults, time) = faults(&["lidar:unplug@0..1", "lidar:stall@1..2"], 1);
     let lidar = FaultyLidar::new(Device25ms::new(&time), &faults);
-    let mut state = |time_ms: u64| {
+    let states = [0, 1050, 1200, 2000].map(|time_ms| {
         time.store(time_ms * 1_000_000, Ordering::Relaxed);
         let working = crate::DeviceStatus {
             state: crate::DeviceState::Working,
             ..crate::DeviceStatus::default()
         };
         lidar.injector().status(working).state.to_string()
-    };
-    assert_eq!(
-        [0, 1050, 1200, 2000].map(&mut state),
-        ["disconnected", "working", "silent", "working"]
-    );
+    });
+    assert_eq!(states, ["disconnected", "working", "silent", "working"]);
 }
 
 #[test]
-fn a_text_that_names_no_fault_is_answered_with_what_there_is() {
-    let refusal = |text: &str| text.parse::<Fault>().unwrap_err().to_string();
+fn a_text_that_is_no_fault_is_refused_with_the_possible_ones() {
     for (text, answer) in [
         ("stall", "DEVICE:KIND[=AMOUNT][@FROM..TO]"),
         ("laser:stall", "there is no device `laser`; there are camera: delay"),
@@ -350,13 +354,15 @@ fn a_text_that_names_no_fault_is_answered_with_what_there_is() {
         ("camera:delay=1.5", "a whole number of readings from 1 to 50"),
         ("base:jump=inf", "a distance in metres"),
         ("disk:slow=-1", "milliseconds"),
-        ("lidar:stall@6..4", "`@6..4` is no time"),
+        ("lidar:stall@6..4", "`@6..4` is not a time window"),
         ("lidar:stall@4", "@4..6, @4.. or @..6"),
-        ("lidar:stall@nan..4", "is no time"),
+        ("lidar:stall@nan..4", "is not a time window"),
     ] {
-        assert!(refusal(text).contains(answer), "{text}: {}", refusal(text));
+        let refusal = text.parse::<Fault>().unwrap_err().to_string();
+        assert!(refusal.contains(answer), "{text}: {refusal}");
     }
-    assert!(refusal("x").contains("disk: slow, full, unplug"));
+    let refusal = "x".parse::<Fault>().unwrap_err().to_string();
+    assert!(refusal.contains("disk: slow, full, unplug"));
 }
 
 fn any_fault() -> impl Strategy<Value = String> {
@@ -372,38 +378,46 @@ fn any_fault() -> impl Strategy<Value = String> {
 
 proptest! {
     #[test]
-    fn a_fault_gives_back_its_text(text in any_fault()) {
+    fn a_parsed_fault_prints_as_its_text(text in any_fault()) {
         prop_assert_eq!(text.parse::<Fault>().unwrap().to_string(), text);
     }
 
     #[test]
-    fn a_random_schedule_can_be_written_down_and_run_again(seed in any::<u64>(), span_s in 0.0..500.0f64) {
+    fn a_random_schedule_is_repeatable_and_survives_its_text(
+        seed in any::<u64>(),
+        span_s in 0.0..500.0f64,
+    ) {
         let faults = random_faults(seed, span_s);
         prop_assert_eq!(&faults, &random_faults(seed, span_s));
         for fault in &faults {
-            prop_assert!(fault.from_s < span_s && fault.from_s >= 0.5 && fault.to_s - fault.from_s < 3.05);
+            prop_assert!(fault.from_s < span_s);
+            prop_assert!(fault.from_s >= 0.5);
+            prop_assert!(fault.to_s - fault.from_s < 3.05);
             prop_assert_eq!(&fault.to_string().parse::<Fault>().unwrap(), fault);
         }
-        prop_assert!(faults.len() as f64 >= (span_s / 9.0).floor() - 1.0, "{} in {} s", faults.len(), span_s);
+        let fewest = (span_s / 9.0).floor() - 1.0;
+        prop_assert!(faults.len() as f64 >= fewest, "{} in {} s", faults.len(), span_s);
     }
 
     #[test]
-    fn no_text_makes_the_reader_panic(text in "[a-z:=@.0-9-]{0,30}") {
+    fn no_text_makes_the_parser_panic(text in "[a-z:=@.0-9-]{0,30}") {
         let _ = text.parse::<Fault>();
     }
 }
 
 #[test]
-fn amounts_come_back_too_and_the_usual_ones_are_as_documented() {
+fn amounts_are_printed_and_the_default_ones_are_as_documented() {
     for text in
         ["camera:delay=5@5..10", "lidar:corrupt=0.01", "base:jump=-3@4..", "disk:slow=250@30.5..40"]
     {
         assert_eq!(text.parse::<Fault>().unwrap().to_string(), text);
     }
-    let amount = |text: &str| text.parse::<Fault>().unwrap().amount();
     assert_eq!(
-        ["lidar:drop", "camera:delay", "base:jump", "clock:slow"]
-            .map(|text| format!("{}", amount(text))),
+        ["lidar:drop", "camera:delay", "base:jump", "clock:slow"].map(|text| text
+            .parse::<Fault>()
+            .unwrap()
+            .amount()
+            .to_string()),
         ["1", "3", "1", "50"]
     );
 }

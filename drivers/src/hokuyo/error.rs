@@ -1,4 +1,4 @@
-//! What goes wrong with a scanner, and what to do about it.
+//! Errors of a scanner, with their remedies.
 
 use std::io;
 use std::sync::Arc;
@@ -7,159 +7,123 @@ use hal::ErrorKind;
 
 use crate::scip::{Model, ScipError};
 
-/// The first four are what [`poll_scan`](hal::Lidar::poll_scan) returns; they are made without allocating, and the driver's
-/// [`problem`](super::HokuyoMonitor::problem) says more. The others are such problems.
+/// [`poll_scan`](hal::Lidar::poll_scan) returns only the first four variants, which do not
+/// allocate. The other variants are the detailed reasons, whose texts
+/// [`problem`](super::HokuyoMonitor::problem) returns.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum HokuyoError {
-    /// Not there, or not yet alive again.
+    /// The scanner is absent, or its first good scans are still being counted.
     #[error(
-        "LiDAR {port}: not connected, or its first good scans are being counted; the driver keeps trying to open it"
+        "LiDAR {port}: not connected, or its first good scans are being counted; the driver \
+         keeps trying to open it"
     )]
-    Disconnected {
-        /// Where it should be.
-        port: Arc<str>,
-    },
-    /// No good scan for too long.
+    Disconnected { port: Arc<str> },
+    /// No good scan arrived within the time-out.
     #[error(
-        "LiDAR {port}: no good scan for more than {limit_ms} ms; check its power and cable, the driver keeps listening"
+        "LiDAR {port}: no good scan for more than {limit_ms} ms; check its power and cable, the \
+         driver keeps listening"
     )]
     Silent {
-        /// Where it is.
         port: Arc<str>,
-        /// Two of its periods.
+        /// The time-out: two scan periods.
         limit_ms: u64,
     },
     /// A scan failed its checks.
     #[error(
-        "LiDAR {port}: a scan failed its checks and was dropped; if it happens often, check cable and ground"
+        "LiDAR {port}: a scan failed its checks and was dropped; if it happens often, check \
+         cable and ground"
     )]
-    Corrupt {
-        /// Where it is.
-        port: Arc<str>,
-    },
-    /// It is broken, sees nothing at all, or is another model.
+    Corrupt { port: Arc<str> },
+    /// The scanner is broken, covered, or another model than the configured one.
     #[error(
-        "LiDAR {port}: broken, blind or another model; the driver's problem text says which and what to do"
+        "LiDAR {port}: broken, covered or another model; the driver's problem text names the \
+         reason and the remedy"
     )]
-    Faulty {
-        /// Where it is.
-        port: Arc<str>,
-    },
-    /// A value of the configuration cannot work.
+    Faulty { port: Arc<str> },
+    /// A value of the configuration is invalid.
     #[error("LiDAR configuration: {what}")]
     Config {
         /// The value and its limits.
         what: String,
     },
     /// The port cannot be opened.
-    #[error("LiDAR {port}: cannot be opened: {source}; {}", way_out(.source))]
-    Open {
-        /// The port.
-        port: Arc<str>,
-        /// The system's reason.
-        source: io::Error,
-    },
-    /// The port was there and is gone.
+    #[error("LiDAR {port}: cannot be opened: {source}; {}", remedy(.source))]
+    Open { port: Arc<str>, source: io::Error },
+    /// The connection to the port was lost.
     #[error(
-        "LiDAR {port}: the connection broke ({source}); plug it in again, the driver waits for it"
+        "LiDAR {port}: the connection was lost ({source}); plug it in again, the driver waits \
+         for it"
     )]
-    Gone {
-        /// The port.
-        port: Arc<str>,
-        /// The system's reason.
-        source: io::Error,
-    },
-    /// Nothing comes.
+    Gone { port: Arc<str>, source: io::Error },
+    /// The scanner sends nothing.
     #[error(
-        "LiDAR {port}: no answer to `{command}`; check that the scanner has power and has finished starting"
+        "LiDAR {port}: no answer to `{command}`; check that the scanner has power and has \
+         finished starting"
     )]
-    NoAnswer {
-        /// The port.
-        port: Arc<str>,
-        /// What it was asked.
-        command: &'static str,
-    },
-    /// Something comes, but not SCIP.
+    NoAnswer { port: Arc<str>, command: &'static str },
+    /// The device sends bytes, but no SCIP messages.
     #[error(
-        "LiDAR {port}: {bytes} bytes came and no answer to `{command}`: wrong baud rate ({baud}) or another device; set \
-         `baud` (19200, 57600, 115200, 250000, 500000, 750000) or correct `port`"
+        "LiDAR {port}: {bytes} bytes arrived but no answer to `{command}`: wrong baud rate \
+         ({baud}) or another device; set `baud` (19200, 57600, 115200, 250000, 500000, 750000) or \
+         correct `port`"
     )]
     NotScip {
-        /// The port.
         port: Arc<str>,
-        /// What it was asked.
         command: &'static str,
-        /// How much came.
+        /// Number of bytes that arrived.
         bytes: usize,
-        /// The rate that is set.
+        /// The configured baud rate.
         baud: u32,
     },
-    /// Another model.
+    /// The scanner is another model than the configured one.
     #[error(
-        "LiDAR {port}: the scanner says it is `{found}`, configured is {configured}; correct `model` or `port`"
+        "LiDAR {port}: the scanner reports that it is `{found}`, configured is {configured}; \
+         correct `model` or `port`"
     )]
     WrongModel {
-        /// The port.
         port: Arc<str>,
-        /// What is configured.
         configured: Model,
-        /// What it says, with its steps.
+        /// The model that the scanner reports, with its steps.
         found: String,
     },
-    /// It does not measure because its laser is off.
+    /// The scanner does not measure because its laser is off.
     #[error(
-        "LiDAR {port}: its laser is off although it was told to switch it on; it says: {says}; power-cycle it"
+        "LiDAR {port}: its laser is off although the driver switched it on; it reports: \
+         {reported}; power-cycle it"
     )]
-    LaserOff {
-        /// The port.
-        port: Arc<str>,
-        /// In its own words.
-        says: String,
-    },
-    /// Laser, motor or electronics are broken.
+    LaserOff { port: Arc<str>, reported: String },
+    /// The laser, the motor or the electronics are broken.
     #[error(
-        "LiDAR {port}: hardware fault, status {status}; it says: {says}; power-cycle it, replace it if that does not help"
+        "LiDAR {port}: hardware fault, status {status}; it reports: {reported}; power-cycle it, \
+         replace it if that does not help"
     )]
     Hardware {
-        /// The port.
         port: Arc<str>,
-        /// The two characters of its status.
+        /// The two characters of the status.
         status: String,
-        /// In its own words.
-        says: String,
+        reported: String,
     },
-    /// Scans in which nothing was measured.
+    /// No beam of the scans has a distance.
     #[error(
-        "LiDAR {port}: not one beam meets anything ({errors} errors, {too_near} too near, {no_return} without return); \
-         uncover and clean the scanner"
+        "LiDAR {port}: no beam measures a distance ({errors} errors, {too_near} too near, \
+         {no_return} without echo); uncover and clean the scanner"
     )]
     Blind {
-        /// The port.
         port: Arc<str>,
-        /// Beams that could not be measured.
+        /// Number of beams that could not be measured.
         errors: usize,
-        /// Beams with something too near.
+        /// Number of beams with an object that is too near.
         too_near: usize,
-        /// Beams without return.
+        /// Number of beams without an echo.
         no_return: usize,
     },
-    /// Its clock jumped.
-    #[error(
-        "LiDAR {port}: its time stamps jumped, as after a restart; the driver sets it up again"
-    )]
-    ClockJumped {
-        /// The port.
-        port: Arc<str>,
-    },
-    /// It answers, but not as the protocol has it.
+    /// The scanner's clock jumped.
+    #[error("LiDAR {port}: its timestamps jumped, as after a restart; the driver sets it up again")]
+    ClockJumped { port: Arc<str> },
+    /// A message violates the protocol.
     #[error("LiDAR {port}: {source}")]
-    Protocol {
-        /// The port.
-        port: Arc<str>,
-        /// What is wrong.
-        source: ScipError,
-    },
+    Protocol { port: Arc<str>, source: ScipError },
 }
 
 impl hal::Error for HokuyoError {
@@ -182,18 +146,18 @@ impl hal::Error for HokuyoError {
     }
 }
 
-/// What to do when a port does not open.
-fn way_out(error: &io::Error) -> &'static str {
+/// The remedy when a port cannot be opened.
+fn remedy(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::NotFound => "is it plugged in? the driver waits for it",
         io::ErrorKind::PermissionDenied => {
             "add the user to the group `dialout` or install the udev rules"
         }
         io::ErrorKind::WouldBlock | io::ErrorKind::ResourceBusy => {
-            "another program has it open; stop that one"
+            "another program has opened it; stop that program"
         }
         io::ErrorKind::ConnectionRefused => {
-            "the address answers, the scanner does not; check `port` and its power"
+            "the address exists but refuses the connection; check `port` and the scanner's power"
         }
         _ => "check cable and `port`; the driver tries again",
     }

@@ -1,5 +1,7 @@
-//! Bytes to and from a scanner, with deadlines. Over `rustix` alone: a `read` of the `serialport` crate may block past its
-//! timeout (<https://github.com/serialport/serialport-rs/issues/7>), and it hands out its descriptor only for unsafe code.
+//! Reading from and writing to a scanner's port, with deadlines. Uses `rustix` and not the crate
+//! `serialport`, whose `read` may block past its time-out
+//! (<https://github.com/serialport/serialport-rs/issues/7>), and which gives its descriptor only to
+//! unsafe code.
 
 use std::io;
 use std::net::{TcpStream, ToSocketAddrs};
@@ -17,13 +19,12 @@ use rustix::termios::{ioctl_tiocexcl, tcflush, tcgetattr, tcsetattr};
 use super::{HokuyoError, Port};
 use monotonic_clock::monotonic_ns;
 
-/// Longer than any switch between here and the scanner takes.
-const CONNECT: Duration = Duration::from_secs(1);
+/// Time-out of a TCP connection: longer than any switch on the way to the scanner takes.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Becomes readable when the driver is dropped, and ends every wait.
+/// An event descriptor that becomes readable when the driver is dropped, which ends every wait.
 pub(super) type Stop = Arc<OwnedFd>;
 
-/// An open port.
 #[derive(Debug)]
 pub(super) struct Link {
     fd: OwnedFd,
@@ -31,19 +32,19 @@ pub(super) struct Link {
     port: Arc<str>,
 }
 
-/// What came before the deadline.
+/// The result of reading until a deadline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Received {
-    /// So many bytes, at least one.
+    /// This number of bytes, at least one.
     Bytes(usize),
-    /// None.
+    /// No byte arrived before the deadline.
     Nothing,
     /// The driver is being dropped.
     Stopped,
 }
 
 impl Link {
-    /// Opens a port; what it holds from before is dropped.
+    /// Opens a port and drops the bytes that are already in its buffers.
     pub(super) fn open(
         port: &Port,
         baud: u32,
@@ -58,17 +59,21 @@ impl Link {
         Ok(Self { fd, stop: stop.clone(), port: name.clone() })
     }
 
-    /// Waits until bytes come, or for the deadline (monotonic).
-    pub(super) fn read(&self, room: &mut [u8], deadline_ns: u64) -> Result<Received, HokuyoError> {
+    /// Waits for bytes until the monotonic deadline.
+    pub(super) fn read(
+        &self,
+        buffer: &mut [u8],
+        deadline_ns: u64,
+    ) -> Result<Received, HokuyoError> {
         loop {
             let ready = self.wait(PollFlags::IN, deadline_ns)?;
             match ready {
                 Ready::Stopped => return Ok(Received::Stopped),
-                Ready::Nothing => return Ok(Received::Nothing),
-                Ready::Port(events) => match rustix::io::read(&self.fd, &mut *room) {
+                Ready::Timeout => return Ok(Received::Nothing),
+                Ready::Port(events) => match rustix::io::read(&self.fd, &mut *buffer) {
                     Ok(0) => return Err(self.gone(Errno::PIPE)),
                     Ok(count) => return Ok(Received::Bytes(count)),
-                    // A port that hung up may say so only here.
+                    // A port that hung up may report it only here.
                     Err(Errno::AGAIN) if !events.contains(PollFlags::IN) => {
                         return Err(self.gone(Errno::PIPE));
                     }
@@ -79,14 +84,15 @@ impl Link {
         }
     }
 
-    /// Sends all of it, or gives up at the deadline; a scanner that takes nothing is as good as gone.
+    /// Sends all bytes until the deadline. A scanner that does not accept them in time counts as
+    /// gone.
     pub(super) fn write(&self, mut bytes: &[u8], deadline_ns: u64) -> Result<(), HokuyoError> {
         while !bytes.is_empty() {
             match rustix::io::write(&self.fd, bytes) {
                 Ok(count) => bytes = bytes.get(count..).unwrap_or_default(),
                 Err(Errno::AGAIN) => match self.wait(PollFlags::OUT, deadline_ns)? {
                     Ready::Port(_) => {}
-                    Ready::Nothing | Ready::Stopped => return Err(self.gone(Errno::TIMEDOUT)),
+                    Ready::Timeout | Ready::Stopped => return Err(self.gone(Errno::TIMEDOUT)),
                 },
                 Err(Errno::INTR) => {}
                 Err(error) => return Err(self.gone(error)),
@@ -106,13 +112,13 @@ impl Link {
 
 enum Ready {
     Port(PollFlags),
-    Nothing,
+    Timeout,
     Stopped,
 }
 
-/// Waits for the deadline; true when the driver is being dropped.
+/// Waits until the deadline. Returns true when the driver is being dropped.
 pub(super) fn wait_for_stop(stop: &Stop, deadline_ns: u64) -> bool {
-    !matches!(wait(stop, None, deadline_ns), Ok(Ready::Nothing))
+    !matches!(wait(stop, None, deadline_ns), Ok(Ready::Timeout))
 }
 
 fn wait(
@@ -129,7 +135,7 @@ fn wait(
         };
         let mut fds = [PollFd::new(stop, PollFlags::IN), PollFd::new(fd, what)];
         match poll(&mut fds, Some(&timeout)) {
-            Ok(0) => return Ok(Ready::Nothing),
+            Ok(0) => return Ok(Ready::Timeout),
             Ok(_) if !fds[0].revents().is_empty() => return Ok(Ready::Stopped),
             Ok(_) => return Ok(Ready::Port(fds[1].revents())),
             Err(Errno::INTR) => {}
@@ -139,10 +145,11 @@ fn wait(
 }
 
 fn open_serial(path: &Path, baud: u32) -> io::Result<OwnedFd> {
-    // Without NONBLOCK, open waits for a modem's carrier.
+    // Without NONBLOCK, open would wait for a modem's carrier.
     let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let fd = open(path, flags, Mode::empty())?;
-    // Two programs on one port steal each other's bytes. The lock also keeps out those whom TIOCEXCL lets in: root.
+    // Two programs on one port would take each other's bytes. The lock also excludes processes of
+    // root, which TIOCEXCL does not.
     ioctl_tiocexcl(fd.as_fd())?;
     flock(&fd, FlockOperation::NonBlockingLockExclusive)?;
     let mut settings = tcgetattr(&fd)?;
@@ -156,9 +163,9 @@ fn open_serial(path: &Path, baud: u32) -> io::Result<OwnedFd> {
 }
 
 fn connect(host: &str, port: u16) -> io::Result<OwnedFd> {
-    let mut last = io::Error::new(io::ErrorKind::NotFound, "no address has this name");
+    let mut last = io::Error::new(io::ErrorKind::NotFound, "no address was found for this name");
     for address in (host, port).to_socket_addrs()? {
-        match TcpStream::connect_timeout(&address, CONNECT) {
+        match TcpStream::connect_timeout(&address, CONNECT_TIMEOUT) {
             Ok(stream) => {
                 stream.set_nodelay(true)?;
                 stream.set_nonblocking(true)?;

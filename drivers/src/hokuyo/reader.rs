@@ -1,4 +1,4 @@
-//! The reader's thread: opens the port, keeps the scans coming, and opens it again when it is gone.
+//! The reader thread: opens the port, reads and checks scans, and reopens the port when it is lost.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering::{Relaxed, Release};
@@ -14,14 +14,15 @@ use crate::DeviceState;
 use crate::scip::{ClockSync, Command, Reply, Request, ScipError};
 use monotonic_clock::monotonic_ns;
 
-/// Between two tries to open the port; doubled each time.
+/// Delay between two attempts to open the port, doubled after each failure.
 const FIRST_WAIT_NS: u64 = 50_000_000;
 const LONGEST_WAIT_NS: u64 = 1_000_000_000;
-/// A motor that stood still needs so long to its first scan.
+/// Time-out of the first scan, because the motor may have to start.
 const FIRST_SCAN_NS: u64 = 3_000_000_000;
-/// After so many periods without a sound scan the scanner is set up anew: it was restarted, or is gone without a word.
+/// After this many periods without a valid scan, the scanner is set up again: it was restarted, or
+/// lost without an error of the port.
 const GIVE_UP_PERIODS: u64 = 10;
-/// So many scans with impossible time stamps in a row mean that the scanner was restarted.
+/// This many consecutive scans with impossible timestamps mean that the scanner was restarted.
 const CLOCK_JUMPS: u32 = 3;
 
 pub(super) struct Reader {
@@ -33,15 +34,15 @@ pub(super) struct Reader {
 }
 
 impl Reader {
-    /// Runs until it is told to stop.
+    /// Runs until the driver is dropped.
     pub(super) fn run(mut self) {
         let mut wait_ns = FIRST_WAIT_NS;
         let mut was_alive = false;
         loop {
-            let alive_before = self.shared.good.load(Relaxed);
+            let good_before = self.shared.good.load(Relaxed);
             let End::Failed(error) = self.session(was_alive) else { return };
             self.report(&error);
-            if self.shared.good.load(Relaxed) > alive_before {
+            if self.shared.good.load(Relaxed) > good_before {
                 was_alive = true;
                 wait_ns = FIRST_WAIT_NS;
             }
@@ -78,13 +79,13 @@ impl Reader {
         let end =
             Stream::new(&self.shared, &mut self.scans, &self.config, &self.port, clock, was_alive)
                 .run(&mut session);
-        // Laser off. If it does not hear this any more, nothing is lost.
+        // Switch the laser off. If the scanner no longer receives this, that is no loss.
         _ = session.link.write(Command::Quit.bytes(), monotonic_ns() + FIRST_WAIT_NS);
         end
     }
 }
 
-/// The scans of one session.
+/// Processes the scans of one session.
 struct Stream<'a> {
     shared: &'a Shared,
     scans: &'a mut Input<LaserScan>,
@@ -127,13 +128,14 @@ impl<'a> Stream<'a> {
 
     fn run(mut self, session: &mut Session<'_>) -> End {
         let begin_ns = monotonic_ns();
-        // Of any message, and of the last sound scan.
-        let (mut heard_ns, mut sound_ns) = (begin_ns, begin_ns);
+        // Time of the last message of any kind, and of the last valid scan.
+        let mut message_ns = begin_ns;
+        let mut valid_ns = begin_ns;
         let mut give_up_ns = FIRST_SCAN_NS;
         loop {
-            let silent_ns = heard_ns + 2 * self.period_ns;
-            let deadline_ns = if self.is_working() { silent_ns } else { sound_ns + give_up_ns };
-            let received = match session.link.read(session.framer.room(), deadline_ns) {
+            let silent_ns = message_ns + 2 * self.period_ns;
+            let deadline_ns = if self.is_working() { silent_ns } else { valid_ns + give_up_ns };
+            let received = match session.link.read(session.framer.free_space(), deadline_ns) {
                 Ok(received) => received,
                 Err(error) => return End::Failed(error),
             };
@@ -144,25 +146,28 @@ impl<'a> Stream<'a> {
                 Received::Bytes(count) => session.framer.received(count),
             }
             while let Some(message) = session.framer.message() {
-                heard_ns = now_ns;
+                message_ns = now_ns;
                 match self.take(message, now_ns) {
-                    Ok(true) => (sound_ns, give_up_ns) = (now_ns, GIVE_UP_PERIODS * self.period_ns),
+                    Ok(true) => {
+                        valid_ns = now_ns;
+                        give_up_ns = GIVE_UP_PERIODS * self.period_ns;
+                    }
                     Ok(false) => {}
                     Err(Trouble::Status(status)) => {
                         self.shared.set_state(DeviceState::Faulty);
-                        return session.why(status);
+                        return session.explain(status);
                     }
                     Err(Trouble::ClockJumped) => {
                         return HokuyoError::ClockJumped { port: self.port.clone() }.into();
                     }
                 }
             }
-            if self.is_working() && now_ns > heard_ns + 2 * self.period_ns {
+            if self.is_working() && now_ns > message_ns + 2 * self.period_ns {
                 self.good_in_a_row = 0;
                 self.shared.set_state(DeviceState::Silent);
                 self.shared.set_problem(self.silent().to_string());
             }
-            if now_ns > sound_ns + give_up_ns {
+            if now_ns > valid_ns + give_up_ns {
                 return self.silent().into();
             }
         }
@@ -176,16 +181,16 @@ impl<'a> Stream<'a> {
         HokuyoError::Silent { port: self.port.clone(), limit_ms: 2 * self.period_ns / 1_000_000 }
     }
 
-    /// Reads a message; true when it was a sound scan.
+    /// Processes a message. Returns true when it was a valid scan.
     fn take(&mut self, message: &[u8], arrival_ns: u64) -> Result<bool, Trouble> {
         let scan = self.scans.input_buffer_mut();
-        let codes = &self.config.model.sheet().codes;
+        let codes = &self.config.model.spec().codes;
         let mut reply = Reply::read(message, &self.request, codes, &mut scan.ranges);
         if matches!(reply, Err(error) if !matches!(error, ScipError::Status { .. }))
             && let Some(rest) =
                 self.request.last_echo(message).filter(|rest| rest.len() < message.len())
         {
-            // Noise or a cut scan stands before a whole one.
+            // Noise or a truncated scan precedes a complete one.
             self.count_bad();
             reply =
                 Reply::read(rest, &self.request, codes, &mut self.scans.input_buffer_mut().ranges);
@@ -223,7 +228,8 @@ impl<'a> Stream<'a> {
         let period_ns = self.period_ns;
         let clock =
             self.clock.get_or_insert_with(|| ClockSync::from_scan(stamp_ms, arrival_ns, period_ns));
-        // A scan is sent when it is done, one period after its start; a busy computer reads it later.
+        // A scan is sent when it is complete, one period after its start. A busy computer reads it
+        // later.
         let Some(time_ns) = clock.scan_start_ns(stamp_ms, arrival_ns, GIVE_UP_PERIODS * period_ns)
         else {
             self.count_bad();
@@ -243,11 +249,12 @@ impl<'a> Stream<'a> {
             self.shared.set_problem(blind.to_string());
             return Ok(true);
         }
-        self.hand_out(time_ns, arrival_ns);
+        self.publish(time_ns, arrival_ns);
         Ok(true)
     }
 
-    /// Compares the scanner's time stamps: what is missing and did not fail its checks was lost on the way.
+    /// Counts lost scans from the gaps between the scanner's timestamps, without those that failed
+    /// their checks.
     fn count_lost(&mut self, stamp_ms: u32) {
         let period_ms = self.period_ns / 1_000_000;
         if let Some(last_ms) = self.last_stamp_ms.replace(stamp_ms) {
@@ -260,18 +267,20 @@ impl<'a> Stream<'a> {
         self.bad_since = 0;
     }
 
+    /// An error if no beam of the scan has a distance.
     fn blind(&mut self) -> Option<HokuyoError> {
         let ranges = &self.scans.input_buffer_mut().ranges;
-        let count = |what| ranges.iter().filter(|range| **range == what).count();
+
         ranges.iter().all(|range| range.hit_m().is_none()).then(|| HokuyoError::Blind {
             port: self.port.clone(),
-            errors: count(Range::Error),
-            too_near: count(Range::TooNear),
-            no_return: count(Range::NoReturn),
+            errors: count(ranges, Range::Error),
+            too_near: count(ranges, Range::TooNear),
+            no_return: count(ranges, Range::NoReturn),
         })
     }
 
-    fn hand_out(&mut self, time_ns: u64, arrival_ns: u64) {
+    /// Publishes the scan, if enough scans in a row were good.
+    fn publish(&mut self, time_ns: u64, arrival_ns: u64) {
         let scan = self.scans.input_buffer_mut();
         scan.time_ns = time_ns;
         if self.config.upside_down {
@@ -287,11 +296,16 @@ impl<'a> Stream<'a> {
         if std::mem::take(&mut self.is_reopened) {
             self.shared.reopened.fetch_add(1, Relaxed);
         }
-        // Last: until then nothing is handed out.
+        // Set last, because the polling side returns no scan before.
         self.shared.set_state(DeviceState::Working);
     }
 }
 
+fn count(ranges: &[Range], kind: Range) -> usize {
+    ranges.iter().filter(|range| **range == kind).count()
+}
+
+/// Why the session has to end.
 enum Trouble {
     Status([u8; 2]),
     ClockJumped,

@@ -1,4 +1,4 @@
-//! The conversation before the first scan.
+//! The commands and answers before the first scan, and after a fault.
 
 use std::sync::Arc;
 
@@ -9,29 +9,29 @@ use crate::scip::{
 };
 use monotonic_clock::monotonic_ns;
 
-/// Two scans of the largest kind: 1081 beams with intensities are 6.7 kB.
+/// Buffer size: two scans of the largest kind, since 1081 beams with intensities have 6.7 kB.
 pub(super) const BUFFER: usize = 16 * 1024;
-/// For an answer: the longest, 250 characters of `II`, takes 130 ms at 19200 bits a second.
+/// Time-out of an answer. The longest, 250 characters of `II`, takes 130 ms at 19,200 bit/s.
 const ANSWER_NS: u64 = 300_000_000;
-/// A command may be lost in noise.
+/// How often a command is sent, because it may be lost in noise.
 const TRIES: usize = 3;
 const PROBES: usize = 8;
 
-/// One open scanner.
+/// The connection to one open scanner.
 pub(super) struct Session<'a> {
     pub(super) link: Link,
     pub(super) framer: Box<Framer<BUFFER>>,
     pub(super) config: &'a HokuyoConfig,
     pub(super) port: &'a Arc<str>,
-    /// In the scanner's own words.
-    says: String,
+    /// The state that the scanner reported last, as its own text.
+    reported: String,
 }
 
-/// Why there is no session (any more).
+/// Why a session ended or could not be started.
 pub(super) enum End {
     /// The driver is being dropped.
     Stopped,
-    /// Try again later.
+    /// An error. The reader tries again later.
     Failed(HokuyoError),
 }
 
@@ -43,17 +43,19 @@ impl From<HokuyoError> for End {
 
 impl<'a> Session<'a> {
     pub(super) fn new(link: Link, config: &'a HokuyoConfig, port: &'a Arc<str>) -> Self {
-        Self { link, framer: Box::default(), config, port, says: String::from("nothing") }
+        Self { link, framer: Box::default(), config, port, reported: String::from("nothing") }
     }
 
-    /// Stops what runs, brings it to SCIP 2, asks who it is, compares clocks and starts the scans. The clock is `None` when
-    /// the scanner does not tell its time.
+    /// Sets the scanner up: stops a running measurement, switches to SCIP 2, reads the identity,
+    /// compares the clocks and starts the scans. The clock is `None` when the scanner does not
+    /// report its time.
     pub(super) fn bring_up(&mut self) -> Result<(Identity, Option<ClockSync>), End> {
         self.leave_scip_1()?;
         let (serial, firmware) = self.ask(Command::Version, |answer| {
             let version = Version::read(answer);
-            let text = |text: Option<&str>| text.unwrap_or_default().to_owned();
-            Ok((text(version.serial), text(version.firmware)))
+            let serial = version.serial.unwrap_or_default().to_owned();
+            let firmware = version.firmware.unwrap_or_default().to_owned();
+            Ok((serial, firmware))
         })?;
         let model = self.check_model()?;
         self.ask_state()?;
@@ -65,8 +67,8 @@ impl<'a> Session<'a> {
     }
 
     fn leave_scip_1(&mut self) -> Result<(), End> {
-        if self.config.model.sheet().starts_in_scip_1 {
-            // In SCIP 2 already, it answers that it does not know this.
+        if self.config.model.spec().starts_in_scip_1 {
+            // A scanner that is in SCIP 2 already answers that the command is unknown.
             match self.ask(Command::Scip2, |_| Ok(())) {
                 Ok(()) | Err(End::Failed(HokuyoError::Protocol { .. })) => {}
                 Err(end) => return Err(end),
@@ -90,16 +92,20 @@ impl<'a> Session<'a> {
                 "{model}, steps {} to {} of {}",
                 parameters.first_step, parameters.last_step, parameters.steps_per_turn
             );
-            Ok(if configured.sheet().fits(&parameters) { Ok(model.to_owned()) } else { Err(steps) })
+            Ok(if configured.spec().matches(&parameters) {
+                Ok(model.to_owned())
+            } else {
+                Err(steps)
+            })
         })?;
         found.map_err(|found| {
             HokuyoError::WrongModel { port: self.port.clone(), configured, found }.into()
         })
     }
 
-    /// Asks how it is, for the texts of faults.
+    /// Requests the scanner's state, for the texts of faults.
     pub(super) fn ask_state(&mut self) -> Result<(), End> {
-        self.says = self.ask(Command::State, |answer| {
+        self.reported = self.ask(Command::State, |answer| {
             let state = State::read(answer);
             let off = if state.laser_is_off() { "laser OFF, " } else { "" };
             Ok(format!("{off}{}", state.status.unwrap_or("nothing")))
@@ -108,10 +114,10 @@ impl<'a> Session<'a> {
     }
 
     fn compare_clocks(&mut self) -> Result<Option<ClockSync>, End> {
-        // 02: is doing so already.
-        let begun =
+        // Status 02: the mode is active already.
+        let has_started =
             self.ask(Command::TimeStart, |answer| Ok(matches!(&answer.status, b"00" | b"02")))?;
-        if !begun {
+        if !has_started {
             return Ok(None);
         }
         let mut probes = Vec::with_capacity(PROBES);
@@ -130,37 +136,40 @@ impl<'a> Session<'a> {
     }
 
     fn switch_on_laser(&mut self) -> Result<(), End> {
-        // 02: is on already.
+        // Status 02: the laser is on already.
         match self.ask(Command::LaserOn, |answer| Ok(answer.status))? {
             [b'0', b'0' | b'2'] => Ok(()),
-            status => Err(self.why(status)),
+            status => Err(self.explain(status)),
         }
     }
 
-    /// Turns a status that ends the measurement into words: asks the scanner for its own, if it still answers.
-    pub(super) fn why(&mut self, status: [u8; 2]) -> End {
+    /// Makes the error for a status that ended the measurement. Requests the scanner's own text, if
+    /// it still answers.
+    pub(super) fn explain(&mut self, status: [u8; 2]) -> End {
         for asked in [self.ask(Command::Quit, |_| Ok(())), self.ask_state()] {
             if let Err(End::Stopped) = asked {
                 return End::Stopped;
             }
         }
-        let (port, says) = (self.port.clone(), self.says.clone());
+        let port = self.port.clone();
+        let reported = self.reported.clone();
         if status == *b"10" {
-            return HokuyoError::LaserOff { port, says }.into();
+            return HokuyoError::LaserOff { port, reported }.into();
         }
         HokuyoError::Hardware {
             port,
             status: status.iter().map(|byte| char::from(*byte)).collect(),
-            says,
+            reported,
         }
         .into()
     }
 
-    /// Sends a command and reads its answer. What else comes meanwhile is passed over: noise, the last scans.
+    /// Sends a command and waits for its answer. Skips everything else that arrives: noise and the
+    /// last scans.
     fn ask<T>(
         &mut self,
         command: Command,
-        read: impl Fn(&Answer<'_>) -> Result<T, ScipError>,
+        parse: impl Fn(&Answer<'_>) -> Result<T, ScipError>,
     ) -> Result<T, End> {
         let mut bytes = 0;
         let mut wrong = None;
@@ -168,7 +177,7 @@ impl<'a> Session<'a> {
             let deadline_ns = monotonic_ns() + ANSWER_NS;
             self.link.write(command.bytes(), deadline_ns)?;
             loop {
-                match self.link.read(self.framer.room(), deadline_ns)? {
+                match self.link.read(self.framer.free_space(), deadline_ns)? {
                     Received::Stopped => return Err(End::Stopped),
                     Received::Nothing => break,
                     Received::Bytes(count) => {
@@ -177,7 +186,7 @@ impl<'a> Session<'a> {
                     }
                 }
                 while let Some(message) = self.framer.message() {
-                    match Answer::read(message, command).and_then(|answer| read(&answer)) {
+                    match Answer::read(message, command).and_then(|answer| parse(&answer)) {
                         Ok(answer) => return Ok(answer),
                         Err(error @ (ScipError::OldProtocol | ScipError::Status { .. })) => {
                             return Err(HokuyoError::Protocol {
@@ -186,7 +195,7 @@ impl<'a> Session<'a> {
                             }
                             .into());
                         }
-                        // The scan that was under way, or noise.
+                        // A scan that was still being sent, or noise.
                         Err(ScipError::Echo) => {}
                         Err(error) => wrong = Some(error),
                     }

@@ -1,22 +1,23 @@
-//! What the reader's thread tells the others.
+//! The state that the reader thread shares with other threads.
 
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::{DeviceState, DeviceStatus};
 
-/// Who the scanner says it is.
+/// The scanner's identification.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Identity {
-    /// Model, in its own words.
+    /// The model as reported by the scanner.
     pub model: String,
-    /// Serial number; empty when its line was unreadable.
+    /// The serial number; empty when its line was unreadable.
     pub serial: String,
-    /// Firmware; empty when its line was unreadable.
+    /// The firmware version; empty when its line was unreadable.
     pub firmware: String,
 }
 
-/// Numbers are atomic, so that the safety thread takes no lock; texts are for the others.
+/// The numbers are atomic, so that the safety thread takes no lock. The texts are locked and are
+/// for other threads.
 #[derive(Debug, Default)]
 pub(super) struct Shared {
     state: AtomicU8,
@@ -48,12 +49,12 @@ impl Shared {
     }
 
     pub(super) fn set_state(&self, state: DeviceState) {
-        let index = STATES.iter().position(|one| *one == state).unwrap_or_default();
+        let index = STATES.iter().position(|known| *known == state).unwrap_or_default();
         self.state.store(index as u8, Ordering::Release);
     }
 
-    fn with_texts<T>(&self, f: impl FnOnce(&mut Texts) -> T) -> T {
-        f(&mut self.texts.lock().unwrap_or_else(PoisonError::into_inner))
+    fn with_texts<T>(&self, access: impl FnOnce(&mut Texts) -> T) -> T {
+        access(&mut self.texts.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     pub(super) fn set_identity(&self, identity: Identity) {
@@ -65,14 +66,14 @@ impl Shared {
     }
 }
 
-/// Looks at a scanner from another thread than the one that polls it.
+/// Reads a scanner's state from another thread than the one that polls it.
 #[derive(Debug, Clone)]
 pub struct HokuyoMonitor {
     pub(super) shared: Arc<Shared>,
 }
 
 impl HokuyoMonitor {
-    /// State and counts. Takes no lock.
+    /// The scanner's state and counts. Takes no lock.
     #[must_use]
     pub fn status(&self) -> DeviceStatus {
         let shared = &self.shared;
@@ -86,13 +87,14 @@ impl HokuyoMonitor {
         }
     }
 
-    /// Who it is; `None` before it answered for the first time.
+    /// The scanner's identification; `None` before its first answer.
     #[must_use]
     pub fn identity(&self) -> Option<Identity> {
         self.shared.with_texts(|texts| texts.identity.clone())
     }
 
-    /// The last thing that went wrong and the way out, for people. Stays after it has been overcome: the state says whether.
+    /// The last problem with its remedy, as a text for the operator. It remains after the problem
+    /// is solved, which the state shows.
     #[must_use]
     pub fn problem(&self) -> Option<String> {
         self.shared.with_texts(|texts| texts.problem.clone())

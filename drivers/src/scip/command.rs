@@ -1,36 +1,37 @@
-//! Commands without ranges, and the answers to them.
+//! The commands that request no ranges, and their answers.
 
 use super::ScipError;
 use super::line::{checked, checksum, decode};
 use super::reply::split_line;
 
-/// What a sensor is told or asked, besides ranges.
+/// A command that requests no ranges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Command {
-    /// `SCIP2.0`: leave SCIP 1.1. Only for sensors that start in it; others may hang on a command that they do not know.
+    /// `SCIP2.0`: leave SCIP 1.1. Only for sensors that start in it, because others may hang on an
+    /// unknown command.
     Scip2,
     /// `QT`: stop measuring, laser off.
     Quit,
-    /// `RS`: laser, motor speed, bit rate and clock as after power-on.
+    /// `RS`: reset laser, motor speed, bit rate and clock to their state after power-on.
     Reset,
-    /// `BM`: laser on.
+    /// `BM`: switch the laser on.
     LaserOn,
-    /// `VV`: [`Version`](super::Version).
+    /// `VV`: request the [`Version`](super::Version).
     Version,
-    /// `PP`: [`Parameters`](super::Parameters).
+    /// `PP`: request the [`Parameters`](super::Parameters).
     Parameters,
-    /// `II`: [`State`](super::State).
+    /// `II`: request the [`State`](super::State).
     State,
-    /// `TM0`: begin to compare clocks. The laser goes off until `TM2`.
+    /// `TM0`: start the time adjustment mode. The laser is off until `TM2`.
     TimeStart,
-    /// `TM1`: what the sensor's clock shows.
+    /// `TM1`: request the time of the sensor's clock.
     Time,
-    /// `TM2`: end of it.
+    /// `TM2`: end the time adjustment mode.
     TimeEnd,
 }
 
 impl Command {
-    /// The bytes to send, with their LF.
+    /// The bytes to send, including the LF.
     #[must_use]
     pub fn bytes(self) -> &'static [u8] {
         match self {
@@ -48,21 +49,22 @@ impl Command {
     }
 }
 
-/// A sound answer with a status of its own; which statuses are good depends on the command.
+/// A well-formed answer with its status. Which statuses mean success depends on the command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Answer<'a> {
-    /// Two characters; `00` is "done" for every command.
+    /// Two characters. `00` means success for every command.
     pub status: [u8; 2],
-    /// What follows the status, lines with their checksums.
+    /// The lines after the status, with their checksums.
     lines: &'a [u8],
 }
 
 impl<'a> Answer<'a> {
-    /// Reads one whole message. What stands before the echo is skipped: noise on the line, the end of a scan.
+    /// Parses one whole message. Bytes before the echo are skipped: noise on the line, or the end
+    /// of a scan.
     ///
     /// # Errors
-    /// [`ScipError::Echo`] when it answers something else, [`ScipError::OldProtocol`] when the sensor speaks SCIP 1.1,
-    /// another when a checksum or the shape is wrong.
+    /// [`ScipError::Echo`] when the message answers another command, [`ScipError::OldProtocol`]
+    /// when the sensor speaks SCIP 1.1, or another error when a checksum or the form is wrong.
     pub fn read(message: &'a [u8], command: Command) -> Result<Self, ScipError> {
         let body = message
             .strip_suffix(b"\n\n")
@@ -72,7 +74,7 @@ impl<'a> Answer<'a> {
             body.windows(echo.len()).rposition(|window| window == echo).ok_or(ScipError::Echo)?;
         let (status, lines) = split_line(body.get(at + echo.len()..).unwrap_or_default());
         match status {
-            // SCIP 1.1 has no checksums: `0` is its "done", `E` its "what?".
+            // SCIP 1.1 has no checksums: `0` means success, `E` an unknown command.
             b"0" if command == Command::Scip2 => return Ok(Self { status: *b"00", lines: &[] }),
             [b'0'..=b'9' | b'A'..=b'Z'] => return Err(ScipError::OldProtocol),
             _ => {}
@@ -83,10 +85,10 @@ impl<'a> Answer<'a> {
         }
     }
 
-    /// Itself when its status is `00`.
+    /// Returns the answer itself if its status is `00`.
     ///
     /// # Errors
-    /// [`ScipError::Status`] with the other one.
+    /// [`ScipError::Status`] for any other status.
     pub fn done(self) -> Result<Self, ScipError> {
         if self.status == *b"00" {
             Ok(self)
@@ -95,10 +97,10 @@ impl<'a> Answer<'a> {
         }
     }
 
-    /// What a sensor's clock shows, milliseconds, 24 bits.
+    /// The time of the sensor's clock in milliseconds, 24 bits.
     ///
     /// # Errors
-    /// When this is no answer to [`Command::Time`] or its checksum is wrong.
+    /// When this is not the answer to [`Command::Time`], or its checksum is wrong.
     pub fn time_ms(&self) -> Result<u32, ScipError> {
         let time = checked(self.lines, 2)?;
         if time.len() == 4 {
@@ -108,10 +110,11 @@ impl<'a> Answer<'a> {
         }
     }
 
-    /// The value of one line `KEY:value;checksum`, without the spaces around it.
+    /// The value of the line `KEY:value;checksum`, without surrounding spaces.
     ///
     /// # Errors
-    /// [`ScipError::Field`] when there is no such line, its checksum is wrong or it holds no text.
+    /// [`ScipError::Field`] when there is no such line, its checksum is wrong, or it is not
+    /// printable ASCII.
     pub fn field(&self, key: &'static str) -> Result<&'a str, ScipError> {
         let wrong = ScipError::Field { key };
         let line = self
@@ -127,10 +130,10 @@ impl<'a> Answer<'a> {
         if checksum(content) == sum { Ok(value.trim()) } else { Err(wrong) }
     }
 
-    /// The value of a line that is a number.
+    /// The numeric value of a line.
     ///
     /// # Errors
-    /// As [`field`](Self::field), and when it is no number.
+    /// As [`field`](Self::field), and when the value is not a number.
     pub fn number(&self, key: &'static str) -> Result<u32, ScipError> {
         self.field(key)?.parse().map_err(|_| ScipError::Field { key })
     }
@@ -149,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_checksum_of_the_status_is_noticed() {
+    fn a_status_with_a_wrong_checksum_is_refused() {
         assert!(matches!(
             Answer::read(b"QT\n00Q\n\n", Command::Quit),
             Err(ScipError::Checksum { .. })
@@ -157,37 +160,45 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_in_scip_1_says_so_and_can_be_told_to_leave_it() {
+    fn a_sensor_in_scip_1_is_detected_and_can_be_switched_to_scip_2() {
         assert_eq!(Answer::read(b"QT\nE\n\n", Command::Quit), Err(ScipError::OldProtocol));
         assert!(Answer::read(b"SCIP2.0\n0\n\n", Command::Scip2).unwrap().done().is_ok());
     }
 
     #[test]
-    fn the_clock_is_four_characters_with_a_checksum() {
-        let read =
-            |message| Answer::read(message, Command::Time).and_then(|answer| answer.time_ms());
-        assert_eq!(read(b"TM1\n00P\nm2@0?\n\n"), Ok(16_000_000));
-        assert!(read(b"TM1\n00P\nm2@1?\n\n").is_err());
-        assert!(read(b"TM1\n00P\n\n").is_err());
+    fn the_time_has_four_characters_and_a_checksum() {
+        assert_eq!(time_ms(b"TM1\n00P\nm2@0?\n\n"), Ok(16_000_000));
+        assert!(matches!(time_ms(b"TM1\n00P\nm2@1?\n\n"), Err(ScipError::Checksum { .. })));
+        assert!(matches!(time_ms(b"TM1\n00P\n\n"), Err(ScipError::Shape { .. })));
+    }
+
+    fn time_ms(message: &[u8]) -> Result<u32, ScipError> {
+        Answer::read(message, Command::Time)?.time_ms()
     }
 
     #[test]
-    fn fields_are_checked_one_by_one() {
-        // From the specification, spaces removed: its checksums are those of lines without.
+    fn each_field_is_checked_separately() {
+        // The example of the specification without its spaces, which its checksums do not include.
         let answer =
             Answer::read(b"PP\n00P\nDMIN:20;4\nDMAX:5600;x\n\n", Command::Parameters).unwrap();
         assert_eq!(answer.number("DMIN"), Ok(20));
         assert_eq!(
             answer.number("DMAX"),
             Err(ScipError::Field { key: "DMAX" }),
-            "its checksum is wrong"
+            "the checksum is wrong"
         );
-        assert_eq!(answer.number("ARES"), Err(ScipError::Field { key: "ARES" }), "it is not there");
+        assert_eq!(
+            answer.number("ARES"),
+            Err(ScipError::Field { key: "ARES" }),
+            "the line is missing"
+        );
     }
 
     proptest! {
         #[test]
-        fn any_bytes_are_read_without_a_panic(bytes in proptest::collection::vec(any::<u8>(), 0..60)) {
+        fn any_bytes_are_parsed_without_a_panic(
+            bytes in proptest::collection::vec(any::<u8>(), 0..60),
+        ) {
             for command in [Command::Quit, Command::Scip2, Command::Parameters, Command::Time] {
                 let mut message = command.bytes().to_vec();
                 message.extend(&bytes);

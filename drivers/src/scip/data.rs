@@ -1,5 +1,5 @@
-//! The lines of data of a scan: checksums, characters, numbers and ranges, in plain loops that the compiler turns into
-//! vector instructions.
+//! Decoding of a scan's data lines: checksums, characters, numbers and ranges, in plain loops that
+//! the compiler vectorizes.
 
 use hal::Range;
 use multiversion::multiversion;
@@ -8,29 +8,30 @@ use super::codes::to_metres;
 use super::line::{checked, is_data, value};
 use super::{RangeCodes, ScipError};
 
-/// Characters of data in one line, at most.
+/// The largest number of data characters in one line.
 pub(super) const LINE: usize = 64;
-/// A checksum and LF.
+/// Number of bytes after the data: the checksum and LF.
 const LINE_END: usize = 2;
-/// Three lines hold a whole number of ranges, whatever their encoding: 64 is no multiple of three.
+/// Lines that are decoded together. Three lines hold a whole number of ranges in every encoding,
+/// while 64 is not a multiple of three.
 const BLOCK_LINES: usize = 3;
 const BLOCK: usize = BLOCK_LINES * LINE;
 
-/// Where the numbers of a scan go.
+/// The buffers into which a scan is decoded.
 pub(super) struct Beams<'a> {
     pub(super) codes: &'a RangeCodes,
     pub(super) ranges: &'a mut [Range],
-    /// One a beam when the data holds them, else none.
+    /// One per beam if the data contains intensities, otherwise empty.
     pub(super) intensities: &'a mut [u32],
 }
 
-/// Bytes that so many characters of data take with the ends of their lines.
+/// The number of bytes of this many data characters, including the ends of their lines.
 pub(super) fn encoded_length(characters: usize) -> usize {
     characters + characters.div_ceil(LINE) * LINE_END
 }
 
-/// Reads the lines of data; `first_line` is the number of the first one in its message, for errors. Numbers are of `WIDTH`
-/// characters, a beam is of one number or, with intensities, of two.
+/// Decodes the data lines. `first_line` is the number of the first one in its message, for errors.
+/// A number has `WIDTH` characters. A beam has one number, or two with intensities.
 #[multiversion(targets("x86_64+avx2"))]
 pub(super) fn read<const WIDTH: usize>(
     lines: &[u8],
@@ -42,7 +43,8 @@ pub(super) fn read<const WIDTH: usize>(
     if lines.len() != needed {
         return Err(ScipError::Length { found: lines.len(), needed });
     }
-    let (mut characters, mut numbers) = ([0_u8; BLOCK], [0_u32; BLOCK / 2]);
+    let mut characters = [0_u8; BLOCK];
+    let mut numbers = [0_u32; BLOCK / 2];
     let mut beam = 0;
     for (index, block) in lines.chunks(BLOCK_LINES * (LINE + LINE_END)).enumerate() {
         let found = strip(block, first_line + index * BLOCK_LINES, &mut characters)?;
@@ -56,7 +58,8 @@ pub(super) fn read<const WIDTH: usize>(
     Ok(())
 }
 
-/// Checks up to three lines and writes their characters, less `0`, without checksums and ends. How many these are.
+/// Checks up to three lines, and writes their data characters minus `0`. Returns the number of
+/// characters.
 #[inline(always)]
 fn strip(
     block: &[u8],
@@ -68,23 +71,25 @@ fn strip(
     for (index, (line, into)) in lines.zip(characters.chunks_exact_mut(LINE)).enumerate() {
         let full: Result<&[u8; LINE + LINE_END], _> = line.try_into();
         let (sound, length) = match full {
-            // The length known, this is a handful of vector instructions.
+            // With a constant length, this compiles to a few vector instructions.
             Ok(line) => (strip_line(line, into), LINE),
             Err(_) => (strip_line(line, into), line.len().saturating_sub(LINE_END)),
         };
         if !sound {
-            return Err(what_is_wrong(line, first_line + index));
+            return Err(line_error(line, first_line + index));
         }
         found += length;
     }
     Ok(found)
 }
 
-/// Whether a line with its checksum and LF is sound; writes its characters less `0`.
+/// Writes a line's data characters minus `0`, and returns whether the line, its checksum and its LF
+/// are valid.
 #[inline(always)]
 fn strip_line(line: &[u8], into: &mut [u8]) -> bool {
     let Some((content, &[sum, b'\n'])) = line.split_last_chunk::<LINE_END>() else { return false };
-    let (mut total, mut all_data) = (0_u8, is_data(sum));
+    let mut total = 0_u8;
+    let mut all_data = is_data(sum);
     for (&byte, place) in content.iter().zip(into) {
         let character = byte.wrapping_sub(0x30);
         total = total.wrapping_add(byte);
@@ -94,8 +99,9 @@ fn strip_line(line: &[u8], into: &mut [u8]) -> bool {
     all_data && sum == (total & 0x3f) + 0x30
 }
 
+/// The error of an invalid line.
 #[cold]
-fn what_is_wrong(line: &[u8], number: usize) -> ScipError {
+fn line_error(line: &[u8], number: usize) -> ScipError {
     let Some(content) = line.strip_suffix(b"\n") else {
         return ScipError::Shape { missing: "line of 64 characters" };
     };
@@ -105,7 +111,7 @@ fn what_is_wrong(line: &[u8], number: usize) -> ScipError {
     }
 }
 
-/// The numbers in the first `found` characters, most significant character first.
+/// Decodes the numbers in the first `found` characters, most significant character first.
 #[inline(always)]
 fn unpack<'a, const WIDTH: usize>(
     characters: &[u8; BLOCK],
@@ -127,7 +133,8 @@ impl Beams<'_> {
         for (metres, &number) in metres.iter_mut().zip(numbers) {
             *metres = to_metres(number);
         }
-        // Sixteen at a time: where all are distances, as nearly everywhere, that is a loop without a branch.
+        // Sixteen beams at a time. If all numbers are distances, which is nearly always so, the
+        // loop has no branch.
         for ((ranges, numbers), metres) in
             ranges.chunks_mut(16).zip(numbers.chunks(16)).zip(metres.chunks(16))
         {
@@ -153,7 +160,7 @@ impl Beams<'_> {
     }
 }
 
-/// Puts right the beams whose numbers are no distances.
+/// Corrects the beams whose numbers are not distances.
 #[inline(never)]
 fn put_codes(codes: &RangeCodes, ranges: &mut [Range], numbers: &[u32]) {
     for (range, &number) in ranges.iter_mut().zip(numbers) {

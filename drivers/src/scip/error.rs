@@ -1,69 +1,57 @@
-//! What can be wrong with a reply.
+//! Errors in the messages of a scanner.
 
 use hal::ErrorKind;
 
-/// A reply was dropped. The scan buffer then holds nothing of worth.
+/// Why a message was dropped. The contents of the scan buffer are invalid then.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScipError {
-    /// The reply does not end with an empty line, or has lines too few or too many.
-    #[error("SCIP reply is cut or runs into the next one: no {missing} where one must be")]
-    Shape {
-        /// What was expected.
-        missing: &'static str,
-    },
-    /// The reply answers another request.
-    #[error("SCIP reply echoes another request than the one that was sent")]
+    /// The message does not end with an empty line, or has too few or too many lines.
+    #[error("SCIP message is truncated or runs into the next one: missing {missing}")]
+    Shape { missing: &'static str },
+    /// The message answers another request.
+    #[error("SCIP message echoes another request than the one that was sent")]
     Echo,
-    /// A line fails its checksum.
-    #[error("SCIP line {line} fails its checksum: `{found}` came, `{computed}` fits", found = char::from(*.found), computed = char::from(*.computed))]
+    /// The checksum of a line is wrong.
+    #[error(
+        "SCIP line {line} has the wrong checksum: `{}` instead of `{}`",
+        char::from(*.found),
+        char::from(*.computed)
+    )]
     Checksum {
-        /// Counted from 0, the echo.
+        /// Number of the line; the echo is line 0.
         line: usize,
-        /// The checksum that came.
         found: u8,
-        /// The one that fits the line.
         computed: u8,
     },
-    /// A character that SCIP does not use for data.
+    /// A line contains a byte that is not a SCIP data character.
     #[error("SCIP line {line} holds the byte {byte:#04x}, allowed: 0x30 to 0x6f")]
     Character {
-        /// Counted from 0, the echo.
+        /// Number of the line; the echo is line 0.
         line: usize,
-        /// The byte.
         byte: u8,
     },
-    /// Not as many ranges as were asked for.
+    /// The message does not contain the requested number of ranges.
+    #[error("SCIP message has {found} bytes of data lines, the request requires {needed}")]
+    Length { found: usize, needed: usize },
+    /// The caller's buffer has another length than the request.
     #[error(
-        "SCIP reply holds {found} bytes of data with the ends of their lines, the request needs {needed}"
+        "the buffer for ranges or intensities has {buffer} beams, the request asks for {request}"
     )]
-    Length {
-        /// Bytes that came.
-        found: usize,
-        /// Bytes that the beams of the request need.
-        needed: usize,
-    },
-    /// The caller's buffer does not fit the request.
-    #[error(
-        "the buffer for ranges or intensities holds {buffer} beams, the request asks for {request}"
-    )]
-    Buffer {
-        /// Beams in the buffer.
-        buffer: usize,
-        /// Beams of the request.
-        request: usize,
-    },
-    /// A line `KEY:value` is not as it must be.
-    #[error("the scanner's line `{key}` is missing, fails its checksum or holds no such value")]
-    Field {
-        /// Its key.
-        key: &'static str,
-    },
+    Buffer { buffer: usize, request: usize },
+    /// A line `KEY:value` is missing or invalid.
+    #[error("the scanner's line `{key}` is missing, has a wrong checksum or no valid value")]
+    Field { key: &'static str },
     /// The sensor speaks SCIP 1.1.
     #[error("the scanner speaks SCIP 1.1; send `SCIP2.0` first")]
     OldProtocol,
     /// The sensor refused the request or reports a fault.
-    #[error("the scanner answers status `{}{}`: {}", char::from(.status[0]), char::from(.status[1]), meaning(*.status))]
+    #[error(
+        "the scanner answers status `{}{}`: {}",
+        char::from(.status[0]),
+        char::from(.status[1]),
+        meaning(*.status)
+    )]
     Status {
         /// The two characters of the status.
         status: [u8; 2],
@@ -81,20 +69,21 @@ impl hal::Error for ScipError {
     }
 }
 
-/// 50 to 97: laser, motor or electronics; 0L of the Ethernet models: abnormal state.
+/// Whether a status reports a hardware fault. 50 to 97: laser, motor or electronics. 0L of the
+/// Ethernet models: abnormal state.
 fn is_fault(status: [u8; 2]) -> bool {
     status[1].is_ascii_digit() && (*b"50"..=*b"97").contains(&status) || status == *b"0L"
 }
 
 fn meaning(status: [u8; 2]) -> &'static str {
     match &status {
-        b"01" | b"02" | b"03" | b"06" | b"07" => "a number of the request is no number",
+        b"01" | b"02" | b"03" | b"06" | b"07" => "a field of the request is not a number",
         b"04" => "the last step is outside the sensor's range",
-        b"05" => "the last step comes before the first",
+        b"05" => "the last step is before the first",
         b"10" => "the laser is off; send BM first",
         b"98" => "resumed after a fault; send the request again",
         [b'0', b'A'..=b'H'] => "the sensor does not know this command or its parameters",
-        b"0M" => "the sensor is unstable and measures again when it has settled",
+        b"0M" => "the sensor is unstable and will measure again when it has stabilized",
         b"0I" => "the sensor is in firmware update mode; restart it",
         _ if is_fault(status) => {
             "hardware fault of laser, motor or electronics; power-cycle the sensor"

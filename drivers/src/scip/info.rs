@@ -1,64 +1,56 @@
-//! What a sensor says about itself.
+//! The information that a sensor reports about itself.
 
 use super::{Answer, ScipError};
 
-/// Who it is (`VV`). A line that fails its checksum is left out: the URG-04LX computes that of its serial number wrongly
-/// (<https://github.com/ros-drivers/urg_c/pull/4>), and nothing is decided by these.
+/// The sensor's identification (`VV`). A line with a wrong checksum is omitted: the URG-04LX
+/// computes the checksum of its serial number incorrectly
+/// (<https://github.com/ros-drivers/urg_c/pull/4>), and no decision depends on these values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Version<'a> {
-    /// Maker.
     pub vendor: Option<&'a str>,
-    /// Product.
     pub product: Option<&'a str>,
-    /// Firmware's version.
     pub firmware: Option<&'a str>,
-    /// Protocol's version.
     pub protocol: Option<&'a str>,
-    /// Serial number.
     pub serial: Option<&'a str>,
 }
 
 impl<'a> Version<'a> {
-    /// Reads the answer to [`Command::Version`](super::Command::Version).
+    /// Parses the answer to [`Command::Version`](super::Command::Version).
     #[must_use]
     pub fn read(answer: &Answer<'a>) -> Self {
-        let field = |key| answer.field(key).ok();
         Self {
-            vendor: field("VEND"),
-            product: field("PROD"),
-            firmware: field("FIRM"),
-            protocol: field("PROT"),
-            serial: field("SERI"),
+            vendor: answer.field("VEND").ok(),
+            product: answer.field("PROD").ok(),
+            firmware: answer.field("FIRM").ok(),
+            protocol: answer.field("PROT").ok(),
+            serial: answer.field("SERI").ok(),
         }
     }
 }
 
-/// How it measures (`PP`).
+/// The sensor's measurement parameters (`PP`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Parameters<'a> {
-    /// Model, with the maker's name in brackets.
+    /// The model, with the manufacturer's name in brackets.
     pub model: &'a str,
-    /// Shortest distance, millimetres.
     pub dmin_mm: u32,
-    /// Longest distance, millimetres.
     pub dmax_mm: u32,
-    /// Steps in a full turn.
+    /// Number of steps of a full revolution.
     pub steps_per_turn: u32,
-    /// First step that is measured.
     pub first_step: u32,
-    /// Last step that is measured.
     pub last_step: u32,
-    /// The step that looks ahead.
+    /// The step that points straight ahead.
     pub front_step: u32,
-    /// Turns in a minute.
+    /// Revolutions per minute.
     pub rpm: u32,
 }
 
 impl<'a> Parameters<'a> {
-    /// Reads the answer to [`Command::Parameters`](super::Command::Parameters).
+    /// Parses the answer to [`Command::Parameters`](super::Command::Parameters).
     ///
     /// # Errors
-    /// When a line is missing, fails its checksum or holds no number: ranges cannot be understood without it.
+    /// When a line is missing, has a wrong checksum or is not a number. Ranges cannot be
+    /// interpreted without it.
     pub fn read(answer: &Answer<'a>) -> Result<Self, ScipError> {
         Ok(Self {
             model: answer.field("MODL")?,
@@ -73,26 +65,29 @@ impl<'a> Parameters<'a> {
     }
 }
 
-/// How it is (`II`).
+/// The sensor's state (`II`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct State<'a> {
     /// `ON` or `OFF`.
     pub laser: Option<&'a str>,
-    /// Whether and how it measures.
+    /// Whether and how the sensor measures.
     pub measurement: Option<&'a str>,
-    /// In its own words, for people: "Sensor works well.", "Stable 000 no error.", a fault.
+    /// The sensor's own text, such as "Sensor works well.", "Stable 000 no error." or a fault.
     pub status: Option<&'a str>,
 }
 
 impl<'a> State<'a> {
-    /// Reads the answer to [`Command::State`](super::Command::State).
+    /// Parses the answer to [`Command::State`](super::Command::State).
     #[must_use]
     pub fn read(answer: &Answer<'a>) -> Self {
-        let field = |key| answer.field(key).ok();
-        Self { laser: field("LASR"), measurement: field("MESM"), status: field("STAT") }
+        Self {
+            laser: answer.field("LASR").ok(),
+            measurement: answer.field("MESM").ok(),
+            status: answer.field("STAT").ok(),
+        }
     }
 
-    /// Whether it says that its laser is off.
+    /// Whether the sensor reports that its laser is off.
     #[must_use]
     pub fn laser_is_off(&self) -> bool {
         self.laser.is_some_and(|laser| laser.starts_with("OFF"))
@@ -126,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_checksum_of_the_serial_number_costs_only_the_serial_number() {
+    fn a_wrong_checksum_of_the_serial_number_omits_only_the_serial_number() {
         let answer = Answer::read(b"VV\n00P\nPROD:X;7\nSERI:H0;?\n\n", Command::Version).unwrap();
         let version = Version::read(&answer);
         assert_eq!((version.product, version.serial), (Some("X"), None));

@@ -1,19 +1,20 @@
-//! Lines, characters and checksums.
+//! Checksums and characters of the lines of a message.
 
 use super::ScipError;
 
-/// The character that ends a line of these bytes: the low six bits of their sum, moved up to `0`.
+/// The checksum character of a line: the low six bits of the sum of its bytes, plus `0`.
 pub(super) fn checksum(bytes: &[u8]) -> u8 {
     (bytes.iter().fold(0_u8, |sum, byte| sum.wrapping_add(*byte)) & 0x3f) + 0x30
 }
 
-/// Whether a character stands for six bits.
+/// Whether a byte is a data character, which encodes six bits.
 #[inline(always)]
 pub(super) fn is_data(byte: u8) -> bool {
     byte.wrapping_sub(0x30) < 0x40
 }
 
-/// A line without its checksum, when all of it is sound. `number` is for the error.
+/// Returns a line without its checksum if its characters and its checksum are valid. `number` is
+/// the line number for the error.
 pub(super) fn checked(line: &[u8], number: usize) -> Result<&[u8], ScipError> {
     if let Some(&byte) = line.iter().find(|byte| !is_data(**byte)) {
         return Err(ScipError::Character { line: number, byte });
@@ -27,13 +28,14 @@ pub(super) fn checked(line: &[u8], number: usize) -> Result<&[u8], ScipError> {
     }
 }
 
-/// The number of characters from which `0` was taken, six bits each, most significant first. Up to five characters fit.
+/// Decodes a number from characters minus `0`, six bits each, most significant first. Up to five
+/// characters fit.
 #[inline(always)]
 pub(super) fn value(characters: &[u8]) -> u32 {
     characters.iter().fold(0, |value, character| value << 6 | u32::from(*character))
 }
 
-/// The number that checked characters stand for.
+/// Decodes a number from characters that were already checked.
 pub(super) fn decode(characters: &[u8]) -> u32 {
     characters.iter().fold(0, |value, byte| value << 6 | u32::from(byte.wrapping_sub(0x30) & 0x3f))
 }
@@ -52,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn any_change_of_any_byte_of_a_line_is_noticed() {
+    fn a_change_of_any_byte_of_a_line_is_detected() {
         let mut line = b"0oPCB1Dhm2@0".to_vec();
         line.push(checksum(&line));
         assert!(checked(&line, 0).is_ok());

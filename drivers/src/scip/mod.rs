@@ -1,20 +1,23 @@
-//! SCIP 2.x, the protocol of Hokuyo's planar scanners (Hokuyo, "Communication Protocol Specification for SCIP 2.0 Standard",
-//! C-42-03320B). The bytes of one reply go in, the ranges of one scan come out; nothing is read, written or allocated here.
+//! SCIP 2.x, the protocol of Hokuyo's planar scanners (Hokuyo, "Communication Protocol
+//! Specification for SCIP 2.0 Standard", C-42-03320B). This module converts the bytes of a reply to
+//! the ranges of a scan. It does no I/O and allocates nothing.
 //!
-//! A reply is lines that end in LF, and ends with an empty line:
+//! A reply consists of lines that end with LF. Its last line is empty:
 //!
 //! ```text
-//! MD0000108001000      what was asked for
+//! MD0000108001000      the request
 //! 99b                  status and its checksum
-//! m2@0...              time stamp and its checksum
-//! 1Dh...               up to 64 characters of data and their checksum, as often as needed
+//! m2@0...              timestamp and its checksum
+//! 1Dh...               up to 64 characters of data and their checksum; as many lines as needed
 //!
 //! ```
 //!
-//! Every checksum is checked, that of the time stamp too, and so is every character: data characters lie in `0` to `o`, and
-//! within these a single changed character always changes the checksum. The echo has none, so it is compared with the request.
+//! Every checksum is checked, including that of the timestamp, and so is every character. Data
+//! characters are in the range `0` to `o`, and within it a single changed character always changes
+//! the checksum. The echo has no checksum, so it is compared with the request.
 //!
-//! A checksum has six bits: of two changes in one line, one in 64 goes unnoticed. That is the protocol's limit.
+//! A checksum has six bits, so one in 64 double errors in a line is not detected. This is a limit
+//! of the protocol.
 
 mod clock;
 mod codes;
@@ -34,6 +37,6 @@ pub use command::{Answer, Command};
 pub use error::ScipError;
 pub use framer::{Framer, message_length};
 pub use info::{Parameters, State, Version};
-pub use model::{Model, Sheet, UnknownModel};
+pub use model::{Model, ModelSpec, UnknownModel};
 pub use reply::Reply;
 pub use request::{Encoding, Mode, Request};

@@ -1,4 +1,4 @@
-//! What differs between the sensors.
+//! The supported sensor models and their differences.
 
 use core::f64::consts::TAU;
 use core::fmt;
@@ -7,52 +7,53 @@ use hal::ScanGeometry;
 
 use super::{Encoding, Mode, Parameters, RangeCodes, Request};
 
-/// A family of sensors that this driver knows.
+/// A family of sensors that this driver supports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
     /// URG-04LX: 10 Hz, 240 degrees, USB or RS-232; starts in SCIP 1.1.
     #[serde(rename = "urg-04lx")]
     Urg04lx,
-    /// UTM-30LX: 40 Hz, 270 degrees, USB. Its Ethernet model UTM-30LX-EW says the same of itself.
+    /// UTM-30LX: 40 Hz, 270 degrees, USB. The Ethernet model UTM-30LX-EW reports the same name.
     #[default]
     #[serde(rename = "utm-30lx")]
     Utm30lx,
     /// UST-10LX: 40 Hz, 270 degrees, Ethernet.
     #[serde(rename = "ust-10lx")]
     Ust10lx,
-    /// UST-20LX: as the UST-10LX, twice as far.
+    /// UST-20LX: as the UST-10LX with twice the range.
     #[serde(rename = "ust-20lx")]
     Ust20lx,
 }
 
-/// One row of the table of quirks.
+/// The properties of one family of sensors, from its data sheet.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sheet {
-    /// How the sensor's own name of itself begins (`MODL`).
+pub struct ModelSpec {
+    /// The start of the name that the sensor reports (`MODL`).
     pub name: &'static str,
-    /// What its numbers mean.
+    /// The meaning of the measured numbers.
     pub codes: RangeCodes,
-    /// Steps in a full turn (`ARES`).
+    /// Number of steps of a full revolution (`ARES`).
     pub steps_per_turn: u16,
     /// First step that is measured (`AMIN`).
     pub first_step: u16,
     /// Last step that is measured (`AMAX`).
     pub last_step: u16,
-    /// The step that looks ahead (`AFRT`).
+    /// The step that points straight ahead (`AFRT`).
     pub front_step: u16,
-    /// Turns in a minute (`SCAN`).
+    /// Revolutions per minute (`SCAN`).
     pub rpm: u16,
-    /// Shortest and longest distance that the data sheet promises, metres.
+    /// Shortest and longest distance according to the data sheet.
     pub range_m: (f32, f32),
-    /// Whether it starts in SCIP 1.1 and has to be told `SCIP2.0`, which it understands in SCIP 2 too. The others are not
-    /// told: a sensor may hang on a command that it does not know until it is switched off
-    /// (<https://github.com/ros-drivers/urg_c/pull/4>, of the URG-04LX and requests for intensities).
+    /// Whether the sensor starts in SCIP 1.1 and needs the command `SCIP2.0`, which it also accepts
+    /// in SCIP 2. The command is not sent to other sensors: an unknown command may hang a sensor
+    /// until it is switched off (<https://github.com/ros-drivers/urg_c/pull/4>, about the URG-04LX
+    /// and requests for intensities).
     pub starts_in_scip_1: bool,
 }
 
 /// C-42-03320B, section 5 and the example of `PP`; data sheet URG-04LX: 20 to 5,600 mm, 100 ms.
-const URG_04LX: Sheet = Sheet {
+const URG_04LX: ModelSpec = ModelSpec {
     name: "URG-04LX",
     codes: RangeCodes::URG_04LX,
     steps_per_turn: 1024,
@@ -65,7 +66,7 @@ const URG_04LX: Sheet = Sheet {
 };
 
 /// Data sheet UTM-30LX: 0.1 to 30 m, 270 degrees in steps of 0.25, 25 ms.
-const UTM_30LX: Sheet = Sheet {
+const UTM_30LX: ModelSpec = ModelSpec {
     name: "UTM-30LX",
     codes: RangeCodes::UTM_30LX,
     steps_per_turn: 1440,
@@ -77,21 +78,19 @@ const UTM_30LX: Sheet = Sheet {
     starts_in_scip_1: false,
 };
 
-/// Data sheet UST-10LX: 0.06 to 10 m, else as the UTM-30LX.
-const UST_10LX: Sheet =
-    Sheet { name: "UST-10LX", codes: RangeCodes::UST_10LX, range_m: (0.06, 10.0), ..UTM_30LX };
+/// Data sheet UST-10LX: 0.06 to 10 m, otherwise as the UTM-30LX.
+const UST_10LX: ModelSpec =
+    ModelSpec { name: "UST-10LX", codes: RangeCodes::UST_10LX, range_m: (0.06, 10.0), ..UTM_30LX };
 
-/// Data sheet UST-20LX: 0.06 to 20 m, else as the UST-10LX.
-const UST_20LX: Sheet =
-    Sheet { name: "UST-20LX", codes: RangeCodes::UST_20LX, range_m: (0.06, 20.0), ..UTM_30LX };
+/// Data sheet UST-20LX: 0.06 to 20 m, otherwise as the UST-10LX.
+const UST_20LX: ModelSpec =
+    ModelSpec { name: "UST-20LX", codes: RangeCodes::UST_20LX, range_m: (0.06, 20.0), ..UTM_30LX };
 
 impl Model {
-    /// All of them.
     pub const ALL: [Self; 4] = [Self::Urg04lx, Self::Utm30lx, Self::Ust10lx, Self::Ust20lx];
 
-    /// Its row of the table.
     #[must_use]
-    pub fn sheet(self) -> &'static Sheet {
+    pub fn spec(self) -> &'static ModelSpec {
         match self {
             Self::Urg04lx => &URG_04LX,
             Self::Utm30lx => &UTM_30LX,
@@ -100,31 +99,32 @@ impl Model {
         }
     }
 
-    /// Beams and limits. Mounted upside down, the first beam is the sensor's last one.
+    /// The geometry of the scans. For a sensor that is mounted upside down, the first beam is the
+    /// sensor's last step.
     #[must_use]
     pub fn geometry(self, upside_down: bool) -> ScanGeometry {
-        let sheet = self.sheet();
-        let increment = TAU / f64::from(sheet.steps_per_turn);
-        let steps = |from: u16, to: u16| f64::from(from) - f64::from(to);
+        let spec = self.spec();
+        let increment = TAU / f64::from(spec.steps_per_turn);
+        let front_step = f64::from(spec.front_step);
         let first = if upside_down {
-            steps(sheet.front_step, sheet.last_step)
+            front_step - f64::from(spec.last_step)
         } else {
-            steps(sheet.first_step, sheet.front_step)
+            f64::from(spec.first_step) - front_step
         };
         ScanGeometry {
             angle_min_rad: first * increment,
             angle_increment_rad: increment,
             beams: self.request(0).beams(),
-            range_min_m: sheet.range_m.0,
-            range_max_m: sheet.range_m.1,
-            period_ns: 60_000_000_000 / u64::from(sheet.rpm),
+            range_min_m: spec.range_m.0,
+            range_max_m: spec.range_m.1,
+            period_ns: 60_000_000_000 / u64::from(spec.rpm),
         }
     }
 
-    /// The request for all of its beams, again and again, leaving out `skip` scans between two.
+    /// The request for continuous scans of all beams, with `skip` scans omitted between two.
     #[must_use]
     pub fn request(self, skip: u8) -> Request {
-        let Sheet { first_step, last_step, .. } = *self.sheet();
+        let ModelSpec { first_step, last_step, .. } = *self.spec();
         Request {
             encoding: Encoding::Three,
             mode: Mode::Continuous { skip, scans: 0 },
@@ -135,10 +135,11 @@ impl Model {
     }
 }
 
-impl Sheet {
-    /// Whether a sensor that says this about itself is of this family. Turns in a minute may be set and are not compared.
+impl ModelSpec {
+    /// Whether a sensor with these parameters is of this family. The rotation rate can be
+    /// configured and is not compared.
     #[must_use]
-    pub fn fits(&self, parameters: &Parameters<'_>) -> bool {
+    pub fn matches(&self, parameters: &Parameters<'_>) -> bool {
         parameters.model.starts_with(self.name)
             && parameters.steps_per_turn == u32::from(self.steps_per_turn)
             && parameters.first_step == u32::from(self.first_step)
@@ -149,21 +150,23 @@ impl Sheet {
 
 impl fmt::Display for Model {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.sheet().name)
+        f.write_str(self.spec().name)
     }
 }
 
-/// There is no such model.
+/// The text does not name a supported model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("no such LiDAR model; there are urg-04lx, utm-30lx, ust-10lx and ust-20lx")]
+#[error("unknown LiDAR model; supported are urg-04lx, utm-30lx, ust-10lx and ust-20lx")]
 pub struct UnknownModel;
 
 impl core::str::FromStr for Model {
     type Err = UnknownModel;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let named = |model: &Self| model.sheet().name.eq_ignore_ascii_case(text);
-        Self::ALL.into_iter().find(named).ok_or(UnknownModel)
+        Self::ALL
+            .into_iter()
+            .find(|model| model.spec().name.eq_ignore_ascii_case(text))
+            .ok_or(UnknownModel)
     }
 }
 
@@ -172,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_geometry_of_the_utm_30lx_is_that_of_the_data_sheet() {
+    fn the_geometry_of_the_utm_30lx_is_that_of_its_data_sheet() {
         for upside_down in [false, true] {
             let geometry = Model::Utm30lx.geometry(upside_down);
             let sheet = ScanGeometry::UTM_30LX;
@@ -187,25 +190,27 @@ mod tests {
     }
 
     #[test]
-    fn the_same_beam_looks_the_other_way_upside_down() {
+    fn mounting_upside_down_mirrors_the_beams() {
         for model in Model::ALL {
-            let (upright, mirrored) = (model.geometry(false), model.geometry(true));
+            let upright = model.geometry(false);
+            let mirrored = model.geometry(true);
             for beam in 0..upright.beams {
-                let seen = mirrored.angle_rad(upright.beams - 1 - beam);
-                assert!((upright.angle_rad(beam) + seen).abs() < 1e-9, "{model}, beam {beam}");
+                let angle_rad = mirrored.angle_rad(upright.beams - 1 - beam);
+                assert!((upright.angle_rad(beam) + angle_rad).abs() < 1e-9, "{model}, beam {beam}");
             }
         }
     }
 
     #[test]
-    fn the_urg_04lx_looks_240_degrees_around_ten_times_a_second() {
+    fn the_urg_04lx_covers_239_degrees_ten_times_per_second() {
         let geometry = Model::Urg04lx.geometry(false);
         assert_eq!((geometry.beams, geometry.period_ns), (682, 100_000_000));
-        assert!((geometry.angle_increment_rad * 681.0).to_degrees() - 239.4 < 0.1);
+        // 681 steps of 360 / 1024 degrees.
+        assert!(((geometry.angle_increment_rad * 681.0).to_degrees() - 239.4).abs() < 0.1);
     }
 
     #[test]
-    fn names_are_read_in_either_case() {
+    fn model_names_are_parsed_in_either_case() {
         assert_eq!("ust-20LX".parse(), Ok(Model::Ust20lx));
         assert!("rplidar".parse::<Model>().unwrap_err().to_string().contains("utm-30lx"));
     }

@@ -1,4 +1,4 @@
-//! Replies to requests for ranges.
+//! Parsing of the replies to requests for ranges.
 
 use hal::Range;
 
@@ -6,24 +6,25 @@ use super::data::{self, Beams};
 use super::line::{checked, decode};
 use super::{Encoding, Mode, RangeCodes, Request, ScipError};
 
-/// What a sound reply says.
+/// The content of a valid reply.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reply {
-    /// The request was accepted; scans will follow.
+    /// The request was accepted; scans follow.
     Accepted,
-    /// The ranges of one scan were written.
+    /// The reply contained a scan, whose ranges were written into the buffer.
     Scan {
-        /// The sensor's clock at step 0 of the scan; 24 bits, so it starts again every 4.66 hours.
+        /// Time of the sensor's clock at step 0 of the scan. It has 24 bits and wraps every 4.66
+        /// hours.
         timestamp_ms: u32,
     },
 }
 
 impl Reply {
-    /// Reads one whole message into `ranges`, one for each beam of `request`, in the order of the sensor's steps
-    /// (counter-clockwise from above).
+    /// Parses one complete message and writes one range for each beam of `request` into `ranges`,
+    /// in the order of the sensor's steps (counter-clockwise from above).
     ///
     /// # Errors
-    /// When anything about the reply is not as the protocol has it; `ranges` is then worthless.
+    /// When the reply violates the protocol in any way. The contents of `ranges` are invalid then.
     pub fn read(
         message: &[u8],
         request: &Request,
@@ -33,7 +34,8 @@ impl Reply {
         Self::read_with_intensities(message, request, codes, ranges, &mut [])
     }
 
-    /// As [`read`](Self::read), and the strengths of the echoes: one a beam for [`Encoding::ThreeWithIntensity`], else none.
+    /// As [`read`](Self::read), and also writes the intensities of the echoes: one per beam for
+    /// [`Encoding::ThreeWithIntensity`], otherwise `intensities` must be empty.
     ///
     /// # Errors
     /// As [`read`](Self::read).
@@ -45,8 +47,9 @@ impl Reply {
         intensities: &mut [u32],
     ) -> Result<Self, ScipError> {
         let beams = request.beams();
-        let strengths = if request.encoding == Encoding::ThreeWithIntensity { beams } else { 0 };
-        for (buffer, request) in [(ranges.len(), beams), (intensities.len(), strengths)] {
+        let intensity_count =
+            if request.encoding == Encoding::ThreeWithIntensity { beams } else { 0 };
+        for (buffer, request) in [(ranges.len(), beams), (intensities.len(), intensity_count)] {
             if buffer != request {
                 return Err(ScipError::Buffer { buffer, request });
             }
@@ -68,12 +71,12 @@ impl Reply {
             &[a, b] => return Err(ScipError::Status { status: [a, b] }),
             _ => return Err(ScipError::Shape { missing: "status of two characters" }),
         }
-        let (timestamp, body) = split_line(body.ok_or(ScipError::Shape { missing: "time stamp" })?);
+        let (timestamp, body) = split_line(body.ok_or(ScipError::Shape { missing: "timestamp" })?);
         let timestamp = checked(timestamp, 2)?;
         if timestamp.len() != 4 {
-            return Err(ScipError::Shape { missing: "time stamp of four characters" });
+            return Err(ScipError::Shape { missing: "timestamp of four characters" });
         }
-        // The LF before the empty line is the last data line's own.
+        // The LF before the empty line belongs to the last data line.
         let start = message.len() - 1 - body.map_or(0, |body| body.len() + 1);
         let lines = message.get(start..message.len() - 1).unwrap_or_default();
         let mut beams = Beams { codes, ranges, intensities };
@@ -85,7 +88,7 @@ impl Reply {
     }
 }
 
-/// The first line, and what follows its LF if it has one.
+/// The first line, and the bytes after its LF if there is one.
 pub(super) fn split_line(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
     match bytes.iter().position(|byte| *byte == b'\n') {
         Some(at) => (&bytes[..at], bytes.get(at + 1..)),
@@ -119,7 +122,7 @@ mod tests {
         (0..count).rev().map(move |place| (value >> (6 * place) & 0x3f) as u8 + 0x30)
     }
 
-    /// What a sensor sends.
+    /// Encodes a reply as a sensor does.
     fn message(request: &Request, status: &[u8], timestamp_ms: u32, values: &[u32]) -> Vec<u8> {
         let (echo, length) = request.encode();
         let mut message = echo[..length].to_vec();
@@ -132,26 +135,26 @@ mod tests {
         message
     }
 
-    fn strengths(request: &Request) -> usize {
+    fn intensity_count(request: &Request) -> usize {
         if request.encoding == Encoding::ThreeWithIntensity { request.beams() } else { 0 }
     }
 
     fn read(message: &[u8], request: &Request) -> Result<(Reply, Vec<Range>, Vec<u32>), ScipError> {
-        let (mut ranges, mut intensities) =
-            (vec![Range::NoReturn; request.beams()], vec![0; strengths(request)]);
+        let mut ranges = vec![Range::NoReturn; request.beams()];
+        let mut intensities = vec![0; intensity_count(request)];
         let reply =
             Reply::read_with_intensities(message, request, &CODES, &mut ranges, &mut intensities)?;
         Ok((reply, ranges, intensities))
     }
 
     #[test]
-    fn a_continuous_request_is_accepted_first() {
+    fn the_first_reply_to_a_continuous_request_accepts_it() {
         let request = request(Encoding::Three, CONTINUOUS, 3);
         assert_eq!(read(b"MD0000000201000\n00P\n\n", &request).unwrap().0, Reply::Accepted);
     }
 
     #[test]
-    fn the_count_of_scans_that_are_left_may_differ_from_the_request() {
+    fn the_number_of_remaining_scans_may_differ_from_the_request() {
         let request = request(Encoding::Three, Mode::Continuous { skip: 0, scans: 10 }, 2);
         let mut message = message(&request, b"99", 5, &[100, 200]);
         message[14] = b'7';
@@ -161,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn refusals_and_faults_name_the_status_and_the_way_out() {
+    fn refusals_and_faults_have_the_right_kind_and_name_the_remedy() {
         let request = request(Encoding::Three, Mode::Once, 2);
         for (reply, word, kind) in [
             (&b"GD0000000101\n10Q\n\n"[..], "send BM", ErrorKind::Rejected),
@@ -174,15 +177,15 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_of_other_beams_than_asked_for_is_refused() {
-        let asked = request(Encoding::Three, Mode::Once, 40);
+    fn a_scan_with_another_number_of_beams_than_requested_is_refused() {
+        let requested = request(Encoding::Three, Mode::Once, 40);
         for beams in [0, 1, 39, 41, 200] {
-            let message = message(&asked, b"00", 0, &vec![1000; beams]);
-            assert!(matches!(read(&message, &asked), Err(ScipError::Length { .. })), "{beams}");
+            let message = message(&requested, b"00", 0, &vec![1000; beams]);
+            assert!(matches!(read(&message, &requested), Err(ScipError::Length { .. })), "{beams}");
         }
         let error = Reply::read(
-            &message(&asked, b"00", 0, &[1000; 40]),
-            &asked,
+            &message(&requested, b"00", 0, &[1000; 40]),
+            &requested,
             &CODES,
             &mut [Range::Error; 39],
         );
@@ -200,12 +203,13 @@ mod tests {
             .prop_map(|(encoding, mode, beams)| request(encoding, mode, beams))
     }
 
-    /// A request and a sound message for it, with its time stamp and values.
+    /// A request and a valid reply to it, with its timestamp and values.
     fn exchange() -> impl Strategy<Value = (Request, Vec<u8>, u32, Vec<u32>)> {
         any_request().prop_flat_map(|request| {
             let limit: u32 = if request.encoding == Encoding::Two { 1 << 12 } else { 1 << 18 };
             let value = prop_oneof![0..30_u32, 0..limit, 0..limit.min(70_000)];
-            let values = proptest::collection::vec(value, request.beams() + strengths(&request));
+            let values =
+                proptest::collection::vec(value, request.beams() + intensity_count(&request));
             let status: &[u8] = if request.mode == Mode::Once { b"00" } else { b"99" };
             (Just(request), 0..1_u32 << 24, values).prop_map(move |(request, time, values)| {
                 (request, message(&request, status, time, &values), time, values)
@@ -215,19 +219,25 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_a_sensor_encodes_is_read_back((request, message, timestamp_ms, values) in exchange()) {
+        fn a_reply_is_decoded_as_it_was_encoded(
+            (request, message, timestamp_ms, values) in exchange(),
+        ) {
             let (reply, ranges, intensities) = read(&message, &request).unwrap();
             prop_assert_eq!(reply, Reply::Scan { timestamp_ms });
             let step = if request.encoding == Encoding::ThreeWithIntensity { 2 } else { 1 };
-            let expected: Vec<_> = values.iter().step_by(step).map(|value| CODES.range(*value)).collect();
+            let expected: Vec<_> =
+                values.iter().step_by(step).map(|value| CODES.range(*value)).collect();
             prop_assert_eq!(ranges, expected);
-            let strengths: Vec<_> = values.iter().skip(1).step_by(2).copied().take(intensities.len()).collect();
-            prop_assert_eq!(intensities, strengths);
+            let expected: Vec<_> =
+                values.iter().skip(1).step_by(2).copied().take(intensities.len()).collect();
+            prop_assert_eq!(intensities, expected);
         }
 
         #[test]
-        fn any_changed_byte_is_noticed_or_changes_nothing(
-            (request, message, ..) in exchange(), place in any::<prop::sample::Index>(), byte in any::<u8>(),
+        fn a_changed_byte_is_refused_or_does_not_change_the_scan(
+            (request, message, ..) in exchange(),
+            place in any::<prop::sample::Index>(),
+            byte in any::<u8>(),
         ) {
             let sound = read(&message, &request).unwrap();
             let mut changed = message.clone();
@@ -238,12 +248,18 @@ mod tests {
         }
 
         #[test]
-        fn a_cut_message_is_refused((request, message, ..) in exchange(), at in any::<prop::sample::Index>()) {
+        fn a_truncated_message_is_refused(
+            (request, message, ..) in exchange(),
+            at in any::<prop::sample::Index>(),
+        ) {
             prop_assert!(read(&message[..at.index(message.len())], &request).is_err());
         }
 
         #[test]
-        fn any_bytes_are_refused_without_a_panic(request in any_request(), bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+        fn random_bytes_are_refused(
+            request in any_request(),
+            bytes in proptest::collection::vec(any::<u8>(), 0..200),
+        ) {
             prop_assert!(read(&bytes, &request).is_err());
         }
     }

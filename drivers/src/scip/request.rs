@@ -1,19 +1,19 @@
-//! Requests for ranges.
+//! Encoding of requests for ranges.
 
-/// How many characters make a range.
+/// The number of characters per range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {
-    /// Two: up to 4095 mm (`MS`, `GS`).
+    /// Two characters: ranges up to 4095 mm (`MS`, `GS`).
     Two,
-    /// Three: up to 262,143 mm (`MD`, `GD`).
+    /// Three characters: ranges up to 262,143 mm (`MD`, `GD`).
     Three,
-    /// Three, and three more for the strength of the echo, without unit (`ME`, `GE`). The URG-04LX has none and may
-    /// hang on the request.
+    /// Three characters, and three more for the intensity of the echo, which has no unit (`ME`,
+    /// `GE`). The URG-04LX does not support it and may hang on the request.
     ThreeWithIntensity,
 }
 
 impl Encoding {
-    /// Characters that a beam takes.
+    /// The number of characters per beam.
     #[must_use]
     pub fn characters(self) -> usize {
         match self {
@@ -32,16 +32,17 @@ impl Encoding {
     }
 }
 
-/// Whether the sensor sends one scan or goes on.
+/// Whether the sensor sends one scan or a sequence of scans.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mode {
-    /// The latest scan, once (`GD`, `GS`, `GE`).
+    /// The latest scan (`GD`, `GS`, `GE`).
     Once,
-    /// A new scan as often as asked for (`MD`, `MS`, `ME`).
+    /// New scans (`MD`, `MS`, `ME`).
     Continuous {
-        /// Scans left out between two that are sent, 0 to 9.
+        /// Number of scans omitted between two that are sent, 0 to 9.
         skip: u8,
-        /// Scans to send, 1 to 99; 0 for no end. The sensor counts it down in its echo.
+        /// Number of scans to send, 1 to 99, or 0 for no end. The sensor counts it down in its
+        /// echo.
         scans: u8,
     },
 }
@@ -49,23 +50,21 @@ pub enum Mode {
 /// A request for ranges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Request {
-    /// Characters for each range.
     pub encoding: Encoding,
-    /// Once or continuously.
     pub mode: Mode,
     /// First step, 0 to 9999.
     pub first_step: u16,
-    /// Last step, not before the first, up to 9999.
+    /// Last step, from `first_step` to 9999.
     pub last_step: u16,
-    /// Neighbouring steps that are reduced to their nearest range, 1 to 99.
+    /// Number of neighbouring steps that are merged to their nearest range, 1 to 99.
     pub cluster: u8,
 }
 
-/// The digits of a request that count down in the echoes of a continuous one.
+/// Number of the last digits of a continuous request that count down in its echoes.
 const COUNT_DIGITS: usize = 2;
 
 impl Request {
-    /// How many ranges the reply holds.
+    /// The number of ranges in the reply.
     #[must_use]
     pub fn beams(&self) -> usize {
         usize::from(self.last_step.saturating_sub(self.first_step))
@@ -73,37 +72,38 @@ impl Request {
             + 1
     }
 
-    /// The bytes to send, and how many of the array they fill.
+    /// The bytes to send, and their number.
     #[must_use]
     pub fn encode(&self) -> ([u8; 16], usize) {
         let mut bytes = [b'\n'; 16];
         bytes[0] = if self.mode == Mode::Once { b'G' } else { b'M' };
         bytes[1] = self.encoding.letter();
-        digits(&mut bytes[2..6], self.first_step);
-        digits(&mut bytes[6..10], self.last_step);
-        digits(&mut bytes[10..12], u16::from(self.cluster));
+        write_digits(&mut bytes[2..6], self.first_step);
+        write_digits(&mut bytes[6..10], self.last_step);
+        write_digits(&mut bytes[10..12], u16::from(self.cluster));
         let Mode::Continuous { skip, scans } = self.mode else { return (bytes, 13) };
-        digits(&mut bytes[12..13], u16::from(skip));
-        digits(&mut bytes[13..15], u16::from(scans));
+        write_digits(&mut bytes[12..13], u16::from(skip));
+        write_digits(&mut bytes[13..15], u16::from(scans));
         (bytes, 16)
     }
 
-    /// The part of the request that its echo repeats letter by letter, and how many digits follow.
+    /// The bytes of the request, the length of the part that the echo repeats exactly, and the
+    /// number of digits after it.
     fn echo(&self) -> ([u8; 16], usize, usize) {
         let (bytes, length) = self.encode();
         let counted = if self.mode == Mode::Once { 0 } else { COUNT_DIGITS };
         (bytes, length - 1 - counted, counted)
     }
 
-    /// The echo is the request, but for the scans that are left.
+    /// Whether a line is the echo of this request. Only the number of remaining scans may differ.
     pub(super) fn is_echoed_by(&self, line: &[u8]) -> bool {
         let (bytes, same, counted) = self.echo();
         let Some((start, count)) = line.split_at_checked(same) else { return false };
         start == &bytes[..same] && count.len() == counted && count.iter().all(u8::is_ascii_digit)
     }
 
-    /// What is left of a message that noise or a cut reply stands before: everything from the last echo of this request on.
-    /// It must still be read, which checks it like any other.
+    /// Skips noise or a truncated reply at the start of a message: returns the part from the last
+    /// echo of this request. The caller must still parse that part, which checks it.
     #[must_use]
     pub fn last_echo<'a>(&self, message: &'a [u8]) -> Option<&'a [u8]> {
         let (bytes, same, _) = self.echo();
@@ -112,8 +112,8 @@ impl Request {
     }
 }
 
-/// Decimal digits, the last ones where there are too many.
-fn digits(place: &mut [u8], mut value: u16) {
+/// Writes decimal digits. Leading digits that do not fit are dropped.
+fn write_digits(place: &mut [u8], mut value: u16) {
     for digit in place.iter_mut().rev() {
         *digit = b'0' + (value % 10) as u8;
         value /= 10;
@@ -132,12 +132,13 @@ mod tests {
         cluster: 1,
     };
 
+    fn text(request: Request) -> String {
+        let (bytes, length) = request.encode();
+        String::from_utf8(bytes[..length].to_vec()).unwrap()
+    }
+
     #[test]
-    fn requests_are_the_commands_of_the_specification() {
-        let text = |request: Request| {
-            let (bytes, length) = request.encode();
-            String::from_utf8(bytes[..length].to_vec()).unwrap()
-        };
+    fn requests_have_the_bytes_of_the_specification() {
         assert_eq!(text(WHOLE), "MD0000108001215\n");
         assert_eq!(
             text(Request { mode: Mode::Once, encoding: Encoding::Two, cluster: 12, ..WHOLE }),

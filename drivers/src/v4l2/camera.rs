@@ -1,4 +1,4 @@
-//! The camera as the rest of the robot sees it.
+//! The V4L2 camera behind [`hal::Camera`], and its worker thread.
 
 use std::os::fd::OwnedFd;
 use std::path::Path;
@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use hal::{Camera, CameraModel, ErrorType, Frame};
 use rustix::io::Errno;
 
-use super::capture::{Capture, Job, Opener, Picture};
+use super::capture::{BorrowedFrame, Capture, Job, Opener};
 use super::config::CameraDeviceConfig;
 use super::error::V4l2Error;
 use super::node::{Control, FourCc, Layout, VideoNode, controls, formats};
@@ -19,8 +19,8 @@ use monotonic_clock::monotonic_ns;
 
 /// A V4L2 camera.
 ///
-/// Looking for a picture happens in the caller's thread and never waits; opening, restarting and closing the camera takes
-/// as long as it takes, in a thread of the driver's own.
+/// Polling for a frame runs in the caller's thread and never blocks. Opening, restarting and
+/// closing the camera may block, and run in a thread of the driver.
 pub struct V4l2Camera {
     capture: Capture,
     model: CameraModel,
@@ -29,16 +29,16 @@ pub struct V4l2Camera {
 }
 
 impl V4l2Camera {
-    /// A camera that is opened by itself, now or when it is plugged in.
+    /// Starts the driver. It opens the camera automatically, now or when it is plugged in.
     ///
     /// # Errors
-    /// When the configuration cannot be, or the lens model is for another size.
+    /// When the configuration is invalid, or the lens model is for another image size.
     pub fn new(config: &CameraDeviceConfig, model: CameraModel) -> Result<Self, V4l2Error> {
         let device = config.clone();
         Self::with_opener(config, model, Box::new(move || open(&device)))
     }
 
-    /// As [`new`](Self::new) for a camera that is opened in another way.
+    /// As [`new`](Self::new), with another way to open the camera, for tests and simulated cameras.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -48,16 +48,16 @@ impl V4l2Camera {
         open: Opener,
     ) -> Result<Self, V4l2Error> {
         if (model.width, model.height) != (config.width as usize, config.height as usize) {
-            let pictures = (config.width, config.height);
-            return Err(V4l2Error::Model { pictures, model: (model.width, model.height) });
+            let frames = (config.width, config.height);
+            return Err(V4l2Error::Model { frames, model: (model.width, model.height) });
         }
         let capture = Capture::new(config)?;
-        let (jobs, to_do) = sync_channel(1);
+        let (jobs, queue) = sync_channel(1);
         let (finished, results) = sync_channel(1);
         let config = config.clone();
         std::thread::Builder::new()
             .name("camera".to_owned())
-            .spawn(move || work(open, &config, &to_do, &finished))
+            .spawn(move || run_jobs(open, &config, &queue, &finished))
             .map_err(|error| V4l2Error::System {
                 device: "camera".into(),
                 step: "starting its thread",
@@ -66,48 +66,54 @@ impl V4l2Camera {
         Ok(Self { capture, model, jobs, results })
     }
 
-    /// Lends the newest picture that nobody has seen, in the camera's own memory; `None` when there is none.
+    /// Calls `inspect` with the newest frame, in the camera's own memory. Returns `None` when there
+    /// is no frame that was not inspected before.
     ///
     /// # Errors
     /// As [`Camera::poll_frame`].
     pub fn with_newest<R>(
         &mut self,
-        look: impl FnOnce(&Picture<'_>) -> R,
+        inspect: impl FnOnce(&BorrowedFrame<'_>) -> R,
     ) -> Result<Option<R>, V4l2Error> {
         let now_ns = monotonic_ns();
         if let Ok(result) = self.results.try_recv() {
-            self.capture.done(result, now_ns);
+            self.capture.finish_job(result, now_ns);
         }
-        let seen = self.capture.with_newest(now_ns, look);
-        if let Some(job) = self.capture.job(now_ns) {
-            // There is room: a job is handed out only when the one before has come back.
+        let inspected = self.capture.with_newest(now_ns, inspect);
+        if let Some(job) = self.capture.take_job(now_ns) {
+            // The channel has capacity, because a job is taken only after the previous one has
+            // finished.
             _ = self.jobs.try_send(job);
         }
-        seen
+        inspected
     }
 
-    /// State and counts; see [`Capture::status`].
+    /// The camera's state and counts; see [`Capture::status`].
     #[must_use]
     pub fn status(&self) -> DeviceStatus {
         self.capture.status()
     }
 
-    /// Pictures that were skipped for newer ones.
+    /// The number of frames that were skipped because a newer one had arrived.
     #[must_use]
     pub fn skipped(&self) -> u64 {
         self.capture.skipped()
     }
 
-    /// Each of the camera's buffers as a dma-buf, in the order of [`Picture::buffer`], for a device that reads pictures
-    /// without the processor. A buffer holds its picture only within [`with_newest`](Self::with_newest), and after the
-    /// camera was opened again ([`DeviceStatus::reopened`]) they must be exported again.
+    /// Exports each of the camera's buffers as a dma-buf, in the order of
+    /// [`BorrowedFrame::buffer`], for a device that reads frames without the processor. A buffer
+    /// holds its frame only within [`with_newest`](Self::with_newest). After the camera was
+    /// reopened ([`DeviceStatus::reopened`]), the buffers must be exported again.
     ///
     /// # Errors
     /// When the camera is not open, or its driver cannot export.
     pub fn export_buffers(&mut self) -> Result<Vec<OwnedFd>, V4l2Error> {
         let device = self.capture.device();
-        let failed = |errno| V4l2Error::System { device, step: "exporting its buffers", errno };
-        self.capture.stream().ok_or(Errno::NODEV).and_then(Stream::export).map_err(failed)
+        self.capture
+            .stream()
+            .ok_or(Errno::NODEV)
+            .and_then(Stream::export)
+            .map_err(|errno| V4l2Error::System { device, step: "exporting its buffers", errno })
     }
 }
 
@@ -121,21 +127,21 @@ impl Camera for V4l2Camera {
     }
 
     fn poll_frame(&mut self, frame: &mut Frame) -> Result<bool, V4l2Error> {
-        let copied = self.with_newest(|picture| {
-            frame.time_ns = picture.time_ns;
-            frame.sequence = picture.sequence;
-            frame.width = picture.view.width();
-            frame.height = picture.view.height();
-            frame.format = picture.view.format();
+        let copied = self.with_newest(|newest| {
+            frame.time_ns = newest.time_ns;
+            frame.sequence = newest.sequence;
+            frame.width = newest.view.width();
+            frame.height = newest.view.height();
+            frame.format = newest.view.format();
             frame.data.clear();
-            frame.data.extend_from_slice(picture.view.data());
+            frame.data.extend_from_slice(newest.view.data());
         })?;
         Ok(copied.is_some())
     }
 }
 
-/// Ends when the camera that it works for is dropped.
-fn work(
+/// The worker thread. It ends when its camera is dropped.
+fn run_jobs(
     mut open: Opener,
     config: &CameraDeviceConfig,
     jobs: &Receiver<Job>,
@@ -148,10 +154,10 @@ fn work(
     }
 }
 
-/// Opens a device of the kernel's or a simulated one.
+/// Opens a device of the kernel, or a simulated one.
 ///
 /// # Errors
-/// The kernel's error number.
+/// The error number of the kernel.
 pub fn open(config: &CameraDeviceConfig) -> Result<Box<dyn VideoNode>, Errno> {
     Ok(match config.socket() {
         Some(path) => Box::new(RemoteNode::open(path)?),
@@ -159,32 +165,32 @@ pub fn open(config: &CameraDeviceConfig) -> Result<Box<dyn VideoNode>, Errno> {
     })
 }
 
-/// What a camera agrees to, for `check`.
+/// What was negotiated with a camera, for `check`.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Agreement {
-    /// Size and format.
+pub struct Negotiated {
     pub layout: Layout,
-    /// Time between two pictures, nanoseconds.
+    /// Time between two frames.
     pub interval_ns: u64,
-    /// Every pixel format that it has.
+    /// Every pixel format that the camera offers.
     pub formats: Vec<FourCc>,
-    /// Everything that can be set.
+    /// Every control of the camera.
     pub controls: Vec<Control>,
 }
 
-/// Opens a camera, starts it, and lets it go again. Takes as long as the camera takes.
+/// Opens a camera, starts it, and closes it again. Blocks for as long as the camera takes.
 ///
 /// # Errors
-/// As the driver would report.
-pub fn check(config: &CameraDeviceConfig) -> Result<Agreement, V4l2Error> {
+/// Those that the driver would report.
+pub fn check(config: &CameraDeviceConfig) -> Result<Negotiated, V4l2Error> {
     config.check()?;
     let mut opener: Opener = {
         let config = config.clone();
         Box::new(move || open(&config))
     };
     let mut stream = Job::Open.run(&mut opener, config)?;
-    let (layout, interval_ns) = (stream.layout(), stream.interval_ns());
+    let layout = stream.layout();
+    let interval_ns = stream.interval_ns();
     let formats = formats(stream.node()).unwrap_or_default();
     let controls = controls(stream.node()).unwrap_or_default();
-    Ok(Agreement { layout, interval_ns, formats, controls })
+    Ok(Negotiated { layout, interval_ns, formats, controls })
 }

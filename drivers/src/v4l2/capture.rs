@@ -1,5 +1,5 @@
-//! A camera that comes and goes, without a clock and without threads: time is told, and what takes long is handed out as a
-//! [`Job`] for somebody else to run.
+//! A camera that can be unplugged and reopened, as a state machine without a clock and without
+//! threads: the caller passes in the time, and runs the operations that block as [`Job`]s.
 
 use std::sync::Arc;
 
@@ -12,29 +12,31 @@ use super::node::VideoNode;
 use super::stream::Stream;
 use crate::{DeviceState, DeviceStatus};
 
-/// Waits before an attempt: the first, doubled after each that fails, up to the second.
+/// Delay before the camera is opened again: the first value, doubled after each failure up to the
+/// second.
 const BACKOFF_NS: (u64, u64) = (100_000_000, 2_000_000_000);
-/// A camera may take this long for its first picture, and a silent one is restarted after it.
-const PATIENCE_NS: u64 = 1_000_000_000;
+/// Time-out for the first frame. A silent camera is restarted after the same time.
+const RESTART_AFTER_NS: u64 = 1_000_000_000;
 
-/// What takes long: run it on another thread, and give the result to [`Capture::done`].
+/// An operation that blocks. The caller runs it on another thread, and passes the result to
+/// [`Capture::finish_job`].
 pub enum Job {
     /// Open the camera and start it.
     Open,
-    /// Stop the stream and start it again. On failure, close the camera.
+    /// Stop the stream and start it again. Close the camera if that fails.
     Restart(Box<Stream>),
     /// Close the camera, for this reason.
     Close(Box<Stream>, V4l2Error),
 }
 
-/// How a camera is opened.
+/// The function that opens a camera.
 pub type Opener = Box<dyn FnMut() -> Result<Box<dyn VideoNode>, Errno> + Send>;
 
 impl Job {
-    /// Does it. Takes as long as the camera takes.
+    /// Runs the job. Blocks for as long as the camera takes.
     ///
     /// # Errors
-    /// When there is no camera, or not one that can do what is configured.
+    /// When there is no camera, or it does not support the configuration.
     pub fn run(
         self,
         open: &mut Opener,
@@ -59,31 +61,33 @@ impl Job {
     }
 }
 
-/// A picture in the camera's own memory.
+/// A frame in the camera's own memory.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Picture<'a> {
-    /// Middle of the exposure, monotonic: the kernel's stamp, less what the configured exposure and latency explain.
+pub struct BorrowedFrame<'a> {
+    /// Middle of the exposure on the monotonic clock: the kernel's timestamp, corrected by the
+    /// configured exposure and latency.
     pub time_ns: u64,
-    /// Counts on over restarts; a gap is pictures that were lost or skipped.
+    /// Frame counter that continues over restarts. A gap means that frames were lost or skipped.
     pub sequence: u32,
-    /// Which buffer it is in, for users of exported buffers.
+    /// Index of the frame's buffer, for users of exported buffers.
     pub buffer: u32,
-    /// The picture.
     pub view: ImageView<'a>,
 }
 
+/// The connection to the camera.
 enum Link {
-    /// Nobody tries to open it before this time.
+    /// Closed. It may be opened from this time on.
     Closed { retry_ns: u64 },
-    /// To be restarted or closed as soon as somebody asks for work.
+    /// Failed. The next job restarts or closes it.
     Broken { stream: Box<Stream>, reason: V4l2Error, restart: bool },
-    /// Somebody runs the job that was handed out at this time.
+    /// The caller runs a job that it took at this time.
     Pending { since_ns: u64 },
-    /// Delivers, or should. `heard_ns` is when a whole picture last came, or when it was started.
-    Streaming { stream: Box<Stream>, heard_ns: u64, had_picture: bool },
+    /// Streaming. `last_frame_ns` is the arrival time of the last whole frame, or the start of the
+    /// stream.
+    Streaming { stream: Box<Stream>, last_frame_ns: u64, had_frame: bool },
 }
 
-/// The camera.
+/// The state machine of one camera.
 pub struct Capture {
     device: Arc<str>,
     max_age_ns: u64,
@@ -91,18 +95,18 @@ pub struct Capture {
     backoff_ns: u64,
     restarted: bool,
     error: Option<V4l2Error>,
-    /// The last picture's number, and the last one's before this stream.
+    /// The number of the last frame, and that of the last frame before this stream.
     sequence: u32,
-    before: u32,
+    sequence_before: u32,
     skipped: u64,
     status: DeviceStatus,
 }
 
 impl Capture {
-    /// A camera that is still to be opened.
+    /// A camera that is not open yet.
     ///
     /// # Errors
-    /// When the configuration cannot be.
+    /// When the configuration is invalid.
     pub fn new(config: &CameraDeviceConfig) -> Result<Self, V4l2Error> {
         config.check()?;
         Ok(Self {
@@ -113,32 +117,33 @@ impl Capture {
             restarted: false,
             error: None,
             sequence: 0,
-            before: 0,
+            sequence_before: 0,
             skipped: 0,
             status: DeviceStatus::default(),
         })
     }
 
-    /// State and counts. `lost` are pictures that the camera counted and that never came; pictures that were skipped for
-    /// newer ones are not among them. `bad` were damaged or too old. `reopened` counts restarts of the stream as well.
+    /// The camera's state and counts. `lost` counts the frames that never arrived according to the
+    /// camera's own counter, without the frames that were skipped for newer ones. `bad` counts
+    /// damaged and outdated frames. `reopened` includes restarts of the stream.
     #[must_use]
     pub fn status(&self) -> DeviceStatus {
         self.status
     }
 
-    /// The configured device, for messages.
+    /// The configured device path, for messages.
     #[must_use]
     pub fn device(&self) -> Arc<str> {
         self.device.clone()
     }
 
-    /// Pictures that were skipped for newer ones.
+    /// The number of frames that were skipped because a newer one had arrived.
     #[must_use]
     pub fn skipped(&self) -> u64 {
         self.skipped
     }
 
-    /// The stream while there is one.
+    /// The stream, if the camera is streaming.
     pub fn stream(&mut self) -> Option<&mut Stream> {
         match &mut self.link {
             Link::Streaming { stream, .. } => Some(stream),
@@ -146,8 +151,9 @@ impl Capture {
         }
     }
 
-    /// What has to be done now, once.
-    pub fn job(&mut self, now_ns: u64) -> Option<Job> {
+    /// Returns the job that is due now. The caller must run it and pass its result to
+    /// [`finish_job`](Self::finish_job).
+    pub fn take_job(&mut self, now_ns: u64) -> Option<Job> {
         match std::mem::replace(&mut self.link, Link::Pending { since_ns: now_ns }) {
             Link::Broken { stream, restart: true, .. } => Some(Job::Restart(stream)),
             Link::Broken { stream, reason, .. } => Some(Job::Close(stream, reason)),
@@ -159,16 +165,16 @@ impl Capture {
         }
     }
 
-    /// What became of the job.
-    pub fn done(&mut self, result: Result<Box<Stream>, V4l2Error>, now_ns: u64) {
+    /// Processes the result of a job.
+    pub fn finish_job(&mut self, result: Result<Box<Stream>, V4l2Error>, now_ns: u64) {
         match result {
             Ok(stream) => {
                 if self.error.take().is_some() {
                     self.status.reopened += 1;
                 }
                 self.status.state = DeviceState::Starting;
-                self.before = self.sequence;
-                self.link = Link::Streaming { stream, heard_ns: now_ns, had_picture: false };
+                self.sequence_before = self.sequence;
+                self.link = Link::Streaming { stream, last_frame_ns: now_ns, had_frame: false };
             }
             Err(error) => {
                 self.set_error(error);
@@ -178,17 +184,19 @@ impl Capture {
         }
     }
 
-    /// Lends the newest picture that nobody has seen, without a copy; `None` when there is none.
+    /// Calls `inspect` with the newest frame, without copying it. Returns `None` when there is no
+    /// frame that was not inspected before.
     ///
     /// # Errors
-    /// [`Timeout`](ErrorKind::Timeout) after two frame intervals of silence, [`Disconnected`](ErrorKind::Disconnected) while
-    /// it is not there, or what else keeps it from delivering.
+    /// [`Timeout`](ErrorKind::Timeout) after two frame intervals without a frame,
+    /// [`Disconnected`](ErrorKind::Disconnected) while the camera is absent, or another reason why
+    /// there are no frames.
     pub fn with_newest<R>(
         &mut self,
         now_ns: u64,
-        look: impl FnOnce(&Picture<'_>) -> R,
+        inspect: impl FnOnce(&BorrowedFrame<'_>) -> R,
     ) -> Result<Option<R>, V4l2Error> {
-        let Link::Streaming { stream, heard_ns, had_picture } = &mut self.link else {
+        let Link::Streaming { stream, last_frame_ns, had_frame } = &mut self.link else {
             return self.absent(now_ns);
         };
         let drained = match stream.newest() {
@@ -199,19 +207,20 @@ impl Capture {
         self.status.bad += drained.damaged;
         self.skipped += drained.skipped;
         let Some(taken) = drained.newest else {
-            let silent_ns = now_ns.saturating_sub(*heard_ns);
-            let allowed_ns = if *had_picture { 2 * stream.interval_ns() } else { PATIENCE_NS };
-            return if silent_ns > allowed_ns { Err(self.silent(silent_ns)) } else { Ok(None) };
+            let silent_ns = now_ns.saturating_sub(*last_frame_ns);
+            let allowed_ns = if *had_frame { 2 * stream.interval_ns() } else { RESTART_AFTER_NS };
+            return if silent_ns > allowed_ns { Err(self.on_silence(silent_ns)) } else { Ok(None) };
         };
-        // Also when the picture is too old: then it was us who did not look, and the camera is well.
-        (*heard_ns, *had_picture) = (now_ns, true);
-        self.sequence = self.before.wrapping_add(taken.position);
+        // An outdated frame counts too: the caller did not poll in time, but the camera works.
+        *last_frame_ns = now_ns;
+        *had_frame = true;
+        self.sequence = self.sequence_before.wrapping_add(taken.position);
         if taken.time_ns > now_ns.saturating_add(self.max_age_ns) {
             return Err(self.fail(Errno::PROTO));
         }
         let fresh = now_ns.saturating_sub(taken.time_ns) <= self.max_age_ns;
-        let seen = match stream.view(&taken) {
-            Ok(view) if fresh => Some(look(&Picture {
+        let inspected = match stream.view(&taken) {
+            Ok(view) if fresh => Some(inspect(&BorrowedFrame {
                 time_ns: taken.time_ns,
                 sequence: self.sequence,
                 buffer: taken.index,
@@ -220,26 +229,27 @@ impl Capture {
             _ => None,
         };
         let returned = stream.give_back(taken);
-        if seen.is_some() {
+        if inspected.is_some() {
             self.status.good += 1;
             self.status.state = DeviceState::Working;
             self.status.last_good_ns = taken.time_ns;
-            (self.backoff_ns, self.restarted) = (BACKOFF_NS.0, false);
+            self.backoff_ns = BACKOFF_NS.0;
+            self.restarted = false;
         } else {
             self.status.bad += 1;
         }
         if let Err(errno) = returned {
-            // The picture was good; the next look tells what has happened.
+            // The frame was good; the next poll reports the error.
             self.fail(errno);
         }
-        Ok(seen)
+        Ok(inspected)
     }
 
     fn absent<R>(&mut self, now_ns: u64) -> Result<Option<R>, V4l2Error> {
         match (&self.error, &self.link) {
             (Some(error), _) => Err(error.clone()),
             (None, Link::Pending { since_ns })
-                if now_ns.saturating_sub(*since_ns) > PATIENCE_NS =>
+                if now_ns.saturating_sub(*since_ns) > RESTART_AFTER_NS =>
             {
                 Err(self.report_silence(now_ns.saturating_sub(*since_ns)))
             }
@@ -252,10 +262,11 @@ impl Capture {
         V4l2Error::Silent { device: self.device.clone(), silent_ms: silent_ns / 1_000_000 }
     }
 
-    /// After some patience a silent camera is restarted, and closed when that has not helped.
-    fn silent(&mut self, silent_ns: u64) -> V4l2Error {
+    /// Reports the silence. After a longer silence the camera is restarted, and closed if it was
+    /// restarted before.
+    fn on_silence(&mut self, silent_ns: u64) -> V4l2Error {
         let error = self.report_silence(silent_ns);
-        if silent_ns > PATIENCE_NS {
+        if silent_ns > RESTART_AFTER_NS {
             self.give_up(error.clone(), true);
         }
         error
@@ -272,7 +283,8 @@ impl Capture {
         error
     }
 
-    /// Restarts the stream where that may help and has not been tried since the last picture; otherwise closes the camera.
+    /// Restarts the stream if that may help and was not tried since the last frame. Otherwise
+    /// closes the camera.
     fn give_up(&mut self, error: V4l2Error, may_help: bool) {
         let restart = may_help && !self.restarted;
         self.restarted = true;

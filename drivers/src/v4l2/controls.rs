@@ -1,4 +1,4 @@
-//! Exposure, gain and white balance: switched to automatic or fixed, and read back.
+//! Sets exposure, gain and white balance to automatic or a fixed value, and reads them back.
 
 use std::sync::Arc;
 
@@ -8,23 +8,30 @@ use super::config::{CameraDeviceConfig, Setting};
 use super::error::V4l2Error;
 use super::node::VideoNode;
 
-/// A setting: a control for its value, and one that says who chooses it.
+/// A setting that consists of two controls: one for its value, and one that selects manual or
+/// automatic mode.
 #[derive(Debug)]
-struct Knob {
+struct ControlPair {
     name: &'static str,
     value: u32,
     mode: u32,
     manual: i32,
-    /// In the order in which they are tried.
+    /// The values of the automatic mode, in the order in which they are tried.
     automatic: &'static [i32],
 }
 
-/// `V4L2_CID_EXPOSURE_ABSOLUTE` counts in 100 microseconds. Automatic is 3 (aperture priority) on USB cameras, 0 on others.
-const EXPOSURE: Knob =
-    Knob { name: "exposure", value: 0x009a_0902, mode: 0x009a_0901, manual: 1, automatic: &[3, 0] };
-const GAIN: Knob =
-    Knob { name: "gain", value: 0x0098_0913, mode: 0x0098_0912, manual: 0, automatic: &[1] };
-const WHITE_BALANCE: Knob = Knob {
+/// `V4L2_CID_EXPOSURE_ABSOLUTE` counts in 100 microseconds. Automatic is 3 (aperture priority) on
+/// USB cameras, 0 on others.
+const EXPOSURE: ControlPair = ControlPair {
+    name: "exposure",
+    value: 0x009a_0902,
+    mode: 0x009a_0901,
+    manual: 1,
+    automatic: &[3, 0],
+};
+const GAIN: ControlPair =
+    ControlPair { name: "gain", value: 0x0098_0913, mode: 0x0098_0912, manual: 0, automatic: &[1] };
+const WHITE_BALANCE: ControlPair = ControlPair {
     name: "white balance",
     value: 0x0098_091a,
     mode: 0x0098_090c,
@@ -32,13 +39,13 @@ const WHITE_BALANCE: Knob = Knob {
     automatic: &[1],
 };
 
-/// Exposure times are counted in these.
+/// The unit of the exposure time control.
 pub const EXPOSURE_UNIT_US: i32 = 100;
 
-/// Sets what the configuration names.
+/// Applies the settings that the configuration names.
 ///
 /// # Errors
-/// When the camera has no such control, or it cannot have this value.
+/// When the camera has no such control, or refuses the value.
 pub fn apply(
     node: &mut dyn VideoNode,
     config: &CameraDeviceConfig,
@@ -48,13 +55,13 @@ pub fn apply(
         Setting::Auto => Setting::Auto,
         Setting::Manual(us) => Setting::Manual(us / EXPOSURE_UNIT_US),
     });
-    for (knob, setting) in
+    for (pair, setting) in
         [(EXPOSURE, exposure), (GAIN, config.gain), (WHITE_BALANCE, config.white_balance_k)]
     {
         if let Some(setting) = setting {
-            knob.set(node, setting).map_err(|why| V4l2Error::Control {
+            pair.set(node, setting).map_err(|why| V4l2Error::Control {
                 device: device.clone(),
-                control: knob.name,
+                control: pair.name,
                 value: match setting {
                     Setting::Auto => "automatic".to_owned(),
                     Setting::Manual(value) => value.to_string(),
@@ -66,30 +73,33 @@ pub fn apply(
     Ok(())
 }
 
-impl Knob {
+impl ControlPair {
     fn set(&self, node: &mut dyn VideoNode, setting: Setting) -> Result<(), String> {
         match setting {
             Setting::Auto
-                if self.automatic.iter().any(|mode| hold(node, self.mode, *mode).is_ok()) =>
+                if self
+                    .automatic
+                    .iter()
+                    .any(|mode| set_and_verify(node, self.mode, *mode).is_ok()) =>
             {
                 Ok(())
             }
             Setting::Auto => {
-                Err("the camera cannot choose it by itself; configure a number".to_owned())
+                Err("the camera has no automatic mode for it; configure a number".to_owned())
             }
             Setting::Manual(value) => {
-                // A camera without the switch has nothing to switch off.
+                // A camera without a mode control has no automatic mode to switch off.
                 if node.control(self.mode).is_ok_and(|control| !control.disabled) {
-                    hold(node, self.mode, self.manual)?;
+                    set_and_verify(node, self.mode, self.manual)?;
                 }
-                hold(node, self.value, value)
+                set_and_verify(node, self.value, value)
             }
         }
     }
 }
 
-/// Sets a control and reads back that it holds.
-fn hold(node: &mut dyn VideoNode, id: u32, value: i32) -> Result<(), String> {
+/// Sets a control and verifies it by reading it back.
+fn set_and_verify(node: &mut dyn VideoNode, id: u32, value: i32) -> Result<(), String> {
     let control = match node.control(id) {
         Ok(control) if !control.disabled => control,
         Ok(_) | Err(Errno::INVAL) => {
@@ -101,11 +111,11 @@ fn hold(node: &mut dyn VideoNode, id: u32, value: i32) -> Result<(), String> {
         return Err(format!("it goes from {} to {}", control.minimum, control.maximum));
     }
     node.set_control(id, value).map_err(|errno| format!("the camera refuses it ({errno})"))?;
-    let now =
+    let actual =
         node.control_value(id).map_err(|errno| format!("reading it back failed ({errno})"))?;
-    // A value between two steps is rounded to one of them.
-    if now.abs_diff(value) >= control.step.unsigned_abs().max(1) {
-        return Err(format!("the camera holds {now} instead"));
+    // The camera rounds a value between two steps to one of them.
+    if actual.abs_diff(value) >= control.step.unsigned_abs().max(1) {
+        return Err(format!("the camera set it to {actual} instead"));
     }
     Ok(())
 }

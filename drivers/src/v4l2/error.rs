@@ -1,4 +1,4 @@
-//! What can be wrong with a camera.
+//! Errors of cameras.
 
 use std::sync::Arc;
 
@@ -7,144 +7,79 @@ use rustix::io::Errno;
 
 use super::node::FourCc;
 
-/// Why there is no picture. Cheap to clone: it is given at every poll until there is one again.
+/// Why there is no frame. Cheap to clone, because every poll returns it until frames arrive again.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum V4l2Error {
-    /// The configuration asks for what no camera can do.
+    /// A value in the configuration is invalid for every camera.
     #[error("camera configuration: {field} = {value}; {way_out}")]
-    Config {
-        /// The field.
-        field: &'static str,
-        /// Its value.
-        value: String,
-        /// What it may be.
-        way_out: &'static str,
-    },
-    /// The pictures and the lens model have different sizes.
-    #[error("the camera's pictures are {}x{}, its lens model is for {}x{}; calibrate at the size that is used", .pictures.0, .pictures.1, .model.0, .model.1)]
-    Model {
-        /// Configured width and height.
-        pictures: (u32, u32),
-        /// The model's.
-        model: (usize, usize),
-    },
-    /// Nothing there.
+    Config { field: &'static str, value: String, way_out: &'static str },
+    /// The frames and the lens model have different sizes.
+    #[error("the camera's frames are {}x{}, but its lens model is for {}x{}; calibrate at the \
+        size that is used", .frames.0, .frames.1, .model.0, .model.1)]
+    Model { frames: (u32, u32), model: (usize, usize) },
+    /// The device does not exist.
     #[error(
         "no camera at {device} ({errno}); plug it in, or find its name with `ls /dev/v4l/by-id`"
     )]
-    NotThere {
-        /// The configured device.
-        device: Arc<str>,
-        /// What opening it said.
-        errno: Errno,
-    },
-    /// Not ours to open.
+    NotThere { device: Arc<str>, errno: Errno },
+    /// The process has no permission to open the device.
     #[error("no permission for {device}; add the user to the group `video`")]
-    Denied {
-        /// The configured device.
-        device: Arc<str>,
-    },
-    /// Somebody else streams from it.
-    #[error("{device} is used by another program; `fuser -v {device}` tells which")]
-    Busy {
-        /// The configured device.
-        device: Arc<str>,
-    },
-    /// Something else than a camera.
+    Denied { device: Arc<str> },
+    /// Another process streams from the device.
+    #[error("{device} is used by another program; `fuser -v {device}` shows which")]
+    Busy { device: Arc<str> },
+    /// The device is not a camera.
     #[error(
-        "{device} hands out no pictures to map; a camera has several nodes, the first is usually the right one"
+        "{device} does not support streaming capture; a camera has several nodes, the first is \
+         usually the right one"
     )]
-    NotACamera {
-        /// The configured device.
-        device: Arc<str>,
-    },
-    /// The camera has not got this format.
+    NotACamera { device: Arc<str> },
+    /// The camera does not offer the configured format.
     #[error("{device} has no {asked}; configure one of {offered}")]
-    Format {
-        /// The configured device.
-        device: Arc<str>,
-        /// The format.
-        asked: FourCc,
-        /// Those that it has.
-        offered: String,
-    },
-    /// The camera makes something else of the size and format.
+    Format { device: Arc<str>, asked: FourCc, offered: String },
+    /// The camera does not offer the configured size in this format.
     #[error(
-        "{device} makes {got} of {asked}; configure what it can: `v4l2-ctl -d {device} --list-formats-ext`"
+        "{device} makes {got} of {asked}; configure what it can: `v4l2-ctl -d {device} \
+         --list-formats-ext`"
     )]
-    Layout {
-        /// The configured device.
-        device: Arc<str>,
-        /// Size and format that are configured.
-        asked: String,
-        /// Size and format that it gives.
-        got: String,
-    },
-    /// The camera has another frame rate.
+    Layout { device: Arc<str>, asked: String, got: String },
+    /// The camera does not offer the configured frame rate.
     #[error(
-        "{device} gives {got_fps:.2} pictures a second, {asked_fps:.2} are configured; with longer exposure or larger pictures it may be slower"
+        "{device} gives {got_fps:.2} frames per second, {asked_fps:.2} are configured; a longer \
+         exposure or larger frames may make it slower"
     )]
-    Rate {
-        /// The configured device.
-        device: Arc<str>,
-        /// Configured.
-        asked_fps: f64,
-        /// What it gives.
-        got_fps: f64,
-    },
-    /// A control cannot be set so.
+    Rate { device: Arc<str>, asked_fps: f64, got_fps: f64 },
+    /// A control does not accept the configured value.
     #[error("{device}: {control} cannot be {value}: {why}")]
-    Control {
-        /// The configured device.
-        device: Arc<str>,
-        /// The control.
-        control: &'static str,
-        /// The wish.
-        value: String,
-        /// What stands against it, and what can be.
-        why: String,
-    },
-    /// Time stamps that cannot be compared with anything else.
+    Control { device: Arc<str>, control: &'static str, value: String, why: String },
+    /// The camera's timestamps are not of the monotonic clock, so they cannot be compared with
+    /// other times.
     #[error(
-        "{device} does not stamp on the monotonic clock; for USB cameras: `modprobe uvcvideo clock=CLOCK_MONOTONIC`"
+        "{device} does not use the monotonic clock for its timestamps; for USB cameras: \
+         `modprobe uvcvideo clock=CLOCK_MONOTONIC`"
     )]
-    Clock {
-        /// The configured device.
-        device: Arc<str>,
-    },
-    /// Open, and silent.
+    Clock { device: Arc<str> },
+    /// The camera is open but sends no frames.
     #[error(
-        "{device} is silent for {silent_ms} ms; the driver restarts it by itself; check the cable if this stays"
+        "{device} has sent no frame for {silent_ms} ms; the driver restarts it automatically; \
+         check the cable if this persists"
     )]
     Silent {
-        /// The configured device.
         device: Arc<str>,
-        /// Since the last picture, or since the start.
+        /// Time since the last frame, or since the start of the stream.
         silent_ms: u64,
     },
-    /// It went away or failed while it was streaming.
-    #[error("{device} stopped ({errno}); the driver opens it again by itself")]
-    Lost {
-        /// The configured device.
-        device: Arc<str>,
-        /// What it said.
-        errno: Errno,
-    },
-    /// The kernel refuses something else.
-    #[error("{device}: {step} failed ({errno}); the kernel's log may say more: `dmesg`")]
-    System {
-        /// The configured device.
-        device: Arc<str>,
-        /// What was tried.
-        step: &'static str,
-        /// What the kernel said.
-        errno: Errno,
-    },
+    /// The camera was unplugged or failed while streaming.
+    #[error("{device} stopped ({errno}); the driver reopens it automatically")]
+    Lost { device: Arc<str>, errno: Errno },
+    /// Any other system call failed.
+    #[error("{device}: {step} failed ({errno}); the kernel's log may show the reason: `dmesg`")]
+    System { device: Arc<str>, step: &'static str, errno: Errno },
 }
 
 impl V4l2Error {
-    /// What an error number means when a device is opened or set up.
+    /// Converts an error number of opening or setting up a device.
     pub(super) fn setup(device: &Arc<str>, step: &'static str, errno: Errno) -> Self {
         let device = device.clone();
         match errno {

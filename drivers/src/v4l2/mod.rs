@@ -1,14 +1,18 @@
-//! Cameras of Linux's V4L2: USB cameras, CSI cameras behind an image processor, and simulated ones.
+//! Cameras of Linux's V4L2: USB cameras, CSI cameras behind an image signal processor, and
+//! simulated cameras.
 //!
 //! From the bottom up:
 //!
-//! * [`VideoNode`](node::VideoNode): V4L2's operations. [`KernelNode`](sys::KernelNode) is the kernel's,
-//!   [`RemoteNode`](remote::RemoteNode) a simulated camera in another process; tests have a strict model of the queue.
-//! * [`Stream`](stream::Stream): what was agreed with one opened camera, and its queue of mapped buffers.
-//! * [`Capture`](capture::Capture): a camera that comes and goes, as a state machine that is told the time.
-//! * [`V4l2Camera`]: all of it behind [`hal::Camera`].
+//! * [`VideoNode`](node::VideoNode): the operations of V4L2. [`KernelNode`](sys::KernelNode) is a
+//!   device of the kernel, [`RemoteNode`](remote::RemoteNode) a simulated camera in another
+//!   process. Tests implement a strict model of the queue.
+//! * [`Stream`](stream::Stream): one opened camera with its negotiated format and its queue of
+//!   mapped buffers.
+//! * [`Capture`]: a camera that can be unplugged and reopened, as a state machine
+//!   without a clock.
+//! * [`V4l2Camera`]: all of this behind [`hal::Camera`].
 //!
-//! Linux Media Subsystem documentation, "Video for Linux API", is the source of what is said about V4L2.
+//! Statements about V4L2 are from the Linux Media Subsystem documentation, "Video for Linux API".
 
 pub mod camera;
 pub mod capture;
@@ -21,7 +25,7 @@ pub mod stream;
 pub mod sys;
 pub mod wire;
 
-pub use camera::{Agreement, V4l2Camera, check, open};
-pub use capture::{Capture, Job, Opener, Picture};
+pub use camera::{Negotiated, V4l2Camera, check, open};
+pub use capture::{BorrowedFrame, Capture, Job, Opener};
 pub use config::{CameraDeviceConfig, CameraFormat, Setting};
 pub use error::V4l2Error;

@@ -1,30 +1,28 @@
-//! What a video node can be asked: V4L2's operations, one method each, with V4L2's own meaning and error numbers.
+//! The operations of a V4L2 video node, one method each, with V4L2's meaning and error numbers.
 //!
-//! The streaming logic is written against [`VideoNode`], so that it can be driven by the kernel, by a simulated camera in
-//! another process and by a strict model of the kernel's queue.
+//! The streaming logic is written against [`VideoNode`], so that it runs on a device of the kernel,
+//! on a simulated camera in another process, and on a strict model of the kernel's queue.
 
 use std::fmt;
 use std::os::fd::OwnedFd;
 
 use rustix::io::Errno;
 
-/// A pixel format's name: four letters, the first in the lowest byte.
+/// The code of a pixel format: four letters, the first in the lowest byte.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct FourCc(pub u32);
 
 impl FourCc {
     /// YUV 4:2:2 packed.
     pub const YUYV: Self = Self::new(b"YUYV");
-    /// YUV 4:2:0, both planes in one piece of memory.
+    /// YUV 4:2:0, both planes in one buffer.
     pub const NV12: Self = Self::new(b"NV12");
-    /// 24 bits, red first.
+    /// 24 bits per pixel, red first.
     pub const RGB24: Self = Self::new(b"RGB3");
-    /// Motion JPEG.
     pub const MJPEG: Self = Self::new(b"MJPG");
-    /// JPEG files one after the other: what some drivers call the same.
+    /// Another code that some drivers use for Motion JPEG.
     pub const JPEG: Self = Self::new(b"JPEG");
 
-    /// From its letters.
     #[must_use]
     pub const fn new(letters: &[u8; 4]) -> Self {
         Self(u32::from_le_bytes(*letters))
@@ -43,45 +41,40 @@ impl fmt::Debug for FourCc {
     }
 }
 
-/// What a node is for.
+/// The capabilities of a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Capability {
-    /// Hands out pictures in one piece of memory each.
+    /// Captures frames of one buffer each (single-planar interface).
     pub capture: bool,
-    /// Hands out pictures through the multi-planar interface.
+    /// Captures frames through the multi-planar interface.
     pub capture_planes: bool,
     /// Buffers can be mapped.
     pub streaming: bool,
 }
 
-/// How pictures lie in memory.
+/// Size and memory layout of the frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Layout {
-    /// Columns.
     pub width: u32,
-    /// Rows.
     pub height: u32,
-    /// Pixel format.
     pub format: FourCc,
-    /// Bytes from one row to the next, of the first plane; 0 for compressed formats.
+    /// Bytes from one row of the first plane to the next; 0 for compressed formats.
     pub stride: u32,
-    /// Bytes that a picture may have.
+    /// The largest number of bytes of a frame.
     pub size: u32,
-    /// Separate pieces of memory that make one picture.
+    /// Number of separate buffers of one frame.
     pub planes: u32,
 }
 
-/// Time between two pictures, in seconds, as a fraction.
+/// Time between two frames, in seconds, as a fraction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Interval {
-    /// Above the line.
     pub numerator: u32,
-    /// Below it.
     pub denominator: u32,
 }
 
 impl Interval {
-    /// Nanoseconds; `None` when the node does not know.
+    /// The interval in nanoseconds. `None` when the node does not know it.
     #[must_use]
     pub fn ns(self) -> Option<u64> {
         (u64::from(self.numerator) * 1_000_000_000)
@@ -90,49 +83,48 @@ impl Interval {
     }
 }
 
-/// A control: exposure, gain and the like.
+/// A control of the camera, such as exposure or gain.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Control {
-    /// V4L2's number of it.
+    /// V4L2's control id.
     pub id: u32,
-    /// The driver's name of it.
+    /// The kernel driver's name for the control.
     pub name: String,
-    /// Smallest value.
     pub minimum: i32,
-    /// Largest value.
     pub maximum: i32,
-    /// Values are `minimum` and whole steps above it.
+    /// The allowed values are `minimum` plus multiples of this step.
     pub step: i32,
-    /// It cannot be used on this node.
+    /// The control cannot be used on this node.
     pub disabled: bool,
 }
 
-/// A buffer that came back from the node.
+/// A filled buffer that was dequeued.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Filled {
-    /// Which buffer.
     pub index: u32,
-    /// Bytes of the picture in it.
+    /// Number of bytes of the frame.
     pub bytes_used: u32,
-    /// The node's count of pictures.
+    /// The node's frame counter.
     pub sequence: u32,
-    /// When, on `CLOCK_MONOTONIC`; `None` when the node does not say on which clock it stamps.
+    /// The timestamp on `CLOCK_MONOTONIC`. `None` when the node uses another or an unknown clock.
     pub time_ns: Option<u64>,
-    /// The stamp is the start of the exposure; otherwise the end of the picture.
+    /// The timestamp is that of the start of the exposure; otherwise that of the end of the frame.
     pub stamped_at_start: bool,
-    /// The node says itself that the content is damaged.
+    /// The node reports that the content is damaged.
     pub damaged: bool,
 }
 
 /// An open video node.
 ///
-/// Every method has the meaning of the ioctl of its name, and the kernel's error numbers. None waits for a picture; opening,
-/// [`set_layout`](Self::set_layout) and [`start`](Self::start) may take as long as the device takes.
+/// Every method has the meaning and the error numbers of its ioctl. No method waits for a frame,
+/// but opening, [`set_layout`](Self::set_layout) and [`start`](Self::start) may block for as long
+/// as the device takes.
 pub trait VideoNode: Send {
     /// `VIDIOC_QUERYCAP`.
     ///
     /// # Errors
-    /// `ENODEV` when it is gone, as every method here; `ENOTTY` when it is no video node.
+    /// `ENODEV` when the device is gone, as for every method here; `ENOTTY` when it is not a video
+    /// node.
     fn capability(&mut self) -> Result<Capability, Errno>;
 
     /// `VIDIOC_ENUM_FMT`.
@@ -141,17 +133,19 @@ pub trait VideoNode: Send {
     /// `EINVAL` past the last format.
     fn format(&mut self, index: u32) -> Result<FourCc, Errno>;
 
-    /// `VIDIOC_S_FMT`: what the node took, which may differ from what was asked.
+    /// `VIDIOC_S_FMT`. Returns the layout that the node selected, which may differ from the
+    /// requested one.
     ///
     /// # Errors
     /// `EBUSY` while buffers are allocated, also by another program.
-    fn set_layout(&mut self, asked: Layout) -> Result<Layout, Errno>;
+    fn set_layout(&mut self, requested: Layout) -> Result<Layout, Errno>;
 
-    /// `VIDIOC_S_PARM` and `VIDIOC_G_PARM`: asks for an interval where there is a wish, and reads back what holds.
+    /// `VIDIOC_S_PARM` and `VIDIOC_G_PARM`: sets the desired interval, if any, and reads the actual
+    /// one back.
     ///
     /// # Errors
-    /// `ENOTTY` when the node knows no intervals.
-    fn interval(&mut self, wish: Option<Interval>) -> Result<Interval, Errno>;
+    /// `ENOTTY` when the node has no frame intervals.
+    fn interval(&mut self, desired: Option<Interval>) -> Result<Interval, Errno>;
 
     /// `VIDIOC_QUERYCTRL`; with [`NEXT_CONTROL`] added to `id`, the first control after it.
     ///
@@ -168,25 +162,27 @@ pub trait VideoNode: Send {
     /// `VIDIOC_S_CTRL`.
     ///
     /// # Errors
-    /// `EINVAL` or `ERANGE` when the value cannot be.
+    /// `EINVAL` or `ERANGE` when the value is not allowed.
     fn set_control(&mut self, id: u32, value: i32) -> Result<(), Errno>;
 
-    /// `VIDIOC_REQBUFS`, then `VIDIOC_QUERYBUF` and `mmap` of each: how many there are now, which may be more or fewer.
+    /// `VIDIOC_REQBUFS`, then `VIDIOC_QUERYBUF` and `mmap` of each buffer. Returns the number of
+    /// buffers, which may be larger or smaller than `count`.
     ///
     /// # Errors
     /// `EBUSY` while streaming, also by another program.
     fn allocate(&mut self, count: u32) -> Result<u32, Errno>;
 
-    /// `VIDIOC_QBUF`: hands the buffer to the node.
+    /// `VIDIOC_QBUF`: passes the buffer to the node.
     ///
     /// # Errors
-    /// `EINVAL` when the node has it already.
+    /// `EINVAL` when the buffer is queued already.
     fn queue(&mut self, index: u32) -> Result<(), Errno>;
 
-    /// `VIDIOC_DQBUF`: takes the oldest filled buffer back.
+    /// `VIDIOC_DQBUF`: dequeues the oldest filled buffer.
     ///
     /// # Errors
-    /// `EAGAIN` when none is filled, `EINVAL` when not streaming, `EIO` when streaming has failed for good.
+    /// `EAGAIN` when none is filled, `EINVAL` when not streaming, `EIO` when streaming has failed
+    /// for good.
     fn dequeue(&mut self) -> Result<Filled, Errno>;
 
     /// `VIDIOC_STREAMON`.
@@ -195,32 +191,32 @@ pub trait VideoNode: Send {
     /// `EINVAL` without buffers.
     fn start(&mut self) -> Result<(), Errno>;
 
-    /// `VIDIOC_STREAMOFF`: every buffer comes back, empty.
+    /// `VIDIOC_STREAMOFF`: removes every buffer from the queue, empty.
     ///
     /// # Errors
-    /// As every method here.
+    /// `ENODEV` when the device is gone.
     fn stop(&mut self) -> Result<(), Errno>;
 
     /// `VIDIOC_EXPBUF`: the buffer as a dma-buf that another device can read.
     ///
     /// # Errors
-    /// `ENOTTY` when the node cannot.
+    /// `ENOTTY` when the node cannot export buffers.
     fn export(&mut self, index: u32) -> Result<OwnedFd, Errno>;
 
-    /// The memory of a buffer; empty while the node has it.
+    /// The memory of a buffer; empty while the buffer is queued.
     fn bytes(&self, index: u32) -> &[u8];
 }
 
-/// Added to a control's number: the first control after that one (`V4L2_CTRL_FLAG_NEXT_CTRL`).
+/// Added to a control id to query the first control after it (`V4L2_CTRL_FLAG_NEXT_CTRL`).
 pub const NEXT_CONTROL: u32 = 0x8000_0000;
 
-/// All formats of a node.
+/// Lists the formats of a node.
 ///
 /// # Errors
-/// When it is gone.
+/// When the device is gone.
 pub fn formats(node: &mut dyn VideoNode) -> Result<Vec<FourCc>, Errno> {
     let mut formats = Vec::new();
-    // 64 bounds a node that never says no.
+    // The limit of 64 ends the loop for a node that never returns EINVAL.
     for index in 0..64 {
         match node.format(index) {
             Ok(format) => formats.push(format),
@@ -231,16 +227,16 @@ pub fn formats(node: &mut dyn VideoNode) -> Result<Vec<FourCc>, Errno> {
     Ok(formats)
 }
 
-/// All controls of a node.
+/// Lists the controls of a node.
 ///
 /// # Errors
-/// When it is gone.
+/// When the device is gone.
 pub fn controls(node: &mut dyn VideoNode) -> Result<Vec<Control>, Errno> {
     let mut controls: Vec<Control> = Vec::new();
     loop {
         let last = controls.last().map_or(0, |control| control.id);
         match node.control(last | NEXT_CONTROL) {
-            // Numbers rise; a node whose do not would never end.
+            // Ids must increase; otherwise the loop would not end.
             Ok(control) if control.id > last => controls.push(control),
             Ok(_) | Err(Errno::INVAL | Errno::NOTTY) => return Ok(controls),
             Err(errno) => return Err(errno),

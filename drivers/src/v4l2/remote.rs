@@ -1,4 +1,5 @@
-//! A simulated camera in another process: `unix:/path`. See [`wire`](super::wire) for what is said.
+//! The client of a simulated camera in another process, at `unix:/path`. See [`wire`]
+//! for the protocol.
 
 use std::collections::VecDeque;
 use std::os::fd::{AsFd, OwnedFd};
@@ -13,8 +14,8 @@ use super::node::{Capability, Control, Filled, FourCc, Interval, Layout, VideoNo
 use super::sys::Buffers;
 use super::wire::{self, InWords, Message, Words};
 
-/// How long an answer may take: setting up a real camera takes up to about as long.
-const ANSWER: Duration = Duration::from_secs(2);
+/// Time-out of a response. Setting up a real camera may take about as long.
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// A connection to a simulated camera. Closing it stops the stream and frees the buffers.
 #[derive(Debug)]
@@ -26,16 +27,16 @@ pub struct RemoteNode {
 }
 
 impl RemoteNode {
-    /// Connects.
     ///
     /// # Errors
-    /// `ENOENT` or `ECONNREFUSED` when nobody listens there.
+    /// `ENOENT` or `ECONNREFUSED` when no process listens there.
     pub fn open(path: &Path) -> Result<Self, Errno> {
         let socket =
             socket_with(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None)?;
-        // A camera that has stopped listening would let `connect` wait for ever, too.
-        set_socket_timeout(&socket, Timeout::Recv, Some(ANSWER))?;
-        set_socket_timeout(&socket, Timeout::Send, Some(ANSWER))?;
+        // The send time-out also applies to `connect`, which would otherwise wait for ever for a
+        // process that no longer accepts.
+        set_socket_timeout(&socket, Timeout::Recv, Some(RESPONSE_TIMEOUT))?;
+        set_socket_timeout(&socket, Timeout::Send, Some(RESPONSE_TIMEOUT))?;
         connect(&socket, &SocketAddrUnix::new(path)?)?;
         Ok(Self { socket, filled: VecDeque::new(), files: Vec::new(), buffers: Buffers::default() })
     }
@@ -51,9 +52,12 @@ impl RemoteNode {
     ) -> Result<(Words, Option<OwnedFd>), Errno> {
         Message::new(operation, words).send(&self.socket, None)?;
         loop {
-            // No answer in time: this camera hangs, and an answer that came later would be taken for the next one.
-            let silent = |errno| if errno == Errno::AGAIN { Errno::NODEV } else { errno };
-            let (message, file) = Message::receive(&self.socket, true).map_err(silent)?;
+            // After a time-out the camera counts as gone, because a late response would be taken
+            // for the next one.
+            let (message, file) = match Message::receive(&self.socket, true) {
+                Err(Errno::AGAIN) => return Err(Errno::NODEV),
+                received => received?,
+            };
             if message.operation == operation {
                 return message.outcome().map(|words| (words, file));
             }
@@ -71,15 +75,15 @@ impl VideoNode for RemoteNode {
         self.call(wire::FORMAT, &[index]).map(|words| FourCc(words[0]))
     }
 
-    fn set_layout(&mut self, asked: Layout) -> Result<Layout, Errno> {
-        self.call(wire::SET_LAYOUT, &asked.to_words()).map(|words| Layout::from_words(&words))
+    fn set_layout(&mut self, requested: Layout) -> Result<Layout, Errno> {
+        self.call(wire::SET_LAYOUT, &requested.to_words()).map(|words| Layout::from_words(&words))
     }
 
-    fn interval(&mut self, wish: Option<Interval>) -> Result<Interval, Errno> {
+    fn interval(&mut self, desired: Option<Interval>) -> Result<Interval, Errno> {
         let Interval { numerator, denominator } =
-            wish.unwrap_or(Interval { numerator: 0, denominator: 0 });
+            desired.unwrap_or(Interval { numerator: 0, denominator: 0 });
         let words =
-            self.call(wire::INTERVAL, &[u32::from(wish.is_some()), numerator, denominator])?;
+            self.call(wire::INTERVAL, &[u32::from(desired.is_some()), numerator, denominator])?;
         Ok(Interval::from_words(&words))
     }
 
@@ -114,7 +118,8 @@ impl VideoNode for RemoteNode {
     }
 
     fn dequeue(&mut self) -> Result<Filled, Errno> {
-        // At most one for each buffer can be under way; 64 bounds a camera that sends without end.
+        // At most one message per buffer can be pending. The limit of 64 ends the loop for a camera
+        // that sends without end.
         for _ in 0..64 {
             match Message::receive(&self.socket, false) {
                 Ok((message, _)) => self.filled.push_back(message),

@@ -1,4 +1,4 @@
-//! One opened camera: what was agreed with it, and its queue of buffers.
+//! One opened camera: its negotiated format and its queue of buffers.
 
 use std::sync::Arc;
 
@@ -10,73 +10,77 @@ use super::controls;
 use super::error::V4l2Error;
 use super::node::{FourCc, Interval, Layout, VideoNode, formats};
 
-/// Buffers in the queue: one being filled, one being looked at, and two for a late look.
+/// Number of buffers: one that is being filled, one that is being inspected, and two for a late
+/// poll.
 const BUFFERS: u32 = 4;
 
-/// Taken for the time between pictures where neither the camera nor the configuration says: slower than any camera of use,
-/// so that silence is not called too early.
+/// The assumed frame interval when neither the camera nor the configuration specifies one. It is
+/// longer than that of any usable camera, so that a silence is not reported too early.
 const UNKNOWN_INTERVAL_NS: u64 = 100_000_000;
 
-/// A camera that streams.
+/// A streaming camera.
 pub struct Stream {
     node: Box<dyn VideoNode>,
     layout: Layout,
     format: CameraFormat,
     interval_ns: u64,
-    /// From the middle of the exposure to a stamp at its start, and to one at the picture's end.
-    stamp_ns: [i64; 2],
+    /// Time from the middle of the exposure to a timestamp at the start of the exposure, and to one
+    /// at the end of the frame.
+    stamp_offsets_ns: [i64; 2],
     buffers: u32,
     last_sequence: Option<u32>,
     position: u32,
 }
 
-/// A buffer that was taken out of the queue and must go back into it.
+/// A buffer that was dequeued and must be queued again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Taken {
-    /// Which buffer.
     pub index: u32,
-    /// Middle of the exposure as far as it is known, monotonic.
+    /// Middle of the exposure, as far as it is known, on the monotonic clock.
     pub time_ns: u64,
-    /// Counts the camera's pictures since the start, from 1, also those that are missing.
+    /// Counts the camera's frames since the start, from 1, including lost ones.
     pub position: u32,
     bytes_used: usize,
 }
 
-/// What the queue held.
+/// The result of emptying the queue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Drained {
-    /// The newest whole picture.
+    /// The newest whole frame.
     pub newest: Option<Taken>,
-    /// Whole pictures before it, which went back unseen.
+    /// Number of older whole frames, which were queued again without being used.
     pub skipped: u64,
-    /// Pictures that were damaged.
+    /// Number of damaged frames.
     pub damaged: u64,
-    /// Pictures that the camera counted and that never came.
+    /// Number of frames that never arrived according to the camera's counter.
     pub lost: u64,
 }
 
 impl Stream {
-    /// Agrees with a camera on what is configured, and starts it.
+    /// Negotiates the configured format with a camera, and starts it.
     ///
     /// # Errors
-    /// When it is no camera or cannot do what is configured.
+    /// When the device is not a camera, or does not support the configuration.
     pub fn start(
         mut node: Box<dyn VideoNode>,
         config: &CameraDeviceConfig,
     ) -> Result<Self, V4l2Error> {
         let device: Arc<str> = config.device.as_str().into();
-        let failed = |step, errno| V4l2Error::setup(&device, step, errno);
-        let capability = node.capability().map_err(|errno| failed("asking what it is", errno))?;
+
+        let capability = node
+            .capability()
+            .map_err(|errno| V4l2Error::setup(&device, "querying its capabilities", errno))?;
         if !(capability.capture || capability.capture_planes) || !capability.streaming {
             return Err(V4l2Error::NotACamera { device: device.clone() });
         }
-        let layout = agree_on_layout(node.as_mut(), config, &device)?;
-        let interval_ns = agree_on_interval(node.as_mut(), config, &device)?;
+        let layout = negotiate_layout(node.as_mut(), config, &device)?;
+        let interval_ns = negotiate_interval(node.as_mut(), config, &device)?;
         controls::apply(node.as_mut(), config, &device)?;
-        let buffers =
-            node.allocate(BUFFERS).map_err(|errno| failed("allocating buffers", errno))?;
+        let buffers = node
+            .allocate(BUFFERS)
+            .map_err(|errno| V4l2Error::setup(&device, "allocating buffers", errno))?;
         if buffers < 2 {
-            return Err(failed("allocating two buffers", Errno::NOMEM));
+            return Err(V4l2Error::setup(&device, "allocating two buffers", Errno::NOMEM));
         }
         let half_exposure_ns = match config.exposure_us {
             Some(Setting::Manual(us)) => i64::from(us) * 500,
@@ -88,22 +92,25 @@ impl Stream {
             layout,
             format: config.format,
             interval_ns,
-            stamp_ns: [latency_ns - half_exposure_ns, latency_ns + half_exposure_ns],
+            stamp_offsets_ns: [latency_ns - half_exposure_ns, latency_ns + half_exposure_ns],
             buffers,
             last_sequence: None,
             position: 0,
         };
-        stream.queue_all_and_start().map_err(|errno| failed("starting the stream", errno))?;
+        stream
+            .queue_all_and_start()
+            .map_err(|errno| V4l2Error::setup(&device, "starting the stream", errno))?;
         Ok(stream)
     }
 
-    /// Stops and starts again with what was agreed.
+    /// Stops the stream and starts it again with the negotiated format.
     ///
     /// # Errors
-    /// When the camera is gone or refuses; then only opening it again helps.
+    /// When the camera is gone or refuses. It must be reopened then.
     pub fn restart(&mut self) -> Result<(), Errno> {
         self.node.stop()?;
-        (self.last_sequence, self.position) = (None, 0);
+        self.last_sequence = None;
+        self.position = 0;
         self.queue_all_and_start()
     }
 
@@ -112,30 +119,32 @@ impl Stream {
         self.node.start()
     }
 
-    /// What was agreed.
+    /// The negotiated size and format.
     #[must_use]
     pub fn layout(&self) -> Layout {
         self.layout
     }
 
-    /// Time between two pictures, nanoseconds.
+    /// Time between two frames.
     #[must_use]
     pub fn interval_ns(&self) -> u64 {
         self.interval_ns
     }
 
-    /// The camera itself, for what this driver does not do.
+    /// The video node, for operations that this type does not offer.
     pub fn node(&mut self) -> &mut dyn VideoNode {
         self.node.as_mut()
     }
 
-    /// Empties the queue of filled buffers and keeps the newest whole one. Never waits.
+    /// Empties the queue of filled buffers and keeps the newest whole frame. Never blocks.
     ///
     /// # Errors
-    /// `ENODEV` when the camera is gone; anything else is a failed stream. `EPROTO` for time stamps of an unknown clock.
+    /// `ENODEV` when the camera is gone, `EPROTO` when its timestamps are of an unknown clock. Any
+    /// other error is a failed stream.
     pub fn newest(&mut self) -> Result<Drained, Errno> {
         let mut drained = Drained::default();
-        // Twice the queue's length: a camera that fills as fast as we empty does not hold us here.
+        // The limit of twice the queue's length ends the loop even for a camera that fills buffers
+        // as fast as they are emptied.
         for _ in 0..2 * self.buffers {
             let filled = match self.node.dequeue() {
                 Ok(filled) => filled,
@@ -146,7 +155,7 @@ impl Stream {
             let step = self.step(filled.sequence);
             drained.lost += u64::from(step - 1);
             self.position = self.position.wrapping_add(step);
-            let [at_start_ns, at_end_ns] = self.stamp_ns;
+            let [at_start_ns, at_end_ns] = self.stamp_offsets_ns;
             let time_ns = stamp_ns.saturating_add_signed(
                 -(if filled.stamped_at_start { at_start_ns } else { at_end_ns }),
             );
@@ -167,24 +176,25 @@ impl Stream {
         Ok(drained)
     }
 
-    /// How many pictures after the last one this is. A counter that goes back has been restarted.
+    /// The number of frames since the last one. A counter that decreases was restarted.
     fn step(&mut self, sequence: u32) -> u32 {
         let step = self.last_sequence.map_or(1, |last| sequence.wrapping_sub(last));
         self.last_sequence = Some(sequence);
         if (1..=u32::MAX / 2).contains(&step) { step } else { 1 }
     }
 
-    /// The picture in a buffer that was taken.
+    /// The frame in a dequeued buffer.
     ///
     /// # Errors
-    /// When its bytes are not those of a picture of the agreed size.
+    /// When the bytes are not a frame of the negotiated size.
     pub fn view(&self, taken: &Taken) -> Result<ImageView<'_>, ImageError> {
-        let (width, height) = (self.layout.width as usize, self.layout.height as usize);
+        let width = self.layout.width as usize;
+        let height = self.layout.height as usize;
         let filled = self.node.bytes(taken.index);
         let filled = filled.get(..taken.bytes_used).unwrap_or_default();
         let pixels = self.format.pixels();
         let data = match pixels.bytes(width, height) {
-            // Some drivers count their padding at the end as well.
+            // Some kernel drivers include the padding at the end in the number of bytes.
             Some(bytes) => filled.get(..bytes).unwrap_or(filled),
             None if is_whole_jpeg(filled) => filled,
             None => {
@@ -197,7 +207,7 @@ impl Stream {
         ImageView::new(width, height, pixels, data)
     }
 
-    /// Puts a buffer back into the queue.
+    /// Queues a dequeued buffer again.
     ///
     /// # Errors
     /// As [`newest`](Self::newest).
@@ -205,23 +215,24 @@ impl Stream {
         self.node.queue(taken.index)
     }
 
-    /// Each buffer as a dma-buf.
+    /// Exports each buffer as a dma-buf.
     ///
     /// # Errors
-    /// `ENOTTY` when the camera's driver cannot.
+    /// `ENOTTY` when the kernel driver cannot export buffers.
     pub fn export(&mut self) -> Result<Vec<std::os::fd::OwnedFd>, Errno> {
         (0..self.buffers).map(|index| self.node.export(index)).collect()
     }
 }
 
-/// Begins with SOI and ends with EOI (ITU-T T.81, B.1.1.3); cameras fill up with zeros behind it.
+/// Whether the bytes start with SOI and end with EOI (ITU-T T.81, B.1.1.3). Cameras pad the file
+/// with zeros.
 fn is_whole_jpeg(bytes: &[u8]) -> bool {
     let end = bytes.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
     let file = &bytes[..end];
     file.len() > 4 && file.starts_with(&[0xff, 0xd8]) && file.ends_with(&[0xff, 0xd9])
 }
 
-fn agree_on_layout(
+fn negotiate_layout(
     node: &mut dyn VideoNode,
     config: &CameraDeviceConfig,
     device: &Arc<str>,
@@ -234,7 +245,8 @@ fn agree_on_layout(
         let offered = offered.iter().map(FourCc::to_string).collect::<Vec<_>>().join(", ");
         return Err(V4l2Error::Format { device: device.clone(), asked, offered });
     };
-    let (width, height) = (config.width, config.height);
+    let width = config.width;
+    let height = config.height;
     let asked = Layout { width, height, format, stride: 0, size: 0, planes: 1 };
     let got = node
         .set_layout(asked)
@@ -245,35 +257,43 @@ fn agree_on_layout(
     if same && got.planes == 1 && rows_fit {
         return Ok(got);
     }
-    let text = |layout: &Layout| format!("{}x{} {}", layout.width, layout.height, layout.format);
-    let more = match (got.planes, rows_fit) {
+    let difference = match (got.planes, rows_fit) {
         (2.., _) => format!(" in {} separate planes", got.planes),
         (_, false) if same => format!(" with rows of {} bytes", got.stride),
         _ => String::new(),
     };
-    Err(V4l2Error::Layout { device: device.clone(), asked: text(&asked), got: text(&got) + &more })
+    Err(V4l2Error::Layout {
+        device: device.clone(),
+        asked: describe(&asked),
+        got: describe(&got) + &difference,
+    })
 }
 
-fn agree_on_interval(
+fn describe(layout: &Layout) -> String {
+    format!("{}x{} {}", layout.width, layout.height, layout.format)
+}
+
+fn negotiate_interval(
     node: &mut dyn VideoNode,
     config: &CameraDeviceConfig,
     device: &Arc<str>,
 ) -> Result<u64, V4l2Error> {
-    // Thousandths: 29.97 is 1000/29970.
-    let wish = config
+    // In thousandths: 29.97 Hz is an interval of 1000/29970 s.
+    let desired = config
         .fps
         .map(|fps| Interval { numerator: 1000, denominator: (fps * 1000.0).round() as u32 });
-    let got = match node.interval(wish) {
+    let got = match node.interval(desired) {
         Ok(interval) => interval.ns(),
         Err(Errno::NOTTY | Errno::INVAL) => None,
         Err(errno) => return Err(V4l2Error::setup(device, "setting its frame interval", errno)),
     };
-    match (got, wish.and_then(Interval::ns)) {
-        // 5 %: 29.97 is as good as 30, 25 is not.
-        (Some(got), Some(wish)) if got.abs_diff(wish) > wish / 20 => {
-            let (asked_fps, got_fps) = (1e9 / wish as f64, 1e9 / got as f64);
+    match (got, desired.and_then(Interval::ns)) {
+        // A tolerance of 5 % accepts 29.97 instead of 30, but not 25.
+        (Some(got), Some(desired)) if got.abs_diff(desired) > desired / 20 => {
+            let asked_fps = 1e9 / desired as f64;
+            let got_fps = 1e9 / got as f64;
             Err(V4l2Error::Rate { device: device.clone(), asked_fps, got_fps })
         }
-        (got, wish) => Ok(got.or(wish).unwrap_or(UNKNOWN_INTERVAL_NS)),
+        (got, desired) => Ok(got.or(desired).unwrap_or(UNKNOWN_INTERVAL_NS)),
     }
 }

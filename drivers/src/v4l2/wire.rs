@@ -1,9 +1,10 @@
-//! How a simulated camera in another process is spoken to: V4L2's operations as messages of 64 bytes over a Unix socket that
-//! keeps them apart (`SOCK_SEQPACKET`), pictures in memory files that come along with the messages.
+//! The protocol between this driver and a simulated camera in another process: V4L2's operations as
+//! messages of 64 bytes over a Unix socket that preserves message boundaries (`SOCK_SEQPACKET`).
+//! Frames are in memory files that are passed along with the messages.
 //!
-//! Every request is answered by a message with the same operation, but for [`QUEUE`], which is not answered: like a real
-//! node, the camera hands out filled buffers by itself, as [`FILLED`]. A [`FILLED`] with an error number is what the next
-//! `VIDIOC_DQBUF` shall return.
+//! Every request except [`QUEUE`] has a response with the same operation. Like a real node, the
+//! camera sends filled buffers without a request, as [`FILLED`]. A [`FILLED`] with an error number
+//! is the result of the next `VIDIOC_DQBUF`.
 
 use std::io::{IoSlice, IoSliceMut};
 use std::mem::MaybeUninit;
@@ -17,51 +18,51 @@ use rustix::net::{
 
 use super::node::{Capability, Control, Filled, FourCc, Interval, Layout};
 
-/// `VIDIOC_QUERYCAP`.
+/// The operation `VIDIOC_QUERYCAP`.
 pub const CAPABILITY: u32 = 0;
-/// `VIDIOC_ENUM_FMT`.
+/// The operation `VIDIOC_ENUM_FMT`.
 pub const FORMAT: u32 = 2;
-/// `VIDIOC_S_FMT`.
+/// The operation `VIDIOC_S_FMT`.
 pub const SET_LAYOUT: u32 = 5;
-/// `VIDIOC_REQBUFS`.
+/// The operation `VIDIOC_REQBUFS`.
 pub const ALLOCATE: u32 = 8;
-/// `VIDIOC_QUERYBUF`; the answer carries the memory file.
+/// `VIDIOC_QUERYBUF`. The response carries the memory file.
 pub const BUFFER: u32 = 9;
-/// `VIDIOC_QBUF`, not answered.
+/// `VIDIOC_QBUF`, which has no response.
 pub const QUEUE: u32 = 15;
-/// `VIDIOC_DQBUF`, only ever sent by the camera.
+/// `VIDIOC_DQBUF`, which only the camera sends.
 pub const FILLED: u32 = 17;
-/// `VIDIOC_STREAMON`.
+/// The operation `VIDIOC_STREAMON`.
 pub const START: u32 = 18;
-/// `VIDIOC_STREAMOFF`.
+/// The operation `VIDIOC_STREAMOFF`.
 pub const STOP: u32 = 19;
-/// `VIDIOC_G_PARM`, and `VIDIOC_S_PARM` where the first word is 1.
+/// `VIDIOC_G_PARM`, or `VIDIOC_S_PARM` if the first word is 1.
 pub const INTERVAL: u32 = 22;
-/// `VIDIOC_G_CTRL`.
+/// The operation `VIDIOC_G_CTRL`.
 pub const CONTROL_VALUE: u32 = 27;
-/// `VIDIOC_S_CTRL`.
+/// The operation `VIDIOC_S_CTRL`.
 pub const SET_CONTROL: u32 = 28;
-/// `VIDIOC_QUERYCTRL`.
+/// The operation `VIDIOC_QUERYCTRL`.
 pub const CONTROL: u32 = 36;
 
-/// Words of a message after its operation and error number.
+/// The words of a message after its operation and error number.
 pub type Words = [u32; 14];
 
 const BYTES: usize = 64;
 
-/// One request, answer or filled buffer.
+/// A request, a response or a filled buffer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Message {
-    /// One of the numbers above.
+    /// One of the operation numbers of this module.
     pub operation: u32,
-    /// 0, or the error number of an answer.
+    /// 0, or the error number of a failed operation.
     pub errno: i32,
-    /// What the operation needs or says.
+    /// The arguments or results of the operation.
     pub words: Words,
 }
 
 impl Message {
-    /// A message without an error; missing words are 0, those past the 14th are left out.
+    /// A message without an error. Missing words are 0; words after the 14th are dropped.
     #[must_use]
     pub fn new(operation: u32, words: &[u32]) -> Self {
         let mut all = Words::default();
@@ -69,24 +70,24 @@ impl Message {
         Self { operation, errno: 0, words: all }
     }
 
-    /// A message that says no.
+    /// The response to an operation that failed.
     #[must_use]
     pub fn error(operation: u32, errno: Errno) -> Self {
         Self { operation, errno: errno.raw_os_error(), words: Words::default() }
     }
 
-    /// The words of a message that says yes.
+    /// The words of a message without an error.
     ///
     /// # Errors
-    /// The error number that it carries.
+    /// The error number of the message.
     pub fn outcome(self) -> Result<Words, Errno> {
         if self.errno == 0 { Ok(self.words) } else { Err(Errno::from_raw_os_error(self.errno)) }
     }
 
-    /// Sends it, with a file where there is one.
+    /// Sends the message, along with a file if there is one.
     ///
     /// # Errors
-    /// `ENODEV` when the other side is gone.
+    /// `ENODEV` when the other side closed the socket.
     pub fn send(self, socket: impl AsFd, file: Option<BorrowedFd<'_>>) -> Result<(), Errno> {
         let mut bytes = [0; BYTES];
         let header = [self.operation, self.errno.cast_unsigned()];
@@ -99,22 +100,25 @@ impl Message {
         if !files.is_empty() && !extra.push(SendAncillaryMessage::ScmRights(&files)) {
             return Err(Errno::NOMEM);
         }
-        sendmsg(socket, &[IoSlice::new(&bytes)], &mut extra, SendFlags::NOSIGNAL).map_err(gone)?;
+        sendmsg(socket, &[IoSlice::new(&bytes)], &mut extra, SendFlags::NOSIGNAL)
+            .map_err(closed_is_unplugged)?;
         Ok(())
     }
 
-    /// The next message and the file that came with it; with `wait`, as long as the socket's time limit allows.
+    /// Receives the next message and the file passed along with it. With `wait`, blocks up to the
+    /// time-out of the socket.
     ///
     /// # Errors
-    /// `EAGAIN` when there is none, `ENODEV` when the other side is gone, `EBADMSG` when it sends something else.
+    /// `EAGAIN` when there is no message, `ENODEV` when the other side closed the socket, `EBADMSG`
+    /// when a message has another length.
     pub fn receive(socket: impl AsFd, wait: bool) -> Result<(Self, Option<OwnedFd>), Errno> {
         let mut bytes = [0; BYTES];
         let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(1))];
         let mut extra = RecvAncillaryBuffer::new(&mut space);
         let flags =
             RecvFlags::CMSG_CLOEXEC | if wait { RecvFlags::empty() } else { RecvFlags::DONTWAIT };
-        let got =
-            recvmsg(socket, &mut [IoSliceMut::new(&mut bytes)], &mut extra, flags).map_err(gone)?;
+        let got = recvmsg(socket, &mut [IoSliceMut::new(&mut bytes)], &mut extra, flags)
+            .map_err(closed_is_unplugged)?;
         let file = extra.drain().find_map(|message| match message {
             RecvAncillaryMessage::ScmRights(mut files) => files.next(),
             _ => None,
@@ -127,28 +131,24 @@ impl Message {
         let mut numbers = bytes
             .chunks_exact(4)
             .map(|word| word.iter().rev().fold(0, |sum, byte| sum << 8 | u32::from(*byte)));
-        let (operation, errno) =
-            (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0).cast_signed());
-        Ok((
-            Self { operation, errno, words: std::array::from_fn(|_| numbers.next().unwrap_or(0)) },
-            file,
-        ))
+        let operation = numbers.next().unwrap_or(0);
+        let errno = numbers.next().unwrap_or(0).cast_signed();
+        let words = std::array::from_fn(|_| numbers.next().unwrap_or(0));
+        Ok((Self { operation, errno, words }, file))
     }
 }
 
-/// A closed socket is an unplugged camera.
-fn gone(errno: Errno) -> Errno {
+/// Converts the errors of a closed socket to that of an unplugged camera.
+fn closed_is_unplugged(errno: Errno) -> Errno {
     match errno {
         Errno::PIPE | Errno::CONNRESET | Errno::NOTCONN => Errno::NODEV,
         other => other,
     }
 }
 
-/// Data that travels in a message's words.
+/// Data that can be encoded in the words of a message.
 pub trait InWords: Sized {
-    /// The words, at most 14.
     fn to_words(&self) -> Vec<u32>;
-    /// Back again.
     fn from_words(words: &Words) -> Self;
 }
 
@@ -215,7 +215,8 @@ impl InWords for Filled {
     fn to_words(&self) -> Vec<u32> {
         let time_ns = self.time_ns.unwrap_or(0);
         let flags = [self.time_ns.is_some(), self.stamped_at_start, self.damaged].map(u32::from);
-        let (high, low) = ((time_ns >> 32) as u32, time_ns as u32);
+        let high = (time_ns >> 32) as u32;
+        let low = time_ns as u32;
         vec![self.index, self.bytes_used, self.sequence, high, low, flags[0], flags[1], flags[2]]
     }
 
@@ -236,12 +237,12 @@ impl InWords for Filled {
 mod tests {
     use super::*;
 
-    fn there_and_back<T: InWords>(value: &T) -> T {
+    fn round_trip<T: InWords>(value: &T) -> T {
         T::from_words(&Message::new(0, &value.to_words()).words)
     }
 
     #[test]
-    fn everything_that_travels_arrives_as_it_was_sent() {
+    fn every_type_is_decoded_as_it_was_encoded() {
         let control = Control {
             id: 7,
             name: "Exposure, Absolute".into(),
@@ -250,7 +251,7 @@ mod tests {
             step: 2,
             disabled: true,
         };
-        assert_eq!(there_and_back(&control), control);
+        assert_eq!(round_trip(&control), control);
         let filled = Filled {
             index: 3,
             bytes_used: 9,
@@ -259,15 +260,15 @@ mod tests {
             stamped_at_start: true,
             damaged: false,
         };
-        assert_eq!(there_and_back(&filled), filled);
-        assert_eq!(there_and_back(&Filled { time_ns: None, ..filled }).time_ns, None);
+        assert_eq!(round_trip(&filled), filled);
+        assert_eq!(round_trip(&Filled { time_ns: None, ..filled }).time_ns, None);
         let layout =
             Layout { width: 1, height: 2, format: FourCc::NV12, stride: 3, size: 4, planes: 5 };
-        assert_eq!(there_and_back(&layout), layout);
+        assert_eq!(round_trip(&layout), layout);
     }
 
     #[test]
-    fn a_message_crosses_a_socket_whole_and_a_closed_socket_is_an_unplugged_camera() {
+    fn a_message_arrives_with_its_file_and_a_closed_socket_is_an_unplugged_camera() {
         let (ours, theirs) = pair();
         let sent = Message {
             operation: 5,

@@ -1,4 +1,4 @@
-//! The base and its bus: what comes, what goes, and what is done when it is ill.
+//! The base's side of the bus: received frames, published state, and the reactions to bus errors.
 
 use hal::Clock;
 
@@ -9,10 +9,10 @@ use crate::can::frame::CanFrame;
 use crate::can::messages::MessageError::{Checksum, Shape};
 use crate::can::messages::{BaseCommand, BaseState, SafetyInput};
 
-/// A queue that stays full for so long is stuck.
+/// A transmit queue that stays full for this long is blocked.
 const BLOCKED_NS: u64 = 50 * MS;
-/// A bus that has worked for so long is well again.
-const WELL_NS: u64 = 1_000 * MS;
+/// After working for this long, the bus counts as healthy and the back-off is reset.
+const HEALTHY_NS: u64 = 1_000 * MS;
 
 impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
     pub(super) fn on_event(&mut self, event: &BusEvent, time_ns: u64, now_ns: u64) {
@@ -28,11 +28,11 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
                 self.lose_bus(Trip::BusOff, now_ns);
             }
             BusEvent::Gone => {
-                self.gone = true;
+                self.bus_gone = true;
                 self.lose_bus(Trip::BusGone, now_ns);
             }
             BusEvent::Back => {
-                self.status.reopened += u64::from(std::mem::take(&mut self.gone));
+                self.status.reopened += u64::from(std::mem::take(&mut self.bus_gone));
             }
             BusEvent::Restarted => self.error_state = ErrorState::Active,
             BusEvent::NoAcknowledge | BusEvent::Overflow | BusEvent::Noise => {
@@ -41,17 +41,17 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         }
     }
 
-    /// The bus cannot be trusted: zero, nothing of the past may still be sent, silence for a while, and the motors are set up
-    /// anew.
+    /// Reacts to a bus that failed: trips the base, drops the pending frames, sends nothing during
+    /// a back-off, and sets the motors up again.
     pub(super) fn lose_bus(&mut self, trip: Trip, now_ns: u64) {
         self.trip(trip, now_ns);
-        if !self.gone {
+        if !self.bus_gone {
             self.bus.drop_pending();
             if self.backoff.is_over(now_ns) {
                 self.backoff.wait(now_ns);
             }
         }
-        self.well_since_ns = self.backoff.until_ns().max(now_ns);
+        self.healthy_since_ns = self.backoff.until_ns().max(now_ns);
         self.motors.iter_mut().for_each(|motor| motor.restart());
     }
 
@@ -61,7 +61,8 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         }
         match SafetyInput::decode(frame) {
             Ok(input) => {
-                // A counter that stands still is a frame that is repeated, not a board that lives.
+                // A frame with an unchanged counter is a repetition and does not prove that the
+                // board is alive.
                 if self.safety.is_none_or(|(_, last)| last.counter != input.counter) {
                     self.safety = Some((time_ns, input));
                 }
@@ -78,19 +79,19 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         }
     }
 
-    pub(super) fn announce(&mut self, first_problem: &mut Option<SendProblem>) {
-        let counter = (self.turns % 16) as u8;
+    /// Publishes the command with every tick, and the state of the base with every tenth.
+    pub(super) fn publish_state(&mut self, first_problem: &mut Option<SendProblem>) {
+        let counter = (self.ticks % 16) as u8;
         let plan_age_ms = u16::try_from(self.plan_age_ns / MS).unwrap_or(u16::MAX);
-        let (armed, stop) = (self.phase == Phase::Armed, matches!(self.phase, Phase::Tripped(_)));
         let command = BaseCommand {
             counter,
-            armed,
-            stop,
+            armed: self.phase == Phase::Armed,
+            stop: matches!(self.phase, Phase::Tripped(_)),
             plan_age_ms,
             twist: self.kinematics.twist(self.wheels_mps),
         };
         self.send(&command.encode(), first_problem);
-        if self.turns.is_multiple_of(10) {
+        if self.ticks.is_multiple_of(10) {
             let (phase, trip) = match self.phase {
                 Phase::Disarmed => (0, 0),
                 Phase::Arming => (1, 0),
@@ -98,7 +99,7 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
                 Phase::Disarming => (3, 0),
                 Phase::Tripped(trip) => (4, trip.number()),
             };
-            let counter = (self.turns / 10 % 16) as u8;
+            let counter = (self.ticks / 10 % 16) as u8;
             let state = BaseState {
                 counter,
                 phase,
@@ -109,25 +110,25 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             };
             self.send(&state.encode(), first_problem);
         }
-        self.turns += 1;
+        self.ticks += 1;
     }
 
-    /// What the turn's sending says about the bus.
-    pub(super) fn judge(&mut self, first_problem: Option<SendProblem>, now_ns: u64) {
+    /// Evaluates the first send error of a tick: a blocked or lost bus trips the base.
+    pub(super) fn check_transmission(&mut self, first_problem: Option<SendProblem>, now_ns: u64) {
         match first_problem {
             None => {
-                self.full_since_ns = None;
-                if now_ns.saturating_sub(self.well_since_ns) > WELL_NS {
+                self.blocked_since_ns = None;
+                if now_ns.saturating_sub(self.healthy_since_ns) > HEALTHY_NS {
                     self.backoff.reset();
                 }
             }
-            // The bus says by itself when it is back.
+            // The bus reports by an event when it is open again.
             Some(SendProblem::Down | SendProblem::Gone) => {
                 self.trip(Trip::BusGone, now_ns);
-                self.well_since_ns = now_ns;
+                self.healthy_since_ns = now_ns;
             }
             Some(_) => {
-                let since = *self.full_since_ns.get_or_insert(now_ns);
+                let since = *self.blocked_since_ns.get_or_insert(now_ns);
                 if now_ns.saturating_sub(since) >= BLOCKED_NS {
                     self.lose_bus(Trip::TransmitBlocked, now_ns);
                 }

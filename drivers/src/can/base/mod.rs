@@ -1,18 +1,20 @@
-//! A base with two driven wheels on a CAN bus: [`hal::Base`] for the safety thread.
+//! A differential base on a CAN bus: the [`hal::Base`] of the safety thread.
 //!
-//! Every call is a few system calls that do not block, without a lock and, once constructed, without an allocation unless the
-//! bus is opened anew. Nothing is queued: a command that could not be sent is forgotten, and the next turn sends the newest.
+//! Every call makes a few non-blocking system calls. It takes no lock and, after construction,
+//! allocates only when the bus is reopened. Nothing is queued: a command that could not be sent is
+//! dropped, and the next tick sends the newest one.
 //!
 //! ```text
-//! Disarmed --arm()--> Arming --both motors enabled--> Armed --disarm()--> Disarming --0.5 s--> Disarmed
+//! Disarmed --arm()--> Arming --motors enabled--> Armed --disarm()--> Disarming --0.5 s--> Disarmed
 //!                        \______________ any Trip ______/
 //!                                          v
 //!                                       Tripped --arm()--> Arming
 //! ```
 //!
-//! *Zero is always sent.* Disarmed and tripped, the motors are still told zero each turn, which holds them and feeds their
-//! watchdogs. A velocity other than zero leaves only while `Armed`, on a command that is younger than the watchdog and whose plan is
-//! younger than its limit.
+//! *Zero is always sent.* While the base is disarmed or tripped, every tick sends a velocity of
+//! zero to the motors, which holds them and feeds their watchdogs. Another velocity is sent only
+//! while `Armed`, for a command that is younger than the watchdog time and whose plan is younger
+//! than its limit.
 
 mod link;
 mod report;
@@ -34,40 +36,42 @@ use monotonic_clock::MonotonicClock;
 use crate::DeviceStatus;
 
 const MS: u64 = 1_000_000;
-/// Events taken from the bus per turn: 100 Hz times this is more than a bus at 1 Mbit/s can carry (47 bits a frame at least), so
-/// a storm of error frames costs no more than a full bus.
-const EVENTS_PER_TURN: usize = 256;
-/// Without a command, zeros go out at this pace: slower than the loop's, so that a loop that drives sends one set per turn.
-const IDLE_TURN_NS: u64 = 15 * MS;
-/// Motors have so long to be enabled.
+/// The largest number of bus events that one tick processes. At 100 Hz this is more than a bus of 1
+/// Mbit/s can carry (a frame has at least 47 bits), so a storm of error frames costs no more than a
+/// full bus.
+const EVENTS_PER_TICK: usize = 256;
+/// Without a command, zero velocities are sent with this period. It is longer than the control
+/// period, so that a loop that drives sends one set of frames per tick.
+const IDLE_TICK_NS: u64 = 15 * MS;
+/// The motors must be enabled within this time.
 const ARMING_NS: u64 = 3_000 * MS;
-/// How long the motors hold zero before they are let go.
+/// How long the motors hold zero velocity before their power is removed.
 const DISARMING_NS: u64 = 500 * MS;
-/// A safety board that is silent for longer counts as pressed.
+/// When the safety board has sent nothing for longer, its emergency stop counts as pressed.
 const SAFETY_NS: u64 = 100 * MS;
-/// Slower than this is a stand, m/s.
+/// A wheel that is slower than this counts as standing, m/s.
 const STANDING_MPS: f64 = 0.05;
-/// Both wheels, in the order of every array here.
+/// Both wheels, in the order of every array in this module.
 const SIDES: [Side; 2] = [Side::Left, Side::Right];
 
-/// Where the base is between powerless and moving.
+/// The state of the base between powerless and moving.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Phase {
-    /// Moves only after [`DifferentialBase::arm`].
+    /// The base moves only after [`DifferentialBase::arm`].
     Disarmed,
     /// The motors are confirming their watchdogs and being powered.
     Arming,
-    /// Follows commands.
+    /// The base follows commands.
     Armed,
-    /// Holds zero before the motors are let go.
+    /// The base holds zero velocity before power is removed from the motors.
     Disarming,
-    /// Out of service until armed again.
+    /// The base is out of service until it is armed again.
     Tripped(Trip),
 }
 
 pub use report::BaseCounts;
 
-/// The driver.
+/// The driver of a differential base.
 pub struct DifferentialBase<B, C = MonotonicClock> {
     bus: B,
     clock: C,
@@ -79,38 +83,38 @@ pub struct DifferentialBase<B, C = MonotonicClock> {
     odometry: Odometry,
     guards: [WheelGuard; 2],
     phase: Phase,
-    since_ns: u64,
+    phase_since_ns: u64,
     wrong_direction: Option<Side>,
-    // What is wanted.
+    // The command in force.
     target: Twist2,
     command_ns: u64,
     counter: Option<u32>,
     plan_age_ns: u64,
     wheels_mps: Wheels,
-    turn_ns: u64,
-    turns: u64,
-    // What is known.
+    tick_ns: u64,
+    ticks: u64,
+    // Measurements and inputs.
     position_m: Option<Wheels>,
-    fed_back_ns: u64,
-    handed_out_ns: u64,
+    feedback_ns: u64,
+    returned_ns: u64,
     twist: Twist2,
-    served_ns: u64,
+    polled_ns: u64,
     started_ns: u64,
     estop: bool,
     safety: Option<(u64, SafetyInput)>,
-    // The bus.
+    // The state of the bus.
     error_state: ErrorState,
     error_counters: (u8, u8),
-    gone: bool,
-    full_since_ns: Option<u64>,
-    well_since_ns: u64,
+    bus_gone: bool,
+    blocked_since_ns: Option<u64>,
+    healthy_since_ns: u64,
     backoff: Backoff,
     counts: BaseCounts,
     status: DeviceStatus,
 }
 
 impl<B: CanBus> DifferentialBase<B> {
-    /// A base on this bus, not armed.
+    /// Makes a disarmed base on this bus.
     ///
     /// # Errors
     /// [`CanError::Config`] when a number is out of its range.
@@ -139,42 +143,42 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             guards: [WheelGuard::default(); 2],
             config: config.clone(),
             phase: Phase::Disarmed,
-            since_ns: now_ns,
+            phase_since_ns: now_ns,
             wrong_direction: None,
             target: Twist2::ZERO,
             command_ns: 0,
             counter: None,
             plan_age_ns: 0,
             wheels_mps: [0.0; 2],
-            turn_ns: 0,
-            turns: 0,
+            tick_ns: 0,
+            ticks: 0,
             position_m: None,
-            fed_back_ns: 0,
-            handed_out_ns: 0,
+            feedback_ns: 0,
+            returned_ns: 0,
             twist: Twist2::ZERO,
-            served_ns: now_ns,
+            polled_ns: now_ns,
             started_ns: now_ns,
             estop: false,
             safety: None,
             error_state: ErrorState::Active,
             error_counters: (0, 0),
-            gone: false,
-            full_since_ns: None,
-            well_since_ns: now_ns,
+            bus_gone: false,
+            blocked_since_ns: None,
+            healthy_since_ns: now_ns,
             backoff: Backoff::new(),
             counts: BaseCounts::default(),
             status: DeviceStatus::default(),
         })
     }
 
-    /// Begins to arm; [`phase`](Self::phase) tells when it is done, within about half a second. The motors confirm their watchdogs
-    /// anew. Clears a trip.
+    /// Starts arming and clears a trip. The motors confirm their watchdogs again, which takes about
+    /// half a second; [`phase`](Self::phase) shows when it is done.
     ///
     /// # Errors
-    /// What stands in the way; nothing has changed then.
+    /// The reason why the base cannot be armed. Nothing has changed then.
     pub fn arm(&mut self) -> Result<(), CanError> {
         let now_ns = self.clock.now_ns();
-        self.serve(now_ns);
+        self.poll_bus(now_ns);
         if matches!(self.phase, Phase::Armed | Phase::Arming) {
             return Ok(());
         }
@@ -187,62 +191,62 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         Ok(())
     }
 
-    /// Whether it could be armed now, as far as is known from the last turn.
+    /// Checks whether the base could be armed now, according to the last tick.
     ///
     /// # Errors
-    /// What stands in the way.
+    /// The reason why the base cannot be armed.
     pub fn check(&self) -> Result<(), CanError> {
         let now_ns = self.clock.now_ns();
-        if let Some(trip) = self.obstacle(now_ns) {
+        if let Some(trip) = self.inhibiting_trip(now_ns) {
             return Err(CanError::Tripped(trip));
         }
         SIDES.into_iter().try_for_each(|side| self.check_motor(side, now_ns))
     }
 
-    /// Brakes, and lets the motors go half a second later.
+    /// Brakes, and removes power from the motors half a second later.
     pub fn disarm(&mut self) {
         let now_ns = self.clock.now_ns();
-        self.halt();
+        self.stop_at_once();
         self.enter(Phase::Disarming, now_ns);
-        self.turn(now_ns);
+        self.tick(now_ns);
     }
 
-    /// The emergency stop's input, for switches that are not on the bus.
+    /// Sets the state of an emergency stop switch that is not connected to the bus.
     pub fn set_emergency_stop(&mut self, pressed: bool) {
         self.estop = pressed;
         let now_ns = self.clock.now_ns();
-        self.watch(now_ns);
+        self.supervise(now_ns);
         if pressed {
-            self.turn(now_ns);
+            self.tick(now_ns);
         }
     }
 
-    /// Where it is between powerless and moving.
+    /// The current state between powerless and moving.
     #[must_use]
     pub fn phase(&self) -> Phase {
         self.phase
     }
 
-    /// Whether it follows commands.
+    /// Whether the base follows commands.
     #[must_use]
     pub fn is_armed(&self) -> bool {
         self.phase == Phase::Armed
     }
 
-    /// The clock, for tests that move it.
+    /// Mutable access to the clock, for tests that advance it.
     pub fn clock_mut(&mut self) -> &mut C {
         &mut self.clock
     }
 
-    /// What forbids motion apart from the motors themselves.
-    fn obstacle(&self, now_ns: u64) -> Option<Trip> {
+    /// The condition that forbids motion now, apart from the state of the motors.
+    fn inhibiting_trip(&self, now_ns: u64) -> Option<Trip> {
         let safety_silent = self.config.safety_board
             && self.safety.is_none_or(|(time_ns, _)| now_ns.saturating_sub(time_ns) > SAFETY_NS);
         let pressed = self.estop || self.safety.is_some_and(|(_, input)| input.estop);
-        if self.gone {
+        if self.bus_gone {
             Some(Trip::BusGone)
         } else if !self.backoff.is_over(now_ns) {
-            Some(if self.full_since_ns.is_some() { Trip::TransmitBlocked } else { Trip::BusOff })
+            Some(if self.blocked_since_ns.is_some() { Trip::TransmitBlocked } else { Trip::BusOff })
         } else if let Some(side) = self.wrong_direction {
             Some(Trip::WrongDirection(side))
         } else if pressed {
@@ -257,25 +261,25 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         let motor = if side == Side::Left { left } else { right };
         match (motor.stage, motor.problem) {
             (MotorStage::Refused, Some(problem)) => return Err(CanError::Motor { side, problem }),
-            // A fault is cleared, and the watchdog confirmed, on the way to being enabled.
+            // Enabling the motor clears its fault and confirms its watchdog.
             (MotorStage::Faulted, _) => {}
             (MotorStage::Ready | MotorStage::Enabled, _)
                 if motor.watchdog_ms.is_some_and(|ms| ms <= f64::from(self.config.watchdog_ms)) => {
             }
             (_, problem) => return Err(CanError::NotReady { side, problem }),
         }
-        if let Some(error) = self.silent(now_ns) {
+        if let Some(error) = self.silent_motor(now_ns) {
             return Err(error);
         }
-        let speed_mps = self.rim(motor.velocity_radps).abs();
+        let speed_mps = self.at_rim(motor.velocity_radps).abs();
         if speed_mps > STANDING_MPS { Err(CanError::Moving { side, speed_mps }) } else { Ok(()) }
     }
 
     fn enter(&mut self, phase: Phase, now_ns: u64) {
         self.phase = phase;
-        self.since_ns = now_ns;
+        self.phase_since_ns = now_ns;
         self.counter = None;
-        self.halt();
+        self.stop_at_once();
     }
 
     fn trip(&mut self, trip: Trip, now_ns: u64) {
@@ -287,8 +291,8 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         }
     }
 
-    /// Zero, at once.
-    fn halt(&mut self) {
+    /// Sets every velocity to zero at once, without the limiter.
+    fn stop_at_once(&mut self) {
         self.target = Twist2::ZERO;
         self.limiter.stop();
         self.wheels_mps = [0.0; 2];
@@ -296,9 +300,10 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         self.motors.iter_mut().for_each(|motor| motor.set_velocity(0.0));
     }
 
-    /// Motor shaft to wheel rim.
-    fn rim(&self, radps: f64) -> f64 {
-        radps / self.config.gear_ratio * self.config.wheel_radius_m
+    /// Converts an angle or velocity of the motor's shaft to the wheel's rim: rad to m, rad/s to
+    /// m/s.
+    fn at_rim(&self, shaft: f64) -> f64 {
+        shaft / self.config.gear_ratio * self.config.wheel_radius_m
     }
 
     fn signs(&self) -> Wheels {
@@ -306,38 +311,39 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             .map(|inverted| if inverted { -1.0 } else { 1.0 })
     }
 
-    /// What came, and what follows from it.
-    fn serve(&mut self, now_ns: u64) {
-        for _ in 0..EVENTS_PER_TURN {
+    /// Processes the pending events of the bus, updates the odometry, and checks for trips.
+    fn poll_bus(&mut self, now_ns: u64) {
+        for _ in 0..EVENTS_PER_TICK {
             let Some(received) = self.bus.receive(now_ns) else { break };
             self.on_event(&received.event, received.time_ns, now_ns);
         }
         self.measure();
-        self.watch(now_ns);
-        self.served_ns = now_ns;
+        self.supervise(now_ns);
+        self.polled_ns = now_ns;
     }
 
-    /// Odometry of what is new from both motors.
+    /// Updates the odometry when both motors have sent new feedback.
     fn measure(&mut self) {
         let [left, right] = self.motors();
         let time_ns = left.feedback_ns.min(right.feedback_ns);
-        if time_ns <= self.fed_back_ns {
+        if time_ns <= self.feedback_ns {
             return;
         }
-        let (positions, velocities) =
-            ([left.position_rad, right.position_rad], [left.velocity_radps, right.velocity_radps]);
-        let signs = self.signs();
-        let at = |values: Wheels| {
-            [0, 1].map(|k: usize| {
-                signs.get(k).unwrap_or(&1.0) * self.rim(*values.get(k).unwrap_or(&0.0))
-            })
-        };
-        let (position_m, velocity_mps) = (at(positions), at(velocities));
+        let [left_sign, right_sign] = self.signs();
+        let position_m = [
+            left_sign * self.at_rim(left.position_rad),
+            right_sign * self.at_rim(right.position_rad),
+        ];
+        let velocity_mps = [
+            left_sign * self.at_rim(left.velocity_radps),
+            right_sign * self.at_rim(right.velocity_radps),
+        ];
         self.twist = self.kinematics.twist(velocity_mps);
-        let elapsed_s = (time_ns - self.fed_back_ns) as f64 * 1e-9;
+        let elapsed_s = (time_ns - self.feedback_ns) as f64 * 1e-9;
         if let (Some([l0, r0]), [l1, r1]) = (self.position_m, position_m) {
             let travel = [l1 - l0, r1 - r0];
-            // Twice the fastest wheel and 5 cm: more is a controller that began to count anew.
+            // More travel than twice that of the fastest wheel plus 5 cm means that a controller
+            // restarted its position counter.
             let limits = &self.config.limits;
             let fastest = limits.linear_mps + limits.angular_radps * self.config.track_m / 2.0;
             let [left_m, right_m] = travel.map(f64::abs);
@@ -351,12 +357,13 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             }
         }
         self.position_m = Some(position_m);
-        self.fed_back_ns = time_ns;
+        self.feedback_ns = time_ns;
         self.status.good += 1;
         self.status.last_good_ns = time_ns;
     }
 
-    fn silent(&self, now_ns: u64) -> Option<CanError> {
+    /// An error for the first motor whose feedback is too old.
+    fn silent_motor(&self, now_ns: u64) -> Option<CanError> {
         let limit_ms = u64::from(self.config.feedback_timeout_ms);
         SIDES.into_iter().zip(&self.motors).find_map(|(side, motor)| {
             let last_ns = motor.status().feedback_ns.max(self.started_ns);
@@ -367,36 +374,36 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         })
     }
 
-    /// Everything that may trip the base.
-    fn watch(&mut self, now_ns: u64) {
+    /// Checks every condition that trips the base, and advances the phase.
+    fn supervise(&mut self, now_ns: u64) {
         let stalled =
-            now_ns.saturating_sub(self.served_ns) > u64::from(self.config.watchdog_ms) * MS;
+            now_ns.saturating_sub(self.polled_ns) > u64::from(self.config.watchdog_ms) * MS;
         if self.phase == Phase::Armed && stalled {
             self.trip(Trip::LoopStalled, now_ns);
         }
-        if let Some(trip) = self.obstacle(now_ns) {
+        if let Some(trip) = self.inhibiting_trip(now_ns) {
             self.trip(trip, now_ns);
         }
-        if let Some(CanError::Silent { side, .. }) = self.silent(now_ns) {
+        if let Some(CanError::Silent { side, .. }) = self.silent_motor(now_ns) {
             self.trip(Trip::FeedbackSilent(side), now_ns);
         }
         let stages = self.motors.each_ref().map(|motor| motor.status().stage);
         for (side, stage) in SIDES.into_iter().zip(stages) {
-            let lost = match self.phase {
+            let has_failed = match self.phase {
                 Phase::Armed => stage != MotorStage::Enabled,
                 Phase::Arming => matches!(stage, MotorStage::Faulted | MotorStage::Refused),
                 _ => false,
             };
-            if lost {
+            if has_failed {
                 self.trip(Trip::MotorFault(side), now_ns);
             }
         }
         for (side, guard) in SIDES.into_iter().zip(self.guards) {
-            if self.phase == Phase::Armed && guard.is_wrong() {
+            if self.phase == Phase::Armed && guard.is_wrong_direction() {
                 self.trip(Trip::WrongDirection(side), now_ns);
             }
         }
-        let waited_ns = now_ns.saturating_sub(self.since_ns);
+        let waited_ns = now_ns.saturating_sub(self.phase_since_ns);
         match self.phase {
             Phase::Arming if stages == [MotorStage::Enabled; 2] => self.enter(Phase::Armed, now_ns),
             Phase::Arming if waited_ns > ARMING_NS => {
@@ -415,14 +422,14 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         }
     }
 
-    /// One set of frames to the motors.
-    fn turn(&mut self, now_ns: u64) {
-        let elapsed_ns = now_ns.saturating_sub(self.turn_ns).min(5 * IDLE_TURN_NS);
-        self.turn_ns = now_ns;
+    /// Sends one set of frames to the motors and publishes the state of the base.
+    fn tick(&mut self, now_ns: u64) {
+        let elapsed_ns = now_ns.saturating_sub(self.tick_ns).min(5 * IDLE_TICK_NS);
+        self.tick_ns = now_ns;
         if !self.backoff.is_over(now_ns) {
             return;
         }
-        self.steer(now_ns, elapsed_ns);
+        self.update_setpoints(now_ns, elapsed_ns);
         let mut first_problem = None;
         let mut out = Outbox::new();
         for k in 0..2 {
@@ -434,12 +441,12 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
                 self.send(frame, &mut first_problem);
             }
         }
-        self.announce(&mut first_problem);
-        self.judge(first_problem, now_ns);
+        self.publish_state(&mut first_problem);
+        self.check_transmission(first_problem, now_ns);
     }
 
-    /// Wheel velocities of this turn.
-    fn steer(&mut self, now_ns: u64, elapsed_ns: u64) {
+    /// Computes the wheel velocities of this tick.
+    fn update_setpoints(&mut self, now_ns: u64, elapsed_ns: u64) {
         let fresh =
             now_ns.saturating_sub(self.command_ns) < u64::from(self.config.watchdog_ms) * MS;
         let target = if self.phase == Phase::Armed && fresh { self.target } else { Twist2::ZERO };
@@ -448,9 +455,10 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             return;
         }
         let measured = self.kinematics.wheels(&self.twist);
-        for ((guard, wanted), measured) in self.guards.iter_mut().zip(self.wheels_mps).zip(measured)
+        for ((guard, commanded), measured) in
+            self.guards.iter_mut().zip(self.wheels_mps).zip(measured)
         {
-            guard.commanded(wanted, measured, elapsed_ns);
+            guard.commanded(commanded, measured, elapsed_ns);
         }
         let twist =
             self.limiter.step(&target, elapsed_ns.max(1) as f64 * 1e-9).unwrap_or(Twist2::ZERO);
@@ -467,7 +475,7 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             || self.guards.iter().any(WheelGuard::is_stalled)
     }
 
-    /// Whether a command may move the base.
+    /// Checks whether a command may move the base.
     fn accept(&mut self, command: &DriveCommand) -> Result<(), CanError> {
         let limit_ms = u64::from(self.config.plan_age_limit_ms);
         let Twist2 { linear_mps, angular_radps } = command.twist;
@@ -512,7 +520,7 @@ impl<B: CanBus, C: Clock> Base for DifferentialBase<B, C> {
 
     fn drive(&mut self, command: &DriveCommand) -> Result<(), CanError> {
         let now_ns = self.clock.now_ns();
-        self.serve(now_ns);
+        self.poll_bus(now_ns);
         let accepted = self.accept(command);
         match accepted {
             Ok(()) => {
@@ -522,16 +530,16 @@ impl<B: CanBus, C: Clock> Base for DifferentialBase<B, C> {
             }
             Err(_) => self.counts.refused += 1,
         }
-        self.turn(now_ns);
+        self.tick(now_ns);
         accepted
     }
 
     fn stop(&mut self) -> Result<(), CanError> {
         let now_ns = self.clock.now_ns();
-        self.serve(now_ns);
-        self.halt();
-        self.turn(now_ns);
-        if self.gone {
+        self.poll_bus(now_ns);
+        self.stop_at_once();
+        self.tick(now_ns);
+        if self.bus_gone {
             return Err(CanError::Bus { bus: Arc::clone(&self.name), problem: SendProblem::Gone });
         }
         Ok(())
@@ -539,24 +547,23 @@ impl<B: CanBus, C: Clock> Base for DifferentialBase<B, C> {
 
     fn poll_feedback(&mut self) -> Result<Option<WheelFeedback>, CanError> {
         let now_ns = self.clock.now_ns();
-        self.serve(now_ns);
-        if now_ns.saturating_sub(self.turn_ns) >= IDLE_TURN_NS {
-            self.turn(now_ns);
+        self.poll_bus(now_ns);
+        if now_ns.saturating_sub(self.tick_ns) >= IDLE_TICK_NS {
+            self.tick(now_ns);
         }
-        if self.gone {
+        if self.bus_gone {
             return Err(CanError::Bus { bus: Arc::clone(&self.name), problem: SendProblem::Gone });
         }
-        if let Some(error) = self.silent(now_ns) {
+        if let Some(error) = self.silent_motor(now_ns) {
             return Err(error);
         }
         let feedback = WheelFeedback {
-            time_ns: self.fed_back_ns,
+            time_ns: self.feedback_ns,
             odom: self.odometry.pose(),
             twist: self.twist,
             contact: self.contact(),
         };
-        let is_new =
-            self.fed_back_ns > std::mem::replace(&mut self.handed_out_ns, self.fed_back_ns);
+        let is_new = self.feedback_ns > std::mem::replace(&mut self.returned_ns, self.feedback_ns);
         Ok(is_new.then_some(feedback))
     }
 }

@@ -1,4 +1,4 @@
-//! What the base says of itself.
+//! Status, counts and texts about the base.
 
 use hal::Clock;
 
@@ -9,39 +9,38 @@ use crate::can::kinematics::Odometry;
 use crate::can::protocol::{MotorStage, MotorStatus};
 use crate::{DeviceState, DeviceStatus};
 
-/// Counts for people, since the driver was made.
+/// Diagnostic counts since the driver was made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct BaseCounts {
-    /// Frames that are nobody's of ours.
+    /// Frames that belong to no motor and are none of the project's messages.
     pub foreign: u64,
-    /// Frames of ours that failed a check.
+    /// Frames of the project's messages with a wrong checksum.
     pub corrupt: u64,
     /// Frames that could not be sent.
     pub unsent: u64,
-    /// Commands that were refused.
+    /// Drive commands that were refused.
     pub refused: u64,
-    /// Commands whose counter was left out.
+    /// Drive commands that never arrived, as gaps in their counter show.
     pub skipped: u64,
     /// Error frames, overflows and missing acknowledges.
     pub bus_errors: u64,
-    /// Times that the controller was bus-off.
+    /// How often the controller was bus-off.
     pub bus_off: u64,
 }
 
 impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
-    /// State and counts.
     #[must_use]
     pub fn status(&self) -> DeviceStatus {
         let now_ns = self.clock.now_ns();
         let stages = self.motors.each_ref().map(|motor| motor.status().stage);
         let is_faulty =
             stages.iter().any(|stage| matches!(stage, MotorStage::Faulted | MotorStage::Refused));
-        let state = if self.gone {
+        let state = if self.bus_gone {
             DeviceState::Disconnected
         } else if is_faulty || !self.backoff.is_over(now_ns) || self.wrong_direction.is_some() {
             DeviceState::Faulty
-        } else if self.silent(now_ns).is_some() {
-            if self.fed_back_ns == 0 { DeviceState::Starting } else { DeviceState::Silent }
+        } else if self.silent_motor(now_ns).is_some() {
+            if self.feedback_ns == 0 { DeviceState::Starting } else { DeviceState::Silent }
         } else if stages.contains(&MotorStage::SettingUp) {
             DeviceState::Starting
         } else {
@@ -53,31 +52,32 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         DeviceStatus { state, bad, ..self.status }
     }
 
-    /// Counts for people.
     #[must_use]
     pub fn counts(&self) -> BaseCounts {
         self.counts
     }
 
-    /// The bus controller's error state and its counters (TEC, REC), as far as it tells them.
+    /// The bus controller's error state and its error counters (TEC, REC), as far as it reports
+    /// them.
     #[must_use]
     pub fn bus_health(&self) -> (ErrorState, (u8, u8)) {
         (self.error_state, self.error_counters)
     }
 
-    /// The motors, left and right.
+    /// The status of the left and the right motor.
     #[must_use]
     pub fn motors(&self) -> [&MotorStatus; 2] {
         self.motors.each_ref().map(|motor| motor.status())
     }
 
-    /// Odometry with its covariance.
+    /// The odometry with its covariance.
     #[must_use]
     pub fn odometry(&self) -> &Odometry {
         &self.odometry
     }
 
-    /// One line for people: what it does, and if nothing, why and what to do.
+    /// One line for the operator: the state of the base and, if it cannot move, the reason and the
+    /// remedy.
     #[must_use]
     pub fn explain(&self) -> String {
         let now_ns = self.clock.now_ns();
@@ -85,13 +85,13 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             .iter()
             .zip(&self.motors)
             .find_map(|(side, motor)| Some((side, motor.status().problem?)));
-        let what = match (self.phase, motor) {
+        let state = match (self.phase, motor) {
             (Phase::Tripped(Trip::MotorFault(_)), Some((side, problem))) => {
                 format!("stopped: the {side} motor: {problem}; then arm")
             }
             (Phase::Tripped(trip), _) => format!("stopped: {trip}"),
-            (Phase::Disarmed, _) if self.obstacle(now_ns).is_some() => {
-                match self.obstacle(now_ns) {
+            (Phase::Disarmed, _) if self.inhibiting_trip(now_ns).is_some() => {
+                match self.inhibiting_trip(now_ns) {
                     Some(trip) => format!("not armed: {trip}"),
                     None => "not armed".to_owned(),
                 }
@@ -102,8 +102,8 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             (Phase::Disarmed, None) => "not armed".to_owned(),
             (Phase::Arming, _) => "arming: the motors confirm their watchdogs".to_owned(),
             (Phase::Armed, _) => "armed".to_owned(),
-            (Phase::Disarming, _) => "braking before the motors are let go".to_owned(),
+            (Phase::Disarming, _) => "braking before power is removed from the motors".to_owned(),
         };
-        format!("base on {}: {what}", self.name)
+        format!("base on {}: {state}", self.name)
     }
 }

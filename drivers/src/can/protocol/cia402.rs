@@ -1,17 +1,20 @@
 //! A CANopen drive (CiA 301, CiA 402) in profile velocity mode.
 //!
-//! Configured by SDO before it is started, every entry written and read back: its PDOs, what it does when we fall silent (a
-//! fault with a quick-stop ramp), and last of all the consumer heartbeat time (0x1016), which is its watchdog on us. Our
-//! heartbeat goes out once per turn of the loop that also sends the velocities, so it cannot outlive the commands.
+//! The drive is configured by SDO before it is started. Every entry is written and read back: the
+//! PDOs, the reaction to a missing host (a fault with a quick-stop ramp), and last the consumer
+//! heartbeat time (0x1016), which is the drive's watchdog on the host. The host's heartbeat is sent
+//! by the same tick as the velocities, so it cannot outlive the commands.
 //!
-//! Each turn, on the bus: heartbeat (from one motor for all), RPDO1 with controlword and target velocity, SYNC (same), and on
-//! that the drive's TPDO1 (statusword, velocity) and TPDO2 (position).
+//! Frames of one tick: the host's heartbeat (sent by one motor for all), RPDO1 with controlword and
+//! target velocity, SYNC (also sent by one motor), and in response to it the drive's TPDO1
+//! (statusword, velocity) and TPDO2 (position).
 
 use std::f64::consts::TAU;
 
-use super::sdo::{Answer, Entry, answer};
+use super::sdo::{self, Entry, Response};
 use super::{
-    MotorProblem, MotorProtocol, MotorStage, MotorStatus, Outbox, Question, Unwrapped, put,
+    Due, MotorProblem, MotorProtocol, MotorStage, MotorStatus, Outbox, SetupRequest,
+    UnwrappedCounter, put,
 };
 use crate::can::frame::{CanFrame, CanId};
 
@@ -21,35 +24,37 @@ const EMERGENCY: u16 = 0x080;
 const TPDO1: u16 = 0x180;
 const RPDO1: u16 = 0x200;
 const TPDO2: u16 = 0x280;
-const SDO_ANSWER: u16 = 0x580;
+const SDO_RESPONSE: u16 = 0x580;
 const HEARTBEAT: u16 = 0x700;
 
 const NMT_START: u8 = 0x01;
 const NMT_PRE_OPERATIONAL: u8 = 0x80;
 const OPERATIONAL: u8 = 5;
 const BOOT_UP: u8 = 0;
-/// PDO does not exist.
-const OFF: u32 = 0x8000_0000;
-/// The drive has this long to get from fault to operation: 1 s.
+/// Bit of a COB-ID that disables its PDO.
+const PDO_DISABLED: u32 = 0x8000_0000;
+/// The drive must get from fault to operation within this time.
 const ENABLE_NS: u64 = 1_000_000_000;
 
-/// Length of the set-up.
+/// Number of entries that the set-up writes.
 const ENTRIES: usize = 25;
 
-/// One drive.
+/// The configuration of one drive.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cia402Node {
-    /// Its node id, 1 to 127.
+    /// Node id of the drive, 1 to 127.
     pub node: u8,
-    /// Ours, whose heartbeat it watches, 1 to 127.
+    /// Node id of the host, whose heartbeat the drive monitors, 1 to 127.
     pub host: u8,
-    /// Whether this motor also sends SYNC and our heartbeat; one motor of a bus does.
+    /// Whether this motor also sends SYNC and the host's heartbeat. Exactly one motor of a bus
+    /// does.
     pub leads: bool,
-    /// Watchdog to set, milliseconds.
+    /// Watchdog time to write.
     pub watchdog_ms: u16,
-    /// Units of 0x606C and 0x60FF at one turn of the shaft per second: 60 for rpm, the encoder's counts for counts/s.
+    /// Units of 0x606C and 0x60FF at one revolution of the shaft per second: 60 for rpm, the
+    /// encoder's counts for counts/s.
     pub velocity_units: f64,
-    /// Units of 0x6064 per turn of the shaft.
+    /// Units of 0x6064 per revolution of the shaft.
     pub position_units: f64,
 }
 
@@ -72,24 +77,24 @@ pub struct Cia402 {
     script: [Entry; ENTRIES],
     status: MotorStatus,
     step: Step,
-    question: Question,
+    request: SetupRequest,
     power: bool,
     powering_since_ns: Option<u64>,
     statusword: u16,
     reset_edge: bool,
     emergency: u16,
-    position: Unwrapped,
+    position: UnwrappedCounter,
     position_ns: u64,
     velocity_radps: f64,
 }
 
-/// Everything that is written, in this order. The watchdog is last: reading it back is what confirms it.
+/// The entries to write, in this order. The watchdog is last: reading it back confirms it.
 fn script(node: &Cia402Node) -> [Entry; ENTRIES] {
     let id = u32::from(node.node);
     let watchdog = u32::from(node.host) << 16 | u32::from(node.watchdog_ms);
     [
-        // RPDO1: controlword, target velocity; taken at once.
-        Entry::u32(0x1400, 1, OFF | (u32::from(RPDO1) + id)),
+        // RPDO1: controlword, target velocity; effective at once.
+        Entry::u32(0x1400, 1, PDO_DISABLED | (u32::from(RPDO1) + id)),
         Entry::u8(0x1600, 0, 0),
         Entry::u32(0x1600, 1, 0x6040_0010),
         Entry::u32(0x1600, 2, 0x60ff_0020),
@@ -97,7 +102,7 @@ fn script(node: &Cia402Node) -> [Entry; ENTRIES] {
         Entry::u8(0x1400, 2, 255),
         Entry::u32(0x1400, 1, u32::from(RPDO1) + id),
         // TPDO1: statusword, velocity; on every SYNC.
-        Entry::u32(0x1800, 1, OFF | (u32::from(TPDO1) + id)),
+        Entry::u32(0x1800, 1, PDO_DISABLED | (u32::from(TPDO1) + id)),
         Entry::u8(0x1a00, 0, 0),
         Entry::u32(0x1a00, 1, 0x6041_0010),
         Entry::u32(0x1a00, 2, 0x606c_0020),
@@ -105,7 +110,7 @@ fn script(node: &Cia402Node) -> [Entry; ENTRIES] {
         Entry::u8(0x1800, 2, 1),
         Entry::u32(0x1800, 1, u32::from(TPDO1) + id),
         // TPDO2: position; on every SYNC.
-        Entry::u32(0x1801, 1, OFF | (u32::from(TPDO2) + id)),
+        Entry::u32(0x1801, 1, PDO_DISABLED | (u32::from(TPDO2) + id)),
         Entry::u8(0x1a01, 0, 0),
         Entry::u32(0x1a01, 1, 0x6064_0020),
         Entry::u8(0x1a01, 0, 1),
@@ -113,17 +118,18 @@ fn script(node: &Cia402Node) -> [Entry; ENTRIES] {
         Entry::u32(0x1801, 1, u32::from(TPDO2) + id),
         // Profile velocity mode.
         Entry::u8(0x6060, 0, 3),
-        // When we fall silent: a fault (0x6007), and on a fault the quick-stop ramp (0x605E), never coasting.
+        // When the host's heartbeat is missing: a fault (0x6007), and on a fault the quick-stop
+        // ramp (0x605E), never coasting.
         Entry::u16(0x6007, 0, 1),
         Entry::u16(0x605e, 0, 2),
-        // Its own heartbeat, ten turns: tells a reboot.
+        // The drive's own heartbeat, every 100 ms, shows when it reboots.
         Entry::u16(0x1017, 0, 100),
         Entry::u32(0x1016, 1, watchdog),
     ]
 }
 
 impl Cia402 {
-    /// A drive that is not found yet.
+    /// The state machine of a drive that has not responded yet.
     #[must_use]
     pub fn new(node: Cia402Node) -> Self {
         Self {
@@ -131,21 +137,21 @@ impl Cia402 {
             script: script(&node),
             status: MotorStatus::default(),
             step: Step::PreOperational,
-            question: Question::default(),
+            request: SetupRequest::default(),
             power: false,
             powering_since_ns: None,
             statusword: 0,
             reset_edge: false,
             emergency: 0,
-            position: Unwrapped::default(),
+            position: UnwrappedCounter::default(),
             position_ns: 0,
             velocity_radps: 0.0,
         }
     }
 
-    fn next(&mut self, step: Step) {
+    fn enter(&mut self, step: Step) {
         self.step = step;
-        self.question.answered();
+        self.request.answered();
         self.status.problem = None;
     }
 
@@ -156,46 +162,46 @@ impl Cia402 {
         self.status.problem = Some(problem);
     }
 
-    fn on_answer(&mut self, data: &[u8; 8]) {
-        let (at, answer) = match (self.step, answer(data)) {
-            (Step::Write(at) | Step::ReadBack(at), Some(answer)) => (at, answer),
-            _ => return,
-        };
-        let Some(wanted) = self.script.get(at).copied() else { return };
-        let is_ours = |index, sub| (index, sub) == (wanted.index, wanted.sub);
-        match (self.step, answer) {
-            (_, Answer::Abort { index, sub, code }) if is_ours(index, sub) => {
+    fn on_response(&mut self, data: &[u8; 8]) {
+        let (Step::Write(at) | Step::ReadBack(at)) = self.step else { return };
+        let Some(response) = sdo::decode(data) else { return };
+        let Some(entry) = self.script.get(at).copied() else { return };
+        match (self.step, response) {
+            (_, Response::Abort { index, sub, code }) if entry.is_at(index, sub) => {
                 self.halt(MotorStage::Refused, MotorProblem::Parameter { index, sub, code });
             }
-            (Step::Write(_), Answer::Written { index, sub }) if is_ours(index, sub) => {
-                self.next(Step::ReadBack(at));
+            (Step::Write(_), Response::Written { index, sub }) if entry.is_at(index, sub) => {
+                self.enter(Step::ReadBack(at));
             }
-            (Step::ReadBack(_), Answer::Value { index, sub, value }) if is_ours(index, sub) => {
-                self.on_read_back(at, &wanted, value);
+            (Step::ReadBack(_), Response::Value { index, sub, value })
+                if entry.is_at(index, sub) =>
+            {
+                self.on_read_back(at, &entry, value);
             }
             _ => {}
         }
     }
 
-    fn on_read_back(&mut self, at: usize, wanted: &Entry, value: u32) {
-        let is_watchdog = wanted.index == 0x1016;
-        if value != wanted.value {
-            let watches_us = value >> 16 == wanted.value >> 16 && value & 0xffff != 0;
+    fn on_read_back(&mut self, at: usize, entry: &Entry, value: u32) {
+        let is_watchdog = entry.index == 0x1016;
+        if value != entry.value {
+            let watches_us = value >> 16 == entry.value >> 16 && value & 0xffff != 0;
             let read_ms = if watches_us { f64::from(value & 0xffff) } else { f64::NAN };
             let problem = match is_watchdog {
-                true => {
-                    MotorProblem::Watchdog { read_ms, wanted_ms: f64::from(self.node.watchdog_ms) }
-                }
+                true => MotorProblem::Watchdog {
+                    read_ms,
+                    required_ms: f64::from(self.node.watchdog_ms),
+                },
                 false => {
-                    MotorProblem::Parameter { index: wanted.index, sub: wanted.sub, code: value }
+                    MotorProblem::Parameter { index: entry.index, sub: entry.sub, code: value }
                 }
             };
             self.halt(MotorStage::Refused, problem);
         } else if is_watchdog {
             self.status.watchdog_ms = Some(f64::from(self.node.watchdog_ms));
-            self.next(Step::Feedback);
+            self.enter(Step::Feedback);
         } else {
-            self.next(Step::Write(at + 1));
+            self.enter(Step::Write(at + 1));
         }
     }
 
@@ -211,7 +217,7 @@ impl Cia402 {
         let state = State::of(self.statusword);
         match self.step {
             Step::Powering if state == State::Enabled => {
-                self.next(Step::Enabled);
+                self.enter(Step::Enabled);
                 self.status.stage = MotorStage::Enabled;
             }
             Step::Enabled if state != State::Enabled => {
@@ -231,11 +237,11 @@ impl Cia402 {
         self.position_ns = time_ns;
     }
 
-    /// Feedback is as old as the older half of it.
+    /// Updates the age of the feedback, which is that of its older half.
     fn fresh(&mut self, time_ns: u64) {
         self.status.feedback_ns = self.position_ns.min(time_ns);
         if self.step == Step::Feedback && self.status.feedback_ns > 0 {
-            self.next(if self.power { Step::Powering } else { Step::Ready });
+            self.enter(if self.power { Step::Powering } else { Step::Ready });
             self.powering_since_ns = None;
             self.status.stage = if self.power { MotorStage::Enabling } else { MotorStage::Ready };
         }
@@ -251,7 +257,7 @@ impl Cia402 {
         if reboots {
             let stage = self.status.stage;
             self.restart();
-            // A fault stays one until somebody enables again.
+            // A fault stays until the motor is enabled again.
             if stage == MotorStage::Faulted {
                 self.halt(
                     MotorStage::Faulted,
@@ -264,55 +270,55 @@ impl Cia402 {
     fn fault(&self) -> MotorProblem {
         let meaning = match (self.emergency, State::of(self.statusword)) {
             // CiA 301, table 26.
-            (0x8130, _) => "it missed our heartbeat: no command came in time",
+            (0x8130, _) => "it missed the host's heartbeat: no command arrived in time",
             (0x2000..=0x2fff, _) => "its current is out of limits",
             (0x3000..=0x3fff, _) => "its voltage is out of limits",
             (0x4000..=0x4fff, _) => "it is too hot",
-            (0x7000..=0x7fff, _) => "a module of it failed, such as the encoder",
-            (0x8000..=0x8fff, _) => "its supervision tripped",
-            (0, State::Fault) => "it is in fault and does not say why",
-            _ => "it left operation by itself",
+            (0x7000..=0x7fff, _) => "one of its modules failed, such as the encoder",
+            (0x8000..=0x8fff, _) => "its monitoring tripped",
+            (0, State::Fault) => "it is in the fault state without an emergency code",
+            _ => "it left operation without a command",
         };
         MotorProblem::Fault { code: u32::from(self.emergency), meaning }
     }
 
-    fn ask(&mut self, now_ns: u64, out: &mut Outbox) {
-        let question = match self.step {
+    fn send_request(&mut self, now_ns: u64, out: &mut Outbox) {
+        let request = match self.step {
             Step::PreOperational | Step::Write(_) | Step::ReadBack(_) => "object dictionary",
             Step::Feedback => "process data (statusword and velocity in TPDO1, position in TPDO2)",
             _ => return,
         };
-        let (now, again) = self.question.ask(now_ns);
-        if !now {
+        let due = self.request.due(now_ns);
+        if due == Due::No {
             return;
         }
-        if again && self.status.problem.is_none() {
-            self.status.problem = Some(MotorProblem::NoAnswer { question });
+        if due == Due::Repeat && self.status.problem.is_none() {
+            self.status.problem = Some(MotorProblem::NoResponse { request });
         }
-        let nmt =
-            |command| CanFrame::standard_short(NMT, [command, self.node.node, 0, 0, 0, 0, 0, 0], 2);
-        let entry = |at: usize| self.script.get(at);
+        let node = self.node.node;
         let frame = match self.step {
-            Step::PreOperational => Some(nmt(NMT_PRE_OPERATIONAL)),
-            Step::Write(at) => entry(at).map(|entry| entry.download(self.node.node)),
-            Step::ReadBack(at) => entry(at).map(|entry| entry.upload(self.node.node)),
-            _ => Some(nmt(NMT_START)),
+            Step::PreOperational => Some(nmt(NMT_PRE_OPERATIONAL, node)),
+            Step::Write(at) => self.script.get(at).map(|entry| entry.download(node)),
+            Step::ReadBack(at) => self.script.get(at).map(|entry| entry.upload(node)),
+            _ => Some(nmt(NMT_START, node)),
         };
         put(out, frame);
         if self.step == Step::PreOperational {
-            // NMT commands have no answer; the first SDO tells.
-            self.next(Step::Write(0));
+            // NMT commands have no response; the response to the first SDO shows whether the drive
+            // is there.
+            self.enter(Step::Write(0));
         }
     }
 
-    /// What brings the drive one state closer to where it shall be (CiA 402-2, figure 3).
+    /// The controlword that brings the drive one state closer to the desired state (CiA 402-2,
+    /// figure 3).
     fn controlword(&mut self) -> u16 {
         if !self.power {
             return 0x06;
         }
         match State::of(self.statusword) {
             State::Fault => {
-                // A fault is reset by the edge, not by the level.
+                // The rising edge of bit 7 resets a fault, not its level.
                 self.reset_edge = !self.reset_edge;
                 if self.reset_edge { 0x80 } else { 0x00 }
             }
@@ -335,8 +341,8 @@ impl MotorProtocol for Cia402 {
             (TPDO2, data) => self.on_position(data, time_ns),
             (HEARTBEAT, [state]) => self.on_heartbeat(*state),
             (EMERGENCY, [low, high, ..]) => self.emergency = u16::from_le_bytes([*low, *high]),
-            (SDO_ANSWER, _) => match frame.eight() {
-                Some(data) => self.on_answer(data),
+            (SDO_RESPONSE, _) => match frame.eight() {
+                Some(data) => self.on_response(data),
                 None => self.status.bad += 1,
             },
             _ => return false,
@@ -369,7 +375,7 @@ impl MotorProtocol for Cia402 {
                 )],
             );
         }
-        self.ask(now_ns, out);
+        self.send_request(now_ns, out);
         if self.node.leads {
             put(out, [CanFrame::standard_short(SYNC, [0; 8], 0)]);
         }
@@ -381,14 +387,15 @@ impl MotorProtocol for Cia402 {
 
     fn enable(&mut self) {
         if matches!(self.status.stage, MotorStage::Ready | MotorStage::Faulted) {
-            // A fault may have been a reboot: all of the set-up. Otherwise the watchdog alone is confirmed again.
+            // After a fault, which may have been a reboot, the whole set-up is repeated. Otherwise
+            // only the watchdog is confirmed again.
             let from = if self.status.stage == MotorStage::Faulted {
                 Step::PreOperational
             } else {
                 Step::Write(ENTRIES - 1)
             };
             self.restart();
-            self.next(from);
+            self.enter(from);
             self.power = true;
             self.status.stage = MotorStage::Enabling;
         }
@@ -397,13 +404,13 @@ impl MotorProtocol for Cia402 {
     fn disable(&mut self) {
         self.power = false;
         if matches!(self.status.stage, MotorStage::Enabled | MotorStage::Enabling) {
-            self.next(Step::Feedback);
+            self.enter(Step::Feedback);
             self.status.stage = MotorStage::SettingUp;
         }
     }
 
     fn restart(&mut self) {
-        self.next(Step::PreOperational);
+        self.enter(Step::PreOperational);
         self.power = false;
         self.emergency = 0;
         self.status.stage = MotorStage::SettingUp;
@@ -415,6 +422,12 @@ impl MotorProtocol for Cia402 {
     }
 }
 
+/// A network management command to one node (CiA 301, 7.2.8).
+fn nmt(command: u8, node: u8) -> CanFrame {
+    CanFrame::standard_short(NMT, [command, node, 0, 0, 0, 0, 0, 0], 2)
+}
+
+/// The state of a drive (CiA 402-2, figure 3).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum State {
     SwitchOnDisabled,
@@ -427,7 +440,7 @@ enum State {
 }
 
 impl State {
-    /// CiA 402-2, table 30.
+    /// Decodes a statusword (CiA 402-2, table 30).
     fn of(statusword: u16) -> Self {
         match (statusword & 0x4f, statusword & 0x6f) {
             (0x40, _) => Self::SwitchOnDisabled,
@@ -461,19 +474,19 @@ mod tests {
     }
 
     #[test]
-    fn every_turn_has_our_heartbeat_and_one_sync() {
+    fn every_tick_sends_the_hosts_heartbeat_and_one_sync() {
         let mut motor = Cia402::new(NODE);
         assert_eq!(sent(&mut motor, 0), ["77F#05", "000#8005", "080#"]);
         assert_eq!(sent(&mut motor, 1), ["77F#05", "605#2300140105020080", "080#"]);
     }
 
     #[test]
-    fn a_watchdog_that_reads_back_otherwise_is_refused() {
+    fn a_watchdog_that_reads_back_differently_is_refused() {
         let mut motor = Cia402::new(NODE);
         motor.step = Step::ReadBack(ENTRIES - 1);
-        let answer = CanFrame::standard(0x585, [0x43, 0x16, 0x10, 1, 0xf4, 0x01, 0x7f, 0]);
-        assert!(motor.receive(&answer, 0));
-        let problem = MotorProblem::Watchdog { read_ms: 500.0, wanted_ms: 100.0 };
+        let response = CanFrame::standard(0x585, [0x43, 0x16, 0x10, 1, 0xf4, 0x01, 0x7f, 0]);
+        assert!(motor.receive(&response, 0));
+        let problem = MotorProblem::Watchdog { read_ms: 500.0, required_ms: 100.0 };
         assert_eq!(
             (motor.status.stage, motor.status.problem),
             (MotorStage::Refused, Some(problem))
@@ -481,7 +494,7 @@ mod tests {
     }
 
     #[test]
-    fn the_states_of_the_standard_are_told_apart() {
+    fn the_states_of_the_standard_are_distinguished() {
         let states =
             [0x0250, 0x0231, 0x0233, 0x0237, 0x0217, 0x0218, 0x021f, 0x0000].map(State::of);
         use State::*;
@@ -501,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn a_position_that_wraps_counts_on() {
+    fn a_position_counter_that_wraps_is_continued() {
         let mut motor = Cia402::new(NODE);
         for count in [i32::MAX - 10, i32::MIN + 10] {
             let data = count.to_le_bytes();

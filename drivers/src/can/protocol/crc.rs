@@ -1,6 +1,6 @@
-//! The two check sums of this folder.
+//! The two checksums that the CAN protocols use.
 
-/// CRC-16/XMODEM, polynomial 0x1021, start 0: VESC's packets.
+/// CRC-16/XMODEM of VESC's packets: polynomial 0x1021, initial value 0.
 #[must_use]
 pub fn crc16(bytes: impl IntoIterator<Item = u8>) -> u16 {
     bytes.into_iter().fold(0, |crc, byte| {
@@ -10,7 +10,8 @@ pub fn crc16(bytes: impl IntoIterator<Item = u8>) -> u16 {
     })
 }
 
-/// CRC-8/SAE-J1850, polynomial 0x1D, start and final XOR 0xFF: our own frames. Table made at compile time: one byte, one step.
+/// CRC-8/SAE-J1850 of the project's own frames: polynomial 0x1D, initial value and final XOR 0xFF.
+/// The table is computed at compile time.
 #[must_use]
 pub fn crc8(bytes: impl IntoIterator<Item = u8>) -> u8 {
     !bytes.into_iter().fold(0xff, |crc: u8, byte| CRC8[usize::from(crc ^ byte)])
@@ -36,9 +37,10 @@ const CRC8: [u8; 256] = {
 mod tests {
     use super::*;
 
-    /// Check values of the catalogue of parametrised CRC algorithms: the CRC of the ASCII digits 1 to 9.
+    /// The check values of the catalogue of parametrised CRC algorithms: the CRC of the ASCII
+    /// digits 1 to 9.
     #[test]
-    fn both_give_the_catalogues_check_values() {
+    fn both_checksums_have_the_check_values_of_the_crc_catalogue() {
         assert_eq!(crc16(*b"123456789"), 0x31c3);
         assert_eq!(crc8(*b"123456789"), 0x4b);
     }

@@ -1,8 +1,20 @@
-//! What all motor controllers have in common. A protocol is a state machine without a bus: frames and the time go in, frames
-//! come out, so that each can be tested and fuzzed without a device.
+//! The protocols of motor controllers, and the trait [`MotorProtocol`] that they share. A protocol
+//! is a state machine without I/O: it takes received frames and the time, and returns the frames to
+//! send. It can therefore be tested and fuzzed without a device.
 //!
-//! Life of a motor: it is found on the bus, its own watchdog is set and **read back**, its faults are read; then it is ready. It
-//! is enabled only on request, and a fault or a bus-off brings it back to the beginning.
+//! The life of a motor: the driver finds it on the bus, sets the controller's own watchdog and
+//! **reads it back**, and reads its faults. Then the motor is ready. It is enabled only on request,
+//! and after a fault or a bus-off it is set up again.
+//!
+//! # Adding a protocol
+//!
+//! 1. Implement [`MotorProtocol`] in a module of this folder. `examples/new_motor_protocol.rs` of
+//!    this crate is a complete implementation for an invented controller, to copy.
+//! 2. Add a variant to [`Protocol`](super::config::Protocol), a table with the protocol's own
+//!    settings to [`BaseConfig`](super::config::BaseConfig), and construct the motor where
+//!    `BaseConfig` constructs the others.
+//! 3. Add the module to the fuzz target of the motor protocols, and a simulated controller to the
+//!    tests of the base.
 
 pub mod cia402;
 pub mod crc;
@@ -14,10 +26,10 @@ use std::fmt;
 
 use super::frame::CanFrame;
 
-/// Frames of one turn. Every protocol sends four at most.
+/// The frames that a motor sends in one tick. Every protocol sends at most four.
 pub type Outbox = heapless::Vec<CanFrame, 8>;
 
-/// Adds frames as far as there is room.
+/// Adds frames while the outbox has free capacity.
 pub(crate) fn put(out: &mut Outbox, frames: impl IntoIterator<Item = CanFrame>) {
     for frame in frames {
         if out.push(frame).is_err() {
@@ -26,48 +38,46 @@ pub(crate) fn put(out: &mut Outbox, frames: impl IntoIterator<Item = CanFrame>) 
     }
 }
 
-/// A question is asked again when it had no answer for this long: ten turns of the loop.
-pub const ANSWER_NS: u64 = 100_000_000;
+/// A set-up request without a response is repeated after this time: ten control ticks.
+pub const RESPONSE_NS: u64 = 100_000_000;
 
-/// How far a motor has come.
+/// The progress of a motor from power-up to following velocities.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum MotorStage {
-    /// Being found and configured.
+    /// The controller is being found and configured.
     #[default]
     SettingUp,
-    /// Configured, its watchdog confirmed, not powered.
+    /// The controller is configured and its watchdog confirmed; the motor is not powered.
     Ready,
-    /// On the way to being powered.
+    /// The motor is being powered.
     Enabling,
-    /// Follows velocities.
+    /// The motor follows velocities.
     Enabled,
-    /// Reports a fault; needs [`MotorProtocol::enable`], which clears it.
+    /// The controller reported a fault. [`MotorProtocol::enable`] clears it.
     Faulted,
-    /// Its configuration cannot be trusted; needs a person.
+    /// The controller's configuration is unsafe. An operator must correct it.
     Refused,
 }
 
-/// What stands in a motor's way.
+/// Why a motor is not ready or not enabled.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum MotorProblem {
-    /// No answer to the question of this set-up step.
-    NoAnswer {
-        /// What was asked for.
-        question: &'static str,
-    },
-    /// The controller's watchdog time is not what it must be.
+    /// The controller did not respond to a set-up request.
+    NoResponse { request: &'static str },
+    /// The controller's watchdog time is not the required one.
     Watchdog {
-        /// Milliseconds read back; not a number when it is switched off.
+        /// The time that was read back; NaN when the watchdog is off.
         read_ms: f64,
-        /// The longest allowed, or the one that was written.
-        wanted_ms: f64,
+        /// The longest allowed time, or the time that was written.
+        required_ms: f64,
     },
-    /// The controller lets the wheel roll when its watchdog expires.
+    /// The controller lets the wheel coast when its watchdog expires.
     CoastsOnTimeout,
-    /// The controller runs other firmware than the configured one, so its parameters may lie elsewhere.
+    /// The controller runs other firmware than the configured one, so its parameters may have other
+    /// addresses.
     Firmware {
-        /// Major, minor, revision as the controller tells it.
+        /// Major, minor and revision that the controller reports.
         found: [u8; 3],
     },
     /// The controller refused a parameter.
@@ -76,135 +86,172 @@ pub enum MotorProblem {
         index: u16,
         /// Sub-index, 0 where the protocol has none.
         sub: u8,
-        /// The controller's code, or the value that was read back instead of the written one.
+        /// The controller's error code, or the value that was read back instead of the written one.
         code: u32,
     },
     /// The controller reports a fault.
-    Fault {
-        /// Its own code.
-        code: u32,
-        /// What the code means.
-        meaning: &'static str,
-    },
-    /// The controller answers with something else than was asked for.
-    Nonsense {
-        /// What was asked for.
-        question: &'static str,
-    },
+    Fault { code: u32, meaning: &'static str },
+    /// The controller's response does not match the request.
+    Mismatch { request: &'static str },
 }
 
 impl fmt::Display for MotorProblem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NoAnswer { question } => {
-                write!(f, "no answer about its {question}; check power, cable, bit rate and node id")
-            }
-            Self::Watchdog { read_ms, wanted_ms } if read_ms.is_nan() => {
-                write!(f, "its watchdog is off; set it to {wanted_ms} ms or less in the controller's own tool")
-            }
-            Self::Watchdog { read_ms, wanted_ms } => {
+            Self::NoResponse { request } => {
                 write!(
                     f,
-                    "its watchdog is {read_ms} ms, wanted {wanted_ms} ms or less; set it in the controller's own tool"
+                    "no response to the request for its {request}; check power, cable, bit \
+                    rate and node id"
+                )
+            }
+            Self::Watchdog { read_ms, required_ms } if read_ms.is_nan() => {
+                write!(
+                    f,
+                    "its watchdog is off; set it to {required_ms} ms or less in the \
+                    controller's own tool"
+                )
+            }
+            Self::Watchdog { read_ms, required_ms } => {
+                write!(
+                    f,
+                    "its watchdog is {read_ms} ms, but must be {required_ms} ms or less; set it \
+                     in the controller's own tool"
                 )
             }
             Self::CoastsOnTimeout => f.write_str(
-                "it lets the wheel roll when its watchdog expires; set a brake current or a stop ramp for time-outs",
+                "it lets the wheel coast when its watchdog expires; set a brake current or a \
+                 stop ramp for time-outs",
             ),
             Self::Firmware { found: [major, minor, revision] } => {
                 write!(
                     f,
-                    "it runs firmware {major}.{minor}.{revision}, the configuration names another; take the endpoint numbers for it from flat_endpoints.json"
+                    "it runs firmware {major}.{minor}.{revision}, but the configuration names \
+                     another; configure this one with the endpoint numbers from its \
+                     flat_endpoints.json"
                 )
             }
-            Self::Parameter { index, sub, code } => write!(f, "it refuses parameter {index:#06x}:{sub} ({code:#010x})"),
+            Self::Parameter { index, sub, code } => {
+                write!(f, "it refuses parameter {index:#06x}:{sub} ({code:#010x})")
+            }
             Self::Fault { code, meaning } => write!(f, "it reports fault {code:#x}, {meaning}"),
-            Self::Nonsense { question } => {
-                write!(f, "its answer about its {question} makes no sense; check the node id and the protocol")
+            Self::Mismatch { request } => {
+                write!(
+                    f,
+                    "its response does not match the request for its {request}; check the \
+                    node id and the protocol"
+                )
             }
         }
     }
 }
 
-/// What is known of a motor. Angles are of the motor's own shaft, before the gear, in the motor's own direction.
+/// The state of a motor as far as the driver knows it. Angles are those of the motor's shaft,
+/// before the gear and in the motor's own direction.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct MotorStatus {
-    /// How far it has come.
     pub stage: MotorStage,
-    /// What stands in its way.
+    /// Why the motor is not ready or not enabled, if there is a reason.
     pub problem: Option<MotorProblem>,
-    /// The watchdog time that the controller confirmed, milliseconds.
+    /// The watchdog time that the controller confirmed; `None` until then.
     pub watchdog_ms: Option<f64>,
-    /// Measured velocity, rad/s.
     pub velocity_radps: f64,
-    /// Measured angle since the driver began, rad; counts on where the controller's own count wraps.
+    /// Measured angle of the shaft. It continues where the controller's own counter wraps.
     pub position_rad: f64,
-    /// When both were measured, monotonic; 0 before the first.
+    /// Monotonic time of the older of the two measurements; 0 before the first.
     pub feedback_ns: u64,
-    /// Readings that failed a check and were dropped.
+    /// Frames that failed a check and were dropped.
     pub bad: u64,
 }
 
 /// One motor on the bus.
+///
+/// An implementation must keep these rules, on which the base relies:
+///
+/// * No method blocks, allocates or reads a clock. The times passed in are monotonic.
+/// * [`MotorStatus::watchdog_ms`] is `Some` only after the controller itself confirmed its watchdog
+///   time. If the controller cannot do that, or if the time is too long, the stage is
+///   [`Refused`](MotorStage::Refused).
+/// * From then on every [`tick`](Self::tick) sends a velocity, which feeds the watchdog. It is zero
+///   unless the stage is [`Enabled`](MotorStage::Enabled).
+/// * [`MotorStatus::feedback_ns`] advances only with a position and a velocity that passed every
+///   check. A frame that fails a check is counted in [`MotorStatus::bad`] and changes nothing else.
+/// * A controller that reports a fault, or leaves operation on its own, becomes
+///   [`Faulted`](MotorStage::Faulted) and stays so until [`enable`](Self::enable).
 pub trait MotorProtocol: Send {
-    /// Takes a frame; false when it is somebody else's.
+    /// Processes a received frame. Returns false when the frame does not belong to this motor.
     fn receive(&mut self, frame: &CanFrame, time_ns: u64) -> bool;
 
-    /// One turn: adds what has to be sent now, the velocity among it. Velocities that are not zero go out only while
-    /// [`MotorStage::Enabled`].
+    /// Adds the frames to send in this control tick: the velocity and any due set-up request. The
+    /// base calls this at about 100 Hz. A velocity other than zero may be sent only while the stage
+    /// is [`MotorStage::Enabled`].
     fn tick(&mut self, now_ns: u64, out: &mut Outbox);
 
-    /// The velocity of the next turns, rad/s of the motor's shaft; finite.
+    /// Sets the velocity for the next ticks, in rad/s of the motor's shaft. The base passes only
+    /// finite values.
     fn set_velocity(&mut self, radps: f64);
 
-    /// Clears a fault and powers the motor, at a stand. Only a motor that is [`Ready`](MotorStage::Ready) or
-    /// [`Faulted`](MotorStage::Faulted) listens.
+    /// Clears a fault and powers the motor at standstill. Has an effect only while the stage is
+    /// [`Ready`](MotorStage::Ready) or [`Faulted`](MotorStage::Faulted).
     fn enable(&mut self);
 
-    /// Takes the power off after braking, as the controller does it.
+    /// Removes power from the motor. The base calls this after braking.
     fn disable(&mut self);
 
-    /// Begins anew: configures the controller and reads its watchdog back.
+    /// Starts the set-up again: configures the controller and reads its watchdog back. The base
+    /// calls this after a bus error.
     fn restart(&mut self);
 
-    /// What is known of it.
     fn status(&self) -> &MotorStatus;
 }
 
-/// The question that a set-up is at, and when it was asked.
+/// The timing of a set-up request: when to send it, and when to repeat it because there was no
+/// response. For implementations of [`MotorProtocol`].
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Question {
-    asked_ns: Option<u64>,
+pub struct SetupRequest {
+    sent_ns: Option<u64>,
 }
 
-impl Question {
-    /// Whether it is time to ask, for the first time or again; notes that it was asked. True in the second place when an earlier
-    /// one had no answer.
-    pub(crate) fn ask(&mut self, now_ns: u64) -> (bool, bool) {
-        match self.asked_ns {
-            Some(asked) if now_ns.saturating_sub(asked) < ANSWER_NS => (false, false),
+impl SetupRequest {
+    /// Whether the request has to be sent now. If so, it counts as sent at `now_ns`.
+    pub fn due(&mut self, now_ns: u64) -> Due {
+        match self.sent_ns {
+            Some(sent) if now_ns.saturating_sub(sent) < RESPONSE_NS => Due::No,
             before => {
-                self.asked_ns = Some(now_ns);
-                (true, before.is_some())
+                self.sent_ns = Some(now_ns);
+                if before.is_some() { Due::Repeat } else { Due::First }
             }
         }
     }
 
-    /// It was answered: the next may be asked at once.
-    pub(crate) fn answered(&mut self) {
-        self.asked_ns = None;
+    /// Records the response, so that the next request is due at once.
+    pub fn answered(&mut self) {
+        self.sent_ns = None;
     }
 }
 
-/// Position of a counter that wraps, carried on in 64 bits.
+/// Whether a set-up request has to be sent now.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Due {
+    /// The request was sent a short time ago.
+    No,
+    /// The request has to be sent for the first time.
+    First,
+    /// The request has to be sent again, because there was no response.
+    Repeat,
+}
+
+/// A position counter of 32 bits that wraps, continued in 64 bits. It starts at 0. For
+/// implementations of [`MotorProtocol`].
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Unwrapped {
+pub struct UnwrappedCounter {
     last: Option<i32>,
     total: i64,
 }
 
-impl Unwrapped {
-    pub(crate) fn update(&mut self, count: i32) -> i64 {
+impl UnwrappedCounter {
+    /// Takes the controller's count and returns the continued one.
+    pub fn update(&mut self, count: i32) -> i64 {
         let step = count.wrapping_sub(self.last.unwrap_or(count));
         self.last = Some(count);
         self.total += i64::from(step);

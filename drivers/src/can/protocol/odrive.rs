@@ -1,20 +1,23 @@
-//! ODrive's CANSimple (ODrive, "CAN Protocol", firmware 0.6). Standard ids: node number times 32 plus a command; little endian.
+//! ODrive's CANSimple (ODrive, "CAN Protocol", firmware 0.6). Standard ids: node number times 32
+//! plus a command. Little endian.
 //!
-//! Its watchdog is a pair of parameters, reached by endpoint numbers that differ from firmware to firmware, so the firmware is
-//! asked first and must be the configured one. `Set_Input_Vel` feeds the watchdog. The controller must send its encoder estimates
-//! by itself every 10 to 50 ms (`can.config.encoder_msg_rate_ms`) and its heartbeat at least every 100 ms.
+//! The watchdog is configured by two parameters, whose endpoint numbers differ between firmware
+//! versions. Therefore the driver reads the firmware version first, which must be the configured
+//! one. `Set_Input_Vel` feeds the watchdog. The controller must be configured to send its encoder
+//! estimates every 10 to 50 ms (`can.config.encoder_msg_rate_ms`) and its heartbeat at least every
+//! 100 ms.
 
 use std::f64::consts::TAU;
 
-use super::{MotorProblem, MotorProtocol, MotorStage, MotorStatus, Outbox, Question, put};
+use super::{Due, MotorProblem, MotorProtocol, MotorStage, MotorStatus, Outbox, SetupRequest, put};
 use crate::can::frame::{CanFrame, CanId};
 
-/// Commands used here.
+/// The commands that this driver uses.
 mod command {
     pub const VERSION: u16 = 0x00;
     pub const HEARTBEAT: u16 = 0x01;
     pub const WRITE_READ: u16 = 0x04;
-    pub const READ_ANSWER: u16 = 0x05;
+    pub const READ_RESPONSE: u16 = 0x05;
     pub const AXIS_STATE: u16 = 0x07;
     pub const ENCODER: u16 = 0x09;
     pub const MODES: u16 = 0x0b;
@@ -26,21 +29,21 @@ const IDLE: u8 = 1;
 const CLOSED_LOOP: u8 = 8;
 const VELOCITY_CONTROL: u32 = 2;
 const PASSTHROUGH: u32 = 1;
-/// The controller has this many chances of 100 ms to reach closed loop.
+/// How often closed-loop control is requested, every 100 ms, before enabling fails.
 const ENABLE_TRIES: u8 = 10;
 
-/// One ODrive axis.
+/// The configuration of one ODrive axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OdriveNode {
-    /// Its node id, 0 to 62.
+    /// Node id of the axis, 0 to 62.
     pub node: u8,
-    /// Its firmware: major, minor, revision.
+    /// Required firmware version: major, minor, revision.
     pub firmware: [u8; 3],
     /// Endpoint of `axis0.config.enable_watchdog` in `flat_endpoints.json` of that firmware.
     pub enable_watchdog_endpoint: u16,
     /// Endpoint of `axis0.config.watchdog_timeout`.
     pub watchdog_timeout_endpoint: u16,
-    /// Watchdog to set, milliseconds.
+    /// Watchdog time to write.
     pub watchdog_ms: u32,
 }
 
@@ -53,7 +56,7 @@ enum Step {
     Ready,
     ClosedLoop,
     Enabled,
-    /// Faulted or refused.
+    /// The axis is faulted or refused.
     Halted,
 }
 
@@ -63,24 +66,24 @@ pub struct Odrive {
     node: OdriveNode,
     status: MotorStatus,
     step: Step,
-    question: Question,
+    request: SetupRequest,
     power: bool,
-    idle_wanted: bool,
+    idle_requested: bool,
     tries: u8,
     velocity_radps: f64,
 }
 
 impl Odrive {
-    /// An axis that is not found yet.
+    /// The state machine of an axis that has not responded yet.
     #[must_use]
     pub fn new(node: OdriveNode) -> Self {
         Self {
             node,
             status: MotorStatus::default(),
             step: Step::Version,
-            question: Question::default(),
+            request: SetupRequest::default(),
             power: false,
-            idle_wanted: false,
+            idle_requested: false,
             tries: 0,
             velocity_radps: 0.0,
         }
@@ -95,7 +98,8 @@ impl Odrive {
     }
 
     fn pair(&self, command: u16, first: [u8; 4], second: [u8; 4]) -> CanFrame {
-        let ([a, b, c, d], [e, f, g, h]) = (first, second);
+        let [a, b, c, d] = first;
+        let [e, f, g, h] = second;
         self.frame(command, &[a, b, c, d, e, f, g, h])
     }
 
@@ -114,10 +118,10 @@ impl Odrive {
         self.node.watchdog_ms as f32 * 1e-3
     }
 
-    fn next(&mut self, step: Step) {
+    fn enter(&mut self, step: Step) {
         self.step = step;
         self.tries = 0;
-        self.question.answered();
+        self.request.answered();
         self.status.problem = None;
     }
 
@@ -135,38 +139,38 @@ impl Odrive {
         }
         let found = [major, minor, revision];
         if found == self.node.firmware {
-            self.next(Step::Timeout);
+            self.enter(Step::Timeout);
         } else {
             self.halt(MotorStage::Refused, MotorProblem::Firmware { found });
         }
     }
 
-    fn on_answer(&mut self, data: &[u8]) {
+    fn on_response(&mut self, data: &[u8]) {
         let Some((&[_, low, high, _], value)) = data.split_first_chunk::<4>() else {
             self.status.bad += 1;
             return;
         };
         let endpoint = u16::from_le_bytes([low, high]);
-        let wanted_ms = f64::from(self.node.watchdog_ms);
+        let required_ms = f64::from(self.node.watchdog_ms);
         match (self.step, value) {
             (Step::Timeout, [a, b, c, d]) if endpoint == self.node.watchdog_timeout_endpoint => {
                 let seconds = f32::from_le_bytes([*a, *b, *c, *d]);
-                // The same 32 bits must come back.
+                // The same 32 bits must be read back.
                 if seconds.to_bits() == self.timeout_s().to_bits() {
-                    self.next(Step::Watchdog);
+                    self.enter(Step::Watchdog);
                 } else {
                     let read_ms = f64::from(seconds) * 1e3;
-                    self.halt(MotorStage::Refused, MotorProblem::Watchdog { read_ms, wanted_ms });
+                    self.halt(MotorStage::Refused, MotorProblem::Watchdog { read_ms, required_ms });
                 }
             }
             (Step::Watchdog, [on, ..]) if endpoint == self.node.enable_watchdog_endpoint => {
                 if *on == 1 {
-                    self.status.watchdog_ms = Some(wanted_ms);
-                    self.next(Step::Feedback);
+                    self.status.watchdog_ms = Some(required_ms);
+                    self.enter(Step::Feedback);
                 } else {
                     self.halt(
                         MotorStage::Refused,
-                        MotorProblem::Watchdog { read_ms: f64::NAN, wanted_ms },
+                        MotorProblem::Watchdog { read_ms: f64::NAN, required_ms },
                     );
                 }
             }
@@ -175,7 +179,7 @@ impl Odrive {
     }
 
     fn on_heartbeat(&mut self, data: &[u8]) {
-        // Seven or eight bytes, as the firmware has it.
+        // Seven or eight bytes, depending on the firmware.
         let [a, b, c, d, state, ..] = *data else {
             self.status.bad += 1;
             return;
@@ -183,7 +187,7 @@ impl Odrive {
         let errors = u32::from_le_bytes([a, b, c, d]);
         match self.step {
             Step::ClosedLoop if errors == 0 && state == CLOSED_LOOP => {
-                self.next(Step::Enabled);
+                self.enter(Step::Enabled);
                 self.status.stage = MotorStage::Enabled;
             }
             Step::ClosedLoop => self.status.problem = (errors != 0).then(|| fault(errors)),
@@ -191,7 +195,7 @@ impl Odrive {
             Step::Enabled if state != CLOSED_LOOP => {
                 let problem = MotorProblem::Fault {
                     code: u32::from(state),
-                    meaning: "it left closed-loop control by itself",
+                    meaning: "it left closed-loop control without a command",
                 };
                 self.halt(MotorStage::Faulted, problem);
             }
@@ -201,8 +205,8 @@ impl Odrive {
 
     fn on_encoder(&mut self, data: &[u8; 8], time_ns: u64) {
         let [a, b, c, d, e, f, g, h] = *data;
-        let (position, velocity) =
-            (f32::from_le_bytes([a, b, c, d]), f32::from_le_bytes([e, f, g, h]));
+        let position = f32::from_le_bytes([a, b, c, d]);
+        let velocity = f32::from_le_bytes([e, f, g, h]);
         if !(position.is_finite() && velocity.is_finite()) {
             self.status.bad += 1;
             return;
@@ -212,14 +216,14 @@ impl Odrive {
         self.status.feedback_ns = time_ns;
         if self.step == Step::Feedback {
             let step = if self.power { Step::ClosedLoop } else { Step::Ready };
-            self.next(step);
+            self.enter(step);
             self.status.stage = if self.power { MotorStage::Enabling } else { MotorStage::Ready };
         }
     }
 
-    /// Asks what this step needs to know.
-    fn ask(&mut self, now_ns: u64, out: &mut Outbox) {
-        let question = match self.step {
+    /// Sends the requests of the current set-up step when they are due.
+    fn send_requests(&mut self, now_ns: u64, out: &mut Outbox) {
+        let request = match self.step {
             Step::Version => "firmware version",
             Step::Timeout => "watchdog time",
             Step::Watchdog => "watchdog",
@@ -227,17 +231,19 @@ impl Odrive {
             Step::ClosedLoop => "closed-loop control",
             Step::Ready | Step::Enabled | Step::Halted => return,
         };
-        let (now, again) = self.question.ask(now_ns);
-        if !now {
+        let due = self.request.due(now_ns);
+        if due == Due::No {
             return;
         }
-        if again && self.status.problem.is_none() {
-            self.status.problem = Some(MotorProblem::NoAnswer { question });
+        if due == Due::Repeat && self.status.problem.is_none() {
+            self.status.problem = Some(MotorProblem::NoResponse { request });
         }
         let node = &self.node;
-        let (timeout, enable) = (node.watchdog_timeout_endpoint, node.enable_watchdog_endpoint);
+        let timeout = node.watchdog_timeout_endpoint;
+        let enable = node.enable_watchdog_endpoint;
         let frames = match self.step {
-            // Asks for no bytes, as ODrive's own library does (`ODriveCAN::request` of ODriveArduino). The answer has eight.
+            // A remote frame of length 0, as sent by ODrive's own library (`ODriveCAN::request` of
+            // ODriveArduino). The response has eight bytes.
             Step::Version => [
                 CanFrame::remote(
                     CanId::Standard((u16::from(node.node) << 5) | command::VERSION),
@@ -283,9 +289,10 @@ impl MotorProtocol for Odrive {
             (command::VERSION, Some(data)) => self.on_version(data),
             (command::HEARTBEAT, _) => self.on_heartbeat(frame.data()),
             (command::ENCODER, Some(data)) => self.on_encoder(data, time_ns),
-            (command::READ_ANSWER, _) => self.on_answer(frame.data()),
+            (command::READ_RESPONSE, _) => self.on_response(frame.data()),
             (command::VERSION | command::ENCODER, None) => self.status.bad += 1,
-            // Currents, temperatures and other messages that the controller may be told to send.
+            // Currents, temperatures and other messages that the controller may be configured to
+            // send.
             _ => {}
         }
         true
@@ -293,19 +300,19 @@ impl MotorProtocol for Odrive {
 
     fn tick(&mut self, now_ns: u64, out: &mut Outbox) {
         if self.step == Step::ClosedLoop && self.tries > ENABLE_TRIES {
-            let unknown = MotorProblem::NoAnswer { question: "closed-loop control" };
+            let unknown = MotorProblem::NoResponse { request: "closed-loop control" };
             self.halt(MotorStage::Faulted, self.status.problem.unwrap_or(unknown));
         }
-        // Fed first, so that the watchdog is fresh when errors are cleared.
+        // The velocity is sent first, so that the watchdog has been fed when errors are cleared.
         if self.status.watchdog_ms.is_some() {
             let radps = if self.step == Step::Enabled { self.velocity_radps } else { 0.0 };
             let velocity = (radps / TAU) as f32;
             put(out, [self.pair(command::VELOCITY, velocity.to_le_bytes(), [0; 4])]);
         }
-        if std::mem::take(&mut self.idle_wanted) {
+        if std::mem::take(&mut self.idle_requested) {
             put(out, [self.frame(command::AXIS_STATE, &u32::from(IDLE).to_le_bytes())]);
         }
-        self.ask(now_ns, out);
+        self.send_requests(now_ns, out);
     }
 
     fn set_velocity(&mut self, radps: f64) {
@@ -322,15 +329,15 @@ impl MotorProtocol for Odrive {
 
     fn disable(&mut self) {
         self.power = false;
-        self.idle_wanted = true;
+        self.idle_requested = true;
         if matches!(self.status.stage, MotorStage::Enabled | MotorStage::Enabling) {
-            self.next(Step::Version);
+            self.enter(Step::Version);
             self.status.stage = MotorStage::SettingUp;
         }
     }
 
     fn restart(&mut self) {
-        self.next(Step::Version);
+        self.enter(Step::Version);
         self.power = false;
         self.status.stage = MotorStage::SettingUp;
         self.status.watchdog_ms = None;
@@ -341,10 +348,10 @@ impl MotorProtocol for Odrive {
     }
 }
 
-/// `ODrive.Error` of firmware 0.6, the most telling bit first.
+/// The bits of `ODrive.Error` of firmware 0.6, the most specific first.
 fn fault(errors: u32) -> MotorProblem {
     const MEANINGS: [(u32, &str); 20] = [
-        (0x0100_0000, "its watchdog expired: no command came in time"),
+        (0x0100_0000, "its watchdog expired: no command arrived in time"),
         (0x0200_0000, "an emergency stop was requested"),
         (0x0400_0000, "the motor spun out: check the encoder"),
         (0x0000_0020, "its gate driver failed"),
@@ -355,7 +362,7 @@ fn fault(errors: u32) -> MotorProblem {
         (0x0000_1000, "its motor current is too high"),
         (0x0000_2000, "its motor is too hot"),
         (0x0000_4000, "its inverter is too hot"),
-        (0x0000_8000, "the motor turns too fast"),
+        (0x0000_8000, "the motor rotates too fast"),
         (0x0001_0000, "the motor is out of its position limits"),
         (0x0800_0000, "its brake resistor is disarmed"),
         (0x1000_0000, "a thermistor is disconnected"),
@@ -390,39 +397,39 @@ mod tests {
         out.iter().map(ToString::to_string).collect()
     }
 
-    fn hears(motor: &mut Odrive, id: u16, data: &[u8]) -> bool {
-        motor.receive(&CanFrame::new(CanId::Standard(id), data).expect("sound"), 5)
+    fn deliver(motor: &mut Odrive, id: u16, data: &[u8]) -> bool {
+        motor.receive(&CanFrame::new(CanId::Standard(id), data).expect("a valid frame"), 5)
     }
 
     #[test]
     fn the_watchdog_is_written_and_read_back_before_the_motor_is_ready() {
         let mut motor = Odrive::new(NODE);
         assert_eq!(sent(&mut motor, 0), ["060#R0"]);
-        assert!(hears(&mut motor, 0x060, &[2, 4, 4, 58, 0, 6, 10, 0]));
+        assert!(deliver(&mut motor, 0x060, &[2, 4, 4, 58, 0, 6, 10, 0]));
         assert_eq!(sent(&mut motor, 1), ["064#01C40000CDCCCC3D", "064#00C4000000000000"]);
-        hears(&mut motor, 0x065, &[0, 196, 0, 0, 0xcd, 0xcc, 0xcc, 0x3d]);
+        deliver(&mut motor, 0x065, &[0, 196, 0, 0, 0xcd, 0xcc, 0xcc, 0x3d]);
         assert_eq!(sent(&mut motor, 2), ["064#01C3000001", "064#00C3000000000000"]);
         assert_eq!(motor.status().watchdog_ms, None);
-        hears(&mut motor, 0x065, &[0, 195, 0, 0, 1]);
+        deliver(&mut motor, 0x065, &[0, 195, 0, 0, 1]);
         assert_eq!(motor.status().watchdog_ms, Some(100.0));
         assert_eq!(motor.status().stage, MotorStage::SettingUp);
-        hears(&mut motor, 0x069, &[0; 8]);
+        deliver(&mut motor, 0x069, &[0; 8]);
         assert_eq!(motor.status().stage, MotorStage::Ready);
     }
 
     #[test]
-    fn other_firmware_is_refused() {
+    fn firmware_other_than_the_configured_one_is_refused() {
         let mut motor = Odrive::new(NODE);
-        hears(&mut motor, 0x060, &[2, 4, 4, 58, 0, 6, 9, 0]);
+        deliver(&mut motor, 0x060, &[2, 4, 4, 58, 0, 6, 9, 0]);
         assert_eq!(motor.status().problem, Some(MotorProblem::Firmware { found: [0, 6, 9] }));
         motor.enable();
         assert_eq!(motor.status().stage, MotorStage::Refused);
     }
 
     #[test]
-    fn frames_of_other_nodes_are_not_ours() {
+    fn frames_of_other_nodes_are_not_accepted() {
         let mut motor = Odrive::new(NODE);
-        assert!(!hears(&mut motor, 0x080, &[2, 4, 4, 58, 0, 6, 10, 0]));
+        assert!(!deliver(&mut motor, 0x080, &[2, 4, 4, 58, 0, 6, 10, 0]));
         assert!(!motor.receive(&CanFrame::extended_short(0x060, [0; 8], 8), 0));
     }
 
@@ -430,7 +437,7 @@ mod tests {
     fn an_estimate_that_is_not_finite_is_not_feedback() {
         let mut motor = Odrive::new(NODE);
         let nan = f32::NAN.to_le_bytes();
-        hears(&mut motor, 0x069, &[nan, nan].concat());
+        deliver(&mut motor, 0x069, &[nan, nan].concat());
         assert_eq!((motor.status().feedback_ns, motor.status().bad), (0, 1));
     }
 }

@@ -1,22 +1,21 @@
-//! Expedited SDO transfers of CANopen (CiA 301, 7.2.4): one question, one answer, up to four bytes.
+//! Expedited SDO transfers of CANopen (CiA 301, 7.2.4): one request and one response of up to four
+//! bytes.
 
 use crate::can::frame::CanFrame;
 
-/// An entry of a node's object dictionary with the value that it shall have.
+/// An entry of a node's object dictionary with its desired value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Entry {
-    /// Index.
     pub index: u16,
-    /// Sub-index.
     pub sub: u8,
-    /// Value, sign-extended bits.
+    /// The value as sign-extended bits.
     pub value: u32,
-    /// Bytes of the value: 1, 2 or 4.
+    /// Size of the value in bytes: 1, 2 or 4.
     pub bytes: u8,
 }
 
 impl Entry {
-    /// An unsigned entry of 8 bits.
+    /// An entry of 8 bits.
     #[must_use]
     pub const fn u8(index: u16, sub: u8, value: u8) -> Self {
         Self { index, sub, value: value as u32, bytes: 1 }
@@ -34,17 +33,24 @@ impl Entry {
         Self { index, sub, value, bytes: 4 }
     }
 
-    /// The request that writes it.
+    /// Whether the entry has this index and sub-index.
+    #[must_use]
+    pub fn is_at(&self, index: u16, sub: u8) -> bool {
+        (self.index, self.sub) == (index, sub)
+    }
+
+    /// The request that writes this entry.
     #[must_use]
     pub fn download(&self, node: u8) -> CanFrame {
         let [i0, i1] = self.index.to_le_bytes();
         let [a, b, c, d] = self.value.to_le_bytes();
-        // Client command 1, expedited, size given: the number of bytes that hold no data stands in bits 2 and 3.
+        // Client command 1, expedited, size indicated: bits 2 and 3 hold the number of bytes
+        // without data.
         let command = 0x23 | (4 - self.bytes.clamp(1, 4)) << 2;
         CanFrame::standard(0x600 + u16::from(node & 0x7f), [command, i0, i1, self.sub, a, b, c, d])
     }
 
-    /// The request that reads it.
+    /// The request that reads this entry.
     #[must_use]
     pub fn upload(&self, node: u8) -> CanFrame {
         let [i0, i1] = self.index.to_le_bytes();
@@ -52,50 +58,42 @@ impl Entry {
     }
 }
 
-/// A node's answer.
+/// A node's response to an SDO request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Answer {
-    /// It has written.
-    Written {
-        /// Index.
-        index: u16,
-        /// Sub-index.
-        sub: u8,
-    },
-    /// It has read: a value of up to four bytes.
+pub enum Response {
+    /// The entry was written.
+    Written { index: u16, sub: u8 },
+    /// The entry was read.
     Value {
-        /// Index.
         index: u16,
-        /// Sub-index.
         sub: u8,
         /// The value; bytes that were not sent are zero.
         value: u32,
     },
-    /// It refuses.
+    /// The node refused the request.
     Abort {
-        /// Index.
         index: u16,
-        /// Sub-index.
         sub: u8,
-        /// CiA 301, table 22.
+        /// Abort code of CiA 301, table 22.
         code: u32,
     },
 }
 
-/// The answer in a frame of a node's SDO channel; `None` for transfers in segments or blocks, which we never ask for.
+/// Decodes a frame of a node's SDO channel. `None` for segmented and block transfers, which this
+/// driver never requests.
 #[must_use]
-pub fn answer(data: &[u8; 8]) -> Option<Answer> {
+pub fn decode(data: &[u8; 8]) -> Option<Response> {
     let [command, i0, i1, sub, a, b, c, d] = *data;
     let index = u16::from_le_bytes([i0, i1]);
     let value = u32::from_le_bytes([a, b, c, d]);
     match command {
-        0x60 => Some(Answer::Written { index, sub }),
-        0x80 => Some(Answer::Abort { index, sub, code: value }),
-        // Expedited upload: with the size given, or 0x42 without.
-        0x43 | 0x42 => Some(Answer::Value { index, sub, value }),
-        0x47 => Some(Answer::Value { index, sub, value: value & 0x00ff_ffff }),
-        0x4b => Some(Answer::Value { index, sub, value: value & 0xffff }),
-        0x4f => Some(Answer::Value { index, sub, value: value & 0xff }),
+        0x60 => Some(Response::Written { index, sub }),
+        0x80 => Some(Response::Abort { index, sub, code: value }),
+        // Expedited upload: 0x43 indicates the size, 0x42 does not.
+        0x43 | 0x42 => Some(Response::Value { index, sub, value }),
+        0x47 => Some(Response::Value { index, sub, value: value & 0x00ff_ffff }),
+        0x4b => Some(Response::Value { index, sub, value: value & 0xffff }),
+        0x4f => Some(Response::Value { index, sub, value: value & 0xff }),
         _ => None,
     }
 }
@@ -105,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn requests_are_those_of_the_standard() {
+    fn requests_have_the_bytes_of_the_standard() {
         assert_eq!(Entry::u16(0x1017, 0, 500).download(5).to_string(), "605#2B171000F4010000");
         assert_eq!(Entry::u8(0x6060, 0, 3).download(5).to_string(), "605#2F60600003000000");
         assert_eq!(
@@ -116,13 +114,13 @@ mod tests {
     }
 
     #[test]
-    fn answers_carry_only_the_bytes_that_were_sent() {
+    fn responses_hold_only_the_bytes_that_were_sent() {
         assert_eq!(
-            answer(&[0x4f, 0x61, 0x60, 0, 3, 9, 9, 9]),
-            Some(Answer::Value { index: 0x6061, sub: 0, value: 3 })
+            decode(&[0x4f, 0x61, 0x60, 0, 3, 9, 9, 9]),
+            Some(Response::Value { index: 0x6061, sub: 0, value: 3 })
         );
-        let abort = Answer::Abort { index: 0x1016, sub: 1, code: 0x0602_0000 };
-        assert_eq!(answer(&[0x80, 0x16, 0x10, 1, 0, 0, 2, 6]), Some(abort));
-        assert_eq!(answer(&[0x41, 0, 0, 0, 0, 0, 0, 0]), None);
+        let abort = Response::Abort { index: 0x1016, sub: 1, code: 0x0602_0000 };
+        assert_eq!(decode(&[0x80, 0x16, 0x10, 1, 0, 0, 2, 6]), Some(abort));
+        assert_eq!(decode(&[0x41, 0, 0, 0, 0, 0, 0, 0]), None);
     }
 }

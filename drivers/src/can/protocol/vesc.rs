@@ -1,16 +1,21 @@
-//! VESC over CAN (Vedder, "VESC 6 CAN formats"). Extended ids: packet number times 256 plus controller id; big endian.
+//! VESC over CAN (Vedder, "VESC 6 CAN formats"). Extended ids: packet number times 256 plus
+//! controller id; big endian.
 //!
-//! *Watchdog.* A VESC lets go of the motor, or brakes, `timeout_msec` after the last command. There is no message to set or read
-//! this one number: it stands in the application configuration, whose layout belongs to the firmware, except for its beginning,
-//! which has been the same in all firmware since 3.100: signature, controller id, `timeout_msec`, `timeout_brake_current`. So
-//! the driver reads the whole configuration (`COMM_GET_APPCONF`, some 500 bytes with a CRC), checks that the controller id in it
-//! is the one it asked, and takes the two numbers. It does not write them: that would mean writing back a configuration that the
-//! driver cannot name. A person sets them once, in VESC Tool under App Settings, General; the driver refuses to arm until they
-//! are right, with a brake current above zero, since a wheel that rolls is not a stop.
+//! *Watchdog.* A VESC releases the motor, or brakes, `timeout_msec` after the last command. No
+//! message sets or reads this single value. It is part of the application configuration, whose
+//! layout depends on the firmware, except for its beginning, which has been the same in all
+//! firmware since 3.100: signature, controller id, `timeout_msec`, `timeout_brake_current`.
+//! Therefore the driver reads the whole configuration (`COMM_GET_APPCONF`, some 500 bytes with a
+//! CRC), checks that it holds the id of the addressed controller, and reads these two values. It
+//! does not write them, because it would have to write back a whole configuration whose layout it
+//! does not know. The operator sets them once, in VESC Tool under App Settings, General. The driver
+//! refuses to arm until the time is short enough and the brake current is above zero, since
+//! coasting is not stopping.
 //!
-//! *Low speeds.* A speed below `s_pid_min_erpm` (900 by default) releases the motor. Set it to what the robot's slowest speed
-//! needs; zero is sent as a brake current for this reason. A VESC has no state to arm: after its time-out it follows the next
-//! command at once, which is why no old command may ever reach it.
+//! *Low speeds.* A speed below `s_pid_min_erpm` (900 by default) releases the motor. Set it
+//! according to the robot's lowest speed. For this reason a velocity of zero is sent as a brake
+//! current. A VESC has no armed state: after its time-out it follows the next command at once, so
+//! no stale command may ever reach it.
 //!
 //! The controller must send STATUS and STATUS_5 every 10 to 50 ms.
 
@@ -18,7 +23,8 @@ use std::f64::consts::TAU;
 
 use super::crc::crc16;
 use super::{
-    MotorProblem, MotorProtocol, MotorStage, MotorStatus, Outbox, Question, Unwrapped, put,
+    Due, MotorProblem, MotorProtocol, MotorStage, MotorStatus, Outbox, SetupRequest,
+    UnwrappedCounter, put,
 };
 use crate::can::frame::{CanFrame, CanId};
 
@@ -39,25 +45,26 @@ const GET_APPCONF: u8 = 17;
 const GET_VALUES_SELECTIVE: u8 = 50;
 /// Bit of the fault code in `COMM_GET_VALUES_SELECTIVE`.
 const FAULT_BIT: u32 = 1 << 15;
-/// Faults are asked for ten times a second.
+/// The fault code is requested ten times per second.
 const FAULT_NS: u64 = 100_000_000;
-/// Commutation steps per electrical turn.
+/// Commutation steps per electrical revolution.
 const STEPS: f64 = 6.0;
-/// The largest configuration so far has some 600 bytes.
-const LONGEST: usize = 1024;
+/// Capacity for the longest response. The largest known configuration has some 600 bytes.
+const MAX_RESPONSE_BYTES: usize = 1024;
 
-/// One VESC.
+/// The configuration of one VESC.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VescNode {
-    /// Its controller id, 0 to 253.
+    /// Controller id of the VESC, 0 to 253.
     pub node: u8,
-    /// The id that it answers to. Two VESCs that answer at the same time need two.
+    /// The id to which the VESC sends its responses. Two VESCs that respond at the same time need
+    /// different ids.
     pub host: u8,
-    /// Pole pairs of the motor: ERPM per rpm.
+    /// Pole pairs of the motor, which is the ratio of ERPM to rpm.
     pub pole_pairs: f64,
-    /// Current that holds the wheel at zero, A.
+    /// Brake current at zero velocity, A.
     pub brake_a: f64,
-    /// The longest watchdog accepted, milliseconds.
+    /// The longest accepted watchdog time.
     pub watchdog_ms: u32,
 }
 
@@ -76,33 +83,34 @@ pub struct Vesc {
     node: VescNode,
     status: MotorStatus,
     step: Step,
-    question: Question,
-    fault_asked_ns: u64,
+    request: SetupRequest,
+    fault_requested_ns: u64,
     fault: Option<u8>,
     power: bool,
-    /// Let go by [`MotorProtocol::disable`]; a fault or a lost bus does not let go, it brakes.
+    /// Whether [`MotorProtocol::disable`] released the motor. After a fault or a lost bus, the
+    /// motor brakes instead.
     released: bool,
-    buffer: [u8; LONGEST],
-    position: Unwrapped,
+    buffer: [u8; MAX_RESPONSE_BYTES],
+    position: UnwrappedCounter,
     position_ns: u64,
     velocity_radps: f64,
 }
 
 impl Vesc {
-    /// A VESC that is not found yet.
+    /// The state machine of a VESC that has not responded yet.
     #[must_use]
     pub fn new(node: VescNode) -> Self {
         Self {
             node,
             status: MotorStatus::default(),
             step: Step::Configuration,
-            question: Question::default(),
-            fault_asked_ns: 0,
+            request: SetupRequest::default(),
+            fault_requested_ns: 0,
             fault: None,
             power: false,
             released: true,
-            buffer: [0; LONGEST],
-            position: Unwrapped::default(),
+            buffer: [0; MAX_RESPONSE_BYTES],
+            position: UnwrappedCounter::default(),
             position_ns: 0,
             velocity_radps: 0.0,
         }
@@ -116,9 +124,9 @@ impl Vesc {
         CanFrame::extended_short(packet << 8 | u32::from(self.node.node), data, payload.len())
     }
 
-    fn next(&mut self, step: Step) {
+    fn enter(&mut self, step: Step) {
         self.step = step;
-        self.question.answered();
+        self.request.answered();
         self.status.problem = None;
     }
 
@@ -142,32 +150,33 @@ impl Vesc {
         }
     }
 
-    fn fill(&mut self, at: usize, bytes: &[u8]) {
+    /// Stores a fragment of a long response.
+    fn store_fragment(&mut self, at: usize, bytes: &[u8]) {
         match self.buffer.get_mut(at..at + bytes.len()) {
-            Some(room) => room.copy_from_slice(bytes),
+            Some(place) => place.copy_from_slice(bytes),
             None => self.status.bad += 1,
         }
     }
 
-    /// The end of a long answer: from whom, to whom it goes, its length and its CRC.
+    /// Processes the end of a long response: sender, command, length and CRC.
     fn on_complete(&mut self, data: &[u8]) {
         let [from, _, l0, l1, c0, c1] = *data else { return };
         let length = usize::from(u16::from_be_bytes([l0, l1]));
-        let Some(answer) = self.buffer.get(..length) else {
+        let Some(response) = self.buffer.get(..length) else {
             self.status.bad += 1;
             return;
         };
         if from != self.node.node {
             return;
         }
-        if crc16(answer.iter().copied()) != u16::from_be_bytes([c0, c1]) {
+        if crc16(response.iter().copied()) != u16::from_be_bytes([c0, c1]) {
             self.status.bad += 1;
             return;
         }
         if let (
             [GET_APPCONF, _, _, _, _, id, t0, t1, t2, t3, a, b, c, d, ..],
             Step::Configuration,
-        ) = (answer, self.step)
+        ) = (response, self.step)
         {
             let milliseconds = u32::from_be_bytes([*t0, *t1, *t2, *t3]);
             let brake_a = f32::from_be_bytes([*a, *b, *c, *d]);
@@ -176,14 +185,14 @@ impl Vesc {
     }
 
     fn on_configuration(&mut self, id: u8, milliseconds: u32, brake_a: f32) {
-        let wanted_ms = f64::from(self.node.watchdog_ms);
+        let required_ms = f64::from(self.node.watchdog_ms);
         let problem = if id != self.node.node || !brake_a.is_finite() {
-            // The firmware's layout is not the one that we know.
-            Some(MotorProblem::Nonsense { question: "application configuration" })
+            // The firmware has another layout than the known one.
+            Some(MotorProblem::Mismatch { request: "application configuration" })
         } else if milliseconds == 0 {
-            Some(MotorProblem::Watchdog { read_ms: f64::NAN, wanted_ms })
+            Some(MotorProblem::Watchdog { read_ms: f64::NAN, required_ms })
         } else if milliseconds > self.node.watchdog_ms {
-            Some(MotorProblem::Watchdog { read_ms: f64::from(milliseconds), wanted_ms })
+            Some(MotorProblem::Watchdog { read_ms: f64::from(milliseconds), required_ms })
         } else if brake_a <= 0.0 {
             Some(MotorProblem::CoastsOnTimeout)
         } else {
@@ -194,7 +203,7 @@ impl Vesc {
             None => {
                 self.status.watchdog_ms = Some(f64::from(milliseconds));
                 self.fault = None;
-                self.next(Step::Feedback);
+                self.enter(Step::Feedback);
             }
         }
     }
@@ -207,7 +216,7 @@ impl Vesc {
         self.advance();
     }
 
-    /// Feedback, and no fault: ready, or going.
+    /// Leaves the feedback step when there is feedback and the fault code is known.
     fn advance(&mut self) {
         if self.step != Step::Feedback || self.status.feedback_ns == 0 {
             return;
@@ -215,7 +224,7 @@ impl Vesc {
         match self.fault {
             None => {}
             Some(0) => {
-                self.next(if self.power { Step::Enabled } else { Step::Ready });
+                self.enter(if self.power { Step::Enabled } else { Step::Ready });
                 self.status.stage =
                     if self.power { MotorStage::Enabled } else { MotorStage::Ready };
             }
@@ -244,11 +253,11 @@ impl Vesc {
         self.position_ns = time_ns;
     }
 
-    fn on_answer(&mut self, kind: u32, data: &[u8]) {
+    fn on_response(&mut self, kind: u32, data: &[u8]) {
         match (kind, data) {
-            (packet::FILL, [at, bytes @ ..]) => self.fill(usize::from(*at), bytes),
+            (packet::FILL, [at, bytes @ ..]) => self.store_fragment(usize::from(*at), bytes),
             (packet::FILL_LONG, [a0, a1, bytes @ ..]) => {
-                self.fill(usize::from(u16::from_be_bytes([*a0, *a1])), bytes);
+                self.store_fragment(usize::from(u16::from_be_bytes([*a0, *a1])), bytes);
             }
             (packet::PROCESS, data) => self.on_complete(data),
             (packet::PROCESS_SHORT, [from, _, GET_VALUES_SELECTIVE, m0, m1, m2, m3, code])
@@ -265,7 +274,8 @@ impl Vesc {
 impl MotorProtocol for Vesc {
     fn receive(&mut self, frame: &CanFrame, time_ns: u64) -> bool {
         let CanId::Extended(id) = frame.id() else { return false };
-        let (kind, to) = (id >> 8, (id & 0xff) as u8);
+        let kind = id >> 8;
+        let to = (id & 0xff) as u8;
         if frame.is_remote() {
             return false;
         }
@@ -275,7 +285,7 @@ impl MotorProtocol for Vesc {
             // STATUS_2, _3, _4, _6 and PONG.
             14..=16 | 18 | 58 if to == self.node.node => {}
             packet::FILL..=packet::PROCESS_SHORT if to == self.node.host => {
-                self.on_answer(kind, frame.data());
+                self.on_response(kind, frame.data());
             }
             _ => return false,
         }
@@ -285,23 +295,25 @@ impl MotorProtocol for Vesc {
     fn tick(&mut self, now_ns: u64, out: &mut Outbox) {
         if self.status.watchdog_ms.is_some() {
             put(out, [self.command()]);
-            if now_ns.saturating_sub(self.fault_asked_ns) >= FAULT_NS {
-                self.fault_asked_ns = now_ns;
+            if now_ns.saturating_sub(self.fault_requested_ns) >= FAULT_NS {
+                self.fault_requested_ns = now_ns;
                 let [m0, m1, m2, m3] = FAULT_BIT.to_be_bytes();
-                let question = [self.node.host, 0, GET_VALUES_SELECTIVE, m0, m1, m2, m3];
-                put(out, [self.frame(packet::PROCESS_SHORT, &question)]);
+                let request = [self.node.host, 0, GET_VALUES_SELECTIVE, m0, m1, m2, m3];
+                put(out, [self.frame(packet::PROCESS_SHORT, &request)]);
             }
         }
-        let question = match self.step {
+        let request = match self.step {
             Step::Configuration => "application configuration",
-            Step::Feedback => "status (STATUS and STATUS_5 must be sent by itself)",
+            Step::Feedback => {
+                "status (the controller must be configured to send STATUS and STATUS_5)"
+            }
             _ => return,
         };
-        let (now, again) = self.question.ask(now_ns);
-        if now && again && self.status.problem.is_none() {
-            self.status.problem = Some(MotorProblem::NoAnswer { question });
+        let due = self.request.due(now_ns);
+        if due == Due::Repeat && self.status.problem.is_none() {
+            self.status.problem = Some(MotorProblem::NoResponse { request });
         }
-        if now && self.step == Step::Configuration {
+        if due != Due::No && self.step == Step::Configuration {
             put(out, [self.frame(packet::PROCESS_SHORT, &[self.node.host, 0, GET_APPCONF])]);
         }
     }
@@ -313,21 +325,23 @@ impl MotorProtocol for Vesc {
     fn enable(&mut self) {
         if matches!(self.status.stage, MotorStage::Ready | MotorStage::Faulted) {
             self.restart();
-            (self.power, self.released) = (true, false);
+            self.power = true;
+            self.released = false;
             self.status.stage = MotorStage::Enabling;
         }
     }
 
     fn disable(&mut self) {
-        (self.power, self.released) = (false, true);
+        self.power = false;
+        self.released = true;
         if matches!(self.status.stage, MotorStage::Enabled | MotorStage::Enabling) {
-            self.next(Step::Feedback);
+            self.enter(Step::Feedback);
             self.status.stage = MotorStage::SettingUp;
         }
     }
 
     fn restart(&mut self) {
-        self.next(Step::Configuration);
+        self.enter(Step::Configuration);
         self.power = false;
         self.status.stage = MotorStage::SettingUp;
         self.status.watchdog_ms = None;
@@ -338,7 +352,7 @@ impl MotorProtocol for Vesc {
     }
 }
 
-/// `mc_fault_code` of the firmware's `datatypes.h`.
+/// The codes of `mc_fault_code` in the firmware's `datatypes.h`.
 fn fault(code: u8) -> MotorProblem {
     let meaning = match code {
         1 => "its supply voltage is too high",
@@ -347,9 +361,9 @@ fn fault(code: u8) -> MotorProblem {
         4 => "its motor current is too high",
         5 => "its inverter is too hot",
         6 => "its motor is too hot",
-        10 => "it has restarted by its own watchdog",
+        10 => "its own watchdog restarted it",
         11..=15 => "its encoder failed",
-        _ => "a fault of its own",
+        _ => "a fault without a known meaning",
     };
     MotorProblem::Fault { code: u32::from(code), meaning }
 }
@@ -367,65 +381,76 @@ mod tests {
         out.iter().map(ToString::to_string).collect()
     }
 
-    /// An application configuration as a controller sends it, in pieces.
-    fn configuration(motor: &mut Vesc, id: u8, milliseconds: u32, brake_a: f32, spoil: bool) {
+    /// Delivers an application configuration in fragments, as a controller sends it.
+    fn configuration(
+        motor: &mut Vesc,
+        id: u8,
+        milliseconds: u32,
+        brake_a: f32,
+        with_wrong_crc: bool,
+    ) {
         let mut bytes = vec![17, 0x1d, 0, 0, 1, id];
         bytes.extend(milliseconds.to_be_bytes());
         bytes.extend(brake_a.to_be_bytes());
         bytes.extend((0..300).map(|k| k as u8));
         let crc = crc16(bytes.iter().copied());
-        if spoil {
+        if with_wrong_crc {
             bytes[7] ^= 1;
         }
         let mut at = 0;
         for piece in bytes.chunks(6) {
             let payload = [&(at as u16).to_be_bytes()[..], piece].concat();
-            let frame = CanFrame::new(CanId::Extended(6 << 8 | 254), &payload).expect("sound");
+            let frame =
+                CanFrame::new(CanId::Extended(6 << 8 | 254), &payload).expect("a valid frame");
             assert!(motor.receive(&frame, 0));
             at += piece.len();
         }
-        let (length, crc) = ((at as u16).to_be_bytes(), crc.to_be_bytes());
+        let length = (at as u16).to_be_bytes();
+        let crc = crc.to_be_bytes();
         let end = [10, 1, length[0], length[1], crc[0], crc[1]];
-        assert!(
-            motor.receive(&CanFrame::new(CanId::Extended(7 << 8 | 254), &end).expect("sound"), 0)
-        );
-    }
-
-    #[test]
-    fn the_watchdog_is_read_out_of_the_configuration() {
-        let mut motor = Vesc::new(NODE);
-        assert_eq!(sent(&mut motor, 0), ["0000080A#FE0011"]);
-        configuration(&mut motor, 10, 80, 3.0, false);
-        assert_eq!(motor.status().watchdog_ms, Some(80.0));
-        // From now on it is fed, with no current until it is enabled.
-        assert_eq!(sent(&mut motor, 1), ["0000010A#00000000"]);
-    }
-
-    #[test]
-    fn a_watchdog_too_long_or_off_or_without_brake_is_refused() {
-        let refusal = |id, milliseconds, brake_a| {
-            let mut motor = Vesc::new(NODE);
-            configuration(&mut motor, id, milliseconds, brake_a, false);
-            (motor.status().stage, motor.status().problem)
-        };
-        let refused = |problem| (MotorStage::Refused, Some(problem));
-        assert_eq!(
-            refusal(10, 1000, 3.0),
-            refused(MotorProblem::Watchdog { read_ms: 1000.0, wanted_ms: 100.0 })
-        );
-        assert_eq!(refusal(10, 80, 0.0), refused(MotorProblem::CoastsOnTimeout));
-        assert_eq!(
-            refusal(11, 80, 3.0),
-            refused(MotorProblem::Nonsense { question: "application configuration" })
-        );
-        assert!(matches!(
-            refusal(10, 0, 3.0),
-            (MotorStage::Refused, Some(MotorProblem::Watchdog { .. }))
+        assert!(motor.receive(
+            &CanFrame::new(CanId::Extended(7 << 8 | 254), &end).expect("a valid frame"),
+            0
         ));
     }
 
     #[test]
-    fn a_configuration_that_fails_its_crc_is_asked_for_again() {
+    fn the_watchdog_time_is_read_from_the_configuration() {
+        let mut motor = Vesc::new(NODE);
+        assert_eq!(sent(&mut motor, 0), ["0000080A#FE0011"]);
+        configuration(&mut motor, 10, 80, 3.0, false);
+        assert_eq!(motor.status().watchdog_ms, Some(80.0));
+        // From now on the watchdog is fed, with zero current until the motor is enabled.
+        assert_eq!(sent(&mut motor, 1), ["0000010A#00000000"]);
+    }
+
+    /// The problem for which a VESC with this configuration is refused.
+    fn refusal(id: u8, milliseconds: u32, brake_a: f32) -> Option<MotorProblem> {
+        let mut motor = Vesc::new(NODE);
+        configuration(&mut motor, id, milliseconds, brake_a, false);
+        assert_eq!(motor.status().stage, MotorStage::Refused);
+        motor.status().problem
+    }
+
+    #[test]
+    fn a_watchdog_that_is_too_long_or_off_or_without_brake_is_refused() {
+        assert_eq!(
+            refusal(10, 1000, 3.0),
+            Some(MotorProblem::Watchdog { read_ms: 1000.0, required_ms: 100.0 })
+        );
+        assert_eq!(refusal(10, 80, 0.0), Some(MotorProblem::CoastsOnTimeout));
+        assert_eq!(
+            refusal(11, 80, 3.0),
+            Some(MotorProblem::Mismatch { request: "application configuration" })
+        );
+        assert!(matches!(
+            refusal(10, 0, 3.0),
+            Some(MotorProblem::Watchdog { read_ms, .. }) if read_ms.is_nan()
+        ));
+    }
+
+    #[test]
+    fn a_configuration_with_a_wrong_crc_is_requested_again() {
         let mut motor = Vesc::new(NODE);
         configuration(&mut motor, 10, 80, 3.0, true);
         assert_eq!((motor.status().watchdog_ms, motor.status().bad), (None, 1));
@@ -433,11 +458,12 @@ mod tests {
     }
 
     #[test]
-    fn zero_is_a_brake_and_never_a_speed() {
+    fn zero_velocity_is_sent_as_a_brake_current() {
         let mut motor = Vesc::new(NODE);
         configuration(&mut motor, 10, 80, 3.0, false);
-        (motor.step, motor.released) = (Step::Enabled, false);
-        motor.fault_asked_ns = 1;
+        motor.step = Step::Enabled;
+        motor.released = false;
+        motor.fault_requested_ns = 1;
         motor.set_velocity(TAU);
         assert_eq!(sent(&mut motor, 2), ["0000030A#000001A4"]);
         motor.set_velocity(0.0);

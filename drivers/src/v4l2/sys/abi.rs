@@ -1,4 +1,4 @@
-//! Structures and numbers of `linux/videodev2.h`, as they are on 64-bit machines.
+//! Structures and constants of `linux/videodev2.h` for 64-bit machines.
 
 use rustix::ioctl::{Opcode, opcode};
 
@@ -9,15 +9,16 @@ compile_error!("the V4L2 structures here are those of 64-bit kernels");
 pub const CAPTURE: u32 = 1;
 /// Multi-planar capture (`V4L2_BUF_TYPE_VIDEO_CAPTURE_MPLANE`).
 pub const CAPTURE_PLANES: u32 = 9;
-/// Memory of the driver, mapped (`V4L2_MEMORY_MMAP`).
+/// Mapped buffers of the kernel driver (`V4L2_MEMORY_MMAP`).
 pub const MEMORY_MMAP: u32 = 1;
-/// Rows in order, no fields (`V4L2_FIELD_NONE`).
+/// Progressive frames, no interlaced fields (`V4L2_FIELD_NONE`).
 pub const FIELD_NONE: u32 = 1;
 
 pub const CAP_CAPTURE: u32 = 0x1;
 pub const CAP_CAPTURE_PLANES: u32 = 0x1000;
 pub const CAP_STREAMING: u32 = 0x0400_0000;
-/// `device_caps` holds the node's own abilities; `capabilities` those of all nodes of the device.
+/// `device_caps` holds the capabilities of the node; `capabilities` holds those of all nodes of the
+/// device.
 pub const CAP_DEVICE_CAPS: u32 = 0x8000_0000;
 
 /// The frame interval can be set (`V4L2_CAP_TIMEPERFRAME`).
@@ -95,7 +96,8 @@ pub struct PixFormatPlanes {
     pub reserved: [u8; 7],
 }
 
-/// The kernel's union has a member with a pointer, hence 8-byte alignment and four bytes of padding after `kind`.
+/// The kernel's union has a member with a pointer, hence 8-byte alignment and four bytes of padding
+/// after `kind`.
 #[repr(C, align(8))]
 #[derive(Clone, Copy)]
 pub union FormatUnion {
@@ -204,7 +206,8 @@ pub const G_CTRL: Opcode = opcode::read_write::<ControlValue>(b'V', 27);
 pub const S_CTRL: Opcode = opcode::read_write::<ControlValue>(b'V', 28);
 pub const QUERYCTRL: Opcode = opcode::read_write::<QueryControl>(b'V', 36);
 
-// The numbers contain the structures' sizes; these are what a C compiler makes of the header on x86-64 and aarch64.
+// The ioctl numbers contain the sizes of the structures. These are the numbers of a C compiler on
+// x86-64 and aarch64.
 const _: () = assert!(QUERYCAP == 0x8068_5600 && ENUM_FMT == 0xc040_5602 && S_FMT == 0xc0d0_5605);
 const _: () = assert!(REQBUFS == 0xc014_5608 && QUERYBUF == 0xc058_5609 && EXPBUF == 0xc040_5610);
 const _: () = assert!(QBUF == 0xc058_560f && DQBUF == 0xc058_5611 && STREAMON == 0x4004_5612);

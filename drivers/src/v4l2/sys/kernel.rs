@@ -1,4 +1,4 @@
-//! A node of the kernel's: `/dev/video0` and its stable names under `/dev/v4l/`.
+//! A video node of the kernel: `/dev/video0` and its stable names under `/dev/v4l/`.
 
 use std::os::fd::{AsFd, FromRawFd, OwnedFd};
 use std::path::Path;
@@ -19,10 +19,11 @@ pub struct KernelNode {
     buffers: Buffers,
 }
 
-/// A structure that is all zeros in the kernel's interface unless said otherwise.
+/// Makes a structure of the kernel's interface whose fields are zero except for the given ones.
 macro_rules! zeroed {
     ($kind:ty { $($field:ident: $value:expr),* $(,)? }) => {{
-        // SAFETY: the structures of `abi` are plain numbers and arrays of them; all zeros is a value of each.
+        // SAFETY: the structures of `abi` are plain numbers and arrays of them; all zeros is a
+        // value of each.
         #[allow(unused_mut, reason = "unused where no field is set")]
         let mut value: $kind = unsafe { std::mem::zeroed() };
         $(value.$field = $value;)*
@@ -34,9 +35,9 @@ impl KernelNode {
     /// Opens a device by its path.
     ///
     /// # Errors
-    /// What `open` says: `ENOENT` when it is not there, `EACCES` without permission.
+    /// Those of `open`: `ENOENT` when the device does not exist, `EACCES` without permission.
     pub fn open(path: &Path) -> Result<Self, Errno> {
-        // Non-blocking: DQBUF answers EAGAIN instead of waiting.
+        // Non-blocking, so that DQBUF returns EAGAIN instead of waiting.
         let file = rustix::fs::open(
             path,
             OFlags::RDWR | OFlags::NONBLOCK | OFlags::CLOEXEC,
@@ -45,11 +46,12 @@ impl KernelNode {
         Ok(Self { file, kind: abi::CAPTURE, buffers: Buffers::default() })
     }
 
-    /// An ioctl that reads and writes a structure of `abi`.
+    /// Calls an ioctl that reads and writes a structure of `abi`.
     fn update<const CODE: Opcode, T>(&self, value: &mut T) -> Result<(), Errno> {
         loop {
-            // SAFETY: private, and every call passes the structure whose size is part of `CODE`; `abi` checks these sizes.
-            // Structures that contain an address are only passed by `buffer_call`.
+            // SAFETY: private, and every call passes the structure whose size is part of `CODE`;
+            // `abi` checks these sizes. Structures that contain an address are only passed by
+            // `buffer_call`.
             match unsafe { ioctl(&self.file, Updater::<CODE, T>::new(value)) } {
                 Err(Errno::INTR) => {}
                 outcome => return outcome,
@@ -57,20 +59,27 @@ impl KernelNode {
         }
     }
 
-    /// An ioctl with a `v4l2_buffer`. Returns its first plane, which a single-planar node has in the buffer itself.
+    /// Calls an ioctl with a `v4l2_buffer`. Returns its first plane, which a single-planar node
+    /// stores in the buffer itself.
     fn buffer_call<const CODE: Opcode>(
         &self,
         buffer: &mut abi::Buffer,
     ) -> Result<abi::Plane, Errno> {
         let mut planes: [abi::Plane; 8] = Default::default();
-        (buffer.kind, buffer.memory) = (self.kind, abi::MEMORY_MMAP);
+        buffer.kind = self.kind;
+        buffer.memory = abi::MEMORY_MMAP;
         if self.kind == abi::CAPTURE {
             self.update::<CODE, _>(buffer)?;
-            let (bytes_used, length, m) = (buffer.bytes_used, buffer.length, buffer.m);
-            return Ok(abi::Plane { bytes_used, length, m, ..abi::Plane::default() });
+            return Ok(abi::Plane {
+                bytes_used: buffer.bytes_used,
+                length: buffer.length,
+                m: buffer.m,
+                ..abi::Plane::default()
+            });
         }
         // The kernel writes at most `length` planes to this address, which outlives the call.
-        (buffer.m, buffer.length) = (planes.as_mut_ptr() as u64, planes.len() as u32);
+        buffer.m = planes.as_mut_ptr() as u64;
+        buffer.length = planes.len() as u32;
         self.update::<CODE, _>(buffer)?;
         let [first, ..] = planes;
         Ok(first)
@@ -79,11 +88,12 @@ impl KernelNode {
     fn map(&mut self, index: u32) -> Result<(), Errno> {
         let plane =
             self.buffer_call::<{ abi::QUERYBUF }>(&mut zeroed!(abi::Buffer { index: index }))?;
-        // The offset is 32 bits; what lies above it in the union is not the kernel's.
+        // The offset has 32 bits; the kernel does not write the upper half of the union.
         self.buffers.map_device(self.file.as_fd(), plane.m & 0xffff_ffff, plane.length as usize)
     }
 
-    fn simple<const CODE: Opcode>(&self) -> Result<(), Errno> {
+    /// Calls an ioctl that takes only the kind of buffers.
+    fn switch_stream<const CODE: Opcode>(&self) -> Result<(), Errno> {
         // SAFETY: STREAMON and STREAMOFF read one number, the kind of buffers.
         unsafe { ioctl(&self.file, Setter::<CODE, u32>::new(self.kind)) }
     }
@@ -94,13 +104,12 @@ impl VideoNode for KernelNode {
         // SAFETY: QUERYCAP writes a `Capability`.
         let found =
             unsafe { ioctl(&self.file, Getter::<{ abi::QUERYCAP }, abi::Capability>::new()) }?;
-        let own = found.capabilities & abi::CAP_DEVICE_CAPS != 0;
-        let flags = if own { found.device_caps } else { found.capabilities };
-        let has = |flag| flags & flag != 0;
+        let has_own_flags = found.capabilities & abi::CAP_DEVICE_CAPS != 0;
+        let flags = if has_own_flags { found.device_caps } else { found.capabilities };
         let capability = Capability {
-            capture: has(abi::CAP_CAPTURE),
-            capture_planes: has(abi::CAP_CAPTURE_PLANES),
-            streaming: has(abi::CAP_STREAMING),
+            capture: flags & abi::CAP_CAPTURE != 0,
+            capture_planes: flags & abi::CAP_CAPTURE_PLANES != 0,
+            streaming: flags & abi::CAP_STREAMING != 0,
         };
         self.kind = if capability.capture { abi::CAPTURE } else { abi::CAPTURE_PLANES };
         Ok(capability)
@@ -112,9 +121,11 @@ impl VideoNode for KernelNode {
         Ok(FourCc(description.format))
     }
 
-    fn set_layout(&mut self, asked: Layout) -> Result<Layout, Errno> {
+    fn set_layout(&mut self, requested: Layout) -> Result<Layout, Errno> {
         let mut format = zeroed!(abi::Format { kind: self.kind });
-        let (width, height, code) = (asked.width, asked.height, asked.format.0);
+        let width = requested.width;
+        let height = requested.height;
+        let code = requested.format.0;
         if self.kind == abi::CAPTURE {
             format.fmt.pix = zeroed!(abi::PixFormat {
                 width: width,
@@ -123,43 +134,44 @@ impl VideoNode for KernelNode {
                 field: abi::FIELD_NONE
             });
             self.update::<{ abi::S_FMT }, _>(&mut format)?;
-            // SAFETY: `kind` says that the kernel filled this member, and every bit pattern is a value of it.
+            // SAFETY: `kind` says that the kernel filled this member, and every bit pattern is a
+            // value of it.
             let got = unsafe { format.fmt.pix };
-            let (stride, size) = (got.bytes_per_line, got.size_image);
             return Ok(Layout {
                 width: got.width,
                 height: got.height,
                 format: FourCc(got.format),
-                stride,
-                size,
+                stride: got.bytes_per_line,
+                size: got.size_image,
                 planes: 1,
             });
         }
-        let mut wish = zeroed!(abi::PixFormatPlanes { width: width, height: height, format: code });
-        (wish.field, wish.num_planes) = (abi::FIELD_NONE, 1);
-        format.fmt.planes = wish;
+        let mut planes =
+            zeroed!(abi::PixFormatPlanes { width: width, height: height, format: code });
+        planes.field = abi::FIELD_NONE;
+        planes.num_planes = 1;
+        format.fmt.planes = planes;
         self.update::<{ abi::S_FMT }, _>(&mut format)?;
         // SAFETY: as above.
         let got = unsafe { format.fmt.planes };
-        let (stride, size) = (got.planes[0].bytes_per_line, got.planes[0].size_image);
-        let planes = u32::from(got.num_planes);
         Ok(Layout {
             width: got.width,
             height: got.height,
             format: FourCc(got.format),
-            stride,
-            size,
-            planes,
+            stride: got.planes[0].bytes_per_line,
+            size: got.planes[0].size_image,
+            planes: u32::from(got.num_planes),
         })
     }
 
-    fn interval(&mut self, wish: Option<Interval>) -> Result<Interval, Errno> {
+    fn interval(&mut self, desired: Option<Interval>) -> Result<Interval, Errno> {
         let mut parameters = zeroed!(abi::StreamParameters { kind: self.kind });
         self.update::<{ abi::G_PARM }, _>(&mut parameters)?;
-        if let Some(wish) = wish
+        if let Some(desired) = desired
             && parameters.capability & abi::PARM_INTERVAL != 0
         {
-            (parameters.numerator, parameters.denominator) = (wish.numerator, wish.denominator);
+            parameters.numerator = desired.numerator;
+            parameters.denominator = desired.denominator;
             self.update::<{ abi::S_PARM }, _>(&mut parameters)?;
             self.update::<{ abi::G_PARM }, _>(&mut parameters)?;
         }
@@ -217,7 +229,8 @@ impl VideoNode for KernelNode {
         let monotonic = buffer.flags & abi::FLAG_CLOCK == abi::FLAG_CLOCK_MONOTONIC;
         Ok(Filled {
             index: buffer.index,
-            // Nobody but codecs puts the picture at an offset; a capture node that does is refused as damaged.
+            // Only codecs store the frame at an offset; such a frame of a capture node is refused
+            // as damaged.
             bytes_used: plane.bytes_used,
             sequence: buffer.sequence,
             time_ns: if monotonic {
@@ -231,11 +244,11 @@ impl VideoNode for KernelNode {
     }
 
     fn start(&mut self) -> Result<(), Errno> {
-        self.simple::<{ abi::STREAMON }>()
+        self.switch_stream::<{ abi::STREAMON }>()
     }
 
     fn stop(&mut self) -> Result<(), Errno> {
-        self.simple::<{ abi::STREAMOFF }>()?;
+        self.switch_stream::<{ abi::STREAMOFF }>()?;
         self.buffers.take_all_back();
         Ok(())
     }
@@ -244,7 +257,7 @@ impl VideoNode for KernelNode {
         let flags = (OFlags::CLOEXEC | OFlags::RDONLY).bits();
         let mut export = zeroed!(abi::ExportBuffer { kind: self.kind, index: index, flags: flags });
         self.update::<{ abi::EXPBUF }, _>(&mut export)?;
-        // SAFETY: EXPBUF has succeeded, so `fd` is a new descriptor that nobody else knows.
+        // SAFETY: EXPBUF has succeeded, so `fd` is a new descriptor that nothing else uses.
         Ok(unsafe { OwnedFd::from_raw_fd(export.fd) })
     }
 
@@ -253,7 +266,7 @@ impl VideoNode for KernelNode {
     }
 }
 
-/// `None` for a time that cannot be.
+/// `None` for a time that is negative or too large.
 fn nanoseconds(seconds: i64, microseconds: i64) -> Option<u64> {
     let whole = u64::try_from(seconds).ok()?.checked_mul(1_000_000_000)?;
     whole.checked_add(u64::try_from(microseconds).ok()?.checked_mul(1_000)?)

@@ -1,4 +1,4 @@
-//! Memory that the other side of a queue fills.
+//! Mapped buffers that the other side of a queue fills.
 
 use std::os::fd::{AsFd, BorrowedFd};
 
@@ -6,7 +6,8 @@ use rustix::fs::{SealFlags, fcntl_get_seals, fstat};
 use rustix::io::Errno;
 use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
 
-/// The mapped buffers of a queue, each either ours or lent to whoever fills it. Only ours can be read.
+/// The mapped buffers of a queue. Each is either owned by this process or lent to the side that
+/// fills it. Only owned buffers can be read.
 #[derive(Debug, Default)]
 pub struct Buffers(Vec<Slot>);
 
@@ -17,10 +18,10 @@ struct Slot {
 }
 
 impl Buffers {
-    /// Maps one more buffer of a video device. Ours at first.
+    /// Maps one more buffer of a video device. It is owned at first.
     ///
     /// # Errors
-    /// What `mmap` says.
+    /// Those of `mmap`.
     pub fn map_device(
         &mut self,
         device: BorrowedFd<'_>,
@@ -31,10 +32,11 @@ impl Buffers {
         Ok(())
     }
 
-    /// Maps one more buffer: a memory file of another process.
+    /// Maps a memory file of another process as one more buffer.
     ///
     /// # Errors
-    /// `EBADMSG` when the file is shorter than `length` or not sealed against being cut: reading it could then kill us.
+    /// `EBADMSG` when the file is shorter than `length` or not sealed against shrinking: reading it
+    /// could then end this process by SIGBUS.
     pub fn map_shared(&mut self, file: BorrowedFd<'_>, length: usize) -> Result<(), Errno> {
         let sealed = fcntl_get_seals(file)?.contains(SealFlags::SHRINK);
         if !sealed || fstat(file)?.st_size < length as i64 {
@@ -44,19 +46,19 @@ impl Buffers {
         Ok(())
     }
 
-    /// Unmaps all.
+    /// Unmaps every buffer.
     pub fn clear(&mut self) {
         self.0.clear();
     }
 
-    /// The other side may fill it now.
+    /// Lends a buffer to the other side, which may fill it now.
     pub fn lend(&mut self, index: u32) {
         if let Some(slot) = self.0.get_mut(index as usize) {
             slot.lent = true;
         }
     }
 
-    /// It came back.
+    /// Takes a lent buffer back.
     ///
     /// # Errors
     /// `EBADMSG` when there is no such buffer.
@@ -64,12 +66,12 @@ impl Buffers {
         self.0.get_mut(index as usize).map(|slot| slot.lent = false).ok_or(Errno::BADMSG)
     }
 
-    /// All came back.
+    /// Takes every lent buffer back.
     pub fn take_all_back(&mut self) {
         self.0.iter_mut().for_each(|slot| slot.lent = false);
     }
 
-    /// A buffer's bytes; none while it is lent.
+    /// The bytes of a buffer; empty while it is lent.
     #[must_use]
     pub fn bytes(&self, index: u32) -> &[u8] {
         match self.0.get(index as usize) {
@@ -91,7 +93,8 @@ unsafe impl Send for Mapping {}
 
 impl Mapping {
     fn new(file: impl AsFd, offset: u64, length: usize) -> Result<Self, Errno> {
-        // SAFETY: the kernel chooses an address where nothing is; the mapping is only read and not executable.
+        // SAFETY: the kernel chooses an address where nothing is; the mapping is only read and not
+        // executable.
         let start = unsafe {
             mmap(std::ptr::null_mut(), length, ProtFlags::READ, MapFlags::SHARED, file, offset)
         }?;
@@ -100,9 +103,10 @@ impl Mapping {
 
     /// Private to `Buffers`, which calls it only for buffers that are not lent.
     fn bytes(&self) -> &[u8] {
-        // SAFETY: `start` and `length` are those of a mapping that lives as long as `self`. Its file keeps its length: a
-        // device's memory does, also after an unplug, and a memory file is sealed. The other side of the queue, be it the
-        // kernel or the simulated camera, writes only to buffers that are lent to it, and lending ends this borrow.
+        // SAFETY: `start` and `length` are those of a mapping that lives as long as `self`. Its
+        // file keeps its length: a device's memory does, also after an unplug, and a memory file is
+        // sealed. The other side of the queue, be it the kernel or the simulated camera, writes
+        // only to buffers that are lent to it, and lending ends this borrow.
         unsafe { std::slice::from_raw_parts(self.start, self.length) }
     }
 }
@@ -110,7 +114,7 @@ impl Mapping {
 impl Drop for Mapping {
     fn drop(&mut self) {
         // SAFETY: `start` and `length` came from `mmap`, and every slice of it has borrowed `self`.
-        // A failure leaves the memory mapped, which harms nobody.
+        // A failure leaves the memory mapped, which is harmless.
         _ = unsafe { munmap(self.start.cast_mut().cast(), self.length) };
     }
 }

@@ -1,4 +1,4 @@
-//! The kernel's side of a video node, and the only unsafe code of this driver.
+//! The kernel interface of a video node. This is the only unsafe code of the driver.
 #![allow(unsafe_code)]
 
 mod abi;
