@@ -52,7 +52,8 @@ fn main() -> ExitCode {
 fn draw(plan: &FloorPlan) -> RgbImage {
     const ZOOM: u32 = 3;
     let grid = plan.grid();
-    let (width, height) = (grid.width as u32, grid.height as u32);
+    let width = grid.width as u32;
+    let height = grid.height as u32;
     let mut picture = RgbImage::from_fn(width * ZOOM, height * ZOOM, |x, y| {
         let cell = (height - 1 - y / ZOOM) * width + x / ZOOM;
         let [x, y] = grid.center(cell as usize);

@@ -114,7 +114,8 @@ fn pose(at: [f64; 2], yaw: f64) -> Pose3 {
 
 /// The place in a room, off its furniture, from where a camera sees farthest.
 fn best_view(home: &Home, index: usize, room: &Room, renderer: &Renderer) -> Pose3 {
-    let ([x0, y0], [w, d]) = (room.rect.min, room.rect.size());
+    let [x0, y0] = room.rect.min;
+    let [w, d] = room.rect.size();
     let mut best = (0.0, pose(room.rect.center().map(f64::from), 0.0));
     for i in 0..96 {
         let share = |k: f32| (0.5 + k * i as f32).fract();
@@ -140,13 +141,16 @@ fn best_view(home: &Home, index: usize, room: &Room, renderer: &Renderer) -> Pos
 
 fn views(home: &Home, path: &Path) -> Result<(), Box<dyn Error>> {
     let camera = CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2);
-    let (renderer, classes) = (Renderer::new(&home.scene), Renderer::new(&labelled(home)));
+    let renderer = Renderer::new(&home.scene);
+    let classes = Renderer::new(&labelled(home));
     let rows = home.rooms.len().div_ceil(2) as u32;
     let mut sheet = image::RgbImage::new(1284, rows * 196);
     let mut contrast = Contrast::default();
     for (index, room) in home.rooms.iter().enumerate() {
         let at = best_view(home, index, room, &renderer);
-        let (mut rgb, mut labels, mut depth) = (Vec::new(), Vec::new(), DepthMap::none(640, 192));
+        let mut rgb = Vec::new();
+        let mut labels = Vec::new();
+        let mut depth = DepthMap::none(640, 192);
         classes.render(&camera, &at, &[], &Lighting::flat(), &mut labels, &mut depth);
         renderer.render(&camera, &at, &[], &Lighting::default(), &mut rgb, &mut depth);
         contrast.add(&rgb, &labels, depth.values());
@@ -154,7 +158,8 @@ fn views(home: &Home, path: &Path) -> Result<(), Box<dyn Error>> {
         image::save_buffer(single, &rgb, 640, 192, image::ColorType::Rgb8)?;
         let left = (index as u32 % 2) * 644;
         for (i, pixel) in rgb.chunks_exact(3).enumerate() {
-            let (x, y) = (i as u32 % 640 + left, i as u32 / 640 + index as u32 / 2 * 196);
+            let x = i as u32 % 640 + left;
+            let y = i as u32 / 640 + index as u32 / 2 * 196;
             sheet.put_pixel(x, y, image::Rgb([pixel[0], pixel[1], pixel[2]]));
         }
     }

@@ -1,10 +1,11 @@
-//! The names of built-in homes.
+//! Parses the names and options of built-in homes.
 
 use crate::error::SceneError;
 use crate::homes::{self, HomeKind, HomeOptions};
 use crate::scene::Scene;
 
-/// Builds `NAME?seed=K&texture=T&moved=M`; `spec` is the whole, for messages.
+/// Builds the home `NAME?seed=K&texture=T&moved=M`. `spec` is the whole specification, for error
+/// messages.
 pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
     let refuse = |problem: String| SceneError::Builtin { spec: spec.into(), problem };
     let (name, query) = home.split_once('?').unwrap_or((home, ""));
@@ -22,8 +23,9 @@ pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
             }
             "texture" => {
                 let texture = value.parse().ok().filter(|texture| (0.0..=1.0).contains(texture));
-                options.texture = texture
-                    .ok_or_else(|| wrong("a number from 0 (blank walls) to 1 (rich ones)"))?;
+                options.texture = texture.ok_or_else(|| {
+                    wrong("a number from 0 (blank walls) to 1 (strongly textured walls)")
+                })?;
             }
             "moved" => {
                 options.moved = match value {
@@ -34,7 +36,7 @@ pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
             }
             _ => {
                 return Err(refuse(format!(
-                    "there is no `{key}`; there are seed, texture and moved"
+                    "unknown option `{key}`; the options are seed, texture and moved"
                 )));
             }
         }

@@ -1,4 +1,4 @@
-//! What a triangle looks like: texture coordinates, ambient light and normal as functions of the point.
+//! Texture coordinates, ambient light and normal of a triangle as functions of the point.
 
 use nalgebra::Vector3;
 
@@ -22,15 +22,17 @@ impl Surface {
     /// `None` for a triangle without area or with corners that are not numbers: it is never seen.
     pub fn new(triangle: &Triangle) -> Option<Self> {
         let [a, b, c] = triangle.vertices.each_ref();
-        // In f64: gradients of slivers lose all digits in f32.
+        // f64, because gradients of slivers lose all digits in f32.
         let corner = |v: &Vertex| Vector3::from(v.position_m).cast::<f64>();
-        let (along, across) = (corner(b) - corner(a), corner(c) - corner(a));
+        let along = corner(b) - corner(a);
+        let across = corner(c) - corner(a);
         let normal = along.cross(&across);
         let area_squared = normal.norm_squared();
         if !(area_squared.is_finite() && area_squared > 0.0) {
             return None;
         }
-        // Vectors in the plane with dual_b . along = 1, dual_b . across = 0, and the other way round.
+        // Vectors in the plane with dual_b . along = 1 and dual_b . across = 0, and vice versa for
+        // dual_c.
         let dual_b = across.cross(&normal) / area_squared;
         let dual_c = normal.cross(&along) / area_squared;
         let gradient = |at_a: f32, at_b: f32, at_c: f32| -> V3 {
@@ -48,7 +50,7 @@ impl Surface {
         })
     }
 
-    /// `offset`: point minus [`Surface::origin`].
+    /// Texture coordinates at a point; `offset` is the point minus [`Surface::origin`].
     #[inline(always)]
     pub fn uv(&self, offset: &V3) -> [f32; 2] {
         let [du, dv] = self.uv_change(offset);

@@ -1,22 +1,22 @@
-//! What is on walls and ceilings. Their contrast scales with `HomeOptions::texture`.
+//! Textures of walls and ceilings. Their contrast scales with `HomeOptions::texture`.
 
 use super::noise::{Field, hash};
 use super::{gray, mix, square};
 use crate::scene::Texture;
 
 const SIZE: usize = 512;
-/// Mean brightness of colourless wall textures, so that contrast is not cut at white.
+/// Mean brightness of colourless wall textures. It is below white so that contrast is not clipped.
 const MEAN: f32 = 222.0;
 /// Painted plaster: standard deviation over a whole tile at full texture, of 255.
 const PLASTER_RMS: f32 = 24.0;
 /// Ceilings are painted more evenly than walls.
 const CEILING_RMS: f32 = 18.0;
-/// Wallpaper's motifs against their ground.
+/// Contrast of wallpaper motifs against their background.
 const MOTIF: f32 = 60.0;
-/// Brick against brick.
+/// Contrast between bricks.
 const BRICK_RMS: f32 = 26.0;
 
-/// Clouds of every size, the marks of a roller, and a few stains and scuffs.
+/// Variations at every scale, the marks of a roller, and a few stains and scuffs.
 pub fn plaster(seed: u64, texture: f32) -> Texture {
     let mut field = cloud([SIZE, SIZE], seed);
     let roller = Field::fractal([SIZE, SIZE], [24, 3], 3, 0.8, seed ^ 1);
@@ -30,7 +30,7 @@ pub fn plaster(seed: u64, texture: f32) -> Texture {
     gray(SIZE, |x, y| MEAN + texture * PLASTER_RMS * field.at(x, y).clamp(-4.0, 3.0))
 }
 
-/// Contrast at every scale, less of it above 30 cm: paint hides large unevenness better than small.
+/// Contrast at every scale, with less above 30 cm: paint hides large unevenness better than small.
 fn cloud(size: [usize; 2], seed: u64) -> Field {
     let mut field = Field::fractal(size, [9, 9], 6, 1.0, seed);
     let coarse = Field::fractal(size, [3, 3], 2, 1.0, seed ^ 8);
@@ -45,13 +45,14 @@ pub fn ceiling(seed: u64, texture: f32) -> Texture {
     gray(SIZE, |x, y| MEAN + texture * CEILING_RMS * field.at(x, y))
 }
 
-/// Flowers of several petals, each turned and sized by chance and off its place in the grid.
+/// Flowers of several petals with random orientation, size and offset from a grid.
 pub fn wallpaper(seed: u64, texture: f32) -> Texture {
     const ROWS: usize = 10;
     let ground = cloud([SIZE, SIZE], seed ^ 5);
     let cell = SIZE as f32 / ROWS as f32;
     let motif = |x: usize, y: usize| {
-        let (mut best, row) = (0.0_f32, (y as f32 / cell) as usize);
+        let mut best = 0.0_f32;
+        let row = (y as f32 / cell) as usize;
         for r in row + ROWS - 1..=row + ROWS + 1 {
             let r = r % ROWS;
             let column = (x as f32 / cell) as usize;

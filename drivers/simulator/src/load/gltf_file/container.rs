@@ -1,4 +1,4 @@
-//! The document and its buffers.
+//! The glTF document and its buffers.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,7 @@ pub(super) struct File {
     pub buffers: Vec<Vec<u8>>,
 }
 
-/// Required extensions that are honoured, or change nothing that is used here.
+/// Required extensions that are supported, or that do not affect the data used here.
 const HARMLESS: [&str; 3] =
     ["KHR_texture_transform", "KHR_mesh_quantization", "KHR_lights_punctual"];
 
@@ -85,7 +85,8 @@ impl File {
         })
     }
 
-    /// The bytes behind a URI: embedded, or in a file beside the scene. Nothing is fetched from a network.
+    /// The bytes of a URI: embedded data or a file beside the scene. Nothing is fetched from a
+    /// network.
     pub fn fetch(&self, uri: &str, what: &'static str) -> Result<Vec<u8>, SceneError> {
         if uri.starts_with("data:") {
             return match gltf::buffer::Data::from_source(gltf::buffer::Source::Uri(uri), None) {
@@ -124,7 +125,8 @@ impl File {
     }
 }
 
-/// A size or offset of the document; one that no memory can hold lies outside of every buffer.
+/// Converts a size or offset of the document. A value that exceeds `usize` becomes `usize::MAX`,
+/// which lies outside of every buffer.
 pub(super) fn size(value: USize64) -> usize {
     usize::try_from(value.0).unwrap_or(usize::MAX)
 }
@@ -161,7 +163,7 @@ fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
     Ok((json.ok_or("it has no JSON chunk")?, blob))
 }
 
-/// `a%20b` is `a b`; `None` when the escapes are not text.
+/// Decodes percent escapes: `a%20b` becomes `a b`. `None` when the result is not UTF-8.
 fn percent_decoded(uri: &str) -> Option<String> {
     let mut bytes = Vec::with_capacity(uri.len());
     let mut rest = uri.as_bytes();
@@ -193,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_glb_that_is_cut_anywhere_is_refused_without_panic() {
+    fn a_glb_truncated_at_any_byte_is_refused_without_panic() {
         let json = b"{\"asset\":{\"version\":\"2.0\"}} ";
         let mut whole = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
         whole.extend((json.len() as u32).to_le_bytes());

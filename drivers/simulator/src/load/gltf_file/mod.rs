@@ -1,7 +1,7 @@
 //! glTF 2.0 and its binary form GLB.
 //!
-//! The `gltf` crate gives the document's structure; its bytes are read here, because its readers panic on documents that are
-//! not sound, and a scene is a file from somewhere.
+//! The `gltf` crate parses the document's structure. Buffers are read here, because the crate's
+//! readers panic on malformed documents, and scene files are untrusted.
 
 mod accessor;
 mod container;
@@ -17,7 +17,8 @@ use self::material::Materials;
 use crate::error::SceneError;
 use crate::scene::{Scene, Triangle};
 
-/// All triangles of the default scene, with node transforms applied, in the file's own axes and units.
+/// Reads all triangles of the default scene with node transforms applied, in the file's axes and
+/// units.
 pub fn read(path: &Path) -> Result<Scene, SceneError> {
     let file = File::open(path)?;
     let mut scene = Scene::default();
@@ -32,7 +33,8 @@ pub fn read(path: &Path) -> Result<Scene, SceneError> {
     Ok(scene)
 }
 
-/// Every node of the default scene with its place in the world. Nodes may not be shared, or a cycle would never end.
+/// Every node of the default scene with its world transform. A node that is reached twice is an
+/// error; otherwise a cycle would never end.
 fn placed_nodes(file: &File) -> Result<Vec<(&Node, Matrix4<f64>)>, SceneError> {
     let root = &file.root;
     let scene = root.scene.map_or(root.scenes.first(), |index| root.get(index));
@@ -129,7 +131,7 @@ fn add_primitive(
     Ok(())
 }
 
-/// Corners of every triangle of a list, strip or fan; points and lines have none.
+/// Corner indices of every triangle of a list, strip or fan. Points and lines have none.
 fn assemble(primitive: &mesh::Primitive, corners: &[u32]) -> Vec<[u32; 3]> {
     use gltf::json::validation::Checked::Valid;
     match primitive.mode {

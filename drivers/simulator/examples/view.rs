@@ -18,7 +18,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         _ => world.floor_plan().start_pose(0),
     };
     let camera = CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2);
-    let (mut picture, mut depth) = (Vec::new(), DepthMap::none(camera.width, camera.height));
+    let mut picture = Vec::new();
+    let mut depth = DepthMap::none(camera.width, camera.height);
     let t_world_camera = pose.to_pose3() * camera_mount(0.0, 0.8, 0.0);
     world.renderer().render(
         &camera,
@@ -31,7 +32,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let brightness =
         |depth_m: f32| if depth_m > 0.0 { (255.0 / (1.0 + 0.5 * depth_m)) as u8 } else { 0 };
     picture.extend(depth.values().iter().flat_map(|d| [brightness(*d); 3]));
-    let (width, height) = (camera.width as u32, 2 * camera.height as u32);
+    let width = camera.width as u32;
+    let height = 2 * camera.height as u32;
     let picture =
         image::RgbImage::from_raw(width, height, picture).ok_or("the picture has another size")?;
     picture.save(out)?;
