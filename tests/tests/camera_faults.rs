@@ -54,13 +54,9 @@ impl Bench {
 
     /// Polls, and then runs the driver's pending job.
     fn poll(&mut self) -> Result<Option<Seen>, V4l2Error> {
-        let seen = self.capture.with_newest(self.now_ns, |picture| {
-            assert_eq!((picture.view.width(), picture.view.height()), (64, 48));
-            Seen {
-                sequence: picture.sequence,
-                time_ns: picture.time_ns,
-                value: picture.view.data()[0],
-            }
+        let seen = self.capture.with_newest(self.now_ns, |frame| {
+            assert_eq!((frame.view.width(), frame.view.height()), (64, 48));
+            Seen { sequence: frame.sequence, time_ns: frame.time_ns, value: frame.view.data()[0] }
         });
         if let Some(job) = self.capture.job(self.now_ns) {
             self.capture.done(job.run(&mut self.open, &self.config), self.now_ns);
@@ -256,10 +252,7 @@ fn a_jpeg_without_its_end_is_dropped() {
     let mut deliver = |bytes: &[u8]| {
         bench.now_ns += INTERVAL;
         bench.camera.deliver_bytes(Some(bench.now_ns), bytes, false);
-        let copy = |picture: &drivers::v4l2::Picture<'_>| {
-            (picture.view.format(), picture.view.data().len())
-        };
-        let seen = bench.capture.with_newest(bench.now_ns, copy).unwrap();
+        let seen = bench.capture.with_newest(bench.now_ns, format_and_length).unwrap();
         if let Some(job) = bench.capture.job(bench.now_ns) {
             bench.capture.done(job.run(&mut bench.open, &bench.config), bench.now_ns);
         }
@@ -270,6 +263,10 @@ fn a_jpeg_without_its_end_is_dropped() {
     assert_eq!(deliver(&[0xff, 0xd8, 1, 2, 3, 4]), None);
     assert_eq!(deliver(&[0; 64]), None);
     assert_eq!(bench.status().bad, 2);
+}
+
+fn format_and_length(frame: &drivers::v4l2::Picture<'_>) -> (PixelFormat, usize) {
+    (frame.view.format(), frame.view.data().len())
 }
 
 #[test]
@@ -283,10 +280,10 @@ fn nv12_and_rgb_frames_have_their_own_sizes() {
         });
         _ = bench.poll();
         assert!(bench.camera.deliver(bench.now_ns, 1));
-        let look = |picture: &drivers::v4l2::Picture<'_>| {
-            (picture.view.format(), picture.view.data().len())
-        };
-        assert_eq!(bench.capture.with_newest(bench.now_ns, look).unwrap(), Some((pixels, bytes)));
+        assert_eq!(
+            bench.capture.with_newest(bench.now_ns, format_and_length).unwrap(),
+            Some((pixels, bytes))
+        );
     }
 }
 
@@ -369,11 +366,17 @@ fn exposure_gain_and_white_balance_are_set_and_read_back() {
 fn an_impossible_control_value_is_refused_with_the_allowed_range() {
     let text = refusal(Device::default(), |config| config.gain = Some(Setting::Manual(101)));
     assert!(text.contains("gain cannot be 101: it goes from 0 to 100"), "{text}");
-    let bare = || Device { controls: Vec::new(), ..Device::default() };
-    let text = refusal(bare(), |config| config.exposure_us = Some(Setting::Manual(5_000)));
+    let text = refusal(device_without_controls(), |config| {
+        config.exposure_us = Some(Setting::Manual(5_000));
+    });
     assert!(text.contains("exposure cannot be 50: the camera has no such control"), "{text}");
-    let text = refusal(bare(), |config| config.white_balance_k = Some(Setting::Auto));
+    let text =
+        refusal(device_without_controls(), |config| config.white_balance_k = Some(Setting::Auto));
     assert!(text.contains("configure a number"), "{text}");
+}
+
+fn device_without_controls() -> Device {
+    Device { controls: Vec::new(), ..Device::default() }
 }
 
 #[test]

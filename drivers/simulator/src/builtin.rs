@@ -7,15 +7,16 @@ use crate::scene::Scene;
 /// Builds the home `NAME?seed=K&texture=T&moved=M`. `spec` is the whole specification, for error
 /// messages.
 pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
-    let refuse = |problem: String| SceneError::Builtin { spec: spec.into(), problem };
     let (name, query) = home.split_once('?').unwrap_or((home, ""));
     let kind: HomeKind =
-        name.parse().map_err(|error: homes::UnknownHome| refuse(error.to_string()))?;
+        name.parse().map_err(|error: homes::UnknownHome| refuse(error.to_string(), spec))?;
     let mut options = HomeOptions::new(0);
     for pair in query.split('&').filter(|pair| !pair.is_empty()) {
-        let (key, value) =
-            pair.split_once('=').ok_or_else(|| refuse(format!("`{pair}` is not key=value")))?;
-        let wrong = |allowed: &str| refuse(format!("{key} is `{value}`, but must be {allowed}"));
+        let (key, value) = pair
+            .split_once('=')
+            .ok_or_else(|| refuse(format!("`{pair}` is not key=value"), spec))?;
+        let wrong =
+            |allowed: &str| refuse(format!("{key} is `{value}`, but must be {allowed}"), spec);
         match key {
             "seed" => {
                 options.seed =
@@ -35,13 +36,18 @@ pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
                 }
             }
             _ => {
-                return Err(refuse(format!(
-                    "unknown option `{key}`; the options are seed, texture and moved"
-                )));
+                return Err(refuse(
+                    format!("unknown option `{key}`; the options are seed, texture and moved"),
+                    spec,
+                ));
             }
         }
     }
     Ok(homes::build(kind, &options).scene)
+}
+
+fn refuse(problem: String, spec: &str) -> SceneError {
+    SceneError::Builtin { spec: spec.into(), problem }
 }
 
 #[cfg(test)]

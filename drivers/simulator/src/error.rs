@@ -24,7 +24,7 @@ pub enum SceneError {
         /// The invalid part and the allowed values.
         problem: String,
     },
-    /// The file's content is not what its name says, or it is damaged.
+    /// The file's content does not match its extension, or the file is damaged.
     #[error("'{}' is not a valid {format} file: {problem}", path.display())]
     Malformed {
         path: PathBuf,

@@ -197,13 +197,7 @@ mod tests {
     fn beams_along_a_wall_and_onto_black_far_away_are_lost() {
         let grazing = LaserModel { grazing_rad: 0.2, ..LaserModel::IDEAL };
         let scan = take(&hall([20.0, 2.0, 2.0], 0.5), 1.0, 1.0, &grazing, 0);
-        let lost = |angle_rad: f64| {
-            let beam = ((angle_rad - 0.4 - scan.geometry.angle_min_rad)
-                / scan.geometry.angle_increment_rad)
-                .round();
-            scan.ranges[beam as usize] == Range::NoReturn
-        };
-        assert!(lost(0.15) && !lost(0.3) && !lost(0.0));
+        assert!(is_lost(0.15, &scan) && !is_lost(0.3, &scan) && !is_lost(0.0, &scan));
         let black = LaserModel { dark_reflectance: 0.05, ..LaserModel::IDEAL };
         let scan = take(&hall([26.0, 4.0, 2.0], 0.01), 13.0, 2.0, &black, 0);
         for (_, range_m) in scan.hits() {
@@ -212,25 +206,39 @@ mod tests {
         assert!(scan.ranges.contains(&Range::NoReturn));
     }
 
+    fn is_lost(angle_rad: f64, scan: &LaserScan) -> bool {
+        let beam = ((angle_rad - 0.4 - scan.geometry.angle_min_rad)
+            / scan.geometry.angle_increment_rad)
+            .round();
+        scan.ranges[beam as usize] == Range::NoReturn
+    }
+
     #[test]
     fn ranges_below_the_minimum_and_above_the_maximum_are_distinguished() {
         // The scanner is 5 cm from the wall x = 0; the opposite wall is 60 m away.
         let scan = take(&hall([60.0, 8.0, 2.0], 0.5), 0.05, 4.0, &LaserModel::IDEAL, 0);
-        let towards = |angle_rad: f64| {
-            let beam = ((angle_rad - 0.4 - scan.geometry.angle_min_rad)
-                / scan.geometry.angle_increment_rad)
-                .round();
-            scan.ranges[beam as usize]
-        };
-        assert_eq!(towards(0.0), Range::NoReturn);
-        assert_eq!(towards(2.7), Range::TooNear);
-        assert!(towards(1.5).hit_m().is_some());
+        assert_eq!(range_towards(0.0, &scan), Range::NoReturn);
+        assert_eq!(range_towards(2.7, &scan), Range::TooNear);
+        assert!(range_towards(1.5, &scan).hit_m().is_some());
+    }
+
+    fn range_towards(angle_rad: f64, scan: &LaserScan) -> Range {
+        let beam = ((angle_rad - 0.4 - scan.geometry.angle_min_rad)
+            / scan.geometry.angle_increment_rad)
+            .round();
+        scan.ranges[beam as usize]
     }
 
     #[test]
     fn the_same_seed_gives_the_same_scan() {
         let renderer = hall([6.0, 6.0, 2.0], 0.5);
-        let take = |seed| take(&renderer, 2.0, 3.0, &LaserModel::UTM_30LX, seed).ranges;
-        assert!(take(1) == take(1) && take(1) != take(2));
+        assert!(
+            take_ranges(1, &renderer) == take_ranges(1, &renderer)
+                && take_ranges(1, &renderer) != take_ranges(2, &renderer)
+        );
+    }
+
+    fn take_ranges(seed: u64, renderer: &Renderer) -> Vec<Range> {
+        take(renderer, 2.0, 3.0, &LaserModel::UTM_30LX, seed).ranges
     }
 }

@@ -3,7 +3,8 @@
 //! built-in procedural homes. Time is virtual and advances only when the clock sleeps, so the same
 //! seed always produces the same frames, scans and odometry.
 //!
-//! World frame: x and y horizontal, z up, metres; the floor that the robot drives on is at z = 0 after loading.
+//! World frame: x and y horizontal, z up, metres; the floor that the robot drives on is at z = 0
+//! after loading.
 #![forbid(unsafe_code)]
 
 mod builtin;

@@ -173,7 +173,7 @@ mod tests {
             let time_ns = i * 1_234_567;
             let period_ns = SECOND_NS / 100;
             assert!((nuisances.gain(time_ns) - nuisances.gain(time_ns + period_ns)).abs() < 1e-9);
-            // Half a period later it is the other way round.
+            // Half a period later the sign is reversed.
             assert!(
                 (nuisances.gain(time_ns) + nuisances.gain(time_ns + period_ns / 2) - 2.0).abs()
                     < 1e-9
@@ -210,17 +210,18 @@ mod tests {
 
     #[test]
     fn the_same_seed_gives_the_same_noise_on_any_number_of_threads() {
-        let noisy = |seed: u64, threads: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let mut rgb = vec![100_u8; 100_000];
-            pool.install(|| {
-                let mut rng = Pcg64Mcg::seed_from_u64(seed);
-                Nuisances::default().add_sensor_noise(&mut rng, &mut rgb);
-            });
-            rgb
-        };
-        let one = noisy(4, 1);
-        assert!(noisy(4, 2) == one && noisy(4, 4) == one && noisy(5, 1) != one);
+        let one = noisy_image(4, 1);
+        assert!(noisy_image(4, 2) == one && noisy_image(4, 4) == one && noisy_image(5, 1) != one);
+    }
+
+    fn noisy_image(seed: u64, threads: usize) -> Vec<u8> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut rgb = vec![100_u8; 100_000];
+        pool.install(|| {
+            let mut rng = Pcg64Mcg::seed_from_u64(seed);
+            Nuisances::default().add_sensor_noise(&mut rng, &mut rgb);
+        });
+        rgb
     }
 
     #[test]

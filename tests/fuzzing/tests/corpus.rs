@@ -76,14 +76,15 @@ fn any_text_as_a_configuration_is_handled() {
 
 #[test]
 fn every_target_has_a_corpus_and_every_corpus_a_target() {
-    let names = |folder: PathBuf| {
-        let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-        let mut names: Vec<String> =
-            entries.map(|path| path.file_stem().unwrap().to_string_lossy().into_owned()).collect();
-        names.sort();
-        names
-    };
     let targets = TARGETS.map(|(name, _)| name.to_owned());
-    assert_eq!(names(corpus()), targets);
-    assert_eq!(names(corpus().join("../fuzz_targets")), targets);
+    assert_eq!(file_stems(corpus()), targets);
+    assert_eq!(file_stems(corpus().join("../fuzz_targets")), targets);
+}
+
+fn file_stems(folder: PathBuf) -> Vec<String> {
+    let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let mut names: Vec<String> =
+        entries.map(|path| path.file_stem().unwrap().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
 }

@@ -74,7 +74,8 @@ pub struct Event {
     pub end_s: f64,
 }
 
-/// Faults as written on the command line: `stall@5+0.5,unplug@10+2,reboot@15+1,flip=0.01,cut=0.01,drift=200`.
+/// Faults as written on the command line:
+/// `stall@5+0.5,unplug@10+2,reboot@15+1,flip=0.01,cut=0.01,drift=200`.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct FaultPlan {
     /// Faults with a begin and an end.

@@ -1,5 +1,5 @@
-//! A simulated CANopen drive: NMT, an SDO server with an object dictionary, PDOs on SYNC, heartbeats both ways, and the state
-//! machine of CiA 402 in profile velocity mode.
+//! A simulated CANopen drive: NMT, an SDO server with an object dictionary, PDOs on SYNC,
+//! heartbeats both ways, and the state machine of CiA 402 in profile velocity mode.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -319,9 +319,8 @@ impl MotorNode for Cia402Sim {
         });
         self.wheel.step(elapsed_s(&mut self.last_ns, now_ns));
         let (velocity, position) = self.wheel.measured();
-        let counts = |radians: f64| (radians / TAU * COUNTS).round() as i64 as i32 as u32;
-        self.dictionary.insert((0x606c, 0), (counts(velocity), 4));
-        self.dictionary.insert((0x6064, 0), (counts(position), 4));
+        self.dictionary.insert((0x606c, 0), (to_counts(velocity), 4));
+        self.dictionary.insert((0x6064, 0), (to_counts(position), 4));
         self.dictionary.insert((0x6041, 0), (u32::from(self.statusword()), 2));
         let synced = std::mem::take(&mut self.synced);
         if self.faults.silent {
@@ -365,4 +364,8 @@ impl MotorNode for Cia402Sim {
     fn is_powered(&self) -> bool {
         self.state == State::Enabled
     }
+}
+
+fn to_counts(radians: f64) -> u32 {
+    (radians / TAU * COUNTS).round() as i64 as i32 as u32
 }

@@ -25,8 +25,8 @@ pub struct BaseArgs {
     #[arg(long, default_value_t = 0.2, allow_negative_numbers = true)]
     speed: f64,
     /// Angular velocity, rad/s.
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
-    turn: f64,
+    #[arg(long, alias = "turn", default_value_t = 0.0, allow_negative_numbers = true)]
+    yaw_rate: f64,
     /// End after this time, seconds.
     #[arg(long)]
     seconds: Option<f64>,
@@ -45,7 +45,7 @@ pub fn run_base(args: &BaseArgs) -> Result<(), Box<dyn Error>> {
     let mut armed = false;
     let mut next_ns = start_ns;
     let mut last_message = String::new();
-    let twist = Twist2 { linear_mps: args.speed, angular_radps: args.turn };
+    let twist = Twist2 { linear_mps: args.speed, angular_radps: args.yaw_rate };
     loop {
         next_ns += TICK_NS;
         clock.sleep_until_ns(next_ns);

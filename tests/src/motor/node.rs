@@ -6,7 +6,7 @@ use super::wheel::Wheel;
 
 /// A motor controller without a bus: frames and times go in, frames come out.
 pub trait MotorNode: Send {
-    /// Processes a frame from the bus, whoever it is addressed to.
+    /// Processes a frame from the bus, for any node.
     fn receive(&mut self, frame: &CanFrame, now_ns: u64);
 
     /// Advances to `now_ns` and appends the frames that the controller sends.

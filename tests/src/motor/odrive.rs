@@ -10,7 +10,8 @@ use drivers::can::{CanFrame, CanId};
 use super::node::{MotorNode, NodeFaults, Periodic, Watchdog, elapsed_s, standard};
 use super::wheel::{Drive, Wheel};
 
-/// Endpoint of `axis0.config.enable_watchdog` of the simulated firmware. Real numbers come from `flat_endpoints.json`.
+/// Endpoint of `axis0.config.enable_watchdog` of the simulated firmware. Real numbers come from
+/// `flat_endpoints.json`.
 pub const ENABLE_WATCHDOG_ENDPOINT: u16 = 195;
 /// Endpoint of `axis0.config.watchdog_timeout`.
 pub const WATCHDOG_TIMEOUT_ENDPOINT: u16 = 196;
@@ -154,8 +155,8 @@ impl MotorNode for OdriveSim {
         out.append(&mut self.answers);
         if self.encoder.is_due(now_ns) {
             let (velocity, position) = self.wheel.measured();
-            let turns = [position, velocity].map(|value| ((value / TAU) as f32).to_le_bytes());
-            out.push(standard(self.node | 0x09, &turns.concat()));
+            let rotations = [position, velocity].map(|value| ((value / TAU) as f32).to_le_bytes());
+            out.push(standard(self.node | 0x09, &rotations.concat()));
         }
         if self.heartbeat.is_due(now_ns) {
             out.push(standard(

@@ -126,12 +126,13 @@ impl Bench {
 
 fn random_frames() -> Vec<Vec<u8>> {
     let mut rng = Pcg64Mcg::seed_from_u64(1);
-    let mut frame = || {
-        let mut bytes = vec![0; SIZE];
-        rng.fill_bytes(&mut bytes);
-        bytes
-    };
-    (0..FRAMES).map(|_| frame()).collect()
+    (0..FRAMES).map(|_| random_frame(&mut rng)).collect()
+}
+
+fn random_frame(rng: &mut Pcg64Mcg) -> Vec<u8> {
+    let mut bytes = vec![0; SIZE];
+    rng.fill_bytes(&mut bytes);
+    bytes
 }
 
 fn write_frames(frames: &[Vec<u8>]) -> Result<Child, Box<dyn Error>> {
@@ -298,13 +299,7 @@ fn replug(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
 fn settings(device: &str) {
     let mut config = CameraDeviceConfig::new(device, WIDTH, HEIGHT, CameraFormat::Yuyv);
     config.gain = Some(Setting::Manual(77));
-    let read_back = || -> Result<i32, Box<dyn Error>> {
-        agree(&config)?;
-        let mut node = open(&config)?;
-        let gain = controls(node.as_mut())?.into_iter().find(|control| control.name == "Gain");
-        Ok(node.control_value(gain.ok_or("vivid has no gain")?.id)?)
-    };
-    let held = read_back();
+    let held = read_back_gain(&config);
     let figure =
         held.as_ref().map_or_else(ToString::to_string, |held| format!("77 set, {held} read back"));
     check("a configured gain is held by the camera", figure, held.is_ok_and(|held| held == 77));
@@ -319,6 +314,13 @@ fn settings(device: &str) {
     refused("a size that the camera does not have is refused with an explanation", &odd, "makes ");
     let none = CameraDeviceConfig::new("/dev/v4l/by-id/none", WIDTH, HEIGHT, CameraFormat::Yuyv);
     refused("a camera that is not connected is refused with an explanation", &none, "plug it in");
+}
+
+fn read_back_gain(config: &CameraDeviceConfig) -> Result<i32, Box<dyn Error>> {
+    agree(config)?;
+    let mut node = open(config)?;
+    let gain = controls(node.as_mut())?.into_iter().find(|control| control.name == "Gain");
+    Ok(node.control_value(gain.ok_or("vivid has no gain")?.id)?)
 }
 
 fn refused(claim: &str, config: &CameraDeviceConfig, expected: &str) {

@@ -115,11 +115,14 @@ impl Bench {
 }
 
 fn is_ramp(scan: &LaserScan) -> bool {
-    let mm = |step: u32| f64::from(ramp_mm(step)) * 1e-3;
     scan.ranges.iter().zip(0..).all(|(range, step)| {
         // The model's maximum range ends the ramp.
-        range.hit_m().is_none_or(|metres| (f64::from(metres) - mm(step)).abs() < 5e-4)
+        range.hit_m().is_none_or(|metres| (f64::from(metres) - ramp_m(step)).abs() < 5e-4)
     }) && scan.ranges.iter().filter(|range| range.hit_m().is_some()).count() > scan.ranges.len() / 2
+}
+
+fn ramp_m(step: u32) -> f64 {
+    f64::from(ramp_mm(step)) * 1e-3
 }
 
 fn exact_scans(bench: &mut Bench) -> Result<(), Box<dyn Error>> {

@@ -29,9 +29,6 @@ pub struct Device {
 impl Default for Device {
     /// The properties of a typical USB camera.
     fn default() -> Self {
-        let control = |id, name: &str, minimum, maximum, step, value| {
-            (Control { id, name: name.to_owned(), minimum, maximum, step, disabled: false }, value)
-        };
         Self {
             multiplanar: false,
             formats: vec![FourCc::YUYV, FourCc::MJPEG, FourCc::NV12, FourCc::RGB24],
@@ -58,6 +55,17 @@ impl Default for Device {
             interval: Interval { numerator: 1, denominator: 30 },
         }
     }
+}
+
+fn control(
+    id: u32,
+    name: &str,
+    minimum: i32,
+    maximum: i32,
+    step: i32,
+    value: i32,
+) -> (Control, i32) {
+    (Control { id, name: name.to_owned(), minimum, maximum, step, disabled: false }, value)
 }
 
 impl Device {
@@ -88,12 +96,11 @@ impl Device {
         } else {
             self.formats[0]
         };
-        let area = |(width, height): (u32, u32)| u64::from(width) * u64::from(height);
-        let requested_area = area((requested.width, requested.height));
+        let requested_area = pixels((requested.width, requested.height));
         let exact =
             self.sizes.iter().copied().find(|size| *size == (requested.width, requested.height));
         let nearest =
-            self.sizes.iter().copied().min_by_key(|size| area(*size).abs_diff(requested_area));
+            self.sizes.iter().copied().min_by_key(|size| pixels(*size).abs_diff(requested_area));
         let (width, height) = exact.or(nearest).unwrap_or((640, 480));
         let (row, size) = match format {
             FourCc::YUYV => (2 * width + self.row_padding, (2 * width + self.row_padding) * height),
@@ -163,4 +170,8 @@ impl Device {
         self.queue.stop();
         _ = self.queue.allocate(0);
     }
+}
+
+fn pixels((width, height): (u32, u32)) -> u64 {
+    u64::from(width) * u64::from(height)
 }

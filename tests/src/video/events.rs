@@ -47,13 +47,13 @@ pub fn check_events(bytes: &[u8]) {
             8..12 => _ = camera.deliver_bytes(Some(now_ns), &good, false),
             _ => now_ns += amount * 3_000_000,
         }
-        let seen = capture.with_newest(now_ns, |picture| {
-            let first = picture.view.data()[0];
+        let seen = capture.with_newest(now_ns, |frame| {
+            let first = frame.view.data()[0];
             assert!(
-                picture.view.data().iter().all(|byte| *byte == first),
+                frame.view.data().iter().all(|byte| *byte == first),
                 "all bytes belong to the same frame"
             );
-            (picture.sequence, picture.time_ns)
+            (frame.sequence, frame.time_ns)
         });
         if let Ok(Some((sequence, time_ns))) = seen {
             assert!(sequence > last_sequence, "sequence numbers increase");

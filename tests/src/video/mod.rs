@@ -69,8 +69,10 @@ pub fn simulated() -> Device {
 }
 
 fn seconds(text: &str) -> Result<Seconds, String> {
-    let parse =
-        |number: &str| number.parse::<f64>().map_err(|error| format!("`{number}`: {error}"));
     let (from, to) = text.split_once("..").ok_or("write it as 5..8")?;
-    Ok(parse(from)?..parse(to)?)
+    Ok(parse_second(from)?..parse_second(to)?)
+}
+
+fn parse_second(number: &str) -> Result<f64, String> {
+    number.parse::<f64>().map_err(|error| format!("`{number}`: {error}"))
 }

@@ -37,8 +37,14 @@ pub struct WorldArgs {
     #[arg(long, default_value = "utm-30lx")]
     lidar: Model,
     /// Size of the camera's frames; the field of view is 90 degrees wide.
-    #[arg(long, default_value = "640x192", value_name = "WIDTHxHEIGHT", value_parser = size)]
-    picture: (usize, usize),
+    #[arg(
+        long,
+        alias = "picture",
+        default_value = "640x192",
+        value_name = "WIDTHxHEIGHT",
+        value_parser = size
+    )]
+    frame_size: (usize, usize),
     /// Frames per second of the camera.
     #[arg(long, default_value_t = 15.0)]
     fps: f64,
@@ -60,12 +66,15 @@ pub struct WorldArgs {
 
 fn size(text: &str) -> Result<(usize, usize), String> {
     let (width, height) = text.split_once('x').ok_or("write it as 640x192")?;
-    let parse = |number: &str| match number.parse::<usize>() {
+    Ok((parse_pixels(width)?, parse_pixels(height)?))
+}
+
+fn parse_pixels(number: &str) -> Result<usize, String> {
+    match number.parse::<usize>() {
         // YUV 4:2:2 shares the colour of two pixels, so sizes must be even.
         Ok(number @ 32..=4096) if number % 2 == 0 => Ok(number),
         _ => Err(format!("`{number}` is not an even number of pixels from 32 to 4096")),
-    };
-    Ok((parse(width)?, parse(height)?))
+    }
 }
 
 fn protocol(text: &str) -> Result<Protocol, String> {
@@ -92,8 +101,8 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
             protocol: args.protocol,
             lidar: args.lidar,
             camera: CameraModel::pinhole(
-                args.picture.0,
-                args.picture.1,
+                args.frame_size.0,
+                args.frame_size.1,
                 std::f64::consts::FRAC_PI_2,
             ),
             fps: args.fps,

@@ -88,9 +88,6 @@ impl LiveWorld {
         let robot = RobotOptions { seed: options.seed, laser, ..RobotOptions::default() };
         let t_base_camera = robot.t_base_camera;
         let Cables { camera_at, lidar_at, motors_at } = &options.cables;
-        let robots_end = |cable: &Option<Cable>, else_here: String| {
-            cable.as_ref().map_or(else_here, |cable| cable.robot.clone())
-        };
         let base = BaseConfig {
             bus: robots_end(motors_at, socket(&dir, "can")),
             ..rig::config(options.protocol)
@@ -185,6 +182,10 @@ impl LiveWorld {
     pub fn plug_camera(&self, on: bool) {
         self.camera_plugged.store(on, Ordering::Relaxed);
     }
+}
+
+fn robots_end(cable: &Option<Cable>, else_here: String) -> String {
+    cable.as_ref().map_or(else_here, |cable| cable.robot.clone())
 }
 
 impl Drop for LiveWorld {

@@ -61,13 +61,16 @@ impl ImageSource for HomeCamera {
 fn yuyv_of(pair: &[u8]) -> [u8; 4] {
     let [r0, g0, b0, r1, g1, b1] =
         [0, 1, 2, 3, 4, 5].map(|index| f32::from(pair.get(index).copied().unwrap_or(0)));
-    let luma = |r: f32, g: f32, b: f32| 16.0 + (65.481 * r + 128.553 * g + 24.966 * b) / 255.0;
     let r = (r0 + r1) / 2.0;
     let g = (g0 + g1) / 2.0;
     let b = (b0 + b1) / 2.0;
     let u = 128.0 + (-37.797 * r - 74.203 * g + 112.0 * b) / 255.0;
     let v = 128.0 + (112.0 * r - 93.786 * g - 18.214 * b) / 255.0;
     [luma(r0, g0, b0), u, luma(r1, g1, b1), v].map(|value| value.round() as u8)
+}
+
+fn luma(r: f32, g: f32, b: f32) -> f32 {
+    16.0 + (65.481 * r + 128.553 * g + 24.966 * b) / 255.0
 }
 
 #[cfg(test)]

@@ -16,17 +16,16 @@ use super::{ALL, MS, driving, is_motion, is_stopped, motion_frames};
 fn a_command_that_is_repeated_or_late_is_refused() {
     let mut rig = driving(Protocol::Odrive);
     let counter = rig.counter;
-    let command = |counter| DriveCommand {
-        twist: Twist2 { linear_mps: 0.1, angular_radps: 0.0 },
-        counter,
-        plan_age_ns: 0,
-    };
     for old in [counter, counter - 1, counter.wrapping_sub(1000)] {
         let refused = CanError::Counter { found: old, last: counter };
-        assert_eq!(rig.base.drive(&command(old)), Err(refused));
+        assert_eq!(rig.base.drive(&slow_command(old)), Err(refused));
     }
-    assert_eq!(rig.base.drive(&command(counter + 3)), Ok(()));
+    assert_eq!(rig.base.drive(&slow_command(counter + 3)), Ok(()));
     assert_eq!((rig.base.counts().skipped, rig.base.counts().refused), (2, 3));
+}
+
+fn slow_command(counter: u32) -> DriveCommand {
+    DriveCommand { twist: Twist2 { linear_mps: 0.1, angular_radps: 0.0 }, counter, plan_age_ns: 0 }
 }
 
 #[test]
@@ -214,9 +213,8 @@ fn an_armed_tick_allocates_nothing() {
                 .expect("a sound configuration");
         let mut nodes = [node(protocol, 1), node(protocol, 2)];
         let mut outbox = Outbox::default();
-        let mut counter = 0;
         let mut measured = 0;
-        for _ in 0..600 {
+        for counter in 1..=600 {
             for _ in 0..10 {
                 now_ns += MS;
                 step_nodes(&mut nodes, &mut motors, now_ns, &mut outbox);
@@ -224,7 +222,6 @@ fn an_armed_tick_allocates_nothing() {
             base.clock_mut().sleep_until_ns(now_ns);
             let is_armed = base.is_armed() || base.arm().is_ok() && base.is_armed();
             let twist = Twist2 { linear_mps: 0.2, angular_radps: 0.1 };
-            counter += 1;
             let counted = allocation_counter::measure(|| {
                 let _ = base.poll_feedback();
                 let _ = base.drive(&DriveCommand { twist, counter, plan_age_ns: 0 });

@@ -3,6 +3,7 @@
 use drivers::can::{BaseConfig, CanError, Phase, Protocol, Side, Trip};
 use hal::{Error, ErrorKind};
 use hil::motor::Rig;
+use hil::motor::rig::config;
 
 use super::{ALL, MS, armed, driving, is_stopped, motion_frames, motion_frames_after, rig};
 

@@ -1,4 +1,5 @@
-//! Exact Euclidean distance transform (Felzenszwalb and Huttenlocher, "Distance transforms of sampled functions", 2012).
+//! Exact Euclidean distance transform (Felzenszwalb and Huttenlocher, "Distance transforms of
+//! sampled functions", 2012).
 
 use super::grid::Grid;
 

@@ -15,9 +15,12 @@ pub struct Grid {
 impl Grid {
     /// The grid that covers a rectangle.
     pub(super) fn covering(min_m: [f64; 2], max_m: [f64; 2], resolution_m: f64) -> Self {
-        let cells =
-            |axis: usize| ((max_m[axis] - min_m[axis]) / resolution_m).ceil().max(1.0) as usize;
-        Self { origin_m: min_m, resolution_m, width: cells(0), height: cells(1) }
+        Self {
+            origin_m: min_m,
+            resolution_m,
+            width: cells_along(0, min_m, max_m, resolution_m),
+            height: cells_along(1, min_m, max_m, resolution_m),
+        }
     }
 
     #[must_use]
@@ -95,6 +98,10 @@ impl Grid {
     pub(super) fn row_band(&self, row: usize) -> [f64; 2] {
         [row, row + 1].map(|r| self.origin_m[1] + r as f64 * self.resolution_m)
     }
+}
+
+fn cells_along(axis: usize, min_m: [f64; 2], max_m: [f64; 2], resolution_m: f64) -> usize {
+    ((max_m[axis] - min_m[axis]) / resolution_m).ceil().max(1.0) as usize
 }
 
 #[cfg(test)]

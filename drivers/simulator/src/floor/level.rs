@@ -96,15 +96,16 @@ fn candidates(bins: &BTreeMap<i64, (f64, f64)>) -> Vec<(f64, f64)> {
             chosen.push((bin, area));
         }
     }
-    // Height of the fullest bin and its neighbours: the floor itself, not the mean of floor and
-    // carpets.
-    let mode = |bin: i64| {
-        let window = bins.range(bin - reach..=bin + reach);
-        let fullest =
-            window.max_by(|a, b| a.1.1.total_cmp(&b.1.1)).map_or(bin, |(&fullest, _)| fullest);
-        let near = bins.range(fullest - 1..=fullest + 1);
-        let (moment, area) = near.fold((0.0, 0.0), |sum, (_, bin)| (sum.0 + bin.0, sum.1 + bin.1));
-        moment / area
-    };
-    chosen.into_iter().map(|(bin, area)| (mode(bin), area)).collect()
+    chosen.into_iter().map(|(bin, area)| (fullest_height(bin, bins, reach), area)).collect()
+}
+
+/// Height of the fullest bin and its neighbours: the floor itself, not the mean of floor and
+/// carpets.
+fn fullest_height(bin: i64, bins: &BTreeMap<i64, (f64, f64)>, reach: i64) -> f64 {
+    let window = bins.range(bin - reach..=bin + reach);
+    let fullest =
+        window.max_by(|a, b| a.1.1.total_cmp(&b.1.1)).map_or(bin, |(&fullest, _)| fullest);
+    let near = bins.range(fullest - 1..=fullest + 1);
+    let (moment, area) = near.fold((0.0, 0.0), |sum, (_, bin)| (sum.0 + bin.0, sum.1 + bin.1));
+    moment / area
 }

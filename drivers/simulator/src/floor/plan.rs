@@ -147,8 +147,9 @@ impl FloorPlan {
     /// The reachable position nearest to a position, metres.
     #[must_use]
     pub fn nearest_free(&self, x_m: f64, y_m: f64) -> [f64; 2] {
-        let squared = |p: &[f64; 2]| (p[0] - x_m).powi(2) + (p[1] - y_m).powi(2);
-        self.reachable().min_by(|a, b| squared(a).total_cmp(&squared(b))).unwrap_or([x_m, y_m])
+        self.reachable()
+            .min_by(|a, b| squared_distance(a, x_m, y_m).total_cmp(&squared_distance(b, x_m, y_m)))
+            .unwrap_or([x_m, y_m])
     }
 
     /// Distance from the centre of a position's cell to the nearest obstacle, metres. It may be up
@@ -179,15 +180,10 @@ impl FloorPlan {
         });
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         let cell = cells[rng.random_range(0..cells.len().div_ceil(10))] as usize;
-        let open = |yaw: f64| {
-            cells_along(&self.raster, cell, yaw)
-                .take_while(|&along| !self.raster.is_obstacle(along))
-                .count()
-        };
         let headings = (0..32).map(|i| f64::from(i) * std::f64::consts::TAU / 32.0);
         // Takes the first of several best headings; `max_by_key` would take the last.
         let (_, yaw) = headings.fold((0, 0.0), |best, yaw| {
-            let length = open(yaw);
+            let length = open_cells(yaw, &self.raster, cell);
             if length > best.0 { (length, yaw) } else { best }
         });
         let [x, y] = self.grid().center(cell);
@@ -209,6 +205,15 @@ impl FloorPlan {
             .map(|cell| !self.raster.is_obstacle(cell) && to_home[cell] <= radius)
             .collect();
     }
+}
+
+/// Number of free cells in a direction until the next obstacle.
+fn open_cells(yaw: f64, raster: &Raster, cell: usize) -> usize {
+    cells_along(raster, cell, yaw).take_while(|&along| !raster.is_obstacle(along)).count()
+}
+
+fn squared_distance(p: &[f64; 2], x_m: f64, y_m: f64) -> f64 {
+    (p[0] - x_m).powi(2) + (p[1] - y_m).powi(2)
 }
 
 /// Obstacles between the step height and the robot's height, and the edge of the floor.

@@ -56,10 +56,10 @@ impl Polygon {
     }
 
     fn bounds(&self) -> ([f64; 2], [f64; 2]) {
-        let fold = |start: f64, pick: fn(f64, f64) -> f64| {
-            [0, 1].map(|axis| self.corners().iter().map(|c| c[axis]).fold(start, pick))
-        };
-        (fold(f64::INFINITY, f64::min), fold(f64::NEG_INFINITY, f64::max))
+        (
+            fold_corners(f64::INFINITY, f64::min, self.corners()),
+            fold_corners(f64::NEG_INFINITY, f64::max, self.corners()),
+        )
     }
 
     /// Least and greatest x of the part with `low <= y <= high`.
@@ -79,6 +79,10 @@ impl Polygon {
         }
         (left <= right).then_some((left, right))
     }
+}
+
+fn fold_corners(start: f64, pick: fn(f64, f64) -> f64, corners: &[[f64; 2]]) -> [f64; 2] {
+    [0, 1].map(|axis| corners.iter().map(|c| c[axis]).fold(start, pick))
 }
 
 /// Sides of a closed polygon.
@@ -182,7 +186,8 @@ mod tests {
                 if apart < half - 1e-9 {
                     prop_assert_eq!(count, 1);
                 }
-                // The nearest point in the round may lie outside of the square where another one lies inside, by at most this.
+                // The nearest point in the round may lie outside of the square where another one
+                // lies inside, by at most this.
                 if apart > 2.0 * half {
                     prop_assert_eq!(count, 0);
                 }

@@ -80,17 +80,9 @@ pub(super) fn region(triangles: &[Corners]) -> Grid {
         }
         weighted.sort_by(|a, b| a.0.total_cmp(&b.0));
         let total: f64 = weighted.iter().map(|w| w.1).sum();
-        let quantile = |share: f64| {
-            let mut sum = 0.0;
-            let found = weighted.iter().find(|(_, weight)| {
-                sum += weight;
-                sum > share * total
-            });
-            found.or(weighted.last()).map_or(0.0, |w| w.0)
-        };
-        let low = quantile(1e-4);
-        let middle = quantile(0.5);
-        let high = quantile(1.0 - 1e-4);
+        let low = weighted_quantile(1e-4, &weighted, total);
+        let middle = weighted_quantile(0.5, &weighted, total);
+        let high = weighted_quantile(1.0 - 1e-4, &weighted, total);
         // Margin for the rim and for what the quantiles cut off.
         let margin = 1.0 + 0.01 * (high - low);
         [
@@ -101,14 +93,27 @@ pub(super) fn region(triangles: &[Corners]) -> Grid {
     Grid::covering(spans.map(|s| s[0]), spans.map(|s| s[1]), RESOLUTION_M)
 }
 
+/// The value below which a share of the total weight lies. The values are sorted.
+fn weighted_quantile(share: f64, weighted: &[(f64, f64)], total: f64) -> f64 {
+    let mut sum = 0.0;
+    let found = weighted.iter().find(|(_, weight)| {
+        sum += weight;
+        sum > share * total
+    });
+    found.or(weighted.last()).map_or(0.0, |w| w.0)
+}
+
 /// Whether a triangle is a sliver with one wrong corner: over 50 m long and 50 times as long as
 /// wide.
 pub(super) fn is_stray(triangle: &Corners) -> bool {
-    let side = |a: usize, b: usize| {
-        (0..3).map(|i| (triangle[a][i] - triangle[b][i]).powi(2)).sum::<f64>().sqrt()
-    };
-    let longest = side(0, 1).max(side(1, 2)).max(side(2, 0));
+    let longest = side_length(0, 1, triangle)
+        .max(side_length(1, 2, triangle))
+        .max(side_length(2, 0, triangle));
     longest > 50.0 && 2.0 * area(triangle) < 0.02 * longest * longest
+}
+
+fn side_length(a: usize, b: usize, triangle: &Corners) -> f64 {
+    (0..3).map(|i| (triangle[a][i] - triangle[b][i]).powi(2)).sum::<f64>().sqrt()
 }
 
 fn area(corners: &Corners) -> f64 {

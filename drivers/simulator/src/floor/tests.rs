@@ -9,8 +9,11 @@ use crate::scene::{Scene, Vertex};
 type P = [f32; 3];
 
 fn quad([a, b, c, d]: [P; 4]) -> [Triangle; 2] {
-    let corner = |position_m: P| Vertex { position_m, uv: [0.0; 2], ambient: 1.0 };
-    [[a, b, c], [a, c, d]].map(|t| Triangle { vertices: t.map(corner), material: 0 })
+    [[a, b, c], [a, c, d]].map(|t| Triangle { vertices: t.map(vertex), material: 0 })
+}
+
+fn vertex(position_m: P) -> Vertex {
+    Vertex { position_m, uv: [0.0; 2], ambient: 1.0 }
 }
 
 /// A level rectangle.
@@ -21,10 +24,11 @@ fn slab([x0, y0]: [f32; 2], [x1, y1]: [f32; 2], z: f32) -> [Triangle; 2] {
 /// The side walls of a box.
 fn walls([x0, y0]: [f32; 2], [x1, y1]: [f32; 2], z0: f32, z1: f32) -> Vec<Triangle> {
     let around = [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]];
-    let side = |[a, b]: &[[f32; 2]; 2]| {
-        quad([[a[0], a[1], z0], [b[0], b[1], z0], [b[0], b[1], z1], [a[0], a[1], z1]])
-    };
-    around.array_windows().flat_map(side).collect()
+    around.array_windows().flat_map(|it| wall_side(it, z0, z1)).collect()
+}
+
+fn wall_side([a, b]: &[[f32; 2]; 2], z0: f32, z1: f32) -> [Triangle; 2] {
+    quad([[a[0], a[1], z0], [b[0], b[1], z0], [b[0], b[1], z1], [a[0], a[1], z1]])
 }
 
 /// A closed box: furniture.
@@ -65,19 +69,21 @@ fn the_floor_of_an_open_room_and_of_one_with_a_ceiling_is_its_floor() {
 
 #[test]
 fn of_two_storeys_the_larger_is_taken_and_of_equal_ones_the_lower() {
-    let ground = || room([0.0; 2], [6.0, 5.0], 0.0);
-    assert!(near(floor_of([ground(), room([0.0; 2], [6.0, 5.0], 2.8)]), 0.0));
+    assert!(near(floor_of([ground_floor(), room([0.0; 2], [6.0, 5.0], 2.8)]), 0.0));
     let small_cellar = room([0.0; 2], [3.0, 3.0], -2.6);
-    assert!(near(floor_of([small_cellar, ground()]), 0.0));
+    assert!(near(floor_of([small_cellar, ground_floor()]), 0.0));
     let large_cellar = room([0.0; 2], [8.0, 8.0], -2.6);
-    assert!(near(floor_of([ground(), large_cellar]), -2.6));
+    assert!(near(floor_of([ground_floor(), large_cellar]), -2.6));
+}
+
+fn ground_floor() -> Vec<Triangle> {
+    room([0.0; 2], [6.0, 5.0], 0.0)
 }
 
 #[test]
 fn ground_around_and_below_a_house_is_not_its_floor() {
     let ground = slab([-500.0; 2], [500.0; 2], -0.2).to_vec();
-    let house = || [room([0.0; 2], [8.0, 6.0], 0.0), walls([3.0, 0.0], [3.0, 4.0], 0.0, 2.5)];
-    assert!(near(floor_of(house().into_iter().chain([ground])), 0.0));
+    assert!(near(floor_of(house_with_wall().into_iter().chain([ground])), 0.0));
     // Floor and ground lie in the same plane: the rooms are the home, not the kilometre around
     // them.
     let level = slab([-500.0; 2], [500.0; 2], 0.0).to_vec();
@@ -88,17 +94,14 @@ fn ground_around_and_below_a_house_is_not_its_floor() {
     assert!((plan.reachable_floor_m2() - 48.0).abs() < 1.5, "{}", plan.reachable_floor_m2());
 }
 
+fn house_with_wall() -> [Vec<Triangle>; 2] {
+    [room([0.0; 2], [8.0, 6.0], 0.0), walls([3.0, 0.0], [3.0, 4.0], 0.0, 2.5)]
+}
+
 #[test]
 fn a_stray_corner_a_kilometre_away_affects_only_the_cells_under_its_triangle() {
-    let corner = |position_m: P| Vertex { position_m, uv: [0.0; 2], ambient: 1.0 };
-    let stray = |far: P| {
-        vec![Triangle {
-            vertices: [[1.0, 3.9, 0.0], [1.1, 3.9, 0.0], far].map(corner),
-            material: 0,
-        }]
-    };
     for far in [[1000.0, -700.0, 40.0], [0.0, 1000.0, 0.0], [5.0, 5.0, -1000.0]] {
-        let parts = [room([0.0; 2], [5.0, 4.0], 0.0), stray(far)];
+        let parts = [room([0.0; 2], [5.0, 4.0], 0.0), stray_triangle(far)];
         assert!(near(floor_of(parts.clone()), 0.0), "{far:?}");
         let plan = plan(parts);
         assert!(plan.grid().cells() < 300 * 300, "{far:?}: {:?}", plan.grid());
@@ -106,18 +109,25 @@ fn a_stray_corner_a_kilometre_away_affects_only_the_cells_under_its_triangle() {
     }
 }
 
+fn stray_triangle(far: P) -> Vec<Triangle> {
+    vec![Triangle { vertices: [[1.0, 3.9, 0.0], [1.1, 3.9, 0.0], far].map(vertex), material: 0 }]
+}
+
 #[test]
 fn triangles_that_face_down_make_the_same_plan() {
-    let parts = || [room([0.0; 2], [5.0, 4.0], 0.0), block([1.0, 1.0], [2.0, 2.0], 0.0, 0.7)];
-    let reversed = parts().map(|part| {
+    let reversed = room_with_block().map(|part| {
         part.into_iter()
             .map(|t| Triangle { vertices: [t.vertices[0], t.vertices[2], t.vertices[1]], ..t })
             .collect()
     });
     assert!(near(floor_of(reversed.clone()), 0.0));
-    let a = plan(parts());
+    let a = plan(room_with_block());
     let b = plan(reversed);
     assert!(a.reachable().eq(b.reachable()) && a.reachable_floor().eq(b.reachable_floor()));
+}
+
+fn room_with_block() -> [Vec<Triangle>; 2] {
+    [room([0.0; 2], [5.0, 4.0], 0.0), block([1.0, 1.0], [2.0, 2.0], 0.0, 0.7)]
 }
 
 #[test]
@@ -132,7 +142,6 @@ fn walls_without_a_floor_and_a_shelf_smaller_than_the_robot_are_refused() {
 
 #[test]
 fn the_robot_keeps_clear_of_a_hole_in_the_floor_and_drives_over_a_crack() {
-    let strip = |x0: f32, x1: f32, y0: f32, y1: f32| slab([x0, y0], [x1, y1], 0.0).to_vec();
     // A stairwell of 1 m at (2..3, 1..2), and a crack of 4 cm along x = 4.
     let plan = plan([
         strip(0.0, 2.0, 0.0, 3.0),
@@ -149,6 +158,10 @@ fn the_robot_keeps_clear_of_a_hole_in_the_floor_and_drives_over_a_crack() {
     let into = plan.drive(&Pose2::new(1.0, 1.5, 0.0), &ahead(), 5.0, &Body { sliding: false }, &[]);
     // The edge of the floor is known to half a cell.
     assert!(into.contact && (into.pose.x_m - 1.84).abs() < 0.06, "{:?}", into.pose);
+}
+
+fn strip(x0: f32, x1: f32, y0: f32, y1: f32) -> Vec<Triangle> {
+    slab([x0, y0], [x1, y1], 0.0).to_vec()
 }
 
 #[test]
@@ -329,11 +342,7 @@ proptest! {
     fn sliding_gets_at_least_as_far_along_a_straight_path(seed: u64, seconds in 0.0..3.0) {
         let plan = &*CLUTTERED;
         let from = plan.random_pose(seed);
-        let along = |sliding: bool| {
-            let to = plan.drive(&from, &ahead(), seconds, &Body { sliding }, &[]).pose;
-            (to.x_m - from.x_m) * from.yaw_rad.cos() + (to.y_m - from.y_m) * from.yaw_rad.sin()
-        };
-        prop_assert!(along(true) >= along(false) - 1e-5);
+        prop_assert!(distance_ahead(true, plan, &from, seconds) >= distance_ahead(false, plan, &from, seconds) - 1e-5);
     }
 
     #[test]
@@ -346,6 +355,11 @@ proptest! {
             prop_assert!(moved.pose.distance_m(&from.compose(&twist.integrate(seconds))) < 1e-9);
         }
     }
+}
+
+fn distance_ahead(sliding: bool, plan: &FloorPlan, from: &Pose2, seconds: f64) -> f64 {
+    let to = plan.drive(from, &ahead(), seconds, &Body { sliding }, &[]).pose;
+    (to.x_m - from.x_m) * from.yaw_rad.cos() + (to.y_m - from.y_m) * from.yaw_rad.sin()
 }
 
 #[test]

@@ -21,6 +21,8 @@ const LEAF_M: f32 = 0.04;
 pub const LEAF_REACH_M: f32 = LEAF_GAP_M + LEAF_M + 0.06;
 /// Distance by which a curtain extends beyond its window at each side, metres.
 pub const CURTAIN_M: f32 = 0.22;
+/// Number of vertical folds of a curtain.
+const FOLDS: usize = 8;
 
 pub fn build(
     layout: &Layout,
@@ -165,13 +167,9 @@ fn window(
 }
 
 fn folds(start: f32, width: f32, z: [f32; 2], appearance: Appearance, part: &mut Mesh) {
-    const FOLDS: usize = 8;
-    let at = |i: usize| {
-        (start + width * i as f32 / FOLDS as f32, if i.is_multiple_of(2) { 0.055 } else { 0.085 })
-    };
     for i in 0..FOLDS {
-        let (x0, y0) = at(i);
-        let (x1, y1) = at(i + 1);
+        let (x0, y0) = fold_edge(i, start, width);
+        let (x1, y1) = fold_edge(i + 1, start, width);
         let corners = [[x1, y1, z[0]], [x0, y0, z[0]], [x0, y0, z[1]], [x1, y1, z[1]]];
         let u = |i: usize| 0.045 * i as f32 / appearance.tile_m;
         let v = z.map(|z| -z / appearance.tile_m);
@@ -181,4 +179,8 @@ fn folds(start: f32, width: f32, z: [f32; 2], appearance: Appearance, part: &mut
             appearance,
         );
     }
+}
+
+fn fold_edge(i: usize, start: f32, width: f32) -> (f32, f32) {
+    (start + width * i as f32 / FOLDS as f32, if i.is_multiple_of(2) { 0.055 } else { 0.085 })
 }

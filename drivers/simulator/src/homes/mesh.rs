@@ -28,7 +28,8 @@ pub struct Mesh {
     pub solids: Vec<Solid>,
 }
 
-/// Corner indices of a box's faces (bit 0: x, bit 1: y, bit 2: z), with the axes that u and v follow.
+/// Corner indices of a box's faces (bit 0: x, bit 1: y, bit 2: z), with the axes that u and v
+/// follow.
 const FACES: [([usize; 4], [usize; 2]); 6] = [
     ([0, 2, 3, 1], [0, 1]),
     ([4, 5, 7, 6], [0, 1]),
@@ -212,12 +213,9 @@ impl Mesh {
             let b = solid.max;
             let base = [[a[0], a[1]], [b[0], a[1]], [b[0], b[1]], [a[0], b[1]]]
                 .map(|p| rotate([p[0], p[1], a[2]]));
-            let fold = |f: fn(f32, f32) -> f32, axis: usize| {
-                base.iter().map(|p| p[axis]).fold(base[0][axis], f)
-            };
             Solid {
-                min: [fold(f32::min, 0), fold(f32::min, 1), at[2] + a[2]],
-                max: [fold(f32::max, 0), fold(f32::max, 1), at[2] + b[2]],
+                min: [fold_axis(f32::min, 0, &base), fold_axis(f32::min, 1, &base), at[2] + a[2]],
+                max: [fold_axis(f32::max, 0, &base), fold_axis(f32::max, 1, &base), at[2] + b[2]],
                 room: solid.room,
             }
         }));
@@ -237,4 +235,8 @@ impl Mesh {
     pub fn mark(&self) -> (usize, usize) {
         (self.quads.len(), self.solids.len())
     }
+}
+
+fn fold_axis(f: fn(f32, f32) -> f32, axis: usize, base: &[[f32; 3]; 4]) -> f32 {
+    base.iter().map(|p| p[axis]).fold(base[0][axis], f)
 }

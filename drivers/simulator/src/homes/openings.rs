@@ -257,24 +257,32 @@ pub fn leaves(doors: &[Door], rooms: &[Room], rng: &mut Pcg64Mcg) -> Vec<Leaf> {
         } else {
             [clear[1] + gap, clear[1] + gap + door.width_m]
         };
-        let blocked = |d: &Door| {
-            let other = span_of(d, &wall);
-            d.rooms.contains(&which)
-                && side_of(d, &room.rect) == side
-                && other[0] - 0.15 < span[1]
-                && span[0] < other[1] + 0.15
-        };
         let others = doors.iter().filter(|d| *d != door);
         let narrow = room.kind == RoomKind::Corridor;
         if wide
             || narrow
             || span[0] < 0.02
             || span[1] > wall.length_m - 0.02
-            || others.into_iter().any(blocked)
+            || others.into_iter().any(|it| meets_door(it, which, room, side, &wall, span))
         {
             continue;
         }
         leaves.push(Leaf { room: which, side, span });
     }
     leaves
+}
+
+fn meets_door(
+    d: &Door,
+    which: usize,
+    room: &Room,
+    side: Side,
+    wall: &WallFrame,
+    span: [f32; 2],
+) -> bool {
+    let other = span_of(d, wall);
+    d.rooms.contains(&which)
+        && side_of(d, &room.rect) == side
+        && other[0] - 0.15 < span[1]
+        && span[0] < other[1] + 0.15
 }

@@ -225,8 +225,7 @@ fn recursive(rng: &mut Pcg64Mcg) -> Vec<Cell> {
         vec![Rect::new(0.0, 0.0, snap((area * aspect).sqrt()), snap((area / aspect).sqrt()))];
     let count = if area < 56.0 { 4 } else { 5 };
     while rects.len() < count {
-        let sorted = |a: &&Rect, b: &&Rect| a.area_m2().total_cmp(&b.area_m2());
-        let Some(rect) = rects.iter().max_by(sorted).copied() else { break };
+        let Some(rect) = rects.iter().max_by(by_area).copied() else { break };
         rects.retain(|r| *r != rect);
         let axis = usize::from(rect.size()[1] > rect.size()[0]);
         // Uneven shares make a large living room and a small bath.
@@ -248,6 +247,10 @@ fn recursive(rng: &mut Pcg64Mcg) -> Vec<Cell> {
     let last = rects.len() - 1;
     let kind_of = |i: usize| if i == last { RoomKind::Bath } else { kinds[i] };
     rects.iter().enumerate().map(|(i, rect)| Cell { rect: *rect, kind: kind_of(i) }).collect()
+}
+
+fn by_area(a: &&Rect, b: &&Rect) -> std::cmp::Ordering {
+    a.area_m2().total_cmp(&b.area_m2())
 }
 
 /// Mirrors and transposes at random, so that homes differ in orientation.

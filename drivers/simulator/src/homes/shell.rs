@@ -115,8 +115,8 @@ fn panel(
     for s in ss.windows(2) {
         for z in zs.windows(2) {
             let middle = [(s[0] + s[1]) / 2.0, (z[0] + z[1]) / 2.0];
-            let inside = |r: [f32; 2], m: f32| m > r[0] && m < r[1];
-            if holes.iter().any(|h| inside(h.span, middle[0]) && inside(h.height, middle[1])) {
+            if holes.iter().any(|h| is_inside(h.span, middle[0]) && is_inside(h.height, middle[1]))
+            {
                 continue;
             }
             let stations = [(s[1], z[0]), (s[0], z[0]), (s[0], z[1]), (s[1], z[1])];
@@ -128,6 +128,10 @@ fn panel(
             );
         }
     }
+}
+
+fn is_inside(r: [f32; 2], m: f32) -> bool {
+    m > r[0] && m < r[1]
 }
 
 fn skirting(wall: &WallFrame, holes: &[Hole], appearance: Appearance, mesh: &mut Mesh) {
@@ -156,7 +160,8 @@ fn skirting(wall: &WallFrame, holes: &[Hole], appearance: Appearance, mesh: &mut
     }
 }
 
-/// The outer face of an outer wall, longer by the wall's thickness at the building's convex corners.
+/// The outer face of an outer wall, longer by the wall's thickness at the building's convex
+/// corners.
 fn facade(layout: &Layout, index: usize, side: Side, appearance: Appearance, mesh: &mut Mesh) {
     let wall = layout.rooms[index].rect.wall(side);
     for [mut from, mut to] in outer_spans(&layout.cells, index, side, &wall) {

@@ -38,10 +38,13 @@ fn digest(home: &Home) -> u64 {
 #[test]
 fn the_same_seed_builds_the_same_bytes_and_another_seed_does_not() {
     for kind in HomeKind::ALL {
-        let of = |seed| digest(&build(kind, &HomeOptions::new(seed)));
-        assert_eq!(of(3), of(3), "{kind}");
-        assert_ne!(of(3), of(4), "{kind}");
+        assert_eq!(digest_of(3, kind), digest_of(3, kind), "{kind}");
+        assert_ne!(digest_of(3, kind), digest_of(4, kind), "{kind}");
     }
+}
+
+fn digest_of(seed: u64, kind: HomeKind) -> u64 {
+    digest(&build(kind, &HomeOptions::new(seed)))
 }
 
 #[test]
@@ -305,9 +308,8 @@ fn every_triangle_is_sound() {
 #[test]
 fn texture_density_is_the_same_on_every_wall_and_floor() {
     let home = build(HomeKind::House, &HomeOptions::new(2));
-    let structure = |s: &Surface| matches!(s, Surface::Wall | Surface::Floor | Surface::Ceiling);
     for (triangle, _) in
-        home.scene.triangles.iter().zip(&home.surfaces).filter(|(_, s)| structure(s))
+        home.scene.triangles.iter().zip(&home.surfaces).filter(|(_, s)| is_structure(s))
     {
         let [a, b, c] = triangle.vertices;
         for (v, w) in [(a, b), (b, c), (c, a)] {
@@ -316,6 +318,10 @@ fn texture_density_is_the_same_on_every_wall_and_floor() {
             assert!((1.49..=3.0).contains(&(metres / tiles)), "{} m per texture", metres / tiles);
         }
     }
+}
+
+fn is_structure(s: &Surface) -> bool {
+    matches!(s, Surface::Wall | Surface::Floor | Surface::Ceiling)
 }
 
 #[test]
@@ -329,25 +335,26 @@ fn floors_cover_every_room_and_doorway_without_holes() {
                 .map(|t| t.vertices.map(|v| v.position_m))
                 .filter(|p| p.iter().all(|p| p[2].abs() < 1e-6))
                 .collect();
-            let covered = |at: [f32; 2]| {
-                floor.iter().any(|p| {
-                    let side = |a: [f32; 3], b: [f32; 3]| {
-                        (b[0] - a[0]) * (at[1] - a[1]) - (at[0] - a[0]) * (b[1] - a[1])
-                    };
-                    let s = [side(p[0], p[1]), side(p[1], p[2]), side(p[2], p[0])];
-                    s.iter().all(|s| *s >= -1e-5) || s.iter().all(|s| *s <= 1e-5)
-                })
-            };
             for rect in home.rooms.iter().map(|r| r.rect).chain(home.doors.iter().map(|d| d.rect)) {
                 let [w, d] = rect.size();
                 for i in 0..60 {
                     let share = |k: f32| (0.5 + k * i as f32).fract();
                     let at = [rect.min[0] + w * share(0.618), rect.min[1] + d * share(0.755)];
-                    assert!(covered(at), "{kind} {seed}: no floor at {at:?}");
+                    assert!(is_covered(at, &floor), "{kind} {seed}: no floor at {at:?}");
                 }
             }
         }
     }
+}
+
+fn is_covered(at: [f32; 2], floor: &[[[f32; 3]; 3]]) -> bool {
+    floor.iter().any(|p| {
+        let side = |a: [f32; 3], b: [f32; 3]| {
+            (b[0] - a[0]) * (at[1] - a[1]) - (at[0] - a[0]) * (b[1] - a[1])
+        };
+        let s = [side(p[0], p[1]), side(p[1], p[2]), side(p[2], p[0])];
+        s.iter().all(|s| *s >= -1e-5) || s.iter().all(|s| *s <= 1e-5)
+    })
 }
 
 #[test]
@@ -359,13 +366,10 @@ fn moving_furniture_moves_nothing_else() {
             // Textures depend only on the materials and the seed.
             assert_eq!(materials, materials_moved, "{kind} {seed}");
             assert_eq!((&home.rooms, &home.doors), (&moved.rooms, &moved.doors), "{kind} {seed}");
-            let fixed = |home: &Home| -> Vec<_> {
-                let triangles = home.scene.triangles.iter().zip(&home.surfaces);
-                let kept = triangles.filter(|(_, s)| **s != Surface::Furniture);
-                kept.map(|(t, s)| (t.material, t.vertices.map(|v| (v.position_m, v.uv)), *s))
-                    .collect()
-            };
-            assert!(fixed(&home) == fixed(&moved), "{kind} {seed}: walls differ");
+            assert!(
+                fixed_triangles(&home) == fixed_triangles(&moved),
+                "{kind} {seed}: walls differ"
+            );
             let stayed = home.furniture.iter().filter(|f| moved.furniture.contains(f)).count();
             assert!(
                 stayed * 3 < home.furniture.len(),
@@ -376,21 +380,31 @@ fn moving_furniture_moves_nothing_else() {
     }
 }
 
+/// Material, corners with texture coordinates, and kind of surface of a triangle.
+type FixedTriangle = (u32, [([f32; 3], [f32; 2]); 3], Surface);
+
+fn fixed_triangles(home: &Home) -> Vec<FixedTriangle> {
+    let triangles = home.scene.triangles.iter().zip(&home.surfaces);
+    let kept = triangles.filter(|(_, s)| **s != Surface::Furniture);
+    kept.map(|(t, s)| (t.material, t.vertices.map(|v| (v.position_m, v.uv)), *s)).collect()
+}
+
 #[test]
 fn texture_strength_scales_what_walls_show() {
-    let contrast = |strength: f32| {
-        let home =
-            build(HomeKind::Apartment, &HomeOptions { texture: strength, ..HomeOptions::new(1) });
-        let wall = home.scene.materials.iter().find(|m| m.name == "painted wall").unwrap();
-        let texture = &home.scene.textures[wall.texture.unwrap() as usize];
-        let values: Vec<f64> = texture.rgba.chunks_exact(4).map(|p| f64::from(p[1])).collect();
-        let mean = values.iter().sum::<f64>() / values.len() as f64;
-        (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
-    };
-    let blank = contrast(0.0);
-    let calibrated = contrast(HomeOptions::TEXTURE);
-    let rich = contrast(1.0);
+    let blank = wall_contrast(0.0);
+    let calibrated = wall_contrast(HomeOptions::TEXTURE);
+    let rich = wall_contrast(1.0);
     assert!(blank < 0.1, "{blank}");
     assert!((3.0..9.0).contains(&calibrated), "{calibrated}");
     assert!(rich > 2.5 * calibrated, "{rich} against {calibrated}");
+}
+
+fn wall_contrast(strength: f32) -> f64 {
+    let home =
+        build(HomeKind::Apartment, &HomeOptions { texture: strength, ..HomeOptions::new(1) });
+    let wall = home.scene.materials.iter().find(|m| m.name == "painted wall").unwrap();
+    let texture = &home.scene.textures[wall.texture.unwrap() as usize];
+    let values: Vec<f64> = texture.rgba.chunks_exact(4).map(|p| f64::from(p[1])).collect();
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
 }

@@ -101,7 +101,8 @@ fn what_is_missing_is_named() {
     assert!(matches!(open(&dir, "e.ply"), Err(SceneError::UnknownFormat { .. })));
 }
 
-/// One triangle (0 0 0) (1 0 0) (0 0 -1) with uv, two times in the scene: as it is and moved, turned and scaled.
+/// One triangle (0 0 0) (1 0 0) (0 0 -1) with uv, twice in the scene: unchanged, and translated,
+/// rotated and scaled.
 fn gltf(more: &str, buffer_uri: &str) -> String {
     let positions = [0.0_f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0];
     let uv = [0.0_f32, 0.0, 1.0, 0.0, 0.0, 1.0];
@@ -142,13 +143,14 @@ fn base64(bytes: &[u8]) -> String {
 fn gltf_nodes_place_their_meshes() {
     let dir = folder(&[("a.gltf", gltf("", "").as_bytes())]);
     let scene = open(&dir, "a.gltf").unwrap().scene;
-    let corners = |i: usize| {
-        scene.triangles[i].vertices.map(|v| v.position_m.map(|c| (c * 1e4).round() / 1e4 + 0.0))
-    };
     // z up: (x, -z, y).
-    assert_eq!(corners(0), [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
-    // Scaled by 3 along x, turned left by 90 degrees (x to -z), moved up by 2.
-    assert_eq!(corners(1), [[0.0, 0.0, 2.0], [0.0, 3.0, 2.0], [-1.0, 0.0, 2.0]]);
+    assert_eq!(rounded_corners(0, &scene), [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+    // Scaled by 3 along x, rotated left by 90 degrees (x to -z), translated up by 2.
+    assert_eq!(rounded_corners(1, &scene), [[0.0, 0.0, 2.0], [0.0, 3.0, 2.0], [-1.0, 0.0, 2.0]]);
+}
+
+fn rounded_corners(i: usize, scene: &Scene) -> [[f32; 3]; 3] {
+    scene.triangles[i].vertices.map(|v| v.position_m.map(|c| (c * 1e4).round() / 1e4 + 0.0))
 }
 
 #[test]
@@ -164,7 +166,7 @@ fn gltf_textures_factors_and_texture_transforms_are_kept() {
         assert_eq!(scene.textures[0].rgba[..4], [255, 0, 0, 255]);
         assert_eq!(scene.materials[0].base_color, [0.5, 1.0, 1.0]);
         assert_eq!(scene.materials[0].alpha_cutoff, Some(0.5));
-        // (1, 0) scaled to (2, 0), turned to (0, -2), moved to (0.5, -2).
+        // (1, 0) scaled to (2, 0), rotated to (0, -2), translated to (0.5, -2).
         let [u, v] = scene.triangles[0].vertices[1].uv;
         assert!((u - 0.5).abs() < 1e-6 && (v + 2.0).abs() < 1e-6, "{u} {v}");
     }
@@ -183,12 +185,11 @@ fn vertex_colours_of_a_gltf_become_a_texture() {
 
 #[test]
 fn compressed_geometry_and_pictures_are_refused_with_the_way_out() {
-    let required = |name: &str| gltf(&format!(r#","extensionsRequired":["{name}"]"#), "");
     let basis = gltf(TEXTURED, "").replace("IMAGE", r#""uri":"a.ktx2""#);
     let dir = folder(&[
-        ("draco.gltf", required("KHR_draco_mesh_compression").as_bytes()),
-        ("meshopt.gltf", required("EXT_meshopt_compression").as_bytes()),
-        ("basis.gltf", required("KHR_texture_basisu").as_bytes()),
+        ("draco.gltf", requiring_extension("KHR_draco_mesh_compression").as_bytes()),
+        ("meshopt.gltf", requiring_extension("EXT_meshopt_compression").as_bytes()),
+        ("basis.gltf", requiring_extension("KHR_texture_basisu").as_bytes()),
         ("ktx.gltf", basis.as_bytes()),
         ("a.ktx2", b"\xabKTX 20\xbb\r\n\x1a\n"),
     ]);
@@ -201,6 +202,10 @@ fn compressed_geometry_and_pictures_are_refused_with_the_way_out() {
         let text = message(open(&dir, name));
         assert!(words.iter().all(|word| text.contains(word)), "{text}");
     }
+}
+
+fn requiring_extension(name: &str) -> String {
+    gltf(&format!(r#","extensionsRequired":["{name}"]"#), "")
 }
 
 #[test]

@@ -29,12 +29,8 @@ impl ColorAtlas {
         let (columns, rows) = self.shape();
         let left = block % columns;
         let top = block / columns;
-        [(0, 0), (1, 0), (0, 1)].map(|(u, v)| {
-            let texel = |block: usize, part: usize, blocks: usize| {
-                (((2 * block + part) as f64 + 0.5) / (2 * blocks) as f64) as f32
-            };
-            [texel(left, u, columns), texel(top, v, rows)]
-        })
+        [(0, 0), (1, 0), (0, 1)]
+            .map(|(u, v)| [texel_center(left, u, columns), texel_center(top, v, rows)])
     }
 
     pub fn into_texture(self) -> Texture {
@@ -57,6 +53,10 @@ impl ColorAtlas {
         let columns = self.blocks.len().clamp(1, BLOCKS_PER_ROW);
         (columns, self.blocks.len().div_ceil(columns).max(1))
     }
+}
+
+fn texel_center(block: usize, part: usize, blocks: usize) -> f32 {
+    (((2 * block + part) as f64 + 0.5) / (2 * blocks) as f64) as f32
 }
 
 /// sRGB code of a linear-light value.

@@ -184,14 +184,15 @@ fn hemisphere(count: usize) -> Vec<V3> {
 /// Halves edges that are too long until none is left. Whether an edge is halved depends on that
 /// edge alone, so both of its triangles agree.
 fn divide_long_edges(scene: &mut Scene, options: &AmbientOptions) {
-    let too_long = |a: &Vertex, b: &Vertex| {
-        (V3::from(a.position_m) - V3::from(b.position_m)).norm() > options.longest_edge_m
-    };
     loop {
         let mut divided = Vec::with_capacity(scene.triangles.len());
         for triangle in &scene.triangles {
             let [a, b, c] = triangle.vertices;
-            let long = [too_long(&a, &b), too_long(&b, &c), too_long(&c, &a)];
+            let long = [
+                is_too_long(&a, &b, options),
+                is_too_long(&b, &c, options),
+                is_too_long(&c, &a, options),
+            ];
             divided.extend(
                 divide(&triangle.vertices, long).map(|vertices| Triangle { vertices, ..*triangle }),
             );
@@ -204,6 +205,10 @@ fn divide_long_edges(scene: &mut Scene, options: &AmbientOptions) {
         }
         scene.triangles = divided;
     }
+}
+
+fn is_too_long(a: &Vertex, b: &Vertex, options: &AmbientOptions) -> bool {
+    (V3::from(a.position_m) - V3::from(b.position_m)).norm() > options.longest_edge_m
 }
 
 /// The parts of a triangle whose edges ab, bc, ca are halved where `long` is set.
@@ -270,28 +275,32 @@ mod tests {
     #[test]
     fn dividing_keeps_the_area_and_leaves_no_long_edge_and_no_gap() {
         let mut scene = furnished();
-        let area = |scene: &Scene| -> f32 {
-            let of = |t: &Triangle| {
-                let [a, b, c] = t.vertices.map(|v| V3::from(v.position_m));
-                (b - a).cross(&(c - a)).norm() / 2.0
-            };
-            scene.triangles.iter().map(of).sum()
-        };
-        let before = area(&scene);
+        let before = scene_area(&scene);
         divide_long_edges(&mut scene, &AmbientOptions::default());
-        assert!((area(&scene) / before - 1.0).abs() < 1e-4);
+        assert!((scene_area(&scene) / before - 1.0).abs() < 1e-4);
         let mut edges: Vec<[[i32; 3]; 2]> = Vec::new();
         for triangle in &scene.triangles {
             let points = triangle.vertices.map(|v| v.position_m);
             for (p, q) in [(0, 1), (1, 2), (2, 0)].map(|(i, j)| (points[i], points[j])) {
                 assert!((V3::from(p) - V3::from(q)).norm() <= 0.5);
-                let key = |p: [f32; 3]| p.map(|c| (c * 1e4).round() as i32);
-                edges.push(if key(p) < key(q) { [key(p), key(q)] } else { [key(q), key(p)] });
+                edges.push(if rounded_point(p) < rounded_point(q) {
+                    [rounded_point(p), rounded_point(q)]
+                } else {
+                    [rounded_point(q), rounded_point(p)]
+                });
             }
         }
         // In a closed room every edge belongs to exactly two triangles.
         edges.sort_unstable();
         assert!(edges.chunks(2).all(|pair| pair[0] == pair[1]));
+    }
+
+    fn rounded_point(p: [f32; 3]) -> [i32; 3] {
+        p.map(|c| (c * 1e4).round() as i32)
+    }
+
+    fn scene_area(scene: &Scene) -> f32 {
+        scene.triangles.iter().map(triangle_area).sum()
     }
 
     #[test]
@@ -304,14 +313,20 @@ mod tests {
         assert!((12..=100).contains(&scene.triangles.len()));
     }
 
+    fn triangle_area(t: &Triangle) -> f32 {
+        let [a, b, c] = t.vertices.map(|v| V3::from(v.position_m));
+        (b - a).cross(&(c - a)).norm() / 2.0
+    }
+
     #[test]
     fn the_baked_light_does_not_depend_on_the_number_of_threads() {
-        let baked = |threads: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let mut scene = furnished();
-            pool.install(|| bake_ambient(&mut scene, &AmbientOptions::default()));
-            scene
-        };
-        assert!(baked(1) == baked(4));
+        assert!(baked_on(1) == baked_on(4));
+    }
+
+    fn baked_on(threads: usize) -> Scene {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut scene = furnished();
+        pool.install(|| bake_ambient(&mut scene, &AmbientOptions::default()));
+        scene
     }
 }

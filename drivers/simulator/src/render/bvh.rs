@@ -91,7 +91,8 @@ impl Bvh {
         best
     }
 
-    /// Calls `on_hit` for triangles that the ray hits before the limit. `on_hit` may shorten the limit.
+    /// Calls `on_hit` for triangles that the ray hits before the limit. `on_hit` may shorten the
+    /// limit.
     fn traverse(
         &self,
         origin: V3,

@@ -46,7 +46,8 @@ pub struct SunPatches {
 }
 
 impl Default for Lighting {
-    /// A bright room: ceiling light, reflections from a wooden floor, a cool window on one side and a warm lamp on the other.
+    /// A bright room: ceiling light, reflections from a wooden floor, a cool window on one side and
+    /// a warm lamp on the other.
     fn default() -> Self {
         Self {
             from_above: [0.62, 0.61, 0.58],
@@ -139,17 +140,7 @@ const SHOULDER: f32 = 0.8;
 
 impl ToneCurve {
     pub fn new() -> Self {
-        let byte = |step: usize| {
-            let light = CURVE_MAX_LIGHT * (step as f32 / (CURVE_STEPS - 1) as f32).powi(2);
-            let headroom = 1.0 - SHOULDER;
-            let shown = if light <= SHOULDER {
-                light
-            } else {
-                1.0 - headroom * (-(light - SHOULDER) / headroom).exp()
-            };
-            linear_to_srgb(shown)
-        };
-        Self { bytes: (0..CURVE_STEPS).map(byte).collect() }
+        Self { bytes: (0..CURVE_STEPS).map(curve_byte).collect() }
     }
 
     #[inline(always)]
@@ -158,6 +149,17 @@ impl ToneCurve {
         let step = (light.max(0.0).sqrt() * scale + 0.5) as usize;
         self.bytes[step.min(CURVE_STEPS - 1)]
     }
+}
+
+fn curve_byte(step: usize) -> u8 {
+    let light = CURVE_MAX_LIGHT * (step as f32 / (CURVE_STEPS - 1) as f32).powi(2);
+    let headroom = 1.0 - SHOULDER;
+    let shown = if light <= SHOULDER {
+        light
+    } else {
+        1.0 - headroom * (-(light - SHOULDER) / headroom).exp()
+    };
+    linear_to_srgb(shown)
 }
 
 /// sRGB transfer function (IEC 61966-2-1).

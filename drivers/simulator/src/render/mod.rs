@@ -137,17 +137,16 @@ impl Renderer {
         depth: &mut DepthMap,
     ) {
         let [from, to] = t_world_camera;
-        let between = |share: f64| from.try_lerp_slerp(to, share, 1e-9).unwrap_or(*to);
         let mut sum = vec![0.0; camera.width * camera.height * 3];
         let linear: Vec<f32> = (0..=255).map(light::srgb_to_linear).collect();
         for sample in 0..samples {
-            let pose = between((sample as f64 + 0.5) / samples as f64);
+            let pose = interpolated_pose((sample as f64 + 0.5) / samples as f64, from, to);
             self.render(camera, &pose, people, light, rgb, depth);
             for (sum, byte) in sum.iter_mut().zip(rgb.iter()) {
                 *sum += linear[*byte as usize];
             }
         }
-        self.render(camera, &between(0.5), people, light, rgb, depth);
+        self.render(camera, &interpolated_pose(0.5, from, to), people, light, rgb, depth);
         if samples > 0 {
             for (sum, byte) in sum.iter().zip(rgb.iter_mut()) {
                 *byte = light::linear_to_srgb(sum / samples as f32);
@@ -155,8 +154,8 @@ impl Renderer {
         }
     }
 
-    /// Distance along a ray to the first surface or person, metres; `None` when there is none within `max_m` or the
-    /// direction (of any length) is zero or not finite.
+    /// Distance along a ray to the first surface or person, metres; `None` when there is none
+    /// within `max_m` or the direction (of any length) is zero or not finite.
     #[must_use]
     pub fn cast(
         &self,
@@ -337,6 +336,10 @@ impl Renderer {
             }
         }
     }
+}
+
+fn interpolated_pose(share: f64, from: &Pose3, to: &Pose3) -> Pose3 {
+    from.try_lerp_slerp(to, share, 1e-9).unwrap_or(*to)
 }
 
 /// Whether a body part may be visible in a block whose centre ray is `middle` (1 m deep) and whose

@@ -10,13 +10,21 @@ use crate::scene::{Material, Scene, Texture, Triangle, Vertex};
 
 /// A parallelogram `corner + a * u + b * v` with texture coordinates 0 to 1.
 pub(crate) fn quad(corner: [f32; 3], a: [f32; 3], b: [f32; 3], material: u32) -> [Triangle; 2] {
-    let vertex = |u: f32, v: f32| Vertex {
+    let [p, q, r, s] = [
+        quad_vertex(0.0, 0.0, corner, a, b),
+        quad_vertex(1.0, 0.0, corner, a, b),
+        quad_vertex(1.0, 1.0, corner, a, b),
+        quad_vertex(0.0, 1.0, corner, a, b),
+    ];
+    [Triangle { vertices: [p, q, r], material }, Triangle { vertices: [p, r, s], material }]
+}
+
+fn quad_vertex(u: f32, v: f32, corner: [f32; 3], a: [f32; 3], b: [f32; 3]) -> Vertex {
+    Vertex {
         position_m: std::array::from_fn(|i| corner[i] + u * a[i] + v * b[i]),
         uv: [u, v],
         ambient: 1.0,
-    };
-    let [p, q, r, s] = [vertex(0.0, 0.0), vertex(1.0, 0.0), vertex(1.0, 1.0), vertex(0.0, 1.0)];
-    [Triangle { vertices: [p, q, r], material }, Triangle { vertices: [p, r, s], material }]
+    }
 }
 
 /// The inside of a box with one corner in the origin.
@@ -180,8 +188,11 @@ fn rotating_the_camera_moves_the_image_by_the_homography() {
         let ray = poses[1].rotation.inverse()
             * (poses[0].rotation * camera.ray(f64::from(u), f64::from(v)));
         let Some((x, y)) = camera.project(&Point3::from(ray)) else { continue };
-        let near = |s: f64| (s - s.round()).abs() < 0.05;
-        if near(x) && near(y) && (0.0..319.5).contains(&x) && (0.0..95.5).contains(&y) {
+        if is_near_pixel_center(x)
+            && is_near_pixel_center(y)
+            && (0.0..319.5).contains(&x)
+            && (0.0..95.5).contains(&y)
+        {
             let a = (v * 320 + u) as usize * 3;
             let b = (y.round() as usize * 320 + x.round() as usize) * 3;
             sum += (0..3).map(|c| u32::from(first[a + c].abs_diff(second[b + c]))).max().unwrap();
@@ -194,6 +205,10 @@ fn rotating_the_camera_moves_the_image_by_the_homography() {
         "differ by {} on average",
         f64::from(sum) / f64::from(compared)
     );
+}
+
+fn is_near_pixel_center(s: f64) -> bool {
+    (s - s.round()).abs() < 0.05
 }
 
 #[test]
@@ -285,18 +300,19 @@ fn images_do_not_depend_on_the_number_of_threads() {
     };
     let renderer = Renderer::new(&scene);
     let people = [Person::standing(3.0, 0.0)];
-    let render_with = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| {
-            let mut rgb = Vec::new();
-            let mut depth = DepthMap::none(0, 0);
-            let pose = standing(0.0, 0.0, 0.2, 0.0);
-            renderer.render(&wide(), &pose, &people, &Lighting::default(), &mut rgb, &mut depth);
-            (rgb, depth)
-        })
-    };
-    let one = render_with(1);
-    assert!(render_with(2) == one && render_with(4) == one);
+    let one = render_with(1, &renderer, &people);
+    assert!(render_with(2, &renderer, &people) == one && render_with(4, &renderer, &people) == one);
+}
+
+fn render_with(threads: usize, renderer: &Renderer, people: &[Person]) -> (Vec<u8>, DepthMap) {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    pool.install(|| {
+        let mut rgb = Vec::new();
+        let mut depth = DepthMap::none(0, 0);
+        let pose = standing(0.0, 0.0, 0.2, 0.0);
+        renderer.render(&wide(), &pose, people, &Lighting::default(), &mut rgb, &mut depth);
+        (rgb, depth)
+    })
 }
 
 #[test]
@@ -334,20 +350,21 @@ fn brute_force(
     origin: &Vector3<f64>,
     direction: &Vector3<f64>,
 ) -> Option<f64> {
-    let distance = |t: &Triangle| {
-        let [a, b, c] = t.vertices.map(|v| Vector3::from(v.position_m).cast::<f64>());
-        let e1 = b - a;
-        let e2 = c - a;
-        let p = direction.cross(&e2);
-        let det = e1.dot(&p);
-        let s = origin - a;
-        let u = s.dot(&p) / det;
-        let q = s.cross(&e1);
-        let v = direction.dot(&q) / det;
-        let t = e2.dot(&q) / det;
-        (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t >= 0.0).then_some(t)
-    };
-    triangles.iter().filter_map(distance).min_by(f64::total_cmp)
+    triangles.iter().filter_map(|it| distance_to(it, origin, direction)).min_by(f64::total_cmp)
+}
+
+fn distance_to(t: &Triangle, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
+    let [a, b, c] = t.vertices.map(|v| Vector3::from(v.position_m).cast::<f64>());
+    let e1 = b - a;
+    let e2 = c - a;
+    let p = direction.cross(&e2);
+    let det = e1.dot(&p);
+    let s = origin - a;
+    let u = s.dot(&p) / det;
+    let q = s.cross(&e1);
+    let v = direction.dot(&q) / det;
+    let t = e2.dot(&q) / det;
+    (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t >= 0.0).then_some(t)
 }
 
 proptest! {
@@ -424,28 +441,38 @@ fn motion_blur_averages_light_along_the_camera_path() {
         Scene { triangles, materials: vec![plain([0.6; 3]), plain([0.1; 3])], textures: vec![] };
     let renderer = Renderer::new(&scene);
     let camera = CameraModel::pinhole(41, 9, std::f64::consts::FRAC_PI_2);
-    let blurred = |yaw_rad: f64| {
-        let poses = [standing(0.0, 0.0, -yaw_rad, 0.0), standing(0.0, 0.0, yaw_rad, 0.0)];
-        let mut rgb = Vec::new();
-        let mut depth = DepthMap::none(0, 0);
-        renderer.render_blurred(
-            &camera,
-            [&poses[0], &poses[1]],
-            8,
-            &[],
-            &Lighting::flat(),
-            &mut rgb,
-            &mut depth,
-        );
-        assert!((depth.get(20, 4).unwrap() - 5.0).abs() < 1e-5);
-        rgb
-    };
-    let still = blurred(0.0);
-    let moving = blurred(0.2);
-    let middle = |rgb: &[u8], column: usize| rgb[(4 * 41 + column) * 3];
-    assert_eq!([middle(&still, 18), middle(&still, 22)], [0.6, 0.1].map(light::linear_to_srgb));
-    assert!(middle(&moving, 20).abs_diff(light::linear_to_srgb(0.35)) < 12);
-    assert_eq!([middle(&moving, 2), middle(&moving, 38)], [0.6, 0.1].map(light::linear_to_srgb));
+    let still = blurred_image(0.0, &renderer, &camera);
+    let moving = blurred_image(0.2, &renderer, &camera);
+    assert_eq!(
+        [red_in_middle_row(&still, 18), red_in_middle_row(&still, 22)],
+        [0.6, 0.1].map(light::linear_to_srgb)
+    );
+    assert!(red_in_middle_row(&moving, 20).abs_diff(light::linear_to_srgb(0.35)) < 12);
+    assert_eq!(
+        [red_in_middle_row(&moving, 2), red_in_middle_row(&moving, 38)],
+        [0.6, 0.1].map(light::linear_to_srgb)
+    );
+}
+
+fn red_in_middle_row(rgb: &[u8], column: usize) -> u8 {
+    rgb[(4 * 41 + column) * 3]
+}
+
+fn blurred_image(yaw_rad: f64, renderer: &Renderer, camera: &CameraModel) -> Vec<u8> {
+    let poses = [standing(0.0, 0.0, -yaw_rad, 0.0), standing(0.0, 0.0, yaw_rad, 0.0)];
+    let mut rgb = Vec::new();
+    let mut depth = DepthMap::none(0, 0);
+    renderer.render_blurred(
+        camera,
+        [&poses[0], &poses[1]],
+        8,
+        &[],
+        &Lighting::flat(),
+        &mut rgb,
+        &mut depth,
+    );
+    assert!((depth.get(20, 4).unwrap() - 5.0).abs() < 1e-5);
+    rgb
 }
 
 #[test]
@@ -462,19 +489,15 @@ fn sun_patches_brighten_some_of_the_floor_and_stay_where_they_are() {
         spacing_m: 3.1,
     };
     let light = Lighting { sun: Some(sun), ..Lighting::default() };
-    let down = |x: f64| {
-        Pose2::new(x, 3.0, 0.0).to_pose3() * camera_mount(0.0, 2.0, std::f64::consts::FRAC_PI_2)
-    };
     let camera = CameraModel::pinhole(200, 200, std::f64::consts::FRAC_PI_2);
     // A pixel is 2 cm wide on the floor, so moving 0.5 m forward moves the image by 25 rows.
-    let (first, _) = photograph(&scene, &camera, &down(4.0), &light);
-    let (second, _) = photograph(&scene, &camera, &down(4.5), &light);
-    let bright = |rgb: &[u8]| rgb.chunks_exact(3).filter(|p| p[0] > 170).count() as f64 / 40_000.0;
+    let (first, _) = photograph(&scene, &camera, &looking_down(4.0), &light);
+    let (second, _) = photograph(&scene, &camera, &looking_down(4.5), &light);
     let expected = 0.9 * 1.4 / (3.1 * 3.1);
     assert!(
-        (bright(&first) - expected).abs() < 0.06,
+        (bright_share(&first) - expected).abs() < 0.06,
         "{} of the floor, not {expected}",
-        bright(&first)
+        bright_share(&first)
     );
     let shifted = |row: usize, column: usize| {
         (first[(row * 200 + column) * 3], second[((row + 25) * 200 + column) * 3])
@@ -486,4 +509,12 @@ fn sun_patches_brighten_some_of_the_floor_and_stay_where_they_are() {
         })
         .count();
     assert!(same > 34_000, "{same} of 35000 floor points look the same");
+}
+
+fn bright_share(rgb: &[u8]) -> f64 {
+    rgb.chunks_exact(3).filter(|p| p[0] > 170).count() as f64 / 40_000.0
+}
+
+fn looking_down(x: f64) -> Pose3 {
+    Pose2::new(x, 3.0, 0.0).to_pose3() * camera_mount(0.0, 2.0, std::f64::consts::FRAC_PI_2)
 }

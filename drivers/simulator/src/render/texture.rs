@@ -73,11 +73,8 @@ impl MipChain {
     #[inline]
     pub fn sample(&self, footprint: &Footprint) -> Rgba {
         let size = [self.levels[0].width as i32 as f32, self.levels[0].height as i32 as f32];
-        let length = |d: &[f32; 2]| {
-            ((d[0] * size[0]) * (d[0] * size[0]) + (d[1] * size[1]) * (d[1] * size[1])).sqrt()
-        };
-        let column = length(&footprint.per_column);
-        let row = length(&footprint.per_row);
+        let column = texel_length(&footprint.per_column, size);
+        let row = texel_length(&footprint.per_row, size);
         let (axis, long, short) = if column > row {
             (footprint.per_column, column, row)
         } else {
@@ -132,6 +129,10 @@ impl MipChain {
         mix.add(&coarse.bilinear(u, v), fraction);
         mix.linear(WHOLE)
     }
+}
+
+fn texel_length(d: &[f32; 2], size: [f32; 2]) -> f32 {
+    ((d[0] * size[0]) * (d[0] * size[0]) + (d[1] * size[1]) * (d[1] * size[1])).sqrt()
 }
 
 /// A weighted sum of texels, two channels of 32 bits in one register: plain integer instructions
@@ -257,13 +258,16 @@ fn wrap(s: f32) -> f32 {
 }
 
 fn encode(colour: &Rgba) -> u32 {
-    let byte = |value: f32| (value * 255.0 + 0.5) as u8;
     u32::from_le_bytes([
-        byte(colour[0].sqrt()),
-        byte(colour[1].sqrt()),
-        byte(colour[2].sqrt()),
-        byte(colour[3]),
+        unit_to_byte(colour[0].sqrt()),
+        unit_to_byte(colour[1].sqrt()),
+        unit_to_byte(colour[2].sqrt()),
+        unit_to_byte(colour[3]),
     ])
+}
+
+fn unit_to_byte(value: f32) -> u8 {
+    (value * 255.0 + 0.5) as u8
 }
 
 /// Reduces an image by area averaging.
@@ -302,13 +306,14 @@ fn shrink(
 /// fractions of it.
 fn shares(size: usize, target: usize) -> Vec<Vec<(usize, f32)>> {
     let span = size as f32 / target as f32;
-    let part = |index: usize| {
-        let from = index as f32 * span;
-        let to = (index + 1) as f32 * span;
-        let texels = from as usize..(to.ceil() as usize).min(size);
-        texels.map(|i| (i, (to.min(i as f32 + 1.0) - from.max(i as f32)) / span)).collect()
-    };
-    (0..target).map(part).collect()
+    (0..target).map(|it| covered_texels(it, span, size)).collect()
+}
+
+fn covered_texels(index: usize, span: f32, size: usize) -> Vec<(usize, f32)> {
+    let from = index as f32 * span;
+    let to = (index + 1) as f32 * span;
+    let texels = from as usize..(to.ceil() as usize).min(size);
+    texels.map(|i| (i, (to.min(i as f32 + 1.0) - from.max(i as f32)) / span)).collect()
 }
 
 #[cfg(test)]

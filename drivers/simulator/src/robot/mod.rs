@@ -84,8 +84,6 @@ impl RobotOptions {
     fn check(&self) -> Result<(), SceneError> {
         self.nuisances.check()?;
         self.odometry.check()?;
-        let refuse =
-            |option, value: String, allowed| Err(SceneError::Option { option, value, allowed });
         if !self.camera.is_sound() || self.camera.distortion != Distortion::None {
             let allowed = "a pinhole without distortion, of positive size and focal length";
             return refuse("camera model", format!("{:?}", self.camera), allowed);
@@ -110,6 +108,10 @@ impl RobotOptions {
             None => Ok(()),
         }
     }
+}
+
+fn refuse(option: &'static str, value: String, allowed: &'static str) -> Result<(), SceneError> {
+    Err(SceneError::Option { option, value, allowed })
 }
 
 /// A robot in a simulated home. Pass its [`devices`](Self::devices) to the software under test; the
@@ -167,9 +169,9 @@ impl SimulatedRobot {
     /// error when an option or a nuisance is out of range.
     pub fn new(world: Arc<World>, options: RobotOptions) -> Result<Self, SceneError> {
         options.check()?;
-        let rng = |stream: u64| Pcg64Mcg::seed_from_u64(options.seed ^ (stream << 16));
         let (start, plan) = place(&world, &options)?;
-        let walkers = walkers(&plan, options.nuisances.people, &mut rng(PEOPLE_STREAM));
+        let walkers =
+            walkers(&plan, options.nuisances.people, &mut stream_rng(PEOPLE_STREAM, options.seed));
         let state = State {
             now_ns: 0,
             pose: start,
@@ -183,8 +185,8 @@ impl SimulatedRobot {
             touched: false,
             last_counter: None,
             walkers,
-            laser_rng: rng(LASER_STREAM),
-            camera_rng: rng(CAMERA_STREAM),
+            laser_rng: stream_rng(LASER_STREAM, options.seed),
+            camera_rng: stream_rng(CAMERA_STREAM, options.seed),
             frame_ns: None,
             scan_ns: None,
             feedback_ns: None,
@@ -214,6 +216,10 @@ impl SimulatedRobot {
     }
 }
 
+fn stream_rng(stream: u64, seed: u64) -> Pcg64Mcg {
+    Pcg64Mcg::seed_from_u64(seed ^ (stream << 16))
+}
+
 /// Locks the state. A poisoned lock is used anyway: a panic in another thread does not invalidate
 /// the robot's state.
 pub(crate) fn lock(shared: &Mutex<State>) -> MutexGuard<'_, State> {
@@ -223,9 +229,7 @@ pub(crate) fn lock(shared: &Mutex<State>) -> MutexGuard<'_, State> {
 impl State {
     /// The people as obstacles for the base.
     fn bodies(&self) -> Vec<Disc> {
-        let body =
-            |person: &Person| Disc { center_m: person.position_m, radius_m: PERSON_RADIUS_M };
-        self.people().iter().map(body).collect()
+        self.people().iter().map(person_disc).collect()
     }
 
     fn people(&self) -> Vec<Person> {
@@ -298,17 +302,21 @@ impl State {
     }
 }
 
+fn person_disc(person: &Person) -> Disc {
+    Disc { center_m: person.position_m, radius_m: PERSON_RADIUS_M }
+}
+
 /// The start pose, and the free space around it.
 fn place(world: &World, options: &RobotOptions) -> Result<(Pose2, Arc<FloorPlan>), SceneError> {
     let whole = world.floor_plan();
-    let Some(asked) = options.start else {
+    let Some(requested) = options.start else {
         return Ok((whole.start_pose(options.seed), whole.clone()));
     };
-    let x_m = asked.x_m;
-    let y_m = asked.y_m;
+    let x_m = requested.x_m;
+    let y_m = requested.y_m;
     let around = whole.around(x_m, y_m).filter(|plan| plan.fits(x_m, y_m, &[]));
     match around {
-        Some(plan) => Ok((asked, Arc::new(plan))),
+        Some(plan) => Ok((requested, Arc::new(plan))),
         None => {
             let [nearest_x_m, nearest_y_m] = whole.nearest_free(x_m, y_m);
             Err(SceneError::StartBlocked { x_m, y_m, nearest_x_m, nearest_y_m })
@@ -318,21 +326,13 @@ fn place(world: &World, options: &RobotOptions) -> Result<(Pose2, Arc<FloorPlan>
 
 /// People who walk between free positions with a line of sight between consecutive ones.
 fn walkers(plan: &FloorPlan, count: usize, rng: &mut Pcg64Mcg) -> Vec<Walker> {
-    let clear = |a: [f64; 2], b: [f64; 2]| {
-        let steps = ((a[0] - b[0]).hypot(a[1] - b[1]) / 0.05).ceil().max(1.0) as usize;
-        (0..=steps).all(|step| {
-            let share = step as f64 / steps as f64;
-            plan.clearance_m(a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
-                > PERSON_RADIUS_M
-        })
-    };
     (0..count)
         .filter_map(|_| {
             let mut path: Vec<[f64; 2]> = Vec::new();
             for _ in 0..WAYPOINT_TRIES {
                 let place = plan.random_pose(rng.random());
                 let place = [place.x_m, place.y_m];
-                if path.last().is_none_or(|last| clear(*last, place)) {
+                if path.last().is_none_or(|last| is_clear(*last, place, plan)) {
                     path.push(place);
                 }
                 if path.len() == WAYPOINTS {
@@ -342,4 +342,14 @@ fn walkers(plan: &FloorPlan, count: usize, rng: &mut Pcg64Mcg) -> Vec<Walker> {
             Walker::new(path, WALKING_MPS, rng.random())
         })
         .collect()
+}
+
+/// Whether a person fits everywhere on the straight line between two positions.
+fn is_clear(a: [f64; 2], b: [f64; 2], plan: &FloorPlan) -> bool {
+    let steps = ((a[0] - b[0]).hypot(a[1] - b[1]) / 0.05).ceil().max(1.0) as usize;
+    (0..=steps).all(|step| {
+        let share = step as f64 / steps as f64;
+        plan.clearance_m(a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+            > PERSON_RADIUS_M
+    })
 }

@@ -79,12 +79,7 @@ fn a_command_moves_the_robot_along_its_arc_and_odometry_measures_it() {
 #[test]
 fn without_new_commands_the_watchdog_stops_the_base() {
     let mut devices = robot(exact(Pose2::new(1.0, 2.0, 0.0)));
-    let command = |counter| DriveCommand {
-        twist: Twist2 { linear_mps: 0.5, angular_radps: 0.0 },
-        counter,
-        plan_age_ns: 0,
-    };
-    devices.base.drive(&command(7)).unwrap();
+    devices.base.drive(&forward_command(7)).unwrap();
     devices.clock.sleep_until_ns(10 * TICK_NS);
     assert!(
         (devices.truth.pose().x_m - 1.1).abs() < 1e-9,
@@ -92,14 +87,18 @@ fn without_new_commands_the_watchdog_stops_the_base() {
         devices.truth.pose()
     );
     // A repeated counter does not restart the base.
-    devices.base.drive(&command(7)).unwrap();
+    devices.base.drive(&forward_command(7)).unwrap();
     devices.clock.sleep_until_ns(12 * TICK_NS);
     assert!((devices.truth.pose().x_m - 1.1).abs() < 1e-9);
-    devices.base.drive(&command(8)).unwrap();
+    devices.base.drive(&forward_command(8)).unwrap();
     devices.clock.sleep_until_ns(13 * TICK_NS);
     devices.base.stop().unwrap();
     devices.clock.sleep_until_ns(14 * TICK_NS);
     assert!((devices.truth.pose().x_m - 1.15).abs() < 1e-9);
+}
+
+fn forward_command(counter: u32) -> DriveCommand {
+    DriveCommand { twist: Twist2 { linear_mps: 0.5, angular_radps: 0.0 }, counter, plan_age_ns: 0 }
 }
 
 #[test]
@@ -166,8 +165,7 @@ fn scans_are_taken_at_most_once_per_period_and_measure_the_room() {
 
 #[test]
 fn a_start_inside_a_wall_is_refused_with_the_nearest_free_place() {
-    let refused = |x, y| SimulatedRobot::new(ROOM.clone(), exact(Pose2::new(x, y, 0.0))).err();
-    match refused(4.95, 2.0) {
+    match refused_start(4.95, 2.0) {
         Some(SceneError::StartBlocked { x_m, nearest_x_m, nearest_y_m, .. }) => {
             assert!(
                 (x_m - 4.95).abs() < 1e-9
@@ -177,29 +175,39 @@ fn a_start_inside_a_wall_is_refused_with_the_nearest_free_place() {
         }
         other => panic!("{other:?}"),
     }
-    assert!(matches!(refused(40.0, 2.0), Some(SceneError::StartBlocked { .. })));
+    assert!(matches!(refused_start(40.0, 2.0), Some(SceneError::StartBlocked { .. })));
     assert!(matches!(
-        refused(f64::NAN, 2.0),
+        refused_start(f64::NAN, 2.0),
         Some(SceneError::Option { option: "start pose", .. })
     ));
 }
 
+fn refused_start(x: f64, y: f64) -> Option<SceneError> {
+    SimulatedRobot::new(ROOM.clone(), exact(Pose2::new(x, y, 0.0))).err()
+}
+
 #[test]
 fn impossible_options_are_refused_by_name() {
-    let refused = |options| match SimulatedRobot::new(ROOM.clone(), options).err() {
-        Some(SceneError::Option { option, .. }) => option,
-        other => panic!("{other:?}"),
-    };
     assert_eq!(
-        refused(RobotOptions { camera: CameraModel { fx: f64::NAN, ..small().camera }, ..small() }),
+        refused_option(RobotOptions {
+            camera: CameraModel { fx: f64::NAN, ..small().camera },
+            ..small()
+        }),
         "camera model"
     );
-    assert_eq!(refused(RobotOptions { watchdog_ns: 0, ..small() }), "watchdog");
+    assert_eq!(refused_option(RobotOptions { watchdog_ns: 0, ..small() }), "watchdog");
     let sunk = Pose3::translation(0.0, 0.0, f64::INFINITY);
-    assert_eq!(refused(RobotOptions { t_base_camera: sunk, ..small() }), "camera mount");
+    assert_eq!(refused_option(RobotOptions { t_base_camera: sunk, ..small() }), "camera mount");
     let nuisances = Nuisances { flicker: 2.0, ..Nuisances::none() };
     let error = SimulatedRobot::new(ROOM.clone(), RobotOptions { nuisances, ..small() }).err();
     assert!(matches!(error, Some(SceneError::Nuisance(_))));
+}
+
+fn refused_option(options: RobotOptions) -> &'static str {
+    match SimulatedRobot::new(ROOM.clone(), options).err() {
+        Some(SceneError::Option { option, .. }) => option,
+        other => panic!("{other:?}"),
+    }
 }
 
 /// All frames, scans, feedback and poses of a fixed drive, as bytes.
@@ -227,31 +235,38 @@ fn device_log(options: RobotOptions, threads: usize) -> Vec<u8> {
 fn the_seed_alone_determines_all_device_data_on_any_number_of_threads() {
     let nuisances =
         Nuisances { shutter_s: 0.02, people: 2, exposure_drift_stops: 0.5, ..Nuisances::default() };
-    let options = |seed| RobotOptions { nuisances: nuisances.clone(), seed, ..small() };
-    let one = device_log(options(5), 1);
-    assert!(one == device_log(options(5), 2) && one == device_log(options(5), 5));
-    assert!(one != device_log(options(6), 1));
+    let one = device_log(options_with(5, &nuisances), 1);
+    assert!(
+        one == device_log(options_with(5, &nuisances), 2)
+            && one == device_log(options_with(5, &nuisances), 5)
+    );
+    assert!(one != device_log(options_with(6, &nuisances), 1));
+}
+
+fn options_with(seed: u64, nuisances: &Nuisances) -> RobotOptions {
+    RobotOptions { nuisances: nuisances.clone(), seed, ..small() }
 }
 
 #[test]
 fn motion_blur_grows_with_the_shutter_time() {
-    let blurred = |shutter_s: f64| {
-        let nuisances = Nuisances { shutter_s, ..Nuisances::none() };
-        let options =
-            RobotOptions { nuisances, start: None, odometry: OdometryNoise::NONE, ..small() };
-        let mut devices = SimulatedRobot::new(APARTMENT.clone(), options).unwrap().devices();
-        tick(&mut devices, 0.0, 1.0);
-        let mut frame = Frame::empty();
-        devices.camera.poll_frame(&mut frame).unwrap();
-        frame.data
-    };
-    let sharp = blurred(0.0);
-    let difference = |picture: &[u8]| {
-        sharp.iter().zip(picture).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>()
-    };
-    let short = difference(&blurred(0.002));
-    let long = difference(&blurred(0.08));
+    let sharp = frame_with_shutter(0.0);
+    let short = byte_difference(&frame_with_shutter(0.002), &sharp);
+    let long = byte_difference(&frame_with_shutter(0.08), &sharp);
     assert!(short < long / 3, "{short} and {long}");
+}
+
+fn byte_difference(image: &[u8], sharp: &[u8]) -> u64 {
+    sharp.iter().zip(image).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>()
+}
+
+fn frame_with_shutter(shutter_s: f64) -> Vec<u8> {
+    let nuisances = Nuisances { shutter_s, ..Nuisances::none() };
+    let options = RobotOptions { nuisances, start: None, odometry: OdometryNoise::NONE, ..small() };
+    let mut devices = SimulatedRobot::new(APARTMENT.clone(), options).unwrap().devices();
+    tick(&mut devices, 0.0, 1.0);
+    let mut frame = Frame::empty();
+    devices.camera.poll_frame(&mut frame).unwrap();
+    frame.data
 }
 
 proptest! {

@@ -167,10 +167,8 @@ impl RoomFloor {
     }
 
     fn cell(&self, p: [f32; 2]) -> usize {
-        let index = |i: usize, n: usize| {
-            (((p[i] - self.rect.min[i]) / CELL_M).max(0.0) as usize).min(n - 1)
-        };
-        index(1, self.rows) * self.columns + index(0, self.columns)
+        cell_index(p[1] - self.rect.min[1], self.rows) * self.columns
+            + cell_index(p[0] - self.rect.min[0], self.columns)
     }
 
     fn block(&mut self, rect: &Rect) {
@@ -225,4 +223,8 @@ impl RoomFloor {
         }
         reached
     }
+}
+
+fn cell_index(offset_m: f32, n: usize) -> usize {
+    ((offset_m / CELL_M).max(0.0) as usize).min(n - 1)
 }

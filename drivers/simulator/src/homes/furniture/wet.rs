@@ -102,12 +102,9 @@ impl Workshop<'_> {
         let m = &mut piece.mesh;
         m.block([0.0, 0.0, 0.0], [w, w, 0.06], self.ceramic);
         m.trim([0.0, w - 0.03, h - 0.02], [w, w - 0.01, h], self.metal);
-        let at = |i: usize| {
-            (0.04 + 0.5 * i as f32 / 10.0, w - if i.is_multiple_of(2) { 0.005 } else { 0.045 })
-        };
         for i in 0..10 {
-            let (x0, y0) = at(i);
-            let (x1, y1) = at(i + 1);
+            let (x0, y0) = curtain_fold(i, w);
+            let (x1, y1) = curtain_fold(i + 1, w);
             let uv = |x: f32, z: f32| [x * 1.4 / cloth.tile_m, -z / cloth.tile_m];
             let corners = [[x1, y1, 0.12], [x0, y0, 0.12], [x0, y0, h], [x1, y1, h]];
             m.quad(corners, [uv(x1, 0.12), uv(x0, 0.12), uv(x0, h), uv(x1, h)], cloth);
@@ -162,17 +159,13 @@ impl Workshop<'_> {
         let m = &mut piece.mesh;
         m.block([0.0, 0.0, 0.0], [0.6, 0.57, 0.85], self.white);
         m.trim([0.005, 0.57, 0.72], [0.595, 0.58, 0.84], self.metal);
-        let ring = |r: f32, y: f32, k: usize| {
-            let a = std::f32::consts::TAU * k as f32 / 12.0;
-            [0.3 - r * a.cos(), y, 0.4 + r * a.sin()]
-        };
         for (radius, y, appearance) in [(0.2, 0.575, self.metal), (0.155, 0.58, self.black)] {
             for k in (1..11).step_by(2) {
                 let corners = [
-                    ring(radius, y, 0),
-                    ring(radius, y, k),
-                    ring(radius, y, k + 1),
-                    ring(radius, y, k + 2),
+                    ring_corner(radius, y, 0),
+                    ring_corner(radius, y, k),
+                    ring_corner(radius, y, k + 1),
+                    ring_corner(radius, y, k + 2),
                 ];
                 m.quad(corners, corners.map(|c| [c[0], c[2]]), appearance);
             }
@@ -180,4 +173,13 @@ impl Workshop<'_> {
         self.scatter(m, [0.05, 0.05, 0.5, 0.4], 0.85, 2);
         piece
     }
+}
+
+fn ring_corner(r: f32, y: f32, k: usize) -> [f32; 3] {
+    let a = std::f32::consts::TAU * k as f32 / 12.0;
+    [0.3 - r * a.cos(), y, 0.4 + r * a.sin()]
+}
+
+fn curtain_fold(i: usize, w: f32) -> (f32, f32) {
+    (0.04 + 0.5 * i as f32 / 10.0, w - if i.is_multiple_of(2) { 0.005 } else { 0.045 })
 }

@@ -60,9 +60,9 @@ pub fn wallpaper(seed: u64, texture: f32) -> Texture {
                 let id = seed ^ (r * ROWS + c % ROWS) as u64;
                 let jitter = |k: u64| hash(id, k) - 0.5;
                 let offset = 0.5 * (r % 2) as f32;
-                let wrapped = |d: f32| d - (d / SIZE as f32).round() * SIZE as f32;
-                let dx = wrapped(x as f32 - (c as f32 + 0.5 + offset + 0.5 * jitter(1)) * cell);
-                let dy = wrapped(y as f32 - (r as f32 + 0.5 + 0.5 * jitter(2)) * cell);
+                let dx =
+                    wrapped_distance(x as f32 - (c as f32 + 0.5 + offset + 0.5 * jitter(1)) * cell);
+                let dy = wrapped_distance(y as f32 - (r as f32 + 0.5 + 0.5 * jitter(2)) * cell);
                 let petals = (3.0 + (hash(id, 3) * 4.0).floor()) * dy.atan2(dx) + 6.3 * hash(id, 4);
                 let reach = cell * (0.22 + 0.2 * hash(id, 5)) * (0.7 + 0.3 * petals.cos());
                 best =
@@ -72,6 +72,10 @@ pub fn wallpaper(seed: u64, texture: f32) -> Texture {
         best
     };
     gray(SIZE, |x, y| MEAN + texture * (0.6 * PLASTER_RMS * ground.at(x, y) - MOTIF * motif(x, y)))
+}
+
+fn wrapped_distance(d: f32) -> f32 {
+    d - (d / SIZE as f32).round() * SIZE as f32
 }
 
 /// Running bond; every brick has its own colour.

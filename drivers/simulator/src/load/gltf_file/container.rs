@@ -133,13 +133,7 @@ pub(super) fn size(value: USize64) -> usize {
 
 /// The JSON chunk and the binary chunk of a GLB file (glTF 2.0, section 4.4).
 fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
-    let word = |at: usize| {
-        bytes
-            .get(at..at + 4)
-            .and_then(|b| b.try_into().ok())
-            .map(|b| u32::from_le_bytes(b) as usize)
-    };
-    match word(4) {
+    match word_at(4, bytes) {
         Some(2) => {}
         Some(version) => return Err(format!("it is GLB version {version}, only 2 can be read")),
         None => return Err("it ends within its header".into()),
@@ -147,7 +141,9 @@ fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
     let mut chunks = [None, None];
     let mut at = 12;
     for (chunk, kind) in chunks.iter_mut().zip([0x4e4f_534a, 0x004e_4942]) {
-        let (Some(length), Some(found)) = (word(at), word(at + 4)) else { break };
+        let (Some(length), Some(found)) = (word_at(at, bytes), word_at(at + 4, bytes)) else {
+            break;
+        };
         if found != kind {
             return Err(format!("the chunk at byte {at} is not of the expected kind"));
         }
@@ -161,6 +157,11 @@ fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
     }
     let [json, blob] = chunks;
     Ok((json.ok_or("it has no JSON chunk")?, blob))
+}
+
+/// The little-endian 32-bit number at a byte offset.
+fn word_at(at: usize, bytes: &[u8]) -> Option<usize> {
+    bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map(|b| u32::from_le_bytes(b) as usize)
 }
 
 /// Decodes percent escapes: `a%20b` becomes `a b`. `None` when the result is not UTF-8.
