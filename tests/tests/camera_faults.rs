@@ -249,20 +249,24 @@ fn a_damaged_or_truncated_frame_is_dropped_and_a_camera_that_sends_only_such_is_
 #[test]
 fn a_jpeg_without_its_end_is_dropped() {
     let mut bench = Bench::new(Device::default(), |config| config.format = CameraFormat::Mjpeg);
-    let mut deliver = |bytes: &[u8]| {
-        bench.now_ns += INTERVAL;
-        bench.camera.deliver_bytes(Some(bench.now_ns), bytes, false);
-        let seen = bench.capture.with_newest(bench.now_ns, format_and_length).unwrap();
-        if let Some(job) = bench.capture.job(bench.now_ns) {
-            bench.capture.done(job.run(&mut bench.open, &bench.config), bench.now_ns);
-        }
-        seen
-    };
-    assert_eq!(deliver(&[]), None, "not opened yet");
-    assert_eq!(deliver(&[0xff, 0xd8, 1, 2, 3, 0xff, 0xd9, 0, 0]), Some((PixelFormat::Mjpeg, 9)));
-    assert_eq!(deliver(&[0xff, 0xd8, 1, 2, 3, 4]), None);
-    assert_eq!(deliver(&[0; 64]), None);
+    assert_eq!(deliver_jpeg(&[], &mut bench), None, "not opened yet");
+    assert_eq!(
+        deliver_jpeg(&[0xff, 0xd8, 1, 2, 3, 0xff, 0xd9, 0, 0], &mut bench),
+        Some((PixelFormat::Mjpeg, 9))
+    );
+    assert_eq!(deliver_jpeg(&[0xff, 0xd8, 1, 2, 3, 4], &mut bench), None);
+    assert_eq!(deliver_jpeg(&[0; 64], &mut bench), None);
     assert_eq!(bench.status().bad, 2);
+}
+
+fn deliver_jpeg(bytes: &[u8], bench: &mut Bench) -> Option<(PixelFormat, usize)> {
+    bench.now_ns += INTERVAL;
+    bench.camera.deliver_bytes(Some(bench.now_ns), bytes, false);
+    let seen = bench.capture.with_newest(bench.now_ns, format_and_length).unwrap();
+    if let Some(job) = bench.capture.job(bench.now_ns) {
+        bench.capture.done(job.run(&mut bench.open, &bench.config), bench.now_ns);
+    }
+    seen
 }
 
 fn format_and_length(frame: &drivers::v4l2::Picture<'_>) -> (PixelFormat, usize) {

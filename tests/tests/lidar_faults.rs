@@ -235,11 +235,12 @@ fn a_scan_of_nothing_but_errors_is_a_fault_and_not_free_space() {
 
 #[test]
 fn noise_before_the_first_answer_is_skipped() {
-    let noise = |device: &SimulatedHokuyo| {
-        device.set_wire(WireFaults { noise_bytes: 3000, ..WireFaults::default() });
-    };
-    Bench::with(Model::Utm30lx, Box::new(Room::new(Model::Utm30lx)), |config| config, noise)
+    Bench::with(Model::Utm30lx, Box::new(Room::new(Model::Utm30lx)), |config| config, send_noise)
         .until_scan();
+}
+
+fn send_noise(device: &SimulatedHokuyo) {
+    device.set_wire(WireFaults { noise_bytes: 3000, ..WireFaults::default() });
 }
 
 #[test]

@@ -75,18 +75,14 @@ fn plan(home: &Home) -> Result<image::RgbImage, Box<dyn Error>> {
         if area.abs() < 1e-6 {
             continue;
         }
-        let range = |axis: usize| {
-            let low = q.iter().map(|q| q[axis]).fold(f32::MAX, f32::min).max(0.0) as usize;
-            let high = q.iter().map(|q| q[axis]).fold(0.0, f32::max).ceil() as usize;
-            low..high.min(size[axis])
-        };
-        for y in range(1) {
-            for x in range(0) {
+        for y in pixel_range(1, q, size) {
+            for x in pixel_range(0, q, size) {
                 let c = [x as f32 + 0.5, y as f32 + 0.5];
-                let edge = |a: [f32; 2], b: [f32; 2]| {
-                    ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])) / area
-                };
-                let w = [edge(q[1], q[2]), edge(q[2], q[0]), edge(q[0], q[1])];
+                let w = [
+                    edge_weight(q[1], q[2], c, area),
+                    edge_weight(q[2], q[0], c, area),
+                    edge_weight(q[0], q[1], c, area),
+                ];
                 let z: f32 = (0..3).map(|i| w[i] * p[i][2]).sum();
                 if w.iter().any(|w| *w < 0.0) || z <= height[y * size[0] + x] {
                     continue;
@@ -101,6 +97,16 @@ fn plan(home: &Home) -> Result<image::RgbImage, Box<dyn Error>> {
         }
     }
     Ok(plan_image)
+}
+
+fn edge_weight(a: [f32; 2], b: [f32; 2], c: [f32; 2], area: f32) -> f32 {
+    ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])) / area
+}
+
+fn pixel_range(axis: usize, q: [[f32; 2]; 3], size: [usize; 2]) -> std::ops::Range<usize> {
+    let low = q.iter().map(|q| q[axis]).fold(f32::MAX, f32::min).max(0.0) as usize;
+    let high = q.iter().map(|q| q[axis]).fold(0.0, f32::max).ceil() as usize;
+    low..high.min(size[axis])
 }
 
 fn pose(at: [f64; 2], yaw: f64) -> Pose3 {

@@ -128,14 +128,15 @@ mod tests {
         for cuts in [20, 500] {
             let step = Pose2::new(4.0 / cuts as f64, 0.0, 0.0);
             let ends: Vec<Pose2> = (0..400).map(|seed| drive(noise, seed, cuts, &step)).collect();
-            let spread = |error: &dyn Fn(&Pose2) -> f64| {
-                (ends.iter().map(|end| error(end).powi(2)).sum::<f64>() / ends.len() as f64).sqrt()
-            };
             // After 4 m: the factor's 0.02 * 4 and the slip's 0.02 * sqrt(4), in quadrature; the
             // heading's 0.01 * sqrt(4).
-            assert!((spread(&|end| end.x_m - 4.0) / 0.0894 - 1.0).abs() < 0.12);
-            assert!((spread(&|end| end.yaw_rad) / 0.02 - 1.0).abs() < 0.12);
+            assert!((rms(&|end| end.x_m - 4.0, &ends) / 0.0894 - 1.0).abs() < 0.12);
+            assert!((rms(&|end| end.yaw_rad, &ends) / 0.02 - 1.0).abs() < 0.12);
         }
+    }
+
+    fn rms(error: &dyn Fn(&Pose2) -> f64, ends: &[Pose2]) -> f64 {
+        (ends.iter().map(|end| error(end).powi(2)).sum::<f64>() / ends.len() as f64).sqrt()
     }
 
     #[test]

@@ -51,47 +51,64 @@ impl Person {
 
     /// The capsules of legs, torso, arms and head, with adult proportions scaled by height.
     pub(crate) fn body(&self) -> [Capsule; 6] {
-        let scale = self.height_m / 1.75;
-        let (sin, cos) = self.yaw_rad.sin_cos();
-        let [x, y] = self.position_m;
-        // Forward, left and up are in metres of a 1.75 m person.
-        let at = |forward: f64, left: f64, up: f64| {
-            let forward = forward * scale;
-            let left = left * scale;
-            Vector3::new(x + forward * cos - left * sin, y + forward * sin + left * cos, up * scale)
-        };
+        let frame = BodyFrame::new(self);
         let swing = self.stride_rad.sin();
-        let part = |from, to, radius_m: f64, color| Capsule {
-            from,
-            to,
-            radius_m: radius_m * scale,
-            color,
-        };
         let Clothes { shirt, trousers, skin } = self.clothes;
-        let leg = |side: f64| {
-            part(
-                at(0.3 * side * swing, 0.1 * side, 0.07),
-                at(0.0, 0.1 * side, 0.86),
-                0.07,
-                trousers,
-            )
-        };
-        let arm = |side: f64| {
-            part(
-                at(-0.2 * side * swing, 0.27 * side, 0.85),
-                at(0.0, 0.22 * side, 1.38),
-                0.045,
-                shirt,
-            )
-        };
+        let torso = [frame.at(0.0, 0.0, 0.98), frame.at(0.0, 0.0, 1.3)];
+        let head = [frame.at(0.0, 0.0, 1.62), frame.at(0.0, 0.0, 1.64)];
         [
-            leg(1.0),
-            leg(-1.0),
-            part(at(0.0, 0.0, 0.98), at(0.0, 0.0, 1.3), 0.18, shirt),
-            arm(1.0),
-            arm(-1.0),
-            part(at(0.0, 0.0, 1.62), at(0.0, 0.0, 1.64), 0.11, skin),
+            frame.leg(1.0, swing, trousers),
+            frame.leg(-1.0, swing, trousers),
+            frame.part(torso, 0.18, shirt),
+            frame.arm(1.0, swing, shirt),
+            frame.arm(-1.0, swing, shirt),
+            frame.part(head, 0.11, skin),
         ]
+    }
+}
+
+/// Position, heading and scale of a body. Its methods take metres of a 1.75 m person.
+struct BodyFrame {
+    position_m: [f64; 2],
+    sin: f64,
+    cos: f64,
+    scale: f64,
+}
+
+impl BodyFrame {
+    fn new(person: &Person) -> Self {
+        let scale = person.height_m / 1.75;
+        let (sin, cos) = person.yaw_rad.sin_cos();
+        Self { position_m: person.position_m, sin, cos, scale }
+    }
+
+    fn at(&self, forward: f64, left: f64, up: f64) -> Vector3<f64> {
+        let [x, y] = self.position_m;
+        let forward = forward * self.scale;
+        let left = left * self.scale;
+        Vector3::new(
+            x + forward * self.cos - left * self.sin,
+            y + forward * self.sin + left * self.cos,
+            up * self.scale,
+        )
+    }
+
+    fn part(&self, [from, to]: [Vector3<f64>; 2], radius_m: f64, color: [f32; 3]) -> Capsule {
+        Capsule { from, to, radius_m: radius_m * self.scale, color }
+    }
+
+    /// A leg; `side` is 1 for left and -1 for right, `swing` the sine of the gait phase.
+    fn leg(&self, side: f64, swing: f64, color: [f32; 3]) -> Capsule {
+        let foot = self.at(0.3 * side * swing, 0.1 * side, 0.07);
+        let hip = self.at(0.0, 0.1 * side, 0.86);
+        self.part([foot, hip], 0.07, color)
+    }
+
+    /// An arm, which swings against the leg of its side.
+    fn arm(&self, side: f64, swing: f64, color: [f32; 3]) -> Capsule {
+        let hand = self.at(-0.2 * side * swing, 0.27 * side, 0.85);
+        let shoulder = self.at(0.0, 0.22 * side, 1.38);
+        self.part([hand, shoulder], 0.045, color)
     }
 }
 

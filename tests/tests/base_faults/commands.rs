@@ -7,7 +7,7 @@ use drivers::can::{
 };
 use hal::{Base, Clock, DriveCommand, Twist2, VirtualClock};
 use hil::motor::rig::{config, node, step_nodes};
-use hil::motor::{Outbox, Rig};
+use hil::motor::{MemoryBus, Outbox, Rig};
 use rustix::net::{AddressFamily, SocketFlags, SocketType, socketpair};
 
 use super::{ALL, MS, driving, is_motion, is_stopped, motion_frames};
@@ -123,37 +123,56 @@ fn the_emergency_stop_stops_at_once_and_forbids_arming() {
     }
 }
 
+/// A safety board on the bus.
+struct SafetyBoard {
+    bus: MemoryBus,
+    counter: u8,
+}
+
+impl SafetyBoard {
+    /// Sends the state of the board with a new counter, then runs one tick of the base.
+    fn send_and_drive(&mut self, rig: &mut Rig, estop: bool, bumper: bool) -> Result<(), CanError> {
+        self.counter = (self.counter + 1) % 16;
+        let _ = self.bus.send(&SafetyInput { counter: self.counter, estop, bumper }.encode());
+        rig.drive(0.1, 0.0)
+    }
+
+    /// Sends the last frame again, as a stuck board does, then runs one tick of the base.
+    fn repeat_and_drive(&mut self, rig: &mut Rig) -> Result<(), CanError> {
+        let input = SafetyInput { counter: self.counter, estop: false, bumper: false };
+        let _ = self.bus.send(&input.encode());
+        rig.drive(0.1, 0.0)
+    }
+}
+
 #[test]
 fn a_safety_board_on_the_bus_stops_the_base_and_so_does_its_silence() {
     let config = BaseConfig { safety_board: true, ..config(Protocol::Odrive) };
     let mut rig = Rig::new(&config).expect("sound");
-    let mut board = rig.host.connect();
+    let mut board = SafetyBoard { bus: rig.host.connect(), counter: 0 };
     assert!(rig.is_ready_after(100));
     assert_eq!(rig.base.arm(), Err(CanError::Tripped(Trip::SafetySilent)));
-    let mut counter = 0;
-    let mut notify = |rig: &mut Rig, estop, bumper, counts: bool| {
-        counter = if counts { (counter + 1) % 16 } else { counter };
-        let _ = board.send(&SafetyInput { counter, estop, bumper }.encode());
-        rig.drive(0.1, 0.0)
-    };
-    let _ = notify(&mut rig, false, false, true);
+    let _ = board.send_and_drive(&mut rig, false, false);
     rig.base.arm().expect("the board is well");
-    (0..60).for_each(|_| drop(notify(&mut rig, false, false, true)));
+    (0..60).for_each(|_| drop(board.send_and_drive(&mut rig, false, false)));
     assert!(rig.base.is_armed());
-    notify(&mut rig, false, true, true).expect("a bumper is contact, not a trip");
+    board.send_and_drive(&mut rig, false, true).expect("a bumper is contact, not a trip");
     rig.poll();
     assert!(
         rig.feedback
             .as_ref()
             .is_ok_and(|feedback| feedback.is_some_and(|feedback| feedback.contact))
     );
-    assert_eq!(notify(&mut rig, true, false, true), Err(CanError::Tripped(Trip::EmergencyStop)));
-    let _ = notify(&mut rig, false, false, true);
-    (0..60).for_each(|_| drop(notify(&mut rig, false, false, true)));
+    assert_eq!(
+        board.send_and_drive(&mut rig, true, false),
+        Err(CanError::Tripped(Trip::EmergencyStop))
+    );
+    let _ = board.send_and_drive(&mut rig, false, false);
+    (0..60).for_each(|_| drop(board.send_and_drive(&mut rig, false, false)));
     rig.base.arm().expect("released");
-    (0..60).for_each(|_| drop(notify(&mut rig, false, false, true)));
+    (0..60).for_each(|_| drop(board.send_and_drive(&mut rig, false, false)));
     // A repeated frame means that the board is stuck.
-    (0..15).for_each(|_| drop(notify(&mut rig, false, false, false)));
+    (0..15).for_each(|_| drop(board.repeat_and_drive(&mut rig)));
     assert_eq!(rig.base.phase(), Phase::Tripped(Trip::SafetySilent));
 }
 

@@ -85,11 +85,8 @@ impl Grid {
     /// Columns and rows of the cells that a rectangle touches, clipped to the grid.
     pub(super) fn range(&self, min_m: [f64; 2], max_m: [f64; 2]) -> [std::ops::Range<usize>; 2] {
         [(0, self.width), (1, self.height)].map(|(axis, cells)| {
-            let cell = |at: f64| {
-                ((at - self.origin_m[axis]) / self.resolution_m).floor().clamp(-1.0, cells as f64)
-            };
-            let first = cell(min_m[axis]);
-            let last = cell(max_m[axis]);
+            let first = clamped_cell(min_m[axis], self.origin_m[axis], self.resolution_m, cells);
+            let last = clamped_cell(max_m[axis], self.origin_m[axis], self.resolution_m, cells);
             if last < 0.0 { 0..0 } else { first.max(0.0) as usize..(last as usize + 1).min(cells) }
         })
     }
@@ -98,6 +95,11 @@ impl Grid {
     pub(super) fn row_band(&self, row: usize) -> [f64; 2] {
         [row, row + 1].map(|r| self.origin_m[1] + r as f64 * self.resolution_m)
     }
+}
+
+/// Cell coordinate of a position along one axis, from -1 (before the grid) to `cells` (behind it).
+fn clamped_cell(at: f64, origin_m: f64, resolution_m: f64, cells: usize) -> f64 {
+    ((at - origin_m) / resolution_m).floor().clamp(-1.0, cells as f64)
 }
 
 fn cells_along(axis: usize, min_m: [f64; 2], max_m: [f64; 2], resolution_m: f64) -> usize {

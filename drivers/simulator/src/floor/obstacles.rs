@@ -75,11 +75,13 @@ impl Obstacles {
 
     fn distance_to_cell(&self, point: [f64; 2], cell: usize) -> f64 {
         let center = self.grid.center(cell);
-        let outside = |axis: usize| {
-            ((point[axis] - center[axis]).abs() - self.grid.resolution_m / 2.0).max(0.0)
-        };
-        outside(0).hypot(outside(1))
+        outside_cell(point[0] - center[0], self.grid.resolution_m)
+            .hypot(outside_cell(point[1] - center[1], self.grid.resolution_m))
     }
+}
+
+fn outside_cell(offset_m: f64, resolution_m: f64) -> f64 {
+    (offset_m.abs() - resolution_m / 2.0).max(0.0)
 }
 
 #[cfg(test)]

@@ -101,25 +101,40 @@ fn light(
     let near: Vec<&Solid> = solids.iter().filter(|s| reachable(s, quad)).collect();
     let inverse = directions
         .map(|r| std::array::from_fn(|i| 1.0 / (r[0] * t[i] + r[1] * b[i] + r[2] * n[i])));
-    let open = |origin: [f32; 3]| {
-        let blocked: f32 = inverse
-            .iter()
-            .map(|inverse| {
-                let out = exit(origin, inverse, room, height);
-                let hit =
-                    near.iter().fold(out, |hit, solid| hit.min(entry(origin, inverse, solid)));
-                (1.0 - hit / REACH_M).max(0.0)
-            })
-            .sum();
-        1.0 - (1.0 - FLOOR) * blocked / RAYS as f32
-    };
     let lifted = |p: [f32; 3]| std::array::from_fn(|i| p[i] + 0.004 * n[i]);
     if quad.corners.iter().all(|c| norm(sub(*c, center)) < SMALL_M) {
-        return [open(lifted(center)); 4];
+        return [open_share(lifted(center), &inverse, &near, room, height); 4];
     }
     // Slightly towards the centre and off the surface, so that a ray from a corner does not start
     // inside a neighbouring solid.
-    quad.corners.map(|c| open(lifted(std::array::from_fn(|i| c[i] + 0.04 * (center[i] - c[i])))))
+    quad.corners.map(|c| {
+        open_share(
+            lifted(std::array::from_fn(|i| c[i] + 0.04 * (center[i] - c[i]))),
+            &inverse,
+            &near,
+            room,
+            height,
+        )
+    })
+}
+
+/// Light at a point of a face: less where rays hit the room's solids within reach.
+fn open_share(
+    origin: [f32; 3],
+    inverse: &[[f32; 3]; RAYS],
+    near: &[&Solid],
+    room: Rect,
+    height: f32,
+) -> f32 {
+    let blocked: f32 = inverse
+        .iter()
+        .map(|inverse| {
+            let out = exit(origin, inverse, room, height);
+            let hit = near.iter().fold(out, |hit, solid| hit.min(entry(origin, inverse, solid)));
+            (1.0 - hit / REACH_M).max(0.0)
+        })
+        .sum();
+    1.0 - (1.0 - FLOOR) * blocked / RAYS as f32
 }
 
 /// Whether a solid may occlude rays of at most [`REACH_M`] from a face.

@@ -39,19 +39,16 @@ impl Hanging<'_> {
 
     /// Whether a part of a wall has no opening, open leaf, curtain or other fixture.
     fn is_free(&self, side: Side, span: [f32; 2]) -> bool {
-        let meets = |other: [f32; 2], margin: f32| {
-            span[0] < other[1] + margin && other[0] - margin < span[1]
-        };
         let openings = holes(self.layout, self.room, side);
         let leaves = self.layout.leaves.iter().filter(|l| l.room == self.room && l.side == side);
         let fixtures = self.reserved.iter().filter(|r| r.room == self.room && r.side == side);
         span[0] > 0.1
             && span[1] < self.wall(side).length_m - 0.1
-            && !openings
-                .iter()
-                .any(|h| meets(h.span, if h.height[0] > 0.0 { CURTAIN_M + 0.1 } else { 0.16 }))
-            && !leaves.into_iter().any(|l| meets(l.span, 0.05))
-            && !fixtures.into_iter().any(|r| meets(r.span, 0.15))
+            && !openings.iter().any(|h| {
+                spans_meet(h.span, if h.height[0] > 0.0 { CURTAIN_M + 0.1 } else { 0.16 }, span)
+            })
+            && !leaves.into_iter().any(|l| spans_meet(l.span, 0.05, span))
+            && !fixtures.into_iter().any(|r| spans_meet(r.span, 0.15, span))
     }
 
     /// A free part of a wall of a given width, if a few random draws find one.
@@ -67,6 +64,10 @@ impl Hanging<'_> {
     fn reserve(&mut self, side: Side, span: [f32; 2], depth_m: f32) {
         self.reserved.push(Reserved { room: self.room, side, span, depth_m });
     }
+}
+
+fn spans_meet(other: [f32; 2], margin: f32, span: [f32; 2]) -> bool {
+    span[0] < other[1] + margin && other[0] - margin < span[1]
 }
 
 /// Places all fixtures and returns the parts of the walls that they occupy.

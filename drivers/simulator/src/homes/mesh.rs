@@ -88,13 +88,8 @@ impl Mesh {
     /// than a pixel.
     pub fn plate(&mut self, x: [f32; 2], z: [f32; 2], y: [f32; 2], appearance: Appearance) {
         let bevel = (y[1] - y[0]).min((z[1] - z[0]) / 3.0);
-        let ring = |inset: f32, y: f32| {
-            let x = [x[0] + inset, x[1] - inset];
-            let z = [z[0] + inset, z[1] - inset];
-            [[x[1], y, z[0]], [x[0], y, z[0]], [x[0], y, z[1]], [x[1], y, z[1]]]
-        };
-        let back = ring(0.0, y[0]);
-        let front = ring(bevel, y[1]);
+        let back = plate_ring(0.0, y[0], x, z);
+        let front = plate_ring(bevel, y[1], x, z);
         let flat = |c: [f32; 3]| [c[0] / appearance.tile_m, -c[2] / appearance.tile_m];
         self.quad(front, front.map(flat), appearance);
         for i in 0..4 {
@@ -108,15 +103,12 @@ impl Mesh {
     pub fn cushion(&mut self, min: [f32; 3], max: [f32; 3], appearance: Appearance) {
         let extent: [f32; 3] = std::array::from_fn(|a| max[a] - min[a]);
         let c = (extent[0].min(extent[1]).min(extent[2]) * 0.3).min(0.04);
-        let ring = |inset: f32, z: f32| {
-            let x0 = min[0] + inset;
-            let x1 = max[0] - inset;
-            let y0 = min[1] + inset;
-            let y1 = max[1] - inset;
-            [[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]]
-        };
-        let rings =
-            [ring(c, min[2]), ring(0.0, min[2] + c), ring(0.0, max[2] - c), ring(c, max[2])];
+        let rings = [
+            cushion_ring(c, min[2], min, max),
+            cushion_ring(0.0, min[2] + c, min, max),
+            cushion_ring(0.0, max[2] - c, min, max),
+            cushion_ring(c, max[2], min, max),
+        ];
         let flat = |p: [f32; 3]| [p[0] / appearance.tile_m, p[1] / appearance.tile_m];
         let mut around = [0.0; 5];
         for i in 0..4 {
@@ -148,13 +140,14 @@ impl Mesh {
         sides: usize,
         appearance: Appearance,
     ) {
-        let rim = |k: usize, end: usize| {
-            let angle = std::f32::consts::TAU * k as f32 / sides as f32;
-            [at[0] + radius[end] * angle.cos(), at[1] + radius[end] * angle.sin(), z[end]]
-        };
         let girth = std::f32::consts::TAU * radius[0].max(radius[1]);
         for k in 0..sides {
-            let corners = [rim(k, 0), rim(k + 1, 0), rim(k + 1, 1), rim(k, 1)];
+            let corners = [
+                rim_point(k, 0, at, z, radius, sides),
+                rim_point(k + 1, 0, at, z, radius, sides),
+                rim_point(k + 1, 1, at, z, radius, sides),
+                rim_point(k, 1, at, z, radius, sides),
+            ];
             let u = |k: usize| girth * k as f32 / sides as f32 / appearance.tile_m;
             let v = z.map(|z| z / appearance.tile_m);
             self.quad(
@@ -166,7 +159,16 @@ impl Mesh {
         for end in 0..2 {
             if radius[end] > 1e-3 && (end == 1 || z[0] > 1e-3) {
                 let around: Vec<_> = (0..sides)
-                    .map(|k| rim(if end == 1 { k } else { sides - 1 - k }, end))
+                    .map(|k| {
+                        rim_point(
+                            if end == 1 { k } else { sides - 1 - k },
+                            end,
+                            at,
+                            z,
+                            radius,
+                            sides,
+                        )
+                    })
                     .collect();
                 self.disc(&around, appearance);
             }
@@ -235,6 +237,32 @@ impl Mesh {
     pub fn mark(&self) -> (usize, usize) {
         (self.quads.len(), self.solids.len())
     }
+}
+
+fn rim_point(
+    k: usize,
+    end: usize,
+    at: [f32; 2],
+    z: [f32; 2],
+    radius: [f32; 2],
+    sides: usize,
+) -> [f32; 3] {
+    let angle = std::f32::consts::TAU * k as f32 / sides as f32;
+    [at[0] + radius[end] * angle.cos(), at[1] + radius[end] * angle.sin(), z[end]]
+}
+
+fn cushion_ring(inset: f32, z: f32, min: [f32; 3], max: [f32; 3]) -> [[f32; 3]; 4] {
+    let x0 = min[0] + inset;
+    let x1 = max[0] - inset;
+    let y0 = min[1] + inset;
+    let y1 = max[1] - inset;
+    [[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]]
+}
+
+fn plate_ring(inset: f32, y: f32, x: [f32; 2], z: [f32; 2]) -> [[f32; 3]; 4] {
+    let x = [x[0] + inset, x[1] - inset];
+    let z = [z[0] + inset, z[1] - inset];
+    [[x[1], y, z[0]], [x[0], y, z[0]], [x[0], y, z[1]], [x[1], y, z[1]]]
 }
 
 fn fold_axis(f: fn(f32, f32) -> f32, axis: usize, base: &[[f32; 3]; 4]) -> f32 {

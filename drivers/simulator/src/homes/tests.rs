@@ -349,12 +349,17 @@ fn floors_cover_every_room_and_doorway_without_holes() {
 
 fn is_covered(at: [f32; 2], floor: &[[[f32; 3]; 3]]) -> bool {
     floor.iter().any(|p| {
-        let side = |a: [f32; 3], b: [f32; 3]| {
-            (b[0] - a[0]) * (at[1] - a[1]) - (at[0] - a[0]) * (b[1] - a[1])
-        };
-        let s = [side(p[0], p[1]), side(p[1], p[2]), side(p[2], p[0])];
+        let s = [
+            side_of_line(p[0], p[1], at),
+            side_of_line(p[1], p[2], at),
+            side_of_line(p[2], p[0], at),
+        ];
         s.iter().all(|s| *s >= -1e-5) || s.iter().all(|s| *s <= 1e-5)
     })
+}
+
+fn side_of_line(a: [f32; 3], b: [f32; 3], at: [f32; 2]) -> f32 {
+    (b[0] - a[0]) * (at[1] - a[1]) - (at[0] - a[0]) * (b[1] - a[1])
 }
 
 #[test]

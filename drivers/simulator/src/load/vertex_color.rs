@@ -83,23 +83,27 @@ mod tests {
         let texture = atlas.into_texture();
         // A point inside the triangle, by its weights.
         let weights = [0.2_f32, 0.5, 0.3];
-        let at = |axis: usize, side: u32| {
-            (0..3).map(|i| weights[i] * uv[i][axis]).sum::<f32>() * side as f32 - 0.5
-        };
-        let x = at(0, texture.width);
-        let y = at(1, texture.height);
+        let x = weighted_position(0, texture.width, weights, uv);
+        let y = weighted_position(1, texture.height, weights, uv);
         let fx = x.fract();
         let fy = y.fract();
         for channel in 0..3 {
-            let texel = |dx: u32, dy: u32| {
-                let index = (y as u32 + dy) * texture.width + x as u32 + dx;
-                f32::from(texture.rgba[4 * index as usize + channel])
-            };
-            let upper = texel(0, 0) * (1.0 - fx) + texel(1, 0) * fx;
-            let lower = texel(0, 1) * (1.0 - fx) + texel(1, 1) * fx;
+            let upper = texel_value(0, 0, x, y, &texture, channel) * (1.0 - fx)
+                + texel_value(1, 0, x, y, &texture, channel) * fx;
+            let lower = texel_value(0, 1, x, y, &texture, channel) * (1.0 - fx)
+                + texel_value(1, 1, x, y, &texture, channel) * fx;
             let blend: f32 = (0..3).map(|i| weights[i] * f32::from(corners[i][channel])).sum();
             assert!((upper * (1.0 - fy) + lower * fy - blend).abs() < 0.01);
         }
+    }
+
+    fn texel_value(dx: u32, dy: u32, x: f32, y: f32, texture: &Texture, channel: usize) -> f32 {
+        let index = (y as u32 + dy) * texture.width + x as u32 + dx;
+        f32::from(texture.rgba[4 * index as usize + channel])
+    }
+
+    fn weighted_position(axis: usize, side: u32, weights: [f32; 3], uv: [[f32; 2]; 3]) -> f32 {
+        (0..3).map(|i| weights[i] * uv[i][axis]).sum::<f32>() * side as f32 - 0.5
     }
 
     #[test]

@@ -405,14 +405,9 @@ proptest! {
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         const N: usize = 40;
         let heights: Vec<f32> = (0..=N * (N + 2)).map(|_| rng.random_range(-0.3..0.3)).collect();
-        let vertex = |i: usize, j: usize| Vertex {
-            position_m: [i as f32 * 0.17 - 3.4, j as f32 * 0.17 - 3.4, heights[i * (N + 1) + j]],
-            uv: [0.0; 2],
-            ambient: 1.0,
-        };
         let mut triangles = Vec::new();
         for (i, j) in (0..N).flat_map(|i| (0..N).map(move |j| (i, j))) {
-            let [a, b, c, d] = [vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)];
+            let [a, b, c, d] = [bump_vertex(i, j, &heights, N), bump_vertex(i + 1, j, &heights, N), bump_vertex(i + 1, j + 1, &heights, N), bump_vertex(i, j + 1, &heights, N)];
             triangles.extend([[a, b, c], [c, d, a]].map(|vertices| Triangle { vertices, material: 0 }));
         }
         let scene = Scene { triangles, materials: vec![plain([0.5; 3])], textures: vec![] };
@@ -427,6 +422,14 @@ proptest! {
             let direction = [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), -0.8];
             prop_assert!(renderer.cast([0.0, 0.0, 0.8], direction, 10.0, &[]).is_some());
         }
+    }
+}
+
+fn bump_vertex(i: usize, j: usize, heights: &[f32], n: usize) -> Vertex {
+    Vertex {
+        position_m: [i as f32 * 0.17 - 3.4, j as f32 * 0.17 - 3.4, heights[i * (n + 1) + j]],
+        uv: [0.0; 2],
+        ambient: 1.0,
     }
 }
 
@@ -499,16 +502,17 @@ fn sun_patches_brighten_some_of_the_floor_and_stay_where_they_are() {
         "{} of the floor, not {expected}",
         bright_share(&first)
     );
-    let shifted = |row: usize, column: usize| {
-        (first[(row * 200 + column) * 3], second[((row + 25) * 200 + column) * 3])
-    };
     let same = (0..175 * 200)
         .filter(|i| {
-            let (a, b) = shifted(i / 200, i % 200);
+            let (a, b) = shifted_pair(i / 200, i % 200, &first, &second);
             a.abs_diff(b) < 8
         })
         .count();
     assert!(same > 34_000, "{same} of 35000 floor points look the same");
+}
+
+fn shifted_pair(row: usize, column: usize, first: &[u8], second: &[u8]) -> (u8, u8) {
+    (first[(row * 200 + column) * 3], second[((row + 25) * 200 + column) * 3])
 }
 
 fn bright_share(rgb: &[u8]) -> f64 {

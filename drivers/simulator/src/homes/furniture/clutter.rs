@@ -94,13 +94,17 @@ impl Workshop<'_> {
             let half = reach * self.between(0.2, 0.34);
             let c = angle.cos();
             let s = angle.sin();
-            let point = |r: f32, side: f32, h: f32| {
-                [at[0] + c * r - s * side, at[1] + s * r + c * side, at[2] + h]
-            };
-            let root = [point(0.0, -0.004, 0.0), point(0.0, 0.004, 0.0)];
+            let root =
+                [leaf_point(0.0, -0.004, 0.0, at, [c, s]), leaf_point(0.0, 0.004, 0.0, at, [c, s])];
             let middle = up * 0.8;
-            let wide = [point(out * 0.55, -half, middle), point(out * 0.55, half, middle)];
-            let tip = [point(out, 0.004, up * 0.75), point(out, -0.004, up * 0.75)];
+            let wide = [
+                leaf_point(out * 0.55, -half, middle, at, [c, s]),
+                leaf_point(out * 0.55, half, middle, at, [c, s]),
+            ];
+            let tip = [
+                leaf_point(out, 0.004, up * 0.75, at, [c, s]),
+                leaf_point(out, -0.004, up * 0.75, at, [c, s]),
+            ];
             let start = self.between(0.0, 1.0);
             let uv = |a: f32, b: f32| [start + a, b];
             let strip = [uv(0.0, 0.1), uv(0.4, 0.0), uv(0.4, 0.3), uv(0.0, 0.2)];
@@ -198,4 +202,8 @@ impl Workshop<'_> {
             }
         }
     }
+}
+
+fn leaf_point(r: f32, side: f32, h: f32, at: [f32; 3], [c, s]: [f32; 2]) -> [f32; 3] {
+    [at[0] + c * r - s * side, at[1] + s * r + c * side, at[2] + h]
 }

@@ -50,12 +50,13 @@ fn color_fields(seed: u64, brush: &Field) -> Texture {
     square(SIZE, |x, y| {
         let u = x as f32 / SIZE as f32;
         let v = y as f32 / SIZE as f32 + 0.012 * wobble.at(x, y);
-        let inside = |b: &[f32; 4]| {
-            (u - b[0]).abs() < 0.06 + 0.22 * b[2] && (v - b[1]).abs() < 0.06 + 0.22 * b[3]
-        };
-        let top = boxes.iter().rposition(inside).map_or(20, |i| i as u64);
+        let top = boxes.iter().rposition(|it| is_inside_box(it, u, v)).map_or(20, |i| i as u64);
         pigment(seed, top).map(|c| c + 10.0 * brush.at(x, y))
     })
+}
+
+fn is_inside_box(b: &[f32; 4], u: f32, v: f32) -> bool {
+    (u - b[0]).abs() < 0.06 + 0.22 * b[2] && (v - b[1]).abs() < 0.06 + 0.22 * b[3]
 }
 
 fn flowers(seed: u64, brush: &Field) -> Texture {

@@ -22,21 +22,22 @@ pub fn planks(version: u8, seed: u64, texture: f32) -> Texture {
         _ => ([176.0, 168.0, 158.0], [140.0, 132.0, 122.0]),
     };
     let contrast = partly(texture);
-    // Three boards per row, with joints at random positions.
-    let joint = |row: usize, k: usize| {
-        ((k as f32 + 0.7 * hash(seed ^ row as u64, k as u64)) / 3.0 * SIZE as f32) as usize
-    };
     square(SIZE, |x, y| {
         let row = y * ROWS / SIZE;
         let within = y * ROWS % SIZE / ROWS;
-        let board = (0..3).rev().find(|k| x >= joint(row, *k)).unwrap_or(2);
+        let board = (0..3).rev().find(|k| x >= joint_column(row, *k, seed, SIZE)).unwrap_or(2);
         let id = (row * 3 + board) as u64;
         let offset = (hash(seed ^ 12, id) * SIZE as f32) as usize;
         let tone = hash(seed ^ 13, id)
             + contrast * (0.17 * grain.at(x + offset, y + offset * 7) + 0.07 * cloud.at(x, y));
-        let gap = within < 1 || (0..3).any(|k| x.abs_diff(joint(row, k)) < 1);
+        let gap = within < 1 || (0..3).any(|k| x.abs_diff(joint_column(row, k, seed, SIZE)) < 1);
         scaled(mix(dark, light, tone), if gap { 0.62 } else { 1.0 })
     })
+}
+
+/// Three boards per row, with joints at random positions.
+fn joint_column(row: usize, k: usize, seed: u64, size: usize) -> usize {
+    ((k as f32 + 0.7 * hash(seed ^ row as u64, k as u64)) / 3.0 * size as f32) as usize
 }
 
 /// Blocks of 24 cm with five strips each, in alternating directions.

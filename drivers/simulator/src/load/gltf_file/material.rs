@@ -165,10 +165,7 @@ impl<'a> Materials<'a> {
         colors: &[[f32; 3]],
         scene: &mut Scene,
     ) -> u32 {
-        let color = |corner: u32| {
-            colors.get(corner as usize).copied().unwrap_or([1.0; 3]).map(srgb_from_linear)
-        };
-        let block = self.atlas.push(corners.map(color));
+        let block = self.atlas.push(corners.map(|it| corner_color(it, colors)));
         self.pending.push((scene.triangles.len(), block));
         *self.colored.entry(surface.material).or_insert_with(|| {
             scene.materials.push(scene.materials[surface.material as usize].clone());
@@ -198,6 +195,10 @@ impl<'a> Materials<'a> {
         }
         Ok(())
     }
+}
+
+fn corner_color(corner: u32, colors: &[[f32; 3]]) -> [u8; 3] {
+    colors.get(corner as usize).copied().unwrap_or([1.0; 3]).map(srgb_from_linear)
 }
 
 fn add(scene: &mut Scene, material: Material, image_info: Option<&texture::Info>) -> Surface {

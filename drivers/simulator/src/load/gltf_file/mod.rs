@@ -87,10 +87,7 @@ fn add_primitive(
     scene: &mut Scene,
 ) -> Result<(), SceneError> {
     use mesh::Semantic;
-    let attribute = |semantic| {
-        primitive.attributes.get(&gltf::json::validation::Checked::Valid(semantic)).copied()
-    };
-    let Some(positions) = attribute(Semantic::Positions) else { return Ok(()) };
+    let Some(positions) = attribute(Semantic::Positions, primitive) else { return Ok(()) };
     let positions: Vec<[f32; 3]> = file.floats(positions)?;
     let corners = match primitive.indices {
         Some(indices) => file.indices(indices)?,
@@ -106,10 +103,10 @@ fn add_primitive(
         return Ok(());
     }
     let surface = materials.surface(primitive.material, scene)?;
-    let uv = attribute(Semantic::TexCoords(surface.uv_set))
+    let uv = attribute(Semantic::TexCoords(surface.uv_set), primitive)
         .map(|index| file.floats::<2>(index))
         .transpose()?;
-    let colors = attribute(Semantic::Colors(0)).filter(|_| !surface.is_textured);
+    let colors = attribute(Semantic::Colors(0), primitive).filter(|_| !surface.is_textured);
     let colors = colors.map(|index| file.floats::<3>(index)).transpose()?;
     for triangle in triangles {
         let vertices = triangle.map(|corner| {
@@ -129,6 +126,13 @@ fn add_primitive(
         scene.triangles.push(Triangle { vertices, material });
     }
     Ok(())
+}
+
+fn attribute(
+    semantic: mesh::Semantic,
+    primitive: &mesh::Primitive,
+) -> Option<Index<gltf::json::Accessor>> {
+    primitive.attributes.get(&gltf::json::validation::Checked::Valid(semantic)).copied()
 }
 
 /// Corner indices of every triangle of a list, strip or fan. Points and lines have none.
