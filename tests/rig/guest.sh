@@ -1,15 +1,15 @@
-# Sourced by every scenario, in the guest. Each program that is started costs up to half a second there: do many checks in one.
+# Sourced by every scenario in the guest. Starting a program there takes up to half a second, so combine checks.
 
-# check PROMISE COMMAND...: one row of the table; the command's last line is its figure.
+# check CLAIM COMMAND...: prints one row of the table; the command's last line is its figure.
 check() {
-    local promise=$1 figure outcome=pass
+    local claim=$1 figure outcome=pass
     shift
     figure=$("$@" 2>&1 | tail -1; exit "${PIPESTATUS[0]}") || outcome=fail
-    printf 'CHECK\t%s\t%s\t%s\n' "$outcome" "$promise" "$figure"
+    printf 'CHECK\t%s\t%s\t%s\n' "$outcome" "$claim" "$figure"
 }
 
-# camera_loop [WIDTH HEIGHT]: what is written to /dev/video1 comes out of /dev/video0: YUYV, 30 pictures a second.
-# HDMI input 1, no text in the picture, 1280x720p30 (timing 5: the one in the list that gives 30 a second) at both ends.
+# camera_loop [WIDTH HEIGHT]: loops frames from /dev/video1 to /dev/video0: YUYV, 30 frames per second.
+# HDMI input 1, no text in the image, 1280x720p30 (timing 5, the one in the list with 30 Hz) at both ends.
 camera_loop() {
     local size=width=${1:-640},height=${2:-480},pixelformat=YUYV
     v4l2-ctl -d 0 -i 1 -c osd_text_mode=2,loop_video=1 >/dev/null
@@ -19,8 +19,8 @@ camera_loop() {
     v4l2-ctl -d 1 -x $size
 }
 
-# can0 is the robot's end of the bus, can1 the motors'. The emulated bus takes no time for a frame, and a burst overruns the
-# receiver; so frames leave at the pace of the bit rate: 16 bytes for a frame, of which a real bus makes 111 bits or more.
+# can0 is the robot's end of the bus, can1 the motors'. A frame takes no time on the emulated bus, and a burst overruns the
+# receiver. Frames are therefore sent at the bit rate, with 16 bytes per frame (111 bits or more on a real bus).
 can_up() {
     modprobe sch_tbf
     local interface
@@ -36,11 +36,11 @@ serial_up() {
     for port in /dev/ttyUSB0 /dev/ttyS1; do stty -F $port 115200 raw -echo; done
 }
 
-# Pulls the scanner's USB plug, and puts it back.
+# Unplug the scanner's USB cable, and plug it in again.
 serial_unplug() { echo 0 >/sys/bus/usb/devices/1-1/authorized; }
 serial_plug() { echo 1 >/sys/bus/usb/devices/1-1/authorized; }
 
-# world_up OPTIONS...: a robot's devices in a simulated home; $WORLD is its process, /tmp/world its folder.
+# world_up OPTIONS...: starts a robot's devices in a simulated home; $WORLD is its process, /tmp/world its folder.
 world_up() {
     rm -f /tmp/world.log
     "$HIL" world --dir /tmp/world "$@" >/tmp/world.log 2>&1 &
@@ -51,31 +51,31 @@ world_up() {
     done
 }
 
-# Ends it; its last line says how far the robot went and what it touched.
+# Ends the world and prints its last line: the driven distance and the number of touches.
 world_down() {
     kill -INT $WORLD
     wait $WORLD
     grep '^world:' /tmp/world.log
 }
 
-# value KEY FILE: of a JSON file with one key a line. Nothing when there is no such key.
+# value KEY FILE: prints the value of a key in a JSON file with one key per line, or nothing.
 value() { sed -n "s/^ *\"$1\": \(.*[^,]\),\?$/\1/p" "$2" | head -1; }
 
-# until_value KEY FILE CONDITION: waits until awk finds the condition true of that value, `v`.
+# until_value KEY FILE CONDITION: waits until an awk condition on that value, `v`, holds.
 until_value() {
     until [ -s "$2" ] && awk -v v="$(value "$1" "$2")" "BEGIN { exit !($3) }"; do sleep 0.5; done
 }
 
-# punctuality FIRMWARE SECONDS: how late its safety loop comes while a robot drives, beside cyclictest.
+# punctuality FIRMWARE SECONDS: measures how late the safety loop runs while a robot drives, in parallel with cyclictest.
 punctuality() {
     local firmware=$1 seconds=$2 robot turns missed
     rm -rf /tmp/run /rig/status.json
-    world_up --lidar urg-04lx --protocol vesc --picture 160x64 --fps 10
+    world_up --lidar urg-04lx --protocol vesc --frame-size 160x64 --fps 10
     "$firmware" run --config /tmp/world/robot.toml --out /tmp/run --status /rig/status.json >/rig/run.log 2>&1 &
     robot=$!
-    # Its start, in which it claims its memory at its own priority, is not what is measured.
+    # Exclude the start, in which it allocates its memory at its own priority.
     until_value turns /rig/status.json 'v > 100'
-    # At the safety loop's pace, just below its priority.
+    # At the safety loop's period, just below its priority.
     cyclictest -m -q -p 39 -i 10000 -D $seconds -h 2000 >/tmp/cyclictest
     turns=$(value turns /rig/status.json) missed=$(value skipped /rig/status.json)
     kill -TERM $robot
@@ -85,12 +85,12 @@ punctuality() {
 
     check 'a robot drives meanwhile' \
         awk -F '[= ]' '/^world:/ { path_m = $3 } END { print path_m " m"; exit !(path_m > 0) }' /tmp/world.log
-    check 'the safety loop at 100 Hz leaves out no turn' \
+    check 'the safety loop at 100 Hz skips no tick' \
         awk -v missed=$missed -v turns=$turns 'BEGIN { print missed " of " turns; exit !(missed == 0) }'
-    check 'the safety loop comes less than 1 ms late' \
+    check 'the safety loop is less than 1 ms late' \
         awk -v p50="$(value p50 /tmp/late)" -v p99="$(value p99 /tmp/late)" -v max="$(value max /tmp/late)" 'BEGIN {
             printf "p50 %.0f, p99 %.0f, max %.0f us\n", 1000 * p50, 1000 * p99, 1000 * max; exit !(max > 0 && max < 1) }'
-    check 'cyclictest beside it at the same pace comes less than 1 ms late' awk '
+    check 'cyclictest in parallel at the same period is less than 1 ms late' awk '
         /^# Max/ { max = $NF + 0 }
         /^[0-9]/ { late[lines++] = $1 + 0; count[$1 + 0] = $2; all += $2 }
         END {
@@ -99,7 +99,7 @@ punctuality() {
                 if (p50 == "" && 2 * seen >= all) p50 = late[i]
                 if (p99 == "" && seen >= 0.99 * all) p99 = late[i]
             }
-            print "p50 " p50 ", p99 " p99 ", max " max " us of " all " turns"
+            print "p50 " p50 ", p99 " p99 ", max " max " us of " all " wake-ups"
             exit !(all > 0 && max > 0 && max < 1000)
         }' /tmp/cyclictest
 }

@@ -1,8 +1,8 @@
 #!/bin/sh
-# The guest's init, in busybox: loads the devices' drivers, makes the host's own root the guest's (read-only, with a tmpfs
-# above it), runs /rig/commands in it, and switches the machine off.
-# /rig/environment says MODULES (groups to load), VIVID (its parameters), KERNEL_MODULES (where the rest of them lies) and
-# SYSTEMD: `yes` makes systemd the first process, which runs the commands and switches off.
+# The guest's init, in busybox: loads the device drivers, mounts the host's root as the guest's (read-only, with a tmpfs
+# above it), runs /rig/commands in it, and powers the machine off.
+# /rig/environment sets MODULES (groups to load), VIVID (its parameters), KERNEL_MODULES (path of the other modules) and
+# SYSTEMD: `yes` makes systemd the first process, which runs the commands and powers off.
 mount -t proc p /proc
 mount -t sysfs s /sys
 mount -t devtmpfs d /dev
@@ -37,7 +37,7 @@ export PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C
 # busybox does not expand globs in redirections.
 set -- /dev/vport*p1
 if [ "$SYSTEMD" ]; then
-    # Of the host's own configuration nothing shall start.
+    # Start no unit of the host's own configuration.
     rm -rf /root/etc/systemd/system
     mkdir -p /root/etc/systemd/system
     for unit in systemd-hwdb-update systemd-journal-catalog-update ldconfig; do

@@ -1,4 +1,4 @@
-//! Programs that are killed (SIGKILL) at random moments: what they leave behind must be good.
+//! Kills programs (SIGKILL) at random moments, for tests of what they leave behind.
 
 use std::path::{Path, PathBuf};
 use std::process::Child;
@@ -9,53 +9,57 @@ use monotonic_clock::MonotonicClock;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// Kills of a test where `KILLS` does not say how many: enough to notice what breaks often, in seconds.
-const FEW: u64 = 6;
-/// Longest wait for a program that should do something.
-const PATIENCE: Duration = Duration::from_secs(60);
-/// Between two looks at what a program has done.
-const LOOK_NS: u64 = 100_000;
-/// What follows a change: the next rename, the next sync.
+/// Number of kills per test when `KILLS` is not set: enough to detect frequent failures, in
+/// seconds.
+const DEFAULT_KILLS: u64 = 6;
+/// Longest wait for a program to do something.
+const TIMEOUT: Duration = Duration::from_secs(60);
+/// Interval at which the program's files are checked.
+const POLL_NS: u64 = 100_000;
+/// Time after a change in which the next rename or sync is likely.
 const RIGHT_AFTER: Duration = Duration::from_millis(4);
 
-/// How often a test kills: `KILLS`, or a few times.
+/// Number of kills per test: `KILLS`, or [`DEFAULT_KILLS`].
 #[must_use]
 pub fn wanted() -> u64 {
-    std::env::var("KILLS").ok().and_then(|kills| kills.parse().ok()).unwrap_or(FEW)
+    std::env::var("KILLS").ok().and_then(|kills| kills.parse().ok()).unwrap_or(DEFAULT_KILLS)
 }
 
-/// Moments: the times are by dice, what a program does at them is the computer's affair.
+/// Chooses random moments at which to kill a program. The times are seeded; the state of the
+/// program at these times is not.
 pub struct Moments {
-    dice: Pcg64Mcg,
+    rng: Pcg64Mcg,
     clock: MonotonicClock,
-    /// How long the program takes when nobody kills it.
+    /// Run time of the program when it is not killed.
     whole: Duration,
 }
 
 impl Moments {
-    /// For a program that takes about so long.
+    /// For a program with this approximate run time.
     #[must_use]
     pub fn new(seed: u64, whole: Duration) -> Self {
-        Self { dice: Pcg64Mcg::seed_from_u64(seed), clock: MonotonicClock, whole }
+        Self { rng: Pcg64Mcg::seed_from_u64(seed), clock: MonotonicClock, whole }
     }
 
-    /// Lets a random share of `most` pass.
+    /// Sleeps for a random time of at most `most`.
     pub fn pass(&mut self, most: Duration) {
-        let ns = self.dice.random_range(0..=most.as_nanos() as u64);
+        let ns = self.rng.random_range(0..=most.as_nanos() as u64);
         self.clock.sleep_until_ns(self.clock.now_ns() + ns);
     }
 
-    /// Waits for a moment to kill `program` in. Every other one is anywhere in its life, else it is right after what `changes`
-    /// gives has become something else: there the program is most likely in the middle of something.
+    /// Waits for a moment to kill `program`. Half of the moments are uniformly distributed over the
+    /// run time. The others follow a change of the value that `changes` returns, when the program
+    /// is most likely in the middle of an operation.
     ///
     /// # Errors
-    /// When the program cannot be looked at, or neither ends nor does anything.
+    /// Returns an error when the state of the program cannot be read, or when it neither ends nor
+    /// does anything.
     pub fn wait<T: PartialEq>(
         &mut self,
         program: &mut Child,
         changes: impl Fn() -> T,
     ) -> std::io::Result<()> {
-        if self.dice.random() {
+        if self.rng.random() {
             self.pass(self.whole);
             return Ok(());
         }
@@ -65,23 +69,24 @@ impl Moments {
         Ok(())
     }
 
-    /// Waits until something is so, or `program` has ended.
+    /// Waits until a condition holds or `program` has ended.
     ///
     /// # Errors
-    /// As [`wait`](Self::wait).
+    /// Like [`wait`](Self::wait).
     pub fn until(&mut self, program: &mut Child, is_so: impl Fn() -> bool) -> std::io::Result<()> {
         let began = Instant::now();
         while !is_so() && program.try_wait()?.is_none() {
-            if began.elapsed() > PATIENCE {
-                return Err(std::io::Error::other("the program to be killed does nothing"));
+            if began.elapsed() > TIMEOUT {
+                return Err(std::io::Error::other("the program to be killed shows no activity"));
             }
-            self.clock.sleep_until_ns(self.clock.now_ns() + LOOK_NS);
+            self.clock.sleep_until_ns(self.clock.now_ns() + POLL_NS);
         }
         Ok(())
     }
 }
 
-/// Every file under `dir` with its size and time: changes when a program does something there.
+/// Every file under `dir` with its size and modification time, which changes when a program writes
+/// there.
 #[must_use]
 pub fn listing(dir: &Path) -> Vec<(PathBuf, u64, Option<SystemTime>)> {
     let mut all = Vec::new();

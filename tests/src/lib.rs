@@ -1,5 +1,7 @@
-//! Device simulators, and scenarios with the fault injectors of [`drivers::fault`]: a robot in a simulated home whose scanner
-//! falls silent is `Scenario::new(policy, &["lidar:stall@2..3"], seed)`.
+//! Device simulators, fault injectors and the harness of the hardware-in-the-loop tests. The
+//! scenarios are in `tests/tests`. For example, a robot in a simulated home whose scanner falls
+//! silent is `Scenario::new(policy, &["lidar:stall@2..3"], seed)`; its faults are injected by
+//! [`drivers::fault`].
 #![forbid(unsafe_code)]
 
 pub mod hokuyo;
@@ -17,7 +19,7 @@ pub use scenario::{Scenario, Tick, successor};
 
 use std::ops::Range;
 
-/// A stretch of time, seconds since the clock's zero.
+/// A time interval, seconds since the clock's zero.
 pub type Seconds = Range<f64>;
 
 fn holds(stretch: Option<&Seconds>, time_ns: u64) -> bool {

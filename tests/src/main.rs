@@ -1,7 +1,7 @@
-//! Device simulators for a robot's computer: `cargo run -p hil -- hokuyo --help`.
+//! Command-line device simulators for a robot's computer: `cargo run -p hil -- hokuyo --help`.
 //!
-//! Each speaks the real device's protocol over what the real device is connected by, or over what stands in for it where the
-//! kernel has no such thing.
+//! Each simulator implements the protocol of the real device. It uses the device's own transport,
+//! or a substitute where the kernel has no virtual device.
 
 use std::error::Error;
 use std::process::ExitCode;
@@ -9,7 +9,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 #[derive(Parser)]
-#[command(version, about = "Simulated devices that speak the real ones' protocols")]
+#[command(version, about = "Simulated devices that implement the protocols of the real ones")]
 struct Arguments {
     #[command(subcommand)]
     device: Device,
@@ -17,19 +17,19 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Device {
-    /// A Hokuyo LiDAR on a pty or TCP.
+    /// Simulate a Hokuyo LiDAR on a pty, a serial port or TCP.
     Hokuyo(hil::hokuyo::HokuyoArgs),
-    /// A camera behind a Unix socket.
+    /// Simulate a camera behind a Unix socket.
     Camera(hil::video::CameraArgs),
-    /// Checks of drivers against the kernel's devices, for `cargo xtask rig`.
+    /// Check drivers against the kernel's devices; used by `cargo xtask rig`.
     RigProbe(hil::rig::RigArgs),
-    /// Two simulated motor controllers on a CAN bus.
+    /// Simulate two motor controllers on a CAN bus.
     Motor(hil::motor::MotorArgs),
-    /// A simulated home behind all of these devices, for `firmware-host run`.
+    /// Simulate a home with all of these devices, for `firmware-host run`.
     World(hil::world::WorldArgs),
-    /// An ssh server on loopback with keys of its own, as a robot has one.
+    /// Start an ssh server on loopback with its own keys, in place of a robot's.
     Sshd(hil::sshd::SshdArgs),
-    /// The real base driver on a CAN bus, driving straight on.
+    /// Run the real base driver on a CAN bus and drive straight ahead.
     Base(hil::motor::BaseArgs),
 }
 

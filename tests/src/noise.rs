@@ -1,6 +1,6 @@
-//! Bytes that do not compress, as pictures do not.
+//! Incompressible bytes, in place of image data.
 
-/// The same for the same seed (xorshift).
+/// Pseudo-random bytes (xorshift), determined by the seed.
 #[must_use]
 pub fn noise(seed: u64, length: usize) -> Vec<u8> {
     let mut state = seed | 1;

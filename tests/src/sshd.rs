@@ -1,5 +1,5 @@
-//! An ssh server of our own on loopback, with keys of its own: what travels between robot and workstation is tried over the
-//! system's real OpenSSH.
+//! A temporary ssh server on loopback with its own keys. Transfers between robot and workstation
+//! are tested over the system's real OpenSSH.
 
 use std::error::Error;
 use std::fs::{self, Permissions};
@@ -17,7 +17,7 @@ const SSHD: &str = "/usr/sbin/sshd";
 const TRIES: u32 = 200;
 const TRY_NS: u64 = 50_000_000;
 
-/// Ends with its owner.
+/// A running ssh server. Dropping it ends the server.
 pub struct Sshd {
     dir: PathBuf,
     port: u16,
@@ -32,11 +32,11 @@ impl Drop for Sshd {
 }
 
 impl Sshd {
-    /// Starts it with its keys and log in `dir`, on a free port. `None` where there is no sshd, or it may not run here; said on
-    /// standard error.
+    /// Starts a server with its keys and log in `dir`, on a free port. Returns `None` where there
+    /// is no sshd or it cannot run, and prints the reason on standard error.
     ///
     /// # Errors
-    /// When the folder cannot be written or `ssh-keygen` fails.
+    /// Returns an error when the folder cannot be written or `ssh-keygen` fails.
     pub fn start(dir: &Path) -> io::Result<Option<Self>> {
         if !Path::new(SSHD).exists() {
             eprintln!("{SSHD} is not installed: apt-get install openssh-server");
@@ -63,7 +63,8 @@ impl Sshd {
              PasswordAuthentication no\nPermitRootLogin prohibit-password\nSetEnv HOME={}\n",
             dir.join("host_key").display(),
             dir.join("key.pub").display(),
-            // Else what this computer's user lets a shell do first is tried, and measured, as well.
+            // An empty home folder keeps the user's shell start-up files out of the test and its
+            // timing.
             home.display()
         );
         fs::write(dir.join("sshd_config"), config)?;
@@ -87,28 +88,29 @@ impl Sshd {
             clock.sleep_until_ns(then_ns);
         }
         eprintln!(
-            "sshd does not run here: {}",
+            "sshd could not be started: {}",
             fs::read_to_string(dir.join("sshd.log")).unwrap_or_default()
         );
         Ok(None)
     }
 
-    /// From now on the workstation knows the robot by this public key, a file in the server's folder.
+    /// Makes the workstation accept this public key, a file in the server's folder, as the robot's
+    /// host key.
     ///
     /// # Errors
-    /// When there is none.
+    /// Returns an error when there is no such file.
     pub fn trust(&self, public_key: &str) -> io::Result<()> {
         let key = fs::read_to_string(self.dir.join(public_key))?;
         fs::write(self.dir.join("known_hosts"), format!("[127.0.0.1]:{} {key}", self.port))
     }
 
-    /// Its keys and its log.
+    /// Folder with the server's keys and log.
     #[must_use]
     pub fn dir(&self) -> &Path {
         &self.dir
     }
 
-    /// Options with which `ssh 127.0.0.1` reaches it.
+    /// Options with which `ssh 127.0.0.1` reaches this server.
     #[must_use]
     pub fn options(&self) -> Vec<String> {
         vec![
@@ -127,17 +129,17 @@ impl Sshd {
 /// Arguments of `hil sshd`.
 #[derive(Debug, Args)]
 pub struct SshdArgs {
-    /// Folder for its keys. Made if missing.
+    /// Folder for the server's keys. Created if missing.
     #[arg(long, value_name = "DIR")]
     dir: PathBuf,
 }
 
-/// Runs one until it is killed; the options for ssh go to standard output, one a line.
+/// Runs a server until it is killed. Prints the options for ssh on standard output, one per line.
 ///
 /// # Errors
-/// When it cannot be started.
+/// Returns an error when the server cannot be started.
 pub fn run(args: &SshdArgs) -> Result<(), Box<dyn Error>> {
-    let mut server = Sshd::start(&args.dir)?.ok_or("there is no ssh server to start")?;
+    let mut server = Sshd::start(&args.dir)?.ok_or("no ssh server can be started")?;
     println!("{}", server.options().join("\n"));
     server.child.wait()?;
     Ok(())

@@ -1,5 +1,5 @@
-//! What stops the wheels when the host process itself is gone: a real child that runs the real driver over the Unix bus, and
-//! simulated controllers in this process that measure by their own clock.
+//! The wheels stop when the host process is killed or stopped. A child process runs the real driver
+//! over the Unix bus; simulated controllers in this process measure by their own clock.
 #![allow(missing_docs, clippy::expect_used, clippy::panic)]
 
 use std::path::{Path, PathBuf};
@@ -14,10 +14,11 @@ use rustix::process::{Pid, Signal, kill_process};
 
 const STEP_NS: u64 = 1_000_000;
 const MS: u64 = 1_000_000;
-/// One frame per turn of the host's loop.
+/// Period of the host's control loop, with one frame each.
 const FRAME_NS: u64 = 10 * MS;
 
-/// Two controllers with a clock of their own: a step of it takes a millisecond, or longer when the computer is busy.
+/// Two controllers with their own clock: one step takes a millisecond of it, and longer in real
+/// time when the computer is busy.
 struct Controllers {
     hub: Hub,
     nodes: [Box<dyn MotorNode>; 2],
@@ -67,8 +68,8 @@ impl Controllers {
             .all(|node| !matches!(node.wheel().drive(), Drive::Velocity(speed) if speed != 0.0))
     }
 
-    /// A host that drives. On a computer so busy that a loop of 10 ms stands still for 100 ms, the base stops itself before the test
-    /// begins; then another host is started.
+    /// Starts a host that drives. When the computer is so busy that a loop of 10 ms is delayed by
+    /// 100 ms, the base stops itself before the test begins; then another host is started.
     fn host(&mut self) -> Child {
         let protocol = format!("{:?}", self.protocol).to_lowercase();
         for _ in 0..10 {
@@ -92,10 +93,11 @@ impl Controllers {
             child.kill().expect("it ends");
             child.wait().expect("it ended");
         }
-        panic!("no host came to drive");
+        panic!("no host reached the driving state");
     }
 
-    /// Steps until both are released; how long after its last command each was, by its own clock.
+    /// Steps until both wheels are released. Returns for each the time after its last command, by
+    /// its own clock.
     fn waited_ns(&mut self) -> [u64; 2] {
         let begin_ns = self.now_ns;
         while !self.are_released() {
@@ -110,7 +112,7 @@ fn process(child: &Child) -> Pid {
     Pid::from_child(child)
 }
 
-fn a_host_that_gets(signal: Signal, protocol: Protocol) {
+fn check_host_signal(signal: Signal, protocol: Protocol) {
     let folder = tempfile::tempdir().expect("a folder");
     let mut controllers = Controllers::new(folder.path(), protocol);
     let mut child = controllers.host();
@@ -128,11 +130,11 @@ fn a_host_that_gets(signal: Signal, protocol: Protocol) {
         );
     }
     if signal == Signal::STOP {
-        // It wakes up, finds itself late, and stays stopped.
+        // It resumes, detects that it is late, and stays stopped.
         kill_process(process(&child), Signal::CONT).expect("the signal");
         for _ in 0..500 {
             controllers.step();
-            assert!(controllers.are_released(), "{protocol:?}: moved after it was woken");
+            assert!(controllers.are_released(), "{protocol:?}: moved after it resumed");
         }
     }
     child.kill().expect("it ends");
@@ -141,30 +143,33 @@ fn a_host_that_gets(signal: Signal, protocol: Protocol) {
 
 #[test]
 fn the_wheels_stop_within_the_watchdog_when_the_host_is_killed_odrive() {
-    a_host_that_gets(Signal::KILL, Protocol::Odrive);
+    check_host_signal(Signal::KILL, Protocol::Odrive);
 }
 
 #[test]
 fn the_wheels_stop_within_the_watchdog_when_the_host_is_killed_vesc() {
-    a_host_that_gets(Signal::KILL, Protocol::Vesc);
+    check_host_signal(Signal::KILL, Protocol::Vesc);
 }
 
 #[test]
 fn the_wheels_stop_within_the_watchdog_when_the_host_is_killed_cia402() {
-    a_host_that_gets(Signal::KILL, Protocol::Cia402);
+    check_host_signal(Signal::KILL, Protocol::Cia402);
 }
 
 #[test]
-fn the_wheels_stop_within_the_watchdog_when_the_host_is_stopped_and_stay_so_when_it_wakes_odrive() {
-    a_host_that_gets(Signal::STOP, Protocol::Odrive);
+fn the_wheels_stop_within_the_watchdog_when_the_host_is_stopped_and_stay_stopped_when_it_resumes_odrive()
+ {
+    check_host_signal(Signal::STOP, Protocol::Odrive);
 }
 
 #[test]
-fn the_wheels_stop_within_the_watchdog_when_the_host_is_stopped_and_stay_so_when_it_wakes_vesc() {
-    a_host_that_gets(Signal::STOP, Protocol::Vesc);
+fn the_wheels_stop_within_the_watchdog_when_the_host_is_stopped_and_stay_stopped_when_it_resumes_vesc()
+ {
+    check_host_signal(Signal::STOP, Protocol::Vesc);
 }
 
 #[test]
-fn the_wheels_stop_within_the_watchdog_when_the_host_is_stopped_and_stay_so_when_it_wakes_cia402() {
-    a_host_that_gets(Signal::STOP, Protocol::Cia402);
+fn the_wheels_stop_within_the_watchdog_when_the_host_is_stopped_and_stay_stopped_when_it_resumes_cia402()
+ {
+    check_host_signal(Signal::STOP, Protocol::Cia402);
 }

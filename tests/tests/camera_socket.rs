@@ -1,5 +1,5 @@
-//! The whole camera driver, threads and all, against a simulated camera in another process.
-#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
+//! The complete camera driver with its threads, against a simulated camera in another process.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its fixture has failed")]
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -11,8 +11,8 @@ use hil::video::MovingStripes;
 use monotonic_clock::MonotonicClock;
 
 const MS: u64 = 1_000_000;
-/// Far more than anything here takes.
-const PATIENCE_NS: u64 = 30_000 * MS;
+/// Far longer than any step of these tests takes.
+const TIMEOUT_NS: u64 = 30_000 * MS;
 
 struct Simulated(Child);
 
@@ -40,12 +40,12 @@ fn camera(path: &Path) -> V4l2Camera {
     let mut config =
         CameraDeviceConfig::new(&format!("unix:{}", path.display()), 64, 48, CameraFormat::Yuyv);
     config.fps = Some(100.0);
-    // A machine that runs many tests at a time is late.
+    // Frames are late on a machine that runs many tests in parallel.
     config.max_age_ms = 10_000;
     V4l2Camera::new(&config, CameraModel::pinhole(64, 48, 1.0)).unwrap()
 }
 
-/// Polls until `done`, as a robot's loop does.
+/// Polls until `done`, as the robot's control loop does.
 fn poll_until(
     camera: &mut V4l2Camera,
     mut done: impl FnMut(Result<Option<&Frame>, V4l2Error>) -> bool,
@@ -54,30 +54,30 @@ fn poll_until(
     let mut clock = MonotonicClock;
     let start_ns = clock.now_ns();
     loop {
-        let got = camera.poll_frame(&mut frame);
-        if done(got.map(|got| got.then_some(&frame))) {
+        let polled = camera.poll_frame(&mut frame);
+        if done(polled.map(|is_new| is_new.then_some(&frame))) {
             return;
         }
         let now_ns = clock.now_ns();
-        assert!(now_ns - start_ns < PATIENCE_NS, "{:?}", camera.status());
+        assert!(now_ns - start_ns < TIMEOUT_NS, "{:?}", camera.status());
         clock.sleep_until_ns(now_ns + 2 * MS);
     }
 }
 
 #[test]
-fn every_picture_of_a_simulated_camera_arrives_whole_with_its_own_time() {
+fn every_frame_of_a_simulated_camera_arrives_complete_with_its_own_time() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("camera");
     let _simulated = Simulated::at(&path);
     let mut camera = camera(&path);
     let mut last = None;
     let mut count = 0;
-    poll_until(&mut camera, |got| {
-        if let Ok(Some(frame)) = got {
+    poll_until(&mut camera, |polled| {
+        if let Ok(Some(frame)) = polled {
             assert_eq!(
                 MovingStripes::time_ns(&frame.data),
                 frame.time_ns,
-                "picture and stamp belong together"
+                "image and timestamp belong together"
             );
             assert!(last < Some((frame.sequence, frame.time_ns)), "each is newer than the last");
             last = Some((frame.sequence, frame.time_ns));
@@ -89,25 +89,26 @@ fn every_picture_of_a_simulated_camera_arrives_whole_with_its_own_time() {
 }
 
 #[test]
-fn a_simulated_camera_that_is_killed_is_disconnected_and_the_next_one_is_taken_by_the_same_driver()
-{
+fn a_killed_camera_is_reported_as_disconnected_and_the_driver_reconnects_to_the_next_one() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("camera");
     let mut simulated = Simulated::at(&path);
     let mut camera = camera(&path);
-    poll_until(&mut camera, |got| matches!(got, Ok(Some(_))));
+    poll_until(&mut camera, |polled| matches!(polled, Ok(Some(_))));
     simulated.kill();
-    poll_until(&mut camera, |got| got.is_err_and(|error| error.kind() == ErrorKind::Disconnected));
+    poll_until(&mut camera, |polled| {
+        polled.is_err_and(|error| error.kind() == ErrorKind::Disconnected)
+    });
     assert_eq!(camera.status().state, DeviceState::Disconnected);
     let _next = Simulated::at(&path);
-    poll_until(&mut camera, |got| matches!(got, Ok(Some(_))));
+    poll_until(&mut camera, |polled| matches!(polled, Ok(Some(_))));
     assert_eq!(camera.status().state, DeviceState::Working);
-    // On a busy machine the new one may have been silent for a second, and been restarted.
+    // On a busy machine the new camera may have been silent for a second and been restarted.
     assert!(camera.status().reopened >= 1);
 }
 
 #[test]
-fn check_says_what_a_camera_agrees_to_and_what_is_in_the_way_of_one_that_is_not_there() {
+fn check_reports_the_agreed_layout_and_the_reason_when_no_camera_is_connected() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("camera");
     let config =

@@ -1,5 +1,5 @@
-//! The simulated controllers, the driver's frames and the DBC file before software that we did not write: python-can, canopen,
-//! cantools with ODrive's own DBC file, crccheck.
+//! Checks the simulated controllers, the driver's frames and the DBC file with independent
+//! software: python-can, canopen, cantools with ODrive's own DBC file, crccheck.
 #![allow(missing_docs, clippy::expect_used, clippy::panic)]
 
 use std::fmt::Write as _;
@@ -18,7 +18,7 @@ use rand_pcg::Pcg64Mcg;
 
 const STEP_NS: u64 = 1_000_000;
 
-/// `can_peers.py`, to be told what to do.
+/// The command `can_peers.py`, without arguments.
 fn peers() -> Command {
     let python = std::env::var("HIL_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let mut command = Command::new(python);
@@ -26,8 +26,8 @@ fn peers() -> Command {
     command
 }
 
-/// A peer that talks to simulated controllers 1 and 2.
-fn talks_to(protocol: Protocol) {
+/// Runs a peer that communicates with simulated controllers 1 and 2.
+fn check_with_peer(protocol: Protocol) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("can");
     let mut hub = Hub::bind(&path).expect("a hub");
@@ -35,7 +35,8 @@ fn talks_to(protocol: Protocol) {
     let name = format!("{protocol:?}").to_lowercase();
     let mut peer = peers().arg(name).arg(&path).spawn().expect("a peer");
     let mut clock = MonotonicClock;
-    let (start_ns, mut outbox) = (clock.now_ns(), Outbox::default());
+    let start_ns = clock.now_ns();
+    let mut outbox = Outbox::default();
     let status = loop {
         clock.sleep_until_ns(clock.now_ns() + STEP_NS);
         step_nodes(&mut nodes, &mut hub, clock.now_ns(), &mut outbox);
@@ -51,34 +52,34 @@ fn talks_to(protocol: Protocol) {
 
 #[test]
 #[ignore = "needs tests/peers/requirements.txt; `cargo xtask test --all` installs it"]
-fn the_simulated_odrive_is_one_to_odrives_own_dbc_file() {
-    talks_to(Protocol::Odrive);
+fn the_simulated_odrive_conforms_to_odrives_own_dbc_file() {
+    check_with_peer(Protocol::Odrive);
 }
 
 #[test]
 #[ignore = "needs tests/peers/requirements.txt; `cargo xtask test --all` installs it"]
-fn the_simulated_vesc_is_one_to_python_can_and_crccheck() {
-    talks_to(Protocol::Vesc);
+fn the_simulated_vesc_is_accepted_by_python_can_and_crccheck() {
+    check_with_peer(Protocol::Vesc);
 }
 
 #[test]
 #[ignore = "needs tests/peers/requirements.txt; `cargo xtask test --all` installs it"]
-fn the_simulated_drive_is_one_to_canopens_cia_402_profile() {
-    talks_to(Protocol::Cia402);
+fn the_simulated_drive_conforms_to_canopens_cia_402_profile() {
+    check_with_peer(Protocol::Cia402);
 }
 
 #[test]
 #[ignore = "needs tests/peers/requirements.txt; `cargo xtask test --all` installs it"]
-fn what_the_driver_sends_is_what_odrives_dbc_file_says() {
+fn the_driver_sends_frames_that_conform_to_odrives_dbc_file() {
     let mut rig = Rig::new(&config(Protocol::Odrive)).expect("sound");
     rig.arm().expect("it arms");
     (0..150).for_each(|_| rig.drive(0.2, 0.0).expect("it drives"));
     let mut lines = String::new();
     for (_, frame) in rig.host.take_sent() {
-        writeln!(lines, "{frame}").expect("room");
+        writeln!(lines, "{frame}").expect("a written line");
     }
     let file = tempfile::NamedTempFile::new().expect("a file");
-    std::fs::write(file.path(), lines).expect("room");
+    std::fs::write(file.path(), lines).expect("a written line");
     assert!(peers().arg("driver").arg(file.path()).status().expect("a peer").success());
 }
 
@@ -89,16 +90,21 @@ fn cantools_reads_and_writes_our_frames_by_our_dbc_file() {
     let mut lines = String::new();
     for k in 0..200u32 {
         let counter = (k % 16) as u8;
-        let (v, w): (i16, i16) = (rng.random(), rng.random());
-        let (linear, angular) = (f64::from(v) * 1e-3, f64::from(w) * 1e-3);
+        let v: i16 = rng.random();
+        let w: i16 = rng.random();
+        let linear = f64::from(v) * 1e-3;
+        let angular = f64::from(w) * 1e-3;
         let twist = Twist2 { linear_mps: linear, angular_radps: angular };
-        let (a, b): (bool, bool) = (rng.random(), rng.random());
+        let a: bool = rng.random();
+        let b: bool = rng.random();
         let plan_age_ms: u16 = rng.random();
         let command = BaseCommand { counter, armed: a, stop: b, plan_age_ms, twist }.encode();
-        let (phase, trip) = ((k % 5) as u8, (k % 10) as u8);
+        let phase = (k % 5) as u8;
+        let trip = (k % 10) as u8;
         let state = BaseState { counter, phase, trip, estop: a, contact: b, twist }.encode();
         let safety = SafetyInput { counter, estop: a, bumper: b }.encode();
-        let (a, b) = (u8::from(a), u8::from(b));
+        let a = u8::from(a);
+        let b = u8::from(b);
         let json = [
             (
                 command,
@@ -115,11 +121,12 @@ fn cantools_reads_and_writes_our_frames_by_our_dbc_file() {
             (safety, format!(r#""EStop": {a}, "Bumper": {b}"#)),
         ];
         for (frame, fields) in json {
-            writeln!(lines, r#"{frame} {{"Counter": {counter}, {fields}}}"#).expect("room");
+            writeln!(lines, r#"{frame} {{"Counter": {counter}, {fields}}}"#)
+                .expect("a written line");
         }
     }
     let file = tempfile::NamedTempFile::new().expect("a file");
-    std::fs::write(file.path(), lines).expect("room");
+    std::fs::write(file.path(), lines).expect("a written line");
     let dbc = Path::new(env!("CARGO_MANIFEST_DIR")).join("../drivers/src/can/embodied.dbc");
     assert!(peers().arg("frames").arg(dbc).arg(file.path()).status().expect("a peer").success());
 }

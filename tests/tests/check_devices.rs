@@ -1,5 +1,5 @@
-//! `firmware-host check --devices` as an operator runs it, in front of simulated devices.
-#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
+//! `firmware-host check --devices` as an operator runs it, with simulated devices.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its fixture has failed")]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -19,7 +19,7 @@ use monotonic_clock::MonotonicClock;
 
 const STEP_NS: u64 = 1_000_000;
 
-/// A robot's devices, and the file that names them.
+/// The devices of a robot, and the folder of the file that names them.
 struct Robot {
     folder: tempfile::TempDir,
     lidar: Option<SimulatedHokuyo>,
@@ -33,7 +33,7 @@ impl Robot {
     fn with(
         protocol: Protocol,
         model: Model,
-        spoil: impl Fn(&mut [Box<dyn MotorNode>; 2]),
+        inject: impl Fn(&mut [Box<dyn MotorNode>; 2]),
     ) -> Self {
         let mut robot = Self::without_devices();
         robot.protocol = protocol;
@@ -41,16 +41,17 @@ impl Robot {
             SimulatedHokuyo::on_pty(model, &robot.path("lidar"), Box::new(Room::new(model)))
                 .unwrap(),
         );
-        let (path, running) = (robot.path("camera"), Arc::clone(&robot.running));
+        let path = robot.path("camera");
+        let running = Arc::clone(&robot.running);
         robot.camera = Some(std::thread::spawn(move || {
             serve(&path, simulated(), &VideoFaults::default(), &mut MovingStripes, &running)
                 .unwrap();
         }));
-        let (mut hub, running) =
-            (Hub::bind(&robot.path("can")).unwrap(), Arc::clone(&robot.running));
+        let mut hub = Hub::bind(&robot.path("can")).unwrap();
+        let running = Arc::clone(&robot.running);
         let mut nodes = [node(protocol, 1), node(protocol, 2)];
-        spoil(&mut nodes);
-        robot.motors = Some(std::thread::spawn(move || turn(&mut hub, &mut nodes, &running)));
+        inject(&mut nodes);
+        robot.motors = Some(std::thread::spawn(move || run_motors(&mut hub, &mut nodes, &running)));
         robot
     }
 
@@ -91,7 +92,7 @@ impl Robot {
         check(&file)
     }
 
-    /// Whether a wheel was powered or turned at any time.
+    /// Stops the motors and returns whether a wheel was powered or rotated at any time.
     fn has_moved(&mut self) -> bool {
         self.running.store(false, Ordering::Relaxed);
         self.motors.take().unwrap().join().unwrap()
@@ -106,8 +107,10 @@ impl Drop for Robot {
     }
 }
 
-fn turn(hub: &mut Hub, nodes: &mut [Box<dyn MotorNode>; 2], running: &AtomicBool) -> bool {
-    let (mut clock, mut has_moved, mut outbox) = (MonotonicClock, false, Outbox::default());
+fn run_motors(hub: &mut Hub, nodes: &mut [Box<dyn MotorNode>; 2], running: &AtomicBool) -> bool {
+    let mut clock = MonotonicClock;
+    let mut has_moved = false;
+    let mut outbox = Outbox::default();
     while running.load(Ordering::Relaxed) {
         let now_ns = clock.now_ns() + STEP_NS;
         clock.sleep_until_ns(now_ns);
@@ -123,16 +126,16 @@ fn check(file: &Path) -> (Output, String) {
     assert!(program.is_file(), "build it first: cargo build -p firmware-host");
     let output =
         Command::new(program).args(["check", "--devices", "--config"]).arg(file).output().unwrap();
-    let said = [&output.stdout, &output.stderr]
+    let text = [&output.stdout, &output.stderr]
         .map(|bytes| String::from_utf8_lossy(bytes).into_owned())
         .concat();
-    (output, said)
+    (output, text)
 }
 
-fn a_well_robot_is_told_and_stays_where_it_is(protocol: Protocol) {
+fn check_lists_the_devices_and_moves_nothing(protocol: Protocol) {
     let mut robot = Robot::with(protocol, Model::Utm30lx, |_| {});
-    let (output, said) = robot.check();
-    assert_eq!(output.status.code(), Some(0), "{said}");
+    let (output, text) = robot.check();
+    assert_eq!(output.status.code(), Some(0), "{text}");
     for part in [
         "YUYV 640x480",
         "pictures a second",
@@ -140,33 +143,33 @@ fn a_well_robot_is_told_and_stays_where_it_is(protocol: Protocol) {
         "firmware",
         "left (node 1) watchdog 100 ms",
     ] {
-        assert!(said.contains(part), "{part} in {said}");
+        assert!(text.contains(part), "{part} in {text}");
     }
-    assert_eq!(said.matches("working").count(), 3, "{said}");
+    assert_eq!(text.matches("working").count(), 3, "{text}");
     assert!(!robot.has_moved());
 }
 
 #[test]
-fn a_well_robot_gets_a_table_of_what_its_devices_are_and_does_not_move_odrive() {
-    a_well_robot_is_told_and_stays_where_it_is(Protocol::Odrive);
+fn check_prints_a_table_of_working_devices_and_moves_nothing_odrive() {
+    check_lists_the_devices_and_moves_nothing(Protocol::Odrive);
 }
 
 #[test]
-fn a_well_robot_gets_a_table_of_what_its_devices_are_and_does_not_move_vesc() {
-    a_well_robot_is_told_and_stays_where_it_is(Protocol::Vesc);
+fn check_prints_a_table_of_working_devices_and_moves_nothing_vesc() {
+    check_lists_the_devices_and_moves_nothing(Protocol::Vesc);
 }
 
 #[test]
-fn a_well_robot_gets_a_table_of_what_its_devices_are_and_does_not_move_cia402() {
-    a_well_robot_is_told_and_stays_where_it_is(Protocol::Cia402);
+fn check_prints_a_table_of_working_devices_and_moves_nothing_cia402() {
+    check_lists_the_devices_and_moves_nothing(Protocol::Cia402);
 }
 
 #[test]
-fn devices_that_are_not_there_are_told_with_what_else_there_is_and_the_exit_code_says_so() {
+fn missing_devices_are_reported_with_alternatives_and_a_failing_exit_code() {
     let robot = Robot::without_devices();
-    let (output, said) = robot.check();
-    assert_eq!(output.status.code(), Some(1), "{said}");
-    assert_eq!(said.matches("disconnected").count(), 3, "{said}");
+    let (output, text) = robot.check();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert_eq!(text.matches("disconnected").count(), 3, "{text}");
     for part in [
         "! camera: no camera at",
         "! LiDAR: ",
@@ -174,30 +177,30 @@ fn devices_that_are_not_there_are_told_with_what_else_there_is_and_the_exit_code
         "/dev/serial/by-id",
         "! base: ",
     ] {
-        assert!(said.contains(part), "{part} in {said}");
+        assert!(text.contains(part), "{part} in {text}");
     }
 }
 
 #[test]
-fn another_scanner_and_a_motor_without_its_watchdog_are_told_with_the_way_out() {
+fn another_scanner_and_a_motor_without_a_watchdog_are_reported_with_advice() {
     let mut robot = Robot::with(Protocol::Odrive, Model::Urg04lx, |nodes| {
-        nodes[1].faults().forgets_watchdog = true
+        nodes[1].faults().forgets_watchdog = true;
     });
-    let (output, said) = robot.check();
-    assert_eq!(output.status.code(), Some(1), "{said}");
+    let (output, text) = robot.check();
+    assert_eq!(output.status.code(), Some(1), "{text}");
     for part in [
         "correct `model` or `port`",
         "right (node 2) watchdog not confirmed",
         "the right motor",
         "its watchdog is",
     ] {
-        assert!(said.contains(part), "{part} in {said}");
+        assert!(text.contains(part), "{part} in {text}");
     }
     assert!(!robot.has_moved());
 }
 
 #[test]
-fn a_can_interface_that_does_not_exist_is_told_with_those_that_do() {
+fn a_missing_can_interface_is_reported_with_the_existing_ones() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("robot.toml");
     let base = "[devices.base]\nbus = \"can97\"\nprotocol = \"vesc\"\n";
@@ -207,25 +210,25 @@ fn a_can_interface_that_does_not_exist_is_told_with_those_that_do() {
         format!("[run]\nstatus_file = {:?}\n{camera}{base}", folder.path().join("s")),
     )
     .unwrap();
-    let (output, said) = check(&file);
-    assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(said.contains("there is no interface can97"), "{said}");
+    let (output, text) = check(&file);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("there is no interface can97"), "{text}");
     assert!(
-        said.contains("! camera: nothing of its kind") || said.contains("! camera: there are:"),
-        "{said}"
+        text.contains("! camera: nothing of its kind") || text.contains("! camera: there are:"),
+        "{text}"
     );
 }
 
 #[test]
-fn devices_of_a_robot_that_runs_are_left_alone() {
+fn devices_of_a_running_robot_are_not_touched() {
     let mut robot = Robot::with(Protocol::Cia402, Model::Utm30lx, |_| {});
     let now =
         std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs_f64();
-    // Written a minute from now, so that a slow computer does not find it old.
+    // The time is a minute from now, so that a slow computer does not consider the file old.
     let status = serde_json::json!({ "written_unix_s": now + 60.0, "pid": 4711 });
     std::fs::write(robot.path("status.json"), status.to_string()).unwrap();
-    let (output, said) = robot.check();
-    assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(said.contains("pid 4711") && said.contains("systemctl stop embodied-depth"), "{said}");
+    let (output, text) = robot.check();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("pid 4711") && text.contains("systemctl stop embodied-depth"), "{text}");
     assert!(!robot.has_moved());
 }

@@ -1,6 +1,6 @@
-//! What the LiDAR's driver promises when the LiDAR or its cable misbehaves. The real driver on a simulated scanner's pty or
-//! TCP port; times are real, and bounds leave room for a busy computer.
-#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
+//! Behaviour of the LiDAR driver when the LiDAR or its cable fails. The real driver runs on the pty
+//! or TCP port of a simulated scanner, in real time; time limits have a margin for busy computers.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its fixture has failed")]
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
@@ -16,10 +16,10 @@ use monotonic_clock::MonotonicClock;
 use monotonic_clock::monotonic_ns;
 
 const MS: u64 = 1_000_000;
-/// Bring-up takes 50 ms here; a computer that is busy with other tests may need longer.
-const PATIENCE_NS: u64 = 10_000 * MS;
+/// Bring-up takes 50 ms. A computer that is busy with other tests may need longer.
+const TIMEOUT_NS: u64 = 10_000 * MS;
 
-/// A scanner on a pty, and its driver.
+/// A simulated scanner on a pty, and its driver.
 struct Bench {
     device: SimulatedHokuyo,
     lidar: HokuyoLidar,
@@ -27,7 +27,7 @@ struct Bench {
     _folder: tempfile::TempDir,
 }
 
-/// Where a scanner's path will be.
+/// Folder and path for a scanner's symbolic link.
 fn stable_path() -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("usb-Hokuyo");
@@ -59,14 +59,15 @@ impl Bench {
         self.lidar.poll_scan(&mut self.scan)
     }
 
-    fn until(&mut self, what: &str, mut is_so: impl FnMut(&Result<bool, HokuyoError>) -> bool) {
-        let deadline_ns = monotonic_ns() + PATIENCE_NS;
-        while !is_so(&self.poll()) {
+    fn until(&mut self, what: &str, mut condition: impl FnMut(&Result<bool, HokuyoError>) -> bool) {
+        let deadline_ns = monotonic_ns() + TIMEOUT_NS;
+        while !condition(&self.poll()) {
             let monitor = self.lidar.monitor();
-            let (status, problem) = (monitor.status(), monitor.problem());
+            let status = monitor.status();
+            let problem = monitor.problem();
             assert!(
                 monotonic_ns() < deadline_ns,
-                "waited in vain for {what}: {status:?}, {problem:?}"
+                "timed out waiting for {what}: {status:?}, {problem:?}"
             );
         }
     }
@@ -88,7 +89,7 @@ impl Bench {
     }
 }
 
-/// Each scan is of one range only, which counts the scans: 1001 mm for the first.
+/// All ranges of a scan are equal and count the scans: 1001 mm for the first.
 #[derive(Clone, Default)]
 struct Counting {
     scans: Arc<AtomicU32>,
@@ -113,7 +114,7 @@ fn silence_for_more_than_two_periods_is_a_timeout_and_no_old_scan() {
     bench.device.set_wire(WireFaults { is_stalled: true, ..WireFaults::default() });
     let stalled_ns = monotonic_ns();
     bench.until_error(ErrorKind::Timeout);
-    // Two periods are 50 ms, and the last scan may have come just before the stall.
+    // Two periods are 50 ms. The last scan may have arrived just before the stall.
     assert!(monotonic_ns() - stalled_ns < 50 * MS + 100 * MS);
     for _ in 0..20 {
         assert!(bench.poll().is_err(), "a scan from before the silence");
@@ -138,7 +139,7 @@ fn a_truncated_scan_is_dropped_and_the_next_one_is_taken() {
 }
 
 #[test]
-fn a_scan_with_a_flipped_bit_is_never_handed_out() {
+fn a_scan_with_a_flipped_bit_is_never_returned() {
     let mut bench =
         Bench::with(Model::Utm30lx, Box::new(Counting::default()), |config| config, |_| {});
     bench.until_scan();
@@ -154,7 +155,7 @@ fn a_scan_with_a_flipped_bit_is_never_handed_out() {
 }
 
 #[test]
-fn a_dropped_scan_is_told_once_as_corrupt() {
+fn a_dropped_scan_is_reported_as_corrupt() {
     let mut bench = Bench::new(Model::Utm30lx);
     bench.until_scan();
     bench.device.set_wire(WireFaults { flip_share: 0.3, ..WireFaults::default() });
@@ -162,7 +163,7 @@ fn a_dropped_scan_is_told_once_as_corrupt() {
 }
 
 #[test]
-fn a_reboot_into_scip_1_is_recovered_without_help() {
+fn a_reboot_into_scip_1_is_recovered_automatically() {
     let mut bench = Bench::new(Model::Urg04lx);
     bench.until_scan();
     bench.device.reboot(500 * MS);
@@ -172,14 +173,14 @@ fn a_reboot_into_scip_1_is_recovered_without_help() {
 }
 
 #[test]
-fn pulled_and_put_back_it_is_found_by_its_stable_path_without_a_restart() {
+fn a_replugged_scanner_is_found_by_its_stable_path_without_a_restart() {
     let mut bench = Bench::new(Model::Utm30lx);
     bench.until_scan();
     for times in 1..=3 {
         bench.device.unplug();
         bench.until_error(ErrorKind::Disconnected);
         for _ in 0..200 {
-            assert!(bench.poll().is_err(), "it is not there");
+            assert!(bench.poll().is_err(), "the scanner is unplugged");
         }
         bench.device.plug_in().unwrap();
         bench.until_scan();
@@ -203,7 +204,7 @@ fn a_scanner_that_is_plugged_in_later_is_found() {
 }
 
 #[test]
-fn after_each_reconnect_as_many_good_scans_as_configured_come_before_the_first_that_counts() {
+fn after_each_reconnect_the_configured_number_of_good_scans_precedes_the_first_returned_one() {
     let source = Counting::default();
     let configure = |config| HokuyoConfig { good_scans: 5, ..config };
     let mut bench = Bench::with(Model::Utm30lx, Box::new(source.clone()), configure, |_| {});
@@ -233,12 +234,13 @@ fn a_scan_of_nothing_but_errors_is_a_fault_and_not_free_space() {
 }
 
 #[test]
-fn noise_before_the_first_answer_does_no_harm() {
-    let noise = |device: &SimulatedHokuyo| {
-        device.set_wire(WireFaults { noise_bytes: 3000, ..WireFaults::default() })
-    };
-    Bench::with(Model::Utm30lx, Box::new(Room::new(Model::Utm30lx)), |config| config, noise)
+fn noise_before_the_first_answer_is_skipped() {
+    Bench::with(Model::Utm30lx, Box::new(Room::new(Model::Utm30lx)), |config| config, send_noise)
         .until_scan();
+}
+
+fn send_noise(device: &SimulatedHokuyo) {
+    device.set_wire(WireFaults { noise_bytes: 3000, ..WireFaults::default() });
 }
 
 #[test]
@@ -277,22 +279,22 @@ fn another_model_than_configured_is_refused_by_name() {
 fn a_motor_fault_a_broken_laser_and_a_laser_that_is_off_are_named() {
     let mut bench = Bench::new(Model::Utm30lx);
     bench.until_scan();
-    for (health, words) in [
+    for (health, expected) in [
         (Health::MotorFault, "Motor malfunction"),
         (Health::LaserOff, "laser is off"),
         (Health::LaserBroken, "Laser malfunction"),
     ] {
         bench.device.set_health(health);
         bench.until_error(ErrorKind::Fault);
-        bench.until_problem(words);
+        bench.until_problem(expected);
         bench.device.set_health(Health::Well);
         bench.until_scan();
     }
 }
 
 #[test]
-fn upside_down_the_beams_are_mirrored() {
-    /// Near on the sensor's first steps.
+fn beams_of_an_upside_down_scanner_are_mirrored() {
+    /// Range increases with the sensor's step.
     struct OneSide;
     impl ScanSource for OneSide {
         fn ranges_mm(&mut self, _: u64, out: &mut [u32]) {
@@ -318,7 +320,7 @@ fn upside_down_the_beams_are_mirrored() {
 }
 
 #[test]
-fn scans_are_stamped_when_they_were_begun_although_the_clocks_differ() {
+fn scans_are_stamped_with_their_begin_although_the_clocks_differ() {
     let source = Counting::default();
     let fast = |device: &SimulatedHokuyo| device.set_clock_ppm(400.0);
     let mut bench = Bench::with(Model::Utm30lx, Box::new(source.clone()), |config| config, fast);
@@ -329,12 +331,12 @@ fn scans_are_stamped_when_they_were_begun_although_the_clocks_differ() {
         worst_ns.push(bench.scan.time_ns.abs_diff(begun_ns));
     }
     worst_ns.sort_unstable();
-    // The median: a busy computer delays single questions for the time.
+    // The median, because a busy computer delays single requests for the time.
     assert!(worst_ns[60] < 5 * MS, "{} ms", worst_ns[60] / MS);
 }
 
 #[test]
-fn ethernet_models_are_read_over_tcp_and_found_again_when_the_connection_was_closed() {
+fn ethernet_models_are_read_over_tcp_and_reconnected_when_the_connection_was_closed() {
     let model = Model::Ust10lx;
     let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
     let device = SimulatedHokuyo::on_tcp(model, any, Box::new(Room::new(model))).unwrap();
@@ -369,15 +371,15 @@ fn the_safety_thread_allocates_nothing_when_it_polls() {
 }
 
 #[test]
-fn dropped_it_switches_the_scanner_off() {
+fn a_dropped_driver_switches_the_scanner_off() {
     let mut bench = Bench::new(Model::Utm30lx);
     bench.until_scan();
     assert_eq!(bench.lidar.status().state, DeviceState::Working);
     let Bench { device, lidar, _folder, .. } = bench;
     drop(lidar);
-    let deadline_ns = monotonic_ns() + PATIENCE_NS;
+    let deadline_ns = monotonic_ns() + TIMEOUT_NS;
     while device.scans().1 {
-        assert!(monotonic_ns() < deadline_ns, "it goes on");
+        assert!(monotonic_ns() < deadline_ns, "the scanner keeps streaming");
         MonotonicClock.sleep_until_ns(monotonic_ns() + MS);
     }
 }

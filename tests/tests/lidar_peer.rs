@@ -1,5 +1,6 @@
-//! The simulated scanner is understood by a client that is not ours, and says the same to it as to our driver.
-#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
+//! The simulated scanner works with an independent client, which reads the same ranges as our
+//! driver.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its fixture has failed")]
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
@@ -9,7 +10,7 @@ use drivers::scip::Model;
 use hil::hokuyo::{ScanSource, SimulatedHokuyo};
 use serde_json::Value;
 
-/// Ranges that use all three characters.
+/// Ranges that use all three characters of the encoding.
 struct Ramp;
 
 impl ScanSource for Ramp {

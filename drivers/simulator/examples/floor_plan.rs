@@ -1,7 +1,8 @@
-//! Draws the floor plan of scenes as pictures: `cargo run -p simulator --example floor_plan -- SCENE... OUT_DIR`.
+//! Draws the floor plans of scenes: `cargo run -p simulator --example floor_plan -- SCENE...
+//! OUT_DIR`.
 //!
-//! White: free. Light grey: floor that the base covers. Grey: other floor. Black: obstacles. Blue: no floor. Orange: free but
-//! out of reach. Red: ten start poses, with the heading.
+//! White: free. Light grey: floor that the base covers. Grey: other floor. Black: obstacles. Blue:
+//! no floor. Orange: free but unreachable. Red: ten start poses, with their headings.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -52,8 +53,9 @@ fn main() -> ExitCode {
 fn draw(plan: &FloorPlan) -> RgbImage {
     const ZOOM: u32 = 3;
     let grid = plan.grid();
-    let (width, height) = (grid.width as u32, grid.height as u32);
-    let mut picture = RgbImage::from_fn(width * ZOOM, height * ZOOM, |x, y| {
+    let width = grid.width as u32;
+    let height = grid.height as u32;
+    let mut image = RgbImage::from_fn(width * ZOOM, height * ZOOM, |x, y| {
         let cell = (height - 1 - y / ZOOM) * width + x / ZOOM;
         let [x, y] = grid.center(cell as usize);
         Rgb(if plan.is_blocked(x, y) {
@@ -80,11 +82,11 @@ fn draw(plan: &FloorPlan) -> RgbImage {
             );
             let size = if step == 0 { 2 } else { 0 };
             for (dx, dy) in (0..=size).flat_map(|dx| (0..=size).map(move |dy| (dx, dy))) {
-                if column + dx < picture.width() && row + dy < picture.height() {
-                    picture.put_pixel(column + dx, row + dy, Rgb([230, 0, 0]));
+                if column + dx < image.width() && row + dy < image.height() {
+                    image.put_pixel(column + dx, row + dy, Rgb([230, 0, 0]));
                 }
             }
         }
     }
-    picture
+    image
 }

@@ -1,4 +1,5 @@
-//! Draws built-in homes: plan from above, camera views of every room, and how much contrast each kind of surface has.
+//! Draws built-in homes: plan from above, camera views of every room, and how much contrast each
+//! kind of surface has.
 //!
 //! `cargo run -p simulator --example home -- OUT [KIND [SEED [TEXTURE [moved]]]]`
 
@@ -59,7 +60,7 @@ fn plan(home: &Home) -> Result<image::RgbImage, Box<dyn Error>> {
         .iter()
         .fold([0.0_f32; 2], |m, r| [m[0].max(r.rect.max[0]), m[1].max(r.rect.max[1])]);
     let size = far.map(|f| ((f + 0.4) * PER_M) as usize);
-    let mut picture =
+    let mut plan_image =
         image::RgbImage::from_pixel(size[0] as u32, size[1] as u32, image::Rgb([40; 3]));
     let mut height = vec![-1.0_f32; size[0] * size[1]];
     for triangle in &home.scene.triangles {
@@ -74,18 +75,14 @@ fn plan(home: &Home) -> Result<image::RgbImage, Box<dyn Error>> {
         if area.abs() < 1e-6 {
             continue;
         }
-        let range = |axis: usize| {
-            let low = q.iter().map(|q| q[axis]).fold(f32::MAX, f32::min).max(0.0) as usize;
-            let high = q.iter().map(|q| q[axis]).fold(0.0, f32::max).ceil() as usize;
-            low..high.min(size[axis])
-        };
-        for y in range(1) {
-            for x in range(0) {
+        for y in pixel_range(1, q, size) {
+            for x in pixel_range(0, q, size) {
                 let c = [x as f32 + 0.5, y as f32 + 0.5];
-                let edge = |a: [f32; 2], b: [f32; 2]| {
-                    ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])) / area
-                };
-                let w = [edge(q[1], q[2]), edge(q[2], q[0]), edge(q[0], q[1])];
+                let w = [
+                    edge_weight(q[1], q[2], c, area),
+                    edge_weight(q[2], q[0], c, area),
+                    edge_weight(q[0], q[1], c, area),
+                ];
                 let z: f32 = (0..3).map(|i| w[i] * p[i][2]).sum();
                 if w.iter().any(|w| *w < 0.0) || z <= height[y * size[0] + x] {
                     continue;
@@ -95,11 +92,21 @@ fn plan(home: &Home) -> Result<image::RgbImage, Box<dyn Error>> {
                 let color = material
                     .base_color
                     .map(|c| ((c * 0.7 * light).powf(1.0 / 2.2) * 255.0).min(255.0) as u8);
-                picture.put_pixel(x as u32, y as u32, image::Rgb(color));
+                plan_image.put_pixel(x as u32, y as u32, image::Rgb(color));
             }
         }
     }
-    Ok(picture)
+    Ok(plan_image)
+}
+
+fn edge_weight(a: [f32; 2], b: [f32; 2], c: [f32; 2], area: f32) -> f32 {
+    ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])) / area
+}
+
+fn pixel_range(axis: usize, q: [[f32; 2]; 3], size: [usize; 2]) -> std::ops::Range<usize> {
+    let low = q.iter().map(|q| q[axis]).fold(f32::MAX, f32::min).max(0.0) as usize;
+    let high = q.iter().map(|q| q[axis]).fold(0.0, f32::max).ceil() as usize;
+    low..high.min(size[axis])
 }
 
 fn pose(at: [f64; 2], yaw: f64) -> Pose3 {
@@ -112,9 +119,10 @@ fn pose(at: [f64; 2], yaw: f64) -> Pose3 {
     )
 }
 
-/// The place in a room, off its furniture, from where a camera sees farthest.
+/// The pose in a room, away from its furniture, from which a camera sees farthest.
 fn best_view(home: &Home, index: usize, room: &Room, renderer: &Renderer) -> Pose3 {
-    let ([x0, y0], [w, d]) = (room.rect.min, room.rect.size());
+    let [x0, y0] = room.rect.min;
+    let [w, d] = room.rect.size();
     let mut best = (0.0, pose(room.rect.center().map(f64::from), 0.0));
     for i in 0..96 {
         let share = |k: f32| (0.5 + k * i as f32).fract();
@@ -140,13 +148,16 @@ fn best_view(home: &Home, index: usize, room: &Room, renderer: &Renderer) -> Pos
 
 fn views(home: &Home, path: &Path) -> Result<(), Box<dyn Error>> {
     let camera = CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2);
-    let (renderer, classes) = (Renderer::new(&home.scene), Renderer::new(&labelled(home)));
+    let renderer = Renderer::new(&home.scene);
+    let classes = Renderer::new(&labelled(home));
     let rows = home.rooms.len().div_ceil(2) as u32;
     let mut sheet = image::RgbImage::new(1284, rows * 196);
     let mut contrast = Contrast::default();
     for (index, room) in home.rooms.iter().enumerate() {
         let at = best_view(home, index, room, &renderer);
-        let (mut rgb, mut labels, mut depth) = (Vec::new(), Vec::new(), DepthMap::none(640, 192));
+        let mut rgb = Vec::new();
+        let mut labels = Vec::new();
+        let mut depth = DepthMap::none(640, 192);
         classes.render(&camera, &at, &[], &Lighting::flat(), &mut labels, &mut depth);
         renderer.render(&camera, &at, &[], &Lighting::default(), &mut rgb, &mut depth);
         contrast.add(&rgb, &labels, depth.values());
@@ -154,7 +165,8 @@ fn views(home: &Home, path: &Path) -> Result<(), Box<dyn Error>> {
         image::save_buffer(single, &rgb, 640, 192, image::ColorType::Rgb8)?;
         let left = (index as u32 % 2) * 644;
         for (i, pixel) in rgb.chunks_exact(3).enumerate() {
-            let (x, y) = (i as u32 % 640 + left, i as u32 / 640 + index as u32 / 2 * 196);
+            let x = i as u32 % 640 + left;
+            let y = i as u32 / 640 + index as u32 / 2 * 196;
             sheet.put_pixel(x, y, image::Rgb([pixel[0], pixel[1], pixel[2]]));
         }
     }
@@ -163,25 +175,29 @@ fn views(home: &Home, path: &Path) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The same shapes, each in a grey that says what it belongs to.
+/// The same shapes, each in a grey that encodes its kind of surface.
 fn labelled(home: &Home) -> Scene {
     let mut scene = home.scene.clone();
     for (triangle, surface) in scene.triangles.iter_mut().zip(&home.surfaces) {
         triangle.material = *surface as u32;
         triangle.vertices.iter_mut().for_each(|v| v.ambient = 0.0);
     }
-    let glow = |i: u32| Material {
+    scene.materials = (0..7).map(glowing_material).collect();
+    scene
+}
+
+fn glowing_material(i: u32) -> Material {
+    Material {
         name: String::new(),
         base_color: [0.0; 3],
         texture: None,
         alpha_cutoff: None,
         emissive: [(i + 1) as f32 * 0.08; 3],
-    };
-    scene.materials = (0..7).map(glow).collect();
-    scene
+    }
 }
 
-/// Standard deviations of brightness in blocks of 16x16 pixels that show one kind of surface at one range of distances.
+/// Standard deviations of brightness in blocks of 16x16 pixels that show one kind of surface at one
+/// range of distances.
 #[derive(Default)]
 struct Contrast {
     blocks: Vec<(u8, f32, f64)>,
@@ -197,16 +213,11 @@ impl Contrast {
             if cells.iter().any(|c| labels[c * 3] != label) {
                 continue;
             }
-            let luma = |c: usize| {
-                0.299 * f64::from(rgb[c * 3])
-                    + 0.587 * f64::from(rgb[c * 3 + 1])
-                    + 0.114 * f64::from(rgb[c * 3 + 2])
-            };
             let z = cells.iter().map(|c| depth[*c]).sum::<f32>() / cells.len() as f32;
             self.blocks.push((
                 label,
                 z,
-                deviation_from_plane(&cells.iter().map(|c| luma(*c)).collect::<Vec<_>>(), B),
+                deviation_from_plane(&cells.iter().map(|c| luma(*c, rgb)).collect::<Vec<_>>(), B),
             ));
         }
     }
@@ -216,10 +227,9 @@ impl Contrast {
         labels.sort_unstable();
         labels.dedup();
         for label in labels {
-            // As `labelled` glows, through sRGB coding.
-            let glow = |i: usize| ((i + 1) as f64 * 0.08).powf(1.0 / 2.2) * 255.0;
-            let class =
-                (0..7).min_by_key(|i| (glow(*i) - f64::from(label)).abs() as u32).unwrap_or(0);
+            let class = (0..7)
+                .min_by_key(|i| (displayed_glow(*i) - f64::from(label)).abs() as u32)
+                .unwrap_or(0);
             print!("  {:9}", CLASSES[class]);
             for (near, far) in [(0.3, 1.0), (1.0, 1.6), (1.6, 2.4), (2.4, 4.0), (4.0, 8.0)] {
                 let mut all: Vec<f64> = self
@@ -244,16 +254,45 @@ impl Contrast {
     }
 }
 
-/// Light that only falls off is no texture: what is left beside the best plane.
+fn luma(c: usize, rgb: &[u8]) -> f64 {
+    0.299 * f64::from(rgb[c * 3])
+        + 0.587 * f64::from(rgb[c * 3 + 1])
+        + 0.114 * f64::from(rgb[c * 3 + 2])
+}
+
+/// As `labelled` glows, through sRGB coding.
+fn displayed_glow(i: usize) -> f64 {
+    ((i + 1) as f64 * 0.08).powf(1.0 / 2.2) * 255.0
+}
+
+/// Standard deviation from the best-fitting plane. A light gradient is not texture.
 fn deviation_from_plane(values: &[f64], width: usize) -> f64 {
     let n = values.len() as f64;
     let middle = (width as f64 - 1.0) / 2.0;
-    let place = |i: usize| ((i % width) as f64 - middle, (i / width) as f64 - middle);
     let mean = values.iter().sum::<f64>() / n;
-    let spread: f64 = (0..values.len()).map(|i| place(i).0.powi(2)).sum();
-    let slope_x = values.iter().enumerate().map(|(i, v)| v * place(i).0).sum::<f64>() / spread;
-    let slope_y = values.iter().enumerate().map(|(i, v)| v * place(i).1).sum::<f64>() / spread;
-    let rest =
-        |(i, v): (usize, &f64)| (v - mean - slope_x * place(i).0 - slope_y * place(i).1).powi(2);
+    let spread: f64 =
+        (0..values.len()).map(|i| offset_from_center(i, width, middle).0.powi(2)).sum();
+    let slope_x = values
+        .iter()
+        .enumerate()
+        .map(|(i, v)| v * offset_from_center(i, width, middle).0)
+        .sum::<f64>()
+        / spread;
+    let slope_y = values
+        .iter()
+        .enumerate()
+        .map(|(i, v)| v * offset_from_center(i, width, middle).1)
+        .sum::<f64>()
+        / spread;
+    let rest = |(i, v): (usize, &f64)| {
+        (v - mean
+            - slope_x * offset_from_center(i, width, middle).0
+            - slope_y * offset_from_center(i, width, middle).1)
+            .powi(2)
+    };
     (values.iter().enumerate().map(rest).sum::<f64>() / n).sqrt()
+}
+
+fn offset_from_center(i: usize, width: usize, middle: f64) -> (f64, f64) {
+    ((i % width) as f64 - middle, (i / width) as f64 - middle)
 }

@@ -1,20 +1,22 @@
-//! The names of built-in homes.
+//! Parses the names and options of built-in homes.
 
 use crate::error::SceneError;
 use crate::homes::{self, HomeKind, HomeOptions};
 use crate::scene::Scene;
 
-/// Builds `NAME?seed=K&texture=T&moved=M`; `spec` is the whole, for messages.
+/// Builds the home `NAME?seed=K&texture=T&moved=M`. `spec` is the whole specification, for error
+/// messages.
 pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
-    let refuse = |problem: String| SceneError::Builtin { spec: spec.into(), problem };
     let (name, query) = home.split_once('?').unwrap_or((home, ""));
     let kind: HomeKind =
-        name.parse().map_err(|error: homes::UnknownHome| refuse(error.to_string()))?;
+        name.parse().map_err(|error: homes::UnknownHome| refuse(error.to_string(), spec))?;
     let mut options = HomeOptions::new(0);
     for pair in query.split('&').filter(|pair| !pair.is_empty()) {
-        let (key, value) =
-            pair.split_once('=').ok_or_else(|| refuse(format!("`{pair}` is not key=value")))?;
-        let wrong = |allowed: &str| refuse(format!("{key} is `{value}`, but must be {allowed}"));
+        let (key, value) = pair
+            .split_once('=')
+            .ok_or_else(|| refuse(format!("`{pair}` is not key=value"), spec))?;
+        let wrong =
+            |allowed: &str| refuse(format!("{key} is `{value}`, but must be {allowed}"), spec);
         match key {
             "seed" => {
                 options.seed =
@@ -22,8 +24,9 @@ pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
             }
             "texture" => {
                 let texture = value.parse().ok().filter(|texture| (0.0..=1.0).contains(texture));
-                options.texture = texture
-                    .ok_or_else(|| wrong("a number from 0 (blank walls) to 1 (rich ones)"))?;
+                options.texture = texture.ok_or_else(|| {
+                    wrong("a number from 0 (blank walls) to 1 (strongly textured walls)")
+                })?;
             }
             "moved" => {
                 options.moved = match value {
@@ -33,13 +36,18 @@ pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
                 }
             }
             _ => {
-                return Err(refuse(format!(
-                    "there is no `{key}`; there are seed, texture and moved"
-                )));
+                return Err(refuse(
+                    format!("unknown option `{key}`; the options are seed, texture and moved"),
+                    spec,
+                ));
             }
         }
     }
     Ok(homes::build(kind, &options).scene)
+}
+
+fn refuse(problem: String, spec: &str) -> SceneError {
+    SceneError::Builtin { spec: spec.into(), problem }
 }
 
 #[cfg(test)]

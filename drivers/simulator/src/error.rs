@@ -1,131 +1,99 @@
-//! Why a scene cannot be opened or a robot cannot be put into it.
+//! Errors of opening a scene and of placing a robot in it.
 
 use std::path::PathBuf;
 
-/// Everything that can be wrong with a scene, with the way out.
+/// An error in a scene or in the options of a simulated robot. Each message says what to do about
+/// it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SceneError {
     /// The scene's file does not exist.
     #[error("scene '{}' does not exist; give a .glb, .gltf or .obj file, or builtin:apartment, builtin:house, builtin:office", path.display())]
-    NotFound {
-        /// The path as given.
-        path: PathBuf,
-    },
-    /// A file is there but cannot be read.
+    NotFound { path: PathBuf },
+    /// A file exists but cannot be read.
     #[error("cannot read '{}': {source}", path.display())]
-    Read {
-        /// Which file.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
-    /// The file's name says that it is something else than a scene.
-    #[error("'{}' is not a scene that can be read: its name must end in .glb, .gltf or .obj; homes of our own are \
+    Read { path: PathBuf, source: std::io::Error },
+    /// The file name does not end in .glb, .gltf or .obj.
+    #[error("'{}' is not a supported scene file: its name must end in .glb, .gltf or .obj; the built-in homes are \
          builtin:apartment, builtin:house and builtin:office", path.display())]
-    UnknownFormat {
-        /// The path as given.
-        path: PathBuf,
-    },
+    UnknownFormat { path: PathBuf },
     /// A `builtin:` scene with a name, key or value that does not exist.
     #[error("scene '{spec}': {problem}")]
     Builtin {
-        /// The scene as given.
         spec: String,
-        /// What is wrong, and what is allowed.
+        /// The invalid part and the allowed values.
         problem: String,
     },
-    /// The file's content is not what its name says, or it is damaged.
-    #[error("'{}' is not a sound {format} file: {problem}", path.display())]
+    /// The file's content does not match its extension, or the file is damaged.
+    #[error("'{}' is not a valid {format} file: {problem}", path.display())]
     Malformed {
-        /// Which file.
         path: PathBuf,
-        /// glTF or OBJ.
         format: &'static str,
-        /// What is wrong, and where in the file.
+        /// The defect and its location in the file.
         problem: String,
     },
     /// The file is sound but uses something that is not supported.
     #[error("'{}' uses {feature}, which is not supported; {way_out}", path.display())]
     Unsupported {
-        /// Which file.
         path: PathBuf,
-        /// What it uses.
         feature: String,
-        /// How to make a file without it.
+        /// How to produce a file without this feature.
         way_out: &'static str,
     },
     /// A file that the scene refers to does not exist.
     #[error("'{}' refers to the {what} '{}', which does not exist; put it there or export the scene as one .glb", path.display(), file.display())]
     MissingFile {
-        /// The scene.
         path: PathBuf,
-        /// Texture, material library or buffer.
+        /// Kind of the missing file: texture, material library or buffer.
         what: &'static str,
-        /// Where it was looked for.
+        /// Path at which the file was expected.
         file: PathBuf,
     },
     /// A texture cannot be decoded.
-    #[error("'{}': texture '{texture}' cannot be used: {problem}", path.display())]
+    #[error("'{}': texture '{texture}' cannot be decoded: {problem}", path.display())]
     Texture {
-        /// The scene.
         path: PathBuf,
-        /// The texture's file or its place in the scene.
+        /// File name of the texture or its index in the scene.
         texture: String,
-        /// What is wrong.
         problem: String,
     },
     /// The scene has no surface at all.
-    #[error("'{scene}' has no triangles; nothing can be seen or driven on")]
-    Empty {
-        /// The scene.
-        scene: String,
-    },
-    /// No vertex of the scene is a number.
+    #[error("'{scene}' has no triangles")]
+    Empty { scene: String },
+    /// Every triangle of the scene has a corner that is NaN or infinite.
     #[error(
         "'{scene}': all {triangles} triangles have a corner that is NaN or infinite; export the scene again"
     )]
     NotFinite {
-        /// The scene.
         scene: String,
-        /// How many triangles were dropped.
+        /// Number of dropped triangles.
         triangles: usize,
     },
-    /// Nothing in the scene can be driven on.
+    /// The scene has no floor that the robot can drive on.
     #[error(
         "'{scene}' has no floor that a robot can stand on: {problem}; check the up axis and the scale (metres)"
     )]
     NoFloor {
-        /// The scene.
         scene: String,
-        /// What was looked for and not found.
+        /// Which criterion no surface met.
         problem: String,
     },
-    /// The robot cannot stand where it is to start.
+    /// The robot does not fit at the requested start pose.
     #[error(
-        "start pose ({x_m:.2}, {y_m:.2}) is inside a wall, off the floor or too near to something; the nearest free place is ({nearest_x_m:.2}, {nearest_y_m:.2})"
+        "start pose ({x_m:.2}, {y_m:.2}) is inside a wall, off the floor or too close to an obstacle; the nearest free position is ({nearest_x_m:.2}, {nearest_y_m:.2})"
     )]
     StartBlocked {
-        /// Wanted place in the world, metres.
+        /// Requested position in the world, metres.
         x_m: f64,
-        /// Wanted place in the world, metres.
+        /// Requested position in the world, metres.
         y_m: f64,
-        /// Nearest free place, metres.
         nearest_x_m: f64,
-        /// Nearest free place, metres.
         nearest_y_m: f64,
     },
-    /// A nuisance outside its range.
+    /// A field of `Nuisances` is outside its range.
     #[error(transparent)]
     Nuisance(#[from] crate::nuisance::NuisanceError),
-    /// An option outside its range.
+    /// An option is outside its range.
     #[error("{option} is {value}, but must be {allowed}")]
-    Option {
-        /// Name of the option.
-        option: &'static str,
-        /// What was given.
-        value: String,
-        /// What is allowed.
-        allowed: &'static str,
-    },
+    Option { option: &'static str, value: String, allowed: &'static str },
 }

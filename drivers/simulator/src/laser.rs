@@ -1,4 +1,4 @@
-//! The planar laser scanner.
+//! Simulation of a planar laser scanner.
 
 use hal::{LaserScan, Pose3, Range, ScanGeometry};
 use nalgebra::Vector3;
@@ -9,28 +9,29 @@ use crate::people::Person;
 use crate::random::normal;
 use crate::render::{Hit, Renderer};
 
-/// How a scanner measures.
+/// Measurement model of a scanner: beam geometry, noise and losses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LaserModel {
-    /// Beams and limits.
     pub geometry: ScanGeometry,
-    /// Standard deviation of a range up to [`Self::near_m`], metres.
+    /// Standard deviation of ranges up to [`Self::near_m`], metres.
     pub noise_near_m: f64,
-    /// The same beyond.
+    /// Standard deviation of longer ranges, metres.
     pub noise_far_m: f64,
-    /// Where the noise changes, metres.
+    /// Range at which the standard deviation changes, metres.
     pub near_m: f64,
-    /// Chance that a beam comes back with nothing although it met something.
+    /// Probability that a beam returns nothing although it hit a surface.
     pub dropout: f64,
-    /// Beams that meet a surface at less than this angle to it are lost, radians.
+    /// Beams that hit a surface at less than this angle to it are lost, radians.
     pub grazing_rad: f64,
-    /// Beams are lost on surfaces that throw back less than this beyond a third of the range, 0 to 1.
+    /// Beyond a third of the maximum range, beams are lost on surfaces with less than this
+    /// reflectance, 0 to 1.
     pub dark_reflectance: f32,
 }
 
 impl LaserModel {
-    /// Hokuyo UTM-30LX by its data sheet: repeated accuracy sigma < 10 mm from 0.1 to 10 m and < 30 mm from 10 to 30 m.
-    /// Losses (one beam in a thousand, less than 3 degrees to the surface, black things far away) are our own choice.
+    /// Hokuyo UTM-30LX, from its data sheet: repeated accuracy sigma < 10 mm from 0.1 to 10 m and <
+    /// 30 mm from 10 to 30 m. The losses (one beam in a thousand, less than 3 degrees to the
+    /// surface, dark surfaces far away) are our own choice.
     pub const UTM_30LX: Self = Self {
         geometry: ScanGeometry::UTM_30LX,
         noise_near_m: 0.01,
@@ -41,7 +42,7 @@ impl LaserModel {
         dark_reflectance: 0.02,
     };
 
-    /// The same beams, measured exactly and without loss.
+    /// The beam geometry of the UTM-30LX, without noise or losses.
     pub const IDEAL: Self = Self {
         noise_near_m: 0.0,
         noise_far_m: 0.0,
@@ -52,11 +53,13 @@ impl LaserModel {
     };
 
     fn measure(&self, hit: Option<Hit>, direction: &Vector3<f64>, rng: &mut impl Rng) -> Range {
-        // Every beam draws the same numbers, whatever it meets: one changed beam leaves the others as they were.
-        let (lost, noise) = (rng.random::<f64>() < self.dropout, normal(rng));
+        // Every beam draws the same number of random values whatever it hits, so that a change of
+        // one beam does not change the noise of the others.
+        let lost = rng.random::<f64>() < self.dropout;
+        let noise = normal(rng);
         let Some(hit) = hit else { return Range::NoReturn };
-        let (min_m, max_m) =
-            (f64::from(self.geometry.range_min_m), f64::from(self.geometry.range_max_m));
+        let min_m = f64::from(self.geometry.range_min_m);
+        let max_m = f64::from(self.geometry.range_max_m);
         let facing = Vector3::from(hit.normal).dot(direction).abs();
         let too_dark = hit.reflectance < self.dark_reflectance && hit.distance_m > max_m / 3.0;
         if lost || facing < self.grazing_rad.sin() || too_dark {
@@ -75,7 +78,7 @@ impl LaserModel {
     }
 }
 
-/// Takes one scan from `t_world_laser` into `scan`. All beams are taken at one moment.
+/// Takes one scan from `t_world_laser` into `scan`. All beams are measured at the same instant.
 pub fn scan(
     renderer: &Renderer,
     t_world_laser: &Pose3,
@@ -93,7 +96,7 @@ pub fn scan(
             t_world_laser.rotation * Vector3::new(cos, sin, 0.0)
         })
         .collect();
-    // A little further than the range, so that noise can bring a return into it.
+    // Slightly farther than the maximum range, because noise can bring a return into it.
     let reach_m = f64::from(geometry.range_max_m) + 4.0 * model.noise_far_m;
     let hits: Vec<Option<Hit>> = directions
         .par_iter()
@@ -134,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn a_box_room_gives_the_distances_that_geometry_gives() {
+    fn a_box_room_gives_the_geometric_distances() {
         let scan = take(&hall([8.0, 6.0, 2.6], 0.5), 3.0, 2.0, &LaserModel::IDEAL, 0);
         assert_eq!((scan.time_ns, scan.ranges.len()), (7, 1081));
         for (beam, range) in scan.ranges.iter().enumerate() {
@@ -194,13 +197,7 @@ mod tests {
     fn beams_along_a_wall_and_onto_black_far_away_are_lost() {
         let grazing = LaserModel { grazing_rad: 0.2, ..LaserModel::IDEAL };
         let scan = take(&hall([20.0, 2.0, 2.0], 0.5), 1.0, 1.0, &grazing, 0);
-        let lost = |angle_rad: f64| {
-            let beam = ((angle_rad - 0.4 - scan.geometry.angle_min_rad)
-                / scan.geometry.angle_increment_rad)
-                .round();
-            scan.ranges[beam as usize] == Range::NoReturn
-        };
-        assert!(lost(0.15) && !lost(0.3) && !lost(0.0));
+        assert!(is_lost(0.15, &scan) && !is_lost(0.3, &scan) && !is_lost(0.0, &scan));
         let black = LaserModel { dark_reflectance: 0.05, ..LaserModel::IDEAL };
         let scan = take(&hall([26.0, 4.0, 2.0], 0.01), 13.0, 2.0, &black, 0);
         for (_, range_m) in scan.hits() {
@@ -209,25 +206,39 @@ mod tests {
         assert!(scan.ranges.contains(&Range::NoReturn));
     }
 
+    fn is_lost(angle_rad: f64, scan: &LaserScan) -> bool {
+        let beam = ((angle_rad - 0.4 - scan.geometry.angle_min_rad)
+            / scan.geometry.angle_increment_rad)
+            .round();
+        scan.ranges[beam as usize] == Range::NoReturn
+    }
+
     #[test]
-    fn nearer_than_the_range_and_farther_than_the_range_are_told_apart() {
-        // 5 cm from the wall x = 0; the other end is 60 m away.
+    fn ranges_below_the_minimum_and_above_the_maximum_are_distinguished() {
+        // The scanner is 5 cm from the wall x = 0; the opposite wall is 60 m away.
         let scan = take(&hall([60.0, 8.0, 2.0], 0.5), 0.05, 4.0, &LaserModel::IDEAL, 0);
-        let towards = |angle_rad: f64| {
-            let beam = ((angle_rad - 0.4 - scan.geometry.angle_min_rad)
-                / scan.geometry.angle_increment_rad)
-                .round();
-            scan.ranges[beam as usize]
-        };
-        assert_eq!(towards(0.0), Range::NoReturn);
-        assert_eq!(towards(2.7), Range::TooNear);
-        assert!(towards(1.5).hit_m().is_some());
+        assert_eq!(range_towards(0.0, &scan), Range::NoReturn);
+        assert_eq!(range_towards(2.7, &scan), Range::TooNear);
+        assert!(range_towards(1.5, &scan).hit_m().is_some());
+    }
+
+    fn range_towards(angle_rad: f64, scan: &LaserScan) -> Range {
+        let beam = ((angle_rad - 0.4 - scan.geometry.angle_min_rad)
+            / scan.geometry.angle_increment_rad)
+            .round();
+        scan.ranges[beam as usize]
     }
 
     #[test]
     fn the_same_seed_gives_the_same_scan() {
         let renderer = hall([6.0, 6.0, 2.0], 0.5);
-        let take = |seed| take(&renderer, 2.0, 3.0, &LaserModel::UTM_30LX, seed).ranges;
-        assert!(take(1) == take(1) && take(1) != take(2));
+        assert!(
+            take_ranges(1, &renderer) == take_ranges(1, &renderer)
+                && take_ranges(1, &renderer) != take_ranges(2, &renderer)
+        );
+    }
+
+    fn take_ranges(seed: u64, renderer: &Renderer) -> Vec<Range> {
+        take(renderer, 2.0, 3.0, &LaserModel::UTM_30LX, seed).ranges
     }
 }

@@ -1,6 +1,10 @@
-//! A home to explore, without the home: the hal traits over a textured triangle scene, in virtual time.
+//! This crate simulates a robot in an indoor home: it implements the `hal` camera, lidar, base and
+//! clock traits over a scene of textured triangles. Scenes come from glTF or OBJ files or from
+//! built-in procedural homes. Time is virtual and advances only when the clock sleeps, so the same
+//! seed always produces the same frames, scans and odometry.
 //!
-//! World frame: x and y horizontal, z up, metres; the floor that the robot drives on is at z = 0 after loading.
+//! World frame: x and y horizontal, z up, metres; the floor that the robot drives on is at z = 0
+//! after loading.
 #![forbid(unsafe_code)]
 
 mod builtin;

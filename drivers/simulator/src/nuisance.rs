@@ -1,4 +1,4 @@
-//! What makes real pictures harder than rendered ones, as options.
+//! Optional disturbances that make rendered frames as difficult as real ones.
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -8,25 +8,28 @@ use serde::{Deserialize, Serialize};
 use crate::random::NormalTable;
 use crate::render::{Lighting, SunPatches};
 
-/// How much of each nuisance there is. The default is a steady camera in steady light with a little sensor noise.
+/// Strength of each disturbance. The default is constant exposure and light with a little sensor
+/// noise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Nuisances {
-    /// The exposure wanders by at most this, in stops (1 doubles or halves the light). Default 0, at most 4.
+    /// Maximum exposure drift, in stops (1 doubles or halves the light). Default 0, at most 4.
     pub exposure_drift_stops: f64,
-    /// Time that the slower part of the drift takes, seconds. Default 20, at least 0.1.
+    /// Period of the slower component of the drift, seconds. Default 20, at least 0.1.
     pub exposure_drift_period_s: f64,
-    /// Lamps on mains light up and down by this share. Default 0, at most 1.
+    /// Relative amplitude of the flicker of mains-powered lamps. Default 0, at most 1.
     pub flicker: f64,
-    /// How often they do so, Hz: twice the mains frequency. Default 100. Frame rates alias it to slow waves.
+    /// Flicker frequency, Hz: twice the mains frequency. Default 100. The frame rate aliases it to
+    /// slow waves.
     pub flicker_hz: f64,
-    /// Strength of sun patches on floor and walls, times white. Default 0, at most 4.
+    /// Strength of sun patches on floor and walls, in multiples of white. Default 0, at most 4.
     pub sun_patches: f64,
-    /// Standard deviation of the sensor's noise, in steps of the 8-bit picture. Default 1.5, at most 64.
+    /// Standard deviation of the sensor noise, in steps of the 8-bit image. Default 1.5, at most
+    /// 64.
     pub sensor_noise: f64,
     /// Exposure time for motion blur, seconds. Default 0 (none), at most 1.
     pub shutter_s: f64,
-    /// People who walk about. Default 0, at most 32.
+    /// Number of walking people. Default 0, at most 32.
     pub people: usize,
 }
 
@@ -45,23 +48,20 @@ impl Default for Nuisances {
     }
 }
 
-/// A nuisance outside of what makes sense.
+/// A field of [`Nuisances`] is outside its range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("nuisance `{field}` is {value}, but must be from {least} to {most}")]
 #[non_exhaustive]
 pub struct NuisanceError {
     /// Field of [`Nuisances`].
     pub field: &'static str,
-    /// What it was.
     pub value: f64,
-    /// Smallest value allowed.
     pub least: f64,
-    /// Largest value allowed.
     pub most: f64,
 }
 
 impl Nuisances {
-    /// None at all: the renderer's own pictures.
+    /// No disturbance: the renderer's images are unchanged.
     #[must_use]
     pub fn none() -> Self {
         Self { sensor_noise: 0.0, ..Self::default() }
@@ -70,7 +70,7 @@ impl Nuisances {
     /// Checks every field.
     ///
     /// # Errors
-    /// For the first value that is not a number or outside its range.
+    /// Reports the first value that is not a number or is outside its range.
     pub fn check(&self) -> Result<(), NuisanceError> {
         let ranges = [
             ("exposure_drift_stops", self.exposure_drift_stops, 0.0, 4.0),
@@ -88,19 +88,19 @@ impl Nuisances {
         }
     }
 
-    /// Factor on all light at a time: the camera's drift times the lamps' flicker. The drift is a sum of two sines, starts
-    /// at 1 and stays within `exposure_drift_stops`.
+    /// Light factor at a time: the camera's exposure drift times the lamps' flicker. The drift is a
+    /// sum of two sines, starts at 1 and stays within `exposure_drift_stops`.
     #[must_use]
     pub fn gain(&self, time_ns: u64) -> f64 {
         use std::f64::consts::{SQRT_2, TAU};
         let time_s = time_ns as f64 * 1e-9;
-        let turn = TAU * time_s / self.exposure_drift_period_s;
-        let drift = 0.65 * turn.sin() + 0.35 * (turn * 3.0 * SQRT_2).sin();
+        let phase = TAU * time_s / self.exposure_drift_period_s;
+        let drift = 0.65 * phase.sin() + 0.35 * (phase * 3.0 * SQRT_2).sin();
         let flicker = self.flicker * (TAU * (time_s * self.flicker_hz).fract()).sin();
         (self.exposure_drift_stops * drift).exp2() * (1.0 + flicker)
     }
 
-    /// The scene's light at a time.
+    /// The scene's lighting at a time.
     #[must_use]
     pub fn lighting(&self, time_ns: u64) -> Lighting {
         let sun = (self.sun_patches > 0.0).then_some(SunPatches {
@@ -113,8 +113,9 @@ impl Nuisances {
         Lighting { exposure: neutral.exposure * self.gain(time_ns) as f32, sun, ..neutral }
     }
 
-    /// Adds the sensor's noise to a rendered picture: independent for every byte, normally distributed. One draw from
-    /// `rng` a picture, whatever its size, so the rest of a simulation does not depend on it.
+    /// Adds independent, normally distributed noise to every byte of a rendered image. It takes one
+    /// draw from `rng` per image, whatever the image size, so the rest of a simulation does not
+    /// depend on the resolution.
     pub fn add_sensor_noise(&self, rng: &mut impl Rng, rgb: &mut [u8]) {
         let seed = rng.next_u64();
         if self.sensor_noise <= 0.0 {
@@ -122,12 +123,14 @@ impl Nuisances {
         }
         let table = NormalTable::new();
         let sigma = self.sensor_noise as f32;
-        // Each block of bytes has its own generator: the same bytes on any number of threads.
+        // Each block of bytes has its own generator, so the result does not depend on the number of
+        // threads.
         rgb.par_chunks_mut(NOISE_BLOCK).enumerate().for_each(|(block, bytes)| {
             let mut rng = Pcg64Mcg::seed_from_u64(seed.wrapping_add(block as u64));
             for five in bytes.chunks_mut(5) {
                 for (byte, noise) in five.iter_mut().zip(table.five(&mut rng)) {
-                    // Truncation rounds down what is not negative: `as` saturates below 0 and above 255.
+                    // `as` truncates non-negative values and saturates below 0 and above 255, so
+                    // adding 0.5 rounds.
                     *byte = (f32::from(*byte) + sigma * noise + 0.5) as u8;
                 }
             }
@@ -170,7 +173,7 @@ mod tests {
             let time_ns = i * 1_234_567;
             let period_ns = SECOND_NS / 100;
             assert!((nuisances.gain(time_ns) - nuisances.gain(time_ns + period_ns)).abs() < 1e-9);
-            // Half a period later it is the other way round.
+            // Half a period later the sign is reversed.
             assert!(
                 (nuisances.gain(time_ns) + nuisances.gain(time_ns + period_ns / 2) - 2.0).abs()
                     < 1e-9
@@ -207,16 +210,18 @@ mod tests {
 
     #[test]
     fn the_same_seed_gives_the_same_noise_on_any_number_of_threads() {
-        let noisy = |seed: u64, threads: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let mut rgb = vec![100_u8; 100_000];
-            pool.install(|| {
-                Nuisances::default().add_sensor_noise(&mut Pcg64Mcg::seed_from_u64(seed), &mut rgb)
-            });
-            rgb
-        };
-        let one = noisy(4, 1);
-        assert!(noisy(4, 2) == one && noisy(4, 4) == one && noisy(5, 1) != one);
+        let one = noisy_image(4, 1);
+        assert!(noisy_image(4, 2) == one && noisy_image(4, 4) == one && noisy_image(5, 1) != one);
+    }
+
+    fn noisy_image(seed: u64, threads: usize) -> Vec<u8> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut rgb = vec![100_u8; 100_000];
+        pool.install(|| {
+            let mut rng = Pcg64Mcg::seed_from_u64(seed);
+            Nuisances::default().add_sensor_noise(&mut rng, &mut rgb);
+        });
+        rgb
     }
 
     #[test]

@@ -7,26 +7,29 @@ use rand_pcg::Pcg64Mcg;
 use crate::error::SceneError;
 use crate::random::normal;
 
-/// How wrong the wheels are. Standard deviations; the same model as in Thrun, Burgard and Fox, "Probabilistic Robotics" (2005),
-/// 5.4, but with variances that grow with the way, so that the errors do not depend on how finely a motion is cut.
+/// Wheel odometry error, as standard deviations. The model is that of Thrun, Burgard and Fox,
+/// "Probabilistic Robotics" (2005), 5.4, but with variances that grow with the distance, so that
+/// the errors do not depend on the length of the simulation step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OdometryNoise {
-    /// Of the length of the way: as a factor that is drawn once (wheel radius), and in metres after one metre (slip).
+    /// Error of the distance: as a factor that is drawn once (wheel radius), and in metres after
+    /// one metre (slip).
     pub translation: f64,
-    /// Of turns: as a factor that is drawn once (wheel distance), and in radians after one radian (slip).
+    /// Error of rotations: as a factor that is drawn once (wheel distance), and in radians after
+    /// one radian (slip).
     pub rotation: f64,
-    /// Of the heading after one metre, radians (wheels that are not alike, bumps).
+    /// Error of the heading after one metre, radians (unequal wheels, bumps).
     pub heading_drift_rad: f64,
 }
 
 impl OdometryNoise {
-    /// Odometry that is the truth.
+    /// Odometry without error.
     pub const NONE: Self = Self { translation: 0.0, rotation: 0.0, heading_drift_rad: 0.0 };
 
-    /// Checks every number.
+    /// Checks the range of every field.
     ///
     /// # Errors
-    /// For the first that is not a number from 0 to 1.
+    /// Reports the first field that is not a number from 0 to 1.
     pub fn check(&self) -> Result<(), SceneError> {
         let fields = [
             ("odometry translation noise", self.translation),
@@ -45,13 +48,14 @@ impl OdometryNoise {
 }
 
 impl Default for OdometryNoise {
-    /// A well-calibrated indoor base: half a percent of the way and of turns, 0.2 degrees a metre.
+    /// A well-calibrated indoor base: 0.5 percent of distances and of rotations, 0.2 degrees per
+    /// metre.
     fn default() -> Self {
         Self { translation: 0.005, rotation: 0.005, heading_drift_rad: 0.0035 }
     }
 }
 
-/// Adds up what the wheels measure. Starts at the identity.
+/// Integrates the motion that the wheels measure. It starts at the identity.
 #[derive(Debug, Clone)]
 pub struct Odometer {
     noise: OdometryNoise,
@@ -62,7 +66,7 @@ pub struct Odometer {
 }
 
 impl Odometer {
-    /// The same seed makes the same errors.
+    /// Creates an odometer at the identity. The same seed gives the same errors.
     #[must_use]
     pub fn new(noise: OdometryNoise, seed: u64) -> Self {
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
@@ -71,24 +75,24 @@ impl Odometer {
         Self { noise, rng, translation_factor, rotation_factor, t_odom_base: Pose2::IDENTITY }
     }
 
-    /// Takes in a small true motion of the base, in its own frame.
+    /// Adds a small true motion of the base, given in the base frame before the motion.
     pub fn advance(&mut self, t_before_after: &Pose2) {
         let length = t_before_after.x_m.hypot(t_before_after.y_m);
-        let turn = t_before_after.yaw_rad;
+        let rotation = t_before_after.yaw_rad;
         let [slip, skid, drift] = [(); 3].map(|()| normal(&mut self.rng));
         let stretch = if length > 0.0 {
             self.translation_factor + self.noise.translation * slip / length.sqrt()
         } else {
             0.0
         };
-        let yaw = turn * self.rotation_factor
-            + self.noise.rotation * skid * turn.abs().sqrt()
+        let yaw = rotation * self.rotation_factor
+            + self.noise.rotation * skid * rotation.abs().sqrt()
             + self.noise.heading_drift_rad * drift * length.sqrt();
         let measured = Pose2::new(t_before_after.x_m * stretch, t_before_after.y_m * stretch, yaw);
         self.t_odom_base = self.t_odom_base.compose(&measured);
     }
 
-    /// `t_odom_base` by the wheels.
+    /// Measured pose `t_odom_base`.
     #[must_use]
     pub fn pose(&self) -> Pose2 {
         self.t_odom_base
@@ -119,22 +123,24 @@ mod tests {
     }
 
     #[test]
-    fn errors_have_the_stated_size_however_finely_a_motion_is_cut() {
+    fn errors_have_the_stated_size_for_any_step_length() {
         let noise = OdometryNoise { translation: 0.02, rotation: 0.0, heading_drift_rad: 0.01 };
         for cuts in [20, 500] {
             let step = Pose2::new(4.0 / cuts as f64, 0.0, 0.0);
             let ends: Vec<Pose2> = (0..400).map(|seed| drive(noise, seed, cuts, &step)).collect();
-            let spread = |error: &dyn Fn(&Pose2) -> f64| {
-                (ends.iter().map(|end| error(end).powi(2)).sum::<f64>() / ends.len() as f64).sqrt()
-            };
-            // 4 m: the factor's 0.02 * 4, and the slip's 0.02 * sqrt(4), in quadrature; the heading's 0.01 * sqrt(4).
-            assert!((spread(&|end| end.x_m - 4.0) / 0.0894 - 1.0).abs() < 0.12);
-            assert!((spread(&|end| end.yaw_rad) / 0.02 - 1.0).abs() < 0.12);
+            // After 4 m: the factor's 0.02 * 4 and the slip's 0.02 * sqrt(4), in quadrature; the
+            // heading's 0.01 * sqrt(4).
+            assert!((rms(&|end| end.x_m - 4.0, &ends) / 0.0894 - 1.0).abs() < 0.12);
+            assert!((rms(&|end| end.yaw_rad, &ends) / 0.02 - 1.0).abs() < 0.12);
         }
     }
 
+    fn rms(error: &dyn Fn(&Pose2) -> f64, ends: &[Pose2]) -> f64 {
+        (ends.iter().map(|end| error(end).powi(2)).sum::<f64>() / ends.len() as f64).sqrt()
+    }
+
     #[test]
-    fn standing_still_is_never_a_motion() {
+    fn standing_still_is_never_measured_as_motion() {
         assert_eq!(drive(OdometryNoise::default(), 3, 1000, &Pose2::IDENTITY), Pose2::IDENTITY);
     }
 

@@ -1,4 +1,5 @@
-//! People who walk about: simple bodies on known paths, seen by the camera and by the laser.
+//! Walking people: simple bodies that follow known paths and are seen by the camera and the laser
+//! scanner.
 
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
@@ -9,13 +10,12 @@ use rand_pcg::Pcg64Mcg;
 pub struct Person {
     /// Where the body's axis meets the floor (z = 0), world frame, metres.
     pub position_m: [f64; 2],
-    /// Where the person faces, radians.
+    /// Heading of the person, radians.
     pub yaw_rad: f64,
-    /// Phase of the step, radians; 0 is feet together.
+    /// Phase of the gait, radians; 0 means feet together.
     pub stride_rad: f64,
     /// From sole to crown, metres.
     pub height_m: f64,
-    /// Linear-light colours.
     pub clothes: Clothes,
 }
 
@@ -24,13 +24,11 @@ pub struct Person {
 pub struct Clothes {
     /// Torso and arms.
     pub shirt: [f32; 3],
-    /// Legs.
     pub trousers: [f32; 3],
-    /// Head.
     pub skin: [f32; 3],
 }
 
-/// A rounded cylinder: every point nearer to the segment from `from` to `to` than `radius_m`.
+/// A capsule: every point nearer to the segment from `from` to `to` than `radius_m`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Capsule {
     pub from: Vector3<f64>,
@@ -40,7 +38,7 @@ pub(crate) struct Capsule {
 }
 
 impl Person {
-    /// A grown-up of 1.75 m who stands with feet together, facing along x.
+    /// An adult of 1.75 m who stands with feet together and faces along x.
     #[must_use]
     pub fn standing(x_m: f64, y_m: f64) -> Self {
         let clothes = Clothes {
@@ -51,59 +49,80 @@ impl Person {
         Self { position_m: [x_m, y_m], yaw_rad: 0.0, stride_rad: 0.0, height_m: 1.75, clothes }
     }
 
-    /// Legs, torso, arms and head. Proportions of a grown-up, scaled by height.
+    /// The capsules of legs, torso, arms and head, with adult proportions scaled by height.
     pub(crate) fn body(&self) -> [Capsule; 6] {
-        let scale = self.height_m / 1.75;
-        let (sin, cos) = self.yaw_rad.sin_cos();
-        let [x, y] = self.position_m;
-        // forward, left, up in metres of a 1.75 m person.
-        let at = |forward: f64, left: f64, up: f64| {
-            let (forward, left) = (forward * scale, left * scale);
-            Vector3::new(x + forward * cos - left * sin, y + forward * sin + left * cos, up * scale)
-        };
+        let frame = BodyFrame::new(self);
         let swing = self.stride_rad.sin();
-        let part = |from, to, radius_m: f64, color| Capsule {
-            from,
-            to,
-            radius_m: radius_m * scale,
-            color,
-        };
         let Clothes { shirt, trousers, skin } = self.clothes;
-        let leg = |side: f64| {
-            part(
-                at(0.3 * side * swing, 0.1 * side, 0.07),
-                at(0.0, 0.1 * side, 0.86),
-                0.07,
-                trousers,
-            )
-        };
-        let arm = |side: f64| {
-            part(
-                at(-0.2 * side * swing, 0.27 * side, 0.85),
-                at(0.0, 0.22 * side, 1.38),
-                0.045,
-                shirt,
-            )
-        };
+        let torso = [frame.at(0.0, 0.0, 0.98), frame.at(0.0, 0.0, 1.3)];
+        let head = [frame.at(0.0, 0.0, 1.62), frame.at(0.0, 0.0, 1.64)];
         [
-            leg(1.0),
-            leg(-1.0),
-            part(at(0.0, 0.0, 0.98), at(0.0, 0.0, 1.3), 0.18, shirt),
-            arm(1.0),
-            arm(-1.0),
-            part(at(0.0, 0.0, 1.62), at(0.0, 0.0, 1.64), 0.11, skin),
+            frame.leg(1.0, swing, trousers),
+            frame.leg(-1.0, swing, trousers),
+            frame.part(torso, 0.18, shirt),
+            frame.arm(1.0, swing, shirt),
+            frame.arm(-1.0, swing, shirt),
+            frame.part(head, 0.11, skin),
         ]
     }
 }
 
+/// Position, heading and scale of a body. Its methods take metres of a 1.75 m person.
+struct BodyFrame {
+    position_m: [f64; 2],
+    sin: f64,
+    cos: f64,
+    scale: f64,
+}
+
+impl BodyFrame {
+    fn new(person: &Person) -> Self {
+        let scale = person.height_m / 1.75;
+        let (sin, cos) = person.yaw_rad.sin_cos();
+        Self { position_m: person.position_m, sin, cos, scale }
+    }
+
+    fn at(&self, forward: f64, left: f64, up: f64) -> Vector3<f64> {
+        let [x, y] = self.position_m;
+        let forward = forward * self.scale;
+        let left = left * self.scale;
+        Vector3::new(
+            x + forward * self.cos - left * self.sin,
+            y + forward * self.sin + left * self.cos,
+            up * self.scale,
+        )
+    }
+
+    fn part(&self, [from, to]: [Vector3<f64>; 2], radius_m: f64, color: [f32; 3]) -> Capsule {
+        Capsule { from, to, radius_m: radius_m * self.scale, color }
+    }
+
+    /// A leg; `side` is 1 for left and -1 for right, `swing` the sine of the gait phase.
+    fn leg(&self, side: f64, swing: f64, color: [f32; 3]) -> Capsule {
+        let foot = self.at(0.3 * side * swing, 0.1 * side, 0.07);
+        let hip = self.at(0.0, 0.1 * side, 0.86);
+        self.part([foot, hip], 0.07, color)
+    }
+
+    /// An arm, which swings against the leg of its side.
+    fn arm(&self, side: f64, swing: f64, color: [f32; 3]) -> Capsule {
+        let hand = self.at(-0.2 * side * swing, 0.27 * side, 0.85);
+        let shoulder = self.at(0.0, 0.22 * side, 1.38);
+        self.part([hand, shoulder], 0.045, color)
+    }
+}
+
 impl Capsule {
-    /// Distance, in lengths of `direction`, at which a ray enters. `None` for a ray that misses or starts inside.
+    /// Distance at which a ray enters the capsule, in lengths of `direction`. `None` for a ray that
+    /// misses it or starts inside.
     pub fn entry(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
         let axis = self.to - self.from;
         let start = origin - self.from;
-        let (length_2, axis_direction, axis_start) =
-            (axis.dot(&axis), axis.dot(direction), axis.dot(&start));
-        // The infinite cylinder: quadratic in the part of the ray across the axis.
+        let length_2 = axis.dot(&axis);
+        let axis_direction = axis.dot(direction);
+        let axis_start = axis.dot(&start);
+        // The infinite cylinder gives a quadratic equation in the ray's component perpendicular to
+        // the axis.
         let a = length_2 * direction.norm_squared() - axis_direction * axis_direction;
         let b = length_2 * direction.dot(&start) - axis_start * axis_direction;
         let c = length_2 * (start.norm_squared() - self.radius_m * self.radius_m)
@@ -132,9 +151,11 @@ impl Capsule {
     }
 }
 
-/// `start`: the ray's origin as seen from the sphere's centre.
+/// Distance at which a ray enters a sphere; `start` is the ray's origin relative to the sphere's
+/// centre.
 fn sphere_entry(start: &Vector3<f64>, direction: &Vector3<f64>, radius: f64) -> Option<f64> {
-    let (a, b) = (direction.norm_squared(), direction.dot(start));
+    let a = direction.norm_squared();
+    let b = direction.dot(start);
     let discriminant = b * b - a * (start.norm_squared() - radius * radius);
     if discriminant < 0.0 {
         return None;
@@ -143,11 +164,11 @@ fn sphere_entry(start: &Vector3<f64>, direction: &Vector3<f64>, radius: f64) -> 
     (t >= 0.0).then_some(t)
 }
 
-/// Someone who walks along a line of waypoints and back, for ever.
+/// A person who walks back and forth along a line of waypoints without stopping.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Walker {
     waypoints_m: Vec<[f64; 2]>,
-    /// Length of the way up to each waypoint, metres.
+    /// Path length up to each waypoint, metres.
     reached_m: Vec<f64>,
     speed_mps: f64,
     start_m: f64,
@@ -155,12 +176,13 @@ pub struct Walker {
     clothes: Clothes,
 }
 
-/// Length of a whole step cycle (two steps) of a walking grown-up, metres.
+/// Length of a full gait cycle (two steps) of a walking adult, metres.
 const STRIDE_M: f64 = 1.4;
 
 impl Walker {
-    /// Somebody on this path, metres, at this speed, m/s. The seed chooses clothes, height and where the walk begins.
-    /// `None` without waypoints, or when a number is not finite or the speed negative.
+    /// Creates a walker on a path of waypoints (metres) at a constant speed (m/s). The seed selects
+    /// clothes, height and the start point on the path. Returns `None` without waypoints, when a
+    /// number is not finite or when the speed is negative.
     #[must_use]
     pub fn new(waypoints_m: Vec<[f64; 2]>, speed_mps: f64, seed: u64) -> Option<Self> {
         let sound = waypoints_m.iter().flatten().all(|c| c.is_finite())
@@ -183,12 +205,12 @@ impl Walker {
         Some(Self { waypoints_m, reached_m, speed_mps, start_m, height_m, clothes })
     }
 
-    /// Where and how this person is at a time.
+    /// Position and posture at a time.
     #[must_use]
     pub fn at(&self, time_ns: u64) -> Person {
         let length = self.reached_m[self.reached_m.len() - 1];
         let walked = self.start_m + self.speed_mps * time_ns as f64 * 1e-9;
-        // There and back again: a triangle wave.
+        // Walking back and forth is a triangle wave of the path length.
         let lap = if length > 0.0 { walked.rem_euclid(2.0 * length) } else { 0.0 };
         let (along, backwards) =
             if lap <= length { (lap, false) } else { (2.0 * length - lap, true) };
@@ -224,9 +246,10 @@ mod tests {
     }
 
     #[test]
-    fn a_walker_keeps_to_the_line_and_to_the_speed() {
+    fn a_walker_stays_on_its_path_and_keeps_its_speed() {
         let walker = corridor(1.2, 7);
-        let (mut before, mut turns) = (walker.at(0), 0);
+        let mut before = walker.at(0);
+        let mut slow_steps = 0;
         for step in 1..2000 {
             let now = walker.at(step * SECOND_NS / 50);
             let [x, y] = now.position_m;
@@ -235,19 +258,20 @@ mod tests {
             assert!(on_line, "({x}, {y})");
             let moved = (x - before.position_m[0]).hypot(y - before.position_m[1]);
             assert!(moved <= 1.2 / 50.0 + 1e-9);
-            turns += usize::from(moved < 1.2 / 50.0 - 1e-6);
+            slow_steps += usize::from(moved < 1.2 / 50.0 - 1e-6);
             before = now;
         }
-        // 48 m on a line of 7 m with one corner: it turns or rounds the corner about 13 times.
-        assert!((8..=16).contains(&turns), "{turns}");
+        // 48 m on a line of 7 m with one corner: the walker reverses or rounds the corner about 13
+        // times.
+        assert!((8..=16).contains(&slow_steps), "{slow_steps}");
     }
 
     #[test]
-    fn a_walker_looks_where_it_goes() {
+    fn a_walker_faces_its_direction_of_motion() {
         let walker = corridor(1.0, 1);
         for step in 0..700 {
-            let (now, next) =
-                (walker.at(step * SECOND_NS / 10), walker.at(step * SECOND_NS / 10 + 1_000_000));
+            let now = walker.at(step * SECOND_NS / 10);
+            let next = walker.at(step * SECOND_NS / 10 + 1_000_000);
             let going =
                 [next.position_m[0] - now.position_m[0], next.position_m[1] - now.position_m[1]];
             let ahead = going[0] * now.yaw_rad.cos() + going[1] * now.yaw_rad.sin();
@@ -256,14 +280,15 @@ mod tests {
     }
 
     #[test]
-    fn the_seed_chooses_clothes_and_start_and_nothing_else_does() {
+    fn the_seed_alone_selects_clothes_and_start_point() {
         assert_eq!(corridor(1.0, 3).at(5 * SECOND_NS), corridor(1.0, 3).at(5 * SECOND_NS));
-        let (a, b) = (corridor(1.0, 3).at(0), corridor(1.0, 4).at(0));
+        let a = corridor(1.0, 3).at(0);
+        let b = corridor(1.0, 4).at(0);
         assert!(a.clothes != b.clothes && a.position_m != b.position_m);
     }
 
     #[test]
-    fn one_waypoint_is_a_place_to_stand_and_none_is_refused() {
+    fn one_waypoint_makes_a_standing_person_and_no_waypoint_is_refused() {
         let still = Walker::new(vec![[1.0, 2.0]], 1.0, 0).unwrap();
         assert_eq!(still.at(9 * SECOND_NS).position_m, [1.0, 2.0]);
         assert!(Walker::new(vec![], 1.0, 0).is_none());
@@ -282,7 +307,7 @@ mod tests {
         let entry =
             |origin: [f64; 3], direction: [f64; 3]| part.entry(&origin.into(), &direction.into());
         assert!((entry([-3.0, 0.0, 1.5], [1.0, 0.0, 0.0]).unwrap() - 2.5).abs() < 1e-12);
-        // Down its axis, and beside it.
+        // Along the axis, and parallel to it.
         assert!((entry([0.0, 0.0, 5.0], [0.0, 0.0, -1.0]).unwrap() - 2.5).abs() < 1e-12);
         assert!((entry([0.3, 0.0, 5.0], [0.0, 0.0, -1.0]).unwrap() - 2.6).abs() < 1e-12);
         assert_eq!(entry([0.6, 0.0, 5.0], [0.0, 0.0, -1.0]), None);
@@ -290,7 +315,7 @@ mod tests {
         assert_eq!(
             entry([0.1, 0.0, 1.5], [1.0, 0.0, 0.0]),
             None,
-            "from inside there is nothing to enter"
+            "a ray that starts inside does not enter"
         );
     }
 
@@ -301,7 +326,8 @@ mod tests {
             from in prop::array::uniform3(-0.5..0.5_f64), to in prop::array::uniform3(-0.5..0.5_f64),
         ) {
             let part = Capsule { from: from.into(), to: to.into(), radius_m: 0.3, color: [0.0; 3] };
-            let (origin, target): (Vector3<f64>, Vector3<f64>) = (origin.into(), target.into());
+            let origin: Vector3<f64> = origin.into();
+            let target: Vector3<f64> = target.into();
             let distance = |point: &Vector3<f64>| part.normal(point).norm() * part.radius_m;
             prop_assume!(distance(&origin) > 0.31);
             let direction = target - origin;

@@ -1,23 +1,23 @@
-//! Random numbers with a distribution.
+//! Normally distributed random numbers.
 
 use rand::{Rng, RngExt};
 
-/// A standard normal number (Box and Muller, 1958).
+/// Draws a standard normal number (Box and Muller, 1958).
 pub(crate) fn normal(rng: &mut impl Rng) -> f64 {
-    // 1 - [0, 1) is never 0, whose logarithm is infinite.
+    // 1 - [0, 1) is never 0. The logarithm of 0 would be infinite.
     let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
     radius * (std::f64::consts::TAU * rng.random::<f64>()).cos()
 }
 
-/// Standard normal numbers by the hundred thousand: drawn with replacement from 4096 of them, which sum to 0 and whose
-/// squares sum to 4096.
+/// A fast source of many standard normal numbers. They are drawn with replacement from a table of
+/// 4096 numbers whose sum is 0 and whose squares sum to 4096.
 #[derive(Debug)]
 pub(crate) struct NormalTable(Vec<f32>);
 
 impl NormalTable {
     const BITS: usize = 12;
 
-    /// A fixed table: it does not depend on any seed.
+    /// Builds the table, which is fixed and does not depend on any seed.
     pub fn new() -> Self {
         use rand::SeedableRng;
         let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(0);
@@ -26,7 +26,7 @@ impl NormalTable {
         Self(half.iter().flat_map(|x| [(x * scale) as f32, (-x * scale) as f32]).collect())
     }
 
-    /// Five numbers from one draw.
+    /// Takes five numbers from one 64-bit draw.
     #[inline]
     pub fn five(&self, rng: &mut impl Rng) -> [f32; 5] {
         let bits = rng.next_u64() >> 4;

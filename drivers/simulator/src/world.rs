@@ -1,4 +1,5 @@
-//! A scene that is ready for a robot: floor at z = 0, free space known, renderer built.
+//! A scene prepared for a robot: its floor is at z = 0, its free space is known and its renderer is
+//! built.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -9,16 +10,16 @@ use crate::load::{LoadOptions, UpAxis, load};
 use crate::render::{AmbientOptions, Renderer, bake_ambient};
 use crate::scene::Scene;
 
-/// How to open a scene.
+/// Options for opening a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct OpenOptions {
-    /// Axes and units of a file. Built-in homes need none.
+    /// Axes and units of a scene file. Built-in homes ignore them.
     pub load: LoadOptions,
-    /// The robot that free space is for.
+    /// Robot size for which free space is computed.
     pub footprint: Footprint,
 }
 
-/// A world for one robot. Immutable; share it between robots.
+/// A scene with its free space and renderer. It is immutable and can be shared between robots.
 #[derive(Debug, Clone)]
 pub struct World {
     name: String,
@@ -27,25 +28,25 @@ pub struct World {
     origin: Origin,
 }
 
-/// What was done to a file's numbers to make the world.
+/// How the coordinates of a file were changed when it was opened.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Origin {
-    /// The axis that was taken as up; `None` for a built-in home.
+    /// Axis of the file that was taken as up; `None` for a built-in home.
     pub up_axis: Option<UpAxis>,
-    /// Height of the floor in the file, after axes and scale, metres.
+    /// Height of the floor in the file, after axis conversion and scaling, metres.
     pub floor_m: f64,
-    /// Triangles that were left out because a corner is NaN or infinite.
+    /// Triangles that were dropped because a corner is NaN or infinite.
     pub dropped_triangles: usize,
-    /// Triangles of the world.
     pub triangles: usize,
 }
 
 impl World {
-    /// Opens `builtin:apartment`, `builtin:house` or `builtin:office`, with any of `?seed=K&texture=0.35&moved=1`, or a
-    /// .glb, .gltf or .obj file.
+    /// Opens `builtin:apartment`, `builtin:house` or `builtin:office`, optionally with
+    /// `?seed=K&texture=0.35&moved=1` (any subset of these keys), or a .glb, .gltf or .obj file.
     ///
     /// # Errors
-    /// When there is no such scene, it is damaged or not supported, or there is no floor in it with room for the robot.
+    /// Returns an error if the scene does not exist, is damaged or not supported, or has no floor
+    /// with enough free space for the robot.
     pub fn open(spec: &str, options: &OpenOptions) -> Result<Self, SceneError> {
         check_footprint(&options.footprint)?;
         if let Some(home) = spec.strip_prefix("builtin:") {
@@ -64,10 +65,12 @@ impl World {
         Self::new(spec, loaded.scene, floor_m, origin, &options.footprint)
     }
 
-    /// A world of a scene from elsewhere, z up, metres, with its floor at the height where most room is.
+    /// Builds a world from a scene in memory (z up, metres). The floor is set to the height with
+    /// the most free space.
     ///
     /// # Errors
-    /// When it has no triangles or no floor with room for the robot.
+    /// Returns an error if the scene has no triangles or no floor with enough free space for the
+    /// robot.
     pub fn from_scene(name: &str, scene: Scene, footprint: &Footprint) -> Result<Self, SceneError> {
         check_footprint(footprint)?;
         if scene.triangles.is_empty() {
@@ -94,25 +97,25 @@ impl World {
         Ok(Self { name: name.into(), renderer, floor_plan: Arc::new(floor_plan), origin })
     }
 
-    /// The scene as it was asked for.
+    /// The scene specification that was passed to [`World::open`].
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// What takes pictures and distances.
+    /// Renders images and casts rays.
     #[must_use]
     pub fn renderer(&self) -> &Renderer {
         &self.renderer
     }
 
-    /// Where a robot can be.
+    /// The free space of the floor.
     #[must_use]
     pub fn floor_plan(&self) -> &Arc<FloorPlan> {
         &self.floor_plan
     }
 
-    /// What was done to a file's numbers.
+    /// How the coordinates of the file were changed when it was opened.
     #[must_use]
     pub fn origin(&self) -> &Origin {
         &self.origin
@@ -139,9 +142,11 @@ fn check_footprint(footprint: &Footprint) -> Result<(), SceneError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::load::tests::shared_scenes;
+    use crate::load::hand_made;
+    use crate::load::tests::{png, shared_scenes};
 
-    /// A room of 4 by 3 m, floor at `z`, as OBJ text with z up; `keep` chooses its six faces.
+    /// A room of 4 by 3 m with its floor at z = 1, as OBJ text with z up. `keep` selects which of
+    /// the six faces are written.
     fn room_obj(keep: [bool; 6]) -> String {
         let corners = [
             (0, 0, 1),
@@ -176,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_moved_until_its_floor_is_at_height_zero() {
+    fn a_file_is_shifted_so_that_its_floor_is_at_height_zero() {
         let world = open(&room_obj([true; 6]), &z_up(1.0)).unwrap();
         assert!((world.origin().floor_m - 1.0).abs() < 1e-6);
         let down = world.renderer().cast([2.0, 1.5, 0.8], [0.0, 0.0, -1.0], 5.0, &[]).unwrap();
@@ -185,13 +190,13 @@ mod tests {
     }
 
     #[test]
-    fn the_scale_makes_metres() {
+    fn the_scale_converts_file_units_to_metres() {
         let doubled = open(&room_obj([true; 6]), &z_up(2.0)).unwrap();
         assert!((doubled.floor_plan().reachable_floor_m2() - 48.0).abs() < 1.5);
     }
 
     #[test]
-    fn a_scene_without_floor_says_what_to_check() {
+    fn a_scene_without_a_floor_is_refused_with_a_hint_to_check_axis_and_scale() {
         let walls = open(&room_obj([false, false, true, true, true, true]), &z_up(1.0))
             .unwrap_err()
             .to_string();
@@ -214,16 +219,37 @@ mod tests {
     }
 
     #[test]
-    fn a_built_in_home_is_a_world() {
+    fn a_built_in_home_opens_with_its_floor_at_zero() {
         let world = World::open("builtin:apartment?seed=2", &OpenOptions::default()).unwrap();
         assert_eq!((world.origin().up_axis, world.origin().floor_m), (None, 0.0));
         assert!(world.floor_plan().reachable_floor_m2() > 20.0);
     }
 
     #[test]
-    fn hand_made_worlds_have_the_floor_that_they_should_have() {
+    fn a_hand_made_home_has_the_floor_and_the_free_area_that_it_was_built_with() {
+        let dir = hand_made::folder(&png());
+        for name in ["home.glb", "home.obj"] {
+            let path = dir.path().join(name);
+            let world = World::open(&path.to_string_lossy(), &OpenOptions::default()).unwrap();
+            assert!((world.origin().floor_m - hand_made::FLOOR_M).abs() < 1e-6, "{name}");
+            let plan = world.floor_plan();
+            let area_m2 = plan.reachable_floor_m2();
+            assert!((0.95..1.02).contains(&(area_m2 / hand_made::FREE_M2)), "{name}: {area_m2} m2");
+            // The door connects the rooms, and the table blocks.
+            assert!(hand_made::ROOMS_M.iter().all(|[x, y]| plan.is_reachable(*x, *y)), "{name}");
+            assert!(plan.is_blocked(2.0, 2.0) && !plan.is_reachable(2.5, 2.0), "{name}");
+            let start = plan.start_pose(1);
+            assert!(plan.fits(start.x_m, start.y_m, &[]), "{name}");
+            assert!(plan.clearance_m(start.x_m, start.y_m) > 0.3, "{name}");
+        }
+    }
+
+    #[test]
+    #[ignore = "needs the shared scenes; set EMBODIED_DEPTH_DATA"]
+    fn shared_scenes_have_the_listed_drivable_area() {
         let Some(scenes) = shared_scenes() else { return };
-        // Drivable area by the scenes' list; the floor that the base covers on its way is a little more.
+        // Drivable area by the scenes' list. The floor area that the base covers while driving is
+        // slightly larger.
         let listed = [
             ("aws_small_house", 138.0),
             ("office_small", 59.0),
@@ -235,7 +261,7 @@ mod tests {
         for (name, area_m2) in listed {
             let path = scenes.join(format!("{name}.glb"));
             let scene = load(&path, &LoadOptions::default()).unwrap().scene;
-            // Without baked light and pictures, which take most of the time and change nothing here.
+            // Baked light and textures take most of the time and do not affect this test.
             let world =
                 World::from_scene(name, Scene { textures: vec![], ..scene }, &Footprint::default())
                     .unwrap();

@@ -4,7 +4,8 @@ use segment_store::source::{Remote, Source};
 use segment_store::wire::{Reply, Request};
 use segment_store::{Computer, Root};
 
-/// Arbitrary bytes as both sides of `pull-buffer` may get them: to a served buffer, and to a workstation that pulls.
+/// Arbitrary bytes as input of both sides of `pull-buffer`: a robot that serves its buffer, and a
+/// workstation that pulls.
 pub fn buffer_wire(bytes: &[u8]) {
     if let Some((kind, body)) = bytes.split_first() {
         if let Ok(request) = Request::decode(*kind, body) {
@@ -17,7 +18,7 @@ pub fn buffer_wire(bytes: &[u8]) {
             assert_eq!(reply.encode(&mut again), *kind);
         }
     }
-    // An empty directory that is there on every Linux and takes no files.
+    // A directory that exists on every Linux and does not accept files.
     if let Ok(root) = Root::open("/proc/self/task".as_ref()) {
         let mut answer = Vec::new();
         let _ = segment_store::serve(

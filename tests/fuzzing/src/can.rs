@@ -33,13 +33,14 @@ fn motors() -> [Box<dyn MotorProtocol>; 3] {
     ]
 }
 
-/// Arbitrary records from a CAN bus into every motor protocol and our own messages. The input is 16-byte records of
-/// `struct can_frame`; each is a frame and a turn of the loop.
+/// Arbitrary records from a CAN bus as input of every motor protocol and of our own messages. The
+/// input consists of 16-byte records of `struct can_frame`; each record is one frame and one tick
+/// of the loop.
 pub fn can(bytes: &[u8]) {
     let mut motors = motors();
     let mut out = Outbox::new();
-    for (turn, record) in bytes.chunks(16).take(512).enumerate() {
-        let now_ns = turn as u64 * 10_000_000;
+    for (tick, record) in bytes.chunks(16).take(512).enumerate() {
+        let now_ns = tick as u64 * 10_000_000;
         let Some(BusEvent::Frame(frame)) = decode(record) else { continue };
         assert_eq!(decode(&encode(&frame)), Some(BusEvent::Frame(frame)));
         let _ =
@@ -48,7 +49,7 @@ pub fn can(bytes: &[u8]) {
             motor.receive(&frame, now_ns);
             let status = motor.status();
             assert!(status.velocity_radps.is_finite() && status.position_rad.is_finite());
-            // Ready or better means that the watchdog was read back, whatever came.
+            // Ready or Enabled means that the watchdog was read back, for any input.
             if matches!(status.stage, MotorStage::Ready | MotorStage::Enabled) {
                 assert!(status.watchdog_ms.is_some_and(|ms| ms <= 100.0));
             }

@@ -1,14 +1,14 @@
-//! What must hold of everything that reads bytes from outside, for any bytes: a function for each, which ends the program when it
-//! does not hold.
+//! Properties that every reader of external data must satisfy for arbitrary bytes. Each target is a
+//! function that panics when its property does not hold.
 //!
-//! The fuzzer drives them (`cargo xtask fuzz`), and an ordinary test runs them over the inputs in `corpus/`, which are those that
-//! fuzzing found to reach different code. A new target is a function here, a line in [`TARGETS`], its three lines in `fuzz_targets/`
-//! and its name in `Cargo.toml`.
+//! The fuzzer runs the targets (`cargo xtask fuzz`), and an ordinary test runs them over the inputs
+//! in `corpus/`, which the fuzzer found to reach different code. A new target is a function here, a
+//! line in [`TARGETS`], its three lines in `fuzz_targets/` and its name in `Cargo.toml`.
 #![forbid(unsafe_code)]
 #![allow(
     clippy::expect_used,
     clippy::indexing_slicing,
-    reason = "to end the program is how a check says no"
+    reason = "a check reports a violated property by a panic"
 )]
 
 mod buffer_wire;
@@ -25,18 +25,19 @@ pub use buffer_wire::buffer_wire;
 pub use bundle::bundle;
 pub use can::can;
 pub use config::config;
-/// Any order of events at a camera: the driver keeps to the queue's rules, and hands out no stale picture.
-pub use hil::video::torture as v4l2_queue;
+/// Arbitrary sequences of camera events: the driver follows the queue's rules and returns no stale
+/// frame.
+pub use hil::video::check_events as v4l2_queue;
 pub use onnx_file::onnx_file;
 pub use recording::recording;
 pub use scip::scip;
 pub use segment::segment;
 pub use snapshot::snapshot;
 
-/// A check for any bytes.
+/// A property check for arbitrary bytes.
 pub type Check = fn(&[u8]);
 
-/// Every check by the name of its target and of its corpus.
+/// All checks, by the name of their target and corpus.
 pub const TARGETS: [(&str, Check); 10] = [
     ("buffer_wire", buffer_wire),
     ("bundle", bundle),

@@ -4,7 +4,7 @@ use std::io::Cursor;
 use mcap::records::MessageHeader;
 use runtime::recording::RecordingReader;
 
-/// The channels that a replay reads, and one that it does not know.
+/// The channels that a replay reads, and one unknown channel.
 const TOPICS: [&str; 8] = [
     "/robot/header",
     "/robot/tick",
@@ -16,10 +16,12 @@ const TOPICS: [&str; 8] = [
     "/map",
 ];
 
-/// Arbitrary bytes as a recording, and as the messages of one: turns that come out are in order and can be taken.
+/// Arbitrary bytes as a recording, and as the messages of a recording. Ticks are returned in order
+/// and can be converted to inputs.
 ///
-/// Checksums keep a fuzzer out of an MCAP file, so here they are right: the input is messages, each a byte for its channel, two for
-/// its length (little-endian) and its bytes.
+/// Checksums would keep a fuzzer from reaching the contents of an MCAP file, so this function
+/// writes correct ones. The input consists of messages: one byte for the channel, two for the
+/// length (little-endian), and the data.
 pub fn recording(bytes: &[u8]) {
     read(bytes);
     read(&with_checksums(bytes));
@@ -39,7 +41,7 @@ fn with_checksums(mut bytes: &[u8]) -> Vec<u8> {
     let mut writer = mcap::WriteOptions::new()
         .compression(None)
         .create(Cursor::new(Vec::new()))
-        .expect("memory takes everything");
+        .expect("writing to memory succeeds");
     let channels =
         TOPICS.map(|topic| writer.add_channel(0, topic, "", &BTreeMap::new()).expect("a channel"));
     while let Some((&[channel, low, high], rest)) = bytes.split_first_chunk() {
@@ -47,9 +49,9 @@ fn with_checksums(mut bytes: &[u8]) -> Vec<u8> {
             rest.split_at(usize::from(u16::from_le_bytes([low, high])).min(rest.len()));
         let channel_id = channels[usize::from(channel) % channels.len()];
         let header = MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 };
-        writer.write_to_known_channel(&header, data).expect("memory takes everything");
+        writer.write_to_known_channel(&header, data).expect("writing to memory succeeds");
         bytes = rest;
     }
-    writer.finish().expect("memory takes everything");
+    writer.finish().expect("writing to memory succeeds");
     writer.into_inner().into_inner()
 }

@@ -17,19 +17,23 @@ const COMMANDS: [Command; 10] = [
     Command::TimeEnd,
 ];
 
-/// What a scanner may send to the SCIP codec. Three bytes choose the request and how the rest arrives; the rest is what is sent.
+/// Arbitrary bytes from a scanner as input of the SCIP codec. Three bytes select the request and
+/// how the remaining bytes are divided; the rest is the scanner's data.
 pub fn scip(data: &[u8]) {
-    let Some((&[how, beams, piece], stream)) = data.split_first_chunk::<3>() else { return };
+    let Some((&[options, beams, chunk_bytes], stream)) = data.split_first_chunk::<3>() else {
+        return;
+    };
     let encoding =
-        [Encoding::Two, Encoding::Three, Encoding::ThreeWithIntensity][usize::from(how) % 3];
-    let mode = if how & 0x80 == 0 { Mode::Continuous { skip: 0, scans: 0 } } else { Mode::Once };
+        [Encoding::Two, Encoding::Three, Encoding::ThreeWithIntensity][usize::from(options) % 3];
+    let mode =
+        if options & 0x80 == 0 { Mode::Continuous { skip: 0, scans: 0 } } else { Mode::Once };
     let request =
         Request { encoding, mode, first_step: 0, last_step: u16::from(beams), cluster: 1 };
     let mut framer = Framer::<4096>::default();
     let mut cut = 0;
-    for piece in stream.chunks(usize::from(piece).max(1)) {
-        framer.room()[..piece.len()].copy_from_slice(piece);
-        framer.received(piece.len());
+    for chunk in stream.chunks(usize::from(chunk_bytes).max(1)) {
+        framer.room()[..chunk.len()].copy_from_slice(chunk);
+        framer.received(chunk.len());
         while let Some(message) = framer.message() {
             assert_eq!(message_length(message), Some(message.len()));
             cut += message.len();
@@ -56,11 +60,13 @@ fn read_scan(message: &[u8], request: &Request) {
     let codes = RangeCodes::UTM_30LX;
     let beams = request.beams();
     let strengths = if request.encoding == Encoding::ThreeWithIntensity { beams } else { 0 };
-    let (mut ranges, mut intensities) = (vec![Range::Error; beams], vec![0; strengths]);
+    let mut ranges = vec![Range::Error; beams];
+    let mut intensities = vec![0; strengths];
     let read =
         Reply::read_with_intensities(message, request, &codes, &mut ranges, &mut intensities);
     let Ok(Reply::Scan { timestamp_ms }) = read else { return };
-    let (time, values) = textbook(message, request.encoding).expect("what was read is sound");
+    let (time, values) =
+        reference_decoder(message, request.encoding).expect("an accepted scan is valid");
     assert_eq!(time, timestamp_ms);
     let step = if strengths > 0 { 2 } else { 1 };
     assert_eq!(values.len(), beams * step);
@@ -68,8 +74,8 @@ fn read_scan(message: &[u8], request: &Request) {
     assert!(values.iter().skip(1).step_by(2).take(strengths).eq(&intensities));
 }
 
-/// The decoder as the specification tells it, one character after the other.
-fn textbook(message: &[u8], encoding: Encoding) -> Option<(u32, Vec<u32>)> {
+/// A reference decoder that follows the specification character by character.
+fn reference_decoder(message: &[u8], encoding: Encoding) -> Option<(u32, Vec<u32>)> {
     let lines: Vec<&[u8]> = message.strip_suffix(b"\n\n")?.split(|byte| *byte == b'\n').collect();
     let mut data = Vec::new();
     let mut time = 0;

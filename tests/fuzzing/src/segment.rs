@@ -1,6 +1,6 @@
 use segment_store::{Finding, recover, verify};
 
-/// Arbitrary bytes as a segment: what comes out of recovery is whole.
+/// Arbitrary bytes as a segment. The result of recovery is a complete segment.
 pub fn segment(bytes: &[u8]) {
     let _ = verify(bytes);
     let mut whole = Vec::new();

@@ -9,13 +9,13 @@ use runtime::robot::{DepthSource, Robot, RobotConfig};
 use runtime::session::recompute;
 use runtime::tick::{SafetyReport, TickInput};
 
-/// The smallest robot that may be, so that its memory is small.
+/// The smallest allowed robot, to keep its state small.
 const CONFIG: &str = "
 camera = { width = 64, height = 32 }
 map = { cell_m = 0.5, side_cells = 16, recenter_cells = 1 }
 coarse = { keyframes = 1, parallax_px = [1.0] }
 ";
-const TURNS: u64 = 3;
+const TICKS: u64 = 3;
 
 static ROBOT: LazyLock<RobotConfig> = LazyLock::new(|| {
     let config = Config::parse(CONFIG, "robot.toml".as_ref()).expect("a configuration");
@@ -26,23 +26,24 @@ static ROBOT: LazyLock<RobotConfig> = LazyLock::new(|| {
     })
 });
 
-/// Arbitrary bytes as what a robot remembers: they are refused, or the robot goes on.
+/// Arbitrary bytes as a snapshot of a robot's state. They are refused, or the robot continues.
 pub fn snapshot(bytes: &[u8]) {
     let mut robot = Robot::new(ROBOT.clone(), None).expect("a robot");
     if robot.restore(bytes).is_ok() {
-        turns(&mut robot);
+        run_ticks(&mut robot);
     }
 }
 
-fn turns(robot: &mut Robot) {
-    let (camera, geometry) = (ROBOT.camera, ScanGeometry { beams: 31, ..ScanGeometry::UTM_30LX });
-    let picture: Vec<u8> =
+fn run_ticks(robot: &mut Robot) {
+    let camera = ROBOT.camera;
+    let geometry = ScanGeometry { beams: 31, ..ScanGeometry::UTM_30LX };
+    let image: Vec<u8> =
         (0..camera.width * camera.height * 3).map(|at| (at * at % 251) as u8).collect();
-    for tick in 0..TURNS {
-        // Behind every time that the robot may remember, or the turn is refused.
+    for tick in 0..TICKS {
+        // Later than every time in the robot's state, otherwise the tick is refused.
         let time_ns = u64::MAX / 2 + tick * 100_000_000;
         let scan = LaserScan { time_ns, geometry, ranges: vec![Range::Hit(1.0); geometry.beams] };
-        let frame = ImageView::rgb8(camera.width, camera.height, &picture).ok();
+        let frame = ImageView::rgb8(camera.width, camera.height, &image).ok();
         let wheel = WheelFeedback { time_ns, ..WheelFeedback::default() };
         let input = TickInput {
             tick,

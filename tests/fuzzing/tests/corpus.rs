@@ -1,4 +1,4 @@
-//! What fuzzing has found interesting still holds, without a fuzzer.
+//! Runs the fuzzing targets over their corpora, without a fuzzer.
 #![allow(clippy::unwrap_used, reason = "a test that cannot read its corpus has failed")]
 
 use std::fs;
@@ -10,12 +10,12 @@ fn corpus() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("corpus")
 }
 
-fn runs_through(name: &str) {
+fn run_corpus(name: &str) {
     let (_, check) = TARGETS.into_iter().find(|(target, _)| *target == name).unwrap();
     let mut inputs = 0;
     for entry in fs::read_dir(corpus().join(name)).unwrap() {
         let path = entry.unwrap().path();
-        // The name of the one that fails is the last that is said.
+        // On failure, the last printed path is the failing input.
         println!("{}", path.display());
         check(&fs::read(path).unwrap());
         inputs += 1;
@@ -25,65 +25,66 @@ fn runs_through(name: &str) {
 }
 
 #[test]
-fn a_scanner_may_send_anything() {
-    runs_through("scip");
+fn any_bytes_from_a_scanner_are_handled() {
+    run_corpus("scip");
 }
 
 #[test]
-fn a_can_bus_may_carry_anything() {
-    runs_through("can");
+fn any_records_from_a_can_bus_are_handled() {
+    run_corpus("can");
 }
 
 #[test]
-fn a_camera_may_fail_in_any_order() {
-    runs_through("v4l2_queue");
+fn any_sequence_of_camera_events_is_handled() {
+    run_corpus("v4l2_queue");
 }
 
 #[test]
-fn the_other_end_of_a_pull_may_say_anything() {
-    runs_through("buffer_wire");
+fn any_bytes_from_the_other_end_of_a_pull_are_handled() {
+    run_corpus("buffer_wire");
 }
 
 #[test]
-fn a_segment_may_be_any_bytes() {
-    runs_through("segment");
+fn any_bytes_as_a_segment_are_handled() {
+    run_corpus("segment");
 }
 
 #[test]
-fn a_recording_may_hold_any_messages() {
-    runs_through("recording");
+fn any_messages_in_a_recording_are_handled() {
+    run_corpus("recording");
 }
 
 #[test]
-fn whoever_pushes_a_model_may_send_anything() {
-    runs_through("bundle");
+fn any_bytes_as_a_pushed_model_are_handled() {
+    run_corpus("bundle");
 }
 
 #[test]
-fn a_model_may_be_any_file() {
-    runs_through("onnx_file");
+fn any_file_as_a_model_is_handled() {
+    run_corpus("onnx_file");
 }
 
 #[test]
-fn a_snapshot_may_be_any_bytes() {
-    runs_through("snapshot");
+fn any_bytes_as_a_snapshot_are_handled() {
+    run_corpus("snapshot");
 }
 
 #[test]
-fn a_configuration_may_be_any_text() {
-    runs_through("config");
+fn any_text_as_a_configuration_is_handled() {
+    run_corpus("config");
 }
 
 #[test]
 fn every_target_has_a_corpus_and_every_corpus_a_target() {
-    let names = |folder: PathBuf| {
-        let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-        let mut names: Vec<String> =
-            entries.map(|path| path.file_stem().unwrap().to_string_lossy().into_owned()).collect();
-        names.sort();
-        names
-    };
     let targets = TARGETS.map(|(name, _)| name.to_owned());
-    assert_eq!(names(corpus()), targets);
-    assert_eq!(names(corpus().join("../fuzz_targets")), targets);
+    assert_eq!(file_stems(corpus()), targets);
+    assert_eq!(file_stems(corpus().join("../fuzz_targets")), targets);
+}
+
+fn file_stems(folder: PathBuf) -> Vec<String> {
+    let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let mut names: Vec<String> =
+        entries.map(|path| path.file_stem().unwrap().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
 }

@@ -1,4 +1,4 @@
-//! `hil hokuyo`: a simulated scanner by hand.
+//! The `hil hokuyo` command.
 
 use std::error::Error;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -13,41 +13,46 @@ use monotonic_clock::monotonic_ns;
 use super::faults::{EventKind, FaultPlan};
 use super::{Health, Room, SimulatedHokuyo, WireFaults};
 
-/// A simulated Hokuyo scanner in a room of 6 x 4 m with somebody walking around it.
+/// Simulate a Hokuyo scanner in a room of 6 x 4 m in which a person walks around it.
 #[derive(Debug, Clone, Args)]
 pub struct HokuyoArgs {
-    /// Make a pty and a symbolic link to it here, as udev makes /dev/serial/by-id/...
+    /// Create a pty and a symbolic link to it at this path, as udev creates /dev/serial/by-id/...
     #[arg(long, required_unless_present_any = ["tcp", "serial"])]
     pub pty: Option<PathBuf>,
-    /// Listen on this TCP port of this computer instead, as the Ethernet models do on 10940.
+    /// Listen on this local TCP port instead, as the Ethernet models do on port 10940.
     #[arg(long, conflicts_with = "pty")]
     pub tcp: Option<u16>,
-    /// Answer on this serial port, whose other end the host has.
+    /// Use this serial port instead; its other end is connected to the host.
     #[arg(long, conflicts_with_all = ["pty", "tcp"])]
     pub serial: Option<PathBuf>,
-    /// urg-04lx, utm-30lx, ust-10lx or ust-20lx.
+    /// Model: urg-04lx, utm-30lx, ust-10lx or ust-20lx.
     #[arg(long, default_value = "utm-30lx")]
     pub model: Model,
-    /// What goes wrong and when: stall@5+0.5,unplug@10+2,reboot@15+1,noise@20,blind@25,motor@30,laser@35,flip=0.01,cut=0.01,
-    /// drift=200. Times in seconds after the start, shares of messages, parts per million.
+    /// Faults and their times:
+    /// stall@5+0.5,unplug@10+2,reboot@15+1,noise@20,blind@25,motor@30,laser@35,flip=0.01,cut=0.01,
+    /// drift=200. Times are BEGIN+DURATION in seconds after the start; flip and cut are fractions
+    /// of messages; drift is in parts per million.
     #[arg(long, default_value = "")]
     pub faults: FaultPlan,
-    /// End after so many seconds; else when interrupted.
+    /// End after this time, seconds; without it, when interrupted.
     #[arg(long)]
     pub seconds: Option<f64>,
 }
 
-/// Simulates until it is told to end.
+/// Runs until interrupted or until the given time.
 ///
 /// # Errors
-/// When the pty or the port cannot be had.
+/// Returns an error when the pty or the port cannot be opened.
 pub fn run(args: &HokuyoArgs) -> Result<(), Box<dyn Error>> {
     let source = Box::new(Room::new(args.model));
     let device = match (&args.pty, &args.serial, args.tcp) {
         (_, Some(port), _) => SimulatedHokuyo::on_serial(args.model, port, source)
-            .map_err(|error| format!("no serial port at {}: {error}", port.display()))?,
+            .map_err(|error| format!("cannot open the serial port {}: {error}", port.display()))?,
         (Some(link), ..) => SimulatedHokuyo::on_pty(args.model, link, source).map_err(|error| {
-            format!("no pty at {}: {error}; is something else there?", link.display())
+            format!(
+                "cannot create a pty at {}: {error}; does another file exist there?",
+                link.display()
+            )
         })?,
         (None, None, port) => {
             let port = port.unwrap_or_default();
@@ -56,7 +61,9 @@ pub fn run(args: &HokuyoArgs) -> Result<(), Box<dyn Error>> {
                 SocketAddr::from((Ipv4Addr::LOCALHOST, port)),
                 source,
             )
-            .map_err(|error| format!("no TCP port {port}: {error}; choose another with --tcp"))?
+            .map_err(|error| {
+                format!("cannot listen on TCP port {port}: {error}; choose another with --tcp")
+            })?
         }
     };
     match (args.pty.as_ref().or(args.serial.as_ref()), device.address()) {
@@ -73,14 +80,14 @@ fn play(args: &HokuyoArgs, device: &SimulatedHokuyo) -> Result<(), Box<dyn Error
     let begin_ns = monotonic_ns();
     let mut clock = MonotonicClock;
     let mut scans_before = 0;
-    for tenth in 0_u64.. {
-        clock.sleep_until_ns(begin_ns + tenth * 100_000_000);
-        let now_s = tenth as f64 * 0.1;
+    for step in 0_u64.. {
+        clock.sleep_until_ns(begin_ns + step * 100_000_000);
+        let now_s = step as f64 * 0.1;
         if args.seconds.is_some_and(|seconds| now_s >= seconds) {
             break;
         }
         for event in &args.faults.events {
-            let is_due = |at_s: f64| (at_s * 10.0).round() as u64 == tenth;
+            let is_due = |at_s: f64| (at_s * 10.0).round() as u64 == step;
             if is_due(event.begin_s) {
                 println!("{now_s:6.1} s  {} begins", event.kind);
                 begin(device, event.kind, event.end_s - event.begin_s, args.faults.wire);
@@ -90,7 +97,7 @@ fn play(args: &HokuyoArgs, device: &SimulatedHokuyo) -> Result<(), Box<dyn Error
                 end(device, event.kind, args.faults.wire)?;
             }
         }
-        if tenth % 10 == 0 {
+        if step % 10 == 0 {
             let (scans, is_streaming) = device.scans();
             let what = match (device.is_plugged_in(), is_streaming) {
                 (false, _) => "unplugged",

@@ -1,4 +1,4 @@
-//! What goes wrong on the way, and when.
+//! Faults of the transport, and plans of faults over time.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,22 +6,22 @@ use std::str::FromStr;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// Faults of the wire at any time.
+/// Faults of the transport.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct WireFaults {
-    /// Share of messages with one flipped bit.
+    /// Fraction of messages with one flipped bit.
     pub flip_share: f64,
-    /// Share of messages that are cut somewhere.
+    /// Fraction of messages that are truncated at a random byte.
     pub cut_share: f64,
-    /// Bytes of noise before the next message, once.
+    /// Number of noise bytes before the next message, once.
     pub noise_bytes: usize,
-    /// Nothing gets through in either direction.
+    /// No bytes pass in either direction.
     pub is_stalled: bool,
 }
 
 impl WireFaults {
-    /// Spoils one message, in place.
-    pub fn spoil(&mut self, message: &mut Vec<u8>, rng: &mut Pcg64Mcg) {
+    /// Applies the faults to one message.
+    pub fn corrupt(&mut self, message: &mut Vec<u8>, rng: &mut Pcg64Mcg) {
         if message.is_empty() {
             return;
         }
@@ -41,50 +41,48 @@ impl WireFaults {
     }
 }
 
-/// A seeded source of faults.
+/// A random generator for faults.
 #[must_use]
 pub fn seeded(seed: u64) -> Pcg64Mcg {
     Pcg64Mcg::seed_from_u64(seed)
 }
 
-/// Something that happens once.
+/// A kind of fault with a begin and an end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EventKind {
-    /// The wire is dead.
+    /// No bytes pass.
     Stall,
-    /// The plug is pulled, and put back at the end.
+    /// The scanner is unplugged, and plugged in again at the end.
     Unplug,
-    /// The device restarts, and is ready at the end.
+    /// The scanner restarts and is ready at the end.
     Reboot,
-    /// Noise on the wire.
+    /// Noise bytes before a message.
     Noise,
-    /// All beams are errors.
+    /// All beams report errors.
     Blind,
-    /// The motor stops.
     Motor,
-    /// The laser goes off.
     Laser,
 }
 
-/// One of these, at a time.
+/// A fault at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Event {
-    /// What.
     pub kind: EventKind,
-    /// When, seconds after the start.
+    /// Begin, seconds after the start.
     pub begin_s: f64,
-    /// Until when.
+    /// End, seconds after the start.
     pub end_s: f64,
 }
 
-/// Faults as written on the command line: `stall@5+0.5,unplug@10+2,reboot@15+1,flip=0.01,cut=0.01,drift=200`.
+/// Faults as written on the command line:
+/// `stall@5+0.5,unplug@10+2,reboot@15+1,flip=0.01,cut=0.01,drift=200`.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct FaultPlan {
-    /// Things that happen once.
+    /// Faults with a begin and an end.
     pub events: Vec<Event>,
-    /// Faults at any time.
+    /// Faults of the transport during the whole run.
     pub wire: WireFaults,
-    /// How much the clock runs fast, parts per million.
+    /// Rate error of the scanner's clock, parts per million.
     pub drift_ppm: f64,
 }
 
@@ -96,8 +94,8 @@ impl FromStr for FaultPlan {
         for part in text.split(',').filter(|part| !part.is_empty()) {
             plan.add(part).ok_or_else(|| {
                 format!(
-                    "`{part}` is no fault; there are KIND@SECONDS+SECONDS with stall, unplug, reboot, noise, blind, motor, \
-                     laser, and flip=SHARE, cut=SHARE, drift=PPM"
+                    "`{part}` is not a fault; write KIND@BEGIN+DURATION (seconds) with stall, unplug, reboot, noise, blind, motor or \
+                     laser, or flip=FRACTION, cut=FRACTION, drift=PPM"
                 )
             })?;
         }
@@ -120,7 +118,8 @@ impl FaultPlan {
         let (name, when) = part.split_once('@')?;
         let kind = *EventKind::ALL.iter().find(|kind| kind.to_string() == name)?;
         let (begin, length) = when.split_once('+').unwrap_or((when, "1"));
-        let (begin_s, length_s): (f64, f64) = (begin.parse().ok()?, length.parse().ok()?);
+        let begin_s: f64 = begin.parse().ok()?;
+        let length_s: f64 = length.parse().ok()?;
         self.events.push(Event { kind, begin_s, end_s: begin_s + length_s });
         Some(())
     }
@@ -157,7 +156,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn plans_are_read_and_mistakes_named() {
+    fn a_fault_plan_is_parsed_and_an_invalid_part_is_named() {
         let plan: FaultPlan = "stall@5+0.5,reboot@10,flip=0.01,drift=-200".parse().unwrap();
         assert_eq!(plan.events[0], Event { kind: EventKind::Stall, begin_s: 5.0, end_s: 5.5 });
         assert_eq!(plan.events[1], Event { kind: EventKind::Reboot, begin_s: 10.0, end_s: 11.0 });
@@ -166,14 +165,14 @@ mod tests {
     }
 
     #[test]
-    fn a_flip_changes_one_bit_and_a_cut_shortens() {
+    fn a_flip_changes_one_bit_and_a_cut_shortens_the_message() {
         let mut rng = seeded(1);
         let sound = vec![b'0'; 100];
         let mut flipped = sound.clone();
-        WireFaults { flip_share: 1.0, ..WireFaults::default() }.spoil(&mut flipped, &mut rng);
+        WireFaults { flip_share: 1.0, ..WireFaults::default() }.corrupt(&mut flipped, &mut rng);
         assert_eq!(flipped.iter().map(|byte| (byte ^ b'0').count_ones()).sum::<u32>(), 1);
         let mut cut = sound;
-        WireFaults { cut_share: 1.0, ..WireFaults::default() }.spoil(&mut cut, &mut rng);
+        WireFaults { cut_share: 1.0, ..WireFaults::default() }.corrupt(&mut cut, &mut rng);
         assert!(cut.len() < 100);
     }
 }

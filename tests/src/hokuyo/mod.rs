@@ -1,8 +1,9 @@
-//! A simulated Hokuyo scanner that speaks SCIP on a pty or TCP.
+//! A simulated Hokuyo scanner that implements SCIP on a pty, a serial port or TCP.
 //!
-//! `Sensor` is the device without wires: bytes and times go in, bytes come out. `SimulatedHokuyo` puts it on a pty (with a
-//! symbolic link as its stable path) or a TCP port, paced on the monotonic clock, and lets a test pull its plug.
-//! It shares no code for bytes with the driver.
+//! `Sensor` is the device without a transport: bytes and times go in, bytes come out.
+//! `SimulatedHokuyo` connects it to a pty (with a symbolic link as its stable path), a serial port
+//! or a TCP port, paced by the monotonic clock, and lets a test unplug it. It shares no encoding
+//! code with the driver, so that the driver is tested against an independent implementation.
 
 mod command;
 mod encode;

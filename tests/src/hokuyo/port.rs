@@ -1,4 +1,5 @@
-//! The wires: a pty with a symbolic link as its stable path, a serial port that another one is wired to, or a TCP port.
+//! Transports: a pty with a symbolic link as its stable path, a serial port that is wired to
+//! another one, or a TCP port.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -14,40 +15,39 @@ use rustix::io::Errno;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{ControlModes, OptionalActions, tcgetattr, tcsetattr};
 
-/// Where a simulated device is to be found.
+/// Address of a simulated device.
 #[derive(Debug, Clone)]
-pub(super) enum Place {
-    /// A symbolic link to a pty.
+pub(super) enum Endpoint {
+    /// Symbolic link to a pty.
     Pty(PathBuf),
-    /// A serial port.
     Serial(PathBuf),
-    /// An address that listens.
+    /// Address to listen at.
     Tcp(SocketAddr),
 }
 
-/// A plug that is in.
+/// An open transport.
 #[derive(Debug)]
-pub(super) enum Plug {
+pub(super) enum Connection {
     Pty { master: OwnedFd, link: PathBuf },
     Serial { port: OwnedFd },
     Tcp { listener: TcpListener, client: Option<TcpStream> },
 }
 
-impl Plug {
-    pub(super) fn put_in(place: &Place) -> io::Result<Self> {
-        match place {
-            Place::Pty(link) => {
+impl Connection {
+    pub(super) fn open(endpoint: &Endpoint) -> io::Result<Self> {
+        match endpoint {
+            Endpoint::Pty(link) => {
                 let master =
                     openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
                 grantpt(&master)?;
                 unlockpt(&master)?;
                 rustix::io::ioctl_fionbio(&master, true)?;
                 let name = ptsname(&master, Vec::new())?;
-                put_link(Path::new(OsStr::from_bytes(name.to_bytes())), link)?;
+                replace_link(Path::new(OsStr::from_bytes(name.to_bytes())), link)?;
                 Ok(Self::Pty { master, link: link.clone() })
             }
-            Place::Serial(path) => Ok(Self::Serial { port: open_raw(path)? }),
-            Place::Tcp(address) => {
+            Endpoint::Serial(path) => Ok(Self::Serial { port: open_raw(path)? }),
+            Endpoint::Tcp(address) => {
                 let listener = TcpListener::bind(address)?;
                 listener.set_nonblocking(true)?;
                 Ok(Self::Tcp { listener, client: None })
@@ -55,7 +55,7 @@ impl Plug {
         }
     }
 
-    /// Where it listens, for TCP.
+    /// Local address, for TCP.
     pub(super) fn address(&self) -> Option<SocketAddr> {
         match self {
             Self::Pty { .. } | Self::Serial { .. } => None,
@@ -63,7 +63,8 @@ impl Plug {
         }
     }
 
-    /// What has come, if anything, and whether somebody has just gone (TCP only: the others do not tell).
+    /// Reads received bytes. Also returns whether a client has just disconnected (TCP only: the
+    /// others do not report it).
     pub(super) fn read(&mut self, buffer: &mut [u8]) -> (usize, bool) {
         match self {
             Self::Pty { master, .. } => (rustix::io::read(&*master, buffer).unwrap_or(0), false),
@@ -86,13 +87,14 @@ impl Plug {
         }
     }
 
-    /// Sends what the host takes; the rest is lost, as in a device whose buffer is full. A serial port's own pace is waited for.
+    /// Sends as many bytes as the host accepts; the rest is lost, as in a device whose buffer is
+    /// full. On a serial port it waits for the port's own rate.
     pub(super) fn write(&mut self, mut bytes: &[u8]) {
         while !bytes.is_empty() {
             let written = match self {
                 Self::Pty { master, .. } => rustix::io::write(&*master, bytes),
                 Self::Serial { port } => {
-                    wait_for_room(port).and_then(|()| rustix::io::write(&*port, bytes))
+                    wait_until_writable(port).and_then(|()| rustix::io::write(&*port, bytes))
                 }
                 Self::Tcp { client: Some(client), .. } => rustix::io::write(client.as_fd(), bytes),
                 Self::Tcp { .. } => return,
@@ -104,19 +106,19 @@ impl Plug {
         }
     }
 
-    /// The rate that the host has set, where there is such a thing.
+    /// The bit rate that the host has set, where there is one.
     pub(super) fn baud(&self) -> Option<u32> {
         match self {
             Self::Pty { master, .. } => {
                 tcgetattr(master).ok().map(|settings| settings.output_speed())
             }
-            // Its rate is its own, not the host's.
+            // The rate of these is not set by the host.
             Self::Serial { .. } | Self::Tcp { .. } => None,
         }
     }
 }
 
-/// A serial port that passes every byte as it is.
+/// Opens a serial port in raw mode.
 fn open_raw(path: &Path) -> io::Result<OwnedFd> {
     let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let port = open(path, flags, Mode::empty())?;
@@ -128,8 +130,9 @@ fn open_raw(path: &Path) -> io::Result<OwnedFd> {
     Ok(port)
 }
 
-/// The port's buffer is smaller than a scan. After 100 ms what is left is lost.
-fn wait_for_room(port: &OwnedFd) -> Result<(), Errno> {
+/// Waits until the port accepts bytes: its buffer is smaller than a scan. After 100 ms the
+/// remaining bytes are lost.
+fn wait_until_writable(port: &OwnedFd) -> Result<(), Errno> {
     let limit = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
     match poll(&mut [PollFd::new(port, PollFlags::OUT)], Some(&limit))? {
         0 => Err(Errno::TIMEDOUT),
@@ -137,7 +140,7 @@ fn wait_for_room(port: &OwnedFd) -> Result<(), Errno> {
     }
 }
 
-impl Drop for Plug {
+impl Drop for Connection {
     fn drop(&mut self) {
         if let Self::Pty { link, .. } = self {
             _ = fs::remove_file(link);
@@ -145,8 +148,8 @@ impl Drop for Plug {
     }
 }
 
-/// Replaces a link of an earlier run, but nothing else.
-fn put_link(target: &Path, link: &Path) -> io::Result<()> {
+/// Creates the link. It replaces a link of an earlier run, but no other file.
+fn replace_link(target: &Path, link: &Path) -> io::Result<()> {
     if fs::symlink_metadata(link).is_ok_and(|found| found.file_type().is_symlink()) {
         fs::remove_file(link)?;
     }

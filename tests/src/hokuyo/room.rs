@@ -1,15 +1,16 @@
-//! What the scanner sees.
+//! Range sources of simulated scanners.
 
 use drivers::scip::Model;
 
-/// Where the ranges of a simulated scanner come from.
+/// Computes the ranges of a simulated scanner.
 pub trait ScanSource: Send {
-    /// What each step sees in a scan that is begun at `time_ns` (monotonic), millimetres, in the order of the sensor's steps
-    /// (counter-clockwise from above, as [`Model::geometry`] has them). The sensor's error codes may be among them.
+    /// Ranges of all steps of a scan that begins at `time_ns` (monotonic), millimetres, in the
+    /// order of the sensor's steps (counter-clockwise from above, as in [`Model::geometry`]). They
+    /// may include the sensor's error codes.
     fn ranges_mm(&mut self, time_ns: u64, out: &mut [u32]);
 }
 
-/// A room of 6 x 4 m with somebody walking around in it.
+/// A room of 6 x 4 m in which a person walks around the scanner.
 #[derive(Debug, Clone)]
 pub struct Room {
     angles_rad: Vec<f64>,
@@ -17,13 +18,13 @@ pub struct Room {
 
 const HALF_LENGTH_M: f64 = 3.0;
 const HALF_WIDTH_M: f64 = 2.0;
-/// Somebody's distance from the scanner, girth, and time for a turn around it.
+/// Distance of the walking person from the scanner, radius, and time of one round.
 const WALKER_M: f64 = 1.5;
 const WALKER_RADIUS_M: f64 = 0.2;
 const WALK_S: f64 = 10.0;
 
 impl Room {
-    /// As a model in the middle of the room sees it.
+    /// The room as seen by a scanner of this model in its middle.
     #[must_use]
     pub fn new(model: Model) -> Self {
         let geometry = model.geometry(false);
@@ -43,9 +44,10 @@ impl ScanSource for Room {
     }
 }
 
-/// Distance of a circle at a bearing, if the beam meets it.
+/// Distance of the person at a bearing, if the beam hits them.
 fn walker(bearing_rad: f64) -> Option<f64> {
-    let (across, along) = (WALKER_M * bearing_rad.sin(), WALKER_M * bearing_rad.cos());
+    let across = WALKER_M * bearing_rad.sin();
+    let along = WALKER_M * bearing_rad.cos();
     let half = WALKER_RADIUS_M * WALKER_RADIUS_M - across * across;
     (half >= 0.0 && along > 0.0).then(|| along - half.sqrt())
 }
@@ -55,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn walls_and_the_walker_are_where_they_are() {
+    fn ranges_show_the_walls_and_the_walking_person() {
         let mut ranges = vec![0; 1081];
         Room::new(Model::Utm30lx).ranges_mm(0, &mut ranges);
         assert_eq!(ranges[540], 1300, "the walker, ahead");

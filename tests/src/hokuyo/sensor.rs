@@ -1,4 +1,4 @@
-//! The device without wires.
+//! The scanner without a transport.
 
 use std::fmt::Write as _;
 
@@ -7,53 +7,48 @@ use drivers::scip::{Model, Sheet};
 use super::ScanSource;
 use super::encode::{block, field, line, number};
 
-/// What is wrong inside.
+/// Internal state of health.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Health {
-    /// Nothing.
     #[default]
     Well,
-    /// The laser is off and stays off.
     LaserOff,
-    /// The laser cannot be switched on.
     LaserBroken,
-    /// The motor does not turn.
     MotorFault,
-    /// All beams are errors.
+    /// All beams report errors.
     Blind,
 }
 
-/// A scanner: bytes and times in, bytes out.
+/// A simulated scanner: bytes and times go in, bytes come out.
 pub struct Sensor {
     model: Model,
     source: Box<dyn ScanSource>,
-    /// How it is.
     pub health: Health,
-    /// How much its clock runs fast, parts per million.
+    /// Rate error of its clock, parts per million.
     pub clock_ppm: f64,
-    speaks_scip_1: bool,
-    compares_clocks: bool,
+    in_scip_1: bool,
+    in_time_mode: bool,
     laser_on: bool,
     stream: Option<Stream>,
     command: Vec<u8>,
     booted_ns: u64,
-    turn_begin_ns: u64,
+    rotation_begin_ns: u64,
     ranges_mm: Vec<u32>,
 }
 
-/// A request under way.
+/// A scan request in progress.
 #[derive(Debug, Clone)]
 struct Stream {
-    /// The request without the count of scans.
+    /// The echoed request up to the scan count.
     echo: String,
-    /// What follows the count.
+    /// The echoed request after the scan count.
     tail: String,
     layout: Layout,
     skip: u64,
-    /// Scans to send; 0 for no end.
+    /// Number of scans to send; 0 means without end.
     scans: u32,
     sent: u32,
-    turns: u64,
+    rotations: u64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -65,7 +60,7 @@ struct Layout {
 }
 
 impl Sensor {
-    /// Switched on at `now_ns`, and done with starting.
+    /// Creates a scanner that was switched on and became ready at `now_ns`.
     #[must_use]
     pub fn new(model: Model, source: Box<dyn ScanSource>, now_ns: u64) -> Self {
         Self {
@@ -73,38 +68,40 @@ impl Sensor {
             source,
             health: Health::Well,
             clock_ppm: 0.0,
-            speaks_scip_1: model.sheet().starts_in_scip_1,
-            compares_clocks: false,
+            in_scip_1: model.sheet().starts_in_scip_1,
+            in_time_mode: false,
             laser_on: false,
             stream: None,
             command: Vec::new(),
             booted_ns: now_ns,
-            turn_begin_ns: now_ns,
+            rotation_begin_ns: now_ns,
             ranges_mm: vec![0; model.geometry(false).beams],
         }
     }
 
-    /// Restarts; hears and says nothing before `ready_ns`.
+    /// Restarts the scanner. It ignores input and sends nothing before `ready_ns`.
     pub fn reboot(&mut self, ready_ns: u64) {
-        self.speaks_scip_1 = self.model.sheet().starts_in_scip_1;
-        (self.compares_clocks, self.laser_on, self.stream) = (false, false, None);
+        self.in_scip_1 = self.model.sheet().starts_in_scip_1;
+        self.in_time_mode = false;
+        self.laser_on = false;
+        self.stream = None;
         self.command.clear();
-        (self.booted_ns, self.turn_begin_ns) = (ready_ns, ready_ns);
+        self.booted_ns = ready_ns;
+        self.rotation_begin_ns = ready_ns;
     }
 
-    /// Whether it sends scans.
     #[must_use]
     pub fn is_streaming(&self) -> bool {
         self.stream.is_some()
     }
 
-    /// When the turn that is under way ends, and a scan with it.
+    /// End of the current rotation, when a scan is complete.
     #[must_use]
-    pub fn turn_end_ns(&self) -> u64 {
-        self.turn_begin_ns + self.model.geometry(false).period_ns
+    pub fn rotation_end_ns(&self) -> u64 {
+        self.rotation_begin_ns + self.model.geometry(false).period_ns
     }
 
-    /// Bytes from the host; answers are appended.
+    /// Processes bytes from the host and appends the answers to `out`.
     pub fn receive(&mut self, bytes: &[u8], now_ns: u64, out: &mut Vec<u8>) {
         for &byte in bytes {
             match byte {
@@ -118,16 +115,16 @@ impl Sensor {
         }
     }
 
-    /// Ends the turn that is over at `now_ns`, if one is; its scan is appended.
-    pub fn turn(&mut self, now_ns: u64, out: &mut Vec<u8>) {
-        let begun_ns = self.turn_begin_ns;
-        if now_ns < self.turn_end_ns() {
+    /// Ends the current rotation if it is over at `now_ns`, and appends its scan to `out`.
+    pub fn update(&mut self, now_ns: u64, out: &mut Vec<u8>) {
+        let begin_ns = self.rotation_begin_ns;
+        if now_ns < self.rotation_end_ns() {
             return;
         }
-        self.turn_begin_ns = self.turn_end_ns();
+        self.rotation_begin_ns = self.rotation_end_ns();
         let Some(mut stream) = self.stream.take() else { return };
-        stream.turns += 1;
-        if stream.turns % (stream.skip + 1) != 0 {
+        stream.rotations += 1;
+        if stream.rotations % (stream.skip + 1) != 0 {
             self.stream = Some(stream);
             return;
         }
@@ -139,7 +136,7 @@ impl Sensor {
             Health::LaserOff | Health::LaserBroken => line(out, b"10"),
             Health::Well | Health::Blind => {
                 line(out, b"99");
-                self.scan(begun_ns, stream.layout, out);
+                self.scan(begin_ns, stream.layout, out);
                 if stream.scans == 0 || left > 0 {
                     self.stream = Some(stream);
                 }
@@ -148,17 +145,17 @@ impl Sensor {
         out.push(b'\n');
     }
 
-    fn scan(&mut self, begun_ns: u64, layout: Layout, out: &mut Vec<u8>) {
+    fn scan(&mut self, begin_ns: u64, layout: Layout, out: &mut Vec<u8>) {
         let mut stamp = Vec::new();
-        number(&mut stamp, self.clock_ms(begun_ns), 4);
+        number(&mut stamp, self.clock_ms(begin_ns), 4);
         line(out, &stamp);
-        self.source.ranges_mm(begun_ns, &mut self.ranges_mm);
+        self.source.ranges_mm(begin_ns, &mut self.ranges_mm);
         let Sheet { first_step, codes, .. } = self.model.sheet();
         let first = layout.first - usize::from(*first_step);
         let last = layout.last - usize::from(*first_step);
         let mut characters = Vec::new();
         for cluster in self.ranges_mm[first..=last].chunks(layout.cluster) {
-            // The nearest that is no code, if there is one.
+            // The nearest range that is not an error code, if there is one.
             let nearest = cluster
                 .iter()
                 .filter(|range| **range >= codes.dmin_mm)
@@ -188,22 +185,23 @@ impl Sensor {
             return;
         }
         _ = writeln!(Text(out), "{command}");
-        if self.speaks_scip_1 {
+        if self.in_scip_1 {
             let known = command == "SCIP2.0";
-            self.speaks_scip_1 = !known;
+            self.in_scip_1 = !known;
             out.extend_from_slice(if known { b"0\n\n" } else { b"E\n\n" });
             return;
         }
         match command.get(..2).unwrap_or_default() {
             "TM" => self.time(command, now_ns, out),
-            _ if self.compares_clocks => line(out, b"10"),
+            _ if self.in_time_mode => line(out, b"10"),
             "QT" => {
-                (self.stream, self.laser_on) = (None, false);
+                self.stream = None;
+                self.laser_on = false;
                 line(out, b"00");
             }
             "RS" => {
                 self.reboot(now_ns);
-                self.speaks_scip_1 = false;
+                self.in_scip_1 = false;
                 line(out, b"00");
             }
             "BM" => self.switch_on(out),
@@ -230,9 +228,11 @@ impl Sensor {
     }
 
     fn time(&mut self, command: &str, now_ns: u64, out: &mut Vec<u8>) {
-        match (command.as_bytes().get(2), self.compares_clocks) {
+        match (command.as_bytes().get(2), self.in_time_mode) {
             (Some(b'0'), false) => {
-                (self.compares_clocks, self.laser_on, self.stream) = (true, false, None);
+                self.in_time_mode = true;
+                self.laser_on = false;
+                self.stream = None;
                 line(out, b"00");
             }
             (Some(b'0'), true) => line(out, b"02"),
@@ -244,7 +244,7 @@ impl Sensor {
             }
             (Some(b'1'), false) => line(out, b"04"),
             (Some(b'2'), true) => {
-                self.compares_clocks = false;
+                self.in_time_mode = false;
                 line(out, b"00");
             }
             (Some(b'2'), false) => line(out, b"03"),
@@ -315,9 +315,9 @@ impl Sensor {
         if !continuous {
             if self.laser_on && matches!(self.health, Health::Well | Health::Blind) {
                 line(out, b"00");
-                let begun_ns =
-                    self.turn_begin_ns.saturating_sub(self.model.geometry(false).period_ns);
-                self.scan(begun_ns.max(self.booted_ns), layout, out);
+                let begin_ns =
+                    self.rotation_begin_ns.saturating_sub(self.model.geometry(false).period_ns);
+                self.scan(begin_ns.max(self.booted_ns), layout, out);
             } else {
                 line(out, b"10");
             }
@@ -334,7 +334,7 @@ impl Sensor {
             skip: skip as u64,
             scans: scans as u32,
             sent: 0,
-            turns: 0,
+            rotations: 0,
         });
         line(out, b"00");
     }
@@ -358,7 +358,7 @@ fn digits(command: &str, place: std::ops::Range<usize>) -> Option<usize> {
     command.get(place).filter(|text| text.bytes().all(|byte| byte.is_ascii_digit()))?.parse().ok()
 }
 
-/// Text into bytes.
+/// Formats text into a byte buffer.
 struct Text<'a>(&'a mut Vec<u8>);
 
 impl std::fmt::Write for Text<'_> {
@@ -373,7 +373,7 @@ mod tests {
     use super::super::Room;
     use super::*;
 
-    fn said(sensor: &mut Sensor, command: &str) -> String {
+    fn reply(sensor: &mut Sensor, command: &str) -> String {
         let mut out = Vec::new();
         sensor.receive(command.as_bytes(), 1, &mut out);
         String::from_utf8(out).unwrap()
@@ -384,30 +384,30 @@ mod tests {
     }
 
     #[test]
-    fn the_answers_of_the_specification_come_with_its_checksums() {
+    fn answers_are_those_of_the_specification_with_its_checksums() {
         let mut sensor = sensor(Model::Utm30lx);
-        assert_eq!(said(&mut sensor, "QT\n"), "QT\n00P\n\n");
-        assert!(said(&mut sensor, "PP\n").contains("\nAFRT:540;0\n"));
-        assert_eq!(said(&mut sensor, "XX\n"), "XX\n0Ee\n\n");
-        assert_eq!(said(&mut sensor, "MD0000200001000\n"), "MD0000200001000\n04T\n\n");
+        assert_eq!(reply(&mut sensor, "QT\n"), "QT\n00P\n\n");
+        assert!(reply(&mut sensor, "PP\n").contains("\nAFRT:540;0\n"));
+        assert_eq!(reply(&mut sensor, "XX\n"), "XX\n0Ee\n\n");
+        assert_eq!(reply(&mut sensor, "MD0000200001000\n"), "MD0000200001000\n04T\n\n");
     }
 
     #[test]
     fn the_urg_04lx_starts_in_scip_1() {
         let mut sensor = sensor(Model::Urg04lx);
-        assert_eq!(said(&mut sensor, "QT\n"), "QT\nE\n\n");
-        assert_eq!(said(&mut sensor, "SCIP2.0\n"), "SCIP2.0\n0\n\n");
-        assert_eq!(said(&mut sensor, "QT\n"), "QT\n00P\n\n");
+        assert_eq!(reply(&mut sensor, "QT\n"), "QT\nE\n\n");
+        assert_eq!(reply(&mut sensor, "SCIP2.0\n"), "SCIP2.0\n0\n\n");
+        assert_eq!(reply(&mut sensor, "QT\n"), "QT\n00P\n\n");
     }
 
     #[test]
-    fn as_many_scans_come_as_were_asked_for_one_a_period() {
+    fn the_requested_number_of_scans_is_sent_one_per_period() {
         let mut sensor = sensor(Model::Utm30lx);
-        assert_eq!(said(&mut sensor, "MD0000108001002\n"), "MD0000108001002\n00P\n\n");
+        assert_eq!(reply(&mut sensor, "MD0000108001002\n"), "MD0000108001002\n00P\n\n");
         let mut scans = Vec::new();
         for ms in 0..200 {
             let mut out = Vec::new();
-            sensor.turn(ms * 1_000_000, &mut out);
+            sensor.update(ms * 1_000_000, &mut out);
             if !out.is_empty() {
                 scans.push((ms, String::from_utf8(out).unwrap()));
             }

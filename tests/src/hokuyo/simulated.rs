@@ -1,4 +1,4 @@
-//! A simulated scanner on its wires, in a thread of its own.
+//! A simulated scanner on its transport, in a thread of its own.
 
 use std::io;
 use std::net::SocketAddr;
@@ -13,200 +13,205 @@ use monotonic_clock::monotonic_ns;
 use rand::RngExt;
 
 use super::faults::seeded;
-use super::port::{Place, Plug};
+use super::port::{Connection, Endpoint};
 use super::{Health, ScanSource, Sensor, WireFaults};
 
-/// How often it looks for bytes and orders.
-const LOOK_NS: u64 = 500_000;
+/// Polling interval of the transport.
+const POLL_NS: u64 = 500_000;
 
-/// A simulated scanner. Dropping it pulls the plug.
+/// A running simulated scanner. Dropping it stops the thread and closes the transport.
 pub struct SimulatedHokuyo {
-    inside: Arc<Mutex<Inside>>,
+    state: Arc<Mutex<State>>,
     thread: Option<JoinHandle<()>>,
 }
 
-struct Inside {
+struct State {
     sensor: Sensor,
-    place: Place,
-    plug: Option<Plug>,
+    endpoint: Endpoint,
+    connection: Option<Connection>,
     wire: WireFaults,
-    /// The only rate at which it understands the host, when it minds.
+    /// The only bit rate at which it communicates; `None` for any.
     baud: Option<u32>,
     scans: u64,
-    is_over: bool,
+    stopped: bool,
 }
 
 impl SimulatedHokuyo {
-    /// On a pty, found through a symbolic link at `link`.
+    /// Starts a scanner on a pty with a symbolic link at `link`.
     ///
     /// # Errors
-    /// When the system has no pty or the link cannot be made.
+    /// Returns an error when no pty is available or the link cannot be created.
     pub fn on_pty(model: Model, link: &Path, source: Box<dyn ScanSource>) -> io::Result<Self> {
-        Self::start(model, Place::Pty(link.to_owned()), source)
+        Self::start(model, Endpoint::Pty(link.to_owned()), source)
     }
 
-    /// On a serial port of this computer, whose other end the host has.
+    /// Starts a scanner on a serial port of this computer; its other end is connected to the host.
     ///
     /// # Errors
-    /// When the port cannot be opened.
+    /// Returns an error when the port cannot be opened.
     pub fn on_serial(model: Model, path: &Path, source: Box<dyn ScanSource>) -> io::Result<Self> {
-        Self::start(model, Place::Serial(path.to_owned()), source)
+        Self::start(model, Endpoint::Serial(path.to_owned()), source)
     }
 
-    /// On a TCP port; port 0 takes a free one.
+    /// Starts a scanner on a TCP port; port 0 selects a free port.
     ///
     /// # Errors
-    /// When the port is taken.
+    /// Returns an error when the port is in use.
     pub fn on_tcp(
         model: Model,
         address: SocketAddr,
         source: Box<dyn ScanSource>,
     ) -> io::Result<Self> {
-        Self::start(model, Place::Tcp(address), source)
+        Self::start(model, Endpoint::Tcp(address), source)
     }
 
-    fn start(model: Model, mut place: Place, source: Box<dyn ScanSource>) -> io::Result<Self> {
-        let plug = Plug::put_in(&place)?;
-        if let Some(address) = plug.address() {
-            place = Place::Tcp(address);
+    fn start(
+        model: Model,
+        mut endpoint: Endpoint,
+        source: Box<dyn ScanSource>,
+    ) -> io::Result<Self> {
+        let connection = Connection::open(&endpoint)?;
+        if let Some(address) = connection.address() {
+            endpoint = Endpoint::Tcp(address);
         }
-        let inside = Inside {
+        let state = State {
             sensor: Sensor::new(model, source, monotonic_ns()),
-            place,
-            plug: Some(plug),
+            endpoint,
+            connection: Some(connection),
             wire: WireFaults::default(),
             baud: None,
             scans: 0,
-            is_over: false,
+            stopped: false,
         };
-        let inside = Arc::new(Mutex::new(inside));
-        let worker = inside.clone();
+        let state = Arc::new(Mutex::new(state));
+        let worker = state.clone();
         let thread = std::thread::Builder::new()
             .name("simulated-hokuyo".to_owned())
-            .spawn(move || work(&worker))?;
-        Ok(Self { inside, thread: Some(thread) })
+            .spawn(move || run(&worker))?;
+        Ok(Self { state, thread: Some(thread) })
     }
 
-    fn inside(&self) -> MutexGuard<'_, Inside> {
-        self.inside.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Where it listens, on TCP.
+    /// Local address, on TCP.
     #[must_use]
     pub fn address(&self) -> Option<SocketAddr> {
-        match self.inside().place {
-            Place::Tcp(address) => Some(address),
-            Place::Pty(_) | Place::Serial(_) => None,
+        match self.state().endpoint {
+            Endpoint::Tcp(address) => Some(address),
+            Endpoint::Pty(_) | Endpoint::Serial(_) => None,
         }
     }
 
-    /// Faults of the wire from now on.
+    /// Sets the faults of the transport.
     pub fn set_wire(&self, wire: WireFaults) {
-        self.inside().wire = wire;
+        self.state().wire = wire;
     }
 
-    /// What is wrong inside from now on.
+    /// Sets the internal state of health.
     pub fn set_health(&self, health: Health) {
-        self.inside().sensor.health = health;
+        self.state().sensor.health = health;
     }
 
-    /// How much its clock runs fast from now on, parts per million.
+    /// Sets the rate error of its clock, parts per million.
     pub fn set_clock_ppm(&self, ppm: f64) {
-        self.inside().sensor.clock_ppm = ppm;
+        self.state().sensor.clock_ppm = ppm;
     }
 
-    /// The only bit rate at which it understands the host and is understood.
+    /// Sets the only bit rate at which the scanner communicates.
     pub fn set_baud(&self, baud: u32) {
-        self.inside().baud = Some(baud);
+        self.state().baud = Some(baud);
     }
 
-    /// Restarts; it is ready after so long.
+    /// Restarts the scanner. It is ready after `boot_ns`.
     pub fn reboot(&self, boot_ns: u64) {
-        self.inside().sensor.reboot(monotonic_ns() + boot_ns);
+        self.state().sensor.reboot(monotonic_ns() + boot_ns);
     }
 
-    /// Pulls the plug: its path or port is gone.
+    /// Unplugs the scanner: its path or port disappears.
     pub fn unplug(&self) {
-        self.inside().plug = None;
+        self.state().connection = None;
     }
 
-    /// Puts the plug back in: the device starts anew, at the same stable path or port.
+    /// Plugs the scanner in again. It restarts at the same stable path or port.
     ///
     /// # Errors
-    /// As when it was made.
+    /// Returns the same errors as the constructor.
     pub fn plug_in(&self) -> io::Result<()> {
-        let mut inside = self.inside();
-        inside.plug = Some(Plug::put_in(&inside.place)?);
-        inside.sensor.reboot(monotonic_ns());
+        let mut state = self.state();
+        state.connection = Some(Connection::open(&state.endpoint)?);
+        state.sensor.reboot(monotonic_ns());
         Ok(())
     }
 
-    /// Whether its plug is in.
     #[must_use]
     pub fn is_plugged_in(&self) -> bool {
-        self.inside().plug.is_some()
+        self.state().connection.is_some()
     }
 
-    /// Scans sent so far, and whether it is sending.
+    /// Number of scans sent so far, and whether the scanner is streaming.
     #[must_use]
     pub fn scans(&self) -> (u64, bool) {
-        let inside = self.inside();
-        (inside.scans, inside.sensor.is_streaming())
+        let state = self.state();
+        (state.scans, state.sensor.is_streaming())
     }
 }
 
 impl Drop for SimulatedHokuyo {
     fn drop(&mut self) {
-        self.inside().is_over = true;
+        self.state().stopped = true;
         if let Some(thread) = self.thread.take() {
             _ = thread.join();
         }
     }
 }
 
-fn work(inside: &Mutex<Inside>) {
+fn run(state: &Mutex<State>) {
     let mut clock = MonotonicClock;
     let mut rng = seeded(1);
-    let (mut buffer, mut answer, mut scan) = ([0; 256], Vec::new(), Vec::new());
+    let mut buffer = [0; 256];
+    let mut answer = Vec::new();
+    let mut scan = Vec::new();
     loop {
-        let mut locked = inside.lock().unwrap_or_else(PoisonError::into_inner);
-        let one = &mut *locked;
-        if one.is_over {
-            one.plug = None;
+        let mut locked = state.lock().unwrap_or_else(PoisonError::into_inner);
+        let state = &mut *locked;
+        if state.stopped {
+            state.connection = None;
             return;
         }
         let now_ns = monotonic_ns();
         answer.clear();
         scan.clear();
-        let is_understood = one
-            .plug
+        let is_understood = state
+            .connection
             .as_ref()
-            .and_then(Plug::baud)
-            .is_none_or(|set| one.baud.is_none_or(|own| own == set));
-        if let Some(plug) = &mut one.plug {
-            let (count, is_gone) = plug.read(&mut buffer);
+            .and_then(Connection::baud)
+            .is_none_or(|set| state.baud.is_none_or(|own| own == set));
+        if let Some(connection) = &mut state.connection {
+            let (count, is_gone) = connection.read(&mut buffer);
             if is_gone {
-                one.sensor.receive(b"\nQT\n", now_ns, &mut answer);
+                state.sensor.receive(b"\nQT\n", now_ns, &mut answer);
                 answer.clear();
             }
-            if is_understood && !one.wire.is_stalled {
-                one.sensor.receive(&buffer[..count], now_ns, &mut answer);
+            if is_understood && !state.wire.is_stalled {
+                state.sensor.receive(&buffer[..count], now_ns, &mut answer);
             } else if count > 0 {
-                // What the device makes of it comes back as another rate's noise.
+                // At a wrong bit rate both sides receive noise.
                 answer.extend((0..count * 2).map(|_| rng.random::<u8>()));
             }
         }
-        one.sensor.turn(now_ns, &mut scan);
+        state.sensor.update(now_ns, &mut scan);
         if !scan.is_empty() {
-            one.scans += 1;
+            state.scans += 1;
         }
         for message in [&mut answer, &mut scan] {
-            one.wire.spoil(message, &mut rng);
-            if let Some(plug) = &mut one.plug {
-                plug.write(message);
+            state.wire.corrupt(message, &mut rng);
+            if let Some(connection) = &mut state.connection {
+                connection.write(message);
             }
         }
-        let until_ns = one.sensor.turn_end_ns().min(now_ns + LOOK_NS);
+        let until_ns = state.sensor.rotation_end_ns().min(now_ns + POLL_NS);
         drop(locked);
         clock.sleep_until_ns(until_ns);
     }

@@ -1,15 +1,15 @@
-//! A simulated CANopen drive: NMT, an SDO server with an object dictionary, PDOs on SYNC, heartbeats both ways, and the state
-//! machine of CiA 402 in profile velocity mode.
+//! A simulated CANopen drive: NMT, an SDO server with an object dictionary, PDOs on SYNC,
+//! heartbeats both ways, and the state machine of CiA 402 in profile velocity mode.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 use drivers::can::{CanFrame, CanId};
 
-use super::node::{Every, MotorNode, NodeFaults, Watchdog, elapsed_s, standard};
+use super::node::{MotorNode, NodeFaults, Periodic, Watchdog, elapsed_s, standard};
 use super::wheel::{Drive, Wheel};
 
-/// Encoder counts per turn; velocities are in counts/s.
+/// Encoder counts per rotation; velocities are in counts/s.
 pub const COUNTS: f64 = 4096.0;
 
 const PRE_OPERATIONAL: u8 = 0x7f;
@@ -26,7 +26,6 @@ enum State {
     Fault,
 }
 
-/// One drive.
 #[derive(Debug)]
 pub struct Cia402Sim {
     node: u8,
@@ -40,7 +39,7 @@ pub struct Cia402Sim {
     dictionary: BTreeMap<(u16, u8), (u32, u8)>,
     last_ns: u64,
     booted: bool,
-    heartbeat: Option<Every>,
+    heartbeat: Option<Periodic>,
     synced: bool,
     answers: Vec<CanFrame>,
 }
@@ -73,7 +72,8 @@ impl Cia402Sim {
             ((0x60ff, 0), (0, 4)),
         ]
         .into();
-        // RPDO1 and the two TPDOs, mapped to the controlword and the statusword alone as they come.
+        // RPDO1 and the two TPDOs. By default they are mapped to the controlword and the
+        // statusword.
         for (communication, mapping, cob_id, object) in [
             (0x1400, 0x1600, 0x200, 0x6040_0010),
             (0x1800, 0x1a00, 0x180, 0x6041_0010),
@@ -141,7 +141,8 @@ impl Cia402Sim {
             0x1000 | 0x1001 | 0x1008 | 0x1018 | 0x6041 | 0x6061 | 0x6064 | 0x606c => {
                 return Err(0x0601_0002);
             }
-            // A PDO is mapped only while it is off, an entry only while the count is zero.
+            // A PDO can be mapped only while it is off, and an entry changed only while the count
+            // is zero.
             0x1600 if !is_off(0x1400) => return Err(0x0601_0000),
             0x1a00 | 0x1a01 if !is_off(index - 0x200) => return Err(0x0601_0000),
             0x1600 | 0x1a00 | 0x1a01 if sub > 0 && self.value(index, 0) != 0 => {
@@ -157,11 +158,11 @@ impl Cia402Sim {
                 if *bytes == 4 { value } else { value & ((1 << (8 * u32::from(*bytes))) - 1) };
         }
         match (index, sub) {
-            // Watched from the first heartbeat on.
+            // The heartbeat consumer starts with the first heartbeat.
             (0x1016, 1) => self.watchdog.limit_ns = None,
             (0x1017, 0) => {
                 self.heartbeat =
-                    (value & 0xffff > 0).then(|| Every::milliseconds(u64::from(value & 0xffff)));
+                    (value & 0xffff > 0).then(|| Periodic::milliseconds(u64::from(value & 0xffff)));
             }
             (0x6040, 0) => self.on_controlword(value as u16),
             (0x6060, 0) => {
@@ -190,7 +191,7 @@ impl Cia402Sim {
             (_, command) if command & 0x07 == 0x06 => ReadyToSwitchOn,
             (ReadyToSwitchOn | SwitchedOn | Enabled, 0x07) => SwitchedOn,
             (SwitchedOn | Enabled, 0x0f) => Enabled,
-            // Both transitions at once, as the standard allows it.
+            // Both transitions at once, which the standard allows.
             (ReadyToSwitchOn, 0x0f) => Enabled,
             (state, _) => state,
         };
@@ -227,7 +228,7 @@ impl Cia402Sim {
         }
     }
 
-    /// The PDO whose parameters lie at these indices, if it is on: its mapped objects.
+    /// COB-ID and mapped objects of the PDO with these parameter indices, if it is on.
     fn mapped(&self, communication: u16, mapping: u16) -> Option<(u16, Vec<u32>)> {
         let cob_id = self.value(communication, 1);
         let count = self.value(mapping, 0) as u8;
@@ -239,8 +240,9 @@ impl Cia402Sim {
         let Some((_, objects)) = self.mapped(0x1400, 0x1600) else { return };
         let mut rest = data;
         for object in objects {
-            let (index, sub, bytes) =
-                ((object >> 16) as u16, (object >> 8) as u8, (object & 0xff) as usize / 8);
+            let index = (object >> 16) as u16;
+            let sub = (object >> 8) as u8;
+            let bytes = (object & 0xff) as usize / 8;
             let Some((value, behind)) = rest.split_at_checked(bytes) else { return };
             let mut word = [0; 4];
             word.iter_mut().zip(value).for_each(|(byte, value)| *byte = *value);
@@ -269,7 +271,8 @@ impl Cia402Sim {
 impl MotorNode for Cia402Sim {
     fn receive(&mut self, frame: &CanFrame, now_ns: u64) {
         let CanId::Standard(id) = frame.id() else { return };
-        let (node, consumer) = (u16::from(self.node), self.value(0x1016, 1));
+        let node = u16::from(self.node);
+        let consumer = self.value(0x1016, 1);
         match (id, frame.data()) {
             (0x000, [command, to]) if *to == 0 || *to == self.node => self.on_nmt(*command),
             (0x080, _) => self.synced = true,
@@ -310,15 +313,14 @@ impl MotorNode for Cia402Sim {
             State::Enabled if self.value(0x6060, 0) == 3 => {
                 Drive::Velocity(f64::from(target) / COUNTS * TAU)
             }
-            // 0x605E and 0x605A at 2: the quick-stop ramp.
+            // Objects 0x605E and 0x605A at 2 select the quick-stop ramp.
             State::Fault | State::QuickStop if self.value(0x605e, 0) == 2 => Drive::Brake,
             _ => Drive::Coast,
         });
         self.wheel.step(elapsed_s(&mut self.last_ns, now_ns));
         let (velocity, position) = self.wheel.measured();
-        let counts = |radians: f64| (radians / TAU * COUNTS).round() as i64 as i32 as u32;
-        self.dictionary.insert((0x606c, 0), (counts(velocity), 4));
-        self.dictionary.insert((0x6064, 0), (counts(position), 4));
+        self.dictionary.insert((0x606c, 0), (to_counts(velocity), 4));
+        self.dictionary.insert((0x6064, 0), (to_counts(position), 4));
         self.dictionary.insert((0x6041, 0), (u32::from(self.statusword()), 2));
         let synced = std::mem::take(&mut self.synced);
         if self.faults.silent {
@@ -331,7 +333,7 @@ impl MotorNode for Cia402Sim {
         }
         out.append(&mut self.answers);
         if synced && self.nmt == OPERATIONAL {
-            // Position first: the driver takes the older of both for the age of its feedback.
+            // Position first: the driver uses the older of both for the age of its feedback.
             for (communication, mapping) in [(0x1801, 0x1a01), (0x1800, 0x1a00)] {
                 if (1..=240).contains(&self.value(communication, 2)) {
                     self.send_tpdo(communication, mapping, out);
@@ -362,4 +364,8 @@ impl MotorNode for Cia402Sim {
     fn is_powered(&self) -> bool {
         self.state == State::Enabled
     }
+}
+
+fn to_counts(radians: f64) -> u32 {
+    (radians / TAU * COUNTS).round() as i64 as i32 as u32
 }

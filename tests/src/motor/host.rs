@@ -1,4 +1,4 @@
-//! `hil base`: the real driver in a terminal, driving straight on.
+//! The `hil base` command: runs the real base driver in a terminal and drives straight ahead.
 
 use std::error::Error;
 
@@ -8,46 +8,48 @@ use hal::{Base, Clock, DriveCommand, Twist2};
 use monotonic_clock::MonotonicClock;
 
 use super::rig;
-use super::run::Spoken;
+use super::run::ProtocolArg;
 
-const TURN_NS: u64 = 10_000_000;
+const TICK_NS: u64 = 10_000_000;
 
-/// Arms the base of simulated controllers 1 and 2, and drives.
+/// Arm the base with simulated controllers 1 and 2, and drive.
 #[derive(Debug, Args)]
 pub struct BaseArgs {
-    /// `unix:PATH` or a CAN interface.
+    /// Bus: `unix:PATH` or a CAN interface.
     #[arg(long, default_value = "unix:/tmp/can")]
     bus: String,
-    /// What the controllers speak.
-    #[arg(long, value_enum, default_value_t = Spoken::Odrive)]
-    protocol: Spoken,
-    /// Speed, m/s.
+    /// Protocol of the controllers.
+    #[arg(long, value_enum, default_value_t = ProtocolArg::Odrive)]
+    protocol: ProtocolArg,
+    /// Linear velocity, m/s.
     #[arg(long, default_value_t = 0.2, allow_negative_numbers = true)]
     speed: f64,
-    /// Turn rate, rad/s.
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
-    turn: f64,
-    /// Ends after so many seconds.
+    /// Angular velocity, rad/s.
+    #[arg(long, alias = "turn", default_value_t = 0.0, allow_negative_numbers = true)]
+    yaw_rate: f64,
+    /// End after this time, seconds.
     #[arg(long)]
     seconds: Option<f64>,
 }
 
-/// Runs until interrupted. Arms once: whatever stops the base stops it for good.
+/// Runs until interrupted. It arms only once, so the base stays stopped after any trip.
 ///
 /// # Errors
-/// When the base refuses its configuration.
+/// Returns an error when the base refuses its configuration.
 pub fn run_base(args: &BaseArgs) -> Result<(), Box<dyn Error>> {
     let config = rig::config(args.protocol.into());
     let mut base = DifferentialBase::new(open_bus(&args.bus), &config)?;
     let mut clock = MonotonicClock;
-    let (start_ns, mut counter, mut armed) = (clock.now_ns(), 0, false);
+    let start_ns = clock.now_ns();
+    let mut counter = 0;
+    let mut armed = false;
     let mut next_ns = start_ns;
-    let mut said = String::new();
-    let twist = Twist2 { linear_mps: args.speed, angular_radps: args.turn };
+    let mut last_message = String::new();
+    let twist = Twist2 { linear_mps: args.speed, angular_radps: args.yaw_rate };
     loop {
-        next_ns += TURN_NS;
+        next_ns += TICK_NS;
         clock.sleep_until_ns(next_ns);
-        // Late turns are left out, never made up for.
+        // Missed ticks are skipped.
         next_ns = next_ns.max(clock.now_ns());
         let feedback = base.poll_feedback();
         armed = armed || base.arm().is_ok();
@@ -55,10 +57,10 @@ pub fn run_base(args: &BaseArgs) -> Result<(), Box<dyn Error>> {
             counter += 1;
             let _ = base.drive(&DriveCommand { twist, counter, plan_age_ns: 0 });
         }
-        let says = base.explain();
-        if says != said {
-            println!("{:8.3} s  {says}", (clock.now_ns() - start_ns) as f64 * 1e-9);
-            said = says;
+        let message = base.explain();
+        if message != last_message {
+            println!("{:8.3} s  {message}", (clock.now_ns() - start_ns) as f64 * 1e-9);
+            last_message = message;
         }
         if args.seconds.is_some_and(|seconds| (clock.now_ns() - start_ns) as f64 * 1e-9 >= seconds)
         {

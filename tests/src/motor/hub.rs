@@ -1,4 +1,5 @@
-//! A CAN bus between processes: a Unix seqpacket socket at which every record that one connection sends goes to all others.
+//! A CAN bus between processes: a Unix seqpacket socket that forwards every record of one
+//! connection to all others.
 
 use std::collections::VecDeque;
 use std::os::fd::OwnedFd;
@@ -12,23 +13,23 @@ use rustix::net::{
     bind, listen, recv, send, socket_with,
 };
 
-/// The hub. As a [`CanBus`] it is the connection of those who live in its own process.
+/// The hub of the bus. As a [`CanBus`] it is the connection of the nodes in its own process.
 #[derive(Debug)]
 pub struct Hub {
     path: PathBuf,
     name: String,
     listener: OwnedFd,
     connections: Vec<OwnedFd>,
-    heard: VecDeque<BusEvent>,
-    /// Records that a connection did not take because it does not read.
+    received: VecDeque<BusEvent>,
+    /// Number of records that a connection did not accept because it does not read.
     pub dropped: u64,
 }
 
 impl Hub {
-    /// Listens at `path`; a socket that somebody left there is removed.
+    /// Listens at `path`. A socket that an ended process left there is removed.
     ///
     /// # Errors
-    /// When the path cannot be used, or another hub listens there.
+    /// Returns an error when the path cannot be used or another hub listens there.
     pub fn bind(path: &Path) -> std::io::Result<Self> {
         let flags = SocketFlags::NONBLOCK | SocketFlags::CLOEXEC;
         let address = SocketAddrUnix::new(path)?;
@@ -47,17 +48,17 @@ impl Hub {
         bind(&listener, &address)?;
         listen(&listener, 16)?;
         let name = format!("unix:{}", path.display());
-        let (connections, heard) = (Vec::new(), VecDeque::new());
-        Ok(Self { path: path.to_owned(), name, listener, connections, heard, dropped: 0 })
+        let connections = Vec::new();
+        let received = VecDeque::new();
+        Ok(Self { path: path.to_owned(), name, listener, connections, received, dropped: 0 })
     }
 
-    /// How many are connected.
     #[must_use]
     pub fn connections(&self) -> usize {
         self.connections.len()
     }
 
-    /// Every connection is told that its controller is bus-off.
+    /// Reports to every connection that its controller is bus-off.
     pub fn inject_bus_off(&mut self) {
         let record = record::bus_off_record();
         for connection in &self.connections {
@@ -65,8 +66,8 @@ impl Hub {
         }
     }
 
-    /// Takes in who waits at the door, and hands on what the connections sent.
-    fn turn(&mut self) {
+    /// Accepts new connections and forwards the records of all connections.
+    fn poll_connections(&mut self) {
         while let Ok(connection) =
             accept_with(&self.listener, SocketFlags::NONBLOCK | SocketFlags::CLOEXEC)
         {
@@ -74,12 +75,12 @@ impl Hub {
         }
         let mut at = 0;
         while at < self.connections.len() {
-            if self.fetch(at) { at += 1 } else { drop(self.connections.swap_remove(at)) }
+            if self.receive_from(at) { at += 1 } else { drop(self.connections.swap_remove(at)) }
         }
     }
 
-    /// All that one connection has sent; false when it is gone.
-    fn fetch(&mut self, at: usize) -> bool {
+    /// Receives all records of one connection. Returns false when it is closed.
+    fn receive_from(&mut self, at: usize) -> bool {
         loop {
             let mut bytes = [0; RECORD_BYTES];
             let Some(connection) = self.connections.get(at) else { return false };
@@ -87,8 +88,8 @@ impl Hub {
                 Ok((0, _)) => return false,
                 Ok((length, _)) => {
                     if let Some(event) = bytes.get(..length).and_then(record::decode) {
-                        self.hand_on(&bytes, Some(at));
-                        self.heard.push_back(event);
+                        self.forward(&bytes, Some(at));
+                        self.received.push_back(event);
                     }
                 }
                 Err(Errno::AGAIN | Errno::INTR) => return true,
@@ -97,7 +98,7 @@ impl Hub {
         }
     }
 
-    fn hand_on(&mut self, record: &[u8; RECORD_BYTES], from: Option<usize>) {
+    fn forward(&mut self, record: &[u8; RECORD_BYTES], from: Option<usize>) {
         for (_, connection) in
             self.connections.iter().enumerate().filter(|(at, _)| Some(*at) != from)
         {
@@ -110,15 +111,15 @@ impl Hub {
 
 impl CanBus for Hub {
     fn send(&mut self, frame: &CanFrame) -> Result<(), SendProblem> {
-        self.hand_on(&record::encode(frame), None);
+        self.forward(&record::encode(frame), None);
         Ok(())
     }
 
     fn receive(&mut self, now_ns: u64) -> Option<Received> {
-        if self.heard.is_empty() {
-            self.turn();
+        if self.received.is_empty() {
+            self.poll_connections();
         }
-        self.heard.pop_front().map(|event| Received { time_ns: now_ns, event })
+        self.received.pop_front().map(|event| Received { time_ns: now_ns, event })
     }
 
     fn drop_pending(&mut self) {}
@@ -144,9 +145,10 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("can");
         let text = path.to_str().expect("a plain path");
-        let (mut a, mut b) = (UnixBus::new(text), UnixBus::new(text));
+        let mut a = UnixBus::new(text);
+        let mut b = UnixBus::new(text);
         assert_eq!(a.receive(0).map(|received| received.event), Some(BusEvent::Gone));
-        assert_eq!(a.receive(1), None, "told once");
+        assert_eq!(a.receive(1), None, "reported once");
         let mut hub = Hub::bind(&path).expect("a hub");
         assert!(Hub::bind(&path).is_err(), "one hub at a time");
         let retry_ns = 200_000_000;

@@ -1,11 +1,13 @@
-//! Simulated motor controllers on a CAN bus.
+//! Simulated motor controllers on a CAN bus, with ODrive, VESC and CiA 402 protocols.
 //!
-//! By hand: `cargo run -p hil -- motor --bus unix:/tmp/can --protocol odrive` plays two controllers and the bus between
-//! processes; with an interface's name it plays them on a real one.
+//! From a terminal: `cargo run -p hil -- motor --bus unix:/tmp/can --protocol odrive` simulates two
+//! controllers and a bus between processes. With the name of a CAN interface it simulates them on
+//! that interface.
 //!
-//! To couple them with a simulated home, own two [`MotorNode`]s (from [`rig::node`]) and any [`drivers::can::CanBus`], call
-//! [`rig::step_nodes`] every millisecond, move the robot by what `node.wheel().velocity_radps()` or `position_rad()` says, and set
-//! `node.wheel_mut().blocked` while it stands against something.
+//! To couple them with a simulated home, create two [`MotorNode`]s (with [`rig::node`]) and any
+//! [`drivers::can::CanBus`], call [`rig::step_nodes`] every millisecond, move the robot by
+//! `node.wheel().velocity_radps()` or `position_rad()`, and set `node.wheel_mut().blocked` while
+//! the robot touches an obstacle.
 
 pub mod cia402;
 mod host;
@@ -25,5 +27,6 @@ pub use memory::{LineFaults, MemoryBus};
 pub use node::{MotorNode, NodeFaults, Watchdog};
 pub use outbox::Outbox;
 pub use rig::Rig;
+pub(crate) use run::ProtocolArg;
 pub use run::{MotorArgs, run};
 pub use wheel::{Drive, Wheel};

@@ -1,66 +1,65 @@
-//! What all simulated motor controllers have in common.
+//! The interface and the faults that all simulated motor controllers share.
 
 use drivers::can::CanFrame;
 
 use super::wheel::Wheel;
 
-/// A motor controller without a bus: frames and the time go in, frames come out.
+/// A motor controller without a bus: frames and times go in, frames come out.
 pub trait MotorNode: Send {
-    /// A frame on the bus, anybody's.
+    /// Processes a frame from the bus, for any node.
     fn receive(&mut self, frame: &CanFrame, now_ns: u64);
 
-    /// Time passes up to `now_ns`; adds what the controller sends.
+    /// Advances to `now_ns` and appends the frames that the controller sends.
     fn step(&mut self, now_ns: u64, out: &mut Vec<CanFrame>);
 
-    /// The wheel it drives.
     fn wheel(&self) -> &Wheel;
 
-    /// The wheel, to block it or to turn its encoder round.
+    /// The wheel, for blocking it or reversing its encoder.
     fn wheel_mut(&mut self) -> &mut Wheel;
 
-    /// What can be wrong with it.
+    /// The controller's faults, for injecting them.
     fn faults(&mut self) -> &mut NodeFaults;
 
-    /// What its watchdog did.
     fn watchdog(&self) -> &Watchdog;
 
-    /// Whether it powers its motor.
+    /// Whether the controller powers its motor.
     fn is_powered(&self) -> bool;
 }
 
-/// What can be wrong with a controller.
+/// Faults of a controller.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct NodeFaults {
-    /// Sends nothing, but listens.
+    /// Sends nothing, but still receives.
     pub silent: bool,
-    /// Has a hardware fault, until cleared.
+    /// Has a hardware fault until this is cleared.
     pub broken: bool,
-    /// Takes the watchdog setting, and keeps another one.
+    /// Acknowledges the watchdog setting but does not store it.
     pub forgets_watchdog: bool,
     /// Loses power for a moment at its next step.
     pub reboot: bool,
 }
 
-/// A controller's own watchdog, by its own clock.
+/// A controller's watchdog, by the controller's own clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Watchdog {
-    /// How long it waits; `None` while it is off.
+    /// Time-out; `None` while the watchdog is off.
     pub limit_ns: Option<u64>,
-    /// When it was fed last.
+    /// Time of the last command.
     pub fed_ns: u64,
-    /// How often it expired.
+    /// Number of times that it has expired.
     pub expired: u32,
-    /// When it expired last.
+    /// Time when it last expired.
     pub expired_ns: u64,
 }
 
 impl Watchdog {
-    /// A command came.
+    /// Restarts the time-out.
     pub fn feed(&mut self, now_ns: u64) {
         self.fed_ns = now_ns;
     }
 
-    /// Whether it has just expired; before the first command there is nothing to miss. Fed again only by the next command.
+    /// Whether the watchdog has just expired. It does not run before the first command, and
+    /// restarts only with the next command.
     pub fn expires(&mut self, now_ns: u64) -> bool {
         let silent_ns = now_ns.saturating_sub(self.fed_ns);
         let expires = self.limit_ns.is_some_and(|limit_ns| silent_ns > limit_ns);
@@ -73,19 +72,19 @@ impl Watchdog {
     }
 }
 
-/// Something that is sent in a fixed rhythm.
+/// Timer of a periodic message.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Every {
+pub(super) struct Periodic {
     period_ns: u64,
     next_ns: u64,
 }
 
-impl Every {
+impl Periodic {
     pub(super) fn milliseconds(period_ms: u64) -> Self {
         Self { period_ns: period_ms * 1_000_000, next_ns: 0 }
     }
 
-    /// Whether it is time. Beats that were missed are left out.
+    /// Whether the message is due. Missed periods are skipped.
     pub(super) fn is_due(&mut self, now_ns: u64) -> bool {
         let due = now_ns >= self.next_ns;
         if due {
@@ -96,13 +95,13 @@ impl Every {
     }
 }
 
-/// Seconds since the last step, at most a second of them.
+/// Seconds since the last step, at most one.
 pub(super) fn elapsed_s(last_ns: &mut u64, now_ns: u64) -> f64 {
     let elapsed_ns = now_ns.saturating_sub(std::mem::replace(last_ns, now_ns));
     elapsed_ns.min(1_000_000_000) as f64 * 1e-9
 }
 
-/// A frame with an 11-bit id. The simulators make only sound ones.
+/// A frame with an 11-bit id. The simulators create only valid ones.
 pub(super) fn standard(id: u16, payload: &[u8]) -> CanFrame {
     let mut data = [0; 8];
     data.iter_mut().zip(payload).for_each(|(byte, value)| *byte = *value);

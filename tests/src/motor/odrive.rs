@@ -1,20 +1,21 @@
 //! A simulated ODrive axis, firmware 0.6.10 (ODrive, "CAN Protocol").
 //!
-//! Its watchdog is fed by `Set_Input_Vel` only, runs also while the axis is idle, and disarms the axis when it expires: the wheel
-//! then rolls out, as that of a real one does.
+//! Its watchdog is fed by `Set_Input_Vel` only, also runs while the axis is idle, and disarms the
+//! axis when it expires. The wheel then coasts, as with a real ODrive.
 
 use std::f64::consts::TAU;
 
 use drivers::can::{CanFrame, CanId};
 
-use super::node::{Every, MotorNode, NodeFaults, Watchdog, elapsed_s, standard};
+use super::node::{MotorNode, NodeFaults, Periodic, Watchdog, elapsed_s, standard};
 use super::wheel::{Drive, Wheel};
 
-/// Endpoint of `axis0.config.enable_watchdog` of the simulated firmware. Real numbers come from `flat_endpoints.json`.
+/// Endpoint of `axis0.config.enable_watchdog` of the simulated firmware. Real numbers come from
+/// `flat_endpoints.json`.
 pub const ENABLE_WATCHDOG_ENDPOINT: u16 = 195;
 /// Endpoint of `axis0.config.watchdog_timeout`.
 pub const WATCHDOG_TIMEOUT_ENDPOINT: u16 = 196;
-/// What it answers to `Get_Version`.
+/// Its answer to `Get_Version`.
 pub const FIRMWARE: [u8; 3] = [0, 6, 10];
 
 const WATCHDOG_EXPIRED: u32 = 0x0100_0000;
@@ -22,7 +23,6 @@ const DRV_FAULT: u32 = 0x0000_0020;
 const IDLE: u8 = 1;
 const CLOSED_LOOP: u8 = 8;
 
-/// One axis.
 #[derive(Debug)]
 pub struct OdriveSim {
     node: u16,
@@ -36,13 +36,13 @@ pub struct OdriveSim {
     velocity_mode: bool,
     input_turns_per_s: f32,
     last_ns: u64,
-    encoder: Every,
-    heartbeat: Every,
+    encoder: Periodic,
+    heartbeat: Periodic,
     answers: Vec<CanFrame>,
 }
 
 impl OdriveSim {
-    /// An axis with its watchdog off, as it comes.
+    /// An axis with the factory setting: watchdog off.
     #[must_use]
     pub fn new(node: u8) -> Self {
         Self {
@@ -57,8 +57,8 @@ impl OdriveSim {
             velocity_mode: false,
             input_turns_per_s: 0.0,
             last_ns: 0,
-            encoder: Every::milliseconds(10),
-            heartbeat: Every::milliseconds(100),
+            encoder: Periodic::milliseconds(10),
+            heartbeat: Periodic::milliseconds(100),
             answers: Vec::new(),
         }
     }
@@ -129,8 +129,8 @@ impl MotorNode for OdriveSim {
 
     fn step(&mut self, now_ns: u64, out: &mut Vec<CanFrame>) {
         if self.faults.reboot {
-            let (node, faults) =
-                ((self.node >> 5) as u8, NodeFaults { reboot: false, ..self.faults });
+            let node = (self.node >> 5) as u8;
+            let faults = NodeFaults { reboot: false, ..self.faults };
             *self = Self {
                 wheel: self.wheel.clone(),
                 last_ns: self.last_ns,
@@ -155,8 +155,8 @@ impl MotorNode for OdriveSim {
         out.append(&mut self.answers);
         if self.encoder.is_due(now_ns) {
             let (velocity, position) = self.wheel.measured();
-            let turns = [position, velocity].map(|value| ((value / TAU) as f32).to_le_bytes());
-            out.push(standard(self.node | 0x09, &turns.concat()));
+            let rotations = [position, velocity].map(|value| ((value / TAU) as f32).to_le_bytes());
+            out.push(standard(self.node | 0x09, &rotations.concat()));
         }
         if self.heartbeat.is_due(now_ns) {
             out.push(standard(

@@ -1,4 +1,4 @@
-//! A base and its two simulated motors on a bus in memory, in virtual time.
+//! A base driver and its two simulated motor controllers on a bus in memory, in virtual time.
 
 use drivers::can::{BaseConfig, CanBus, CanError, DifferentialBase, Phase, Protocol};
 use hal::{Base, Clock, DriveCommand, Twist2, VirtualClock, WheelFeedback};
@@ -10,12 +10,12 @@ use super::odrive::{ENABLE_WATCHDOG_ENDPOINT, FIRMWARE, OdriveSim, WATCHDOG_TIME
 use super::outbox::Outbox;
 use super::vesc::{POLE_PAIRS, VescSim};
 
-/// One turn of the control loop.
-pub const TURN_NS: u64 = 10_000_000;
-/// The motors' own rhythm.
+/// Period of the control loop.
+pub const TICK_NS: u64 = 10_000_000;
+/// Period of the simulated motors.
 const STEP_NS: u64 = 1_000_000;
 
-/// A configuration that fits the simulated nodes 1 (left) and 2 (right).
+/// A configuration for the simulated nodes 1 (left) and 2 (right).
 #[must_use]
 pub fn config(protocol: Protocol) -> BaseConfig {
     let mut config = BaseConfig { protocol, ..BaseConfig::default() };
@@ -28,7 +28,7 @@ pub fn config(protocol: Protocol) -> BaseConfig {
     config
 }
 
-/// A simulated controller of that protocol.
+/// Creates a simulated controller with this protocol.
 #[must_use]
 pub fn node(protocol: Protocol, node: u8) -> Box<dyn MotorNode> {
     match protocol {
@@ -38,7 +38,7 @@ pub fn node(protocol: Protocol, node: u8) -> Box<dyn MotorNode> {
     }
 }
 
-/// The nodes take what is on the bus, and send what they have to.
+/// Delivers the received frames to the nodes, advances them to `now_ns` and sends their frames.
 pub fn step_nodes(
     nodes: &mut [Box<dyn MotorNode>],
     bus: &mut impl CanBus,
@@ -50,39 +50,37 @@ pub fn step_nodes(
             nodes.iter_mut().for_each(|node| node.receive(&frame, now_ns));
         }
     }
-    let mut said = Vec::new();
-    nodes.iter_mut().for_each(|node| node.step(now_ns, &mut said));
-    outbox.send(&said, bus);
+    let mut outgoing = Vec::new();
+    nodes.iter_mut().for_each(|node| node.step(now_ns, &mut outgoing));
+    outbox.send(&outgoing, bus);
 }
 
-/// The rig.
+/// The base driver, its motor controllers and the bus.
 pub struct Rig {
-    /// The driver under test.
     pub base: DifferentialBase<MemoryBus, VirtualClock>,
     /// Node 1, mounted left, and node 2, mounted right.
     pub nodes: [Box<dyn MotorNode>; 2],
-    /// The host's connection, to spoil it.
+    /// The host's connection, for injecting faults.
     pub host: MemoryBus,
-    /// The motors' connection, to spoil it.
+    /// The motors' connection, for injecting faults.
     pub motors: MemoryBus,
-    /// Virtual time.
     pub now_ns: u64,
     /// Counter of the next command.
     pub counter: u32,
-    /// The newest feedback, or why there is none.
+    /// The newest feedback, or the error instead of it.
     pub feedback: Result<Option<WheelFeedback>, CanError>,
     outbox: Outbox,
 }
 
 impl Rig {
-    /// A base with this configuration.
+    /// Creates a base with this configuration.
     ///
     /// # Errors
-    /// When the configuration is refused.
+    /// Returns an error when the configuration is refused.
     pub fn new(config: &BaseConfig) -> Result<Self, CanError> {
         let host = MemoryBus::new(1);
         let motors = host.connect();
-        // Not zero: a boot takes a while, and 0 means never.
+        // The start time is not zero because 0 means never.
         let now_ns = 1_000_000_000;
         host.set_now(now_ns);
         let base = DifferentialBase::with_clock(
@@ -103,8 +101,8 @@ impl Rig {
         })
     }
 
-    /// Only the motors' time passes, and the base's clock.
-    pub fn pass(&mut self, nanoseconds: u64) {
+    /// Advances the motors and the base's clock without running the control loop.
+    pub fn advance(&mut self, nanoseconds: u64) {
         let end_ns = self.now_ns + nanoseconds;
         while self.now_ns < end_ns {
             self.now_ns += STEP_NS;
@@ -114,42 +112,42 @@ impl Rig {
         }
     }
 
-    /// One turn of a loop that only listens.
-    pub fn listen(&mut self) {
-        self.pass(TURN_NS);
+    /// Runs one tick of a control loop that only reads feedback.
+    pub fn poll(&mut self) {
+        self.advance(TICK_NS);
         self.feedback = self.base.poll_feedback();
     }
 
-    /// One turn of a loop that drives, as the safety thread does it.
+    /// Runs one tick of a control loop that drives, as the safety thread does.
     ///
     /// # Errors
-    /// When the base refuses.
+    /// Returns an error when the base refuses the command.
     pub fn drive(&mut self, linear_mps: f64, angular_radps: f64) -> Result<(), CanError> {
-        self.listen();
+        self.poll();
         self.counter += 1;
         let twist = Twist2 { linear_mps, angular_radps };
         self.base.drive(&DriveCommand { twist, counter: self.counter, plan_age_ns: 0 })
     }
 
-    /// Listens until the motors are set up.
+    /// Polls until the motors are set up. Returns false when that takes more than `ticks`.
     #[must_use]
-    pub fn is_ready_after(&mut self, turns: usize) -> bool {
+    pub fn is_ready_after(&mut self, ticks: usize) -> bool {
         use drivers::can::protocol::MotorStage::Ready;
-        (0..turns).any(|_| {
-            self.listen();
+        (0..ticks).any(|_| {
+            self.poll();
             self.base.motors().iter().all(|motor| motor.stage == Ready)
         })
     }
 
-    /// Sets up, arms, and waits until the base is armed.
+    /// Sets up and arms the base, and waits until it is armed.
     ///
     /// # Errors
-    /// What stands in the way.
+    /// Returns the reason when the base cannot be armed.
     pub fn arm(&mut self) -> Result<(), CanError> {
         let _ = self.is_ready_after(200);
         self.base.arm()?;
         for _ in 0..300 {
-            self.listen();
+            self.poll();
             match self.base.phase() {
                 Phase::Armed => return Ok(()),
                 Phase::Tripped(trip) => return Err(CanError::Tripped(trip)),
@@ -159,7 +157,7 @@ impl Rig {
         Err(CanError::NotArmed)
     }
 
-    /// How the wheels really turn, node 1 and 2, rad/s.
+    /// True velocities of the wheels of node 1 and 2, rad/s.
     #[must_use]
     pub fn wheels_radps(&self) -> [f64; 2] {
         self.nodes.each_ref().map(|node| node.wheel().velocity_radps())

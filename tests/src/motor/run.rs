@@ -1,4 +1,4 @@
-//! `hil motor`: two controllers in a terminal.
+//! The `hil motor` command.
 
 use std::error::Error;
 use std::io::{IsTerminal, Write, stdout};
@@ -18,32 +18,33 @@ use super::rig;
 const STEP_NS: u64 = 1_000_000;
 const SECOND_NS: u64 = 1_000_000_000;
 
-/// Two simulated motor controllers on a CAN bus.
+/// Simulate two motor controllers on a CAN bus.
 #[derive(Debug, Args)]
 pub struct MotorArgs {
-    /// `unix:PATH` opens a bus between processes there; anything else is a CAN interface such as can0 or vcan0.
+    /// Bus: `unix:PATH` opens a bus between processes there; any other value is a CAN interface
+    /// such as can0 or vcan0.
     #[arg(long, default_value = "unix:/tmp/can")]
     bus: String,
-    /// What the controllers speak.
-    #[arg(long, value_enum, default_value_t = Spoken::Odrive)]
-    protocol: Spoken,
-    /// Node of the left wheel; the right one is the next.
+    /// Protocol of the controllers.
+    #[arg(long, value_enum, default_value_t = ProtocolArg::Odrive)]
+    protocol: ProtocolArg,
+    /// Node of the left wheel; the right wheel has the next number.
     #[arg(long, default_value_t = 1)]
     node: u8,
-    /// A fault at a time, such as `block@5`: block, reverse, silent, break, forget, reboot (of the left motor), bus-off; `heal` ends
-    /// them all. May be given several times.
+    /// Fault at a time in seconds, such as `block@5`: block, reverse, silent, break, forget, reboot
+    /// (all of the left motor) or bus-off; `heal` ends all faults. May be given several times.
     #[arg(long = "fault", value_name = "FAULT@SECONDS")]
     faults: Vec<Scheduled>,
-    /// Ends after so many seconds.
+    /// End after this time, seconds.
     #[arg(long)]
     seconds: Option<f64>,
-    /// Prints one line with the time on the monotonic clock, ns, whenever a wheel begins or ends to be driven.
+    /// Print one line with the monotonic time in ns whenever a wheel begins or ceases to be driven.
     #[arg(long)]
     events: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum Spoken {
+pub(crate) enum ProtocolArg {
     /// ODrive CANSimple.
     Odrive,
     /// VESC.
@@ -52,12 +53,19 @@ pub(super) enum Spoken {
     Cia402,
 }
 
-impl From<Spoken> for Protocol {
-    fn from(spoken: Spoken) -> Self {
-        match spoken {
-            Spoken::Odrive => Self::Odrive,
-            Spoken::Vesc => Self::Vesc,
-            Spoken::Cia402 => Self::Cia402,
+impl ProtocolArg {
+    /// The value of the command-line option.
+    pub fn name(self) -> String {
+        format!("{self:?}").to_lowercase()
+    }
+}
+
+impl From<ProtocolArg> for Protocol {
+    fn from(protocol: ProtocolArg) -> Self {
+        match protocol {
+            ProtocolArg::Odrive => Self::Odrive,
+            ProtocolArg::Vesc => Self::Vesc,
+            ProtocolArg::Cia402 => Self::Cia402,
         }
     }
 }
@@ -77,18 +85,18 @@ impl FromStr for Scheduled {
         let (fault, seconds) =
             text.split_once('@').ok_or("write FAULT@SECONDS, such as block@5")?;
         if !KNOWN.contains(&fault) {
-            return Err(format!("`{fault}` is no fault; there are {}", KNOWN.join(", ")));
+            return Err(format!("`{fault}` is not a fault; the faults are {}", KNOWN.join(", ")));
         }
         match seconds.parse::<f64>() {
             Ok(seconds) if (0.0..1e6).contains(&seconds) => {
                 Ok(Self { fault: fault.to_owned(), at_ns: (seconds * 1e9) as u64 })
             }
-            _ => Err(format!("`{seconds}` is no time in seconds")),
+            _ => Err(format!("`{seconds}` is not a time in seconds")),
         }
     }
 }
 
-/// The bus that the controllers are on.
+/// The bus of the controllers.
 enum Wire {
     Hub(Hub),
     Interface(SocketBus),
@@ -97,7 +105,7 @@ enum Wire {
 /// Runs until interrupted.
 ///
 /// # Errors
-/// When the bus cannot be opened.
+/// Returns an error when the bus cannot be opened.
 pub fn run(args: &MotorArgs) -> Result<(), Box<dyn Error>> {
     let protocol = Protocol::from(args.protocol);
     let right = args.node.checked_add(1).ok_or("--node must be below 255")?;
@@ -116,7 +124,9 @@ pub fn run(args: &MotorArgs) -> Result<(), Box<dyn Error>> {
     let start_ns = clock.now_ns();
     let mut schedule = args.faults.clone();
     schedule.sort_by_key(|scheduled| std::cmp::Reverse(scheduled.at_ns));
-    let (mut now_ns, mut shown_ns, mut driven) = (start_ns, 0, [false; 2]);
+    let mut now_ns = start_ns;
+    let mut shown_ns = 0;
+    let mut driven = [false; 2];
     let mut outbox = Outbox::default();
     loop {
         now_ns = (now_ns + STEP_NS).max(clock.now_ns());
@@ -161,13 +171,14 @@ fn inject(fault: &str, nodes: &mut [Box<dyn MotorNode>; 2], wire: &mut Wire) {
         _ => {
             for node in [left, right] {
                 *node.faults() = super::NodeFaults::default();
-                (node.wheel_mut().blocked, node.wheel_mut().encoder_reversed) = (false, false);
+                node.wheel_mut().blocked = false;
+                node.wheel_mut().encoder_reversed = false;
             }
         }
     }
 }
 
-/// A wheel counts as driven while its controller powers it towards a velocity other than zero.
+/// A wheel is driven while its controller powers it with a target velocity other than zero.
 fn report_changes(nodes: &[Box<dyn MotorNode>; 2], driven: &mut [bool; 2], now_ns: u64) {
     for ((node, driven), side) in nodes.iter().zip(driven).zip(["left", "right"]) {
         let is_driven =
@@ -195,12 +206,12 @@ fn show(nodes: &[Box<dyn MotorNode>; 2], wire: &Wire, run_ns: u64) -> std::io::R
         let velocity = node.wheel().velocity_radps();
         format!("{velocity:+7.2} rad/s {power} watchdog {limit}, expired {}", watchdog.expired)
     });
-    let heard = match wire {
+    let bus = match wire {
         Wire::Hub(hub) => format!("{} connected", hub.connections()),
         Wire::Interface(bus) => bus.name().to_owned(),
     };
-    let line = format!("{:8.1} s  left {left} | right {right} | {heard}", run_ns as f64 * 1e-9);
-    // One line that changes in a terminal, one line a time in a file.
+    let line = format!("{:8.1} s  left {left} | right {right} | {bus}", run_ns as f64 * 1e-9);
+    // In a terminal the line is updated in place; in a file every update is a line.
     if stdout().is_terminal() {
         print!("\r\x1b[K{line}");
     } else {

@@ -1,18 +1,18 @@
-//! A simulated VESC: status messages 1, 4 and 5, commands, its application configuration, its time-out with a brake current.
+//! A simulated VESC: status messages 1, 4 and 5, commands, its application configuration, and its
+//! time-out with a brake current.
 
 use std::f64::consts::TAU;
 
 use drivers::can::{CanFrame, CanId};
 
-use super::node::{Every, MotorNode, NodeFaults, Watchdog, elapsed_s, extended};
+use super::node::{MotorNode, NodeFaults, Periodic, Watchdog, elapsed_s, extended};
 use super::wheel::{Drive, Wheel};
 
 /// Pole pairs of the simulated motor.
 pub const POLE_PAIRS: u8 = 7;
-/// `s_pid_min_erpm`: slower speeds release the motor. A builder of robots sets it low.
+/// `s_pid_min_erpm`: slower speeds release the motor. It is set to a low value, as on robots.
 const LOWEST_ERPM: i32 = 10;
 
-/// One VESC.
 #[derive(Debug)]
 pub struct VescSim {
     node: u8,
@@ -25,12 +25,12 @@ pub struct VescSim {
     pub timeout_brake_a: f32,
     command: Drive,
     last_ns: u64,
-    status: Every,
+    status: Periodic,
     answers: Vec<CanFrame>,
 }
 
 impl VescSim {
-    /// A VESC whose owner has set the time-out as the driver demands it.
+    /// A VESC with the time-out that the driver requires.
     #[must_use]
     pub fn new(node: u8) -> Self {
         Self {
@@ -42,7 +42,7 @@ impl VescSim {
             timeout_brake_a: 5.0,
             command: Drive::Coast,
             last_ns: 0,
-            status: Every::milliseconds(10),
+            status: Periodic::milliseconds(10),
             answers: Vec::new(),
         }
     }
@@ -51,7 +51,7 @@ impl VescSim {
         if self.faults.broken { 3 } else { 0 }
     }
 
-    /// `confgenerator_serialize_appconf`: only its first fields mean something here.
+    /// `confgenerator_serialize_appconf`; only its first fields have a meaning here.
     fn configuration(&self) -> Vec<u8> {
         let milliseconds = if self.faults.forgets_watchdog { 1000 } else { self.timeout_ms };
         let mut bytes = vec![17];
@@ -68,13 +68,15 @@ impl VescSim {
         let to = u32::from(to);
         let mut at = 0;
         while at < bytes.len() {
-            let (kind, room) = if at <= 255 { (5, 7) } else { (6, 6) };
-            let piece = &bytes[at..bytes.len().min(at + room)];
-            let place = if at <= 255 { vec![at as u8] } else { (at as u16).to_be_bytes().to_vec() };
-            self.answers.push(extended(kind << 8 | to, &[place, piece.to_vec()].concat()));
-            at += piece.len();
+            let (kind, capacity) = if at <= 255 { (5, 7) } else { (6, 6) };
+            let chunk = &bytes[at..bytes.len().min(at + capacity)];
+            let offset =
+                if at <= 255 { vec![at as u8] } else { (at as u16).to_be_bytes().to_vec() };
+            self.answers.push(extended(kind << 8 | to, &[offset, chunk.to_vec()].concat()));
+            at += chunk.len();
         }
-        let (length, crc) = ((bytes.len() as u16).to_be_bytes(), crc16(bytes).to_be_bytes());
+        let length = (bytes.len() as u16).to_be_bytes();
+        let crc = crc16(bytes).to_be_bytes();
         self.answers
             .push(extended(7 << 8 | to, &[self.node, 1, length[0], length[1], crc[0], crc[1]]));
     }
@@ -138,8 +140,8 @@ impl MotorNode for VescSim {
         out.append(&mut self.answers);
         if self.status.is_due(now_ns) {
             let (velocity, position) = self.wheel.measured();
-            let turns_per_s = velocity / TAU;
-            let erpm = (turns_per_s * 60.0 * f64::from(POLE_PAIRS)).round() as i32;
+            let rotations_per_s = velocity / TAU;
+            let erpm = (rotations_per_s * 60.0 * f64::from(POLE_PAIRS)).round() as i32;
             let steps = (position / TAU * 6.0 * f64::from(POLE_PAIRS)).floor() as i32;
             let id = |kind: u32| kind << 8 | u32::from(self.node);
             out.push(extended(

@@ -1,17 +1,17 @@
-//! A wheel with its motor: answers with a lag of first order.
+//! A wheel with its motor, with a first-order response.
 
-/// What the controller does to the motor.
+/// How the controller drives the motor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Drive {
-    /// Follows a velocity, rad/s.
+    /// The motor follows this velocity, rad/s.
     Velocity(f64),
-    /// Holds the motor short-circuited or against zero.
+    /// The motor is short-circuited or held at zero velocity.
     Brake,
-    /// Lets it go: friction alone.
+    /// The motor is released; only friction acts.
     Coast,
 }
 
-/// One wheel, gear 1.
+/// A wheel without reduction gear.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Wheel {
     drive: Drive,
@@ -19,16 +19,16 @@ pub struct Wheel {
     position_rad: f64,
     /// Time constant while driven and braked, s.
     pub lag_s: f64,
-    /// Time constant of rolling out, s.
+    /// Time constant of coasting, s.
     pub coast_s: f64,
-    /// Cannot turn: it stands against something.
+    /// The wheel cannot rotate because the robot touches an obstacle.
     pub blocked: bool,
-    /// Its encoder counts the other way round.
+    /// The encoder counts in the opposite direction.
     pub encoder_reversed: bool,
 }
 
 impl Default for Wheel {
-    /// A geared home robot's wheel.
+    /// Typical values of a geared home robot's wheel.
     fn default() -> Self {
         Self {
             drive: Drive::Coast,
@@ -43,25 +43,23 @@ impl Default for Wheel {
 }
 
 impl Wheel {
-    /// What the controller does from now on.
     pub fn set_drive(&mut self, drive: Drive) {
         self.drive = drive;
     }
 
-    /// What the controller does.
     #[must_use]
     pub fn drive(&self) -> Drive {
         self.drive
     }
 
-    /// Time passes.
+    /// Advances the wheel by a time step.
     pub fn step(&mut self, seconds: f64) {
         let (target, lag_s) = match self.drive {
             Drive::Velocity(velocity) => (velocity, self.lag_s),
             Drive::Brake => (0.0, self.lag_s),
             Drive::Coast => (0.0, self.coast_s),
         };
-        // Exact for a target that stays.
+        // Exact for a constant target.
         let left = (-seconds / lag_s).exp();
         let before = self.velocity_radps;
         self.velocity_radps = if self.blocked { 0.0 } else { target + (before - target) * left };
@@ -70,19 +68,19 @@ impl Wheel {
         }
     }
 
-    /// How it really turns, rad/s.
+    /// True velocity, rad/s.
     #[must_use]
     pub fn velocity_radps(&self) -> f64 {
         self.velocity_radps
     }
 
-    /// How far it has really turned, rad.
+    /// True position, rad.
     #[must_use]
     pub fn position_rad(&self) -> f64 {
         self.position_rad
     }
 
-    /// Velocity and position as its encoder tells them.
+    /// Velocity and position that the encoder measures.
     #[must_use]
     pub fn measured(&self) -> (f64, f64) {
         let sign = if self.encoder_reversed { -1.0 } else { 1.0 };
@@ -95,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_wheel_reaches_63_percent_after_its_time_constant_whatever_the_step() {
+    fn a_wheel_reaches_63_percent_after_its_time_constant_for_any_step_length() {
         for steps in [1, 10, 1000] {
             let mut wheel = Wheel::default();
             wheel.set_drive(Drive::Velocity(1.0));

@@ -1,10 +1,10 @@
-//! The base driver on the kernel's SocketCAN, against simulated motor controllers at the other end of the bus. Meant for virtual
-//! time: only there is a deadline in an emulated machine worth anything.
+//! Checks the base driver on the kernel's SocketCAN, with simulated motor controllers at the other
+//! end of the bus. Meant for virtual time, because deadlines in an emulated machine are meaningful
+//! only there.
 
 use std::error::Error;
 use std::process::{Child, Command, Stdio};
 
-use clap::ValueEnum;
 use drivers::can::{DifferentialBase, Phase, Protocol, SocketBus};
 use hal::{Base, Clock, DriveCommand, Twist2};
 use monotonic_clock::MonotonicClock;
@@ -13,70 +13,49 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use super::check;
 use crate::motor::rig::{config, node, step_nodes};
-use crate::motor::{Drive, MotorNode, Outbox};
+use crate::motor::{Drive, MotorNode, Outbox, ProtocolArg};
 
-/// Where the two ends of the bus are.
+/// CAN interfaces of the robot and of the motors.
 #[derive(Debug, clap::Args)]
 pub struct BaseProbe {
-    /// The robot's interface.
+    /// CAN interface of the robot.
     #[arg(long, default_value = "can0")]
     robot: String,
-    /// The motors' interface.
+    /// CAN interface of the simulated motor controllers.
     #[arg(long, default_value = "can1")]
     motors: String,
-    /// What the controllers speak.
-    #[arg(long, value_enum, default_values_t = [Spoken::Odrive, Spoken::Vesc, Spoken::Cia402])]
-    protocol: Vec<Spoken>,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum Spoken {
-    Odrive,
-    Vesc,
-    Cia402,
-}
-
-impl Spoken {
-    fn protocol(self) -> Protocol {
-        match self {
-            Self::Odrive => Protocol::Odrive,
-            Self::Vesc => Protocol::Vesc,
-            Self::Cia402 => Protocol::Cia402,
-        }
-    }
-
-    fn name(self) -> String {
-        format!("{self:?}").to_lowercase()
-    }
+    /// Protocols of the controllers.
+    #[arg(long, value_enum, default_values_t = [ProtocolArg::Odrive, ProtocolArg::Vesc, ProtocolArg::Cia402])]
+    protocol: Vec<ProtocolArg>,
 }
 
 const MS: u64 = 1_000_000;
-const PATIENCE_NS: u64 = 20_000 * MS;
-/// The watchdog's limit, and a turn of the host's loop.
+const TIMEOUT_NS: u64 = 20_000 * MS;
+/// The watchdog's limit plus one tick of the host's loop.
 const LIMIT_MS: f64 = 110.0;
 
 /// Runs all checks.
 ///
 /// # Errors
-/// When the scene cannot be set up, or the base never drives.
+/// Returns an error when the probe cannot be set up or the base never drives.
 pub fn run(probe: &BaseProbe) -> Result<(), Box<dyn Error>> {
-    for spoken in &probe.protocol {
-        a_host_that_gets(Signal::KILL, "killed", probe, *spoken)?;
-        a_host_that_gets(Signal::STOP, "stopped", probe, *spoken)?;
+    for protocol in &probe.protocol {
+        check_host_signal(Signal::KILL, "killed", probe, *protocol)?;
+        check_host_signal(Signal::STOP, "stopped", probe, *protocol)?;
     }
     let BaseProbe { robot, motors, .. } = probe;
-    a_bus_that_fails(&Failure {
-        promise: "an interface that goes down stops the wheels and is said",
+    check_bus_failure(&BusFailure {
+        claim: "an interface that goes down stops the wheels and is reported",
         robot,
         motors,
         fail: &format!("ip link set {robot} down"),
         cure: &format!("ip link set {robot} up"),
     })?;
-    // A pair that passes error frames on: the emulated controllers know no bus-off.
+    // A vxcan pair forwards error frames; the emulated controllers have no bus-off.
     shell("ip link add vxcan0 type vxcan peer name vxcan1 && ip link set vxcan0 up && ip link set vxcan1 up")?
         .wait()?;
-    a_bus_that_fails(&Failure {
-        promise: "a bus-off stops the wheels and is said",
+    check_bus_failure(&BusFailure {
+        claim: "a bus-off stops the wheels and is reported",
         robot: "vxcan0",
         motors: "vxcan1",
         fail: "cansend vxcan1 20000040#0000000000000000",
@@ -84,7 +63,7 @@ pub fn run(probe: &BaseProbe) -> Result<(), Box<dyn Error>> {
     })
 }
 
-/// Two controllers on an interface.
+/// Two simulated controllers on a CAN interface.
 struct Controllers {
     bus: SocketBus,
     nodes: [Box<dyn MotorNode>; 2],
@@ -98,7 +77,7 @@ impl Controllers {
         Self { bus: SocketBus::new(interface), nodes, outbox: Outbox::default() }
     }
 
-    /// A millisecond passes.
+    /// Advances the controllers by one millisecond.
     fn step(&mut self) {
         let now_ns = monotonic_ns() + MS;
         MonotonicClock.sleep_until_ns(now_ns);
@@ -125,16 +104,17 @@ impl Controllers {
         let start_ns = monotonic_ns();
         while !done(self) {
             self.step();
-            if monotonic_ns() - start_ns > PATIENCE_NS {
+            if monotonic_ns() - start_ns > TIMEOUT_NS {
                 let stages =
                     self.nodes.each_ref().map(|node| (node.is_powered(), *node.watchdog()));
-                return Err(format!("waited in vain for {what}; {stages:?}").into());
+                return Err(format!("timed out waiting for {what}; {stages:?}").into());
             }
         }
         Ok((monotonic_ns() - start_ns) as f64 * 1e-6)
     }
 
-    /// The longest that a controller waited since its last command before it let go, by its own clock.
+    /// Longest time between a controller's last command and its release of the wheel, by its own
+    /// clock.
     fn waited_ms(&self) -> f64 {
         let waited = self
             .nodes
@@ -144,16 +124,16 @@ impl Controllers {
     }
 }
 
-/// The real driver in a process of its own, driving.
+/// The real driver, driving, in a separate process.
 struct Host(Child);
 
 impl Host {
     fn driving(
         controllers: &mut Controllers,
         probe: &BaseProbe,
-        spoken: Spoken,
+        protocol: ProtocolArg,
     ) -> Result<Self, Box<dyn Error>> {
-        let arguments = ["base", "--bus", &probe.robot, "--protocol", &spoken.name()];
+        let arguments = ["base", "--bus", &probe.robot, "--protocol", &protocol.name()];
         let host = Self(
             Command::new(std::env::current_exe()?).args(arguments).stdout(Stdio::null()).spawn()?,
         );
@@ -173,62 +153,63 @@ impl Drop for Host {
     }
 }
 
-fn a_host_that_gets(
+fn check_host_signal(
     signal: Signal,
     what: &str,
     probe: &BaseProbe,
-    spoken: Spoken,
+    protocol: ProtocolArg,
 ) -> Result<(), Box<dyn Error>> {
-    let mut controllers = Controllers::new(&probe.motors, spoken.protocol());
-    let host = Host::driving(&mut controllers, probe, spoken)?;
+    let mut controllers = Controllers::new(&probe.motors, protocol.into());
+    let host = Host::driving(&mut controllers, probe, protocol)?;
     host.signal(signal)?;
     let released_ms =
         controllers.until("wheels at zero", |controllers| controllers.are_released())?;
     let waited_ms = controllers.waited_ms();
-    let promise = format!(
+    let claim = format!(
         "{}: the wheels are released within the watchdog's 100 ms when the host is {what}",
-        spoken.name()
+        protocol.name()
     );
     let figure =
         format!("{released_ms:.0} ms after the signal, {waited_ms:.0} ms after the last command");
-    check(&promise, figure, released_ms <= LIMIT_MS && waited_ms <= LIMIT_MS);
+    check(&claim, figure, released_ms <= LIMIT_MS && waited_ms <= LIMIT_MS);
     if signal == Signal::STOP {
         host.signal(Signal::CONT)?;
-        let (mut steps, mut moved) = (0, 0);
+        let mut steps = 0;
+        let mut moved = 0;
         controllers.until("half a second", |controllers| {
             steps += 1;
             moved += u32::from(!controllers.are_released());
             steps == 500
         })?;
-        let promise = format!("{}: a host that wakes up stays stopped", spoken.name());
-        check(&promise, format!("driven in {moved} of {steps} ms"), moved == 0);
+        let claim = format!("{}: a host that resumes stays stopped", protocol.name());
+        check(&claim, format!("driven in {moved} of {steps} ms"), moved == 0);
     }
     Ok(())
 }
 
-/// A way in which the bus fails, and is well again.
-struct Failure<'a> {
-    promise: &'a str,
+/// A failure of the bus, with the commands that cause and end it.
+struct BusFailure<'a> {
+    claim: &'a str,
     robot: &'a str,
     motors: &'a str,
     fail: &'a str,
     cure: &'a str,
 }
 
-/// The driver is in this process, so that it can be asked.
-fn a_bus_that_fails(failure: &Failure<'_>) -> Result<(), Box<dyn Error>> {
+/// Runs the driver in this process, where its state can be read.
+fn check_bus_failure(failure: &BusFailure<'_>) -> Result<(), Box<dyn Error>> {
     let mut controllers = Controllers::new(failure.motors, Protocol::Cia402);
     let base = DifferentialBase::new(SocketBus::new(failure.robot), &config(Protocol::Cia402))?;
     let mut driver = Driver { base, counter: 0, next_ns: 0 };
     controllers.until("a base that drives", |controllers| {
-        driver.turn(true);
+        driver.tick(true);
         controllers.are_driven()
     })?;
-    // Beside, as the wheels go on turning while it is being done.
+    // Runs concurrently, because the wheels keep rotating while the command runs.
     let mut failing = shell(failure.fail)?;
     let mut tripped_ns = 0;
     controllers.until("wheels at zero and a trip", |controllers| {
-        driver.turn(false);
+        driver.tick(false);
         if driver.base.phase() != Phase::Armed && tripped_ns == 0 {
             tripped_ns = monotonic_ns();
         }
@@ -237,26 +218,27 @@ fn a_bus_that_fails(failure: &Failure<'_>) -> Result<(), Box<dyn Error>> {
     let after_trip_ms = (monotonic_ns() - tripped_ns) as f64 * 1e-6;
     let figure =
         format!("{after_trip_ms:.0} ms after the driver noticed: {}", driver.base.explain());
-    check(failure.promise, figure, after_trip_ms <= LIMIT_MS);
+    check(failure.claim, figure, after_trip_ms <= LIMIT_MS);
     failing.wait()?;
     shell(failure.cure)?.wait()?;
-    let (mut steps, mut moved) = (0, 0);
+    let mut steps = 0;
+    let mut moved = 0;
     controllers.until("a second", |controllers| {
-        driver.turn(false);
+        driver.tick(false);
         steps += 1;
         moved += u32::from(!controllers.are_released());
         steps == 1000
     })?;
     check(
-        "nothing moves when the bus is well again until somebody arms",
+        "nothing moves after the bus recovers until the base is armed",
         format!("driven in {moved} of {steps} ms"),
         moved == 0,
     );
     let ms = controllers.until("a base that drives", |controllers| {
-        driver.turn(true);
+        driver.tick(true);
         controllers.are_driven()
     })?;
-    check("armed again it drives", format!("{ms:.0} ms later"), true);
+    check("after arming again, the base drives", format!("{ms:.0} ms later"), true);
     driver.base.disarm();
     Ok(())
 }
@@ -265,7 +247,7 @@ fn shell(line: &str) -> std::io::Result<Child> {
     Command::new("sh").args(["-c", line]).spawn()
 }
 
-/// The base driver in a loop of 100 Hz.
+/// The base driver in a control loop of 100 Hz.
 struct Driver {
     base: DifferentialBase<SocketBus>,
     counter: u32,
@@ -273,14 +255,14 @@ struct Driver {
 }
 
 impl Driver {
-    /// A turn, when it is time for one: feedback, perhaps arming, a command.
-    fn turn(&mut self, arm: bool) {
+    /// Runs a tick if it is due: reads feedback, arms if requested, sends a command.
+    fn tick(&mut self, arm: bool) {
         let now_ns = monotonic_ns();
         if now_ns < self.next_ns {
             return;
         }
         self.next_ns = now_ns + 10 * MS;
-        // What the base thinks is asked of it below; here its errors are expected.
+        // The caller reads the phase of the base; errors are expected here.
         _ = self.base.poll_feedback();
         if arm {
             _ = self.base.arm();

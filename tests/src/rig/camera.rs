@@ -1,5 +1,5 @@
-//! The V4L2 driver against vivid, the kernel's virtual video device. `v4l2-ctl` writes known pictures into vivid's output, which
-//! come out of its camera; vivid's own controls inject the faults.
+//! Checks the V4L2 driver against vivid, the kernel's virtual video device. `v4l2-ctl` writes known
+//! frames into vivid's output, which its camera returns; vivid's own controls inject the faults.
 
 use std::error::Error;
 use std::process::{Child, Command, Stdio};
@@ -17,13 +17,13 @@ use rand_pcg::Pcg64Mcg;
 
 use super::check;
 
-/// Where vivid is.
+/// Device nodes of vivid.
 #[derive(Debug, clap::Args)]
 pub struct CameraProbe {
-    /// The camera's stable path, looped back from /dev/video1.
+    /// Stable path of the camera that loops back /dev/video1.
     #[arg(long)]
     device: String,
-    /// A multi-planar camera.
+    /// Device node of a multi-planar camera.
     #[arg(long)]
     planes: String,
 }
@@ -32,22 +32,22 @@ const MS: u64 = 1_000_000;
 const WIDTH: u32 = 640;
 const HEIGHT: u32 = 480;
 const SIZE: usize = 2 * 640 * 480;
-/// Pictures that the writer repeats.
-const PICTURES: usize = 8;
-/// Far longer than anything takes in an emulated machine.
-const PATIENCE_NS: u64 = 20_000 * MS;
+/// Number of frames that the writer repeats.
+const FRAMES: usize = 8;
+/// Far longer than any step takes in an emulated machine.
+const TIMEOUT_NS: u64 = 20_000 * MS;
 const VIVID: &str = "/sys/bus/platform/drivers/vivid";
 
 /// Runs all checks.
 ///
 /// # Errors
-/// When the scene cannot be set up, or the camera never delivers.
+/// Returns an error when the probe cannot be set up or the camera never delivers a frame.
 pub fn run(probe: &CameraProbe) -> Result<(), Box<dyn Error>> {
-    let pictures = random_pictures();
-    let mut writer = write_pictures(&pictures)?;
+    let frames = random_frames();
+    let mut writer = write_frames(&frames)?;
     let mut bench = Bench::new(&probe.device)?;
-    exact_pictures(&mut bench, &pictures)?;
-    dropped_pictures(&mut bench)?;
+    exact_frames(&mut bench, &frames)?;
+    dropped_frames(&mut bench)?;
     silence(&mut bench)?;
     stream_failure(&mut bench)?;
     disconnection(&mut bench)?;
@@ -61,7 +61,7 @@ pub fn run(probe: &CameraProbe) -> Result<(), Box<dyn Error>> {
     formats(&probe.planes, "multi-planar")
 }
 
-/// The driver, and another open handle for vivid's fault controls.
+/// The driver, and its configuration for a second handle to vivid's fault controls.
 struct Bench {
     config: CameraDeviceConfig,
     camera: V4l2Camera,
@@ -78,7 +78,7 @@ impl Bench {
         Ok(Self { camera: V4l2Camera::new(&config, model)?, config, clock: MonotonicClock })
     }
 
-    /// Looks every 2 ms until `done`; how long that took, milliseconds.
+    /// Polls every 2 ms until `done`. Returns the elapsed time, milliseconds.
     fn until(
         &mut self,
         what: &str,
@@ -86,7 +86,7 @@ impl Bench {
     ) -> Result<u64, Box<dyn Error>> {
         let start_ns = monotonic_ns();
         loop {
-            let found = match self.camera.with_newest(|picture| done(Ok(Some(picture)))) {
+            let found = match self.camera.with_newest(|frame| done(Ok(Some(frame)))) {
                 Ok(Some(found)) => found,
                 Ok(None) => done(Ok(None)),
                 Err(error) => done(Err(error)),
@@ -95,10 +95,10 @@ impl Bench {
             if found {
                 return Ok((now_ns - start_ns) / MS);
             }
-            if now_ns - start_ns > PATIENCE_NS {
+            if now_ns - start_ns > TIMEOUT_NS {
                 return Err(format!(
-                    "waited {} s in vain for {what}; {:?}",
-                    PATIENCE_NS / 1_000 / MS,
+                    "timed out after {} s waiting for {what}; {:?}",
+                    TIMEOUT_NS / 1_000 / MS,
                     self.camera.status()
                 )
                 .into());
@@ -107,12 +107,12 @@ impl Bench {
         }
     }
 
-    fn until_picture(&mut self) -> Result<u64, Box<dyn Error>> {
-        self.until("a picture", |got| matches!(got, Ok(Some(_))))
+    fn until_frame(&mut self) -> Result<u64, Box<dyn Error>> {
+        self.until("a frame", |polled| matches!(polled, Ok(Some(_))))
     }
 
     fn until_error(&mut self, kind: ErrorKind) -> Result<u64, Box<dyn Error>> {
-        self.until(&format!("{kind:?}"), |got| got.is_err_and(|error| error.kind() == kind))
+        self.until(&format!("{kind:?}"), |polled| polled.is_err_and(|error| error.kind() == kind))
     }
 
     /// Sets one of vivid's controls by its name.
@@ -124,20 +124,21 @@ impl Bench {
     }
 }
 
-fn random_pictures() -> Vec<Vec<u8>> {
+fn random_frames() -> Vec<Vec<u8>> {
     let mut rng = Pcg64Mcg::seed_from_u64(1);
-    let mut picture = || {
-        let mut bytes = vec![0; SIZE];
-        rng.fill_bytes(&mut bytes);
-        bytes
-    };
-    (0..PICTURES).map(|_| picture()).collect()
+    (0..FRAMES).map(|_| random_frame(&mut rng)).collect()
 }
 
-fn write_pictures(pictures: &[Vec<u8>]) -> Result<Child, Box<dyn Error>> {
-    std::fs::write("/tmp/pictures.yuyv", pictures.concat())?;
+fn random_frame(rng: &mut Pcg64Mcg) -> Vec<u8> {
+    let mut bytes = vec![0; SIZE];
+    rng.fill_bytes(&mut bytes);
+    bytes
+}
+
+fn write_frames(frames: &[Vec<u8>]) -> Result<Child, Box<dyn Error>> {
+    std::fs::write("/tmp/frames.yuyv", frames.concat())?;
     let arguments =
-        ["-d", "1", "--stream-out-mmap=4", "--stream-from=/tmp/pictures.yuyv", "--stream-loop"];
+        ["-d", "1", "--stream-out-mmap=4", "--stream-from=/tmp/frames.yuyv", "--stream-loop"];
     Ok(Command::new("v4l2-ctl")
         .args(arguments)
         .stdout(Stdio::null())
@@ -145,20 +146,23 @@ fn write_pictures(pictures: &[Vec<u8>]) -> Result<Child, Box<dyn Error>> {
         .spawn()?)
 }
 
-fn exact_pictures(bench: &mut Bench, pictures: &[Vec<u8>]) -> Result<(), Box<dyn Error>> {
-    // Before the writer's first picture vivid shows something else.
-    let known =
-        |picture: &Picture<'_>| pictures.iter().any(|known| known[..] == *picture.view.data());
-    bench.until("the writer's first picture", |got| {
-        got.is_ok_and(|picture| picture.is_some_and(known))
+fn exact_frames(bench: &mut Bench, frames: &[Vec<u8>]) -> Result<(), Box<dyn Error>> {
+    // Before the writer's first frame vivid shows its own test pattern.
+    let known = |frame: &Picture<'_>| frames.iter().any(|known| known[..] == *frame.view.data());
+    bench.until("the writer's first frame", |polled| {
+        polled.is_ok_and(|frame| frame.is_some_and(known))
     })?;
-    let (mut exact, mut count, mut last, mut rising, mut ages) = (0, 0, (0, 0), true, Vec::new());
-    let ms = bench.until("60 pictures", |got| {
-        if let Ok(Some(picture)) = got {
-            ages.push(monotonic_ns() as i64 - picture.time_ns as i64);
-            exact += u32::from(known(picture));
-            rising &= last < (picture.sequence, picture.time_ns);
-            last = (picture.sequence, picture.time_ns);
+    let mut exact = 0;
+    let mut count = 0;
+    let mut last = (0, 0);
+    let mut rising = true;
+    let mut ages = Vec::new();
+    let ms = bench.until("60 frames", |polled| {
+        if let Ok(Some(frame)) = polled {
+            ages.push(monotonic_ns() as i64 - frame.time_ns as i64);
+            exact += u32::from(known(frame));
+            rising &= last < (frame.sequence, frame.time_ns);
+            last = (frame.sequence, frame.time_ns);
             count += 1;
         }
         count == 60
@@ -166,40 +170,41 @@ fn exact_pictures(bench: &mut Bench, pictures: &[Vec<u8>]) -> Result<(), Box<dyn
     let status = bench.camera.status();
     let figure = format!("{exact} of {count} in {ms} ms, {} lost", status.lost);
     check(
-        "pictures arrive as another program has written them, byte for byte",
+        "frames arrive as another program has written them, byte for byte",
         figure,
         exact == count,
     );
     check(
-        "each picture is newer than the one before, by number and by time",
-        format!("{count} pictures"),
+        "each frame is newer than the one before, by number and by time",
+        format!("{count} frames"),
         rising,
     );
     ages.sort_unstable();
-    let (median, worst) = (ages[ages.len() / 2] / 1_000, ages[ages.len() - 1] / 1_000);
-    // Vivid stamps the end of a picture, and says so up to a frame's time before it is over.
+    let median = ages[ages.len() / 2] / 1_000;
+    let worst = ages[ages.len() - 1] / 1_000;
+    // Vivid stamps the end of a frame, and reports it up to one frame period before that end.
     let bound = i64::from(bench.config.max_age_ms) * 1_000;
     let figure = format!("median {median} us, worst {worst} us, youngest {} us", ages[0] / 1_000);
     check(
-        "a picture is never older than its budget of 200 ms",
+        "a frame is never older than its budget of 200 ms",
         figure,
         ages[0] > -40_000_000 && worst <= bound,
     );
     Ok(())
 }
 
-fn dropped_pictures(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
+fn dropped_frames(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
     let before = bench.camera.status();
     bench.vivid("Percentage of Dropped Buffers", 50)?;
     let mut seen = 0;
-    bench.until("20 pictures", |got| {
-        seen += u32::from(matches!(got, Ok(Some(_))));
+    bench.until("20 frames", |polled| {
+        seen += u32::from(matches!(polled, Ok(Some(_))));
         seen == 20
     })?;
     bench.vivid("Percentage of Dropped Buffers", 0)?;
     let lost = bench.camera.status().lost - before.lost;
     check(
-        "pictures that the kernel drops are counted by their sequence numbers",
+        "frames that the kernel drops are counted by their sequence numbers",
         format!("{lost} lost, {seen} seen"),
         lost >= 5,
     );
@@ -207,7 +212,7 @@ fn dropped_pictures(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
 }
 
 fn silence(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
-    bench.until_picture()?;
+    bench.until_frame()?;
     bench.vivid("Percentage of Dropped Buffers", 100)?;
     let ms = bench.until_error(ErrorKind::Timeout)?;
     let state = bench.camera.status().state;
@@ -217,27 +222,27 @@ fn silence(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
         state == DeviceState::Silent && ms < 1_000,
     );
     bench.vivid("Percentage of Dropped Buffers", 0)?;
-    let ms = bench.until_picture()?;
-    check("a camera that was silent delivers again without help", format!("{ms} ms"), true);
+    let ms = bench.until_frame()?;
+    check("a camera that was silent delivers again without intervention", format!("{ms} ms"), true);
     Ok(())
 }
 
 fn stream_failure(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
-    bench.until_picture()?;
+    bench.until_frame()?;
     bench.vivid("Inject Fatal Streaming Error", 1)?;
     let noticed = bench.until_error(ErrorKind::Fault)?;
-    let ms = bench.until_picture()?;
-    let figure = format!("noticed in {noticed} ms, a picture {ms} ms later");
-    check("a stream that fails for good (EIO) is restarted", figure, ms < 5_000);
+    let ms = bench.until_frame()?;
+    let figure = format!("noticed in {noticed} ms, a frame {ms} ms later");
+    check("a stream that fails permanently (EIO) is restarted", figure, ms < 5_000);
     Ok(())
 }
 
 fn disconnection(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
-    bench.until_picture()?;
+    bench.until_frame()?;
     bench.vivid("Disconnect", 1)?;
     let noticed = bench.until_error(ErrorKind::Disconnected)?;
-    let ms = bench.until_picture()?;
-    let figure = format!("noticed in {noticed} ms, a picture {ms} ms later");
+    let ms = bench.until_frame()?;
+    let figure = format!("noticed in {noticed} ms, a frame {ms} ms later");
     check(
         "a camera that disconnects (ENODEV) is opened again by its stable path",
         figure,
@@ -261,27 +266,31 @@ fn exported_buffers(bench: &mut Bench) {
 }
 
 fn replug(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
-    bench.until_picture()?;
+    bench.until_frame()?;
     let before = bench.camera.status();
     std::fs::write(format!("{VIVID}/unbind"), "vivid.0")?;
     let noticed = bench.until_error(ErrorKind::Disconnected)?;
     let end_ns = monotonic_ns() + 1_000 * MS;
     let mut other = 0;
-    bench.until("a second without a camera", |got| {
-        other += u32::from(got.is_ok());
+    bench.until("a second without a camera", |polled| {
+        other += u32::from(polled.is_ok());
         monotonic_ns() > end_ns
     })?;
     let figure =
-        format!("noticed in {noticed} ms, {other} looks said otherwise in the next second");
-    check("an unplugged camera is disconnected, and nothing is handed out", figure, other == 0);
+        format!("noticed in {noticed} ms, {other} polls did not report it in the next second");
+    check(
+        "an unplugged camera is reported as disconnected, and no frame is returned",
+        figure,
+        other == 0,
+    );
     std::fs::write(format!("{VIVID}/bind"), "vivid.0")?;
-    let ms = bench.until_picture()?;
+    let ms = bench.until_frame()?;
     let status = bench.camera.status();
     let passed =
         ms < 5_000 && status.state == DeviceState::Working && status.reopened > before.reopened;
     check(
-        "a camera that is plugged in again is taken by its stable path",
-        format!("a picture {ms} ms later"),
+        "a camera that is plugged in again is found by its stable path",
+        format!("a frame {ms} ms later"),
         passed,
     );
     Ok(())
@@ -290,41 +299,42 @@ fn replug(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
 fn settings(device: &str) {
     let mut config = CameraDeviceConfig::new(device, WIDTH, HEIGHT, CameraFormat::Yuyv);
     config.gain = Some(Setting::Manual(77));
-    let read_back = || -> Result<i32, Box<dyn Error>> {
-        agree(&config)?;
-        let mut node = open(&config)?;
-        let gain = controls(node.as_mut())?.into_iter().find(|control| control.name == "Gain");
-        Ok(node.control_value(gain.ok_or("vivid has no gain")?.id)?)
-    };
-    let held = read_back();
+    let held = read_back_gain(&config);
     let figure =
         held.as_ref().map_or_else(ToString::to_string, |held| format!("77 set, {held} read back"));
     check("a configured gain is held by the camera", figure, held.is_ok_and(|held| held == 77));
     config.gain = None;
     config.exposure_us = Some(Setting::Manual(5_000));
     refused(
-        "a control that the camera has not got is refused with words",
+        "a control that the camera does not have is refused with an explanation",
         &config,
         "no such control",
     );
     let odd = CameraDeviceConfig::new(device, 642, HEIGHT, CameraFormat::Yuyv);
-    refused("a size that the camera has not got is refused with words", &odd, "makes ");
+    refused("a size that the camera does not have is refused with an explanation", &odd, "makes ");
     let none = CameraDeviceConfig::new("/dev/v4l/by-id/none", WIDTH, HEIGHT, CameraFormat::Yuyv);
-    refused("a camera that is not there is refused with words", &none, "plug it in");
+    refused("a camera that is not connected is refused with an explanation", &none, "plug it in");
 }
 
-fn refused(promise: &str, config: &CameraDeviceConfig, words: &str) {
+fn read_back_gain(config: &CameraDeviceConfig) -> Result<i32, Box<dyn Error>> {
+    agree(config)?;
+    let mut node = open(config)?;
+    let gain = controls(node.as_mut())?.into_iter().find(|control| control.name == "Gain");
+    Ok(node.control_value(gain.ok_or("vivid has no gain")?.id)?)
+}
+
+fn refused(claim: &str, config: &CameraDeviceConfig, expected: &str) {
     match agree(config) {
-        Ok(agreement) => check(promise, format!("took {:?}", agreement.layout), false),
+        Ok(agreement) => check(claim, format!("took {:?}", agreement.layout), false),
         Err(error) => {
             let error = error.to_string();
-            let passed = error.contains(words);
-            check(promise, error.replace(&config.device, "it"), passed);
+            let passed = error.contains(expected);
+            check(claim, error.replace(&config.device, "it"), passed);
         }
     }
 }
 
-/// Every format that vivid's webcam has and we know, each until its fifth picture.
+/// Every format that both vivid's webcam and the driver support, each until its fifth frame.
 fn formats(device: &str, kind: &str) -> Result<(), Box<dyn Error>> {
     for (format, bytes) in [
         (CameraFormat::Yuyv, SIZE),
@@ -332,16 +342,17 @@ fn formats(device: &str, kind: &str) -> Result<(), Box<dyn Error>> {
         (CameraFormat::Rgb24, SIZE * 3 / 2),
     ] {
         let mut bench = Bench::with(CameraDeviceConfig::new(device, WIDTH, HEIGHT, format))?;
-        let (mut count, mut whole) = (0, true);
-        let ms = bench.until("five pictures", |got| {
-            if let Ok(Some(picture)) = got {
-                whole &= picture.view.data().len() == bytes
-                    && picture.view.data().iter().any(|byte| *byte != 0);
+        let mut count = 0;
+        let mut whole = true;
+        let ms = bench.until("five frames", |polled| {
+            if let Ok(Some(frame)) = polled {
+                whole &= frame.view.data().len() == bytes
+                    && frame.view.data().iter().any(|byte| *byte != 0);
                 count += 1;
             }
             count == 5
         })?;
-        let figure = format!("{count} pictures in {ms} ms");
+        let figure = format!("{count} frames in {ms} ms");
         check(&format!("a {kind} camera delivers {format:?}").to_lowercase(), figure, whole);
     }
     Ok(())

@@ -1,4 +1,5 @@
-//! The Hokuyo driver at the kernel's USB serial port (ftdi_sio), against the simulated scanner at the other end of the cable.
+//! Checks the Hokuyo driver on the kernel's USB serial port (ftdi_sio), with the simulated scanner
+//! at the other end of the cable.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -13,26 +14,26 @@ use monotonic_clock::monotonic_ns;
 use super::check;
 use crate::hokuyo::{ScanSource, SimulatedHokuyo, WireFaults};
 
-/// Where the two ends of the cable are.
+/// Ports at the two ends of the cable.
 #[derive(Debug, clap::Args)]
 pub struct LidarProbe {
-    /// The robot's end, by its stable path.
+    /// Serial port of the robot, by its stable path.
     #[arg(long)]
     port: PathBuf,
-    /// The scanner's end.
+    /// Serial port of the simulated scanner.
     #[arg(long)]
     scanner: PathBuf,
-    /// The USB device of the robot's end, in sysfs: what is authorized is plugged in.
+    /// Sysfs folder of the robot's USB device; its `authorized` attribute simulates plugging.
     #[arg(long)]
     usb: PathBuf,
 }
 
 const MS: u64 = 1_000_000;
-const PATIENCE_NS: u64 = 20_000 * MS;
-/// 10 Hz and 21 kB/s; the emulated port carries 86 kB/s, less than the 134 kB/s of a UTM-30LX.
+const TIMEOUT_NS: u64 = 20_000 * MS;
+/// 10 Hz and 21 kB/s. The emulated port carries 86 kB/s, less than the 134 kB/s of a UTM-30LX.
 const MODEL: Model = Model::Urg04lx;
 
-/// Every step sees something else, and the same in every scan.
+/// A different range for every step, the same in every scan.
 struct Ramp;
 
 impl ScanSource for Ramp {
@@ -48,7 +49,7 @@ fn ramp_mm(step: u32) -> u32 {
 /// Runs all checks.
 ///
 /// # Errors
-/// When the scene cannot be set up, or the scanner never delivers.
+/// Returns an error when the probe cannot be set up or the scanner never delivers a scan.
 pub fn run(probe: &LidarProbe) -> Result<(), Box<dyn Error>> {
     let scanner = SimulatedHokuyo::on_serial(MODEL, &probe.scanner, Box::new(Ramp))?;
     let config =
@@ -56,7 +57,7 @@ pub fn run(probe: &LidarProbe) -> Result<(), Box<dyn Error>> {
     let lidar = HokuyoLidar::open(config)?;
     let mut bench = Bench { scan: LaserScan::empty(lidar.geometry()), lidar };
     exact_scans(&mut bench)?;
-    spoilt_scans(&mut bench, &scanner)?;
+    corrupted_scans(&mut bench, &scanner)?;
     silence(&mut bench, &scanner)?;
     replug(&mut bench, &probe.usb)
 }
@@ -67,7 +68,7 @@ struct Bench {
 }
 
 impl Bench {
-    /// Looks every 2 ms until `done`; how long that took, milliseconds.
+    /// Polls every 2 ms until `done`. Returns the elapsed time, milliseconds.
     fn until(
         &mut self,
         what: &str,
@@ -80,9 +81,10 @@ impl Bench {
                 return Ok((monotonic_ns() - start_ns) / MS);
             }
             let now_ns = monotonic_ns();
-            if now_ns - start_ns > PATIENCE_NS {
-                let (status, problem) = (self.lidar.status(), self.lidar.monitor().problem());
-                return Err(format!("waited in vain for {what}; {status:?}, {problem:?}").into());
+            if now_ns - start_ns > TIMEOUT_NS {
+                let status = self.lidar.status();
+                let problem = self.lidar.monitor().problem();
+                return Err(format!("timed out waiting for {what}; {status:?}, {problem:?}").into());
             }
             MonotonicClock.sleep_until_ns(now_ns + 2 * MS);
         }
@@ -96,26 +98,31 @@ impl Bench {
         self.until(&format!("{kind:?}"), |polled| polled.is_err_and(|error| error.kind() == kind))
     }
 
-    /// So many scans: how many were exactly the ramp, and how long they took.
-    fn scans(&mut self, wanted: u32) -> Result<(u32, u64), Box<dyn Error>> {
-        let (mut count, mut exact) = (0, 0);
+    /// Waits for `count` scans. Returns how many of them were exactly the ramp, and the elapsed
+    /// time in milliseconds.
+    fn scans(&mut self, count: u32) -> Result<(u32, u64), Box<dyn Error>> {
+        let mut received = 0;
+        let mut exact = 0;
         let ms = self.until("scans", |polled| {
             if let Ok(Some(scan)) = polled {
-                count += 1;
+                received += 1;
                 exact += u32::from(is_ramp(scan));
             }
-            count == wanted
+            received == count
         })?;
         Ok((exact, ms))
     }
 }
 
 fn is_ramp(scan: &LaserScan) -> bool {
-    let mm = |step: u32| f64::from(ramp_mm(step)) * 1e-3;
     scan.ranges.iter().zip(0..).all(|(range, step)| {
-        // The model's longest range ends the ramp.
-        range.hit_m().is_none_or(|metres| (f64::from(metres) - mm(step)).abs() < 5e-4)
+        // The model's maximum range ends the ramp.
+        range.hit_m().is_none_or(|metres| (f64::from(metres) - ramp_m(step)).abs() < 5e-4)
     }) && scan.ranges.iter().filter(|range| range.hit_m().is_some()).count() > scan.ranges.len() / 2
+}
+
+fn ramp_m(step: u32) -> f64 {
+    f64::from(ramp_mm(step)) * 1e-3
 }
 
 fn exact_scans(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
@@ -124,18 +131,18 @@ fn exact_scans(bench: &mut Bench) -> Result<(), Box<dyn Error>> {
     let status = bench.lidar.status();
     let figure =
         format!("{exact} of 30 in {ms} ms, the first after {first} ms, {} bad", status.bad);
-    check("scans arrive over USB serial as the scanner measured them", figure, exact == 30);
+    check("scans arrive over USB serial unchanged", figure, exact == 30);
     Ok(())
 }
 
-fn spoilt_scans(bench: &mut Bench, scanner: &SimulatedHokuyo) -> Result<(), Box<dyn Error>> {
+fn corrupted_scans(bench: &mut Bench, scanner: &SimulatedHokuyo) -> Result<(), Box<dyn Error>> {
     let before = bench.lidar.status();
     scanner.set_wire(WireFaults { flip_share: 0.3, ..WireFaults::default() });
     let (exact, _) = bench.scans(20)?;
     scanner.set_wire(WireFaults::default());
     let bad = bench.lidar.status().bad - before.bad;
-    let figure = format!("{bad} dropped, {exact} of 20 handed out were exact");
-    check("a scan with a flipped bit is never handed out", figure, exact == 20 && bad > 0);
+    let figure = format!("{bad} dropped, {exact} of 20 returned scans were exact");
+    check("a scan with a flipped bit is never returned", figure, exact == 20 && bad > 0);
     Ok(())
 }
 
@@ -152,7 +159,11 @@ fn silence(bench: &mut Bench, scanner: &SimulatedHokuyo) -> Result<(), Box<dyn E
     );
     scanner.set_wire(WireFaults::default());
     let ms = bench.until_scan()?;
-    check("a scanner that was silent delivers again without help", format!("{ms} ms"), true);
+    check(
+        "a scanner that was silent delivers again without intervention",
+        format!("{ms} ms"),
+        true,
+    );
     Ok(())
 }
 
@@ -161,14 +172,19 @@ fn replug(bench: &mut Bench, usb: &Path) -> Result<(), Box<dyn Error>> {
     std::fs::write(usb.join("authorized"), "0")?;
     let noticed = bench.until_error(ErrorKind::Disconnected)?;
     let end_ns = monotonic_ns() + 1_000 * MS;
-    let mut otherwise = 0;
+    let mut other_polls = 0;
     bench.until("a second without a scanner", |polled| {
-        otherwise += u32::from(polled.is_ok());
+        other_polls += u32::from(polled.is_ok());
         monotonic_ns() > end_ns
     })?;
-    let figure =
-        format!("noticed in {noticed} ms, {otherwise} looks said otherwise in the next second");
-    check("a scanner whose USB plug is pulled is disconnected", figure, otherwise == 0);
+    let figure = format!(
+        "noticed in {noticed} ms, {other_polls} polls did not report it in the next second"
+    );
+    check(
+        "a scanner whose USB plug is pulled is reported as disconnected",
+        figure,
+        other_polls == 0,
+    );
     std::fs::write(usb.join("authorized"), "1")?;
     let ms = bench.until_scan()?;
     let passed = bench.lidar.status().state == DeviceState::Working;
@@ -178,6 +194,6 @@ fn replug(bench: &mut Bench, usb: &Path) -> Result<(), Box<dyn Error>> {
         passed,
     );
     let (exact, _) = bench.scans(10)?;
-    check("its scans are exact again", format!("{exact} of 10"), exact == 10);
+    check("scans after replugging are exact again", format!("{exact} of 10"), exact == 10);
     Ok(())
 }

@@ -1,4 +1,5 @@
-//! Checks that need the kernel's own devices: run in the rig by `cargo xtask rig`. Each prints a row of its table.
+//! Checks that need the kernel's own devices, run in the rig by `cargo xtask rig`. Each check
+//! prints one row of its table.
 
 mod base;
 mod camera;
@@ -9,7 +10,7 @@ use std::fmt::Display;
 
 use clap::Subcommand;
 
-/// Checks of a driver against the kernel. Made for the rig: they pull plugs.
+/// Check a driver against the kernel's devices. Only for the rig: the checks unplug devices.
 #[derive(Debug, clap::Args)]
 pub struct RigArgs {
     #[command(subcommand)]
@@ -18,18 +19,18 @@ pub struct RigArgs {
 
 #[derive(Debug, Subcommand)]
 enum Probe {
-    /// The V4L2 driver against vivid.
+    /// Check the V4L2 driver against vivid.
     Camera(camera::CameraProbe),
-    /// The Hokuyo driver on a USB serial port.
+    /// Check the Hokuyo driver on a USB serial port.
     Lidar(lidar::LidarProbe),
-    /// The base driver on SocketCAN.
+    /// Check the base driver on SocketCAN.
     Base(base::BaseProbe),
 }
 
-/// Runs one probe; its checks fail on the output, not by this function's error.
+/// Runs one probe. Failed checks are reported on standard output, not by an error of this function.
 ///
 /// # Errors
-/// When the scene cannot be set up.
+/// Returns an error when the probe cannot be set up.
 pub fn run(args: &RigArgs) -> Result<(), Box<dyn Error>> {
     match &args.probe {
         Probe::Camera(probe) => camera::run(probe),
@@ -38,7 +39,7 @@ pub fn run(args: &RigArgs) -> Result<(), Box<dyn Error>> {
     }
 }
 
-/// One row of the rig's table.
-fn check(promise: &str, figure: impl Display, passed: bool) {
-    println!("CHECK\t{}\t{promise}\t{figure}", if passed { "pass" } else { "fail" });
+/// Prints one row of the rig's table.
+fn check(claim: &str, figure: impl Display, passed: bool) {
+    println!("CHECK\t{}\t{claim}\t{figure}", if passed { "pass" } else { "fail" });
 }

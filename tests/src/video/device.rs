@@ -1,47 +1,41 @@
-//! A simulated camera: formats, frame interval and controls around the queue. What it is connected by is somebody else's
-//! matter: [`FakeCamera`](super::FakeCamera) in this process, [`serve`](super::serve) for another one.
+//! A simulated camera: formats, frame interval and controls around the queue. It has no transport:
+//! [`FakeCamera`](super::FakeCamera) provides it in this process, [`serve`](super::serve) to
+//! another one.
 
 use drivers::v4l2::node::{Capability, Control, FourCc, Interval, Layout, NEXT_CONTROL};
 use rustix::io::Errno;
 
 use super::queue::Queue;
 
-/// What a simulated camera is like.
+/// Properties and state of a simulated camera.
 #[derive(Debug, Clone)]
 pub struct Device {
-    /// Whether it has the multi-planar interface instead of the other.
+    /// Whether the camera has the multi-planar interface instead of the single-planar one.
     pub multiplanar: bool,
-    /// Its formats.
     pub formats: Vec<FourCc>,
-    /// The sizes that it has; the nearest in area is taken for another one.
+    /// Supported sizes. For another size the nearest in area is used.
     pub sizes: Vec<(u32, u32)>,
-    /// The fastest that it can, pictures a second.
+    /// Maximum frame rate, Hz.
     pub fastest: u32,
-    /// Bytes that it adds to every row.
+    /// Padding at the end of every row, bytes.
     pub row_padding: u32,
-    /// Its controls and their values.
+    /// Controls and their values.
     pub controls: Vec<(Control, i32)>,
-    /// Buffers.
     pub queue: Queue,
-    /// What was agreed.
     pub layout: Layout,
-    /// What was agreed.
     pub interval: Interval,
 }
 
 impl Default for Device {
-    /// A USB camera.
+    /// The properties of a typical USB camera.
     fn default() -> Self {
-        let control = |id, name: &str, minimum, maximum, step, value| {
-            (Control { id, name: name.to_owned(), minimum, maximum, step, disabled: false }, value)
-        };
         Self {
             multiplanar: false,
             formats: vec![FourCc::YUYV, FourCc::MJPEG, FourCc::NV12, FourCc::RGB24],
             sizes: vec![(64, 48), (320, 240), (640, 192), (640, 480), (1280, 720)],
             fastest: 120,
             row_padding: 0,
-            // Numbers, names and ranges of uvcvideo's.
+            // Ids, names and ranges are those of uvcvideo.
             controls: vec![
                 control(0x0098_090c, "White Balance, Automatic", 0, 1, 1, 1),
                 control(0x0098_0913, "Gain", 0, 100, 5, 50),
@@ -63,6 +57,17 @@ impl Default for Device {
     }
 }
 
+fn control(
+    id: u32,
+    name: &str,
+    minimum: i32,
+    maximum: i32,
+    step: i32,
+    value: i32,
+) -> (Control, i32) {
+    (Control { id, name: name.to_owned(), minimum, maximum, step, disabled: false }, value)
+}
+
 impl Device {
     /// `VIDIOC_QUERYCAP`.
     #[must_use]
@@ -73,25 +78,29 @@ impl Device {
     /// `VIDIOC_ENUM_FMT`.
     ///
     /// # Errors
-    /// `EINVAL` past the last.
+    /// `EINVAL` past the last format.
     pub fn format(&self, index: u32) -> Result<FourCc, Errno> {
         self.formats.get(index as usize).copied().ok_or(Errno::INVAL)
     }
 
-    /// `VIDIOC_S_FMT`: the nearest that it has.
+    /// `VIDIOC_S_FMT`: selects the nearest supported layout.
     ///
     /// # Errors
     /// `EBUSY` while there are buffers.
-    pub fn set_layout(&mut self, asked: Layout) -> Result<Layout, Errno> {
+    pub fn set_layout(&mut self, requested: Layout) -> Result<Layout, Errno> {
         if self.queue.counts()[0] > 0 {
             return Err(Errno::BUSY);
         }
-        let format =
-            if self.formats.contains(&asked.format) { asked.format } else { self.formats[0] };
-        let area = |(width, height): (u32, u32)| u64::from(width) * u64::from(height);
-        let wish = area((asked.width, asked.height));
-        let exact = self.sizes.iter().copied().find(|size| *size == (asked.width, asked.height));
-        let nearest = self.sizes.iter().copied().min_by_key(|size| area(*size).abs_diff(wish));
+        let format = if self.formats.contains(&requested.format) {
+            requested.format
+        } else {
+            self.formats[0]
+        };
+        let requested_area = pixels((requested.width, requested.height));
+        let exact =
+            self.sizes.iter().copied().find(|size| *size == (requested.width, requested.height));
+        let nearest =
+            self.sizes.iter().copied().min_by_key(|size| pixels(*size).abs_diff(requested_area));
         let (width, height) = exact.or(nearest).unwrap_or((640, 480));
         let (row, size) = match format {
             FourCc::YUYV => (2 * width + self.row_padding, (2 * width + self.row_padding) * height),
@@ -106,10 +115,10 @@ impl Device {
     }
 
     /// `VIDIOC_S_PARM` and `VIDIOC_G_PARM`.
-    pub fn interval(&mut self, wish: Option<Interval>) -> Interval {
-        if let Some(wish) = wish {
+    pub fn interval(&mut self, requested: Option<Interval>) -> Interval {
+        if let Some(requested) = requested {
             let fastest = Interval { numerator: 1, denominator: self.fastest };
-            self.interval = if wish.ns() >= fastest.ns() { wish } else { fastest };
+            self.interval = if requested.ns() >= fastest.ns() { requested } else { fastest };
         }
         self.interval
     }
@@ -117,9 +126,10 @@ impl Device {
     /// `VIDIOC_QUERYCTRL`.
     ///
     /// # Errors
-    /// `EINVAL` when there is none.
+    /// `EINVAL` when there is no such control.
     pub fn control(&self, id: u32) -> Result<Control, Errno> {
-        let (id, next) = (id & !NEXT_CONTROL, id & NEXT_CONTROL != 0);
+        let next = id & NEXT_CONTROL != 0;
+        let id = id & !NEXT_CONTROL;
         let fits = |control: &Control| if next { control.id > id } else { control.id == id };
         self.controls
             .iter()
@@ -132,7 +142,7 @@ impl Device {
     /// `VIDIOC_G_CTRL`.
     ///
     /// # Errors
-    /// `EINVAL` when there is none.
+    /// `EINVAL` when there is no such control.
     pub fn control_value(&self, id: u32) -> Result<i32, Errno> {
         self.controls
             .iter()
@@ -141,10 +151,10 @@ impl Device {
             .ok_or(Errno::INVAL)
     }
 
-    /// `VIDIOC_S_CTRL`: rounded to a step, as the kernel does.
+    /// `VIDIOC_S_CTRL`: sets a control, rounded to a step as the kernel does.
     ///
     /// # Errors
-    /// `EINVAL` when there is none, `ERANGE` past its ends.
+    /// `EINVAL` when there is no such control, `ERANGE` when the value is out of range.
     pub fn set_control(&mut self, id: u32, value: i32) -> Result<(), Errno> {
         let (control, held) =
             self.controls.iter_mut().find(|(control, _)| control.id == id).ok_or(Errno::INVAL)?;
@@ -155,9 +165,13 @@ impl Device {
         Ok(())
     }
 
-    /// Closing: the stream ends and the buffers go.
+    /// Closes the device: ends the stream and frees the buffers.
     pub fn close(&mut self) {
         self.queue.stop();
         _ = self.queue.allocate(0);
     }
+}
+
+fn pixels((width, height): (u32, u32)) -> u64 {
+    u64::from(width) * u64::from(height)
 }

@@ -1,4 +1,4 @@
-//! A simulated camera in this process, in whose hands time and faults are.
+//! A simulated camera in this process, with time and faults under the control of the test.
 
 use std::os::fd::OwnedFd;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -7,9 +7,9 @@ use drivers::v4l2::node::{Capability, Control, Filled, FourCc, Interval, Layout,
 use rustix::io::Errno;
 
 use super::device::Device;
-use super::queue::Shot;
+use super::queue::FrameInfo;
 
-/// The camera. Clones are the same camera.
+/// A simulated camera. Clones refer to the same camera.
 #[derive(Debug, Clone, Default)]
 pub struct FakeCamera(Arc<Mutex<Inner>>);
 
@@ -17,7 +17,7 @@ pub struct FakeCamera(Arc<Mutex<Inner>>);
 struct Inner {
     device: Device,
     unplugged: bool,
-    /// Counts plugs and opens: a node of an earlier one is dead.
+    /// Number of plug and open events. A node of an earlier session is dead.
     session: u64,
     opened: u64,
     sequence: u32,
@@ -25,16 +25,16 @@ struct Inner {
 }
 
 impl FakeCamera {
-    /// A camera that is like `device`.
+    /// Creates a camera with these properties.
     #[must_use]
     pub fn new(device: Device) -> Self {
         Self(Arc::new(Mutex::new(Inner { device, ..Inner::default() })))
     }
 
-    /// Opens it. Only one program at a time may have it.
+    /// Opens the camera. Only one program at a time may use it.
     ///
     /// # Errors
-    /// `ENOENT` while it is unplugged.
+    /// `ENOENT` while the camera is unplugged.
     pub fn open(&self) -> Result<Box<dyn VideoNode>, Errno> {
         let mut inner = self.lock();
         if inner.unplugged {
@@ -42,14 +42,14 @@ impl FakeCamera {
         }
         inner.opened += 1;
         inner.session += 1;
-        // Another open node would keep its buffers.
+        // Another node still holds its buffers.
         if inner.device.queue.counts()[0] > 0 {
             return Err(Errno::BUSY);
         }
         Ok(Box::new(FakeNode { camera: self.clone(), session: inner.session, copies: Vec::new() }))
     }
 
-    /// Pulls the plug.
+    /// Unplugs the camera.
     pub fn unplug(&self) {
         let mut inner = self.lock();
         inner.unplugged = true;
@@ -57,75 +57,80 @@ impl FakeCamera {
         inner.device.close();
     }
 
-    /// Puts it back. The count of pictures begins anew.
+    /// Plugs the camera in again. Its frame counter restarts at 0.
     pub fn plug(&self) {
         let mut inner = self.lock();
-        (inner.unplugged, inner.sequence) = (false, 0);
+        inner.unplugged = false;
+        inner.sequence = 0;
     }
 
-    /// Streaming fails for good: the next look gets `EIO`.
+    /// Makes streaming fail permanently: the next dequeue returns `EIO`.
     pub fn fail(&self) {
         self.lock().device.queue.fail();
     }
 
-    /// A picture whose bytes are all `value`. Returns whether there was a buffer for it.
-    pub fn shoot(&self, time_ns: u64, value: u8) -> bool {
+    /// Delivers a frame whose bytes are all `value`. Returns whether there was a buffer for it.
+    pub fn deliver(&self, time_ns: u64, value: u8) -> bool {
         let size = self.lock().device.layout.size;
-        self.shoot_bytes(Some(time_ns), &vec![value; size as usize], false)
+        self.deliver_bytes(Some(time_ns), &vec![value; size as usize], false)
     }
 
-    /// A picture of any bytes and stamp.
-    pub fn shoot_bytes(&self, time_ns: Option<u64>, bytes: &[u8], damaged: bool) -> bool {
+    /// Delivers a frame with any bytes and timestamp. Returns whether there was a buffer for it.
+    pub fn deliver_bytes(&self, time_ns: Option<u64>, bytes: &[u8], damaged: bool) -> bool {
         let mut guard = self.lock();
         let inner = &mut *guard;
         if inner.unplugged || !inner.device.queue.is_streaming() {
             return false;
         }
-        let shot =
-            Shot { bytes_used: bytes.len() as u32, sequence: inner.sequence, time_ns, damaged };
+        let info = FrameInfo {
+            bytes_used: bytes.len() as u32,
+            sequence: inner.sequence,
+            time_ns,
+            damaged,
+        };
         inner.sequence = inner.sequence.wrapping_add(1);
-        let Some(index) = inner.device.queue.fill(shot) else { return false };
+        let Some(index) = inner.device.queue.fill(info) else { return false };
         let length = bytes.len().min(inner.memory[index as usize].len());
         inner.memory[index as usize][..length].copy_from_slice(&bytes[..length]);
         true
     }
 
-    /// Pictures that the camera counts and loses.
-    pub fn lose(&self, count: u32) {
+    /// Advances the frame counter by `count` without delivering frames.
+    pub fn drop_frames(&self, count: u32) {
         let mut inner = self.lock();
         inner.sequence = inner.sequence.wrapping_add(count);
     }
 
-    /// Changes what it is like.
+    /// Changes the properties of the camera.
     pub fn change(&self, change: impl FnOnce(&mut Device)) {
         change(&mut self.lock().device);
     }
 
-    /// Calls that no correct program makes.
+    /// Number of calls that no correct program makes.
     #[must_use]
     pub fn misuses(&self) -> u64 {
         self.lock().device.queue.misuses()
     }
 
-    /// How often it was opened.
+    /// Number of times that the camera was opened.
     #[must_use]
     pub fn opened(&self) -> u64 {
         self.lock().opened
     }
 
-    /// Whether somebody streams from it.
+    /// Whether a program streams from the camera.
     #[must_use]
     pub fn is_streaming(&self) -> bool {
         self.lock().device.queue.is_streaming()
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
-        // Whoever has panicked with it has failed already.
+        // A test that panicked while it held the lock has already failed.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// An open fake camera. It looks at its buffers only in copies that were taken when they were dequeued.
+/// An open fake camera. It reads buffers only from copies that were taken when they were dequeued.
 #[derive(Debug)]
 struct FakeNode {
     camera: FakeCamera,
@@ -152,12 +157,12 @@ impl VideoNode for FakeNode {
         self.with(|inner| inner.device.format(index))
     }
 
-    fn set_layout(&mut self, asked: Layout) -> Result<Layout, Errno> {
-        self.with(|inner| inner.device.set_layout(asked))
+    fn set_layout(&mut self, requested: Layout) -> Result<Layout, Errno> {
+        self.with(|inner| inner.device.set_layout(requested))
     }
 
-    fn interval(&mut self, wish: Option<Interval>) -> Result<Interval, Errno> {
-        self.with(|inner| Ok(inner.device.interval(wish)))
+    fn interval(&mut self, requested: Option<Interval>) -> Result<Interval, Errno> {
+        self.with(|inner| Ok(inner.device.interval(requested)))
     }
 
     fn control(&mut self, id: u32) -> Result<Control, Errno> {
@@ -174,8 +179,8 @@ impl VideoNode for FakeNode {
 
     fn allocate(&mut self, count: u32) -> Result<u32, Errno> {
         let (count, size) = self.with(|inner| {
-            let (count, size) =
-                (inner.device.queue.allocate(count)?, inner.device.layout.size as usize);
+            let count = inner.device.queue.allocate(count)?;
+            let size = inner.device.layout.size as usize;
             inner.memory = vec![vec![0; size]; count as usize];
             Ok((count, size))
         })?;
@@ -190,12 +195,12 @@ impl VideoNode for FakeNode {
     }
 
     fn dequeue(&mut self) -> Result<Filled, Errno> {
-        let (index, shot, bytes) = self.with(|inner| {
-            let (index, shot) = inner.device.queue.dequeue()?;
-            Ok((index, shot, inner.memory[index as usize].clone()))
+        let (index, info, bytes) = self.with(|inner| {
+            let (index, info) = inner.device.queue.dequeue()?;
+            Ok((index, info, inner.memory[index as usize].clone()))
         })?;
         self.copies[index as usize] = bytes;
-        let Shot { bytes_used, sequence, time_ns, damaged } = shot;
+        let FrameInfo { bytes_used, sequence, time_ns, damaged } = info;
         Ok(Filled { index, bytes_used, sequence, time_ns, stamped_at_start: true, damaged })
     }
 

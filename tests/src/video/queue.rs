@@ -1,19 +1,19 @@
-//! A strict model of the kernel's queue of video buffers (videobuf2): the same states, the same refusals.
+//! A strict model of the kernel's queue of video buffers (videobuf2), with the same states and the
+//! same error codes.
 
 use std::collections::VecDeque;
 
 use rustix::io::Errno;
 
-/// What is known of a filled buffer besides its bytes.
+/// Metadata of a filled buffer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Shot {
-    /// Bytes of the picture.
+pub struct FrameInfo {
     pub bytes_used: u32,
-    /// The camera's count.
+    /// The camera's frame counter.
     pub sequence: u32,
-    /// Stamp; `None` is one of an unknown clock.
+    /// Timestamp; `None` for one of an unknown clock.
     pub time_ns: Option<u64>,
-    /// The camera says that it is damaged.
+    /// The camera reports the frame as damaged.
     pub damaged: bool,
 }
 
@@ -24,22 +24,22 @@ enum State {
     Done,
 }
 
-/// The queue.
+/// The buffer queue.
 #[derive(Debug, Clone, Default)]
 pub struct Queue {
     buffers: Vec<State>,
     queued: VecDeque<u32>,
-    done: VecDeque<(u32, Shot)>,
+    done: VecDeque<(u32, FrameInfo)>,
     streaming: bool,
     failed: bool,
     misuses: u64,
 }
 
-/// videobuf2's own limit.
-const MOST_BUFFERS: u32 = 32;
+/// Limit of videobuf2.
+const MAX_BUFFERS: u32 = 32;
 
 impl Queue {
-    /// `VIDIOC_REQBUFS`. 0 frees all.
+    /// `VIDIOC_REQBUFS`. A count of 0 frees all buffers.
     ///
     /// # Errors
     /// `EBUSY` while streaming.
@@ -47,7 +47,7 @@ impl Queue {
         if self.streaming {
             return self.misuse(Errno::BUSY);
         }
-        let count = count.min(MOST_BUFFERS);
+        let count = count.min(MAX_BUFFERS);
         *self = Self {
             buffers: vec![State::Dequeued; count as usize],
             misuses: self.misuses,
@@ -59,7 +59,7 @@ impl Queue {
     /// `VIDIOC_QBUF`.
     ///
     /// # Errors
-    /// `EINVAL` for a buffer that is not there or that the camera has.
+    /// `EINVAL` for a buffer that does not exist or that the camera holds.
     pub fn queue(&mut self, index: u32) -> Result<(), Errno> {
         match self.buffers.get_mut(index as usize) {
             Some(state @ State::Dequeued) => {
@@ -71,20 +71,21 @@ impl Queue {
         }
     }
 
-    /// `VIDIOC_DQBUF` of a node that does not wait.
+    /// `VIDIOC_DQBUF` on a non-blocking node.
     ///
     /// # Errors
-    /// `EINVAL` when not streaming, `EIO` after [`fail`](Self::fail), `EAGAIN` when none is filled.
-    pub fn dequeue(&mut self) -> Result<(u32, Shot), Errno> {
+    /// `EINVAL` when not streaming, `EIO` after [`fail`](Self::fail), `EAGAIN` when no buffer is
+    /// filled.
+    pub fn dequeue(&mut self) -> Result<(u32, FrameInfo), Errno> {
         if !self.streaming {
             return self.misuse(Errno::INVAL);
         }
         if self.failed {
             return Err(Errno::IO);
         }
-        let (index, shot) = self.done.pop_front().ok_or(Errno::AGAIN)?;
+        let (index, info) = self.done.pop_front().ok_or(Errno::AGAIN)?;
         self.buffers[index as usize] = State::Dequeued;
-        Ok((index, shot))
+        Ok((index, info))
     }
 
     /// `VIDIOC_STREAMON`.
@@ -99,47 +100,55 @@ impl Queue {
         Ok(())
     }
 
-    /// `VIDIOC_STREAMOFF`: every buffer comes back, and a failure is forgotten.
+    /// `VIDIOC_STREAMOFF`: returns every buffer and clears a failure.
     pub fn stop(&mut self) {
         self.buffers.fill(State::Dequeued);
         self.queued.clear();
         self.done.clear();
-        (self.streaming, self.failed) = (false, false);
+        self.streaming = false;
+        self.failed = false;
     }
 
-    /// The camera fills the oldest queued buffer, if there is one: which.
-    pub fn fill(&mut self, shot: Shot) -> Option<u32> {
+    /// Fills the oldest queued buffer, if there is one, and returns its index.
+    pub fn fill(&mut self, info: FrameInfo) -> Option<u32> {
         if !self.streaming || self.failed {
             return None;
         }
         let index = self.queued.pop_front()?;
         self.buffers[index as usize] = State::Done;
-        self.done.push_back((index, shot));
+        self.done.push_back((index, info));
         Some(index)
     }
 
-    /// Streaming fails for good, as `vb2_queue_error`.
+    /// Makes streaming fail permanently, like `vb2_queue_error`.
     pub fn fail(&mut self) {
         self.failed = true;
     }
 
-    /// Whether the camera runs.
     #[must_use]
     pub fn is_streaming(&self) -> bool {
         self.streaming
     }
 
-    /// Calls that no correct program makes.
+    /// Number of calls that no correct program makes.
     #[must_use]
     pub fn misuses(&self) -> u64 {
         self.misuses
     }
 
-    /// Buffers, and how many of them are queued, done and dequeued.
+    /// Number of buffers, and how many of them are queued, done and dequeued.
     #[must_use]
     pub fn counts(&self) -> [usize; 4] {
-        let count = |wanted| self.buffers.iter().filter(|state| **state == wanted).count();
-        [self.buffers.len(), count(State::Queued), count(State::Done), count(State::Dequeued)]
+        [
+            self.buffers.len(),
+            self.count(State::Queued),
+            self.count(State::Done),
+            self.count(State::Dequeued),
+        ]
+    }
+
+    fn count(&self, state: State) -> usize {
+        self.buffers.iter().filter(|buffer| **buffer == state).count()
     }
 
     fn misuse<T>(&mut self, errno: Errno) -> Result<T, Errno> {
@@ -154,10 +163,11 @@ mod tests {
 
     use super::*;
 
-    const SHOT: Shot = Shot { bytes_used: 8, sequence: 0, time_ns: Some(0), damaged: false };
+    const INFO: FrameInfo =
+        FrameInfo { bytes_used: 8, sequence: 0, time_ns: Some(0), damaged: false };
 
     #[test]
-    fn a_wrong_order_of_calls_is_refused_as_the_kernel_refuses_it() {
+    fn calls_in_a_wrong_order_get_the_kernels_error_codes() {
         let mut queue = Queue::default();
         assert_eq!(queue.start(), Err(Errno::INVAL), "no buffers");
         assert_eq!(queue.dequeue(), Err(Errno::INVAL), "not streaming");
@@ -168,9 +178,9 @@ mod tests {
         queue.start().unwrap();
         assert_eq!(queue.allocate(0), Err(Errno::BUSY));
         assert_eq!(queue.dequeue(), Err(Errno::AGAIN));
-        assert_eq!(queue.fill(SHOT), Some(0));
+        assert_eq!(queue.fill(INFO), Some(0));
         assert_eq!(queue.queue(0), Err(Errno::INVAL), "filled, and not taken yet");
-        assert_eq!(queue.dequeue(), Ok((0, SHOT)));
+        assert_eq!(queue.dequeue(), Ok((0, INFO)));
         queue.fail();
         assert_eq!(queue.dequeue(), Err(Errno::IO));
         queue.stop();
@@ -179,7 +189,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_buffer_is_in_exactly_one_place_after_any_calls(calls in prop::collection::vec((0u8..7, 0u32..6), 0..200)) {
+        fn every_buffer_is_in_exactly_one_state_after_any_calls(calls in prop::collection::vec((0u8..7, 0u32..6), 0..200)) {
             let mut queue = Queue::default();
             for (call, index) in calls {
                 let before = queue.clone();
@@ -189,7 +199,7 @@ mod tests {
                     2 => queue.dequeue().map(|_| ()),
                     3 => queue.start(),
                     4 => { queue.stop(); Ok(()) }
-                    5 => { queue.fill(SHOT); Ok(()) }
+                    5 => { queue.fill(INFO); Ok(()) }
                     _ => { queue.fail(); Ok(()) }
                 };
                 let [all, queued, done, dequeued] = queue.counts();

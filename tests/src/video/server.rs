@@ -1,5 +1,5 @@
-//! A simulated camera behind a Unix socket, for programs that open `unix:/path`. What is said there is in
-//! [`drivers::v4l2::wire`].
+//! A simulated camera behind a Unix socket, for programs that open `unix:/path`. The protocol is
+//! that of [`drivers::v4l2::wire`].
 
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
@@ -19,40 +19,40 @@ use rustix::net::{
 };
 
 use super::device::Device;
-use super::picture::PictureSource;
-use super::queue::Shot;
+use super::queue::FrameInfo;
+use super::source::ImageSource;
 use crate::{Seconds, holds};
 
-/// What goes wrong, in seconds since the camera was switched on.
+/// Faults, at times in seconds since the camera was switched on.
 #[derive(Debug, Clone, Default)]
 pub struct VideoFaults {
-    /// Nobody answers: the socket goes away, and comes back.
+    /// The socket is removed in this interval.
     pub unplugged: Option<Seconds>,
-    /// It streams, and no picture comes.
+    /// Streaming goes on without frames in this interval.
     pub silent: Option<Seconds>,
-    /// Streaming fails at this time.
+    /// Streaming fails in this interval.
     pub failed: Option<Seconds>,
-    /// Share of pictures that are counted and lost.
+    /// Fraction of frames that are counted but lost.
     pub drop_share: f64,
 }
 
-/// Longest wait, so that faults and the end are noticed in time.
-const NAP_NS: u64 = 20_000_000;
+/// Longest wait, so that faults and the end are noticed soon enough.
+const MAX_WAIT_NS: u64 = 20_000_000;
 
 /// Serves one program at a time until `running` is false.
 ///
 /// # Errors
-/// When the socket cannot be made.
+/// Returns an error when the socket cannot be created.
 pub fn serve(
     path: &Path,
     device: Device,
     faults: &VideoFaults,
-    source: &mut dyn PictureSource,
+    source: &mut dyn ImageSource,
     running: &AtomicBool,
 ) -> io::Result<()> {
     let start_ns = monotonic_ns();
     let mut camera =
-        Camera { device, files: Vec::new(), sequence: 0, due_ns: 0, picture: Vec::new() };
+        Camera { device, files: Vec::new(), sequence: 0, due_ns: 0, image: Vec::new() };
     let mut socket = Some(listen_at(path)?);
     let mut client: Option<OwnedFd> = None;
     let mut rng = Pcg64Mcg::seed_from_u64(1);
@@ -60,7 +60,8 @@ pub fn serve(
         let now_ns = monotonic_ns();
         let since_ns = now_ns - start_ns;
         if holds(faults.unplugged.as_ref(), since_ns) {
-            (socket, client) = (None, None);
+            socket = None;
+            client = None;
             camera.close();
             _ = std::fs::remove_file(path);
         } else if socket.is_none() {
@@ -73,11 +74,11 @@ pub fn serve(
             let lost =
                 rng.random::<f64>() < faults.drop_share || holds(faults.silent.as_ref(), since_ns);
             if let Some(client) = &client {
-                // A program that is gone is noticed below.
-                _ = camera.take_picture(now_ns, lost, source, client);
+                // A client that has disconnected is detected below.
+                _ = camera.take_frame(now_ns, lost, source, client);
             }
         }
-        wait(socket.as_ref(), client.as_ref(), camera.nap_ns())?;
+        wait(socket.as_ref(), client.as_ref(), camera.wait_ns())?;
         if client.as_ref().is_some_and(|client| camera.answer_all(client).is_err()) {
             client = None;
             camera.close();
@@ -93,7 +94,7 @@ pub fn serve(
 }
 
 fn listen_at(path: &Path) -> io::Result<OwnedFd> {
-    // What an earlier camera that was killed has left.
+    // Removes the socket of an earlier camera that was killed.
     _ = std::fs::remove_file(path);
     let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
     let socket = socket_with(AddressFamily::UNIX, SocketType::SEQPACKET, flags, None)?;
@@ -102,13 +103,13 @@ fn listen_at(path: &Path) -> io::Result<OwnedFd> {
     Ok(socket)
 }
 
-fn wait(socket: Option<&OwnedFd>, client: Option<&OwnedFd>, nap_ns: u64) -> io::Result<()> {
-    // A second program waits in the socket's queue until the first has gone.
+fn wait(socket: Option<&OwnedFd>, client: Option<&OwnedFd>, wait_ns: u64) -> io::Result<()> {
+    // A second client waits in the socket's queue until the first has disconnected.
     let waited_for = client.or(socket);
     let mut files: Vec<_> =
         waited_for.iter().map(|file| PollFd::new(*file, PollFlags::IN)).collect();
-    let nap = Timespec { tv_sec: 0, tv_nsec: nap_ns as i64 };
-    match poll(&mut files, Some(&nap)) {
+    let timeout = Timespec { tv_sec: 0, tv_nsec: wait_ns as i64 };
+    match poll(&mut files, Some(&timeout)) {
         Ok(_) | Err(Errno::INTR) => Ok(()),
         Err(errno) => Err(errno.into()),
     }
@@ -119,7 +120,7 @@ struct Camera {
     files: Vec<OwnedFd>,
     sequence: u32,
     due_ns: u64,
-    picture: Vec<u8>,
+    image: Vec<u8>,
 }
 
 impl Camera {
@@ -129,26 +130,26 @@ impl Camera {
         self.sequence = 0;
     }
 
-    fn nap_ns(&self) -> u64 {
+    fn wait_ns(&self) -> u64 {
         let until_due_ns = self.due_ns.saturating_sub(monotonic_ns());
-        if self.device.queue.is_streaming() { until_due_ns.min(NAP_NS) } else { NAP_NS }
+        if self.device.queue.is_streaming() { until_due_ns.min(MAX_WAIT_NS) } else { MAX_WAIT_NS }
     }
 
     fn interval_ns(&self) -> u64 {
-        self.device.interval.ns().unwrap_or(NAP_NS)
+        self.device.interval.ns().unwrap_or(MAX_WAIT_NS)
     }
 
-    fn take_picture(
+    fn take_frame(
         &mut self,
         now_ns: u64,
         lost: bool,
-        source: &mut dyn PictureSource,
+        source: &mut dyn ImageSource,
         client: &OwnedFd,
     ) -> Result<(), Errno> {
-        // On a grid, without making up for what a stopped process has missed.
+        // On a fixed grid. Frames that a stopped process has missed are not made up for.
         self.due_ns = (self.due_ns + self.interval_ns()).max(now_ns);
         let layout = self.device.layout;
-        let shot = Shot {
+        let info = FrameInfo {
             bytes_used: layout.size,
             sequence: self.sequence,
             time_ns: Some(now_ns),
@@ -158,22 +159,23 @@ impl Camera {
         if lost {
             return Ok(());
         }
-        let Some(index) = self.device.queue.fill(shot) else { return self.report_failure(client) };
-        self.picture.resize(layout.size as usize, 0);
-        source.picture(now_ns, layout.width as usize, layout.height as usize, &mut self.picture);
+        let Some(index) = self.device.queue.fill(info) else { return self.report_failure(client) };
+        self.image.resize(layout.size as usize, 0);
+        source.render(now_ns, layout.width as usize, layout.height as usize, &mut self.image);
         let file = self.files.get(index as usize).ok_or(Errno::INVAL)?;
         let mut written = 0;
-        while written < self.picture.len() {
-            written += pwrite(file, &self.picture[written..], written as u64)?;
+        while written < self.image.len() {
+            written += pwrite(file, &self.image[written..], written as u64)?;
         }
-        let (index, shot) = self.device.queue.dequeue()?;
-        let Shot { bytes_used, sequence, time_ns, damaged } = shot;
+        let (index, info) = self.device.queue.dequeue()?;
+        let FrameInfo { bytes_used, sequence, time_ns, damaged } = info;
         let filled =
             Filled { index, bytes_used, sequence, time_ns, stamped_at_start: true, damaged };
         Message::new(wire::FILLED, &filled.to_words()).send(client, None)
     }
 
-    /// No buffer free: nothing to say. Streaming has failed: the program shall know.
+    /// Without a free buffer there is nothing to report. When streaming has failed, the client must
+    /// be informed.
     fn report_failure(&mut self, client: &OwnedFd) -> Result<(), Errno> {
         match self.device.queue.dequeue() {
             Err(errno) if errno != Errno::AGAIN => {
@@ -221,8 +223,8 @@ impl Camera {
             wire::FORMAT => vec![device.format(words[0])?.0],
             wire::SET_LAYOUT => device.set_layout(Layout::from_words(words))?.to_words(),
             wire::INTERVAL => {
-                let wish = Interval { numerator: words[1], denominator: words[2] };
-                device.interval((words[0] != 0).then_some(wish)).to_words()
+                let requested = Interval { numerator: words[1], denominator: words[2] };
+                device.interval((words[0] != 0).then_some(requested)).to_words()
             }
             wire::CONTROL => device.control(words[0])?.to_words(),
             wire::CONTROL_VALUE => vec![device.control_value(words[0])?.cast_unsigned()],
@@ -251,7 +253,7 @@ impl Camera {
     }
 }
 
-/// A memory file that can be mapped without fear: it cannot be cut.
+/// A sealed memory file: it cannot be truncated, so a client can map it safely.
 fn memory(size: u64) -> Result<OwnedFd, Errno> {
     let file = memfd_create("camera", MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING)?;
     ftruncate(&file, size)?;

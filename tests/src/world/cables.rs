@@ -1,13 +1,12 @@
-//! Cables to devices that the kernel's own drivers serve.
+//! Connections to devices that the kernel's own drivers serve.
 
 use std::str::FromStr;
 
-/// The two ends of a cable: what the world holds, and what the robot opens.
+/// The two ends of a connection: the device that the simulated world opens, and the one that the
+/// robot opens.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cable {
-    /// Our end.
     pub world: String,
-    /// The robot's end.
     pub robot: String,
 }
 
@@ -19,22 +18,24 @@ impl FromStr for Cable {
             Some((world, robot)) if !world.is_empty() && !robot.is_empty() => {
                 Ok(Self { world: world.to_owned(), robot: robot.to_owned() })
             }
-            _ => Err(format!("`{text}` has no two ends; write OURS=ROBOT'S, such as can1=can0")),
+            _ => Err(format!(
+                "`{text}` does not name two ends; write OURS=ROBOT'S, such as can1=can0"
+            )),
         }
     }
 }
 
-/// Which devices have one. The others are sockets and a pty.
+/// Devices that are reached through kernel drivers. The others are sockets and a pty.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct Cables {
-    /// A V4L2 output whose pictures come out of the robot's camera, such as /dev/video1=/dev/video0. `v4l2-ctl` writes them; size
-    /// and format of the output must have been set.
+    /// V4L2 output that is looped back to the robot's camera, such as /dev/video1=/dev/video0.
+    /// `v4l2-ctl` writes the frames; size and format of the output must have been set.
     #[arg(long, value_name = "OURS=ROBOT'S")]
     pub camera_at: Option<Cable>,
-    /// A serial port that is wired to the robot's, such as /dev/ttyS1=/dev/ttyUSB0.
+    /// Serial port that is wired to the robot's, such as /dev/ttyS1=/dev/ttyUSB0.
     #[arg(long, value_name = "OURS=ROBOT'S")]
     pub lidar_at: Option<Cable>,
-    /// A CAN interface on the robot's bus, such as can1=can0.
+    /// CAN interface on the robot's bus, such as can1=can0.
     #[arg(long, value_name = "OURS=ROBOT'S")]
     pub motors_at: Option<Cable>,
 }

@@ -1,4 +1,4 @@
-//! `hil world`: by hand, and for whole runs of `firmware-host run`.
+//! The `hil world` command, for manual use and for whole runs of `firmware-host run`.
 
 use std::error::Error;
 use std::io::{IsTerminal, Write, stdout};
@@ -13,60 +13,68 @@ use hal::{CameraModel, Clock};
 use monotonic_clock::MonotonicClock;
 
 use super::cables::Cables;
-use super::faults::Mischief;
+use super::faults::RandomFaults;
 use super::live::{LiveOptions, LiveWorld};
 
-/// Time between two looks at what is to be said and done.
-const LOOK_NS: u64 = 10_000_000;
-/// Devices this late may pass for silent: two scans of 40 Hz.
+/// Interval of fault updates and output.
+const POLL_NS: u64 = 10_000_000;
+/// Devices that are this late may be reported as silent: two scan periods at 40 Hz.
 const LATE_MS: u64 = 50;
 
-/// A simulated home behind simulated devices, in real time, for `firmware-host run`.
+/// Simulate a home with all devices, in real time, for `firmware-host run`.
 #[derive(Debug, clap::Args)]
 pub struct WorldArgs {
-    /// `builtin:apartment?seed=1` (also `house`, `office`), or a scene file.
+    /// Home: `builtin:apartment?seed=1` (also `house`, `office`), or a scene file.
     #[arg(long, default_value = "builtin:apartment?seed=1")]
     scene: String,
-    /// Folder for the devices' sockets and the robot.toml that names them. Made if missing.
+    /// Folder for the devices' sockets and for the robot.toml that names them. Created if missing.
     #[arg(long, value_name = "DIR")]
     dir: PathBuf,
-    /// What the motors speak.
+    /// Protocol of the motor controllers: odrive, vesc or cia402.
     #[arg(long, default_value = "odrive", value_parser = protocol)]
     protocol: Protocol,
-    /// The scanner: urg-04lx, utm-30lx, ust-10lx or ust-20lx.
+    /// Model of the scanner: urg-04lx, utm-30lx, ust-10lx or ust-20lx.
     #[arg(long, default_value = "utm-30lx")]
     lidar: Model,
-    /// The camera's pictures, 90 degrees wide.
-    #[arg(long, default_value = "640x192", value_name = "WIDTHxHEIGHT", value_parser = size)]
-    picture: (usize, usize),
-    /// Pictures a second.
+    /// Size of the camera's frames; the field of view is 90 degrees wide.
+    #[arg(
+        long,
+        alias = "picture",
+        default_value = "640x192",
+        value_name = "WIDTHxHEIGHT",
+        value_parser = size
+    )]
+    frame_size: (usize, usize),
+    /// Frames per second of the camera.
     #[arg(long, default_value_t = 15.0)]
     fps: f64,
-    /// How much later than they are taken pictures are stamped, milliseconds.
+    /// Delay between exposure and timestamp of the camera's frames, milliseconds.
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=500))]
     late_ms: u64,
-    /// Devices that are reached by the kernel's own drivers.
     #[command(flatten)]
     cables: Cables,
-    /// Seed of the start pose and of the noise.
+    /// Seed of the start pose and of the sensor noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Devices fail at random, by this seed.
+    /// Inject random device faults with this seed.
     #[arg(long)]
     faults: Option<u64>,
-    /// Ends after so many seconds.
+    /// End after this time, seconds.
     #[arg(long)]
     seconds: Option<f64>,
 }
 
 fn size(text: &str) -> Result<(usize, usize), String> {
     let (width, height) = text.split_once('x').ok_or("write it as 640x192")?;
-    let parse = |number: &str| match number.parse::<usize>() {
-        // Two pixels share their colour.
+    Ok((parse_pixels(width)?, parse_pixels(height)?))
+}
+
+fn parse_pixels(number: &str) -> Result<usize, String> {
+    match number.parse::<usize>() {
+        // YUV 4:2:2 shares the colour of two pixels, so sizes must be even.
         Ok(number @ 32..=4096) if number % 2 == 0 => Ok(number),
-        _ => Err(format!("`{number}` is no even number of pixels from 32 to 4096")),
-    };
-    Ok((parse(width)?, parse(height)?))
+        _ => Err(format!("`{number}` is not an even number of pixels from 32 to 4096")),
+    }
 }
 
 fn protocol(text: &str) -> Result<Protocol, String> {
@@ -74,14 +82,14 @@ fn protocol(text: &str) -> Result<Protocol, String> {
         "odrive" => Ok(Protocol::Odrive),
         "vesc" => Ok(Protocol::Vesc),
         "cia402" => Ok(Protocol::Cia402),
-        _ => Err(format!("`{text}` is none of odrive, vesc, cia402")),
+        _ => Err(format!("`{text}` is not one of odrive, vesc, cia402")),
     }
 }
 
-/// Runs until interrupted; then says how often the robot touched something.
+/// Runs until interrupted, then prints how often the robot touched an obstacle.
 ///
 /// # Errors
-/// When the scene or the folder cannot be used.
+/// Returns an error when the scene or the folder cannot be used.
 pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
     let running = Arc::new(AtomicBool::new(true));
     let stop = Arc::clone(&running);
@@ -93,8 +101,8 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
             protocol: args.protocol,
             lidar: args.lidar,
             camera: CameraModel::pinhole(
-                args.picture.0,
-                args.picture.1,
+                args.frame_size.0,
+                args.frame_size.1,
                 std::f64::consts::FRAC_PI_2,
             ),
             fps: args.fps,
@@ -107,16 +115,17 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
     println!("{} is ready. In other terminals:\n", args.scene);
     println!("    firmware-host run --config {} --out {dir}/run", world.config().display());
     println!("    firmware-host health --watch --status {dir}/status.json\n");
-    let mut mischief = args.faults.map(Mischief::new);
+    let mut random_faults = args.faults.map(RandomFaults::new);
     let mut clock = MonotonicClock;
-    let (began, mut shown_s) = (Instant::now(), 0.0);
+    let began = Instant::now();
+    let mut shown_s = 0.0;
     while running.load(Ordering::Relaxed) {
-        clock.sleep_until_ns(clock.now_ns() + LOOK_NS);
+        clock.sleep_until_ns(clock.now_ns() + POLL_NS);
         let time_s = began.elapsed().as_secs_f64();
-        if let Some(mischief) = &mut mischief
-            && let Some(words) = mischief.turn(time_s, &world)?
+        if let Some(random_faults) = &mut random_faults
+            && let Some(message) = random_faults.update(time_s, &world)?
         {
-            println!("\r{time_s:8.2} s  {words}\x1b[K");
+            println!("\r{time_s:8.2} s  {message}\x1b[K");
         }
         if time_s - shown_s >= if stdout().is_terminal() { 0.2 } else { 10.0 } {
             shown_s = time_s;
@@ -127,20 +136,21 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
         }
     }
     let (touches, path_m) = world.home().score();
-    let faults =
-        mischief.map_or_else(String::new, |mischief| format!(" faults={}", mischief.count()));
+    let faults = random_faults
+        .map_or_else(String::new, |random_faults| format!(" faults={}", random_faults.count()));
     println!("\nworld: path_m={path_m:.2} touches={touches}{faults}");
     let late_ms = world.worst_late_ns() / 1_000_000;
     if late_ms >= LATE_MS {
         println!(
-            "This computer was too busy: the devices themselves came up to {late_ms} ms late, as silent ones do."
+            "This computer was too busy: the simulated devices were up to {late_ms} ms late, which the robot may report as silence."
         );
     }
     Ok(())
 }
 
 fn show(world: &LiveWorld, time_s: f64) -> std::io::Result<()> {
-    let (pose, (touches, path_m)) = (world.home().pose(), world.home().score());
+    let pose = world.home().pose();
+    let (touches, path_m) = world.home().score();
     let line = format!(
         "{time_s:8.1} s  at ({:.2}, {:.2}) m, {:.0} degrees; {path_m:.1} m driven, {touches} touches",
         pose.x_m,

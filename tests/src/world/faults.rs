@@ -1,4 +1,4 @@
-//! Random faults of all devices, by a seed: what happens to a robot in a year, in five minutes.
+//! Seeded random faults of all devices, far more frequent than on a real robot.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -6,11 +6,11 @@ use rand_pcg::Pcg64Mcg;
 use super::LiveWorld;
 use crate::hokuyo::{Health, WireFaults};
 
-/// Quiet time between two faults, seconds.
+/// Time without faults between two faults, seconds.
 const QUIET_S: std::ops::Range<f64> = 6.0..14.0;
 
-/// What can happen, and for how long, seconds.
-/// A motor controller that restarts is not among them: it needs a person by design.
+/// Faults and their durations, seconds. A motor controller that restarts is not among them, because
+/// it needs a person by design.
 const KINDS: [(&str, std::ops::Range<f64>); 6] = [
     ("the scanner is unplugged", 0.5..3.0),
     ("the scanner restarts", 0.1..0.2),
@@ -20,26 +20,26 @@ const KINDS: [(&str, std::ops::Range<f64>); 6] = [
     ("the camera is unplugged", 0.5..4.0),
 ];
 
-/// One fault after another.
-pub(super) struct Mischief {
+/// Injects one fault after another.
+pub(super) struct RandomFaults {
     rng: Pcg64Mcg,
     due_s: f64,
     now: Option<(usize, f64)>,
     count: u64,
 }
 
-impl Mischief {
+impl RandomFaults {
     pub fn new(seed: u64) -> Self {
         Self { rng: Pcg64Mcg::seed_from_u64(seed), due_s: 12.0, now: None, count: 0 }
     }
 
-    /// How many there were.
+    /// Number of faults so far.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// Begins and ends faults; what to say of it.
-    pub fn turn(&mut self, time_s: f64, world: &LiveWorld) -> std::io::Result<Option<String>> {
+    /// Begins and ends faults. Returns a message when something changed.
+    pub fn update(&mut self, time_s: f64, world: &LiveWorld) -> std::io::Result<Option<String>> {
         match self.now {
             Some((kind, until_s)) if time_s >= until_s => {
                 self.now = None;
@@ -49,11 +49,11 @@ impl Mischief {
             }
             None if time_s >= self.due_s => {
                 let kind = self.rng.random_range(0..KINDS.len());
-                let (words, span) = &KINDS[kind];
+                let (description, span) = &KINDS[kind];
                 self.now = Some((kind, time_s + self.rng.random_range(span.clone())));
                 self.count += 1;
                 begin(kind, world);
-                Ok(Some((*words).to_owned()))
+                Ok(Some((*description).to_owned()))
             }
             _ => Ok(None),
         }
@@ -80,7 +80,7 @@ fn end(kind: usize, world: &LiveWorld) -> std::io::Result<()> {
         3 => lidar.set_health(Health::Well),
         4 => world.wheels()[0].faults().silent = false,
         5 => world.plug_camera(true),
-        // The restart is over by itself.
+        // The restart ends automatically.
         _ => {}
     }
     Ok(())

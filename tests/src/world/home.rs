@@ -1,4 +1,4 @@
-//! The robot in its home: wheels in, pose out.
+//! The simulated robot in its home: advances by the velocities of its simulated wheels.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -10,19 +10,19 @@ use simulator::{RobotOptions, SceneError, SimulatedRobot, World};
 
 use crate::motor::MotorNode;
 
-/// Wheels that stop against something and push again touch it once.
+/// Contacts within this time count as one touch: blocked wheels push repeatedly.
 const SAME_TOUCH_NS: u64 = 1_000_000_000;
-/// How long it is known where it was: cameras are late by no more.
-const PAST_NS: u64 = 500_000_000;
+/// Length of the pose history; cameras may be at most this late.
+const HISTORY_NS: u64 = 500_000_000;
 
 /// The robot in its home, shared between its devices.
 #[derive(Clone)]
 pub struct Home {
     world: Arc<World>,
-    inside: Arc<Mutex<Inside>>,
+    state: Arc<Mutex<State>>,
 }
 
-struct Inside {
+struct State {
     base: SimBase,
     clock: SimClock,
     lidar: SimLidar,
@@ -31,19 +31,19 @@ struct Inside {
     kinematics: Kinematics,
     wheel_radius_m: f64,
     counter: u32,
-    /// When it touched something last.
+    /// Time of the last contact.
     touched_ns: Option<u64>,
     touches: u64,
     path_m: f64,
-    /// Where it was, and when.
-    past: VecDeque<(u64, Pose2)>,
+    /// Recent poses with their times.
+    history: VecDeque<(u64, Pose2)>,
 }
 
 impl Home {
-    /// Puts a robot with these wheels into the home. Its time begins at 0.
+    /// Places a robot with these wheels in the home. Its time begins at 0.
     ///
     /// # Errors
-    /// When it does not fit there.
+    /// Returns an error when the robot does not fit at its start pose.
     pub fn new(
         world: Arc<World>,
         options: RobotOptions,
@@ -51,7 +51,7 @@ impl Home {
     ) -> Result<Self, SceneError> {
         let devices = SimulatedRobot::new(Arc::clone(&world), options)?.devices();
         let scan = LaserScan::empty(devices.lidar.geometry());
-        let inside = Inside {
+        let state = State {
             base: devices.base,
             clock: devices.clock,
             lidar: devices.lidar,
@@ -63,43 +63,44 @@ impl Home {
             touched_ns: None,
             touches: 0,
             path_m: 0.0,
-            past: VecDeque::new(),
+            history: VecDeque::new(),
         };
-        Ok(Self { world, inside: Arc::new(Mutex::new(inside)) })
+        Ok(Self { world, state: Arc::new(Mutex::new(state)) })
     }
 
-    fn inside(&self) -> MutexGuard<'_, Inside> {
-        self.inside.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The home itself, to look at.
+    /// The home, for rendering.
     #[must_use]
     pub fn world(&self) -> &World {
         &self.world
     }
 
-    /// Time passes up to `time_ns` while the wheels turn as they do. A wheel whose robot stands against something does not turn.
-    pub fn pass(&self, time_ns: u64, wheels: &mut [Box<dyn MotorNode>; 2]) {
-        let mut inside = self.inside();
+    /// Advances to `time_ns` at the current velocities of the wheels. Wheels are blocked while the
+    /// robot touches an obstacle.
+    pub fn advance(&self, time_ns: u64, wheels: &mut [Box<dyn MotorNode>; 2]) {
+        let mut state = self.state();
         let rims =
-            wheels.each_ref().map(|node| node.wheel().velocity_radps() * inside.wheel_radius_m);
-        let twist = inside.kinematics.twist(rims);
-        inside.counter = inside.counter.wrapping_add(1);
-        let command = DriveCommand { twist, counter: inside.counter, plan_age_ns: 0 };
-        // Wheels are finite, so nothing is refused.
-        let _ = inside.base.drive(&command);
-        let before = inside.truth.pose();
-        inside.clock.sleep_until_ns(time_ns);
-        let pose = inside.truth.pose();
-        inside.path_m += before.distance_m(&pose);
-        inside.past.push_back((time_ns, pose));
-        while inside.past.front().is_some_and(|(then_ns, _)| then_ns + PAST_NS < time_ns) {
-            inside.past.pop_front();
+            wheels.each_ref().map(|node| node.wheel().velocity_radps() * state.wheel_radius_m);
+        let twist = state.kinematics.twist(rims);
+        state.counter = state.counter.wrapping_add(1);
+        let command = DriveCommand { twist, counter: state.counter, plan_age_ns: 0 };
+        // Wheel velocities are finite, so the command is not refused.
+        let _ = state.base.drive(&command);
+        let before = state.truth.pose();
+        state.clock.sleep_until_ns(time_ns);
+        let pose = state.truth.pose();
+        state.path_m += before.distance_m(&pose);
+        state.history.push_back((time_ns, pose));
+        while state.history.front().is_some_and(|(then_ns, _)| then_ns + HISTORY_NS < time_ns) {
+            state.history.pop_front();
         }
-        let touching = inside.truth.contact();
+        let touching = state.truth.contact();
         if touching {
-            let before_ns = inside.touched_ns.replace(time_ns);
-            inside.touches +=
+            let before_ns = state.touched_ns.replace(time_ns);
+            state.touches +=
                 u64::from(before_ns.is_none_or(|before_ns| time_ns - before_ns > SAME_TOUCH_NS));
         }
         for node in wheels {
@@ -107,34 +108,35 @@ impl Home {
         }
     }
 
-    /// The newest scan. Not the same as a scanner's own: its noise is drawn anew once in a period.
+    /// Passes the newest scan to `read`. Its noise is drawn once per scan period of the simulated
+    /// LiDAR.
     pub fn scan(&self, read: impl FnOnce(&LaserScan)) {
-        let mut inside = self.inside();
-        let Inside { lidar, scan, .. } = &mut *inside;
+        let mut state = self.state();
+        let State { lidar, scan, .. } = &mut *state;
         // A simulated scanner never fails.
         let _ = lidar.poll_scan(scan);
         read(scan);
     }
 
-    /// Where it really is.
+    /// True pose of the robot.
     #[must_use]
     pub fn pose(&self) -> Pose2 {
-        self.inside().truth.pose()
+        self.state().truth.pose()
     }
 
-    /// Where it was so long ago, half a second at most.
+    /// True pose of the robot `ago_ns` earlier, at most half a second.
     #[must_use]
     pub fn pose_ago(&self, ago_ns: u64) -> Pose2 {
-        let inside = self.inside();
-        let then_ns = inside.past.back().map_or(0, |(now_ns, _)| now_ns.saturating_sub(ago_ns));
-        let then = inside.past.iter().find(|(time_ns, _)| *time_ns >= then_ns);
-        then.map_or_else(|| inside.truth.pose(), |(_, pose)| *pose)
+        let state = self.state();
+        let then_ns = state.history.back().map_or(0, |(now_ns, _)| now_ns.saturating_sub(ago_ns));
+        let then = state.history.iter().find(|(time_ns, _)| *time_ns >= then_ns);
+        then.map_or_else(|| state.truth.pose(), |(_, pose)| *pose)
     }
 
-    /// How often it has touched something, and its way in metres.
+    /// Number of touches, and driven distance in metres.
     #[must_use]
     pub fn score(&self) -> (u64, f64) {
-        let inside = self.inside();
-        (inside.touches, inside.path_m)
+        let state = self.state();
+        (state.touches, state.path_m)
     }
 }

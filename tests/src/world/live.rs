@@ -1,4 +1,4 @@
-//! The home and its devices, running in threads of their own.
+//! The home and its devices, running in their own threads.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -15,40 +15,37 @@ use simulator::laser::LaserModel;
 use simulator::{OpenOptions, RobotOptions, World};
 
 use super::cables::{Cable, Cables};
-use super::sight::{HomePicture, HomeScan};
+use super::sensors::{HomeCamera, HomeScanner};
 use super::{Home, output};
 use crate::hokuyo::SimulatedHokuyo;
 use crate::motor::{Hub, MotorNode, Outbox, rig};
 use crate::video::{Device, VideoFaults, serve, simulated};
 
-/// The motors' own rhythm.
+/// Period of the simulated motors.
 const STEP_NS: u64 = 2_000_000;
-/// A camera without its plug is looked after so seldom.
+/// Interval at which an unplugged camera checks whether it is plugged in again.
 const UNPLUGGED_NS: u64 = 20_000_000;
 
-/// What home, and what devices.
+/// Options of the home and its devices.
 #[derive(Debug, Clone)]
 pub struct LiveOptions {
-    /// `builtin:apartment?seed=1`, or a scene file.
+    /// Home: `builtin:apartment?seed=1`, or a scene file.
     pub scene: String,
-    /// What the motors speak.
     pub protocol: Protocol,
-    /// The scanner.
     pub lidar: Model,
-    /// The camera; a pinhole.
     pub camera: CameraModel,
-    /// Pictures a second.
+    /// Frames per second of the camera.
     pub fps: f64,
-    /// How much later than they are taken pictures are stamped, milliseconds, 500 at most.
+    /// Delay between exposure and timestamp of the camera's frames, milliseconds, at most 500.
     pub late_ms: u64,
-    /// Seed of the start pose and of the noise.
+    /// Seed of the start pose and of the sensor noise.
     pub seed: u64,
-    /// Devices that are reached by the kernel's own drivers; the others are made in the folder.
+    /// Devices that are reached through kernel drivers. The others are created in the folder.
     pub cables: Cables,
 }
 
 impl Default for LiveOptions {
-    /// An apartment, ODrives, a UTM-30LX, and the camera of the paper.
+    /// An apartment, ODrives, a UTM-30LX, and the camera of "Embodied Depth Prediction".
     fn default() -> Self {
         Self {
             scene: "builtin:apartment?seed=1".to_owned(),
@@ -63,7 +60,7 @@ impl Default for LiveOptions {
     }
 }
 
-/// A robot in a home, behind sockets and a pty. Dropping it ends everything.
+/// A running robot in a home, reachable through sockets and a pty. Dropping it stops all threads.
 pub struct LiveWorld {
     home: Home,
     lidar: SimulatedHokuyo,
@@ -71,17 +68,17 @@ pub struct LiveWorld {
     config: PathBuf,
     running: Arc<AtomicBool>,
     worst_late_ns: Arc<AtomicU64>,
-    camera_on: Arc<AtomicBool>,
+    camera_plugged: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
 
 type Wheels = Arc<Mutex<[Box<dyn MotorNode>; 2]>>;
 
 impl LiveWorld {
-    /// Begins to run: devices in `dir`, and a `robot.toml` there that names them.
+    /// Starts the devices in `dir` and writes a `robot.toml` there that names them.
     ///
     /// # Errors
-    /// When the scene or the folder cannot be used.
+    /// Returns an error when the scene or the folder cannot be used.
     pub fn start(dir: &Path, options: &LiveOptions) -> Result<Self, Box<dyn Error>> {
         std::fs::create_dir_all(dir).map_err(|error| format!("{}: {error}", dir.display()))?;
         let dir = dir.canonicalize()?;
@@ -91,15 +88,12 @@ impl LiveWorld {
         let robot = RobotOptions { seed: options.seed, laser, ..RobotOptions::default() };
         let t_base_camera = robot.t_base_camera;
         let Cables { camera_at, lidar_at, motors_at } = &options.cables;
-        let robots_end = |cable: &Option<Cable>, else_here: String| {
-            cable.as_ref().map_or(else_here, |cable| cable.robot.clone())
-        };
         let base = BaseConfig {
             bus: robots_end(motors_at, socket(&dir, "can")),
             ..rig::config(options.protocol)
         };
         let home = Home::new(world, robot, &base)?;
-        let view = Box::new(HomeScan { home: home.clone(), model });
+        let view = Box::new(HomeScanner { home: home.clone(), model });
         let mut live = Self {
             lidar: match lidar_at {
                 Some(cable) => SimulatedHokuyo::on_serial(model, Path::new(&cable.world), view)
@@ -110,7 +104,7 @@ impl LiveWorld {
             config: dir.join("robot.toml"),
             running: Arc::new(AtomicBool::new(true)),
             worst_late_ns: Arc::default(),
-            camera_on: Arc::new(AtomicBool::new(true)),
+            camera_plugged: Arc::new(AtomicBool::new(true)),
             threads: Vec::new(),
             home: home.clone(),
         };
@@ -118,12 +112,13 @@ impl LiveWorld {
             Some(cable) => Box::new(SocketBus::new(&cable.world)),
             None => Box::new(Hub::bind(&dir.join("can"))?),
         };
-        let (wheels, running, late_ns) =
-            (Arc::clone(&live.wheels), Arc::clone(&live.running), Arc::clone(&live.worst_late_ns));
-        let turning = move || turn(&home, &wheels, bus, &running, &late_ns);
+        let wheels = Arc::clone(&live.wheels);
+        let running = Arc::clone(&live.running);
+        let late_ns = Arc::clone(&live.worst_late_ns);
+        let motors = move || run_motors(&home, &wheels, bus, &running, &late_ns);
         live.threads
-            .push(std::thread::Builder::new().name("simulated-motors".to_owned()).spawn(turning)?);
-        let eyes = HomePicture {
+            .push(std::thread::Builder::new().name("simulated-motors".to_owned()).spawn(motors)?);
+        let camera = HomeCamera {
             home: live.home.clone(),
             model: options.camera,
             t_base_camera,
@@ -131,16 +126,17 @@ impl LiveWorld {
             rgb: Vec::new(),
             depth: DepthMap::none(options.camera.width, options.camera.height),
         };
-        let (running, on) = (Arc::clone(&live.running), Arc::clone(&live.camera_on));
+        let running = Arc::clone(&live.running);
+        let on = Arc::clone(&live.camera_plugged);
         let filming: Box<dyn FnOnce() + Send> = match camera_at {
             Some(cable) => {
-                let (mut output, period_ns) =
-                    (output::Output::start(&cable.world)?, (1e9 / options.fps) as u64);
-                Box::new(move || output.film(eyes, period_ns, &running, &on))
+                let mut output = output::Output::start(&cable.world)?;
+                let period_ns = (1e9 / options.fps) as u64;
+                Box::new(move || output.film(camera, period_ns, &running, &on))
             }
             None => {
                 let path = dir.join("camera");
-                Box::new(move || film(&path, eyes, &running, &on))
+                Box::new(move || serve_camera(&path, camera, &running, &on))
             }
         };
         live.threads
@@ -153,52 +149,56 @@ impl LiveWorld {
         Ok(live)
     }
 
-    /// The file for `firmware-host run --config`.
+    /// Path of the file for `firmware-host run --config`.
     #[must_use]
     pub fn config(&self) -> &Path {
         &self.config
     }
 
-    /// Where the robot really is, and what it has touched.
+    /// The home, with the robot's true pose and contacts.
     #[must_use]
     pub fn home(&self) -> &Home {
         &self.home
     }
 
-    /// The scanner, to spoil it.
+    /// The scanner, for injecting faults.
     #[must_use]
     pub fn lidar(&self) -> &SimulatedHokuyo {
         &self.lidar
     }
 
-    /// The motors' controllers, to spoil them.
+    /// The motor controllers, for injecting faults.
     pub fn wheels(&self) -> MutexGuard<'_, [Box<dyn MotorNode>; 2]> {
         self.wheels.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// How late the motors were at worst, nanoseconds. A busy computer holds the other devices up as well.
+    /// Worst delay of the motors, nanoseconds. A busy computer delays the other devices as well.
     #[must_use]
     pub fn worst_late_ns(&self) -> u64 {
         self.worst_late_ns.load(Ordering::Relaxed)
     }
 
-    /// Pulls the camera's plug, or puts it back in.
+    /// Unplugs the camera, or plugs it in again.
     pub fn plug_camera(&self, on: bool) {
-        self.camera_on.store(on, Ordering::Relaxed);
+        self.camera_plugged.store(on, Ordering::Relaxed);
     }
+}
+
+fn robots_end(cable: &Option<Cable>, else_here: String) -> String {
+    cable.as_ref().map_or(else_here, |cable| cable.robot.clone())
 }
 
 impl Drop for LiveWorld {
     fn drop(&mut self) {
         self.running.store(false, Ordering::Relaxed);
-        self.camera_on.store(false, Ordering::Relaxed);
+        self.camera_plugged.store(false, Ordering::Relaxed);
         for thread in self.threads.drain(..) {
             let _ = thread.join();
         }
     }
 }
 
-fn turn(
+fn run_motors(
     home: &Home,
     wheels: &Wheels,
     mut bus: Box<dyn CanBus + Send>,
@@ -216,17 +216,17 @@ fn turn(
         worst_late_ns.fetch_max(clock.now_ns().saturating_sub(planned_ns), Ordering::Relaxed);
         let mut wheels = wheels.lock().unwrap_or_else(PoisonError::into_inner);
         rig::step_nodes(&mut *wheels, &mut bus, due_ns, &mut outbox);
-        home.pass(due_ns - start_ns, &mut wheels);
+        home.advance(due_ns - start_ns, &mut wheels);
     }
 }
 
-fn film(path: &Path, mut eyes: HomePicture, running: &AtomicBool, on: &AtomicBool) {
+fn serve_camera(path: &Path, mut camera: HomeCamera, running: &AtomicBool, on: &AtomicBool) {
     let mut clock = MonotonicClock;
-    let size = (eyes.model.width as u32, eyes.model.height as u32);
+    let size = (camera.model.width as u32, camera.model.height as u32);
     while running.load(Ordering::Relaxed) {
         let device = Device { sizes: vec![size], ..simulated() };
         if on.load(Ordering::Relaxed)
-            && let Err(error) = serve(path, device, &VideoFaults::default(), &mut eyes, on)
+            && let Err(error) = serve(path, device, &VideoFaults::default(), &mut camera, on)
         {
             eprintln!("the simulated camera cannot listen at {}: {error}", path.display());
             return;
@@ -239,7 +239,7 @@ fn socket(dir: &Path, name: &str) -> String {
     format!("unix:{}", dir.join(name).display())
 }
 
-/// What `firmware-host run` is told of these devices.
+/// The configuration of `firmware-host run` for these devices.
 fn configuration(
     dir: &Path,
     options: &LiveOptions,
@@ -264,7 +264,7 @@ fn configuration(
         camera.cy,
         options.lidar.to_string().to_lowercase(),
     );
-    // The base's own tables go below `[devices.base]`.
+    // The tables of the base go below `[devices.base]`.
     let base = toml::Table::try_from(base)?;
     let devices = toml::Table::from_iter([("base".to_owned(), toml::Value::Table(base))]);
     text += &toml::to_string(&toml::Table::from_iter([(

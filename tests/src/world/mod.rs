@@ -1,7 +1,8 @@
-//! A simulated home behind simulated devices, in real time: what `firmware-host run` drives when there is no robot.
+//! A simulated home with simulated devices in real time, for `firmware-host run` without a robot.
 //!
-//! Motors on a CAN bus turn wheels that move the robot, the scanner and the camera see the home from where it is. The program
-//! under test speaks to all of them as to real ones.
+//! Motors on a CAN bus drive the wheels that move the robot; scanner and camera observe the home
+//! from the robot's pose. The program under test communicates with all of them as with real
+//! devices.
 
 mod cables;
 mod command;
@@ -9,7 +10,7 @@ mod faults;
 mod home;
 mod live;
 mod output;
-mod sight;
+mod sensors;
 
 pub use cables::{Cable, Cables};
 pub use command::{WorldArgs, run};

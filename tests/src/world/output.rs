@@ -1,4 +1,4 @@
-//! A camera of the kernel that shows what is written into its output: vivid with its loop closed.
+//! A kernel camera that shows the frames that are written into its output: vivid in loopback.
 
 use std::io::{Error, Write};
 use std::process::{Child, Command, Stdio};
@@ -7,22 +7,23 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use hal::Clock;
 use monotonic_clock::MonotonicClock;
 
-use super::sight::HomePicture;
-use crate::video::PictureSource;
+use super::sensors::HomeCamera;
+use crate::video::ImageSource;
 
-/// `v4l2-ctl`, which writes pictures from its standard input into a V4L2 output.
+/// A `v4l2-ctl` process that writes frames from its standard input into a V4L2 output.
 pub(super) struct Output {
     writer: Child,
     node: String,
 }
 
 impl Output {
-    /// Starts it.
+    /// Starts `v4l2-ctl`.
     ///
     /// # Errors
-    /// When it is not installed.
+    /// Returns an error when `v4l2-ctl` is not installed.
     pub fn start(node: &str) -> Result<Self, Error> {
-        // With two buffers, vivid shows one while the other is filled: more would make pictures older.
+        // With two buffers, vivid shows one while the other is filled. More buffers would delay the
+        // frames.
         let mut command = Command::new("v4l2-ctl");
         command.args(["-d", node, "--stream-out-mmap=2", "--stream-from=-"]);
         let writer =
@@ -33,17 +34,19 @@ impl Output {
         Ok(Self { writer, node: node.to_owned() })
     }
 
-    /// Writes a picture in every period while `on`. Without new ones vivid shows the last one again: a camera that is frozen.
+    /// Writes a frame in every period while `on`. Without new frames vivid repeats the last one,
+    /// like a frozen camera.
     pub fn film(
         &mut self,
-        mut eyes: HomePicture,
+        mut camera: HomeCamera,
         period_ns: u64,
         running: &AtomicBool,
         on: &AtomicBool,
     ) {
         let Some(mut pipe) = self.writer.stdin.take() else { return };
-        let (width, height) = (eyes.model.width, eyes.model.height);
-        let mut picture = vec![0; 2 * width * height];
+        let width = camera.model.width;
+        let height = camera.model.height;
+        let mut yuyv = vec![0; 2 * width * height];
         let mut clock = MonotonicClock;
         let mut due_ns = clock.now_ns();
         while running.load(Ordering::Relaxed) {
@@ -52,9 +55,9 @@ impl Output {
             if !on.load(Ordering::Relaxed) {
                 continue;
             }
-            eyes.picture(due_ns, width, height, &mut picture);
-            if let Err(error) = pipe.write_all(&picture) {
-                eprintln!("`v4l2-ctl` writes no more pictures to {}: {error}", self.node);
+            camera.render(due_ns, width, height, &mut yuyv);
+            if let Err(error) = pipe.write_all(&yuyv) {
+                eprintln!("`v4l2-ctl` stopped writing frames to {}: {error}", self.node);
                 return;
             }
         }

@@ -1,24 +1,24 @@
-//! Connected pieces of free space, and which of them is a home.
+//! Connected components of free space, and the choice of the one that is the home.
 
 use super::raster::Raster;
 
-/// Free cells by the piece that they belong to.
+/// Free cells, grouped by connected component.
 #[derive(Debug, Clone)]
 pub(super) struct Components {
-    /// Piece of every cell; 0 for cells that are not free.
+    /// Component of every cell; 0 for cells that are not free.
     pub label: Vec<u32>,
-    /// Cells of every piece; `cells[0]` is not used.
+    /// Cells of every component; `cells[0]` is not used.
     pub cells: Vec<Vec<u32>>,
 }
 
-/// A ray that runs over this many cells without floor has left the home.
+/// A ray that crosses this many consecutive cells without floor has left the home.
 const OPEN_CELLS: usize = 10;
 
-/// Directions of the rays that tell how enclosed a place is.
+/// Number of rays that measure how enclosed a place is.
 const RAYS: usize = 16;
 
 impl Components {
-    /// Cells that meet at their sides belong together.
+    /// Labels the free cells; cells that share a side belong to the same component.
     pub fn new(raster: &Raster, is_free: impl Fn(usize) -> bool) -> Self {
         let grid = &raster.grid;
         let mut label = vec![0; grid.cells()];
@@ -45,8 +45,9 @@ impl Components {
         Self { label, cells }
     }
 
-    /// The piece that is most like a home, and its score: area, square metres, times the square of how enclosed it is.
-    /// The ground around a house and the roof above it are large and open; rooms are not.
+    /// The component that is most likely the interior of a home, and its score: area in square
+    /// metres times the square of its enclosure. The ground around a house and its roof are large
+    /// but open; rooms are enclosed.
     pub fn best(&self, raster: &Raster, least_m2: f64) -> Option<(u32, f64)> {
         let cell_m2 = raster.grid.resolution_m.powi(2);
         let mut best: Option<(u32, f64)> = None;
@@ -65,19 +66,20 @@ impl Components {
     }
 }
 
-/// Without any walls, area decides.
+/// The constant makes area decide where there are no walls at all.
 fn score(enclosure: f64) -> f64 {
     1e-3 + enclosure * enclosure
 }
 
-/// Share of directions, from up to 500 of the cells, in which there is a wall before the floor ends.
+/// Fraction of rays, from up to 500 of the cells, that hit a wall before the floor ends.
 fn enclosure(raster: &Raster, cells: &[u32]) -> f64 {
     let sampled = cells.iter().step_by(cells.len().div_ceil(500).max(1));
-    let (mut rays, mut hits) = (0, 0);
+    let mut rays = 0;
+    let mut hits = 0;
     for &cell in sampled {
         for ray in 0..RAYS {
             rays += 1;
-            hits += usize::from(meets_wall(
+            hits += usize::from(hits_wall(
                 raster,
                 cell as usize,
                 ray as f64 * std::f64::consts::TAU / RAYS as f64,
@@ -87,7 +89,7 @@ fn enclosure(raster: &Raster, cells: &[u32]) -> f64 {
     hits as f64 / f64::from(rays.max(1))
 }
 
-fn meets_wall(raster: &Raster, cell: usize, angle_rad: f64) -> bool {
+fn hits_wall(raster: &Raster, cell: usize, angle_rad: f64) -> bool {
     let mut without_floor = 0;
     for cell in cells_along(raster, cell, angle_rad) {
         if raster.blocked[cell] {
@@ -101,7 +103,7 @@ fn meets_wall(raster: &Raster, cell: usize, angle_rad: f64) -> bool {
     false
 }
 
-/// Cells on a ray, one a step, until it leaves the raster.
+/// Cells along a ray, one per step, until it leaves the raster.
 pub(super) fn cells_along(
     raster: &Raster,
     from: usize,

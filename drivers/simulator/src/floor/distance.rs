@@ -1,11 +1,13 @@
-//! Exact Euclidean distance transform (Felzenszwalb and Huttenlocher, "Distance transforms of sampled functions", 2012).
+//! Exact Euclidean distance transform (Felzenszwalb and Huttenlocher, "Distance transforms of
+//! sampled functions", 2012).
 
 use super::grid::Grid;
 
-/// Distance from every cell's centre to the centre of the nearest cell for which `is_source` holds, metres; infinite when
-/// there is none.
+/// Distance from every cell's centre to the centre of the nearest cell for which `is_source` holds,
+/// metres; infinite when there is none.
 pub(super) fn distance_to(grid: &Grid, is_source: impl Fn(usize) -> bool) -> Vec<f32> {
-    let (width, height) = (grid.width, grid.height);
+    let width = grid.width;
+    let height = grid.height;
     let mut squared: Vec<f64> =
         (0..grid.cells()).map(|i| if is_source(i) { 0.0 } else { f64::INFINITY }).collect();
     let mut envelope = Envelope::default();
@@ -25,10 +27,9 @@ pub(super) fn distance_to(grid: &Grid, is_source: impl Fn(usize) -> bool) -> Vec
     squared.into_iter().map(|d| (d.sqrt() * grid.resolution_m) as f32).collect()
 }
 
-/// Lower envelope of parabolas.
 #[derive(Default)]
 struct Envelope {
-    /// Where each parabola of the envelope has its vertex, and from where on it is the lowest.
+    /// Vertex of each parabola of the envelope, and the position from which it is the lowest.
     parts: Vec<(usize, f64)>,
     values: Vec<f64>,
 }
@@ -43,7 +44,8 @@ impl Envelope {
         {
             let mut from = f64::NEG_INFINITY;
             while let Some(&(other, other_from)) = self.parts.last() {
-                let (p, q) = (vertex as f64, other as f64);
+                let p = vertex as f64;
+                let q = other as f64;
                 from = ((value + p * p) - (self.values[other] + q * q)) / (2.0 * (p - q));
                 if from > other_from {
                     break;

@@ -1,27 +1,28 @@
-//! Square cells over the floor.
+//! A grid of square cells on the floor.
 
-/// Where the cells of a raster lie. Cell (column, row) covers `origin + resolution * [column, column + 1)`, and so for rows.
+/// Position and size of a raster. Cell (column, row) covers `origin + resolution * [column, column
+/// + 1)` along x, and correspondingly along y.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
-    /// Corner of cell (0, 0) with the least x and y, metres.
+    /// Corner of cell (0, 0) with the smallest x and y, metres.
     pub origin_m: [f64; 2],
     /// Side of a cell, metres.
     pub resolution_m: f64,
-    /// Columns, along x.
     pub width: usize,
-    /// Rows, along y.
     pub height: usize,
 }
 
 impl Grid {
-    /// Cells that cover a rectangle.
+    /// The grid that covers a rectangle.
     pub(super) fn covering(min_m: [f64; 2], max_m: [f64; 2], resolution_m: f64) -> Self {
-        let cells =
-            |axis: usize| ((max_m[axis] - min_m[axis]) / resolution_m).ceil().max(1.0) as usize;
-        Self { origin_m: min_m, resolution_m, width: cells(0), height: cells(1) }
+        Self {
+            origin_m: min_m,
+            resolution_m,
+            width: cells_along(0, min_m, max_m, resolution_m),
+            height: cells_along(1, min_m, max_m, resolution_m),
+        }
     }
 
-    /// Number of cells.
     #[must_use]
     pub fn cells(&self) -> usize {
         self.width * self.height
@@ -40,7 +41,8 @@ impl Grid {
     /// Centre of a cell, metres.
     #[must_use]
     pub fn center(&self, index: usize) -> [f64; 2] {
-        let (column, row) = (index % self.width, index / self.width);
+        let column = index % self.width;
+        let row = index / self.width;
         [(column, 0), (row, 1)]
             .map(|(i, axis)| self.origin_m[axis] + (i as f64 + 0.5) * self.resolution_m)
     }
@@ -51,10 +53,12 @@ impl Grid {
         self.resolution_m * std::f64::consts::FRAC_1_SQRT_2
     }
 
-    /// The eight cells around a cell, as far as they exist.
+    /// The eight neighbours of a cell that lie inside the grid.
     pub(super) fn neighbours(&self, index: usize) -> impl Iterator<Item = usize> + use<> {
-        let (column, row, width, height) =
-            (index % self.width, index / self.width, self.width, self.height);
+        let column = index % self.width;
+        let row = index / self.width;
+        let width = self.width;
+        let height = self.height;
         let rows = row.saturating_sub(1)..=(row + 1).min(height - 1);
         rows.flat_map(move |r| {
             (column.saturating_sub(1)..=(column + 1).min(width - 1)).map(move |c| r * width + c)
@@ -62,10 +66,12 @@ impl Grid {
         .filter(move |&i| i != index)
     }
 
-    /// The cells above, below, left and right.
+    /// The neighbours of a cell above, below, left and right that lie inside the grid.
     pub(super) fn sides(&self, index: usize) -> impl Iterator<Item = usize> + use<> {
-        let (column, row, width, height) =
-            (index % self.width, index / self.width, self.width, self.height);
+        let column = index % self.width;
+        let row = index / self.width;
+        let width = self.width;
+        let height = self.height;
         [
             (column > 0).then(|| index - 1),
             (column + 1 < width).then(|| index + 1),
@@ -76,21 +82,28 @@ impl Grid {
         .flatten()
     }
 
-    /// Columns and rows of the cells that a rectangle touches, cut to the grid.
+    /// Columns and rows of the cells that a rectangle touches, clipped to the grid.
     pub(super) fn range(&self, min_m: [f64; 2], max_m: [f64; 2]) -> [std::ops::Range<usize>; 2] {
         [(0, self.width), (1, self.height)].map(|(axis, cells)| {
-            let cell = |at: f64| {
-                ((at - self.origin_m[axis]) / self.resolution_m).floor().clamp(-1.0, cells as f64)
-            };
-            let (first, last) = (cell(min_m[axis]), cell(max_m[axis]));
+            let first = clamped_cell(min_m[axis], self.origin_m[axis], self.resolution_m, cells);
+            let last = clamped_cell(max_m[axis], self.origin_m[axis], self.resolution_m, cells);
             if last < 0.0 { 0..0 } else { first.max(0.0) as usize..(last as usize + 1).min(cells) }
         })
     }
 
-    /// Corners of the band that a row covers along y, metres.
+    /// Lower and upper y of a row, metres.
     pub(super) fn row_band(&self, row: usize) -> [f64; 2] {
         [row, row + 1].map(|r| self.origin_m[1] + r as f64 * self.resolution_m)
     }
+}
+
+/// Cell coordinate of a position along one axis, from -1 (before the grid) to `cells` (behind it).
+fn clamped_cell(at: f64, origin_m: f64, resolution_m: f64, cells: usize) -> f64 {
+    ((at - origin_m) / resolution_m).floor().clamp(-1.0, cells as f64)
+}
+
+fn cells_along(axis: usize, min_m: [f64; 2], max_m: [f64; 2], resolution_m: f64) -> usize {
+    ((max_m[axis] - min_m[axis]) / resolution_m).ceil().max(1.0) as usize
 }
 
 #[cfg(test)]
@@ -98,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_cells_centre_lies_in_the_cell_and_outside_is_outside() {
+    fn the_centre_of_a_cell_has_the_index_of_the_cell_and_points_outside_have_none() {
         let grid = Grid::covering([-1.0, 2.0], [1.0, 3.0], 0.05);
         assert_eq!((grid.width, grid.height), (40, 20));
         for index in [0, 39, 40, 799] {

@@ -1,4 +1,4 @@
-//! At which height the floor is.
+//! Detection of the floor's height.
 
 use std::collections::BTreeMap;
 
@@ -8,20 +8,22 @@ use super::raster::{Raster, is_stray, region};
 use super::{Corners, Footprint, LEAST_FREE_M2, STEP_M, corners, seen_from_above};
 use crate::scene::Scene;
 
-/// Thickness of a bin of the histogram of heights, metres.
+/// Bin width of the height histogram, metres.
 const BIN_M: f64 = 0.02;
 
-/// Levels that are tried, those with the most surface first.
+/// Number of candidate levels that are evaluated, largest surface first.
 const CANDIDATES: usize = 16;
 
-/// A storey whose score is at least this share of the best one's is as good, and the lowest of them is taken.
+/// Storeys whose score is at least this fraction of the best score count as equally good; the
+/// lowest of them is chosen.
 const AS_GOOD: f64 = 0.95;
 
-/// Finds the height of the floor that has the largest free, enclosed area for this robot; of storeys that are as good, the
-/// lowest. Which side of a surface faces up does not matter: exports turn triangles around.
+/// Finds the height of the floor with the largest free, enclosed area for this robot; of equally
+/// good storeys, the lowest. The orientation of triangles is ignored because exporters reverse it.
 ///
 /// # Errors
-/// What was looked for and not found, for [`SceneError::NoFloor`](crate::error::SceneError::NoFloor).
+/// Describes the criterion that no surface met, for
+/// [`SceneError::NoFloor`](crate::error::SceneError::NoFloor).
 pub fn find_floor(scene: &Scene, footprint: &Footprint) -> Result<f64, String> {
     let triangles: Vec<Corners> = scene.triangles.iter().map(corners).collect();
     let grid = region(&triangles);
@@ -33,7 +35,7 @@ pub fn find_floor(scene: &Scene, footprint: &Footprint) -> Result<f64, String> {
     let mut scored: Vec<(f64, f64)> = Vec::new();
     let mut best: f64 = 0.0;
     for (height_m, area_m2) in candidates {
-        // Candidates come in the order of their area, which bounds their score.
+        // Candidates are sorted by area, which bounds their score.
         if area_m2 * 1.01 < AS_GOOD * best {
             break;
         }
@@ -52,12 +54,14 @@ pub fn find_floor(scene: &Scene, footprint: &Footprint) -> Result<f64, String> {
         .map(|(height_m, _)| height_m);
     let lowest = good.min_by(f64::total_cmp);
     lowest.ok_or_else(|| {
-        let (radius, height) = (footprint.radius_m, footprint.height_m);
-        format!("no level surface has room for a robot of {radius} m radius and {height} m height")
+        let radius = footprint.radius_m;
+        let height = footprint.height_m;
+        format!("no level surface has enough free space for a robot of {radius} m radius and {height} m height")
     })
 }
 
-/// Height and area seen from above, by bin, of surfaces within 25 degrees of level.
+/// For every height bin: area-weighted height and area seen from above, of surfaces within 25
+/// degrees of level.
 fn level_surfaces(triangles: &[Corners], region_m2: f64) -> BTreeMap<i64, (f64, f64)> {
     let mut bins = BTreeMap::<i64, (f64, f64)>::new();
     for triangle in triangles {
@@ -73,14 +77,15 @@ fn level_surfaces(triangles: &[Corners], region_m2: f64) -> BTreeMap<i64, (f64, 
     bins
 }
 
-/// Heights with the most surface within a step of them, at least a step apart, with that surface's area; most first.
+/// Heights with the most surface within one step of them, at least a step apart, with the area of
+/// that surface; largest first.
 fn candidates(bins: &BTreeMap<i64, (f64, f64)>) -> Vec<(f64, f64)> {
     let reach = (STEP_M / BIN_M).floor() as i64;
     let mut windows: Vec<(i64, f64)> = bins
         .keys()
         .map(|&bin| (bin, bins.range(bin - reach..=bin + reach).map(|(_, (_, area))| area).sum()))
         .collect();
-    // Stable and by falling area: of windows with the same surface, the lowest comes first.
+    // The sort is stable: of windows with the same area, the lowest comes first.
     windows.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut chosen: Vec<(i64, f64)> = Vec::new();
     for (bin, area) in windows {
@@ -91,14 +96,16 @@ fn candidates(bins: &BTreeMap<i64, (f64, f64)>) -> Vec<(f64, f64)> {
             chosen.push((bin, area));
         }
     }
-    // The floor itself, not the mean of floor and carpets: the fullest bin and those beside it.
-    let mode = |bin: i64| {
-        let window = bins.range(bin - reach..=bin + reach);
-        let fullest =
-            window.max_by(|a, b| a.1.1.total_cmp(&b.1.1)).map_or(bin, |(&fullest, _)| fullest);
-        let near = bins.range(fullest - 1..=fullest + 1);
-        let (moment, area) = near.fold((0.0, 0.0), |sum, (_, bin)| (sum.0 + bin.0, sum.1 + bin.1));
-        moment / area
-    };
-    chosen.into_iter().map(|(bin, area)| (mode(bin), area)).collect()
+    chosen.into_iter().map(|(bin, area)| (fullest_height(bin, bins, reach), area)).collect()
+}
+
+/// Height of the fullest bin and its neighbours: the floor itself, not the mean of floor and
+/// carpets.
+fn fullest_height(bin: i64, bins: &BTreeMap<i64, (f64, f64)>, reach: i64) -> f64 {
+    let window = bins.range(bin - reach..=bin + reach);
+    let fullest =
+        window.max_by(|a, b| a.1.1.total_cmp(&b.1.1)).map_or(bin, |(&fullest, _)| fullest);
+    let near = bins.range(fullest - 1..=fullest + 1);
+    let (moment, area) = near.fold((0.0, 0.0), |sum, (_, bin)| (sum.0 + bin.0, sum.1 + bin.1));
+    moment / area
 }

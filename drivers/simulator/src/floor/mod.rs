@@ -1,4 +1,5 @@
-//! Where in a world a robot can be: the floor, the free space on it, and motion within it.
+//! Free space of a world: floor detection, the area that the robot can reach, and collision-checked
+//! motion.
 
 mod components;
 mod distance;
@@ -17,17 +18,17 @@ pub use plan::FloorPlan;
 
 use crate::scene::Triangle;
 
-/// The robot as far as free space depends on it.
+/// The robot dimensions that determine its free space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Footprint {
     /// Radius of the round base, metres.
     pub radius_m: f64,
-    /// Things higher than this above the floor are not in the way, metres.
+    /// Objects higher than this above the floor do not block the robot, metres.
     pub height_m: f64,
 }
 
 impl Default for Footprint {
-    /// A base of 0.32 m that carries its camera at 0.8 m.
+    /// A base of 0.32 m diameter that carries its camera at 0.8 m.
     fn default() -> Self {
         Self { radius_m: 0.16, height_m: 0.9 }
     }
@@ -36,10 +37,11 @@ impl Default for Footprint {
 /// Side of a cell, metres.
 const RESOLUTION_M: f64 = 0.05;
 
-/// Things lower than this above or below the floor can be driven over, metres: carpets, thresholds, the waves of a scan.
+/// Height differences up to this can be driven over, metres: carpets, thresholds, waves of a
+/// scanned floor.
 const STEP_M: f64 = 0.06;
 
-/// Free space smaller than this is no place for a robot, square metres (of places for its middle).
+/// Smaller pieces of free space are ignored, square metres (of positions of the robot's centre).
 const LEAST_FREE_M2: f64 = 0.05;
 
 type Corners = [[f64; 3]; 3];
@@ -48,11 +50,11 @@ fn corners(triangle: &Triangle) -> Corners {
     triangle.vertices.map(|v| v.position_m.map(f64::from))
 }
 
-/// Area seen from above and the cosine of the slope (0 for a triangle without area).
+/// Area seen from above and cosine of the slope (0 for a triangle without area).
 fn seen_from_above(corners: &Corners) -> (f64, f64) {
     let [a, b, c] = corners;
-    let (u, v): ([f64; 3], [f64; 3]) =
-        (std::array::from_fn(|i| b[i] - a[i]), std::array::from_fn(|i| c[i] - a[i]));
+    let u: [f64; 3] = std::array::from_fn(|i| b[i] - a[i]);
+    let v: [f64; 3] = std::array::from_fn(|i| c[i] - a[i]);
     let normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
     let length = normal.iter().map(|c| c * c).sum::<f64>().sqrt();
     (normal[2].abs() / 2.0, if length > 0.0 { normal[2].abs() / length } else { 0.0 })

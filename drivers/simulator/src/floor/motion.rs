@@ -1,49 +1,50 @@
-//! A round robot that moves and meets things.
+//! Motion of a round robot with exact collision checks.
 
 use hal::{Pose2, Twist2};
 
 use super::plan::FloorPlan;
 
-/// How the robot meets things.
+/// Behaviour of the robot on contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Body {
-    /// Whether it slides along what it meets (as simulators for learning like to have it) or stops.
+    /// Whether the robot slides along obstacles, as simulators for learning commonly do, or stops.
     pub sliding: bool,
 }
 
-/// Something round that moves about, such as a person's body.
+/// A moving round obstacle, such as a person's body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Disc {
-    /// Middle, metres.
     pub center_m: [f64; 2],
-    /// Radius, metres.
     pub radius_m: f64,
 }
 
-/// Where a motion has ended.
+/// Result of a motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moved {
-    /// The new pose.
     pub pose: Pose2,
-    /// Whether something was in the way.
+    /// Whether the robot touched an obstacle.
     pub contact: bool,
 }
 
-/// Motion is cut into steps of at most this, metres. Shapes are exact, so a step only bounds what a robot could jump over:
-/// far less than its own radius.
+/// Motion is divided into steps of at most this length, metres. Distances to obstacles are exact,
+/// so the step length only limits the thinnest obstacle that could be jumped over, and it is far
+/// below the robot's radius.
 const STEP_M: f64 = 0.01;
 
-/// A stop is exact to this share of a step.
+/// A stop at an obstacle is accurate to this fraction of a step.
 const PRECISION: f64 = 1e-4;
 
-/// A robot may be this much nearer than its radius, metres: rounding of the corners to single precision.
+/// The robot may come closer than its radius by this amount, metres: rounding of the corners to
+/// single precision.
 const SKIN_M: f64 = 1e-5;
 
 impl FloorPlan {
-    /// Drives for a time at a constant velocity, from a pose in the world. The exact distance to the scene's shapes decides,
-    /// to a few micrometres; the edge of the floor is known to half a cell (2.5 cm).
+    /// Drives from a pose in the world for some time at a constant velocity. Collisions use the
+    /// exact distance to the scene's shapes, to a few micrometres; the edge of the floor is known
+    /// to half a cell (2.5 cm).
     ///
-    /// A robot that is where it cannot be, because somebody walked into it, may move away from what it overlaps.
+    /// A robot that overlaps an obstacle, because a person walked into it, may move away from that
+    /// obstacle.
     #[must_use]
     pub fn drive(
         &self,
@@ -75,23 +76,24 @@ impl FloorPlan {
         moved
     }
 
-    /// Whether the robot can stand at a place.
+    /// Whether the robot can stand at a position without touching an obstacle.
     #[must_use]
     pub fn fits(&self, x_m: f64, y_m: f64, discs: &[Disc]) -> bool {
-        self.room([x_m, y_m], discs).1 >= -SKIN_M
+        self.gap([x_m, y_m], discs).1 >= -SKIN_M
     }
 
-    /// A step is fine when it ends free, or no deeper in an overlap than it began.
+    /// A step is allowed when it ends free of obstacles, or no deeper in an overlap than it began.
     fn admits(&self, from: &Pose2, to: &Pose2, discs: &[Disc]) -> bool {
-        let room = self.room([to.x_m, to.y_m], discs).1;
-        room >= -SKIN_M || room >= self.room([from.x_m, from.y_m], discs).1
+        let gap = self.gap([to.x_m, to.y_m], discs).1;
+        gap >= -SKIN_M || gap >= self.gap([from.x_m, from.y_m], discs).1
     }
 
-    /// Nearest point of what is near, and how much room is left between it and the robot, metres, at most 1 cm.
-    fn room(&self, at: [f64; 2], discs: &[Disc]) -> ([f64; 2], f64) {
+    /// Nearest obstacle point and the gap between it and the robot, metres. Gaps of more than 1 cm
+    /// are reported as 1 cm.
+    fn gap(&self, at: [f64; 2], discs: &[Disc]) -> ([f64; 2], f64) {
         const FAR_M: f64 = 0.01;
         let radius = self.footprint.radius_m;
-        // From the cell's centre to the robot is at most half a diagonal.
+        // The robot is at most half a diagonal away from the cell's centre.
         let far = self.clearance_m(at[0], at[1]) - self.grid().half_diagonal_m() > radius + FAR_M;
         let mut nearest = (at, FAR_M);
         if self.grid().index(at[0], at[1]).is_none() {
@@ -102,18 +104,19 @@ impl FloorPlan {
         for disc in discs {
             let apart = [at[0] - disc.center_m[0], at[1] - disc.center_m[1]];
             let distance = apart[0].hypot(apart[1]);
-            let room = distance - disc.radius_m - radius;
-            if room < nearest.1 {
+            let gap = distance - disc.radius_m - radius;
+            if gap < nearest.1 {
                 let share = disc.radius_m / distance.max(f64::MIN_POSITIVE);
-                nearest = ([0, 1].map(|i| disc.center_m[i] + share * apart[i]), room);
+                nearest = ([0, 1].map(|i| disc.center_m[i] + share * apart[i]), gap);
             }
         }
         nearest
     }
 
-    /// As far along the step as it goes.
+    /// The pose along the step at which the robot touches the obstacle, by bisection.
     fn up_to_contact(&self, from: &Pose2, twist: &Twist2, step_s: f64, discs: &[Disc]) -> Pose2 {
-        let (mut reached, mut too_far) = (0.0, 1.0);
+        let mut reached = 0.0;
+        let mut too_far = 1.0;
         let mut pose = *from;
         while too_far - reached > PRECISION {
             let share = f64::midpoint(reached, too_far);
@@ -127,23 +130,24 @@ impl FloorPlan {
         pose
     }
 
-    /// Pushes the end of a step out of what it overlaps; `None` when that does not lead on along the step.
+    /// Pushes the end of a step out of the obstacles that it overlaps; `None` when the result does
+    /// not advance along the step.
     fn slide(&self, from: &Pose2, to: &Pose2, discs: &[Disc]) -> Option<Pose2> {
         let mut at = [to.x_m, to.y_m];
         for _ in 0..8 {
-            let (point, room) = self.room(at, discs);
-            if room >= -SKIN_M {
-                let (wanted, got) =
-                    ([to.x_m - from.x_m, to.y_m - from.y_m], [at[0] - from.x_m, at[1] - from.y_m]);
-                let leads_on = wanted[0] * got[0] + wanted[1] * got[1] > 0.0;
-                return leads_on.then(|| Pose2::new(at[0], at[1], to.yaw_rad));
+            let (point, gap) = self.gap(at, discs);
+            if gap >= -SKIN_M {
+                let desired = [to.x_m - from.x_m, to.y_m - from.y_m];
+                let achieved = [at[0] - from.x_m, at[1] - from.y_m];
+                let advances = desired[0] * achieved[0] + desired[1] * achieved[1] > 0.0;
+                return advances.then(|| Pose2::new(at[0], at[1], to.yaw_rad));
             }
             let away = [at[0] - point[0], at[1] - point[1]];
             let distance = away[0].hypot(away[1]);
             if distance <= 0.0 {
                 return None;
             }
-            at = [0, 1].map(|i| at[i] - room * away[i] / distance);
+            at = [0, 1].map(|i| at[i] - gap * away[i] / distance);
         }
         None
     }

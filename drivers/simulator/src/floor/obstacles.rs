@@ -1,9 +1,9 @@
-//! Everything that stops a robot, as shapes in the plane, and the exact distance to it.
+//! All obstacles as convex polygons in the plane, with exact distance queries.
 
 use super::grid::Grid;
 use super::polygon::{Polygon, nearest_point};
 
-/// Convex polygons, found by the cells that they touch.
+/// Convex polygons, indexed by the grid cells that they touch.
 #[derive(Debug)]
 pub(super) struct Obstacles {
     grid: Grid,
@@ -39,8 +39,8 @@ impl Obstacles {
         Self { grid, corners, first_corner, first_in_cell, by_cell }
     }
 
-    /// The point of an obstacle that is nearest to `point`, and its distance, when that is less than `limit_m`.
-    /// Exact to the single precision of the corners: a micrometre.
+    /// The obstacle point nearest to `point` and its distance, when that is less than `limit_m`.
+    /// Accurate to the single precision of the corners: a micrometre.
     pub fn nearest(&self, point: [f64; 2], limit_m: f64) -> Option<([f64; 2], f64)> {
         let mut best = None;
         let mut limit = limit_m;
@@ -75,11 +75,13 @@ impl Obstacles {
 
     fn distance_to_cell(&self, point: [f64; 2], cell: usize) -> f64 {
         let center = self.grid.center(cell);
-        let outside = |axis: usize| {
-            ((point[axis] - center[axis]).abs() - self.grid.resolution_m / 2.0).max(0.0)
-        };
-        outside(0).hypot(outside(1))
+        outside_cell(point[0] - center[0], self.grid.resolution_m)
+            .hypot(outside_cell(point[1] - center[1], self.grid.resolution_m))
     }
+}
+
+fn outside_cell(offset_m: f64, resolution_m: f64) -> f64 {
+    (offset_m.abs() - resolution_m / 2.0).max(0.0)
 }
 
 #[cfg(test)]

@@ -16,27 +16,31 @@ use super::raster::{Raster, obstacle, region};
 use super::{Corners, Footprint, LEAST_FREE_M2, corners};
 use crate::scene::Scene;
 
-/// Where a robot can be in a world whose floor is at z = 0.
+/// Free space of a world whose floor is at z = 0.
 ///
-/// A raster of 5 cm cells for questions about places; motion and the freedom of a cell's centre use the exact shapes.
+/// Queries about positions use a raster of 5 cm cells; motion and the freedom of a cell's centre
+/// use the exact shapes.
 #[derive(Debug, Clone)]
 pub struct FloorPlan {
     pub(super) footprint: Footprint,
     pub(super) obstacles: Arc<Obstacles>,
     raster: Raster,
-    /// Lower bound of the distance from a cell's centre to the nearest obstacle, metres; exact where it decides.
+    /// Lower bound of the distance from a cell's centre to the nearest obstacle, metres. It is
+    /// exact where the raster cannot decide whether the robot fits.
     clearance_m: Vec<f32>,
     components: Components,
-    /// The piece of free space that the robot lives in.
+    /// Component of free space in which the robot drives.
     home: u32,
     reachable_floor: Vec<bool>,
 }
 
 impl FloorPlan {
-    /// Finds the free space of a world whose floor is at z = 0, and takes the largest enclosed piece of it as reachable.
+    /// Computes the free space of a world whose floor is at z = 0. The largest enclosed component
+    /// becomes the reachable one.
     ///
     /// # Errors
-    /// What was looked for and not found, for [`SceneError::NoFloor`](crate::error::SceneError::NoFloor).
+    /// Describes the criterion that no surface met, for
+    /// [`SceneError::NoFloor`](crate::error::SceneError::NoFloor).
     pub fn new(scene: &Scene, footprint: &Footprint) -> Result<Self, String> {
         let triangles: Vec<Corners> = scene.triangles.iter().map(corners).collect();
         let raster = Raster::new(&triangles, region(&triangles), 0.0, footprint.height_m);
@@ -47,7 +51,7 @@ impl FloorPlan {
         let Some((home, _)) = components.best(&raster, LEAST_FREE_M2) else {
             let radius = footprint.radius_m;
             return Err(format!(
-                "nowhere on the floor at height 0 is room for a robot of {radius} m radius"
+                "the floor at height 0 has no free space for a robot of {radius} m radius"
             ));
         };
         let obstacles = Arc::new(obstacles);
@@ -65,7 +69,8 @@ impl FloorPlan {
         Ok(plan)
     }
 
-    /// The same plan with the piece of free space around a place as the reachable one; `None` where it is not free.
+    /// The same plan with the component of free space around a position as the reachable one;
+    /// `None` where the position is not free.
     #[must_use]
     pub fn around(&self, x_m: f64, y_m: f64) -> Option<Self> {
         let label = self.components.label[self.grid().index(x_m, y_m)?];
@@ -77,49 +82,49 @@ impl FloorPlan {
         Some(plan)
     }
 
-    /// Where the cells lie.
     #[must_use]
     pub fn grid(&self) -> &Grid {
         &self.raster.grid
     }
 
-    /// The robot that the plan is for.
+    /// Robot dimensions for which the plan was computed.
     #[must_use]
     pub fn footprint(&self) -> &Footprint {
         &self.footprint
     }
 
-    /// Whether there is floor at a place.
+    /// Whether there is floor at a position.
     #[must_use]
     pub fn is_supported(&self, x_m: f64, y_m: f64) -> bool {
         self.at(x_m, y_m).is_some_and(|cell| self.raster.supported[cell])
     }
 
-    /// Whether something stands in the cell of a place, between 6 cm and the robot's height.
+    /// Whether an obstacle between 6 cm and the robot's height touches the cell of a position.
     #[must_use]
     pub fn is_blocked(&self, x_m: f64, y_m: f64) -> bool {
         self.at(x_m, y_m).is_some_and(|cell| self.raster.blocked[cell])
     }
 
-    /// Whether the robot can stand with its middle in the centre of a place's cell.
+    /// Whether the robot can stand with its centre in the centre of a position's cell.
     #[must_use]
     pub fn is_free(&self, x_m: f64, y_m: f64) -> bool {
         self.at(x_m, y_m).is_some_and(|cell| self.components.label[cell] != 0)
     }
 
-    /// Whether it is free and the robot can get there.
+    /// Whether the position is free and the robot can drive there.
     #[must_use]
     pub fn is_reachable(&self, x_m: f64, y_m: f64) -> bool {
         self.at(x_m, y_m).is_some_and(|cell| self.components.label[cell] == self.home)
     }
 
-    /// Whether it is floor that the robot can cover with its base: what there is to map.
+    /// Whether the position is floor that the robot can cover with its base. This is the area to be
+    /// mapped.
     #[must_use]
     pub fn is_reachable_floor(&self, x_m: f64, y_m: f64) -> bool {
         self.at(x_m, y_m).is_some_and(|cell| self.reachable_floor[cell])
     }
 
-    /// Centres of the cells of the reachable floor, metres: the whole of which coverage is a share.
+    /// Centres of the cells of the reachable floor, metres: the denominator of coverage.
     pub fn reachable_floor(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
         self.reachable_floor
             .iter()
@@ -134,26 +139,27 @@ impl FloorPlan {
         self.reachable_floor().count() as f64 * self.grid().resolution_m.powi(2)
     }
 
-    /// Centres of the cells that the robot's middle can reach, metres.
+    /// Centres of the cells that the robot's centre can reach, metres.
     pub fn reachable(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
         self.home_cells().iter().map(|&cell| self.grid().center(cell as usize))
     }
 
-    /// The reachable place that is nearest to a place, metres.
+    /// The reachable position nearest to a position, metres.
     #[must_use]
     pub fn nearest_free(&self, x_m: f64, y_m: f64) -> [f64; 2] {
-        let squared = |p: &[f64; 2]| (p[0] - x_m).powi(2) + (p[1] - y_m).powi(2);
-        self.reachable().min_by(|a, b| squared(a).total_cmp(&squared(b))).unwrap_or([x_m, y_m])
+        self.reachable()
+            .min_by(|a, b| squared_distance(a, x_m, y_m).total_cmp(&squared_distance(b, x_m, y_m)))
+            .unwrap_or([x_m, y_m])
     }
 
-    /// How far the centre of a place's cell is from the nearest obstacle, metres; may be up to 4 cm less than the truth, and
-    /// is 0 off the floor.
+    /// Distance from the centre of a position's cell to the nearest obstacle, metres. It may be up
+    /// to 4 cm below the true distance and is 0 off the floor.
     #[must_use]
     pub fn clearance_m(&self, x_m: f64, y_m: f64) -> f64 {
         self.at(x_m, y_m).map_or(0.0, |cell| f64::from(self.clearance_m[cell]))
     }
 
-    /// A reachable pose, the same for the same seed, any place and heading as likely as any other.
+    /// A reachable pose with uniformly distributed position and heading, determined by the seed.
     #[must_use]
     pub fn random_pose(&self, seed: u64) -> Pose2 {
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
@@ -162,8 +168,9 @@ impl FloorPlan {
         Pose2::new(x, y, rng.random_range(-std::f64::consts::PI..std::f64::consts::PI))
     }
 
-    /// A pose to start from, the same for the same seed: among the tenth of the reachable places that are farthest from
-    /// everything, looking to where it is open the farthest.
+    /// A start pose, determined by the seed. The position is among the tenth of the reachable
+    /// positions that are farthest from obstacles, and the heading points to where the view is open
+    /// the farthest.
     #[must_use]
     pub fn start_pose(&self, seed: u64) -> Pose2 {
         let mut cells = self.home_cells().to_vec();
@@ -173,15 +180,10 @@ impl FloorPlan {
         });
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         let cell = cells[rng.random_range(0..cells.len().div_ceil(10))] as usize;
-        let open = |yaw: f64| {
-            cells_along(&self.raster, cell, yaw)
-                .take_while(|&along| !self.raster.is_obstacle(along))
-                .count()
-        };
         let headings = (0..32).map(|i| f64::from(i) * std::f64::consts::TAU / 32.0);
-        // The first of the best: max_by_key would take the last.
+        // Takes the first of several best headings; `max_by_key` would take the last.
         let (_, yaw) = headings.fold((0, 0.0), |best, yaw| {
-            let length = open(yaw);
+            let length = open_cells(yaw, &self.raster, cell);
             if length > best.0 { (length, yaw) } else { best }
         });
         let [x, y] = self.grid().center(cell);
@@ -205,7 +207,16 @@ impl FloorPlan {
     }
 }
 
-/// Everything between a step and the robot's height, and the edge of the floor.
+/// Number of free cells in a direction until the next obstacle.
+fn open_cells(yaw: f64, raster: &Raster, cell: usize) -> usize {
+    cells_along(raster, cell, yaw).take_while(|&along| !raster.is_obstacle(along)).count()
+}
+
+fn squared_distance(p: &[f64; 2], x_m: f64, y_m: f64) -> f64 {
+    (p[0] - x_m).powi(2) + (p[1] - y_m).powi(2)
+}
+
+/// Obstacles between the step height and the robot's height, and the edge of the floor.
 fn obstacles(triangles: &[Corners], raster: &Raster, height_m: f64) -> Obstacles {
     let grid = raster.grid;
     let mut shapes: Vec<Polygon> =
@@ -220,8 +231,8 @@ fn obstacles(triangles: &[Corners], raster: &Raster, height_m: f64) -> Obstacles
     Obstacles::new(grid, &shapes)
 }
 
-/// Distance from the centre of every cell to the nearest obstacle: a lower bound from the raster, and exact where the raster
-/// cannot tell whether the robot fits.
+/// Distance from the centre of every cell to the nearest obstacle: a lower bound from the raster,
+/// and exact where the raster cannot decide whether the robot fits.
 fn clearance(raster: &Raster, obstacles: &Obstacles, radius_m: f64) -> Vec<f32> {
     let grid = raster.grid;
     let half = grid.half_diagonal_m();

@@ -1,8 +1,8 @@
-//! Triangles, cut to a band of height and seen from above.
+//! Triangles clipped to a height band and projected onto the floor.
 
 use super::grid::Grid;
 
-/// A convex polygon in the plane with at most five corners; a wall is one without area.
+/// A convex polygon in the plane with at most five corners. A wall is a polygon without area.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Polygon {
     corners: [[f64; 2]; 5],
@@ -10,13 +10,11 @@ pub(super) struct Polygon {
 }
 
 impl Polygon {
-    /// The part of a triangle between two heights, seen from above; `None` when there is none.
+    /// The part of a triangle between two heights, seen from above; `None` when that part is empty.
     pub fn from_band(triangle: &[[f64; 3]; 3], low_m: f64, high_m: f64) -> Option<Self> {
         let heights = triangle.map(|corner| corner[2]);
-        let (least, most) = (
-            heights[0].min(heights[1]).min(heights[2]),
-            heights[0].max(heights[1]).max(heights[2]),
-        );
+        let least = heights[0].min(heights[1]).min(heights[2]);
+        let most = heights[0].max(heights[1]).max(heights[2]);
         if least > high_m || most < low_m {
             return None;
         }
@@ -48,7 +46,8 @@ impl Polygon {
         for row in rows {
             let [low, high] = grid.row_band(row);
             let Some((left, right)) = self.span_in_band(low, high) else { continue };
-            // The part of a convex polygon in a band is convex: it touches every cell between its ends.
+            // The part of a convex polygon in a band is convex, so it touches every cell between
+            // its ends.
             let [columns, _] = grid.range([left, low], [right, low]);
             for column in columns {
                 visit(row * grid.width + column);
@@ -57,15 +56,16 @@ impl Polygon {
     }
 
     fn bounds(&self) -> ([f64; 2], [f64; 2]) {
-        let fold = |start: f64, pick: fn(f64, f64) -> f64| {
-            [0, 1].map(|axis| self.corners().iter().map(|c| c[axis]).fold(start, pick))
-        };
-        (fold(f64::INFINITY, f64::min), fold(f64::NEG_INFINITY, f64::max))
+        (
+            fold_corners(f64::INFINITY, f64::min, self.corners()),
+            fold_corners(f64::NEG_INFINITY, f64::max, self.corners()),
+        )
     }
 
     /// Least and greatest x of the part with `low <= y <= high`.
     fn span_in_band(&self, low: f64, high: f64) -> Option<(f64, f64)> {
-        let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
+        let mut left = f64::INFINITY;
+        let mut right = f64::NEG_INFINITY;
         let mut meet = |x: f64| (left, right) = (left.min(x), right.max(x));
         for (a, b) in edges(self.corners()) {
             if (low..=high).contains(&a[1]) {
@@ -79,6 +79,10 @@ impl Polygon {
         }
         (left <= right).then_some((left, right))
     }
+}
+
+fn fold_corners(start: f64, pick: fn(f64, f64) -> f64, corners: &[[f64; 2]]) -> [f64; 2] {
+    [0, 1].map(|axis| corners.iter().map(|c| c[axis]).fold(start, pick))
 }
 
 /// Sides of a closed polygon.
@@ -97,7 +101,8 @@ fn clip(corners: &[[f64; 3]], inside: impl Fn(&[f64; 3]) -> f64) -> ([[f64; 3]; 
         }
     };
     for (a, b) in edges(corners) {
-        let (at_a, at_b) = (inside(a), inside(b));
+        let at_a = inside(a);
+        let at_b = inside(b);
         if at_a >= 0.0 {
             keep(*a);
         }
@@ -111,10 +116,13 @@ fn clip(corners: &[[f64; 3]], inside: impl Fn(&[f64; 3]) -> f64) -> ([[f64; 3]; 
 
 /// The point of a convex polygon, of any winding, that is nearest to `point`.
 pub(super) fn nearest_point(corners: &[[f64; 2]], point: [f64; 2]) -> [f64; 2] {
-    let (mut nearest, mut nearest_2) = (point, f64::INFINITY);
-    let (mut on_left, mut on_right) = (false, false);
+    let mut nearest = point;
+    let mut nearest_2 = f64::INFINITY;
+    let mut on_left = false;
+    let mut on_right = false;
     for (a, b) in edges(corners) {
-        let (along, to_point) = ([b[0] - a[0], b[1] - a[1]], [point[0] - a[0], point[1] - a[1]]);
+        let along = [b[0] - a[0], b[1] - a[1]];
+        let to_point = [point[0] - a[0], point[1] - a[1]];
         let length_2 = along[0] * along[0] + along[1] * along[1];
         let cross = along[0] * to_point[1] - along[1] * to_point[0];
         on_left |= cross > 0.0;
@@ -151,7 +159,8 @@ mod tests {
         ) {
             let (a, b): (f64, f64) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
             let point: [f64; 3] = std::array::from_fn(|i| t[0][i] + a * (t[1][i] - t[0][i]) + b * (t[2][i] - t[0][i]));
-            let (low, high) = (-0.4, 0.3);
+            let low = -0.4;
+            let high = 0.3;
             if let Some(polygon) = Polygon::from_band(&t, low, high) {
                 let near = nearest_point(polygon.corners(), [point[0], point[1]]);
                 let distance = (near[0] - point[0]).hypot(near[1] - point[1]);
@@ -177,7 +186,8 @@ mod tests {
                 if apart < half - 1e-9 {
                     prop_assert_eq!(count, 1);
                 }
-                // The nearest point in the round may lie outside of the square where another one lies inside, by at most this.
+                // The nearest point in the round may lie outside of the square where another one
+                // lies inside, by at most this.
                 if apart > 2.0 * half {
                     prop_assert_eq!(count, 0);
                 }

@@ -9,8 +9,11 @@ use crate::scene::{Scene, Vertex};
 type P = [f32; 3];
 
 fn quad([a, b, c, d]: [P; 4]) -> [Triangle; 2] {
-    let corner = |position_m: P| Vertex { position_m, uv: [0.0; 2], ambient: 1.0 };
-    [[a, b, c], [a, c, d]].map(|t| Triangle { vertices: t.map(corner), material: 0 })
+    [[a, b, c], [a, c, d]].map(|t| Triangle { vertices: t.map(vertex), material: 0 })
+}
+
+fn vertex(position_m: P) -> Vertex {
+    Vertex { position_m, uv: [0.0; 2], ambient: 1.0 }
 }
 
 /// A level rectangle.
@@ -21,10 +24,11 @@ fn slab([x0, y0]: [f32; 2], [x1, y1]: [f32; 2], z: f32) -> [Triangle; 2] {
 /// The side walls of a box.
 fn walls([x0, y0]: [f32; 2], [x1, y1]: [f32; 2], z0: f32, z1: f32) -> Vec<Triangle> {
     let around = [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]];
-    let side = |[a, b]: &[[f32; 2]; 2]| {
-        quad([[a[0], a[1], z0], [b[0], b[1], z0], [b[0], b[1], z1], [a[0], a[1], z1]])
-    };
-    around.array_windows().flat_map(side).collect()
+    around.array_windows().flat_map(|it| wall_side(it, z0, z1)).collect()
+}
+
+fn wall_side([a, b]: &[[f32; 2]; 2], z0: f32, z1: f32) -> [Triangle; 2] {
+    quad([[a[0], a[1], z0], [b[0], b[1], z0], [b[0], b[1], z1], [a[0], a[1], z1]])
 }
 
 /// A closed box: furniture.
@@ -32,7 +36,7 @@ fn block(from: [f32; 2], to: [f32; 2], z0: f32, z1: f32) -> Vec<Triangle> {
     [walls(from, to, z0, z1), slab(from, to, z1).into(), slab(from, to, z0).into()].concat()
 }
 
-/// Floor and walls of an empty room, 2.5 m high, without ceiling.
+/// Floor and walls of an empty room, 2.5 m high, without a ceiling.
 fn room(from: [f32; 2], to: [f32; 2], z: f32) -> Vec<Triangle> {
     [slab(from, to, z).to_vec(), walls(from, to, z, z + 2.5)].concat()
 }
@@ -59,26 +63,29 @@ fn the_floor_of_an_open_room_and_of_one_with_a_ceiling_is_its_floor() {
     let ceiling = slab([0.0; 2], [5.0, 4.0], 9.8).to_vec();
     let furniture = block([0.0, 0.0], [2.0, 2.0], 7.3, 8.0);
     assert!(near(floor_of([open.clone()]), 7.3));
-    // The roof has more room than the furnished floor, but nothing encloses it.
+    // The roof has more free space than the furnished floor, but nothing encloses it.
     assert!(near(floor_of([open, ceiling, furniture]), 7.3));
 }
 
 #[test]
 fn of_two_storeys_the_larger_is_taken_and_of_equal_ones_the_lower() {
-    let ground = || room([0.0; 2], [6.0, 5.0], 0.0);
-    assert!(near(floor_of([ground(), room([0.0; 2], [6.0, 5.0], 2.8)]), 0.0));
+    assert!(near(floor_of([ground_floor(), room([0.0; 2], [6.0, 5.0], 2.8)]), 0.0));
     let small_cellar = room([0.0; 2], [3.0, 3.0], -2.6);
-    assert!(near(floor_of([small_cellar, ground()]), 0.0));
+    assert!(near(floor_of([small_cellar, ground_floor()]), 0.0));
     let large_cellar = room([0.0; 2], [8.0, 8.0], -2.6);
-    assert!(near(floor_of([ground(), large_cellar]), -2.6));
+    assert!(near(floor_of([ground_floor(), large_cellar]), -2.6));
+}
+
+fn ground_floor() -> Vec<Triangle> {
+    room([0.0; 2], [6.0, 5.0], 0.0)
 }
 
 #[test]
 fn ground_around_and_below_a_house_is_not_its_floor() {
     let ground = slab([-500.0; 2], [500.0; 2], -0.2).to_vec();
-    let house = || [room([0.0; 2], [8.0, 6.0], 0.0), walls([3.0, 0.0], [3.0, 4.0], 0.0, 2.5)];
-    assert!(near(floor_of(house().into_iter().chain([ground])), 0.0));
-    // The same plane as floor and ground: the rooms are the home, not the kilometre around them.
+    assert!(near(floor_of(house_with_wall().into_iter().chain([ground])), 0.0));
+    // Floor and ground lie in the same plane: the rooms are the home, not the kilometre around
+    // them.
     let level = slab([-500.0; 2], [500.0; 2], 0.0).to_vec();
     let plan = plan([level, walls([0.0; 2], [8.0, 6.0], 0.0, 2.5)]);
     assert!(
@@ -87,17 +94,14 @@ fn ground_around_and_below_a_house_is_not_its_floor() {
     assert!((plan.reachable_floor_m2() - 48.0).abs() < 1.5, "{}", plan.reachable_floor_m2());
 }
 
+fn house_with_wall() -> [Vec<Triangle>; 2] {
+    [room([0.0; 2], [8.0, 6.0], 0.0), walls([3.0, 0.0], [3.0, 4.0], 0.0, 2.5)]
+}
+
 #[test]
-fn a_stray_corner_a_kilometre_away_changes_nothing_but_what_its_triangle_covers() {
-    let corner = |position_m: P| Vertex { position_m, uv: [0.0; 2], ambient: 1.0 };
-    let stray = |far: P| {
-        vec![Triangle {
-            vertices: [[1.0, 3.9, 0.0], [1.1, 3.9, 0.0], far].map(corner),
-            material: 0,
-        }]
-    };
+fn a_stray_corner_a_kilometre_away_affects_only_the_cells_under_its_triangle() {
     for far in [[1000.0, -700.0, 40.0], [0.0, 1000.0, 0.0], [5.0, 5.0, -1000.0]] {
-        let parts = [room([0.0; 2], [5.0, 4.0], 0.0), stray(far)];
+        let parts = [room([0.0; 2], [5.0, 4.0], 0.0), stray_triangle(far)];
         assert!(near(floor_of(parts.clone()), 0.0), "{far:?}");
         let plan = plan(parts);
         assert!(plan.grid().cells() < 300 * 300, "{far:?}: {:?}", plan.grid());
@@ -105,32 +109,39 @@ fn a_stray_corner_a_kilometre_away_changes_nothing_but_what_its_triangle_covers(
     }
 }
 
+fn stray_triangle(far: P) -> Vec<Triangle> {
+    vec![Triangle { vertices: [[1.0, 3.9, 0.0], [1.1, 3.9, 0.0], far].map(vertex), material: 0 }]
+}
+
 #[test]
 fn triangles_that_face_down_make_the_same_plan() {
-    let parts = || [room([0.0; 2], [5.0, 4.0], 0.0), block([1.0, 1.0], [2.0, 2.0], 0.0, 0.7)];
-    let turned = parts().map(|part| {
+    let reversed = room_with_block().map(|part| {
         part.into_iter()
             .map(|t| Triangle { vertices: [t.vertices[0], t.vertices[2], t.vertices[1]], ..t })
             .collect()
     });
-    assert!(near(floor_of(turned.clone()), 0.0));
-    let (a, b) = (plan(parts()), plan(turned));
+    assert!(near(floor_of(reversed.clone()), 0.0));
+    let a = plan(room_with_block());
+    let b = plan(reversed);
     assert!(a.reachable().eq(b.reachable()) && a.reachable_floor().eq(b.reachable_floor()));
 }
 
+fn room_with_block() -> [Vec<Triangle>; 2] {
+    [room([0.0; 2], [5.0, 4.0], 0.0), block([1.0, 1.0], [2.0, 2.0], 0.0, 0.7)]
+}
+
 #[test]
-fn walls_alone_are_no_floor_and_a_table_is_too_small() {
+fn walls_without_a_floor_and_a_shelf_smaller_than_the_robot_are_refused() {
     let error = find_floor(&scene([walls([0.0; 2], [5.0, 4.0], 0.0, 2.5)]), &Footprint::default())
         .unwrap_err();
     assert!(error.contains("no level surface"), "{error}");
     let shelf = slab([0.0; 2], [0.3, 0.3], 0.0).to_vec();
     let error = find_floor(&scene([shelf]), &Footprint::default()).unwrap_err();
-    assert!(error.contains("room for a robot"), "{error}");
+    assert!(error.contains("enough free space for a robot"), "{error}");
 }
 
 #[test]
-fn a_hole_in_the_floor_is_kept_clear_of_and_a_crack_is_closed() {
-    let strip = |x0: f32, x1: f32, y0: f32, y1: f32| slab([x0, y0], [x1, y1], 0.0).to_vec();
+fn the_robot_keeps_clear_of_a_hole_in_the_floor_and_drives_over_a_crack() {
     // A stairwell of 1 m at (2..3, 1..2), and a crack of 4 cm along x = 4.
     let plan = plan([
         strip(0.0, 2.0, 0.0, 3.0),
@@ -149,10 +160,15 @@ fn a_hole_in_the_floor_is_kept_clear_of_and_a_crack_is_closed() {
     assert!(into.contact && (into.pose.x_m - 1.84).abs() < 0.06, "{:?}", into.pose);
 }
 
+fn strip(x0: f32, x1: f32, y0: f32, y1: f32) -> Vec<Triangle> {
+    slab([x0, y0], [x1, y1], 0.0).to_vec()
+}
+
 #[test]
 fn an_empty_room_is_reachable_to_its_corners() {
     let plan = plan([room([0.0; 2], [4.0, 3.0], 0.0)]);
-    // Everything but the four corners that a round base cannot fill, to a cell along the walls.
+    // The whole floor except the four corners that a round base cannot fill, to one cell along the
+    // walls.
     let corners = (4.0 - std::f64::consts::PI) * 0.16_f64.powi(2);
     assert!(
         (plan.reachable_floor_m2() - (12.0 - corners)).abs() < 0.05 * 14.0,
@@ -167,7 +183,8 @@ fn an_empty_room_is_reachable_to_its_corners() {
 #[test]
 fn a_robot_fits_through_a_gap_that_is_wider_than_itself() {
     for (gap, fits) in [(0.30, false), (0.31, false), (0.40, true), (0.37, true)] {
-        let (low, high) = (1.5 - gap / 2.0, 1.5 + gap / 2.0);
+        let low = 1.5 - gap / 2.0;
+        let high = 1.5 + gap / 2.0;
         let parts = [
             room([0.0; 2], [5.0, 3.0], 0.0),
             block([2.0, 0.0], [2.5, low], 0.0, 1.0),
@@ -185,7 +202,7 @@ fn a_robot_fits_through_a_gap_that_is_wider_than_itself() {
 }
 
 #[test]
-fn low_steps_and_high_shelves_are_not_in_the_way() {
+fn low_steps_and_high_shelves_do_not_block_the_robot() {
     let plan = plan([
         room([0.0; 2], [4.0, 3.0], 0.0),
         block([1.0, 1.0], [2.0, 2.0], 0.0, 0.05),
@@ -264,13 +281,13 @@ fn sliding_follows_a_wall_and_ends_in_a_corner() {
 }
 
 #[test]
-fn people_are_in_the_way_and_one_who_walks_into_the_robot_lets_it_go() {
+fn people_block_the_robot_and_an_overlapping_robot_may_drive_away() {
     let plan = plan([room([0.0; 2], [5.0, 4.0], 0.0)]);
     let person = Disc { center_m: [3.0, 2.0], radius_m: 0.2 };
     let body = Body { sliding: false };
     let moved = plan.drive(&Pose2::new(1.0, 2.0, 0.0), &ahead(), 3.0, &body, &[person]);
     assert!(moved.contact && (moved.pose.x_m - 2.64).abs() < 1e-4, "{moved:?}");
-    // Overlapping: further in is refused, out is not.
+    // The robot overlaps the person: driving further in is refused, driving out is not.
     let inside = Pose2::new(2.8, 2.0, 0.0);
     assert!(plan.drive(&inside, &ahead(), 0.1, &body, &[person]).contact);
     let back = Twist2 { linear_mps: -1.0, angular_radps: 0.0 };
@@ -308,10 +325,11 @@ proptest! {
         let mut pose = plan.random_pose(seed);
         for (linear_mps, angular_radps, seconds) in drives {
             pose = plan.drive(&pose, &Twist2 { linear_mps, angular_radps }, seconds, &Body { sliding }, &[]).pose;
-            let (x, y) = (pose.x_m, pose.y_m);
+            let x = pose.x_m;
+            let y = pose.y_m;
             prop_assert!(plan.fits(x, y, &[]), "{pose:?}");
             prop_assert!(!plan.is_blocked(x, y) && plan.is_supported(x, y), "{pose:?}");
-            // Analytic: clear of the walls and of the two large boxes.
+            // Analytic check: clear of the walls and of the two large boxes.
             prop_assert!((0.16 - 2e-5..4.84 + 2e-5).contains(&x) && (0.16 - 2e-5..3.84 + 2e-5).contains(&y), "{pose:?}");
             for ([x0, y0], [x1, y1]) in [([1.0, 1.0], [1.6, 1.3]), ([2.6, 1.9], [3.0, 2.8])] {
                 let apart = (x.clamp(x0, x1) - x).hypot(y.clamp(y0, y1) - y);
@@ -321,18 +339,14 @@ proptest! {
     }
 
     #[test]
-    fn sliding_gets_at_least_as_far_along_a_straight_way(seed: u64, seconds in 0.0..3.0) {
+    fn sliding_gets_at_least_as_far_along_a_straight_path(seed: u64, seconds in 0.0..3.0) {
         let plan = &*CLUTTERED;
         let from = plan.random_pose(seed);
-        let along = |sliding: bool| {
-            let to = plan.drive(&from, &ahead(), seconds, &Body { sliding }, &[]).pose;
-            (to.x_m - from.x_m) * from.yaw_rad.cos() + (to.y_m - from.y_m) * from.yaw_rad.sin()
-        };
-        prop_assert!(along(true) >= along(false) - 1e-5);
+        prop_assert!(distance_ahead(true, plan, &from, seconds) >= distance_ahead(false, plan, &from, seconds) - 1e-5);
     }
 
     #[test]
-    fn a_way_without_contact_is_the_commanded_arc(seed: u64, v in -1.0..1.0, w in -2.0..2.0, seconds in 0.0..2.0) {
+    fn a_motion_without_contact_is_the_commanded_arc(seed: u64, v in -1.0..1.0, w in -2.0..2.0, seconds in 0.0..2.0) {
         let plan = &*CLUTTERED;
         let from = plan.random_pose(seed);
         let twist = Twist2 { linear_mps: v, angular_radps: w };
@@ -343,8 +357,13 @@ proptest! {
     }
 }
 
+fn distance_ahead(sliding: bool, plan: &FloorPlan, from: &Pose2, seconds: f64) -> f64 {
+    let to = plan.drive(from, &ahead(), seconds, &Body { sliding }, &[]).pose;
+    (to.x_m - from.x_m) * from.yaw_rad.cos() + (to.y_m - from.y_m) * from.yaw_rad.sin()
+}
+
 #[test]
-fn every_reachable_cell_has_room_for_the_robot_and_clearance_is_a_lower_bound() {
+fn the_robot_fits_in_every_reachable_cell_and_clearance_is_a_lower_bound() {
     let plan = &*CLUTTERED;
     let boxes: [[f64; 4]; 2] = [[1.0, 1.0, 1.6, 1.3], [2.6, 1.9, 3.0, 2.8]];
     for [x, y] in plan.reachable() {

@@ -1,4 +1,5 @@
-//! Baked ambient light: how much of the room above a face is open, by a few fixed rays against its solids.
+//! Baked ambient light of built-in homes: the open fraction of the room above a face, from a few
+//! fixed rays against the room's solids.
 
 use rayon::prelude::*;
 
@@ -7,16 +8,16 @@ use super::mesh::{Mesh, Quad, Solid};
 use super::{Room, Surface};
 use crate::scene::{Triangle, Vertex};
 
-/// Beyond this distance things take no light from a point, metres.
+/// Objects farther away than this do not occlude, metres.
 const REACH_M: f32 = 1.4;
-/// Light that a point keeps in a fully closed place: interiors reflect.
+/// Ambient light of a fully occluded point, because interiors reflect light.
 const FLOOR: f32 = 0.3;
-/// Faces that reach no further than this from their middle get one light, metres.
+/// Faces whose corners are within this distance of their centre get one light value, metres.
 const SMALL_M: f32 = 0.1;
 /// Rays over the hemisphere; enough for steps below 2/255 after weighting.
 const RAYS: usize = 24;
 
-/// Light on the four corners of every quad, 0 to 1.
+/// Computes the light on the four corners of every quad, 0 to 1.
 pub fn bake(mesh: &Mesh, rooms: &[Room]) -> Vec<[f32; 4]> {
     let mut solids: Vec<Vec<Solid>> = vec![Vec::new(); rooms.len()];
     for solid in &mesh.solids {
@@ -32,7 +33,7 @@ pub fn bake(mesh: &Mesh, rooms: &[Room]) -> Vec<[f32; 4]> {
         .collect()
 }
 
-/// Triangles with a light, and what each belongs to.
+/// Converts lit quads to triangles, with the surface kind of each.
 pub fn triangles(mesh: &Mesh, lit: &[[f32; 4]]) -> (Vec<Triangle>, Vec<Surface>) {
     let mut triangles = Vec::with_capacity(mesh.quads.len() * 2);
     let mut surfaces = Vec::with_capacity(mesh.quads.len() * 2);
@@ -100,27 +101,43 @@ fn light(
     let near: Vec<&Solid> = solids.iter().filter(|s| reachable(s, quad)).collect();
     let inverse = directions
         .map(|r| std::array::from_fn(|i| 1.0 / (r[0] * t[i] + r[1] * b[i] + r[2] * n[i])));
-    let open = |origin: [f32; 3]| {
-        let blocked: f32 = inverse
-            .iter()
-            .map(|inverse| {
-                let out = exit(origin, inverse, room, height);
-                let hit =
-                    near.iter().fold(out, |hit, solid| hit.min(entry(origin, inverse, solid)));
-                (1.0 - hit / REACH_M).max(0.0)
-            })
-            .sum();
-        1.0 - (1.0 - FLOOR) * blocked / RAYS as f32
-    };
     let lifted = |p: [f32; 3]| std::array::from_fn(|i| p[i] + 0.004 * n[i]);
     if quad.corners.iter().all(|c| norm(sub(*c, center)) < SMALL_M) {
-        return [open(lifted(center)); 4];
+        return [open_share(lifted(center), &inverse, &near, room, height); 4];
     }
-    // A little towards the middle and off the surface, so that a corner does not start inside its neighbour.
-    quad.corners.map(|c| open(lifted(std::array::from_fn(|i| c[i] + 0.04 * (center[i] - c[i])))))
+    // Slightly towards the centre and off the surface, so that a ray from a corner does not start
+    // inside a neighbouring solid.
+    quad.corners.map(|c| {
+        open_share(
+            lifted(std::array::from_fn(|i| c[i] + 0.04 * (center[i] - c[i]))),
+            &inverse,
+            &near,
+            room,
+            height,
+        )
+    })
 }
 
-/// Whether a solid may block rays of at most [`REACH_M`] from a face.
+/// Light at a point of a face: less where rays hit the room's solids within reach.
+fn open_share(
+    origin: [f32; 3],
+    inverse: &[[f32; 3]; RAYS],
+    near: &[&Solid],
+    room: Rect,
+    height: f32,
+) -> f32 {
+    let blocked: f32 = inverse
+        .iter()
+        .map(|inverse| {
+            let out = exit(origin, inverse, room, height);
+            let hit = near.iter().fold(out, |hit, solid| hit.min(entry(origin, inverse, solid)));
+            (1.0 - hit / REACH_M).max(0.0)
+        })
+        .sum();
+    1.0 - (1.0 - FLOOR) * blocked / RAYS as f32
+}
+
+/// Whether a solid may occlude rays of at most [`REACH_M`] from a face.
 fn reachable(solid: &Solid, quad: &Quad) -> bool {
     (0..3).all(|i| {
         let (low, high) =
@@ -131,21 +148,23 @@ fn reachable(solid: &Solid, quad: &Quad) -> bool {
 
 /// Distance at which a ray leaves the room through a wall, the floor or the ceiling.
 fn exit(origin: [f32; 3], inverse: &[f32; 3], room: Rect, height: f32) -> f32 {
-    let (min, max) = ([room.min[0], room.min[1], 0.0], [room.max[0], room.max[1], height]);
+    let min = [room.min[0], room.min[1], 0.0];
+    let max = [room.max[0], room.max[1], height];
     (0..3).fold(REACH_M, |best, i| {
         let side = if inverse[i] > 0.0 { max[i] } else { min[i] };
         let t = (side - origin[i]) * inverse[i];
-        // A lining in a doorway is outside of its room: walls behind it are no walls for it.
+        // A door lining lies outside of its room, so walls behind it do not limit its rays.
         if t > 0.0 { best.min(t) } else { best }
     })
 }
 
 /// Distance at which a ray enters a solid; [`REACH_M`] where it does not or starts inside.
 fn entry(origin: [f32; 3], inverse: &[f32; 3], solid: &Solid) -> f32 {
-    let (mut enter, mut leave) = (f32::MIN, f32::MAX);
+    let mut enter = f32::MIN;
+    let mut leave = f32::MAX;
     for i in 0..3 {
-        let (a, b) =
-            ((solid.min[i] - origin[i]) * inverse[i], (solid.max[i] - origin[i]) * inverse[i]);
+        let a = (solid.min[i] - origin[i]) * inverse[i];
+        let b = (solid.max[i] - origin[i]) * inverse[i];
         enter = enter.max(a.min(b));
         leave = leave.min(a.max(b));
     }

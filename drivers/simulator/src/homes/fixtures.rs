@@ -1,4 +1,4 @@
-//! What hangs on walls and ceilings and stays when furniture moves.
+//! Fixtures on walls and ceilings, which stay when furniture moves.
 
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
@@ -7,7 +7,7 @@ use super::furniture::DOORWAY_M;
 use super::geometry::{Side, WallFrame};
 use super::joinery::CURTAIN_M;
 use super::layout::Layout;
-use super::looks::{Look, Looks};
+use super::material_set::{Appearance, MaterialSet};
 use super::mesh::Mesh;
 use super::openings::{CASING_M, side_of, span_of};
 use super::shell::holes;
@@ -15,7 +15,8 @@ use super::styles::HomeStyle;
 use super::texture::Skin;
 use super::{HomeKind, Room, RoomKind, Surface};
 
-/// A stretch of wall that furniture has to respect: nothing at all within `depth_m`, or nothing tall where that is 0.
+/// A part of a wall that furniture must respect: nothing at all within `depth_m`, or nothing tall
+/// where that is 0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reserved {
     pub room: usize,
@@ -24,7 +25,7 @@ pub struct Reserved {
     pub depth_m: f32,
 }
 
-/// One room's walls while things are hung on them.
+/// The walls of one room while fixtures are placed on them.
 struct Hanging<'a> {
     layout: &'a Layout,
     room: usize,
@@ -36,24 +37,21 @@ impl Hanging<'_> {
         self.layout.rooms[self.room].rect.wall(side)
     }
 
-    /// Whether a stretch of wall has no opening, open leaf, curtain or other fixture.
+    /// Whether a part of a wall has no opening, open leaf, curtain or other fixture.
     fn is_free(&self, side: Side, span: [f32; 2]) -> bool {
-        let meets = |other: [f32; 2], margin: f32| {
-            span[0] < other[1] + margin && other[0] - margin < span[1]
-        };
         let openings = holes(self.layout, self.room, side);
         let leaves = self.layout.leaves.iter().filter(|l| l.room == self.room && l.side == side);
         let fixtures = self.reserved.iter().filter(|r| r.room == self.room && r.side == side);
         span[0] > 0.1
             && span[1] < self.wall(side).length_m - 0.1
-            && !openings
-                .iter()
-                .any(|h| meets(h.span, if h.height[0] > 0.0 { CURTAIN_M + 0.1 } else { 0.16 }))
-            && !leaves.into_iter().any(|l| meets(l.span, 0.05))
-            && !fixtures.into_iter().any(|r| meets(r.span, 0.15))
+            && !openings.iter().any(|h| {
+                spans_meet(h.span, if h.height[0] > 0.0 { CURTAIN_M + 0.1 } else { 0.16 }, span)
+            })
+            && !leaves.into_iter().any(|l| spans_meet(l.span, 0.05, span))
+            && !fixtures.into_iter().any(|r| spans_meet(r.span, 0.15, span))
     }
 
-    /// A free stretch of wall of a given width, if a few draws find one.
+    /// A free part of a wall of a given width, if a few random draws find one.
     fn find(&self, width: f32, rng: &mut Pcg64Mcg) -> Option<(Side, [f32; 2])> {
         (0..12).find_map(|_| {
             let side = Side::ALL[rng.random_range(0..4)];
@@ -68,12 +66,16 @@ impl Hanging<'_> {
     }
 }
 
-/// Hangs everything and says what it took.
+fn spans_meet(other: [f32; 2], margin: f32, span: [f32; 2]) -> bool {
+    span[0] < other[1] + margin && other[0] - margin < span[1]
+}
+
+/// Places all fixtures and returns the parts of the walls that they occupy.
 pub fn build(
     kind: HomeKind,
     layout: &Layout,
     style: &HomeStyle,
-    looks: &mut Looks,
+    materials: &mut MaterialSet,
     mesh: &mut Mesh,
     rng: &mut Pcg64Mcg,
 ) -> Vec<Reserved> {
@@ -89,16 +91,16 @@ pub fn build(
         }
         radiators(&mut hanging, style, mesh, rng);
         switches(&hanging, style, mesh);
-        boards(kind, &mut hanging, style, looks, mesh, rng);
-        pictures(&mut hanging, looks, mesh, rng);
-        lights(kind, room, style, looks, mesh);
+        boards(kind, &mut hanging, style, materials, mesh, rng);
+        pictures(&mut hanging, materials, mesh, rng);
+        lights(kind, room, style, materials, mesh);
         mesh.tag(mark, index, Surface::Fixture);
         reserved.append(&mut hanging.reserved);
     }
     reserved
 }
 
-/// Adds a part built along the south wall, from x = 0, at a station of another wall.
+/// Adds a part that was built along the south wall from x = 0 at a position along another wall.
 fn hang(part: &Mesh, wall: &WallFrame, side: Side, station: f32, mesh: &mut Mesh) {
     let [x, y] = wall.at(station, 0.0);
     mesh.append_at_wall(part, [x, y, 0.0], side);
@@ -136,7 +138,8 @@ fn entrance(hanging: &mut Hanging<'_>, style: &HomeStyle, mesh: &mut Mesh) -> bo
 
 /// A ribbed radiator under about every second window.
 fn radiators(hanging: &mut Hanging<'_>, style: &HomeStyle, mesh: &mut Mesh, rng: &mut Pcg64Mcg) {
-    let (layout, room) = (hanging.layout, hanging.room);
+    let layout = hanging.layout;
+    let room = hanging.room;
     for window in layout.windows.iter().filter(|w| w.room == room && w.height[0] < 1.0) {
         let width = (window.span[1] - window.span[0] - 0.1).min(1.2);
         if !rng.random_bool(0.45) {
@@ -186,7 +189,7 @@ fn boards(
     kind: HomeKind,
     hanging: &mut Hanging<'_>,
     style: &HomeStyle,
-    looks: &mut Looks,
+    materials: &mut MaterialSet,
     mesh: &mut Mesh,
     rng: &mut Pcg64Mcg,
 ) {
@@ -200,31 +203,38 @@ fn boards(
         let width = rng.random_range(1.2..1.9);
         let Some((side, span)) = hanging.find(width, rng) else { continue };
         let face = if i == 0 {
-            looks.look("whiteboard", [250, 250, 252], Skin::Plaster(2))
+            materials.appearance("whiteboard", [250, 250, 252], Skin::Plaster(2))
         } else {
-            looks.look("pin board", [186, 150, 110], Skin::Carpet)
+            materials.appearance("pin board", [186, 150, 110], Skin::Carpet)
         };
         let mut part = Mesh::default();
         part.plate([0.0, width], [0.95, 2.0], [0.0, 0.02], style.metal);
         part.plate([0.025, width - 0.025], [0.975, 1.975], [0.021, 0.023], face);
         for note in 0..rng.random_range(4..9) {
-            let (x, z) = (rng.random_range(0.06..width - 0.28), rng.random_range(1.05..1.7));
-            let look = looks.look(
+            let x = rng.random_range(0.06..width - 0.28);
+            let z = rng.random_range(1.05..1.7);
+            let appearance = materials.appearance(
                 "note",
                 [[244, 232, 150], [240, 240, 236], [190, 214, 226]][note % 3],
                 Skin::Spines,
             );
-            let (w, h) = (rng.random_range(0.08..0.21), rng.random_range(0.08..0.2));
+            let w = rng.random_range(0.08..0.21);
+            let h = rng.random_range(0.08..0.2);
             let y = 0.025 + 0.002 * note as f32;
-            part.plate([x, x + w], [z, z + h], [y, y + 0.001], look);
+            part.plate([x, x + w], [z, z + h], [y, y + 0.001], appearance);
         }
         hang(&part, &hanging.wall(side), side, span[0], mesh);
         hanging.reserve(side, span, 0.0);
     }
 }
 
-/// Framed paintings at the height of the eye.
-fn pictures(hanging: &mut Hanging<'_>, looks: &mut Looks, mesh: &mut Mesh, rng: &mut Pcg64Mcg) {
+/// Framed paintings at eye height.
+fn pictures(
+    hanging: &mut Hanging<'_>,
+    materials: &mut MaterialSet,
+    mesh: &mut Mesh,
+    rng: &mut Pcg64Mcg,
+) {
     let room = &hanging.layout.rooms[hanging.room];
     let longest = room.rect.size()[0].max(room.rect.size()[1]);
     let count = match room.kind {
@@ -238,11 +248,17 @@ fn pictures(hanging: &mut Hanging<'_>, looks: &mut Looks, mesh: &mut Mesh, rng: 
         let Some((side, span)) = hanging.find(width, rng) else { continue };
         let height = (width * rng.random_range(0.65..1.3)).min(0.9);
         let middle = rng.random_range(1.45..1.6);
-        let painting =
-            looks.look("painting", [255, 255, 255], Skin::Painting(rng.random_range(0..12)));
+        let painting = materials.appearance(
+            "painting",
+            [255, 255, 255],
+            Skin::Painting(rng.random_range(0..12)),
+        );
         let frames = [[60, 50, 44], [196, 160, 110], [238, 236, 230], [140, 100, 66]];
-        let frame =
-            looks.look("picture frame", frames[rng.random_range(0..frames.len())], Skin::Grain);
+        let frame = materials.appearance(
+            "picture frame",
+            frames[rng.random_range(0..frames.len())],
+            Skin::Grain,
+        );
         hang(
             &framed(width, [middle - height / 2.0, middle + height / 2.0], painting, frame),
             &hanging.wall(side),
@@ -254,22 +270,34 @@ fn pictures(hanging: &mut Hanging<'_>, looks: &mut Looks, mesh: &mut Mesh, rng: 
     }
 }
 
-fn framed(width: f32, [z0, z1]: [f32; 2], painting: Look, frame: Look) -> Mesh {
+fn framed(width: f32, [z0, z1]: [f32; 2], painting: Appearance, frame: Appearance) -> Mesh {
     const BORDER: f32 = 0.04;
     let mut part = Mesh::default();
     part.plate([0.0, width], [z0, z1], [0.003, 0.02], frame);
-    let (x0, x1, y, z0, z1) = (BORDER, width - BORDER, 0.023, z0 + BORDER, z1 - BORDER);
-    part.picture([[x1, y, z0], [x0, y, z0], [x0, y, z1], [x1, y, z1]], painting);
+    let x0 = BORDER;
+    let x1 = width - BORDER;
+    let y = 0.023;
+    let z0 = z0 + BORDER;
+    let z1 = z1 - BORDER;
+    part.stretched_face([[x1, y, z0], [x0, y, z0], [x0, y, z1], [x1, y, z1]], painting);
     part
 }
 
 /// A pendant lamp in homes, panels in offices.
-fn lights(kind: HomeKind, room: &Room, style: &HomeStyle, looks: &mut Looks, mesh: &mut Mesh) {
-    let ([x, y], h) = (room.rect.center(), room.height_m);
+fn lights(
+    kind: HomeKind,
+    room: &Room,
+    style: &HomeStyle,
+    materials: &mut MaterialSet,
+    mesh: &mut Mesh,
+) {
+    let [x, y] = room.rect.center();
+    let h = room.height_m;
     if kind == HomeKind::Office {
-        let panel = looks.glowing("light panel", [250, 250, 248], Skin::Smudge, 0.5);
+        let panel = materials.glowing("light panel", [250, 250, 248], Skin::Smudge, 0.5);
         let [w, d] = room.rect.size();
-        let (nx, ny) = ((w / 2.6).round().max(1.0) as usize, (d / 2.6).round().max(1.0) as usize);
+        let nx = (w / 2.6).round().max(1.0) as usize;
+        let ny = (d / 2.6).round().max(1.0) as usize;
         for i in 0..nx * ny {
             let px = room.rect.min[0] + w * ((i % nx) as f32 + 0.5) / nx as f32;
             let py = room.rect.min[1] + d * ((i / nx) as f32 + 0.5) / ny as f32;
@@ -282,7 +310,7 @@ fn lights(kind: HomeKind, room: &Room, style: &HomeStyle, looks: &mut Looks, mes
         }
         return;
     }
-    let shade = looks.glowing("lamp shade", [255, 240, 214], Skin::Cloth(0), 0.35);
+    let shade = materials.glowing("lamp shade", [255, 240, 214], Skin::Cloth(0), 0.35);
     if matches!(room.kind, RoomKind::Bath | RoomKind::Corridor) {
         mesh.post([x, y], [h - 0.09, h - 0.002], [0.15, 0.17], 14, shade);
     } else {

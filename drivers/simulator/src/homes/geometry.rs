@@ -10,7 +10,7 @@ pub struct Rect {
 }
 
 impl Rect {
-    /// From two opposite corners, smallest first.
+    /// Creates a rectangle from its corners with the smallest and the largest coordinates.
     pub const fn new(x0: f32, y0: f32, x1: f32, y1: f32) -> Self {
         Self { min: [x0, y0], max: [x1, y1] }
     }
@@ -20,17 +20,15 @@ impl Rect {
         [self.max[0] - self.min[0], self.max[1] - self.min[1]]
     }
 
-    /// Square metres.
     pub fn area_m2(&self) -> f32 {
         self.size()[0] * self.size()[1]
     }
 
-    /// The middle.
     pub fn center(&self) -> [f32; 2] {
         [(self.min[0] + self.max[0]) / 2.0, (self.min[1] + self.max[1]) / 2.0]
     }
 
-    /// Larger by `margin_m` on every side; smaller where it is negative.
+    /// The rectangle enlarged by `margin_m` on every side; a negative margin shrinks it.
     pub fn grown(&self, margin_m: f32) -> Self {
         Self::new(
             self.min[0] - margin_m,
@@ -50,7 +48,6 @@ impl Rect {
         self.contains(inner.min) && self.contains(inner.max)
     }
 
-    /// Whether the interiors meet.
     pub fn overlaps(&self, other: &Self) -> bool {
         (0..2).all(|i| self.min[i] < other.max[i] && other.min[i] < self.max[i])
     }
@@ -101,11 +98,11 @@ pub enum Side {
 }
 
 impl Side {
-    /// All four, in the order of their quarter turns.
+    /// All four sides, in the order of their quarter rotations.
     pub const ALL: [Self; 4] = [Self::South, Self::East, Self::North, Self::West];
 
-    /// Quarter turns that bring the south wall's frame here.
-    pub fn quarter_turns(self) -> usize {
+    /// Number of quarter rotations from the south wall's frame to this wall's.
+    pub fn quarter_rotations(self) -> usize {
         self as usize
     }
 }
@@ -119,7 +116,6 @@ pub struct WallFrame {
     pub along: [f32; 2],
     /// Unit vector into the room.
     pub inward: [f32; 2],
-    /// Length of the wall.
     pub length_m: f32,
 }
 
@@ -132,20 +128,20 @@ impl WallFrame {
         ]
     }
 
-    /// The same in space.
     pub fn at3(&self, s: f32, depth: f32, z: f32) -> [f32; 3] {
         let [x, y] = self.at(s, depth);
         [x, y, z]
     }
 
-    /// How far along the wall a point is.
+    /// Position of a point along the wall, metres.
     pub fn project(&self, p: [f32; 2]) -> f32 {
         (p[0] - self.origin[0]) * self.along[0] + (p[1] - self.origin[1]) * self.along[1]
     }
 
     /// The rectangle between two stations and two depths.
     pub fn rect(&self, s: [f32; 2], depth: [f32; 2]) -> Rect {
-        let (a, b) = (self.at(s[0], depth[0]), self.at(s[1], depth[1]));
+        let a = self.at(s[0], depth[0]);
+        let b = self.at(s[1], depth[1]);
         Rect::new(a[0].min(b[0]), a[1].min(b[1]), a[0].max(b[0]), a[1].max(b[1]))
     }
 }

@@ -6,27 +6,28 @@ use rand_pcg::Pcg64Mcg;
 use super::Surface;
 use super::geometry::Side;
 use super::layout::Layout;
-use super::looks::{Look, Looks};
+use super::material_set::{Appearance, MaterialSet};
 use super::mesh::Mesh;
 use super::openings::{CASING_M, Door, LINING_M, Leaf, WALL_M, Window};
 use super::styles::HomeStyle;
 use super::texture::Skin;
 
-/// How far a casing stands out from its wall, metres.
+/// Distance by which a casing protrudes from its wall, metres.
 const CASING_DEPTH_M: f32 = 0.014;
-/// A leaf's distance from the wall it stands open against, and its thickness, metres.
+/// Distance of an open leaf from its wall, and thickness of the leaf, metres.
 const LEAF_GAP_M: f32 = 0.035;
 const LEAF_M: f32 = 0.04;
-/// How far a leaf reaches into the room, handle included, metres.
+/// Distance by which an open leaf reaches into the room, handle included, metres.
 pub const LEAF_REACH_M: f32 = LEAF_GAP_M + LEAF_M + 0.06;
-/// How far a curtain hangs beyond its window at each side, metres.
+/// Distance by which a curtain extends beyond its window at each side, metres.
 pub const CURTAIN_M: f32 = 0.22;
+/// Number of vertical folds of a curtain.
+const FOLDS: usize = 8;
 
-/// Builds all openings.
 pub fn build(
     layout: &Layout,
     style: &HomeStyle,
-    looks: &mut Looks,
+    materials: &mut MaterialSet,
     mesh: &mut Mesh,
     rng: &mut Pcg64Mcg,
 ) {
@@ -40,14 +41,14 @@ pub fn build(
         open_leaf(leaf, layout, style, mesh);
         mesh.tag(mark, leaf.room, Surface::Opening);
     }
-    let views: [Look; 3] =
-        [0, 1, 2].map(|v| looks.glowing("window view", [255, 255, 255], Skin::View(v), 0.3));
+    let views: [Appearance; 3] =
+        [0, 1, 2].map(|v| materials.glowing("window view", [255, 255, 255], Skin::View(v), 0.3));
     let cloths = [[206, 196, 180], [150, 160, 170], [178, 150, 130], [224, 222, 214]];
-    let mut curtains: Vec<Option<Look>> = Vec::new();
+    let mut curtains: Vec<Option<Appearance>> = Vec::new();
     for room in &layout.rooms {
         let color = cloths[rng.random_range(0..cloths.len())];
         let hung = room.kind.is_home() && rng.random_bool(0.7);
-        curtains.push(hung.then(|| looks.look("curtain", color, Skin::Cloth(0))));
+        curtains.push(hung.then(|| materials.appearance("curtain", color, Skin::Cloth(0))));
     }
     for opening in &layout.windows {
         let mark = mesh.mark();
@@ -59,8 +60,11 @@ pub fn build(
 
 /// Threshold, lining and casings, in a frame with x along the wall and y through it.
 fn frame(door: &Door, style: &HomeStyle, mesh: &mut Mesh) {
-    let (half, t, top) = (door.width_m / 2.0, WALL_M / 2.0, door.height_m);
-    let (outer, cased) = (half + LINING_M, half + LINING_M + CASING_M);
+    let half = door.width_m / 2.0;
+    let t = WALL_M / 2.0;
+    let top = door.height_m;
+    let outer = half + LINING_M;
+    let cased = half + LINING_M + CASING_M;
     let mut part = Mesh::default();
     let floor = [[-outer, -t, 0.0], [outer, -t, 0.0], [outer, t, 0.0], [-outer, t, 0.0]];
     let tile = style.threshold.tile_m;
@@ -70,13 +74,16 @@ fn frame(door: &Door, style: &HomeStyle, mesh: &mut Mesh) {
         let x = between(half, outer);
         part.trim([x[0], -t, 0.0], [x[1], t, top], style.joinery);
         for face in [-1.0, 1.0_f32] {
-            let (x, y0, y1) = (between(half, cased), face * t, face * (t + CASING_DEPTH_M));
+            let x = between(half, cased);
+            let y0 = face * t;
+            let y1 = face * (t + CASING_DEPTH_M);
             part.trim([x[0], y0.min(y1), 0.0], [x[1], y0.max(y1), top], style.joinery);
         }
     }
     part.trim([-outer, -t, top], [outer, t, top + LINING_M], style.joinery);
     for face in [-1.0, 1.0_f32] {
-        let (y0, y1) = (face * t, face * (t + CASING_DEPTH_M));
+        let y0 = face * t;
+        let y1 = face * (t + CASING_DEPTH_M);
         part.trim(
             [-cased, y0.min(y1), top],
             [cased, y0.max(y1), top + LINING_M + CASING_M],
@@ -90,7 +97,9 @@ fn frame(door: &Door, style: &HomeStyle, mesh: &mut Mesh) {
 fn open_leaf(leaf: &Leaf, layout: &Layout, style: &HomeStyle, mesh: &mut Mesh) {
     let wall = layout.rooms[leaf.room].rect.wall(leaf.side);
     let mut part = Mesh::default();
-    let (width, y0, y1) = (leaf.span[1] - leaf.span[0], LEAF_GAP_M, LEAF_GAP_M + LEAF_M);
+    let width = leaf.span[1] - leaf.span[0];
+    let y0 = LEAF_GAP_M;
+    let y1 = LEAF_GAP_M + LEAF_M;
     part.block([0.0, y0, 0.01], [width, y1, 2.03], style.leaf);
     for (low, high) in [(0.25, 0.95), (1.15, 1.85)] {
         part.trim([0.16, y1, low], [width - 0.16, y1 + 0.006, high], style.leaf);
@@ -105,34 +114,44 @@ fn open_leaf(leaf: &Leaf, layout: &Layout, style: &HomeStyle, mesh: &mut Mesh) {
 fn window(
     opening: &Window,
     layout: &Layout,
-    view: Look,
-    curtain: Option<Look>,
+    view: Appearance,
+    curtain: Option<Appearance>,
     style: &HomeStyle,
     mesh: &mut Mesh,
 ) {
     let wall = layout.rooms[opening.room].rect.wall(opening.side);
-    let (w, [z0, z1], depth) = (opening.span[1] - opening.span[0], opening.height, WALL_M - 0.02);
+    let w = opening.span[1] - opening.span[0];
+    let [z0, z1] = opening.height;
+    let depth = WALL_M - 0.02;
     let mut part = Mesh::default();
-    part.picture([[w, -depth, z0], [0.0, -depth, z0], [0.0, -depth, z1], [w, -depth, z1]], view);
+    part.stretched_face(
+        [[w, -depth, z0], [0.0, -depth, z0], [0.0, -depth, z1], [w, -depth, z1]],
+        view,
+    );
     // The reveal is a box seen from inside.
-    let look = style.joinery;
-    let flat = |c: [f32; 3]| [(c[0] + c[1]) / look.tile_m, (c[2] + c[1]) / look.tile_m];
-    let mut face = |corners: [[f32; 3]; 4]| part.quad(corners, corners.map(flat), look);
+    let appearance = style.joinery;
+    let flat = |c: [f32; 3]| [(c[0] + c[1]) / appearance.tile_m, (c[2] + c[1]) / appearance.tile_m];
+    let mut face = |corners: [[f32; 3]; 4]| part.quad(corners, corners.map(flat), appearance);
     face([[0.0, -depth, z0], [w, -depth, z0], [w, 0.0, z0], [0.0, 0.0, z0]]);
     face([[0.0, 0.0, z1], [w, 0.0, z1], [w, -depth, z1], [0.0, -depth, z1]]);
     face([[0.0, 0.0, z0], [0.0, 0.0, z1], [0.0, -depth, z1], [0.0, -depth, z0]]);
     face([[w, -depth, z0], [w, -depth, z1], [w, 0.0, z1], [w, 0.0, z0]]);
-    let (back, front) = (-depth + 0.005, -depth + 0.045);
+    let back = -depth + 0.005;
+    let front = -depth + 0.045;
     for x in [0.002, w - 0.052] {
-        part.trim([x, back, z0 + 0.002], [x + 0.05, front, z1 - 0.002], look);
+        part.trim([x, back, z0 + 0.002], [x + 0.05, front, z1 - 0.002], appearance);
     }
     for z in [z0 + 0.003, z1 - 0.053] {
-        part.trim([0.052, back, z], [w - 0.052, front, z + 0.05], look);
+        part.trim([0.052, back, z], [w - 0.052, front, z + 0.05], appearance);
     }
     if w > 0.8 {
-        part.trim([w / 2.0 - 0.03, back, z0 + 0.053], [w / 2.0 + 0.03, front, z1 - 0.053], look);
+        part.trim(
+            [w / 2.0 - 0.03, back, z0 + 0.053],
+            [w / 2.0 + 0.03, front, z1 - 0.053],
+            appearance,
+        );
     }
-    part.plate([-0.05, w + 0.05], [z0 - 0.06, z0 - 0.004], [0.0, 0.03], look);
+    part.plate([-0.05, w + 0.05], [z0 - 0.06, z0 - 0.004], [0.0, 0.03], appearance);
     if let Some(cloth) = curtain {
         part.trim(
             [-CURTAIN_M - 0.05, 0.06, z1 + 0.11],
@@ -147,17 +166,21 @@ fn window(
     mesh.append_at_wall(&part, [x, y, 0.0], opening.side);
 }
 
-/// Cloth in vertical folds.
-fn folds(start: f32, width: f32, z: [f32; 2], look: Look, part: &mut Mesh) {
-    const FOLDS: usize = 8;
-    let at = |i: usize| {
-        (start + width * i as f32 / FOLDS as f32, if i.is_multiple_of(2) { 0.055 } else { 0.085 })
-    };
+fn folds(start: f32, width: f32, z: [f32; 2], appearance: Appearance, part: &mut Mesh) {
     for i in 0..FOLDS {
-        let ((x0, y0), (x1, y1)) = (at(i), at(i + 1));
+        let (x0, y0) = fold_edge(i, start, width);
+        let (x1, y1) = fold_edge(i + 1, start, width);
         let corners = [[x1, y1, z[0]], [x0, y0, z[0]], [x0, y0, z[1]], [x1, y1, z[1]]];
-        let u = |i: usize| 0.045 * i as f32 / look.tile_m;
-        let v = z.map(|z| -z / look.tile_m);
-        part.quad(corners, [[u(i + 1), v[0]], [u(i), v[0]], [u(i), v[1]], [u(i + 1), v[1]]], look);
+        let u = |i: usize| 0.045 * i as f32 / appearance.tile_m;
+        let v = z.map(|z| -z / appearance.tile_m);
+        part.quad(
+            corners,
+            [[u(i + 1), v[0]], [u(i), v[0]], [u(i), v[1]], [u(i + 1), v[1]]],
+            appearance,
+        );
     }
+}
+
+fn fold_edge(i: usize, start: f32, width: f32) -> (f32, f32) {
+    (start + width * i as f32 / FOLDS as f32, if i.is_multiple_of(2) { 0.055 } else { 0.085 })
 }

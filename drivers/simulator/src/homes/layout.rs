@@ -1,4 +1,4 @@
-//! Rooms, doors and windows of a home, before anything is built.
+//! Layout of rooms, doors and windows of a home, before any geometry is built.
 
 use rand_pcg::Pcg64Mcg;
 
@@ -7,7 +7,6 @@ use super::openings::{self, Door, Leaf, WALL_M, Window};
 use super::plan::{self, Cell};
 use super::{HomeKind, Room};
 
-/// A home's plan.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layout {
     pub cells: Vec<Cell>,
@@ -18,7 +17,8 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// Draws plans until doors can connect all rooms: nearly always the first one.
+    /// Draws random plans until doors can connect all rooms, which the first plan nearly always
+    /// allows.
     pub fn draw(kind: HomeKind, height_m: f32, rng: &mut Pcg64Mcg) -> Self {
         loop {
             let cells = plan::cells(kind, rng);
@@ -31,7 +31,7 @@ impl Layout {
     }
 }
 
-/// Rooms within their walls, named by purpose and number.
+/// The rooms inside their walls, named by purpose and number.
 fn rooms(cells: &[Cell], height_m: f32) -> Vec<Room> {
     let mut rooms: Vec<Room> = Vec::with_capacity(cells.len());
     for cell in cells {

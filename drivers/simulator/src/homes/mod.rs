@@ -1,4 +1,5 @@
-//! Homes that never existed: rooms, doors, furniture and light from one seed, with nothing to download.
+//! Procedural homes: rooms, doors, furniture and light generated from one seed, without any data
+//! files.
 
 mod ambient;
 mod fixtures;
@@ -6,7 +7,7 @@ mod furniture;
 mod geometry;
 mod joinery;
 mod layout;
-mod looks;
+mod material_set;
 mod mesh;
 mod openings;
 mod plan;
@@ -29,7 +30,7 @@ pub use openings::Door;
 
 use crate::scene::Scene;
 
-/// What kind of place to build.
+/// Kind of a built-in home.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum HomeKind {
     /// 4 to 6 rooms, 40 to 90 m2.
@@ -41,7 +42,6 @@ pub enum HomeKind {
 }
 
 impl HomeKind {
-    /// All kinds.
     pub const ALL: [Self; 3] = [Self::Apartment, Self::House, Self::Office];
 }
 
@@ -55,9 +55,9 @@ impl fmt::Display for HomeKind {
     }
 }
 
-/// A name that is no kind of home.
+/// The name is not that of a built-in home.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no built-in home is called {0:?}; there are apartment, house and office")]
+#[error("no built-in home is called {0:?}; the homes are apartment, house and office")]
 pub struct UnknownHome(pub String);
 
 impl FromStr for HomeKind {
@@ -71,28 +71,29 @@ impl FromStr for HomeKind {
     }
 }
 
-/// What a home is drawn from.
+/// Options of a built-in home.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HomeOptions {
     /// The same seed builds the same home, byte for byte.
     pub seed: u64,
     /// Contrast of walls, ceilings and (partly) floors: 0 blank, 1 rich.
     pub texture: f32,
-    /// Furniture stands elsewhere; walls, doors, pictures and all textures stay.
+    /// Furniture stands at other positions; walls, doors, fixtures and all textures are unchanged.
     pub moved: bool,
 }
 
 impl HomeOptions {
-    /// Between blank walls, on which nothing can be matched, and rich ones, on which plain triangulation needs no learning.
+    /// Calibrated texture contrast. On blank walls nothing can be matched; on strongly textured
+    /// ones plain triangulation needs no learning.
     pub const TEXTURE: f32 = 0.25;
 
-    /// Calibrated texture, furniture in its first place.
+    /// Options with the calibrated texture contrast and unmoved furniture.
     pub fn new(seed: u64) -> Self {
         Self { seed, texture: Self::TEXTURE, moved: false }
     }
 }
 
-/// What a room is for.
+/// Purpose of a room.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RoomKind {
     /// Sofas, television, dining table.
@@ -105,7 +106,7 @@ pub enum RoomKind {
     Bath,
     /// Desk and shelves; in an office, a room for one or two.
     Study,
-    /// Joins other rooms.
+    /// Connects other rooms.
     Corridor,
     /// Islands of desks.
     OpenPlan,
@@ -114,12 +115,12 @@ pub enum RoomKind {
 }
 
 impl RoomKind {
-    /// Rooms that passages without a door leaf join.
+    /// Whether passages without a door leaf join rooms of this kind.
     fn is_day(self) -> bool {
         matches!(self, Self::Living | Self::Kitchen | Self::OpenPlan)
     }
 
-    /// Rooms with curtains and pictures.
+    /// Whether rooms of this kind have curtains.
     fn is_home(self) -> bool {
         matches!(self, Self::Living | Self::Bedroom | Self::Study | Self::Kitchen)
     }
@@ -145,59 +146,52 @@ impl fmt::Display for RoomKind {
 pub struct Room {
     /// Purpose and number, as in `bedroom-2`.
     pub name: String,
-    /// What it is for.
     pub kind: RoomKind,
-    /// Its floor, metres.
     pub rect: Rect,
     /// Height of its ceiling, metres.
     pub height_m: f32,
 }
 
-/// What a triangle belongs to.
+/// Kind of surface of a triangle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Surface {
-    /// A room's floor.
     Floor,
-    /// A room's ceiling.
     Ceiling,
     /// A wall's face towards a room.
     Wall,
     /// Doors, windows, skirting.
     Opening,
-    /// Pictures, switches, radiators, lamps: what stays when furniture moves.
+    /// Pictures, switches, radiators and lamps, which stay when furniture moves.
     Fixture,
-    /// What moves.
+    /// Movable furniture.
     Furniture,
     /// The outer faces of outer walls.
     Outside,
 }
 
-/// A scene and what it means.
+/// A scene with its semantics.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Home {
-    /// What the camera sees.
     pub scene: Scene,
-    /// What each of the scene's triangles belongs to; furniture comes last.
+    /// Kind of surface of each triangle of the scene. Furniture comes last.
     pub surfaces: Vec<Surface>,
-    /// All rooms.
     pub rooms: Vec<Room>,
-    /// All openings between rooms.
     pub doors: Vec<Door>,
-    /// What stands where.
     pub furniture: Vec<Furniture>,
 }
 
-/// A generator for one purpose, so that drawing more for one thing changes no other.
+/// The random generator of one purpose. Separate generators keep a change of one part from changing
+/// the others.
 fn stream(seed: u64, purpose: u64) -> Pcg64Mcg {
     Pcg64Mcg::seed_from_u64(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ purpose)
 }
 
-/// Builds a home: the same bytes for the same kind and options.
+/// Builds a home. The result is identical for the same kind and options.
 pub fn build(kind: HomeKind, options: &HomeOptions) -> Home {
     let home = construct(kind, options);
     let lit = ambient::bake(&home.mesh, &home.layout.rooms);
     let (triangles, surfaces) = ambient::triangles(&home.mesh, &lit);
-    let (materials, textures) = home.looks.finish(options.seed, options.texture);
+    let (materials, textures) = home.materials.finish(options.seed, options.texture);
     let scene = Scene { triangles, materials, textures };
     Home {
         scene,
@@ -208,11 +202,11 @@ pub fn build(kind: HomeKind, options: &HomeOptions) -> Home {
     }
 }
 
-/// A home before it is lit and painted.
+/// A home before ambient light is baked and textures are painted.
 struct Construction {
     layout: layout::Layout,
     mesh: mesh::Mesh,
-    looks: looks::Looks,
+    materials: material_set::MaterialSet,
     furniture: Vec<Furniture>,
 }
 
@@ -220,14 +214,21 @@ fn construct(kind: HomeKind, options: &HomeOptions) -> Construction {
     let seed = options.seed;
     let height_m = stream(seed, 1).random_range(50..=54) as f32 * 0.05;
     let layout = layout::Layout::draw(kind, height_m, &mut stream(seed, 2));
-    let mut looks = looks::Looks::default();
-    let style = styles::styles(kind, &layout.rooms, &mut looks, &mut stream(seed, 3));
+    let mut materials = material_set::MaterialSet::default();
+    let style = styles::styles(kind, &layout.rooms, &mut materials, &mut stream(seed, 3));
     let mut mesh = mesh::Mesh::default();
     shell::build(&layout, &style, &mut mesh);
-    joinery::build(&layout, &style, &mut looks, &mut mesh, &mut stream(seed, 4));
+    joinery::build(&layout, &style, &mut materials, &mut mesh, &mut stream(seed, 4));
     let reserved =
-        fixtures::build(kind, &layout, &style, &mut looks, &mut mesh, &mut stream(seed, 5));
-    let furniture =
-        furniture::furnish(kind, &layout, &reserved, &mut looks, &mut mesh, seed, options.moved);
-    Construction { layout, mesh, looks, furniture }
+        fixtures::build(kind, &layout, &style, &mut materials, &mut mesh, &mut stream(seed, 5));
+    let furniture = furniture::furnish(
+        kind,
+        &layout,
+        &reserved,
+        &mut materials,
+        &mut mesh,
+        seed,
+        options.moved,
+    );
+    Construction { layout, mesh, materials, furniture }
 }

@@ -1,4 +1,5 @@
-//! Where doors and windows go: a spanning tree over neighbouring rooms makes every room reachable, a few more doors make loops.
+//! Placement of doors and windows. A spanning tree over neighbouring rooms makes every room
+//! reachable; a few more doors make loops.
 
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
@@ -7,7 +8,7 @@ use super::geometry::{Rect, Side, WallFrame};
 use super::plan::Cell;
 use super::{Room, RoomKind};
 
-/// Thickness of every wall, metres: light inner walls are 0.1, masonry ones 0.115 to 0.15.
+/// Thickness of every wall, metres. Light inner walls are 0.1, masonry ones 0.115 to 0.15.
 pub const WALL_M: f32 = 0.12;
 /// Clear height of a door, metres.
 pub const DOOR_HEIGHT_M: f32 = 2.05;
@@ -25,9 +26,7 @@ pub struct Door {
     pub rect: Rect,
     /// Whether the wall around it runs along x; along y otherwise.
     pub along_x: bool,
-    /// Clear width, metres.
     pub width_m: f32,
-    /// Clear height, metres.
     pub height_m: f32,
 }
 
@@ -68,7 +67,9 @@ fn shared_walls(cells: &[Cell]) -> Vec<Shared> {
     for i in 0..cells.len() {
         for j in 0..cells.len() {
             for axis in 0..2 {
-                let (a, b, along) = (cells[i].rect, cells[j].rect, 1 - axis);
+                let a = cells[i].rect;
+                let b = cells[j].rect;
+                let along = 1 - axis;
                 let span = [
                     a.min[along].max(b.min[along]) + WALL_M / 2.0,
                     a.max[along].min(b.max[along]) - WALL_M / 2.0,
@@ -87,7 +88,7 @@ fn shared_walls(cells: &[Cell]) -> Vec<Shared> {
     walls
 }
 
-/// How unwelcome a door between two kinds of room is; baths and bedrooms are not passages.
+/// Cost of a door between two kinds of room. Baths and bedrooms are poor passages.
 fn cost(a: RoomKind, b: RoomKind) -> f32 {
     use RoomKind::{Bath, Bedroom, Corridor, Kitchen, Living, Meeting, OpenPlan, Study};
     match (a, b) {
@@ -101,7 +102,8 @@ fn cost(a: RoomKind, b: RoomKind) -> f32 {
     }
 }
 
-/// Doors along a spanning tree and some loops; `None` where the walls between rooms are too short to connect them all.
+/// Places doors along a spanning tree and a few loops; `None` where the walls between rooms are too
+/// short to connect them all.
 pub fn doors(cells: &[Cell], rng: &mut Pcg64Mcg) -> Option<Vec<Door>> {
     let hole = 2.0 * (LINING_M + CASING_M);
     let mut walls: Vec<(f32, Shared)> = shared_walls(cells)
@@ -135,13 +137,15 @@ pub fn doors(cells: &[Cell], rng: &mut Pcg64Mcg) -> Option<Vec<Door>> {
     group.iter().all(|g| *g == group[0]).then_some(doors)
 }
 
-/// Doors stand near an end of their wall, so that furniture gets the rest; passages between day rooms are wide.
+/// Places a door near an end of its wall, which leaves the rest for furniture. Passages between day
+/// rooms are wide.
 fn place_door(wall: &Shared, open: bool, rng: &mut Pcg64Mcg) -> Door {
     let margin = LINING_M + CASING_M + 0.01;
-    let room = wall.span[1] - wall.span[0] - 2.0 * margin;
-    let wish = if open { 1.1 } else { [0.9, 0.9, 0.95, 1.0_f32][rng.random_range(0..4)] };
-    let width = room.min(wish);
-    let slack = room - width;
+    let free_m = wall.span[1] - wall.span[0] - 2.0 * margin;
+    let preferred_width =
+        if open { 1.1 } else { [0.9, 0.9, 0.95, 1.0_f32][rng.random_range(0..4)] };
+    let width = free_m.min(preferred_width);
+    let slack = free_m - width;
     let near = (slack * rng.random_range(0.0..1.0_f32)).min(rng.random_range(0.08..0.45));
     let offset = match rng.random_range(0..5) {
         0 => slack * rng.random_range(0.3..0.7),
@@ -149,7 +153,8 @@ fn place_door(wall: &Shared, open: bool, rng: &mut Pcg64Mcg) -> Door {
         _ => slack - near,
     };
     let start = wall.span[0] + margin + offset;
-    let (s, t) = ([start, start + width], [wall.at - WALL_M / 2.0, wall.at + WALL_M / 2.0]);
+    let s = [start, start + width];
+    let t = [wall.at - WALL_M / 2.0, wall.at + WALL_M / 2.0];
     let rect = if wall.along_x {
         Rect::new(s[0], t[0], s[1], t[1])
     } else {
@@ -160,7 +165,8 @@ fn place_door(wall: &Shared, open: bool, rng: &mut Pcg64Mcg) -> Door {
 
 /// The side of `room` in which `door` is.
 pub fn side_of(door: &Door, room: &Rect) -> Side {
-    let (c, r) = (door.rect.center(), room.center());
+    let c = door.rect.center();
+    let r = room.center();
     match (door.along_x, c[0] < r[0], c[1] < r[1]) {
         (true, _, true) => Side::South,
         (true, _, false) => Side::North,
@@ -175,7 +181,7 @@ pub fn span_of(door: &Door, wall: &WallFrame) -> [f32; 2] {
     [s - door.width_m / 2.0, s + door.width_m / 2.0]
 }
 
-/// Stretches of a cell's side that no other room touches, in the frame of the room's wall.
+/// Parts of a cell's side that no other room touches, in the frame of the room's wall.
 pub fn outer_spans(cells: &[Cell], index: usize, side: Side, wall: &WallFrame) -> Vec<[f32; 2]> {
     let cell = cells[index].rect;
     let mut spans = vec![[0.0, wall.length_m]];
@@ -192,15 +198,17 @@ pub fn outer_spans(cells: &[Cell], index: usize, side: Side, wall: &WallFrame) -
         if (here - there).abs() > 1e-3 || !meets {
             continue;
         }
-        let (a, b) = (wall.project(other.rect.min), wall.project(other.rect.max));
-        let (lo, hi) = (a.min(b) - WALL_M / 2.0, a.max(b) + WALL_M / 2.0);
+        let a = wall.project(other.rect.min);
+        let b = wall.project(other.rect.max);
+        let lo = a.min(b) - WALL_M / 2.0;
+        let hi = a.max(b) + WALL_M / 2.0;
         spans = spans.iter().flat_map(|s| [[s[0], s[1].min(lo)], [s[0].max(hi), s[1]]]).collect();
     }
     spans.retain(|s| s[1] - s[0] > 0.05);
     spans
 }
 
-/// Windows in outer walls: one every 2 to 3 m, smaller and higher in baths.
+/// Places windows in outer walls: one every 2 to 3 m, smaller and higher in baths.
 pub fn windows(cells: &[Cell], rooms: &[Room], rng: &mut Pcg64Mcg) -> Vec<Window> {
     let mut windows = Vec::new();
     for (index, room) in rooms.iter().enumerate() {
@@ -208,14 +216,14 @@ pub fn windows(cells: &[Cell], rooms: &[Room], rng: &mut Pcg64Mcg) -> Vec<Window
             let wall = room.rect.wall(side);
             for span in outer_spans(cells, index, side, &wall) {
                 let length = span[1] - span[0];
-                let (wish, height): (f32, _) = match room.kind {
+                let (preferred_width, height): (f32, _) = match room.kind {
                     RoomKind::Bath => (0.6, [1.4, 2.05]),
                     RoomKind::OpenPlan | RoomKind::Meeting => {
                         (rng.random_range(1.4..1.8), [0.9, 2.2])
                     }
                     _ => (rng.random_range(0.9..1.5), [0.9, 2.1]),
                 };
-                let width = wish.min(length - 0.7);
+                let width = preferred_width.min(length - 0.7);
                 let count = ((length / rng.random_range(2.2..3.2)) as usize).max(1);
                 if width < 0.5 || !rng.random_bool(0.8) {
                     continue;
@@ -231,12 +239,14 @@ pub fn windows(cells: &[Cell], rooms: &[Room], rng: &mut Pcg64Mcg) -> Vec<Window
     windows
 }
 
-/// Leaves for about two doors of three, where the wall beside the opening is free for them.
+/// Places open door leaves for about two of three doors, where the wall beside the opening is free
+/// for them.
 pub fn leaves(doors: &[Door], rooms: &[Room], rng: &mut Pcg64Mcg) -> Vec<Leaf> {
     let mut leaves = Vec::new();
     for door in doors {
         let wide = door.width_m > 1.05;
-        let (which, low_end) = (door.rooms[rng.random_range(0..2)], rng.random_bool(0.5));
+        let which = door.rooms[rng.random_range(0..2)];
+        let low_end = rng.random_bool(0.5);
         let room = &rooms[which];
         let side = side_of(door, &room.rect);
         let wall = room.rect.wall(side);
@@ -247,24 +257,32 @@ pub fn leaves(doors: &[Door], rooms: &[Room], rng: &mut Pcg64Mcg) -> Vec<Leaf> {
         } else {
             [clear[1] + gap, clear[1] + gap + door.width_m]
         };
-        let blocked = |d: &Door| {
-            let other = span_of(d, &wall);
-            d.rooms.contains(&which)
-                && side_of(d, &room.rect) == side
-                && other[0] - 0.15 < span[1]
-                && span[0] < other[1] + 0.15
-        };
         let others = doors.iter().filter(|d| *d != door);
         let narrow = room.kind == RoomKind::Corridor;
         if wide
             || narrow
             || span[0] < 0.02
             || span[1] > wall.length_m - 0.02
-            || others.into_iter().any(blocked)
+            || others.into_iter().any(|it| meets_door(it, which, room, side, &wall, span))
         {
             continue;
         }
         leaves.push(Leaf { room: which, side, span });
     }
     leaves
+}
+
+fn meets_door(
+    d: &Door,
+    which: usize,
+    room: &Room,
+    side: Side,
+    wall: &WallFrame,
+    span: [f32; 2],
+) -> bool {
+    let other = span_of(d, wall);
+    d.rooms.contains(&which)
+        && side_of(d, &room.rect) == side
+        && other[0] - 0.15 < span[1]
+        && span[0] < other[1] + 0.15
 }

@@ -1,6 +1,7 @@
-//! Which rooms a home has and where: an outer shape, split until every room has a purpose.
+//! Floor plan of a home: an outer shape that is split until every room has a purpose.
 //!
-//! Cells are rectangles between the centre lines of walls; they tile the outer shape, so walls need no separate geometry.
+//! Cells are rectangles between the centre lines of walls. They tile the outer shape, so walls need
+//! no separate geometry.
 
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
@@ -15,14 +16,15 @@ pub struct Cell {
     pub kind: RoomKind,
 }
 
-/// Ranges for a day block (living or open plan) with a corridor wing beside it; metres between centre lines.
+/// Dimension ranges of a day block (living or open plan) with a corridor wing beside it; metres
+/// between centre lines.
 struct Wing {
     day_width: (f32, f32),
     corridor: (f32, f32),
     south_depth: (f32, f32),
     north_depth: (f32, f32),
     length: (f32, f32),
-    /// How far the day block stands out beyond the wing: an L shape.
+    /// Distance by which the day block extends beyond the wing, which makes an L shape.
     overhang: (f32, f32),
     min_room: f32,
     kitchen_depth: (f32, f32),
@@ -69,7 +71,7 @@ const OFFICE: Wing = Wing {
     rooms: (7, 11),
 };
 
-/// Splits an outer shape into rooms; the caller draws again where doors cannot connect them.
+/// Splits an outer shape into rooms. The caller draws again when doors cannot connect them.
 pub fn cells(kind: HomeKind, rng: &mut Pcg64Mcg) -> Vec<Cell> {
     let wing = match kind {
         HomeKind::Apartment => &APARTMENT,
@@ -78,7 +80,8 @@ pub fn cells(kind: HomeKind, rng: &mut Pcg64Mcg) -> Vec<Cell> {
     };
     let without_corridor = kind == HomeKind::Apartment && rng.random_bool(0.4);
     let mut cells = Vec::new();
-    // A draw misses the range of areas or rooms about every third time; the bound only guards against a bad table.
+    // A draw misses the range of areas or room counts about every third time. The bound only guards
+    // against wrong tables.
     for _ in 0..1000 {
         cells = if without_corridor { recursive(rng) } else { with_wing(kind, wing, rng) };
         let area: f32 = cells.iter().map(|c| c.rect.area_m2()).sum();
@@ -92,7 +95,7 @@ pub fn cells(kind: HomeKind, rng: &mut Pcg64Mcg) -> Vec<Cell> {
     cells
 }
 
-/// A multiple of 5 cm, so that coordinates that should be equal are.
+/// Rounds to a multiple of 5 cm, so that coordinates that should be equal are.
 fn snap(v: f32) -> f32 {
     (v * 20.0).round() / 20.0
 }
@@ -102,26 +105,30 @@ fn draw(range: (f32, f32), rng: &mut Pcg64Mcg) -> f32 {
 }
 
 fn with_wing(kind: HomeKind, wing: &Wing, rng: &mut Pcg64Mcg) -> Vec<Cell> {
-    let (a, b) = (draw(wing.day_width, rng), draw(wing.length, rng));
-    let (south, corridor, north) =
-        (draw(wing.south_depth, rng), draw(wing.corridor, rng), draw(wing.north_depth, rng));
+    let a = draw(wing.day_width, rng);
+    let b = draw(wing.length, rng);
+    let south = draw(wing.south_depth, rng);
+    let corridor = draw(wing.corridor, rng);
+    let north = draw(wing.north_depth, rng);
     let depth = snap(south + corridor + north);
     let overhang = if rng.random_bool(0.55) { draw(wing.overhang, rng) } else { 0.0 };
     let height = snap(depth + overhang);
-    let (door0, door1) = (south, snap(south + corridor));
+    let door0 = south;
+    let door1 = snap(south + corridor);
     let mut cells = day_block(kind, wing, Rect::new(0.0, 0.0, a, height), (door0, door1), rng);
     let end = snap(a + b);
     cells.push(Cell { rect: Rect::new(a, door0, end, door1), kind: RoomKind::Corridor });
     let rows = [Rect::new(a, 0.0, end, door0), Rect::new(a, door1, end, depth)];
-    let (south_rooms, north_rooms) =
-        (split_row(rows[0], wing.min_room, rng), split_row(rows[1], wing.min_room, rng));
+    let south_rooms = split_row(rows[0], wing.min_room, rng);
+    let north_rooms = split_row(rows[1], wing.min_room, rng);
     let kinds = wing_kinds(kind, &south_rooms, &north_rooms, rng);
     let rects = south_rooms.into_iter().chain(north_rooms);
     cells.extend(rects.zip(kinds).map(|(rect, kind)| Cell { rect, kind }));
     cells
 }
 
-/// Living room (which meets the corridor between `meets`) and kitchen; in an office the open plan takes the whole block.
+/// Living room (which borders the corridor between `meets`) and kitchen. In an office the open plan
+/// takes the whole block.
 fn day_block(
     kind: HomeKind,
     wing: &Wing,
@@ -132,7 +139,8 @@ fn day_block(
     if kind == HomeKind::Office {
         return vec![Cell { rect: block, kind: RoomKind::OpenPlan }];
     }
-    let (x1, y1) = (block.max[0], block.max[1]);
+    let x1 = block.max[0];
+    let y1 = block.max[1];
     let kitchen = draw(wing.kitchen_depth, rng);
     let above = y1 - meets.1 >= kitchen + 0.3 && rng.random_bool(0.6);
     let (living, strip) = if above {
@@ -160,7 +168,7 @@ fn day_block(
     cells
 }
 
-/// Splits a row of rooms along x into as many as fit comfortably, of uneven widths.
+/// Splits a row along x into as many rooms as fit comfortably, of uneven widths.
 fn split_row(row: Rect, min_width: f32, rng: &mut Pcg64Mcg) -> Vec<Rect> {
     let length = row.size()[0];
     let most = ((length / min_width).floor() as usize).max(1);
@@ -180,7 +188,8 @@ fn split_row(row: Rect, min_width: f32, rng: &mut Pcg64Mcg) -> Vec<Rect> {
     rects
 }
 
-/// What the rooms along a corridor are for: the smallest one is a bath, an office's largest one is for meetings.
+/// Purposes of the rooms along a corridor: the smallest is a bath, an office's largest is for
+/// meetings.
 fn wing_kinds(kind: HomeKind, south: &[Rect], north: &[Rect], rng: &mut Pcg64Mcg) -> Vec<RoomKind> {
     let rects: Vec<Rect> = south.iter().chain(north).copied().collect();
     let mut order: Vec<usize> = (0..rects.len()).collect();
@@ -208,7 +217,7 @@ fn wing_kinds(kind: HomeKind, south: &[Rect], north: &[Rect], rng: &mut Pcg64Mcg
     kinds
 }
 
-/// A flat without a corridor: the largest rectangle is split again and again.
+/// A flat without a corridor: the largest rectangle is split repeatedly.
 fn recursive(rng: &mut Pcg64Mcg) -> Vec<Cell> {
     let area = rng.random_range(44.0..80.0_f32);
     let aspect = rng.random_range(1.05..1.5_f32);
@@ -216,8 +225,7 @@ fn recursive(rng: &mut Pcg64Mcg) -> Vec<Cell> {
         vec![Rect::new(0.0, 0.0, snap((area * aspect).sqrt()), snap((area / aspect).sqrt()))];
     let count = if area < 56.0 { 4 } else { 5 };
     while rects.len() < count {
-        let sorted = |a: &&Rect, b: &&Rect| a.area_m2().total_cmp(&b.area_m2());
-        let Some(rect) = rects.iter().max_by(sorted).copied() else { break };
+        let Some(rect) = rects.iter().max_by(by_area).copied() else { break };
         rects.retain(|r| *r != rect);
         let axis = usize::from(rect.size()[1] > rect.size()[0]);
         // Uneven shares make a large living room and a small bath.
@@ -228,7 +236,8 @@ fn recursive(rng: &mut Pcg64Mcg) -> Vec<Cell> {
         };
         let share = if rng.random_bool(0.5) { share } else { 1.0 - share };
         let cut = snap(rect.min[axis] + rect.size()[axis] * share);
-        let (mut low, mut high) = (rect, rect);
+        let mut low = rect;
+        let mut high = rect;
         low.max[axis] = cut;
         high.min[axis] = cut;
         rects.extend([low, high]);
@@ -240,11 +249,17 @@ fn recursive(rng: &mut Pcg64Mcg) -> Vec<Cell> {
     rects.iter().enumerate().map(|(i, rect)| Cell { rect: *rect, kind: kind_of(i) }).collect()
 }
 
-/// Mirrors and transposes at random, so that homes do not all face the same way.
+fn by_area(a: &&Rect, b: &&Rect) -> std::cmp::Ordering {
+    a.area_m2().total_cmp(&b.area_m2())
+}
+
+/// Mirrors and transposes at random, so that homes differ in orientation.
 fn orient(cells: &mut [Cell], rng: &mut Pcg64Mcg) {
     let extent =
         cells.iter().fold([0.0_f32; 2], |m, c| [m[0].max(c.rect.max[0]), m[1].max(c.rect.max[1])]);
-    let (flip_x, flip_y, swap) = (rng.random_bool(0.5), rng.random_bool(0.5), rng.random_bool(0.5));
+    let flip_x = rng.random_bool(0.5);
+    let flip_y = rng.random_bool(0.5);
+    let swap = rng.random_bool(0.5);
     for cell in cells {
         let r = &mut cell.rect;
         for (axis, flip) in [(0, flip_x), (1, flip_y)] {

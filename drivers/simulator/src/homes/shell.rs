@@ -1,9 +1,10 @@
-//! Walls, floors and ceilings as grids of quads: fine enough for baked light to vary over them.
+//! Walls, floors and ceilings as grids of quads that are fine enough for baked light to vary over
+//! them.
 
 use super::Surface;
 use super::geometry::{Rect, Side, WallFrame};
 use super::layout::Layout;
-use super::looks::Look;
+use super::material_set::Appearance;
 use super::mesh::Mesh;
 use super::openings::{
     CASING_M, DOOR_HEIGHT_M, Hole, LINING_M, WALL_M, outer_spans, side_of, span_of,
@@ -30,12 +31,12 @@ pub fn holes(layout: &Layout, room: usize, side: Side) -> Vec<Hole> {
     doors.chain(windows.map(|w| Hole { span: w.span, height: w.height })).collect()
 }
 
-/// Everything that stays when furniture moves, but for openings and what hangs on walls.
+/// Builds floors, ceilings, walls and facades, without openings and wall fixtures.
 pub fn build(layout: &Layout, style: &HomeStyle, mesh: &mut Mesh) {
     for (index, room) in layout.rooms.iter().enumerate() {
-        let look = &style.rooms[index];
+        let appearance = &style.rooms[index];
         let mark = mesh.mark();
-        horizontal(room.rect, 0.0, false, look.floor, mesh);
+        horizontal(room.rect, 0.0, false, appearance.floor, mesh);
         mesh.tag(mark, index, Surface::Floor);
         let mark = mesh.mark();
         horizontal(room.rect, room.height_m, true, style.ceiling, mesh);
@@ -44,14 +45,14 @@ pub fn build(layout: &Layout, style: &HomeStyle, mesh: &mut Mesh) {
             let wall = room.rect.wall(side);
             let holes = holes(layout, index, side);
             let mark = mesh.mark();
-            // Each wall starts elsewhere on the texture.
-            let shift = index as f32 * 0.37 + side.quarter_turns() as f32 * 0.61;
+            // Each wall has its own offset in the texture.
+            let shift = index as f32 * 0.37 + side.quarter_rotations() as f32 * 0.61;
             panel(
                 &wall,
                 [0.0, wall.length_m],
                 room.height_m,
                 &holes,
-                look.wall_at(side),
+                appearance.wall_at(side),
                 shift,
                 mesh,
             );
@@ -66,7 +67,8 @@ pub fn build(layout: &Layout, style: &HomeStyle, mesh: &mut Mesh) {
     }
 }
 
-/// Cuts from `low` to `high` no longer than the grid, through every one of `through`.
+/// Positions that divide `low` to `high` into parts no longer than the grid, including every value
+/// of `through`.
 fn cuts(low: f32, high: f32, through: impl Iterator<Item = f32>) -> Vec<f32> {
     let mut marks: Vec<f32> = through.filter(|m| *m > low + 1e-3 && *m < high - 1e-3).collect();
     marks.extend([low, high]);
@@ -80,18 +82,20 @@ fn cuts(low: f32, high: f32, through: impl Iterator<Item = f32>) -> Vec<f32> {
     all
 }
 
-fn horizontal(rect: Rect, z: f32, down: bool, look: Look, mesh: &mut Mesh) {
-    let (xs, ys) = (
-        cuts(rect.min[0], rect.max[0], [].into_iter()),
-        cuts(rect.min[1], rect.max[1], [].into_iter()),
-    );
+fn horizontal(rect: Rect, z: f32, down: bool, appearance: Appearance, mesh: &mut Mesh) {
+    let xs = cuts(rect.min[0], rect.max[0], [].into_iter());
+    let ys = cuts(rect.min[1], rect.max[1], [].into_iter());
     for x in xs.windows(2) {
         for y in ys.windows(2) {
             let mut corners = [[x[0], y[0], z], [x[1], y[0], z], [x[1], y[1], z], [x[0], y[1], z]];
             if down {
                 corners.reverse();
             }
-            mesh.quad(corners, corners.map(|c| [c[0] / look.tile_m, c[1] / look.tile_m]), look);
+            mesh.quad(
+                corners,
+                corners.map(|c| [c[0] / appearance.tile_m, c[1] / appearance.tile_m]),
+                appearance,
+            );
         }
     }
 }
@@ -102,7 +106,7 @@ fn panel(
     span: [f32; 2],
     height: f32,
     holes: &[Hole],
-    look: Look,
+    appearance: Appearance,
     shift: f32,
     mesh: &mut Mesh,
 ) {
@@ -111,22 +115,26 @@ fn panel(
     for s in ss.windows(2) {
         for z in zs.windows(2) {
             let middle = [(s[0] + s[1]) / 2.0, (z[0] + z[1]) / 2.0];
-            let inside = |r: [f32; 2], m: f32| m > r[0] && m < r[1];
-            if holes.iter().any(|h| inside(h.span, middle[0]) && inside(h.height, middle[1])) {
+            if holes.iter().any(|h| is_inside(h.span, middle[0]) && is_inside(h.height, middle[1]))
+            {
                 continue;
             }
             let stations = [(s[1], z[0]), (s[0], z[0]), (s[0], z[1]), (s[1], z[1])];
             let corners = stations.map(|(s, z)| wall.at3(s, 0.0, z));
             mesh.quad(
                 corners,
-                stations.map(|(s, z)| [shift - s / look.tile_m, -z / look.tile_m]),
-                look,
+                stations.map(|(s, z)| [shift - s / appearance.tile_m, -z / appearance.tile_m]),
+                appearance,
             );
         }
     }
 }
 
-fn skirting(wall: &WallFrame, holes: &[Hole], look: Look, mesh: &mut Mesh) {
+fn is_inside(r: [f32; 2], m: f32) -> bool {
+    m > r[0] && m < r[1]
+}
+
+fn skirting(wall: &WallFrame, holes: &[Hole], appearance: Appearance, mesh: &mut Mesh) {
     let mut doors: Vec<[f32; 2]> = holes
         .iter()
         .filter(|h| h.height[0] <= 0.0)
@@ -136,7 +144,8 @@ fn skirting(wall: &WallFrame, holes: &[Hole], look: Look, mesh: &mut Mesh) {
     let mut from = 0.0;
     for door in doors.iter().copied().chain([[wall.length_m, 0.0]]) {
         if door[0] - from > 0.01 {
-            // Leaning against the wall: an upper edge of 1 cm would be thinner than a pixel and flicker.
+            // The skirting leans against the wall: an upper edge of 1 cm would be thinner than a
+            // pixel and flicker.
             let stations = [
                 (door[0], SKIRTING_DEPTH_M),
                 (from, SKIRTING_DEPTH_M),
@@ -145,14 +154,15 @@ fn skirting(wall: &WallFrame, holes: &[Hole], look: Look, mesh: &mut Mesh) {
             ];
             let corners = stations
                 .map(|(s, d)| wall.at3(s, d, if d > 0.0 { 0.0 } else { SKIRTING_HEIGHT_M }));
-            mesh.quad(corners, stations.map(|(s, d)| [s / look.tile_m, d]), look);
+            mesh.quad(corners, stations.map(|(s, d)| [s / appearance.tile_m, d]), appearance);
         }
         from = door[1];
     }
 }
 
-/// The outer face of an outer wall, longer by the wall's thickness at the building's convex corners.
-fn facade(layout: &Layout, index: usize, side: Side, look: Look, mesh: &mut Mesh) {
+/// The outer face of an outer wall, longer by the wall's thickness at the building's convex
+/// corners.
+fn facade(layout: &Layout, index: usize, side: Side, appearance: Appearance, mesh: &mut Mesh) {
     let wall = layout.rooms[index].rect.wall(side);
     for [mut from, mut to] in outer_spans(&layout.cells, index, side, &wall) {
         let built = |p: [f32; 2]| layout.cells.iter().any(|c| c.rect.contains(p));
@@ -170,6 +180,10 @@ fn facade(layout: &Layout, index: usize, side: Side, look: Look, mesh: &mut Mesh
             (from, layout.rooms[index].height_m),
         ];
         let corners = stations.map(|(s, z)| wall.at3(s, -WALL_M, z));
-        mesh.quad(corners, stations.map(|(s, z)| [s / look.tile_m, -z / look.tile_m]), look);
+        mesh.quad(
+            corners,
+            stations.map(|(s, z)| [s / appearance.tile_m, -z / appearance.tile_m]),
+            appearance,
+        );
     }
 }

@@ -1,4 +1,4 @@
-//! What holds for every home.
+//! Properties of every built-in home.
 
 use nalgebra::Vector3;
 
@@ -7,13 +7,13 @@ use crate::scene::Triangle;
 
 const SEEDS: u64 = 30;
 
-/// A home without light, materials and textures, which take longest to make.
-fn unlit(kind: HomeKind, seed: u64, moved: bool) -> (Home, looks::Looks) {
-    let Construction { layout, mesh, looks, furniture } =
+/// A home without baked light, materials and textures, which take most of the time.
+fn unlit(kind: HomeKind, seed: u64, moved: bool) -> (Home, material_set::MaterialSet) {
+    let Construction { layout, mesh, materials, furniture } =
         construct(kind, &HomeOptions { moved, ..HomeOptions::new(seed) });
     let (triangles, surfaces) = ambient::triangles(&mesh, &vec![[1.0; 4]; mesh.quads.len()]);
     let scene = Scene { triangles, ..Scene::default() };
-    (Home { scene, surfaces, rooms: layout.rooms, doors: layout.doors, furniture }, looks)
+    (Home { scene, surfaces, rooms: layout.rooms, doors: layout.doors, furniture }, materials)
 }
 
 fn homes(kind: HomeKind) -> impl Iterator<Item = (u64, Home)> {
@@ -38,10 +38,13 @@ fn digest(home: &Home) -> u64 {
 #[test]
 fn the_same_seed_builds_the_same_bytes_and_another_seed_does_not() {
     for kind in HomeKind::ALL {
-        let of = |seed| digest(&build(kind, &HomeOptions::new(seed)));
-        assert_eq!(of(3), of(3), "{kind}");
-        assert_ne!(of(3), of(4), "{kind}");
+        assert_eq!(digest_of(3, kind), digest_of(3, kind), "{kind}");
+        assert_ne!(digest_of(3, kind), digest_of(4, kind), "{kind}");
     }
+}
+
+fn digest_of(seed: u64, kind: HomeKind) -> u64 {
+    digest(&build(kind, &HomeOptions::new(seed)))
 }
 
 #[test]
@@ -53,7 +56,8 @@ fn names_of_kinds_are_read_back_and_others_refused() {
     assert!(error.contains("castle") && error.contains("office"), "{error}");
 }
 
-/// Free cells of 5 cm where a robot of 0.16 m stands at least 0.1 m from everything up to 1.2 m high.
+/// A grid of 5 cm cells. A cell is free where a robot of 0.16 m radius stands at least 0.1 m from
+/// everything up to 1.2 m high.
 struct Drivable {
     columns: usize,
     origin: [f32; 2],
@@ -78,7 +82,8 @@ impl Drivable {
         let reach = (Self::CLEARANCE_M / Self::CELL_M).ceil() as i64;
         let mut free: Vec<bool> = vec![true; columns * rows];
         for cell in (0..hit.len()).filter(|c| hit[*c]) {
-            let (x, y) = ((cell % columns) as i64, (cell / columns) as i64);
+            let x = (cell % columns) as i64;
+            let y = (cell / columns) as i64;
             for (dy, dx) in (-reach..=reach).flat_map(|y| (-reach..=reach).map(move |x| (y, x))) {
                 let inside =
                     (0..columns as i64).contains(&(x + dx)) && (0..rows as i64).contains(&(y + dy));
@@ -89,7 +94,7 @@ impl Drivable {
             }
         }
         let mut grid = Self { columns, origin: outer.min, free };
-        // Outside is not part of the home.
+        // The area outside of the home does not count as free.
         for cell in 0..grid.free.len() {
             let p = grid.middle(cell);
             let indoors = home.rooms.iter().any(|r| r.rect.contains(p))
@@ -113,7 +118,8 @@ impl Drivable {
             .max(1.0) as usize;
         for i in 0..=steps {
             for j in 0..=steps - i {
-                let (u, v) = (i as f32 / steps as f32, j as f32 / steps as f32);
+                let u = i as f32 / steps as f32;
+                let v = j as f32 / steps as f32;
                 let at = |k: usize| p[0][k] + u * (p[1][k] - p[0][k]) + v * (p[2][k] - p[0][k]);
                 if (0.02..=1.2).contains(&at(2)) {
                     let cell = [0, 1].map(|k| ((at(k) - origin[k]) / Self::CELL_M) as usize);
@@ -124,14 +130,16 @@ impl Drivable {
     }
 
     fn middle(&self, cell: usize) -> [f32; 2] {
-        let (x, y) = (cell % self.columns, cell / self.columns);
+        let x = cell % self.columns;
+        let y = cell / self.columns;
         [
             self.origin[0] + (x as f32 + 0.5) * Self::CELL_M,
             self.origin[1] + (y as f32 + 0.5) * Self::CELL_M,
         ]
     }
 
-    /// Cells that can be driven to from one, among those that `within` allows and that were not `seen` before.
+    /// Cells that can be reached from a cell, restricted to those that `within` allows and that are
+    /// not yet `seen`.
     fn flood(&self, from: usize, seen: &mut [bool], within: impl Fn(usize) -> bool) -> Vec<usize> {
         let mut reached = vec![from];
         seen[from] = true;
@@ -259,7 +267,8 @@ fn every_triangle_is_sound() {
                     "{kind} {seed}"
                 );
                 let p = triangle.vertices.map(|v| Vector3::from(v.position_m));
-                let (a, b) = (p[1] - p[0], p[2] - p[0]);
+                let a = p[1] - p[0];
+                let b = p[2] - p[0];
                 assert!(
                     a.cross(&b).norm() > 1e-9,
                     "{kind} {seed}: {} is degenerate: {p:?}",
@@ -299,9 +308,8 @@ fn every_triangle_is_sound() {
 #[test]
 fn texture_density_is_the_same_on_every_wall_and_floor() {
     let home = build(HomeKind::House, &HomeOptions::new(2));
-    let structure = |s: &Surface| matches!(s, Surface::Wall | Surface::Floor | Surface::Ceiling);
     for (triangle, _) in
-        home.scene.triangles.iter().zip(&home.surfaces).filter(|(_, s)| structure(s))
+        home.scene.triangles.iter().zip(&home.surfaces).filter(|(_, s)| is_structure(s))
     {
         let [a, b, c] = triangle.vertices;
         for (v, w) in [(a, b), (b, c), (c, a)] {
@@ -310,6 +318,10 @@ fn texture_density_is_the_same_on_every_wall_and_floor() {
             assert!((1.49..=3.0).contains(&(metres / tiles)), "{} m per texture", metres / tiles);
         }
     }
+}
+
+fn is_structure(s: &Surface) -> bool {
+    matches!(s, Surface::Wall | Surface::Floor | Surface::Ceiling)
 }
 
 #[test]
@@ -323,43 +335,46 @@ fn floors_cover_every_room_and_doorway_without_holes() {
                 .map(|t| t.vertices.map(|v| v.position_m))
                 .filter(|p| p.iter().all(|p| p[2].abs() < 1e-6))
                 .collect();
-            let covered = |at: [f32; 2]| {
-                floor.iter().any(|p| {
-                    let side = |a: [f32; 3], b: [f32; 3]| {
-                        (b[0] - a[0]) * (at[1] - a[1]) - (at[0] - a[0]) * (b[1] - a[1])
-                    };
-                    let s = [side(p[0], p[1]), side(p[1], p[2]), side(p[2], p[0])];
-                    s.iter().all(|s| *s >= -1e-5) || s.iter().all(|s| *s <= 1e-5)
-                })
-            };
             for rect in home.rooms.iter().map(|r| r.rect).chain(home.doors.iter().map(|d| d.rect)) {
                 let [w, d] = rect.size();
                 for i in 0..60 {
                     let share = |k: f32| (0.5 + k * i as f32).fract();
                     let at = [rect.min[0] + w * share(0.618), rect.min[1] + d * share(0.755)];
-                    assert!(covered(at), "{kind} {seed}: no floor at {at:?}");
+                    assert!(is_covered(at, &floor), "{kind} {seed}: no floor at {at:?}");
                 }
             }
         }
     }
 }
 
+fn is_covered(at: [f32; 2], floor: &[[[f32; 3]; 3]]) -> bool {
+    floor.iter().any(|p| {
+        let s = [
+            side_of_line(p[0], p[1], at),
+            side_of_line(p[1], p[2], at),
+            side_of_line(p[2], p[0], at),
+        ];
+        s.iter().all(|s| *s >= -1e-5) || s.iter().all(|s| *s <= 1e-5)
+    })
+}
+
+fn side_of_line(a: [f32; 3], b: [f32; 3], at: [f32; 2]) -> f32 {
+    (b[0] - a[0]) * (at[1] - a[1]) - (at[0] - a[0]) * (b[1] - a[1])
+}
+
 #[test]
 fn moving_furniture_moves_nothing_else() {
     for kind in HomeKind::ALL {
         for seed in 0..8 {
-            let (home, looks) = unlit(kind, seed, false);
-            let (moved, looks_moved) = unlit(kind, seed, true);
-            // Textures follow from these and the seed.
-            assert_eq!(looks, looks_moved, "{kind} {seed}");
+            let (home, materials) = unlit(kind, seed, false);
+            let (moved, materials_moved) = unlit(kind, seed, true);
+            // Textures depend only on the materials and the seed.
+            assert_eq!(materials, materials_moved, "{kind} {seed}");
             assert_eq!((&home.rooms, &home.doors), (&moved.rooms, &moved.doors), "{kind} {seed}");
-            let fixed = |home: &Home| -> Vec<_> {
-                let triangles = home.scene.triangles.iter().zip(&home.surfaces);
-                let kept = triangles.filter(|(_, s)| **s != Surface::Furniture);
-                kept.map(|(t, s)| (t.material, t.vertices.map(|v| (v.position_m, v.uv)), *s))
-                    .collect()
-            };
-            assert!(fixed(&home) == fixed(&moved), "{kind} {seed}: walls differ");
+            assert!(
+                fixed_triangles(&home) == fixed_triangles(&moved),
+                "{kind} {seed}: walls differ"
+            );
             let stayed = home.furniture.iter().filter(|f| moved.furniture.contains(f)).count();
             assert!(
                 stayed * 3 < home.furniture.len(),
@@ -370,19 +385,31 @@ fn moving_furniture_moves_nothing_else() {
     }
 }
 
+/// Material, corners with texture coordinates, and kind of surface of a triangle.
+type FixedTriangle = (u32, [([f32; 3], [f32; 2]); 3], Surface);
+
+fn fixed_triangles(home: &Home) -> Vec<FixedTriangle> {
+    let triangles = home.scene.triangles.iter().zip(&home.surfaces);
+    let kept = triangles.filter(|(_, s)| **s != Surface::Furniture);
+    kept.map(|(t, s)| (t.material, t.vertices.map(|v| (v.position_m, v.uv)), *s)).collect()
+}
+
 #[test]
 fn texture_strength_scales_what_walls_show() {
-    let contrast = |strength: f32| {
-        let home =
-            build(HomeKind::Apartment, &HomeOptions { texture: strength, ..HomeOptions::new(1) });
-        let wall = home.scene.materials.iter().find(|m| m.name == "painted wall").unwrap();
-        let texture = &home.scene.textures[wall.texture.unwrap() as usize];
-        let values: Vec<f64> = texture.rgba.chunks_exact(4).map(|p| f64::from(p[1])).collect();
-        let mean = values.iter().sum::<f64>() / values.len() as f64;
-        (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
-    };
-    let (blank, calibrated, rich) = (contrast(0.0), contrast(HomeOptions::TEXTURE), contrast(1.0));
+    let blank = wall_contrast(0.0);
+    let calibrated = wall_contrast(HomeOptions::TEXTURE);
+    let rich = wall_contrast(1.0);
     assert!(blank < 0.1, "{blank}");
     assert!((3.0..9.0).contains(&calibrated), "{calibrated}");
     assert!(rich > 2.5 * calibrated, "{rich} against {calibrated}");
+}
+
+fn wall_contrast(strength: f32) -> f64 {
+    let home =
+        build(HomeKind::Apartment, &HomeOptions { texture: strength, ..HomeOptions::new(1) });
+    let wall = home.scene.materials.iter().find(|m| m.name == "painted wall").unwrap();
+    let texture = &home.scene.textures[wall.texture.unwrap() as usize];
+    let values: Vec<f64> = texture.rgba.chunks_exact(4).map(|p| f64::from(p[1])).collect();
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
 }

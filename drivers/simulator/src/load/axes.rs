@@ -1,14 +1,15 @@
-//! Which way is up.
+//! Detection and conversion of the up axis.
 
 use std::collections::BTreeMap;
 
 use crate::scene::Triangle;
 
-/// The axis of a file that points up.
+/// Which axis of a file points up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum UpAxis {
-    /// glTF is y up by its specification, and so it is taken, unless large level surfaces say very clearly (three to one)
-    /// that it is z: exports of Matterport3D keep the z axis of the scan. OBJ says nothing, so the larger level surfaces decide.
+    /// Detect the axis. glTF is y up by its specification, unless the level surfaces indicate z by
+    /// a factor of three: exports of Matterport3D keep the z axis of the scan. OBJ does not define
+    /// an up axis, so the axis with more level surface is used.
     #[default]
     Auto,
     /// y points up.
@@ -17,37 +18,40 @@ pub enum UpAxis {
     Z,
 }
 
-/// How much more level surface z must have than y before a glTF file is not believed.
-const DISBELIEF: f64 = 3.0;
+/// Ratio of level surface along z to that along y above which a glTF file is taken as z up.
+const Z_UP_RATIO: f64 = 3.0;
 
-/// Replaces [`UpAxis::Auto`] by what the surfaces say. A home has its largest flat surface at one height: the floor.
-pub fn resolve(wanted: UpAxis, is_gltf: bool, triangles: &[Triangle]) -> UpAxis {
-    if wanted != UpAxis::Auto {
-        return wanted;
+/// Replaces [`UpAxis::Auto`] by the detected axis. The largest flat surface of a home at one height
+/// is its floor.
+pub fn resolve(requested: UpAxis, is_gltf: bool, triangles: &[Triangle]) -> UpAxis {
+    if requested != UpAxis::Auto {
+        return requested;
     }
-    let (y, z) = (largest_level_area(triangles, 1), largest_level_area(triangles, 2));
-    let needed = if is_gltf { DISBELIEF * y } else { y };
+    let y = largest_level_area(triangles, 1);
+    let z = largest_level_area(triangles, 2);
+    let needed = if is_gltf { Z_UP_RATIO * y } else { y };
     if z <= needed {
         return UpAxis::Y;
     }
     if is_gltf {
         tracing::warn!(
-            "the scene's level surfaces say that z points up, against the glTF specification; using z"
+            "the scene's level surfaces indicate that z points up, contrary to the glTF specification; using z"
         );
     }
     UpAxis::Z
 }
 
-/// Turns the file's axes into z up and its units into metres.
+/// Converts the file's axes to z up and its units to metres.
 pub fn apply(up: UpAxis, scale: f32, triangles: &mut [Triangle]) {
     for vertex in triangles.iter_mut().flat_map(|t| &mut t.vertices) {
         let [x, y, z] = vertex.position_m;
-        let turned = if up == UpAxis::Z { [x, y, z] } else { [x, -z, y] };
-        vertex.position_m = turned.map(|c| c * scale);
+        let rotated = if up == UpAxis::Z { [x, y, z] } else { [x, -z, y] };
+        vertex.position_m = rotated.map(|c| c * scale);
     }
 }
 
-/// Largest area of surfaces within 15 degrees of level that lie in one slice of the scene, a 200th of its height thick.
+/// Largest area of surfaces within 15 degrees of level in one slice of the scene. A slice is a
+/// 200th of the scene's height.
 fn largest_level_area(triangles: &[Triangle], axis: usize) -> f64 {
     let heights: Vec<f64> = triangles
         .iter()
@@ -57,7 +61,7 @@ fn largest_level_area(triangles: &[Triangle], axis: usize) -> f64 {
         .collect();
     let mut sorted = heights.clone();
     sorted.sort_by(f64::total_cmp);
-    // Without the outermost percent: a stray vertex far away would make the slices too thick to tell anything.
+    // Ignores the outermost percent: a stray vertex far away would make the slices too thick.
     let trim = sorted.len() / 100;
     let thickness = ((sorted[sorted.len() - 1 - trim] - sorted[trim]) / 200.0).max(1e-9);
     let mut area = BTreeMap::<i64, f64>::new();
@@ -72,10 +76,10 @@ fn largest_level_area(triangles: &[Triangle], axis: usize) -> f64 {
     area.into_values().fold(0.0, f64::max)
 }
 
-/// Normal of a triangle, twice its area long.
+/// Normal of a triangle with a length of twice its area.
 pub(crate) fn doubled_area_vector(triangle: &Triangle) -> [f64; 3] {
     let [a, b, c] = triangle.vertices.map(|v| v.position_m.map(f64::from));
-    let (u, v): ([f64; 3], [f64; 3]) =
-        (std::array::from_fn(|i| b[i] - a[i]), std::array::from_fn(|i| c[i] - a[i]));
+    let u: [f64; 3] = std::array::from_fn(|i| b[i] - a[i]);
+    let v: [f64; 3] = std::array::from_fn(|i| c[i] - a[i]);
     [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
 }

@@ -1,4 +1,4 @@
-//! Worlds from files: glTF/GLB and OBJ/MTL.
+//! Loads scenes from glTF/GLB and OBJ/MTL files.
 
 mod axes;
 mod gltf_file;
@@ -13,7 +13,7 @@ pub use axes::UpAxis;
 use crate::error::SceneError;
 use crate::scene::{Scene, Triangle, Vertex};
 
-/// How the numbers in a file become metres with z up.
+/// Conversion of file coordinates to metres with z up.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LoadOptions {
     /// Which axis of the file points up.
@@ -28,23 +28,25 @@ impl Default for LoadOptions {
     }
 }
 
-/// A scene from a file, z up, metres, at the height that the file gives it.
+/// A scene from a file, in metres with z up. Its floor is not yet shifted to z = 0.
 #[derive(Debug)]
 pub struct Loaded {
-    /// The triangles that are sound.
+    /// The scene, without the dropped triangles.
     pub scene: Scene,
-    /// The axis that was taken as up: never [`UpAxis::Auto`].
+    /// Axis of the file that was taken as up; never [`UpAxis::Auto`].
     pub up_axis: UpAxis,
-    /// Triangles that were left out because a corner is NaN or infinite.
+    /// Triangles that were dropped because a corner is NaN or infinite.
     pub dropped_triangles: usize,
 }
 
-/// Reads a scene; the kind of file is chosen by its name's ending.
+/// Reads a scene. The file extension selects the format.
 ///
-/// Normals and normal maps are not used: a surface is lit by the way its triangles lie. Texture coordinates always wrap.
+/// Normals and normal maps are not used: lighting follows from the orientation of the triangles.
+/// Texture coordinates always wrap.
 ///
 /// # Errors
-/// When the file or something that it refers to is missing, damaged or not supported, or nothing in it is a triangle.
+/// Returns an error when the file or a file that it refers to is missing, damaged or not supported,
+/// or when it contains no triangle.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneError> {
     if !(options.scale.is_finite() && (1e-6..=1e6).contains(&options.scale)) {
         return Err(SceneError::Option {
@@ -78,7 +80,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneError> {
         tracing::warn!(
             scene = name(),
             dropped_triangles,
-            "left out triangles with NaN or infinite corners"
+            "dropped triangles with NaN or infinite corners"
         );
     }
     let up_axis = axes::resolve(options.up_axis, extension != "obj", &scene.triangles);
@@ -90,7 +92,7 @@ fn is_finite(triangle: &Triangle) -> bool {
     triangle.vertices.iter().all(|v| v.position_m.iter().chain(&v.uv).all(|c| c.is_finite()))
 }
 
-/// A corner before baking: nothing shades it.
+/// A vertex before baking, with full ambient light.
 fn corner(position_m: [f32; 3], uv: [f32; 2]) -> Vertex {
     Vertex { position_m, uv, ambient: 1.0 }
 }
@@ -99,5 +101,7 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, SceneError> {
     std::fs::read(path).map_err(|source| SceneError::Read { path: path.into(), source })
 }
 
+#[cfg(test)]
+pub(crate) mod hand_made;
 #[cfg(test)]
 pub(crate) mod tests;

@@ -18,7 +18,8 @@ const TRIANGLES: tobj::LoadOptions = tobj::LoadOptions {
     ignore_lines: true,
 };
 
-/// All faces, in the file's own axes and units. Corner colours are sRGB, as MeshLab writes them.
+/// Reads all faces in the file's axes and units. Vertex colours are taken as sRGB, as MeshLab
+/// writes them.
 pub fn read(path: &Path) -> Result<Scene, SceneError> {
     let file = std::fs::File::open(path)
         .map_err(|source| SceneError::Read { path: path.into(), source })?;
@@ -32,7 +33,7 @@ pub fn read(path: &Path) -> Result<Scene, SceneError> {
     let mut scene = Scene::default();
     read_materials(path, &materials.unwrap_or_default(), &mut scene)?;
     let mut atlas = ColorAtlas::default();
-    // Triangles that are coloured by their corners: (triangle, block of the atlas).
+    // Triangles with vertex colours: (triangle, block of the atlas).
     let mut colored = Vec::new();
     for tobj::Model { mesh, name } in &models {
         let default = scene.materials.len() as u32 - 1;
@@ -74,7 +75,8 @@ fn malformed(path: &Path, problem: String) -> SceneError {
     SceneError::Malformed { path: path.into(), format: "OBJ", problem }
 }
 
-/// Material libraries that the scene names; keeps the first error, because `tobj` would go on without a library.
+/// Loads the material libraries of the scene. Keeps the first error, because `tobj` would continue
+/// without the library.
 struct Libraries<'a> {
     scene: &'a Path,
     error: RefCell<Option<SceneError>>,
@@ -98,9 +100,10 @@ impl Libraries<'_> {
         });
         match parsed {
             Ok((mut materials, names)) => {
-                for picture in materials.iter_mut().filter_map(|m| m.diffuse_texture.as_mut()) {
-                    *picture =
-                        beside(&file, without_options(picture)).to_string_lossy().into_owned();
+                for texture_name in materials.iter_mut().filter_map(|m| m.diffuse_texture.as_mut())
+                {
+                    *texture_name =
+                        beside(&file, without_options(texture_name)).to_string_lossy().into_owned();
                 }
                 Ok((materials, names))
             }
@@ -112,7 +115,7 @@ impl Libraries<'_> {
     }
 }
 
-/// A file named by another file. Exports from Windows separate folders by backslashes.
+/// Path of a file that is referenced by another file. Windows exporters write backslashes.
 fn beside(file: &Path, name: &str) -> PathBuf {
     file.parent().unwrap_or(Path::new("")).join(name.trim().replace('\\', "/"))
 }
@@ -123,7 +126,7 @@ fn without_options(value: &str) -> &str {
     if value.starts_with('-') { value.split_whitespace().last().unwrap_or(value) } else { value }
 }
 
-/// The library's materials in their order, and a white one for faces without.
+/// Reads the library's materials in order, and appends a white one for faces without material.
 fn read_materials(
     path: &Path,
     materials: &[tobj::Material],
@@ -148,7 +151,7 @@ fn read_materials(
                 known.get(name).copied()
             }
         };
-        // With a picture, exporters leave Kd at whatever it was, often black.
+        // When there is a texture, exporters leave Kd at an arbitrary value, often black.
         let base_color =
             if texture.is_some() { [1.0; 3] } else { material.diffuse.unwrap_or([0.8; 3]) };
         let emissive = material.emissive.unwrap_or_default();
@@ -171,7 +174,7 @@ fn read_materials(
     Ok(())
 }
 
-/// All coloured triangles get one material that shows the atlas.
+/// Assigns all triangles with vertex colours one material that uses the atlas.
 fn apply_colors(scene: &mut Scene, atlas: ColorAtlas, colored: &[(usize, usize)]) {
     if colored.is_empty() {
         return;

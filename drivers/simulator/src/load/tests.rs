@@ -22,10 +22,10 @@ fn message(result: Result<Loaded, SceneError>) -> String {
 }
 
 /// Two by one pixels: red, blue.
-fn png() -> Vec<u8> {
+pub(crate) fn png() -> Vec<u8> {
     let mut bytes = std::io::Cursor::new(Vec::new());
-    let picture = image::RgbImage::from_raw(2, 1, vec![255, 0, 0, 0, 0, 255]).unwrap();
-    picture.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+    let image = image::RgbImage::from_raw(2, 1, vec![255, 0, 0, 0, 0, 255]).unwrap();
+    image.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
     bytes.into_inner()
 }
 
@@ -75,7 +75,8 @@ fn vertex_colours_of_an_obj_become_a_texture() {
     let material = &scene.materials[scene.triangles[0].material as usize];
     let texture = &scene.textures[material.texture.unwrap() as usize];
     let shown = scene.triangles[0].vertices.map(|vertex| {
-        let (x, y) = (vertex.uv[0] * texture.width as f32, vertex.uv[1] * texture.height as f32);
+        let x = vertex.uv[0] * texture.width as f32;
+        let y = vertex.uv[1] * texture.height as f32;
         let texel = (y as u32 * texture.width + x as u32) as usize;
         [texture.rgba[4 * texel], texture.rgba[4 * texel + 1], texture.rgba[4 * texel + 2]]
     });
@@ -100,7 +101,8 @@ fn what_is_missing_is_named() {
     assert!(matches!(open(&dir, "e.ply"), Err(SceneError::UnknownFormat { .. })));
 }
 
-/// One triangle (0 0 0) (1 0 0) (0 0 -1) with uv, two times in the scene: as it is and moved, turned and scaled.
+/// One triangle (0 0 0) (1 0 0) (0 0 -1) with uv, twice in the scene: unchanged, and translated,
+/// rotated and scaled.
 fn gltf(more: &str, buffer_uri: &str) -> String {
     let positions = [0.0_f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0];
     let uv = [0.0_f32, 0.0, 1.0, 0.0, 0.0, 1.0];
@@ -141,13 +143,14 @@ fn base64(bytes: &[u8]) -> String {
 fn gltf_nodes_place_their_meshes() {
     let dir = folder(&[("a.gltf", gltf("", "").as_bytes())]);
     let scene = open(&dir, "a.gltf").unwrap().scene;
-    let corners = |i: usize| {
-        scene.triangles[i].vertices.map(|v| v.position_m.map(|c| (c * 1e4).round() / 1e4 + 0.0))
-    };
     // z up: (x, -z, y).
-    assert_eq!(corners(0), [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
-    // Scaled by 3 along x, turned left by 90 degrees (x to -z), moved up by 2.
-    assert_eq!(corners(1), [[0.0, 0.0, 2.0], [0.0, 3.0, 2.0], [-1.0, 0.0, 2.0]]);
+    assert_eq!(rounded_corners(0, &scene), [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+    // Scaled by 3 along x, rotated left by 90 degrees (x to -z), translated up by 2.
+    assert_eq!(rounded_corners(1, &scene), [[0.0, 0.0, 2.0], [0.0, 3.0, 2.0], [-1.0, 0.0, 2.0]]);
+}
+
+fn rounded_corners(i: usize, scene: &Scene) -> [[f32; 3]; 3] {
+    scene.triangles[i].vertices.map(|v| v.position_m.map(|c| (c * 1e4).round() / 1e4 + 0.0))
 }
 
 #[test]
@@ -163,7 +166,7 @@ fn gltf_textures_factors_and_texture_transforms_are_kept() {
         assert_eq!(scene.textures[0].rgba[..4], [255, 0, 0, 255]);
         assert_eq!(scene.materials[0].base_color, [0.5, 1.0, 1.0]);
         assert_eq!(scene.materials[0].alpha_cutoff, Some(0.5));
-        // (1, 0) scaled to (2, 0), turned to (0, -2), moved to (0.5, -2).
+        // (1, 0) scaled to (2, 0), rotated to (0, -2), translated to (0.5, -2).
         let [u, v] = scene.triangles[0].vertices[1].uv;
         assert!((u - 0.5).abs() < 1e-6 && (v + 2.0).abs() < 1e-6, "{u} {v}");
     }
@@ -182,12 +185,11 @@ fn vertex_colours_of_a_gltf_become_a_texture() {
 
 #[test]
 fn compressed_geometry_and_pictures_are_refused_with_the_way_out() {
-    let required = |name: &str| gltf(&format!(r#","extensionsRequired":["{name}"]"#), "");
     let basis = gltf(TEXTURED, "").replace("IMAGE", r#""uri":"a.ktx2""#);
     let dir = folder(&[
-        ("draco.gltf", required("KHR_draco_mesh_compression").as_bytes()),
-        ("meshopt.gltf", required("EXT_meshopt_compression").as_bytes()),
-        ("basis.gltf", required("KHR_texture_basisu").as_bytes()),
+        ("draco.gltf", requiring_extension("KHR_draco_mesh_compression").as_bytes()),
+        ("meshopt.gltf", requiring_extension("EXT_meshopt_compression").as_bytes()),
+        ("basis.gltf", requiring_extension("KHR_texture_basisu").as_bytes()),
         ("ktx.gltf", basis.as_bytes()),
         ("a.ktx2", b"\xabKTX 20\xbb\r\n\x1a\n"),
     ]);
@@ -200,6 +202,10 @@ fn compressed_geometry_and_pictures_are_refused_with_the_way_out() {
         let text = message(open(&dir, name));
         assert!(words.iter().all(|word| text.contains(word)), "{text}");
     }
+}
+
+fn requiring_extension(name: &str) -> String {
+    gltf(&format!(r#","extensionsRequired":["{name}"]"#), "")
 }
 
 #[test]
@@ -256,22 +262,43 @@ fn an_impossible_scale_is_refused() {
     }
 }
 
-/// The scenes for development, where they are at hand.
-pub(crate) fn shared_scenes() -> Option<PathBuf> {
-    let data = std::env::var_os("EMBODIED_DEPTH_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
-        PathBuf::from,
-    );
-    let scenes = data.join("scenes");
-    if !scenes.is_dir() {
-        eprintln!("skipped: no scenes in {}; set EMBODIED_DEPTH_DATA", scenes.display());
-        return None;
+#[test]
+fn a_hand_made_home_loads_alike_from_glb_and_obj() {
+    let dir = hand_made::folder(&png());
+    for name in ["home.glb", "home.obj"] {
+        let loaded = open(&dir, name).unwrap();
+        assert_eq!(loaded.up_axis, UpAxis::Y, "{name}");
+        assert_eq!(loaded.dropped_triangles, 0, "{name}");
+        assert_eq!(loaded.scene.triangles.len(), hand_made::TRIANGLES, "{name}");
+        let floor = &loaded.scene.triangles[0];
+        assert_eq!(floor.vertices[1].position_m, [5.0, 0.0, hand_made::FLOOR_M as f32], "{name}");
+        let material = &loaded.scene.materials[floor.material as usize];
+        assert_eq!(material.name, "floor", "{name}");
+        assert_eq!(material.texture, Some(0), "{name}");
+        let wall = &loaded.scene.triangles[hand_made::TRIANGLES - 1];
+        let material = &loaded.scene.materials[wall.material as usize];
+        assert_eq!((material.base_color, material.texture), ([0.5; 3], None), "{name}");
+        assert_eq!(loaded.scene.textures[0].rgba, [255, 0, 0, 255, 0, 0, 255, 255], "{name}");
     }
-    Some(scenes)
+}
+
+/// The larger scenes for development. `None` where neither `EMBODIED_DEPTH_DATA` is set nor the
+/// default folder exists.
+pub(crate) fn shared_scenes() -> Option<PathBuf> {
+    let configured = std::env::var_os("EMBODIED_DEPTH_DATA").map(PathBuf::from);
+    let default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let scenes = configured.clone().unwrap_or_else(default).join("scenes");
+    if scenes.is_dir() {
+        return Some(scenes);
+    }
+    assert!(configured.is_none(), "EMBODIED_DEPTH_DATA has no folder {}", scenes.display());
+    eprintln!("skipped: there are no scenes in {}; set EMBODIED_DEPTH_DATA", scenes.display());
+    None
 }
 
 #[test]
-fn hand_made_worlds_load() {
+#[ignore = "needs the shared scenes; set EMBODIED_DEPTH_DATA"]
+fn shared_scenes_load() {
     let Some(scenes) = shared_scenes() else { return };
     for (name, least) in [("bathroom", 100_000), ("living-room", 60_000), ("aws_warehouse", 14_000)]
     {

@@ -1,4 +1,4 @@
-//! Pictures on surfaces.
+//! Texture decoding.
 
 use std::path::Path;
 
@@ -7,10 +7,10 @@ use image::ImageFormat;
 use crate::error::SceneError;
 use crate::scene::Texture;
 
-/// Larger pictures are refused: 16384 x 16384 texels are 1 GiB.
+/// Larger images are refused: 16384 x 16384 texels are 1 GiB.
 const MAX_SIDE: u32 = 16_384;
 
-/// Decodes a PNG or JPEG picture. `name` is for the error message.
+/// Decodes a PNG or JPEG image. `name` is for the error message.
 pub fn decode(scene: &Path, name: &str, bytes: &[u8]) -> Result<Texture, SceneError> {
     let bad =
         |problem: String| SceneError::Texture { path: scene.into(), texture: name.into(), problem };
@@ -20,18 +20,19 @@ pub fn decode(scene: &Path, name: &str, bytes: &[u8]) -> Result<Texture, SceneEr
     };
     let mut reader = image::ImageReader::with_format(std::io::Cursor::new(bytes), format);
     let mut limits = image::Limits::default();
-    (limits.max_image_width, limits.max_image_height) = (Some(MAX_SIDE), Some(MAX_SIDE));
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
     limits.max_alloc = Some(2 << 30);
     reader.limits(limits);
-    let picture = reader.decode().map_err(|error| bad(error.to_string()))?.into_rgba8();
-    Ok(Texture { width: picture.width(), height: picture.height(), rgba: picture.into_raw() })
+    let image = reader.decode().map_err(|error| bad(error.to_string()))?.into_rgba8();
+    Ok(Texture { width: image.width(), height: image.height(), rgba: image.into_raw() })
 }
 
-/// What to do about a picture in another format.
+/// Advice for textures in an unsupported format.
 pub const WAY_OUT: &str =
     "convert the scene's textures, for example with `gltf-transform png in.glb out.glb`";
 
-/// What the first bytes of a picture that cannot be decoded say.
+/// Identifies the format of an unsupported image by its first bytes.
 fn kind(bytes: &[u8]) -> &'static str {
     match bytes {
         [0xab, b'K', b'T', b'X', b' ', b'2', b'0', ..] => "KTX2 (Basis Universal)",

@@ -1,4 +1,5 @@
-//! Ambient light for worlds that come without it: how much of the surroundings each corner of a triangle sees.
+//! Bakes ambient light for scenes that come without it: how much of its surroundings each triangle
+//! corner sees.
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -7,20 +8,22 @@ use super::bvh::{Bvh, Corners, V3};
 use super::surface::Surface;
 use crate::scene::{Scene, Triangle, Vertex};
 
-/// How [`bake_ambient`] works.
+/// Options of [`bake_ambient`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AmbientOptions {
-    /// Rays from every place that is looked around from, at most.
+    /// Maximum number of rays from each sample point.
     pub rays: usize,
-    /// Rays in all: with more places, fewer from each, but not below 8. Bounds the time.
+    /// Total number of rays. With more sample points each gets fewer rays, but at least 8. This
+    /// bounds the run time.
     pub rays_in_all: usize,
-    /// Surfaces further away than this take no light away, metres.
+    /// Surfaces farther away than this do not occlude, metres.
     pub reach_m: f32,
-    /// Light where everything within reach is closed, 0 to 1.
+    /// Ambient light at a fully occluded point, 0 to 1.
     pub darkest: f32,
-    /// Triangles with longer edges are divided, so that a wall of two triangles can be darker in its corners only, metres.
+    /// Triangles with longer edges are divided, metres, so that a wall of two triangles can be
+    /// darker only in its corners.
     pub longest_edge_m: f32,
-    /// No more triangles than this are made by dividing.
+    /// Dividing stops before the scene has more triangles than this.
     pub most_triangles: usize,
 }
 
@@ -37,8 +40,9 @@ impl Default for AmbientOptions {
     }
 }
 
-/// Sets every corner's [`Vertex::ambient`] by casting rays (ambient occlusion; Zhukov et al., "An ambient light illumination
-/// model", 1998), after dividing long triangles. Neighbours are divided alike, so no gaps open.
+/// Sets every corner's [`Vertex::ambient`] by casting rays (ambient occlusion; Zhukov et al., "An
+/// ambient light illumination model", 1998), after dividing long triangles. Neighbours are divided
+/// alike, so no gaps open.
 pub fn bake_ambient(scene: &mut Scene, options: &AmbientOptions) {
     divide_long_edges(scene, options);
     let normals: Vec<V3> =
@@ -67,25 +71,26 @@ pub fn bake_ambient(scene: &mut Scene, options: &AmbientOptions) {
     }
 }
 
-/// A side that is less open than this is inside of something; the corner of a room is a third open.
+/// A side that is less open than this lies inside an object; the corner of a room is a third open.
 const BURIED: f32 = 0.15;
-/// A side that is more open than this to a distance of many rooms is outside of the world.
+/// A side that is more open than this over a distance of many rooms faces the outside of the world.
 const VOID: f32 = 0.999;
 
-/// Somewhere on a surface to look around from.
+/// A sample point on a surface.
 #[derive(Debug, Clone, Copy)]
 struct Place {
     point: V3,
     normal: V3,
 }
 
-/// Corners this near to each other share one place, if their triangles face the same way to some 15 degrees.
+/// Corners within this distance share one sample point if their triangles face the same direction
+/// to about 15 degrees.
 const PLACE_M: f32 = 0.025;
 
-/// Where to look around from for every corner. Neighbours share: one answer for all of them, and no seam.
+/// Sample points for all corners. Neighbouring corners share a point, which avoids seams.
 struct Places {
     distinct: Vec<Place>,
-    /// For every corner of every triangle.
+    /// Index into `distinct` for every corner of every triangle.
     of_corner: Vec<u32>,
 }
 
@@ -105,7 +110,8 @@ impl Places {
         for (key, corner) in keyed {
             if last != Some(key) {
                 last = Some(key);
-                let (triangle, vertex) = (corner as usize / 3, corner as usize % 3);
+                let triangle = corner as usize / 3;
+                let vertex = corner as usize % 3;
                 places.distinct.push(Place::new(&triangles[triangle], vertex, normals[triangle]));
             }
             places.of_corner[corner as usize] = places.distinct.len() as u32 - 1;
@@ -115,7 +121,8 @@ impl Places {
 }
 
 impl Place {
-    /// A little towards the triangle's middle, so that the surface across the edge does not close half of the view.
+    /// Slightly towards the triangle's centre, so that the surface across the edge does not hide
+    /// half of the view.
     fn new(triangle: &Triangle, vertex: usize, normal: V3) -> Self {
         let [a, b, c] = triangle.vertices.map(|v| V3::from(v.position_m));
         let corner = [a, b, c][vertex];
@@ -124,8 +131,8 @@ impl Place {
         Self { point: corner + inwards * step, normal }
     }
 
-    /// Triangles are wound counter-clockwise as seen from outside, but not in every file: a side that looks into the void
-    /// or into the inside of something is not the one to be seen.
+    /// Triangles should be wound counter-clockwise as seen from outside, but not every file does
+    /// that: a side that faces the void or the inside of an object is not the visible one.
     fn ambient(&self, bvh: &Bvh, directions: &[V3], options: &AmbientOptions) -> f32 {
         if self.normal == V3::zeros() {
             return 1.0;
@@ -142,7 +149,8 @@ impl Place {
         options.darkest + (1.0 - options.darkest) * open
     }
 
-    /// Share of the half-space along `normal` that is open, weighted by the cosine. A surface far away closes less.
+    /// Open fraction of the half-space along `normal`, weighted by the cosine. Distant surfaces
+    /// occlude less.
     fn open_share(&self, normal: V3, bvh: &Bvh, directions: &[V3], reach_m: f32) -> f32 {
         let side = if normal.x.abs() < 0.7 { V3::x() } else { V3::y() };
         let tangent = normal.cross(&side).normalize();
@@ -152,15 +160,15 @@ impl Place {
             .iter()
             .map(|d| {
                 let direction = tangent * d.x + binormal * d.y + normal * d.z;
-                let met = bvh.nearest(origin, direction, reach_m, |_, _| true);
-                met.map_or(1.0, |(t, _)| t / reach_m)
+                let hit = bvh.nearest(origin, direction, reach_m, |_, _| true);
+                hit.map_or(1.0, |(t, _)| t / reach_m)
             })
             .sum();
         open / directions.len().max(1) as f32
     }
 }
 
-/// Evenly spread directions around z, as dense as the cosine (Malley's method on a Fibonacci spiral).
+/// Directions around z with cosine-weighted density (Malley's method on a Fibonacci spiral).
 fn hemisphere(count: usize) -> Vec<V3> {
     const GOLDEN_ANGLE: f32 = 2.399_963_2;
     (0..count)
@@ -173,22 +181,23 @@ fn hemisphere(count: usize) -> Vec<V3> {
         .collect()
 }
 
-/// Halves edges that are too long until none is. Whether an edge is halved depends on the edge alone, so both of its
-/// triangles do the same.
+/// Halves edges that are too long until none is left. Whether an edge is halved depends on that
+/// edge alone, so both of its triangles agree.
 fn divide_long_edges(scene: &mut Scene, options: &AmbientOptions) {
-    let too_long = |a: &Vertex, b: &Vertex| {
-        (V3::from(a.position_m) - V3::from(b.position_m)).norm() > options.longest_edge_m
-    };
     loop {
         let mut divided = Vec::with_capacity(scene.triangles.len());
         for triangle in &scene.triangles {
             let [a, b, c] = triangle.vertices;
-            let long = [too_long(&a, &b), too_long(&b, &c), too_long(&c, &a)];
+            let long = [
+                is_too_long(&a, &b, options),
+                is_too_long(&b, &c, options),
+                is_too_long(&c, &a, options),
+            ];
             divided.extend(
                 divide(&triangle.vertices, long).map(|vertices| Triangle { vertices, ..*triangle }),
             );
             if divided.len() > options.most_triangles.max(scene.triangles.len()) {
-                return; // this round would make too many; what the last one made has no gaps
+                return; // this pass would exceed the limit; the result of the last one has no gaps
             }
         }
         if divided.len() == scene.triangles.len() {
@@ -198,10 +207,18 @@ fn divide_long_edges(scene: &mut Scene, options: &AmbientOptions) {
     }
 }
 
-/// The parts of a triangle whose edges ab, bc, ca are halved where `long` says so.
+fn is_too_long(a: &Vertex, b: &Vertex, options: &AmbientOptions) -> bool {
+    (V3::from(a.position_m) - V3::from(b.position_m)).norm() > options.longest_edge_m
+}
+
+/// The parts of a triangle whose edges ab, bc, ca are halved where `long` is set.
 fn divide([a, b, c]: &[Vertex; 3], long: [bool; 3]) -> impl Iterator<Item = [Vertex; 3]> {
-    let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
-    let (a, b, c) = (*a, *b, *c);
+    let ab = middle(a, b);
+    let bc = middle(b, c);
+    let ca = middle(c, a);
+    let a = *a;
+    let b = *b;
+    let c = *c;
     let parts: [Option<[Vertex; 3]>; 4] = match long {
         [false, false, false] => [Some([a, b, c]), None, None, None],
         [true, false, false] => [Some([a, ab, c]), Some([ab, b, c]), None, None],
@@ -248,11 +265,9 @@ mod tests {
     fn corners_of_a_room_are_darker_than_its_walls() {
         let mut scene = furnished();
         bake_ambient(&mut scene, &AmbientOptions::default());
-        let (corner, edge, floor) = (
-            ambient_near(&scene, [0.0, 0.0, 0.0]),
-            ambient_near(&scene, [2.0, 0.0, 0.0]),
-            ambient_near(&scene, [2.0, 1.5, 0.0]),
-        );
+        let corner = ambient_near(&scene, [0.0, 0.0, 0.0]);
+        let edge = ambient_near(&scene, [2.0, 0.0, 0.0]);
+        let floor = ambient_near(&scene, [2.0, 1.5, 0.0]);
         assert!(corner + 0.1 < edge && edge + 0.1 < floor, "{corner} {edge} {floor}");
         assert!(floor > 0.95 && corner >= 0.35);
     }
@@ -260,28 +275,32 @@ mod tests {
     #[test]
     fn dividing_keeps_the_area_and_leaves_no_long_edge_and_no_gap() {
         let mut scene = furnished();
-        let area = |scene: &Scene| -> f32 {
-            let of = |t: &Triangle| {
-                let [a, b, c] = t.vertices.map(|v| V3::from(v.position_m));
-                (b - a).cross(&(c - a)).norm() / 2.0
-            };
-            scene.triangles.iter().map(of).sum()
-        };
-        let before = area(&scene);
+        let before = scene_area(&scene);
         divide_long_edges(&mut scene, &AmbientOptions::default());
-        assert!((area(&scene) / before - 1.0).abs() < 1e-4);
+        assert!((scene_area(&scene) / before - 1.0).abs() < 1e-4);
         let mut edges: Vec<[[i32; 3]; 2]> = Vec::new();
         for triangle in &scene.triangles {
             let points = triangle.vertices.map(|v| v.position_m);
             for (p, q) in [(0, 1), (1, 2), (2, 0)].map(|(i, j)| (points[i], points[j])) {
                 assert!((V3::from(p) - V3::from(q)).norm() <= 0.5);
-                let key = |p: [f32; 3]| p.map(|c| (c * 1e4).round() as i32);
-                edges.push(if key(p) < key(q) { [key(p), key(q)] } else { [key(q), key(p)] });
+                edges.push(if rounded_point(p) < rounded_point(q) {
+                    [rounded_point(p), rounded_point(q)]
+                } else {
+                    [rounded_point(q), rounded_point(p)]
+                });
             }
         }
-        // A closed room: every edge belongs to exactly two triangles.
+        // In a closed room every edge belongs to exactly two triangles.
         edges.sort_unstable();
         assert!(edges.chunks(2).all(|pair| pair[0] == pair[1]));
+    }
+
+    fn rounded_point(p: [f32; 3]) -> [i32; 3] {
+        p.map(|c| (c * 1e4).round() as i32)
+    }
+
+    fn scene_area(scene: &Scene) -> f32 {
+        scene.triangles.iter().map(triangle_area).sum()
     }
 
     #[test]
@@ -294,14 +313,20 @@ mod tests {
         assert!((12..=100).contains(&scene.triangles.len()));
     }
 
+    fn triangle_area(t: &Triangle) -> f32 {
+        let [a, b, c] = t.vertices.map(|v| V3::from(v.position_m));
+        (b - a).cross(&(c - a)).norm() / 2.0
+    }
+
     #[test]
-    fn the_same_light_on_any_number_of_threads() {
-        let baked = |threads: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let mut scene = furnished();
-            pool.install(|| bake_ambient(&mut scene, &AmbientOptions::default()));
-            scene
-        };
-        assert!(baked(1) == baked(4));
+    fn the_baked_light_does_not_depend_on_the_number_of_threads() {
+        assert!(baked_on(1) == baked_on(4));
+    }
+
+    fn baked_on(threads: usize) -> Scene {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut scene = furnished();
+        pool.install(|| bake_ambient(&mut scene, &AmbientOptions::default()));
+        scene
     }
 }

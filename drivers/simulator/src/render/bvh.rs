@@ -1,12 +1,12 @@
-//! The bounding volume hierarchy over a scene's triangles, and single rays through it.
+//! The bounding volume hierarchy of a scene's triangles, and single rays through it.
 
 use nalgebra::Vector3;
 use obvhs::{BvhBuildParams, aabb::Aabb, bvh2::builder::build_bvh2};
 
-/// Direction or position, metres, in the world.
+/// Direction or position in the world, metres.
 pub(super) type V3 = Vector3<f32>;
 
-/// A box by its centre and half its size: the form in which both the slab test and the plane test are shortest.
+/// A box, stored as centre and half extent, which makes the slab test and the plane test shortest.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Node {
     pub centre: V3,
@@ -17,14 +17,14 @@ pub(super) struct Node {
     pub count: u32,
 }
 
-/// Corners of a triangle and whether some of it may be a hole.
+/// Corners of a triangle and whether parts of it may be holes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Corners {
     pub points: [V3; 3],
     pub has_holes: bool,
 }
 
-/// The hierarchy. Triangles are stored in the order of its leaves.
+/// The bounding volume hierarchy. Triangles are stored in the order of its leaves.
 #[derive(Debug)]
 pub(super) struct Bvh {
     pub nodes: Vec<Node>,
@@ -32,7 +32,7 @@ pub(super) struct Bvh {
 }
 
 impl Bvh {
-    /// Builds the hierarchy; also returns, for each stored triangle, its place in `triangles`.
+    /// Builds the hierarchy. Also returns, for each stored triangle, its index in `triangles`.
     pub fn build(triangles: &[Corners]) -> (Self, Vec<u32>) {
         if triangles.is_empty() {
             return (Self { nodes: Vec::new(), triangles: Vec::new() }, Vec::new());
@@ -58,10 +58,10 @@ impl Bvh {
             .nodes
             .iter()
             .map(|node| {
-                let (low, high) =
-                    (V3::from(node.aabb.min.to_array()), V3::from(node.aabb.max.to_array()));
+                let low = V3::from(node.aabb.min.to_array());
+                let high = V3::from(node.aabb.max.to_array());
                 let centre = (low + high) * 0.5;
-                // Rounding of the centre must not shrink the box.
+                // The margin keeps rounding of the centre from shrinking the box.
                 let half = (high - centre).sup(&(centre - low)) + (low.abs() + high.abs()) * 1e-7;
                 Node { centre, half, first: node.first_index, count: node.prim_count }
             })
@@ -71,8 +71,8 @@ impl Bvh {
         (Self { nodes, triangles }, order)
     }
 
-    /// The nearest triangle that the ray meets before `t_max` (in lengths of `direction`) and that `accept` takes, with
-    /// its distance.
+    /// The nearest triangle that the ray hits before `t_max` (in lengths of `direction`) and that
+    /// `accept` accepts, with its distance.
     pub fn nearest(
         &self,
         origin: V3,
@@ -91,13 +91,14 @@ impl Bvh {
         best
     }
 
-    /// Calls `meet` with triangles that the ray meets before the limit, which `meet` may shorten.
+    /// Calls `on_hit` for triangles that the ray hits before the limit. `on_hit` may shorten the
+    /// limit.
     fn traverse(
         &self,
         origin: V3,
         direction: V3,
         t_max: f32,
-        mut meet: impl FnMut(u32, f32) -> Option<f32>,
+        mut on_hit: impl FnMut(u32, f32) -> Option<f32>,
     ) {
         let Some(root) = self.nodes.first() else { return };
         let ray = SlabRay::new(origin, direction);
@@ -123,7 +124,7 @@ impl Bvh {
                     let corners = &self.triangles[triangle as usize];
                     if let Some(t) = intersect(corners, &origin, &direction)
                         && t <= limit
-                        && let Some(shorter) = meet(triangle, t)
+                        && let Some(shorter) = on_hit(triangle, t)
                     {
                         limit = shorter;
                     }
@@ -138,12 +139,14 @@ impl Bvh {
     }
 }
 
-/// Deeper than any tree that the builder makes from data with f32 coordinates (96 is its own default).
+/// Stack size. It exceeds the depth of any tree that the builder makes from f32 coordinates (the
+/// builder's own default is 96).
 const STACK: usize = 192;
 
-/// Boxes are this much larger in every direction while the hierarchy is built, metres. The surface area heuristic weighs a
-/// flat box by its area alone, so on floors and walls of many coplanar triangles all ways to pair them cost the same, and
-/// the builder pairs badly: rays visited five times as many nodes in a hall of 8 cm tiles.
+/// Boxes are enlarged by this margin while the hierarchy is built, metres. The surface area
+/// heuristic weighs a flat box by its area alone, so on floors and walls of many coplanar triangles
+/// all pairings cost the same and the builder pairs badly: rays visited five times as many nodes in
+/// a hall of 8 cm tiles.
 const PADDING_M: f32 = 0.005;
 
 struct SlabRay {
@@ -153,32 +156,35 @@ struct SlabRay {
 
 impl SlabRay {
     fn new(origin: V3, direction: V3) -> Self {
-        // A large finite number for zero keeps 0 * infinity out of the slab test.
+        // A large finite number instead of 1/0 keeps 0 * infinity out of the slab test.
         let inverse =
             direction.map(|d| if d.abs() < 1e-12 { 1e12_f32.copysign(d) } else { 1.0 / d });
         Self { origin, inverse }
     }
 
-    /// Where the ray enters the box, 0 when it starts inside; infinite when it misses.
+    /// Distance at which the ray enters the box: 0 when it starts inside, infinite when it misses.
     #[inline(always)]
     fn entry(&self, node: &Node) -> f32 {
         let middle = (node.centre - self.origin).component_mul(&self.inverse);
         let reach = node.half.component_mul(&self.inverse.abs());
-        let (near, far) = (middle - reach, middle + reach);
+        let near = middle - reach;
+        let far = middle + reach;
         let near = near.x.max(near.y).max(near.z).max(0.0);
-        // A few rounding errors of slack: a triangle in the box's own face must not be lost.
+        // The margin of a few rounding errors keeps triangles that lie in a face of the box.
         let far = far.x.min(far.y).min(far.z) * (1.0 + 8.0 * f32::EPSILON);
         if near <= far { near } else { f32::INFINITY }
     }
 }
 
-/// Distance (in lengths of `direction`) at which a ray meets a triangle from either side.
+/// Distance (in lengths of `direction`) at which a ray hits a triangle from either side.
 ///
-/// The edge functions are those of the neighbouring triangle negated, bit for bit, so no ray slips through a shared edge
-/// (the Plücker-coordinate test of Embree's robust mode).
+/// The edge functions are bit for bit the negated ones of the neighbouring triangle, so no ray
+/// slips through a shared edge (the Plücker-coordinate test of Embree's robust mode).
 fn intersect(corners: &Corners, origin: &V3, direction: &V3) -> Option<f32> {
     let [a, b, c] = &corners.points;
-    let (a, b, c) = (a - origin, b - origin, c - origin);
+    let a = a - origin;
+    let b = b - origin;
+    let c = c - origin;
     let u = edge(&b, &c).dot(direction);
     let v = edge(&c, &a).dot(direction);
     let w = edge(&a, &b).dot(direction);
@@ -191,8 +197,8 @@ fn intersect(corners: &Corners, origin: &V3, direction: &V3) -> Option<f32> {
     (t >= 0.0 && t.is_finite()).then_some(t)
 }
 
-/// Normal of the plane through the origin and an edge: `2 * p x q`, written so that swapping p and q negates it exactly and
-/// a short edge far away keeps its digits.
+/// Normal of the plane through the origin and an edge, `2 * p x q`. This form is negated exactly
+/// when p and q are swapped, and it keeps the precision of a short edge far away.
 #[inline(always)]
 pub(super) fn edge(p: &V3, q: &V3) -> V3 {
     (p - q).cross(&(p + q))

@@ -1,7 +1,8 @@
-//! Colour and depth pictures of a scene, and distances along rays.
+//! Renders colour and depth images of a scene and casts single rays.
 //!
-//! A pinhole camera over textured triangles: every pixel's depth is that of the ray through its centre; colour is filtered
-//! over the pixel's footprint. Light is diffuse: a surface looks the same from everywhere.
+//! The camera is a pinhole. The depth of a pixel is that of the ray through its centre; its colour
+//! is filtered over the pixel's footprint. All light is diffuse, so a surface has the same colour
+//! from every direction.
 
 mod ambient;
 mod bvh;
@@ -26,33 +27,33 @@ use surface::Surface;
 use texture::{Footprint, MipChain};
 use tile::{Block, NOTHING, SIZE, View};
 
-/// A scene made ready to be looked at. Immutable; share it between threads.
+/// A scene prepared for rendering. It is immutable and can be shared between threads.
 ///
-/// Keeps its own copy of everything, so the [`Scene`]'s textures can be dropped after [`Renderer::new`].
+/// The renderer copies all data, so the [`Scene`] can be dropped after [`Renderer::new`].
 #[derive(Debug)]
 pub struct Renderer {
     bvh: Bvh,
-    /// In the order of the hierarchy's triangles.
+    /// In the order of the triangles of the hierarchy.
     surfaces: Vec<Surface>,
     materials: Vec<Material>,
     textures: Vec<Option<MipChain>>,
     tone: ToneCurve,
 }
 
-/// What a ray met first.
+/// The first surface or person that a ray hits.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
-    /// Along the ray, metres.
     pub distance_m: f64,
-    /// Unit normal, towards the ray's origin.
+    /// Unit normal on the side of the ray's origin.
     pub normal: [f64; 3],
-    /// How much light the surface throws back, 0 to 1 (its colour's luminance).
+    /// Reflectance of the surface, 0 to 1 (luminance of its colour).
     pub reflectance: f32,
 }
 
 impl Renderer {
-    /// Builds the hierarchy and the mip chains. Triangles without area, with a corner that is not a number, or with a
-    /// material that does not exist are left out; a texture whose bytes do not fit its size is left out as well.
+    /// Builds the hierarchy and the mip chains. Triangles without area, with a corner that is not
+    /// finite or with a material that does not exist are left out, as are textures whose byte count
+    /// does not match their size.
     #[must_use]
     pub fn new(scene: &Scene) -> Self {
         let seen = |t: &&crate::scene::Triangle| (t.material as usize) < scene.materials.len();
@@ -79,8 +80,9 @@ impl Renderer {
         }
     }
 
-    /// Renders RGB8 (sRGB) into `rgb`, which becomes `width * height * 3` bytes, and z-depth into `depth`, metres, 0 where
-    /// nothing is seen within 200 m. The camera's distortion is ignored. The same bytes on any number of threads.
+    /// Renders RGB8 (sRGB) into `rgb`, which is resized to `width * height * 3` bytes, and z-depth
+    /// into `depth`, metres, 0 where nothing is seen within 200 m. The camera's distortion is
+    /// ignored. The result does not depend on the number of threads.
     pub fn render(
         &self,
         camera: &CameraModel,
@@ -90,7 +92,8 @@ impl Renderer {
         rgb: &mut Vec<u8>,
         depth: &mut DepthMap,
     ) {
-        let (width, height) = (camera.width, camera.height);
+        let width = camera.width;
+        let height = camera.height;
         rgb.resize(width * height * 3, 0);
         if (depth.width(), depth.height()) != (width, height) {
             *depth = DepthMap::none(width, height);
@@ -106,9 +109,13 @@ impl Renderer {
             .for_each_init(Vec::new, |stack, (band, (rgb, depth))| {
                 for left in (0..width).step_by(SIZE) {
                     let place = (left, band * SIZE);
-                    let block = tile::see(&self.bvh, &view, place, stack, |triangle, point| {
-                        self.is_hole(triangle, &(view.origin + point))
-                    });
+                    let block = tile::nearest_surfaces(
+                        &self.bvh,
+                        &view,
+                        place,
+                        stack,
+                        |triangle, point| self.is_hole(triangle, &(view.origin + point)),
+                    );
                     let mut out = Out { left, width, rgb, depth };
                     self.shade(&view, light, place, &block, &mut out);
                     self.draw_people(&view, light, place, &bodies, &mut out);
@@ -116,39 +123,39 @@ impl Renderer {
             });
     }
 
-    /// As [`Renderer::render`], blurred by the camera's motion while the shutter is open: the average light of `pictures`
-    /// views evenly from `t_world_camera[0]` to `t_world_camera[1]`. The depth is that of the middle.
+    /// Like [`Renderer::render`], with motion blur: averages the light of `samples` views at evenly
+    /// spaced poses from `t_world_camera[0]` to `t_world_camera[1]`. The depth is that of the
+    /// middle pose.
     pub fn render_blurred(
         &self,
         camera: &CameraModel,
         t_world_camera: [&Pose3; 2],
-        pictures: usize,
+        samples: usize,
         people: &[Person],
         light: &Lighting,
         rgb: &mut Vec<u8>,
         depth: &mut DepthMap,
     ) {
         let [from, to] = t_world_camera;
-        let between = |share: f64| from.try_lerp_slerp(to, share, 1e-9).unwrap_or(*to);
         let mut sum = vec![0.0; camera.width * camera.height * 3];
         let linear: Vec<f32> = (0..=255).map(light::srgb_to_linear).collect();
-        for picture in 0..pictures {
-            let pose = between((picture as f64 + 0.5) / pictures as f64);
+        for sample in 0..samples {
+            let pose = interpolated_pose((sample as f64 + 0.5) / samples as f64, from, to);
             self.render(camera, &pose, people, light, rgb, depth);
             for (sum, byte) in sum.iter_mut().zip(rgb.iter()) {
                 *sum += linear[*byte as usize];
             }
         }
-        self.render(camera, &between(0.5), people, light, rgb, depth);
-        if pictures > 0 {
+        self.render(camera, &interpolated_pose(0.5, from, to), people, light, rgb, depth);
+        if samples > 0 {
             for (sum, byte) in sum.iter().zip(rgb.iter_mut()) {
-                *byte = light::linear_to_srgb(sum / pictures as f32);
+                *byte = light::linear_to_srgb(sum / samples as f32);
             }
         }
     }
 
-    /// Distance along a ray to the first surface or person, metres; `None` when there is none within `max_m` or the
-    /// direction (of any length) is zero or not finite.
+    /// Distance along a ray to the first surface or person, metres; `None` when there is none
+    /// within `max_m` or the direction (of any length) is zero or not finite.
     #[must_use]
     pub fn cast(
         &self,
@@ -160,7 +167,7 @@ impl Renderer {
         self.hit(origin, direction, max_m, people).map(|hit| hit.distance_m)
     }
 
-    /// As [`Renderer::cast`], with what the surface is like.
+    /// Like [`Renderer::cast`], with the normal and reflectance of the surface.
     #[must_use]
     pub fn hit(
         &self,
@@ -213,7 +220,7 @@ impl Renderer {
         self.textures.get(material.texture? as usize)?.as_ref()
     }
 
-    /// Whether the texture says that there is nothing at this point of a triangle.
+    /// Whether the texture has a hole at this point of a triangle.
     fn is_hole(&self, triangle: u32, point: &V3) -> bool {
         let surface = &self.surfaces[triangle as usize];
         let material = &self.materials[surface.material as usize];
@@ -260,7 +267,8 @@ impl Renderer {
         }
     }
 
-    /// Linear light that leaves a surface; `direction` is 1 m deep and `facing` its product with the surface's normal.
+    /// Linear light that leaves a surface. `direction` has a depth of 1 m and `facing` is its dot
+    /// product with the surface's normal.
     #[inline(always)]
     fn colour(
         &self,
@@ -274,7 +282,8 @@ impl Renderer {
         let offset = direction * depth + (view.origin - surface.origin);
         let mut albedo = material.base_color;
         if let Some(texture) = self.texture(material) {
-            // How the point moves over the surface from this pixel to the next (Igehy, "Tracing ray differentials", 1999).
+            // Motion of the point on the surface from this pixel to the next (Igehy, "Tracing ray
+            // differentials", 1999).
             let step =
                 |pixel: &V3| (pixel - direction * (surface.normal.dot(pixel) / facing)) * depth;
             let footprint = Footprint {
@@ -329,7 +338,12 @@ impl Renderer {
     }
 }
 
-/// Whether a body part may be in a block whose middle ray is `middle` (1 m deep) and whose rays end within `spread` of it.
+fn interpolated_pose(share: f64, from: &Pose3, to: &Pose3) -> Pose3 {
+    from.try_lerp_slerp(to, share, 1e-9).unwrap_or(*to)
+}
+
+/// Whether a body part may be visible in a block whose centre ray is `middle` (1 m deep) and whose
+/// rays end within `spread` of it.
 fn may_see(part: &Capsule, view: &View, middle: &V3, spread: f32) -> bool {
     let centre = ((part.from + part.to) * 0.5).cast::<f32>() - view.origin;
     let reach = ((part.to - part.from).norm() * 0.5 + part.radius_m) as f32;
@@ -340,22 +354,22 @@ fn may_see(part: &Capsule, view: &View, middle: &V3, spread: f32) -> bool {
 }
 
 fn view(camera: &CameraModel, t_world_camera: &Pose3) -> View {
-    let turn = t_world_camera.rotation;
+    let rotation = t_world_camera.rotation;
     View {
         origin: t_world_camera.translation.vector.cast(),
-        corner: (turn * camera.ray(0.0, 0.0)).cast(),
-        column: (turn * Vector3::new(1.0 / camera.fx, 0.0, 0.0)).cast(),
-        row: (turn * Vector3::new(0.0, 1.0 / camera.fy, 0.0)).cast(),
-        forward: (turn * Vector3::z()).cast(),
+        corner: (rotation * camera.ray(0.0, 0.0)).cast(),
+        column: (rotation * Vector3::new(1.0 / camera.fx, 0.0, 0.0)).cast(),
+        row: (rotation * Vector3::new(0.0, 1.0 / camera.fy, 0.0)).cast(),
+        forward: (rotation * Vector3::z()).cast(),
     }
 }
 
-/// Rec. 709.
+/// Luminance by Rec. 709.
 fn luminance(color: [f32; 3]) -> f32 {
     0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
 }
 
-/// A block's place in its band of the picture.
+/// Output buffers of a band of the image, and the block's position in them.
 struct Out<'a> {
     left: usize,
     width: usize,

@@ -10,26 +10,36 @@ use crate::scene::{Material, Scene, Texture, Triangle, Vertex};
 
 /// A parallelogram `corner + a * u + b * v` with texture coordinates 0 to 1.
 pub(crate) fn quad(corner: [f32; 3], a: [f32; 3], b: [f32; 3], material: u32) -> [Triangle; 2] {
-    let vertex = |u: f32, v: f32| Vertex {
-        position_m: std::array::from_fn(|i| corner[i] + u * a[i] + v * b[i]),
-        uv: [u, v],
-        ambient: 1.0,
-    };
-    let [p, q, r, s] = [vertex(0.0, 0.0), vertex(1.0, 0.0), vertex(1.0, 1.0), vertex(0.0, 1.0)];
+    let [p, q, r, s] = [
+        quad_vertex(0.0, 0.0, corner, a, b),
+        quad_vertex(1.0, 0.0, corner, a, b),
+        quad_vertex(1.0, 1.0, corner, a, b),
+        quad_vertex(0.0, 1.0, corner, a, b),
+    ];
     [Triangle { vertices: [p, q, r], material }, Triangle { vertices: [p, r, s], material }]
 }
 
-/// The inside of a box from the origin.
+fn quad_vertex(u: f32, v: f32, corner: [f32; 3], a: [f32; 3], b: [f32; 3]) -> Vertex {
+    Vertex {
+        position_m: std::array::from_fn(|i| corner[i] + u * a[i] + v * b[i]),
+        uv: [u, v],
+        ambient: 1.0,
+    }
+}
+
+/// The inside of a box with one corner in the origin.
 pub(crate) fn room(size: [f32; 3], material: u32) -> Vec<Triangle> {
     let [x, y, z] = size;
-    let (along_x, along_y, along_z) = ([x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]);
+    let along_x = [x, 0.0, 0.0];
+    let along_y = [0.0, y, 0.0];
+    let along_z = [0.0, 0.0, z];
     let mut triangles = Vec::new();
     for far in [[0.0; 3], size] {
         let sign = if far[0] > 0.0 { -1.0_f32 } else { 1.0 };
-        let turned = |v: [f32; 3]| v.map(|c| c * sign);
-        triangles.extend(quad(far, turned(along_x), turned(along_y), material));
-        triangles.extend(quad(far, turned(along_y), turned(along_z), material));
-        triangles.extend(quad(far, turned(along_z), turned(along_x), material));
+        let mirrored = |v: [f32; 3]| v.map(|c| c * sign);
+        triangles.extend(quad(far, mirrored(along_x), mirrored(along_y), material));
+        triangles.extend(quad(far, mirrored(along_y), mirrored(along_z), material));
+        triangles.extend(quad(far, mirrored(along_z), mirrored(along_x), material));
     }
     triangles
 }
@@ -62,7 +72,8 @@ fn photograph(
     pose: &Pose3,
     light: &Lighting,
 ) -> (Vec<u8>, DepthMap) {
-    let (mut rgb, mut depth) = (Vec::new(), DepthMap::none(0, 0));
+    let mut rgb = Vec::new();
+    let mut depth = DepthMap::none(0, 0);
     Renderer::new(scene).render(camera, pose, &[], light, &mut rgb, &mut depth);
     (rgb, depth)
 }
@@ -78,7 +89,7 @@ fn wide() -> CameraModel {
 
 #[test]
 fn a_plane_has_the_depth_that_geometry_gives_it() {
-    // The wall y = 3, seen from several places and angles.
+    // The wall y = 3, seen from several positions and angles.
     let scene = Scene {
         triangles: quad([-50.0, 3.0, -50.0], [100.0, 0.0, 0.0], [0.0, 0.0, 100.0], 0).into(),
         materials: vec![plain([0.5; 3])],
@@ -103,18 +114,21 @@ fn a_plane_has_the_depth_that_geometry_gives_it() {
                 compared += 1;
             }
         }
-        assert!(compared > 3000, "only {compared} pixels looked at the wall");
+        assert!(compared > 3000, "only {compared} pixels show the wall");
     }
 }
 
 #[test]
 fn a_quad_seen_head_on_shows_its_texels() {
-    // 32 x 24 texels, one a pixel: at depth f, a pixel is 1 m wide.
-    let (width, height, focal) = (32, 24, 16.0);
+    // 32 x 24 texels, one per pixel: at a depth of f metres, a pixel is 1 m wide.
+    let width = 32;
+    let height = 24;
+    let focal = 16.0;
     let texture = noise_texture(width, height);
     let camera = CameraModel::pinhole(width as usize, height as usize, std::f64::consts::FRAC_PI_2);
     assert!((camera.fx - focal).abs() < 1e-9);
-    let (w, h) = (width as f32, height as f32);
+    let w = width as f32;
+    let h = height as f32;
     // The identity pose looks along z with x right and y down, as the texture does.
     let scene = Scene {
         triangles: quad([-w / 2.0, -h / 2.0, focal as f32], [w, 0.0, 0.0], [0.0, h, 0.0], 0).into(),
@@ -130,8 +144,8 @@ fn a_quad_seen_head_on_shows_its_texels() {
 }
 
 #[test]
-fn a_far_texture_is_seen_as_its_average() {
-    // 256 texels a pixel: a checkerboard of black and white must be grey, not noise.
+fn a_distant_texture_appears_as_its_average() {
+    // 256 texels per pixel: a checkerboard of black and white must become grey, not noise.
     let rgba = (0..256 * 256)
         .flat_map(|i| if (i / 256 + i) % 2 == 0 { [0, 0, 0, 255] } else { [220, 220, 220, 255] });
     let scene = Scene {
@@ -151,8 +165,9 @@ fn a_far_texture_is_seen_as_its_average() {
 }
 
 #[test]
-fn turning_the_camera_moves_the_picture_by_the_homography() {
-    // A camera that only turns sees the same light along the same rays: compare at pixels that map close to pixels.
+fn rotating_the_camera_moves_the_image_by_the_homography() {
+    // A camera that only rotates sees the same light along the same rays. The test compares pixels
+    // that map close to pixel centres.
     let scene = Scene {
         triangles: room([8.0, 6.0, 2.6], 0),
         materials: vec![textured(None)],
@@ -162,19 +177,24 @@ fn turning_the_camera_moves_the_picture_by_the_homography() {
     let camera = CameraModel::pinhole(320, 96, std::f64::consts::FRAC_PI_2);
     let poses = [standing(3.0, 2.0, 0.3, 0.0), standing(3.0, 2.0, 0.5, 0.1)];
     let [first, second] = poses.map(|pose| {
-        let (mut rgb, mut depth) = (Vec::new(), DepthMap::none(0, 0));
+        let mut rgb = Vec::new();
+        let mut depth = DepthMap::none(0, 0);
         renderer.render(&camera, &pose, &[], &Lighting::default(), &mut rgb, &mut depth);
         rgb
     });
-    let (mut compared, mut sum) = (0_u32, 0_u32);
+    let mut compared = 0_u32;
+    let mut sum = 0_u32;
     for (v, u) in (0..96).flat_map(|v| (0..320).map(move |u| (v, u))) {
         let ray = poses[1].rotation.inverse()
             * (poses[0].rotation * camera.ray(f64::from(u), f64::from(v)));
         let Some((x, y)) = camera.project(&Point3::from(ray)) else { continue };
-        let near = |s: f64| (s - s.round()).abs() < 0.05;
-        if near(x) && near(y) && (0.0..319.5).contains(&x) && (0.0..95.5).contains(&y) {
-            let (a, b) =
-                ((v * 320 + u) as usize * 3, (y.round() as usize * 320 + x.round() as usize) * 3);
+        if is_near_pixel_center(x)
+            && is_near_pixel_center(y)
+            && (0.0..319.5).contains(&x)
+            && (0.0..95.5).contains(&y)
+        {
+            let a = (v * 320 + u) as usize * 3;
+            let b = (y.round() as usize * 320 + x.round() as usize) * 3;
             sum += (0..3).map(|c| u32::from(first[a + c].abs_diff(second[b + c]))).max().unwrap();
             compared += 1;
         }
@@ -187,9 +207,13 @@ fn turning_the_camera_moves_the_picture_by_the_homography() {
     );
 }
 
+fn is_near_pixel_center(s: f64) -> bool {
+    (s - s.round()).abs() < 0.05
+}
+
 #[test]
-fn holes_in_a_texture_are_looked_and_measured_through() {
-    // Left half opaque, right half hole; a wall behind.
+fn camera_and_rays_pass_through_holes_in_a_texture() {
+    // The left half is opaque, the right half is a hole; a wall is behind it.
     let rgba = [[200, 200, 200, 255], [200, 200, 200, 0]].concat();
     let mut scene = Scene {
         triangles: quad([-1.0, -1.0, 1.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], 0).into(),
@@ -211,9 +235,10 @@ fn holes_in_a_texture_are_looked_and_measured_through() {
 }
 
 #[test]
-fn nothing_is_depth_zero_and_no_distance() {
+fn an_empty_scene_has_depth_zero_and_no_distances() {
     let renderer = Renderer::new(&Scene::default());
-    let (mut rgb, mut depth) = (Vec::new(), DepthMap::none(0, 0));
+    let mut rgb = Vec::new();
+    let mut depth = DepthMap::none(0, 0);
     renderer.render(&wide(), &Pose3::identity(), &[], &Lighting::default(), &mut rgb, &mut depth);
     assert!(depth.values().iter().all(|&d| d == 0.0));
     assert_eq!(renderer.cast([0.0; 3], [1.0, 0.0, 0.0], 100.0, &[]), None);
@@ -245,16 +270,17 @@ fn a_person_hides_the_wall_at_the_depth_of_the_body() {
     let people = [Person::standing(4.0, 3.0)];
     let pose = Pose2::new(1.0, 3.0, 0.0).to_pose3() * camera_mount(0.0, 1.1, 0.0);
     let camera = CameraModel::pinhole(161, 97, std::f64::consts::FRAC_PI_2);
-    let (mut rgb, mut depth) = (Vec::new(), DepthMap::none(0, 0));
+    let mut rgb = Vec::new();
+    let mut depth = DepthMap::none(0, 0);
     renderer.render(&camera, &pose, &people, &Lighting::default(), &mut rgb, &mut depth);
-    // 1.1 m up is the torso, a cylinder of 0.18 m around x = 4.
+    // At a height of 1.1 m the ray hits the torso, a cylinder of 0.18 m radius around x = 4.
     assert!((depth.get(80, 48).unwrap() - 2.82).abs() < 1e-5);
     assert!((depth.get(105, 48).unwrap() - 7.0).abs() < 1e-4);
     assert!(
         (renderer.cast([1.0, 3.0, 1.1], [1.0, 0.0, 0.0], 30.0, &people).unwrap() - 2.82).abs()
             < 1e-9
     );
-    // Every pixel and the ray through it agree, so no block has overlooked a limb.
+    // Every pixel agrees with the ray through it, so no block has overlooked a limb.
     for (v, u) in (0..97).flat_map(|v| (0..161).map(move |u| (v, u))) {
         let ray = pose.rotation * camera.ray(u as f64, v as f64);
         let origin = pose.translation.vector.into();
@@ -266,7 +292,7 @@ fn a_person_hides_the_wall_at_the_depth_of_the_body() {
 }
 
 #[test]
-fn the_same_bytes_come_from_any_number_of_threads() {
+fn images_do_not_depend_on_the_number_of_threads() {
     let scene = Scene {
         triangles: random_triangles(3, 400),
         materials: vec![textured(None)],
@@ -274,17 +300,19 @@ fn the_same_bytes_come_from_any_number_of_threads() {
     };
     let renderer = Renderer::new(&scene);
     let people = [Person::standing(3.0, 0.0)];
-    let picture = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| {
-            let (mut rgb, mut depth) = (Vec::new(), DepthMap::none(0, 0));
-            let pose = standing(0.0, 0.0, 0.2, 0.0);
-            renderer.render(&wide(), &pose, &people, &Lighting::default(), &mut rgb, &mut depth);
-            (rgb, depth)
-        })
-    };
-    let one = picture(1);
-    assert!(picture(2) == one && picture(4) == one);
+    let one = render_with(1, &renderer, &people);
+    assert!(render_with(2, &renderer, &people) == one && render_with(4, &renderer, &people) == one);
+}
+
+fn render_with(threads: usize, renderer: &Renderer, people: &[Person]) -> (Vec<u8>, DepthMap) {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    pool.install(|| {
+        let mut rgb = Vec::new();
+        let mut depth = DepthMap::none(0, 0);
+        let pose = standing(0.0, 0.0, 0.2, 0.0);
+        renderer.render(&wide(), &pose, people, &Lighting::default(), &mut rgb, &mut depth);
+        (rgb, depth)
+    })
 }
 
 #[test]
@@ -322,32 +350,35 @@ fn brute_force(
     origin: &Vector3<f64>,
     direction: &Vector3<f64>,
 ) -> Option<f64> {
-    let distance = |t: &Triangle| {
-        let [a, b, c] = t.vertices.map(|v| Vector3::from(v.position_m).cast::<f64>());
-        let (e1, e2) = (b - a, c - a);
-        let p = direction.cross(&e2);
-        let det = e1.dot(&p);
-        let s = origin - a;
-        let u = s.dot(&p) / det;
-        let q = s.cross(&e1);
-        let v = direction.dot(&q) / det;
-        let t = e2.dot(&q) / det;
-        (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t >= 0.0).then_some(t)
-    };
-    triangles.iter().filter_map(distance).min_by(f64::total_cmp)
+    triangles.iter().filter_map(|it| distance_to(it, origin, direction)).min_by(f64::total_cmp)
+}
+
+fn distance_to(t: &Triangle, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
+    let [a, b, c] = t.vertices.map(|v| Vector3::from(v.position_m).cast::<f64>());
+    let e1 = b - a;
+    let e2 = c - a;
+    let p = direction.cross(&e2);
+    let det = e1.dot(&p);
+    let s = origin - a;
+    let u = s.dot(&p) / det;
+    let q = s.cross(&e1);
+    let v = direction.dot(&q) / det;
+    let t = e2.dot(&q) / det;
+    (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t >= 0.0).then_some(t)
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn pictures_and_rays_agree_with_brute_force(seed in 0..u64::MAX, yaw in -3.1..3.1, pitch in -0.5..0.5) {
+    fn images_and_rays_agree_with_brute_force(seed in 0..u64::MAX, yaw in -3.1..3.1, pitch in -0.5..0.5) {
         let scene = Scene { triangles: random_triangles(seed, 200), materials: vec![plain([0.5; 3])], textures: vec![] };
         let renderer = Renderer::new(&scene);
-        // Not a multiple of the block's size in either direction.
+        // The size is not a multiple of the block's size in either direction.
         let camera = CameraModel::pinhole(43, 21, std::f64::consts::FRAC_PI_2);
         let pose = standing(0.1, -0.2, yaw, pitch);
-        let (mut rgb, mut depth) = (Vec::new(), DepthMap::none(0, 0));
+        let mut rgb = Vec::new();
+        let mut depth = DepthMap::none(0, 0);
         renderer.render(&camera, &pose, &[], &Lighting::default(), &mut rgb, &mut depth);
         let mut different = 0;
         for (v, u) in (0..21).flat_map(|v| (0..43).map(move |u| (v, u))) {
@@ -369,25 +400,22 @@ proptest! {
 
     #[test]
     fn no_ray_slips_through_a_closed_mesh(seed in 0..u64::MAX) {
-        // A height field of random bumps below the camera: shared edges everywhere, seen at all angles.
+        // A height field of random bumps below the camera has shared edges everywhere, seen at all
+        // angles.
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         const N: usize = 40;
         let heights: Vec<f32> = (0..=N * (N + 2)).map(|_| rng.random_range(-0.3..0.3)).collect();
-        let vertex = |i: usize, j: usize| Vertex {
-            position_m: [i as f32 * 0.17 - 3.4, j as f32 * 0.17 - 3.4, heights[i * (N + 1) + j]],
-            uv: [0.0; 2],
-            ambient: 1.0,
-        };
         let mut triangles = Vec::new();
         for (i, j) in (0..N).flat_map(|i| (0..N).map(move |j| (i, j))) {
-            let [a, b, c, d] = [vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)];
+            let [a, b, c, d] = [bump_vertex(i, j, &heights, N), bump_vertex(i + 1, j, &heights, N), bump_vertex(i + 1, j + 1, &heights, N), bump_vertex(i, j + 1, &heights, N)];
             triangles.extend([[a, b, c], [c, d, a]].map(|vertices| Triangle { vertices, material: 0 }));
         }
         let scene = Scene { triangles, materials: vec![plain([0.5; 3])], textures: vec![] };
         let renderer = Renderer::new(&scene);
         let camera = CameraModel::pinhole(80, 80, 1.2);
         let pose = standing(0.0, 0.0, 0.0, std::f64::consts::FRAC_PI_2);
-        let (mut rgb, mut depth) = (Vec::new(), DepthMap::none(0, 0));
+        let mut rgb = Vec::new();
+        let mut depth = DepthMap::none(0, 0);
         renderer.render(&camera, &pose, &[], &Lighting::default(), &mut rgb, &mut depth);
         prop_assert!(depth.values().iter().all(|&d| d > 0.0));
         for _ in 0..2000 {
@@ -397,9 +425,18 @@ proptest! {
     }
 }
 
+fn bump_vertex(i: usize, j: usize, heights: &[f32], n: usize) -> Vertex {
+    Vertex {
+        position_m: [i as f32 * 0.17 - 3.4, j as f32 * 0.17 - 3.4, heights[i * (n + 1) + j]],
+        uv: [0.0; 2],
+        ambient: 1.0,
+    }
+}
+
 #[test]
-fn motion_blur_averages_light_along_the_way() {
-    // A bright and a dark half; turning across the border mixes them, standing still does not.
+fn motion_blur_averages_light_along_the_camera_path() {
+    // The view has a bright and a dark half. Rotation across the border mixes them, standing still
+    // does not.
     let mut triangles: Vec<_> =
         quad([5.0, 0.0, -20.0], [0.0, 40.0, 0.0], [0.0, 0.0, 40.0], 0).into();
     triangles.extend(quad([5.0, -40.0, -20.0], [0.0, 40.0, 0.0], [0.0, 0.0, 40.0], 1));
@@ -407,26 +444,38 @@ fn motion_blur_averages_light_along_the_way() {
         Scene { triangles, materials: vec![plain([0.6; 3]), plain([0.1; 3])], textures: vec![] };
     let renderer = Renderer::new(&scene);
     let camera = CameraModel::pinhole(41, 9, std::f64::consts::FRAC_PI_2);
-    let blurred = |turn: f64| {
-        let poses = [standing(0.0, 0.0, -turn, 0.0), standing(0.0, 0.0, turn, 0.0)];
-        let (mut rgb, mut depth) = (Vec::new(), DepthMap::none(0, 0));
-        renderer.render_blurred(
-            &camera,
-            [&poses[0], &poses[1]],
-            8,
-            &[],
-            &Lighting::flat(),
-            &mut rgb,
-            &mut depth,
-        );
-        assert!((depth.get(20, 4).unwrap() - 5.0).abs() < 1e-5);
-        rgb
-    };
-    let (still, moving) = (blurred(0.0), blurred(0.2));
-    let middle = |rgb: &[u8], column: usize| rgb[(4 * 41 + column) * 3];
-    assert_eq!([middle(&still, 18), middle(&still, 22)], [0.6, 0.1].map(light::linear_to_srgb));
-    assert!(middle(&moving, 20).abs_diff(light::linear_to_srgb(0.35)) < 12);
-    assert_eq!([middle(&moving, 2), middle(&moving, 38)], [0.6, 0.1].map(light::linear_to_srgb));
+    let still = blurred_image(0.0, &renderer, &camera);
+    let moving = blurred_image(0.2, &renderer, &camera);
+    assert_eq!(
+        [red_in_middle_row(&still, 18), red_in_middle_row(&still, 22)],
+        [0.6, 0.1].map(light::linear_to_srgb)
+    );
+    assert!(red_in_middle_row(&moving, 20).abs_diff(light::linear_to_srgb(0.35)) < 12);
+    assert_eq!(
+        [red_in_middle_row(&moving, 2), red_in_middle_row(&moving, 38)],
+        [0.6, 0.1].map(light::linear_to_srgb)
+    );
+}
+
+fn red_in_middle_row(rgb: &[u8], column: usize) -> u8 {
+    rgb[(4 * 41 + column) * 3]
+}
+
+fn blurred_image(yaw_rad: f64, renderer: &Renderer, camera: &CameraModel) -> Vec<u8> {
+    let poses = [standing(0.0, 0.0, -yaw_rad, 0.0), standing(0.0, 0.0, yaw_rad, 0.0)];
+    let mut rgb = Vec::new();
+    let mut depth = DepthMap::none(0, 0);
+    renderer.render_blurred(
+        camera,
+        [&poses[0], &poses[1]],
+        8,
+        &[],
+        &Lighting::flat(),
+        &mut rgb,
+        &mut depth,
+    );
+    assert!((depth.get(20, 4).unwrap() - 5.0).abs() < 1e-5);
+    rgb
 }
 
 #[test]
@@ -443,28 +492,33 @@ fn sun_patches_brighten_some_of_the_floor_and_stay_where_they_are() {
         spacing_m: 3.1,
     };
     let light = Lighting { sun: Some(sun), ..Lighting::default() };
-    let down = |x: f64| {
-        Pose2::new(x, 3.0, 0.0).to_pose3() * camera_mount(0.0, 2.0, std::f64::consts::FRAC_PI_2)
-    };
     let camera = CameraModel::pinhole(200, 200, std::f64::consts::FRAC_PI_2);
-    // A pixel is 2 cm wide on the floor; moving 0.5 m forward moves the picture down by 25 rows.
-    let (first, _) = photograph(&scene, &camera, &down(4.0), &light);
-    let (second, _) = photograph(&scene, &camera, &down(4.5), &light);
-    let bright = |rgb: &[u8]| rgb.chunks_exact(3).filter(|p| p[0] > 170).count() as f64 / 40_000.0;
+    // A pixel is 2 cm wide on the floor, so moving 0.5 m forward moves the image by 25 rows.
+    let (first, _) = photograph(&scene, &camera, &looking_down(4.0), &light);
+    let (second, _) = photograph(&scene, &camera, &looking_down(4.5), &light);
     let expected = 0.9 * 1.4 / (3.1 * 3.1);
     assert!(
-        (bright(&first) - expected).abs() < 0.06,
+        (bright_share(&first) - expected).abs() < 0.06,
         "{} of the floor, not {expected}",
-        bright(&first)
+        bright_share(&first)
     );
-    let shifted = |row: usize, column: usize| {
-        (first[(row * 200 + column) * 3], second[((row + 25) * 200 + column) * 3])
-    };
     let same = (0..175 * 200)
         .filter(|i| {
-            let (a, b) = shifted(i / 200, i % 200);
+            let (a, b) = shifted_pair(i / 200, i % 200, &first, &second);
             a.abs_diff(b) < 8
         })
         .count();
     assert!(same > 34_000, "{same} of 35000 floor points look the same");
+}
+
+fn shifted_pair(row: usize, column: usize, first: &[u8], second: &[u8]) -> (u8, u8) {
+    (first[(row * 200 + column) * 3], second[((row + 25) * 200 + column) * 3])
+}
+
+fn bright_share(rgb: &[u8]) -> f64 {
+    rgb.chunks_exact(3).filter(|p| p[0] > 170).count() as f64 / 40_000.0
+}
+
+fn looking_down(x: f64) -> Pose3 {
+    Pose2::new(x, 3.0, 0.0).to_pose3() * camera_mount(0.0, 2.0, std::f64::consts::FRAC_PI_2)
 }

@@ -1,21 +1,20 @@
-//! Textures as mip chains.
+//! Texture filtering with mip chains.
 
 use super::light::srgb_to_linear;
 use crate::scene::Texture;
 
-/// One texture with its ever smaller copies.
+/// One texture with its mip levels.
 ///
-/// Colour bytes hold the square root of linear light: a code with about the resolution of sRGB where the eye needs it, that
-/// is decoded by one multiplication. Alpha is linear.
+/// Colour bytes hold the square root of linear light. This code has about the resolution of sRGB
+/// and is decoded by one multiplication. Alpha is linear.
 #[derive(Debug)]
 pub(super) struct MipChain {
     levels: Vec<Level>,
 }
 
-/// Linear RGB and alpha.
 pub(super) type Rgba = [f32; 4];
 
-/// Where and how wide a pixel looks at a texture.
+/// Area of a texture that a pixel covers.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Footprint {
     /// Texture coordinates of the pixel's centre.
@@ -25,13 +24,15 @@ pub(super) struct Footprint {
     pub per_row: [f32; 2],
 }
 
-/// Samples along the longer axis of a footprint, at most. Floors seen from 0.8 m are stretched 4 times at 3 m.
+/// Maximum number of samples along the longer axis of a footprint. Floors seen from 0.8 m are
+/// stretched 4 times at 3 m.
 const MAX_TAPS: f32 = 4.0;
 
 impl MipChain {
     /// `None` when the texture's bytes do not fit its size or it has no texels.
     pub fn new(texture: &Texture) -> Option<Self> {
-        let (mut width, mut height) = (texture.width as usize, texture.height as usize);
+        let mut width = texture.width as usize;
+        let mut height = texture.height as usize;
         if width == 0
             || height == 0
             || texture.rgba.len() != width.checked_mul(height)?.checked_mul(4)?
@@ -40,7 +41,8 @@ impl MipChain {
         }
         let light: Vec<f32> = (0..=255).map(srgb_to_linear).collect();
         let texels = texture.rgba.chunks_exact(4);
-        // Levels are averaged from unrounded values, or dark tones would drift from one to the next.
+        // Levels are averaged from unrounded values. Rounded ones would make dark tones drift from
+        // level to level.
         let mut linear: Vec<Rgba> = texels
             .map(|p| {
                 [
@@ -53,7 +55,8 @@ impl MipChain {
             .collect();
         let mut levels = vec![Level::new(width, height, &linear)];
         while width > 1 || height > 1 {
-            let (half_width, half_height) = ((width / 2).max(1), (height / 2).max(1));
+            let half_width = (width / 2).max(1);
+            let half_height = (height / 2).max(1);
             linear = shrink(&linear, (width, height), (half_width, half_height));
             (width, height) = (half_width, half_height);
             levels.push(Level::new(width, height, &linear));
@@ -66,14 +69,12 @@ impl MipChain {
         self.levels[0].bilinear(wrap(uv[0]), wrap(uv[1])).linear(1)[3]
     }
 
-    /// Filtered colour: trilinear across the footprint, repeated along its longer axis.
+    /// Filtered colour: trilinear across the footprint, with several samples along its longer axis.
     #[inline]
     pub fn sample(&self, footprint: &Footprint) -> Rgba {
         let size = [self.levels[0].width as i32 as f32, self.levels[0].height as i32 as f32];
-        let length = |d: &[f32; 2]| {
-            ((d[0] * size[0]) * (d[0] * size[0]) + (d[1] * size[1]) * (d[1] * size[1])).sqrt()
-        };
-        let (column, row) = (length(&footprint.per_column), length(&footprint.per_row));
+        let column = texel_length(&footprint.per_column, size);
+        let row = texel_length(&footprint.per_row, size);
         let (axis, long, short) = if column > row {
             (footprint.per_column, column, row)
         } else {
@@ -99,18 +100,21 @@ impl MipChain {
         sum
     }
 
-    /// `texels`: size of the pixel, at least 1.
+    /// Trilinear sample; `texels` is the size of the pixel in texels, at least 1.
     #[inline]
     fn trilinear(&self, uv: [f32; 2], texels: f32) -> Rgba {
-        // The exponent is the level and the mantissa the way to the next: log2 in straight pieces, which is smooth enough.
+        // The exponent is the level and the mantissa the position between levels: a piecewise
+        // linear log2, which is smooth enough.
         let bits = texels.to_bits();
         let level = (bits >> 23) as usize - 127;
-        // From 0 at a quarter of the way to 1 at three quarters: half of all looks need one level only.
+        // The blend goes from 0 at a quarter of the interval to 1 at three quarters, so that half
+        // of all samples need only one level.
         const WHOLE: u64 = 1 << Mix::LEVEL_BITS;
         let fraction = u64::from((bits & 0x007f_ffff) >> (22 - Mix::LEVEL_BITS))
             .saturating_sub(WHOLE / 2)
             .min(WHOLE);
-        let (u, v) = (wrap(uv[0]), wrap(uv[1]));
+        let u = wrap(uv[0]);
+        let v = wrap(uv[1]);
         let Some([fine, coarse]) = self.levels.get(level..level + 2) else {
             return self.levels[self.levels.len() - 1].bilinear(u, v).linear(1);
         };
@@ -127,8 +131,12 @@ impl MipChain {
     }
 }
 
-/// A weighted sum of texels, two channels of 32 bits in one register: plain integer instructions filter four channels with
-/// two multiplications a texel.
+fn texel_length(d: &[f32; 2], size: [f32; 2]) -> f32 {
+    ((d[0] * size[0]) * (d[0] * size[0]) + (d[1] * size[1]) * (d[1] * size[1])).sqrt()
+}
+
+/// A weighted sum of texels, two channels of 32 bits in one register: plain integer instructions
+/// filter four channels with two multiplications per texel.
 #[derive(Debug, Default, Clone, Copy)]
 struct Mix {
     red_blue: u64,
@@ -136,16 +144,17 @@ struct Mix {
 }
 
 impl Mix {
-    /// Resolution of the place between two texels. Eight bits of colour, twice eight of place and seven of level make 31.
+    /// Resolution of the position between two texels, bits. Eight bits of colour, twice eight of
+    /// position and seven of level make 31.
     const PLACE_BITS: u32 = 8;
-    /// Resolution of the place between two levels.
+    /// Resolution of the position between two levels, bits.
     const LEVEL_BITS: u32 = 7;
 
     #[inline(always)]
     fn add_texel(&mut self, texel: u32, weight: u64) {
         const CHANNELS: u64 = 0x0000_00ff_0000_00ff;
-        let (red_blue, green_alpha) =
-            (u64::from(texel & 0x00ff_00ff), u64::from((texel >> 8) & 0x00ff_00ff));
+        let red_blue = u64::from(texel & 0x00ff_00ff);
+        let green_alpha = u64::from((texel >> 8) & 0x00ff_00ff);
         self.red_blue += ((red_blue | (red_blue << 16)) & CHANNELS) * weight;
         self.green_alpha += ((green_alpha | (green_alpha << 16)) & CHANNELS) * weight;
     }
@@ -156,24 +165,26 @@ impl Mix {
         self.green_alpha += other.green_alpha * weight;
     }
 
-    /// Linear light of a sum whose weights were those of a bilinear mix times `weight`.
+    /// Linear light of a sum of bilinear mixes whose total weight is `weight`.
     #[inline(always)]
     fn linear(&self, weight: u64) -> Rgba {
         let scale = 1.0 / (255 * (weight << (2 * Self::PLACE_BITS))) as f32;
         let channel = |lane: u64| lane as i32 as f32 * scale;
-        let (r, g) = (channel(self.red_blue), channel(self.green_alpha));
-        let (b, a) = (channel(self.red_blue >> 32), channel(self.green_alpha >> 32));
+        let r = channel(self.red_blue);
+        let g = channel(self.green_alpha);
+        let b = channel(self.red_blue >> 32);
+        let a = channel(self.green_alpha >> 32);
         [r * r, g * g, b * b, a]
     }
 }
 
-/// One size of a texture, in tiles of 4 x 4 texels: a cache line each, so that neighbours in any direction share lines and
-/// pages.
+/// One mip level, stored in tiles of 4 x 4 texels. A tile is one cache line, so neighbours in any
+/// direction share lines and pages.
 #[derive(Debug)]
 struct Level {
     width: u32,
     height: u32,
-    /// Texels from one row of tiles to the next.
+    /// Number of texels from one row of tiles to the next.
     tile_row: u32,
     /// R, G, B, A from the lowest byte.
     texels: Vec<u32>,
@@ -199,13 +210,16 @@ impl Level {
         (y >> 2) * self.tile_row + ((y & 3) << 2)
     }
 
-    /// `u`, `v` in [0, 1]; texel centres lie at half-integers; the picture repeats.
+    /// Bilinear sample for `u`, `v` in [0, 1]. Texel centres lie at half-integers and the texture
+    /// repeats.
     #[inline(always)]
     fn bilinear(&self, u: f32, v: f32) -> Mix {
         let (x0, x1, fx) = neighbours(u, self.width);
         let (y0, y1, fy) = neighbours(v, self.height);
-        let (upper, lower) = (self.row_start(y0), self.row_start(y1));
-        let (left, right) = (column_start(x0), column_start(x1));
+        let upper = self.row_start(y0);
+        let lower = self.row_start(y1);
+        let left = column_start(x0);
+        let right = column_start(x1);
         const WHOLE: u64 = 1 << Mix::PLACE_BITS;
         let mut mix = Mix::default();
         mix.add_texel(self.texels[(upper + left) as usize], (WHOLE - fx) * (WHOLE - fy));
@@ -221,10 +235,12 @@ fn column_start(x: u32) -> u32 {
     ((x >> 2) << 4) | (x & 3)
 }
 
-/// The two texels beside coordinate `s` in [0, 1] and how much the second counts, of 2^[`Mix::PLACE_BITS`].
+/// The two texels beside coordinate `s` in [0, 1] and the weight of the second, in units of
+/// 2^-[`Mix::PLACE_BITS`].
 #[inline(always)]
 fn neighbours(s: f32, size: u32) -> (u32, u32, u64) {
-    // Half a texel to the right, so that truncation is floor. Signed: its conversions are single instructions.
+    // The offset of half a texel makes truncation equal to floor. Signed integers, because their
+    // conversions are single instructions.
     let place = ((s * size as i32 as f32 + 0.5) * (1 << Mix::PLACE_BITS) as f32) as i32 as u32;
     let whole = (place >> Mix::PLACE_BITS).min(size);
     let left = if whole == 0 { size - 1 } else { whole - 1 };
@@ -232,7 +248,8 @@ fn neighbours(s: f32, size: u32) -> (u32, u32, u64) {
     (left, right, u64::from(place & ((1 << Mix::PLACE_BITS) - 1)))
 }
 
-/// The fractional part, in [0, 1]; without a call to `floor`, which plain x86-64 has no instruction for.
+/// The fractional part, in [0, 1], without a call to `floor`, for which plain x86-64 has no
+/// instruction.
 #[inline(always)]
 fn wrap(s: f32) -> f32 {
     let fraction = s - (s as i32) as f32;
@@ -241,22 +258,26 @@ fn wrap(s: f32) -> f32 {
 }
 
 fn encode(colour: &Rgba) -> u32 {
-    let byte = |value: f32| (value * 255.0 + 0.5) as u8;
     u32::from_le_bytes([
-        byte(colour[0].sqrt()),
-        byte(colour[1].sqrt()),
-        byte(colour[2].sqrt()),
-        byte(colour[3]),
+        unit_to_byte(colour[0].sqrt()),
+        unit_to_byte(colour[1].sqrt()),
+        unit_to_byte(colour[2].sqrt()),
+        unit_to_byte(colour[3]),
     ])
 }
 
-/// Area average.
+fn unit_to_byte(value: f32) -> u8 {
+    (value * 255.0 + 0.5) as u8
+}
+
+/// Reduces an image by area averaging.
 fn shrink(
     texels: &[Rgba],
     (width, height): (usize, usize),
     (to_width, to_height): (usize, usize),
 ) -> Vec<Rgba> {
-    let (columns, rows) = (shares(width, to_width), shares(height, to_height));
+    let columns = shares(width, to_width);
+    let rows = shares(height, to_height);
     let mut out = Vec::with_capacity(to_width * to_height);
     let mut line: Vec<Rgba> = vec![[0.0; 4]; width];
     for sources in &rows {
@@ -281,15 +302,18 @@ fn shrink(
     out
 }
 
-/// For each of `target` equal parts of a line of `size` texels: which texels it covers, and their shares of it.
+/// For each of `target` equal parts of a line of `size` texels: the texels that it covers and their
+/// fractions of it.
 fn shares(size: usize, target: usize) -> Vec<Vec<(usize, f32)>> {
     let span = size as f32 / target as f32;
-    let part = |index: usize| {
-        let (from, to) = (index as f32 * span, (index + 1) as f32 * span);
-        let texels = from as usize..(to.ceil() as usize).min(size);
-        texels.map(|i| (i, (to.min(i as f32 + 1.0) - from.max(i as f32)) / span)).collect()
-    };
-    (0..target).map(part).collect()
+    (0..target).map(|it| covered_texels(it, span, size)).collect()
+}
+
+fn covered_texels(index: usize, span: f32, size: usize) -> Vec<(usize, f32)> {
+    let from = index as f32 * span;
+    let to = (index + 1) as f32 * span;
+    let texels = from as usize..(to.ceil() as usize).min(size);
+    texels.map(|i| (i, (to.min(i as f32 + 1.0) - from.max(i as f32)) / span)).collect()
 }
 
 #[cfg(test)]
@@ -311,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn textures_of_the_wrong_size_are_not_made() {
+    fn textures_whose_bytes_do_not_match_their_size_are_refused() {
         assert!(MipChain::new(&Texture { width: 2, height: 2, rgba: vec![0; 15] }).is_none());
         assert!(MipChain::new(&Texture { width: 0, height: 2, rgba: vec![] }).is_none());
     }
@@ -319,11 +343,12 @@ mod tests {
     proptest! {
         #[test]
         fn any_coordinate_is_between_the_texels_beside_it(u in -3.0..3.0_f32, v in -3.0..3.0_f32) {
-            // Red rises by 20 with every column, green by 30 with every row, in the square root of light.
+            // Red rises by 20 per column and green by 30 per row, in the square root of light.
             let byte = |code: u32| super::super::light::linear_to_srgb((code as f32 / 255.0).powi(2));
             let rgba = (0..48).flat_map(|i| [byte(20 + i % 8 * 20), byte(30 + i / 8 * 30), 0, 255]).collect();
             let chain = MipChain::new(&Texture { width: 8, height: 6, rgba }).unwrap();
-            let (x, y) = (u.rem_euclid(1.0) * 8.0 - 0.5, v.rem_euclid(1.0) * 6.0 - 0.5);
+            let x = u.rem_euclid(1.0) * 8.0 - 0.5;
+            let y = v.rem_euclid(1.0) * 6.0 - 0.5;
             prop_assume!((0.0..7.0).contains(&x) && (0.0..5.0).contains(&y));
             let narrow = Footprint { uv: [u, v], per_column: [0.001, 0.0], per_row: [0.0, 0.001] };
             let [red, green, _, alpha] = chain.sample(&narrow);

@@ -1,22 +1,23 @@
-//! What a block of pixels sees first.
+//! Finds the nearest surface of every pixel of a block.
 //!
-//! All rays of a picture start in one point, so a block of them is a thin pyramid, and a triangle's edge functions and its
-//! inverse depth are affine in the pixel's column and row (homogeneous rasterisation: Olano and Greer, "Triangle scan
-//! conversion using 2D homogeneous coordinates", 1997). A block walks the hierarchy once, front to back, leaves out boxes
-//! beside the pyramid or behind what it has seen, and gets the same surfaces as one ray a pixel would.
+//! All rays of an image start at one point, so a block of rays is a thin pyramid, and a triangle's
+//! edge functions and its inverse depth are affine in the pixel's column and row (homogeneous
+//! rasterisation: Olano and Greer, "Triangle scan conversion using 2D homogeneous coordinates",
+//! 1997). A block traverses the hierarchy once, front to back, and skips boxes beside the pyramid
+//! or behind surfaces that it has found. The result is the same as that of one ray per pixel.
 
 use super::bvh::{Bvh, Corners, Node, V3, edge};
 
-/// Columns and rows of a block: two SSE or NEON registers a row.
+/// Side of a block, pixels: one row fits two SSE or NEON registers.
 pub(super) const SIZE: usize = 8;
 
-/// No triangle.
 pub(super) const NOTHING: u32 = u32::MAX;
 
-/// Surfaces further away are not seen, metres.
+/// Surfaces farther away are not seen, metres.
 pub(super) const FAR_M: f32 = 200.0;
 
-/// The rays of a picture: pixel (u, v) looks from `origin` along `corner + u * column + v * row`, which is 1 m deep.
+/// The rays of an image: the ray of pixel (u, v) goes from `origin` along `corner + u * column + v
+/// * row`, which has a depth of 1 m.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct View {
     pub origin: V3,
@@ -27,7 +28,7 @@ pub(super) struct View {
 }
 
 impl View {
-    /// The direction behind a pixel, 1 m deep.
+    /// The ray direction of a pixel, with a depth of 1 m.
     #[inline(always)]
     pub fn direction(&self, u: f32, v: f32) -> V3 {
         self.corner + self.column * u + self.row * v
@@ -39,13 +40,14 @@ impl View {
 pub(super) struct Block {
     /// 1 / z-depth, 1/m, row by row.
     pub inverse_depth: [[f32; SIZE]; SIZE],
-    /// Which triangle, or [`NOTHING`].
+    /// Index of the triangle, or [`NOTHING`].
     pub triangle: [[u32; SIZE]; SIZE],
 }
 
-/// Finds the nearest triangle of every pixel of the block whose first pixel is (`left`, `top`). `is_hole` is asked for
-/// triangles that may have holes: (triangle, point relative to the view's origin).
-pub(super) fn see(
+/// Finds the nearest triangle of every pixel of the block whose first pixel is (`left`, `top`).
+/// `is_hole` is called for triangles that may have holes, with the triangle and the point relative
+/// to the view's origin.
+pub(super) fn nearest_surfaces(
     bvh: &Bvh,
     view: &View,
     (left, top): (usize, usize),
@@ -85,7 +87,8 @@ pub(super) fn see(
             limit = 1.0 / farthest;
             continue;
         }
-        let (a, b) = (node.first, node.first + 1);
+        let a = node.first;
+        let b = node.first + 1;
         match (pyramid.entry(&bvh.nodes[a as usize]), pyramid.entry(&bvh.nodes[b as usize])) {
             (Some(near_a), Some(near_b)) if near_a <= near_b => {
                 stack.extend([(b, near_b), (a, near_a)]);
@@ -99,25 +102,27 @@ pub(super) fn see(
     block
 }
 
-/// The four side planes through the eye and half a pixel outside of the block's outermost rays, one lane each.
+/// The four side planes of the block's view pyramid, one per lane. They lie half a pixel outside of
+/// the outermost rays.
 struct Pyramid {
     origin: V3,
     forward: V3,
     forward_extent: V3,
     inward: [[f32; 4]; 3],
-    /// The same without signs.
     extent: [[f32; 4]; 3],
 }
 
 impl Pyramid {
     fn new(view: &View, left: f32, top: f32) -> Self {
-        let (right, bottom) = (left + SIZE as f32 - 0.5, top + SIZE as f32 - 0.5);
-        let (left, top) = (left - 0.5, top - 0.5);
+        let right = left + SIZE as f32 - 0.5;
+        let bottom = top + SIZE as f32 - 0.5;
+        let left = left - 0.5;
+        let top = top - 0.5;
         let corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
             .map(|(u, v)| view.direction(u, v));
         let sides: [V3; 4] = std::array::from_fn(|i| {
             let normal = corners[i].cross(&corners[(i + 1) % 4]);
-            // Towards the opposite corner, whichever way the axes turn.
+            // The normal points towards the opposite corner, for any orientation of the axes.
             if normal.dot(&corners[(i + 2) % 4]) < 0.0 { -normal } else { normal }
         });
         let inward = std::array::from_fn(|axis| sides.map(|side| side[axis]));
@@ -126,13 +131,14 @@ impl Pyramid {
         Self { origin: view.origin, forward: view.forward, forward_extent, inward, extent }
     }
 
-    /// Least z-depth of a box, or `None` when it is beside the pyramid or behind the eye.
+    /// Smallest z-depth of a box, or `None` when it is beside the pyramid or behind the camera.
     #[inline(always)]
     fn entry(&self, node: &Node) -> Option<f32> {
         let centre = node.centre - self.origin;
         let half = node.half;
-        let ([nx, ny, nz], [ex, ey, ez]) = (&self.inward, &self.extent);
-        // How far the box's innermost corner is inside of each plane.
+        let [nx, ny, nz] = &self.inward;
+        let [ex, ey, ez] = &self.extent;
+        // Distance of the box's innermost corner inside each plane.
         let mut inside = [0.0; 4];
         for side in 0..4 {
             inside[side] = (centre.x * nx[side] + centre.y * ny[side] + centre.z * nz[side])
@@ -146,7 +152,7 @@ impl Pyramid {
 }
 
 const COLUMNS: [f32; SIZE] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
-/// From the first to the last pixel of a block.
+/// Distance from the first to the last pixel of a block.
 const SPAN: f32 = (SIZE - 1) as f32;
 
 #[inline(always)]
@@ -154,7 +160,8 @@ fn positive(value: f32) -> f32 {
     if value > 0.0 { value } else { 0.0 }
 }
 
-/// Affine in column and row within the block: value at the first pixel and its change along each.
+/// A function that is affine in column and row within the block: value at the first pixel and
+/// change along each.
 #[derive(Clone, Copy)]
 struct Affine {
     first: f32,
@@ -183,14 +190,15 @@ impl Affine {
         self.first + row * self.per_row
     }
 
-    /// The largest value in a row, from that at its first pixel.
+    /// The largest value in a row, given the value at its first pixel.
     #[inline(always)]
     fn max_of_row(&self, first: f32) -> f32 {
         first + SPAN * positive(self.per_column)
     }
 }
 
-/// A triangle as the block sees it: three edge functions, not negative inside, and the inverse depth of its plane.
+/// A triangle in the coordinates of a block: three edge functions, which are not negative inside,
+/// and the inverse depth of its plane.
 struct Planes {
     edges: [Affine; 3],
     inverse_depth: Affine,
@@ -201,19 +209,21 @@ impl Planes {
     #[inline(always)]
     fn new(corners: &Corners, view: &View, first: &V3, least: f32) -> Option<Self> {
         let [a, b, c] = &corners.points;
-        let (a, b, c) = (a - view.origin, b - view.origin, c - view.origin);
+        let a = a - view.origin;
+        let b = b - view.origin;
+        let c = c - view.origin;
         let normal = (b - a).cross(&(c - a));
         let distance = normal.dot(&a);
         if distance == 0.0 {
-            return None; // seen from its edge
+            return None; // edge-on
         }
         let inverse_depth = Affine::new(&(normal / distance), view, first);
         if inverse_depth.max() < least {
             return None;
         }
-        // Not negative inside, whichever way round the triangle is seen.
-        let turn = if distance < 0.0 { -1.0 } else { 1.0 };
-        let of_edge = |p: &V3, q: &V3| Affine::new(&(edge(p, q) * turn), view, first);
+        // The sign makes the edge functions non-negative inside for both windings.
+        let sign = if distance < 0.0 { -1.0 } else { 1.0 };
+        let of_edge = |p: &V3, q: &V3| Affine::new(&(edge(p, q) * sign), view, first);
         let edges = [of_edge(&b, &c), of_edge(&c, &a), of_edge(&a, &b)];
         if edges[0].max() < 0.0 || edges[1].max() < 0.0 || edges[2].max() < 0.0 {
             return None;
@@ -221,37 +231,40 @@ impl Planes {
         Some(Self { edges, inverse_depth })
     }
 
-    /// Written without branches inside of a row: eight pixels are two vector registers.
+    /// No branches inside a row, so that the compiler vectorises it: eight pixels are two vector
+    /// registers.
     #[inline(always)]
     fn draw(&self, triangle: u32, block: &mut Block) {
         let [u, v, w] = &self.edges;
         let inverse = &self.inverse_depth;
         for row in 0..SIZE {
             let down = row as f32;
-            let (u_row, v_row, w_row) = (u.in_row(down), v.in_row(down), w.in_row(down));
+            let u_row = u.in_row(down);
+            let v_row = v.in_row(down);
+            let w_row = w.in_row(down);
             if u.max_of_row(u_row) < 0.0 || v.max_of_row(v_row) < 0.0 || w.max_of_row(w_row) < 0.0 {
                 continue;
             }
             let inverse_row = inverse.in_row(down);
-            let (seen, who) = (&mut block.inverse_depth[row], &mut block.triangle[row]);
+            let seen = &mut block.inverse_depth[row];
+            let nearest = &mut block.triangle[row];
             for column in 0..SIZE {
                 let right = COLUMNS[column];
-                let (u, v, w) = (
-                    u_row + right * u.per_column,
-                    v_row + right * v.per_column,
-                    w_row + right * w.per_column,
-                );
+                let u = u_row + right * u.per_column;
+                let v = v_row + right * v.per_column;
+                let w = w_row + right * w.per_column;
                 let depth = inverse_row + right * inverse.per_column;
                 let nearer = (u >= 0.0) & (v >= 0.0) & (w >= 0.0) & (depth > seen[column]);
                 let mask = u32::from(nearer).wrapping_neg();
                 seen[column] =
                     f32::from_bits((depth.to_bits() & mask) | (seen[column].to_bits() & !mask));
-                who[column] = (triangle & mask) | (who[column] & !mask);
+                nearest[column] = (triangle & mask) | (nearest[column] & !mask);
             }
         }
     }
 
-    /// `is_hole`: column and row in the block, z-depth.
+    /// Draws a triangle that may have holes. `is_hole` takes column and row in the block, and
+    /// z-depth.
     fn draw_with_holes(
         &self,
         triangle: u32,

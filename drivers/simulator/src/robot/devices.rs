@@ -1,4 +1,4 @@
-//! The hal traits, and the evaluation's own handle.
+//! Devices that implement the hal traits, and the ground-truth handle for evaluation.
 
 use std::convert::Infallible;
 use std::fmt;
@@ -14,10 +14,9 @@ use crate::floor::FloorPlan;
 
 type Shared = Arc<Mutex<State>>;
 
-/// The base refuses a command that is not finite, and stops.
+/// Error of a drive command that is not finite. The base stops.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DriveRefused {
-    /// What was asked for.
     pub twist: Twist2,
 }
 
@@ -36,7 +35,7 @@ impl hal::Error for DriveRefused {
     }
 }
 
-/// Renders a picture when asked at a new time.
+/// The camera: renders a frame when it is polled at a new time.
 pub struct SimCamera {
     shared: Shared,
     model: CameraModel,
@@ -68,7 +67,7 @@ impl Camera for SimCamera {
     }
 }
 
-/// Casts a scan when asked, at most one in the scanner's period.
+/// The laser scanner: casts a scan when it is polled, at most one per scan period.
 pub struct SimLidar {
     shared: Shared,
     geometry: ScanGeometry,
@@ -104,7 +103,7 @@ impl Lidar for SimLidar {
     }
 }
 
-/// The wheels.
+/// The differential-drive base.
 pub struct SimBase {
     shared: Shared,
 }
@@ -122,7 +121,7 @@ impl ErrorType for SimBase {
 impl Base for SimBase {
     fn drive(&mut self, command: &DriveCommand) -> Result<(), DriveRefused> {
         let mut state = lock(&self.shared);
-        // A repeated frame is not a sign of life.
+        // A repeated command counter must not reset the watchdog: the sender may have stopped.
         let is_new = state.last_counter.replace(command.counter) != Some(command.counter);
         if !command.twist.is_finite() {
             state.command = Twist2::ZERO;
@@ -148,7 +147,7 @@ impl Base for SimBase {
     }
 }
 
-/// Virtual time. Sleeping lets the robot drive.
+/// The virtual clock. The robot drives while the clock sleeps.
 pub struct SimClock {
     shared: Shared,
 }
@@ -169,7 +168,7 @@ impl Clock for SimClock {
     }
 }
 
-/// What only the evaluation may know. Never reachable through the hal traits.
+/// Ground truth for evaluation. It is not reachable through the hal traits.
 pub struct Truth {
     shared: Shared,
 }
@@ -185,20 +184,21 @@ impl Truth {
         lock(&self.shared).pose
     }
 
-    /// Where the frame of the odometry lies in the world, now. Moves as odometry drifts; without noise it is the start pose.
+    /// Pose of the odometry frame in the world at the current time. It moves as odometry drifts;
+    /// without noise it is the start pose.
     #[must_use]
     pub fn t_world_odom(&self) -> Pose2 {
         let state = lock(&self.shared);
         state.pose.compose(&state.odometer.pose().inverse())
     }
 
-    /// Where the robot can be.
+    /// Free space around the robot.
     #[must_use]
     pub fn floor_plan(&self) -> Arc<FloorPlan> {
         lock(&self.shared).plan.clone()
     }
 
-    /// Whether the last motion was blocked.
+    /// Whether the last step ended at an obstacle.
     #[must_use]
     pub fn contact(&self) -> bool {
         lock(&self.shared).contact
@@ -209,7 +209,7 @@ impl Truth {
         std::mem::take(&mut lock(&self.shared).touched_in_truth)
     }
 
-    /// Copies the z-depth of the last picture.
+    /// Copies the z-depth of the last frame.
     pub fn depth(&self, into: &mut DepthMap) {
         into.clone_from(&lock(&self.shared).depth);
     }

@@ -1,4 +1,4 @@
-//! Wheels on the floor: motion along the commanded arc until something is in the way.
+//! Base motion: the robot follows the commanded arc until it touches an obstacle.
 
 use hal::Twist2;
 
@@ -6,8 +6,9 @@ use super::State;
 use crate::floor::Body;
 
 impl State {
-    /// Lets the robot drive until `deadline_ns`, by the last command while that is fresh. Blocked wheels stall: they do not
-    /// count what was not driven.
+    /// Drives the robot until `deadline_ns` by the last command, while that command is younger than
+    /// the watchdog time. Blocked wheels stall, so the odometry does not count the distance that
+    /// was not driven.
     pub(super) fn run_until(&mut self, deadline_ns: u64) {
         if deadline_ns <= self.now_ns {
             return;

@@ -1,4 +1,5 @@
-//! A robot in a simulated home: the hal traits over rendered pictures, cast beams and moved wheels, in virtual time.
+//! A robot in a simulated home: implements the hal traits with rendered frames, ray-cast scans and
+//! simulated wheels, in virtual time.
 
 mod devices;
 mod drive;
@@ -24,43 +25,41 @@ use crate::world::World;
 
 pub use devices::{DriveRefused, SimBase, SimCamera, SimClock, SimLidar, Truth};
 
-/// Random streams of one run, apart from each other so that one option does not change what another draws.
+/// Random streams of a run. They are separate so that changing one option does not change the
+/// numbers drawn for another.
 const LASER_STREAM: u64 = 0x6c61_7365;
 const CAMERA_STREAM: u64 = 0x6361_6d65;
 const WHEEL_STREAM: u64 = 0x7768_6565;
 const PEOPLE_STREAM: u64 = 0x7065_6f70;
-/// Pictures that make one motion-blurred picture.
-const BLUR_PICTURES: usize = 4;
-/// People walk at about this speed indoors, m/s.
+/// Number of rendered images that are averaged into one motion-blurred frame.
+const BLUR_IMAGES: usize = 4;
+/// Walking speed of people indoors, m/s.
 const WALKING_MPS: f64 = 0.8;
-/// Corners of a person's way, and how often a next one that can be seen from the last is looked for.
+/// Number of waypoints of a person's path, and how many random positions are tried for them.
 const WAYPOINTS: usize = 4;
 const WAYPOINT_TRIES: usize = 200;
 /// Half the width of a person, metres.
 const PERSON_RADIUS_M: f64 = 0.25;
 
-/// The simulated robot. Defaults as in "Embodied Depth Prediction", section IV: a 640x192 camera of 90 degrees, 0.8 m high.
+/// Options of the simulated robot. The defaults are those of "Embodied Depth Prediction", section
+/// IV: a 640x192 camera of 90 degrees, 0.8 m high.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobotOptions {
-    /// Intrinsics.
     pub camera: CameraModel,
-    /// The camera's place on the robot.
+    /// Pose of the camera in the base frame.
     pub t_base_camera: Pose3,
-    /// The laser's place on the robot; level.
+    /// Pose of the laser scanner in the base frame; must be level.
     pub t_base_laser: Pose3,
-    /// Slide along obstacles (as Habitat does by default) or stop at them.
+    /// Whether the robot slides along obstacles (as Habitat does by default) or stops at them.
     pub sliding: bool,
-    /// Wheel noise.
     pub odometry: OdometryNoise,
-    /// The scanner.
     pub laser: LaserModel,
-    /// What makes pictures hard, and people.
+    /// Disturbances of the camera image, and people.
     pub nuisances: Nuisances,
-    /// Seed of everything random.
     pub seed: u64,
-    /// Where to start; `None`: a free place, by the seed.
+    /// Start pose; `None` selects a free pose by the seed.
     pub start: Option<Pose2>,
-    /// The base stops by itself this long after the last command.
+    /// The base stops when no new command arrives for this time.
     pub watchdog_ns: u64,
 }
 
@@ -85,8 +84,6 @@ impl RobotOptions {
     fn check(&self) -> Result<(), SceneError> {
         self.nuisances.check()?;
         self.odometry.check()?;
-        let refuse =
-            |option, value: String, allowed| Err(SceneError::Option { option, value, allowed });
         if !self.camera.is_sound() || self.camera.distortion != Distortion::None {
             let allowed = "a pinhole without distortion, of positive size and focal length";
             return refuse("camera model", format!("{:?}", self.camera), allowed);
@@ -113,43 +110,45 @@ impl RobotOptions {
     }
 }
 
-/// A robot in a home. Hand out its [`devices`](Self::devices) and let the clock run.
+fn refuse(option: &'static str, value: String, allowed: &'static str) -> Result<(), SceneError> {
+    Err(SceneError::Option { option, value, allowed })
+}
+
+/// A robot in a simulated home. Pass its [`devices`](Self::devices) to the software under test; the
+/// robot moves while the clock sleeps.
 #[derive(Clone)]
 pub struct SimulatedRobot {
     shared: Arc<Mutex<State>>,
 }
 
-/// One handle for each hal trait, and one for the evaluation.
+/// One device for each hal trait, and one handle for evaluation.
 pub struct Devices {
-    /// Pictures.
     pub camera: SimCamera,
-    /// Scans.
     pub lidar: SimLidar,
-    /// Wheels.
     pub base: SimBase,
-    /// Time; moving it moves the robot.
+    /// Virtual time; advancing it moves the robot.
     pub clock: SimClock,
-    /// What only the evaluation may know.
+    /// Ground truth for evaluation only.
     pub truth: Truth,
 }
 
 pub(crate) struct State {
     world: Arc<World>,
-    /// The world's plan, or the part of it around the start.
+    /// The world's floor plan, or the component of it around the start pose.
     plan: Arc<FloorPlan>,
     options: RobotOptions,
     now_ns: u64,
     pose: Pose2,
-    /// Where it was before the newest step, and how long that took.
+    /// Pose before the last step, and the duration of that step.
     pose_before: Pose2,
     step_s: f64,
     odometer: Odometer,
     twist: Twist2,
     command: Twist2,
     commanded_ns: u64,
-    /// Something was in the way during the newest step.
+    /// Whether the robot touched an obstacle during the last step.
     contact: bool,
-    /// Something was in the way since the last feedback.
+    /// Whether the robot touched an obstacle since the last feedback.
     touched: bool,
     /// Something was in the way since the evaluation last asked.
     touched_in_truth: bool,
@@ -165,15 +164,16 @@ pub(crate) struct State {
 }
 
 impl SimulatedRobot {
-    /// Puts a robot into a home.
+    /// Places a robot in a home.
     ///
     /// # Errors
-    /// [`SceneError::StartBlocked`] when the start pose does not fit; nuisances out of range.
+    /// Returns [`SceneError::StartBlocked`] when the robot does not fit at the start pose, and an
+    /// error when an option or a nuisance is out of range.
     pub fn new(world: Arc<World>, options: RobotOptions) -> Result<Self, SceneError> {
         options.check()?;
-        let rng = |stream: u64| Pcg64Mcg::seed_from_u64(options.seed ^ (stream << 16));
         let (start, plan) = place(&world, &options)?;
-        let walkers = walkers(&plan, options.nuisances.people, &mut rng(PEOPLE_STREAM));
+        let walkers =
+            walkers(&plan, options.nuisances.people, &mut stream_rng(PEOPLE_STREAM, options.seed));
         let state = State {
             now_ns: 0,
             pose: start,
@@ -188,8 +188,8 @@ impl SimulatedRobot {
             touched_in_truth: false,
             last_counter: None,
             walkers,
-            laser_rng: rng(LASER_STREAM),
-            camera_rng: rng(CAMERA_STREAM),
+            laser_rng: stream_rng(LASER_STREAM, options.seed),
+            camera_rng: stream_rng(CAMERA_STREAM, options.seed),
             frame_ns: None,
             scan_ns: None,
             feedback_ns: None,
@@ -202,7 +202,7 @@ impl SimulatedRobot {
         Ok(Self { shared: Arc::new(Mutex::new(state)) })
     }
 
-    /// Handles that share this robot.
+    /// Device handles that share this robot.
     #[must_use]
     pub fn devices(&self) -> Devices {
         let (model, geometry) = {
@@ -219,17 +219,20 @@ impl SimulatedRobot {
     }
 }
 
-/// A panic elsewhere does not make the robot's state wrong.
+fn stream_rng(stream: u64, seed: u64) -> Pcg64Mcg {
+    Pcg64Mcg::seed_from_u64(seed ^ (stream << 16))
+}
+
+/// Locks the state. A poisoned lock is used anyway: a panic in another thread does not invalidate
+/// the robot's state.
 pub(crate) fn lock(shared: &Mutex<State>) -> MutexGuard<'_, State> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl State {
-    /// People as the base meets them.
+    /// The people as obstacles for the base.
     fn bodies(&self) -> Vec<Disc> {
-        let body =
-            |person: &Person| Disc { center_m: person.position_m, radius_m: PERSON_RADIUS_M };
-        self.people().iter().map(body).collect()
+        self.people().iter().map(person_disc).collect()
     }
 
     fn people(&self) -> Vec<Person> {
@@ -245,13 +248,13 @@ impl State {
         let now = at(&self.pose);
         let renderer = self.world.renderer();
         if nuisances.shutter_s > 0.0 && self.pose_before != self.pose {
-            // The frame's time is the middle of its exposure.
+            // The timestamp of the frame is the middle of its exposure.
             let half = self.motion_in(nuisances.shutter_s / 2.0);
             let open = [&at(&self.pose.compose(&half.inverse())), &at(&self.pose.compose(&half))];
             renderer.render_blurred(
                 camera,
                 open,
-                BLUR_PICTURES,
+                BLUR_IMAGES,
                 &people,
                 &light,
                 &mut frame.data,
@@ -285,7 +288,7 @@ impl State {
         );
     }
 
-    /// The motion within a time, at the true velocity of the newest step.
+    /// The motion during a time at the true velocity of the last step.
     fn motion_in(&self, seconds: f64) -> Pose2 {
         let step = self.pose_before.inverse().compose(&self.pose);
         let share = seconds / self.step_s;
@@ -303,16 +306,21 @@ impl State {
     }
 }
 
-/// Where the robot starts, and the free space around that.
+fn person_disc(person: &Person) -> Disc {
+    Disc { center_m: person.position_m, radius_m: PERSON_RADIUS_M }
+}
+
+/// The start pose, and the free space around it.
 fn place(world: &World, options: &RobotOptions) -> Result<(Pose2, Arc<FloorPlan>), SceneError> {
     let whole = world.floor_plan();
-    let Some(asked) = options.start else {
+    let Some(requested) = options.start else {
         return Ok((whole.start_pose(options.seed), whole.clone()));
     };
-    let (x_m, y_m) = (asked.x_m, asked.y_m);
+    let x_m = requested.x_m;
+    let y_m = requested.y_m;
     let around = whole.around(x_m, y_m).filter(|plan| plan.fits(x_m, y_m, &[]));
     match around {
-        Some(plan) => Ok((asked, Arc::new(plan))),
+        Some(plan) => Ok((requested, Arc::new(plan))),
         None => {
             let [nearest_x_m, nearest_y_m] = whole.nearest_free(x_m, y_m);
             Err(SceneError::StartBlocked { x_m, y_m, nearest_x_m, nearest_y_m })
@@ -320,30 +328,32 @@ fn place(world: &World, options: &RobotOptions) -> Result<(Pose2, Arc<FloorPlan>
     }
 }
 
-/// People who walk between free places that see each other.
+/// People who walk between free positions with a line of sight between consecutive ones.
 fn walkers(plan: &FloorPlan, count: usize, rng: &mut Pcg64Mcg) -> Vec<Walker> {
-    let clear = |a: [f64; 2], b: [f64; 2]| {
-        let steps = ((a[0] - b[0]).hypot(a[1] - b[1]) / 0.05).ceil().max(1.0) as usize;
-        (0..=steps).all(|step| {
-            let share = step as f64 / steps as f64;
-            plan.clearance_m(a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
-                > PERSON_RADIUS_M
-        })
-    };
     (0..count)
         .filter_map(|_| {
-            let mut way: Vec<[f64; 2]> = Vec::new();
+            let mut path: Vec<[f64; 2]> = Vec::new();
             for _ in 0..WAYPOINT_TRIES {
                 let place = plan.random_pose(rng.random());
                 let place = [place.x_m, place.y_m];
-                if way.last().is_none_or(|last| clear(*last, place)) {
-                    way.push(place);
+                if path.last().is_none_or(|last| is_clear(*last, place, plan)) {
+                    path.push(place);
                 }
-                if way.len() == WAYPOINTS {
+                if path.len() == WAYPOINTS {
                     break;
                 }
             }
-            Walker::new(way, WALKING_MPS, rng.random())
+            Walker::new(path, WALKING_MPS, rng.random())
         })
         .collect()
+}
+
+/// Whether a person fits everywhere on the straight line between two positions.
+fn is_clear(a: [f64; 2], b: [f64; 2], plan: &FloorPlan) -> bool {
+    let steps = ((a[0] - b[0]).hypot(a[1] - b[1]) / 0.05).ceil().max(1.0) as usize;
+    (0..=steps).all(|step| {
+        let share = step as f64 / steps as f64;
+        plan.clearance_m(a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+            > PERSON_RADIUS_M
+    })
 }

@@ -44,7 +44,7 @@ fn robot(options: RobotOptions) -> Devices {
     SimulatedRobot::new(ROOM.clone(), options).unwrap().devices()
 }
 
-/// Commands a twist and lets a tick pass.
+/// Commands a twist and advances the clock by one tick.
 fn tick(devices: &mut Devices, linear_mps: f64, angular_radps: f64) -> WheelFeedback {
     let now_ns = devices.clock.now_ns();
     let twist = Twist2 { linear_mps, angular_radps };
@@ -57,7 +57,7 @@ fn tick(devices: &mut Devices, linear_mps: f64, angular_radps: f64) -> WheelFeed
 }
 
 #[test]
-fn a_command_moves_the_robot_along_its_arc_and_odometry_tells_so() {
+fn a_command_moves_the_robot_along_its_arc_and_odometry_measures_it() {
     let start = Pose2::new(1.0, 1.0, 0.2);
     let mut devices = robot(exact(start));
     let feedback = tick(&mut devices, 0.3, 0.5);
@@ -68,7 +68,7 @@ fn a_command_moves_the_robot_along_its_arc_and_odometry_tells_so() {
             && !feedback.contact
             && feedback.time_ns == TICK_NS
     );
-    // Measured along the chord.
+    // The velocity is measured along the chord.
     assert!(
         (feedback.twist.linear_mps - 0.3).abs() < 1e-3
             && (feedback.twist.angular_radps - 0.5).abs() < 1e-9
@@ -79,31 +79,30 @@ fn a_command_moves_the_robot_along_its_arc_and_odometry_tells_so() {
 #[test]
 fn without_new_commands_the_watchdog_stops_the_base() {
     let mut devices = robot(exact(Pose2::new(1.0, 2.0, 0.0)));
-    let command = |counter| DriveCommand {
-        twist: Twist2 { linear_mps: 0.5, angular_radps: 0.0 },
-        counter,
-        plan_age_ns: 0,
-    };
-    devices.base.drive(&command(7)).unwrap();
+    devices.base.drive(&forward_command(7)).unwrap();
     devices.clock.sleep_until_ns(10 * TICK_NS);
     assert!(
         (devices.truth.pose().x_m - 1.1).abs() < 1e-9,
         "0.2 s at 0.5 m/s: {:?}",
         devices.truth.pose()
     );
-    // The same counter again is a repeated frame.
-    devices.base.drive(&command(7)).unwrap();
+    // A repeated counter does not restart the base.
+    devices.base.drive(&forward_command(7)).unwrap();
     devices.clock.sleep_until_ns(12 * TICK_NS);
     assert!((devices.truth.pose().x_m - 1.1).abs() < 1e-9);
-    devices.base.drive(&command(8)).unwrap();
+    devices.base.drive(&forward_command(8)).unwrap();
     devices.clock.sleep_until_ns(13 * TICK_NS);
     devices.base.stop().unwrap();
     devices.clock.sleep_until_ns(14 * TICK_NS);
     assert!((devices.truth.pose().x_m - 1.15).abs() < 1e-9);
 }
 
+fn forward_command(counter: u32) -> DriveCommand {
+    DriveCommand { twist: Twist2 { linear_mps: 0.5, angular_radps: 0.0 }, counter, plan_age_ns: 0 }
+}
+
 #[test]
-fn a_command_that_is_no_number_is_rejected_and_stops_the_base() {
+fn a_command_that_is_not_finite_is_rejected_and_stops_the_base() {
     let mut devices = robot(exact(Pose2::new(1.0, 2.0, 0.0)));
     tick(&mut devices, 0.5, 0.0);
     let twist = Twist2 { linear_mps: f64::NAN, angular_radps: 0.0 };
@@ -115,14 +114,14 @@ fn a_command_that_is_no_number_is_rejected_and_stops_the_base() {
 }
 
 #[test]
-fn at_a_wall_the_wheels_stall_and_the_bumper_says_so_once_for_every_time_it_is_asked() {
+fn at_a_wall_the_wheels_stall_and_each_poll_reports_the_contact_since_the_last_one() {
     let mut devices = robot(exact(Pose2::new(4.7, 2.0, 0.0)));
     let feedback: Vec<WheelFeedback> = (0..6).map(|_| tick(&mut devices, 0.5, 0.0)).collect();
     assert!(!feedback[0].contact && feedback[5].contact);
     assert!((devices.truth.pose().x_m - 4.84).abs() < 1e-4);
     assert!((feedback[5].odom.x_m - 0.14).abs() < 1e-4, "{:?}", feedback[5].odom);
     assert!(feedback[5].twist.linear_mps.abs() < 1e-3);
-    // Contact in the first of two steps is not forgotten by the second.
+    // A contact in the first of two steps is still reported after the second.
     let twist = Twist2 { linear_mps: 0.5, angular_radps: 0.0 };
     devices.base.drive(&DriveCommand { twist, counter: 1000, plan_age_ns: 0 }).unwrap();
     devices.clock.sleep_until_ns(7 * TICK_NS);
@@ -133,9 +132,10 @@ fn at_a_wall_the_wheels_stall_and_the_bumper_says_so_once_for_every_time_it_is_a
 }
 
 #[test]
-fn a_frame_is_what_the_camera_sees_now_and_is_handed_out_once() {
+fn a_frame_shows_the_current_view_and_is_returned_once() {
     let mut devices = robot(exact(Pose2::new(2.0, 2.0, 0.0)));
-    let (mut frame, mut depth) = (Frame::empty(), DepthMap::none(0, 0));
+    let mut frame = Frame::empty();
+    let mut depth = DepthMap::none(0, 0);
     assert!(devices.camera.poll_frame(&mut frame).unwrap());
     assert!(!devices.camera.poll_frame(&mut frame).unwrap());
     assert_eq!((frame.time_ns, frame.sequence, frame.view().unwrap().width()), (0, 0, 80));
@@ -149,7 +149,7 @@ fn a_frame_is_what_the_camera_sees_now_and_is_handed_out_once() {
 }
 
 #[test]
-fn scans_come_at_most_once_a_period_and_show_the_room() {
+fn scans_are_taken_at_most_once_per_period_and_measure_the_room() {
     let mut devices =
         robot(RobotOptions { laser: LaserModel::IDEAL, ..exact(Pose2::new(2.0, 2.0, 0.0)) });
     let mut scan = LaserScan::empty(devices.lidar.geometry());
@@ -165,8 +165,7 @@ fn scans_come_at_most_once_a_period_and_show_the_room() {
 
 #[test]
 fn a_start_inside_a_wall_is_refused_with_the_nearest_free_place() {
-    let refused = |x, y| SimulatedRobot::new(ROOM.clone(), exact(Pose2::new(x, y, 0.0))).err();
-    match refused(4.95, 2.0) {
+    match refused_start(4.95, 2.0) {
         Some(SceneError::StartBlocked { x_m, nearest_x_m, nearest_y_m, .. }) => {
             assert!(
                 (x_m - 4.95).abs() < 1e-9
@@ -176,37 +175,48 @@ fn a_start_inside_a_wall_is_refused_with_the_nearest_free_place() {
         }
         other => panic!("{other:?}"),
     }
-    assert!(matches!(refused(40.0, 2.0), Some(SceneError::StartBlocked { .. })));
+    assert!(matches!(refused_start(40.0, 2.0), Some(SceneError::StartBlocked { .. })));
     assert!(matches!(
-        refused(f64::NAN, 2.0),
+        refused_start(f64::NAN, 2.0),
         Some(SceneError::Option { option: "start pose", .. })
     ));
 }
 
+fn refused_start(x: f64, y: f64) -> Option<SceneError> {
+    SimulatedRobot::new(ROOM.clone(), exact(Pose2::new(x, y, 0.0))).err()
+}
+
 #[test]
 fn impossible_options_are_refused_by_name() {
-    let refused = |options| match SimulatedRobot::new(ROOM.clone(), options).err() {
-        Some(SceneError::Option { option, .. }) => option,
-        other => panic!("{other:?}"),
-    };
     assert_eq!(
-        refused(RobotOptions { camera: CameraModel { fx: f64::NAN, ..small().camera }, ..small() }),
+        refused_option(RobotOptions {
+            camera: CameraModel { fx: f64::NAN, ..small().camera },
+            ..small()
+        }),
         "camera model"
     );
-    assert_eq!(refused(RobotOptions { watchdog_ns: 0, ..small() }), "watchdog");
+    assert_eq!(refused_option(RobotOptions { watchdog_ns: 0, ..small() }), "watchdog");
     let sunk = Pose3::translation(0.0, 0.0, f64::INFINITY);
-    assert_eq!(refused(RobotOptions { t_base_camera: sunk, ..small() }), "camera mount");
+    assert_eq!(refused_option(RobotOptions { t_base_camera: sunk, ..small() }), "camera mount");
     let nuisances = Nuisances { flicker: 2.0, ..Nuisances::none() };
     let error = SimulatedRobot::new(ROOM.clone(), RobotOptions { nuisances, ..small() }).err();
     assert!(matches!(error, Some(SceneError::Nuisance(_))));
 }
 
-/// Everything that a robot sees and feels on a fixed drive.
-fn diary(options: RobotOptions, threads: usize) -> Vec<u8> {
+fn refused_option(options: RobotOptions) -> &'static str {
+    match SimulatedRobot::new(ROOM.clone(), options).err() {
+        Some(SceneError::Option { option, .. }) => option,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// All frames, scans, feedback and poses of a fixed drive, as bytes.
+fn device_log(options: RobotOptions, threads: usize) -> Vec<u8> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     pool.install(|| {
         let mut devices = SimulatedRobot::new(APARTMENT.clone(), options).unwrap().devices();
-        let (mut frame, mut scan) = (Frame::empty(), LaserScan::empty(devices.lidar.geometry()));
+        let mut frame = Frame::empty();
+        let mut scan = LaserScan::empty(devices.lidar.geometry());
         let mut bytes = Vec::new();
         for step in 0..12 {
             let feedback = tick(&mut devices, 0.4, f64::from(step % 5) * 0.3 - 0.5);
@@ -222,33 +232,41 @@ fn diary(options: RobotOptions, threads: usize) -> Vec<u8> {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads_and_another_seed_others() {
+fn the_seed_alone_determines_all_device_data_on_any_number_of_threads() {
     let nuisances =
         Nuisances { shutter_s: 0.02, people: 2, exposure_drift_stops: 0.5, ..Nuisances::default() };
-    let options = |seed| RobotOptions { nuisances: nuisances.clone(), seed, ..small() };
-    let one = diary(options(5), 1);
-    assert!(one == diary(options(5), 2) && one == diary(options(5), 5));
-    assert!(one != diary(options(6), 1));
+    let one = device_log(options_with(5, &nuisances), 1);
+    assert!(
+        one == device_log(options_with(5, &nuisances), 2)
+            && one == device_log(options_with(5, &nuisances), 5)
+    );
+    assert!(one != device_log(options_with(6, &nuisances), 1));
+}
+
+fn options_with(seed: u64, nuisances: &Nuisances) -> RobotOptions {
+    RobotOptions { nuisances: nuisances.clone(), seed, ..small() }
 }
 
 #[test]
-fn motion_blur_is_as_long_as_the_shutter_is_open() {
-    let blurred = |shutter_s: f64| {
-        let nuisances = Nuisances { shutter_s, ..Nuisances::none() };
-        let options =
-            RobotOptions { nuisances, start: None, odometry: OdometryNoise::NONE, ..small() };
-        let mut devices = SimulatedRobot::new(APARTMENT.clone(), options).unwrap().devices();
-        tick(&mut devices, 0.0, 1.0);
-        let mut frame = Frame::empty();
-        devices.camera.poll_frame(&mut frame).unwrap();
-        frame.data
-    };
-    let sharp = blurred(0.0);
-    let difference = |picture: &[u8]| {
-        sharp.iter().zip(picture).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>()
-    };
-    let (short, long) = (difference(&blurred(0.002)), difference(&blurred(0.08)));
+fn motion_blur_grows_with_the_shutter_time() {
+    let sharp = frame_with_shutter(0.0);
+    let short = byte_difference(&frame_with_shutter(0.002), &sharp);
+    let long = byte_difference(&frame_with_shutter(0.08), &sharp);
     assert!(short < long / 3, "{short} and {long}");
+}
+
+fn byte_difference(image: &[u8], sharp: &[u8]) -> u64 {
+    sharp.iter().zip(image).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>()
+}
+
+fn frame_with_shutter(shutter_s: f64) -> Vec<u8> {
+    let nuisances = Nuisances { shutter_s, ..Nuisances::none() };
+    let options = RobotOptions { nuisances, start: None, odometry: OdometryNoise::NONE, ..small() };
+    let mut devices = SimulatedRobot::new(APARTMENT.clone(), options).unwrap().devices();
+    tick(&mut devices, 0.0, 1.0);
+    let mut frame = Frame::empty();
+    devices.camera.poll_frame(&mut frame).unwrap();
+    frame.data
 }
 
 proptest! {

@@ -1,4 +1,4 @@
-//! Small things: on tables, on shelves, and on the floor along walls.
+//! Small objects on tables, on shelves and on the floor along walls.
 
 use rand::RngExt;
 
@@ -7,12 +7,13 @@ use crate::homes::mesh::Mesh;
 use crate::homes::texture::Skin;
 
 impl Workshop<'_> {
-    /// Puts up to `count` things next to each other on a surface within `x0, y0, x1, y1`.
+    /// Places up to `count` objects side by side on a surface within `x0, y0, x1, y1`.
     pub fn scatter(&mut self, mesh: &mut Mesh, [x0, y0, x1, y1]: [f32; 4], z: f32, count: usize) {
-        // Slots side by side keep things from standing in each other.
+        // Slots keep objects from overlapping.
         let slot = (x1 - x0) / count as f32;
         for i in 0..count {
-            let (half_x, half_y) = (slot / 2.0, (y1 - y0) / 2.0);
+            let half_x = slot / 2.0;
+            let half_y = (y1 - y0) / 2.0;
             let reach = half_x.min(half_y);
             if reach < 0.05 || self.chance(0.15) {
                 continue;
@@ -25,54 +26,58 @@ impl Workshop<'_> {
     }
 
     fn small_thing(&mut self, mesh: &mut Mesh, [x, y]: [f32; 2], z: f32, reach: f32) {
-        let look = self.paint();
+        let appearance = self.paint();
         match self.rng.random_range(0..7) {
-            0 => mesh.post([x, y], [z, z + 0.095], [0.036, 0.04], 8, look),
+            0 => mesh.post([x, y], [z, z + 0.095], [0.036, 0.04], 8, appearance),
             1 => {
                 let r = reach.min(0.12);
-                mesh.post([x, y], [z, z + 0.03], [r * 0.4, r * 0.8], 10, look);
-                mesh.post([x, y], [z + 0.03, z + 0.065], [r * 0.8, r], 10, look);
+                mesh.post([x, y], [z, z + 0.03], [r * 0.4, r * 0.8], 10, appearance);
+                mesh.post([x, y], [z + 0.03, z + 0.065], [r * 0.8, r], 10, appearance);
             }
             2 | 3 => {
                 let mut top = z;
                 for _ in 0..self.rng.random_range(1..5) {
-                    let (w, d, t) = (
-                        reach * self.between(0.75, 0.95),
-                        reach * self.between(0.55, 0.7),
-                        self.between(0.015, 0.035),
-                    );
-                    let (look, yaw) = (self.book(), self.between(-0.25, 0.25));
+                    let w = reach * self.between(0.75, 0.95);
+                    let d = reach * self.between(0.55, 0.7);
+                    let t = self.between(0.015, 0.035);
+                    let appearance = self.book();
+                    let yaw = self.between(-0.25, 0.25);
                     let mut book = Mesh::default();
-                    book.trim([-w * 0.8, -d, 0.0], [w * 0.8, d, t], look);
+                    book.trim([-w * 0.8, -d, 0.0], [w * 0.8, d, t], appearance);
                     mesh.append(&book, [x, y, top], yaw);
                     top += t + 0.001;
                 }
             }
             4 => {
-                mesh.post([x, y], [z, z + 0.15], [0.035, 0.05], 8, look);
+                mesh.post([x, y], [z, z + 0.15], [0.035, 0.05], 8, appearance);
                 self.leaves(mesh, [x, y, z + 0.13], reach.min(0.14), 7);
             }
             5 => {
-                mesh.post([x, y], [z, z + 0.17], [0.034, 0.034], 8, look);
-                mesh.post([x, y], [z + 0.17, z + 0.26], [0.034, 0.012], 8, look);
+                mesh.post([x, y], [z, z + 0.17], [0.034, 0.034], 8, appearance);
+                mesh.post([x, y], [z + 0.17, z + 0.26], [0.034, 0.012], 8, appearance);
             }
             _ => {
-                let (w, d) = (reach * 0.7, reach * 0.5);
-                mesh.trim([x - w, y - d, z], [x + w, y + d, z + self.between(0.05, 0.14)], look);
+                let w = reach * 0.7;
+                let d = reach * 0.5;
+                mesh.trim(
+                    [x - w, y - d, z],
+                    [x + w, y + d, z + self.between(0.05, 0.14)],
+                    appearance,
+                );
             }
         }
     }
 
     /// A foot, a stem and a shade that glows.
     pub fn lamp(&mut self, mesh: &mut Mesh, at: [f32; 2], z: f32) {
-        let shade = self.looks.glowing("lamp shade", [255, 240, 214], Skin::Cloth(0), 0.35);
+        let shade = self.materials.glowing("lamp shade", [255, 240, 214], Skin::Cloth(0), 0.35);
         mesh.post(at, [z, z + 0.02], [0.06, 0.06], 8, self.metal);
         mesh.post(at, [z + 0.02, z + 0.24], [0.012, 0.012], 6, self.metal);
         mesh.post(at, [z + 0.22, z + 0.38], [0.12, 0.08], 10, shade);
     }
 
     pub fn floor_lamp(&mut self) -> Piece {
-        let shade = self.looks.glowing("lamp shade", [255, 240, 214], Skin::Cloth(0), 0.35);
+        let shade = self.materials.glowing("lamp shade", [255, 240, 214], Skin::Cloth(0), 0.35);
         let mut piece = Piece::new("floor lamp", [0.4, 0.4, 1.6], 0.0);
         piece.mesh.post([0.2, 0.2], [0.0, 0.025], [0.15, 0.15], 10, self.black);
         piece.mesh.post([0.2, 0.2], [0.025, 1.35], [0.014, 0.014], 6, self.metal);
@@ -83,16 +88,23 @@ impl Workshop<'_> {
     /// Bent leaves around a point, each of two faces.
     fn leaves(&mut self, mesh: &mut Mesh, at: [f32; 3], reach: f32, count: usize) {
         for i in 0..count {
-            let turn = std::f32::consts::TAU * (i as f32 * 0.382 + self.between(-0.04, 0.04));
-            let (out, up) = (reach * self.between(0.6, 1.0), reach * self.between(0.5, 1.6));
+            let angle = std::f32::consts::TAU * (i as f32 * 0.382 + self.between(-0.04, 0.04));
+            let out = reach * self.between(0.6, 1.0);
+            let up = reach * self.between(0.5, 1.6);
             let half = reach * self.between(0.2, 0.34);
-            let (c, s) = (turn.cos(), turn.sin());
-            let point = |r: f32, side: f32, h: f32| {
-                [at[0] + c * r - s * side, at[1] + s * r + c * side, at[2] + h]
-            };
-            let (root, middle) = ([point(0.0, -0.004, 0.0), point(0.0, 0.004, 0.0)], up * 0.8);
-            let wide = [point(out * 0.55, -half, middle), point(out * 0.55, half, middle)];
-            let tip = [point(out, 0.004, up * 0.75), point(out, -0.004, up * 0.75)];
+            let c = angle.cos();
+            let s = angle.sin();
+            let root =
+                [leaf_point(0.0, -0.004, 0.0, at, [c, s]), leaf_point(0.0, 0.004, 0.0, at, [c, s])];
+            let middle = up * 0.8;
+            let wide = [
+                leaf_point(out * 0.55, -half, middle, at, [c, s]),
+                leaf_point(out * 0.55, half, middle, at, [c, s]),
+            ];
+            let tip = [
+                leaf_point(out, 0.004, up * 0.75, at, [c, s]),
+                leaf_point(out, -0.004, up * 0.75, at, [c, s]),
+            ];
             let start = self.between(0.0, 1.0);
             let uv = |a: f32, b: f32| [start + a, b];
             let strip = [uv(0.0, 0.1), uv(0.4, 0.0), uv(0.4, 0.3), uv(0.0, 0.2)];
@@ -103,8 +115,10 @@ impl Workshop<'_> {
 
     /// A pot plant that stands on the floor.
     pub fn plant(&mut self) -> Piece {
-        let (size, pot) = (self.between(0.4, 0.56), self.paint());
-        let (c, stem) = (size / 2.0, self.between(0.3, 0.6));
+        let size = self.between(0.4, 0.56);
+        let pot = self.paint();
+        let c = size / 2.0;
+        let stem = self.between(0.3, 0.6);
         let mut piece = Piece::new("plant", [size, size, 1.2], 0.0);
         piece.mesh.post([c, c], [0.0, 0.28], [size * 0.24, size * 0.34], 10, pot);
         piece.mesh.post([c, c], [0.26, 0.283], [size * 0.31, size * 0.31], 10, self.dark_wood);
@@ -116,12 +130,13 @@ impl Workshop<'_> {
         piece
     }
 
-    /// One thing left on the floor.
+    /// An object left on the floor.
     pub fn floor_thing(&mut self, for_children: bool) -> Piece {
         match self.rng.random_range(0..if for_children { 6 } else { 4 }) {
             0 => {
-                let (w, d, h) =
-                    (self.between(0.28, 0.5), self.between(0.25, 0.4), self.between(0.18, 0.4));
+                let w = self.between(0.28, 0.5);
+                let d = self.between(0.25, 0.4);
+                let h = self.between(0.18, 0.4);
                 let mut piece = Piece::new("carton", [w, d, h], 0.0);
                 piece.mesh.block([0.0, 0.0, 0.0], [w, d, h], self.carton);
                 piece.mesh.trim(
@@ -139,11 +154,11 @@ impl Workshop<'_> {
                 piece
             }
             2 => {
-                let look = self.book();
+                let appearance = self.book();
                 let mut piece = Piece::new("shoes", [0.5, 0.32, 0.12], 0.0);
                 for x in [0.02, 0.14, 0.34] {
-                    piece.mesh.trim([x, 0.02, 0.0], [x + 0.09, 0.3, 0.05], look);
-                    piece.mesh.block([x, 0.02, 0.05], [x + 0.09, 0.16, 0.11], look);
+                    piece.mesh.trim([x, 0.02, 0.0], [x + 0.09, 0.3, 0.05], appearance);
+                    piece.mesh.block([x, 0.02, 0.05], [x + 0.09, 0.16, 0.11], appearance);
                 }
                 piece
             }
@@ -158,11 +173,13 @@ impl Workshop<'_> {
             4 => {
                 let mut piece = Piece::new("toy blocks", [0.5, 0.4, 0.2], 0.0);
                 for i in 0..9 {
-                    let look = self.paint();
+                    let appearance = self.paint();
                     let mut block = Mesh::default();
-                    block.trim([-0.035, -0.035, 0.0], [0.035, 0.035, 0.07], look);
-                    let (x, y) = (0.07 + 0.17 * (i % 3) as f32, 0.07 + 0.12 * (i / 3) as f32);
-                    let (dx, yaw) = (self.between(-0.02, 0.02), self.between(0.0, 1.5));
+                    block.trim([-0.035, -0.035, 0.0], [0.035, 0.035, 0.07], appearance);
+                    let x = 0.07 + 0.17 * (i % 3) as f32;
+                    let y = 0.07 + 0.12 * (i / 3) as f32;
+                    let dx = self.between(-0.02, 0.02);
+                    let yaw = self.between(0.0, 1.5);
                     piece.mesh.append(&block, [x + dx, y, 0.0], yaw);
                 }
                 piece
@@ -171,12 +188,13 @@ impl Workshop<'_> {
                 let mut piece = Piece::new("book stack", [0.34, 0.26, 0.3], 0.0);
                 let mut z = 0.0;
                 for _ in 0..self.rng.random_range(4..9) {
-                    let (t, inset, look) =
-                        (self.between(0.02, 0.04), self.between(0.0, 0.05), self.book());
+                    let t = self.between(0.02, 0.04);
+                    let inset = self.between(0.0, 0.05);
+                    let appearance = self.book();
                     piece.mesh.block(
                         [inset, inset, z],
                         [0.32 - inset * 0.6, 0.24 - inset * 0.5, z + t],
-                        look,
+                        appearance,
                     );
                     z += t + 0.001;
                 }
@@ -184,4 +202,8 @@ impl Workshop<'_> {
             }
         }
     }
+}
+
+fn leaf_point(r: f32, side: f32, h: f32, at: [f32; 3], [c, s]: [f32; 2]) -> [f32; 3] {
+    [at[0] + c * r - s * side, at[1] + s * r + c * side, at[2] + h]
 }

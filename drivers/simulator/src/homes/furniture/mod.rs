@@ -1,4 +1,4 @@
-//! Furniture: made in a workshop, placed where it leaves walkways.
+//! Furniture: pieces are built from the home's materials and placed so that walkways stay free.
 
 mod clutter;
 mod place;
@@ -15,44 +15,43 @@ use super::fixtures::Reserved;
 use super::geometry::Rect;
 use super::joinery::{CURTAIN_M, LEAF_REACH_M};
 use super::layout::Layout;
-use super::looks::Looks;
+use super::material_set::MaterialSet;
 use super::mesh::Mesh;
 use super::openings::{side_of, span_of};
 use super::{HomeKind, Surface, stream};
 use place::RoomFloor;
 use workshop::Workshop;
 
-/// A piece of furniture in its place.
+/// A placed piece of furniture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Furniture {
-    /// What it is.
     pub name: String,
-    /// Index of its room.
     pub room: usize,
-    /// The floor it covers, seat room and overhangs included, metres.
+    /// Floor area that the piece covers, including space for sitting and overhangs, metres.
     pub rect: Rect,
 }
 
-/// Makes the same pieces whether `moved` or not, and puts them elsewhere if so.
+/// Builds and places furniture. The pieces are the same whether `moved` is set or not; their
+/// positions differ.
 pub fn furnish(
     kind: HomeKind,
     layout: &Layout,
     reserved: &[Reserved],
-    looks: &mut Looks,
+    materials: &mut MaterialSet,
     mesh: &mut Mesh,
     seed: u64,
     moved: bool,
 ) -> Vec<Furniture> {
-    let mut shop = Workshop::new(looks, stream(seed, 6));
+    let mut shop = Workshop::new(materials, stream(seed, 6));
     let mut rng = stream(seed, if moved { 8 } else { 7 });
     let mut placed = Vec::new();
     for (index, room) in layout.rooms.iter().enumerate() {
         let mut floor = room_floor(layout, index, reserved);
-        for wish in recipes::recipe(kind, room, &mut shop) {
-            let spot = wish
+        for request in recipes::recipe(kind, room, &mut shop) {
+            let spot = request
                 .pieces
                 .iter()
-                .find_map(|p| floor.place(p, wish.stand, &mut rng).map(|s| (p, s)));
+                .find_map(|p| floor.place(p, request.stand, &mut rng).map(|s| (p, s)));
             let Some((piece, spot)) = spot else { continue };
             let mark = mesh.mark();
             mesh.append_at_wall(&piece.mesh, [spot.at[0], spot.at[1], 0.0], spot.side);

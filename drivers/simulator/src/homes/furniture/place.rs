@@ -1,4 +1,4 @@
-//! Finding room for furniture without blocking anybody's way.
+//! Finds free floor for furniture without blocking walkways.
 
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
@@ -6,20 +6,20 @@ use rand_pcg::Pcg64Mcg;
 use super::workshop::Piece;
 use crate::homes::geometry::{Rect, Side, WallFrame};
 
-/// Cells in which walkways are checked, metres.
+/// Cell size of the walkway check, metres.
 const CELL_M: f32 = 0.05;
-/// Half of a walkway 0.8 m wide, less the half cell by which a cell's middle may be off.
+/// Half the width of a walkway of 0.8 m, less the half cell by which a cell's centre may be off.
 const WALK_M: f32 = 0.4 - CELL_M / 2.0;
 /// Free floor in front of a door, metres.
 pub const DOORWAY_M: f32 = 0.9;
-/// Things higher than this stand neither before windows nor before pictures, metres.
+/// Objects higher than this are not placed in front of windows or pictures, metres.
 const TALL_M: f32 = 0.84;
-/// Share of an empty room's walkable floor that furniture leaves.
+/// Minimum fraction of an empty room's walkable floor that furniture leaves free.
 const OPEN_SHARE: f32 = 0.28;
 /// Gap behind and beside furniture, metres.
 const GAP_M: f32 = 0.025;
 
-/// Where a piece likes to stand.
+/// Preferred position of a piece.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stand {
     /// Back to a wall.
@@ -30,7 +30,7 @@ pub enum Stand {
     Middle,
 }
 
-/// A spot for a piece: the wall that its back is turned to, and where its back left corner is.
+/// Position of a piece: the wall at its back, and its back left corner.
 #[derive(Debug, Clone, Copy)]
 pub struct Spot {
     pub side: Side,
@@ -38,12 +38,12 @@ pub struct Spot {
     pub rect: Rect,
 }
 
-/// One room's floor and what is already taken.
+/// The floor of one room and the parts of it that are occupied.
 pub struct RoomFloor {
     rect: Rect,
     taken: Vec<Rect>,
     kept_clear: Vec<Rect>,
-    /// Stretches of walls that tall things may not cover.
+    /// Parts of walls that tall objects may not cover.
     shown: Vec<(Side, [f32; 2])>,
     /// Points on walkways that must stay connected: one inside each door.
     anchors: Vec<[f32; 2]>,
@@ -57,7 +57,8 @@ pub struct RoomFloor {
 impl RoomFloor {
     pub fn new(rect: Rect) -> Self {
         let [w, d] = rect.size();
-        let (columns, rows) = ((w / CELL_M) as usize, (d / CELL_M) as usize);
+        let columns = (w / CELL_M) as usize;
+        let rows = (d / CELL_M) as usize;
         let mut floor = Self {
             rect,
             taken: Vec::new(),
@@ -77,24 +78,24 @@ impl RoomFloor {
         floor
     }
 
-    /// Keeps the way through a door free.
+    /// Keeps the floor in front of a door free.
     pub fn add_door(&mut self, wall: &WallFrame, span: [f32; 2]) {
         self.kept_clear.push(wall.rect([span[0] - 0.05, span[1] + 0.05], [0.0, DOORWAY_M]));
         self.anchors.push(wall.at((span[0] + span[1]) / 2.0, 0.5));
     }
 
-    /// Something that is there already.
+    /// Adds an object that is already in place.
     pub fn add_obstacle(&mut self, rect: Rect) {
         self.block(&rect);
         self.taken.push(rect);
     }
 
-    /// A stretch of wall with a window or a picture.
+    /// Marks a part of a wall with a window or a picture.
     pub fn add_shown(&mut self, side: Side, span: [f32; 2]) {
         self.shown.push((side, span));
     }
 
-    /// Finds a spot for a piece and takes it.
+    /// Finds a position for a piece and occupies it.
     pub fn place(&mut self, piece: &Piece, stand: Stand, rng: &mut Pcg64Mcg) -> Option<Spot> {
         for _ in 0..60 {
             let spot = if stand == Stand::Middle {
@@ -138,14 +139,15 @@ impl RoomFloor {
     fn middle_spot(&self, piece: &Piece, rng: &mut Pcg64Mcg) -> Option<(Spot, Rect)> {
         let side = Side::ALL[rng.random_range(0..4)];
         let wall = self.rect.wall(side);
-        let depth = self.rect.size()[1 - side.quarter_turns() % 2];
+        let depth = self.rect.size()[1 - side.quarter_rotations() % 2];
         let [w, d, _] = piece.size;
-        let (slack, slack_depth) = (wall.length_m - w, depth - d);
+        let slack = wall.length_m - w;
+        let slack_depth = depth - d;
         if slack < 0.0 || slack_depth < 0.0 {
             return None;
         }
-        let (s, t) =
-            (slack * rng.random_range(0.1..=0.9), slack_depth * rng.random_range(0.1..=0.9));
+        let s = slack * rng.random_range(0.1..=0.9);
+        let t = slack_depth * rng.random_range(0.1..=0.9);
         let rect = wall.rect([s, s + w], [t, t + d]);
         Some((Spot { side, at: wall.at(s, t), rect }, rect))
     }
@@ -159,20 +161,20 @@ impl RoomFloor {
     }
 
     fn middle(&self, cell: usize) -> [f32; 2] {
-        let (x, y) = (cell % self.columns, cell / self.columns);
+        let x = cell % self.columns;
+        let y = cell / self.columns;
         [self.rect.min[0] + (x as f32 + 0.5) * CELL_M, self.rect.min[1] + (y as f32 + 0.5) * CELL_M]
     }
 
     fn cell(&self, p: [f32; 2]) -> usize {
-        let index = |i: usize, n: usize| {
-            (((p[i] - self.rect.min[i]) / CELL_M).max(0.0) as usize).min(n - 1)
-        };
-        index(1, self.rows) * self.columns + index(0, self.columns)
+        cell_index(p[1] - self.rect.min[1], self.rows) * self.columns
+            + cell_index(p[0] - self.rect.min[0], self.columns)
     }
 
     fn block(&mut self, rect: &Rect) {
         let near = rect.grown(WALK_M);
-        let (low, high) = (self.cell(near.min), self.cell(near.max));
+        let low = self.cell(near.min);
+        let high = self.cell(near.max);
         for y in low / self.columns..=high / self.columns {
             for x in low % self.columns..=high % self.columns {
                 let i = y * self.columns + x;
@@ -181,7 +183,8 @@ impl RoomFloor {
         }
     }
 
-    /// Whether all doors stay joined by walkways, and next to no floor gets shut off, with one more thing in place.
+    /// Whether all doors stay connected by walkways, and almost no floor is cut off, with one more
+    /// object in place.
     fn stays_walkable(&mut self, rect: &Rect) -> bool {
         let before = self.blocked.clone();
         self.block(rect);
@@ -203,7 +206,8 @@ impl RoomFloor {
             reached[*cell] = true;
         }
         while let Some(cell) = open.pop() {
-            let (x, y) = (cell % self.columns, cell / self.columns);
+            let x = cell % self.columns;
+            let y = cell / self.columns;
             let next = [
                 (x > 0).then(|| cell - 1),
                 (x + 1 < self.columns).then_some(cell + 1),
@@ -219,4 +223,8 @@ impl RoomFloor {
         }
         reached
     }
+}
+
+fn cell_index(offset_m: f32, n: usize) -> usize {
+    ((offset_m / CELL_M).max(0.0) as usize).min(n - 1)
 }

@@ -1,14 +1,15 @@
-//! What people sit and lie on.
+//! Seats and beds.
 
 use super::workshop::{Piece, Workshop};
-use crate::homes::looks::Look;
+use crate::homes::material_set::Appearance;
 use crate::homes::mesh::Mesh;
 use crate::homes::texture::Skin;
 
 impl Workshop<'_> {
     /// Two or three seats between arms, on short feet.
     pub fn sofa(&mut self, seats: usize) -> Piece {
-        let (width, depth) = (0.36 + 0.66 * seats as f32, self.between(0.86, 0.95));
+        let width = 0.36 + 0.66 * seats as f32;
+        let depth = self.between(0.86, 0.95);
         let cloth = self.cloth();
         let pillow = self.cloth();
         let mut piece =
@@ -36,18 +37,17 @@ impl Workshop<'_> {
         piece
     }
 
-    /// A four-legged chair.
-    pub fn chair(&mut self, look: Look) -> Piece {
+    pub fn chair(&mut self, appearance: Appearance) -> Piece {
         let mut piece = Piece::new("chair", [0.44, 0.48, 0.88], 0.0);
         let m = &mut piece.mesh;
         for (x, y, top) in
             [(0.01, 0.01, 0.88), (0.39, 0.01, 0.88), (0.01, 0.42, 0.43), (0.39, 0.42, 0.43)]
         {
-            m.block([x, y, 0.0], [x + 0.04, y + 0.04, top], look);
+            m.block([x, y, 0.0], [x + 0.04, y + 0.04, top], appearance);
         }
-        m.block([0.0, 0.0 + 0.052, 0.43], [0.44, 0.48, 0.46], look);
+        m.block([0.0, 0.0 + 0.052, 0.43], [0.44, 0.48, 0.46], appearance);
         for z in [0.58, 0.7, 0.82] {
-            m.trim([0.052, 0.02, z], [0.388, 0.04, z + 0.055], look);
+            m.trim([0.052, 0.02, z], [0.388, 0.04, z + 0.055], appearance);
         }
         piece
     }
@@ -72,7 +72,10 @@ impl Workshop<'_> {
 
     /// A bed with its head at the wall.
     pub fn bed(&mut self, width: f32) -> Piece {
-        let (length, wood, cover, blanket) = (2.08, self.any_wood(), self.cloth(), self.cloth());
+        let length = 2.08;
+        let wood = self.any_wood();
+        let cover = self.cloth();
+        let blanket = self.cloth();
         let mut piece = Piece::new("bed", [width, length, 0.84], 0.55);
         let m = &mut piece.mesh;
         m.block([0.0, 0.0, 0.0], [width, 0.05, 0.84], wood);
@@ -108,17 +111,20 @@ impl Workshop<'_> {
         let total = depth + 0.38 + table.size[1];
         let mut piece = Piece::new("lounge", [width, total, height], 0.55);
         let version = u8::from(self.chance(0.5));
-        let rug = self.looks.look("rug", [255, 255, 255], Skin::Rug(version));
+        let rug = self.materials.appearance("rug", [255, 255, 255], Skin::Rug(version));
         self.rug(&mut piece.mesh, [0.1, depth - 0.25, width - 0.1, total + 0.35], rug);
         piece.with(&sofa, [0.0, 0.0], false);
         piece.with(&table, [(width - table.size[0]) / 2.0, depth + 0.38], false);
         piece
     }
 
-    /// A thin carpet: nothing to bump into.
-    pub fn rug(&mut self, mesh: &mut Mesh, [x0, y0, x1, y1]: [f32; 4], look: Look) {
+    /// A thin carpet that does not block the robot.
+    pub fn rug(&mut self, mesh: &mut Mesh, [x0, y0, x1, y1]: [f32; 4], appearance: Appearance) {
         let top = 0.008;
-        mesh.picture([[x0, y0, top], [x1, y0, top], [x1, y1, top], [x0, y1, top]], look);
+        mesh.stretched_face(
+            [[x0, y0, top], [x1, y0, top], [x1, y1, top], [x0, y1, top]],
+            appearance,
+        );
         let plain = self.cloths[0];
         mesh.trim([x0, y0, 0.0], [x1, y1, top - 0.003], plain);
     }

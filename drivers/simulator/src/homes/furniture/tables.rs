@@ -1,12 +1,12 @@
-//! Tables and what belongs on and around them.
+//! Tables, with chairs and the objects on them.
 
 use super::workshop::{Piece, Workshop};
-use crate::homes::looks::Look;
+use crate::homes::material_set::Appearance;
 use crate::homes::texture::Skin;
 
 impl Workshop<'_> {
-    /// Four legs, an apron and a top: a scan near the floor sees the legs only.
-    pub fn table(&mut self, size: [f32; 3], look: Look) -> Piece {
+    /// Four legs, an apron and a top. A scan near the floor sees only the legs.
+    pub fn table(&mut self, size: [f32; 3], appearance: Appearance) -> Piece {
         let [w, d, h] = size;
         let mut piece = Piece::new("table", size, 0.0);
         let m = &mut piece.mesh;
@@ -17,17 +17,19 @@ impl Workshop<'_> {
             (0.04, d - 0.04 - leg),
             (w - 0.04 - leg, d - 0.04 - leg),
         ] {
-            m.block([x, y, 0.0], [x + leg, y + leg, h - 0.03], look);
+            m.block([x, y, 0.0], [x + leg, y + leg, h - 0.03], appearance);
         }
-        m.block([0.0, 0.0, h - 0.03], [w, d, h], look);
+        m.block([0.0, 0.0, h - 0.03], [w, d, h], appearance);
         for y in [0.055, d - 0.085] {
-            m.trim([0.09, y, h - 0.1], [w - 0.09, y + 0.02, h - 0.03], look);
+            m.trim([0.09, y, h - 0.1], [w - 0.09, y + 0.02, h - 0.03], appearance);
         }
         piece
     }
 
     pub fn coffee_table(&mut self) -> Piece {
-        let (w, d, wood) = (self.between(0.8, 1.1), self.between(0.48, 0.58), self.any_wood());
+        let w = self.between(0.8, 1.1);
+        let d = self.between(0.48, 0.58);
+        let wood = self.any_wood();
         let mut piece = self.table([w, d, 0.42], wood);
         piece.name = "coffee table";
         self.scatter(&mut piece.mesh, [0.1, 0.08, w - 0.1, d - 0.08], 0.42, 3);
@@ -38,7 +40,8 @@ impl Workshop<'_> {
     pub fn dining_set(&mut self, pairs: usize, ends: bool) -> Piece {
         let wood = self.any_wood();
         let chair_wood = if self.chance(0.7) { wood } else { self.white };
-        let (w, d) = (0.2 + 0.62 * pairs as f32, self.between(0.78, 0.9));
+        let w = 0.2 + 0.62 * pairs as f32;
+        let d = self.between(0.78, 0.9);
         let margin = if ends { 0.3 } else { 0.0 };
         let out = 0.34;
         let mut piece = Piece::new("dining table", [w + 2.0 * margin, d + 2.0 * out, 0.88], 0.0);
@@ -63,7 +66,8 @@ impl Workshop<'_> {
 
     /// A desk at a wall with a screen and a chair before it.
     pub fn desk(&mut self) -> Piece {
-        let (w, d) = (self.between(1.2, 1.6), self.between(0.65, 0.75));
+        let w = self.between(1.2, 1.6);
+        let d = self.between(0.65, 0.75);
         let mut piece = Piece::new("desk", [w, d + 0.5, 0.8], 0.2);
         self.workplace(&mut piece, w, d);
         let chair = self.office_chair();
@@ -74,8 +78,8 @@ impl Workshop<'_> {
 
     /// The table of a desk with what is on it; back at y = 0.
     fn workplace(&mut self, piece: &mut Piece, w: f32, d: f32) {
-        let look = if self.chance(0.6) { self.any_wood() } else { self.white };
-        let mut table = self.table([w, d, 0.74], look);
+        let appearance = if self.chance(0.6) { self.any_wood() } else { self.white };
+        let mut table = self.table([w, d, 0.74], appearance);
         let m = &mut table.mesh;
         m.block([w - 0.48, 0.08, 0.06], [w - 0.1, d - 0.06, 0.6], self.white);
         for i in 0..3 {
@@ -84,7 +88,7 @@ impl Workshop<'_> {
             m.trim([w - 0.34, d - 0.045, z + 0.11], [w - 0.24, d - 0.03, z + 0.12], self.metal);
         }
         let version = u8::from(self.chance(0.4));
-        let screen = self.looks.glowing("screen", [215, 215, 220], Skin::Screen(version), 0.25);
+        let screen = self.materials.glowing("screen", [215, 215, 220], Skin::Screen(version), 0.25);
         let x = w * 0.42;
         self.monitor(m, [x - 0.3, 0.16, 0.74], [0.6, 0.36], screen);
         m.trim([x - 0.22, 0.36, 0.742], [x + 0.22, 0.5, 0.76], self.black);
@@ -99,7 +103,7 @@ impl Workshop<'_> {
         mesh: &mut crate::homes::mesh::Mesh,
         at: [f32; 3],
         size: [f32; 2],
-        screen: Look,
+        screen: Appearance,
     ) {
         let [x, y, z] = at;
         let [w, h] = size;
@@ -114,31 +118,36 @@ impl Workshop<'_> {
             self.black,
         );
         mesh.trim([x, y + 0.02, z + 0.1], [x + w, y + 0.05, z + 0.1 + h], self.black);
-        let (x0, x1, y, z0, z1) = (x + 0.012, x + w - 0.012, y + 0.053, z + 0.112, z + 0.088 + h);
-        mesh.picture([[x1, y, z0], [x0, y, z0], [x0, y, z1], [x1, y, z1]], screen);
+        let x0 = x + 0.012;
+        let x1 = x + w - 0.012;
+        let y = y + 0.053;
+        let z0 = z + 0.112;
+        let z1 = z + 0.088 + h;
+        mesh.stretched_face([[x1, y, z0], [x0, y, z0], [x0, y, z1], [x1, y, z1]], screen);
     }
 
     /// Four desks back to back with a low screen between them.
     pub fn desk_island(&mut self, columns: usize) -> Piece {
-        let (w, d) = (1.4, 0.7);
+        let w = 1.4;
+        let d = 0.7;
         let total = w * columns as f32;
         let mut piece = Piece::new("desk island", [total, 2.0 * d + 1.1, 1.1], 0.0);
         let middle = 0.55 + d;
         for i in 0..columns {
             let x = w * i as f32;
-            for turned in [false, true] {
+            for reversed in [false, true] {
                 let mut place = Piece::new("desk", [w - 0.01, d, 0.8], 0.0);
                 self.workplace(&mut place, w - 0.01, d);
-                let y = if turned { middle - 0.02 - d } else { middle + 0.02 };
-                piece.with(&place, [x, y], turned);
+                let y = if reversed { middle - 0.02 - d } else { middle + 0.02 };
+                piece.with(&place, [x, y], reversed);
                 let chair = self.office_chair();
                 let cx = x + 0.4 + self.between(-0.1, 0.2);
-                let cy = if turned {
+                let cy = if reversed {
                     self.between(0.0, 0.1)
                 } else {
                     2.0 * d + 1.1 - 0.58 - self.between(0.0, 0.1)
                 };
-                piece.with(&chair, [cx, cy], !turned);
+                piece.with(&chair, [cx, cy], !reversed);
             }
         }
         let felt = self.cloths[2];
@@ -148,15 +157,18 @@ impl Workshop<'_> {
 
     /// A long table with a row of chairs at each side.
     pub fn meeting_set(&mut self, pairs: usize) -> Piece {
-        let (w, d, out) = (0.3 + 0.75 * pairs as f32, 1.1, 0.42);
-        let look = if self.chance(0.5) { self.white } else { self.wood };
+        let w = 0.3 + 0.75 * pairs as f32;
+        let d = 1.1;
+        let out = 0.42;
+        let appearance = if self.chance(0.5) { self.white } else { self.wood };
         let mut piece = Piece::new("meeting table", [w, d + 2.0 * out, 1.0], 0.0);
-        let mut table = self.table([w, d, 0.74], look);
+        let mut table = self.table([w, d, 0.74], appearance);
         self.scatter(&mut table.mesh, [0.3, 0.2, w - 0.3, d - 0.2], 0.74, pairs);
         piece.with(&table, [0.0, out], false);
         for i in 0..pairs {
             let x = 0.15 + 0.75 * i as f32 + 0.08;
-            let (near, far) = (self.office_chair(), self.office_chair());
+            let near = self.office_chair();
+            let far = self.office_chair();
             piece.with(&near, [x, self.between(0.0, 0.08)], false);
             piece.with(&far, [x, d + 2.0 * out - 0.58 - self.between(0.0, 0.08)], true);
         }

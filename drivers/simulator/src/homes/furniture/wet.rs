@@ -1,13 +1,15 @@
-//! Kitchens and baths.
+//! Kitchen units and bathroom fixtures.
 
 use super::workshop::{Piece, Workshop};
-use crate::homes::looks::Look;
+use crate::homes::material_set::Appearance;
 use crate::homes::texture::Skin;
 
 impl Workshop<'_> {
     /// A row of base units with sink and hob; `tall`: with cupboards above.
-    pub fn counter(&mut self, units: usize, tall: bool, front: Look) -> Piece {
-        let (w, d, h) = (0.6 * units as f32, 0.6, 0.9);
+    pub fn counter(&mut self, units: usize, tall: bool, front: Appearance) -> Piece {
+        let w = 0.6 * units as f32;
+        let d = 0.6;
+        let h = 0.9;
         let mut piece = Piece::new("counter", [w, d, if tall { 2.15 } else { h }], 0.75);
         let m = &mut piece.mesh;
         m.block([0.0, 0.0, 0.0], [w, d - 0.07, 0.1], self.black);
@@ -39,7 +41,8 @@ impl Workshop<'_> {
         }
         self.scatter(m, [0.05, 0.1, 0.55, 0.4], h, 2);
         if tall {
-            let splash = self.looks.look("splashback", [232, 228, 220], Skin::Tiles(true));
+            let splash =
+                self.materials.appearance("splashback", [232, 228, 220], Skin::Tiles(true));
             m.trim([0.0, 0.0, h], [w, 0.012, 1.45], splash);
             m.block([0.0, 0.0, 1.45], [w, 0.33, 2.15], self.white);
             for i in 0..units {
@@ -52,16 +55,17 @@ impl Workshop<'_> {
     }
 
     pub fn fridge(&mut self) -> Piece {
-        let look = if self.chance(0.5) { self.white } else { self.metal };
+        let appearance = if self.chance(0.5) { self.white } else { self.metal };
         let mut piece = Piece::new("fridge", [0.6, 0.65, 1.8], 0.65);
         let m = &mut piece.mesh;
-        m.block([0.0, 0.0, 0.0], [0.6, 0.6, 1.8], look);
+        m.block([0.0, 0.0, 0.0], [0.6, 0.6, 1.8], appearance);
         for (z0, z1) in [(0.06, 0.66), (0.67, 1.79)] {
-            m.trim([0.004, 0.6, z0], [0.596, 0.645, z1], look);
+            m.trim([0.004, 0.6, z0], [0.596, 0.645, z1], appearance);
             m.trim([0.05, 0.645, z1 - 0.42], [0.07, 0.67, z1 - 0.05], self.metal);
         }
         for i in 0..3 {
-            let (x, z) = (0.12 + 0.13 * i as f32, self.between(1.1, 1.5));
+            let x = 0.12 + 0.13 * i as f32;
+            let z = self.between(1.1, 1.5);
             let note = self.paint();
             piece.mesh.trim([x, 0.645, z], [x + 0.09, 0.648, z + 0.12], note);
         }
@@ -70,15 +74,18 @@ impl Workshop<'_> {
 
     /// A tub with a hollow inside.
     pub fn tub(&mut self) -> Piece {
-        let (w, d, h, rim) = (1.65, 0.74, 0.56, 0.07);
+        let w = 1.65;
+        let d = 0.74;
+        let h = 0.56;
+        let rim = 0.07;
         let mut piece = Piece::new("tub", [w, d, h], 0.5);
         let m = &mut piece.mesh;
-        let look = self.ceramic;
-        m.block([0.0, 0.0, 0.0], [rim, d, h], look);
-        m.block([w - rim, 0.0, 0.0], [w, d, h], look);
-        m.block([rim, 0.0, 0.0], [w - rim, rim, h], look);
-        m.block([rim, d - rim, 0.0], [w - rim, d, h], look);
-        m.block([rim, rim, 0.0], [w - rim, d - rim, 0.12], look);
+        let appearance = self.ceramic;
+        m.block([0.0, 0.0, 0.0], [rim, d, h], appearance);
+        m.block([w - rim, 0.0, 0.0], [w, d, h], appearance);
+        m.block([rim, 0.0, 0.0], [w - rim, rim, h], appearance);
+        m.block([rim, d - rim, 0.0], [w - rim, d, h], appearance);
+        m.block([rim, rim, 0.0], [w - rim, d - rim, 0.12], appearance);
         m.trim([0.02, d / 2.0 - 0.02, h], [0.05, d / 2.0 + 0.02, h + 0.14], self.metal);
         m.trim([0.02, d / 2.0 - 0.015, h + 0.12], [0.2, d / 2.0 + 0.015, h + 0.14], self.metal);
         let towel = self.cloth();
@@ -88,17 +95,16 @@ impl Workshop<'_> {
 
     /// A tray with a rail and a drawn curtain.
     pub fn shower(&mut self) -> Piece {
-        let (w, h) = (0.9, 2.0);
+        let w = 0.9;
+        let h = 2.0;
         let mut piece = Piece::new("shower", [w, w, h], 0.45);
         let cloth = self.cloth();
         let m = &mut piece.mesh;
         m.block([0.0, 0.0, 0.0], [w, w, 0.06], self.ceramic);
         m.trim([0.0, w - 0.03, h - 0.02], [w, w - 0.01, h], self.metal);
-        let at = |i: usize| {
-            (0.04 + 0.5 * i as f32 / 10.0, w - if i.is_multiple_of(2) { 0.005 } else { 0.045 })
-        };
         for i in 0..10 {
-            let ((x0, y0), (x1, y1)) = (at(i), at(i + 1));
+            let (x0, y0) = curtain_fold(i, w);
+            let (x1, y1) = curtain_fold(i + 1, w);
             let uv = |x: f32, z: f32| [x * 1.4 / cloth.tile_m, -z / cloth.tile_m];
             let corners = [[x1, y1, 0.12], [x0, y0, 0.12], [x0, y0, h], [x1, y1, h]];
             m.quad(corners, [uv(x1, 0.12), uv(x0, 0.12), uv(x0, h), uv(x1, h)], cloth);
@@ -111,13 +117,14 @@ impl Workshop<'_> {
 
     pub fn toilet(&mut self) -> Piece {
         let mut piece = Piece::new("toilet", [0.4, 0.66, 0.8], 0.45);
-        let (m, look) = (&mut piece.mesh, self.ceramic);
-        m.block([0.02, 0.0, 0.36], [0.38, 0.17, 0.78], look);
-        m.trim([0.01, 0.0, 0.78], [0.39, 0.18, 0.8], look);
-        m.block([0.11, 0.05, 0.0], [0.29, 0.4, 0.3], look);
-        m.post([0.2, 0.42], [0.0, 0.28], [0.12, 0.17], 10, look);
-        m.post([0.2, 0.42], [0.28, 0.4], [0.17, 0.2], 10, look);
-        m.block([0.03, 0.16, 0.28], [0.37, 0.4, 0.4], look);
+        let m = &mut piece.mesh;
+        let appearance = self.ceramic;
+        m.block([0.02, 0.0, 0.36], [0.38, 0.17, 0.78], appearance);
+        m.trim([0.01, 0.0, 0.78], [0.39, 0.18, 0.8], appearance);
+        m.block([0.11, 0.05, 0.0], [0.29, 0.4, 0.3], appearance);
+        m.post([0.2, 0.42], [0.0, 0.28], [0.12, 0.17], 10, appearance);
+        m.post([0.2, 0.42], [0.28, 0.4], [0.17, 0.2], 10, appearance);
+        m.block([0.03, 0.16, 0.28], [0.37, 0.4, 0.4], appearance);
         m.post([0.2, 0.43], [0.396, 0.43], [0.206, 0.206], 10, self.white);
         m.trim([0.025, 0.176, 0.396], [0.375, 0.42, 0.426], self.white);
         piece
@@ -126,20 +133,20 @@ impl Workshop<'_> {
     /// A basin on a cabinet, a mirror above.
     pub fn washstand(&mut self) -> Piece {
         let w = self.between(0.6, 0.85);
-        let look = if self.chance(0.5) { self.white } else { self.any_wood() };
+        let appearance = if self.chance(0.5) { self.white } else { self.any_wood() };
         let mut piece = Piece::new("washstand", [w, 0.48, 1.75], 0.55);
         let m = &mut piece.mesh;
-        m.block([0.02, 0.0, 0.12], [w - 0.02, 0.42, 0.78], look);
+        m.block([0.02, 0.0, 0.12], [w - 0.02, 0.42, 0.78], appearance);
         for x in [0.025, w / 2.0 + 0.003] {
-            m.trim([x, 0.42, 0.14], [x + w / 2.0 - 0.028, 0.435, 0.77], look);
+            m.trim([x, 0.42, 0.14], [x + w / 2.0 - 0.028, 0.435, 0.77], appearance);
             m.trim([x + 0.1, 0.435, 0.68], [x + 0.18, 0.455, 0.695], self.metal);
         }
         m.block([0.0, 0.0, 0.78], [w, 0.48, 0.88], self.ceramic);
-        let bowl = self.looks.look("bowl", [214, 216, 218], Skin::Smudge);
+        let bowl = self.materials.appearance("bowl", [214, 216, 218], Skin::Smudge);
         m.trim([0.1, 0.14, 0.88], [w - 0.1, 0.43, 0.884], bowl);
         m.post([w / 2.0, 0.08], [0.88, 1.02], [0.015, 0.015], 6, self.metal);
         m.trim([w / 2.0 - 0.012, 0.08, 1.01], [w / 2.0 + 0.012, 0.2, 1.03], self.metal);
-        let mirror = self.looks.look("mirror", [186, 198, 204], Skin::Plaster(1));
+        let mirror = self.materials.appearance("mirror", [186, 198, 204], Skin::Plaster(1));
         m.trim([0.03, 0.0, 1.1], [w - 0.03, 0.02, 1.75], self.metal);
         m.trim([0.05, 0.02, 1.12], [w - 0.05, 0.024, 1.73], mirror);
         self.scatter(m, [0.02, 0.02, 0.2, 0.12], 0.88, 1);
@@ -152,22 +159,27 @@ impl Workshop<'_> {
         let m = &mut piece.mesh;
         m.block([0.0, 0.0, 0.0], [0.6, 0.57, 0.85], self.white);
         m.trim([0.005, 0.57, 0.72], [0.595, 0.58, 0.84], self.metal);
-        let ring = |r: f32, y: f32, k: usize| {
-            let a = std::f32::consts::TAU * k as f32 / 12.0;
-            [0.3 - r * a.cos(), y, 0.4 + r * a.sin()]
-        };
-        for (radius, y, look) in [(0.2, 0.575, self.metal), (0.155, 0.58, self.black)] {
+        for (radius, y, appearance) in [(0.2, 0.575, self.metal), (0.155, 0.58, self.black)] {
             for k in (1..11).step_by(2) {
                 let corners = [
-                    ring(radius, y, 0),
-                    ring(radius, y, k),
-                    ring(radius, y, k + 1),
-                    ring(radius, y, k + 2),
+                    ring_corner(radius, y, 0),
+                    ring_corner(radius, y, k),
+                    ring_corner(radius, y, k + 1),
+                    ring_corner(radius, y, k + 2),
                 ];
-                m.quad(corners, corners.map(|c| [c[0], c[2]]), look);
+                m.quad(corners, corners.map(|c| [c[0], c[2]]), appearance);
             }
         }
         self.scatter(m, [0.05, 0.05, 0.5, 0.4], 0.85, 2);
         piece
     }
+}
+
+fn ring_corner(r: f32, y: f32, k: usize) -> [f32; 3] {
+    let a = std::f32::consts::TAU * k as f32 / 12.0;
+    [0.3 - r * a.cos(), y, 0.4 + r * a.sin()]
+}
+
+fn curtain_fold(i: usize, w: f32) -> (f32, f32) {
+    (0.04 + 0.5 * i as f32 / 10.0, w - if i.is_multiple_of(2) { 0.005 } else { 0.045 })
 }

@@ -1,20 +1,21 @@
-//! Where pieces are made: one home's woods, cloths and colours.
+//! Builds pieces of furniture from the woods, cloths and colours of one home.
 
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
-use crate::homes::looks::{Look, Looks};
+use crate::homes::material_set::{Appearance, MaterialSet};
 use crate::homes::mesh::Mesh;
 use crate::homes::texture::Skin;
 
-/// One thing that stands on the floor, built along the south wall: x from 0 to its width, y from 0 (back) to its depth.
+/// A piece that stands on the floor, built along the south wall: x from 0 to its width, y from 0
+/// (back) to its depth.
 #[derive(Debug, Clone)]
 pub struct Piece {
     pub name: &'static str,
     pub mesh: Mesh,
     /// Width, depth and height, metres.
     pub size: [f32; 3],
-    /// Free floor that it needs in front, metres.
+    /// Free floor that the piece needs in front, metres.
     pub front_m: f32,
 }
 
@@ -23,11 +24,12 @@ impl Piece {
         Self { name, mesh: Mesh::default(), size, front_m }
     }
 
-    /// Adds another piece, its back left corner at `at`, facing the same way or (`turned`) the opposite way.
-    pub fn with(&mut self, other: &Self, at: [f32; 2], turned: bool) {
+    /// Adds another piece with its back left corner at `at`, facing the same direction or, if
+    /// `reversed`, the opposite one.
+    pub fn with(&mut self, other: &Self, at: [f32; 2], reversed: bool) {
         let (x, y) =
-            if turned { (at[0] + other.size[0], at[1] + other.size[1]) } else { (at[0], at[1]) };
-        let side = if turned {
+            if reversed { (at[0] + other.size[0], at[1] + other.size[1]) } else { (at[0], at[1]) };
+        let side = if reversed {
             crate::homes::geometry::Side::North
         } else {
             crate::homes::geometry::Side::South
@@ -36,32 +38,33 @@ impl Piece {
     }
 }
 
-/// Materials of one home and the randomness that pieces are drawn from.
+/// Materials of one home and the random generator of its pieces.
 pub struct Workshop<'a> {
-    pub looks: &'a mut Looks,
+    pub materials: &'a mut MaterialSet,
     pub rng: Pcg64Mcg,
-    pub wood: Look,
-    pub dark_wood: Look,
-    pub white: Look,
-    pub metal: Look,
-    pub black: Look,
-    pub ceramic: Look,
-    pub stone: Look,
-    pub linen: Look,
-    pub leaf: Look,
-    pub carton: Look,
-    pub cloths: Vec<Look>,
-    pub books: Vec<Look>,
-    pub paints: Vec<Look>,
+    pub wood: Appearance,
+    pub dark_wood: Appearance,
+    pub white: Appearance,
+    pub metal: Appearance,
+    pub black: Appearance,
+    pub ceramic: Appearance,
+    pub stone: Appearance,
+    pub linen: Appearance,
+    pub leaf: Appearance,
+    pub carton: Appearance,
+    pub cloths: Vec<Appearance>,
+    pub books: Vec<Appearance>,
+    pub paints: Vec<Appearance>,
 }
 
 impl<'a> Workshop<'a> {
-    pub fn new(looks: &'a mut Looks, mut rng: Pcg64Mcg) -> Self {
+    pub fn new(materials: &'a mut MaterialSet, mut rng: Pcg64Mcg) -> Self {
         let woods = [[226, 190, 146], [196, 152, 108], [176, 128, 88], [232, 214, 188]];
         let darks = [[120, 82, 56], [92, 66, 50], [146, 104, 70]];
-        let wood = looks.look("wood", woods[rng.random_range(0..woods.len())], Skin::Grain);
+        let wood =
+            materials.appearance("wood", woods[rng.random_range(0..woods.len())], Skin::Grain);
         let dark_wood =
-            looks.look("dark wood", darks[rng.random_range(0..darks.len())], Skin::Grain);
+            materials.appearance("dark wood", darks[rng.random_range(0..darks.len())], Skin::Grain);
         let cloths = [
             [132, 138, 148],
             [168, 152, 132],
@@ -73,7 +76,7 @@ impl<'a> Workshop<'a> {
         let cloths = cloths
             .iter()
             .zip(0u8..)
-            .map(|(c, i)| looks.look("cloth", *c, Skin::Cloth(i % 3)))
+            .map(|(c, i)| materials.appearance("cloth", *c, Skin::Cloth(i % 3)))
             .collect();
         let books = [
             [150, 60, 52],
@@ -87,7 +90,7 @@ impl<'a> Workshop<'a> {
             [104, 138, 150],
             [150, 142, 128],
         ];
-        let books = books.iter().map(|c| looks.look("book", *c, Skin::Spines)).collect();
+        let books = books.iter().map(|c| materials.appearance("book", *c, Skin::Spines)).collect();
         let paints = [
             [196, 96, 78],
             [88, 132, 164],
@@ -96,22 +99,23 @@ impl<'a> Workshop<'a> {
             [226, 222, 214],
             [82, 88, 98],
         ];
-        let paints = paints.iter().map(|c| looks.look("glaze", *c, Skin::Smudge)).collect();
+        let paints =
+            paints.iter().map(|c| materials.appearance("glaze", *c, Skin::Smudge)).collect();
         Self {
             wood,
             dark_wood,
-            white: looks.look("white lacquer", [228, 226, 220], Skin::Smudge),
-            metal: looks.look("steel", [168, 170, 174], Skin::Smudge),
-            black: looks.look("black", [52, 52, 56], Skin::Smudge),
-            ceramic: looks.look("ceramic", [236, 236, 232], Skin::Smudge),
-            stone: looks.look("worktop", [150, 146, 142], Skin::Stone),
-            linen: looks.look("linen", [222, 218, 208], Skin::Cloth(0)),
-            leaf: looks.look("leaf", [255, 255, 255], Skin::Leaf),
-            carton: looks.look("carton", [190, 156, 116], Skin::Smudge),
+            white: materials.appearance("white lacquer", [228, 226, 220], Skin::Smudge),
+            metal: materials.appearance("steel", [168, 170, 174], Skin::Smudge),
+            black: materials.appearance("black", [52, 52, 56], Skin::Smudge),
+            ceramic: materials.appearance("ceramic", [236, 236, 232], Skin::Smudge),
+            stone: materials.appearance("worktop", [150, 146, 142], Skin::Stone),
+            linen: materials.appearance("linen", [222, 218, 208], Skin::Cloth(0)),
+            leaf: materials.appearance("leaf", [255, 255, 255], Skin::Leaf),
+            carton: materials.appearance("carton", [190, 156, 116], Skin::Smudge),
             cloths,
             books,
             paints,
-            looks,
+            materials,
             rng,
         }
     }
@@ -124,19 +128,19 @@ impl<'a> Workshop<'a> {
         self.rng.random_bool(p)
     }
 
-    pub fn cloth(&mut self) -> Look {
+    pub fn cloth(&mut self) -> Appearance {
         self.cloths[self.rng.random_range(0..self.cloths.len())]
     }
 
-    pub fn book(&mut self) -> Look {
+    pub fn book(&mut self) -> Appearance {
         self.books[self.rng.random_range(0..self.books.len())]
     }
 
-    pub fn paint(&mut self) -> Look {
+    pub fn paint(&mut self) -> Appearance {
         self.paints[self.rng.random_range(0..self.paints.len())]
     }
 
-    pub fn any_wood(&mut self) -> Look {
+    pub fn any_wood(&mut self) -> Appearance {
         if self.chance(0.6) { self.wood } else { self.dark_wood }
     }
 }

@@ -1,4 +1,4 @@
-//! Pictures that are stretched over one face: paintings, views through windows, rugs, screens.
+//! Images that are stretched over one face: paintings, views through windows, rugs, screens.
 
 use super::noise::{Field, hash};
 use super::{mix, scaled, square};
@@ -25,8 +25,8 @@ fn pigment(seed: u64, id: u64) -> [f32; 3] {
 
 fn landscape(seed: u64, brush: &Field) -> Texture {
     let ridges = Field::fractal([SIZE, 8], [3, 8], 5, 0.5, seed ^ 53);
-    let (top, low) =
-        (mix([120.0, 160.0, 205.0], [225.0, 180.0, 150.0], hash(seed, 1)), [236.0, 222.0, 200.0]);
+    let top = mix([120.0, 160.0, 205.0], [225.0, 180.0, 150.0], hash(seed, 1));
+    let low = [236.0, 222.0, 200.0];
     square(SIZE, |x, y| {
         let v = y as f32 / SIZE as f32;
         let mut color = mix(top, low, (v * 1.6).min(1.0));
@@ -48,27 +48,31 @@ fn color_fields(seed: u64, brush: &Field) -> Texture {
     let boxes: Vec<[f32; 4]> =
         (0..9).map(|i| std::array::from_fn(|k| hash(seed ^ 55, i * 4 + k as u64))).collect();
     square(SIZE, |x, y| {
-        let (u, v) = (x as f32 / SIZE as f32, y as f32 / SIZE as f32 + 0.012 * wobble.at(x, y));
-        let inside = |b: &[f32; 4]| {
-            (u - b[0]).abs() < 0.06 + 0.22 * b[2] && (v - b[1]).abs() < 0.06 + 0.22 * b[3]
-        };
-        let top = boxes.iter().rposition(inside).map_or(20, |i| i as u64);
+        let u = x as f32 / SIZE as f32;
+        let v = y as f32 / SIZE as f32 + 0.012 * wobble.at(x, y);
+        let top = boxes.iter().rposition(|it| is_inside_box(it, u, v)).map_or(20, |i| i as u64);
         pigment(seed, top).map(|c| c + 10.0 * brush.at(x, y))
     })
+}
+
+fn is_inside_box(b: &[f32; 4], u: f32, v: f32) -> bool {
+    (u - b[0]).abs() < 0.06 + 0.22 * b[2] && (v - b[1]).abs() < 0.06 + 0.22 * b[3]
 }
 
 fn flowers(seed: u64, brush: &Field) -> Texture {
     let ground = pigment(seed, 30);
     square(SIZE, |x, y| {
-        let (u, v) = (x as f32 / SIZE as f32, y as f32 / SIZE as f32);
+        let u = x as f32 / SIZE as f32;
+        let v = y as f32 / SIZE as f32;
         let mut color = scaled(ground, 1.1 - 0.5 * v);
         if v > 0.72 && (u - 0.5).abs() < 0.16 - 0.2 * (v - 0.86).abs() {
             color = pigment(seed, 31);
         }
         for i in 0..26 {
-            let (cx, cy) =
-                (0.5 + 0.62 * (hash(seed, 60 + i) - 0.5), 0.4 + 0.56 * (hash(seed, 90 + i) - 0.5));
-            let (r, r_max) = ((u - cx).hypot(v - cy), 0.03 + 0.05 * hash(seed, 120 + i));
+            let cx = 0.5 + 0.62 * (hash(seed, 60 + i) - 0.5);
+            let cy = 0.4 + 0.56 * (hash(seed, 90 + i) - 0.5);
+            let r = (u - cx).hypot(v - cy);
+            let r_max = 0.03 + 0.05 * hash(seed, 120 + i);
             if r < r_max {
                 color = mix(
                     pigment(seed, 32 + i % 4).map(|c| c + 40.0),
@@ -118,10 +122,13 @@ pub fn rug(version: u8, seed: u64) -> Texture {
     let seed = seed ^ u64::from(version) << 40;
     let pile = Field::fractal([SIZE, SIZE], [64, 64], 2, 1.0, seed ^ 59);
     let wear = Field::fractal([SIZE, SIZE], [3, 3], 5, 0.9, seed ^ 60);
-    let (field, border, motif) = (pigment(seed, 1), pigment(seed, 2), pigment(seed, 3));
+    let field = pigment(seed, 1);
+    let border = pigment(seed, 2);
+    let motif = pigment(seed, 3);
     square(SIZE, |x, y| {
         let edge = x.min(y).min(SIZE - 1 - x).min(SIZE - 1 - y);
-        let (column, row) = (x / 20, y / 20);
+        let column = x / 20;
+        let row = y / 20;
         let id = (row * 16 + column) as u64;
         let diamond = (x % 20).abs_diff(10) + (y % 20).abs_diff(10);
         let color = match edge {
@@ -153,7 +160,8 @@ pub fn screen(version: u8, seed: u64) -> Texture {
         } else {
             ([70.0, 74.0, 84.0], [214.0, 220.0, 226.0])
         };
-        let (line, column) = ((y / 8) as u64, x as f32 / SIZE as f32);
+        let line = (y / 8) as u64;
+        let column = x as f32 / SIZE as f32;
         let reach = 0.1 + 0.55 * hash(seed, line);
         if y < 12 || x < 40 {
             mix(paper, [90.0, 130.0, 170.0], 0.5)

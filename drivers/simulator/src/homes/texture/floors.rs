@@ -1,10 +1,11 @@
-//! Floors: boards and tiles repeat, but no two of them are alike.
+//! Floor textures. Boards and tiles repeat, but each has its own shade and grain.
 
 use super::noise::{Field, hash};
 use super::{gray, mix, scaled, square};
 use crate::scene::Texture;
 
-/// Boards, tiles and blocks differ from each other in any home; only the detail on them follows `texture`.
+/// Boards, tiles and blocks differ from each other in any home; only their detail scales with
+/// `texture`.
 fn partly(texture: f32) -> f32 {
     0.55 + 0.9 * texture
 }
@@ -21,23 +22,25 @@ pub fn planks(version: u8, seed: u64, texture: f32) -> Texture {
         _ => ([176.0, 168.0, 158.0], [140.0, 132.0, 122.0]),
     };
     let contrast = partly(texture);
-    // Three boards a row, with joints where chance puts them.
-    let joint = |row: usize, k: usize| {
-        ((k as f32 + 0.7 * hash(seed ^ row as u64, k as u64)) / 3.0 * SIZE as f32) as usize
-    };
     square(SIZE, |x, y| {
-        let (row, within) = (y * ROWS / SIZE, y * ROWS % SIZE / ROWS);
-        let board = (0..3).rev().find(|k| x >= joint(row, *k)).unwrap_or(2);
+        let row = y * ROWS / SIZE;
+        let within = y * ROWS % SIZE / ROWS;
+        let board = (0..3).rev().find(|k| x >= joint_column(row, *k, seed, SIZE)).unwrap_or(2);
         let id = (row * 3 + board) as u64;
         let offset = (hash(seed ^ 12, id) * SIZE as f32) as usize;
         let tone = hash(seed ^ 13, id)
             + contrast * (0.17 * grain.at(x + offset, y + offset * 7) + 0.07 * cloud.at(x, y));
-        let gap = within < 1 || (0..3).any(|k| x.abs_diff(joint(row, k)) < 1);
+        let gap = within < 1 || (0..3).any(|k| x.abs_diff(joint_column(row, k, seed, SIZE)) < 1);
         scaled(mix(dark, light, tone), if gap { 0.62 } else { 1.0 })
     })
 }
 
-/// Blocks of 24 cm with five strips each, turned alternately.
+/// Three boards per row, with joints at random positions.
+fn joint_column(row: usize, k: usize, seed: u64, size: usize) -> usize {
+    ((k as f32 + 0.7 * hash(seed ^ row as u64, k as u64)) / 3.0 * size as f32) as usize
+}
+
+/// Blocks of 24 cm with five strips each, in alternating directions.
 pub fn parquet(seed: u64, texture: f32) -> Texture {
     const SIZE: usize = 1024;
     const BLOCKS: usize = 10;
@@ -46,14 +49,19 @@ pub fn parquet(seed: u64, texture: f32) -> Texture {
     let cloud = Field::fractal([SIZE, SIZE], [4, 4], 6, 1.0, seed ^ 15);
     let contrast = partly(texture);
     square(SIZE, |x, y| {
-        let (column, row) = (x * BLOCKS / SIZE, y * BLOCKS / SIZE);
-        let (u, v) = (x * BLOCKS % SIZE, y * BLOCKS % SIZE);
-        let (across, length) = if (row + column) % 2 == 0 { (v, u) } else { (u, v) };
+        let column = x * BLOCKS / SIZE;
+        let row = y * BLOCKS / SIZE;
+        let u = x * BLOCKS % SIZE;
+        let v = y * BLOCKS % SIZE;
+        let (across, length) = if (row + column).is_multiple_of(2) { (v, u) } else { (u, v) };
         let strip = across * STRIPS / SIZE;
         let id = ((row * BLOCKS + column) * STRIPS + strip) as u64;
         let offset = (hash(seed ^ 16, id) * SIZE as f32) as usize;
-        let grain =
-            if (row + column) % 2 == 0 { along.at(x + offset, y) } else { along.at(y + offset, x) };
+        let grain = if (row + column).is_multiple_of(2) {
+            along.at(x + offset, y)
+        } else {
+            along.at(y + offset, x)
+        };
         let tone = hash(seed ^ 17, id) + contrast * (0.12 * grain + 0.06 * cloud.at(x, y));
         let gap = across * STRIPS % SIZE < SIZE / 9 || length < BLOCKS * 2;
         scaled(mix([150.0, 106.0, 68.0], [190.0, 148.0, 102.0], tone), if gap { 0.74 } else { 1.0 })
@@ -68,7 +76,8 @@ pub fn tiles(small: bool, seed: u64, texture: f32) -> Texture {
     let fleck = Field::fractal([SIZE, SIZE], [90, 90], 2, 0.9, seed ^ 19);
     let contrast = partly(texture);
     gray(SIZE, |x, y| {
-        let (u, v) = (x as f32 * count as f32 / SIZE as f32, y as f32 * count as f32 / SIZE as f32);
+        let u = x as f32 * count as f32 / SIZE as f32;
+        let v = y as f32 * count as f32 / SIZE as f32;
         let id = u64::from(v as u32 * count + u as u32);
         if u.fract() < grout || v.fract() < grout {
             return 160.0 + 6.0 * fleck.at(x, y);

@@ -1,10 +1,10 @@
-//! What furniture and small things are made of; base colours tint it.
+//! Textures of furniture and small objects. Base colours tint them.
 
 use super::noise::{Field, hash};
 use super::{gray, square};
 use crate::scene::Texture;
 
-/// Sawn wood: lines along u that wander and bundle.
+/// Sawn wood: wavy lines along u.
 pub fn grain(seed: u64) -> Texture {
     const SIZE: usize = 512;
     let lines = Field::fractal([SIZE, SIZE], [3, 40], 4, 0.85, seed ^ 30);
@@ -52,7 +52,7 @@ pub fn stone(seed: u64) -> Texture {
     })
 }
 
-/// Bands and lettering at random heights; a book's place on the texture decides which it gets.
+/// Bands and lettering at random heights. A book's position on the texture decides which it gets.
 pub fn spines(seed: u64) -> Texture {
     const SIZE: usize = 256;
     // 24 strips of 2.5 cm: about one book's width.

@@ -1,12 +1,14 @@
-//! Procedural pictures for every surface, RGBA8, that wrap.
+//! Procedural RGBA8 textures for every surface. They wrap.
 //!
-//! Contrast decides how hard a home is for depth from motion: with rich walls plain triangulation solves it, on blank
-//! ones nothing does. Numbers here are standard deviations in sRGB-coded steps of 255 at `texture = 1`.
+//! Contrast determines how difficult a home is for depth from motion: strongly textured walls are
+//! solved by plain triangulation, blank ones by no method. Contrast values here are standard
+//! deviations in sRGB-coded steps of 255 at `texture = 1`.
 //!
-//! Measured by the example `home` on rendered 640x192 views of 90 degrees, in blocks of 16x16 pixels less their plane, at the
-//! calibrated strength, medians of eleven homes: walls, tiles and wallpaper among them, 2.4 to 4.9 at 1.6 to 2.4 m, mostly
-//! about 3, and 2.8 to 3.5 at 4 to 8 m; floors 5 to 9 at 2.4 to 4 m; furniture 3 to 10 at 1.6 to 2.4 m. A camera's own noise
-//! is about 1.5.
+//! Contrast measured by the example `home` on rendered 640x192 views of 90 degrees, as the
+//! deviation of 16x16 pixel blocks from their best plane, at the calibrated strength, medians of
+//! eleven homes: walls (including tiles and wallpaper) 2.4 to 4.9 at 1.6 to 2.4 m, mostly about 3,
+//! and 2.8 to 3.5 at 4 to 8 m; floors 5 to 9 at 2.4 to 4 m; furniture 3 to 10 at 1.6 to 2.4 m. A
+//! camera's own noise is about 1.5.
 
 mod art;
 mod floors;
@@ -16,7 +18,7 @@ mod walls;
 
 use crate::scene::Texture;
 
-/// What a surface is covered with. The number in a variant tells its versions apart.
+/// Texture of a surface. The number in a variant selects its version.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Skin {
     /// Painted plaster; colourless.
@@ -29,7 +31,7 @@ pub enum Skin {
     Brick,
     /// Boards of wood.
     Planks(u8),
-    /// Blocks of short strips, turned alternately.
+    /// Blocks of short strips in alternating directions.
     Parquet,
     /// Square tiles with grout; `true`: small ones for walls. Colourless.
     Tiles(bool),
@@ -49,7 +51,7 @@ pub enum Skin {
     Leaf,
     /// A painting.
     Painting(u8),
-    /// What is seen through a window.
+    /// The view through a window.
     View(u8),
     /// A rug with a border.
     Rug(u8),
@@ -58,7 +60,8 @@ pub enum Skin {
 }
 
 impl Skin {
-    /// Edge of the square that the texture covers, metres; `None` where it is stretched over a whole face.
+    /// Side of the square that the texture covers, metres; `None` where it is stretched over a
+    /// whole face.
     pub fn tile_m(self) -> Option<f32> {
         match self {
             Self::Painting(_) | Self::View(_) | Self::Rug(_) | Self::Screen(_) => None,
@@ -74,7 +77,8 @@ impl Skin {
         }
     }
 
-    /// Whether it only varies a material's colour, which is then that of the finished surface on average.
+    /// Whether the texture only modulates the material's colour, which is then the average colour
+    /// of the finished surface.
     pub fn tints(self) -> bool {
         !matches!(
             self,
@@ -89,7 +93,8 @@ impl Skin {
         )
     }
 
-    /// Paints it; `texture` scales the contrast of walls and ceilings fully and that of floors partly.
+    /// Paints the texture. `texture` scales the contrast of walls and ceilings fully and that of
+    /// floors partly.
     pub fn paint(self, seed: u64, texture: f32) -> Texture {
         match self {
             Self::Plaster(version) => walls::plaster(seed ^ u64::from(version), texture),

@@ -1,4 +1,5 @@
-//! Periodic value noise: sums of random lattices, interpolated smoothly, that wrap at the texture's border.
+//! Periodic value noise: sums of random lattices, interpolated smoothly, that wrap at the texture's
+//! border.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -12,14 +13,13 @@ pub struct Field {
 }
 
 impl Field {
-    /// All zero.
     pub fn new(width: usize, height: usize) -> Self {
         Self { width, height, values: vec![0.0; width * height] }
     }
 
-    /// Octaves from `cells` (columns and rows of the coarsest lattice) on, each twice as fine as the one before and
-    /// `gain` times as strong; mean 0, standard deviation 1. A gain of 1 has the same contrast at every scale, as
-    /// photographs of surfaces have.
+    /// Sums octaves from `cells` (columns and rows of the coarsest lattice) on, each twice as fine
+    /// as the one before and `gain` times as strong, scaled to mean 0 and standard deviation 1. A
+    /// gain of 1 has the same contrast at every scale, as photographs of surfaces have.
     pub fn fractal(
         size: [usize; 2],
         cells: [usize; 2],
@@ -47,7 +47,8 @@ impl Field {
         for y in 0..self.height {
             let (low, high, t) = station(y, self.height, cells[1]);
             for (i, value) in row.iter_mut().enumerate() {
-                let (a, b) = (lattice[low * cells[0] + i], lattice[high * cells[0] + i]);
+                let a = lattice[low * cells[0] + i];
+                let b = lattice[high * cells[0] + i];
                 *value = a + (b - a) * t;
             }
             let out = &mut self.values[y * self.width..(y + 1) * self.width];
@@ -75,11 +76,12 @@ impl Field {
 /// Lattice points before and after texel `i`, and the smooth weight of the later one.
 fn station(i: usize, size: usize, cells: usize) -> (usize, usize, f32) {
     let p = (i as f32 + 0.5) * cells as f32 / size as f32;
-    let (low, t) = (p as usize % cells, p.fract());
+    let low = p as usize % cells;
+    let t = p.fract();
     (low, (low + 1) % cells, t * t * (3.0 - 2.0 * t))
 }
 
-/// A number in 0..1 that depends on nothing but its inputs.
+/// A hash of two numbers, in 0..1.
 pub fn hash(a: u64, b: u64) -> f32 {
     let mut h = a.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ b.wrapping_mul(0xC2B2_AE3D_27D4_EB4F);
     h = (h ^ (h >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -94,12 +96,17 @@ mod tests {
     #[test]
     fn noise_wraps_without_a_seam_and_is_standardised() {
         let field = Field::fractal([64, 32], [4, 2], 3, 0.7, 5);
-        let step = |a: f32, b: f32| (a - b).abs();
-        let inside: f32 = (0..32).map(|y| step(field.at(30, y), field.at(31, y))).sum();
-        let across: f32 = (0..32).map(|y| step(field.at(63, y), field.at(64, y))).sum();
+        let inside: f32 =
+            (0..32).map(|y| absolute_difference(field.at(30, y), field.at(31, y))).sum();
+        let across: f32 =
+            (0..32).map(|y| absolute_difference(field.at(63, y), field.at(64, y))).sum();
         assert!(across < 3.0 * inside, "seam {across} against {inside}");
         let mean = field.values.iter().sum::<f32>() / 2048.0;
         let power = field.values.iter().map(|v| v * v).sum::<f32>() / 2048.0;
         assert!(mean.abs() < 1e-3 && (power - 1.0).abs() < 1e-3, "{mean} {power}");
+    }
+
+    fn absolute_difference(a: f32, b: f32) -> f32 {
+        (a - b).abs()
     }
 }

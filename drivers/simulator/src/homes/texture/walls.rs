@@ -1,22 +1,24 @@
-//! What is on walls and ceilings. Their contrast scales with `HomeOptions::texture`.
+//! Textures of walls and ceilings. Their contrast scales with `HomeOptions::texture`.
 
 use super::noise::{Field, hash};
 use super::{gray, mix, square};
 use crate::scene::Texture;
 
 const SIZE: usize = 512;
-/// Mean brightness of colourless wall textures, so that contrast is not cut at white.
+/// Mean brightness of colourless wall textures. It is below white so that contrast is not clipped.
 const MEAN: f32 = 222.0;
 /// Painted plaster: standard deviation over a whole tile at full texture, of 255.
 const PLASTER_RMS: f32 = 24.0;
 /// Ceilings are painted more evenly than walls.
 const CEILING_RMS: f32 = 18.0;
-/// Wallpaper's motifs against their ground.
+/// Contrast of wallpaper motifs against their background.
 const MOTIF: f32 = 60.0;
-/// Brick against brick.
+/// Rows and columns of wallpaper motifs.
+const ROWS: usize = 10;
+/// Contrast between bricks.
 const BRICK_RMS: f32 = 26.0;
 
-/// Clouds of every size, the marks of a roller, and a few stains and scuffs.
+/// Variations at every scale, the marks of a roller, and a few stains and scuffs.
 pub fn plaster(seed: u64, texture: f32) -> Texture {
     let mut field = cloud([SIZE, SIZE], seed);
     let roller = Field::fractal([SIZE, SIZE], [24, 3], 3, 0.8, seed ^ 1);
@@ -30,7 +32,7 @@ pub fn plaster(seed: u64, texture: f32) -> Texture {
     gray(SIZE, |x, y| MEAN + texture * PLASTER_RMS * field.at(x, y).clamp(-4.0, 3.0))
 }
 
-/// Contrast at every scale, less of it above 30 cm: paint hides large unevenness better than small.
+/// Contrast at every scale, with less above 30 cm: paint hides large unevenness better than small.
 fn cloud(size: [usize; 2], seed: u64) -> Field {
     let mut field = Field::fractal(size, [9, 9], 6, 1.0, seed);
     let coarse = Field::fractal(size, [3, 3], 2, 1.0, seed ^ 8);
@@ -45,32 +47,39 @@ pub fn ceiling(seed: u64, texture: f32) -> Texture {
     gray(SIZE, |x, y| MEAN + texture * CEILING_RMS * field.at(x, y))
 }
 
-/// Flowers of several petals, each turned and sized by chance and off its place in the grid.
+/// Flowers of several petals with random orientation, size and offset from a grid.
 pub fn wallpaper(seed: u64, texture: f32) -> Texture {
-    const ROWS: usize = 10;
     let ground = cloud([SIZE, SIZE], seed ^ 5);
     let cell = SIZE as f32 / ROWS as f32;
-    let motif = |x: usize, y: usize| {
-        let (mut best, row) = (0.0_f32, (y as f32 / cell) as usize);
-        for r in row + ROWS - 1..=row + ROWS + 1 {
-            let r = r % ROWS;
-            let column = (x as f32 / cell) as usize;
-            for c in column + ROWS - 1..=column + ROWS + 1 {
-                let id = seed ^ (r * ROWS + c % ROWS) as u64;
-                let jitter = |k: u64| hash(id, k) - 0.5;
-                let offset = 0.5 * (r % 2) as f32;
-                let wrapped = |d: f32| d - (d / SIZE as f32).round() * SIZE as f32;
-                let dx = wrapped(x as f32 - (c as f32 + 0.5 + offset + 0.5 * jitter(1)) * cell);
-                let dy = wrapped(y as f32 - (r as f32 + 0.5 + 0.5 * jitter(2)) * cell);
-                let petals = (3.0 + (hash(id, 3) * 4.0).floor()) * dy.atan2(dx) + 6.3 * hash(id, 4);
-                let reach = cell * (0.22 + 0.2 * hash(id, 5)) * (0.7 + 0.3 * petals.cos());
-                best =
-                    best.max(((reach - dx.hypot(dy)) / 4.0).clamp(0.0, 1.0) * (0.5 + hash(id, 6)));
-            }
+    gray(SIZE, |x, y| {
+        MEAN + texture * (0.6 * PLASTER_RMS * ground.at(x, y) - MOTIF * flower(x, y, cell, seed))
+    })
+}
+
+/// Strength of the flower motifs at a texel, 0 to 1.5.
+fn flower(x: usize, y: usize, cell: f32, seed: u64) -> f32 {
+    let mut best = 0.0_f32;
+    let row = (y as f32 / cell) as usize;
+    for r in row + ROWS - 1..=row + ROWS + 1 {
+        let r = r % ROWS;
+        let column = (x as f32 / cell) as usize;
+        for c in column + ROWS - 1..=column + ROWS + 1 {
+            let id = seed ^ (r * ROWS + c % ROWS) as u64;
+            let jitter = |k: u64| hash(id, k) - 0.5;
+            let offset = 0.5 * (r % 2) as f32;
+            let dx =
+                wrapped_distance(x as f32 - (c as f32 + 0.5 + offset + 0.5 * jitter(1)) * cell);
+            let dy = wrapped_distance(y as f32 - (r as f32 + 0.5 + 0.5 * jitter(2)) * cell);
+            let petals = (3.0 + (hash(id, 3) * 4.0).floor()) * dy.atan2(dx) + 6.3 * hash(id, 4);
+            let reach = cell * (0.22 + 0.2 * hash(id, 5)) * (0.7 + 0.3 * petals.cos());
+            best = best.max(((reach - dx.hypot(dy)) / 4.0).clamp(0.0, 1.0) * (0.5 + hash(id, 6)));
         }
-        best
-    };
-    gray(SIZE, |x, y| MEAN + texture * (0.6 * PLASTER_RMS * ground.at(x, y) - MOTIF * motif(x, y)))
+    }
+    best
+}
+
+fn wrapped_distance(d: f32) -> f32 {
+    d - (d / SIZE as f32).round() * SIZE as f32
 }
 
 /// Running bond; every brick has its own colour.

@@ -1,4 +1,4 @@
-//! Numbers in buffers (glTF 2.0, section 3.6.2), with KHR_mesh_quantization.
+//! Numeric data in buffers (glTF 2.0, section 3.6.2), with KHR_mesh_quantization.
 
 use gltf::json::accessor::{ComponentType, GenericComponentType, Type};
 use gltf::json::validation::Checked::Valid;
@@ -8,7 +8,7 @@ use super::container::{File, size};
 use crate::error::SceneError;
 
 impl File {
-    /// Vectors of at least N numbers, of which the first N are taken.
+    /// Reads vectors of at least N numbers and keeps the first N.
     pub fn floats<const N: usize>(
         &self,
         index: Index<Accessor>,
@@ -21,7 +21,6 @@ impl File {
         Ok(elements.iter().map(|bytes| std::array::from_fn(|i| elements.float(bytes, i))).collect())
     }
 
-    /// Whole numbers.
     pub fn indices(&self, index: Index<Accessor>) -> Result<Vec<u32>, SceneError> {
         let elements = self.elements(index)?;
         match elements.kind {
@@ -45,7 +44,7 @@ impl File {
         if accessor.sparse.is_some() {
             return Err(self.unsupported(
                 "sparse accessors",
-                "write it anew with `gltf-transform copy in.glb out.glb`",
+                "rewrite it with `gltf-transform copy in.glb out.glb`",
             ));
         }
         let (Valid(GenericComponentType(kind)), Valid(shape)) =
@@ -112,7 +111,8 @@ struct Elements<'a> {
 
 impl Elements<'_> {
     fn iter(&self) -> impl Iterator<Item = &[u8]> {
-        // The last element has no padding behind it, so chunks may be short but never shorter than `width`.
+        // The last element has no padding after it, so chunks may be short but never shorter than
+        // `width`.
         self.bytes.chunks(self.stride).map(|chunk| &chunk[..self.width])
     }
 

@@ -1,4 +1,4 @@
-//! The document and its buffers.
+//! The glTF document and its buffers.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,7 @@ pub(super) struct File {
     pub buffers: Vec<Vec<u8>>,
 }
 
-/// Required extensions that are honoured, or change nothing that is used here.
+/// Required extensions that are supported, or that do not affect the data used here.
 const HARMLESS: [&str; 3] =
     ["KHR_texture_transform", "KHR_mesh_quantization", "KHR_lights_punctual"];
 
@@ -85,7 +85,8 @@ impl File {
         })
     }
 
-    /// The bytes behind a URI: embedded, or in a file beside the scene. Nothing is fetched from a network.
+    /// The bytes of a URI: embedded data or a file beside the scene. Nothing is fetched from a
+    /// network.
     pub fn fetch(&self, uri: &str, what: &'static str) -> Result<Vec<u8>, SceneError> {
         if uri.starts_with("data:") {
             return match gltf::buffer::Data::from_source(gltf::buffer::Source::Uri(uri), None) {
@@ -124,20 +125,15 @@ impl File {
     }
 }
 
-/// A size or offset of the document; one that no memory can hold lies outside of every buffer.
+/// Converts a size or offset of the document. A value that exceeds `usize` becomes `usize::MAX`,
+/// which lies outside of every buffer.
 pub(super) fn size(value: USize64) -> usize {
     usize::try_from(value.0).unwrap_or(usize::MAX)
 }
 
 /// The JSON chunk and the binary chunk of a GLB file (glTF 2.0, section 4.4).
 fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
-    let word = |at: usize| {
-        bytes
-            .get(at..at + 4)
-            .and_then(|b| b.try_into().ok())
-            .map(|b| u32::from_le_bytes(b) as usize)
-    };
-    match word(4) {
+    match word_at(4, bytes) {
         Some(2) => {}
         Some(version) => return Err(format!("it is GLB version {version}, only 2 can be read")),
         None => return Err("it ends within its header".into()),
@@ -145,7 +141,9 @@ fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
     let mut chunks = [None, None];
     let mut at = 12;
     for (chunk, kind) in chunks.iter_mut().zip([0x4e4f_534a, 0x004e_4942]) {
-        let (Some(length), Some(found)) = (word(at), word(at + 4)) else { break };
+        let (Some(length), Some(found)) = (word_at(at, bytes), word_at(at + 4, bytes)) else {
+            break;
+        };
         if found != kind {
             return Err(format!("the chunk at byte {at} is not of the expected kind"));
         }
@@ -161,7 +159,12 @@ fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
     Ok((json.ok_or("it has no JSON chunk")?, blob))
 }
 
-/// `a%20b` is `a b`; `None` when the escapes are not text.
+/// The little-endian 32-bit number at a byte offset.
+fn word_at(at: usize, bytes: &[u8]) -> Option<usize> {
+    bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map(|b| u32::from_le_bytes(b) as usize)
+}
+
+/// Decodes percent escapes: `a%20b` becomes `a b`. `None` when the result is not UTF-8.
 fn percent_decoded(uri: &str) -> Option<String> {
     let mut bytes = Vec::with_capacity(uri.len());
     let mut rest = uri.as_bytes();
@@ -193,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn a_glb_that_is_cut_anywhere_is_refused_without_panic() {
+    fn a_glb_truncated_at_any_byte_is_refused_without_panic() {
         let json = b"{\"asset\":{\"version\":\"2.0\"}} ";
         let mut whole = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
         whole.extend((json.len() as u32).to_le_bytes());

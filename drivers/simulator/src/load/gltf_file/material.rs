@@ -14,26 +14,25 @@ use super::container::File;
 use crate::error::SceneError;
 use crate::scene::{Material, Scene};
 
-/// Materials of the document as far as triangles use them.
+/// Materials of the document that triangles use.
 pub(super) struct Materials<'a> {
     file: &'a File,
     /// By index in the document; `None` is glTF's default material.
     surfaces: BTreeMap<Option<usize>, Surface>,
-    /// Scene texture of every picture that was read, by its index in the document.
+    /// Scene texture of every image that was read, by its index in the document.
     textures: BTreeMap<usize, u32>,
-    /// Names and bytes of the scene's textures, in their order.
+    /// Names and encoded bytes of the scene's textures, in order.
     encoded: Vec<(String, Cow<'a, [u8]>)>,
-    /// Materials of triangles that are coloured by their corners, by the material that tints them.
+    /// Materials of triangles with vertex colours, by the material that tints them.
     colored: BTreeMap<u32, u32>,
     atlas: ColorAtlas,
-    /// Triangles whose texture coordinates are known when the atlas is complete: (triangle, block).
+    /// Triangles whose texture coordinates are set when the atlas is complete: (triangle, block).
     pending: Vec<(usize, usize)>,
 }
 
-/// What a primitive needs to know of its material.
+/// The parts of a material that a primitive needs.
 #[derive(Clone)]
 pub(super) struct Surface {
-    /// Index in the scene.
     pub material: u32,
     pub is_textured: bool,
     pub uv_set: u32,
@@ -41,12 +40,14 @@ pub(super) struct Surface {
 }
 
 impl Surface {
-    /// KHR_texture_transform: scale, then rotate, then move.
+    /// KHR_texture_transform: scale, then rotate, then translate.
     pub fn transform_uv(&self, [u, v]: [f32; 2]) -> [f32; 2] {
         let Some(transform) = &self.transform else { return [u, v] };
-        let ([du, dv], [su, sv]) = (transform.offset.0, transform.scale.0);
+        let [du, dv] = transform.offset.0;
+        let [su, sv] = transform.scale.0;
         let (sin, cos) = transform.rotation.0.sin_cos();
-        let (u, v) = (u * su, v * sv);
+        let u = u * su;
+        let v = v * sv;
         [cos * u + sin * v + du, cos * v - sin * u + dv]
     }
 }
@@ -64,7 +65,7 @@ impl<'a> Materials<'a> {
         }
     }
 
-    /// The material of a primitive; read once.
+    /// The material of a primitive. It is read on first use.
     pub fn surface(
         &mut self,
         index: Option<Index<material::Material>>,
@@ -89,7 +90,7 @@ impl<'a> Materials<'a> {
     ) -> Result<Surface, SceneError> {
         let source = self.file.get(index, "material")?;
         let extensions = source.extensions.as_ref();
-        let (mut factor, mut picture) =
+        let (mut factor, mut image_info) =
             match extensions.and_then(|e| e.pbr_specular_glossiness.as_ref()) {
                 Some(old) => (old.diffuse_factor.0, old.diffuse_texture.as_ref()),
                 None => {
@@ -99,19 +100,21 @@ impl<'a> Materials<'a> {
             };
         let mut emissive = source.emissive_factor.0;
         if let Some(glow) = &source.emissive_texture {
-            // Photogrammetry exports put their only picture here so that viewers show it unlit; elsewhere it is mostly black.
-            if picture.is_none() {
-                picture = Some(glow);
+            // Photogrammetry exports put their only texture here so that viewers show it unlit. In
+            // other files it is mostly black.
+            if image_info.is_none() {
+                image_info = Some(glow);
                 factor[..3].copy_from_slice(&emissive);
             }
             emissive = [0.0; 3];
         }
-        let texture = picture.map(|info| self.texture(info.index)).transpose()?;
+        let texture = image_info.map(|info| self.texture(info.index)).transpose()?;
         let alpha_cutoff = match source.alpha_mode {
             Valid(material::AlphaMode::Mask) => {
                 Some(source.alpha_cutoff.map_or(0.5, |cutoff| cutoff.0))
             }
-            // Half-transparent texels are there or not: there is no blending in a world with one depth a pixel.
+            // Half-transparent texels become opaque or holes: a pixel has only one depth, so there
+            // is no blending.
             Valid(material::AlphaMode::Blend) => Some(0.5),
             _ => None,
         };
@@ -122,7 +125,7 @@ impl<'a> Materials<'a> {
             alpha_cutoff: alpha_cutoff.filter(|_| texture.is_some()),
             emissive,
         };
-        Ok(add(scene, material, picture))
+        Ok(add(scene, material, image_info))
     }
 
     fn texture(&mut self, index: Index<texture::Texture>) -> Result<u32, SceneError> {
@@ -132,11 +135,11 @@ impl<'a> Materials<'a> {
             return Ok(known);
         }
         let Some(image) = file.root.get(source) else {
-            let feature = format!("texture {} without a PNG or JPEG picture", index.value());
+            let feature = format!("texture {} without a PNG or JPEG image", index.value());
             return Err(file.unsupported(feature, super::super::texture::WAY_OUT));
         };
         let label = format!("image {}", source.value());
-        let picture = match (image.buffer_view, &image.uri) {
+        let image_info = match (image.buffer_view, &image.uri) {
             (Some(view), _) => {
                 (image.name.clone().unwrap_or(label), Cow::Borrowed(file.view(view)?))
             }
@@ -149,12 +152,12 @@ impl<'a> Materials<'a> {
             }
         };
         let texture = self.encoded.len() as u32;
-        self.encoded.push(picture);
+        self.encoded.push(image_info);
         self.textures.insert(source.value(), texture);
         Ok(texture)
     }
 
-    /// The material of a triangle that is coloured by its corners (linear light), which is the next one of the scene.
+    /// The material of the next triangle of the scene, whose corners have colours (linear light).
     pub fn color(
         &mut self,
         surface: &Surface,
@@ -162,10 +165,7 @@ impl<'a> Materials<'a> {
         colors: &[[f32; 3]],
         scene: &mut Scene,
     ) -> u32 {
-        let color = |corner: u32| {
-            colors.get(corner as usize).copied().unwrap_or([1.0; 3]).map(srgb_from_linear)
-        };
-        let block = self.atlas.push(corners.map(color));
+        let block = self.atlas.push(corners.map(|it| corner_color(it, colors)));
         self.pending.push((scene.triangles.len(), block));
         *self.colored.entry(surface.material).or_insert_with(|| {
             scene.materials.push(scene.materials[surface.material as usize].clone());
@@ -173,7 +173,7 @@ impl<'a> Materials<'a> {
         })
     }
 
-    /// Completes the scene, after its last triangle: decodes the pictures, all cores at once.
+    /// Completes the scene after its last triangle: decodes the textures on all cores.
     pub fn finish(self, scene: &mut Scene) -> Result<(), SceneError> {
         let path = &self.file.path;
         let decoded: Vec<_> =
@@ -197,14 +197,18 @@ impl<'a> Materials<'a> {
     }
 }
 
-fn add(scene: &mut Scene, material: Material, picture: Option<&texture::Info>) -> Surface {
+fn corner_color(corner: u32, colors: &[[f32; 3]]) -> [u8; 3] {
+    colors.get(corner as usize).copied().unwrap_or([1.0; 3]).map(srgb_from_linear)
+}
+
+fn add(scene: &mut Scene, material: Material, image_info: Option<&texture::Info>) -> Surface {
     scene.materials.push(material);
-    let transform = picture.and_then(|info| info.extensions.as_ref()?.texture_transform.clone());
-    let uv_set = picture
+    let transform = image_info.and_then(|info| info.extensions.as_ref()?.texture_transform.clone());
+    let uv_set = image_info
         .map_or(0, |info| transform.as_ref().and_then(|t| t.tex_coord).unwrap_or(info.tex_coord));
     Surface {
         material: scene.materials.len() as u32 - 1,
-        is_textured: picture.is_some(),
+        is_textured: image_info.is_some(),
         uv_set,
         transform,
     }

@@ -1,7 +1,7 @@
 //! glTF 2.0 and its binary form GLB.
 //!
-//! The `gltf` crate gives the document's structure; its bytes are read here, because its readers panic on documents that are
-//! not sound, and a scene is a file from somewhere.
+//! The `gltf` crate parses the document's structure. Buffers are read here, because the crate's
+//! readers panic on malformed documents, and scene files are untrusted.
 
 mod accessor;
 mod container;
@@ -17,7 +17,8 @@ use self::material::Materials;
 use crate::error::SceneError;
 use crate::scene::{Scene, Triangle};
 
-/// All triangles of the default scene, with node transforms applied, in the file's own axes and units.
+/// Reads all triangles of the default scene with node transforms applied, in the file's axes and
+/// units.
 pub fn read(path: &Path) -> Result<Scene, SceneError> {
     let file = File::open(path)?;
     let mut scene = Scene::default();
@@ -32,7 +33,8 @@ pub fn read(path: &Path) -> Result<Scene, SceneError> {
     Ok(scene)
 }
 
-/// Every node of the default scene with its place in the world. Nodes may not be shared, or a cycle would never end.
+/// Every node of the default scene with its world transform. A node that is reached twice is an
+/// error; otherwise a cycle would never end.
 fn placed_nodes(file: &File) -> Result<Vec<(&Node, Matrix4<f64>)>, SceneError> {
     let root = &file.root;
     let scene = root.scene.map_or(root.scenes.first(), |index| root.get(index));
@@ -85,10 +87,7 @@ fn add_primitive(
     scene: &mut Scene,
 ) -> Result<(), SceneError> {
     use mesh::Semantic;
-    let attribute = |semantic| {
-        primitive.attributes.get(&gltf::json::validation::Checked::Valid(semantic)).copied()
-    };
-    let Some(positions) = attribute(Semantic::Positions) else { return Ok(()) };
+    let Some(positions) = attribute(Semantic::Positions, primitive) else { return Ok(()) };
     let positions: Vec<[f32; 3]> = file.floats(positions)?;
     let corners = match primitive.indices {
         Some(indices) => file.indices(indices)?,
@@ -104,10 +103,10 @@ fn add_primitive(
         return Ok(());
     }
     let surface = materials.surface(primitive.material, scene)?;
-    let uv = attribute(Semantic::TexCoords(surface.uv_set))
+    let uv = attribute(Semantic::TexCoords(surface.uv_set), primitive)
         .map(|index| file.floats::<2>(index))
         .transpose()?;
-    let colors = attribute(Semantic::Colors(0)).filter(|_| !surface.is_textured);
+    let colors = attribute(Semantic::Colors(0), primitive).filter(|_| !surface.is_textured);
     let colors = colors.map(|index| file.floats::<3>(index)).transpose()?;
     for triangle in triangles {
         let vertices = triangle.map(|corner| {
@@ -129,7 +128,14 @@ fn add_primitive(
     Ok(())
 }
 
-/// Corners of every triangle of a list, strip or fan; points and lines have none.
+fn attribute(
+    semantic: mesh::Semantic,
+    primitive: &mesh::Primitive,
+) -> Option<Index<gltf::json::Accessor>> {
+    primitive.attributes.get(&gltf::json::validation::Checked::Valid(semantic)).copied()
+}
+
+/// Corner indices of every triangle of a list, strip or fan. Points and lines have none.
 fn assemble(primitive: &mesh::Primitive, corners: &[u32]) -> Vec<[u32; 3]> {
     use gltf::json::validation::Checked::Valid;
     match primitive.mode {

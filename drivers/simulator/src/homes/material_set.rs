@@ -1,32 +1,33 @@
-//! Materials by colour and skin; a texture is painted once, however many materials share it.
+//! Materials by colour and skin. A texture is painted once, however many materials share it.
 
 use rayon::prelude::*;
 
 use super::texture::Skin;
 use crate::scene::{Material, Texture};
 
-/// A material with the size of its texture, metres, so that all surfaces have the same density of detail.
+/// A material and the size of its texture in metres, which gives all surfaces the same density of
+/// detail.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Look {
+pub struct Appearance {
     pub material: u32,
     pub tile_m: f32,
 }
 
 /// Collects materials and the skins that they need.
 #[derive(Debug, Default, PartialEq)]
-pub struct Looks {
+pub struct MaterialSet {
     materials: Vec<Material>,
     skins: Vec<Skin>,
 }
 
-impl Looks {
-    /// A material of a colour (sRGB, steps of 255) times a skin.
-    pub fn look(&mut self, name: &str, color: [u8; 3], skin: Skin) -> Look {
+impl MaterialSet {
+    /// Adds a material with a colour (sRGB, steps of 255) multiplied by a skin.
+    pub fn appearance(&mut self, name: &str, color: [u8; 3], skin: Skin) -> Appearance {
         self.glowing(name, color, skin, 0.0)
     }
 
-    /// The same with light of its own, `glow` times its colour.
-    pub fn glowing(&mut self, name: &str, color: [u8; 3], skin: Skin, glow: f32) -> Look {
+    /// Adds a material that also emits `glow` times its colour.
+    pub fn glowing(&mut self, name: &str, color: [u8; 3], skin: Skin, glow: f32) -> Appearance {
         let texture = self.skins.iter().position(|s| *s == skin).unwrap_or_else(|| {
             self.skins.push(skin);
             self.skins.len() - 1
@@ -43,29 +44,28 @@ impl Looks {
             self.materials.push(material);
             self.materials.len() - 1
         });
-        Look { material: index as u32, tile_m: skin.tile_m().unwrap_or(1.0) }
+        Appearance { material: index as u32, tile_m: skin.tile_m().unwrap_or(1.0) }
     }
 
-    /// Materials and painted textures.
     pub fn finish(mut self, seed: u64, texture: f32) -> (Vec<Material>, Vec<Texture>) {
         let painted: Vec<(Texture, f32)> = self
             .skins
             .par_iter()
             .map(|skin| {
-                let picture = skin.paint(seed, texture);
-                let mean = if skin.tints() { mean_light(&picture) } else { 1.0 };
-                (picture, mean)
+                let image = skin.paint(seed, texture);
+                let mean = if skin.tints() { mean_light(&image) } else { 1.0 };
+                (image, mean)
             })
             .collect();
         for material in &mut self.materials {
             let mean = material.texture.map_or(1.0, |t| painted[t as usize].1);
             material.base_color = material.base_color.map(|c| c / mean);
         }
-        (self.materials, painted.into_iter().map(|(picture, _)| picture).collect())
+        (self.materials, painted.into_iter().map(|(image, _)| image).collect())
     }
 }
 
-/// sRGB-coded steps to linear light, near enough for mixing paint.
+/// Approximates the conversion of sRGB steps to linear light by a power of 2.2.
 fn linear(step: u8) -> f32 {
     (f32::from(step) / 255.0).powf(2.2)
 }

@@ -1,4 +1,4 @@
-//! What scanner and camera see of the home.
+//! The scanner's and the camera's view of the home.
 
 use drivers::scip::Model;
 use hal::{CameraModel, DepthMap, Pose3, Range};
@@ -6,15 +6,14 @@ use simulator::render::Lighting;
 
 use super::Home;
 use crate::hokuyo::ScanSource;
-use crate::video::PictureSource;
+use crate::video::ImageSource;
 
-/// The scanner's view.
-pub(super) struct HomeScan {
+pub(super) struct HomeScanner {
     pub home: Home,
     pub model: Model,
 }
 
-impl ScanSource for HomeScan {
+impl ScanSource for HomeScanner {
     fn ranges_mm(&mut self, _time_ns: u64, out: &mut [u32]) {
         let codes = self.model.sheet().codes;
         let nothing = codes.no_return.unwrap_or(codes.dmax_mm + 1);
@@ -32,19 +31,18 @@ impl ScanSource for HomeScan {
     }
 }
 
-/// The camera's view.
-pub(super) struct HomePicture {
+pub(super) struct HomeCamera {
     pub home: Home,
     pub model: CameraModel,
     pub t_base_camera: Pose3,
-    /// What it shows was so long before its stamp.
+    /// Delay between exposure and timestamp.
     pub late_ns: u64,
     pub rgb: Vec<u8>,
     pub depth: DepthMap,
 }
 
-impl PictureSource for HomePicture {
-    fn picture(&mut self, _time_ns: u64, width: usize, height: usize, yuyv: &mut [u8]) {
+impl ImageSource for HomeCamera {
+    fn render(&mut self, _time_ns: u64, width: usize, height: usize, yuyv: &mut [u8]) {
         let at = self.home.pose_ago(self.late_ns).to_pose3() * self.t_base_camera;
         let camera = if (width, height) == (self.model.width, self.model.height) {
             self.model
@@ -59,15 +57,20 @@ impl PictureSource for HomePicture {
     }
 }
 
-/// Two RGB pixels as Y U Y V, ITU-R BT.601 with limited range: what USB cameras send.
+/// Two RGB pixels as Y U Y V, ITU-R BT.601 with limited range, as USB cameras send them.
 fn yuyv_of(pair: &[u8]) -> [u8; 4] {
     let [r0, g0, b0, r1, g1, b1] =
         [0, 1, 2, 3, 4, 5].map(|index| f32::from(pair.get(index).copied().unwrap_or(0)));
-    let luma = |r: f32, g: f32, b: f32| 16.0 + (65.481 * r + 128.553 * g + 24.966 * b) / 255.0;
-    let (r, g, b) = ((r0 + r1) / 2.0, (g0 + g1) / 2.0, (b0 + b1) / 2.0);
+    let r = (r0 + r1) / 2.0;
+    let g = (g0 + g1) / 2.0;
+    let b = (b0 + b1) / 2.0;
     let u = 128.0 + (-37.797 * r - 74.203 * g + 112.0 * b) / 255.0;
     let v = 128.0 + (112.0 * r - 93.786 * g - 18.214 * b) / 255.0;
     [luma(r0, g0, b0), u, luma(r1, g1, b1), v].map(|value| value.round() as u8)
+}
+
+fn luma(r: f32, g: f32, b: f32) -> f32 {
+    16.0 + (65.481 * r + 128.553 * g + 24.966 * b) / 255.0
 }
 
 #[cfg(test)]
@@ -75,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn black_white_and_red_are_what_the_standard_says() {
+    fn black_white_and_red_have_the_values_of_the_standard() {
         assert_eq!(yuyv_of(&[0; 6]), [16, 128, 16, 128]);
         assert_eq!(yuyv_of(&[255; 6]), [235, 128, 235, 128]);
         assert_eq!(yuyv_of(&[255, 0, 0, 255, 0, 0]), [81, 90, 81, 240]);

@@ -1,5 +1,6 @@
-//! Takes a picture of a scene: `look SCENE OUT.png [X Y YAW_DEGREES]`. Colour above, depth below (near is bright).
-//! Without a place, the start pose of seed 0. `SCENE` is a glTF or OBJ file or `builtin:NAME?seed=K`.
+//! Renders a view of a scene: `view SCENE OUT.png [X Y YAW_DEGREES]`. Colour above, depth below
+//! (near is bright). Without a pose, the start pose of seed 0. `SCENE` is a glTF or OBJ file or
+//! `builtin:NAME?seed=K`.
 
 use std::error::Error;
 
@@ -9,32 +10,34 @@ use simulator::world::{OpenOptions, World};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [scene, out, place @ ..] = arguments.as_slice() else {
-        return Err("usage: look SCENE OUT.png [X Y YAW_DEGREES]".into());
+    let [scene, out, pose @ ..] = arguments.as_slice() else {
+        return Err("usage: view SCENE OUT.png [X Y YAW_DEGREES]".into());
     };
     let world = World::open(scene, &OpenOptions::default())?;
-    let pose = match place {
+    let pose = match pose {
         [x, y, yaw] => Pose2::new(x.parse()?, y.parse()?, yaw.parse::<f64>()?.to_radians()),
         _ => world.floor_plan().start_pose(0),
     };
     let camera = CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2);
-    let (mut picture, mut depth) = (Vec::new(), DepthMap::none(camera.width, camera.height));
+    let mut pixels = Vec::new();
+    let mut depth = DepthMap::none(camera.width, camera.height);
     let t_world_camera = pose.to_pose3() * camera_mount(0.0, 0.8, 0.0);
     world.renderer().render(
         &camera,
         &t_world_camera,
         &[],
         &Lighting::default(),
-        &mut picture,
+        &mut pixels,
         &mut depth,
     );
     let brightness =
         |depth_m: f32| if depth_m > 0.0 { (255.0 / (1.0 + 0.5 * depth_m)) as u8 } else { 0 };
-    picture.extend(depth.values().iter().flat_map(|d| [brightness(*d); 3]));
-    let (width, height) = (camera.width as u32, 2 * camera.height as u32);
-    let picture =
-        image::RgbImage::from_raw(width, height, picture).ok_or("the picture has another size")?;
-    picture.save(out)?;
+    pixels.extend(depth.values().iter().flat_map(|d| [brightness(*d); 3]));
+    let width = camera.width as u32;
+    let height = 2 * camera.height as u32;
+    let rendered =
+        image::RgbImage::from_raw(width, height, pixels).ok_or("the image has another size")?;
+    rendered.save(out)?;
     println!(
         "{out}: from ({:.2}, {:.2}), {:.0} degrees",
         pose.x_m,

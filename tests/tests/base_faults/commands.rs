@@ -1,0 +1,255 @@
+//! Faulty or missing commands, stops, and the safety board.
+
+use drivers::can::messages::SafetyInput;
+use drivers::can::protocol::MotorStage;
+use drivers::can::{
+    BaseConfig, CanBus, CanError, CanFrame, DifferentialBase, Phase, Protocol, Trip, UnixBus,
+};
+use hal::{Base, Clock, DriveCommand, Twist2, VirtualClock};
+use hil::motor::rig::{config, node, step_nodes};
+use hil::motor::{MemoryBus, Outbox, Rig};
+use rustix::net::{AddressFamily, SocketFlags, SocketType, socketpair};
+
+use super::{ALL, MS, driving, is_motion, is_stopped, motion_frames};
+
+#[test]
+fn a_command_that_is_repeated_or_late_is_refused() {
+    let mut rig = driving(Protocol::Odrive);
+    let counter = rig.counter;
+    for old in [counter, counter - 1, counter.wrapping_sub(1000)] {
+        let refused = CanError::Counter { found: old, last: counter };
+        assert_eq!(rig.base.drive(&slow_command(old)), Err(refused));
+    }
+    assert_eq!(rig.base.drive(&slow_command(counter + 3)), Ok(()));
+    assert_eq!((rig.base.counts().skipped, rig.base.counts().refused), (2, 3));
+}
+
+fn slow_command(counter: u32) -> DriveCommand {
+    DriveCommand { twist: Twist2 { linear_mps: 0.1, angular_radps: 0.0 }, counter, plan_age_ns: 0 }
+}
+
+#[test]
+fn a_sender_that_only_repeats_itself_stops_the_base_within_the_watchdog() {
+    let mut rig = driving(Protocol::Odrive);
+    let twist = Twist2 { linear_mps: 0.2, angular_radps: 0.0 };
+    let counter = rig.counter;
+    for _ in 0..50 {
+        rig.poll();
+        let _ = rig.base.drive(&DriveCommand { twist, counter, plan_age_ns: 0 });
+    }
+    assert!(is_stopped(&rig));
+}
+
+#[test]
+fn a_stale_plan_moves_nothing() {
+    for protocol in ALL {
+        let mut rig = driving(protocol);
+        let twist = Twist2 { linear_mps: 0.2, angular_radps: 0.0 };
+        for _ in 0..60 {
+            rig.poll();
+            rig.counter += 1;
+            let error = rig.base.drive(&DriveCommand {
+                twist,
+                counter: rig.counter,
+                plan_age_ns: 501 * MS,
+            });
+            assert_eq!(error, Err(CanError::PlanTooOld { age_ms: 501, limit_ms: 500 }));
+        }
+        assert!(is_stopped(&rig), "{protocol:?}");
+        assert!(rig.base.is_armed());
+        rig.drive(0.2, 0.0).expect("a fresh plan moves it again");
+    }
+}
+
+#[test]
+fn a_command_that_is_not_finite_is_refused_and_stops() {
+    let mut rig = driving(Protocol::Cia402);
+    for (v, w) in [(f64::NAN, 0.0), (0.1, f64::INFINITY)] {
+        assert!(matches!(rig.drive(v, w), Err(CanError::NotFinite { .. })));
+    }
+    (0..40).for_each(|_| drop(rig.drive(f64::NAN, 0.0)));
+    assert!(is_stopped(&rig));
+}
+
+#[test]
+fn a_caller_that_falls_silent_stops_the_base_and_may_continue_later() {
+    for protocol in ALL {
+        let mut rig = driving(protocol);
+        (0..60).for_each(|_| rig.poll());
+        assert!(is_stopped(&rig), "{protocol:?}");
+        assert!(rig.base.is_armed(), "{protocol:?}: its loop is alive");
+        (0..60).for_each(|_| rig.drive(0.2, 0.0).expect("it goes on"));
+        assert!(!is_stopped(&rig));
+    }
+}
+
+#[test]
+fn a_stalled_loop_is_stopped_by_the_motors_watchdogs_and_stays_stopped() {
+    for protocol in ALL {
+        let mut rig = driving(protocol);
+        let expired = rig.nodes[0].watchdog().expired;
+        rig.advance(100 * MS);
+        assert_eq!(rig.nodes[0].watchdog().expired, expired, "{protocol:?}: not before its time");
+        rig.advance(12 * MS);
+        for node in &rig.nodes {
+            assert_eq!(node.watchdog().expired, expired + 1, "{protocol:?}");
+            let waited_ns = node.watchdog().expired_ns - node.watchdog().fed_ns;
+            assert!(waited_ns <= 101 * MS, "{protocol:?}: {waited_ns} ns");
+        }
+        rig.advance(400 * MS);
+        assert!(is_stopped(&rig), "{protocol:?}");
+        let _ = rig.host.take_sent();
+        assert_eq!(rig.drive(0.2, 0.0), Err(CanError::Tripped(Trip::LoopStalled)), "{protocol:?}");
+        (0..100).for_each(|_| drop(rig.drive(0.2, 0.0)));
+        assert_eq!(motion_frames(&rig), 0, "{protocol:?}");
+        assert!(is_stopped(&rig), "{protocol:?}");
+    }
+}
+
+#[test]
+fn the_emergency_stop_stops_at_once_and_forbids_arming() {
+    for protocol in ALL {
+        let mut rig = driving(protocol);
+        let _ = rig.host.take_sent();
+        rig.base.set_emergency_stop(true);
+        assert_eq!(motion_frames(&rig), 0);
+        assert_eq!(rig.drive(0.2, 0.0), Err(CanError::Tripped(Trip::EmergencyStop)));
+        (0..40).for_each(|_| rig.poll());
+        assert!(is_stopped(&rig), "{protocol:?}");
+        assert_eq!(rig.base.arm(), Err(CanError::Tripped(Trip::EmergencyStop)));
+        rig.base.set_emergency_stop(false);
+        assert!(!rig.base.is_armed(), "released is not armed");
+        rig.arm().unwrap_or_else(|error| panic!("{protocol:?}: {error}"));
+    }
+}
+
+/// A safety board on the bus.
+struct SafetyBoard {
+    bus: MemoryBus,
+    counter: u8,
+}
+
+impl SafetyBoard {
+    /// Sends the state of the board with a new counter, then runs one tick of the base.
+    fn send_and_drive(&mut self, rig: &mut Rig, estop: bool, bumper: bool) -> Result<(), CanError> {
+        self.counter = (self.counter + 1) % 16;
+        let _ = self.bus.send(&SafetyInput { counter: self.counter, estop, bumper }.encode());
+        rig.drive(0.1, 0.0)
+    }
+
+    /// Sends the last frame again, as a stuck board does, then runs one tick of the base.
+    fn repeat_and_drive(&mut self, rig: &mut Rig) -> Result<(), CanError> {
+        let input = SafetyInput { counter: self.counter, estop: false, bumper: false };
+        let _ = self.bus.send(&input.encode());
+        rig.drive(0.1, 0.0)
+    }
+}
+
+#[test]
+fn a_safety_board_on_the_bus_stops_the_base_and_so_does_its_silence() {
+    let config = BaseConfig { safety_board: true, ..config(Protocol::Odrive) };
+    let mut rig = Rig::new(&config).expect("sound");
+    let mut board = SafetyBoard { bus: rig.host.connect(), counter: 0 };
+    assert!(rig.is_ready_after(100));
+    assert_eq!(rig.base.arm(), Err(CanError::Tripped(Trip::SafetySilent)));
+    let _ = board.send_and_drive(&mut rig, false, false);
+    rig.base.arm().expect("the board is well");
+    (0..60).for_each(|_| drop(board.send_and_drive(&mut rig, false, false)));
+    assert!(rig.base.is_armed());
+    board.send_and_drive(&mut rig, false, true).expect("a bumper is contact, not a trip");
+    rig.poll();
+    assert!(
+        rig.feedback
+            .as_ref()
+            .is_ok_and(|feedback| feedback.is_some_and(|feedback| feedback.contact))
+    );
+    assert_eq!(
+        board.send_and_drive(&mut rig, true, false),
+        Err(CanError::Tripped(Trip::EmergencyStop))
+    );
+    let _ = board.send_and_drive(&mut rig, false, false);
+    (0..60).for_each(|_| drop(board.send_and_drive(&mut rig, false, false)));
+    rig.base.arm().expect("released");
+    (0..60).for_each(|_| drop(board.send_and_drive(&mut rig, false, false)));
+    // A repeated frame means that the board is stuck.
+    (0..15).for_each(|_| drop(board.repeat_and_drive(&mut rig)));
+    assert_eq!(rig.base.phase(), Phase::Tripped(Trip::SafetySilent));
+}
+
+#[test]
+fn a_safety_frame_with_a_wrong_checksum_is_dropped_and_counted() {
+    let mut rig = driving(Protocol::Vesc);
+    let mut board = rig.host.connect();
+    let pressed = SafetyInput { counter: 1, estop: true, bumper: false }.encode();
+    let broken = [pressed.data()[0] ^ 1, pressed.data()[1]];
+    let _ = board.send(&CanFrame::new(pressed.id(), &broken).expect("sound"));
+    rig.drive(0.2, 0.0).expect("a corrupt frame does not stop the base");
+    assert_eq!(rig.base.counts().corrupt, 1);
+    let _ = board.send(&pressed);
+    assert!(rig.drive(0.2, 0.0).is_err(), "also without a configured board, pressed is pressed");
+}
+
+#[test]
+fn a_stop_is_zero_in_the_very_next_frames() {
+    for protocol in ALL {
+        let mut rig = driving(protocol);
+        let _ = rig.host.take_sent();
+        rig.base.stop().expect("connected");
+        let sent = rig.host.take_sent();
+        assert!(sent.len() >= 2 && !sent.iter().any(|(_, frame)| is_motion(frame)), "{protocol:?}");
+    }
+}
+
+#[test]
+fn disarming_brakes_before_it_releases_the_motors() {
+    for protocol in ALL {
+        let mut rig = driving(protocol);
+        rig.base.disarm();
+        assert_eq!(rig.base.phase(), Phase::Disarming);
+        (0..40).for_each(|_| rig.poll());
+        assert!(is_stopped(&rig), "{protocol:?}");
+        (0..20).for_each(|_| rig.poll());
+        assert_eq!(rig.base.phase(), Phase::Disarmed);
+        assert!(rig.is_ready_after(100), "{protocol:?}");
+        assert!(rig.base.motors().iter().all(|motor| motor.stage == MotorStage::Ready));
+        assert!(!rig.nodes[0].is_powered(), "{protocol:?}");
+    }
+}
+
+/// Uses a Unix socket, whose driver allocates no more than that of SocketCAN; the bus in memory
+/// does allocate.
+#[test]
+fn an_armed_tick_allocates_nothing() {
+    for protocol in ALL {
+        let flags = SocketFlags::NONBLOCK;
+        let (host, motors) = socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, flags, None)
+            .expect("two sockets");
+        let mut motors = UnixBus::from_fd(motors);
+        let mut now_ns = 1_000 * MS;
+        let clock = VirtualClock::starting_at_ns(now_ns);
+        let mut base =
+            DifferentialBase::with_clock(UnixBus::from_fd(host), &config(protocol), clock)
+                .expect("a sound configuration");
+        let mut nodes = [node(protocol, 1), node(protocol, 2)];
+        let mut outbox = Outbox::default();
+        let mut measured = 0;
+        for counter in 1..=600 {
+            for _ in 0..10 {
+                now_ns += MS;
+                step_nodes(&mut nodes, &mut motors, now_ns, &mut outbox);
+            }
+            base.clock_mut().sleep_until_ns(now_ns);
+            let is_armed = base.is_armed() || base.arm().is_ok() && base.is_armed();
+            let twist = Twist2 { linear_mps: 0.2, angular_radps: 0.1 };
+            let counted = allocation_counter::measure(|| {
+                let _ = base.poll_feedback();
+                let _ = base.drive(&DriveCommand { twist, counter, plan_age_ns: 0 });
+            });
+            if is_armed {
+                assert_eq!(counted.count_total, 0, "{protocol:?}");
+                measured += 1;
+            }
+        }
+        assert!(measured > 300, "{protocol:?}: armed for {measured} ticks; {}", base.explain());
+    }
+}
