@@ -5,7 +5,7 @@ mod common;
 
 use std::fs;
 
-use common::{CHUNK_TURNS, Noise, pull_into, segment, some_tick};
+use common::{CHUNK_TICKS, Noise, pull_into, segment, some_tick};
 use runtime::recording::RecordingReader;
 use segment_store::pull::Options;
 use segment_store::source::Directory;
@@ -31,37 +31,37 @@ fn chunk_ends(file: &[u8]) -> Vec<usize> {
 }
 
 /// Turns in the complete chunks of the first `cut` bytes; the first chunk holds the header only.
-fn complete_turns(ends: &[usize], cut: usize, total: u64) -> u64 {
+fn complete_ticks(ends: &[usize], cut: usize, total: u64) -> u64 {
     let chunks = ends.iter().filter(|end| **end <= cut).count() as u64;
-    (chunks.saturating_sub(1) * CHUNK_TURNS).min(total)
+    (chunks.saturating_sub(1) * CHUNK_TICKS).min(total)
 }
 
-fn assert_recovered(cut: &[u8], turns: u64) {
+fn assert_recovered(cut: &[u8], ticks: u64) {
     let mut whole = Vec::new();
     let done = recover(cut, &mut whole).unwrap();
-    assert_eq!((done.turns, done.bad_chunks), (turns, 0));
+    assert_eq!((done.ticks, done.bad_chunks), (turns, 0));
     assert_eq!(verify(&whole[..]).unwrap().finding, Finding::Whole);
     assert!(mcap::Summary::read(&whole).unwrap().is_some(), "it has an index");
     if done.messages > 0 {
         let ticks: Vec<_> =
             RecordingReader::open(&whole[..]).unwrap().map(Result::unwrap).collect();
-        assert!(ticks.iter().eq((0..turns).map(some_tick).collect::<Vec<_>>().iter()));
+        assert!(ticks.iter().eq((0..ticks).map(some_tick).collect::<Vec<_>>().iter()));
     }
 }
 
-const TURNS: u64 = 40;
+const TICKS: u64 = 40;
 
 #[test]
 fn a_segment_cut_at_every_byte_of_its_last_two_chunks_gives_back_every_complete_message() {
-    let file = segment(0, 0, TURNS);
+    let file = segment(0, 0, TICKS);
     let (starts, ends) = (chunk_starts(&file), chunk_ends(&file));
     let from = starts[starts.len() - 2];
     assert!(ends[ends.len() - 1] - from > 5000, "the two chunks are worth cutting");
     for cut in from..file.len() {
-        let turns = complete_turns(&ends, cut, TURNS);
+        let turns = complete_ticks(&ends, cut, TICKS);
         let mut whole = Vec::new();
         let done = recover(&file[..cut], &mut whole).unwrap();
-        assert_eq!((done.turns, done.bad_chunks), (turns, 0), "cut at {cut}");
+        assert_eq!((done.ticks, done.bad_chunks), (turns, 0), "cut at {cut}");
         // In full at every 31st: reading pictures takes its time.
         if cut % 31 == 0 {
             assert_recovered(&file[..cut], turns);
@@ -72,16 +72,16 @@ fn a_segment_cut_at_every_byte_of_its_last_two_chunks_gives_back_every_complete_
 #[test]
 fn a_segment_cut_at_a_thousand_random_bytes_gives_back_every_complete_message_and_the_reader_says_where_it_ends()
  {
-    let file = segment(0, 0, TURNS);
+    let file = segment(0, 0, TICKS);
     let ends = chunk_ends(&file);
     let mut noise = Noise(6);
     for _ in 0..1000 {
         let cut = noise.below(file.len() as u64) as usize;
-        let turns = complete_turns(&ends, cut, TURNS);
+        let turns = complete_ticks(&ends, cut, TICKS);
         assert_recovered(&file[..cut], turns);
         match verify(&file[..cut]).unwrap() {
             found if matches!(found.finding, Finding::Cut { at } if at <= cut as u64) => {
-                assert_eq!(found.turns, turns)
+                assert_eq!(found.ticks, turns)
             }
             found => panic!("cut at {cut}: {found:?}"),
         }
@@ -104,7 +104,7 @@ fn a_segment_cut_at_a_thousand_random_bytes_gives_back_every_complete_message_an
 #[test]
 fn cut_segments_are_pulled_as_they_are() {
     let (robot, here) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let file = segment(0, 0, TURNS);
+    let file = segment(0, 0, TICKS);
     let mut noise = Noise(9);
     let cuts: Vec<usize> =
         (0..60).map(|_| 1 + noise.below(file.len() as u64 - 1) as usize).collect();
@@ -127,7 +127,7 @@ fn cut_segments_are_pulled_as_they_are() {
 
 #[test]
 fn a_changed_byte_is_found_wherever_it_is_and_costs_at_most_its_chunk() {
-    let file = segment(0, 0, TURNS);
+    let file = segment(0, 0, TICKS);
     let mut noise = Noise(12);
     for _ in 0..1000 {
         let at = noise.below(file.len() as u64) as usize;
@@ -145,18 +145,18 @@ fn a_changed_byte_is_found_wherever_it_is_and_costs_at_most_its_chunk() {
             {
                 assert_eq!(tick, some_tick(tick.tick), "byte {at}");
             }
-            assert!(done.turns <= TURNS);
+            assert!(done.ticks <= TICKS);
         }
     }
 }
 
 #[test]
 fn a_broken_chunk_in_the_middle_leaves_the_others() {
-    let file = segment(0, 0, TURNS);
+    let file = segment(0, 0, TICKS);
     let mut bad = file.clone();
     bad[chunk_starts(&file)[2] + 200] ^= 1;
     let done = recover(&bad[..], &mut Vec::new()).unwrap();
-    assert_eq!((done.turns, done.bad_chunks), (TURNS - CHUNK_TURNS, 1));
+    assert_eq!((done.ticks, done.bad_chunks), (TICKS - CHUNK_TICKS, 1));
 }
 
 #[test]
@@ -177,7 +177,7 @@ fn arbitrary_bytes_are_no_recording_and_no_panic() {
 #[test]
 fn only_the_last_segment_of_a_run_that_was_written_just_now_counts_as_open() {
     let dir = tempfile::tempdir().unwrap();
-    let file = segment(0, 0, TURNS);
+    let file = segment(0, 0, TICKS);
     for (name, length) in [
         ("recording_0000.mcap", file.len()),
         ("recording_0001.mcap", 5000),
@@ -190,7 +190,7 @@ fn only_the_last_segment_of_a_run_that_was_written_just_now_counts_as_open() {
         catalogue.entries.iter().map(|entry| entry.state).collect::<Vec<_>>()
     };
     let catalogue = Catalogue::read(&root).unwrap();
-    assert_eq!(catalogue.entries[0].turns, Some(TURNS));
+    assert_eq!(catalogue.entries[0].ticks, Some(TICKS));
     let times = catalogue.entries[0].times.unwrap();
     assert_eq!((times.first_ns, times.last_ns), (0, 3_900_000_000));
     let written_ns = catalogue.entries[2].modified_ns;
@@ -203,7 +203,7 @@ fn only_the_last_segment_of_a_run_that_was_written_just_now_counts_as_open() {
 fn a_clock_that_was_set_back_keeps_no_cut_segment_open_for_ever() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("recording_0000.mcap");
-    fs::write(&path, &segment(0, 0, TURNS)[..5000]).unwrap();
+    fs::write(&path, &segment(0, 0, TICKS)[..5000]).unwrap();
     let root = Root::open(dir.path()).unwrap();
     let written_ns = Catalogue::read(&root).unwrap().entries[0].modified_ns;
     for (set_back_s, state) in

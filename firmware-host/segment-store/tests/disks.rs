@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use common::{FILES, assert_same, connect, pull_into, robot};
 use hal::VirtualClock;
 use rustix::io::Errno;
-use segment_store::BufferError;
+use segment_store::StoreError;
 use segment_store::pull::{Destination, Disk, FileSystem, Options, PartFile, pull};
 use tempfile::tempdir;
 
@@ -110,7 +110,7 @@ fn a_disk_that_fails_at_any_write_sync_or_rename_leaves_whole_files_only_and_the
                 );
                 break;
             };
-            assert!(matches!(error, BufferError::Write { .. }), "{error}");
+            assert!(matches!(error, StoreError::Write { .. }), "{error}");
             assert!(error.to_string().contains("free disk space"), "{error}");
             pull_into(&mut connect(there.path()), here.path(), Options::default()).unwrap();
             assert_same(there.path(), here.path(), &FILES);

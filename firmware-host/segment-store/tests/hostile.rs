@@ -13,7 +13,9 @@ use segment_store::source::{Remote, Source};
 use segment_store::wire::{
     MAX_REPLY, Refusal, RefusalKind, Reply, Request, WireError, read_frame, write_frame,
 };
-use segment_store::{BufferError, Computer, Digest, Entry, Have, Kind, Name, Pulled, Root, State};
+use segment_store::{
+    CpuFeatures, Digest, Entry, ErrorKind, LocalCopy, Name, Pulled, Root, State, StoreError,
+};
 use tempfile::tempdir;
 
 fn frames(replies: &[Reply<'_>]) -> Vec<u8> {
@@ -36,7 +38,7 @@ fn requests(requests: &[Request]) -> Vec<u8> {
 fn served(root: &Root, bytes: &[u8]) -> Vec<u8> {
     let mut answer = Vec::new();
     let _ =
-        segment_store::serve(root, Computer { aes: true }, &mut Cursor::new(bytes), &mut answer);
+        segment_store::serve(root, CpuFeatures { aes: true }, &mut Cursor::new(bytes), &mut answer);
     answer
 }
 
@@ -54,16 +56,18 @@ const HELLO: Request = Request::Hello { versions: (1, 1) };
 
 #[test]
 fn a_robot_says_what_computer_it_is_and_an_older_one_is_not_asked() {
-    let (dir, asked) =
-        (tempdir().unwrap(), requests(&[Request::Hello { versions: (1, 2) }, Request::Computer]));
+    let (dir, asked) = (
+        tempdir().unwrap(),
+        requests(&[Request::Hello { versions: (1, 2) }, Request::CpuFeatures]),
+    );
     let answer = served(&Root::open(dir.path()).unwrap(), &asked);
     let mut output = Vec::new();
     let mut remote = Remote::greet("robot", Cursor::new(answer), &mut output, 1).unwrap();
-    assert_eq!(remote.computer().unwrap(), Some(Computer { aes: true }));
+    assert_eq!(remote.cpu_features().unwrap(), Some(CpuFeatures { aes: true }));
     assert_eq!(output, asked);
     let (older, mut output) = (frames(&[Reply::Welcome { version: 1 }]), Vec::new());
     assert_eq!(
-        Remote::greet("robot", Cursor::new(older), &mut output, 1).unwrap().computer().unwrap(),
+        Remote::greet("robot", Cursor::new(older), &mut output, 1).unwrap().cpu_features().unwrap(),
         None
     );
     assert_eq!(output, requests(&[Request::Hello { versions: (1, 2) }]));
@@ -79,7 +83,7 @@ fn a_list_of_more_bytes_than_can_be_counted_is_pulled_like_any_other() {
     replies.push(Reply::ListEnd);
     let mut remote = Remote::greet("robot", Cursor::new(frames(&replies)), Vec::new(), 1).unwrap();
     let error = pull_into(&mut remote, here.path(), Options::default()).unwrap_err();
-    assert_eq!(error.kind(), Kind::Link, "{error}");
+    assert_eq!(error.kind(), ErrorKind::Link, "{error}");
 }
 
 #[test]
@@ -102,7 +106,7 @@ fn a_robot_of_another_time_is_refused_with_its_words() {
     let answer = frames(&[Reply::Refused(Refusal { kind: RefusalKind::Version, text })]);
     let error = Remote::greet("robot", Cursor::new(answer), Vec::new(), 1).err().unwrap();
     assert!(
-        error.kind() == Kind::Refused && error.to_string().contains("speaks version 7"),
+        error.kind() == ErrorKind::Refused && error.to_string().contains("speaks version 7"),
         "{error}"
     );
 }
@@ -112,7 +116,7 @@ fn a_shell_that_talks_is_named_as_what_is_wrong() {
     let noise = b"Welcome to Robot OS 22!\nLast login: never\n".repeat(5);
     let error = Remote::greet("robot", Cursor::new(noise), Vec::new(), 1).err().unwrap();
     assert!(
-        matches!(&error, BufferError::Protocol { source: WireError::Foreign(_), .. }),
+        matches!(&error, StoreError::Protocol { source: WireError::Foreign(_), .. }),
         "{error}"
     );
     assert!(
@@ -121,7 +125,7 @@ fn a_shell_that_talks_is_named_as_what_is_wrong() {
     );
     let error = Remote::greet("robot", Cursor::new(Vec::new()), Vec::new(), 1).err().unwrap();
     assert!(
-        matches!(error, BufferError::Silent { .. })
+        matches!(error, StoreError::Silent { .. })
             && error.to_string().contains("--remote-command"),
         "{error}"
     );
@@ -179,7 +183,7 @@ fn entry(name: &str, bytes: u64) -> Entry {
 }
 
 /// Pulls from a robot that answers this after the greeting and the list of one file.
-fn pull_from(replies: &[Reply<'_>]) -> (Result<u64, BufferError>, tempfile::TempDir) {
+fn pull_from(replies: &[Reply<'_>]) -> (Result<u64, StoreError>, tempfile::TempDir) {
     let here = tempdir().unwrap();
     let mut answer = frames(&[
         Reply::Welcome { version: 1 },
@@ -213,7 +217,7 @@ fn a_robot_that_breaks_the_rules_gets_no_file_a_name() {
         &[start.clone(), data(0, b""), data(0, b"")],
         &[Reply::Start { from: 3, length: 10 }],
         &[Reply::Start { from: 10, length: 0 }],
-        &[Reply::Working, Reply::Working, Reply::Working, Reply::Working],
+        &[Reply::Comparing, Reply::Comparing, Reply::Comparing, Reply::Comparing],
     ];
     for replies in bad {
         let (result, here) = pull_from(replies);
@@ -253,8 +257,8 @@ proptest! {
     fn requests_come_back_from_their_bytes(name in any_name(), bytes: u64, digest: [u8; 32], versions: (u16, u16)) {
         let digest = Digest::from_bytes(digest);
         let all = [
-            Request::Hello { versions }, Request::List, Request::Fetch { name: name.clone(), have: Have { bytes, digest } },
-            Request::Mark { name, digest }, Request::Computer,
+            Request::Hello { versions }, Request::List, Request::Fetch { name: name.clone(), local: LocalCopy { bytes, digest } },
+            Request::Mark { name, digest }, Request::CpuFeatures,
         ];
         for request in all {
             let mut body = Vec::new();
@@ -269,10 +273,10 @@ proptest! {
         let [bytes, modified_ns, first_ns, last_ns, turns] = numbers;
         let entry = Entry {
             name, bytes, modified_ns, state: State::Cut, times: flags[0].then_some(segment_store::Times { first_ns, last_ns }),
-            turns: flags[1].then_some(turns), events: flags[2].then_some(bytes), keep: flags[3],
+            ticks: flags[1].then_some(turns), events: flags[2].then_some(bytes), keep: flags[3],
             pulled: if flags[0] { Pulled::Yes(digest) } else { Pulled::Stale },
         };
-        let computer = Reply::Computer(Computer { aes: flags[1] });
+        let computer = Reply::CpuFeatures(CpuFeatures { aes: flags[1] });
         let data = Reply::Data { at: bytes, bytes: &data };
         for reply in [Reply::Entry(entry), data, Reply::End { digest }, Reply::Marked, computer] {
             let mut body = Vec::new();

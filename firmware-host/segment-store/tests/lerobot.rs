@@ -14,7 +14,7 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::record::{Field, List, Row, RowAccessor};
 use runtime::recording::{RecordedTick, RecordingWriter, SegmentHeader, Views};
 use runtime::tick::{Command as Velocity, Decision};
-use segment_store::export::{ExportedEpisodes, lerobot};
+use segment_store::export::{LerobotSummary, lerobot};
 use serde_json::Value;
 use tempfile::tempdir;
 
@@ -47,7 +47,7 @@ fn write_segment(path: &Path, turns: &[RecordedTick]) {
 }
 
 /// Exports these turns as a run of one segment.
-fn export(turns: &[RecordedTick], to: &Path) -> ExportedEpisodes {
+fn export(turns: &[RecordedTick], to: &Path) -> LerobotSummary {
     let dir = tempdir().unwrap();
     let segment = dir.path().join("recording_0000.mcap");
     write_segment(&segment, turns);
@@ -91,7 +91,7 @@ fn every_picture_with_what_was_known_and_done_is_a_frame() {
     let turns: Vec<_> =
         (0..230).map(|tick| turn(tick, 5_000_000_000 + tick * 100_000_000)).collect();
     let exported = export(&turns, &to);
-    assert_eq!(exported, ExportedEpisodes { episodes: 1, frames: 230, left_out: 0, cut: 0 });
+    assert_eq!(exported, LerobotSummary { episodes: 1, frames: 230, left_out: 0, cut: 0 });
     let rows = data(&to);
     assert_eq!(rows.len(), turns.len());
     for (at, (row, turn)) in rows.iter().zip(&turns).enumerate() {

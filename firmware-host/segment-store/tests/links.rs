@@ -11,7 +11,7 @@ use std::time::Duration;
 use common::{FILES, Noise, assert_same, connect, pull_into, robot, serve_on};
 use segment_store::pull::Options;
 use segment_store::source::Remote;
-use segment_store::{BufferError, Kind};
+use segment_store::{ErrorKind, StoreError};
 use tempfile::{TempDir, tempdir};
 
 /// What a link does to the bytes from the robot.
@@ -79,7 +79,7 @@ impl Read for BadLink {
 }
 
 /// Pulls over a bad link. Whatever comes of it, what has a segment's name is what the robot has.
-fn pull_badly(there: &TempDir, here: &TempDir, fault: Fault, at: u64) -> Result<(), BufferError> {
+fn pull_badly(there: &TempDir, here: &TempDir, fault: Fault, at: u64) -> Result<(), StoreError> {
     let (ours, theirs) = UnixStream::pair().unwrap();
     serve_on(there.path(), theirs);
     ours.set_read_timeout(Some(Duration::from_millis(300))).unwrap();
@@ -154,6 +154,9 @@ fn a_link_that_hangs_is_given_up_with_words() {
     io::Write::write_all(&mut theirs, &hello).unwrap();
     let mut source = Remote::greet("robot", ours.try_clone().unwrap(), ours, 60).unwrap();
     let error = pull_into(&mut source, here.path(), Options::default()).unwrap_err();
-    assert!(matches!(error, BufferError::Stalled { .. }) && error.kind() == Kind::Link, "{error}");
+    assert!(
+        matches!(error, StoreError::Stalled { .. }) && error.kind() == ErrorKind::Link,
+        "{error}"
+    );
     assert!(error.to_string().contains("check the network"), "{error}");
 }

@@ -10,7 +10,7 @@ use std::time::SystemTime;
 use common::{FILES, assert_same, connect, pull_into, robot, segment};
 use segment_store::pull::Options;
 use segment_store::source::{Directory, Source};
-use segment_store::{BufferError, Catalogue, Digest, Have, Name, Pulled, Receive, Root};
+use segment_store::{Catalogue, Digest, FileSink, LocalCopy, Name, Pulled, Root, StoreError};
 use tempfile::tempdir;
 
 #[test]
@@ -151,7 +151,7 @@ fn a_mark_is_set_only_for_what_the_robot_has() {
     let mut source = connect(there.path());
     let error = source.mark_pulled(&name, &Digest::of(b"something else")).unwrap_err();
     assert!(
-        matches!(error, BufferError::Refused { .. }) && error.to_string().contains("is not marked"),
+        matches!(error, StoreError::Refused { .. }) && error.to_string().contains("is not marked"),
         "{error}"
     );
     assert!(!there.path().join("monday/recording_0000.mcap.pulled").exists());
@@ -181,14 +181,14 @@ fn no_mark_leaves_the_robot_as_it_was() {
 /// Takes nothing.
 struct Nobody;
 
-impl Receive<BufferError> for Nobody {
-    fn start(&mut self, _from: u64, _length: u64) -> Result<(), BufferError> {
+impl FileSink<StoreError> for Nobody {
+    fn start(&mut self, _from: u64, _length: u64) -> Result<(), StoreError> {
         panic!("a file that is not there begins")
     }
-    fn data(&mut self, _at: u64, _bytes: &[u8]) -> Result<(), BufferError> {
+    fn data(&mut self, _at: u64, _bytes: &[u8]) -> Result<(), StoreError> {
         panic!("a file that is not there has data")
     }
-    fn working(&mut self) -> Result<(), BufferError> {
+    fn comparing(&mut self) -> Result<(), StoreError> {
         Ok(())
     }
 }
@@ -216,7 +216,7 @@ fn links_and_odd_files_in_a_buffer_are_not_there() {
         "etc/recording_0000.mcap",
     ] {
         let error = source
-            .fetch(&Name::parse(name).unwrap(), Have::nothing(), &mut Nobody)
+            .fetch(&Name::parse(name).unwrap(), LocalCopy::none(), &mut Nobody)
             .unwrap_err()
             .to_string();
         assert!(error.contains("refuses"), "{name}: {error}");
@@ -232,7 +232,7 @@ fn two_pulls_at_once_into_one_place_are_one_too_many() {
             .unwrap();
     let error = pull_into(&mut connect(there.path()), here.path(), Options::default()).unwrap_err();
     assert!(
-        matches!(error, BufferError::Busy { .. }) && error.to_string().contains("another pull"),
+        matches!(error, StoreError::Busy { .. }) && error.to_string().contains("another pull"),
         "{error}"
     );
     drop(first);

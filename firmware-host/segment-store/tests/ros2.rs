@@ -11,7 +11,7 @@ use common::{robot, run_header, some_tick};
 use hal::{LaserScan, Pose2, Range, ScanGeometry, Twist2};
 use runtime::recording::{RecordedTick, RecordingWriter, SegmentHeader, Views};
 use segment_store::export::ros2;
-use segment_store::{BufferError, Kind};
+use segment_store::{ErrorKind, StoreError};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
@@ -143,7 +143,7 @@ fn every_picture_scan_and_pose_comes_back_as_it_was_recorded() {
     let turns: Vec<_> = (13..25).map(full_tick).collect();
     let to = dir.path().join("bag");
     let bagged = ros2(&[recorded(dir.path(), &turns)], &to).unwrap();
-    assert_eq!((bagged.pictures, bagged.scans, bagged.messages), (12, 12, 12 * 5 + 1));
+    assert_eq!((bagged.images, bagged.scans, bagged.messages), (12, 12, 12 * 5 + 1));
     let messages = bag_of(&to);
     let images: Vec<Image> = decoded(&messages, "/camera/image");
     let infos: Vec<CameraInfo> = decoded(&messages, "/camera/camera_info");
@@ -243,7 +243,7 @@ fn a_run_of_several_segments_is_one_bag_and_what_is_cut_is_said() {
     let last = fs::read(&segments[2]).unwrap();
     fs::write(&segments[2], &last[..last.len() / 2]).unwrap();
     let bagged = ros2(&segments, &dir.path().join("bag")).unwrap();
-    assert!(bagged.cut == 1 && (60..80).contains(&bagged.pictures), "{bagged:?}");
+    assert!(bagged.cut == 1 && (60..80).contains(&bagged.images), "{bagged:?}");
     let images: Vec<Image> = decoded(&bag_of(&dir.path().join("bag")), "/camera/image");
     assert!(images.windows(2).all(|pair| (pair[0].header.sec, pair[0].header.nanosec)
         < (pair[1].header.sec, pair[1].header.nanosec)));
@@ -266,11 +266,11 @@ fn nothing_is_written_over_and_a_file_that_is_no_recording_leaves_nothing_behind
     let dir = tempfile::tempdir().unwrap();
     let (segment, to) = (recorded(dir.path(), &[full_tick(0)]), dir.path().join("bag"));
     ros2(std::slice::from_ref(&segment), &to).unwrap();
-    assert!(matches!(ros2(&[segment], &to), Err(BufferError::Exists { .. })));
+    assert!(matches!(ros2(&[segment], &to), Err(StoreError::Exists { .. })));
     let text = dir.path().join("text.mcap");
     fs::write(&text, "no recording").unwrap();
     let refused = ros2(&[text], &dir.path().join("other")).unwrap_err();
-    assert_eq!(refused.kind(), Kind::Usage, "{refused}");
+    assert_eq!(refused.kind(), ErrorKind::Usage, "{refused}");
     assert!(!dir.path().join("other").exists() && !dir.path().join("other.partial").exists());
 }
 

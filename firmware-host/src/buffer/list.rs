@@ -57,7 +57,7 @@ fn cells(entry: &Entry) -> [String; 8] {
         megabytes(entry.bytes),
         seconds(entry.times.map(|times| times.first_ns)),
         seconds(entry.times.map(|times| times.last_ns)),
-        count(entry.turns),
+        count(entry.ticks),
         count(entry.events),
         entry.state.word().to_owned(),
         marks(entry).join(" "),
@@ -77,7 +77,7 @@ fn value(entry: &Entry) -> Value {
     json!({
         "name": entry.name.as_str(), "bytes": entry.bytes, "modified_ns": entry.modified_ns,
         "first_ns": entry.times.map(|times| times.first_ns), "last_ns": entry.times.map(|times| times.last_ns),
-        "turns": entry.turns, "events": entry.events,
+        "turns": entry.ticks, "events": entry.events,
         "state": match entry.state { State::Closed => "closed", State::Unindexed => "unindexed", State::Cut => "cut", State::Open => "open" },
         "keep": entry.keep, "pulled": entry.pulled_digest(),
     })

@@ -10,7 +10,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use segment_store::{
-    BufferError, Catalogue, Computer, Entry, Finding, Root, State, export, recover_file, verify,
+    Catalogue, CpuFeatures, Entry, Finding, Root, State, StoreError, export, recover_file, verify,
 };
 
 use crate::cli::{BufferArgs, BufferTask, ExportLayout};
@@ -42,7 +42,7 @@ fn settle(root: &Root, entries: &mut [Entry]) {
 }
 
 /// The segments below a buffer, of a run, or the one file.
-fn segments(path: &Path) -> Result<(Root, Vec<Entry>), BufferError> {
+fn segments(path: &Path) -> Result<(Root, Vec<Entry>), StoreError> {
     let is_file = path.is_file();
     let dir = if is_file {
         path.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."))
@@ -62,7 +62,7 @@ fn segments(path: &Path) -> Result<(Root, Vec<Entry>), BufferError> {
             "{} holds no recording_NNNN.mcap; give a directory with runs, the --out directory of a run, or one segment",
             path.display()
         );
-        return Err(BufferError::Usage(text));
+        return Err(StoreError::Usage(text));
     }
     Ok((root, entries))
 }
@@ -93,7 +93,7 @@ fn verify_all(path: &Path) -> Result<ExitCode> {
             .map_or_else(String::new, |ns| format!(", until {:.3} s", ns as f64 * 1e-9));
         println!(
             "{}: {found}; {} turns{until}; blake3 {}",
-            entry.name, verified.turns, verified.digest
+            entry.name, verified.ticks, verified.digest
         );
     }
     if bad > 0 {
@@ -132,7 +132,7 @@ fn recover_all(path: &Path, out: &Path) -> Result<ExitCode> {
         let end = done
             .last_ns
             .map_or_else(String::new, |ns| format!(", until {:.3} s", ns as f64 * 1e-9));
-        println!("{}: {} turns{end}{lost}", to.display(), done.turns);
+        println!("{}: {} turns{end}{lost}", to.display(), done.ticks);
         recovered += 1;
     }
     println!("{recovered} recovered, {} whole or being written", entries.len() - recovered);
@@ -153,8 +153,8 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
         entries.iter().map(|entry| root.path().join(entry.name.as_str())).collect();
     match layout {
         ExportLayout::Mcap => {
-            let done = export::joined(&files, out)?;
-            println!("{}: {} turns, {} messages", out.display(), done.turns, done.messages);
+            let done = export::mcap(&files, out)?;
+            println!("{}: {} turns, {} messages", out.display(), done.ticks, done.messages);
         }
         ExportLayout::Ros2 => {
             let done = export::ros2(&files, out)?;
@@ -162,7 +162,7 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
                 "{}: {} messages, of these {} pictures and {} scans; {} turns had no pose",
                 out.display(),
                 done.messages,
-                done.pictures,
+                done.images,
                 done.scans,
                 done.without_pose
             );
@@ -172,7 +172,7 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
             println!(
                 "{}: {} pictures, {} left out without a pose",
                 out.display(),
-                done.pictures,
+                done.images,
                 done.without_pose
             );
         }
@@ -198,7 +198,7 @@ fn serve(dir: &Path) -> Result<()> {
     let stdout =
         File::from(std::io::stdout().as_fd().try_clone_to_owned().context("stdout is closed")?);
     let mut output = BufWriter::with_capacity(64 << 10, stdout);
-    segment_store::serve(&root, Computer::this(), &mut input, &mut output)
+    segment_store::serve(&root, CpuFeatures::detect(), &mut input, &mut output)
         .context("the connection broke off")?;
     output.flush().context("the connection broke off")
 }

@@ -11,7 +11,7 @@ fn main() {
     });
     let mut output = BufWriter::new(std::io::stdout().lock());
     // A workstation that was killed is no error of this side.
-    let computer = segment_store::Computer {
+    let computer = segment_store::CpuFeatures {
         aes: !std::env::args().any(|argument| argument == "--without-aes"),
     };
     let _ = segment_store::serve(&root, computer, &mut std::io::stdin().lock(), &mut output)

@@ -15,8 +15,8 @@ use monotonic_clock::MonotonicClock;
 use options::Options;
 use progress::Display;
 use robot::{Outcome, Robot};
-use segment_store::source::{Place, Spec};
-use segment_store::{BufferError, Kind};
+use segment_store::source::{Location, Spec};
+use segment_store::{ErrorKind, StoreError};
 
 /// Something failed that needs a person.
 const FAILED: u8 = 1;
@@ -36,16 +36,16 @@ fn main() -> ExitCode {
     }
 }
 
-fn code_of(error: &BufferError) -> u8 {
+fn code_of(error: &StoreError) -> u8 {
     match error.kind() {
-        Kind::Link => TRY_AGAIN,
-        Kind::Usage => MISUSED,
-        Kind::Disk | Kind::Refused => FAILED,
+        ErrorKind::Link => TRY_AGAIN,
+        ErrorKind::Usage => MISUSED,
+        ErrorKind::Disk | ErrorKind::Refused => FAILED,
     }
 }
 
 /// One thread for every robot; the worst exit code of all.
-fn run(options: &Options) -> Result<u8, BufferError> {
+fn run(options: &Options) -> Result<u8, StoreError> {
     let specs = specs(options)?;
     let display = Display::new(options.json);
     let worst = Mutex::new(0);
@@ -65,7 +65,7 @@ fn run(options: &Options) -> Result<u8, BufferError> {
     Ok(worst.into_inner().unwrap_or(FAILED))
 }
 
-fn specs(options: &Options) -> Result<Vec<Spec>, BufferError> {
+fn specs(options: &Options) -> Result<Vec<Spec>, StoreError> {
     let specs =
         options.sources().iter().map(|text| Spec::parse(text)).collect::<Result<Vec<_>, _>>()?;
     for (at, spec) in specs.iter().enumerate() {
@@ -74,17 +74,17 @@ fn specs(options: &Options) -> Result<Vec<Spec>, BufferError> {
                 "two sources are called {:?}; write NAME=SOURCE to tell them apart",
                 spec.name
             );
-            return Err(BufferError::Usage(text));
+            return Err(StoreError::Usage(text));
         }
-        if let (Some(to), Place::Store(from)) = (options.store(), &spec.place) {
+        if let (Some(to), Location::ObjectStore(from)) = (options.store(), &spec.location) {
             let text = format!(
                 "{from} to {to}: use rclone or the stores' own programs from one store to another"
             );
-            return Err(BufferError::Usage(text));
+            return Err(StoreError::Usage(text));
         }
     }
     if let (Some(to), Some(_)) = (options.store(), options.layout) {
-        return Err(BufferError::Usage(format!(
+        return Err(StoreError::Usage(format!(
             "{to}: another layout can only be written into a directory"
         )));
     }
@@ -101,11 +101,11 @@ fn follow(robot: &mut Robot<'_>, options: &Options, display: &Display) -> u8 {
             (Outcome { error: Some(error), .. }, false) => return code_of(error),
             // A robot that is away comes back; a refusal stays one.
             (Outcome { error: Some(error), .. }, true)
-                if error.kind() != Kind::Link && !robot.has_been_reached() =>
+                if error.kind() != ErrorKind::Link && !robot.has_been_reached() =>
             {
                 return code_of(error);
             }
-            (Outcome { error: Some(error), .. }, true) if error.kind() == Kind::Disk => {
+            (Outcome { error: Some(error), .. }, true) if error.kind() == ErrorKind::Disk => {
                 return FAILED;
             }
             (_, false) => return 0,

@@ -3,7 +3,7 @@
 use std::io::{IsTerminal, Write};
 
 use indicatif::{HumanBytes, MultiProgress, ProgressBar, ProgressStyle};
-use segment_store::pull::Watch;
+use segment_store::pull::Progress;
 use segment_store::source::Spec;
 use segment_store::{Digest, Name};
 use serde_json::json;
@@ -41,7 +41,7 @@ impl Display {
         }
         if self.json {
             let line = json!({
-                "event": "pulled", "source": spec.name, "place": spec.place.to_string(), "files": report.files,
+                "event": "pulled", "source": spec.name, "place": spec.location.to_string(), "files": report.files,
                 "bytes": report.bytes, "there": report.there, "open": report.open, "cut": report.cut,
                 "unmarked": report.unmarked, "exported": exported,
                 "error": error.as_ref().map(ToString::to_string),
@@ -67,7 +67,7 @@ impl Display {
                 .map(|(count, what)| format!("{count} {what}")),
         );
         if report.files + report.there + report.open == 0 {
-            words = vec![format!("nothing is recorded in {} yet", spec.place)];
+            words = vec![format!("nothing is recorded in {} yet", spec.location)];
         }
         match error {
             Some(error) => self.say(&format!("{}: error: {error}", spec.name)),
@@ -109,7 +109,7 @@ impl Drop for Bar {
     }
 }
 
-impl Watch for Bar {
+impl Progress for Bar {
     fn planned(&mut self, _files: u64, bytes: u64, done: u64) {
         if let Some(bar) = &self.bar {
             bar.set_length(bytes);
@@ -118,20 +118,20 @@ impl Watch for Bar {
         }
     }
 
-    fn begins(&mut self, name: &Name, _bytes: u64, have: u64) {
+    fn file_started(&mut self, name: &Name, _bytes: u64, have: u64) {
         if let Some(bar) = &self.bar {
             bar.inc(have);
             bar.set_message(name.to_string());
         }
     }
 
-    fn arrived(&mut self, bytes: u64) {
+    fn received(&mut self, bytes: u64) {
         if let Some(bar) = &self.bar {
             bar.inc(bytes);
         }
     }
 
-    fn complete(&mut self, name: &Name, digest: &Digest) {
+    fn file_completed(&mut self, name: &Name, digest: &Digest) {
         if self.json {
             print_line(
                 &json!({"event": "file", "source": self.name, "file": name.as_str(), "digest": digest}),
@@ -141,7 +141,7 @@ impl Watch for Bar {
         }
     }
 
-    fn warns(&mut self, text: &str) {
+    fn warning(&mut self, text: &str) {
         self.say(&format!("warning: {text}"));
     }
 }

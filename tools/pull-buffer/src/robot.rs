@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use hal::Clock;
 use monotonic_clock::MonotonicClock;
 use segment_store::pull::{Destination, FileSystem, Report, pull};
-use segment_store::source::{Directory, Place, Source, Spec, Ssh, SshOptions};
-use segment_store::{BufferError, Kind};
+use segment_store::source::{Directory, Location, Source, Spec, Ssh, SshOptions};
+use segment_store::{ErrorKind, StoreError};
 
 use crate::options::{Layout, Options};
 use crate::progress::{Bar, Display};
@@ -19,7 +19,7 @@ pub struct Outcome {
     /// Runs that were written in another layout.
     pub exported: u64,
     /// Why it ended early.
-    pub error: Option<BufferError>,
+    pub error: Option<StoreError>,
 }
 
 /// One source.
@@ -65,7 +65,7 @@ impl<'a> Robot<'a> {
             };
             self.source = None;
             self.broke = true;
-            if error.kind() != Kind::Link || tries_left == 0 {
+            if error.kind() != ErrorKind::Link || tries_left == 0 {
                 outcome.error = Some(error);
                 return outcome;
             }
@@ -88,7 +88,7 @@ impl<'a> Robot<'a> {
         &mut self,
         bar: &mut Bar,
         clock: &mut MonotonicClock,
-    ) -> Result<Report, BufferError> {
+    ) -> Result<Report, StoreError> {
         let to_store = self.options.store();
         if let (Some(url), None) = (to_store, &self.store) {
             self.store = Some(Bucket::open(url, self.options.stall_s)?.below(&self.spec.name));
@@ -111,10 +111,10 @@ impl<'a> Robot<'a> {
         }
     }
 
-    fn connect(&self) -> Result<Box<dyn Source>, BufferError> {
-        Ok(match &self.spec.place {
-            Place::Directory(path) => Box::new(Directory::open(path)?),
-            Place::Ssh { host, path } => {
+    fn connect(&self) -> Result<Box<dyn Source>, StoreError> {
+        Ok(match &self.spec.location {
+            Location::Directory(path) => Box::new(Directory::open(path)?),
+            Location::Ssh { host, path } => {
                 let options = SshOptions {
                     arguments: self.options.ssh_options.clone(),
                     remote_command: self.options.remote_command.clone(),
@@ -124,12 +124,12 @@ impl<'a> Robot<'a> {
                 };
                 Box::new(Ssh::connect(host, path, &options)?)
             }
-            Place::Store(url) => Box::new(Bucket::open(url, self.options.stall_s)?),
+            Location::ObjectStore(url) => Box::new(Bucket::open(url, self.options.stall_s)?),
         })
     }
 
     /// Writes the runs that have no export yet.
-    fn export(&self, layout: Layout, bar: &mut Bar) -> Result<u64, BufferError> {
+    fn export(&self, layout: Layout, bar: &mut Bar) -> Result<u64, StoreError> {
         let dir = self.options.directory_of(&self.spec.name);
         let (root, catalogue) = segment_store::Catalogue::open(&dir)?;
         let mut exported = 0;
@@ -160,9 +160,9 @@ impl Layout {
     }
 
     /// Writes a run; how many pictures it has.
-    fn write(self, segments: &[PathBuf], to: &Path) -> Result<u64, BufferError> {
+    fn write(self, segments: &[PathBuf], to: &Path) -> Result<u64, StoreError> {
         match self {
-            Self::Tum => segment_store::export::tum(segments, to).map(|done| done.pictures),
+            Self::Tum => segment_store::export::tum(segments, to).map(|done| done.images),
             #[cfg(feature = "lerobot")]
             Self::Lerobot => segment_store::export::lerobot(segments, to).map(|done| done.frames),
         }

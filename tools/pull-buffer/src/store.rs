@@ -8,22 +8,22 @@ pub use without::Bucket;
 #[cfg(not(feature = "object-store"))]
 mod without {
     use hal::Clock;
-    use segment_store::pull::{Options, Report, Watch};
+    use segment_store::pull::{Options, Progress, Report};
     use segment_store::source::Source;
-    use segment_store::{BufferError, Digest, Entry, Have, Name, Receive};
+    use segment_store::{Digest, Entry, FileSink, LocalCopy, Name, StoreError};
 
     /// Cannot be opened.
     #[allow(dead_code, reason = "there is none")]
     pub struct Bucket;
 
-    fn without() -> BufferError {
+    fn without() -> StoreError {
         let text =
             "this program was built without object stores; build it with --features object-store";
-        BufferError::Usage(text.to_owned())
+        StoreError::Usage(text.to_owned())
     }
 
     impl Bucket {
-        pub fn open(_url: &str, _stall_s: u64) -> Result<Self, BufferError> {
+        pub fn open(_url: &str, _stall_s: u64) -> Result<Self, StoreError> {
             Err(without())
         }
 
@@ -36,27 +36,27 @@ mod without {
             _source: &mut dyn Source,
             _options: &Options,
             _clock: &mut dyn Clock,
-            _watch: &mut dyn Watch,
-        ) -> Result<Report, BufferError> {
+            _watch: &mut dyn Progress,
+        ) -> Result<Report, StoreError> {
             Err(without())
         }
     }
 
     impl Source for Bucket {
-        fn list(&mut self) -> Result<Vec<Entry>, BufferError> {
+        fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
             Err(without())
         }
 
         fn fetch(
             &mut self,
             _name: &Name,
-            _have: Have,
-            _to: &mut dyn Receive<BufferError>,
-        ) -> Result<Option<Digest>, BufferError> {
+            _have: LocalCopy,
+            _to: &mut dyn FileSink<StoreError>,
+        ) -> Result<Option<Digest>, StoreError> {
             Err(without())
         }
 
-        fn mark_pulled(&mut self, _name: &Name, _digest: &Digest) -> Result<(), BufferError> {
+        fn mark_pulled(&mut self, _name: &Name, _digest: &Digest) -> Result<(), StoreError> {
             Err(without())
         }
     }

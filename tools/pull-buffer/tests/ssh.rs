@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::Command;
 
 use common::{Server, SpiedSsh, assert_same, robot, words};
-use segment_store::Computer;
+use segment_store::CpuFeatures;
 use tempfile::tempdir;
 
 #[test]
@@ -112,7 +112,7 @@ fn aes_is_asked_for_first_where_this_computer_has_it_and_never_against_the_users
     let [call] = &ssh.calls()[..] else { panic!("{:?}", ssh.calls()) };
     assert_eq!(
         call.contains("-oCiphers=aes128-gcm@openssh.com,chacha20"),
-        Computer::this().aes,
+        CpuFeatures::detect().aes,
         "{call}"
     );
     let only = "--ssh-option=-oCiphers=chacha20-poly1305@openssh.com";
@@ -125,7 +125,7 @@ fn aes_is_asked_for_first_where_this_computer_has_it_and_never_against_the_users
 #[test]
 fn a_robot_without_aes_is_asked_again_as_ssh_would_when_there_is_much_to_fetch() {
     let Some(server) = Server::start() else { return };
-    if !Computer::this().aes {
+    if !CpuFeatures::detect().aes {
         return;
     }
     for (bytes, calls) in [(1 << 20, 1), (65 << 20, 2)] {

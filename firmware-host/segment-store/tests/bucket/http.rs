@@ -14,7 +14,7 @@ use object_store::aws::AmazonS3Builder;
 use segment_store::bucket::Bucket;
 use segment_store::pull::Options;
 use segment_store::source::{Directory, Source};
-use segment_store::{BufferError, Digest, Have, Kind, Receive};
+use segment_store::{Digest, ErrorKind, FileSink, LocalCopy, StoreError};
 use tempfile::tempdir;
 
 /// What the server does wrong.
@@ -80,7 +80,8 @@ impl Server {
             .with_secret_access_key("secret")
             .with_retry(retry)
             .build();
-        Bucket::over(Arc::new(store.unwrap()), "kitchen".into(), "s3://fleet/kitchen").unwrap()
+        Bucket::from_store(Arc::new(store.unwrap()), "kitchen".into(), "s3://fleet/kitchen")
+            .unwrap()
     }
 }
 
@@ -232,7 +233,7 @@ fn connections_that_break_in_the_middle_lose_nothing_and_no_byte_that_came_is_as
                 break;
             }
             Err(error) => {
-                assert!(error.kind() == Kind::Link, "{error}");
+                assert!(error.kind() == ErrorKind::Link, "{error}");
                 came += fs::metadata(&part).map_or(0, |metadata| metadata.len()) - before;
             }
         }
@@ -252,7 +253,7 @@ fn what_is_forbidden_or_missing_is_named_with_the_way_out() {
         let error = server.bucket().list().unwrap_err();
         let words = error.to_string();
         assert!(words.starts_with("s3://fleet/kitchen: ") && words.contains(what), "{words}");
-        assert_eq!(error.kind(), Kind::Refused, "trying again changes nothing: {words}");
+        assert_eq!(error.kind(), ErrorKind::Refused, "trying again changes nothing: {words}");
     }
 }
 
@@ -261,7 +262,7 @@ fn a_store_that_does_not_answer_is_tried_again_later() {
     let server = Server::start(Fault::Nothing, &[]);
     let mut bucket = Server { port: 1, ..server }.bucket();
     let error = bucket.list().unwrap_err();
-    assert_eq!(error.kind(), Kind::Link, "{error}");
+    assert_eq!(error.kind(), ErrorKind::Link, "{error}");
 }
 
 #[test]
@@ -271,7 +272,7 @@ fn a_key_that_leads_out_of_the_prefix_is_refused_and_nothing_is_written() {
         let here = tempdir().unwrap();
         let error = pull_into(&mut server.bucket(), here.path(), Options::default()).unwrap_err();
         assert!(error.to_string().contains("a name that no file may have"), "{error}");
-        assert_eq!(error.kind(), Kind::Refused);
+        assert_eq!(error.kind(), ErrorKind::Refused);
         let left = fs::read_dir(here.path())
             .unwrap()
             .map(|entry| entry.unwrap().file_name())
@@ -289,7 +290,7 @@ fn a_store_that_does_not_look_at_if_match_cannot_mix_versions() {
     let mut bucket = server.bucket();
     let name = bucket.list().unwrap()[0].name.clone();
     server.state.lock().unwrap().fault = Fault::OtherVersions;
-    let error = bucket.fetch(&name, Have::nothing(), &mut Nothing).unwrap_err();
+    let error = bucket.fetch(&name, LocalCopy::none(), &mut Nothing).unwrap_err();
     assert!(error.to_string().contains("was replaced or removed while it was read"), "{error}");
     assert!(bucket.list().unwrap().is_empty(), "what changes under every look is not there yet");
 }
@@ -297,14 +298,14 @@ fn a_store_that_does_not_look_at_if_match_cannot_mix_versions() {
 /// Takes what begins, and no data.
 struct Nothing;
 
-impl Receive<BufferError> for Nothing {
-    fn start(&mut self, _from: u64, _length: u64) -> Result<(), BufferError> {
+impl FileSink<StoreError> for Nothing {
+    fn start(&mut self, _from: u64, _length: u64) -> Result<(), StoreError> {
         Ok(())
     }
-    fn data(&mut self, _at: u64, _bytes: &[u8]) -> Result<(), BufferError> {
+    fn data(&mut self, _at: u64, _bytes: &[u8]) -> Result<(), StoreError> {
         panic!("data of another version")
     }
-    fn working(&mut self) -> Result<(), BufferError> {
+    fn comparing(&mut self) -> Result<(), StoreError> {
         Ok(())
     }
 }
@@ -323,7 +324,7 @@ fn whoever_may_only_read_pulls_and_is_told_that_nothing_was_marked() {
 fn upload(
     server: &Server,
     robot: &std::path::Path,
-) -> Result<segment_store::pull::Report, BufferError> {
+) -> Result<segment_store::pull::Report, StoreError> {
     let mut source = Directory::open(robot).unwrap();
     server.bucket().upload(&mut source, &Options::default(), &mut VirtualClock::default(), &mut ())
 }
@@ -353,6 +354,6 @@ fn a_store_that_may_not_be_written_refuses_an_upload_with_words_and_the_robot_ke
     let (server, robot) = (Server::start(Fault::ReadOnly, &[]), robot(&segment(1, SMALL, 100)));
     let error = upload(&server, robot.path()).unwrap_err();
     assert!(error.to_string().contains("these credentials may not write there"), "{error}");
-    assert_eq!(error.kind(), Kind::Refused);
+    assert_eq!(error.kind(), ErrorKind::Refused);
     assert!(!robot.path().join("recording_0000.mcap.pulled").exists());
 }

@@ -3,11 +3,11 @@
 use std::fs;
 use std::sync::Arc;
 
-use crate::common::{Fleet, Noise, SMALL, WatchWith, pull_into, pull_watched, segment};
+use crate::common::{Fleet, Noise, ProgressHook, SMALL, pull_into, pull_watched, segment};
 use object_store::memory::InMemory;
 use segment_store::pull::{Options, Order};
 use segment_store::source::Source;
-use segment_store::{BufferError, Digest, Have, Kind, Name, Pulled, Receive, State};
+use segment_store::{Digest, ErrorKind, FileSink, LocalCopy, Name, Pulled, State, StoreError};
 use tempfile::tempdir;
 
 #[test]
@@ -33,7 +33,7 @@ fn everything_under_a_prefix_arrives_whole_and_is_marked() {
                 entry.name
             );
             assert_eq!(
-                (entry.state, entry.turns, entry.events),
+                (entry.state, entry.ticks, entry.events),
                 (State::Closed, Some(SMALL), Some(2))
             );
         }
@@ -117,7 +117,7 @@ fn a_pull_that_is_cut_anywhere_ends_with_the_same_bytes() {
         let mut source = CutShort { bucket: fleet.bucket(), left: &mut left };
         match pull_into(&mut source, here.path(), Options::default()) {
             Ok(_) => break,
-            Err(error) => assert!(error.kind() == Kind::Link, "{error}"),
+            Err(error) => assert!(error.kind() == ErrorKind::Link, "{error}"),
         }
         cuts += 1;
         assert!(cuts < 100 && !here.path().join("run/recording_0000.mcap").exists());
@@ -132,42 +132,42 @@ struct CutShort<'a> {
 }
 
 struct Short<'a, 'b> {
-    to: &'a mut dyn Receive<BufferError>,
+    to: &'a mut dyn FileSink<StoreError>,
     left: &'b mut u64,
 }
 
-impl Receive<BufferError> for Short<'_, '_> {
-    fn start(&mut self, from: u64, length: u64) -> Result<(), BufferError> {
+impl FileSink<StoreError> for Short<'_, '_> {
+    fn start(&mut self, from: u64, length: u64) -> Result<(), StoreError> {
         self.to.start(from, length)
     }
-    fn data(&mut self, at: u64, bytes: &[u8]) -> Result<(), BufferError> {
+    fn data(&mut self, at: u64, bytes: &[u8]) -> Result<(), StoreError> {
         let now = (*self.left).min(bytes.len() as u64);
         *self.left -= now;
         self.to.data(at, &bytes[..now as usize])?;
-        let broken = || BufferError::Link {
+        let broken = || StoreError::Link {
             to: "bucket".to_owned(),
             source: std::io::ErrorKind::BrokenPipe.into(),
         };
         if now < bytes.len() as u64 { Err(broken()) } else { Ok(()) }
     }
-    fn working(&mut self) -> Result<(), BufferError> {
-        self.to.working()
+    fn comparing(&mut self) -> Result<(), StoreError> {
+        self.to.comparing()
     }
 }
 
 impl Source for CutShort<'_> {
-    fn list(&mut self) -> Result<Vec<segment_store::Entry>, BufferError> {
+    fn list(&mut self) -> Result<Vec<segment_store::Entry>, StoreError> {
         self.bucket.list()
     }
     fn fetch(
         &mut self,
         name: &Name,
-        have: Have,
-        to: &mut dyn Receive<BufferError>,
-    ) -> Result<Option<Digest>, BufferError> {
+        local: LocalCopy,
+        to: &mut dyn FileSink<StoreError>,
+    ) -> Result<Option<Digest>, StoreError> {
         self.bucket.fetch(name, have, &mut Short { to, left: self.left })
     }
-    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), BufferError> {
+    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), StoreError> {
         self.bucket.mark_pulled(name, digest)
     }
 }
@@ -203,15 +203,15 @@ fn an_object_that_is_replaced_while_it_is_read_never_gets_a_segments_name() {
     let (fleet, here) = (Fleet::in_memory(), tempdir().unwrap());
     fleet.put("recording_0000.mcap", &first);
     let mut replaced = false;
-    let mut watch = WatchWith::arrival(|| {
+    let mut progress = ProgressHook::arrival(|| {
         if !replaced {
             replaced = true;
             fleet.put("recording_0000.mcap", &second);
         }
     });
     let report =
-        pull_watched(&mut fleet.bucket(), here.path(), Options::default(), &mut watch).unwrap();
-    let warnings = watch.warnings();
+        pull_watched(&mut fleet.bucket(), here.path(), Options::default(), &mut progress).unwrap();
+    let warnings = progress.warnings();
     assert_eq!(report.files, 0);
     assert!(
         warnings.iter().any(|text| text.contains("replaced or removed while it was read")),
@@ -229,7 +229,7 @@ fn a_digest_that_is_not_the_objects_keeps_it_from_getting_its_name() {
     fleet.put("recording_0000.mcap", &segment(1, SMALL, 100));
     fleet.put("recording_0000.mcap.blake3", Digest::of(b"something else").to_string().as_bytes());
     let error = pull_into(&mut fleet.bucket(), here.path(), Options::default()).unwrap_err();
-    assert!(matches!(error, BufferError::Digest { .. }), "{error}");
+    assert!(matches!(error, StoreError::Digest { .. }), "{error}");
     assert!(!here.path().join("recording_0000.mcap").exists());
     // What makes no sense is no digest.
     fleet.put("recording_0000.mcap.blake3", b"<html>");
@@ -243,11 +243,11 @@ fn a_segment_that_is_damaged_in_the_bucket_is_pulled_twice_and_kept_with_a_warni
     let middle = damaged.len() / 2;
     damaged[middle] ^= 0x10;
     fleet.put("recording_0000.mcap", &damaged);
-    let mut watch = WatchWith::arrival(|| {});
+    let mut progress = ProgressHook::arrival(|| {});
     let report =
-        pull_watched(&mut fleet.bucket(), here.path(), Options::default(), &mut watch).unwrap();
+        pull_watched(&mut fleet.bucket(), here.path(), Options::default(), &mut progress).unwrap();
     assert_eq!((report.files, report.bytes), (1, 2 * damaged.len() as u64));
-    let warnings = watch.warnings();
+    let warnings = progress.warnings();
     assert!(
         warnings.iter().any(|text| text.contains("damaged where it comes from")),
         "{warnings:?}"
@@ -279,7 +279,7 @@ fn an_index_that_is_longer_than_usual_is_read_as_well() {
     let fleet = Fleet::in_memory();
     fleet.put("recording_0000.mcap", &common::segment_with_channels(1, SMALL, 100, 4000));
     let entries = fleet.bucket().list().unwrap();
-    assert_eq!((entries[0].state, entries[0].turns), (State::Closed, Some(SMALL)));
+    assert_eq!((entries[0].state, entries[0].ticks), (State::Closed, Some(SMALL)));
 }
 
 #[test]
@@ -315,7 +315,7 @@ fn a_mark_is_set_only_for_what_was_read() {
 
 #[test]
 fn an_empty_prefix_is_an_empty_buffer() {
-    let bucket = segment_store::bucket::Bucket::over(
+    let bucket = segment_store::bucket::Bucket::from_store(
         Arc::new(InMemory::new()),
         "nothing".into(),
         "memory:///nothing",

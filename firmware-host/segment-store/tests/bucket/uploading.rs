@@ -3,11 +3,11 @@
 use std::fs;
 use std::path::Path;
 
-use crate::common::{Fleet, SMALL, WatchWith, pull_into, segment};
+use crate::common::{Fleet, ProgressHook, SMALL, pull_into, segment};
 use hal::VirtualClock;
-use segment_store::pull::{Options, Report, Watch};
+use segment_store::pull::{Options, Progress, Report};
 use segment_store::source::{Directory, Source};
-use segment_store::{BufferError, Digest, Entry, Have, Kind, Name, Receive};
+use segment_store::{Digest, Entry, ErrorKind, FileSink, LocalCopy, Name, StoreError};
 use tempfile::{TempDir, tempdir};
 
 const NAMES: [&str; 3] =
@@ -39,9 +39,9 @@ fn upload_watched(
     fleet: &Fleet,
     source: &mut dyn Source,
     options: Options,
-    watch: &mut dyn Watch,
-) -> Result<Report, BufferError> {
-    fleet.bucket().upload(source, &options, &mut VirtualClock::default(), watch)
+    progress: &mut dyn Progress,
+) -> Result<Report, StoreError> {
+    fleet.bucket().upload(source, &options, &mut VirtualClock::default(), progress)
 }
 
 /// What a workstation gets out of the store.
@@ -113,19 +113,19 @@ struct Fetches {
 }
 
 impl Source for Fetches {
-    fn list(&mut self) -> Result<Vec<Entry>, BufferError> {
+    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
         self.robot.list()
     }
     fn fetch(
         &mut self,
         name: &Name,
-        have: Have,
-        to: &mut dyn Receive<BufferError>,
-    ) -> Result<Option<Digest>, BufferError> {
+        local: LocalCopy,
+        to: &mut dyn FileSink<StoreError>,
+    ) -> Result<Option<Digest>, StoreError> {
         self.fetches += 1;
         self.robot.fetch(name, have, to)
     }
-    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), BufferError> {
+    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), StoreError> {
         self.robot.mark_pulled(name, digest)
     }
 }
@@ -199,7 +199,7 @@ fn an_upload_that_ends_anywhere_leaves_no_object_and_the_next_one_completes_it()
             Ok(_) => continue,
             Err(error) => error,
         };
-        assert_eq!(error.kind(), Kind::Link, "{error}");
+        assert_eq!(error.kind(), ErrorKind::Link, "{error}");
         ends += 1;
         for name in NAMES {
             let there = fleet.try_get(name);
@@ -221,44 +221,44 @@ struct EndsAfter {
 }
 
 struct Ends<'a> {
-    to: &'a mut dyn Receive<BufferError>,
+    to: &'a mut dyn FileSink<StoreError>,
     left: &'a mut u64,
 }
 
-impl Receive<BufferError> for Ends<'_> {
-    fn start(&mut self, from: u64, length: u64) -> Result<(), BufferError> {
+impl FileSink<StoreError> for Ends<'_> {
+    fn start(&mut self, from: u64, length: u64) -> Result<(), StoreError> {
         self.to.start(from, length)
     }
-    fn data(&mut self, at: u64, bytes: &[u8]) -> Result<(), BufferError> {
+    fn data(&mut self, at: u64, bytes: &[u8]) -> Result<(), StoreError> {
         let (now, rest) = bytes.split_at((*self.left).min(bytes.len() as u64) as usize);
         *self.left -= now.len() as u64;
         self.to.data(at, now)?;
         match rest {
             [] => Ok(()),
-            _ => Err(BufferError::Link {
+            _ => Err(StoreError::Link {
                 to: "robot".to_owned(),
                 source: std::io::ErrorKind::BrokenPipe.into(),
             }),
         }
     }
-    fn working(&mut self) -> Result<(), BufferError> {
-        self.to.working()
+    fn comparing(&mut self) -> Result<(), StoreError> {
+        self.to.comparing()
     }
 }
 
 impl Source for EndsAfter {
-    fn list(&mut self) -> Result<Vec<Entry>, BufferError> {
+    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
         self.robot.list()
     }
     fn fetch(
         &mut self,
         name: &Name,
-        have: Have,
-        to: &mut dyn Receive<BufferError>,
-    ) -> Result<Option<Digest>, BufferError> {
+        local: LocalCopy,
+        to: &mut dyn FileSink<StoreError>,
+    ) -> Result<Option<Digest>, StoreError> {
         self.robot.fetch(name, have, &mut Ends { to, left: &mut self.bytes })
     }
-    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), BufferError> {
+    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), StoreError> {
         self.robot.mark_pulled(name, digest)
     }
 }
@@ -269,10 +269,10 @@ fn a_segment_that_is_written_while_it_is_sent_is_left_for_the_next_upload() {
     write(robot.path(), NAMES[0], &segment(1, 30, 100_000));
     let path = robot.path().join(NAMES[0]);
     let longer = segment(2, 31, 100_000);
-    let mut watch = WatchWith::arrival(|| fs::write(&path, &longer).unwrap());
+    let mut progress = ProgressHook::arrival(|| fs::write(&path, &longer).unwrap());
     let mut source = Directory::open(robot.path()).unwrap();
-    let report = upload_watched(&fleet, &mut source, Options::default(), &mut watch).unwrap();
-    let warnings = watch.warnings();
+    let report = upload_watched(&fleet, &mut source, Options::default(), &mut progress).unwrap();
+    let warnings = progress.warnings();
     assert!(
         warnings.iter().any(|text| text.contains("was written while it was read")),
         "{warnings:?}"
@@ -287,15 +287,15 @@ fn a_segment_that_is_written_while_it_is_sent_is_left_for_the_next_upload() {
 fn what_arrives_damaged_gets_no_name_and_is_read_once_more() {
     let (fleet, robot) = (Fleet::in_memory(), robot());
     let mut source = Liar { robot: Directory::open(robot.path()).unwrap(), lies: 1 };
-    let mut watch = WatchWith::arrival(|| {});
-    let report = upload_watched(&fleet, &mut source, Options::default(), &mut watch).unwrap();
+    let mut progress = ProgressHook::arrival(|| {});
+    let report = upload_watched(&fleet, &mut source, Options::default(), &mut progress).unwrap();
     assert_eq!(report.files, 3);
-    assert!(watch.warnings()[0].contains("arrived damaged"));
+    assert!(progress.warnings()[0].contains("arrived damaged"));
     assert_comes_out(&fleet, robot.path());
     let fleet = Fleet::in_memory();
     let mut source = Liar { robot: Directory::open(robot.path()).unwrap(), lies: u64::MAX };
     let error = upload_watched(&fleet, &mut source, Options::default(), &mut ()).unwrap_err();
-    assert!(matches!(error, BufferError::Digest { .. }), "{error}");
+    assert!(matches!(error, StoreError::Digest { .. }), "{error}");
     assert!(fleet.names().is_empty(), "{:?}", fleet.names());
 }
 
@@ -306,21 +306,21 @@ struct Liar {
 }
 
 impl Source for Liar {
-    fn list(&mut self) -> Result<Vec<Entry>, BufferError> {
+    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
         self.robot.list()
     }
     fn fetch(
         &mut self,
         name: &Name,
-        have: Have,
-        to: &mut dyn Receive<BufferError>,
-    ) -> Result<Option<Digest>, BufferError> {
+        local: LocalCopy,
+        to: &mut dyn FileSink<StoreError>,
+    ) -> Result<Option<Digest>, StoreError> {
         let digest = self.robot.fetch(name, have, to)?;
         let lies = self.lies > 0;
         self.lies = self.lies.saturating_sub(1);
         Ok(if lies { Some(Digest::of(b"something else")) } else { digest })
     }
-    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), BufferError> {
+    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), StoreError> {
         self.robot.mark_pulled(name, digest)
     }
 }

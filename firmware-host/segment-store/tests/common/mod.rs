@@ -10,10 +10,10 @@ use hal::{CameraModel, Pose2, VirtualClock, WheelFeedback, camera_mount};
 use runtime::recording::{Picture, RecordedTick, RecordingWriter, RunHeader, SegmentHeader, Views};
 use segment_store::pull::{Destination, FileSystem, Options, Report, pull};
 use segment_store::source::{Remote, Source};
-use segment_store::{BufferError, Computer, Root};
+use segment_store::{CpuFeatures, Root, StoreError};
 
 /// Turns in a chunk: ten a second, and a chunk is closed after one.
-pub const CHUNK_TURNS: u64 = 11;
+pub const CHUNK_TICKS: u64 = 11;
 
 pub fn run_header() -> RunHeader {
     RunHeader {
@@ -113,7 +113,7 @@ pub fn serve_on(dir: &Path, mut stream: UnixStream) {
     let mut input = stream.try_clone().unwrap();
     // A client that is gone is no error of the server's.
     std::thread::spawn(move || {
-        drop(segment_store::serve(&root, Computer { aes: true }, &mut input, &mut stream))
+        drop(segment_store::serve(&root, CpuFeatures { aes: true }, &mut input, &mut stream))
     });
 }
 
@@ -121,7 +121,7 @@ pub fn pull_into(
     source: &mut dyn Source,
     here: &Path,
     options: Options,
-) -> Result<Report, BufferError> {
+) -> Result<Report, StoreError> {
     let mut destination = Destination::open(here, &FileSystem)?;
     pull(source, &mut destination, &options, &mut VirtualClock::default(), &mut ())
 }

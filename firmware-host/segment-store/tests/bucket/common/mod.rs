@@ -11,9 +11,9 @@ use hal::VirtualClock;
 use object_store::local::LocalFileSystem;
 use object_store::memory::InMemory;
 use object_store::{ObjectStore, ObjectStoreExt};
-use segment_store::BufferError;
+use segment_store::StoreError;
 use segment_store::bucket::Bucket;
-use segment_store::pull::{Destination, FileSystem, Options, Report, Watch, pull};
+use segment_store::pull::{Destination, FileSystem, Options, Progress, Report, pull};
 use segment_store::source::Source;
 
 /// Turns of a small segment.
@@ -33,12 +33,12 @@ impl Noise {
 }
 
 /// A whole segment of `turns` turns with `bytes` bytes each, and two events.
-pub fn segment(seed: u64, turns: u64, bytes: usize) -> Vec<u8> {
+pub fn segment(seed: u64, ticks: u64, bytes: usize) -> Vec<u8> {
     segment_with_channels(seed, turns, bytes, 0)
 }
 
 /// As [`segment`], with so many channels more.
-pub fn segment_with_channels(seed: u64, turns: u64, bytes: usize, channels: usize) -> Vec<u8> {
+pub fn segment_with_channels(seed: u64, ticks: u64, bytes: usize, channels: usize) -> Vec<u8> {
     let (mut out, mut noise) = (Cursor::new(Vec::new()), Noise(seed));
     let mut writer = mcap::WriteOptions::new()
         .compression(None)
@@ -53,7 +53,7 @@ pub fn segment_with_channels(seed: u64, turns: u64, bytes: usize, channels: usiz
             .add_channel(0, &format!("/a/topic/nobody/listens/to/{number}"), "json", &nothing)
             .unwrap();
     }
-    for turn in 0..turns {
+    for turn in 0..ticks {
         let data: Vec<u8> =
             (0..bytes.div_ceil(8)).flat_map(|_| noise.next().to_le_bytes()).collect();
         let time = turn * 100_000_000;
@@ -80,7 +80,7 @@ pub struct Fleet {
 }
 
 impl Fleet {
-    pub fn over(store: Arc<dyn ObjectStore>) -> Self {
+    pub fn from_store(store: Arc<dyn ObjectStore>) -> Self {
         Self {
             store,
             runtime: tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap(),
@@ -88,15 +88,16 @@ impl Fleet {
     }
 
     pub fn in_memory() -> Self {
-        Self::over(Arc::new(InMemory::new()))
+        Self::from_store(Arc::new(InMemory::new()))
     }
 
     pub fn in_directory(dir: &Path) -> Self {
-        Self::over(Arc::new(LocalFileSystem::new_with_prefix(dir).unwrap()))
+        Self::from_store(Arc::new(LocalFileSystem::new_with_prefix(dir).unwrap()))
     }
 
     pub fn bucket(&self) -> Bucket {
-        Bucket::over(Arc::clone(&self.store), "fleet/kitchen".into(), "s3://fleet/kitchen").unwrap()
+        Bucket::from_store(Arc::clone(&self.store), "fleet/kitchen".into(), "s3://fleet/kitchen")
+            .unwrap()
     }
 
     pub fn put(&self, name: &str, bytes: &[u8]) {
@@ -136,12 +137,12 @@ impl Fleet {
 }
 
 /// Does something at every arrival, and keeps the warnings.
-pub struct WatchWith<'a> {
+pub struct ProgressHook<'a> {
     arrival: Box<dyn FnMut() + 'a>,
     warnings: Vec<String>,
 }
 
-impl<'a> WatchWith<'a> {
+impl<'a> ProgressHook<'a> {
     pub fn arrival(arrival: impl FnMut() + 'a) -> Self {
         Self { arrival: Box::new(arrival), warnings: Vec::new() }
     }
@@ -151,11 +152,11 @@ impl<'a> WatchWith<'a> {
     }
 }
 
-impl Watch for WatchWith<'_> {
-    fn arrived(&mut self, _bytes: u64) {
+impl Progress for ProgressHook<'_> {
+    fn received(&mut self, _bytes: u64) {
         (self.arrival)();
     }
-    fn warns(&mut self, text: &str) {
+    fn warning(&mut self, text: &str) {
         self.warnings.push(text.to_owned());
     }
 }
@@ -164,7 +165,7 @@ pub fn pull_into(
     source: &mut dyn Source,
     here: &Path,
     options: Options,
-) -> Result<Report, BufferError> {
+) -> Result<Report, StoreError> {
     pull_watched(source, here, options, &mut ())
 }
 
@@ -172,8 +173,8 @@ pub fn pull_watched(
     source: &mut dyn Source,
     here: &Path,
     options: Options,
-    watch: &mut dyn Watch,
-) -> Result<Report, BufferError> {
+    progress: &mut dyn Progress,
+) -> Result<Report, StoreError> {
     let mut destination = Destination::open(here, &FileSystem)?;
-    pull(source, &mut destination, &options, &mut VirtualClock::default(), watch)
+    pull(source, &mut destination, &options, &mut VirtualClock::default(), progress)
 }
