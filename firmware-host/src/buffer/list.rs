@@ -7,11 +7,11 @@ use comfy_table::{CellAlignment, Table, presets::ASCII_MARKDOWN};
 use segment_store::{Catalogue, Entry, Pulled, State};
 use serde_json::{Value, json};
 
-use super::settle;
+use super::detect_unlocked;
 
 pub(super) fn run(dir: &Path, as_json: bool) -> Result<()> {
     let (root, mut catalogue) = Catalogue::open(dir)?;
-    settle(&root, &mut catalogue.entries);
+    detect_unlocked(&root, &mut catalogue.entries);
     if as_json {
         let entries: Vec<Value> = catalogue.entries.iter().map(value).collect();
         println!("{}", serde_json::to_string_pretty(&entries)?);
@@ -19,7 +19,7 @@ pub(super) fn run(dir: &Path, as_json: bool) -> Result<()> {
     }
     ensure!(
         !catalogue.entries.is_empty(),
-        "{} holds no recording_NNNN.mcap; give a directory with runs, or the --out directory of a run",
+        "{} contains no recording_NNNN.mcap; give a directory of runs, or the --out directory of one run",
         dir.display()
     );
     println!("{}", table(&catalogue));
@@ -34,7 +34,7 @@ pub(super) fn run(dir: &Path, as_json: bool) -> Result<()> {
 fn table(catalogue: &Catalogue) -> Table {
     let mut table = Table::new();
     table.load_preset(ASCII_MARKDOWN);
-    table.set_header(["segment", "size", "from", "to", "turns", "events", "state", "marks"]);
+    table.set_header(["segment", "size", "from", "to", "ticks", "events", "state", "marks"]);
     for entry in catalogue.runs().into_values().flatten() {
         table.add_row(cells(entry));
     }
@@ -47,11 +47,6 @@ fn table(catalogue: &Catalogue) -> Table {
 }
 
 fn cells(entry: &Entry) -> [String; 8] {
-    let seconds = |ns: Option<u64>| {
-        ns.map_or_else(|| "-".to_owned(), |ns| format!("{:.1} s", ns as f64 * 1e-9))
-    };
-    let count =
-        |number: Option<u64>| number.map_or_else(|| "-".to_owned(), |number| number.to_string());
     [
         entry.name.to_string(),
         megabytes(entry.bytes),
@@ -62,6 +57,14 @@ fn cells(entry: &Entry) -> [String; 8] {
         entry.state.word().to_owned(),
         marks(entry).join(" "),
     ]
+}
+
+fn seconds(ns: Option<u64>) -> String {
+    ns.map_or_else(|| "-".to_owned(), |ns| format!("{:.1} s", ns as f64 * 1e-9))
+}
+
+fn count(number: Option<u64>) -> String {
+    number.map_or_else(|| "-".to_owned(), |number| number.to_string())
 }
 
 fn marks(entry: &Entry) -> Vec<&'static str> {

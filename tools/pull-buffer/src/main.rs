@@ -1,4 +1,4 @@
-//! `pull-buffer`: see `pull-buffer --help` and docs/pull-buffer.md.
+//! Copies recorded segments from robots; see `pull-buffer --help` and docs/pull-buffer.md.
 #![forbid(unsafe_code)]
 
 mod options;
@@ -18,11 +18,11 @@ use robot::{Outcome, Robot};
 use segment_store::source::{Location, Spec};
 use segment_store::{ErrorKind, StoreError};
 
-/// Something failed that needs a person.
+/// An error that needs the operator's attention.
 const FAILED: u8 = 1;
-/// What was asked for cannot be. As clap has it.
+/// Invalid arguments; the same code as clap uses.
 const MISUSED: u8 = 2;
-/// Only links failed: the same command later goes on where this one ended (`EX_TEMPFAIL` of sysexits).
+/// Only links failed, and the same command resumes later (`EX_TEMPFAIL` of sysexits).
 const TRY_AGAIN: u8 = 75;
 
 fn main() -> ExitCode {
@@ -44,18 +44,19 @@ fn code_of(error: &StoreError) -> u8 {
     }
 }
 
-/// One thread for every robot; the worst exit code of all.
+/// Pulls from every source in a thread of its own. Returns the most serious exit code.
 fn run(options: &Options) -> Result<u8, StoreError> {
     let specs = specs(options)?;
     let display = Display::new(options.json);
     let worst = Mutex::new(0);
     std::thread::scope(|scope| {
         for spec in &specs {
-            let (display, worst) = (&display, &worst);
+            let display = &display;
+            let worst = &worst;
             scope.spawn(move || {
                 let code = follow(&mut Robot::new(spec, options), options, display);
                 if let Ok(mut worst) = worst.lock() {
-                    // Trying again later helps only where nothing else is wrong.
+                    // Retrying later helps only when nothing else is wrong.
                     *worst =
                         if *worst == 0 || *worst == TRY_AGAIN && code != 0 { code } else { *worst };
                 }
@@ -76,22 +77,22 @@ fn specs(options: &Options) -> Result<Vec<Spec>, StoreError> {
             );
             return Err(StoreError::Usage(text));
         }
-        if let (Some(to), Location::ObjectStore(from)) = (options.store(), &spec.location) {
+        if let (Some(to), Location::ObjectStore(from)) =
+            (options.destination_store(), &spec.location)
+        {
             let text = format!(
-                "{from} to {to}: use rclone or the stores' own programs from one store to another"
+                "{from} to {to}: cannot copy from one object store to another; use rclone or the store's own program"
             );
             return Err(StoreError::Usage(text));
         }
     }
-    if let (Some(to), Some(_)) = (options.store(), options.layout) {
-        return Err(StoreError::Usage(format!(
-            "{to}: another layout can only be written into a directory"
-        )));
+    if let (Some(to), Some(_)) = (options.destination_store(), options.layout) {
+        return Err(StoreError::Usage(format!("{to}: --as can only write into a directory")));
     }
     Ok(specs)
 }
 
-/// Pulls once, or again and again; the exit code.
+/// Pulls once or, with --follow, repeatedly. Returns the exit code.
 fn follow(robot: &mut Robot<'_>, options: &Options, display: &Display) -> u8 {
     let mut clock = MonotonicClock;
     loop {
@@ -99,7 +100,7 @@ fn follow(robot: &mut Robot<'_>, options: &Options, display: &Display) -> u8 {
         display.outcome(robot.spec(), &outcome, options.follow);
         match (&outcome, options.follow) {
             (Outcome { error: Some(error), .. }, false) => return code_of(error),
-            // A robot that is away comes back; a refusal stays one.
+            // A robot that was reached before may come back; one that never answered is not waited for.
             (Outcome { error: Some(error), .. }, true)
                 if error.kind() != ErrorKind::Link && !robot.has_been_reached() =>
             {

@@ -1,5 +1,5 @@
 //! `pull-buffer` as a user runs it, from directories.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that cannot set up its files has failed")]
 
 use std::fs;
 use std::path::Path;
@@ -39,7 +39,7 @@ fn segment() -> Vec<u8> {
 }
 
 #[test]
-fn two_robots_come_side_by_side_each_into_its_own_directory() {
+fn two_robots_are_pulled_in_parallel_into_their_own_directories() {
     let dir = tempdir().unwrap();
     for robot in ["kitchen", "hall"] {
         fs::create_dir_all(dir.path().join(robot).join("run")).unwrap();
@@ -55,7 +55,7 @@ fn two_robots_come_side_by_side_each_into_its_own_directory() {
 }
 
 #[test]
-fn mistakes_end_with_exit_code_2_and_the_way_out() {
+fn invalid_arguments_exit_with_2_and_a_way_out() {
     let dir = tempdir().unwrap();
     for (arguments, way_out) in [
         (&["only"][..], "required"),
@@ -73,7 +73,7 @@ fn mistakes_end_with_exit_code_2_and_the_way_out() {
 }
 
 #[test]
-fn a_link_that_fails_ends_with_exit_code_75_or_a_persons_attention() {
+fn a_robot_that_ssh_cannot_reach_is_an_error_with_a_way_out() {
     let dir = tempdir().unwrap();
     // Port 1 on loopback: nobody listens there.
     let arguments =
@@ -89,7 +89,7 @@ fn a_link_that_fails_ends_with_exit_code_75_or_a_persons_attention() {
 }
 
 #[test]
-fn runs_are_also_written_as_the_tum_layout() {
+fn runs_are_also_exported_in_the_tum_format() {
     let dir = tempdir().unwrap();
     fs::create_dir_all(dir.path().join("robot/run")).unwrap();
     fs::write(dir.path().join("robot/run/recording_0000.mcap"), segment()).unwrap();

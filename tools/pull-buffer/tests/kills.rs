@@ -1,5 +1,5 @@
 //! `pull-buffer` and the robot's side, killed at random moments over real ssh. `KILLS` says how often.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that cannot set up its files has failed")]
 
 mod common;
 
@@ -122,7 +122,7 @@ fn killed_again_and_again(mut kill: impl FnMut(&mut Child, &Path) -> bool) {
             "{before:?}, then {now:?}"
         );
         before = now;
-        assert!(rounds <= 50 + kills, "it is through before it can be killed");
+        assert!(rounds <= 50 + kills, "the program ends before it can be killed");
         // Killed in one piece for some time, then through to the end.
         if killed && kills % 4 == 3 || now.iter().sum::<u64>() >= SEGMENTS * BYTES as u64 {
             completes(&server, robot.path(), here.path());
@@ -139,7 +139,7 @@ fn killed_again_and_again(mut kill: impl FnMut(&mut Child, &Path) -> bool) {
 }
 
 #[test]
-fn the_puller_killed_at_any_moment_goes_on_at_the_byte_and_nothing_wrong_is_left() {
+fn a_puller_killed_at_any_time_resumes_at_the_byte_and_leaves_no_wrong_data() {
     killed_again_and_again(|child, _| {
         let ran = child.try_wait().unwrap().is_none();
         child.kill().unwrap();
@@ -148,14 +148,14 @@ fn the_puller_killed_at_any_moment_goes_on_at_the_byte_and_nothing_wrong_is_left
 }
 
 #[test]
-fn the_robots_side_killed_at_any_moment_the_next_pull_goes_on_at_the_byte() {
+fn after_the_robots_side_is_killed_at_any_time_the_next_pull_resumes_at_the_byte() {
     killed_again_and_again(|_, robot| {
         serving_process(robot).is_some_and(|pid| kill_process(pid, Signal::KILL).is_ok())
     });
 }
 
 #[test]
-fn the_robots_side_killed_in_the_middle_the_puller_goes_on_by_itself() {
+fn a_puller_reconnects_after_the_robots_side_was_killed() {
     let Some(server) = Server::start() else { return };
     let (robot, here) = (robot(SEGMENTS, BYTES), tempdir().unwrap());
     let mut child =

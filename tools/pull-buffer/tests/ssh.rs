@@ -1,5 +1,5 @@
 //! The real thing: `pull-buffer` over OpenSSH on loopback, with keys of its own. Without an sshd the tests say so and pass.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that cannot set up its files has failed")]
 
 mod common;
 
@@ -12,7 +12,7 @@ use segment_store::CpuFeatures;
 use tempfile::tempdir;
 
 #[test]
-fn a_robot_is_pulled_over_ssh_and_the_second_time_nothing_moves() {
+fn a_robot_is_pulled_over_ssh_and_a_second_pull_transfers_nothing() {
     let Some(server) = Server::start() else { return };
     let (robot, here) = (robot(3, 1 << 20), tempdir().unwrap());
     let output = server.pull(robot.path(), here.path()).arg("--json").output().unwrap();
@@ -30,7 +30,7 @@ fn a_robot_is_pulled_over_ssh_and_the_second_time_nothing_moves() {
 }
 
 #[test]
-fn pulls_share_a_connection_that_ssh_keeps() {
+fn pulls_share_a_connection_that_the_users_ssh_keeps_open() {
     let Some(server) = Server::start() else { return };
     let (robot, here) = (robot(2, 1 << 20), tempdir().unwrap());
     let socket = server.sshd.dir().join("kept");
@@ -56,7 +56,7 @@ fn pulls_share_a_connection_that_ssh_keeps() {
 }
 
 #[test]
-fn a_pull_leaves_its_connection_to_the_next_one_for_a_minute() {
+fn pulls_share_a_connection_without_any_configuration() {
     let Some(server) = Server::start() else { return };
     let (robot, here, runtime_dir) = (robot(1, 1 << 20), tempdir().unwrap(), tempdir().unwrap());
     for _ in 0..3 {
@@ -77,7 +77,7 @@ fn a_pull_leaves_its_connection_to_the_next_one_for_a_minute() {
 }
 
 #[test]
-fn a_link_that_broke_is_made_anew_and_not_over_the_connection_that_may_be_the_broken_one() {
+fn after_a_broken_link_the_next_connection_is_not_shared() {
     let Some(server) = Server::start() else { return };
     let (robot, here, runtime_dir, ssh) =
         (robot(1, 1 << 20), tempdir().unwrap(), tempdir().unwrap(), SpiedSsh::new());
@@ -104,7 +104,7 @@ fn a_link_that_broke_is_made_anew_and_not_over_the_connection_that_may_be_the_br
 }
 
 #[test]
-fn aes_is_asked_for_first_where_this_computer_has_it_and_never_against_the_users_word() {
+fn aes_is_preferred_if_the_processor_has_it_unless_the_user_chose_a_cipher() {
     let Some(server) = Server::start() else { return };
     let (robot, here, ssh) = (robot(1, 1 << 20), tempdir().unwrap(), SpiedSsh::new());
     let output = server.pull(robot.path(), here.path()).env("PATH", ssh.path()).output().unwrap();
@@ -123,7 +123,7 @@ fn aes_is_asked_for_first_where_this_computer_has_it_and_never_against_the_users
 }
 
 #[test]
-fn a_robot_without_aes_is_asked_again_as_ssh_would_when_there_is_much_to_fetch() {
+fn a_robot_without_aes_is_reconnected_with_sshs_choice_for_large_pulls() {
     let Some(server) = Server::start() else { return };
     if !CpuFeatures::detect().aes {
         return;
@@ -146,7 +146,7 @@ fn a_robot_without_aes_is_asked_again_as_ssh_would_when_there_is_much_to_fetch()
 }
 
 #[test]
-fn a_changed_host_key_is_refused_in_sshs_own_words() {
+fn a_changed_host_key_is_refused_with_sshs_own_message() {
     let Some(server) = Server::start() else { return };
     let (robot, here) = (robot(1, 1000), tempdir().unwrap());
     server.sshd.trust("key.pub").unwrap();
@@ -164,7 +164,7 @@ fn a_changed_host_key_is_refused_in_sshs_own_words() {
 }
 
 #[test]
-fn a_robot_without_the_program_is_named_with_the_way_out() {
+fn a_robot_without_the_program_is_an_error_with_a_way_out() {
     let Some(server) = Server::start() else { return };
     let (robot, here) = (robot(1, 1000), tempdir().unwrap());
     let output = server

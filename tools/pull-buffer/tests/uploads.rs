@@ -1,6 +1,6 @@
 //! Into an object store, as a user does it: `file:///` is one, too. `KILLS` says how often an upload is killed.
 #![cfg(feature = "object-store")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that cannot set up its files has failed")]
 
 mod common;
 
@@ -45,7 +45,7 @@ fn complete(robot: &Path, store: &Path) -> u64 {
 }
 
 #[test]
-fn an_upload_killed_at_any_moment_leaves_whole_objects_and_the_next_one_completes_it() {
+fn an_upload_killed_at_any_time_leaves_complete_objects_and_the_next_one_finishes() {
     let (robot, dir) = (robot(SEGMENTS, BYTES), tempdir().unwrap());
     let store = dir.path().join("store");
     let fresh = || {
@@ -74,7 +74,7 @@ fn an_upload_killed_at_any_moment_leaves_whole_objects_and_the_next_one_complete
         child.kill().unwrap();
         child.wait().unwrap();
         let there = complete(robot.path(), &store);
-        assert!(rounds <= 50 + kills, "it is through before it can be killed");
+        assert!(rounds <= 50 + kills, "the program ends before it can be killed");
         if kills % 4 == 3 || there == SEGMENTS {
             let output = upload(robot.path(), &store).output().unwrap();
             assert!(output.status.success(), "{}", words(&output));
@@ -87,7 +87,7 @@ fn an_upload_killed_at_any_moment_leaves_whole_objects_and_the_next_one_complete
 }
 
 #[test]
-fn what_a_robot_put_into_a_store_a_workstation_gets_out_of_it() {
+fn segments_uploaded_by_a_robot_are_pulled_by_a_workstation() {
     let (robot, dir) = (robot(SEGMENTS, 1000), tempdir().unwrap());
     let (store, here) = (dir.path().join("store"), dir.path().join("here"));
     fs::create_dir(&store).unwrap();

@@ -4,7 +4,7 @@
     clippy::unwrap_used,
     clippy::expect_used,
     clippy::panic,
-    reason = "helpers of tests; not all use all"
+    reason = "helpers, not all of which every test file uses"
 )]
 
 use std::fs;
@@ -96,7 +96,7 @@ pub fn robot(segments: u64, bytes: usize) -> TempDir {
     for number in 0..segments {
         let path = dir.path().join(format!("run/recording_{number:04}.mcap"));
         fs::write(&path, noise(number + 1, bytes + number as usize)).unwrap();
-        // Nobody writes to it any more.
+        // RefuseAll writes to it any more.
         fs::File::open(&path).unwrap().set_modified(std::time::UNIX_EPOCH).unwrap();
     }
     dir
