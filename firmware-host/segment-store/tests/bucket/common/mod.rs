@@ -1,5 +1,5 @@
-//! Segments as the recorder frames them, and stores to put them into.
-#![allow(dead_code, reason = "every test file uses a part")]
+//! Segments with the structure of the recorder's, and object stores.
+#![allow(dead_code, reason = "helpers, not all of which every test file uses")]
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -16,10 +16,10 @@ use segment_store::bucket::Bucket;
 use segment_store::pull::{Destination, FileSystem, Options, Progress, Report, pull};
 use segment_store::source::Source;
 
-/// Turns of a small segment.
+/// The number of ticks of a small segment.
 pub const SMALL: u64 = 5;
 
-/// Numbers that do not compress (SplitMix64).
+/// Random numbers (SplitMix64), which do not compress.
 pub struct Noise(pub u64);
 
 impl Noise {
@@ -32,39 +32,38 @@ impl Noise {
     }
 }
 
-/// A whole segment of `turns` turns with `bytes` bytes each, and two events.
+/// A complete segment of `ticks` ticks with `bytes` bytes each, and two events.
 pub fn segment(seed: u64, ticks: u64, bytes: usize) -> Vec<u8> {
-    segment_with_channels(seed, turns, bytes, 0)
+    segment_with_channels(seed, ticks, bytes, 0)
 }
 
-/// As [`segment`], with so many channels more.
+/// Like [`segment`], with additional channels.
 pub fn segment_with_channels(seed: u64, ticks: u64, bytes: usize, channels: usize) -> Vec<u8> {
-    let (mut out, mut noise) = (Cursor::new(Vec::new()), Noise(seed));
+    let mut out = Cursor::new(Vec::new());
+    let mut noise = Noise(seed);
     let mut writer = mcap::WriteOptions::new()
         .compression(None)
         .chunk_size(Some(1 << 18))
         .create(&mut out)
         .unwrap();
     let nothing = BTreeMap::new();
-    let tick = writer.add_channel(0, "/robot/tick", "json", &nothing).unwrap();
+    let tick_channel = writer.add_channel(0, "/robot/tick", "json", &nothing).unwrap();
     let events = writer.add_channel(0, "/events", "json", &nothing).unwrap();
     for number in 0..channels {
-        writer
-            .add_channel(0, &format!("/a/topic/nobody/listens/to/{number}"), "json", &nothing)
-            .unwrap();
+        writer.add_channel(0, &format!("/an/unused/topic/{number}"), "json", &nothing).unwrap();
     }
-    for turn in 0..ticks {
+    for tick in 0..ticks {
         let data: Vec<u8> =
             (0..bytes.div_ceil(8)).flat_map(|_| noise.next().to_le_bytes()).collect();
-        let time = turn * 100_000_000;
+        let time = tick * 100_000_000;
         let header = |channel_id| mcap::records::MessageHeader {
             channel_id,
-            sequence: turn as u32,
+            sequence: tick as u32,
             log_time: time,
             publish_time: time,
         };
-        writer.write_to_known_channel(&header(tick), &data).unwrap();
-        if turn < 2 {
+        writer.write_to_known_channel(&header(tick_channel), &data).unwrap();
+        if tick < 2 {
             writer.write_to_known_channel(&header(events), b"{}").unwrap();
         }
     }
@@ -73,7 +72,7 @@ pub fn segment_with_channels(seed: u64, ticks: u64, bytes: usize, channels: usiz
     out.into_inner()
 }
 
-/// A store with a robot's folder in it.
+/// An object store that contains a robot's directory.
 pub struct Fleet {
     pub store: Arc<dyn ObjectStore>,
     runtime: tokio::runtime::Runtime,
@@ -118,16 +117,18 @@ impl Fleet {
         self.try_get(name).unwrap()
     }
 
-    /// Of everything.
+    /// The names of all objects.
     pub fn names(&self) -> Vec<String> {
         let prefix = "fleet/kitchen".into();
         let listed =
             self.runtime.block_on(self.store.list(Some(&prefix)).try_collect::<Vec<_>>()).unwrap();
-        let relative = |path: &str| path.trim_start_matches("fleet/kitchen/").to_owned();
-        listed.iter().map(|object| relative(object.location.as_ref())).collect()
+        listed
+            .iter()
+            .map(|object| object.location.as_ref().trim_start_matches("fleet/kitchen/").to_owned())
+            .collect()
     }
 
-    /// Three small segments of two runs, and what else lies beside them.
+    /// Uploads three small segments of two runs, and a file that is not a segment.
     pub fn put_robot(&self) {
         self.put("monday/recording_0000.mcap", &segment(1, SMALL, 100));
         self.put("monday/recording_0001.mcap", &segment(2, SMALL, 100));
@@ -136,15 +137,15 @@ impl Fleet {
     }
 }
 
-/// Does something at every arrival, and keeps the warnings.
+/// Calls a function whenever data are received, and collects the warnings.
 pub struct ProgressHook<'a> {
-    arrival: Box<dyn FnMut() + 'a>,
+    on_received: Box<dyn FnMut() + 'a>,
     warnings: Vec<String>,
 }
 
 impl<'a> ProgressHook<'a> {
-    pub fn arrival(arrival: impl FnMut() + 'a) -> Self {
-        Self { arrival: Box::new(arrival), warnings: Vec::new() }
+    pub fn on_received(on_received: impl FnMut() + 'a) -> Self {
+        Self { on_received: Box::new(on_received), warnings: Vec::new() }
     }
 
     pub fn warnings(self) -> Vec<String> {
@@ -154,7 +155,7 @@ impl<'a> ProgressHook<'a> {
 
 impl Progress for ProgressHook<'_> {
     fn received(&mut self, _bytes: u64) {
-        (self.arrival)();
+        (self.on_received)();
     }
     fn warning(&mut self, text: &str) {
         self.warnings.push(text.to_owned());
@@ -166,10 +167,10 @@ pub fn pull_into(
     here: &Path,
     options: Options,
 ) -> Result<Report, StoreError> {
-    pull_watched(source, here, options, &mut ())
+    pull_with_progress(source, here, options, &mut ())
 }
 
-pub fn pull_watched(
+pub fn pull_with_progress(
     source: &mut dyn Source,
     here: &Path,
     options: Options,
