@@ -323,63 +323,63 @@ pub struct CameraLatencyArgs {
 /// Arguments of `buffer`.
 #[derive(Debug, Args)]
 pub struct BufferArgs {
-    /// What to do with what was recorded.
     #[command(subcommand)]
     pub task: BufferTask,
 }
 
-/// What to do with what was recorded.
+/// Subcommands of `buffer`.
 #[derive(Debug, Subcommand)]
 pub enum BufferTask {
-    /// Every segment: size, time, turns, whole or cut, marks. Reads only the segments' ends.
+    /// List all segments with their sizes, times, ticks, states and markers. Reads only the ends of the files.
     List {
-        /// Directory with runs, or the --out folder of one.
+        /// A directory of runs, or the --out directory of one run.
         dir: PathBuf,
-        /// For programs.
+        /// Print JSON.
         #[arg(long)]
         json: bool,
     },
-    /// Read everything and say which segments are whole, cut or corrupt. Exits with 1 unless all are whole.
+    /// Check all checksums and report which segments are whole, cut or corrupt. Exits with 1 unless all are whole.
     Verify {
-        /// Directory with runs, the --out folder of one, or one segment.
+        /// A directory of runs, the --out directory of one run, or one segment.
         path: PathBuf,
     },
-    /// Write a whole segment for each that is cut or corrupt: every message of every complete chunk. The originals stay.
+    /// Write a repaired copy of every segment that is cut or corrupt, with all messages of its intact chunks.
     Recover {
-        /// Directory with runs, the --out folder of one, or one segment.
+        /// A directory of runs, the --out directory of one run, or one segment.
         path: PathBuf,
-        /// Folder for the whole segments, which get the names of the originals.
+        /// The directory for the repaired copies, which have the names of the originals.
         #[arg(long, value_name = "DIR")]
         out: PathBuf,
     },
-    /// Write one run in another layout.
+    /// Export one run in another format.
     Export {
-        /// The --out folder of a run, or one segment.
+        /// The --out directory of a run, or one segment.
         path: PathBuf,
-        /// Which.
-        #[arg(long = "as", value_enum, value_name = "LAYOUT")]
+        /// The format to export.
+        #[arg(long = "as", value_enum, value_name = "FORMAT")]
         layout: ExportLayout,
-        /// File (mcap) or folder (ros2, tum) that is not there yet.
-        #[arg(long)]
+        /// The file (mcap) or directory (other formats) to create. It must not exist.
+        #[arg(long, value_name = "PATH")]
         out: PathBuf,
     },
-    /// Answer pull-buffer on stdin and stdout; it starts this by ssh. Writes nothing but marks for what was pulled.
+    /// Answer the requests of pull-buffer, which runs this command over ssh, on standard input and output. Writes only markers
+    /// for the segments that were pulled.
     Serve {
-        /// Directory with runs, or the --out folder of one.
+        /// A directory of runs, or the --out directory of one run.
         dir: PathBuf,
     },
 }
 
-/// Layouts by their names.
+/// The values of `buffer export --as`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ExportLayout {
-    /// One plain MCAP file with an index.
+    /// One MCAP file with an index.
     Mcap,
-    /// A ROS 2 bag: pictures, calibration, scans, odometry and transforms.
+    /// A ROS 2 bag with images, calibration, scans, odometry and transforms.
     Ros2,
-    /// The TUM RGB-D benchmark's layout, with odometry as poses; `perceive --dataset` reads it.
+    /// The format of the TUM RGB-D benchmark with poses from odometry, which `perceive --dataset` reads.
     Tum,
-    /// LeRobot's layout, version 3.0: Parquet with pictures, odometry and commands.
+    /// A LeRobot dataset, format 3.0: images, odometry and sent commands in Parquet files.
     #[cfg(feature = "lerobot")]
     Lerobot,
 }

@@ -1,21 +1,19 @@
-//! Something with a length whose bytes can be read anywhere: a file, or memory.
+//! Random access to bytes in a file or in memory.
 
 use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt;
 
-/// Bytes by their offset.
+/// A sequence of bytes that can be read at any offset.
 pub trait Bytes {
-    /// How many there are now.
-    ///
     /// # Errors
-    /// When the file system says no.
+    /// When the file system returns an error.
     fn length(&self) -> io::Result<u64>;
 
-    /// Fills `into` with the bytes from `at` on.
+    /// Fills `into` with the bytes that start at offset `at`.
     ///
     /// # Errors
-    /// [`UnexpectedEof`](io::ErrorKind::UnexpectedEof) when there are not as many, or when the file system says no.
+    /// [`UnexpectedEof`](io::ErrorKind::UnexpectedEof) when fewer bytes are available, or the error of the file system.
     fn read_exact_at(&self, at: u64, into: &mut [u8]) -> io::Result<()>;
 }
 

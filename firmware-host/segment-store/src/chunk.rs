@@ -1,4 +1,4 @@
-//! One chunk of a segment, checked before anything of it is handed out.
+//! Reading of one chunk of a segment. A chunk is verified as a whole before any of its records is used.
 
 use std::io;
 
@@ -7,22 +7,23 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{McapError, parse_record};
 
 use crate::bytes::Bytes;
-use crate::records::{Fields, RecordAt};
+use crate::fields::Fields;
+use crate::records::RecordAt;
 
-/// No chunk that we write comes near this; a broken length must not take the computer's memory.
+/// Largest record that is read. The recorder's chunks are far smaller; a corrupt length must not exhaust the memory.
 pub(crate) const MAX_CHUNK: u64 = 64 << 20;
 
-/// What one record of a chunk is. Others are passed over.
+/// A record of a chunk. Records of other kinds are skipped.
 pub(crate) enum Item<'a> {
     Schema(SchemaHeader, &'a [u8]),
     Channel(Channel),
     Message(MessageHeader, &'a [u8]),
 }
 
-/// Reads a record with its head into `buffer`.
+/// Reads a record, including its opcode and length, into `buffer`.
 ///
 /// # Errors
-/// The outer when the disk fails, the inner with what is wrong with the record.
+/// The outer error when the file cannot be read, the inner error when the record is too large.
 pub(crate) fn load<B: Bytes + ?Sized>(
     file: &B,
     record: RecordAt,
@@ -30,7 +31,7 @@ pub(crate) fn load<B: Bytes + ?Sized>(
 ) -> io::Result<Result<(), String>> {
     if record.body > MAX_CHUNK {
         return Ok(Err(format!(
-            "a record of {} bytes where {MAX_CHUNK} are the limit",
+            "a record of {} bytes, more than the limit of {MAX_CHUNK}",
             record.body
         )));
     }
@@ -39,11 +40,11 @@ pub(crate) fn load<B: Bytes + ?Sized>(
     Ok(Ok(()))
 }
 
-/// Goes through the records of the chunk in `bytes`, a chunk record with its head. Nothing is handed out of a chunk whose
-/// CRC is wrong.
+/// Calls `each` for the records of a chunk. `bytes` is the chunk record including its opcode and length. When the CRC of the
+/// chunk is wrong, `each` is never called.
 ///
 /// # Errors
-/// What is wrong with it.
+/// When the chunk is corrupt, or the error of `each`.
 pub(crate) fn each_item(
     bytes: &[u8],
     mut each: impl FnMut(Item<'_>) -> Result<(), McapError>,
@@ -54,17 +55,18 @@ pub(crate) fn each_item(
         .with_skip_end_magic(true)
         .with_prevalidate_chunk_crcs(true)
         .with_record_length_limit(4 * MAX_CHUNK as usize);
-    let (mut reader, mut rest) = (LinearReader::new_with_options(options), bytes);
+    let mut reader = LinearReader::new_with_options(options);
+    let mut rest = bytes;
     while let Some(event) = reader.next_event() {
         match event? {
             LinearReadEvent::ReadRequest(need) => {
                 let (now, later) = rest.split_at(need.min(rest.len()));
-                let room = reader.insert(now.len());
-                room.get_mut(..now.len()).unwrap_or_default().copy_from_slice(now);
+                let buffer = reader.insert(now.len());
+                buffer.get_mut(..now.len()).unwrap_or_default().copy_from_slice(now);
                 reader.notify_read(now.len());
                 rest = later;
             }
-            // Only kinds that a chunk may hold: the parser of attachments panics on broken ones.
+            // Only the kinds that a chunk may contain: the parser of attachments panics on broken ones.
             LinearReadEvent::Record {
                 opcode: opcode @ (op::SCHEMA | op::CHANNEL | op::MESSAGE),
                 data,
@@ -80,32 +82,31 @@ pub(crate) fn each_item(
     Ok(())
 }
 
-/// A chunk says itself how large it becomes. Of one that is not compressed, mcap 0.26 does not notice that a record reaches beyond
-/// its end: it subtracts one length from the other.
+/// Refuses chunks that mcap 0.26 does not reject itself: those that announce too large an uncompressed size, and uncompressed
+/// ones with a record that reaches beyond the chunk's end, for which it subtracts one length from the other and underflows.
 fn refuse_impossible(chunk: &[u8]) -> Result<(), McapError> {
     let mut fields = Fields(chunk);
-    // Opcode, length, first and last time.
+    // Skips the opcode and length, and the first and last time.
     let size = fields.take(9 + 16).and_then(|_| fields.u64()).ok_or(McapError::UnexpectedEoc)?;
     if size > 4 * MAX_CHUNK {
         return Err(McapError::ChunkTooLarge(size));
     }
-    let (Some(_crc), Some(compression), Some(length)) = (fields.u32(), fields.text(), fields.u64())
-    else {
-        return Err(McapError::UnexpectedEoc);
-    };
+    let _crc = fields.u32().ok_or(McapError::UnexpectedEoc)?;
+    let compression = fields.text().ok_or(McapError::UnexpectedEoc)?;
+    let length = fields.u64().ok_or(McapError::UnexpectedEoc)?;
     let records = usize::try_from(length)
         .ok()
         .and_then(|length| fields.take(length))
         .ok_or(McapError::UnexpectedEoc)?;
-    if compression.is_empty() { refuse_torn(records) } else { Ok(()) }
+    if compression.is_empty() { refuse_truncated(records) } else { Ok(()) }
 }
 
-/// Every record of a chunk must end within it.
-fn refuse_torn(records: &[u8]) -> Result<(), McapError> {
+/// Refuses an uncompressed chunk in which a record does not end within the chunk.
+fn refuse_truncated(records: &[u8]) -> Result<(), McapError> {
     let mut rest = Fields(records);
     while !rest.0.is_empty() {
-        let (_opcode, length) = (rest.u8(), rest.u64());
-        let length = length.and_then(|length| usize::try_from(length).ok());
+        let _opcode = rest.u8();
+        let length = rest.u64().and_then(|length| usize::try_from(length).ok());
         length.and_then(|length| rest.take(length)).ok_or(McapError::UnexpectedEoc)?;
     }
     Ok(())
@@ -115,7 +116,7 @@ fn refuse_torn(records: &[u8]) -> Result<(), McapError> {
 mod tests {
     use super::*;
 
-    /// A chunk of one message that says that its records have `length` bytes.
+    /// A chunk with one message whose header announces `length` bytes of records.
     fn chunk(length: u64) -> Vec<u8> {
         let message = [&[op::MESSAGE][..], &22_u64.to_le_bytes(), &[0; 22]].concat();
         let body = [&[0; 16][..], &31_u64.to_le_bytes(), &[0; 8], &length.to_le_bytes(), &message]
@@ -125,17 +126,18 @@ mod tests {
 
     #[test]
     fn a_record_that_reaches_beyond_the_end_of_its_chunk_is_refused() {
-        let messages = |length| {
-            let mut messages = 0;
-            let counted = each_item(&chunk(length), |_| {
-                messages += 1;
-                Ok(())
-            });
-            counted.map(|()| messages)
-        };
-        assert!(matches!(messages(31), Ok(1)));
+        assert!(matches!(count_items(&chunk(31)), Ok(1)));
         for length in [1, 8, 9, 30, 32, u64::MAX] {
-            assert!(messages(length).is_err(), "{length}");
+            assert!(count_items(&chunk(length)).is_err(), "{length}");
         }
+    }
+
+    fn count_items(chunk: &[u8]) -> Result<u32, McapError> {
+        let mut items = 0;
+        each_item(chunk, |_| {
+            items += 1;
+            Ok(())
+        })?;
+        Ok(items)
     }
 }

@@ -6,33 +6,31 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Bytes that are read at once.
+/// The size of the buffer for reading files.
 pub(crate) const PIECE: usize = 256 << 10;
 
-/// The BLAKE3 digest of a file or of its beginning.
+/// The BLAKE3 digest of a file or of the beginning of a file.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Digest([u8; 32]);
 
 impl Digest {
-    /// From its bytes.
     #[must_use]
     pub fn from_bytes(bytes: [u8; 32]) -> Self {
         Self(bytes)
     }
 
-    /// As bytes.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8; 32] {
         &self.0
     }
 
-    /// Of bytes in memory.
+    /// The digest of bytes in memory.
     #[must_use]
     pub fn of(bytes: &[u8]) -> Self {
         Self(blake3::hash(bytes).into())
     }
 
-    /// The first eight digits, for names.
+    /// The first eight hexadecimal digits, for file names.
     #[must_use]
     pub fn short(&self) -> String {
         self.to_string().chars().take(8).collect()
@@ -72,7 +70,7 @@ impl<'de> Deserialize<'de> for Digest {
     }
 }
 
-/// A digest in the making.
+/// Computes a [`Digest`] incrementally and counts the bytes.
 #[derive(Clone, Default)]
 pub struct Hasher {
     state: blake3::Hasher,
@@ -80,16 +78,15 @@ pub struct Hasher {
 }
 
 impl Hasher {
-    /// Adds bytes.
     pub fn update(&mut self, bytes: &[u8]) {
         self.state.update(bytes);
         self.bytes += bytes.len() as u64;
     }
 
-    /// Adds everything that `source` gives, up to `limit` bytes.
+    /// Adds all bytes of `source`, at most `limit`.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// When `source` cannot be read.
     pub fn update_from(&mut self, source: &mut impl Read, limit: u64) -> io::Result<()> {
         let mut buffer = vec![0; PIECE];
         let mut source = source.take(limit);
@@ -103,13 +100,13 @@ impl Hasher {
         }
     }
 
-    /// Bytes so far.
+    /// The number of bytes added so far.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// The digest of what came so far; more may come.
+    /// The digest of the bytes added so far. More bytes can be added afterwards.
     #[must_use]
     pub fn digest(&self) -> Digest {
         Digest(self.state.finalize().into())
@@ -121,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_digest_comes_back_from_its_text_and_nothing_else_is_one() {
+    fn a_digest_parses_from_its_own_text_and_from_nothing_else() {
         // The empty input's digest, from the BLAKE3 test vectors.
         let text = "af1349b9f5f9a1a6a0404dea36dcc9499bcb25c9adc112b7cc9a93cae41f3262";
         assert_eq!(Digest::of(b"").to_string(), text);
@@ -133,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn in_pieces_or_at_once_is_the_same() {
+    fn hashing_in_pieces_gives_the_digest_of_the_whole() {
         let bytes: Vec<u8> = (0..3 * PIECE as u32 + 17).map(|i| ((i * 31) >> 3) as u8).collect();
         let mut hasher = Hasher::default();
         hasher.update_from(&mut &bytes[..], u64::MAX).unwrap();

@@ -1,4 +1,4 @@
-//! What can go wrong between a robot's buffer and a workstation.
+//! Errors of a store and of the transfer between a robot and a workstation.
 
 use std::io;
 use std::path::PathBuf;
@@ -6,161 +6,111 @@ use std::path::PathBuf;
 use crate::name::BadName;
 use crate::wire::{Refusal, WireError};
 
-/// What to do about a [`BufferError`].
+/// What a caller can do about a [`StoreError`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
-    /// The connection failed: what was pulled is kept, and another try goes on from there.
+pub enum ErrorKind {
+    /// The connection failed. What was received is kept; retrying resumes there.
     Link,
-    /// This computer's disk refuses.
+    /// The local disk rejected a write.
     Disk,
-    /// The other side refuses or breaks the rules: trying again changes nothing.
+    /// The peer refused the request or violated the protocol; retrying does not help.
     Refused,
-    /// What was asked for cannot be.
+    /// The arguments or the input files are wrong.
     Usage,
 }
 
-/// Why something about a buffer failed.
+/// Why an operation on a store failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum BufferError {
-    /// A buffer's directory or file cannot be read.
-    #[error("cannot read {}: {source}; give the directory that holds the robot's runs, or one run", path.display())]
-    Read {
-        /// Directory or file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-    /// The destination cannot be written.
+pub enum StoreError {
+    /// A file or directory of a store cannot be read.
     #[error(
-        "cannot write {}: {source}; free disk space or check permissions there; what is complete is kept, and the next \
-         pull goes on from there",
+        "cannot read {}: {source}; give the directory that contains the robot's runs, or the directory of one run",
         path.display()
     )]
-    Write {
-        /// File or directory.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-    /// A file is there already.
-    #[error("{} is there already and is not written over; choose another --out", path.display())]
-    Exists {
-        /// The file.
-        path: PathBuf,
-    },
-    /// Another pull is at work.
-    #[error("another pull writes into {}; wait until it has ended, or choose another destination", dir.display())]
-    Busy {
-        /// The destination.
-        dir: PathBuf,
-    },
-    /// The connection cannot be made or broke off.
+    Read { path: PathBuf, source: io::Error },
+    /// A file or directory of the destination cannot be written.
     #[error(
-        "connection to {to}: {source}; what is there is kept, and the next pull goes on from there"
+        "cannot write {}: {source}; free disk space or check the permissions; complete files are kept, and the next pull \
+         resumes there",
+        path.display()
     )]
-    Link {
-        /// Whom.
-        to: String,
-        /// Why.
-        source: io::Error,
-    },
-    /// Nothing came for too long.
+    Write { path: PathBuf, source: io::Error },
+    /// The output of an export or a recovery exists already.
+    #[error("{} is there already and is not overwritten; choose another --out", path.display())]
+    Exists { path: PathBuf },
+    /// Another pull holds the destination's lock.
     #[error(
-        "nothing came from {from} for {seconds} s; check the network; the next pull goes on from where this one ended"
+        "another pull writes into {}; wait until it has ended, or choose another destination",
+        dir.display()
     )]
-    Stalled {
-        /// Whom.
-        from: String,
-        /// For how long.
-        seconds: u64,
-    },
-    /// The other side ended before it said anything.
+    Busy { dir: PathBuf },
+    /// The connection cannot be made, or it broke.
     #[error(
-        "{from} ended before it said anything{status}; what it says itself stands above; check that firmware-host is \
-         installed there, or say where with --remote-command"
+        "connection to {to}: {source}; what was received is kept, and the next pull resumes there"
+    )]
+    Link { to: String, source: io::Error },
+    /// No data arrived within the time limit.
+    #[error(
+        "received nothing from {from} for {seconds} s; check the network; the next pull resumes where this one ended"
+    )]
+    Stalled { from: String, seconds: u64 },
+    /// The peer closed the connection before it sent anything.
+    #[error(
+        "{from} ended without an answer{status}; its own messages are above; check that firmware-host is installed there, \
+         or give its path with --remote-command"
     )]
     Silent {
-        /// Whom.
         from: String,
-        /// How it ended, if that is known.
+        /// The peer's exit status in parentheses, or empty if it is unknown.
         status: String,
     },
-    /// ssh itself failed.
+    /// The ssh program itself failed, as its exit status 255 says.
     #[error(
-        "ssh did not get through to {host} ({status}); its own words stand above; try `ssh {host} true`"
+        "ssh could not connect to {host} ({status}); its own messages are above; try `ssh {host} true`"
     )]
-    Unreached {
-        /// Whom.
-        host: String,
-        /// How it ended.
-        status: String,
-    },
-    /// The other side does not speak the protocol.
+    Unreached { host: String, status: String },
+    /// The peer sent something that is not a valid message.
     #[error("{from}: {source}")]
-    Protocol {
-        /// Whom.
-        from: String,
-        /// What came.
-        source: WireError,
-    },
-    /// The other side says no.
+    Protocol { from: String, source: WireError },
+    /// The peer refused a request.
     #[error("{from} refuses: {refusal}")]
-    Refused {
-        /// Whom.
-        from: String,
-        /// Its words.
-        refusal: Refusal,
-    },
-    /// An object store cannot be used as it is asked to.
+    Refused { from: String, refusal: Refusal },
+    /// An object store rejected a request; `detail` includes what to do about it.
     #[error("{url}: {detail}")]
-    Store {
-        /// Which.
-        url: String,
-        /// What is wrong, and the way out.
-        detail: String,
-    },
-    /// What arrived is not what was sent.
+    ObjectStore { url: String, detail: String },
+    /// The digest of the received bytes differs from that of the sender.
     #[error(
-        "{name} arrived with another digest than it was sent with and was thrown away; pull again; check the link and the memory"
+        "{name} arrived with another digest than it was sent with and was deleted; pull again; check the link and the memory"
     )]
-    Digest {
-        /// The file.
-        name: String,
-    },
-    /// A name that could lead elsewhere.
+    Digest { name: String },
+    /// A name that does not denote a segment, and that could lead out of the store.
     #[error("{0}; nothing was written")]
     Name(#[from] BadName),
-    /// Not a segment.
+    /// A file is not a segment, or its contents cannot be exported.
     #[error("{}: {detail}", path.display())]
-    Segment {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        detail: String,
-    },
-    /// A source or option that cannot be.
+    Segment { path: PathBuf, detail: String },
+    /// A source or an option is invalid.
     #[error("{0}")]
     Usage(String),
 }
 
-impl BufferError {
-    /// What to do about it.
+impl StoreError {
     #[must_use]
-    pub fn kind(&self) -> Kind {
+    pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Link { .. } | Self::Stalled { .. } | Self::Digest { .. } => Kind::Link,
-            // A frame that cannot be: the link broke it, or the other side is hostile. Another try tells which.
-            Self::Protocol { source, .. } if !source.is_foreign() => Kind::Link,
-            Self::Refused { refusal, .. } if refusal.passes() => Kind::Link,
-            Self::Write { .. } | Self::Exists { .. } | Self::Busy { .. } => Kind::Disk,
+            Self::Link { .. } | Self::Stalled { .. } | Self::Digest { .. } => ErrorKind::Link,
+            // Either the link damaged the frame or the peer is hostile; a retry tells which.
+            Self::Protocol { source, .. } if !source.is_foreign() => ErrorKind::Link,
+            Self::Refused { refusal, .. } if refusal.is_temporary() => ErrorKind::Link,
+            Self::Write { .. } | Self::Exists { .. } | Self::Busy { .. } => ErrorKind::Disk,
             Self::Refused { .. }
             | Self::Protocol { .. }
             | Self::Name(_)
             | Self::Silent { .. }
             | Self::Unreached { .. }
-            | Self::Store { .. } => Kind::Refused,
-            Self::Read { .. } | Self::Segment { .. } | Self::Usage(_) => Kind::Usage,
+            | Self::ObjectStore { .. } => ErrorKind::Refused,
+            Self::Read { .. } | Self::Segment { .. } | Self::Usage(_) => ErrorKind::Usage,
         }
     }
 

@@ -1,14 +1,27 @@
-//! The robot's recorded segments as a store: what is there, whole or cut, what was pulled, and how it travels.
+//! The store of a robot's recorded segments: which segments exist, whether they are complete, which of them a workstation has
+//! already copied, and how they are transferred, verified, recovered and exported.
 //!
-//! A buffer is a directory that holds the `--out` directories of runs, or is one itself:
+//! A store is a directory that contains the `--out` directories of runs, or one such directory itself:
 //!
 //! ```text
-//! BUFFER/RUN/recording_0007.mcap           a segment
-//! BUFFER/RUN/recording_0007.mcap.pulled    a workstation has it: its digest, size and time
-//! BUFFER/RUN/recording_0007.mcap.keep      never deleted by the recorder's quota
+//! STORE/RUN/recording_0007.mcap           a segment
+//! STORE/RUN/recording_0007.mcap.pulled    a workstation has a copy: its digest, size and modification time
+//! STORE/RUN/recording_0007.mcap.keep      the recorder's quota never deletes this segment
 //! ```
 //!
-//! Nothing here writes into a buffer but the mark `.pulled`, and nothing follows a symbolic link out of it.
+//! This crate writes only the marker `.pulled` into a store, and it follows no symbolic link out of it.
+//!
+//! Modules depend only on modules above them in this list:
+//!
+//! 1. `bytes`, `cpu_features`, `digest`, `fields`, `name`, `transfer`: types without knowledge of a store;
+//! 2. `records`, `chunk`, [`verify`](verify()): the MCAP format;
+//! 3. `entry`: what is known about one segment;
+//! 4. [`wire`]: the messages of the pull protocol;
+//! 5. `error`: [`StoreError`];
+//! 6. `root`, `marks`, `catalogue`, [`recover`](recover()): a store on a local disk;
+//! 7. `send`, [`serve`](serve()): the robot's side of a pull;
+//! 8. [`source`], [`pull`]: the workstation's side of a pull;
+//! 9. [`export`] and `bucket`: other formats and object stores.
 #![forbid(unsafe_code)]
 
 #[cfg(feature = "object-store")]
@@ -16,11 +29,13 @@ pub mod bucket;
 mod bytes;
 mod catalogue;
 mod chunk;
-mod computer;
+mod cpu_features;
 mod digest;
+mod entry;
 mod error;
 #[cfg(feature = "export")]
 pub mod export;
+mod fields;
 mod marks;
 mod name;
 pub mod pull;
@@ -30,18 +45,20 @@ mod root;
 mod send;
 mod serve;
 pub mod source;
+mod transfer;
 mod verify;
 pub mod wire;
 
 pub use bytes::Bytes;
-pub use catalogue::{Catalogue, Entry, OPEN_FOR_NS, State, Times};
-pub use computer::Computer;
+pub use catalogue::{Catalogue, OPEN_FOR_NS};
+pub use cpu_features::CpuFeatures;
 pub use digest::{Digest, Hasher};
-pub use error::{BufferError, Kind};
-pub use marks::{KEEP, PULLED, Pulled, keep};
+pub use entry::{Entry, Pulled, State, Times};
+pub use error::{ErrorKind, StoreError};
+pub use marks::{KEEP, PULLED, keep};
 pub use name::{BadName, Name, is_segment_name};
 pub use recover::{Recovered, recover, recover_file};
 pub use root::Root;
-pub use send::{Have, Receive};
 pub use serve::serve;
+pub use transfer::{FileSink, LocalCopy};
 pub use verify::{Finding, Verified, verify};

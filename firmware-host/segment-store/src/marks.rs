@@ -1,61 +1,31 @@
-//! Marks: files beside a segment, seen by everyone who lists the directory.
+//! Markers: small files beside a segment.
 //!
-//! `SEGMENT.pulled` says that a workstation has the segment: its digest, size in bytes and time of its last change
-//! (nanoseconds since 1970), one line. A segment that has changed since then is not pulled. `SEGMENT.keep` is empty: the
-//! recorder's quota never deletes that segment.
+//! `SEGMENT.pulled` says that a workstation has a copy. It is one line with the segment's digest, its size in bytes and the
+//! time of its last modification in nanoseconds since 1970. When the segment has changed since, the marker is stale.
+//! `SEGMENT.keep` is empty: the recorder's quota never deletes that segment.
 
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd};
 
 use crate::digest::Digest;
+use crate::entry::Pulled;
 use crate::name::Name;
 use crate::root::{Root, read_small, write_small};
 
-/// Whether a workstation has a segment.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Pulled {
-    /// No mark.
-    No,
-    /// There is a mark, but of other contents.
-    Stale,
-    /// As it is, with this digest.
-    Yes(Digest),
-}
-
-impl Pulled {
-    /// The mark of a segment of `bytes` bytes, last changed at `modified_ns`.
-    #[must_use]
-    pub fn text(digest: &Digest, bytes: u64, modified_ns: u64) -> String {
-        format!("{digest} {bytes} {modified_ns}\n")
-    }
-
-    /// What a mark says about a segment that has `bytes` bytes and was last changed at `modified_ns`.
-    #[must_use]
-    pub fn parse(text: &str, bytes: u64, modified_ns: u64) -> Self {
-        let mut words = text.split_ascii_whitespace();
-        let digest = words.next().and_then(|word| word.parse().ok());
-        let mut number = || words.next().and_then(|word| word.parse::<u64>().ok());
-        match (digest, number(), number()) {
-            (Some(digest), Some(b), Some(m)) if (b, m) == (bytes, modified_ns) => Self::Yes(digest),
-            _ => Self::Stale,
-        }
-    }
-}
-
-/// Behind a segment's name: a workstation has it.
+/// Suffix of the marker that a workstation has a copy.
 pub const PULLED: &str = ".pulled";
-/// Behind a segment's name: it is never deleted.
+/// Suffix of the marker that protects a segment from deletion.
 pub const KEEP: &str = ".keep";
 
-/// Marks a segment as one that the recorder never deletes.
+/// Protects a segment from deletion by the recorder's quota.
 ///
 /// # Errors
-/// When the mark cannot be written.
+/// When the marker cannot be written.
 pub fn keep(root: &Root, name: &Name) -> io::Result<()> {
     write_small(root.folder(name.run())?.as_fd(), &format!("{}{KEEP}", name.file()), "")
 }
 
-/// Marks a segment of `bytes` bytes, last changed at `modified_ns`, as pulled.
+/// Writes the `.pulled` marker of a segment that has `bytes` bytes and was last modified at `modified_ns`.
 pub(crate) fn set_pulled(
     root: &Root,
     name: &Name,
@@ -67,7 +37,7 @@ pub(crate) fn set_pulled(
     write_small(root.folder(name.run())?.as_fd(), &format!("{}{PULLED}", name.file()), &text)
 }
 
-/// Reads the mark of a segment that has `bytes` bytes and was last changed at `modified_ns`.
+/// Reads the `.pulled` marker of a segment that has `bytes` bytes and was last modified at `modified_ns`.
 pub(crate) fn read_pulled(
     folder: BorrowedFd<'_>,
     file: &str,
@@ -83,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_mark_holds_for_the_contents_that_were_pulled_and_no_others() {
+    fn a_marker_is_stale_when_the_segments_size_or_time_has_changed() {
         let dir = tempfile::tempdir().unwrap();
         let root = Root::open(dir.path()).unwrap();
         let name = Name::parse("recording_0007.mcap").unwrap();
@@ -98,8 +68,9 @@ mod tests {
     }
 
     #[test]
-    fn a_mark_never_writes_through_a_link() {
-        let (dir, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    fn a_marker_is_never_written_through_a_symbolic_link() {
+        let dir = tempfile::tempdir().unwrap();
+        let elsewhere = tempfile::tempdir().unwrap();
         let victim = elsewhere.path().join("victim");
         std::fs::write(&victim, "precious").unwrap();
         for link in ["recording_0000.mcap.pulled", ".recording_0000.mcap.pulled.partial"] {

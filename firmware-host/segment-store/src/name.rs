@@ -1,30 +1,28 @@
-//! Names of files in a buffer. Everything that comes from another computer passes through here before it meets a file
-//! system.
+//! Names of segments in a store. Every name that another computer sends is checked here before it is used as a path.
 
 use std::cmp::Ordering;
 use std::fmt;
 
-/// Longest name of a directory or file; file systems allow 255 and we append to it.
+/// Longest name of a directory or file. File systems allow 255 bytes, and suffixes are appended to these names.
 const MAX_PART: usize = 128;
 
-/// Why a name is refused.
+/// The error for a name that does not denote a segment.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{shown:?} names no segment of a buffer, which are [RUN/]recording_NNNN.mcap")]
+#[error("{shown:?} is not the name of a segment; segments are called [RUN/]recording_NNNN.mcap")]
 pub struct BadName {
     shown: String,
 }
 
-/// `[RUN/]recording_NNNN.mcap`: relative, without `..`, without hidden parts. Sorts by run, then in the order of recording.
+/// The name of a segment, `[RUN/]recording_NNNN.mcap`: a relative path without `..` and without hidden parts. Names sort by
+/// run, then in the order of recording.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Name {
     text: String,
 }
 
 impl Name {
-    /// Checks a name.
-    ///
     /// # Errors
-    /// [`BadName`] for everything else.
+    /// [`BadName`] when `text` does not have that form.
     pub fn parse(text: &str) -> Result<Self, BadName> {
         let (run, file) =
             text.rsplit_once('/').map_or((None, text), |(run, file)| (Some(run), file));
@@ -35,26 +33,25 @@ impl Name {
         }
     }
 
-    /// The name with `/` between its parts.
     #[must_use]
     pub fn as_str(&self) -> &str {
         &self.text
     }
 
-    /// The directory of its run; empty where the buffer is the run's directory itself.
+    /// The directory of the run; empty when the store is the directory of one run.
     #[must_use]
     pub fn run(&self) -> &str {
         self.text.rsplit_once('/').map_or("", |(run, _)| run)
     }
 
-    /// The last part.
+    /// The file name without the run.
     #[must_use]
     pub fn file(&self) -> &str {
         self.text.rsplit_once('/').map_or(&self.text, |(_, file)| file)
     }
 
     fn order(&self) -> (&str, usize, &str) {
-        // By length: segment 10000 comes after segment 9999.
+        // Compared by length first, so that segment 10000 sorts after segment 9999.
         (self.run(), self.file().len(), &self.text)
     }
 }
@@ -77,7 +74,7 @@ impl fmt::Display for Name {
     }
 }
 
-/// Whether a file's name is that of a segment.
+/// Whether a file name has the form `recording_NNNN.mcap`, with at least four digits.
 #[must_use]
 pub fn is_segment_name(name: &str) -> bool {
     let digits = name.strip_prefix("recording_").and_then(|rest| rest.strip_suffix(".mcap"));
@@ -99,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn segments_are_names_with_or_without_a_run() {
+    fn a_segment_is_named_with_or_without_its_run() {
         for (text, run, file) in [
             ("recording_0000.mcap", "", "recording_0000.mcap"),
             ("monday 3/recording_12345.mcap", "monday 3", "recording_12345.mcap"),
@@ -110,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn no_name_leads_out_of_the_buffer() {
+    fn a_name_that_could_lead_out_of_the_store_is_refused() {
         for bad in [
             "",
             "/",
@@ -156,7 +153,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_is_accepted_stays_below_where_it_is_joined(text in "[./a\\\\~]{0,6}(/|run|recording_0001.mcap|\\.\\.|\0)*") {
+        fn an_accepted_name_stays_below_the_directory_that_it_is_joined_to(text in "[./a\\\\~]{0,6}(/|run|recording_0001.mcap|\\.\\.|\0)*") {
             if let Ok(name) = Name::parse(&text) {
                 let path = std::path::Path::new(name.as_str());
                 prop_assert!(path.components().all(|part| matches!(part, std::path::Component::Normal(_))));

@@ -1,5 +1,5 @@
-//! The frame of an MCAP file: records one after the other, and what its end says about them. Read by hand, because the
-//! crate's own reader goes through all of the data and panics on some broken records (mcap 0.26, attachments).
+//! The structure of an MCAP file: its sequence of records, its footer and its summary section. It is parsed here because the
+//! reader of the crate `mcap` 0.26 reads all data and panics on some broken records (attachments).
 
 use std::io;
 
@@ -7,23 +7,24 @@ use mcap::MAGIC;
 use mcap::records::op;
 
 use crate::bytes::Bytes;
+use crate::fields::Fields;
 
-/// Opcode and length.
+/// The size of a record's opcode and length.
 pub(crate) const RECORD_HEAD: u64 = 9;
-/// Magic at both ends.
+/// The size of the magic at both ends of a file.
 pub(crate) const MAGIC_LEN: u64 = MAGIC.len() as u64;
-/// Footer record and closing magic.
+/// The size of the footer record and the closing magic.
 const TAIL: u64 = RECORD_HEAD + 20 + MAGIC_LEN;
-/// Index of a segment; ours take 20 KB.
+/// Largest summary section that is read; those of our recorder have 20 KB.
 const MAX_SUMMARY: u64 = 16 << 20;
 
-/// Where a record is.
+/// The position of a record in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct RecordAt {
     pub opcode: u8,
-    /// Of its opcode.
+    /// The offset of the opcode.
     pub start: u64,
-    /// Bytes after opcode and length.
+    /// The number of bytes after opcode and length.
     pub body: u64,
 }
 
@@ -37,7 +38,7 @@ impl RecordAt {
     }
 }
 
-/// The record that begins at `at`, if it lies before `end` as a whole.
+/// The record that begins at `at`, or `None` when it does not end before `end`.
 pub(crate) fn record_at<B: Bytes + ?Sized>(
     file: &B,
     at: u64,
@@ -54,7 +55,7 @@ pub(crate) fn record_at<B: Bytes + ?Sized>(
     Ok(inside.then_some(RecordAt { opcode, start: at, body }))
 }
 
-/// Whether the file begins as MCAP files do.
+/// Whether the file begins with the MCAP magic.
 pub(crate) fn has_magic<B: Bytes + ?Sized>(file: &B, length: u64) -> io::Result<bool> {
     let mut magic = [0; MAGIC.len()];
     if length < MAGIC_LEN {
@@ -64,18 +65,18 @@ pub(crate) fn has_magic<B: Bytes + ?Sized>(file: &B, length: u64) -> io::Result<
     Ok(magic == *MAGIC)
 }
 
-/// What stands at the end of a closed file.
+/// The footer of a closed file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Footer {
-    /// Where the index begins; 0 for none.
+    /// The offset of the summary section; 0 when there is none.
     pub summary_start: u64,
-    /// Where the footer record begins.
+    /// The offset of the footer record.
     pub start: u64,
-    /// CRC-32 of the index up to this field; 0 for none.
+    /// The CRC-32 of the summary section and of the footer up to this field; 0 when it was not computed.
     pub summary_crc: u32,
 }
 
-/// The footer; `None` for a file that does not end as MCAP files do.
+/// Reads the footer; `None` when the file does not end with one.
 pub(crate) fn footer<B: Bytes + ?Sized>(file: &B, length: u64) -> io::Result<Option<Footer>> {
     let Some(start) = length.checked_sub(TAIL).filter(|start| *start >= MAGIC_LEN) else {
         return Ok(None);
@@ -94,12 +95,12 @@ pub(crate) fn footer<B: Bytes + ?Sized>(file: &B, length: u64) -> io::Result<Opt
     Ok((is_footer && possible).then_some(Footer { summary_start, start, summary_crc }))
 }
 
-/// What the index says about a whole segment.
+/// The statistics of a segment, from its summary section.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Summary {
     pub first_ns: u64,
     pub last_ns: u64,
-    /// Messages by topic.
+    /// The number of messages of each topic.
     messages: Vec<(String, u64)>,
 }
 
@@ -109,7 +110,7 @@ impl Summary {
     }
 }
 
-/// Reads the index; `None` where there is none that makes sense.
+/// Reads the summary section; `None` when it is missing or malformed.
 pub(crate) fn summary<B: Bytes + ?Sized>(file: &B, footer: &Footer) -> io::Result<Option<Summary>> {
     let length = footer.start.saturating_sub(footer.summary_start);
     if footer.summary_start == 0 || length > MAX_SUMMARY {
@@ -121,14 +122,17 @@ pub(crate) fn summary<B: Bytes + ?Sized>(file: &B, footer: &Footer) -> io::Resul
 }
 
 fn parse_summary(bytes: &[u8]) -> Option<Summary> {
-    let (mut topics, mut statistics) = (Vec::new(), None);
+    let mut topics = Vec::new();
+    let mut statistics = None;
     let mut records = Fields(bytes);
     while let Some(opcode) = records.u8() {
         let length = records.u64()?;
         let mut body = Fields(records.take(usize::try_from(length).ok()?)?);
         match opcode {
             op::CHANNEL => {
-                let (id, _schema, topic) = (body.u16()?, body.u16()?, body.text()?);
+                let id = body.u16()?;
+                let _schema = body.u16()?;
+                let topic = body.text()?;
                 topics.push((id, topic.to_owned()));
             }
             op::STATISTICS => statistics = Some(parse_statistics(&mut body)?),
@@ -144,12 +148,17 @@ fn parse_summary(bytes: &[u8]) -> Option<Summary> {
     Some(summary)
 }
 
-/// MCAP specification, "Statistics".
+/// Parses the statistics record (MCAP specification, "Statistics") into a summary without topics and the message counts by
+/// channel.
 fn parse_statistics(body: &mut Fields<'_>) -> Option<(Summary, Vec<(u16, u64)>)> {
-    let (_messages, _schemas) = (body.u64()?, body.u16()?);
-    let (_channels, _attachments, _metadata, _chunks) =
-        (body.u32()?, body.u32()?, body.u32()?, body.u32()?);
-    let (first_ns, last_ns) = (body.u64()?, body.u64()?);
+    let _messages = body.u64()?;
+    let _schemas = body.u16()?;
+    let _channels = body.u32()?;
+    let _attachments = body.u32()?;
+    let _metadata = body.u32()?;
+    let _chunks = body.u32()?;
+    let first_ns = body.u64()?;
+    let last_ns = body.u64()?;
     let length = body.u32()?;
     let mut map = Fields(body.take(length as usize)?);
     let mut counts = Vec::new();
@@ -157,43 +166,4 @@ fn parse_statistics(body: &mut Fields<'_>) -> Option<(Summary, Vec<(u16, u64)>)>
         counts.push((channel, map.u64()?));
     }
     Some((Summary { first_ns, last_ns, messages: Vec::new() }, counts))
-}
-
-/// Little-endian numbers from the front of some bytes; `None` when they are used up.
-pub(crate) struct Fields<'a>(pub &'a [u8]);
-
-impl<'a> Fields<'a> {
-    pub(crate) fn take(&mut self, count: usize) -> Option<&'a [u8]> {
-        let (taken, rest) = self.0.split_at_checked(count)?;
-        self.0 = rest;
-        Some(taken)
-    }
-
-    pub(crate) fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let (taken, rest) = self.0.split_first_chunk()?;
-        self.0 = rest;
-        Some(*taken)
-    }
-
-    pub(crate) fn u8(&mut self) -> Option<u8> {
-        self.array::<1>().map(|[byte]| byte)
-    }
-
-    pub(crate) fn u16(&mut self) -> Option<u16> {
-        self.array().map(u16::from_le_bytes)
-    }
-
-    pub(crate) fn u32(&mut self) -> Option<u32> {
-        self.array().map(u32::from_le_bytes)
-    }
-
-    pub(crate) fn u64(&mut self) -> Option<u64> {
-        self.array().map(u64::from_le_bytes)
-    }
-
-    /// Text behind its length in four bytes, as MCAP has it.
-    pub(crate) fn text(&mut self) -> Option<&'a str> {
-        let length = self.u32()?;
-        std::str::from_utf8(self.take(length as usize)?).ok()
-    }
 }

@@ -1,7 +1,7 @@
-//! Makes a whole segment of a cut one.
+//! Recovery of a segment that was cut off or damaged.
 //!
-//! A turn never spans two chunks, and a chunk has a checksum: every message of every complete chunk is kept. A chunk that
-//! is cut or whose checksum is wrong is left out as a whole, because nothing vouches for what is in it.
+//! A tick never spans two chunks, and every chunk has a checksum, so all messages of all intact chunks are kept. A chunk that is
+//! incomplete or whose checksum is wrong is dropped as a whole, because nothing tells which of its messages are right.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -15,27 +15,27 @@ use rustix::fs::{CWD, RenameFlags, renameat_with};
 
 use crate::bytes::Bytes;
 use crate::chunk::{self, Item};
-use crate::error::BufferError;
+use crate::error::StoreError;
 use crate::records::{self, MAGIC_LEN};
 
-/// What came of it.
+/// What a recovery kept and dropped.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Recovered {
-    /// Messages that were kept.
+    /// The number of messages that were kept.
     pub messages: u64,
-    /// Turns of the loop among them.
-    pub turns: u64,
-    /// Chunks that were kept.
+    /// The number of control loop ticks among them.
+    pub ticks: u64,
+    /// The number of chunks that were kept.
     pub chunks: u64,
-    /// Chunks that were left out because their checksum or contents are wrong, not counting one that is cut.
+    /// The number of complete chunks that were dropped because their checksum or contents are wrong.
     pub bad_chunks: u64,
-    /// Where the complete records of the original end.
+    /// The offset at which the complete records of the original end.
     pub good_bytes: u64,
-    /// Time of the last message, on the run's clock.
+    /// The time of the last message, on the run's clock.
     pub last_ns: Option<u64>,
 }
 
-/// Several segments as one, or one made whole.
+/// Writes the intact chunks of one or more segments into one new MCAP file.
 pub(crate) struct Rewriter<W: Write> {
     mcap: Writer<NoSeek<W>>,
     done: Recovered,
@@ -48,20 +48,22 @@ impl<W: Write> Rewriter<W> {
             .compression(Some(Compression::Zstd))
             .compression_level(1)
             .compression_threads(0)
-            // The chunks stay those of the original.
+            // Chunks are ended explicitly, where those of the original end.
             .chunk_size(None)
             .disable_seeking(true);
         Ok(Self { mcap: options.create(NoSeek::new(sink))?, done: Recovered::default() })
     }
 
-    /// Adds every complete chunk of a segment.
+    /// Adds all intact chunks of a segment.
     pub(crate) fn add<B: Bytes + ?Sized>(&mut self, file: &B) -> Result<(), McapError> {
         let length = file.length()?;
         if !records::has_magic(file, length)? {
             return if length < MAGIC_LEN { Ok(()) } else { Err(McapError::BadMagic) };
         }
-        let (mut at, mut buffer) = (MAGIC_LEN, Vec::new());
-        let (mut schemas, mut channels) = (BTreeMap::from([(0, 0)]), BTreeMap::new());
+        let mut at = MAGIC_LEN;
+        let mut buffer = Vec::new();
+        let mut schemas = BTreeMap::from([(0, 0)]);
+        let mut channels = BTreeMap::new();
         self.done.good_bytes = at;
         while let Some(record) =
             records::record_at(file, at, length)?.filter(|record| record.opcode != op::DATA_END)
@@ -71,10 +73,10 @@ impl<W: Write> Rewriter<W> {
             if record.opcode != op::CHUNK {
                 continue;
             }
-            // First without writing: what is wrong in the middle must not leave half of the chunk behind.
-            let sound = chunk::load(file, record, &mut buffer)?.is_ok()
+            // Parsed once without writing, so that an error in the middle does not leave half of the chunk in the output.
+            let is_intact = chunk::load(file, record, &mut buffer)?.is_ok()
                 && chunk::each_item(&buffer, |_| Ok(())).is_ok();
-            if !sound {
+            if !is_intact {
                 self.done.bad_chunks += 1;
                 continue;
             }
@@ -85,7 +87,7 @@ impl<W: Write> Rewriter<W> {
         Ok(())
     }
 
-    /// Numbers of schemas and channels are the file's own, so they are looked up by what the original calls them.
+    /// Adds one record. The ids of schemas and channels differ between the two files; the maps translate them.
     fn add_item(
         &mut self,
         item: Item<'_>,
@@ -98,7 +100,7 @@ impl<W: Write> Rewriter<W> {
                     .insert(header.id, self.mcap.add_schema(&header.name, &header.encoding, data)?);
             }
             Item::Channel(channel) => {
-                // A schema of a chunk that is lost: the messages are still readable by name.
+                // 0, no schema, when the schema was in a chunk that was dropped; the messages keep their topic.
                 let schema = schemas.get(&channel.schema_id).copied().unwrap_or(0);
                 let id = self.mcap.add_channel(
                     schema,
@@ -110,13 +112,13 @@ impl<W: Write> Rewriter<W> {
             }
             Item::Message(mut header, data) => {
                 let unknown = McapError::UnknownChannel(header.sequence, header.channel_id);
-                let Some((id, is_turn)) = channels.get(&header.channel_id).copied() else {
+                let Some((id, is_tick)) = channels.get(&header.channel_id).copied() else {
                     return Err(unknown);
                 };
                 header.channel_id = id;
                 self.done.last_ns = self.done.last_ns.max(Some(header.log_time));
                 self.done.messages += 1;
-                self.done.turns += u64::from(is_turn);
+                self.done.ticks += u64::from(is_tick);
                 self.mcap.write_to_known_channel(&header, data)?;
             }
         }
@@ -129,31 +131,31 @@ impl<W: Write> Rewriter<W> {
     }
 }
 
-/// Writes a whole MCAP file with an index to `sink`: every message of every complete chunk of `file`.
+/// Writes all messages of all intact chunks of `file` as a complete MCAP file with an index.
 ///
 /// # Errors
-/// When `file` is no MCAP file, or reading or writing fails.
+/// When `file` is not an MCAP file, or reading or writing fails.
 pub fn recover<B: Bytes + ?Sized, W: Write>(file: &B, sink: W) -> Result<Recovered, McapError> {
     let mut rewriter = Rewriter::begin(sink)?;
     rewriter.add(file)?;
     Ok(rewriter.finish()?.1)
 }
 
-/// Recovers the segment `from` into the new file `to`, which appears as a whole or not at all.
+/// Recovers the segment `from`, called `shown` in errors, into the new file `to`, which appears only when it is complete.
 ///
 /// # Errors
-/// When `to` is there already, cannot be written, or `from` is no MCAP file.
-pub fn recover_file(from: &File, shown: &Path, to: &Path) -> Result<Recovered, BufferError> {
+/// When `to` exists already or cannot be written, or `from` is not an MCAP file.
+pub fn recover_file(from: &File, shown: &Path, to: &Path) -> Result<Recovered, StoreError> {
     write_new(to, |sink| recover(from, sink).map_err(|error| failure(error, shown, to)))
 }
 
-/// Writes a file that is not there yet by way of a temporary one.
+/// Writes a new file: `fill` writes a temporary file, which is renamed when it is complete.
 pub(crate) fn write_new<T>(
     to: &Path,
-    fill: impl FnOnce(&mut BufWriter<File>) -> Result<T, BufferError>,
-) -> Result<T, BufferError> {
+    fill: impl FnOnce(&mut BufWriter<File>) -> Result<T, StoreError>,
+) -> Result<T, StoreError> {
     if to.exists() {
-        return Err(BufferError::Exists { path: to.to_owned() });
+        return Err(StoreError::Exists { path: to.to_owned() });
     }
     let mut partial = to.as_os_str().to_owned();
     partial.push(".partial");
@@ -162,25 +164,26 @@ pub(crate) fn write_new<T>(
         .create(true)
         .truncate(true)
         .open(&partial)
-        .map_err(BufferError::write(to))?;
+        .map_err(StoreError::write(to))?;
     let mut sink = BufWriter::new(file);
     let filled = fill(&mut sink).and_then(|value| {
         let synced = sink.flush().and_then(|()| sink.get_ref().sync_all());
-        // NOREPLACE: somebody may have made the file in the meantime.
+        // NOREPLACE, because another process may have created the file in the meantime.
         let named = synced
             .and_then(|()| Ok(renameat_with(CWD, &partial, CWD, to, RenameFlags::NOREPLACE)?));
-        named.map_err(BufferError::write(to)).map(|()| value)
+        named.map_err(StoreError::write(to)).map(|()| value)
     });
     if filled.is_err() {
-        // The first error is the one to tell.
+        // The error that is returned is the first one; failing to remove the temporary file adds nothing.
         let _ = std::fs::remove_file(&partial);
     }
     filled
 }
 
-pub(crate) fn failure(error: McapError, from: &Path, to: &Path) -> BufferError {
+/// An I/O error concerns the output, every other error the contents of the input.
+pub(crate) fn failure(error: McapError, from: &Path, to: &Path) -> StoreError {
     match error {
-        McapError::Io(source) => BufferError::Write { path: to.to_owned(), source },
-        other => BufferError::Segment { path: from.to_owned(), detail: other.to_string() },
+        McapError::Io(source) => StoreError::Write { path: to.to_owned(), source },
+        other => StoreError::Segment { path: from.to_owned(), detail: other.to_string() },
     }
 }

@@ -1,5 +1,5 @@
-//! A buffer's directory, opened once. Every file in it is reached from there part by part, and no part may be a symbolic
-//! link: what stands outside cannot be read, whoever can write inside.
+//! The directory of a store, opened once. Every file is opened relative to it, one path component at a time, and no component
+//! may be a symbolic link. A process that can write into the store therefore cannot make us read files outside of it.
 
 use std::ffi::OsStr;
 use std::fs::File;
@@ -11,20 +11,20 @@ use std::time::UNIX_EPOCH;
 
 use rustix::fs::{AtFlags, Dir, FileType, Mode, OFlags, open, openat, renameat, statat, unlinkat};
 
-use crate::error::BufferError;
+use crate::error::StoreError;
 use crate::name::Name;
 
-/// Longest mark that is read.
+/// At most this many bytes of a marker are read.
 const MAX_SMALL_FILE: usize = 256;
 
-/// An opened buffer.
+/// The opened directory of a store.
 #[derive(Debug)]
 pub struct Root {
     dir: OwnedFd,
     path: PathBuf,
 }
 
-/// An entry of a directory, as it is and not as a link would have it.
+/// A directory entry. A symbolic link is listed as a link, not as its target.
 pub(crate) struct Listed {
     pub name: String,
     pub kind: FileType,
@@ -36,29 +36,29 @@ impl Root {
     /// Opens the directory at `path`, which may itself be a symbolic link.
     ///
     /// # Errors
-    /// When it is not there or no directory.
-    pub fn open(path: &Path) -> Result<Self, BufferError> {
+    /// When it does not exist or is not a directory.
+    pub fn open(path: &Path) -> Result<Self, StoreError> {
         let dir = open(path, OFlags::DIRECTORY | OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty())
-            .map_err(|errno| BufferError::read(path)(errno.into()))?;
+            .map_err(|errno| StoreError::read(path)(errno.into()))?;
         Ok(Self { dir, path: path.to_owned() })
     }
 
-    /// Where it is.
+    /// The path that the store was opened with.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Opens a file to be read.
+    /// Opens a segment for reading.
     ///
     /// # Errors
-    /// When it is not there, no regular file, or reached through a symbolic link.
+    /// When it does not exist, is not a regular file, or a part of its path is a symbolic link.
     pub fn open_file(&self, name: &Name) -> io::Result<File> {
         let folder = self.folder(name.run())?;
         open_regular(folder.as_fd(), name.file())
     }
 
-    /// Opens a directory inside; empty for the buffer's own.
+    /// Opens a directory of the store; the empty path is the store itself.
     pub(crate) fn folder(&self, relative: &str) -> io::Result<OwnedFd> {
         let mut folder = self.dir.try_clone()?;
         for part in relative.split('/').filter(|part| !part.is_empty()) {
@@ -69,7 +69,7 @@ impl Root {
     }
 }
 
-/// What is in a directory. Names that are no UTF-8 are none of ours.
+/// Lists a directory without hidden files and without names that are not UTF-8, which the recorder never writes.
 pub(crate) fn list(folder: BorrowedFd<'_>) -> io::Result<Vec<Listed>> {
     let mut found = Vec::new();
     for entry in Dir::read_from(folder)? {
@@ -78,7 +78,7 @@ pub(crate) fn list(folder: BorrowedFd<'_>) -> io::Result<Vec<Listed>> {
         if name.starts_with('.') {
             continue;
         }
-        // A file that was deleted in between is not there.
+        // The file may have been deleted since the directory was read.
         let Ok(stat) = statat(folder, name, AtFlags::SYMLINK_NOFOLLOW) else { continue };
         found.push(Listed {
             name: name.to_owned(),
@@ -91,17 +91,17 @@ pub(crate) fn list(folder: BorrowedFd<'_>) -> io::Result<Vec<Listed>> {
 }
 
 pub(crate) fn open_regular(folder: BorrowedFd<'_>, file: &str) -> io::Result<File> {
-    // Without NONBLOCK, opening a named pipe would wait for its writer.
+    // Without NONBLOCK, opening a named pipe would block until a process opens it for writing.
     let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let file =
         File::from(openat(folder, OsStr::from_bytes(file.as_bytes()), flags, Mode::empty())?);
     if !file.metadata()?.is_file() {
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is no regular file"));
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is not a regular file"));
     }
     Ok(file)
 }
 
-/// Reads a small text file; `None` where there is none that is readable.
+/// Reads the beginning of a small text file; `None` when it cannot be read or is not UTF-8.
 pub(crate) fn read_small(folder: BorrowedFd<'_>, file: &str) -> Option<String> {
     let file = open_regular(folder, file).ok()?;
     let mut bytes = Vec::new();
@@ -109,11 +109,11 @@ pub(crate) fn read_small(folder: BorrowedFd<'_>, file: &str) -> Option<String> {
     String::from_utf8(bytes).ok()
 }
 
-/// Writes a small file: whole or not at all, also through a power cut.
+/// Writes a small file atomically: after a power cut it has either its old or its new contents.
 pub(crate) fn write_small(folder: BorrowedFd<'_>, file: &str, text: &str) -> io::Result<()> {
     let partial = format!(".{file}.partial");
     let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::EXCL | OFlags::NOFOLLOW | OFlags::CLOEXEC;
-    // Left over from a crash; EXCL then proves that we write into no other's file.
+    // Removes what a crash left over. EXCL then ensures that the file is new.
     let _ = unlinkat(folder, partial.as_str(), AtFlags::empty());
     let written = openat(folder, partial.as_str(), flags, Mode::from_raw_mode(0o644))
         .map_err(io::Error::from)
@@ -129,13 +129,13 @@ pub(crate) fn write_small(folder: BorrowedFd<'_>, file: &str, text: &str) -> io:
     renamed
 }
 
-/// When a file was last written, since 1970.
+/// The time of the last modification since 1970, or 0 if it is unknown.
 pub(crate) fn file_modified_ns(metadata: &std::fs::Metadata) -> u64 {
     let since = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
     since.and_then(|since| u64::try_from(since.as_nanos()).ok()).unwrap_or(0)
 }
 
-#[allow(clippy::cast_sign_loss, reason = "times before 1970 are 0")]
+#[allow(clippy::cast_sign_loss, reason = "times before 1970 count as 0")]
 fn modified_ns(seconds: i64, nanoseconds: impl TryInto<u64>) -> u64 {
     (seconds.max(0) as u64)
         .saturating_mul(1_000_000_000)

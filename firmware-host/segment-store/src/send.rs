@@ -1,4 +1,4 @@
-//! One file on its way: from where the receiver's part ends, with the digest of the whole.
+//! Sending of one file, starting where the receiver's copy ends.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom};
@@ -6,25 +6,9 @@ use std::os::unix::fs::FileExt;
 
 use crate::digest::{Digest, Hasher, PIECE};
 use crate::root::file_modified_ns;
+use crate::transfer::{FileSink, LocalCopy};
 
-/// What the receiver has of a file already.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Have {
-    /// Its length.
-    pub bytes: u64,
-    /// Its digest.
-    pub digest: Digest,
-}
-
-impl Have {
-    /// Nothing.
-    #[must_use]
-    pub fn nothing() -> Self {
-        Self { bytes: 0, digest: Digest::of(b"") }
-    }
-}
-
-/// A file that was sent to its end.
+/// The file as it was when it had been sent completely.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Sent {
     pub digest: Digest,
@@ -32,38 +16,28 @@ pub(crate) struct Sent {
     pub modified_ns: u64,
 }
 
-/// Why a file was not sent to its end.
+/// Why a file was not sent completely.
 pub(crate) enum SendError<E> {
-    /// It cannot be read.
+    /// The file cannot be read.
     Read(io::Error),
-    /// It was written meanwhile.
+    /// The file was written to while it was sent.
     Changed,
-    /// The receiver does not take it.
+    /// The receiver returned an error.
     Sink(E),
 }
 
-/// Where a file goes, as a sender sees it.
-pub trait Receive<E> {
-    /// The bytes from `from` on follow, up to `length`. `from` is 0 when what the receiver has is not the beginning.
-    fn start(&mut self, from: u64, length: u64) -> Result<(), E>;
-    /// The next bytes.
-    fn data(&mut self, at: u64, bytes: &[u8]) -> Result<(), E>;
-    /// A long beginning is being compared.
-    fn working(&mut self) -> Result<(), E>;
-}
+/// While comparing, the sender reports progress after this many bytes, which a slow SD card reads in 3 s.
+const COMPARE_REPORT_BYTES: u64 = 64 << 20;
 
-/// Bytes after which a sender that compares says that it is still there: 3 s of a slow SD card.
-const SIGN_OF_LIFE: u64 = 64 << 20;
-
-/// Sends the rest of `file` behind what the receiver has.
+/// Sends the bytes of `file` that the receiver does not have yet, or all of them when its copy is not the beginning of `file`.
 pub(crate) fn send<E>(
     file: &mut File,
-    have: Have,
-    to: &mut dyn Receive<E>,
+    local: LocalCopy,
+    to: &mut dyn FileSink<E>,
 ) -> Result<Sent, SendError<E>> {
     let before = file.metadata().map_err(SendError::Read)?;
     let length = before.len();
-    let mut hasher = prefix(file, have, length, to)?;
+    let mut hasher = hash_common_prefix(file, local, length, to)?;
     let mut at = hasher.bytes();
     to.start(at, length).map_err(SendError::Sink)?;
     let mut buffer = vec![0; PIECE];
@@ -81,32 +55,34 @@ pub(crate) fn send<E>(
         at += left as u64;
     }
     let after = file.metadata().map_err(SendError::Read)?;
-    let (modified_ns, still) = (file_modified_ns(&before), file_modified_ns(&after));
-    if (after.len(), still) != (length, modified_ns) {
+    let modified_ns = file_modified_ns(&before);
+    if (after.len(), file_modified_ns(&after)) != (length, modified_ns) {
         return Err(SendError::Changed);
     }
     Ok(Sent { digest: hasher.digest(), bytes: length, modified_ns })
 }
 
-/// The hasher behind the beginning that both have, or a new one.
-fn prefix<E>(
+/// Hashes the beginning of the file that the receiver has. When its digest differs, returns a hasher without any bytes.
+fn hash_common_prefix<E>(
     file: &mut File,
-    have: Have,
+    local: LocalCopy,
     length: u64,
-    to: &mut dyn Receive<E>,
+    to: &mut dyn FileSink<E>,
 ) -> Result<Hasher, SendError<E>> {
     let mut hasher = Hasher::default();
-    if have.bytes == 0 || have.bytes > length {
+    if local.bytes == 0 || local.bytes > length {
         return Ok(hasher);
     }
     file.seek(SeekFrom::Start(0)).map_err(SendError::Read)?;
-    while hasher.bytes() < have.bytes {
+    while hasher.bytes() < local.bytes {
         let before = hasher.bytes();
-        hasher.update_from(file, SIGN_OF_LIFE.min(have.bytes - before)).map_err(SendError::Read)?;
+        hasher
+            .update_from(file, COMPARE_REPORT_BYTES.min(local.bytes - before))
+            .map_err(SendError::Read)?;
         if hasher.bytes() == before {
             return Err(SendError::Changed);
         }
-        to.working().map_err(SendError::Sink)?;
+        to.comparing().map_err(SendError::Sink)?;
     }
-    Ok(if hasher.digest() == have.digest { hasher } else { Hasher::default() })
+    Ok(if hasher.digest() == local.digest { hasher } else { Hasher::default() })
 }

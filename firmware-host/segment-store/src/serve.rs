@@ -1,42 +1,37 @@
-//! The robot's side: answers one workstation over two byte streams. Reads, and writes nothing but the mark `.pulled`.
+//! The robot's side of a pull: answers one workstation over two byte streams. It writes only `.pulled` markers.
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 
 use crate::catalogue::Catalogue;
-use crate::computer::Computer;
-use crate::digest::Digest;
+use crate::cpu_features::CpuFeatures;
+use crate::digest::{Digest, Hasher};
 use crate::marks;
 use crate::name::Name;
-use crate::root::Root;
-use crate::send::{Have, Receive, SendError, Sent, send};
+use crate::root::{Root, file_modified_ns};
+use crate::send::{SendError, Sent, send};
+use crate::transfer::{FileSink, LocalCopy};
 use crate::wire::{
     MAX_REQUEST, Refusal, RefusalKind, Reply, Request, common_version, read_frame, version_refusal,
     write_frame,
 };
 
-/// Files that were sent and may be marked without being read again.
-const REMEMBERED: usize = 1024;
+/// For this many sent files the digest is remembered, so that marking them does not read them again.
+const MAX_REMEMBERED: usize = 1024;
 
-/// Answers until the other side ends or breaks the rules. Nothing that it sends can read outside of `root`. `computer` is the one
-/// that this runs on.
+/// Answers requests until the peer closes the stream or violates the protocol. No request can read files outside of `root`.
+/// `cpu` describes the processor that this runs on.
 ///
 /// # Errors
 /// When a stream fails.
 pub fn serve(
     root: &Root,
-    computer: Computer,
+    cpu: CpuFeatures,
     input: &mut dyn Read,
     output: &mut dyn Write,
 ) -> io::Result<()> {
-    let mut session = Session {
-        root,
-        computer,
-        output,
-        buffer: Vec::new(),
-        sent: BTreeMap::new(),
-        welcome: false,
-    };
+    let mut session =
+        Session { root, cpu, output, buffer: Vec::new(), sent: BTreeMap::new(), is_welcome: false };
     let mut body = Vec::new();
     loop {
         let request = match read_frame(input, &mut body, MAX_REQUEST)? {
@@ -44,14 +39,14 @@ pub fn serve(
             Ok(Some(kind)) => Request::decode(kind, &body),
             Err(error) => Err(error),
         };
-        let goes_on = match request {
+        let continues = match request {
             Ok(request) => session.answer(request)?,
             Err(error) => {
                 session.refuse(RefusalKind::Malformed, error.to_string()).map(|()| false)?
             }
         };
         session.output.flush()?;
-        if !goes_on {
+        if !continues {
             return Ok(());
         }
     }
@@ -59,11 +54,12 @@ pub fn serve(
 
 struct Session<'a> {
     root: &'a Root,
-    computer: Computer,
+    cpu: CpuFeatures,
     output: &'a mut dyn Write,
     buffer: Vec<u8>,
     sent: BTreeMap<Name, Sent>,
-    welcome: bool,
+    /// The workstation has sent its greeting, and there is a common protocol version.
+    is_welcome: bool,
 }
 
 impl Session<'_> {
@@ -75,26 +71,26 @@ impl Session<'_> {
         self.reply(&Reply::Refused(Refusal { kind, text }))
     }
 
-    /// Whether the conversation goes on.
+    /// Answers one request and returns whether the session continues.
     fn answer(&mut self, request: Request) -> io::Result<bool> {
         match request {
             Request::Hello { versions } => {
                 let version = common_version(versions);
-                self.welcome = version.is_some();
+                self.is_welcome = version.is_some();
                 match version {
                     Some(version) => self.reply(&Reply::Welcome { version })?,
                     None => self.reply(&Reply::Refused(version_refusal(versions)))?,
                 }
-                return Ok(self.welcome);
+                return Ok(self.is_welcome);
             }
-            _ if !self.welcome => {
+            _ if !self.is_welcome => {
                 self.refuse(RefusalKind::Malformed, "a request before the greeting".to_owned())?;
                 return Ok(false);
             }
             Request::List => self.list()?,
-            Request::Fetch { name, have } => self.fetch(&name, have)?,
+            Request::Fetch { name, local } => self.fetch(&name, local)?,
             Request::Mark { name, digest } => self.mark(&name, digest)?,
-            Request::Computer => self.reply(&Reply::Computer(self.computer))?,
+            Request::CpuFeatures => self.reply(&Reply::CpuFeatures(self.cpu))?,
         }
         Ok(true)
     }
@@ -111,7 +107,7 @@ impl Session<'_> {
         }
     }
 
-    fn fetch(&mut self, name: &Name, have: Have) -> io::Result<()> {
+    fn fetch(&mut self, name: &Name, local: LocalCopy) -> io::Result<()> {
         let mut file = match self.root.open_file(name) {
             Ok(file) => file,
             Err(error) => {
@@ -119,9 +115,9 @@ impl Session<'_> {
                     .refuse(RefusalKind::NotThere, format!("{name} cannot be opened: {error}"));
             }
         };
-        match send(&mut file, have, self) {
+        match send(&mut file, local, self) {
             Ok(sent) => {
-                if self.sent.len() >= REMEMBERED {
+                if self.sent.len() >= MAX_REMEMBERED {
                     self.sent.pop_first();
                 }
                 self.sent.insert(name.clone(), sent);
@@ -143,7 +139,9 @@ impl Session<'_> {
             Ok(()) => self.reply(&Reply::Marked),
             Err(MarkError::Changed) => self.refuse(
                 RefusalKind::Changed,
-                format!("{name} is not marked as pulled: it is not what was sent; pull again"),
+                format!(
+                    "{name} is not marked as pulled: its contents are not what was sent; pull again"
+                ),
             ),
             Err(MarkError::Disk(error)) => self
                 .refuse(RefusalKind::Disk, format!("{name} cannot be marked as pulled: {error}")),
@@ -152,14 +150,14 @@ impl Session<'_> {
 }
 
 pub(crate) enum MarkError {
-    /// The file is another one now.
+    /// The contents of the file differ from what was pulled.
     Changed,
-    /// It cannot be read, or the mark not be written.
+    /// The file cannot be read, or the marker cannot be written.
     Disk(io::Error),
 }
 
-/// Sets the mark of a segment whose contents have this digest; reads them unless they were just sent. No word of a
-/// workstation makes the robot delete what it does not have.
+/// Writes the `.pulled` marker of a segment if its contents have this digest. The contents are read again unless they were just
+/// sent: the robot may delete marked segments, so a wrong claim of a workstation must not produce a marker.
 pub(crate) fn mark(
     root: &Root,
     name: &Name,
@@ -168,12 +166,12 @@ pub(crate) fn mark(
 ) -> Result<(), MarkError> {
     let mut file = root.open_file(name).map_err(MarkError::Disk)?;
     let metadata = file.metadata().map_err(MarkError::Disk)?;
-    let (bytes, modified_ns) = (metadata.len(), crate::root::file_modified_ns(&metadata));
-    let same = |sent: &&Sent| (sent.bytes, sent.modified_ns) == (bytes, modified_ns);
-    let actual = match sent.filter(same) {
+    let bytes = metadata.len();
+    let modified_ns = file_modified_ns(&metadata);
+    let actual = match sent.filter(|sent| (sent.bytes, sent.modified_ns) == (bytes, modified_ns)) {
         Some(sent) => sent.digest,
         None => {
-            let mut hasher = crate::digest::Hasher::default();
+            let mut hasher = Hasher::default();
             hasher.update_from(&mut file, u64::MAX).map_err(MarkError::Disk)?;
             hasher.digest()
         }
@@ -184,7 +182,7 @@ pub(crate) fn mark(
     marks::set_pulled(root, name, &digest, bytes, modified_ns).map_err(MarkError::Disk)
 }
 
-impl Receive<io::Error> for Session<'_> {
+impl FileSink<io::Error> for Session<'_> {
     fn start(&mut self, from: u64, length: u64) -> io::Result<()> {
         self.reply(&Reply::Start { from, length })
     }
@@ -193,8 +191,8 @@ impl Receive<io::Error> for Session<'_> {
         self.reply(&Reply::Data { at, bytes })
     }
 
-    fn working(&mut self) -> io::Result<()> {
-        self.reply(&Reply::Working)?;
+    fn comparing(&mut self) -> io::Result<()> {
+        self.reply(&Reply::Comparing)?;
         self.output.flush()
     }
 }

@@ -1,4 +1,4 @@
-//! Reads a segment from beginning to end and says whether it is whole.
+//! Verification of a segment: reads it completely and checks all of its checksums.
 
 use std::io;
 
@@ -7,93 +7,88 @@ use mcap::records::op;
 use crate::bytes::Bytes;
 use crate::chunk::{self, Item};
 use crate::digest::{Digest, Hasher, PIECE};
-use crate::records::{self, Fields, Footer, MAGIC_LEN, RecordAt};
+use crate::fields::Fields;
+use crate::records::{self, Footer, MAGIC_LEN, RecordAt};
 
-/// What is wrong with a segment.
+/// The result of verifying a segment.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Finding {
-    /// Every checksum is right and the end is there.
+    /// All checksums are right and the index is there.
     Whole,
-    /// Whole, but without an index.
+    /// All checksums are right, but there is no index.
     Unindexed,
-    /// It ends at this byte, in the middle of something; everything before is good.
+    /// The file ends in the middle of a record; everything before that record is intact.
     Cut {
-        /// Length of the complete records.
+        /// Where the complete records end.
         at: u64,
     },
-    /// Bytes were changed.
+    /// Bytes were changed, or the structure is invalid.
     Corrupt {
-        /// Where.
+        /// The offset of the first invalid record.
         at: u64,
-        /// What is wrong there.
         detail: String,
     },
 }
 
-/// What was read.
+/// What [`verify`] found in a segment.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Verified {
-    /// Whether it is whole.
     pub finding: Finding,
-    /// Of all bytes.
+    /// The digest of the whole file.
     pub digest: Digest,
-    /// Complete chunks.
+    /// The number of complete chunks.
     pub chunks: u64,
-    /// Messages in complete chunks.
+    /// The number of messages in complete chunks.
     pub messages: u64,
-    /// Turns of the loop in complete chunks.
-    pub turns: u64,
-    /// Time of the last message in a complete chunk.
+    /// The number of ticks of the control loop in complete chunks.
+    pub ticks: u64,
+    /// The time of the last message in a complete chunk, on the run's clock.
     pub last_ns: Option<u64>,
 }
 
-/// Reads a whole segment; at most one chunk is in memory.
+/// Reads a whole segment and checks it. At most one chunk is in memory at a time.
 ///
 /// # Errors
-/// When the disk fails. Whatever the bytes are is no error.
+/// When the file cannot be read. Corrupt contents are not an error but a [`Finding`].
 pub fn verify<B: Bytes + ?Sized>(file: &B) -> io::Result<Verified> {
     let length = file.length()?;
-    let mut reading = Reading {
-        file,
-        length,
-        crc: crc32fast::Hasher::new(),
-        verified: blank(file, length)?,
-        tick: None,
+    let verified = Verified {
+        finding: Finding::Whole,
+        digest: digest_of(file, length)?,
+        chunks: 0,
+        messages: 0,
+        ticks: 0,
+        last_ns: None,
     };
-    reading.verified.finding = reading.read()?;
-    Ok(reading.verified)
+    let mut verifier =
+        Verifier { file, length, crc: crc32fast::Hasher::new(), verified, tick_channel: None };
+    verifier.verified.finding = verifier.read()?;
+    Ok(verifier.verified)
 }
 
-fn blank<B: Bytes + ?Sized>(file: &B, length: u64) -> io::Result<Verified> {
-    let (mut hasher, mut buffer) = (Hasher::default(), vec![0; PIECE]);
+fn digest_of<B: Bytes + ?Sized>(file: &B, length: u64) -> io::Result<Digest> {
+    let mut hasher = Hasher::default();
+    let mut buffer = vec![0; PIECE];
     while hasher.bytes() < length {
         let left = usize::try_from(length - hasher.bytes()).unwrap_or(PIECE).min(PIECE);
         let piece = buffer.get_mut(..left).unwrap_or_default();
         file.read_exact_at(hasher.bytes(), piece)?;
         hasher.update(piece);
     }
-    let digest = hasher.digest();
-    Ok(Verified {
-        finding: Finding::Whole,
-        digest,
-        chunks: 0,
-        messages: 0,
-        turns: 0,
-        last_ns: None,
-    })
+    Ok(hasher.digest())
 }
 
-struct Reading<'a, B: ?Sized> {
+struct Verifier<'a, B: ?Sized> {
     file: &'a B,
     length: u64,
-    /// Of the data section, so far.
+    /// The CRC of the data section up to the current record.
     crc: crc32fast::Hasher,
     verified: Verified,
-    /// The channel `/robot/tick`.
-    tick: Option<u16>,
+    /// The id of the channel `/robot/tick`, once its record has been read.
+    tick_channel: Option<u16>,
 }
 
-impl<B: Bytes + ?Sized> Reading<'_, B> {
+impl<B: Bytes + ?Sized> Verifier<'_, B> {
     fn read(&mut self) -> io::Result<Finding> {
         if !records::has_magic(self.file, self.length)? {
             let detail = "the MCAP magic is missing".to_owned();
@@ -105,11 +100,12 @@ impl<B: Bytes + ?Sized> Reading<'_, B> {
         }
         self.crc.update(mcap::MAGIC);
         let footer = records::footer(self.file, self.length)?;
-        let (mut at, mut buffer) = (MAGIC_LEN, Vec::new());
+        let mut at = MAGIC_LEN;
+        let mut buffer = Vec::new();
         loop {
             let Some(record) = records::record_at(self.file, at, self.length)? else {
                 return Ok(match footer {
-                    // The end is there, so something in between has a wrong length.
+                    // The file has a footer, so a record in between has a wrong length.
                     Some(_) => Finding::Corrupt {
                         at,
                         detail: "a record reaches beyond the end".to_owned(),
@@ -134,15 +130,15 @@ impl<B: Bytes + ?Sized> Reading<'_, B> {
     }
 
     fn read_chunk(&mut self, bytes: &[u8]) -> Result<(), mcap::McapError> {
-        let (verified, tick) = (&mut self.verified, &mut self.tick);
+        let Self { verified, tick_channel, .. } = self;
         chunk::each_item(bytes, |item| {
             match item {
                 Item::Channel(channel) if channel.topic == "/robot/tick" => {
-                    *tick = Some(channel.id);
+                    *tick_channel = Some(channel.id);
                 }
                 Item::Message(header, _) => {
                     verified.messages += 1;
-                    verified.turns += u64::from(*tick == Some(header.channel_id));
+                    verified.ticks += u64::from(*tick_channel == Some(header.channel_id));
                     verified.last_ns = verified.last_ns.max(Some(header.log_time));
                 }
                 _ => {}
@@ -153,42 +149,46 @@ impl<B: Bytes + ?Sized> Reading<'_, B> {
         Ok(())
     }
 
-    /// From the end of the data on: checksums of the data and of the index.
+    /// Checks what follows the data: the checksum of the data and the checksum of the index.
     fn read_end(
         &mut self,
         record: RecordAt,
         bytes: &[u8],
         footer: Option<&Footer>,
     ) -> io::Result<Finding> {
-        let corrupt = |at, detail: &str| Ok(Finding::Corrupt { at, detail: detail.to_owned() });
         let at = record.start;
         let saved = Fields(bytes.get(9..).unwrap_or_default()).u32();
         match saved {
-            None => return corrupt(at, "the data's end has no checksum"),
+            None => return Ok(corrupt(at, "the end of the data has no checksum")),
             Some(0) => {}
             Some(saved) if saved == self.crc.clone().finalize() => {}
-            Some(_) => return corrupt(at, "the checksum of the data is wrong"),
+            Some(_) => return Ok(corrupt(at, "the checksum of the data is wrong")),
         }
         let Some(footer) = footer else { return Ok(Finding::Cut { at }) };
         if footer.start < record.end() {
-            return corrupt(at, "the index begins before the data ends");
+            return Ok(corrupt(at, "the index begins before the data ends"));
         }
         if footer.summary_start == 0 {
             return Ok(Finding::Unindexed);
         }
         if footer.summary_start != record.end() {
-            return corrupt(footer.start, "the index is not where the end says");
+            return Ok(corrupt(footer.start, "the index is not where the footer says"));
         }
-        // Of the index and of the footer up to its checksum: opcode, length and two offsets (MCAP specification, "Footer").
+        // The checksum covers the index and the footer up to the checksum itself: opcode, length and two offsets (MCAP
+        // specification, "Footer").
         let length = footer.start - footer.summary_start + 9 + 16;
         let mut index = vec![0; usize::try_from(length.min(chunk::MAX_CHUNK)).unwrap_or(0)];
         self.file.read_exact_at(footer.summary_start, &mut index)?;
         if footer.summary_crc != 0 && footer.summary_crc != crc32fast::hash(&index) {
-            return corrupt(footer.summary_start, "the checksum of the index is wrong");
+            return Ok(corrupt(footer.summary_start, "the checksum of the index is wrong"));
         }
         match records::summary(self.file, footer)? {
             Some(_) => Ok(Finding::Whole),
-            None => corrupt(footer.summary_start, "the index cannot be read"),
+            None => Ok(corrupt(footer.summary_start, "the index cannot be parsed")),
         }
     }
+}
+
+fn corrupt(at: u64, detail: &str) -> Finding {
+    Finding::Corrupt { at, detail: detail.to_owned() }
 }

@@ -1,119 +1,132 @@
-//! A power cut at any moment: what is complete is kept.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+//! Segments that were cut off or damaged: every complete chunk is kept.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot set up its files has failed"
+)]
 
 mod common;
 
 use std::fs;
 
-use common::{CHUNK_TURNS, Noise, pull_into, segment, some_tick};
+use common::{CHUNK_TICKS, Noise, pull_into, segment, some_tick};
 use runtime::recording::RecordingReader;
 use segment_store::pull::Options;
 use segment_store::source::Directory;
 use segment_store::{Catalogue, Finding, Root, State, recover, verify};
 
-/// Where chunks begin, from the file's frame: opcode, length, body (MCAP specification, "Records").
+/// The offsets of the chunks, from the sequence of records: opcode, length, body (MCAP specification, "Records").
 fn chunk_starts(file: &[u8]) -> Vec<usize> {
-    let (mut at, mut starts) = (8, Vec::new());
+    let mut at = 8;
+    let mut starts = Vec::new();
     while at + 9 <= file.len() {
-        let length = u64::from_le_bytes(file[at + 1..at + 9].try_into().unwrap()) as usize;
         if file[at] == 6 {
             starts.push(at);
         }
-        at += 9 + length;
+        at = record_end(file, at);
     }
     starts
 }
 
-/// Where each chunk is complete.
+/// The offset behind the record that begins at `at`.
+fn record_end(file: &[u8], at: usize) -> usize {
+    let length = u64::from_le_bytes(file[at + 1..at + 9].try_into().unwrap()) as usize;
+    at + 9 + length
+}
+
+/// The offsets at which the chunks end.
 fn chunk_ends(file: &[u8]) -> Vec<usize> {
-    let length = |at: usize| u64::from_le_bytes(file[at + 1..at + 9].try_into().unwrap()) as usize;
-    chunk_starts(file).into_iter().map(|at| at + 9 + length(at)).collect()
+    chunk_starts(file).into_iter().map(|at| record_end(file, at)).collect()
 }
 
-/// Turns in the complete chunks of the first `cut` bytes; the first chunk holds the header only.
-fn complete_turns(ends: &[usize], cut: usize, total: u64) -> u64 {
+/// The number of ticks in the complete chunks of the first `cut` bytes. The first chunk contains only the header.
+fn complete_ticks(ends: &[usize], cut: usize, total: u64) -> u64 {
     let chunks = ends.iter().filter(|end| **end <= cut).count() as u64;
-    (chunks.saturating_sub(1) * CHUNK_TURNS).min(total)
+    (chunks.saturating_sub(1) * CHUNK_TICKS).min(total)
 }
 
-fn assert_recovered(cut: &[u8], turns: u64) {
+fn assert_recovered(cut: &[u8], ticks: u64) {
     let mut whole = Vec::new();
     let done = recover(cut, &mut whole).unwrap();
-    assert_eq!((done.turns, done.bad_chunks), (turns, 0));
+    assert_eq!((done.ticks, done.bad_chunks), (ticks, 0));
     assert_eq!(verify(&whole[..]).unwrap().finding, Finding::Whole);
     assert!(mcap::Summary::read(&whole).unwrap().is_some(), "it has an index");
     if done.messages > 0 {
-        let ticks: Vec<_> =
-            RecordingReader::open(&whole[..]).unwrap().map(Result::unwrap).collect();
-        assert!(ticks.iter().eq((0..turns).map(some_tick).collect::<Vec<_>>().iter()));
+        let recovered = RecordingReader::open(&whole[..]).unwrap().map(Result::unwrap);
+        assert!(recovered.eq((0..ticks).map(some_tick)));
     }
 }
 
-const TURNS: u64 = 40;
+const TICKS: u64 = 40;
 
 #[test]
-fn a_segment_cut_at_every_byte_of_its_last_two_chunks_gives_back_every_complete_message() {
-    let file = segment(0, 0, TURNS);
-    let (starts, ends) = (chunk_starts(&file), chunk_ends(&file));
+fn a_segment_cut_at_every_byte_of_its_last_two_chunks_is_recovered_with_every_complete_message() {
+    let file = segment(0, 0, TICKS);
+    let starts = chunk_starts(&file);
+    let ends = chunk_ends(&file);
     let from = starts[starts.len() - 2];
-    assert!(ends[ends.len() - 1] - from > 5000, "the two chunks are worth cutting");
+    assert!(ends[ends.len() - 1] - from > 5000, "the two chunks are long enough");
     for cut in from..file.len() {
-        let turns = complete_turns(&ends, cut, TURNS);
+        let ticks = complete_ticks(&ends, cut, TICKS);
         let mut whole = Vec::new();
         let done = recover(&file[..cut], &mut whole).unwrap();
-        assert_eq!((done.turns, done.bad_chunks), (turns, 0), "cut at {cut}");
-        // In full at every 31st: reading pictures takes its time.
+        assert_eq!((done.ticks, done.bad_chunks), (ticks, 0), "cut at {cut}");
+        // Decoding images is slow, so the contents are compared only at every 31st offset.
         if cut % 31 == 0 {
-            assert_recovered(&file[..cut], turns);
+            assert_recovered(&file[..cut], ticks);
         }
     }
 }
 
 #[test]
-fn a_segment_cut_at_a_thousand_random_bytes_gives_back_every_complete_message_and_the_reader_says_where_it_ends()
+fn a_segment_cut_at_a_thousand_random_bytes_is_recovered_with_every_complete_message_and_the_reader_reports_where_it_ends()
  {
-    let file = segment(0, 0, TURNS);
+    let file = segment(0, 0, TICKS);
     let ends = chunk_ends(&file);
     let mut noise = Noise(6);
     for _ in 0..1000 {
         let cut = noise.below(file.len() as u64) as usize;
-        let turns = complete_turns(&ends, cut, TURNS);
-        assert_recovered(&file[..cut], turns);
-        match verify(&file[..cut]).unwrap() {
-            found if matches!(found.finding, Finding::Cut { at } if at <= cut as u64) => {
-                assert_eq!(found.turns, turns)
+        let ticks = complete_ticks(&ends, cut, TICKS);
+        assert_recovered(&file[..cut], ticks);
+        let found = verify(&file[..cut]).unwrap();
+        let is_cut = matches!(found.finding, Finding::Cut { at } if at <= cut as u64);
+        assert!(is_cut && found.ticks == ticks, "cut at {cut}: {found:?}");
+        match RecordingReader::open(&file[..cut]) {
+            Ok(reader) => {
+                let read: Vec<_> = reader.collect();
+                let good = read.iter().filter(|tick| tick.is_ok()).count() as u64;
+                assert_eq!(good, ticks, "cut at {cut}");
+                let error = read.last().unwrap().as_ref().unwrap_err();
+                assert!(error.is_truncation(), "{error}");
+                if let Some(last) = ticks.checked_sub(1) {
+                    assert!(error.to_string().contains(&format!(" {last}")), "{last}: {error}");
+                }
             }
-            found => panic!("cut at {cut}: {found:?}"),
-        }
-        // The recording's own reader.
-        if let Ok(reader) = RecordingReader::open(&file[..cut]) {
-            let read: Vec<_> = reader.collect();
-            let good = read.iter().filter(|tick| tick.is_ok()).count() as u64;
-            assert_eq!(good, turns, "cut at {cut}");
-            let error = read.last().unwrap().as_ref().unwrap_err();
-            let end = if turns == 0 {
-                "before the first".to_owned()
-            } else {
-                format!("after turn {}", turns - 1)
-            };
-            assert!(error.is_truncation() && error.to_string().contains(&end), "{error}");
+            Err(error) => {
+                assert!(error.is_truncation() && cut < ends[0], "cut at {cut}: {error}");
+            }
         }
     }
 }
 
+fn first_segment(run: usize) -> String {
+    format!("run{run}/recording_0000.mcap")
+}
+
 #[test]
 fn cut_segments_are_pulled_as_they_are() {
-    let (robot, here) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let file = segment(0, 0, TURNS);
+    let robot = tempfile::tempdir().unwrap();
+    let here = tempfile::tempdir().unwrap();
+    let file = segment(0, 0, TICKS);
     let mut noise = Noise(9);
     let cuts: Vec<usize> =
         (0..60).map(|_| 1 + noise.below(file.len() as u64 - 1) as usize).collect();
-    let name = |run: usize| format!("run{run}/recording_0000.mcap");
     for (run, cut) in cuts.iter().enumerate() {
         fs::create_dir(robot.path().join(format!("run{run}"))).unwrap();
-        let path = robot.path().join(name(run));
+        let path = robot.path().join(first_segment(run));
         fs::write(&path, &file[..*cut]).unwrap();
-        // Nobody has written to it for a while.
+        // RefuseAll has written to it for a while.
         fs::File::open(&path).unwrap().set_modified(std::time::SystemTime::UNIX_EPOCH).unwrap();
     }
     let report =
@@ -121,13 +134,19 @@ fn cut_segments_are_pulled_as_they_are() {
             .unwrap();
     assert_eq!((report.files, report.cut), (60, 60));
     for (run, cut) in cuts.iter().enumerate() {
-        assert!(fs::read(here.path().join(name(run))).unwrap() == file[..*cut], "cut at {cut}");
+        assert!(
+            fs::read(here.path().join(first_segment(run))).unwrap() == file[..*cut],
+            "cut at {cut}"
+        );
     }
 }
 
 #[test]
-fn a_changed_byte_is_found_wherever_it_is_and_costs_at_most_its_chunk() {
-    let file = segment(0, 0, TURNS);
+fn a_flipped_bit_anywhere_is_found_and_recovery_returns_only_recorded_ticks() {
+    let file = segment(0, 0, TICKS);
+    let ends = chunk_ends(&file);
+    let bodies: Vec<_> =
+        chunk_starts(&file).into_iter().zip(&ends).map(|(start, end)| start + 9..*end).collect();
     let mut noise = Noise(12);
     for _ in 0..1000 {
         let at = noise.below(file.len() as u64) as usize;
@@ -138,29 +157,47 @@ fn a_changed_byte_is_found_wherever_it_is_and_costs_at_most_its_chunk() {
             !matches!(verified.finding, Finding::Whole | Finding::Unindexed),
             "byte {at}: {verified:?}"
         );
-        let mut sink = Vec::new();
-        // Refused, or without what nothing vouches for.
-        if let Ok(done) = recover(&bad[..], &mut sink) {
-            for tick in RecordingReader::open(&sink[..]).into_iter().flatten().map_while(Result::ok)
-            {
-                assert_eq!(tick, some_tick(tick.tick), "byte {at}");
+        let mut whole = Vec::new();
+        let done = match recover(&bad[..], &mut whole) {
+            Ok(done) => done,
+            // Only the magic makes a file unrecoverable.
+            Err(error) => {
+                assert!(at < 8, "byte {at}: {error}");
+                continue;
             }
-            assert!(done.turns <= TURNS);
+        };
+        assert_eq!(verify(&whole[..]).unwrap().finding, Finding::Whole, "byte {at}");
+        // Damage in the body of a chunk costs only this chunk. A wrong opcode or length of a record can cost all later ones.
+        if bodies.iter().any(|body| body.contains(&at)) {
+            assert!(done.ticks >= TICKS - CHUNK_TICKS, "byte {at}: {done:?}");
+        }
+        let reader = match RecordingReader::open(&whole[..]) {
+            Ok(reader) => reader,
+            // The first chunk contains the header without which a recording cannot be read.
+            Err(error) => {
+                assert!(at < ends[0], "byte {at}: {error}");
+                continue;
+            }
+        };
+        let recovered: Vec<_> = reader.map(Result::unwrap).collect();
+        assert_eq!(recovered.len() as u64, done.ticks, "byte {at}");
+        for tick in recovered {
+            assert_eq!(tick, some_tick(tick.tick), "byte {at}");
         }
     }
 }
 
 #[test]
-fn a_broken_chunk_in_the_middle_leaves_the_others() {
-    let file = segment(0, 0, TURNS);
+fn a_corrupt_chunk_in_the_middle_does_not_affect_the_others() {
+    let file = segment(0, 0, TICKS);
     let mut bad = file.clone();
     bad[chunk_starts(&file)[2] + 200] ^= 1;
     let done = recover(&bad[..], &mut Vec::new()).unwrap();
-    assert_eq!((done.turns, done.bad_chunks), (TURNS - CHUNK_TURNS, 1));
+    assert_eq!((done.ticks, done.bad_chunks), (TICKS - CHUNK_TICKS, 1));
 }
 
 #[test]
-fn arbitrary_bytes_are_no_recording_and_no_panic() {
+fn arbitrary_bytes_are_not_a_whole_segment_and_never_panic() {
     let mut noise = Noise(1);
     for length in (0..400).chain([4096, 70_000]) {
         let mut bytes: Vec<u8> = (0..length).map(|_| noise.next() as u8).collect();
@@ -174,10 +211,14 @@ fn arbitrary_bytes_are_no_recording_and_no_panic() {
     }
 }
 
+fn states(catalogue: &Catalogue) -> Vec<State> {
+    catalogue.entries.iter().map(|entry| entry.state).collect()
+}
+
 #[test]
-fn only_the_last_segment_of_a_run_that_was_written_just_now_counts_as_open() {
+fn only_the_last_segment_of_a_run_counts_as_open_and_only_shortly_after_a_write() {
     let dir = tempfile::tempdir().unwrap();
-    let file = segment(0, 0, TURNS);
+    let file = segment(0, 0, TICKS);
     for (name, length) in [
         ("recording_0000.mcap", file.len()),
         ("recording_0001.mcap", 5000),
@@ -186,24 +227,21 @@ fn only_the_last_segment_of_a_run_that_was_written_just_now_counts_as_open() {
         fs::write(dir.path().join(name), &file[..length]).unwrap();
     }
     let root = Root::open(dir.path()).unwrap();
-    let states = |catalogue: Catalogue| {
-        catalogue.entries.iter().map(|entry| entry.state).collect::<Vec<_>>()
-    };
     let catalogue = Catalogue::read(&root).unwrap();
-    assert_eq!(catalogue.entries[0].turns, Some(TURNS));
+    assert_eq!(catalogue.entries[0].ticks, Some(TICKS));
     let times = catalogue.entries[0].times.unwrap();
     assert_eq!((times.first_ns, times.last_ns), (0, 3_900_000_000));
     let written_ns = catalogue.entries[2].modified_ns;
-    assert_eq!(states(catalogue), [State::Closed, State::Cut, State::Open]);
+    assert_eq!(states(&catalogue), [State::Closed, State::Cut, State::Open]);
     let later = Catalogue::read_at(&root, written_ns + 31_000_000_000).unwrap();
-    assert_eq!(states(later), [State::Closed, State::Cut, State::Cut]);
+    assert_eq!(states(&later), [State::Closed, State::Cut, State::Cut]);
 }
 
 #[test]
-fn a_clock_that_was_set_back_keeps_no_cut_segment_open_for_ever() {
+fn a_cut_segment_is_not_open_for_ever_after_the_clock_was_set_back() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("recording_0000.mcap");
-    fs::write(&path, &segment(0, 0, TURNS)[..5000]).unwrap();
+    fs::write(&path, &segment(0, 0, TICKS)[..5000]).unwrap();
     let root = Root::open(dir.path()).unwrap();
     let written_ns = Catalogue::read(&root).unwrap().entries[0].modified_ns;
     for (set_back_s, state) in

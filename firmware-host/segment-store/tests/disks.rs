@@ -1,5 +1,10 @@
-//! The workstation's disk refuses at any moment.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+//! The workstation's disk fails at any operation.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot set up its files has failed"
+)]
 
 mod common;
 
@@ -12,11 +17,11 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use common::{FILES, assert_same, connect, pull_into, robot};
 use hal::VirtualClock;
 use rustix::io::Errno;
-use segment_store::BufferError;
+use segment_store::StoreError;
 use segment_store::pull::{Destination, Disk, FileSystem, Options, PartFile, pull};
 use tempfile::tempdir;
 
-/// Fails with `errno` once `left` operations have gone well, and from then on.
+/// A disk that fails with `errno` after `left` successful operations.
 #[derive(Clone)]
 struct Failing {
     left: Arc<AtomicI64>,
@@ -52,7 +57,7 @@ impl Read for FailingFile {
 impl Write for FailingFile {
     fn write(&mut self, data: &[u8]) -> io::Result<usize> {
         if let Err(error) = self.1.check() {
-            // A full disk takes what still fits.
+            // A full disk writes the data that still fit.
             let _ = self.0.write(&data[..data.len() / 2]);
             return Err(error);
         }
@@ -65,9 +70,9 @@ impl Write for FailingFile {
 }
 
 impl PartFile for FailingFile {
-    fn cut(&mut self, len: u64) -> io::Result<()> {
+    fn truncate(&mut self, len: u64) -> io::Result<()> {
         self.1.check()?;
-        self.0.cut(len)
+        self.0.truncate(len)
     }
 
     fn sync(&mut self) -> io::Result<()> {
@@ -77,8 +82,7 @@ impl PartFile for FailingFile {
 }
 
 #[test]
-fn a_disk_that_fails_at_any_write_sync_or_rename_leaves_whole_files_only_and_the_next_pull_ends_well()
- {
+fn a_disk_error_at_any_operation_leaves_only_complete_files_and_the_next_pull_succeeds() {
     let there = tempdir().unwrap();
     robot(there.path());
     for errno in [Errno::NOSPC, Errno::IO, Errno::ROFS] {
@@ -106,11 +110,11 @@ fn a_disk_that_fails_at_any_write_sync_or_rename_leaves_whole_files_only_and_the
             let Err(error) = result else {
                 assert!(
                     operations > 20,
-                    "each of five files is opened, cut, written, synced and renamed"
+                    "each of five files is opened, truncated, written, synced and renamed"
                 );
                 break;
             };
-            assert!(matches!(error, BufferError::Write { .. }), "{error}");
+            assert!(matches!(error, StoreError::Write { .. }), "{error}");
             assert!(error.to_string().contains("free disk space"), "{error}");
             pull_into(&mut connect(there.path()), here.path(), Options::default()).unwrap();
             assert_same(there.path(), here.path(), &FILES);
@@ -119,10 +123,11 @@ fn a_disk_that_fails_at_any_write_sync_or_rename_leaves_whole_files_only_and_the
 }
 
 #[test]
-fn a_robot_whose_disk_takes_no_marks_is_pulled_all_the_same() {
-    let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
+fn a_robot_that_cannot_write_markers_is_pulled_nevertheless() {
+    let there = tempdir().unwrap();
+    let here = tempdir().unwrap();
     robot(there.path());
-    // A directory in the mark's place: root, too, is refused.
+    // A directory in the place of the marker, which even root cannot overwrite.
     for number in 0..3 {
         fs::create_dir_all(
             there.path().join(format!("monday/recording_{number:04}.mcap.pulled/full")),

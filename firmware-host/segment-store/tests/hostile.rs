@@ -1,5 +1,10 @@
-//! The other side means harm, or is of another time.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+//! A hostile peer, or one with another protocol version.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot set up its files has failed"
+)]
 
 mod common;
 
@@ -13,7 +18,9 @@ use segment_store::source::{Remote, Source};
 use segment_store::wire::{
     MAX_REPLY, Refusal, RefusalKind, Reply, Request, WireError, read_frame, write_frame,
 };
-use segment_store::{BufferError, Computer, Digest, Entry, Have, Kind, Name, Pulled, Root, State};
+use segment_store::{
+    CpuFeatures, Digest, Entry, ErrorKind, LocalCopy, Name, Pulled, Root, State, StoreError,
+};
 use tempfile::tempdir;
 
 fn frames(replies: &[Reply<'_>]) -> Vec<u8> {
@@ -32,16 +39,17 @@ fn requests(requests: &[Request]) -> Vec<u8> {
     bytes
 }
 
-/// What a served buffer answers to these bytes.
+/// The answer of a server to these bytes.
 fn served(root: &Root, bytes: &[u8]) -> Vec<u8> {
     let mut answer = Vec::new();
     let _ =
-        segment_store::serve(root, Computer { aes: true }, &mut Cursor::new(bytes), &mut answer);
+        segment_store::serve(root, CpuFeatures { aes: true }, &mut Cursor::new(bytes), &mut answer);
     answer
 }
 
 fn refusal(mut answer: &[u8]) -> Option<Refusal> {
-    let (mut body, mut last) = (Vec::new(), None);
+    let mut body = Vec::new();
+    let mut last = None;
     while let Ok(Ok(Some(kind))) = read_frame(&mut answer, &mut body, MAX_REPLY) {
         if let Ok(Reply::Refused(refusal)) = Reply::decode(kind, &body) {
             last = Some(refusal);
@@ -53,24 +61,27 @@ fn refusal(mut answer: &[u8]) -> Option<Refusal> {
 const HELLO: Request = Request::Hello { versions: (1, 1) };
 
 #[test]
-fn a_robot_says_what_computer_it_is_and_an_older_one_is_not_asked() {
-    let (dir, asked) =
-        (tempdir().unwrap(), requests(&[Request::Hello { versions: (1, 2) }, Request::Computer]));
+fn a_robot_reports_its_processor_and_an_older_one_is_not_asked() {
+    let (dir, asked) = (
+        tempdir().unwrap(),
+        requests(&[Request::Hello { versions: (1, 2) }, Request::CpuFeatures]),
+    );
     let answer = served(&Root::open(dir.path()).unwrap(), &asked);
     let mut output = Vec::new();
     let mut remote = Remote::greet("robot", Cursor::new(answer), &mut output, 1).unwrap();
-    assert_eq!(remote.computer().unwrap(), Some(Computer { aes: true }));
+    assert_eq!(remote.cpu_features().unwrap(), Some(CpuFeatures { aes: true }));
     assert_eq!(output, asked);
-    let (older, mut output) = (frames(&[Reply::Welcome { version: 1 }]), Vec::new());
+    let older = frames(&[Reply::Welcome { version: 1 }]);
+    let mut output = Vec::new();
     assert_eq!(
-        Remote::greet("robot", Cursor::new(older), &mut output, 1).unwrap().computer().unwrap(),
+        Remote::greet("robot", Cursor::new(older), &mut output, 1).unwrap().cpu_features().unwrap(),
         None
     );
     assert_eq!(output, requests(&[Request::Hello { versions: (1, 2) }]));
 }
 
 #[test]
-fn a_list_of_more_bytes_than_can_be_counted_is_pulled_like_any_other() {
+fn sizes_that_overflow_their_sum_do_not_stop_a_pull() {
     let here = tempdir().unwrap();
     let entries = ["recording_0000.mcap", "recording_0001.mcap"]
         .map(|name| Reply::Entry(entry(name, u64::MAX)));
@@ -79,11 +90,11 @@ fn a_list_of_more_bytes_than_can_be_counted_is_pulled_like_any_other() {
     replies.push(Reply::ListEnd);
     let mut remote = Remote::greet("robot", Cursor::new(frames(&replies)), Vec::new(), 1).unwrap();
     let error = pull_into(&mut remote, here.path(), Options::default()).unwrap_err();
-    assert_eq!(error.kind(), Kind::Link, "{error}");
+    assert_eq!(error.kind(), ErrorKind::Link, "{error}");
 }
 
 #[test]
-fn a_workstation_of_another_time_is_refused_with_words() {
+fn a_workstation_with_another_protocol_version_is_refused_with_a_way_out() {
     let dir = tempdir().unwrap();
     let root = Root::open(dir.path()).unwrap();
     for versions in [(3, 4), (0, 0), (900, 901), (3, 2)] {
@@ -97,22 +108,22 @@ fn a_workstation_of_another_time_is_refused_with_words() {
 }
 
 #[test]
-fn a_robot_of_another_time_is_refused_with_its_words() {
+fn a_robot_with_another_protocol_version_is_refused_with_its_message() {
     let text = "this robot speaks version 7".to_owned();
     let answer = frames(&[Reply::Refused(Refusal { kind: RefusalKind::Version, text })]);
     let error = Remote::greet("robot", Cursor::new(answer), Vec::new(), 1).err().unwrap();
     assert!(
-        error.kind() == Kind::Refused && error.to_string().contains("speaks version 7"),
+        error.kind() == ErrorKind::Refused && error.to_string().contains("speaks version 7"),
         "{error}"
     );
 }
 
 #[test]
-fn a_shell_that_talks_is_named_as_what_is_wrong() {
+fn output_of_a_shell_is_reported_as_the_cause() {
     let noise = b"Welcome to Robot OS 22!\nLast login: never\n".repeat(5);
     let error = Remote::greet("robot", Cursor::new(noise), Vec::new(), 1).err().unwrap();
     assert!(
-        matches!(&error, BufferError::Protocol { source: WireError::Foreign(_), .. }),
+        matches!(&error, StoreError::Protocol { source: WireError::Foreign(_), .. }),
         "{error}"
     );
     assert!(
@@ -121,14 +132,14 @@ fn a_shell_that_talks_is_named_as_what_is_wrong() {
     );
     let error = Remote::greet("robot", Cursor::new(Vec::new()), Vec::new(), 1).err().unwrap();
     assert!(
-        matches!(error, BufferError::Silent { .. })
+        matches!(error, StoreError::Silent { .. })
             && error.to_string().contains("--remote-command"),
         "{error}"
     );
 }
 
 #[test]
-fn a_request_before_the_greeting_or_with_a_name_that_leads_out_is_refused() {
+fn requests_before_the_greeting_and_names_outside_the_store_are_refused() {
     let dir = tempdir().unwrap();
     robot(dir.path());
     fs::write(dir.path().join("secret"), "secret").unwrap();
@@ -159,27 +170,18 @@ fn a_request_before_the_greeting_or_with_a_name_that_leads_out_is_refused() {
 }
 
 #[test]
-fn a_refusal_cannot_speak_to_the_terminal() {
+fn a_refusal_is_shown_without_control_characters() {
     let refusal = Refusal { kind: RefusalKind::Disk, text: "full\x1b]0;owned\x07\r\n".to_owned() };
     assert_eq!(refusal.to_string(), "full]0;owned");
 }
 
 fn entry(name: &str, bytes: u64) -> Entry {
-    Entry {
-        name: Name::parse(name).unwrap(),
-        bytes,
-        modified_ns: 5,
-        state: State::Closed,
-        times: None,
-        turns: Some(3),
-        events: None,
-        keep: true,
-        pulled: Pulled::No,
-    }
+    let entry = Entry::new(Name::parse(name).unwrap(), bytes, 5);
+    Entry { state: State::Closed, ticks: Some(3), keep: true, ..entry }
 }
 
-/// Pulls from a robot that answers this after the greeting and the list of one file.
-fn pull_from(replies: &[Reply<'_>]) -> (Result<u64, BufferError>, tempfile::TempDir) {
+/// Pulls from a robot that sends these replies after the greeting and a list of one file.
+fn pull_from(replies: &[Reply<'_>]) -> (Result<u64, StoreError>, tempfile::TempDir) {
     let here = tempdir().unwrap();
     let mut answer = frames(&[
         Reply::Welcome { version: 1 },
@@ -193,7 +195,7 @@ fn pull_from(replies: &[Reply<'_>]) -> (Result<u64, BufferError>, tempfile::Temp
 }
 
 #[test]
-fn a_robot_that_breaks_the_rules_gets_no_file_a_name() {
+fn a_robot_that_violates_the_protocol_completes_no_file() {
     let digest = Digest::of(b"0123456789");
     let start = Reply::Start { from: 0, length: 10 };
     let data = |at, bytes| Reply::Data { at, bytes };
@@ -213,7 +215,7 @@ fn a_robot_that_breaks_the_rules_gets_no_file_a_name() {
         &[start.clone(), data(0, b""), data(0, b"")],
         &[Reply::Start { from: 3, length: 10 }],
         &[Reply::Start { from: 10, length: 0 }],
-        &[Reply::Working, Reply::Working, Reply::Working, Reply::Working],
+        &[Reply::Comparing, Reply::Comparing, Reply::Comparing, Reply::Comparing],
     ];
     for replies in bad {
         let (result, here) = pull_from(replies);
@@ -240,7 +242,7 @@ fn an_endless_list_ends() {
     let mut source =
         Remote::greet("robot", Endless(Cursor::new(first), more), Vec::new(), 1).unwrap();
     let error = source.list().unwrap_err().to_string();
-    assert!(error.contains("a list, out of turn"), "{error}");
+    assert!(error.contains("a list, which is not an answer"), "{error}");
 }
 
 fn any_name() -> impl Strategy<Value = Name> {
@@ -250,11 +252,11 @@ fn any_name() -> impl Strategy<Value = Name> {
 
 proptest! {
     #[test]
-    fn requests_come_back_from_their_bytes(name in any_name(), bytes: u64, digest: [u8; 32], versions: (u16, u16)) {
+    fn requests_survive_encoding_and_decoding(name in any_name(), bytes: u64, digest: [u8; 32], versions: (u16, u16)) {
         let digest = Digest::from_bytes(digest);
         let all = [
-            Request::Hello { versions }, Request::List, Request::Fetch { name: name.clone(), have: Have { bytes, digest } },
-            Request::Mark { name, digest }, Request::Computer,
+            Request::Hello { versions }, Request::List, Request::Fetch { name: name.clone(), local: LocalCopy { bytes, digest } },
+            Request::Mark { name, digest }, Request::CpuFeatures,
         ];
         for request in all {
             let mut body = Vec::new();
@@ -264,17 +266,17 @@ proptest! {
     }
 
     #[test]
-    fn replies_come_back_from_their_bytes(name in any_name(), numbers: [u64; 5], digest: [u8; 32], flags: [bool; 4], data: Vec<u8>) {
+    fn replies_survive_encoding_and_decoding(name in any_name(), numbers: [u64; 5], digest: [u8; 32], flags: [bool; 4], data: Vec<u8>) {
         let digest = Digest::from_bytes(digest);
-        let [bytes, modified_ns, first_ns, last_ns, turns] = numbers;
+        let [bytes, modified_ns, first_ns, last_ns, ticks] = numbers;
         let entry = Entry {
             name, bytes, modified_ns, state: State::Cut, times: flags[0].then_some(segment_store::Times { first_ns, last_ns }),
-            turns: flags[1].then_some(turns), events: flags[2].then_some(bytes), keep: flags[3],
+            ticks: flags[1].then_some(ticks), events: flags[2].then_some(bytes), keep: flags[3],
             pulled: if flags[0] { Pulled::Yes(digest) } else { Pulled::Stale },
         };
-        let computer = Reply::Computer(Computer { aes: flags[1] });
+        let cpu = Reply::CpuFeatures(CpuFeatures { aes: flags[1] });
         let data = Reply::Data { at: bytes, bytes: &data };
-        for reply in [Reply::Entry(entry), data, Reply::End { digest }, Reply::Marked, computer] {
+        for reply in [Reply::Entry(entry), data, Reply::End { digest }, Reply::Marked, cpu] {
             let mut body = Vec::new();
             let kind = reply.encode(&mut body);
             prop_assert_eq!(Reply::decode(kind, &body), Ok(reply));
@@ -282,13 +284,13 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_a_message_or_an_error(kind: u8, body: Vec<u8>) {
+    fn decoding_arbitrary_bytes_never_panics(kind: u8, body: Vec<u8>) {
         let _ = Request::decode(kind, &body);
         let _ = Reply::decode(kind, &body);
     }
 
     #[test]
-    fn a_served_buffer_survives_any_bytes_and_ends(bytes: Vec<u8>, greet: bool) {
+    fn a_server_survives_arbitrary_bytes_and_ends(bytes: Vec<u8>, greet: bool) {
         let dir = tempdir().unwrap();
         let root = Root::open(dir.path()).unwrap();
         let mut all = if greet { requests(&[HELLO]) } else { Vec::new() };
@@ -298,7 +300,7 @@ proptest! {
     }
 
     #[test]
-    fn a_workstation_survives_any_bytes_and_writes_no_segment(bytes: Vec<u8>) {
+    fn a_workstation_survives_arbitrary_bytes_and_completes_no_segment(bytes: Vec<u8>) {
         let here = tempdir().unwrap();
         let mut answer = frames(&[Reply::Welcome { version: 1 }, Reply::Entry(entry("recording_0000.mcap", 10)), Reply::ListEnd]);
         answer.write_all(&bytes).unwrap();

@@ -1,5 +1,10 @@
-//! Links that break, hang, damage and mix up what they carry: nothing wrong ever gets a segment's name.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+//! Links that break, stall, or damage and reorder data: a file is never completed with wrong contents.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot set up its files has failed"
+)]
 
 mod common;
 
@@ -11,18 +16,18 @@ use std::time::Duration;
 use common::{FILES, Noise, assert_same, connect, pull_into, robot, serve_on};
 use segment_store::pull::Options;
 use segment_store::source::Remote;
-use segment_store::{BufferError, Kind};
+use segment_store::{ErrorKind, StoreError};
 use tempfile::{TempDir, tempdir};
 
-/// What a link does to the bytes from the robot.
+/// What a link does to the bytes from the robot at a given offset.
 enum Fault {
-    /// Ends behind so many bytes.
+    /// Ends there.
     Cut,
-    /// Flips a bit of that byte.
+    /// Flips a bit of the byte there.
     Flip,
-    /// Swaps two pieces there.
+    /// Swaps two pieces of data there.
     Swap,
-    /// Loses a piece there.
+    /// Drops 13 bytes there.
     Lose,
 }
 
@@ -78,8 +83,13 @@ impl Read for BadLink {
     }
 }
 
-/// Pulls over a bad link. Whatever comes of it, what has a segment's name is what the robot has.
-fn pull_badly(there: &TempDir, here: &TempDir, fault: Fault, at: u64) -> Result<(), BufferError> {
+/// Pulls over a link with a fault. Files with their final name must equal the robot's, even when the pull fails.
+fn pull_with_fault(
+    there: &TempDir,
+    here: &TempDir,
+    fault: Fault,
+    at: u64,
+) -> Result<(), StoreError> {
     let (ours, theirs) = UnixStream::pair().unwrap();
     serve_on(there.path(), theirs);
     ours.set_read_timeout(Some(Duration::from_millis(300))).unwrap();
@@ -94,21 +104,21 @@ fn pull_badly(there: &TempDir, here: &TempDir, fault: Fault, at: u64) -> Result<
     result
 }
 
-/// Bytes that a whole pull carries, roughly: all files and their frames.
+/// Roughly the number of bytes that a whole pull transfers: all files and their frames.
 fn carried(there: &TempDir) -> u64 {
     FILES.iter().map(|file| fs::metadata(there.path().join(file)).unwrap().len() + 100).sum()
 }
 
 #[test]
-fn a_link_that_is_cut_anywhere_loses_nothing_and_the_next_pull_goes_on() {
+fn a_link_cut_anywhere_loses_nothing_and_the_next_pull_resumes() {
     let there = tempdir().unwrap();
     robot(there.path());
-    let (total, mut noise) = (carried(&there), Noise(3));
+    let total = carried(&there);
+    let mut noise = Noise(3);
     for _ in 0..40 {
         let here = tempdir().unwrap();
-        // Cut again and again until it is through, then compared.
         let mut tries = 0;
-        while pull_badly(&there, &here, Fault::Cut, 100 + noise.below(total)).is_err() {
+        while pull_with_fault(&there, &here, Fault::Cut, 100 + noise.below(total)).is_err() {
             tries += 1;
             assert!(tries < 200);
         }
@@ -117,10 +127,12 @@ fn a_link_that_is_cut_anywhere_loses_nothing_and_the_next_pull_goes_on() {
 }
 
 #[test]
-fn what_is_changed_swapped_or_lost_anywhere_is_noticed_and_the_next_pull_mends_it() {
+fn damage_on_the_link_completes_no_wrong_file_and_the_next_pull_succeeds() {
     let there = tempdir().unwrap();
     robot(there.path());
-    let (total, mut noise) = (carried(&there), Noise(4));
+    let total = carried(&there);
+    let mut noise = Noise(4);
+    let mut failed_pulls = 0;
     for round in 0..90 {
         let here = tempdir().unwrap();
         let fault = match round % 3 {
@@ -128,32 +140,35 @@ fn what_is_changed_swapped_or_lost_anywhere_is_noticed_and_the_next_pull_mends_i
             1 => Fault::Swap,
             _ => Fault::Lose,
         };
-        if let Err(error) = pull_badly(&there, &here, fault, noise.below(total)) {
+        if let Err(error) = pull_with_fault(&there, &here, fault, noise.below(total)) {
             assert!(error.to_string().len() > 20, "{error}");
+            failed_pulls += 1;
         }
         pull_into(&mut connect(there.path()), here.path(), Options::default()).unwrap();
         assert_same(there.path(), here.path(), &FILES);
     }
+    // Faults in the data of a file do not end the pull: the file is pulled a second time.
+    println!("{failed_pulls} of 90 faults ended the pull");
+    assert!(failed_pulls > 20, "{failed_pulls} of 90 faults ended the pull");
 }
 
 #[test]
-fn a_link_that_hangs_is_given_up_with_words() {
-    let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
+fn a_stalled_link_is_an_error_with_a_way_out() {
+    let there = tempdir().unwrap();
+    let here = tempdir().unwrap();
     robot(there.path());
-    // A robot that greets and then says nothing.
+    // A robot that accepts the session and then sends nothing.
     let (ours, mut theirs) = UnixStream::pair().unwrap();
     ours.set_read_timeout(Some(Duration::from_millis(50))).unwrap();
-    let hello = {
-        let mut frame = Vec::new();
-        segment_store::wire::write_frame(&mut frame, &mut Vec::new(), |body| {
-            segment_store::wire::Reply::Welcome { version: 1 }.encode(body)
-        })
-        .unwrap();
-        frame
-    };
-    io::Write::write_all(&mut theirs, &hello).unwrap();
+    segment_store::wire::write_frame(&mut theirs, &mut Vec::new(), |body| {
+        segment_store::wire::Reply::Welcome { version: 1 }.encode(body)
+    })
+    .unwrap();
     let mut source = Remote::greet("robot", ours.try_clone().unwrap(), ours, 60).unwrap();
     let error = pull_into(&mut source, here.path(), Options::default()).unwrap_err();
-    assert!(matches!(error, BufferError::Stalled { .. }) && error.kind() == Kind::Link, "{error}");
+    assert!(
+        matches!(error, StoreError::Stalled { .. }) && error.kind() == ErrorKind::Link,
+        "{error}"
+    );
     assert!(error.to_string().contains("check the network"), "{error}");
 }

@@ -1,5 +1,10 @@
-//! Robots are pulled from, again and again.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+//! Repeated pulls from robots.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot set up its files has failed"
+)]
 
 mod common;
 
@@ -10,12 +15,13 @@ use std::time::SystemTime;
 use common::{FILES, assert_same, connect, pull_into, robot, segment};
 use segment_store::pull::Options;
 use segment_store::source::{Directory, Source};
-use segment_store::{BufferError, Catalogue, Digest, Have, Name, Pulled, Receive, Root};
+use segment_store::{Catalogue, Digest, FileSink, LocalCopy, Name, Pulled, Root, StoreError};
 use tempfile::tempdir;
 
 #[test]
-fn everything_arrives_whole_and_the_robot_knows() {
-    let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
+fn all_segments_are_pulled_and_marked_on_the_robot() {
+    let there = tempdir().unwrap();
+    let here = tempdir().unwrap();
     robot(there.path());
     let report = pull_into(&mut connect(there.path()), here.path(), Options::default()).unwrap();
     assert_eq!(
@@ -33,9 +39,10 @@ fn everything_arrives_whole_and_the_robot_knows() {
 }
 
 #[test]
-fn a_second_pull_moves_nothing_and_reads_nothing() {
+fn a_second_pull_transfers_and_reads_nothing() {
     for local in [false, true] {
-        let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
+        let there = tempdir().unwrap();
+        let here = tempdir().unwrap();
         robot(there.path());
         let mut source: Box<dyn Source> = if local {
             Box::new(Directory::open(there.path()).unwrap())
@@ -43,13 +50,12 @@ fn a_second_pull_moves_nothing_and_reads_nothing() {
             Box::new(connect(there.path()))
         };
         pull_into(source.as_mut(), here.path(), Options::default()).unwrap();
-        // Whoever reads these now gets something else; only sizes and times are still the same.
+        // Changes the contents, but neither the size nor the modification time.
         let path = there.path().join("monday/recording_0000.mcap");
-        let (length, modified) =
-            (fs::read(&path).unwrap().len(), fs::metadata(&path).unwrap().modified().unwrap());
-        fs::write(&path, vec![0; length]).unwrap();
+        let metadata = fs::metadata(&path).unwrap();
+        fs::write(&path, vec![0; metadata.len() as usize]).unwrap();
         let file = fs::File::options().write(true).open(&path).unwrap();
-        file.set_modified(modified).unwrap();
+        file.set_modified(metadata.modified().unwrap()).unwrap();
         let report = pull_into(source.as_mut(), here.path(), Options::default()).unwrap();
         assert_eq!((report.files, report.bytes, report.there), (0, 0, FILES.len() as u64));
     }
@@ -57,7 +63,8 @@ fn a_second_pull_moves_nothing_and_reads_nothing() {
 
 #[test]
 fn without_its_index_a_destination_is_compared_and_nothing_is_sent_again() {
-    let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
+    let there = tempdir().unwrap();
+    let here = tempdir().unwrap();
     robot(there.path());
     pull_into(&mut connect(there.path()), here.path(), Options::default()).unwrap();
     for damage in [None, Some("{ not json"), Some("{\"format\": 99, \"files\": {}}")] {
@@ -74,7 +81,7 @@ fn without_its_index_a_destination_is_compared_and_nothing_is_sent_again() {
 }
 
 #[test]
-fn a_part_is_gone_on_with_at_its_byte_when_it_is_the_beginning_and_replaced_when_it_is_not() {
+fn a_part_is_resumed_if_it_is_the_beginning_and_replaced_if_not() {
     let whole = segment(0, 0, 30);
     let half = whole.len() / 2;
     for (part, expected) in [
@@ -84,7 +91,8 @@ fn a_part_is_gone_on_with_at_its_byte_when_it_is_the_beginning_and_replaced_when
         (vec![7; whole.len() + 5], whole.len()),
         (Vec::new(), whole.len()),
     ] {
-        let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
+        let there = tempdir().unwrap();
+        let here = tempdir().unwrap();
         fs::write(there.path().join("recording_0000.mcap"), &whole).unwrap();
         fs::write(here.path().join("recording_0000.mcap.part"), &part).unwrap();
         let report =
@@ -95,9 +103,11 @@ fn a_part_is_gone_on_with_at_its_byte_when_it_is_the_beginning_and_replaced_when
 }
 
 #[test]
-fn a_segment_that_is_being_written_comes_when_it_is_closed() {
-    let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
-    let (path, whole) = (there.path().join("recording_0000.mcap"), segment(0, 0, 30));
+fn an_open_segment_is_pulled_when_it_is_closed() {
+    let there = tempdir().unwrap();
+    let here = tempdir().unwrap();
+    let path = there.path().join("recording_0000.mcap");
+    let whole = segment(0, 0, 30);
     fs::write(&path, &whole[..whole.len() / 2]).unwrap();
     let mut source = connect(there.path());
     let report = pull_into(&mut source, here.path(), Options::default()).unwrap();
@@ -109,9 +119,11 @@ fn a_segment_that_is_being_written_comes_when_it_is_closed() {
 }
 
 #[test]
-fn a_cut_segment_that_the_robot_has_made_whole_replaces_the_cut_one() {
-    let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
-    let (path, whole) = (there.path().join("recording_0000.mcap"), segment(0, 0, 30));
+fn a_segment_that_the_robot_has_completed_replaces_its_cut_version() {
+    let there = tempdir().unwrap();
+    let here = tempdir().unwrap();
+    let path = there.path().join("recording_0000.mcap");
+    let whole = segment(0, 0, 30);
     fs::write(&path, &whole[..whole.len() / 2]).unwrap();
     fs::File::open(&path).unwrap().set_modified(SystemTime::UNIX_EPOCH).unwrap();
     let mut source = connect(there.path());
@@ -129,7 +141,8 @@ fn a_cut_segment_that_the_robot_has_made_whole_replaces_the_cut_one() {
 
 #[test]
 fn another_run_under_the_same_name_never_replaces_what_was_pulled() {
-    let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
+    let there = tempdir().unwrap();
+    let here = tempdir().unwrap();
     let path = there.path().join("recording_0000.mcap");
     fs::write(&path, segment(0, 0, 30)).unwrap();
     pull_into(&mut connect(there.path()), here.path(), Options::default()).unwrap();
@@ -144,14 +157,14 @@ fn another_run_under_the_same_name_never_replaces_what_was_pulled() {
 }
 
 #[test]
-fn a_mark_is_set_only_for_what_the_robot_has() {
+fn a_marker_is_written_only_for_the_robots_own_contents() {
     let there = tempdir().unwrap();
     robot(there.path());
     let name = Name::parse("monday/recording_0000.mcap").unwrap();
     let mut source = connect(there.path());
     let error = source.mark_pulled(&name, &Digest::of(b"something else")).unwrap_err();
     assert!(
-        matches!(error, BufferError::Refused { .. }) && error.to_string().contains("is not marked"),
+        matches!(error, StoreError::Refused { .. }) && error.to_string().contains("is not marked"),
         "{error}"
     );
     assert!(!there.path().join("monday/recording_0000.mcap.pulled").exists());
@@ -161,41 +174,44 @@ fn a_mark_is_set_only_for_what_the_robot_has() {
 }
 
 #[test]
-fn no_mark_leaves_the_robot_as_it_was() {
-    let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
+fn no_mark_writes_nothing_on_the_robot() {
+    let there = tempdir().unwrap();
+    let here = tempdir().unwrap();
     robot(there.path());
-    let count = |dir: &std::path::Path| fs::read_dir(dir.join("monday")).unwrap().count();
-    let before = count(there.path());
+    let run = there.path().join("monday");
+    let before = fs::read_dir(&run).unwrap().count();
     pull_into(
         &mut connect(there.path()),
         here.path(),
         Options { no_mark: true, ..Options::default() },
     )
     .unwrap();
-    assert_eq!(count(there.path()), before);
-    // The next pull that may, tells it.
+    assert_eq!(fs::read_dir(&run).unwrap().count(), before);
+    // The next pull without this option writes the markers.
     pull_into(&mut connect(there.path()), here.path(), Options::default()).unwrap();
-    assert_eq!(count(there.path()), before + 3);
+    assert_eq!(fs::read_dir(&run).unwrap().count(), before + 3);
 }
 
-/// Takes nothing.
-struct Nobody;
+/// Fails the test when a file is sent.
+struct RefuseAll;
 
-impl Receive<BufferError> for Nobody {
-    fn start(&mut self, _from: u64, _length: u64) -> Result<(), BufferError> {
-        panic!("a file that is not there begins")
+impl FileSink<StoreError> for RefuseAll {
+    fn start(&mut self, _from: u64, _length: u64) -> Result<(), StoreError> {
+        panic!("the start of a file that does not exist")
     }
-    fn data(&mut self, _at: u64, _bytes: &[u8]) -> Result<(), BufferError> {
-        panic!("a file that is not there has data")
+    fn data(&mut self, _at: u64, _bytes: &[u8]) -> Result<(), StoreError> {
+        panic!("data of a file that does not exist")
     }
-    fn working(&mut self) -> Result<(), BufferError> {
+    fn comparing(&mut self) -> Result<(), StoreError> {
         Ok(())
     }
 }
 
 #[test]
-fn links_and_odd_files_in_a_buffer_are_not_there() {
-    let (there, here, secret) = (tempdir().unwrap(), tempdir().unwrap(), tempdir().unwrap());
+fn symbolic_links_and_special_files_are_not_listed() {
+    let there = tempdir().unwrap();
+    let here = tempdir().unwrap();
+    let secret = tempdir().unwrap();
     robot(there.path());
     robot(secret.path());
     let target = secret.path().join("monday/recording_0000.mcap");
@@ -208,7 +224,7 @@ fn links_and_odd_files_in_a_buffer_are_not_there() {
     assert!(made.success());
     let mut source = connect(there.path());
     let report = pull_into(&mut source, here.path(), Options::default()).unwrap();
-    assert_eq!(report.files, 4, "what robot() made and nothing else");
+    assert_eq!(report.files, 4, "only the files that robot() created");
     for name in [
         "recording_0000.mcap",
         "linked/recording_0000.mcap",
@@ -216,7 +232,7 @@ fn links_and_odd_files_in_a_buffer_are_not_there() {
         "etc/recording_0000.mcap",
     ] {
         let error = source
-            .fetch(&Name::parse(name).unwrap(), Have::nothing(), &mut Nobody)
+            .fetch(&Name::parse(name).unwrap(), LocalCopy::none(), &mut RefuseAll)
             .unwrap_err()
             .to_string();
         assert!(error.contains("refuses"), "{name}: {error}");
@@ -224,15 +240,16 @@ fn links_and_odd_files_in_a_buffer_are_not_there() {
 }
 
 #[test]
-fn two_pulls_at_once_into_one_place_are_one_too_many() {
-    let (there, here) = (tempdir().unwrap(), tempdir().unwrap());
+fn a_second_pull_into_the_same_directory_is_refused() {
+    let there = tempdir().unwrap();
+    let here = tempdir().unwrap();
     robot(there.path());
     let first =
         segment_store::pull::Destination::open(here.path(), &segment_store::pull::FileSystem)
             .unwrap();
     let error = pull_into(&mut connect(there.path()), here.path(), Options::default()).unwrap_err();
     assert!(
-        matches!(error, BufferError::Busy { .. }) && error.to_string().contains("another pull"),
+        matches!(error, StoreError::Busy { .. }) && error.to_string().contains("another pull"),
         "{error}"
     );
     drop(first);
@@ -240,7 +257,7 @@ fn two_pulls_at_once_into_one_place_are_one_too_many() {
 }
 
 #[test]
-fn a_source_that_is_not_there_is_named_with_the_way_out() {
+fn a_missing_source_is_an_error_with_a_way_out() {
     let error = Directory::open(std::path::Path::new("/no/such/buffer")).unwrap_err().to_string();
     assert!(error.contains("/no/such/buffer") && error.contains("give the directory"), "{error}");
 }

@@ -1,5 +1,5 @@
-//! A bag for ROS 2 holds what the recording holds, as a decoder that we did not write reads it.
-#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
+//! Export of runs as ROS 2 bags, read back with the decoder `re_cdr`, which is not part of this project.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its files has failed")]
 
 mod common;
 
@@ -11,7 +11,7 @@ use common::{robot, run_header, some_tick};
 use hal::{LaserScan, Pose2, Range, ScanGeometry, Twist2};
 use runtime::recording::{RecordedTick, RecordingWriter, SegmentHeader, Views};
 use segment_store::export::ros2;
-use segment_store::{BufferError, Kind};
+use segment_store::{ErrorKind, StoreError};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
@@ -83,19 +83,23 @@ struct Transform {
 type Messages = BTreeMap<String, Vec<Vec<u8>>>;
 
 fn decoded<T: DeserializeOwned>(messages: &Messages, topic: &str) -> Vec<T> {
-    let decode = |data: &Vec<u8>| {
-        // XCDR1, little-endian, no options.
-        let body = data.strip_prefix(&[0, 1, 0, 0]).unwrap();
-        let (message, length) = re_cdr::from_bytes::<T, re_cdr::LittleEndian>(body).unwrap();
-        assert_eq!(length, body.len(), "{topic}");
-        message
-    };
-    messages[topic].iter().map(decode).collect()
+    messages[topic].iter().map(|data| decode(data, topic)).collect()
+}
+
+fn decode<T: DeserializeOwned>(data: &[u8], topic: &str) -> T {
+    // The header of XCDR1, little-endian, without options.
+    let body = data.strip_prefix(&[0, 1, 0, 0]).unwrap();
+    let (message, length) = re_cdr::from_bytes::<T, re_cdr::LittleEndian>(body).unwrap();
+    assert_eq!(length, body.len(), "{topic}");
+    message
 }
 
 fn stamp(time_ns: u64, frame_id: &str) -> Header {
-    let (sec, nanosec) = ((time_ns / 1_000_000_000) as i32, (time_ns % 1_000_000_000) as u32);
-    Header { sec, nanosec, frame_id: frame_id.to_owned() }
+    Header {
+        sec: (time_ns / 1_000_000_000) as i32,
+        nanosec: (time_ns % 1_000_000_000) as u32,
+        frame_id: frame_id.to_owned(),
+    }
 }
 
 fn bag_of(folder: &Path) -> Messages {
@@ -112,38 +116,38 @@ fn bag_of(folder: &Path) -> Messages {
     messages
 }
 
-/// A turn that has everything, with a scan that has every kind of beam.
-fn full_tick(tick: u64) -> RecordedTick {
-    let mut turn = some_tick(tick);
+/// A tick with an image, a scan with every kind of beam, odometry and velocity.
+fn full_tick(number: u64) -> RecordedTick {
+    let mut tick = some_tick(number);
     let geometry = ScanGeometry { beams: 5, ..ScanGeometry::UTM_30LX };
     let ranges = vec![
         Range::Hit(1.25),
         Range::NoReturn,
         Range::TooNear,
         Range::Error,
-        Range::Hit(0.1 + tick as f32),
+        Range::Hit(0.1 + number as f32),
     ];
-    turn.scan = Some(LaserScan { time_ns: turn.time_ns + 7, geometry, ranges });
-    turn.wheel.twist = Twist2 { linear_mps: 0.3, angular_radps: -0.1 * tick as f64 };
-    turn
+    tick.scan = Some(LaserScan { time_ns: tick.time_ns + 7, geometry, ranges });
+    tick.wheel.twist = Twist2 { linear_mps: 0.3, angular_radps: -0.1 * number as f64 };
+    tick
 }
 
-fn recorded(dir: &Path, turns: &[RecordedTick]) -> std::path::PathBuf {
-    let header = SegmentHeader::new(run_header(), 0, turns[0].tick, turns[0].time_ns);
+fn recorded(dir: &Path, ticks: &[RecordedTick]) -> std::path::PathBuf {
+    let header = SegmentHeader::new(run_header(), 0, ticks[0].tick, ticks[0].time_ns);
     let mut writer = RecordingWriter::begin(Vec::new(), header).unwrap();
-    turns.iter().for_each(|turn| writer.write(turn, &Views::default()).unwrap());
+    ticks.iter().for_each(|tick| writer.write(tick, &Views::default()).unwrap());
     let path = dir.join("recording_0000.mcap");
     fs::write(&path, writer.finish().map_err(|(_, error)| error).unwrap()).unwrap();
     path
 }
 
 #[test]
-fn every_picture_scan_and_pose_comes_back_as_it_was_recorded() {
+fn every_image_scan_and_pose_is_exported_as_recorded() {
     let dir = tempfile::tempdir().unwrap();
-    let turns: Vec<_> = (13..25).map(full_tick).collect();
+    let ticks: Vec<_> = (13..25).map(full_tick).collect();
     let to = dir.path().join("bag");
-    let bagged = ros2(&[recorded(dir.path(), &turns)], &to).unwrap();
-    assert_eq!((bagged.pictures, bagged.scans, bagged.messages), (12, 12, 12 * 5 + 1));
+    let bagged = ros2(&[recorded(dir.path(), &ticks)], &to).unwrap();
+    assert_eq!((bagged.images, bagged.scans, bagged.messages), (12, 12, 12 * 5 + 1));
     let messages = bag_of(&to);
     let images: Vec<Image> = decoded(&messages, "/camera/image");
     let infos: Vec<CameraInfo> = decoded(&messages, "/camera/camera_info");
@@ -152,16 +156,17 @@ fn every_picture_scan_and_pose_comes_back_as_it_was_recorded() {
     let transforms: Vec<Vec<Transform>> = decoded(&messages, "/tf");
     assert!(
         [images.len(), infos.len(), scans.len(), odometry.len(), transforms.len()]
-            == [turns.len(); 5]
+            == [ticks.len(); 5]
     );
     let camera = run_header().camera;
-    for (at, turn) in turns.iter().enumerate() {
-        let (image, picture) = (&images[at], turn.frame.as_ref().unwrap());
-        assert_eq!(image.header, stamp(turn.time_ns, "camera_optical"));
+    for (at, tick) in ticks.iter().enumerate() {
+        let image = &images[at];
+        let frame = tick.frame.as_ref().unwrap();
+        assert_eq!(image.header, stamp(tick.time_ns, "camera_optical"));
         assert_eq!((image.width, image.height, image.step), (16, 12, 48));
         assert_eq!(
             (image.encoding.as_str(), image.is_bigendian, &image.data),
-            ("rgb8", 0, &picture.rgb)
+            ("rgb8", 0, &frame.rgb)
         );
 
         let info = &infos[at];
@@ -176,7 +181,8 @@ fn every_picture_scan_and_pose_comes_back_as_it_was_recorded() {
         );
         assert_eq!((info.p[0], info.p[6], info.p[10]), (camera.fx, camera.cy, 1.0));
 
-        let (scan, of) = (&scans[at], turn.scan.as_ref().unwrap());
+        let scan = &scans[at];
+        let of = tick.scan.as_ref().unwrap();
         assert_eq!(scan.header, stamp(of.time_ns, "laser"));
         let geometry = of.geometry;
         assert_eq!((scan.angle_min, scan.limits), (geometry.angle_min_rad as f32, (0.1, 30.0)));
@@ -187,21 +193,22 @@ fn every_picture_scan_and_pose_comes_back_as_it_was_recorded() {
         assert_eq!(scan.ranges[..3], [1.25, f32::INFINITY, f32::NEG_INFINITY]);
         assert!(
             scan.ranges[3].is_nan()
-                && scan.ranges[4] == 0.1 + turn.tick as f32
+                && scan.ranges[4] == 0.1 + tick.tick as f32
                 && scan.intensities.is_empty()
         );
 
-        let (odom, pose) = (&odometry[at], turn.wheel.odom.to_pose3());
+        let odom = &odometry[at];
+        let pose = tick.wheel.odom.to_pose3();
         assert_eq!(
             (&odom.header, odom.child_frame_id.as_str()),
-            (&stamp(turn.wheel.time_ns, "odom"), "base_link")
+            (&stamp(tick.wheel.time_ns, "odom"), "base_link")
         );
-        assert_eq!(odom.position, [turn.wheel.odom.x_m, turn.wheel.odom.y_m, 0.0]);
+        assert_eq!(odom.position, [tick.wheel.odom.x_m, tick.wheel.odom.y_m, 0.0]);
         assert_eq!(
             odom.orientation,
             [pose.rotation.i, pose.rotation.j, pose.rotation.k, pose.rotation.w]
         );
-        assert_eq!((odom.linear[0], odom.angular[2]), (0.3, -0.1 * turn.tick as f64));
+        assert_eq!((odom.linear[0], odom.angular[2]), (0.3, -0.1 * tick.tick as f64));
 
         let transform = &transforms[at][0];
         assert_eq!(
@@ -213,7 +220,7 @@ fn every_picture_scan_and_pose_comes_back_as_it_was_recorded() {
 }
 
 #[test]
-fn where_the_sensors_are_mounted_is_said_once_to_whoever_asks_late() {
+fn sensor_mounts_are_latched_static_transforms() {
     let dir = tempfile::tempdir().unwrap();
     let to = dir.path().join("bag");
     ros2(&[recorded(dir.path(), &[full_tick(0), full_tick(1)])], &to).unwrap();
@@ -234,7 +241,7 @@ fn where_the_sensors_are_mounted_is_said_once_to_whoever_asks_late() {
 }
 
 #[test]
-fn a_run_of_several_segments_is_one_bag_and_what_is_cut_is_said() {
+fn several_segments_become_one_bag_and_cut_ones_are_counted() {
     let dir = tempfile::tempdir().unwrap();
     robot(dir.path());
     let segments: Vec<_> = (0..3)
@@ -243,42 +250,43 @@ fn a_run_of_several_segments_is_one_bag_and_what_is_cut_is_said() {
     let last = fs::read(&segments[2]).unwrap();
     fs::write(&segments[2], &last[..last.len() / 2]).unwrap();
     let bagged = ros2(&segments, &dir.path().join("bag")).unwrap();
-    assert!(bagged.cut == 1 && (60..80).contains(&bagged.pictures), "{bagged:?}");
+    assert!(bagged.cut == 1 && (60..80).contains(&bagged.images), "{bagged:?}");
     let images: Vec<Image> = decoded(&bag_of(&dir.path().join("bag")), "/camera/image");
     assert!(images.windows(2).all(|pair| (pair[0].header.sec, pair[0].header.nanosec)
         < (pair[1].header.sec, pair[1].header.nanosec)));
 }
 
 #[test]
-fn silent_wheels_are_no_odometry_and_a_pose_that_is_none_is_left_out() {
+fn repeated_wheel_feedback_and_non_finite_poses_are_left_out() {
     let dir = tempfile::tempdir().unwrap();
-    let mut turns = vec![full_tick(0), full_tick(1), full_tick(2)];
-    turns[1].wheel = turns[0].wheel;
-    turns[2].wheel.odom = Pose2 { x_m: f64::NAN, ..Pose2::IDENTITY };
-    let bagged = ros2(&[recorded(dir.path(), &turns)], &dir.path().join("bag")).unwrap();
+    let mut ticks = vec![full_tick(0), full_tick(1), full_tick(2)];
+    ticks[1].wheel = ticks[0].wheel;
+    ticks[2].wheel.odom = Pose2 { x_m: f64::NAN, ..Pose2::IDENTITY };
+    let bagged = ros2(&[recorded(dir.path(), &ticks)], &dir.path().join("bag")).unwrap();
     let messages = bag_of(&dir.path().join("bag"));
     assert_eq!((messages["/odom"].len(), messages["/tf"].len(), bagged.without_pose), (1, 1, 1));
     assert_eq!(messages["/scan"].len(), 3);
 }
 
 #[test]
-fn nothing_is_written_over_and_a_file_that_is_no_recording_leaves_nothing_behind() {
+fn nothing_is_overwritten_and_a_failed_bag_leaves_nothing_behind() {
     let dir = tempfile::tempdir().unwrap();
-    let (segment, to) = (recorded(dir.path(), &[full_tick(0)]), dir.path().join("bag"));
+    let segment = recorded(dir.path(), &[full_tick(0)]);
+    let to = dir.path().join("bag");
     ros2(std::slice::from_ref(&segment), &to).unwrap();
-    assert!(matches!(ros2(&[segment], &to), Err(BufferError::Exists { .. })));
+    assert!(matches!(ros2(&[segment], &to), Err(StoreError::Exists { .. })));
     let text = dir.path().join("text.mcap");
     fs::write(&text, "no recording").unwrap();
     let refused = ros2(&[text], &dir.path().join("other")).unwrap_err();
-    assert_eq!(refused.kind(), Kind::Usage, "{refused}");
+    assert_eq!(refused.kind(), ErrorKind::Usage, "{refused}");
     assert!(!dir.path().join("other").exists() && !dir.path().join("other.partial").exists());
 }
 
 #[test]
-fn a_time_that_ros_cannot_hold_is_refused_and_said() {
+fn a_time_that_ros_cannot_represent_is_an_error() {
     let dir = tempfile::tempdir().unwrap();
-    let mut turn = full_tick(0);
-    turn.time_ns = 3_000_000_000 * 1_000_000_000;
-    let refused = ros2(&[recorded(dir.path(), &[turn])], &dir.path().join("bag")).unwrap_err();
+    let mut tick = full_tick(0);
+    tick.time_ns = 3_000_000_000 * 1_000_000_000;
+    let refused = ros2(&[recorded(dir.path(), &[tick])], &dir.path().join("bag")).unwrap_err();
     assert!(refused.to_string().contains("68 years"), "{refused}");
 }

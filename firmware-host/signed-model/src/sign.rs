@@ -1,26 +1,26 @@
-//! Making keys and signatures: on the workstation, never on the robot.
+//! Key generation and signing, for the workstation only.
 
-use std::fs::{File, OpenOptions};
-use std::io::Write;
+use std::fs::OpenOptions;
+use std::io::{self, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-use minisign::{KeyPair, SecretKey, SecretKeyBox};
+use minisign::{KeyPair, PError, SecretKey, SecretKeyBox};
 
-use crate::verify::comment_of;
-use crate::{BundleError, is_name};
+use crate::BundleError;
+use crate::name::is_model_name;
+use crate::verify::signed_comment;
 
-/// Makes a key pair: the secret key into `secret` (readable by its owner alone), the public key into `SECRET.pub`. Returns the
-/// line for the robot's trusted keys. `None` as password: the key is not protected by one, and whoever reads the file signs.
+/// Generates a key pair and writes the secret key to `secret` (mode 0600) and the public key to `SECRET.pub`. Returns the line
+/// to add to the robot's trusted keys. With `None` as the password the key file is not encrypted: whoever can read it can sign.
 ///
 /// # Errors
-/// A file that is there already or cannot be written.
+/// When one of the files exists already or cannot be written.
 pub fn generate_keys(
     secret: &Path,
     password: Option<String>,
     comment: &str,
 ) -> Result<String, BundleError> {
-    let sign = |error: minisign::PError| BundleError::Sign { reason: error.to_string() };
     let public = public_path(secret);
     if let Some(path) = [secret, &public].into_iter().find(|path| path.exists()) {
         return Err(BundleError::KeyExists { path: path.to_owned() });
@@ -29,17 +29,17 @@ pub fn generate_keys(
         None => KeyPair::generate_unencrypted_keypair(),
         some => KeyPair::generate_encrypted_keypair(some),
     };
-    let KeyPair { pk, sk } = pair.map_err(sign)?;
-    write_new(
-        secret,
-        0o600,
-        &sk.to_box(Some("embodied-depth secret key")).map_err(sign)?.to_string(),
-    )?;
-    write_new(&public, 0o644, &pk.to_box().map_err(sign)?.to_string())?;
+    let KeyPair { pk, sk } = pair.map_err(cannot_sign)?;
+    let secret_box = sk.to_box(Some("embodied-depth secret key")).map_err(cannot_sign)?;
+    write_new(secret, 0o600, &secret_box.to_string())?;
+    write_new(&public, 0o644, &pk.to_box().map_err(cannot_sign)?.to_string())?;
     Ok(format!("{} {comment}", pk.to_base64()).trim_end().to_owned())
 }
 
-/// Where the public key to a secret key lies.
+fn cannot_sign(error: PError) -> BundleError {
+    BundleError::Sign { reason: error.to_string() }
+}
+
 fn public_path(secret: &Path) -> PathBuf {
     let mut path = secret.as_os_str().to_owned();
     path.push(".pub");
@@ -47,52 +47,59 @@ fn public_path(secret: &Path) -> PathBuf {
 }
 
 fn write_new(path: &Path, mode: u32, text: &str) -> Result<(), BundleError> {
-    let open = || -> std::io::Result<File> {
-        OpenOptions::new().write(true).create_new(true).mode(mode).open(path)
-    };
-    let written =
-        open().and_then(|mut file| file.write_all(text.as_bytes()).and_then(|()| file.sync_all()));
-    written.map_err(|reason| BundleError::File { what: "write", path: path.to_owned(), reason })
+    try_write_new(path, mode, text).map_err(|reason| BundleError::File {
+        what: "write",
+        path: path.to_owned(),
+        reason,
+    })
 }
 
-/// Reads a secret key as [`generate_keys`] or `minisign -G` writes it (with a password: the checksum that `minisign -G -W` 0.11 writes
-/// is not what the crate expects). `password` is asked for only where the key has one.
+fn try_write_new(path: &Path, mode: u32, text: &str) -> io::Result<()> {
+    let mut file = OpenOptions::new().write(true).create_new(true).mode(mode).open(path)?;
+    file.write_all(text.as_bytes())?;
+    file.sync_all()
+}
+
+/// Reads a secret key as [`generate_keys`] or `minisign -G` writes it. One exception: the crate rejects the checksum that
+/// `minisign -G -W` 0.11 writes for keys with a password. `password` is called only when the key is encrypted.
 ///
 /// # Errors
-/// A file that cannot be read or is no secret key, or a wrong password.
+/// When the file cannot be read or is not a secret key, or the password is wrong.
 pub fn read_secret_key(
     path: &Path,
-    password: impl FnOnce() -> std::io::Result<String>,
+    password: impl FnOnce() -> io::Result<String>,
 ) -> Result<SecretKey, BundleError> {
-    let file = |reason| BundleError::File { what: "read", path: path.to_owned(), reason };
-    let refused = |error: minisign::PError| BundleError::SecretKey {
-        path: path.to_owned(),
-        reason: error.to_string(),
-    };
-    let text = std::fs::read(path).map_err(file)?;
-    let text = String::from_utf8(text).map_err(|_| BundleError::SecretKey {
-        path: path.to_owned(),
-        reason: "it is not text".to_owned(),
-    })?;
-    let boxed = || SecretKeyBox::from_string(&text).map_err(refused);
-    if let Ok(key) = boxed()?.into_unencrypted_secret_key() {
+    let unreadable = |reason| BundleError::File { what: "read", path: path.to_owned(), reason };
+    let bytes = std::fs::read(path).map_err(unreadable)?;
+    let text = String::from_utf8(bytes).map_err(|_| unusable(path, "it is not text"))?;
+    if let Ok(key) = parse_box(&text, path)?.into_unencrypted_secret_key() {
         return Ok(key);
     }
-    let password = password().map_err(file)?;
-    boxed()?.into_secret_key(Some(password)).map_err(refused)
+    let password = password().map_err(unreadable)?;
+    parse_box(&text, path)?
+        .into_secret_key(Some(password))
+        .map_err(|error| unusable(path, &error.to_string()))
 }
 
-/// The text of `NAME.onnx.minisig` for a model.
+fn parse_box(text: &str, path: &Path) -> Result<SecretKeyBox, BundleError> {
+    SecretKeyBox::from_string(text).map_err(|error| unusable(path, &error.to_string()))
+}
+
+fn unusable(path: &Path, reason: &str) -> BundleError {
+    BundleError::SecretKey { path: path.to_owned(), reason: reason.to_owned() }
+}
+
+/// Signs a model and returns the contents of `NAME.onnx.minisig`.
 ///
 /// # Errors
-/// A name that cannot be a model's, or a key that cannot sign.
+/// When `name` cannot be a model's name, or the key cannot sign.
 pub fn sign(model: &[u8], name: &str, key: &SecretKey) -> Result<String, BundleError> {
-    if !is_name(name) {
+    if !is_model_name(name) {
         return Err(BundleError::Name { name: name.to_owned() });
     }
-    let comment = comment_of(name, model);
+    let comment = signed_comment(name, model);
     let untrusted = "signature of an embodied-depth model";
     minisign::sign(None, key, model, Some(&comment), Some(untrusted))
         .map(|signature| signature.to_string())
-        .map_err(|error| BundleError::Sign { reason: error.to_string() })
+        .map_err(cannot_sign)
 }

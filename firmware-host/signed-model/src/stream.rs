@@ -1,31 +1,30 @@
-//! A bundle in memory: from two files, or from the one stream in which it travels.
+//! A model and its signature in memory, read from two files or from one stream.
 //!
-//! The stream is the line `embodied-depth bundle 1`, the line `NAME MODEL_BYTES SIGNATURE_BYTES`, then the model's bytes and
-//! the signature's. Sizes are checked before anything is read or allocated.
+//! The stream consists of the line `embodied-depth bundle 1`, the line `NAME MODEL_BYTES SIGNATURE_BYTES`, the bytes of the
+//! model and the bytes of the signature. Sizes are checked before anything is read or allocated.
 
 use std::ffi::OsString;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
-use crate::{BundleError, is_name};
+use crate::BundleError;
+use crate::name::is_model_name;
 
-/// Largest model that is taken: the largest network of the trainer has 100 MiB.
+/// Largest model that is accepted. The trainer's largest network has 100 MiB.
 pub const MAX_MODEL_BYTES: u64 = 512 << 20;
-/// Largest signature file; minisign's own have some 300 bytes.
+/// Largest signature that is accepted. Those that minisign writes have about 300 bytes.
 pub const MAX_SIGNATURE_BYTES: u64 = 4096;
 
 const MAGIC: &str = "embodied-depth bundle 1";
-const LONGEST_LINE: u64 = 128;
+const MAX_LINE_LEN: u64 = 128;
 
-/// A model and its signature, of which nothing has been checked yet.
+/// A model and its signature, neither of which has been verified yet.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Bundle {
     /// File name without `.onnx`.
     pub name: String,
-    /// Bytes of the ONNX file.
     pub model: Vec<u8>,
-    /// Text of the signature file.
     pub signature: String,
 }
 
@@ -36,7 +35,7 @@ impl std::fmt::Debug for Bundle {
 }
 
 impl Bundle {
-    /// Where the signature of a model's file lies: beside it, with `.minisig` behind the name.
+    /// The path of a model's signature: the model's path with `.minisig` appended.
     #[must_use]
     pub fn signature_path(model: &Path) -> PathBuf {
         let mut path = OsString::from(model);
@@ -44,14 +43,14 @@ impl Bundle {
         path.into()
     }
 
-    /// The name of a model by that of its file.
+    /// The model's name: the name of its file without `.onnx`.
     ///
     /// # Errors
-    /// [`BundleError::Name`].
+    /// [`BundleError::Name`] when that is not a valid name.
     pub fn name_of(model: &Path) -> Result<String, BundleError> {
         let name = model.file_name().unwrap_or_default().to_string_lossy();
         let name = name.strip_suffix(".onnx").unwrap_or(&name);
-        if is_name(name) {
+        if is_model_name(name) {
             Ok(name.to_owned())
         } else {
             Err(BundleError::Name { name: name.to_owned() })
@@ -61,7 +60,7 @@ impl Bundle {
     /// Reads `NAME.onnx` and the signature beside it.
     ///
     /// # Errors
-    /// A file that is missing, cannot be read or is too large.
+    /// When a file is missing, cannot be read or is too large.
     pub fn read_files(model: &Path) -> Result<Self, BundleError> {
         let signature_path = Self::signature_path(model);
         let name = Self::name_of(model)?;
@@ -75,10 +74,10 @@ impl Bundle {
         Ok(Self { name, model: bytes, signature: as_text(signature)? })
     }
 
-    /// Reads what [`write_stream`](Self::write_stream) wrote.
+    /// Reads a bundle that [`write_stream`](Self::write_stream) wrote.
     ///
     /// # Errors
-    /// A stream that breaks off, is no bundle or is too large.
+    /// When the stream ends early, is not a bundle or announces too large a size.
     pub fn read_stream(stream: impl Read) -> Result<Self, BundleError> {
         let mut stream = BufReader::new(stream);
         let magic = read_line(&mut stream)?;
@@ -87,17 +86,15 @@ impl Bundle {
         }
         let line = read_line(&mut stream)?;
         let (name, model_bytes, signature_bytes) =
-            sizes(&line).ok_or_else(|| BundleError::NoBundle { found: line.clone() })?;
+            parse_header(&line).ok_or_else(|| BundleError::NoBundle { found: line.clone() })?;
         let model = read_exactly(&mut stream, "model", model_bytes, MAX_MODEL_BYTES)?;
         let signature =
             read_exactly(&mut stream, "signature", signature_bytes, MAX_SIGNATURE_BYTES)?;
         Ok(Self { name, model, signature: as_text(signature)? })
     }
 
-    /// Writes the bundle as one stream.
-    ///
     /// # Errors
-    /// What the system says.
+    /// When the stream cannot be written.
     pub fn write_stream(&self, mut stream: impl Write) -> io::Result<()> {
         let Self { name, model, signature } = self;
         write!(stream, "{MAGIC}\n{name} {} {}\n", model.len(), signature.len())?;
@@ -112,17 +109,18 @@ fn as_text(signature: Vec<u8>) -> Result<String, BundleError> {
         .map_err(|error| BundleError::SignatureForm { reason: error.to_string() })
 }
 
-fn sizes(line: &str) -> Option<(String, u64, u64)> {
+fn parse_header(line: &str) -> Option<(String, u64, u64)> {
     let mut words = line.split(' ');
-    let (name, model, signature) =
-        (words.next()?, words.next()?.parse().ok()?, words.next()?.parse().ok()?);
-    (is_name(name) && words.next().is_none()).then(|| (name.to_owned(), model, signature))
+    let name = words.next()?;
+    let model = words.next()?.parse().ok()?;
+    let signature = words.next()?.parse().ok()?;
+    (is_model_name(name) && words.next().is_none()).then(|| (name.to_owned(), model, signature))
 }
 
 fn read_line(stream: &mut impl BufRead) -> Result<String, BundleError> {
     let mut line = Vec::new();
     stream
-        .take(LONGEST_LINE)
+        .take(MAX_LINE_LEN)
         .read_until(b'\n', &mut line)
         .map_err(|reason| BundleError::Stream { reason })?;
     if line.pop_if(|last| *last == b'\n').is_none() {
@@ -134,15 +132,15 @@ fn read_line(stream: &mut impl BufRead) -> Result<String, BundleError> {
 }
 
 fn read_file(path: &Path, what: &'static str, most: u64) -> Result<Vec<u8>, BundleError> {
-    let error = |reason| BundleError::File { what: "read", path: path.to_owned(), reason };
-    let file = File::open(path).map_err(error)?;
-    let bytes = file.metadata().map_err(error)?.len();
+    let unreadable = |reason| BundleError::File { what: "read", path: path.to_owned(), reason };
+    let file = File::open(path).map_err(unreadable)?;
+    let bytes = file.metadata().map_err(unreadable)?.len();
     if bytes > most {
         return Err(BundleError::TooLarge { what, bytes, most });
     }
     let mut read = Vec::new();
-    // A file may grow while it is read, and a device has no length.
-    file.take(most + 1).read_to_end(&mut read).map_err(error)?;
+    // The metadata is not enough: a file can grow while it is read, and a device reports no length.
+    file.take(most + 1).read_to_end(&mut read).map_err(unreadable)?;
     let bytes = read.len() as u64;
     if bytes > most { Err(BundleError::TooLarge { what, bytes, most }) } else { Ok(read) }
 }
@@ -156,7 +154,7 @@ fn read_exactly(
     if bytes > most {
         return Err(BundleError::TooLarge { what, bytes, most });
     }
-    // Grows with what comes, not with what was promised.
+    // The buffer grows with the bytes that arrive, so a false size allocates nothing.
     let mut read = Vec::new();
     stream.take(bytes).read_to_end(&mut read).map_err(|reason| BundleError::Stream { reason })?;
     if (read.len() as u64) < bytes {

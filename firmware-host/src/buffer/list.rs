@@ -7,11 +7,11 @@ use comfy_table::{CellAlignment, Table, presets::ASCII_MARKDOWN};
 use segment_store::{Catalogue, Entry, Pulled, State};
 use serde_json::{Value, json};
 
-use super::settle;
+use super::detect_unlocked;
 
 pub(super) fn run(dir: &Path, as_json: bool) -> Result<()> {
     let (root, mut catalogue) = Catalogue::open(dir)?;
-    settle(&root, &mut catalogue.entries);
+    detect_unlocked(&root, &mut catalogue.entries);
     if as_json {
         let entries: Vec<Value> = catalogue.entries.iter().map(value).collect();
         println!("{}", serde_json::to_string_pretty(&entries)?);
@@ -19,7 +19,7 @@ pub(super) fn run(dir: &Path, as_json: bool) -> Result<()> {
     }
     ensure!(
         !catalogue.entries.is_empty(),
-        "{} holds no recording_NNNN.mcap; give a directory with runs, or the --out directory of a run",
+        "{} contains no recording_NNNN.mcap; give a directory of runs, or the --out directory of one run",
         dir.display()
     );
     println!("{}", table(&catalogue));
@@ -34,7 +34,7 @@ pub(super) fn run(dir: &Path, as_json: bool) -> Result<()> {
 fn table(catalogue: &Catalogue) -> Table {
     let mut table = Table::new();
     table.load_preset(ASCII_MARKDOWN);
-    table.set_header(["segment", "size", "from", "to", "turns", "events", "state", "marks"]);
+    table.set_header(["segment", "size", "from", "to", "ticks", "events", "state", "marks"]);
     for entry in catalogue.runs().into_values().flatten() {
         table.add_row(cells(entry));
     }
@@ -47,21 +47,24 @@ fn table(catalogue: &Catalogue) -> Table {
 }
 
 fn cells(entry: &Entry) -> [String; 8] {
-    let seconds = |ns: Option<u64>| {
-        ns.map_or_else(|| "-".to_owned(), |ns| format!("{:.1} s", ns as f64 * 1e-9))
-    };
-    let count =
-        |number: Option<u64>| number.map_or_else(|| "-".to_owned(), |number| number.to_string());
     [
         entry.name.to_string(),
         megabytes(entry.bytes),
         seconds(entry.times.map(|times| times.first_ns)),
         seconds(entry.times.map(|times| times.last_ns)),
-        count(entry.turns),
+        count(entry.ticks),
         count(entry.events),
         entry.state.word().to_owned(),
         marks(entry).join(" "),
     ]
+}
+
+fn seconds(ns: Option<u64>) -> String {
+    ns.map_or_else(|| "-".to_owned(), |ns| format!("{:.1} s", ns as f64 * 1e-9))
+}
+
+fn count(number: Option<u64>) -> String {
+    number.map_or_else(|| "-".to_owned(), |number| number.to_string())
 }
 
 fn marks(entry: &Entry) -> Vec<&'static str> {
@@ -77,7 +80,7 @@ fn value(entry: &Entry) -> Value {
     json!({
         "name": entry.name.as_str(), "bytes": entry.bytes, "modified_ns": entry.modified_ns,
         "first_ns": entry.times.map(|times| times.first_ns), "last_ns": entry.times.map(|times| times.last_ns),
-        "turns": entry.turns, "events": entry.events,
+        "turns": entry.ticks, "events": entry.events,
         "state": match entry.state { State::Closed => "closed", State::Unindexed => "unindexed", State::Cut => "cut", State::Open => "open" },
         "keep": entry.keep, "pulled": entry.pulled_digest(),
     })

@@ -1,4 +1,4 @@
-//! `firmware-host buffer`: what the robot has recorded, and how it gets away.
+//! `firmware-host buffer`: lists, verifies, recovers, exports and serves recorded segments.
 
 mod list;
 
@@ -10,15 +10,15 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use segment_store::{
-    BufferError, Catalogue, Computer, Entry, Finding, Root, State, export, recover_file, verify,
+    Catalogue, CpuFeatures, Entry, Finding, Root, State, StoreError, export, recover_file, verify,
 };
 
 use crate::cli::{BufferArgs, BufferTask, ExportLayout};
 
-/// Does what was asked.
+/// Runs one of the subcommands.
 ///
 /// # Errors
-/// When the buffer cannot be read or the result not be written.
+/// When the segments cannot be read or the output cannot be written.
 pub fn run(args: &BufferArgs) -> Result<ExitCode> {
     match &args.task {
         BufferTask::List { dir, json } => list::run(dir, *json).map(|()| ExitCode::SUCCESS),
@@ -31,8 +31,9 @@ pub fn run(args: &BufferArgs) -> Result<ExitCode> {
     }
 }
 
-/// Tells what looks as if it were being written from what nobody writes on: a recorder holds a lock on its segment.
-fn settle(root: &Root, entries: &mut [Entry]) {
+/// Corrects the state of segments that were modified recently but that no recorder writes any more: a recorder holds a lock on
+/// its segment.
+fn detect_unlocked(root: &Root, entries: &mut [Entry]) {
     for entry in entries.iter_mut().filter(|entry| entry.state == State::Open) {
         let file = root.open_file(&entry.name);
         if file.is_ok_and(|file| file.try_lock_shared().is_ok()) {
@@ -41,8 +42,8 @@ fn settle(root: &Root, entries: &mut [Entry]) {
     }
 }
 
-/// The segments below a buffer, of a run, or the one file.
-fn segments(path: &Path) -> Result<(Root, Vec<Entry>), BufferError> {
+/// The segments of a directory of runs, of one run, or the one segment at `path`.
+fn segments(path: &Path) -> Result<(Root, Vec<Entry>), StoreError> {
     let is_file = path.is_file();
     let dir = if is_file {
         path.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."))
@@ -50,24 +51,25 @@ fn segments(path: &Path) -> Result<(Root, Vec<Entry>), BufferError> {
         path
     };
     let (root, catalogue) = Catalogue::open(dir)?;
-    let asked = |entry: &Entry| {
-        let file = entry.name.run().is_empty()
-            && path.file_name().is_some_and(|file| file == entry.name.file());
-        !is_file || file
-    };
-    let mut entries: Vec<Entry> = catalogue.entries.into_iter().filter(asked).collect();
-    settle(&root, &mut entries);
+    let mut entries = catalogue.entries;
+    if is_file {
+        entries.retain(|entry| {
+            entry.name.run().is_empty()
+                && path.file_name().is_some_and(|file| file == entry.name.file())
+        });
+    }
+    detect_unlocked(&root, &mut entries);
     if entries.is_empty() {
         let text = format!(
-            "{} holds no recording_NNNN.mcap; give a directory with runs, the --out directory of a run, or one segment",
+            "{} contains no recording_NNNN.mcap; give a directory of runs, the --out directory of one run, or one segment",
             path.display()
         );
-        return Err(BufferError::Usage(text));
+        return Err(StoreError::Usage(text));
     }
     Ok((root, entries))
 }
 
-/// Reads everything; exit code 1 unless all segments are whole.
+/// Verifies all checksums. The exit code is 1 unless all segments are whole.
 fn verify_all(path: &Path) -> Result<ExitCode> {
     let (root, entries) = segments(path)?;
     let mut bad = 0;
@@ -88,24 +90,29 @@ fn verify_all(path: &Path) -> Result<ExitCode> {
             !matches!(verified.finding, Finding::Whole | Finding::Unindexed)
                 && entry.state != State::Open,
         );
-        let until = verified
-            .last_ns
-            .map_or_else(String::new, |ns| format!(", until {:.3} s", ns as f64 * 1e-9));
         println!(
-            "{}: {found}; {} turns{until}; blake3 {}",
-            entry.name, verified.turns, verified.digest
+            "{}: {found}; {} ticks{}; blake3 {}",
+            entry.name,
+            verified.ticks,
+            until(verified.last_ns),
+            verified.digest
         );
     }
     if bad > 0 {
         println!(
-            "not whole: {bad} of {}; `buffer recover` keeps what is good of them",
+            "not whole: {bad} of {}; `buffer recover` keeps their intact chunks",
             entries.len()
         );
     }
     Ok(if bad == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Writes a whole segment for each that is not, into the same places below `out`.
+/// The end of a line about a segment whose last message is at `last_ns`.
+fn until(last_ns: Option<u64>) -> String {
+    last_ns.map_or_else(String::new, |ns| format!(", until {:.3} s", ns as f64 * 1e-9))
+}
+
+/// Writes a whole segment for every one that is cut, corrupt or without an index, under the same name below `out`.
 fn recover_all(path: &Path, out: &Path) -> Result<ExitCode> {
     let (root, entries) = segments(path)?;
     let mut recovered = 0;
@@ -115,24 +122,21 @@ fn recover_all(path: &Path, out: &Path) -> Result<ExitCode> {
         match verify(&file).with_context(|| format!("cannot read {}", entry.name))?.finding {
             Finding::Whole => continue,
             _ if entry.state == State::Open => {
-                println!("{}: still being written, left alone", entry.name);
+                println!("{}: still being written, skipped", entry.name);
                 continue;
             }
             _ => {}
         }
         let to = out.join(entry.name.as_str());
         std::fs::create_dir_all(to.parent().unwrap_or(out))
-            .with_context(|| format!("cannot make {}", out.display()))?;
+            .with_context(|| format!("cannot create {}", out.display()))?;
         let done = recover_file(&file, &root.path().join(entry.name.as_str()), &to)?;
         let lost = if done.bad_chunks > 0 {
-            format!(", {} broken chunks left out", done.bad_chunks)
+            format!(", {} corrupt chunks dropped", done.bad_chunks)
         } else {
             String::new()
         };
-        let end = done
-            .last_ns
-            .map_or_else(String::new, |ns| format!(", until {:.3} s", ns as f64 * 1e-9));
-        println!("{}: {} turns{end}{lost}", to.display(), done.turns);
+        println!("{}: {} ticks{}{lost}", to.display(), done.ticks, until(done.last_ns));
         recovered += 1;
     }
     println!("{recovered} recovered, {} whole or being written", entries.len() - recovered);
@@ -144,7 +148,7 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
     if let Some(other) = entries.iter().find(|entry| entry.name.run() != entries[0].name.run()) {
         let first = entries[0].name.run();
         bail!(
-            "{} holds several runs ({first:?}, {:?}, ...); give the directory of one",
+            "{} contains several runs ({first:?}, {:?}, ...); give the directory of one",
             path.display(),
             other.name.run()
         );
@@ -153,16 +157,16 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
         entries.iter().map(|entry| root.path().join(entry.name.as_str())).collect();
     match layout {
         ExportLayout::Mcap => {
-            let done = export::joined(&files, out)?;
-            println!("{}: {} turns, {} messages", out.display(), done.turns, done.messages);
+            let done = export::mcap(&files, out)?;
+            println!("{}: {} ticks, {} messages", out.display(), done.ticks, done.messages);
         }
         ExportLayout::Ros2 => {
             let done = export::ros2(&files, out)?;
             println!(
-                "{}: {} messages, of these {} pictures and {} scans; {} turns had no pose",
+                "{}: {} messages, of these {} images and {} scans; {} ticks had no pose",
                 out.display(),
                 done.messages,
-                done.pictures,
+                done.images,
                 done.scans,
                 done.without_pose
             );
@@ -170,9 +174,9 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
         ExportLayout::Tum => {
             let done = export::tum(&files, out)?;
             println!(
-                "{}: {} pictures, {} left out without a pose",
+                "{}: {} images, {} left out without a pose",
                 out.display(),
-                done.pictures,
+                done.images,
                 done.without_pose
             );
         }
@@ -180,7 +184,7 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
         ExportLayout::Lerobot => {
             let done = export::lerobot(&files, out)?;
             println!(
-                "{}: {} episodes, {} pictures, {} left out without odometry or a command",
+                "{}: {} episodes, {} images, {} left out without odometry or a command",
                 out.display(),
                 done.episodes,
                 done.frames,
@@ -194,11 +198,11 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
 fn serve(dir: &Path) -> Result<()> {
     let root = Root::open(dir)?;
     let mut input = std::io::stdin().lock();
-    // Not Rust's own stdout, which looks for line ends in pictures. Pieces of data are larger than this buffer and pass it by.
+    // Not Rust's own stdout, which searches the data for line ends. Pieces of data are larger than this buffer and bypass it.
     let stdout =
         File::from(std::io::stdout().as_fd().try_clone_to_owned().context("stdout is closed")?);
     let mut output = BufWriter::with_capacity(64 << 10, stdout);
-    segment_store::serve(&root, Computer::this(), &mut input, &mut output)
-        .context("the connection broke off")?;
-    output.flush().context("the connection broke off")
+    segment_store::serve(&root, CpuFeatures::detect(), &mut input, &mut output)
+        .context("the connection broke")?;
+    output.flush().context("the connection broke")
 }

@@ -1,5 +1,6 @@
 //! The command line of models.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -7,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand};
 use runtime::model_gate::{Examination, GateLimits, Verdict};
 use serde_json::json;
-use signed_model::{Bundle, TrustedKeys, generate_keys};
+use signed_model::{Bundle, TrustedKeys};
 
 use super::{ChildLimits, Gate, Outcome, Store, examine};
 use crate::config::Config;
@@ -44,8 +45,13 @@ pub enum ModelCommand {
     Verify(VerifyArgs),
     /// Go back to the model before the current one, or to coarse depth when there is none.
     Rollback(RollbackArgs),
-    /// Make a key pair that signs models, and print the line for the robot's trusted keys.
-    Keygen(KeygenArgs),
+    /// Fails with a hint: signing keys are made on the workstation, and this program cannot sign.
+    #[command(hide = true)]
+    Keygen {
+        /// Ignored.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<OsString>,
+    },
     /// What `install` starts to run a model for the first time.
     #[command(hide = true)]
     Examine(ExamineArgs),
@@ -94,16 +100,6 @@ pub struct RollbackArgs {
     pub why: String,
 }
 
-/// Arguments of `model keygen`.
-#[derive(Debug, Args)]
-pub struct KeygenArgs {
-    /// File for the secret key; the public key goes into FILE.pub.
-    pub key: PathBuf,
-    /// Who this is, for the list of trusted keys.
-    #[arg(long, default_value = "")]
-    pub comment: String,
-}
-
 /// Arguments of `model examine`. The model that nobody has run yet comes on standard input.
 #[derive(Debug, Clone, Args)]
 pub struct ExamineArgs {
@@ -143,6 +139,11 @@ pub fn run(args: &ModelArgs) -> Result<ExitCode> {
         let examine = ExamineArgs { config: args.config.clone(), ..examine.clone() };
         return examine::run(&examine).map(|()| ExitCode::SUCCESS);
     }
+    if let ModelCommand::Keygen { .. } = &args.command {
+        bail!(
+            "`model keygen` was removed: a signing key does not belong on a robot; run `push-model keygen FILE` on the workstation"
+        );
+    }
     let config = config_path.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
     match &args.command {
         ModelCommand::Install(install) => self::install(args, install, config_path, &config),
@@ -151,15 +152,7 @@ pub fn run(args: &ModelArgs) -> Result<ExitCode> {
         ModelCommand::Rollback(rollback) => {
             roll_back(&mut open(args, &config)?, &rollback.why, args.json)
         }
-        ModelCommand::Keygen(keygen) => {
-            println!("{}", generate_keys(&keygen.key, None, &keygen.comment)?);
-            eprintln!(
-                "Put this line into the robot's trusted keys. {} signs: keep it off the robot.",
-                keygen.key.display()
-            );
-            Ok(ExitCode::SUCCESS)
-        }
-        ModelCommand::Examine(_) => Ok(ExitCode::FAILURE),
+        ModelCommand::Examine(_) | ModelCommand::Keygen { .. } => Ok(ExitCode::FAILURE),
     }
 }
 

@@ -1,5 +1,5 @@
-//! Serves a directory on stdin and stdout as `firmware-host buffer serve DIR` does, so that tests of this package need not
-//! build that program. `--without-aes` in front: on a computer that has none.
+//! Serves a directory on standard input and output like `firmware-host buffer serve DIR`, so that the tests of this package need
+//! not build that program. With `--without-aes` it reports a processor without AES.
 
 use std::io::{BufWriter, Write};
 
@@ -10,10 +10,10 @@ fn main() {
         std::process::exit(1);
     });
     let mut output = BufWriter::new(std::io::stdout().lock());
-    // A workstation that was killed is no error of this side.
-    let computer = segment_store::Computer {
+    let cpu = segment_store::CpuFeatures {
         aes: !std::env::args().any(|argument| argument == "--without-aes"),
     };
-    let _ = segment_store::serve(&root, computer, &mut std::io::stdin().lock(), &mut output)
+    // An error means that the workstation was killed, which the tests do on purpose.
+    let _ = segment_store::serve(&root, cpu, &mut std::io::stdin().lock(), &mut output)
         .and_then(|()| output.flush());
 }

@@ -1,4 +1,4 @@
-//! `pull-buffer`: see `pull-buffer --help` and docs/pull-buffer.md.
+//! Copies recorded segments from robots; see `pull-buffer --help` and docs/pull-buffer.md.
 #![forbid(unsafe_code)]
 
 mod options;
@@ -15,14 +15,14 @@ use monotonic_clock::MonotonicClock;
 use options::Options;
 use progress::Display;
 use robot::{Outcome, Robot};
-use segment_store::source::{Place, Spec};
-use segment_store::{BufferError, Kind};
+use segment_store::source::{Location, Spec};
+use segment_store::{ErrorKind, StoreError};
 
-/// Something failed that needs a person.
+/// An error that needs the operator's attention.
 const FAILED: u8 = 1;
-/// What was asked for cannot be. As clap has it.
+/// Invalid arguments; the same code as clap uses.
 const MISUSED: u8 = 2;
-/// Only links failed: the same command later goes on where this one ended (`EX_TEMPFAIL` of sysexits).
+/// Only links failed, and the same command resumes later (`EX_TEMPFAIL` of sysexits).
 const TRY_AGAIN: u8 = 75;
 
 fn main() -> ExitCode {
@@ -36,26 +36,27 @@ fn main() -> ExitCode {
     }
 }
 
-fn code_of(error: &BufferError) -> u8 {
+fn code_of(error: &StoreError) -> u8 {
     match error.kind() {
-        Kind::Link => TRY_AGAIN,
-        Kind::Usage => MISUSED,
-        Kind::Disk | Kind::Refused => FAILED,
+        ErrorKind::Link => TRY_AGAIN,
+        ErrorKind::Usage => MISUSED,
+        ErrorKind::Disk | ErrorKind::Refused => FAILED,
     }
 }
 
-/// One thread for every robot; the worst exit code of all.
-fn run(options: &Options) -> Result<u8, BufferError> {
+/// Pulls from every source in a thread of its own. Returns the most serious exit code.
+fn run(options: &Options) -> Result<u8, StoreError> {
     let specs = specs(options)?;
     let display = Display::new(options.json);
     let worst = Mutex::new(0);
     std::thread::scope(|scope| {
         for spec in &specs {
-            let (display, worst) = (&display, &worst);
+            let display = &display;
+            let worst = &worst;
             scope.spawn(move || {
                 let code = follow(&mut Robot::new(spec, options), options, display);
                 if let Ok(mut worst) = worst.lock() {
-                    // Trying again later helps only where nothing else is wrong.
+                    // Retrying later helps only when nothing else is wrong.
                     *worst =
                         if *worst == 0 || *worst == TRY_AGAIN && code != 0 { code } else { *worst };
                 }
@@ -65,7 +66,7 @@ fn run(options: &Options) -> Result<u8, BufferError> {
     Ok(worst.into_inner().unwrap_or(FAILED))
 }
 
-fn specs(options: &Options) -> Result<Vec<Spec>, BufferError> {
+fn specs(options: &Options) -> Result<Vec<Spec>, StoreError> {
     let specs =
         options.sources().iter().map(|text| Spec::parse(text)).collect::<Result<Vec<_>, _>>()?;
     for (at, spec) in specs.iter().enumerate() {
@@ -74,24 +75,24 @@ fn specs(options: &Options) -> Result<Vec<Spec>, BufferError> {
                 "two sources are called {:?}; write NAME=SOURCE to tell them apart",
                 spec.name
             );
-            return Err(BufferError::Usage(text));
+            return Err(StoreError::Usage(text));
         }
-        if let (Some(to), Place::Store(from)) = (options.store(), &spec.place) {
+        if let (Some(to), Location::ObjectStore(from)) =
+            (options.destination_store(), &spec.location)
+        {
             let text = format!(
-                "{from} to {to}: use rclone or the stores' own programs from one store to another"
+                "{from} to {to}: cannot copy from one object store to another; use rclone or the store's own program"
             );
-            return Err(BufferError::Usage(text));
+            return Err(StoreError::Usage(text));
         }
     }
-    if let (Some(to), Some(_)) = (options.store(), options.layout) {
-        return Err(BufferError::Usage(format!(
-            "{to}: another layout can only be written into a directory"
-        )));
+    if let (Some(to), Some(_)) = (options.destination_store(), options.layout) {
+        return Err(StoreError::Usage(format!("{to}: --as can only write into a directory")));
     }
     Ok(specs)
 }
 
-/// Pulls once, or again and again; the exit code.
+/// Pulls once or, with --follow, repeatedly. Returns the exit code.
 fn follow(robot: &mut Robot<'_>, options: &Options, display: &Display) -> u8 {
     let mut clock = MonotonicClock;
     loop {
@@ -99,13 +100,13 @@ fn follow(robot: &mut Robot<'_>, options: &Options, display: &Display) -> u8 {
         display.outcome(robot.spec(), &outcome, options.follow);
         match (&outcome, options.follow) {
             (Outcome { error: Some(error), .. }, false) => return code_of(error),
-            // A robot that is away comes back; a refusal stays one.
+            // A robot that was reached before may come back; one that never answered is not waited for.
             (Outcome { error: Some(error), .. }, true)
-                if error.kind() != Kind::Link && !robot.has_been_reached() =>
+                if error.kind() != ErrorKind::Link && !robot.has_been_reached() =>
             {
                 return code_of(error);
             }
-            (Outcome { error: Some(error), .. }, true) if error.kind() == Kind::Disk => {
+            (Outcome { error: Some(error), .. }, true) if error.kind() == ErrorKind::Disk => {
                 return FAILED;
             }
             (_, false) => return 0,

@@ -6,78 +6,84 @@ use clap::{Parser, ValueEnum};
 use segment_store::pull::Order;
 use segment_store::source::is_store;
 
-/// Brings what robots recorded to this computer: over the system's ssh, from a mounted directory or out of an object store. Goes
-/// on at the byte where it was interrupted, verifies every segment by its digest, and never reads again what is here. Where DEST is
-/// an object store, puts them there, from a robot's own directory or over ssh.
+/// Copies recorded segments from one or more robots to this computer.
 ///
-/// Exit codes: 0 everything is here; 1 something needs a person; 2 wrong arguments; 75 only the link failed, the same command
-/// goes on from there.
+/// Each SOURCE is [user@]host:path (reached with the system's ssh), a directory, or an object store (s3://, gs://, az://). The
+/// last argument, DEST, is a directory. It can also be an object store; the segments are then uploaded.
+///
+/// An interrupted transfer resumes at the byte where it stopped. Every segment is verified by its digest, and segments that are
+/// already in DEST are not read again.
+///
+/// Exit codes: 0 all segments are in DEST; 1 an error that needs attention; 2 invalid arguments; 75 only the link failed, and the
+/// same command resumes the transfer.
 #[derive(Debug, Parser)]
 #[command(name = "pull-buffer", version, override_usage = "pull-buffer [OPTIONS] SOURCE... DEST")]
 pub struct Options {
-    /// One or more [user@]host:path, directories or object stores (s3://, gs://, az://), then the destination: a directory, or
-    /// an object store. Each source goes into DEST/HOST (or DEST/ and the last part of the directory or address); NAME=SOURCE chooses another name.
-    #[arg(required = true, num_args = 2.., value_name = "PLACE")]
+    /// One or more sources, then the destination.
+    ///
+    /// The segments of a source are written to DEST/NAME. NAME is the host or the last component of the directory or URL; write
+    /// NAME=SOURCE to choose another one.
+    #[arg(required = true, num_args = 2.., value_name = "SOURCE... DEST")]
     places: Vec<String>,
-    /// Go on pulling what is recorded from now on, until interrupted. A segment comes when the robot has closed it, at most a
-    /// minute after it began.
+    /// Keep pulling new segments until interrupted.
+    ///
+    /// A segment is pulled when the robot has closed it, at most one minute after it was started.
     #[arg(long)]
     pub follow: bool,
-    /// Seconds between two looks with --follow.
-    #[arg(long, default_value_t = 5, value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(1..=3600))]
+    /// With --follow, list the segments of each source every NUM seconds.
+    #[arg(long, default_value_t = 5, value_name = "NUM", value_parser = clap::value_parser!(u64).range(1..=3600))]
     pub every_s: u64,
-    /// One JSON object a line on stdout instead of words.
+    /// Print one JSON object per line to standard output.
     #[arg(long)]
     pub json: bool,
-    /// Not faster than this, each source: 5MB/s, 500k, 2MiB.
+    /// Limit the transfer rate of each source, such as 5MB/s, 500k or 2MiB.
     #[arg(long, value_name = "RATE", value_parser = parse_rate)]
     pub limit: Option<u64>,
-    /// What comes first.
-    #[arg(long, value_enum, default_value_t = OrderArg::Oldest)]
+    /// The order in which segments are pulled.
+    #[arg(long, value_enum, default_value_t = OrderArg::Oldest, value_name = "ORDER")]
     order: OrderArg,
-    /// Also write every run in another layout, to DEST/HOST/LAYOUT/RUN.
-    #[arg(long = "as", value_enum, conflicts_with = "follow", value_name = "LAYOUT")]
+    /// Also export every run in another format, to DEST/NAME/FORMAT/RUN.
+    #[arg(long = "as", value_enum, conflicts_with = "follow", value_name = "FORMAT")]
     pub layout: Option<Layout>,
-    /// Do not tell the robot what is safe here, so that it does not delete it before the rest.
+    /// Do not tell the robot which segments were copied.
+    ///
+    /// By default the robot writes a .pulled marker beside each copied segment, and its quota deletes marked segments first.
     #[arg(long)]
     pub no_mark: bool,
-    /// firmware-host on the robot, when it is not in the path there.
+    /// The command that runs firmware-host on the robot.
     #[arg(long, default_value = "firmware-host", value_name = "COMMAND")]
     pub remote_command: String,
-    /// An argument for ssh, as it is: --ssh-option=-p2222 --ssh-option=-i/path/to/key. May be given several times.
-    #[arg(long = "ssh-option", value_name = "ARGUMENT", allow_hyphen_values = true)]
+    /// Pass an argument to ssh, such as --ssh-option=-p2222 or --ssh-option=-i/path/to/key. Can be given several times.
+    #[arg(long = "ssh-option", value_name = "ARG", allow_hyphen_values = true)]
     pub ssh_options: Vec<String>,
-    /// The link counts as dead when nothing comes for so many seconds.
-    #[arg(long, default_value_t = 60, value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(1..=3600))]
+    /// Treat the link as dead when nothing is received for NUM seconds.
+    #[arg(long, default_value_t = 60, value_name = "NUM", value_parser = clap::value_parser!(u64).range(1..=3600))]
     pub stall_s: u64,
-    /// How often a link that broke is made again, without --follow.
-    #[arg(long, default_value_t = 3, value_name = "TIMES")]
+    /// Reconnect up to NUM times after the link broke. With --follow there is no limit.
+    #[arg(long, default_value_t = 3, value_name = "NUM")]
     pub retries: u32,
 }
 
 impl Options {
-    /// Everything but the last place.
     pub fn sources(&self) -> &[String] {
         self.places.split_last().map_or(&[], |(_, sources)| sources)
     }
 
-    /// The last place.
     pub fn destination(&self) -> &Path {
         self.places.last().map_or(Path::new("."), Path::new)
     }
 
-    /// The last place, when it is an object store.
-    pub fn store(&self) -> Option<&str> {
+    /// The destination, if it is an object store.
+    pub fn destination_store(&self) -> Option<&str> {
         self.places.last().map(String::as_str).filter(|place| is_store(place))
     }
 
-    /// Where a source's files go.
+    /// The directory that the segments of a source are written to.
     pub fn directory_of(&self, name: &str) -> PathBuf {
         self.destination().join(name)
     }
 
-    /// How the library wants it.
-    pub fn pull(&self) -> segment_store::pull::Options {
+    pub fn pull_options(&self) -> segment_store::pull::Options {
         let order = match self.order {
             OrderArg::Oldest => Order::Oldest,
             OrderArg::Newest => Order::Newest,
@@ -87,28 +93,28 @@ impl Options {
     }
 }
 
-/// What comes first.
+/// The values of --order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum OrderArg {
-    /// As it was recorded.
+    /// Oldest segments first.
     Oldest,
-    /// The other way round.
+    /// Newest segments first.
     Newest,
-    /// Segments that are marked to be kept, then those with the most events for their size.
+    /// Segments with a .keep marker first, then those with the most events per byte.
     Valuable,
 }
 
-/// Layouts that can be written besides.
+/// The values of --as.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Layout {
-    /// The TUM RGB-D benchmark's: rgb.txt, groundtruth.txt from odometry, dataset.toml.
+    /// The format of the TUM RGB-D benchmark, with poses from odometry.
     Tum,
-    /// LeRobot's, version 3.0: Parquet with pictures, odometry and commands.
+    /// A LeRobot dataset, format 3.0: images, odometry and sent commands in Parquet files.
     #[cfg(feature = "lerobot")]
     Lerobot,
 }
 
-/// Bytes a second.
+/// Parses a rate in bytes per second.
 fn parse_rate(text: &str) -> Result<u64, String> {
     let bare = text.trim().trim_end_matches("/s");
     let digits = bare.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(bare.len());
@@ -125,7 +131,9 @@ fn parse_rate(text: &str) -> Result<u64, String> {
     };
     match number.parse::<f64>().map(|number| number * factor) {
         Ok(rate) if (1000.0..1e12).contains(&rate) => Ok(rate as u64),
-        _ => Err(format!("`{text}` is no rate from 1kB/s to 1000GB/s, such as 5MB/s or 500k")),
+        _ => {
+            Err(format!("`{text}` is not a rate between 1kB/s and 1000GB/s, such as 5MB/s or 500k"))
+        }
     }
 }
 
@@ -140,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_are_read_as_people_write_them() {
+    fn rates_are_parsed_with_and_without_units() {
         for (text, rate) in [
             ("5MB/s", 5_000_000),
             ("500k", 500_000),
@@ -156,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_place_is_the_destination() {
+    fn the_last_argument_is_the_destination() {
         let options = Options::parse_from(["pull-buffer", "a:/x", "b:/y", "dest"]);
         assert_eq!(
             (options.sources(), options.destination()),

@@ -1,16 +1,16 @@
-//! What a person sees, or a program reads.
+//! Output for operators (progress bars or lines) and for programs (JSON).
 
 use std::io::{IsTerminal, Write};
 
 use indicatif::{HumanBytes, MultiProgress, ProgressBar, ProgressStyle};
-use segment_store::pull::Watch;
+use segment_store::pull::Progress;
 use segment_store::source::Spec;
 use segment_store::{Digest, Name};
 use serde_json::json;
 
 use crate::robot::Outcome;
 
-/// Where everything is shown: bars on a terminal, a line for each file elsewhere, JSON on stdout.
+/// Shows progress bars on a terminal, otherwise one line per file, and prints JSON to standard output.
 pub struct Display {
     bars: Option<MultiProgress>,
     json: bool,
@@ -21,7 +21,7 @@ impl Display {
         Self { bars: std::io::stderr().is_terminal().then(MultiProgress::new), json }
     }
 
-    /// A bar for one source.
+    /// Creates the bar of one source.
     pub fn bar(&self, name: &str) -> Bar {
         let bar = self.bars.as_ref().map(|bars| {
             let template =
@@ -33,7 +33,7 @@ impl Display {
         Bar { bar, name: name.to_owned(), json: self.json }
     }
 
-    /// The result of one pull. While following, one that brought nothing is not worth a line.
+    /// Shows the result of one pull. With --follow, pulls without new files are not shown.
     pub fn outcome(&self, spec: &Spec, outcome: &Outcome, follow: bool) {
         let Outcome { report, exported, error } = outcome;
         if follow && report.files == 0 && error.is_none() {
@@ -41,7 +41,7 @@ impl Display {
         }
         if self.json {
             let line = json!({
-                "event": "pulled", "source": spec.name, "place": spec.place.to_string(), "files": report.files,
+                "event": "pulled", "source": spec.name, "place": spec.location.to_string(), "files": report.files,
                 "bytes": report.bytes, "there": report.there, "open": report.open, "cut": report.cut,
                 "unmarked": report.unmarked, "exported": exported,
                 "error": error.as_ref().map(ToString::to_string),
@@ -49,14 +49,14 @@ impl Display {
             print_line(&line);
         }
         let mut words = vec![format!(
-            "{} new ({}), {} here already",
+            "{} new ({}), {} already here",
             report.files,
             HumanBytes(report.bytes),
             report.there
         )];
         let counts = [
             (report.open, "still being written"),
-            (report.cut, "without their end: firmware-host buffer recover makes them whole"),
+            (report.cut, "cut off: repair them with firmware-host buffer recover"),
             (report.unmarked, "not marked as pulled on the robot"),
             (*exported, "exported"),
         ];
@@ -67,7 +67,7 @@ impl Display {
                 .map(|(count, what)| format!("{count} {what}")),
         );
         if report.files + report.there + report.open == 0 {
-            words = vec![format!("nothing is recorded in {} yet", spec.place)];
+            words = vec![format!("no recordings in {} yet", spec.location)];
         }
         match error {
             Some(error) => self.say(&format!("{}: error: {error}", spec.name)),
@@ -78,13 +78,13 @@ impl Display {
     fn say(&self, line: &str) {
         match &self.bars {
             Some(bars) => drop(bars.println(line)),
-            // Nobody may be reading; a pull does not end for that.
+            // A closed standard error does not end a pull.
             None => drop(writeln!(std::io::stderr(), "{line}")),
         }
     }
 }
 
-/// One source's progress.
+/// Shows the progress of one source.
 pub struct Bar {
     bar: Option<ProgressBar>,
     name: String,
@@ -92,7 +92,7 @@ pub struct Bar {
 }
 
 impl Bar {
-    /// A line of words.
+    /// Shows a line of text.
     pub fn say(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.println(format!("{}: {text}", self.name)),
@@ -109,7 +109,7 @@ impl Drop for Bar {
     }
 }
 
-impl Watch for Bar {
+impl Progress for Bar {
     fn planned(&mut self, _files: u64, bytes: u64, done: u64) {
         if let Some(bar) = &self.bar {
             bar.set_length(bytes);
@@ -118,20 +118,20 @@ impl Watch for Bar {
         }
     }
 
-    fn begins(&mut self, name: &Name, _bytes: u64, have: u64) {
+    fn file_started(&mut self, name: &Name, _bytes: u64, have: u64) {
         if let Some(bar) = &self.bar {
             bar.inc(have);
             bar.set_message(name.to_string());
         }
     }
 
-    fn arrived(&mut self, bytes: u64) {
+    fn received(&mut self, bytes: u64) {
         if let Some(bar) = &self.bar {
             bar.inc(bytes);
         }
     }
 
-    fn complete(&mut self, name: &Name, digest: &Digest) {
+    fn file_completed(&mut self, name: &Name, digest: &Digest) {
         if self.json {
             print_line(
                 &json!({"event": "file", "source": self.name, "file": name.as_str(), "digest": digest}),
@@ -141,12 +141,12 @@ impl Watch for Bar {
         }
     }
 
-    fn warns(&mut self, text: &str) {
+    fn warning(&mut self, text: &str) {
         self.say(&format!("warning: {text}"));
     }
 }
 
 fn print_line(value: &serde_json::Value) {
-    // A reader that is gone is no reason to stop pulling.
+    // A closed standard output does not end a pull.
     let _ = writeln!(std::io::stdout(), "{value}");
 }

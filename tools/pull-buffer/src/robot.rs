@@ -1,37 +1,37 @@
-//! One robot: connects, pulls, tries again.
+//! Pulling from one source, with reconnection.
 
 use std::path::{Path, PathBuf};
 
 use hal::Clock;
 use monotonic_clock::MonotonicClock;
 use segment_store::pull::{Destination, FileSystem, Report, pull};
-use segment_store::source::{Directory, Place, Source, Spec, Ssh, SshOptions};
-use segment_store::{BufferError, Kind};
+use segment_store::source::{Directory, Location, Source, Spec, Ssh, SshOptions};
+use segment_store::{ErrorKind, StoreError};
 
 use crate::options::{Layout, Options};
 use crate::progress::{Bar, Display};
 use crate::store::Bucket;
 
-/// What came of a pull.
+/// The result of a pull, including all its retries.
 pub struct Outcome {
-    /// All tries together.
     pub report: Report,
-    /// Runs that were written in another layout.
+    /// The number of runs that were exported.
     pub exported: u64,
-    /// Why it ended early.
-    pub error: Option<BufferError>,
+    /// The error that ended the pull early.
+    pub error: Option<StoreError>,
 }
 
-/// One source.
+/// One source and the state of its connection.
 pub struct Robot<'a> {
     spec: &'a Spec,
     options: &'a Options,
-    /// Kept while it works, also between two looks.
+    /// The connection. With --follow it is kept between pulls, as long as it works.
     source: Option<Box<dyn Source>>,
-    /// Where it goes, when that is no directory.
+    /// The destination, if it is an object store.
     store: Option<Bucket>,
+    /// The source has answered at least once.
     reached: bool,
-    /// A link broke: perhaps the connection that an earlier call left open, so the next one is its own.
+    /// The link broke. The reason may be a shared connection that an earlier call left open, so the next one is not shared.
     broke: bool,
 }
 
@@ -44,12 +44,12 @@ impl<'a> Robot<'a> {
         self.spec
     }
 
-    /// Whether it ever answered.
+    /// Whether the source has ever answered.
     pub fn has_been_reached(&self) -> bool {
         self.reached
     }
 
-    /// Pulls what is there; a link that breaks is made again some times.
+    /// Pulls all new segments and reconnects up to `--retries` times when the link breaks.
     pub fn pull(&mut self, display: &Display, clock: &mut MonotonicClock) -> Outcome {
         let mut bar = display.bar(&self.spec.name);
         let mut outcome = Outcome { report: Report::default(), exported: 0, error: None };
@@ -65,7 +65,7 @@ impl<'a> Robot<'a> {
             };
             self.source = None;
             self.broke = true;
-            if error.kind() != Kind::Link || tries_left == 0 {
+            if error.kind() != ErrorKind::Link || tries_left == 0 {
                 outcome.error = Some(error);
                 return outcome;
             }
@@ -88,10 +88,11 @@ impl<'a> Robot<'a> {
         &mut self,
         bar: &mut Bar,
         clock: &mut MonotonicClock,
-    ) -> Result<Report, BufferError> {
-        let to_store = self.options.store();
+    ) -> Result<Report, StoreError> {
+        let to_store = self.options.destination_store();
         if let (Some(url), None) = (to_store, &self.store) {
-            self.store = Some(Bucket::open(url, self.options.stall_s)?.below(&self.spec.name));
+            self.store =
+                Some(Bucket::open(url, self.options.stall_s)?.with_subfolder(&self.spec.name));
         }
         let mut directory = match to_store {
             Some(_) => None,
@@ -105,16 +106,18 @@ impl<'a> Robot<'a> {
         let Some(source) = self.source.as_deref_mut() else { return Ok(Report::default()) };
         self.reached = true;
         match (&mut directory, &mut self.store) {
-            (Some(directory), _) => pull(source, directory, &self.options.pull(), clock, bar),
-            (None, Some(store)) => store.upload(source, &self.options.pull(), clock, bar),
+            (Some(directory), _) => {
+                pull(source, directory, &self.options.pull_options(), clock, bar)
+            }
+            (None, Some(store)) => store.upload(source, &self.options.pull_options(), clock, bar),
             (None, None) => Ok(Report::default()),
         }
     }
 
-    fn connect(&self) -> Result<Box<dyn Source>, BufferError> {
-        Ok(match &self.spec.place {
-            Place::Directory(path) => Box::new(Directory::open(path)?),
-            Place::Ssh { host, path } => {
+    fn connect(&self) -> Result<Box<dyn Source>, StoreError> {
+        Ok(match &self.spec.location {
+            Location::Directory(path) => Box::new(Directory::open(path)?),
+            Location::Ssh { host, path } => {
                 let options = SshOptions {
                     arguments: self.options.ssh_options.clone(),
                     remote_command: self.options.remote_command.clone(),
@@ -124,12 +127,12 @@ impl<'a> Robot<'a> {
                 };
                 Box::new(Ssh::connect(host, path, &options)?)
             }
-            Place::Store(url) => Box::new(Bucket::open(url, self.options.stall_s)?),
+            Location::ObjectStore(url) => Box::new(Bucket::open(url, self.options.stall_s)?),
         })
     }
 
-    /// Writes the runs that have no export yet.
-    fn export(&self, layout: Layout, bar: &mut Bar) -> Result<u64, BufferError> {
+    /// Exports the runs that have not been exported yet. Returns their number.
+    fn export(&self, layout: Layout, bar: &mut Bar) -> Result<u64, StoreError> {
         let dir = self.options.directory_of(&self.spec.name);
         let (root, catalogue) = segment_store::Catalogue::open(&dir)?;
         let mut exported = 0;
@@ -141,8 +144,8 @@ impl<'a> Robot<'a> {
             }
             let segments: Vec<_> =
                 entries.iter().map(|entry| root.path().join(entry.name.as_str())).collect();
-            let pictures = layout.write(&segments, &to)?;
-            bar.say(&format!("{}: {pictures} pictures", to.display()));
+            let images = layout.export(&segments, &to)?;
+            bar.say(&format!("{}: {images} images", to.display()));
             exported += 1;
         }
         Ok(exported)
@@ -150,7 +153,7 @@ impl<'a> Robot<'a> {
 }
 
 impl Layout {
-    /// Below the destination.
+    /// The directory below the destination.
     fn folder(self) -> &'static str {
         match self {
             Self::Tum => "tum",
@@ -159,10 +162,10 @@ impl Layout {
         }
     }
 
-    /// Writes a run; how many pictures it has.
-    fn write(self, segments: &[PathBuf], to: &Path) -> Result<u64, BufferError> {
+    /// Exports a run. Returns the number of its images.
+    fn export(self, segments: &[PathBuf], to: &Path) -> Result<u64, StoreError> {
         match self {
-            Self::Tum => segment_store::export::tum(segments, to).map(|done| done.pictures),
+            Self::Tum => segment_store::export::tum(segments, to).map(|done| done.images),
             #[cfg(feature = "lerobot")]
             Self::Lerobot => segment_store::export::lerobot(segments, to).map(|done| done.frames),
         }

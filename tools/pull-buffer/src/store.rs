@@ -1,33 +1,32 @@
-//! Object stores, where this program was built with them.
+//! Object stores, if this program was built with the feature `object-store`.
 
 #[cfg(feature = "object-store")]
 pub use segment_store::bucket::Bucket;
 #[cfg(not(feature = "object-store"))]
-pub use without::Bucket;
+pub use unsupported::Bucket;
 
 #[cfg(not(feature = "object-store"))]
-mod without {
+mod unsupported {
     use hal::Clock;
-    use segment_store::pull::{Options, Report, Watch};
+    use segment_store::pull::{Options, Progress, Report};
     use segment_store::source::Source;
-    use segment_store::{BufferError, Digest, Entry, Have, Name, Receive};
+    use segment_store::{Digest, Entry, FileSink, LocalCopy, Name, StoreError};
 
-    /// Cannot be opened.
-    #[allow(dead_code, reason = "there is none")]
+    /// Stands for an object store; opening one is an error.
+    #[allow(dead_code, reason = "never constructed")]
     pub struct Bucket;
 
-    fn without() -> BufferError {
-        let text =
-            "this program was built without object stores; build it with --features object-store";
-        BufferError::Usage(text.to_owned())
+    fn unsupported() -> StoreError {
+        let text = "this program was built without support for object stores; build it with --features object-store";
+        StoreError::Usage(text.to_owned())
     }
 
     impl Bucket {
-        pub fn open(_url: &str, _stall_s: u64) -> Result<Self, BufferError> {
-            Err(without())
+        pub fn open(_url: &str, _stall_s: u64) -> Result<Self, StoreError> {
+            Err(unsupported())
         }
 
-        pub fn below(self, _name: &str) -> Self {
+        pub fn with_subfolder(self, _name: &str) -> Self {
             self
         }
 
@@ -36,28 +35,28 @@ mod without {
             _source: &mut dyn Source,
             _options: &Options,
             _clock: &mut dyn Clock,
-            _watch: &mut dyn Watch,
-        ) -> Result<Report, BufferError> {
-            Err(without())
+            _watch: &mut dyn Progress,
+        ) -> Result<Report, StoreError> {
+            Err(unsupported())
         }
     }
 
     impl Source for Bucket {
-        fn list(&mut self) -> Result<Vec<Entry>, BufferError> {
-            Err(without())
+        fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
+            Err(unsupported())
         }
 
         fn fetch(
             &mut self,
             _name: &Name,
-            _have: Have,
-            _to: &mut dyn Receive<BufferError>,
-        ) -> Result<Option<Digest>, BufferError> {
-            Err(without())
+            _local: LocalCopy,
+            _to: &mut dyn FileSink<StoreError>,
+        ) -> Result<Option<Digest>, StoreError> {
+            Err(unsupported())
         }
 
-        fn mark_pulled(&mut self, _name: &Name, _digest: &Digest) -> Result<(), BufferError> {
-            Err(without())
+        fn mark_pulled(&mut self, _name: &Name, _digest: &Digest) -> Result<(), StoreError> {
+            Err(unsupported())
         }
     }
 }

@@ -1,14 +1,20 @@
-//! `pull-buffer` and the robot's side, killed at random moments over real ssh. `KILLS` says how often.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+//! Kills `pull-buffer` and the robot's side at random times over real ssh. The environment variable `KILLS` sets the number of
+//! kills.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot set up its files has failed"
+)]
 
 mod common;
 
 use std::fs::{self, File};
 use std::path::Path;
 use std::process::{Child, Stdio};
-use std::time::Instant;
+use std::time::{Instant, SystemTime};
 
-use common::{Server, assert_same, robot, serving, words};
+use common::{Server, assert_same, robot, serving, stderr_of};
 use hil::kills::{self, Moments};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
@@ -16,10 +22,10 @@ use tempfile::tempdir;
 
 const SEGMENTS: u64 = 4;
 const BYTES: usize = 1 << 20;
-/// Slow enough that most kills come in the middle of something.
+/// Slow enough that most kills happen during a transfer.
 const LIMIT: &str = "--limit=10MB/s";
 
-/// What is here of every segment: nothing of it may ever be wrong, and a `.part` is how far its segment came.
+/// The number of bytes of every segment that are here, after checking that none of them is wrong.
 fn have(robot: &Path, here: &Path) -> [u64; SEGMENTS as usize] {
     std::array::from_fn(|number| {
         let file = format!("run/recording_{number:04}.mcap");
@@ -27,11 +33,11 @@ fn have(robot: &Path, here: &Path) -> [u64; SEGMENTS as usize] {
         let here = here.join("robot").join(&file);
         match (fs::read(&here), fs::read(here.with_extension("mcap.part"))) {
             (Ok(whole), _) => {
-                assert!(whole == original, "{file} has its name and is not whole");
+                assert!(whole == original, "{file} has its final name but is not complete");
                 whole.len() as u64
             }
             (Err(_), Ok(part)) => {
-                assert!(original.starts_with(&part), "{file}: what came is not what was sent");
+                assert!(original.starts_with(&part), "{file}: the part differs from what was sent");
                 part.len() as u64
             }
             (Err(_), Err(_)) => 0,
@@ -39,7 +45,7 @@ fn have(robot: &Path, here: &Path) -> [u64; SEGMENTS as usize] {
     })
 }
 
-/// Pulls to the end: brings exactly what was missing, and leaves nothing behind.
+/// Pulls to the end, and checks that exactly the missing bytes are transferred and no temporary file is left.
 fn completes(server: &Server, robot: &Path, here: &Path) {
     let missing = SEGMENTS * BYTES as u64 + (0..SEGMENTS).sum::<u64>()
         - have(robot, here).iter().sum::<u64>();
@@ -50,28 +56,26 @@ fn completes(server: &Server, robot: &Path, here: &Path) {
         let name = entry.unwrap().file_name().into_string().unwrap();
         assert!(name.ends_with(".mcap"), "{name} is left over");
     }
-    let marked = |number| robot.join(format!("run/recording_{number:04}.mcap.pulled")).exists();
-    assert!((0..SEGMENTS).all(marked), "the robot does not know what it may delete");
+    for number in 0..SEGMENTS {
+        let marker = robot.join(format!("run/recording_{number:04}.mcap.pulled"));
+        assert!(marker.exists(), "{} is missing", marker.display());
+    }
 }
 
 fn report(server: &Server, robot: &Path, here: &Path) -> Value {
     let output = server.pull(robot, here).arg("--json").output().unwrap();
-    assert!(output.status.success(), "{}", words(&output));
+    assert!(output.status.success(), "{}", stderr_of(&output));
     serde_json::from_str(String::from_utf8(output.stdout).unwrap().lines().last().unwrap()).unwrap()
 }
 
-/// Another pull reads no segment again: it does not even notice that one was changed behind everybody's back.
+/// Checks that another pull does not read any segment again: it does not notice changed contents with the same size and time.
 fn reads_nothing_again(server: &Server, robot: &Path, here: &Path) {
     let path = robot.join("run/recording_0001.mcap");
     let original = fs::read(&path).unwrap();
     let time = fs::metadata(&path).unwrap().modified().unwrap();
-    let write = |bytes: &[u8]| {
-        fs::write(&path, bytes).unwrap();
-        File::open(&path).unwrap().set_modified(time).unwrap();
-    };
-    write(&vec![7; original.len()]);
+    write_with_time(&path, &vec![7; original.len()], time);
     let report = report(server, robot, here);
-    write(&original);
+    write_with_time(&path, &original, time);
     assert_eq!(
         (&report["files"], &report["bytes"], &report["there"]),
         (&0.into(), &0.into(), &SEGMENTS.into())
@@ -79,10 +83,16 @@ fn reads_nothing_again(server: &Server, robot: &Path, here: &Path) {
     assert_same(robot, here, SEGMENTS);
 }
 
-/// The same for both ends of the link. `kill` ends the one that is meant, if it is there; whether it was.
+fn write_with_time(path: &Path, bytes: &[u8], time: SystemTime) {
+    fs::write(path, bytes).unwrap();
+    File::open(path).unwrap().set_modified(time).unwrap();
+}
+
+/// The test for either end of the link. `kill` kills that end and returns whether it was still running.
 fn killed_again_and_again(mut kill: impl FnMut(&mut Child, &Path) -> bool) {
-    let Some(server) = Server::start() else { return };
-    let (robot, here) = (robot(SEGMENTS, BYTES), tempdir().unwrap());
+    let server = Server::start();
+    let robot = robot(SEGMENTS, BYTES);
+    let here = tempdir().unwrap();
     let began = Instant::now();
     assert!(
         server
@@ -97,14 +107,15 @@ fn killed_again_and_again(mut kill: impl FnMut(&mut Child, &Path) -> bool) {
     let fresh = || {
         fs::remove_dir_all(here.path().join("robot")).unwrap();
         (0..SEGMENTS).for_each(|number| {
-            // Nor does the robot remember.
             let _ = fs::remove_file(
                 robot.path().join(format!("run/recording_{number:04}.mcap.pulled")),
             );
         });
     };
     fresh();
-    let (mut kills, mut rounds, mut before) = (0, 0, [0; SEGMENTS as usize]);
+    let mut kills = 0;
+    let mut rounds = 0;
+    let mut before = [0; SEGMENTS as usize];
     while kills < kills::wanted() {
         let mut child = server
             .pull(robot.path(), here.path())
@@ -122,15 +133,16 @@ fn killed_again_and_again(mut kill: impl FnMut(&mut Child, &Path) -> bool) {
             "{before:?}, then {now:?}"
         );
         before = now;
-        assert!(rounds <= 50 + kills, "it is through before it can be killed");
-        // Killed in one piece for some time, then through to the end.
+        assert!(rounds <= 50 + kills, "the program ends before it can be killed");
+        // After several kills in a row, one pull runs to the end.
         if killed && kills % 4 == 3 || now.iter().sum::<u64>() >= SEGMENTS * BYTES as u64 {
             completes(&server, robot.path(), here.path());
             if rounds == 0 {
                 reads_nothing_again(&server, robot.path(), here.path());
             }
             fresh();
-            (rounds, before) = (rounds + 1, [0; SEGMENTS as usize]);
+            rounds += 1;
+            before = [0; SEGMENTS as usize];
         }
     }
     completes(&server, robot.path(), here.path());
@@ -139,7 +151,8 @@ fn killed_again_and_again(mut kill: impl FnMut(&mut Child, &Path) -> bool) {
 }
 
 #[test]
-fn the_puller_killed_at_any_moment_goes_on_at_the_byte_and_nothing_wrong_is_left() {
+#[cfg_attr(not(has_sshd), ignore = "needs /usr/sbin/sshd")]
+fn a_puller_killed_at_any_time_resumes_at_the_byte_and_leaves_no_wrong_data() {
     killed_again_and_again(|child, _| {
         let ran = child.try_wait().unwrap().is_none();
         child.kill().unwrap();
@@ -148,16 +161,19 @@ fn the_puller_killed_at_any_moment_goes_on_at_the_byte_and_nothing_wrong_is_left
 }
 
 #[test]
-fn the_robots_side_killed_at_any_moment_the_next_pull_goes_on_at_the_byte() {
+#[cfg_attr(not(has_sshd), ignore = "needs /usr/sbin/sshd")]
+fn after_the_robots_side_is_killed_at_any_time_the_next_pull_resumes_at_the_byte() {
     killed_again_and_again(|_, robot| {
         serving_process(robot).is_some_and(|pid| kill_process(pid, Signal::KILL).is_ok())
     });
 }
 
 #[test]
-fn the_robots_side_killed_in_the_middle_the_puller_goes_on_by_itself() {
-    let Some(server) = Server::start() else { return };
-    let (robot, here) = (robot(SEGMENTS, BYTES), tempdir().unwrap());
+#[cfg_attr(not(has_sshd), ignore = "needs /usr/sbin/sshd")]
+fn a_puller_reconnects_after_the_robots_side_was_killed() {
+    let server = Server::start();
+    let robot = robot(SEGMENTS, BYTES);
+    let here = tempdir().unwrap();
     let mut child =
         server.pull(robot.path(), here.path()).arg(LIMIT).stderr(Stdio::null()).spawn().unwrap();
     let part = here.path().join("robot/run/recording_0001.mcap.part");
@@ -170,7 +186,7 @@ fn the_robots_side_killed_in_the_middle_the_puller_goes_on_by_itself() {
     assert_same(robot.path(), here.path(), SEGMENTS);
 }
 
-/// What serves this robot's buffer behind the ssh server.
+/// The process that serves this robot's store behind the ssh server.
 fn serving_process(robot: &Path) -> Option<Pid> {
     let wanted =
         [serving(), robot.to_owned()].map(|path| path.into_os_string().into_encoded_bytes());
@@ -178,7 +194,7 @@ fn serving_process(robot: &Path) -> Option<Pid> {
         let pid = entry.file_name().to_str()?.parse().ok()?;
         let line = fs::read(entry.path().join("cmdline")).ok()?;
         let words: Vec<_> = line.split(|byte| *byte == 0).collect();
-        // Not the shell that starts it.
+        // Not the shell that started it, whose first argument differs.
         (words.first() == Some(&&*wanted[0]) && words.contains(&&*wanted[1]))
             .then(|| Pid::from_raw(pid))
             .flatten()

@@ -1,6 +1,12 @@
-//! Into an object store, as a user does it: `file:///` is one, too. `KILLS` says how often an upload is killed.
+//! The program `pull-buffer` with an object store as destination, here a `file:///` URL. The environment variable `KILLS` sets how
+//! often an upload is killed.
 #![cfg(feature = "object-store")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot set up its files has failed"
+)]
 
 mod common;
 
@@ -9,7 +15,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-use common::{assert_same, robot, words};
+use common::{assert_same, robot, stderr_of};
 use hil::kills::{self, Moments};
 use segment_store::Digest;
 use tempfile::tempdir;
@@ -23,30 +29,33 @@ fn upload(robot: &Path, store: &Path) -> Command {
     command
 }
 
-/// What has a segment's name in the store is that segment, and what stands beside it is its digest; how many are there.
+/// Checks all objects in the store, and returns the number of segments that are complete and have their digest.
 fn complete(robot: &Path, store: &Path) -> u64 {
-    let is_there = |number: &u64| {
-        let file = format!("run/recording_{number:04}.mcap");
-        let (original, there) =
-            (fs::read(robot.join(&file)).unwrap(), store.join("robot").join(&file));
-        let whole = fs::read(&there)
-            .inspect(|bytes| assert!(*bytes == original, "{file} has its name and is not whole"));
-        let digest = fs::read_to_string(there.with_extension("mcap.blake3"));
-        if let Ok(digest) = &digest {
-            assert!(digest.starts_with(&Digest::of(&original).to_string()), "{file}: {digest}");
-        }
-        assert!(
-            whole.is_ok() || !robot.join(format!("{file}.pulled")).exists(),
-            "{file} is marked and not there"
-        );
-        whole.is_ok() && digest.is_ok()
-    };
-    (0..SEGMENTS).filter(is_there).count() as u64
+    (0..SEGMENTS).filter(|number| is_complete(robot, store, *number)).count() as u64
+}
+
+fn is_complete(robot: &Path, store: &Path, number: u64) -> bool {
+    let file = format!("run/recording_{number:04}.mcap");
+    let original = fs::read(robot.join(&file)).unwrap();
+    let there = store.join("robot").join(&file);
+    let whole = fs::read(&there).inspect(|bytes| {
+        assert!(*bytes == original, "{file} has its final name but is not complete")
+    });
+    let digest = fs::read_to_string(there.with_extension("mcap.blake3"));
+    if let Ok(digest) = &digest {
+        assert!(digest.starts_with(&Digest::of(&original).to_string()), "{file}: {digest}");
+    }
+    assert!(
+        whole.is_ok() || !robot.join(format!("{file}.pulled")).exists(),
+        "{file} is marked but not in the store"
+    );
+    whole.is_ok() && digest.is_ok()
 }
 
 #[test]
-fn an_upload_killed_at_any_moment_leaves_whole_objects_and_the_next_one_completes_it() {
-    let (robot, dir) = (robot(SEGMENTS, BYTES), tempdir().unwrap());
+fn an_upload_killed_at_any_time_leaves_complete_objects_and_the_next_one_finishes() {
+    let robot = robot(SEGMENTS, BYTES);
+    let dir = tempdir().unwrap();
     let store = dir.path().join("store");
     let fresh = || {
         let _ = fs::remove_dir_all(&store);
@@ -58,7 +67,7 @@ fn an_upload_killed_at_any_moment_leaves_whole_objects_and_the_next_one_complete
         });
     };
     fresh();
-    // Slow enough that most kills come in the middle of something.
+    // Slow enough that most kills happen during a transfer.
     let slowly = || {
         upload(robot.path(), &store).arg("--limit=10MB/s").stderr(Stdio::null()).spawn().unwrap()
     };
@@ -66,7 +75,8 @@ fn an_upload_killed_at_any_moment_leaves_whole_objects_and_the_next_one_complete
     assert!(slowly().wait().unwrap().success());
     let mut moments = Moments::new(78, began.elapsed());
     fresh();
-    let (mut kills, mut rounds) = (0, 0);
+    let mut kills = 0;
+    let mut rounds = 0;
     while kills < kills::wanted() {
         let mut child = slowly();
         moments.wait(&mut child, || kills::listing(&store)).unwrap();
@@ -74,10 +84,10 @@ fn an_upload_killed_at_any_moment_leaves_whole_objects_and_the_next_one_complete
         child.kill().unwrap();
         child.wait().unwrap();
         let there = complete(robot.path(), &store);
-        assert!(rounds <= 50 + kills, "it is through before it can be killed");
+        assert!(rounds <= 50 + kills, "the program ends before it can be killed");
         if kills % 4 == 3 || there == SEGMENTS {
             let output = upload(robot.path(), &store).output().unwrap();
-            assert!(output.status.success(), "{}", words(&output));
+            assert!(output.status.success(), "{}", stderr_of(&output));
             assert_eq!(complete(robot.path(), &store), SEGMENTS);
             fresh();
             rounds += 1;
@@ -87,13 +97,15 @@ fn an_upload_killed_at_any_moment_leaves_whole_objects_and_the_next_one_complete
 }
 
 #[test]
-fn what_a_robot_put_into_a_store_a_workstation_gets_out_of_it() {
-    let (robot, dir) = (robot(SEGMENTS, 1000), tempdir().unwrap());
-    let (store, here) = (dir.path().join("store"), dir.path().join("here"));
+fn segments_uploaded_by_a_robot_are_pulled_by_a_workstation() {
+    let robot = robot(SEGMENTS, 1000);
+    let dir = tempdir().unwrap();
+    let store = dir.path().join("store");
+    let here = dir.path().join("here");
     fs::create_dir(&store).unwrap();
     for new in [SEGMENTS, 0] {
         let output = upload(robot.path(), &store).arg("--json").output().unwrap();
-        assert!(output.status.success(), "{}", words(&output));
+        assert!(output.status.success(), "{}", stderr_of(&output));
         let last = String::from_utf8(output.stdout).unwrap().lines().last().unwrap().to_owned();
         let report: serde_json::Value = serde_json::from_str(&last).unwrap();
         assert_eq!(
@@ -102,7 +114,7 @@ fn what_a_robot_put_into_a_store_a_workstation_gets_out_of_it() {
             "{report}"
         );
     }
-    // A segment without its end is left alone for half a minute: something else may still be copying it into the store.
+    // A segment without its end counts as still being written for half a minute.
     for number in 0..SEGMENTS {
         let object =
             fs::File::open(store.join(format!("robot/run/recording_{number:04}.mcap"))).unwrap();
@@ -111,6 +123,6 @@ fn what_a_robot_put_into_a_store_a_workstation_gets_out_of_it() {
     let from = format!("file://{}/robot", store.display());
     let output =
         Command::new(env!("CARGO_BIN_EXE_pull-buffer")).arg(from).arg(&here).output().unwrap();
-    assert!(output.status.success(), "{}", words(&output));
+    assert!(output.status.success(), "{}", stderr_of(&output));
     assert_same(robot.path(), &here, SEGMENTS);
 }

@@ -1,4 +1,4 @@
-//! `push-model`: signs a model, sends it to a robot over the system's own ssh, and shows what the robot's gate says.
+//! `push-model`: makes signing keys, signs models, and sends them to a robot over the system's ssh.
 #![forbid(unsafe_code)]
 
 mod target;
@@ -12,7 +12,7 @@ use clap::{Args, Parser, Subcommand};
 use signed_model::{Bundle, generate_keys, read_secret_key, sign};
 use target::Target;
 
-/// Sends a signed model to a robot.
+/// Send a signed model to a robot and show the result of the robot's gate.
 #[derive(Debug, Parser)]
 #[command(
     name = "push-model",
@@ -29,52 +29,53 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Task {
-    /// Make a key pair that signs models, and print the line for the robots' trusted keys.
+    /// Generate a key pair for signing models, and print the line to add to the robots' trusted keys.
     Keygen(KeygenArgs),
-    /// Write NAME.onnx.minisig beside NAME.onnx.
+    /// Sign NAME.onnx and write the signature to NAME.onnx.minisig.
     Sign(SignArgs),
 }
 
 #[derive(Debug, Args)]
 struct PushArgs {
-    /// NAME.onnx, with NAME.onnx.minisig beside it unless --key is given.
+    /// The model, NAME.onnx. Its signature must be beside it in NAME.onnx.minisig, unless --key is given.
     bundle: PathBuf,
-    /// [user@]host, [user@]host:STORE, or the folder of a store on this computer.
+    /// The robot as [user@]host or [user@]host:STORE, or the directory of a model store on this computer.
     target: String,
-    /// Secret key: signs the model first.
+    /// Sign the model with this secret key before sending it.
     #[arg(long, value_name = "FILE")]
     key: Option<PathBuf>,
-    /// The robot's program, as its shell takes it, such as "sudo -u embodied-depth firmware-host".
+    /// The command that runs firmware-host on the robot, such as "sudo -u embodied-depth firmware-host".
     #[arg(long, value_name = "COMMAND", default_value = "firmware-host")]
     program: String,
-    /// Passed on to ssh, such as -p2222. May be given more than once.
-    #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
+    /// Pass an argument to ssh, such as --ssh=-p2222. Can be given several times.
+    #[arg(long, value_name = "ARG", allow_hyphen_values = true)]
     ssh: Vec<String>,
-    /// Passed on to `firmware-host model install`, such as --unproven. May be given more than once.
-    #[arg(long, value_name = "ARGUMENT", allow_hyphen_values = true)]
+    /// Pass an argument to `firmware-host model install`, such as --gate=--unproven. Can be given several times.
+    #[arg(long, value_name = "ARG", allow_hyphen_values = true)]
     gate: Vec<String>,
 }
 
 #[derive(Debug, Args)]
 struct KeygenArgs {
-    /// File for the secret key; the public key goes into FILE.pub.
+    /// The file to write the secret key to. The public key is written to FILE.pub.
+    #[arg(value_name = "FILE")]
     key: PathBuf,
-    /// Who this is, for the robots' lists of trusted keys.
-    #[arg(long, default_value = "")]
+    /// A name for the key in the robots' trusted keys.
+    #[arg(long, default_value = "", value_name = "TEXT")]
     comment: String,
-    /// No password: whoever reads the file signs.
+    /// Do not encrypt the secret key. Anyone who can read the file can then sign models.
     #[arg(long)]
     no_password: bool,
 }
 
 #[derive(Debug, Args)]
 struct SignArgs {
-    /// NAME.onnx.
+    /// The model, NAME.onnx.
     model: PathBuf,
-    /// Secret key.
+    /// The secret key to sign with.
     #[arg(long, value_name = "FILE")]
     key: PathBuf,
-    /// What the model is called [default: NAME].
+    /// The name of the model [default: NAME].
     #[arg(long)]
     name: Option<String>,
 }
@@ -99,15 +100,15 @@ fn keygen(args: &KeygenArgs) -> Result<()> {
     let password = if args.no_password {
         None
     } else {
-        let password = ask("Password for the secret key: ")?;
+        let password = prompt("Password for the secret key: ")?;
         if password.is_empty() {
-            bail!("an empty password protects nothing; give one, or --no-password");
+            bail!("the password is empty; enter one, or give --no-password");
         }
         Some(password)
     };
     println!("{}", generate_keys(&args.key, password, &args.comment)?);
     eprintln!(
-        "Put this line into /etc/embodied-depth/trusted_keys of every robot that shall take your models."
+        "Add this line to /etc/embodied-depth/trusted_keys on every robot that should accept your models. Keep the secret key off the robots."
     );
     Ok(())
 }
@@ -115,13 +116,13 @@ fn keygen(args: &KeygenArgs) -> Result<()> {
 fn sign_file(model: &Path, key: &Path, name: Option<String>) -> Result<()> {
     if model.extension() != Some("onnx".as_ref()) {
         bail!(
-            "{} is not called NAME.onnx; give the file that `embodied-depth export` wrote",
+            "{} is not named NAME.onnx; give the file that `embodied-depth export` wrote",
             model.display()
         );
     }
     let name = name.map_or_else(|| Bundle::name_of(model), Ok)?;
     let bytes = std::fs::read(model).with_context(|| format!("cannot read {}", model.display()))?;
-    let key = read_secret_key(key, || ask("Password of the secret key: "))?;
+    let key = read_secret_key(key, || prompt("Password of the secret key: "))?;
     let path = Bundle::signature_path(model);
     let partial = path.with_extension("minisig.partial");
     std::fs::write(&partial, sign(&bytes, &name, &key)?)
@@ -138,7 +139,7 @@ fn push(args: &PushArgs) -> Result<ExitCode> {
     let bundle = Bundle::read_files(&args.bundle)?;
     let target = Target::parse(&args.target)?;
     let mut command = match &target {
-        Target::Local { .. } => Command::new(beside_this(&args.program)),
+        Target::Local { .. } => Command::new(sibling_program(&args.program)),
         Target::Remote { host, .. } => {
             let mut ssh = Command::new("ssh");
             ssh.args(&args.ssh).arg("--").arg(host).arg(&args.program);
@@ -156,37 +157,37 @@ fn push(args: &PushArgs) -> Result<ExitCode> {
     drop(input);
     let status = child.wait()?;
     match sent {
-        // The other side says why it hung up.
-        Err(error) if status.success() => Err(error).context("the bundle was not sent whole"),
+        // If the robot's program failed, it has printed why it closed the connection.
+        Err(error) if status.success() => Err(error).context("the bundle was not sent completely"),
         _ => Ok(ExitCode::from(status.code().map_or(1, |code| code as u8))),
     }
 }
 
-/// The program of that name beside this one, where there is one; else as the system finds it.
-fn beside_this(program: &str) -> PathBuf {
-    let beside = std::env::current_exe().ok().and_then(|this| Some(this.parent()?.join(program)));
-    beside.filter(|path| path.is_file()).unwrap_or_else(|| program.into())
+/// The program of this name in the directory of this program, if there is one; otherwise the name, to be found in `PATH`.
+fn sibling_program(program: &str) -> PathBuf {
+    let sibling = std::env::current_exe().ok().and_then(|this| Some(this.parent()?.join(program)));
+    sibling.filter(|path| path.is_file()).unwrap_or_else(|| program.into())
 }
 
-/// A line from the terminal, unseen where that is possible; from standard input, as it comes.
-fn ask(question: &str) -> std::io::Result<String> {
+/// Reads a line from standard input; on a terminal without echo, if possible.
+fn prompt(question: &str) -> std::io::Result<String> {
     let stdin = std::io::stdin();
-    let terminal = stdin.is_terminal();
-    if terminal {
+    let is_terminal = stdin.is_terminal();
+    if is_terminal {
         eprint!("{question}");
         std::io::stderr().flush()?;
-        echo(false);
+        set_echo(false);
     }
     let mut line = String::new();
     let read = stdin.lock().read_line(&mut line);
-    if terminal {
-        echo(true);
+    if is_terminal {
+        set_echo(true);
         eprintln!();
     }
     read.map(|_| line.trim_end_matches(['\r', '\n']).to_owned())
 }
 
-fn echo(on: bool) {
-    // Without stty the password is seen; it is taken all the same.
+fn set_echo(on: bool) {
+    // If stty fails, the password is echoed but accepted nevertheless.
     let _ = Command::new("stty").arg(if on { "echo" } else { "-echo" }).status();
 }

@@ -1,29 +1,27 @@
-//! Where a model is sent.
+//! Parsing of the target that a model is sent to.
 
 use anyhow::{Result, bail};
 
-/// A store on this computer or on a robot.
+/// A model store on this computer or on a robot.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Target {
-    /// A folder.
-    Local {
-        /// The store.
-        store: String,
-    },
-    /// A robot that ssh knows how to reach.
+    /// A directory on this computer.
+    Local { store: String },
+    /// A robot that is reached by ssh.
     Remote {
         /// `[user@]host`.
         host: String,
-        /// The store, if it is not the one of the robot's configuration.
+        /// The directory of the store, if it differs from the one in the robot's configuration.
         store: Option<String>,
     },
 }
 
 impl Target {
-    /// `[user@]host`, `[user@]host:STORE`, or a folder: something with a `/` before any `:`, or that begins with `.`.
+    /// Parses `[user@]host`, `[user@]host:STORE` or a directory. Text that starts with `.` or has a `/` before the first `:` is a
+    /// directory.
     ///
     /// # Errors
-    /// A host that ssh would take for an option.
+    /// When the host is empty, contains white space, or would be parsed as an option by ssh.
     pub fn parse(text: &str) -> Result<Self> {
         let before_colon = text.split(':').next().unwrap_or_default();
         if text.starts_with('.') || before_colon.contains('/') {
@@ -33,7 +31,7 @@ impl Target {
             text.split_once(':').map_or((text, None), |(host, store)| (host, Some(store)));
         if host.is_empty() || host.starts_with('-') || host.contains(char::is_whitespace) {
             bail!(
-                "`{text}` is no target; give [user@]host, [user@]host:STORE, or a folder such as ./store"
+                "`{text}` is not a target; give [user@]host, [user@]host:STORE, or a directory such as ./store"
             );
         }
         Ok(Self::Remote {
@@ -42,23 +40,30 @@ impl Target {
         })
     }
 
-    /// Arguments of the robot's program, quoted where a shell reads them.
+    /// The arguments of the robot's program, quoted for the shell of a remote robot.
     pub fn install_arguments(&self, gate: &[String]) -> Vec<String> {
-        let (store, quote): (_, fn(&str) -> String) = match self {
-            Self::Local { store } => (Some(store), str::to_owned),
-            Self::Remote { store, .. } => (store.as_ref(), quoted),
+        let store = match self {
+            Self::Local { store } => Some(store),
+            Self::Remote { store, .. } => store.as_ref(),
         };
         let mut arguments: Vec<String> = ["model", "install", "-"].map(str::to_owned).to_vec();
-        arguments.extend(gate.iter().map(|argument| quote(argument)));
+        arguments.extend(gate.iter().map(|argument| self.quoted(argument)));
         if let Some(store) = store {
-            arguments.extend(["--store".to_owned(), quote(store)]);
+            arguments.extend(["--store".to_owned(), self.quoted(store)]);
         }
         arguments
     }
+
+    fn quoted(&self, argument: &str) -> String {
+        match self {
+            Self::Local { .. } => argument.to_owned(),
+            Self::Remote { .. } => quoted_for_shell(argument),
+        }
+    }
 }
 
-/// One word for a POSIX shell, whatever is in it.
-fn quoted(text: &str) -> String {
+/// Quotes text as one word for a POSIX shell.
+fn quoted_for_shell(text: &str) -> String {
     format!("'{}'", text.replace('\'', r"'\''"))
 }
 
@@ -66,13 +71,16 @@ fn quoted(text: &str) -> String {
 mod tests {
     use super::*;
 
+    fn remote(host: &str, store: Option<&str>) -> Target {
+        Target::Remote { host: host.into(), store: store.map(Into::into) }
+    }
+
+    fn local(store: &str) -> Target {
+        Target::Local { store: store.into() }
+    }
+
     #[test]
-    fn hosts_folders_and_stores_are_told_apart() {
-        let remote = |host: &str, store: Option<&str>| Target::Remote {
-            host: host.into(),
-            store: store.map(Into::into),
-        };
-        let local = |store: &str| Target::Local { store: store.into() };
+    fn hosts_stores_and_directories_are_distinguished() {
         for (text, target) in [
             ("robot", remote("robot", None)),
             ("me@robot.local", remote("me@robot.local", None)),
@@ -86,19 +94,19 @@ mod tests {
     }
 
     #[test]
-    fn what_ssh_would_take_for_an_option_is_refused() {
+    fn hosts_that_ssh_would_parse_as_options_are_refused() {
         for text in ["-oProxyCommand=sh", "", ":x", "a b"] {
             assert!(Target::parse(text).is_err(), "{text}");
         }
     }
 
     #[test]
-    fn a_robots_shell_gets_one_word_whatever_is_in_it() {
+    fn arguments_are_quoted_as_one_word_for_the_robots_shell() {
         let target = Target::parse("robot:/a b/$(reboot)'; x").unwrap();
         let arguments = target.install_arguments(&["--unproven".to_owned()]);
         let line = arguments.join(" ");
         assert_eq!(line, r"model install - '--unproven' --store '/a b/$(reboot)'\''; x'");
-        // The shell's own opinion.
+        // Checked with a real shell.
         let script = format!("printf '%s\\n' {line}");
         let shell = std::process::Command::new("sh").args(["-c", &script]).output().unwrap();
         let words = String::from_utf8(shell.stdout).unwrap();

@@ -1,9 +1,10 @@
-//! `push-model` killed at random moments while it sends a model over real ssh: the robot has the old one or the new one. `KILLS` says
-//! how often.
+//! Kills `push-model` at random times while it sends a model over real ssh: the robot then has either the old or the new model.
+//! The environment variable `KILLS` sets the number of kills.
 #![allow(
     clippy::unwrap_used,
+    clippy::expect_used,
     clippy::panic,
-    reason = "a test that cannot set up its scene has failed"
+    reason = "a test that cannot set up its programs has failed"
 )]
 
 use std::path::{Path, PathBuf};
@@ -15,35 +16,44 @@ use hil::sshd::Sshd;
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
-/// What an orphan may take to end.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// The robot's side must end within this time after `push-model` was killed.
+const END_TIMEOUT: Duration = Duration::from_secs(60);
 
 fn push_model() -> Command {
     Command::new(env!("CARGO_BIN_EXE_push-model"))
 }
 
-/// The robot's program, which lies beside ours.
+/// The robot's program, which is in the same directory as `push-model`.
 fn firmware_host() -> PathBuf {
     let program = Path::new(env!("CARGO_BIN_EXE_push-model")).with_file_name("firmware-host");
     assert!(program.is_file(), "build it first: cargo build -p firmware-host");
     program
 }
 
-fn said(command: &mut Command) -> String {
+fn stdout_of(command: &mut Command) -> String {
     let output = command.output().unwrap();
     assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// More than any pipe holds, so that most pushes are killed before the whole model is on its way: ModelProto's `doc_string`, field 6,
-/// of 2^23 spaces.
+/// Enlarges a model beyond the capacity of all pipes, so that most pushes are killed before they have sent it: appends
+/// ModelProto's `doc_string`, field 6, with 2^23 spaces.
 fn padded(mut model: Vec<u8>) -> Vec<u8> {
     model.extend([0x32, 0x80, 0x80, 0x80, 0x04]);
     model.resize(model.len() + (1 << 23), b' ');
     model
 }
 
-/// A robot behind an ssh server, and a workstation with a signed model.
+/// Whether the command line of a running process contains `text`.
+fn is_any_process_using(text: &str) -> bool {
+    std::fs::read_dir("/proc")
+        .unwrap()
+        .flatten()
+        .filter_map(|entry| std::fs::read(entry.path().join("cmdline")).ok())
+        .any(|line| String::from_utf8_lossy(&line).contains(text))
+}
+
+/// A robot behind an ssh server, and signed models on a workstation.
 struct Scene {
     dir: TempDir,
     sshd: Sshd,
@@ -51,23 +61,24 @@ struct Scene {
 }
 
 impl Scene {
-    /// `None` where there is no ssh server or no ONNX Runtime, as in the other tests of those.
-    fn new() -> Option<Self> {
-        let library = std::env::var("ORT_DYLIB_PATH").ok()?;
+    /// Starts the ssh server and signs two models. Tests that call this are ignored without sshd and ONNX Runtime.
+    fn new() -> Self {
+        let library = std::env::var("ORT_DYLIB_PATH").expect("ORT_DYLIB_PATH is not set");
         let dir = tempdir().unwrap();
-        let scene = Self { sshd: Sshd::start(&dir.path().join("ssh")).unwrap()?, dir, library };
+        let sshd = Sshd::start(&dir.path().join("ssh")).unwrap();
+        let scene = Self { sshd: sshd.expect("sshd cannot run here"), dir, library };
         let limits = "[camera]\nwidth = 160\nheight = 64\n[models]\nmax_p99_ms = 1000\n";
         std::fs::write(scene.path("robot.toml"), limits).unwrap();
-        let key = said(push_model().args(["keygen", "--no-password"]).arg(scene.path("key")));
+        let key = stdout_of(push_model().args(["keygen", "--no-password"]).arg(scene.path("key")));
         std::fs::write(scene.path("trusted_keys"), key).unwrap();
         for name in ["guess", "better"] {
             let model = Path::new(env!("CARGO_MANIFEST_DIR"))
                 .join(format!("../../firmware-host/tests/models/{name}.onnx"));
             let path = scene.path(&format!("{name}.onnx"));
             std::fs::write(&path, padded(std::fs::read(model).unwrap())).unwrap();
-            said(push_model().arg("sign").arg(path).arg("--key").arg(scene.path("key")));
+            stdout_of(push_model().arg("sign").arg(path).arg("--key").arg(scene.path("key")));
         }
-        Some(scene)
+        scene
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -90,25 +101,20 @@ impl Scene {
         push.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
     }
 
-    /// What `firmware-host model` says of the store.
+    /// The JSON output of `firmware-host model`.
     fn model(&self, words: &[&str]) -> Value {
         let mut command = Command::new(firmware_host());
         command.arg("model").args(words).arg("--json").arg("--store").arg(self.path("store"));
-        serde_json::from_str(&said(command.arg("--config").arg(self.path("robot.toml")))).unwrap()
+        serde_json::from_str(&stdout_of(command.arg("--config").arg(self.path("robot.toml"))))
+            .unwrap()
     }
 
-    /// Waits for what a killed push left running on the robot. The store's state then.
+    /// Waits until the robot's side of a killed push has ended. Returns the state of the store.
     fn settled(&self) -> Value {
         let began = Instant::now();
         let store = self.path("store").display().to_string();
-        let busy = || {
-            let lines = std::fs::read_dir("/proc").unwrap().flatten();
-            let mut lines =
-                lines.filter_map(|entry| std::fs::read(entry.path().join("cmdline")).ok());
-            lines.any(|line| String::from_utf8_lossy(&line).contains(&store))
-        };
-        while busy() {
-            assert!(began.elapsed() < PATIENCE, "the robot's side does not end");
+        while is_any_process_using(&store) {
+            assert!(began.elapsed() < END_TIMEOUT, "the robot's side did not end");
             std::thread::yield_now();
         }
         let list = self.model(&["list"]);
@@ -124,8 +130,12 @@ impl Scene {
 }
 
 #[test]
+#[cfg_attr(
+    not(all(has_sshd, has_onnx_runtime)),
+    ignore = "needs /usr/sbin/sshd and ORT_DYLIB_PATH, which `cargo xtask test` sets"
+)]
 fn a_push_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
-    let Some(scene) = Scene::new() else { return };
+    let scene = Scene::new();
     assert!(scene.push("guess.onnx").wait().unwrap().success());
     let old = scene.settled();
     let began = Instant::now();
@@ -133,17 +143,19 @@ fn a_push_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
     let mut moments = Moments::new(3, began.elapsed());
     let new = scene.settled();
     assert_ne!(old, new);
-    // Both were accepted, and are on trial; going back leads to no model.
+    // Both models are on trial, so a rollback leads to no model at all.
     let begin_again = || {
         scene.model(&["rollback"]);
         assert!(scene.push("guess.onnx").wait().unwrap().success());
         assert_eq!(scene.settled(), old);
     };
     begin_again();
-    let (mut kills, mut tries, mut arrived) = (0, 0, 0);
+    let mut kills = 0;
+    let mut tries = 0;
+    let mut arrived = 0;
     while kills < kills::wanted() {
         tries += 1;
-        assert!(tries <= 50 + 4 * kills::wanted(), "it is through before it can be killed");
+        assert!(tries <= 50 + 4 * kills::wanted(), "the pushes end before they can be killed");
         let mut child = scene.push("better.onnx");
         moments.wait(&mut child, || kills::listing(&scene.path("store"))).unwrap();
         kills += u64::from(child.try_wait().unwrap().is_none());
@@ -156,5 +168,5 @@ fn a_push_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
             begin_again();
         }
     }
-    println!("{kills} kills in {tries} pushes, {arrived} models arrived all the same");
+    println!("{kills} kills in {tries} pushes, {arrived} models arrived nevertheless");
 }

@@ -1,74 +1,76 @@
-//! What an object store's errors mean, and what to do about them.
+//! Translation of an object store's errors into messages that tell what to do.
 
 use std::error::Error as _;
 use std::io;
 
-use crate::BufferError;
+use crate::StoreError;
 use object_store::Error;
 
-/// An address that is none.
-pub(crate) fn bad_address(url: &str, why: &str) -> BufferError {
+/// The error for an invalid URL.
+pub(crate) fn bad_address(url: &str, why: &str) -> StoreError {
     let text = format!(
         "{url}: {why}; give s3://BUCKET/PREFIX, gs://BUCKET/PREFIX, az://CONTAINER/PREFIX or file:///DIR"
     );
-    BufferError::Usage(text)
+    StoreError::Usage(text)
 }
 
-/// What is wrong, whatever the store calls it.
+/// The cause of an error, independent of the kind of store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Trouble {
+enum Cause {
     NoBucket,
     NoCredentials,
     Forbidden,
     Region,
     Name,
-    /// Anything that may pass.
+    /// Anything else, which may succeed when retried.
     Link,
 }
 
-/// What came of `doing` something with the store at `url`.
-pub(crate) fn explain(url: &str, error: &Error, doing: &str) -> BufferError {
-    let words = words(error);
-    let detail = match trouble(error, &words) {
-        Trouble::NoBucket => {
+/// Explains an error that occurred while `doing` something (`read`, `write`, `list`, `open`) at the store at `url`.
+pub(crate) fn explain(url: &str, error: &Error, doing: &str) -> StoreError {
+    let words = in_one_line(error);
+    let detail = match cause_of(error, &words) {
+        Cause::NoBucket => {
             "there is no such bucket, container or directory; check the address and the endpoint".to_owned()
         }
-        Trouble::NoCredentials => format!("there are no credentials; {}", credentials(url)),
-        Trouble::Forbidden => format!("these credentials may not {doing} there; {}", credentials(url)),
-        Trouble::Region => "the bucket is in another region; set AWS_REGION".to_owned(),
-        Trouble::Name => {
-            "an object there has a name that no file may have, so nothing was pulled; remove it, or give a prefix without it"
+        Cause::NoCredentials => format!("there are no credentials; {}", credentials(url)),
+        Cause::Forbidden => format!("these credentials may not {doing} there; {}", credentials(url)),
+        Cause::Region => "the bucket is in another region; set AWS_REGION".to_owned(),
+        Cause::Name => {
+            "an object there has a name that is not a valid file name, so nothing was pulled; remove it, or give a prefix without it"
                 .to_owned()
         }
-        Trouble::Link => return BufferError::Link { to: url.to_owned(), source: io::Error::other(words) },
+        Cause::Link => return StoreError::Link { to: url.to_owned(), source: io::Error::other(words) },
     };
-    BufferError::Store { url: url.to_owned(), detail: format!("{detail} ({words})") }
+    StoreError::ObjectStore { url: url.to_owned(), detail: format!("{detail} ({words})") }
 }
 
-fn trouble(error: &Error, words: &str) -> Trouble {
-    let says = |any: &[&str]| any.iter().any(|word| words.contains(word));
+fn cause_of(error: &Error, words: &str) -> Cause {
     match error {
-        Error::NotFound { .. } => Trouble::NoBucket,
-        Error::PermissionDenied { .. } | Error::Unauthenticated { .. } => Trouble::Forbidden,
-        Error::InvalidPath { .. } => Trouble::Name,
-        // A listing's status stands only in its words.
-        _ if says(&["404 Not Found", "No such file or directory"]) => Trouble::NoBucket,
-        // Where a computer of Amazon's, Google's or Azure's finds its own credentials; others ask in vain.
-        _ if says(&[
-            "169.254.169.254",
-            "metadata.google.internal",
-            "Account must be specified",
-        ]) =>
+        Error::NotFound { .. } => Cause::NoBucket,
+        Error::PermissionDenied { .. } | Error::Unauthenticated { .. } => Cause::Forbidden,
+        Error::InvalidPath { .. } => Cause::Name,
+        // The HTTP status of a failed listing is available only in the text.
+        _ if has_any(words, &["404 Not Found", "No such file or directory"]) => Cause::NoBucket,
+        // Without credentials, the library asks the cloud's metadata server, which exists only on machines of that cloud.
+        _ if has_any(
+            words,
+            &["169.254.169.254", "metadata.google.internal", "Account must be specified"],
+        ) =>
         {
-            Trouble::NoCredentials
+            Cause::NoCredentials
         }
-        _ if says(&["403 Forbidden", "401 Unauthorized"]) => Trouble::Forbidden,
-        _ if says(&["region"]) => Trouble::Region,
-        _ => Trouble::Link,
+        _ if has_any(words, &["403 Forbidden", "401 Unauthorized"]) => Cause::Forbidden,
+        _ if has_any(words, &["region"]) => Cause::Region,
+        _ => Cause::Link,
     }
 }
 
-/// Where they come from.
+fn has_any(text: &str, any: &[&str]) -> bool {
+    any.iter().any(|word| text.contains(word))
+}
+
+/// How to provide credentials for the store at `url`.
 fn credentials(url: &str) -> &'static str {
     match url.split("://").next() {
         Some("s3") => {
@@ -81,8 +83,8 @@ fn credentials(url: &str) -> &'static str {
     }
 }
 
-/// An error and its causes in one line without control characters, each cause once.
-fn words(error: &Error) -> String {
+/// An error and its chain of causes in one line without control characters, each cause once.
+fn in_one_line(error: &Error) -> String {
     let mut words = error.to_string();
     let mut cause = error.source();
     while let Some(error) = cause {

@@ -1,47 +1,48 @@
-//! The bytes of an object, in pieces.
+//! Reading of an object in several requests.
 
 use std::ops::Range;
 
-use crate::{Have, State};
+use crate::{LocalCopy, State};
 use futures_util::{Stream, StreamExt};
 use object_store::{Error, ObjectStore};
 
-use super::look::{Looked, Seen};
+use super::object::{InspectedSegment, ObjectVersion};
 
-/// A request's bytes: large enough that its round trip does not count, small enough to be lost.
+/// The size of one request: large enough that the round trip does not matter, small enough to repeat after an error.
 const PIECE: u64 = 4 << 20;
 
-/// Pieces under way; with the memory of TLS this stays below 64 MiB.
+/// Requests in flight; together with the buffers of TLS they stay below 64 MiB.
 const AHEAD: usize = 4;
 
-/// Bytes that are handed over at once, so that a limit on the speed is smooth.
-pub(crate) const HANDED_OVER: usize = 256 << 10;
+/// The size of the pieces passed to the receiver, small enough for a rate limit to be smooth.
+pub(crate) const SINK_PIECE: usize = 256 << 10;
 
-/// So much of a segment must still be missing for its own checksums to vouch for a beginning that came earlier: the checksum
-/// of all data stands before the index at its end, and an index takes some 20 KB.
-const VOUCHING_END: u64 = 1 << 20;
+/// Without a digest, a local copy is continued only when at least this much of the segment is still missing. The checksum of all
+/// data, which verifies the copy, is before the index at the end, and an index has about 20 KB.
+const UNVERIFIED_END: u64 = 1 << 20;
 
-/// Where to go on.
-pub(crate) fn first_byte(looked: &Looked, have: &Have) -> u64 {
-    let length = looked.entry.bytes;
-    let goes_on = match looked.digest {
-        // Compared as a whole in the end; what is complete can be compared now.
-        Some(digest) => have.bytes < length || have.bytes == length && have.digest == digest,
+/// The offset at which to continue a local copy.
+pub(crate) fn first_byte(segment: &InspectedSegment, local: &LocalCopy) -> u64 {
+    let length = segment.entry.bytes;
+    let continues = match segment.digest {
+        // An incomplete copy is verified when it is complete; a complete one is compared now.
+        Some(digest) => local.bytes < length || local.bytes == length && local.digest == digest,
         None => {
-            looked.entry.state != State::Cut && have.bytes.saturating_add(VOUCHING_END) <= length
+            segment.entry.state != State::Cut
+                && local.bytes.saturating_add(UNVERIFIED_END) <= length
         }
     };
-    if goes_on { have.bytes } else { 0 }
+    if continues { local.bytes } else { 0 }
 }
 
-/// Everything from byte `from` on.
+/// The bytes of an object version from offset `from` on.
 pub(crate) fn pieces<'a>(
     store: &'a dyn ObjectStore,
-    seen: &'a Seen,
+    version: &'a ObjectVersion,
     from: u64,
 ) -> impl Stream<Item = Result<bytes::Bytes, Error>> + 'a {
-    futures_util::stream::iter(ranges(from..seen.bytes()))
-        .map(move |range| seen.get(store, range))
+    futures_util::stream::iter(ranges(from..version.bytes()))
+        .map(move |range| version.get(store, range))
         .buffered(AHEAD)
 }
 
@@ -56,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pieces_are_next_to_each_other_and_end_with_the_object() {
+    fn requests_cover_the_object_without_gaps_or_overlaps() {
         for (all, count) in
             [(0..1, 1), (0..PIECE, 1), (7..PIECE + 8, 2), (5..5, 0), (0..3 * PIECE + 1, 4)]
         {

@@ -1,8 +1,8 @@
-//! From an address to a store.
+//! Opening an object store by its URL.
 
 use std::sync::Arc;
 
-use crate::BufferError;
+use crate::StoreError;
 use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
 use object_store::azure::{AzureConfigKey, MicrosoftAzureBuilder};
 use object_store::gcp::{GoogleCloudStorageBuilder, GoogleConfigKey};
@@ -13,25 +13,28 @@ use url::Url;
 
 use super::error::{bad_address, explain};
 
-/// A computer that answers at all does so within this.
+/// A reachable server accepts the connection within this time.
 const CONNECT_TIMEOUT: &str = "10 seconds";
 
-/// Tries of one request. The pull itself tries again, too.
+/// Attempts per request. The pull itself retries as well.
 const TRIES: usize = 3;
 
-/// The store at an address, and the prefix in it.
-pub(crate) fn store(text: &str, stall_s: u64) -> Result<(Arc<dyn ObjectStore>, Path), BufferError> {
+/// Opens the store at a URL, and returns it with the prefix that the URL names.
+pub(crate) fn open_store(
+    text: &str,
+    stall_s: u64,
+) -> Result<(Arc<dyn ObjectStore>, Path), StoreError> {
     let url = Url::parse(text).map_err(|error| bad_address(text, &error.to_string()))?;
     let (scheme, prefix) =
         ObjectStoreScheme::parse(&url).map_err(|error| bad_address(text, &error.to_string()))?;
-    // Whoever has chosen one already is right.
+    // Fails only when the program has already installed a provider, which is then used.
     let _ = rustls::crypto::ring::default_provider().install_default();
     let retry = RetryConfig {
         max_retries: TRIES - 1,
         retry_timeout: std::time::Duration::from_secs(stall_s),
         backoff: BackoffConfig::default(),
     };
-    // A piece of a slow link may take long, as long as something comes.
+    // A request over a slow link may take an hour as long as data keep arriving.
     let stall = format!("{stall_s} seconds");
     let client = [
         (ClientConfigKey::ConnectTimeout, CONNECT_TIMEOUT),
@@ -64,15 +67,14 @@ pub(crate) fn store(text: &str, stall_s: u64) -> Result<(Arc<dyn ObjectStore>, P
             .build()
             .map(|az| Arc::new(az) as _),
         ObjectStoreScheme::Local => {
-            let dir = url
-                .to_file_path()
-                .map_err(|()| bad_address(text, "it is no path of this computer"))?;
+            let dir =
+                url.to_file_path().map_err(|()| bad_address(text, "it is not a local path"))?;
             let store = LocalFileSystem::new_with_prefix(dir).map(|store| Arc::new(store) as _);
             return store
                 .map(|store| (store, Path::default()))
                 .map_err(|error| explain(text, &error, "open"));
         }
-        _ => return Err(bad_address(text, "no store that is known")),
+        _ => return Err(bad_address(text, "unknown kind of object store")),
     };
     Ok((store.map_err(|error| explain(text, &error, "open"))?, prefix))
 }

@@ -1,52 +1,53 @@
-//! The other way: what a robot recorded goes into the store, with its digest beside it.
+//! Uploads a robot's segments into the object store, each with its digest beside it.
 
-use crate::pull::{Options, Pace, Report, Watch};
-use crate::source::Source;
-use crate::{BufferError, Digest, Entry, Hasher, Have, Name, Receive, State};
 use futures_util::TryStreamExt;
 use hal::Clock;
 use object_store::path::Path;
 use object_store::{Error, ObjectStoreExt, WriteMultipart};
 
-use super::look::{DIGEST, Looked};
+use super::object::{DIGEST, InspectedSegment};
 use super::{Bucket, fetch};
+use crate::pull::{Options, Progress, RateLimiter, Report};
+use crate::source::Source;
+use crate::{Digest, Entry, FileSink, Hasher, LocalCopy, Name, State, StoreError};
 
-/// S3 takes at most 10,000 parts of at least 5 MiB; with this one, 80 GB.
+/// The size of a part. S3 accepts at most 10,000 parts of at least 5 MiB; with this size an object can have 80 GB.
 const PART: usize = 8 << 20;
 
-/// Parts under way, besides the one that is being filled.
+/// The number of parts in flight, besides the one that is being filled.
 const AHEAD: usize = 3;
 
 impl Bucket {
-    /// Puts every segment of `source` that is closed or cut, and not there yet, under the prefix; then tells the robot. A segment
-    /// is there when the digest beside the object is the one that the robot computes from its disk, or has marked it with.
+    /// Uploads every segment of `source` that is closed or cut and not in the store yet, then tells the robot. A segment is in the
+    /// store when the digest beside the object equals the digest in the robot's marker, or the one that the robot computes from
+    /// its disk.
     ///
     /// # Errors
-    /// When the link, the robot or the store fails. Objects appear whole or not at all.
+    /// When the link, the robot or the store fails. An object is never left incomplete.
     pub fn upload(
         &mut self,
         source: &mut dyn Source,
         options: &Options,
         clock: &mut dyn Clock,
-        watch: &mut dyn Watch,
-    ) -> Result<Report, BufferError> {
+        progress: &mut dyn Progress,
+    ) -> Result<Report, StoreError> {
         let mut report = Report::default();
-        let missing = self.missing(source.list()?, options, watch, &mut report)?;
+        let missing = self.missing(source.list()?, options, progress, &mut report)?;
         source.expect(missing.iter().map(|entry| entry.bytes).fold(0, u64::saturating_add));
-        let mut pace = Pace::new(clock, options.limit);
+        let mut limiter = RateLimiter::new(clock, options.limit);
         for entry in missing {
-            let put = match self.put(source, &entry, watch, &mut pace, &mut report) {
-                // Damaged on the way here: once more.
-                Err(BufferError::Digest { name }) => {
-                    watch.warns(&format!("{name} arrived damaged and is read once more"));
-                    self.put(source, &entry, watch, &mut pace, &mut report)
+            let put = match self.put(source, &entry, progress, &mut limiter, &mut report) {
+                // Damaged in transit from the robot: read once more.
+                Err(StoreError::Digest { name }) => {
+                    progress.warning(&format!("{name} arrived damaged and is read once more"));
+                    self.put(source, &entry, progress, &mut limiter, &mut report)
                 }
                 put => put,
             };
             let digest = match put {
-                // Gone or written to since it was listed; the next look sees to it.
-                Err(BufferError::Refused { refusal, .. }) => {
-                    watch.warns(&refusal.to_string());
+                // Deleted or written to since it was listed; the next upload handles it.
+                Err(StoreError::Refused { refusal, .. }) => {
+                    progress.warning(&refusal.to_string());
                     continue;
                 }
                 put => put?,
@@ -54,9 +55,9 @@ impl Bucket {
             let mark =
                 if options.no_mark { Ok(()) } else { source.mark_pulled(&entry.name, &digest) };
             match mark {
-                Err(BufferError::Refused { refusal, .. }) => {
+                Err(StoreError::Refused { refusal, .. }) => {
                     report.unmarked += 1;
-                    watch.warns(&refusal.to_string());
+                    progress.warning(&refusal.to_string());
                 }
                 mark => mark?,
             }
@@ -65,14 +66,14 @@ impl Bucket {
         Ok(report)
     }
 
-    /// What is to be sent or compared, in order. The store is only asked when the robot has something new.
+    /// The segments to upload or compare, in order. The store is listed only when the robot has something new.
     fn missing(
         &mut self,
         entries: Vec<Entry>,
         options: &Options,
-        watch: &mut dyn Watch,
+        progress: &mut dyn Progress,
         report: &mut Report,
-    ) -> Result<Vec<Entry>, BufferError> {
+    ) -> Result<Vec<Entry>, StoreError> {
         report.open = entries.iter().filter(|entry| entry.state == State::Open).count() as u64;
         let (there, mut missing): (Vec<_>, Vec<_>) = entries
             .into_iter()
@@ -87,7 +88,7 @@ impl Bucket {
         }
         missing.retain(|entry| {
             let digest =
-                self.looked.get(&entry.name).filter(|there| there.entry.bytes == entry.bytes);
+                self.inspected.get(&entry.name).filter(|there| there.entry.bytes == entry.bytes);
             let is_there = digest
                 .and_then(|there| there.digest)
                 .is_some_and(|digest| entry.pulled_digest() == Some(digest));
@@ -97,39 +98,39 @@ impl Bucket {
         });
         options.order.sort(&mut missing);
         let missing_bytes: u64 = missing.iter().map(|entry| entry.bytes).sum();
-        watch.planned(missing.len() as u64, there_bytes + missing_bytes, there_bytes);
+        progress.planned(missing.len() as u64, there_bytes + missing_bytes, there_bytes);
         Ok(missing)
     }
 
-    /// Sends one segment, unless the same bytes are there.
+    /// Uploads one segment, unless the store has the same bytes.
     fn put(
         &self,
         source: &mut dyn Source,
         entry: &Entry,
-        watch: &mut dyn Watch,
-        pace: &mut Pace<'_>,
+        progress: &mut dyn Progress,
+        limiter: &mut RateLimiter<'_>,
         report: &mut Report,
-    ) -> Result<Digest, BufferError> {
-        let there = self.looked.get(&entry.name);
-        let have = match there.filter(|there| there.entry.bytes == entry.bytes) {
-            Some(there) => Have { bytes: entry.bytes, digest: self.digest_of(there)? },
-            None => Have::nothing(),
+    ) -> Result<Digest, StoreError> {
+        let there = self.inspected.get(&entry.name);
+        let local = match there.filter(|there| there.entry.bytes == entry.bytes) {
+            Some(there) => LocalCopy { bytes: entry.bytes, digest: self.digest_of(there)? },
+            None => LocalCopy::none(),
         };
         let mut object = Object {
             bucket: self,
             name: &entry.name,
             hasher: Hasher::default(),
             parts: None,
-            watch,
-            pace,
+            progress,
+            limiter,
         };
-        let promised = source.fetch(&entry.name, have, &mut object);
-        let (hasher, parts) = (object.hasher, object.parts);
+        let sent_digest = source.fetch(&entry.name, local, &mut object);
+        let Object { hasher, parts, .. } = object;
         let is_new = parts.is_some();
-        let digest = if is_new { hasher.digest() } else { have.digest };
-        let outcome = match promised {
-            Ok(promised) if promised == Some(digest) => Ok(digest),
-            Ok(_) => Err(BufferError::Digest { name: entry.name.to_string() }),
+        let digest = if is_new { hasher.digest() } else { local.digest };
+        let outcome = match sent_digest {
+            Ok(sent_digest) if sent_digest == Some(digest) => Ok(digest),
+            Ok(_) => Err(StoreError::Digest { name: entry.name.to_string() }),
             Err(error) => Err(error),
         };
         if let Some(parts) = parts {
@@ -143,19 +144,19 @@ impl Bucket {
             put.map_err(|error| self.explain(&error, "write"))?;
             report.files += 1;
             report.cut += u64::from(entry.state == State::Cut);
-            watch.complete(&entry.name, &digest);
+            progress.file_completed(&entry.name, &digest);
         }
         outcome
     }
 
-    /// The digest of an object; reads it where nothing says so: an upload may have ended between object and digest, or somebody
-    /// else put it there.
-    fn digest_of(&self, there: &Looked) -> Result<Digest, BufferError> {
+    /// The digest of an object. The object is read when there is none beside it: an upload may have ended between object and
+    /// digest, or another program may have uploaded the object.
+    fn digest_of(&self, there: &InspectedSegment) -> Result<Digest, StoreError> {
         if let Some(digest) = there.digest {
             return Ok(digest);
         }
         let mut hasher = Hasher::default();
-        let read = fetch::pieces(self.store.as_ref(), &there.seen, 0).try_for_each(|piece| {
+        let read = fetch::pieces(self.store.as_ref(), &there.version, 0).try_for_each(|piece| {
             hasher.update(&piece);
             futures_util::future::ready(Ok(()))
         });
@@ -163,45 +164,45 @@ impl Bucket {
         Ok(hasher.digest())
     }
 
-    /// Gives an object its name, or takes its parts away again. What had the name before is kept beside it.
+    /// Completes an object of `bytes` bytes, or deletes its parts when `bytes` is `None`. An object that had the same name before is
+    /// kept under another name.
     fn finish(
         &self,
         name: &Name,
         parts: WriteMultipart,
         bytes: Option<u64>,
-    ) -> Result<(), BufferError> {
+    ) -> Result<(), StoreError> {
         let path = self.path_of(name.as_str());
         let Some(bytes) = bytes else {
-            // The reason why it ends counts; what is left of it the store throws away by its own rules.
+            // The caller returns the error that ended the upload. If this request fails as well, the store's own rules delete the
+            // parts.
             let _ = self.runtime.block_on(parts.abort());
             return Ok(());
         };
         let finished = self.runtime.block_on(async {
-            if let Some(before) = self.looked.get(name) {
-                let word = before
-                    .digest
-                    .map_or_else(|| before.seen.modified_ns().to_string(), |digest| digest.short());
-                self.store.copy(&path, &self.path_of(&format!("{name}.{word}"))).await?;
+            if let Some(before) = self.inspected.get(name) {
+                let suffix = before.digest.map_or_else(
+                    || before.version.modified_ns().to_string(),
+                    |digest| digest.short(),
+                );
+                self.store.copy(&path, &self.path_of(&format!("{name}.{suffix}"))).await?;
             }
             parts.finish().await?;
             self.store.head(&path).await
         });
         let written = finished.map_err(|error| self.explain(&error, "write"))?.size;
-        let detail = || {
-            format!(
-                "{name} has {written} bytes there, and {bytes} were sent; check the store, and upload again"
-            )
-        };
         if written == bytes {
-            Ok(())
-        } else {
-            Err(BufferError::Store { url: self.url.clone(), detail: detail() })
+            return Ok(());
         }
+        let detail = format!(
+            "{name} has {written} bytes there, but {bytes} were sent; check the store, and upload again"
+        );
+        Err(StoreError::ObjectStore { url: self.url.clone(), detail })
     }
 
-    /// The same store, below `name`.
+    /// The same store with `name` appended to the prefix.
     #[must_use]
-    pub fn below(self, name: &str) -> Self {
+    pub fn with_subfolder(self, name: &str) -> Self {
         Self {
             prefix: self.prefix.clone().join(name),
             url: format!("{}/{name}", self.url.trim_end_matches('/')),
@@ -210,25 +211,25 @@ impl Bucket {
     }
 }
 
-/// An object that grows.
+/// An object that is being uploaded.
 struct Object<'a, 'b, 'c> {
     bucket: &'a Bucket,
     name: &'a Name,
     hasher: Hasher,
-    /// None while nothing had to be sent.
+    /// `None` when the store already has the bytes.
     parts: Option<WriteMultipart>,
-    watch: &'a mut dyn Watch,
-    pace: &'b mut Pace<'c>,
+    progress: &'a mut dyn Progress,
+    limiter: &'b mut RateLimiter<'c>,
 }
 
-impl Receive<BufferError> for Object<'_, '_, '_> {
-    fn start(&mut self, from: u64, length: u64) -> Result<(), BufferError> {
-        self.watch.begins(self.name, length, from);
-        // Longer than it was: a part of an object cannot be kept.
+impl FileSink<StoreError> for Object<'_, '_, '_> {
+    fn start(&mut self, from: u64, length: u64) -> Result<(), StoreError> {
+        self.progress.file_started(self.name, length, from);
+        // The file has grown since it was listed; an object cannot be continued.
         if from > 0 && from < length {
             let source =
                 std::io::Error::other(format!("{} was written to since it was listed", self.name));
-            return Err(BufferError::Link { to: self.bucket.url.clone(), source });
+            return Err(StoreError::Link { to: self.bucket.url.clone(), source });
         }
         if from == 0 {
             let path: Path = self.bucket.path_of(self.name.as_str());
@@ -239,7 +240,7 @@ impl Receive<BufferError> for Object<'_, '_, '_> {
         Ok(())
     }
 
-    fn data(&mut self, _at: u64, bytes: &[u8]) -> Result<(), BufferError> {
+    fn data(&mut self, _at: u64, bytes: &[u8]) -> Result<(), StoreError> {
         if let Some(parts) = &mut self.parts {
             let written = self.bucket.runtime.block_on(async {
                 parts.wait_for_capacity(AHEAD).await?;
@@ -249,12 +250,12 @@ impl Receive<BufferError> for Object<'_, '_, '_> {
             written.map_err(|error| self.bucket.explain(&error, "write"))?;
         }
         self.hasher.update(bytes);
-        self.watch.arrived(bytes.len() as u64);
-        self.pace.came(bytes.len());
+        self.progress.received(bytes.len() as u64);
+        self.limiter.wait_after(bytes.len());
         Ok(())
     }
 
-    fn working(&mut self) -> Result<(), BufferError> {
+    fn comparing(&mut self) -> Result<(), StoreError> {
         Ok(())
     }
 }

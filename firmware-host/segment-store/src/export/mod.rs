@@ -1,15 +1,15 @@
-//! Recordings in other layouts.
+//! Export of recordings into other formats.
 
 mod folder;
-mod joined;
 #[cfg(feature = "lerobot")]
 mod lerobot;
+mod mcap_file;
 mod ros2;
+mod ticks;
 mod tum;
-mod turns;
 
-pub use joined::joined;
 #[cfg(feature = "lerobot")]
-pub use lerobot::{ExportedEpisodes, lerobot};
-pub use ros2::{Bagged, ros2};
-pub use tum::{Exported, tum};
+pub use lerobot::{LerobotSummary, lerobot};
+pub use mcap_file::mcap;
+pub use ros2::{RosbagSummary, ros2};
+pub use tum::{TumSummary, tum};

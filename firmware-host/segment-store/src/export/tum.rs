@@ -1,7 +1,8 @@
-//! The layout of the TUM RGB-D benchmark (Sturm et al. 2012), which `firmware-host perceive --dataset` reads.
+//! Export in the format of the TUM RGB-D benchmark (Sturm et al. 2012), which `firmware-host perceive --dataset` reads.
 //!
-//! `rgb/` and `rgb.txt` hold the pictures as the loop saw them; `groundtruth.txt` the camera's pose from the wheels' odometry,
-//! which drifts: it is what the robot knew, not the truth. Simulated runs with true depth have `depth/` and `depth.txt` as well.
+//! `rgb/` and `rgb.txt` contain the images that the control loop processed. `groundtruth.txt` contains the camera poses from
+//! wheel odometry; in spite of the file's name they are not ground truth, because odometry drifts. Simulated runs that recorded
+//! ground-truth depth also have `depth/` and `depth.txt`.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -11,31 +12,31 @@ use image::ExtendedColorType;
 use runtime::recording::{RecordedTick, SegmentHeader};
 
 use super::folder::new_folder;
-use super::turns::{each_turn, frames_per_second, png};
-use crate::error::BufferError;
+use super::ticks::{each_tick, frames_per_second, png};
+use crate::error::StoreError;
 
-/// A depth picture's value for one metre.
+/// The value of a depth image for one metre.
 const DEPTH_SCALE: f64 = 1000.0;
 
-/// What was written.
+/// The counts of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Exported {
-    /// Pictures.
-    pub pictures: u64,
-    /// Pictures that came without a pose and were left out.
+pub struct TumSummary {
+    /// The number of images that were written.
+    pub images: u64,
+    /// The number of images that were left out because their tick has no pose.
     pub without_pose: u64,
-    /// Segments that end early; what they hold is in.
+    /// The number of segments that end early; their complete ticks are exported.
     pub cut: u64,
 }
 
-/// Writes the run that consists of `segments`, in this order, into the new directory `to`.
+/// Exports the run that consists of `segments`, in this order, into the new directory `to`.
 ///
 /// # Errors
-/// When `to` is there already or cannot be written, or a segment is no recording of ours.
-pub fn tum(segments: &[PathBuf], to: &Path) -> Result<Exported, BufferError> {
+/// When `to` exists already or cannot be written, or a segment is not a recording.
+pub fn tum(segments: &[PathBuf], to: &Path) -> Result<TumSummary, StoreError> {
     new_folder(to, |dir| {
         let mut export = Export::new(dir)?;
-        let cut = each_turn(segments, |header, tick| export.tick(header, tick))?;
+        let cut = each_tick(segments, |header, tick| export.tick(header, tick))?;
         export.exported.cut = cut;
         export.finish()
     })
@@ -48,13 +49,13 @@ struct Export {
     depth: String,
     poses: String,
     times_ns: Vec<u64>,
-    exported: Exported,
+    exported: TumSummary,
 }
 
 impl Export {
-    fn new(dir: &Path) -> Result<Self, BufferError> {
-        let pictures = dir.join("rgb");
-        std::fs::create_dir_all(&pictures).map_err(BufferError::write(pictures))?;
+    fn new(dir: &Path) -> Result<Self, StoreError> {
+        let images = dir.join("rgb");
+        std::fs::create_dir_all(&images).map_err(StoreError::write(images))?;
         Ok(Self {
             dir: dir.to_owned(),
             header: None,
@@ -63,11 +64,11 @@ impl Export {
             poses: "# pose of the camera from odometry\n# timestamp tx ty tz qx qy qz qw\n"
                 .to_owned(),
             times_ns: Vec::new(),
-            exported: Exported::default(),
+            exported: TumSummary::default(),
         })
     }
 
-    fn tick(&mut self, header: &SegmentHeader, tick: &RecordedTick) -> Result<(), BufferError> {
+    fn tick(&mut self, header: &SegmentHeader, tick: &RecordedTick) -> Result<(), StoreError> {
         self.header.get_or_insert_with(|| header.clone());
         let Some(frame) = &tick.frame else { return Ok(()) };
         if !tick.wheel.odom.is_finite() {
@@ -78,7 +79,8 @@ impl Export {
         let name = format!("rgb/{stamp}.png");
         self.png(&name, &frame.rgb, frame.width, frame.height, ExtendedColorType::Rgb8)?;
         let pose = tick.wheel.odom.to_pose3() * header.run.t_base_camera;
-        let (t, q) = (pose.translation.vector, pose.rotation);
+        let t = pose.translation.vector;
+        let q = pose.rotation;
         // Writing into a String cannot fail.
         let _ = writeln!(self.rgb, "{stamp} {name}");
         let _ = writeln!(
@@ -90,20 +92,16 @@ impl Export {
             self.depth(&stamp, truth)?;
         }
         self.times_ns.push(tick.time_ns);
-        self.exported.pictures += 1;
+        self.exported.images += 1;
         Ok(())
     }
 
-    fn depth(&mut self, stamp: &str, truth: &DepthMap) -> Result<(), BufferError> {
+    fn depth(&mut self, stamp: &str, truth: &DepthMap) -> Result<(), StoreError> {
         let folder = self.dir.join("depth");
-        std::fs::create_dir_all(&folder).map_err(BufferError::write(folder))?;
+        std::fs::create_dir_all(&folder).map_err(StoreError::write(folder))?;
         let name = format!("depth/{stamp}.png");
-        // 0 is "no depth"; a recording holds whole millimetres up to 65.535 m.
-        let millimetres = |depth_m: &f32| {
-            if depth_m.is_finite() { (f64::from(*depth_m) * DEPTH_SCALE).round() as u16 } else { 0 }
-        };
         let bytes: Vec<u8> =
-            truth.values().iter().flat_map(|depth_m| millimetres(depth_m).to_ne_bytes()).collect();
+            truth.values().iter().flat_map(|depth_m| depth_value(*depth_m).to_ne_bytes()).collect();
         self.png(&name, &bytes, truth.width(), truth.height(), ExtendedColorType::L16)?;
         let _ = writeln!(self.depth, "{stamp} {name}");
         Ok(())
@@ -116,22 +114,23 @@ impl Export {
         width: usize,
         height: usize,
         color: ExtendedColorType,
-    ) -> Result<(), BufferError> {
+    ) -> Result<(), StoreError> {
         let path = self.dir.join(name);
         png(bytes, width, height, color)
             .and_then(|png| std::fs::write(&path, png))
-            .map_err(BufferError::write(path))
+            .map_err(StoreError::write(path))
     }
 
-    fn finish(self) -> Result<Exported, BufferError> {
-        let Some(header) = self.header.as_ref().filter(|_| self.exported.pictures > 0) else {
+    fn finish(self) -> Result<TumSummary, StoreError> {
+        let Some(header) = self.header.as_ref().filter(|_| self.exported.images > 0) else {
             let detail =
-                "the run holds no picture with a pose, so there is nothing to export".to_owned();
-            return Err(BufferError::Segment { path: self.dir, detail });
+                "the run contains no image with a pose, so there is nothing to export".to_owned();
+            return Err(StoreError::Segment { path: self.dir, detail });
         };
         if let Distortion::Fisheye(_) = header.run.camera.distortion {
-            let detail = "the pictures are a fisheye's, which dataset.toml cannot say".to_owned();
-            return Err(BufferError::Segment { path: self.dir, detail });
+            let detail = "the images are from a fisheye camera, which dataset.toml cannot describe"
+                .to_owned();
+            return Err(StoreError::Segment { path: self.dir, detail });
         }
         let mut files =
             vec![("rgb.txt", self.rgb.clone()), ("groundtruth.txt", self.poses.clone())];
@@ -141,18 +140,23 @@ impl Export {
         files.push(("dataset.toml", manifest(header, &self.times_ns)));
         for (name, text) in files {
             let path = self.dir.join(name);
-            std::fs::write(&path, text).map_err(BufferError::write(path))?;
+            std::fs::write(&path, text).map_err(StoreError::write(path))?;
         }
         Ok(self.exported)
     }
 }
 
-/// Seconds with nine decimals, as `1305031102.175304000`.
+/// The value of a depth image: 0 means "no depth". A recording holds whole millimetres up to 65.535 m.
+fn depth_value(depth_m: f32) -> u16 {
+    if depth_m.is_finite() { (f64::from(depth_m) * DEPTH_SCALE).round() as u16 } else { 0 }
+}
+
+/// Seconds with nine decimals, such as `1305031102.175304000`.
 fn stamp(time_ns: u64) -> String {
     format!("{}.{:09}", time_ns / 1_000_000_000, time_ns % 1_000_000_000)
 }
 
-/// What the lists do not say.
+/// `dataset.toml`: camera, frame rate and scale, which the TUM format has no file for.
 fn manifest(header: &SegmentHeader, times_ns: &[u64]) -> String {
     let CameraModel { width, height, fx, fy, cx, cy, distortion } = &header.run.camera;
     let distortion = match distortion {

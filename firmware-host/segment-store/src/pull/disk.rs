@@ -1,41 +1,41 @@
-//! Where files go. A trait, so that tests can fill the disk.
+//! Writing to the destination's disk, behind traits so that tests can inject disk errors.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-/// A file that grows.
+/// A file that is being received.
 pub trait PartFile: Read + Write + Send {
-    /// Cuts it and goes on writing there.
+    /// Truncates the file to `len` bytes and continues writing there.
     ///
     /// # Errors
-    /// When the disk refuses.
-    fn cut(&mut self, len: u64) -> io::Result<()>;
+    /// When the disk returns an error.
+    fn truncate(&mut self, len: u64) -> io::Result<()>;
 
-    /// Returns when the disk has everything.
+    /// Returns when all data are on the disk.
     ///
     /// # Errors
-    /// When the disk says that it has not.
+    /// When the disk returns an error.
     fn sync(&mut self) -> io::Result<()>;
 }
 
-/// Changes to the destination.
+/// The operations that change the destination.
 pub trait Disk: Send + Sync {
-    /// Opens a file for reading and appending, made if it is not there. Never through a symbolic link.
+    /// Opens a file for reading and writing, and creates it if it does not exist. Symbolic links are not followed.
     ///
     /// # Errors
-    /// When the disk refuses.
+    /// When the disk returns an error.
     fn open_part(&self, path: &Path) -> io::Result<Box<dyn PartFile>>;
 
-    /// Renames a file over another, and returns when the disk has the new name.
+    /// Renames a file, replacing `to` if it exists, and returns when the new name is on the disk.
     ///
     /// # Errors
-    /// When the disk refuses.
+    /// When the disk returns an error.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
 }
 
-/// The computer's file system.
+/// The file system of the operating system.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct FileSystem;
 
@@ -54,13 +54,13 @@ impl Disk for FileSystem {
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
         std::fs::rename(from, to)?;
-        // The new name, too, must survive a power cut.
+        // The directory is synced so that the new name survives a power cut.
         to.parent().map_or(Ok(()), |dir| File::open(dir)?.sync_all())
     }
 }
 
 impl PartFile for File {
-    fn cut(&mut self, len: u64) -> io::Result<()> {
+    fn truncate(&mut self, len: u64) -> io::Result<()> {
         self.set_len(len)?;
         io::Seek::seek(self, io::SeekFrom::Start(len)).map(drop)
     }

@@ -1,4 +1,4 @@
-//! `pulled.json`: what is complete here, so that it need not be read again.
+//! `pulled.json`: the list of complete files, which need not be read again.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -7,31 +7,29 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::disk::Disk;
-use crate::catalogue::Entry;
 use crate::digest::Digest;
-use crate::error::BufferError;
+use crate::entry::Entry;
+use crate::error::StoreError;
 use crate::root::file_modified_ns;
 
-/// Its name in the destination.
+/// The name of the index in the destination.
 pub const INDEX_FILE: &str = "pulled.json";
 
-/// Goes up when an old program would misread a new file.
+/// Incremented when an older program would misinterpret a newer file.
 const FORMAT: u32 = 1;
 
-/// A file that is complete here.
+/// A complete file of the destination.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Indexed {
-    /// Size.
     pub bytes: u64,
-    /// BLAKE3.
     pub digest: Digest,
-    /// Last change on the robot, since 1970.
+    /// The modification time on the robot, since 1970.
     pub source_modified_ns: u64,
-    /// Last change here.
+    /// The modification time of the local file, since 1970.
     pub modified_ns: u64,
-    /// Whether it had no end when it was pulled: another version may replace it.
+    /// The segment had no end when it was pulled, so a newer version may replace it.
     pub cut: bool,
-    /// Whether the robot knows that it is here.
+    /// The robot has written its `.pulled` marker.
     pub marked: bool,
 }
 
@@ -50,7 +48,7 @@ pub(super) struct Index {
 }
 
 impl Index {
-    /// Reads it. One that is missing or broken is empty: everything in it can be found out again.
+    /// Reads the index. A missing or malformed index counts as empty, because its contents can be computed again.
     pub(super) fn open(dir: &Path) -> Self {
         let contents = std::fs::read(dir.join(INDEX_FILE)).ok();
         let contents = contents.and_then(|bytes| serde_json::from_slice::<Contents>(&bytes).ok());
@@ -58,7 +56,7 @@ impl Index {
         Self { dir: dir.to_owned(), files, changed: false }
     }
 
-    /// What is known of a file that is still here as it was written down.
+    /// The entry of a file whose size and modification time still match the index.
     pub(super) fn get(&self, name: &str) -> Option<&Indexed> {
         let indexed = self.files.get(name)?;
         let here = std::fs::symlink_metadata(self.dir.join(name))
@@ -68,7 +66,7 @@ impl Index {
             .then_some(indexed)
     }
 
-    /// Whether the robot's file is here.
+    /// The entry of a file that is a copy of the robot's `entry`, by size and modification time.
     pub(super) fn has(&self, entry: &Entry) -> Option<&Indexed> {
         self.get(entry.name.as_str()).filter(|here| {
             (here.bytes, here.source_modified_ns) == (entry.bytes, entry.modified_ns)
@@ -87,8 +85,8 @@ impl Index {
         }
     }
 
-    /// Writes it, whole or not at all.
-    pub(super) fn save(&mut self, disk: &dyn Disk) -> Result<(), BufferError> {
+    /// Replaces the index file atomically.
+    pub(super) fn save(&mut self, disk: &dyn Disk) -> Result<(), StoreError> {
         if !self.changed {
             return Ok(());
         }
@@ -99,12 +97,12 @@ impl Index {
         self.files = contents.files;
         let written = bytes.and_then(|bytes| {
             let mut file = disk.open_part(&partial)?;
-            file.cut(0)?;
+            file.truncate(0)?;
             file.write_all(&bytes)?;
             file.sync()?;
             disk.rename(&partial, &path)
         });
-        written.map_err(BufferError::write(path))?;
+        written.map_err(StoreError::write(path))?;
         self.changed = false;
         Ok(())
     }

@@ -1,24 +1,23 @@
-//! What comes first.
+//! The order in which segments are pulled.
 
 use std::cmp::Reverse;
 
-use crate::catalogue::Entry;
+use crate::entry::Entry;
 
-/// In which order segments are pulled.
+/// The order in which segments are pulled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Order {
-    /// As they were recorded: a trainer that follows sees time go forward.
+    /// The order of recording, so that a trainer that follows the robot sees time increase.
     #[default]
     Oldest,
-    /// The other way round: what the robot does now.
+    /// The latest segments first: what the robot does now.
     Newest,
-    /// Marked to be kept, then those with the most events (stops, refusals, choices) per byte, then the newest. Only what
-    /// the index tells: the pictures are not looked at.
+    /// Segments with a `.keep` marker first, then those with the most events (stops, refusals, choices) per byte, then the
+    /// newest. The events are counted from the index; the images are not analysed.
     Valuable,
 }
 
 impl Order {
-    /// Sorts segments.
     pub fn sort(self, entries: &mut [Entry]) {
         match self {
             Self::Oldest => entries.sort_by_key(|entry| (entry.modified_ns, entry.name.clone())),
@@ -37,28 +36,15 @@ impl Order {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::catalogue::State;
-    use crate::marks::Pulled;
     use crate::name::Name;
 
     fn entry(name: &str, modified_ns: u64, events: u64, keep: bool) -> Entry {
-        let name = Name::parse(name).unwrap();
-        let (state, pulled) = (State::Closed, Pulled::No);
-        Entry {
-            name,
-            bytes: 1000,
-            modified_ns,
-            state,
-            times: None,
-            turns: None,
-            events: Some(events),
-            keep,
-            pulled,
-        }
+        let entry = Entry::new(Name::parse(name).unwrap(), 1000, modified_ns);
+        Entry { events: Some(events), keep, ..entry }
     }
 
     #[test]
-    fn segments_come_as_asked() {
+    fn each_order_sorts_by_its_own_criterion() {
         let all = [
             entry("a/recording_0000.mcap", 1, 5, false),
             entry("a/recording_0001.mcap", 2, 0, true),

@@ -1,34 +1,34 @@
-//! A buffer on this computer: a mounted disk, or the robot itself.
+//! A store in a local directory: a mounted disk, or the robot's own disk.
 
 use std::path::Path;
 
-use super::Source;
-use crate::catalogue::{Catalogue, Entry};
+use super::interface::Source;
+use crate::catalogue::Catalogue;
 use crate::digest::Digest;
-use crate::error::BufferError;
+use crate::entry::Entry;
+use crate::error::StoreError;
 use crate::name::Name;
 use crate::root::Root;
-use crate::send::{Have, Receive, SendError, send};
+use crate::send::{SendError, send};
 use crate::serve::{MarkError, mark};
+use crate::transfer::{FileSink, LocalCopy};
 use crate::wire::{Refusal, RefusalKind};
 
-/// A directory.
+/// A store in a local directory.
 #[derive(Debug)]
 pub struct Directory {
     root: Root,
 }
 
 impl Directory {
-    /// Opens it.
-    ///
     /// # Errors
-    /// When it is not there.
-    pub fn open(path: &Path) -> Result<Self, BufferError> {
+    /// When the directory cannot be opened.
+    pub fn open(path: &Path) -> Result<Self, StoreError> {
         Ok(Self { root: Root::open(path)? })
     }
 
-    fn refused(&self, kind: RefusalKind, text: String) -> BufferError {
-        BufferError::Refused {
+    fn refused(&self, kind: RefusalKind, text: String) -> StoreError {
+        StoreError::Refused {
             from: self.root.path().display().to_string(),
             refusal: Refusal { kind, text },
         }
@@ -36,22 +36,22 @@ impl Directory {
 }
 
 impl Source for Directory {
-    fn list(&mut self) -> Result<Vec<Entry>, BufferError> {
+    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
         Ok(Catalogue::read(&self.root)?.entries)
     }
 
     fn fetch(
         &mut self,
         name: &Name,
-        have: Have,
-        to: &mut dyn Receive<BufferError>,
-    ) -> Result<Option<Digest>, BufferError> {
+        local: LocalCopy,
+        to: &mut dyn FileSink<StoreError>,
+    ) -> Result<Option<Digest>, StoreError> {
         let path = self.root.path().join(name.as_str());
-        let mut file = self.root.open_file(name).map_err(BufferError::read(&path))?;
-        match send(&mut file, have, to) {
+        let mut file = self.root.open_file(name).map_err(StoreError::read(&path))?;
+        match send(&mut file, local, to) {
             Ok(sent) => Ok(Some(sent.digest)),
             Err(SendError::Sink(error)) => Err(error),
-            Err(SendError::Read(error)) => Err(BufferError::read(path)(error)),
+            Err(SendError::Read(error)) => Err(StoreError::read(path)(error)),
             Err(SendError::Changed) => Err(self.refused(
                 RefusalKind::Changed,
                 format!("{name} was written while it was read; pull again"),
@@ -59,7 +59,7 @@ impl Source for Directory {
         }
     }
 
-    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), BufferError> {
+    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), StoreError> {
         mark(&self.root, name, *digest, None).map_err(|error| match error {
             MarkError::Changed => {
                 self.refused(RefusalKind::Changed, format!("{name} has changed; pull again"))

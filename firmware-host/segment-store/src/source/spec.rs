@@ -1,82 +1,86 @@
-//! What a user writes to name a buffer.
+//! Parsing of the sources on the command line.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use crate::error::BufferError;
+use crate::error::StoreError;
 
-/// Where a buffer is.
+/// Where a store is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Place {
-    /// A directory of this computer.
+pub enum Location {
+    /// A local directory.
     Directory(PathBuf),
-    /// A directory of another computer, by ssh.
+    /// A directory of another computer, reached by ssh.
     Ssh {
         /// `[user@]host`.
         host: String,
-        /// As the other computer has it.
+        /// The path on that computer.
         path: String,
     },
-    /// An object store: `s3://bucket/prefix` and the like.
-    Store(String),
+    /// An object store, such as `s3://bucket/prefix`.
+    ObjectStore(String),
 }
 
-/// The beginnings of object stores' addresses.
+/// The URL schemes of object stores.
 const STORES: [&str; 4] = ["s3://", "gs://", "az://", "file:///"];
 
-/// A buffer and what it is called here.
+/// A source: a store and its name on this computer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Spec {
-    /// The directory below the destination.
+    /// The directory below the destination that the segments are written to.
     pub name: String,
-    /// Where.
-    pub place: Place,
+    pub location: Location,
 }
 
 impl Spec {
-    /// Reads `[NAME=]DIRECTORY`, `[NAME=][user@]host:path` or `[NAME=]s3://bucket/prefix`. As rsync and scp have it, a colon before the first slash means
-    /// another computer. Without a name it is the host's, or the last part
-    /// of the directory or address.
+    /// Parses `[NAME=]DIRECTORY`, `[NAME=][user@]host:path` or `[NAME=]s3://bucket/prefix`. As in rsync and scp, a colon before
+    /// the first slash denotes another computer. The default name is the host, or the last component of the directory or URL.
     ///
     /// # Errors
-    /// When it is neither, or no name can be made of it.
-    pub fn parse(text: &str) -> Result<Self, BufferError> {
-        let usage = |why: &str| {
-            BufferError::Usage(format!(
-                "source {text:?}: {why}; give [user@]host:/path, a directory, s3://bucket/prefix, or NAME=one of them"
+    /// When the text has none of these forms, or no name can be derived from it.
+    pub fn parse(text: &str) -> Result<Self, StoreError> {
+        Self::try_parse(text).map_err(|reason| {
+            StoreError::Usage(format!(
+                "source {text:?}: {reason}; give [user@]host:/path, a directory, s3://bucket/prefix, or NAME=one of them"
             ))
-        };
+        })
+    }
+
+    fn try_parse(text: &str) -> Result<Self, &'static str> {
         let (name, place) =
             match text.split_once('=').filter(|(name, _)| !name.contains(['/', ':', '@'])) {
                 Some((name, place)) => (Some(name.to_owned()), place),
                 None => (None, text),
             };
-        let place = match host_and_path(place) {
-            _ if is_store(place) => Place::Store(place.to_owned()),
+        let location = match host_and_path(place) {
+            _ if is_store(place) => Location::ObjectStore(place.to_owned()),
             _ if place.contains("://") => {
-                return Err(usage("object stores are s3://, gs://, az:// or file:///"));
+                return Err("object stores are s3://, gs://, az:// or file:///");
             }
-            // ssh would take it for an option.
+            // ssh would parse it as an option.
             Some((host, _)) if host.starts_with('-') || host.is_empty() => {
-                return Err(usage("no host's name"));
+                return Err("the host name is missing or starts with -");
             }
-            Some((_, "")) => return Err(usage("the path is missing")),
-            Some((host, path)) => Place::Ssh { host: host.to_owned(), path: path.to_owned() },
-            None if place.is_empty() => return Err(usage("it is empty")),
-            None => Place::Directory(PathBuf::from(place)),
+            Some((_, "")) => return Err("the path is missing"),
+            Some((host, path)) => Location::Ssh { host: host.to_owned(), path: path.to_owned() },
+            None if place.is_empty() => return Err("it is empty"),
+            None => Location::Directory(PathBuf::from(place)),
         };
-        let name = name.or_else(|| place.default_name()).filter(|name| is_name(name));
-        Ok(Self { name: name.ok_or_else(|| usage("no name for it; write NAME=..."))?, place })
+        let name = name
+            .or_else(|| location.default_name())
+            .filter(|name| is_name(name))
+            .ok_or("it has no usable name; write NAME=SOURCE")?;
+        Ok(Self { name, location })
     }
 }
 
-/// Whether this is the address of an object store.
+/// Whether `text` is the URL of an object store.
 #[must_use]
 pub fn is_store(text: &str) -> bool {
     STORES.iter().any(|scheme| text.starts_with(scheme))
 }
 
-/// The parts before and behind the colon that means "another computer".
+/// The parts before and after the colon that separates a host from a path.
 fn host_and_path(text: &str) -> Option<(&str, &str)> {
     let bracket = text.find("]:").filter(|_| text.contains('[')).map(|at| at + 1);
     let colon = bracket.or_else(|| text.find(':'))?;
@@ -90,7 +94,7 @@ fn is_name(name: &str) -> bool {
         && !name.contains(['/', '\0'])
 }
 
-impl Place {
+impl Location {
     fn default_name(&self) -> Option<String> {
         match self {
             Self::Ssh { host, .. } => {
@@ -98,24 +102,24 @@ impl Place {
                 Some(host.trim_matches(['[', ']']).to_owned())
             }
             Self::Directory(path) => {
-                // `.` and `..` have no last part of their own.
+                // Canonicalized, because `.` and `..` have no name of their own.
                 let path =
                     std::fs::canonicalize(path).unwrap_or_else(|_| Path::new(path).to_owned());
                 Some(path.file_name()?.to_str()?.to_owned())
             }
-            Self::Store(url) => {
+            Self::ObjectStore(url) => {
                 Some(url.split_once("://")?.1.trim_end_matches('/').rsplit('/').next()?.to_owned())
             }
         }
     }
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for Location {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Directory(path) => write!(f, "{}", path.display()),
             Self::Ssh { host, path } => write!(f, "{host}:{path}"),
-            Self::Store(url) => f.write_str(url),
+            Self::ObjectStore(url) => f.write_str(url),
         }
     }
 }
@@ -127,7 +131,7 @@ mod tests {
     fn ssh(name: &str, host: &str, path: &str) -> Spec {
         Spec {
             name: name.to_owned(),
-            place: Place::Ssh { host: host.to_owned(), path: path.to_owned() },
+            location: Location::Ssh { host: host.to_owned(), path: path.to_owned() },
         }
     }
 
@@ -145,7 +149,10 @@ mod tests {
         let local = Spec::parse("./odd:name/runs").unwrap();
         assert_eq!(
             local,
-            Spec { name: "runs".to_owned(), place: Place::Directory("./odd:name/runs".into()) }
+            Spec {
+                name: "runs".to_owned(),
+                location: Location::Directory("./odd:name/runs".into())
+            }
         );
     }
 
@@ -159,13 +166,13 @@ mod tests {
         ] {
             assert_eq!(
                 Spec::parse(text).unwrap(),
-                Spec { name: name.to_owned(), place: Place::Store(url.to_owned()) }
+                Spec { name: name.to_owned(), location: Location::ObjectStore(url.to_owned()) }
             );
         }
     }
 
     #[test]
-    fn what_ssh_would_take_for_an_option_and_other_nonsense_is_refused_with_words() {
+    fn invalid_sources_and_hosts_that_ssh_would_parse_as_options_are_refused() {
         for bad in [
             "",
             "-oProxyCommand=x:/runs",

@@ -1,4 +1,4 @@
-//! A robot's buffer by the system's own ssh: its keys, its configuration, its checks of the host's key, its words.
+//! A store that is reached through the system's ssh program, with its keys, configuration, host key checks and messages.
 
 use std::io::{self, Read};
 use std::os::fd::AsFd;
@@ -7,34 +7,35 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
+use super::interface::Source;
+use super::remote::Remote;
 use super::ssh_config::SshConfig;
-use super::{Remote, Source};
-use crate::catalogue::Entry;
-use crate::computer::Computer;
+use crate::cpu_features::CpuFeatures;
 use crate::digest::Digest;
-use crate::error::BufferError;
+use crate::entry::Entry;
+use crate::error::StoreError;
 use crate::name::Name;
-use crate::send::{Have, Receive};
+use crate::transfer::{FileSink, LocalCopy};
 
-/// What ssh ends with when it failed itself, ssh(1).
+/// The exit status with which ssh reports its own errors, ssh(1).
 const SSH_FAILED: i32 = 255;
 
-/// Fewer bytes than these are not worth a second greeting, which takes ssh a quarter of a second and more.
+/// Fewer bytes than this are not worth a second connection, which takes ssh a quarter of a second or more.
 const MANY_BYTES: u64 = 64 << 20;
 
-/// How ssh is called.
+/// How ssh is run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SshOptions {
-    /// The program.
+    /// The name or path of the ssh program.
     pub program: String,
-    /// Arguments before the host, such as `-p2222` or `-i/home/me/key`; each goes to ssh as it is.
+    /// Arguments before the host, such as `-p2222` or `-i/home/me/key`, passed to ssh unchanged.
     pub arguments: Vec<String>,
-    /// `firmware-host` on the robot.
+    /// The command that runs `firmware-host` on the robot.
     pub remote_command: String,
-    /// The connection counts as dead when nothing comes for this long.
+    /// The connection counts as dead when nothing is received for this long.
     pub stall_s: u64,
-    /// Use a connection that an earlier call has left open, and leave one open for a minute: where the system has
-    /// `XDG_RUNTIME_DIR` for its socket, and the person's configuration of ssh no way of its own.
+    /// Reuse a connection that an earlier call left open, and leave this one open for a minute. This needs `XDG_RUNTIME_DIR`
+    /// for the socket, and is skipped when the user's ssh configuration sets its own `ControlPath`.
     pub share: bool,
 }
 
@@ -50,54 +51,54 @@ impl Default for SshOptions {
     }
 }
 
-/// A connection. What ssh says goes to stderr as it is.
+/// A connection over ssh. The messages of ssh go to standard error unchanged.
 pub struct Ssh {
-    remote: Option<Remote<Patient, ChildStdin>>,
+    remote: Option<Remote<TimeoutReader, ChildStdin>>,
     child: Child,
-    /// How to connect again as ssh would by itself, if AES was put in front of its ciphers.
-    plain: Option<Plain>,
+    /// How to reconnect with ssh's own choice of ciphers, if AES was put in front of them.
+    without_aes: Option<Reconnect>,
 }
 
-/// A connection with nothing but ssh's own choices.
-struct Plain {
+/// The arguments of a connection with ssh's own choice of ciphers.
+struct Reconnect {
     host: String,
     path: String,
     options: SshOptions,
 }
 
 impl Ssh {
-    /// Connects and greets. Of the ciphers that the configuration allows, AES is asked for first where this computer has it in
-    /// hardware; a robot that has not is asked again, without, as soon as much is to be fetched.
+    /// Connects and opens a session. Of the ciphers that the configuration allows, AES is preferred when the local processor
+    /// has it in hardware. If the robot's processor does not, the connection is replaced as soon as much is to be fetched.
     ///
     /// # Errors
-    /// When ssh cannot be started, refuses, or no `firmware-host` answers.
-    pub fn connect(host: &str, path: &str, options: &SshOptions) -> Result<Self, BufferError> {
-        let config = SshConfig::read(host, options);
-        let aes = config.as_ref().filter(|_| Computer::this().aes).and_then(SshConfig::aes_first);
+    /// When ssh cannot be started or fails, or `firmware-host` does not answer.
+    pub fn connect(host: &str, path: &str, options: &SshOptions) -> Result<Self, StoreError> {
+        let config = SshConfig::read(host, &options.program, &options.arguments);
+        let aes =
+            config.as_ref().filter(|_| CpuFeatures::detect().aes).and_then(SshConfig::aes_first);
         let runtime_dir =
             std::env::var_os("XDG_RUNTIME_DIR").filter(|_| options.share).map(PathBuf::from);
         let mut more = config.map(|config| config.sharing(runtime_dir)).unwrap_or_default();
-        let plain = aes.is_some().then(|| Plain {
+        let without_aes = aes.is_some().then(|| Reconnect {
             host: host.into(),
             path: path.into(),
             options: options.clone(),
         });
         more.extend(aes);
         let mut connection = Self::start(host, path, options, &more)?;
-        connection.plain = plain;
+        connection.without_aes = without_aes;
         Ok(connection)
     }
 
-    /// `more` gives way to what the options say.
+    /// Starts ssh. The arguments in `more` come after those of `options`, which take precedence.
     fn start(
         host: &str,
         path: &str,
         options: &SshOptions,
         more: &[String],
-    ) -> Result<Self, BufferError> {
-        let link = |source| BufferError::Link { to: host.to_owned(), source };
+    ) -> Result<Self, StoreError> {
         let mut child = Command::new(&options.program)
-            // No terminal and no forwarding; a link that died is noticed after a minute on this side, too.
+            // No terminal and no X11 forwarding; ssh ends a dead connection after a minute.
             .args([
                 "-T",
                 "-x",
@@ -114,32 +115,29 @@ impl Ssh {
             .stdout(Stdio::piped())
             .spawn()
             .map_err(|error| {
-                link(io::Error::new(
-                    error.kind(),
-                    format!("cannot start {}: {error}", options.program),
-                ))
+                let text = format!("cannot start {}: {error}", options.program);
+                link_error(host, io::Error::new(error.kind(), text))
             })?;
-        let (Some(input), Some(output)) = (child.stdout.take(), child.stdin.take()) else {
-            return Err(link(io::ErrorKind::BrokenPipe.into()));
-        };
-        // Fewer turns between ssh and us; where it is not allowed, the usual 64 KiB do.
+        let no_pipe = || link_error(host, io::ErrorKind::BrokenPipe.into());
+        let input = child.stdout.take().ok_or_else(no_pipe)?;
+        let output = child.stdin.take().ok_or_else(no_pipe)?;
+        // A larger pipe needs fewer context switches; where the system refuses, the default of 64 KiB is enough.
         let _ = rustix::pipe::fcntl_setpipe_size(&input, 1 << 20);
-        // A person may have to type a password first.
-        let mut connection = Self { remote: None, child, plain: None };
+        let mut connection = Self { remote: None, child, without_aes: None };
         match Remote::greet(
             host,
-            Patient { input, stall_s: options.stall_s },
+            TimeoutReader { input, stall_s: options.stall_s },
             output,
             options.stall_s,
         ) {
             Ok(remote) => connection.remote = Some(remote),
-            Err(BufferError::Silent { from, .. } | BufferError::Link { to: from, .. }) => {
+            Err(StoreError::Silent { from, .. } | StoreError::Link { to: from, .. }) => {
                 return Err(match connection.child.wait() {
                     Ok(status) if status.code() == Some(SSH_FAILED) => {
-                        BufferError::Unreached { host: host.to_owned(), status: status.to_string() }
+                        StoreError::Unreached { host: host.to_owned(), status: status.to_string() }
                     }
-                    Ok(status) => BufferError::Silent { from, status: format!(" ({status})") },
-                    Err(_) => BufferError::Silent { from, status: String::new() },
+                    Ok(status) => StoreError::Silent { from, status: format!(" ({status})") },
+                    Err(_) => StoreError::Silent { from, status: String::new() },
                 });
             }
             Err(error) => return Err(error),
@@ -147,17 +145,17 @@ impl Ssh {
         Ok(connection)
     }
 
-    fn remote(&mut self) -> Result<&mut Remote<Patient, ChildStdin>, BufferError> {
+    fn remote(&mut self) -> Result<&mut Remote<TimeoutReader, ChildStdin>, StoreError> {
         self.remote
             .as_mut()
-            .ok_or_else(|| BufferError::Silent { from: "ssh".to_owned(), status: String::new() })
+            .ok_or_else(|| StoreError::Silent { from: "ssh".to_owned(), status: String::new() })
     }
 }
 
-impl Plain {
-    /// Without a word and without a question: there is a connection that works.
-    fn connect(mut self) -> Result<Ssh, BufferError> {
-        // The first of two values counts for ssh.
+impl Reconnect {
+    /// Connects without prompts and messages: the first connection still works if this fails.
+    fn connect(mut self) -> Result<Ssh, StoreError> {
+        // ssh uses the first of several values of an option.
         let quiet =
             ["-oBatchMode=yes", "-oLogLevel=QUIET", "-oControlPath=none"].map(str::to_owned);
         self.options.arguments.splice(..0, quiet);
@@ -165,18 +163,22 @@ impl Plain {
     }
 }
 
+fn link_error(host: &str, source: io::Error) -> StoreError {
+    StoreError::Link { to: host.to_owned(), source }
+}
+
 impl Drop for Ssh {
     fn drop(&mut self) {
-        // Its input ends, so the robot's side ends by itself.
+        // Closes the input of the robot's side, which then ends.
         self.remote = None;
-        // A link that hangs does not; ssh may be gone already.
+        // If the link hangs, ssh does not end by itself. It may also have ended already, so errors are ignored.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
 impl Source for Ssh {
-    fn list(&mut self) -> Result<Vec<Entry>, BufferError> {
+    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
         self.remote()?.list()
     }
 
@@ -184,13 +186,13 @@ impl Source for Ssh {
         if bytes < MANY_BYTES {
             return;
         }
-        let Some(plain) = self.plain.take() else { return };
-        // An error says itself with the next request.
-        let Ok(computer) = self.remote().and_then(Remote::computer) else { return };
-        if computer.is_some_and(|computer| computer.aes) {
+        let Some(reconnect) = self.without_aes.take() else { return };
+        // An error here appears again with the next request.
+        let Ok(cpu) = self.remote().and_then(Remote::cpu_features) else { return };
+        if cpu.is_some_and(|cpu| cpu.aes) {
             return;
         }
-        if let Ok(faster) = plain.connect() {
+        if let Ok(faster) = reconnect.connect() {
             *self = faster;
         }
     }
@@ -198,24 +200,24 @@ impl Source for Ssh {
     fn fetch(
         &mut self,
         name: &Name,
-        have: Have,
-        to: &mut dyn Receive<BufferError>,
-    ) -> Result<Option<Digest>, BufferError> {
-        self.remote()?.fetch(name, have, to)
+        local: LocalCopy,
+        to: &mut dyn FileSink<StoreError>,
+    ) -> Result<Option<Digest>, StoreError> {
+        self.remote()?.fetch(name, local, to)
     }
 
-    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), BufferError> {
+    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), StoreError> {
         self.remote()?.mark_pulled(name, digest)
     }
 }
 
-/// Waits for data, but not for ever.
-struct Patient {
+/// Reads with a timeout.
+struct TimeoutReader {
     input: ChildStdout,
     stall_s: u64,
 }
 
-impl Read for Patient {
+impl Read for TimeoutReader {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let timeout =
             Timespec { tv_sec: i64::try_from(self.stall_s).unwrap_or(i64::MAX), tv_nsec: 0 };
@@ -230,7 +232,7 @@ impl Read for Patient {
     }
 }
 
-/// For the robot's shell: one word, whatever is in it. Only a `~/` in front keeps its meaning.
+/// Quotes a path as one word for the robot's shell. A leading `~/` keeps its meaning.
 fn quoted(path: &str) -> String {
     let (home, rest) = path.strip_prefix("~/").map_or(("", path), |rest| ("~/", rest));
     format!("{home}'{}'", rest.replace('\'', "'\\''"))
@@ -241,7 +243,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_path_is_one_word_for_any_shell() {
+    fn a_quoted_path_is_one_word_for_the_shell() {
         for (path, word) in [
             ("/var/lib/runs", "'/var/lib/runs'"),
             ("a b; rm -rf $HOME", "'a b; rm -rf $HOME'"),

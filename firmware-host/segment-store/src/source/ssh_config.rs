@@ -1,38 +1,36 @@
-//! What a person's configuration of ssh says about a host, and what is added to it: a connection that several calls share, and
+//! The user's ssh configuration for a host, and the options that are added to it: a connection that several calls share, and
 //! the fastest of the allowed ciphers.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use super::SshOptions;
-
-/// Takes an end's ssh 0.5 s of a processor for 1 GiB where there is hardware for it; OpenSSH's own first choice,
-/// chacha20-poly1305, takes 1.4 s (measured, x86-64, OpenSSL 3.0).
+/// With AES in hardware, ssh needs 0.5 s of processor time for 1 GiB at either end; with OpenSSH's own first choice,
+/// chacha20-poly1305, it needs 1.4 s (measured, x86-64, OpenSSL 3.0).
 const AES: &str = "aes128-gcm@openssh.com";
 
-/// How long a shared connection waits for the next call, as in Ansible.
+/// A shared connection stays open for this long, as in Ansible.
 const PERSIST_S: u32 = 60;
 
-/// Longest path of a socket, unix(7), less what ssh appends while it makes one.
+/// Longest path of a socket, unix(7), without the suffix that ssh appends while it creates one.
 const MAX_SOCKET: usize = 108 - 1 - 17;
 
-/// Length of ssh's `%C`, a hash of who connects to whom.
+/// The length of ssh's `%C`, a hash of both hosts, the port and the user.
 const HASH: usize = 40;
 
-/// The part of `ssh -G` that matters here.
+/// The relevant part of the output of `ssh -G`.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct SshConfig {
     ciphers: Vec<String>,
-    /// It already says how connections are shared.
+    /// The configuration already sets a `ControlPath`.
     shares: bool,
 }
 
 impl SshConfig {
-    /// `None` when this ssh cannot say; nothing is added then.
-    pub(super) fn read(host: &str, options: &SshOptions) -> Option<Self> {
-        let mut ssh = Command::new(&options.program);
+    /// Runs `ssh -G`. `None` when that fails; no option is added then.
+    pub(super) fn read(host: &str, program: &str, arguments: &[String]) -> Option<Self> {
+        let mut ssh = Command::new(program);
         ssh.arg("-G")
-            .args(&options.arguments)
+            .args(arguments)
             .arg("--")
             .arg(host)
             .stdin(Stdio::null())
@@ -42,13 +40,14 @@ impl SshConfig {
     }
 
     fn parse(text: &str) -> Self {
-        let value =
-            |key: &str| text.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(' '));
-        let ciphers = value("ciphers").unwrap_or_default().split(',').map(str::to_owned).collect();
-        Self { ciphers, shares: value("controlpath").is_some() }
+        let ciphers = value_of(text, "ciphers").unwrap_or_default();
+        Self {
+            ciphers: ciphers.split(',').map(str::to_owned).collect(),
+            shares: value_of(text, "controlpath").is_some(),
+        }
     }
 
-    /// The allowed ciphers with AES in front; `None` when it is not allowed, or stands there already.
+    /// The option that puts AES in front of the other allowed ciphers; `None` when AES is not allowed or is the first already.
     pub(super) fn aes_first(&self) -> Option<String> {
         let at = self.ciphers.iter().position(|cipher| cipher == AES).filter(|at| *at > 0)?;
         let mut ciphers = self.ciphers.clone();
@@ -57,8 +56,8 @@ impl SshConfig {
         Some(format!("-oCiphers={}", ciphers.join(",")))
     }
 
-    /// Options that make calls of this user share a connection for a minute; none where the configuration has its own way, or
-    /// the system no folder for sockets.
+    /// Options that let calls of this user share a connection for a minute. Empty when the configuration sets its own
+    /// `ControlPath`, or there is no directory for sockets.
     pub(super) fn sharing(&self, runtime_dir: Option<PathBuf>) -> Vec<String> {
         let socket = runtime_dir
             .filter(|dir| dir.is_absolute() && !self.shares)
@@ -72,13 +71,17 @@ impl SshConfig {
     }
 }
 
-/// A pattern for sockets in a folder of ours; `None` when it cannot be made, or its name is too long or means something to ssh.
+fn value_of<'a>(text: &'a str, key: &str) -> Option<&'a str> {
+    text.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(' '))
+}
+
+/// The `ControlPath` in our directory; `None` when that cannot be created, is too long, or contains characters that ssh expands.
 fn socket_in(runtime_dir: &Path) -> Option<String> {
     let dir = runtime_dir.join("embodied-depth");
     let text = dir.to_str().filter(|text| {
         text.len() + 1 + HASH <= MAX_SOCKET && !text.contains(['%', '"', ' ', '$'])
     })?;
-    // The folder above is the user's own and nobody else's, XDG Base Directory Specification.
+    // Only the user can access the directory above (XDG Base Directory Specification).
     std::fs::create_dir_all(&dir).ok()?;
     Some(format!("{text}/%C"))
 }
@@ -90,7 +93,7 @@ mod tests {
     const CIPHERS: &str = "ciphers chacha20-poly1305@openssh.com,aes128-ctr,aes128-gcm@openssh.com,aes256-gcm@openssh.com";
 
     #[test]
-    fn aes_goes_in_front_of_the_allowed_ciphers_and_none_is_added() {
+    fn aes_moves_in_front_of_the_allowed_ciphers_and_no_cipher_is_added() {
         let config = SshConfig::parse(&format!("host robot\n{CIPHERS}\nport 22\n"));
         let expected = "-oCiphers=aes128-gcm@openssh.com,chacha20-poly1305@openssh.com,aes128-ctr,aes256-gcm@openssh.com";
         assert_eq!(config.aes_first().unwrap(), expected);
@@ -104,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_connection_is_shared_unless_the_configuration_has_its_own_way() {
+    fn a_connection_is_shared_unless_the_configuration_sets_its_own_control_path() {
         let dir = tempfile::tempdir().unwrap();
         let runtime_dir = || Some(dir.path().to_owned());
         let options = SshConfig::parse(CIPHERS).sharing(runtime_dir());

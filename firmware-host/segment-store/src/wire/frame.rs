@@ -1,59 +1,53 @@
-//! Frames.
+//! Reading and writing of frames.
 
 use std::io::{self, Read, Write};
 
 use crate::digest::PIECE;
 
-/// Length and kind.
+/// The size of a frame's header: the length of the body and the kind.
 pub const HEAD: usize = 5;
-/// Longest body of a request: a name and a digest.
+/// Largest body of a request. The largest request is a name, a length and a digest.
 pub const MAX_REQUEST: usize = 4 << 10;
-/// Longest body of a reply: a piece of data and its offset.
+/// Largest body of a reply: a piece of data and its offset.
 pub const MAX_REPLY: usize = PIECE + 8;
 
-/// Why bytes are no message.
+/// Why received bytes are not a valid message.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum WireError {
-    /// The first bytes are something else.
+    /// The first bytes do not belong to this protocol.
     #[error(
-        "what answers is not `firmware-host buffer serve`: it began with {0:?}; a shell that prints something when it \
-         starts must not do so for commands (see: ssh HOST true)"
+        "the answer is not from `firmware-host buffer serve`: it begins with {0:?}; a shell must not print anything when it \
+         starts for a command (check with: ssh HOST true)"
     )]
     Foreign(String),
-    /// A frame larger than any.
+    /// The header of a frame announces a body that is too long.
     #[error(
-        "a message of {length} bytes where {limit} are the limit: the connection is broken or the other side is hostile; pull again"
+        "a message of {length} bytes, more than the limit of {limit}: the connection is broken or the peer is hostile; pull again"
     )]
-    TooLong {
-        /// What it says.
-        length: u32,
-        /// What may be.
-        limit: usize,
-    },
-    /// A kind that is not known, or a body that does not fit.
+    TooLong { length: u32, limit: usize },
+    /// The kind is unknown, or the body does not match the kind.
     #[error(
-        "a broken message ({0}): the connection is broken or the other side is hostile; pull again"
+        "a malformed message ({0}): the connection is broken or the peer is hostile; pull again"
     )]
     Malformed(&'static str),
-    /// A message that does not answer what was asked.
-    #[error("{0}, out of turn: the connection is broken or the other side is hostile; pull again")]
+    /// A valid message that is not a reply to the request.
+    #[error(
+        "{0}, which is not an answer to the request: the connection is broken or the peer is hostile; pull again"
+    )]
     Unexpected(&'static str),
 }
 
 impl WireError {
-    /// Whether the other side is no robot at all.
+    /// Whether the peer does not speak this protocol at all.
     #[must_use]
     pub fn is_foreign(&self) -> bool {
         matches!(self, Self::Foreign(_))
     }
 }
 
-/// Splits a frame's head into kind and the body's length.
-///
-/// # Errors
-/// [`WireError::TooLong`].
-fn parse_head(head: [u8; HEAD], limit: usize) -> Result<(u8, usize), WireError> {
+/// Parses the header of a frame into the kind and the length of the body.
+fn parse_header(head: [u8; HEAD], limit: usize) -> Result<(u8, usize), WireError> {
     let [a, b, c, d, kind] = head;
     let length = u32::from_le_bytes([a, b, c, d]);
     match usize::try_from(length) {
@@ -62,10 +56,11 @@ fn parse_head(head: [u8; HEAD], limit: usize) -> Result<(u8, usize), WireError> 
     }
 }
 
-/// Reads a frame's body into `body` and gives its kind; `None` at the stream's end between two frames.
+/// Reads one frame: its body into `body`, and returns its kind, or `None` when the stream ended between two frames.
 ///
 /// # Errors
-/// The outer when the stream fails or ends within a frame, the inner when the frame is too long; `body` then holds its head.
+/// The outer error when the stream fails or ends within a frame; the inner error when the frame is too long. In the latter case
+/// `body` holds its header.
 pub fn read_frame(
     source: &mut (impl Read + ?Sized),
     body: &mut Vec<u8>,
@@ -82,7 +77,7 @@ pub fn read_frame(
             Err(error) => return Err(error),
         }
     }
-    match parse_head(head, limit) {
+    match parse_header(head, limit) {
         Ok((kind, length)) => {
             body.resize(length, 0);
             source.read_exact(body)?;
@@ -96,7 +91,8 @@ pub fn read_frame(
     }
 }
 
-/// Writes a frame in one piece. `buffer` is scratch.
+/// Writes one frame with a single call of `write_all`. `encode` appends the body and returns the kind; `buffer` is reused
+/// memory.
 ///
 /// # Errors
 /// When the stream fails.

@@ -1,54 +1,52 @@
-//! What a robot answers.
+//! The replies of a robot.
 
 use std::fmt;
 
-use super::WireError;
+use super::frame::WireError;
 use super::request::MAGIC;
-use crate::catalogue::{Entry, State, Times};
-use crate::computer::Computer;
+use crate::cpu_features::CpuFeatures;
 use crate::digest::Digest;
-use crate::marks::Pulled;
+use crate::entry::{Entry, Pulled, State, Times};
+use crate::fields::Fields;
 use crate::name::Name;
-use crate::records::Fields;
 
-/// Longest reason that is sent and shown.
+/// At most this many bytes of a refusal's text are sent, and this many characters shown.
 const MAX_TEXT: usize = 2000;
 
-/// Why a robot says no.
+/// Why a robot refuses a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RefusalKind {
-    /// No common protocol version.
+    /// There is no common protocol version.
     Version,
-    /// A request that cannot be understood.
+    /// The request cannot be decoded.
     Malformed,
-    /// The file is not there, or no regular file.
+    /// The file does not exist or is not a regular file.
     NotThere,
-    /// The file was written while it was sent.
+    /// The file was written to while it was sent.
     Changed,
-    /// The robot's disk refuses.
+    /// The robot cannot read or write its disk.
     Disk,
 }
 
-/// A robot's no, with its reason.
+/// The reason why a robot refuses a request.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Refusal {
-    /// Why.
     pub kind: RefusalKind,
-    /// In words, with the way out.
+    /// An error message for the operator.
     pub text: String,
 }
 
 impl Refusal {
-    /// Whether another try may go well.
+    /// Whether the same request may succeed later.
     #[must_use]
-    pub fn passes(&self) -> bool {
+    pub fn is_temporary(&self) -> bool {
         self.kind == RefusalKind::Changed
     }
 }
 
 impl fmt::Display for Refusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // From the other side: a terminal must not obey it.
+        // The text comes from the peer: control characters must not reach the terminal.
         self.text
             .chars()
             .filter(|c| !c.is_control())
@@ -57,49 +55,45 @@ impl fmt::Display for Refusal {
     }
 }
 
-/// An answer.
+/// A message from the robot to the workstation.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Reply<'a> {
-    /// Both speak this version from now on.
+    /// Accepts the session and selects its protocol version.
     Welcome {
-        /// It.
         version: u16,
     },
-    /// No.
     Refused(Refusal),
-    /// A file that is there.
+    /// One segment of the store.
     Entry(Entry),
-    /// That were all.
+    /// The end of the list of segments.
     ListEnd,
-    /// The beginning is being compared; it takes a while.
-    Working,
-    /// The file's bytes from `from` up to `length` follow.
+    /// The robot is still comparing the workstation's copy with its file.
+    Comparing,
+    /// Announces the bytes of a file.
     Start {
-        /// 0 when what the workstation has is not the file's beginning.
+        /// The offset of the first byte; 0 when the workstation's copy is not the beginning of the file.
         from: u64,
-        /// The file's length.
+        /// The length of the whole file.
         length: u64,
     },
-    /// The bytes from `at` on.
+    /// Bytes of a file, beginning at offset `at`.
     Data {
-        /// Offset in the file.
         at: u64,
-        /// They.
         bytes: &'a [u8],
     },
-    /// That was all of the file.
+    /// The file was sent completely.
     End {
-        /// Of the whole file.
+        /// The digest of the whole file.
         digest: Digest,
     },
-    /// The mark is on the robot's disk.
+    /// The `.pulled` marker is on the robot's disk.
     Marked,
-    /// The robot's computer.
-    Computer(Computer),
+    /// The features of the robot's processor.
+    CpuFeatures(CpuFeatures),
 }
 
 impl<'a> Reply<'a> {
-    /// Appends the body and gives the kind.
+    /// Appends the body to `body` and returns the kind.
     pub fn encode(&self, body: &mut Vec<u8>) -> u8 {
         match self {
             Self::Welcome { version } => {
@@ -121,7 +115,7 @@ impl<'a> Reply<'a> {
                 130
             }
             Self::ListEnd => 131,
-            Self::Working => 132,
+            Self::Comparing => 132,
             Self::Start { from, length } => {
                 body.extend_from_slice(&from.to_le_bytes());
                 body.extend_from_slice(&length.to_le_bytes());
@@ -137,14 +131,14 @@ impl<'a> Reply<'a> {
                 135
             }
             Self::Marked => 136,
-            Self::Computer(computer) => {
-                body.push(u8::from(computer.aes));
+            Self::CpuFeatures(cpu) => {
+                body.push(u8::from(cpu.aes));
                 137
             }
         }
     }
 
-    /// From a frame.
+    /// Decodes the body of a frame of the given kind.
     ///
     /// # Errors
     /// [`WireError::Malformed`].
@@ -157,36 +151,36 @@ impl<'a> Reply<'a> {
             129 => decode_refusal(&mut fields).map(Self::Refused),
             130 => decode_entry(&mut fields).map(Self::Entry),
             131 => Some(Self::ListEnd),
-            132 => Some(Self::Working),
+            132 => Some(Self::Comparing),
             133 => {
                 fields.u64().zip(fields.u64()).map(|(from, length)| Self::Start { from, length })
             }
-            134 => fields.u64().map(|at| Self::Data { at, bytes: std::mem::take(&mut fields.0) }),
+            134 => fields.u64().map(|at| Self::Data { at, bytes: fields.rest() }),
             135 => fields.array().map(|digest| Self::End { digest: Digest::from_bytes(digest) }),
             136 => Some(Self::Marked),
             137 => fields
                 .u8()
                 .filter(|aes| *aes <= 1)
-                .map(|aes| Self::Computer(Computer { aes: aes == 1 })),
+                .map(|aes| Self::CpuFeatures(CpuFeatures { aes: aes == 1 })),
             _ => return Err(WireError::Malformed("a reply of unknown kind")),
         };
         reply
             .filter(|_| fields.0.is_empty())
-            .ok_or(WireError::Malformed("a reply whose contents cannot be"))
+            .ok_or(WireError::Malformed("a reply with invalid contents"))
     }
 
-    /// For messages about messages.
+    /// The kind of message, for error messages.
     #[must_use]
     pub fn word(&self) -> &'static str {
         match self {
             Self::Welcome { .. } => "a greeting",
             Self::Refused(_) => "a refusal",
             Self::Entry(_) | Self::ListEnd => "a list",
-            Self::Working | Self::Start { .. } => "the start of a file",
+            Self::Comparing | Self::Start { .. } => "the start of a file",
             Self::Data { .. } => "data",
             Self::End { .. } => "the end of a file",
-            Self::Marked => "a mark",
-            Self::Computer(_) => "what computer it is",
+            Self::Marked => "a confirmation of a mark",
+            Self::CpuFeatures(_) => "processor features",
         }
     }
 }
@@ -197,26 +191,25 @@ fn decode_refusal(fields: &mut Fields<'_>) -> Option<Refusal> {
     let kind = [Version, Malformed, NotThere, Changed, Disk]
         .into_iter()
         .find(|kind| *kind as u8 == number)?;
-    let text = std::str::from_utf8(std::mem::take(&mut fields.0)).ok()?.to_owned();
+    let text = std::str::from_utf8(fields.rest()).ok()?.to_owned();
     Some(Refusal { kind, text })
 }
 
 const HAS_TIMES: u8 = 1;
-const HAS_TURNS: u8 = 2;
+const HAS_TICKS: u8 = 2;
 const HAS_EVENTS: u8 = 4;
 const KEEP: u8 = 8;
 const STALE: u8 = 16;
 const PULLED: u8 = 32;
 
-/// Size, time, state, flags, what the flags say is there, and the name.
+/// Layout: size, modification time, state, flags, the optional fields that the flags announce, and the name.
 fn encode_entry(entry: &Entry, body: &mut Vec<u8>) {
-    let flag = |set: bool, flag: u8| if set { flag } else { 0 };
     body.extend_from_slice(&entry.bytes.to_le_bytes());
     body.extend_from_slice(&entry.modified_ns.to_le_bytes());
     body.push(entry.state as u8);
     body.push(
         flag(entry.times.is_some(), HAS_TIMES)
-            | flag(entry.turns.is_some(), HAS_TURNS)
+            | flag(entry.ticks.is_some(), HAS_TICKS)
             | flag(entry.events.is_some(), HAS_EVENTS)
             | flag(entry.keep, KEEP)
             | flag(entry.pulled == Pulled::Stale, STALE)
@@ -226,7 +219,7 @@ fn encode_entry(entry: &Entry, body: &mut Vec<u8>) {
         body.extend_from_slice(&times.first_ns.to_le_bytes());
         body.extend_from_slice(&times.last_ns.to_le_bytes());
     }
-    for number in [entry.turns, entry.events].into_iter().flatten() {
+    for number in [entry.ticks, entry.events].into_iter().flatten() {
         body.extend_from_slice(&number.to_le_bytes());
     }
     if let Some(digest) = entry.pulled_digest() {
@@ -235,36 +228,44 @@ fn encode_entry(entry: &Entry, body: &mut Vec<u8>) {
     body.extend_from_slice(entry.name.as_str().as_bytes());
 }
 
+fn flag(is_set: bool, flag: u8) -> u8 {
+    if is_set { flag } else { 0 }
+}
+
+fn has(flags: u8, flag: u8) -> bool {
+    flags & flag != 0
+}
+
 fn decode_entry(fields: &mut Fields<'_>) -> Option<Entry> {
     use State::{Closed, Cut, Open, Unindexed};
-    let (bytes, modified_ns) = (fields.u64()?, fields.u64()?);
+    let bytes = fields.u64()?;
+    let modified_ns = fields.u64()?;
     let number = fields.u8()?;
     let state = [Closed, Unindexed, Cut, Open].into_iter().find(|state| *state as u8 == number)?;
     let flags = fields.u8()?;
-    let has = |flag: u8| flags & flag != 0;
-    let times = match has(HAS_TIMES) {
+    let times = match has(flags, HAS_TIMES) {
         true => Some(Times { first_ns: fields.u64()?, last_ns: fields.u64()? }),
         false => None,
     };
-    let mut number = |flag: u8| if has(flag) { fields.u64().map(Some) } else { Some(None) };
-    let (turns, events) = (number(HAS_TURNS)?, number(HAS_EVENTS)?);
-    let pulled = match (has(PULLED), has(STALE)) {
+    let ticks = if has(flags, HAS_TICKS) { Some(fields.u64()?) } else { None };
+    let events = if has(flags, HAS_EVENTS) { Some(fields.u64()?) } else { None };
+    let pulled = match (has(flags, PULLED), has(flags, STALE)) {
         (false, false) => Pulled::No,
         (false, true) => Pulled::Stale,
         (true, false) => Pulled::Yes(Digest::from_bytes(fields.array()?)),
         (true, true) => return None,
     };
-    let known = HAS_TIMES | HAS_TURNS | HAS_EVENTS | KEEP | STALE | PULLED;
-    let name = Name::parse(std::str::from_utf8(std::mem::take(&mut fields.0)).ok()?).ok()?;
+    let known = HAS_TIMES | HAS_TICKS | HAS_EVENTS | KEEP | STALE | PULLED;
+    let name = Name::parse(std::str::from_utf8(fields.rest()).ok()?).ok()?;
     (flags & !known == 0).then_some(Entry {
         name,
         bytes,
         modified_ns,
         state,
         times,
-        turns,
+        ticks,
         events,
-        keep: has(KEEP),
+        keep: has(flags, KEEP),
         pulled,
     })
 }

@@ -1,44 +1,34 @@
-//! What a workstation asks.
+//! The requests of a workstation.
 
-use super::WireError;
+use super::frame::WireError;
 use crate::digest::Digest;
+use crate::fields::Fields;
 use crate::name::Name;
-use crate::records::Fields;
-use crate::send::Have;
+use crate::transfer::LocalCopy;
 
-/// Tells our stream from any other.
+/// The first bytes of `Hello` and `Welcome`, which identify the protocol.
 pub(super) const MAGIC: &[u8; 8] = b"edbuffer";
 
-/// A question.
+/// A message from the workstation to the robot.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Request {
-    /// First of all: the protocol versions that the workstation speaks, lowest and highest.
+    /// The first request of every session.
     Hello {
-        /// Lowest and highest.
+        /// The lowest and the highest protocol version that the workstation supports.
         versions: (u16, u16),
     },
-    /// What is there?
+    /// Asks for all segments of the store.
     List,
-    /// The rest of a file behind what the workstation has.
-    Fetch {
-        /// Which.
-        name: Name,
-        /// What is there already.
-        have: Have,
-    },
-    /// The workstation has this file safely on its disk.
-    Mark {
-        /// Which.
-        name: Name,
-        /// What it has.
-        digest: Digest,
-    },
-    /// What computer are you? From version 2 on.
-    Computer,
+    /// Asks for the bytes of a segment that follow the workstation's copy.
+    Fetch { name: Name, local: LocalCopy },
+    /// Reports that the workstation has the segment with this digest on its disk.
+    Mark { name: Name, digest: Digest },
+    /// Asks for the features of the robot's processor; supported from version 2 on.
+    CpuFeatures,
 }
 
 impl Request {
-    /// Appends the body and gives the kind.
+    /// Appends the body to `body` and returns the kind.
     pub fn encode(&self, body: &mut Vec<u8>) -> u8 {
         match self {
             Self::Hello { versions } => {
@@ -48,9 +38,9 @@ impl Request {
                 1
             }
             Self::List => 2,
-            Self::Fetch { name, have } => {
-                body.extend_from_slice(&have.bytes.to_le_bytes());
-                body.extend_from_slice(have.digest.as_bytes());
+            Self::Fetch { name, local } => {
+                body.extend_from_slice(&local.bytes.to_le_bytes());
+                body.extend_from_slice(local.digest.as_bytes());
                 body.extend_from_slice(name.as_str().as_bytes());
                 3
             }
@@ -59,11 +49,11 @@ impl Request {
                 body.extend_from_slice(name.as_str().as_bytes());
                 4
             }
-            Self::Computer => 5,
+            Self::CpuFeatures => 5,
         }
     }
 
-    /// From a frame.
+    /// Decodes the body of a frame of the given kind.
     ///
     /// # Errors
     /// [`WireError::Malformed`].
@@ -77,14 +67,14 @@ impl Request {
             3 => fields.u64().zip(fields.array()).zip(rest_as_name(&mut fields)?).map(
                 |((bytes, digest), name)| Self::Fetch {
                     name,
-                    have: Have { bytes, digest: Digest::from_bytes(digest) },
+                    local: LocalCopy { bytes, digest: Digest::from_bytes(digest) },
                 },
             ),
             4 => fields
                 .array()
                 .zip(rest_as_name(&mut fields)?)
                 .map(|(digest, name)| Self::Mark { name, digest: Digest::from_bytes(digest) }),
-            5 => Some(Self::Computer),
+            5 => Some(Self::CpuFeatures),
             _ => return Err(WireError::Malformed("a request of unknown kind")),
         };
         request
@@ -93,10 +83,10 @@ impl Request {
     }
 }
 
-/// Everything that is left, as a name. A body that is too short gives `None`.
+/// The remaining bytes as a name.
 fn rest_as_name(fields: &mut Fields<'_>) -> Result<Option<Name>, WireError> {
     let text = std::str::from_utf8(fields.0)
-        .map_err(|_| WireError::Malformed("a name that is no text"))?;
+        .map_err(|_| WireError::Malformed("a name that is not UTF-8"))?;
     fields.0 = &[];
-    Name::parse(text).map(Some).map_err(|_| WireError::Malformed("a name that is none of a buffer"))
+    Name::parse(text).map(Some).map_err(|_| WireError::Malformed("a name that is not a segment's"))
 }

@@ -1,4 +1,4 @@
-//! Over HTTP, as Amazon's stores speak it, with a server that can be made to misbehave.
+//! Pulling and uploading over HTTP in the S3 protocol, with a server that can inject faults.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,33 +14,33 @@ use object_store::aws::AmazonS3Builder;
 use segment_store::bucket::Bucket;
 use segment_store::pull::Options;
 use segment_store::source::{Directory, Source};
-use segment_store::{BufferError, Digest, Have, Kind, Receive};
+use segment_store::{Digest, ErrorKind, FileSink, LocalCopy, StoreError};
 use tempfile::tempdir;
 
-/// What the server does wrong.
+/// The fault that the server injects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Fault {
-    Nothing,
-    /// Every fifth body ends in the middle.
+    None,
+    /// Every fifth response body ends in the middle.
     Cut,
     /// Listing and reading are forbidden.
     Forbidden,
-    /// Writing is.
+    /// Writing is forbidden.
     ReadOnly,
     NoBucket,
-    /// Every answer is of another version.
+    /// Every response has another ETag.
     OtherVersions,
 }
 
 struct State {
     objects: BTreeMap<String, Vec<u8>>,
-    /// Of the one upload that is under way.
+    /// The parts of the only upload in progress.
     parts: BTreeMap<u32, Vec<u8>>,
     fault: Fault,
     answers: u64,
 }
 
-/// A bucket `fleet` on loopback.
+/// A server with the bucket `fleet` on loopback.
 struct Server {
     state: Arc<Mutex<State>>,
     port: u16,
@@ -58,7 +58,7 @@ impl Server {
         std::thread::spawn(move || {
             for stream in listener.incoming() {
                 let state = Arc::clone(&shared);
-                // A client that is gone is no error of the server's.
+                // The error when the client closes the connection is expected.
                 std::thread::spawn(move || drop(answer(&stream.unwrap(), &state)));
             }
         });
@@ -80,13 +80,16 @@ impl Server {
             .with_secret_access_key("secret")
             .with_retry(retry)
             .build();
-        Bucket::over(Arc::new(store.unwrap()), "kitchen".into(), "s3://fleet/kitchen").unwrap()
+        Bucket::from_store(Arc::new(store.unwrap()), "kitchen".into(), "s3://fleet/kitchen")
+            .unwrap()
     }
 }
 
 fn answer(mut stream: &TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
     let mut reader = BufReader::new(stream);
-    let (mut request, mut length, mut range) = (String::new(), 0, None);
+    let mut request = String::new();
+    let mut length = 0;
+    let mut range = None;
     reader.read_line(&mut request)?;
     loop {
         let mut line = String::new();
@@ -106,7 +109,8 @@ fn answer(mut stream: &TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
     let mut body = vec![0; length];
     std::io::Read::read_exact(&mut reader, &mut body)?;
     let mut words = request.split(' ');
-    let (method, target) = (words.next().unwrap(), words.next().unwrap());
+    let method = words.next().unwrap();
+    let target = words.next().unwrap();
     let (path, query) = target.split_once('?').unwrap_or((target, ""));
     let key = path.trim_start_matches("/fleet").trim_start_matches('/').to_owned();
     let mut state = state.lock().unwrap();
@@ -127,6 +131,15 @@ fn answer(mut stream: &TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
     stream.flush()
 }
 
+fn error_response(status: &str, code: &str) -> (String, String, Vec<u8>) {
+    let body = format!("<Error><Code>{code}</Code></Error>");
+    (status.to_owned(), String::new(), body.into_bytes())
+}
+
+fn etag(bytes: &[u8], version: u64) -> String {
+    format!("\"{}-{version}\"", Digest::of(bytes).short())
+}
+
 fn respond(
     state: &mut State,
     (method, query): (&str, &str),
@@ -134,26 +147,18 @@ fn respond(
     range: Option<(usize, usize)>,
     sent: Vec<u8>,
 ) -> (String, String, Vec<u8>) {
-    let error = |status: &str, code: &str| {
-        (
-            status.to_owned(),
-            String::new(),
-            format!("<Error><Code>{code}</Code></Error>").into_bytes(),
-        )
-    };
     match state.fault {
-        Fault::Forbidden => return error("403 Forbidden", "AccessDenied"),
+        Fault::Forbidden => return error_response("403 Forbidden", "AccessDenied"),
         Fault::ReadOnly if ["PUT", "POST"].contains(&method) => {
-            return error("403 Forbidden", "AccessDenied");
+            return error_response("403 Forbidden", "AccessDenied");
         }
-        Fault::NoBucket => return error("404 Not Found", "NoSuchBucket"),
+        Fault::NoBucket => return error_response("404 Not Found", "NoSuchBucket"),
         _ => {}
     }
     let version = if state.fault == Fault::OtherVersions { state.answers } else { 0 };
-    let etag = |bytes: &[u8]| format!("\"{}-{version}\"", Digest::of(bytes).short());
     let part = query.split('&').find_map(|word| word.strip_prefix("partNumber="));
     if let Some(part) = part {
-        let header = format!("ETag: {}\r\n", etag(&sent));
+        let header = format!("ETag: {}\r\n", etag(&sent, version));
         state.parts.insert(part.parse().unwrap(), sent);
         return ("200 OK".to_owned(), header, Vec::new());
     }
@@ -164,7 +169,10 @@ fn respond(
     if method == "POST" {
         let whole = std::mem::take(&mut state.parts).into_values().flatten().collect::<Vec<_>>();
         let done = "CompleteMultipartUploadResult";
-        let body = format!("<{done}><ETag>{}</ETag></{done}>", etag(&whole).replace('"', "&quot;"));
+        let body = format!(
+            "<{done}><ETag>{}</ETag></{done}>",
+            etag(&whole, version).replace('"', "&quot;")
+        );
         state.objects.insert(key.to_owned(), whole);
         return ("200 OK".to_owned(), String::new(), body.into_bytes());
     }
@@ -173,7 +181,7 @@ fn respond(
         return ("204 No Content".to_owned(), String::new(), Vec::new());
     }
     if method == "PUT" {
-        let header = format!("ETag: {}\r\n", etag(&sent));
+        let header = format!("ETag: {}\r\n", etag(&sent, version));
         state.objects.insert(key.to_owned(), sent);
         return ("200 OK".to_owned(), header, Vec::new());
     }
@@ -182,7 +190,7 @@ fn respond(
             format!(
                 "<Contents><Key>{key}</Key><LastModified>2026-11-01T10:00:00.000Z</LastModified>\
                  <ETag>&quot;{}&quot;</ETag><Size>{}</Size></Contents>",
-                etag(bytes).trim_matches('"'),
+                etag(bytes, version).trim_matches('"'),
                 bytes.len()
             )
         });
@@ -190,8 +198,10 @@ fn respond(
             format!("<ListBucketResult>{}</ListBucketResult>", contents.collect::<String>());
         return ("200 OK".to_owned(), String::new(), listing.into_bytes());
     }
-    let Some(bytes) = state.objects.get(key) else { return error("404 Not Found", "NoSuchKey") };
-    let header = format!("ETag: {}\r\n", etag(bytes));
+    let Some(bytes) = state.objects.get(key) else {
+        return error_response("404 Not Found", "NoSuchKey");
+    };
+    let header = format!("ETag: {}\r\n", etag(bytes, version));
     match range {
         Some((from, to)) => {
             let header =
@@ -203,10 +213,9 @@ fn respond(
 }
 
 #[test]
-fn a_bucket_is_pulled_over_http_and_its_marks_are_there() {
+fn a_bucket_is_pulled_over_http_and_marked() {
     let whole = segment(1, 30, 400_000);
-    let server =
-        Server::start(Fault::Nothing, &[("kitchen/run/recording_0000.mcap", whole.clone())]);
+    let server = Server::start(Fault::None, &[("kitchen/run/recording_0000.mcap", whole.clone())]);
     let here = tempdir().unwrap();
     let report = pull_into(&mut server.bucket(), here.path(), Options::default()).unwrap();
     assert_eq!((report.files, report.bytes, report.unmarked), (1, whole.len() as u64, 0));
@@ -217,61 +226,62 @@ fn a_bucket_is_pulled_over_http_and_its_marks_are_there() {
 }
 
 #[test]
-fn connections_that_break_in_the_middle_lose_nothing_and_no_byte_that_came_is_asked_for_again() {
-    // Its last piece is longer than what must be missing for its own checksums to vouch for the rest.
+fn broken_connections_lose_no_data_and_no_received_byte_is_requested_again() {
+    // Long enough that the end that is verified without a digest is still missing when the link breaks.
     let whole = segment(1, 50, 620_000);
     let server = Server::start(Fault::Cut, &[("kitchen/run/recording_0000.mcap", whole.clone())]);
     let here = tempdir().unwrap();
-    let (mut breaks, mut came) = (0, 0);
+    let mut breaks = 0;
+    let mut received = 0;
     loop {
         let part = here.path().join("run/recording_0000.mcap.part");
         let before = fs::metadata(&part).map_or(0, |metadata| metadata.len());
         match pull_into(&mut server.bucket(), here.path(), Options::default()) {
             Ok(report) => {
-                came += report.bytes;
+                received += report.bytes;
                 break;
             }
             Err(error) => {
-                assert!(error.kind() == Kind::Link, "{error}");
-                came += fs::metadata(&part).map_or(0, |metadata| metadata.len()) - before;
+                assert!(error.kind() == ErrorKind::Link, "{error}");
+                received += fs::metadata(&part).map_or(0, |metadata| metadata.len()) - before;
             }
         }
         breaks += 1;
         assert!(breaks < 100);
     }
-    assert!(breaks > 0 && came == whole.len() as u64, "{breaks} breaks, {came} bytes");
+    assert!(breaks > 0 && received == whole.len() as u64, "{breaks} breaks, {received} bytes");
     assert!(fs::read(here.path().join("run/recording_0000.mcap")).unwrap() == whole);
 }
 
 #[test]
-fn what_is_forbidden_or_missing_is_named_with_the_way_out() {
+fn missing_permissions_and_buckets_are_reported_with_a_way_out() {
     for (fault, what) in
         [(Fault::Forbidden, "AWS_ACCESS_KEY_ID"), (Fault::NoBucket, "there is no such bucket")]
     {
         let server = Server::start(fault, &[]);
         let error = server.bucket().list().unwrap_err();
-        let words = error.to_string();
-        assert!(words.starts_with("s3://fleet/kitchen: ") && words.contains(what), "{words}");
-        assert_eq!(error.kind(), Kind::Refused, "trying again changes nothing: {words}");
+        let text = error.to_string();
+        assert!(text.starts_with("s3://fleet/kitchen: ") && text.contains(what), "{text}");
+        assert_eq!(error.kind(), ErrorKind::Refused, "trying again changes nothing: {text}");
     }
 }
 
 #[test]
-fn a_store_that_does_not_answer_is_tried_again_later() {
-    let server = Server::start(Fault::Nothing, &[]);
+fn a_store_that_does_not_answer_is_a_link_error() {
+    let server = Server::start(Fault::None, &[]);
     let mut bucket = Server { port: 1, ..server }.bucket();
     let error = bucket.list().unwrap_err();
-    assert_eq!(error.kind(), Kind::Link, "{error}");
+    assert_eq!(error.kind(), ErrorKind::Link, "{error}");
 }
 
 #[test]
 fn a_key_that_leads_out_of_the_prefix_is_refused_and_nothing_is_written() {
     for key in ["kitchen/../../recording_0000.mcap", "kitchen/run/../recording_0000.mcap"] {
-        let server = Server::start(Fault::Nothing, &[(key, segment(1, SMALL, 100))]);
+        let server = Server::start(Fault::None, &[(key, segment(1, SMALL, 100))]);
         let here = tempdir().unwrap();
         let error = pull_into(&mut server.bucket(), here.path(), Options::default()).unwrap_err();
-        assert!(error.to_string().contains("a name that no file may have"), "{error}");
-        assert_eq!(error.kind(), Kind::Refused);
+        assert!(error.to_string().contains("not a valid file name"), "{error}");
+        assert_eq!(error.kind(), ErrorKind::Refused);
         let left = fs::read_dir(here.path())
             .unwrap()
             .map(|entry| entry.unwrap().file_name())
@@ -281,36 +291,37 @@ fn a_key_that_leads_out_of_the_prefix_is_refused_and_nothing_is_written() {
 }
 
 #[test]
-fn a_store_that_does_not_look_at_if_match_cannot_mix_versions() {
-    let server = Server::start(
-        Fault::Nothing,
-        &[("kitchen/run/recording_0000.mcap", segment(1, SMALL, 100))],
-    );
+fn a_store_that_ignores_if_match_cannot_mix_versions() {
+    let server =
+        Server::start(Fault::None, &[("kitchen/run/recording_0000.mcap", segment(1, SMALL, 100))]);
     let mut bucket = server.bucket();
     let name = bucket.list().unwrap()[0].name.clone();
     server.state.lock().unwrap().fault = Fault::OtherVersions;
-    let error = bucket.fetch(&name, Have::nothing(), &mut Nothing).unwrap_err();
+    let error = bucket.fetch(&name, LocalCopy::none(), &mut RefuseData).unwrap_err();
     assert!(error.to_string().contains("was replaced or removed while it was read"), "{error}");
-    assert!(bucket.list().unwrap().is_empty(), "what changes under every look is not there yet");
+    assert!(
+        bucket.list().unwrap().is_empty(),
+        "an object that changes while it is inspected is not listed"
+    );
 }
 
-/// Takes what begins, and no data.
-struct Nothing;
+/// Accepts the start of a file and fails the test when data follow.
+struct RefuseData;
 
-impl Receive<BufferError> for Nothing {
-    fn start(&mut self, _from: u64, _length: u64) -> Result<(), BufferError> {
+impl FileSink<StoreError> for RefuseData {
+    fn start(&mut self, _from: u64, _length: u64) -> Result<(), StoreError> {
         Ok(())
     }
-    fn data(&mut self, _at: u64, _bytes: &[u8]) -> Result<(), BufferError> {
+    fn data(&mut self, _at: u64, _bytes: &[u8]) -> Result<(), StoreError> {
         panic!("data of another version")
     }
-    fn working(&mut self) -> Result<(), BufferError> {
+    fn comparing(&mut self) -> Result<(), StoreError> {
         Ok(())
     }
 }
 
 #[test]
-fn whoever_may_only_read_pulls_and_is_told_that_nothing_was_marked() {
+fn with_read_only_credentials_segments_are_pulled_and_counted_as_unmarked() {
     let server = Server::start(
         Fault::ReadOnly,
         &[("kitchen/run/recording_0000.mcap", segment(1, SMALL, 100))],
@@ -323,7 +334,7 @@ fn whoever_may_only_read_pulls_and_is_told_that_nothing_was_marked() {
 fn upload(
     server: &Server,
     robot: &std::path::Path,
-) -> Result<segment_store::pull::Report, BufferError> {
+) -> Result<segment_store::pull::Report, StoreError> {
     let mut source = Directory::open(robot).unwrap();
     server.bucket().upload(&mut source, &Options::default(), &mut VirtualClock::default(), &mut ())
 }
@@ -337,9 +348,10 @@ fn robot(bytes: &[u8]) -> tempfile::TempDir {
 }
 
 #[test]
-fn a_segment_is_uploaded_over_http_in_parts_and_is_whole_there() {
+fn a_segment_uploaded_in_parts_over_http_is_complete() {
     let whole = segment(1, 30, 700_000);
-    let (server, robot) = (Server::start(Fault::Nothing, &[]), robot(&whole));
+    let server = Server::start(Fault::None, &[]);
+    let robot = robot(&whole);
     let report = upload(&server, robot.path()).unwrap();
     assert_eq!((report.files, report.bytes, report.unmarked), (1, whole.len() as u64, 0));
     let state = server.state.lock().unwrap();
@@ -349,10 +361,11 @@ fn a_segment_is_uploaded_over_http_in_parts_and_is_whole_there() {
 }
 
 #[test]
-fn a_store_that_may_not_be_written_refuses_an_upload_with_words_and_the_robot_keeps_everything() {
-    let (server, robot) = (Server::start(Fault::ReadOnly, &[]), robot(&segment(1, SMALL, 100)));
+fn an_upload_without_write_permission_fails_and_marks_nothing_on_the_robot() {
+    let server = Server::start(Fault::ReadOnly, &[]);
+    let robot = robot(&segment(1, SMALL, 100));
     let error = upload(&server, robot.path()).unwrap_err();
     assert!(error.to_string().contains("these credentials may not write there"), "{error}");
-    assert_eq!(error.kind(), Kind::Refused);
+    assert_eq!(error.kind(), ErrorKind::Refused);
     assert!(!robot.path().join("recording_0000.mcap.pulled").exists());
 }

@@ -1,17 +1,17 @@
-//! Buffers in object stores are pulled, again and again.
+//! Repeated pulls from object stores.
 
 use std::fs;
 use std::sync::Arc;
 
-use crate::common::{Fleet, Noise, SMALL, WatchWith, pull_into, pull_watched, segment};
+use crate::common::{Fleet, Noise, ProgressHook, SMALL, pull_into, pull_with_progress, segment};
 use object_store::memory::InMemory;
 use segment_store::pull::{Options, Order};
 use segment_store::source::Source;
-use segment_store::{BufferError, Digest, Have, Kind, Name, Pulled, Receive, State};
+use segment_store::{Digest, ErrorKind, FileSink, LocalCopy, Name, Pulled, State, StoreError};
 use tempfile::tempdir;
 
 #[test]
-fn everything_under_a_prefix_arrives_whole_and_is_marked() {
+fn all_segments_under_a_prefix_are_pulled_and_marked() {
     let disk = tempdir().unwrap();
     for fleet in [Fleet::in_memory(), Fleet::in_directory(disk.path())] {
         let here = tempdir().unwrap();
@@ -33,7 +33,7 @@ fn everything_under_a_prefix_arrives_whole_and_is_marked() {
                 entry.name
             );
             assert_eq!(
-                (entry.state, entry.turns, entry.events),
+                (entry.state, entry.ticks, entry.events),
                 (State::Closed, Some(SMALL), Some(2))
             );
         }
@@ -41,8 +41,9 @@ fn everything_under_a_prefix_arrives_whole_and_is_marked() {
 }
 
 #[test]
-fn a_second_pull_moves_nothing_also_from_a_bucket_that_is_opened_again() {
-    let (fleet, here) = (Fleet::in_memory(), tempdir().unwrap());
+fn a_second_pull_transfers_nothing_even_from_a_reopened_bucket() {
+    let fleet = Fleet::in_memory();
+    let here = tempdir().unwrap();
     fleet.put_robot();
     pull_into(&mut fleet.bucket(), here.path(), Options::default()).unwrap();
     for _ in 0..2 {
@@ -52,15 +53,16 @@ fn a_second_pull_moves_nothing_also_from_a_bucket_that_is_opened_again() {
 }
 
 #[test]
-fn without_its_index_a_destination_is_compared_and_nothing_is_kept_twice() {
+fn without_its_index_a_destination_is_compared_and_no_file_is_duplicated() {
     for has_mark in [true, false] {
-        let (fleet, here) = (Fleet::in_memory(), tempdir().unwrap());
+        let fleet = Fleet::in_memory();
+        let here = tempdir().unwrap();
         fleet.put_robot();
         let options = Options { no_mark: !has_mark, ..Options::default() };
         pull_into(&mut fleet.bucket(), here.path(), options).unwrap();
         fs::remove_file(here.path().join("pulled.json")).unwrap();
         let report = pull_into(&mut fleet.bucket(), here.path(), Options::default()).unwrap();
-        // Without a mark there is nothing that it could be compared with but the bytes.
+        // Without a marker there is no digest to compare with, so the segment is transferred again.
         assert_eq!((report.files, report.bytes == 0), (3, has_mark));
         assert_eq!(
             fs::read_dir(here.path().join("monday")).unwrap().count(),
@@ -71,8 +73,9 @@ fn without_its_index_a_destination_is_compared_and_nothing_is_kept_twice() {
 }
 
 #[test]
-fn a_bucket_that_is_followed_brings_what_is_new() {
-    let (fleet, here) = (Fleet::in_memory(), tempdir().unwrap());
+fn a_second_pull_from_the_same_bucket_fetches_only_new_segments() {
+    let fleet = Fleet::in_memory();
+    let here = tempdir().unwrap();
     let mut bucket = fleet.bucket();
     fleet.put_robot();
     pull_into(&mut bucket, here.path(), Options { order: Order::Newest, ..Options::default() })
@@ -83,11 +86,12 @@ fn a_bucket_that_is_followed_brings_what_is_new() {
 }
 
 #[test]
-fn an_interrupted_pull_goes_on_at_the_byte_with_and_without_a_digest() {
+fn an_interrupted_pull_resumes_at_the_byte_with_and_without_a_digest() {
     let whole = segment(3, 30, 200_000);
     let half = whole.len() / 2;
     for has_digest in [false, true] {
-        let (fleet, here) = (Fleet::in_memory(), tempdir().unwrap());
+        let fleet = Fleet::in_memory();
+        let here = tempdir().unwrap();
         fleet.put("recording_0000.mcap", &whole);
         if has_digest {
             let line = format!("{}  recording_0000.mcap\n", Digest::of(&whole));
@@ -105,19 +109,19 @@ fn an_interrupted_pull_goes_on_at_the_byte_with_and_without_a_digest() {
 }
 
 #[test]
-fn a_pull_that_is_cut_anywhere_ends_with_the_same_bytes() {
-    let (fleet, here) = (Fleet::in_memory(), tempdir().unwrap());
+fn a_pull_interrupted_anywhere_ends_with_the_same_bytes() {
+    let fleet = Fleet::in_memory();
+    let here = tempdir().unwrap();
     let whole = segment(4, 40, 250_000);
     fleet.put("run/recording_0000.mcap", &whole);
     let mut noise = Noise(5);
     let mut cuts = 0;
     loop {
         let mut left = noise.next() % (whole.len() as u64 / 2);
-        // What a limit on the disk, a kill or a broken link look like from here.
         let mut source = CutShort { bucket: fleet.bucket(), left: &mut left };
         match pull_into(&mut source, here.path(), Options::default()) {
             Ok(_) => break,
-            Err(error) => assert!(error.kind() == Kind::Link, "{error}"),
+            Err(error) => assert!(error.kind() == ErrorKind::Link, "{error}"),
         }
         cuts += 1;
         assert!(cuts < 100 && !here.path().join("run/recording_0000.mcap").exists());
@@ -125,56 +129,57 @@ fn a_pull_that_is_cut_anywhere_ends_with_the_same_bytes() {
     assert!(cuts > 1 && fs::read(here.path().join("run/recording_0000.mcap")).unwrap() == whole);
 }
 
-/// Ends behind so many bytes.
+/// A source whose link breaks after `left` bytes.
 struct CutShort<'a> {
     bucket: segment_store::bucket::Bucket,
     left: &'a mut u64,
 }
 
 struct Short<'a, 'b> {
-    to: &'a mut dyn Receive<BufferError>,
+    to: &'a mut dyn FileSink<StoreError>,
     left: &'b mut u64,
 }
 
-impl Receive<BufferError> for Short<'_, '_> {
-    fn start(&mut self, from: u64, length: u64) -> Result<(), BufferError> {
+impl FileSink<StoreError> for Short<'_, '_> {
+    fn start(&mut self, from: u64, length: u64) -> Result<(), StoreError> {
         self.to.start(from, length)
     }
-    fn data(&mut self, at: u64, bytes: &[u8]) -> Result<(), BufferError> {
+    fn data(&mut self, at: u64, bytes: &[u8]) -> Result<(), StoreError> {
         let now = (*self.left).min(bytes.len() as u64);
         *self.left -= now;
         self.to.data(at, &bytes[..now as usize])?;
-        let broken = || BufferError::Link {
-            to: "bucket".to_owned(),
-            source: std::io::ErrorKind::BrokenPipe.into(),
-        };
-        if now < bytes.len() as u64 { Err(broken()) } else { Ok(()) }
+        if now == bytes.len() as u64 {
+            return Ok(());
+        }
+        let source = std::io::ErrorKind::BrokenPipe.into();
+        Err(StoreError::Link { to: "bucket".to_owned(), source })
     }
-    fn working(&mut self) -> Result<(), BufferError> {
-        self.to.working()
+    fn comparing(&mut self) -> Result<(), StoreError> {
+        self.to.comparing()
     }
 }
 
 impl Source for CutShort<'_> {
-    fn list(&mut self) -> Result<Vec<segment_store::Entry>, BufferError> {
+    fn list(&mut self) -> Result<Vec<segment_store::Entry>, StoreError> {
         self.bucket.list()
     }
     fn fetch(
         &mut self,
         name: &Name,
-        have: Have,
-        to: &mut dyn Receive<BufferError>,
-    ) -> Result<Option<Digest>, BufferError> {
-        self.bucket.fetch(name, have, &mut Short { to, left: self.left })
+        local: LocalCopy,
+        to: &mut dyn FileSink<StoreError>,
+    ) -> Result<Option<Digest>, StoreError> {
+        self.bucket.fetch(name, local, &mut Short { to, left: self.left })
     }
-    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), BufferError> {
+    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), StoreError> {
         self.bucket.mark_pulled(name, digest)
     }
 }
 
 #[test]
-fn a_part_of_something_else_is_noticed_and_everything_is_pulled_once_more() {
-    let (whole, other) = (segment(3, 30, 200_000), segment(8, 30, 200_000));
+fn a_part_with_other_contents_is_detected_and_the_segment_is_pulled_again() {
+    let whole = segment(3, 30, 200_000);
+    let other = segment(8, 30, 200_000);
     for (has_digest, part) in [
         (false, other[..whole.len() / 2].to_vec()),
         (true, other[..whole.len() / 2].to_vec()),
@@ -183,7 +188,8 @@ fn a_part_of_something_else_is_noticed_and_everything_is_pulled_once_more() {
         (false, vec![0; whole.len() + 9]),
         (true, vec![0; whole.len() + 9]),
     ] {
-        let (fleet, here) = (Fleet::in_memory(), tempdir().unwrap());
+        let fleet = Fleet::in_memory();
+        let here = tempdir().unwrap();
         fleet.put("recording_0000.mcap", &whole);
         if has_digest {
             fleet.put("recording_0000.mcap.blake3", Digest::of(&whole).to_string().as_bytes());
@@ -197,69 +203,73 @@ fn a_part_of_something_else_is_noticed_and_everything_is_pulled_once_more() {
 }
 
 #[test]
-fn an_object_that_is_replaced_while_it_is_read_never_gets_a_segments_name() {
-    // So long that more pieces are asked for after the first has come.
-    let (first, second) = (segment(3, 30, 2_000_000), segment(8, 30, 2_000_000));
-    let (fleet, here) = (Fleet::in_memory(), tempdir().unwrap());
+fn an_object_that_is_replaced_while_it_is_read_is_not_completed() {
+    // Large enough that more requests follow after the first piece was received.
+    let first = segment(3, 30, 2_000_000);
+    let second = segment(8, 30, 2_000_000);
+    let fleet = Fleet::in_memory();
+    let here = tempdir().unwrap();
     fleet.put("recording_0000.mcap", &first);
     let mut replaced = false;
-    let mut watch = WatchWith::arrival(|| {
+    let mut progress = ProgressHook::on_received(|| {
         if !replaced {
             replaced = true;
             fleet.put("recording_0000.mcap", &second);
         }
     });
     let report =
-        pull_watched(&mut fleet.bucket(), here.path(), Options::default(), &mut watch).unwrap();
-    let warnings = watch.warnings();
+        pull_with_progress(&mut fleet.bucket(), here.path(), Options::default(), &mut progress)
+            .unwrap();
+    let warnings = progress.warnings();
     assert_eq!(report.files, 0);
     assert!(
         warnings.iter().any(|text| text.contains("replaced or removed while it was read")),
         "{warnings:?}"
     );
     assert!(!here.path().join("recording_0000.mcap").exists());
-    // The next pull finds a part of the old one, and comes to the new one whole.
+    // The next pull replaces the part of the old object.
     pull_into(&mut fleet.bucket(), here.path(), Options::default()).unwrap();
     assert!(fs::read(here.path().join("recording_0000.mcap")).unwrap() == second);
 }
 
 #[test]
-fn a_digest_that_is_not_the_objects_keeps_it_from_getting_its_name() {
-    let (fleet, here) = (Fleet::in_memory(), tempdir().unwrap());
+fn an_object_with_a_wrong_digest_is_not_completed() {
+    let fleet = Fleet::in_memory();
+    let here = tempdir().unwrap();
     fleet.put("recording_0000.mcap", &segment(1, SMALL, 100));
     fleet.put("recording_0000.mcap.blake3", Digest::of(b"something else").to_string().as_bytes());
     let error = pull_into(&mut fleet.bucket(), here.path(), Options::default()).unwrap_err();
-    assert!(matches!(error, BufferError::Digest { .. }), "{error}");
+    assert!(matches!(error, StoreError::Digest { .. }), "{error}");
     assert!(!here.path().join("recording_0000.mcap").exists());
-    // What makes no sense is no digest.
+    // Malformed text does not count as a digest.
     fleet.put("recording_0000.mcap.blake3", b"<html>");
     assert_eq!(pull_into(&mut fleet.bucket(), here.path(), Options::default()).unwrap().files, 1);
 }
 
 #[test]
-fn a_segment_that_is_damaged_in_the_bucket_is_pulled_twice_and_kept_with_a_warning() {
-    let (fleet, here) = (Fleet::in_memory(), tempdir().unwrap());
+fn a_segment_damaged_in_the_bucket_is_pulled_twice_and_kept_with_a_warning() {
+    let fleet = Fleet::in_memory();
+    let here = tempdir().unwrap();
     let mut damaged = segment(1, 30, 1000);
     let middle = damaged.len() / 2;
     damaged[middle] ^= 0x10;
     fleet.put("recording_0000.mcap", &damaged);
-    let mut watch = WatchWith::arrival(|| {});
+    let mut progress = ProgressHook::on_received(|| {});
     let report =
-        pull_watched(&mut fleet.bucket(), here.path(), Options::default(), &mut watch).unwrap();
+        pull_with_progress(&mut fleet.bucket(), here.path(), Options::default(), &mut progress)
+            .unwrap();
     assert_eq!((report.files, report.bytes), (1, 2 * damaged.len() as u64));
-    let warnings = watch.warnings();
-    assert!(
-        warnings.iter().any(|text| text.contains("damaged where it comes from")),
-        "{warnings:?}"
-    );
+    let warnings = progress.warnings();
+    assert!(warnings.iter().any(|text| text.contains("damaged at its source")), "{warnings:?}");
 }
 
 #[test]
-fn a_cut_segment_arrives_as_it_is_and_its_whole_successor_replaces_it() {
-    let (fleet, here) = (Fleet::in_memory(), tempdir().unwrap());
+fn a_cut_segment_is_pulled_and_later_replaced_by_its_complete_version() {
+    let fleet = Fleet::in_memory();
+    let here = tempdir().unwrap();
     let whole = segment(1, 30, 200_000);
     fleet.put("run/recording_0000.mcap", &whole[..whole.len() / 2]);
-    // Not the last of its run, so nobody is writing it.
+    // A later segment, so that the cut one does not count as still being written.
     fleet.put("run/recording_0001.mcap", &segment(2, SMALL, 100));
     let mut bucket = fleet.bucket();
     let report = pull_into(&mut bucket, here.path(), Options::default()).unwrap();
@@ -275,24 +285,25 @@ fn a_cut_segment_arrives_as_it_is_and_its_whole_successor_replaces_it() {
 }
 
 #[test]
-fn an_index_that_is_longer_than_usual_is_read_as_well() {
+fn an_unusually_long_index_is_read() {
     let fleet = Fleet::in_memory();
-    fleet.put("recording_0000.mcap", &common::segment_with_channels(1, SMALL, 100, 4000));
+    fleet.put("recording_0000.mcap", &crate::common::segment_with_channels(1, SMALL, 100, 4000));
     let entries = fleet.bucket().list().unwrap();
-    assert_eq!((entries[0].state, entries[0].turns), (State::Closed, Some(SMALL)));
+    assert_eq!((entries[0].state, entries[0].ticks), (State::Closed, Some(SMALL)));
 }
 
 #[test]
-fn names_that_could_lead_elsewhere_are_not_there() {
-    let (fleet, here) = (Fleet::in_memory(), tempdir().unwrap());
+fn names_that_could_lead_out_of_the_store_are_not_listed() {
+    let fleet = Fleet::in_memory();
+    let here = tempdir().unwrap();
     fleet.put_robot();
     for odd in [".ssh/recording_0000.mcap", "a/b/recording_0000.mcap", "run/id_rsa"] {
         fleet.put(odd, &segment(1, SMALL, 100));
     }
-    // The prefix is a folder and not the beginning of a name.
+    // The prefix is a directory and not the beginning of a name.
     fleet.put("../kitchen2/run/recording_0000.mcap", &segment(1, SMALL, 100));
     let report = pull_into(&mut fleet.bucket(), here.path(), Options::default()).unwrap();
-    assert_eq!(report.files, 3, "what put_robot() made and nothing else");
+    assert_eq!(report.files, 3, "only the files that put_robot() created");
     let runs = fs::read_dir(here.path())
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap());
@@ -302,10 +313,11 @@ fn names_that_could_lead_elsewhere_are_not_there() {
 }
 
 #[test]
-fn a_mark_is_set_only_for_what_was_read() {
+fn a_marker_is_written_only_for_the_version_that_was_read() {
     let fleet = Fleet::in_memory();
     fleet.put_robot();
-    let (mut bucket, name) = (fleet.bucket(), Name::parse("monday/recording_0000.mcap").unwrap());
+    let mut bucket = fleet.bucket();
+    let name = Name::parse("monday/recording_0000.mcap").unwrap();
     bucket.list().unwrap();
     fleet.put(name.as_str(), &segment(77, SMALL, 100));
     let error = bucket.mark_pulled(&name, &Digest::of(b"")).unwrap_err();
@@ -314,8 +326,8 @@ fn a_mark_is_set_only_for_what_was_read() {
 }
 
 #[test]
-fn an_empty_prefix_is_an_empty_buffer() {
-    let bucket = segment_store::bucket::Bucket::over(
+fn an_empty_prefix_is_an_empty_store() {
+    let bucket = segment_store::bucket::Bucket::from_store(
         Arc::new(InMemory::new()),
         "nothing".into(),
         "memory:///nothing",

@@ -1,13 +1,13 @@
-//! What a robot recorded goes into a store, and comes out of it again.
+//! Uploads of a robot's segments, and pulls of the uploaded segments.
 
 use std::fs;
 use std::path::Path;
 
-use crate::common::{Fleet, SMALL, WatchWith, pull_into, segment};
+use crate::common::{Fleet, ProgressHook, SMALL, pull_into, segment};
 use hal::VirtualClock;
-use segment_store::pull::{Options, Report, Watch};
+use segment_store::pull::{Options, Progress, Report};
 use segment_store::source::{Directory, Source};
-use segment_store::{BufferError, Digest, Entry, Have, Kind, Name, Receive};
+use segment_store::{Digest, Entry, ErrorKind, FileSink, LocalCopy, Name, StoreError};
 use tempfile::{TempDir, tempdir};
 
 const NAMES: [&str; 3] =
@@ -17,7 +17,7 @@ fn write(robot: &Path, name: &str, bytes: &[u8]) {
     let path = robot.join(name);
     fs::create_dir_all(path.parent().unwrap()).unwrap();
     fs::write(&path, bytes).unwrap();
-    // Nobody writes to it any more.
+    // RefuseAll writes to it any more.
     fs::File::open(&path).unwrap().set_modified(std::time::UNIX_EPOCH).unwrap();
 }
 
@@ -31,21 +31,21 @@ fn robot() -> TempDir {
 }
 
 fn upload(fleet: &Fleet, robot: &Path) -> Report {
-    upload_watched(fleet, &mut Directory::open(robot).unwrap(), Options::default(), &mut ())
+    upload_with_progress(fleet, &mut Directory::open(robot).unwrap(), Options::default(), &mut ())
         .unwrap()
 }
 
-fn upload_watched(
+fn upload_with_progress(
     fleet: &Fleet,
     source: &mut dyn Source,
     options: Options,
-    watch: &mut dyn Watch,
-) -> Result<Report, BufferError> {
-    fleet.bucket().upload(source, &options, &mut VirtualClock::default(), watch)
+    progress: &mut dyn Progress,
+) -> Result<Report, StoreError> {
+    fleet.bucket().upload(source, &options, &mut VirtualClock::default(), progress)
 }
 
-/// What a workstation gets out of the store.
-fn assert_comes_out(fleet: &Fleet, robot: &Path) {
+/// Pulls from the store and compares the files with the robot's.
+fn assert_pulled_files_equal(fleet: &Fleet, robot: &Path) {
     let here = tempdir().unwrap();
     pull_into(&mut fleet.bucket(), here.path(), Options { no_mark: true, ..Options::default() })
         .unwrap();
@@ -58,7 +58,7 @@ fn assert_comes_out(fleet: &Fleet, robot: &Path) {
 }
 
 #[test]
-fn what_goes_in_comes_out_and_the_robot_knows_what_it_may_delete() {
+fn uploaded_segments_can_be_pulled_and_are_marked_on_the_robot() {
     let disk = tempdir().unwrap();
     for fleet in [Fleet::in_memory(), Fleet::in_directory(disk.path())] {
         let robot = robot();
@@ -78,13 +78,14 @@ fn what_goes_in_comes_out_and_the_robot_knows_what_it_may_delete() {
                     .starts_with(&digest)
             );
         }
-        assert_comes_out(&fleet, robot.path());
+        assert_pulled_files_equal(&fleet, robot.path());
     }
 }
 
 #[test]
-fn a_segment_of_many_parts_arrives_whole() {
-    let (fleet, robot) = (Fleet::in_memory(), tempdir().unwrap());
+fn a_segment_of_many_parts_is_uploaded_completely() {
+    let fleet = Fleet::in_memory();
+    let robot = tempdir().unwrap();
     let large = segment(1, 30, 1_200_000);
     write(robot.path(), NAMES[0], &large);
     assert_eq!(upload(&fleet, robot.path()).bytes, large.len() as u64);
@@ -92,13 +93,14 @@ fn a_segment_of_many_parts_arrives_whole() {
 }
 
 #[test]
-fn a_second_upload_sends_nothing_and_where_the_robot_has_marks_reads_nothing() {
+fn a_second_upload_sends_nothing_and_reads_only_unmarked_segments() {
     for no_mark in [false, true] {
-        let (fleet, robot) = (Fleet::in_memory(), robot());
+        let fleet = Fleet::in_memory();
+        let robot = robot();
         let options = Options { no_mark, ..Options::default() };
         for expected in [(3, 0), (0, if no_mark { 0 } else { 3 })] {
             let mut source = Fetches { robot: Directory::open(robot.path()).unwrap(), fetches: 0 };
-            let report = upload_watched(&fleet, &mut source, options, &mut ()).unwrap();
+            let report = upload_with_progress(&fleet, &mut source, options, &mut ()).unwrap();
             assert_eq!((report.files, report.there), expected, "no mark: {no_mark}");
             assert_eq!(source.fetches, 3 - expected.1, "no mark: {no_mark}");
             assert_eq!(report.bytes > 0, report.files > 0);
@@ -106,54 +108,57 @@ fn a_second_upload_sends_nothing_and_where_the_robot_has_marks_reads_nothing() {
     }
 }
 
-/// Counts what is read.
+/// Counts the files that are read.
 struct Fetches {
     robot: Directory,
     fetches: u64,
 }
 
 impl Source for Fetches {
-    fn list(&mut self) -> Result<Vec<Entry>, BufferError> {
+    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
         self.robot.list()
     }
     fn fetch(
         &mut self,
         name: &Name,
-        have: Have,
-        to: &mut dyn Receive<BufferError>,
-    ) -> Result<Option<Digest>, BufferError> {
+        local: LocalCopy,
+        to: &mut dyn FileSink<StoreError>,
+    ) -> Result<Option<Digest>, StoreError> {
         self.fetches += 1;
-        self.robot.fetch(name, have, to)
+        self.robot.fetch(name, local, to)
     }
-    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), BufferError> {
+    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), StoreError> {
         self.robot.mark_pulled(name, digest)
     }
 }
 
 #[test]
-fn a_robot_that_is_followed_sends_what_is_new_and_asks_the_store_for_nothing_else() {
-    let (fleet, robot) = (Fleet::in_memory(), robot());
-    let (mut bucket, mut clock) = (fleet.bucket(), VirtualClock::default());
+fn repeated_uploads_send_only_new_segments() {
+    let fleet = Fleet::in_memory();
+    let robot = robot();
+    let mut bucket = fleet.bucket();
+    let mut clock = VirtualClock::default();
     let mut source = Directory::open(robot.path()).unwrap();
     let options = Options { no_mark: true, ..Options::default() };
-    let mut look = || bucket.upload(&mut source, &options, &mut clock, &mut ()).unwrap();
-    assert_eq!(look().files, 3);
-    assert_eq!((look().files, look().there), (0, 3));
+    let mut upload_again = || bucket.upload(&mut source, &options, &mut clock, &mut ()).unwrap();
+    assert_eq!(upload_again().files, 3);
+    assert_eq!((upload_again().files, upload_again().there), (0, 3));
     write(robot.path(), "tuesday/recording_0001.mcap", &segment(9, SMALL, 100));
-    let report = look();
+    let report = upload_again();
     assert_eq!((report.files, report.there), (1, 3));
 }
 
 #[test]
 fn an_object_without_its_digest_is_compared_and_not_sent_again() {
-    let (fleet, robot) = (Fleet::in_memory(), robot());
-    // As a kill between the two leaves it, or another program.
+    let fleet = Fleet::in_memory();
+    let robot = robot();
+    // The state after a kill between object and digest, or after an upload by another program.
     fleet.put(NAMES[0], &fs::read(robot.path().join(NAMES[0])).unwrap());
     let sent: u64 =
         NAMES[1..].iter().map(|name| fs::metadata(robot.path().join(name)).unwrap().len()).sum();
     let report = upload(&fleet, robot.path());
     assert_eq!((report.files, report.bytes), (3, sent));
-    assert_comes_out(&fleet, robot.path());
+    assert_pulled_files_equal(&fleet, robot.path());
 }
 
 #[test]
@@ -161,7 +166,8 @@ fn another_recording_under_an_old_name_does_not_replace_the_old_one() {
     for (new, has_digest) in
         [(segment(7, SMALL, 100), true), (segment(7, SMALL, 100), false), (segment(7, 9, 50), true)]
     {
-        let (fleet, robot) = (Fleet::in_memory(), robot());
+        let fleet = Fleet::in_memory();
+        let robot = robot();
         let old = fs::read(robot.path().join(NAMES[0])).unwrap();
         match has_digest {
             true => drop(upload(&fleet, robot.path())),
@@ -177,20 +183,21 @@ fn another_recording_under_an_old_name_does_not_replace_the_old_one() {
             .into_iter()
             .find(|name| name.starts_with(&format!("{}.", NAMES[0])) && fleet.get(name) == old);
         assert!(kept.is_some(), "{:?}", fleet.names());
-        assert_comes_out(&fleet, robot.path());
+        assert_pulled_files_equal(&fleet, robot.path());
     }
 }
 
 #[test]
-fn an_upload_that_ends_anywhere_leaves_no_object_and_the_next_one_completes_it() {
-    let (fleet, robot) = (Fleet::in_memory(), robot());
+fn an_upload_interrupted_anywhere_leaves_no_partial_object_and_the_next_one_completes_it() {
+    let fleet = Fleet::in_memory();
+    let robot = robot();
     let total: u64 =
         NAMES.iter().map(|name| fs::metadata(robot.path().join(name)).unwrap().len()).sum();
     let mut ends = 0;
     for (at, after) in (0..total).step_by(total as usize / 40).enumerate() {
         let fleet = if at % 2 == 0 { &fleet } else { &Fleet::in_memory() };
         let mut source = EndsAfter { robot: Directory::open(robot.path()).unwrap(), bytes: after };
-        let error = match upload_watched(
+        let error = match upload_with_progress(
             fleet,
             &mut source,
             Options { no_mark: true, ..Options::default() },
@@ -199,7 +206,7 @@ fn an_upload_that_ends_anywhere_leaves_no_object_and_the_next_one_completes_it()
             Ok(_) => continue,
             Err(error) => error,
         };
-        assert_eq!(error.kind(), Kind::Link, "{error}");
+        assert_eq!(error.kind(), ErrorKind::Link, "{error}");
         ends += 1;
         for name in NAMES {
             let there = fleet.try_get(name);
@@ -211,68 +218,70 @@ fn an_upload_that_ends_anywhere_leaves_no_object_and_the_next_one_completes_it()
     }
     assert!(ends > 10, "{ends}");
     upload(&fleet, robot.path());
-    assert_comes_out(&fleet, robot.path());
+    assert_pulled_files_equal(&fleet, robot.path());
 }
 
-/// A link that breaks after so many bytes.
+/// A source whose link breaks after `bytes` bytes.
 struct EndsAfter {
     robot: Directory,
     bytes: u64,
 }
 
 struct Ends<'a> {
-    to: &'a mut dyn Receive<BufferError>,
+    to: &'a mut dyn FileSink<StoreError>,
     left: &'a mut u64,
 }
 
-impl Receive<BufferError> for Ends<'_> {
-    fn start(&mut self, from: u64, length: u64) -> Result<(), BufferError> {
+impl FileSink<StoreError> for Ends<'_> {
+    fn start(&mut self, from: u64, length: u64) -> Result<(), StoreError> {
         self.to.start(from, length)
     }
-    fn data(&mut self, at: u64, bytes: &[u8]) -> Result<(), BufferError> {
+    fn data(&mut self, at: u64, bytes: &[u8]) -> Result<(), StoreError> {
         let (now, rest) = bytes.split_at((*self.left).min(bytes.len() as u64) as usize);
         *self.left -= now.len() as u64;
         self.to.data(at, now)?;
         match rest {
             [] => Ok(()),
-            _ => Err(BufferError::Link {
+            _ => Err(StoreError::Link {
                 to: "robot".to_owned(),
                 source: std::io::ErrorKind::BrokenPipe.into(),
             }),
         }
     }
-    fn working(&mut self) -> Result<(), BufferError> {
-        self.to.working()
+    fn comparing(&mut self) -> Result<(), StoreError> {
+        self.to.comparing()
     }
 }
 
 impl Source for EndsAfter {
-    fn list(&mut self) -> Result<Vec<Entry>, BufferError> {
+    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
         self.robot.list()
     }
     fn fetch(
         &mut self,
         name: &Name,
-        have: Have,
-        to: &mut dyn Receive<BufferError>,
-    ) -> Result<Option<Digest>, BufferError> {
-        self.robot.fetch(name, have, &mut Ends { to, left: &mut self.bytes })
+        local: LocalCopy,
+        to: &mut dyn FileSink<StoreError>,
+    ) -> Result<Option<Digest>, StoreError> {
+        self.robot.fetch(name, local, &mut Ends { to, left: &mut self.bytes })
     }
-    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), BufferError> {
+    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), StoreError> {
         self.robot.mark_pulled(name, digest)
     }
 }
 
 #[test]
-fn a_segment_that_is_written_while_it_is_sent_is_left_for_the_next_upload() {
-    let (fleet, robot) = (Fleet::in_memory(), tempdir().unwrap());
+fn a_segment_that_changes_while_it_is_sent_is_left_for_the_next_upload() {
+    let fleet = Fleet::in_memory();
+    let robot = tempdir().unwrap();
     write(robot.path(), NAMES[0], &segment(1, 30, 100_000));
     let path = robot.path().join(NAMES[0]);
     let longer = segment(2, 31, 100_000);
-    let mut watch = WatchWith::arrival(|| fs::write(&path, &longer).unwrap());
+    let mut progress = ProgressHook::on_received(|| fs::write(&path, &longer).unwrap());
     let mut source = Directory::open(robot.path()).unwrap();
-    let report = upload_watched(&fleet, &mut source, Options::default(), &mut watch).unwrap();
-    let warnings = watch.warnings();
+    let report =
+        upload_with_progress(&fleet, &mut source, Options::default(), &mut progress).unwrap();
+    let warnings = progress.warnings();
     assert!(
         warnings.iter().any(|text| text.contains("was written while it was read")),
         "{warnings:?}"
@@ -284,43 +293,45 @@ fn a_segment_that_is_written_while_it_is_sent_is_left_for_the_next_upload() {
 }
 
 #[test]
-fn what_arrives_damaged_gets_no_name_and_is_read_once_more() {
-    let (fleet, robot) = (Fleet::in_memory(), robot());
+fn a_segment_damaged_in_transit_is_not_completed_and_is_read_again() {
+    let fleet = Fleet::in_memory();
+    let robot = robot();
     let mut source = Liar { robot: Directory::open(robot.path()).unwrap(), lies: 1 };
-    let mut watch = WatchWith::arrival(|| {});
-    let report = upload_watched(&fleet, &mut source, Options::default(), &mut watch).unwrap();
+    let mut progress = ProgressHook::on_received(|| {});
+    let report =
+        upload_with_progress(&fleet, &mut source, Options::default(), &mut progress).unwrap();
     assert_eq!(report.files, 3);
-    assert!(watch.warnings()[0].contains("arrived damaged"));
-    assert_comes_out(&fleet, robot.path());
+    assert!(progress.warnings()[0].contains("arrived damaged"));
+    assert_pulled_files_equal(&fleet, robot.path());
     let fleet = Fleet::in_memory();
     let mut source = Liar { robot: Directory::open(robot.path()).unwrap(), lies: u64::MAX };
-    let error = upload_watched(&fleet, &mut source, Options::default(), &mut ()).unwrap_err();
-    assert!(matches!(error, BufferError::Digest { .. }), "{error}");
+    let error = upload_with_progress(&fleet, &mut source, Options::default(), &mut ()).unwrap_err();
+    assert!(matches!(error, StoreError::Digest { .. }), "{error}");
     assert!(fleet.names().is_empty(), "{:?}", fleet.names());
 }
 
-/// Says another digest so many times.
+/// A source that returns a wrong digest `lies` times.
 struct Liar {
     robot: Directory,
     lies: u64,
 }
 
 impl Source for Liar {
-    fn list(&mut self) -> Result<Vec<Entry>, BufferError> {
+    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
         self.robot.list()
     }
     fn fetch(
         &mut self,
         name: &Name,
-        have: Have,
-        to: &mut dyn Receive<BufferError>,
-    ) -> Result<Option<Digest>, BufferError> {
-        let digest = self.robot.fetch(name, have, to)?;
+        local: LocalCopy,
+        to: &mut dyn FileSink<StoreError>,
+    ) -> Result<Option<Digest>, StoreError> {
+        let digest = self.robot.fetch(name, local, to)?;
         let lies = self.lies > 0;
         self.lies = self.lies.saturating_sub(1);
         Ok(if lies { Some(Digest::of(b"something else")) } else { digest })
     }
-    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), BufferError> {
+    fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), StoreError> {
         self.robot.mark_pulled(name, digest)
     }
 }

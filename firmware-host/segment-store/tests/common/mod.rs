@@ -1,5 +1,5 @@
-//! Small recordings as the robot writes them, and two ends of a link.
-#![allow(dead_code, reason = "every test file uses a part")]
+//! Small recordings, and a server and a client connected by a socket.
+#![allow(dead_code, reason = "helpers, not all of which every test file uses")]
 
 use std::fs;
 use std::os::unix::net::UnixStream;
@@ -10,10 +10,10 @@ use hal::{CameraModel, Pose2, VirtualClock, WheelFeedback, camera_mount};
 use runtime::recording::{Picture, RecordedTick, RecordingWriter, RunHeader, SegmentHeader, Views};
 use segment_store::pull::{Destination, FileSystem, Options, Report, pull};
 use segment_store::source::{Remote, Source};
-use segment_store::{BufferError, Computer, Root};
+use segment_store::{CpuFeatures, Root, StoreError};
 
-/// Turns in a chunk: ten a second, and a chunk is closed after one.
-pub const CHUNK_TURNS: u64 = 11;
+/// The number of ticks in a chunk: there are ten per second, and a chunk is closed after one second.
+pub const CHUNK_TICKS: u64 = 11;
 
 pub fn run_header() -> RunHeader {
     RunHeader {
@@ -23,12 +23,11 @@ pub fn run_header() -> RunHeader {
     }
 }
 
-/// Numbers that do not compress.
+/// Random numbers (SplitMix64), which do not compress.
 pub struct Noise(pub u64);
 
 impl Noise {
     pub fn next(&mut self) -> u64 {
-        // SplitMix64.
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -42,7 +41,8 @@ impl Noise {
 }
 
 pub fn some_tick(tick: u64) -> RecordedTick {
-    let (time_ns, mut noise) = (tick * 100_000_000, Noise(tick));
+    let time_ns = tick * 100_000_000;
+    let mut noise = Noise(tick);
     let odom = Pose2::new(0.03 * tick as f64, 0.0, 0.01 * tick as f64);
     RecordedTick {
         wheel: WheelFeedback { time_ns, odom, ..WheelFeedback::default() },
@@ -65,7 +65,7 @@ pub fn segment(number: u32, first_tick: u64, ticks: u64) -> Vec<u8> {
     writer.finish().map_err(|(_, error)| error).unwrap()
 }
 
-/// A buffer with two runs: segments of 30, 30 and 20 turns, and one of 15.
+/// Creates a store with two runs: segments of 30, 30 and 20 ticks, and one of 15.
 pub fn robot(dir: &Path) {
     for (run, number, first, ticks) in
         [("monday", 0, 0, 30), ("monday", 1, 30, 30), ("monday", 2, 60, 20), ("tuesday", 0, 0, 15)]
@@ -77,7 +77,7 @@ pub fn robot(dir: &Path) {
         )
         .unwrap();
     }
-    // What else lies there is nobody's business.
+    // Files that are not segments of a run must be ignored.
     fs::write(dir.join("monday/summary.json"), "{}").unwrap();
     fs::create_dir_all(dir.join("monday/more")).unwrap();
     fs::write(dir.join("monday/more/recording_0000.mcap"), segment(0, 0, 3)).unwrap();
@@ -100,7 +100,7 @@ pub fn assert_same(robot: &Path, here: &Path, files: &[&str]) {
     }
 }
 
-/// A served buffer; the server ends with the connection.
+/// Connects to a server for `dir`, which ends with the connection.
 pub fn connect(dir: &Path) -> Remote<UnixStream, UnixStream> {
     let (ours, theirs) = UnixStream::pair().unwrap();
     serve_on(dir, theirs);
@@ -111,9 +111,9 @@ pub fn connect(dir: &Path) -> Remote<UnixStream, UnixStream> {
 pub fn serve_on(dir: &Path, mut stream: UnixStream) {
     let root = Root::open(dir).unwrap();
     let mut input = stream.try_clone().unwrap();
-    // A client that is gone is no error of the server's.
+    // The error when the client closes the connection is expected.
     std::thread::spawn(move || {
-        drop(segment_store::serve(&root, Computer { aes: true }, &mut input, &mut stream))
+        drop(segment_store::serve(&root, CpuFeatures { aes: true }, &mut input, &mut stream))
     });
 }
 
@@ -121,7 +121,7 @@ pub fn pull_into(
     source: &mut dyn Source,
     here: &Path,
     options: Options,
-) -> Result<Report, BufferError> {
+) -> Result<Report, StoreError> {
     let mut destination = Destination::open(here, &FileSystem)?;
     pull(source, &mut destination, &options, &mut VirtualClock::default(), &mut ())
 }

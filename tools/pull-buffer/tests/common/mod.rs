@@ -1,10 +1,10 @@
-//! A robot with recordings behind an ssh server on loopback.
+//! A robot behind an ssh server on loopback.
 #![allow(
     dead_code,
     clippy::unwrap_used,
     clippy::expect_used,
     clippy::panic,
-    reason = "helpers of tests; not all use all"
+    reason = "helpers, not all of which every test file uses"
 )]
 
 use std::fs;
@@ -19,19 +19,20 @@ use tempfile::{TempDir, tempdir};
 /// An ssh server on loopback.
 pub struct Server {
     pub sshd: Sshd,
-    /// Its keys.
+    /// Contains the server's keys and configuration.
     _dir: TempDir,
 }
 
 impl Server {
-    /// `None` where there is no sshd, or it may not run here.
-    pub fn start() -> Option<Self> {
+    /// Starts the server. Tests that call this are ignored where sshd is not installed.
+    pub fn start() -> Self {
         let dir = tempdir().unwrap();
-        Some(Self { sshd: Sshd::start(dir.path()).unwrap()?, _dir: dir })
+        let sshd = Sshd::start(dir.path()).unwrap().expect("sshd is missing or cannot run here");
+        Self { sshd, _dir: dir }
     }
 
-    /// Connections that it let in.
-    pub fn greetings(&self) -> usize {
+    /// The number of logins.
+    pub fn logins(&self) -> usize {
         let log = fs::read_to_string(self.sshd.dir().join("sshd.log")).unwrap();
         log.matches("Accepted publickey").count()
     }
@@ -47,14 +48,14 @@ impl Server {
             .arg(here)
             .arg(format!("--remote-command={}", remote_command.display()))
             .args(self.sshd.options().iter().map(|option| format!("--ssh-option={option}")))
-            // No connection outlives a test that does not say so.
+            // Without this directory pulls do not share connections.
             .env_remove("XDG_RUNTIME_DIR")
             .stdin(Stdio::null());
         command
     }
 }
 
-/// The system's ssh, with what it was called with written down.
+/// A wrapper of the system's ssh that logs its arguments.
 pub struct SpiedSsh(TempDir);
 
 impl SpiedSsh {
@@ -69,19 +70,19 @@ impl SpiedSsh {
         Self(dir)
     }
 
-    /// For `PATH`: found before the system's own.
+    /// A value of `PATH` in which the wrapper is found first.
     pub fn path(&self) -> String {
         format!("{}:/usr/bin:/bin", self.0.path().display())
     }
 
-    /// All calls but those that only ask for the configuration.
+    /// The arguments of all calls except those that only print the configuration.
     pub fn calls(&self) -> Vec<String> {
         let text = fs::read_to_string(self.0.path().join("calls")).unwrap_or_default();
         text.lines().filter(|call| !call.starts_with("-G ")).map(str::to_owned).collect()
     }
 }
 
-/// Serves as `firmware-host buffer serve` does: this package's example, which stands beside its binary.
+/// The path of this package's example `serve`, which acts as `firmware-host buffer serve`.
 pub fn serving() -> PathBuf {
     let path =
         Path::new(env!("CARGO_BIN_EXE_pull-buffer")).with_file_name("examples").join("serve");
@@ -89,14 +90,14 @@ pub fn serving() -> PathBuf {
     path
 }
 
-/// Segments without sense: nothing on the way looks into them.
+/// Creates segments of random bytes; pulling from a robot does not parse them.
 pub fn robot(segments: u64, bytes: usize) -> TempDir {
     let dir = tempdir().unwrap();
     fs::create_dir(dir.path().join("run")).unwrap();
     for number in 0..segments {
         let path = dir.path().join(format!("run/recording_{number:04}.mcap"));
         fs::write(&path, noise(number + 1, bytes + number as usize)).unwrap();
-        // Nobody writes to it any more.
+        // RefuseAll writes to it any more.
         fs::File::open(&path).unwrap().set_modified(std::time::UNIX_EPOCH).unwrap();
     }
     dir
@@ -113,6 +114,6 @@ pub fn assert_same(robot: &Path, here: &Path, segments: u64) {
     }
 }
 
-pub fn words(output: &Output) -> String {
+pub fn stderr_of(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }

@@ -1,23 +1,26 @@
-//! Rows of the data tables, collected to be written as columns.
+//! The rows of the data tables. They are collected and written as columns, one row group at a time.
 
+use image::ExtendedColorType;
 use parquet::data_type::ByteArray;
 use runtime::recording::{Picture, RecordedTick};
 use serde_json::{Value, json};
 
+use super::layout::{ACTION, IMAGE, STATE, TIME};
 use super::stats::{Numbers, Pixels};
 use super::table::{Column, Values};
-use super::{ACTION, PICTURE, STATE, TIME};
-use crate::error::BufferError;
-use crate::export::turns::png;
+use crate::error::StoreError;
+use crate::export::ticks::png;
 
-/// x, y, yaw, forward speed, turn rate.
+/// x, y, yaw, linear velocity, angular velocity.
 type State = [f32; 5];
-/// Forward speed, turn rate.
+/// Linear and angular velocity.
 type Action = [f32; 2];
 
-/// What the robot knew and did, if it did.
+/// The state (odometry and measured velocity) and the action (the command that was sent to the base) of a tick. `None` when the
+/// tick has no decision or a value is not finite.
 pub(super) fn numbers(tick: &RecordedTick) -> Option<(State, Action)> {
-    let (odom, twist) = (&tick.wheel.odom, &tick.wheel.twist);
+    let odom = &tick.wheel.odom;
+    let twist = &tick.wheel.twist;
     let command = tick.decision.as_ref()?.sent?;
     let state = [odom.x_m, odom.y_m, odom.yaw_rad, twist.linear_mps, twist.angular_radps]
         .map(|value| value as f32);
@@ -25,24 +28,28 @@ pub(super) fn numbers(tick: &RecordedTick) -> Option<(State, Action)> {
     state.iter().chain(&action).all(|value| value.is_finite()).then_some((state, action))
 }
 
-/// Rows that wait, and the statistics of all.
+/// The rows that have not been written yet, and the statistics of all rows.
 pub(super) struct Rows {
     size: Option<(usize, usize)>,
-    pictures: Vec<ByteArray>,
+    images: Vec<ByteArray>,
     states: Vec<f32>,
     actions: Vec<f32>,
     times_ns: Vec<u64>,
     frames: Vec<i64>,
     episodes: Vec<i64>,
-    /// The next row's number in its episode.
+    /// The number of the next row in its episode.
     frame: i64,
-    /// When the episode began.
+    /// The time of the first row of the episode.
     start_ns: u64,
-    /// Seconds since then, of the rows that wait.
+    /// The times of the waiting rows, in seconds since the start of their episode.
     times_s: Vec<f64>,
-    /// Rows so far, with those that wait.
+    /// The number of all rows, including those that wait.
     total: i64,
     stats: Stats,
+}
+
+fn as_floats(values: &[i64]) -> impl Iterator<Item = f64> {
+    values.iter().map(|value| *value as f64)
 }
 
 struct Stats {
@@ -59,21 +66,20 @@ struct Stats {
 
 impl Default for Rows {
     fn default() -> Self {
-        let one = || Numbers::new(1);
         let stats = Stats {
             pixels: Pixels::default(),
             state: Numbers::new(5),
             action: Numbers::new(2),
-            time: one(),
-            timestamp: one(),
-            frame: one(),
-            episode: one(),
-            index: one(),
-            task: one(),
+            time: Numbers::new(1),
+            timestamp: Numbers::new(1),
+            frame: Numbers::new(1),
+            episode: Numbers::new(1),
+            index: Numbers::new(1),
+            task: Numbers::new(1),
         };
         Self {
             size: None,
-            pictures: Vec::new(),
+            images: Vec::new(),
             states: Vec::new(),
             actions: Vec::new(),
             times_ns: Vec::new(),
@@ -89,23 +95,23 @@ impl Default for Rows {
 }
 
 impl Rows {
-    /// Whether a picture has the size of the others.
-    pub(super) fn fits(&self, picture: &Picture) -> bool {
-        self.size.is_none_or(|size| size == (picture.width, picture.height))
+    /// Whether an image has the same size as the previous ones.
+    pub(super) fn fits(&self, image: &Picture) -> bool {
+        self.size.is_none_or(|size| size == (image.width, image.height))
     }
 
     pub(super) fn push(
         &mut self,
         time_ns: u64,
-        picture: &Picture,
+        image: &Picture,
         state: State,
         action: Action,
         episode: i64,
     ) -> std::io::Result<()> {
-        let png = png(&picture.rgb, picture.width, picture.height, image::ExtendedColorType::Rgb8)?;
-        self.size = Some((picture.width, picture.height));
-        self.stats.pixels.push(&picture.rgb);
-        self.pictures.push(ByteArray::from(png));
+        let png = png(&image.rgb, image.width, image.height, ExtendedColorType::Rgb8)?;
+        self.size = Some((image.width, image.height));
+        self.stats.pixels.push(&image.rgb);
+        self.images.push(ByteArray::from(png));
         self.states.extend(state);
         self.actions.extend(action);
         if self.frame == 0 {
@@ -124,17 +130,17 @@ impl Rows {
         self.frame = 0;
     }
 
-    /// When the episode began, in seconds of the run's clock.
+    /// The start of the current episode in seconds of the run's clock.
     pub(super) fn start_s(&self) -> f64 {
         self.start_ns as f64 * 1e-9
     }
 
     pub(super) fn waiting(&self) -> usize {
-        self.pictures.len()
+        self.images.len()
     }
 
     pub(super) fn waiting_bytes(&self) -> u64 {
-        self.pictures.iter().map(|picture| picture.len() as u64).sum()
+        self.images.iter().map(|image| image.len() as u64).sum()
     }
 
     pub(super) fn times_ns(&self) -> &[u64] {
@@ -145,23 +151,23 @@ impl Rows {
         self.total
     }
 
-    /// Width and height.
+    /// The width and height of the images.
     pub(super) fn size(&self) -> (usize, usize) {
         self.size.unwrap_or_default()
     }
 
-    /// Hands the rows that wait to `write` and forgets them.
+    /// Passes the waiting rows to `write`, adds them to the statistics and removes them.
     pub(super) fn write(
         &mut self,
         fps: u32,
-        write: impl FnOnce(&[Column<'_>]) -> Result<(), BufferError>,
-    ) -> Result<(), BufferError> {
+        write: impl FnOnce(&[Column<'_>]) -> Result<(), StoreError>,
+    ) -> Result<(), StoreError> {
         let timestamps: Vec<f32> =
             self.frames.iter().map(|frame| (*frame as f64 / f64::from(fps)) as f32).collect();
         let indices: Vec<i64> = (self.total - self.waiting() as i64..self.total).collect();
         let tasks = vec![0; self.waiting()];
         write(&[
-            (PICTURE, Values::Pictures(&self.pictures)),
+            (IMAGE, Values::Images(&self.images)),
             (STATE, Values::Vectors(&self.states, 5)),
             (ACTION, Values::Vectors(&self.actions, 2)),
             (TIME, Values::Doubles(&self.times_s)),
@@ -171,28 +177,26 @@ impl Rows {
             ("index", Values::Integers(&indices)),
             ("task_index", Values::Integers(&tasks)),
         ])?;
-        let integers =
-            |values: &[i64]| values.iter().map(|value| *value as f64).collect::<Vec<_>>();
         self.stats.state.push(self.states.drain(..).map(f64::from));
         self.stats.action.push(self.actions.drain(..).map(f64::from));
         self.stats.time.push(self.times_s.drain(..));
         self.stats.timestamp.push(timestamps.into_iter().map(f64::from));
-        self.stats.frame.push(integers(&self.frames));
-        self.stats.episode.push(integers(&self.episodes));
-        self.stats.index.push(integers(&indices));
-        self.stats.task.push(integers(&tasks));
-        self.pictures.clear();
+        self.stats.frame.push(as_floats(&self.frames));
+        self.stats.episode.push(as_floats(&self.episodes));
+        self.stats.index.push(as_floats(&indices));
+        self.stats.task.push(as_floats(&tasks));
+        self.images.clear();
         self.times_ns.clear();
         self.frames.clear();
         self.episodes.clear();
         Ok(())
     }
 
-    /// Of everything that was written.
+    /// The statistics of all rows that were written.
     pub(super) fn stats(&self) -> Value {
         let stats = &self.stats;
         json!({
-            PICTURE: stats.pixels.json(),
+            IMAGE: stats.pixels.json(),
             STATE: stats.state.json(),
             ACTION: stats.action.json(),
             TIME: stats.time.json(),

@@ -1,12 +1,12 @@
-//! `meta/stats.json`: what training normalizes by.
+//! `meta/stats.json`: the statistics by which training normalizes its inputs.
 
 use serde_json::{Value, json};
 
-/// LeRobot's quantiles, by the names it gives them.
+/// The quantiles that LeRobot uses, with their names.
 const QUANTILES: [(&str, f64); 5] =
     [("q01", 0.01), ("q10", 0.1), ("q50", 0.5), ("q90", 0.9), ("q99", 0.99)];
 
-/// All values of a feature of numbers.
+/// All values of a numeric feature with `width` columns.
 pub(super) struct Numbers {
     width: usize,
     values: Vec<f64>,
@@ -30,49 +30,62 @@ impl Numbers {
                 column
             })
             .collect();
-        let each = |of: &dyn Fn(&[f64]) -> f64| {
-            columns.iter().map(|column| of(column)).collect::<Vec<_>>()
-        };
-        let at = |column: &[f64], rank: u64| column.get(rank as usize).copied().unwrap_or(0.0);
         let mut stats = json!({
-            "min": each(&|column| at(column, 0)),
-            "max": each(&|column| at(column, (column.len() as u64).saturating_sub(1))),
-            "mean": each(&|column| moments(column).0),
-            "std": each(&|column| moments(column).1),
+            "min": for_each(&columns, |column| value_of_rank(column, 0)),
+            "max": for_each(&columns, |column| {
+                value_of_rank(column, (column.len() as u64).saturating_sub(1))
+            }),
+            "mean": for_each(&columns, |column| moments(column).0),
+            "std": for_each(&columns, |column| moments(column).1),
             "count": [self.values.len() / self.width],
         });
         for (name, q) in QUANTILES {
-            stats[name] =
-                json!(each(&|column| quantile(column.len() as u64, q, |rank| at(column, rank))));
+            stats[name] = json!(for_each(&columns, |column| {
+                quantile(column.len() as u64, q, |rank| value_of_rank(column, rank))
+            }));
         }
         stats
     }
 }
 
-/// Mean and standard deviation of the population.
+fn for_each(columns: &[Vec<f64>], statistic: impl Fn(&[f64]) -> f64) -> Vec<f64> {
+    columns.iter().map(|column| statistic(column)).collect()
+}
+
+/// The value of a rank, counted from 0, in a sorted column.
+fn value_of_rank(column: &[f64], rank: u64) -> f64 {
+    column.get(rank as usize).copied().unwrap_or(0.0)
+}
+
+/// The mean and the standard deviation of the population.
 fn moments(column: &[f64]) -> (f64, f64) {
     let count = column.len().max(1) as f64;
     let mean = column.iter().sum::<f64>() / count;
     (mean, (column.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt())
 }
 
-/// Between the two values next to it, as NumPy does by default. `at` gives the value of a rank.
+/// A quantile with linear interpolation between the two nearest values, as NumPy does by default. `at` returns the value of a
+/// rank.
 fn quantile(count: u64, q: f64, at: impl Fn(u64) -> f64) -> f64 {
     let position = q * count.saturating_sub(1) as f64;
-    let (below, part) = (position.floor() as u64, position.fract());
+    let below = position.floor() as u64;
+    let part = position.fract();
     let low = at(below);
     if part == 0.0 { low } else { low + part * (at(below + 1) - low) }
 }
 
-/// How often each value comes in each channel of all pictures.
+/// The number of pixels with each value.
+type Histogram = [u64; 256];
+
+/// A histogram of each channel over all images.
 pub(super) struct Pixels {
-    counts: [[u64; 256]; 3],
-    pictures: u64,
+    counts: [Histogram; 3],
+    images: u64,
 }
 
 impl Default for Pixels {
     fn default() -> Self {
-        Self { counts: [[0; 256]; 3], pictures: 0 }
+        Self { counts: [[0; 256]; 3], images: 0 }
     }
 }
 
@@ -85,45 +98,56 @@ impl Pixels {
                 }
             }
         }
-        self.pictures += 1;
+        self.images += 1;
     }
 
-    /// Of values from 0 to 1, channel by channel, as LeRobot's pictures are.
+    /// The statistics of each channel, for values scaled from 0 to 1 as in LeRobot's images.
     pub(super) fn json(&self) -> Value {
-        let each = |of: &dyn Fn(&[u64; 256]) -> f64| {
-            self.counts.iter().map(|counts| vec![vec![of(counts) / 255.0]]).collect::<Vec<_>>()
-        };
-        let total = |counts: &[u64; 256]| counts.iter().sum::<u64>();
-        let weighted = |counts: &[u64; 256], of: &dyn Fn(f64) -> f64| {
-            let sum: f64 = counts
-                .iter()
-                .enumerate()
-                .map(|(value, count)| of(value as f64) * *count as f64)
-                .sum();
-            sum / total(counts).max(1) as f64
-        };
-        let mean = |counts: &[u64; 256]| weighted(counts, &|value| value);
-        let std = |counts: &[u64; 256]| {
-            let mean = mean(counts);
-            weighted(counts, &|value| (value - mean).powi(2)).sqrt()
-        };
         let mut stats = json!({
-            "min": each(&|counts| ranked(counts, 0)),
-            "max": each(&|counts| ranked(counts, total(counts).saturating_sub(1))),
-            "mean": each(&mean),
-            "std": each(&std),
-            "count": [self.pictures],
+            "min": self.for_each_channel(|counts| pixel_of_rank(counts, 0)),
+            "max": self.for_each_channel(|counts| {
+                pixel_of_rank(counts, total(counts).saturating_sub(1))
+            }),
+            "mean": self.for_each_channel(mean),
+            "std": self.for_each_channel(standard_deviation),
+            "count": [self.images],
         });
         for (name, q) in QUANTILES {
-            stats[name] =
-                json!(each(&|counts| quantile(total(counts), q, |rank| ranked(counts, rank))));
+            stats[name] = json!(self.for_each_channel(|counts| {
+                quantile(total(counts), q, |rank| pixel_of_rank(counts, rank))
+            }));
         }
         stats
     }
+
+    /// A statistic of each channel, in the shape channels x 1 x 1.
+    fn for_each_channel(&self, statistic: impl Fn(&Histogram) -> f64) -> Vec<Vec<Vec<f64>>> {
+        self.counts.iter().map(|counts| vec![vec![statistic(counts) / 255.0]]).collect()
+    }
 }
 
-/// The value of a rank, counted from 0.
-fn ranked(counts: &[u64; 256], rank: u64) -> f64 {
+fn total(counts: &Histogram) -> u64 {
+    counts.iter().sum()
+}
+
+/// The mean of `of(value)` over all pixels.
+fn weighted_mean(counts: &Histogram, of: impl Fn(f64) -> f64) -> f64 {
+    let sum: f64 =
+        counts.iter().enumerate().map(|(value, count)| of(value as f64) * *count as f64).sum();
+    sum / total(counts).max(1) as f64
+}
+
+fn mean(counts: &Histogram) -> f64 {
+    weighted_mean(counts, |value| value)
+}
+
+fn standard_deviation(counts: &Histogram) -> f64 {
+    let mean = mean(counts);
+    weighted_mean(counts, |value| (value - mean).powi(2)).sqrt()
+}
+
+/// The pixel value of a rank, counted from 0.
+fn pixel_of_rank(counts: &Histogram, rank: u64) -> f64 {
     let mut below = 0;
     let found = counts.iter().position(|count| {
         below += count;
@@ -137,7 +161,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_have_the_statistics_that_numpy_computes() {
+    fn statistics_of_numbers_equal_those_of_numpy() {
         // numpy: a = [4, 1, 3, 2]; a.mean(), a.std(), numpy.quantile(a, [0.1, 0.5, 0.99])
         let mut numbers = Numbers::new(2);
         for value in [4.0, 1.0, 3.0, 2.0] {
@@ -158,15 +182,18 @@ mod tests {
     }
 
     #[test]
-    fn pixels_have_the_statistics_of_their_numbers() {
-        let (mut pixels, mut numbers) = (Pixels::default(), Numbers::new(3));
+    fn statistics_of_pixels_equal_those_of_the_same_numbers() {
+        let mut pixels = Pixels::default();
+        let mut numbers = Numbers::new(3);
         let rgb: Vec<u8> = (0..600_u32).map(|i| (i * i * 7 % 251) as u8).collect();
         pixels.push(&rgb);
         numbers.push(rgb.iter().map(|value| f64::from(*value) / 255.0));
-        let (pixels, numbers) = (pixels.json(), numbers.json());
+        let pixels = pixels.json();
+        let numbers = numbers.json();
         for name in ["min", "max", "mean", "std", "q01", "q10", "q50", "q90", "q99"] {
             for channel in 0..3 {
-                let (a, b) = (&pixels[name][channel][0][0], &numbers[name][channel]);
+                let a = &pixels[name][channel][0][0];
+                let b = &numbers[name][channel];
                 assert!(
                     (a.as_f64().unwrap() - b.as_f64().unwrap()).abs() < 1e-12,
                     "{name} {channel}: {a} {b}"

@@ -1,4 +1,4 @@
-//! Parquet files, column by column.
+//! Writing of Parquet files.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -10,42 +10,42 @@ use parquet::errors::{ParquetError, Result};
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
-use parquet::schema::types::{ColumnPath, Type, TypePtr};
+use parquet::schema::types::{ColumnPath, PrimitiveTypeBuilder, Type, TypePtr};
 
-use crate::error::BufferError;
+use crate::error::StoreError;
 
-/// A column's values, as many as there are rows.
+/// The values of a column for all rows of a row group.
 pub(super) enum Values<'a> {
     Integers(&'a [i64]),
     Floats(&'a [f32]),
     Doubles(&'a [f64]),
-    /// So many in each row, one row after the other.
+    /// A list of this many values in each row, row by row.
     Vectors(&'a [f32], usize),
     Texts(&'a [&'a str]),
     /// A list of one text in each row.
     TextLists(&'a [&'a str]),
-    /// Encoded pictures as `datasets` has them: bytes, and no path.
-    Pictures(&'a [ByteArray]),
+    /// Encoded images in the form of the library `datasets`: bytes without a path.
+    Images(&'a [ByteArray]),
 }
 
-/// A column with its name.
+/// The name and the values of a column.
 pub(super) type Column<'a> = (&'static str, Values<'a>);
 
-/// A file that grows by row groups.
+/// A Parquet file that is written one row group at a time.
 pub(super) struct Table {
     path: PathBuf,
     writer: SerializedFileWriter<File>,
 }
 
 impl Table {
-    /// A new file with columns of these kinds; nothing of them is written.
+    /// Creates a file with columns of these names and types. The values are not written.
     pub(super) fn create(
         path: &Path,
         columns: &[Column<'_>],
-    ) -> std::result::Result<Self, BufferError> {
+    ) -> std::result::Result<Self, StoreError> {
         let folder = path.parent().unwrap_or(path);
-        std::fs::create_dir_all(folder).map_err(BufferError::write(folder))?;
-        let file = File::create(path).map_err(BufferError::write(path))?;
+        std::fs::create_dir_all(folder).map_err(StoreError::write(folder))?;
+        let file = File::create(path).map_err(StoreError::write(path))?;
         let writer = schema(columns)
             .and_then(|schema| {
                 SerializedFileWriter::new(file, schema, Arc::new(properties(columns)))
@@ -54,36 +54,34 @@ impl Table {
         Ok(Self { path: path.to_owned(), writer })
     }
 
-    /// Adds a row group.
-    pub(super) fn append(
-        &mut self,
-        columns: &[Column<'_>],
-    ) -> std::result::Result<(), BufferError> {
-        let mut written = || {
-            let mut group = self.writer.next_row_group()?;
-            columns.iter().try_for_each(|(_, values)| put_column(&mut group, values))?;
-            group.close().map(drop)
-        };
-        written().map_err(failed(&self.path))
+    /// Appends a row group.
+    pub(super) fn append(&mut self, columns: &[Column<'_>]) -> std::result::Result<(), StoreError> {
+        self.try_append(columns).map_err(failed(&self.path))
     }
 
-    /// Bytes so far.
+    fn try_append(&mut self, columns: &[Column<'_>]) -> Result<()> {
+        let mut group = self.writer.next_row_group()?;
+        columns.iter().try_for_each(|(_, values)| put_column(&mut group, values))?;
+        group.close().map(drop)
+    }
+
+    /// The number of bytes written so far.
     pub(super) fn bytes(&self) -> u64 {
         self.writer.bytes_written() as u64
     }
 
-    /// Says what pandas is to do with it.
+    /// Adds the metadata from which pandas restores its index.
     pub(super) fn for_pandas(&mut self, text: String) {
         self.writer.append_key_value_metadata(KeyValue::new("pandas".to_owned(), text));
     }
 
-    pub(super) fn finish(self) -> std::result::Result<(), BufferError> {
+    pub(super) fn finish(self) -> std::result::Result<(), StoreError> {
         self.writer.close().map(drop).map_err(failed(&self.path))
     }
 }
 
-fn failed(path: &Path) -> impl FnOnce(ParquetError) -> BufferError {
-    move |error| BufferError::write(path)(std::io::Error::other(error))
+fn failed(path: &Path) -> impl FnOnce(ParquetError) -> StoreError {
+    move |error| StoreError::write(path)(std::io::Error::other(error))
 }
 
 fn schema(columns: &[Column<'_>]) -> Result<TypePtr> {
@@ -95,30 +93,32 @@ fn schema(columns: &[Column<'_>]) -> Result<TypePtr> {
 }
 
 fn field(name: &str, values: &Values<'_>) -> Result<Type> {
-    let plain = |name, physical| {
-        Type::primitive_type_builder(name, physical).with_repetition(Repetition::REQUIRED)
-    };
-    let text = |name| {
-        plain(name, Physical::BYTE_ARRAY)
-            .with_converted_type(ConvertedType::UTF8)
-            .with_logical_type(Some(LogicalType::String))
-    };
     match values {
-        Values::Integers(_) => plain(name, Physical::INT64).build(),
-        Values::Floats(_) => plain(name, Physical::FLOAT).build(),
-        Values::Doubles(_) => plain(name, Physical::DOUBLE).build(),
-        Values::Texts(_) => text(name).build(),
-        Values::Vectors(..) => list(name, plain("element", Physical::FLOAT).build()?),
-        Values::TextLists(_) => list(name, text("element").build()?),
-        Values::Pictures(_) => {
-            let bytes = plain("bytes", Physical::BYTE_ARRAY).build()?;
-            let path = text("path").with_repetition(Repetition::OPTIONAL).build()?;
+        Values::Integers(_) => primitive(name, Physical::INT64).build(),
+        Values::Floats(_) => primitive(name, Physical::FLOAT).build(),
+        Values::Doubles(_) => primitive(name, Physical::DOUBLE).build(),
+        Values::Texts(_) => string(name).build(),
+        Values::Vectors(..) => list(name, primitive("element", Physical::FLOAT).build()?),
+        Values::TextLists(_) => list(name, string("element").build()?),
+        Values::Images(_) => {
+            let bytes = primitive("bytes", Physical::BYTE_ARRAY).build()?;
+            let path = string("path").with_repetition(Repetition::OPTIONAL).build()?;
             group(name, Repetition::REQUIRED, vec![bytes, path])
         }
     }
 }
 
-/// Parquet's "Logical Types", lists: a group with a repeated group `list` of `element`.
+fn primitive(name: &str, physical: Physical) -> PrimitiveTypeBuilder<'_> {
+    Type::primitive_type_builder(name, physical).with_repetition(Repetition::REQUIRED)
+}
+
+fn string(name: &str) -> PrimitiveTypeBuilder<'_> {
+    primitive(name, Physical::BYTE_ARRAY)
+        .with_converted_type(ConvertedType::UTF8)
+        .with_logical_type(Some(LogicalType::String))
+}
+
+/// A list as in Parquet's "Logical Types": a group that contains a repeated group `list` of `element`.
 fn list(name: &str, element: Type) -> Result<Type> {
     let repeated = group("list", Repetition::REPEATED, vec![element])?;
     Type::group_type_builder(name)
@@ -136,8 +136,8 @@ fn group(name: &str, repetition: Repetition, fields: Vec<Type>) -> Result<Type> 
 
 fn properties(columns: &[Column<'_>]) -> WriterProperties {
     let mut properties = WriterProperties::builder().set_compression(Compression::SNAPPY);
-    for (name, _) in columns.iter().filter(|(_, values)| matches!(values, Values::Pictures(_))) {
-        // Compressed as they are, all different, and without an order.
+    for (name, _) in columns.iter().filter(|(_, values)| matches!(values, Values::Images(_))) {
+        // PNGs are compressed already, all different, and have no meaningful order.
         let path = ColumnPath::new(vec![(*name).to_owned(), "bytes".to_owned()]);
         properties = properties
             .set_column_compression(path.clone(), Compression::UNCOMPRESSED)
@@ -148,30 +148,32 @@ fn properties(columns: &[Column<'_>]) -> WriterProperties {
 }
 
 fn put_column(group: &mut SerializedRowGroupWriter<'_, File>, values: &Values<'_>) -> Result<()> {
-    let texts =
-        |texts: &[&str]| texts.iter().map(|text| ByteArray::from(*text)).collect::<Vec<_>>();
     match values {
         Values::Integers(values) => put::<Int64Type>(group, values, None, None),
         Values::Floats(values) => put::<FloatType>(group, values, None, None),
         Values::Doubles(values) => put::<DoubleType>(group, values, None, None),
-        Values::Texts(values) => put::<ByteArrayType>(group, &texts(values), None, None),
+        Values::Texts(values) => put::<ByteArrayType>(group, &byte_arrays(values), None, None),
         Values::TextLists(values) => {
             let (defined, repeated) = levels(values.len(), 1);
-            put::<ByteArrayType>(group, &texts(values), Some(&defined), Some(&repeated))
+            put::<ByteArrayType>(group, &byte_arrays(values), Some(&defined), Some(&repeated))
         }
         Values::Vectors(values, width) => {
             let (defined, repeated) = levels(values.len(), *width);
             put::<FloatType>(group, values, Some(&defined), Some(&repeated))
         }
-        Values::Pictures(values) => {
+        Values::Images(values) => {
             put::<ByteArrayType>(group, values, None, None)?;
-            // No path.
+            // Level 0: the path is null.
             put::<ByteArrayType>(group, &[], Some(&vec![0; values.len()]), None)
         }
     }
 }
 
-/// Definition and repetition levels of lists of `width` values: each value is there; the first of each begins a list.
+fn byte_arrays(texts: &[&str]) -> Vec<ByteArray> {
+    texts.iter().map(|text| ByteArray::from(*text)).collect()
+}
+
+/// Definition and repetition levels of lists of `width` values: every value is present, and every `width`-th begins a list.
 fn levels(count: usize, width: usize) -> (Vec<i16>, Vec<i16>) {
     (vec![1; count], (0..count).map(|at| i16::from(at % width.max(1) != 0)).collect())
 }

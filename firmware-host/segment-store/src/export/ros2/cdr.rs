@@ -1,11 +1,11 @@
-//! Bytes of a ROS 2 message: OMG's Common Data Representation, version 1, little-endian (XCDR1, DDS-XTypes 1.3, 7.4.1).
+//! Serialization of ROS 2 messages in OMG's Common Data Representation, version 1, little-endian (XCDR1, DDS-XTypes 1.3, 7.4.1).
 //!
-//! Every number begins at a multiple of its own size, counted from behind the four bytes that say which representation follows.
+//! Every number is aligned to its own size, counted from the end of the four-byte encapsulation header.
 
-/// `CDR_LE` and no options.
+/// The encapsulation header: `CDR_LE` without options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
-/// A message that is being put together.
+/// A message that is being serialized.
 pub(super) struct Cdr {
     bytes: Vec<u8>,
 }
@@ -49,14 +49,14 @@ impl Cdr {
         self.aligned(value.to_le_bytes());
     }
 
-    /// Of a fixed length, which is not written.
+    /// An array of fixed length; the length is not written.
     pub(super) fn array(&mut self, values: &[f64]) {
         values.iter().for_each(|value| self.f64(*value));
     }
 
-    /// The number of elements of a sequence; they follow.
+    /// The number of elements of a sequence, which the caller writes afterwards.
     pub(super) fn length(&mut self, elements: usize) {
-        // No message of ours has 2^32 of anything: the largest is a picture.
+        // No sequence has 2^32 elements; the longest is the data of an image.
         self.u32(elements as u32);
     }
 
@@ -65,7 +65,7 @@ impl Cdr {
         self.bytes.extend_from_slice(values);
     }
 
-    /// Text, counted and ended by a zero.
+    /// A string with its length and a terminating zero.
     pub(super) fn string(&mut self, text: &str) {
         self.length(text.len() + 1);
         self.bytes.extend_from_slice(text.as_bytes());
@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_stand_at_multiples_of_their_size_behind_the_four_bytes() {
+    fn numbers_are_aligned_to_their_size_after_the_encapsulation_header() {
         let mut cdr = Cdr::new();
         cdr.u8(7);
         cdr.u32(1);

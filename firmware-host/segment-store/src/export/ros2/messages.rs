@@ -1,4 +1,4 @@
-//! What a turn is in ROS's own words. Frames and units are already ROS's (REP-103, REP-105).
+//! Encoding of recorded ticks as ROS messages. The recording already uses ROS frames and units (REP-103, REP-105).
 
 use hal::{CameraModel, Distortion, LaserScan, Pose3, Range, WheelFeedback};
 use runtime::recording::Picture;
@@ -13,14 +13,14 @@ pub(super) struct Stamp {
 }
 
 impl Stamp {
-    /// `None` beyond 68 years.
+    /// `None` when the seconds do not fit into 31 bits, which is after 68 years.
     pub(super) fn new(time_ns: u64) -> Option<Self> {
         let sec = i32::try_from(time_ns / 1_000_000_000).ok()?;
         Some(Self { sec, nanosec: (time_ns % 1_000_000_000) as u32 })
     }
 }
 
-/// A pose as geometry_msgs/TransformStamped: `child` in `parent`.
+/// geometry_msgs/TransformStamped: the pose of `child` in `parent`.
 pub(super) struct Transform {
     pub stamp: Stamp,
     pub parent: &'static str,
@@ -36,21 +36,22 @@ fn header(cdr: &mut Cdr, stamp: Stamp, frame: &str) {
 
 /// geometry_msgs/Pose and Transform have the same layout.
 fn pose(cdr: &mut Cdr, pose: &Pose3) {
-    let (t, q) = (pose.translation.vector, pose.rotation);
+    let t = pose.translation.vector;
+    let q = pose.rotation;
     cdr.array(&[t.x, t.y, t.z, q.i, q.j, q.k, q.w]);
 }
 
 /// sensor_msgs/Image.
-pub(super) fn image(stamp: Stamp, picture: &Picture) -> Vec<u8> {
+pub(super) fn image(stamp: Stamp, frame: &Picture) -> Vec<u8> {
     let mut cdr = Cdr::new();
     header(&mut cdr, stamp, "camera_optical");
-    cdr.u32(picture.height as u32);
-    cdr.u32(picture.width as u32);
+    cdr.u32(frame.height as u32);
+    cdr.u32(frame.width as u32);
     cdr.string("rgb8");
     // Not big-endian.
     cdr.u8(0);
-    cdr.u32(picture.width as u32 * 3);
-    cdr.octets(&picture.rgb);
+    cdr.u32(frame.width as u32 * 3);
+    cdr.octets(&frame.rgb);
     cdr.into_bytes()
 }
 
@@ -58,7 +59,7 @@ pub(super) fn image(stamp: Stamp, picture: &Picture) -> Vec<u8> {
 pub(super) fn camera_info(stamp: Stamp, camera: &CameraModel) -> Vec<u8> {
     let (model, coefficients) = match &camera.distortion {
         Distortion::PlumbBob(k) => ("plumb_bob", &k[..]),
-        // ROS's name for Kannala and Brandt's.
+        // The name that ROS uses for the model of Kannala and Brandt.
         Distortion::Fisheye(k) => ("equidistant", &k[..]),
         _ => ("plumb_bob", &[0.0; 5][..]),
     };
@@ -73,14 +74,14 @@ pub(super) fn camera_info(stamp: Stamp, camera: &CameraModel) -> Vec<u8> {
     cdr.array(&[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]);
     cdr.array(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
     cdr.array(&[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]);
-    // No binning, and the whole picture.
+    // No binning, and the region of interest is the whole image.
     (0..6).for_each(|_| cdr.u32(0));
     cdr.bool(false);
     cdr.into_bytes()
 }
 
-/// sensor_msgs/LaserScan, with what is no distance as REP-117 has it: nothing came back is infinity, too near is minus
-/// infinity, not measured is NaN.
+/// sensor_msgs/LaserScan. Beams without a distance follow REP-117: no return is +infinity, too near is -infinity, and not
+/// measured is NaN.
 pub(super) fn laser_scan(stamp: Stamp, scan: &LaserScan) -> Vec<u8> {
     let geometry = &scan.geometry;
     let period_s = geometry.period_ns as f64 * 1e-9;
@@ -108,7 +109,7 @@ pub(super) fn laser_scan(stamp: Stamp, scan: &LaserScan) -> Vec<u8> {
     cdr.into_bytes()
 }
 
-/// nav_msgs/Odometry. The covariances are zero, ROS's word for unknown: recordings do not hold them.
+/// nav_msgs/Odometry. The covariances are zero, which means unknown in ROS: they are not recorded.
 pub(super) fn odometry(stamp: Stamp, wheel: &WheelFeedback) -> Vec<u8> {
     let mut cdr = Cdr::new();
     header(&mut cdr, stamp, "odom");

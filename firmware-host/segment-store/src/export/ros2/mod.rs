@@ -1,6 +1,7 @@
-//! A ROS 2 bag: a folder with `metadata.yaml` and one MCAP file, as `ros2 bag play`, rviz and the `rosbags` package take it.
+//! Export as a ROS 2 bag: a directory with `metadata.yaml` and one MCAP file, readable by `ros2 bag play`, rviz and the `rosbags`
+//! package.
 //!
-//! The recording itself is MCAP too, but with Foxglove's messages, which ROS does not know.
+//! Recordings are MCAP files as well, but with Foxglove's message types, which ROS does not define.
 
 mod cdr;
 mod messages;
@@ -20,57 +21,57 @@ use runtime::recording::{RecordedTick, SegmentHeader};
 use self::messages::{Stamp, Transform};
 use self::topics::Topic;
 use super::folder::new_folder;
-use super::turns::each_turn;
-use crate::error::BufferError;
+use super::ticks::each_tick;
+use crate::error::StoreError;
 use crate::recover::failure;
 
-/// What was written.
+/// The counts of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Bagged {
-    /// Messages of all topics.
+pub struct RosbagSummary {
+    /// The number of messages of all topics.
     pub messages: u64,
-    /// Pictures among them.
-    pub pictures: u64,
-    /// Scans among them.
+    /// The number of images among them.
+    pub images: u64,
+    /// The number of laser scans among them.
     pub scans: u64,
-    /// Turns that came without a pose: no odometry and no transform of theirs is in the bag.
+    /// The number of ticks without a pose, for which the bag has neither odometry nor a transform.
     pub without_pose: u64,
-    /// Segments that end early; what they hold is in.
+    /// The number of segments that end early; their complete ticks are exported.
     pub cut: u64,
 }
 
-/// Writes the run that consists of `segments`, in this order, as a bag into the new folder `to`: pictures, calibration, scans,
-/// odometry and transforms. Times are the run's own, which begin when the robot's computer did.
+/// Exports the run that consists of `segments`, in this order, as a bag into the new directory `to`: images, calibration, scans,
+/// odometry and transforms. Times are those of the run's monotonic clock, which starts when the robot's computer boots.
 ///
 /// # Errors
-/// When `to` is there already or cannot be written, or a segment is no recording of ours.
-pub fn ros2(segments: &[PathBuf], to: &Path) -> Result<Bagged, BufferError> {
+/// When `to` exists already or cannot be written, or a segment is not a recording.
+pub fn ros2(segments: &[PathBuf], to: &Path) -> Result<RosbagSummary, StoreError> {
     let name = format!("{}_0.mcap", to.file_name().unwrap_or_default().to_string_lossy());
     new_folder(to, |dir| {
         let path = dir.join(&name);
         let mut bag = Bag::begin(&path).map_err(|error| failure(error, &path, to))?;
         for segment in segments {
             let one = std::slice::from_ref(segment);
-            bag.bagged.cut += each_turn(one, |header, turn| {
-                bag.turn(header, turn).map_err(|error| refused(error, segment, to))
+            bag.bagged.cut += each_tick(one, |header, tick| {
+                bag.tick(header, tick).map_err(|error| tick_error(error, segment, to))
             })?;
         }
         let (bagged, metadata) = bag.finish(&name).map_err(|error| failure(error, &path, to))?;
         let path = dir.join("metadata.yaml");
-        std::fs::write(&path, metadata).map_err(BufferError::write(path))?;
+        std::fs::write(&path, metadata).map_err(StoreError::write(path))?;
         Ok(bagged)
     })
 }
 
 struct Bag {
     mcap: Writer<BufWriter<File>>,
-    /// Number and messages of each topic that has any.
+    /// The channel id and the message count of each topic that has messages.
     channels: [Option<(u16, u64)>; Topic::ALL.len()],
-    /// First and last.
+    /// The times of the first and the last message.
     times_ns: Option<(u64, u64)>,
-    /// When the wheels last said something.
+    /// The time of the wheel feedback that was written last.
     wheel_ns: Option<u64>,
-    bagged: Bagged,
+    bagged: RosbagSummary,
 }
 
 impl Bag {
@@ -82,33 +83,41 @@ impl Bag {
             .compression_level(1);
         let mcap = options.create(BufWriter::new(File::create_new(path)?))?;
         let channels = [None; Topic::ALL.len()];
-        Ok(Self { mcap, channels, times_ns: None, wheel_ns: None, bagged: Bagged::default() })
+        Ok(Self {
+            mcap,
+            channels,
+            times_ns: None,
+            wheel_ns: None,
+            bagged: RosbagSummary::default(),
+        })
     }
 
-    fn turn(&mut self, header: &SegmentHeader, turn: &RecordedTick) -> Result<(), McapError> {
-        let (at_ns, stamp) = (turn.time_ns, stamp(turn.time_ns)?);
+    fn tick(&mut self, header: &SegmentHeader, tick: &RecordedTick) -> Result<(), McapError> {
+        let at_ns = tick.time_ns;
+        let stamp = ros_time(at_ns)?;
         if self.times_ns.is_none() {
-            let (camera, laser) = (header.run.t_base_camera, header.run.t_base_laser);
-            let on_robot =
-                |child, pose: Pose3| Transform { stamp, parent: "base_link", child, pose };
-            let mounts = [on_robot("camera_optical", camera), on_robot("laser", laser)];
+            let mounts = [
+                mount(stamp, "camera_optical", header.run.t_base_camera),
+                mount(stamp, "laser", header.run.t_base_laser),
+            ];
             self.put(Topic::TfStatic, at_ns, &messages::transforms(&mounts))?;
         }
-        if let Some(picture) = &turn.frame {
-            self.put(Topic::Image, at_ns, &messages::image(stamp, picture))?;
+        if let Some(frame) = &tick.frame {
+            self.put(Topic::Image, at_ns, &messages::image(stamp, frame))?;
             self.put(Topic::CameraInfo, at_ns, &messages::camera_info(stamp, &header.run.camera))?;
-            self.bagged.pictures += 1;
+            self.bagged.images += 1;
         }
-        if let Some(scan) = &turn.scan {
-            self.put(Topic::Scan, at_ns, &messages::laser_scan(self::stamp(scan.time_ns)?, scan))?;
+        if let Some(scan) = &tick.scan {
+            self.put(Topic::Scan, at_ns, &messages::laser_scan(ros_time(scan.time_ns)?, scan))?;
             self.bagged.scans += 1;
         }
-        self.wheel(turn)
+        self.wheel(tick)
     }
 
-    /// Silent wheels are no new odometry.
-    fn wheel(&mut self, turn: &RecordedTick) -> Result<(), McapError> {
-        let (at_ns, wheel) = (turn.time_ns, &turn.wheel);
+    /// Writes odometry only when the wheel feedback is new: the loop repeats the last feedback when none was received.
+    fn wheel(&mut self, tick: &RecordedTick) -> Result<(), McapError> {
+        let at_ns = tick.time_ns;
+        let wheel = &tick.wheel;
         if self.wheel_ns.replace(wheel.time_ns) == Some(wheel.time_ns) {
             return Ok(());
         }
@@ -116,7 +125,7 @@ impl Bag {
             self.bagged.without_pose += 1;
             return Ok(());
         }
-        let stamp = stamp(wheel.time_ns)?;
+        let stamp = ros_time(wheel.time_ns)?;
         let pose =
             Transform { stamp, parent: "odom", child: "base_link", pose: wheel.odom.to_pose3() };
         self.put(Topic::Odom, at_ns, &messages::odometry(stamp, wheel))?;
@@ -144,13 +153,12 @@ impl Bag {
         }
         let schema =
             self.mcap.add_schema(topic.message_type(), "ros2msg", topic.schema().as_bytes())?;
-        let quality =
-            BTreeMap::from([("offered_qos_profiles".to_owned(), topic.quality().to_owned())]);
-        Ok((self.mcap.add_channel(schema, topic.name(), "cdr", &quality)?, 0))
+        let qos = BTreeMap::from([("offered_qos_profiles".to_owned(), topic.qos().to_owned())]);
+        Ok((self.mcap.add_channel(schema, topic.name(), "cdr", &qos)?, 0))
     }
 
-    /// Ends the file; the text of `metadata.yaml`.
-    fn finish(mut self, name: &str) -> Result<(Bagged, String), McapError> {
+    /// Closes the file and returns the text of `metadata.yaml`.
+    fn finish(mut self, name: &str) -> Result<(RosbagSummary, String), McapError> {
         self.mcap.finish()?;
         let file =
             self.mcap.into_inner().into_inner().map_err(std::io::IntoInnerError::into_error)?;
@@ -165,25 +173,29 @@ impl Bag {
     }
 }
 
-fn stamp(time_ns: u64) -> Result<Stamp, McapError> {
-    let beyond = || {
-        format!(
-            "a time of {time_ns} ns is beyond the 68 years that ROS's has; the robot's clock was wrong"
-        )
-    };
-    Ok(Stamp::new(time_ns).ok_or_else(|| std::io::Error::new(ErrorKind::InvalidData, beyond()))?)
+fn mount(stamp: Stamp, child: &'static str, pose: Pose3) -> Transform {
+    Transform { stamp, parent: "base_link", child, pose }
 }
 
-fn refused(error: McapError, segment: &Path, to: &Path) -> BufferError {
+fn ros_time(time_ns: u64) -> Result<Stamp, McapError> {
+    Ok(Stamp::new(time_ns).ok_or_else(|| {
+        let text = format!(
+            "a time of {time_ns} ns exceeds the 68 years of a ROS time; the robot's clock was wrong"
+        );
+        std::io::Error::new(ErrorKind::InvalidData, text)
+    })?)
+}
+
+fn tick_error(error: McapError, segment: &Path, to: &Path) -> StoreError {
     match error {
         McapError::Io(error) if error.kind() == ErrorKind::InvalidData => {
-            BufferError::Segment { path: segment.to_owned(), detail: error.to_string() }
+            StoreError::Segment { path: segment.to_owned(), detail: error.to_string() }
         }
         error => failure(error, segment, to),
     }
 }
 
-/// `metadata.yaml` in version 5, that of ROS 2 Humble, which every later one reads.
+/// `metadata.yaml` in version 5, which ROS 2 Humble and all later distributions read.
 fn metadata(
     name: &str,
     (first_ns, last_ns): (u64, u64),
@@ -204,7 +216,7 @@ fn metadata(
              offered_qos_profiles: {:?}\n      message_count: {count}\n",
             topic.name(),
             topic.message_type(),
-            topic.quality()
+            topic.qos()
         );
     }
     text + &format!(

@@ -1,6 +1,5 @@
-//! The bag's channels, with the definitions of their messages (as of ROS 2 Humble to Kilted) for readers that have no ROS.
+//! The topics of the bag. The message definitions (those of ROS 2 Humble to Kilted) are included for readers without ROS.
 
-/// A channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Topic {
     Image,
@@ -36,12 +35,13 @@ impl Topic {
         }
     }
 
-    /// What it offers to subscribers, as rosbag2 writes it; "" is its default. Late ones get the static transforms as well.
-    pub(super) fn quality(self) -> &'static str {
+    /// The offered QoS profile in the format of rosbag2; empty for the default. Static transforms are latched, so that late
+    /// subscribers receive them.
+    pub(super) fn qos(self) -> &'static str {
         if self == Self::TfStatic { LATCHED } else { "" }
     }
 
-    /// The definition with all that it uses, in MCAP's `ros2msg` form.
+    /// The message definition with all definitions that it uses, in MCAP's `ros2msg` format.
     pub(super) fn schema(self) -> String {
         let (own, uses): (_, &[(&str, &str)]) = match self {
             Self::Image => (IMAGE, &[HEADER, TIME]),
@@ -71,7 +71,7 @@ impl Topic {
     }
 }
 
-/// Keep the last 1; reliable, transient local; no deadline, no lifespan; automatic liveliness. Numbers are those of `rmw/types.h`.
+/// Keep last 1, reliable, transient local, no deadline, no lifespan, automatic liveliness. The numbers are from `rmw/types.h`.
 const LATCHED: &str = "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n  deadline:\n    sec: 0\n    nsec: 0\n  \
      lifespan:\n    sec: 0\n    nsec: 0\n  liveliness: 1\n  liveliness_lease_duration:\n    sec: 0\n    nsec: 0\n  \
      avoid_ros_namespace_conventions: false";

@@ -1,5 +1,5 @@
-//! Segments as the recorder frames them, and stores to put them into.
-#![allow(dead_code, reason = "every test file uses a part")]
+//! Segments with the structure of the recorder's, and object stores.
+#![allow(dead_code, reason = "helpers, not all of which every test file uses")]
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -11,15 +11,15 @@ use hal::VirtualClock;
 use object_store::local::LocalFileSystem;
 use object_store::memory::InMemory;
 use object_store::{ObjectStore, ObjectStoreExt};
-use segment_store::BufferError;
+use segment_store::StoreError;
 use segment_store::bucket::Bucket;
-use segment_store::pull::{Destination, FileSystem, Options, Report, Watch, pull};
+use segment_store::pull::{Destination, FileSystem, Options, Progress, Report, pull};
 use segment_store::source::Source;
 
-/// Turns of a small segment.
+/// The number of ticks of a small segment.
 pub const SMALL: u64 = 5;
 
-/// Numbers that do not compress (SplitMix64).
+/// Random numbers (SplitMix64), which do not compress.
 pub struct Noise(pub u64);
 
 impl Noise {
@@ -32,39 +32,38 @@ impl Noise {
     }
 }
 
-/// A whole segment of `turns` turns with `bytes` bytes each, and two events.
-pub fn segment(seed: u64, turns: u64, bytes: usize) -> Vec<u8> {
-    segment_with_channels(seed, turns, bytes, 0)
+/// A complete segment of `ticks` ticks with `bytes` bytes each, and two events.
+pub fn segment(seed: u64, ticks: u64, bytes: usize) -> Vec<u8> {
+    segment_with_channels(seed, ticks, bytes, 0)
 }
 
-/// As [`segment`], with so many channels more.
-pub fn segment_with_channels(seed: u64, turns: u64, bytes: usize, channels: usize) -> Vec<u8> {
-    let (mut out, mut noise) = (Cursor::new(Vec::new()), Noise(seed));
+/// Like [`segment`], with additional channels.
+pub fn segment_with_channels(seed: u64, ticks: u64, bytes: usize, channels: usize) -> Vec<u8> {
+    let mut out = Cursor::new(Vec::new());
+    let mut noise = Noise(seed);
     let mut writer = mcap::WriteOptions::new()
         .compression(None)
         .chunk_size(Some(1 << 18))
         .create(&mut out)
         .unwrap();
     let nothing = BTreeMap::new();
-    let tick = writer.add_channel(0, "/robot/tick", "json", &nothing).unwrap();
+    let tick_channel = writer.add_channel(0, "/robot/tick", "json", &nothing).unwrap();
     let events = writer.add_channel(0, "/events", "json", &nothing).unwrap();
     for number in 0..channels {
-        writer
-            .add_channel(0, &format!("/a/topic/nobody/listens/to/{number}"), "json", &nothing)
-            .unwrap();
+        writer.add_channel(0, &format!("/an/unused/topic/{number}"), "json", &nothing).unwrap();
     }
-    for turn in 0..turns {
+    for tick in 0..ticks {
         let data: Vec<u8> =
             (0..bytes.div_ceil(8)).flat_map(|_| noise.next().to_le_bytes()).collect();
-        let time = turn * 100_000_000;
+        let time = tick * 100_000_000;
         let header = |channel_id| mcap::records::MessageHeader {
             channel_id,
-            sequence: turn as u32,
+            sequence: tick as u32,
             log_time: time,
             publish_time: time,
         };
-        writer.write_to_known_channel(&header(tick), &data).unwrap();
-        if turn < 2 {
+        writer.write_to_known_channel(&header(tick_channel), &data).unwrap();
+        if tick < 2 {
             writer.write_to_known_channel(&header(events), b"{}").unwrap();
         }
     }
@@ -73,14 +72,14 @@ pub fn segment_with_channels(seed: u64, turns: u64, bytes: usize, channels: usiz
     out.into_inner()
 }
 
-/// A store with a robot's folder in it.
+/// An object store that contains a robot's directory.
 pub struct Fleet {
     pub store: Arc<dyn ObjectStore>,
     runtime: tokio::runtime::Runtime,
 }
 
 impl Fleet {
-    pub fn over(store: Arc<dyn ObjectStore>) -> Self {
+    pub fn from_store(store: Arc<dyn ObjectStore>) -> Self {
         Self {
             store,
             runtime: tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap(),
@@ -88,15 +87,16 @@ impl Fleet {
     }
 
     pub fn in_memory() -> Self {
-        Self::over(Arc::new(InMemory::new()))
+        Self::from_store(Arc::new(InMemory::new()))
     }
 
     pub fn in_directory(dir: &Path) -> Self {
-        Self::over(Arc::new(LocalFileSystem::new_with_prefix(dir).unwrap()))
+        Self::from_store(Arc::new(LocalFileSystem::new_with_prefix(dir).unwrap()))
     }
 
     pub fn bucket(&self) -> Bucket {
-        Bucket::over(Arc::clone(&self.store), "fleet/kitchen".into(), "s3://fleet/kitchen").unwrap()
+        Bucket::from_store(Arc::clone(&self.store), "fleet/kitchen".into(), "s3://fleet/kitchen")
+            .unwrap()
     }
 
     pub fn put(&self, name: &str, bytes: &[u8]) {
@@ -117,16 +117,18 @@ impl Fleet {
         self.try_get(name).unwrap()
     }
 
-    /// Of everything.
+    /// The names of all objects.
     pub fn names(&self) -> Vec<String> {
         let prefix = "fleet/kitchen".into();
         let listed =
             self.runtime.block_on(self.store.list(Some(&prefix)).try_collect::<Vec<_>>()).unwrap();
-        let relative = |path: &str| path.trim_start_matches("fleet/kitchen/").to_owned();
-        listed.iter().map(|object| relative(object.location.as_ref())).collect()
+        listed
+            .iter()
+            .map(|object| object.location.as_ref().trim_start_matches("fleet/kitchen/").to_owned())
+            .collect()
     }
 
-    /// Three small segments of two runs, and what else lies beside them.
+    /// Uploads three small segments of two runs, and a file that is not a segment.
     pub fn put_robot(&self) {
         self.put("monday/recording_0000.mcap", &segment(1, SMALL, 100));
         self.put("monday/recording_0001.mcap", &segment(2, SMALL, 100));
@@ -135,15 +137,15 @@ impl Fleet {
     }
 }
 
-/// Does something at every arrival, and keeps the warnings.
-pub struct WatchWith<'a> {
-    arrival: Box<dyn FnMut() + 'a>,
+/// Calls a function whenever data are received, and collects the warnings.
+pub struct ProgressHook<'a> {
+    on_received: Box<dyn FnMut() + 'a>,
     warnings: Vec<String>,
 }
 
-impl<'a> WatchWith<'a> {
-    pub fn arrival(arrival: impl FnMut() + 'a) -> Self {
-        Self { arrival: Box::new(arrival), warnings: Vec::new() }
+impl<'a> ProgressHook<'a> {
+    pub fn on_received(on_received: impl FnMut() + 'a) -> Self {
+        Self { on_received: Box::new(on_received), warnings: Vec::new() }
     }
 
     pub fn warnings(self) -> Vec<String> {
@@ -151,11 +153,11 @@ impl<'a> WatchWith<'a> {
     }
 }
 
-impl Watch for WatchWith<'_> {
-    fn arrived(&mut self, _bytes: u64) {
-        (self.arrival)();
+impl Progress for ProgressHook<'_> {
+    fn received(&mut self, _bytes: u64) {
+        (self.on_received)();
     }
-    fn warns(&mut self, text: &str) {
+    fn warning(&mut self, text: &str) {
         self.warnings.push(text.to_owned());
     }
 }
@@ -164,16 +166,16 @@ pub fn pull_into(
     source: &mut dyn Source,
     here: &Path,
     options: Options,
-) -> Result<Report, BufferError> {
-    pull_watched(source, here, options, &mut ())
+) -> Result<Report, StoreError> {
+    pull_with_progress(source, here, options, &mut ())
 }
 
-pub fn pull_watched(
+pub fn pull_with_progress(
     source: &mut dyn Source,
     here: &Path,
     options: Options,
-    watch: &mut dyn Watch,
-) -> Result<Report, BufferError> {
+    progress: &mut dyn Progress,
+) -> Result<Report, StoreError> {
     let mut destination = Destination::open(here, &FileSystem)?;
-    pull(source, &mut destination, &options, &mut VirtualClock::default(), watch)
+    pull(source, &mut destination, &options, &mut VirtualClock::default(), progress)
 }

@@ -1,4 +1,4 @@
-//! What all exports of turns have in common.
+//! Reading of recorded ticks and encoding of images, for all exports.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -6,20 +6,20 @@ use std::path::PathBuf;
 
 use runtime::recording::{RecordedTick, RecordingReader, SegmentHeader};
 
-use crate::error::BufferError;
+use crate::error::StoreError;
 
-/// Hands out the turns of `segments` in this order; how many of them end early.
-pub(super) fn each_turn(
+/// Calls `each` for every tick of `segments` in the given order. Returns the number of segments that end early.
+pub(super) fn each_tick(
     segments: &[PathBuf],
-    mut each: impl FnMut(&SegmentHeader, &RecordedTick) -> Result<(), BufferError>,
-) -> Result<u64, BufferError> {
+    mut each: impl FnMut(&SegmentHeader, &RecordedTick) -> Result<(), StoreError>,
+) -> Result<u64, StoreError> {
     let mut cut = 0;
     for path in segments {
-        let file = File::open(path).map_err(BufferError::read(path))?;
-        let bad = |detail: String| BufferError::Segment { path: path.clone(), detail };
+        let file = File::open(path).map_err(StoreError::read(path))?;
+        let bad = |detail: String| StoreError::Segment { path: path.clone(), detail };
         let reader = match RecordingReader::open(BufReader::with_capacity(1 << 20, file)) {
             Ok(reader) => reader,
-            // Cut before its first turn.
+            // Cut before its first tick.
             Err(error) if error.is_truncation() => {
                 cut += 1;
                 continue;
@@ -41,7 +41,7 @@ pub(super) fn each_turn(
     Ok(cut)
 }
 
-/// A picture as PNG.
+/// Encodes an image as PNG.
 pub(super) fn png(
     bytes: &[u8],
     width: usize,
@@ -57,7 +57,7 @@ pub(super) fn png(
     Ok(png)
 }
 
-/// From the middle of the distances between pictures.
+/// The frame rate, from the median time between two images; 10 when there are fewer than two.
 pub(super) fn frames_per_second(times_ns: &[u64]) -> f64 {
     let mut steps: Vec<u64> = times_ns
         .windows(2)

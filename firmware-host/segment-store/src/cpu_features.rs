@@ -1,17 +1,17 @@
-//! What the other side of a transfer should know about this computer.
+//! Features of a processor that decide which ssh cipher is the fastest.
 
-/// A computer at one end of a transfer.
+/// The features of the processor at one end of a transfer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Computer {
-    /// Encrypts with AES-GCM in hardware: several times as fast as with ssh's first choice, which needs none. Without it AES is
-    /// the slower one.
+pub struct CpuFeatures {
+    /// AES-GCM runs in hardware. AES is then several times as fast as ssh's first choice, which needs no hardware; without it,
+    /// AES is the slower of the two.
     pub aes: bool,
 }
 
-impl Computer {
-    /// The one that this program runs on.
+impl CpuFeatures {
+    /// Detects the features of the processor that this program runs on.
     #[must_use]
-    pub fn this() -> Self {
+    pub fn detect() -> Self {
         #[cfg(target_arch = "x86_64")]
         let aes = is_x86_feature_detected!("aes") && is_x86_feature_detected!("pclmulqdq");
         #[cfg(target_arch = "aarch64")]
