@@ -10,130 +10,142 @@ use crate::faults::FaultArgs;
 use crate::model::ModelArgs;
 use crate::replay::Moment;
 
-/// A robot that explores a home, and learns how far things are.
+/// Explores a home with one camera, estimates depth, builds a map and records everything.
 #[derive(Debug, Parser)]
 #[command(name = "firmware-host", version, propagate_version = true)]
 pub struct Cli {
-    /// What to do.
     #[command(subcommand)]
     pub command: Command,
 }
 
-/// What to do.
+/// The subcommands, each with its arguments.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Explore a simulated home, in virtual time.
+    /// Explore a simulated home in virtual time, then write a summary, images and a recording.
     Explore(ExploreArgs),
-    /// Depth, and its accuracy, on a recorded sequence (TUM RGB-D layout with a dataset.toml) or a recorded run.
+    /// Estimate depth on recorded images and measure its accuracy.
+    ///
+    /// The input is a dataset in the TUM RGB-D layout with a dataset.toml, or a recorded run.
     Perceive(PerceiveArgs),
-    /// Recompute every decision of a recorded run; exit 0 only when all are the same.
+    /// Recompute every decision of a recorded run. Exits with 0 only if all of them are the same.
     Replay(ReplayArgs),
-    /// Cut the seconds around a stop or fault out of a run: one small file for a bug report, which `replay` recomputes.
+    /// Extract the seconds around a stop or fault into one small file that `replay` accepts.
+    ///
+    /// The file is meant for a bug report or a regression test.
     Reproduce(ReproduceArgs),
-    /// Test views of a scene: pictures with true depth from all over its free floor, each with what was seen before it.
+    /// Render test images of a scene, with ground-truth depth, from random poses on its free floor.
+    ///
+    /// Each image comes with the coarse depth and some of the earlier images that a robot arriving
+    /// there would have.
     Views(ViewsArgs),
-    /// Drive a real robot: camera, LiDAR and base as the configuration says.
+    /// Drive a real robot with the camera, LiDAR and base named in the configuration.
     Run(RunArgs),
-    /// One screen: how the running robot is. Exits with 1 when something is wrong.
+    /// Show the state of the running robot on one screen. Exits with 1 if it is unhealthy.
     Health(HealthArgs),
-    /// How much later the camera stamps its pictures than it takes them, from a recorded run; what to configure.
+    /// Measure the camera's latency from a recorded run and print the configuration for it.
+    ///
+    /// The latency is the time from the capture of a frame to its time stamp.
     CameraLatency(CameraLatencyArgs),
-    /// Signed models: install, list, verify, go back.
+    /// Install, list, verify and roll back signed depth networks.
     Model(ModelArgs),
-    /// Check a configuration file and print what is in effect; with --devices, check what is connected.
+    /// Check a configuration file and print every value in effect, or check the connected devices.
     Check(CheckArgs),
-    /// What was recorded: list, verify, make cut segments whole, write in other layouts, serve to pull-buffer.
+    /// List, verify, recover, export and serve recorded runs.
     Buffer(BufferArgs),
 }
 
-/// Arguments of `explore`.
+/// Arguments of `firmware-host explore`.
 #[derive(Debug, Args)]
 pub struct ExploreArgs {
-    /// `builtin:apartment?seed=1` (also `house`, `office`), or a .glb, .gltf or .obj file.
+    /// Scene: builtin:apartment?seed=1 (also house, office), or a .glb, .gltf or .obj file.
     #[arg(long)]
     pub scene: String,
-    /// How goals are chosen.
+    /// How the robot chooses its goals.
     #[arg(long, value_enum, default_value_t = PolicyArg::Active)]
     pub policy: PolicyArg,
-    /// A depth network (ONNX). Without one, coarse depth is the depth.
+    /// Depth network (ONNX file). Without one, only coarse depth is used.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// Folder of signed models: the current one drives, and another one that is installed meanwhile takes over, on trial. --model
-    /// is its first one, if it never had any.
+    /// Folder of signed models. The robot uses the current one, and switches to a model that is
+    /// installed while it drives.
+    ///
+    /// A newly installed model is on trial at first. --model is put into the store as its first
+    /// model if the store never had one.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["dir", "depth"])]
     pub model_store: Option<PathBuf>,
-    /// Which depth goes into the map [default: network with --model, else coarse].
+    /// Which depth goes into the map [default: network if there is a model, else coarse].
     #[arg(long, value_enum)]
     pub depth: Option<DepthArg>,
-    /// Camera frames to explore for; one step each.
-    #[arg(long, default_value_t = 3000, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    /// Number of camera frames to explore for. The robot takes one step per frame.
+    #[arg(long, value_name = "N", default_value_t = 3000, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     pub frames: u64,
-    /// Seed of everything random: start pose, policy, noise.
-    #[arg(long, default_value_t = 1)]
+    /// Seed of all random choices: start pose, policy, noise.
+    #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Folder for summary, pictures and recording. Made if missing; must be empty of other runs.
+    /// Output folder for the summary, images and recording. It is created if it is missing, and must
+    /// not contain another run.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Configuration file; see `check`.
+    /// Configuration file. `firmware-host check` prints all keys with their defaults.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Start pose in the scene: x,y in metres and heading in degrees [default: found by itself].
+    /// Start pose in the scene: x and y in metres, heading in degrees [default: chosen from the seed].
     #[arg(long, value_name = "X,Y,DEG", allow_hyphen_values = true, value_parser = parse_start)]
     pub start: Option<[f64; 3]>,
-    /// The scene file's axes and units.
     #[command(flatten)]
     pub scene_file: SceneFileArgs,
-    /// Do not record. The run cannot be replayed.
+    /// Do not record the run. It cannot be replayed then.
     #[arg(long)]
     pub no_recording: bool,
-    /// Also write every picture's coarse depth into this folder, for training. Made if missing.
+    /// Also write the coarse depth of every frame into this folder, for training. The folder is
+    /// created if it is missing.
     #[arg(long, value_name = "DIR")]
     pub dump: Option<PathBuf>,
-    /// What is broken on purpose.
     #[command(flatten)]
     pub faults: FaultArgs,
-    /// Whether better networks come while the robot explores.
     #[command(flatten)]
     pub hand_over: HandOverArgs,
-    /// Where a live picture of the run goes.
     #[command(flatten)]
     pub rerun: RerunArgs,
 }
 
-/// A scene file's axes and units.
+/// How to interpret the axes and units of a scene file.
 #[derive(Debug, Args, Clone, Copy)]
 pub struct SceneFileArgs {
-    /// The scene file's vertical axis [default: by its format].
-    #[arg(long, value_enum)]
+    /// Vertical axis of the scene file [default: y for glTF unless its level surfaces clearly
+    /// contradict, and the axis with the larger level surfaces for OBJ].
+    #[arg(long, value_name = "AXIS", value_enum)]
     pub scene_up: Option<UpArg>,
-    /// Metres per unit of the scene file.
-    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true, value_parser = parse_scale)]
+    /// Metres per unit of length in the scene file.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, allow_negative_numbers = true, value_parser = parse_scale)]
     pub scene_scale: f64,
 }
 
-/// Whether better networks come while the robot explores.
+/// How `explore` receives better networks from a trainer while it explores (the hand-over).
 #[derive(Debug, Args, Default)]
 pub struct HandOverArgs {
-    /// Wait for better networks: before turn --first and every --every turns after it, write round_NNNN.json into this
-    /// folder and go on when model_NNNN.onnx is there.
+    /// Folder through which a trainer hands over better networks during the run.
+    ///
+    /// Before tick --first and every --every ticks after it, the program writes round_NNNN.json into
+    /// this folder and waits until model_NNNN.onnx is there.
     #[arg(long = "hand-over", value_name = "DIR", requires_all = ["first", "every"], conflicts_with_all = ["model", "no_recording"])]
     pub dir: Option<PathBuf>,
-    /// Frames before the first network.
-    #[arg(long, requires = "dir", value_parser = clap::value_parser!(u64).range(1..))]
+    /// Number of frames before the first network.
+    #[arg(long, value_name = "N", requires = "dir", value_parser = clap::value_parser!(u64).range(1..))]
     pub first: Option<u64>,
-    /// Frames from one network to the next.
-    #[arg(long, requires = "dir", value_parser = clap::value_parser!(u64).range(1..))]
+    /// Number of frames between two networks.
+    #[arg(long, value_name = "N", requires = "dir", value_parser = clap::value_parser!(u64).range(1..))]
     pub every: Option<u64>,
 }
 
-/// Where a live picture of the run goes.
+/// Where to send the live visualization of the run.
 #[derive(Debug, Args, Default)]
 pub struct RerunArgs {
     /// Also write run.rrd for the Rerun viewer.
     #[cfg(feature = "rerun")]
     #[arg(long)]
     pub rerun: bool,
-    /// Also stream to a running Rerun viewer, as rerun+http://127.0.0.1:9876/proxy.
+    /// Also stream to a running Rerun viewer, such as rerun+http://127.0.0.1:9876/proxy.
     #[cfg(feature = "rerun")]
     #[arg(long, value_name = "URL")]
     pub rerun_connect: Option<String>,
@@ -141,7 +153,7 @@ pub struct RerunArgs {
 
 #[cfg(feature = "rerun")]
 impl RerunArgs {
-    /// Files and viewers that were asked for; `None`: none.
+    /// The requested files and viewers; `None` if there are none.
     #[must_use]
     pub fn targets(&self, out: &std::path::Path) -> Option<crate::rerun_stream::RerunTargets> {
         let file = self.rerun.then(|| out.join(crate::rerun_stream::RERUN_FILE));
@@ -151,176 +163,184 @@ impl RerunArgs {
     }
 }
 
-/// Arguments of `run`.
+/// Arguments of `firmware-host run`.
 #[derive(Debug, Args)]
 pub struct RunArgs {
-    /// Configuration file; see `check`.
+    /// Configuration file. `firmware-host check` prints all keys with their defaults.
     #[arg(long, value_name = "FILE")]
     pub config: PathBuf,
-    /// Folder for the recording and the summary. Made if missing; must be empty of other runs [default: DATE-TIME in
-    /// `models.recordings`, else in the current folder].
+    /// Output folder for the recording and the summary. It is created if it is missing, and must not
+    /// contain another run [default: DATE-TIME in models.recordings of the configuration, else in
+    /// the current folder].
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// How goals are chosen.
+    /// How the robot chooses its goals.
     #[arg(long, value_enum, default_value_t = PolicyArg::Active)]
     pub policy: PolicyArg,
-    /// A depth network (ONNX). Without one, coarse depth is the depth.
+    /// Depth network (ONNX file). Without one, only coarse depth is used.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// Folder of signed models: the current one drives, and another one that is installed meanwhile takes over, on trial. --model
-    /// is its first one, if it never had any [default: `models.store`].
+    /// Folder of signed models. The robot uses the current one, and switches to a model that is
+    /// installed while it drives [default: models.store of the configuration].
+    ///
+    /// A newly installed model is on trial at first. --model is put into the store as its first
+    /// model if the store never had one.
     #[arg(long, value_name = "DIR")]
     pub model_store: Option<PathBuf>,
-    /// Ends after this many pictures [default: goes on until it is told to stop].
-    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
+    /// Stop after this number of camera frames [default: run until SIGTERM or Ctrl-C].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub frames: Option<u64>,
-    /// Seed of everything random that the robot decides.
-    #[arg(long, default_value_t = 1)]
+    /// Seed of all random decisions of the robot.
+    #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// File that `health` reads [default: `run.status_file`].
+    /// Status file that `health` reads [default: run.status_file of the configuration].
     #[arg(long, value_name = "FILE")]
     pub status: Option<PathBuf>,
-    /// Do not record. The run cannot be replayed.
+    /// Do not record the run. It cannot be replayed then.
     #[arg(long)]
     pub no_recording: bool,
-    /// What is broken on purpose.
     #[command(flatten)]
     pub faults: FaultArgs,
 }
 
-/// Arguments of `health`.
+/// Arguments of `firmware-host health`.
 #[derive(Debug, Args)]
 pub struct HealthArgs {
-    /// The running robot's status file.
+    /// Status file of the running robot.
     #[arg(long, value_name = "FILE", default_value = "/run/embodied-depth/status.json")]
     pub status: PathBuf,
-    /// The status as it is in the file.
+    /// Print the status file as it is (JSON).
     #[arg(long)]
     pub json: bool,
-    /// Look again every half second until interrupted.
+    /// Update the screen every 0.5 s until interrupted.
     #[arg(long, conflicts_with = "json")]
     pub watch: bool,
 }
 
-/// Arguments of `perceive`.
+/// Arguments of `firmware-host perceive`.
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("seen").args(["dataset", "recording"]).required(true)))]
 pub struct PerceiveArgs {
-    /// Folder with rgb.txt, groundtruth.txt, dataset.toml and perhaps depth.txt.
+    /// Dataset: a folder with rgb.txt, groundtruth.txt, dataset.toml and, for ground truth, depth.txt.
     #[arg(long, value_name = "DIR")]
     pub dataset: Option<PathBuf>,
-    /// Instead: the --out folder of a run, or one .mcap file. Its own configuration counts, unless --config is given.
+    /// Recorded run: the --out folder of a run, or one .mcap file. Its own configuration is used
+    /// unless --config is given.
     #[arg(long, value_name = "RUN")]
     pub recording: Option<PathBuf>,
-    /// A depth network (ONNX).
+    /// Depth network (ONNX file) to evaluate beside coarse depth.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// Folder for summary and pictures.
+    /// Output folder for the summary and images. It is created if it is missing.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Also write every picture's coarse depth into this folder, for training. Made if missing.
+    /// Also write the coarse depth of every frame into this folder, for training. The folder is
+    /// created if it is missing.
     #[arg(long, value_name = "DIR")]
     pub dump: Option<PathBuf>,
-    /// Configuration file; see `check`.
+    /// Configuration file. `firmware-host check` prints all keys with their defaults.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
 }
 
-/// Arguments of `replay`.
+/// Arguments of `firmware-host replay`.
 #[derive(Debug, Args)]
 pub struct ReplayArgs {
-    /// The --out folder of a run, or one .mcap file.
+    /// Recorded run: the --out folder of a run, or one .mcap file.
     pub run: PathBuf,
-    /// Begin at the last segment that begins not after this turn (1200) or time since the first turn (61.5s).
-    #[arg(long, value_name = "TURN|SECONDS", allow_negative_numbers = true)]
+    /// Start at the last segment that begins no later than this tick (1200) or this time since the
+    /// first tick (61.5s).
+    #[arg(long, value_name = "TICK|SECONDS", allow_negative_numbers = true)]
     pub from: Option<Moment>,
-    /// End at the first turn that decides differently.
+    /// Stop at the first tick whose decision differs from the recorded one.
     #[arg(long)]
     pub until_mismatch: bool,
-    /// The models of the run.
     #[command(flatten)]
     pub models: RunModels,
 }
 
-/// The models of a recorded run, which are not in its recording.
+/// Where to find the networks of a recorded run. A recording contains only their digests.
 #[derive(Debug, Args)]
 pub struct RunModels {
-    /// The depth network that the run was made with, if it was.
+    /// Depth network that the run was given by --model.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// The folder from which the run was handed its networks, if it was.
+    /// Folder that the run was given by --hand-over.
     #[arg(long, value_name = "DIR")]
     pub hand_over: Option<PathBuf>,
-    /// The folder of signed models that the run drove with, if it did.
+    /// Folder of signed models that the run was given by --model-store.
     #[arg(long, value_name = "DIR", conflicts_with = "model")]
     pub model_store: Option<PathBuf>,
 }
 
-/// Arguments of `reproduce`.
+/// Arguments of `firmware-host reproduce`.
 #[derive(Debug, Args)]
 pub struct ReproduceArgs {
-    /// The --out folder of a run, or one .mcap file.
+    /// Recorded run: the --out folder of a run, or one .mcap file.
     pub run: PathBuf,
-    /// The turn (1200) or the time since the first turn (61.5s) that it is about [default: the last stop or fault].
-    #[arg(long, value_name = "TURN|SECONDS")]
+    /// Moment to extract, as a tick (1200) or a time since the first tick (61.5s) [default: the last
+    /// stop or fault].
+    #[arg(long, value_name = "TICK|SECONDS")]
     pub at: Option<Moment>,
-    /// Seconds before that.
-    #[arg(long, default_value_t = 3.0, allow_negative_numbers = true, value_parser = parse_seconds)]
+    /// Seconds to extract before that moment, 0 to 3600.
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0, allow_negative_numbers = true, value_parser = parse_seconds)]
     pub before: f64,
-    /// Seconds after that.
-    #[arg(long, default_value_t = 2.0, allow_negative_numbers = true, value_parser = parse_seconds)]
+    /// Seconds to extract after that moment, 0 to 3600.
+    #[arg(long, value_name = "SECONDS", default_value_t = 2.0, allow_negative_numbers = true, value_parser = parse_seconds)]
     pub after: f64,
-    /// The file to write, as bug.mcap. Must not be there yet.
+    /// File to write, such as bug.mcap. It must not exist yet.
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// The models of the run.
     #[command(flatten)]
     pub models: RunModels,
 }
 
-/// Arguments of `views`.
+/// Arguments of `firmware-host views`.
 #[derive(Debug, Args)]
 pub struct ViewsArgs {
-    /// As for `explore`.
+    /// Scene: builtin:apartment?seed=1 (also house, office), or a .glb, .gltf or .obj file.
     #[arg(long)]
     pub scene: String,
-    /// How many views.
-    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    /// Number of views, 1 to 100000.
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub count: u64,
-    /// Seed of their poses.
-    #[arg(long, default_value_t = 1)]
+    /// Seed of the random poses.
+    #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Folder for the views, in the form of `perceive --dataset --dump`. Made if missing.
+    /// Output folder for the views, in the same format as `perceive --dataset --dump`. It is created
+    /// if it is missing.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Configuration file; see `check`.
+    /// Configuration file. `firmware-host check` prints all keys with their defaults.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// The scene file's axes and units.
     #[command(flatten)]
     pub scene_file: SceneFileArgs,
 }
 
-/// Arguments of `check`.
+/// Arguments of `firmware-host check`.
 #[derive(Debug, Args)]
 pub struct CheckArgs {
-    /// Configuration file; without one, the documented defaults are printed.
+    /// Configuration file. Without one, the documented defaults are printed.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Instead of printing what is in effect, open each device for some seconds and say how it is. Nothing is armed and nothing
-    /// moves. Exits with 1 unless all are well.
+    /// Open each configured device for up to three seconds and report its state, instead of printing
+    /// the configuration. Exits with 1 unless all devices work.
+    ///
+    /// No motor is armed and nothing moves.
     #[arg(long, requires = "config")]
     pub devices: bool,
 }
 
-/// Arguments of `camera-latency`.
+/// Arguments of `firmware-host camera-latency`.
 #[derive(Debug, Args)]
 pub struct CameraLatencyArgs {
-    /// The --out folder of a run, or one .mcap file. A minute in which it turned to and fro is enough.
+    /// Recorded run: the --out folder of a run, or one .mcap file. One minute in which the robot
+    /// rotates left and right is enough.
     pub run: PathBuf,
 }
 
-/// Arguments of `buffer`.
+/// Arguments of `firmware-host buffer`.
 #[derive(Debug, Args)]
 pub struct BufferArgs {
     #[command(subcommand)]
@@ -384,20 +404,20 @@ pub enum ExportLayout {
     Lerobot,
 }
 
-/// Policies by their names.
+/// The values of `--policy`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum PolicyArg {
-    /// Forward, left or right at random, every frame anew.
+    /// A random step in each frame: forward, left or right.
     Random,
-    /// Random arcs of 16 steps.
+    /// Random segments of 16 steps: 8 left or right, then 8 forward, or 16 forward.
     Heuristic,
-    /// Straight on, a little to the right after a collision.
+    /// Straight ahead; after a collision, a rotation of 10 degrees to the right.
     Forward,
-    /// To where free floor meets the unknown.
+    /// Towards frontiers, where free floor borders on unknown space.
     Frontier,
-    /// To where two looks at one place disagree.
+    /// Towards places where two depth observations disagree.
     Inconsistency,
-    /// Frontier and inconsistency by turns.
+    /// Frontier and inconsistency goals alternately.
     Active,
 }
 
@@ -414,14 +434,14 @@ impl From<PolicyArg> for PolicyKind {
     }
 }
 
-/// Depth sources by their names.
+/// The values of `--depth`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum DepthArg {
-    /// From ego-motion.
+    /// Coarse depth, from matching frames over the known motion of the robot.
     Coarse,
-    /// From the network.
+    /// The output of the depth network.
     Network,
-    /// Ground truth; tests what comes after depth, and says nothing about the robot.
+    /// Ground truth of the simulator. Tests mapping and planning only; no real robot has it.
     Truth,
 }
 
@@ -435,12 +455,12 @@ impl From<DepthArg> for DepthSource {
     }
 }
 
-/// Vertical axes.
+/// The values of `--scene-up`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum UpArg {
-    /// As glTF has it.
+    /// The convention of glTF.
     Y,
-    /// As most scans have it.
+    /// The convention of most 3-D scans.
     Z,
 }
 

@@ -1,9 +1,11 @@
-//! Coarse depth as files that NumPy maps, so that a network is trained on what the robot will give it.
+//! Writes coarse depth as NumPy files, so that a network can be trained on the same input that the
+//! robot will give it.
 //!
-//! `NNNNNN.npy` is uint16 `[2, rows, columns]`: depth in millimetres (0: none), then confidence times 65535. Pictures of a
-//! dataset come along, as the loop sees them: `NNNNNN_rgb.npy` is uint8 `[rows, columns, 3]`, `NNNNNN_truth.npy` uint16
-//! millimetres; a recording holds its own. `dump.json` is written last and names only files that are whole: a folder without
-//! it is incomplete.
+//! `NNNNNN.npy` is uint16 `[2, rows, columns]`: depth in millimetres (0: none), then confidence
+//! times 65535. For a dataset, the resampled images are written too: `NNNNNN_rgb.npy` is uint8
+//! `[rows, columns, 3]`, and `NNNNNN_truth.npy` is uint16 in millimetres. A recording already
+//! contains its images. `dump.json` lists the files. It is written last, so a folder without it is
+//! incomplete.
 
 use std::path::{Path, PathBuf};
 
@@ -16,32 +18,32 @@ use crate::report::atomic::{prepare_dir, write_atomically};
 
 const INDEX: &str = "dump.json";
 
-/// A folder that is being filled.
+/// A writer for such a folder.
 pub(crate) struct Dump {
     dir: PathBuf,
     index: Index,
 }
 
-/// One picture, beside its coarse depth.
+/// One frame, without its coarse depth.
 pub(crate) struct Shot<'a> {
-    /// When it was taken.
     pub time_ns: u64,
-    /// Where `camera_optical` was, in the frame that the run's poses are in.
+    /// Pose of `camera_optical` in the frame of the run's poses.
     pub t_world_camera: Pose3,
-    /// The picture, three bytes a pixel; `None` where a recording holds it.
+    /// RGB8, row-major; `None` if a recording contains it.
     pub rgb: Option<&'a [u8]>,
-    /// Ground truth; `None` where a recording holds it, or there is none.
+    /// Ground truth; `None` if a recording contains it, or there is none.
     pub truth: Option<&'a DepthMap>,
-    /// The test view that it is, or that was seen on the way to.
+    /// The test view to which the frame belongs.
     pub view: Option<View>,
 }
 
-/// A test view. Its picture with ground truth is judged; those before were seen on the way.
+/// A test view of `firmware-host views`. The network is evaluated on its last frame, which has
+/// ground truth; the earlier frames were taken on the way to it.
 #[derive(Clone, Copy, Serialize)]
 pub(crate) struct View {
-    /// Which, from 0.
+    /// Number of the view, from 0.
     pub view: u64,
-    /// How the camera came there.
+    /// How the camera came there: `drive` or `turn`.
     pub approach: &'static str,
 }
 
@@ -73,7 +75,7 @@ struct Entry {
 impl Dump {
     pub fn create(dir: &Path, camera: &CameraModel) -> Result<Self> {
         prepare_dir(dir)?;
-        // An older dump's index must not speak for new files.
+        // The index of an older dump must not list the new files.
         match std::fs::remove_file(dir.join(INDEX)) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error.into()),
             _ => {}
@@ -85,22 +87,22 @@ impl Dump {
 
     pub fn add(&mut self, shot: &Shot<'_>, coarse: Option<&DepthEstimate>) -> Result<()> {
         let name = format!("{:06}", self.index.frames.len());
-        let (rows, columns) = (self.index.height, self.index.width);
-        let write = |suffix: &str, bytes: Vec<u8>| {
-            write_atomically(&self.dir.join(format!("{name}{suffix}.npy")), &bytes)
-        };
+        let rows = self.index.height;
+        let columns = self.index.width;
         if let Some(coarse) = coarse {
             let confidence = coarse
                 .confidence
                 .iter()
                 .map(|value| (value.clamp(0.0, 1.0) * 65_535.0).round() as u16);
-            write("", npy_u16(&[2, rows, columns], millimetres(&coarse.depth).chain(confidence)))?;
+            let planes = millimetres(&coarse.depth).chain(confidence);
+            self.write(format!("{name}.npy"), &npy_u16(&[2, rows, columns], planes))?;
         }
         if let Some(truth) = shot.truth {
-            write("_truth", npy_u16(&[rows, columns], millimetres(truth)))?;
+            let planes = npy_u16(&[rows, columns], millimetres(truth));
+            self.write(format!("{name}_truth.npy"), &planes)?;
         }
         if let Some(rgb) = shot.rgb {
-            write("_rgb", npy("|u1", &[rows, columns, 3], rgb))?;
+            self.write(format!("{name}_rgb.npy"), &npy("|u1", &[rows, columns, 3], rgb))?;
         }
         self.index.frames.push(Entry {
             time_ns: shot.time_ns,
@@ -114,7 +116,11 @@ impl Dump {
         Ok(())
     }
 
-    /// Writes the index of all pictures so far; more may follow.
+    fn write(&self, name: String, bytes: &[u8]) -> Result<()> {
+        Ok(write_atomically(&self.dir.join(name), bytes)?)
+    }
+
+    /// Writes the index of all frames so far. More frames may follow.
     pub fn write_index(&self) -> Result<()> {
         Ok(write_atomically(&self.dir.join(INDEX), &serde_json::to_vec_pretty(&self.index)?)?)
     }
@@ -124,7 +130,7 @@ fn row_major(pose: &Pose3) -> Vec<f64> {
     pose.to_matrix().transpose().as_slice().to_vec()
 }
 
-/// What is farther than 16 bits of millimetres is no depth.
+/// Depth in millimetres. A depth that does not fit into 16 bits becomes 0, no depth.
 fn millimetres(depth: &DepthMap) -> impl Iterator<Item = u16> + '_ {
     depth.values().iter().map(|metres| {
         let mm = (metres * 1000.0).round();
@@ -170,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_holds_depth_pictures_and_an_index_that_comes_last() {
+    fn a_folder_contains_depth_images_and_an_index_that_is_written_last() {
         let dir = tempfile::tempdir().unwrap();
         let camera = CameraModel::pinhole(2, 1, std::f64::consts::FRAC_PI_2);
         let truth = DepthMap::from_vec(2, 1, vec![0.0, 1.5]).unwrap();

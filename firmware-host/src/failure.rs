@@ -1,8 +1,9 @@
-//! What went wrong, in one sentence.
+//! Formats an error and its causes as one line.
 
 use anyhow::Error;
 
-/// The error and its causes, each once: many say themselves what the system said.
+/// The error and its causes, separated by colons. A cause that the text already contains is left
+/// out, because many of our errors quote the operating system's message themselves.
 #[must_use]
 pub fn sentence(error: &Error) -> String {
     let mut text = String::new();
@@ -23,7 +24,7 @@ mod tests {
     use anyhow::anyhow;
 
     #[test]
-    fn a_cause_that_was_told_is_not_told_again() {
+    fn a_cause_that_the_message_already_contains_is_not_repeated() {
         let error = anyhow!("disk full")
             .context("cannot write a.png: disk full; make room")
             .context("no report");

@@ -1,28 +1,30 @@
-//! `--fault` and `--fault-seed`: devices that are broken on purpose.
+//! `--fault` and `--fault-seed`: faults that are injected into the devices of a run.
 
 use std::str::FromStr;
 
 use clap::Args;
 use drivers::fault::{Fault, FaultTextError, Faults, Now, random_faults};
 
-/// What is broken on purpose.
+/// The options that inject faults.
 #[derive(Debug, Args, Clone, Default)]
 pub struct FaultArgs {
-    /// Break a device on purpose: DEVICE:KIND[=AMOUNT][@FROM..TO] in seconds since the start, such as lidar:stall@4..6 or
-    /// camera:drop=0.1; `random`: by dice what a robot must survive. May be given again.
-    #[arg(long = "fault", value_name = "TEXT")]
+    /// Inject a fault: DEVICE:KIND[=AMOUNT][@FROM..TO], times in seconds since the start, such as
+    /// lidar:stall@4..6 or camera:drop=0.1. May be repeated.
+    ///
+    /// The value `random` injects a random schedule of faults that a robot must survive.
+    #[arg(long = "fault", value_name = "FAULT")]
     pub texts: Vec<FaultText>,
-    /// Seed of everything random in faults.
-    #[arg(long, default_value_t = 1, requires = "texts")]
+    /// Seed of all random choices in faults.
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "texts")]
     pub fault_seed: u64,
 }
 
-/// One `--fault`.
+/// The value of one `--fault` option.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum FaultText {
-    /// A schedule by dice.
+    /// A random schedule, `--fault random`.
     Random,
-    /// This one.
+    /// One given fault.
     One(Fault),
 }
 
@@ -34,7 +36,7 @@ impl FromStr for FaultText {
     }
 }
 
-/// A run's faults, as they are recorded.
+/// All faults of a run, as they are recorded in its header.
 #[derive(Debug, Clone, Default)]
 pub struct FaultPlan {
     faults: Vec<Fault>,
@@ -42,7 +44,7 @@ pub struct FaultPlan {
 }
 
 impl FaultArgs {
-    /// The faults of a run of this length, seconds.
+    /// The faults of a run of `span_s` seconds. Random schedules are spread over that time.
     #[must_use]
     pub fn plan(&self, span_s: f64) -> FaultPlan {
         let mut faults = Vec::new();
@@ -57,19 +59,19 @@ impl FaultArgs {
 }
 
 impl FaultPlan {
-    /// Their texts.
+    /// The faults in the notation of `--fault`.
     #[must_use]
     pub fn texts(&self) -> Vec<String> {
         self.faults.iter().map(ToString::to_string).collect()
     }
 
-    /// Their seed, where there are any.
+    /// The seed of the faults; `None` if there are no faults.
     #[must_use]
     pub fn seed(&self) -> Option<u64> {
         (!self.faults.is_empty()).then_some(self.seed)
     }
 
-    /// The faults in the run's time.
+    /// The injector of these faults. `now` is the clock that their times refer to.
     #[must_use]
     pub fn at(self, now: Now) -> Faults {
         Faults::new(self.faults, self.seed, now)

@@ -1,4 +1,5 @@
-//! What the binary on the robot is made of: configuration, wiring, command line, telemetry and reports.
+//! The parts of the robot's program: configuration, device setup, command line, recording and
+//! reports.
 #![forbid(unsafe_code)]
 
 pub mod buffer;

@@ -1,4 +1,4 @@
-//! `firmware-host`: see `firmware-host --help`.
+//! The program on the robot. `firmware-host --help` lists its commands.
 
 use std::io::IsTerminal;
 use std::os::unix::process::CommandExt;
@@ -12,20 +12,20 @@ use firmware_host::{
     reproduce, run, views,
 };
 
-/// The run could not be done.
+/// Exit code if the command failed.
 const FAILED: u8 = 1;
-/// What was asked for cannot be: a wrong argument or configuration. As clap has it.
+/// Exit code for a wrong argument or configuration; the same code as clap's.
 const MISUSED: u8 = 2;
 
 fn main() -> ExitCode {
-    keep_onnx_runtime_silent();
+    disable_onnx_runtime_telemetry();
     let cli = Cli::parse();
     tracing_subscriber::fmt()
         .with_env_filter(
             tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn".into()),
         )
         .with_writer(std::io::stderr)
-        // A journal shows colours as noise.
+        // systemd's journal shows colour codes as garbage.
         .with_ansi(std::io::stderr().is_terminal())
         .init();
     let result = match cli.command {
@@ -47,10 +47,13 @@ fn main() -> ExitCode {
     })
 }
 
-/// Since 1.29 ONNX Runtime's own builds report to their maker when they are loaded, also where the interface says no: only this
-/// variable, set before, keeps them silent (<https://github.com/microsoft/onnxruntime/pull/27379>). A home is nobody's business.
-/// A process cannot set its own variables safely, so the program starts itself once more, as the same process.
-fn keep_onnx_runtime_silent() {
+/// Disables the telemetry of ONNX Runtime, for privacy: the robot works in homes.
+///
+/// Since 1.29 the official builds of ONNX Runtime send telemetry to Microsoft as soon as they are
+/// loaded, even if the API disables it. Only this environment variable, set before the program
+/// starts, prevents that (<https://github.com/microsoft/onnxruntime/pull/27379>). A process cannot
+/// set its own variables safely, so the program replaces itself with `exec`.
+fn disable_onnx_runtime_telemetry() {
     const VARIABLE: &str = "ORT_DISABLE_TELEMETRY";
     if std::env::var_os(VARIABLE).is_none()
         && let Ok(program) = std::env::current_exe()
@@ -58,7 +61,8 @@ fn keep_onnx_runtime_silent() {
         let mut args = std::env::args_os();
         let name = args.next().unwrap_or_default();
         let error = Command::new(program).arg0(name).args(args).env(VARIABLE, "1").exec();
-        // It goes on as it is rather than not at all; the service sets the variable itself.
-        eprintln!("warning: cannot set {VARIABLE} ({error}): ONNX Runtime may report to its maker");
+        // Running with telemetry is better than not running. The systemd unit sets the variable, so
+        // this cannot happen there.
+        eprintln!("warning: cannot set {VARIABLE} ({error}): ONNX Runtime may send telemetry");
     }
 }

@@ -1,4 +1,5 @@
-//! Finds and loads ONNX Runtime, which is a library of its own: nothing is linked, and a robot that needs no network needs no library.
+//! Finds ONNX Runtime and loads it at run time. The program is not linked against the library, so a
+//! robot without a depth network does not need it.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -6,25 +7,26 @@ use std::sync::{Mutex, PoisonError};
 
 use ort::environment::Environment;
 
-/// Names under which a system's loader may know the library.
+/// Names under which the system's dynamic loader may find the library.
 const SYSTEM_NAMES: [&str; 2] = ["libonnxruntime.so.1", "libonnxruntime.so"];
 
-/// ONNX Runtime could not be loaded from anywhere.
+/// ONNX Runtime could not be loaded from any known place.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "ONNX Runtime 1.22 or newer was not found; run `cargo xtask setup`, set ORT_DYLIB_PATH to libonnxruntime.so, or use `--depth coarse`, which needs none. Tried:\n  {}",
+    "ONNX Runtime 1.22 or newer was not found; run `cargo xtask setup`, set ORT_DYLIB_PATH to libonnxruntime.so, or use `--depth coarse`, which does not need it. Tried:\n  {}",
     .tried.join("\n  ")
 )]
 pub struct OnnxRuntimeMissing {
-    /// Every place that was tried, with what was wrong there.
+    /// Every place that was tried, with the reason why loading failed.
     pub tried: Vec<String>,
 }
 
-/// Loads ONNX Runtime from the first place that has it: `ORT_DYLIB_PATH` (alone, when it is set), beside the program, the
-/// build's `target/onnxruntime`, and the system's library path. A process has one environment: later calls return the first.
+/// Loads ONNX Runtime from the first of these places that has it: the folder of the program, the
+/// build's `target/onnxruntime`, and the system's library path. If `ORT_DYLIB_PATH` is set, only
+/// that file is tried. A process has one environment: later calls return that of the first call.
 ///
 /// # Errors
-/// Lists every place that was tried.
+/// [`OnnxRuntimeMissing`] with every place that was tried.
 pub fn init() -> Result<(Environment, PathBuf), OnnxRuntimeMissing> {
     static LOADED: Mutex<Option<(Environment, PathBuf)>> = Mutex::new(None);
     let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
@@ -43,7 +45,7 @@ pub fn init() -> Result<(Environment, PathBuf), OnnxRuntimeMissing> {
     Err(OnnxRuntimeMissing { tried })
 }
 
-/// `ort` panics when it has to load the library by itself and cannot; loaded by path, it says what is wrong.
+/// Loads the library by its path, because `ort` panics if it fails to load it implicitly.
 fn load(library: &Path) -> Result<Environment, String> {
     let builder = ort::init_from(library).map_err(|error| error.to_string())?;
     builder
@@ -53,7 +55,7 @@ fn load(library: &Path) -> Result<Environment, String> {
         .map_err(|error| error.to_string())
 }
 
-/// Files and names to try, in order.
+/// Files and library names to try, in order. `variable` is the value of `ORT_DYLIB_PATH`.
 fn candidates(variable: Option<OsString>, program: Option<&Path>) -> Vec<PathBuf> {
     if let Some(path) = variable.filter(|path| !path.is_empty()) {
         return vec![path.into()];
@@ -71,18 +73,19 @@ fn candidates(variable: Option<OsString>, program: Option<&Path>) -> Vec<PathBuf
     found
 }
 
-/// `libonnxruntime.so` with or without a version, newest name first.
+/// Files named `libonnxruntime.so`, with or without a version suffix, newest version first.
 fn libraries_in(folder: &Path) -> Vec<PathBuf> {
-    let is_library = |path: &PathBuf| {
-        let name =
-            path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        name == "libonnxruntime.so" || name.starts_with("libonnxruntime.so.")
-    };
     let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
-    let mut libraries: Vec<_> = entries.map(|entry| entry.path()).filter(is_library).collect();
+    let mut libraries: Vec<_> =
+        entries.map(|entry| entry.path()).filter(|path| is_library(path)).collect();
     libraries.sort();
     libraries.reverse();
     libraries
+}
+
+fn is_library(path: &Path) -> bool {
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    name == "libonnxruntime.so" || name.starts_with("libonnxruntime.so.")
 }
 
 #[cfg(test)]
@@ -123,9 +126,10 @@ mod tests {
     }
 
     #[test]
-    fn it_is_loaded_once_for_the_whole_process() {
+    fn the_library_is_loaded_once_for_the_whole_process() {
         // `cargo xtask setup` installs it; `cargo xtask test` always does.
-        let (first, second) = (init().unwrap(), init().unwrap());
+        let first = init().unwrap();
+        let second = init().unwrap();
         assert_eq!(first.1, second.1);
     }
 

@@ -1,4 +1,5 @@
-//! `firmware-host perceive`: depth on a recorded sequence, how good it was, and what it shows from above.
+//! `firmware-host perceive`: estimates depth on recorded images, measures its accuracy and draws a
+//! map.
 
 mod source;
 
@@ -27,10 +28,10 @@ use crate::setup;
 use crate::stopwatch::Stopwatch;
 use source::Source;
 
-/// Looks at every picture of the sequence and reports.
+/// Processes every image of the sequence and writes the reports.
 ///
 /// # Errors
-/// A dataset, model or folder that cannot be used.
+/// If the dataset or recording or the model cannot be read, or the output folder cannot be written.
 pub fn run(args: &PerceiveArgs) -> Result<()> {
     let source = Source::open(args)?;
     let config = source.config();
@@ -39,14 +40,14 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
         args.model.as_deref().map(|path| setup::load_network(path, &camera, config)).transpose()?;
     if segments(&args.out).is_ok_and(|segments| args.out.is_dir() && !segments.is_empty()) {
         bail!(
-            "{} holds a recorded run, and its summary would be written over; choose another --out",
+            "{} contains a recorded run, whose summary would be overwritten; choose another --out",
             args.out.display()
         );
     }
     prepare_dir(&args.out)?;
     let mut dump = args.dump.as_deref().map(|dir| Dump::create(dir, &camera)).transpose()?;
 
-    let mut looker = Looker {
+    let mut evaluator = Evaluator {
         coarse: CoarseDepth::new(config.coarse.clone(), camera)?,
         network,
         coarse_accuracy: Accuracy::new(),
@@ -66,26 +67,26 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     for sample in source.samples() {
         let sample = sample?;
         if let Some(last) = last {
-            looker.path_m +=
+            evaluator.path_m +=
                 (sample.t_world_camera.translation.vector - last.translation.vector).norm();
         }
         last = Some(sample.t_world_camera);
-        let coarse = looker.look(frames, &sample)?;
+        let coarse = evaluator.process(frames, &sample)?;
         if let Some(dump) = &mut dump {
-            // A recording holds pictures and ground truth itself.
-            let kept = (!source.is_recording()).then_some(&sample);
+            // A recording already contains its images and ground truth.
+            let stored = (!source.is_recording()).then_some(&sample);
             let shot = Shot {
                 time_ns: sample.time_ns,
                 t_world_camera: sample.t_world_camera,
-                rgb: kept.map(|sample| &sample.rgb[..]),
-                truth: kept.and_then(|sample| sample.truth.as_ref()),
+                rgb: stored.map(|sample| &sample.rgb[..]),
+                truth: stored.and_then(|sample| sample.truth.as_ref()),
                 view: None,
             };
             dump.add(&shot, coarse)?;
         }
         frames += 1;
         if let Some(progress) = &mut progress {
-            progress.frame(frames, &Status { coverage: None, doing: "looking" });
+            progress.frame(frames, &Status { coverage: None, doing: "estimating depth" });
         }
     }
     if let Some(progress) = progress {
@@ -97,20 +98,23 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
 
     let wall_s = began.elapsed().as_secs_f64();
     let name = source.path().display().to_string();
-    let summary = looker.summary(frames, wall_s, &name);
+    let summary = evaluator.summary(frames, wall_s, &name);
     summary.write(&args.out)?;
     println!("{}", table::render(&summary));
     let title = format!("{name}, {frames} frames");
-    if let (Some(map), Some(dataset)) = (&looker.map, source.dataset()) {
+    if let (Some(map), Some(dataset)) = (&evaluator.map, source.dataset()) {
         map.write(&format!("{}, {frames} frames, from above", dataset.manifest().name), &args.out)?;
     }
-    DepthSheet { title: &title, rows: &looker.sheet.into_rows() }.write(&args.out)?;
+    DepthSheet { title: &title, rows: &evaluator.sheet.into_rows() }.write(&args.out)?;
     if source.without_pose() > 0 {
-        println!("{} pictures were left out: no pose is near them in time.", source.without_pose());
+        println!(
+            "{} images were left out because the dataset has no pose near them in time.",
+            source.without_pose()
+        );
     }
     let out = args.out.display();
-    let map = if source.is_recording() { String::new() } else { format!("{out}/map.png and ") };
-    println!("Look at {map}{out}/depth.png; numbers are in {out}/summary.json.");
+    let map = if source.is_recording() { String::new() } else { format!("{out}/map.png, ") };
+    println!("Wrote {map}{out}/depth.png and {out}/summary.json.");
     Ok(())
 }
 
@@ -118,25 +122,26 @@ fn top_view(dataset: &Dataset) -> Result<TopView> {
     Ok(TopView::new(&dataset.poses(), dataset.manifest().up.map(Into::into))?)
 }
 
-struct Looker {
+/// Runs coarse depth and the network, and collects their accuracy and timing.
+struct Evaluator {
     coarse: CoarseDepth,
     network: Option<DepthNetwork>,
     coarse_accuracy: Accuracy,
     network_accuracy: Accuracy,
-    /// Of the network, where coarse depth is.
+    /// Accuracy of the network on the pixels that have coarse depth.
     refined_accuracy: Accuracy,
     constant: ConstantBaseline,
     events: EventCounts,
     stopwatch: Stopwatch,
     sheet: SheetSampler,
-    /// A run of the robot has a map already.
+    /// `None` for a recorded run, which already has a map.
     map: Option<TopView>,
     path_m: f64,
 }
 
-impl Looker {
-    /// Looks at one picture; its coarse depth, if it has one.
-    fn look(&mut self, index: u64, sample: &Sample) -> Result<Option<&DepthEstimate>> {
+impl Evaluator {
+    /// Processes one image. Returns its coarse depth, if there is any.
+    fn process(&mut self, index: u64, sample: &Sample) -> Result<Option<&DepthEstimate>> {
         let frame = ImageView::rgb8(sample.camera.width, sample.camera.height, &sample.rgb)?;
         let began = Instant::now();
         self.stopwatch.start();

@@ -1,4 +1,5 @@
-//! A recorded run as far as it can be read, for what takes each turn by itself: unlike a replay, it goes on after damage.
+//! Reads the ticks of a recorded run one by one. Unlike a replay, it continues after damaged parts,
+//! for commands that do not depend on the ticks before.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +8,7 @@ use runtime::recording::{RecordedTick, RunHeader};
 
 use crate::replay::{ReplayError, open_segment, segments};
 
-/// A recorded run.
+/// A recorded run whose segments are read in order.
 #[derive(Debug)]
 pub struct Recorded {
     segments: Vec<PathBuf>,
@@ -18,7 +19,7 @@ impl Recorded {
     /// Opens the --out folder of a run, or one segment.
     ///
     /// # Errors
-    /// When none of its segments can be read.
+    /// If none of the segments can be read.
     pub fn open(path: &Path) -> Result<Self> {
         let segments = segments(path)?;
         let mut first_error = None;
@@ -37,14 +38,14 @@ impl Recorded {
         }
     }
 
-    /// What it was made with.
+    /// The header of the run: configuration, camera, mounts and seeds.
     #[must_use]
     pub fn run(&self) -> &RunHeader {
         &self.run
     }
 
-    /// All turns in order. A segment that breaks off is named and read as far as it goes; one of another run, and a picture of
-    /// another size than the camera's, are errors.
+    /// All ticks in order. A damaged segment is logged as a warning and read up to the damage. A
+    /// segment of another run and a frame whose size is not the camera's are errors.
     pub fn ticks(&self) -> impl Iterator<Item = Result<RecordedTick>> + '_ {
         self.segments.iter().flat_map(|path| self.segment(path))
     }
@@ -53,16 +54,10 @@ impl Recorded {
         &'a self,
         path: &'a Path,
     ) -> Box<dyn Iterator<Item = Result<RecordedTick>> + 'a> {
-        let damaged = move |error: &dyn std::fmt::Display| {
-            tracing::warn!(
-                "{} is damaged and read only as far as it goes: {error}",
-                path.display()
-            );
-        };
         let reader = match open_segment(path) {
             Ok(reader) => reader,
             Err(error) => {
-                damaged(&error);
+                warn_damaged(path, &error);
                 return Box::new(std::iter::empty());
             }
         };
@@ -70,22 +65,29 @@ impl Recorded {
             let other = ReplayError::OtherRun { path: path.to_owned() };
             return Box::new(std::iter::once(Err(other.into())));
         }
-        let good = reader.map_while(move |tick| tick.inspect_err(|error| damaged(error)).ok());
+        let good =
+            reader.map_while(move |tick| tick.inspect_err(|error| warn_damaged(path, error)).ok());
         Box::new(good.map(|tick| self.check(&tick).map(|()| tick)))
     }
 
     fn check(&self, tick: &RecordedTick) -> Result<()> {
-        let (width, height) = (self.run.camera.width, self.run.camera.height);
+        let camera = &self.run.camera;
         match &tick.frame {
-            Some(frame) if (frame.width, frame.height) != (width, height) => {
+            Some(frame) if (frame.width, frame.height) != (camera.width, camera.height) => {
                 bail!(
-                    "turn {}: a {}x{} picture from a {width}x{height} camera",
+                    "tick {}: the frame is {}x{}, but the recording's camera is {}x{}",
                     tick.tick,
                     frame.width,
-                    frame.height
+                    frame.height,
+                    camera.width,
+                    camera.height
                 )
             }
             _ => Ok(()),
         }
     }
+}
+
+fn warn_damaged(path: &Path, error: &dyn std::fmt::Display) {
+    tracing::warn!("{} is damaged; reading it up to the damage: {error}", path.display());
 }

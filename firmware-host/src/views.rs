@@ -1,8 +1,9 @@
-//! `firmware-host views`: a test set of a scene, for networks that were trained in it or elsewhere.
+//! `firmware-host views`: renders a test set of a scene for the evaluation of depth networks.
 //!
-//! Views are uniform over the reachable floor and over headings. A view comes with the coarse depth that a robot would have
-//! that has just come there; three of four came by driving, the fourth by turning on the spot, where coarse depth has no
-//! parallax to work with. No view is a picture of any run.
+//! The views are uniformly distributed over the reachable floor and over headings. Each view comes
+//! with the coarse depth of a robot that has just arrived there. Three of four robots arrived by
+//! driving, the fourth by rotating on the spot, which gives no parallax for coarse depth. No view
+//! is part of any run.
 
 use std::sync::Arc;
 
@@ -20,28 +21,29 @@ use crate::dump::{Dump, Shot, View};
 use crate::report::progress::{Progress, Status};
 use crate::setup;
 
-/// Steps of the robot before a view: up to 0.7 m of way, or 48 degrees of turning, with the paper's steps.
+/// Number of steps before a view: up to 0.7 m of driving or 48 degrees of rotation with the paper's
+/// steps.
 const HISTORY_STEPS: usize = 24;
-/// Every so many steps, the picture is kept as well, for networks that match pictures themselves: eight of them, as many as the
-/// runtime remembers.
+/// Every third frame before a view is kept as well, for networks that match frames themselves.
+/// These are eight frames, as many as the runtime stores.
 const KEPT_EVERY: usize = 3;
-/// Ways that are tried to one place before another place is drawn.
-const WAYS: usize = 20;
-/// Every so many views, the robot came by turning.
-const TURN_EVERY: u64 = 4;
+/// Number of random paths that are tried to one view before another view is drawn.
+const MAX_PATHS: usize = 20;
+/// Every fourth view is reached by rotation only.
+const ROTATION_EVERY: u64 = 4;
 
-/// How the robot came to a view.
+/// How the robot reaches a view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Approach {
     Drive,
-    Turn,
+    Rotate,
 }
 
 impl Approach {
     fn name(self) -> &'static str {
         match self {
             Self::Drive => "drive",
-            Self::Turn => "turn",
+            Self::Rotate => "turn",
         }
     }
 }
@@ -49,7 +51,7 @@ impl Approach {
 /// Renders the views.
 ///
 /// # Errors
-/// A scene, configuration or folder that cannot be used.
+/// If the scene or the configuration cannot be read, or the output folder cannot be written.
 pub fn run(args: &ViewsArgs) -> Result<()> {
     let config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
     let world = World::open(&args.scene, &setup::open_options(&args.scene_file, &config))?;
@@ -57,10 +59,13 @@ pub fn run(args: &ViewsArgs) -> Result<()> {
     let mut rng = Pcg64Mcg::seed_from_u64(args.seed);
     let mut progress = Progress::start(args.count);
     for index in 0..args.count {
-        let approach =
-            if index % TURN_EVERY == TURN_EVERY - 1 { Approach::Turn } else { Approach::Drive };
-        let way = draw_way(world.floor_plan(), &config, approach, &mut rng);
-        take(&world, &config, &way, approach, index, &mut rng, &mut dump)?;
+        let approach = if index % ROTATION_EVERY == ROTATION_EVERY - 1 {
+            Approach::Rotate
+        } else {
+            Approach::Drive
+        };
+        let path = draw_path(world.floor_plan(), &config, approach, &mut rng);
+        render(&world, &config, &path, approach, index, &mut rng, &mut dump)?;
         progress.frame(index + 1, &Status { coverage: None, doing: approach.name() });
     }
     progress.finish();
@@ -69,8 +74,8 @@ pub fn run(args: &ViewsArgs) -> Result<()> {
     Ok(())
 }
 
-/// Poses of `base_link` in the world, the view's own last.
-fn draw_way(
+/// Draws a view and a collision-free path to it: poses of `base_link` in the world, the view last.
+fn draw_path(
     plan: &Arc<FloorPlan>,
     config: &Config,
     approach: Approach,
@@ -78,40 +83,42 @@ fn draw_way(
 ) -> Vec<Pose2> {
     loop {
         let view = plan.random_pose(rng.random());
-        let ways = if approach == Approach::Turn { 1 } else { WAYS };
-        for _ in 0..ways {
-            let way = way_to(&view, config, approach, rng);
-            if way.iter().all(|pose| plan.is_reachable(pose.x_m, pose.y_m)) {
-                return way;
+        let attempts = if approach == Approach::Rotate { 1 } else { MAX_PATHS };
+        for _ in 0..attempts {
+            let path = path_to(&view, config, approach, rng);
+            if path.iter().all(|pose| plan.is_reachable(pose.x_m, pose.y_m)) {
+                return path;
             }
         }
     }
 }
 
-/// Backwards from the view: an arc of forward steps with turns to one side in between, or only turns.
-fn way_to(view: &Pose2, config: &Config, approach: Approach, rng: &mut Pcg64Mcg) -> Vec<Pose2> {
+/// Builds a path backwards from the view: forward steps mixed with rotations to one side, or
+/// rotations only.
+fn path_to(view: &Pose2, config: &Config, approach: Approach, rng: &mut Pcg64Mcg) -> Vec<Pose2> {
     let side = if rng.random() { 1.0 } else { -1.0 };
-    let turn = Pose2::new(0.0, 0.0, side * config.base.turn_step_deg.to_radians());
+    let rotation = Pose2::new(0.0, 0.0, side * config.base.turn_step_deg.to_radians());
     let forward = Pose2::new(config.base.forward_step_m, 0.0, 0.0);
-    let turning_share = match approach {
+    let rotation_share = match approach {
         Approach::Drive => rng.random_range(0.0..0.5),
-        Approach::Turn => 1.0,
+        Approach::Rotate => 1.0,
     };
-    let mut way = vec![*view];
+    let mut path = vec![*view];
     for _ in 0..HISTORY_STEPS {
-        let step = if rng.random::<f64>() < turning_share { turn } else { forward };
-        let after = way[way.len() - 1];
-        way.push(after.compose(&step.inverse()));
+        let step = if rng.random::<f64>() < rotation_share { rotation } else { forward };
+        let after = path[path.len() - 1];
+        path.push(after.compose(&step.inverse()));
     }
-    way.reverse();
-    way
+    path.reverse();
+    path
 }
 
-/// Looks along the way as the robot would; keeps the last picture with its depth, and some before it.
-fn take(
+/// Renders the frames along the path and computes coarse depth like the robot. Writes the last
+/// frame with its depth, and some of the frames before it.
+fn render(
     world: &World,
     config: &Config,
-    way: &[Pose2],
+    path: &[Pose2],
     approach: Approach,
     index: u64,
     rng: &mut Pcg64Mcg,
@@ -119,21 +126,22 @@ fn take(
 ) -> Result<()> {
     let camera = config.camera.model();
     let mut coarse = CoarseDepth::new(config.coarse.clone(), camera)?;
-    let (mut rgb, mut truth) = (Vec::new(), DepthMap::none(camera.width, camera.height));
+    let mut rgb = Vec::new();
+    let mut truth = DepthMap::none(camera.width, camera.height);
     let light = config.simulator.nuisances.lighting(0);
     let view = Some(View { view: index, approach: approach.name() });
-    for (step, pose) in way.iter().enumerate() {
+    for (step, pose) in path.iter().enumerate() {
         let t_world_camera = pose.to_pose3() * config.camera.mount();
         world.renderer().render(&camera, &t_world_camera, &[], &light, &mut rgb, &mut truth);
         config.simulator.nuisances.add_sensor_noise(rng, &mut rgb);
         let estimate = coarse
             .estimate(ImageView::rgb8(camera.width, camera.height, &rgb)?, &t_world_camera)
             .ok();
-        let to_go = way.len() - 1 - step;
-        if to_go.is_multiple_of(KEPT_EVERY) {
-            let time_ns = (index * way.len() as u64 + step as u64) * config.base.tick_ns();
+        let remaining = path.len() - 1 - step;
+        if remaining.is_multiple_of(KEPT_EVERY) {
+            let time_ns = (index * path.len() as u64 + step as u64) * config.base.tick_ns();
             let (truth, estimate) =
-                if to_go == 0 { (Some(&truth), estimate) } else { (None, None) };
+                if remaining == 0 { (Some(&truth), estimate) } else { (None, None) };
             dump.add(&Shot { time_ns, t_world_camera, rgb: Some(&rgb), truth, view }, estimate)?;
         }
     }
@@ -145,28 +153,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_driven_way_has_parallax_a_turned_one_none_and_both_end_at_the_view() {
-        let (config, view) = (Config::default(), Pose2::new(1.0, 2.0, 0.5));
+    fn driving_gives_parallax_rotating_does_not_and_both_end_at_the_view() {
+        let config = Config::default();
+        let view = Pose2::new(1.0, 2.0, 0.5);
         let mut rng = Pcg64Mcg::seed_from_u64(1);
         for _ in 0..50 {
-            let driven = way_to(&view, &config, Approach::Drive, &mut rng);
-            let turned = way_to(&view, &config, Approach::Turn, &mut rng);
-            let distance = |way: &[Pose2]| (way[0].x_m - view.x_m).hypot(way[0].y_m - view.y_m);
-            assert_eq!((driven[HISTORY_STEPS], turned[HISTORY_STEPS]), (view, view));
-            assert!(distance(&driven) > 0.1, "{}", distance(&driven));
-            assert!(distance(&turned) < 1e-9);
+            let driven = path_to(&view, &config, Approach::Drive, &mut rng);
+            let rotated = path_to(&view, &config, Approach::Rotate, &mut rng);
+            assert_eq!((driven[HISTORY_STEPS], rotated[HISTORY_STEPS]), (view, view));
+            assert!(driven[0].distance_m(&view) > 0.1, "{driven:?}");
+            assert!(rotated[0].distance_m(&view) < 1e-9);
         }
     }
 
     #[test]
-    fn the_robot_never_comes_through_a_wall() {
+    fn no_path_passes_through_a_wall() {
         let world =
             World::open("builtin:apartment?seed=1", &simulator::OpenOptions::default()).unwrap();
         let plan = world.floor_plan();
         let mut rng = Pcg64Mcg::seed_from_u64(2);
         for _ in 0..100 {
-            let way = draw_way(plan, &Config::default(), Approach::Drive, &mut rng);
-            assert!(way.iter().all(|pose| plan.is_reachable(pose.x_m, pose.y_m)));
+            let path = draw_path(plan, &Config::default(), Approach::Drive, &mut rng);
+            assert!(path.iter().all(|pose| plan.is_reachable(pose.x_m, pose.y_m)));
         }
     }
 }

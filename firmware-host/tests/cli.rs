@@ -1,4 +1,4 @@
-//! The binary as a user runs it.
+//! Runs the binary as a user does, and checks its outputs, files and exit codes.
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// A short run with a small camera into `dir/NAME`.
+/// Explores for 60 frames with a small camera and writes into `dir/NAME`.
 fn explore(dir: &TempDir, name: &str, more: &[&str]) -> (Output, PathBuf) {
     let config = dir.path().join("robot.toml");
     std::fs::write(&config, SMALL).unwrap();
@@ -37,13 +37,18 @@ fn summary(out: &Path) -> serde_json::Value {
     serde_json::from_slice(&std::fs::read(out.join("summary.json")).unwrap()).unwrap()
 }
 
+fn first_segment(out: &Path) -> Vec<u8> {
+    std::fs::read(out.join("recording_0000.mcap")).unwrap()
+}
+
 #[test]
 fn the_same_seed_gives_the_same_decisions_and_the_same_recording_byte_for_byte() {
     let dir = TempDir::new().unwrap();
     let (first, a) = explore(&dir, "a", &HOME);
     let (_, b) = explore(&dir, "b", &HOME);
     assert!(first.status.success(), "{}", text(&first.stderr));
-    let (one, two) = (summary(&a), summary(&b));
+    let one = summary(&a);
+    let two = summary(&b);
     for key in [
         "frames",
         "digest",
@@ -56,15 +61,14 @@ fn the_same_seed_gives_the_same_decisions_and_the_same_recording_byte_for_byte()
     ] {
         assert_eq!(one[key], two[key], "{key}");
     }
-    let recording = |out: &Path| std::fs::read(out.join("recording_0000.mcap")).unwrap();
-    assert!(recording(&a) == recording(&b));
+    assert!(first_segment(&a) == first_segment(&b));
     for file in ["map.png", "depth.png"] {
         assert!(std::fs::metadata(a.join(file)).unwrap().len() > 1000, "{file}");
     }
 }
 
 #[test]
-fn a_replay_makes_every_decision_again_and_one_changed_input_shows() {
+fn a_replay_repeats_every_decision_and_detects_one_changed_input() {
     let dir = TempDir::new().unwrap();
     let (run, out) = explore(&dir, "run", &HOME);
     assert!(run.status.success(), "{}", text(&run.stderr));
@@ -94,7 +98,7 @@ fn a_replay_makes_every_decision_again_and_one_changed_input_shows() {
 }
 
 #[test]
-fn a_truncated_recording_is_replayed_as_far_as_it_goes_and_fails() {
+fn a_truncated_recording_is_replayed_up_to_the_damage_and_fails() {
     let dir = TempDir::new().unwrap();
     let (_, out) = explore(&dir, "run", &HOME);
     let file = out.join("recording_0000.mcap");
@@ -107,7 +111,7 @@ fn a_truncated_recording_is_replayed_as_far_as_it_goes_and_fails() {
 }
 
 #[test]
-fn a_segment_that_nobody_writes_on_is_cut_however_young_it_is_and_is_made_whole() {
+fn a_truncated_segment_is_reported_and_recovered_unless_a_process_is_still_writing_it() {
     let dir = TempDir::new().unwrap();
     let (_, run) = explore(&dir, "run", &HOME);
     let file = run.join("recording_0000.mcap");
@@ -115,18 +119,17 @@ fn a_segment_that_nobody_writes_on_is_cut_however_young_it_is_and_is_made_whole(
     std::fs::write(&file, &bytes[..bytes.len() * 2 / 3]).unwrap();
     let whole = dir.path().join("whole");
     let [run, out] = [&run, &whole].map(|path| path.to_str().unwrap());
-    let verify = |folder: &str| firmware_host(&["buffer", "verify", folder]);
-    let cut = verify(run);
+    let cut = firmware_host(&["buffer", "verify", run]);
     assert!(
         cut.status.code() == Some(1) && text(&cut.stdout).contains("cut: complete up to"),
         "{}",
         text(&cut.stdout)
     );
 
-    // As a recorder holds it.
+    // A recorder holds this lock while it writes.
     let held = std::fs::File::open(&file).unwrap();
     held.lock().unwrap();
-    let open = verify(run);
+    let open = firmware_host(&["buffer", "verify", run]);
     assert!(
         open.status.success() && text(&open.stdout).contains("still being written"),
         "{}",
@@ -140,12 +143,12 @@ fn a_segment_that_nobody_writes_on_is_cut_however_young_it_is_and_is_made_whole(
         "{}",
         text(&recover.stdout)
     );
-    assert!(verify(out).status.success());
+    assert!(firmware_host(&["buffer", "verify", out]).status.success());
     assert!(firmware_host(&["replay", out]).status.success());
 }
 
 #[test]
-fn perceive_into_the_folder_of_a_run_leaves_its_summary_alone() {
+fn perceive_refuses_to_overwrite_the_summary_of_a_run() {
     let dir = TempDir::new().unwrap();
     let (_, run) = explore(&dir, "run", &HOME);
     let before = summary(&run);
@@ -157,7 +160,7 @@ fn perceive_into_the_folder_of_a_run_leaves_its_summary_alone() {
 }
 
 #[test]
-fn health_takes_no_other_file_for_a_status() {
+fn health_refuses_a_file_that_is_not_a_status() {
     let dir = TempDir::new().unwrap();
     let file = dir.path().join("summary.json");
     std::fs::write(&file, "{\"frames\": 3}").unwrap();
@@ -175,30 +178,24 @@ fn ground_truth_depth_is_stamped_into_the_summary_and_replays_too() {
     assert!(firmware_host(&["replay", out.to_str().unwrap()]).status.success());
 }
 
+/// Runs `perceive` on a recording, checks that coarse depth is plausible, and returns the dump's
+/// index.
+fn perceive_with_dump(run: &Path, out: &Path) -> serde_json::Value {
+    let dump = out.join("coarse");
+    let [run, folder, dump_folder] = [run, out, &dump].map(|path| path.to_str().unwrap());
+    let output =
+        firmware_host(&["perceive", "--recording", run, "--out", folder, "--dump", dump_folder]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert!(summary(out)["accuracy"]["coarse"]["all"]["delta1_unscaled"].as_f64().unwrap() > 0.5);
+    serde_json::from_slice(&std::fs::read(dump.join("dump.json")).unwrap()).unwrap()
+}
+
 #[test]
-fn perceive_dumps_the_coarse_depth_of_a_run_even_of_one_that_breaks_off() {
+fn perceive_dumps_the_coarse_depth_of_a_run_even_of_a_truncated_one() {
     let dir = TempDir::new().unwrap();
     let (_, run) =
         explore(&dir, "run", &[&HOME[..], &["--depth", "truth", "--policy", "forward"]].concat());
-    let dumped = |name: &str| -> serde_json::Value {
-        let (out, dump) = (dir.path().join(name), dir.path().join(name).join("coarse"));
-        let paths = [&run, &out, &dump].map(|path| path.to_str().unwrap());
-        let output = firmware_host(&[
-            "perceive",
-            "--recording",
-            paths[0],
-            "--out",
-            paths[1],
-            "--dump",
-            paths[2],
-        ]);
-        assert!(output.status.success(), "{}", text(&output.stderr));
-        assert!(
-            summary(&out)["accuracy"]["coarse"]["all"]["delta1_unscaled"].as_f64().unwrap() > 0.5
-        );
-        serde_json::from_slice(&std::fs::read(dump.join("dump.json")).unwrap()).unwrap()
-    };
-    let whole = dumped("whole");
+    let whole = perceive_with_dump(&run, &dir.path().join("whole"));
     let frames = whole["frames"].as_array().unwrap();
     assert_eq!((frames.len(), &whole["width"]), (60, &serde_json::json!(160)));
     assert_eq!((&frames[0]["coarse"], &frames[59]["coarse"]), (&false.into(), &true.into()));
@@ -208,16 +205,18 @@ fn perceive_dumps_the_coarse_depth_of_a_run_even_of_one_that_breaks_off() {
     let file = run.join("recording_0000.mcap");
     let bytes = std::fs::read(&file).unwrap();
     std::fs::write(&file, &bytes[..bytes.len() * 2 / 3]).unwrap();
-    let part = dumped("part")["frames"].as_array().unwrap().clone();
+    let part =
+        perceive_with_dump(&run, &dir.path().join("part"))["frames"].as_array().unwrap().clone();
     assert!((10..60).contains(&part.len()), "{}", part.len());
     assert_eq!(part[..], frames[..part.len()]);
 }
 
 #[test]
-fn onnx_runtime_does_not_report_to_its_maker() {
+fn onnx_runtime_sends_no_telemetry() {
     let dir = TempDir::new().unwrap();
-    let (home, model, config) =
-        (dir.path().join("home"), dir.path().join("model.onnx"), dir.path().join("robot.toml"));
+    let home = dir.path().join("home");
+    let model = dir.path().join("model.onnx");
+    let config = dir.path().join("robot.toml");
     std::fs::create_dir(&home).unwrap();
     std::fs::write(&model, small_model()).unwrap();
     std::fs::write(&config, SMALL).unwrap();
@@ -229,17 +228,17 @@ fn onnx_runtime_does_not_report_to_its_maker() {
         .arg(model)
         .arg("--config")
         .arg(config);
-    // It is silent by itself where tests run.
+    // With any of these variables ONNX Runtime disables its telemetry itself.
     for variable in ["ORT_DISABLE_TELEMETRY", "CI", "ORT_RUNNING_UNIT_TESTS", "XDG_CACHE_HOME"] {
         explore.env_remove(variable);
     }
     explore.env("HOME", &home).arg("--out").arg(dir.path().join("run")).assert().success();
-    // What it would report waits in a file below ~/.cache first.
+    // Telemetry would first be stored in a file below ~/.cache.
     assert_eq!(std::fs::read_dir(&home).unwrap().count(), 0);
 }
 
 #[test]
-fn what_cannot_be_is_refused_with_its_name_a_way_out_and_nothing_left_behind() {
+fn impossible_arguments_are_refused_by_name_and_leave_no_files() {
     let dir = TempDir::new().unwrap();
     let no_model = dir.path().join("none.onnx");
     let empty = dir.path().join("empty.obj");
@@ -262,7 +261,7 @@ fn what_cannot_be_is_refused_with_its_name_a_way_out_and_nothing_left_behind() {
         let said = text(&output.stderr);
         assert!(matches!(output.status.code(), Some(1 | 2)), "{args:?}: {:?}", output.status);
         assert!(said.contains(named) && !said.contains("panicked"), "{args:?}: {said}");
-        assert!(said.matches("os error").count() < 2, "said twice: {said}");
+        assert!(said.matches("os error").count() < 2, "repeated: {said}");
         assert!(
             !out.join("summary.json").exists() && !out.join("recording_0000.mcap").exists(),
             "{args:?}"
@@ -284,7 +283,7 @@ fn an_impossible_configuration_is_a_usage_error_with_file_key_value_and_range() 
 }
 
 #[test]
-fn the_defaults_that_are_printed_are_sound() {
+fn the_printed_defaults_are_a_valid_configuration() {
     let dir = TempDir::new().unwrap();
     let printed = firmware_host(&["check"]);
     assert!(printed.status.success());
@@ -307,56 +306,61 @@ fn an_output_folder_that_is_a_file_or_holds_a_recording_is_refused() {
     assert!(std::fs::read(out.join("recording_0000.mcap")).unwrap() == before);
 }
 
+/// Explores with a policy, then measures the camera's latency in the recording.
+fn camera_latency(dir: &TempDir, policy: &str, frames: &str) -> Output {
+    let out = dir.path().join(policy);
+    let out = out.to_str().unwrap();
+    let run = ["--scene", "builtin:house", "--policy", policy, "--frames", frames, "--out", out];
+    assert!(firmware_host(&[&["explore"][..], &run].concat()).status.success());
+    firmware_host(&["camera-latency", out])
+}
+
 #[test]
-fn a_simulated_camera_is_found_not_to_be_late_and_a_robot_that_stood_is_told_to_turn() {
+fn a_simulated_camera_has_no_latency_and_a_run_without_rotation_is_refused() {
     let dir = TempDir::new().unwrap();
-    let latency_of = |policy: &str, frames: &str| {
-        let out = dir.path().join(policy);
-        let out = out.to_str().unwrap();
-        let run =
-            ["--scene", "builtin:house", "--policy", policy, "--frames", frames, "--out", out];
-        assert!(firmware_host(&[&["explore"][..], &run].concat()).status.success());
-        firmware_host(&["camera-latency", out])
-    };
-    let found = latency_of("random", "250");
+    let found = camera_latency(&dir, "random", "250");
     let said = text(&found.stdout);
-    assert!(said.ends_with("It is configured like that.\n"), "{said}{}", text(&found.stderr));
-    let milliseconds = |word: &str| word.parse::<f64>().ok();
     assert!(
-        said.split(' ').find_map(milliseconds).is_some_and(|found_ms| found_ms < 3.0),
-        "{said}"
+        said.ends_with("The configuration already has this value.\n"),
+        "{said}{}",
+        text(&found.stderr)
     );
-    let refused = latency_of("forward", "20");
+    let found_ms = said.split(' ').find_map(|word| word.parse::<f64>().ok());
+    assert!(found_ms.is_some_and(|found_ms| found_ms < 3.0), "{said}");
+    let refused = camera_latency(&dir, "forward", "20");
     assert_eq!(refused.status.code(), Some(1));
     assert!(
-        text(&refused.stderr).contains("record a minute in which it turns to and fro"),
+        text(&refused.stderr).contains("record a minute in which it rotates left and right"),
         "{}",
         text(&refused.stderr)
     );
 }
 
-/// The same run as `explore`'s, with networks handed over before turns 20 and 40.
+/// The same run as that of [`explore`], with networks handed over before ticks 20 and 40.
 fn explore_with_hand_over(dir: &TempDir, name: &str, more: &[&str]) -> (Output, PathBuf) {
     let models = dir.path().join("models");
     let hand_over = ["--hand-over", models.to_str().unwrap(), "--first", "20", "--every", "20"];
     explore(dir, name, &[&HOME[..], &hand_over, more].concat())
 }
 
-/// A network for 160x64 pictures that says the mean of each pixel's colours.
+/// A network for 160x64 images that outputs the mean of each pixel's colours.
 fn small_model() -> Vec<u8> {
     std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../runtime/tests/models/any_size.onnx"))
         .unwrap()
 }
 
+/// The request for network `k`, once the run has written it.
+fn round(models: &Path, k: u32) -> Option<serde_json::Value> {
+    let request = std::fs::read(models.join(format!("round_000{k}.json"))).ok()?;
+    serde_json::from_slice(&request).ok()
+}
+
 #[test]
 #[expect(clippy::disallowed_methods, reason = "waits for another process")]
-fn a_run_waits_for_its_networks_and_repeats_itself_after_it_was_killed() {
+fn a_run_waits_for_its_networks_and_a_second_run_with_the_same_ones_is_identical() {
     let dir = TempDir::new().unwrap();
     let models = dir.path().join("models");
     std::fs::create_dir(&models).unwrap();
-    let round = |k: u32| -> Option<serde_json::Value> {
-        serde_json::from_slice(&std::fs::read(models.join(format!("round_000{k}.json"))).ok()?).ok()
-    };
     std::thread::scope(|scope| {
         let run = scope.spawn(|| {
             explore_with_hand_over(
@@ -366,12 +370,12 @@ fn a_run_waits_for_its_networks_and_repeats_itself_after_it_was_killed() {
             )
         });
         for k in 0..2 {
-            while round(k).is_none() && !run.is_finished() {
+            while round(&models, k).is_none() && !run.is_finished() {
                 std::thread::sleep(std::time::Duration::from_millis(5));
             }
-            let told = round(k).expect("the run ended without asking for a network");
-            assert_eq!(told["frames"], 20 * (k + 1));
-            // What the trainer is told of is whole, though the run goes on.
+            let request = round(&models, k).expect("the run ended without requesting a network");
+            assert_eq!(request["frames"], 20 * (k + 1));
+            // The segments named in the request are complete, although the run continues.
             let segment = dir.path().join(format!("a/recording_000{k}.mcap"));
             assert!(std::fs::read(segment).unwrap().ends_with(b"\x89MCAP0\r\n"));
             let index = std::fs::read(dir.path().join("dump/dump.json")).unwrap();
@@ -387,17 +391,17 @@ fn a_run_waits_for_its_networks_and_repeats_itself_after_it_was_killed() {
     let (again, b) = explore_with_hand_over(&dir, "b", &[]);
     assert!(again.status.success(), "{}", text(&again.stderr));
     assert_eq!(summary(&dir.path().join("a"))["digest"], summary(&b)["digest"]);
-    let asked = round(1).unwrap();
-    assert_eq!((&asked["segments"], asked["digest"].as_str().unwrap().len()), (&2.into(), 64));
+    let request = round(&models, 1).unwrap();
+    assert_eq!((&request["segments"], request["digest"].as_str().unwrap().len()), (&2.into(), 64));
 
-    let replay = |more: &[&str]| firmware_host(&[&["replay", b.to_str().unwrap()], more].concat());
-    let exact = replay(&["--hand-over", models.to_str().unwrap()]);
+    let b = b.to_str().unwrap();
+    let exact = firmware_host(&["replay", b, "--hand-over", models.to_str().unwrap()]);
     assert!(
         text(&exact.stdout).contains("replay: ticks=60 mismatches=0"),
         "{}",
         text(&exact.stdout)
     );
-    let without = replay(&[]);
+    let without = firmware_host(&["replay", b]);
     assert!(
         !without.status.success() && text(&without.stderr).contains("--hand-over"),
         "{}",
@@ -405,44 +409,42 @@ fn a_run_waits_for_its_networks_and_repeats_itself_after_it_was_killed() {
     );
 }
 
+/// Renders eight test views into `out`; returns the frames of the index.
+fn render_views(config: &Path, out: &Path, seed: &str) -> Vec<serde_json::Value> {
+    let [config, folder] = [config, out].map(|path| path.to_str().unwrap());
+    let views = ["views", "--count", "8", "--seed", seed, "--config", config, "--out", folder];
+    let output = firmware_host(&[&views[..], &HOME].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let index: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(out.join("dump.json")).unwrap()).unwrap();
+    index["frames"].as_array().unwrap().clone()
+}
+
 #[test]
-fn test_views_hold_pictures_truth_coarse_depth_and_how_the_robot_came_there() {
+fn test_views_contain_images_truth_coarse_depth_and_the_approach() {
     let dir = TempDir::new().unwrap();
     let config = dir.path().join("robot.toml");
     std::fs::write(&config, SMALL).unwrap();
-    let views = |name: &str, seed: &str| {
-        let out = dir.path().join(name);
-        let paths = [&config, &out].map(|path| path.to_str().unwrap());
-        let output = firmware_host(
-            &[
-                &["views", "--count", "8", "--seed", seed, "--config", paths[0], "--out", paths[1]],
-                &HOME[..],
-            ]
-            .concat(),
-        );
-        assert!(output.status.success(), "{}", text(&output.stderr));
-        let index: serde_json::Value =
-            serde_json::from_slice(&std::fs::read(out.join("dump.json")).unwrap()).unwrap();
-        (out, index["frames"].as_array().unwrap().clone())
-    };
-    let (a, frames) = views("a", "1");
-    // Every view after eight pictures from the way to it.
+    let a = dir.path().join("a");
+    let frames = render_views(&config, &a, "1");
+    // Each view comes after eight images from the path to it.
     assert_eq!(frames.len(), 8 * 9);
-    let mut turned = Vec::new();
+    let mut rotated = Vec::new();
     for (index, frame) in frames.iter().enumerate() {
-        let (is_view, driven) = (index % 9 == 8, frame["approach"] == "drive");
+        let is_view = index % 9 == 8;
+        let driven = frame["approach"] == "drive";
         assert_eq!((&frame["view"], &frame["rgb"]), (&(index / 9).into(), &true.into()));
-        // Who only turns has no parallax, and so no coarse depth.
+        // Rotation alone gives no parallax, so there is no coarse depth.
         assert_eq!(
             (&frame["truth"], &frame["coarse"]),
             (&is_view.into(), &(is_view && driven).into())
         );
-        turned.extend(is_view.then_some(!driven));
+        rotated.extend(is_view.then_some(!driven));
     }
-    assert_eq!(turned, [false, false, false, true, false, false, false, true]);
-    assert_eq!(views("b", "1").1, frames);
-    assert_ne!(views("c", "2").1, frames);
-    // The last of the first view and of the one that was turned to.
+    assert_eq!(rotated, [false, false, false, true, false, false, false, true]);
+    assert_eq!(render_views(&config, &dir.path().join("b"), "1"), frames);
+    assert_ne!(render_views(&config, &dir.path().join("c"), "2"), frames);
+    // The last frames of the first view and of the fourth, which was reached by rotation.
     assert!(
         a.join("000008.npy").exists()
             && a.join("000035_rgb.npy").exists()
@@ -451,7 +453,7 @@ fn test_views_hold_pictures_truth_coarse_depth_and_how_the_robot_came_there() {
 }
 
 #[test]
-fn a_run_with_faults_names_them_and_its_recording_replays_without_them() {
+fn a_run_with_injected_faults_lists_them_and_its_recording_replays_without_injection() {
     let dir = TempDir::new().unwrap();
     let faults = [
         "--fault",
@@ -464,8 +466,9 @@ fn a_run_with_faults_names_them_and_its_recording_replays_without_them() {
     let more = [&HOME[..], &faults, &["--fault", "random", "--fault-seed", "2"]].concat();
     let (output, out) = explore(&dir, "broken", &more);
     assert!(output.status.success(), "{}", text(&output.stderr));
-    let (_, well) = explore(&dir, "well", &HOME);
-    let (broken, well) = (summary(&out), summary(&well));
+    let (_, out_without) = explore(&dir, "well", &HOME);
+    let broken = summary(&out);
+    let well = summary(&out_without);
     assert_eq!(
         (&broken["faults"][0], &broken["fault_seed"]),
         (&"lidar:stall@2..3".into(), &2.into())
@@ -479,7 +482,7 @@ fn a_run_with_faults_names_them_and_its_recording_replays_without_them() {
 }
 
 #[test]
-fn a_disk_that_fills_up_by_order_ends_the_run_with_a_report_and_a_whole_file() {
+fn an_injected_full_disk_ends_the_run_with_a_summary_and_a_readable_recording() {
     let dir = TempDir::new().unwrap();
     let (_, out) = explore(
         &dir,
@@ -492,7 +495,7 @@ fn a_disk_that_fills_up_by_order_ends_the_run_with_a_report_and_a_whole_file() {
 }
 
 #[test]
-fn a_fault_that_there_is_not_is_refused_with_what_there_is() {
+fn an_unknown_fault_is_refused_with_the_list_of_known_ones() {
     let dir = TempDir::new().unwrap();
     let (output, _) = explore(&dir, "none", &[&HOME[..], &["--fault", "lidar:explode"]].concat());
     assert_eq!(output.status.code(), Some(2));
@@ -500,11 +503,18 @@ fn a_fault_that_there_is_not_is_refused_with_what_there_is() {
     assert!(error.contains("`lidar` has no fault `explode`; it has delay, drop"), "{error}");
 }
 
-/// Segments of two seconds, so that there are some to begin at.
+/// Segments of two seconds, so that a short run has several.
 const SHORT_SEGMENTS: &str = "[camera]\nwidth = 160\nheight = 64\n[recording]\nsegment_s = 2.0\n";
 
+/// Replays a run, which must be exact; returns the output.
+fn replayed(run: &Path, more: &[&str]) -> String {
+    let replay = firmware_host(&[&["replay", run.to_str().unwrap()], more].concat());
+    assert!(replay.status.success(), "{}", text(&replay.stdout));
+    text(&replay.stdout)
+}
+
 #[test]
-fn a_replay_begins_where_it_is_told_to_and_without_the_first_segments() {
+fn a_replay_starts_at_a_given_time_and_works_without_the_first_segments() {
     let dir = TempDir::new().unwrap();
     let config = dir.path().join("short.toml");
     std::fs::write(&config, SHORT_SEGMENTS).unwrap();
@@ -520,15 +530,8 @@ fn a_replay_begins_where_it_is_told_to_and_without_the_first_segments() {
     ];
     let run = firmware_host(&[&arguments[..], &HOME].concat());
     assert!(run.status.success(), "{}", text(&run.stderr));
-    let replayed = |more: &[&str]| {
-        let replay = firmware_host(&[&["replay", out.to_str().unwrap()], more].concat());
-        assert!(replay.status.success(), "{}", text(&replay.stdout));
-        text(&replay.stdout)
-    };
-    assert_eq!(
-        replayed(&["--from", "4.5s"]),
-        "from the snapshot of turn 40 at 4.000 s\nreplay: ticks=50 mismatches=0\n"
-    );
+    let said = replayed(&out, &["--from", "4.5s"]);
+    assert!(said.contains(" 40 at 4.000 s\nreplay: ticks=50 mismatches=0\n"), "{said}");
     for command in [
         &["replay", out.to_str().unwrap(), "--from", "90"][..],
         &["reproduce", out.to_str().unwrap(), "--at", "9s"],
@@ -538,13 +541,11 @@ fn a_replay_begins_where_it_is_told_to_and_without_the_first_segments() {
             if command[0] == "replay" { vec![] } else { vec!["--out", bug.to_str().unwrap()] };
         let beyond = firmware_host(&[command, &more].concat());
         let said = text(&beyond.stderr);
-        assert!(beyond.status.code() == Some(1) && said.contains("its last turn is 89"), "{said}");
+        assert!(beyond.status.code() == Some(1) && said.contains(" is 89"), "{said}");
     }
     std::fs::remove_file(out.join("recording_0000.mcap")).unwrap();
-    assert_eq!(
-        replayed(&[]),
-        "from the snapshot of turn 20 at 2.000 s\nreplay: ticks=70 mismatches=0\n"
-    );
+    let said = replayed(&out, &[]);
+    assert!(said.contains(" 20 at 2.000 s\nreplay: ticks=70 mismatches=0\n"), "{said}");
 }
 
 #[test]
@@ -560,7 +561,7 @@ fn the_seconds_around_a_moment_become_a_file_that_replays_alone() {
     let said = text(&made.stdout);
     assert!(
         made.status.success()
-            && said.contains("16 turns")
+            && said.contains("16 ticks")
             && said.contains("ticks=16 mismatches=0"),
         "{said}"
     );
@@ -568,13 +569,13 @@ fn the_seconds_around_a_moment_become_a_file_that_replays_alone() {
     assert!(replay.status.success(), "{}", text(&replay.stdout));
     let again = firmware_host(&arguments);
     assert!(
-        !again.status.success() && text(&again.stderr).contains("is there already"),
+        !again.status.success() && text(&again.stderr).contains("already exists"),
         "{}",
         text(&again.stderr)
     );
 }
 
-/// `KILLS` says how often.
+/// The environment variable `KILLS` sets the number of kills.
 #[test]
 fn killed_at_any_moment_the_recording_is_good_as_far_as_it_goes() {
     let kills = hil::kills::wanted();
@@ -591,7 +592,8 @@ fn killed_at_any_moment_the_recording_is_good_as_far_as_it_goes() {
             .stderr(std::process::Stdio::null())
             .spawn()
             .unwrap();
-        // Not before it records, then after a time that differs from kill to kill by a prime's steps.
+        // Waits until the second segment exists, then for a time that differs in each kill (97 is
+        // prime).
         while !out.join("recording_0001.mcap").exists() {
             std::thread::yield_now();
         }

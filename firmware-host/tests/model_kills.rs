@@ -1,5 +1,5 @@
-//! Installing a model and driving with a store, killed at random moments: the store is good, and the robot starts again. `KILLS`
-//! says how often.
+//! Kills an install, and a robot that swaps models, at random moments: the store must stay valid,
+//! and the robot must start again. The environment variable `KILLS` sets the number of kills.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
@@ -16,13 +16,13 @@ use firmware_host::model::{History, State};
 use hil::kills::{self, Moments};
 use robot::{Robot, binary, run};
 
-/// A program that says nothing.
+/// Starts the program without output.
 fn start(args: &[&str]) -> Child {
     Command::new(binary()).args(args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
-/// The store's state, which can be read, as can its history and all of its models.
-fn whole(robot: &Robot) -> State {
+/// Checks that state, history and all models of the store can be read; returns the state.
+fn valid_state(robot: &Robot) -> State {
     let store = robot.store();
     let state = store.state().unwrap();
     state.models.iter().for_each(|digest| drop(store.read_model(digest).unwrap()));
@@ -37,7 +37,7 @@ fn whole(robot: &Robot) -> State {
     state
 }
 
-/// Processes that examine a model for this robot.
+/// Number of processes that examine a model for this robot.
 fn examining(robot: &Robot) -> usize {
     let config = robot.text("robot.toml");
     let lines = std::fs::read_dir("/proc").unwrap().flatten();
@@ -51,8 +51,9 @@ fn an_install_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
     let robot = Robot::new();
     let resident = robot.has("worse");
     let bundle = robot.signed("better");
-    let (config, store, keys) =
-        (robot.text("robot.toml"), robot.text("store"), robot.text("trusted_keys"));
+    let config = robot.text("robot.toml");
+    let store = robot.text("store");
+    let keys = robot.text("trusted_keys");
     let mut args = vec![
         "model",
         "install",
@@ -63,7 +64,7 @@ fn an_install_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
         "--store",
         &store,
     ];
-    // Clearly better than what drives: the gate takes it however the pictures fall.
+    // The model is so much better than the current one that the gate accepts it on any frames.
     args.extend(["--trusted-keys", &keys, "--normal-priority", "--again"]);
     let old = State { models: vec![resident.clone()], trial_starts: None };
     let recordings = robot.recordings();
@@ -71,47 +72,51 @@ fn an_install_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
     let began = Instant::now();
     assert!(start(&args).wait().unwrap().success());
     let mut moments = Moments::new(5, began.elapsed());
-    let new = whole(&robot);
+    let new = valid_state(&robot);
     assert_eq!((new.previous(), new.trial_starts), (Some(&*resident), Some(0)));
-    let back = || {
-        let output = run(&["model", "rollback", "--json", "--store", &store]);
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        assert_eq!(whole(&robot), old);
-    };
-    back();
-    let (mut kills, mut installed, mut tries) = (0, 0, 0);
+    roll_back_to(&robot, &old);
+    let mut kills = 0;
+    let mut installed = 0;
+    let mut tries = 0;
     while kills < kills::wanted() {
         tries += 1;
-        assert!(tries <= 50 + 4 * kills::wanted(), "it is through before it can be killed");
+        assert!(tries <= 50 + 4 * kills::wanted(), "it ends before it can be killed");
         let mut child = start(&args);
         moments.wait(&mut child, || kills::listing(&robot.path("store"))).unwrap();
         kills += u64::from(child.try_wait().unwrap().is_none());
         child.kill().unwrap();
         child.wait().unwrap();
-        let state = whole(&robot);
+        let state = valid_state(&robot);
         assert!(state == old || state == new, "{state:?}");
         if state == new {
             installed += 1;
-            back();
+            roll_back_to(&robot, &old);
         }
     }
     let began = Instant::now();
     while examining(&robot) > 0 {
         assert!(
             began.elapsed() < Duration::from_secs(10),
-            "what examined outlives what asked for it"
+            "the examining process outlives its parent"
         );
         std::thread::yield_now();
     }
-    println!("{kills} kills in {tries} installs, {installed} times the new model was current");
-    // It still can.
+    println!("{kills} kills in {tries} installs; the new model was current {installed} times");
+    // An install without a kill still works.
     assert!(start(&args).wait().unwrap().success());
-    assert_eq!(whole(&robot), new);
+    assert_eq!(valid_state(&robot), new);
 }
 
-/// Drives with the store for so many pictures; says nothing.
+fn roll_back_to(robot: &Robot, old: &State) {
+    let output = run(&["model", "rollback", "--json", "--store", &robot.text("store")]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(valid_state(robot), *old);
+}
+
+/// Starts an exploration with the store for the given number of frames, without output.
 fn drive(robot: &Robot, out: &Path, frames: &str) -> Child {
-    let (config, store) = (robot.text("robot.toml"), robot.text("store"));
+    let config = robot.text("robot.toml");
+    let store = robot.text("store");
     let scene = "builtin:apartment?seed=1";
     let mut args =
         vec!["explore", "--frames", frames, "--seed", "2", "--scene", scene, "--config", &config];
@@ -119,51 +124,52 @@ fn drive(robot: &Robot, out: &Path, frames: &str) -> Child {
     start(&args)
 }
 
-/// Kills a robot that takes the model `name` while it drives; the store's states that may come of it.
-fn killed_while_swapping(name: &str, comes_to: fn(guess: &str, new: &str) -> State) {
+/// Kills a robot that switches to the model `name` while it drives. The store must be on trial with
+/// the new model, or in the state after the trial, which `after_trial` returns.
+fn killed_while_swapping(name: &str, after_trial: fn(guess: &str, new: &str) -> State) {
     let robot = Robot::new();
     let guess = robot.has("guess");
     let bytes = std::fs::read(robot::model_file(name)).unwrap();
     let new = blake3::hash(&bytes).to_hex().to_string();
     let old = State { models: vec![guess.clone()], trial_starts: None };
-    let end = comes_to(&guess, &new);
+    let end = after_trial(&guess, &new);
     let out = robot.path("run");
-    let install = || robot.store().install(&bytes, "", name).unwrap();
-    let forget = || {
-        // As it was before the model was offered.
+    robot.store().install(&bytes, "", name).unwrap();
+    let began = Instant::now();
+    assert!(drive(&robot, &out, "150").wait().unwrap().success());
+    assert_eq!(valid_state(&robot), end);
+    let mut moments = Moments::new(9, began.elapsed());
+    let mut kills = 0;
+    let mut tries = 0;
+    let mut ends = 0;
+    let mut trials = 0;
+    while kills < kills::wanted() {
+        tries += 1;
+        assert!(tries <= 50 + 4 * kills::wanted(), "it ends before it can be killed");
+        // Restore the store to its state before the install.
         std::fs::remove_file(robot.path("store/history.json")).unwrap();
         std::fs::write(robot.path("store/current"), serde_json::to_vec(&old).unwrap()).unwrap();
         let _ = std::fs::remove_dir_all(&out);
-    };
-    install();
-    let began = Instant::now();
-    assert!(drive(&robot, &out, "150").wait().unwrap().success());
-    assert_eq!(whole(&robot), end);
-    let mut moments = Moments::new(9, began.elapsed());
-    let (mut kills, mut tries, mut ends, mut trials) = (0, 0, 0, 0);
-    while kills < kills::wanted() {
-        tries += 1;
-        assert!(tries <= 50 + 4 * kills::wanted(), "it is through before it can be killed");
-        forget();
         let mut child = drive(&robot, &out, "150");
         moments.until(&mut child, || out.join("recording_0000.mcap").exists()).unwrap();
-        assert!(out.join("recording_0000.mcap").exists(), "it does not drive");
-        install();
+        assert!(out.join("recording_0000.mcap").exists(), "the robot does not drive");
+        robot.store().install(&bytes, "", name).unwrap();
         moments.wait(&mut child, || kills::listing(&robot.path("store"))).unwrap();
         kills += u64::from(child.try_wait().unwrap().is_none());
         child.kill().unwrap();
         child.wait().unwrap();
-        let state = whole(&robot);
+        let state = valid_state(&robot);
         let on_trial = State { models: vec![new.clone(), guess.clone()], trial_starts: Some(0) };
         assert!(state == on_trial || state == end, "{state:?}");
-        (ends, trials) = (ends + u64::from(state == end), trials + u64::from(state == on_trial));
-        // It starts again, and drives with what it should.
+        ends += u64::from(state == end);
+        trials += u64::from(state == on_trial);
+        // The robot starts again with the current model.
         std::fs::remove_dir_all(&out).unwrap();
         assert!(drive(&robot, &out, "2").wait().unwrap().success(), "after {state:?}");
         let summary = std::fs::read(out.join("summary.json")).unwrap();
         let summary: serde_json::Value = serde_json::from_slice(&summary).unwrap();
         assert_eq!(summary["model"].as_str(), state.current());
-        let again = whole(&robot);
+        let again = valid_state(&robot);
         assert_eq!(
             again,
             State { trial_starts: state.trial_starts.map(|starts| starts + 1), ..state }

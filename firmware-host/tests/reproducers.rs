@@ -1,5 +1,6 @@
-//! What once happened to a robot, as `firmware-host reproduce` cut it out of a recording, still happens: turn by turn, to the last
-//! bit. docs/recording.md says how another one gets here.
+//! Regression tests: recordings of past incidents, extracted by `firmware-host reproduce`, must
+//! replay with identical decisions in every tick, to the last bit. docs/recording.md explains how
+//! to add one.
 #![allow(clippy::unwrap_used, reason = "a test that cannot read its recording has failed")]
 
 use std::fs;
@@ -14,7 +15,7 @@ fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/reproducers")
 }
 
-/// Replays one; what it decided, as sentences.
+/// Replays a recording and returns its events as sentences.
 fn replayed(path: &Path) -> Vec<String> {
     let mut out = Vec::new();
     let models = RunModels { model: None, hand_over: None, model_store: None };
@@ -26,8 +27,8 @@ fn replayed(path: &Path) -> Vec<String> {
         path.display(),
         String::from_utf8_lossy(&out)
     );
-    let turns = Run::open(path).unwrap().map(Result::unwrap);
-    let events = turns.flat_map(|turn| turn.decision.unwrap().events);
+    let ticks = Run::open(path).unwrap().map(Result::unwrap);
+    let events = ticks.flat_map(|tick| tick.decision.unwrap().events);
     events.map(|event| sentence(&event).1).collect()
 }
 
@@ -43,7 +44,7 @@ fn every_reproducer_decides_to_the_last_bit_as_the_robot_did() {
 }
 
 #[test]
-fn a_robot_stops_for_what_stands_ahead_and_backs_off_from_it() {
+fn a_robot_stops_for_an_obstacle_ahead_and_backs_off() {
     let said = replayed(&folder().join("stop_zone.mcap"));
     let expected = [
         "stopped for something at (0.25, 0.02) m from the robot: a LiDAR return in the stop zone",

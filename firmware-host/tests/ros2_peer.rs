@@ -1,4 +1,5 @@
-//! A bag for ROS 2 is read by a program that is not ours, and says the same to it as the recording.
+//! An exported ROS 2 bag is read by an independent implementation and must contain the same data as
+//! the recording.
 #![allow(clippy::unwrap_used, reason = "a test that cannot make its bag has failed")]
 
 use std::path::Path;

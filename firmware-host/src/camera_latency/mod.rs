@@ -1,11 +1,12 @@
-//! `firmware-host camera-latency`: how much later the camera stamps its pictures than it takes them.
+//! `firmware-host camera-latency`: measures the time from the capture of a frame to its time stamp.
 //!
-//! A picture that is put where the robot was 50 ms later is put wrong by 50 mrad when the robot begins to turn at 1 rad/s: more
-//! than all parallax. Kernel stamps do not know readout, processing and USB; the recording of a robot that turns to and fro
-//! does.
+//! If a frame is assigned the robot's pose of 50 ms later while the robot rotates at 1 rad/s, its
+//! heading is wrong by 50 mrad, which is more than all parallax. The kernel's time stamps do not
+//! include the camera's readout, processing and USB transfer. The recording of a robot that rotates
+//! left and right shows them.
 
+mod rotation;
 mod shift;
-mod turn;
 
 use std::io::Write;
 
@@ -15,55 +16,56 @@ use drivers::v4l2::CameraDeviceConfig;
 use crate::cli::CameraLatencyArgs;
 use crate::config::Config;
 use crate::recorded::Recorded;
+use rotation::{FrameRotation, RotationMeter};
 use shift::{Heading, Shift, fit};
-use turn::{TurnMeter, Turned};
 
-/// Pictures that are farther apart have too little in common, seconds.
-const LONGEST_S: f64 = 0.25;
-/// More pairs of pictures than this, ten minutes, tell nothing new.
-const ENOUGH: usize = 6000;
+/// Longest time between two frames that are compared, seconds. Later frames overlap too little.
+const MAX_INTERVAL_S: f64 = 0.25;
+/// Maximum number of frame pairs (ten minutes at 10 Hz). More do not improve the result.
+const MAX_PAIRS: usize = 6000;
 
-/// Reads a recording and tells what to configure.
+/// Measures the latency in a recording and prints the values to configure.
 ///
 /// # Errors
-/// A recording that cannot be read, or in which the robot turned too little.
+/// If the recording cannot be read, or the robot rotated too little in it.
 pub fn run(args: &CameraLatencyArgs) -> Result<()> {
     let recording = Recorded::open(&args.run)?;
     let header = recording.run();
     if !header.pictures {
         bail!(
-            "the run was recorded without pictures (recording.pictures = false): they do not show how it turned"
+            "the run was recorded without images (recording.images = false), but the latency is measured from them"
         );
     }
     let config: Config = serde_json::from_value(header.config.clone())
         .context("the recording's configuration cannot be read; record with this version")?;
     let mut camera = config.devices.camera;
     if header.scene.is_some() {
-        // The camera of `explore` is no device.
+        // The simulated camera of `explore` does not use this setting.
         camera.latency_ms = 0.0;
     }
-    let (heading, turned) = read(&recording)?;
-    writeln!(std::io::stdout(), "{}", words(&fit(&heading, &turned)?, &camera))?;
+    let (heading, rotations) = read(&recording)?;
+    writeln!(std::io::stdout(), "{}", report(&fit(&heading, &rotations)?, &camera))?;
     Ok(())
 }
 
-/// What was found, beside what the recording was made with.
-fn words(shift: &Shift, camera: &CameraDeviceConfig) -> String {
+/// The result as text. `camera` is the configuration with which the recording was made.
+fn report(shift: &Shift, camera: &CameraDeviceConfig) -> String {
     let configured_ms = camera.latency_ms;
-    let Shift { latency_s, error_s, off_rad, off_without_rad, turns } = shift;
-    let (total_ms, error_ms) = (configured_ms + 1000.0 * latency_s, 1000.0 * error_s);
+    let Shift { latency_s, error_s, residual_rad, residual_without_rad, rotations } = shift;
+    let total_ms = configured_ms + 1000.0 * latency_s;
+    let error_ms = 1000.0 * error_s;
     let found = if total_ms < 0.0 {
         format!(
-            "The wheels are {:.1} ms (+-{error_ms:.1} by chance) later than pictures",
+            "The wheel odometry lags behind the frames by {:.1} ms (standard error {error_ms:.1} ms)",
             -total_ms
         )
     } else {
         format!(
-            "Pictures are stamped {total_ms:.1} ms (+-{error_ms:.1} by chance) after they are taken"
+            "Frames are stamped {total_ms:.1} ms (standard error {error_ms:.1} ms) after their capture"
         )
     };
     let advice = if (1000.0 * latency_s).abs() <= (2.0 * error_ms).max(1.0) {
-        "It is configured like that.".to_owned()
+        "The configuration already has this value.".to_owned()
     } else {
         let least_ms =
             CameraDeviceConfig { latency_ms: total_ms, ..camera.clone() }.least_max_age_ms();
@@ -72,35 +74,39 @@ fn words(shift: &Shift, camera: &CameraDeviceConfig) -> String {
         } else {
             String::new()
         };
-        format!("In the configuration:\n\n[devices.camera]\nlatency_ms = {total_ms:.1}{raised}")
+        format!(
+            "Write into the configuration:\n\n[devices.camera]\nlatency_ms = {total_ms:.1}{raised}"
+        )
     };
     format!(
-        "{found}, by {turns} turns between two pictures.\nNine of ten turns are then within {:.1} mrad of what the wheels say, \
-         with latency_ms = {configured_ms} within {:.1}.\n{advice}",
-        1000.0 * off_rad,
-        1000.0 * off_without_rad,
+        "{found}, measured from {rotations} rotations between two frames.\nWith this latency, 90 % of the \
+         rotations agree with the wheel odometry within {:.1} mrad; with latency_ms = {configured_ms}, within \
+         {:.1} mrad.\n{advice}",
+        1000.0 * residual_rad,
+        1000.0 * residual_without_rad,
     )
 }
 
-/// What wheels and pictures say of a run.
-fn read(recording: &Recorded) -> Result<(Heading, Vec<Turned>)> {
+/// Reads the heading by the wheel odometry and the rotations between frames.
+fn read(recording: &Recorded) -> Result<(Heading, Vec<FrameRotation>)> {
     let header = recording.run();
-    let mut meter = TurnMeter::new(header.camera, &header.t_base_camera)?;
-    let (mut heading, mut turned) = (Heading::default(), Vec::new());
+    let mut meter = RotationMeter::new(header.camera, &header.t_base_camera)?;
+    let mut heading = Heading::default();
+    let mut rotations = Vec::new();
     for tick in recording.ticks() {
         let tick = tick?;
         heading.push(&tick.wheel);
-        let Some(picture) = tick.frame else { continue };
-        // The wheels of a turn are those of its picture's moment.
-        let seen = meter.turned(heading.seconds(tick.wheel.time_ns), &picture.rgb)?;
-        turned.extend(
-            seen.filter(|seen| seen.to_s > seen.from_s && seen.to_s - seen.from_s <= LONGEST_S),
-        );
-        if turned.len() == ENOUGH {
+        let Some(frame) = tick.frame else { continue };
+        // The recorded wheel feedback of a tick has the time of its frame.
+        let rotation = meter.measure(heading.seconds(tick.wheel.time_ns), &frame.rgb)?;
+        rotations.extend(rotation.filter(|rotation| {
+            rotation.to_s > rotation.from_s && rotation.to_s - rotation.from_s <= MAX_INTERVAL_S
+        }));
+        if rotations.len() == MAX_PAIRS {
             break;
         }
     }
-    Ok((heading, turned))
+    Ok((heading, rotations))
 }
 
 #[cfg(test)]
@@ -110,9 +116,9 @@ mod tests {
     const SHIFT: Shift = Shift {
         latency_s: 0.0323,
         error_s: 0.0004,
-        off_rad: 0.0015,
-        off_without_rad: 0.0074,
-        turns: 244,
+        residual_rad: 0.0015,
+        residual_without_rad: 0.0074,
+        rotations: 244,
     };
 
     fn camera(latency_ms: f64) -> CameraDeviceConfig {
@@ -120,18 +126,18 @@ mod tests {
     }
 
     #[test]
-    fn what_it_advises_is_a_configuration_that_is_taken() {
-        let text = words(&Shift { latency_s: 0.18, ..SHIFT }, &camera(50.0));
+    fn the_printed_configuration_is_valid() {
+        let text = report(&Shift { latency_s: 0.18, ..SHIFT }, &camera(50.0));
         assert!(text.ends_with("latency_ms = 230.0\nmax_age_ms = 264"), "{text}");
         CameraDeviceConfig { max_age_ms: 264, ..camera(230.0) }.check().unwrap();
     }
 
     #[test]
-    fn it_says_what_to_write_into_the_configuration_on_top_of_what_is_there() {
-        let text = words(&SHIFT, &camera(5.0));
+    fn the_configured_latency_is_added_to_the_measured_one() {
+        let text = report(&SHIFT, &camera(5.0));
         assert!(
             text.starts_with(
-                "Pictures are stamped 37.3 ms (+-0.4 by chance) after they are taken, by 244 turns"
+                "Frames are stamped 37.3 ms (standard error 0.4 ms) after their capture, measured from 244"
             ),
             "{text}"
         );
@@ -139,10 +145,11 @@ mod tests {
     }
 
     #[test]
-    fn what_is_right_already_stays_and_wheels_may_be_the_later_ones() {
-        let text = words(&Shift { latency_s: -0.0005, ..SHIFT }, &camera(0.0));
+    fn a_negative_latency_means_that_the_odometry_lags_and_a_small_one_changes_nothing() {
+        let text = report(&Shift { latency_s: -0.0005, ..SHIFT }, &camera(0.0));
         assert!(
-            text.starts_with("The wheels are 0.5 ms") && text.ends_with("configured like that."),
+            text.starts_with("The wheel odometry lags behind the frames by 0.5 ms")
+                && text.ends_with("already has this value."),
             "{text}"
         );
     }

@@ -1,37 +1,40 @@
-//! How much later pictures are stamped than they were taken: by how much the turns that pictures show must be moved in time to
-//! be those that the wheels have measured (as Kalibr does for cameras and gyroscopes; Rehder et al. 2016).
+//! Estimates the latency of the camera: the time shift with which the rotations measured between
+//! frames agree best with the wheel odometry (as Kalibr does for cameras and gyroscopes; Rehder et
+//! al. 2016).
 
 use hal::{WheelFeedback, wrap_angle};
 use nalgebra::{Matrix2, Vector2};
 
-use super::turn::Turned;
+use super::rotation::FrameRotation;
 
-/// Latencies that are tried, seconds, and from one to the next.
+/// Range and step of the latencies that are tried, seconds.
 const RANGE_S: (f64, f64) = (-0.1, 0.3);
 const STEP_S: f64 = 0.01;
-/// Robust scale of the difference between two turns, radians.
+/// Robust scale of the difference between two rotations, radians.
 const SCALE_RAD: f64 = 0.005;
-/// The recording is divided into so many parts, to see how much the result depends on one of them.
+/// Number of parts into which the recording is divided for the standard error (jackknife).
 const PARTS: usize = 8;
-/// Fewer turns than this in the whole say nothing, and less than this is no turning, radians.
-const LEAST_TURNS: usize = 40;
-const LEAST_TURN_RAD: f64 = 0.005;
-/// Pictures that turn so many times as far as the wheels say are of a robot that is not as it is said to be. Near things seen
-/// from in front of the axle explain a tenth.
+/// Minimum number of rotations in a recording, and the smallest yaw that counts as one, radians.
+const LEAST_ROTATIONS: usize = 40;
+const LEAST_ROTATION_RAD: f64 = 0.005;
+/// Plausible range of the ratio of the rotation in frames to that of the wheels. Outside of it the
+/// robot is configured wrongly. Near objects seen from in front of the axle explain a deviation of
+/// a tenth.
 const GAINS: (f64, f64) = (0.8, 1.25);
-/// A result that is less certain than this is none, seconds.
-const WORST_ERROR_S: f64 = 0.01;
+/// Largest acceptable standard error, seconds.
+const MAX_ERROR_S: f64 = 0.01;
 
-/// Where the robot looked, as the wheels say.
+/// Heading of the robot over time, by the wheel odometry.
 #[derive(Debug, Default)]
 pub(super) struct Heading {
     begin_ns: Option<u64>,
-    /// Seconds since the first, unwrapped radians and radians a second, in order of time.
+    /// Time since the first measurement (s), unwrapped heading (rad) and yaw rate (rad/s), in time
+    /// order.
     knots: Vec<[f64; 3]>,
 }
 
 impl Heading {
-    /// Adds a measurement; one that is not finite or not newer is left out.
+    /// Adds a measurement. A measurement that is not finite or not newer is ignored.
     pub fn push(&mut self, wheel: &WheelFeedback) {
         let time_s = self.seconds(wheel.time_ns);
         let last = self.knots.last().copied();
@@ -47,13 +50,14 @@ impl Heading {
         self.knots.push([time_s, yaw_rad, wheel.twist.angular_radps]);
     }
 
-    /// Since the first measurement.
+    /// Time since the first measurement, seconds.
     pub fn seconds(&mut self, time_ns: u64) -> f64 {
         let begin_ns = *self.begin_ns.get_or_insert(time_ns);
         (time_ns as f64 - begin_ns as f64) * 1e-9
     }
 
-    /// Heading and rate at a time: a cubic that has the measured headings and rates (Hermite). At the ends, the nearest.
+    /// Heading (rad) and yaw rate (rad/s) at a time, by cubic Hermite interpolation of the measured
+    /// headings and rates. Outside of the recording, the nearest heading and rate 0.
     fn at(&self, time_s: f64) -> (f64, f64) {
         let after = self.knots.partition_point(|[then_s, ..]| *then_s <= time_s);
         let pair = after
@@ -66,8 +70,11 @@ impl Heading {
         };
         let span = t1 - t0;
         let x = (time_s - t0) / span;
-        let (rise, begin, end) = (y1 - y0, r0 * span, r1 * span);
-        let (square, cube) = (3.0 * rise - 2.0 * begin - end, begin + end - 2.0 * rise);
+        let rise = y1 - y0;
+        let begin = r0 * span;
+        let end = r1 * span;
+        let square = 3.0 * rise - 2.0 * begin - end;
+        let cube = begin + end - 2.0 * rise;
         (
             y0 + x * (begin + x * (square + x * cube)),
             (begin + x * (2.0 * square + x * 3.0 * cube)) / span,
@@ -75,99 +82,114 @@ impl Heading {
     }
 }
 
-/// What fits best.
+/// The best estimate of the latency.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Shift {
-    /// Pictures show what was so long before their stamps.
+    /// Time from the capture of a frame to its time stamp, seconds, in addition to the configured
+    /// latency.
     pub latency_s: f64,
-    /// Standard error of that, by leaving out an eighth of the recording at a time.
+    /// Standard error of the latency, from leaving out an eighth of the recording at a time.
     pub error_s: f64,
-    /// Nine of ten turns of pictures and wheels differ by no more than this with this latency, and with none, radians.
-    pub off_rad: f64,
-    pub off_without_rad: f64,
-    /// Pairs of pictures between which the robot turned.
-    pub turns: usize,
+    /// 90th percentile of the difference between frames and wheels with this latency and without
+    /// it, radians.
+    pub residual_rad: f64,
+    pub residual_without_rad: f64,
+    /// Number of frame pairs between which the robot rotated.
+    pub rotations: usize,
 }
 
-/// Why there is no latency to tell.
+/// Why the latency cannot be estimated.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub(super) enum NoShift {
     #[error(
-        "the robot turned between {turns} pairs of pictures only, {LEAST_TURNS} are needed; record a minute in which it turns to and fro, as with `--policy random`"
+        "the robot rotated between only {rotations} pairs of frames, but {LEAST_ROTATIONS} are needed; record a minute in which it rotates left and right, for example with `--policy random`"
     )]
-    Turns { turns: usize },
+    Rotations { rotations: usize },
     #[error(
-        "the latency is known to {:.0} ms only: turning at one speed does not show it, beginning and ending to turn does; record a minute with `--policy random`",
+        "the standard error of the latency is {:.0} ms, because rotation at a constant rate does not reveal it; record a minute in which the rotation starts and stops often, for example with `--policy random`",
         1000.0 * error_s
     )]
-    Change { error_s: f64 },
+    Uncertain { error_s: f64 },
     #[error(
-        "pictures turn {gain:.2} times as far as the wheels say, {} to {} is plausible; put that right first: `swap_wheels`, `invert_left`, `invert_right` and `track_m` in [devices.base], [devices.lens], the camera's mount in [camera]",
+        "the rotation in frames is {gain:.2} times that of the wheel odometry, but {} to {} is plausible; correct the configuration first: `swap_wheels`, `invert_left`, `invert_right` and `track_m` in [devices.base], [devices.lens], or the camera's mount in [camera]",
         GAINS.0, GAINS.1
     )]
     Gain { gain: f64 },
     #[error(
-        "no latency between {:.0} and {:.0} ms explains what pictures and wheels say; are the camera's stamps of this computer's monotonic clock?",
+        "no latency between {:.0} and {:.0} ms makes frames and wheel odometry agree; check that the camera's time stamps use this computer's monotonic clock",
         1000.0 * RANGE_S.0, 1000.0 * RANGE_S.1
     )]
     OutOfRange,
 }
 
-/// The latency under which the turns of pictures and wheels agree best.
-pub(super) fn fit(heading: &Heading, turned: &[Turned]) -> Result<Shift, NoShift> {
-    let turns = turned.iter().filter(|turned| turned.yaw_rad.abs() >= LEAST_TURN_RAD).count();
-    if turns < LEAST_TURNS {
-        return Err(NoShift::Turns { turns });
+/// Estimates the latency with which the rotations of frames and wheels agree best.
+pub(super) fn fit(heading: &Heading, measured: &[FrameRotation]) -> Result<Shift, NoShift> {
+    let rotations =
+        measured.iter().filter(|rotation| rotation.yaw_rad.abs() >= LEAST_ROTATION_RAD).count();
+    if rotations < LEAST_ROTATIONS {
+        return Err(NoShift::Rotations { rotations });
     }
-    let (latency_s, gain) = best(heading, turned)?;
+    let (latency_s, gain) = best(heading, measured)?;
     if !(GAINS.0..=GAINS.1).contains(&gain) {
         return Err(NoShift::Gain { gain });
     }
     let without: Result<Vec<(f64, f64)>, NoShift> = (0..PARTS)
         .map(|part| {
-            let (from, to) = (part * turned.len() / PARTS, (part + 1) * turned.len() / PARTS);
-            best(heading, &[&turned[..from], &turned[to..]].concat())
+            let from = part * measured.len() / PARTS;
+            let to = (part + 1) * measured.len() / PARTS;
+            best(heading, &[&measured[..from], &measured[to..]].concat())
         })
         .collect();
     // The jackknife (Efron and Stein 1981).
     let square: f64 = without?.iter().map(|(other_s, _)| (other_s - latency_s).powi(2)).sum();
     let error_s = (square * (PARTS - 1) as f64 / PARTS as f64).sqrt();
-    if error_s > WORST_ERROR_S {
-        return Err(NoShift::Change { error_s });
+    if error_s > MAX_ERROR_S {
+        return Err(NoShift::Uncertain { error_s });
     }
-    let off = |latency_s| {
-        let mut off: Vec<f64> = turned
-            .iter()
-            .map(|turned| difference(heading, turned, latency_s, 1.0).0.abs())
-            .collect();
-        off.sort_by(f64::total_cmp);
-        off.get(9 * off.len() / 10).copied().unwrap_or(0.0)
-    };
-    Ok(Shift { latency_s, error_s, off_rad: off(latency_s), off_without_rad: off(0.0), turns })
+    Ok(Shift {
+        latency_s,
+        error_s,
+        residual_rad: residual_rad(heading, measured, latency_s),
+        residual_without_rad: residual_rad(heading, measured, 0.0),
+        rotations,
+    })
 }
 
-/// The best latency of all that are tried, refined, seconds, and how many times as far pictures turn as wheels: lens and track
-/// are not quite as they are said to be, and the camera sits in front of the axle, so that what is near moves more.
-fn best(heading: &Heading, turned: &[Turned]) -> Result<(f64, f64), NoShift> {
+/// 90th percentile of the difference between frames and wheels, radians.
+fn residual_rad(heading: &Heading, measured: &[FrameRotation], latency_s: f64) -> f64 {
+    let mut residuals: Vec<f64> = measured
+        .iter()
+        .map(|rotation| difference(heading, rotation, latency_s, 1.0).0.abs())
+        .collect();
+    residuals.sort_by(f64::total_cmp);
+    residuals.get(9 * residuals.len() / 10).copied().unwrap_or(0.0)
+}
+
+/// The best latency in seconds, and the gain: the ratio of the rotation in frames to that of the
+/// wheels. The gain differs from 1 because of calibration errors of lens and track, and because the
+/// camera is in front of the axle, so that near objects move more. The best of all tried latencies
+/// is refined by robust least squares.
+fn best(heading: &Heading, measured: &[FrameRotation]) -> Result<(f64, f64), NoShift> {
     let steps = ((RANGE_S.1 - RANGE_S.0) / STEP_S).round() as usize;
     let tried = (0..=steps).map(|step| {
         let latency_s = RANGE_S.0 + STEP_S * step as f64;
-        let gain = median_gain(heading, turned, latency_s);
-        let squares = turned
+        let gain = median_gain(heading, measured, latency_s);
+        let squares = measured
             .iter()
-            .map(|turned| (difference(heading, turned, latency_s, gain).0 / SCALE_RAD).powi(2));
+            .map(|rotation| (difference(heading, rotation, latency_s, gain).0 / SCALE_RAD).powi(2));
         (squares.map(|square| square / (1.0 + square)).sum::<f64>(), latency_s, gain)
     });
-    // Where any latency explains it as well, none is known.
-    let unknown = NoShift::Change { error_s: RANGE_S.1 - RANGE_S.0 };
+    // The error if all latencies fit equally well.
+    let unknown = NoShift::Uncertain { error_s: RANGE_S.1 - RANGE_S.0 };
     let (_, mut latency_s, mut gain) = tried.min_by(|a, b| a.0.total_cmp(&b.0)).ok_or(unknown)?;
     for _ in 0..10 {
-        let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
-        for turned in turned {
-            let (off_rad, slope) = difference(heading, turned, latency_s, gain);
-            let weight = (1.0 + (off_rad / SCALE_RAD).powi(2)).powi(-2);
+        let mut normal = Matrix2::zeros();
+        let mut right = Vector2::zeros();
+        for rotation in measured {
+            let (residual_rad, slope) = difference(heading, rotation, latency_s, gain);
+            let weight = (1.0 + (residual_rad / SCALE_RAD).powi(2)).powi(-2);
             normal += slope * slope.transpose() * weight;
-            right += slope * off_rad * weight;
+            right += slope * residual_rad * weight;
         }
         let step = normal.cholesky().ok_or(unknown)?.solve(&right);
         latency_s += step.x.clamp(-STEP_S, STEP_S);
@@ -180,26 +202,30 @@ fn best(heading: &Heading, turned: &[Turned]) -> Result<(f64, f64), NoShift> {
     }
 }
 
-/// How many times as far pictures turn as wheels with this latency, in the median.
-fn median_gain(heading: &Heading, turned: &[Turned], latency_s: f64) -> f64 {
-    let gain = |turned| {
-        let (off_rad, slope) = difference(heading, turned, latency_s, 1.0);
-        (slope.y.abs() >= LEAST_TURN_RAD).then(|| 1.0 + off_rad / slope.y)
-    };
-    let mut gains: Vec<f64> = turned.iter().filter_map(gain).collect();
+/// Median ratio of the rotation in frames to that of the wheels, for a given latency.
+fn median_gain(heading: &Heading, measured: &[FrameRotation], latency_s: f64) -> f64 {
+    let mut gains: Vec<f64> = measured
+        .iter()
+        .map(|rotation| difference(heading, rotation, latency_s, 1.0))
+        .filter(|(_, slope)| slope.y.abs() >= LEAST_ROTATION_RAD)
+        .map(|(residual_rad, slope)| 1.0 + residual_rad / slope.y)
+        .collect();
     gains.sort_by(f64::total_cmp);
     gains.get(gains.len() / 2).copied().unwrap_or(1.0)
 }
 
-/// By how much pictures turned farther than wheels, and how the wheels' turn answers to latency and gain.
+/// Difference of the rotation in frames and that of the wheels (rad), and the derivative of the
+/// wheels' rotation by latency and gain.
 fn difference(
     heading: &Heading,
-    turned: &Turned,
+    rotation: &FrameRotation,
     latency_s: f64,
     gain: f64,
 ) -> (f64, Vector2<f64>) {
-    let (from, to) = (heading.at(turned.from_s - latency_s), heading.at(turned.to_s - latency_s));
-    (turned.yaw_rad - gain * (to.0 - from.0), Vector2::new(-gain * (to.1 - from.1), to.0 - from.0))
+    let (from_rad, from_radps) = heading.at(rotation.from_s - latency_s);
+    let (to_rad, to_radps) = heading.at(rotation.to_s - latency_s);
+    let residual_rad = rotation.yaw_rad - gain * (to_rad - from_rad);
+    (residual_rad, Vector2::new(-gain * (to_radps - from_radps), to_rad - from_rad))
 }
 
 #[cfg(test)]
@@ -208,7 +234,7 @@ mod tests {
     use hal::{Pose2, Twist2};
     use proptest::prelude::*;
 
-    /// A robot that turns to and fro, four times in ten seconds; heading and rate.
+    /// Heading and yaw rate of a robot that rotates left and right, four times in ten seconds.
     fn swing(time_s: f64) -> (f64, f64) {
         (
             0.4 * (2.5 * time_s).sin() + 0.2 * (0.9 * time_s).sin(),
@@ -216,15 +242,16 @@ mod tests {
         )
     }
 
-    /// Ten measurements a second for so long, and what pictures say that are so late; every fifteenth pair is nonsense.
+    /// Wheel odometry at 10 Hz and the rotations in frames with the given latency and gain. Every
+    /// fifteenth rotation is an outlier.
     fn drive(
         swing: fn(f64) -> (f64, f64),
         latency_s: f64,
         gain: f64,
         seconds: usize,
-    ) -> (Heading, Vec<Turned>) {
+    ) -> (Heading, Vec<FrameRotation>) {
         let mut heading = Heading::default();
-        let mut turned = Vec::new();
+        let mut measured = Vec::new();
         for index in 0..10 * seconds {
             let time_s = 0.1 * index as f64;
             let (yaw_rad, angular_radps) = swing(time_s);
@@ -234,46 +261,47 @@ mod tests {
                 twist: Twist2 { linear_mps: 0.0, angular_radps },
                 contact: false,
             });
-            let shown = |time_s: f64| gain * swing(time_s - latency_s).0;
-            let yaw_rad = if index % 15 == 0 { 0.3 } else { shown(time_s) - shown(time_s - 0.1) };
-            turned.push(Turned { from_s: time_s - 0.1, to_s: time_s, yaw_rad });
+            let after_rad = gain * swing(time_s - latency_s).0;
+            let before_rad = gain * swing(time_s - 0.1 - latency_s).0;
+            let yaw_rad = if index % 15 == 0 { 0.3 } else { after_rad - before_rad };
+            measured.push(FrameRotation { from_s: time_s - 0.1, to_s: time_s, yaw_rad });
         }
-        (heading, turned)
+        (heading, measured)
     }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]
         fn a_latency_is_found_to_half_a_millisecond(latency_s in -0.08..0.28, gain in 0.9..1.1) {
-            let (heading, turned) = drive(swing, latency_s, gain, 60);
-            let shift = fit(&heading, &turned).unwrap();
+            let (heading, measured) = drive(swing, latency_s, gain, 60);
+            let shift = fit(&heading, &measured).unwrap();
             prop_assert!((shift.latency_s - latency_s).abs() < 5e-4, "{shift:?}");
             prop_assert!(shift.error_s < 5e-3, "{shift:?}");
         }
     }
 
     #[test]
-    fn it_says_how_much_better_pictures_and_wheels_agree() {
-        let (heading, turned) = drive(swing, 0.08, 1.0, 60);
-        let shift = fit(&heading, &turned).unwrap();
-        assert!(shift.off_rad < 0.1 * shift.off_without_rad, "{shift:?}");
+    fn the_residual_is_smaller_with_the_latency_than_without() {
+        let (heading, measured) = drive(swing, 0.08, 1.0, 60);
+        let shift = fit(&heading, &measured).unwrap();
+        assert!(shift.residual_rad < 0.1 * shift.residual_without_rad, "{shift:?}");
     }
 
     #[test]
-    fn a_robot_that_hardly_turned_or_only_at_one_speed_is_told_what_to_do() {
-        let (heading, turned) = drive(|_| (0.0, 0.0), 0.08, 1.0, 20);
-        let error = fit(&heading, &turned).unwrap_err();
-        assert_eq!(error, NoShift::Turns { turns: 14 });
-        let (heading, turned) = drive(|time_s| (0.5 * time_s, 0.5), 0.08, 1.0, 60);
-        let error = fit(&heading, &turned).unwrap_err();
-        assert!(matches!(error, NoShift::Change { .. }), "{error}");
+    fn too_few_rotations_or_a_constant_rate_are_refused() {
+        let (heading, measured) = drive(|_| (0.0, 0.0), 0.08, 1.0, 20);
+        let error = fit(&heading, &measured).unwrap_err();
+        assert_eq!(error, NoShift::Rotations { rotations: 14 });
+        let (heading, measured) = drive(|time_s| (0.5 * time_s, 0.5), 0.08, 1.0, 60);
+        let error = fit(&heading, &measured).unwrap_err();
+        assert!(matches!(error, NoShift::Uncertain { .. }), "{error}");
     }
 
     #[test]
     fn swapped_wheels_and_another_lens_are_not_explained_by_a_latency() {
         for gain in [-1.0, 0.5, 1.4] {
-            let (heading, turned) = drive(swing, 0.08, gain, 60);
-            let error = fit(&heading, &turned).unwrap_err();
+            let (heading, measured) = drive(swing, 0.08, gain, 60);
+            let error = fit(&heading, &measured).unwrap_err();
             assert!(
                 matches!(error, NoShift::Gain { gain: found } if (found - gain).abs() < 0.01),
                 "{gain}: {error}"
@@ -282,8 +310,8 @@ mod tests {
     }
 
     #[test]
-    fn wheels_that_say_nothing_sensible_are_left_out() {
-        let (mut heading, turned) = drive(swing, 0.08, 1.0, 60);
+    fn invalid_and_old_wheel_feedback_is_ignored() {
+        let (mut heading, measured) = drive(swing, 0.08, 1.0, 60);
         let knots = heading.knots.len();
         heading.push(&WheelFeedback {
             time_ns: u64::MAX,
@@ -292,6 +320,6 @@ mod tests {
         });
         heading.push(&WheelFeedback { time_ns: 1, ..WheelFeedback::default() });
         assert_eq!(heading.knots.len(), knots);
-        assert!(fit(&heading, &turned).is_ok());
+        assert!(fit(&heading, &measured).is_ok());
     }
 }

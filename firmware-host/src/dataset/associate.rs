@@ -1,4 +1,4 @@
-//! Putting lists of different clocks and rates together by time.
+//! Associates lists with different rates by time.
 
 use hal::Pose3;
 
@@ -9,17 +9,19 @@ use super::list::{ImageEntry, PoseEntry};
 pub fn nearest(entries: &[ImageEntry], time_ns: u64, tolerance_ns: u64) -> Option<&ImageEntry> {
     let after = entries.partition_point(|entry| entry.time_ns < time_ns);
     let around = [after.checked_sub(1).and_then(|i| entries.get(i)), entries.get(after)];
-    let distance = |entry: &ImageEntry| entry.time_ns.abs_diff(time_ns);
     around
         .into_iter()
         .flatten()
-        .min_by_key(|entry| distance(entry))
-        .filter(|entry| distance(entry) <= tolerance_ns)
+        .min_by_key(|entry| entry.time_ns.abs_diff(time_ns))
+        .filter(|entry| entry.time_ns.abs_diff(time_ns) <= tolerance_ns)
 }
 
-/// The pose at `time_ns`: the listed one, or between two listed ones that are at most `3 * tolerance_ns` apart (slerp;
-/// with half a frame as tolerance that is one frame and its jitter), or the nearest within `tolerance_ns`; `None` where
-/// the list has a gap.
+/// The pose at `time_ns`, from the first of these that exists: a listed pose of exactly that time;
+/// the interpolation (slerp) between two listed poses that are at most `3 * tolerance_ns` apart;
+/// the nearest listed pose within `tolerance_ns`. `None` in a gap of the list.
+///
+/// With half a frame period as tolerance, the limit for interpolation is one period plus its
+/// jitter.
 #[must_use]
 pub fn pose_at(poses: &[PoseEntry], time_ns: u64, tolerance_ns: u64) -> Option<Pose3> {
     let after = poses.partition_point(|entry| entry.time_ns < time_ns);
@@ -34,9 +36,11 @@ pub fn pose_at(poses: &[PoseEntry], time_ns: u64, tolerance_ns: u64) -> Option<P
         let fraction = (time_ns - a.time_ns) as f64 / (b.time_ns - a.time_ns) as f64;
         return a.t_world_camera.try_lerp_slerp(&b.t_world_camera, fraction, 1e-9);
     }
-    let distance = |entry: &PoseEntry| entry.time_ns.abs_diff(time_ns);
-    let near = [earlier, later].into_iter().flatten().min_by_key(|entry| distance(entry))?;
-    (distance(near) <= tolerance_ns).then_some(near.t_world_camera)
+    let near = [earlier, later]
+        .into_iter()
+        .flatten()
+        .min_by_key(|entry| entry.time_ns.abs_diff(time_ns))?;
+    (near.time_ns.abs_diff(time_ns) <= tolerance_ns).then_some(near.t_world_camera)
 }
 
 #[cfg(test)]
@@ -45,10 +49,10 @@ mod tests {
     use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
     fn pose(time_ns: u64, x_m: f64, yaw_rad: f64) -> PoseEntry {
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), yaw_rad);
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), yaw_rad);
         PoseEntry {
             time_ns,
-            t_world_camera: Pose3::from_parts(Translation3::new(x_m, 0.0, 0.0), turn),
+            t_world_camera: Pose3::from_parts(Translation3::new(x_m, 0.0, 0.0), rotation),
         }
     }
 
@@ -66,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn between_two_poses_both_the_place_and_the_heading_are_in_between() {
+    fn between_two_poses_position_and_heading_are_interpolated() {
         let at = pose_at(&[pose(100, 0.0, 0.0), pose(200, 1.0, 0.4)], 125, 50).unwrap();
         assert!(
             (at.translation.x - 0.25).abs() < 1e-12 && (at.rotation.angle() - 0.1).abs() < 1e-9
@@ -74,14 +78,14 @@ mod tests {
     }
 
     #[test]
-    fn a_listed_pose_is_handed_out_as_it_is() {
+    fn a_listed_pose_is_returned_unchanged() {
         let list = [pose(100, 0.0, 0.0), pose(200, 1.0, 0.4)];
         assert!((pose_at(&list, 200, 50).unwrap().translation.x - 1.0).abs() < 1e-12);
         assert_eq!(pose_at(&list, 100, 50).unwrap(), list[0].t_world_camera);
     }
 
     #[test]
-    fn a_gap_in_the_poses_is_not_bridged() {
+    fn poses_are_not_interpolated_across_a_gap() {
         let list = [pose(100, 0.0, 0.0), pose(900, 1.0, 0.4)];
         assert_eq!(pose_at(&list, 500, 50), None);
         assert_eq!(pose_at(&list, 130, 50), Some(list[0].t_world_camera));

@@ -1,4 +1,5 @@
-//! The lists of the TUM RGB-D layout: a timestamp in seconds, then a file name or a pose; `#` starts a comment.
+//! The lists of the TUM RGB-D layout: a timestamp in seconds, then a file name or a pose; `#`
+//! starts a comment.
 
 use std::path::{Path, PathBuf};
 
@@ -7,24 +8,22 @@ use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 
 use super::DatasetError;
 
-/// How far a quaternion's length may be from 1: lists are written with 4 decimals and more.
+/// Allowed deviation of a quaternion's length from 1. Lists are written with four or more decimals.
 const UNIT_TOLERANCE: f64 = 1e-2;
 
 /// One line of `rgb.txt` or `depth.txt`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImageEntry {
-    /// When.
     pub time_ns: u64,
-    /// The file, with the dataset's folder.
+    /// Path of the file, including the dataset's folder.
     pub path: PathBuf,
 }
 
 /// One line of `groundtruth.txt`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseEntry {
-    /// When.
     pub time_ns: u64,
-    /// Where `camera_optical` was in the world.
+    /// Pose of `camera_optical` in the world.
     pub t_world_camera: Pose3,
 }
 
@@ -68,6 +67,7 @@ pub fn read_poses(root: &Path, list: &str) -> Result<Vec<PoseEntry>, DatasetErro
     not_empty(entries, path, "timestamp tx ty tz qx qy qz qw")
 }
 
+/// Calls `each` with line number, time and remaining fields of every line that is not empty.
 fn for_each_line(
     path: &Path,
     mut each: impl FnMut(usize, u64, &[&str]) -> Result<(), DatasetError>,
@@ -91,7 +91,7 @@ fn for_each_line(
             && time_ns <= before
         {
             let what = format!(
-                "timestamp {stamp} is not later than {before_text} before it; sort the list by time"
+                "timestamp {stamp} is not later than {before_text} on the line before; sort the list by time"
             );
             return Err(bad_line(path, line, what));
         }
@@ -101,11 +101,11 @@ fn for_each_line(
     Ok(())
 }
 
-/// Decimal seconds as nanoseconds, exactly: an f64 of today's Unix time has only 240 ns.
+/// Converts decimal seconds to nanoseconds exactly. An f64 of today's Unix time has a resolution of
+/// only 240 ns.
 fn parse_seconds(text: &str) -> Option<u64> {
     let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
-    let digits = |s: &str| s.bytes().all(|b| b.is_ascii_digit());
-    if whole.is_empty() || !digits(whole) || !digits(fraction) {
+    if whole.is_empty() || !whole.bytes().chain(fraction.bytes()).all(|b| b.is_ascii_digit()) {
         return None;
     }
     let seconds: u64 = whole.parse().ok()?;
@@ -125,7 +125,7 @@ fn parse_pose(fields: &[&str]) -> Result<Pose3, String> {
         values.iter_mut().zip(fields).zip(["tx", "ty", "tz", "qx", "qy", "qz", "qw"])
     {
         *value = text.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(|| {
-            format!("{name} = {text} is not a finite number; a pose that is not known must be left out of the list")
+            format!("{name} = {text} is not a finite number; leave an unknown pose out of the list")
         })?;
     }
     let [tx, ty, tz, qx, qy, qz, qw] = values;
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn unsorted_timestamps_name_file_line_and_both_values() {
+    fn unsorted_timestamps_are_refused_with_file_line_and_both_values() {
         let error = message("2.0 0 0 0 0 0 0 1\n1.5 0 0 0 0 0 0 1\n");
         assert!(
             error.contains("groundtruth.txt:2") && error.contains("1.5") && error.contains("2.0"),
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn nan_and_bent_quaternions_are_refused_by_name() {
+    fn nan_and_quaternions_that_are_not_normalized_are_refused() {
         assert!(message("1 0 nan 0 0 0 0 1\n").contains("ty = nan"));
         assert!(message("1 0 0 0 0 0 0 inf\n").contains("qw = inf"));
         assert!(message("1 0 0 0 0 0 0 0.9\n").contains("length 0.9"));
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_list_and_a_missing_one_are_errors() {
+    fn an_empty_list_and_a_missing_list_are_errors() {
         assert!(message("# nothing\n").contains("empty"));
         assert!(
             read_poses(Path::new("/nowhere"), "groundtruth.txt")
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_without_its_timestamp_and_a_missing_file_are_named() {
+    fn a_line_without_a_timestamp_and_a_missing_image_are_named() {
         let dir = tempfile::tempdir().unwrap();
         std::fs::write(dir.path().join("a.png"), "").unwrap();
         std::fs::write(dir.path().join("rgb.txt"), "0.1 a.png\na.png\n").unwrap();
@@ -227,7 +227,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_text_makes_it_panic(text in "[0-9a-z.# \n-]{0,80}") {
+        fn no_content_of_a_list_causes_a_panic(text in "[0-9a-z.# \n-]{0,80}") {
             let _ = poses(&text);
         }
     }

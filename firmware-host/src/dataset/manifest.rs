@@ -1,4 +1,4 @@
-//! `dataset.toml`: what the lists of the TUM layout do not say.
+//! `dataset.toml`: the properties of a dataset that the lists of the TUM layout do not contain.
 
 use std::path::Path;
 
@@ -7,52 +7,49 @@ use serde::Deserialize;
 
 use super::DatasetError;
 
-/// What `dataset.toml` says.
+/// Content of `dataset.toml`.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
-    /// What people call the sequence.
+    /// Name of the sequence.
     pub name: String,
-    /// How the files lie; only `tum`.
+    /// Layout of the files; must be `tum`.
     #[serde(default = "tum")]
     pub layout: String,
-    /// Pictures a second. Half of its inverse is the tolerance when lists are put together.
+    /// Frames per second. Half of its inverse is the tolerance when the lists are associated.
     pub nominal_fps: f64,
-    /// Value of a depth image / `depth_scale` = metres of z-depth; 0 is "no ground truth".
+    /// A value of a depth image divided by `depth_scale` is the z-depth in metres. The value 0
+    /// means no depth.
     pub depth_scale: f64,
-    /// Who may use it.
+    /// Licence of the data.
     #[serde(default)]
     pub license: String,
-    /// Where it comes from.
+    /// Origin of the data.
     #[serde(default)]
     pub source: String,
-    /// Where up is in the frame of `groundtruth.txt`, any length. Without it, it is estimated from how the camera was held.
+    /// Up direction in the frame of `groundtruth.txt`, of any length. Without it, it is estimated
+    /// from the poses.
     #[serde(default)]
     pub up: Option<[f64; 3]>,
-    /// Anything else.
+    /// Free text.
     #[serde(default)]
     pub note: String,
-    /// The camera that took both the pictures and, after registration, the depth.
+    /// The colour camera. Depth images must be registered to it.
     pub camera: CameraSection,
 }
 
-/// `[camera]`: a pinhole with pixel centres at integers.
+/// `[camera]`: a pinhole model in which pixel centres have integer coordinates.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraSection {
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
-    /// Focal length along x, pixels.
+    /// Focal lengths and principal point, pixels.
     pub fx: f64,
-    /// Focal length along y, pixels.
     pub fy: f64,
-    /// Column of the optical axis.
     pub cx: f64,
-    /// Row of the optical axis.
     pub cy: f64,
-    /// Plumb-bob k1 k2 p1 p2 \[k3\]; empty for none.
+    /// Plumb-bob coefficients k1 k2 p1 p2 \[k3\]; empty without distortion.
     #[serde(default)]
     pub distortion: Vec<f64>,
 }
@@ -65,7 +62,7 @@ impl Manifest {
     /// Reads and checks `path`.
     ///
     /// # Errors
-    /// A file that cannot be read or parsed, an unknown key, an impossible value.
+    /// If the file cannot be read or parsed, or has an unknown key or a value out of range.
     pub fn read(path: &Path) -> Result<Self, DatasetError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| DatasetError::Read { path: path.to_owned(), source })?;
@@ -112,7 +109,7 @@ impl Manifest {
         )
     }
 
-    /// The camera as it is, distortion included.
+    /// The camera of the original images, with distortion.
     #[must_use]
     pub fn camera_model(&self) -> CameraModel {
         let CameraSection { width, height, fx, fy, cx, cy, ref distortion } = self.camera;
@@ -159,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn the_usual_file_is_read() {
+    fn a_valid_file_is_read() {
         let model = read(GOOD).unwrap().camera_model();
         assert_eq!((model.width, model.fx, model.distortion), (640, 500.0, Distortion::None));
     }
@@ -178,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_values_are_refused_with_key_value_and_range() {
+    fn values_out_of_range_are_refused_with_key_value_and_range() {
         for (good, bad, key) in [
             ("fx = 500.0", "fx = -1.0", "camera.fx"),
             ("fy = 500.0", "fy = nan", "camera.fy"),

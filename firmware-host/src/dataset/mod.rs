@@ -1,5 +1,6 @@
-//! Recorded pictures with poses, and depth where a sensor measured it: the layout of the TUM RGB-D benchmark (Sturm et
-//! al. 2012: `rgb.txt`, `depth.txt`, `groundtruth.txt`) plus a `dataset.toml` with the camera.
+//! Reads recorded images with poses and, optionally, measured depth, in the layout of the TUM RGB-D
+//! benchmark (Sturm et al. 2012: `rgb.txt`, `depth.txt`, `groundtruth.txt`) plus a `dataset.toml`
+//! with the camera.
 
 mod associate;
 mod error;
@@ -15,22 +16,22 @@ pub use error::DatasetError;
 pub use manifest::{CameraSection, Manifest};
 pub use resample::Resampler;
 
-/// One picture with its pose, in the size that perception works on.
+/// One image with its pose, resampled to the size that perception works on.
 #[derive(Debug, Clone)]
 pub struct Sample {
-    /// When, in the dataset's clock.
+    /// Time stamp in the dataset's clock.
     pub time_ns: u64,
-    /// The picture, three bytes a pixel.
+    /// RGB8, row-major.
     pub rgb: Vec<u8>,
-    /// Its camera: a pinhole.
+    /// Pinhole camera of the resampled image.
     pub camera: CameraModel,
-    /// Where `camera_optical` was in the world.
+    /// Pose of `camera_optical` in the world.
     pub t_world_camera: Pose3,
-    /// What the depth sensor measured.
+    /// Depth that a sensor measured, if the dataset has any.
     pub truth: Option<DepthMap>,
 }
 
-/// A dataset whose lists were read and put together; the pictures are read one by one.
+/// A dataset. The lists are read when it is opened, the images one by one later.
 #[derive(Debug)]
 pub struct Dataset {
     manifest: Manifest,
@@ -48,14 +49,14 @@ struct FrameEntry {
 }
 
 impl Dataset {
-    /// Reads the lists of the dataset in `folder` for perception at `width` x `height`. `depth.txt` may be absent; there
-    /// is no ground truth then.
+    /// Reads the lists of the dataset in `folder` and associates them by time. Images will be
+    /// resampled to `width` x `height`. Without `depth.txt` there is no ground truth.
     ///
     /// # Errors
     /// Names the file, the line and the value that cannot be used.
     pub fn open(folder: &Path, width: usize, height: usize) -> Result<Self, DatasetError> {
         let manifest = Manifest::read(&folder.join("dataset.toml"))?;
-        let pictures = list::read_images(folder, "rgb.txt")?;
+        let images = list::read_images(folder, "rgb.txt")?;
         let depths = if folder.join("depth.txt").exists() {
             list::read_images(folder, "depth.txt")?
         } else {
@@ -63,25 +64,20 @@ impl Dataset {
         };
         let poses = list::read_poses(folder, "groundtruth.txt")?;
         let tolerance_ns = (0.5e9 / manifest.nominal_fps) as u64;
-        let total = pictures.len();
-        let frames: Vec<FrameEntry> = pictures
+        let total = images.len();
+        let frames: Vec<FrameEntry> = images
             .into_iter()
-            .filter_map(|picture| {
-                let t_world_camera = associate::pose_at(&poses, picture.time_ns, tolerance_ns)?;
-                let depth = associate::nearest(&depths, picture.time_ns, tolerance_ns)
+            .filter_map(|image| {
+                let t_world_camera = associate::pose_at(&poses, image.time_ns, tolerance_ns)?;
+                let depth = associate::nearest(&depths, image.time_ns, tolerance_ns)
                     .map(|entry| entry.path.clone());
-                Some(FrameEntry {
-                    time_ns: picture.time_ns,
-                    rgb: picture.path,
-                    depth,
-                    t_world_camera,
-                })
+                Some(FrameEntry { time_ns: image.time_ns, rgb: image.path, depth, t_world_camera })
             })
             .collect();
         if frames.is_empty() {
             return Err(DatasetError::NoPose {
                 path: folder.join("groundtruth.txt"),
-                pictures: total,
+                images: total,
                 tolerance_ms: tolerance_ns as f64 / 1e6,
             });
         }
@@ -89,13 +85,13 @@ impl Dataset {
         Ok(Self { manifest, resampler, without_pose: total - frames.len(), frames })
     }
 
-    /// What `dataset.toml` says.
+    /// Content of `dataset.toml`.
     #[must_use]
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
     }
 
-    /// The camera of the samples: a pinhole of the size that was asked for.
+    /// Pinhole camera of the samples, with the size given to [`open`](Self::open).
     #[must_use]
     pub fn camera(&self) -> &CameraModel {
         self.resampler.camera()
@@ -107,25 +103,25 @@ impl Dataset {
         self.frames.len()
     }
 
-    /// Never: a dataset without samples is refused.
+    /// Always false, because a dataset without samples cannot be opened.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.frames.is_empty()
     }
 
-    /// Where the camera was at each sample.
+    /// Pose of the camera for each sample, `t_world_camera`.
     #[must_use]
     pub fn poses(&self) -> Vec<Pose3> {
         self.frames.iter().map(|frame| frame.t_world_camera).collect()
     }
 
-    /// Pictures that were left out because no pose is near them in time.
+    /// Number of images that were left out because no pose is near them in time.
     #[must_use]
     pub fn without_pose(&self) -> usize {
         self.without_pose
     }
 
-    /// All samples in time order, each read when it is asked for.
+    /// All samples in time order. Each one is read from disk when the iterator reaches it.
     pub fn samples(&self) -> impl ExactSizeIterator<Item = Result<Sample, DatasetError>> + '_ {
         self.frames.iter().map(|frame| self.read(frame))
     }
@@ -167,8 +163,8 @@ impl Dataset {
                 path: path.to_owned(),
                 width: image.width(),
                 height: image.height(),
-                want_width: camera.width,
-                want_height: camera.height,
+                camera_width: camera.width,
+                camera_height: camera.height,
             });
         }
         Ok(image)

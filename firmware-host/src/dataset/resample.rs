@@ -1,23 +1,25 @@
-//! From the dataset's pictures to the size that perception works on, with intrinsics that stay true.
+//! Resamples the dataset's images to the size that perception works on, and computes the matching
+//! intrinsics.
 
 use hal::{CameraModel, DepthMap, Distortion};
 
-/// Undistorts, cuts the largest central part of the wanted aspect ratio and resamples it.
+/// Undistorts an image, crops the largest central part with the target aspect ratio, and resamples
+/// it.
 #[derive(Debug, Clone)]
 pub struct Resampler {
     source: CameraModel,
     target: CameraModel,
-    /// Where every pixel of the undistorted picture lies in the source; `None` when nothing needs undistorting.
+    /// Source coordinates of every pixel of the undistorted image; `None` without distortion.
     undistortion: Option<Vec<[f32; 2]>>,
-    /// Top left corner of the part that is kept: its outer edges, in source pixels.
+    /// Outer edges of the cropped part, in source pixels.
     left: f64,
     top: f64,
-    /// Source pixels for one target pixel.
+    /// Source pixels per target pixel.
     step: f64,
 }
 
 impl Resampler {
-    /// From pictures of `source` to pinhole pictures of `width` x `height`.
+    /// A resampler from images of `source` to pinhole images of `width` x `height`.
     #[must_use]
     pub fn new(source: &CameraModel, width: usize, height: usize) -> Self {
         let step = (source.width as f64 / width as f64).min(source.height as f64 / height as f64);
@@ -35,14 +37,14 @@ impl Resampler {
         Self { source: *source, target, undistortion: undistortion(source), left, top, step }
     }
 
-    /// The camera of the resampled pictures.
+    /// The camera of the resampled images.
     #[must_use]
     pub fn camera(&self) -> &CameraModel {
         &self.target
     }
 
-    /// Resamples a picture of three bytes a pixel. A triangle filter as wide as a target pixel keeps fine texture from
-    /// turning into false texture (aliasing); where nothing is scaled it copies.
+    /// Resamples an RGB8 image. A triangle filter of the width of a target pixel avoids aliasing.
+    /// Without scaling the pixels are copied unchanged.
     #[must_use]
     pub fn rgb(&self, source: &[u8]) -> Vec<u8> {
         let undistorted = self.undistortion.as_ref().map(|map| self.undistort_rgb(source, map));
@@ -71,12 +73,14 @@ impl Resampler {
         out
     }
 
-    /// Resamples depth by nearest neighbour: a mean of two depths is the depth of nothing.
+    /// Resamples depth by nearest neighbour, because a mean of two depths would be the depth of no
+    /// surface.
     #[must_use]
     pub fn depth(&self, source_m: &[f32]) -> DepthMap {
         let mut depth = DepthMap::none(self.target.width, self.target.height);
         for (index, out) in depth.values_mut().iter_mut().enumerate() {
-            let (u, v) = (index % self.target.width, index / self.target.width);
+            let u = index % self.target.width;
+            let v = index / self.target.width;
             let x = nearest((u as f64 + 0.5) * self.step + self.left - 0.5, self.source.width);
             let y = nearest((v as f64 + 0.5) * self.step + self.top - 0.5, self.source.height);
             *out = match &self.undistortion {
@@ -88,18 +92,25 @@ impl Resampler {
     }
 
     fn undistort_rgb(&self, source: &[u8], map: &[[f32; 2]]) -> Vec<u8> {
-        let (width, height) = (self.source.width, self.source.height);
+        let width = self.source.width;
+        let height = self.source.height;
         let mut out = Vec::with_capacity(source.len());
         for &[x, y] in map {
-            // Beyond the edge the edge is repeated; the depth there is "none".
-            let (x, y) = (x.clamp(0.0, width as f32 - 1.0), y.clamp(0.0, height as f32 - 1.0));
-            let (x0, y0) = (x as usize, y as usize);
-            let (x1, y1) = ((x0 + 1).min(width - 1), (y0 + 1).min(height - 1));
-            let (fx, fy) = (x - x0 as f32, y - y0 as f32);
+            // Outside of the image its edge is repeated. There is no depth at these pixels.
+            let x = x.clamp(0.0, width as f32 - 1.0);
+            let y = y.clamp(0.0, height as f32 - 1.0);
+            let x0 = x as usize;
+            let y0 = y as usize;
+            let x1 = (x0 + 1).min(width - 1);
+            let y1 = (y0 + 1).min(height - 1);
+            let fx = x - x0 as f32;
+            let fy = y - y0 as f32;
             for channel in 0..3 {
-                let at = |x: usize, y: usize| f32::from(source[(y * width + x) * 3 + channel]);
-                let upper = at(x0, y0) + fx * (at(x1, y0) - at(x0, y0));
-                let lower = at(x0, y1) + fx * (at(x1, y1) - at(x0, y1));
+                let [top_left, top_right, bottom_left, bottom_right] =
+                    [(x0, y0), (x1, y0), (x0, y1), (x1, y1)]
+                        .map(|(x, y)| f32::from(source[(y * width + x) * 3 + channel]));
+                let upper = top_left + fx * (top_right - top_left);
+                let lower = bottom_left + fx * (bottom_right - bottom_left);
                 out.push((upper + fy * (lower - upper)).round() as u8);
             }
         }
@@ -107,7 +118,8 @@ impl Resampler {
     }
 
     fn distorted_depth(&self, source_m: &[f32], [x, y]: [f32; 2]) -> f32 {
-        let (x, y) = (x.round(), y.round());
+        let x = x.round();
+        let y = y.round();
         if x >= 0.0
             && y >= 0.0
             && (x as usize) < self.source.width
@@ -120,38 +132,41 @@ impl Resampler {
     }
 }
 
+/// Source coordinates of every pixel of the undistorted image; `None` without distortion.
 fn undistortion(source: &CameraModel) -> Option<Vec<[f32; 2]>> {
     if source.distortion == Distortion::None {
         return None;
     }
-    let place = |index: usize| {
+    let coordinates = (0..source.width * source.height).map(|index| {
         let ray = source.ray((index % source.width) as f64, (index / source.width) as f64);
         let (x, y) = source.distorted_pixel(ray.x, ray.y);
         [x as f32, y as f32]
-    };
-    Some((0..source.width * source.height).map(place).collect())
+    });
+    Some(coordinates.collect())
 }
 
-/// Source pixels of one target pixel along one axis.
+/// Source pixels and weights of one target pixel along one axis.
 struct Taps {
     first: usize,
     weights: Vec<f32>,
 }
 
+/// The taps of all `targets` target pixels along an axis with `sources` source pixels.
 fn taps(start: f64, step: f64, targets: usize, sources: usize) -> Vec<Taps> {
     let reach = step.max(1.0);
-    let one = |target: usize| {
-        let centre = (target as f64 + 0.5) * step + start - 0.5;
-        let first = nearest((centre - reach).floor() + 1.0, sources);
-        let last = nearest((centre + reach).ceil() - 1.0, sources);
-        let mut weights: Vec<f32> = (first..=last)
-            .map(|at| (1.0 - (at as f64 - centre).abs() / reach).max(0.0) as f32)
-            .collect();
-        let sum: f32 = weights.iter().sum();
-        weights.iter_mut().for_each(|weight| *weight /= sum);
-        Taps { first, weights }
-    };
-    (0..targets).map(one).collect()
+    (0..targets)
+        .map(|target| {
+            let centre = (target as f64 + 0.5) * step + start - 0.5;
+            let first = nearest((centre - reach).floor() + 1.0, sources);
+            let last = nearest((centre + reach).ceil() - 1.0, sources);
+            let mut weights: Vec<f32> = (first..=last)
+                .map(|at| (1.0 - (at as f64 - centre).abs() / reach).max(0.0) as f32)
+                .collect();
+            let sum: f32 = weights.iter().sum();
+            weights.iter_mut().for_each(|weight| *weight /= sum);
+            Taps { first, weights }
+        })
+        .collect()
 }
 
 fn nearest(at: f64, count: usize) -> usize {
@@ -175,13 +190,13 @@ mod tests {
         }
     }
 
-    /// A picture whose red is its column and whose green is its row.
+    /// An image in which red is the column and green is the row.
     fn ramp(width: usize, height: usize) -> Vec<u8> {
         (0..width * height).flat_map(|i| [(i % width) as u8, (i / width) as u8, 0]).collect()
     }
 
     #[test]
-    fn the_same_width_is_cut_without_touching_a_pixel() {
+    fn at_the_same_width_the_image_is_cropped_and_no_pixel_changes() {
         let resampler = Resampler::new(&kinect(), 640, 192);
         assert_eq!((resampler.camera().fx, resampler.camera().cx), (521.7, 320.5));
         assert!((resampler.camera().cy - (233.2 - 144.0)).abs() < 1e-9);
@@ -190,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn halving_a_ramp_gives_the_values_between_its_pixels() {
+    fn halving_a_ramp_gives_the_means_of_its_pixels() {
         let camera = CameraModel { width: 128, height: 64, ..kinect() };
         let small = Resampler::new(&camera, 64, 32).rgb(&ramp(128, 64));
         // Target pixel (10, 5) is centred on source (20.5, 10.5).
@@ -212,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn depth_takes_the_nearest_value_and_keeps_holes() {
+    fn depth_is_resampled_by_nearest_neighbour_and_keeps_holes() {
         let camera = CameraModel { width: 4, height: 4, ..kinect() };
         let mut source: Vec<f32> = (0..16).map(|i| i as f32).collect();
         source[5] = 0.0;
@@ -222,39 +237,42 @@ mod tests {
         assert!(large.values().iter().all(|value| source.contains(value)));
     }
 
+    fn brightness(x: f64) -> f64 {
+        128.0 + 150.0 * x
+    }
+
     #[test]
     fn an_undistorted_grid_is_straight_again() {
         let k = [0.1, -0.05, 0.001, -0.002, 0.0];
         let camera = CameraModel { distortion: Distortion::PlumbBob(k), ..kinect() };
         let resampler = Resampler::new(&camera, 640, 480);
-        // What a distorting camera sees of a world whose brightness grows along x; at every undistorted pixel the value
-        // must be that of the pinhole's ray.
-        let world = |x: f64| 128.0 + 150.0 * x;
+        // A distorted image of a scene whose brightness grows along x. After undistortion every
+        // pixel must have the brightness of the pinhole's ray.
         let map = undistortion(&camera).unwrap();
-        let mut seen = vec![0_u8; 640 * 480 * 3];
+        let mut distorted = vec![0_u8; 640 * 480 * 3];
         for v in 0..480 {
             for u in 0..640 {
                 let (mut x, mut y) =
                     ((u as f64 - camera.cx) / camera.fx, (v as f64 - camera.cy) / camera.fy);
-                let wanted = (x, y);
+                let undistorted = (x, y);
                 for _ in 0..20 {
                     let (dx, dy) = camera.distortion.distort(x, y);
-                    (x, y) = (x + wanted.0 - dx, y + wanted.1 - dy);
+                    (x, y) = (x + undistorted.0 - dx, y + undistorted.1 - dy);
                 }
-                seen[(v * 640 + u) * 3..][..3].fill(world(x).round() as u8);
+                distorted[(v * 640 + u) * 3..][..3].fill(brightness(x).round() as u8);
             }
         }
-        let straight = resampler.rgb(&seen);
+        let straight = resampler.rgb(&distorted);
         for (u, v) in [(100, 100), (320, 240), (500, 400), (420, 60)] {
-            let want = world(camera.ray(u as f64, v as f64).x);
-            assert!((f64::from(straight[(v * 640 + u) * 3]) - want).abs() < 1.6);
+            let expected = brightness(camera.ray(u as f64, v as f64).x);
+            assert!((f64::from(straight[(v * 640 + u) * 3]) - expected).abs() < 1.6);
             assert!(map[v * 640 + u][0] > 0.0);
         }
     }
 
     proptest! {
         #[test]
-        fn rays_are_kept_for_any_size(width in 16_usize..700, height in 16_usize..500, u in 0.0..1.0f64, v in 0.0..1.0f64) {
+        fn every_pixel_keeps_its_ray_at_any_size(width in 16_usize..700, height in 16_usize..500, u in 0.0..1.0f64, v in 0.0..1.0f64) {
             let resampler = Resampler::new(&kinect(), width, height);
             let (u, v) = (u * (width - 1) as f64, v * (height - 1) as f64);
             let source = kinect().ray(
@@ -264,7 +282,7 @@ mod tests {
         }
 
         #[test]
-        fn weights_sum_to_one_inside_the_picture(start in 0.0..10.0f64, step in 0.2..6.0f64, sources in 1_usize..200) {
+        fn weights_sum_to_one_inside_the_image(start in 0.0..10.0f64, step in 0.2..6.0f64, sources in 1_usize..200) {
             let targets = ((sources as f64 - start) / step).max(0.0) as usize;
             for tap in taps(start, step, targets, sources) {
                 prop_assert!(tap.first + tap.weights.len() <= sources);

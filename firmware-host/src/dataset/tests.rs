@@ -5,20 +5,24 @@ use tempfile::TempDir;
 
 use super::*;
 
-/// Three frames of 64x48; depth is 1 m + 1 mm per column, the left-most column has none.
+/// A dataset of three frames of 64x48. Depth is 1 m plus 1 mm per column; the left-most column has
+/// none.
 fn sequence() -> TempDir {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path();
     let manifest = "name = \"tiny\"\nnominal_fps = 10\ndepth_scale = 1000\n[camera]\nwidth = 64\nheight = 48\n\
                     fx = 50.0\nfy = 50.0\ncx = 31.5\ncy = 23.5\n";
     fs::write(root.join("dataset.toml"), manifest).unwrap();
-    let (mut rgb_list, mut depth_list, mut poses) = (String::new(), String::new(), String::new());
+    let mut rgb_list = String::new();
+    let mut depth_list = String::new();
+    let mut poses = String::new();
     for i in 0..3_u8 {
         RgbImage::from_pixel(64, 48, image::Rgb([i * 10, 20, 30]))
             .save(root.join(format!("{i}.png")))
             .unwrap();
-        let depth = |x, _| Luma([if x == 0 { 0_u16 } else { 1000 + x as u16 }]);
-        ImageBuffer::from_fn(64, 48, depth).save(root.join(format!("d{i}.png"))).unwrap();
+        ImageBuffer::from_fn(64, 48, |x, _| Luma([if x == 0 { 0_u16 } else { 1000 + x as u16 }]))
+            .save(root.join(format!("d{i}.png")))
+            .unwrap();
         rgb_list += &format!("0.{i} {i}.png\n");
         depth_list += &format!("0.{i}1 d{i}.png\n");
         poses += &format!("0.{i} {i} 0 0 0 0 0 1\n");
@@ -41,7 +45,7 @@ fn first_error(dir: &TempDir) -> String {
 }
 
 #[test]
-fn samples_come_in_order_with_pose_picture_and_truth() {
+fn samples_come_in_order_with_pose_image_and_truth() {
     let dir = sequence();
     let dataset = open(&dir).unwrap();
     assert_eq!((dataset.len(), dataset.without_pose(), dataset.camera().cy), (3, 0, 15.5));
@@ -54,14 +58,14 @@ fn samples_come_in_order_with_pose_picture_and_truth() {
 }
 
 #[test]
-fn pictures_without_a_pose_are_left_out_and_counted() {
+fn images_without_a_pose_are_left_out_and_counted() {
     let dir = sequence();
     fs::write(dir.path().join("groundtruth.txt"), "0.0 0 0 0 0 0 0 1\n0.1 1 0 0 0 0 0 1\n")
         .unwrap();
     let dataset = open(&dir).unwrap();
     assert_eq!((dataset.len(), dataset.without_pose()), (2, 1));
     fs::write(dir.path().join("groundtruth.txt"), "77.0 0 0 0 0 0 0 1\n").unwrap();
-    assert!(first_error(&dir).contains("none of the 3 pictures"));
+    assert!(first_error(&dir).contains("none of the 3 images"));
 }
 
 #[test]
@@ -100,7 +104,7 @@ fn eight_bit_depth_is_refused() {
 
 #[test]
 fn a_missing_manifest_list_or_image_is_named() {
-    for (name, told) in [
+    for (name, named) in [
         ("dataset.toml", "dataset.toml"),
         ("rgb.txt", "rgb.txt"),
         ("groundtruth.txt", "groundtruth.txt"),
@@ -108,6 +112,6 @@ fn a_missing_manifest_list_or_image_is_named() {
     ] {
         let dir = sequence();
         fs::remove_file(dir.path().join(name)).unwrap();
-        assert!(first_error(&dir).contains(told));
+        assert!(first_error(&dir).contains(named));
     }
 }

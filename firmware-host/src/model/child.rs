@@ -1,4 +1,4 @@
-//! Starts the examination in a process of its own and waits for it, no longer than it may take.
+//! Starts the examination of a model in a separate process and waits for it, up to a time limit.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
@@ -9,63 +9,61 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use runtime::model_gate::Examination;
 
-use super::examine::{Said, Unfit};
+use super::examine::{Report, Unfit};
 
-/// More than any examination says: 300 pictures are 200 KB.
-const MOST_SAID: u64 = 16 << 20;
-/// Of what the child complains about, so much is shown.
-const MOST_COMPLAINT: u64 = 4096;
+/// Largest output accepted from the child, bytes. A report on 300 frames is 200 KB.
+const MAX_STDOUT: u64 = 16 << 20;
+/// Largest part of the child's standard error that is searched for its last line, bytes.
+const MAX_STDERR: u64 = 4096;
 
-/// What the child may use.
+/// Resource limits of the examining process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ChildLimits {
-    /// Of address space.
+    /// Address space, MiB.
     pub memory_mib: u64,
-    /// Of wall-clock time, seconds; processor time is limited to twice as much.
+    /// Wall-clock time, seconds. Processor time is limited to twice as much.
     pub time_s: u64,
 }
 
-/// What the child is given.
+/// Input of one examination.
 #[derive(Debug, Clone)]
 pub struct Task<'a> {
-    /// The program: this one.
+    /// Path of this program, which the child runs with `model examine`.
     pub program: &'a Path,
-    /// The model that nobody has run yet. It gets it through a pipe: no file of it is left behind, whatever is killed when.
+    /// Bytes of the model to examine. They are sent through a pipe, so that no file is left behind
+    /// if a process is killed.
     pub candidate: &'a [u8],
-    /// The model that drives.
+    /// File of the model that the robot uses now.
     pub resident: Option<PathBuf>,
-    /// Where held-out pictures are found.
+    /// Runs, or folders with runs, from which held-out frames are taken.
     pub recordings: &'a [PathBuf],
-    /// The robot's configuration.
     pub config: Option<&'a Path>,
-    /// Held-out pictures at most.
+    /// Maximum number of held-out frames.
     pub frames: usize,
-    /// What it may use.
     pub limits: ChildLimits,
-    /// Whether it uses only otherwise idle time.
+    /// Whether the child runs at idle priority.
     pub idle: bool,
 }
 
-/// How an examination ended.
+/// Result of an examination.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Ended {
-    /// Everything was measured.
     Examined(Examination),
-    /// The model cannot be the robot's.
+    /// The model cannot be used on this robot.
     Unfit(Unfit),
-    /// The process did not live to say anything: what it was doing, and how it ended.
+    /// The process ended without a result.
     Died {
-        /// The last thing that it said it would do.
+        /// The last step that it reported.
         doing: String,
-        /// How it ended.
+        /// Exit status, signal or time-out, with the last line of its standard error.
         how: String,
     },
 }
 
-/// Examines a model.
+/// Examines a model in a child process.
 ///
 /// # Errors
-/// When the process cannot be started.
+/// If the process cannot be started.
 pub fn examine(task: &Task<'_>) -> Result<Ended> {
     let ChildLimits { memory_mib, time_s } = task.limits;
     let mut command = Command::new(task.program);
@@ -89,73 +87,74 @@ pub fn examine(task: &Task<'_>) -> Result<Ended> {
         command.arg("--idle");
     }
     let mut child = command
-        // Relative paths in a model lead nowhere; ours are absolute.
+        // The paths in `task` are absolute. A relative path inside a malicious model must not lead
+        // to a file of ours.
         .current_dir("/")
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
         .with_context(|| format!("cannot start {}", task.program.display()))?;
-    let (mut stdin, candidate) =
-        (child.stdin.take().context("no standard input")?, task.candidate.to_vec());
-    // One that does not read is ended when its time is over.
+    let mut stdin = child.stdin.take().context("the child has no standard input")?;
+    let candidate = task.candidate.to_vec();
+    // If the child does not read its input, the time-out below ends it and this thread.
     std::thread::spawn(move || stdin.write_all(&candidate));
-    let (sender, heard) = sync_channel(64);
-    let stdout = child.stdout.take().context("no standard output")?;
-    let stderr = child.stderr.take().context("no standard error")?;
+    let (sender, reports) = sync_channel(64);
+    let stdout = child.stdout.take().context("the child has no standard output")?;
+    let stderr = child.stderr.take().context("the child has no standard error")?;
     std::thread::spawn(move || {
-        for line in BufReader::new(stdout.take(MOST_SAID)).lines() {
-            // A line that is none of ours ends the conversation.
-            let said = line.ok().and_then(|line| serde_json::from_str::<Said>(&line).ok());
-            if said.is_none_or(|said| sender.send(said).is_err()) {
+        for line in BufReader::new(stdout.take(MAX_STDOUT)).lines() {
+            // A line that is not a report means that the output cannot be trusted any more.
+            let report = line.ok().and_then(|line| serde_json::from_str::<Report>(&line).ok());
+            if report.is_none_or(|report| sender.send(report).is_err()) {
                 return;
             }
         }
     });
-    let complaint = std::thread::spawn(move || complaint(stderr));
+    let last_line = std::thread::spawn(move || last_line_of(stderr));
     let end = Instant::now() + Duration::from_secs(time_s);
     let mut doing = "starting".to_owned();
     let ended = loop {
-        match heard.recv_timeout(end.saturating_duration_since(Instant::now())) {
-            Ok(Said::Doing(next)) => doing = next,
-            Ok(Said::Examined(examination)) => break Some(Ended::Examined(examination)),
-            Ok(Said::Unfit(unfit)) => break Some(Ended::Unfit(unfit)),
+        match reports.recv_timeout(end.saturating_duration_since(Instant::now())) {
+            Ok(Report::Doing(next)) => doing = next,
+            Ok(Report::Examined(examination)) => break Some(Ended::Examined(examination)),
+            Ok(Report::Unfit(unfit)) => break Some(Ended::Unfit(unfit)),
             Err(RecvTimeoutError::Timeout) => {
                 let _ = child.kill();
                 break Some(Ended::Died {
                     doing: doing.clone(),
-                    how: format!("it was not done after {time_s} s"),
+                    how: format!("it had not finished after {time_s} s"),
                 });
             }
             Err(RecvTimeoutError::Disconnected) => break None,
         }
     };
-    // It has nothing more to say.
+    // No further report is expected.
     if ended.is_some() {
         let _ = child.kill();
     }
-    let status = child.wait().context("the examining process is lost")?;
+    let status = child.wait().context("cannot wait for the examining process")?;
     Ok(ended.unwrap_or_else(|| {
-        let complaint = complaint.join().unwrap_or_default();
-        Ended::Died { doing, how: format!("{}{complaint}", how(status)) }
+        let last_line = last_line.join().unwrap_or_default();
+        Ended::Died { doing, how: format!("{}{last_line}", how(status)) }
     }))
 }
 
 fn how(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
     match status.signal() {
-        Some(6) => "it was aborted (signal 6), as when memory is used up".to_owned(),
-        Some(9 | 24) => "it was ended by its limits of memory or time".to_owned(),
-        Some(signal) => format!("it was ended by signal {signal}"),
-        None => format!("it ended by itself ({status})"),
+        Some(6) => "it aborted (signal 6), which happens when it runs out of memory".to_owned(),
+        Some(9 | 24) => "it was killed because it exceeded its memory or time limit".to_owned(),
+        Some(signal) => format!("it was killed by signal {signal}"),
+        None => format!("it exited early ({status})"),
     }
 }
 
-fn complaint(stderr: impl Read) -> String {
+/// The last line of the child's standard error, after a colon; empty if there is none.
+fn last_line_of(mut stderr: impl Read) -> String {
     let mut text = Vec::new();
-    let mut stderr = stderr;
-    let _ = stderr.by_ref().take(MOST_COMPLAINT).read_to_end(&mut text);
-    // It must not wait for us.
+    let _ = stderr.by_ref().take(MAX_STDERR).read_to_end(&mut text);
+    // Read the rest as well, so that the child never blocks on a full pipe.
     let _ = std::io::copy(&mut stderr, &mut std::io::sink());
     let text = String::from_utf8_lossy(&text);
     let last = text.lines().rev().find(|line| !line.trim().is_empty());

@@ -1,4 +1,4 @@
-//! The command line of models.
+//! The command line of `firmware-host model`.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -13,37 +13,36 @@ use signed_model::{Bundle, TrustedKeys};
 use super::{ChildLimits, Gate, Outcome, Store, examine};
 use crate::config::Config;
 
-/// Where the packaged robot has its configuration.
-const USUAL_CONFIG: &str = "/etc/embodied-depth/robot.toml";
+/// Configuration file of the Debian package.
+const PACKAGED_CONFIG: &str = "/etc/embodied-depth/robot.toml";
 
-/// Arguments of `model`.
+/// Arguments of `firmware-host model`.
 #[derive(Debug, Args)]
 pub struct ModelArgs {
-    /// Configuration file [default: /etc/embodied-depth/robot.toml where there is one].
+    /// Configuration file [default: /etc/embodied-depth/robot.toml if it exists].
     #[arg(long, global = true, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Folder of the robot's models [default: `models.store`].
+    /// Folder of the robot's models, the model store [default: models.store of the configuration].
     #[arg(long, global = true, value_name = "DIR")]
     pub store: Option<PathBuf>,
-    /// One JSON object instead of words.
+    /// Print one JSON object instead of text.
     #[arg(long, global = true)]
     pub json: bool,
-    /// What to do.
     #[command(subcommand)]
     pub command: ModelCommand,
 }
 
-/// What to do with models.
+/// The subcommands of `firmware-host model`.
 #[derive(Debug, Subcommand)]
 pub enum ModelCommand {
-    /// Check a signed model against the current one and, when it is as good, make it the current one, on trial. Exits with 1
-    /// when it is refused.
+    /// Compare a signed model with the current one and, if it is at least as good, make it the
+    /// current one, on trial. Exits with 1 if the model is refused.
     Install(InstallArgs),
-    /// Which models there are, and what became of all others.
+    /// List the installed models and the history of all models that were ever offered.
     List,
-    /// Check a bundle's signature, and run nothing.
+    /// Check the signature of a model without running the model. Exits with 1 if it is not valid.
     Verify(VerifyArgs),
-    /// Go back to the model before the current one, or to coarse depth when there is none.
+    /// Go back to the model before the current one, or to coarse depth if there is none.
     Rollback(RollbackArgs),
     /// Fails with a hint: signing keys are made on the workstation, and this program cannot sign.
     #[command(hide = true)]
@@ -52,89 +51,94 @@ pub enum ModelCommand {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<OsString>,
     },
-    /// What `install` starts to run a model for the first time.
+    /// Run a model for the first time, in a process with resource limits. `install` starts this.
     #[command(hide = true)]
     Examine(ExamineArgs),
 }
 
-/// Arguments of `model install`.
+/// Arguments of `firmware-host model install`.
 #[derive(Debug, Args)]
 pub struct InstallArgs {
-    /// NAME.onnx with NAME.onnx.minisig beside it, or `-`: the stream of `push-model` on standard input.
+    /// Model file NAME.onnx with its signature NAME.onnx.minisig in the same folder, or `-` to read
+    /// the stream of `push-model` from standard input.
     pub bundle: PathBuf,
-    /// Trusted public keys [default: `models.trusted_keys`].
+    /// File with the trusted public keys [default: models.trusted_keys of the configuration].
     #[arg(long, value_name = "FILE")]
     pub trusted_keys: Option<PathBuf>,
-    /// Recorded runs of this robot, or folders of such [default: `models.recordings`]. May be given more than once.
+    /// Recorded runs of this robot, or a folder with runs [default: models.recordings of the
+    /// configuration]. May be repeated.
     #[arg(long, value_name = "DIR")]
     pub recordings: Vec<PathBuf>,
-    /// Held-out pictures to judge by, at most.
-    #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    /// Maximum number of held-out frames on which the model is evaluated.
+    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub frames: u64,
-    /// Take a first model without enough held-out pictures. With a model installed it changes nothing.
+    /// Accept a first model even without enough held-out frames. Has no effect if a model is
+    /// installed.
     #[arg(long)]
     pub unproven: bool,
-    /// Examine a model that was rolled back before once more.
+    /// Examine a model again that was rolled back before.
     #[arg(long)]
     pub again: bool,
-    /// Examine at normal instead of idle priority: sooner done, and in the way of a robot that drives meanwhile.
+    /// Examine at normal instead of idle priority. This is faster, but takes processor time from a
+    /// robot that is driving.
     #[arg(long)]
     pub normal_priority: bool,
 }
 
-/// Arguments of `model verify`.
+/// Arguments of `firmware-host model verify`.
 #[derive(Debug, Args)]
 pub struct VerifyArgs {
-    /// NAME.onnx with NAME.onnx.minisig beside it, or `-`.
+    /// Model file NAME.onnx with its signature NAME.onnx.minisig in the same folder, or `-` to read
+    /// the stream of `push-model` from standard input.
     pub bundle: PathBuf,
-    /// Trusted public keys [default: `models.trusted_keys`].
+    /// File with the trusted public keys [default: models.trusted_keys of the configuration].
     #[arg(long, value_name = "FILE")]
     pub trusted_keys: Option<PathBuf>,
 }
 
-/// Arguments of `model rollback`.
+/// Arguments of `firmware-host model rollback`.
 #[derive(Debug, Args)]
 pub struct RollbackArgs {
-    /// Why, for the history.
-    #[arg(long, default_value = "rolled back by an operator")]
+    /// Reason, for the history.
+    #[arg(long, value_name = "TEXT", default_value = "rolled back by an operator")]
     pub why: String,
 }
 
 /// Arguments of `model examine`. The model that nobody has run yet comes on standard input.
 #[derive(Debug, Clone, Args)]
 pub struct ExamineArgs {
-    /// The model that drives.
-    #[arg(long)]
+    /// File of the model that the robot uses now.
+    #[arg(long, value_name = "FILE")]
     pub resident: Option<PathBuf>,
-    /// Recorded runs.
-    #[arg(long)]
+    /// Recorded runs, or a folder with runs. May be repeated.
+    #[arg(long, value_name = "DIR")]
     pub recordings: Vec<PathBuf>,
-    /// Held-out pictures at most.
-    #[arg(long)]
+    /// Maximum number of held-out frames.
+    #[arg(long, value_name = "N")]
     pub frames: usize,
-    /// Address space.
-    #[arg(long)]
+    /// Limit of the address space, MiB.
+    #[arg(long, value_name = "MIB")]
     pub memory_mib: u64,
-    /// Processor time.
-    #[arg(long)]
+    /// Limit of processor time, seconds.
+    #[arg(long, value_name = "SECONDS")]
     pub cpu_s: u64,
-    /// Whether only otherwise idle time is used.
+    /// Run at idle priority.
     #[arg(long)]
     pub idle: bool,
-    /// The configuration: `--config` of `model`.
+    /// Set from `--config` of `model`.
     #[arg(skip)]
     pub config: Option<PathBuf>,
 }
 
-/// Does it.
+/// Runs a `model` command. A refused model is exit code 1, not an error.
 ///
 /// # Errors
-/// What keeps it from being done. A model that is refused is no error but exit code 1.
+/// If the configuration, the store or the keys cannot be read, or the store cannot be written.
 pub fn run(args: &ModelArgs) -> Result<ExitCode> {
     let config_path = args
         .config
         .clone()
-        .or_else(|| Some(PathBuf::from(USUAL_CONFIG)).filter(|path| path.exists()));
+        .or_else(|| Some(PathBuf::from(PACKAGED_CONFIG)).filter(|path| path.exists()));
     if let ModelCommand::Examine(examine) = &args.command {
         let examine = ExamineArgs { config: args.config.clone(), ..examine.clone() };
         return examine::run(&examine).map(|()| ExitCode::SUCCESS);
@@ -157,12 +161,13 @@ pub fn run(args: &ModelArgs) -> Result<ExitCode> {
 }
 
 fn open(args: &ModelArgs, config: &Config) -> Result<Store> {
-    let configured =
-        || Some(PathBuf::from(&config.models.store)).filter(|path| !path.as_os_str().is_empty());
-    match args.store.clone().or_else(configured) {
-        Some(dir) => Ok(Store::open(&dir)?),
+    match &args.store {
+        Some(dir) => Ok(Store::open(dir)?),
+        None if !config.models.store.is_empty() => {
+            Ok(Store::open(Path::new(&config.models.store))?)
+        }
         None => bail!(
-            "where are the models? give --store DIR, or set models.store in the configuration"
+            "no model store is configured; give --store DIR, or set models.store in the configuration"
         ),
     }
 }
@@ -194,7 +199,7 @@ fn install(
     let models = &config.models;
     let gate = Gate {
         program: std::env::current_exe()
-            .context("cannot find this program to start it once more")?,
+            .context("cannot find the path of this program, which runs the examination")?,
         config: config_path,
         recordings,
         frames: install.frames as usize,
@@ -204,13 +209,16 @@ fn install(
         again: install.again,
         idle: !install.normal_priority,
     };
-    let patience = if gate.idle {
-        "; at idle priority, which a busy computer makes wait (--normal-priority)"
+    let priority = if gate.idle {
+        "; this runs at idle priority and is slow on a busy computer (see --normal-priority)"
     } else {
         ""
     };
-    eprintln!("examining it by up to {} held-out pictures and by its speed{patience}", gate.frames);
-    // A bundle that is not even one is refused like any other.
+    eprintln!(
+        "measuring the model's accuracy on up to {} held-out frames, and its speed{priority}",
+        gate.frames
+    );
+    // A malformed bundle is a refused model, not an error of this program.
     let outcome = match read_bundle(&install.bundle) {
         Ok(bundle) => gate.install(&bundle, &keys, &mut store)?,
         Err(error) => return refused(args.json, &error.to_string(), "signature"),
@@ -232,7 +240,8 @@ fn install(
                 );
                 print_measured(&examination, &verdict);
                 println!(
-                    "It drives on trial from the robot's next look, within a second; `model list` tells how it ends."
+                    "A running robot switches to it within a second, on trial; `model list` shows how the trial \
+                     ends."
                 );
             }
             Ok(ExitCode::SUCCESS)
@@ -251,18 +260,20 @@ fn refused(as_json: bool, why: &str, kind: &str) -> Result<ExitCode> {
 }
 
 fn print_measured(examination: &Examination, verdict: &Verdict) {
-    println!("  {} held-out pictures of {} places", verdict.pictures, verdict.places);
+    println!("  {} held-out frames of {} places", verdict.pictures, verdict.places);
     for (measure, paired) in &verdict.compared {
-        let (candidate, resident) = (paired.candidate, paired.resident);
-        let (lower, upper) = (paired.lower, paired.upper);
         println!(
-            "  {}: {candidate:.4}, before {resident:.4} (difference {lower:+.4} to {upper:+.4})",
-            measure.name()
+            "  {}: {:.4}, current model {:.4} (difference {:+.4} to {:+.4})",
+            measure.name(),
+            paired.candidate,
+            paired.resident,
+            paired.lower,
+            paired.upper
         );
     }
     let latency = &examination.latency;
     println!(
-        "  p99 {:.1} ms over {} inferences; golden pair within {:.1e}",
+        "  inference time p99 {:.1} ms ({} inferences); golden pair reproduced within {:.1e}",
         latency.p99_ms, latency.runs, examination.golden_difference
     );
 }
@@ -292,10 +303,14 @@ fn roll_back(store: &mut Store, why: &str, as_json: bool) -> Result<ExitCode> {
     match (as_json, state.current()) {
         (true, current) => println!("{}", json!({"current": current})),
         (false, Some(digest)) => {
-            println!("{} ({}) drives from now on", store.history().name(digest), short(digest));
+            println!(
+                "the current model is now {} ({})",
+                store.history().name(digest),
+                short(digest)
+            );
         }
         (false, None) => {
-            println!("no model is left: the robot drives with coarse depth from now on");
+            println!("no model is left: the robot now uses coarse depth only");
         }
     }
     Ok(ExitCode::SUCCESS)
@@ -317,13 +332,13 @@ fn list(store: &Store, as_json: bool) -> Result<ExitCode> {
         let role = match place {
             0 if state.trial_starts.is_some() => "current, on trial",
             0 => "current",
-            _ => "to go back to",
+            _ => "previous",
         };
-        let whole = if store.read_model(digest).is_ok() { "" } else { ", DAMAGED" };
-        println!("{}  {}  {role}{whole}", short(digest), history.name(digest));
+        let damage = if store.read_model(digest).is_ok() { "" } else { ", DAMAGED" };
+        println!("{}  {}  {role}{damage}", short(digest), history.name(digest));
     }
     if state.models.is_empty() {
-        println!("no model: the robot drives with coarse depth");
+        println!("no model is installed: the robot uses coarse depth only");
     }
     for entry in &history.entries {
         let what = serde_json::to_value(entry.what).unwrap_or_default();
@@ -339,7 +354,7 @@ fn list(store: &Store, as_json: bool) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// `2026-11-22 09:41:44`, UTC.
+/// A Unix time as `2026-11-22 09:41:44`, UTC.
 fn utc(unix_s: u64) -> String {
     match i64::try_from(unix_s).ok().and_then(|second| jiff::Timestamp::from_second(second).ok()) {
         Some(time) => time.strftime("%Y-%m-%d %H:%M:%S").to_string(),
@@ -347,7 +362,7 @@ fn utc(unix_s: u64) -> String {
     }
 }
 
-/// As people compare digests.
+/// The first 12 digits, which are enough to compare two digests by eye.
 fn short(digest: &str) -> &str {
     digest.get(..12).unwrap_or(digest)
 }
@@ -357,7 +372,7 @@ mod tests {
     use super::utc;
 
     #[test]
-    fn times_are_told_as_dates_and_nonsense_as_it_is() {
+    fn times_are_printed_as_dates_and_impossible_ones_as_a_number() {
         assert_eq!(utc(951_782_400), "2000-02-29 00:00:00");
         assert_eq!(utc(u64::MAX), "second 18446744073709551615");
     }

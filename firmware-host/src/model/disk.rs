@@ -1,39 +1,39 @@
-//! What the store does to a disk, operation by operation. A trait, so that tests can let each of them fail.
+//! The file operations of the model store, behind a trait so that tests can let each one fail.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::Path;
 
-/// Operations of the store on its folder.
+/// File operations that the store needs. All errors are those of the operating system.
 pub trait StoreDisk: Send {
     /// Creates or overwrites a file.
     ///
     /// # Errors
-    /// What the system says.
+    /// The error of the operating system.
     fn write(&mut self, path: &Path, bytes: &[u8]) -> io::Result<()>;
 
-    /// Returns when the disk has the file's bytes.
+    /// Flushes the content of a file to the disk (`fsync`).
     ///
     /// # Errors
-    /// What the system says.
+    /// The error of the operating system.
     fn sync(&mut self, path: &Path) -> io::Result<()>;
 
-    /// Gives a file another name, in place of what had that name.
+    /// Renames a file, replacing an existing file of that name atomically.
     ///
     /// # Errors
-    /// What the system says.
+    /// The error of the operating system.
     fn rename(&mut self, from: &Path, to: &Path) -> io::Result<()>;
 
-    /// Returns when the disk has the folder's names.
+    /// Flushes the entries of a folder to the disk (`fsync`).
     ///
     /// # Errors
-    /// What the system says.
+    /// The error of the operating system.
     fn sync_dir(&mut self, dir: &Path) -> io::Result<()>;
 
     /// Removes a file.
     ///
     /// # Errors
-    /// What the system says.
+    /// The error of the operating system.
     fn remove(&mut self, path: &Path) -> io::Result<()>;
 }
 
@@ -63,8 +63,8 @@ impl StoreDisk for RealDisk {
     }
 }
 
-/// Puts `bytes` in place of `path` so that whoever looks, also after a crash or a power cut, finds the old file or the new one,
-/// whole. On an error the old file is what counts.
+/// Replaces `path` by `bytes` atomically: every reader, also after a crash or a power cut, finds
+/// either the complete old file or the complete new one. After an error the old file is valid.
 pub(super) fn replace(disk: &mut dyn StoreDisk, path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut name = path.file_name().unwrap_or_default().to_os_string();
     name.push(PARTIAL);
@@ -74,12 +74,12 @@ pub(super) fn replace(disk: &mut dyn StoreDisk, path: &Path, bytes: &[u8]) -> io
         .and_then(|()| disk.sync(&partial))
         .and_then(|()| disk.rename(&partial, path));
     if let Err(error) = renamed {
-        // Best effort: the first error is the one that says what is wrong.
+        // Best effort: the first error is the one to report.
         let _ = disk.remove(&partial);
         return Err(error);
     }
     path.parent().map_or(Ok(()), |dir| disk.sync_dir(dir))
 }
 
-/// Ends the names of files that are not whole.
+/// Suffix of the names of incomplete files.
 pub(super) const PARTIAL: &str = ".partial";

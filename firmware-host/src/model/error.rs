@@ -1,66 +1,43 @@
-//! Why the store of models cannot do something.
+//! Errors of the model store.
 
 use std::io;
 use std::path::PathBuf;
 
-/// What kind of thing went wrong.
+/// The kind of a [`StoreError`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum StoreErrorKind {
-    /// The disk.
+    /// The disk cannot be read or written.
     Disk,
-    /// The store's own files.
+    /// A file of the store is damaged.
     Damaged,
-    /// What was asked for is not there.
+    /// There is no such model.
     Missing,
 }
 
-/// Why the store of models cannot do something.
+/// An error of the model store.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum StoreError {
     /// The folder cannot be used.
-    #[error("the model store {} cannot be used: {source}; check the path, its rights and the room on the disk", dir.display())]
-    Folder {
-        /// The folder.
-        dir: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// A file cannot be written. The store is as it was or, where only the last sync failed, as it was to become.
-    #[error("cannot write {}: {source}; make room on the disk or check its rights, see `firmware-host model list`, and try again", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    #[error("the model store {} cannot be used: {source}; check the path, its permissions and the free space on the disk", dir.display())]
+    Folder { dir: PathBuf, source: io::Error },
+    /// A file cannot be written. The store is unchanged or, if only the last sync failed,
+    /// completely changed.
+    #[error("cannot write {}: {source}; free space on the disk or check the permissions, run `firmware-host model list` to see the current state, and try again", path.display())]
+    Write { path: PathBuf, source: io::Error },
     /// The file that says which model is current is damaged.
-    #[error("{} is damaged ({reason}); `firmware-host model rollback` writes it anew from the models that are whole", path.display())]
-    State {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A model is missing or is not what its name says.
+    #[error("{} is damaged ({reason}); `firmware-host model rollback` restores it from the intact models", path.display())]
+    State { path: PathBuf, reason: String },
+    /// A model is missing, or its content does not match the digest in its name.
     #[error("the model {digest} is missing or damaged in {}; `firmware-host model rollback` goes back to the one before it", dir.display())]
-    Model {
-        /// Its digest.
-        digest: String,
-        /// The store.
-        dir: PathBuf,
-    },
-    /// Nothing to go back from.
-    #[error("there is no model in {}: the robot drives with coarse depth already", dir.display())]
-    Empty {
-        /// The store.
-        dir: PathBuf,
-    },
+    Model { digest: String, dir: PathBuf },
+    /// A rollback was requested, but no model is installed.
+    #[error("there is no model in {} to roll back: the robot already uses coarse depth only", dir.display())]
+    Empty { dir: PathBuf },
 }
 
 impl StoreError {
-    /// What kind of thing went wrong.
     #[must_use]
     pub fn kind(&self) -> StoreErrorKind {
         match self {

@@ -1,5 +1,6 @@
-//! Held-out pictures out of the robot's own recordings, each with what judging a model by it takes: coarse depth as the loop
-//! has it, earlier pictures from other places, and the LiDAR line.
+//! Held-out frames from the robot's own recordings. Each comes with what the evaluation of a model
+//! needs: coarse depth as in the control loop, earlier frames from other places, and the LiDAR
+//! returns inside the image.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -13,43 +14,44 @@ use runtime::recording::{RecordedTick, RunHeader};
 
 use crate::replay::{open_segment, segments};
 
-/// Pictures that are remembered: enough for coarse depth to begin with and to find sources among. At 3 cm a turn 1.2 m.
+/// Number of earlier frames that are kept, for coarse depth and as candidates for sources. At 3 cm
+/// per tick they cover 1.2 m.
 const REMEMBERED: usize = 40;
-/// Baselines of the sources, metres, as near as possible; within the limits, as the trainer's pairs.
+/// Desired baselines of the sources, metres. The candidate with the nearest baseline is used,
+/// within the limits below, which are those of the trainer's frame pairs.
 const BASELINES_M: [f64; 2] = [0.1, 0.25];
 const BASELINE_LIMITS_M: (f64, f64) = (0.05, 0.3);
-/// A source that looks elsewhere overlaps too little.
-const MOST_TURN_RAD: f64 = 0.35;
-/// Two held-out pictures nearer to each other than this say the same.
+/// Largest rotation between a frame and its source, radians. Beyond it they overlap too little.
+const MAX_ROTATION_RAD: f64 = 0.35;
+/// Two held-out frames must differ by this distance or rotation; closer ones are redundant.
 const STEP_M: f64 = 0.05;
 const STEP_RAD: f64 = 0.05;
 
-/// A held-out picture.
+/// A held-out frame with the data for its evaluation.
 pub struct Sample<'a> {
-    /// Turn of its run.
     pub tick: u64,
-    /// Where it was taken.
+    /// Pose bin in which the frame was taken.
     pub bin: PoseBin,
-    /// RGB8.
+    /// RGB8, row-major.
     pub rgb: &'a [u8],
-    /// Where the camera was.
     pub t_odom_camera: Pose3,
-    /// What the loop had.
+    /// Coarse depth of the frame, as the control loop computes it.
     pub coarse: Option<&'a DepthEstimate>,
-    /// Earlier pictures with the camera's poses.
+    /// Earlier frames (RGB8) with `t_odom_camera`.
     pub sources: Vec<(&'a [u8], Pose3)>,
-    /// What the LiDAR sees of it.
+    /// LiDAR returns that are visible in the frame.
     pub line: Vec<LinePoint>,
 }
 
 impl Sample<'_> {
-    /// The picture as networks take it.
+    /// An RGB8 buffer of the camera's size as an image view.
     pub fn view<'s>(&self, camera: &CameraModel, rgb: &'s [u8]) -> Result<ImageView<'s>> {
         Ok(ImageView::rgb8(camera.width, camera.height, rgb)?)
     }
 }
 
-/// Recorded segments under the given paths, newest first: runs, folders of runs, or single files.
+/// All recorded segments under the given paths (runs, folders of runs, or single files), newest
+/// first.
 pub fn newest_segments(paths: &[PathBuf]) -> Vec<PathBuf> {
     let mut found: Vec<(SystemTime, PathBuf)> = Vec::new();
     for path in paths {
@@ -63,17 +65,18 @@ pub fn newest_segments(paths: &[PathBuf]) -> Vec<PathBuf> {
             found.push((changed, segment));
         }
     }
-    // By name where times are the same, so that the order is always the same.
+    // Equal times are ordered by name, so that the order is deterministic.
     found.sort_by(|one, other| other.cmp(one));
     found.dedup();
     found.into_iter().map(|(_, segment)| segment).collect()
 }
 
-/// Hands every held-out picture of one segment to `judge` until it says `false`. A segment that is damaged is read as far as
-/// it goes; one of another camera is skipped.
+/// Calls `judge` with every held-out frame of one segment until it returns `false`; returns whether
+/// it never did. A damaged segment is read up to the damage, and a segment of another camera is
+/// skipped.
 ///
 /// # Errors
-/// Only what `judge` returns.
+/// Only those of `judge`.
 pub fn read_segment(
     path: &Path,
     camera: &CameraModel,
@@ -83,13 +86,13 @@ pub fn read_segment(
     let reader = match open_segment(path) {
         Ok(reader) => reader,
         Err(error) => {
-            tracing::warn!("left out: {error}");
+            tracing::warn!("skipping a segment: {error}");
             return Ok(true);
         }
     };
     let run = reader.header().run.clone();
     if run.camera != *camera {
-        tracing::warn!("left out: {} was recorded with another camera", path.display());
+        tracing::warn!("skipping {}: it was recorded with another camera", path.display());
         return Ok(true);
     }
     let Ok(coarse) = CoarseDepth::new(coarse.clone(), *camera) else { return Ok(true) };
@@ -99,7 +102,7 @@ pub fn read_segment(
         else {
             break;
         };
-        if let Some(bin) = clip.take(&tick)
+        if let Some(bin) = clip.push(&tick)
             && let Some(sample) = clip.sample(&tick, bin)
             && !judge(&sample)?
         {
@@ -109,54 +112,53 @@ pub fn read_segment(
     Ok(true)
 }
 
-/// The pictures before a held-out one.
+/// The latest frames of a segment.
 struct Clip {
     run: RunHeader,
     coarse: CoarseDepth,
-    /// Whether the last picture got coarse depth.
+    /// Whether the latest frame has coarse depth.
     has_coarse: bool,
     seen: VecDeque<Seen>,
-    /// Where the last held-out picture was taken.
+    /// Pose of the last held-out frame that was used.
     last: Option<Pose2>,
 }
 
 struct Seen {
     rgb: Vec<u8>,
     t_odom_camera: Pose3,
-    /// Whether coarse depth knows it. It is computed only where it is needed: most pictures are not held out.
+    /// Whether coarse depth was computed for this frame. It is computed lazily, because most frames
+    /// are not held out.
     matched: bool,
 }
 
 impl Clip {
-    /// Remembers a turn's picture; its bin, if it is one to judge by.
-    fn take(&mut self, tick: &RecordedTick) -> Option<PoseBin> {
+    /// Stores the frame of a tick. Returns its pose bin if the frame is to be used for the
+    /// evaluation.
+    fn push(&mut self, tick: &RecordedTick) -> Option<PoseBin> {
         let rule = HeldOutRule::default();
         let odom = tick.wheel.odom;
-        let picture = tick.frame.as_ref()?;
+        let frame = tick.frame.as_ref()?;
         let bin = rule.bin(&odom)?;
         if self.seen.len() == REMEMBERED {
             self.seen.pop_front();
         }
         let t_odom_camera = odom.to_pose3() * self.run.t_base_camera;
-        self.seen.push_back(Seen { rgb: picture.rgb.clone(), t_odom_camera, matched: false });
+        self.seen.push_back(Seen { rgb: frame.rgb.clone(), t_odom_camera, matched: false });
         if !rule.holds_out(&bin) {
             return None;
         }
-        self.match_pictures();
-        let far = |last: &Pose2| {
-            last.distance_m(&odom) >= STEP_M
-                || hal::wrap_angle(last.yaw_rad - odom.yaw_rad).abs() >= STEP_RAD
-        };
-        if !self.last.as_ref().is_none_or(far) {
+        self.update_coarse();
+        if self.last.as_ref().is_some_and(|last| !differs(last, &odom)) {
             return None;
         }
         self.last = Some(odom);
         Some(bin)
     }
 
-    /// Coarse depth of all that it has not seen yet.
-    fn match_pictures(&mut self) {
-        let (width, height) = (self.run.camera.width, self.run.camera.height);
+    /// Computes coarse depth for all stored frames that do not have it yet, in order.
+    fn update_coarse(&mut self) {
+        let width = self.run.camera.width;
+        let height = self.run.camera.height;
         for seen in self.seen.iter_mut().filter(|seen| !seen.matched) {
             seen.matched = true;
             let view = ImageView::rgb8(width, height, &seen.rgb);
@@ -166,18 +168,18 @@ impl Clip {
     }
 
     fn sample(&self, tick: &RecordedTick, bin: PoseBin) -> Option<Sample<'_>> {
-        let (newest, earlier) = (self.seen.back()?, self.seen.len() - 1);
+        let newest = self.seen.back()?;
+        let earlier = self.seen.len() - 1;
         let t_camera_laser = self.run.t_base_camera.inverse() * self.run.t_base_laser;
         let view = LidarView { camera: self.run.camera, t_camera_laser };
         let line =
             tick.scan.as_ref().map(|scan| view.at(scan, tick.wheel.time_ns)).unwrap_or_default();
         let candidates: Vec<(f64, &Seen)> =
             self.seen.iter().take(earlier).filter_map(|seen| source(seen, newest)).collect();
-        let best = |wanted: f64| {
-            let off = |(baseline, _): &(f64, &Seen)| (baseline - wanted).abs();
-            candidates.iter().min_by(|one, other| off(one).total_cmp(&off(other)))
-        };
-        let mut sources: Vec<_> = BASELINES_M.into_iter().filter_map(best).collect();
+        let mut sources: Vec<_> = BASELINES_M
+            .into_iter()
+            .filter_map(|desired_m| nearest_baseline(&candidates, desired_m))
+            .collect();
         sources.dedup_by(|one, other| std::ptr::eq(one.1, other.1));
         Some(Sample {
             tick: tick.tick,
@@ -194,10 +196,28 @@ impl Clip {
     }
 }
 
-/// The baseline to a picture that may explain `target`.
+/// The candidate whose baseline is nearest to `desired_m`.
+fn nearest_baseline<'c, 'a>(
+    candidates: &'c [(f64, &'a Seen)],
+    desired_m: f64,
+) -> Option<&'c (f64, &'a Seen)> {
+    candidates.iter().min_by(|(one_m, _), (other_m, _)| {
+        (one_m - desired_m).abs().total_cmp(&(other_m - desired_m).abs())
+    })
+}
+
+/// Whether two poses are far enough apart for both frames to be used.
+fn differs(last: &Pose2, odom: &Pose2) -> bool {
+    last.distance_m(odom) >= STEP_M
+        || hal::wrap_angle(last.yaw_rad - odom.yaw_rad).abs() >= STEP_RAD
+}
+
+/// An earlier frame with its baseline in metres, if it can serve as a source for `target`.
 fn source<'a>(seen: &'a Seen, target: &Seen) -> Option<(f64, &'a Seen)> {
     let motion = seen.t_odom_camera.inverse() * target.t_odom_camera;
-    let (baseline, turn) = (motion.translation.vector.norm(), motion.rotation.angle());
-    let (least, most) = BASELINE_LIMITS_M;
-    ((least..=most).contains(&baseline) && turn <= MOST_TURN_RAD).then_some((baseline, seen))
+    let baseline_m = motion.translation.vector.norm();
+    let (least_m, most_m) = BASELINE_LIMITS_M;
+    let fits =
+        (least_m..=most_m).contains(&baseline_m) && motion.rotation.angle() <= MAX_ROTATION_RAD;
+    fits.then_some((baseline_m, seen))
 }

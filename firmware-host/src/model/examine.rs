@@ -1,7 +1,8 @@
-//! `firmware-host model examine`: the process that runs a model nobody has run yet.
+//! `firmware-host model examine`: the process that runs an untrusted model for the first time.
 //!
-//! It limits itself (memory, processor time, priority) before it touches the file, says on standard output how far it is, one
-//! JSON a line, and ends with what it found. Whatever the model does to it, the parent has a reason to refuse.
+//! The process limits its own memory, processor time and priority before it parses the model. It
+//! reports each step on standard output, one JSON value per line, and the result at the end.
+//! Whatever the model does to this process, the parent gets a reason to refuse it.
 
 use std::io::{Read, Write};
 use std::time::Instant;
@@ -22,141 +23,144 @@ use super::evidence::{Sample, newest_segments, read_segment};
 use crate::config::Config;
 use crate::onnx_runtime;
 
-/// How far the golden output may be off: ten times what the exporter allows between PyTorch and ONNX Runtime, because other
-/// processors sum in another order.
+/// Largest allowed difference from the golden output. It is ten times what the exporter allows
+/// between PyTorch and ONNX Runtime, because other processors sum in another order.
 const GOLDEN_TOLERANCE: f64 = 1e-2;
-/// Inferences that are timed at least.
+/// Minimum number of timed inferences, for a 99th percentile.
 const LEAST_RUNS: usize = 100;
-/// Unless this time is over, milliseconds, and there are so many.
+/// A slow model is timed for at most this long, milliseconds, with at least this number of runs.
 const MOST_TIMED_MS: f64 = 10_000.0;
 const SLOW_RUNS: usize = 10;
 
-/// What the child says, one a line.
+/// One line of the child's output.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Said {
-    /// What it is about to do.
+pub enum Report {
+    /// The step that begins now.
     Doing(String),
-    /// The model cannot be the robot's.
+    /// The model cannot be used on this robot.
     Unfit(Unfit),
-    /// Everything was measured.
+    /// All measurements.
     Examined(Examination),
 }
 
-/// Why a model cannot be the robot's, whatever its accuracy.
+/// Why a model cannot be used on this robot, independent of its accuracy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(rename_all = "snake_case")]
 pub enum Unfit {
-    /// The file is not what a model may be.
+    /// The file is not an acceptable ONNX model.
     #[error("{0}")]
     File(String),
-    /// It does not load, has the wrong shapes, or computes nothing.
+    /// The network does not load, has the wrong shapes, or fails to compute.
     #[error("{0}")]
     Network(String),
-    /// No golden pair.
+    /// The file contains no golden pair.
     #[error(
-        "the model holds no golden pair; export it with `embodied-depth export`, which puts one into the file"
+        "the model contains no golden pair; export it with `embodied-depth export`, which adds one"
     )]
     NoGoldenPair,
-    /// Another output than when it was exported.
+    /// The golden input gives another output than at export.
     #[error(
-        "the model's golden output is off by {0:.4}, allowed: {GOLDEN_TOLERANCE}: it does not compute here what it did when it was exported; export it again, or update ONNX Runtime"
+        "the model's golden output is off by {0:.4}, allowed: {GOLDEN_TOLERANCE}; it computes something else here than at export; export it again, or update ONNX Runtime"
     )]
     GoldenPair(f64),
 }
 
-/// Runs in the child.
+/// Runs the examination, in the child process.
 ///
 /// # Errors
-/// What keeps it from examining at all: the parent shows it.
+/// If the examination is not possible at all. The parent shows the error.
 pub fn run(args: &ExamineArgs) -> Result<()> {
     limit(args);
-    say(&Said::Doing("reading the file".to_owned()))?;
+    send(&Report::Doing("reading the file".to_owned()))?;
     let config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
     let mut candidate = Vec::new();
-    std::io::stdin().lock().read_to_end(&mut candidate).context("the candidate")?;
+    std::io::stdin()
+        .lock()
+        .read_to_end(&mut candidate)
+        .context("cannot read the candidate model from standard input")?;
     if let Err(fault) = check_onnx_file(&candidate) {
-        return say(&Said::Unfit(Unfit::File(fault.to_string())));
+        return send(&Report::Unfit(Unfit::File(fault.to_string())));
     }
-    say(&Said::Doing("loading it and running it on a grey picture".to_owned()))?;
+    send(&Report::Doing("loading it and running it on a grey image".to_owned()))?;
     let (environment, _) = onnx_runtime::init()?;
     let mut examiner = Examiner::new(&config, args);
     let loaded = examiner.load(&environment, &candidate);
     let mut candidate = match loaded {
         Ok(network) => network,
-        Err(error) => return say(&Said::Unfit(Unfit::Network(error.to_string()))),
+        Err(error) => return send(&Report::Unfit(Unfit::Network(error.to_string()))),
     };
-    say(&Said::Doing("running its golden pair".to_owned()))?;
+    send(&Report::Doing("running its golden pair".to_owned()))?;
     let golden_difference = match candidate.golden_difference() {
         Ok(Some(difference)) if f64::from(difference) <= GOLDEN_TOLERANCE => f64::from(difference),
         Ok(Some(difference)) => {
-            return say(&Said::Unfit(Unfit::GoldenPair(f64::from(difference.min(f32::MAX)))));
+            return send(&Report::Unfit(Unfit::GoldenPair(f64::from(difference.min(f32::MAX)))));
         }
-        Ok(None) => return say(&Said::Unfit(Unfit::NoGoldenPair)),
+        Ok(None) => return send(&Report::Unfit(Unfit::NoGoldenPair)),
         Err(why) => {
-            return say(&Said::Unfit(Unfit::Network(format!(
-                "it fails on its golden input ({why:?})"
+            return send(&Report::Unfit(Unfit::Network(format!(
+                "inference on the golden input failed ({why:?})"
             ))));
         }
     };
     let mut resident = match &args.resident {
-        // A resident model that is damaged is none.
+        // A damaged resident model is ignored, as if there were none.
         Some(path) => {
             std::fs::read(path).ok().and_then(|bytes| examiner.load(&environment, &bytes).ok())
         }
         None => None,
     };
-    say(&Said::Doing("judging it by held-out pictures".to_owned()))?;
+    send(&Report::Doing("evaluating it on held-out frames".to_owned()))?;
     examiner.judge(args, &config, &mut candidate, resident.as_mut())?;
-    say(&Said::Doing("measuring its time".to_owned()))?;
+    send(&Report::Doing("measuring its inference time".to_owned()))?;
     examiner.time(&mut candidate, resident.as_mut())?;
     let Examiner { frames, times, resident_times, .. } = examiner;
     let latency = latency(times);
     let resident_latency = resident.is_some().then(|| self::latency(resident_times));
-    say(&Said::Examined(Examination { frames, latency, resident_latency, golden_difference }))
+    send(&Report::Examined(Examination { frames, latency, resident_latency, golden_difference }))
 }
 
-/// Takes from itself what a hostile model could take from the robot. What the system does not allow to be limited stays as it is:
-/// the parent ends the process when its time is over.
+/// Limits the resources that a hostile model could take from the robot. A limit that the system
+/// does not allow is skipped: the parent kills the process after its time limit anyway.
 fn limit(args: &ExamineArgs) {
-    let both = |most: u64| Rlimit { current: Some(most), maximum: Some(most) };
     for (resource, most) in [
         (Resource::As, args.memory_mib << 20),
         (Resource::Cpu, args.cpu_s),
         (Resource::Core, 0),
-        // It writes no file.
+        // The process writes no files.
         (Resource::Fsize, 0),
     ] {
-        if let Err(error) = setrlimit(resource, both(most)) {
+        if let Err(error) = setrlimit(resource, Rlimit { current: Some(most), maximum: Some(most) })
+        {
             tracing::warn!("{resource:?} cannot be limited: {error}");
         }
     }
-    // Nobody waits for its word any more.
+    // The result is useless without the parent, so this process ends with it.
     if let Err(error) = set_parent_process_death_signal(Some(Signal::KILL)) {
-        tracing::warn!("it will outlive its parent: {error}");
+        tracing::warn!("this process will not end with its parent: {error}");
     }
     if args.idle {
-        give_way();
+        set_idle_priority();
     }
 }
 
-/// Only otherwise idle time, for this thread and those that it starts.
-fn give_way() {
+/// Sets idle priority for this thread and the threads that it starts.
+fn set_idle_priority() {
     let idle = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Idle);
     let thread = thread_priority::thread_native_id();
     if let Err(error) =
         thread_priority::set_thread_priority_and_policy(thread, ThreadPriority::Min, idle)
     {
-        tracing::debug!("no idle priority: {error:?}");
+        tracing::debug!("cannot set idle priority: {error:?}");
     }
     let _ = nice(19);
 }
 
-fn say(said: &Said) -> Result<()> {
+fn send(report: &Report) -> Result<()> {
     let mut out = std::io::stdout().lock();
-    serde_json::to_writer(&mut out, said)?;
+    serde_json::to_writer(&mut out, report)?;
     out.write_all(b"\n")?;
-    out.flush().context("the parent is gone")
+    out.flush().context("the parent process is gone")
 }
 
 struct Examiner {
@@ -164,7 +168,7 @@ struct Examiner {
     options: NetworkOptions,
     scorer: Scorer,
     frames: Vec<ScoredFrame>,
-    /// Milliseconds.
+    /// Inference times of the candidate, milliseconds.
     times: Vec<f64>,
     resident_times: Vec<f64>,
 }
@@ -237,18 +241,18 @@ impl Examiner {
             }
             None => None,
         };
-        let (candidate, resident) = (of_candidate, of_resident);
         self.frames.push(ScoredFrame {
             tick: sample.tick,
             bin: sample.bin,
             parallax_px,
-            candidate,
-            resident,
+            candidate: of_candidate,
+            resident: of_resident,
         });
         Ok(())
     }
 
-    /// One model on one picture, and the time of its inference in milliseconds.
+    /// Scores one model on one frame. Returns the score, if inference succeeded, and the inference
+    /// time in milliseconds.
     fn score(
         &mut self,
         sample: &Sample<'_>,
@@ -256,7 +260,7 @@ impl Examiner {
         network: &mut DepthNetwork,
     ) -> Result<(Option<FrameScore>, f64)> {
         if matches!(network.spec().input, InputKind::RgbAndVolume { .. }) {
-            // It compares with what it saw before.
+            // This network matches the frame with earlier ones, so it must see those first.
             for (rgb, t_odom_camera) in &sample.sources {
                 let _ = network.estimate(sample.view(&self.camera, rgb)?, t_odom_camera, None);
             }
@@ -271,7 +275,8 @@ impl Examiner {
         Ok((score, ms))
     }
 
-    /// More inferences by turns until there are enough to speak of a 99th percentile.
+    /// Runs more inferences, alternating between the models, until there are enough for a 99th
+    /// percentile.
     fn time(
         &mut self,
         candidate: &mut DepthNetwork,
@@ -282,16 +287,11 @@ impl Examiner {
             .collect();
         while self.times.len() < LEAST_RUNS {
             let view = ImageView::rgb8(self.camera.width, self.camera.height, &rgb)?;
-            let timed = |network: &mut DepthNetwork| {
-                let began = Instant::now();
-                let _ = network.estimate(view, &Pose3::identity(), None);
-                began.elapsed().as_secs_f64() * 1e3
-            };
-            self.times.push(timed(candidate));
+            self.times.push(inference_ms(candidate, view));
             if let Some(resident) = resident.as_deref_mut() {
-                self.resident_times.push(timed(resident));
+                self.resident_times.push(inference_ms(resident, view));
             }
-            // What is that slow need not be known to the hundredth.
+            // Far above any budget, a precise percentile is not needed.
             if self.times.len() >= SLOW_RUNS && self.times.iter().sum::<f64>() > MOST_TIMED_MS {
                 break;
             }
@@ -300,12 +300,22 @@ impl Examiner {
     }
 }
 
+/// Time of one inference without coarse depth, milliseconds.
+fn inference_ms(network: &mut DepthNetwork, view: ImageView<'_>) -> f64 {
+    let began = Instant::now();
+    let _ = network.estimate(view, &Pose3::identity(), None);
+    began.elapsed().as_secs_f64() * 1e3
+}
+
 fn latency(mut ms: Vec<f64>) -> Latency {
     ms.sort_by(f64::total_cmp);
-    let at = |share: f64| {
-        ms.get((share * ms.len().saturating_sub(1) as f64).ceil() as usize)
-            .copied()
-            .unwrap_or(f64::NAN)
-    };
-    Latency { p50_ms: at(0.5), p99_ms: at(0.99), runs: ms.len() }
+    Latency { p50_ms: quantile(&ms, 0.5), p99_ms: quantile(&ms, 0.99), runs: ms.len() }
+}
+
+/// The value at a share of sorted values; NaN if there are none.
+fn quantile(sorted: &[f64], share: f64) -> f64 {
+    sorted
+        .get((share * sorted.len().saturating_sub(1) as f64).ceil() as usize)
+        .copied()
+        .unwrap_or(f64::NAN)
 }

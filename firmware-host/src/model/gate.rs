@@ -1,5 +1,7 @@
-//! Installing a model, in the order that lets nothing untrusted be parsed, nothing unexamined drive, and nothing half-done stay:
-//! signature, examination in a process of its own, judgement, store.
+//! Installing a model: check the signature, examine the model in a separate process, decide, store.
+//!
+//! In this order no untrusted file is parsed, no unexamined model controls the robot, and no
+//! partial installation remains.
 
 use std::path::{Path, PathBuf};
 
@@ -12,67 +14,66 @@ use super::examine::Unfit;
 use super::history::{Entry, What};
 use super::store::Store;
 
-/// How a model is installed.
+/// The settings of an installation.
 #[derive(Debug, Clone)]
 pub struct Gate {
-    /// This program, which examines.
+    /// Path of this program, which is started again for the examination.
     pub program: PathBuf,
-    /// The robot's configuration.
     pub config: Option<PathBuf>,
-    /// Where held-out pictures are found.
+    /// Runs, or folders with runs, from which held-out frames are taken.
     pub recordings: Vec<PathBuf>,
-    /// Held-out pictures at most.
+    /// Maximum number of held-out frames.
     pub frames: usize,
-    /// What the examination may use.
+    /// Resource limits of the examination.
     pub child: ChildLimits,
-    /// What is asked of a model.
+    /// Acceptance limits.
     pub limits: GateLimits,
-    /// Whether a first model may come without held-out pictures.
+    /// Whether a first model is accepted without enough held-out frames.
     pub unproven: bool,
-    /// Whether a model that was rolled back may be tried once more.
+    /// Whether a model that was rolled back may be examined again.
     pub again: bool,
-    /// Whether the examination uses only otherwise idle time.
+    /// Whether the examination runs at idle priority.
     pub idle: bool,
 }
 
-/// Why a model is not taken.
+/// Why a model was refused.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Refusal {
-    /// The signature.
+    /// The bundle is malformed, not signed, or not signed by a trusted key.
     #[error(transparent)]
     Signature(#[from] BundleError),
-    /// It was rolled back before.
+    /// The model was rolled back before.
     #[error(
-        "it was rolled back before ({why}); train another one, or try it once more with --again"
+        "the model was rolled back before ({why}); train another one, or try this one again with --again"
     )]
     RolledBackBefore {
-        /// Why, then.
+        /// The reason of that rollback.
         why: String,
     },
-    /// It is what drives already.
-    #[error("it is the current model already")]
+    /// The model is the current one already.
+    #[error("the model is the current one already")]
     Current,
-    /// It cannot be the robot's depth network.
+    /// The model cannot be used on this robot.
     #[error(transparent)]
     Unfit(#[from] Unfit),
-    /// It ended the process that examined it.
+    /// The examining process ended without a result.
     #[error(
-        "the process that examined it did not live ({doing}): {how}; a model of this robot needs less memory and time"
+        "the process that examined the model failed while {doing}: {how}; the model must need less memory and time"
     )]
     Died {
-        /// What the process was doing.
+        /// The step during which it ended.
         doing: String,
-        /// How it ended.
+        /// Exit status, signal or time-out.
         how: String,
     },
-    /// It is worse, slower or not shown to be as good.
+    /// The model is worse, too slow, or not shown to be as good as the resident model.
     #[error("{}", .0.refused.iter().map(Why::to_string).collect::<Vec<_>>().join("\n  and "))]
     Judged(Box<Verdict>),
 }
 
 impl Refusal {
-    /// One word, for logs and JSON.
+    /// The kind of refusal as a word, for logs and JSON.
     #[must_use]
     pub fn kind(&self) -> &'static str {
         match self {
@@ -88,34 +89,27 @@ impl Refusal {
     }
 }
 
-/// What became of a model.
+/// Result of an installation.
 #[derive(Debug)]
 pub enum Outcome {
-    /// It is current, and on trial.
-    Accepted {
-        /// Who it is.
-        signed: Signed,
-        /// What was measured.
-        examination: Box<Examination>,
-        /// What followed from it.
-        verdict: Box<Verdict>,
-    },
-    /// The store is as it was.
+    /// The model is the current one now, on trial.
+    Accepted { signed: Signed, examination: Box<Examination>, verdict: Box<Verdict> },
+    /// The model was refused; the installed models are unchanged.
     Refused {
-        /// What its file is called, which nobody has vouched for.
+        /// File name of the bundle. It is not covered by a signature.
         name: String,
-        /// BLAKE3 digest of its bytes.
+        /// BLAKE3 digest of the model, hexadecimal.
         digest: String,
-        /// Why.
         why: Refusal,
     },
 }
 
 impl Gate {
-    /// Examines a bundle and, when it is good, makes it the current model. Every refusal is in the store's history.
+    /// Examines a bundle and, if it passes, makes it the current model. A refusal is added to the
+    /// store's history.
     ///
     /// # Errors
-    /// When the gate itself cannot work: a store that cannot be written, a process that cannot be started.
+    /// If the store cannot be read or written, or the examining process cannot be started.
     pub fn install(
         &self,
         bundle: &Bundle,
@@ -153,7 +147,8 @@ impl Gate {
         if let Some(before) = store.history().rolled_back(&signed.digest).filter(|_| !self.again) {
             return Ok(Err(Refusal::RolledBackBefore { why: before.why.clone() }));
         }
-        // What is judged against has proved itself; a damaged one is none.
+        // The candidate is compared with a model that has passed its trial. A damaged model is
+        // ignored.
         let proven = if state.trial_starts.is_some() { state.previous() } else { state.current() };
         let resident = proven
             .filter(|digest| store.read_model(digest).is_ok())

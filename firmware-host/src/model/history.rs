@@ -1,43 +1,43 @@
-//! What became of every model that was offered: for people, and so that a model that was rolled back is not taken again.
+//! The history of every model that was offered to the robot. It explains decisions to the operator,
+//! and prevents a model that was rolled back from being installed again.
 
 use serde::{Deserialize, Serialize};
 
-/// Entries that are kept; the oldest go first.
-const MOST: usize = 1000;
+/// Maximum number of entries; the oldest are dropped first.
+const MAX_ENTRIES: usize = 1000;
 
 /// What happened to a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum What {
-    /// The gate took it; its trial begins.
+    /// The gate accepted it, and its trial begins.
     Installed,
     /// The gate refused it.
     Refused,
     /// Its trial ended well.
     Kept,
-    /// It was given up, by its trial or by an operator.
+    /// The trial or the operator rolled it back.
     RolledBack,
 }
 
-/// One line of the history.
+/// One event in the life of a model.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Entry {
-    /// Seconds since 1970, by the computer's clock at that time.
+    /// Unix time, seconds, by the robot's clock at that time.
     pub unix_s: u64,
-    /// What happened.
     pub what: What,
-    /// BLAKE3 digest of the model, in hex.
+    /// BLAKE3 digest of the model, hexadecimal.
     pub digest: String,
-    /// What its signer called it; empty where nobody knows.
+    /// Name in the signature; empty if it is unknown.
     #[serde(default)]
     pub name: String,
-    /// Why.
+    /// Reason, as a sentence.
     #[serde(default)]
     pub why: String,
 }
 
 impl Entry {
-    /// Now.
+    /// An entry with the current time.
     #[must_use]
     pub fn now(what: What, digest: &str, name: &str, why: impl Into<String>) -> Self {
         let since =
@@ -52,32 +52,37 @@ impl Entry {
     }
 }
 
-/// Everything that happened, oldest first.
+/// All entries, oldest first.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct History {
-    /// The entries.
     pub entries: Vec<Entry>,
 }
 
 impl History {
     pub(super) fn add(&mut self, entry: Entry) {
         self.entries.push(entry);
-        let surplus = self.entries.len().saturating_sub(MOST);
+        let surplus = self.entries.len().saturating_sub(MAX_ENTRIES);
         self.entries.drain(..surplus);
     }
 
-    /// Why this model was rolled back, if that is the last that happened to it.
+    /// The rollback of this model, if that is its last entry apart from refusals.
     #[must_use]
     pub fn rolled_back(&self, digest: &str) -> Option<&Entry> {
-        let of_it = |entry: &&Entry| entry.digest == digest && entry.what != What::Refused;
-        self.entries.iter().rev().find(of_it).filter(|entry| entry.what == What::RolledBack)
+        self.entries
+            .iter()
+            .rev()
+            .find(|entry| entry.digest == digest && entry.what != What::Refused)
+            .filter(|entry| entry.what == What::RolledBack)
     }
 
-    /// What its signer called a model.
+    /// Name of a model in its signature; empty if it is unknown.
     #[must_use]
     pub fn name(&self, digest: &str) -> &str {
-        let named = |entry: &&Entry| entry.digest == digest && !entry.name.is_empty();
-        self.entries.iter().rev().find(named).map_or("", |entry| &entry.name)
+        self.entries
+            .iter()
+            .rev()
+            .find(|entry| entry.digest == digest && !entry.name.is_empty())
+            .map_or("", |entry| &entry.name)
     }
 }

@@ -1,6 +1,7 @@
-//! Models that come while the robot drives: swapped between two turns, watched on trial, and taken back by itself.
+//! Models that are installed while the robot drives: the network is swapped between two ticks,
+//! monitored during its trial, and rolled back automatically if it fails.
 //!
-//! The model that drove before stays in memory until the trial is over, so going back needs no disk.
+//! The model before it stays in memory until the trial is over, so a rollback needs no disk.
 
 use hal::{Clock, Pose2};
 use monotonic_clock::MonotonicClock;
@@ -22,31 +23,27 @@ use super::store::{State, Store};
 use crate::config::Config;
 use crate::setup;
 
-/// Between two looks for another model.
-const LOOK_EVERY_NS: u64 = 1_000_000_000;
-/// What a model did longer ago than this many turns counts half: homes and light change.
-const REMEMBERED_TURNS: u64 = 6000;
+/// Interval between two checks for a new model, nanoseconds.
+const POLL_INTERVAL_NS: u64 = 1_000_000_000;
+/// The counts of the resident model are halved after this number of ticks, so that they follow
+/// changes of the home and its light.
+const REMEMBERED_TICKS: u64 = 6000;
 
-/// Another model is current.
+/// A change of the current model.
 pub enum Swap {
-    /// This one, loaded and warmed up.
-    To {
-        /// The network.
-        network: Box<DepthNetwork>,
-        /// Whether it is on trial.
-        on_trial: bool,
-    },
-    /// None: coarse depth.
+    /// Use this network, which is loaded and warmed up.
+    To { network: Box<DepthNetwork>, on_trial: bool },
+    /// Use no network, only coarse depth.
     ToNone,
 }
 
-/// What becomes of a model, to be written into the store.
-enum Ask {
+/// Request of the control loop to the [`Keeper`]: how a trial ended.
+enum Request {
     Keep {
         digest: String,
         why: String,
     },
-    /// With what drives instead.
+    /// `drives` is the digest of the network that the robot uses instead.
     RollBack {
         digest: String,
         why: String,
@@ -54,21 +51,23 @@ enum Ask {
     },
 }
 
-/// Looks after one store: loads what is new in it, and writes into it what became of models.
+/// Watches one store: loads newly installed models, and writes the results of trials into it.
 pub struct Keeper {
     store: Store,
     config: Config,
-    /// What drives, as far as this side knows.
+    /// Digest of the model that the loop uses, as far as the keeper knows.
     seen: Option<String>,
 }
 
 impl Keeper {
-    /// What the robot starts with: the network that drives and, while that is on trial, the one to go back to. `first` goes into a
-    /// store that never had a model.
+    /// Opens the store and loads the network that the robot starts with and, if that one is on
+    /// trial, the one to go back to. `first` is put into a store that never had a model.
+    ///
+    /// A current model that cannot be loaded is rolled back. If the store's own file is damaged,
+    /// the store is rolled back to a model that has passed its trial.
     ///
     /// # Errors
-    /// A store that cannot be used, or no `first` where it is needed. A current model that cannot be loaded is rolled back instead,
-    /// and so is one that nobody knows because the store's own file is damaged.
+    /// If the store cannot be used, or `first` is needed and cannot be read.
     pub fn start(dir: &Path, first: Option<&Path>, config: &Config) -> Result<(Self, Start)> {
         let mut keeper = Self { store: Store::open(dir)?, config: config.clone(), seen: None };
         if let Some(path) = first {
@@ -85,7 +84,7 @@ impl Keeper {
                 Err(error) => {
                     keeper
                         .give_up(&digest, &format!("rolled back: it cannot be loaded: {error:#}"));
-                    // The same again where the disk takes nothing.
+                    // Also go on in memory, in case the store cannot be written.
                     state.models.remove(0);
                     state.trial_starts = None;
                 }
@@ -101,7 +100,8 @@ impl Keeper {
         Ok((keeper, Start { network, on_trial, resident }))
     }
 
-    /// What the store says drives. A full disk or a damaged file keeps no robot from driving.
+    /// The state of the store at the start. The robot must also start with a full disk or a damaged
+    /// file.
     fn begin(&mut self) -> Result<State> {
         let error = match self.store.start() {
             Ok(state) => return Ok(state),
@@ -109,15 +109,13 @@ impl Keeper {
         };
         tracing::error!("{error}");
         if error.kind() == StoreErrorKind::Damaged {
-            return Ok(self
-                .store
-                .roll_back(&format!("rolled back by the robot itself: {error}"))?);
+            return Ok(self.store.roll_back(&format!("rolled back automatically: {error}"))?);
         }
         let mut state = self.store.state()?;
         if let Some(digest) = state.current().filter(|_| state.trial_starts.is_some()) {
-            // A model that ends the program would do so for ever.
+            // Without a count of the starts, a model that crashes the program would do so forever.
             tracing::error!(
-                "nobody could count the starts with {digest}: the model before it drives"
+                "cannot count the starts with the model {digest}; using the model before it"
             );
             state.models.remove(0);
             state.trial_starts = None;
@@ -140,8 +138,9 @@ impl Keeper {
         setup::network_of(&bytes, &self.config.camera.model(), &self.config)
     }
 
-    /// Whether another model is current than before. One that cannot be loaded is rolled back.
-    pub fn look(&mut self) -> Option<Swap> {
+    /// Loads the current model of the store if it has changed. A model that cannot be loaded is
+    /// rolled back.
+    pub fn poll(&mut self) -> Option<Swap> {
         let state = self.store.state().inspect_err(|error| tracing::error!("{error}")).ok()?;
         if state.current() == self.seen.as_deref() {
             return None;
@@ -159,7 +158,8 @@ impl Keeper {
                 })
             }
             Err(error) => {
-                // What is current then need not be what drives: the next look sees to it.
+                // The model that is current now may differ from the one in use: the next poll sees
+                // it.
                 if !self.give_up(digest, &format!("rolled back: it cannot be loaded: {error:#}")) {
                     self.seen = Some(digest.to_owned());
                 }
@@ -168,15 +168,16 @@ impl Keeper {
         }
     }
 
-    fn done(&mut self, ask: Ask) {
-        match ask {
-            Ask::Keep { digest, why } => {
+    fn handle(&mut self, request: Request) {
+        match request {
+            Request::Keep { digest, why } => {
                 if let Err(error) = self.store.keep(&digest, &why) {
                     tracing::error!("the model {digest} stays on trial: {error}");
                 }
             }
-            Ask::RollBack { digest, why, drives } => {
-                // Where the store still names it, it must not come back; nor where another one is on its way to the loop.
+            Request::RollBack { digest, why, drives } => {
+                // `seen` stays if the store could not be changed, so that the bad model is not
+                // loaded again, and if another model is already on its way to the loop.
                 if self.give_up(&digest, &why) && self.seen == Some(digest) {
                     self.seen = drives;
                 }
@@ -184,43 +185,46 @@ impl Keeper {
         }
     }
 
-    /// Whether the store names another one now. A model that somebody else has rolled back meanwhile needs no more of that.
+    /// Rolls back the model `digest` unless another process already did. Returns whether the store
+    /// was changed or already names another model.
     fn give_up(&mut self, digest: &str, why: &str) -> bool {
-        tracing::error!("the model {digest} is given up: {why}");
+        tracing::error!("giving up the model {digest}: {why}");
         self.store
             .give_up(digest, why)
-            .inspect_err(|error| tracing::error!("the store still names it: {error}"))
+            .inspect_err(|error| {
+                tracing::error!("the store still names the model {digest}: {error}")
+            })
             .is_ok()
     }
 }
 
-/// What the robot starts with.
+/// The networks that the robot starts with.
 pub struct Start {
-    /// What drives.
+    /// The network in use; `None` for coarse depth only.
     pub network: Option<DepthNetwork>,
-    /// Its digest while it is on trial.
+    /// Digest of `network` if it is on trial.
     pub on_trial: Option<String>,
-    /// While it is: what drove before.
+    /// The network before it, if `network` is on trial.
     pub resident: Option<DepthNetwork>,
 }
 
-/// How the loop hears of models.
+/// How the control loop receives new models.
 enum Source {
-    /// In the loop's own thread, whose time stands still meanwhile: virtual time.
+    /// From the loop's own thread. In virtual time, loading takes no time.
     Direct(Box<Keeper>),
-    /// By a thread that may take its time.
-    Thread { swaps: Receiver<Swap>, asks: SyncSender<Ask> },
+    /// From a thread of its own, so that loading does not block the loop.
+    Thread { swaps: Receiver<Swap>, requests: SyncSender<Request> },
 }
 
-/// The loop's side: call [`before`](Self::before) and [`after`](Self::after) every turn.
+/// The control loop's side. Call [`before`](Self::before) and [`after`](Self::after) in every tick.
 pub struct LiveModels {
     source: Source,
     lidar: LidarView,
     trial: Option<OnTrial>,
     limits: TrialLimits,
-    /// What the model that drives without a trial did.
+    /// Counts of the model that is in use without a trial, for comparison.
     resident: TrialCounts,
-    next_look_ns: u64,
+    next_poll_ns: u64,
     last: Option<Pose2>,
 }
 
@@ -231,50 +235,49 @@ struct OnTrial {
 }
 
 impl LiveModels {
-    /// In virtual time: the store is looked at between two turns.
+    /// For virtual time: the store is polled between two ticks.
     #[must_use]
     pub fn direct(keeper: Keeper, start: Start, config: &Config) -> Self {
         Self::new(Source::Direct(Box::new(keeper)), start, config)
     }
 
-    /// In real time: a thread looks once a second, loads and warms up.
+    /// For real time: a thread polls the store once per second, and loads and warms up new models.
     ///
     /// # Errors
-    /// When the thread cannot be started.
+    /// If the thread cannot be started.
     pub fn threaded(keeper: Keeper, start: Start, config: &Config) -> Result<Self> {
         let (swap_sender, swaps) = sync_channel(1);
-        let (asks, ask_receiver) = sync_channel(8);
+        let (requests, request_receiver) = sync_channel(8);
         std::thread::Builder::new()
             .name("models".to_owned())
-            .spawn(move || keep(keeper, &ask_receiver, &swap_sender))?;
-        Ok(Self::new(Source::Thread { swaps, asks }, start, config))
+            .spawn(move || run_keeper(keeper, &request_receiver, &swap_sender))?;
+        Ok(Self::new(Source::Thread { swaps, requests }, start, config))
     }
 
     fn new(source: Source, start: Start, config: &Config) -> Self {
         let limits = config.models.trial_limits();
         let Start { on_trial, resident, .. } = start;
-        let new_trial = |digest| OnTrial {
-            trial: Trial::new(limits, TrialCounts::default()),
-            digest,
-            resident,
-        };
         Self {
             source,
             lidar: setup::lidar_view(config),
-            trial: on_trial.map(new_trial),
+            trial: on_trial.map(|digest| OnTrial {
+                trial: Trial::new(limits, TrialCounts::default()),
+                digest,
+                resident,
+            }),
             limits,
             resident: TrialCounts::default(),
-            next_look_ns: 0,
+            next_poll_ns: 0,
             last: None,
         }
     }
 
-    /// Before a turn: another model, if there is one.
+    /// To be called before a tick: switches to another model if there is one.
     pub fn before(&mut self, robot: &mut Robot, now_ns: u64) {
         let swap = match &mut self.source {
-            Source::Direct(keeper) if now_ns >= self.next_look_ns => {
-                self.next_look_ns = now_ns + LOOK_EVERY_NS;
-                keeper.look()
+            Source::Direct(keeper) if now_ns >= self.next_poll_ns => {
+                self.next_poll_ns = now_ns + POLL_INTERVAL_NS;
+                keeper.poll()
             }
             Source::Direct(_) => None,
             Source::Thread { swaps, .. } => swaps.try_recv().ok(),
@@ -283,11 +286,11 @@ impl LiveModels {
             Some(Swap::To { network, on_trial }) => {
                 let digest = network.digest().to_owned();
                 tracing::warn!(
-                    "the model {digest} drives from now on{}",
+                    "now using the model {digest}{}",
                     if on_trial { ", on trial" } else { "" }
                 );
                 let old = robot.take_network(*network);
-                // What is on trial is not what is gone back to.
+                // If the old model was on trial, the one before it stays the one to go back to.
                 let resident = self.trial.take().map_or(old, |trial| trial.resident);
                 let trial = Trial::new(self.limits, self.resident);
                 self.trial = on_trial.then_some(OnTrial { trial, digest, resident });
@@ -300,7 +303,8 @@ impl LiveModels {
         }
     }
 
-    /// After a turn: counts it, and ends a trial that is decided. `late`: the turn took longer than it may.
+    /// To be called after a tick: updates the counts and ends a trial that is decided. `late`: the
+    /// tick took longer than its period.
     pub fn after(
         &mut self,
         robot: &mut Robot,
@@ -312,20 +316,22 @@ impl LiveModels {
             return;
         }
         let odom = input.wheel.odom;
-        // A jump is odometry that began anew.
+        // A larger step means that odometry was reset.
         let moved_m = self.last.replace(odom).map_or(0.0, |last| last.distance_m(&odom));
         let moved_m = if moved_m < 0.5 { moved_m } else { 0.0 };
-        let said = |wanted: &dyn Fn(&Event) -> bool| {
-            decision.events.iter().filter(|event| wanted(event)).count()
-        };
-        let turn = TrialTurn {
+        let bad_output = decision
+            .events
+            .iter()
+            .any(|event| matches!(event, Event::NoDepth { why: NoDepth::NetworkOutput }));
+        let trips = decision
+            .events
+            .iter()
+            .filter(|event| matches!(event, Event::Safety { what: SafetyEvent::Tripped { .. } }))
+            .count() as u64;
+        let tick = TrialTurn {
             overrun: late,
-            bad_output: said(&|event| {
-                matches!(event, Event::NoDepth { why: NoDepth::NetworkOutput })
-            }) > 0,
-            trips: said(&|event| {
-                matches!(event, Event::Safety { what: SafetyEvent::Tripped { .. } })
-            }) as u64,
+            bad_output,
+            trips,
             moved_m,
             delta1: robot
                 .mapped_depth()
@@ -333,9 +339,9 @@ impl LiveModels {
                 .map(|score| score.delta1),
         };
         match &mut self.trial {
-            None => self.resident.remember(&turn, REMEMBERED_TURNS),
+            None => self.resident.remember(&tick, REMEMBERED_TICKS),
             Some(on_trial) => {
-                if let TrialState::Ended(verdict) = on_trial.trial.observe(&turn) {
+                if let TrialState::Ended(verdict) = on_trial.trial.observe(&tick) {
                     self.end_trial(robot, verdict.keeps(), &verdict.to_string());
                 }
             }
@@ -347,56 +353,57 @@ impl LiveModels {
         tracing::warn!("the model {digest}: {why}");
         if keeps {
             self.resident = *trial.counts();
-            return self.ask(Ask::Keep { digest, why: why.to_owned() });
+            return self.request(Request::Keep { digest, why: why.to_owned() });
         }
         let drives = resident.as_ref().map(|resident| resident.digest().to_owned());
         match resident {
             Some(resident) => drop(robot.take_network(resident)),
             None => robot.leave_network(),
         }
-        self.ask(Ask::RollBack { digest, why: why.to_owned(), drives });
+        self.request(Request::RollBack { digest, why: why.to_owned(), drives });
     }
 
-    fn ask(&mut self, ask: Ask) {
+    fn request(&mut self, request: Request) {
         match &mut self.source {
-            Source::Direct(keeper) => keeper.done(ask),
-            Source::Thread { asks, .. } => {
-                if asks.try_send(ask).is_err() {
+            Source::Direct(keeper) => keeper.handle(request),
+            Source::Thread { requests, .. } => {
+                if requests.try_send(request).is_err() {
                     tracing::error!(
-                        "the store does not answer; at the next start the model is on trial again"
+                        "the thread of the model store does not respond; the model is on trial again at the \
+                         next start"
                     );
                 }
             }
         }
     }
 
-    /// What the current model did so far.
+    /// The counts of the network in use.
     #[must_use]
     pub fn counts(&self) -> &TrialCounts {
         self.trial.as_ref().map_or(&self.resident, |on_trial| on_trial.trial.counts())
     }
 
-    /// The model that is on trial.
+    /// Digest of the model that is on trial.
     #[must_use]
     pub fn on_trial(&self) -> Option<&str> {
         self.trial.as_ref().map(|on_trial| on_trial.digest.as_str())
     }
 }
 
-/// The thread beside the loop. Ends when the loop does.
-fn keep(mut keeper: Keeper, asks: &Receiver<Ask>, swaps: &SyncSender<Swap>) {
+/// The thread that owns the keeper. It ends when the control loop drops its end of the channels.
+fn run_keeper(mut keeper: Keeper, requests: &Receiver<Request>, swaps: &SyncSender<Swap>) {
     let mut clock = MonotonicClock;
     loop {
-        match asks.try_recv() {
-            Ok(ask) => keeper.done(ask),
+        match requests.try_recv() {
+            Ok(request) => keeper.handle(request),
             Err(TryRecvError::Disconnected) => return,
             Err(TryRecvError::Empty) => {
-                if let Some(swap) = keeper.look()
+                if let Some(swap) = keeper.poll()
                     && swaps.send(swap).is_err()
                 {
                     return;
                 }
-                clock.sleep_until_ns(clock.now_ns() + LOOK_EVERY_NS);
+                clock.sleep_until_ns(clock.now_ns() + POLL_INTERVAL_NS);
             }
         }
     }

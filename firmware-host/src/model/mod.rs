@@ -1,13 +1,13 @@
-//! `firmware-host model`: signed models on a robot. The runtime's `model_gate` decides; here are the files, the processes and the
-//! clock.
+//! `firmware-host model`: signed models on a robot. The decisions are made in the runtime's
+//! `model_gate`; this module adds files, processes and time.
 //!
-//! | file | what it does |
+//! | file | content |
 //! |---|---|
-//! | `gate.rs` | installing, step by step |
-//! | `child.rs`, `examine.rs` | the process in which a model runs for the first time, from both sides |
-//! | `evidence.rs` | held-out pictures out of recordings |
-//! | `store.rs`, `disk.rs`, `history.rs` | models on the disk |
-//! | `live.rs` | models that come while the robot drives; trial and rollback |
+//! | `gate.rs` | installing a model, step by step |
+//! | `child.rs`, `examine.rs` | parent and child side of the process in which a model runs for the first time |
+//! | `evidence.rs` | held-out frames from recordings |
+//! | `store.rs`, `disk.rs`, `history.rs` | the model store on disk |
+//! | `live.rs` | models that are installed while the robot drives; trial and rollback |
 //! | `command.rs` | the command line |
 
 mod child;

@@ -1,17 +1,18 @@
-//! The models on the robot.
+//! The model store: the models that are installed on the robot.
 //!
 //! ```text
-//! current                which models there are, newest first, and whether the newest is on trial
-//! models/DIGEST.onnx     each named by the BLAKE3 digest of its bytes, and so recognised when it is damaged
-//! models/DIGEST.minisig  who signed it
-//! history.json           what became of every model that was offered
-//! lock                   held while something is changed
+//! current                the installed models, newest first, and whether the newest is on trial
+//! models/DIGEST.onnx     a model, named by its BLAKE3 digest, so that damage is detected
+//! models/DIGEST.minisig  its signature
+//! history.json           what happened to every model that was ever offered
+//! lock                   locked during each change
 //! ```
 //!
-//! Only `current` decides, one small file that is replaced in one step (written beside, synced, renamed, folder synced). A model
-//! is whole on the disk before `current` names it and is removed only after `current` has stopped to. So whatever crashes or
-//! fails, whenever, the store is what it was before or what it was to become. The history comes after: a crash may cost its
-//! last line and nothing else.
+//! The file `current` defines the state. It is replaced atomically (written under another name,
+//! synced, renamed, folder synced). A model is completely on the disk before `current` names it,
+//! and is removed only after `current` no longer does. So a crash or a disk error at any time
+//! leaves the store either unchanged or completely changed. The history is written last: a crash
+//! can cost its last entry.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -22,45 +23,45 @@ use super::disk::{PARTIAL, RealDisk, StoreDisk, replace};
 use super::error::StoreError;
 use super::history::{Entry, History, What};
 
-/// Models that are kept to go back to.
+/// Number of models that are kept, including the current one.
 const KEPT: usize = 4;
-/// A model on trial that the robot was started with so often without finishing the trial is given up: something about it
-/// may end the program.
+/// A model is rolled back if the robot was started this number of times with it without the trial
+/// ending: the model may crash the program.
 pub const MOST_TRIAL_STARTS: u32 = 3;
 
-/// Which models there are.
+/// The installed models; the content of the file `current`.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct State {
-    /// Digests, newest first. The first is the one that drives.
+    /// BLAKE3 digests, newest first. The robot uses the first one.
     pub models: Vec<String>,
-    /// Present while the first is on trial: how often the robot was started with it.
+    /// While the first model is on trial: how many times the robot was started with it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trial_starts: Option<u32>,
 }
 
 impl State {
-    /// The model that drives.
+    /// Digest of the model that the robot uses.
     #[must_use]
     pub fn current(&self) -> Option<&str> {
         self.models.first().map(String::as_str)
     }
 
-    /// The model that the robot goes back to.
+    /// Digest of the model to which a rollback goes.
     #[must_use]
     pub fn previous(&self) -> Option<&str> {
         self.models.get(1).map(String::as_str)
     }
 }
 
-/// The models on the robot. Several processes may use one store: each change takes its lock.
+/// The model store of a robot. Several processes may use one store: each change locks it.
 pub struct Store {
     dir: PathBuf,
     disk: Box<dyn StoreDisk>,
 }
 
 impl Store {
-    /// Opens a store and makes what is missing of it.
+    /// Opens a store. Missing folders are created.
     ///
     /// # Errors
     /// [`StoreError::Folder`].
@@ -68,7 +69,7 @@ impl Store {
         Self::open_on(dir, Box::new(RealDisk))
     }
 
-    /// As [`open`](Self::open), on any disk.
+    /// Like [`open`](Self::open), with other file operations.
     ///
     /// # Errors
     /// [`StoreError::Folder`].
@@ -78,13 +79,12 @@ impl Store {
         Ok(Self { dir: dir.to_owned(), disk })
     }
 
-    /// The folder.
     #[must_use]
     pub fn dir(&self) -> &Path {
         &self.dir
     }
 
-    /// Where a model lies.
+    /// Path of a model's file, whether or not it exists.
     #[must_use]
     pub fn model_path(&self, digest: &str) -> PathBuf {
         self.dir.join("models").join(format!("{digest}.onnx"))
@@ -94,58 +94,62 @@ impl Store {
         self.dir.join("current")
     }
 
-    /// Which models there are. A store without `current` has none.
+    /// The installed models. A store without the file `current` has none.
     ///
     /// # Errors
     /// [`StoreError::State`].
     pub fn state(&self) -> Result<State, StoreError> {
         let path = self.state_path();
-        let damaged = |reason: String| StoreError::State { path: path.clone(), reason };
         let text = match fs::read_to_string(&path) {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 return Ok(State::default());
             }
-            read => read.map_err(|error| damaged(error.to_string()))?,
+            Err(error) => return Err(StoreError::State { path, reason: error.to_string() }),
+            Ok(text) => text,
         };
-        let state: State =
-            serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
-        // Digests become file names.
+        let state: State = match serde_json::from_str(&text) {
+            Ok(state) => state,
+            Err(error) => return Err(StoreError::State { path, reason: error.to_string() }),
+        };
+        // Digests become file names, so anything else is refused here.
         match state.models.iter().find(|digest| !is_digest(digest)) {
-            Some(other) => Err(damaged(format!("`{other}` is no digest"))),
+            Some(other) => {
+                Err(StoreError::State { path, reason: format!("`{other}` is not a digest") })
+            }
             None => Ok(state),
         }
     }
 
-    /// What became of every model. A history that cannot be read is an empty one: nothing depends on it but explanations and
-    /// the memory of models that were rolled back.
+    /// The history of all models. An unreadable history is treated as empty: only explanations and
+    /// the refusal of models that were rolled back depend on it.
     #[must_use]
     pub fn history(&self) -> History {
         let text = fs::read_to_string(self.dir.join("history.json")).unwrap_or_default();
         serde_json::from_str(&text).unwrap_or_default()
     }
 
-    /// The bytes of a model, if they are what they were when it was installed.
+    /// Reads a model and checks its digest.
     ///
     /// # Errors
     /// [`StoreError::Model`].
     pub fn read_model(&self, digest: &str) -> Result<Vec<u8>, StoreError> {
-        let whole = |bytes: &Vec<u8>| blake3::hash(bytes).to_hex().as_str() == digest;
         let read = if is_digest(digest) { fs::read(self.model_path(digest)).ok() } else { None };
-        read.filter(whole)
+        read.filter(|bytes| blake3::hash(bytes).to_hex().as_str() == digest)
             .ok_or_else(|| StoreError::Model { digest: digest.to_owned(), dir: self.dir.clone() })
     }
 
-    /// Whether it never had a model.
+    /// Whether the store never had a model.
     #[must_use]
     pub fn is_new(&self) -> bool {
         !self.state_path().exists()
     }
 
-    /// Puts in the model that came with the program, as one that has proved itself. Only into a store that never had any: what an
-    /// operator has rolled back stays away. Whether it did.
+    /// Installs the model that came with the program, without a trial, if the store never had a
+    /// model. A model that the operator has rolled back therefore does not come back. Returns
+    /// whether the model was installed.
     ///
     /// # Errors
-    /// When the disk fails; the store is then as it was.
+    /// If the disk fails; the store is unchanged then.
     pub fn adopt(&mut self, model: &[u8], name: &str) -> Result<bool, StoreError> {
         let _lock = self.lock()?;
         if !self.is_new() {
@@ -158,15 +162,16 @@ impl Store {
             What::Kept,
             &digest,
             name,
-            "the store's first, it came with the program",
+            "first model of the store, which came with the program",
         ));
         Ok(true)
     }
 
-    /// Makes a model the current one, on trial. One that still was on trial is dropped: what is gone back to has proved itself.
+    /// Makes a model the current one, on trial. A model that was still on trial is removed, so that
+    /// a rollback always goes to a model that has passed its trial.
     ///
     /// # Errors
-    /// When the disk fails; the store is then as it was.
+    /// If the disk fails; the store is unchanged then.
     pub fn install(&mut self, model: &[u8], signature: &str, name: &str) -> Result<(), StoreError> {
         let _lock = self.lock()?;
         let digest = blake3::hash(model).to_hex().to_string();
@@ -183,20 +188,20 @@ impl Store {
         Ok(())
     }
 
-    /// Goes back to the newest model before the current one that is whole, or to none. Works with the current model and
-    /// `current` itself damaged.
+    /// Goes back to the newest intact model before the current one, or to none. This also works if
+    /// the current model or the file `current` is damaged.
     ///
     /// # Errors
-    /// When there is nothing to go back from, or the disk fails.
+    /// If no model is installed, or the disk fails.
     pub fn roll_back(&mut self, why: &str) -> Result<State, StoreError> {
         let _lock = self.lock()?;
         self.go_back(why)
     }
 
-    /// As [`roll_back`](Self::roll_back), unless another model is current meanwhile.
+    /// Like [`roll_back`](Self::roll_back), but does nothing if another model is the current one.
     ///
     /// # Errors
-    /// As [`roll_back`](Self::roll_back).
+    /// Like [`roll_back`](Self::roll_back).
     pub fn give_up(&mut self, digest: &str, why: &str) -> Result<State, StoreError> {
         let _lock = self.lock()?;
         match self.state() {
@@ -205,14 +210,14 @@ impl Store {
         }
     }
 
-    /// To be called with the lock.
+    /// The caller must hold the lock.
     fn go_back(&mut self, why: &str) -> Result<State, StoreError> {
         let (left, rest) = match self.state() {
             Ok(state) => match state.models.split_first() {
                 Some((left, rest)) => (left.clone(), rest.to_vec()),
                 None => return Err(StoreError::Empty { dir: self.dir.clone() }),
             },
-            // What the history says has proved itself.
+            // `current` is damaged: use the models that have passed their trial by the history.
             Err(_) => (String::new(), self.kept_by_history()),
         };
         let models =
@@ -234,10 +239,11 @@ impl Store {
         models
     }
 
-    /// The trial of the current model ended well; nothing happens when another one is current meanwhile.
+    /// Ends the trial of the model `digest` with success. Does nothing if another model is the
+    /// current one.
     ///
     /// # Errors
-    /// When the disk fails; the model is then still on trial.
+    /// If the disk fails; the model is still on trial then.
     pub fn keep(&mut self, digest: &str, why: &str) -> Result<(), StoreError> {
         let _lock = self.lock()?;
         let state = self.state()?;
@@ -251,17 +257,17 @@ impl Store {
         Ok(())
     }
 
-    /// The robot starts with what this returns. A model that does not get through its trial is given up after
-    /// [`MOST_TRIAL_STARTS`] starts.
+    /// Counts a start of the robot and returns the state that it starts with. A model whose trial
+    /// did not end within [`MOST_TRIAL_STARTS`] starts is rolled back.
     ///
     /// # Errors
-    /// When the disk fails or the state is damaged.
+    /// If the disk fails or the state is damaged.
     pub fn start(&mut self) -> Result<State, StoreError> {
         let _lock = self.lock()?;
         let state = self.state()?;
         match state.trial_starts {
             Some(starts) if starts >= MOST_TRIAL_STARTS => self.go_back(&format!(
-                "rolled back: the robot was started {starts} times with it, and its trial never ended"
+                "rolled back: the robot was started {starts} times with it, but its trial never ended"
             )),
             Some(starts) => {
                 let state = State { trial_starts: Some(starts + 1), ..state };
@@ -272,15 +278,16 @@ impl Store {
         }
     }
 
-    /// Writes a line of the history. A disk that takes no line is no reason to stop; it is logged.
+    /// Adds an entry to the history. An error is only logged, because the history is not essential.
     pub fn note(&mut self, entry: Entry) {
         match self.lock() {
             Ok(_lock) => self.add_line(entry),
-            Err(error) => tracing::warn!("{error}; the history lacks a line"),
+            Err(error) => tracing::warn!("{error}; an entry is missing in the history"),
         }
     }
 
-    /// To be called with the lock: what another process has added meanwhile must not be lost.
+    /// Reads, extends and writes the history. The caller must hold the lock, so that entries of
+    /// other processes are not lost.
     fn add_line(&mut self, entry: Entry) {
         let mut history = self.history();
         history.add(entry);
@@ -289,7 +296,10 @@ impl Store {
             .map_err(std::io::Error::other)
             .and_then(|bytes| replace(self.disk.as_mut(), &path, &bytes));
         if let Err(error) = written {
-            tracing::warn!("cannot write {}: {error}; the history lacks a line", path.display());
+            tracing::warn!(
+                "cannot write {}: {error}; an entry is missing in the history",
+                path.display()
+            );
         }
     }
 
@@ -305,7 +315,8 @@ impl Store {
             .map_err(|source| StoreError::Write { path: path.to_owned(), source })
     }
 
-    /// Removes models that no `current` names, and what a crash left half-written. Best effort.
+    /// Removes models that `current` does not name, and incomplete files left by a crash. Best
+    /// effort.
     fn clean_up(&mut self) {
         let Ok(state) = self.state() else { return };
         for entry in fs::read_dir(self.dir.join("models")).into_iter().flatten().flatten() {
@@ -318,14 +329,13 @@ impl Store {
     }
 
     fn lock(&self) -> Result<File, StoreError> {
-        let error = |source| StoreError::Folder { dir: self.dir.clone(), source };
-        let file = File::create(self.dir.join("lock")).map_err(error)?;
-        file.lock().map_err(error)?;
-        Ok(file)
+        File::create(self.dir.join("lock"))
+            .and_then(|file| file.lock().map(|()| file))
+            .map_err(|source| StoreError::Folder { dir: self.dir.clone(), source })
     }
 }
 
-/// Whether this is a BLAKE3 digest in hex: it becomes part of a path.
+/// Whether this is a BLAKE3 digest in hexadecimal. Only then may it become part of a path.
 fn is_digest(text: &str) -> bool {
     text.len() == 64
         && text.bytes().all(|byte| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte))

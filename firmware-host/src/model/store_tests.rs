@@ -1,4 +1,4 @@
-//! What the store promises, whatever fails.
+//! The guarantees of the store, with disk errors and crashes at every operation.
 
 use std::collections::HashSet;
 use std::io;
@@ -50,7 +50,7 @@ fn an_empty_store_has_no_model_and_nothing_to_go_back_from() {
 }
 
 #[test]
-fn rollback_goes_back_model_by_model_to_none_and_says_why() {
+fn rollback_goes_back_model_by_model_to_none_and_records_the_reason() {
     let dir = tempfile::tempdir().unwrap();
     let mut store = store_with(dir.path(), 3);
     for model in [Some(MODELS[1]), Some(MODELS[0]), None] {
@@ -74,7 +74,7 @@ fn rollback_works_with_the_new_model_damaged_and_skips_older_ones_that_are() {
 }
 
 #[test]
-fn rollback_works_with_the_file_that_says_which_model_is_current_damaged() {
+fn rollback_works_when_the_file_that_names_the_current_model_is_damaged() {
     let dir = tempfile::tempdir().unwrap();
     let mut store = store_with(dir.path(), 2);
     for damage in ["", "{", r#"{"models":["../../etc/passwd"]}"#] {
@@ -85,7 +85,7 @@ fn rollback_works_with_the_file_that_says_which_model_is_current_damaged() {
 }
 
 #[test]
-fn what_is_gone_back_to_has_proved_itself() {
+fn a_rollback_goes_to_a_model_that_has_passed_its_trial() {
     let dir = tempfile::tempdir().unwrap();
     let mut store = store_with(dir.path(), 1);
     store.install(MODELS[1], "signature", "unproven").unwrap();
@@ -94,7 +94,7 @@ fn what_is_gone_back_to_has_proved_itself() {
 }
 
 #[test]
-fn only_the_last_models_take_room() {
+fn only_the_last_four_models_are_kept_on_the_disk() {
     let dir = tempfile::tempdir().unwrap();
     let store = store_with(dir.path(), MODELS.len());
     assert_eq!(store.state().unwrap().models.len(), 4);
@@ -106,7 +106,7 @@ fn only_the_last_models_take_room() {
 }
 
 #[test]
-fn a_model_that_ends_the_program_again_and_again_is_given_up() {
+fn a_model_that_crashes_the_program_three_times_is_rolled_back() {
     let dir = tempfile::tempdir().unwrap();
     let mut store = store_with(dir.path(), 1);
     store.install(MODELS[1], "signature", "deadly").unwrap();
@@ -117,7 +117,16 @@ fn a_model_that_ends_the_program_again_and_again_is_given_up() {
     assert!(store.history().rolled_back(&digest(MODELS[1])).unwrap().why.contains("3 times"));
 }
 
-/// A disk on which operation number `fails_at` fails, and with `dies` everything after it: a crash.
+/// A store with one model and a second one on trial.
+fn store_with_trial() -> (Store, tempfile::TempDir) {
+    let dir = tempfile::tempdir().unwrap();
+    let mut store = store_with(dir.path(), 1);
+    store.install(MODELS[1], "signature", "m").unwrap();
+    (store, dir)
+}
+
+/// A disk on which operation number `fails_at` fails. With `dies` all later operations fail too,
+/// like after a crash.
 struct BadDisk {
     done: usize,
     fails_at: usize,
@@ -139,7 +148,7 @@ impl BadDisk {
 impl StoreDisk for BadDisk {
     fn write(&mut self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         self.step().inspect_err(|_| {
-            // What a full disk leaves behind.
+            // A full disk leaves a partial file behind.
             let _ = RealDisk.write(path, &bytes[..bytes.len() / 2]);
         })?;
         RealDisk.write(path, bytes)
@@ -181,25 +190,19 @@ fn wherever_the_disk_fails_or_the_program_dies_the_store_is_as_before_or_as_afte
     const ENOSPC: i32 = 28;
     const EIO: i32 = 5;
     const EROFS: i32 = 30;
-    let prepared = || {
-        let dir = tempfile::tempdir().unwrap();
-        let mut store = store_with(dir.path(), 1);
-        store.install(MODELS[1], "signature", "m").unwrap();
-        (store, dir)
-    };
     let mut trials = 0;
     for (name, change) in changes {
-        let (mut store, _dir) = prepared();
+        let (mut store, _dir) = store_with_trial();
         let before = store.state().unwrap();
         assert!(change(&mut store));
         let after = store.state().unwrap();
         assert_ne!(before, after);
         for (error, dies) in [(ENOSPC, false), (EIO, false), (EROFS, false), (EIO, true)] {
             for fails_at in 0..30 {
-                let (_, dir) = prepared();
+                let (_, dir) = store_with_trial();
                 let disk = BadDisk { done: 0, fails_at, dies, error };
                 let done = change(&mut Store::open_on(dir.path(), Box::new(disk)).unwrap());
-                // Another process looks.
+                // The state as another process sees it.
                 let mut store = Store::open(dir.path()).unwrap();
                 let state = store.state().unwrap();
                 assert!(
@@ -211,7 +214,7 @@ fn wherever_the_disk_fails_or_the_program_dies_the_store_is_as_before_or_as_afte
                         .read_model(digest)
                         .unwrap_or_else(|error| panic!("{name}, {fails_at}: {error}"));
                 }
-                // It can still be used.
+                // The store can still be used.
                 store.install(MODELS[3], "signature", "m").unwrap();
                 assert_eq!(store.state().unwrap().current(), Some(&*digest(MODELS[3])));
                 store.roll_back("").unwrap();
@@ -247,42 +250,47 @@ fn two_processes_change_a_store_one_after_the_other() {
 }
 
 #[test]
-fn the_model_that_came_with_the_program_is_the_first_of_a_store_that_never_had_any() {
+fn the_model_that_came_with_the_program_becomes_the_first_one_of_a_new_store() {
     let dir = tempfile::tempdir().unwrap();
     let mut store = Store::open(dir.path()).unwrap();
     assert!(store.adopt(MODELS[0], "default").unwrap());
     let state = store.state().unwrap();
     assert_eq!((state.current(), state.trial_starts), (Some(&*digest(MODELS[0])), None));
     assert_eq!(store.history().name(&digest(MODELS[0])), "default");
-    // What is damaged goes back to it.
+    // A damaged store goes back to it.
     std::fs::write(dir.path().join("current"), "{").unwrap();
     assert!(!store.adopt(MODELS[1], "newer").unwrap());
     assert_eq!(store.roll_back("damaged").unwrap().current(), Some(&*digest(MODELS[0])));
-    // What an operator does not want does not come back.
+    // After a rollback by the operator it is not installed again.
     store.roll_back("").unwrap();
     assert!(!store.adopt(MODELS[0], "default").unwrap());
     assert_eq!(store.state().unwrap().current(), None);
 }
 
 #[test]
-fn a_model_is_given_up_only_while_it_drives() {
+fn a_model_is_given_up_only_while_it_is_the_current_one() {
     let dir = tempfile::tempdir().unwrap();
     let mut store = store_with(dir.path(), 2);
     let second = digest(MODELS[1]);
     assert_eq!(store.give_up(&digest(MODELS[0]), "late").unwrap().current(), Some(&*second));
     assert_eq!(store.give_up(&second, "late").unwrap().current(), Some(&*digest(MODELS[0])));
-    // Twice is once.
+    // A second call changes nothing.
     assert_eq!(store.give_up(&second, "late").unwrap().current(), Some(&*digest(MODELS[0])));
 }
 
 #[test]
-fn no_line_of_the_history_is_lost_when_several_processes_write() {
+fn no_entry_of_the_history_is_lost_when_several_processes_write() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path();
-    let refuse = move |who: usize| {
-        let mut store = Store::open(path).unwrap();
-        (0..20).for_each(|_| store.note(Entry::now(What::Refused, &digest(MODELS[who]), "m", "")));
-    };
-    std::thread::scope(|scope| (0..4).for_each(|who| drop(scope.spawn(move || refuse(who)))));
+    std::thread::scope(|scope| {
+        for model in &MODELS[..4] {
+            scope.spawn(|| {
+                let mut store = Store::open(path).unwrap();
+                for _ in 0..20 {
+                    store.note(Entry::now(What::Refused, &digest(model), "m", ""));
+                }
+            });
+        }
+    });
     assert_eq!(Store::open(dir.path()).unwrap().history().entries.len(), 80);
 }

@@ -1,4 +1,4 @@
-//! Where `perceive` gets pictures with poses from.
+//! The two sources of images with poses for `perceive`: a dataset or a recorded run.
 
 use std::path::{Path, PathBuf};
 
@@ -11,14 +11,14 @@ use crate::config::Config;
 use crate::dataset::{Dataset, Sample};
 use crate::recorded::Recorded;
 
-/// A sequence of pictures with poses.
+/// A sequence of images with poses.
 pub(super) struct Source {
     path: PathBuf,
     config: Config,
-    pictures: Pictures,
+    images: Images,
 }
 
-enum Pictures {
+enum Images {
     Dataset(Box<Dataset>),
     Recording(Box<Recorded>),
 }
@@ -26,81 +26,76 @@ enum Pictures {
 impl Source {
     /// Opens the dataset or the recording that the arguments name.
     pub fn open(args: &PerceiveArgs) -> Result<Self> {
-        let asked = args.config.as_deref().map(Config::load).transpose()?;
+        let given = args.config.as_deref().map(Config::load).transpose()?;
         if let Some(path) = &args.recording {
-            return Self::recording(path, asked);
+            return Self::recording(path, given);
         }
-        // clap asks for one of the two.
+        // clap already requires one of the two.
         let path = args.dataset.clone().context("give --dataset DIR or --recording RUN")?;
-        let config = asked.unwrap_or_default();
+        let config = given.unwrap_or_default();
         let dataset = Dataset::open(&path, config.camera.width, config.camera.height)?;
-        Ok(Self { path, config, pictures: Pictures::Dataset(Box::new(dataset)) })
+        Ok(Self { path, config, images: Images::Dataset(Box::new(dataset)) })
     }
 
-    fn recording(path: &Path, asked: Option<Config>) -> Result<Self> {
+    fn recording(path: &Path, given: Option<Config>) -> Result<Self> {
         let recording = Recorded::open(path)?;
-        let recorded = || serde_json::from_value(recording.run().config.clone());
-        let config = asked
-            .map_or_else(recorded, Ok)
+        let config = given
+            .map_or_else(|| serde_json::from_value(recording.run().config.clone()), Ok)
             .context("the recording's configuration cannot be read; give one with --config FILE")?;
-        Ok(Self {
-            path: path.to_owned(),
-            config,
-            pictures: Pictures::Recording(Box::new(recording)),
-        })
+        Ok(Self { path: path.to_owned(), config, images: Images::Recording(Box::new(recording)) })
     }
 
-    /// What shapes coarse depth and networks.
+    /// The configuration of coarse depth and networks.
     pub fn config(&self) -> &Config {
         &self.config
     }
 
-    /// The pictures' camera.
+    /// The camera of the images.
     pub fn camera(&self) -> &CameraModel {
-        match &self.pictures {
-            Pictures::Dataset(dataset) => dataset.camera(),
-            Pictures::Recording(recording) => &recording.run().camera,
+        match &self.images {
+            Images::Dataset(dataset) => dataset.camera(),
+            Images::Recording(recording) => &recording.run().camera,
         }
     }
 
-    /// Folder or file.
+    /// Path of the dataset or recording, for messages.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The dataset, if it is one.
+    /// The dataset; `None` for a recording.
     pub fn dataset(&self) -> Option<&Dataset> {
-        match &self.pictures {
-            Pictures::Dataset(dataset) => Some(dataset),
-            Pictures::Recording(_) => None,
+        match &self.images {
+            Images::Dataset(dataset) => Some(dataset),
+            Images::Recording(_) => None,
         }
     }
 
     pub fn is_recording(&self) -> bool {
-        matches!(self.pictures, Pictures::Recording(_))
+        matches!(self.images, Images::Recording(_))
     }
 
-    /// Number of pictures; a recording must be read to know.
+    /// Number of images; `None` for a recording, which would have to be read completely.
     pub fn len(&self) -> Option<u64> {
-        match &self.pictures {
-            Pictures::Dataset(dataset) => Some(dataset.len() as u64),
-            Pictures::Recording(_) => None,
+        match &self.images {
+            Images::Dataset(dataset) => Some(dataset.len() as u64),
+            Images::Recording(_) => None,
         }
     }
 
-    /// Pictures of a dataset that no pose is near in time.
+    /// Number of images of a dataset without a pose near them in time.
     pub fn without_pose(&self) -> usize {
-        match &self.pictures {
-            Pictures::Dataset(dataset) => dataset.without_pose(),
-            Pictures::Recording(_) => 0,
+        match &self.images {
+            Images::Dataset(dataset) => dataset.without_pose(),
+            Images::Recording(_) => 0,
         }
     }
 
-    /// All pictures in time order.
+    /// All images in time order.
     pub fn samples(&self) -> Box<dyn Iterator<Item = Result<Sample>> + '_> {
-        match &self.pictures {
-            Pictures::Dataset(dataset) => Box::new(dataset.samples().map(|sample| Ok(sample?))),
-            Pictures::Recording(recording) => Box::new(
+        match &self.images {
+            Images::Dataset(dataset) => Box::new(dataset.samples().map(|sample| Ok(sample?))),
+            Images::Recording(recording) => Box::new(
                 recording
                     .ticks()
                     .filter_map(|tick| tick.map(|tick| sample(tick, recording.run())).transpose()),
@@ -109,7 +104,7 @@ impl Source {
     }
 }
 
-/// What `perceive` needs of a turn; `None` for one without a picture.
+/// Converts a recorded tick; `None` for a tick without a frame.
 fn sample(tick: RecordedTick, run: &RunHeader) -> Option<Sample> {
     Some(Sample {
         time_ns: tick.time_ns,

@@ -1,4 +1,4 @@
-//! Files that are there whole or not at all.
+//! Atomic writing of report files.
 
 use std::{
     fs::{self, File},
@@ -6,60 +6,51 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Why a report could not be written.
+/// An error while writing a report.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReportError {
-    /// The directory or the file cannot be written; nothing was left behind.
-    #[error("cannot write {}: {source}; choose another output directory or make room there", path.display())]
-    Unwritable {
-        /// What was to be written.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// A picture's planes or a map's cells do not fit its size.
+    /// The directory or the file cannot be written. No partial file was left behind.
+    #[error("cannot write {}: {source}; choose another output directory or free space there", path.display())]
+    Unwritable { path: PathBuf, source: io::Error },
+    /// The number of pixels or cells does not match the size.
     #[error("{what}: {actual} values for {width}x{height}, expected {}", width * height)]
     Shape {
-        /// What does not fit.
+        /// What has the wrong size.
         what: &'static str,
-        /// Columns.
         width: usize,
-        /// Rows.
         height: usize,
-        /// How many values there are.
         actual: usize,
     },
-    /// The picture cannot be encoded.
+    /// The image cannot be encoded.
     #[error("cannot encode {}: {message}", path.display())]
-    Encoding {
-        /// The file it was for.
-        path: PathBuf,
-        /// What the encoder says.
-        message: String,
-    },
+    Encoding { path: PathBuf, message: String },
 }
 
-/// Creates `dir` where it is missing and proves that files can be written there, so that a run fails before it starts and
-/// not when it ends.
+/// Creates `dir` if it is missing and checks that files can be written there, so that a run with a
+/// bad output directory fails at the start and not at the end.
 ///
 /// # Errors
 /// [`ReportError::Unwritable`].
 pub fn prepare_dir(dir: &Path) -> Result<(), ReportError> {
-    let unwritable = |source| ReportError::Unwritable { path: dir.to_path_buf(), source };
-    fs::create_dir_all(dir).map_err(unwritable)?;
+    create_and_probe(dir)
+        .map_err(|source| ReportError::Unwritable { path: dir.to_path_buf(), source })
+}
+
+fn create_and_probe(dir: &Path) -> io::Result<()> {
+    fs::create_dir_all(dir)?;
     let probe = dir.join(".probe.partial");
     let written = File::create(&probe)
         .and_then(|mut file| file.write_all(&[0; 4096]).and_then(|()| file.sync_all()));
     let removed = fs::remove_file(&probe);
-    written.and(removed).map_err(unwritable)
+    written.and(removed)
 }
 
-/// Writes `bytes` to `path` by way of a temporary file beside it: a reader, a crash and a full disk see the old file or
-/// the new one, never a part.
+/// Writes `bytes` to a temporary file and renames it to `path`, so that readers never see a partial
+/// file, even after a crash or on a full disk.
 ///
 /// # Errors
-/// [`ReportError::Unwritable`]; the temporary file is gone then.
+/// [`ReportError::Unwritable`]; the temporary file is removed then.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
     let mut name = path.file_name().unwrap_or_default().to_os_string();
     name.push(".partial");
@@ -68,7 +59,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
         .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
         .and_then(|()| fs::rename(&partial, path));
     written.map_err(|source| {
-        // Best effort: the reason that the user needs is the first one.
+        // Best effort: the first error is the one to report.
         let _ = fs::remove_file(&partial);
         ReportError::Unwritable { path: path.to_path_buf(), source }
     })
@@ -86,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn the_file_is_replaced_whole_and_nothing_else_stays() {
+    fn a_file_is_replaced_and_no_temporary_file_stays() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("summary.json");
         write_atomically(&path, b"old").unwrap();
@@ -96,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn a_directory_in_the_files_place_is_an_error_and_leaves_no_partial_file() {
+    fn a_directory_at_the_path_of_the_file_is_an_error_and_leaves_no_partial_file() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("summary.json");
         fs::create_dir(&path).unwrap();
@@ -117,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_in_the_directorys_place_is_refused_at_the_start() {
+    fn a_file_at_the_path_of_the_directory_is_refused_at_the_start() {
         let dir = tempfile::tempdir().unwrap();
         let out = dir.path().join("out");
         fs::write(&out, b"").unwrap();
@@ -126,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn a_directory_that_takes_no_files_is_refused_at_the_start() {
+    fn a_read_only_directory_is_refused_at_the_start() {
         // procfs refuses new files even to root.
         assert!(prepare_dir(Path::new("/proc/self")).is_err());
     }

@@ -1,4 +1,4 @@
-//! A picture to draw on: rectangles, smooth lines and marks, text.
+//! An RGB image with drawing functions: rectangles, anti-aliased lines and markers, text.
 
 use std::{io::Cursor, path::Path};
 
@@ -10,14 +10,14 @@ use super::{
     colors::{Rgb, mix},
 };
 
-/// How large and heavy a text is.
+/// Size and weight of a text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Font {
-    /// For labels: 16 pixels high.
+    /// 16 pixels high, for labels.
     Label,
-    /// The same in bold.
+    /// 16 pixels high and bold, for column headings.
     Strong,
-    /// For titles: 20 pixels high, bold.
+    /// 20 pixels high and bold, for titles.
     Title,
 }
 
@@ -30,52 +30,54 @@ impl Font {
         }
     }
 
-    /// Pixels that `text` is wide.
+    /// Width of `text` in pixels.
     #[must_use]
     pub fn width(self, text: &str) -> i64 {
         let (weight, height) = self.raster();
         (text.chars().count() * get_raster_width(weight, height)) as i64
     }
 
-    /// As much of `text` as fits into `width` pixels; dots where something was cut off.
+    /// `text` shortened to `width` pixels. A shortened text ends with three dots.
     #[must_use]
     pub fn fit(self, text: &str, width: i64) -> String {
-        let most = (width / self.width("x")).max(0) as usize;
-        if text.chars().count() <= most {
+        let capacity = (width / self.width("x")).max(0) as usize;
+        if text.chars().count() <= capacity {
             return text.to_owned();
         }
-        let kept: String = text.chars().take(most.saturating_sub(3)).collect();
+        let kept: String = text.chars().take(capacity.saturating_sub(3)).collect();
         kept + "..."
     }
 }
 
-/// An RGB picture. Everything that is drawn outside is cut off. Pixel centres are at integer coordinates.
+/// An RGB image to draw on. Drawing outside of it has no effect. Pixel centres are at integer
+/// coordinates.
 #[derive(Debug, Clone)]
 pub struct Canvas {
     image: RgbImage,
 }
 
 impl Canvas {
-    /// One colour everywhere.
+    /// An image filled with one colour.
     #[must_use]
     pub fn new(width: u32, height: u32, background: Rgb) -> Self {
         Self { image: RgbImage::from_pixel(width, height, Pixel(background)) }
     }
 
-    /// Columns and rows.
+    /// Width and height in pixels.
     #[must_use]
     pub fn size(&self) -> (u32, u32) {
         self.image.dimensions()
     }
 
-    /// The colour of a pixel; `None` outside.
+    /// The colour of a pixel; `None` outside of the image.
     #[must_use]
     pub fn get(&self, x: i64, y: i64) -> Option<Rgb> {
-        let (x, y) = (u32::try_from(x).ok()?, u32::try_from(y).ok()?);
+        let x = u32::try_from(x).ok()?;
+        let y = u32::try_from(y).ok()?;
         self.image.get_pixel_checked(x, y).map(|pixel| pixel.0)
     }
 
-    /// Mixes `color` into a pixel.
+    /// Blends `color` over a pixel. `opacity` is from 0 to 1.
     pub fn blend(&mut self, x: i64, y: i64, color: Rgb, opacity: f64) {
         if let (Ok(x), Ok(y)) = (u32::try_from(x), u32::try_from(y))
             && let Some(pixel) = self.image.get_pixel_mut_checked(x, y)
@@ -84,7 +86,7 @@ impl Canvas {
         }
     }
 
-    /// A filled rectangle.
+    /// Draws a filled rectangle.
     pub fn fill(&mut self, x: i64, y: i64, width: i64, height: i64, color: Rgb) {
         for row in y..y + height {
             for column in x..x + width {
@@ -93,7 +95,7 @@ impl Canvas {
         }
     }
 
-    /// The edge of a rectangle, one pixel wide, inside it.
+    /// Draws the outline of a rectangle, one pixel wide, inside of its edges.
     pub fn frame(&mut self, x: i64, y: i64, width: i64, height: i64, color: Rgb) {
         self.fill(x, y, width, 1, color);
         self.fill(x, y + height - 1, width, 1, color);
@@ -101,7 +103,7 @@ impl Canvas {
         self.fill(x + width - 1, y, 1, height, color);
     }
 
-    /// A straight line with round ends.
+    /// Draws a straight line with round ends.
     pub fn line(&mut self, a: [f64; 2], b: [f64; 2], width: f64, color: Rgb, opacity: f64) {
         let middle = [(a[0] + b[0]) / 2.0, (a[1] + b[1]) / 2.0];
         let reach = (a[0] - b[0]).hypot(a[1] - b[1]) / 2.0 + width;
@@ -110,29 +112,29 @@ impl Canvas {
         });
     }
 
-    /// A filled circle.
+    /// Draws a filled circle.
     pub fn disc(&mut self, center: [f64; 2], radius: f64, color: Rgb) {
         self.shape(center, radius, color, 1.0, |[x, y]| {
             (x - center[0]).hypot(y - center[1]) - radius
         });
     }
 
-    /// A square standing on its corner; `radius` to the corners.
+    /// Draws a square standing on a corner. `radius` is the distance from centre to corner.
     pub fn diamond(&mut self, center: [f64; 2], radius: f64, color: Rgb) {
-        let distance = |[x, y]: [f64; 2]| {
+        self.shape(center, radius, color, 1.0, |[x, y]| {
             ((x - center[0]).abs() + (y - center[1]).abs() - radius) / 2f64.sqrt()
-        };
-        self.shape(center, radius, color, 1.0, distance);
+        });
     }
 
-    /// Two crossing strokes; `radius` to their ends along each axis.
+    /// Draws an X. `radius` is the extent from the centre along each axis.
     pub fn cross(&mut self, center: [f64; 2], radius: f64, width: f64, color: Rgb) {
         let [x, y] = center;
         self.line([x - radius, y - radius], [x + radius, y + radius], width, color, 1.0);
         self.line([x - radius, y + radius], [x + radius, y - radius], width, color, 1.0);
     }
 
-    /// Everything whose signed distance (negative inside) is below zero, with smooth edges.
+    /// Draws, anti-aliased, a shape that is given by its signed distance (negative inside). `reach`
+    /// is the largest extent of the shape from `center`.
     fn shape(
         &mut self,
         center: [f64; 2],
@@ -141,14 +143,10 @@ impl Canvas {
         opacity: f64,
         distance: impl Fn([f64; 2]) -> f64,
     ) {
-        let (width, height) = (f64::from(self.image.width()), f64::from(self.image.height()));
-        let range = |center: f64, end: f64| {
-            // An empty range where the centre is NaN; no longer than the picture where it is huge.
-            let low = (center - reach - 1.0).floor().clamp(0.0, end) as i64;
-            low..(center + reach + 2.0).ceil().clamp(0.0, end) as i64
-        };
-        for y in range(center[1], height) {
-            for x in range(center[0], width) {
+        let columns = covered(center[0], reach, self.image.width());
+        let rows = covered(center[1], reach, self.image.height());
+        for y in rows {
+            for x in columns.clone() {
                 let coverage = (0.5 - distance([x as f64, y as f64])).clamp(0.0, 1.0);
                 if coverage > 0.0 {
                     self.blend(x, y, color, coverage * opacity);
@@ -157,7 +155,8 @@ impl Canvas {
         }
     }
 
-    /// Text whose upper left corner is at (`x`, `y`). What the font does not have becomes a question mark.
+    /// Draws text with its upper left corner at (`x`, `y`). Characters that the font does not have
+    /// are drawn as question marks.
     pub fn text(&mut self, x: i64, y: i64, text: &str, font: Font, color: Rgb) {
         let (weight, height) = font.raster();
         let advance = get_raster_width(weight, height) as i64;
@@ -181,12 +180,12 @@ impl Canvas {
         }
     }
 
-    /// Text whose middle is at column `x`.
+    /// Draws text centred at column `x`.
     pub fn text_centered(&mut self, x: i64, y: i64, text: &str, font: Font, color: Rgb) {
         self.text(x - font.width(text) / 2, y, text, font, color);
     }
 
-    /// Writes a PNG file, whole or not at all.
+    /// Writes a PNG file atomically.
     ///
     /// # Errors
     /// [`ReportError::Encoding`] or [`ReportError::Unwritable`].
@@ -201,8 +200,18 @@ impl Canvas {
     }
 }
 
+/// Pixels of one axis that a shape may cover. The range is empty if `center` is NaN, and is limited
+/// to the image if it is huge.
+fn covered(center: f64, reach: f64, size: u32) -> std::ops::Range<i64> {
+    let end = f64::from(size);
+    let low = (center - reach - 1.0).floor().clamp(0.0, end) as i64;
+    let high = (center + reach + 2.0).ceil().clamp(0.0, end) as i64;
+    low..high
+}
+
 fn distance_to_segment(point: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
-    let (along, to) = ([b[0] - a[0], b[1] - a[1]], [point[0] - a[0], point[1] - a[1]]);
+    let along = [b[0] - a[0], b[1] - a[1]];
+    let to = [point[0] - a[0], point[1] - a[1]];
     let squared = along[0] * along[0] + along[1] * along[1];
     let share = if squared > 0.0 {
         ((to[0] * along[0] + to[1] * along[1]) / squared).clamp(0.0, 1.0)
@@ -223,8 +232,14 @@ mod tests {
         canvas.image.pixels().filter(|pixel| pixel.0 != WHITE).count()
     }
 
+    fn with_text(text: &str) -> Canvas {
+        let mut canvas = Canvas::new(60, 30, WHITE);
+        canvas.text(4, 5, text, Font::Label, [0; 3]);
+        canvas
+    }
+
     #[test]
-    fn a_line_is_as_wide_as_it_should_be() {
+    fn a_line_has_the_requested_width() {
         let mut canvas = Canvas::new(40, 40, WHITE);
         canvas.line([5.0, 20.0], [35.0, 20.0], 3.0, RED, 1.0);
         let column: Vec<bool> = (0..40).map(|y| canvas.get(20, y) == Some(RED)).collect();
@@ -252,22 +267,17 @@ mod tests {
     }
 
     #[test]
-    fn text_stays_in_its_box_and_unknown_letters_are_question_marks() {
-        let draw = |text: &str| {
-            let mut canvas = Canvas::new(60, 30, WHITE);
-            canvas.text(4, 5, text, Font::Label, [0; 3]);
-            canvas
-        };
-        let canvas = draw("Mg1");
+    fn text_stays_in_its_box_and_unknown_characters_become_question_marks() {
+        let canvas = with_text("Mg1");
         let right = 4 + Font::Label.width("Mg1");
         assert!(painted(&canvas) > 30);
-        let outside = |x: i64, y: i64| !(4..right).contains(&x) || !(5..21).contains(&y);
         for y in 0..30 {
             for x in 0..60 {
-                assert!(!outside(x, y) || canvas.get(x, y) == Some(WHITE), "{x} {y}");
+                let inside = (4..right).contains(&x) && (5..21).contains(&y);
+                assert!(inside || canvas.get(x, y) == Some(WHITE), "{x} {y}");
             }
         }
-        assert_eq!(draw("\u{4e00}").image, draw("?").image);
+        assert_eq!(with_text("\u{4e00}").image, with_text("?").image);
     }
 
     #[test]

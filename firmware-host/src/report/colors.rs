@@ -1,9 +1,10 @@
-//! Colours that mean a number.
+//! Colour maps of the report images.
 
-/// Red, green, blue, sRGB-coded.
+/// Red, green and blue in sRGB.
 pub type Rgb = [u8; 3];
 
-/// Google's Turbo (Mikhailov 2019) by its published fifth-degree fit: blue at 0, red at 1.
+/// Google's Turbo colour map (Mikhailov 2019) as its published polynomial fit of degree five: blue
+/// at 0, red at 1.
 #[must_use]
 pub fn turbo(share: f64) -> Rgb {
     const RED: [f64; 6] = [
@@ -27,13 +28,15 @@ pub fn turbo(share: f64) -> Rgb {
     [RED, GREEN, BLUE].map(|coefficients| polynomial(&coefficients, share))
 }
 
-/// Time along a path, 0 to 1: dark blue, violet, red, orange. All of it is dark enough for a line on white.
+/// Colour of the time along a path, 0 to 1: dark blue, violet, red, orange. All colours are dark
+/// enough for lines on white.
 #[must_use]
 pub fn time(share: f64) -> Rgb {
     gradient(&[[26, 35, 126], [106, 27, 154], [198, 40, 90], [239, 108, 0]], share)
 }
 
-/// Relative error, 0 to 1 of its scale: white is right, black-red is worst. Lightness alone orders it.
+/// Colour of an error, 0 to 1 of its scale: white is no error, dark red the largest. The colours
+/// also differ in lightness alone.
 #[must_use]
 pub fn error(share: f64) -> Rgb {
     gradient(&[[255, 255, 250], [253, 212, 158], [252, 141, 89], [200, 40, 30], [70, 0, 20]], share)
@@ -51,7 +54,7 @@ fn gradient(stops: &[Rgb], share: f64) -> Rgb {
     mix(stops[index], stops[index + 1], at - index as f64)
 }
 
-/// `share` of `over`, the rest `under`.
+/// A linear mix of two colours: `under` at `share` 0, `over` at 1.
 #[must_use]
 pub fn mix(under: Rgb, over: Rgb, share: f64) -> Rgb {
     let mut mixed = under;
@@ -80,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ends_of_a_gradient_are_its_stops() {
+    fn a_gradient_begins_and_ends_with_its_first_and_last_colour() {
         assert_eq!(time(0.0), [26, 35, 126]);
         assert_eq!(time(1.0), [239, 108, 0]);
         assert_eq!(time(7.0), time(1.0));

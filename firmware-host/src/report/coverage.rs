@@ -1,6 +1,7 @@
-//! How much of the floor that the robot could have reached was mapped.
+//! Share of the reachable floor that was mapped.
 
-/// The true reachable floor of a simulated home, cell by cell, and which of it was mapped.
+/// A grid of the reachable floor of a simulated home (ground truth), with the cells that were
+/// mapped.
 #[derive(Debug, Clone)]
 pub struct Coverage {
     width: usize,
@@ -14,8 +15,9 @@ pub struct Coverage {
 }
 
 impl Coverage {
-    /// A home of which nothing is mapped. `reachable` is row-major, `width` cells a row; `origin_m` is the outer corner of
-    /// its first cell. `None` when the sizes do not fit, the resolution is not positive or nothing is reachable.
+    /// A home of which nothing is mapped yet. `reachable` is row-major with `width` cells per row,
+    /// and `origin_m` is the outer corner of its first cell in the world. `None` if the sizes do
+    /// not match, the resolution is not positive, or no cell is reachable.
     #[must_use]
     pub fn new(
         reachable: Vec<bool>,
@@ -43,14 +45,15 @@ impl Coverage {
         })
     }
 
-    /// A map cell of side `cell_m` with its centre at (`x_m`, `y_m`) in the world became known. Marks every true cell whose
-    /// centre it covers, and the true cell under its own centre, so that neither grid has to be finer than the other.
+    /// Records that a map cell of side `cell_m`, centred at (`x_m`, `y_m`) in the world, became
+    /// known. Marks every ground-truth cell whose centre it covers and the cell under its own
+    /// centre, so that either grid may be the finer one.
     pub fn mark(&mut self, x_m: f64, y_m: f64, cell_m: f64) {
         if !(x_m.is_finite() && y_m.is_finite() && cell_m.is_finite()) {
             return;
         }
-        let [column, row] =
-            [0, 1].map(|axis| ([x_m, y_m][axis] - self.origin_m[axis]) / self.resolution_m);
+        let column = (x_m - self.origin_m[0]) / self.resolution_m;
+        let row = (y_m - self.origin_m[1]) / self.resolution_m;
         let half = cell_m / 2.0 / self.resolution_m;
         self.set(column.floor(), row.floor());
         for v in centres(row, half) {
@@ -86,7 +89,7 @@ impl Coverage {
     }
 }
 
-/// Cells whose centres lie within `half` cells of `at`, the upper end excluded.
+/// Cells whose centres lie within `half` cells of `at`, excluding the upper end.
 fn centres(at: f64, half: f64) -> std::ops::Range<i64> {
     (at - half - 0.5).ceil() as i64..(at + half - 0.5).ceil() as i64
 }
@@ -128,7 +131,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the two resolutions and the offset between the grids, known cells that tile the home cover it all.
+        /// Map cells that tile the home cover all of it, for any resolution and offset of the two
+        /// grids.
         #[test]
         fn tiles_without_gaps_cover_everything(cell_m in 0.02..0.3f64, offset in 0.0..1.0f64) {
             let mut coverage = Coverage::new(vec![true; 400], 20, [0.0, 0.0], 0.05).unwrap();

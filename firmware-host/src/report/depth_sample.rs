@@ -1,4 +1,5 @@
-//! Keeps a few frames, spread over a run of unknown length, small enough to hold in memory.
+//! Selects a few frames, spread over a run of unknown length, and stores them at reduced size for
+//! `depth.png`.
 
 use hal::{DepthMap, ImageView, PixelFormat};
 use runtime::{
@@ -8,37 +9,35 @@ use runtime::{
 
 use super::colors::Rgb;
 
-/// Rows that a sheet should have, at most; at least half as many when the run is long enough.
+/// Maximum number of rows of a sheet. A long enough run gets at least half as many.
 pub const SHEET_ROWS: usize = 8;
 
-/// Pictures are reduced until they are at most this wide.
+/// Images are reduced to at most this width, pixels.
 const WIDTH: usize = 320;
 
-/// One frame, reduced.
+/// One frame at reduced size.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SheetRow {
-    /// Which frame of the run.
+    /// Number of the frame in the run.
     pub frame: u64,
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
-    /// The camera's picture, row-major.
+    /// The camera's image, row-major.
     pub rgb: Vec<Rgb>,
-    /// Depth from ego-motion, if there was any for this frame.
+    /// Coarse depth, if this frame has any.
     pub coarse: Option<SampledDepth>,
-    /// Depth from the network, if there was any for this frame.
+    /// Depth of the network, if this frame has any.
     pub network: Option<SampledDepth>,
-    /// Ground truth, metres, 0 where there is none.
+    /// Ground truth, metres; 0 means no value.
     pub truth: Option<Vec<f32>>,
 }
 
-/// A computed depth, reduced, and what it was worth before it was.
+/// Estimated depth at reduced size, with its accuracy at full size.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SampledDepth {
-    /// Metres, row-major, 0 where there is none.
+    /// Row-major, metres; 0 means no depth.
     pub depth_m: Vec<f32>,
-    /// Probability that each depth is right, 0 to 1, row-major.
+    /// Probability that each depth is right (within 25 %), 0 to 1, row-major.
     pub confidence: Vec<f32>,
     /// Share of all pixels that have a depth.
     pub share: f64,
@@ -49,16 +48,17 @@ pub struct SampledDepth {
 }
 
 impl SheetRow {
-    /// Reduces one frame. `None` when the picture is not RGB8 or a depth has another size.
+    /// Reduces one frame. `None` if the image is not RGB8 or a depth has another size.
     #[must_use]
     pub fn capture(
         frame: u64,
-        picture: &ImageView<'_>,
+        image: &ImageView<'_>,
         coarse: Option<&DepthEstimate>,
         network: Option<&DepthEstimate>,
         truth: Option<&DepthMap>,
     ) -> Option<Self> {
-        let (width, height) = (picture.width(), picture.height());
+        let width = image.width();
+        let height = image.height();
         let depths = [
             coarse.map(|estimate| &estimate.depth),
             network.map(|estimate| &estimate.depth),
@@ -66,38 +66,32 @@ impl SheetRow {
         ];
         let fits =
             depths.iter().flatten().all(|depth| (depth.width(), depth.height()) == (width, height));
-        if picture.format() != PixelFormat::Rgb8 || !fits {
+        if image.format() != PixelFormat::Rgb8 || !fits {
             return None;
         }
         let stride = width.div_ceil(WIDTH);
-        let reduce = |values: &[f32]| -> Vec<f32> {
-            kept(width, height, stride).map(|index| values[index]).collect()
-        };
+        let pixels: Vec<usize> = kept(width, height, stride).collect();
         Some(Self {
             frame,
             width: width.div_ceil(stride),
             height: height.div_ceil(stride),
-            rgb: kept(width, height, stride).map(|index| pixel(picture.data(), index)).collect(),
-            coarse: coarse.and_then(|estimate| SampledDepth::of(estimate, truth, reduce)),
-            network: network.and_then(|estimate| SampledDepth::of(estimate, truth, reduce)),
-            truth: truth.map(|truth| reduce(truth.values())),
+            rgb: pixels.iter().map(|index| pixel(image.data(), *index)).collect(),
+            coarse: coarse.and_then(|estimate| SampledDepth::of(estimate, truth, &pixels)),
+            network: network.and_then(|estimate| SampledDepth::of(estimate, truth, &pixels)),
+            truth: truth.map(|truth| select(truth.values(), &pixels)),
         })
     }
 }
 
 impl SampledDepth {
-    fn of(
-        estimate: &DepthEstimate,
-        truth: Option<&DepthMap>,
-        reduce: impl Fn(&[f32]) -> Vec<f32>,
-    ) -> Option<Self> {
+    fn of(estimate: &DepthEstimate, truth: Option<&DepthMap>, pixels: &[usize]) -> Option<Self> {
         let values = estimate.depth.values();
         let share =
             values.iter().filter(|depth| **depth > 0.0).count() as f64 / values.len().max(1) as f64;
         let metrics = truth.and_then(|truth| judge(estimate, truth));
         (share > 0.0).then(|| Self {
-            depth_m: reduce(values),
-            confidence: reduce(&estimate.confidence),
+            depth_m: select(values, pixels),
+            confidence: select(&estimate.confidence, pixels),
             share,
             delta1: metrics.map(|metrics| metrics.delta1_unscaled),
             abs_rel: metrics.map(|metrics| metrics.abs_rel),
@@ -111,7 +105,12 @@ fn judge(estimate: &DepthEstimate, truth: &DepthMap) -> Option<Metrics> {
     accuracy.rows().all.filter(|metrics| metrics.share > 0.0)
 }
 
-/// Indices of the pixels that stay: nearest neighbour, so that a reduced depth is a depth that was there.
+fn select(values: &[f32], pixels: &[usize]) -> Vec<f32> {
+    pixels.iter().map(|index| values[*index]).collect()
+}
+
+/// Indices of the pixels of the reduced image: every `stride`-th one, because a mean of two depths
+/// would be the depth of nothing.
 fn kept(width: usize, height: usize, stride: usize) -> impl Iterator<Item = usize> {
     let rows = (0..height).step_by(stride);
     rows.flat_map(move |row| (0..width).step_by(stride).map(move |column| row * width + column))
@@ -122,10 +121,10 @@ fn pixel(data: &[u8], index: usize) -> Rgb {
     data.get(at..at + 3).map_or([0; 3], |rgb| [rgb[0], rgb[1], rgb[2]])
 }
 
-/// Spreads the rows of a sheet over a run whose length nobody knows.
+/// Spreads the rows of a sheet over a run of unknown length.
 ///
-/// The run is cut into equal slots; each keeps its first frame with the most depths. When there are too many slots, every
-/// second one goes and slots become twice as long.
+/// The run is divided into equal slots. Each slot keeps the first of its frames with the most depth
+/// sources. If there are too many slots, pairs of slots are merged.
 #[derive(Debug, Clone)]
 pub struct SheetSampler {
     slot_frames: u64,
@@ -139,8 +138,8 @@ impl Default for SheetSampler {
 }
 
 impl SheetSampler {
-    /// Offers a frame for which `depths` sources have a depth; `capture` is only called when the frame is kept for now.
-    /// Frames come in increasing order.
+    /// Offers a frame for which `depths` sources have a depth. `capture` is called only if the
+    /// frame is kept. Frames must come in increasing order.
     pub fn offer(&mut self, frame: u64, depths: usize, capture: impl FnOnce() -> Option<SheetRow>) {
         let slot = frame / self.slot_frames;
         let rival = self
@@ -162,13 +161,13 @@ impl SheetSampler {
         }
     }
 
-    /// The rows so far, in the order of the run.
+    /// The selected rows, in the order of the run.
     #[must_use]
     pub fn into_rows(self) -> Vec<SheetRow> {
         self.kept.into_iter().map(|(_, row)| row).collect()
     }
 
-    /// Of the rows that now share a slot, keeps the first with the most depths.
+    /// Keeps one row per slot: the first one with the most depths.
     fn thin_out(&mut self) {
         let slot_frames = self.slot_frames;
         self.kept.dedup_by(|later, earlier| {
@@ -192,10 +191,10 @@ mod tests {
 
     fn row(frame: u64, with_depth: bool) -> Option<SheetRow> {
         let rgb = [7; 4 * 2 * 3];
-        let picture = ImageView::rgb8(4, 2, &rgb).unwrap();
+        let image = ImageView::rgb8(4, 2, &rgb).unwrap();
         SheetRow::capture(
             frame,
-            &picture,
+            &image,
             with_depth.then(|| estimate(4, 2, 2.0)).as_ref(),
             None,
             None,
@@ -235,29 +234,29 @@ mod tests {
     }
 
     #[test]
-    fn a_run_without_any_depth_still_shows_its_pictures() {
+    fn a_run_without_any_depth_still_shows_its_frames() {
         let rows = sampled(50, |_| 0);
         assert!(rows.len() >= 4 && rows[0].coarse.is_none());
     }
 
     #[test]
-    fn wide_pictures_are_reduced_and_small_ones_are_not() {
+    fn wide_images_are_reduced_and_small_ones_are_not() {
         let rgb = vec![9; 640 * 192 * 3];
-        let picture = ImageView::rgb8(640, 192, &rgb).unwrap();
+        let image = ImageView::rgb8(640, 192, &rgb).unwrap();
         let wide =
-            SheetRow::capture(5, &picture, Some(&estimate(640, 192, 3.0)), None, None).unwrap();
+            SheetRow::capture(5, &image, Some(&estimate(640, 192, 3.0)), None, None).unwrap();
         assert_eq!((wide.width, wide.height, wide.rgb.len()), (320, 96, 320 * 96));
         assert_eq!(wide.coarse.unwrap().depth_m, vec![3.0; 320 * 96]);
         assert_eq!(row(0, true).unwrap().width, 4);
     }
 
     #[test]
-    fn accuracy_is_that_of_the_whole_picture() {
+    fn accuracy_is_computed_at_full_size() {
         let rgb = [7; 4 * 2 * 3];
-        let picture = ImageView::rgb8(4, 2, &rgb).unwrap();
+        let image = ImageView::rgb8(4, 2, &rgb).unwrap();
         let truth = DepthMap::from_vec(4, 2, vec![2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 4.0, 4.0]).unwrap();
         let row =
-            SheetRow::capture(0, &picture, Some(&estimate(4, 2, 2.0)), None, Some(&truth)).unwrap();
+            SheetRow::capture(0, &image, Some(&estimate(4, 2, 2.0)), None, Some(&truth)).unwrap();
         let coarse = row.coarse.unwrap();
         assert!(
             (coarse.delta1.unwrap() - 0.75).abs() < 1e-6
@@ -266,10 +265,10 @@ mod tests {
     }
 
     #[test]
-    fn a_depth_of_another_size_is_not_drawn_over_the_picture() {
+    fn a_depth_of_another_size_is_refused() {
         let rgb = [7; 4 * 2 * 3];
-        let picture = ImageView::rgb8(4, 2, &rgb).unwrap();
-        assert!(SheetRow::capture(0, &picture, Some(&estimate(4, 3, 2.0)), None, None).is_none());
+        let image = ImageView::rgb8(4, 2, &rgb).unwrap();
+        assert!(SheetRow::capture(0, &image, Some(&estimate(4, 3, 2.0)), None, None).is_none());
         let gray = ImageView::new(4, 2, PixelFormat::Gray8, &rgb[..8]).unwrap();
         assert!(SheetRow::capture(0, &gray, None, None, None).is_none());
     }

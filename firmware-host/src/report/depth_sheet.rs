@@ -1,4 +1,4 @@
-//! `depth.png`: pictures of the run beside the depth that was computed for them, and how wrong it was.
+//! `depth.png`: frames of the run beside their estimated depth, its confidence and its error.
 
 use std::path::Path;
 
@@ -18,19 +18,20 @@ const FAINT: Rgb = [110, 116, 126];
 const NO_DEPTH: [Rgb; 2] = [[92, 94, 99], [112, 114, 119]];
 
 const GAP: i64 = 12;
-/// Heights of the title with the columns' names, of a row's caption and of the colour bars.
+/// Heights in pixels: of the title with the column headings, of a row's caption, of the colour
+/// bars.
 const HEAD: i64 = 70;
 const CAPTION: i64 = 20;
 const BARS: i64 = 64;
-/// A relative error of this and more has the last colour.
-const WORST: f32 = 0.5;
-/// A pixel that is as probably right as this counts as sure.
-const SURE: f32 = 0.9;
-/// Depths that a colour bar may name, metres.
+/// Relative error at the end of the colour scale.
+const MAX_ERROR: f32 = 0.5;
+/// The caption counts pixels with at least this probability.
+const CONFIDENT: f32 = 0.9;
+/// Depths that may be labelled on the colour bar, metres.
 const TICKS_M: [f32; 14] =
     [0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0];
 
-/// What a column shows.
+/// The possible columns of the sheet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Column {
     Camera,
@@ -41,17 +42,17 @@ enum Column {
     Error,
 }
 
-/// A contact sheet.
+/// A contact sheet: one row per frame, one column per kind of data.
 #[derive(Debug, Clone, Copy)]
 pub struct DepthSheet<'a> {
-    /// One line: which run this is.
+    /// Title line that names the run.
     pub title: &'a str,
-    /// From top to bottom; all of the same size.
+    /// From top to bottom. All rows must have the same size.
     pub rows: &'a [SheetRow],
 }
 
 impl DepthSheet<'_> {
-    /// Draws and writes `depth.png` into `dir`. Without any row there is nothing to draw and no file is written.
+    /// Draws the sheet and writes `depth.png` into `dir`. Without rows no file is written.
     ///
     /// # Errors
     /// [`ReportError`].
@@ -65,10 +66,11 @@ impl DepthSheet<'_> {
     /// Draws the sheet; `None` without rows.
     ///
     /// # Errors
-    /// [`ReportError::Shape`] when the rows do not have one size.
+    /// [`ReportError::Shape`] if the rows have different sizes.
     pub fn draw(&self) -> Result<Option<Canvas>, ReportError> {
         let Some(first) = self.rows.first() else { return Ok(None) };
-        let (width, height) = (first.width, first.height);
+        let width = first.width;
+        let height = first.height;
         if let Some(other) = self.rows.iter().find(|row| (row.width, row.height) != (width, height))
         {
             let actual = other.width * other.height;
@@ -120,11 +122,11 @@ impl DepthSheet<'_> {
         Ok(Some(canvas))
     }
 
-    /// Columns that have something to show in some row.
+    /// The columns for which at least one row has data.
     fn columns(&self) -> Vec<Column> {
-        let any = |has: fn(&SheetRow) -> bool| self.rows.iter().any(has);
-        let (coarse, network, truth) =
-            (any(|r| r.coarse.is_some()), any(|r| r.network.is_some()), any(|r| r.truth.is_some()));
+        let coarse = self.rows.iter().any(|row| row.coarse.is_some());
+        let network = self.rows.iter().any(|row| row.network.is_some());
+        let truth = self.rows.iter().any(|row| row.truth.is_some());
         let shown = [
             (Column::Camera, true),
             (Column::Coarse, coarse),
@@ -136,8 +138,8 @@ impl DepthSheet<'_> {
         shown.into_iter().filter(|(_, shown)| *shown).map(|(column, _)| column).collect()
     }
 
-    /// Whether the error is the network's; else it is coarse depth's.
-    fn judges_network(&self) -> bool {
+    /// Whether the error column shows the error of the network or of coarse depth.
+    fn evaluates_network(&self) -> bool {
         self.rows.iter().any(|row| row.network.is_some())
     }
 
@@ -146,39 +148,32 @@ impl DepthSheet<'_> {
             Column::Camera => "camera",
             Column::Coarse => "coarse depth",
             Column::Network => "network depth",
-            Column::Confidence => "probability that it is right",
+            Column::Confidence => "probability of being right",
             Column::Truth => "ground truth",
-            Column::Error if self.judges_network() => "error of the network",
+            Column::Error if self.evaluates_network() => "error of the network",
             Column::Error => "error of coarse depth",
         }
     }
 
-    fn judged<'r>(&self, row: &'r SheetRow) -> Option<&'r SampledDepth> {
-        if self.judges_network() { row.network.as_ref() } else { row.coarse.as_ref() }
+    fn evaluated<'r>(&self, row: &'r SheetRow) -> Option<&'r SampledDepth> {
+        if self.evaluates_network() { row.network.as_ref() } else { row.coarse.as_ref() }
     }
 
     fn caption(&self, column: Column, row: &SheetRow) -> String {
-        let depth = |depth: Option<&SampledDepth>| match depth {
-            None => "no depth".to_owned(),
-            Some(SampledDepth { delta1: Some(delta1), share, .. }) => {
-                format!("{:.0} % of pixels, delta1 {delta1:.2} unscaled", 100.0 * share)
-            }
-            Some(SampledDepth { share, .. }) => format!("{:.0} % of pixels", 100.0 * share),
-        };
         match column {
             Column::Camera => format!("frame {}", row.frame),
-            Column::Coarse => depth(row.coarse.as_ref()),
-            Column::Network => depth(row.network.as_ref()),
+            Column::Coarse => depth_caption(row.coarse.as_ref()),
+            Column::Network => depth_caption(row.network.as_ref()),
             Column::Truth => String::new(),
-            Column::Confidence => self.judged(row).map_or_else(String::new, |judged| {
-                let sure =
-                    judged.confidence.iter().filter(|confidence| **confidence >= SURE).count();
+            Column::Confidence => self.evaluated(row).map_or_else(String::new, |depth| {
+                let confident =
+                    depth.confidence.iter().filter(|confidence| **confidence >= CONFIDENT).count();
                 format!(
-                    "{:.0} % of pixels above {SURE}",
-                    100.0 * sure as f64 / judged.confidence.len().max(1) as f64
+                    "{:.0} % of pixels above {CONFIDENT}",
+                    100.0 * confident as f64 / depth.confidence.len().max(1) as f64
                 )
             }),
-            Column::Error => match self.judged(row).and_then(|judged| judged.abs_rel) {
+            Column::Error => match self.evaluated(row).and_then(|depth| depth.abs_rel) {
                 Some(abs_rel) => format!("mean {:.0} %", 100.0 * abs_rel),
                 None => String::new(),
             },
@@ -193,46 +188,57 @@ impl DepthSheet<'_> {
         scale: &DepthScale,
         at: (i64, i64),
     ) {
-        let value = |depth: Option<&[f32]>, index: usize| depth.map_or(0.0, |depth| depth[index]);
-        let depth_color = |depth: f32| (depth > 0.0).then(|| scale.color(depth));
-        let of = |depth: &Option<SampledDepth>, index| {
-            value(depth.as_ref().map(|depth| &depth.depth_m[..]), index)
-        };
+        let evaluated = self.evaluated(row);
+        let truth = row.truth.as_deref();
         for index in 0..row.width * row.height {
             let color = match column {
                 Column::Camera => Some(row.rgb[index]),
-                Column::Coarse => depth_color(of(&row.coarse, index)),
-                Column::Network => depth_color(of(&row.network, index)),
+                Column::Coarse => scale.color_of(depth_at(row.coarse.as_ref(), index)),
+                Column::Network => scale.color_of(depth_at(row.network.as_ref(), index)),
                 Column::Confidence => {
-                    let confidence =
-                        value(self.judged(row).map(|judged| &judged.confidence[..]), index);
+                    let confidence = evaluated.map_or(0.0, |depth| depth.confidence[index]);
                     (confidence > 0.0).then(|| colors::error(1.0 - f64::from(confidence)))
                 }
-                Column::Truth => depth_color(value(row.truth.as_deref(), index)),
+                Column::Truth => scale.color_of(truth.map_or(0.0, |truth| truth[index])),
                 Column::Error => {
-                    let predicted =
-                        value(self.judged(row).map(|judged| &judged.depth_m[..]), index);
-                    let truth = value(row.truth.as_deref(), index);
+                    let predicted = depth_at(evaluated, index);
+                    let truth = truth.map_or(0.0, |truth| truth[index]);
                     (predicted > 0.0 && truth > 0.0)
                         .then(|| error_color((predicted - truth).abs() / truth))
                 }
             };
-            let (x, y) = (at.0 + (index % row.width) as i64, at.1 + (index / row.width) as i64);
+            let x = at.0 + (index % row.width) as i64;
+            let y = at.1 + (index / row.width) as i64;
             canvas.blend(x, y, color.unwrap_or_else(|| hatch(x, y)), 1.0);
         }
     }
 }
 
-/// Where no value is: stripes that no colour scale has.
+/// Depth at a pixel, metres; 0 if there is none.
+fn depth_at(depth: Option<&SampledDepth>, index: usize) -> f32 {
+    depth.map_or(0.0, |depth| depth.depth_m[index])
+}
+
+fn depth_caption(depth: Option<&SampledDepth>) -> String {
+    match depth {
+        None => "no depth".to_owned(),
+        Some(SampledDepth { delta1: Some(delta1), share, .. }) => {
+            format!("{:.0} % of pixels, delta1 {delta1:.2} unscaled", 100.0 * share)
+        }
+        Some(SampledDepth { share, .. }) => format!("{:.0} % of pixels", 100.0 * share),
+    }
+}
+
+/// Grey stripes for pixels without a value, which cannot be confused with a colour of the scales.
 fn hatch(x: i64, y: i64) -> Rgb {
     NO_DEPTH[usize::from((x + y).rem_euclid(8) < 2)]
 }
 
 fn error_color(relative: f32) -> Rgb {
-    colors::error(f64::from(relative / WORST))
+    colors::error(f64::from(relative / MAX_ERROR))
 }
 
-/// One colour scale for all depths of a sheet: near is warm, equal ratios are equal steps.
+/// The common logarithmic colour scale of all depths of a sheet.
 #[derive(Debug, Clone, Copy)]
 struct DepthScale {
     near_m: f32,
@@ -240,40 +246,39 @@ struct DepthScale {
 }
 
 impl DepthScale {
-    /// From the 1st to the 99th percentile of what is shown, of the ground truth where there is any.
+    /// A scale from the 1st to the 99th percentile of the ground truth or, without it, of the
+    /// estimated depths.
     fn of(rows: &[SheetRow]) -> Self {
         let truth = rows.iter().filter_map(|row| row.truth.as_deref());
-        let computed = rows
+        let estimated = rows
             .iter()
             .flat_map(|row| [&row.coarse, &row.network])
             .flatten()
             .map(|depth| &depth.depth_m[..]);
-        let valid = |depths: &mut dyn Iterator<Item = &[f32]>| -> Vec<f32> {
-            depths.flatten().copied().filter(|depth| *depth > 0.0).collect()
-        };
-        let mut depths = valid(&mut truth.into_iter());
+        let mut depths = valid(truth);
         if depths.is_empty() {
-            depths = valid(&mut computed.into_iter());
+            depths = valid(estimated);
         }
         depths.sort_unstable_by(f32::total_cmp);
-        let at = |share: usize| depths.get(depths.len() * share / 100).copied();
-        let (near_m, far_m) = (at(1).unwrap_or(0.3), at(99).unwrap_or(10.0));
-        // A picture of one wall still needs a scale.
+        let near_m = depths.get(depths.len() / 100).copied().unwrap_or(0.3);
+        let far_m = depths.get(depths.len() * 99 / 100).copied().unwrap_or(10.0);
+        // An image of a single wall still needs a range.
         Self { near_m, far_m: far_m.max(1.2 * near_m) }
     }
 
-    /// 0 at the near end, 1 at the far end.
+    /// Position on the scale: 0 at the near end, 1 at the far end.
     fn share(&self, depth_m: f32) -> f32 {
         (depth_m / self.near_m).ln() / (self.far_m / self.near_m).ln()
     }
 
-    /// Depths worth naming and where they stand: none so close to the one before that their labels would touch.
+    /// The labels of the colour bar with their positions. Labels that would touch the one before
+    /// are left out.
     fn ticks(&self) -> Vec<(f32, String)> {
         let mut ticks: Vec<(f32, String)> = Vec::new();
         for tick_m in TICKS_M {
             let share = self.share(tick_m);
-            let room = ticks.last().is_none_or(|(last, _)| share - last > 0.1);
-            if room && (0.0..=1.0).contains(&share) {
+            let fits = ticks.last().is_none_or(|(last, _)| share - last > 0.1);
+            if fits && (0.0..=1.0).contains(&share) {
                 ticks.push((share, format!("{tick_m}")));
             }
         }
@@ -283,14 +288,24 @@ impl DepthScale {
     fn color(&self, depth_m: f32) -> Rgb {
         near_warm(self.share(depth_m))
     }
+
+    /// `None` for a depth of 0, which means that there is none.
+    fn color_of(&self, depth_m: f32) -> Option<Rgb> {
+        (depth_m > 0.0).then(|| self.color(depth_m))
+    }
 }
 
-/// Turbo without its darkest ends, so that the farthest and nearest still differ from ink.
+fn valid<'a>(depths: impl Iterator<Item = &'a [f32]>) -> Vec<f32> {
+    depths.flatten().copied().filter(|depth| *depth > 0.0).collect()
+}
+
+/// Turbo without its darkest ends, so that the extreme depths still differ from the text colour.
+/// Near is warm.
 fn near_warm(share: f32) -> Rgb {
     colors::turbo(0.05 + 0.88 * (1.0 - f64::from(share).clamp(0.0, 1.0)))
 }
 
-/// Where the cells stand.
+/// Positions of the cells on the page, pixels.
 #[derive(Debug, Clone, Copy)]
 struct Layout {
     columns: i64,
@@ -309,7 +324,7 @@ impl Layout {
     }
 
     fn page_width(&self) -> i64 {
-        // The colour bars and the word for no depth need this much.
+        // The colour bars and the label for missing depth need this width.
         (GAP + self.columns * (self.width + GAP)).max(1180)
     }
 
@@ -335,7 +350,7 @@ fn draw_bars(canvas: &mut Canvas, layout: &Layout, scale: &DepthScale, columns: 
         let bar = Bar { x: right + Font::Label.width("error "), y, width: 200 };
         let ticks = [(0.0, "0"), (0.2, "10 %"), (0.5, "25 %"), (1.0, "50 %+")]
             .map(|(at, label)| (at, label.to_owned()));
-        bar.draw(canvas, "error", |share| error_color(share * WORST), &ticks);
+        bar.draw(canvas, "error", |share| error_color(share * MAX_ERROR), &ticks);
         right = bar.x + bar.width + 40;
     }
     for row in y..y + 16 {
@@ -346,7 +361,7 @@ fn draw_bars(canvas: &mut Canvas, layout: &Layout, scale: &DepthScale, columns: 
     canvas.text(right + 36, y, "no depth", Font::Label, INK);
 }
 
-/// A colour scale with its name on the left and its ticks below.
+/// A colour bar with its name on the left and tick labels below.
 struct Bar {
     x: i64,
     y: i64,

@@ -4,8 +4,13 @@ const WIDTH: usize = 64;
 const HEIGHT: usize = 32;
 
 fn depth(depth_m: f32) -> Option<SampledDepth> {
-    let (depth_m, confidence) = (vec![depth_m; WIDTH * HEIGHT], vec![0.8; WIDTH * HEIGHT]);
-    Some(SampledDepth { depth_m, confidence, share: 1.0, delta1: Some(0.9), abs_rel: Some(0.1) })
+    Some(SampledDepth {
+        depth_m: vec![depth_m; WIDTH * HEIGHT],
+        confidence: vec![0.8; WIDTH * HEIGHT],
+        share: 1.0,
+        delta1: Some(0.9),
+        abs_rel: Some(0.1),
+    })
 }
 
 fn row() -> SheetRow {
@@ -25,40 +30,44 @@ fn draw(rows: &[SheetRow]) -> Canvas {
     DepthSheet { title: "test", rows }.draw().unwrap().unwrap()
 }
 
-/// The colour in the middle row of a cell.
+/// Colour of a pixel in the middle row of a cell.
 fn cell(canvas: &Canvas, columns: i64, column: usize, u: i64) -> Rgb {
     let layout = Layout { columns, rows: 1, width: WIDTH as i64, height: HEIGHT as i64 };
     canvas.get(layout.x(column) + u, layout.y(0) + CAPTION + HEIGHT as i64 / 2).unwrap()
 }
 
 #[test]
-fn every_column_shows_its_own_values_on_one_scale() {
+fn every_column_shows_its_own_values_on_a_common_scale() {
     let rows = [row()];
-    let (canvas, scale) = (draw(&rows), DepthScale::of(&rows));
+    let canvas = draw(&rows);
+    let scale = DepthScale::of(&rows);
     assert_eq!(cell(&canvas, 6, 0, 5), [10, 20, 30]);
     assert_eq!(cell(&canvas, 6, 1, 5), scale.color(2.0));
     assert_eq!(cell(&canvas, 6, 2, 5), scale.color(3.0));
     assert_eq!(cell(&canvas, 6, 4, 10), scale.color(2.0));
     assert_eq!(cell(&canvas, 6, 4, 20), scale.color(3.0));
     assert_eq!(cell(&canvas, 6, 3, 10), colors::error(1.0 - f64::from(0.8_f32)));
-    // The network's 3 m against a truth of 3 m, then of 2 m: right, then half too far.
+    // The network says 3 m where the truth is 3 m (no error), then where it is 2 m (50 % too far).
     assert_eq!(cell(&canvas, 6, 5, 20), error_color(0.0));
     assert_eq!(cell(&canvas, 6, 5, 10), error_color(0.5));
 }
 
+fn columns_of(row: SheetRow) -> Vec<Column> {
+    DepthSheet { title: "", rows: &[row] }.columns()
+}
+
 #[test]
-fn columns_without_anything_to_show_are_left_out() {
-    let columns = |row: SheetRow| DepthSheet { title: "", rows: &[row] }.columns();
+fn columns_without_data_are_left_out() {
     assert_eq!(
-        columns(SheetRow { network: None, ..row() }),
+        columns_of(SheetRow { network: None, ..row() }),
         [Column::Camera, Column::Coarse, Column::Confidence, Column::Truth, Column::Error]
     );
     assert_eq!(
-        columns(SheetRow { truth: None, network: None, ..row() }),
+        columns_of(SheetRow { truth: None, network: None, ..row() }),
         [Column::Camera, Column::Coarse, Column::Confidence]
     );
     assert_eq!(
-        columns(SheetRow { coarse: None, network: None, ..row() }),
+        columns_of(SheetRow { coarse: None, network: None, ..row() }),
         [Column::Camera, Column::Truth]
     );
 }
@@ -71,7 +80,7 @@ fn without_a_network_the_error_is_that_of_coarse_depth() {
 }
 
 #[test]
-fn no_depth_is_hatched_and_never_a_colour_of_the_scale() {
+fn missing_depth_is_hatched_and_never_a_colour_of_the_scale() {
     let mut row = row();
     row.network = None;
     row.coarse.as_mut().unwrap().depth_m.fill(0.0);
@@ -101,7 +110,7 @@ fn near_is_warm_and_equal_ratios_are_equal_steps() {
 }
 
 #[test]
-fn ticks_are_named_where_they_stand_and_do_not_touch() {
+fn tick_labels_do_not_touch() {
     for (near_m, far_m) in [(0.9, 2.6), (0.1, 20.0), (3.0, 3.6)] {
         let ticks = DepthScale { near_m, far_m }.ticks();
         assert!(
@@ -124,7 +133,7 @@ fn the_scale_follows_the_truth_and_a_single_wall_still_has_one() {
 }
 
 #[test]
-fn rows_of_different_sizes_are_refused_and_no_rows_are_no_picture() {
+fn rows_of_different_sizes_are_refused_and_without_rows_there_is_no_image() {
     let small = SheetRow { width: 32, height: 32, ..row() };
     let error = DepthSheet { title: "", rows: &[row(), small] }.draw().unwrap_err().to_string();
     assert!(error.contains("contact sheet"), "{error}");
@@ -135,12 +144,12 @@ fn rows_of_different_sizes_are_refused_and_no_rows_are_no_picture() {
 }
 
 #[test]
-fn captions_say_the_frame_and_how_good_it_was() {
+fn captions_show_the_frame_number_and_the_accuracy() {
     let rows = [row()];
     let sheet = DepthSheet { title: "", rows: &rows };
     assert_eq!(sheet.caption(Column::Camera, &rows[0]), "frame 12");
     assert_eq!(sheet.caption(Column::Coarse, &rows[0]), "100 % of pixels, delta1 0.90 unscaled");
     assert_eq!(sheet.caption(Column::Error, &rows[0]), "mean 10 %");
-    let blind = SheetRow { coarse: None, ..row() };
-    assert_eq!(sheet.caption(Column::Coarse, &blind), "no depth");
+    let without_coarse = SheetRow { coarse: None, ..row() };
+    assert_eq!(sheet.caption(Column::Coarse, &without_coarse), "no depth");
 }

@@ -1,66 +1,69 @@
-//! Counts what happened, by reason.
+//! Counts the events of a run by their reason.
 
 use std::collections::BTreeMap;
 
 use runtime::event::{Event, SafetyEvent};
 use serde::{Deserialize, Serialize};
 
-/// How often each reason was given. Reasons are named as in the log.
+/// Number of events by reason. The names of the reasons are those in the log.
 pub type Reasons = BTreeMap<String, u64>;
 
-/// What became of goals.
+/// Counts of exploration goals.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Goals {
-    /// Chosen, by what made them worth going to.
+    /// Chosen goals, by the reason for the choice.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub chosen: Reasons,
-    /// Reached.
     pub reached: u64,
-    /// Given up, by reason.
+    /// Goals that were given up, by reason.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub dropped: Reasons,
 }
 
-/// Everything that has a reason, counted. By default nobody drove, and what only driving has is absent.
+/// All counts of a run. The default is for a run without driving: the counts that only a driving
+/// robot has are absent.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct EventCounts {
-    /// What became of goals.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub goals: Option<Goals>,
-    /// Times when no goal could be chosen, by reason.
+    /// Attempts to choose a goal that found none, by reason.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub no_goal: Reasons,
-    /// Pictures without any depth, by reason.
+    /// Frames without any depth, by reason.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub no_depth: Reasons,
-    /// Times when the bumper stopped the robot.
+    /// Number of safety stops for an obstacle (trips).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bumper_trips: Option<u64>,
-    /// The same by what noticed the obstacle.
+    /// Safety stops by the sensor that detected the obstacle.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub bumper_trips_by: Reasons,
-    /// Times when the robot turned to get out of a place where the bumper tripped repeatedly.
+    /// Number of escapes: rotations out of a place where the robot tripped repeatedly.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bumper_escapes: Option<u64>,
-    /// Inputs that were refused, by reason.
+    /// Refused sensor inputs, by reason.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub refused_inputs: Reasons,
-    /// Times when a device or the loop made the robot stand, by reason.
+    /// Number of stops because of a device or the control loop, by reason.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub safety_faults: Reasons,
 }
 
 impl EventCounts {
-    /// Of a robot that drives: that it never tripped is worth saying.
+    /// The counts of a robot that drives: zeros instead of absent values.
     #[must_use]
     pub fn driving() -> Self {
-        let (goals, none) = (Some(Goals::default()), Some(0));
-        Self { goals, bumper_trips: none, bumper_escapes: none, ..Self::default() }
+        Self {
+            goals: Some(Goals::default()),
+            bumper_trips: Some(0),
+            bumper_escapes: Some(0),
+            ..Self::default()
+        }
     }
 
-    /// Counts one event.
+    /// Counts one event. Events without a reason worth counting are ignored.
     pub fn add(&mut self, event: &Event) {
         match event {
             Event::GoalChosen { why, .. } => {
@@ -92,7 +95,7 @@ fn count(reasons: &mut Reasons, why: &impl Serialize) {
     *reasons.entry(name(why)).or_default() += 1;
 }
 
-/// The name of a reason as it stands in the log and in the summary.
+/// The name of a reason in the log and in the summary.
 #[must_use]
 pub fn name(why: &impl Serialize) -> String {
     match serde_json::to_value(why) {
@@ -110,10 +113,13 @@ mod tests {
         perception::NoDepth,
     };
 
+    fn trip(by: TripCause) -> Event {
+        Event::Safety { what: SafetyEvent::Tripped { by, x_m: 0.3, y_m: 0.0 } }
+    }
+
     #[test]
     fn every_event_is_counted_under_its_own_reason() {
         let mut counts = EventCounts::default();
-        let trip = |by| Event::Safety { what: SafetyEvent::Tripped { by, x_m: 0.3, y_m: 0.0 } };
         let events = [
             Event::GoalChosen { x_m: 1.0, y_m: 2.0, why: GoalReason::Frontier },
             Event::GoalChosen { x_m: 1.0, y_m: 3.0, why: GoalReason::Inconsistency },

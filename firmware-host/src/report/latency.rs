@@ -1,29 +1,29 @@
-//! How long each stage of the loop takes.
+//! Time taken by each stage of the control loop.
 
 use std::collections::BTreeMap;
 
 use runtime::latency::{LatencyHistogram, Percentiles};
 use serde::{Deserialize, Serialize};
 
-/// A part of the loop whose time is measured.
+/// A part of the control loop whose time is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Stage {
-    /// One whole turn of the robot's loop, without simulator, recording and reports.
+    /// One tick of the control loop, without simulator, recording and reports.
     Total,
-    /// Coarse depth from ego-motion.
+    /// Computation of coarse depth.
     Coarse,
-    /// The depth network.
+    /// Inference of the depth network.
     Network,
-    /// The map update.
+    /// Update of the map.
     Map,
-    /// Goal choice, path search and following.
+    /// Choice of a goal, path search and path following.
     Plan,
     /// Rendering one simulated camera frame and scan.
     Simulator,
-    /// Handing one turn to the recording.
+    /// Handing the data of one tick to the recorder.
     Record,
-    /// How late the safety loop's turns began, on a real robot.
+    /// Lateness of the ticks of the safety loop, on a real robot.
     SafetyLate,
 }
 
@@ -39,7 +39,7 @@ impl Stage {
         Self::SafetyLate,
     ];
 
-    /// As in the summary.
+    /// The name in the summary.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -55,7 +55,7 @@ impl Stage {
     }
 }
 
-/// One histogram a stage.
+/// One latency histogram per stage.
 #[derive(Debug, Clone)]
 pub struct Latencies {
     stages: Vec<LatencyHistogram>,
@@ -68,13 +68,14 @@ impl Default for Latencies {
 }
 
 impl Latencies {
-    /// Adds one measurement, nanoseconds. Does not allocate.
+    /// Adds one measurement in nanoseconds. Does not allocate.
     pub fn record(&mut self, stage: Stage, duration_ns: u64) {
-        // `stages` is as long as `ALL`, which holds every stage in its order.
+        // `stages` has one element for each element of `ALL`, which lists the stages in their
+        // order.
         self.stages[stage as usize].record(duration_ns);
     }
 
-    /// Percentiles of every stage that was measured.
+    /// Percentiles, in milliseconds, of every stage with at least one measurement.
     #[must_use]
     pub fn percentiles(&self) -> BTreeMap<Stage, Percentiles> {
         Stage::ALL
@@ -90,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_recorded_is_nothing_reported() {
+    fn without_measurements_there_are_no_percentiles() {
         assert!(Latencies::default().percentiles().is_empty());
     }
 
@@ -105,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn every_stage_stands_at_its_place_and_is_named_as_in_the_summary() {
+    fn every_stage_has_its_index_and_the_name_in_the_summary() {
         for (index, stage) in Stage::ALL.into_iter().enumerate() {
             assert_eq!(stage as usize, index);
             assert_eq!(serde_json::to_value(stage).unwrap(), stage.name());

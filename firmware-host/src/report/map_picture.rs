@@ -1,4 +1,4 @@
-//! `map.png`: the map, the way through it, and where things happened.
+//! `map.png`: an image of the map with the path of the robot, its goals and its safety stops.
 
 use std::path::Path;
 
@@ -26,25 +26,25 @@ const END: Rgb = [239, 108, 0];
 const TRIP: Rgb = [205, 30, 45];
 const GOAL: Rgb = [0, 137, 150];
 
-/// Pixels around and between parts.
+/// Space around and between the parts, pixels.
 const GAP: i64 = 16;
-/// Heights of the title and of the legend.
+/// Heights of the title and of the legend, pixels.
 const TITLE: i64 = 36;
 const LEGEND: i64 = 60;
-/// The page is at least this wide, and the map is enlarged up to the second.
+/// Minimum width of the page, and largest side of the map when it is scaled up, pixels.
 const MIN_WIDTH: i64 = 840;
 const MAP_SIDE: i64 = 1400;
-/// A cell is at most this many pixels wide.
+/// Largest side of a cell, pixels.
 const MAX_CELL: i64 = 10;
-/// Shown around what is known, metres.
+/// Margin around the known area, metres.
 const MARGIN_M: f64 = 0.5;
 
-/// Square cells; row 0 is the lowest y, column 0 the lowest x.
+/// A grid of square cells. Row 0 has the lowest y, column 0 the lowest x.
 #[derive(Debug, Clone, Copy)]
 pub struct Cells<'a, T> {
-    /// Columns.
+    /// Number of columns.
     pub width: usize,
-    /// Row-major, a whole number of rows.
+    /// Row-major; the length must be a multiple of `width`.
     pub cells: &'a [T],
     /// Side of a cell, metres.
     pub resolution_m: f64,
@@ -67,45 +67,47 @@ impl<T: Copy> Cells<'_, T> {
         let sound = self.width * height == self.cells.len()
             && self.resolution_m > 0.0
             && self.resolution_m.is_finite();
-        let error =
-            ReportError::Shape { what, width: self.width, height, actual: self.cells.len() };
-        if sound { Ok(()) } else { Err(error) }
+        if sound {
+            return Ok(());
+        }
+        Err(ReportError::Shape { what, width: self.width, height, actual: self.cells.len() })
     }
 
-    /// Lower left and upper right corner of the cells that `counts`, metres.
-    fn extent(&self, counts: impl Fn(T) -> bool) -> Extent {
+    /// Bounding box of the cells for which `is_shown` is true, metres.
+    fn extent(&self, is_shown: impl Fn(T) -> bool) -> Extent {
         let mut extent = Extent::NOTHING;
-        for (index, _) in self.cells.iter().enumerate().filter(|(_, cell)| counts(**cell)) {
+        for (index, _) in self.cells.iter().enumerate().filter(|(_, cell)| is_shown(**cell)) {
             for corner in [0, 1] {
-                let place = [index % self.width + corner, index / self.width + corner];
-                extent.add(
-                    [0, 1].map(|axis| self.origin_m[axis] + place[axis] as f64 * self.resolution_m),
-                );
+                let column = index % self.width + corner;
+                let row = index / self.width + corner;
+                extent.add([
+                    self.origin_m[0] + column as f64 * self.resolution_m,
+                    self.origin_m[1] + row as f64 * self.resolution_m,
+                ]);
             }
         }
         extent
     }
 }
 
-/// Everything that the picture shows. Positions in the frame of the map, metres.
+/// The content of the image. All positions are in the frame of the map, in metres.
 #[derive(Debug, Clone, Copy)]
 pub struct MapPicture<'a> {
-    /// One line: which run this is.
+    /// Title line that names the run.
     pub title: &'a str,
-    /// The map.
     pub map: Cells<'a, CellState>,
-    /// Where the robot was, frame by frame.
+    /// Pose of the robot in each frame.
     pub trajectory: &'a [Pose2],
-    /// Where it wanted to go.
+    /// Goals of the exploration.
     pub goals: &'a [[f64; 2]],
-    /// Where the safety plane stopped it.
+    /// Obstacles for which the safety plane stopped the robot.
     pub trips: &'a [[f64; 2]],
-    /// The floor that it could have reached, if known.
+    /// Ground truth of the reachable floor, if it is known.
     pub reachable: Option<Cells<'a, bool>>,
 }
 
 impl MapPicture<'_> {
-    /// Draws and writes `map.png` into `dir`.
+    /// Draws the image and writes `map.png` into `dir`.
     ///
     /// # Errors
     /// [`ReportError`].
@@ -113,7 +115,7 @@ impl MapPicture<'_> {
         self.draw()?.write_png(&dir.join(MAP_FILE))
     }
 
-    /// Draws the picture.
+    /// Draws the image.
     ///
     /// # Errors
     /// [`ReportError::Shape`].
@@ -134,7 +136,7 @@ impl MapPicture<'_> {
         self.draw_cells(&mut canvas, &view);
         self.draw_plan(&mut canvas, &view);
         self.draw_trajectory(&mut canvas, &view);
-        self.draw_marks(&mut canvas, &view);
+        self.draw_markers(&mut canvas, &view);
         canvas.frame(view.left - 1, view.top - 1, view.width + 2, view.height + 2, [190, 195, 200]);
         draw_scale_bar(&mut canvas, &view);
         self.draw_legend(&mut canvas, &view);
@@ -155,17 +157,13 @@ impl MapPicture<'_> {
         }
     }
 
-    /// A thin line where the reachable floor ends.
+    /// Draws the outline of the reachable floor.
     fn draw_plan(&self, canvas: &mut Canvas, view: &View) {
         let Some(plan) = &self.reachable else { return };
-        let inside = |x: i64, y: i64| {
-            let [x_m, y_m] = view.meters(x, y);
-            plan.get(x_m, y_m).unwrap_or(false)
-        };
         for y in view.top..view.top + view.height {
             for x in view.left..view.left + view.width {
-                let here = inside(x, y);
-                if here != inside(x + 1, y) || here != inside(x, y + 1) {
+                let here = view.is_set(plan, x, y);
+                if here != view.is_set(plan, x + 1, y) || here != view.is_set(plan, x, y + 1) {
                     canvas.blend(x, y, PLAN, 0.55);
                 }
             }
@@ -174,30 +172,31 @@ impl MapPicture<'_> {
 
     fn draw_trajectory(&self, canvas: &mut Canvas, view: &View) {
         let last = self.trajectory.len().saturating_sub(1).max(1) as f64;
-        let mut way: Vec<(f64, [f64; 2])> = Vec::new();
+        let mut points: Vec<(f64, [f64; 2])> = Vec::new();
         for (index, pose) in self.trajectory.iter().enumerate() {
             let at = view.pixel([pose.x_m, pose.y_m]);
-            // Steps shorter than a pixel only cost time.
-            let far =
-                way.last().is_none_or(|(_, from)| (at[0] - from[0]).hypot(at[1] - from[1]) >= 1.0);
+            // Steps shorter than a pixel are invisible and only cost time.
+            let far = points
+                .last()
+                .is_none_or(|(_, from)| (at[0] - from[0]).hypot(at[1] - from[1]) >= 1.0);
             if pose.is_finite() && (far || index + 1 == self.trajectory.len()) {
-                way.push((index as f64 / last, at));
+                points.push((index as f64 / last, at));
             }
         }
-        for pair in way.windows(2) {
+        for pair in points.windows(2) {
             canvas.line(pair[0].1, pair[1].1, 5.0, FREE, 0.8);
         }
-        for pair in way.windows(2) {
+        for pair in points.windows(2) {
             canvas.line(pair[0].1, pair[1].1, 2.6, colors::time(pair[1].0), 1.0);
         }
     }
 
-    fn draw_marks(&self, canvas: &mut Canvas, view: &View) {
+    fn draw_markers(&self, canvas: &mut Canvas, view: &View) {
         for goal in self.goals {
-            goal_mark(canvas, view.pixel(*goal));
+            goal_marker(canvas, view.pixel(*goal));
         }
         for trip in self.trips {
-            trip_mark(canvas, view.pixel(*trip));
+            trip_marker(canvas, view.pixel(*trip));
         }
         if let (Some(start), Some(end)) = (self.trajectory.first(), self.trajectory.last()) {
             dot(canvas, view.pixel([start.x_m, start.y_m]), START);
@@ -226,23 +225,22 @@ impl MapPicture<'_> {
         }
         row.x += 76;
         row.label(canvas, &format!("path, frame 0 to {}", self.trajectory.len().saturating_sub(1)));
-        let center = |row: &Legend| [row.x as f64 + 7.0, row.y as f64 + 8.0];
-        dot(canvas, center(&row), START);
+        dot(canvas, row.marker(), START);
         row.label(canvas, "start");
-        dot(canvas, center(&row), END);
+        dot(canvas, row.marker(), END);
         row.label(canvas, "end");
         if !self.goals.is_empty() {
-            goal_mark(canvas, center(&row));
+            goal_marker(canvas, row.marker());
             row.label(canvas, "goal");
         }
         if !self.trips.is_empty() {
-            trip_mark(canvas, center(&row));
+            trip_marker(canvas, row.marker());
             row.label(canvas, "safety stop");
         }
     }
 }
 
-/// Where the next entry of a legend stands.
+/// Position of the next entry of a row of the legend, pixels.
 struct Legend {
     x: i64,
     y: i64,
@@ -255,7 +253,12 @@ impl Legend {
         self.label(canvas, label);
     }
 
-    /// The text behind a mark that is 14 pixels wide.
+    /// Centre of the marker of the next entry.
+    fn marker(&self) -> [f64; 2] {
+        [self.x as f64 + 7.0, self.y as f64 + 8.0]
+    }
+
+    /// Draws the label beside a marker that is 14 pixels wide, and moves on to the next entry.
     fn label(&mut self, canvas: &mut Canvas, label: &str) {
         canvas.text(self.x + 20, self.y, label, Font::Label, INK);
         self.x += 20 + Font::Label.width(label) + 20;
@@ -267,18 +270,18 @@ fn dot(canvas: &mut Canvas, center: [f64; 2], color: Rgb) {
     canvas.disc(center, 6.0, color);
 }
 
-fn goal_mark(canvas: &mut Canvas, center: [f64; 2]) {
+fn goal_marker(canvas: &mut Canvas, center: [f64; 2]) {
     canvas.diamond(center, 7.0, PAGE);
     canvas.diamond(center, 5.5, GOAL);
     canvas.diamond(center, 2.5, PAGE);
 }
 
-fn trip_mark(canvas: &mut Canvas, center: [f64; 2]) {
+fn trip_marker(canvas: &mut Canvas, center: [f64; 2]) {
     canvas.cross(center, 4.0, 4.5, PAGE);
     canvas.cross(center, 4.0, 2.2, TRIP);
 }
 
-/// The end of the path and where the robot looks there.
+/// Draws the last pose of the robot with its heading.
 fn arrow(canvas: &mut Canvas, view: &View, pose: &Pose2) {
     let at = view.pixel([pose.x_m, pose.y_m]);
     let tip = [at[0] + 15.0 * pose.yaw_rad.cos(), at[1] - 15.0 * pose.yaw_rad.sin()];
@@ -287,17 +290,18 @@ fn arrow(canvas: &mut Canvas, view: &View, pose: &Pose2) {
     dot(canvas, at, END);
 }
 
-/// One metre, or a power of ten of it that has a readable length.
+/// Draws a scale bar of 1 m, or of 10 m if 1 m is too short to see.
 fn draw_scale_bar(canvas: &mut Canvas, view: &View) {
     let length_m = if view.pixels_per_m < 20.0 { 10.0 } else { 1.0 };
     let length = (length_m * view.pixels_per_m).round() as i64;
-    let (x, y) = (view.left + 14, view.top + view.height - 20);
+    let x = view.left + 14;
+    let y = view.top + view.height - 20;
     canvas.fill(x - 6, y - 24, length.max(40) + 12, 36, PAGE);
     canvas.fill(x, y, length, 4, INK);
     canvas.text(x, y - 20, &format!("{length_m} m"), Font::Label, INK);
 }
 
-/// A rectangle in the world, metres.
+/// An axis-aligned rectangle in the world, metres.
 #[derive(Debug, Clone, Copy)]
 struct Extent {
     min_m: [f64; 2],
@@ -317,7 +321,7 @@ impl Extent {
     }
 }
 
-/// Which part of the world is shown, how large, and where on the page.
+/// The visible part of the world, its scale, and its position on the page.
 #[derive(Debug)]
 struct View {
     min_m: [f64; 2],
@@ -342,15 +346,18 @@ impl View {
         if extent.min_m[0] > extent.max_m[0] || extent.min_m[1] > extent.max_m[1] {
             extent = Extent { min_m: [-1.0; 2], max_m: [1.0; 2] };
         }
-        // Whole cells from a cell's corner on, each a whole number of pixels, so that all look alike.
-        let (cell_m, origin_m) = (picture.map.resolution_m, picture.map.origin_m);
+        // The view begins at the corner of a cell, and a cell is a whole number of pixels, so that
+        // all cells look the same.
+        let cell_m = picture.map.resolution_m;
+        let origin_m = picture.map.origin_m;
         let low =
             [0, 1].map(|axis| ((extent.min_m[axis] - MARGIN_M - origin_m[axis]) / cell_m).floor());
         let high =
             [0, 1].map(|axis| ((extent.max_m[axis] + MARGIN_M - origin_m[axis]) / cell_m).ceil());
         let columns = [0, 1].map(|axis| ((high[axis] - low[axis]) as i64).clamp(1, 8192));
         let cell = (MAP_SIDE / columns[0].max(columns[1])).clamp(1, MAX_CELL);
-        let (width, height) = (columns[0] * cell, columns[1] * cell);
+        let width = columns[0] * cell;
+        let height = columns[1] * cell;
         let page_width = (width + 2 * GAP).max(MIN_WIDTH);
         Self {
             min_m: [0, 1].map(|axis| origin_m[axis] + low[axis] * cell_m),
@@ -364,13 +371,20 @@ impl View {
         }
     }
 
-    /// Middle of a pixel in the world.
+    /// Whether the cell at a pixel is set.
+    fn is_set(&self, cells: &Cells<'_, bool>, x: i64, y: i64) -> bool {
+        let [x_m, y_m] = self.meters(x, y);
+        cells.get(x_m, y_m).unwrap_or(false)
+    }
+
+    /// Centre of a pixel in the world, metres.
     fn meters(&self, x: i64, y: i64) -> [f64; 2] {
-        let [right, up] = [(x - self.left) as f64 + 0.5, (self.top + self.height - y) as f64 - 0.5];
+        let right = (x - self.left) as f64 + 0.5;
+        let up = (self.top + self.height - y) as f64 - 0.5;
         [self.min_m[0] + right / self.pixels_per_m, self.min_m[1] + up / self.pixels_per_m]
     }
 
-    /// A point of the world on the page.
+    /// Pixel coordinates of a point of the world.
     fn pixel(&self, point_m: [f64; 2]) -> [f64; 2] {
         let right = (point_m[0] - self.min_m[0]) * self.pixels_per_m;
         let up = (point_m[1] - self.min_m[1]) * self.pixels_per_m;

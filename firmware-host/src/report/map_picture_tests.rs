@@ -1,8 +1,9 @@
 use super::*;
 
-/// A room of 4 x 3 m, walls one cell of 5 cm thick, with the right third unknown.
+/// A room of 4 x 3 m with walls one cell (5 cm) thick. The right third is unknown.
 fn room() -> Vec<CellState> {
-    let (width, height) = (80, 60);
+    let width = 80;
+    let height = 60;
     let mut cells = vec![CellState::Free; width * height];
     for row in 0..height {
         for column in 0..width {
@@ -37,7 +38,8 @@ fn color_at(canvas: &Canvas, view: &View, point_m: [f64; 2]) -> Rgb {
 fn cells_have_their_colours_and_y_points_up() {
     let cells = room();
     let picture = picture(&cells, &[]);
-    let (canvas, view) = (picture.draw().unwrap(), View::of(&picture));
+    let canvas = picture.draw().unwrap();
+    let view = View::of(&picture);
     assert_eq!(color_at(&canvas, &view, [0.0, -0.5]), FREE);
     assert_eq!(color_at(&canvas, &view, [0.0, 0.975]), OCCUPIED);
     assert_eq!(color_at(&canvas, &view, [2.1, -0.5]), UNKNOWN);
@@ -47,54 +49,57 @@ fn cells_have_their_colours_and_y_points_up() {
 #[test]
 fn the_path_has_the_colour_of_its_time() {
     let cells = room();
-    let way: Vec<Pose2> =
+    let path: Vec<Pose2> =
         (0..=100).map(|i| Pose2::new(-0.5 + 0.02 * f64::from(i), -0.5, 0.0)).collect();
-    let picture = picture(&cells, &way);
-    let (canvas, view) = (picture.draw().unwrap(), View::of(&picture));
+    let picture = picture(&cells, &path);
+    let canvas = picture.draw().unwrap();
+    let view = View::of(&picture);
     for index in [25, 50, 75] {
-        let [seen, wanted] =
-            [color_at(&canvas, &view, [way[index].x_m, -0.5]), colors::time(index as f64 / 100.0)];
-        // The next segment's round end reaches back over this point.
+        let seen = color_at(&canvas, &view, [path[index].x_m, -0.5]);
+        let expected = colors::time(index as f64 / 100.0);
+        // The round end of the next line covers this point.
         assert!(
-            seen.iter().zip(wanted).all(|(a, b)| a.abs_diff(b) <= 6),
-            "{seen:?} for {wanted:?}"
+            seen.iter().zip(expected).all(|(a, b)| a.abs_diff(b) <= 6),
+            "{seen:?} for {expected:?}"
         );
     }
-    assert_eq!(color_at(&canvas, &view, [way[0].x_m, -0.5]), START);
-    assert_eq!(color_at(&canvas, &view, [way[100].x_m, -0.5]), END);
+    assert_eq!(color_at(&canvas, &view, [path[0].x_m, -0.5]), START);
+    assert_eq!(color_at(&canvas, &view, [path[100].x_m, -0.5]), END);
 }
 
 #[test]
 fn the_scale_bar_is_one_metre_long() {
     let cells = room();
     let picture = picture(&cells, &[]);
-    let (canvas, view) = (picture.draw().unwrap(), View::of(&picture));
+    let canvas = picture.draw().unwrap();
+    let view = View::of(&picture);
     let y = view.top + view.height - 18;
     let bar =
         (view.left..view.left + view.width).filter(|x| canvas.get(*x, y) == Some(INK)).count();
     assert_eq!(bar as f64, view.pixels_per_m.round());
-    let [a, b] = [view.pixel([0.0, 0.0]), view.pixel([1.0, 0.0])];
-    assert!((b[0] - a[0] - view.pixels_per_m).abs() < 1e-9);
+    let length = view.pixel([1.0, 0.0])[0] - view.pixel([0.0, 0.0])[0];
+    assert!((length - view.pixels_per_m).abs() < 1e-9);
 }
 
 #[test]
-fn the_view_is_what_is_known_with_a_margin_and_wide_enough_to_read() {
+fn the_view_shows_the_known_area_with_a_margin() {
     let cells = room();
     let picture = picture(&cells, &[]);
     let view = View::of(&picture);
     assert!((view.min_m[0] - -1.5).abs() < 0.051 && (view.min_m[1] - -2.5).abs() < 0.051);
-    // 2.8 m known and twice the margin.
+    // 2.8 m are known, plus the margin on both sides.
     assert!((view.width as f64 / view.pixels_per_m - 3.8).abs() < 0.11);
     let (width, _) = picture.draw().unwrap().size();
     assert!(width >= 800);
 }
 
 #[test]
-fn marks_stand_where_things_happened() {
+fn markers_are_drawn_at_goals_and_safety_stops() {
     let cells = room();
     let picture =
         MapPicture { goals: &[[0.5, -1.0]], trips: &[[0.0, -1.5]], ..picture(&cells, &[]) };
-    let (canvas, view) = (picture.draw().unwrap(), View::of(&picture));
+    let canvas = picture.draw().unwrap();
+    let view = View::of(&picture);
     assert_eq!(color_at(&canvas, &view, [0.0, -1.5]), TRIP);
     let [x, y] = view.pixel([0.5, -1.0]);
     assert!(
@@ -103,24 +108,25 @@ fn marks_stand_where_things_happened() {
 }
 
 #[test]
-fn the_true_floor_is_outlined_also_where_the_map_knows_nothing() {
+fn the_reachable_floor_is_outlined_also_where_the_map_is_unknown() {
     let cells = vec![CellState::Unknown; 80 * 60];
     let floor = vec![true; 40 * 30];
     let reachable =
         Cells { width: 40, cells: &floor[..], resolution_m: 0.1, origin_m: [-1.0, -2.0] };
     let picture = MapPicture { reachable: Some(reachable), ..picture(&cells, &[]) };
-    let (canvas, view) = (picture.draw().unwrap(), View::of(&picture));
+    let canvas = picture.draw().unwrap();
+    let view = View::of(&picture);
     let [x, y] = view.pixel([3.0, -0.5]).map(|value| value.round() as i64);
     assert!((x - 2..x + 2).any(|x| canvas.get(x, y) == Some(colors::mix(UNKNOWN, PLAN, 0.55))));
     assert_eq!(color_at(&canvas, &view, [1.0, -0.5]), UNKNOWN);
 }
 
 #[test]
-fn an_empty_run_and_poses_with_nan_still_give_a_picture() {
+fn an_empty_run_and_poses_with_nan_still_give_an_image() {
     let cells = vec![CellState::Unknown; 80 * 60];
     assert!(picture(&cells, &[]).draw().is_ok());
-    let way = [Pose2 { x_m: f64::NAN, ..Pose2::IDENTITY }, Pose2::IDENTITY];
-    assert!(picture(&cells, &way).draw().is_ok());
+    let path = [Pose2 { x_m: f64::NAN, ..Pose2::IDENTITY }, Pose2::IDENTITY];
+    assert!(picture(&cells, &path).draw().is_ok());
 }
 
 #[test]

@@ -1,13 +1,15 @@
-//! The map as viewers show it.
+//! Converts the occupancy grid for viewers (the `/map` channel and Rerun).
 
 use runtime::mapping::{CellBox, CellState, OccupancyGrid};
 use runtime::recording::MapView;
 
-/// The known part of the map as viewers show it.
+/// The known part of the map in the convention of ROS: -1 unknown, 0 free, 100 occupied. `None` if
+/// nothing is known.
 #[must_use]
 pub fn map_view(map: &OccupancyGrid) -> Option<MapView> {
     let known: CellBox = map.known_box()?;
-    let (columns, rows) = (known.width(), known.height());
+    let columns = known.width();
+    let rows = known.height();
     let corner = map.center_m(known.min);
     let occupancy = (0..rows as i32)
         .flat_map(|dy| (0..columns as i32).map(move |dx| (dx, dy)))

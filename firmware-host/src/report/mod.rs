@@ -1,4 +1,5 @@
-//! What a person and a program read after a run, and while it lasts.
+//! Reports on a run: `summary.json`, the table in the terminal, `map.png`, `depth.png` and
+//! progress.
 
 pub mod atomic;
 pub mod canvas;

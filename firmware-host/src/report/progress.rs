@@ -1,4 +1,4 @@
-//! How far a run has come: a bar on a terminal, a line every tenth elsewhere.
+//! Progress of a run: a bar on a terminal, otherwise one line for each tenth of the run.
 
 use std::{
     fmt,
@@ -8,12 +8,12 @@ use std::{
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 
-/// What is worth knowing while a run lasts.
+/// The state of a run that is shown beside the progress.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Status<'a> {
-    /// Share of the reachable floor that is mapped, where it is known.
+    /// Share of the reachable floor that is mapped, 0 to 1, if it is known.
     pub coverage: Option<f64>,
-    /// What the robot is about, such as a goal's reason; may be empty.
+    /// Current activity, such as the reason of the goal; may be empty.
     pub doing: &'a str,
 }
 
@@ -25,24 +25,24 @@ impl Status<'_> {
     }
 }
 
-/// Tells on stderr how far a run has come.
+/// Shows the progress of a run on standard error.
 #[derive(Debug)]
 pub struct Progress {
     total: u64,
     started: Instant,
     bar: Option<ProgressBar>,
-    tenths_told: u64,
+    tenths_shown: u64,
 }
 
 impl Progress {
-    /// A run of `total` frames starts now.
+    /// Starts the progress of a run of `total` frames.
     #[must_use]
     pub fn start(total: u64) -> Self {
         let bar = std::io::stderr().is_terminal().then(|| bar(total, ProgressDrawTarget::stderr()));
-        Self { total, started: Instant::now(), bar, tenths_told: 0 }
+        Self { total, started: Instant::now(), bar, tenths_shown: 0 }
     }
 
-    /// `done` frames are done.
+    /// Shows that `done` frames are done.
     pub fn frame(&mut self, done: u64, status: &Status<'_>) {
         if let Some(bar) = &self.bar {
             bar.set_position(done);
@@ -50,9 +50,9 @@ impl Progress {
             return;
         }
         let tenths = tenths(done, self.total);
-        if tenths > self.tenths_told {
-            self.tenths_told = tenths;
-            // Nobody may be reading; a run does not end for that.
+        if tenths > self.tenths_shown {
+            self.tenths_shown = tenths;
+            // Standard error may be closed; the run continues without it.
             let _ = writeln!(
                 std::io::stderr(),
                 "{}",
@@ -61,7 +61,7 @@ impl Progress {
         }
     }
 
-    /// The run is over: takes the bar away.
+    /// Ends the progress and removes the bar.
     pub fn finish(self) {
         if let Some(bar) = self.bar {
             bar.finish_and_clear();
@@ -74,30 +74,32 @@ fn bar(total: u64, on: ProgressDrawTarget) -> ProgressBar {
     let template = "{bar:20} {pos}/{len} frames, {rate}, {eta} left  {wide_msg}";
     let style =
         ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-    // indicatif's own `per_sec` has four decimals, whatever is asked for, and in the first second any number of digits.
+    // indicatif's own `per_sec` always has four decimals, and any number of digits in the first
+    // second.
     bar.with_style(style.with_key("rate", |state: &ProgressState, text: &mut dyn fmt::Write| {
-        // Nothing can be done about a terminal that takes no text.
-        let _ = write!(text, "{:.1} a second", rate(state.pos(), state.elapsed()));
+        // Writing into a string cannot fail.
+        let _ = write!(text, "{:.1} frames/s", rate(state.pos(), state.elapsed()));
     }))
 }
 
-/// Frames a second.
+/// Frames per second.
 fn rate(done: u64, elapsed: Duration) -> f64 {
     done as f64 / elapsed.as_secs_f64().max(1e-9)
 }
 
-/// Whole tenths of the run.
+/// Number of completed tenths of the run.
 fn tenths(done: u64, total: u64) -> u64 {
     (done * 10).checked_div(total).unwrap_or(10)
 }
 
+/// One line of progress for output that is not a terminal.
 fn plain(done: u64, total: u64, elapsed: Duration, status: &Status<'_>) -> String {
     let rate = rate(done, elapsed);
     let left_s = total.saturating_sub(done) as f64 / rate.max(1e-9);
     let status = status.text();
     let separator = if status.is_empty() { "" } else { ", " };
     format!(
-        "{:3.0} %  {done}/{total} frames, {rate:.1} a second, {left_s:.0} s left{separator}{status}",
+        "{:3.0} %  {done}/{total} frames, {rate:.1} frames/s, {left_s:.0} s left{separator}{status}",
         100.0 * done as f64 / total.max(1) as f64
     )
 }
@@ -109,22 +111,22 @@ mod tests {
     use std::io;
 
     #[test]
-    fn a_line_says_how_far_how_fast_and_how_long() {
+    fn a_line_shows_progress_rate_and_remaining_time() {
         let status = Status { coverage: Some(0.347), doing: "frontier" };
         let line = plain(1500, 3000, Duration::from_secs(50), &status);
         assert_eq!(
             line,
-            " 50 %  1500/3000 frames, 30.0 a second, 50 s left, 35 % mapped, frontier"
+            " 50 %  1500/3000 frames, 30.0 frames/s, 50 s left, 35 % mapped, frontier"
         );
         let line = plain(3000, 3000, Duration::from_secs(100), &Status::default());
-        assert_eq!(line, "100 %  3000/3000 frames, 30.0 a second, 0 s left");
+        assert_eq!(line, "100 %  3000/3000 frames, 30.0 frames/s, 0 s left");
     }
 
-    /// A terminal of 78 columns that keeps what was drawn.
+    /// A terminal of 78 columns that stores the drawn text.
     #[derive(Debug, Clone, Default)]
-    struct Paper(std::sync::Arc<std::sync::Mutex<String>>);
+    struct FakeTerminal(std::sync::Arc<std::sync::Mutex<String>>);
 
-    impl TermLike for Paper {
+    impl TermLike for FakeTerminal {
         fn width(&self) -> u16 {
             78
         }
@@ -157,38 +159,36 @@ mod tests {
     }
 
     #[test]
-    fn the_bar_says_the_rate_with_one_decimal_within_the_terminals_width() {
-        let paper = Paper::default();
-        let bar = bar(3000, ProgressDrawTarget::term_like(Box::new(paper.clone())))
+    fn the_bar_shows_the_rate_with_one_decimal_and_fits_the_terminal() {
+        let terminal = FakeTerminal::default();
+        let bar = bar(3000, ProgressDrawTarget::term_like(Box::new(terminal.clone())))
             .with_elapsed(Duration::from_secs(50));
-        bar.set_message(
-            Status { coverage: Some(0.347), doing: "going where two looks disagree" }.text(),
-        );
+        bar.set_message(Status { coverage: Some(0.347), doing: "towards an inconsistency" }.text());
         bar.set_position(1500);
         bar.force_draw();
-        let line = paper.0.lock().unwrap().clone();
+        let line = terminal.0.lock().unwrap().clone();
         let rate =
-            line.split(", ").find_map(|part| part.strip_suffix(" a second")).unwrap_or_default();
+            line.split(", ").find_map(|part| part.strip_suffix(" frames/s")).unwrap_or_default();
         assert_eq!(rate.split_once('.').map(|(_, decimals)| decimals.len()), Some(1), "{line:?}");
         assert!(line.contains("1500/3000 frames") && line.contains("35 % mapped"), "{line:?}");
         assert!(line.trim_end().chars().count() <= 78 && !line.contains('\x1b'), "{line:?}");
     }
 
     #[test]
-    fn a_run_of_any_length_tells_ten_times() {
+    fn a_run_of_any_length_shows_ten_lines() {
         for total in [10, 37, 3000] {
-            let mut told = Vec::new();
+            let mut shown = Vec::new();
             for done in 1..=total {
-                if told.last().copied().unwrap_or(0) < tenths(done, total) {
-                    told.push(tenths(done, total));
+                if shown.last().copied().unwrap_or(0) < tenths(done, total) {
+                    shown.push(tenths(done, total));
                 }
             }
-            assert_eq!(told, (1..=10).collect::<Vec<_>>(), "{total}");
+            assert_eq!(shown, (1..=10).collect::<Vec<_>>(), "{total}");
         }
     }
 
     #[test]
-    fn a_run_without_frames_is_no_division_by_zero() {
+    fn a_run_without_frames_does_not_divide_by_zero() {
         assert_eq!(tenths(0, 0), 10);
         assert!(plain(0, 0, Duration::ZERO, &Status::default()).contains("0/0 frames"));
     }

@@ -1,25 +1,28 @@
-//! How long the robot got nowhere.
+//! Counts the frames in which the robot made no progress.
 
 use std::collections::VecDeque;
 
 use hal::{Pose2, wrap_angle};
 
-/// A robot that works moves 0.6 m or turns 40 degrees in this many frames, with the paper's steps.
+/// Number of frames of a window. With the paper's steps a working robot moves 0.6 m or rotates 40
+/// degrees in this time.
 const WINDOW: usize = 20;
-/// Less than one step forward.
+/// Largest movement of a stuck robot, metres: less than one step forward.
 const DISTANCE_M: f64 = 0.02;
-/// Two turns: less is dithering between left and right.
-const TURN_RAD: f64 = 4.0 * std::f64::consts::PI / 180.0;
+/// Largest rotation of a stuck robot, radians: two rotation steps, which is dithering left and
+/// right.
+const ROTATION_RAD: f64 = 4.0 * std::f64::consts::PI / 180.0;
 
-/// Counts stuck frames from true poses.
+/// Counts stuck frames from ground-truth poses.
 ///
-/// A frame is stuck when it belongs to 20 frames in a row in which the robot stayed within 2 cm and 4 degrees of one pose.
-/// Why does not matter: a robot that nobody tells to move is as stuck as one whose wheels are blocked.
+/// A frame is stuck if it belongs to 20 frames in a row in which the robot stayed within 2 cm and 4
+/// degrees of one pose. The cause does not matter: a robot without a goal counts as stuck, like one
+/// with blocked wheels.
 #[derive(Debug, Clone, Default)]
 pub struct StuckMeter {
     recent: VecDeque<Pose2>,
     seen: u64,
-    /// One past the last frame that is known to be stuck.
+    /// Index one past the last frame that is known to be stuck.
     stuck_until: u64,
     stuck: u64,
     streak: u64,
@@ -27,18 +30,14 @@ pub struct StuckMeter {
 }
 
 impl StuckMeter {
-    /// Adds the pose at one more frame.
+    /// Adds the pose of the next frame.
     pub fn frame(&mut self, pose: Pose2) {
         if self.recent.len() == WINDOW {
             self.recent.pop_front();
         }
         self.recent.push_back(pose);
         self.seen += 1;
-        let stays = |other: &Pose2| {
-            pose.distance_m(other) < DISTANCE_M
-                && wrap_angle(pose.yaw_rad - other.yaw_rad).abs() < TURN_RAD
-        };
-        if self.recent.len() < WINDOW || !self.recent.iter().all(stays) {
+        if self.recent.len() < WINDOW || !self.recent.iter().all(|other| is_close(&pose, other)) {
             return;
         }
         let window_start = self.seen - WINDOW as u64;
@@ -52,17 +51,22 @@ impl StuckMeter {
         self.stuck_until = self.seen;
     }
 
-    /// Stuck frames so far.
+    /// Number of stuck frames so far.
     #[must_use]
     pub fn frames(&self) -> u64 {
         self.stuck
     }
 
-    /// Most stuck frames in a row so far.
+    /// Largest number of stuck frames in a row so far.
     #[must_use]
     pub fn longest(&self) -> u64 {
         self.longest
     }
+}
+
+fn is_close(pose: &Pose2, other: &Pose2) -> bool {
+    pose.distance_m(other) < DISTANCE_M
+        && wrap_angle(pose.yaw_rad - other.yaw_rad).abs() < ROTATION_RAD
 }
 
 #[cfg(test)]
@@ -79,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn driving_and_turning_on_the_spot_are_not_stuck() {
+    fn driving_and_rotating_on_the_spot_are_not_stuck() {
         assert_eq!(meter((0..200).map(|i| (0.03 * f64::from(i), 0.0))).frames(), 0);
         assert_eq!(meter((0..200).map(|i| (0.0, 2.0 * f64::from(i)))).frames(), 0);
     }
@@ -97,28 +101,34 @@ mod tests {
         assert_eq!(dithering.frames(), 60);
     }
 
+    fn drive(from: f64) -> impl Iterator<Item = (f64, f64)> {
+        (1..=30).map(move |i| (from + 0.03 * f64::from(i), 0.0))
+    }
+
+    fn stand(at: f64, frames: usize) -> impl Iterator<Item = (f64, f64)> {
+        std::iter::repeat_n((at, 0.0), frames)
+    }
+
     #[test]
     fn two_stops_are_two_streaks() {
-        let drive = |from: f64| (1..=30).map(move |i| (from + 0.03 * f64::from(i), 0.0));
-        let stand = |at: f64, frames: usize| std::iter::repeat_n((at, 0.0), frames);
         let run = meter(stand(0.0, 30).chain(drive(0.0)).chain(stand(0.9, 40)).chain(drive(0.9)));
-        // The last frame of a drive already stands where the stop is.
+        // The last frame of a drive is already at the place of the stop.
         assert_eq!((run.frames(), run.longest()), (30 + 41, 41));
     }
 
     proptest! {
-        /// The definition, frame by frame, by brute force.
+        /// Compares the counts with a direct evaluation of the definition for every frame.
         #[test]
         fn counts_equal_the_definition(steps in proptest::collection::vec((0.0..0.004f64, -0.5..0.5f64), 1..120)) {
-            let (mut x, mut yaw) = (0.0, 0.0);
+            let mut x = 0.0;
+            let mut yaw = 0.0;
             let poses: Vec<(f64, f64)> = steps.iter().map(|(dx, dyaw)| { x += dx * dx * 400.0; yaw += dyaw; (x, yaw) }).collect();
             let run = meter(poses.iter().copied());
             let mut stuck = vec![false; poses.len()];
             for end in WINDOW..=poses.len() {
                 let window = &poses[end - WINDOW..end];
                 let (x, yaw) = poses[end - 1];
-                let near = |p: &(f64, f64)| (p.0 - x).abs() < DISTANCE_M && (p.1 - yaw).abs().to_radians() < TURN_RAD;
-                if window.iter().all(near) {
+                if window.iter().all(|p| (p.0 - x).abs() < DISTANCE_M && (p.1 - yaw).abs().to_radians() < ROTATION_RAD) {
                     stuck[end - WINDOW..end].fill(true);
                 }
             }

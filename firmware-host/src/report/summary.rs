@@ -1,4 +1,4 @@
-//! `summary.json`: what a run was, what came of it, in numbers. A key without a value is absent, never 0.
+//! `summary.json`: the settings and results of a run. A key without a value is absent, never 0.
 
 use std::{collections::BTreeMap, fmt, path::Path};
 
@@ -20,88 +20,90 @@ use super::{
 /// Name of the file in the output directory.
 pub const SUMMARY_FILE: &str = "summary.json";
 
-/// A run in numbers.
+/// The settings and results of a run, as they are written into `summary.json`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Summary {
-    /// Camera frames.
+    /// Number of camera frames.
     pub frames: u64,
-    /// Seed of everything random.
+    /// Seed of all random choices.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
-    /// How goals were chosen.
+    /// Exploration policy.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub policy: Option<String>,
-    /// The home that was explored.
+    /// Scene that was explored.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
-    /// The recorded data that was looked at.
+    /// Dataset or recording that was evaluated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dataset: Option<String>,
-    /// Which depth went into the map.
+    /// Source of the depth in the map.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub depth_source: Option<DepthSource>,
-    /// BLAKE3 digest of the network, hex.
+    /// BLAKE3 digest of the network, hexadecimal.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
-    /// What was broken on purpose.
+    /// Injected faults, in the notation of `--fault`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub faults: Vec<String>,
-    /// Seed of everything random in that.
+    /// Seed of the random choices in faults.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fault_seed: Option<u64>,
-    /// Why it ended.
+    /// Why the exploration ended.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub end_reason: Option<ExploreEnd>,
-    /// Length of the true path, metres.
+    /// Length of the ground-truth path, metres.
     #[serde(skip_serializing_if = "absent")]
     pub path_m: Option<f64>,
-    /// Share of the reachable floor that was mapped.
+    /// Share of the reachable floor that was mapped, 0 to 1.
     #[serde(skip_serializing_if = "absent")]
     pub coverage: Option<f64>,
     /// Area of the reachable floor, square metres.
     #[serde(skip_serializing_if = "absent")]
     pub reachable_m2: Option<f64>,
-    /// Times when the footprint met an obstacle.
+    /// Number of collisions: the footprint met an obstacle (ground truth).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub collisions: Option<u64>,
-    /// Frames in which the robot got nowhere ([`StuckMeter`](super::stuck::StuckMeter)).
+    /// Number of frames in which the robot made no progress
+    /// ([`StuckMeter`](super::stuck::StuckMeter)).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stuck_frames: Option<u64>,
-    /// Most of them in a row.
+    /// Largest number of them in a row.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stuck_longest_frames: Option<u64>,
-    /// Turns of a real robot's exploration plane that were left out because the one before took longer than its period.
+    /// Ticks of a real robot's exploration plane that were skipped because the one before took
+    /// longer than its period.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub skipped_turns: Option<u64>,
-    /// What happened, by reason.
     #[serde(flatten)]
     pub events: EventCounts,
-    /// Wall time, seconds.
+    /// Wall-clock time, seconds.
     #[serde(skip_serializing_if = "absent")]
     pub wall_s: Option<f64>,
-    /// Frames a second of wall time.
+    /// Frames per second of wall-clock time.
     #[serde(skip_serializing_if = "absent")]
     pub frames_per_s: Option<f64>,
-    /// Time of each stage.
+    /// Time taken by each stage, milliseconds.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub latency_ms: BTreeMap<Stage, Percentiles>,
-    /// Depth against ground truth.
+    /// Accuracy of depth compared with ground truth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<DepthAccuracy>,
-    /// How right the mapped depth was where the LiDAR saw the same, lately: what the robot itself can know.
+    /// Recent agreement of the mapped depth with the LiDAR. Unlike `accuracy`, a real robot can
+    /// measure it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lidar_line: Option<LidarLine>,
-    /// Most memory that was resident at once, MiB.
+    /// Peak resident memory, MiB.
     #[serde(skip_serializing_if = "absent")]
     pub resident_mib: Option<f64>,
     /// Size of the recording, MiB.
     #[serde(skip_serializing_if = "absent")]
     pub recording_mib: Option<f64>,
-    /// BLAKE3 digest of the recording's files, hex.
+    /// BLAKE3 digest of the recording's files, hexadecimal.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recording_digest: Option<String>,
-    /// BLAKE3 digest of every decision, hex. Two runs with the same digest did the same.
+    /// BLAKE3 digest of all decisions, hexadecimal. Two runs with the same digest decided the same.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub digest: Option<String>,
     /// Version of the binary.
@@ -109,69 +111,69 @@ pub struct Summary {
     pub version: String,
 }
 
-/// Depth against the LiDAR's line.
+/// Agreement of the mapped depth with the LiDAR's returns in the image.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LidarLine {
-    /// At all distances.
     pub all: LineAccuracy,
-    /// Distance by distance.
+    /// The same in ranges of distance.
     pub by_distance: Vec<LineAccuracy>,
 }
 
 impl LidarLine {
-    /// What a monitor knows; `None` before anything was compared.
+    /// The state of a monitor; `None` if it has not compared anything yet.
     #[must_use]
     pub fn of(monitor: &LineMonitor) -> Option<Self> {
         monitor.overall().map(|all| Self { all, by_distance: monitor.by_distance() })
     }
 }
 
-/// For people.
+/// Formats the agreement as a sentence for the terminal.
 impl fmt::Display for LidarLine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let LineAccuracy { delta1, scale, share, .. } = self.all;
-        let (right, there) = (100.0 * delta1, 100.0 * share);
         write!(
             f,
-            "{right:.0} % of depth right within 25 % on its line (scale {scale:.2}); {there:.0} % of that has depth"
+            "{:.0} % of the depths are within 25 % of the LiDAR (scale {scale:.2}); {:.0} % of the \
+             LiDAR's returns in the image have a depth",
+            100.0 * delta1,
+            100.0 * share
         )
     }
 }
 
-/// Accuracy of each source of depth. A source that had nothing to say is absent.
+/// Accuracy of each source of depth. A source without any depth is absent.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct DepthAccuracy {
-    /// Depth from ego-motion.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse: Option<AccuracyRows>,
-    /// Depth from the network.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub network: Option<AccuracyRows>,
-    /// The same, on the pixels that have coarse depth: what the network makes of it.
+    /// Accuracy of the network on the pixels that have coarse depth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refined: Option<Metrics>,
-    /// The median of the ground truth everywhere: what anything must beat.
+    /// Accuracy of a constant depth, the median of the ground truth: the baseline that every source
+    /// must exceed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub constant: Option<AccuracyRows>,
 }
 
-/// A number that JSON cannot hold is no value either.
+/// Whether to leave out a value. JSON has no NaN and no infinity, so those are left out as well.
 fn absent(value: &Option<f64>) -> bool {
     !value.is_some_and(f64::is_finite)
 }
 
 impl Summary {
-    /// Indented JSON with a final newline.
+    /// The summary as indented JSON with a final newline.
     #[must_use]
     pub fn to_json(&self) -> String {
-        // Serializing plain numbers, strings and maps with string keys cannot fail.
+        // Serializing numbers, strings and maps with string keys cannot fail.
         let mut text = serde_json::to_string_pretty(self).unwrap_or_default();
         text.push('\n');
         text
     }
 
-    /// Writes `summary.json` into `dir`, whole or not at all.
+    /// Writes `summary.json` into `dir` atomically.
     ///
     /// # Errors
     /// [`ReportError::Unwritable`].
@@ -180,7 +182,7 @@ impl Summary {
     }
 }
 
-/// The most memory that this process has had resident so far, MiB, where the system tells.
+/// Peak resident memory of this process, MiB; `None` if the system does not report it.
 #[must_use]
 pub fn peak_resident_mib() -> Option<f64> {
     peak_resident_in(&std::fs::read_to_string("/proc/self/status").ok()?)
@@ -212,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_broken_on_purpose_and_what_stopped_the_robot_have_keys_of_their_own() {
+    fn injected_faults_and_safety_faults_have_separate_keys() {
         let mut summary = Summary { faults: vec!["lidar:stall@4..6".into()], ..Summary::default() };
         summary.events.safety_faults.insert("lidar_silent".into(), 1);
         let value: serde_json::Value = serde_json::from_str(&summary.to_json()).unwrap();
@@ -233,14 +235,9 @@ mod tests {
 
     #[test]
     fn keys_and_nesting_are_those_that_tools_rely_on() {
-        let rows = |metrics| AccuracyRows { all: Some(metrics), confident: None };
-        let coarse = rows(Metrics {
-            share: 0.71,
-            delta1: 0.86,
-            delta1_unscaled: 0.84,
-            ..Metrics::default()
-        });
-        let constant = rows(Metrics { delta1: 0.65, ..Metrics::default() });
+        let coarse =
+            Metrics { share: 0.71, delta1: 0.86, delta1_unscaled: 0.84, ..Metrics::default() };
+        let constant = Metrics { delta1: 0.65, ..Metrics::default() };
         let summary = Summary {
             frames: 3000,
             seed: Some(7),
@@ -259,10 +256,10 @@ mod tests {
                 Percentiles { p50: 6.1, p99: 9.7, max: 14.0 },
             )]),
             accuracy: Some(DepthAccuracy {
-                coarse: Some(coarse),
+                coarse: Some(AccuracyRows { all: Some(coarse), confident: None }),
                 network: None,
                 refined: None,
-                constant: Some(constant),
+                constant: Some(AccuracyRows { all: Some(constant), confident: None }),
             }),
             events: EventCounts::driving(),
             ..Summary::default()
@@ -284,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_written_whole_into_the_output_directory() {
+    fn it_is_written_into_the_output_directory() {
         let dir = tempfile::tempdir().unwrap();
         let summary = Summary { frames: 5, ..Summary::default() };
         summary.write(dir.path()).unwrap();

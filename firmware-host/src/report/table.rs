@@ -1,4 +1,4 @@
-//! The summary as a person reads it in a terminal: at most 100 columns, no colour needed.
+//! The summary as text for a terminal: at most 100 columns, without colours.
 
 use std::fmt::Write as _;
 
@@ -13,10 +13,10 @@ use super::{
     summary::{LidarLine, Summary},
 };
 
-/// Columns.
+/// Maximum number of columns.
 const WIDTH: usize = 100;
 
-/// The whole summary, ending with a newline.
+/// The summary as text that ends with a newline.
 #[must_use]
 pub fn render(summary: &Summary) -> String {
     let mut text = String::new();
@@ -37,7 +37,9 @@ fn title(text: &mut String, summary: &Summary) {
     let place = summary.scene.as_ref().or(summary.dataset.as_ref());
     let seed = summary.seed.map(|seed| format!("seed {seed}"));
     let depth = summary.depth_source.map(|source| match source {
-        DepthSource::Truth => "ground-truth depth (a test of mapping, not of the robot)".to_owned(),
+        DepthSource::Truth => {
+            "ground-truth depth (a test of mapping, not of depth estimation)".to_owned()
+        }
         other => format!("{} depth", name(&other)),
     });
     let parts: Vec<String> =
@@ -45,7 +47,7 @@ fn title(text: &mut String, summary: &Summary) {
     let _ = writeln!(text, "{}", parts.join(", "));
 }
 
-/// `  label       value`, the value wrapped at spaces and continued below itself.
+/// Writes `  label       value`. A long value is wrapped at spaces and continued in its own column.
 fn line(text: &mut String, label: &str, value: &str) {
     let mut row = format!("  {label:<11}");
     let indent = row.len();
@@ -62,7 +64,7 @@ fn line(text: &mut String, label: &str, value: &str) {
     }
 }
 
-/// Label and value of every line; an empty value is left out.
+/// Labels and values of all lines. Lines with an empty value are left out.
 fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
     let events = &summary.events;
     let mut trips = counted(&events.bumper_trips_by, "trips");
@@ -77,19 +79,19 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
     vec![
         ("frames", frames(summary)),
         (
-            "left out",
+            "skipped",
             summary
                 .skipped_turns
-                .map_or(String::new(), |turns| format!("{turns} turns that would have been late")),
+                .map_or(String::new(), |ticks| format!("{ticks} ticks that would have been late")),
         ),
         ("ended by", summary.end_reason.map_or(String::new(), |end| name(&end))),
         ("coverage", coverage(summary)),
         ("path", summary.path_m.map_or(String::new(), |path| format!("{path:.1} m"))),
         ("collisions", summary.collisions.map_or(String::new(), |count| count.to_string())),
         ("safety stops", trips),
-        ("LiDAR agrees", summary.lidar_line.as_ref().map_or(String::new(), LidarLine::to_string)),
+        ("LiDAR check", summary.lidar_line.as_ref().map_or(String::new(), LidarLine::to_string)),
         ("faults", counted(&events.safety_faults, "times")),
-        ("broken on purpose", summary.faults.join(", ")),
+        ("injected", summary.faults.join(", ")),
         ("stuck", stuck(summary)),
         ("goals", goal_counts.unwrap_or_default()),
         ("chosen for", by_reason(&goals.chosen)),
@@ -118,7 +120,7 @@ fn frames(summary: &Summary) -> String {
         let _ = write!(text, " in {wall_s:.1} s");
     }
     if let Some(rate) = summary.frames_per_s {
-        let _ = write!(text, ", {rate:.1} a second");
+        let _ = write!(text, ", {rate:.1} frames/s");
     }
     text
 }
@@ -151,7 +153,7 @@ fn short(digest: &str) -> &str {
     digest.get(..16).unwrap_or(digest)
 }
 
-/// `3 this, 1 that`, most frequent first.
+/// Counts with their reasons, such as `3 frontier, 1 inconsistency`, most frequent first.
 fn by_reason(reasons: &Reasons) -> String {
     let mut sorted: Vec<(&String, &u64)> = reasons.iter().collect();
     sorted.sort_by_key(|(reason, count)| (std::cmp::Reverse(**count), reason.as_str()));
@@ -160,7 +162,7 @@ fn by_reason(reasons: &Reasons) -> String {
     parts.join(", ")
 }
 
-/// `4 frames (3 this, 1 that)`.
+/// The total with the counts of the reasons, such as `4 frames (3 first_frame, 1 out_of_range)`.
 fn counted(reasons: &Reasons, what: &str) -> String {
     match reasons.values().sum::<u64>() {
         0 => String::new(),
@@ -180,47 +182,48 @@ fn accuracy(summary: &Summary) -> Option<Table> {
         "abs rel",
         "rmse (m)",
     ]);
-    let mut source = |label: &str, of: Option<AccuracyRows>| {
-        let of = of.unwrap_or_default();
-        for (which, row) in [("all", of.all), ("confident half", of.confident)] {
-            if let Some(row) = row {
-                table.add_row(accuracy_row(format!("{label}, {which}"), &row));
-            }
-        }
-    };
-    source("coarse", accuracy.coarse);
-    source("network", accuracy.network);
+    add_source(&mut table, "coarse", accuracy.coarse);
+    add_source(&mut table, "network", accuracy.network);
     if let Some(row) = accuracy.refined {
         table.add_row(accuracy_row("network, where coarse is".to_owned(), &row));
     }
     if let Some(row) = accuracy.constant.and_then(|constant| constant.all) {
-        table.add_row(accuracy_row("constant (median of the truth)".to_owned(), &row));
+        table.add_row(accuracy_row("constant (median of ground truth)".to_owned(), &row));
     }
     (table.row_count() > 0).then_some(table)
 }
 
+fn add_source(table: &mut Table, label: &str, rows: Option<AccuracyRows>) {
+    let rows = rows.unwrap_or_default();
+    for (which, row) in [("all", rows.all), ("confident half", rows.confident)] {
+        if let Some(row) = row {
+            table.add_row(accuracy_row(format!("{label}, {which}"), &row));
+        }
+    }
+}
+
 fn accuracy_row(label: String, row: &Metrics) -> Vec<String> {
-    let number = |value: f64| format!("{value:.3}");
     let shares = [row.share, row.right].map(|value| format!("{:.0} %", 100.0 * value));
-    let values = [row.delta1, row.delta1_unscaled, row.abs_rel, row.rmse_m].map(number);
+    let values = [row.delta1, row.delta1_unscaled, row.abs_rel, row.rmse_m]
+        .map(|value| format!("{value:.3}"));
     std::iter::once(label).chain(shares).chain(values).collect()
 }
 
 fn latency(summary: &Summary) -> Option<Table> {
     let mut table = numbers(&["time per frame (ms)", "median", "p99", "max"]);
     for (stage, times) in &summary.latency_ms {
-        let number = |value: f64| format!("{value:.2}");
         table.add_row(vec![
             stage.name().to_owned(),
-            number(times.p50),
-            number(times.p99),
-            number(times.max),
+            format!("{:.2}", times.p50),
+            format!("{:.2}", times.p99),
+            format!("{:.2}", times.max),
         ]);
     }
     (table.row_count() > 0).then_some(table)
 }
 
-/// A table of numbers below a rule: first column left, others right.
+/// A table with a line below its header. The first column is left-aligned, the others
+/// right-aligned.
 fn numbers(header: &[&str]) -> Table {
     let mut table = Table::new();
     table.load_preset(presets::NOTHING);
@@ -259,15 +262,18 @@ mod tests {
         pairs.iter().map(|(reason, count)| ((*reason).to_owned(), *count)).collect()
     }
 
-    fn full() -> Summary {
-        let metrics = |share, delta1| Metrics {
+    fn metrics(share: f64, delta1: f64) -> Metrics {
+        Metrics {
             share,
             delta1,
             delta1_unscaled: delta1 - 0.02,
             abs_rel: 0.1,
             rmse_m: 0.4,
             ..Metrics::default()
-        };
+        }
+    }
+
+    fn full() -> Summary {
         let rows =
             AccuracyRows { all: Some(metrics(0.71, 0.86)), confident: Some(metrics(0.36, 0.96)) };
         let times = Percentiles { p50: 6.1, p99: 9.7, max: 14.0 };
@@ -312,11 +318,11 @@ mod tests {
     }
 
     #[test]
-    fn everything_that_is_known_is_said_within_100_columns() {
+    fn every_known_value_is_shown_within_100_columns() {
         let text = render(&full());
         for part in [
             "builtin:house?seed=3, active, seed 7, network depth",
-            "3000 in 95.1 s, 31.5 a second",
+            "3000 in 95.1 s, 31.5 frames/s",
             "frame_budget",
             "83.0 % of 92.4 m2 reachable floor",
             "24 frames, at most 24 in a row",
@@ -336,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_is_not_said() {
+    fn unknown_values_are_left_out() {
         let text = render(&Summary {
             frames: 360,
             dataset: Some("redkitchen".into()),
@@ -346,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn long_lists_of_reasons_are_wrapped_below_themselves() {
+    fn long_lists_of_reasons_are_wrapped_in_their_column() {
         let many: Vec<String> =
             (0..12).map(|index| format!("a_rather_long_reason_{index}")).collect();
         let mut summary = full();
@@ -357,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_of_a_table_stand_below_each_other() {
+    fn the_columns_of_a_table_are_aligned() {
         let text = render(&full());
         let ends: Vec<usize> = text
             .lines()
@@ -369,9 +375,9 @@ mod tests {
     }
 
     #[test]
-    fn ground_truth_depth_cannot_be_mistaken_for_the_robots() {
+    fn ground_truth_depth_is_marked_as_such() {
         let text =
             render(&Summary { depth_source: Some(DepthSource::Truth), ..Summary::default() });
-        assert!(text.contains("a test of mapping, not of the robot"));
+        assert!(text.contains("a test of mapping, not of depth estimation"));
     }
 }

@@ -1,4 +1,5 @@
-//! What a camera without a known floor saw, from above: for sequences taken by hand.
+//! A map from a camera whose height and tilt are unknown, for sequences recorded with a hand-held
+//! camera.
 
 use std::path::Path;
 
@@ -10,15 +11,17 @@ use runtime::perception::DepthEstimate;
 use super::atomic::ReportError;
 use super::map_picture::{Cells, MapPicture};
 
-/// The map shows what stands between these distances below and above the camera's median height, metres: from the hip to
-/// above the eyes of somebody who holds it.
+/// The map shows obstacles between these distances below and above the median height of the camera,
+/// metres: from the hip to above the eyes of a person who holds the camera.
 const BELOW_M: f64 = 0.9;
 const ABOVE_M: f64 = 0.4;
 
-/// The weight of "on average the camera was held upright" beside "its horizon was level in every picture".
+/// Weight of the assumption that the camera was upright on average, relative to the assumption that
+/// its horizon was level in every frame.
 const UPRIGHT: f64 = 0.02;
 
-/// A map in a frame of its own: z is up and `BELOW_M` at the camera's median height, y is where the first picture looks.
+/// A map in its own frame: z points up and is `BELOW_M` at the median height of the camera, and y
+/// is the viewing direction of the first frame.
 #[derive(Debug)]
 pub struct TopView {
     t_level_world: Pose3,
@@ -27,10 +30,11 @@ pub struct TopView {
 }
 
 impl TopView {
-    /// An empty map for a camera that will be at `poses`; `up` is the world's, if known.
+    /// An empty map for a camera that will be at `poses`. `up` is the up direction of the world, if
+    /// it is known.
     ///
     /// # Errors
-    /// When there are no poses, or such as have no direction.
+    /// If the map cannot be created.
     pub fn new(poses: &[Pose3], up: Option<Vector3<f64>>) -> Result<Self, MapError> {
         let config = MapConfig {
             cell_m: 0.05,
@@ -45,10 +49,10 @@ impl TopView {
         Ok(Self { t_level_world, grid: OccupancyGrid::new(&config)?, trajectory: Vec::new() })
     }
 
-    /// Takes in where the camera is and what it sees there, if anything.
+    /// Adds the pose of the camera in one frame and its depth, if there is any.
     ///
     /// # Errors
-    /// A pose or a depth that cannot be used.
+    /// If the pose or the depth is invalid.
     pub fn add(
         &mut self,
         t_world_camera: &Pose3,
@@ -56,18 +60,19 @@ impl TopView {
         camera: &CameraModel,
     ) -> Result<(), MapError> {
         let t_level_camera = self.t_level_world * t_world_camera;
-        let (at, ahead) = (t_level_camera.translation, t_level_camera * Vector3::z());
+        let at = t_level_camera.translation;
+        let ahead = t_level_camera * Vector3::z();
         let pose = Pose2::new(at.x, at.y, ahead.y.atan2(ahead.x));
         self.trajectory.push(pose);
         let Some(depth) = depth else { return Ok(()) };
         self.grid.begin_update(&pose)?;
         let seen = self.grid.integrate_depth(depth, camera, &t_level_camera).map(|_| ());
         self.grid.finish_update();
-        // Who looks straight up or down sees no walls.
+        // A camera that looks straight up or down sees no walls.
         if seen == Err(MapError::CameraVertical) { Ok(()) } else { seen }
     }
 
-    /// Draws and writes `map.png` into `dir`.
+    /// Draws the map and writes `map.png` into `dir`.
     ///
     /// # Errors
     /// [`ReportError`].
@@ -78,7 +83,8 @@ impl TopView {
         MapPicture { title, map, trajectory, goals: &[], trips: &[], reachable: None }.write(dir)
     }
 
-    /// Everything known: columns, cells row by row, and the outer corner of the first.
+    /// The known part of the map: number of columns, cells row by row, outer corner of the first
+    /// cell.
     fn cells(&self) -> (usize, Vec<CellState>, [f64; 2]) {
         let Some(known) = self.grid.known_box() else {
             return (1, vec![CellState::Unknown], [0.0; 2]);
@@ -92,8 +98,9 @@ impl TopView {
     }
 }
 
-/// Up, from how a camera was held. Whatever it looked at, its horizon was about level: up is square to the x axes of all
-/// pictures. Where they all point the same way that leaves a circle of directions; the mean of the cameras' own up decides.
+/// Estimates the up direction of the world from the poses of a hand-held camera. Its horizon is
+/// about level, so up is orthogonal to the x axes of all frames. If all x axes are parallel, this
+/// leaves a circle of directions, and the mean up direction of the camera decides.
 fn upward(poses: &[Pose3]) -> Vector3<f64> {
     let count = poses.len().max(1) as f64;
     let mean: Vector3<f64> = poses.iter().map(|pose| pose * -Vector3::y() / count).sum();
@@ -106,17 +113,16 @@ fn upward(poses: &[Pose3]) -> Vector3<f64> {
     if up.dot(&mean) < 0.0 { -up } else { up }
 }
 
-/// The frame of the map in the world, inverted.
+/// The transform from the world into the frame of the map, `t_level_world`.
 fn levelled(poses: &[Pose3], up: Vector3<f64>) -> Pose3 {
     let up = up.try_normalize(1e-9).unwrap_or_else(Vector3::z);
-    let level = |axis: Vector3<f64>| (axis - up * axis.dot(&up)).try_normalize(1e-3);
-    // A first picture of the floor has its upper edge ahead.
-    let ahead = poses
-        .first()
-        .and_then(|first| level(first * Vector3::z()).or_else(|| level(first * -Vector3::y())));
+    // If the first frame looks straight down, its upper edge points ahead.
+    let ahead = poses.first().and_then(|first| {
+        horizontal(first * Vector3::z(), up).or_else(|| horizontal(first * -Vector3::y(), up))
+    });
     let ahead = ahead
-        .or_else(|| level(Vector3::x()))
-        .or_else(|| level(Vector3::y()))
+        .or_else(|| horizontal(Vector3::x(), up))
+        .or_else(|| horizontal(Vector3::y(), up))
         .unwrap_or_else(Vector3::y);
     let rotation = Rotation3::from_basis_unchecked(&[ahead.cross(&up), ahead, up]).inverse();
     let mut heights: Vec<f64> = poses.iter().map(|pose| up.dot(&pose.translation.vector)).collect();
@@ -128,24 +134,31 @@ fn levelled(poses: &[Pose3], up: Vector3<f64>) -> Pose3 {
     )
 }
 
+/// The direction of the component of `axis` that is orthogonal to `up`; `None` if there is hardly
+/// any.
+fn horizontal(axis: Vector3<f64>, up: Vector3<f64>) -> Option<Vector3<f64>> {
+    (axis - up * axis.dot(&up)).try_normalize(1e-3)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// Half the sides of a room without furniture, metres.
+    /// Half of the side lengths of a room without furniture, metres.
     const HALF: [f64; 2] = [2.5, 1.8];
 
     fn camera() -> CameraModel {
         CameraModel::pinhole(160, 96, 1.4)
     }
 
-    /// A camera carried round the room, nodding and rolling, 1.4 m above the floor; y is up in the room's frame here.
-    fn carried(frames: usize, turn_rad: f64, nod_rad: f64) -> Vec<Pose3> {
+    /// Poses of a camera carried round the room, 1.4 m above the floor, with changing pitch and
+    /// roll.
+    fn carried(frames: usize, rotation_rad: f64, pitch_rad: f64) -> Vec<Pose3> {
         (0..frames)
             .map(|frame| {
                 let part = frame as f64 / frames as f64;
-                let yaw = turn_rad * part;
-                let pitch = nod_rad + 0.1 * (part * 40.0).sin();
+                let yaw = rotation_rad * part;
+                let pitch = pitch_rad + 0.1 * (part * 40.0).sin();
                 let mount = hal::camera_mount(0.0, 1.4 + 0.05 * (part * 23.0).sin(), pitch);
                 let roll =
                     UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.08 * (part * 31.0).sin());
@@ -154,19 +167,21 @@ mod tests {
             .collect()
     }
 
-    /// What that camera sees of the walls, floor and ceiling of a box.
-    fn look(t_room_camera: &Pose3) -> DepthEstimate {
+    /// Depth of the walls, floor and ceiling of the room.
+    fn depth_from(t_room_camera: &Pose3) -> DepthEstimate {
         let camera = camera();
         let mut estimate = DepthEstimate::none(camera.width, camera.height);
         let at = t_room_camera.translation.vector;
         for v in 0..camera.height {
             for u in 0..camera.width {
                 let ray = t_room_camera * camera.ray(u as f64, v as f64);
-                let to = |axis: usize, low: f64, high: f64| {
-                    (if ray[axis] > 0.0 { high } else { low } - at[axis]) / ray[axis]
-                };
-                let depth_m =
-                    to(0, -HALF[0], HALF[0]).min(to(1, -HALF[1], HALF[1])).min(to(2, 0.0, 2.6));
+                let depth_m = [(-HALF[0], HALF[0]), (-HALF[1], HALF[1]), (0.0, 2.6)]
+                    .iter()
+                    .enumerate()
+                    .map(|(axis, (low, high))| {
+                        (if ray[axis] > 0.0 { high } else { low } - at[axis]) / ray[axis]
+                    })
+                    .fold(f64::INFINITY, f64::min);
                 estimate.depth.values_mut()[v * camera.width + u] = depth_m as f32;
             }
         }
@@ -174,26 +189,27 @@ mod tests {
         estimate
     }
 
-    /// Any frame that a recording may use for its world.
+    /// An arbitrary world frame of a recording.
     fn t_world_room() -> Pose3 {
-        let turn = Vector3::new(2.0, -0.7, 0.4);
+        let rotation = Vector3::new(2.0, -0.7, 0.4);
         Pose3::from_parts(
             Translation3::new(7.0, -3.0, 11.0),
-            UnitQuaternion::from_scaled_axis(turn),
+            UnitQuaternion::from_scaled_axis(rotation),
         )
     }
 
     #[test]
-    fn the_walls_of_a_room_seen_by_a_camera_in_the_hand_are_where_they_are() {
+    fn a_hand_held_camera_maps_the_walls_of_a_room_at_their_true_positions() {
         let in_room = carried(120, std::f64::consts::TAU, 0.15);
         let poses: Vec<Pose3> = in_room.iter().map(|pose| t_world_room() * pose).collect();
         let mut view = TopView::new(&poses, None).unwrap();
         for (pose, in_room) in poses.iter().zip(&in_room) {
-            view.add(pose, Some(&look(in_room)), &camera()).unwrap();
+            view.add(pose, Some(&depth_from(in_room)), &camera()).unwrap();
         }
         let t_room_level = (view.t_level_world * t_world_room()).inverse();
         let (width, cells, corner) = view.cells();
-        let (mut walls, mut inside) = (0, 0);
+        let mut walls = 0;
+        let mut inside = 0;
         for (index, state) in cells.iter().enumerate() {
             let [x, y] = [index % width, index / width];
             let [x, y] = [corner[0] + (x as f64 + 0.5) * 0.05, corner[1] + (y as f64 + 0.5) * 0.05];
@@ -211,26 +227,31 @@ mod tests {
                 CellState::Unknown => {}
             }
         }
-        // The walls are 17.2 m long, the floor 18 m2.
+        // The walls are 17.2 m long, and the floor has 18 m2.
         assert!(walls >= 17 * 20 && inside > 15 * 400, "{walls} cells of wall, {inside} within");
     }
 
     #[test]
     fn up_is_found_however_the_camera_is_held() {
-        // Turning round it does not matter where the camera looks; looking one way it has to be held upright.
-        for (turn_rad, nod_rad, most_rad) in [(6.0, 0.5, 0.03), (1.0, 0.3, 0.1), (0.0, 0.0, 0.03)] {
-            let poses: Vec<Pose3> =
-                carried(200, turn_rad, nod_rad).iter().map(|pose| t_world_room() * pose).collect();
+        // If the camera rotates, its pitch does not matter. If it looks one way, it has to be held
+        // upright.
+        for (rotation_rad, pitch_rad, tolerance_rad) in
+            [(6.0, 0.5, 0.03), (1.0, 0.3, 0.1), (0.0, 0.0, 0.03)]
+        {
+            let poses: Vec<Pose3> = carried(200, rotation_rad, pitch_rad)
+                .iter()
+                .map(|pose| t_world_room() * pose)
+                .collect();
             let error_rad = upward(&poses).angle(&(t_world_room() * Vector3::z()));
             assert!(
-                error_rad < most_rad,
-                "turned {turn_rad}, nodding {nod_rad}: off by {error_rad}"
+                error_rad < tolerance_rad,
+                "rotation {rotation_rad}, pitch {pitch_rad}: error {error_rad}"
             );
         }
     }
 
     #[test]
-    fn what_the_dataset_says_of_up_counts() {
+    fn the_up_direction_of_the_dataset_is_used() {
         let poses = carried(10, 0.0, 0.6);
         let view = TopView::new(&poses, Some(2.0 * Vector3::z())).unwrap();
         assert!((view.t_level_world * Vector3::z() - Vector3::z()).norm() < 1e-9);
@@ -239,13 +260,13 @@ mod tests {
     }
 
     #[test]
-    fn looking_straight_down_or_seeing_nothing_only_lengthens_the_way() {
+    fn a_frame_straight_down_or_without_depth_only_extends_the_path() {
         let down = Pose3::from_parts(
             Translation3::new(0.0, 0.0, 1.0),
             UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI),
         );
         let mut view = TopView::new(&[down], Some(Vector3::z())).unwrap();
-        view.add(&down, Some(&look(&down)), &camera()).unwrap();
+        view.add(&down, Some(&depth_from(&down)), &camera()).unwrap();
         view.add(&down, None, &camera()).unwrap();
         assert_eq!((view.trajectory.len(), view.cells().1), (2, vec![CellState::Unknown]));
     }

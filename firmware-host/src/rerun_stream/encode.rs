@@ -1,4 +1,4 @@
-//! Pictures small enough to stream.
+//! Encodes images for streaming.
 
 use hal::DepthMap;
 use image::{
@@ -7,7 +7,7 @@ use image::{
 };
 use runtime::recording::MapView;
 
-/// JPEG of an RGB8 picture: a tenth of its size, and nobody measures on it.
+/// JPEG of an RGB8 image. It has a tenth of the size, and its losses do not matter for viewing.
 pub(super) fn jpeg(width: usize, height: usize, rgb: &[u8]) -> ImageResult<Vec<u8>> {
     let mut bytes = Vec::new();
     JpegEncoder::new_with_quality(&mut bytes, 85).encode(
@@ -19,7 +19,7 @@ pub(super) fn jpeg(width: usize, height: usize, rgb: &[u8]) -> ImageResult<Vec<u
     Ok(bytes)
 }
 
-/// Grey PNG of a map, first row on top (largest y): occupied dark, unknown grey, free light.
+/// Grey PNG of a map with the largest y on top: occupied is dark, unknown grey, free light.
 pub(super) fn map_png(map: &MapView) -> ImageResult<Vec<u8>> {
     let columns = map.columns.max(1);
     let rows = map.occupancy.chunks_exact(columns).rev();
@@ -42,7 +42,7 @@ fn gray(occupancy: i8) -> u8 {
     }
 }
 
-/// Millimetres, little-endian, as depth cameras give them; 0 is no depth.
+/// Depth in millimetres as little-endian 16-bit values, like a depth camera; 0 is no depth.
 pub(super) fn depth_mm(depth: &DepthMap) -> Vec<u8> {
     depth
         .values()
@@ -63,8 +63,8 @@ mod tests {
             columns: 2,
             occupancy: vec![-1, 0, 100, 100],
         };
-        let picture = image::load_from_memory(&map_png(&map).unwrap()).unwrap().into_luma8();
-        assert_eq!(picture.into_raw(), [50, 50, 150, 250]);
+        let decoded = image::load_from_memory(&map_png(&map).unwrap()).unwrap().into_luma8();
+        assert_eq!(decoded.into_raw(), [50, 50, 150, 250]);
     }
 
     #[test]
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_of_the_wrong_length_is_an_error() {
+    fn an_empty_map_does_not_panic() {
         assert!(jpeg(8, 8, &[0; 8 * 8 * 3]).is_ok());
         let empty = MapView { origin_m: [0.0, 0.0], cell_m: 0.1, columns: 0, occupancy: vec![] };
         assert!(map_png(&empty).is_err() || map_png(&empty).is_ok_and(|bytes| !bytes.is_empty()));

@@ -1,4 +1,4 @@
-//! What Rerun is told: a 2-D map with path and robot, the camera with its depth in space, and plots.
+//! The content sent to Rerun: a 2-D map with path and robot, camera and depth in 3-D, and plots.
 
 use std::time::Duration;
 
@@ -12,26 +12,27 @@ use runtime::recording::MapView;
 
 use super::{Moment, RerunError, RerunTargets, encode};
 
-/// The way so far is sent again every so many turns: it grows, so doing it each time costs its length squared.
-const WAY_EVERY: u64 = 10;
-/// Steps shorter than this add no point to the way, metres.
-const WAY_STEP_M: f64 = 0.05;
-/// How long a run waits for a viewer that does not take what was sent.
-const PATIENCE: Duration = Duration::from_secs(5);
+/// Interval in ticks at which the travelled path is sent. The whole path is sent each time, so
+/// sending it in every tick would have a quadratic cost.
+const TRAVELLED_EVERY: u64 = 10;
+/// Shortest distance between two points of the travelled path, metres.
+const TRAVELLED_STEP_M: f64 = 0.05;
+/// How long the end of a run waits for a viewer that does not accept data.
+const FLUSH_TIMEOUT: Duration = Duration::from_secs(5);
 
-const WAY: [u8; 3] = [198, 40, 90];
+const TRAVELLED: [u8; 3] = [198, 40, 90];
 const PATH: [u8; 3] = [0, 137, 150];
 const GOAL: [u8; 3] = [239, 108, 0];
 
 /// One run, sent to every target.
 pub(super) struct RunLog {
     streams: Vec<RecordingStream>,
-    way_m: Vec<[f64; 2]>,
+    travelled_m: Vec<[f64; 2]>,
     map: Option<MapFrame>,
     failed: u64,
 }
 
-/// Where the map's picture lies in `odom`.
+/// Position of the map's image in `odom`.
 #[derive(Debug, Clone, Copy)]
 struct MapFrame {
     origin_m: [f64; 2],
@@ -45,7 +46,8 @@ impl MapFrame {
         Self { origin_m: map.origin_m, cell_m: map.cell_m, rows }
     }
 
-    /// A point of `odom` on the picture; Rerun's pixels begin at their corner.
+    /// Pixel coordinates of a point in `odom`. In Rerun, the corner of a pixel has integer
+    /// coordinates.
     fn pixel(&self, point_m: [f64; 2]) -> [f32; 2] {
         let [right, up] = [0, 1].map(|axis| (point_m[axis] - self.origin_m[axis]) / self.cell_m);
         [right as f32, (self.rows as f64 - up) as f32]
@@ -62,30 +64,30 @@ impl RunLog {
         camera: &CameraModel,
         t_base_camera: &Pose3,
     ) -> Result<Self, RerunError> {
-        let builder = || RecordingStreamBuilder::new("embodied-depth").with_blueprint(layout());
         let mut streams = Vec::new();
         if let Some(file) = &targets.file {
-            streams.push(named(&file.display().to_string(), builder().save(file))?);
+            streams.push(named(&file.display().to_string(), new_stream().save(file))?);
         }
         if let Some(viewer) = &targets.viewer {
-            streams.push(named(viewer, builder().connect_grpc_opts(viewer))?);
+            streams.push(named(viewer, new_stream().connect_grpc_opts(viewer))?);
         }
         for stream in &streams {
-            // Only the run's own time: the wall clock says how fast the computer was.
+            // Only the time of the run is sent. Wall-clock time would depend on the speed of the
+            // computer.
             stream.set_log_time_enabled(false);
             stream.set_log_tick_enabled(false);
         }
-        let mut log = Self { streams, way_m: Vec::new(), map: None, failed: 0 };
+        let mut log = Self { streams, travelled_m: Vec::new(), map: None, failed: 0 };
         log.robot(camera, t_base_camera);
         Ok(log)
     }
 
-    /// What never changes.
+    /// Sends the static data: the camera's mount and intrinsics.
     fn robot(&mut self, camera: &CameraModel, t_base_camera: &Pose3) {
         let pinhole = Pinhole::new([
             [camera.fx as f32, 0.0, 0.0],
             [0.0, camera.fy as f32, 0.0],
-            // Rerun's pixel centres are at halves, ours at whole numbers.
+            // Rerun's pixel centres are at half-integers, ours at integers.
             [camera.cx as f32 + 0.5, camera.cy as f32 + 0.5, 1.0],
         ])
         .with_resolution([camera.width as f32, camera.height as f32])
@@ -97,7 +99,7 @@ impl RunLog {
         });
     }
 
-    /// Sends one moment; returns how many values failed.
+    /// Sends one moment. Returns the number of values that failed.
     pub(super) fn moment(&mut self, moment: &Moment) -> u64 {
         let failed_before = self.failed;
         self.each(|stream| {
@@ -148,26 +150,29 @@ impl RunLog {
         }
     }
 
-    /// Robot, way, path and goal, in space and on the map.
+    /// Sends robot, travelled path, planned path and goal, in 3-D and on the map.
     fn motion(&mut self, moment: &Moment) {
         let at_m = [moment.odom.x_m, moment.odom.y_m];
-        let far = |last: &[f64; 2]| (last[0] - at_m[0]).hypot(last[1] - at_m[1]) >= WAY_STEP_M;
-        if self.way_m.last().is_none_or(far) {
-            self.way_m.push(at_m);
+        if self
+            .travelled_m
+            .last()
+            .is_none_or(|last| (last[0] - at_m[0]).hypot(last[1] - at_m[1]) >= TRAVELLED_STEP_M)
+        {
+            self.travelled_m.push(at_m);
         }
         let pose = transform(&moment.odom.to_pose3());
         self.each(|stream| stream.log("world/robot", &pose));
-        if moment.tick.is_multiple_of(WAY_EVERY) {
-            let way = std::mem::take(&mut self.way_m);
-            self.line("way", &way, WAY);
-            self.way_m = way;
+        if moment.tick.is_multiple_of(TRAVELLED_EVERY) {
+            let travelled_m = std::mem::take(&mut self.travelled_m);
+            self.line("way", &travelled_m, TRAVELLED);
+            self.travelled_m = travelled_m;
         }
         if let Some(path_m) = &moment.views.path_m {
             self.line("path", path_m, PATH);
         }
         let goal: Vec<[f64; 2]> = moment.goal_m.into_iter().collect();
         self.points("goal", &goal, GOAL);
-        self.points("robot", &[nose(&moment.odom), at_m], WAY);
+        self.points("robot", &[nose(&moment.odom), at_m], TRAVELLED);
     }
 
     fn line(&mut self, name: &str, line_m: &[[f64; 2]], color: [u8; 3]) {
@@ -201,10 +206,14 @@ impl RunLog {
 impl Drop for RunLog {
     fn drop(&mut self) {
         for stream in &self.streams {
-            // A viewer that is not there must not keep the run from ending.
-            let _ = stream.flush_with_timeout(PATIENCE);
+            // A viewer that does not respond must not keep the run from ending.
+            let _ = stream.flush_with_timeout(FLUSH_TIMEOUT);
         }
     }
+}
+
+fn new_stream() -> RecordingStreamBuilder {
+    RecordingStreamBuilder::new("embodied-depth").with_blueprint(layout())
 }
 
 fn named(
@@ -249,7 +258,7 @@ fn on_floor(points_m: &[[f64; 2]]) -> Vec<[f32; 3]> {
     points_m.iter().map(|[x_m, y_m]| [*x_m as f32, *y_m as f32, 0.02]).collect()
 }
 
-/// A point in front of the robot, so that a mark shows where it looks.
+/// A point in front of the robot, which shows its heading.
 fn nose(pose: &Pose2) -> [f64; 2] {
     pose.transform(0.12, 0.0).into()
 }
@@ -259,7 +268,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_point_of_the_world_stands_at_its_cell_of_the_picture() {
+    fn a_point_of_the_world_is_drawn_at_its_cell() {
         let map =
             MapView { origin_m: [-1.0, -2.0], cell_m: 0.5, columns: 4, occupancy: vec![0; 12] };
         let frame = MapFrame::of(&map);

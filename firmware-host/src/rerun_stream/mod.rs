@@ -1,7 +1,7 @@
-//! A live picture of the run for the Rerun viewer, and the same as `run.rrd` (feature `rerun`).
+//! Live visualization of a run in the Rerun viewer, or as the file `run.rrd` (feature `rerun`).
 //!
-//! Best effort: the loop hands a [`Moment`] to a short queue and goes on. A thread of its own encodes and sends; when it is
-//! slower than the loop, moments are dropped and counted.
+//! The control loop puts a [`Moment`] into a short queue and continues. A separate thread encodes
+//! and sends it. If the thread is slower than the loop, moments are dropped and counted.
 
 mod encode;
 mod log;
@@ -20,10 +20,10 @@ use log::RunLog;
 /// Name of the file in the output directory.
 pub const RERUN_FILE: &str = "run.rrd";
 
-/// Moments that may wait: enough for a map's encoding, little memory.
+/// Capacity of the queue, in moments: enough for the time that encoding a map takes.
 const QUEUE: usize = 16;
 
-/// Where the picture goes.
+/// Where to send the visualization.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct RerunTargets {
     /// A file to write.
@@ -32,54 +32,50 @@ pub struct RerunTargets {
     pub viewer: Option<String>,
 }
 
-/// What is shown of one turn of the loop.
+/// The visualized data of one tick.
 #[derive(Debug, Clone, Default)]
 pub struct Moment {
-    /// The turn.
     pub tick: u64,
-    /// Its time.
     pub time_ns: u64,
     /// `t_odom_base`.
     pub odom: Pose2,
-    /// Where the robot is heading, in `odom`, metres.
+    /// Current goal in `odom`, metres.
     pub goal_m: Option<[f64; 2]>,
-    /// The camera's picture: columns, rows, RGB8.
+    /// Camera image: width, height, RGB8.
     pub picture: Option<(usize, usize, Vec<u8>)>,
-    /// Map, path and depth, each when it is new.
+    /// Map, path and depth, each if it has changed.
     pub views: Views,
     /// Values to plot over time, by name, such as `coverage`.
     pub numbers: Vec<(&'static str, f64)>,
 }
 
-/// What became of the moments.
+/// Counts of moments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct RerunCounts {
-    /// Shown.
     pub sent: u64,
-    /// Dropped, because the thread was slower than the loop.
+    /// Dropped because the thread was slower than the loop.
     pub dropped: u64,
     /// Values that could not be encoded or sent.
     pub failed: u64,
 }
 
-/// Why there is no live picture.
+/// Why the visualization cannot be started.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RerunError {
-    /// The file or the viewer cannot be used.
+    /// The file or the viewer cannot be opened.
     #[error("cannot send the run to {target}: {reason}")]
     Target {
-        /// The file or address.
         target: String,
-        /// What Rerun says.
+        /// Error message of Rerun.
         reason: String,
     },
-    /// The system gives no thread.
-    #[error("cannot start the thread for the live picture: {0}")]
+    /// The thread cannot be started.
+    #[error("cannot start the thread for the visualization: {0}")]
     Thread(#[from] std::io::Error),
 }
 
-/// Hands moments to the thread that sends them.
+/// Sends moments to the thread that encodes them.
 #[derive(Debug)]
 pub struct RerunStream {
     queue: SyncSender<Moment>,
@@ -88,10 +84,10 @@ pub struct RerunStream {
 }
 
 impl RerunStream {
-    /// Opens the targets and starts the thread. `t_base_camera` is the camera's place on the robot.
+    /// Opens the targets and starts the thread. `t_base_camera` is the camera's mount.
     ///
     /// # Errors
-    /// [`RerunError`]; a viewer that is not running is no error, it may come later.
+    /// [`RerunError`]. A viewer that is not running is not an error, because it may be started later.
     pub fn start(
         targets: &RerunTargets,
         camera: &CameraModel,
@@ -101,7 +97,7 @@ impl RerunStream {
         Self::with(move |moment| log.moment(moment), QUEUE)
     }
 
-    /// Calls `send` on a thread; it returns how many values failed.
+    /// Starts a thread that calls `send`, which returns the number of failed values.
     fn with(
         mut send: impl FnMut(&Moment) -> u64 + Send + 'static,
         queue: usize,
@@ -118,7 +114,7 @@ impl RerunStream {
         Ok(Self { queue: sender, thread, dropped: 0 })
     }
 
-    /// Shows a moment if there is room for it. Never blocks.
+    /// Sends a moment if the queue is not full. Never blocks.
     pub fn offer(&mut self, moment: Moment) {
         match self.queue.try_send(moment) {
             Ok(()) => {}
@@ -126,11 +122,11 @@ impl RerunStream {
         }
     }
 
-    /// Waits until everything that was accepted is sent.
+    /// Waits until all queued moments are sent.
     #[must_use]
     pub fn finish(self) -> RerunCounts {
         drop(self.queue);
-        // A thread that panicked has nothing to say; the run goes on without it.
+        // If the thread panicked, its counts are lost, but the run continues.
         let counts = self.thread.join().unwrap_or_default();
         RerunCounts { dropped: self.dropped, ..counts }
     }
@@ -144,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_slow_viewer_costs_moments_and_never_time() {
+    fn a_slow_viewer_drops_moments_and_never_blocks_the_loop() {
         let (release, wait) = sync_channel::<()>(0);
         let blocked = move |_: &Moment| {
             let _ = wait.recv();
@@ -157,12 +153,12 @@ mod tests {
         drop(release);
         let counts = stream.finish();
         assert_eq!(counts.sent + counts.dropped, 50);
-        // Two wait, and the thread may have taken one.
+        // Two are in the queue, and the thread may have taken one.
         assert!((2..=3).contains(&counts.sent), "{counts:?}");
     }
 
     #[test]
-    fn a_run_becomes_a_file() {
+    fn a_run_is_written_into_a_file() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join(RERUN_FILE);
         let targets = RerunTargets { file: Some(file.clone()), viewer: None };
