@@ -159,7 +159,7 @@ def test_a_robot_that_does_not_repeat_its_run_is_detected(
     request = out / "hand-over/round_0001.json"
     request.write_text(request.read_text().replace('"digest": "', '"digest": "other '))
     assert main(arguments(robot, out)) == 1
-    assert "does not repeat the run" in capsys.readouterr().err
+    assert "does not repeat the interrupted run" in capsys.readouterr().err
 
 
 def test_errors_name_the_impossible_request_and_what_to_do(

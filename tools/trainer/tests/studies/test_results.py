@@ -158,6 +158,7 @@ def test_the_compact_files_restore_every_number(tmp_path: Path) -> None:
         ("scene,policy", "home,policy", "columns of a study"),
         ("active,student,1", "active,student,one", "rows of flat, active, student are damaged"),
         (",0.3,", ",nan,", "not finite"),
+        (",10,10,", ",0,10,", "frames do not increase"),
         ("\nhouse", ",7\nhouse", "values instead of"),
     ],
 )

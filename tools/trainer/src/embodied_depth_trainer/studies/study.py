@@ -160,6 +160,8 @@ def _runs(file: Path, rows: list[list[str]]) -> Iterator[Run]:
     for (scene, policy, network, seed, gap, coverage), group in itertools.groupby(rows, lambda row: row[:head]):
         try:
             curve = [_parse_point(row[head:]) for row in group]
+            if any(later.frames <= earlier.frames for earlier, later in itertools.pairwise(curve)):
+                raise ValueError("frames do not increase from row to row")
             run = Run(scene, policy, network, int(seed), int(gap) if gap else None, float(coverage), curve)
         except ValueError as problem:
             raise TrainerError(f"{file}: the rows of {scene}, {policy}, {network} are damaged: {problem}") from None

@@ -72,7 +72,9 @@ def load(file: Path) -> Checkpoint:
     except FileNotFoundError:
         raise TrainerError(f"{file} does not exist; give the checkpoint.pt of a training") from None
     except Exception as problem:
-        raise TrainerError(f"{file} is not a checkpoint: {problem}; train again or give another file") from problem
+        # PyTorch adds paragraphs about its own options, which do not help here.
+        reason = next(iter(str(problem).splitlines()), type(problem).__name__)
+        raise TrainerError(f"{file} is not a checkpoint: {reason}; train again or give another file") from problem
     if not isinstance(loaded, dict) or loaded.get("format_version") != FORMAT_VERSION:
         raise TrainerError(f"{file} is not a checkpoint of version {FORMAT_VERSION}; train again with this trainer")
     del loaded["format_version"]
