@@ -1,8 +1,8 @@
-"""Simulated motor controllers and our own frames, seen by python-can, canopen, cantools and crccheck.
+"""Checks the simulated motor controllers and our frames with python-can, canopen, cantools and crccheck.
 
-    can_peers.py odrive|vesc|cia402 SOCKET   talks to the controller with node 1 on a Unix CAN bus
-    can_peers.py frames DBC FILE             reads frames of ours; lines: candump's notation and the fields as JSON
-    can_peers.py driver FILE                 reads what our driver sends to ODrives, with ODrive's own DBC file
+    can_peers.py odrive|vesc|cia402 SOCKET   controls the simulated node 1 on a Unix CAN bus
+    can_peers.py frames DBC FILE             decodes our frames; lines: candump's notation and the fields as JSON
+    can_peers.py driver FILE                 decodes what our driver sends to ODrives, with ODrive's DBC file
 """
 
 import json
@@ -24,7 +24,7 @@ RECORD = struct.Struct("=IB3x8s")
 
 
 class UnixBus(can.BusABC):
-    """Records of Linux's `struct can_frame` over a Unix seqpacket socket."""
+    """A CAN bus of Linux's `struct can_frame` records over a Unix seqpacket socket."""
 
     def __init__(self, path):
         super().__init__(channel=path)
@@ -42,7 +42,7 @@ class UnixBus(can.BusABC):
         except (TimeoutError, BlockingIOError):
             return None, False
         if not record:
-            raise can.CanOperationError("the bus is gone")
+            raise can.CanOperationError("the bus is closed")
         number, length, data = RECORD.unpack(record)
         return can.Message(timestamp=time.time(), arbitration_id=number & 0x1FFFFFFF, is_extended_id=bool(number >> 31),
                            is_remote_frame=bool(number >> 30 & 1), dlc=length, data=data[:length]), False
@@ -54,12 +54,12 @@ class UnixBus(can.BusABC):
 
 def check(what, holds):
     if not holds:
-        sys.exit(f"NOT SO: {what}")
+        sys.exit(f"FAILED: {what}")
     print(f"  {what}")
 
 
 def wait(bus, accepts, seconds=2.0, feed=None):
-    """The first message that is accepted; `feed` is called every 10 ms meanwhile."""
+    """Returns the first accepted message, or None after `seconds`; calls `feed` every 10 ms meanwhile."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if feed:
@@ -75,57 +75,64 @@ def odrive_database():
 
 
 def odrive(path):
-    database, bus = odrive_database(), UnixBus(path)
+    database = odrive_database()
+    bus = UnixBus(path)
 
     def send(name, **signals):
         message = database.get_message_by_name(f"Axis1_{name}")
         bus.send(can.Message(arbitration_id=message.frame_id, is_extended_id=False, data=message.encode(signals)))
 
-    def seen(name, accepts=lambda signals: True, **options):
+    def receive(name, accepts=None, **options):
         message = database.get_message_by_name(f"Axis1_{name}")
         found = {}
 
-        def right(frame):
+        def matches(frame):
             if frame.arbitration_id == message.frame_id and not frame.is_remote_frame:
                 found.update(message.decode(frame.data, decode_choices=False))
-                return accepts(found)
+                return accepts is None or accepts(found)
             return False
 
-        return found if wait(bus, right, **options) else None
+        return found if wait(bus, matches, **options) else None
 
     bus.send(can.Message(arbitration_id=0x20, is_extended_id=False, is_remote_frame=True, dlc=8))
-    version = seen("Get_Version")
+    version = receive("Get_Version")
     check("Get_Version answers firmware 0.6.10", version and version["Fw_Version_Minor"] == 6 and version["Fw_Version_Revision"] == 10)
-    check("the heartbeat says idle, no error", seen("Heartbeat", lambda s: s["Axis_State"] == 1 and s["Axis_Error"] == 0))
+    check("the heartbeat reports idle without an error", receive("Heartbeat", lambda s: s["Axis_State"] == 1 and s["Axis_Error"] == 0))
     send("RxSdo", Opcode=1, Endpoint_ID=196, Reserved=0, Value=struct.unpack("<I", struct.pack("<f", 0.3))[0])
     send("RxSdo", Opcode=0, Endpoint_ID=196, Reserved=0, Value=0)
-    answer = seen("TxSdo", lambda s: s["Endpoint_ID"] == 196)
+    answer = receive("TxSdo", lambda s: s["Endpoint_ID"] == 196)
     check("the watchdog time reads back as 0.3 s", answer and abs(struct.unpack("<f", struct.pack("<I", answer["Value"]))[0] - 0.3) < 1e-6)
-    feed = lambda: send("Set_Input_Vel", Input_Vel=2.0, Input_Torque_FF=0.0)
+    def feed():
+        send("Set_Input_Vel", Input_Vel=2.0, Input_Torque_FF=0.0)
+
     feed()
     send("RxSdo", Opcode=1, Endpoint_ID=195, Reserved=0, Value=1)
     send("Set_Controller_Mode", Control_Mode=2, Input_Mode=1)
     send("Clear_Errors", Identify=0)
     send("Set_Axis_State", Axis_Requested_State=8)
-    check("fed, the axis reaches 2 turns a second", seen("Get_Encoder_Estimates", lambda s: abs(s["Vel_Estimate"] - 2) < 0.02, feed=feed))
-    check("and stays in closed loop", seen("Heartbeat", lambda s: s["Axis_State"] == 8 and s["Axis_Error"] == 0, feed=feed))
-    check("unfed, its watchdog disarms it", seen("Heartbeat", lambda s: s["Axis_State"] == 1 and s["Axis_Error"] == 0x1000000))
-    check("and the wheel stands", seen("Get_Encoder_Estimates", lambda s: abs(s["Vel_Estimate"]) < 0.01))
+    check("with commands, the axis reaches 2 revolutions per second", receive("Get_Encoder_Estimates", lambda s: abs(s["Vel_Estimate"] - 2) < 0.02, feed=feed))
+    check("the axis stays in closed-loop control", receive("Heartbeat", lambda s: s["Axis_State"] == 8 and s["Axis_Error"] == 0, feed=feed))
+    check("without commands, the watchdog disarms the axis", receive("Heartbeat", lambda s: s["Axis_State"] == 1 and s["Axis_Error"] == 0x1000000))
+    check("the wheel stops", receive("Get_Encoder_Estimates", lambda s: abs(s["Vel_Estimate"]) < 0.01))
     bus.shutdown()
 
 
 def vesc(path):
-    bus, host = UnixBus(path), 99
+    bus = UnixBus(path)
+    host = 99
 
     def send(packet, payload):
         bus.send(can.Message(arbitration_id=packet << 8 | 1, is_extended_id=True, data=payload))
 
     send(8, bytes([host, 0, 17]))
-    buffer, answer = bytearray(1024), None
+    buffer = bytearray(1024)
+    answer = None
     while answer is None:
         message = wait(bus, lambda m: m.arbitration_id & 0xFF == host)
-        check("the configuration comes", message) if not message else None
-        kind, data = message.arbitration_id >> 8, bytes(message.data)
+        if not message:
+            check("the configuration is received", False)
+        kind = message.arbitration_id >> 8
+        data = bytes(message.data)
         if kind == 5:
             buffer[data[0]:data[0] + len(data) - 1] = data[1:]
         elif kind == 6:
@@ -134,19 +141,30 @@ def vesc(path):
         elif kind == 7:
             length, crc = struct.unpack(">HH", data[2:6])
             answer = bytes(buffer[:length])
-            check(f"the configuration's {length} bytes fit their CRC", CrcXmodem.calc(answer) == crc)
+            check(f"the configuration's {length} bytes match their CRC", CrcXmodem.calc(answer) == crc)
     command, _, controller, timeout_ms, brake_a = struct.unpack(">BIBIf", answer[:14])
-    check("it names controller 1, a time-out of 100 ms and a brake current", (command, controller, timeout_ms, brake_a > 0) == (17, 1, 100, True))
-    feed = lambda: send(3, struct.pack(">i", 840))
-    speed = lambda m: struct.unpack(">i", bytes(m.data)[:4])[0]
-    status = lambda test: lambda m: m.arbitration_id == 9 << 8 | 1 and test(speed(m))
-    check("fed, it reaches 840 ERPM", wait(bus, status(lambda erpm: abs(erpm - 840) < 10), feed=feed))
-    check("unfed, it brakes to a stand", wait(bus, status(lambda erpm: erpm == 0)))
+    check("it contains controller 1, a time-out of 100 ms and a brake current", (command, controller, timeout_ms, brake_a > 0) == (17, 1, 100, True))
+
+    def feed():
+        send(3, struct.pack(">i", 840))
+
+    def speed(message):
+        """The electrical speed in a status message, None for other messages."""
+        if message.arbitration_id != 9 << 8 | 1:
+            return None
+        return struct.unpack(">i", bytes(message.data)[:4])[0]
+
+    def is_at_speed(message):
+        erpm = speed(message)
+        return erpm is not None and abs(erpm - 840) < 10
+
+    check("with commands, it reaches 840 ERPM", wait(bus, is_at_speed, feed=feed))
+    check("without commands, it brakes to standstill", wait(bus, lambda message: speed(message) == 0))
     bus.shutdown()
 
 
 def dictionary():
-    """The part of CiA 301 and 402 that is used here."""
+    """The part of the object dictionary of CiA 301 and 402 that is used here."""
     od = ObjectDictionary()
 
     def variable(parent, name, index, sub, kind):
@@ -181,10 +199,10 @@ def cia402(path):
     node.sdo.RESPONSE_TIMEOUT = 1.0
     check("the device type is that of a servo drive", node.sdo[0x1000].raw == 0x00020192)
     node.sdo[0x1017].raw = 50
-    check("its heartbeat is read back, and comes", node.sdo[0x1017].raw == 50)
+    check("its heartbeat time is read back", node.sdo[0x1017].raw == 50)
     node.nmt.send_command(0x80)
     node.nmt.wait_for_heartbeat(2)
-    check("NMT brings it to pre-operational", node.nmt.state == "PRE-OPERATIONAL")
+    check("NMT sets it to pre-operational", node.nmt.state == "PRE-OPERATIONAL")
     try:
         node.sdo[0x1234].raw
         check("an unknown object is refused", False)
@@ -192,12 +210,18 @@ def cia402(path):
         check("an unknown object is refused by its code", refusal.code == 0x06020000)
     node.tpdo.read()
     node.rpdo.read()
-    node.tpdo[1].clear(), node.tpdo[1].add_variable(0x6041), node.tpdo[1].add_variable(0x606C)
-    node.tpdo[1].trans_type, node.tpdo[1].enabled = 1, True
-    node.rpdo[1].clear(), node.rpdo[1].add_variable(0x6040), node.rpdo[1].add_variable(0x60FF)
+    node.tpdo[1].clear()
+    node.tpdo[1].add_variable(0x6041)
+    node.tpdo[1].add_variable(0x606C)
+    node.tpdo[1].trans_type = 1
+    node.tpdo[1].enabled = True
+    node.rpdo[1].clear()
+    node.rpdo[1].add_variable(0x6040)
+    node.rpdo[1].add_variable(0x60FF)
     node.rpdo[1].enabled = True
-    node.tpdo[1].save(), node.rpdo[1].save()
-    check("its PDOs can be mapped anew", [v.index for v in node.tpdo[1]] == [0x6041, 0x606C])
+    node.tpdo[1].save()
+    node.rpdo[1].save()
+    check("its PDOs can be remapped", [v.index for v in node.tpdo[1]] == [0x6041, 0x606C])
     node.setup_402_state_machine()
     node.sdo[0x6060].raw = 3
     node.nmt.state = "OPERATIONAL"
@@ -209,12 +233,12 @@ def cia402(path):
     node.rpdo[1][0x60FF].raw = 8192
     node.rpdo[1].transmit()
     time.sleep(0.4)
-    check("it turns at the target velocity", abs(node.tpdo[1][0x606C].raw - 8192) < 100)
+    check("it runs at the target velocity", abs(node.tpdo[1][0x606C].raw - 8192) < 100)
     beat.stop()
     time.sleep(0.5)
     check("without our heartbeat it goes to fault", node.state == "FAULT")
-    check("and stands", abs(node.sdo[0x606C].raw) < 20)
-    check("with an emergency that says why", any(error.code == 0x8130 for error in node.emcy.log))
+    check("it stops", abs(node.sdo[0x606C].raw) < 20)
+    check("its emergency message gives the cause", any(error.code == 0x8130 for error in node.emcy.log))
     network.sync.stop()
     network.disconnect()
 
@@ -225,22 +249,25 @@ def frames(dbc, path):
     for line in open(path):
         number, _, rest = line.partition("#")
         data, _, fields = rest.partition(" ")
-        data, number = bytes.fromhex(data), int(number, 16)
+        data = bytes.fromhex(data)
+        number = int(number, 16)
         message = database.get_message_by_frame_id(number)
         signals = message.decode(data, decode_choices=False)
         for name, value in json.loads(fields).items():
             if abs(signals[name] - value) > 1e-9:
-                sys.exit(f"NOT SO: {message.name}.{name} is {signals[name]}, written {value}")
+                sys.exit(f"FAILED: {message.name}.{name} is {signals[name]}, written {value}")
         if Crc8SaeJ1850.calc(struct.pack("<I", number) + data[1:]) != data[0]:
-            sys.exit(f"NOT SO: {line.strip()} fits its checksum")
+            sys.exit(f"FAILED: {line.strip()} does not match its checksum")
         if message.encode(signals) != data:
-            sys.exit(f"NOT SO: {line.strip()} is what cantools encodes")
+            sys.exit(f"FAILED: {line.strip()} differs from the encoding by cantools")
         count += 1
     check(f"cantools and crccheck agree on {count} frames", count > 100)
 
 
 def driver(path):
-    database, names, speeds = odrive_database(), set(), set()
+    database = odrive_database()
+    names = set()
+    speeds = set()
     for line in open(path):
         number, _, data = line.strip().partition("#")
         if len(number) != 3 or data.startswith("R"):

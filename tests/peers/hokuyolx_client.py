@@ -1,6 +1,7 @@
-"""Reads a simulated scanner with somebody else's SCIP client (PyPI `hokuyolx`), which checks every checksum by itself.
+"""Reads a simulated scanner with an independent SCIP client (PyPI `hokuyolx`), which verifies every checksum.
 
-Prints one JSON object: what the client understood. Called by tests/tests/lidar_peer.rs; by hand:
+Prints one JSON object with the client's readings. Called by tests/tests/lidar_peer.rs; manually:
+
     cargo run -p hil -- hokuyo --tcp 10940 --model ust-10lx
     python3 -m venv target/peers && target/peers/bin/pip install -r tests/peers/requirements.txt
     target/peers/bin/python tests/peers/hokuyolx_client.py 127.0.0.1 10940
@@ -14,8 +15,8 @@ from hokuyolx import HokuyoLX
 
 
 def main() -> None:
-    # One byte at a time: it reads until a block's end, and throws away what it has read of the next one beyond that. On a busy
-    # computer this was the first scan.
+    # Read one byte at a time: the client reads to the end of a block and discards what it has read beyond it, which on
+    # a busy computer was the first scan.
     laser = HokuyoLX(addr=(sys.argv[1], int(sys.argv[2])), convert_time=False, buf=1)
     _, once = laser.get_dist()
     _, intensities = laser.get_intens()

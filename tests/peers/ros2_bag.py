@@ -1,9 +1,10 @@
-"""A bag that `firmware-host buffer export --as ros2` made, read by somebody else's program (PyPI `rosbags`): every message must
-hold what the recording holds as the `mcap` package reads it. Called by firmware-host/tests/ros2_peer.rs; by hand:
+"""Compares a bag of `firmware-host buffer export --as ros2`, read by an independent reader (PyPI `rosbags`), with the
+recording as read by the `mcap` package: every message must have the same content. Called by
+firmware-host/tests/ros2_peer.rs; manually:
 
     python3 -m venv target/peers && target/peers/bin/pip install -r tests/peers/requirements.txt
     target/peers/bin/python tests/peers/ros2_bag.py BAG RECORDING.mcap...
-    target/peers/bin/python tests/peers/ros2_bag.py --picture bag.png BAG    # wants matplotlib as well
+    target/peers/bin/python tests/peers/ros2_bag.py --picture bag.png BAG    # needs matplotlib as well
 """
 
 import argparse
@@ -19,7 +20,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image
 from rosbags.highlevel import AnyReader
 
-# Topics of the bag, and where the recording has the same.
+# Topics of the bag, and the topics of the recording with the same content.
 TOPICS = {
     "/camera/image": "/camera/image",
     "/camera/camera_info": "/camera/calibration",
@@ -46,9 +47,10 @@ def time_ns(header):
 
 
 def same_transform(of_bag, of_recording):
-    moved, turned = of_bag.transform.translation, of_bag.transform.rotation
-    assert [moved.x, moved.y, moved.z] == [getattr(of_recording.translation, name) for name in "xyz"]
-    assert [turned.x, turned.y, turned.z, turned.w] == [getattr(of_recording.rotation, name) for name in "xyzw"]
+    translation = of_bag.transform.translation
+    rotation = of_bag.transform.rotation
+    assert [translation.x, translation.y, translation.z] == [getattr(of_recording.translation, name) for name in "xyz"]
+    assert [rotation.x, rotation.y, rotation.z, rotation.w] == [getattr(of_recording.rotation, name) for name in "xyzw"]
 
 
 def transform_of(messages, child):
@@ -67,15 +69,18 @@ def same_camera_info(info, of):
 
 
 def same_scan(scan, of):
-    ranges, wanted = scan.ranges.astype(np.float64), np.asarray(of.ranges)
-    assert len(ranges) == len(wanted) and scan.header.frame_id == of.frame_id
-    assert np.array_equal(ranges[np.isfinite(ranges)], wanted[np.isfinite(ranges)])
+    ranges = scan.ranges.astype(np.float64)
+    expected = np.asarray(of.ranges)
+    assert len(ranges) == len(expected) and scan.header.frame_id == of.frame_id
+    assert np.array_equal(ranges[np.isfinite(ranges)], expected[np.isfinite(ranges)])
     assert abs(scan.angle_max - of.end_angle) < 1e-6 and abs(scan.angle_min - of.start_angle) < 1e-6
     assert time_ns(scan.header) == of.timestamp.ToNanoseconds()
 
 
 def same_odometry(odometry, of):
-    wheel, pose, twist = of["wheel"], odometry.pose.pose, odometry.twist.twist
+    wheel = of["wheel"]
+    pose = odometry.pose.pose
+    twist = odometry.twist.twist
     assert (pose.position.x, pose.position.y) == (wheel["x_m"], wheel["y_m"])
     yaw = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
     assert abs(math.remainder(yaw - wheel["yaw_rad"], math.tau)) < 1e-12
@@ -83,26 +88,31 @@ def same_odometry(odometry, of):
     assert time_ns(odometry.header) == wheel["time_ns"]
 
 
+def same_base_transform(tf, of):
+    same_transform(tf.transforms[0], transform_of(of, "base_link"))
+
+
 SAME = {
     "/camera/image": same_image,
     "/camera/camera_info": same_camera_info,
     "/scan": same_scan,
     "/odom": same_odometry,
-    "/tf": lambda tf, of: same_transform(tf.transforms[0], transform_of(of, "base_link")),
+    "/tf": same_base_transform,
 }
 
 
 def compare(bag, recordings):
-    wanted, counts = recorded(recordings), Counter()
+    expected = recorded(recordings)
+    counts = Counter()
     for topic, message in messages_of(bag):
         if topic == "/tf_static":
             for mount in message.transforms:
-                same_transform(mount, transform_of(wanted["/tf"][0], mount.child_frame_id))
+                same_transform(mount, transform_of(expected["/tf"][0], mount.child_frame_id))
         else:
-            SAME[topic](message, wanted[TOPICS[topic]][counts[topic]])
+            SAME[topic](message, expected[TOPICS[topic]][counts[topic]])
         counts[topic] += 1
     for topic, source in TOPICS.items():
-        assert counts[topic] == len(wanted[source]), f"{counts[topic]} of {len(wanted[source])} in {topic}"
+        assert counts[topic] == len(expected[source]), f"{counts[topic]} of {len(expected[source])} in {topic}"
     print(json.dumps(counts))
 
 
@@ -112,22 +122,26 @@ def messages_of(bag):
             yield connection.topic, reader.deserialize(data, connection.msgtype)
 
 
-def picture(bag, path):
-    """Camera pictures, and from above the way by odometry with what the scanner hit."""
+def plot(bag, path):
+    """Plots camera images, and a top view of the path by odometry with the scanner's hits."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    images, way, hits, pose = [], [], [], None
+    images = []
+    path_points = []
+    hits = []
+    pose = None
     for topic, message in messages_of(bag):
         if topic == "/camera/image":
             images.append((time_ns(message.header), message.data.reshape(message.height, message.width, 3)))
         elif topic == "/odom":
-            at, turn = message.pose.pose.position, message.pose.pose.orientation
-            pose = (at.x, at.y, 2 * math.atan2(turn.z, turn.w))
-            way.append(pose)
-        elif topic == "/scan" and pose and len(way) % 10 == 1:
+            at = message.pose.pose.position
+            rotation = message.pose.pose.orientation
+            pose = (at.x, at.y, 2 * math.atan2(rotation.z, rotation.w))
+            path_points.append(pose)
+        elif topic == "/scan" and pose and len(path_points) % 10 == 1:
             ranges = message.ranges
             angles = pose[2] + message.angle_min + message.angle_increment * np.arange(len(ranges))
             near = np.isfinite(ranges) & (ranges < 8)
@@ -142,7 +156,7 @@ def picture(bag, path):
         axes.axis("off")
     axes = figure.add_subplot(grid[:, 1], aspect="equal", title="/scan and /odom", xlabel="odom x (m)", ylabel="odom y (m)")
     axes.plot(*np.hstack(hits), ".", markersize=1, color="0.5", label="hits of the scanner")
-    axes.plot([x for x, _, _ in way], [y for _, y, _ in way], color="tab:blue", label="way by odometry")
+    axes.plot([x for x, _, _ in path_points], [y for _, y, _ in path_points], color="tab:blue", label="path by odometry")
     axes.legend(loc="upper right")
     figure.savefig(path, dpi=80)
 
@@ -154,7 +168,7 @@ def main():
     parser.add_argument("recordings", type=Path, nargs="*")
     arguments = parser.parse_args()
     if arguments.picture:
-        picture(arguments.bag, arguments.picture)
+        plot(arguments.bag, arguments.picture)
     else:
         compare(arguments.bag, arguments.recordings)
 

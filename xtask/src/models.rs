@@ -32,7 +32,7 @@ pub fn run() -> Result<()> {
     let python = trainer::install()?;
     for (name, arguments) in missing {
         let mut export = command::program(&python);
-        export.args(["-m", "embodied_depth_trainer.cli"]).args(*arguments);
+        export.args(["-m", "embodied_depth_trainer"]).args(*arguments);
         command::run(export.arg("--out").arg(file(name)))?;
     }
     Ok(())

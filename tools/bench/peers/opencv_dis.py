@@ -1,8 +1,8 @@
-"""OpenCV's DIS optical flow on pairs of grey pictures: `opencv_dis.py FOLDER PAIRS WIDTH HEIGHT`.
+"""OpenCV's DIS optical flow on pairs of gray images: `opencv_dis.py FOLDER PAIRS WIDTH HEIGHT`.
 
-Pair N is `FOLDER/N_first` and `FOLDER/N_second`, raw bytes. Every line on stdin is a preset (`ultra_fast`, `fast`, `medium`):
-computes the flow of pair 0 and prints the seconds. `save PRESET N FILE` writes the flow of pair N as raw little-endian f32
-pairs and prints `saved`.
+Pair N is `FOLDER/N_first` and `FOLDER/N_second`, raw bytes. Every line on stdin is a preset (`ultra_fast`, `fast`,
+`medium`): computes the flow of pair 0 and prints the seconds. `save PRESET N FILE` writes the flow of pair N as raw
+little-endian f32 pairs and prints `saved`.
 """
 
 import os
@@ -20,12 +20,13 @@ PRESETS = {
 
 
 def main():
-    folder, count, width, height = sys.argv[1], *map(int, sys.argv[2:5])
+    folder = sys.argv[1]
+    count, width, height = map(int, sys.argv[2:5])
 
-    def picture(pair, which):
+    def image(pair, which):
         return np.fromfile(f"{folder}/{pair}_{which}", np.uint8).reshape(height, width)
 
-    pairs = [(picture(pair, "first"), picture(pair, "second")) for pair in range(count)]
+    pairs = [(image(pair, "first"), image(pair, "second")) for pair in range(count)]
     cv2.setNumThreads(int(os.environ.get("RAYON_NUM_THREADS", "0")) or os.cpu_count())
     engines = {name: cv2.DISOpticalFlow_create(preset) for name, preset in PRESETS.items()}
     print("ready", flush=True)
@@ -35,9 +36,9 @@ def main():
             engines[words[1]].calc(*pairs[int(words[2])], None).astype("<f4").tofile(words[3])
             print("saved", flush=True)
             continue
-        began = time.perf_counter()
+        start = time.perf_counter()
         engines[words[0]].calc(*pairs[0], None)
-        print(time.perf_counter() - began, flush=True)
+        print(time.perf_counter() - start, flush=True)
 
 
 main()

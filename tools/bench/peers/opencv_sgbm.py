@@ -1,6 +1,6 @@
-"""OpenCV's semi-global matching of two rectified pictures in files: LEFT RIGHT WIDTH HEIGHT (raw bytes, one a pixel).
+"""OpenCV's semi-global matching of two rectified images in files: LEFT RIGHT WIDTH HEIGHT (raw bytes, one per pixel).
 
-Every `one_pass` on stdin computes 64 disparities over three paths, its fastest mode, and prints the seconds.
+For every `one_pass` on stdin, computes 64 disparities over three paths, its fastest mode, and prints the seconds.
 """
 
 import os
@@ -14,17 +14,18 @@ BLOCK = 5
 
 
 def main():
-    width, height = int(sys.argv[3]), int(sys.argv[4])
+    width = int(sys.argv[3])
+    height = int(sys.argv[4])
     left, right = (np.fromfile(name, np.uint8).reshape(height, width) for name in sys.argv[1:3])
     cv2.setNumThreads(int(os.environ.get("RAYON_NUM_THREADS", "0")) or os.cpu_count())
-    # Penalties as OpenCV's documentation recommends them for one channel.
+    # P1 and P2 as OpenCV's documentation recommends for one channel.
     one_pass = cv2.STEREO_SGBM_MODE_SGBM_3WAY
     engine = cv2.StereoSGBM_create(0, 64, BLOCK, 8 * BLOCK**2, 32 * BLOCK**2, 1, uniquenessRatio=10, mode=one_pass)
     print("ready", flush=True)
     for _ in sys.stdin:
-        began = time.perf_counter()
+        start = time.perf_counter()
         engine.compute(left, right)
-        print(time.perf_counter() - began, flush=True)
+        print(time.perf_counter() - start, flush=True)
 
 
 main()

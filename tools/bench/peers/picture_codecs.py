@@ -1,4 +1,4 @@
-"""Lossless codecs on real pictures (folders with rgb/ in them): size, and time of one core. Prints rows of a table.
+"""Size and single-core time of lossless codecs on real images (folders that contain rgb/). Prints rows of a table.
 
 Needs `pip install imagecodecs numpy pillow`.
 """
@@ -33,20 +33,21 @@ CODECS = {
 
 def main() -> None:
     paths = [p for d in sys.argv[1:] for p in sorted(Path(d).glob("rgb/*"))[::7]][:60]
-    pictures = [np.ascontiguousarray(np.asarray(Image.open(p).convert("RGB").resize((640, 480)))) for p in paths]
-    print(f"{len(pictures)} pictures of 640x480")
+    images = [np.ascontiguousarray(np.asarray(Image.open(p).convert("RGB").resize((640, 480)))) for p in paths]
+    print(f"{len(images)} images of 640x480")
     for name, (encode, decode) in CODECS.items():
-        for a in pictures[:3]:
+        for a in images[:3]:
             encode(a)
-        began = time.process_time()
-        data = [encode(a) for a in pictures]
+        start = time.process_time()
+        data = [encode(a) for a in images]
         middle = time.process_time()
         for d in data:
             decode(d)
         end = time.process_time()
         kib = np.mean([len(d) for d in data]) / 1024
-        e, d = ((middle - began) / len(data) * 1e3, (end - middle) / len(data) * 1e3)
-        print(f"| {name} | {kib:.0f} | {kib * 1800 / 1024:.0f} | {e:.1f} | {d:.1f} | {e * 30 / 10:.0f} % |")
+        encode_ms = (middle - start) / len(data) * 1e3
+        decode_ms = (end - middle) / len(data) * 1e3
+        print(f"| {name} | {kib:.0f} | {kib * 1800 / 1024:.0f} | {encode_ms:.1f} | {decode_ms:.1f} | {encode_ms * 30 / 10:.0f} % |")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""The peer of training: one step of Monodepth2 as the papers' formulas read, one PyTorch operator after another.
+"""Reference for the trainer's benchmark: one step of Monodepth2 written as the papers' formulas, one PyTorch operator
+after another.
 
-Nothing here is clumsy on purpose. It is what one writes first: float32, `F.grid_sample`, SSIM out of `AvgPool2d`, every
-source for itself, Adam with its defaults. The trainer's tests prove that it computes the trainer's own numbers.
+It is not slow on purpose. It is a straightforward implementation: float32, `F.grid_sample`, SSIM with `AvgPool2d`,
+every source separately, Adam with its defaults. The trainer's tests prove that both compute the same numbers.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ class Ssim(nn.Module):
         self.mean = nn.AvgPool2d(3, 1)
 
     def forward(self, x: Tensor, y: Tensor) -> Tensor:
-        x, y = self.pad(x), self.pad(y)
-        mu_x, mu_y = self.mean(x), self.mean(y)
+        x = self.pad(x)
+        y = self.pad(y)
+        mu_x = self.mean(x)
+        mu_y = self.mean(y)
         sigma_x = self.mean(x**2) - mu_x**2
         sigma_y = self.mean(y**2) - mu_y**2
         sigma_xy = self.mean(x * y) - mu_x * mu_y
@@ -33,35 +36,40 @@ class Ssim(nn.Module):
 
 
 class Warp(nn.Module):
-    """Depth to points, points into the source, the source's colours there."""
+    """Back-projects depth to points, projects them into the source and samples its colours."""
 
     def __init__(self, height: int, width: int, k: Tensor) -> None:
         super().__init__()
-        self.height, self.width, self.k, self.inverse_k = height, width, k, torch.linalg.inv(k)
+        self.height = height
+        self.width = width
+        self.k = k
+        self.inverse_k = torch.linalg.inv(k)
         v, u = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
         self.pixels = torch.stack([u.flatten(), v.flatten(), torch.ones(height * width)]).float().to(k.device)
 
-    def forward(self, picture: Tensor, depth_m: Tensor, t_source_target: Tensor) -> tuple[Tensor, Tensor]:
-        """The warped picture, and where it comes from within the source."""
+    def forward(self, image: Tensor, depth_m: Tensor, t_source_target: Tensor) -> tuple[Tensor, Tensor]:
+        """The warped image, and a mask of the pixels that lie within the source."""
         points = (self.inverse_k @ self.pixels) * depth_m.flatten(2)
         points = t_source_target[:, :3, :3] @ points + t_source_target[:, :3, 3:]
         projected = self.k @ points
         z = projected[:, 2]
-        u, v = projected[:, 0] / z.clamp(min=1e-3), projected[:, 1] / z.clamp(min=1e-3)
-        right, bottom = self.width - 1 + 1e-3, self.height - 1 + 1e-3
+        u = projected[:, 0] / z.clamp(min=1e-3)
+        v = projected[:, 1] / z.clamp(min=1e-3)
+        right = self.width - 1 + 1e-3
+        bottom = self.height - 1 + 1e-3
         inside = (z > 1e-3) & (u >= -1e-3) & (u <= right) & (v >= -1e-3) & (v <= bottom)
         grid = torch.stack([2 * u / (self.width - 1) - 1, 2 * v / (self.height - 1) - 1], -1)
         grid = grid.view(-1, self.height, self.width, 2)
-        warped = F.grid_sample(picture, grid, mode="bilinear", padding_mode="border", align_corners=True)
+        warped = F.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=True)
         return warped, inside.view(-1, 1, self.height, self.width)
 
 
-def smoothness(disparity: Tensor, picture: Tensor) -> Tensor:
+def smoothness(disparity: Tensor, image: Tensor) -> Tensor:
     normal = disparity / (disparity.mean((2, 3), keepdim=True) + 1e-7)
     across = torch.abs(normal[:, :, :, :-1] - normal[:, :, :, 1:])
     down = torch.abs(normal[:, :, :-1, :] - normal[:, :, 1:, :])
-    edge_across = torch.mean(torch.abs(picture[:, :, :, :-1] - picture[:, :, :, 1:]), 1, keepdim=True)
-    edge_down = torch.mean(torch.abs(picture[:, :, :-1, :] - picture[:, :, 1:, :]), 1, keepdim=True)
+    edge_across = torch.mean(torch.abs(image[:, :, :, :-1] - image[:, :, :, 1:]), 1, keepdim=True)
+    edge_down = torch.mean(torch.abs(image[:, :, :-1, :] - image[:, :, 1:, :]), 1, keepdim=True)
     return (across * torch.exp(-edge_across)).mean() + (down * torch.exp(-edge_down)).mean()
 
 
@@ -70,15 +78,16 @@ class TextbookLoss(nn.Module):
 
     def __init__(self, height: int, width: int, k: Tensor) -> None:
         super().__init__()
-        self.warp, self.ssim = Warp(height, width, k), Ssim()
+        self.warp = Warp(height, width, k)
+        self.ssim = Ssim()
 
-    def forward(self, depth_m: Tensor, picture: Tensor, sources: Sequence[Tensor], poses: Sequence[Tensor]) -> Tensor:
+    def forward(self, depth_m: Tensor, image: Tensor, sources: Sequence[Tensor], poses: Sequence[Tensor]) -> Tensor:
         errors = []
         for source, pose in zip(sources, poses, strict=True):
             warped, inside = self.warp(source, depth_m, pose)
-            l1 = torch.abs(picture - warped).mean(1, True)
-            error = 0.85 * self.ssim(picture, warped).mean(1, True) + 0.15 * l1
+            l1 = torch.abs(image - warped).mean(1, True)
+            error = 0.85 * self.ssim(image, warped).mean(1, True) + 0.15 * l1
             errors.append(torch.where(inside, error, torch.full_like(error, float("inf"))))
         best = torch.cat(errors, 1).min(1, keepdim=True).values
-        seen = torch.isfinite(best)
-        return best[seen].mean() + 1e-3 * smoothness(1 / depth_m, picture)
+        valid = torch.isfinite(best)
+        return best[valid].mean() + 1e-3 * smoothness(1 / depth_m, image)

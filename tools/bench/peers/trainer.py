@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""The trainer and its textbook: steps of Monodepth2-R18 at 96x320, batch 12, and the loss alone.
+"""The trainer and its textbook reference: steps of Monodepth2-R18 at 96x320, batch 12, and the loss alone.
 
-Arguments: device and threads. The work `shares` is answered with the milliseconds of a step's parts instead of seconds.
+Arguments: device and threads. The request `shares` is answered with the milliseconds of a step's parts instead of
+seconds.
 """
 
 from __future__ import annotations
@@ -13,25 +14,28 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
-from embodied_depth_trainer.frames import Frames, Intrinsics
-from embodied_depth_trainer.losses import LossOptions, View, self_supervision
-from embodied_depth_trainer.networks import Monodepth2
-from embodied_depth_trainer.onnx_file import random_picture
-from embodied_depth_trainer.pairs import pairs_by_gap
-from embodied_depth_trainer.training import Settings, Trainer
-from embodied_depth_trainer.batches import to_depth
+from embodied_depth_trainer.data.frames import Frames, Intrinsics
+from embodied_depth_trainer.losses.reprojection import LossOptions, View, self_supervision
+from embodied_depth_trainer.networks.monodepth2 import Monodepth2
+from embodied_depth_trainer.export.onnx_writer import random_image
+from embodied_depth_trainer.data.pairs import pairs_by_gap
+from embodied_depth_trainer.training.settings import Settings
+from embodied_depth_trainer.training.trainer import Trainer
+from embodied_depth_trainer.data.batches import to_depth
 from textbook import TextbookLoss
 
-SIZE, BATCH, FRAMES = (96, 320), 12, 48
+SIZE = (96, 320)
+BATCH = 12
+FRAMES = 48
 RANGE_M = (0.1, 20.0)
-# A step's parts are timed so often.
-TURNS = 5
+# Number of times that a step's parts are timed.
+REPEATS = 5
 
 
 def walk() -> Frames:
-    """Straight on through random pictures, 3 cm a frame."""
+    """A straight path through random images, 3 cm per frame."""
     height, width = SIZE
-    rgb = [(255 * random_picture(SIZE, seed)[0].permute(1, 2, 0)).byte().numpy() for seed in range(FRAMES)]
+    rgb = [(255 * random_image(SIZE, seed)[0].permute(1, 2, 0)).byte().numpy() for seed in range(FRAMES)]
     poses = np.tile(np.eye(4), (FRAMES, 1, 1))
     poses[:, 2, 3] = 0.03 * np.arange(FRAMES)
     camera = Intrinsics(width, height, width / 2, width / 2, (width - 1) / 2, (height - 1) / 2)
@@ -44,39 +48,42 @@ class Bench:
         pairs = pairs_by_gap(frames, 4)
 
         def trainer(amp: bool) -> Trainer:
-            # What the textbook does as well: no fit of the exposure.
+            # The textbook does not fit the exposure either.
             settings = Settings("monodepth2_r18", batch=BATCH, amp=amp, loss=LossOptions(exposure=False))
             return Trainer(frames, pairs, settings, device)
 
-        self.device, self.float32, self.bfloat16 = device, trainer(False), trainer(True)
+        self.device = device
+        self.float32 = trainer(False)
+        self.bfloat16 = trainer(True)
         self.network = Monodepth2().to(device).train()
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=1e-4)
         self.textbook = TextbookLoss(*SIZE, self.float32.projector.k)
         self.textbook_steps = 0
         self.batch = self.float32.batch(0)
-        self.depth_m = to_depth(random_picture(SIZE, 99)[:, :1].repeat(BATCH, 1, 1, 1) ** 4, RANGE_M).to(device)
+        self.depth_m = to_depth(random_image(SIZE, 99)[:, :1].repeat(BATCH, 1, 1, 1) ** 4, RANGE_M).to(device)
         self.depth_m.requires_grad_()
 
     def textbook_step(self) -> None:
         batch = self.float32.batch(self.textbook_steps)
         self.textbook_steps += 1
         self.optimizer.zero_grad()
-        depth_m = to_depth(self.network(batch.seen), RANGE_M)
-        loss = self.textbook(depth_m, batch.picture, batch.source_pictures, batch.t_source_target)
+        depth_m = to_depth(self.network(batch.augmented), RANGE_M)
+        loss = self.textbook(depth_m, batch.image, batch.source_images, batch.t_source_target)
         loss.backward()
         self.optimizer.step()
         loss.item()
 
     def loss(self) -> None:
-        batch, project = self.batch, self.float32.projector
-        seen = zip(batch.source_pictures, batch.t_source_target, strict=True)
-        views = [View(picture, project(self.depth_m, pose)) for picture, pose in seen]
-        loss = self_supervision(batch.picture, 1 / self.depth_m, views, LossOptions(exposure=False))
+        batch = self.batch
+        project = self.float32.projector
+        sources = zip(batch.source_images, batch.t_source_target, strict=True)
+        views = [View(image, project(self.depth_m, pose)) for image, pose in sources]
+        loss = self_supervision(batch.image, 1 / self.depth_m, views, LossOptions(exposure=False))
         torch.autograd.grad(loss, self.depth_m)
 
     def textbook_loss(self) -> None:
         batch = self.batch
-        loss = self.textbook(self.depth_m, batch.picture, batch.source_pictures, batch.t_source_target)
+        loss = self.textbook(self.depth_m, batch.image, batch.source_images, batch.t_source_target)
         torch.autograd.grad(loss, self.depth_m)
 
     def seconds(self, work: Callable[[], object]) -> float:
@@ -91,10 +98,10 @@ class Bench:
             torch.cuda.synchronize()
 
     def shares(self, trainer: Trainer) -> str:
-        """Medians of the parts of a step, one after another, and the share of whole steps spent waiting for data."""
+        """Medians of the parts of a step, timed one after another, and the share of full steps spent waiting for data."""
 
         def forward() -> None:
-            self.disparity = trainer.look(batch.seen, batch.coarse)
+            self.disparity = trainer.render(batch.augmented, batch.coarse)
 
         def loss() -> None:
             self.value = trainer.loss_of(batch, *self.disparity)
@@ -104,13 +111,13 @@ class Bench:
             self.value.backward()
 
         parts: dict[str, list[float]] = {}
-        for _ in range(TURNS):
+        for _ in range(REPEATS):
             batch = trainer.batch(trainer.step)
             work = {"data": lambda: trainer.batch(trainer.step), "forward": forward, "loss": loss, "backward": backward}
             for name, part in (work | {"optimizer": trainer.optimizer.step}).items():
                 parts.setdefault(name, []).append(self.seconds(part))
         waited = trainer.batches.waited_s
-        whole = self.seconds(lambda: [trainer.advance() for _ in range(TURNS)])
+        whole = self.seconds(lambda: [trainer.advance() for _ in range(REPEATS)])
         idle = (trainer.batches.waited_s - waited) / whole
         return " ".join([f"{idle:.5f}", *(f"{name} {1000 * statistics.median(s):.0f} ms," for name, s in parts.items())])
 
@@ -131,7 +138,7 @@ def main() -> None:
         if name in ("shares", "shares_amp"):
             print(bench.shares(bench.bfloat16 if name.endswith("amp") else bench.float32), flush=True)
         else:
-            # A training is step after step, without another process between.
+            # Runs the work once before it is timed, because a training runs without another process in between.
             work[name]()
             print(bench.seconds(work[name]), flush=True)
 

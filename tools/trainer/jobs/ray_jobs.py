@@ -1,6 +1,6 @@
-"""All loops of a job file as tasks of a Ray cluster: `python ray_jobs.py jobs.txt`.
+"""Runs all loops of a job file as tasks of a Ray cluster: `python ray_jobs.py jobs.txt`.
 
-Every node must see the folders in the file. A task whose node dies is begun again elsewhere, and goes on where it was.
+All nodes must share the directories in the file. A task whose node fails is started elsewhere and continues.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from pathlib import Path
 
 import ray
 
-from embodied_depth_trainer.jobs import read_jobs
+from embodied_depth_trainer.studies.jobs import read_jobs
 
 
 @ray.remote(num_cpus=2, max_retries=3)  # type: ignore[misc]
 def run(file: str, number: int) -> int:
-    """The exit status of one loop."""
+    """Runs one loop; returns its exit status."""
     return subprocess.run(["embodied-depth", "loop", "--jobs", file, "--job", str(number)], check=False).returncode
 
 

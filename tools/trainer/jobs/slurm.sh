@@ -1,7 +1,7 @@
 #!/bin/sh
-# One loop of a job file for each task of a SLURM array:
+# Runs one loop of a job file in each task of a SLURM array:
 #   sbatch --array=1-"$(grep -cEv '^[[:space:]]*(#|$)' jobs.txt)" slurm.sh jobs.txt
-# A task that is preempted goes on where it was.
+# A preempted task continues where it was.
 #SBATCH --job-name=embodied-depth
 #SBATCH --cpus-per-task=2
 #SBATCH --mem=8G

@@ -1,4 +1,4 @@
-"""What tests share."""
+"""Fixtures that several tests share."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ TRAINER = Path(__file__).resolve().parents[1]
 
 @pytest.fixture
 def robot(tmp_path: Path) -> Path:
-    """A program that keeps to the protocol of `firmware-host`."""
+    """A program that follows the protocol of `firmware-host`."""
     program = tmp_path / "firmware-host"
     python = shlex.join([sys.executable, "-m", "tests.fake_robot"])
     paths = f"{TRAINER}:{TRAINER / 'src'}"
@@ -24,7 +24,8 @@ def robot(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def raft_small_weights() -> Path:
-    """princeton-vl's published RAFT-small, beside the repository. Tests that need it skip where it is absent."""
+    """The file of princeton-vl's published RAFT-small weights beside the repository; tests that need it are skipped
+    without it."""
     repository = Path(__file__).resolve().parents[3]
     for folder in repository.parents:
         file = folder / "shared/data/weights/raft-small/raft-small.pth"

@@ -1,5 +1,5 @@
-"""Stands in for `firmware-host` where only the way of working together is tested: a walk through a made-up room, which
-every model that was handed over leads elsewhere. `python -m tests.fake_robot explore|views ...`."""
+"""Replaces `firmware-host` in tests of the protocol: a walk through a synthetic room, on which every model that was
+handed over leads elsewhere. `python -m tests.fake_robot explore|perceive|views ...`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from embodied_depth_trainer.checkpoint import write_atomically
-from embodied_depth_trainer.frames import Frames
-from embodied_depth_trainer.recording import read_recording
+from embodied_depth_trainer.data.frames import Frames
+from embodied_depth_trainer.data.recording import read_recording
+from embodied_depth_trainer.files import write_atomically
 
 from .recordings import write_segment
 from .rooms import room
@@ -27,7 +27,8 @@ def explore(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True)
     handing_over = options.hand_over is not None
     ends = [*(range(options.first, options.frames, options.every) if handing_over else []), options.frames]
-    seed, begin = options.seed, 0
+    seed = options.seed
+    begin = 0
     for segment, end in enumerate(ends):
         frames = walk(seed, begin, end)
         write_segment(options.out / f"recording_{segment:04d}.mcap", frames, wheels(frames), segment)
@@ -35,23 +36,25 @@ def explore(options: argparse.Namespace) -> None:
             dump(options.dump, frames, begin)
         if end == options.frames:
             break
-        said = {"round": segment, "frames": end, "segments": segment + 1, "digest": f"{seed}"}
-        write_atomically(json.dumps(said).encode(), options.hand_over / f"round_{segment:04d}.json")
+        request = {"round": segment, "frames": end, "segments": segment + 1, "digest": f"{seed}"}
+        write_atomically(json.dumps(request).encode(), options.hand_over / f"round_{segment:04d}.json")
         model = options.hand_over / f"model_{segment:04d}.onnx"
         while not model.exists():
             time.sleep(0.01)
-        seed, begin = zlib.crc32(model.read_bytes()), end
+        seed = zlib.crc32(model.read_bytes())
+        begin = end
     (options.out / "summary.json").write_text(
         json.dumps({"end_reason": "frame_budget", "digest": f"{seed}", "coverage": 0.5})
     )
 
 
 def wheels(frames: Frames) -> list[dict[str, float]]:
-    """Where the base was: the camera looks ahead from 0.1 m in front of its middle."""
+    """Poses of the base; the camera looks ahead from 0.1 m in front of its centre."""
     found = []
     for pose in frames.t_world_camera:
         yaw = -np.arctan2(pose[0, 2], pose[2, 2])
-        x_m, y_m = pose[2, 3] - 0.1 * np.cos(yaw), -pose[0, 3] - 0.1 * np.sin(yaw)
+        x_m = pose[2, 3] - 0.1 * np.cos(yaw)
+        y_m = -pose[0, 3] - 0.1 * np.sin(yaw)
         found.append({"x_m": float(x_m), "y_m": float(y_m), "yaw_rad": float(yaw)})
     return found
 
@@ -62,7 +65,7 @@ def walk(seed: int, begin: int, end: int) -> Frames:
 
 
 def dump(folder: Path, frames: Frames, begin: int) -> None:
-    """As the robot does it: planes first, then the index of all so far."""
+    """Writes planes first and then the index of all planes so far, as the robot does."""
     folder.mkdir(exist_ok=True)
     assert frames.coarse is not None
     file = folder / "dump.json"
@@ -75,7 +78,7 @@ def dump(folder: Path, frames: Frames, begin: int) -> None:
 
 
 def perceive(options: argparse.Namespace) -> None:
-    """Of a run with seed 0."""
+    """Writes coarse depth of a run with seed 0."""
     frames, _ = read_recording(options.recording)
     dump(options.dump, walk(0, 0, len(frames)), 0)
 
@@ -87,14 +90,14 @@ def views(options: argparse.Namespace) -> None:
     assert frames.coarse is not None
     entries = []
     for index in range(options.count):
-        turned = index % 4 == 3
+        rotated = index % 4 == 3
         name = f"{index:06}"
         np.save(options.out / f"{name}_rgb.npy", frames.rgb[index])
         np.save(options.out / f"{name}_truth.npy", frames.truth_mm[index])
         np.save(options.out / f"{name}.npy", frames.coarse[index])
         pose = frames.t_world_camera[index].ravel().tolist()
         entry = {"name": name, "time_ns": index, "t_world_camera": pose, "rgb": True, "truth": True}
-        entries.append({**entry, "coarse": not turned, "approach": "turn" if turned else "drive"})
+        entries.append({**entry, "coarse": not rotated, "approach": "turn" if rotated else "drive"})
     index_ = {"format_version": 1, **asdict(frames.camera), "frames": entries}
     (options.out / "dump.json").write_text(json.dumps(index_))
 
@@ -110,7 +113,7 @@ def main() -> None:
         parser.add_argument(name, type=Path)
     options = parser.parse_args()
     if options.scene == "nowhere":
-        sys.exit("error: there is no nowhere")
+        sys.exit("error: scene `nowhere` does not exist")
     if options.command == "explore":
         explore(options)
     elif options.command == "perceive":

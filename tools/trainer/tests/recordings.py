@@ -1,4 +1,4 @@
-"""Recordings as the robot writes them, small and made up."""
+"""Writes small synthetic recordings in the robot's format."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.writer import CompressionType, Writer
 from torchvision.io import encode_png
 
-from embodied_depth_trainer.frames import Frames
-from embodied_depth_trainer.lidar_line import Scan
+from embodied_depth_trainer.data.frames import Frames
+from embodied_depth_trainer.data.lidar_line import Scan
 
 FIELDS = {
     "CompressedImage": [("data", 2, "bytes"), ("format", 3, "string")],
@@ -25,12 +25,12 @@ KINDS = {"bytes": 12, "string": 9, "fixed32": 7, "doubles": 1}
 
 
 def schema() -> descriptor_pb2.FileDescriptorSet:
-    """Foxglove's field names and numbers, as far as they are read."""
+    """Foxglove's field names and numbers of the fields that are read."""
     file = descriptor_pb2.FileDescriptorProto(name="foxglove.proto", package="foxglove", syntax="proto3")
     for name, fields in FIELDS.items():
         message = file.message_type.add(name=name)
         for field, number, kind in fields:
-            # 3 is repeated.
+            # Label 3 is `repeated`.
             label = 3 if kind == "doubles" else 1
             message.field.add(name=field, number=number, label=label, type=KINDS[kind])
     return descriptor_pb2.FileDescriptorSet(file=[file])
@@ -55,8 +55,8 @@ def write_segment(
     scans: list[Scan] | None = None,
     beams: int | None = None,
 ) -> None:
-    """One segment with the pictures of `frames` and one pose of the base for each, perhaps with a scan before each
-    picture; `beams`: what the turns say of them."""
+    """Writes one segment with the images of `frames`, one pose of the base for each, and optionally a scan before each
+    image; `beams` overrides the number of beams in the ticks."""
     descriptors = schema()
     pool = descriptor_pool.DescriptorPool()
     pool.Add(descriptors.file[0])
@@ -104,16 +104,16 @@ def straight(count: int, step_m: float = 0.05) -> list[dict[str, Any]]:
 
 
 def dump_of(frames: Frames, folder: Path) -> None:
-    """What `firmware-host perceive --recording --dump` writes."""
+    """Writes what `firmware-host perceive --recording --dump` writes."""
     assert frames.coarse is not None
     folder.mkdir()
     entries = []
     for index, planes in enumerate(frames.coarse):
-        seen = bool(planes[0].any())
-        if seen:
+        valid = bool(planes[0].any())
+        if valid:
             np.save(folder / f"{index:06}.npy", planes)
         pose = frames.t_world_camera[index].ravel().tolist()
         entry = {"name": f"{index:06}", "time_ns": int(frames.time_ns[index]), "t_world_camera": pose}
-        entries.append({**entry, "coarse": seen, "rgb": False, "truth": False})
+        entries.append({**entry, "coarse": valid, "rgb": False, "truth": False})
     camera = {key: getattr(frames.camera, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
     (folder / "dump.json").write_text(json.dumps({"format_version": 1, **camera, "frames": entries}))

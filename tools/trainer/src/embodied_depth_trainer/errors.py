@@ -1,7 +1,7 @@
-"""What a user is told: the thing, the value, the way out."""
+"""Errors that the user can correct."""
 
 from __future__ import annotations
 
 
 class TrainerError(Exception):
-    """The wish cannot be fulfilled; the text says why and what to do."""
+    """The request cannot be fulfilled. The message names the item, its value and what to do."""

@@ -1,6 +1,8 @@
-"""Training by several processes (`torchrun --nproc-per-node N -m embodied_depth_trainer.cli train ...`), each with its
-share of every batch. Up to rounding they learn what one process learns from the whole batch: gradients, batch norms and
-the counts that errors are divided by are those of all shares together. Alone, everything here does nothing.
+"""Data-parallel training by several processes (`torchrun --nproc-per-node N -m embodied_depth_trainer train ...`).
+
+Each process computes its share of every batch. Up to rounding they learn what one process learns from the whole batch:
+gradients, batch norms and the pixel counts that errors are divided by are combined over all shares. In a single
+process every function here does nothing.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from torch import Tensor, distributed, nn
 
 
 def start(device: str) -> str:
-    """Joins the processes that `torchrun` started, if it did; the device of this one."""
+    """Joins the processes that `torchrun` started, if any, and returns this process's device."""
     if int(os.environ.get("WORLD_SIZE", "1")) > 1 and not distributed.is_initialized():
         distributed.init_process_group("nccl" if device.startswith("cuda") else "gloo")
     return f"cuda:{os.environ['LOCAL_RANK']}" if device == "cuda" and count() > 1 else device
@@ -47,7 +49,7 @@ class _Mean(torch.autograd.Function):
 
 
 def mean(x: Tensor) -> Tensor:
-    """Over the processes; differentiable."""
+    """Mean over all processes; differentiable."""
     if count() == 1:
         return x
     result: Tensor = _Mean.apply(x)
@@ -55,7 +57,7 @@ def mean(x: Tensor) -> Tensor:
 
 
 def average_gradients(network: nn.Module) -> None:
-    """Of all processes, at once."""
+    """Replaces every gradient by its mean over all processes, in one transfer."""
     gradients = [weight.grad for weight in network.parameters() if weight.grad is not None]
     if count() == 1 or not gradients:
         return
@@ -67,7 +69,7 @@ def average_gradients(network: nn.Module) -> None:
 
 
 class _SharedBatchNorm(nn.BatchNorm2d):
-    """Statistics of all processes' shares. PyTorch's own does this on GPUs only."""
+    """Batch norm with the statistics of all processes' shares. PyTorch's SyncBatchNorm needs a GPU."""
 
     def forward(self, x: Tensor) -> Tensor:
         if not self.training or self.running_mean is None or self.running_var is None:
@@ -87,10 +89,10 @@ class _SharedBatchNorm(nn.BatchNorm2d):
 
 
 def share_batch_norms(network: nn.Module) -> nn.Module:
-    """The same network, its batch norms' statistics being those of all processes."""
+    """Makes the batch norms of a network use the statistics of all processes."""
     if count() > 1:
         for module in network.modules():
             if type(module) is nn.BatchNorm2d:
-                # The weights, and their names in checkpoints, stay.
+                # Changing the class keeps the weights and their names in checkpoints.
                 module.__class__ = _SharedBatchNorm
     return network

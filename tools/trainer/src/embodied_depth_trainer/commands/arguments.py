@@ -1,0 +1,80 @@
+"""Options and argument types that several subcommands share."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from embodied_depth_trainer.networks.registry import DEPTH_NETWORKS
+
+POLICIES = ("random", "heuristic", "forward", "frontier", "inconsistency", "active")
+
+
+def image_size(text: str) -> tuple[int, int]:
+    """Parses `192x640`: rows x columns, as the papers write it."""
+    try:
+        height, width = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"`{text}` is not a size such as 192x640 (rows x columns)") from None
+    if min(height, width) <= 0:
+        raise argparse.ArgumentTypeError(f"`{text}` is empty; rows and columns must be above 0")
+    return height, width
+
+
+def add_frames(command: argparse.ArgumentParser) -> None:
+    """The frames that `train` and `evaluate` work on, and where they compute."""
+    command.add_argument(
+        "--recording", type=Path, action="append", default=[], help="--out directory of a run; may be repeated"
+    )
+    command.add_argument(
+        "--coarse",
+        type=Path,
+        action="append",
+        default=[],
+        help="dump of the same run by `firmware-host perceive --dump`; one for each --recording",
+    )
+    command.add_argument(
+        "--dataset", type=Path, action="append", default=[], help="output of `firmware-host perceive --dataset --dump`"
+    )
+    command.add_argument("--every", type=int, default=1, help="use every Nth frame of a recording [1]")
+    command.add_argument("--size", type=image_size, help="reduce the images to rows x columns")
+    command.add_argument("--device", default="cpu", help="cpu or cuda [cpu]")
+    command.add_argument(
+        "--threads", type=int, default=1, help="CPU threads; more only help on an otherwise idle computer [1]"
+    )
+
+
+def add_study_options(
+    command: argparse.ArgumentParser,
+    size: tuple[int, int],
+    step_scale: float,
+    batch: int,
+    learning_rate: float,
+    views: int,
+    views_seed: int,
+) -> None:
+    """The options that `loop` and `fleet` share, with their default values."""
+    command.add_argument("--seed", type=int, default=1, help="seed of everything random [1]")
+    command.add_argument("--size", type=image_size, default=size, help="rows x columns of the images [96x320]")
+    command.add_argument(
+        "--step-scale", type=float, default=step_scale, help="multiplies the steps of 3 cm and 2 degrees [1]"
+    )
+    command.add_argument(
+        "--gap", type=int, help="train on pairs this many frames apart, 4 in the paper [pairs are chosen by baseline]"
+    )
+    command.add_argument("--batch", type=int, default=batch, help="samples per training step [12]")
+    command.add_argument("--learning-rate", type=float, default=learning_rate, help="learning rate of Adam [1e-4]")
+    command.add_argument("--views", type=int, default=views, help="number of test views of each scene [200]")
+    command.add_argument("--views-seed", type=int, default=views_seed, help="seed of the test views [1000]")
+    add_firmware_host(command)
+    command.add_argument("--threads", type=int, default=1, help="CPU threads [1]")
+
+
+def add_firmware_host(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--firmware-host", type=Path, metavar="FILE", help="the robot's program [search the PATH, then target/release]"
+    )
+
+
+def add_network(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--network", choices=DEPTH_NETWORKS, default="student", help="architecture [student]")

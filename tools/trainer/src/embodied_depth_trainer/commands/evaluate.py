@@ -1,0 +1,59 @@
+"""`embodied-depth evaluate`: measures a trained network beside simple baselines."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from embodied_depth_trainer.commands.arguments import add_frames
+from embodied_depth_trainer.data.dataset import read_frames
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.files import write_atomically
+from embodied_depth_trainer.networks.registry import build_network
+from embodied_depth_trainer.studies.evaluation import evaluate, table
+from embodied_depth_trainer.studies.views import Views
+from embodied_depth_trainer.training import checkpoint as checkpoints
+
+
+def add_evaluate(command: argparse.ArgumentParser) -> None:
+    add_frames(command)
+    command.add_argument("--checkpoint", type=Path, help="checkpoint.pt of a training [only the baselines]")
+    command.add_argument(
+        "--views",
+        type=Path,
+        help="evaluate on test views instead, the output of `firmware-host views`; also reports the views after a "
+        "rotation on the spot separately",
+    )
+    command.add_argument("--json", type=Path, help="also write the numbers to this file")
+
+
+def run_evaluate(options: argparse.Namespace) -> None:
+    torch.set_num_threads(options.threads)
+    networks: dict[str, nn.Module] = {}
+    size = options.size
+    depth_range_m = (0.1, 20.0)
+    past = None
+    if options.checkpoint is not None:
+        saved = checkpoints.load(options.checkpoint)
+        size = size or (saved.camera.height, saved.camera.width)
+        depth_range_m = saved.depth_range_m
+        past = saved.past_frames
+        networks["untrained"] = build_network(saved.network, depth_range_m, int(saved.settings["seed"]))
+        networks[f"{saved.network}, {saved.step} steps"] = saved.build()
+    networks = {name: network.to(options.device) for name, network in networks.items()}
+    if options.views is not None:
+        if past is not None:
+            raise TrainerError("test views have no past frames to compute coarse depth from; give a --recording")
+        parts = Views.read(options.views).metrics(networks, depth_range_m)
+    else:
+        frames = read_frames(options.recording, options.coarse, options.dataset, size, every=options.every, past=past)
+        parts = {"all": evaluate(frames, networks, depth_range_m)}
+    print("\n\n".join((f"{part}:\n" if len(parts) > 1 else "") + table(rows) for part, rows in parts.items()))
+    if options.json is not None:
+        plain = {part: {name: asdict(row) for name, row in rows.items()} for part, rows in parts.items()}
+        write_atomically(json.dumps(plain if options.views else plain["all"], indent=2).encode(), options.json)

@@ -1,0 +1,175 @@
+"""`embodied-depth make-default`: makes the robot's default network from runs through simulated homes.
+
+The steps are exploration, coarse depth, labels, training, calibration and export. Existing results are kept, so an
+interrupted recipe continues. Homes with seeds below 10 are reserved for the demo, the README and the model card. No
+run records ground truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from embodied_depth_trainer.commands.export import report_parity
+from embodied_depth_trainer.data.dataset import read_frames
+from embodied_depth_trainer.data.frames import Frames
+from embodied_depth_trainer.data.labels import write_labels
+from embodied_depth_trainer.data.pairs import PairRule, pairs_by_baseline
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.export.calibration import calibrate, table
+from embodied_depth_trainer.export.depth import export_checkpoint
+from embodied_depth_trainer.files import write_atomically
+from embodied_depth_trainer.training.settings import Settings
+from embodied_depth_trainer.training.trainer import Trainer, train
+
+FRAMES = 700
+# The two numbers of the calibration need less data than a network.
+CALIBRATION_FRAMES = 300
+# Neighbouring frames 3 cm apart add little.
+EVERY = 2
+STEPS = 3600
+DECAY_STEPS = 2000
+SETTINGS = Settings(
+    network="student",
+    batch=8,
+    learning_rate=2e-3,
+    decay=(STEPS - DECAY_STEPS, STEPS),
+    crop_width=320,
+    # Labels contain what coarse depth and the colours of two neighbours would teach, and more, at a quarter of the
+    # time.
+    photometric_weight=0.0,
+    coarse_weight=0.0,
+    label_weight=1.0,
+    uncertainty_weight=0.1,
+)
+# A base with the wheel slip of a good robot, and a camera with automatic exposure under lamps and sun (keys of
+# robot.default.toml).
+ROUGH = """\
+[simulator]
+odometry_distance_noise = 0.01
+odometry_turn_noise = 0.02
+[simulator.nuisances]
+exposure_drift_stops = 0.7
+flicker = 0.1
+sun_patches = 1.0
+sensor_noise = 3.0
+"""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One walk through one home."""
+
+    home: str
+    policy: str
+    rough: bool = False
+
+    @property
+    def folder(self) -> str:
+        return self.home.replace("?", "_").replace("&", "_").replace("=", "")
+
+
+RUNS = (
+    Run("apartment?seed=11", "active"),
+    Run("apartment?seed=12", "frontier", rough=True),
+    Run("apartment?seed=13", "active"),
+    Run("apartment?seed=14&texture=0.3", "frontier"),
+    Run("apartment?seed=15", "forward"),
+    Run("apartment?seed=16", "heuristic"),
+    Run("apartment?seed=17", "active", rough=True),
+    Run("apartment?seed=18&texture=0.8", "frontier"),
+    Run("house?seed=11", "active"),
+    Run("house?seed=12", "frontier"),
+    Run("house?seed=13&texture=0.3", "active", rough=True),
+    Run("house?seed=14", "forward"),
+    Run("office?seed=11", "active"),
+    Run("office?seed=12", "frontier"),
+    Run("office?seed=13&texture=0.3", "active"),
+    Run("office?seed=14", "heuristic", rough=True),
+)
+
+# Homes that the network is not trained on; they calibrate its confidence.
+CALIBRATION_RUNS = (
+    Run("apartment?seed=31", "active"),
+    Run("apartment?seed=32&texture=0.3", "frontier", rough=True),
+    Run("house?seed=31", "active"),
+    Run("office?seed=31", "frontier"),
+)
+
+
+def make_default(robot: Path, work: Path, out: Path) -> float:
+    """Writes the network to `out` and everything that it is made from to `work`; `robot` is the firmware-host. Returns
+    the largest difference between ONNX Runtime and PyTorch."""
+    frames = _frames(robot, RUNS, FRAMES, work)
+    trainer = Trainer(frames, pairs_by_baseline(frames, PairRule()), SETTINGS)
+    _log(f"training on {len(frames)} frames")
+    checkpoint = train(trainer, STEPS, work / "training", on_step=_progress)
+    uncalibrated = work / "uncalibrated.onnx"
+    difference = export_checkpoint(checkpoint, None, uncalibrated)
+    further = _frames(robot, CALIBRATION_RUNS, CALIBRATION_FRAMES, work)
+    calibration, counts = calibrate(uncalibrated, further, out)
+    _log(table(counts, calibration))
+    return difference
+
+
+def _frames(robot: Path, runs: Sequence[Run], count: int, work: Path) -> Frames:
+    """The frames of these runs, `count` each, with coarse depth and labels."""
+    write_atomically(ROUGH.encode(), work / "rough.toml")
+    folders = [work / run.folder for run in runs]
+    for run, folder in zip(runs, folders, strict=True):
+        _prepare(robot, run, count, folder, work / "rough.toml")
+    recordings = [folder / "run" for folder in folders]
+    coarse = [folder / "coarse" for folder in folders]
+    return read_frames(recordings, coarse, [], None, [folder / "labels.npz" for folder in folders], EVERY)
+
+
+def _prepare(robot: Path, run: Run, frames: int, folder: Path, rough: Path) -> None:
+    """Makes one run, its coarse depth and its labels."""
+    if not (folder / "run/summary.json").exists():
+        _log(f"exploring {run.home}")
+        scene = ["--scene", f"builtin:{run.home}", "--policy", run.policy, "--frames", str(frames), "--seed", "1"]
+        config = ["--config", str(rough)] if run.rough else []
+        _call([str(robot), "explore", *scene, *config, "--out", str(folder / "run")])
+    if not (folder / "coarse/dump.json").exists():
+        output = ["--out", str(folder / "look"), "--dump", str(folder / "coarse")]
+        _call([str(robot), "perceive", "--recording", str(folder / "run"), *output])
+    if not (folder / "labels.npz").exists():
+        _log(f"labels of {run.home}")
+        write_labels(read_frames([folder / "run"], [folder / "coarse"], [], None), folder / "labels.npz")
+
+
+def _call(command: Sequence[str]) -> None:
+    text = " ".join(command)
+    try:
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    except OSError as problem:
+        raise TrainerError(f"cannot run `{text}`: {problem}; build it with `cargo build --release`") from problem
+    except subprocess.CalledProcessError as problem:
+        raise TrainerError(f"`{text}` ended with {problem.returncode}; its own message is above") from problem
+
+
+def _progress(step: int, loss: float) -> None:
+    if step % 100 == 0:
+        _log(f"step {step} of {STEPS}, loss {loss:.4f}")
+
+
+def _log(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def add_make_default(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--robot", type=Path, required=True, help="firmware-host, a release build")
+    command.add_argument("--work", type=Path, required=True, help="directory for runs and training; needs 10 GB")
+    command.add_argument("--threads", type=int, default=1, help="CPU threads [1]")
+    command.add_argument("--out", type=Path, required=True, help="ONNX file to write")
+
+
+def run_make_default(options: argparse.Namespace) -> None:
+    torch.set_num_threads(options.threads)
+    report_parity(options.out, make_default(options.robot, options.work, options.out))

@@ -1,0 +1,203 @@
+"""`embodied-depth train`: trains a depth network on recordings."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from tqdm import tqdm
+
+from embodied_depth_trainer import processes
+from embodied_depth_trainer.commands import experiment
+from embodied_depth_trainer.commands.arguments import add_frames, add_network
+from embodied_depth_trainer.data.buffer import select
+from embodied_depth_trainer.data.dataset import find_pairs, read_frames
+from embodied_depth_trainer.data.pairs import PairRule
+from embodied_depth_trainer.data.past_frames import GAP, PastFrames
+from embodied_depth_trainer.files import write_atomically
+from embodied_depth_trainer.losses.recipes import recipe
+from embodied_depth_trainer.losses.reprojection import LossOptions
+from embodied_depth_trainer.training.settings import Settings
+from embodied_depth_trainer.training.tensorboard import Board
+from embodied_depth_trainer.training.trainer import Trainer, train
+
+# The options of a training, written beside its checkpoint.
+EXPERIMENT_FILE = "experiment.toml"
+# Options that select the command or a file of options, and so do not belong into that file.
+NOT_RECORDED = ("command", "run_command", "experiment")
+
+
+def add_train(command: argparse.ArgumentParser) -> None:
+    add_frames(command)
+    add_network(command)
+    command.add_argument(
+        "--steps", type=int, required=True, help="total number of steps; a training in --out continues from where it is"
+    )
+    command.add_argument("--out", type=Path, required=True, help="directory of the checkpoint and its experiment.toml")
+    command.add_argument("--seed", type=int, default=0, help="seed of weights, sampling and augmentation [0]")
+    command.add_argument("--batch", type=int, default=12, help="samples per step [12]")
+    command.add_argument("--learning-rate", type=float, default=1e-4, help="learning rate of Adam [1e-4]")
+    command.add_argument(
+        "--encoder",
+        metavar="FILE",
+        help="initial weights of the image encoder (ResNet18): torchvision's state dict, or `imagenet` to download it "
+        "[random]",
+    )
+    command.add_argument("--amp", action="store_true", help="compute in bfloat16, for CPUs with AMX and for GPUs")
+    command.add_argument(
+        "--experiment", type=Path, help="TOML file with these options; options on the command line override it"
+    )
+    command.add_argument("--tensorboard", action="store_true", help="write OUT/tensorboard")
+    command.add_argument("--buffer", type=int, metavar="FRAMES", help="train on at most this many target frames [all]")
+    command.add_argument(
+        "--keep",
+        choices=("newest", "poses"),
+        default="newest",
+        help="which frames --buffer keeps: the newest, or equally many of every pose bin [newest]",
+    )
+    command.add_argument(
+        "--checkpoint-every", type=int, default=200, metavar="STEPS", help="steps between two checkpoints [200]"
+    )
+    command.add_argument(
+        "--baseline",
+        type=float,
+        nargs=2,
+        default=(0.05, 0.30),
+        metavar=("MIN_M", "MAX_M"),
+        help="baseline of the pairs [0.05 0.30]",
+    )
+    command.add_argument(
+        "--gap", type=int, help="use pairs this many frames apart instead, 4 or 15 in the paper [pairs by baseline]"
+    )
+    command.add_argument(
+        "--past-frames",
+        type=int,
+        default=0,
+        choices=(0, 1, 2),
+        help="compute coarse depth from this many past frames, as the paper does [0: the robot's own coarse depth]",
+    )
+    command.add_argument("--past-gap", type=int, default=GAP, help=f"frames between two past frames [{GAP}]")
+    command.add_argument("--depth-range", type=float, nargs=2, default=(0.1, 20.0), metavar=("MIN_M", "MAX_M"))
+    command.add_argument("--smoothness", type=float, help="weight of the smoothness loss [1e-3; sc_depth_r18: 0.1]")
+    command.add_argument("--geometry", type=float, help="weight of the geometry consistency [0; sc_depth_r18: 0.5]")
+    command.add_argument(
+        "--coarse-weight", type=float, default=0.1, help="weight of the agreement with coarse depth [0.1]"
+    )
+    command.add_argument(
+        "--labels", type=Path, action="append", default=[], help="output of `label`; one for each --recording"
+    )
+    command.add_argument("--label-weight", type=float, default=1.0, help="weight of the agreement with --labels [1]")
+    command.add_argument(
+        "--lidar-weight",
+        type=float,
+        default=0.0,
+        help="weight of the agreement with the LiDAR's line of depths [0: no depth sensor is used]",
+    )
+    command.add_argument("--photometric-weight", type=float, default=1.0, help="weight of the photometric loss [1]")
+    command.add_argument(
+        "--crop-width", type=int, default=0, help="columns of each target image that a step uses, at random [0: all]"
+    )
+    command.add_argument(
+        "--decay-from", type=int, metavar="STEP", help="step at which the learning rate begins to fall to 0 at --steps"
+    )
+    command.add_argument(
+        "--uncertainty-weight", type=float, default=0.05, help="weight of the loss of the predicted error scale [0.05]"
+    )
+    command.add_argument(
+        "--auto-mask",
+        action=argparse.BooleanOptionalAction,
+        help="ignore pixels that match better without warping, as the paper's code does [only sc_depth_r18]",
+    )
+    command.add_argument("--visibility", action="store_true", help="ignore points that are occluded in the source")
+    command.add_argument("--census", action="store_true", help="compare census transforms instead of colours")
+    command.add_argument(
+        "--teacher-steps", type=int, default=2000, help="manydepth_r18: steps for which its teacher learns [2000]"
+    )
+    command.add_argument("--no-exposure", action="store_true", help="do not fit gain and bias of each pair")
+    command.add_argument("--no-augmentation", action="store_true", help="neither jitter colours nor drop coarse depth")
+
+
+def loss_options(options: argparse.Namespace) -> LossOptions:
+    """The loss that the network's authors use, with the options that were given on top."""
+    optional = {name: getattr(options, name) for name in ("smoothness", "geometry", "auto_mask")}
+    given = {name: value for name, value in optional.items() if value is not None}
+    return replace(
+        recipe(options.network),
+        exposure=not options.no_exposure,
+        visibility=options.visibility,
+        census=options.census,
+        **given,
+    )
+
+
+def settings_of(options: argparse.Namespace) -> Settings:
+    near, far = options.depth_range
+    return Settings(
+        network=options.network,
+        seed=options.seed,
+        batch=options.batch,
+        learning_rate=options.learning_rate,
+        depth_range_m=(near, far),
+        augment=not options.no_augmentation,
+        coarse_weight=options.coarse_weight,
+        uncertainty_weight=options.uncertainty_weight,
+        label_weight=options.label_weight,
+        lidar_weight=options.lidar_weight,
+        photometric_weight=options.photometric_weight,
+        crop_width=options.crop_width,
+        decay=(options.decay_from, options.steps) if options.decay_from is not None else None,
+        encoder=options.encoder,
+        amp=options.amp,
+        teacher_steps=options.teacher_steps,
+        past_frames=options.past_frames,
+        past_gap=options.past_gap,
+        loss=loss_options(options),
+    )
+
+
+def run_train(options: argparse.Namespace) -> None:
+    torch.set_num_threads(options.threads)
+    device = processes.start(options.device)
+    frames = read_frames(
+        options.recording,
+        options.coarse,
+        options.dataset,
+        options.size,
+        options.labels,
+        options.every,
+        lidar=options.lidar_weight > 0,
+        past=PastFrames(options.past_frames, options.past_gap) if options.past_frames else None,
+    )
+    low, high = options.baseline
+    pairs = find_pairs(frames, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
+    print(f"{len(frames)} frames, {len(pairs)} of them have source frames", file=sys.stderr)
+    if options.buffer is not None:
+        pairs = select(frames, pairs, options.buffer, options.keep, options.seed)
+    trainer = Trainer(frames, pairs, settings_of(options), device)
+    first = processes.rank() == 0
+    if first:
+        recorded = {name: value for name, value in vars(options).items() if name not in NOT_RECORDED}
+        write_atomically(experiment.to_toml(recorded).encode(), options.out / EXPERIMENT_FILE)
+    board = Board(options.out / "tensorboard", trainer) if options.tensorboard and first else None
+    start = time.perf_counter()
+    with tqdm(total=options.steps, unit="step", disable=None if first else True) as bar:
+
+        def on_step(step: int, loss: float) -> None:
+            if board:
+                board.record(step, loss)
+            bar.n = step
+            bar.set_postfix(loss=f"{loss:.4f}", refresh=False)
+            bar.update(0)
+            # Without a terminal there is no progress bar: print a line at every tenth of the steps.
+            if first and bar.disable and step % max(1, options.steps // 10) == 0:
+                print(f"step {step} of {options.steps}, loss {loss:.4f}", file=sys.stderr, flush=True)
+
+        file = train(trainer, options.steps, options.out, options.checkpoint_every, on_step)
+    if board:
+        board.close()
+    waited = trainer.batches.waited_s / (time.perf_counter() - start)
+    print(f"{file}: {trainer.step} steps; {waited:.1%} of the time was spent waiting for data")

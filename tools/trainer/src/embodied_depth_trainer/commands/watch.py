@@ -1,0 +1,221 @@
+"""`embodied-depth watch`: trains on recordings as they arrive.
+
+`pull-buffer --follow` fills a directory. Whenever it holds enough new frames, their coarse depth and labels are
+computed, the training continues, and the network is exported and passed to a command such as `push-model`. The robot
+decides whether it accepts the network: a refusal is printed, and the next round follows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from tqdm import tqdm
+
+from embodied_depth_trainer.commands.arguments import add_firmware_host
+from embodied_depth_trainer.commands.make_default import SETTINGS
+from embodied_depth_trainer.data.dataset import find_pairs, read_frames
+from embodied_depth_trainer.data.labels import write_labels
+from embodied_depth_trainer.data.pairs import PairRule
+from embodied_depth_trainer.data.recording import IMAGE, segments
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.export.depth import export_checkpoint
+from embodied_depth_trainer.files import write_atomically
+from embodied_depth_trainer.studies.robot import find_firmware_host, last_lines
+from embodied_depth_trainer.training.settings import Settings
+from embodied_depth_trainer.training.trainer import Trainer, train
+
+STATE_FILE = "watch.json"
+POLL_INTERVAL_S = 2.0
+# The default network's settings without decay, because the training has no end.
+ENDLESS = replace(SETTINGS, decay=None)
+
+
+@dataclass(frozen=True)
+class WatchSettings:
+    """The settings of a watch."""
+
+    pulled: Path
+    """Directory that holds runs, at any depth."""
+    work: Path
+    """Directory of coarse depth, labels, the checkpoint, models and the state."""
+    robot: Path
+    """Path of firmware-host."""
+    frames: int = 600
+    """Number of new frames that start a round."""
+    steps: int = 600
+    """Training steps of a round."""
+    every: int = 2
+    """Only every Nth frame is trained on, because neighbouring frames add little."""
+    then: str | None = None
+    """Command that is run with each network; `{}` stands for its file."""
+    rounds: int | None = None
+    """Number of rounds; `None`: runs until it is interrupted."""
+    training: Settings = ENDLESS
+
+
+def watch(settings: WatchSettings) -> list[Path]:
+    """Trains until `rounds` are done; returns the networks of this call."""
+    settings.work.mkdir(parents=True, exist_ok=True)
+    networks = []
+    done, used = _read_state(settings.work)
+    while settings.rounds is None or done < settings.rounds:
+        available = sum(frame_count(run) for run in runs(settings.pulled))
+        # Frames that arrive during the round count as new for the next one.
+        if available - used < settings.frames:
+            time.sleep(POLL_INTERVAL_S)
+            continue
+        _log(f"round {done}: {available} frames, {available - used} of them new")
+        networks.append(_round(settings, done))
+        done += 1
+        used = available
+        write_atomically(json.dumps({"rounds": done, "pictures": used}).encode(), settings.work / STATE_FILE)
+        _hand_over(settings, networks[-1])
+    return networks
+
+
+def runs(pulled: Path) -> list[Path]:
+    """Directories that hold segments, in the order of their names."""
+    return sorted({file.parent for file in pulled.rglob("recording_*.mcap")})
+
+
+def frame_count(run: Path) -> int:
+    """The number of frames in a run by the segments' indices. A segment without an index was cut off and counts once
+    the run's next segment exists."""
+    count = 0
+    for file in segments(run):
+        with file.open("rb") as stream:
+            try:
+                summary = make_reader(stream).get_summary()
+            except McapError:
+                continue
+        if summary is not None and summary.statistics is not None:
+            images = [channel.id for channel in summary.channels.values() if channel.topic == IMAGE]
+            count += sum(summary.statistics.channel_message_counts.get(channel, 0) for channel in images)
+    return count
+
+
+def _read_state(work: Path) -> tuple[int, int]:
+    try:
+        state = json.loads((work / STATE_FILE).read_text())
+    except FileNotFoundError:
+        return 0, 0
+    return int(state["rounds"]), int(state["pictures"])
+
+
+def _round(settings: WatchSettings, number: int) -> Path:
+    folders = [_prepare(settings, run) for run in runs(settings.pulled) if frame_count(run) > 0]
+    labels = [folder / "labels.npz" for folder in folders]
+    coarse = [folder / "coarse" for folder in folders]
+    frames = read_frames([folder / "run" for folder in folders], coarse, [], None, labels, settings.every)
+    trainer = Trainer(frames, find_pairs(frames, None, PairRule()), settings.training)
+    steps = (number + 1) * settings.steps
+    with tqdm(total=steps, unit="step", disable=None) as bar:
+
+        def on_step(step: int, loss: float) -> None:
+            bar.n = step
+            bar.set_postfix(loss=f"{loss:.4f}", refresh=False)
+            bar.update(0)
+
+        checkpoint = train(trainer, steps, settings.work / "training", on_step=on_step)
+    network = settings.work / "models" / f"model_{number:04d}.onnx"
+    network.parent.mkdir(exist_ok=True)
+    export_checkpoint(checkpoint, None, network)
+    _log(f"round {number}: {len(frames)} frames, {steps} steps in total: {network}")
+    return network
+
+
+def _prepare(settings: WatchSettings, run: Path) -> Path:
+    """Links a run's present segments and computes their coarse depth and labels, again whenever the run has grown."""
+    folder = settings.work / "runs" / "_".join(run.relative_to(settings.pulled).parts or ("run",))
+    files = segments(run)
+    present = [f"{file.name} {file.stat().st_size}" for file in files]
+    known = folder / "segments.json"
+    if known.exists() and json.loads(known.read_text()) == present:
+        return folder
+    shutil.rmtree(folder, ignore_errors=True)
+    # Segments that arrive meanwhile belong to the next round.
+    (folder / "run").mkdir(parents=True)
+    for file in files:
+        (folder / "run" / file.name).symlink_to(file.resolve())
+    command = [str(settings.robot), "perceive", "--recording", str(folder / "run")]
+    _call([*command, "--out", str(folder / "look"), "--dump", str(folder / "coarse")], folder / "perceive.log")
+    write_labels(read_frames([folder / "run"], [folder / "coarse"], [], None), folder / "labels.npz")
+    # Written last, so that an interrupted preparation is repeated.
+    write_atomically(json.dumps(present).encode(), known)
+    return folder
+
+
+def _call(command: Sequence[str], log: Path) -> None:
+    with log.open("wb") as stream:
+        try:
+            done = subprocess.run(command, stdout=stream, stderr=stream, check=False)
+        except OSError as problem:
+            raise TrainerError(f"cannot run {command[0]}: {problem}; give --firmware-host FILE") from problem
+    if done.returncode != 0:
+        raise TrainerError(f"`{shlex.join(command)}` failed; {log} ends with\n{last_lines(log)}")
+
+
+def _hand_over(settings: WatchSettings, network: Path) -> None:
+    if settings.then is None:
+        return
+    command = [part.replace("{}", str(network)) for part in shlex.split(settings.then)]
+    try:
+        code = subprocess.run(command, check=False).returncode
+    except OSError as problem:
+        raise TrainerError(f"cannot run `{shlex.join(command)}`: {problem}; see --then") from problem
+    _log(f"{network.name}: {Path(command[0]).name} ended with {code}")
+
+
+def _log(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def add_watch(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--pulled", type=Path, required=True, help="directory that pull-buffer fills")
+    command.add_argument(
+        "--work", type=Path, required=True, help="directory of results and state; an interrupted watch in it continues"
+    )
+    add_firmware_host(command)
+    defaults = WatchSettings(Path(), Path(), Path())
+    command.add_argument(
+        "--pictures",
+        type=int,
+        default=defaults.frames,
+        metavar="FRAMES",
+        help=f"new frames that start a round [{defaults.frames}]",
+    )
+    command.add_argument(
+        "--steps", type=int, default=defaults.steps, help=f"training steps per round [{defaults.steps}]"
+    )
+    command.add_argument("--rounds", type=int, help="number of rounds to run [no limit]")
+    command.add_argument(
+        "--then", metavar="COMMAND", help="command to run with each network, as 'push-model {} robot.local'"
+    )
+    command.add_argument("--threads", type=int, default=1, help="CPU threads [1]")
+
+
+def run_watch(options: argparse.Namespace) -> None:
+    torch.set_num_threads(options.threads)
+    watch(
+        WatchSettings(
+            pulled=options.pulled,
+            work=options.work,
+            robot=find_firmware_host(options.firmware_host),
+            frames=options.pictures,
+            steps=options.steps,
+            then=options.then,
+            rounds=options.rounds,
+        )
+    )

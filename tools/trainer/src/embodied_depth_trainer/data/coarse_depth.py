@@ -1,0 +1,84 @@
+"""Reads the folder that `firmware-host perceive --dump` writes: coarse depth as the robot computes it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodied_depth_trainer.data.frames import Frames, Intrinsics
+from embodied_depth_trainer.errors import TrainerError
+
+FORMAT_VERSION = 1
+
+
+def _index(folder: Path) -> tuple[Intrinsics, list[dict[str, Any]]]:
+    try:
+        index = json.loads((folder / "dump.json").read_text())
+    except FileNotFoundError:
+        raise TrainerError(
+            f"{folder} holds no dump.json; write it with `firmware-host perceive --recording RUN --out DIR "
+            f"--dump {folder}` (or --dataset)"
+        ) from None
+    if index.get("format_version") != FORMAT_VERSION:
+        raise TrainerError(
+            f"{folder} has format version {index.get('format_version')}, this trainer reads {FORMAT_VERSION}; "
+            "write it again with a matching firmware-host"
+        )
+    return Intrinsics(*(index[key] for key in ("width", "height", "fx", "fy", "cx", "cy"))), index["frames"]
+
+
+def _planes(folder: Path, camera: Intrinsics, entry: dict[str, Any]) -> NDArray[np.uint16]:
+    if not entry["coarse"]:
+        return np.zeros((2, camera.height, camera.width), np.uint16)
+    planes: NDArray[np.uint16] = np.load(folder / f"{entry['name']}.npy", allow_pickle=False)
+    if planes.shape != (2, camera.height, camera.width) or planes.dtype != np.uint16:
+        raise TrainerError(f"{folder}/{entry['name']}.npy is {planes.dtype}{planes.shape}; write the dump again")
+    return planes
+
+
+def with_coarse(frames: Frames, folder: Path) -> Frames:
+    """Adds the coarse depth dumped from the same recording; frames are matched by their times."""
+    camera, entries = _index(folder)
+    if camera != frames.camera:
+        raise TrainerError(f"{folder} was made with {camera}, the recording with {frames.camera}; dump it again")
+    by_time = {int(entry["time_ns"]): entry for entry in entries}
+    missing = [int(time) for time in frames.time_ns if int(time) not in by_time]
+    if missing:
+        raise TrainerError(
+            f"{folder} lacks {len(missing)} of {len(frames)} frames, the first at {missing[0]} ns; "
+            "dump this recording again"
+        )
+    planes = [_planes(folder, camera, by_time[int(time)]) for time in frames.time_ns]
+    return replace(frames, coarse=np.stack(planes))
+
+
+def read_dataset_dump(folder: Path) -> Frames:
+    """Reads a dataset that `firmware-host perceive --dataset --dump` has resized to the robot's images."""
+    camera, entries = _index(folder)
+    if not entries or not all(entry["rgb"] for entry in entries):
+        raise TrainerError(
+            f"{folder} holds no images: it is the dump of a recording; give --recording RUN --coarse {folder}"
+        )
+    shape = (camera.height, camera.width)
+
+    def truth(entry: dict[str, Any]) -> NDArray[np.uint16]:
+        if not entry["truth"]:
+            return np.zeros(shape, np.uint16)
+        values: NDArray[np.uint16] = np.load(folder / f"{entry['name']}_truth.npy", allow_pickle=False)
+        return values
+
+    return Frames(
+        camera,
+        np.stack([np.load(folder / f"{entry['name']}_rgb.npy", allow_pickle=False) for entry in entries]),
+        np.array([entry["t_world_camera"] for entry in entries], np.float64).reshape(-1, 4, 4),
+        np.array([entry["time_ns"] for entry in entries], np.int64),
+        # Frames of different test views belong to different runs.
+        np.array([entry.get("view", 0) for entry in entries], np.int32),
+        np.stack([truth(entry) for entry in entries]) if any(entry["truth"] for entry in entries) else None,
+        np.stack([_planes(folder, camera, entry) for entry in entries]),
+    )

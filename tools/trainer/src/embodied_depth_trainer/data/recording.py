@@ -1,0 +1,274 @@
+"""Reads the robot's recordings (MCAP) as frames in memory."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from mcap.records import Channel, Message, Schema
+from mcap.stream_reader import StreamReader
+from mcap_protobuf.decoder import DecoderFactory
+from numpy.typing import NDArray
+from torchvision.io import ImageReadMode, decode_png
+
+from embodied_depth_trainer.data.frames import Frames, Intrinsics
+from embodied_depth_trainer.data.held_out import is_held_out
+from embodied_depth_trainer.data.lidar_line import MAX_APART_NS, Scan, line
+from embodied_depth_trainer.errors import TrainerError
+
+FORMAT_VERSION = 1
+HEADER = "/robot/header"
+TICK = "/robot/tick"
+SCAN = "/scan"
+IMAGE = "/camera/image"
+TRUTH = "/camera/truth_depth"
+# No chunk that the robot writes is nearly this large; a corrupt length must not exhaust the memory.
+MAX_RECORD_BYTES = 256 << 20
+
+
+class CompressedImage(Protocol):
+    """The fields used of `foxglove.CompressedImage`; the class itself comes from the recording's schema."""
+
+    data: bytes
+
+
+class LaserScan(Protocol):
+    """The fields used of `foxglove.LaserScan`; times, angles and limits are in the tick."""
+
+    ranges: list[float]
+
+
+class RawImage(Protocol):
+    """The fields used of `foxglove.RawImage`."""
+
+    width: int
+    height: int
+    encoding: str
+    data: bytes
+
+
+@dataclass
+class Damage:
+    """Segments that end in damage, and why. Everything before the damage is kept: a power cut costs the last chunk
+    only."""
+
+    segments: dict[str, str] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        names = "; ".join(f"{name}: {why}" for name, why in self.segments.items())
+        return f"{len(self.segments)} damaged segments, read up to the damage: {names}"
+
+
+class _BrokenError(Exception):
+    """The segment cannot be read any further."""
+
+
+def segments(path: Path) -> list[Path]:
+    """The segments of a run's directory in their order, or the single .mcap file itself."""
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise TrainerError(f"{path} does not exist; give the --out directory of a run or one .mcap file")
+    found = [file for file in path.iterdir() if re.fullmatch(r"recording_\d{4,}\.mcap", file.name)]
+    if not found:
+        raise TrainerError(f"{path} holds no recording_NNNN.mcap; give the --out directory of a run or one .mcap file")
+    # By length first: segment 10000 comes after segment 9999.
+    return sorted(found, key=lambda file: (len(file.name), file.name))
+
+
+def read_recording(path: Path, lidar: bool = False) -> tuple[Frames, Damage]:
+    """All frames of a run with their poses by odometry, `t_odom_camera`; with `lidar`, also the LiDAR's hits."""
+    damage = Damage()
+    reader = _Run(lidar)
+    for file in segments(path):
+        try:
+            reader.read(file)
+        except _BrokenError as problem:
+            damage.segments[file.name] = str(problem)
+    return reader.frames(path, damage), damage
+
+
+class _Run:
+    """The part of a run that has been read."""
+
+    def __init__(self, lidar: bool) -> None:
+        self.camera: Intrinsics | None = None
+        self.topics = {IMAGE, TRUTH, SCAN} if lidar else {IMAGE, TRUTH}
+        self.t_camera_laser = np.eye(4)
+        self.scan: Scan | None = None
+        self.rgb: list[NDArray[np.uint8]] = []
+        self.poses: list[NDArray[np.float64]] = []
+        self.times: list[int] = []
+        self.truth: list[NDArray[np.uint16]] = []
+        self.lines: list[NDArray[np.uint16]] = []
+        self.held_out: list[bool] = []
+
+    def read(self, file: Path) -> None:
+        t_base_camera = np.eye(4)
+        tick: dict[str, Any] | None = None
+        decoder = DecoderFactory()
+        for schema, channel, message in _messages(file):
+            if channel.topic == HEADER:
+                t_base_camera = self._header(file, message.data)
+                continue
+            if self.camera is None:
+                raise _BrokenError(f"it does not begin with {HEADER}")
+            if channel.topic == TICK:
+                tick = json.loads(message.data)
+            elif channel.topic in self.topics and tick is not None:
+                decode = decoder.decoder_for(channel.message_encoding, schema)
+                if decode is None:
+                    raise TrainerError(
+                        f"{file}: {channel.topic} is not protobuf; use the recording as the robot wrote it"
+                    )
+                if channel.topic == SCAN:
+                    self.scan = _scan(file, tick, decode(message.data))
+                elif channel.topic == IMAGE:
+                    self.rgb.append(self._image(file, tick, decode(message.data)))
+                    x_m, y_m, yaw_rad = _odom(file, tick)
+                    self.poses.append(_pose(x_m, y_m, yaw_rad) @ t_base_camera)
+                    self.held_out.append(is_held_out(x_m, y_m, yaw_rad))
+                    self.times.append(int(tick["time_ns"]))
+                    self.lines.append(self._line())
+                else:
+                    self.truth.append(_millimetres(file, tick, decode(message.data)))
+
+    def _header(self, file: Path, data: bytes) -> NDArray[np.float64]:
+        header = json.loads(data)
+        version = header.get("format_version")
+        if version != FORMAT_VERSION:
+            raise TrainerError(f"{file} has format version {version}, this trainer reads {FORMAT_VERSION}; update it")
+        camera = header["run"]["camera"]
+        if camera["distortion"]["model"] != "none":
+            raise TrainerError(
+                f"{file}: the images have the distortion {camera['distortion']}; record rectified images for training"
+            )
+        found = Intrinsics(*(camera[key] for key in ("width", "height", "fx", "fy", "cx", "cy")))
+        if self.camera not in (None, found):
+            raise TrainerError(
+                f"{file} was recorded with {found}, the segments before it with {self.camera}; "
+                "put each run into its own directory"
+            )
+        self.camera = found
+        t_base_camera = _rigid(header["run"]["t_base_camera"])
+        if SCAN in self.topics:
+            self.t_camera_laser = np.linalg.inv(t_base_camera) @ _rigid(header["run"]["t_base_laser"])
+        return t_base_camera
+
+    def _line(self) -> NDArray[np.uint16]:
+        """The LiDAR's line in the frame that was read last; empty where no scan is close enough in time."""
+        assert self.camera is not None
+        if self.scan is None or abs(self.scan.time_ns - self.times[-1]) > MAX_APART_NS:
+            return np.zeros((2, self.camera.width), np.uint16)
+        return line(self.camera, self.t_camera_laser, self.scan)
+
+    def _image(self, file: Path, tick: dict[str, Any], message: CompressedImage) -> NDArray[np.uint8]:
+        assert self.camera is not None
+        try:
+            coded = torch.frombuffer(bytearray(message.data), dtype=torch.uint8)
+            image: NDArray[np.uint8] = decode_png(coded, ImageReadMode.RGB).permute(1, 2, 0).contiguous().numpy()
+        except RuntimeError as problem:
+            raise _BrokenError(f"the image of tick {tick['tick']} is no PNG: {problem}") from problem
+        if image.shape[:2] != (self.camera.height, self.camera.width):
+            raise TrainerError(f"{file}: tick {tick['tick']} has an image of {image.shape[:2]} from {self.camera}")
+        return image
+
+    def frames(self, path: Path, damage: Damage) -> Frames:
+        if self.camera is None or not self.rgb:
+            why = f" ({damage})" if damage.segments else ""
+            raise TrainerError(f"{path} holds no frame{why}; record a run with `firmware-host explore`")
+        count = len(self.rgb)
+        truth = np.stack(self.truth) if len(self.truth) == count else None
+        times = np.array(self.times, np.int64)
+        lidar = np.stack(self.lines) if SCAN in self.topics else None
+        if lidar is not None and not lidar.any():
+            raise TrainerError(
+                f"{path} has no LiDAR scan within {MAX_APART_NS // 1_000_000} ms of one of its {count} frames; "
+                "train on it without --lidar-weight"
+            )
+        run = np.zeros(count, np.int32)
+        held_out = np.array(self.held_out, np.bool_)
+        rgb = np.stack(self.rgb)
+        poses = np.stack(self.poses)
+        return Frames(self.camera, rgb, poses, times, run, truth, lidar=lidar, held_out=held_out)
+
+
+def _messages(file: Path) -> Iterator[tuple[Schema | None, Channel, Message]]:
+    """The messages in file order, each only after the CRC of its chunk was checked."""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    try:
+        with file.open("rb") as stream:
+            reader = StreamReader(stream, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+            for record in reader.records:
+                if isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    channels[record.id] = record
+                elif isinstance(record, Message) and record.channel_id in channels:
+                    channel = channels[record.channel_id]
+                    yield schemas.get(channel.schema_id), channel, record
+    except OSError as problem:
+        raise TrainerError(f"cannot read {file}: {problem}; check the file and its permissions") from problem
+    except (TrainerError, _BrokenError):
+        raise
+    except Exception as problem:
+        # Corrupt lengths make the reader raise many kinds of exceptions.
+        raise _BrokenError(f"{type(problem).__name__} {problem}".strip()) from problem
+
+
+def _odom(file: Path, tick: dict[str, Any]) -> tuple[float, float, float]:
+    """Position and heading of `base_link` in `odom`, metres and radians."""
+    wheel = tick.get("wheel") or {}
+    values = [wheel.get(key) for key in ("x_m", "y_m", "yaw_rad")]
+    # Numbers that are not finite are recorded as text.
+    if not all(isinstance(value, (int, float)) and np.isfinite(value) for value in values):
+        raise TrainerError(
+            f"{file}: tick {tick.get('tick')} has a frame without a pose (x_m, y_m, yaw_rad = {values}); "
+            "train on a recording whose odometry worked"
+        )
+    x_m, y_m, yaw_rad = (float(value) for value in values if value is not None)
+    return x_m, y_m, yaw_rad
+
+
+def _pose(x_m: float, y_m: float, yaw_rad: float) -> NDArray[np.float64]:
+    """`t_odom_base` [4, 4]."""
+    pose = np.eye(4)
+    pose[:2, :2] = [[np.cos(yaw_rad), -np.sin(yaw_rad)], [np.sin(yaw_rad), np.cos(yaw_rad)]]
+    pose[:2, 3] = x_m, y_m
+    return pose
+
+
+def _rigid(pose: dict[str, Any]) -> NDArray[np.float64]:
+    """Rigid transform [4, 4] from a translation and a unit quaternion x y z w."""
+    x, y, z, w = pose["rotation_xyzw"]
+    matrix = np.eye(4)
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    matrix[:3, 3] = pose["translation_m"]
+    return matrix
+
+
+def _scan(file: Path, tick: dict[str, Any], message: LaserScan) -> Scan:
+    entry = tick.get("scan")
+    if not entry or entry["beams"] != len(message.ranges):
+        raise _BrokenError(f"tick {tick['tick']} has {entry} for a scan with {len(message.ranges)} beams")
+    return Scan.of(entry, message.ranges)
+
+
+def _millimetres(file: Path, tick: dict[str, Any], image: RawImage) -> NDArray[np.uint16]:
+    if image.encoding != "16UC1" or len(image.data) != 2 * image.width * image.height:
+        raise TrainerError(
+            f"{file}: tick {tick['tick']}: ground truth of {image.encoding} with {len(image.data)} bytes is not packed "
+            "16UC1; use the recording as the robot wrote it"
+        )
+    return np.frombuffer(image.data, "<u2").reshape(image.height, image.width).astype(np.uint16)

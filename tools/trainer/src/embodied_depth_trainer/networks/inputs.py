@@ -1,0 +1,26 @@
+"""The second input of a network, besides the image."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from embodied_depth_trainer.data.batches import coarse_planes
+from embodied_depth_trainer.data.frames import Frames
+from embodied_depth_trainer.networks.cost_volume import volume_planes
+from embodied_depth_trainer.networks.manydepth import ManyDepth
+
+
+def second_input(
+    network: nn.Module,
+    frames: Frames,
+    index: NDArray[np.int64],
+    depth_range_m: tuple[float, float],
+    device: torch.device | str = "cpu",
+) -> Tensor:
+    """Coarse depth, or the cost volume for a network that takes one."""
+    if isinstance(network, ManyDepth):
+        return volume_planes(frames, index, network.depths_m, device)
+    return coarse_planes(frames, index, depth_range_m, device)

@@ -1,0 +1,84 @@
+"""A watch trains on new recordings, passes networks on, and continues after an interruption."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from embodied_depth_trainer.commands.watch import STATE_FILE, WatchSettings, frame_count, runs, watch
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.training import checkpoint as checkpoints
+
+from ..fake_robot import walk, wheels
+from ..recordings import write_segment
+
+
+def pull(folder: Path, run: str, segment: int, count: int = 12) -> None:
+    """Adds a segment as pull-buffer does when it is complete."""
+    (folder / run).mkdir(parents=True, exist_ok=True)
+    frames = walk(0, 0, count * (segment + 1))
+    part = replace(
+        frames,
+        rgb=frames.rgb[-count:],
+        t_world_camera=frames.t_world_camera[-count:],
+        time_ns=frames.time_ns[-count:],
+    )
+    write_segment(folder / run / f"recording_{segment:04d}.mcap", part, wheels(part), segment)
+
+
+@pytest.fixture
+def settings(tmp_path: Path, robot: Path) -> WatchSettings:
+    received = tmp_path / "received"
+    then = shlex.join(
+        [sys.executable, "-c", "import sys; open(sys.argv[1], 'a').write(sys.argv[2] + '\\n')", str(received)]
+    )
+    defaults = WatchSettings(tmp_path / "pulled", tmp_path / "work", robot)
+    small = replace(defaults.training, batch=4, crop_width=0)
+    return replace(defaults, frames=12, steps=2, every=1, then=f"{then} {{}}", rounds=1, training=small)
+
+
+def test_every_round_continues_training_on_all_runs_and_passes_on_its_network(
+    settings: WatchSettings, tmp_path: Path
+) -> None:
+    pull(settings.pulled, "robot/monday", 0)
+    (first,) = watch(settings)
+    pull(settings.pulled, "robot/monday", 1)
+    pull(settings.pulled, "other/tuesday", 0)
+    (second,) = watch(replace(settings, rounds=2))
+    assert (tmp_path / "received").read_text().split() == [str(first), str(second)]
+    assert first.stat().st_size > 10_000
+    assert second.read_bytes() != first.read_bytes()
+    assert checkpoints.load(settings.work / "training/checkpoint.pt").step == 4
+    assert json.loads((settings.work / STATE_FILE).read_text()) == {"rounds": 2, "pictures": 36}
+
+
+def test_completed_rounds_are_not_repeated(settings: WatchSettings) -> None:
+    pull(settings.pulled, "robot/monday", 0)
+    watch(settings)
+    assert watch(settings) == []
+
+
+def test_a_refused_network_does_not_end_the_watch(settings: WatchSettings, capfd: pytest.CaptureFixture[str]) -> None:
+    pull(settings.pulled, "robot/monday", 0)
+    assert len(watch(replace(settings, then="false {}"))) == 1
+    assert "ended with 1" in capfd.readouterr().err
+
+
+def test_a_missing_command_is_named(settings: WatchSettings) -> None:
+    pull(settings.pulled, "robot/monday", 0)
+    with pytest.raises(TrainerError, match=r"no-such-program.*--then"):
+        watch(replace(settings, then="no-such-program {}"))
+
+
+def test_a_segment_without_an_index_counts_only_once_it_is_complete(settings: WatchSettings) -> None:
+    pull(settings.pulled, "run", 0)
+    assert frame_count(settings.pulled / "run") == 12
+    file = settings.pulled / "run/recording_0000.mcap"
+    file.write_bytes(file.read_bytes()[:-100])
+    assert frame_count(settings.pulled / "run") == 0
+    assert runs(settings.pulled) == [settings.pulled / "run"]
