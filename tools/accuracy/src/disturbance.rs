@@ -1,4 +1,4 @@
-//! What spoils pictures and poses on a real robot.
+//! What spoils frames and poses on a real robot.
 
 use hal::Pose3;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
@@ -7,7 +7,7 @@ use rand_pcg::Pcg64Mcg;
 
 use crate::sequence::View;
 
-/// Pictures between two changes of exposure.
+/// Frames between two changes of exposure.
 const EXPOSURE_PERIOD: usize = 7;
 
 /// One thing that goes wrong.
@@ -15,9 +15,9 @@ const EXPOSURE_PERIOD: usize = 7;
 pub enum Disturbance {
     /// Nothing does.
     None,
-    /// Every few pictures the exposure jumps by 15 % and 4 grey levels, and back.
+    /// Every few frames the exposure jumps by 15 % and 4 grey levels, and back.
     Exposure,
-    /// Every pose is off by 2 mm and 2 mrad (standard deviation along and about each axis), each picture anew.
+    /// Every pose is off by 2 mm and 2 mrad (standard deviation along and about each axis), each frame anew.
     Pose,
 }
 
@@ -35,7 +35,7 @@ impl Disturbance {
         }
     }
 
-    /// The picture and the pose that the engine gets of the picture with this index.
+    /// The frame and the pose that the engine gets of the frame with this index.
     #[must_use]
     pub fn of(self, index: usize, view: &View) -> (Vec<u8>, Pose3) {
         let brighter = self == Self::Exposure && (index / EXPOSURE_PERIOD) % 2 == 1;
@@ -52,10 +52,12 @@ fn noisy(index: usize, pose: &Pose3) -> Pose3 {
     let mut random = Pcg64Mcg::seed_from_u64(index as u64);
     let mut normal = |sigma: f64| {
         // Box and Muller 1958.
-        let (a, b): (f64, f64) = (random.random_range(f64::MIN_POSITIVE..1.0), random.random());
+        let a: f64 = random.random_range(f64::MIN_POSITIVE..1.0);
+        let b: f64 = random.random();
         sigma * (-2.0 * a.ln()).sqrt() * (std::f64::consts::TAU * b).cos()
     };
     let mut vector = |sigma: f64| Vector3::new(normal(sigma), normal(sigma), normal(sigma));
-    let (shift, turn) = (vector(0.002), vector(0.002));
+    let shift = vector(0.002);
+    let turn = vector(0.002);
     pose * Pose3::from_parts(Translation3::from(shift), UnitQuaternion::from_scaled_axis(turn))
 }

@@ -10,21 +10,21 @@ use runtime::perception::flow::{DenseFlow, FlowPreset};
 use runtime::perception::least_squares::{FlowView, triangulate};
 use runtime::perception::{CoarseDepth, DepthEstimate, FlowNetwork, NetworkOptions};
 
-/// The paper's flow goes from each picture to the fifth before it.
+/// The paper's flow goes from each frame to the fifth before it.
 const GAP: usize = 5;
 /// The paper's range of valid triangulations, metres.
 const RANGE_M: (f64, f64) = (0.1, 40.0);
 /// Bearing error of a match that is half a pixel off at f = 320, radians.
 const BEARING_ERROR_RAD: f32 = 0.0016;
 
-/// Something that makes depth of pictures.
+/// Something that makes depth of frames.
 pub trait Engine {
     /// Its name in the table.
     fn name(&self) -> String;
-    /// Looks at the next picture. What is not `wanted` need only be remembered.
+    /// Looks at the next frame. What is not `wanted` need only be remembered.
     ///
     /// # Errors
-    /// When it cannot work at all; a picture without depth is `None`.
+    /// When it cannot work at all; a frame without depth is `None`.
     fn look(
         &mut self,
         frame: ImageView<'_>,
@@ -70,7 +70,7 @@ enum Flow {
     Network(Box<FlowNetwork>),
 }
 
-/// Flow to the fifth picture before, then closed-form least squares: the paper's coarse depth, with one past picture as in its
+/// Flow to the fifth frame before, then closed-form least squares: the paper's coarse depth, with one past frame as in its
 /// released code.
 pub struct FlowDepth {
     name: &'static str,

@@ -27,7 +27,7 @@ struct Options {
     /// Recorded sequences.
     #[arg(long = "dataset")]
     datasets: Vec<PathBuf>,
-    /// Pictures of each simulated sequence.
+    /// Frames of each simulated sequence.
     #[arg(long, default_value_t = 150)]
     frames: u64,
     /// Only these motions: forward, turning, random, active, rotation.
@@ -45,16 +45,16 @@ struct Options {
     /// Configurations to compare; the default one where none is given.
     #[arg(long = "config")]
     configs: Vec<PathBuf>,
-    /// Also the paper's way: flow to the fifth picture before, then least squares, with dense inverse search.
+    /// Also the paper's way: flow to the fifth frame before, then least squares, with dense inverse search.
     #[arg(long)]
     search: bool,
     /// The same with a learned flow, an ONNX model (`cargo xtask models` exports RAFT).
     #[arg(long)]
     flow_model: Option<PathBuf>,
-    /// Judge every so many pictures; the learned flow looks at no others.
+    /// Judge every so many frames; the learned flow looks at no others.
     #[arg(long, default_value_t = 1)]
     every: usize,
-    /// Folder for one picture of each sequence and the reliability diagram.
+    /// Folder for one frame of each sequence and the reliability diagram.
     #[arg(long)]
     out: Option<PathBuf>,
 }
@@ -143,7 +143,7 @@ fn is_right(inverse_depth: f32, truth_m: f32) -> bool {
     ratio > 0.8 && ratio < 1.25
 }
 
-/// First what one picture's vote is worth, then, with that, what is remembered.
+/// First what one frame's vote is worth, then, with that, what is remembered.
 fn fit(sequences: &[Sequence], config: &Config) -> Result<()> {
     let mut coarse = config.coarse.clone();
     coarse.vote_weights = gather(sequences, &coarse, |vote, _, _| {
@@ -180,7 +180,8 @@ fn gather<const N: usize>(
                 for (cell, (vote, belief, around)) in
                     engine.cells().enumerate().skip(index % 7).step_by(7)
                 {
-                    let (row, column) = (cell / columns * 4 + 1, cell % columns * 4 + 1);
+                    let row = cell / columns * 4 + 1;
+                    let column = cell % columns * 4 + 1;
                     let truth_m = truth.values()[row * sequence.camera.width + column];
                     if let Some((features, inverse_depth)) =
                         sample(vote, belief, around).filter(|_| truth_m > 0.0)

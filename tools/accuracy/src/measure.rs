@@ -27,7 +27,7 @@ pub struct Outcome {
     pub half: Metrics,
     /// delta1 of the median of the ground truth.
     pub constant: f64,
-    /// Median time of one picture, seconds.
+    /// Median time of one frame, seconds.
     pub median_s: f64,
     /// Whether the confidence means what it says.
     pub reliability: Reliability,
@@ -57,7 +57,8 @@ impl Outcome {
     /// One line of the table.
     #[must_use]
     pub fn line(&self) -> String {
-        let (all, half) = (&self.all, &self.half);
+        let all = &self.all;
+        let half = &self.half;
         format!(
             "| {:<44} | {:<10} | {:.3} | {:>6.3} | {:.3} | {:.3} | {:>6.3} | {:.3} | {:>8.3} | {:.3} | {:>7.2} |",
             self.name,
@@ -87,8 +88,9 @@ impl Outcome {
             let mean = |value: fn(&Metrics) -> f64| {
                 seen.iter().map(|outcome| value(of(outcome))).sum::<f64>() / seen.len() as f64
             };
-            let (share, delta1, delta1_unscaled) =
-                (mean(|m| m.share), mean(|m| m.delta1), mean(|m| m.delta1_unscaled));
+            let share = mean(|m| m.share);
+            let delta1 = mean(|m| m.delta1);
+            let delta1_unscaled = mean(|m| m.delta1_unscaled);
             Metrics { share, delta1, delta1_unscaled, ..Metrics::default() }
         };
         Self {
@@ -103,10 +105,10 @@ impl Outcome {
     }
 }
 
-/// Lets an engine look at every picture and judges every `every`th; `sheet` is a folder for a picture of what it saw.
+/// Lets an engine look at every frame and judges every `every`th; `sheet` is a folder for a frame of what it saw.
 ///
 /// # Errors
-/// When pictures and truth do not fit, the engine cannot work, or the sheet cannot be written.
+/// When frames and truth do not fit, the engine cannot work, or the sheet cannot be written.
 pub fn measure(
     sequence: &Sequence,
     disturbance: Disturbance,
@@ -114,9 +116,11 @@ pub fn measure(
     every: usize,
     sheet: Option<&Path>,
 ) -> Result<Outcome> {
-    let (mut accuracy, mut constant, mut reliability) =
-        (Accuracy::new(), ConstantBaseline::new(), Reliability::default());
-    let (mut seconds, mut sampler) = (Vec::new(), SheetSampler::default());
+    let mut accuracy = Accuracy::new();
+    let mut constant = ConstantBaseline::new();
+    let mut reliability = Reliability::default();
+    let mut seconds = Vec::new();
+    let mut sampler = SheetSampler::default();
     for (index, view) in sequence.views.iter().enumerate() {
         let (rgb, pose) = disturbance.of(index, view);
         let frame = ImageView::rgb8(sequence.camera.width, sequence.camera.height, &rgb)?;

@@ -28,7 +28,7 @@ struct Bin {
 }
 
 impl Reliability {
-    /// Counts the pixels of one picture.
+    /// Counts the pixels of one frame.
     pub fn add(&mut self, estimate: &DepthEstimate, truth: &DepthMap) {
         let pixels = estimate.depth.values().iter().zip(&estimate.confidence).zip(truth.values());
         for ((&depth, &confidence), &truth) in
@@ -62,7 +62,7 @@ impl Reliability {
     /// Draws the share of right pixels over the promised one, and how many pixels promise it.
     ///
     /// # Errors
-    /// When the picture cannot be written.
+    /// When the frame cannot be written.
     pub fn draw(&self, title: &str, path: &Path) -> Result<(), ReportError> {
         let page = (SIDE + 2 * MARGIN) as u32;
         let mut canvas = Canvas::new(page, page, [255; 3]);

@@ -176,7 +176,8 @@ fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
 
 /// The second time: a minute after the first, long after it, and with a connection that ssh keeps for both.
 fn nothing_new(scratch: &Scratch, programs: &Path, sshd: &Sshd, robot: &Path) -> Result<Vec<Row>> {
-    let (pulled, synced) = (scratch.path("pulled"), scratch.path("synced"));
+    let pulled = scratch.path("pulled");
+    let synced = scratch.path("synced");
     let runtime_dir = scratch.path("xdg");
     fs::create_dir_all(&runtime_dir)?;
     let kept = over::kept(sshd);
@@ -212,7 +213,8 @@ fn both(
     mut ours: impl FnMut() -> Result<()>,
     mut peer: impl FnMut() -> Result<()>,
 ) -> Result<(Timing, Timing)> {
-    let (mut first, mut second) = (Ok(()), Ok(()));
+    let mut first = Ok(());
+    let mut second = Ok(());
     let timings = time_against(
         runs,
         || first = std::mem::replace(&mut first, Ok(())).and_then(|()| ours()),

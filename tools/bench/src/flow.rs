@@ -1,4 +1,4 @@
-//! Dense optical flow beside OpenCV's, preset by preset, on the very same pictures: time on one pair, errors over all of them.
+//! Dense optical flow beside OpenCV's, preset by preset, on the very same frames: time on one pair, errors over all of them.
 
 use anyhow::Result;
 use hal::{CameraModel, DepthMap, ImageView, PixelFormat, Pose3};
@@ -21,16 +21,16 @@ const PRESETS: [(&str, FlowPreset); 3] = [
     ("fast", FlowPreset::Fast),
     ("medium", FlowPreset::Medium),
 ];
-/// Pairs of made-up pictures, and of a furnished hall.
+/// Pairs of made-up frames, and of a furnished hall.
 const MADE_UP: u64 = 8;
 const RENDERED: usize = 8;
-/// Larger motions of rendered pictures are not judged, pixels.
+/// Larger motions of rendered frames are not judged, pixels.
 const MOST_PX: f32 = 64.0;
 
 /// Measures each preset, turn by turn with OpenCV where there is a Python with it.
 ///
 /// # Errors
-/// When the pictures cannot be handed to the peer, or it fails.
+/// When the frames cannot be handed to the peer, or it fails.
 pub fn rows() -> Result<Vec<Row>> {
     let pairs = pairs()?;
     let folder = tempfile::tempdir()?;
@@ -58,7 +58,8 @@ fn row(
     folder: &std::path::Path,
 ) -> Result<Row> {
     let mut engine = DenseFlow::new(preset, WIDTH, HEIGHT)?;
-    let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+    let mut ours = Vec::new();
+    let mut theirs = Vec::new();
     // The first turn does not count.
     for run in 0..=RUNS {
         let began = std::time::Instant::now();
@@ -108,7 +109,7 @@ fn read_flow(bytes: &[u8]) -> Vec<[f32; 2]> {
     bytes.chunks_exact(8).map(|pair| [value(&pair[..4]), value(&pair[4..])]).collect()
 }
 
-/// Two grey pictures and the true flow from the first to the second.
+/// Two grey images and the true flow from the first to the second.
 struct Pair {
     first: Vec<u8>,
     second: Vec<u8>,
@@ -129,19 +130,28 @@ impl Pair {
     /// A textured plane that turns, grows and moves behind a textured box that moves another way.
     fn made_up(seed: u64) -> Self {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
-        let (plane, cover) = (Texture::new(&mut random), Texture::new(&mut random));
+        let plane = Texture::new(&mut random);
+        let cover = Texture::new(&mut random);
         let mut pair = Self { first: Vec::new(), second: Vec::new(), truth: Vec::new() };
         let mut any = |most: f32| random.random_range(-most..most);
-        let (angle, growth, shift) = (any(0.02), 1.0 + any(0.03), [any(10.0), any(3.0)]);
+        let angle = any(0.02);
+        let growth = 1.0 + any(0.03);
+        let shift = [any(10.0), any(3.0)];
         let box_shift = [any(20.0), any(6.0)];
-        let (left, top) = (300.0 + any(200.0), 50.0 + any(40.0));
-        let (right, bottom) = (left + 110.0, top + 90.0);
-        let (c, s) = (growth * angle.cos(), growth * angle.sin());
+        let left = 300.0 + any(200.0);
+        let top = 50.0 + any(40.0);
+        let right = left + 110.0;
+        let bottom = top + 90.0;
+        let c = growth * angle.cos();
+        let s = growth * angle.sin();
         let middle = [WIDTH as f32 / 2.0, HEIGHT as f32 / 2.0];
         for index in 0..WIDTH * HEIGHT {
-            let (x, y) = ((index % WIDTH) as f32, (index / WIDTH) as f32);
-            let (fx, fy) = (x - middle[0], y - middle[1]);
-            let (bx, by) = (fx - shift[0], fy - shift[1]);
+            let x = (index % WIDTH) as f32;
+            let y = (index / WIDTH) as f32;
+            let fx = x - middle[0];
+            let fy = y - middle[1];
+            let bx = fx - shift[0];
+            let by = fy - shift[1];
             let square = growth * growth;
             let back =
                 [(c * bx + s * by) / square + middle[0], (c * by - s * bx) / square + middle[1]];
@@ -150,7 +160,8 @@ impl Pair {
                 (grey + random.random_range(-2.0..2.0_f32)).round().clamp(0.0, 255.0) as u8
             };
             pair.first.push(noisy(if covered(x, y) { cover.at(x, y) } else { plane.at(x, y) }));
-            let (u, v) = (x - box_shift[0], y - box_shift[1]);
+            let u = x - box_shift[0];
+            let v = y - box_shift[1];
             pair.second.push(noisy(if covered(u, v) {
                 cover.at(u, v)
             } else {
@@ -178,7 +189,7 @@ impl Pair {
             nalgebra::UnitQuaternion::from_euler_angles(0.0, random.random_range(-0.05..0.05), 0.0);
         let t_first_second = step * Pose3::from_parts(nalgebra::Translation3::identity(), turn);
         let t_world_first = view(index);
-        let mut picture = |pose: &Pose3, depth: &mut DepthMap| {
+        let mut image = |pose: &Pose3, depth: &mut DepthMap| {
             let mut rgb = Vec::new();
             renderer.render(&camera, pose, &[], &Lighting::default(), &mut rgb, depth);
             Nuisances::default().add_sensor_noise(&mut random, &mut rgb);
@@ -188,9 +199,10 @@ impl Pair {
                 })
                 .collect()
         };
-        let (mut depth, mut other) = (DepthMap::none(0, 0), DepthMap::none(0, 0));
-        let first = picture(&t_world_first, &mut depth);
-        let second = picture(&(t_world_first * t_first_second), &mut other);
+        let mut depth = DepthMap::none(0, 0);
+        let mut other = DepthMap::none(0, 0);
+        let first = image(&t_world_first, &mut depth);
+        let second = image(&(t_world_first * t_first_second), &mut other);
         let mut truth = FlowField::zero(WIDTH, HEIGHT);
         predicted_flow(&camera, &t_first_second.inverse(), DepthGuess::Map(&depth), &mut truth)?;
         // What the camera nearly touches is not judged.
@@ -233,10 +245,13 @@ impl Texture {
 
     fn at(&self, x: f32, y: f32) -> f32 {
         self.octaves.iter().fold(128.0, |sum, (cell, amplitude, grid)| {
-            let (x, y) = (x / cell + 100.0, y / cell + 100.0);
-            let (i, j) = (x as usize, y as usize);
+            let x = x / cell + 100.0;
+            let y = y / cell + 100.0;
+            let i = x as usize;
+            let j = y as usize;
             let smooth = |t: f32| t * t * t * (t * (6.0 * t - 15.0) + 10.0);
-            let (fx, fy) = (smooth(x - i as f32), smooth(y - j as f32));
+            let fx = smooth(x - i as f32);
+            let fy = smooth(y - j as f32);
             let corner = |i: usize, j: usize| grid[j % CELLS * CELLS + i % CELLS];
             let line = |j: usize| corner(i, j) * (1.0 - fx) + corner(i + 1, j) * fx;
             sum + amplitude * (line(j) * (1.0 - fy) + line(j + 1) * fy)

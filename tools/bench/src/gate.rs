@@ -1,4 +1,4 @@
-//! How long the gate takes to judge a model by 300 held-out pictures, alone and beside a robot that drives in real time through its
+//! How long the gate takes to judge a model by 300 held-out frames, alone and beside a robot that drives in real time through its
 //! real drivers, and whether that robot's turns come in time. Without `firmware-host` in `BENCH_PROGRAMS` or ONNX Runtime these
 //! rows are absent. Takes about ten minutes, most of it to record.
 
@@ -17,8 +17,8 @@ use serde_json::Value;
 use crate::report::{Row, Timing, Unit};
 
 const ROOM: &str = "data";
-const PICTURES: u64 = 300;
-/// 150 of the 3000 pictures of a run are held out and far enough from each other.
+const HELD_OUT_FRAMES: u64 = 300;
+/// 150 of the 3000 frames of a run are held out and far enough from each other.
 const RUNS: [&str; 3] =
     ["builtin:apartment?seed=1", "builtin:house?seed=2", "builtin:office?seed=3"];
 const FRAMES: &str = "3000";
@@ -30,7 +30,7 @@ const ALONE_S: u64 = 60;
 /// Measures the gate.
 ///
 /// # Errors
-/// When a program fails or judges fewer pictures.
+/// When a program fails or judges fewer frames.
 pub fn rows() -> Result<Vec<Row>> {
     let programs = std::env::var_os("BENCH_PROGRAMS")
         .map(|folder| PathBuf::from(folder).join("firmware-host"));
@@ -140,13 +140,13 @@ impl Workshop {
             .arg(self.dir.join("trusted_keys"))
             .arg("--recordings")
             .arg(self.dir.join("runs"));
-        install.args(["--frames", &PICTURES.to_string()]);
+        install.args(["--frames", &HELD_OUT_FRAMES.to_string()]);
         let began = Instant::now();
         let output = install.output()?;
         let seconds = began.elapsed().as_secs_f64();
         let said: Value = serde_json::from_slice(&output.stdout)
             .with_context(|| String::from_utf8_lossy(&output.stderr).into_owned())?;
-        ensure!(said["verdict"]["pictures"] == PICTURES, "the gate says {said}");
+        ensure!(said["verdict"]["pictures"] == HELD_OUT_FRAMES, "the gate says {said}");
         Ok(seconds)
     }
 }

@@ -1,5 +1,5 @@
 //! The image front end: from a camera's frame of 640x480 to the network's planes of 640x192, lens straightened. The peer is
-//! OpenCV: conversion, `remap` with fixed-point maps (CV_16SC2), planes of floats. Its conversion takes whole pictures; ours only
+//! OpenCV: conversion, `remap` with fixed-point maps (CV_16SC2), planes of floats. Its conversion takes whole images; ours only
 //! the rows that are looked at.
 
 use std::io::Cursor;
@@ -86,7 +86,8 @@ fn measure(
     mut peer: Option<&mut PeerProcess>,
 ) -> Result<(Timing, Option<Timing>)> {
     let mut planes = vec![0.0; 3 * front.target().width * front.target().height];
-    let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+    let mut ours = Vec::new();
+    let mut theirs = Vec::new();
     for _ in 0..RUNS {
         let start = Instant::now();
         front.to_tensor(frame, &mut planes)?;
@@ -101,7 +102,8 @@ fn measure(
 /// Colours, edges and texture, RGB.
 fn scene() -> Vec<u8> {
     let pixel = |index: usize| {
-        let (u, v) = ((index % SOURCE.width) as f64, (index / SOURCE.width) as f64);
+        let u = (index % SOURCE.width) as f64;
+        let v = (index / SOURCE.width) as f64;
         let wave = |fu: f64, fv: f64| 50.0 * (u * fu + v * fv).sin();
         let tile = index % SOURCE.width / 40 + index / SOURCE.width / 30;
         let edge = if tile.is_multiple_of(2) { 30.0 } else { -30.0 };
@@ -124,7 +126,8 @@ fn nv12(rgb: &[u8]) -> Vec<u8> {
 
 fn jpeg(rgb: &[u8]) -> Result<Vec<u8>> {
     let mut file = Cursor::new(Vec::new());
-    let (width, height) = (SOURCE.width as u32, SOURCE.height as u32);
+    let width = SOURCE.width as u32;
+    let height = SOURCE.height as u32;
     JpegEncoder::new_with_quality(&mut file, 85).encode(
         rgb,
         width,

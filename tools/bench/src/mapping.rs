@@ -189,7 +189,8 @@ impl Field {
     fn peer(&self) -> Option<u32> {
         let goal = (self.goal.x, self.goal.y);
         let bound = |(x, y): &(i32, i32)| {
-            let (dx, dy) = (x.abs_diff(goal.0), y.abs_diff(goal.1));
+            let dx = x.abs_diff(goal.0);
+            let dy = y.abs_diff(goal.1);
             12 * dx.max(dy) + 5 * dx.min(dy)
         };
         let start = (self.start.x, self.start.y);
@@ -209,7 +210,8 @@ fn fields() -> Vec<Field> {
     };
     // Blocks with soft cost around them, as a costmap of a cluttered home has.
     let clutter = |x: i32, y: i32| {
-        let (dx, dy) = ((x % 40 - 20).abs(), (y % 40 - 20).abs());
+        let dx = (x % 40 - 20).abs();
+        let dy = (y % 40 - 20).abs();
         match dx.max(dy) {
             0..6 => 0,
             near @ 6..14 => (15 - near) as u8 / 2 + 1,

@@ -32,13 +32,12 @@ const REAL: [(&str, usize); 4] =
 pub fn rows() -> anyhow::Result<Vec<Row>> {
     let Some(library) = std::env::var_os("ORT_DYLIB_PATH") else { return Ok(Vec::new()) };
     let onnx_runtime = ort::init_from(library)?.with_telemetry(false).build()?;
-    let picture =
+    let image =
         |step: usize| (0..3 * SIZE.0 * SIZE.1).map(|i| (i * step % 256) as u8).collect::<Vec<_>>();
-    let pictures = [picture(31), picture(37)];
-    let mut rows = vec![empty(&onnx_runtime, &pictures[0])?, volume(&onnx_runtime, &pictures)?];
+    let images = [image(31), image(37)];
+    let mut rows = vec![empty(&onnx_runtime, &images[0])?, volume(&onnx_runtime, &images)?];
     for threads in [1, 2] {
-        let row =
-            real(&onnx_runtime, "default network", DEFAULT, threads, DEFAULT_TURNS, &pictures)?;
+        let row = real(&onnx_runtime, "default network", DEFAULT, threads, DEFAULT_TURNS, &images)?;
         rows.push(row.goal(0.006, 0.004));
     }
     if let Some(folder) = std::env::var_os("BENCH_MODELS") {
@@ -50,7 +49,7 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
             let model =
                 std::fs::read(&file).with_context(|| format!("reading {}", file.display()))?;
             for threads in [1, 2] {
-                rows.push(real(&onnx_runtime, name, &model, threads, turns, &pictures)?);
+                rows.push(real(&onnx_runtime, name, &model, threads, turns, &images)?);
             }
         }
     }
@@ -58,15 +57,15 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
 }
 
 /// What surrounds inference: planes in, depth out.
-fn empty(onnx_runtime: &Environment, picture: &[u8]) -> anyhow::Result<Row> {
+fn empty(onnx_runtime: &Environment, image: &[u8]) -> anyhow::Result<Row> {
     let mut network =
         DepthNetwork::load(onnx_runtime, EMPTY, &camera(), NetworkOptions::default())?;
     let mut session = bare_session(onnx_runtime, EMPTY, 1)?;
-    let frame = view(picture)?;
+    let frame = view(image)?;
     let (ours, peer) = time_against(
         200,
         || network.estimate(frame, &Pose3::identity(), None).is_ok(),
-        || bare_run(&mut session, &[picture]),
+        || bare_run(&mut session, &[image]),
     );
     Ok(Row::seconds("network", "picture to depth around an empty network, 640x192", ours)
         .peer("ort run()", peer.median)
@@ -74,16 +73,16 @@ fn empty(onnx_runtime: &Environment, picture: &[u8]) -> anyhow::Result<Row> {
 }
 
 /// The cost volume of a robot that drives forward.
-fn volume(onnx_runtime: &Environment, pictures: &[Vec<u8>; 2]) -> anyhow::Result<Row> {
+fn volume(onnx_runtime: &Environment, images: &[Vec<u8>; 2]) -> anyhow::Result<Row> {
     let mut network =
         DepthNetwork::load(onnx_runtime, VOLUME, &camera(), NetworkOptions::default())?;
-    let frame = view(&pictures[0])?;
+    let frame = view(&images[0])?;
     let mut way_m = 0.0;
     let mut step = || {
         way_m += 0.03;
         network.estimate(frame, &Pose3::translation(0.0, 0.0, way_m), None).is_ok()
     };
-    // Until there are two pictures to compare with.
+    // Until there are two frames to compare with.
     (0..20).for_each(|_| _ = step());
     Ok(Row::seconds(
         "network",
@@ -99,13 +98,13 @@ fn real(
     model: &[u8],
     threads: usize,
     turns: usize,
-    pictures: &[Vec<u8>; 2],
+    images: &[Vec<u8>; 2],
 ) -> anyhow::Result<Row> {
     let options = NetworkOptions { threads, ..NetworkOptions::default() };
     let mut session = bare_session(onnx_runtime, model, threads)?;
     let inputs: Vec<&[u8]> =
-        pictures.iter().take(session.inputs().len()).map(Vec::as_slice).collect();
-    let [first, second] = [view(&pictures[0])?, view(&pictures[1])?];
+        images.iter().take(session.inputs().len()).map(Vec::as_slice).collect();
+    let [first, second] = [view(&images[0])?, view(&images[1])?];
     let peer = || bare_run(&mut session, &inputs);
     let (ours, peer) = if name.starts_with("raft") {
         let mut network = FlowNetwork::load(onnx_runtime, model, SIZE, options)?;
@@ -127,12 +126,12 @@ fn bare_session(onnx_runtime: &Environment, model: &[u8], threads: usize) -> ort
 }
 
 /// What one writes without us: new tensors for every call.
-fn bare_run(session: &mut Session, pictures: &[&[u8]]) -> ort::Result<usize> {
-    let tensor = |picture: &&[u8]| -> ort::Result<SessionInputValue<'static>> {
-        let planes: Vec<f32> = picture.iter().map(|&byte| f32::from(byte) / 255.0).collect();
+fn bare_run(session: &mut Session, images: &[&[u8]]) -> ort::Result<usize> {
+    let tensor = |image: &&[u8]| -> ort::Result<SessionInputValue<'static>> {
+        let planes: Vec<f32> = image.iter().map(|&byte| f32::from(byte) / 255.0).collect();
         Ok(Tensor::from_array(([1, 3, SIZE.1, SIZE.0], planes))?.into())
     };
-    let inputs = pictures.iter().map(tensor).collect::<ort::Result<Vec<_>>>()?;
+    let inputs = images.iter().map(tensor).collect::<ort::Result<Vec<_>>>()?;
     session.run(inputs.as_slice()).map(|outputs| outputs.len())
 }
 
@@ -140,6 +139,6 @@ fn camera() -> CameraModel {
     CameraModel::pinhole(SIZE.0, SIZE.1, FRAC_PI_2)
 }
 
-fn view(picture: &[u8]) -> anyhow::Result<ImageView<'_>> {
-    Ok(ImageView::rgb8(SIZE.0, SIZE.1, picture)?)
+fn view(image: &[u8]) -> anyhow::Result<ImageView<'_>> {
+    Ok(ImageView::rgb8(SIZE.0, SIZE.1, image)?)
 }

@@ -16,13 +16,13 @@ const WIDTH: usize = 640;
 const HEIGHT: usize = 192;
 const FRAMES: u32 = 60;
 const STEP_M: f64 = 0.03;
-/// Pictures between the two that semi-global matching gets: 22 pixels of disparity.
+/// Frames between the two that semi-global matching gets: 22 pixels of disparity.
 const APART: usize = 7;
 
 /// Measures a walk along a textured wall, sideways and forward.
 ///
 /// # Errors
-/// When a picture cannot be looked at.
+/// When a frame cannot be looked at.
 pub fn rows() -> anyhow::Result<Vec<Row>> {
     let camera = CameraModel::pinhole(WIDTH, HEIGHT, std::f64::consts::FRAC_PI_2);
     let threads = rayon::current_num_threads();
@@ -31,7 +31,7 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
         [("sideways", [1.0, 0.0, 0.0], true), ("on an arc", [0.5, 0.0, 0.7], false)]
     {
         let walk = Walk::new(camera, direction);
-        // Semi-global matching needs rectified pictures.
+        // Semi-global matching needs rectified frames.
         let mut peer = if rectified { walk.semi_global_matching()? } else { None };
         let (coarse, theirs) = walk.coarse(peer.as_mut())?;
         let coarse = Timing::of(coarse);
@@ -69,29 +69,29 @@ fn accuracy() -> Row {
     Row::seconds(ROOM, "accuracy of one picture 640x192", measured).goal(0.01, 0.003)
 }
 
-/// Pictures of a wall from a straight path.
+/// Frames of a wall from a straight path.
 struct Walk {
     camera: CameraModel,
     path: Vec<Pose3>,
-    pictures: Vec<Vec<u8>>,
+    images: Vec<Vec<u8>>,
 }
 
 impl Walk {
     fn new(camera: CameraModel, direction: [f64; 3]) -> Self {
         let path: Vec<Pose3> = (0..FRAMES).map(|i| pose(direction, i)).collect();
-        let pictures = path.iter().map(|pose| wall(&camera, pose)).collect();
-        Self { camera, path, pictures }
+        let images = path.iter().map(|pose| wall(&camera, pose)).collect();
+        Self { camera, path, images }
     }
 
-    /// OpenCV's, on two pictures of the walk.
+    /// OpenCV's, on two frames of the walk.
     fn semi_global_matching(&self) -> anyhow::Result<Option<PeerProcess>> {
         let folder = std::env::temp_dir().join(format!("bench-sgbm-{}", std::process::id()));
         std::fs::create_dir_all(&folder)?;
         let files =
             [folder.join("left"), folder.join("right")].map(|file| file.display().to_string());
-        // Moving to the right, the later picture is the right one.
-        for (file, picture) in files.iter().zip([&self.pictures[0], &self.pictures[APART]]) {
-            std::fs::write(file, picture.iter().step_by(3).copied().collect::<Vec<u8>>())?;
+        // Moving to the right, the later frame is the right one.
+        for (file, image) in files.iter().zip([&self.images[0], &self.images[APART]]) {
+            std::fs::write(file, image.iter().step_by(3).copied().collect::<Vec<u8>>())?;
         }
         let size = [WIDTH.to_string(), HEIGHT.to_string()];
         let [left, right] = &files;
@@ -101,12 +101,13 @@ impl Walk {
         peer
     }
 
-    /// Seconds of coarse depth, picture by picture, and of the peer's by turns.
+    /// Seconds of coarse depth, frame by frame, and of the peer's by turns.
     fn coarse(&self, mut peer: Option<&mut PeerProcess>) -> anyhow::Result<(Vec<f64>, Vec<f64>)> {
         let mut engine = CoarseDepth::new(CoarseConfig::default(), self.camera)?;
-        let (mut seconds, mut theirs) = (Vec::new(), Vec::new());
-        for (picture, pose) in self.pictures.iter().zip(&self.path) {
-            let frame = ImageView::rgb8(WIDTH, HEIGHT, picture)?;
+        let mut seconds = Vec::new();
+        let mut theirs = Vec::new();
+        for (image, pose) in self.images.iter().zip(&self.path) {
+            let frame = ImageView::rgb8(WIDTH, HEIGHT, image)?;
             let began = Instant::now();
             if engine.estimate(frame, pose).is_ok() {
                 seconds.push(began.elapsed().as_secs_f64());
@@ -125,9 +126,9 @@ impl Walk {
         let mut front = FrontEnd::new(self.camera, self.camera, PixelFormat::Yuyv, YuvRange::Full)?;
         let mut rgb = vec![0; WIDTH * HEIGHT * 3];
         let mut seconds = Vec::new();
-        for (picture, pose) in self.pictures.iter().zip(&self.path) {
+        for (image, pose) in self.images.iter().zip(&self.path) {
             // Grey: luma and neutral colour.
-            let yuyv: Vec<u8> = picture.chunks_exact(3).flat_map(|pixel| [pixel[0], 128]).collect();
+            let yuyv: Vec<u8> = image.chunks_exact(3).flat_map(|pixel| [pixel[0], 128]).collect();
             let began = Instant::now();
             front.to_rgb(ImageView::new(WIDTH, HEIGHT, PixelFormat::Yuyv, &yuyv)?, &mut rgb)?;
             if engine.estimate(ImageView::rgb8(WIDTH, HEIGHT, &rgb)?, pose).is_ok() {
@@ -146,7 +147,7 @@ fn pose(direction: [f64; 3], index: u32) -> Pose3 {
 
 /// A wall 3 m ahead with blobs of many sizes, as RGB.
 fn wall(camera: &CameraModel, t_world_camera: &Pose3) -> Vec<u8> {
-    let mut picture = Vec::with_capacity(WIDTH * HEIGHT * 3);
+    let mut image = Vec::with_capacity(WIDTH * HEIGHT * 3);
     for index in 0..WIDTH * HEIGHT {
         let ray = camera.ray((index % WIDTH) as f64, (index / WIDTH) as f64);
         let place: Point3<f64> =
@@ -154,7 +155,7 @@ fn wall(camera: &CameraModel, t_world_camera: &Pose3) -> Vec<u8> {
         let wave = |fx: f64, fy: f64, phase: f64| (place.x * fx + place.y * fy + phase).sin();
         let value = wave(7.0, 3.0, 0.3) * wave(-4.0, 9.0, 1.0)
             + wave(23.0, -17.0, 0.7) * wave(11.0, 29.0, 2.0);
-        picture.extend([(128.0 + 50.0 * value) as u8; 3]);
+        image.extend([(128.0 + 50.0 * value) as u8; 3]);
     }
-    picture
+    image
 }

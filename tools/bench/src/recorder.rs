@@ -1,4 +1,4 @@
-//! What recording costs: pictures of 640x480 at 30 Hz and scans of 1081 beams at 40 Hz, in real time on this disk. The peer is the
+//! What recording costs: frames of 640x480 at 30 Hz and scans of 1081 beams at 40 Hz, in real time on this disk. The peer is the
 //! `mcap` crate's writer as it comes, given the raw bytes of the same.
 
 use std::borrow::Cow;
@@ -22,12 +22,12 @@ use crate::report::{Row, Timing};
 use crate::simulator::{hall, view};
 
 const ROOM: &str = "data";
-/// Turns a second: as many as scans; three of four have a picture.
+/// Turns a second: as many as scans; three of four have a frame.
 const TURNS_HZ: u64 = 40;
 const SECONDS: u64 = 10;
 const SIZE: (usize, usize) = (640, 480);
-/// Different pictures, again and again: no writer compares one with another.
-const PICTURES: usize = 12;
+/// Different frames, again and again: no writer compares one with another.
+const IMAGES: usize = 12;
 
 /// Measures the recorder.
 ///
@@ -36,7 +36,8 @@ const PICTURES: usize = 12;
 pub fn rows() -> Result<Vec<Row>> {
     let turns = turns();
     let dir = tempfile::tempdir()?;
-    let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+    let mut ours = Vec::new();
+    let mut theirs = Vec::new();
     let mut dropped = 0;
     let mut bytes = (0, 0);
     for run in 0..3 {
@@ -81,8 +82,9 @@ fn turns() -> Vec<RecordedTick> {
     let renderer = Renderer::new(&scene);
     let camera = camera();
     let mut random = Pcg64Mcg::seed_from_u64(1);
-    let (mut rgb, mut depth) = (Vec::new(), DepthMap::none(0, 0));
-    let pictures: Vec<Picture> = (0..PICTURES)
+    let mut rgb = Vec::new();
+    let mut depth = DepthMap::none(0, 0);
+    let images: Vec<Picture> = (0..IMAGES)
         .map(|index| {
             renderer.render(&camera, &view(index), &[], &Lighting::default(), &mut rgb, &mut depth);
             Nuisances::default().add_sensor_noise(&mut random, &mut rgb);
@@ -99,7 +101,7 @@ fn turns() -> Vec<RecordedTick> {
                 geometry,
                 ranges: (0..geometry.beams).map(range).collect(),
             };
-            let frame = (turn % 4 != 0).then(|| pictures[turn as usize % PICTURES].clone());
+            let frame = (turn % 4 != 0).then(|| images[turn as usize % IMAGES].clone());
             RecordedTick { scan: Some(scan), frame, ..RecordedTick::new(turn, 0) }
         })
         .collect()
@@ -136,7 +138,8 @@ fn write_plainly(turns: &[RecordedTick], path: &Path) -> Result<()> {
     let mut writer = mcap::Writer::new(BufWriter::new(File::create(path)?))?;
     let channel =
         |writer: &mut mcap::Writer<_>, topic| writer.add_channel(0, topic, "raw", &BTreeMap::new());
-    let (images, scans) = (channel(&mut writer, "/camera/image")?, channel(&mut writer, "/scan")?);
+    let images = channel(&mut writer, "/camera/image")?;
+    let scans = channel(&mut writer, "/scan")?;
     paced(turns, |turn| {
         let header = |channel_id| mcap::records::MessageHeader {
             channel_id,

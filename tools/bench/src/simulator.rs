@@ -1,4 +1,4 @@
-//! The simulator: pictures, scans, getting ready.
+//! The simulator: frames, scans, getting ready.
 
 use hal::{CameraModel, DepthMap, LaserScan, Pose2, Pose3, ScanGeometry, camera_mount};
 use obvhs::{BvhBuildParams, cwbvh::builder::build_cwbvh_from_tris, ray::Ray, ray::RayHit};
@@ -27,7 +27,8 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
     let camera = CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2);
     let views: Vec<Pose3> = (0..VIEWS).map(view).collect();
     let light = Lighting::default();
-    let (mut rgb, mut depth) = (Vec::new(), DepthMap::none(0, 0));
+    let mut rgb = Vec::new();
+    let mut depth = DepthMap::none(0, 0);
     let mut render = || {
         for pose in &views {
             renderer.render(&camera, pose, &[], &light, &mut rgb, &mut depth);
@@ -37,7 +38,7 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
     let (ours, peer) = time_against(7, &mut render, || {
         views.iter().map(|pose| rays.depth(&camera, pose)).sum::<f32>()
     });
-    let pictures = Row::per_second(
+    let images = Row::per_second(
         ROOM,
         format!("RGB + depth 640x192, {count} triangles"),
         VIEWS as f64,
@@ -53,10 +54,10 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
     let scans = time(51, || {
         laser::scan(&renderer, &t_world_laser, &[], &LaserModel::UTM_30LX, &mut rng, 0, &mut scan);
     });
-    let mut picture = vec![128; 640 * 192 * 3];
-    let noise = time(51, || Nuisances::default().add_sensor_noise(&mut rng, &mut picture));
+    let mut image = vec![128; 640 * 192 * 3];
+    let noise = time(51, || Nuisances::default().add_sensor_noise(&mut rng, &mut image));
     Ok(vec![
-        pictures,
+        images,
         Row::seconds(ROOM, "laser scan, 1081 beams", scans),
         Row::seconds(ROOM, "sensor noise 640x192", noise),
         Row::seconds(
@@ -70,11 +71,12 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
 /// 0.8 m above the floor, on a circle, looking all around.
 pub(crate) fn view(index: usize) -> Pose3 {
     let angle = index as f64 / VIEWS as f64 * std::f64::consts::TAU;
-    let (x, y) = (6.0 + 2.5 * angle.cos(), 4.5 + 2.0 * angle.sin());
+    let x = 6.0 + 2.5 * angle.cos();
+    let y = 4.5 + 2.0 * angle.sin();
     Pose2::new(x, y, 5.0 * angle).to_pose3() * camera_mount(0.0, 0.8, 0.0)
 }
 
-/// The same picture's depth with one ray a pixel through obvhs's own traversal.
+/// The same frame's depth with one ray a pixel through obvhs's own traversal.
 struct SingleRays {
     bvh: obvhs::cwbvh::CwBvh,
     triangles: Vec<obvhs::rt_triangle::RtTriangle>,
@@ -141,8 +143,8 @@ pub(crate) fn hall() -> Scene {
         let centre: [f32; 3] = std::array::from_fn(|i| rng.random_range(0.05..0.95) * HALL_M[i]);
         let radius = rng.random_range(0.1..0.4);
         patch(&mut triangles, ball % 3, 32, 16, |u, v| {
-            let ((sin, cos), (s, c)) =
-                ((u * std::f32::consts::TAU).sin_cos(), (v * std::f32::consts::PI).sin_cos());
+            let (sin, cos) = (u * std::f32::consts::TAU).sin_cos();
+            let (s, c) = (v * std::f32::consts::PI).sin_cos();
             [centre[0] + radius * s * cos, centre[1] + radius * s * sin, centre[2] + radius * c]
         });
     }
@@ -173,7 +175,8 @@ fn patch(
     at: impl Fn(f32, f32) -> [f32; 3],
 ) {
     let vertex = |i: usize, j: usize| {
-        let (u, v) = (i as f32 / columns as f32, j as f32 / rows as f32);
+        let u = i as f32 / columns as f32;
+        let v = j as f32 / rows as f32;
         Vertex { position_m: at(u, v), uv: [u * 4.0, v * 2.0], ambient: 0.9 }
     };
     for (i, j) in (0..columns).flat_map(|i| (0..rows).map(move |j| (i, j))) {

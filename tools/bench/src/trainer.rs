@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use crate::peers::PeerProcess;
 use crate::report::{Row, Timing, Unit};
 
-/// Pictures of one step.
+/// Frames of one step.
 const BATCH: f64 = 12.0;
 const RUNS: usize = 7;
 const THREADS: &str = "2";
