@@ -1,5 +1,5 @@
-//! Depth metrics against ground truth as in the literature (Eigen et al. 2014): per frame, then the mean over frames. The robot's
-//! decisions do not use them.
+//! Depth metrics against ground truth as in the literature (Eigen et al. 2014): per frame, then the mean over frames. The
+//! robot's decisions do not use them.
 
 use hal::DepthMap;
 use serde::{Deserialize, Serialize};
@@ -20,8 +20,8 @@ const MAX_TRUTH_M: f32 = 20.0;
 pub struct Metrics {
     /// Share of the pixels with ground truth that are evaluated. A frame without depth counts as 0.
     pub share: f64,
-    /// Share of all pixels with ground truth whose depth is within 1.25 of it, metric. Unlike in `delta1_unscaled`, missing depth
-    /// counts as wrong, so that sources with depth at different pixels can be compared.
+    /// Share of all pixels with ground truth whose depth is within 1.25 of it, metric. Unlike in `delta1_unscaled`, missing
+    /// depth counts as wrong, so that sources with depth at different pixels can be compared.
     pub right: f64,
     /// Median-scaled share below 1.25.
     pub delta1: f64,
@@ -169,8 +169,8 @@ impl Accuracy {
     }
 }
 
-/// A baseline: one depth for the whole image, the median of its *ground truth*. No robot knows that number, and yet it gets a high
-/// score in shallow scenes.
+/// A baseline: one depth for the whole image, the median of its *ground truth*. No robot knows that number, and yet it gets a
+/// high score in shallow scenes.
 #[derive(Debug, Clone, Default)]
 pub struct ConstantBaseline {
     all: Sum,
@@ -248,8 +248,8 @@ impl Scratch {
         self.confidence.clear();
     }
 
-    /// Collects the pixels with ground truth in range and a prediction for whose index `include` is true. Returns the number of pixels
-    /// with ground truth in range.
+    /// Collects the pixels with ground truth in range and a prediction for whose index `include` is true. Returns the number
+    /// of pixels with ground truth in range.
     fn collect(
         &mut self,
         depth: &DepthMap,
@@ -392,7 +392,8 @@ fn median(values: &[f32], scratch: &mut Vec<u32>) -> Option<f32> {
     Some(lower + (upper - lower) / 2.0)
 }
 
-/// The smallest value of the upper half, which includes the middle value of an odd number. `values` are not negative and not empty.
+/// The smallest value of the upper half, which includes the middle value of an odd number. `values` are not negative and not
+/// empty.
 fn upper_median(values: &[f32], scratch: &mut Vec<u32>) -> f32 {
     load_bits(values, scratch);
     f32::from_bits(*scratch.select_nth_unstable(values.len() / 2).1)

@@ -64,8 +64,8 @@ impl YuvMatrix {
         }
     }
 
-    /// Converts two neighbours that share their colour. All arithmetic has 32-bit lanes, so that compilers convert eight pairs at a
-    /// time.
+    /// Converts two neighbours that share their colour. All arithmetic has 32-bit lanes, so that compilers convert eight
+    /// pairs at a time.
     #[inline(always)]
     fn pair(&self, y: [u32; 2], u: u32, v: u32) -> [u32; 2] {
         let u = u as i32 - 128;
@@ -81,9 +81,9 @@ impl YuvMatrix {
     }
 }
 
-/// Converts the pixels of `frame` from (`column`, `row`) on to the right until `out` is full. Chroma that two pixels share is used
-/// for both without interpolation. For formats with shared chroma, `column` and the length of `out` are even. JPEG frames are
-/// decoded before.
+/// Converts the pixels of `frame` from (`column`, `row`) on to the right until `out` is full. Chroma that two pixels share is
+/// used for both without interpolation. For formats with shared chroma, `column` and the length of `out` are even. JPEG
+/// frames are decoded before.
 #[inline(always)]
 pub(super) fn convert(
     matrix: &YuvMatrix,

@@ -2,7 +2,8 @@
 
 use hal::PixelFormat;
 
-/// Why a front end cannot be made, or why it refuses a frame. The text names what was found, what is needed and how to correct it.
+/// Why a front end cannot be made, or why it refuses a frame. The text names what was found, what is needed and how to
+/// correct it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImagingError {

@@ -32,9 +32,11 @@ pub(super) fn decode(
         .set_max_height(LARGEST)
         .jpeg_set_out_colorspace(ColorSpace::RGB);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(data), options);
-    decoder.decode_headers().map_err(decode_error)?;
+    decoder.decode_headers().map_err(|error| decode_error(&error))?;
     match decoder.dimensions() {
-        Some(size) if size == (width, height) => decoder.decode_into(rgb).map_err(decode_error),
+        Some(size) if size == (width, height) => {
+            decoder.decode_into(rgb).map_err(|error| decode_error(&error))
+        }
         size => {
             let (found_width, found_height) = size.unwrap_or_default();
             Err(ImagingError::JpegSize { width, height, found_width, found_height })
@@ -42,6 +44,6 @@ pub(super) fn decode(
     }
 }
 
-fn decode_error(error: DecodeErrors) -> ImagingError {
+fn decode_error(error: &DecodeErrors) -> ImagingError {
     ImagingError::Jpeg { reason: error.to_string() }
 }

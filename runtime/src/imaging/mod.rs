@@ -1,7 +1,7 @@
 //! The image front end: converts camera frames to undistorted RGB images of the network's size in one pass.
 //!
-//! [`FrontEnd`] is made once for a camera mode. Only the JPEG decoder allocates in a call, and the result is the same to the last
-//! bit on any number of threads.
+//! [`FrontEnd`] is made once for a camera mode. Only the JPEG decoder allocates in a call, and the result is the same to the
+//! last bit on any number of threads.
 
 mod color;
 mod error;
@@ -48,8 +48,8 @@ pub struct FrontEnd {
 }
 
 impl FrontEnd {
-    /// Converts frames of `source` (with its distortion) in `format` to pinhole images of `target`. `range` applies to YUYV and NV12
-    /// ([`YuvRange::Limited`] for nearly all cameras); other formats ignore it.
+    /// Converts frames of `source` (with its distortion) in `format` to pinhole images of `target`. `range` applies to YUYV
+    /// and NV12 ([`YuvRange::Limited`] for nearly all cameras); other formats ignore it.
     ///
     /// Pixels are interpolated bilinearly. Where the image shrinks by more than 2 along an axis (in its middle: by the ratio of
     /// the focal lengths), 2, 4, 8... pixels are averaged first, so that a factor of at most 2 is left.
@@ -103,7 +103,8 @@ impl FrontEnd {
     /// Writes the target's RGB8 image, 3 x width x height bytes.
     ///
     /// # Errors
-    /// A frame of another size or format than the source's, a damaged JPEG, or another length of `out`. `out` is then unchanged.
+    /// A frame of another size or format than the source's, a damaged JPEG, or another length of `out`. `out` is then
+    /// unchanged.
     pub fn to_rgb(&mut self, frame: ImageView<'_>, out: &mut [u8]) -> Result<(), ImagingError> {
         self.check_output(out.len())?;
         self.prepare(frame)?;

@@ -37,15 +37,15 @@ pub(super) fn mean(sum: u64, bits: u32) -> u32 {
         as u32
 }
 
-/// The bilinear value between four wide pixels, times 2^(2 [`WEIGHT_BITS`]); `x` and `y` in 0..=32 are the fractions to the right
-/// and down.
+/// The bilinear value between four wide pixels, times 2^(2 [`WEIGHT_BITS`]); `x` and `y` in 0..=32 are the fractions to the
+/// right and down.
 #[inline(always)]
 pub(super) fn bilinear(upper: [u64; 2], lower: [u64; 2], x: u64, y: u64) -> u64 {
     blend(blend(upper[0], upper[1], x), blend(lower[0], lower[1], x), y)
 }
 
-/// `a` at t = 0 to `b` at t = 32, times 2^[`WEIGHT_BITS`]. The differences borrow between the fields, but the result has no negative
-/// field, so it is correct modulo 2^64.
+/// `a` at t = 0 to `b` at t = 32, times 2^[`WEIGHT_BITS`]. The differences borrow between the fields, but the result has no
+/// negative field, so it is correct modulo 2^64.
 #[inline(always)]
 fn blend(a: u64, b: u64, t: u64) -> u64 {
     (a << WEIGHT_BITS).wrapping_add(b.wrapping_sub(a).wrapping_mul(t))

@@ -85,8 +85,8 @@ impl Remap {
         is_crop.then_some((left, top))
     }
 
-    /// Column and row of the source pixel at a target pixel's exact position. A fraction of 32 means the next pixel; it occurs at the
-    /// right and lower edge of the source.
+    /// Column and row of the source pixel at a target pixel's exact position. A fraction of 32 means the next pixel; it
+    /// occurs at the right and lower edge of the source.
     fn source_pixel(&self, index: usize) -> Option<(usize, usize)> {
         let offset = self.offsets[index] as usize;
         let fraction = self.fractions[index];

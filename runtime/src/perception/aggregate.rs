@@ -1,9 +1,9 @@
 //! Semi-global aggregation (Hirschmueller 2008) along eight straight paths. A difference of one hypothesis between neighbours
 //! costs P1, a larger one P2.
 //!
-//! The robot's camera is upright, and so are walls: seen from anywhere, the depth of a wall is constant down a column and changes
-//! along a row. So a step costs all of P1 along columns and little along rows. Otherwise a plain wall would take the depth of
-//! what stands beside it instead of that of its own foot.
+//! The robot's camera is upright, and so are walls: seen from anywhere, the depth of a wall is constant down a column and
+//! changes along a row. So a step costs all of P1 along columns and little along rows. Otherwise a plain wall would take the
+//! depth of what stands beside it instead of that of its own foot.
 
 use multiversion::multiversion;
 

@@ -15,8 +15,8 @@ pub struct Belief {
     pub evidence: f32,
     /// Number of these votes; older ones count less.
     pub votes: f32,
-    /// Position of the surface point in its cell, in cells from the middle. Motion between two frames is a fraction of a cell and
-    /// would be lost if it were rounded every time.
+    /// Position of the surface point in its cell, in cells from the middle. Motion between two frames is a fraction of a cell
+    /// and would be lost if it were rounded every time.
     pub offset: [f32; 2],
 }
 

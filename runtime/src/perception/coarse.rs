@@ -24,22 +24,22 @@ use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 /// Scene depth for which parallax is predicted before any was measured, metres.
 const FIRST_SCENE_DEPTH_M: f64 = 2.0;
 
-/// Factor on the measured jitter of rotations when references are selected: both poses of a pair jitter, and wrong beliefs of the
-/// first frames last long.
+/// Factor on the measured jitter of rotations when references are selected: both poses of a pair jitter, and wrong beliefs of
+/// the first frames last long.
 const REFERENCE_MARGIN: f64 = 2.0;
 
-/// Factor on the measured jitter of rotations in the confidence of votes: all votes against one keyframe share its error, so that
-/// many are no better than one. With 2 mrad of jitter, a factor of 3 halves the loss of delta1, at the cost of 4 percentage points
-/// of the pixels with depth.
+/// Factor on the measured jitter of rotations in the confidence of votes: all votes against one keyframe share its error, so
+/// that many are no better than one. With 2 mrad of jitter, a factor of 3 halves the loss of delta1, at the cost of 4
+/// percentage points of the pixels with depth.
 const VOTE_MARGIN: f64 = 3.0;
 
-/// A cell with more far hypotheses than this that no reference sees has just come into view: the remaining hypotheses are near, and
-/// probably wrong.
+/// A cell with more far hypotheses than this that no reference sees has just come into view: the remaining hypotheses are
+/// near, and probably wrong.
 const MOST_UNSEEN: u8 = FAR as u8 / 4;
 
 /// Plane sweep (Collins 1996) over cells of 4x4 pixels: census descriptors of up to three earlier frames, selected by their
-/// predicted parallax, are compared over inverse-depth hypotheses, aggregated semi-globally, and the result votes on the beliefs
-/// from the frames before. The results are the same to the last bit on any number of threads.
+/// predicted parallax, are compared over inverse-depth hypotheses, aggregated semi-globally, and the result votes on the
+/// beliefs from the frames before. The results are the same to the last bit on any number of threads.
 #[derive(Debug)]
 pub struct CoarseDepth {
     config: CoarseConfig,
@@ -137,8 +137,8 @@ impl CoarseDepth {
     /// Depth of `frame` (RGB8 or GRAY8), taken at `t_odom_camera`, from the frames before it.
     ///
     /// # Errors
-    /// Why there is none. A frame of the wrong size, without texture, of a frozen camera or with a pose that is not finite has no
-    /// effect on later frames; every other frame has.
+    /// Why there is none. A frame of the wrong size, without texture, of a frozen camera or with a pose that is not finite
+    /// has no effect on later frames; every other frame has.
     pub fn estimate(
         &mut self,
         frame: ImageView<'_>,
@@ -170,8 +170,8 @@ impl CoarseDepth {
         outcome
     }
 
-    /// The last frame's vote, the belief and its neighbourhood for every cell of 4x4 pixels, row-major; `cargo xtask accuracy --fit`
-    /// fits confidence with them.
+    /// The last frame's vote, the belief and its neighbourhood for every cell of 4x4 pixels, row-major; `cargo xtask accuracy
+    /// --fit` fits confidence with them.
     pub fn cells(&self) -> impl Iterator<Item = (&Vote, &Belief, &Surround)> {
         let beliefs = self.memory.beliefs().iter().zip(self.buffers.surroundings.last());
         self.buffers
@@ -231,8 +231,8 @@ impl CoarseDepth {
         self.scene_depth_m = FIRST_SCENE_DEPTH_M;
     }
 
-    /// Uses the flow to the frame before to filter the camera's rotation and to find moving objects, and moves the beliefs to the
-    /// new pose.
+    /// Uses the flow to the frame before to filter the camera's rotation and to find moving objects, and moves the beliefs to
+    /// the new pose.
     fn track_motion(&mut self, measured: &Pose3) {
         let before = std::mem::replace(&mut self.pose, *measured);
         self.motion_mask.clear();
@@ -267,7 +267,8 @@ impl CoarseDepth {
         );
     }
 
-    /// The robot has moved, but the frame is the same to the last bit: matching it would find no parallax, that is, infinite depth.
+    /// The robot has moved, but the frame is the same to the last bit: matching it would find no parallax, that is, infinite
+    /// depth.
     fn is_frozen(&self, pose: &Pose3) -> bool {
         let moved = self.last_pose.is_some_and(|last| {
             let step = last.inverse() * pose;

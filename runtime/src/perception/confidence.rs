@@ -14,8 +14,8 @@ pub fn vote_features(vote: &Vote) -> [f32; 5] {
     [1.0, vote.margin, (vote.parallax_px + 0.5).ln(), (vote.texture + 0.01).ln(), vote.misfit]
 }
 
-/// Features of the confidence of a belief: a constant, the mean confidence of its votes, the logarithm of their number, the mean
-/// confidence around it, whether its neighbours agree.
+/// Features of the confidence of a belief: a constant, the mean confidence of its votes, the logarithm of their number, the
+/// mean confidence around it, whether its neighbours agree.
 #[must_use]
 #[inline(always)]
 pub fn belief_features(belief: &Belief, around: &Surround) -> [f32; 5] {
@@ -33,8 +33,8 @@ pub fn of_vote(weights: &[f32; 5], vote: &Vote, jitter_px: f32) -> f32 {
     }
 }
 
-/// Probability that jitter of `jitter_px` (root mean square) displaces a match by less than a quarter of its parallax; with a larger
-/// displacement, depth is wrong. The displacement has a Rayleigh distribution, whose integral has a closed form.
+/// Probability that jitter of `jitter_px` (root mean square) displaces a match by less than a quarter of its parallax; with a
+/// larger displacement, depth is wrong. The displacement has a Rayleigh distribution, whose integral has a closed form.
 #[inline(always)]
 fn robust_to_jitter(parallax_px: f32, jitter_px: f32) -> f32 {
     let allowed = 0.25 * parallax_px / jitter_px;

@@ -9,8 +9,8 @@ use super::sweep::nearest;
 use super::wta::Vote;
 use crate::snapshot::remembers;
 
-/// A belief with fewer votes than this is removed: with the default memory, at most 47 frames after its last vote. No sequence with
-/// ground truth shows the accuracy of older beliefs.
+/// A belief with fewer votes than this is removed: with the default memory, at most 47 frames after its last vote. No
+/// sequence with ground truth shows the accuracy of older beliefs.
 const STALE_VOTES: f32 = 0.25;
 
 /// Factor on the evidence of a belief that is copied into a gap.
@@ -50,7 +50,8 @@ impl Memory {
         }
     }
 
-    /// Adds the votes of all cells, row-major. Their confidence follows from `weights` and the displacement of matches by jitter.
+    /// Adds the votes of all cells, row-major. Their confidence follows from `weights` and the displacement of matches by
+    /// jitter.
     pub fn vote(&mut self, votes: &[Vote], weights: &[f32; 5], jitter_px: f32) {
         let pairs = self.beliefs.par_iter_mut().zip(votes).with_min_len(CELLS_AT_ONCE);
         pairs.for_each(|(belief, vote)| {
@@ -58,8 +59,8 @@ impl Memory {
         });
     }
 
-    /// Moves every belief to the cell where the camera at `pose` sees it, and multiplies its evidence and its votes by `keep`. Where
-    /// several meet, the nearest hides the others; stale beliefs are removed.
+    /// Moves every belief to the cell where the camera at `pose` sees it, and multiplies its evidence and its votes by
+    /// `keep`. Where several meet, the nearest hides the others; stale beliefs are removed.
     pub fn advance(&mut self, pose: &Pose3, camera: &CameraModel, keep: f32) {
         let pixels = camera.width * camera.height;
         self.moved.clear();
@@ -109,8 +110,8 @@ impl Memory {
         self.pose = Some(*pose);
     }
 
-    /// Driving forward spreads the cells and leaves gaps: an empty cell with at least two known neighbours takes the farthest of
-    /// them.
+    /// Driving forward spreads the cells and leaves gaps: an empty cell with at least two known neighbours takes the farthest
+    /// of them.
     fn close_gaps(&mut self, width: usize) {
         self.beliefs.copy_from_slice(&self.moved);
         let last = self.moved.len().saturating_sub(width);

@@ -55,7 +55,8 @@ impl Keyframes {
         &self.ring
     }
 
-    /// Adds `census` as a keyframe if the camera has moved far enough since the last one, and leaves reusable memory in its place.
+    /// Adds `census` as a keyframe if the camera has moved far enough since the last one, and leaves reusable memory in its
+    /// place.
     pub fn offer(&mut self, pose: &Pose3, census: &mut CensusImage, config: &CoarseConfig) {
         if let Some(last) = self.ring.last() {
             let step = last.pose.inverse() * pose;
@@ -72,8 +73,8 @@ impl Keyframes {
         self.ring.push(Keyframe { pose: *pose, census: kept });
     }
 
-    /// Selects the references for a frame at `pose`: for every parallax of the configuration the keyframe that comes nearest to it. No
-    /// keyframe is selected twice.
+    /// Selects the references for a frame at `pose`: for every parallax of the configuration the keyframe that comes nearest
+    /// to it. No keyframe is selected twice.
     pub fn choose(
         &mut self,
         pose: &Pose3,

@@ -1,8 +1,8 @@
 //! Motion mask: finds cells whose image motion no static point could have, at any depth.
 //!
-//! A static point stays on its epipolar line. Dense flow to the previous frame measures where every point was; a point far off its
-//! line has moved, and neither parallax nor memory gives its depth. Motion along the line is not found: it looks like another
-//! depth.
+//! A static point stays on its epipolar line. Dense flow to the previous frame measures where every point was; a point far
+//! off its line has moved, and neither parallax nor memory gives its depth. Motion along the line is not found: it looks like
+//! another depth.
 
 use hal::{CameraModel, Pose3};
 use nalgebra::{Matrix3, Vector3};
@@ -12,7 +12,8 @@ use super::census::CensusImage;
 use super::flow::FlowField;
 use super::sweep::{CELL, homography, length};
 
-/// Minimum distance of a moving cell from its line, pixels: where there is texture, flow of this preset is seldom wrong by more.
+/// Minimum distance of a moving cell from its line, pixels: where there is texture, flow of this preset is seldom wrong by
+/// more.
 const OFF_PX: f32 = 3.0;
 /// The same as a multiple of the median distance: where most cells are off, it is the pose that is wrong.
 const OFF_OVER_MEDIAN: f32 = 6.0;
@@ -20,7 +21,8 @@ const OFF_OVER_MEDIAN: f32 = 6.0;
 const SQUARE: isize = 2;
 /// Distance around moving cells that is masked as well, cells, because flow is blurred.
 const MARGIN: isize = 2;
-/// When more than one part in this many of the image seems to move, the pose is wrong rather than the scene, and nothing is masked.
+/// When more than one part in this many of the image seems to move, the pose is wrong rather than the scene, and nothing is
+/// masked.
 const MOST: usize = 2;
 
 /// Computes the mask from frame to frame.
@@ -118,11 +120,7 @@ impl MotionMask {
 }
 
 /// Indices of the cells up to `reach` away from `at` (row, column) in a grid of `size` (rows, columns).
-fn square(
-    at: (usize, usize),
-    size: (usize, usize),
-    reach: isize,
-) -> impl Iterator<Item = usize> {
+fn square(at: (usize, usize), size: (usize, usize), reach: isize) -> impl Iterator<Item = usize> {
     let columns = size.1;
     span(at.0, size.0, reach)
         .flat_map(move |y| span(at.1, columns, reach).map(move |x| y * columns + x))
@@ -145,8 +143,8 @@ impl EpipolarSegment {
         Self { rotation, translation, nearest: (1.0 / nearest_m) as f32 }
     }
 
-    /// Distance between the previous position of the pixel at (u, v), according to its flow, and the positions that a static point
-    /// could have had.
+    /// Distance between the previous position of the pixel at (u, v), according to its flow, and the positions that a static
+    /// point could have had.
     fn off_px(&self, u: f32, v: f32, flow: [f32; 2]) -> f32 {
         let far = self.rotation * Vector3::new(u, v, 1.0);
         let near = far + self.translation * self.nearest;

@@ -1,9 +1,10 @@
 //! Corrects the rotation between two frames from image matches.
 //!
-//! Odometry and hand-held tracking measure a rotation to a few milliradians at best, a rolling shutter adds to the error, and far
-//! away a milliradian is as much as the parallax of several centimetres. A wrong rotation moves matches off their epipolar
-//! lines; the distances of a few dozen corners from their lines give the rotation by robust least squares, whatever the depth of
-//! each corner. A rotation that moves matches *along* their lines looks like depth and is left as the pose has it.
+//! Odometry and hand-held tracking measure a rotation to a few milliradians at best, a rolling shutter adds to the error, and
+//! far away a milliradian is as much as the parallax of several centimetres. A wrong rotation moves matches off their
+//! epipolar lines; the distances of a few dozen corners from their lines give the rotation by robust least squares, whatever
+//! the depth of each corner. A rotation that moves matches *along* their lines looks like depth and is left as the pose has
+//! it.
 
 use hal::{CameraModel, Pose3};
 use multiversion::multiversion;
@@ -95,9 +96,9 @@ fn strength(image: &CensusImage, x: usize, y: usize) -> f32 {
         for u in (x - 4..=x + 4).step_by(2) {
             let gx = grey(image, u + 2, v) - grey(image, u - 2, v);
             let gy = grey(image, u, v + 2) - grey(image, u, v - 2);
-            xx = xx + gx * gx;
-            xy = xy + gx * gy;
-            yy = yy + gy * gy;
+            xx += gx * gx;
+            xy += gx * gy;
+            yy += gy * gy;
         }
     }
     (xx + yy) / 2.0 - ((xx - yy) * (xx - yy) / 4.0 + xy * xy).sqrt()
@@ -207,8 +208,8 @@ impl<'a> Patch<'a> {
         Self { descriptors, offsets: PATCH.map(|(dx, dy)| dy * reference.width + dx), reference }
     }
 
-    /// Number of differing bits at every whole-pixel distance of up to [`REACH_PX`] from `middle` along `direction`; `u32::MAX` too
-    /// near to the edge.
+    /// Number of differing bits at every whole-pixel distance of up to [`REACH_PX`] from `middle` along `direction`;
+    /// `u32::MAX` too near to the edge.
     #[inline(always)]
     fn costs_across(&self, middle: (f64, f64), direction: (f64, f64)) -> [u32; DISTANCES] {
         let width = self.reference.width as i32;
@@ -243,8 +244,8 @@ impl<'a> Patch<'a> {
     }
 }
 
-/// Rounds a non-negative number to the nearest integer so that the loop can be vectorised: adding 1.5 * 2^52 leaves the integer in
-/// the mantissa.
+/// Rounds a non-negative number to the nearest integer so that the loop can be vectorised: adding 1.5 * 2^52 leaves the
+/// integer in the mantissa.
 #[inline(always)]
 fn round_to_pixel(x: f64) -> i32 {
     const MAGIC: f64 = 6_755_399_441_055_744.0;

@@ -2,9 +2,9 @@
 //!
 //! Odometry and tracking jitter: a milliradian from frame to frame is a third of a pixel at f = 320, as much parallax as ten
 //! centimetres of depth have at five metres. From one frame to the next, image motion depends little on depth, so flow and
-//! believed depth measure the rotation between two frames far better; for points of unknown depth, the distance from the epipolar
-//! line still does. But such rotations accumulate to drift, which odometry corrects. The weight of odometry follows from its
-//! jitter: without any jitter, its rotation is taken unchanged.
+//! believed depth measure the rotation between two frames far better; for points of unknown depth, the distance from the
+//! epipolar line still does. But such rotations accumulate to drift, which odometry corrects. The weight of odometry follows
+//! from its jitter: without any jitter, its rotation is taken unchanged.
 
 use hal::{CameraModel, Pose3};
 use nalgebra::{Matrix2, Matrix2x3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
@@ -15,9 +15,9 @@ use super::census::CensusImage;
 use super::flow::FlowField;
 use crate::snapshot::remembers;
 
-/// Unknowns: the rotation, the factor by which depth is wrong (in the middle of the image and its change towards the right and the
-/// lower edge), and the error of the translation. Where believed depth is wrong, neighbouring depth is wrong in the same way, and
-/// must not be mistaken for a rotation.
+/// Unknowns: the rotation, the factor by which depth is wrong (in the middle of the image and its change towards the right
+/// and the lower edge), and the error of the translation. Where believed depth is wrong, neighbouring depth is wrong in the
+/// same way, and must not be mistaken for a rotation.
 const UNKNOWNS: usize = 9;
 /// Expected error of believed depth, as a factor.
 const DEPTH_ERROR: f64 = 0.1;
@@ -130,8 +130,9 @@ impl RotationFilter {
         self.jitter().sqrt()
     }
 
-    /// Variance of the odometry's jitter about each axis, rad^2. With jitter alone, the reversal is half of the mean square. With
-    /// errors of flow alone it is zero in the mean, and up to a fifth randomly: so a quarter of the mean square does not count.
+    /// Variance of the odometry's jitter about each axis, rad^2. With jitter alone, the reversal is half of the mean square.
+    /// With errors of flow alone it is zero in the mean, and up to a fifth randomly: so a quarter of the mean square does not
+    /// count.
     fn jitter(&self) -> f64 {
         (2.0 * (self.reversal - 0.25 * self.mean_square)).max(0.0)
     }
@@ -180,8 +181,8 @@ impl RotationFilter {
 
     /// Weighs the rotation that flow gives against the odometry's (Kalman 1960).
     fn fuse(&mut self, predicted: &Pose3, measured: &Pose3, correction: Correction) -> Pose3 {
-        // An error that reverses in the next frame is jitter: an error e of one pose makes two rotations wrong, by e and by -e. Drift
-        // does not reverse.
+        // An error that reverses in the next frame is jitter: an error e of one pose makes two rotations wrong, by e and by
+        // -e. Drift does not reverse.
         if let Some(before) = self.correction.replace(correction.rotation) {
             self.frames = (self.frames + 1.0).min(JITTER_MEMORY);
             self.mean_square +=
@@ -199,8 +200,8 @@ impl RotationFilter {
         Pose3::from_parts(measured.translation, from_flow * update)
     }
 
-    /// The error of the rotation of `t_now_before`, by robust least squares (Geman-McClure) with the expected errors as prior. `None`
-    /// when too few cells can be used.
+    /// The error of the rotation of `t_now_before`, by robust least squares (Geman-McClure) with the expected errors as
+    /// prior. `None` when too few cells can be used.
     fn correction(
         &mut self,
         t_now_before: &Pose3,

@@ -11,15 +11,15 @@ use super::belief::{AGREEMENT, Belief};
 const REACH: usize = 3;
 /// Cells along one side of the square that is averaged.
 const SIDE: usize = 2 * REACH + 1;
-/// Number of agreeing neighbours, of eight, that is enough: a cell at a straight edge of its surface has five neighbours on the same
-/// surface, one at a corner three, and edges of obstacles are what a map needs most.
+/// Number of agreeing neighbours, of eight, that is enough: a cell at a straight edge of its surface has five neighbours on
+/// the same surface, one at a corner three, and edges of obstacles are what a map needs most.
 const ENOUGH: f32 = 4.0;
 
 /// The neighbourhood of a belief. Beyond the edge of the image, the last cells are repeated.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Surround {
-    /// Mean over the 7x7 cells around it (and itself) of the mean confidence of their votes, 0 to 1; cells without a belief count
-    /// as 0.
+    /// Mean over the 7x7 cells around it (and itself) of the mean confidence of their votes, 0 to 1; cells without a belief
+    /// count as 0.
     pub confidence: f32,
     /// Number of its eight neighbours that agree with it, as a share of four, at most 1; cells without a belief do not agree.
     pub agreeing: f32,

@@ -42,15 +42,15 @@ pub struct Reference<'a> {
 }
 
 impl<'a> Reference<'a> {
-    /// `t_reference_camera` maps points of the current camera to the reference's. `camera` has its pixels at the positions of the
-    /// descriptors.
+    /// `t_reference_camera` maps points of the current camera to the reference's. `camera` has its pixels at the positions of
+    /// the descriptors.
     pub fn new(census: &'a CensusImage, t_reference_camera: &Pose3, camera: &CameraModel) -> Self {
         let (rotation, translation) = homography(t_reference_camera, camera);
         Self { census, rotation, translation }
     }
 
-    /// Distance of the point at (u, v) with inverse depth `w` from its projection at infinity, full-size pixels; `None` where the
-    /// reference does not see it.
+    /// Distance of the point at (u, v) with inverse depth `w` from its projection at infinity, full-size pixels; `None` where
+    /// the reference does not see it.
     pub fn parallax_px(&self, u: f32, v: f32, w: f32) -> Option<f32> {
         let far = self.rotation * Vector3::new(u, v, 1.0);
         let near = far + self.translation * w;
@@ -62,7 +62,8 @@ impl<'a> Reference<'a> {
         inside.then(|| length(x - far.x / far.z, y - far.y / far.z))
     }
 
-    /// Where the reference sees the point at (u, v) with inverse depth `w`; `None` where its position does not depend on its depth.
+    /// Where the reference sees the point at (u, v) with inverse depth `w`; `None` where its position does not depend on its
+    /// depth.
     #[inline(always)]
     pub fn observe(&self, u: f32, v: f32, w: f32) -> Option<Observation> {
         let t = &self.translation;
@@ -93,8 +94,8 @@ impl<'a> Reference<'a> {
     }
 
     /// Differing bits of all hypotheses for the cell whose descriptors begin at full-size position (u, v); [`OUTSIDE`] where
-    /// it is not seen. The descriptors of a cell are shifted together: rotation and scaling of a cell between two frames are less
-    /// than a pixel.
+    /// it is not seen. The descriptors of a cell are shifted together: rotation and scaling of a cell between two frames are
+    /// less than a pixel.
     #[inline(always)]
     fn match_cell(
         &self,
@@ -135,8 +136,8 @@ impl<'a> Reference<'a> {
     }
 }
 
-/// Rotation and translation of the homography family that maps pixel `u` at inverse depth `w` to `rotation * u + w * translation`
-/// (homogeneous) in another view.
+/// Rotation and translation of the homography family that maps pixel `u` at inverse depth `w` to `rotation * u + w *
+/// translation` (homogeneous) in another view.
 pub fn homography(
     t_reference_camera: &Pose3,
     camera: &CameraModel,
@@ -183,8 +184,8 @@ pub struct PatchObservation {
     pub speed: f32,
 }
 
-/// Rounds to the nearest integer so that the loop can be vectorised: adding 1.5 * 2^23 leaves the integer in the mantissa. Correct
-/// up to 2^22; beyond that the result is a position outside of any image.
+/// Rounds to the nearest integer so that the loop can be vectorised: adding 1.5 * 2^23 leaves the integer in the mantissa.
+/// Correct up to 2^22; beyond that the result is a position outside of any image.
 pub fn nearest(x: f32) -> i32 {
     const MAGIC: f32 = 12_582_912.0;
     (x + MAGIC).to_bits().wrapping_sub(MAGIC.to_bits()) as i32
@@ -229,9 +230,9 @@ fn sweep_row<'a>(
     }
 }
 
-/// Mean over the references that see a hypothesis, without the worst of three, in which the point may be hidden. Hypotheses that no
-/// reference sees get the mean cost of those that at least one does: on a plain wall, where every hypothesis matches, any other cost
-/// would favour or exclude them. Returns how many of the [`FAR`] hypotheses no reference sees.
+/// Mean over the references that see a hypothesis, without the worst of three, in which the point may be hidden. Hypotheses
+/// that no reference sees get the mean cost of those that at least one does: on a plain wall, where every hypothesis matches,
+/// any other cost would favour or exclude them. Returns how many of the [`FAR`] hypotheses no reference sees.
 #[inline(always)]
 fn fuse(each: &[[u8; PLANES]; MAX_REFERENCES], out: &mut [u8; PLANES]) -> u8 {
     let mut unseen = 0_u8;

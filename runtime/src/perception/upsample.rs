@@ -1,4 +1,5 @@
-//! Upsamples depth from cells to pixels: bilinear where the cells around a pixel agree, along the image's edges where they do not.
+//! Upsamples depth from cells to pixels: bilinear where the cells around a pixel agree, along the image's edges where they do
+//! not.
 
 use multiversion::multiversion;
 use rayon::prelude::*;

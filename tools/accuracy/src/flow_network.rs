@@ -61,7 +61,7 @@ impl FlowNetwork {
         let metadata = Metadata(session.metadata()?);
         metadata.check_kind()?;
         metadata.check_size(size)?;
-        let from_second = metadata.from_second(first.name(), second.name())?;
+        let from_second = metadata.starts_from_second(first.name(), second.name())?;
         let input_range = metadata.input_range()?;
         drop(metadata);
         let flow = FlowField::zero(size.0, size.1);
@@ -72,8 +72,8 @@ impl FlowNetwork {
         Ok(network)
     }
 
-    /// The displacement of every pixel of `from` to `to`, both RGB8. A pixel whose match would be farther away than the image is
-    /// large has none (NaN).
+    /// The displacement of every pixel of `from` to `to`, both RGB8. A pixel whose match would be farther away than the image
+    /// is large has none (NaN).
     ///
     /// # Errors
     /// Images of another size or format, a failing model, or a flow with NaN or infinity.
@@ -90,10 +90,8 @@ impl FlowNetwork {
             );
         }
         let [first, second] = if self.from_second { [to, from] } else { [from, to] };
-        let inputs: [SessionInputValue<'_>; 2] = [
-            tensor(first, self.input_range)?.into(),
-            tensor(second, self.input_range)?.into(),
-        ];
+        let inputs: [SessionInputValue<'_>; 2] =
+            [tensor(first, self.input_range)?.into(), tensor(second, self.input_range)?.into()];
         let outputs = self.session.run(inputs.as_slice())?;
         let planes = outputs[0].try_extract_tensor::<f32>()?.1;
         let (xs, ys) = planes
@@ -122,11 +120,7 @@ fn describe(tensors: &[Outlet]) -> String {
 }
 
 /// Checks for a tensor of 32-bit floats `[1, channels, height, width]`; dynamic dimensions are accepted.
-fn check_tensor(
-    tensor: &Outlet,
-    channels: usize,
-    (width, height): (usize, usize),
-) -> Result<()> {
+fn check_tensor(tensor: &Outlet, channels: usize, (width, height): (usize, usize)) -> Result<()> {
     let is_float = tensor.dtype().tensor_type() == Some(TensorElementType::Float32);
     let shape = tensor.dtype().tensor_shape().map(|shape| shape.to_vec()).unwrap_or_default();
     let expected = [1, channels as i64, height as i64, width as i64];
@@ -172,12 +166,12 @@ impl Metadata<'_> {
         Ok(())
     }
 
-    fn from_second(&self, first: &str, second: &str) -> Result<bool> {
+    fn starts_from_second(&self, first: &str, second: &str) -> Result<bool> {
         match self.0.custom("from") {
             Some(from) if from == second => Ok(true),
-            Some(from) if from != first => bail!(
-                "the model's metadata has from = `{from}`, allowed: `{first}`, `{second}`"
-            ),
+            Some(from) if from != first => {
+                bail!("the model's metadata has from = `{from}`, allowed: `{first}`, `{second}`")
+            }
             _ => Ok(false),
         }
     }

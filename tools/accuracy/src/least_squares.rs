@@ -1,8 +1,9 @@
 //! Depth in closed form from optical flow and known motion ("Embodied Depth Prediction", section on coarse depth).
 //!
-//! The point on a pixel's ray `b` (z = 1) at depth z lies at `z R b + t` in another view, and flow gives the unit bearing `o` at
-//! which that view sees it. The distance of the point to that bearing is `|z s + r|` with `s = o x (R b)`, `r = o x t`. The sum of
-//! squares over the views is `A z^2 + 2 B z + C`, so `z = -B / A`, and the residual `C - B^2 / A` measures how well the views agree.
+//! The point on a pixel's ray `b` (z = 1) at depth z lies at `z R b + t` in another view, and flow gives the unit bearing `o`
+//! at which that view sees it. The distance of the point to that bearing is `|z s + r|` with `s = o x (R b)`, `r = o x t`.
+//! The sum of squares over the views is `A z^2 + 2 B z + C`, so `z = -B / A`, and the residual `C - B^2 / A` measures how
+//! well the views agree.
 
 use hal::{CameraModel, DepthMap, Pose3};
 use nalgebra::Vector3;
@@ -32,8 +33,8 @@ pub struct Triangulation {
     pub parallax_rad: Vec<f32>,
 }
 
-/// Triangulates every pixel. A view whose own depth of a pixel is outside `range_m` (ends excluded) is not used for it. Without any
-/// translation, no pixel gets a depth.
+/// Triangulates every pixel. A view whose own depth of a pixel is outside `range_m` (ends excluded) is not used for it.
+/// Without any translation, no pixel gets a depth.
 ///
 /// # Errors
 /// A flow field of another size than the camera.
@@ -95,13 +96,13 @@ impl Normal {
         t_view_camera: &Pose3,
         range_m: (f64, f64),
     ) {
-        let turned = t_view_camera.rotation * ray;
-        let s = bearing.cross(&turned);
+        let rotated = t_view_camera.rotation * ray;
+        let s = bearing.cross(&rotated);
         let r = bearing.cross(&t_view_camera.translation.vector);
         let a = s.dot(&s);
         let b = s.dot(&r);
         let own_m = -b / a;
-        // NaN (no match, or 0 / 0 without parallax) is in no range.
+        // NaN (no match, or 0 / 0 without parallax) is not in the range.
         if own_m > range_m.0 && own_m < range_m.1 {
             self.a += a;
             self.b += b;
@@ -147,19 +148,14 @@ mod tests {
     fn exact_flow(t_world_view: &Pose3) -> FlowField {
         let camera = camera();
         let t_view_camera = t_world_view.inverse();
-        let flow = |index: usize| {
+        let flow = (0..camera.width * camera.height).map(|index| {
             let u = (index % camera.width) as f64;
             let v = (index / camera.width) as f64;
             let point = camera.unproject(u, v, plane_depth_m(u, v));
             let (x, y) = camera.project(&(t_view_camera * point)).unwrap();
             [(x - u) as f32, (y - v) as f32]
-        };
-        FlowField::from_vec(
-            camera.width,
-            camera.height,
-            (0..camera.width * camera.height).map(flow).collect(),
-        )
-        .unwrap()
+        });
+        FlowField::from_vec(camera.width, camera.height, flow.collect()).unwrap()
     }
 
     fn view<'a>(flow: &'a FlowField, t_world_view: &Pose3) -> FlowView<'a> {
@@ -192,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_match_gives_no_depth_and_spoils_no_other_view() {
+    fn a_missing_match_gives_no_depth_and_does_not_affect_other_views() {
         let camera = camera();
         let p = pose([-0.1, 0.0, 0.0], 0.0);
         let flow = exact_flow(&p);

@@ -30,9 +30,9 @@ use variational::Variational;
 /// Side of a patch, pixels.
 const PATCH: usize = 8;
 
-/// Computes flow, with all buffers for one image size. After the first call it allocates nothing, and its results are the same
-/// to the last bit for any number of threads. The work runs in the caller's rayon pool; called from outside a pool, the handover
-/// to it may allocate a few bytes.
+/// Computes flow, with all buffers for one image size. After the first call it allocates nothing, and its results are the
+/// same to the last bit for any number of threads. The work runs in the caller's rayon pool; called from outside a pool, the
+/// handover to it may allocate a few bytes.
 #[derive(Debug)]
 pub struct DenseFlow {
     config: FlowConfig,

@@ -16,9 +16,10 @@ use super::pyramid::BORDER;
 const AREA: f32 = (PATCH * PATCH) as f32;
 /// Stripes of patch rows that are searched independently, whatever the number of threads: flow propagates within a stripe only.
 const STRIPES: usize = 8;
-/// Added to the normal matrix (Levenberg 1944): squared gradient, (grey levels / pixel)^2, below which a patch mostly keeps its
-/// initial flow, times the pixels of the patch. Without it, noise drives the steps of patches without texture. Mean errors in pixels with
-/// 0.05, 1 and 10: 3.84, 3.74, 3.58 on handheld images with depth, 2.3, 2.5, 3.7 in a rendered hall of smooth objects.
+/// Added to the normal matrix (Levenberg 1944): squared gradient, (grey levels / pixel)^2, below which a patch mostly keeps
+/// its initial flow, times the pixels of the patch. Without it, noise drives the steps of patches without texture. Mean
+/// errors in pixels with 0.05, 1 and 10: 3.84, 3.74, 3.58 on handheld images with depth, 2.3, 2.5, 3.7 in a rendered hall of
+/// smooth objects.
 const GRADIENT_NOISE: f32 = AREA;
 /// The descent stops after a step shorter than this, pixels.
 const LAST_STEP_PX: f32 = 0.02;
@@ -75,8 +76,8 @@ impl PatchGrid {
         (row * self.stride).min(self.last.1)
     }
 
-    /// Searches all patches. `initial(x, y)` is the initial flow of the patch with that first column and row; the better of it and
-    /// of the neighbours' flows is refined.
+    /// Searches all patches. `initial(x, y)` is the initial flow of the patch with that first column and row; the better of
+    /// it and of the neighbours' flows is refined.
     pub fn search(
         &mut self,
         input: SearchInput<'_>,

@@ -150,7 +150,6 @@ fn colour_and_grey_agree() {
 
     let first = image(texture);
     let second = moved(Motion::shift(3.3, -1.7), 1.0, 0.0);
-    let colour = |grey: &[u8]| grey.iter().flat_map(|value| [*value; 3]).collect::<Vec<u8>>();
     let first_rgb = as_rgb(&first);
     let second_rgb = as_rgb(&second);
     let mut engine = DenseFlow::new(FlowPreset::Medium, WIDTH, HEIGHT).unwrap();

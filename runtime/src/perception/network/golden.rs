@@ -1,9 +1,9 @@
 //! The golden pair of a model's metadata: an input, and the network's output for it when it was exported (`tools/trainer`,
 //! `golden.py`). It shows whether this file, library and processor compute the same before the robot uses the model.
 //!
-//! `golden_input` is base64 of bytes [channels, rows / 16, columns / 16]; each is 16x16 pixels of v / 255, of a cost volume 4x4
-//! cells. `golden_output` is base64 of little-endian 32-bit floats [rows / 16, columns / 16]: the output's first channel at rows
-//! 16 i + 8 and columns 16 j + 8.
+//! `golden_input` is base64 of bytes [channels, rows / 16, columns / 16]; each is 16x16 pixels of v / 255, of a cost volume
+//! 4x4 cells. `golden_output` is base64 of little-endian 32-bit floats [rows / 16, columns / 16]: the output's first channel
+//! at rows 16 i + 8 and columns 16 j + 8.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -25,7 +25,8 @@ pub(super) struct Golden {
 }
 
 impl Golden {
-    /// Reads the pair for inputs of these shapes and frames of this size (columns, rows) from the metadata; `None` if there is none.
+    /// Reads the pair for inputs of these shapes and frames of this size (columns, rows) from the metadata; `None` if there
+    /// is none.
     pub fn read(
         metadata: &impl Fn(&str) -> Option<String>,
         ports: &[Port],

@@ -90,8 +90,8 @@ impl DepthNetwork {
         Ok(network)
     }
 
-    /// The first run makes ONNX Runtime allocate its memory, and shows whether the model works at all. The other inputs are still 0:
-    /// no coarse depth, no evidence in the cost volume.
+    /// The first run makes ONNX Runtime allocate its memory, and shows whether the model works at all. The other inputs are
+    /// still 0: no coarse depth, no evidence in the cost volume.
     fn warm_up(&mut self) -> Result<(), NetworkError> {
         let pixels = 3 * self.spec.size.0 * self.spec.size.1;
         self.session.write(IMAGE, |planes| planes[..pixels].fill(0.5));
@@ -111,9 +111,9 @@ impl DepthNetwork {
         }
     }
 
-    /// Runs the golden input and returns the largest difference of the output from the golden output, which was computed when the
-    /// model was exported (in the model's own unit: x in 0..1 or metres). `None` if the model has no golden pair, infinity if the
-    /// output contains NaN.
+    /// Runs the golden input and returns the largest difference of the output from the golden output, which was computed when
+    /// the model was exported (in the model's own unit: x in 0..1 or metres). `None` if the model has no golden pair,
+    /// infinity if the output contains NaN.
     ///
     /// # Errors
     /// [`NoDepth::NetworkOutput`] when the model fails.
@@ -133,13 +133,13 @@ impl DepthNetwork {
     }
 
     /// Depth of one RGB8 frame of the camera's size, taken at `t_odom_camera`. Models with coarse depth as input get planes
-    /// of zeros where `coarse` is `None`; others ignore it. Models with a cost volume compare with the frames of earlier calls; others
-    /// ignore the pose.
+    /// of zeros where `coarse` is `None`; others ignore it. Models with a cost volume compare with the frames of earlier
+    /// calls; others ignore the pose.
     ///
     /// # Errors
     /// [`NoDepth::FrameSize`] for another size or format; [`NoDepth::PoseNotFinite`] where the pose is needed;
-    /// [`NoDepth::NetworkOutput`] when the model fails or its output contains NaN or values out of its range. All are counted by
-    /// [`refused`](Self::refused).
+    /// [`NoDepth::NetworkOutput`] when the model fails or its output contains NaN or values out of its range. All are counted
+    /// by [`refused`](Self::refused).
     pub fn estimate(
         &mut self,
         frame: ImageView<'_>,

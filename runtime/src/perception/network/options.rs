@@ -85,8 +85,8 @@ impl Provider {
     }
 }
 
-/// A configured session without a model. An unavailable provider is an error, because a robot that silently falls back to its CPU
-/// misses its deadlines.
+/// A configured session without a model. An unavailable provider is an error, because a robot that silently falls back to its
+/// CPU misses its deadlines.
 pub(super) fn session_builder(
     onnx_runtime: &Environment,
     options: NetworkOptions,

@@ -114,8 +114,8 @@ fn probability_of_delta1(ln_scale: f32) -> f32 {
     1.0 - exp(-LN_DELTA1 * exp(-ln_scale))
 }
 
-/// e^x with a relative error below 3e-7 for x in -87 to 88; beyond, the value at that end. Unlike the C library's function, it can
-/// be vectorised. Cody and Waite 1980: 2^n times e^r with |r| <= ln 2 / 2, the latter by its Taylor series.
+/// e^x with a relative error below 3e-7 for x in -87 to 88; beyond, the value at that end. Unlike the C library's function,
+/// it can be vectorised. Cody and Waite 1980: 2^n times e^r with |r| <= ln 2 / 2, the latter by its Taylor series.
 #[inline(always)]
 fn exp(x: f32) -> f32 {
     let x = x.clamp(-87.0, 88.0);

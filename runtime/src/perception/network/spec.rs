@@ -58,7 +58,8 @@ impl InputKind {
 pub enum OutputKind {
     /// z-depth in metres.
     Depth,
-    /// x in 0..1 with disparity = 1/max + (1/min - 1/max) x and depth = 1/disparity (Godard et al. 2019, Monodepth2, section 3).
+    /// x in 0..1 with disparity = 1/max + (1/min - 1/max) x and depth = 1/disparity (Godard et al. 2019, Monodepth2, section
+    /// 3).
     Disparity,
 }
 

@@ -5,9 +5,9 @@
 //! All computation is at a quarter of the image's size; a quarter-size pixel is the mean of 4x4 pixels, in 0..1. Plane i of n
 //! lies at inverse depth `1/max + (1/min - 1/max) i / (n - 1)`: the last plane is the nearest. The value of a cell is
 //! |current - earlier|, averaged over red, green, blue and the earlier frames that see the point. The earlier frame is sampled
-//! bilinearly and scaled to the mean brightness of the current one (automatic exposure). Where no earlier frame sees the point of a
-//! plane, the cell takes the largest cost of its pixel. Where no earlier frame sees any plane of a pixel, and without an earlier
-//! frame, the cost is 0 everywhere: no evidence.
+//! bilinearly and scaled to the mean brightness of the current one (automatic exposure). Where no earlier frame sees the
+//! point of a plane, the cell takes the largest cost of its pixel. Where no earlier frame sees any plane of a pixel, and
+//! without an earlier frame, the cost is 0 everywhere: no evidence.
 
 use hal::{CameraModel, Pose3};
 use nalgebra::{Matrix3, Vector3};
@@ -80,8 +80,8 @@ impl CostVolume {
         }
     }
 
-    /// Computes the volume `[planes, rows, columns]` of one RGB8 frame, then adds the frame to the keyframes if it is far enough
-    /// from the last one.
+    /// Computes the volume `[planes, rows, columns]` of one RGB8 frame, then adds the frame to the keyframes if it is far
+    /// enough from the last one.
     pub fn compute(&mut self, rgb: &[u8], t_odom_camera: &Pose3, volume: &mut [f32]) {
         shrink(rgb, self.camera.width, &mut self.image);
         let references = choose(&self.keyframes, t_odom_camera);
