@@ -31,7 +31,7 @@ const REAL: [(&str, usize); 2] = [("monodepth2_r18", 20), ("edn_r18", 20)];
 pub fn rows() -> anyhow::Result<Vec<Row>> {
     let Some(library) = std::env::var_os("ORT_DYLIB_PATH") else { return Ok(Vec::new()) };
     let onnx_runtime = ort::init_from(library)?.with_telemetry(false).build()?;
-    let images =
+    let images: [Vec<u8>; 2] =
         [31, 37].map(|step| (0..3 * SIZE.0 * SIZE.1).map(|i| (i * step % 256) as u8).collect());
     let mut rows = vec![empty(&onnx_runtime, &images[0])?, volume(&onnx_runtime, &images)?];
     for threads in [1, 2] {
