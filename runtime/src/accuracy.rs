@@ -1,27 +1,27 @@
-//! How right depth is, measured against ground truth the way the field does (Eigen et al. 2014): per picture, then the
-//! mean over pictures. Nothing here feeds back into the robot.
+//! Depth metrics against ground truth as in the literature (Eigen et al. 2014): per frame, then the mean over frames. The
+//! robot's decisions do not use them.
 
 use hal::DepthMap;
 use serde::{Deserialize, Serialize};
 
 use crate::perception::DepthEstimate;
 
-/// Nearest ground truth that counts, metres.
-pub const MIN_TRUTH_M: f32 = 0.1;
-/// Farthest ground truth that counts, metres.
-pub const MAX_TRUTH_M: f32 = 20.0;
+/// Minimum ground truth that is evaluated, metres.
+const MIN_TRUTH_M: f32 = 0.1;
+/// Maximum ground truth that is evaluated, metres.
+const MAX_TRUTH_M: f32 = 20.0;
 
-/// One row of the table: one set of pixels of one picture, or its mean over pictures.
+/// Metrics of one set of pixels of one frame, or their mean over frames.
 ///
 /// `delta1`, `delta2`, `delta3` are the shares of pixels with max(p/t, t/p) below 1.25, 1.25^2, 1.25^3 after the
 /// prediction was multiplied by median(truth) / median(prediction), as papers on monocular depth report it. The
-/// `_unscaled` values and `abs_rel`, `rmse_m` take the prediction as it is, in metres: what a robot drives by.
+/// `_unscaled` values and `abs_rel`, `rmse_m` use the prediction in metres, as the robot does.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Metrics {
-    /// Share of the pixels with ground truth that this row speaks of. A picture without depth counts with 0.
+    /// Share of the pixels with ground truth that are evaluated. A frame without depth counts as 0.
     pub share: f64,
-    /// Share of all pixels with ground truth whose depth is within 1.25 of it, metric. No depth is wrong, unlike in
-    /// `delta1_unscaled`: what compares sources of depth that speak of different pixels.
+    /// Share of all pixels with ground truth whose depth is within 1.25 of it, metric. Unlike in `delta1_unscaled`, missing
+    /// depth counts as wrong, so that sources with depth at different pixels can be compared.
     pub right: f64,
     /// Median-scaled share below 1.25.
     pub delta1: f64,
@@ -70,19 +70,19 @@ impl Metrics {
     }
 }
 
-/// The rows of one source of depth. A row without a value is absent.
+/// The metrics of one source of depth. `None` without any evaluated pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct AccuracyRows {
     /// Every pixel with depth and ground truth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub all: Option<Metrics>,
-    /// The more confident half of them. Pixels as confident as the last of that half count too, so a source whose
-    /// confidence says nothing gets the row of `all`.
+    /// The more confident half of them. Pixels with the same confidence as the last of that half are included, so that a source
+    /// with constant confidence gets the metrics of `all`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub confident: Option<Metrics>,
 }
 
-/// A picture and its truth do not have the same size.
+/// A depth map and its ground truth have different sizes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "depth is {got_width}x{got_height} but its ground truth is {want_width}x{want_height}; resample one of them"
@@ -94,7 +94,7 @@ pub struct SizeMismatch {
     want_height: usize,
 }
 
-/// Mean over pictures of per-picture metrics.
+/// Mean over frames of per-frame metrics.
 #[derive(Debug, Clone, Default)]
 pub struct Accuracy {
     all: Sum,
@@ -103,17 +103,16 @@ pub struct Accuracy {
 }
 
 impl Accuracy {
-    /// No picture yet.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Counts one picture. `None` is a picture that got no depth: it lowers `share` and `right` and nothing else. A picture
-    /// without any ground truth in range is left out.
+    /// Adds one frame. `None` is a frame without depth: it lowers `share` and `right` only. A frame without any ground truth in
+    /// range is ignored.
     ///
     /// # Errors
-    /// [`SizeMismatch`]; the picture is then not counted.
+    /// [`SizeMismatch`]; the frame is then ignored.
     pub fn add(
         &mut self,
         estimate: Option<&DepthEstimate>,
@@ -127,17 +126,17 @@ impl Accuracy {
             }
             None => {
                 pixels.clear();
-                truth.values().iter().filter(|t| counts(**t)).count()
+                truth.values().iter().filter(|t| in_range(**t)).count()
             }
         };
         self.count(with_truth);
         Ok(())
     }
 
-    /// Counts those pixels of one picture where `other` has a depth too: two sources of depth on the same pixels.
+    /// Adds the pixels of one frame at which `other` has depth, too: compares two sources of depth on the same pixels.
     ///
     /// # Errors
-    /// [`SizeMismatch`]; the picture is then not counted.
+    /// [`SizeMismatch`]; the frame is then ignored.
     pub fn add_where(
         &mut self,
         estimate: &DepthEstimate,
@@ -146,8 +145,9 @@ impl Accuracy {
     ) -> Result<(), SizeMismatch> {
         same_size(&estimate.depth, truth)?;
         same_size(other, truth)?;
-        let there = |at: usize| other.values()[at] > 0.0;
-        let with_truth = self.scratch.collect(&estimate.depth, &estimate.confidence, truth, there);
+        let with_truth = self
+            .scratch
+            .collect(&estimate.depth, &estimate.confidence, truth, |at| other.values()[at] > 0.0);
         self.count(with_truth);
         Ok(())
     }
@@ -162,15 +162,15 @@ impl Accuracy {
         self.confident.add(pixels.metrics(with_truth));
     }
 
-    /// The means so far.
+    /// The means over all frames so far.
     #[must_use]
     pub fn rows(&self) -> AccuracyRows {
         AccuracyRows { all: self.all.mean(), confident: self.confident.mean() }
     }
 }
 
-/// The baseline that everybody should report: one depth for the whole picture, the median of its *ground truth*. No robot
-/// can know that number, and shallow scenes give it a high score all the same.
+/// A baseline: one depth for the whole image, the median of its *ground truth*. No robot knows that number, and yet it gets a
+/// high score in shallow scenes.
 #[derive(Debug, Clone, Default)]
 pub struct ConstantBaseline {
     all: Sum,
@@ -178,24 +178,23 @@ pub struct ConstantBaseline {
 }
 
 impl ConstantBaseline {
-    /// No picture yet.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Counts one picture, as [`Accuracy::add`].
+    /// Adds one frame, as [`Accuracy::add`].
     pub fn add(&mut self, truth: &DepthMap) {
         let pixels = &mut self.scratch;
         pixels.clear();
-        pixels.truth.extend(truth.values().iter().copied().filter(|t| counts(*t)));
+        pixels.truth.extend(truth.values().iter().copied().filter(|t| in_range(*t)));
         if let Some(median_m) = median(&pixels.truth, &mut pixels.sorted) {
             pixels.predicted.resize(pixels.truth.len(), median_m);
             self.all.add(pixels.metrics(pixels.truth.len()));
         }
     }
 
-    /// The means so far.
+    /// The means over all frames so far.
     #[must_use]
     pub fn rows(&self) -> AccuracyRows {
         AccuracyRows { all: self.all.mean(), confident: None }
@@ -204,16 +203,16 @@ impl ConstantBaseline {
 
 #[derive(Debug, Clone, Default)]
 struct Sum {
-    pictures: u64,
-    /// Pictures that have at least one pixel in the row; the others have `share` and `right` and no other value.
+    frames: u64,
+    /// Frames with at least one evaluated pixel; the others have `share` and `right` and no other value.
     measured: u64,
     total: Metrics,
 }
 
 impl Sum {
-    fn add(&mut self, picture: Option<Metrics>) {
-        self.pictures += 1;
-        if let Some(metrics) = picture {
+    fn add(&mut self, image: Option<Metrics>) {
+        self.frames += 1;
+        if let Some(metrics) = image {
             self.measured += 1;
             self.total.add(metrics);
         }
@@ -227,13 +226,13 @@ impl Sum {
         for value in mean.fields_mut() {
             *value /= self.measured as f64;
         }
-        mean.share = self.total.share / self.pictures as f64;
-        mean.right = self.total.right / self.pictures as f64;
+        mean.share = self.total.share / self.frames as f64;
+        mean.right = self.total.right / self.frames as f64;
         Some(mean)
     }
 }
 
-/// Pixels that have both a prediction and ground truth, side by side.
+/// Pixels that have both a prediction and ground truth, in parallel arrays.
 #[derive(Debug, Clone, Default)]
 struct Scratch {
     predicted: Vec<f32>,
@@ -249,22 +248,23 @@ impl Scratch {
         self.confidence.clear();
     }
 
-    /// Gathers the pixels that count and are `asked` for, by their places, and returns how many have ground truth.
+    /// Collects the pixels with ground truth in range and a prediction for whose index `include` is true. Returns the number
+    /// of pixels with ground truth in range.
     fn collect(
         &mut self,
         depth: &DepthMap,
         confidence: &[f32],
         truth: &DepthMap,
-        asked: impl Fn(usize) -> bool,
+        include: impl Fn(usize) -> bool,
     ) -> usize {
         self.clear();
         let mut with_truth = 0;
         for (at, ((&p, &t), &c)) in
             depth.values().iter().zip(truth.values()).zip(confidence).enumerate()
         {
-            if counts(t) {
+            if in_range(t) {
                 with_truth += 1;
-                if p > 0.0 && asked(at) {
+                if p > 0.0 && include(at) {
                     self.predicted.push(p);
                     self.truth.push(t);
                     self.confidence.push(c);
@@ -323,15 +323,19 @@ struct Errors {
 
 impl Errors {
     fn of(predicted: &[f32], truth: &[f32], scale: f32) -> Self {
-        // Short runs are summed in f32 lanes that the compiler can vectorise, their totals in f64.
+        // Short runs are summed in f32 lanes, which the compiler can vectorise, their totals in f64.
         const RUN: usize = 256;
-        let (mut delta, mut relative, mut square) = ([0_u64; 3], 0.0_f64, 0.0_f64);
+        let mut delta = [0_u64; 3];
+        let mut relative = 0.0_f64;
+        let mut square = 0.0_f64;
         for (predicted, truth) in predicted.chunks(RUN).zip(truth.chunks(RUN)) {
-            let (mut hits, mut run_relative, mut run_square) =
-                ([0_u32; 3], [0.0_f32; 8], [0.0_f32; 8]);
+            let mut hits = [0_u32; 3];
+            let mut run_relative = [0.0_f32; 8];
+            let mut run_square = [0.0_f32; 8];
             for (lane, (&p, &t)) in predicted.iter().zip(truth).enumerate() {
                 let p = p * scale;
-                let (low, high) = (p.min(t), p.max(t));
+                let low = p.min(t);
+                let high = p.max(t);
                 hits[0] += u32::from(high < 1.25 * low);
                 hits[1] += u32::from(high < 1.5625 * low);
                 hits[2] += u32::from(high < 1.953_125 * low);
@@ -353,7 +357,7 @@ impl Errors {
     }
 }
 
-fn counts(truth_m: f32) -> bool {
+fn in_range(truth_m: f32) -> bool {
     (MIN_TRUTH_M..=MAX_TRUTH_M).contains(&truth_m)
 }
 
@@ -369,7 +373,7 @@ fn same_size(depth: &DepthMap, truth: &DepthMap) -> Result<(), SizeMismatch> {
     })
 }
 
-/// Positive floats keep their order as bit patterns, and integers select faster.
+/// Positive floats have the same order as their bit patterns, and selection is faster with integers.
 fn load_bits(values: &[f32], bits: &mut Vec<u32>) {
     bits.clear();
     bits.extend(values.iter().map(|value| value.to_bits()));
@@ -388,7 +392,8 @@ fn median(values: &[f32], scratch: &mut Vec<u32>) -> Option<f32> {
     Some(lower + (upper - lower) / 2.0)
 }
 
-/// The smallest value of the upper half (the half takes the odd one). `values` are not negative and not empty.
+/// The smallest value of the upper half, which includes the middle value of an odd number. `values` are not negative and not
+/// empty.
 fn upper_median(values: &[f32], scratch: &mut Vec<u32>) -> f32 {
     load_bits(values, scratch);
     f32::from_bits(*scratch.select_nth_unstable(values.len() / 2).1)
@@ -448,13 +453,13 @@ mod tests {
     }
 
     #[test]
-    fn equal_confidence_makes_no_half() {
+    fn equal_confidence_includes_all_pixels() {
         let rows = rows_of(&[5.0, 2.0, 5.0, 2.0], &[0.7; 4], &[2.0; 4]);
         assert_eq!(rows.confident, rows.all);
     }
 
     #[test]
-    fn a_picture_without_depth_lowers_the_share_and_what_is_right_of_all() {
+    fn an_image_without_depth_lowers_the_share_and_what_is_right_of_all() {
         let mut accuracy = Accuracy::new();
         accuracy.add(Some(&estimate(&[2.0, 2.0], &[1.0, 0.5])), &row(&[2.0, 2.0])).unwrap();
         accuracy.add(None, &row(&[2.0, 2.0])).unwrap();
@@ -463,7 +468,7 @@ mod tests {
     }
 
     #[test]
-    fn no_depth_counts_as_wrong_among_all_pixels() {
+    fn missing_depth_counts_as_wrong_among_all_pixels() {
         let all = rows_of(&[2.0, 3.0, 0.0, 0.0], &[1.0; 4], &[2.0; 4]).all.unwrap();
         assert_eq!((all.delta1_unscaled, all.right), (0.5, 0.25));
     }
@@ -479,7 +484,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mean_is_over_pictures_not_over_pixels() {
+    fn the_mean_is_over_frames_not_over_pixels() {
         let mut accuracy = Accuracy::new();
         accuracy.add(Some(&estimate(&[2.0], &[1.0])), &row(&[2.0])).unwrap();
         accuracy.add(Some(&estimate(&[9.0, 9.0, 9.0], &[1.0; 3])), &row(&[2.0; 3])).unwrap();
@@ -512,6 +517,19 @@ mod tests {
         assert!(error.to_string().contains("2x1") && error.to_string().contains("1x2"));
     }
 
+    fn sorted_median(values: impl Iterator<Item = f64>) -> f64 {
+        let mut values: Vec<f64> = values.collect();
+        values.sort_by(f64::total_cmp);
+        (values[(values.len() - 1) / 2] + values[values.len() / 2]) / 2.0
+    }
+
+    /// Share of the (prediction, truth) pairs with max(p/t, t/p) below `limit` after scaling.
+    fn share_below(pairs: &[(f64, f64)], scale: f64, limit: f64) -> f64 {
+        let below =
+            pairs.iter().filter(|(p, t)| (p * scale / t).max(t / (p * scale)) < limit).count();
+        below as f64 / pairs.len() as f64
+    }
+
     proptest! {
         #[test]
         fn metrics_equal_their_definitions(
@@ -519,23 +537,16 @@ mod tests {
         ) {
             let (p, (t, c)): (Vec<_>, (Vec<_>, Vec<_>)) = pixels.iter().map(|(p, t, c)| (*p, (*t, *c))).unzip();
             let rows = rows_of(&p, &c, &t);
-            let pairs: Vec<(f64, f64)> = p.iter().zip(&t).filter(|(p, t)| **p > 0.0 && counts(**t))
+            let pairs: Vec<(f64, f64)> = p.iter().zip(&t).filter(|(p, t)| **p > 0.0 && in_range(**t))
                 .map(|(p, t)| (f64::from(*p), f64::from(*t))).collect();
             prop_assume!(!pairs.is_empty());
-            let middle = |mut v: Vec<f64>| {
-                v.sort_by(f64::total_cmp);
-                (v[(v.len() - 1) / 2] + v[v.len() / 2]) / 2.0
-            };
-            let scale = middle(pairs.iter().map(|x| x.1).collect()) / middle(pairs.iter().map(|x| x.0).collect());
+            let scale = sorted_median(pairs.iter().map(|x| x.1)) / sorted_median(pairs.iter().map(|x| x.0));
             let n = pairs.len() as f64;
-            let delta = |s: f64, limit: f64| {
-                pairs.iter().filter(|(p, t)| (p * s / t).max(t / (p * s)) < limit).count() as f64 / n
-            };
             let abs_rel = pairs.iter().map(|(p, t)| (p * scale - t).abs() / t).sum::<f64>() / n;
             let all = rows.all.unwrap();
             // One pixel may fall on the other side of the limit by rounding.
-            prop_assert!((all.delta1 - delta(scale, 1.25)).abs() < 1.5 / n);
-            prop_assert!((all.delta3_unscaled - delta(1.0, 1.25_f64.powi(3))).abs() < 1.5 / n);
+            prop_assert!((all.delta1 - share_below(&pairs, scale, 1.25)).abs() < 1.5 / n);
+            prop_assert!((all.delta3_unscaled - share_below(&pairs, 1.0, 1.25_f64.powi(3))).abs() < 1.5 / n);
             prop_assert!((all.abs_rel_scaled / abs_rel.max(1e-6) - 1.0).abs() < 1e-3 || abs_rel < 1e-6);
             let half = rows.confident.unwrap();
             prop_assert!(half.share >= all.share / 2.0 && half.share <= all.share);

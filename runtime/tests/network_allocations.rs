@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use hal::{CameraModel, ImageView, Pose3};
 use ort::environment::Environment;
-use runtime::perception::{DepthEstimate, DepthNetwork, FlowNetwork, NetworkOptions};
+use runtime::perception::{DepthEstimate, DepthNetwork, NetworkOptions};
 
 /// What ort 2.0.0-rc.15 allocates in `Session::run_binding` for the output that it hands back; its safe interface has no call
 /// that allocates less. ONNX Runtime itself (C++) has an allocator of its own, which is not counted.
@@ -70,8 +70,4 @@ fn a_call_allocates_nothing_but_what_ort_needs_for_its_answer() {
         });
         assert_eq!(allocations, OF_ORT, "{name}");
     }
-    let mut network = FlowNetwork::load(&environment, &model("flow"), (8, 4), options).unwrap();
-    let bytes = [7; 96];
-    let frame = ImageView::rgb8(8, 4, &bytes).unwrap();
-    assert_eq!(per_call(|| assert!(network.estimate(frame, frame).is_ok())), OF_ORT, "flow");
 }

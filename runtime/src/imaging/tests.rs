@@ -1,4 +1,4 @@
-//! Behaviour of the front end as a whole: analytic truth, OpenCV, and hostile input.
+//! Tests of the whole front end: against analytic images, against OpenCV, and with invalid input.
 
 use super::*;
 use proptest::prelude::*;
@@ -8,7 +8,8 @@ const FORMATS: [PixelFormat; 4] =
     [PixelFormat::Rgb8, PixelFormat::Gray8, PixelFormat::Yuyv, PixelFormat::Nv12];
 
 fn camera(width: usize, height: usize, focal: f64, distortion: Distortion) -> CameraModel {
-    let (cx, cy) = (width as f64 / 2.0 - 1.0, height as f64 / 2.0 + 0.5);
+    let cx = width as f64 / 2.0 - 1.0;
+    let cy = height as f64 / 2.0 + 0.5;
     CameraModel { width, height, fx: focal, fy: focal * 1.02, cx, cy, distortion }
 }
 
@@ -26,31 +27,26 @@ fn rgb(front: &mut FrontEnd, frame: ImageView<'_>) -> Vec<u8> {
     out
 }
 
-fn tensor(front: &mut FrontEnd, frame: ImageView<'_>) -> Vec<f32> {
-    let mut out = vec![f32::NAN; 3 * front.target().width * front.target().height];
-    front.to_tensor(frame, &mut out).unwrap();
-    out
-}
-
-/// A fixed picture without any structure.
+/// Reproducible noise.
 fn noise(bytes: usize) -> Vec<u8> {
     (0..bytes as u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect()
 }
 
-/// RGB of what a camera sees of a world that is `shade` bright at each undistorted ray.
+/// The RGB image of a camera in a world whose brightness at each undistorted ray is `shade`.
 fn seen(camera: &CameraModel, shade: impl Fn(f64, f64) -> f64) -> Vec<u8> {
-    let ray = |index: usize| {
-        let wanted = camera.ray((index % camera.width) as f64, (index / camera.width) as f64);
-        let (mut x, mut y) = (wanted.x, wanted.y);
+    let shades = (0..camera.width * camera.height).map(|index| {
+        let undistorted = camera.ray((index % camera.width) as f64, (index / camera.width) as f64);
+        let mut x = undistorted.x;
+        let mut y = undistorted.y;
         // The inverse of the lens by fixed-point iteration.
         for _ in 0..100 {
             let (dx, dy) = camera.distortion.distort(x, y);
-            (x, y) = (x + wanted.x - dx, y + wanted.y - dy);
+            x = x + undistorted.x - dx;
+            y = y + undistorted.y - dy;
         }
-        (x, y)
-    };
-    let byte = |(x, y)| shade(x, y).clamp(0.0, 255.0).round() as u8;
-    (0..camera.width * camera.height).flat_map(|index| [byte(ray(index)); 3]).collect()
+        shade(x, y).clamp(0.0, 255.0).round() as u8
+    });
+    shades.flat_map(|shade| [shade; 3]).collect()
 }
 
 #[test]
@@ -77,20 +73,20 @@ fn the_same_camera_changes_nothing() {
     let source = camera(70, 34, 60.0, Distortion::None);
     let data = noise(3 * 70 * 34);
     let mut front = front_end(source, source, PixelFormat::Rgb8);
-    assert_eq!(front.part, Some((0, 0)));
+    assert_eq!(front.crop, Some((0, 0)));
     assert_eq!(rgb(&mut front, view(source, PixelFormat::Rgb8, &data)), data);
 }
 
 #[test]
-fn the_short_way_and_the_remapping_agree() {
+fn the_crop_and_the_remapping_agree() {
     for format in FORMATS {
         let source = camera(96, 64, 60.0, Distortion::None);
         let data = noise(format.bytes(96, 64).unwrap());
         for (left, top) in [(0.0, 0.0), (10.0, 7.0), (11.0, 16.0), (26.0, 34.0)] {
             let mut short = front_end(source, source.cropped(left, top, 70, 30), format);
             let mut long = FrontEnd {
-                part: None,
-                picture: vec![0; short.remap.source_pixels()],
+                crop: None,
+                packed: vec![0; short.remap.source_pixels()],
                 ..short.clone()
             };
             let frame = view(source, format, &data);
@@ -103,7 +99,7 @@ fn the_short_way_and_the_remapping_agree() {
 }
 
 #[test]
-fn a_ramp_shifted_by_part_of_a_pixel_is_exact_to_a_32th() {
+fn a_ramp_shifted_by_part_of_a_pixel_is_exact_to_a_32nd() {
     let source = camera(40, 30, 50.0, Distortion::None);
     let ramp: Vec<u8> =
         (0..40 * 30).flat_map(|i| [(i % 40 * 6) as u8, (i / 40 * 8) as u8, 0]).collect();
@@ -114,8 +110,9 @@ fn a_ramp_shifted_by_part_of_a_pixel_is_exact_to_a_32th() {
             view(source, PixelFormat::Rgb8, &ramp),
         );
         for (index, pixel) in out.chunks_exact(3).enumerate() {
-            let (u, v) = ((index % 30) as f64 + 3.0 + shift, (index / 30) as f64 + 2.0 + shift);
-            // Half a 32th of a pixel at the ramp's slope, and half a grey level.
+            let u = (index % 30) as f64 + 3.0 + shift;
+            let v = (index / 30) as f64 + 2.0 + shift;
+            // Half a 32nd of a pixel at the ramp's slope, and half a grey level.
             assert!((f64::from(pixel[0]) - 6.0 * u).abs() <= 6.0 / 64.0 + 0.5);
             assert!((f64::from(pixel[1]) - 8.0 * v).abs() <= 8.0 / 64.0 + 0.5);
         }
@@ -123,9 +120,7 @@ fn a_ramp_shifted_by_part_of_a_pixel_is_exact_to_a_32th() {
 }
 
 #[test]
-fn lines_that_a_lens_bent_are_straight_again() {
-    // Bars across the world, narrow enough to have a middle and wide enough to be sampled well.
-    let bar = |x: f64, at: f64| 255.0 * (-((x - at) / 0.012).powi(2)).exp();
+fn undistortion_straightens_lines() {
     for distortion in [BARREL, Distortion::Fisheye([0.05, -0.02, 0.004, -0.001])] {
         let source = camera(640, 480, 450.0, distortion);
         let target = CameraModel {
@@ -134,7 +129,10 @@ fn lines_that_a_lens_bent_are_straight_again() {
         };
         let mut front = front_end(source, target, PixelFormat::Rgb8);
         for at in [-0.45, -0.2, 0.05, 0.3, 0.5] {
-            let upright = seen(&source, |x, _| bar(x, at));
+            let upright = seen(&source, |x, _| {
+                // A bar, narrow enough to have a well-defined middle and wide enough to be sampled well.
+                255.0 * (-((x - at) / 0.012).powi(2)).exp()
+            });
             let out = rgb(&mut front, view(source, PixelFormat::Rgb8, &upright));
             for row in out.chunks_exact(3 * 500) {
                 let weight: f64 = row.iter().step_by(3).map(|value| f64::from(*value)).sum();
@@ -144,10 +142,10 @@ fn lines_that_a_lens_bent_are_straight_again() {
                     .enumerate()
                     .map(|(column, value)| column as f64 * f64::from(*value))
                     .sum();
-                let wanted = target.fx * at + target.cx;
+                let expected = target.fx * at + target.cx;
                 assert!(
-                    (moment / weight - wanted).abs() < 0.1,
-                    "{distortion:?}: {} is not {wanted}",
+                    (moment / weight - expected).abs() < 0.1,
+                    "{distortion:?}: {} is not {expected}",
                     moment / weight
                 );
             }
@@ -163,16 +161,17 @@ fn halving_again_and_again_is_the_mean_of_the_pixels() {
     assert_eq!(front.mean_of, (4, 2));
     let out = rgb(&mut front, view(source, PixelFormat::Gray8, &data));
     for (index, pixel) in out.chunks_exact(3).enumerate() {
-        let (left, top) = (index % 8 * 8, index / 8 * 4);
+        let left = index % 8 * 8;
+        let top = index / 8 * 4;
         let block = (0..4).flat_map(|dy| (0..8).map(move |dx| (top + dy) * 64 + left + dx));
         let mean = block.map(|at| f64::from(data[at])).sum::<f64>() / 32.0;
-        // Rounded twice.
+        // The result is rounded twice.
         assert!((f64::from(pixel[0]) - mean).abs() <= 1.0);
     }
 }
 
 #[test]
-fn a_fine_checkerboard_becomes_grey_instead_of_false_pattern() {
+fn a_fine_checkerboard_becomes_grey_without_aliasing() {
     let source = CameraModel::pinhole(1280, 720, 1.2);
     let board: Vec<u8> =
         (0..1280 * 720).map(|i| if (i % 1280 + i / 1280) % 2 == 0 { 255 } else { 0 }).collect();
@@ -184,61 +183,20 @@ fn a_fine_checkerboard_becomes_grey_instead_of_false_pattern() {
 }
 
 #[test]
-fn the_tensor_is_the_picture_divided_by_255_to_the_last_bit_and_comes_back_exactly() {
-    for format in FORMATS {
-        let source = camera(96, 64, 90.0, BARREL);
-        let target = camera(75, 41, 80.0, Distortion::None);
-        let mut front = front_end(source, target, format);
-        let data = noise(format.bytes(96, 64).unwrap());
-        let (bytes, planes) = (
-            rgb(&mut front, view(source, format, &data)),
-            tensor(&mut front, view(source, format, &data)),
-        );
-        for (index, byte) in bytes.iter().enumerate() {
-            assert_eq!(planes[index % 3 * 75 * 41 + index / 3], f32::from(*byte) / 255.0);
-        }
-        let mut again = vec![0; bytes.len()];
-        front.tensor_to_rgb(&planes, &mut again).unwrap();
-        assert_eq!(again, bytes);
-    }
-}
-
-#[test]
-fn normalised_planes_have_the_mean_taken_off_and_come_back() {
-    let source = camera(32, 16, 20.0, Distortion::None);
-    // ImageNet's.
-    let (mean, std) = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]);
-    let mut front = front_end(source, source, PixelFormat::Rgb8).normalised(mean, std).unwrap();
-    let data = noise(3 * 32 * 16);
-    let planes = tensor(&mut front, view(source, PixelFormat::Rgb8, &data));
-    for (index, byte) in data.iter().enumerate() {
-        let wanted = (f32::from(*byte) / 255.0 - mean[index % 3]) / std[index % 3];
-        assert!((planes[index % 3 * 512 + index / 3] - wanted).abs() < 1e-5);
-    }
-    let mut again = vec![0; data.len()];
-    front.tensor_to_rgb(&planes, &mut again).unwrap();
-    assert_eq!(again, data);
-    front.tensor_to_rgb(&[f32::NAN; 3 * 512], &mut again).unwrap();
-    assert!(front.clone().normalised([0.0; 3], [1.0, 0.0, 1.0]).is_err());
-    assert!(front.normalised([f32::NAN, 0.0, 0.0], [1.0; 3]).is_err());
-}
-
-#[test]
 fn any_number_of_threads_gives_the_same_bits() {
     let source = camera(320, 240, 260.0, BARREL);
     let target = camera(200, 111, 170.0, Distortion::None);
     let data = noise(2 * 320 * 240);
-    let with = |threads: usize| {
+    let [one, two, five] = [1, 2, 5].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            tensor(
+            rgb(
                 &mut front_end(source, target, PixelFormat::Yuyv),
                 view(source, PixelFormat::Yuyv, &data),
             )
         })
-    };
-    let one = with(1);
-    assert!(with(2) == one && with(5) == one);
+    });
+    assert!(two == one && five == one);
 }
 
 #[test]
@@ -256,12 +214,9 @@ fn a_call_allocates_nothing() {
                 let mut front = front_end(source, target, format);
                 let data = noise(format.bytes(96, 64).unwrap());
                 let frame = view(source, format, &data);
-                let (mut planes, mut bytes) = (tensor(&mut front, frame), rgb(&mut front, frame));
-                let count = allocation_counter::measure(|| {
-                    front.to_tensor(frame, &mut planes).unwrap();
-                    front.to_rgb(frame, &mut bytes).unwrap();
-                    front.tensor_to_rgb(&planes, &mut bytes).unwrap();
-                });
+                let mut bytes = rgb(&mut front, frame);
+                let count =
+                    allocation_counter::measure(|| front.to_rgb(frame, &mut bytes).unwrap());
                 assert_eq!(count.count_total, 0, "{format:?}");
             }
         }
@@ -269,17 +224,17 @@ fn a_call_allocates_nothing() {
 }
 
 #[test]
-fn the_jpeg_decoder_alone_allocates() {
+fn only_the_jpeg_decoder_allocates() {
     let source = opencv::source(Distortion::None);
     let mut front = front_end(source, source, PixelFormat::Mjpeg);
     let frame = view(source, PixelFormat::Mjpeg, opencv::JPEG);
     let mut out = rgb(&mut front, frame);
     let count = allocation_counter::measure(|| front.to_rgb(frame, &mut out).unwrap());
-    // Tables and one row of blocks: far less than a picture (18,432 bytes here) times the frames of a day.
+    // Tables and one row of blocks, much less than an image (18,432 bytes here) times the frames of a day.
     assert!(count.count_total > 0 && count.count_current == 0, "{count:?}");
 }
 
-/// OpenCV 5.0's results, by tests/fixtures/make_imaging.py.
+/// Comparison with the results of OpenCV 5.0, from tests/fixtures/make_imaging.py.
 mod opencv {
     use super::*;
 
@@ -303,7 +258,7 @@ mod opencv {
         CameraModel { width: 80, height: 40, fx: 66.0, fy: 66.0, cx: 39.5, cy: 19.5, distortion }
     }
 
-    /// Largest and mean difference where the picture is valid.
+    /// Largest and mean difference where the image is valid.
     fn difference(ours: &[u8], theirs: &[u8], valid: &[bool]) -> (u8, f64) {
         assert_eq!(ours.len(), theirs.len());
         let pairs = ours.iter().zip(theirs).enumerate().filter(|(index, _)| valid[index / 3]);
@@ -354,7 +309,7 @@ mod opencv {
     }
 
     #[test]
-    fn a_jpeg_that_ends_early_is_an_error_and_leaves_the_output_alone() {
+    fn a_truncated_jpeg_is_an_error_and_does_not_change_the_output() {
         let camera = source(Distortion::None);
         let mut front = front_end(camera, target(), PixelFormat::Mjpeg);
         for length in 0..JPEG.len() {
@@ -396,12 +351,13 @@ mod opencv {
     }
 }
 
+fn refused(source: CameraModel, target: CameraModel, format: PixelFormat) -> String {
+    FrontEnd::new(source, target, format, YuvRange::Full).unwrap_err().to_string()
+}
+
 #[test]
-fn what_cannot_be_is_refused_with_a_reason() {
+fn invalid_cameras_are_refused_with_a_reason() {
     let good = CameraModel::pinhole(64, 48, 1.0);
-    let refused = |source, target, format| {
-        FrontEnd::new(source, target, format, YuvRange::Full).unwrap_err().to_string()
-    };
     let rgb8 = PixelFormat::Rgb8;
     assert!(
         refused(CameraModel { fx: f64::NAN, ..good }, good, rgb8).starts_with("the source camera")
@@ -431,11 +387,6 @@ fn a_frame_or_output_of_another_size_is_refused() {
     let grey = vec![0; 64 * 48];
     let grey = view(source, PixelFormat::Gray8, &grey);
     assert!(matches!(front.to_rgb(grey, &mut out[1..]), Err(ImagingError::Output { .. })));
-    assert!(front.to_tensor(grey, &mut [0.0; 9]).is_err());
-    assert!(matches!(
-        front.tensor_to_rgb(&[0.0; 9], &mut out),
-        Err(ImagingError::Planes { found: 9, .. })
-    ));
 }
 
 fn any_lens() -> impl Strategy<Value = Distortion> {
@@ -459,7 +410,7 @@ fn any_camera() -> impl Strategy<Value = CameraModel> {
 
 proptest! {
     #[test]
-    fn any_cameras_and_bytes_give_a_picture_or_an_error_but_never_a_panic(
+    fn any_cameras_and_bytes_give_an_image_or_an_error_but_never_a_panic(
         source in any_camera(), target in any_camera(), format in proptest::sample::select(&FORMATS[..]), seed: u8,
     ) {
         let target = CameraModel { distortion: Distortion::None, ..target };
@@ -469,8 +420,6 @@ proptest! {
             for (pixel, valid) in out.chunks_exact(3).zip(front.valid()) {
                 prop_assert!(*valid || pixel == [0; 3]);
             }
-            let planes = tensor(&mut front, view(source, format, &data));
-            prop_assert!(planes.iter().all(|value| (0.0..=1.0).contains(value)));
         }
     }
 

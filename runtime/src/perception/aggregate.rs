@@ -1,40 +1,39 @@
-//! Semi-global aggregation (Hirschmueller 2008) along eight straight paths: a neighbour may differ by one hypothesis for a
-//! small penalty and by more for a large one.
+//! Semi-global aggregation (Hirschmueller 2008) along eight straight paths. A difference of one hypothesis between neighbours
+//! costs P1, a larger one P2.
 //!
-//! The camera of a robot is upright, and so are walls: seen from anywhere, a wall keeps its depth down a column and changes it
-//! along a row. So a step costs all of the small penalty along columns and little along rows, or else a plain wall takes the
+//! The robot's camera is upright, and so are walls: seen from anywhere, the depth of a wall is constant down a column and
+//! changes along a row. So a step costs all of P1 along columns and little along rows. Otherwise a plain wall would take the
 //! depth of what stands beside it instead of that of its own foot.
 
 use multiversion::multiversion;
 
 use super::sweep::PLANES;
 
-/// Path costs of one pixel, with a wall on both sides so that the first and last plane have neighbours.
+/// Path costs of one cell, with [`WALL`] on both sides so that the first and last plane have neighbours.
 type PathCosts = [i16; PLANES + 2];
 
-/// Higher than any path cost, low enough to add a penalty.
+/// Higher than any path cost, low enough to add a penalty without overflow.
 const WALL: i16 = 20_000;
-/// Planes that are computed side by side.
+/// Planes that are computed in parallel lanes.
 const LANES: usize = 16;
-/// A path before its first pixel.
+/// Path costs before the first cell of a path.
 const START: PathCosts = [WALL; PLANES + 2];
 
-/// The cost volume and what smoothness costs where.
+/// The cost volume and the penalties of its aggregation.
 #[derive(Debug, Clone, Copy)]
 pub struct Volume<'a> {
     /// Rows x columns.
     pub costs: &'a [[u8; PLANES]],
-    /// Columns.
     pub width: usize,
-    /// Grey values, rows x columns, 256 to a grey level: an edge makes a jump cheap.
+    /// Grey values, rows x columns, 256 to a grey level: P2 is lower across edges.
     pub grey: &'a [u16],
-    /// Penalty of one hypothesis along columns; along diagonals two thirds, along rows a quarter of it.
-    pub small: i16,
-    /// Penalty of a jump where the picture is flat.
-    pub large: i16,
+    /// Penalty of a difference of one hypothesis along columns; along diagonals two thirds, along rows a quarter of it.
+    pub p1: i16,
+    /// Penalty of a larger difference where the image is flat.
+    pub p2: i16,
 }
 
-/// Two rows of paths in three directions, kept from picture to picture.
+/// Scratch memory: two rows of paths in three directions.
 #[derive(Debug, Default)]
 pub struct PathRows {
     before: Vec<[PathCosts; 3]>,
@@ -44,11 +43,11 @@ pub struct PathRows {
 }
 
 impl Volume<'_> {
-    /// An edge of four grey levels halves the penalty of a jump.
+    /// P2 between two cells: an edge of four grey levels halves it, and P1 is its minimum.
     #[inline(always)]
-    fn jump(&self, from: usize, to: usize) -> i16 {
+    fn p2_between(&self, from: usize, to: usize) -> i16 {
         let edge = i32::from(self.grey[from].abs_diff(self.grey[to]));
-        (i32::from(self.large) * 1024 / (1024 + edge)).max(i32::from(self.small)) as i16
+        (i32::from(self.p2) * 1024 / (1024 + edge)).max(i32::from(self.p1)) as i16
     }
 
     /// Sums the three paths that run down (or up), straight and diagonally, into `sums`.
@@ -69,7 +68,8 @@ fn vertical<'a>(
     rows: &mut PathRows,
     sums: &mut [[i16; PLANES]],
 ) {
-    let (width, height) = (volume.width, volume.costs.len() / volume.width);
+    let width = volume.width;
+    let height = volume.costs.len() / volume.width;
     for paths in [&mut rows.before, &mut rows.now] {
         paths.clear();
         paths.resize(width, [START; 3]);
@@ -87,11 +87,11 @@ fn vertical<'a>(
                 rows.least_now[column][direction] = if index == 0 || from >= width {
                     begin(&volume.costs[at], path)
                 } else {
-                    let jump = volume.jump(above * width + from, at);
-                    let (before, least) =
-                        (&rows.before[from][direction], rows.least_before[from][direction]);
-                    let small = if direction == 1 { volume.small } else { volume.small * 2 / 3 };
-                    follow(&volume.costs[at], before, least, small, jump, path)
+                    let p2 = volume.p2_between(above * width + from, at);
+                    let before = &rows.before[from][direction];
+                    let least = rows.least_before[from][direction];
+                    let p1 = if direction == 1 { volume.p1 } else { volume.p1 * 2 / 3 };
+                    follow(&volume.costs[at], before, least, p1, p2, path)
                 };
             }
             let [a, b, c] = &rows.now[column];
@@ -107,15 +107,17 @@ fn vertical<'a>(
 #[multiversion(targets("x86_64+avx2"))]
 fn horizontal<'a>(volume: &Volume<'a>, row: usize, sums: &mut [[i16; PLANES]]) {
     for backwards in [false, true] {
-        let (mut before, mut now, mut least) = (START, START, 0);
+        let mut before = START;
+        let mut now = START;
+        let mut least = 0;
         for index in 0..volume.width {
             let column = if backwards { volume.width - 1 - index } else { index };
             let at = row * volume.width + column;
             least = if index == 0 {
                 begin(&volume.costs[at], &mut now)
             } else {
-                let jump = volume.jump(if backwards { at + 1 } else { at - 1 }, at);
-                follow(&volume.costs[at], &before, least, volume.small / 4, jump, &mut now)
+                let p2 = volume.p2_between(if backwards { at + 1 } else { at - 1 }, at);
+                follow(&volume.costs[at], &before, least, volume.p1 / 4, p2, &mut now)
             };
             for (sum, path) in sums[column].iter_mut().zip(&now[1..]) {
                 *sum = sum.wrapping_add(*path);
@@ -131,17 +133,17 @@ fn follow(
     costs: &[u8; PLANES],
     before: &PathCosts,
     least: i16,
-    small: i16,
-    large: i16,
+    p1: i16,
+    p2: i16,
     now: &mut PathCosts,
 ) -> i16 {
-    let jump = least + large;
+    let jump = least + p2;
     let mut smallest = [WALL; LANES];
     for block in (0..PLANES).step_by(LANES) {
         for lane in 0..LANES {
             let plane = block + lane;
-            // No sum can overflow (WALL + small, 96 + large); saying so keeps checked builds in the vector unit.
-            let beside = before[plane].min(before[plane + 2]).wrapping_add(small);
+            // No sum can overflow (WALL + P1, 96 + P2): wrapping operations keep builds with overflow checks vectorised.
+            let beside = before[plane].min(before[plane + 2]).wrapping_add(p1);
             let best = beside.min(before[plane + 1]).min(jump).wrapping_sub(least);
             let cost = i16::from(costs[plane]).wrapping_add(best);
             now[plane + 1] = cost;
@@ -165,16 +167,16 @@ mod tests {
     use proptest::prelude::*;
 
     /// The recursion of the paper, plane by plane.
-    fn follow_slowly(costs: &[u8; PLANES], before: &[i16], small: i16, large: i16) -> Vec<i16> {
+    fn follow_slowly(costs: &[u8; PLANES], before: &[i16], p1: i16, p2: i16) -> Vec<i16> {
         let least = *before.iter().min().unwrap();
         (0..PLANES)
             .map(|d| {
-                let mut best = before[d].min(least + large);
+                let mut best = before[d].min(least + p2);
                 if d > 0 {
-                    best = best.min(before[d - 1] + small);
+                    best = best.min(before[d - 1] + p1);
                 }
                 if d + 1 < PLANES {
-                    best = best.min(before[d + 1] + small);
+                    best = best.min(before[d + 1] + p1);
                 }
                 i16::from(costs[d]) + best - least
             })
@@ -185,22 +187,22 @@ mod tests {
         #[test]
         fn a_step_equals_the_definition(
             costs in prop::array::uniform32(0_u8..96), before in prop::array::uniform32(0_i16..900),
-            small in 0_i16..100, extra in 0_i16..600,
+            p1 in 0_i16..100, extra in 0_i16..600,
         ) {
             let costs: [u8; PLANES] = std::array::from_fn(|i| costs[i % 32].wrapping_add(i as u8) % 96);
             let before: Vec<i16> = (0..PLANES).map(|i| before[(i * 7) % 32]).collect();
             let mut path = START;
             path[1..=PLANES].copy_from_slice(&before);
             let mut now = START;
-            let least = follow(&costs, &path, *before.iter().min().unwrap(), small, small + extra, &mut now);
-            let want = follow_slowly(&costs, &before, small, small + extra);
+            let least = follow(&costs, &path, *before.iter().min().unwrap(), p1, p1 + extra, &mut now);
+            let want = follow_slowly(&costs, &before, p1, p1 + extra);
             prop_assert_eq!(&now[1..=PLANES], &want[..]);
             prop_assert_eq!(least, *want.iter().min().unwrap());
         }
     }
 
     #[test]
-    fn a_pixel_without_an_opinion_takes_that_of_its_neighbours() {
+    fn a_cell_without_texture_takes_the_depth_of_its_neighbours() {
         let mut costs = vec![[50_u8; PLANES]; 9 * 5];
         for (index, costs) in costs.iter_mut().enumerate() {
             if index != 2 * 9 + 4 {
@@ -208,8 +210,9 @@ mod tests {
             }
         }
         let grey = vec![0; 45];
-        let volume = Volume { costs: &costs, width: 9, grey: &grey, small: 10, large: 100 };
-        let (mut down, mut up) = (vec![[0; PLANES]; 45], vec![[0; PLANES]; 45]);
+        let volume = Volume { costs: &costs, width: 9, grey: &grey, p1: 10, p2: 100 };
+        let mut down = vec![[0; PLANES]; 45];
+        let mut up = vec![[0; PLANES]; 45];
         volume.vertical(false, &mut PathRows::default(), &mut down);
         volume.vertical(true, &mut PathRows::default(), &mut up);
         let mut row: Vec<[i16; PLANES]> =
@@ -220,21 +223,23 @@ mod tests {
     }
 
     #[test]
-    fn a_plain_wall_takes_the_depth_of_its_foot_rather_than_of_what_stands_beside_it() {
-        // A shelf in the first column and the foot of the wall in the last row know their planes; the wall has no opinion.
-        let (columns, rows) = (24, 8);
-        let foot = |column: usize| 16 + column / 3;
+    fn a_plain_wall_takes_the_depth_of_its_foot_rather_than_that_of_the_object_beside_it() {
+        // A shelf in the first column and the foot of the wall in the last row have texture; the wall between has none.
+        let columns = 24;
+        let rows = 8;
+        let foot: Vec<usize> = (0..columns).map(|column| 16 + column / 3).collect();
         let mut costs = vec![[0_u8; PLANES]; columns * rows];
         for (at, costs) in costs.iter_mut().enumerate() {
-            let (row, column) = (at / columns, at % columns);
+            let row = at / columns;
+            let column = at % columns;
             if column == 0 || row == rows - 1 {
-                *costs = std::array::from_fn(|plane| if plane == foot(column) { 0 } else { 40 });
+                *costs = std::array::from_fn(|plane| if plane == foot[column] { 0 } else { 40 });
             }
         }
         let grey = vec![0; columns * rows];
-        let volume = Volume { costs: &costs, width: columns, grey: &grey, small: 24, large: 160 };
-        let (mut down, mut up) =
-            (vec![[0; PLANES]; columns * rows], vec![[0; PLANES]; columns * rows]);
+        let volume = Volume { costs: &costs, width: columns, grey: &grey, p1: 24, p2: 160 };
+        let mut down = vec![[0; PLANES]; columns * rows];
+        let mut up = vec![[0; PLANES]; columns * rows];
         volume.vertical(false, &mut PathRows::default(), &mut down);
         volume.vertical(true, &mut PathRows::default(), &mut up);
         let mut sums: Vec<[i16; PLANES]> =
@@ -242,25 +247,27 @@ mod tests {
         volume.horizontal(0, &mut sums);
         for column in 2..columns {
             let best = (0..PLANES).min_by_key(|plane| sums[column][*plane]).unwrap();
-            // Were all steps as dear, it would be the shelf's plane for most of them, up to 7 away.
+            // With the same P1 along rows, most columns would take the shelf's plane, up to 7 away.
             assert!(
-                best.abs_diff(foot(column)) <= 3,
+                best.abs_diff(foot[column]) <= 3,
                 "column {column}: plane {best}, not {}",
-                foot(column)
+                foot[column]
             );
         }
     }
 
     #[test]
-    fn up_is_down_in_a_mirror() {
+    fn aggregation_upwards_mirrors_aggregation_downwards() {
         let costs: Vec<[u8; PLANES]> =
             (0..6 * 4).map(|i| std::array::from_fn(|d| ((i * 31 + d * 17) % 90) as u8)).collect();
         let flipped: Vec<[u8; PLANES]> = costs.chunks(6).rev().flatten().copied().collect();
         let grey: Vec<u16> = vec![7; 24];
-        let volume = |costs| Volume { costs, width: 6, grey: &grey, small: 10, large: 60 };
-        let (mut down, mut up) = (vec![[0; PLANES]; 24], vec![[0; PLANES]; 24]);
-        volume(&costs[..]).vertical(false, &mut PathRows::default(), &mut down);
-        volume(&flipped[..]).vertical(true, &mut PathRows::default(), &mut up);
+        let volume = Volume { costs: &costs, width: 6, grey: &grey, p1: 10, p2: 60 };
+        let mirrored = Volume { costs: &flipped, ..volume };
+        let mut down = vec![[0; PLANES]; 24];
+        let mut up = vec![[0; PLANES]; 24];
+        volume.vertical(false, &mut PathRows::default(), &mut down);
+        mirrored.vertical(true, &mut PathRows::default(), &mut up);
         let up_flipped: Vec<[i16; PLANES]> = up.chunks(6).rev().flatten().copied().collect();
         assert_eq!(down, up_flipped);
     }

@@ -1,5 +1,5 @@
-//! Pictures as order relations: a census transform (Zabih and Woodfill 1994) keeps which neighbours are darker than the
-//! centre and forgets by how much, so gain and exposure do not matter.
+//! Census transform (Zabih and Woodfill 1994): a descriptor records which neighbours are darker than the centre but not by how
+//! much, so gain and exposure do not matter.
 
 use hal::{ImageView, PixelFormat};
 use multiversion::multiversion;
@@ -10,23 +10,20 @@ use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 /// Bits of one descriptor: a 5x5 window without its centre.
 pub const BITS: u32 = 24;
 
-/// A neighbour counts as darker from this difference on: one and a half grey levels, in the units of
-/// [`CensusImage::smooth`]. Below that it is the sensor's noise and JPEG's, and a flat wall shall match itself everywhere
-/// equally well rather than somewhere by chance.
+/// Minimum difference for a neighbour to count as darker: one and a half grey levels, in the units of [`CensusImage::smooth`].
+/// Smaller differences are sensor noise and JPEG artefacts. With them, a flat wall would match at a random position instead of
+/// everywhere equally well.
 const NOISE: u16 = 384;
 
-/// The place in row-major order of what no picture shows.
+/// Row-major index of a position outside the image.
 pub const NOWHERE: u32 = u32::MAX;
 
-/// The census of one picture: half-size descriptors, computed at every full-size position so that a match can be looked up
-/// to a quarter of a half-size pixel.
+/// The census of one frame: descriptors of the half-size image, computed at every full-size position.
 #[derive(Debug, Clone, Default)]
 pub struct CensusImage {
-    /// Columns of full-size positions.
     pub width: usize,
-    /// Rows of full-size positions.
     pub height: usize,
-    /// Row-major.
+    /// Row-major, one per full-size position.
     pub descriptors: Vec<u32>,
     /// Means of 2x2 pixels, row-major, 256 to a grey level.
     pub smooth: Vec<u16>,
@@ -36,7 +33,8 @@ pub struct CensusImage {
 impl CensusImage {
     /// Computes the census of `frame`; false when the format is not RGB8 or GRAY8.
     pub fn compute(&mut self, frame: ImageView<'_>) -> bool {
-        (self.width, self.height) = (frame.width(), frame.height());
+        self.width = frame.width();
+        self.height = frame.height();
         let bytes = match frame.format() {
             PixelFormat::Gray8 => 1,
             PixelFormat::Rgb8 => 3,
@@ -47,16 +45,17 @@ impl CensusImage {
         true
     }
 
-    /// Whether at least one pixel in fifty has something to be recognised by.
+    /// Whether at least one pixel in fifty has texture.
     pub fn has_texture(&self) -> bool {
         self.descriptors.iter().filter(|descriptor| **descriptor != 0).count() * 50
             >= self.width * self.height
     }
 
-    /// From `data` of so many bytes a pixel. Every band has its own grey values, the first row of the next included: they stay
-    /// in the cache.
+    /// From `data` of `bytes` bytes per pixel. Every band has its own grey values, including the first row of the next band,
+    /// so that they stay in the cache.
     fn smooth_2x2(&mut self, data: &[u8], bytes: usize) {
-        let (width, height) = (self.width, self.height);
+        let width = self.width;
+        let height = self.height;
         self.smooth.resize(width * height, 0);
         self.grey.resize(height.div_ceil(BAND) * (BAND + 1) * width, 0);
         let bands = self
@@ -81,13 +80,14 @@ impl CensusImage {
         });
     }
 
-    /// Takes the other's memory that holds nothing from picture to picture.
+    /// Takes over the other's scratch memory.
     pub fn take_scratch(&mut self, other: &mut Self) {
         std::mem::swap(&mut self.grey, &mut other.grey);
     }
 
     fn describe(&mut self) {
-        let (width, height) = (self.width, self.height);
+        let width = self.width;
+        let height = self.height;
         self.descriptors.resize(width * height, 0);
         let smooth = &self.smooth;
         let lines = self.descriptors.par_chunks_exact_mut(width).enumerate();
@@ -95,10 +95,10 @@ impl CensusImage {
     }
 }
 
-/// Larger pictures are refused in snapshots: no camera of this robot makes them, damaged bytes do.
+/// Larger images are refused in snapshots: no camera of this robot has them, so the bytes are damaged.
 const MOST_PIXELS: usize = 64_000_000;
 
-/// Descriptors follow from the smooth picture.
+/// Only `smooth` is stored; descriptors are computed from it.
 impl State for CensusImage {
     fn write(&self, to: &mut Vec<u8>) {
         State::write(&(self.width, self.height), to);
@@ -122,7 +122,7 @@ impl State for CensusImage {
     }
 }
 
-/// Rec. 601 luma in 14 bits, so that faint texture is not lost to rounding.
+/// Rec. 601 luma in 14 bits, so that rounding does not remove faint texture.
 #[multiversion(targets("x86_64+avx2"))]
 fn luma(rgb: &[u8], grey: &mut [u16]) {
     for (grey, p) in grey.iter_mut().zip(rgb.chunks_exact(3)) {
@@ -130,10 +130,10 @@ fn luma(rgb: &[u8], grey: &mut [u16]) {
     }
 }
 
-/// Rows of a picture that are worked on at once.
+/// Rows that one task works on.
 const BAND: usize = 16;
 
-/// Sums of 2x2; beyond the right edge the edge is repeated.
+/// Sums of 2x2 pixels; beyond the right edge, the last column is repeated.
 #[multiversion(targets("x86_64+avx2"))]
 fn smooth_row(upper: &[u16], lower: &[u16], out: &mut [u16]) {
     let last = out.len() - 1;
@@ -146,7 +146,7 @@ fn smooth_row(upper: &[u16], lower: &[u16], out: &mut [u16]) {
     out[last] = 2 * (upper[last] + lower[last]);
 }
 
-/// Descriptors of one row of a picture of as many columns.
+/// Computes the descriptors of one row; `out` has the image's width.
 #[multiversion(targets("x86_64+avx2"))]
 fn describe_row(smooth: &[u16], row: usize, out: &mut [u32]) {
     let width = out.len();
@@ -155,7 +155,7 @@ fn describe_row(smooth: &[u16], row: usize, out: &mut [u32]) {
         let line = (row as isize + 2 * (index as isize - 2)).clamp(0, last) as usize;
         &smooth[line * width..][..width]
     });
-    // Away from the left and right edge, lanes of pixels side by side; the last ones overlap.
+    // Away from the left and right edge, LANES pixels at a time; the last group overlaps the one before.
     let Some(right) = width.checked_sub(REACH + LANES).filter(|right| *right >= REACH) else {
         return describe_edge(&lines, 0..width, out);
     };
@@ -166,10 +166,11 @@ fn describe_row(smooth: &[u16], row: usize, out: &mut [u32]) {
     describe_edge(&lines, width - REACH..width, out);
 }
 
-/// Pixels from the middle of a descriptor to its edge, and descriptors that are computed side by side.
+/// Pixels from the middle of a descriptor to its edge.
 const REACH: usize = 4;
+/// Descriptors that are computed in parallel lanes.
 const LANES: usize = 16;
-/// Bits of half a descriptor: sixteen bits are compared side by side, so it is gathered in two halves.
+/// Bits of half a descriptor: comparisons have 16-bit lanes, so a descriptor is computed in two halves.
 const HALF: usize = BITS as usize / 2;
 
 /// The neighbours in the order of their bits: line of the window, and columns from its left edge.
@@ -177,7 +178,7 @@ const NEIGHBOURS: [(usize, usize); BITS as usize] = {
     let mut all = [(0, 0); BITS as usize];
     let mut bit = 0;
     while bit < all.len() {
-        // Place 12 is the middle.
+        // Position 12 is the centre.
         let place = if bit < 12 { bit } else { bit + 1 };
         all[bit] = (place / 5, 2 * (place % 5));
         bit += 1;
@@ -185,7 +186,7 @@ const NEIGHBOURS: [(usize, usize); BITS as usize] = {
     all
 };
 
-/// The value below which a neighbour counts as darker.
+/// A neighbour below this value counts as darker than `centre`.
 #[inline(always)]
 fn threshold(centre: u16) -> u16 {
     centre.saturating_sub(NOISE)
@@ -219,7 +220,7 @@ fn describe_lanes(lines: &[&[u16]; 5], column: usize, out: &mut [u32]) {
     }
 }
 
-/// Beyond the edge the edge is repeated.
+/// Computes descriptors near the left or right edge, beyond which the last column is repeated.
 #[inline(always)]
 fn describe_edge(lines: &[&[u16]; 5], columns: std::ops::Range<usize>, out: &mut [u32]) {
     let width = out.len();
@@ -258,7 +259,8 @@ mod tests {
     fn a_gain_changes_few_bits() {
         let plain = texture(40, 30);
         let bright: Vec<u8> = plain.iter().map(|v| (f32::from(*v) * 1.3) as u8).collect();
-        let (a, b) = (census(40, 30, &plain), census(40, 30, &bright));
+        let a = census(40, 30, &plain);
+        let b = census(40, 30, &bright);
         let changed: u32 =
             a.descriptors.iter().zip(&b.descriptors).map(|(a, b)| (a ^ b).count_ones()).sum();
         assert!(changed < 40 * 30 * BITS / 50, "{changed}");
@@ -272,23 +274,24 @@ mod tests {
     }
 
     #[test]
-    fn a_flat_picture_has_empty_descriptors() {
+    fn a_flat_image_has_empty_descriptors() {
         assert!(census(20, 20, &[77; 400]).descriptors.iter().all(|d| *d == 0));
     }
 
     #[test]
-    fn a_shifted_picture_has_shifted_descriptors() {
+    fn a_shifted_image_has_shifted_descriptors() {
         let wide = texture(60, 30);
         let shifted: Vec<u8> =
             (0..30).flat_map(|y| wide[y * 60 + 7..y * 60 + 57].to_vec()).collect();
-        let (a, b) = (census(60, 30, &wide), census(50, 30, &shifted));
+        let a = census(60, 30, &wide);
+        let b = census(50, 30, &shifted);
         for (x, y) in [(10, 10), (20, 15), (30, 20)] {
             assert_eq!(a.descriptors[y * 60 + x + 7], b.descriptors[y * 50 + x]);
         }
     }
 
     #[test]
-    fn tiny_pictures_do_not_panic() {
+    fn tiny_images_do_not_panic() {
         for (width, height) in [(1, 1), (2, 3), (3, 2)] {
             census(width, height, &vec![5; width * height]);
         }

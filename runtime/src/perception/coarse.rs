@@ -1,4 +1,4 @@
-//! Depth from pictures whose relative poses are known.
+//! Coarse depth: multi-view matching of frames whose relative poses are known.
 
 use hal::{CameraModel, Distortion, ImageView, Pose3};
 use rayon::prelude::*;
@@ -6,47 +6,48 @@ use rayon::prelude::*;
 use super::aggregate::{PathRows, Volume};
 use super::belief::Belief;
 use super::census::CensusImage;
-use super::enlarge::Cells;
+use super::confidence;
+use super::frame_motion::FrameMotion;
 use super::fusion::{CELLS_AT_ONCE, Memory};
-use super::keyframes::{Keyframes, Wanted};
-use super::motion::PictureMotion;
-use super::moving::MovingThings;
+use super::keyframes::{Keyframes, Requirements};
+use super::motion_mask::MotionMask;
 use super::refine::{Corners, refine_rotation};
-use super::steady::{Believed, Seen, SteadyRotation};
-use super::subpixel::polish;
+use super::rotation_filter::{DepthPrior, FlowObservation, RotationFilter};
+use super::subpixel::refine_votes;
 use super::surround::{Surround, Surroundings};
 use super::sweep::{CELL, FAR, MAX_REFERENCES, PLANES, Reference, hypotheses, sweep};
-use super::trust;
-use super::winner::{Vote, winners};
+use super::upsample::Cells;
+use super::wta::{Vote, winner_takes_all};
 use super::{CoarseConfig, DepthEstimate, NoDepth, PerceptionError};
 use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 
-/// Depth that parallax is predicted for before any was seen, metres.
+/// Scene depth for which parallax is predicted before any was measured, metres.
 const FIRST_SCENE_DEPTH_M: f64 = 2.0;
 
-/// References must promise parallax as if rotations jittered by so many times what they do: both poses of a pair are wrong,
-/// and what is believed from the first pictures is slow to be forgotten.
+/// Factor on the measured jitter of rotations when references are selected: both poses of a pair jitter, and wrong beliefs of
+/// the first frames last long.
 const REFERENCE_MARGIN: f64 = 2.0;
 
-/// Votes are doubted as if rotations jittered by so many times what they do: all votes against one keyframe share its error,
-/// so that many are no better than one. With 2 mrad of jitter, 3 halves what delta1 loses, for 4 points of the share.
+/// Factor on the measured jitter of rotations in the confidence of votes: all votes against one keyframe share its error, so
+/// that many are no better than one. With 2 mrad of jitter, a factor of 3 halves the loss of delta1, at the cost of 4
+/// percentage points of the pixels with depth.
 const VOTE_MARGIN: f64 = 3.0;
 
-/// A cell with more far hypotheses than this that no reference sees has just come into view: what is left to choose from is
+/// A cell with more far hypotheses than this that no reference sees has just come into view: the remaining hypotheses are
 /// near, and probably wrong.
 const MOST_UNSEEN: u8 = FAR as u8 / 4;
 
-/// Plane sweep (Collins 1996) over cells of 4x4 pixels: census descriptors of up to three earlier pictures, chosen by the
-/// parallax that they promise, are compared over inverse-depth hypotheses, aggregated semi-globally, and the result votes on
-/// what is remembered from the pictures before. Deterministic on any number of threads.
+/// Plane sweep (Collins 1996) over cells of 4x4 pixels: census descriptors of up to three earlier frames, selected by their
+/// predicted parallax, are compared over inverse-depth hypotheses, aggregated semi-globally, and the result votes on the
+/// beliefs from the frames before. The results are the same to the last bit on any number of threads.
 #[derive(Debug)]
 pub struct CoarseDepth {
     config: CoarseConfig,
-    /// The camera of the pictures.
+    /// The camera of the frames.
     camera: CameraModel,
-    /// The camera of descriptors: full size, each descriptor between 2x2 pixels.
+    /// The camera whose pixels are the descriptors: full size, each descriptor between 2x2 pixels.
     descriptors: CameraModel,
-    /// The camera that depth is computed for.
+    /// The camera whose pixels are the cells.
     cells: CameraModel,
     inverse_depth: [f32; PLANES],
     keyframes: Keyframes,
@@ -54,17 +55,17 @@ pub struct CoarseDepth {
     last_pose: Option<Pose3>,
     last_smooth: Vec<u16>,
     scene_depth_m: f64,
-    picture: CensusImage,
-    motion: PictureMotion,
-    steady: SteadyRotation,
-    /// `t_odom_camera` of the last picture, steadied.
+    image: CensusImage,
+    motion: FrameMotion,
+    rotation_filter: RotationFilter,
+    /// `t_odom_camera` of the last frame, filtered.
     pose: Pose3,
-    moving: MovingThings,
+    motion_mask: MotionMask,
     buffers: Buffers,
     estimate: DepthEstimate,
 }
 
-/// Memory that is kept from picture to picture.
+/// Scratch memory, allocated once.
 #[derive(Debug, Default)]
 struct Buffers {
     corners: Corners,
@@ -82,14 +83,15 @@ struct Buffers {
 }
 
 impl CoarseDepth {
-    /// An engine for pictures of `camera`, a pinhole of at least 32x32 pixels.
+    /// Prepares coarse depth of frames of `camera`, a pinhole camera of at least 32x32 pixels.
     ///
     /// # Errors
-    /// Settings or a camera that cannot work.
+    /// A setting out of range, or a camera that cannot be used.
     pub fn new(config: CoarseConfig, camera: CameraModel) -> Result<Self, PerceptionError> {
         config.validate()?;
         check(&camera)?;
-        let (width, height) = (camera.width / CELL, camera.height / CELL);
+        let width = camera.width / CELL;
+        let height = camera.height / CELL;
         let cell = CELL as f64;
         let cells = CameraModel {
             width,
@@ -119,11 +121,11 @@ impl CoarseDepth {
             last_pose: None,
             last_smooth: Vec::new(),
             scene_depth_m: FIRST_SCENE_DEPTH_M,
-            picture: CensusImage::default(),
-            motion: PictureMotion::new(camera.width, camera.height)?,
-            steady: SteadyRotation::default(),
+            image: CensusImage::default(),
+            motion: FrameMotion::new(camera.width, camera.height)?,
+            rotation_filter: RotationFilter::default(),
             pose: Pose3::identity(),
-            moving: MovingThings::new(camera.width, camera.height),
+            motion_mask: MotionMask::new(camera.width, camera.height),
             estimate: DepthEstimate::none(camera.width, camera.height),
             config,
             camera,
@@ -132,17 +134,17 @@ impl CoarseDepth {
         })
     }
 
-    /// Depth of `frame` (RGB8 or GRAY8), taken at `t_odom_camera`, from the pictures before it.
+    /// Depth of `frame` (RGB8 or GRAY8), taken at `t_odom_camera`, from the frames before it.
     ///
     /// # Errors
-    /// Why there is none. A picture of the wrong size, without texture, of a frozen camera or with a pose that is not finite
-    /// leaves no trace; every other one is remembered.
+    /// Why there is none. A frame of the wrong size, without texture, of a frozen camera or with a pose that is not finite
+    /// has no effect on later frames; every other frame has.
     pub fn estimate(
         &mut self,
         frame: ImageView<'_>,
         t_odom_camera: &Pose3,
     ) -> Result<&DepthEstimate, NoDepth> {
-        // Into the pool once: to go there for every part of the work takes longer than some of them.
+        // One entry into the pool for the whole work: entering for every part would take longer than some of the parts.
         rayon::scope(|_| self.estimate_in_pool(frame, t_odom_camera))?;
         Ok(&self.estimate)
     }
@@ -152,24 +154,24 @@ impl CoarseDepth {
             return Err(NoDepth::PoseNotFinite);
         }
         let size = (frame.width(), frame.height());
-        if size != (self.camera.width, self.camera.height) || !self.picture.compute(frame) {
+        if size != (self.camera.width, self.camera.height) || !self.image.compute(frame) {
             return Err(NoDepth::FrameSize);
         }
-        if !self.picture.has_texture() {
+        if !self.image.has_texture() {
             return Err(NoDepth::NoTexture);
         }
         if self.is_frozen(pose) {
             return Err(NoDepth::SamePicture);
         }
-        self.last_smooth.clone_from(&self.picture.smooth);
-        let outcome = self.look(pose);
-        self.keyframes.offer(&self.pose, &mut self.picture, &self.config);
+        self.last_smooth.clone_from(&self.image.smooth);
+        let outcome = self.process(pose);
+        self.keyframes.offer(&self.pose, &mut self.image, &self.config);
         self.last_pose = Some(*pose);
         outcome
     }
 
-    /// What the last picture says about every cell of 4x4 pixels, and what is believed of it and around it, row-major; for
-    /// studies.
+    /// The last frame's vote, the belief and its neighbourhood for every cell of 4x4 pixels, row-major; `cargo xtask accuracy
+    /// --fit` fits confidence with them.
     pub fn cells(&self) -> impl Iterator<Item = (&Vote, &Belief, &Surround)> {
         let beliefs = self.memory.beliefs().iter().zip(self.buffers.surroundings.last());
         self.buffers
@@ -179,96 +181,101 @@ impl CoarseDepth {
             .map(|(vote, (belief, around))| (vote, belief, around))
     }
 
-    /// What the last successful [`estimate`](Self::estimate) returned.
+    /// The result of the last successful [`estimate`](Self::estimate).
     #[must_use]
     pub fn last(&self) -> &DepthEstimate {
         &self.estimate
     }
 
-    fn look(&mut self, said: &Pose3) -> Result<(), NoDepth> {
-        let jumped = self.last_pose.is_some_and(|last| self.is_jump(&last, said));
+    fn process(&mut self, measured: &Pose3) -> Result<(), NoDepth> {
+        let jumped = self.last_pose.is_some_and(|last| self.is_jump(&last, measured));
         if jumped {
             self.forget();
         }
-        self.follow(said);
+        self.track_motion(measured);
         if jumped {
             return Err(NoDepth::PoseJump);
         }
         if self.keyframes.is_empty() {
             return Err(NoDepth::FirstFrame);
         }
-        self.memory.drop_where(self.moving.last());
+        self.memory.drop_where(self.motion_mask.cells());
         self.buffers.votes.fill(Vote::default());
-        let wanted = Wanted {
+        let requirements = Requirements {
             depth_m: self.scene_depth_m,
             jitter_rad: REFERENCE_MARGIN * self.jitter_rad(),
         };
-        let chosen = self.keyframes.choose(&self.pose, &self.descriptors, wanted, &self.config);
+        let chosen =
+            self.keyframes.choose(&self.pose, &self.descriptors, requirements, &self.config);
         if chosen.iter().flatten().next().is_none() {
-            self.judge();
-            if self.share_believed() < self.config.min_remembered {
+            self.update_confidence();
+            if self.share_with_depth() < self.config.min_remembered {
                 return Err(NoDepth::TooLittleParallax);
             }
         } else {
             self.match_against(&chosen);
-            self.judge();
-            self.measure_scene();
+            self.update_confidence();
+            self.update_scene_depth();
         }
         self.write_estimate();
         Ok(())
     }
 
-    /// The pose jumped: nothing from before fits.
+    /// Discards everything from earlier frames, after the pose has jumped.
     fn forget(&mut self) {
         self.keyframes.forget();
         self.memory.forget();
         self.motion.forget();
-        self.steady.forget();
+        self.rotation_filter.forget();
         self.buffers.confidence.fill(0.0);
         self.scene_depth_m = FIRST_SCENE_DEPTH_M;
     }
 
-    /// What flow to the picture before tells: where the camera looks, and what moves by itself. Memory moves along.
-    fn follow(&mut self, said: &Pose3) {
-        let before = std::mem::replace(&mut self.pose, *said);
-        self.moving.forget();
-        let Some(flow) = self.motion.follow(&self.picture) else {
-            self.steady.begin(said);
-            self.memory.advance(said, &self.cells, self.config.memory);
+    /// Uses the flow to the frame before to filter the camera's rotation and to find moving objects, and moves the beliefs to
+    /// the new pose.
+    fn track_motion(&mut self, measured: &Pose3) {
+        let before = std::mem::replace(&mut self.pose, *measured);
+        self.motion_mask.clear();
+        let Some(flow) = self.motion.update(&self.image) else {
+            self.rotation_filter.restart(measured);
+            self.memory.advance(measured, &self.cells, self.config.memory);
             return;
         };
-        let (picture, camera, cells) = (&self.picture, &self.descriptors, &self.cells);
+        let image = &self.image;
+        let camera = &self.descriptors;
+        let cells = &self.cells;
         if self.config.steady_rotation {
-            let (beliefs, confidence) = (self.memory.beliefs(), &*self.buffers.confidence);
-            let seen = Seen { flow, picture, camera };
-            let believed =
-                Believed { beliefs, confidence, cells, scene_depth_m: self.scene_depth_m };
-            self.pose = self.steady.steady(said, seen, believed);
+            let beliefs = self.memory.beliefs();
+            let confidence = &*self.buffers.confidence;
+            let observed = FlowObservation { flow, image, camera };
+            let prior =
+                DepthPrior { beliefs, confidence, cells, scene_depth_m: self.scene_depth_m };
+            self.pose = self.rotation_filter.update(measured, observed, prior);
         }
-        let (pose, memory, moving) = (&self.pose, &mut self.memory, &mut self.moving);
-        let advance = || memory.advance(pose, cells, self.config.memory);
-        let look = || {
-            if self.config.find_moving {
-                moving.look(
-                    picture,
-                    flow,
-                    &(before.inverse() * pose),
-                    camera,
-                    self.config.min_depth_m,
-                );
-            }
-        };
-        rayon::join(look, advance);
+        let pose = &self.pose;
+        let memory = &mut self.memory;
+        let motion_mask = &mut self.motion_mask;
+        rayon::join(
+            || {
+                if self.config.find_moving {
+                    let t_before_now = before.inverse() * pose;
+                    let nearest_m = self.config.min_depth_m;
+                    motion_mask.update(image, flow, &t_before_now, camera, nearest_m);
+                }
+            },
+            || memory.advance(pose, cells, self.config.memory),
+        );
     }
 
-    /// Nobody moves and sees the same to the last bit: taken at its word, such a picture shows a world without parallax.
+    /// The robot has moved, but the frame is the same to the last bit: matching it would find no parallax, that is, infinite
+    /// depth.
     fn is_frozen(&self, pose: &Pose3) -> bool {
         let moved = self.last_pose.is_some_and(|last| {
             let step = last.inverse() * pose;
             step.translation.vector.norm() >= self.config.min_baseline_m
                 || step.rotation.angle() >= self.config.keyframe_turn_rad
         });
-        moved && self.last_smooth == self.picture.smooth
+        moved && self.last_smooth == self.image.smooth
     }
 
     fn is_jump(&self, last: &Pose3, pose: &Pose3) -> bool {
@@ -277,33 +284,40 @@ impl CoarseDepth {
             || step.rotation.angle() > self.config.max_turn_rad
     }
 
-    /// What rotations are known to jitter by about each axis.
+    /// The measured jitter of rotations about each axis; 0 without the rotation filter.
     fn jitter_rad(&self) -> f64 {
-        if self.config.steady_rotation { self.steady.jitter_rad() } else { 0.0 }
+        if self.config.steady_rotation { self.rotation_filter.jitter_rad() } else { 0.0 }
     }
 
     fn match_against(&mut self, chosen: &[Option<usize>; MAX_REFERENCES]) {
         let jitter_px = (VOTE_MARGIN * self.jitter_rad() * self.camera.fx) as f32;
         let Buffers { corners, grey, costs, unseen, down, up, paths_down, paths_up, votes, .. } =
             &mut self.buffers;
-        let (picture, inverse_depth, width) =
-            (&self.picture, &self.inverse_depth, self.cells.width);
+        let image = &self.image;
+        let inverse_depth = &self.inverse_depth;
+        let width = self.cells.width;
         if self.config.refine_rotation {
-            corners.find(picture);
+            corners.find(image);
         }
-        let mut reference = |index: Option<usize>| {
+        let references = chosen.map(|index| {
             let keyframe = self.keyframes.all().get(index?)?;
-            let mut t = keyframe.pose.inverse() * self.pose;
+            let mut t_reference_camera = keyframe.pose.inverse() * self.pose;
             if self.config.refine_rotation {
-                t = refine_rotation(picture, corners, &keyframe.census, &t, &self.descriptors);
+                t_reference_camera = refine_rotation(
+                    image,
+                    corners,
+                    &keyframe.census,
+                    &t_reference_camera,
+                    &self.descriptors,
+                );
             }
-            Some(Reference::new(&keyframe.census, &t, &self.descriptors))
-        };
-        let references = chosen.map(&mut reference);
-        sweep(picture, &references, inverse_depth, costs, unseen);
-        shrink(picture, width, grey);
-        let (small, large) = (self.config.penalty_small, self.config.penalty_large);
-        let volume = Volume { costs, width, grey, small, large };
+            Some(Reference::new(&keyframe.census, &t_reference_camera, &self.descriptors))
+        });
+        sweep(image, &references, inverse_depth, costs, unseen);
+        shrink(image, width, grey);
+        let p1 = self.config.penalty_small;
+        let p2 = self.config.penalty_large;
+        let volume = Volume { costs, width, grey, p1, p2 };
         rayon::join(
             || volume.vertical(false, paths_down, down),
             || volume.vertical(true, paths_up, up),
@@ -314,19 +328,21 @@ impl CoarseDepth {
                 sums.iter_mut().zip(up).for_each(|(sum, up)| *sum = sum.wrapping_add(*up));
             }
             volume.horizontal(row, sums);
-            winners(sums, &volume.costs[row * width..], inverse_depth, votes);
+            winner_takes_all(sums, &volume.costs[row * width..], inverse_depth, votes);
             for (column, vote) in votes.iter_mut().enumerate() {
                 if unseen[row * width + column] > MOST_UNSEEN {
                     continue;
                 }
-                let (u, v) = ((CELL * column) as f32, (CELL * row) as f32);
-                let parallax_px = |r: &Reference<'_>| r.parallax_px(u, v, vote.inverse_depth);
-                vote.parallax_px =
-                    references.iter().flatten().filter_map(parallax_px).fold(0.0, f32::max);
+                let u = (CELL * column) as f32;
+                let v = (CELL * row) as f32;
+                let parallaxes = references.iter().flatten();
+                vote.parallax_px = parallaxes
+                    .filter_map(|reference| reference.parallax_px(u, v, vote.inverse_depth))
+                    .fold(0.0, f32::max);
             }
-            polish(picture, &references, row, inverse_depth[0], votes);
+            refine_votes(image, &references, row, inverse_depth[0], votes);
         });
-        for (vote, moving) in votes.iter_mut().zip(self.moving.last()) {
+        for (vote, moving) in votes.iter_mut().zip(self.motion_mask.cells()) {
             if *moving {
                 *vote = Vote::default();
             }
@@ -334,41 +350,41 @@ impl CoarseDepth {
         self.memory.vote(votes, &self.config.vote_weights, jitter_px);
     }
 
-    /// The probability of every belief.
-    fn judge(&mut self) {
+    fn update_confidence(&mut self) {
         let Buffers { confidence, surroundings, .. } = &mut self.buffers;
         let beliefs = self.memory.beliefs();
-        let around = surroundings.look(beliefs, self.cells.width);
+        let around = surroundings.update(beliefs, self.cells.width);
         let cells = confidence
             .par_iter_mut()
             .zip(beliefs.par_iter().zip(around))
             .with_min_len(CELLS_AT_ONCE);
         let weights = &self.config.belief_weights;
         cells.for_each(|(confidence, (belief, around))| {
-            *confidence = trust::of_belief(weights, belief, around);
+            *confidence = confidence::of_belief(weights, belief, around);
         });
     }
 
-    fn share_believed(&self) -> f32 {
+    /// Share of the cells whose belief is likely enough to give depth.
+    fn share_with_depth(&self) -> f32 {
         let confidence = &self.buffers.confidence;
-        let believed = confidence
+        let likely = confidence
             .iter()
             .filter(|confidence| **confidence >= self.config.min_confidence)
             .count();
-        believed as f32 / confidence.len() as f32
+        likely as f32 / confidence.len() as f32
     }
 
-    /// The parallax of the next picture is predicted with the median of this one.
-    fn measure_scene(&mut self) {
+    /// Takes the median depth of this frame, with which the parallax of the next frame is predicted.
+    fn update_scene_depth(&mut self) {
         let Buffers { sorted, confidence, .. } = &mut self.buffers;
         let beliefs = self.memory.beliefs();
         sorted.clear();
-        let trusted = beliefs
+        let likely = beliefs
             .iter()
             .zip(&*confidence)
             .filter(|(_, confidence)| **confidence >= self.config.min_confidence);
-        sorted.extend(trusted.map(|(belief, _)| belief.inverse_depth));
-        // A few cells may be anything.
+        sorted.extend(likely.map(|(belief, _)| belief.inverse_depth));
+        // The median of a few cells is unreliable: at least 5 % are required.
         if sorted.len() * 20 > beliefs.len() {
             let middle = sorted.len() / 2;
             let median = *sorted.select_nth_unstable_by(middle, f32::total_cmp).1;
@@ -376,23 +392,24 @@ impl CoarseDepth {
         }
     }
 
-    /// Writes what is believed at full size.
+    /// Upsamples the beliefs to full size.
     fn write_estimate(&mut self) {
         let Buffers { grey, confidence, .. } = &mut self.buffers;
-        shrink(&self.picture, self.cells.width, grey);
-        let (width, beliefs) = (self.cells.width, self.memory.beliefs());
+        shrink(&self.image, self.cells.width, grey);
+        let width = self.cells.width;
+        let beliefs = self.memory.beliefs();
         let cells =
             Cells { width, beliefs, confidence, grey, min_confidence: self.config.min_confidence };
-        cells.enlarge(&self.picture.smooth, &mut self.estimate);
+        cells.upsample(&self.image.smooth, &mut self.estimate);
     }
 }
 
 /// The grey value in the middle of every cell.
-fn shrink(picture: &CensusImage, width: usize, grey: &mut [u16]) {
+fn shrink(image: &CensusImage, width: usize, grey: &mut [u16]) {
     for (line, grey) in
-        picture.smooth.chunks_exact(CELL * picture.width).zip(grey.chunks_exact_mut(width))
+        image.smooth.chunks_exact(CELL * image.width).zip(grey.chunks_exact_mut(width))
     {
-        let middle = line.get(picture.width + 1..).unwrap_or_default().iter().step_by(CELL);
+        let middle = line.get(image.width + 1..).unwrap_or_default().iter().step_by(CELL);
         grey.iter_mut().zip(middle).for_each(|(grey, smooth)| *grey = *smooth);
     }
 }
@@ -401,7 +418,7 @@ fn check(camera: &CameraModel) -> Result<(), PerceptionError> {
     let why = if !camera.is_sound() {
         "size and focal lengths must be positive and finite"
     } else if camera.distortion != Distortion::None {
-        "its pictures must be undistorted first"
+        "its images must be undistorted first"
     } else if camera.width < 32 || camera.height < 32 {
         "it must have at least 32x32 pixels"
     } else {
@@ -416,7 +433,7 @@ impl State for CoarseDepth {
         self.keyframes.write(to);
         self.memory.write(to);
         self.motion.write(to);
-        self.steady.write(to);
+        self.rotation_filter.write(to);
         (self.last_pose, self.scene_depth_m, self.pose).write(to);
         write_bulk(&self.last_smooth, to);
         write_bulk(&self.buffers.confidence, to);
@@ -426,12 +443,12 @@ impl State for CoarseDepth {
         self.keyframes.read(from)?;
         self.memory.read(from)?;
         self.motion.read(from)?;
-        self.steady.read(from)?;
+        self.rotation_filter.read(from)?;
         let mut poses = (None, 0.0, Pose3::identity());
         poses.read(from)?;
         (self.last_pose, self.scene_depth_m, self.pose) = poses;
-        let (pixels, cells) =
-            (self.camera.width * self.camera.height, self.cells.width * self.cells.height);
+        let pixels = self.camera.width * self.camera.height;
+        let cells = self.cells.width * self.cells.height;
         read_bulk(&mut self.last_smooth, pixels, from)?;
         read_bulk(&mut self.buffers.confidence, cells, from)?;
         let sound = self.buffers.confidence.len() == cells
@@ -441,7 +458,7 @@ impl State for CoarseDepth {
         if sound {
             Ok(())
         } else {
-            Err(SnapshotError::Damaged("pictures of another size".to_owned()))
+            Err(SnapshotError::Damaged("keyframes of another image size".to_owned()))
         }
     }
 }

@@ -1,25 +1,25 @@
-//! Memory from picture to picture: the last depth, moved by the known motion, is confirmed or contradicted by the new.
+//! Temporal fusion: beliefs are moved by the known motion, and confirmed or contradicted by the votes of the new frame.
 
 use hal::{CameraModel, Pose3};
 use rayon::prelude::*;
 
 use super::belief::Belief;
+use super::confidence;
 use super::sweep::nearest;
-use super::trust;
-use super::winner::Vote;
+use super::wta::Vote;
 use crate::snapshot::remembers;
 
-/// With less than that of a vote left, nothing is believed any more: at most 47 pictures after the last look, with the default memory.
-/// No sequence with ground truth tells what older beliefs are worth.
+/// A belief with fewer votes than this is removed: with the default memory, at most 47 frames after its last vote. No
+/// sequence with ground truth shows the accuracy of older beliefs.
 const STALE_VOTES: f32 = 0.25;
 
-/// What remains of the evidence when a gap takes it from a neighbour.
+/// Factor on the evidence of a belief that is copied into a gap.
 const GUESS: f32 = 0.9;
 
-/// Cells of which less are not worth another thread.
+/// Minimum number of cells for one task: with fewer, another thread saves nothing.
 pub const CELLS_AT_ONCE: usize = 512;
 
-/// What is believed of the whole picture.
+/// The beliefs of all cells.
 #[derive(Debug, Default)]
 pub struct Memory {
     beliefs: Vec<Belief>,
@@ -28,12 +28,12 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// Believes nothing any more.
+    /// Removes all beliefs at the next [`advance`](Self::advance).
     pub fn forget(&mut self) {
         self.pose = None;
     }
 
-    /// Whether it is empty or of so many cells.
+    /// Whether it is empty or has this number of cells.
     pub fn has_size(&self, cells: usize) -> bool {
         self.beliefs.is_empty() || self.beliefs.len() == cells
     }
@@ -43,23 +43,24 @@ impl Memory {
         &self.beliefs
     }
 
-    /// Believes nothing any more of these cells, row-major.
+    /// Removes the beliefs of the cells that are marked, row-major.
     pub fn drop_where(&mut self, cells: &[bool]) {
         for (belief, _) in self.beliefs.iter_mut().zip(cells).filter(|(_, drop)| **drop) {
             *belief = Belief::default();
         }
     }
 
-    /// Votes of all cells, row-major, each with the trust that `weights` put in it when jitter moves matches by `jitter_px`.
+    /// Adds the votes of all cells, row-major. Their confidence follows from `weights` and the displacement of matches by
+    /// jitter.
     pub fn vote(&mut self, votes: &[Vote], weights: &[f32; 5], jitter_px: f32) {
         let pairs = self.beliefs.par_iter_mut().zip(votes).with_min_len(CELLS_AT_ONCE);
         pairs.for_each(|(belief, vote)| {
-            belief.vote(vote.inverse_depth, trust::of_vote(weights, vote, jitter_px));
+            belief.vote(vote.inverse_depth, confidence::of_vote(weights, vote, jitter_px));
         });
     }
 
-    /// Moves every belief to where the camera at `pose` sees it and multiplies its evidence and its votes by `keep`. Where several meet,
-    /// the nearest hides the others; what becomes stale is forgotten.
+    /// Moves every belief to the cell where the camera at `pose` sees it, and multiplies its evidence and its votes by
+    /// `keep`. Where several meet, the nearest hides the others; stale beliefs are removed.
     pub fn advance(&mut self, pose: &Pose3, camera: &CameraModel, keep: f32) {
         let pixels = camera.width * camera.height;
         self.moved.clear();
@@ -67,8 +68,10 @@ impl Memory {
         self.beliefs.resize(pixels, Belief::default());
         if let Some(before) = self.pose {
             let t_now_before = (pose.inverse() * before).to_homogeneous().cast::<f32>();
-            let (fx, fy, cx, cy) =
-                (camera.fx as f32, camera.fy as f32, camera.cx as f32, camera.cy as f32);
+            let fx = camera.fx as f32;
+            let fy = camera.fy as f32;
+            let cx = camera.cx as f32;
+            let cy = camera.cy as f32;
             for (index, belief) in
                 self.beliefs.iter().enumerate().filter(|(_, belief)| lasts(belief, keep))
             {
@@ -76,15 +79,16 @@ impl Memory {
                 let y = ((index / camera.width) as f32 + belief.offset[1] - cy) / fy;
                 // The point is (x, y, 1) / w; everything is kept multiplied by w.
                 let w = belief.inverse_depth;
-                let row = |r: usize| {
-                    t_now_before[(r, 0)] * x
-                        + t_now_before[(r, 1)] * y
-                        + t_now_before[(r, 2)]
-                        + t_now_before[(r, 3)] * w
-                };
-                let z = row(2);
-                let (exact_u, exact_v) = (fx * row(0) / z + cx, fy * row(1) / z + cy);
-                let (u, v) = (nearest(exact_u), nearest(exact_v));
+                let [moved_x, moved_y, z] = [0, 1, 2].map(|row| {
+                    t_now_before[(row, 0)] * x
+                        + t_now_before[(row, 1)] * y
+                        + t_now_before[(row, 2)]
+                        + t_now_before[(row, 3)] * w
+                });
+                let exact_u = fx * moved_x / z + cx;
+                let exact_v = fy * moved_y / z + cy;
+                let u = nearest(exact_u);
+                let v = nearest(exact_v);
                 let inside =
                     u >= 0 && v >= 0 && u < camera.width as i32 && v < camera.height as i32;
                 if z > 0.05 && inside {
@@ -106,7 +110,8 @@ impl Memory {
         self.pose = Some(*pose);
     }
 
-    /// Coming nearer tears the cells apart: one that nobody moved to, but between others, takes the farthest of them.
+    /// Driving forward spreads the cells and leaves gaps: an empty cell with at least two known neighbours takes the farthest
+    /// of them.
     fn close_gaps(&mut self, width: usize) {
         self.beliefs.copy_from_slice(&self.moved);
         let last = self.moved.len().saturating_sub(width);
@@ -128,7 +133,7 @@ impl Memory {
     }
 }
 
-/// Whether something is believed and will be after it has aged.
+/// Whether a belief exists and has enough votes after ageing.
 fn lasts(belief: &Belief, keep: f32) -> bool {
     belief.evidence > 0.0 && belief.votes * keep >= STALE_VOTES
 }
@@ -142,7 +147,7 @@ mod tests {
     const WEIGHTS: [f32; 5] = [0.0, 1.0, 0.0, 0.0, 0.0];
 
     #[test]
-    fn agreement_adds_and_contradiction_takes_away() {
+    fn agreement_adds_evidence_and_contradiction_removes_it() {
         let mut belief = Belief::default();
         belief.vote(0.5, 0.4);
         belief.vote(0.52, 0.4);
@@ -173,7 +178,7 @@ mod tests {
             .enumerate()
             .filter(|(_, b)| b.evidence > 0.0)
             .collect();
-        let evidence = 0.5 * trust::of_vote(&WEIGHTS, &vote, 0.0);
+        let evidence = 0.5 * confidence::of_vote(&WEIGHTS, &vote, 0.0);
         assert_eq!(
             left,
             [(8 * 64 + 24, Belief { inverse_depth: 0.5, evidence, votes: 0.5, offset: [0.0; 2] })]
@@ -198,18 +203,18 @@ mod tests {
     }
 
     #[test]
-    fn what_no_picture_looks_at_any_more_becomes_stale_and_is_forgotten() {
+    fn a_belief_without_further_votes_becomes_stale_and_is_removed() {
         let camera = CameraModel::pinhole(64, 16, 1.0);
         let mut memory = Memory::default();
         memory.advance(&Pose3::identity(), &camera, 0.5);
         let vote =
             Vote { inverse_depth: 0.5, margin: 0.9, texture: 0.3, misfit: 0.1, parallax_px: 9.0 };
         memory.vote(&vec![vote; 64 * 16], &WEIGHTS, 0.0);
-        let mut believed = || {
+        let believed = [(); 3].map(|()| {
             memory.advance(&Pose3::identity(), &camera, 0.5);
             memory.beliefs().iter().filter(|belief| belief.evidence > 0.0).count()
-        };
-        assert_eq!([believed(), believed(), believed()], [64 * 16, 64 * 16, 0]);
+        });
+        assert_eq!(believed, [64 * 16, 64 * 16, 0]);
     }
 
     #[test]
@@ -217,7 +222,8 @@ mod tests {
         let mut memory = Memory::default();
         let near = Belief { inverse_depth: 2.0, evidence: 1.0, votes: 1.0, offset: [0.0; 2] };
         memory.moved = vec![Belief::default(); 15];
-        (memory.moved[6], memory.moved[8]) = (near, Belief { inverse_depth: 0.5, ..near });
+        memory.moved[6] = near;
+        memory.moved[8] = Belief { inverse_depth: 0.5, ..near };
         memory.beliefs = memory.moved.clone();
         memory.close_gaps(5);
         assert_eq!((memory.moved[7].inverse_depth, memory.moved[7].evidence), (0.5, GUESS));

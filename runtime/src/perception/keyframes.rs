@@ -1,4 +1,4 @@
-//! Which earlier pictures to compare with: those that promise parallax and still see the same things.
+//! Keyframes, and the selection of references by predicted parallax and overlap.
 
 use hal::{CameraModel, Pose3};
 use nalgebra::{Point3, Vector3};
@@ -6,58 +6,57 @@ use nalgebra::{Point3, Vector3};
 use super::{CoarseConfig, census::CensusImage, sweep::MAX_REFERENCES};
 use crate::snapshot::{SnapshotError, State};
 
-/// An earlier picture and where it was taken.
+/// An earlier frame and the pose at which it was taken.
 #[derive(Debug, Clone)]
 pub struct Keyframe {
     /// `t_odom_camera`.
     pub pose: Pose3,
-    /// The picture.
     pub census: CensusImage,
 }
 
-/// A ring of earlier pictures, oldest first.
+/// A ring of earlier frames, oldest first.
 #[derive(Debug, Default)]
 pub struct Keyframes {
     ring: Vec<Keyframe>,
     spare: Vec<CensusImage>,
-    promises: Vec<Option<Promise>>,
+    predictions: Vec<Option<Prediction>>,
 }
 
-/// What references are wanted for.
+/// What determines whether a keyframe is usable as a reference.
 #[derive(Debug, Clone, Copy)]
-pub struct Wanted {
+pub struct Requirements {
     /// Depth of the scene, metres.
     pub depth_m: f64,
-    /// What rotations jitter by, radians.
+    /// Jitter of rotations about each axis, radians.
     pub jitter_rad: f64,
 }
 
-/// What an earlier picture promises.
+/// Predicted parallax and overlap of a keyframe.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Promise {
+pub struct Prediction {
     /// Mean parallax at the assumed depth, pixels of `camera`.
     pub parallax_px: f64,
-    /// Share of the picture that the earlier one sees too.
+    /// Share of the current image that the keyframe sees too.
     pub overlap: f64,
 }
 
 impl Keyframes {
-    /// Forgets everything, keeps the memory.
+    /// Removes all keyframes and keeps their allocations.
     pub fn forget(&mut self) {
         self.spare.extend(self.ring.drain(..).map(|keyframe| keyframe.census));
     }
 
-    /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.ring.is_empty()
     }
 
-    /// All, oldest first.
+    /// All keyframes, oldest first.
     pub fn all(&self) -> &[Keyframe] {
         &self.ring
     }
 
-    /// Keeps `census` if the camera has moved on since the last keyframe; leaves reusable memory in its place.
+    /// Adds `census` as a keyframe if the camera has moved far enough since the last one, and leaves reusable memory in its
+    /// place.
     pub fn offer(&mut self, pose: &Pose3, census: &mut CensusImage, config: &CoarseConfig) {
         if let Some(last) = self.ring.last() {
             let step = last.pose.inverse() * pose;
@@ -74,28 +73,31 @@ impl Keyframes {
         self.ring.push(Keyframe { pose: *pose, census: kept });
     }
 
-    /// The references for a picture at `pose`: for every wanted parallax the keyframe that comes nearest to it. Nearest
-    /// parallax first, no keyframe twice.
+    /// Selects the references for a frame at `pose`: for every parallax of the configuration the keyframe that comes nearest
+    /// to it. No keyframe is selected twice.
     pub fn choose(
         &mut self,
         pose: &Pose3,
         camera: &CameraModel,
-        wanted: Wanted,
+        requirements: Requirements,
         config: &CoarseConfig,
     ) -> [Option<usize>; MAX_REFERENCES] {
-        let Self { ring, promises, .. } = self;
-        promises.clear();
-        promises.extend(
-            ring.iter().map(|keyframe| promise_within(keyframe, pose, camera, wanted, config)),
+        let Self { ring, predictions, .. } = self;
+        predictions.clear();
+        predictions.extend(
+            ring.iter()
+                .map(|keyframe| usable_prediction(keyframe, pose, camera, requirements, config)),
         );
         let mut chosen = [None; MAX_REFERENCES];
-        for (place, wanted) in config.parallax_px.iter().take(MAX_REFERENCES).enumerate() {
-            let cost = |promise: &Promise| (promise.parallax_px / wanted).ln().abs();
-            let best = promises
+        for (place, desired_px) in config.parallax_px.iter().take(MAX_REFERENCES).enumerate() {
+            let best = predictions
                 .iter()
                 .enumerate()
-                .filter_map(|(index, promise)| promise.as_ref().map(|p| (index, cost(p))))
-                // The newest of equals: it shares the most with this picture.
+                .filter_map(|(index, prediction)| {
+                    let parallax_px = prediction.as_ref()?.parallax_px;
+                    Some((index, (parallax_px / desired_px).ln().abs()))
+                })
+                // Of equals the newest: it shares the most with this frame.
                 .min_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
                 .map(|(index, _)| index);
             if !chosen.contains(&best) {
@@ -130,29 +132,33 @@ impl State for Keyframes {
     }
 }
 
-fn promise_within(
+/// The prediction for a keyframe that satisfies all requirements.
+fn usable_prediction(
     keyframe: &Keyframe,
     pose: &Pose3,
     camera: &CameraModel,
-    Wanted { depth_m, jitter_rad }: Wanted,
+    Requirements { depth_m, jitter_rad }: Requirements,
     config: &CoarseConfig,
-) -> Option<Promise> {
+) -> Option<Prediction> {
     let t_reference_camera = keyframe.pose.inverse() * pose;
     let baseline_m = t_reference_camera.translation.vector.norm();
     if !(config.min_baseline_m..=config.max_baseline_m).contains(&baseline_m) {
         return None;
     }
-    let promise = promise(&t_reference_camera, camera, depth_m);
+    let prediction = predict(&t_reference_camera, camera, depth_m);
     let error_rad = config.turn_error_floor_rad.max(jitter_rad)
         + config.turn_error * t_reference_camera.rotation.angle();
     let needed_px = (config.parallax_over_error * error_rad * camera.fx).max(1.0);
-    (promise.overlap >= config.min_overlap && promise.parallax_px >= needed_px).then_some(promise)
+    let usable = prediction.overlap >= config.min_overlap && prediction.parallax_px >= needed_px;
+    usable.then_some(prediction)
 }
 
-/// What a reference promises for a scene at `depth_m`, over a grid of 8x4 pixels.
+/// Predicts parallax and overlap for a scene at `depth_m`, over a grid of 8x4 pixels.
 #[must_use]
-pub fn promise(t_reference_camera: &Pose3, camera: &CameraModel, depth_m: f64) -> Promise {
-    let (mut seen, mut total, mut parallax_px) = (0_u32, 0_u32, 0.0);
+pub fn predict(t_reference_camera: &Pose3, camera: &CameraModel, depth_m: f64) -> Prediction {
+    let mut seen = 0_u32;
+    let mut total = 0_u32;
+    let mut parallax_px = 0.0;
     for row in 0..4 {
         for column in 0..8 {
             total += 1;
@@ -165,19 +171,15 @@ pub fn promise(t_reference_camera: &Pose3, camera: &CameraModel, depth_m: f64) -
             else {
                 continue;
             };
-            let inside = |(u, v): (f64, f64)| {
-                u >= 0.0
-                    && v >= 0.0
-                    && u <= camera.width as f64 - 1.0
-                    && v <= camera.height as f64 - 1.0
-            };
-            if inside(near) {
+            let columns = 0.0..=camera.width as f64 - 1.0;
+            let rows = 0.0..=camera.height as f64 - 1.0;
+            if columns.contains(&near.0) && rows.contains(&near.1) {
                 seen += 1;
                 parallax_px += (far.0 - near.0).hypot(far.1 - near.1);
             }
         }
     }
-    Promise {
+    Prediction {
         parallax_px: parallax_px / f64::from(seen.max(1)),
         overlap: f64::from(seen) / f64::from(total),
     }
@@ -195,51 +197,51 @@ mod tests {
         )
     }
 
-    const WANTED: Wanted = Wanted { depth_m: 2.0, jitter_rad: 0.0 };
+    const REQUIREMENTS: Requirements = Requirements { depth_m: 2.0, jitter_rad: 0.0 };
 
     fn camera() -> CameraModel {
         CameraModel::pinhole(320, 96, std::f64::consts::FRAC_PI_2)
     }
 
     #[test]
-    fn a_sideways_step_promises_f_b_over_z() {
-        let promise = promise(&at(0.1, 0.0), &camera(), 2.0);
-        assert!((promise.parallax_px - 160.0 * 0.1 / 2.0).abs() < 1e-9);
-        assert!(promise.overlap > 0.95);
+    fn a_sideways_step_has_a_parallax_of_f_b_over_z() {
+        let prediction = predict(&at(0.1, 0.0), &camera(), 2.0);
+        assert!((prediction.parallax_px - 160.0 * 0.1 / 2.0).abs() < 1e-9);
+        assert!(prediction.overlap > 0.95);
     }
 
     #[test]
-    fn a_turn_promises_no_parallax_and_loses_overlap() {
-        let promise = promise(&at(0.0, 0.8), &camera(), 2.0);
-        assert!(promise.parallax_px < 1e-9 && promise.overlap < 0.6);
+    fn a_rotation_has_no_parallax_and_less_overlap() {
+        let prediction = predict(&at(0.0, 0.8), &camera(), 2.0);
+        assert!(prediction.parallax_px < 1e-9 && prediction.overlap < 0.6);
     }
 
     #[test]
-    fn references_are_chosen_by_parallax_and_never_twice() {
+    fn references_are_selected_by_parallax_and_never_twice() {
         let mut keyframes = Keyframes::default();
         let config = CoarseConfig { parallax_px: vec![6.0, 12.0, 24.0], ..CoarseConfig::default() };
         for i in 0..20 {
             keyframes.offer(&at(0.05 * f64::from(i), 0.0), &mut CensusImage::default(), &config);
         }
         let chosen =
-            keyframes.choose(&at(1.0, 0.0), &camera(), WANTED, &config).map(Option::unwrap);
-        let parallax = |i: &usize| 80.0 * (1.0 - 0.05 * *i as f64);
-        for (index, wanted) in chosen.iter().zip(&config.parallax_px) {
-            assert!((parallax(index) - wanted).abs() <= 2.5);
+            keyframes.choose(&at(1.0, 0.0), &camera(), REQUIREMENTS, &config).map(Option::unwrap);
+        for (index, desired_px) in chosen.iter().zip(&config.parallax_px) {
+            let parallax_px = 80.0 * (1.0 - 0.05 * *index as f64);
+            assert!((parallax_px - desired_px).abs() <= 2.5);
         }
     }
 
     #[test]
-    fn what_jitter_alone_could_fake_is_no_reference() {
+    fn a_keyframe_whose_parallax_is_within_the_jitter_is_no_reference() {
         let mut keyframes = Keyframes::default();
         let config = CoarseConfig::default();
         keyframes.offer(&at(0.0, 0.0), &mut CensusImage::default(), &config);
         // 160 px * 0.03 m / 2 m = 2.4 px; one mrad is 0.16 px.
-        let chosen = |keyframes: &mut Keyframes, jitter_rad| {
-            keyframes.choose(&at(0.03, 0.0), &camera(), Wanted { jitter_rad, ..WANTED }, &config)[0]
-        };
-        assert_eq!(chosen(&mut keyframes, 0.002), Some(0));
-        assert_eq!(chosen(&mut keyframes, 0.004), None);
+        for (jitter_rad, expected) in [(0.002, Some(0)), (0.004, None)] {
+            let requirements = Requirements { jitter_rad, ..REQUIREMENTS };
+            let chosen = keyframes.choose(&at(0.03, 0.0), &camera(), requirements, &config);
+            assert_eq!(chosen[0], expected);
+        }
     }
 
     #[test]
@@ -251,11 +253,11 @@ mod tests {
         }
         assert_eq!(keyframes.all().len(), 1);
         assert_eq!(
-            keyframes.choose(&at(0.0, 0.0), &camera(), WANTED, &config),
+            keyframes.choose(&at(0.0, 0.0), &camera(), REQUIREMENTS, &config),
             [None; MAX_REFERENCES]
         );
         assert_eq!(
-            keyframes.choose(&at(0.001, 0.1), &camera(), WANTED, &config),
+            keyframes.choose(&at(0.001, 0.1), &camera(), REQUIREMENTS, &config),
             [None; MAX_REFERENCES]
         );
     }

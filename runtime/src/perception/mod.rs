@@ -1,32 +1,44 @@
-//! From pictures and known ego-motion to depth.
+//! Depth from camera frames and known ego-motion.
+//!
+//! Terms of this module:
+//!
+//! - **Coarse depth**: depth by multi-view matching, without a network; one value per cell ([`CoarseDepth`]).
+//! - **Cell**: 4x4 pixels, the resolution at which coarse depth is computed.
+//! - **Keyframe**: an earlier frame that is kept with its pose, so that later frames can be matched against it.
+//! - **Reference**: a keyframe that was selected for matching with the current frame.
+//! - **Sweep**: the plane sweep, which computes the matching cost of every cell at 64 inverse depths in all references.
+//! - **Vote**: the winner-take-all result of one frame for one cell ([`Vote`]).
+//! - **Belief**: the depth of a cell as accumulated from the votes of all frames so far ([`Belief`]).
+//! - **Evidence**: the strength of a belief, the sum of the confidence of agreeing votes less that of contradicting ones.
+//! - **Confidence**: the probability that a vote, a belief or a depth is right, that is, within 25 % of the true depth.
+//! - **Motion mask**: the cells whose content moves relative to the static scene; they get no depth.
 
 mod aggregate;
 mod belief;
 mod census;
 mod coarse;
+pub mod confidence;
 mod config;
-mod enlarge;
 mod estimate;
 pub mod flow;
+mod frame_motion;
 mod fusion;
 mod keyframes;
-pub mod least_squares;
-mod motion;
-mod moving;
+mod motion_mask;
 pub mod network;
 mod refine;
-mod steady;
+mod rotation_filter;
 mod subpixel;
 pub mod surround;
 mod sweep;
 #[cfg(test)]
 mod test_scene;
-pub mod trust;
-mod winner;
+mod upsample;
+mod wta;
 
 pub use belief::Belief;
 pub use coarse::CoarseDepth;
 pub use config::{CoarseConfig, PerceptionError};
 pub use estimate::{DepthEstimate, NoDepth};
-pub use network::{DepthNetwork, FlowNetwork, InputKind, NetworkError, NetworkOptions, Provider};
-pub use winner::Vote;
+pub use network::{DepthNetwork, InputKind, NetworkError, NetworkOptions, Provider};
+pub use wta::Vote;

@@ -1,9 +1,10 @@
-//! Corrects the rotation between two pictures by looking at them.
+//! Corrects the rotation between two frames from image matches.
 //!
-//! Odometry and hand-held tracking know a turn to a few milliradians at best, a rolling shutter bends it further, and a
-//! milliradian is as much as several centimetres of parallax far away. A wrong rotation moves matches off their epipolar
-//! lines; the distances of a few dozen corners from their lines give the rotation by robust least squares, whatever the
-//! depth of each corner. What moves matches *along* their lines looks like depth and is left to the pose.
+//! Odometry and hand-held tracking measure a rotation to a few milliradians at best, a rolling shutter adds to the error, and
+//! far away a milliradian is as much as the parallax of several centimetres. A wrong rotation moves matches off their
+//! epipolar lines; the distances of a few dozen corners from their lines give the rotation by robust least squares, whatever
+//! the depth of each corner. A rotation that moves matches *along* their lines looks like depth and is left as the pose has
+//! it.
 
 use hal::{CameraModel, Pose3};
 use multiversion::multiversion;
@@ -12,36 +13,37 @@ use rayon::prelude::*;
 
 use super::census::{CensusImage, NOWHERE};
 
-/// One corner is looked for in every cell of this size, full-size pixels.
+/// One corner is selected in every cell of this size, full-size pixels.
 const CELL: usize = 32;
-/// Places that are tried in a cell, full-size pixels apart.
+/// Spacing of the corner candidates in a cell, full-size pixels.
 const GRID: usize = 8;
-/// Corners keep this distance from the edge: half of a patch.
+/// Minimum distance of a corner from the edge, half of a patch, full-size pixels.
 const MARGIN: usize = 8;
-/// Least strength of a corner (smaller eigenvalue of the structure tensor over 5x5 samples), grey levels squared.
+/// Minimum strength of a corner (smaller eigenvalue of the structure tensor over 5x5 samples), grey levels squared.
 const CORNER: f32 = 400.0;
-/// Matches are looked for up to this far from their line, full-size pixels: 15 mrad at f = 520.
+/// Maximum distance of a match from its line, full-size pixels: 15 mrad at f = 520.
 const REACH_PX: i32 = 8;
 /// Step along the line, full-size pixels.
 const STEP_PX: f64 = 2.0;
-/// Whole distances from a line that are looked at.
+/// Number of whole-pixel distances from a line that are compared.
 const DISTANCES: usize = 2 * REACH_PX as usize + 1;
-/// Nearest depth of a match, metres: the last metre has long lines and few corners.
+/// Minimum depth of a match, metres: below a metre, lines are long and corners are few.
 const NEAR_M: f64 = 1.0;
-/// Descriptors of a patch, which has its middle at (6, 6).
+/// Positions of the descriptors of a patch, whose middle is at (6, 6).
 const PATCH: [(usize, usize); 5] = [(0, 0), (12, 0), (6, 6), (0, 12), (12, 12)];
-/// A match may differ in so many of its 120 bits, and must beat matches at other distances from the line by as many.
+/// Maximum number of differing bits of a match, of 120.
 const MAX_BITS: u32 = 39;
+/// Minimum difference in bits from matches at other distances from the line.
 const CLEAR_BITS: u32 = 8;
-/// Fewer corners than this say nothing.
+/// With fewer corners than this, the rotation is not corrected.
 const MIN_CORNERS: usize = 8;
-/// Weight of staying in place along the lines, against 1 for each corner's distance from its line.
+/// Weight of keeping the position along the lines, against 1 for each corner's distance from its line.
 const ALONG: f64 = 0.3;
 
-/// Corners of a picture, as full-size positions.
+/// Corners of a frame, as full-size positions.
 #[derive(Debug, Default)]
 pub struct Corners {
-    /// The strongest of every cell, if it has one.
+    /// The strongest corner of every cell.
     cells: Vec<Option<(usize, usize)>>,
     points: Vec<(usize, usize)>,
     residuals: Vec<Option<Residual>>,
@@ -49,29 +51,35 @@ pub struct Corners {
 
 impl Corners {
     /// The strongest corner of every cell that has one.
-    pub fn find(&mut self, picture: &CensusImage) {
-        let cells_within = |size: usize| size.saturating_sub(2 * MARGIN).div_ceil(CELL);
-        let (columns, rows) = (cells_within(picture.width), cells_within(picture.height));
-        let strongest = |cell: usize| strongest(picture, cell % columns, cell / columns);
+    pub fn find(&mut self, image: &CensusImage) {
+        let columns = cells_along(image.width);
+        let rows = cells_along(image.height);
         (0..columns * rows)
             .into_par_iter()
             .with_min_len(columns)
-            .map(strongest)
+            .map(|cell| strongest(image, cell % columns, cell / columns))
             .collect_into_vec(&mut self.cells);
         self.points.clear();
         self.points.extend(self.cells.iter().flatten());
     }
 }
 
-fn strongest(picture: &CensusImage, column: usize, row: usize) -> Option<(usize, usize)> {
-    let places = |cell: usize, size: usize| {
-        let first = MARGIN + cell * CELL;
-        (first..(first + CELL).min(size - MARGIN)).step_by(GRID)
-    };
+/// Number of cells along a side of `size` pixels.
+fn cells_along(size: usize) -> usize {
+    size.saturating_sub(2 * MARGIN).div_ceil(CELL)
+}
+
+/// Positions of the corner candidates of a cell along one axis.
+fn candidates(cell: usize, size: usize) -> impl Iterator<Item = usize> {
+    let first = MARGIN + cell * CELL;
+    (first..(first + CELL).min(size - MARGIN)).step_by(GRID)
+}
+
+fn strongest(image: &CensusImage, column: usize, row: usize) -> Option<(usize, usize)> {
     let mut best = (CORNER, None);
-    for y in places(row, picture.height) {
-        for x in places(column, picture.width) {
-            let strength = strength(picture, x, y);
+    for y in candidates(row, image.height) {
+        for x in candidates(column, image.width) {
+            let strength = strength(image, x, y);
             if strength > best.0 {
                 best = (strength, Some((x, y)));
             }
@@ -80,49 +88,58 @@ fn strongest(picture: &CensusImage, column: usize, row: usize) -> Option<(usize,
     best.1
 }
 
-fn strength(picture: &CensusImage, x: usize, y: usize) -> f32 {
-    let grey = |x: usize, y: usize| f32::from(picture.smooth[y * picture.width + x]) / 256.0;
-    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+fn strength(image: &CensusImage, x: usize, y: usize) -> f32 {
+    let mut xx = 0.0;
+    let mut xy = 0.0;
+    let mut yy = 0.0;
     for v in (y - 4..=y + 4).step_by(2) {
         for u in (x - 4..=x + 4).step_by(2) {
-            let (gx, gy) = (grey(u + 2, v) - grey(u - 2, v), grey(u, v + 2) - grey(u, v - 2));
-            (xx, xy, yy) = (xx + gx * gx, xy + gx * gy, yy + gy * gy);
+            let gx = grey(image, u + 2, v) - grey(image, u - 2, v);
+            let gy = grey(image, u, v + 2) - grey(image, u, v - 2);
+            xx += gx * gx;
+            xy += gx * gy;
+            yy += gy * gy;
         }
     }
     (xx + yy) / 2.0 - ((xx - yy) * (xx - yy) / 4.0 + xy * xy).sqrt()
 }
 
-/// How a corner's match answers to a small rotation of the reference, and how far off its line it was found.
+fn grey(image: &CensusImage, x: usize, y: usize) -> f32 {
+    f32::from(image.smooth[y * image.width + x]) / 256.0
+}
+
+/// The distance of a corner's match from its epipolar line, with derivatives with respect to a small rotation of the reference.
 #[derive(Debug)]
 struct Residual {
     /// d(distance from the line) / d(rotation), pixels per radian.
     across: Vector3<f64>,
-    /// d(place along the line) / d(rotation), pixels per radian.
+    /// d(position along the line) / d(rotation), pixels per radian.
     along: Vector3<f64>,
     off_px: f64,
 }
 
-/// `t_reference_camera` with its rotation corrected. `camera` describes the positions of descriptors.
+/// `t_reference_camera` with its rotation corrected. `camera` has its pixels at the positions of the descriptors.
 pub fn refine_rotation(
-    picture: &CensusImage,
+    image: &CensusImage,
     corners: &mut Corners,
     reference: &CensusImage,
     t_reference_camera: &Pose3,
     camera: &CameraModel,
 ) -> Pose3 {
     let Corners { points, residuals, .. } = corners;
-    let residual =
-        |corner: &(usize, usize)| residual(picture, *corner, reference, t_reference_camera, camera);
-    points.par_iter().map(residual).collect_into_vec(residuals);
-    // How far off the pose's rotation may be: tracking jitter, and a share of the turn for timing and shutter.
+    points
+        .par_iter()
+        .map(|corner| residual(image, *corner, reference, t_reference_camera, camera))
+        .collect_into_vec(residuals);
+    // Expected error of the pose's rotation: tracking jitter, and a share of the rotation for timing and shutter.
     let sigma_rad = 0.002 + 0.05 * t_reference_camera.rotation.angle();
-    let turn = UnitQuaternion::from_scaled_axis(solve(residuals, sigma_rad));
-    Pose3::from_parts(t_reference_camera.translation, turn * t_reference_camera.rotation)
+    let correction = UnitQuaternion::from_scaled_axis(solve(residuals, sigma_rad));
+    Pose3::from_parts(t_reference_camera.translation, correction * t_reference_camera.rotation)
 }
 
 #[multiversion(targets("x86_64+avx2+popcnt"))]
 fn residual(
-    picture: &CensusImage,
+    image: &CensusImage,
     (x, y): (usize, usize),
     reference: &CensusImage,
     t_reference_camera: &Pose3,
@@ -131,16 +148,19 @@ fn residual(
     let far = t_reference_camera.rotation * camera.ray(x as f64, y as f64);
     let point = |w: f64| far + t_reference_camera.translation.vector * w;
     let place = |w: f64| camera.project(&point(w).into());
-    let (begin, end) = (place(0.0)?, place(1.0 / NEAR_M)?);
-    let (dx, dy) = (end.0 - begin.0, end.1 - begin.1);
+    let begin = place(0.0)?;
+    let end = place(1.0 / NEAR_M)?;
+    let dx = end.0 - begin.0;
+    let dy = end.1 - begin.1;
     let length = dx.hypot(dy);
-    // A line shorter than that has no direction.
+    // The direction of a shorter line is unreliable.
     if length < 4.0 {
         return None;
     }
-    let (dx, dy) = (dx / length, dy / length);
-    let patch = Patch::new(picture, (x, y), reference);
-    // Best cost for every distance from the line, and the inverse depth where it was found.
+    let dx = dx / length;
+    let dy = dy / length;
+    let patch = Patch::new(image, (x, y), reference);
+    // The lowest cost at every distance from the line, and the inverse depth at which it occurs.
     let mut best = [(u32::MAX, 0.0); DISTANCES];
     let steps = ((length / STEP_PX) as usize).clamp(2, 64);
     for step in 0..=steps {
@@ -154,7 +174,7 @@ fn residual(
     }
     let winner = (0..best.len()).min_by_key(|index| best[*index].0)?;
     let (cost, w) = best[winner];
-    // A point on a straight edge fits everywhere along it and must not vote.
+    // A point on a straight edge matches everywhere along the edge and must not be used.
     let rival =
         best.iter().enumerate().filter(|(i, _)| i.abs_diff(winner) > 2).map(|(_, b)| b.0).min()?;
     if cost > MAX_BITS || rival < cost + CLEAR_BITS || winner == 0 || winner == best.len() - 1 {
@@ -172,37 +192,40 @@ fn residual(
     })
 }
 
-/// The descriptors around a corner, and the picture that they are looked for in.
+/// The descriptors around a corner, and the reference in which they are searched.
 struct Patch<'a> {
     descriptors: [u32; PATCH.len()],
-    /// From the first descriptor of a patch in the reference to every one.
+    /// Index offset of every descriptor from the first one, in the reference.
     offsets: [usize; PATCH.len()],
     reference: &'a CensusImage,
 }
 
 impl<'a> Patch<'a> {
     #[inline(always)]
-    fn new(picture: &CensusImage, (x, y): (usize, usize), reference: &'a CensusImage) -> Self {
-        let here = (y - 6) * picture.width + x - 6;
-        let descriptors = PATCH.map(|(dx, dy)| picture.descriptors[here + dy * picture.width + dx]);
+    fn new(image: &CensusImage, (x, y): (usize, usize), reference: &'a CensusImage) -> Self {
+        let here = (y - 6) * image.width + x - 6;
+        let descriptors = PATCH.map(|(dx, dy)| image.descriptors[here + dy * image.width + dx]);
         Self { descriptors, offsets: PATCH.map(|(dx, dy)| dy * reference.width + dx), reference }
     }
 
-    /// Differing bits with the patches at every whole distance of up to [`REACH_PX`] from `middle` in `direction`; `u32::MAX`
-    /// too near to the edge.
+    /// Number of differing bits at every whole-pixel distance of up to [`REACH_PX`] from `middle` along `direction`;
+    /// `u32::MAX` too near to the edge.
     #[inline(always)]
     fn costs_across(&self, middle: (f64, f64), direction: (f64, f64)) -> [u32; DISTANCES] {
-        let (width, margin) = (self.reference.width as i32, MARGIN as i32);
-        let (right, bottom) = (width - margin, self.reference.height as i32 - margin);
+        let width = self.reference.width as i32;
+        let margin = MARGIN as i32;
+        let right = width - margin;
+        let bottom = self.reference.height as i32 - margin;
         let mut places = [NOWHERE; DISTANCES];
         for (index, place) in places.iter_mut().enumerate() {
             let off = index as f64 - f64::from(REACH_PX);
-            let (u, v) = (whole(middle.0 + off * direction.0), whole(middle.1 + off * direction.1));
+            let u = round_to_pixel(middle.0 + off * direction.0);
+            let v = round_to_pixel(middle.1 + off * direction.1);
             let inside = (u >= margin) & (v >= margin) & (u < right) & (v < bottom);
             let first = (v - 6).wrapping_mul(width).wrapping_add(u - 6);
             *place = if inside { first as u32 } else { NOWHERE };
         }
-        // A loop: what is given to `map` would be compiled without the vector unit.
+        // A loop, because a closure given to `map` would be compiled without AVX2.
         let mut costs = [u32::MAX; DISTANCES];
         for (cost, place) in costs.iter_mut().zip(places) {
             *cost = self.cost_at(place).unwrap_or(u32::MAX);
@@ -221,15 +244,15 @@ impl<'a> Patch<'a> {
     }
 }
 
-/// Rounds what is not negative to the nearest integer without leaving the vector unit: adding 1.5 * 2^52 leaves the integer
-/// in the mantissa.
+/// Rounds a non-negative number to the nearest integer so that the loop can be vectorised: adding 1.5 * 2^52 leaves the
+/// integer in the mantissa.
 #[inline(always)]
-fn whole(x: f64) -> i32 {
+fn round_to_pixel(x: f64) -> i32 {
     const MAGIC: f64 = 6_755_399_441_055_744.0;
     ((x + 0.5).clamp(-1.0, 1e6).floor() + MAGIC).to_bits() as i32
 }
 
-/// The rotation vector that explains the distances: iteratively reweighted least squares (Geman-McClure, its scale
+/// The rotation vector that fits the distances best: iteratively reweighted least squares (Geman-McClure, its scale
 /// shrinking from the search range to one pixel) with the pose as prior.
 fn solve(residuals: &[Option<Residual>], sigma_rad: f64) -> Vector3<f64> {
     let mut omega = Vector3::zeros();
@@ -255,7 +278,7 @@ fn solve(residuals: &[Option<Residual>], sigma_rad: f64) -> Vector3<f64> {
 mod tests {
     use super::*;
 
-    /// Residuals of corners all over a picture for a true rotation, seen by a camera that moved along `direction`.
+    /// Residuals of corners all over an image for a true rotation, seen by a camera that moved along `direction`.
     fn residuals(
         direction: Vector3<f64>,
         truth: Vector3<f64>,
@@ -268,8 +291,11 @@ mod tests {
             let p = far + direction * 0.05;
             let du = Vector3::new(camera.fx / p.z, 0.0, -camera.fx * p.x / (p.z * p.z));
             let dv = Vector3::new(0.0, camera.fy / p.z, -camera.fy * p.y / (p.z * p.z));
-            let (dx, dy) = (du.dot(&direction), dv.dot(&direction));
-            let (dx, dy) = (dx / dx.hypot(dy), dy / dx.hypot(dy));
+            let dx = du.dot(&direction);
+            let dy = dv.dot(&direction);
+            let length = dx.hypot(dy);
+            let dx = dx / length;
+            let dy = dy / length;
             let across = far.cross(&(dv * dx - du * dy));
             let off_px = if index < outliers { 7.0 } else { across.dot(&truth) };
             all.push(Some(Residual { across, along: far.cross(&(du * dx + dv * dy)), off_px }));
@@ -285,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn what_looks_like_depth_is_left_alone() {
+    fn a_rotation_that_looks_like_depth_is_not_corrected() {
         // Yaw moves everything along the lines of a sideways motion.
         let omega = solve(&residuals(Vector3::x(), Vector3::new(0.0, 0.01, 0.0), 0), 0.01);
         assert!(omega.y.abs() < 0.003, "{omega}");

@@ -1,100 +1,103 @@
-//! Depth between the hypotheses: brightness says how far a match is from where whole pixels put it.
+//! Refines votes to sub-pixel accuracy by comparing brightness.
 //!
-//! One Gauss-Newton step along the epipolar lines (Lucas and Kanade 1981) for every cell. Descriptors are looked up at whole
-//! pixels, which is half a pixel too coarse: 5 % of the depth at ten pixels of parallax. A gain and an offset are free, so
+//! One Gauss-Newton step along the epipolar lines (Lucas and Kanade 1981) for every cell. Descriptors are compared at whole
+//! pixels, an error of up to half a pixel: 5 % of the depth at ten pixels of parallax. Gain and offset are estimated too, so
 //! exposure does not matter.
 
 use multiversion::multiversion;
 
 use super::census::CensusImage;
-use super::sweep::{CELL, Look, Reference, nearest};
-use super::winner::Vote;
+use super::sweep::{CELL, PatchObservation, Reference, nearest};
+use super::wta::Vote;
 
 /// Samples of a patch along each side, and full-size pixels between them: 8x8 pixels.
 const SIDE: usize = 4;
 const STEP: usize = 2;
 const SAMPLES: usize = SIDE * SIDE;
-/// From a cell's first position to the patch's first sample.
+/// Distance from a cell's first position to the patch's first sample, full-size pixels.
 const LEAD: usize = 2;
-/// Full-size pixels from the first sample to the last, and to the middle.
+/// Distance from the first sample to the last, and to the middle, full-size pixels.
 const SPAN: usize = (SIDE - 1) * STEP;
 const MIDDLE: f32 = SPAN as f32 / 2.0;
-/// A match moves by less than this, pixels: whole pixels and planes are not wrong by more.
+/// Maximum correction of a match, pixels: rounding to whole pixels and planes is not wrong by more.
 const REACH_PX: f32 = 1.0;
-/// (Sensor noise / expected correction)^2: (2 grey levels / 0.4 px)^2. Where the picture is flat, nothing moves.
+/// (Sensor noise / expected correction)^2: (2 grey levels / 0.4 px)^2. Where the image is flat, it keeps the correction at 0.
 const PRIOR: f32 = 25.0;
-/// Variance that noise alone gives a patch, grey levels squared.
+/// Variance of a patch due to sensor noise, grey levels squared.
 const NOISE: f32 = 4.0;
 
-/// The patch of a cell: brightness and its slopes, grey levels (per pixel).
+/// The patch of a cell: brightness in grey levels, and its slopes in grey levels per pixel.
 struct Patch {
     value: [f32; SAMPLES],
     slope_u: [f32; SAMPLES],
     slope_v: [f32; SAMPLES],
 }
 
-/// Moves the votes of a row of cells and measures their misfit. `picture` and the references have the same size.
+/// Corrects the votes of a row of cells and measures their misfit. `image` and the references have the same size.
 #[multiversion(targets("x86_64+avx2+fma"))]
-pub fn polish<'a>(
-    picture: &CensusImage,
+pub fn refine_votes<'a>(
+    image: &CensusImage,
     references: &[Option<Reference<'a>>],
     row: usize,
     farthest: f32,
     votes: &mut [Vote],
 ) {
     for (column, vote) in votes.iter_mut().enumerate().filter(|(_, vote)| vote.parallax_px > 0.0) {
-        let (patch, u, v) = patch(picture, CELL * column, CELL * row);
-        let Some((census, look)) = fastest(references, u, v, vote.inverse_depth) else {
+        let (patch, u, v) = patch(image, CELL * column, CELL * row);
+        let Some((census, observed)) = fastest(references, u, v, vote.inverse_depth) else {
             vote.misfit = 1.0;
             continue;
         };
-        let step =
-            step(&patch, &seen(census, &look), look.motion.map(|motion| motion / look.speed));
+        let step = step(
+            &patch,
+            &warp(census, &observed),
+            observed.motion.map(|motion| motion / observed.speed),
+        );
         let change_px = step.pull / (step.hold + PRIOR);
         if change_px.abs() < REACH_PX {
-            vote.inverse_depth = (vote.inverse_depth + change_px / look.speed).max(farthest);
+            vote.inverse_depth = (vote.inverse_depth + change_px / observed.speed).max(farthest);
         }
         vote.misfit = step.misfit;
     }
 }
 
-/// Of the references that see the whole patch the one in which it moves the most with its depth: that one tells it best.
+/// Of the references that see the whole patch, the one in which its position depends most on its depth: it measures depth best.
 #[inline(always)]
 fn fastest<'a>(
     references: &[Option<Reference<'a>>],
     u: f32,
     v: f32,
     w: f32,
-) -> Option<(&'a CensusImage, Look)> {
-    let (mut best, mut squared_speed) = (None, 0.0);
-    // The last reference is the farthest away, most often the fastest.
+) -> Option<(&'a CensusImage, PatchObservation)> {
+    let mut best = None;
+    let mut squared_speed = 0.0;
+    // The last reference is the farthest away, most often the one with the largest motion.
     for reference in references.iter().rev().flatten() {
-        let Some(glance) = reference.glance(u, v, w) else { continue };
-        if glance.squared_speed > squared_speed {
-            let look = reference.look(glance);
-            if is_visible(reference.census, &look) {
-                (best, squared_speed) = (Some((reference.census, look)), glance.squared_speed);
+        let Some(point) = reference.observe(u, v, w) else { continue };
+        if point.squared_speed > squared_speed {
+            let patch = reference.observe_patch(point);
+            if is_visible(reference.census, &patch) {
+                best = Some((reference.census, patch));
+                squared_speed = point.squared_speed;
             }
         }
     }
     best
 }
 
-/// The patch of the cell that begins at (u, v), and where its middle is. At the edge of the picture it is moved inwards.
+/// The patch of the cell that begins at (u, v), and the position of its middle. At the edge of the image it is moved inwards.
 #[inline(always)]
-fn patch(picture: &CensusImage, u: usize, v: usize) -> (Patch, f32, f32) {
-    let first = |at: usize, size: usize| at.saturating_sub(LEAD).clamp(1, size - SPAN - 2);
-    let (u, v) = (first(u, picture.width), first(v, picture.height));
+fn patch(image: &CensusImage, u: usize, v: usize) -> (Patch, f32, f32) {
+    let u = u.saturating_sub(LEAD).clamp(1, image.width - SPAN - 2);
+    let v = v.saturating_sub(LEAD).clamp(1, image.height - SPAN - 2);
     let mut pairs = [[0_u32; SAMPLES]; 4];
     for row in 0..SIDE {
-        // Every sample and the one to its left; the two to its right; above; below.
-        let line = |offset: usize| {
-            let first = (v - 1 + row * STEP) * picture.width + u - 1 + offset;
-            picture.smooth.get(first..first + SIDE * STEP).unwrap_or(&[0; SIDE * STEP])
-        };
-        let lines =
-            [line(picture.width), line(picture.width + STEP), line(0), line(2 * picture.width)];
-        for (pairs, line) in pairs.iter_mut().zip(lines) {
+        // Each pair holds a sample's left neighbour and itself, its two right neighbours, or the pixels above or below.
+        let above = (v - 1 + row * STEP) * image.width + u - 1;
+        let offsets = [image.width, image.width + STEP, 0, 2 * image.width];
+        for (pairs, offset) in pairs.iter_mut().zip(offsets) {
+            let first = above + offset;
+            let line = image.smooth.get(first..first + SIDE * STEP).unwrap_or(&[0; SIDE * STEP]);
             for (pair, two) in pairs[row * SIDE..].iter_mut().zip(line.chunks_exact(STEP)) {
                 *pair = joined(two[0], two[1]);
             }
@@ -111,48 +114,62 @@ fn patch(picture: &CensusImage, u: usize, v: usize) -> (Patch, f32, f32) {
     (patch, u as f32 + MIDDLE, v as f32 + MIDDLE)
 }
 
-/// Whether the whole patch is inside of the picture.
+/// Whether the whole patch is inside the image.
 #[inline(always)]
-fn is_visible(census: &CensusImage, look: &Look) -> bool {
-    let inside = |axis: usize, size: usize| {
-        let reach = MIDDLE * (look.along_u[axis].abs() + look.along_v[axis].abs());
-        look.place[axis] > reach && look.place[axis] + reach + 2.0 < size as f32
-    };
-    inside(0, census.width) && inside(1, census.height)
+fn is_visible(census: &CensusImage, patch: &PatchObservation) -> bool {
+    fits(patch, 0, census.width) && fits(patch, 1, census.height)
 }
 
-/// What the picture shows where the patch should be, bilinear.
+/// Whether the patch lies within `size` pixels along one axis.
 #[inline(always)]
-fn seen(census: &CensusImage, look: &Look) -> [f32; SAMPLES] {
-    let Look { place, along_u, along_v, .. } = look;
-    let (mut right, mut below, mut first) = ([0.0; SAMPLES], [0.0; SAMPLES], [0_u32; SAMPLES]);
+fn fits(patch: &PatchObservation, axis: usize, size: usize) -> bool {
+    let reach = MIDDLE * (patch.along_u[axis].abs() + patch.along_v[axis].abs());
+    patch.position[axis] > reach && patch.position[axis] + reach + 2.0 < size as f32
+}
+
+/// The reference's brightness at the patch's samples, bilinear.
+#[inline(always)]
+fn warp(census: &CensusImage, patch: &PatchObservation) -> [f32; SAMPLES] {
+    let PatchObservation { position, along_u, along_v, .. } = patch;
+    let mut right = [0.0; SAMPLES];
+    let mut below = [0.0; SAMPLES];
+    let mut first = [0_u32; SAMPLES];
     for index in 0..SAMPLES {
         let du = (index % SIDE * STEP) as f32 - MIDDLE;
         let dv = (index / SIDE * STEP) as f32 - MIDDLE;
-        let x = place[0] + along_u[0] * du + along_v[0] * dv;
-        let y = place[1] + along_u[1] * du + along_v[1] * dv;
-        let (left, top) = (nearest(x - 0.5), nearest(y - 0.5));
-        (right[index], below[index]) = (x - left as f32, y - top as f32);
+        let x = position[0] + along_u[0] * du + along_v[0] * dv;
+        let y = position[1] + along_u[1] * du + along_v[1] * dv;
+        let left = nearest(x - 0.5);
+        let top = nearest(y - 0.5);
+        right[index] = x - left as f32;
+        below[index] = y - top as f32;
         first[index] = (top as u32).wrapping_mul(census.width as u32).wrapping_add(left as u32);
     }
-    let (mut uppers, mut lowers) = ([0_u32; SAMPLES], [0_u32; SAMPLES]);
+    let mut uppers = [0_u32; SAMPLES];
+    let mut lowers = [0_u32; SAMPLES];
     for (index, first) in first.iter().enumerate() {
-        let pair =
-            |at: usize| census.smooth.get(at..at + 2).map_or(0, |pair| joined(pair[0], pair[1]));
-        (uppers[index], lowers[index]) =
-            (pair(*first as usize), pair(*first as usize + census.width));
+        let at = *first as usize;
+        uppers[index] = pair_at(&census.smooth, at);
+        lowers[index] = pair_at(&census.smooth, at + census.width);
     }
     let mut seen = [0.0; SAMPLES];
     for index in 0..SAMPLES {
         let [a, b] = [first_of(uppers[index]), second(uppers[index])];
         let [c, d] = [first_of(lowers[index]), second(lowers[index])];
-        let (upper, lower) = (a + (b - a) * right[index], c + (d - c) * right[index]);
+        let upper = a + (b - a) * right[index];
+        let lower = c + (d - c) * right[index];
         seen[index] = upper + (lower - upper) * below[index];
     }
     seen
 }
 
-/// Two neighbours in one word, so that they are loaded and made into numbers side by side.
+/// The pixel at index `at` and the next one; 0 outside.
+#[inline(always)]
+fn pair_at(smooth: &[u16], at: usize) -> u32 {
+    smooth.get(at..at + 2).map_or(0, |pair| joined(pair[0], pair[1]))
+}
+
+/// Two neighbours in one word, so that they are loaded and converted together.
 #[inline(always)]
 fn joined(first: u16, second: u16) -> u32 {
     u32::from(first) | u32::from(second) << 16
@@ -164,22 +181,22 @@ fn first_of(pair: u32) -> f32 {
     (pair & 0xffff) as i32 as f32 * (1.0 / 256.0)
 }
 
-/// The second.
+/// The second of two neighbours, grey levels.
 #[inline(always)]
 fn second(pair: u32) -> f32 {
     (pair >> 16) as i32 as f32 * (1.0 / 256.0)
 }
 
-/// What one reference says about a cell.
+/// The Gauss-Newton step of a cell in one reference.
 struct Step {
     /// Normal equation of the motion along the line, pixels: `hold` x motion = `pull`.
     pull: f32,
     hold: f32,
-    /// Share of what is seen that the patch does not explain, 0 to 1.
+    /// Share of the observed variance that the patch does not explain, 0 to 1.
     misfit: f32,
 }
 
-/// The motion along `direction` that makes `seen` the patch up to gain and offset.
+/// The motion along `direction` after which `seen` equals the patch up to gain and offset.
 #[inline(always)]
 fn step(patch: &Patch, seen: &[f32; SAMPLES], direction: [f32; 2]) -> Step {
     let share = 1.0 / SAMPLES as f32;
@@ -187,27 +204,34 @@ fn step(patch: &Patch, seen: &[f32; SAMPLES], direction: [f32; 2]) -> Step {
     for ((slope, u), v) in slope.iter_mut().zip(&patch.slope_u).zip(&patch.slope_v) {
         *slope = u * direction[0] + v * direction[1];
     }
-    let (mean_value, mean_seen, mean_slope) =
-        (total(&patch.value) * share, total(seen) * share, total(&slope) * share);
-    // Products of what differs from the mean: slope, value and seen.
-    let (mut values, mut seens) = ([0.0; SAMPLES], [0.0; SAMPLES]);
+    let mean_value = total(&patch.value) * share;
+    let mean_seen = total(seen) * share;
+    let mean_slope = total(&slope) * share;
+    // Differences from the mean: slope, value and seen.
+    let mut values = [0.0; SAMPLES];
+    let mut seens = [0.0; SAMPLES];
     for index in 0..SAMPLES {
         slope[index] -= mean_slope;
         values[index] = patch.value[index] - mean_value;
         seens[index] = seen[index] - mean_seen;
     }
-    let (ss, sv, vv) = (dot(&slope, &slope), dot(&slope, &values), dot(&values, &values));
-    let (es, ev, ee) = (dot(&slope, &seens), dot(&values, &seens), dot(&seens, &seens));
-    // seen = gain * (value - motion * slope), solved without the gain first.
+    let ss = dot(&slope, &slope);
+    let sv = dot(&slope, &values);
+    let vv = dot(&values, &values);
+    let es = dot(&slope, &seens);
+    let ev = dot(&values, &seens);
+    let ee = dot(&seens, &seens);
+    // Model: seen = gain * (value - motion * slope), solved with the gain eliminated.
     let per_value = 1.0 / (vv + 1.0);
-    let (pull, hold) = (sv * ev * per_value - es, ss - sv * sv * per_value);
+    let pull = sv * ev * per_value - es;
+    let hold = ss - sv * sv * per_value;
     let left = ee - ev * ev * per_value - pull * pull / (hold + PRIOR);
     let noise = NOISE * SAMPLES as f32;
     let misfit = ((left + noise) / (ee + noise)).clamp(0.0, 1.0);
     Step { pull, hold: hold * (ev * per_value).clamp(0.5, 2.0), misfit }
 }
 
-/// Sums in lanes, as the vector unit does.
+/// Sums in lanes, in the order of vector registers.
 #[inline(always)]
 fn total(values: &[f32; SAMPLES]) -> f32 {
     let mut lanes = [0.0; SAMPLES / 2];
@@ -241,7 +265,7 @@ mod tests {
         120.0 + 40.0 * (0.8 * x + 0.3 * y).sin() + 25.0 * (0.7 * y - 0.6 * x + 1.0).cos()
     }
 
-    fn image(grey: impl Fn(f64, f64) -> f64) -> CensusImage {
+    fn census(grey: impl Fn(f64, f64) -> f64) -> CensusImage {
         let data: Vec<u8> =
             (0..SIZE * SIZE).map(|i| grey((i % SIZE) as f64, (i / SIZE) as f64) as u8).collect();
         let mut image = CensusImage::default();
@@ -249,26 +273,26 @@ mod tests {
         image
     }
 
-    /// The votes of the row in the middle after a look at `reference` from 0.5 m to the right.
-    fn polished(picture: &CensusImage, reference: &CensusImage, inverse_depth: f32) -> Vec<Vote> {
+    /// The refined votes of the middle row, with `reference` seen from 0.5 m to the right.
+    fn refined(image: &CensusImage, reference: &CensusImage, inverse_depth: f32) -> Vec<Vote> {
         let camera = CameraModel::pinhole(SIZE, SIZE, std::f64::consts::FRAC_PI_2);
         let camera = camera.cropped(0.5, 0.5, SIZE, SIZE);
         let reference = Reference::new(reference, &Pose3::translation(-0.5, 0.0, 0.0), &camera);
         let mut votes =
             vec![Vote { inverse_depth, parallax_px: 8.0, ..Vote::default() }; SIZE / CELL];
-        polish(picture, &[None, Some(reference)], SIZE / CELL / 2, FARTHEST, &mut votes);
+        refine_votes(image, &[None, Some(reference)], SIZE / CELL / 2, FARTHEST, &mut votes);
         votes.drain(..3);
         votes.truncate(10);
         votes
     }
 
     #[test]
-    fn a_match_half_a_pixel_off_is_moved_to_its_place_whatever_the_exposure() {
+    fn a_match_half_a_pixel_off_is_corrected_whatever_the_exposure() {
         // 8 px at inverse depth 0.5; 8.5 px are 0.53125.
-        let picture = image(waves);
+        let image = census(waves);
         for (gain, offset) in [(1.0, 0.0), (1.3, 10.0), (0.7, -5.0)] {
-            let reference = image(|x, y| gain * waves(x + 8.0, y) + offset);
-            for vote in polished(&picture, &reference, 0.531_25) {
+            let reference = census(|x, y| gain * waves(x + 8.0, y) + offset);
+            for vote in refined(&image, &reference, 0.531_25) {
                 assert!((vote.inverse_depth - 0.5).abs() < 0.1 / 16.0, "{}", vote.inverse_depth);
                 assert!(vote.misfit < 0.05, "{}", vote.misfit);
             }
@@ -276,26 +300,26 @@ mod tests {
     }
 
     #[test]
-    fn where_the_picture_is_flat_nothing_moves_and_nothing_is_confirmed() {
-        let flat = image(|x, _| 77.0 + x % 2.0);
-        for vote in polished(&flat, &flat, 0.5) {
+    fn where_the_image_is_flat_nothing_is_corrected_or_confirmed() {
+        let flat = census(|x, _| 77.0 + x % 2.0);
+        for vote in refined(&flat, &flat, 0.5) {
             assert!((vote.inverse_depth - 0.5).abs() < 1e-3 && vote.misfit > 0.8, "{vote:?}");
         }
     }
 
     #[test]
-    fn another_thing_does_not_fit() {
-        let other = image(|x, y| 120.0 + 50.0 * (0.7 * y - 0.5 * x).sin());
+    fn another_object_has_a_large_misfit() {
+        let other = census(|x, y| 120.0 + 50.0 * (0.7 * y - 0.5 * x).sin());
         let misfit: f32 =
-            polished(&image(waves), &other, 0.5).iter().map(|vote| vote.misfit).sum::<f32>() / 10.0;
+            refined(&census(waves), &other, 0.5).iter().map(|vote| vote.misfit).sum::<f32>() / 10.0;
         assert!(misfit > 0.5, "{misfit}");
     }
 
     #[test]
-    fn what_nobody_sees_is_not_moved_and_not_confirmed() {
-        // A parallax of 64 px leaves the picture.
-        let picture = image(waves);
-        for vote in polished(&picture, &picture, 4.0) {
+    fn a_cell_that_no_reference_sees_is_not_corrected_or_confirmed() {
+        // A parallax of 64 px leaves the image.
+        let image = census(waves);
+        for vote in refined(&image, &image, 4.0) {
             assert_eq!((vote.inverse_depth, vote.misfit), (4.0, 1.0));
         }
     }

@@ -1,48 +1,49 @@
-//! What the neighbours of a belief say about it.
+//! How far the neighbours of a belief support it.
 //!
-//! Where a surface has no texture, aggregation carries one depth far, picture after picture: such votes agree with each other
-//! because they all came from one place. What gives them away is around them: little trust, and jumps where two such depths
-//! meet.
+//! Where a surface has no texture, aggregation propagates one depth far, frame after frame: such votes agree with each other
+//! because they all have the same origin. Their neighbourhood shows it: low confidence, and jumps where two such depths meet.
 
 use multiversion::multiversion;
 
 use super::belief::{AGREEMENT, Belief};
 
-/// Cells to each side whose trust counts.
+/// Cells to each side that are averaged.
 const REACH: usize = 3;
-/// Cells along one side of the square whose trust counts.
+/// Cells along one side of the square that is averaged.
 const SIDE: usize = 2 * REACH + 1;
-/// So many of the eight neighbours are enough: what ends at a straight edge has five of its own kind, at a corner three, and
-/// edges of what stands in the way are what a map needs most.
+/// Number of agreeing neighbours, of eight, that is enough: a cell at a straight edge of its surface has five neighbours on
+/// the same surface, one at a corner three, and edges of obstacles are what a map needs most.
 const ENOUGH: f32 = 4.0;
 
-/// What stands around a belief. At the edge of the picture the last cells stand for those beyond.
+/// The neighbourhood of a belief. Beyond the edge of the image, the last cells are repeated.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Surround {
-    /// Mean over the 7x7 cells around it, itself too, of the mean trust of their votes, 0 to 1; where nothing is believed, 0.
-    pub trust: f32,
-    /// How many of its eight neighbours agree with it, as a share of four, at most 1; those of whom nothing is believed do not.
+    /// Mean over the 7x7 cells around it (and itself) of the mean confidence of their votes, 0 to 1; cells without a belief
+    /// count as 0.
+    pub confidence: f32,
+    /// Number of its eight neighbours that agree with it, as a share of four, at most 1; cells without a belief do not agree.
     pub agreeing: f32,
 }
 
-/// Looks around beliefs; its memory is kept from picture to picture.
+/// Computes the neighbourhoods of all beliefs; keeps its buffers from frame to frame.
 #[derive(Debug, Default)]
 pub struct Surroundings {
-    /// Rows of inverse depths, 0 where nothing is believed, with [`REACH`] more cells on both sides.
+    /// Rows of inverse depths, 0 where there is no belief, with [`REACH`] more cells on both sides.
     inverse_depth: Vec<f32>,
-    /// The same of mean trust.
-    trust: Vec<f32>,
-    /// Sums of trust along rows.
+    /// Rows of mean confidence in the same layout.
+    confidence: Vec<f32>,
+    /// Sums of confidence along rows.
     along: Vec<f32>,
     all: Vec<Surround>,
 }
 
 impl Surroundings {
-    /// What stands around every one of `beliefs`, rows of `width` cells.
-    pub fn look(&mut self, beliefs: &[Belief], width: usize) -> &[Surround] {
-        let (height, wide) = (beliefs.len() / width, width + 2 * REACH);
+    /// Computes the neighbourhood of every one of `beliefs`, rows of `width` cells.
+    pub fn update(&mut self, beliefs: &[Belief], width: usize) -> &[Surround] {
+        let height = beliefs.len() / width;
+        let wide = width + 2 * REACH;
         self.inverse_depth.resize(height * wide, 0.0);
-        self.trust.resize(height * wide, 0.0);
+        self.confidence.resize(height * wide, 0.0);
         self.along.resize(height * width, 0.0);
         self.all.resize(height * width, Surround::default());
         for (row, beliefs) in beliefs.chunks_exact(width).enumerate() {
@@ -50,44 +51,46 @@ impl Surroundings {
             spread(
                 beliefs,
                 &mut self.inverse_depth[row_of.clone()],
-                &mut self.trust[row_of.clone()],
+                &mut self.confidence[row_of.clone()],
             );
-            sum_along(&self.trust[row_of], &mut self.along[row * width..(row + 1) * width]);
+            sum_along(&self.confidence[row_of], &mut self.along[row * width..(row + 1) * width]);
         }
         for (row, all) in self.all.chunks_exact_mut(width).enumerate() {
-            let clamped =
-                |offset: usize, reach: usize| (row + offset).saturating_sub(reach).min(height - 1);
-            let sums = std::array::from_fn(|i| &self.along[clamped(i, REACH) * width..][..width]);
+            let sums = std::array::from_fn(|i| {
+                let row = (row + i).saturating_sub(REACH).min(height - 1);
+                &self.along[row * width..][..width]
+            });
             average(sums, all);
             let depths = std::array::from_fn(|i| {
-                &self.inverse_depth[clamped(i, 1) * wide..][REACH - 1..=width + REACH]
+                let row = (row + i).saturating_sub(1).min(height - 1);
+                &self.inverse_depth[row * wide..][REACH - 1..=width + REACH]
             });
             agree(depths, all);
         }
         &self.all
     }
 
-    /// What the last [`look`](Self::look) found.
+    /// The result of the last [`update`](Self::update).
     pub fn last(&self) -> &[Surround] {
         &self.all
     }
 }
 
-/// Writes one row and repeats its ends.
-fn spread(beliefs: &[Belief], inverse_depth: &mut [f32], trust: &mut [f32]) {
+/// Writes one row with its ends repeated.
+fn spread(beliefs: &[Belief], inverse_depth: &mut [f32], confidence: &mut [f32]) {
     for at in 0..inverse_depth.len() {
         let belief = &beliefs[at.saturating_sub(REACH).min(beliefs.len() - 1)];
         inverse_depth[at] = if belief.evidence > 0.0 { belief.inverse_depth } else { 0.0 };
-        trust[at] = belief.mean_trust();
+        confidence[at] = belief.mean_confidence();
     }
 }
 
 #[multiversion(targets("x86_64+avx2"))]
-fn sum_along(trust: &[f32], sums: &mut [f32]) {
-    for (sum, trust) in sums.iter_mut().zip(trust.windows(SIDE)) {
+fn sum_along(confidence: &[f32], sums: &mut [f32]) {
+    for (sum, confidence) in sums.iter_mut().zip(confidence.windows(SIDE)) {
         *sum = 0.0;
-        for trust in trust {
-            *sum += trust;
+        for confidence in confidence {
+            *sum += confidence;
         }
     }
 }
@@ -99,11 +102,11 @@ fn average(rows: [&[f32]; SIDE], all: &mut [Surround]) {
         for row in rows {
             sum += row[at];
         }
-        around.trust = sum / (SIDE * SIDE) as f32;
+        around.confidence = sum / (SIDE * SIDE) as f32;
     }
 }
 
-/// `rows` begin one cell before and end one after.
+/// Counts agreeing neighbours. `rows` begin one cell before and end one cell after the row.
 #[multiversion(targets("x86_64+avx2"))]
 fn agree(rows: [&[f32]; 3], all: &mut [Surround]) {
     for (at, around) in all.iter_mut().enumerate() {
@@ -115,7 +118,7 @@ fn agree(rows: [&[f32]; 3], all: &mut [Surround]) {
                 agreeing += if agrees { 1.0 } else { 0.0 };
             }
         }
-        // It agrees with itself.
+        // The cell itself was counted, too.
         around.agreeing = ((agreeing - 1.0) / ENOUGH).min(1.0);
     }
 }
@@ -126,8 +129,8 @@ mod tests {
 
     const WIDTH: usize = 9;
 
-    fn believed(inverse_depth: f32, trust: f32) -> Belief {
-        Belief { inverse_depth, evidence: 2.0 * trust, votes: 2.0, offset: [0.0; 2] }
+    fn believed(inverse_depth: f32, confidence: f32) -> Belief {
+        Belief { inverse_depth, evidence: 2.0 * confidence, votes: 2.0, offset: [0.0; 2] }
     }
 
     fn at(row: usize, column: usize) -> usize {
@@ -138,42 +141,44 @@ mod tests {
     fn a_wall_agrees_with_itself_up_to_the_edges() {
         let beliefs = vec![believed(0.5, 0.75); WIDTH * 8];
         let mut surroundings = Surroundings::default();
-        for around in surroundings.look(&beliefs, WIDTH) {
-            assert!((around.trust - 0.75).abs() < 1e-6 && around.agreeing == 1.0, "{around:?}");
+        for around in surroundings.update(&beliefs, WIDTH) {
+            assert!(
+                (around.confidence - 0.75).abs() < 1e-6 && around.agreeing == 1.0,
+                "{around:?}"
+            );
         }
     }
 
     #[test]
-    fn the_edge_of_a_step_is_as_good_as_its_middle_a_post_half_as_good_and_a_lonely_belief_has_nobody()
-     {
+    fn the_edge_of_a_step_agrees_fully_a_post_by_half_and_a_single_belief_not_at_all() {
         let mut beliefs: Vec<Belief> =
             (0..WIDTH * 8).map(|i| believed(if i % WIDTH < 4 { 0.5 } else { 1.0 }, 0.5)).collect();
         beliefs[at(4, 7)] = believed(0.2, 0.5);
         (0..8).for_each(|row| beliefs[at(row, 1)] = believed(2.0, 0.5));
         let mut surroundings = Surroundings::default();
-        let around = surroundings.look(&beliefs, WIDTH);
+        let around = surroundings.update(&beliefs, WIDTH);
         assert_eq!(around[at(4, 4)].agreeing, 1.0);
         assert_eq!(around[at(4, 1)].agreeing, 0.5);
         assert_eq!(around[at(4, 7)].agreeing, 0.0);
     }
 
     #[test]
-    fn trust_is_that_of_seven_by_seven_cells() {
+    fn confidence_is_averaged_over_seven_by_seven_cells() {
         let mut beliefs = vec![Belief::default(); WIDTH * 9];
         beliefs[at(4, 4)] = believed(0.5, 0.98);
         let mut surroundings = Surroundings::default();
-        for (index, around) in surroundings.look(&beliefs, WIDTH).iter().enumerate() {
+        for (index, around) in surroundings.update(&beliefs, WIDTH).iter().enumerate() {
             let near = (index / WIDTH).abs_diff(4) <= REACH && (index % WIDTH).abs_diff(4) <= REACH;
             let want = if near { 0.02 } else { 0.0 };
-            assert!((around.trust - want).abs() < 1e-6, "cell {index}: {around:?}");
+            assert!((around.confidence - want).abs() < 1e-6, "cell {index}: {around:?}");
         }
     }
 
     #[test]
-    fn nothing_of_the_last_picture_is_left() {
+    fn nothing_of_the_last_frame_is_left() {
         let mut surroundings = Surroundings::default();
-        surroundings.look(&vec![believed(0.5, 0.9); WIDTH * 8], WIDTH);
-        let empty = surroundings.look(&vec![Belief::default(); WIDTH * 8], WIDTH);
-        assert!(empty.iter().all(|around| around.trust == 0.0));
+        surroundings.update(&vec![believed(0.5, 0.9); WIDTH * 8], WIDTH);
+        let empty = surroundings.update(&vec![Belief::default(); WIDTH * 8], WIDTH);
+        assert!(empty.iter().all(|around| around.confidence == 0.0));
     }
 }

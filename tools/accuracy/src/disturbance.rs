@@ -1,4 +1,4 @@
-//! What spoils pictures and poses on a real robot.
+//! Disturbances of frames and poses as they occur on a real robot.
 
 use hal::Pose3;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
@@ -7,25 +7,24 @@ use rand_pcg::Pcg64Mcg;
 
 use crate::sequence::View;
 
-/// Pictures between two changes of exposure.
+/// Frames between two changes of exposure.
 const EXPOSURE_PERIOD: usize = 7;
 
-/// One thing that goes wrong.
+/// A disturbance of frames or poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Disturbance {
-    /// Nothing does.
     None,
-    /// Every few pictures the exposure jumps by 15 % and 4 grey levels, and back.
+    /// Every [`EXPOSURE_PERIOD`] frames the exposure changes by 15 % and 4 grey levels, and back.
     Exposure,
-    /// Every pose is off by 2 mm and 2 mrad (standard deviation along and about each axis), each picture anew.
+    /// Every pose has an independent error of 2 mm and 2 mrad (standard deviation along and about each axis).
     Pose,
 }
 
 impl Disturbance {
-    /// All of the table.
+    /// The disturbances of the table, in its order.
     pub const ALL: [Self; 3] = [Self::None, Self::Exposure, Self::Pose];
 
-    /// Its name in the table.
+    /// Its name in the table; empty without a disturbance.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -35,27 +34,36 @@ impl Disturbance {
         }
     }
 
-    /// The picture and the pose that the engine gets of the picture with this index.
+    /// The disturbed image and pose of the frame with this index.
     #[must_use]
-    pub fn of(self, index: usize, view: &View) -> (Vec<u8>, Pose3) {
+    pub fn apply(self, index: usize, view: &View) -> (Vec<u8>, Pose3) {
         let brighter = self == Self::Exposure && (index / EXPOSURE_PERIOD) % 2 == 1;
-        let expose = |value: &u8| {
-            if brighter { (f32::from(*value) * 1.15 + 4.0).min(255.0) as u8 } else { *value }
+        let rgb = match brighter {
+            true => view.rgb.iter().map(|byte| brighten(*byte)).collect(),
+            false => view.rgb.clone(),
         };
         let pose =
             if self == Self::Pose { noisy(index, &view.t_odom_camera) } else { view.t_odom_camera };
-        (view.rgb.iter().map(expose).collect(), pose)
+        (rgb, pose)
     }
+}
+
+fn brighten(byte: u8) -> u8 {
+    (f32::from(byte) * 1.15 + 4.0).min(255.0) as u8
 }
 
 fn noisy(index: usize, pose: &Pose3) -> Pose3 {
     let mut random = Pcg64Mcg::seed_from_u64(index as u64);
-    let mut normal = |sigma: f64| {
-        // Box and Muller 1958.
-        let (a, b): (f64, f64) = (random.random_range(f64::MIN_POSITIVE..1.0), random.random());
-        sigma * (-2.0 * a.ln()).sqrt() * (std::f64::consts::TAU * b).cos()
-    };
-    let mut vector = |sigma: f64| Vector3::new(normal(sigma), normal(sigma), normal(sigma));
-    let (shift, turn) = (vector(0.002), vector(0.002));
-    pose * Pose3::from_parts(Translation3::from(shift), UnitQuaternion::from_scaled_axis(turn))
+    let shift = Vector3::from_fn(|_, _| normal(&mut random, 0.002));
+    let rotation = Vector3::from_fn(|_, _| normal(&mut random, 0.002));
+    let noise =
+        Pose3::from_parts(Translation3::from(shift), UnitQuaternion::from_scaled_axis(rotation));
+    pose * noise
+}
+
+/// A normally distributed number (Box and Muller 1958).
+fn normal(random: &mut Pcg64Mcg, sigma: f64) -> f64 {
+    let a: f64 = random.random_range(f64::MIN_POSITIVE..1.0);
+    let b: f64 = random.random();
+    sigma * (-2.0 * a.ln()).sqrt() * (std::f64::consts::TAU * b).cos()
 }

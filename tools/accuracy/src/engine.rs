@@ -1,4 +1,4 @@
-//! Who is compared: our coarse depth, and the paper's way with two kinds of flow.
+//! The compared methods: coarse depth, and the paper's method with two kinds of flow.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -7,43 +7,46 @@ use anyhow::{Context, Result};
 use firmware_host::config::Config;
 use hal::{CameraModel, ImageView, Pose3};
 use runtime::perception::flow::{DenseFlow, FlowPreset};
-use runtime::perception::least_squares::{FlowView, triangulate};
-use runtime::perception::{CoarseDepth, DepthEstimate, FlowNetwork, NetworkOptions};
+use runtime::perception::{CoarseDepth, DepthEstimate};
 
-/// The paper's flow goes from each picture to the fifth before it.
+use crate::flow_network::FlowNetwork;
+use crate::least_squares::{FlowView, triangulate};
+
+/// The paper computes flow from each frame to the fifth before it.
 const GAP: usize = 5;
 /// The paper's range of valid triangulations, metres.
 const RANGE_M: (f64, f64) = (0.1, 40.0);
+/// Threads of a learned flow.
+const NETWORK_THREADS: usize = 2;
 /// Bearing error of a match that is half a pixel off at f = 320, radians.
 const BEARING_ERROR_RAD: f32 = 0.0016;
 
-/// Something that makes depth of pictures.
+/// A method that computes depth from frames.
 pub trait Engine {
     /// Its name in the table.
     fn name(&self) -> String;
-    /// Looks at the next picture. What is not `wanted` need only be remembered.
+    /// Processes the next frame. Its depth is computed only if `evaluated`; otherwise it only serves later frames. `None` for
+    /// a frame without depth.
     ///
     /// # Errors
-    /// When it cannot work at all; a picture without depth is `None`.
-    fn look(
+    /// When the method fails altogether.
+    fn process(
         &mut self,
         frame: ImageView<'_>,
         pose: &Pose3,
-        wanted: bool,
+        evaluated: bool,
     ) -> Result<Option<DepthEstimate>>;
 }
 
-/// Our coarse depth.
+/// The robot's coarse depth.
 pub struct Coarse {
     name: String,
     engine: CoarseDepth,
 }
 
 impl Coarse {
-    /// With the settings of a configuration.
-    ///
     /// # Errors
-    /// Settings that cannot work.
+    /// When a setting is out of range.
     pub fn new(name: &str, config: &Config, camera: CameraModel) -> Result<Self> {
         Ok(Self { name: name.to_owned(), engine: CoarseDepth::new(config.coarse.clone(), camera)? })
     }
@@ -54,24 +57,24 @@ impl Engine for Coarse {
         self.name.clone()
     }
 
-    fn look(
+    fn process(
         &mut self,
         frame: ImageView<'_>,
         pose: &Pose3,
-        _wanted: bool,
+        _evaluated: bool,
     ) -> Result<Option<DepthEstimate>> {
         Ok(self.engine.estimate(frame, pose).ok().cloned())
     }
 }
 
-/// A way to get flow.
+/// A source of flow.
 enum Flow {
     Search(Box<DenseFlow>),
     Network(Box<FlowNetwork>),
 }
 
-/// Flow to the fifth picture before, then closed-form least squares: the paper's coarse depth, with one past picture as in its
-/// released code.
+/// Flow to the fifth frame before, then closed-form least squares: the paper's coarse depth, with one past frame as in
+/// its released code.
 pub struct FlowDepth {
     name: &'static str,
     camera: CameraModel,
@@ -80,28 +83,27 @@ pub struct FlowDepth {
 }
 
 impl FlowDepth {
-    /// With dense inverse search, preset medium.
+    /// Uses dense inverse search with preset medium.
     ///
     /// # Errors
-    /// A camera that is too small.
+    /// When the image is smaller than a patch.
     pub fn search(camera: CameraModel) -> Result<Self> {
         let flow = Box::new(DenseFlow::new(FlowPreset::Medium, camera.width, camera.height)?);
         Ok(Self { name: "DIS + LS", camera, flow: Flow::Search(flow), past: VecDeque::new() })
     }
 
-    /// With a learned flow.
+    /// Uses a learned flow.
     ///
     /// # Errors
-    /// A model that cannot be used.
+    /// When the model cannot be used.
     pub fn network(model: &Path, camera: CameraModel) -> Result<Self> {
         let (onnx_runtime, _) = firmware_host::onnx_runtime::init()?;
         let bytes = std::fs::read(model).with_context(|| model.display().to_string())?;
-        let options = NetworkOptions { threads: 2, ..NetworkOptions::default() };
         let flow = Box::new(FlowNetwork::load(
             &onnx_runtime,
             &bytes,
             (camera.width, camera.height),
-            options,
+            NETWORK_THREADS,
         )?);
         Ok(Self { name: "RAFT + LS", camera, flow: Flow::Network(flow), past: VecDeque::new() })
     }
@@ -112,25 +114,24 @@ impl Engine for FlowDepth {
         self.name.to_owned()
     }
 
-    fn look(
+    fn process(
         &mut self,
         frame: ImageView<'_>,
         pose: &Pose3,
-        wanted: bool,
+        evaluated: bool,
     ) -> Result<Option<DepthEstimate>> {
         let mut found = None;
-        if let Some((rgb, before)) = self.past.front().filter(|_| wanted && self.past.len() == GAP)
+        if let Some((rgb, before)) =
+            self.past.front().filter(|_| evaluated && self.past.len() == GAP)
         {
             let past = ImageView::rgb8(self.camera.width, self.camera.height, rgb)?;
             let field = match &mut self.flow {
-                Flow::Search(engine) => engine.flow(frame, past, None)?,
-                Flow::Network(network) => {
-                    network.estimate(frame, past).ok().context("the flow network failed")?
-                }
+                Flow::Search(engine) => engine.flow(frame, past)?,
+                Flow::Network(network) => network.estimate(frame, past)?,
             };
             let view = FlowView { flow: field, t_view_camera: before.inverse() * pose };
             let found_depth = triangulate(&self.camera, &[view], RANGE_M)?;
-            // sigma_z / z = sigma / sin(parallax): an order by parallax, not a calibrated probability.
+            // sigma_z / z = sigma / sin(parallax): orders pixels by parallax, but is not a calibrated probability.
             let confidence = found_depth.parallax_rad.iter().zip(found_depth.depth.values());
             let confidence = confidence.map(|(parallax, depth)| match *depth > 0.0 {
                 true => (0.25 * parallax / (0.25 * parallax + BEARING_ERROR_RAD)).clamp(0.0, 1.0),

@@ -1,31 +1,32 @@
-//! Logistic regression: what makes a depth probably right.
+//! Logistic regression of the probability that a depth is right.
 
 use anyhow::{Context, Result};
 use nalgebra::{SMatrix, SVector};
 
-/// Samples of `N` features and whether the depth was right, with a weight.
+/// Samples: `N` features, whether the depth was right, and a weight.
 #[derive(Debug, Clone, Default)]
 pub struct Samples<const N: usize> {
     rows: Vec<([f32; N], bool, f32)>,
 }
 
 impl<const N: usize> Samples<N> {
-    /// Adds one.
+    /// Adds a sample of weight 1.
     pub fn add(&mut self, features: [f32; N], right: bool) {
         self.rows.push((features, right, 1.0));
     }
 
-    /// Adds all of one sequence, which then counts as much as any other.
+    /// Adds the samples of one sequence, weighted so that every sequence counts the same.
     pub fn add_sequence(&mut self, mut sequence: Self) {
         let weight = 1e4 / sequence.rows.len().max(1) as f32;
         sequence.rows.iter_mut().for_each(|row| row.2 = weight);
         self.rows.append(&mut sequence.rows);
     }
 
-    /// The weights of the most probable logistic model (Newton's method, with a weak prior around 0).
+    /// The weights of the logistic model with the highest posterior probability, by Newton's method, with a weak prior around
+    /// 0.
     ///
     /// # Errors
-    /// When the samples do not determine it.
+    /// When the samples do not determine the weights.
     pub fn fit(&self) -> Result<[f64; N]> {
         let mut weights = SVector::<f64, N>::zeros();
         for _ in 0..25 {
@@ -38,7 +39,7 @@ impl<const N: usize> Samples<N> {
                 hessian += x * x.transpose() * (p * (1.0 - p) * f64::from(*weight)).max(1e-12);
             }
             weights +=
-                hessian.cholesky().context("features that depend on each other")?.solve(&gradient);
+                hessian.cholesky().context("the features are linearly dependent")?.solve(&gradient);
         }
         Ok(weights.into())
     }
@@ -49,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_model_that_made_the_samples_is_found() {
+    fn the_model_that_generated_the_samples_is_found() {
         let mut samples = Samples::<2>::default();
         for index in 0..20_000_u32 {
             let x = (index % 100) as f32 / 50.0 - 1.0;

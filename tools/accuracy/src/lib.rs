@@ -1,10 +1,12 @@
-//! How right depth is: engines beside each other, on simulated and on recorded sequences, undisturbed and disturbed.
-//! Ground truth is used to judge and for nothing else. `cargo xtask accuracy` prints the table.
+//! Accuracy of depth: compares methods on simulated and recorded sequences, with and without disturbances. Ground truth is
+//! used for evaluation only. `cargo xtask accuracy` prints the table.
 #![forbid(unsafe_code)]
 
 pub mod disturbance;
 pub mod engine;
 pub mod fit;
+pub mod flow_network;
+pub mod least_squares;
 pub mod measure;
 pub mod reliability;
 pub mod sequence;

@@ -1,4 +1,4 @@
-//! Prints the accuracy table.
+//! Prints the table of depth accuracy.
 #![forbid(unsafe_code)]
 
 use std::path::{Path, PathBuf};
@@ -13,48 +13,48 @@ use anyhow::Result;
 use clap::Parser;
 use firmware_host::config::Config;
 use hal::{CameraModel, ImageView};
+use runtime::perception::confidence::{belief_features, vote_features};
 use runtime::perception::surround::Surround;
-use runtime::perception::trust::{belief_features, vote_features};
 use runtime::perception::{Belief, CoarseConfig, CoarseDepth, Vote};
 use simulator::{OpenOptions, World};
 
-/// Measures depth on sequences with ground truth.
+/// Measures the accuracy of depth on sequences with ground truth.
 #[derive(Parser)]
 struct Options {
-    /// Scenes to drive through: `builtin:` homes or files.
+    /// Scenes in which sequences are simulated: `builtin:` homes or files.
     #[arg(long = "scene")]
     scenes: Vec<String>,
-    /// Recorded sequences.
+    /// Folders of recorded sequences.
     #[arg(long = "dataset")]
     datasets: Vec<PathBuf>,
-    /// Pictures of each simulated sequence.
+    /// Number of frames of each simulated sequence.
     #[arg(long, default_value_t = 150)]
     frames: u64,
-    /// Only these motions: forward, turning, random, active, rotation.
+    /// Simulate only these motions: forward, turning, random, active, rotation.
     #[arg(long, value_delimiter = ',')]
     motions: Vec<String>,
-    /// People who walk about in simulated scenes.
+    /// Number of people who walk about in simulated scenes.
     #[arg(long, default_value_t = 0)]
     people: usize,
-    /// Without disturbances.
+    /// Evaluate without disturbances only.
     #[arg(long)]
     undisturbed: bool,
-    /// Fits the confidence instead: prints the weights for the `[coarse]` section of the configuration.
+    /// Fit the confidence instead, and print its weights for the `[coarse]` section of the configuration.
     #[arg(long)]
     fit: bool,
-    /// Configurations to compare; the default one where none is given.
+    /// Configurations to compare; without any, the default configuration.
     #[arg(long = "config")]
     configs: Vec<PathBuf>,
-    /// Also the paper's way: flow to the fifth picture before, then least squares, with dense inverse search.
+    /// Evaluate the paper's method, too: flow to the fifth frame before by dense inverse search, then least squares.
     #[arg(long)]
     search: bool,
-    /// The same with a learned flow, an ONNX model (`cargo xtask models` exports RAFT).
+    /// Evaluate the paper's method with a learned flow, too: an ONNX model (`cargo xtask models` exports RAFT).
     #[arg(long)]
     flow_model: Option<PathBuf>,
-    /// Judge every so many pictures; the learned flow looks at no others.
+    /// Evaluate every N-th frame only; the learned flow is computed for no others.
     #[arg(long, default_value_t = 1)]
     every: usize,
-    /// Folder for one picture of each sequence and the reliability diagram.
+    /// Folder for depth images of each sequence and the reliability diagram.
     #[arg(long)]
     out: Option<PathBuf>,
 }
@@ -87,7 +87,7 @@ fn main() -> Result<()> {
         })?;
     }
     if let Some(folder) = &options.out {
-        println!("Look at {}.", folder.display());
+        println!("Images are in {}.", folder.display());
     }
     Ok(())
 }
@@ -99,11 +99,11 @@ fn sequences(options: &Options) -> Result<Vec<Sequence>> {
     }
     for scene in &options.scenes {
         let world = Arc::new(World::open(scene, &OpenOptions::default())?);
-        let wanted = |motion: &Motion| {
-            options.motions.is_empty() || options.motions.iter().any(|m| m == motion.name())
-        };
-        for motion in Motion::ALL.into_iter().filter(wanted) {
-            eprintln!("driving through {scene}, {}", motion.name());
+        for motion in Motion::ALL {
+            if !options.motions.is_empty() && !options.motions.iter().any(|m| m == motion.name()) {
+                continue;
+            }
+            eprintln!("simulating {scene}, {}", motion.name());
             sequences.push(simulated(&world, motion, options.frames, 1, options.people)?);
         }
     }
@@ -130,6 +130,7 @@ fn compare(
     }
     let mean = Outcome::mean(&all);
     println!("{}", mean.line());
+    println!("{}", mean.calibration_line());
     if let Some(folder) = out {
         mean.reliability
             .draw(&format!("{}: confidence", mean.engine), &folder.join("reliability.png"))?;
@@ -137,27 +138,27 @@ fn compare(
     Ok(())
 }
 
-/// Right is what delta1 calls right.
+/// Whether the depth is within a factor of 1.25 of the truth, as in delta1.
 fn is_right(inverse_depth: f32, truth_m: f32) -> bool {
     let ratio = inverse_depth * truth_m;
     ratio > 0.8 && ratio < 1.25
 }
 
-/// First what one picture's vote is worth, then, with that, what is remembered.
+/// Fits the confidence of votes first, then, with these weights, the confidence of beliefs.
 fn fit(sequences: &[Sequence], config: &Config) -> Result<()> {
     let mut coarse = config.coarse.clone();
-    coarse.vote_weights = gather(sequences, &coarse, |vote, _, _| {
+    coarse.vote_weights = fit_confidence(sequences, &coarse, |vote, _, _| {
         (vote.parallax_px > 0.0).then(|| (vote_features(vote), vote.inverse_depth))
     })?;
     println!("vote_weights = {:.2?}", coarse.vote_weights);
-    coarse.belief_weights = gather(sequences, &coarse, |_, belief, around| {
+    coarse.belief_weights = fit_confidence(sequences, &coarse, |_, belief, around| {
         (belief.evidence > 0.0).then(|| (belief_features(belief, around), belief.inverse_depth))
     })?;
     println!("belief_weights = {:.2?}", coarse.belief_weights);
     Ok(())
 }
 
-fn gather<const N: usize>(
+fn fit_confidence<const N: usize>(
     sequences: &[Sequence],
     coarse: &CoarseConfig,
     sample: impl Fn(&Vote, &Belief, &Surround) -> Option<([f32; N], f32)>,
@@ -165,32 +166,40 @@ fn gather<const N: usize>(
     let mut all = Samples::<N>::default();
     for sequence in sequences {
         for disturbance in [Disturbance::None, Disturbance::Pose] {
-            let mut samples = Samples::default();
-            let mut engine = CoarseDepth::new(coarse.clone(), sequence.camera)?;
-            for (index, view) in sequence.views.iter().enumerate() {
-                let (rgb, pose) = disturbance.of(index, view);
-                let frame = ImageView::rgb8(sequence.camera.width, sequence.camera.height, &rgb)?;
-                let Some(truth) =
-                    view.truth.as_ref().filter(|_| engine.estimate(frame, &pose).is_ok())
-                else {
-                    continue;
-                };
-                let columns = sequence.camera.width / 4;
-                // Neighbours say the same: every seventh is enough.
-                for (cell, (vote, belief, around)) in
-                    engine.cells().enumerate().skip(index % 7).step_by(7)
-                {
-                    let (row, column) = (cell / columns * 4 + 1, cell % columns * 4 + 1);
-                    let truth_m = truth.values()[row * sequence.camera.width + column];
-                    if let Some((features, inverse_depth)) =
-                        sample(vote, belief, around).filter(|_| truth_m > 0.0)
-                    {
-                        samples.add(features, is_right(inverse_depth, truth_m));
-                    }
-                }
-            }
-            all.add_sequence(samples);
+            all.add_sequence(samples(sequence, disturbance, coarse, &sample)?);
         }
     }
     Ok(all.fit()?.map(|weight| weight as f32))
+}
+
+fn samples<const N: usize>(
+    sequence: &Sequence,
+    disturbance: Disturbance,
+    coarse: &CoarseConfig,
+    sample: &impl Fn(&Vote, &Belief, &Surround) -> Option<([f32; N], f32)>,
+) -> Result<Samples<N>> {
+    let mut samples = Samples::default();
+    let CameraModel { width, height, .. } = sequence.camera;
+    let columns = width / 4;
+    let mut engine = CoarseDepth::new(coarse.clone(), sequence.camera)?;
+    for (index, view) in sequence.views.iter().enumerate() {
+        let (rgb, pose) = disturbance.apply(index, view);
+        let frame = ImageView::rgb8(width, height, &rgb)?;
+        let Some(truth) = view.truth.as_ref().filter(|_| engine.estimate(frame, &pose).is_ok())
+        else {
+            continue;
+        };
+        // Neighbouring cells are correlated: every seventh is enough.
+        let cells = engine.cells().enumerate().skip(index % 7).step_by(7);
+        for (cell, (vote, belief, around)) in cells {
+            let row = cell / columns * 4 + 1;
+            let column = cell % columns * 4 + 1;
+            let truth_m = truth.values()[row * width + column];
+            let Some((features, inverse_depth)) = sample(vote, belief, around) else { continue };
+            if truth_m > 0.0 {
+                samples.add(features, is_right(inverse_depth, truth_m));
+            }
+        }
+    }
+    Ok(samples)
 }

@@ -1,4 +1,4 @@
-//! One engine on one sequence.
+//! Evaluates one method on one sequence.
 
 use std::path::Path;
 use std::time::Instant;
@@ -14,27 +14,29 @@ use crate::engine::Engine;
 use crate::reliability::Reliability;
 use crate::sequence::Sequence;
 
-/// One line of the table.
+/// One row of the table.
 #[derive(Debug, Clone, Default)]
 pub struct Outcome {
-    /// The sequence and what disturbs it.
+    /// The sequence and its disturbance.
     pub name: String,
-    /// Who looked.
     pub engine: String,
-    /// All pixels with depth.
+    /// Of all pixels with depth.
     pub all: Metrics,
-    /// Their most confident half.
+    /// Of the more confident half of them.
     pub half: Metrics,
-    /// delta1 of the median of the ground truth.
+    /// delta1 of a constant depth, the median of the ground truth.
     pub constant: f64,
-    /// Median time of one picture, seconds.
+    /// Median time of one frame, seconds.
     pub median_s: f64,
-    /// Whether the confidence means what it says.
+    /// Calibration error of the confidence; in a mean row, the mean over the sequences.
+    pub calibration: f64,
+    /// Right pixels by confidence; in a mean row, pooled over the sequences.
     pub reliability: Reliability,
 }
 
 impl Outcome {
-    /// The table's head. delta1 everywhere; `share` is the share of the pixels with ground truth.
+    /// The table's header. `all`, `half`, `scaled` and `constant` are delta1, `share` is the share of the pixels with ground
+    /// truth, `calib` the calibration error.
     #[must_use]
     pub fn head() -> String {
         format!(
@@ -54,10 +56,10 @@ impl Outcome {
         )
     }
 
-    /// One line of the table.
     #[must_use]
     pub fn line(&self) -> String {
-        let (all, half) = (&self.all, &self.half);
+        let all = &self.all;
+        let half = &self.half;
         format!(
             "| {:<44} | {:<10} | {:.3} | {:>6.3} | {:.3} | {:.3} | {:>6.3} | {:.3} | {:>8.3} | {:.3} | {:>7.2} |",
             self.name,
@@ -69,44 +71,63 @@ impl Outcome {
             half.delta1,
             half.share,
             self.constant,
-            self.reliability.error(),
+            self.calibration,
             1e3 * self.median_s,
         )
     }
 
-    /// The mean of lines that have depth.
+    /// The mean of the rows with depth.
     #[must_use]
     pub fn mean(all: &[Self]) -> Self {
-        let seen: Vec<&Self> = all.iter().filter(|outcome| outcome.all.share > 0.0).collect();
-        let mean = |value: fn(&Self) -> f64| {
-            seen.iter().map(|outcome| value(outcome)).sum::<f64>() / seen.len() as f64
-        };
+        let with_depth: Vec<&Self> = all.iter().filter(|row| row.all.share > 0.0).collect();
         let mut reliability = Reliability::default();
-        seen.iter().for_each(|outcome| reliability.add_normalised(&outcome.reliability));
-        let metrics = |of: fn(&Self) -> &Metrics| {
-            let mean = |value: fn(&Metrics) -> f64| {
-                seen.iter().map(|outcome| value(of(outcome))).sum::<f64>() / seen.len() as f64
-            };
-            let (share, delta1, delta1_unscaled) =
-                (mean(|m| m.share), mean(|m| m.delta1), mean(|m| m.delta1_unscaled));
-            Metrics { share, delta1, delta1_unscaled, ..Metrics::default() }
-        };
+        for row in &with_depth {
+            reliability.add_normalised(&row.reliability);
+        }
         Self {
             name: "mean of those with depth".to_owned(),
             engine: all.first().map_or_else(String::new, |first| first.engine.clone()),
-            all: metrics(|outcome| &outcome.all),
-            half: metrics(|outcome| &outcome.half),
-            constant: mean(|outcome| outcome.constant),
-            median_s: mean(|outcome| outcome.median_s),
+            all: mean_metrics(&with_depth, |row| &row.all),
+            half: mean_metrics(&with_depth, |row| &row.half),
+            constant: mean(&with_depth, |row| row.constant),
+            median_s: mean(&with_depth, |row| row.median_s),
+            calibration: mean(&with_depth, |row| row.calibration),
             reliability,
         }
     }
+
+    /// The calibration error of a mean row in words: as the mean over the sequences, and pooled.
+    #[must_use]
+    pub fn calibration_line(&self) -> String {
+        format!(
+            "{}: calibration error {:.3} (mean over the sequences), {:.3} (pooled over the pixels of all sequences, where errors of \
+             opposite sign cancel)",
+            self.engine,
+            self.calibration,
+            self.reliability.error()
+        )
+    }
 }
 
-/// Lets an engine look at every picture and judges every `every`th; `sheet` is a folder for a picture of what it saw.
+fn mean(rows: &[&Outcome], value: fn(&Outcome) -> f64) -> f64 {
+    rows.iter().map(|row| value(row)).sum::<f64>() / rows.len() as f64
+}
+
+/// The mean of the metrics that the table shows.
+fn mean_metrics(rows: &[&Outcome], metrics: fn(&Outcome) -> &Metrics) -> Metrics {
+    let mut mean = Metrics::default();
+    for metrics in rows.iter().map(|row| metrics(row)) {
+        mean.share += metrics.share / rows.len() as f64;
+        mean.delta1 += metrics.delta1 / rows.len() as f64;
+        mean.delta1_unscaled += metrics.delta1_unscaled / rows.len() as f64;
+    }
+    mean
+}
+
+/// Runs a method on all frames of a sequence and evaluates every `every`th; `sheet` is a folder for images of the depth.
 ///
 /// # Errors
-/// When pictures and truth do not fit, the engine cannot work, or the sheet cannot be written.
+/// When frames and ground truth have different sizes, the method fails, or the sheet cannot be written.
 pub fn measure(
     sequence: &Sequence,
     disturbance: Disturbance,
@@ -114,16 +135,18 @@ pub fn measure(
     every: usize,
     sheet: Option<&Path>,
 ) -> Result<Outcome> {
-    let (mut accuracy, mut constant, mut reliability) =
-        (Accuracy::new(), ConstantBaseline::new(), Reliability::default());
-    let (mut seconds, mut sampler) = (Vec::new(), SheetSampler::default());
+    let mut accuracy = Accuracy::new();
+    let mut constant = ConstantBaseline::new();
+    let mut reliability = Reliability::default();
+    let mut seconds = Vec::new();
+    let mut sampler = SheetSampler::default();
     for (index, view) in sequence.views.iter().enumerate() {
-        let (rgb, pose) = disturbance.of(index, view);
+        let (rgb, pose) = disturbance.apply(index, view);
         let frame = ImageView::rgb8(sequence.camera.width, sequence.camera.height, &rgb)?;
         let began = Instant::now();
-        let wanted = index.is_multiple_of(every);
-        let found = engine.look(frame, &pose, wanted)?;
-        if !wanted {
+        let evaluated = index.is_multiple_of(every);
+        let found = engine.process(frame, &pose, evaluated)?;
+        if !evaluated {
             continue;
         }
         seconds.push(began.elapsed().as_secs_f64());
@@ -146,7 +169,7 @@ pub fn measure(
         DepthSheet { title: &name, rows: &sampler.into_rows() }.write(&folder)?;
         anyhow::ensure!(
             folder.join(DEPTH_FILE).exists() || accuracy.rows().all.is_none(),
-            "no sheet of {name}"
+            "the depth sheet of {name} was not written"
         );
     }
     let rows = accuracy.rows();
@@ -157,6 +180,7 @@ pub fn measure(
         half: rows.confident.unwrap_or_default(),
         constant: constant.rows().all.map_or(0.0, |metrics| metrics.delta1),
         median_s: seconds.get(seconds.len() / 2).copied().unwrap_or_default(),
+        calibration: reliability.error(),
         reliability,
     })
 }

@@ -1,4 +1,4 @@
-//! Whether a confidence means what it says: of the pixels that are right with probability 0.8, 80 % must be right.
+//! Calibration of the confidence: of the pixels with a confidence of 0.8, 80 % should be right.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ const INK: [u8; 3] = [40, 44, 52];
 const FAINT: [u8; 3] = [200, 204, 210];
 const BAR: [u8; 3] = [90, 140, 200];
 
-/// Pixels by the confidence that they have.
+/// Histogram of pixels by confidence, with the share of right pixels in each bin.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Reliability {
     bins: [Bin; BINS],
@@ -28,7 +28,7 @@ struct Bin {
 }
 
 impl Reliability {
-    /// Counts the pixels of one picture.
+    /// Adds the pixels of one frame.
     pub fn add(&mut self, estimate: &DepthEstimate, truth: &DepthMap) {
         let pixels = estimate.depth.values().iter().zip(&estimate.confidence).zip(truth.values());
         for ((&depth, &confidence), &truth) in
@@ -41,7 +41,7 @@ impl Reliability {
         }
     }
 
-    /// Adds what another one has counted, as if it had counted as many pixels as any other.
+    /// Adds another histogram, normalised so that every histogram counts the same.
     pub fn add_normalised(&mut self, other: &Self) {
         let total: f64 = other.bins.iter().map(|bin| bin.pixels).sum();
         for (bin, other) in self.bins.iter_mut().zip(&other.bins).filter(|_| total > 0.0) {
@@ -51,7 +51,8 @@ impl Reliability {
         }
     }
 
-    /// Expected calibration error (Naeini et al. 2015): mean distance between what is promised and what is kept.
+    /// Expected calibration error (Naeini et al. 2015): mean difference between the confidence and the share of right pixels.
+    /// In a sum of histograms, errors of opposite sign cancel.
     #[must_use]
     pub fn error(&self) -> f64 {
         let total: f64 = self.bins.iter().map(|bin| bin.pixels).sum();
@@ -59,21 +60,18 @@ impl Reliability {
             / total.max(f64::MIN_POSITIVE)
     }
 
-    /// Draws the share of right pixels over the promised one, and how many pixels promise it.
+    /// Draws the share of right pixels and the number of pixels over confidence.
     ///
     /// # Errors
-    /// When the picture cannot be written.
+    /// When the image cannot be written.
     pub fn draw(&self, title: &str, path: &Path) -> Result<(), ReportError> {
         let page = (SIDE + 2 * MARGIN) as u32;
         let mut canvas = Canvas::new(page, page, [255; 3]);
-        let place = |promised: f64, kept: f64| {
-            [MARGIN as f64 + promised * SIDE as f64, (MARGIN + SIDE) as f64 - kept * SIDE as f64]
-        };
         canvas.text(MARGIN, 16, title, Font::Strong, INK);
         canvas.text(
             MARGIN,
             40,
-            &format!("calibration error {:.3}", self.error()),
+            &format!("pooled calibration error {:.3}", self.error()),
             Font::Label,
             INK,
         );
@@ -84,24 +82,24 @@ impl Reliability {
             canvas.fill(x + 4, MARGIN + SIDE - height, SIDE / BINS as i64 - 8, height, FAINT);
         }
         canvas.frame(MARGIN, MARGIN, SIDE, SIDE, INK);
-        canvas.line(place(0.0, 0.0), place(1.0, 1.0), 1.5, FAINT, 1.0);
+        canvas.line(position(0.0, 0.0), position(1.0, 1.0), 1.5, FAINT, 1.0);
         let known: Vec<[f64; 2]> = self
             .bins
             .iter()
             .filter(|bin| bin.pixels > 0.002 * most)
-            .map(|bin| place(bin.confidence / bin.pixels, bin.right / bin.pixels))
+            .map(|bin| position(bin.confidence / bin.pixels, bin.right / bin.pixels))
             .collect();
         known.windows(2).for_each(|ends| canvas.line(ends[0], ends[1], 2.5, BAR, 1.0));
         known.iter().for_each(|point| canvas.disc(*point, 5.0, BAR));
         for tick in [0.0, 0.5, 1.0] {
-            let [x, y] = place(tick, tick);
+            let [x, y] = position(tick, tick);
             canvas.text_centered(x as i64, MARGIN + SIDE + 8, &format!("{tick}"), Font::Label, INK);
             canvas.text(MARGIN - 34, y as i64 - 8, &format!("{tick}"), Font::Label, INK);
         }
         canvas.text_centered(
             MARGIN + SIDE / 2,
             MARGIN + SIDE + 30,
-            "promised probability (bars: pixels)",
+            "confidence (bars: number of pixels)",
             Font::Label,
             INK,
         );
@@ -110,14 +108,19 @@ impl Reliability {
     }
 }
 
+/// Position in the diagram of a confidence and a share of right pixels.
+fn position(confidence: f64, right: f64) -> [f64; 2] {
+    [MARGIN as f64 + confidence * SIDE as f64, (MARGIN + SIDE) as f64 - right * SIDE as f64]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn reliability(confidence: f32, right: usize) -> Reliability {
-        let depth = |at: usize| if at < right { 2.0 } else { 4.0 };
+        let depth_m = (0..10).map(|at| if at < right { 2.0 } else { 4.0 });
         let estimate = DepthEstimate {
-            depth: DepthMap::from_vec(10, 1, (0..10).map(depth).collect()).unwrap(),
+            depth: DepthMap::from_vec(10, 1, depth_m.collect()).unwrap(),
             confidence: vec![confidence; 10],
         };
         let mut reliability = Reliability::default();
@@ -126,12 +129,12 @@ mod tests {
     }
 
     #[test]
-    fn a_promise_that_is_kept_has_no_error() {
+    fn a_calibrated_confidence_has_no_error() {
         assert!(reliability(0.8, 8).error() < 1e-6);
     }
 
     #[test]
-    fn the_error_is_the_distance_from_the_promise() {
+    fn the_error_is_the_difference_between_confidence_and_right_pixels() {
         assert!((reliability(0.8, 5).error() - 0.3).abs() < 1e-6);
         let mut both = Reliability::default();
         both.add_normalised(&reliability(0.8, 5));

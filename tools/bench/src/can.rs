@@ -1,4 +1,4 @@
-//! The drive base's frames: what one command to a motor and its feedback cost, without a bus.
+//! CAN codec: encoding of one command to a motor and decoding of its feedback, without a bus.
 
 use std::hint::black_box;
 
@@ -12,28 +12,28 @@ use hal::Twist2;
 
 use crate::report::{Row, Timing, time};
 
-const ROOM: &str = "drivers";
-/// Round trips per timed run: one alone is shorter than the clock's resolution.
+const AREA: &str = "drivers";
+/// Round trips per timed run: a single one is shorter than the clock's resolution.
 const BATCH: u32 = 10_000;
 
-/// All rows.
+/// Measures all rows of this module.
 ///
 /// # Errors
-/// When the motor does not come up on answers that are made for it.
+/// When the motor cannot be enabled with the simulated answers.
 pub fn measure() -> Result<Vec<Row>> {
     Ok(vec![motor()?, message()])
 }
 
 fn each(timing: Timing) -> Timing {
-    let share = |seconds: f64| seconds / f64::from(BATCH);
-    Timing { min: share(timing.min), median: share(timing.median), max: share(timing.max) }
+    let count = f64::from(BATCH);
+    Timing { min: timing.min / count, median: timing.median / count, max: timing.max / count }
 }
 
 fn row(name: &str, timing: Timing, note: &str) -> Row {
-    Row::seconds(ROOM, name, each(timing)).goal(200e-9, 200e-9).note(note)
+    Row::seconds(AREA, name, each(timing)).goal(200e-9, 200e-9).note(note)
 }
 
-/// An ODrive axis that is enabled, by the answers of a real one.
+/// An ODrive axis that was enabled with the answers of a real one.
 fn enabled() -> Result<Odrive> {
     let node = OdriveNode {
         node: 1,
@@ -53,8 +53,8 @@ fn enabled() -> Result<Odrive> {
     ];
     for round in 0..2 {
         for (id, data) in &answers {
-            let frame =
-                CanFrame::new(CanId::Standard(*id), data).context("an answer is no frame")?;
+            let frame = CanFrame::new(CanId::Standard(*id), data)
+                .context("an answer is not a valid frame")?;
             motor.receive(&frame, 1);
         }
         if round == 0 {

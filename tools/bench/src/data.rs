@@ -1,5 +1,5 @@
-//! How recordings get away: `pull-buffer` over ssh on loopback beside `ssh cat` and rsync, and how long it takes to look
-//! through a large buffer. Without sshd, rsync or the two programs (`BENCH_PROGRAMS`), those rows are absent.
+//! Transfer of recordings: `pull-buffer` over ssh on loopback beside `ssh cat` and rsync, and the time to list a large buffer.
+//! Without sshd, rsync or the two programs (`BENCH_PROGRAMS`), those rows are absent.
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -12,19 +12,20 @@ use segment_store::{Catalogue, Root};
 use hil::noise;
 use hil::sshd::Sshd;
 
-use crate::data_sshd as over;
+use crate::data_sshd::{self as over, Comparison};
 use crate::report::{Row, Timing, Unit, time, time_against};
 
-const ROOM: &str = "data";
+const AREA: &str = "data";
 const RUNS: usize = 5;
-/// Segments of the pulled buffer, each as large as the recorder makes them at most.
+/// Number of segments in the pulled buffer, each of the recorder's maximum size.
 const SEGMENTS: usize = 4;
 const SEGMENT_BYTES: usize = 256 << 20;
+const NO_OPTIONS: &[&str] = &[];
 
-/// Measures the room.
+/// Measures all rows of this module.
 ///
 /// # Errors
-/// When a transfer fails or brings something else.
+/// When a transfer fails.
 pub fn rows() -> Result<Vec<Row>> {
     let scratch = Scratch::new()?;
     let mut rows = vec![listing(&scratch.path("large"))?];
@@ -33,7 +34,7 @@ pub fn rows() -> Result<Vec<Row>> {
         (Some(programs), Some(sshd)) => rows.extend(pulls(&scratch, &programs, &sshd)?),
         (None, _) => {
             eprintln!(
-                "no rows of pull-buffer: BENCH_PROGRAMS names no folder with pull-buffer and firmware-host"
+                "no rows of pull-buffer: BENCH_PROGRAMS is not a folder with pull-buffer and firmware-host"
             );
         }
         (_, None) => eprintln!("no rows of pull-buffer: there is no sshd"),
@@ -41,7 +42,7 @@ pub fn rows() -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// 10 GB in 400 segments whose data are holes: their ends are real, and nothing else is looked at.
+/// Lists 10 GB in 400 sparse segments. Only the index at the end of each is real, and listing reads nothing else.
 fn listing(dir: &Path) -> Result<Row> {
     let segment = small_segment()?;
     for number in 0..400 {
@@ -59,12 +60,12 @@ fn listing(dir: &Path) -> Result<Row> {
     );
     ensure!(entries.iter().all(|entry| entry.turns == Some(20)), "the index was not read");
     let timing = time(20, || Catalogue::read(&root).map(|catalogue| catalogue.entries.len()));
-    Ok(Row::seconds(ROOM, "list a buffer of 10 GB, 400 segments", timing)
+    Ok(Row::seconds(AREA, "list a buffer of 10 GB, 400 segments", timing)
         .goal(0.2, 0.05)
-        .note("sizes, times, turns, events, marks; from the page cache"))
+        .note("sizes, times, ticks, events, markers; from the page cache"))
 }
 
-/// A whole segment with an index, of the crate's own writer.
+/// A complete segment with an index, written by the `mcap` crate.
 fn small_segment() -> Result<Vec<u8>> {
     let mut file = Vec::new();
     let options = mcap::WriteOptions::new().compression(None).disable_seeking(true);
@@ -86,12 +87,14 @@ fn small_segment() -> Result<Vec<u8>> {
     Ok(file)
 }
 
-/// Moves the index of `segment` to the end of a file of `length` bytes with a hole in front.
+/// Writes a sparse file of `length` bytes that ends with the index of `segment`.
 fn sparse(path: &Path, segment: &[u8], length: u64) -> Result<()> {
     let tail = segment.len().checked_sub(37).context("too short")?;
-    let number =
-        |at: usize| segment.get(at..at + 8).and_then(|b| b.try_into().ok()).map(u64::from_le_bytes);
-    let summary_start = number(tail + 9).context("no footer")?;
+    let summary_start = segment
+        .get(tail + 9..tail + 17)
+        .and_then(|bytes| bytes.try_into().ok())
+        .map(u64::from_le_bytes)
+        .context("no footer")?;
     let mut index = segment.get(usize::try_from(summary_start)?..).context("no index")?.to_vec();
     let moved = length - index.len() as u64;
     let field = index.len() - 37 + 9;
@@ -101,7 +104,7 @@ fn sparse(path: &Path, segment: &[u8], length: u64) -> Result<()> {
     file.set_len(moved)?;
     std::io::Seek::seek(&mut file, std::io::SeekFrom::Start(moved))?;
     file.write_all(&index)?;
-    // Nobody writes to it any more.
+    // An old modification time marks the segment as finished.
     Ok(file.set_modified(std::time::UNIX_EPOCH)?)
 }
 
@@ -114,105 +117,150 @@ fn pulls(scratch: &Scratch, programs: &Path, sshd: &Sshd) -> Result<Vec<Row>> {
         File::open(&path)?.set_modified(std::time::UNIX_EPOCH)?;
     }
     let here = scratch.path("here");
-    let bytes = (SEGMENTS * SEGMENT_BYTES) as f64;
-    let rate = |timing: Timing| {
-        let megabytes = bytes * 1e-6;
-        Timing {
-            min: megabytes / timing.max,
-            median: megabytes / timing.median,
-            max: megabytes / timing.min,
-        }
-    };
     let mut peak_mib = Vec::new();
-    let mut first = |more: &[&str], dir: &Path| -> Result<()> {
-        // Neither what is here nor what the robot knows of it.
-        let _ = fs::remove_dir_all(dir);
-        peak_mib.push(run_measured(over::pull(sshd, more, programs, &robot, dir))?);
-        Ok(())
-    };
-    let cat = || -> Result<()> {
-        let _ = fs::remove_dir_all(&here);
-        fs::create_dir_all(&here)?;
-        for number in 0..SEGMENTS {
-            let name = format!("recording_{number:04}.mcap");
-            let mut command = over::ssh(sshd);
-            command
-                .arg(format!("cat {}/run/{name}", robot.display()))
-                .stdout(File::create(here.join(name))?);
-            run(command)?;
-        }
-        Ok(())
-    };
-    let (ours, theirs) = both(RUNS, || first(&[], &here), cat)?;
-    let first_copy = |what: &str, ours| {
-        Row::new(ROOM, format!("pull 1 GiB over ssh{what}"), Unit::MegabytesPerSecond, rate(ours))
-    };
+    let (ours, theirs) = both(
+        RUNS,
+        || {
+            remove(&here);
+            peak_mib.push(run_measured(over::pull(sshd, NO_OPTIONS, programs, &robot, &here))?);
+            Ok(())
+        },
+        || cat_segments(sshd, &robot, &here),
+    )?;
     let mut rows = vec![
-        first_copy(", first copy", ours)
+        first_copy_row("", ours)
             .peer("ssh cat", rate(theirs).median)
-            .note("digest on both sides, synced to the disk; ssh cat does neither"),
+            .note("pull-buffer hashes on both sides and syncs to the disk; ssh cat does neither"),
     ];
     let have_rsync = Command::new("rsync").arg("--version").stdout(Stdio::null()).status().is_ok();
-    for (what, more) in [(", first copy", &[][..]), (" with AES, first copy", over::AES)] {
-        if !have_rsync {
-            continue;
-        }
-        let rsync = || {
-            let _ = fs::remove_dir_all(&here);
-            run(over::rsync(sshd, more, &robot, &here))
-        };
-        let (ours, theirs) = both(RUNS, || first(more, &here), rsync)?;
-        rows.push(first_copy(what, ours).peer("rsync -a --checksum", rate(theirs).median));
-    }
     if have_rsync {
+        for (what, more) in [("", NO_OPTIONS), (", AES cipher", over::AES)] {
+            for comparison in [Comparison::SizeAndTime, Comparison::Checksum] {
+                let (ours, theirs) = both(
+                    RUNS,
+                    || {
+                        remove(&here);
+                        peak_mib
+                            .push(run_measured(over::pull(sshd, more, programs, &robot, &here))?);
+                        Ok(())
+                    },
+                    || {
+                        remove(&here);
+                        run(over::rsync(sshd, more, comparison, &robot, &here))
+                    },
+                )?;
+                let row = first_copy_row(what, ours);
+                rows.push(row.peer(comparison.name(), rate(theirs).median).note(
+                    "pull-buffer hashes on both sides and syncs to the disk; rsync does not sync",
+                ));
+            }
+        }
         rows.extend(nothing_new(scratch, programs, sshd, &robot)?);
     }
     rows.push(
-        Row::new(ROOM, "pull-buffer, most memory resident", Unit::Mebibytes, Timing::of(peak_mib))
+        Row::new(AREA, "pull-buffer, peak resident memory", Unit::Mebibytes, Timing::of(peak_mib))
             .goal(64.0, 24.0),
     );
     Ok(rows)
 }
 
-/// The second time: a minute after the first, long after it, and with a connection that ssh keeps for both.
+/// Removes what an earlier run has copied.
+fn remove(dir: &Path) {
+    let _ = fs::remove_dir_all(dir);
+}
+
+fn cat_segments(sshd: &Sshd, robot: &Path, here: &Path) -> Result<()> {
+    remove(here);
+    fs::create_dir_all(here)?;
+    for number in 0..SEGMENTS {
+        let name = format!("recording_{number:04}.mcap");
+        let mut command = over::ssh(sshd);
+        command
+            .arg(format!("cat {}/run/{name}", robot.display()))
+            .stdout(File::create(here.join(name))?);
+        run(command)?;
+    }
+    Ok(())
+}
+
+/// The rate of copying the whole buffer, from its duration.
+fn rate(timing: Timing) -> Timing {
+    let megabytes = (SEGMENTS * SEGMENT_BYTES) as f64 * 1e-6;
+    Timing {
+        min: megabytes / timing.max,
+        median: megabytes / timing.median,
+        max: megabytes / timing.min,
+    }
+}
+
+fn first_copy_row(what: &str, ours: Timing) -> Row {
+    let name = format!("pull 1 GiB over ssh, first copy{what}");
+    Row::new(AREA, name, Unit::MegabytesPerSecond, rate(ours))
+}
+
+/// Later pulls without new data: over a connection that the pull before left open, over a new connection each time, and over a
+/// connection that ssh keeps open for both.
 fn nothing_new(scratch: &Scratch, programs: &Path, sshd: &Sshd, robot: &Path) -> Result<Vec<Row>> {
-    let (pulled, synced) = (scratch.path("pulled"), scratch.path("synced"));
+    let pulled = scratch.path("pulled");
+    let synced = scratch.path("synced");
     let runtime_dir = scratch.path("xdg");
     fs::create_dir_all(&runtime_dir)?;
-    let kept = over::kept(sshd);
+    let shared: Vec<String> = over::shared_connection(sshd);
+    let shared_options: Vec<&str> = shared.iter().map(String::as_str).collect();
     let mut rows = Vec::new();
-    for (what, more, shares, note) in [
-        ("", &[][..], true, "over the connection that the pull before left open for a minute"),
-        (", greeting each time", &[][..], false, "most of ours is ssh's own greeting"),
-        (", kept connection", &kept[..], false, "ControlMaster of ssh, for both"),
+    for (what, more, reuses, connection) in [
+        (
+            "",
+            NO_OPTIONS,
+            true,
+            "pull-buffer reuses the connection that the pull before left open for a minute",
+        ),
+        (
+            ", new connection each time",
+            NO_OPTIONS,
+            false,
+            "most of pull-buffer's time is ssh's handshake",
+        ),
+        (", shared connection", &shared_options[..], false, "both use ssh's ControlMaster"),
     ] {
-        let pull = || {
-            let mut command = over::pull(sshd, more, programs, robot, &pulled);
-            if shares {
-                command.env("XDG_RUNTIME_DIR", &runtime_dir);
-            }
-            run(command)
-        };
-        let rsync = || run(over::rsync(sshd, more, robot, &synced));
-        pull()?;
-        rsync()?;
-        let (ours, theirs) = both(RUNS, pull, rsync)?;
-        let row = Row::seconds(ROOM, format!("pull 1 GiB over ssh, nothing new{what}"), ours);
-        rows.push(row.peer("rsync -a --checksum", theirs.median).note(note));
+        for comparison in [Comparison::SizeAndTime, Comparison::Checksum] {
+            let pull = || {
+                let mut command = over::pull(sshd, more, programs, robot, &pulled);
+                if reuses {
+                    command.env("XDG_RUNTIME_DIR", &runtime_dir);
+                }
+                run(command)
+            };
+            let rsync = || run(over::rsync(sshd, more, comparison, robot, &synced));
+            pull()?;
+            rsync()?;
+            let (ours, theirs) = both(RUNS, pull, rsync)?;
+            let row = Row::seconds(AREA, format!("pull 1 GiB over ssh, nothing new{what}"), ours);
+            let compared = match comparison {
+                Comparison::SizeAndTime => "rsync sizes and times",
+                Comparison::Checksum => "rsync reads and hashes all files on both sides",
+            };
+            rows.push(
+                row.peer(comparison.name(), theirs.median).note(format!(
+                    "pull-buffer compares names and sizes, {compared}; {connection}"
+                )),
+            );
+        }
     }
     let mut exit = over::ssh(sshd);
-    exit.args(kept).args(["-O", "exit"]).stderr(Stdio::null());
+    exit.args(shared).args(["-O", "exit"]).stderr(Stdio::null());
     run(exit)?;
     Ok(rows)
 }
 
-/// By turns; an error of either ends it.
+/// Measures both with alternating runs, and returns the first error of either.
 fn both(
     runs: usize,
     mut ours: impl FnMut() -> Result<()>,
     mut peer: impl FnMut() -> Result<()>,
 ) -> Result<(Timing, Timing)> {
-    let (mut first, mut second) = (Ok(()), Ok(()));
+    let mut first = Ok(());
+    let mut second = Ok(());
     let timings = time_against(
         runs,
         || first = std::mem::replace(&mut first, Ok(())).and_then(|()| ours()),
@@ -227,7 +275,7 @@ fn run(mut command: Command) -> Result<()> {
     Ok(())
 }
 
-/// Runs a command; the most memory that it had resident, in MiB, from the kernel's account while it runs.
+/// Runs a command and returns its peak resident memory in MiB, from /proc while it runs.
 fn run_measured(mut command: Command) -> Result<f64> {
     let mut child = command.stdin(Stdio::null()).spawn().with_context(|| format!("{command:?}"))?;
     let status_file = format!("/proc/{}/status", child.id());
@@ -248,7 +296,7 @@ fn run_measured(mut command: Command) -> Result<f64> {
     }
 }
 
-/// A folder that goes away again.
+/// A folder that is removed when it is dropped.
 struct Scratch(PathBuf);
 
 impl Scratch {

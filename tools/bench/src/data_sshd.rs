@@ -1,11 +1,11 @@
-//! The system's own ssh, rsync over it, and `pull-buffer` over it, to a server of our own on loopback.
+//! Commands for the system's ssh, and for rsync and `pull-buffer` over it, with the test's own server on loopback.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
 
 use hil::sshd::Sshd;
 
-/// `ssh` to it, up to the host.
+/// An `ssh` command to the server, up to the host name.
 #[must_use]
 pub fn ssh(server: &Sshd) -> Command {
     let mut command = Command::new("ssh");
@@ -13,12 +13,13 @@ pub fn ssh(server: &Sshd) -> Command {
     command
 }
 
-/// More options for both: a cipher that most processors have in hardware.
+/// An ssh option that selects a cipher with hardware support in most processors.
 pub const AES: &[&str] = &["-caes128-gcm@openssh.com"];
 
-/// More options for both: the first opens a connection that the next ones use, as `ControlMaster auto` in ~/.ssh/config.
+/// ssh options with which the first command opens a connection that the next ones reuse, as `ControlMaster auto` in
+/// ~/.ssh/config.
 #[must_use]
-pub fn kept(server: &Sshd) -> Vec<String> {
+pub fn shared_connection(server: &Sshd) -> Vec<String> {
     let socket = server.dir().join("%C");
     [
         "-oControlMaster=auto".to_owned(),
@@ -28,17 +29,46 @@ pub fn kept(server: &Sshd) -> Vec<String> {
     .into()
 }
 
-/// `rsync -a --checksum` from it.
+/// How rsync detects changed files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Comparison {
+    /// By size and time, as `rsync -a` does by default.
+    SizeAndTime,
+    /// By the checksum of the whole content, which both sides read: `rsync -a --checksum`.
+    Checksum,
+}
+
+impl Comparison {
+    /// The rsync command as text.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::SizeAndTime => "rsync -a",
+            Self::Checksum => "rsync -a --checksum",
+        }
+    }
+}
+
+/// An `rsync -a` command that copies `from` on the server to `to`.
 #[must_use]
-pub fn rsync(server: &Sshd, more: &[impl AsRef<str>], from: &Path, to: &Path) -> Command {
+pub fn rsync(
+    server: &Sshd,
+    more: &[impl AsRef<str>],
+    comparison: Comparison,
+    from: &Path,
+    to: &Path,
+) -> Command {
     let mut command = Command::new("rsync");
     let more = more.iter().map(|option| format!(" {}", option.as_ref())).collect::<String>();
-    command.args(["-a", "--checksum", "-e", &format!("ssh {}{more}", server.options().join(" "))]);
+    if comparison == Comparison::Checksum {
+        command.arg("--checksum");
+    }
+    command.args(["-a", "-e", &format!("ssh {}{more}", server.options().join(" "))]);
     command.arg(format!("127.0.0.1:{}/", from.display())).arg(format!("{}/", to.display()));
     command
 }
 
-/// `pull-buffer` from it.
+/// A `pull-buffer` command that copies `from` on the server to `to`.
 #[must_use]
 pub fn pull(
     server: &Sshd,
@@ -52,7 +82,7 @@ pub fn pull(
     command.arg(format!("--remote-command={}", programs.join("firmware-host").display()));
     command.args(server.options().iter().map(|option| format!("--ssh-option={option}")));
     command.args(more.iter().map(|option| format!("--ssh-option={}", option.as_ref())));
-    // It greets anew unless told otherwise.
+    // Without a runtime directory, every call opens a new connection.
     command.env_remove("XDG_RUNTIME_DIR").stderr(Stdio::null());
     command
 }

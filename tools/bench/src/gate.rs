@@ -1,6 +1,6 @@
-//! How long the gate takes to judge a model by 300 held-out pictures, alone and beside a robot that drives in real time through its
-//! real drivers, and whether that robot's turns come in time. Without `firmware-host` in `BENCH_PROGRAMS` or ONNX Runtime these
-//! rows are absent. Takes about ten minutes, most of it to record.
+//! The time in which the gate evaluates a model on 300 held-out frames, alone and beside a robot that drives in real time
+//! through its real drivers, and the share of that robot's ticks that are in time. Without `firmware-host` in
+//! `BENCH_PROGRAMS` or ONNX Runtime, these rows are absent. Takes about ten minutes, most of it for recording.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -16,21 +16,21 @@ use serde_json::Value;
 
 use crate::report::{Row, Timing, Unit};
 
-const ROOM: &str = "data";
-const PICTURES: u64 = 300;
-/// 150 of the 3000 pictures of a run are held out and far enough from each other.
+const AREA: &str = "data";
+const HELD_OUT_FRAMES: u64 = 300;
+/// 150 of the 3000 frames of a run are held out and have enough distance from each other.
 const RUNS: [&str; 3] =
     ["builtin:apartment?seed=1", "builtin:house?seed=2", "builtin:office?seed=3"];
 const FRAMES: &str = "3000";
-/// A robot that starts is busier than one that drives.
-const SETTLED_TURNS: u64 = 50;
-/// Driving without the gate, for comparison.
+/// The robot is measured after this number of ticks: it is busier while it starts.
+const SETTLED_TICKS: u64 = 50;
+/// Duration of driving without the gate, for comparison, seconds.
 const ALONE_S: u64 = 60;
 
 /// Measures the gate.
 ///
 /// # Errors
-/// When a program fails or judges fewer pictures.
+/// When a program fails, or the gate evaluates fewer frames.
 pub fn rows() -> Result<Vec<Row>> {
     let programs = std::env::var_os("BENCH_PROGRAMS")
         .map(|folder| PathBuf::from(folder).join("firmware-host"));
@@ -41,55 +41,56 @@ pub fn rows() -> Result<Vec<Row>> {
         return Ok(Vec::new());
     };
     let dir = tempfile::tempdir()?;
-    let workshop = Workshop::new(&program, dir.path())?;
-    let alone_s = workshop.gate(&dir.path().join("alone"))?;
-    let robot = Robot::start(&workshop, &dir.path().join("robot"))?;
-    let before = robot.turns()?;
+    let setup = Setup::new(&program, dir.path())?;
+    let alone_s = setup.gate(&dir.path().join("alone"))?;
+    let robot = Robot::start(&setup, &dir.path().join("robot"))?;
+    let before = robot.ticks()?;
     let mut clock = MonotonicClock;
     clock.sleep_until_ns(clock.now_ns() + ALONE_S * 1_000_000_000);
-    let without = robot.turns()?.since(before);
-    let before = robot.turns()?;
-    let beside_s = workshop.gate(&dir.path().join("beside"))?;
-    let with = robot.turns()?.since(before);
-    let one = |value| Timing::of(vec![value]);
-    let seconds = |name, value| Row::seconds(ROOM, name, one(value));
+    let without = robot.ticks()?.since(before);
+    let before = robot.ticks()?;
+    let beside_s = setup.gate(&dir.path().join("beside"))?;
+    let with = robot.ticks()?.since(before);
     Ok(vec![
-        seconds("gate: 300 held-out pictures of 640x192, two networks, alone", alone_s)
-            .goal(60.0, 30.0)
-            .note("at idle priority"),
-        seconds("gate: the same beside a robot that drives", beside_s).note("at idle priority"),
+        seconds_row("gate: 300 held-out frames of 640x192, two networks, alone", alone_s)
+            .goal(60.0, 30.0),
+        seconds_row("gate: the same beside a robot that drives", beside_s),
         Row::new(
-            ROOM,
-            "turns in time of a robot that drives, the gate beside it",
+            AREA,
+            "share of ticks in time of a robot that drives, beside the gate",
             Unit::Share,
-            one(with.in_time()),
+            Timing::of(vec![with.in_time()]),
         )
         .peer("without the gate", without.in_time())
         .note(format!(
-            "{} of {} turns left out; without {} of {}",
-            with.left_out,
+            "{} of {} ticks skipped; without the gate {} of {}",
+            with.skipped,
             with.all(),
-            without.left_out,
+            without.skipped,
             without.all()
         )),
     ])
 }
 
-/// What a workstation and its robot have.
-struct Workshop {
+fn seconds_row(name: &str, seconds: f64) -> Row {
+    Row::seconds(AREA, name, Timing::of(vec![seconds])).note("at idle priority")
+}
+
+/// The files of a workstation and its robot.
+struct Setup {
     program: PathBuf,
     dir: PathBuf,
     resident: PathBuf,
     candidate: PathBuf,
 }
 
-impl Workshop {
-    /// Keys, recordings, and the default network twice: as itself, and signed under another digest.
+impl Setup {
+    /// Creates keys, recordings, and the default network twice: unchanged, and signed with another digest.
     fn new(program: &Path, dir: &Path) -> Result<Self> {
         let resident =
             Path::new(env!("CARGO_MANIFEST_DIR")).join("../../firmware-host/models/default.onnx");
         let candidate = dir.join("candidate.onnx");
-        // ModelProto's `doc_string`, field 6: says nothing, and changes the digest.
+        // ModelProto's `doc_string`, field 6, has no effect but changes the digest.
         let bytes = [std::fs::read(&resident)?, b"\x32\x05again".to_vec()].concat();
         std::fs::write(&candidate, &bytes)?;
         std::fs::write(
@@ -101,22 +102,21 @@ impl Workshop {
             signed_model::Bundle::signature_path(&candidate),
             signed_model::sign(&bytes, "candidate", &key)?,
         )?;
-        // Slowness is shown by the table, not refused.
+        // The gate must not refuse a slow model here: the table shows its duration.
         std::fs::write(
             dir.join("robot.toml"),
             "[models]\nmax_p99_ms = 10000.0\ngate_timeout_s = 3600\n",
         )?;
-        let workshop =
-            Self { program: program.to_owned(), dir: dir.to_owned(), resident, candidate };
+        let setup = Self { program: program.to_owned(), dir: dir.to_owned(), resident, candidate };
         for (number, scene) in RUNS.iter().enumerate() {
-            let mut explore = workshop.firmware(&["explore", "--frames", FRAMES, "--scene", scene]);
+            let mut explore = setup.firmware(&["explore", "--frames", FRAMES, "--scene", scene]);
             explore
                 .arg("--out")
                 .arg(dir.join("runs").join(number.to_string()))
                 .stdout(Stdio::null());
             ensure!(explore.status()?.success(), "{explore:?}");
         }
-        Ok(workshop)
+        Ok(setup)
     }
 
     fn firmware(&self, args: &[&str]) -> Command {
@@ -125,7 +125,7 @@ impl Workshop {
         command
     }
 
-    /// Seconds of `model install` into a new store whose resident is the default network.
+    /// Seconds that `model install` takes in a new store whose resident model is the default network.
     fn gate(&self, store: &Path) -> Result<f64> {
         Store::open(store)?.adopt(&std::fs::read(&self.resident)?, "default")?;
         let mut install = self.firmware(&["model", "install", "--json"]);
@@ -140,18 +140,18 @@ impl Workshop {
             .arg(self.dir.join("trusted_keys"))
             .arg("--recordings")
             .arg(self.dir.join("runs"));
-        install.args(["--frames", &PICTURES.to_string()]);
+        install.args(["--frames", &HELD_OUT_FRAMES.to_string()]);
         let began = Instant::now();
         let output = install.output()?;
         let seconds = began.elapsed().as_secs_f64();
-        let said: Value = serde_json::from_slice(&output.stdout)
+        let answer: Value = serde_json::from_slice(&output.stdout)
             .with_context(|| String::from_utf8_lossy(&output.stderr).into_owned())?;
-        ensure!(said["verdict"]["pictures"] == PICTURES, "the gate says {said}");
+        ensure!(answer["verdict"]["pictures"] == HELD_OUT_FRAMES, "the gate's answer is {answer}");
         Ok(seconds)
     }
 }
 
-/// A robot in a simulated home, behind simulated devices, in real time.
+/// A robot in a simulated home with simulated devices, in real time.
 struct Robot {
     dir: PathBuf,
     child: Child,
@@ -166,46 +166,46 @@ impl Drop for Robot {
 }
 
 impl Robot {
-    fn start(workshop: &Workshop, dir: &Path) -> Result<Self> {
+    fn start(setup: &Setup, dir: &Path) -> Result<Self> {
         let world = LiveWorld::start(dir, &LiveOptions::default())
             .map_err(|error| anyhow::anyhow!("{error}"))?;
-        let mut run = workshop.firmware(&["run"]);
+        let mut run = setup.firmware(&["run"]);
         run.arg("--config")
             .arg(world.config())
             .arg("--model")
-            .arg(&workshop.resident)
+            .arg(&setup.resident)
             .arg("--out")
             .arg(dir.join("run"));
         let child = run.stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
         let mut robot = Self { dir: dir.to_owned(), child, _world: world };
         let mut clock = MonotonicClock;
-        while robot.turns().map_or(0, |turns| turns.done) < SETTLED_TURNS {
-            ensure!(robot.child.try_wait()?.is_none(), "the robot does not drive");
+        while robot.ticks().map_or(0, |ticks| ticks.done) < SETTLED_TICKS {
+            ensure!(robot.child.try_wait()?.is_none(), "the robot has stopped");
             clock.sleep_until_ns(clock.now_ns() + 100_000_000);
         }
         Ok(robot)
     }
 
-    fn turns(&self) -> Result<Turns> {
+    fn ticks(&self) -> Result<Ticks> {
         let exploration = Status::read(&self.dir.join("status.json"))?.exploration;
-        Ok(Turns { done: exploration.ticks, left_out: exploration.skipped })
+        Ok(Ticks { done: exploration.ticks, skipped: exploration.skipped })
     }
 }
 
-/// Turns of the exploration plane; one is left out when the one before takes longer than its period.
+/// Ticks of the exploration plane. A tick is skipped when the one before takes longer than its period.
 #[derive(Debug, Clone, Copy)]
-struct Turns {
+struct Ticks {
     done: u64,
-    left_out: u64,
+    skipped: u64,
 }
 
-impl Turns {
+impl Ticks {
     fn since(self, before: Self) -> Self {
-        Self { done: self.done - before.done, left_out: self.left_out - before.left_out }
+        Self { done: self.done - before.done, skipped: self.skipped - before.skipped }
     }
 
     fn all(self) -> u64 {
-        self.done + self.left_out
+        self.done + self.skipped
     }
 
     fn in_time(self) -> f64 {

@@ -1,4 +1,4 @@
-//! What the project promises to be fast at, room by room. `cargo xtask bench` builds this in release and prints the table.
+//! Benchmarks of the workspace, area by area. `cargo xtask bench` builds this in release and prints the table.
 #![forbid(unsafe_code)]
 
 pub mod can;
@@ -19,11 +19,11 @@ pub mod trainer;
 
 use report::Row;
 
-/// Measures one room, when it is called.
+/// Measures the rows of one area.
 pub type Measure = fn() -> anyhow::Result<Vec<Row>>;
 
-/// Every room that has something to measure, in the order of the table.
-pub const ROOMS: &[(&str, Measure)] = &[
+/// All areas in the order of the table.
+pub const AREAS: &[(&str, Measure)] = &[
     ("simulator", simulator::rows),
     ("mapping", mapping::measure),
     ("network", network::rows),
@@ -33,14 +33,14 @@ pub const ROOMS: &[(&str, Measure)] = &[
     ("data", data_rows),
 ];
 
-/// From a device's bytes to a decision, and back to frames.
+/// Decoders and encoders of devices.
 fn driver_rows() -> anyhow::Result<Vec<Row>> {
     let mut rows = lidar::rows()?;
     rows.extend(can::measure()?);
     Ok(rows)
 }
 
-/// What is recorded, how it comes to the workstation, and how the robot judges what comes back.
+/// Recorder, transfer of recordings to the workstation, and the gate for new models.
 fn data_rows() -> anyhow::Result<Vec<Row>> {
     let mut rows = recorder::rows()?;
     rows.extend(data::rows()?);
@@ -48,7 +48,7 @@ fn data_rows() -> anyhow::Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// From the camera's bytes to coarse depth, and optical flow.
+/// Front end, coarse depth and optical flow.
 fn perception_rows() -> anyhow::Result<Vec<Row>> {
     let mut rows = perception::rows()?;
     rows.extend(imaging::rows()?);

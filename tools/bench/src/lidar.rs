@@ -1,4 +1,4 @@
-//! From a LiDAR's bytes to a scan. The peer is the decoder as the specification tells it and as the known libraries have it: one
+//! Decoding of a LiDAR's bytes to a scan. The peer decodes as the specification describes it and as known libraries do: one
 //! character after the other, then one number after the other.
 
 use std::hint::black_box;
@@ -11,26 +11,28 @@ use runtime::safety::{Plan, Request, SafetyConfig, SafetyInput, SafetyPlane};
 
 use crate::report::{Row, Timing, Unit, time_against};
 
-const ROOM: &str = "drivers";
+const AREA: &str = "drivers";
 const RUNS: usize = 200;
-/// Scans decoded in one timed run, so that the clock's own time does not count.
+/// Scans decoded in one timed run, so that the clock's resolution does not matter.
 const SCANS: usize = 200;
-/// Single scans for the percentiles.
+/// Number of single scans for the percentiles.
 const SINGLES: usize = 20_000;
-/// Bytes that one read hands over: a high-speed USB packet.
+/// Bytes of one read: a high-speed USB packet.
 const PIECE: usize = 512;
 
-/// Measures the room.
+/// Measures all rows of this module.
 ///
 /// # Errors
 /// When a scan is refused.
 pub fn rows() -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for (what, without_return) in [("all distances", 0), ("2 % without return", 2)] {
-        let far = |beam: u32| {
-            if beam * 7919 % 100 < without_return { 1 } else { 500 + beam * 37 % 20_000 }
-        };
-        let (request, message) = scan(far);
+        let (request, message) =
+            scan(
+                |beam| {
+                    if beam * 7919 % 100 < without_return { 1 } else { 500 + beam * 37 % 20_000 }
+                },
+            );
         rows.push(decode(what, &request, &message)?);
     }
     rows.extend(latency()?);
@@ -53,25 +55,20 @@ fn decode(what: &str, request: &scip::Request, message: &[u8]) -> Result<Row> {
             .fold(0, |sum, scan| sum + scan.map_or(0, |scan| scan.len()))
     };
     let (ours, theirs) = time_against(RUNS, ours, theirs);
-    let megabytes = (message.len() * SCANS) as f64 * 1e-6;
-    let rate = |timing: Timing| Timing {
-        min: megabytes / timing.max,
-        median: megabytes / timing.median,
-        max: megabytes / timing.min,
-    };
+    let bytes = message.len() * SCANS;
     Ok(Row::new(
-        ROOM,
+        AREA,
         format!("SCIP decode, MD, 1081 beams, {what}"),
         Unit::MegabytesPerSecond,
-        rate(ours),
+        rate(bytes, ours),
     )
-    .peer("textbook", rate(theirs).median)
+    .peer("textbook", rate(bytes, theirs).median)
     .goal(500.0, 2000.0)
-    .note(format!("{} bytes a scan, every checksum", message.len())))
+    .note(format!("{} bytes per scan, all checksums verified", message.len())))
 }
 
-/// Bytes in pieces as they are read, to what the safety plane decides about a robot that drives through a narrow place: every
-/// beam meets something that it has to look at.
+/// Latency from the bytes, in pieces as they are read, to the decision of the safety plane. The robot drives through a narrow
+/// passage, so that every beam is within the zones that the safety plane checks.
 fn latency() -> Result<Vec<Row>> {
     let (request, message) = scan(|beam| 600 + 600 * beam.abs_diff(540) / 540);
     let mut plane = SafetyPlane::new(SafetyConfig { period_s: 0.025, ..SafetyConfig::default() });
@@ -80,7 +77,7 @@ fn latency() -> Result<Vec<Row>> {
     let geometry = Model::Utm30lx.geometry(false);
     let mut scan = LaserScan { time_ns: 0, geometry, ranges: vec![Range::Error; geometry.beams] };
     let mut times = Vec::with_capacity(SINGLES);
-    for turn in 1..=SINGLES as u64 {
+    for tick in 1..=SINGLES as u64 {
         let start = Instant::now();
         for piece in message.chunks(PIECE) {
             framer
@@ -92,20 +89,33 @@ fn latency() -> Result<Vec<Row>> {
         }
         let whole = framer.message().context("no message")?;
         Reply::read(whole, &request, &codes, &mut scan.ranges)?;
-        scan.time_ns = turn * 25_000_000;
+        scan.time_ns = tick * 25_000_000;
         let output = black_box(plane.step(&driving(&scan)));
         times.push(start.elapsed().as_secs_f64());
-        ensure!(output.twist().linear_mps > 0.0, "the way is free, and yet it stands: {output:?}");
+        ensure!(
+            output.twist().linear_mps > 0.0,
+            "the path is free, but the robot stands: {output:?}"
+        );
     }
-    let name = |which| format!("scan bytes to motion decision, 1081 beams, {which}");
+    let name = "scan bytes to motion decision, 1081 beams";
     let median = Timing::of(times.clone());
     times.sort_by(f64::total_cmp);
     let p99 = Timing { median: times[(SINGLES * 99).div_ceil(100) - 1], ..median };
     let note = "decode, checksums, zones, state machine";
     Ok(vec![
-        Row::seconds(ROOM, name("median"), median).note(note),
-        Row::seconds(ROOM, name("99th percentile"), p99).goal(100e-6, 20e-6).note(note),
+        Row::seconds(AREA, format!("{name}, median"), median).note(note),
+        Row::seconds(AREA, format!("{name}, 99th percentile"), p99).goal(100e-6, 20e-6).note(note),
     ])
+}
+
+/// The rate of decoding this number of bytes, from its duration.
+fn rate(bytes: usize, timing: Timing) -> Timing {
+    let megabytes = bytes as f64 * 1e-6;
+    Timing {
+        min: megabytes / timing.max,
+        median: megabytes / timing.median,
+        max: megabytes / timing.min,
+    }
 }
 
 fn driving(scan: &LaserScan) -> SafetyInput<'_> {
@@ -121,7 +131,7 @@ fn driving(scan: &LaserScan) -> SafetyInput<'_> {
     }
 }
 
-/// A scan whose beams measure `value`.
+/// The request and the reply of a scan whose beams measure `value`, millimetres.
 fn scan(value: impl Fn(u32) -> u32) -> (scip::Request, Vec<u8>) {
     let request = Model::Utm30lx.request(0);
     let (echo, length) = request.encode();
@@ -143,7 +153,8 @@ fn push_line(message: &mut Vec<u8>, content: &[u8]) {
     message.push(b'\n');
 }
 
-/// Lines, their sums, their characters behind each other, three of them a number.
+/// A straightforward decoder: checks the sum of each line, joins the characters of all lines, and decodes three of them at a
+/// time.
 fn textbook(message: &[u8], codes: &RangeCodes) -> Option<Vec<Range>> {
     let mut data = Vec::with_capacity(message.len());
     for (number, line) in
@@ -161,8 +172,8 @@ fn textbook(message: &[u8], codes: &RangeCodes) -> Option<Vec<Range>> {
             data.extend_from_slice(content);
         }
     }
-    let number = |characters: &[u8]| {
+    let numbers = data.chunks_exact(3).map(|characters| {
         characters.iter().fold(0, |number, byte| number << 6 | u32::from(byte.wrapping_sub(0x30)))
-    };
-    Some(data.chunks_exact(3).map(|characters| codes.range(number(characters))).collect())
+    });
+    Some(numbers.map(|number| codes.range(number)).collect())
 }

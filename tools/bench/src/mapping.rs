@@ -1,6 +1,6 @@
-//! Map and plans: what one turn of the loop and one choice of a goal cost. The peer for searches is the `pathfinding` crate on
-//! the same cells. The paper's released Python, on this kind of machine with 1000x1000 cells, takes 183 ms for a map update,
-//! 2,967 ms for a frontier decision, 0.6 s for 3 m of A* and 12.2 s for 12 m.
+//! Map updates, frontiers, and path searches. The peer for searches is the `pathfinding` crate on the same cells. The paper's
+//! released Python code, on this kind of machine with 1000x1000 cells, takes 183 ms for a map update, 2,967 ms for a frontier
+//! decision, 0.6 s for 3 m of A* and 12.2 s for 12 m.
 
 use anyhow::{Context, Result};
 use hal::{CameraModel, LaserScan, Pose2, Range, ScanGeometry, camera_mount};
@@ -10,13 +10,13 @@ use runtime::planning::{Costmap, PlanConfig, Planner};
 
 use crate::report::{Goal, Peer, Row, Timing, Unit, time, time_against};
 
-const ROOM: &str = "mapping";
+const AREA: &str = "mapping";
 const SIDE: i32 = 1000;
 
-/// All rows.
+/// Measures all rows of this module.
 ///
 /// # Errors
-/// When a map refuses its own made-up input.
+/// When a map refuses its synthetic input.
 pub fn measure() -> Result<Vec<Row>> {
     let mut rows = map_updates()?;
     rows.extend(decisions()?);
@@ -32,7 +32,7 @@ fn row(
     note: &str,
 ) -> Row {
     Row {
-        room: ROOM,
+        area: AREA,
         name: name.to_owned(),
         unit: Unit::Seconds,
         value,
@@ -42,7 +42,7 @@ fn row(
     }
 }
 
-/// Depth of a corridor that is 1.6 m wide, seen along its axis, ended by a wall 3 m ahead.
+/// Depth of a corridor 1.6 m wide that ends at a wall 3 m ahead, seen along its axis.
 fn corridor(camera: &CameraModel) -> DepthEstimate {
     let mut estimate = DepthEstimate::none(camera.width, camera.height);
     for v in 0..camera.height {
@@ -65,7 +65,7 @@ fn map_updates() -> Result<Vec<Row>> {
     let mut grid = OccupancyGrid::new(&MapConfig::default())?;
     let mut pose = Pose2::IDENTITY;
     let mut update = |with_scan: bool| -> Result<u64> {
-        // The paper's robot: 0.03 m or 2 degrees a frame.
+        // The paper's robot moves 0.03 m or 2 degrees per frame.
         pose = pose.compose(&Pose2::new(0.03, 0.0, 0.035));
         grid.begin_update(&pose)?;
         grid.integrate_depth(&estimate, &camera, &(pose.to_pose3() * camera_mount(0.0, 0.8, 0.0)))?;
@@ -91,22 +91,22 @@ fn map_updates() -> Result<Vec<Row>> {
     ])
 }
 
-/// A window full of round free places, half of them joined, with unknown in between and walls across: far more frontier than
-/// a home has.
+/// A map with many round free areas, half of them connected, with unknown cells in between and walls across: much more frontier
+/// than in a home.
 fn explored() -> Result<OccupancyGrid> {
     let config = MapConfig { collision_width_m: 1.5, ..MapConfig::default() };
     let mut grid = OccupancyGrid::new(&config)?;
     for row in -6..6 {
         for column in -6..6 {
             let radius_m = if (row + column) % 2 == 0 { 1.5 } else { 1.0 };
-            let place = Pose2::new(
+            let pose = Pose2::new(
                 f64::from(column) * 2.4 + 1.2,
                 f64::from(row) * 2.4 + 1.2,
                 f64::from(row),
             );
             grid.begin_update(&Pose2::IDENTITY)?;
-            grid.mark_standing(&place, radius_m)?;
-            grid.mark_collision(&place, 0.6)?;
+            grid.mark_standing(&pose, radius_m)?;
+            grid.mark_collision(&pose, 0.6)?;
             grid.finish_update();
         }
     }
@@ -133,16 +133,16 @@ fn decisions() -> Result<Vec<Row>> {
         row("frontiers of 1000x1000 cells", frontier, None, Some((5.0, 1.0)), &note),
         row("costmap of 1000x1000 cells", update, None, None, "inflation of every obstacle"),
         row(
-            "distance to everywhere, 1000x1000 cells",
+            "distances to all cells, 1000x1000 cells",
             flood,
             None,
             None,
-            "once for all goals of a decision",
+            "one flood for all goals of a decision",
         ),
     ])
 }
 
-/// A square of cells for a search.
+/// A square of weighted cells with a start and a goal.
 struct Field {
     name: &'static str,
     weights: Vec<u8>,
@@ -174,7 +174,7 @@ impl Field {
         })
     }
 
-    /// The same rules for the peer: 8 neighbours, no cut corners, 12 a straight and 17 a diagonal step.
+    /// The planner's rules for the peer: 8 neighbours, no cut corners, costs of 12 for a straight and 17 for a diagonal step.
     fn successors(&self, (x, y): (i32, i32)) -> impl Iterator<Item = ((i32, i32), u32)> {
         let around =
             (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))).filter(|step| *step != (0, 0));
@@ -188,40 +188,58 @@ impl Field {
 
     fn peer(&self) -> Option<u32> {
         let goal = (self.goal.x, self.goal.y);
-        let bound = |(x, y): &(i32, i32)| {
-            let (dx, dy) = (x.abs_diff(goal.0), y.abs_diff(goal.1));
-            12 * dx.max(dy) + 5 * dx.min(dy)
-        };
         let start = (self.start.x, self.start.y);
-        pathfinding::prelude::astar(&start, |at| self.successors(*at), bound, |at| *at == goal)
-            .map(|(_, cost)| cost)
+        pathfinding::prelude::astar(
+            &start,
+            |at| self.successors(*at),
+            |at| distance(*at, goal),
+            |at| *at == goal,
+        )
+        .map(|(_, cost)| cost)
+    }
+}
+
+/// Cost of the shortest path on a grid without obstacles.
+fn distance(from: (i32, i32), to: (i32, i32)) -> u32 {
+    let dx = from.0.abs_diff(to.0);
+    let dy = from.1.abs_diff(to.1);
+    12 * dx.max(dy) + 5 * dx.min(dy)
+}
+
+/// Weight of a cell without obstacles.
+fn free(_: i32, _: i32) -> u8 {
+    1
+}
+
+/// A wall directly in front of the goal that is open only at its far end: the search visits nearly every cell.
+fn trap(x: i32, y: i32) -> u8 {
+    u8::from(x != 980 || y > 990)
+}
+
+/// Corridors 6 cells wide, joined at alternating ends.
+fn corridors(x: i32, y: i32) -> u8 {
+    let opening = if y / 7 % 2 == 0 { x > 990 } else { x < 9 };
+    u8::from(y % 7 != 6 || opening)
+}
+
+/// Blocks with inflated cost around them, as in the costmap of a cluttered home.
+fn clutter(x: i32, y: i32) -> u8 {
+    let dx = (x % 40 - 20).abs();
+    let dy = (y % 40 - 20).abs();
+    match dx.max(dy) {
+        0..6 => 0,
+        near @ 6..14 => (15 - near) as u8 / 2 + 1,
+        _ => 1,
     }
 }
 
 fn fields() -> Vec<Field> {
-    let free = |_, _| 1;
-    // A wall right in front of the goal that is open only at its far end: the search sees nearly every cell.
-    let trap = |x, y| u8::from(x != 980 || y > 990);
-    // Corridors of 6 cells.
-    let snake = |x: i32, y: i32| {
-        let opening = if y / 7 % 2 == 0 { x > 990 } else { x < 9 };
-        u8::from(y % 7 != 6 || opening)
-    };
-    // Blocks with soft cost around them, as a costmap of a cluttered home has.
-    let clutter = |x: i32, y: i32| {
-        let (dx, dy) = ((x % 40 - 20).abs(), (y % 40 - 20).abs());
-        match dx.max(dy) {
-            0..6 => 0,
-            near @ 6..14 => (15 - near) as u8 / 2 + 1,
-            _ => 1,
-        }
-    };
     vec![
         Field::new("A* over 3 m among furniture", (400, 400), (500, 403), clutter),
         Field::new("A* across 1000x1000 free cells", (3, 3), (990, 700), free),
         Field::new("A* across 1000x1000 cells of furniture", (3, 3), (985, 991), clutter),
         Field::new("A* into a trap of 1000x1000 cells", (10, 10), (995, 10), trap),
-        Field::new("A* through corridors, 1000x1000 cells", (3, 3), (500, 990), snake),
+        Field::new("A* through corridors, 1000x1000 cells", (3, 3), (500, 990), corridors),
     ]
 }
 

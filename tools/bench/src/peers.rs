@@ -1,4 +1,4 @@
-//! Peers that live in Python: a script that does one piece of work whenever it is asked, and says how long that took.
+//! Peers in Python: a script that runs an operation on request and reports its duration.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -6,8 +6,8 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
 
-/// A script of `tools/bench/peers` that is ready to work. It reads one name of a piece of work a line, does it, and answers
-/// with one line: the seconds that it took. Before the first it prints `ready`.
+/// A running script of `tools/bench/peers`. It reads the name of one operation per line, runs it, and answers with a line
+/// with the seconds that it took. Before the first request it prints `ready`.
 #[derive(Debug)]
 pub struct PeerProcess {
     script: String,
@@ -17,23 +17,23 @@ pub struct PeerProcess {
 }
 
 impl PeerProcess {
-    /// Starts a script with the Python that `BENCH_PYTHON` names. `None` where there is none: the rows then have no peer.
+    /// Starts a script with the Python interpreter in `BENCH_PYTHON`. `None` if it is not set: the rows then have no peer.
     ///
     /// # Errors
-    /// When the script does not get ready.
+    /// When the script does not start or does not print `ready`.
     pub fn start(script: &str, arguments: &[&str]) -> Result<Option<Self>> {
         let Some(python) = std::env::var_os("BENCH_PYTHON") else { return Ok(None) };
         Self::spawn(Command::new(python), script, arguments).map(Some)
     }
 
-    /// The same with the Python that has the trainer, which `BENCH_TRAINER` names.
+    /// Starts a script with the trainer's Python interpreter, in `BENCH_TRAINER`.
     ///
     /// # Errors
-    /// When the script does not get ready.
+    /// When the script does not start or does not print `ready`.
     pub fn start_trainer(script: &str, arguments: &[&str]) -> Result<Option<Self>> {
         let Some(python) = std::env::var_os("BENCH_TRAINER") else { return Ok(None) };
         let mut command = Command::new(python);
-        // Its own packages, not those of the other peers.
+        // The trainer's own packages, not those of the other peers.
         command.env("PYTHONPATH", Path::new(env!("CARGO_MANIFEST_DIR")).join("../trainer/src"));
         Self::spawn(command, script, arguments).map(Some)
     }
@@ -57,7 +57,7 @@ impl PeerProcess {
         Ok(peer)
     }
 
-    /// Seconds that the piece of work `name` takes now, as the script measures it.
+    /// Runs the operation `name` and returns its duration in seconds, as the script measures it.
     ///
     /// # Errors
     /// When the script fails.
@@ -66,10 +66,10 @@ impl PeerProcess {
         answer.parse().with_context(|| format!("{} answered `{answer}` to `{name}`", self.script))
     }
 
-    /// The answer to one line.
+    /// Sends one line and returns the script's answer.
     ///
     /// # Errors
-    /// When the script ends instead.
+    /// When the script ends without an answer.
     pub fn ask(&mut self, line: &str) -> Result<String> {
         writeln!(self.input, "{line}")
             .and_then(|()| self.input.flush())
@@ -80,14 +80,14 @@ impl PeerProcess {
     fn answer(&mut self) -> Result<String> {
         let mut line = String::new();
         self.output.read_line(&mut line).with_context(|| self.script.clone())?;
-        ensure!(!line.is_empty(), "{} ended early; its words are above", self.script);
+        ensure!(!line.is_empty(), "{} ended early; its output is above", self.script);
         Ok(line.trim().to_owned())
     }
 }
 
 impl Drop for PeerProcess {
     fn drop(&mut self) {
-        // It may have ended on its own.
+        // The script may have ended already.
         _ = self.child.kill();
         _ = self.child.wait();
     }

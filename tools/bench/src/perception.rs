@@ -1,4 +1,4 @@
-//! Coarse depth and its parts.
+//! Coarse depth, and the metrics of its accuracy.
 
 use std::time::Instant;
 
@@ -11,48 +11,49 @@ use runtime::perception::{CoarseConfig, CoarseDepth, DepthEstimate};
 use crate::peers::PeerProcess;
 use crate::report::{Row, Timing, time};
 
-const ROOM: &str = "perception";
+const AREA: &str = "perception";
 const WIDTH: usize = 640;
 const HEIGHT: usize = 192;
 const FRAMES: u32 = 60;
 const STEP_M: f64 = 0.03;
-/// Pictures between the two that semi-global matching gets: 22 pixels of disparity.
+/// Number of frames between the two that semi-global matching gets: 22 pixels of disparity.
 const APART: usize = 7;
 
-/// Measures a walk along a textured wall, sideways and forward.
+/// Measures coarse depth of a camera that moves along a textured wall, sideways and forward.
 ///
 /// # Errors
-/// When a picture cannot be looked at.
+/// When no frame gets depth, or the peer fails.
 pub fn rows() -> anyhow::Result<Vec<Row>> {
     let camera = CameraModel::pinhole(WIDTH, HEIGHT, std::f64::consts::FRAC_PI_2);
     let threads = rayon::current_num_threads();
     let mut rows = Vec::new();
-    for (name, direction, rectified) in
+    for (direction_name, direction, rectified) in
         [("sideways", [1.0, 0.0, 0.0], true), ("on an arc", [0.5, 0.0, 0.7], false)]
     {
-        let walk = Walk::new(camera, direction);
-        // Semi-global matching needs rectified pictures.
-        let mut peer = if rectified { walk.semi_global_matching()? } else { None };
-        let (coarse, theirs) = walk.coarse(peer.as_mut())?;
-        let coarse = Timing::of(coarse);
+        let drive = Drive::new(camera, direction);
+        // Semi-global matching needs rectified images.
+        let mut peer = if rectified { drive.semi_global_matching()? } else { None };
+        let timings = drive.coarse(peer.as_mut())?;
         let note = format!(
-            "{threads} threads, 64 planes, up to {} references",
+            "{threads} threads; per frame: flow to the frame before, matching of 160x48 cells in 64 planes and up to {} references, \
+             8 paths, sub-pixel refinement, fusion, upsampling",
             CoarseConfig::default().parallax_px.len()
         );
-        let row = Row::seconds(ROOM, format!("coarse depth 640x192, {name}"), coarse)
-            .goal(0.008, 0.003)
-            .note(note);
-        rows.push(match theirs.is_empty() {
-            true => row,
-            false => row.peer("OpenCV SGBM, 3 paths, 1 reference", Timing::of(theirs).median),
-        });
-        let mut whole = walk.whole()?;
-        whole.sort_by(f64::total_cmp);
-        let p99 = whole[(whole.len() * 99).div_ceil(100) - 1];
-        let whole = Timing { median: p99, ..Timing::of(whole) };
-        let row =
-            Row::seconds(ROOM, format!("YUYV to coarse depth, 99th percentile, {name}"), whole);
-        rows.push(row.goal(0.015, 0.008).note("front end and coarse depth; no network"));
+        let row_name = format!("coarse depth 640x192 on 160x48 cells, {direction_name}");
+        let row = Row::seconds(AREA, row_name, timings.ours).goal(0.008, 0.003).note(note);
+        let Some([full, quarter]) = timings.peer else {
+            rows.push(row);
+            rows.push(drive.whole_row(direction_name)?);
+            continue;
+        };
+        rows.push(row.clone().peer("OpenCV SGBM of all 640x192 pixels", full.median));
+        let name = format!("{}, beside SGBM on the same grid", row.name);
+        let row = Row { name, goal: None, ..row };
+        rows.push(
+            row.peer("OpenCV SGBM of 160x48 pixels", quarter.median)
+                .note("SGBM at the resolution of the cells: matching of one rectified pair only, 64 disparities, 3 paths"),
+        );
+        rows.push(drive.whole_row(direction_name)?);
     }
     rows.push(accuracy());
     Ok(rows)
@@ -66,57 +67,78 @@ fn accuracy() -> Row {
     let estimate = DepthEstimate { depth: truth.clone(), confidence };
     let mut accuracy = Accuracy::new();
     let measured = time(31, || accuracy.add(Some(&estimate), &truth));
-    Row::seconds(ROOM, "accuracy of one picture 640x192", measured).goal(0.01, 0.003)
+    Row::seconds(AREA, "accuracy metrics of one frame 640x192", measured).goal(0.01, 0.003)
 }
 
-/// Pictures of a wall from a straight path.
-struct Walk {
+/// Timings of coarse depth, and of the peer at full and at a quarter of the size.
+struct Timings {
+    ours: Timing,
+    peer: Option<[Timing; 2]>,
+}
+
+/// Frames of a wall from a straight path.
+struct Drive {
     camera: CameraModel,
     path: Vec<Pose3>,
-    pictures: Vec<Vec<u8>>,
+    images: Vec<Vec<u8>>,
 }
 
-impl Walk {
+impl Drive {
     fn new(camera: CameraModel, direction: [f64; 3]) -> Self {
         let path: Vec<Pose3> = (0..FRAMES).map(|i| pose(direction, i)).collect();
-        let pictures = path.iter().map(|pose| wall(&camera, pose)).collect();
-        Self { camera, path, pictures }
+        let images = path.iter().map(|pose| wall(&camera, pose)).collect();
+        Self { camera, path, images }
     }
 
-    /// OpenCV's, on two pictures of the walk.
+    /// Starts OpenCV's semi-global matching with two frames of the drive.
     fn semi_global_matching(&self) -> anyhow::Result<Option<PeerProcess>> {
         let folder = std::env::temp_dir().join(format!("bench-sgbm-{}", std::process::id()));
         std::fs::create_dir_all(&folder)?;
         let files =
             [folder.join("left"), folder.join("right")].map(|file| file.display().to_string());
-        // Moving to the right, the later picture is the right one.
-        for (file, picture) in files.iter().zip([&self.pictures[0], &self.pictures[APART]]) {
-            std::fs::write(file, picture.iter().step_by(3).copied().collect::<Vec<u8>>())?;
+        // Moving to the right, the later frame is the right one.
+        for (file, image) in files.iter().zip([&self.images[0], &self.images[APART]]) {
+            std::fs::write(file, image.iter().step_by(3).copied().collect::<Vec<u8>>())?;
         }
         let size = [WIDTH.to_string(), HEIGHT.to_string()];
         let [left, right] = &files;
         let peer = PeerProcess::start("opencv_sgbm.py", &[left, right, &size[0], &size[1]]);
-        // It has read them, or never will.
+        // The script has read the files, or has failed.
         std::fs::remove_dir_all(&folder)?;
         peer
     }
 
-    /// Seconds of coarse depth, picture by picture, and of the peer's by turns.
-    fn coarse(&self, mut peer: Option<&mut PeerProcess>) -> anyhow::Result<(Vec<f64>, Vec<f64>)> {
+    /// Times coarse depth frame by frame, alternating with the peer.
+    fn coarse(&self, mut peer: Option<&mut PeerProcess>) -> anyhow::Result<Timings> {
         let mut engine = CoarseDepth::new(CoarseConfig::default(), self.camera)?;
-        let (mut seconds, mut theirs) = (Vec::new(), Vec::new());
-        for (picture, pose) in self.pictures.iter().zip(&self.path) {
-            let frame = ImageView::rgb8(WIDTH, HEIGHT, picture)?;
+        let mut ours = Vec::new();
+        let mut full = Vec::new();
+        let mut quarter = Vec::new();
+        for (image, pose) in self.images.iter().zip(&self.path) {
+            let frame = ImageView::rgb8(WIDTH, HEIGHT, image)?;
             let began = Instant::now();
             if engine.estimate(frame, pose).is_ok() {
-                seconds.push(began.elapsed().as_secs_f64());
+                ours.push(began.elapsed().as_secs_f64());
                 if let Some(peer) = peer.as_mut() {
-                    theirs.push(peer.seconds("one_pass")?);
+                    full.push(peer.seconds("full")?);
+                    quarter.push(peer.seconds("quarter")?);
                 }
             }
         }
-        anyhow::ensure!(!seconds.is_empty(), "no picture of the walk gave depth");
-        Ok((seconds, theirs))
+        anyhow::ensure!(!ours.is_empty(), "no frame of the drive got depth");
+        let peer = peer.map(|_| [full, quarter].map(Timing::of));
+        Ok(Timings { ours: Timing::of(ours), peer })
+    }
+
+    /// The 99th percentile from the camera's bytes to depth.
+    fn whole_row(&self, name: &str) -> anyhow::Result<Row> {
+        let mut seconds = self.whole()?;
+        seconds.sort_by(f64::total_cmp);
+        let p99 = seconds[(seconds.len() * 99).div_ceil(100) - 1];
+        let timing = Timing { median: p99, ..Timing::of(seconds) };
+        let name = format!("YUYV to coarse depth, 99th percentile, {name}");
+        let row = Row::seconds(AREA, name, timing).goal(0.015, 0.008);
+        Ok(row.note("front end and coarse depth; no network"))
     }
 
     /// Seconds from the camera's bytes (YUYV of the same size) to depth.
@@ -125,16 +147,16 @@ impl Walk {
         let mut front = FrontEnd::new(self.camera, self.camera, PixelFormat::Yuyv, YuvRange::Full)?;
         let mut rgb = vec![0; WIDTH * HEIGHT * 3];
         let mut seconds = Vec::new();
-        for (picture, pose) in self.pictures.iter().zip(&self.path) {
-            // Grey: luma and neutral colour.
-            let yuyv: Vec<u8> = picture.chunks_exact(3).flat_map(|pixel| [pixel[0], 128]).collect();
+        for (image, pose) in self.images.iter().zip(&self.path) {
+            // Luma and neutral chroma.
+            let yuyv: Vec<u8> = image.chunks_exact(3).flat_map(|pixel| [pixel[0], 128]).collect();
             let began = Instant::now();
             front.to_rgb(ImageView::new(WIDTH, HEIGHT, PixelFormat::Yuyv, &yuyv)?, &mut rgb)?;
             if engine.estimate(ImageView::rgb8(WIDTH, HEIGHT, &rgb)?, pose).is_ok() {
                 seconds.push(began.elapsed().as_secs_f64());
             }
         }
-        anyhow::ensure!(!seconds.is_empty(), "no picture of the walk gave depth");
+        anyhow::ensure!(!seconds.is_empty(), "no frame of the drive got depth");
         Ok(seconds)
     }
 }
@@ -144,17 +166,17 @@ fn pose(direction: [f64; 3], index: u32) -> Pose3 {
     Pose3::translation(direction[0] * along, direction[1] * along, direction[2] * along)
 }
 
-/// A wall 3 m ahead with blobs of many sizes, as RGB.
+/// An RGB image of a wall 3 m ahead with a texture of several scales.
 fn wall(camera: &CameraModel, t_world_camera: &Pose3) -> Vec<u8> {
-    let mut picture = Vec::with_capacity(WIDTH * HEIGHT * 3);
+    let mut image = Vec::with_capacity(WIDTH * HEIGHT * 3);
     for index in 0..WIDTH * HEIGHT {
         let ray = camera.ray((index % WIDTH) as f64, (index / WIDTH) as f64);
-        let place: Point3<f64> =
+        let point: Point3<f64> =
             t_world_camera * Point3::from(ray * (3.0 - t_world_camera.translation.z));
-        let wave = |fx: f64, fy: f64, phase: f64| (place.x * fx + place.y * fy + phase).sin();
-        let value = wave(7.0, 3.0, 0.3) * wave(-4.0, 9.0, 1.0)
-            + wave(23.0, -17.0, 0.7) * wave(11.0, 29.0, 2.0);
-        picture.extend([(128.0 + 50.0 * value) as u8; 3]);
+        let waves = [(7.0, 3.0, 0.3), (-4.0, 9.0, 1.0), (23.0, -17.0, 0.7), (11.0, 29.0, 2.0)];
+        let [a, b, c, d] = waves.map(|(fx, fy, phase)| (point.x * fx + point.y * fy + phase).sin());
+        let value = a * b + c * d;
+        image.extend([(128.0 + 50.0 * value) as u8; 3]);
     }
-    picture
+    image
 }

@@ -1,4 +1,4 @@
-//! One line of the benchmark table: how it is measured, what it is compared with, how it is printed.
+//! The rows of the benchmark table: measurement, comparison with a peer, and printing.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -6,22 +6,18 @@ use std::time::Instant;
 use comfy_table::{CellAlignment, Table, presets::ASCII_MARKDOWN};
 use serde::Serialize;
 
-/// The middle and the ends of repeated measurements.
+/// Median and range of repeated measurements.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Timing {
-    /// The fastest run: the best guess on a machine that others use too.
+    /// The fastest run: the best estimate on a machine with other load.
     pub min: f64,
-    /// The middle run.
     pub median: f64,
-    /// The slowest run.
     pub max: f64,
 }
 
 impl Timing {
-    /// Of any measurements, in any order.
-    ///
     /// # Panics
-    /// When there are none.
+    /// When `values` is empty.
     #[must_use]
     pub fn of(mut values: Vec<f64>) -> Self {
         assert!(!values.is_empty(), "a timing needs at least one run");
@@ -30,13 +26,14 @@ impl Timing {
     }
 }
 
-/// Seconds that `work` takes, after one run that does not count.
+/// Measures the seconds that `work` takes, after one warm-up run.
 pub fn time<T>(runs: usize, mut work: impl FnMut() -> T) -> Timing {
     seconds(&mut work);
     Timing::of((0..runs).map(|_| seconds(&mut work)).collect())
 }
 
-/// Seconds of ours and of a peer's way to do the same, turn by turn, so that a busy machine slows both down alike.
+/// Measures the seconds of our implementation and of a peer's. Their runs alternate, so that load on the machine affects both
+/// alike.
 pub fn time_against<A, B>(
     runs: usize,
     mut ours: impl FnMut() -> A,
@@ -54,15 +51,15 @@ fn seconds<T>(work: &mut impl FnMut() -> T) -> f64 {
     start.elapsed().as_secs_f64()
 }
 
-/// What a number counts, and with it whether more is better.
+/// The unit of a number, which also tells whether more is better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Unit {
-    /// Seconds for one piece of work: less is better.
+    /// Duration of one operation: less is better.
     Seconds,
-    /// Pieces of work in a second: more is better.
+    /// Operations per second: more is better.
     PerSecond,
-    /// Millions of bytes in a second: more is better.
+    /// Millions of bytes per second: more is better.
     MegabytesPerSecond,
     /// Memory in MiB: less is better.
     Mebibytes,
@@ -89,91 +86,88 @@ impl Unit {
     }
 }
 
-/// What another way of doing the same reaches in the same run.
+/// Another implementation of the same work, measured in the same run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Peer {
-    /// Who or what.
+    /// The implementation and what it computes.
     pub name: String,
-    /// Its median, in the row's unit.
+    /// In the row's unit.
     pub median: f64,
 }
 
-/// What must be reached and what is aimed at, in the row's unit.
+/// Required and desired value, in the row's unit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Goal {
-    /// Worse than this is a defect.
+    /// A worse value is a defect.
     pub floor: f64,
-    /// This is aimed at.
+    /// The desired value.
     pub target: f64,
 }
 
-/// One line of the table.
+/// One row of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// The room of the house: `simulator`, `mapping`, ...
-    pub room: &'static str,
-    /// What is measured, with the size of the work.
+    /// Part of the workspace: `simulator`, `mapping`, ...; called `room` in the JSON output.
+    #[serde(rename = "room")]
+    pub area: &'static str,
+    /// The measured operation, with the size of its input.
     pub name: String,
-    /// What the numbers count.
     pub unit: Unit,
-    /// Median and spread.
     pub value: Timing,
-    /// The peer, if there is one.
     pub peer: Option<Peer>,
-    /// Floor and target, if there are any.
     pub goal: Option<Goal>,
-    /// What else one must know to judge the number.
+    /// Conditions of the measurement.
     pub note: String,
 }
 
 impl Row {
-    /// Time for one piece of work.
+    /// A row with the duration of one operation.
     #[must_use]
-    pub fn seconds(room: &'static str, name: impl Into<String>, timing: Timing) -> Self {
-        Self::new(room, name, Unit::Seconds, timing)
+    pub fn seconds(area: &'static str, name: impl Into<String>, timing: Timing) -> Self {
+        Self::new(area, name, Unit::Seconds, timing)
     }
 
-    /// The same as a rate; `pieces` of work were done in each timed run.
+    /// A row with a rate; each timed run did this number of operations.
     #[must_use]
     pub fn per_second(
-        room: &'static str,
+        area: &'static str,
         name: impl Into<String>,
-        pieces: f64,
+        operations: f64,
         timing: Timing,
     ) -> Self {
         let rate = Timing {
-            min: pieces / timing.max,
-            median: pieces / timing.median,
-            max: pieces / timing.min,
+            min: operations / timing.max,
+            median: operations / timing.median,
+            max: operations / timing.min,
         };
-        Self::new(room, name, Unit::PerSecond, rate)
+        Self::new(area, name, Unit::PerSecond, rate)
     }
 
-    /// Any other number.
+    /// A row with any other number.
     #[must_use]
-    pub fn new(room: &'static str, name: impl Into<String>, unit: Unit, value: Timing) -> Self {
-        Self { room, name: name.into(), unit, value, peer: None, goal: None, note: String::new() }
+    pub fn new(area: &'static str, name: impl Into<String>, unit: Unit, value: Timing) -> Self {
+        Self { area, name: name.into(), unit, value, peer: None, goal: None, note: String::new() }
     }
 
-    /// Beside a peer whose median was taken in the same run, in the row's unit.
+    /// Adds a peer's median of the same run, in the row's unit.
     #[must_use]
     pub fn peer(self, name: impl Into<String>, median: f64) -> Self {
         Self { peer: Some(Peer { name: name.into(), median }), ..self }
     }
 
-    /// With what must be reached and what is aimed at.
+    /// Adds the required and the desired value.
     #[must_use]
     pub fn goal(self, floor: f64, target: f64) -> Self {
         Self { goal: Some(Goal { floor, target }), ..self }
     }
 
-    /// With a remark.
+    /// Adds a note.
     #[must_use]
     pub fn note(self, note: impl Into<String>) -> Self {
         Self { note: note.into(), ..self }
     }
 
-    /// How many times better than the peer we are; below 1 we are worse.
+    /// By which factor our value is better than the peer's; below 1 it is worse.
     #[must_use]
     pub fn ratio(&self) -> Option<f64> {
         let peer = self.peer.as_ref()?.median;
@@ -186,28 +180,30 @@ impl Row {
 
     fn verdict(&self) -> String {
         let Some(goal) = self.goal else { return String::new() };
-        let reached = |wanted: f64| match self.unit.more_is_better() {
-            true => self.value.median >= wanted,
-            false => self.value.median <= wanted,
-        };
-        let word = match (reached(goal.target), reached(goal.floor)) {
+        let verdict = match (self.reaches(goal.target), self.reaches(goal.floor)) {
             (true, _) => "target reached",
             (_, true) => "floor reached",
             _ => "BELOW FLOOR",
         };
-        format!("{} / {}: {word}", self.unit.text(goal.floor), self.unit.text(goal.target))
+        format!("{} / {}: {verdict}", self.unit.text(goal.floor), self.unit.text(goal.target))
+    }
+
+    fn reaches(&self, goal: f64) -> bool {
+        match self.unit.more_is_better() {
+            true => self.value.median >= goal,
+            false => self.value.median <= goal,
+        }
     }
 
     fn cells(&self) -> [String; 8] {
-        let text = |value| self.unit.text(value);
         [
-            self.room.to_owned(),
+            self.area.to_owned(),
             self.name.clone(),
-            text(self.value.median),
-            format!("{} .. {}", text(self.value.min), text(self.value.max)),
-            self.peer
-                .as_ref()
-                .map_or_else(String::new, |peer| format!("{} {}", peer.name, text(peer.median))),
+            self.unit.text(self.value.median),
+            format!("{} .. {}", self.unit.text(self.value.min), self.unit.text(self.value.max)),
+            self.peer.as_ref().map_or_else(String::new, |peer| {
+                format!("{} {}", peer.name, self.unit.text(peer.median))
+            }),
             self.ratio().map_or_else(String::new, |ratio| format!("{ratio:.2}x")),
             self.verdict(),
             self.note.clone(),
@@ -215,13 +211,13 @@ impl Row {
     }
 }
 
-/// The table for people.
+/// The rows as a Markdown table.
 #[must_use]
 pub fn table(rows: &[Row]) -> Table {
     let mut table = Table::new();
     table.load_preset(ASCII_MARKDOWN);
     table.set_header([
-        "room",
+        "area",
         "what",
         "median",
         "spread",
@@ -251,21 +247,21 @@ mod tests {
     }
 
     #[test]
-    fn the_first_run_does_not_count() {
+    fn the_warm_up_run_is_not_counted() {
         let mut runs = 0;
         time(3, || runs += 1);
         assert_eq!(runs, 4);
     }
 
     #[test]
-    fn ours_and_the_peer_take_turns() {
+    fn our_runs_and_the_peers_alternate() {
         let log = std::cell::RefCell::new(String::new());
         time_against(2, || log.borrow_mut().push('a'), || log.borrow_mut().push('b'));
         assert_eq!(log.into_inner(), "ababab");
     }
 
     #[test]
-    fn a_rate_turns_the_spread_round() {
+    fn the_slowest_run_of_a_rate_is_its_minimum() {
         let row = Row::per_second("simulator", "frames", 10.0, TIMING);
         assert_eq!(row.value, Timing { min: 5.0, median: 10.0, max: 20.0 });
     }
@@ -279,18 +275,18 @@ mod tests {
 
     #[test]
     fn a_time_above_its_floor_is_called_out() {
-        let verdict =
-            |floor, target| Row::seconds("mapping", "update", TIMING).goal(floor, target).verdict();
-        assert!(verdict(0.9, 0.5).ends_with("BELOW FLOOR"));
-        assert!(verdict(1.0, 0.5).ends_with("floor reached"));
-        assert!(verdict(3.0, 1.0).ends_with("target reached"));
+        for (floor, target, verdict) in
+            [(0.9, 0.5, "BELOW FLOOR"), (1.0, 0.5, "floor reached"), (3.0, 1.0, "target reached")]
+        {
+            let row = Row::seconds("mapping", "update", TIMING).goal(floor, target);
+            assert!(row.verdict().ends_with(verdict));
+        }
     }
 
     #[test]
     fn numbers_are_printed_in_the_unit_that_fits() {
-        let text = |value| Unit::Seconds.text(value);
         assert_eq!(
-            [text(2e-8), text(2.5e-4), text(0.0123), text(3.0)],
+            [2e-8, 2.5e-4, 0.0123, 3.0].map(|value| Unit::Seconds.text(value)),
             ["20 ns", "250.0 us", "12.30 ms", "3.00 s"]
         );
     }

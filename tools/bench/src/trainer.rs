@@ -1,4 +1,4 @@
-//! How fast the trainer learns, beside a textbook implementation of the same step on the same threads.
+//! Speed of training, beside a textbook implementation of the same step on the same threads.
 
 use std::path::Path;
 
@@ -7,13 +7,13 @@ use anyhow::{Context, Result};
 use crate::peers::PeerProcess;
 use crate::report::{Row, Timing, Unit};
 
-/// Pictures of one step.
+/// Samples of one training step.
 const BATCH: f64 = 12.0;
 const RUNS: usize = 7;
 const THREADS: &str = "2";
 
-/// Measures the room on the CPU, and on a GPU where there is one. Without the trainer (`BENCH_TRAINER` names its Python) it
-/// has no rows.
+/// Measures all rows on the CPU, and on a GPU where there is one. Without the trainer (its Python interpreter in
+/// `BENCH_TRAINER`) there are none.
 ///
 /// # Errors
 /// When the trainer fails.
@@ -21,9 +21,10 @@ pub fn rows() -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     let gpu = Path::new("/dev/nvidia0").exists();
     for device in ["cpu", "cuda"].into_iter().take(if gpu { 2 } else { 1 }) {
-        // Each in a process of its own: from the trainer's first step on its memory is kept, and the textbook would profit.
-        let start = || PeerProcess::start_trainer("trainer.py", &[device, THREADS]);
-        if let (Some(mut trainer), Some(mut textbook)) = (start()?, start()?) {
+        // Each in its own process: the textbook implementation would otherwise reuse memory that the trainer has allocated.
+        let trainer = PeerProcess::start_trainer("trainer.py", &[device, THREADS])?;
+        let textbook = PeerProcess::start_trainer("trainer.py", &[device, THREADS])?;
+        if let (Some(mut trainer), Some(mut textbook)) = (trainer, textbook) {
             rows.extend(on(device, &mut trainer, &mut textbook)?);
         }
     }
@@ -38,11 +39,12 @@ fn on(device: &str, trainer: &mut PeerProcess, textbook: &mut PeerProcess) -> Re
     let mut rows = Vec::new();
     for (how, timing, shares) in [("float32", step, "shares"), ("--amp", amp, "shares_amp")] {
         let answer = trainer.ask(shares)?;
-        let (idle, parts) = answer.split_once(' ').context("a trainer without shares")?;
+        let (idle, parts) =
+            answer.split_once(' ').context("the trainer reports no shares of time")?;
         let busy = 1.0 - idle.parse::<f64>().with_context(|| format!("`{idle}` is no share"))?;
         let samples = Row::per_second("trainer", format!("samples, {work}, {how}"), BATCH, timing);
         let peer = BATCH / textbook_step.median;
-        // The fastest way that the processor has is the one that must be fast.
+        // Only the fastest mode of this hardware has a goal.
         let samples = samples.peer("textbook PyTorch", peer).note(parts.trim_end_matches(','));
         rows.push(if how == best(device) { samples.goal(1.5 * peer, 2.5 * peer) } else { samples });
         let busy = Timing { min: busy, median: busy, max: busy };
@@ -69,26 +71,26 @@ fn on(device: &str, trainer: &mut PeerProcess, textbook: &mut PeerProcess) -> Re
     Ok(rows)
 }
 
-/// Each piece of work once without counting, then by turns, so that a busy machine slows all down alike.
+/// Runs each operation once for warm-up, then in alternation, so that load on the machine affects all alike.
 fn in_turn<const N: usize>(
     trainer: &mut PeerProcess,
-    work: [&str; N],
+    operations: [&str; N],
     textbook: &mut PeerProcess,
-    textbook_work: &str,
+    textbook_operation: &str,
 ) -> Result<([Timing; N], Timing)> {
     let mut seconds = [const { Vec::new() }; N];
     let mut textbook_seconds = Vec::new();
     for run in 0..=RUNS {
-        for (name, seconds) in work.iter().zip(&mut seconds) {
+        for (name, seconds) in operations.iter().zip(&mut seconds) {
             seconds.extend(Some(trainer.seconds(name)?).filter(|_| run > 0));
         }
-        textbook_seconds.extend(Some(textbook.seconds(textbook_work)?).filter(|_| run > 0));
+        textbook_seconds.extend(Some(textbook.seconds(textbook_operation)?).filter(|_| run > 0));
     }
     Ok((seconds.map(Timing::of), Timing::of(textbook_seconds)))
 }
 
-/// What a user of this machine would choose: bfloat16 where the hardware multiplies matrices of it. AVX512-BF16 does not: with it alone,
-/// a step took a third longer than in float32.
+/// The fastest mode of this hardware: bfloat16 if it can multiply bfloat16 matrices. AVX512-BF16 cannot: with it alone, a
+/// step took a third longer than in float32.
 fn best(device: &str) -> &'static str {
     let cpu = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     if device == "cuda" || cpu.contains("amx_bf16") { "--amp" } else { "float32" }

@@ -1,17 +1,17 @@
-//! Settings of the flow engine.
+//! Settings of [`DenseFlow`](super::DenseFlow).
 
 use serde::{Deserialize, Serialize};
 
-/// How much work the engine does: the presets of OpenCV's `DISOpticalFlow`, with its names. At each, errors are lower and time is
-/// less than OpenCV's (`cargo xtask bench "optical flow"`).
+/// How much work is done: the presets of OpenCV's `DISOpticalFlow`, with its names. At each, errors are lower and time is less
+/// than OpenCV's (`cargo xtask bench "optical flow"`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FlowPreset {
-    /// Quarter-size patches, hardly any refinement.
+    /// Searches at a quarter of the image's size, with one iteration of refinement.
     UltraFast,
-    /// Quarter-size patches, variational refinement.
+    /// Searches at a quarter of the image's size, with variational refinement.
     Fast,
-    /// Half-size patches, closer together, variational refinement.
+    /// Searches at half of the image's size with patches closer together, and variational refinement.
     Medium,
 }
 
@@ -19,19 +19,19 @@ pub enum FlowPreset {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FlowConfig {
-    /// The finest scale that is looked at: 0 is the full picture, 1 half its size, ... 4.
+    /// The finest scale that is searched: 0 is the full image, 1 half its size, up to 4.
     pub finest_scale: usize,
-    /// From one patch to the next, pixels of the scale, 1 to 8.
+    /// Distance from one patch to the next, pixels of the scale, 1 to 8.
     pub patch_stride_px: usize,
-    /// Steps of gradient descent for each patch and scale, at most.
+    /// Maximum number of gradient descent steps for each patch and scale.
     pub descent_iterations: usize,
-    /// Iterations of the variational refinement at each scale; 0 refines nothing.
+    /// Iterations of the variational refinement at each scale; 0 turns it off.
     pub variational_iterations: usize,
 }
 
 impl From<FlowPreset> for FlowConfig {
-    /// The numbers are those that OpenCV documents for its presets, but for the iterations of the refinement (0, 5 and 5): ours
-    /// are cheap enough for more.
+    /// The numbers are those that OpenCV documents for its presets, except for the iterations of the refinement (0, 5 and 5
+    /// there): ours are cheap enough for more.
     fn from(preset: FlowPreset) -> Self {
         let (finest_scale, patch_stride_px, descent_iterations, variational_iterations) =
             match preset {
@@ -49,54 +49,30 @@ impl Default for FlowConfig {
     }
 }
 
-/// The flow cannot be computed like this.
+/// Why flow cannot be computed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FlowError {
-    /// An impossible setting.
-    #[error("flow: {field} = {value} is impossible; allowed: {allowed}")]
-    Setting {
-        /// The field.
-        field: &'static str,
-        /// Its value.
-        value: usize,
-        /// What it may be.
-        allowed: &'static str,
-    },
-    /// A picture or a field has another size than the engine was made for.
+    #[error("flow: {field} = {value} is out of range; allowed: {allowed}")]
+    Setting { field: &'static str, value: usize, allowed: &'static str },
+    /// An image has another size than the [`DenseFlow`](super::DenseFlow) was made for.
     #[error(
-        "flow: {what} is {width}x{height}, {want_width}x{want_height} is needed; resample it or make an engine of its size"
+        "flow: {what} is {width}x{height}, {want_width}x{want_height} is needed; resample it, or make a DenseFlow of its size"
     )]
-    Size {
-        /// What has the wrong size.
-        what: &'static str,
-        /// Its columns.
-        width: usize,
-        /// Its rows.
-        height: usize,
-        /// Columns of the engine.
-        want_width: usize,
-        /// Rows of the engine.
-        want_height: usize,
-    },
-    /// A picture's format is not understood.
-    #[error("flow: {what} is a {format:?} picture; convert it to RGB8 or GRAY8")]
-    Format {
-        /// Which picture.
-        what: &'static str,
-        /// Its format.
-        format: hal::PixelFormat,
-    },
+    Size { what: &'static str, width: usize, height: usize, want_width: usize, want_height: usize },
+    #[error("flow: {what} is a {format:?} image; convert it to RGB8 or GRAY8")]
+    Format { what: &'static str, format: hal::PixelFormat },
 }
 
 impl FlowError {
-    /// Refuses a `size` (columns, rows) that is not the wanted one.
+    /// Refuses a `size` (columns, rows) other than `want`.
     pub(super) fn check_size(
         what: &'static str,
         size: (usize, usize),
         want: (usize, usize),
     ) -> Result<(), Self> {
-        let ((width, height), (want_width, want_height)) = (size, want);
+        let (width, height) = size;
+        let (want_width, want_height) = want;
         if size == want {
             Ok(())
         } else {
@@ -109,19 +85,22 @@ impl FlowConfig {
     /// Checks every value.
     ///
     /// # Errors
-    /// Names the field, its value and what it may be.
+    /// Names the field, its value and the allowed range.
     pub fn validate(&self) -> Result<(), FlowError> {
-        let require = |field, value, sound: bool, allowed| {
-            if sound { Ok(()) } else { Err(FlowError::Setting { field, value, allowed }) }
-        };
-        require("finest_scale", self.finest_scale, self.finest_scale <= 4, "0 to 4")?;
-        let stride = (1..=super::PATCH).contains(&self.patch_stride_px);
-        require("patch_stride_px", self.patch_stride_px, stride, "1 to 8")?;
-        let descent = (1..=1000).contains(&self.descent_iterations);
-        require("descent_iterations", self.descent_iterations, descent, "1 to 1000")?;
-        let variational = self.variational_iterations <= 100;
-        require("variational_iterations", self.variational_iterations, variational, "0 to 100")
+        require("finest_scale", self.finest_scale, 0..=4, "0 to 4")?;
+        require("patch_stride_px", self.patch_stride_px, 1..=super::PATCH, "1 to 8")?;
+        require("descent_iterations", self.descent_iterations, 1..=1000, "1 to 1000")?;
+        require("variational_iterations", self.variational_iterations, 0..=100, "0 to 100")
     }
+}
+
+fn require(
+    field: &'static str,
+    value: usize,
+    range: std::ops::RangeInclusive<usize>,
+    allowed: &'static str,
+) -> Result<(), FlowError> {
+    if range.contains(&value) { Ok(()) } else { Err(FlowError::Setting { field, value, allowed }) }
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
-//! From the flow of patches to the flow of pixels: the mean over the patches that cover a pixel, weighted by how well each
-//! explains it.
+//! Converts the flow of patches to the flow of pixels: the mean over the patches that cover a pixel, weighted by how well each
+//! matches it.
 
 use multiversion::multiversion;
 use rayon::prelude::*;
@@ -8,10 +8,10 @@ use super::PATCH;
 use super::plane::{Plane, lerp};
 use super::search::{PatchGrid, Window};
 
-/// Rows that are filled by one piece of work.
+/// Rows that one task fills.
 const BAND_ROWS: usize = 16;
 
-/// Fills `flow` (x and y, row-major) and uses `weight` of the same size.
+/// Fills `flow` (x and y, row-major); `weight` is scratch memory of the same size.
 pub fn densify(
     grid: &PatchGrid,
     from: &Plane,
@@ -27,7 +27,8 @@ pub fn densify(
     });
 }
 
-/// Every patch adds to its pixels in the band; patches come in the same order for every pixel, whatever the bands.
+/// Every patch adds to its pixels in the band. Patches come in the same order for every pixel, however the image is split into
+/// bands, so that sums are the same to the last bit.
 #[multiversion(targets("x86_64+avx2"))]
 fn fill(
     grid: &PatchGrid,
@@ -45,7 +46,8 @@ fn fill(
     weight.fill(0.0);
     for row in (0..grid.rows).filter(|row| grid.top(*row) < end && grid.top(*row) + PATCH > first) {
         let top = grid.top(row);
-        let (begin, stop) = (first.max(top) - top, end.min(top + PATCH) - top);
+        let begin = first.max(top) - top;
+        let stop = end.min(top + PATCH) - top;
         for column in 0..grid.columns {
             let left = grid.left(column);
             let found = grid.found[row * grid.columns + column];
@@ -55,7 +57,8 @@ fn fill(
                 let lower = window.line(y + 1);
                 let here = (top + y - first) * width + left;
                 let grey = &from.data[from.start(top + y) + left..][..PATCH];
-                let (u, v) = (&mut u[here..][..PATCH], &mut v[here..][..PATCH]);
+                let u = &mut u[here..][..PATCH];
+                let v = &mut v[here..][..PATCH];
                 let weight = &mut weight[here..][..PATCH];
                 for k in 0..PATCH {
                     let difference = lerp(upper[k], lower[k], window.fy) - grey[k] - found.mean;

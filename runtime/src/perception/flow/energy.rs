@@ -1,4 +1,4 @@
-//! The arithmetic of the variational refinement, row by row.
+//! The row kernels of the variational refinement.
 
 use multiversion::multiversion;
 
@@ -8,18 +8,18 @@ use super::plane::Plane;
 const SMOOTHNESS: f32 = 25.0;
 const BRIGHTNESS: f32 = 5.0;
 const GRADIENT: f32 = 10.0;
-/// The robust penalties are quadratic below, pixels and grey levels.
+/// The robust penalties are quadratic below this, pixels and grey levels.
 const EPSILON: f32 = 0.003;
-/// Gradients below are noise: their terms are not scaled up to count like others, grey levels a pixel.
+/// Gradients below this are noise, and the normalisation does not amplify their terms; grey levels per pixel.
 const ZETA: f32 = 0.5;
-/// Full sweeps of relaxation for each iteration, and how far each overshoots.
+/// Full sweeps of relaxation for each iteration, and their over-relaxation factor.
 pub const SWEEPS: usize = 5;
 const OMEGA: f32 = 1.6;
 /// A half sweep relaxes every other pixel.
 pub const HALF_SWEEPS: usize = 2 * SWEEPS;
 
-/// One row of the second picture, brought back by the flow: fills the mean of both pictures, the change from the first to the
-/// second, and 1 where the flow stays in the second picture (else 0).
+/// Warps one row of the second image back by the flow. Fills the mean of both images, the change from the first to the second,
+/// and 1 where the flow stays in the second image (else 0).
 #[multiversion(targets("x86_64+avx2"))]
 pub fn warp(
     from: &[f32],
@@ -31,9 +31,11 @@ pub fn warp(
     change: &mut [f32],
     inside: &mut [f32],
 ) {
-    let (right, bottom) = ((to.width - 1) as f32, (to.height - 1) as f32);
+    let right = (to.width - 1) as f32;
+    let bottom = (to.height - 1) as f32;
     for x in 0..from.len() {
-        let (px, py) = (x as f32 + u[x], y as f32 + v[x]);
+        let px = x as f32 + u[x];
+        let py = y as f32 + v[x];
         let warped = to.sample(px, py);
         mean[x] = 0.5 * (from[x] + warped);
         change[x] = warped - from[x];
@@ -49,7 +51,7 @@ pub fn difference(plus: &[f32], minus: &[f32], scale: f32, out: &mut [f32]) {
     }
 }
 
-/// Second derivative along one direction, from places two pixels apart.
+/// Second derivative along one direction, from pixels two apart.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn second(before: &[f32], here: &[f32], after: &[f32], out: &mut [f32]) {
     for (((out, before), here), after) in out.iter_mut().zip(before).zip(here).zip(after) {
@@ -67,7 +69,7 @@ pub fn mixed(corners: [&[f32]; 4], out: &mut [f32]) {
 }
 
 /// A term `x (u - u0) + y (v - v0) + t`, divided by the length of its gradient, as `x u + y v + t`; zero where the flow leaves
-/// the picture.
+/// the image.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn normalise(
     x: &mut [f32],
@@ -78,7 +80,11 @@ pub fn normalise(
     v0: &[f32],
 ) {
     let n = x.len();
-    let (y, t, inside, u0, v0) = (&mut y[..n], &mut t[..n], &inside[..n], &u0[..n], &v0[..n]);
+    let y = &mut y[..n];
+    let t = &mut t[..n];
+    let inside = &inside[..n];
+    let u0 = &u0[..n];
+    let v0 = &v0[..n];
     for i in 0..n {
         let scale = inside[i] / (x[i] * x[i] + y[i] * y[i] + ZETA * ZETA).sqrt();
         x[i] *= scale;
@@ -91,10 +97,13 @@ pub fn normalise(
 #[multiversion(targets("x86_64+avx2"))]
 pub fn bind(u: [&[f32]; 3], v: [&[f32]; 3], out: &mut [f32]) {
     let n = out.len();
-    let ([u, u_right, u_below], [v, v_right, v_below]) = (u.map(|u| &u[..n]), v.map(|v| &v[..n]));
+    let [u, u_right, u_below] = u.map(|u| &u[..n]);
+    let [v, v_right, v_below] = v.map(|v| &v[..n]);
     for i in 0..n {
-        let (ux, uy, vx, vy) =
-            (u_right[i] - u[i], u_below[i] - u[i], v_right[i] - v[i], v_below[i] - v[i]);
+        let ux = u_right[i] - u[i];
+        let uy = u_below[i] - u[i];
+        let vx = v_right[i] - v[i];
+        let vy = v_below[i] - v[i];
         out[i] = SMOOTHNESS / (ux * ux + uy * uy + vx * vx + vy * vy + EPSILON * EPSILON).sqrt();
     }
 }
@@ -112,7 +121,10 @@ pub fn assemble(
     b_v: &mut [f32],
 ) {
     let n = a_u.len();
-    let (a_v, cross, b_u, b_v) = (&mut a_v[..n], &mut cross[..n], &mut b_u[..n], &mut b_v[..n]);
+    let a_v = &mut a_v[..n];
+    let cross = &mut cross[..n];
+    let b_u = &mut b_u[..n];
+    let b_v = &mut b_v[..n];
     let [u, v] = flow.map(|flow| &flow[..n]);
     let [x0, y0, t0, x1, y1, t1, x2, y2, t2] = terms.map(|term| &term[..n]);
     for i in 0..n {
@@ -135,7 +147,7 @@ pub fn invert(links: [&[f32]; 4], diagonal: &mut [f32]) {
     let n = diagonal.len();
     let [a, b, c, d] = links.map(|link| &link[..n]);
     for i in 0..n {
-        // A pixel outside the picture has neither data nor links.
+        // A pixel outside the image has neither data nor links.
         diagonal[i] = 1.0 / (diagonal[i] + ((a[i] + b[i]) + (c[i] + d[i])) + 1e-9);
     }
 }
@@ -153,7 +165,8 @@ pub fn relax(
     let n = own.len();
     let [left, right, up, down] = neighbours.map(|neighbour| &neighbour[..n]);
     let [to_left, to_right, to_up, to_down] = links.map(|link| &link[..n]);
-    let ([inverse, b, cross], other) = (weights.map(|weight| &weight[..n]), &other[..n]);
+    let [inverse, b, cross] = weights.map(|weight| &weight[..n]);
+    let other = &other[..n];
     for i in 0..n {
         let sides = to_left[i] * left[i] + to_right[i] * right[i];
         let ends = to_up[i] * up[i] + to_down[i] * down[i];

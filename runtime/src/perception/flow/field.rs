@@ -1,6 +1,6 @@
-//! The result: where every pixel went.
+//! The result of dense optical flow.
 
-/// For every pixel, how far its match in another view is away, pixels. NaN where there is none.
+/// For every pixel, the displacement to its match in another image, pixels. NaN where there is no match.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlowField {
     width: usize,
@@ -9,7 +9,7 @@ pub struct FlowField {
 }
 
 impl FlowField {
-    /// A field without any motion.
+    /// A field of zero displacements.
     #[must_use]
     pub fn zero(width: usize, height: usize) -> Self {
         Self { width, height, flow_px: vec![[0.0; 2]; width * height] }
@@ -25,13 +25,11 @@ impl FlowField {
         })
     }
 
-    /// Columns.
     #[must_use]
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows.
     #[must_use]
     pub fn height(&self) -> usize {
         self.height
@@ -43,7 +41,7 @@ impl FlowField {
         &self.flow_px
     }
 
-    /// Row-major (x, y) displacements, pixels, to be written.
+    /// The same, writable.
     #[must_use]
     pub fn values_mut(&mut self) -> &mut [[f32; 2]] {
         &mut self.flow_px

@@ -1,6 +1,6 @@
-//! One picture of numbers with a border that repeats its edge, so that a look a little outside needs no question.
+//! An f32 image with a border that repeats its edge, so that reading slightly outside needs no bounds check.
 
-/// A row-major picture of f32 inside a border.
+/// A row-major f32 image with a border.
 #[derive(Debug, Clone)]
 pub struct Plane {
     pub width: usize,
@@ -16,7 +16,7 @@ impl Plane {
         Self { width, height, border, stride, data: vec![0.0; stride * (height + 2 * border)] }
     }
 
-    /// Where pixel (0, `y`) is in `data`.
+    /// Index of pixel (0, `y`) in `data`.
     pub fn start(&self, y: usize) -> usize {
         (y + self.border) * self.stride + self.border
     }
@@ -26,34 +26,40 @@ impl Plane {
         &self.data[self.start(y)..][..self.width]
     }
 
-    /// Row `y` without its border, to be written.
+    /// The same, writable.
     pub fn row_mut(&mut self, y: usize) -> &mut [f32] {
         let start = self.start(y);
         &mut self.data[start..][..self.width]
     }
 
-    /// Repeats the edge into the border.
+    /// Copies the edge pixels into the border.
     pub fn fill_border(&mut self) {
-        let (border, stride, width) = (self.border, self.stride, self.width);
+        let border = self.border;
+        let stride = self.stride;
+        let width = self.width;
         for line in self.data.chunks_exact_mut(stride).skip(border).take(self.height) {
-            let (first, last) = (line[border], line[border + width - 1]);
+            let first = line[border];
+            let last = line[border + width - 1];
             line[..border].fill(first);
             line[border + width..].fill(last);
         }
-        let (top, bottom) = (border * stride, (border + self.height - 1) * stride);
+        let top = border * stride;
+        let bottom = (border + self.height - 1) * stride;
         for y in 0..border {
             self.data.copy_within(top..top + stride, y * stride);
             self.data.copy_within(bottom..bottom + stride, bottom + (y + 1) * stride);
         }
     }
 
-    /// The value at (`x`, `y`) between pixels; outside, that of the nearest edge.
+    /// The bilinear value at (`x`, `y`); outside, that of the nearest edge.
     #[inline(always)]
     pub fn sample(&self, x: f32, y: f32) -> f32 {
         let x = x.clamp(0.0, (self.width - 1) as f32);
         let y = y.clamp(0.0, (self.height - 1) as f32);
-        let (column, row) = (x as usize, y as usize);
-        let (fx, fy) = (x - column as f32, y - row as f32);
+        let column = x as usize;
+        let row = y as usize;
+        let fx = x - column as f32;
+        let fy = y - row as f32;
         let right = usize::from(column + 1 < self.width);
         let down = if row + 1 < self.height { self.stride } else { 0 };
         let at = self.start(row) + column;
@@ -63,7 +69,7 @@ impl Plane {
     }
 }
 
-/// From `a` at 0 to `b` at 1.
+/// Linear interpolation from `a` at t = 0 to `b` at t = 1.
 #[inline(always)]
 pub fn lerp(a: f32, b: f32, t: f32) -> f32 {
     a + t * (b - a)

@@ -1,9 +1,9 @@
-//! Inverse search: where did each patch of the first picture go in the second? (Kroeger, Timofte, Dai and Van Gool 2016,
-//! "Fast Optical Flow using Dense Inverse Search", with spatial propagation.)
+//! Inverse search: finds each patch of the first image in the second (Kroeger, Timofte, Dai and Van Gool 2016, "Fast Optical
+//! Flow using Dense Inverse Search", with spatial propagation).
 //!
 //! Gauss-Newton in the inverse compositional form (Baker and Matthews 2004): the patch's gradients and normal matrix are
-//! those of the first picture and stay the same in every step. The mean difference is taken out, so that a brighter second
-//! picture changes nothing.
+//! those of the first image and stay the same in every step. The mean difference is subtracted, so that a brighter second
+//! image changes nothing.
 
 use multiversion::multiversion;
 use rayon::prelude::*;
@@ -14,18 +14,19 @@ use super::pyramid::BORDER;
 
 /// Pixels of a patch.
 const AREA: f32 = (PATCH * PATCH) as f32;
-/// Stripes of patch rows that are searched on their own, whatever the number of threads: flow spreads within a stripe only.
+/// Stripes of patch rows that are searched independently, whatever the number of threads: flow propagates within a stripe only.
 const STRIPES: usize = 8;
-/// Added to the normal matrix (Levenberg 1944): squared gradient, (grey levels / pixel)^2, below which a patch rather keeps the
-/// flow that it starts from, times the pixels of the patch. Without texture, steps are the noise's. Mean errors in pixels with
-/// 0.05, 1 and 10: 3.84, 3.74, 3.58 on handheld pictures with depth, 2.3, 2.5, 3.7 in a rendered hall of smooth things.
+/// Added to the normal matrix (Levenberg 1944): squared gradient, (grey levels / pixel)^2, below which a patch mostly keeps
+/// its initial flow, times the pixels of the patch. Without it, noise drives the steps of patches without texture. Mean
+/// errors in pixels with 0.05, 1 and 10: 3.84, 3.74, 3.58 on handheld images with depth, 2.3, 2.5, 3.7 in a rendered hall of
+/// smooth objects.
 const GRADIENT_NOISE: f32 = AREA;
-/// A step shorter than this is the last one, pixels.
+/// The descent stops after a step shorter than this, pixels.
 const LAST_STEP_PX: f32 = 0.02;
-/// A neighbour's flow that differs by less leads down to the same minimum, pixels.
+/// Flows that differ by less descend to the same minimum, pixels.
 const SAME_BASIN_PX: f32 = 0.05;
 
-/// The patches of one scale: a grid, its last row and column moved in so that they end with the picture.
+/// The patches of one scale: a grid whose last row and column are moved inwards so that they end at the image's edge.
 #[derive(Debug, Clone)]
 pub struct PatchGrid {
     pub columns: usize,
@@ -39,28 +40,29 @@ pub struct PatchGrid {
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Found {
     pub flow: [f32; 2],
-    /// Mean difference of the two pictures over the patch, grey levels.
+    /// Mean difference of the two images over the patch, grey levels.
     pub mean: f32,
     /// Sum of squared differences from the mean.
     cost: f32,
     settled: bool,
 }
 
-/// What the search of one scale looks at.
+/// The images, gradients and limits for the search of one scale.
 #[derive(Clone, Copy)]
 pub struct SearchInput<'a> {
     pub from: &'a Plane,
     pub along_x: &'a Plane,
     pub along_y: &'a Plane,
     pub to: &'a Plane,
-    /// At most so many steps in each of the two passes.
+    /// Maximum number of steps in each of the two passes.
     pub steps: usize,
 }
 
 impl PatchGrid {
     pub fn new(width: usize, height: usize, stride: usize) -> Self {
         let last = (width - PATCH, height - PATCH);
-        let (columns, rows) = (last.0.div_ceil(stride) + 1, last.1.div_ceil(stride) + 1);
+        let columns = last.0.div_ceil(stride) + 1;
+        let rows = last.1.div_ceil(stride) + 1;
         Self { columns, rows, stride, last, found: vec![Found::default(); columns * rows] }
     }
 
@@ -74,37 +76,37 @@ impl PatchGrid {
         (row * self.stride).min(self.last.1)
     }
 
-    /// Searches all patches. `starts(x, y)` gives the flows to start from for the patch with that first column and row; the
-    /// best of them and of the neighbours' flows is improved.
-    pub fn search<const N: usize>(
+    /// Searches all patches. `initial(x, y)` is the initial flow of the patch with that first column and row; the better of
+    /// it and of the neighbours' flows is refined.
+    pub fn search(
         &mut self,
         input: SearchInput<'_>,
-        starts: impl Fn(usize, usize) -> [[f32; 2]; N] + Sync,
+        initial: impl Fn(usize, usize) -> [f32; 2] + Sync,
     ) {
         let stripe_rows = self.rows.div_ceil(STRIPES).max(2);
         let mut found = std::mem::take(&mut self.found);
         found.par_chunks_mut(stripe_rows * self.columns).enumerate().for_each(|(stripe, found)| {
-            self.forward(input, &starts, stripe * stripe_rows, found);
+            self.forward(input, &initial, stripe * stripe_rows, found);
             self.backward(input, stripe * stripe_rows, found);
         });
         self.found = found;
     }
 
-    /// From the upper left: from the given flows and from the patches to the left and above.
-    fn forward<const N: usize>(
+    /// The pass from the upper left: candidates are the initial flow and those of the patches to the left and above.
+    fn forward(
         &self,
         input: SearchInput<'_>,
-        starts: &impl Fn(usize, usize) -> [[f32; 2]; N],
+        initial: &impl Fn(usize, usize) -> [f32; 2],
         first_row: usize,
         found: &mut [Found],
     ) {
         for index in 0..found.len() {
-            let (column, row) = (index % self.columns, first_row + index / self.columns);
-            let (x, y) = (self.left(column), self.top(row));
-            let given = starts(x, y);
-            let mut candidates = [given[0]; 8];
-            let mut count = N;
-            candidates[..N].copy_from_slice(&given);
+            let column = index % self.columns;
+            let row = first_row + index / self.columns;
+            let x = self.left(column);
+            let y = self.top(row);
+            let mut candidates = [initial(x, y); 3];
+            let mut count = 1;
             for (there, neighbour) in [(column > 0, 1), (index >= self.columns, self.columns)] {
                 if there {
                     candidates[count] = found[index - neighbour].flow;
@@ -115,10 +117,11 @@ impl PatchGrid {
         }
     }
 
-    /// From the lower right: from what was found and from the patches to the right and below.
+    /// The pass from the lower right: candidates are what the first pass found and the patches to the right and below.
     fn backward(&self, input: SearchInput<'_>, first_row: usize, found: &mut [Found]) {
         for index in (0..found.len()).rev() {
-            let (column, row) = (index % self.columns, first_row + index / self.columns);
+            let column = index % self.columns;
+            let row = first_row + index / self.columns;
             let mut candidates = [found[index].flow; 3];
             let mut count = 1;
             for (there, neighbour) in
@@ -141,24 +144,29 @@ fn near(a: [f32; 2], b: [f32; 2]) -> bool {
     (a[0] - b[0]).abs() < SAME_BASIN_PX && (a[1] - b[1]).abs() < SAME_BASIN_PX
 }
 
-/// Whether more than half of a patch left the second picture: what it would be compared with is not there.
+/// Whether more than half of a patch has left the second image, so that there is nothing to compare it with.
 #[inline(always)]
 fn mostly_outside(to: &Plane, (x, y): (usize, usize), flow: [f32; 2]) -> bool {
-    let half = (PATCH / 2) as f32;
-    let inside = |place: f32, size: usize| place >= -half && place + half <= size as f32;
-    !(inside(x as f32 + flow[0], to.width) && inside(y as f32 + flow[1], to.height))
+    !(mostly_inside(x as f32 + flow[0], to.width) && mostly_inside(y as f32 + flow[1], to.height))
 }
 
-/// A patch of the first picture, and what turns differences into steps.
+/// Whether at least half of a patch that begins at `first` lies within `size` pixels.
+#[inline(always)]
+fn mostly_inside(first: f32, size: usize) -> bool {
+    let half = (PATCH / 2) as f32;
+    first >= -half && first + half <= size as f32
+}
+
+/// A patch of the first image, and the matrices that convert differences to steps.
 struct Template {
     grey: [[f32; PATCH]; PATCH],
     step_x: [[f32; PATCH]; PATCH],
     step_y: [[f32; PATCH]; PATCH],
 }
 
-/// The best of the candidates, improved.
+/// Refines the best of the candidates.
 fn descend(input: SearchInput<'_>, at: (usize, usize), candidates: &[[f32; 2]]) -> Found {
-    let template = cut(input, at);
+    let template = extract(input, at);
     let mut best = compare(&template, input.to, at, candidates[0]);
     for (index, candidate) in candidates.iter().enumerate().skip(1) {
         if !candidates[..index].iter().any(|other| near(*other, *candidate)) {
@@ -183,13 +191,13 @@ fn descend(input: SearchInput<'_>, at: (usize, usize), candidates: &[[f32; 2]]) 
             break;
         }
     }
-    // Farther than a patch from the start, it is another thing that looks alike.
-    let (x, y) =
-        (best.found.flow[0] - start.found.flow[0], best.found.flow[1] - start.found.flow[1]);
+    // A match farther than a patch from its start is another object that looks alike.
+    let x = best.found.flow[0] - start.found.flow[0];
+    let y = best.found.flow[1] - start.found.flow[1];
     if x * x + y * y > AREA { start.found } else { best.found }
 }
 
-/// A flow and the step that would improve it.
+/// A flow and the Gauss-Newton step that would improve it.
 #[derive(Clone, Copy)]
 struct Compared {
     found: Found,
@@ -197,18 +205,22 @@ struct Compared {
     step: [f32; 2],
 }
 
-/// Cuts a patch out of the first picture.
+/// Extracts a patch of the first image and prepares its Gauss-Newton steps.
 #[multiversion(targets("x86_64+avx2"))]
-fn cut<'a>(input: SearchInput<'a>, at: (usize, usize)) -> Template {
+fn extract<'a>(input: SearchInput<'a>, at: (usize, usize)) -> Template {
     let (x, y) = at;
     let grey = block(input.from, x, y);
-    let (mut gx, mut gy) = (block(input.along_x, x, y), block(input.along_y, x, y));
-    take_out_mean(&mut gx);
-    take_out_mean(&mut gy);
-    let (xx, xy, yy) =
-        (dot(&gx, &gx) + GRADIENT_NOISE, dot(&gx, &gy), dot(&gy, &gy) + GRADIENT_NOISE);
+    let mut gx = block(input.along_x, x, y);
+    let mut gy = block(input.along_y, x, y);
+    subtract_mean(&mut gx);
+    subtract_mean(&mut gy);
+    let xx = dot(&gx, &gx) + GRADIENT_NOISE;
+    let xy = dot(&gx, &gy);
+    let yy = dot(&gy, &gy) + GRADIENT_NOISE;
     let determinant = xx * yy - xy * xy;
-    let (ixx, ixy, iyy) = (yy / determinant, -xy / determinant, xx / determinant);
+    let ixx = yy / determinant;
+    let ixy = -xy / determinant;
+    let iyy = xx / determinant;
     let mut template = Template { grey, step_x: gx, step_y: gy };
     for row in 0..PATCH {
         for k in 0..PATCH {
@@ -219,11 +231,11 @@ fn cut<'a>(input: SearchInput<'a>, at: (usize, usize)) -> Template {
     template
 }
 
-/// The patch against the second picture at `flow` from its place. Far outside, against the repeated edge.
+/// Compares the patch with the second image at `flow` from its position. Far outside, it is compared with the repeated edge.
 #[multiversion(targets("x86_64+avx2"))]
 fn compare(template: &Template, to: &Plane, at: (usize, usize), flow: [f32; 2]) -> Compared {
     let window = Window::at(to, at, flow);
-    // First all differences, then one sum after the other: so the compiler keeps whole lines in registers.
+    // First all differences, then one sum after the other, so that the compiler keeps whole lines in registers.
     let mut difference = [[0.0; PATCH]; PATCH];
     let mut upper = window.line(0);
     for row in 0..PATCH {
@@ -246,7 +258,7 @@ fn compare(template: &Template, to: &Plane, at: (usize, usize), flow: [f32; 2]) 
     Compared { found: Found { flow, mean, cost, settled: false }, step }
 }
 
-/// Where a patch lands in the second picture.
+/// The part of the second image that a patch is compared with.
 pub struct Window<'a> {
     data: &'a [f32],
     stride: usize,
@@ -260,12 +272,13 @@ impl<'a> Window<'a> {
         let patch = PATCH as f32;
         let x = (x as f32 + flow[0]).clamp(-patch, to.width as f32) + BORDER as f32;
         let y = (y as f32 + flow[1]).clamp(-patch, to.height as f32) + BORDER as f32;
-        let (column, row) = (x as usize, y as usize);
+        let column = x as usize;
+        let row = y as usize;
         let data = &to.data[row * to.stride + column..][..PATCH * to.stride + PATCH + 1];
         Self { data, stride: to.stride, fx: x - column as f32, fy: y - row as f32 }
     }
 
-    /// A line of the patch, between columns but not yet between rows.
+    /// A line of the window, interpolated between columns but not yet between rows.
     #[inline(always)]
     pub fn line(&self, row: usize) -> [f32; PATCH] {
         let line = &self.data[row * self.stride..][..PATCH + 1];
@@ -288,7 +301,7 @@ fn block(plane: &Plane, x: usize, y: usize) -> [[f32; PATCH]; PATCH] {
 }
 
 #[inline(always)]
-fn take_out_mean(values: &mut [[f32; PATCH]; PATCH]) {
+fn subtract_mean(values: &mut [[f32; PATCH]; PATCH]) {
     let mut sum = [0.0; PATCH];
     for row in values.iter() {
         for k in 0..PATCH {
@@ -311,9 +324,12 @@ fn dot(a: &[[f32; PATCH]; PATCH], b: &[[f32; PATCH]; PATCH]) -> f32 {
     total(&sum)
 }
 
-/// The sum, in the order in which vector registers fold.
+/// The sum, in the order in which vector registers are reduced.
 #[inline(always)]
 fn total(v: &[f32; PATCH]) -> f32 {
-    let (a, b, c, d) = (v[0] + v[4], v[1] + v[5], v[2] + v[6], v[3] + v[7]);
+    let a = v[0] + v[4];
+    let b = v[1] + v[5];
+    let c = v[2] + v[6];
+    let d = v[3] + v[7];
     (a + c) + (b + d)
 }

@@ -1,12 +1,12 @@
-//! Variational refinement: the flow that explains brightness and gradients of both pictures and is smooth, with robust
+//! Variational refinement: finds the smooth flow that matches brightness and gradients of both images, with robust
 //! penalties on all three (Brox, Bruhn, Papenberg and Weickert 2004), its terms normalised (Zimmer, Bruhn and Weickert 2011).
 //!
-//! With the second picture warped once by the flow (u0, v0), each term is linear in the flow (u, v); its robust penalty
+//! With the second image warped once by the flow (u0, v0), each term is linear in the flow (u, v); its robust penalty
 //! sqrt(r^2 + e^2) is reweighted in every iteration, and the linear system is relaxed by red-black successive
 //! over-relaxation.
 //!
-//! The picture is cut into a fixed number of bands of rows. A band also relaxes a few rows of its neighbours, as many as
-//! there are half sweeps, so its own rows get exactly the values that the whole picture would give them.
+//! The image is split into a fixed number of bands of rows. A band also relaxes a few rows of its neighbours, as many as there
+//! are half sweeps, so its own rows get exactly the values that a relaxation of the whole image would give them.
 
 use std::ops::Range;
 
@@ -16,12 +16,12 @@ use super::energy::{self, HALF_SWEEPS};
 use super::plane::Plane;
 use super::split::{Part, Split};
 
-/// Rows of a band at least: below, relaxing the neighbours' rows costs more than a second thread gains.
+/// Minimum number of rows in a band: with fewer, relaxing the neighbours' rows costs more than a second thread saves.
 const BAND_ROWS: usize = 24;
-/// Bands at most.
+/// Maximum number of bands.
 const MOST_BANDS: usize = 16;
 
-/// Buffers for one size.
+/// The refinement and its buffers for one image size.
 #[derive(Debug, Clone)]
 pub struct Variational {
     bands: Vec<Band>,
@@ -35,13 +35,16 @@ impl Variational {
     }
 
     fn with_bands(width: usize, height: usize, count: usize) -> Self {
-        let edge = |band: usize| band * height / count;
-        let bands =
-            (0..count).map(|band| Band::new(width, height, edge(band), edge(band + 1))).collect();
-        Self { bands, flow: [Split::new(width, height), Split::new(width, height)] }
+        let bands = (0..count).map(|band| {
+            Band::new(width, height, band * height / count, (band + 1) * height / count)
+        });
+        Self {
+            bands: bands.collect(),
+            flow: [Split::new(width, height), Split::new(width, height)],
+        }
     }
 
-    /// Improves `flow` (x and y, row-major).
+    /// Refines `flow` (x and y, row-major) in place.
     pub fn refine(
         &mut self,
         from: &Plane,
@@ -71,16 +74,16 @@ impl Variational {
     }
 }
 
-/// Some rows of the picture, with the neighbours' rows that they depend on.
+/// A band of rows, with the neighbouring rows that it depends on.
 #[derive(Debug, Clone)]
 struct Band {
-    /// Rows of the whole picture that this band answers for.
+    /// Rows of the image whose flow this band computes.
     own: Range<usize>,
-    /// Those and the neighbours' that it relaxes for itself: `own` and up to `HALF_SWEEPS` more at each end.
+    /// The rows that it relaxes: `own` and up to `HALF_SWEEPS` more at each end.
     rows: Range<usize>,
-    /// Whether the picture ends where the rows end: above, below.
+    /// Whether `rows` reach the image's upper and lower edge.
     edge: [bool; 2],
-    /// Mean of the two pictures and change from the first to the second, with two rows and columns more for derivatives.
+    /// Mean of the two images and change from the first to the second, with two more rows and columns for derivatives.
     mean: Plane,
     change: Plane,
     inside: Plane,
@@ -99,7 +102,7 @@ struct Terms {
     line: [Vec<f32>; 9],
 }
 
-/// How strongly a pixel's flow is bound to that of the pixel right of it and of the pixel below it.
+/// Smoothness weights between a pixel's flow and that of the pixel right of it and of the pixel below it.
 #[derive(Debug, Clone)]
 struct Links {
     right: Split,
@@ -118,40 +121,47 @@ impl Band {
     fn new(width: usize, height: usize, first: usize, end: usize) -> Self {
         let rows = first.saturating_sub(HALF_SWEEPS)..(end + HALF_SWEEPS).min(height);
         let count = rows.len();
-        let split = || Split::new(width, count);
-        let seen = seen(&rows, height).len();
+        let split = Split::new(width, count);
+        let height_with_derivatives = rows_for_derivatives(&rows, height).len();
         Self {
             own: first..end,
             edge: [rows.start == 0, rows.end == height],
             rows,
-            mean: Plane::new(width, seen, 2),
-            change: Plane::new(width, seen, 2),
-            inside: Plane::new(width, seen, 0),
+            mean: Plane::new(width, height_with_derivatives, 2),
+            change: Plane::new(width, height_with_derivatives, 2),
+            inside: Plane::new(width, height_with_derivatives, 0),
             terms: Terms {
-                planes: std::array::from_fn(|_| split()),
+                planes: std::array::from_fn(|_| split.clone()),
                 line: std::array::from_fn(|_| vec![0.0; width]),
             },
-            links: Links { right: split(), below: split() },
-            system: System { inverse: [split(), split()], cross: split(), b: [split(), split()] },
-            u: split(),
-            v: split(),
+            links: Links { right: split.clone(), below: split.clone() },
+            system: System {
+                inverse: [split.clone(), split.clone()],
+                cross: split.clone(),
+                b: [split.clone(), split.clone()],
+            },
+            u: split.clone(),
+            v: split,
         }
     }
 
-    /// Warps the second picture by the flow and fills the linear terms.
+    /// Warps the second image by the flow and fills the linear terms.
     fn linearise(&mut self, from: &Plane, to: &Plane, flow: &[Vec<f32>; 2]) {
-        let seen = seen(&self.rows, from.height);
+        let all = rows_for_derivatives(&self.rows, from.height);
         let width = from.width;
-        for (line, y) in seen.clone().enumerate() {
-            let (u, v) = (&flow[0][y * width..][..width], &flow[1][y * width..][..width]);
-            let (mean, change) = (self.mean.row_mut(line), self.change.row_mut(line));
+        for (line, y) in all.clone().enumerate() {
+            let u = &flow[0][y * width..][..width];
+            let v = &flow[1][y * width..][..width];
+            let mean = self.mean.row_mut(line);
+            let change = self.change.row_mut(line);
             energy::warp(from.row(y), to, y, u, v, mean, change, self.inside.row_mut(line));
         }
         self.mean.fill_border();
         self.change.fill_border();
         for (line, y) in self.rows.clone().enumerate() {
-            let (u, v) = (&flow[0][y * width..][..width], &flow[1][y * width..][..width]);
-            self.derive(y - seen.start, u, v);
+            let u = &flow[0][y * width..][..width];
+            let v = &flow[1][y * width..][..width];
+            self.derive(y - all.start, u, v);
             for (plane, row) in self.terms.planes.iter_mut().zip(&self.terms.line) {
                 plane.split_row(line, row);
             }
@@ -160,7 +170,8 @@ impl Band {
 
     /// Fills the linear terms of a row, in the order of its pixels.
     fn derive(&mut self, y: usize, u0: &[f32], v0: &[f32]) {
-        let (mean, change) = (Around { plane: &self.mean, y }, Around { plane: &self.change, y });
+        let mean = Around { plane: &self.mean, y };
+        let change = Around { plane: &self.change, y };
         let [x0, y0, t0, x1, y1, t1, x2, y2, t2] = &mut self.terms.line;
         energy::difference(mean.at(1, 0), mean.at(-1, 0), 0.5, x0);
         energy::difference(mean.at(0, 1), mean.at(0, -1), 0.5, y0);
@@ -176,8 +187,8 @@ impl Band {
         }
     }
 
-    /// One reweighting and its sweeps. Half sweep k follows one row behind half sweep k - 1, so that the rows at hand stay in
-    /// the cache; the result is that of one half sweep over all rows after the other.
+    /// One reweighting and its sweeps. Half sweep k follows one row behind half sweep k - 1, so that the current rows stay in
+    /// the cache; the result equals that of one half sweep over all rows after the other.
     fn iterate(&mut self, before: &[Split; 2]) {
         let rows = self.rows.len();
         self.u.rows_mut(0, rows).copy_from_slice(before[0].rows(self.rows.start, rows));
@@ -189,16 +200,16 @@ impl Band {
             }
             for half_sweep in 0..HALF_SWEEPS.min(step + 1) {
                 let y = step - half_sweep;
-                // A row at the end of the band knows one neighbour only, and so on inwards with every half sweep.
-                let margin = |end: usize| if self.edge[end] { 0 } else { half_sweep + 1 };
-                if y >= margin(0) && y + margin(1) < rows {
+                // The band's first and last row lack a neighbour; every half sweep makes one row more at each end invalid.
+                let [above, below] = self.edge.map(|edge| if edge { 0 } else { half_sweep + 1 });
+                if y >= above && y + below < rows {
                     self.relax(y, half_sweep);
                 }
             }
         }
     }
 
-    /// Fills the links of a row, whose flow and the next row's are still those of the last iteration.
+    /// Fills the links of a row. Its flow and the next row's are still those of the last iteration.
     fn bind(&mut self, y: usize) {
         self.u.repeat_last_column(y);
         self.v.repeat_last_column(y);
@@ -223,11 +234,13 @@ impl Band {
         let terms = std::array::from_fn(|term| self.terms.planes[term].row(y));
         let [inverse_u, inverse_v] = &mut self.system.inverse;
         let [b_u, b_v] = &mut self.system.b;
-        let (a_u, a_v, cross) =
-            (inverse_u.row_mut(y), inverse_v.row_mut(y), self.system.cross.row_mut(y));
+        let a_u = inverse_u.row_mut(y);
+        let a_v = inverse_v.row_mut(y);
+        let cross = self.system.cross.row_mut(y);
         energy::assemble(flow, terms, a_u, a_v, cross, b_u.row_mut(y), b_v.row_mut(y));
         for part in [Part::Even, Part::Odd] {
-            let (right, below) = (&self.links.right, &self.links.below);
+            let right = &self.links.right;
+            let below = &self.links.below;
             let links = [
                 right.part(y, part),
                 right.left_of(y, part),
@@ -247,7 +260,8 @@ impl Band {
         } else {
             Part::Odd
         };
-        let (right, below) = (&self.links.right, &self.links.below);
+        let right = &self.links.right;
+        let below = &self.links.below;
         let links = [
             right.left_of(y, part),
             right.part(y, part),
@@ -255,21 +269,17 @@ impl Band {
             below.part(y, part),
         ];
         let cross = self.system.cross.part(y, part);
-        let weights = |component: usize| {
-            [
-                self.system.inverse[component].part(y, part),
-                self.system.b[component].part(y, part),
-                cross,
-            ]
-        };
+        let [inverse_u, inverse_v] =
+            self.system.inverse.each_ref().map(|plane| plane.part(y, part));
+        let [b_u, b_v] = self.system.b.each_ref().map(|plane| plane.part(y, part));
         let (own, neighbours) = self.u.cross(y, part);
-        energy::relax(own, neighbours, links, weights(0), self.v.part(y, part));
+        energy::relax(own, neighbours, links, [inverse_u, b_u, cross], self.v.part(y, part));
         let (own, neighbours) = self.v.cross(y, part);
-        energy::relax(own, neighbours, links, weights(1), self.u.part(y, part));
+        energy::relax(own, neighbours, links, [inverse_v, b_v, cross], self.u.part(y, part));
     }
 }
 
-/// A row and what is around it.
+/// A row of a plane, from which shifted rows can be read.
 #[derive(Clone, Copy)]
 struct Around<'a> {
     plane: &'a Plane,
@@ -277,15 +287,15 @@ struct Around<'a> {
 }
 
 impl<'a> Around<'a> {
-    /// The row moved by (`dx`, `dy`), both within the border.
+    /// The row shifted by (`dx`, `dy`), both within the border.
     fn at(&self, dx: isize, dy: isize) -> &'a [f32] {
         let first = self.plane.start(self.y) as isize + dy * self.plane.stride as isize + dx;
         &self.plane.data[first as usize..][..self.plane.width]
     }
 }
 
-/// The rows that the derivatives of `rows` look at.
-fn seen(rows: &Range<usize>, height: usize) -> Range<usize> {
+/// `rows` and the rows around them that their derivatives read.
+fn rows_for_derivatives(rows: &Range<usize>, height: usize) -> Range<usize> {
     rows.start.saturating_sub(2)..(rows.end + 2).min(height)
 }
 
@@ -293,33 +303,36 @@ fn seen(rows: &Range<usize>, height: usize) -> Range<usize> {
 mod tests {
     use super::*;
 
+    fn waves(width: usize, height: usize, phase: f32) -> Plane {
+        let mut plane = Plane::new(width, height, super::super::pyramid::BORDER);
+        for y in 0..height {
+            for (x, grey) in plane.row_mut(y).iter_mut().enumerate() {
+                let x = x as f32 + phase;
+                let y = y as f32;
+                *grey = 128.0 + 50.0 * (0.5 * x + 0.2 * y).sin() + 40.0 * (0.3 * y - 0.1 * x).cos();
+            }
+        }
+        plane.fill_border();
+        plane
+    }
+
+    fn refined(from: &Plane, to: &Plane, bands: usize) -> [Vec<f32>; 2] {
+        let pixels = from.width * from.height;
+        let mut flow = [vec![-0.1; pixels], vec![0.05; pixels]];
+        Variational::with_bands(from.width, from.height, bands).refine(from, to, &mut flow, 20);
+        flow
+    }
+
     #[test]
-    fn bands_change_no_bit_of_what_the_whole_picture_would_give() {
+    fn any_number_of_bands_gives_the_same_bits_as_the_whole_image() {
         for (width, height) in [(37, 61), (40, 64)] {
-            let plane = |phase: f32| {
-                let mut plane = Plane::new(width, height, super::super::pyramid::BORDER);
-                for y in 0..height {
-                    for (x, grey) in plane.row_mut(y).iter_mut().enumerate() {
-                        let (x, y) = (x as f32 + phase, y as f32);
-                        *grey = 128.0
-                            + 50.0 * (0.5 * x + 0.2 * y).sin()
-                            + 40.0 * (0.3 * y - 0.1 * x).cos();
-                    }
-                }
-                plane.fill_border();
-                plane
-            };
-            let (from, to) = (plane(0.0), plane(0.4));
-            let refined = |bands| {
-                let mut flow = [vec![-0.1; width * height], vec![0.05; width * height]];
-                Variational::with_bands(width, height, bands).refine(&from, &to, &mut flow, 20);
-                flow
-            };
-            let whole = refined(1);
+            let from = waves(width, height, 0.0);
+            let to = waves(width, height, 0.4);
+            let whole = refined(&from, &to, 1);
             let mean = whole[0].iter().sum::<f32>() / (width * height) as f32;
             assert!((mean + 0.4).abs() < 0.1, "{mean}");
             for bands in [2, 3, 5, 20] {
-                assert_eq!(refined(bands), whole, "{bands} bands");
+                assert_eq!(refined(&from, &to, bands), whole, "{bands} bands");
             }
         }
     }

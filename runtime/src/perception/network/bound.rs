@@ -1,8 +1,8 @@
-//! A session whose inputs and output live in memory that stays bound from run to run.
+//! A session whose inputs and output are bound once and keep their memory from run to run.
 //!
 //! Only owned tensors are bound: binding a borrowed one deadlocks in ort 2.0.0-rc.15. A run allocates nothing in this crate;
-//! ort's own `run_binding` makes two small allocations for the one output that it hands back, and ONNX Runtime (C++) allocates
-//! inside.
+//! ort's own `run_binding` makes two small allocations for the output that it returns, and ONNX Runtime (C++) allocates memory
+//! of its own.
 
 use half::f16;
 use half::slice::HalfFloatSliceExt;
@@ -14,12 +14,11 @@ use ort::value::{Outlet, Tensor, TensorElementType};
 use super::error::{self, NetworkError};
 use super::options::{NetworkOptions, session_builder};
 
-/// Floats that a network may compute with at its borders.
+/// Element types of inputs and outputs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Float {
-    /// 32 bits.
     Single,
-    /// 16 bits (IEEE 754 binary16).
+    /// IEEE 754 binary16.
     Half,
 }
 
@@ -27,11 +26,11 @@ pub enum Float {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct TensorInfo {
     pub name: String,
-    /// `None`: the elements are no floats that we know.
+    /// `None` for other element types.
     pub float: Option<Float>,
-    /// Sizes; -1 where the model leaves one open.
+    /// Sizes; -1 for a dynamic dimension.
     pub shape: Vec<i64>,
-    /// Type and shape in words.
+    /// Type and shape as text.
     pub description: String,
 }
 
@@ -49,9 +48,9 @@ impl TensorInfo {
         }
     }
 
-    /// Size of one dimension, `wanted` where the model leaves it open.
-    pub fn size(&self, dimension: usize, wanted: i64) -> i64 {
-        self.shape.get(dimension).copied().filter(|size| *size >= 0).unwrap_or(wanted)
+    /// Size of one dimension, `default` if it is dynamic.
+    pub fn size(&self, dimension: usize, default: i64) -> i64 {
+        self.shape.get(dimension).copied().filter(|size| *size >= 0).unwrap_or(default)
     }
 
     pub fn text(&self) -> String {
@@ -59,7 +58,7 @@ impl TensorInfo {
     }
 }
 
-/// An input or output as it will be bound: every size is known.
+/// An input or output as it is bound: every size is known.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Port {
     pub name: String,
@@ -74,7 +73,7 @@ impl Port {
     }
 }
 
-/// A loaded model that nothing is bound to yet.
+/// A loaded model without bound memory.
 #[derive(Debug)]
 pub(super) struct Model {
     session: Session,
@@ -100,13 +99,13 @@ impl Model {
         Ok(Self { session, inputs, outputs, has_own_memory: options.provider.has_own_memory() })
     }
 
-    /// What the model says under `key`.
+    /// A function that returns the model's metadata for a key.
     pub fn metadata(&self) -> Result<impl Fn(&str) -> Option<String> + '_, NetworkError> {
         let metadata = self.session.metadata().map_err(load_error)?;
         Ok(move |key: &str| metadata.custom(key))
     }
 
-    /// Gives every input and the output memory of their own.
+    /// Allocates and binds the memory of every input and of the output.
     pub fn bind(self, inputs: &[Port], output: &Port) -> Result<BoundSession, NetworkError> {
         self.try_bind(inputs, output).map_err(load_error)
     }
@@ -140,31 +139,32 @@ impl Model {
     }
 }
 
-/// Inference over bound memory. Inputs are written, then [`run`](Self::run) reads the output.
+/// Inference over bound memory: inputs are written first, then [`run`](Self::run) computes and reads the output.
 #[derive(Debug)]
 pub(super) struct BoundSession {
     session: Session,
     binding: IoBinding,
     inputs: Vec<Input>,
-    /// Of the output.
+    /// Element type of the output.
     float: Float,
-    /// The output as 32-bit floats, where it has 16.
+    /// The output as 32-bit floats, if the model's has 16.
     converted: Vec<f32>,
     has_own_memory: bool,
 }
 
 impl BoundSession {
-    /// Lets `fill` write an input's planes, in the order in which inputs were bound. Planes keep what was written before.
+    /// Lets `fill` write the planes of an input, by its index in the order of binding. Planes keep their values until they are
+    /// written again.
     pub fn write(&mut self, input: usize, fill: impl FnOnce(&mut [f32])) {
         if let Some(input) = self.inputs.get_mut(input) {
             input.write(fill);
         }
     }
 
-    /// One inference, and what `read` makes of its output.
+    /// Runs one inference and passes its output to `read`.
     pub fn run<T>(&mut self, read: impl FnOnce(&[f32]) -> T) -> ort::Result<T> {
         if self.has_own_memory {
-            // Binding is what copies to a GPU.
+            // Binding copies the inputs to the provider's memory.
             for input in &self.inputs {
                 input.bind(&mut self.binding)?;
             }
@@ -184,7 +184,7 @@ impl BoundSession {
     }
 }
 
-/// An input in memory of ours.
+/// An input with its memory.
 #[derive(Debug)]
 struct Input {
     name: String,

@@ -1,10 +1,9 @@
-//! The golden pair of a model's metadata: an input, and what the network said of it when it was exported
-//! (`tools/trainer`, `golden.py`). A file, a library or a processor that computes something else is found before anyone drives
-//! by it.
+//! The golden pair of a model's metadata: an input, and the network's output for it when it was exported (`tools/trainer`,
+//! `golden.py`). It shows whether this file, library and processor compute the same before the robot uses the model.
 //!
-//! `golden_input` is base64 of bytes [channels, rows / 16, columns / 16]; each is 16x16 pixels of v / 255, of a cost volume 4x4
-//! cells. `golden_output` is base64 of little-endian 32-bit floats [rows / 16, columns / 16]: the output's first channel at rows
-//! 16 i + 8 and columns 16 j + 8.
+//! `golden_input` is base64 of bytes [channels, rows / 16, columns / 16]; each is 16x16 pixels of v / 255, of a cost volume
+//! 4x4 cells. `golden_output` is base64 of little-endian 32-bit floats [rows / 16, columns / 16]: the output's first channel
+//! at rows 16 i + 8 and columns 16 j + 8.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -26,7 +25,8 @@ pub(super) struct Golden {
 }
 
 impl Golden {
-    /// The pair that the metadata holds for inputs of these shapes and pictures of this size (columns, rows); `None` without one.
+    /// Reads the pair for inputs of these shapes and frames of this size (columns, rows) from the metadata; `None` if there
+    /// is none.
     pub fn read(
         metadata: &impl Fn(&str) -> Option<String>,
         ports: &[Port],
@@ -35,7 +35,8 @@ impl Golden {
         let (Some(input), Some(output)) = (metadata(INPUT), metadata(OUTPUT)) else {
             return Ok(None);
         };
-        let (rows, columns) = (height / BLOCK, width / BLOCK);
+        let rows = height / BLOCK;
+        let columns = width / BLOCK;
         let channels: usize = ports.iter().map(|port| port.shape[1]).sum();
         let input = decoded(INPUT, &input, channels * rows * columns)?;
         let output = decoded(OUTPUT, &output, 4 * rows * columns)?;
@@ -45,7 +46,7 @@ impl Golden {
         Ok(Some(Self { input, output: output.collect(), rows, columns }))
     }
 
-    /// Fills the planes of the input at `port`, of which `before` channels came earlier.
+    /// Fills the planes of the input at `port`; `before` is the number of channels of the inputs before it.
     pub fn write(&self, port: &Port, before: usize, planes: &mut [f32]) {
         let [_, _, height, width] = port.shape;
         if height * width == 0 || self.rows * self.columns == 0 {
@@ -53,7 +54,7 @@ impl Golden {
         }
         for (channel, plane) in planes.chunks_exact_mut(height * width).enumerate() {
             for (at, value) in plane.iter_mut().enumerate() {
-                // What does not fill a block belongs to the last one.
+                // Pixels beyond the last whole block belong to it.
                 let row = (at / width * self.rows / height).min(self.rows - 1);
                 let column = (at % width * self.columns / width).min(self.columns - 1);
                 let index = ((before + channel) * self.rows + row) * self.columns + column;
@@ -62,13 +63,11 @@ impl Golden {
         }
     }
 
-    /// Largest absolute difference of an output with this many columns; infinite where one of the two is no number.
+    /// Largest absolute difference from an output with `width` columns; infinite if a value of either is NaN.
     pub fn difference(&self, output: &[f32], width: usize) -> f32 {
         let expected = self.output.iter().enumerate().map(|(index, expected)| {
-            let (row, column) = (
-                index / self.columns * BLOCK + BLOCK / 2,
-                index % self.columns * BLOCK + BLOCK / 2,
-            );
+            let row = index / self.columns * BLOCK + BLOCK / 2;
+            let column = index % self.columns * BLOCK + BLOCK / 2;
             (output.get(row * width + column).copied().unwrap_or(f32::NAN) - expected).abs()
         });
         expected.fold(0.0, |largest, difference| {

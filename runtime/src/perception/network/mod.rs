@@ -1,6 +1,6 @@
-//! Networks: ONNX models run by ONNX Runtime. [`DepthNetwork`] gives depth, [`FlowNetwork`] optical flow.
+//! Depth networks: ONNX models that ONNX Runtime runs.
 //!
-//! A depth model says what it takes and gives in its shapes and its metadata:
+//! A model describes its inputs and its output by their shapes and by metadata:
 //!
 //! | key | meaning | without it |
 //! |---|---|---|
@@ -8,43 +8,28 @@
 //! | `output` | `depth` or `disparity` | name of the output |
 //! | `min_depth_m`, `max_depth_m` | range of the output, metres | 0.1, 20 |
 //! | `volume_min_depth_m`, `volume_max_depth_m` | nearest and farthest plane of the cost volume, metres | 0.3, 20 |
-//! | `input_width`, `input_height` | size of the picture | shape of the input |
-//! | `version` | what the model calls itself | |
-//! | `golden_input`, `golden_output` | an input and what was said of it | |
+//! | `input_width`, `input_height` | size of the image | shape of the input |
+//! | `version` | name and version of the model | |
+//! | `golden_input`, `golden_output` | an input and the output that belongs to it | |
 //!
-//! All of it is optional and all of it is checked when the model is loaded, together with one run on a grey picture. Inputs and
-//! outputs are 32-bit or 16-bit floats.
+//! All keys are optional. They are checked when the model is loaded, together with one run on a grey image. Inputs and outputs
+//! are 32-bit or 16-bit floats.
 //!
-//! On the CPU, the same pictures give the same depth, bit for bit, on any number of threads. A call allocates nothing in this
-//! crate and copies no tensor; what ort and ONNX Runtime allocate is said in `bound`. The runtime reads no clock: whoever
-//! calls measures, into a [`LatencyHistogram`](crate::latency::LatencyHistogram).
+//! On the CPU, the same frames give the same depth, bit for bit, on any number of threads. A call allocates nothing in this
+//! crate and copies no tensor; `bound` describes what ort and ONNX Runtime allocate. The runtime reads no clock: the caller
+//! measures the latency, in a [`LatencyHistogram`](crate::latency::LatencyHistogram).
 
 mod bound;
 mod error;
-mod flow;
 mod golden;
 mod options;
 mod planes;
 mod spec;
-/// Only the pictures that its cost volume compares with: whose they are is checked by who holds it.
-impl State for DepthNetwork {
-    fn write(&self, to: &mut Vec<u8>) {
-        if let Some(volume) = &self.volume {
-            volume.write(to);
-        }
-    }
-
-    fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
-        self.volume.as_mut().map_or(Ok(()), |volume| volume.read(from))
-    }
-}
-
 #[cfg(test)]
 mod tests;
 mod volume;
 
 pub use error::NetworkError;
-pub use flow::{FlowNetwork, FlowSpec};
 pub use options::{NetworkOptions, Provider};
 pub use spec::{DEFAULT_DEPTH_RANGE_M, InputKind, ModelSpec, OutputKind};
 
@@ -57,8 +42,8 @@ use bound::{BoundSession, Model};
 use golden::Golden;
 use volume::CostVolume;
 
-/// Places of the inputs in `ModelSpec::input_ports`.
-const PICTURE: usize = 0;
+/// Indices of the inputs in `ModelSpec::input_ports`.
+const IMAGE: usize = 0;
 const SECOND: usize = 1;
 
 /// A loaded model with its bound memory. One call of [`estimate`](Self::estimate) blocks for one inference.
@@ -67,7 +52,7 @@ pub struct DepthNetwork {
     spec: ModelSpec,
     digest: String,
     session: BoundSession,
-    /// For models that take one.
+    /// For models with a cost volume as input.
     volume: Option<CostVolume>,
     golden: Option<Golden>,
     estimate: DepthEstimate,
@@ -75,17 +60,18 @@ pub struct DepthNetwork {
 }
 
 impl DepthNetwork {
-    /// Loads a model from the bytes of its file, for pictures of `camera`, and tries it once.
+    /// Loads a model from the bytes of its file, for frames of `camera`, and runs it once.
     ///
     /// # Errors
-    /// Whatever keeps the model from being this robot's depth network; see [`NetworkError`].
+    /// See [`NetworkError`].
     pub fn load(
         onnx_runtime: &Environment,
         model: &[u8],
         camera: &CameraModel,
         options: NetworkOptions,
     ) -> Result<Self, NetworkError> {
-        let (width, height) = (camera.width, camera.height);
+        let width = camera.width;
+        let height = camera.height;
         let loaded = Model::load(onnx_runtime, model, options)?;
         let spec =
             ModelSpec::read(&loaded.inputs, &loaded.outputs, loaded.metadata()?, (width, height))?;
@@ -104,11 +90,11 @@ impl DepthNetwork {
         Ok(network)
     }
 
-    /// The first run allocates inside ONNX Runtime, and shows whether the model computes anything at all. All that comes with
-    /// the picture is still 0: no coarse depth, no evidence in the cost volume.
+    /// The first run makes ONNX Runtime allocate its memory, and shows whether the model works at all. The other inputs are
+    /// still 0: no coarse depth, no evidence in the cost volume.
     fn warm_up(&mut self) -> Result<(), NetworkError> {
         let pixels = 3 * self.spec.size.0 * self.spec.size.1;
-        self.session.write(PICTURE, |planes| planes[..pixels].fill(0.5));
+        self.session.write(IMAGE, |planes| planes[..pixels].fill(0.5));
         let outcome = self.run();
         self.estimate.clear();
         match outcome {
@@ -125,8 +111,9 @@ impl DepthNetwork {
         }
     }
 
-    /// Runs the golden input and says by how much the output differs at most from what it was when the model was exported (in
-    /// the model's own unit: x in 0..1 or metres). `None`: the model holds no golden pair. Infinite: NaN.
+    /// Runs the golden input and returns the largest difference of the output from the golden output, which was computed when
+    /// the model was exported (in the model's own unit: x in 0..1 or metres). `None` if the model has no golden pair,
+    /// infinity if the output contains NaN.
     ///
     /// # Errors
     /// [`NoDepth::NetworkOutput`] when the model fails.
@@ -145,14 +132,14 @@ impl DepthNetwork {
         })
     }
 
-    /// Depth of one RGB8 picture of the camera's size, taken at `t_odom_camera`. Models that take coarse depth are told "none"
-    /// where `coarse` is `None`; the others ignore it. Models that take a cost volume compare with earlier pictures of earlier
-    /// calls; the others ignore the pose.
+    /// Depth of one RGB8 frame of the camera's size, taken at `t_odom_camera`. Models with coarse depth as input get planes
+    /// of zeros where `coarse` is `None`; others ignore it. Models with a cost volume compare with the frames of earlier
+    /// calls; others ignore the pose.
     ///
     /// # Errors
     /// [`NoDepth::FrameSize`] for another size or format; [`NoDepth::PoseNotFinite`] where the pose is needed;
-    /// [`NoDepth::NetworkOutput`] when the model fails, says NaN, or leaves the range that it promises. All are counted by
-    /// [`refused`](Self::refused).
+    /// [`NoDepth::NetworkOutput`] when the model fails or its output contains NaN or values out of its range. All are counted
+    /// by [`refused`](Self::refused).
     pub fn estimate(
         &mut self,
         frame: ImageView<'_>,
@@ -202,9 +189,9 @@ impl DepthNetwork {
     ) -> Result<(), NoDepth> {
         let range_m = self.spec.depth_range_m;
         let joined = self.spec.input == InputKind::RgbCoarseJoined;
-        self.session.write(PICTURE, |planes| {
-            let (picture, rest) = planes.split_at_mut(rgb.len());
-            planes::write_rgb(rgb, (0.0, 1.0), picture);
+        self.session.write(IMAGE, |planes| {
+            let (image, rest) = planes.split_at_mut(rgb.len());
+            planes::write_rgb(rgb, image);
             if joined {
                 planes::write_coarse(coarse, range_m, rest);
             }
@@ -221,19 +208,19 @@ impl DepthNetwork {
         Ok(())
     }
 
-    /// One inference over the bound memory. `false`: its output is worthless.
+    /// One inference over the bound memory; `false` if its output is invalid.
     fn run(&mut self) -> ort::Result<bool> {
         let Self { spec, session, estimate, .. } = self;
         session.run(|output| planes::read_output(output, spec, estimate))
     }
 
-    /// What the last successful [`estimate`](Self::estimate) returned; no depth after one that failed.
+    /// The result of the last [`estimate`](Self::estimate); without any depth if it failed.
     #[must_use]
     pub fn last(&self) -> &DepthEstimate {
         &self.estimate
     }
 
-    /// What the model takes and gives.
+    /// The model's inputs and output.
     #[must_use]
     pub fn spec(&self) -> &ModelSpec {
         &self.spec
@@ -245,9 +232,22 @@ impl DepthNetwork {
         &self.digest
     }
 
-    /// How many pictures got no depth.
+    /// Number of frames that got no depth.
     #[must_use]
     pub fn refused(&self) -> u64 {
         self.refused
+    }
+}
+
+/// Stores only the keyframes of the cost volume. The caller checks that the snapshot belongs to the same model.
+impl State for DepthNetwork {
+    fn write(&self, to: &mut Vec<u8>) {
+        if let Some(volume) = &self.volume {
+            volume.write(to);
+        }
+    }
+
+    fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.volume.as_mut().map_or(Ok(()), |volume| volume.read(from))
     }
 }

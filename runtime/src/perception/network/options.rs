@@ -1,4 +1,4 @@
-//! How a model is run: threads, and whose kernels.
+//! How a model is run: threads and execution provider.
 
 use ort::environment::Environment;
 use ort::ep::{self, ExecutionProvider};
@@ -8,15 +8,14 @@ use std::num::NonZeroUsize;
 
 use super::NetworkError;
 
-/// How a model is run.
+/// Threads and execution provider.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NetworkOptions {
     /// Threads of one inference, at least 1.
     pub threads: usize,
-    /// Whether threads spin while they wait for the next layer. Faster by some microseconds a layer. They stop when the run
-    /// ends, so that nothing is taken from the control loop between two pictures.
+    /// Whether threads spin while they wait for the next layer, which saves some microseconds per layer. They stop when the run
+    /// ends, so that they take no processor time from the control loop between two frames.
     pub spin: bool,
-    /// Whose kernels compute.
     pub provider: Provider,
 }
 
@@ -26,26 +25,25 @@ impl Default for NetworkOptions {
     }
 }
 
-/// Execution providers of ONNX Runtime. Which of them there are depends on the library that is loaded. What a provider cannot
-/// compute, ONNX Runtime computes on the CPU.
+/// Execution providers of ONNX Runtime. The loaded library determines which are available. Operators that a provider does not
+/// support run on the CPU.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Provider {
     /// ONNX Runtime's own kernels.
     #[default]
     Cpu,
-    /// XNNPACK, for ARM processors, with threads of its own.
+    /// XNNPACK, for ARM processors, with its own threads.
     Xnnpack,
-    /// An NVIDIA GPU.
     Cuda,
-    /// An NVIDIA GPU with an engine that is compiled for it when the model is loaded; CUDA computes the rest.
+    /// An NVIDIA GPU with an engine that is compiled when the model is loaded; unsupported operators run with CUDA.
     TensorRt,
 }
 
 impl Provider {
     const ALL: [Self; 4] = [Self::Cpu, Self::Xnnpack, Self::Cuda, Self::TensorRt];
 
-    /// As in the configuration.
+    /// Its name in the configuration.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -71,7 +69,7 @@ impl Provider {
         .unwrap_or(false)
     }
 
-    /// Puts the provider first in line; the CPU is always last.
+    /// Gives the provider priority over the CPU.
     fn register(self, threads: NonZeroUsize, builder: &mut SessionBuilder) -> ort::Result<()> {
         match self {
             Self::Cpu => Ok(()),
@@ -87,8 +85,8 @@ impl Provider {
     }
 }
 
-/// A session that is set up, but has no model yet. A provider that is not there is an error: a robot that silently falls back
-/// to its CPU misses its deadlines.
+/// A configured session without a model. An unavailable provider is an error, because a robot that silently falls back to its
+/// CPU misses its deadlines.
 pub(super) fn session_builder(
     onnx_runtime: &Environment,
     options: NetworkOptions,
@@ -118,14 +116,14 @@ fn plain_builder(
     threads: NonZeroUsize,
     options: NetworkOptions,
 ) -> ort::Result<SessionBuilder> {
-    // XNNPACK has threads of its own; a second set would only wait for it.
+    // XNNPACK has its own threads; a second set would only wait for them.
     let own_threads = if options.provider == Provider::Xnnpack { 1 } else { threads.get() };
     Ok(SessionBuilder::new(onnx_runtime)?
         .with_intra_threads(own_threads)?
-        // One layer after the other.
+        // Layers run one after the other.
         .with_parallel_execution(false)?
         .with_intra_op_spinning(options.spin)?
-        // By default they would go on after the run, for up to a millisecond.
+        // By default, threads continue to spin after the run, for up to a millisecond.
         .with_config_entry("session.force_spinning_stop", "1")?
         .with_optimization_level(GraphOptimizationLevel::All)?
         .with_deterministic_compute(true)?)

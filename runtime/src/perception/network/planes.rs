@@ -1,4 +1,4 @@
-//! From pictures to the network's planes, and from its output to depth.
+//! Converts images to the network's input planes, and its output to depth.
 
 use hal::DepthMap;
 use multiversion::multiversion;
@@ -7,30 +7,29 @@ use super::bound::Float;
 use super::spec::{ModelSpec, OutputKind};
 use crate::perception::DepthEstimate;
 
-/// Rounding that an output may leave its range by, relative to the range: with 32 bits, and with the 11 significant bits of
-/// a 16-bit float.
+/// Tolerance for rounding at the ends of an output's range, relative to the range, with 32 bits.
 const ROUNDING: f32 = 1e-4;
+/// The same with the 11 significant bits of a 16-bit float.
 const ROUNDING_HALF: f32 = 1e-3;
-/// Trust in a network that says nothing about its own uncertainty. The paper's robot maps every pixel alike.
-const UNSAID_CONFIDENCE: f32 = 1.0;
+/// Confidence of a network without an uncertainty output. The paper's robot maps every pixel alike.
+const DEFAULT_CONFIDENCE: f32 = 1.0;
 /// A depth within a factor of 1.25 of the truth counts as right, the field's delta1 (Eigen et al. 2014): its logarithm.
 const LN_DELTA1: f32 = 0.223_143_55;
 
-/// RGB bytes, pixel by pixel, into planes of red, green and blue between `low` and `high`.
+/// Converts interleaved RGB bytes to planes of red, green and blue in 0..1.
 #[multiversion(targets("x86_64+avx2"))]
-pub(super) fn write_rgb(rgb: &[u8], (low, high): (f32, f32), planes: &mut [f32]) {
-    let value = |byte| f32::from(byte) / 255.0 * (high - low) + low;
+pub(super) fn write_rgb(rgb: &[u8], planes: &mut [f32]) {
     let pixels = rgb.len() / 3;
     let (red, rest) = planes.split_at_mut(pixels);
     let (green, blue) = rest.split_at_mut(pixels);
     for (((pixel, red), green), blue) in rgb.chunks_exact(3).zip(red).zip(green).zip(blue) {
-        *red = value(pixel[0]);
-        *green = value(pixel[1]);
-        *blue = value(pixel[2]);
+        *red = f32::from(pixel[0]) / 255.0;
+        *green = f32::from(pixel[1]) / 255.0;
+        *blue = f32::from(pixel[2]) / 255.0;
     }
 }
 
-/// Coarse depth into planes of disparity (0..1 over the model's depth range), validity (0 or 1) and confidence.
+/// Converts coarse depth to planes of disparity (0..1 over the model's depth range), validity (0 or 1) and confidence.
 pub(super) fn write_coarse(
     coarse: Option<&DepthEstimate>,
     (min_m, max_m): (f32, f32),
@@ -40,7 +39,8 @@ pub(super) fn write_coarse(
         planes.fill(0.0);
         return;
     };
-    let (far, span) = (1.0 / max_m, 1.0 / min_m - 1.0 / max_m);
+    let far = 1.0 / max_m;
+    let span = 1.0 / min_m - 1.0 / max_m;
     let pixels = planes.len() / 3;
     let (disparity, rest) = planes.split_at_mut(pixels);
     let (validity, confidence) = rest.split_at_mut(pixels);
@@ -56,21 +56,21 @@ pub(super) fn write_coarse(
     }
 }
 
-/// The network's output into depth and confidence. `false` when it holds NaN or leaves the range that the model promises;
-/// the estimate is then worthless.
+/// Converts the network's output to depth and confidence. `false` if it contains NaN or values out of the model's range; the
+/// estimate is then invalid.
 pub(super) fn read_output(output: &[f32], spec: &ModelSpec, estimate: &mut DepthEstimate) -> bool {
     let Some((depth, uncertainty)) = output.split_at_checked(spec.size.0 * spec.size.1) else {
         return false;
     };
     let sound = read_depth(depth, spec, &mut estimate.depth);
     if !spec.uncertainty {
-        estimate.confidence.fill(UNSAID_CONFIDENCE);
+        estimate.confidence.fill(DEFAULT_CONFIDENCE);
         return sound;
     }
     sound && read_confidence(uncertainty, &mut estimate.confidence)
 }
 
-/// `false` when one of the numbers is not finite.
+/// `false` if a value is not finite.
 #[multiversion(targets("x86_64+avx2"))]
 fn read_confidence(uncertainty: &[f32], confidence: &mut [f32]) -> bool {
     let mut finite = true;
@@ -91,10 +91,11 @@ fn read_depth(output: &[f32], spec: &ModelSpec, depth: &mut DepthMap) -> bool {
     let rounding =
         high * if spec.output_port.float == Float::Half { ROUNDING_HALF } else { ROUNDING };
     let allowed = low - rounding..=high + rounding;
-    let (far, span) = (1.0 / max_m, 1.0 / min_m - 1.0 / max_m);
+    let far = 1.0 / max_m;
+    let span = 1.0 / min_m - 1.0 / max_m;
     let mut sound = true;
     for (depth, &value) in depth.values_mut().iter_mut().zip(output) {
-        // NaN and infinity are in no range.
+        // NaN and infinity are not in the range.
         sound &= allowed.contains(&value);
         let metres = match spec.output {
             OutputKind::Depth => value,
@@ -113,12 +114,12 @@ fn probability_of_delta1(ln_scale: f32) -> f32 {
     1.0 - exp(-LN_DELTA1 * exp(-ln_scale))
 }
 
-/// e^x to within 3e-7 of its value for x in -87 to 88, and the value at these ends beyond them; many at once, unlike the C
-/// library's. Cody and Waite 1980: 2^n times e^r with |r| <= ln 2 / 2, the latter by its Taylor series.
+/// e^x with a relative error below 3e-7 for x in -87 to 88; beyond, the value at that end. Unlike the C library's function,
+/// it can be vectorised. Cody and Waite 1980: 2^n times e^r with |r| <= ln 2 / 2, the latter by its Taylor series.
 #[inline(always)]
 fn exp(x: f32) -> f32 {
     let x = x.clamp(-87.0, 88.0);
-    // Adding and taking away 1.5 * 2^23 rounds to the nearest whole number.
+    // Adding and subtracting 1.5 * 2^23 rounds to the nearest integer.
     const ROUND: f32 = 12_582_912.0;
     let n = (x * std::f32::consts::LOG2_E + ROUND) - ROUND;
     // ln 2 in two parts, the first with few enough bits that n times it is exact.
@@ -145,14 +146,10 @@ mod tests {
     }
 
     #[test]
-    fn bytes_become_planes_of_red_green_blue_in_the_range_that_is_asked_for() {
+    fn bytes_become_planes_of_red_green_blue() {
         let mut planes = [9.0; 6];
-        write_rgb(&[0, 51, 102, 255, 204, 153], (0.0, 1.0), &mut planes);
+        write_rgb(&[0, 51, 102, 255, 204, 153], &mut planes);
         assert_eq!(planes, [0.0, 1.0, 0.2, 0.8, 0.4, 0.6]);
-        write_rgb(&[0, 51, 102, 255, 204, 153], (0.0, 255.0), &mut planes);
-        assert_eq!(planes, [0.0, 255.0, 51.0, 204.0, 102.0, 153.0]);
-        write_rgb(&[0; 6], (-1.0, 1.0), &mut planes);
-        assert_eq!(planes, [-1.0; 6]);
     }
 
     #[test]
@@ -168,13 +165,12 @@ mod tests {
         assert_eq!(planes, [0.0; 12]);
     }
 
+    fn port(name: &str, channels: usize) -> Port {
+        Port { name: name.to_owned(), float: Float::Single, shape: [1, channels, 1, 2] }
+    }
+
     #[test]
-    fn an_uncertainty_that_is_nan_makes_the_whole_output_worthless() {
-        let port = |name: &str, channels| Port {
-            name: name.to_owned(),
-            float: Float::Single,
-            shape: [1, channels, 1, 2],
-        };
+    fn an_uncertainty_that_is_nan_makes_the_whole_output_invalid() {
         let spec = ModelSpec {
             input: crate::perception::network::InputKind::Rgb,
             output: OutputKind::Depth,

@@ -1,4 +1,4 @@
-//! What a model takes and gives, read from its inputs, outputs and metadata, and checked before anything runs.
+//! A model's inputs and output, read from its tensors and metadata and checked before it runs.
 
 use super::NetworkError;
 use super::bound::{Port, TensorInfo};
@@ -6,30 +6,30 @@ use super::volume::REDUCTION;
 
 /// Depth range of a model that does not name one, metres: the sensor range of Embodied Depth Prediction (Liu et al.).
 pub const DEFAULT_DEPTH_RANGE_M: (f32, f32) = (0.1, 20.0);
-/// No indoor or street scene is deeper; a larger number in a model is a mistake of units.
+/// No indoor or street scene is deeper; a larger number in a model has the wrong unit.
 const LARGEST_DEPTH_M: f32 = 1000.0;
-/// Planes of a cost volume that does not say where they are, metres.
+/// Depth range of a cost volume whose model does not name one, metres.
 const VOLUME_RANGE_M: (f32, f32) = (0.3, 20.0);
-/// ManyDepth has 96; more than this is a mistake of the layout.
+/// ManyDepth has 96; with more planes than this, the tensor's layout is wrong.
 const MAX_PLANES: usize = 256;
 
-const INPUTS: &str = "one picture [1, 3, height, width], alone or with a second input: coarse disparity, validity and \
-    confidence [1, 3, height, width] (or joined with the picture in [1, 6, height, width]), or a cost volume \
+const INPUTS: &str = "one image [1, 3, height, width], alone or with a second input: coarse disparity, validity and \
+    confidence [1, 3, height, width] (or joined with the image in [1, 6, height, width]), or a cost volume \
     [1, planes, height / 4, width / 4]";
 const ONE_OUTPUT: &str = "one output, [1, 1, height, width], or [1, 2, height, width] with log-uncertainty; export only the finest scale";
 
-/// What enters the model. Planes lie in rows, channel after channel.
+/// The inputs of a model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum InputKind {
     /// Red, green, blue in 0..1: `[1, 3, height, width]`.
     Rgb,
-    /// As `Rgb`, and a second input with coarse disparity, validity and confidence in 0..1: `[1, 3, height, width]`.
+    /// Like `Rgb`, with a second input of coarse disparity, validity and confidence in 0..1: `[1, 3, height, width]`.
     RgbAndCoarse,
     /// Both in one input: `[1, 6, height, width]`.
     RgbCoarseJoined,
-    /// As `Rgb`, and a second input with the cost volume `[1, planes, height / 4, width / 4]`.
+    /// Like `Rgb`, with the cost volume as a second input: `[1, planes, height / 4, width / 4]`.
     RgbAndVolume {
-        /// Planes of inverse depth, evenly spaced.
+        /// Number of planes, evenly spaced in inverse depth.
         planes: usize,
         /// Depth of the nearest and of the farthest plane, metres (metadata `volume_min_depth_m`, `volume_max_depth_m`).
         range_m: (f32, f32),
@@ -43,7 +43,7 @@ impl InputKind {
         matches!(self, Self::RgbAndCoarse | Self::RgbCoarseJoined)
     }
 
-    /// As the metadata says it.
+    /// Its name in the metadata.
     fn name(self) -> &'static str {
         match self {
             Self::Rgb => "rgb",
@@ -53,47 +53,46 @@ impl InputKind {
     }
 }
 
-/// What the first channel of the output means.
+/// The meaning of the first channel of the output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OutputKind {
     /// z-depth in metres.
     Depth,
-    /// x in 0..1 with disparity = 1/max + (1/min - 1/max) x and depth = 1/disparity (Godard et al. 2019, Monodepth2, section 3).
+    /// x in 0..1 with disparity = 1/max + (1/min - 1/max) x and depth = 1/disparity (Godard et al. 2019, Monodepth2, section
+    /// 3).
     Disparity,
 }
 
-/// Everything that must be known about a model to run it.
+/// Inputs, output and metadata of a model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelSpec {
-    /// What goes in.
     pub input: InputKind,
-    /// What comes out.
     pub output: OutputKind,
     /// Whether a second output channel holds ln b, where b is the Laplace scale of the error of ln depth.
     pub uncertainty: bool,
-    /// Smallest and largest depth that the model can say, metres.
+    /// Smallest and largest depth of the output, metres.
     pub depth_range_m: (f32, f32),
-    /// Columns and rows of the picture.
+    /// Columns and rows of the image.
     pub size: (usize, usize),
-    /// What the model calls itself (metadata `version`).
+    /// Name and version of the model (metadata `version`).
     pub version: Option<String>,
-    /// The picture, then what else goes in.
+    /// The image first, then the second input.
     pub(super) input_ports: Vec<Port>,
     pub(super) output_port: Port,
 }
 
 impl ModelSpec {
-    /// Reads and checks what a model says about itself against the camera's picture size (columns, rows).
+    /// Reads a model's description and checks it against the camera's image size (columns, rows).
     pub(super) fn read(
         inputs: &[TensorInfo],
         outputs: &[TensorInfo],
         metadata: impl Fn(&str) -> Option<String>,
         camera: (usize, usize),
     ) -> Result<Self, NetworkError> {
-        let (picture, second) = picture_and_second(inputs)?;
-        let joined = second.is_none() && picture.size(1, 3) == 6;
+        let (image, second) = image_and_second(inputs)?;
+        let joined = second.is_none() && image.size(1, 3) == 6;
         let mut input_ports =
-            vec![check_tensor("input", picture, &[if joined { 6 } else { 3 }], camera)?];
+            vec![check_tensor("input", image, &[if joined { 6 } else { 3 }], camera)?];
         let input = match second {
             None if joined => InputKind::RgbCoarseJoined,
             None => InputKind::Rgb,
@@ -135,20 +134,22 @@ impl ModelSpec {
     }
 }
 
-/// What accompanies the picture is the input whose name says so, else the second.
-fn picture_and_second(
+/// The image and the second input: the input with `coarse` or `volume` in its name, else the second one.
+fn image_and_second(
     inputs: &[TensorInfo],
 ) -> Result<(&TensorInfo, Option<&TensorInfo>), NetworkError> {
-    let is_second = |tensor: &TensorInfo| {
-        let name = tensor.name.to_ascii_lowercase();
-        name.contains("coarse") || name.contains("volume")
-    };
     match inputs {
-        [picture] => Ok((picture, None)),
-        [second, picture] if is_second(second) => Ok((picture, Some(second))),
-        [picture, second] => Ok((picture, Some(second))),
+        [image] => Ok((image, None)),
+        [second, image] if is_second(second) => Ok((image, Some(second))),
+        [image, second] => Ok((image, Some(second))),
         _ => Err(NetworkError::Inputs { found: list(inputs), needed: INPUTS }),
     }
+}
+
+/// Whether a tensor's name marks it as the second input.
+fn is_second(tensor: &TensorInfo) -> bool {
+    let name = tensor.name.to_ascii_lowercase();
+    name.contains("coarse") || name.contains("volume")
 }
 
 fn is_volume(second: &TensorInfo, metadata: &impl Fn(&str) -> Option<String>) -> bool {
@@ -156,13 +157,13 @@ fn is_volume(second: &TensorInfo, metadata: &impl Fn(&str) -> Option<String>) ->
         || second.name.to_ascii_lowercase().contains("volume")
 }
 
-pub(super) fn list(tensors: &[TensorInfo]) -> String {
+fn list(tensors: &[TensorInfo]) -> String {
     let texts: Vec<_> = tensors.iter().map(TensorInfo::text).collect();
     format!("{} tensors: {}", tensors.len(), texts.join(", "))
 }
 
-/// Four dimensions of floats: one picture, one of `channels`, the camera's size.
-pub(super) fn check_tensor(
+/// Checks for a float tensor `[1, one of channels, height, width]`.
+fn check_tensor(
     role: &'static str,
     tensor: &TensorInfo,
     channels: &[i64],
@@ -190,12 +191,13 @@ pub(super) fn check_tensor(
     })
 }
 
-/// A fixed number of planes, a quarter of the camera's size.
+/// Checks for a float tensor `[1, planes, height / 4, width / 4]` with a fixed number of planes.
 fn check_volume(
     tensor: &TensorInfo,
     (width, height): (usize, usize),
 ) -> Result<Port, NetworkError> {
-    let (rows, columns) = (height / REDUCTION, width / REDUCTION);
+    let rows = height / REDUCTION;
+    let columns = width / REDUCTION;
     let planes = tensor.size(1, 0) as usize;
     let whole = width % REDUCTION == 0 && height % REDUCTION == 0 && rows > 1 && columns > 1;
     let size = (tensor.size(2, rows as i64) as usize, tensor.size(3, columns as i64) as usize);
@@ -236,14 +238,14 @@ fn check_kind(
     }
 }
 
-pub(super) fn check_stated_size(
+fn check_stated_size(
     metadata: &impl Fn(&str) -> Option<String>,
     camera: (usize, usize),
 ) -> Result<(), NetworkError> {
-    let stated = |key, default| {
-        number::<usize>(metadata, key, "a whole number of pixels").map(|n| n.unwrap_or(default))
-    };
-    let size = (stated("input_width", camera.0)?, stated("input_height", camera.1)?);
+    let pixels = "a whole number of pixels";
+    let width = number::<usize>(metadata, "input_width", pixels)?.unwrap_or(camera.0);
+    let height = number::<usize>(metadata, "input_height", pixels)?.unwrap_or(camera.1);
+    let size = (width, height);
     if size == camera { Ok(()) } else { Err(size_error(size, camera)) }
 }
 
@@ -251,14 +253,13 @@ fn output_kind(
     metadata: &impl Fn(&str) -> Option<String>,
     name: &str,
 ) -> Result<OutputKind, NetworkError> {
-    let allowed = || "`depth`, `disparity`".to_owned();
     match metadata("output").as_deref() {
         Some("depth") => Ok(OutputKind::Depth),
         Some("disparity") => Ok(OutputKind::Disparity),
         Some(value) => Err(NetworkError::Metadata {
             key: "output",
             value: value.to_owned(),
-            allowed: allowed(),
+            allowed: "`depth`, `disparity`".to_owned(),
         }),
         None if name.contains("depth") => Ok(OutputKind::Depth),
         None if name.contains("disp") => Ok(OutputKind::Disparity),
@@ -318,10 +319,12 @@ mod tests {
         output: TensorInfo,
         metadata: &[(&str, &str)],
     ) -> Result<ModelSpec, NetworkError> {
-        let lookup = |key: &str| {
-            metadata.iter().find(|(k, _)| *k == key).map(|(_, value)| (*value).to_owned())
-        };
-        ModelSpec::read(inputs, &[output], lookup, CAMERA)
+        ModelSpec::read(
+            inputs,
+            &[output],
+            |key| metadata.iter().find(|(k, _)| *k == key).map(|(_, value)| (*value).to_owned()),
+            CAMERA,
+        )
     }
 
     #[test]
@@ -340,13 +343,15 @@ mod tests {
     }
 
     #[test]
-    fn the_coarse_input_is_known_by_its_name_and_else_comes_second() {
-        let names = |a, b| {
-            let spec = read(&[tensor(a, 3), tensor(b, 3)], tensor("depth", 1), &[]).unwrap();
-            spec.input_ports.into_iter().map(|port| port.name).collect::<Vec<_>>()
-        };
-        assert_eq!(names("Coarse", "image"), ["image", "Coarse"]);
-        assert_eq!(names("a", "b"), ["a", "b"]);
+    fn the_coarse_input_is_recognised_by_its_name_and_else_comes_second() {
+        for (names, expected) in
+            [(["Coarse", "image"], ["image", "Coarse"]), (["a", "b"], ["a", "b"])]
+        {
+            let inputs = names.map(|name| tensor(name, 3));
+            let spec = read(&inputs, tensor("depth", 1), &[]).unwrap();
+            let ports: Vec<_> = spec.input_ports.into_iter().map(|port| port.name).collect();
+            assert_eq!(ports, expected);
+        }
     }
 
     #[test]
@@ -368,22 +373,23 @@ mod tests {
     }
 
     #[test]
-    fn a_volume_is_known_by_its_name_or_by_the_kind() {
-        let depth = || tensor("depth", 1);
+    fn a_volume_is_recognised_by_its_name_or_by_the_kind() {
+        let depth = tensor("depth", 1);
         let range_m = (0.3, 20.0);
-        let spec = read(&[tensor("rgb", 3), volume("cost_volume", 32)], depth(), &[]).unwrap();
+        let spec =
+            read(&[tensor("rgb", 3), volume("cost_volume", 32)], depth.clone(), &[]).unwrap();
         assert_eq!(spec.input, InputKind::RgbAndVolume { planes: 32, range_m });
         assert_eq!(spec.input_ports[1].shape, [1, 32, 48, 160]);
         let kind = ("kind", "rgb+volume");
         let spec = read(
             &[tensor("rgb", 3), volume("x", 64)],
-            depth(),
+            depth.clone(),
             &[kind, ("volume_max_depth_m", "10")],
         )
         .unwrap();
         assert_eq!(spec.input, InputKind::RgbAndVolume { planes: 64, range_m: (0.3, 10.0) });
         let error =
-            read(&[tensor("rgb", 3), volume("volume", 32)], depth(), &[("kind", "rgb+coarse")])
+            read(&[tensor("rgb", 3), volume("volume", 32)], depth, &[("kind", "rgb+coarse")])
                 .unwrap_err();
         assert!(matches!(error, NetworkError::Metadata { key: "kind", .. }), "{error}");
     }
@@ -406,25 +412,24 @@ mod tests {
     }
 
     #[test]
-    fn depth_ranges_that_cannot_be_are_refused_with_the_key() {
-        let key = |metadata: &[(&str, &str)]| match read(
-            &[tensor("rgb", 3)],
-            tensor("depth", 1),
-            metadata,
-        ) {
-            Err(NetworkError::Metadata { key, .. }) => key,
-            other => panic!("{other:?}"),
-        };
-        assert_eq!(key(&[("min_depth_m", "0")]), "min_depth_m");
-        assert_eq!(key(&[("min_depth_m", "NaN")]), "min_depth_m");
-        assert_eq!(key(&[("min_depth_m", "near")]), "min_depth_m");
-        assert_eq!(key(&[("max_depth_m", "0.05")]), "max_depth_m");
-        assert_eq!(key(&[("max_depth_m", "NaN")]), "max_depth_m");
-        assert_eq!(key(&[("max_depth_m", "20000")]), "max_depth_m");
+    fn impossible_depth_ranges_are_refused_with_the_key() {
+        for (name, value) in [
+            ("min_depth_m", "0"),
+            ("min_depth_m", "NaN"),
+            ("min_depth_m", "near"),
+            ("max_depth_m", "0.05"),
+            ("max_depth_m", "NaN"),
+            ("max_depth_m", "20000"),
+        ] {
+            match read(&[tensor("rgb", 3)], tensor("depth", 1), &[(name, value)]) {
+                Err(NetworkError::Metadata { key, .. }) => assert_eq!(key, name),
+                other => panic!("{name} = {value}: {other:?}"),
+            }
+        }
     }
 
     #[test]
-    fn a_model_for_another_size_is_told_both_sizes() {
+    fn a_model_for_another_size_is_refused_with_both_sizes() {
         let mut small = tensor("rgb", 3);
         small.shape = vec![1, 3, 96, 320];
         let text = read(&[small], tensor("depth", 1), &[]).unwrap_err().to_string();
@@ -435,13 +440,11 @@ mod tests {
     }
 
     #[test]
-    fn open_sizes_take_the_cameras() {
-        let open = |name, channels| TensorInfo {
-            shape: vec![-1, channels, -1, -1],
-            ..tensor(name, channels)
-        };
-        assert!(read(&[open("rgb", 3)], open("depth", -1), &[]).is_ok());
-        let two_pictures = TensorInfo { shape: vec![2, 3, 192, 640], ..tensor("rgb", 3) };
-        assert!(read(&[two_pictures], tensor("depth", 1), &[]).is_err());
+    fn dynamic_sizes_take_the_cameras() {
+        let rgb = TensorInfo { shape: vec![-1, 3, -1, -1], ..tensor("rgb", 3) };
+        let depth = TensorInfo { shape: vec![-1, -1, -1, -1], ..tensor("depth", -1) };
+        assert!(read(&[rgb], depth, &[]).is_ok());
+        let two_images = TensorInfo { shape: vec![2, 3, 192, 640], ..tensor("rgb", 3) };
+        assert!(read(&[two_images], tensor("depth", 1), &[]).is_err());
     }
 }

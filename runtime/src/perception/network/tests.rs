@@ -1,4 +1,4 @@
-//! Against the real ONNX Runtime, with the models of `tests/fixtures/make_models.py`.
+//! Tests with the real ONNX Runtime and the models of `tests/fixtures/make_models.py`.
 
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -77,16 +77,11 @@ fn every_pixel_has_the_depth_that_the_disparity_formula_gives_its_own_colour() {
 fn black_is_the_far_end_and_white_the_near_end_of_the_models_own_range() {
     let mut network = load("mean_1_to_5_m").unwrap();
     assert_eq!(network.spec().version.as_deref(), Some("fixture-7"));
-    let mut depth = |colour| {
-        network
-            .estimate(view(&plain(colour)), &Pose3::identity(), None)
-            .unwrap()
-            .depth
-            .get(3, 2)
-            .unwrap()
-    };
-    assert_close(depth([0; 3]), 5.0);
-    assert_close(depth([255; 3]), 1.0);
+    for (colour, depth_m) in [([0; 3], 5.0), ([255; 3], 1.0)] {
+        let frame = plain(colour);
+        let estimate = network.estimate(view(&frame), &Pose3::identity(), None).unwrap();
+        assert_close(estimate.depth.get(3, 2).unwrap(), depth_m);
+    }
 }
 
 #[test]
@@ -101,7 +96,7 @@ fn red_green_and_blue_arrive_in_this_order() {
 }
 
 #[test]
-fn a_model_that_says_depth_is_taken_at_its_word_within_its_range() {
+fn a_depth_output_is_used_unchanged_within_the_models_range() {
     let mut network = load("metres").unwrap();
     let estimate = network.estimate(view(&plain([9, 51, 7])), &Pose3::identity(), None).unwrap();
     assert_close(estimate.depth.get(7, 3).unwrap(), 2.2);
@@ -113,7 +108,7 @@ fn a_model_that_says_depth_is_taken_at_its_word_within_its_range() {
 }
 
 #[test]
-fn open_sizes_in_the_model_are_filled_in_by_the_camera() {
+fn dynamic_sizes_in_the_model_take_the_cameras() {
     let mut network = load("any_size").unwrap();
     assert_eq!(network.spec().size, SIZE);
     assert!(network.estimate(view(&plain([10; 3])), &Pose3::identity(), None).is_ok());
@@ -128,7 +123,7 @@ fn coarse_with_a_hole() -> DepthEstimate {
 }
 
 #[test]
-fn coarse_depth_goes_through_a_model_that_hands_it_on() {
+fn coarse_depth_passes_through_a_model_that_copies_it() {
     let coarse = coarse_with_a_hole();
     for name in ["coarse_second_input", "coarse_six_channels"] {
         let mut network = load(name).unwrap();
@@ -138,20 +133,21 @@ fn coarse_depth_goes_through_a_model_that_hands_it_on() {
         for (pixel, &depth) in coarse.depth.values().iter().enumerate() {
             assert_close(estimate.depth.values()[pixel], if depth > 0.0 { depth } else { 20.0 });
         }
-        // Laplace scale 0.1 where coarse depth is, 1 where it is not.
-        let share = |scale: f32| 1.0 - (-(1.25_f32.ln()) / scale).exp();
-        assert_close(estimate.confidence[4], share(0.1));
-        assert_close(estimate.confidence[5], share(1.0));
+        // Laplace scale 0.1 where coarse depth is known, 1 elsewhere.
+        for (pixel, scale) in [(4, 0.1_f32), (5, 1.0)] {
+            let within_delta1 = 1.0 - (-(1.25_f32.ln()) / scale).exp();
+            assert_close(estimate.confidence[pixel], within_delta1);
+        }
     }
 }
 
 #[test]
-fn coarse_depth_changes_nothing_for_a_model_that_takes_none() {
+fn coarse_depth_changes_nothing_for_a_model_without_that_input() {
     let mut network = load("mean").unwrap();
     assert_eq!(
         network.last(),
         &DepthEstimate::none(SIZE.0, SIZE.1),
-        "nothing is left of the try at loading"
+        "nothing is left of the run at loading"
     );
     let frame = plain([128, 64, 32]);
     let without = network.estimate(view(&frame), &Pose3::identity(), None).unwrap().clone();
@@ -163,7 +159,7 @@ fn coarse_depth_changes_nothing_for_a_model_that_takes_none() {
 }
 
 #[test]
-fn the_confidence_of_coarse_depth_arrives_and_none_means_zero() {
+fn the_confidence_of_coarse_depth_is_passed_on_and_no_coarse_depth_means_zero() {
     let mut network = load("coarse_confidence").unwrap();
     let frame = plain([128; 3]);
     let coarse = coarse_with_a_hole();
@@ -191,14 +187,14 @@ fn nan_and_values_out_of_range_give_no_depth_and_are_counted() {
         assert_eq!(network.refused(), 1);
         assert!(
             network.estimate(view(&plain([100, 0, 0])), &Pose3::identity(), None).is_ok(),
-            "{name}: the next picture is a new one"
+            "{name}: a refused frame does not affect the next"
         );
         assert_eq!(network.refused(), 1);
     }
 }
 
 #[test]
-fn a_picture_or_coarse_depth_of_another_size_is_refused() {
+fn an_image_or_coarse_depth_of_another_size_is_refused() {
     let mut network = load("coarse_six_channels").unwrap();
     let grey = vec![0; PIXELS];
     let wrong = [
@@ -216,12 +212,12 @@ fn a_picture_or_coarse_depth_of_another_size_is_refused() {
     assert_eq!(network.refused(), 3);
 }
 
+fn refuse(bytes: &[u8]) -> NetworkError {
+    DepthNetwork::load(&ONNX_RUNTIME, bytes, &camera(SIZE), NetworkOptions::default()).unwrap_err()
+}
+
 #[test]
 fn bytes_that_are_no_model_are_refused_by_name() {
-    let refuse = |bytes: &[u8]| {
-        DepthNetwork::load(&ONNX_RUNTIME, bytes, &camera(SIZE), NetworkOptions::default())
-            .unwrap_err()
-    };
     for (bytes, word) in [
         (&b""[..], "empty"),
         (b"PK\x03\x04rest", "PyTorch"),
@@ -235,7 +231,7 @@ fn bytes_that_are_no_model_are_refused_by_name() {
 }
 
 #[test]
-fn a_model_that_is_cut_anywhere_is_refused_or_harmless() {
+fn a_model_that_is_truncated_anywhere_is_refused_or_works() {
     let whole = model("weighted");
     for length in 0..whole.len() {
         let cut = DepthNetwork::load(
@@ -251,9 +247,9 @@ fn a_model_that_is_cut_anywhere_is_refused_or_harmless() {
 }
 
 #[test]
-fn unfit_models_are_refused_with_what_was_found_and_what_is_needed() {
+fn unsuitable_models_are_refused_with_what_was_found_and_what_is_needed() {
     let cases: [(&str, &[&str]); 10] = [
-        ("nan_always", &["grey picture", "NaN"]),
+        ("nan_always", &["grey image", "NaN"]),
         ("byte_input", &["`rgb` Tensor<u8>(1, 3, 4, 8)", "Tensor<f32>(1, 3, 4, 8)"]),
         ("three_inputs", &["3 tensors", "`c`", "[1, 6, height, width]"]),
         ("two_outputs", &["2 tensors", "`again`", "one output"]),
@@ -285,28 +281,33 @@ fn a_model_for_another_camera_is_refused_with_both_sizes() {
     assert!(text.contains("8x4") && text.contains("640x192"), "{text}");
 }
 
+/// The depth of `runs` runs of the model `deep` on this number of threads.
+fn estimates(
+    frame: ImageView<'_>,
+    camera: &CameraModel,
+    threads: usize,
+    runs: usize,
+) -> Vec<DepthEstimate> {
+    let options = NetworkOptions { threads, ..NetworkOptions::default() };
+    let mut network = DepthNetwork::load(&ONNX_RUNTIME, &model("deep"), camera, options).unwrap();
+    (0..runs).map(|_| network.estimate(frame, &Pose3::identity(), None).unwrap().clone()).collect()
+}
+
 #[test]
 fn depth_is_the_same_bit_for_bit_on_every_run_and_any_number_of_threads() {
-    let (width, height) = (160, 96);
+    let width = 160;
+    let height = 96;
     let bytes: Vec<u8> = (0..3 * width * height).map(|i| (i * 7919 / 13 % 256) as u8).collect();
     let frame = ImageView::rgb8(width, height, &bytes).unwrap();
-    let depth = |threads, runs| {
-        let options = NetworkOptions { threads, ..NetworkOptions::default() };
-        let mut network =
-            DepthNetwork::load(&ONNX_RUNTIME, &model("deep"), &camera((width, height)), options)
-                .unwrap();
-        (0..runs)
-            .map(|_| network.estimate(frame, &Pose3::identity(), None).unwrap().clone())
-            .collect::<Vec<_>>()
-    };
-    let reference = depth(1, 1).remove(0);
+    let camera = camera((width, height));
+    let reference = estimates(frame, &camera, 1, 1).remove(0);
     assert!(
         reference.depth.values().windows(2).any(|pair| pair[0] != pair[1]),
-        "a constant would prove nothing"
+        "a constant depth would not test anything"
     );
     for threads in [1, 2, 3, 7] {
         assert!(
-            depth(threads, 3).iter().all(|estimate| *estimate == reference),
+            estimates(frame, &camera, threads, 3).iter().all(|estimate| *estimate == reference),
             "{threads} threads"
         );
     }
@@ -327,12 +328,11 @@ fn a_network_can_move_to_the_thread_that_runs_it() {
 
 #[test]
 fn sixteen_bit_inputs_and_outputs_give_the_same_depth_up_to_their_rounding() {
-    let (mut single, mut half) = (load("weighted").unwrap(), load("half").unwrap());
+    let mut single = load("weighted").unwrap();
+    let mut half = load("half").unwrap();
     let bytes: Vec<u8> = (0..3 * PIXELS).map(|i| (i * 37 % 256) as u8).collect();
-    let depth = |network: &mut DepthNetwork| {
-        network.estimate(view(&bytes), &Pose3::identity(), None).unwrap().clone()
-    };
-    let (single, half) = (depth(&mut single), depth(&mut half));
+    let [single, half] = [&mut single, &mut half]
+        .map(|network| network.estimate(view(&bytes), &Pose3::identity(), None).unwrap().clone());
     for (single, half) in single.depth.values().iter().zip(half.depth.values()) {
         // 11 significant bits of x become this of a depth at most.
         assert!((single / half - 1.0).abs() < 2e-3, "{single} {half}");
@@ -354,7 +354,7 @@ fn coarse_depth_goes_through_a_sixteen_bit_input() {
 }
 
 #[test]
-fn the_cost_volume_arrives_and_tells_a_moved_picture_from_a_still_one() {
+fn the_cost_volume_differs_between_a_moved_and_a_still_image() {
     let size = (32, 16);
     let mut network = DepthNetwork::load(
         &ONNX_RUNTIME,
@@ -368,14 +368,14 @@ fn the_cost_volume_arrives_and_tells_a_moved_picture_from_a_still_one() {
         .map(|i| if i / 3 % size.0 / 8 % 2 == 0 { 10 } else { 250 })
         .collect();
     let frame = ImageView::rgb8(size.0, size.1, &striped).unwrap();
-    let mut nearest = |x_m: f64| {
+    let [first_m, second_m] = [0.0, 0.15].map(|x_m| {
         let estimate = network.estimate(frame, &Pose3::translation(x_m, 0.0, 0.0), None).unwrap();
         estimate.depth.values().iter().copied().fold(f32::INFINITY, f32::min)
-    };
-    // No earlier picture: no cost, the far end of the network's range.
-    assert_close(nearest(0.0), 20.0);
-    // The same picture from elsewhere cannot be 0.5 m away.
-    assert!(nearest(0.15) < 1.0);
+    });
+    // Without an earlier frame there is no cost: the far end of the network's range.
+    assert_close(first_m, 20.0);
+    // The same image from another position has a high cost at 0.5 m.
+    assert!(second_m < 1.0);
 }
 
 #[test]
@@ -396,7 +396,7 @@ fn a_pose_that_is_not_finite_is_refused_where_it_is_needed() {
 }
 
 #[test]
-fn a_provider_that_the_library_lacks_is_an_error_that_names_what_there_is() {
+fn an_unavailable_provider_is_an_error_that_names_the_available_ones() {
     let refused = [Provider::Xnnpack, Provider::Cuda, Provider::TensorRt].into_iter().filter_map(
         |provider| {
             let options = NetworkOptions { provider, ..NetworkOptions::default() };
@@ -405,63 +405,8 @@ fn a_provider_that_the_library_lacks_is_an_error_that_names_what_there_is() {
         },
     );
     for (provider, text) in refused {
-        // A library with GPU support on a computer without a GPU gets one step further.
-        let said = text.contains("it has: cpu") || text.contains("does not start");
-        assert!(said && text.contains(provider.name()), "{text}");
+        // A library with GPU support on a computer without a GPU fails one step later.
+        let explained = text.contains("it has: cpu") || text.contains("does not start");
+        assert!(explained && text.contains(provider.name()), "{text}");
     }
-}
-
-fn load_flow(name: &str) -> Result<FlowNetwork, NetworkError> {
-    FlowNetwork::load(&ONNX_RUNTIME, &model(name), SIZE, NetworkOptions::default())
-}
-
-/// The flow everywhere, from a plain picture to another.
-fn flow(name: &str, from: [u8; 3], to: [u8; 3]) -> [f32; 2] {
-    let mut network = load_flow(name).unwrap();
-    let field = network.estimate(view(&plain(from)), view(&plain(to))).unwrap();
-    let first = field.values()[0];
-    assert!(field.values().iter().all(|flow| flow.map(f32::to_bits) == first.map(f32::to_bits)));
-    first
-}
-
-#[test]
-fn flow_comes_in_pixels_and_each_picture_goes_to_its_own_input() {
-    assert_eq!(load_flow("flow").unwrap().spec().version.as_deref(), Some("constant"));
-    assert_eq!(flow("flow", [0; 3], [0; 3]), [2.5, -1.25]);
-    // x is red of the first, y ten times green of the second.
-    assert_eq!(flow("flow", [255, 0, 0], [0, 51, 0]), [3.5, 0.75]);
-}
-
-#[test]
-fn the_metadata_says_how_bright_white_is_and_where_flow_starts() {
-    let [x, y] = flow("flow_bytes", [5, 0, 0], [0; 3]);
-    assert_eq!([x, y], [5.0, 0.0]);
-    // The model's second input is the picture to start from: it sees red 0 (-1) in `to`, green 140 (0.098) in `from`.
-    let [x, y] = flow("flow_signed_backwards", [0, 140, 0], [0; 3]);
-    assert_close(x, -1.0);
-    assert_close(y, 10.0 * (2.0 * 140.0 / 255.0 - 1.0));
-}
-
-#[test]
-fn a_match_farther_away_than_the_picture_is_large_is_none() {
-    assert_eq!(flow("flow_far", [51, 0, 0], [0; 3]), [7.7, 0.0]);
-    assert!(flow("flow_far", [255, 0, 0], [0; 3]).iter().all(|flow| flow.is_nan()));
-}
-
-#[test]
-fn flow_models_that_do_not_fit_are_refused_with_what_is_needed() {
-    for (name, words) in [
-        ("flow_range_unknown", ["input_range = `0..2`", "`-1..1`"]),
-        ("flow_from_nowhere", ["from = `left`", "`image1`, `image2`"]),
-        ("flow_nan", ["NaN", "grey picture"]),
-        ("mean", ["1 tensors", "two pictures"]),
-        ("coarse_second_input", ["kind = `rgb+coarse`", "`flow`"]),
-    ] {
-        let text = load_flow(name).expect_err(name).to_string();
-        assert!(words.iter().all(|word| text.contains(word)), "{name}: {text}");
-    }
-    let mut network = load_flow("flow").unwrap();
-    let small = vec![0; 3 * 4 * 4];
-    let small = ImageView::rgb8(4, 4, &small).unwrap();
-    assert_eq!(network.estimate(view(&plain([0; 3])), small), Err(NoDepth::FrameSize));
 }

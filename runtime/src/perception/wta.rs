@@ -1,32 +1,32 @@
-//! From aggregated costs to one inverse depth a pixel, and how clearly it won.
+//! Winner takes all: selects one inverse depth per cell from the aggregated costs, and measures how clearly it won.
 
 use multiversion::multiversion;
 
 use super::sweep::{PLANES, WORST_COST};
 
-/// Hypotheses this near to the winner are not its rivals.
+/// Hypotheses at most this far from the winner do not count as rivals.
 const GUARD: usize = 2;
 
-/// What one picture says about one cell.
+/// The winner-take-all result of one frame for one cell.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Vote {
     /// Inverse z-depth of the best hypothesis, 1/m.
     pub inverse_depth: f32,
     /// (rival - best) / rival after aggregation, 0 to 1: 0 when another hypothesis is as good.
     pub margin: f32,
-    /// Share of differing bits of the mean hypothesis, 0 to 1: 0 where the cell has no texture and only follows its
+    /// Share of differing bits, mean over the hypotheses, 0 to 1: 0 where the cell has no texture and only follows its
     /// neighbours.
     pub texture: f32,
-    /// Share of the brightness pattern in the references that this picture does not explain, 0 to 1: near 1 where the match is
-    /// no match, or the thing has moved.
+    /// Share of the brightness pattern in the references that this frame does not explain, 0 to 1: near 1 where the match is
+    /// wrong or the object has moved.
     pub misfit: f32,
-    /// Largest parallax among the references, full-size pixels; 0: there was nothing to compare with.
+    /// Largest parallax among the references, full-size pixels; 0 where no reference sees the cell.
     pub parallax_px: f32,
 }
 
-/// The votes of some cells.
+/// Fills the votes of a row of cells.
 #[multiversion(targets("x86_64+avx2"))]
-pub fn winners(
+pub fn winner_takes_all(
     sums: &[[i16; PLANES]],
     costs: &[[u8; PLANES]],
     inverse_depth: &[f32; PLANES],
@@ -38,7 +38,7 @@ pub fn winners(
 }
 
 /// Takes the smallest of `sums`, refines it by two lines of opposite slope through it and its neighbours (costs that count
-/// bits have a V at the right place, not a parabola; Shimizu and Okutomi 2005) and looks for a rival. `costs` are those of
+/// bits have a V-shaped minimum, not a parabola; Shimizu and Okutomi 2005) and finds its rival. `costs` are those of
 /// the cell alone. Misfit and parallax are left at 0.
 #[inline(always)]
 fn winner(sums: &[i16; PLANES], costs: &[u8; PLANES], inverse_depth: &[f32; PLANES]) -> Vote {
@@ -50,8 +50,8 @@ fn winner(sums: &[i16; PLANES], costs: &[u8; PLANES], inverse_depth: &[f32; PLAN
     let margin = f32::from(rival - least) / f32::from(rival.max(1));
     let mut refined = inverse_depth[plane];
     if plane > 0 && plane + 1 < PLANES {
-        let (before, after) =
-            (f32::from(sums[plane - 1] - least), f32::from(sums[plane + 1] - least));
+        let before = f32::from(sums[plane - 1] - least);
+        let after = f32::from(sums[plane + 1] - least);
         if before.max(after) > 0.0 {
             let fraction = 0.5 * (before - after) / before.max(after);
             let neighbour =
@@ -103,7 +103,8 @@ mod tests {
     #[test]
     fn two_equal_minima_have_no_margin() {
         let mut sums = [500_i16; PLANES];
-        (sums[10], sums[40]) = (100, 100);
+        sums[10] = 100;
+        sums[40] = 100;
         assert_eq!(winner(&sums, &COSTS, &hypotheses(0.3, 20.0)).margin, 0.0);
     }
 
@@ -119,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cell_without_texture_says_so_whatever_its_neighbours_say() {
+    fn a_cell_without_texture_reports_none_whatever_its_neighbours_are() {
         let mut sums = [500_i16; PLANES];
         sums[30] = 100;
         let mut costs = COSTS;

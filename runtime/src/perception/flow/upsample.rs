@@ -1,4 +1,4 @@
-//! From the flow of the finest scale to that of the full picture.
+//! Upsamples the flow of the finest scale to the full image.
 
 use multiversion::multiversion;
 use rayon::prelude::*;
@@ -6,12 +6,12 @@ use rayon::prelude::*;
 use super::field::FlowField;
 use super::plane::lerp;
 
-/// Rows that are filled by one piece of work.
+/// Rows that one task fills.
 const BAND_ROWS: usize = 32;
 
-/// Fills `out` from `flow` (x and y, row-major, `width` columns, pixels of a picture 2^`scale` times smaller) by bilinear
+/// Fills `out` from `flow` (x and y, row-major, `width` columns, pixels of an image 2^`scale` times smaller) by bilinear
 /// interpolation. `lines` holds one line for each band of [`bands`].
-pub fn enlarge(
+pub fn upsample(
     flow: &[Vec<f32>; 2],
     width: usize,
     scale: usize,
@@ -29,7 +29,7 @@ pub fn enlarge(
     });
 }
 
-/// How many pieces of work a picture makes.
+/// Number of tasks for an image of this height.
 pub fn bands(height: usize) -> usize {
     height.div_ceil(BAND_ROWS)
 }
@@ -45,9 +45,15 @@ fn fill<const FACTOR: usize>(
     let height = flow[0].len() / width;
     for (y, out) in out.chunks_exact_mut(columns).enumerate() {
         let at = (((first + y) as f32 + 0.5) / FACTOR as f32 - 0.5).clamp(0.0, (height - 1) as f32);
-        let (upper, lower) = (at as usize, (at as usize + 1).min(height - 1));
-        let row = |component: usize, y: usize| &flow[component][y * width..][..width];
-        let rows = [row(0, upper), row(0, lower), row(1, upper), row(1, lower)];
+        let upper = at as usize;
+        let lower = (at as usize + 1).min(height - 1);
+        let [u, v] = flow;
+        let rows = [
+            &u[upper * width..][..width],
+            &u[lower * width..][..width],
+            &v[upper * width..][..width],
+            &v[lower * width..][..width],
+        ];
         between_rows(rows, at - upper as f32, FACTOR as f32, line);
         match FACTOR {
             1 => out.copy_from_slice(&line[1..=columns]),
@@ -58,7 +64,7 @@ fn fill<const FACTOR: usize>(
     }
 }
 
-/// One line of flow between two rows, in full-size pixels, its ends repeated.
+/// Interpolates one line of flow between two rows, in full-size pixels, with its ends repeated.
 #[multiversion(targets("x86_64+avx2"))]
 fn between_rows(rows: [&[f32]; 4], t: f32, factor: f32, line: &mut [[f32; 2]]) {
     let n = rows[0].len();
@@ -68,7 +74,8 @@ fn between_rows(rows: [&[f32]; 4], t: f32, factor: f32, line: &mut [[f32; 2]]) {
         middle[x] =
             [factor * lerp(u_upper[x], u_lower[x], t), factor * lerp(v_upper[x], v_lower[x], t)];
     }
-    (line[0], line[n + 1]) = (line[1], line[n]);
+    line[0] = line[1];
+    line[n + 1] = line[n];
 }
 
 #[multiversion(targets("x86_64+avx2"))]
@@ -81,7 +88,7 @@ fn between_columns_4(line: &[[f32; 2]], out: &mut [[f32; 2]]) {
     between_columns::<4>(line, out);
 }
 
-/// Each pixel of the line makes `FACTOR` pixels; columns that the small picture left out repeat the last.
+/// Each pixel of the line gives `FACTOR` pixels; columns that the small image leaves out repeat the last one.
 #[inline(always)]
 fn between_columns<const FACTOR: usize>(line: &[[f32; 2]], out: &mut [[f32; 2]]) {
     let end = line[line.len() - 1];

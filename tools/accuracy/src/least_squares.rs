@@ -1,39 +1,40 @@
-//! Depth in closed form from any optical flow and known motion ("Embodied Depth Prediction", section on coarse depth).
+//! Depth in closed form from optical flow and known motion ("Embodied Depth Prediction", section on coarse depth).
 //!
-//! A pixel's ray `b` (z = 1) at depth z lies at `z R b + t` in another view, where the flow says it is seen along the unit
-//! bearing `o`. The distance of the point to that ray is `|z s + r|` with `s = o x (R b)`, `r = o x t`. Summed over views,
-//! the squares are `A z^2 + 2 B z + C`, so `z = -B / A`, and what is left, `C - B^2 / A`, says how well the views agree.
+//! The point on a pixel's ray `b` (z = 1) at depth z lies at `z R b + t` in another view, and flow gives the unit bearing `o`
+//! at which that view sees it. The distance of the point to that bearing is `|z s + r|` with `s = o x (R b)`, `r = o x t`.
+//! The sum of squares over the views is `A z^2 + 2 B z + C`, so `z = -B / A`, and the residual `C - B^2 / A` measures how
+//! well the views agree.
 
 use hal::{CameraModel, DepthMap, Pose3};
 use nalgebra::Vector3;
 
-use super::PerceptionError;
-use super::flow::FlowField;
+use anyhow::{Result, ensure};
+use runtime::perception::flow::FlowField;
 
-/// Another picture: where this picture's pixels are in it, and where it was taken.
+/// The flow to another frame, and its pose.
 #[derive(Debug, Clone, Copy)]
 pub struct FlowView<'a> {
-    /// From this picture's pixels to the other's.
+    /// Displacement of the current frame's pixels in the other frame.
     pub flow: &'a FlowField,
-    /// Maps points of this camera into the other camera.
+    /// Maps points of the current camera to the other camera.
     pub t_view_camera: Pose3,
 }
 
-/// Depth, and two reasons to trust it.
+/// Depth, and two measures of its accuracy.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Triangulation {
     /// z-depth, metres; 0 where no view gives one within the range.
     pub depth: DepthMap,
     /// Root mean square distance of the point to the rays of the views that agreed on the range, metres, row-major.
-    /// Large where the match is wrong or the thing has moved.
+    /// Large where the match is wrong or the object has moved.
     pub residual_m: Vec<f32>,
     /// Largest angle between the rays of two views, radians, row-major. A bearing error of e radians is a depth error of
     /// about e / parallax of the depth.
     pub parallax_rad: Vec<f32>,
 }
 
-/// Triangulates every pixel. A view whose own depth of a pixel is outside `range_m` (ends excluded) has no say in it; without
-/// any translation every depth is 0 and therefore none.
+/// Triangulates every pixel. A view whose own depth of a pixel is outside `range_m` (ends excluded) is not used for it.
+/// Without any translation, no pixel gets a depth.
 ///
 /// # Errors
 /// A flow field of another size than the camera.
@@ -41,17 +42,17 @@ pub fn triangulate(
     camera: &CameraModel,
     views: &[FlowView<'_>],
     range_m: (f64, f64),
-) -> Result<Triangulation, PerceptionError> {
-    let (width, height) = (camera.width, camera.height);
+) -> Result<Triangulation> {
+    let width = camera.width;
+    let height = camera.height;
     for view in views {
-        if (view.flow.width(), view.flow.height()) != (width, height) {
-            return Err(PerceptionError::FlowSize {
-                width: view.flow.width(),
-                height: view.flow.height(),
-                want_width: width,
-                want_height: height,
-            });
-        }
+        let size = (view.flow.width(), view.flow.height());
+        ensure!(
+            size == (width, height),
+            "the flow is {}x{}, the camera {width}x{height}; resample the flow",
+            size.0,
+            size.1
+        );
     }
     let pixels = width * height;
     let mut out = Triangulation {
@@ -60,7 +61,8 @@ pub fn triangulate(
         parallax_rad: vec![0.0; pixels],
     };
     for (index, depth) in out.depth.values_mut().iter_mut().enumerate() {
-        let (u, v) = ((index % width) as f64, (index / width) as f64);
+        let u = (index % width) as f64;
+        let v = (index / width) as f64;
         let mut sum = Normal::default();
         for view in views {
             let [dx, dy] = view.flow.values()[index];
@@ -94,12 +96,13 @@ impl Normal {
         t_view_camera: &Pose3,
         range_m: (f64, f64),
     ) {
-        let turned = t_view_camera.rotation * ray;
-        let s = bearing.cross(&turned);
+        let rotated = t_view_camera.rotation * ray;
+        let s = bearing.cross(&rotated);
         let r = bearing.cross(&t_view_camera.translation.vector);
-        let (a, b) = (s.dot(&s), s.dot(&r));
+        let a = s.dot(&s);
+        let b = s.dot(&r);
         let own_m = -b / a;
-        // NaN (no match, or 0 / 0 without parallax) is in no range.
+        // NaN (no match, or 0 / 0 without parallax) is not in the range.
         if own_m > range_m.0 && own_m < range_m.1 {
             self.a += a;
             self.b += b;
@@ -121,27 +124,38 @@ impl Normal {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::perception::test_scene::{camera, pose, slanted_depth_m};
+    use nalgebra::{Translation3, UnitQuaternion};
     use proptest::prelude::*;
 
     const RANGE: (f64, f64) = (0.1, 40.0);
+
+    fn camera() -> CameraModel {
+        CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2)
+    }
+
+    fn pose(position_m: [f64; 3], yaw_rad: f64) -> Pose3 {
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), yaw_rad);
+        Pose3::from_parts(Translation3::from(position_m), rotation)
+    }
+
+    /// Depth of the plane `z = 2.5 + 0.3 x`, metres, seen from the origin.
+    fn plane_depth_m(u: f64, v: f64) -> f64 {
+        let ray = camera().ray(u, v);
+        2.5 / (ray.z - 0.3 * ray.x)
+    }
 
     /// The exact flow of the slanted plane from a camera at the origin to one at `t_world_view`.
     fn exact_flow(t_world_view: &Pose3) -> FlowField {
         let camera = camera();
         let t_view_camera = t_world_view.inverse();
-        let flow = |index: usize| {
-            let (u, v) = ((index % camera.width) as f64, (index / camera.width) as f64);
-            let point = camera.unproject(u, v, slanted_depth_m(&Pose3::identity(), u, v));
+        let flow = (0..camera.width * camera.height).map(|index| {
+            let u = (index % camera.width) as f64;
+            let v = (index / camera.width) as f64;
+            let point = camera.unproject(u, v, plane_depth_m(u, v));
             let (x, y) = camera.project(&(t_view_camera * point)).unwrap();
             [(x - u) as f32, (y - v) as f32]
-        };
-        FlowField::from_vec(
-            camera.width,
-            camera.height,
-            (0..camera.width * camera.height).map(flow).collect(),
-        )
-        .unwrap()
+        });
+        FlowField::from_vec(camera.width, camera.height, flow.collect()).unwrap()
     }
 
     fn view<'a>(flow: &'a FlowField, t_world_view: &Pose3) -> FlowView<'a> {
@@ -151,12 +165,15 @@ mod tests {
     #[test]
     fn the_exact_flow_of_a_plane_returns_the_plane() {
         let camera = camera();
-        let (p, q) = (pose([-0.1, 0.02, 0.05], 0.05), pose([0.08, 0.0, -0.12], -0.02));
-        let (flow_p, flow_q) = (exact_flow(&p), exact_flow(&q));
+        let p = pose([-0.1, 0.02, 0.05], 0.05);
+        let q = pose([0.08, 0.0, -0.12], -0.02);
+        let flow_p = exact_flow(&p);
+        let flow_q = exact_flow(&q);
         let found = triangulate(&camera, &[view(&flow_p, &p), view(&flow_q, &q)], RANGE).unwrap();
         for (index, depth) in found.depth.values().iter().enumerate() {
-            let (u, v) = ((index % camera.width) as f64, (index / camera.width) as f64);
-            let truth = slanted_depth_m(&Pose3::identity(), u, v);
+            let u = (index % camera.width) as f64;
+            let v = (index / camera.width) as f64;
+            let truth = plane_depth_m(u, v);
             assert!((f64::from(*depth) / truth - 1.0).abs() < 5e-4, "{u} {v}: {depth} {truth}");
             assert!(found.residual_m[index] < 1e-4 && found.parallax_rad[index] > 0.005);
         }
@@ -171,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_match_gives_no_depth_and_spoils_no_other_view() {
+    fn a_missing_match_gives_no_depth_and_does_not_affect_other_views() {
         let camera = camera();
         let p = pose([-0.1, 0.0, 0.0], 0.0);
         let flow = exact_flow(&p);
@@ -219,9 +236,11 @@ mod tests {
                     (x - o * o.dot(&x)).norm_squared()
                 }).sum()
             };
-            let (mut low, mut high) = (0.0, 1e4);
+            let mut low = 0.0;
+            let mut high = 1e4;
             for _ in 0..400 {
-                let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);
+                let a = low + (high - low) / 3.0;
+                let b = high - (high - low) / 3.0;
                 if cost(a) < cost(b) { high = b } else { low = a }
             }
             let (z, residual) = sum.solve().unwrap();

@@ -1,4 +1,4 @@
-//! Where everything in a picture was in the picture before.
+//! Dense flow from every frame to the one before.
 
 use hal::{ImageView, PixelFormat};
 
@@ -6,23 +6,21 @@ use super::census::CensusImage;
 use super::flow::{DenseFlow, FlowConfig, FlowError, FlowField, FlowPreset};
 use crate::snapshot::remembers;
 
-/// Dense flow from every picture to the one before.
+/// Computes the flow from every frame to the one before.
 #[derive(Debug)]
-pub struct PictureMotion {
+pub struct FrameMotion {
     flow: DenseFlow,
-    /// Grey values, one byte a pixel.
+    /// Grey values, one byte per pixel.
     now: Vec<u8>,
     before: Vec<u8>,
     has_before: bool,
 }
 
-impl PictureMotion {
-    /// For pictures of this size.
-    ///
+impl FrameMotion {
     /// # Errors
-    /// Pictures that are too small.
+    /// When the frames are smaller than a patch of the flow.
     pub fn new(width: usize, height: usize) -> Result<Self, FlowError> {
-        // Between one picture and the next, refinement made depth no better.
+        // Between one frame and the next, variational refinement did not improve depth.
         let config = FlowConfig { variational_iterations: 0, ..FlowPreset::UltraFast.into() };
         let flow = DenseFlow::new(config, width, height)?;
         Ok(Self {
@@ -33,30 +31,28 @@ impl PictureMotion {
         })
     }
 
-    /// Forgets the picture before.
+    /// Forgets the frame before.
     pub fn forget(&mut self) {
         self.has_before = false;
     }
 
-    /// Whether its pictures have so many pixels.
+    /// Whether its frames have this number of pixels.
     pub fn has_size(&self, pixels: usize) -> bool {
         self.now.len() == pixels
     }
 
-    /// From this picture to the one before; `None` for the first.
-    pub fn follow(&mut self, picture: &CensusImage) -> Option<&FlowField> {
+    /// The flow from this frame to the one before; `None` for the first frame.
+    pub fn update(&mut self, image: &CensusImage) -> Option<&FlowField> {
         std::mem::swap(&mut self.now, &mut self.before);
-        self.now
-            .iter_mut()
-            .zip(&picture.smooth)
-            .for_each(|(now, smooth)| *now = (smooth >> 8) as u8);
+        self.now.iter_mut().zip(&image.smooth).for_each(|(now, smooth)| *now = (smooth >> 8) as u8);
         if !std::mem::replace(&mut self.has_before, true) {
             return None;
         }
-        let grey =
-            |data| ImageView::new(picture.width, picture.height, PixelFormat::Gray8, data).ok();
-        self.flow.flow(grey(&self.now)?, grey(&self.before)?, None).ok()
+        let now = ImageView::new(image.width, image.height, PixelFormat::Gray8, &self.now).ok()?;
+        let before =
+            ImageView::new(image.width, image.height, PixelFormat::Gray8, &self.before).ok()?;
+        self.flow.flow(now, before).ok()
     }
 }
 
-remembers!(PictureMotion: now, has_before);
+remembers!(FrameMotion: now, has_before);

@@ -1,4 +1,5 @@
-//! From cells to pixels: smooth where the cells around a pixel agree, along the edges of the picture where they do not.
+//! Upsamples depth from cells to pixels: bilinear where the cells around a pixel agree, along the image's edges where they do
+//! not.
 
 use multiversion::multiversion;
 use rayon::prelude::*;
@@ -9,13 +10,12 @@ use super::sweep::CELL;
 
 /// Cells agree when their inverse depths differ by less than this share: one surface, not two.
 const ONE_SURFACE: f32 = 0.15;
-/// A cell that is one cell farther from the pixel must resemble it by so much more, 256 to a grey level.
+/// Extra cost of a corner one cell away from the pixel against its brightness difference, 256 to a grey level.
 const FARTHER: f32 = 2048.0;
 
-/// What is known of the cells.
+/// Beliefs and brightness of all cells.
 #[derive(Debug, Clone, Copy)]
 pub struct Cells<'a> {
-    /// Columns.
     pub width: usize,
     /// Row-major.
     pub beliefs: &'a [Belief],
@@ -23,11 +23,11 @@ pub struct Cells<'a> {
     pub confidence: &'a [f32],
     /// Grey value of each cell, 256 to a grey level.
     pub grey: &'a [u16],
-    /// Beliefs below this probability are none.
+    /// Beliefs with a lower confidence give no depth.
     pub min_confidence: f32,
 }
 
-/// One of the four cells around a pixel.
+/// One of the four cells around a pixel; inverse depth 0 where unknown.
 #[derive(Debug, Clone, Copy)]
 struct Corner {
     inverse_depth: f32,
@@ -35,12 +35,12 @@ struct Corner {
     grey: f32,
 }
 
-/// Where the pixels between two middles of cells are, as a share of the way.
+/// Positions of the pixels between the middles of two cells, as a share of the distance.
 const PLACES: [f32; CELL] = [0.125, 0.375, 0.625, 0.875];
 
 impl Cells<'_> {
-    /// Fills `estimate` (full size); `grey` is the full-size picture, 256 to a grey level.
-    pub fn enlarge(&self, grey: &[u16], estimate: &mut DepthEstimate) {
+    /// Fills `estimate` (full size); `grey` is the full-size image, 256 to a grey level.
+    pub fn upsample(&self, grey: &[u16], estimate: &mut DepthEstimate) {
         let width = estimate.depth.width();
         let DepthEstimate { depth, confidence } = estimate;
         let lines = depth
@@ -49,7 +49,7 @@ impl Cells<'_> {
             .zip(confidence.par_chunks_exact_mut(width));
         let lines = lines.zip(grey.par_chunks_exact(width)).enumerate();
         lines.for_each(|(row, ((depth, confidence), grey))| {
-            enlarge_row(self, row, grey, depth, confidence);
+            upsample_row(self, row, grey, depth, confidence);
         });
     }
 
@@ -67,7 +67,7 @@ impl Cells<'_> {
 }
 
 #[multiversion(targets("x86_64+avx2"))]
-fn enlarge_row<'a>(
+fn upsample_row<'a>(
     cells: &Cells<'a>,
     row: usize,
     grey: &[u16],
@@ -76,10 +76,8 @@ fn enlarge_row<'a>(
 ) {
     let height = cells.beliefs.len() / cells.width;
     let block = (row + CELL / 2) / CELL;
-    let (top, bottom) = (
-        block.saturating_sub(1).min(height - 1) * cells.width,
-        block.min(height - 1) * cells.width,
-    );
+    let top = block.saturating_sub(1).min(height - 1) * cells.width;
+    let bottom = block.min(height - 1) * cells.width;
     let below = PLACES[(row + CELL / 2) % CELL];
     let mut left = [cells.corner(top), cells.corner(bottom)];
     // Pixels left of the first cell's middle, then those between each cell's middle and the next one's.
@@ -89,7 +87,7 @@ fn enlarge_row<'a>(
             false => left,
         };
         let four = blend(&left, &right, below, grey, block * CELL);
-        // What lies outside of the picture is not written; what lies right of the last block repeats it.
+        // Columns outside the image are not written; columns right of the last block repeat it.
         let first = (block * CELL).saturating_sub(CELL / 2);
         let end = if block == cells.width {
             depth.len()
@@ -129,10 +127,9 @@ fn blend(
                 below * (1.0 - across),
                 below * across,
             ];
-            alike(&corners, &weights, f32::from(grey[column]))
+            most_similar(&corners, &weights, f32::from(grey[column]))
         });
     }
-    let mix = |from: f32, to: f32, share: f32| from + (to - from) * share;
     let [near, far] = [left, right].map(|pair| {
         let inverse_depth = mix(pair[0].inverse_depth, pair[1].inverse_depth, below);
         (inverse_depth, mix(pair[0].confidence, pair[1].confidence, below))
@@ -140,9 +137,14 @@ fn blend(
     PLACES.map(|across| (1.0 / mix(near.0, far.0, across), mix(near.1, far.1, across)))
 }
 
-/// The corner that looks most like the pixel; near ones are preferred.
 #[inline(always)]
-fn alike(corners: &[Corner; 4], weights: &[f32; 4], grey: f32) -> (f32, f32) {
+fn mix(from: f32, to: f32, share: f32) -> f32 {
+    from + (to - from) * share
+}
+
+/// Depth and confidence of the corner whose brightness is most similar to the pixel's; near corners are preferred.
+#[inline(always)]
+fn most_similar(corners: &[Corner; 4], weights: &[f32; 4], grey: f32) -> (f32, f32) {
     let mut best = (f32::INFINITY, 0.0, 0.0);
     for (corner, weight) in corners.iter().zip(weights) {
         let cost = (corner.grey - grey).abs() + FARTHER * (1.0 - weight);
@@ -161,22 +163,22 @@ mod tests {
         Belief { inverse_depth, evidence: 1.0, votes: 1.0, offset: [0.0; 2] }
     }
 
-    fn enlarged(
+    fn upsampled(
         beliefs: &[Belief],
         confidence: &[f32],
         grey: &[u16],
-        picture: &[u16],
+        image: &[u16],
     ) -> DepthEstimate {
         let cells = Cells { width: 4, beliefs, confidence, grey, min_confidence: 0.3 };
         let mut estimate = DepthEstimate::none(17, 13);
-        cells.enlarge(picture, &mut estimate);
+        cells.upsample(image, &mut estimate);
         estimate
     }
 
     #[test]
     fn a_slope_becomes_a_smooth_slope() {
         let beliefs: Vec<Belief> = (0..12).map(|at| belief(0.5 + 0.02 * (at % 4) as f32)).collect();
-        let estimate = enlarged(&beliefs, &[0.8; 12], &[0; 12], &[0; 17 * 13]);
+        let estimate = upsampled(&beliefs, &[0.8; 12], &[0; 12], &[0; 17 * 13]);
         for row in 0..13 {
             for column in 2..14 {
                 let place = (column as f32 + 0.5) / 4.0 - 0.5;
@@ -188,14 +190,14 @@ mod tests {
     }
 
     #[test]
-    fn a_step_follows_the_edge_of_the_picture() {
-        // Near on the left, far on the right; the picture's edge is two pixels to the right of the cells' border.
+    fn a_step_follows_the_edge_of_the_image() {
+        // Near on the left, far on the right; the image's edge is two pixels to the right of the border between the cells.
         let beliefs: Vec<Belief> =
             (0..12).map(|at| belief(if at % 4 < 2 { 1.0 } else { 0.25 })).collect();
         let grey: Vec<u16> = (0..12).map(|at| if at % 4 < 2 { 10_000 } else { 40_000 }).collect();
-        let picture: Vec<u16> =
+        let image: Vec<u16> =
             (0..17 * 13).map(|at| if at % 17 < 9 { 10_000 } else { 40_000 }).collect();
-        let estimate = enlarged(&beliefs, &[0.8; 12], &grey, &picture);
+        let estimate = upsampled(&beliefs, &[0.8; 12], &grey, &image);
         for row in 0..13 {
             assert_eq!(estimate.depth.values()[row * 17 + 8], 1.0);
             assert_eq!(estimate.depth.values()[row * 17 + 9], 4.0);
@@ -203,10 +205,12 @@ mod tests {
     }
 
     #[test]
-    fn unlikely_beliefs_are_no_depth_and_spread_to_none() {
+    fn unlikely_beliefs_give_no_depth_and_do_not_affect_their_neighbours() {
         let mut confidence = [0.8; 12];
-        (confidence[0], confidence[4], confidence[8]) = (0.2, 0.2, 0.2);
-        let estimate = enlarged(&[belief(0.5); 12], &confidence, &[0; 12], &[0; 17 * 13]);
+        confidence[0] = 0.2;
+        confidence[4] = 0.2;
+        confidence[8] = 0.2;
+        let estimate = upsampled(&[belief(0.5); 12], &confidence, &[0; 12], &[0; 17 * 13]);
         assert_eq!((estimate.depth.values()[0], estimate.confidence[0]), (0.0, 0.0));
         assert_eq!(estimate.depth.values()[10], 2.0);
         assert!(estimate.depth.values().iter().all(|depth| depth.is_finite()));
