@@ -52,7 +52,7 @@ impl Config {
             exploration: self.exploration,
             safety: self.safety_config(),
             stand_without_pictures: Some(
-                (self.run.picture_timeout_s / self.base.tick_s()).ceil() as u64
+                (self.run.frame_timeout_s / self.base.tick_s()).ceil() as u64
             ),
         }
     }
@@ -122,7 +122,7 @@ pub fn run_header(
     faults: &FaultPlan,
 ) -> Result<RunHeader> {
     Ok(RunHeader {
-        pictures: config.recording.pictures,
+        pictures: config.recording.images,
         seed: mission.seed,
         policy: mission.policy.name().to_owned(),
         depth_source: mission.depth_source.name().to_owned(),

@@ -135,7 +135,7 @@ fn a_well_robot_is_told_and_stays_where_it_is(protocol: Protocol) {
     assert_eq!(output.status.code(), Some(0), "{said}");
     for part in [
         "YUYV 640x480",
-        "pictures a second",
+        "frames per second",
         "UTM-30LX, serial",
         "firmware",
         "left (node 1) watchdog 100 ms",
@@ -211,7 +211,7 @@ fn a_can_interface_that_does_not_exist_is_told_with_those_that_do() {
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(said.contains("there is no interface can97"), "{said}");
     assert!(
-        said.contains("! camera: nothing of its kind") || said.contains("! camera: there are:"),
+        said.contains("! camera: no such device") || said.contains("! camera: available:"),
         "{said}"
     );
 }

@@ -2,42 +2,8 @@
 //! different arc.
 
 use hal::Twist2;
-use serde::{Deserialize, Serialize};
 
-/// What the robot may do at most.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LimitConfig {
-    /// Speed, m/s.
-    pub linear_mps: f64,
-    /// Turn rate, rad/s.
-    pub angular_radps: f64,
-    /// Speeding up, m/s².
-    pub acceleration_mps2: f64,
-    /// Slowing down, m/s²; not below the acceleration.
-    pub deceleration_mps2: f64,
-    /// Turning faster, rad/s².
-    pub angular_acceleration_radps2: f64,
-    /// Turning slower, rad/s²; not below the acceleration.
-    pub angular_deceleration_radps2: f64,
-    /// Time to reach full acceleration, s: the jerk limit is acceleration over this. 0 for none. Slowing down never waits.
-    pub jerk_time_s: f64,
-}
-
-impl Default for LimitConfig {
-    /// The paper's robot: 0.3 m/s and 1 rad/s, from which it stops within 5 cm.
-    fn default() -> Self {
-        Self {
-            linear_mps: 0.3,
-            angular_radps: 1.0,
-            acceleration_mps2: 0.5,
-            deceleration_mps2: 1.0,
-            angular_acceleration_radps2: 2.0,
-            angular_deceleration_radps2: 4.0,
-            jerk_time_s: 0.1,
-        }
-    }
-}
+pub use super::config::LimitConfig;
 
 /// Brings the present velocity towards the wanted one, turn by turn.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -32,7 +32,7 @@ pub fn run(args: &CameraLatencyArgs) -> Result<()> {
     let header = recording.run();
     if !header.pictures {
         bail!(
-            "the run was recorded without pictures (recording.pictures = false): they do not show how it turned"
+            "the run was recorded without pictures (recording.images = false): they do not show how it turned"
         );
     }
     let config: Config = serde_json::from_value(header.config.clone())

@@ -8,7 +8,7 @@ mod rear;
 mod state;
 mod surroundings;
 
-pub use config::{BodySector, SafetyConfig};
+pub use config::{BodySector, SafetyConfig, SafetySection};
 pub use control::{Orders, SafetyLoop, Turn};
 pub use footprint::Footprint;
 pub use plane::SafetyPlane;
