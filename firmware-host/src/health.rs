@@ -1,4 +1,4 @@
-//! `firmware-host health`: one screen about the running robot.
+//! `firmware-host health`: the state of the running robot on one screen.
 
 use std::fmt::Write as _;
 use std::process::ExitCode;
@@ -13,13 +13,13 @@ use crate::cli::HealthArgs;
 use crate::failure::sentence;
 use crate::run::status::{DeviceHealth, Status, unix_s};
 
-/// The status is written twice a second.
+/// The running robot writes its status twice a second.
 const WATCH_NS: u64 = 500_000_000;
 
-/// Shows how it is. Exits with 1 when something is wrong.
+/// Prints the state of the running robot. The exit code is 1 if it is unhealthy.
 ///
 /// # Errors
-/// When there is no status, or none of this version.
+/// When there is no status file, or when another version wrote it.
 pub fn run(args: &HealthArgs) -> Result<ExitCode> {
     if args.json {
         let status = Status::read(&args.status)?;
@@ -37,7 +37,7 @@ pub fn run(args: &HealthArgs) -> Result<ExitCode> {
             Ok(status) => screen(&status, unix_s()),
             Err(error) => format!("{}\n", sentence(&error)),
         };
-        // Home, the text with each line cleared to its end, then clear what is below: no flicker.
+        // Cursor to the top left, each line cleared to its end, then everything below cleared: this does not flicker.
         print!("\x1b[H{}\x1b[J", text.replace('\n', "\x1b[K\n"));
         std::io::Write::flush(&mut std::io::stdout())?;
         clock.sleep_until_ns(clock.now_ns() + WATCH_NS);
@@ -51,7 +51,7 @@ fn exit_code(status: &Status) -> ExitCode {
 fn screen(status: &Status, now_unix_s: f64) -> String {
     let mut out = String::new();
     let worries = status.worries(now_unix_s);
-    let verdict = if worries.is_empty() { "well" } else { "NOT WELL" };
+    let verdict = if worries.is_empty() { "healthy" } else { "UNHEALTHY" };
     let _ =
         writeln!(out, "robot: {verdict}   (pid {}, up {})\n", status.pid, span(status.uptime_s));
     for worry in &worries {
@@ -63,20 +63,21 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
     let _ = writeln!(out, "{}\n", devices(status));
     let safety = &status.safety;
     let last = safety.last_stop.as_ref().map_or_else(
-        || "never stopped".to_owned(),
+        || "no stop yet".to_owned(),
         |stop| format!("last stop {} ago: {}", span(now_unix_s - stop.unix_s), stop.why),
     );
     let _ = writeln!(
         out,
-        "safety       {} for {}; {last}; {} obstacles",
+        "safety       {} for {}; {last}; {} stops for obstacles",
         safety.state,
         span(safety.for_s),
         safety.stops
     );
-    let priority = if safety.realtime { "real-time priority" } else { "no real-time priority" };
+    let priority =
+        if safety.realtime { "with real-time priority" } else { "without real-time priority" };
     let _ = writeln!(
         out,
-        "loop         {} turns, {} left out, worst {:.1} ms late, {priority}",
+        "loop         {} ticks, {} skipped, latest tick {:.1} ms late, {priority}",
         safety.turns,
         safety.skipped,
         safety.worst_late_us / 1e3
@@ -85,7 +86,7 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
     let goal = exploration.goal.as_deref().unwrap_or("no goal");
     let _ = writeln!(
         out,
-        "exploration  {}: {goal}; {:.1} m2 of floor mapped; {} turns of {:.1} ms (p99 {:.1}), {} left out",
+        "exploration  {}: {goal}; {:.1} m2 of floor mapped; {} ticks of {:.1} ms (p99 {:.1} ms), {} skipped",
         exploration.policy,
         exploration.mapped_m2,
         exploration.ticks,
@@ -97,7 +98,8 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
         let _ = writeln!(out, "             {why}");
     }
     if let Some(line) = &exploration.line {
-        let _ = writeln!(out, "depth        {}", depth_words(line, &exploration.line_by_distance));
+        let accuracy = depth_accuracy(line, &exploration.line_by_distance);
+        let _ = writeln!(out, "depth        {accuracy}");
     }
     if let Some(digest) = &exploration.model {
         let trial = if exploration.on_trial.is_some() { ", on trial" } else { "" };
@@ -105,11 +107,11 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
     }
     let recording = &status.recording;
     let folder = recording.folder.as_deref().unwrap_or("off");
-    let _ = write!(out, "recording    {folder}, {} turns dropped", recording.dropped);
+    let _ = write!(out, "recording    {folder}, {} ticks not recorded", recording.dropped);
     if recording.removed > 0 {
         let _ = write!(
             out,
-            "; {} old segments removed, {} of them not pulled",
+            "; {} old segments removed, {} of them before they were pulled",
             recording.removed, recording.removed_unpulled
         );
     }
@@ -117,25 +119,30 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
     out
 }
 
-/// How right the depth is where the LiDAR sees the same.
-fn depth_words(all: &LineAccuracy, by_distance: &[LineAccuracy]) -> String {
-    let percent = |share: f64| 100.0 * share;
-    let off = percent(all.scale - 1.0);
-    let far = if off < 0.0 { "near" } else { "far" };
-    let mut words = format!(
-        "{:.0} % right within 25 % on the LiDAR's line, {:.0} % too {far}; {:.0} % of it has depth",
+/// Accuracy of the depth where the LiDAR measures the same points.
+fn depth_accuracy(all: &LineAccuracy, by_distance: &[LineAccuracy]) -> String {
+    let error = all.scale - 1.0;
+    let direction = if error < 0.0 { "short" } else { "long" };
+    let mut text = format!(
+        "{} within 25 % of the LiDAR, {} too {direction} on average; {} of the LiDAR's points have depth",
         percent(all.delta1),
-        off.abs(),
+        percent(error.abs()),
         percent(all.share)
     );
-    let mut separator = "; right ";
+    let mut separator = "; within 25 %: ";
     for bin in by_distance {
-        let to = bin.to_m.map_or("on".to_owned(), |to_m| format!("to {to_m:.0} m"));
-        let _ =
-            write!(words, "{separator}from {:.0} {to} {:.0} %", bin.from_m, percent(bin.delta1));
+        let correct = percent(bin.delta1);
+        let _ = match bin.to_m {
+            Some(to_m) => write!(text, "{separator}{:.0}-{to_m:.0} m {correct}", bin.from_m),
+            None => write!(text, "{separator}beyond {:.0} m {correct}", bin.from_m),
+        };
         separator = ", ";
     }
-    words
+    text
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.0} %", 100.0 * share)
 }
 
 fn devices(status: &Status) -> Table {
@@ -167,7 +174,7 @@ fn row(device: &DeviceHealth) -> [String; 8] {
     ]
 }
 
-/// Seconds as a person says them.
+/// A duration in the unit that a person would choose.
 fn span(seconds: f64) -> String {
     match seconds {
         s if s < 60.0 => format!("{s:.1} s"),
@@ -181,14 +188,17 @@ mod tests {
     use super::*;
     use crate::run::status::LastStop;
 
-    fn working() -> Status {
-        let device = |name: &str| DeviceHealth {
+    fn device(name: &str) -> DeviceHealth {
+        DeviceHealth {
             name: name.to_owned(),
             state: "working".to_owned(),
             rate_hz: 40.0,
             age_s: Some(0.012),
             ..DeviceHealth::default()
-        };
+        }
+    }
+
+    fn working() -> Status {
         let mut status = Status {
             written_unix_s: 100.0,
             camera: device("camera"),
@@ -202,10 +212,12 @@ mod tests {
     }
 
     #[test]
-    fn the_screen_says_well_or_what_is_wrong() {
+    fn the_screen_says_healthy_or_what_is_wrong() {
         let text = screen(&working(), 100.5);
         assert!(
-            text.starts_with("robot: well") && text.contains("40.0 Hz") && text.contains("12 ms"),
+            text.starts_with("robot: healthy")
+                && text.contains("40.0 Hz")
+                && text.contains("12 ms"),
             "{text}"
         );
         assert!(text.contains("last stop 1 min ago: tripped"), "{text}");
@@ -213,7 +225,7 @@ mod tests {
         broken.lidar.state = "silent".to_owned();
         let text = screen(&broken, 100.5);
         assert!(
-            text.starts_with("robot: NOT WELL") && text.contains("! LiDAR is silent"),
+            text.starts_with("robot: UNHEALTHY") && text.contains("! LiDAR is silent"),
             "{text}"
         );
     }

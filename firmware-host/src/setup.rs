@@ -71,7 +71,7 @@ impl Config {
             exploration: self.exploration,
             footprint_radius_m: self.base.footprint_radius_m,
             stand_without_frames: Some(
-                (self.run.picture_timeout_s / self.base.tick_s()).ceil() as u64
+                (self.run.frame_timeout_s / self.base.tick_s()).ceil() as u64
             ),
         }
     }
@@ -141,7 +141,7 @@ pub fn run_header(
     faults: &FaultPlan,
 ) -> Result<RunHeader> {
     Ok(RunHeader {
-        pictures: config.recording.pictures,
+        pictures: config.recording.images,
         seed: mission.seed,
         policy: mission.policy.name().to_owned(),
         depth_source: mission.depth_source.name().to_owned(),

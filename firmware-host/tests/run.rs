@@ -284,7 +284,7 @@ fn drives(scene: &Scene) -> Option<String> {
 
 #[test]
 fn models_are_swapped_while_it_drives_kept_or_taken_back_and_no_turn_is_left_out_for_it() {
-    let more = "\n[models]\nstore = \"{}/models\"\ntrial_turns = 20\ntrial_m = 0.1\n";
+    let more = "\n[models]\nstore = \"{}/models\"\ntrial_ticks = 20\ntrial_m = 0.1\n";
     let guess = model("guess");
     let mut scene = Scene::with(Protocol::Odrive, more, &["--model", guess.to_str().unwrap()]);
     scene.drives("the first drive");

@@ -41,6 +41,8 @@ pub mod error;
 pub mod image;
 pub mod lidar;
 pub mod pose;
+pub mod robot;
+pub mod settings;
 
 pub use base::{Base, DriveCommand, Twist2, WheelFeedback};
 pub use camera::{Camera, Frame};
@@ -51,3 +53,4 @@ pub use error::{Error, ErrorKind, ErrorType};
 pub use image::{ImageError, ImageView, PixelFormat};
 pub use lidar::{LaserScan, Lidar, Range, ScanGeometry};
 pub use pose::{Pose2, Pose3, camera_mount, wrap_angle};
+pub use robot::RobotDescription;

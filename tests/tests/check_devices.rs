@@ -138,7 +138,7 @@ fn check_lists_the_devices_and_moves_nothing(protocol: Protocol) {
     assert_eq!(output.status.code(), Some(0), "{text}");
     for part in [
         "YUYV 640x480",
-        "pictures a second",
+        "frames per second",
         "UTM-30LX, serial",
         "firmware",
         "left (node 1) watchdog 100 ms",
@@ -214,7 +214,7 @@ fn a_missing_can_interface_is_reported_with_the_existing_ones() {
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("there is no interface can97"), "{text}");
     assert!(
-        text.contains("! camera: nothing of its kind") || text.contains("! camera: there are:"),
+        text.contains("! camera: no such device") || text.contains("! camera: available:"),
         "{text}"
     );
 }

@@ -27,7 +27,7 @@ segment_s = 30.0
 store = \"STORE\"
 trusted_keys = \"KEYS\"
 recordings = \"RUNS\"
-trial_turns = 300
+trial_ticks = 300
 trial_m = 3.0
 max_p99_ms = 1000.0
 ";

@@ -1,63 +1,53 @@
 //! Optional disturbances that make rendered frames as difficult as real ones.
 
+use hal::settings::OutOfRange;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
 use crate::random::NormalTable;
 use crate::render::{Lighting, SunPatches};
 
-/// Strength of each disturbance. The default is constant exposure and light with a little sensor
-/// noise.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Nuisances {
-    /// Maximum exposure drift, in stops (1 doubles or halves the light). Default 0, at most 4.
-    pub exposure_drift_stops: f64,
-    /// Period of the slower component of the drift, seconds. Default 20, at least 0.1.
-    pub exposure_drift_period_s: f64,
-    /// Relative amplitude of the flicker of mains-powered lamps. Default 0, at most 1.
-    pub flicker: f64,
-    /// Flicker frequency, Hz: twice the mains frequency. Default 100. The frame rate aliases it to
-    /// slow waves.
-    pub flicker_hz: f64,
-    /// Strength of sun patches on floor and walls, in multiples of white. Default 0, at most 4.
-    pub sun_patches: f64,
-    /// Standard deviation of the sensor noise, in steps of the 8-bit image. Default 1.5, at most
-    /// 64.
-    pub sensor_noise: f64,
-    /// Exposure time for motion blur, seconds. Default 0 (none), at most 1.
-    pub shutter_s: f64,
-    /// Number of walking people. Default 0, at most 32.
-    pub people: usize,
-}
-
-impl Default for Nuisances {
-    fn default() -> Self {
-        Self {
-            exposure_drift_stops: 0.0,
-            exposure_drift_period_s: 20.0,
-            flicker: 0.0,
-            flicker_hz: 100.0,
-            sun_patches: 0.0,
-            sensor_noise: 1.5,
-            shutter_s: 0.0,
-            people: 0,
-        }
+hal::settings! {
+    /// What makes real images harder than rendered ones. The default is a steady camera in steady light with a little sensor
+    /// noise.
+    pub struct Nuisances {
+        /// Largest drift of the exposure. One stop doubles or halves the light.
+        exposure_drift_stops: f64 = 0.0, in 0.0..=4.0, unit "stops";
+        /// Period of the slower part of the drift.
+        exposure_drift_period_s: f64 = 20.0, in 0.1..=1000000.0, unit "s";
+        /// Amplitude of the flicker of lamps on mains, as a fraction of their light.
+        flicker: f64 = 0.0, in 0.0..=1.0;
+        /// Frequency of the flicker: twice the mains frequency. The frame rate aliases it to slow waves.
+        flicker_hz: f64 = 100.0, in 0.0..=100000.0, unit "Hz";
+        /// Strength of sun patches on floor and walls, relative to white.
+        sun_patches: f64 = 0.0, in 0.0..=4.0;
+        /// Standard deviation of the sensor's noise, in steps of the 8-bit image.
+        sensor_noise: f64 = 1.5, in 0.0..=64.0;
+        /// Exposure time, for motion blur; 0 for none.
+        shutter_s: f64 = 0.0, in 0.0..=1.0, unit "s";
+        /// Number of people who walk about.
+        people: usize = 0, in 0..=32, unit "people";
     }
 }
 
-/// A field of [`Nuisances`] is outside its range.
+/// A nuisance is out of its range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("nuisance `{field}` is {value}, but must be from {least} to {most}")]
+#[error("nuisance `{field}` is {value}, but must be from {allowed}")]
 #[non_exhaustive]
 pub struct NuisanceError {
     /// Field of [`Nuisances`].
     pub field: &'static str,
+    /// Its value.
     pub value: f64,
-    pub least: f64,
-    pub most: f64,
+    /// The allowed range.
+    pub allowed: &'static str,
+}
+
+impl From<OutOfRange> for NuisanceError {
+    fn from(OutOfRange { key, value, allowed }: OutOfRange) -> Self {
+        Self { field: key, value, allowed }
+    }
 }
 
 impl Nuisances {
@@ -72,20 +62,7 @@ impl Nuisances {
     /// # Errors
     /// Reports the first value that is not a number or is outside its range.
     pub fn check(&self) -> Result<(), NuisanceError> {
-        let ranges = [
-            ("exposure_drift_stops", self.exposure_drift_stops, 0.0, 4.0),
-            ("exposure_drift_period_s", self.exposure_drift_period_s, 0.1, 1e6),
-            ("flicker", self.flicker, 0.0, 1.0),
-            ("flicker_hz", self.flicker_hz, 0.0, 1e5),
-            ("sun_patches", self.sun_patches, 0.0, 4.0),
-            ("sensor_noise", self.sensor_noise, 0.0, 64.0),
-            ("shutter_s", self.shutter_s, 0.0, 1.0),
-            ("people", self.people as f64, 0.0, 32.0),
-        ];
-        match ranges.into_iter().find(|(_, value, least, most)| !(least..=most).contains(&value)) {
-            Some((field, value, least, most)) => Err(NuisanceError { field, value, least, most }),
-            None => Ok(()),
-        }
+        Ok(self.check_ranges()?)
     }
 
     /// Light factor at a time: the camera's exposure drift times the lamps' flicker. The drift is a

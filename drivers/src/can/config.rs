@@ -1,15 +1,15 @@
-//! Configuration of the base.
+//! Configuration of a base with two driven wheels on a CAN bus.
 
+use hal::settings::OutOfRange;
 use serde::{Deserialize, Serialize};
 
 use super::error::CanError;
-use super::limits::LimitConfig;
 use super::protocol::MotorProtocol;
 use super::protocol::cia402::{Cia402, Cia402Node};
 use super::protocol::odrive::{Odrive, OdriveNode};
 use super::protocol::vesc::{Vesc, VescNode};
 
-/// What the motor controllers speak.
+/// The protocol of the motor controllers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Protocol {
@@ -21,174 +21,168 @@ pub enum Protocol {
     Cia402,
 }
 
-/// A base with two driven wheels on a CAN bus.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct BaseConfig {
-    /// Interface name (`can0`), or `unix:PATH` for simulated devices.
-    pub bus: String,
-    /// What the controllers speak.
-    pub protocol: Protocol,
-    /// Node of the left wheel.
-    pub left_node: u8,
-    /// Node of the right wheel.
-    pub right_node: u8,
-    /// The two nodes are mounted the other way round.
-    pub swap_wheels: bool,
-    /// The left wheel's motor turns backwards at a positive velocity.
-    pub invert_left: bool,
-    /// The right wheel's motor turns backwards at a positive velocity.
-    pub invert_right: bool,
-    /// Wheel radius, metres.
-    pub wheel_radius_m: f64,
-    /// Distance between the wheels' contact points, metres.
-    pub track_m: f64,
-    /// Turns of the motor per turn of the wheel.
-    pub gear_ratio: f64,
-    /// The controllers' own watchdog, ms: at most 100.
-    pub watchdog_ms: u32,
-    /// Feedback older than this is none, ms.
-    pub feedback_timeout_ms: u32,
-    /// A plan older than this moves nothing, ms.
-    pub plan_age_limit_ms: u32,
-    /// A safety board sends emergency stop and bumper; its silence is an emergency stop.
-    pub safety_board: bool,
-    /// Odometry: variance per metre of one wheel's travel, metres.
-    pub slip_m: f64,
-    /// Velocities and accelerations.
-    pub limits: LimitConfig,
-    /// What only ODrive needs.
-    pub odrive: OdriveConfig,
-    /// What only VESC needs.
-    pub vesc: VescConfig,
-    /// What only CiA 402 needs.
-    pub cia402: Cia402Config,
-}
+hal::choices!(Protocol: "odrive", "vesc", "cia402");
 
-/// What only ODrive needs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct OdriveConfig {
-    /// Firmware that the endpoints belong to: major, minor, revision.
-    pub firmware: [u8; 3],
-    /// `axis0.config.enable_watchdog` in that firmware's `flat_endpoints.json`; 0 is not set.
-    pub enable_watchdog_endpoint: u16,
-    /// `axis0.config.watchdog_timeout` there; 0 is not set.
-    pub watchdog_timeout_endpoint: u16,
-}
-
-/// What only VESC needs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct VescConfig {
-    /// Pole pairs of the motors.
-    pub pole_pairs: u8,
-    /// Brake current at zero velocity, A.
-    pub brake_a: f64,
-    /// The id that the left VESC answers to; the right one answers to the next.
-    pub host_id: u8,
-}
-
-/// What only CiA 402 needs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Cia402Config {
-    /// Our node id.
-    pub host_node: u8,
-    /// Units of the drive's velocities at one turn of the motor per second: 60 for rpm, counts per turn for counts/s.
-    pub velocity_units: f64,
-    /// Units of the drive's positions per turn of the motor.
-    pub position_units: f64,
-}
-
-impl Default for BaseConfig {
-    fn default() -> Self {
-        Self {
-            bus: "can0".to_owned(),
-            protocol: Protocol::Odrive,
-            left_node: 1,
-            right_node: 2,
-            swap_wheels: false,
-            invert_left: false,
-            invert_right: false,
-            wheel_radius_m: 0.05,
-            track_m: 0.24,
-            gear_ratio: 1.0,
-            watchdog_ms: 100,
-            feedback_timeout_ms: 100,
-            plan_age_limit_ms: 500,
-            safety_board: false,
-            slip_m: 1e-4,
-            limits: LimitConfig::default(),
-            odrive: OdriveConfig::default(),
-            vesc: VescConfig::default(),
-            cia402: Cia402Config::default(),
-        }
+hal::settings! {
+    /// The base: two driven wheels on a CAN bus.
+    pub struct BaseConfig {
+        /// Interface name, or `unix:PATH` for simulated motors.
+        bus: String = "can0".to_owned();
+        /// Protocol of the motor controllers.
+        protocol: Protocol = Protocol::Odrive;
+        /// Node of the left wheel's controller. ODrive allows 0 to 62, VESC 0 to 250, CiA 402 1 to 126.
+        left_node: u8 = 1, in 0..=250;
+        /// Node of the right wheel's controller.
+        right_node: u8 = 2, in 0..=250;
+        /// Whether the two controllers are mounted on the opposite sides.
+        swap_wheels: bool = false;
+        /// Whether the left motor rotates backwards at a positive velocity.
+        invert_left: bool = false;
+        /// Whether the right motor rotates backwards at a positive velocity.
+        invert_right: bool = false;
+        /// Radius of the driven wheels.
+        wheel_radius_m: f64 = 0.05, in 0.005..=1.0, unit "m";
+        /// Distance between the contact points of the two wheels.
+        track_m: f64 = 0.24, in 0.03..=3.0, unit "m";
+        /// Revolutions of the motor per revolution of the wheel.
+        gear_ratio: f64 = 1.0, in 0.01..=1000.0;
+        /// The controllers stop the motors after this long without a command. The driver reads the value back before arming.
+        watchdog_ms: u32 = 100, in 20..=100, unit "ms";
+        /// Wheel feedback is not used when it is older than this.
+        feedback_timeout_ms: u32 = 100, in 20..=100, unit "ms";
+        /// The wheels do not follow a plan that is older than this.
+        plan_age_limit_ms: u32 = 500, in 20..=5000, unit "ms";
+        /// Whether a board on the bus sends emergency stop and bumper. Its silence is an emergency stop.
+        safety_board: bool = false;
+        /// Odometry: variance of one wheel's travel per metre.
+        slip_m: f64 = 1e-4, in 0.0..=0.1, unit "m";
+        limits: LimitConfig;
+        odrive: OdriveConfig;
+        vesc: VescConfig;
+        cia402: Cia402Config;
     }
 }
 
-impl Default for OdriveConfig {
-    fn default() -> Self {
-        Self { firmware: [0, 6, 10], enable_watchdog_endpoint: 0, watchdog_timeout_endpoint: 0 }
+hal::settings! {
+    /// The largest speeds and accelerations. A faster command becomes a slower one on the same arc. The defaults are those of
+    /// the paper's robot: 0.3 m/s and 1 rad/s, from which it stops within 5 cm.
+    #[derive(Copy)]
+    pub struct LimitConfig {
+        /// Largest speed.
+        linear_mps: f64 = 0.3, in 0.01..=5.0, unit "m/s", source "paper";
+        /// Largest angular rate.
+        angular_radps: f64 = 1.0, in 0.01..=20.0, unit "rad/s", source "paper";
+        /// Largest increase of the speed.
+        acceleration_mps2: f64 = 0.5, in 0.01..=20.0, unit "m/s2";
+        /// Largest decrease of the speed; not below the acceleration.
+        deceleration_mps2: f64 = 1.0, in 0.01..=50.0, unit "m/s2";
+        /// Largest increase of the angular rate.
+        angular_acceleration_radps2: f64 = 2.0, in 0.01..=100.0, unit "rad/s2";
+        /// Largest decrease of the angular rate; not below the acceleration.
+        angular_deceleration_radps2: f64 = 4.0, in 0.01..=200.0, unit "rad/s2";
+        /// Time until the full acceleration is reached: the jerk limit is the acceleration over this time. 0 sets no limit.
+        /// Deceleration is never delayed.
+        jerk_time_s: f64 = 0.1, in 0.0..=2.0, unit "s";
     }
 }
 
-impl Default for VescConfig {
-    fn default() -> Self {
-        Self { pole_pairs: 7, brake_a: 5.0, host_id: 252 }
+hal::settings! {
+    /// Used only with `protocol = "odrive"`.
+    #[derive(Copy)]
+    pub struct OdriveConfig {
+        /// Firmware that the endpoints belong to: major, minor, revision.
+        firmware: [u8; 3] = [0, 6, 10];
+        /// Number of `axis0.config.enable_watchdog` in that firmware's `flat_endpoints.json`; 0 is not set.
+        enable_watchdog_endpoint: u16 = 0, in 0..=65535;
+        /// Number of `axis0.config.watchdog_timeout` in the same file; 0 is not set.
+        watchdog_timeout_endpoint: u16 = 0, in 0..=65535;
     }
 }
 
-impl Default for Cia402Config {
-    fn default() -> Self {
-        Self { host_node: 127, velocity_units: 4096.0, position_units: 4096.0 }
+hal::settings! {
+    /// Used only with `protocol = "vesc"`.
+    #[derive(Copy)]
+    pub struct VescConfig {
+        /// Pole pairs of the motors.
+        pole_pairs: u8 = 7, in 1..=100;
+        /// Brake current at zero velocity.
+        brake_a: f64 = 5.0, in 0.1..=200.0, unit "A";
+        /// The id to which the left VESC sends its status; the right one sends it to the next id. Above both nodes.
+        host_id: u8 = 252, in 1..=253;
+    }
+}
+
+hal::settings! {
+    /// Used only with `protocol = "cia402"`.
+    #[derive(Copy)]
+    pub struct Cia402Config {
+        /// Node of this computer.
+        host_node: u8 = 127, in 1..=127;
+        /// Drive velocity units at one motor revolution per second: 60 for rpm, counts per revolution for counts/s.
+        velocity_units: f64 = 4096.0, in 1.0..=10000000.0;
+        /// Drive position units per motor revolution.
+        position_units: f64 = 4096.0, in 1.0..=10000000.0;
+    }
+}
+
+impl From<OutOfRange> for CanError {
+    fn from(OutOfRange { key, value, allowed }: OutOfRange) -> Self {
+        Self::Config { field: key, value: value.to_string(), allowed: allowed.to_owned() }
     }
 }
 
 fn within(field: &'static str, value: f64, low: f64, high: f64) -> Result<(), CanError> {
-    // A NaN lies in no range.
+    // No range contains NaN.
     if (low..=high).contains(&value) {
         return Ok(());
     }
     Err(CanError::Config { field, value: value.to_string(), allowed: format!("{low} to {high}") })
 }
 
+fn at_least_the_acceleration(
+    field: &'static str,
+    value: f64,
+    acceleration: f64,
+) -> Result<(), CanError> {
+    if value >= acceleration {
+        return Ok(());
+    }
+    let allowed = format!("at least the acceleration, {acceleration}");
+    Err(CanError::Config { field, value: value.to_string(), allowed })
+}
+
+impl OdriveConfig {
+    /// Without both endpoints the driver cannot set and confirm the watchdog.
+    fn require_endpoints(&self) -> Result<(), CanError> {
+        let enable = f64::from(self.enable_watchdog_endpoint);
+        within("odrive.enable_watchdog_endpoint", enable, 1.0, 65535.0)?;
+        let timeout = f64::from(self.watchdog_timeout_endpoint);
+        within("odrive.watchdog_timeout_endpoint", timeout, 1.0, 65535.0)
+    }
+}
+
 impl BaseConfig {
-    /// Checks every number.
+    /// Checks every value, and the values together.
     ///
     /// # Errors
-    /// [`CanError::Config`] with the first field that is out of its range.
+    /// [`CanError::Config`] with the first field that is not allowed.
     pub fn validate(&self) -> Result<(), CanError> {
-        let limits = &self.limits;
         if self.bus.is_empty() || self.bus == "unix:" {
             let allowed = "an interface such as can0, or unix:PATH".to_owned();
             return Err(CanError::Config { field: "bus", value: self.bus.clone(), allowed });
         }
-        within("wheel_radius_m", self.wheel_radius_m, 0.005, 1.0)?;
-        within("track_m", self.track_m, 0.03, 3.0)?;
-        within("gear_ratio", self.gear_ratio, 0.01, 1000.0)?;
-        within("watchdog_ms", f64::from(self.watchdog_ms), 20.0, 100.0)?;
-        within("feedback_timeout_ms", f64::from(self.feedback_timeout_ms), 20.0, 100.0)?;
-        within("plan_age_limit_ms", f64::from(self.plan_age_limit_ms), 20.0, 5000.0)?;
-        within("slip_m", self.slip_m, 0.0, 0.1)?;
-        within("limits.linear_mps", limits.linear_mps, 0.01, 5.0)?;
-        within("limits.angular_radps", limits.angular_radps, 0.01, 20.0)?;
-        within("limits.acceleration_mps2", limits.acceleration_mps2, 0.01, 20.0)?;
-        within(
+        self.check_ranges()?;
+        let limits = &self.limits;
+        at_least_the_acceleration(
             "limits.deceleration_mps2",
             limits.deceleration_mps2,
             limits.acceleration_mps2,
-            50.0,
         )?;
-        within(
-            "limits.angular_acceleration_radps2",
+        at_least_the_acceleration(
+            "limits.angular_deceleration_radps2",
+            limits.angular_deceleration_radps2,
             limits.angular_acceleration_radps2,
-            0.01,
-            100.0,
         )?;
-        let (low, value) = (limits.angular_acceleration_radps2, limits.angular_deceleration_radps2);
-        within("limits.angular_deceleration_radps2", value, low, 200.0)?;
-        within("limits.jerk_time_s", limits.jerk_time_s, 0.0, 2.0)?;
         self.validate_nodes()
     }
 
@@ -209,41 +203,25 @@ impl BaseConfig {
             });
         }
         match self.protocol {
-            Protocol::Odrive => {
-                let odrive = &self.odrive;
-                within(
-                    "odrive.enable_watchdog_endpoint",
-                    f64::from(odrive.enable_watchdog_endpoint),
-                    1.0,
-                    65535.0,
-                )?;
-                within(
-                    "odrive.watchdog_timeout_endpoint",
-                    f64::from(odrive.watchdog_timeout_endpoint),
-                    1.0,
-                    65535.0,
-                )
-            }
+            Protocol::Odrive => self.odrive.require_endpoints(),
             Protocol::Vesc => {
-                within("vesc.pole_pairs", f64::from(self.vesc.pole_pairs), 1.0, 100.0)?;
-                within("vesc.brake_a", self.vesc.brake_a, 0.1, 200.0)?;
                 let nodes = self.left_node.max(self.right_node);
                 within("vesc.host_id", f64::from(self.vesc.host_id), f64::from(nodes) + 1.0, 253.0)
             }
             Protocol::Cia402 => {
-                within("cia402.host_node", f64::from(self.cia402.host_node), 1.0, 127.0)?;
                 if [self.left_node, self.right_node].contains(&self.cia402.host_node) {
-                    let (value, allowed) =
-                        (self.cia402.host_node.to_string(), "a node that no motor has".to_owned());
-                    return Err(CanError::Config { field: "cia402.host_node", value, allowed });
+                    return Err(CanError::Config {
+                        field: "cia402.host_node",
+                        value: self.cia402.host_node.to_string(),
+                        allowed: "a node that no motor has".to_owned(),
+                    });
                 }
-                within("cia402.velocity_units", self.cia402.velocity_units, 1.0, 1e7)?;
-                within("cia402.position_units", self.cia402.position_units, 1.0, 1e7)
+                Ok(())
             }
         }
     }
 
-    /// The motors, left and right.
+    /// The drivers of the left and the right motor.
     #[must_use]
     pub(super) fn motors(&self) -> [Box<dyn MotorProtocol>; 2] {
         let nodes = if self.swap_wheels {
@@ -287,7 +265,7 @@ impl BaseConfig {
 mod tests {
     use super::*;
 
-    fn sound() -> BaseConfig {
+    fn valid() -> BaseConfig {
         let odrive = OdriveConfig {
             enable_watchdog_endpoint: 195,
             watchdog_timeout_endpoint: 196,
@@ -298,17 +276,17 @@ mod tests {
 
     #[test]
     fn an_error_names_the_field_the_value_and_the_range() {
-        let error = BaseConfig { watchdog_ms: 250, ..sound() }.validate().expect_err("too long");
-        assert_eq!(error.to_string(), "base: watchdog_ms is 250, allowed: 20 to 100");
-        let error = BaseConfig { track_m: f64::NAN, ..sound() }.validate().expect_err("no number");
-        assert_eq!(error.to_string(), "base: track_m is NaN, allowed: 0.03 to 3");
+        let error = BaseConfig { watchdog_ms: 250, ..valid() }.validate().expect_err("too long");
+        assert_eq!(error.to_string(), "base: watchdog_ms is 250, allowed: 20 to 100 ms");
+        let error = BaseConfig { track_m: f64::NAN, ..valid() }.validate().expect_err("no number");
+        assert_eq!(error.to_string(), "base: track_m is NaN, allowed: 0.03 to 3.0 m");
     }
 
     #[test]
-    fn odrive_needs_endpoints_and_all_need_two_nodes() {
-        assert!(sound().validate().is_ok());
+    fn odrive_needs_endpoints_and_every_protocol_needs_two_nodes() {
+        assert!(valid().validate().is_ok());
         assert!(BaseConfig::default().validate().is_err());
-        assert!(BaseConfig { right_node: 1, ..sound() }.validate().is_err());
+        assert!(BaseConfig { right_node: 1, ..valid() }.validate().is_err());
         assert!(
             BaseConfig { protocol: Protocol::Vesc, ..BaseConfig::default() }.validate().is_ok()
         );

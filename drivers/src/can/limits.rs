@@ -2,43 +2,8 @@
 //! followed more slowly on the same arc, never on another arc.
 
 use hal::Twist2;
-use serde::{Deserialize, Serialize};
 
-/// The largest velocities and accelerations of the robot.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LimitConfig {
-    /// Largest speed, m/s.
-    pub linear_mps: f64,
-    /// Largest yaw rate, rad/s.
-    pub angular_radps: f64,
-    /// Largest increase of the speed, m/s².
-    pub acceleration_mps2: f64,
-    /// Largest decrease of the speed, m/s²; not below the acceleration.
-    pub deceleration_mps2: f64,
-    /// Largest increase of the yaw rate, rad/s².
-    pub angular_acceleration_radps2: f64,
-    /// Largest decrease of the yaw rate, rad/s²; not below the acceleration.
-    pub angular_deceleration_radps2: f64,
-    /// Time to reach full acceleration, s. The jerk limit is the acceleration divided by this time;
-    /// 0 disables it. Braking is never delayed by it.
-    pub jerk_time_s: f64,
-}
-
-impl Default for LimitConfig {
-    /// The paper's robot: 0.3 m/s and 1 rad/s, from which it stops within 5 cm.
-    fn default() -> Self {
-        Self {
-            linear_mps: 0.3,
-            angular_radps: 1.0,
-            acceleration_mps2: 0.5,
-            deceleration_mps2: 1.0,
-            angular_acceleration_radps2: 2.0,
-            angular_deceleration_radps2: 4.0,
-            jerk_time_s: 0.1,
-        }
-    }
-}
+pub use super::config::LimitConfig;
 
 /// Moves the current velocity towards the desired one within the limits, tick by tick.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,9 +1,10 @@
-//! Where the scanner is connected, and how it is mounted.
+//! Configuration of a Hokuyo scanner.
 
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use hal::settings::{ConfigValue, Kind, OutOfRange};
 use serde::{Deserialize, Serialize};
 
 use super::HokuyoError;
@@ -12,67 +13,64 @@ use crate::scip::Model;
 /// The port on which the Ethernet models listen (UST-10LX, communication protocol specification).
 const TCP_PORT: u16 = 10_940;
 
-/// What the scanner is connected by: `/dev/serial/by-id/...` or `tcp:192.168.0.10:10940`.
+/// The connection to the scanner: `/dev/serial/by-id/...` or `tcp:192.168.0.10:10940`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Port {
-    /// A serial port or USB CDC-ACM device. Use a path that stays the same when the device is plugged in again.
+    /// A serial port or USB CDC-ACM device. Use a path that stays the same after the device was unplugged.
     Serial(PathBuf),
     /// An Ethernet model.
     Tcp {
-        /// Address or name.
+        /// Address or host name.
         host: String,
-        /// Port, 10940 unless somebody changed it.
+        /// TCP port; the scanners listen on 10940 unless it was changed.
         port: u16,
     },
 }
 
-/// A Hokuyo scanner as configured.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct HokuyoConfig {
-    /// What it is connected by.
-    pub port: Port,
-    /// Which model it is. Another one is refused, because its beams would be misunderstood.
-    pub model: Model,
-    /// Bits a second on RS-232; USB and Ethernet do not care.
-    pub baud: u32,
-    /// Whether it hangs upside down, so that its beams run the other way.
-    pub upside_down: bool,
-    /// Good scans in a row before it counts as alive, after each time that it was not.
-    pub good_scans: u32,
+impl ConfigValue for Port {
+    const KIND: Kind = Kind::Text;
 }
 
-impl Default for HokuyoConfig {
-    /// The first USB scanner of a computer that has one.
-    fn default() -> Self {
-        Self::new(Port::Serial("/dev/ttyACM0".into()))
+hal::choices!(Model: "urg-04lx", "utm-30lx", "ust-10lx", "ust-20lx");
+
+hal::settings! {
+    /// The safety LiDAR: a Hokuyo scanner, by SCIP 2.
+    #[derive(Eq)]
+    pub struct HokuyoConfig {
+        /// Connection: `/dev/serial/by-id/...`, which stays the same after the scanner was unplugged, or
+        /// `tcp:192.168.0.10:10940`.
+        port: Port = Port::Serial("/dev/ttyACM0".into());
+        /// Model of the scanner. Another model is refused, because its beams would be misinterpreted.
+        model: Model = Model::default();
+        /// Bit rate of RS-232. USB and Ethernet ignore it. The URG-04LX starts with 19200.
+        baud: u32 = 115200, in 9600..=4000000, unit "bit/s";
+        /// Whether the scanner is mounted upside down, so that its beams run in the opposite direction.
+        upside_down: bool = false;
+        /// Consecutive valid scans that are needed before the scanner counts as working, at the start and after each fault.
+        good_scans: u32 = 3, in 1..=100, unit "scans";
+    }
+}
+
+impl From<OutOfRange> for HokuyoError {
+    fn from(error: OutOfRange) -> Self {
+        Self::Config { what: error.to_string() }
     }
 }
 
 impl HokuyoConfig {
-    /// A UTM-30LX, upright.
+    /// A UTM-30LX that is mounted upright.
     #[must_use]
     pub fn new(port: Port) -> Self {
-        Self { port, model: Model::default(), baud: 115_200, upside_down: false, good_scans: 3 }
+        Self { port, ..Self::default() }
     }
 
-    /// Refuses what cannot work.
+    /// Checks every value.
     ///
     /// # Errors
-    /// [`HokuyoError::Config`] with the value and its limits.
+    /// [`HokuyoError::Config`] with the value and its range.
     pub fn validate(&self) -> Result<(), HokuyoError> {
-        let refuse = |what: String| Err(HokuyoError::Config { what });
-        if !(1..=100).contains(&self.good_scans) {
-            return refuse(format!("good_scans = {}: must be 1 to 100", self.good_scans));
-        }
-        if !(9_600..=4_000_000).contains(&self.baud) {
-            return refuse(format!(
-                "baud = {}: must be 9600 to 4000000; the URG-04LX starts with 19200",
-                self.baud
-            ));
-        }
-        Ok(())
+        Ok(self.check_ranges()?)
     }
 }
 
@@ -89,23 +87,29 @@ impl FromStr for Port {
     type Err = HokuyoError;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let wrong = || HokuyoError::Config {
-            what: format!(
-                "port = `{text}`: must be a path like /dev/serial/by-id/... or tcp:HOST or tcp:HOST:PORT"
-            ),
-        };
         let Some(address) = text.strip_prefix("tcp:") else {
             return if text.starts_with('/') {
                 Ok(Self::Serial(text.into()))
             } else {
-                Err(wrong())
+                Err(not_a_port(text))
             };
         };
         let (host, port) = match address.rsplit_once(':') {
-            Some((host, port)) => (host, port.parse().map_err(|_| wrong())?),
+            Some((host, port)) => (host, port.parse().map_err(|_| not_a_port(text))?),
             None => (address, TCP_PORT),
         };
-        if host.is_empty() { Err(wrong()) } else { Ok(Self::Tcp { host: host.to_owned(), port }) }
+        if host.is_empty() {
+            return Err(not_a_port(text));
+        }
+        Ok(Self::Tcp { host: host.to_owned(), port })
+    }
+}
+
+fn not_a_port(text: &str) -> HokuyoError {
+    HokuyoError::Config {
+        what: format!(
+            "port = `{text}`: must be a path like /dev/serial/by-id/... or tcp:HOST or tcp:HOST:PORT"
+        ),
     }
 }
 
@@ -128,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ports_are_paths_or_addresses_and_come_back_as_they_were_written() {
+    fn a_port_is_a_path_or_an_address_and_is_written_as_it_was_read() {
         for text in ["/dev/serial/by-id/usb-Hokuyo", "tcp:192.168.0.10:10940", "tcp:localhost:7"] {
             assert_eq!(text.parse::<Port>().unwrap().to_string(), text);
         }
@@ -142,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_configuration_needs_no_more_than_a_port() {
+    fn a_port_alone_is_a_complete_configuration() {
         let config: HokuyoConfig = toml::from_str("port = \"/dev/lidar\"").unwrap();
         assert_eq!(config, HokuyoConfig::new("/dev/lidar".parse().unwrap()));
         let config: HokuyoConfig =
@@ -155,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn values_that_cannot_work_are_refused_with_their_limits() {
+    fn values_out_of_range_are_refused_with_the_range() {
         let config = HokuyoConfig::new("/dev/lidar".parse().unwrap());
         assert!(config.validate().is_ok());
         let error = HokuyoConfig { good_scans: 0, ..config.clone() }.validate().unwrap_err();

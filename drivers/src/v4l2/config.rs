@@ -1,66 +1,71 @@
-//! Which camera, and how it shall be set.
+//! Configuration of a camera.
 
 use std::fmt;
 use std::path::Path;
 
 use hal::PixelFormat;
+use hal::settings::{ConfigValue, Kind, OutOfRange, Range};
 use serde::de::{Error as _, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::error::V4l2Error;
 use super::node::FourCc;
 
-/// One camera. What is absent is left as the camera has it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct CameraDeviceConfig {
-    /// `/dev/v4l/by-id/...`, which stays the same over a replug, or `unix:/path` of a simulated camera.
-    pub device: String,
-    /// Columns.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// How the pictures come.
-    pub format: CameraFormat,
-    /// Pictures a second.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub fps: Option<f64>,
-    /// Exposure time, microseconds, or `"auto"`. Cameras count it in steps of 100.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub exposure_us: Option<Setting>,
-    /// Gain in the camera's own units, or `"auto"`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub gain: Option<Setting>,
-    /// Colour temperature of the light, kelvin, or `"auto"`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub white_balance_k: Option<Setting>,
-    /// A picture older than this when it is looked at is dropped, milliseconds. By default 200: a robot at 0.5 m/s has gone
-    /// 10 cm since.
-    pub max_age_ms: u32,
-    /// How much later a picture is stamped than the middle of its exposure, beside what a configured exposure time explains,
-    /// milliseconds: readout, the camera's own processing, USB. Taken off every stamp. `firmware-host camera-latency` measures it.
-    pub latency_ms: f64,
+hal::settings! {
+    /// The camera, by V4L2. A setting that is absent stays as the camera has it.
+    pub struct CameraDeviceConfig {
+        /// Path that stays the same after the camera was unplugged, such as `/dev/v4l/by-id/...`, or `unix:/path` of a
+        /// simulated camera.
+        device: String = "/dev/video0".to_owned();
+        /// Columns that the camera is asked for; an even number.
+        width: u32 = 640, in 16..=16384, unit "pixels";
+        /// Rows that the camera is asked for; an even number.
+        height: u32 = 480, in 16..=16384, unit "pixels";
+        /// Pixel format: YUV 4:2:2 packed (`yuyv`, which every USB camera has), YUV 4:2:0 (`nv12`, image processors of
+        /// boards), RGB, or Motion JPEG (large images over USB 2).
+        format: CameraFormat = CameraFormat::Yuyv;
+        /// Frame rate.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        fps: Option<f64> = Some(30.0), in 0.1..=1000.0, unit "Hz";
+        /// Exposure time. Cameras count it in steps of 100 us.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        exposure_us: Option<Setting> = None, in 100..=10000000, unit "us";
+        /// Gain in the camera's own units.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        gain: Option<Setting> = None;
+        /// Colour temperature of the light, in kelvin.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        white_balance_k: Option<Setting> = None;
+        /// A frame older than this is dropped.
+        max_age_ms: u32 = 200, in 10..=10000, unit "ms", source "a robot at 0.5 m/s drives 10 cm in this time";
+        /// Time from the middle of the exposure to the frame's timestamp, beyond what a configured exposure time explains:
+        /// readout, the camera's own processing, USB. It is subtracted from every timestamp. `firmware-host camera-latency`
+        /// measures it.
+        latency_ms: f64 = 0.0, in -100.0..=300.0, unit "ms";
+    }
 }
 
-/// How pictures come from the camera.
+/// Pixel format of the camera's images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum CameraFormat {
-    /// YUV 4:2:2 packed: what every USB camera has.
+    /// YUV 4:2:2 packed, which every USB camera has.
     Yuyv,
-    /// YUV 4:2:0: what image processors of boards have.
+    /// YUV 4:2:0, which the image processors of boards have.
     Nv12,
-    /// Red, green, blue.
+    /// Red, green and blue, 8 bits each.
     Rgb24,
-    /// Motion JPEG: large pictures over USB 2.
+    /// Motion JPEG, for large images over USB 2.
     Mjpeg,
 }
 
+hal::choices!(CameraFormat: "yuyv", "nv12", "rgb24", "mjpeg");
+
 impl CameraFormat {
-    /// All that can be read.
+    /// Every format that the driver reads.
     pub const ALL: [Self; 4] = [Self::Yuyv, Self::Nv12, Self::Rgb24, Self::Mjpeg];
 
-    /// The names that V4L2 drivers have for it, the usual one first.
+    /// The codes that V4L2 drivers use for this format, the usual one first.
     #[must_use]
     pub fn names(self) -> &'static [FourCc] {
         match self {
@@ -71,7 +76,7 @@ impl CameraFormat {
         }
     }
 
-    /// Our name of it.
+    /// The same format in [`hal`].
     #[must_use]
     pub fn pixels(self) -> PixelFormat {
         match self {
@@ -82,7 +87,7 @@ impl CameraFormat {
         }
     }
 
-    /// Bytes of a row of the first plane without padding; 0 where there are no rows.
+    /// Bytes of a row of the first plane without padding; 0 for a format without rows.
     #[must_use]
     pub fn row_bytes(self, width: u32) -> u32 {
         match self {
@@ -94,13 +99,24 @@ impl CameraFormat {
     }
 }
 
-/// A value, or what the camera thinks best.
+/// A fixed value, or the camera's automatic control.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Setting {
-    /// Chosen by the camera, changing.
+    /// The camera chooses and changes the value.
     Auto,
-    /// Fixed.
+    /// The value is fixed.
     Manual(i32),
+}
+
+impl ConfigValue for Setting {
+    const KIND: Kind = Kind::AutoOrInteger;
+
+    fn first_outside(&self, range: &Range) -> Option<f64> {
+        match self {
+            Self::Auto => None,
+            Self::Manual(value) => value.first_outside(range),
+        }
+    }
 }
 
 impl Serialize for Setting {
@@ -142,97 +158,61 @@ impl<'de> Deserialize<'de> for Setting {
     }
 }
 
-impl Default for CameraDeviceConfig {
-    /// The first camera of a computer that has one, at the size that every webcam has.
-    fn default() -> Self {
-        Self { fps: Some(30.0), ..Self::new("/dev/video0", 640, 480, CameraFormat::Yuyv) }
+impl From<OutOfRange> for V4l2Error {
+    fn from(OutOfRange { key, value, allowed }: OutOfRange) -> Self {
+        Self::Config { field: key, value: value.to_string(), way_out: allowed }
     }
 }
 
 impl CameraDeviceConfig {
-    /// A camera whose settings are left as they are.
+    /// A camera whose frame rate and controls stay as they are.
     #[must_use]
     pub fn new(device: &str, width: u32, height: u32, format: CameraFormat) -> Self {
-        Self {
-            device: device.to_owned(),
-            width,
-            height,
-            format,
-            fps: None,
-            exposure_us: None,
-            gain: None,
-            white_balance_k: None,
-            max_age_ms: 200,
-            latency_ms: 0.0,
-        }
+        Self { device: device.to_owned(), width, height, format, fps: None, ..Self::default() }
     }
 
-    /// The path of a simulated camera's socket, if this is one.
+    /// The path of the socket if the camera is simulated.
     #[must_use]
     pub fn socket(&self) -> Option<&Path> {
         self.device.strip_prefix("unix:").map(Path::new)
     }
 
-    /// The least `max_age_ms` with which pictures of this latency are looked at, and not always just too old: one waits for the
-    /// next, or for the next look, 0.1 s at most.
+    /// The smallest `max_age_ms` with which frames of this latency are not always too old. A frame waits for the next one or
+    /// for the next poll, 0.1 s at most.
     #[must_use]
     pub fn least_max_age_ms(&self) -> u32 {
         let waits_ms = self.fps.map_or(100.0, |fps| (1000.0 / fps).min(100.0));
         (self.latency_ms.abs() + waits_ms).ceil() as u32
     }
 
-    /// Refuses what no camera can do.
+    /// Checks every value, and the values together.
     ///
     /// # Errors
-    /// The first field that cannot be, with its value and what it may be.
+    /// The first field that is not allowed, with its value and the allowed values.
     pub fn check(&self) -> Result<(), V4l2Error> {
-        let wrong = |field, value: &dyn fmt::Display, way_out| {
-            Err(V4l2Error::Config { field, value: value.to_string(), way_out })
-        };
         let path = self.socket().unwrap_or(Path::new(&self.device));
         if !path.is_absolute() {
-            return wrong(
-                "device",
-                &self.device,
-                "give a path such as /dev/v4l/by-id/usb-...-video-index0 or unix:/path",
-            );
+            let way_out = "give a path such as /dev/v4l/by-id/usb-...-video-index0 or unix:/path";
+            return Err(refused("device", &self.device, way_out));
         }
-        // The odd ones are refused by `ImageView` as well; 16384 keeps every size within 32 bits.
-        if !(16..=16384).contains(&self.width) || !self.width.is_multiple_of(2) {
-            return wrong("width", &self.width, "give an even number from 16 to 16384");
+        self.check_ranges()?;
+        // `ImageView` refuses odd sizes too. 16384 keeps the bytes of an image within 32 bits.
+        if !self.width.is_multiple_of(2) {
+            return Err(refused("width", &self.width, "give an even number"));
         }
-        if !(16..=16384).contains(&self.height) || !self.height.is_multiple_of(2) {
-            return wrong("height", &self.height, "give an even number from 16 to 16384");
-        }
-        if let Some(fps) = self.fps
-            && !(0.1..=1000.0).contains(&fps)
-        {
-            return wrong("fps", &fps, "give pictures a second, from 0.1 to 1000");
-        }
-        if let Some(Setting::Manual(us)) = self.exposure_us
-            && !(100..=10_000_000).contains(&us)
-        {
-            return wrong(
-                "exposure_us",
-                &us,
-                "give microseconds, from 100 to 10000000, or \"auto\"",
-            );
-        }
-        if !(10..=10_000).contains(&self.max_age_ms) {
-            return wrong("max_age_ms", &self.max_age_ms, "give milliseconds, from 10 to 10000");
-        }
-        if !(-100.0..=300.0).contains(&self.latency_ms) {
-            return wrong("latency_ms", &self.latency_ms, "give milliseconds, from -100 to 300");
+        if !self.height.is_multiple_of(2) {
+            return Err(refused("height", &self.height, "give an even number"));
         }
         if self.latency_ms != 0.0 && self.max_age_ms < self.least_max_age_ms() {
-            return wrong(
-                "latency_ms",
-                &self.latency_ms,
-                "every picture would be too old; raise max_age_ms as well",
-            );
+            let way_out = "every frame would be too old; raise max_age_ms as well";
+            return Err(refused("latency_ms", &self.latency_ms, way_out));
         }
         Ok(())
     }
+}
+
+fn refused(field: &'static str, value: &dyn fmt::Display, way_out: &'static str) -> V4l2Error {
+    V4l2Error::Config { field, value: value.to_string(), way_out }
 }
 
 #[cfg(test)]
@@ -250,14 +230,13 @@ mod tests {
     "#;
 
     #[test]
-    fn a_configuration_is_read_and_written_as_an_engineer_writes_it() {
+    fn a_configuration_is_read_and_written_in_the_same_form() {
         let config: CameraDeviceConfig = toml::from_str(TEXT).unwrap();
         config.check().unwrap();
-        assert_eq!(
-            (config.exposure_us, config.gain),
-            (Some(Setting::Manual(8000)), Some(Setting::Auto))
-        );
-        assert_eq!((config.white_balance_k, config.max_age_ms), (None, 200));
+        assert_eq!(config.exposure_us, Some(Setting::Manual(8000)));
+        assert_eq!(config.gain, Some(Setting::Auto));
+        assert_eq!(config.white_balance_k, None);
+        assert_eq!(config.max_age_ms, 200);
         assert_eq!(
             toml::from_str::<CameraDeviceConfig>(&toml::to_string(&config).unwrap()).unwrap(),
             config
@@ -265,28 +244,26 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_value_is_refused_with_the_field_the_value_and_what_it_may_be() {
+    fn a_value_that_is_not_allowed_is_refused_with_the_field_and_the_allowed_values() {
         let good: CameraDeviceConfig = toml::from_str(TEXT).unwrap();
-        let refused = |change: &dyn Fn(&mut CameraDeviceConfig)| {
-            let mut config = good.clone();
-            change(&mut config);
-            config.check().unwrap_err().to_string()
-        };
-        assert!(refused(&|config| config.device = "video0".into()).contains("device = video0"));
-        assert!(refused(&|config| config.width = 0).contains("width = 0"));
-        assert!(refused(&|config| config.height = 481).contains("height = 481"));
-        assert!(refused(&|config| config.fps = Some(f64::NAN)).contains("fps = NaN"));
-        assert!(
-            refused(&|config| config.exposure_us = Some(Setting::Manual(0)))
-                .contains("exposure_us = 0")
-        );
-        assert!(refused(&|config| config.max_age_ms = 0).contains("max_age_ms = 0"));
-        assert!(refused(&|config| config.latency_ms = f64::NAN).contains("latency_ms = NaN"));
-        assert!(refused(&|config| config.latency_ms = 190.0).contains("raise max_age_ms"));
-        assert!(
-            refused(&|config| (config.latency_ms, config.max_age_ms) = (-100.0, 50))
-                .contains("raise max_age_ms")
-        );
+        let exposure_us = Some(Setting::Manual(0));
+        for (bad, message) in [
+            (CameraDeviceConfig { device: "video0".into(), ..good.clone() }, "device = video0"),
+            (CameraDeviceConfig { width: 0, ..good.clone() }, "width = 0"),
+            (CameraDeviceConfig { height: 481, ..good.clone() }, "height = 481"),
+            (CameraDeviceConfig { fps: Some(f64::NAN), ..good.clone() }, "fps = NaN"),
+            (CameraDeviceConfig { exposure_us, ..good.clone() }, "exposure_us = 0"),
+            (CameraDeviceConfig { max_age_ms: 0, ..good.clone() }, "max_age_ms = 0"),
+            (CameraDeviceConfig { latency_ms: f64::NAN, ..good.clone() }, "latency_ms = NaN"),
+            (CameraDeviceConfig { latency_ms: 190.0, ..good.clone() }, "raise max_age_ms"),
+            (
+                CameraDeviceConfig { latency_ms: -100.0, max_age_ms: 50, ..good.clone() },
+                "raise max_age_ms",
+            ),
+        ] {
+            let error = bad.check().unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
         let error = toml::from_str::<CameraDeviceConfig>(&TEXT.replace("\"auto\"", "\"much\""))
             .unwrap_err();
         assert!(error.to_string().contains("\"auto\" or a whole number"), "{error}");

@@ -1,4 +1,4 @@
-//! Opens each device as `run` does, for a few seconds. Nothing is armed: motors are told zero at most.
+//! Opens each device as `run` does, for a few seconds. Nothing is armed: motors receive at most a velocity of zero.
 
 use std::path::Path;
 
@@ -14,78 +14,84 @@ use monotonic_clock::MonotonicClock;
 use super::nearby;
 use crate::config::Config;
 
-/// A device that has not come to work by then is not well.
-const PATIENCE_NS: u64 = 3_000_000_000;
-/// One that works is watched for so long.
-const WATCH_NS: u64 = 1_000_000_000;
-/// From look to look: the pace of the safety loop.
-const PACE_NS: u64 = 10_000_000;
+/// A device that does not work after this time is not usable.
+const TIMEOUT_NS: u64 = 3_000_000_000;
+/// The rate of a working device is measured for this long.
+const MEASURE_NS: u64 = 1_000_000_000;
+/// Time between two polls: the period of the safety loop.
+const POLL_NS: u64 = 10_000_000;
 
-/// How a device is.
+/// The result of testing one device.
 pub struct Finding {
-    /// Which.
     pub device: &'static str,
-    /// Where the configuration says it is.
+    /// Its path or address in the configuration.
     pub path: String,
     /// Whether the robot could drive with it.
-    pub is_well: bool,
-    /// In a word.
+    pub is_usable: bool,
     pub state: String,
-    /// What it says it is.
-    pub what: String,
-    /// What is wrong and what to do; of one that is well, advice.
-    pub to_do: Vec<String>,
+    /// What the device reports about itself, and what was measured.
+    pub details: String,
+    /// What is wrong and how to correct it; for a usable device, suggestions.
+    pub advice: Vec<String>,
 }
 
 impl Finding {
-    fn well(device: &'static str, path: String, what: String) -> Self {
+    fn usable(device: &'static str, path: String, details: String) -> Self {
         Self {
             device,
             path,
-            is_well: true,
+            is_usable: true,
             state: DeviceState::Working.to_string(),
-            what,
-            to_do: Vec::new(),
+            details,
+            advice: Vec::new(),
         }
     }
 
-    fn unwell(
+    fn unusable(
         device: &'static str,
         path: String,
         state: DeviceState,
-        what: String,
-        why: String,
+        details: String,
+        problem: String,
     ) -> Self {
-        Self { device, path, is_well: false, state: state.to_string(), what, to_do: vec![why] }
+        Self {
+            device,
+            path,
+            is_usable: false,
+            state: state.to_string(),
+            details,
+            advice: vec![problem],
+        }
     }
 
     fn advise(mut self, advice: Option<String>) -> Self {
-        self.to_do.extend(advice);
+        self.advice.extend(advice);
         self
     }
 }
 
-/// Looks at all of them at the same time; takes three seconds at most, or as long as a camera needs to be opened.
-pub fn look(config: &Config) -> Vec<Finding> {
+/// Tests all devices at the same time. This takes at most three seconds, or as long as a camera needs to open.
+pub fn test_all(config: &Config) -> Vec<Finding> {
     let devices = &config.devices;
     std::thread::scope(|scope| {
-        let eyes = scope.spawn(|| camera(&devices.camera));
-        let scanner = scope.spawn(|| lidar(&devices.lidar));
-        let wheels = base(&devices.base);
-        let crashed = |device| {
-            let why = "its driver has panicked; please report this".to_owned();
-            Finding::unwell(device, String::new(), DeviceState::Faulty, String::new(), why)
-        };
+        let camera = scope.spawn(|| test_camera(&devices.camera));
+        let lidar = scope.spawn(|| test_lidar(&devices.lidar));
+        let base = test_base(&devices.base);
         vec![
-            eyes.join().unwrap_or_else(|_| crashed("camera")),
-            scanner.join().unwrap_or_else(|_| crashed("LiDAR")),
-            wheels,
+            camera.join().unwrap_or_else(|_| panicked("camera")),
+            lidar.join().unwrap_or_else(|_| panicked("LiDAR")),
+            base,
         ]
     })
 }
 
-/// Polls a device at the safety loop's pace: until it works and did so a second ago, or patience is over.
-fn watch(mut poll: impl FnMut() -> DeviceStatus) -> Watched {
+fn panicked(device: &'static str) -> Finding {
+    let problem = "its driver has panicked; please report this".to_owned();
+    Finding::unusable(device, String::new(), DeviceState::Faulty, String::new(), problem)
+}
+
+/// Polls a device at the rate of the safety loop, until it has worked for a second or the time is over.
+fn measure(mut poll: impl FnMut() -> DeviceStatus) -> Measured {
     let mut clock = MonotonicClock;
     let begin_ns = clock.now_ns();
     let mut working: Option<(u64, u64)> = None;
@@ -97,81 +103,89 @@ fn watch(mut poll: impl FnMut() -> DeviceStatus) -> Watched {
             working.get_or_insert((now_ns, status.good));
         }
         let (since_ns, good) = working.unwrap_or((now_ns, status.good));
-        if works && now_ns - since_ns >= WATCH_NS || now_ns - begin_ns >= PATIENCE_NS {
+        if works && now_ns - since_ns >= MEASURE_NS || now_ns - begin_ns >= TIMEOUT_NS {
             let rate_hz = (status.good - good) as f64 / ((now_ns - since_ns).max(1) as f64 * 1e-9);
-            return Watched { status, rate_hz };
+            return Measured { status, rate_hz };
         }
-        clock.sleep_until_ns(now_ns + PACE_NS);
+        clock.sleep_until_ns(now_ns + POLL_NS);
     }
 }
 
-/// What a while with a device has shown.
-struct Watched {
+struct Measured {
     status: DeviceStatus,
     rate_hz: f64,
 }
 
-fn camera(config: &CameraDeviceConfig) -> Finding {
+fn test_camera(config: &CameraDeviceConfig) -> Finding {
     let path = || config.device.clone();
-    let failed = |state, what: &str, error: &V4l2Error| {
-        let lacks = matches!(error, V4l2Error::NotThere { .. } | V4l2Error::NotACamera { .. });
-        let others = (lacks && config.socket().is_none()).then(|| nearby::CAMERAS.list());
-        Finding::unwell("camera", path(), state, what.to_owned(), error.to_string()).advise(others)
-    };
     let agreement = match v4l2::check(config) {
         Ok(agreement) => agreement,
-        Err(error) => return failed(state_of(&error), "", &error),
+        Err(error) => return camera_failed(config, state_of(&error), "", &error),
     };
     let layout = agreement.layout;
-    let offered = offer(&agreement.formats);
-    let what = format!("{} {}x{}; it has {offered}", layout.format, layout.width, layout.height);
-    // Only the size counts here: nothing is computed from these pictures.
+    let offered = list_formats(&agreement.formats);
+    let details =
+        format!("{} {}x{}; formats: {offered}", layout.format, layout.width, layout.height);
+    // Only the size matters, because nothing is computed from these images.
     let model = CameraModel::pinhole(config.width as usize, config.height as usize, 1.0);
     let mut device = match V4l2Camera::new(config, model) {
         Ok(device) => device,
-        Err(error) => return failed(state_of(&error), &what, &error),
+        Err(error) => return camera_failed(config, state_of(&error), &details, &error),
     };
-    let (mut frame, mut last_error) = (Frame::empty(), None);
-    let watched = watch(|| {
+    let mut frame = Frame::empty();
+    let mut last_error = None;
+    let measured = measure(|| {
         last_error = device.poll_frame(&mut frame).err();
         device.status()
     });
     match last_error {
-        None if watched.status.state == DeviceState::Working => {
-            let what = format!("{what}; {:.1} pictures a second", watched.rate_hz);
+        None if measured.status.state == DeviceState::Working => {
+            let details = format!("{details}; {:.1} frames per second", measured.rate_hz);
             let stable = nearby::CAMERAS
                 .stable_name_of(Path::new(&config.device))
-                .map(|name| renamed(&name));
-            Finding::well("camera", path(), what).advise(stable)
+                .map(|name| prefer_stable_name(&name));
+            Finding::usable("camera", path(), details).advise(stable)
         }
-        Some(error) => failed(watched.status.state, &what, &error),
+        Some(error) => camera_failed(config, measured.status.state, &details, &error),
         None => {
-            let why =
-                "it has not given a picture yet; look again, and check the cable if this stays"
+            let problem =
+                "it has not delivered a frame yet; check again, and check the cable if this persists"
                     .to_owned();
-            Finding::unwell("camera", path(), watched.status.state, what, why)
+            Finding::unusable("camera", path(), measured.status.state, details, problem)
         }
     }
 }
 
-/// The formats that can be read, and how many others there are: some cameras have fifty.
-fn offer(formats: &[FourCc]) -> String {
-    let (ours, others): (Vec<FourCc>, Vec<_>) = formats
+fn camera_failed(
+    config: &CameraDeviceConfig,
+    state: DeviceState,
+    details: &str,
+    error: &V4l2Error,
+) -> Finding {
+    let is_missing = matches!(error, V4l2Error::NotThere { .. } | V4l2Error::NotACamera { .. });
+    let others = (is_missing && config.socket().is_none()).then(|| nearby::CAMERAS.list());
+    let path = config.device.clone();
+    Finding::unusable("camera", path, state, details.to_owned(), error.to_string()).advise(others)
+}
+
+/// The formats that the driver reads, and the number of the others: some cameras have fifty.
+fn list_formats(formats: &[FourCc]) -> String {
+    let (supported, others): (Vec<FourCc>, Vec<_>) = formats
         .iter()
         .partition(|format| CameraFormat::ALL.iter().any(|ours| ours.names().contains(format)));
-    let mut words: Vec<_> = ours.iter().map(ToString::to_string).collect();
+    let mut words: Vec<_> = supported.iter().map(ToString::to_string).collect();
     if !others.is_empty() {
-        words.push(format!("{} that are not read here", others.len()));
+        words.push(format!("{} unsupported", others.len()));
     }
     words.join(", ")
 }
 
-fn lidar(config: &HokuyoConfig) -> Finding {
+fn test_lidar(config: &HokuyoConfig) -> Finding {
     let path = || config.port.to_string();
     let mut device = match HokuyoLidar::open(config.clone()) {
         Ok(device) => device,
         Err(error) => {
-            return Finding::unwell(
+            return Finding::unusable(
                 "LiDAR",
                 path(),
                 state_of(&error),
@@ -182,51 +196,56 @@ fn lidar(config: &HokuyoConfig) -> Finding {
     };
     let monitor = device.monitor();
     let mut scan = LaserScan::empty(device.geometry());
-    let watched = watch(|| {
-        // What is wrong stands in the status and in the monitor's text.
+    let measured = measure(|| {
+        // The status and the monitor describe a problem in more detail than this error.
         let _ = device.poll_scan(&mut scan);
         device.status()
     });
-    let what = monitor.identity().map_or_else(String::new, |identity| {
-        let known = |text: String| if text.is_empty() { "unknown".to_owned() } else { text };
+    let details = monitor.identity().map_or_else(String::new, |identity| {
         format!(
             "{}, serial {}, firmware {}",
             identity.model,
-            known(identity.serial),
-            known(identity.firmware)
+            or_unknown(identity.serial),
+            or_unknown(identity.firmware)
         )
     });
     let serial = match &config.port {
         Port::Serial(path) => Some(path.as_path()),
         Port::Tcp { .. } => None,
     };
-    if watched.status.state == DeviceState::Working {
+    if measured.status.state == DeviceState::Working {
         let hits = scan.ranges.iter().filter(|range| range.hit_m().is_some()).count();
         let beams = scan.ranges.len();
-        let what = format!(
-            "{what}; {:.1} scans a second, {hits} of {beams} beams meet something",
-            watched.rate_hz
+        let details = format!(
+            "{details}; {:.1} scans per second, {hits} of {beams} beams hit something",
+            measured.rate_hz
         );
-        let stable =
-            serial.and_then(|path| nearby::PORTS.stable_name_of(path)).map(|name| renamed(&name));
-        let bad = watched.status.bad;
-        let noise = (bad > 0)
-            .then(|| format!("{bad} scans failed their checks meanwhile; check cable and ground"));
-        return Finding::well("LiDAR", path(), what).advise(stable).advise(noise);
+        let stable = serial
+            .and_then(|path| nearby::PORTS.stable_name_of(path))
+            .map(|name| prefer_stable_name(&name));
+        let bad = measured.status.bad;
+        let noise = (bad > 0).then(|| {
+            format!("{bad} scans failed their checks during the test; check cable and ground")
+        });
+        return Finding::usable("LiDAR", path(), details).advise(stable).advise(noise);
     }
     let starting =
-        "its first good scans have not come yet; it may be starting: look again".to_owned();
-    let why = monitor.problem().unwrap_or(starting);
+        "it has not delivered a valid scan yet; it may be starting: check again".to_owned();
+    let problem = monitor.problem().unwrap_or(starting);
     let others = serial.filter(|path| !path.exists()).map(|_| nearby::PORTS.list());
-    Finding::unwell("LiDAR", path(), watched.status.state, what, why).advise(others)
+    Finding::unusable("LiDAR", path(), measured.status.state, details, problem).advise(others)
 }
 
-fn base(config: &BaseConfig) -> Finding {
+fn or_unknown(text: String) -> String {
+    if text.is_empty() { "unknown".to_owned() } else { text }
+}
+
+fn test_base(config: &BaseConfig) -> Finding {
     let path = || config.bus.clone();
     let mut device = match DifferentialBase::new(open_bus(&config.bus), config) {
         Ok(device) => device,
         Err(error) => {
-            return Finding::unwell(
+            return Finding::unusable(
                 "base",
                 path(),
                 state_of(&error),
@@ -235,36 +254,38 @@ fn base(config: &BaseConfig) -> Finding {
             );
         }
     };
-    let watched = watch(|| {
-        // Sets the motors up, reads their watchdogs back and holds zero; whether it got there stands in the status.
+    let measured = measure(|| {
+        // Initializes the motors, reads their watchdogs back and holds zero. The status tells whether this succeeded.
         let _ = device.poll_feedback();
         device.status()
     });
-    let state = watched.status.state;
-    let [left, right] = device.motors().map(motor);
+    let state = measured.status.state;
+    let [left, right] = device.motors().map(describe_motor);
     let protocol = match config.protocol {
         Protocol::Odrive => "ODrive",
         Protocol::Vesc => "VESC",
         Protocol::Cia402 => "CiA 402",
     };
-    let (left_node, right_node) = (config.left_node, config.right_node);
-    let what =
-        format!("{protocol}: left (node {left_node}) {left}, right (node {right_node}) {right}");
-    let why = match (device.check(), device.motors().into_iter().find_map(|motor| motor.problem)) {
-        (Ok(()), None) if state == DeviceState::Working => {
-            return Finding::well("base", path(), what);
-        }
-        (Err(CanError::Tripped(trip)), _) => trip.to_string(),
-        (Err(error), _) => error.to_string(),
-        (Ok(()), _) => device.explain(),
-    };
+    let details = format!(
+        "{protocol}: left (node {}) {left}, right (node {}) {right}",
+        config.left_node, config.right_node
+    );
+    let problem =
+        match (device.check(), device.motors().into_iter().find_map(|motor| motor.problem)) {
+            (Ok(()), None) if state == DeviceState::Working => {
+                return Finding::usable("base", path(), details);
+            }
+            (Err(CanError::Tripped(trip)), _) => trip.to_string(),
+            (Err(error), _) => error.to_string(),
+            (Ok(()), _) => device.explain(),
+        };
     let state = if state == DeviceState::Working { DeviceState::Faulty } else { state };
     let interface =
         if config.bus.starts_with("unix:") { None } else { nearby::can_interface(&config.bus) };
-    Finding::unwell("base", path(), state, what, why).advise(interface)
+    Finding::unusable("base", path(), state, details, problem).advise(interface)
 }
 
-fn motor(status: &MotorStatus) -> String {
+fn describe_motor(status: &MotorStatus) -> String {
     match status.watchdog_ms {
         Some(ms) if status.feedback_ns > 0 => format!("watchdog {ms:.0} ms"),
         Some(ms) => format!("watchdog {ms:.0} ms, no feedback"),
@@ -272,8 +293,11 @@ fn motor(status: &MotorStatus) -> String {
     }
 }
 
-fn renamed(name: &Path) -> String {
-    format!("this path may be another device's after a restart; name it {} instead", name.display())
+fn prefer_stable_name(name: &Path) -> String {
+    format!(
+        "after a restart this path may belong to another device; use {} instead",
+        name.display()
+    )
 }
 
 fn state_of(error: &impl hal::Error) -> DeviceState {
@@ -289,9 +313,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_camera_with_many_formats_is_said_in_a_few_words() {
+    fn formats_that_the_driver_does_not_read_are_counted() {
         let formats = [b"YUYV", b"UYVY", b"MJPG", b"Y16 "].map(FourCc::new);
-        assert_eq!(offer(&formats), "YUYV, MJPG, 2 that are not read here");
-        assert_eq!(offer(&formats[..1]), "YUYV");
+        assert_eq!(list_formats(&formats), "YUYV, MJPG, 2 unsupported");
+        assert_eq!(list_formats(&formats[..1]), "YUYV");
     }
 }

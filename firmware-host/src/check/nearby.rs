@@ -1,53 +1,54 @@
-//! What the computer has beside what the configuration names: names that stay the same, and CAN interfaces.
+//! Other devices of this computer, to suggest when a configured one is missing: stable names of cameras and serial ports, and
+//! CAN interfaces.
 
 use std::path::{Path, PathBuf};
 
 /// `ARPHRD_CAN` of linux/if_arp.h.
-const CAN: &str = "280";
+const ARPHRD_CAN: &str = "280";
 /// `IFF_UP` of linux/if.h.
-const UP: u32 = 1;
+const IFF_UP: u32 = 1;
 
-/// Where a kind of device has its names.
+/// Where the names of one kind of device are.
 pub struct Names {
-    /// Names that stay the same when a device is plugged in again, made by udev.
+    /// Directory of udev's names, which stay the same after a device was unplugged.
     pub stable: &'static str,
-    /// How the kernel's own names begin.
+    /// Prefixes of the kernel's own names.
     pub kernel: &'static [&'static str],
 }
 
-/// Of cameras.
 pub const CAMERAS: Names = Names { stable: "/dev/v4l/by-id", kernel: &["/dev/video"] };
-/// Of serial ports, also those behind USB.
 pub const PORTS: Names =
     Names { stable: "/dev/serial/by-id", kernel: &["/dev/ttyACM", "/dev/ttyUSB"] };
 
 impl Names {
-    /// Which there are, as a sentence.
+    /// The names of the connected devices, as a sentence.
     pub fn list(&self) -> String {
         let mut found = entries(Path::new(self.stable));
         if found.is_empty() {
-            let begins = |path: &PathBuf| {
-                self.kernel.iter().any(|name| path.to_string_lossy().starts_with(name))
-            };
-            found = entries(Path::new("/dev")).into_iter().filter(begins).collect();
+            found = entries(Path::new("/dev"));
+            found.retain(|path| self.is_kernel_name(path));
         }
         if found.is_empty() {
             return format!(
-                "nothing of its kind is plugged in: {} and {}* are empty",
+                "no such device is connected: {} and {}* are empty",
                 self.stable,
                 self.kernel.join("*, ")
             );
         }
         let found: Vec<_> = found.iter().map(|path| path.display().to_string()).collect();
-        format!("there are: {}", found.join(", "))
+        format!("available: {}", found.join(", "))
     }
 
-    /// The stable name of a device that was named by the kernel's.
+    /// The stable name of a device that is configured with its kernel name.
     pub fn stable_name_of(&self, path: &Path) -> Option<PathBuf> {
-        if !self.kernel.iter().any(|name| path.to_string_lossy().starts_with(name)) {
+        if !self.is_kernel_name(path) {
             return None;
         }
         same_device(Path::new(self.stable), path)
+    }
+
+    fn is_kernel_name(&self, path: &Path) -> bool {
+        self.kernel.iter().any(|prefix| path.to_string_lossy().starts_with(prefix))
     }
 }
 
@@ -68,17 +69,14 @@ fn same_device(folder: &Path, path: &Path) -> Option<PathBuf> {
         .find(|name| name.canonicalize().is_ok_and(|target| target == device))
 }
 
-/// What is wrong with a CAN interface as the kernel tells it, and what to type.
+/// What is wrong with a CAN interface according to the kernel, and the command that corrects it.
 pub fn can_interface(name: &str) -> Option<String> {
     interface(Path::new("/sys/class/net"), name)
 }
 
 fn interface(folder: &Path, name: &str) -> Option<String> {
-    let attribute =
-        |interface: &Path, file| std::fs::read_to_string(interface.join(file)).unwrap_or_default();
-    let is_can = |interface: &Path| attribute(interface, "type").trim() == CAN;
-    let wanted = folder.join(name);
-    if !wanted.exists() {
+    let configured = folder.join(name);
+    if !configured.exists() {
         let others: Vec<_> = entries(folder)
             .into_iter()
             .filter(|interface| is_can(interface))
@@ -86,26 +84,36 @@ fn interface(folder: &Path, name: &str) -> Option<String> {
             .collect();
         return Some(if others.is_empty() {
             format!(
-                "there is no interface {name}, nor any other of CAN: plug the adapter in; `dmesg` says whether it has a driver"
+                "there is no interface {name} and no other CAN interface: connect the adapter; `dmesg` shows whether it has a driver"
             )
         } else {
-            format!("there is no interface {name}; those of CAN are: {}", others.join(", "))
+            format!("there is no interface {name}; the CAN interfaces are: {}", others.join(", "))
         });
     }
-    if !is_can(&wanted) {
-        return Some(format!("{name} is no CAN interface"));
+    if !is_can(&configured) {
+        return Some(format!("{name} is not a CAN interface"));
     }
-    let flags = attribute(&wanted, "flags");
+    let flags = attribute(&configured, "flags");
     let flags = flags
         .trim()
         .strip_prefix("0x")
         .and_then(|hex| u32::from_str_radix(hex, 16).ok())
         .unwrap_or_default();
-    (flags & UP == 0).then(|| {
-        format!(
-            "{name} is down: `ip link set {name} up type can bitrate 500000 restart-ms 100` as root, at the bit rate of the motors"
-        )
-    })
+    if flags & IFF_UP != 0 {
+        return None;
+    }
+    Some(format!(
+        "{name} is down: run `ip link set {name} up type can bitrate 500000 restart-ms 100` as root, with the bit rate of \
+         the motors"
+    ))
+}
+
+fn is_can(interface: &Path) -> bool {
+    attribute(interface, "type").trim() == ARPHRD_CAN
+}
+
+fn attribute(interface: &Path, file: &str) -> String {
+    std::fs::read_to_string(interface.join(file)).unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -120,21 +128,21 @@ mod tests {
     }
 
     #[test]
-    fn an_interface_that_is_missing_down_or_no_can_is_told_with_what_to_type() {
+    fn a_missing_wrong_or_disabled_can_interface_is_reported_with_the_command_to_run() {
         let folder = tempfile::tempdir().unwrap();
         make(folder.path(), "eth0", "1", "0x1003");
-        let said = |name| interface(folder.path(), name);
-        assert!(said("can0").unwrap().contains("plug the adapter in"));
-        assert!(said("eth0").unwrap().contains("no CAN interface"));
+        let problem = |name| interface(folder.path(), name);
+        assert!(problem("can0").unwrap().contains("connect the adapter"));
+        assert!(problem("eth0").unwrap().contains("not a CAN interface"));
         make(folder.path(), "can1", "280", "0x40080");
-        assert!(said("can0").unwrap().ends_with("are: can1"));
-        assert!(said("can1").unwrap().contains("ip link set can1 up type can bitrate 500000"));
+        assert!(problem("can0").unwrap().ends_with("are: can1"));
+        assert!(problem("can1").unwrap().contains("ip link set can1 up type can bitrate 500000"));
         make(folder.path(), "can0", "280", "0x40081");
-        assert_eq!(said("can0"), None);
+        assert_eq!(problem("can0"), None);
     }
 
     #[test]
-    fn the_stable_name_of_a_device_is_the_one_that_leads_to_it() {
+    fn the_stable_name_of_a_device_is_the_link_to_it() {
         let folder = tempfile::tempdir().unwrap();
         let [device, names] = ["video7", "by-id"].map(|name| folder.path().join(name));
         std::fs::write(&device, "").unwrap();
@@ -146,11 +154,12 @@ mod tests {
     }
 
     #[test]
-    fn a_computer_without_such_devices_is_told_where_they_would_be() {
+    fn without_such_devices_the_message_names_the_searched_directories() {
         let nowhere =
             Names { stable: "/nowhere/by-id", kernel: &["/dev/no-such-a", "/dev/no-such-b"] };
         let text = nowhere.list();
-        for part in ["nothing of its kind", "/nowhere/by-id", "/dev/no-such-a*", "/dev/no-such-b*"]
+        for part in
+            ["no such device is connected", "/nowhere/by-id", "/dev/no-such-a*", "/dev/no-such-b*"]
         {
             assert!(text.contains(part), "{text}");
         }

@@ -1,253 +1,250 @@
-//! Compares a user's file, key by key, with the keys that exist and the ranges that are allowed.
+//! Compares a file with the declarations of the keys, and checks the rules between keys.
 
-use drivers::v4l2::Setting;
+use hal::settings::{Key, Kind, Range, Section};
 use toml::de::{DeTable, DeValue};
 
-use super::{Config, Problem, limits};
+use super::{Config, Problem};
 
-/// How alike two names must be, by Damerau-Levenshtein from 0 to 1, to be taken for a typing error.
-const ALIKE: f64 = 0.6;
+/// Similarity (Damerau-Levenshtein, 0 to 1) from which an unknown name counts as a typing error of a known one.
+const SIMILAR: f64 = 0.6;
 
-/// Unknown keys and values out of range, in the order of the file.
+/// Unknown keys and values that are not allowed, in the order of the file.
 pub(super) fn file(document: &DeTable<'_>, text: &str) -> Vec<Problem> {
-    let known = toml::Table::try_from(with_every_key()).unwrap_or_default();
-    let mut found = Vec::new();
-    table(document, &known, "", &known, &mut found);
-    found.sort_by_key(|(offset, _)| *offset);
-    found.into_iter().map(|(offset, problem)| with_line(problem, line_of(text, offset))).collect()
+    let mut checker = Checker { text, problems: Vec::new() };
+    checker.check_table(document, &Config::SECTION, "");
+    checker.problems.sort_by_key(|(offset, _)| *offset);
+    checker.problems.into_iter().map(|(_, problem)| problem).collect()
 }
 
-/// The default configuration and, of what is left alone by default, something.
-fn with_every_key() -> Config {
-    let mut config = Config::default();
-    let camera = &mut config.devices.camera;
-    (camera.exposure_us, camera.gain, camera.white_balance_k) =
-        (Some(Setting::Auto), Some(Setting::Auto), Some(Setting::Auto));
-    config
+struct Checker<'a> {
+    text: &'a str,
+    /// With the byte at which each begins.
+    problems: Vec<(usize, Problem)>,
 }
 
-fn table(
-    given: &DeTable<'_>,
-    known: &toml::Table,
-    prefix: &str,
-    root: &toml::Table,
-    found: &mut Vec<(usize, Problem)>,
-) {
-    for (name, value) in given {
-        let key = join(prefix, name.get_ref());
-        let offset = name.span().start;
-        match (known.get(name.get_ref().as_ref()), value.get_ref()) {
-            (None, _) => {
-                let advice = advice(name.get_ref(), prefix, known, root);
-                found.push((offset, Problem::UnknownKey { line: 0, key, advice }));
+impl Checker<'_> {
+    fn check_table(&mut self, given: &DeTable<'_>, section: &Section, prefix: &str) {
+        for (name, value) in given {
+            let offset = name.span().start;
+            let line = self.line_of(offset);
+            let name = name.get_ref().as_ref();
+            let path = join(prefix, name);
+            let Some(key) = section.keys.iter().find(|key| key.name == name) else {
+                let problem = unknown(line, name, prefix, section);
+                self.problems.push((offset, problem));
+                continue;
+            };
+            if let (Kind::Table(section), DeValue::Table(given)) = (&key.kind, value.get_ref()) {
+                self.check_table(given, section, &path);
+                continue;
             }
-            (Some(toml::Value::Table(known)), DeValue::Table(given)) => {
-                table(given, known, &key, root, found);
+            if is_allowed(value.get_ref(), &key.kind, key.range.as_ref()) {
+                continue;
             }
-            (Some(known), value) => {
-                found.extend(impossible(&key, value, known).map(|problem| (offset, problem)));
-            }
+            let problem = Problem::NotAllowed {
+                line,
+                key: path,
+                value: written(value.get_ref()),
+                allowed: allowed(key),
+            };
+            self.problems.push((offset, problem));
         }
+    }
+
+    fn line_of(&self, offset: usize) -> usize {
+        1 + self.text.bytes().take(offset).filter(|byte| *byte == b'\n').count()
     }
 }
 
-fn impossible(key: &str, value: &DeValue<'_>, known: &toml::Value) -> Option<Problem> {
-    let limit = limits::of(key);
-    // A whole number is also a number; of a list, every element must be possible.
-    let fits = match (value, known) {
-        (DeValue::Integer(_), toml::Value::Float(_)) => true,
-        // A camera's setting is "auto" or a number.
-        (DeValue::Integer(_), toml::Value::String(known)) if known == "auto" => true,
-        (DeValue::Array(elements), toml::Value::Array(known)) => {
-            let element = known.first();
-            elements.iter().all(|given| match element {
-                Some(element) => impossible(key, given.get_ref(), element).is_none(),
-                None => limit.is_none_or(|limit| all_allowed(given.get_ref(), limit)),
-            })
+fn is_allowed(value: &DeValue<'_>, kind: &Kind, range: Option<&Range>) -> bool {
+    match (kind, value) {
+        (Kind::Bool, DeValue::Boolean(_)) | (Kind::Text, DeValue::String(_)) => true,
+        (Kind::Integer | Kind::Number | Kind::AutoOrInteger, DeValue::Integer(_))
+        | (Kind::Number, DeValue::Float(_)) => {
+            let number = number(value);
+            range.map_or(number.is_finite(), |range| range.allows(number))
         }
-        _ => value.type_str() == known.type_str(),
-    };
-    let in_range = match (number(value), limit) {
-        (Some(number), Some(limit)) => limit.allows(number),
-        _ => true,
-    };
-    let problem = || Problem::Impossible {
-        line: 0,
-        key: key.into(),
-        value: written(value),
-        allowed: allowed(known, limit),
-    };
-    (!(fits && in_range)).then(problem)
+        (Kind::Choice(choices), DeValue::String(text)) => choices.contains(&text.as_ref()),
+        (Kind::AutoOrInteger, DeValue::String(text)) => text == "auto",
+        (Kind::List(element, length), DeValue::Array(given)) => {
+            length.is_none_or(|length| length == given.len())
+                && given.iter().all(|value| is_allowed(value.get_ref(), element, range))
+        }
+        (Kind::Other(_), _) => true,
+        _ => false,
+    }
 }
 
-/// Of a list, or a list of lists, whose default is empty.
-fn all_allowed(value: &DeValue<'_>, limit: &limits::Limit) -> bool {
+/// NaN if the value is not a number, or one that no integer type can hold.
+fn number(value: &DeValue<'_>) -> f64 {
     match value {
-        DeValue::Array(elements) => {
-            elements.iter().all(|element| all_allowed(element.get_ref(), limit))
-        }
-        value => number(value).is_some_and(|number| limit.allows(number)),
+        DeValue::Integer(integer) => i128::from_str_radix(integer.as_str(), integer.radix())
+            .map_or(f64::NAN, |number| number as f64),
+        DeValue::Float(float) => float.as_str().parse().unwrap_or(f64::NAN),
+        _ => f64::NAN,
     }
 }
 
-fn number(value: &DeValue<'_>) -> Option<f64> {
-    match value {
-        // A number that no integer type holds is in no range.
-        DeValue::Integer(integer) => Some(
-            i128::from_str_radix(integer.as_str(), integer.radix())
-                .map_or(f64::NAN, |number| number as f64),
-        ),
-        DeValue::Float(float) => float.as_str().parse().ok(),
-        _ => None,
-    }
-}
-
+/// The value as it stands in the file.
 fn written(value: &DeValue<'_>) -> String {
     match value {
         DeValue::Integer(integer) => integer.as_str().to_owned(),
         DeValue::Float(float) => float.as_str().to_owned(),
         DeValue::String(text) => format!("\"{text}\""),
-        DeValue::Boolean(yes) => yes.to_string(),
+        DeValue::Boolean(value) => value.to_string(),
         DeValue::Datetime(time) => time.to_string(),
         DeValue::Array(elements) => {
-            format!(
-                "[{}]",
-                elements
-                    .iter()
-                    .map(|element| written(element.get_ref()))
-                    .collect::<Vec<_>>()
-                    .join(", ")
-            )
+            let elements: Vec<String> =
+                elements.iter().map(|element| written(element.get_ref())).collect();
+            format!("[{}]", elements.join(", "))
         }
         DeValue::Table(_) => "{...}".to_owned(),
     }
 }
 
-fn allowed(known: &toml::Value, limit: Option<&limits::Limit>) -> String {
-    match (limit, known) {
-        (Some(limit), toml::Value::Integer(_)) => format!("a whole number, {limit}"),
-        (Some(limit), toml::Value::Array(_)) => format!("a list of {limit}"),
-        (Some(limit), _) => limit.to_string(),
-        (None, toml::Value::Boolean(_)) => "true or false".to_owned(),
-        (None, known) => format!("a {}", known.type_str()),
+/// The allowed values of a key, for messages and for the reference.
+pub(super) fn allowed(key: &Key) -> String {
+    describe(&key.kind, key.range.map_or("", |range| range.text))
+}
+
+fn describe(kind: &Kind, range: &str) -> String {
+    match kind {
+        Kind::Bool => "true or false".to_owned(),
+        Kind::Integer if range.is_empty() => "a whole number".to_owned(),
+        Kind::Integer => format!("a whole number, {range}"),
+        Kind::Number if range.is_empty() => "a number".to_owned(),
+        Kind::Number => range.to_owned(),
+        Kind::Text => "a text in quotes".to_owned(),
+        Kind::Choice(choices) => either(choices),
+        Kind::AutoOrInteger => format!("\"auto\" or {}", describe(&Kind::Integer, range)),
+        Kind::List(element, None) => format!("a list, each {}", describe(element, range)),
+        Kind::List(element, Some(length)) => {
+            format!("a list of {length}, each {}", describe(element, range))
+        }
+        Kind::Table(_) => "a table".to_owned(),
+        Kind::Other(example) => format!("like {example}"),
     }
 }
 
-/// A similar key of the same table; else the same or a similar name elsewhere; else all keys of the table.
-fn advice(name: &str, prefix: &str, siblings: &toml::Table, root: &toml::Table) -> String {
-    if let Some(similar) = most_alike(name, siblings.keys().map(|key| (key.as_str(), key.clone())))
-    {
+fn either(choices: &[&str]) -> String {
+    let mut quoted: Vec<String> = choices.iter().map(|choice| format!("\"{choice}\"")).collect();
+    let last = quoted.pop().unwrap_or_default();
+    if quoted.is_empty() { last } else { format!("{} or {last}", quoted.join(", ")) }
+}
+
+fn unknown(line: usize, name: &str, prefix: &str, section: &Section) -> Problem {
+    let path = join(prefix, name);
+    if let Some(key) = section.keys.iter().find(|key| key.was == Some(name)) {
+        return Problem::RenamedKey { line, key: path, now: join(prefix, key.name) };
+    }
+    Problem::UnknownKey { line, key: path, advice: advice(name, prefix, section) }
+}
+
+/// A similar key of the same section; else the same or a similar key of another section; else all keys of the section.
+fn advice(name: &str, prefix: &str, section: &Section) -> String {
+    let siblings = section.keys.iter().map(|key| key.name.to_owned());
+    let everywhere = full_names(&Config::SECTION, "").into_iter();
+    if let Some(similar) = most_similar(name, siblings).or_else(|| most_similar(name, everywhere)) {
         return format!("did you mean `{similar}`?");
     }
-    let mut everywhere = Vec::new();
-    leaves(root, "", &mut everywhere);
-    let by_leaf =
-        everywhere.iter().map(|full| (full.rsplit('.').next().unwrap_or(full), full.clone()));
-    if let Some(similar) = most_alike(name, by_leaf) {
-        return format!("did you mean `{similar}`?");
-    }
-    let place = if prefix.is_empty() {
-        "the sections are".to_owned()
+    let names: Vec<String> = section.keys.iter().map(|key| format!("`{}`", key.name)).collect();
+    let names = names.join(", ");
+    if prefix.is_empty() {
+        format!("the sections are {names}")
     } else {
-        format!("the keys of `{prefix}` are")
-    };
-    let names: Vec<String> = siblings.keys().map(|key| format!("`{key}`")).collect();
-    format!("{place} {}", names.join(", "))
+        format!("the keys of `{prefix}` are {names}")
+    }
 }
 
-fn most_alike<'a>(
-    name: &str,
-    candidates: impl Iterator<Item = (&'a str, String)>,
-) -> Option<String> {
+/// The candidate whose last part is most similar to `name`.
+fn most_similar(name: &str, candidates: impl Iterator<Item = String>) -> Option<String> {
     candidates
-        .map(|(candidate, answer)| {
-            (strsim::normalized_damerau_levenshtein(name, candidate), answer)
+        .map(|candidate| {
+            let last = candidate.rsplit('.').next().unwrap_or(&candidate);
+            (strsim::normalized_damerau_levenshtein(name, last), candidate)
         })
-        .filter(|(score, _)| *score >= ALIKE)
+        .filter(|(similarity, _)| *similarity >= SIMILAR)
         .max_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|(_, answer)| answer)
+        .map(|(_, candidate)| candidate)
 }
 
-/// Full dotted names of all keys below `table` that hold a value.
-pub(super) fn leaves(table: &toml::Table, prefix: &str, into: &mut Vec<String>) {
-    for (name, value) in table {
-        let key = join(prefix, name);
-        match value {
-            toml::Value::Table(inner) => leaves(inner, &key, into),
-            _ => into.push(key),
+/// Full dotted names of all keys below a section that are not sections.
+pub(super) fn full_names(section: &Section, prefix: &str) -> Vec<String> {
+    let mut names = Vec::new();
+    for key in section.keys {
+        let path = join(prefix, key.name);
+        match &key.kind {
+            Kind::Table(inner) => names.extend(full_names(inner, &path)),
+            _ => names.push(path),
         }
     }
+    names
 }
 
-fn join(prefix: &str, name: &str) -> String {
+pub(super) fn join(prefix: &str, name: &str) -> String {
     if prefix.is_empty() { name.to_owned() } else { format!("{prefix}.{name}") }
 }
 
-fn line_of(text: &str, offset: usize) -> usize {
-    1 + text.bytes().take(offset).filter(|byte| *byte == b'\n').count()
-}
-
-fn with_line(problem: Problem, at: usize) -> Problem {
-    match problem {
-        Problem::UnknownKey { key, advice, .. } => Problem::UnknownKey { line: at, key, advice },
-        Problem::Impossible { key, value, allowed, .. } => {
-            Problem::Impossible { line: at, key, value, allowed }
-        }
-        together @ Problem::Together { .. } => together,
-    }
-}
-
-/// Values that are possible one by one, but not together: what each part of the runtime says of its own, and what no
-/// part can see alone.
+/// Values that are not allowed together: the rules of each part of the runtime, and those between parts.
 pub(super) fn together(config: &Config) -> Vec<Problem> {
-    let parts = [
+    let nuisances = &config.simulator.nuisances;
+    refused([
         ("coarse", config.coarse.validate().map_err(|error| error.to_string())),
         ("map", config.map.validate().map_err(|error| error.to_string())),
         ("planning", config.plan_config().validate().map_err(|error| error.to_string())),
         ("planning", config.follower_config().validate().map_err(|error| error.to_string())),
-        (
-            "simulator.nuisances",
-            config.simulator.nuisances.check().map_err(|error| error.to_string()),
-        ),
-        ("safety", back_off_in_time(config)),
-        ("base", corners_within_radius(config)),
-    ];
-    let refused = parts.into_iter().filter_map(|(section, result)| Some((section, result.err()?)));
-    refused
-        .map(|(section, why)| Problem::Together { message: format!("[{section}]: {why}") })
-        .collect()
+        ("simulator.nuisances", nuisances.check().map_err(|error| error.to_string())),
+        ("safety", body_is_finite(config)),
+        ("safety", back_off_ends_in_time(config)),
+        ("base", corners_are_within_radius(config)),
+    ])
 }
 
-/// What the drivers refuse: a simulated robot has none, so only `run` and `check` ask.
+/// What the drivers refuse. A simulated robot has no drivers, so only `run` and `check --devices` ask.
 pub(super) fn devices(config: &Config) -> Vec<Problem> {
     let devices = &config.devices;
-    let parts = [
+    refused([
         ("devices.camera", devices.camera.check().map_err(|error| error.to_string())),
         ("devices.lens", devices.camera_model().map(|_| ())),
         ("devices.lidar", devices.lidar.validate().map_err(|error| error.to_string())),
         ("devices.base", devices.base.validate().map_err(|error| error.to_string())),
-    ];
-    let refused = parts.into_iter().filter_map(|(section, result)| Some((section, result.err()?)));
+    ])
+}
+
+fn refused<const N: usize>(results: [(&str, Result<(), String>); N]) -> Vec<Problem> {
+    let refused =
+        results.into_iter().filter_map(|(section, result)| Some((section, result.err()?)));
     refused
         .map(|(section, why)| Problem::Together { message: format!("[{section}]: {why}") })
         .collect()
 }
 
-fn back_off_in_time(config: &Config) -> Result<(), String> {
-    let (safety, speed_mps) = (&config.safety, config.base.speed_mps());
+fn body_is_finite(config: &Config) -> Result<(), String> {
+    for sector in &config.safety.body {
+        if ![sector.from_deg, sector.to_deg, sector.up_to_m].iter().all(|number| number.is_finite())
+        {
+            return Err(format!("`body` has a number that is not finite: {sector:?}"));
+        }
+    }
+    Ok(())
+}
+
+fn back_off_ends_in_time(config: &Config) -> Result<(), String> {
+    let safety = &config.safety;
+    let speed_mps = config.base.speed_mps();
     let needed_s = safety.back_off_m / speed_mps;
     if needed_s <= safety.back_off_timeout_s {
         return Ok(());
     }
     Err(format!(
-        "`back_off_m = {}` takes {needed_s:.1} s at `base.forward_step_m` every `base.tick_ms` ({speed_mps:.2} m/s), but \
-         `back_off_timeout_s = {}` ends it earlier: allow more time or less distance",
+        "`back_off_m = {}` takes {needed_s:.1} s at {speed_mps:.2} m/s (`base.forward_step_m` per `base.tick_ms`), but \
+         `back_off_timeout_s = {}` is less: increase the time or reduce the distance",
         safety.back_off_m, safety.back_off_timeout_s
     ))
 }
 
-/// The planner keeps a circle clear; corners outside of it would meet what it passes.
-fn corners_within_radius(config: &Config) -> Result<(), String> {
+/// The planner keeps a circle free of obstacles. Corners outside of that circle would hit what the robot passes.
+fn corners_are_within_radius(config: &Config) -> Result<(), String> {
     let base = &config.base;
     if !base.footprint_m.is_empty() && base.footprint_m.len() < 3 {
         return Err(format!(
@@ -260,8 +257,8 @@ fn corners_within_radius(config: &Config) -> Result<(), String> {
         return Ok(());
     }
     Err(format!(
-        "a corner of `footprint_m` lies {farthest_m:.3} m from the axle, outside of `footprint_radius_m = {}`: the planner \
-         keeps that circle clear, so make it {farthest_m:.3}",
+        "a corner of `footprint_m` is {farthest_m:.3} m away from the axle, outside of `footprint_radius_m = {}`: the \
+         planner keeps only this circle free of obstacles; set the radius to {farthest_m:.3}",
         base.footprint_radius_m
     ))
 }

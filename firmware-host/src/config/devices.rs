@@ -1,100 +1,71 @@
-//! `[run]` and `[devices]`: what only a real robot has. What each key means, its range and its source stand in
-//! `robot.default.toml`.
+//! `[run]` and `[devices]`: what only a real robot has.
 
 use drivers::can::BaseConfig;
 use drivers::hokuyo::HokuyoConfig;
 use drivers::v4l2::CameraDeviceConfig;
 use hal::{CameraModel, Distortion};
 use runtime::safety::SafetyConfig;
-use serde::{Deserialize, Serialize};
 
 use super::Config;
 
-/// `[run]`: the loops of a real robot.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct RunSection {
-    /// Turns of the safety loop in a second.
-    pub safety_hz: f64,
-    /// Real-time priority of the safety thread; 0: an ordinary thread.
-    pub realtime_priority: u8,
-    /// Whether the robot is armed as soon as its devices are well. Else it waits for SIGUSR1.
-    pub arm_at_start: bool,
-    /// Time from a beam to the wheels' first answer, seconds.
-    pub reaction_s: f64,
-    /// How hard the base brakes, m/s2.
-    pub brake_mps2: f64,
-    /// Scans in a row that must be good before the robot drives by them.
-    pub good_scans: u32,
-    /// Wheel feedback older than this stops the robot, seconds.
-    pub feedback_timeout_s: f64,
-    /// A plan older than this is no longer driven by, seconds.
-    pub plan_timeout_s: f64,
-    /// Without a picture for so long the robot stands, seconds.
-    pub picture_timeout_s: f64,
-    /// File that `health` reads.
-    pub status_file: String,
-}
-
-impl Default for RunSection {
-    fn default() -> Self {
-        Self {
-            safety_hz: 100.0,
-            realtime_priority: 40,
-            arm_at_start: true,
-            reaction_s: 0.05,
-            brake_mps2: 1.0,
-            good_scans: 3,
-            feedback_timeout_s: 0.1,
-            plan_timeout_s: 0.5,
-            picture_timeout_s: 1.0,
-            status_file: "/run/embodied-depth/status.json".to_owned(),
-        }
+hal::settings! {
+    /// The control loops of a real robot (`firmware-host run`).
+    pub struct RunSection {
+        /// Rate of the safety loop.
+        safety_hz: f64 = 100.0, in 10.0..=1000.0, unit "Hz";
+        /// Real-time priority (SCHED_FIFO) of the safety thread, where the system permits it. 0 makes it an ordinary thread.
+        realtime_priority: u8 = 40, in 0..=99;
+        /// Whether the robot may move as soon as all devices work. Otherwise it waits for the signal SIGUSR1.
+        arm_at_start: bool = true;
+        /// Time from a LiDAR beam to the first response of the wheels.
+        reaction_s: f64 = 0.05, in 0.0..=1.0, unit "s", source "two scans of a UTM-30LX";
+        /// Deceleration of the base when it brakes. Measure it.
+        brake_mps2: f64 = 1.0, in 0.1..=20.0, unit "m/s2";
+        /// Consecutive valid scans that are needed before the robot drives.
+        good_scans: u32 = 3, in 1..=100, unit "scans";
+        /// The robot stops when the wheel feedback is older than this.
+        feedback_timeout_s: f64 = 0.1, in 0.01..=1.0, unit "s";
+        /// The robot does not follow a plan that is older than this.
+        plan_timeout_s: f64 = 0.5, in 0.05..=2.0, unit "s";
+        /// The robot stops when it has not received a camera frame for this long.
+        frame_timeout_s: f64 = 1.0, in 0.1..=10.0, unit "s", was "picture_timeout_s";
+        /// File that `firmware-host health` reads.
+        status_file: String = "/run/embodied-depth/status.json".to_owned();
     }
 }
 
-/// `[devices]`: what is connected.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct DevicesSection {
-    /// The camera.
-    pub camera: CameraDeviceConfig,
-    /// Its lens.
-    pub lens: LensSection,
-    /// The scanner.
-    pub lidar: HokuyoConfig,
-    /// The base.
-    pub base: BaseConfig,
+hal::settings! {
+    /// The devices of a real robot.
+    pub struct DevicesSection {
+        camera: CameraDeviceConfig;
+        lens: LensSection;
+        lidar: HokuyoConfig;
+        base: BaseConfig;
+    }
 }
 
-/// `[devices.lens]`: the camera's intrinsics at the size of `[devices.camera]`, as a calibration gives them.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LensSection {
-    /// Focal lengths, pixels.
-    pub fx: f64,
-    /// Focal lengths, pixels.
-    pub fy: f64,
-    /// Optical axis, pixels.
-    pub cx: f64,
-    /// Optical axis, pixels.
-    pub cy: f64,
-    /// Distortion as OpenCV has it: none, five numbers (plumb bob) or four (fisheye).
-    pub distortion: Vec<f64>,
-}
-
-impl Default for LensSection {
-    fn default() -> Self {
-        // A pinhole of 90 degrees at 640x480.
-        Self { fx: 320.0, fy: 320.0, cx: 319.5, cy: 239.5, distortion: Vec::new() }
+hal::settings! {
+    /// The camera's intrinsics at the size in `[devices.camera]`, from a calibration. The default is a pinhole with a field of
+    /// view of 90 degrees at 640x480.
+    pub struct LensSection {
+        /// Horizontal focal length.
+        fx: f64 = 320.0, in 1.0..=100000.0, unit "pixels";
+        /// Vertical focal length.
+        fy: f64 = 320.0, in 1.0..=100000.0, unit "pixels";
+        /// Column of the optical axis; the centre of the first pixel is 0.
+        cx: f64 = 319.5, in -100000.0..=100000.0, unit "pixels";
+        /// Row of the optical axis; the centre of the first pixel is 0.
+        cy: f64 = 239.5, in -100000.0..=100000.0, unit "pixels";
+        /// Distortion as in OpenCV: `[]`, `[k1, k2, p1, p2, k3]` (plumb bob) or `[k1, k2, k3, k4]` (fisheye).
+        distortion: Vec<f64> = Vec::new();
     }
 }
 
 impl DevicesSection {
-    /// Intrinsics of the pictures that the camera hands out.
+    /// Intrinsics of the images that the camera delivers.
     ///
     /// # Errors
-    /// Words for the user when the coefficients are neither none, five nor four.
+    /// A message for the user when there are neither zero, four nor five coefficients.
     pub fn camera_model(&self) -> Result<CameraModel, String> {
         let lens = &self.lens;
         let distortion = match lens.distortion[..] {
@@ -121,11 +92,12 @@ impl DevicesSection {
 }
 
 impl Config {
-    /// The safety plane of a real robot: its wheels need time to stop, and its scanner is turned by itself.
+    /// The safety plane's configuration for a real robot, whose wheels need time to stop and whose safety plane has its own
+    /// rate.
     #[must_use]
     pub fn live_safety_config(&self) -> SafetyConfig {
         let run = &self.run;
-        // Silence is known within two periods of the scanner, whatever else was allowed.
+        // A silent scanner is detected within two of its periods, even if `scan_timeout_s` is longer.
         let two_scans_s = 2e-9 * self.devices.lidar.model.geometry(false).period_ns as f64;
         SafetyConfig {
             reaction_s: run.reaction_s,

@@ -1,6 +1,9 @@
-//! What is wrong with a configuration file, said so that the user can mend it.
+//! What is wrong with a configuration file, in words with which the user can correct it.
 
-use std::{fmt, path::PathBuf};
+use std::{
+    fmt,
+    path::{Path, PathBuf},
+};
 
 /// Why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
@@ -8,67 +11,69 @@ use std::{fmt, path::PathBuf};
 pub enum ConfigError {
     /// The file cannot be read.
     #[error("cannot read the configuration {}: {source}", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
-    /// The file is not TOML, or a value has the wrong type.
+    Unreadable { path: PathBuf, source: std::io::Error },
+    /// The file is not TOML, or serde refused a value.
     #[error("{}: {message}", path.display())]
     NotToml {
-        /// The file.
         path: PathBuf,
         /// Line, column, the line itself and what was expected there.
         message: String,
     },
-    /// Keys that do not exist or values that cannot be: all of them, in the order of the file.
+    /// The file has unknown keys or values that are not allowed.
     #[error("{}", list(path, problems))]
     Refused {
-        /// The file.
         path: PathBuf,
-        /// At least one.
+        /// All of them, at least one, in the order of the file.
         problems: Vec<Problem>,
     },
 }
 
-/// One key that does not exist or one value that cannot be.
+impl ConfigError {
+    pub(super) fn not_toml(path: &Path, error: &toml::de::Error) -> Self {
+        Self::NotToml { path: path.to_path_buf(), message: error.to_string() }
+    }
+}
+
+/// One thing that is wrong with a file. Lines count from 1; `key` is the full dotted name.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Problem {
-    /// Nothing has this name.
+    /// There is no key of this name.
     UnknownKey {
-        /// Its line, counted from 1.
         line: usize,
-        /// Its full dotted name.
         key: String,
-        /// What to do: a similar key, or the keys that exist there.
+        /// A similar key, or the keys of the section.
         advice: String,
     },
-    /// The value is of another type, NaN, infinite, too small or too large.
-    Impossible {
-        /// Its line, counted from 1.
+    /// The key has another name now.
+    RenamedKey {
         line: usize,
-        /// Its full dotted name.
         key: String,
-        /// As it stands in the file.
+        /// Its full dotted name now.
+        now: String,
+    },
+    /// The value is of another type, NaN, infinite, too small or too large.
+    NotAllowed {
+        line: usize,
+        key: String,
+        /// The value as it stands in the file.
         value: String,
-        /// What may stand there.
+        /// The values that are allowed.
         allowed: String,
     },
-    /// Values that are possible one by one, but not together.
+    /// Each value is allowed, but not together with the others.
     Together {
-        /// The keys and what is wrong between them.
+        /// The section, the keys and the rule between them.
         message: String,
     },
 }
 
-fn list(path: &std::path::Path, problems: &[Problem]) -> String {
+fn list(path: &Path, problems: &[Problem]) -> String {
     let lines: Vec<String> =
         problems.iter().map(|problem| InFile(problem, path).to_string()).collect();
     lines.join("\n")
 }
 
-struct InFile<'a>(&'a Problem, &'a std::path::Path);
+struct InFile<'a>(&'a Problem, &'a Path);
 
 impl fmt::Display for InFile<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -77,10 +82,13 @@ impl fmt::Display for InFile<'_> {
             Problem::UnknownKey { line, key, advice } => {
                 write!(f, "unknown key `{key}` in {path} line {line}: {advice}")
             }
-            Problem::Impossible { line, key, value, allowed } => {
+            Problem::RenamedKey { line, key, now } => {
+                write!(f, "`{key}` in {path} line {line} is now called `{now}`")
+            }
+            Problem::NotAllowed { line, key, value, allowed } => {
                 write!(
                     f,
-                    "`{key} = {value}` in {path} line {line} is not possible: allowed is {allowed}"
+                    "`{key} = {value}` in {path} line {line} is not allowed: it must be {allowed}"
                 )
             }
             Problem::Together { message } => write!(f, "{path}: {message}"),

@@ -16,7 +16,7 @@ use tempfile::TempDir;
 
 pub const CONFIG: &str = "\
 [camera]\nwidth = 160\nheight = 64\n\
-[models]\nmax_p99_ms = 1000\ngate_timeout_s = 120\ngate_memory_mib = 4096\ntrial_turns = 60\ntrial_m = 0.2\n";
+[models]\nmax_p99_ms = 1000\ngate_timeout_s = 120\ngate_memory_mib = 4096\ntrial_ticks = 60\ntrial_m = 0.2\n";
 
 pub fn binary() -> PathBuf {
     assert_cmd::cargo::cargo_bin!("firmware-host").to_owned()

@@ -2,26 +2,26 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A way of exploring.
+/// An exploration policy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PolicyKind {
-    /// Forward, left or right at random, every frame anew. The paper's weakest baseline.
+    /// Drives forward, rotates left or rotates right, chosen at random in every frame. The paper's weakest baseline.
     Random,
-    /// Random arcs of 16 steps: the paper's released warm-up.
+    /// Random arcs of 16 steps: the warm-up of the paper's released code.
     Heuristic,
-    /// Straight on, 10 degrees to the right after a collision.
+    /// Drives straight on, and rotates 10 degrees to the right after a collision.
     Forward,
-    /// To where free floor meets the unknown.
+    /// Drives to where free floor meets unknown space.
     Frontier,
-    /// To where two looks at the same place disagree.
+    /// Drives to where two observations of the same place disagree.
     Inconsistency,
-    /// Frontier and inconsistency by turns: the paper's policy.
+    /// Alternates between frontiers and inconsistencies: the paper's policy.
     Active,
 }
 
 impl PolicyKind {
-    /// Every policy, weakest expected coverage first.
+    /// Every policy, the one with the weakest expected coverage first.
     pub const ALL: [Self; 6] = [
         Self::Random,
         Self::Heuristic,
@@ -45,68 +45,52 @@ impl PolicyKind {
     }
 }
 
-/// How one frontier is preferred to another.
+/// How a frontier is chosen among several.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GoalChoice {
-    /// Near, large and ahead first.
+    /// Prefers frontiers that are near, large and ahead of the robot.
     #[default]
     Nearest,
-    /// At random, with probability proportional to the distance (the paper's released code).
+    /// Chooses at random, with a probability proportional to the distance (the paper's released code).
     Paper,
 }
 
-/// Numbers of the goal-driven policies.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ExplorationConfig {
-    /// Frames of `heuristic` before the policy itself begins. All policies then start from the same recording, so that a
-    /// comparison of them compares nothing else (the paper's code warms up only its goal-driven policies so).
-    pub warm_up_frames: u64,
-    /// Frames on frontiers before `active` turns to inconsistencies (800 in the paper).
-    pub frontier_frames: u64,
-    /// Frames on inconsistencies before `active` turns to frontiers (400 in the paper).
-    pub inconsistency_frames: u64,
-    /// Frames between the two looks whose disagreement is a goal (5 in the paper's released code).
-    pub inconsistency_gap: usize,
-    /// How a frontier is chosen.
-    pub goal_choice: GoalChoice,
-    /// A goal is reached within this distance, metres.
-    pub goal_reached_m: f64,
-    /// A goal is given up without progress for this long, seconds (30 in explore_lite).
-    pub progress_timeout_s: f64,
-    /// A goal is given up after this long in any case, seconds.
-    pub goal_timeout_s: f64,
-    /// A goal is given up after this many bumper trips.
-    pub trips_per_goal: u32,
-    /// A given-up goal is left alone for this long, seconds.
-    pub blacklist_expiry_s: f64,
-    /// Goals this near to a given-up one count as the same, metres.
-    pub blacklist_radius_m: f64,
-    /// Ticks between two looks at the way.
-    pub replan_ticks: u64,
-    /// When no frontier can be reached, marks with at most these log-odds left are in nobody's way: they were seen seldom or
-    /// long ago (a mark that is seen in every frame has 100, and a tenth of that 110 frames later), and going near shows
-    /// whether they are still there. 0 always believes them.
-    pub doubtful_log_odds: f32,
-}
+hal::choices!(GoalChoice: "nearest", "paper");
 
-impl Default for ExplorationConfig {
-    fn default() -> Self {
-        Self {
-            warm_up_frames: 0,
-            frontier_frames: 800,
-            inconsistency_frames: 400,
-            inconsistency_gap: 5,
-            goal_choice: GoalChoice::Nearest,
-            goal_reached_m: 0.25,
-            progress_timeout_s: 30.0,
-            goal_timeout_s: 180.0,
-            trips_per_goal: 3,
-            blacklist_expiry_s: 120.0,
-            blacklist_radius_m: 0.5,
-            replan_ticks: 10,
-            doubtful_log_odds: 5.0,
-        }
+hal::settings! {
+    /// How the goal-driven policies choose goals and give them up.
+    #[derive(Copy)]
+    pub struct ExplorationConfig {
+        /// Frames of the policy `heuristic` before the chosen policy begins. All policies then start from the same recording,
+        /// so that a comparison of policies compares nothing else (the paper's code warms up only its goal-driven policies).
+        warm_up_frames: u64 = 0, in 0..=10000000, unit "frames", source "paper: 6000";
+        /// Frames that `active` spends on frontiers before it changes to inconsistencies.
+        frontier_frames: u64 = 800, in 1..=1000000, unit "frames", source "paper";
+        /// Frames that `active` spends on inconsistencies before it changes to frontiers.
+        inconsistency_frames: u64 = 400, in 1..=1000000, unit "frames", source "paper";
+        /// Frames between the two observations whose disagreement is a goal.
+        inconsistency_gap: usize = 5, in 1..=1000, unit "frames", source "paper's code";
+        /// Which frontier becomes the goal: a near, large one ahead of the robot (`nearest`), or one at random, distant ones
+        /// more often (`paper`).
+        goal_choice: GoalChoice = GoalChoice::Nearest;
+        /// A goal is reached within this distance.
+        goal_reached_m: f64 = 0.25, in 0.05..=5.0, unit "m";
+        /// A goal is given up if the robot has not come nearer to it for this long.
+        progress_timeout_s: f64 = 30.0, in 1.0..=3600.0, unit "s", source "explore_lite (ROS)";
+        /// A goal is given up after this long in any case.
+        goal_timeout_s: f64 = 180.0, in 1.0..=3600.0, unit "s";
+        /// A goal is given up after the bumper has tripped this often on the path to it.
+        trips_per_goal: u32 = 3, in 1..=1000, unit "trips";
+        /// A goal that was given up is not chosen again for this long.
+        blacklist_expiry_s: f64 = 120.0, in 1.0..=86400.0, unit "s";
+        /// Goals this near to one that was given up are not chosen either.
+        blacklist_radius_m: f64 = 0.5, in 0.0..=10.0, unit "m";
+        /// The path to the goal is checked against the map once in this many ticks.
+        replan_ticks: u64 = 10, in 1..=1000, unit "ticks";
+        /// When no frontier can be reached, the planner ignores obstacles with at most these log-odds: they were observed
+        /// rarely or long ago (an obstacle observed in every frame has 100, and a tenth of that 110 frames later), and
+        /// driving near them shows whether they are still there. 0 never ignores an obstacle.
+        doubtful_log_odds: f32 = 5.0, in 0.0..=1000.0, unit "log-odds";
     }
 }

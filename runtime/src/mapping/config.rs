@@ -1,5 +1,6 @@
-//! How the map believes what it is told.
+//! The map's size and how it weighs evidence.
 
+use hal::settings::OutOfRange;
 use serde::{Deserialize, Serialize};
 
 use super::MapError;
@@ -8,150 +9,110 @@ use super::MapError;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LidarUse {
-    /// Nothing.
+    /// The map ignores the LiDAR.
     Off,
     /// Hits mark cells occupied.
     Hits,
-    /// Hits mark cells occupied, and the way to a hit is free where the map knew nothing.
+    /// Hits mark cells occupied, and cells on the line to a hit become free if they were unknown.
     #[default]
     HitsAndFree,
 }
 
-/// Size of the map and weight of the evidence. Log-odds values and ranges are those of the released code of "Embodied Depth
-/// Prediction"; the rest is ours.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct MapConfig {
-    /// Side of a cell, metres.
-    pub cell_m: f64,
-    /// Cells along one side of the square window.
-    pub side_cells: usize,
-    /// The window moves when the robot is further than this from its middle, and only as far, cells. Earlier where the window is so
-    /// small that a range would reach out of it.
-    pub recenter_cells: usize,
-    /// Log-odds added where something was seen.
-    pub occupied_increment: f32,
-    /// Log-odds taken where nothing was seen.
-    pub free_decrement: f32,
-    /// Factor on every log-odds at each update: old evidence counts less.
-    pub decay: f32,
-    /// Log-odds stay within plus and minus this.
-    pub limit: f32,
-    /// Points from here up can be run into, metres above the floor.
-    pub band_min_m: f32,
-    /// Points up to here can be run into, metres above the floor.
-    pub band_max_m: f32,
-    /// Camera points nearer than this mark cells occupied, metres in the plane.
-    pub mark_range_m: f32,
-    /// The camera's view clears cells nearer than this, metres in the plane.
-    pub clear_range_m: f32,
-    /// Clearing stops this share of the distance in front of an obstacle: depth is noisy, and more so far away.
-    pub clear_margin: f32,
-    /// Depth that is less probably right stays out of the map.
-    pub min_confidence: f32,
-    /// Every so many columns of the depth picture are used.
-    pub stride_u: usize,
-    /// Every so many rows of the depth picture are used.
-    pub stride_v: usize,
-    /// Used pixels that must agree on a cell to mark it, and on a bearing to clear it.
-    pub min_points: u16,
-    /// Share of a bearing's points that may be wrong when it comes to how far it is free.
-    pub outlier_share: f32,
-    /// Weight of a look that passes above the obstacle a cell is known for. The camera's lowest ray is high above the floor
-    /// near the robot; a low obstacle that leaves the view is still there. 1: as the paper's code; 0: never clears.
-    pub over_the_top_weight: f32,
-    /// What to take from the LiDAR.
-    pub lidar: LidarUse,
-    /// LiDAR hits beyond this are not used, metres.
-    pub lidar_range_m: f32,
-    /// Width of the obstacle that a collision puts into the map, metres.
-    pub collision_width_m: f64,
-    /// Log-odds of a collision; neither decays nor is cleared until it expires.
-    pub collision_log_odds: f32,
-    /// Updates until a collision is forgotten: what was run into may have been moved.
-    pub collision_updates: u64,
+hal::choices!(LidarUse: "off", "hits", "hits-and-free");
+
+hal::settings! {
+    /// The occupancy grid: its size, and how it weighs evidence.
+    pub struct MapConfig {
+        /// Side of a cell.
+        cell_m: f64 = 0.03, in 0.005..=1.0, unit "m", source "paper (real robot)";
+        /// Cells along one side of the square window that moves with the robot.
+        side_cells: usize = 1000, in 16..=4096, unit "cells", source "paper";
+        /// The window moves when the robot is further than this from its middle, and only as far as needed. A small window
+        /// moves earlier, so that the longest range always lies inside.
+        recenter_cells: usize = 300, in 0..=2048, unit "cells",
+            source "keeps 24 m behind the robot in a window of 1000 cells of 3 cm";
+        /// Log-odds that are added to a cell where an obstacle was observed.
+        occupied_increment: f32 = 2.0, in 0.001..=1000.0, unit "log-odds", source "paper's code";
+        /// Log-odds that are taken from a cell that was observed to be free.
+        free_decrement: f32 = 1.5, in 0.001..=1000.0, unit "log-odds", source "paper's code";
+        /// Factor on all log-odds at each update: old evidence counts less.
+        decay: f32 = 0.98, in 0.5..=1.0, source "paper's code";
+        /// Log-odds stay between minus this and plus this.
+        limit: f32 = 1000.0, in 1.0..=1000000.0, unit "log-odds", source "paper's code";
+        /// Points lower than this above the floor are no obstacles: the robot can drive over them.
+        band_min_m: f32 = 0.06, in 0.0..=2.0, unit "m";
+        /// Points higher than this above the floor are no obstacles: the robot can drive under them.
+        band_max_m: f32 = 1.4, in 0.0..=2.5, unit "m", source "paper's code";
+        /// The camera marks obstacles up to this distance in the plane.
+        mark_range_m: f32 = 2.0, in 0.1..=20.0, unit "m", source "paper's code";
+        /// The camera clears cells up to this distance in the plane.
+        clear_range_m: f32 = 2.0, in 0.1..=20.0, unit "m", source "paper's code";
+        /// Clearing stops this fraction of the distance before an obstacle, because depth is noisy, and more so far away.
+        clear_margin: f32 = 0.05, in 0.0..=0.9;
+        /// Depth with a lower probability of being correct stays out of the map.
+        min_confidence: f32 = 0.8, in 0.0..=1.0;
+        /// Every n-th column of the depth image is used.
+        stride_u: usize = 4, in 1..=64, unit "columns";
+        /// Every n-th row of the depth image is used.
+        stride_v: usize = 2, in 1..=64, unit "rows";
+        /// Pixels that must agree on a cell to mark it, and on a bearing to clear it.
+        min_points: u16 = 3, in 1..=1000, unit "pixels";
+        /// Fraction of the points of a bearing that may be wrong when the map decides how far the bearing is free.
+        outlier_share: f32 = 0.05, in 0.0..=0.49;
+        /// Weight of an observation that passes above the known obstacle of a cell. Near the robot the camera's lowest ray is
+        /// high above the floor, and a low obstacle that leaves the image is still there. 1 weighs it like any other
+        /// observation (paper's code), 0 never clears such a cell.
+        over_the_top_weight: f32 = 0.1, in 0.0..=1.0;
+        /// What the map takes from the safety LiDAR: nothing, obstacles, or obstacles and the free space before them.
+        lidar: LidarUse = LidarUse::default();
+        /// LiDAR hits further away are not used.
+        lidar_range_m: f32 = 2.0, in 0.1..=30.0, unit "m";
+        /// Width of the obstacle that a collision puts into the map.
+        collision_width_m: f64 = 0.2, in 0.0..=2.0, unit "m", source "paper's code";
+        /// Log-odds of a collision. They neither decay nor are cleared until the collision expires.
+        collision_log_odds: f32 = 1000.0, in 0.001..=1000000.0, unit "log-odds", source "paper's code";
+        /// Updates after which a collision is forgotten, because the obstacle may have been moved.
+        collision_updates: u64 = 2000, in 1..=1000000000, unit "updates";
+    }
 }
 
-impl Default for MapConfig {
-    fn default() -> Self {
-        Self {
-            cell_m: 0.03,
-            side_cells: 1000,
-            recenter_cells: 300,
-            occupied_increment: 2.0,
-            free_decrement: 1.5,
-            decay: 0.98,
-            limit: 1000.0,
-            band_min_m: 0.06,
-            band_max_m: 1.4,
-            mark_range_m: 2.0,
-            clear_range_m: 2.0,
-            clear_margin: 0.05,
-            min_confidence: 0.8,
-            stride_u: 4,
-            stride_v: 2,
-            min_points: 3,
-            outlier_share: 0.05,
-            over_the_top_weight: 0.1,
-            lidar: LidarUse::default(),
-            lidar_range_m: 2.0,
-            collision_width_m: 0.2,
-            collision_log_odds: 1000.0,
-            collision_updates: 2000,
-        }
+impl From<OutOfRange> for MapError {
+    fn from(OutOfRange { key, value, allowed }: OutOfRange) -> Self {
+        Self::Config { field: key, value, allowed }
     }
 }
 
 impl MapConfig {
-    /// Checks every value.
+    /// Checks every value, and the values together.
     ///
     /// # Errors
-    /// [`MapError::Config`] names the first value that is out of range.
+    /// [`MapError::Config`] names the first value that is not allowed.
     pub fn validate(&self) -> Result<(), MapError> {
-        let check = |ok: bool, field, value: f64, allowed| {
-            if ok { Ok(()) } else { Err(MapError::Config { field, value, allowed }) }
-        };
-        let within = |field, value: f64, low: f64, high: f64, allowed| {
-            // A NaN is in no range.
-            check((low..=high).contains(&value), field, value, allowed)
-        };
-        let f = f64::from;
-        within("cell_m", self.cell_m, 0.005, 1.0, "0.005 to 1")?;
-        within("side_cells", self.side_cells as f64, 16.0, 4096.0, "16 to 4096")?;
-        within("occupied_increment", f(self.occupied_increment), 1e-3, 1e3, "0.001 to 1000")?;
-        within("free_decrement", f(self.free_decrement), 1e-3, 1e3, "0.001 to 1000")?;
-        within("decay", f(self.decay), 0.5, 1.0, "0.5 to 1")?;
-        within("limit", f(self.limit), 1.0, 1e6, "1 to 1000000")?;
-        within("band_min_m", f(self.band_min_m), 0.0, 2.0, "0 to 2")?;
-        within("band_max_m", f(self.band_max_m), 0.0, 2.5, "0 to 2.5")?;
-        check(
-            self.band_max_m > self.band_min_m,
-            "band_max_m",
-            f(self.band_max_m),
-            "above band_min_m",
-        )?;
-        within("mark_range_m", f(self.mark_range_m), 0.1, 20.0, "0.1 to 20")?;
-        within("clear_range_m", f(self.clear_range_m), 0.1, 20.0, "0.1 to 20")?;
-        within("clear_margin", f(self.clear_margin), 0.0, 0.9, "0 to 0.9")?;
-        within("min_confidence", f(self.min_confidence), 0.0, 1.0, "0 to 1")?;
-        within("stride_u", self.stride_u as f64, 1.0, 64.0, "1 to 64")?;
-        within("stride_v", self.stride_v as f64, 1.0, 64.0, "1 to 64")?;
-        within("min_points", f64::from(self.min_points), 1.0, 1000.0, "1 to 1000")?;
-        within("outlier_share", f(self.outlier_share), 0.0, 0.49, "0 to 0.49")?;
-        within("over_the_top_weight", f(self.over_the_top_weight), 0.0, 1.0, "0 to 1")?;
-        within("lidar_range_m", f(self.lidar_range_m), 0.1, 30.0, "0.1 to 30")?;
-        within("collision_width_m", self.collision_width_m, 0.0, 2.0, "0 to 2")?;
-        within("collision_log_odds", f(self.collision_log_odds), 1e-3, 1e6, "0.001 to 1000000")?;
-        check(self.cells_beyond_reach() >= 0.0, "side_cells", self.side_cells as f64, REACH)
+        self.check_ranges()?;
+        if self.band_max_m <= self.band_min_m {
+            return Err(MapError::Config {
+                field: "band_max_m",
+                value: f64::from(self.band_max_m),
+                allowed: "above band_min_m",
+            });
+        }
+        if self.cells_beyond_reach() < 0.0 {
+            return Err(MapError::Config {
+                field: "side_cells",
+                value: self.side_cells as f64,
+                allowed: REACH,
+            });
+        }
+        Ok(())
     }
 
-    /// How far from the window's middle the robot may be, cells: the longest range in front of it is always inside.
+    /// How far the robot may be from the window's middle, in cells, so that the longest range ahead lies inside.
     pub(super) fn follow_cells(&self) -> i32 {
         (self.cells_beyond_reach() as i32)
             .min(i32::try_from(self.recenter_cells).unwrap_or(i32::MAX))
     }
 
-    /// From a range that starts in the window's middle to the window's edge.
+    /// Cells between the end of the longest range, which starts in the window's middle, and the window's edge.
     fn cells_beyond_reach(&self) -> f64 {
         let reach_m = self.mark_range_m.max(self.clear_range_m).max(self.lidar_range_m);
         self.side_cells as f64 / 2.0 - f64::from(reach_m) / self.cell_m - 2.0
@@ -184,10 +145,11 @@ mod tests {
     }
 
     #[test]
-    fn the_robot_stays_so_far_from_the_edge_that_the_longest_range_is_inside() {
+    fn the_window_follows_the_robot_so_that_the_longest_range_stays_inside() {
         assert_eq!(MapConfig::default().follow_cells(), 300);
         let small = MapConfig { side_cells: 200, ..MapConfig::default() };
-        assert_eq!((small.validate(), small.follow_cells()), (Ok(()), 31));
+        assert_eq!(small.validate(), Ok(()));
+        assert_eq!(small.follow_cells(), 31);
         assert_eq!(MapConfig { recenter_cells: 20, ..small }.follow_cells(), 20);
     }
 }

@@ -1,117 +1,90 @@
-//! Settings of the coarse engine.
+//! Settings of the coarse-depth engine, and what can be wrong with them.
 
-use serde::{Deserialize, Serialize};
+use hal::settings::OutOfRange;
 
+use super::Provider;
 use super::sweep::MAX_REFERENCES;
 
-/// Settings of [`CoarseDepth`](super::CoarseDepth). The defaults suit a robot with a 90 degree camera of 640x192 pixels and
-/// a handheld camera alike, because references are chosen by the parallax that they promise.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct CoarseConfig {
-    /// Nearest depth that is looked for, metres.
-    pub min_depth_m: f64,
-    /// Farthest depth that is looked for, metres.
-    pub max_depth_m: f64,
-    /// Parallax that each reference should promise for the depth of the scene, in full-size pixels; one
-    /// reference for each, at most three. A short one is unambiguous and sees the same things, a long one is precise.
-    pub parallax_px: Vec<f64>,
-    /// What rotations of the pose are wrong by, as a share of the turn between two pictures (odometry, timing, shutter) ...
-    pub turn_error: f64,
-    /// ... and at least, radians.
-    pub turn_error_floor_rad: f64,
-    /// A reference must promise this many times the parallax that its rotation error would fake. At 5, one standard
-    /// deviation of error is a depth that is wrong by a fifth.
-    pub parallax_over_error: f64,
-    /// Whether the rotation of every reference is corrected by looking at the pictures.
-    pub refine_rotation: bool,
-    /// Whether the rotation of every pose is steadied by what is seen from picture to picture.
-    pub steady_rotation: bool,
-    /// Whether things that move by themselves are looked for; they get no depth.
-    pub find_moving: bool,
-    /// A reference nearer than this has more pose error than parallax, metres.
-    pub min_baseline_m: f64,
-    /// A reference farther than this sees another scene, metres.
-    pub max_baseline_m: f64,
-    /// Share of the picture that a reference must see too.
-    pub min_overlap: f64,
-    /// A picture becomes a keyframe when it is this far from the last one, metres ...
-    pub keyframe_step_m: f64,
-    /// ... or turned by this angle, radians.
-    pub keyframe_turn_rad: f64,
-    /// How many keyframes are remembered.
-    pub keyframes: usize,
-    /// Motion between two pictures that no robot makes: the pose jumped, metres.
-    pub max_step_m: f64,
-    /// The same for turning, radians.
-    pub max_turn_rad: f64,
-    /// Smoothness: cost of a neighbour in the same column one hypothesis away (less across columns; see
-    /// [`aggregate`](super::aggregate)); a hypothesis in which every bit differs costs 96.
-    pub penalty_small: i16,
-    /// Smoothness: cost of a neighbour farther away where the picture is flat; less across edges.
-    pub penalty_large: i16,
-    /// Share of its evidence that a remembered depth keeps from one picture to the next; 0 remembers nothing.
-    pub memory: f32,
-    /// Probability that one picture's vote is right: weights of a constant, margin, logarithms of parallax and texture, and
-    /// misfit in a logistic model; see [`trust`](super::trust).
-    pub vote_weights: [f32; 5],
-    /// Probability that what is remembered is right: weights of a constant, the mean trust of its votes, the logarithm of their
-    /// number, the mean trust around it and whether its neighbours agree; see [`surround`](super::surround).
-    pub belief_weights: [f32; 5],
-    /// Pixels that are less probably right than this are marked as having no depth. At 0.6 a kitchen with white walls, on which
-    /// confidence was not fitted, has 80 % of what is left right; at even odds 78 %.
-    pub min_confidence: f32,
-    /// Without any reference (turning on the spot), the remembered depth is handed out while it covers this share of the
-    /// picture.
-    pub min_remembered: f32,
-}
+hal::choices!(Provider: "cpu", "xnnpack", "cuda", "tensorrt");
 
-impl Default for CoarseConfig {
-    fn default() -> Self {
-        Self {
-            min_depth_m: 0.3,
-            max_depth_m: 20.0,
-            parallax_px: vec![6.0, 16.0, 40.0],
-            turn_error: 0.02,
-            turn_error_floor_rad: 0.001,
-            parallax_over_error: 5.0,
-            refine_rotation: true,
-            steady_rotation: true,
-            find_moving: true,
-            min_baseline_m: 0.02,
-            max_baseline_m: 1.0,
-            min_overlap: 0.6,
-            keyframe_step_m: 0.02,
-            keyframe_turn_rad: 0.05,
-            keyframes: 48,
-            max_step_m: 0.5,
-            max_turn_rad: 0.8,
-            penalty_small: 24,
-            penalty_large: 160,
-            memory: 0.92,
-            vote_weights: [-0.99, 5.47, 0.36, 0.28, -0.06],
-            belief_weights: [-3.57, 1.3, 0.87, 3.35, 1.99],
-            min_confidence: 0.6,
-            min_remembered: 0.3,
-        }
+hal::settings! {
+    /// Coarse depth from the robot's own motion. References are chosen by the parallax that they promise, so the defaults
+    /// suit a robot with a 90 degree camera of 640x192 pixels and a handheld camera alike.
+    pub struct CoarseConfig {
+        /// Smallest depth of the search.
+        min_depth_m: f64 = 0.3, in 0.05..=10.0, unit "m";
+        /// Largest depth of the search.
+        max_depth_m: f64 = 20.0, in 0.5..=100.0, unit "m", source "paper";
+        /// Parallax that each reference should promise at the depth of the scene, in full-size pixels; one to three
+        /// references, one for each number. A short parallax is unambiguous and has the same scene content, a long one is
+        /// precise.
+        parallax_px: Vec<f64> = vec![6.0, 16.0, 40.0], in 0.5..=200.0, unit "pixels";
+        /// Error of the pose's rotation as a fraction of the rotation between two frames (odometry, timing, shutter).
+        turn_error: f64 = 0.02, in 0.0..=1.0;
+        /// Smallest error that is assumed of the pose's rotation.
+        turn_error_floor_rad: f64 = 0.001, in 0.0..=0.1, unit "rad";
+        /// A reference must promise this many times the parallax that an error of its rotation would imitate. At 5, one
+        /// standard deviation of that error changes a depth by a fifth.
+        parallax_over_error: f64 = 5.0, in 0.0..=100.0;
+        /// Whether the images correct the rotation of every reference.
+        refine_rotation: bool = true;
+        /// Whether the rotation between consecutive images filters the jitter out of every pose.
+        steady_rotation: bool = true;
+        /// Whether the engine looks for objects that move. They get no depth.
+        find_moving: bool = true;
+        /// A nearer reference has more pose error than parallax.
+        min_baseline_m: f64 = 0.02, in 0.001..=1.0, unit "m";
+        /// A reference further away shows another scene.
+        max_baseline_m: f64 = 1.0, in 0.01..=10.0, unit "m";
+        /// Fraction of the image that a reference must show too.
+        min_overlap: f64 = 0.6, in 0.0..=1.0;
+        /// A frame becomes a keyframe when it is this far from the last keyframe ...
+        keyframe_step_m: f64 = 0.02, in 0.001..=1.0, unit "m";
+        /// ... or rotated by this angle.
+        keyframe_turn_rad: f64 = 0.05, in 0.001..=1.0, unit "rad";
+        /// Number of keyframes that are kept.
+        keyframes: usize = 48, in 1..=256, unit "keyframes";
+        /// A larger distance between two frames is no motion of a robot: the pose has jumped.
+        max_step_m: f64 = 0.5, in 0.01..=10.0, unit "m";
+        /// A larger rotation between two frames is no motion of a robot: the pose has jumped.
+        max_turn_rad: f64 = 0.8, in 0.01..=3.2, unit "rad";
+        /// P1 of semi-global matching: cost of a neighbour one hypothesis away in the same column; a quarter of it along a
+        /// row. A hypothesis in which every bit differs costs 96.
+        penalty_small: i16 = 24, in 0..=200;
+        /// P2 of semi-global matching: cost of a neighbour further away where the image is flat; less across edges.
+        penalty_large: i16 = 160, in 0..=1000;
+        /// Fraction of its evidence that a depth keeps from one frame to the next. 0 keeps nothing.
+        memory: f32 = 0.92, in 0.0..=0.99;
+        /// Logistic model of the probability that the vote of one frame is correct: weights of a constant, the margin, the
+        /// logarithms of parallax and texture, and the misfit.
+        vote_weights: [f32; 5] = [-0.99, 5.47, 0.36, 0.28, -0.06], in -100.0..=100.0,
+            source "cargo xtask accuracy --fit";
+        /// Logistic model of the probability that a depth in memory is correct: weights of a constant, the mean confidence
+        /// of its votes, the logarithm of their number, the mean confidence around it, and the agreement of its neighbours.
+        belief_weights: [f32; 5] = [-3.57, 1.3, 0.87, 3.35, 1.99], in -100.0..=100.0,
+            source "cargo xtask accuracy --fit";
+        /// Pixels with a lower probability of being correct are marked as having no depth. At 0.6, 80 % of the remaining
+        /// depth is correct in a kitchen with white walls, on which the confidence was not fitted; at 0.5 it is 78 %.
+        min_confidence: f32 = 0.6, in 0.0..=0.99;
+        /// Without any reference (a robot that rotates in place), the depth in memory is used while it covers this fraction
+        /// of the image.
+        min_remembered: f32 = 0.3, in 0.0..=1.0;
     }
 }
 
-/// The engine cannot work like this.
+/// Why the engine cannot work with its configuration or its input.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PerceptionError {
-    /// An impossible setting.
-    #[error("perception: {field} = {value} is impossible; allowed: {allowed}")]
+    /// A setting is not allowed.
+    #[error("perception: {field} = {value} is not allowed; allowed: {allowed}")]
     Setting {
-        /// The field.
         field: &'static str,
-        /// Its value.
         value: String,
-        /// What it may be.
+        /// The allowed values.
         allowed: &'static str,
     },
-    /// A flow field does not belong to the camera.
+    /// The flow field and the camera have different sizes.
     #[error(
         "perception: the flow is {width}x{height}, the camera {want_width}x{want_height}; resample the flow"
     )]
@@ -125,7 +98,7 @@ pub enum PerceptionError {
         /// Rows of the camera.
         want_height: usize,
     },
-    /// The search for moving things cannot work.
+    /// The optical flow, which the search for moving objects needs, cannot be computed.
     #[error(transparent)]
     Flow(super::flow::FlowError),
     /// The camera cannot be used.
@@ -135,11 +108,10 @@ pub enum PerceptionError {
         width: usize,
         /// Rows.
         height: usize,
-        /// Focal length along x, pixels.
+        /// Horizontal focal length in pixels.
         fx: f64,
-        /// Focal length along y, pixels.
+        /// Vertical focal length in pixels.
         fy: f64,
-        /// Why.
         why: &'static str,
     },
 }
@@ -150,82 +122,42 @@ impl From<super::flow::FlowError> for PerceptionError {
     }
 }
 
+impl From<OutOfRange> for PerceptionError {
+    fn from(OutOfRange { key, value, allowed }: OutOfRange) -> Self {
+        Self::Setting { field: key, value: value.to_string(), allowed }
+    }
+}
+
 impl CoarseConfig {
-    /// Checks every value.
+    /// Checks every value, and the values together.
     ///
     /// # Errors
-    /// Names the field, its value and what it may be.
+    /// Names the field, its value and the allowed values.
     pub fn validate(&self) -> Result<(), PerceptionError> {
-        let positive = "a finite number above 0";
-        let ok = |v: f64| v.is_finite() && v > 0.0;
-        require("min_depth_m", self.min_depth_m, ok(self.min_depth_m), positive)?;
-        let deep = ok(self.max_depth_m) && self.max_depth_m > self.min_depth_m;
-        require("max_depth_m", self.max_depth_m, deep, "a finite number above min_depth_m")?;
-        let parallax = (1..=MAX_REFERENCES).contains(&self.parallax_px.len())
-            && self.parallax_px.iter().all(|p| ok(*p));
+        self.check_ranges()?;
+        require(
+            "max_depth_m",
+            self.max_depth_m,
+            self.max_depth_m > self.min_depth_m,
+            "above min_depth_m",
+        )?;
         require(
             "parallax_px",
             format!("{:?}", self.parallax_px),
-            parallax,
-            "one to three finite numbers above 0",
+            (1..=MAX_REFERENCES).contains(&self.parallax_px.len()),
+            "one to three numbers",
         )?;
-        let error = "0 or a finite number above 0";
-        let not_negative = |v: f64| v.is_finite() && v >= 0.0;
-        require("turn_error", self.turn_error, not_negative(self.turn_error), error)?;
-        require(
-            "turn_error_floor_rad",
-            self.turn_error_floor_rad,
-            not_negative(self.turn_error_floor_rad),
-            error,
-        )?;
-        require(
-            "parallax_over_error",
-            self.parallax_over_error,
-            not_negative(self.parallax_over_error),
-            error,
-        )?;
-        require("min_baseline_m", self.min_baseline_m, ok(self.min_baseline_m), positive)?;
-        let far = ok(self.max_baseline_m) && self.max_baseline_m >= self.min_baseline_m;
         require(
             "max_baseline_m",
             self.max_baseline_m,
-            far,
-            "a finite number, min_baseline_m or more",
+            self.max_baseline_m >= self.min_baseline_m,
+            "min_baseline_m or more",
         )?;
         require(
-            "min_overlap",
-            self.min_overlap,
-            (0.0..=1.0).contains(&self.min_overlap),
-            "0 to 1",
-        )?;
-        require("keyframe_step_m", self.keyframe_step_m, ok(self.keyframe_step_m), positive)?;
-        require("keyframe_turn_rad", self.keyframe_turn_rad, ok(self.keyframe_turn_rad), positive)?;
-        require("keyframes", self.keyframes, (1..=256).contains(&self.keyframes), "1 to 256")?;
-        require("max_step_m", self.max_step_m, ok(self.max_step_m), positive)?;
-        require("max_turn_rad", self.max_turn_rad, ok(self.max_turn_rad), positive)?;
-        require(
-            "penalty_small",
-            self.penalty_small,
-            (0..=200).contains(&self.penalty_small),
-            "0 to 200",
-        )?;
-        let large = (self.penalty_small..=1000).contains(&self.penalty_large);
-        require("penalty_large", self.penalty_large, large, "penalty_small to 1000")?;
-        require("memory", self.memory, (0.0..1.0).contains(&self.memory), "0 to below 1")?;
-        let weights = self.vote_weights.iter().chain(&self.belief_weights).all(|w| w.is_finite());
-        let all = format!("{:?} and {:?}", self.vote_weights, self.belief_weights);
-        require("vote_weights and belief_weights", all, weights, "finite numbers")?;
-        require(
-            "min_remembered",
-            self.min_remembered,
-            (0.0..=1.0).contains(&self.min_remembered),
-            "0 to 1",
-        )?;
-        require(
-            "min_confidence",
-            self.min_confidence,
-            (0.0..1.0).contains(&self.min_confidence),
-            "0 to below 1",
+            "penalty_large",
+            self.penalty_large,
+            self.penalty_large >= self.penalty_small,
+            "penalty_small or more",
         )
     }
 }
@@ -235,10 +167,10 @@ impl CoarseConfig {
 fn require(
     field: &'static str,
     value: impl std::fmt::Display,
-    sound: bool,
+    is_allowed: bool,
     allowed: &'static str,
 ) -> Result<(), PerceptionError> {
-    if sound {
+    if is_allowed {
         Ok(())
     } else {
         Err(PerceptionError::Setting { field, value: value.to_string(), allowed })
@@ -250,12 +182,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_defaults_are_sound() {
+    fn the_defaults_are_allowed() {
         assert_eq!(CoarseConfig::default().validate(), Ok(()));
     }
 
     #[test]
-    fn impossible_values_are_refused_by_name() {
+    fn values_that_are_not_allowed_are_refused_by_name() {
         let good = CoarseConfig::default;
         for (bad, name) in [
             (CoarseConfig { min_depth_m: f64::NAN, ..good() }, "min_depth_m"),

@@ -1,8 +1,9 @@
-//! How the robot likes to drive.
+//! Where the robot may drive, what it avoids, and how a path becomes motion.
 
-use serde::{Deserialize, Serialize};
+use hal::RobotDescription;
+use hal::settings::OutOfRange;
 
-/// A configuration value is out of range.
+/// A value of the planner's or the follower's configuration is not allowed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{field} is {value}, allowed is {allowed}")]
 pub struct ConfigError {
@@ -10,52 +11,98 @@ pub struct ConfigError {
     pub field: &'static str,
     /// Its value.
     pub value: f64,
-    /// The allowed range.
+    /// The allowed values.
     pub allowed: &'static str,
 }
 
-fn within(
-    field: &'static str,
-    value: f64,
-    low: f64,
-    high: f64,
-    allowed: &'static str,
-) -> Result<(), ConfigError> {
-    // A NaN is in no range.
-    if (low..=high).contains(&value) { Ok(()) } else { Err(ConfigError { field, value, allowed }) }
+impl From<OutOfRange> for ConfigError {
+    fn from(OutOfRange { key, value, allowed }: OutOfRange) -> Self {
+        Self { field: key, value, allowed }
+    }
 }
 
-/// Where the robot fits, and what it would rather avoid.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+hal::settings! {
+    /// Path costs, search, and how a path becomes motion.
+    pub struct PlanningSection {
+        /// The planner keeps this distance between the footprint and obstacles.
+        margin_m: f64 = 0.02, in 0.0..=0.5, unit "m";
+        /// Driving costs more up to this distance from an obstacle.
+        inflation_radius_m: f64 = 0.24, in 0.0..=1.0, unit "m", source "paper's code: 8 cells of 0.03 m";
+        /// Additional cost of a metre right beside an obstacle, in metres of free floor. It falls with the square of the
+        /// distance.
+        inflation_cost: f64 = 4.0, in 0.0..=10.0, unit "m";
+        /// Cost of a metre through unknown space, in metres of free floor.
+        unknown_cost: f64 = 4.0, in 1.0..=10.0, unit "m";
+        /// Distance by which a path may leave the known part of the map.
+        padding_m: f64 = 0.6, in 0.0..=10.0, unit "m";
+        /// A search gives up after it has expanded this many cells.
+        max_expanded: usize = 4_000_000, in 1..=1000000000, unit "cells";
+        /// The robot steers for the point of the path that is this far ahead.
+        lookahead_m: f64 = 0.3, in 0.01..=5.0, unit "m";
+        /// With a larger heading error, the robot first rotates in place.
+        turn_in_place_deg: f64 = 20.0, in 1.0..=170.0, unit "degrees";
+        /// Rotating in place ends below this heading error.
+        aligned_deg: f64 = 2.0, in 0.1..=57.0, unit "degrees";
+        /// While driving, smaller heading errors are not corrected.
+        correct_deg: f64 = 4.0, in 0.1..=57.0, unit "degrees";
+        /// Whether the robot corrects its heading on an arc instead of stopping to rotate in place. `firmware-host run`
+        /// always does, because wheels with inertia lose most of their time by stopping.
+        arcs: bool = false;
+        /// The end of a path is reached within this distance.
+        goal_tolerance_m: f64 = 0.06, in 0.01..=1.0, unit "m";
+        /// Further from the path than this, the robot plans a new one.
+        off_path_m: f64 = 0.3, in 0.01..=5.0, unit "m";
+    }
+}
+
+impl PlanningSection {
+    /// The planner's configuration for this robot.
+    #[must_use]
+    pub fn plan_config(&self, robot: &RobotDescription) -> PlanConfig {
+        PlanConfig {
+            footprint_radius_m: robot.footprint_radius_m,
+            margin_m: self.margin_m,
+            inflation_radius_m: self.inflation_radius_m,
+            inflation_cost: self.inflation_cost,
+            unknown_cost: self.unknown_cost,
+            padding_m: self.padding_m,
+            max_expanded: self.max_expanded,
+        }
+    }
+
+    /// The follower's configuration for this robot.
+    #[must_use]
+    pub fn follower_config(&self, robot: &RobotDescription) -> FollowerConfig {
+        FollowerConfig {
+            forward_m: robot.forward_step_m,
+            turn_rad: robot.turn_step_deg.to_radians(),
+            lookahead_m: self.lookahead_m,
+            turn_in_place_rad: self.turn_in_place_deg.to_radians(),
+            aligned_rad: self.aligned_deg.to_radians(),
+            correct_rad: self.correct_deg.to_radians(),
+            arcs: self.arcs,
+            goal_tolerance_m: self.goal_tolerance_m,
+            off_path_m: self.off_path_m,
+        }
+    }
+}
+
+/// Where the robot fits, and what it avoids. [`PlanningSection`] describes the values.
+#[derive(Debug, Clone, PartialEq)]
 pub struct PlanConfig {
-    /// Radius of the robot's round footprint, metres.
+    /// Radius of the circle that the planner keeps free of obstacles.
     pub footprint_radius_m: f64,
-    /// Cells this much further from an obstacle than the footprint's radius are still never entered, metres.
     pub margin_m: f64,
-    /// Up to this distance from an obstacle driving costs more, metres. The paper inflates by 8 cells of 0.03 m.
     pub inflation_radius_m: f64,
-    /// Extra cost of a metre right at the hard limit, in metres of free floor; falls with the square of the distance.
     pub inflation_cost: f64,
-    /// Cost of a metre through the unknown, in metres of free floor.
     pub unknown_cost: f64,
-    /// Plans may leave the known part of the map by this much, metres.
     pub padding_m: f64,
-    /// A search gives up after this many cells.
     pub max_expanded: usize,
 }
 
 impl Default for PlanConfig {
     fn default() -> Self {
-        Self {
-            footprint_radius_m: 0.12,
-            margin_m: 0.02,
-            inflation_radius_m: 0.24,
-            inflation_cost: 4.0,
-            unknown_cost: 4.0,
-            padding_m: 0.6,
-            max_expanded: 4_000_000,
-        }
+        PlanningSection::default().plan_config(&RobotDescription::default())
     }
 }
 
@@ -65,59 +112,62 @@ impl PlanConfig {
     /// # Errors
     /// Names the first value that is out of range.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        within("footprint_radius_m", self.footprint_radius_m, 0.0, 1.0, "0 to 1")?;
-        within("margin_m", self.margin_m, 0.0, 0.5, "0 to 0.5")?;
-        within("inflation_radius_m", self.inflation_radius_m, 0.0, 1.0, "0 to 1")?;
-        within("inflation_cost", self.inflation_cost, 0.0, 10.0, "0 to 10")?;
-        within("unknown_cost", self.unknown_cost, 1.0, 10.0, "1 to 10")?;
-        within("padding_m", self.padding_m, 0.0, 10.0, "0 to 10")?;
-        within("max_expanded", self.max_expanded as f64, 1.0, 1e9, "1 to 1000000000")
+        // The configuration allows 0.05 to 1 m; tests also plan for a point.
+        if !(0.0..=1.0).contains(&self.footprint_radius_m) {
+            return Err(ConfigError {
+                field: "footprint_radius_m",
+                value: self.footprint_radius_m,
+                allowed: "0 to 1 m",
+            });
+        }
+        let section = PlanningSection {
+            margin_m: self.margin_m,
+            inflation_radius_m: self.inflation_radius_m,
+            inflation_cost: self.inflation_cost,
+            unknown_cost: self.unknown_cost,
+            padding_m: self.padding_m,
+            max_expanded: self.max_expanded,
+            ..PlanningSection::default()
+        };
+        Ok(section.check_ranges()?)
     }
 }
 
-/// How a path becomes motion.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+/// How a path becomes motion. [`PlanningSection`] describes the values.
+#[derive(Debug, Clone, PartialEq)]
 pub struct FollowerConfig {
-    /// Length of one step forward, metres. The paper's action.
+    /// Length of one forward action.
     pub forward_m: f64,
-    /// Angle of one step of turning, radians. The paper's action: 2 degrees.
+    /// Angle of one rotation action.
     pub turn_rad: f64,
-    /// The robot steers for the point of the path this far ahead, metres.
     pub lookahead_m: f64,
-    /// With more heading error than this it turns on the spot first, radians.
     pub turn_in_place_rad: f64,
-    /// Turning on the spot ends below this heading error, radians.
     pub aligned_rad: f64,
-    /// While driving, heading errors below this are not corrected, radians.
     pub correct_rad: f64,
-    /// Larger ones are corrected on an arc, not on the spot: wheels with inertia lose most of their time by stopping.
     pub arcs: bool,
-    /// The goal is reached within this distance, metres.
     pub goal_tolerance_m: f64,
-    /// Further from the path than this is off the path, metres.
     pub off_path_m: f64,
 }
 
 impl Default for FollowerConfig {
     fn default() -> Self {
-        let degree = core::f64::consts::PI / 180.0;
-        Self {
-            forward_m: 0.03,
-            turn_rad: 2.0 * degree,
-            lookahead_m: 0.3,
-            turn_in_place_rad: 20.0 * degree,
-            aligned_rad: 2.0 * degree,
-            correct_rad: 4.0 * degree,
-            arcs: false,
-            goal_tolerance_m: 0.06,
-            off_path_m: 0.3,
-        }
+        PlanningSection::default().follower_config(&RobotDescription::default())
     }
 }
 
+fn within(
+    field: &'static str,
+    value: f64,
+    low: f64,
+    high: f64,
+    allowed: &'static str,
+) -> Result<(), ConfigError> {
+    // No range contains NaN.
+    if (low..=high).contains(&value) { Ok(()) } else { Err(ConfigError { field, value, allowed }) }
+}
+
 impl FollowerConfig {
-    /// Checks every value.
+    /// Checks every value against the length and angle of one action.
     ///
     /// # Errors
     /// Names the first value that is out of range.
@@ -125,7 +175,7 @@ impl FollowerConfig {
         within("forward_m", self.forward_m, 0.001, 0.5, "0.001 to 0.5")?;
         within("turn_rad", self.turn_rad, 0.001, 0.8, "0.001 to 0.8")?;
         within("lookahead_m", self.lookahead_m, self.forward_m, 5.0, "forward_m to 5")?;
-        // Half a step is the best that a step can align to.
+        // A robot that rotates in steps can align to half a step at best.
         within("aligned_rad", self.aligned_rad, self.turn_rad / 2.0, 1.0, "turn_rad / 2 to 1")?;
         within("correct_rad", self.correct_rad, self.aligned_rad, 1.0, "aligned_rad to 1")?;
         within(
@@ -156,5 +206,11 @@ mod tests {
         assert_eq!(plan.validate().map_err(|error| error.field), Err("unknown_cost"));
         let follower = FollowerConfig { aligned_rad: 0.01, ..FollowerConfig::default() };
         assert_eq!(follower.validate().map_err(|error| error.field), Err("aligned_rad"));
+    }
+
+    #[test]
+    fn the_planner_has_the_same_footprint_as_the_safety_plane() {
+        let safety = crate::safety::SafetyConfig::default();
+        assert_eq!(PlanConfig::default().footprint_radius_m, safety.footprint_radius_m);
     }
 }

@@ -17,6 +17,6 @@ mod shorten;
 mod steps;
 
 pub use astar::{NoPath, Planner, Reach};
-pub use config::{ConfigError, FollowerConfig, PlanConfig};
+pub use config::{ConfigError, FollowerConfig, PlanConfig, PlanningSection};
 pub use costmap::Costmap;
 pub use follower::{FollowError, Follower, Primitive, Progress, Step};

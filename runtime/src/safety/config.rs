@@ -1,83 +1,116 @@
-//! Sizes, speeds and time limits of the safety plane.
+//! Dimensions, speeds and time limits of the safety plane.
 
+use hal::RobotDescription;
+use hal::settings::{ConfigValue, Kind};
 use serde::{Deserialize, Serialize};
 
-/// Beams that meet the robot's own body: between two directions, up to a distance.
+/// Beams that hit the robot's own body: between two directions, up to a distance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BodySector {
-    /// First direction in the `laser` frame, degrees, counter-clockwise.
+    /// First direction in the `laser` frame, counter-clockwise.
     pub from_deg: f64,
-    /// Last direction, degrees, not before `from_deg`.
+    /// Last direction, not before `from_deg`.
     pub to_deg: f64,
-    /// Returns up to this distance are the robot itself, metres.
+    /// Returns up to this distance are the robot itself.
     pub up_to_m: f64,
 }
 
-/// Sizes, speeds and time limits of the safety plane.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+impl ConfigValue for BodySector {
+    const KIND: Kind = Kind::Other("{ from_deg = 120, to_deg = 135, up_to_m = 0.2 }");
+}
+
+hal::settings! {
+    /// The safety plane, which checks every command before it reaches the wheels.
+    pub struct SafetySection {
+        /// The robot stops with this much free space left ahead of the footprint.
+        stop_distance_m: f64 = 0.1, in 0.02..=2.0, unit "m", source "paper";
+        /// Distance that the robot then backs off, by wheel odometry.
+        back_off_m: f64 = 0.2, in 0.0..=2.0, unit "m";
+        /// Part of that distance that it may drive over ground that the LiDAR has not observed.
+        blind_back_off_m: f64 = 0.05, in 0.0..=0.5, unit "m";
+        /// An observation of the ground behind the robot is valid for this long.
+        rear_memory_s: f64 = 30.0, in 0.0..=300.0, unit "s";
+        /// Backing off ends after this time, whatever the wheels report.
+        back_off_timeout_s: f64 = 5.0, in 0.1..=60.0, unit "s";
+        /// The robot does not drive by a scan that ended longer ago.
+        scan_timeout_s: f64 = 0.2, in 0.02..=2.0, unit "s";
+        /// Beams that hit the robot's own body. They count as blind, not as free.
+        body: Vec<BodySector> = Vec::new();
+    }
+}
+
+/// The safety plane's configuration. [`SafetySection`] describes the values that it has in common with it.
+#[derive(Debug, Clone, PartialEq)]
 pub struct SafetyConfig {
-    /// Radius of the round footprint, metres. Of a footprint with corners it is ignored.
+    /// Radius of the round footprint; ignored if `footprint_m` has corners.
     pub footprint_radius_m: f64,
-    /// Corners of the footprint in `base_link`, in order, metres; empty: it is round.
+    /// Corners of the footprint in `base_link`, in order; empty for a round robot.
     pub footprint_m: Vec<[f64; 2]>,
-    /// Beams that meet the robot's own body. They are blind, not free.
     pub body: Vec<BodySector>,
-    /// Where the laser sits in front of `base_link`'s origin, metres.
+    /// Distance from `base_link` forward to the LiDAR.
     pub laser_forward_m: f64,
-    /// Free way that is left in front of the footprint when the robot has stopped, metres (0.1 in the paper).
     pub stop_distance_m: f64,
-    /// Time from a beam to the wheels' first answer, seconds. A simulated base answers at once.
+    /// Time from a beam to the first response of the wheels. A simulated base responds immediately.
     pub reaction_s: f64,
-    /// How hard the base brakes, m/s2. A simulated base stops within a step.
+    /// Deceleration of the braking base. A simulated base stops within a step.
     pub brake_mps2: f64,
-    /// How far it backs off, metres by wheel odometry.
     pub back_off_m: f64,
-    /// Of these, so much over ground that nobody has looked at, metres.
     pub blind_back_off_m: f64,
-    /// What was seen of the ground behind counts for so long, seconds.
     pub rear_memory_s: f64,
-    /// Backing-off speed, m/s.
+    /// Speed while backing off.
     pub back_off_mps: f64,
-    /// Turn rate while escaping, rad/s.
+    /// Angular rate while escaping.
     pub escape_radps: f64,
-    /// Backing off ends after this time, whatever the wheels say, seconds.
     pub back_off_timeout_s: f64,
-    /// So long after the end of a scan it is no longer driven by, seconds: two periods of the scanner.
+    /// The robot does not drive by a scan that ended longer ago: two periods of the scanner.
     pub scan_timeout_s: f64,
-    /// Scans in a row that must be good before the robot drives by them.
+    /// Consecutive valid scans that are needed before the robot drives.
     pub good_scans: u32,
-    /// Wheel feedback older than this stops the robot, seconds.
+    /// The robot stops when the wheel feedback is older than this.
     pub feedback_timeout_s: f64,
-    /// A plan older than this is no longer driven by, seconds.
+    /// The robot does not follow a plan that is older than this.
     pub plan_timeout_s: f64,
-    /// Time between two calls, seconds. A call that is later than two of them stops the robot.
+    /// Time between two ticks of the safety plane. A tick that is later than two periods stops the robot.
     pub period_s: f64,
 }
 
-impl Default for SafetyConfig {
-    /// For the simulated robot, which turns the safety plane once a step.
-    fn default() -> Self {
-        Self {
-            footprint_radius_m: 0.16,
-            footprint_m: Vec::new(),
-            body: Vec::new(),
-            laser_forward_m: 0.0,
-            stop_distance_m: 0.1,
+impl SafetySection {
+    /// The configuration for a simulated base, which responds immediately, and a safety plane that runs once per action.
+    #[must_use]
+    pub fn safety_config(&self, robot: &RobotDescription) -> SafetyConfig {
+        SafetyConfig {
+            footprint_radius_m: robot.footprint_radius_m,
+            footprint_m: robot.footprint_m.clone(),
+            body: self.body.clone(),
+            laser_forward_m: robot.lidar_forward_m,
+            stop_distance_m: self.stop_distance_m,
             reaction_s: 0.0,
             brake_mps2: 100.0,
-            back_off_m: 0.2,
-            blind_back_off_m: 0.05,
-            rear_memory_s: 30.0,
-            back_off_mps: 0.3,
-            escape_radps: 20f64.to_radians(),
-            back_off_timeout_s: 5.0,
-            scan_timeout_s: 0.2,
+            back_off_m: self.back_off_m,
+            blind_back_off_m: self.blind_back_off_m,
+            rear_memory_s: self.rear_memory_s,
+            back_off_mps: robot.speed_mps(),
+            escape_radps: robot.turn_radps(),
+            back_off_timeout_s: self.back_off_timeout_s,
+            scan_timeout_s: self.scan_timeout_s,
             good_scans: 1,
             feedback_timeout_s: 0.2,
             plan_timeout_s: 0.3,
-            period_s: 0.1,
+            period_s: robot.tick_s(),
+        }
+    }
+}
+
+impl Default for SafetyConfig {
+    /// For the simulated robot.
+    fn default() -> Self {
+        Self {
+            // The speeds of the default robot, without the rounding error of dividing a step by a tick: recorded decisions
+            // depend on every bit.
+            back_off_mps: 0.3,
+            escape_radps: 20f64.to_radians(),
+            ..SafetySection::default().safety_config(&RobotDescription::default())
         }
     }
 }

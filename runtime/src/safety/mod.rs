@@ -55,7 +55,7 @@ mod rear;
 mod state;
 mod surroundings;
 
-pub use config::{BodySector, SafetyConfig};
+pub use config::{BodySector, SafetyConfig, SafetySection};
 pub use control::{Orders, SafetyLoop, SafetyStep};
 pub use footprint::Footprint;
 pub use plane::SafetyPlane;

@@ -28,9 +28,9 @@ pub struct Footprint {
 }
 
 impl Default for Footprint {
-    /// A base of 0.32 m diameter that carries its camera at 0.8 m.
+    /// The default robot, 0.1 m higher than its camera.
     fn default() -> Self {
-        Self { radius_m: 0.16, height_m: 0.9 }
+        Self { radius_m: hal::RobotDescription::default().footprint_radius_m, height_m: 0.9 }
     }
 }
 

@@ -9,8 +9,8 @@ mod tests;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use hal::{
-    CameraModel, DepthMap, Distortion, Frame, LaserScan, Pose2, Pose3, Twist2, WheelFeedback,
-    camera_mount,
+    CameraModel, DepthMap, Distortion, Frame, LaserScan, Pose2, Pose3, RobotDescription, Twist2,
+    WheelFeedback,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -65,10 +65,11 @@ pub struct RobotOptions {
 
 impl Default for RobotOptions {
     fn default() -> Self {
+        let robot = RobotDescription::default();
         Self {
             camera: CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2),
-            t_base_camera: camera_mount(0.0, 0.8, 0.0),
-            t_base_laser: Pose3::translation(0.0, 0.0, 0.18),
+            t_base_camera: robot.camera_mount(),
+            t_base_laser: robot.lidar_mount(),
             sliding: false,
             odometry: OdometryNoise::default(),
             laser: LaserModel::UTM_30LX,

@@ -1,83 +1,112 @@
-//! Settings of [`DenseFlow`](super::DenseFlow).
+//! Settings of the optical-flow engine, and what can be wrong with them.
 
+use hal::settings::OutOfRange;
 use serde::{Deserialize, Serialize};
 
-/// How much work is done: the presets of OpenCV's `DISOpticalFlow`, with its names. At each, errors are lower and time is less
-/// than OpenCV's (`cargo xtask bench "optical flow"`).
+/// Trade-off between accuracy and time: the presets of OpenCV's `DISOpticalFlow`, with its names. With each of them, errors and
+/// time are below OpenCV's (`cargo xtask bench "optical flow"`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FlowPreset {
-    /// Searches at a quarter of the image's size, with one iteration of refinement.
+    /// Starts at a quarter of the size, with hardly any refinement.
     UltraFast,
-    /// Searches at a quarter of the image's size, with variational refinement.
+    /// Starts at a quarter of the size, with variational refinement.
     Fast,
-    /// Searches at half of the image's size with patches closer together, and variational refinement.
+    /// Starts at half the size, with patches closer together and variational refinement.
     Medium,
 }
 
-/// Settings of [`DenseFlow`](super::DenseFlow). Patches are 8x8 pixels.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct FlowConfig {
-    /// The finest scale that is searched: 0 is the full image, 1 half its size, up to 4.
-    pub finest_scale: usize,
-    /// Distance from one patch to the next, pixels of the scale, 1 to 8.
-    pub patch_stride_px: usize,
-    /// Maximum number of gradient descent steps for each patch and scale.
-    pub descent_iterations: usize,
-    /// Iterations of the variational refinement at each scale; 0 turns it off.
-    pub variational_iterations: usize,
+hal::settings! {
+    /// Settings of the dense optical flow. Patches are 8x8 pixels. The defaults are those of [`FlowPreset::Medium`].
+    pub struct FlowConfig {
+        /// The finest scale of the search: 0 is the full image, 1 half its size, and so on.
+        finest_scale: usize = 1, in 0..=4;
+        /// Distance between two patches, in pixels of the scale; at most the size of a patch.
+        patch_stride_px: usize = 3, in 1..=8, unit "pixels";
+        /// Largest number of steps of gradient descent for each patch and scale.
+        descent_iterations: usize = 25, in 1..=1000;
+        /// Iterations of the variational refinement at each scale; 0 refines nothing.
+        variational_iterations: usize = 7, in 0..=100;
+    }
 }
 
 impl From<FlowPreset> for FlowConfig {
     /// The numbers are those that OpenCV documents for its presets, except for the iterations of the refinement (0, 5 and 5
-    /// there): ours are cheap enough for more.
+    /// there): ours take so little time that we use more.
     fn from(preset: FlowPreset) -> Self {
-        let (finest_scale, patch_stride_px, descent_iterations, variational_iterations) =
-            match preset {
-                FlowPreset::UltraFast => (2, 4, 12, 1),
-                FlowPreset::Fast => (2, 4, 16, 6),
-                FlowPreset::Medium => (1, 3, 25, 7),
-            };
-        Self { finest_scale, patch_stride_px, descent_iterations, variational_iterations }
+        match preset {
+            FlowPreset::UltraFast => Self {
+                finest_scale: 2,
+                patch_stride_px: 4,
+                descent_iterations: 12,
+                variational_iterations: 1,
+            },
+            FlowPreset::Fast => Self {
+                finest_scale: 2,
+                patch_stride_px: 4,
+                descent_iterations: 16,
+                variational_iterations: 6,
+            },
+            FlowPreset::Medium => Self::default(),
+        }
     }
 }
 
-impl Default for FlowConfig {
-    fn default() -> Self {
-        FlowPreset::Medium.into()
-    }
-}
-
-/// Why flow cannot be computed.
+/// Why the flow cannot be computed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FlowError {
-    #[error("flow: {field} = {value} is out of range; allowed: {allowed}")]
-    Setting { field: &'static str, value: usize, allowed: &'static str },
-    /// An image has another size than the [`DenseFlow`](super::DenseFlow) was made for.
+    /// A setting is not allowed.
+    #[error("flow: {field} = {value} is not allowed; allowed: {allowed}")]
+    Setting {
+        field: &'static str,
+        value: usize,
+        /// The allowed values.
+        allowed: &'static str,
+    },
+    /// An image or a flow field has another size than the engine was made for.
     #[error(
         "flow: {what} is {width}x{height}, {want_width}x{want_height} is needed; resample it, or make a DenseFlow of its size"
     )]
-    Size { what: &'static str, width: usize, height: usize, want_width: usize, want_height: usize },
+    Size {
+        /// The image or the flow field.
+        what: &'static str,
+        width: usize,
+        height: usize,
+        /// Columns of the engine.
+        want_width: usize,
+        /// Rows of the engine.
+        want_height: usize,
+    },
+    /// The engine cannot read the format of an image.
     #[error("flow: {what} is a {format:?} image; convert it to RGB8 or GRAY8")]
-    Format { what: &'static str, format: hal::PixelFormat },
+    Format {
+        /// Which image.
+        what: &'static str,
+        format: hal::PixelFormat,
+    },
 }
 
 impl FlowError {
-    /// Refuses a `size` (columns, rows) other than `want`.
+    /// Refuses a `size` (columns, rows) that is not the one that the engine was made for.
     pub(super) fn check_size(
         what: &'static str,
         size: (usize, usize),
         want: (usize, usize),
     ) -> Result<(), Self> {
+        if size == want {
+            return Ok(());
+        }
         let (width, height) = size;
         let (want_width, want_height) = want;
-        if size == want {
-            Ok(())
-        } else {
-            Err(Self::Size { what, width, height, want_width, want_height })
-        }
+        Err(Self::Size { what, width, height, want_width, want_height })
+    }
+}
+
+impl From<OutOfRange> for FlowError {
+    fn from(OutOfRange { key, value, allowed }: OutOfRange) -> Self {
+        // Every setting is a whole number.
+        Self::Setting { field: key, value: value as usize, allowed }
     }
 }
 
@@ -85,12 +114,9 @@ impl FlowConfig {
     /// Checks every value.
     ///
     /// # Errors
-    /// Names the field, its value and the allowed range.
+    /// Names the field, its value and the allowed values.
     pub fn validate(&self) -> Result<(), FlowError> {
-        require("finest_scale", self.finest_scale, 0..=4, "0 to 4")?;
-        require("patch_stride_px", self.patch_stride_px, 1..=super::PATCH, "1 to 8")?;
-        require("descent_iterations", self.descent_iterations, 1..=1000, "1 to 1000")?;
-        require("variational_iterations", self.variational_iterations, 0..=100, "0 to 100")
+        Ok(self.check_ranges()?)
     }
 }
 
@@ -108,14 +134,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_presets_are_sound() {
+    fn the_presets_are_allowed() {
         for preset in [FlowPreset::UltraFast, FlowPreset::Fast, FlowPreset::Medium] {
             assert_eq!(FlowConfig::from(preset).validate(), Ok(()));
         }
     }
 
     #[test]
-    fn impossible_values_are_refused_by_name() {
+    fn values_that_are_not_allowed_are_refused_by_name() {
         let good = FlowConfig::default;
         for (bad, name) in [
             (FlowConfig { finest_scale: 5, ..good() }, "finest_scale"),

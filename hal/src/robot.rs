@@ -1,0 +1,88 @@
+//! The dimensions of the robot that several parts of the software must agree on.
+
+use alloc::vec::Vec;
+
+use crate::{Pose3, camera_mount};
+
+/// Footprint, mounts and discrete actions of one robot: the planner, the safety plane, the simulator and the benchmarks take
+/// their dimensions from here. The sections `[base]`, `[camera]` and `[lidar]` of the configuration describe another robot.
+///
+/// The default is the robot of "Embodied Depth Prediction" (Liu et al.) as far as the paper describes it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RobotDescription {
+    /// Radius of the circle around the axle's centre that contains the robot.
+    pub footprint_radius_m: f64,
+    /// Corners of a footprint that is not round, in `base_link`, in order; empty for a round robot.
+    pub footprint_m: Vec<[f64; 2]>,
+    /// Height of the camera's optical centre above the floor.
+    pub camera_height_m: f64,
+    /// Distance from `base_link` forward to the camera.
+    pub camera_forward_m: f64,
+    /// Angle of the optical axis below the horizon.
+    pub camera_pitch_down_deg: f64,
+    /// Height of the LiDAR's scan plane above the floor.
+    pub lidar_height_m: f64,
+    /// Distance from `base_link` forward to the LiDAR.
+    pub lidar_forward_m: f64,
+    /// Distance that the robot drives in one forward action.
+    pub forward_step_m: f64,
+    /// Angle that the robot rotates in one rotation action.
+    pub turn_step_deg: f64,
+    /// Duration of one action.
+    pub tick_ms: u64,
+}
+
+impl Default for RobotDescription {
+    fn default() -> Self {
+        Self {
+            // A small round robot.
+            footprint_radius_m: 0.16,
+            footprint_m: Vec::new(),
+            // The paper's camera: 0.8 m high, horizontal.
+            camera_height_m: 0.8,
+            camera_forward_m: 0.0,
+            camera_pitch_down_deg: 0.0,
+            // Low enough for the feet of chairs, which are narrower than their seats.
+            lidar_height_m: 0.18,
+            lidar_forward_m: 0.0,
+            // The paper's actions.
+            forward_step_m: 0.03,
+            turn_step_deg: 2.0,
+            // 0.3 m/s and 20 degrees/s.
+            tick_ms: 100,
+        }
+    }
+}
+
+impl RobotDescription {
+    /// Duration of one action.
+    #[must_use]
+    pub fn tick_s(&self) -> f64 {
+        self.tick_ms as f64 / 1e3
+    }
+
+    /// Speed of one forward action per tick.
+    #[must_use]
+    pub fn speed_mps(&self) -> f64 {
+        self.forward_step_m / self.tick_s()
+    }
+
+    /// Angular rate of one rotation action per tick.
+    #[must_use]
+    pub fn turn_radps(&self) -> f64 {
+        self.turn_step_deg.to_radians() / self.tick_s()
+    }
+
+    /// `t_base_camera`.
+    #[must_use]
+    pub fn camera_mount(&self) -> Pose3 {
+        let pitch_down_rad = self.camera_pitch_down_deg.to_radians();
+        camera_mount(self.camera_forward_m, self.camera_height_m, pitch_down_rad)
+    }
+
+    /// `t_base_laser`. The LiDAR is mounted level and points forward.
+    #[must_use]
+    pub fn lidar_mount(&self) -> Pose3 {
+        Pose3::translation(self.lidar_forward_m, 0.0, self.lidar_height_m)
+    }
+}
