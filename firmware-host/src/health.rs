@@ -7,7 +7,7 @@ use anyhow::Result;
 use comfy_table::{ContentArrangement, Table, presets::NOTHING};
 use hal::Clock;
 use monotonic_clock::MonotonicClock;
-use runtime::line_monitor::LineAccuracy;
+use runtime::lidar_agreement::AgreementStats;
 
 use crate::cli::HealthArgs;
 use crate::failure::sentence;
@@ -120,7 +120,7 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
 }
 
 /// Accuracy of the depth where the LiDAR measures the same points.
-fn depth_accuracy(all: &LineAccuracy, by_distance: &[LineAccuracy]) -> String {
+fn depth_accuracy(all: &AgreementStats, by_distance: &[AgreementStats]) -> String {
     let error = all.scale - 1.0;
     let direction = if error < 0.0 { "short" } else { "long" };
     let mut text = format!(

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use hal::{CameraModel, Pose2, Pose3};
 use runtime::exploration::PolicyKind;
-use runtime::line_monitor::LineMonitor;
+use runtime::lidar_agreement::LidarAgreement;
 use runtime::model_gate::LidarView;
 use runtime::perception::{DepthNetwork, NetworkOptions};
 use runtime::recording::RunHeader;
@@ -113,8 +113,8 @@ pub fn open_options(file: &SceneFileArgs, config: &Config) -> OpenOptions {
 
 /// Compares depth with the LiDAR while the robot drives.
 #[must_use]
-pub fn line_monitor(config: &Config) -> LineMonitor {
-    LineMonitor::new(lidar_view(config))
+pub fn lidar_agreement(config: &Config) -> LidarAgreement {
+    LidarAgreement::new(lidar_view(config))
 }
 
 /// The safety LiDAR as the camera sees it.

@@ -578,7 +578,7 @@ fn the_seconds_around_a_moment_become_a_file_that_replays_alone() {
 /// The environment variable `KILLS` sets the number of kills.
 #[test]
 fn killed_at_any_moment_the_recording_is_good_as_far_as_it_goes() {
-    let kills = hil::kills::wanted();
+    let kills = hil::kills::kill_count();
     let dir = TempDir::new().unwrap();
     let config = dir.path().join("short.toml");
     std::fs::write(&config, SHORT_SEGMENTS).unwrap();

@@ -25,7 +25,7 @@ fn every_bad_model_is_refused_with_its_reason_and_none_is_accepted() {
         ("no_golden_pair", "golden_pair", &["no golden pair"]),
         ("lying_golden_pair", "golden_pair", &["off by 0.05"]),
         // Without recordings the model cannot be shown to be as good as the current one.
-        ("better", "judged", &["only 0 held-out pictures"]),
+        ("better", "judged", &["only 0 held-out frames"]),
     ];
     for (name, kind, words) in cases {
         let said = robot.install(&robot.signed(name), &[]);

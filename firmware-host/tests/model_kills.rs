@@ -13,7 +13,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use firmware_host::model::{History, State};
-use hil::kills::{self, Moments};
+use hil::kills::{self, KillSchedule};
 use robot::{Robot, binary, run};
 
 /// Starts the program without output.
@@ -71,16 +71,16 @@ fn an_install_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
     args.extend(["--recordings", &recordings, "--frames", "40"]);
     let began = Instant::now();
     assert!(start(&args).wait().unwrap().success());
-    let mut moments = Moments::new(5, began.elapsed());
+    let mut moments = KillSchedule::new(5, began.elapsed());
     let new = valid_state(&robot);
     assert_eq!((new.previous(), new.trial_starts), (Some(&*resident), Some(0)));
     roll_back_to(&robot, &old);
     let mut kills = 0;
     let mut installed = 0;
     let mut tries = 0;
-    while kills < kills::wanted() {
+    while kills < kills::kill_count() {
         tries += 1;
-        assert!(tries <= 50 + 4 * kills::wanted(), "it ends before it can be killed");
+        assert!(tries <= 50 + 4 * kills::kill_count(), "it ends before it can be killed");
         let mut child = start(&args);
         moments.wait(&mut child, || kills::listing(&robot.path("store"))).unwrap();
         kills += u64::from(child.try_wait().unwrap().is_none());
@@ -138,14 +138,14 @@ fn killed_while_swapping(name: &str, after_trial: fn(guess: &str, new: &str) -> 
     let began = Instant::now();
     assert!(drive(&robot, &out, "150").wait().unwrap().success());
     assert_eq!(valid_state(&robot), end);
-    let mut moments = Moments::new(9, began.elapsed());
+    let mut moments = KillSchedule::new(9, began.elapsed());
     let mut kills = 0;
     let mut tries = 0;
     let mut ends = 0;
     let mut trials = 0;
-    while kills < kills::wanted() {
+    while kills < kills::kill_count() {
         tries += 1;
-        assert!(tries <= 50 + 4 * kills::wanted(), "it ends before it can be killed");
+        assert!(tries <= 50 + 4 * kills::kill_count(), "it ends before it can be killed");
         // Restore the store to its state before the install.
         std::fs::remove_file(robot.path("store/history.json")).unwrap();
         std::fs::write(robot.path("store/current"), serde_json::to_vec(&old).unwrap()).unwrap();

@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model_gate::{LidarView, LinePoint};
+use crate::model_gate::{LidarPixel, LidarView};
 use crate::perception::DepthEstimate;
 use crate::tick::TickInput;
 
@@ -17,7 +17,7 @@ const MEMORY_FRAMES: f64 = 600.0;
 
 /// Agreement of the depth with the LiDAR in one range of distances, or in all.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct LineAccuracy {
+pub struct AgreementStats {
     /// Lower end of the range of distances, metres.
     pub from_m: f32,
     /// Upper end of the range, metres; `None` if it has no end.
@@ -43,7 +43,7 @@ struct Bin {
 }
 
 impl Bin {
-    fn add(&mut self, depth_m: Option<f32>, lidar: &LinePoint) {
+    fn add(&mut self, depth_m: Option<f32>, lidar: &LidarPixel) {
         self.pixels += 1.0;
         if let Some(depth_m) = depth_m {
             self.with_depth += 1.0;
@@ -68,8 +68,8 @@ impl Bin {
     }
 
     /// `None` if no pixel with a depth was compared yet.
-    fn accuracy(&self, from_m: f32, to_m: Option<f32>) -> Option<LineAccuracy> {
-        (self.with_depth > 0.0).then(|| LineAccuracy {
+    fn accuracy(&self, from_m: f32, to_m: Option<f32>) -> Option<AgreementStats> {
+        (self.with_depth > 0.0).then(|| AgreementStats {
             from_m,
             to_m,
             pixels: self.pixels,
@@ -98,13 +98,13 @@ impl LidarAgreement {
     /// agree. Call it after the robot has processed the tick.
     pub fn observe(&mut self, input: &TickInput<'_>, depth: Option<&DepthEstimate>) {
         if let Some(depth) = depth {
-            self.add(depth, &self.view.of_turn(input));
+            self.add(depth, &self.view.of_tick(input));
         }
     }
 
     /// Adds the depth of one frame and the LiDAR's depth at some of its pixels. Without LiDAR
     /// pixels nothing changes.
-    pub fn add(&mut self, estimate: &DepthEstimate, line: &[LinePoint]) {
+    pub fn add(&mut self, estimate: &DepthEstimate, line: &[LidarPixel]) {
         if line.is_empty() {
             return;
         }
@@ -121,14 +121,14 @@ impl LidarAgreement {
 
     /// The agreement over all distances; `None` if nothing was compared yet.
     #[must_use]
-    pub fn overall(&self) -> Option<LineAccuracy> {
+    pub fn overall(&self) -> Option<AgreementStats> {
         self.bins.iter().fold(Bin::default(), |sum, bin| sum.plus(*bin)).accuracy(0.0, None)
     }
 
     /// The agreement in each range of distances, the nearest first. Ranges without compared pixels
     /// are left out.
     #[must_use]
-    pub fn by_distance(&self) -> Vec<LineAccuracy> {
+    pub fn by_distance(&self) -> Vec<AgreementStats> {
         let ends = DISTANCES_M.iter().copied().map(Some).chain([None]);
         let starts = [0.0].into_iter().chain(DISTANCES_M);
         self.bins
@@ -156,11 +156,11 @@ mod tests {
         DepthEstimate { depth, confidence: vec![1.0; depths_m.len()] }
     }
 
-    fn line(depths_m: &[f32]) -> Vec<LinePoint> {
+    fn line(depths_m: &[f32]) -> Vec<LidarPixel> {
         depths_m
             .iter()
             .enumerate()
-            .map(|(u, depth_m)| LinePoint { u, v: 0, depth_m: *depth_m })
+            .map(|(u, depth_m)| LidarPixel { u, v: 0, depth_m: *depth_m })
             .collect()
     }
 
@@ -191,7 +191,7 @@ mod tests {
         assert_eq!((agreement.overall(), agreement.by_distance().len()), (None, 0));
         agreement.add(&estimate(&[1.0]), &[]);
         agreement.add(&estimate(&[0.0]), &line(&[1.0]));
-        agreement.add(&estimate(&[1.0]), &[LinePoint { u: 7, v: 0, depth_m: 1.0 }]);
+        agreement.add(&estimate(&[1.0]), &[LidarPixel { u: 7, v: 0, depth_m: 1.0 }]);
         assert_eq!(agreement.overall(), None);
     }
 

@@ -8,7 +8,7 @@ use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
 
 use crate::event::{Event, RefusedInput};
-use crate::exploration::{ExplorationConfig, Explorer, PolicyKind, Senses};
+use crate::exploration::{ExplorationConfig, Explorer, Observations, PolicyKind};
 use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
 use crate::perception::{
     CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError,
@@ -428,7 +428,7 @@ impl Robot {
             return Twist2::ZERO;
         }
         let looks = self.looks.back().zip(self.looks.front()).filter(|_| self.looks.len() > 1);
-        let senses = Senses {
+        let senses = Observations {
             tick: input.tick,
             time_ns: input.time_ns,
             pose,

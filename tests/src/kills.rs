@@ -21,20 +21,20 @@ const RIGHT_AFTER: Duration = Duration::from_millis(4);
 
 /// Number of kills per test: `KILLS`, or [`DEFAULT_KILLS`].
 #[must_use]
-pub fn wanted() -> u64 {
+pub fn kill_count() -> u64 {
     std::env::var("KILLS").ok().and_then(|kills| kills.parse().ok()).unwrap_or(DEFAULT_KILLS)
 }
 
 /// Chooses random moments at which to kill a program. The times are seeded; the state of the
 /// program at these times is not.
-pub struct Moments {
+pub struct KillSchedule {
     rng: Pcg64Mcg,
     clock: MonotonicClock,
     /// Run time of the program when it is not killed.
     whole: Duration,
 }
 
-impl Moments {
+impl KillSchedule {
     /// For a program with this approximate run time.
     #[must_use]
     pub fn new(seed: u64, whole: Duration) -> Self {

@@ -58,8 +58,8 @@ impl Bench {
             assert_eq!((frame.view.width(), frame.view.height()), (64, 48));
             Seen { sequence: frame.sequence, time_ns: frame.time_ns, value: frame.view.data()[0] }
         });
-        if let Some(job) = self.capture.job(self.now_ns) {
-            self.capture.done(job.run(&mut self.open, &self.config), self.now_ns);
+        if let Some(job) = self.capture.take_job(self.now_ns) {
+            self.capture.finish_job(job.run(&mut self.open, &self.config), self.now_ns);
         }
         seen
     }
@@ -263,13 +263,13 @@ fn deliver_jpeg(bytes: &[u8], bench: &mut Bench) -> Option<(PixelFormat, usize)>
     bench.now_ns += INTERVAL;
     bench.camera.deliver_bytes(Some(bench.now_ns), bytes, false);
     let seen = bench.capture.with_newest(bench.now_ns, format_and_length).unwrap();
-    if let Some(job) = bench.capture.job(bench.now_ns) {
-        bench.capture.done(job.run(&mut bench.open, &bench.config), bench.now_ns);
+    if let Some(job) = bench.capture.take_job(bench.now_ns) {
+        bench.capture.finish_job(job.run(&mut bench.open, &bench.config), bench.now_ns);
     }
     seen
 }
 
-fn format_and_length(frame: &drivers::v4l2::Picture<'_>) -> (PixelFormat, usize) {
+fn format_and_length(frame: &drivers::v4l2::BorrowedFrame<'_>) -> (PixelFormat, usize) {
     (frame.view.format(), frame.view.data().len())
 }
 
@@ -346,7 +346,7 @@ fn a_camera_with_another_size_format_padding_or_rate_is_refused_with_an_explanat
     let text = refusal(Device { row_padding: 32, ..Device::default() }, |_| ());
     assert!(text.contains("with rows of 160 bytes"), "{text}");
     let text = refusal(Device { fastest: 30, ..Device::default() }, |_| ());
-    assert!(text.contains("30.00 pictures a second, 50.00 are configured"), "{text}");
+    assert!(text.contains("30.00 frames per second, 50.00 are configured"), "{text}");
 }
 
 #[test]

@@ -29,8 +29,8 @@ fn full_tick(number: u64, time_ns: u64) -> RecordedTick {
     let decision = Decision {
         tick: number,
         time_ns,
-        wanted: Velocity::default(),
-        command,
+        desired: Velocity::default(),
+        sent: Some(command),
         goal_m: None,
         events: Vec::new(),
         input_digest: 0,
@@ -51,11 +51,19 @@ fn write_segment(path: &Path, ticks: &[RecordedTick]) {
     writer.finish().map_err(|(_, error)| error).unwrap();
 }
 
-/// Exports ticks as a run of one segment.
+/// A tick without a frame, which holds the command that answered the frame before it.
+fn closing_tick(last: &RecordedTick) -> RecordedTick {
+    let tick = full_tick(last.tick + 1, last.time_ns + 100_000_000);
+    RecordedTick { frame: None, ..tick }
+}
+
+/// Exports ticks, and one that closes them, as a run of one segment.
 fn export(ticks: &[RecordedTick], to: &Path) -> LerobotSummary {
     let dir = tempdir().unwrap();
     let segment = dir.path().join("recording_0000.mcap");
-    write_segment(&segment, ticks);
+    let mut ticks = ticks.to_vec();
+    ticks.extend(ticks.last().map(closing_tick));
+    write_segment(&segment, &ticks);
     lerobot(&[segment], to).unwrap()
 }
 
@@ -105,7 +113,9 @@ fn every_image_with_its_state_and_sent_command_is_a_frame() {
         let state = [odom.x_m, odom.y_m, odom.yaw_rad, twist.linear_mps, twist.angular_radps]
             .map(|v| v as f32);
         assert_eq!(floats(row.get_list(STATE).unwrap()), state);
-        let command = recorded_tick.decision.as_ref().unwrap().command;
+        // The command in force when the next tick began.
+        let next = full_tick(at as u64 + 1, 0).decision.unwrap();
+        let command = next.sent.unwrap();
         let action = [command.linear_mps as f32, command.angular_radps as f32];
         assert_eq!(floats(row.get_list(ACTION).unwrap()), action);
         let png = row.get_group(0).unwrap().get_bytes(0).unwrap();

@@ -64,7 +64,7 @@ impl RotationMeter {
         let height = self.camera.height;
         let image = ImageView::rgb8(width, height, rgb)?;
         let image_before = ImageView::rgb8(width, height, &before)?;
-        let flow = self.flow.flow(image, image_before, None)?;
+        let flow = self.flow.flow(image, image_before)?;
         let yaw_rad = estimate_yaw(
             &matches(flow, [rgb, &before], &self.camera),
             &self.camera,

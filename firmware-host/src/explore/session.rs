@@ -9,7 +9,7 @@ use anyhow::Result;
 use drivers::fault::Faults;
 use hal::DepthMap;
 use runtime::event::ExploreEnd;
-use runtime::line_monitor::LineMonitor;
+use runtime::lidar_agreement::LidarAgreement;
 use runtime::mapping::{CellState, OccupancyGrid};
 use runtime::recording::{RecordedTick, RunDigest};
 use runtime::robot::{Robot, Stage as RobotStage, StageTimer};
@@ -31,7 +31,7 @@ use crate::report::coverage::Coverage;
 use crate::report::depth_sample::{SheetRow, SheetSampler};
 use crate::report::depth_sheet::DepthSheet;
 use crate::report::latency::Stage;
-use crate::report::map_picture::{self, Cells, MapPicture};
+use crate::report::map_picture::{self, Cells, MapPlot};
 use crate::report::progress::{Progress, Status};
 use crate::report::summary::{LidarLine, Summary, peak_resident_mib};
 use crate::report::table;
@@ -59,7 +59,7 @@ pub(super) struct RunLog {
     /// Signed models that arrive during the run.
     pub models: Option<LiveModels>,
     /// How well the depth agrees with the LiDAR.
-    line: LineMonitor,
+    line: LidarAgreement,
     world: World,
     /// Ground-truth depth of the newest frame.
     true_depth: DepthMap,
@@ -110,7 +110,7 @@ impl Exploration {
             recorder,
             dump: None,
             models: None,
-            line: crate::setup::line_monitor(config),
+            line: crate::setup::lidar_agreement(config),
             world,
             true_depth: DepthMap::none(camera.width, camera.height),
             evaluation: Evaluation::new(coverage),
@@ -274,7 +274,7 @@ impl Observer for RunLog {
         self.world.depth(&mut self.true_depth);
         self.evaluate(robot, input, decision)?;
         self.dump(robot, input)?;
-        self.line.look(input, robot.mapped_depth());
+        self.line.observe(input, robot.mapped_depth());
         if let Some(models) = &mut self.models {
             // Virtual time waits: no tick is late.
             models.after(robot, input, decision, false);
@@ -395,7 +395,7 @@ fn draw_map(
         }
     };
     let cells: Vec<map_picture::CellState> = (0..width * height).map(state).collect();
-    let picture = MapPicture {
+    let picture = MapPlot {
         title,
         map: Cells { width, cells: &cells, resolution_m: cell_m, origin_m: grid.origin_m },
         trajectory: evaluation.trajectory(),

@@ -104,7 +104,7 @@ pub struct RollbackArgs {
     pub why: String,
 }
 
-/// Arguments of `model examine`. The model that nobody has run yet comes on standard input.
+/// Arguments of `firmware-host model examine`. The model to examine comes on standard input.
 #[derive(Debug, Clone, Args)]
 pub struct ExamineArgs {
     /// File of the model that the robot uses now.

@@ -8,7 +8,7 @@ use std::time::SystemTime;
 
 use anyhow::Result;
 use hal::{CameraModel, ImageView, Pose2, Pose3};
-use runtime::model_gate::{HeldOutRule, LidarView, LinePoint, PoseBin};
+use runtime::model_gate::{HeldOutRule, LidarPixel, LidarView, PoseBin};
 use runtime::perception::{CoarseConfig, CoarseDepth, DepthEstimate};
 use runtime::recording::{RecordedTick, RunHeader};
 
@@ -40,7 +40,7 @@ pub struct Sample<'a> {
     /// Earlier frames (RGB8) with `t_odom_camera`.
     pub sources: Vec<(&'a [u8], Pose3)>,
     /// LiDAR returns that are visible in the frame.
-    pub line: Vec<LinePoint>,
+    pub line: Vec<LidarPixel>,
 }
 
 impl Sample<'_> {

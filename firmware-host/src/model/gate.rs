@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use runtime::model_gate::{Examination, GateLimits, Verdict, Why, judge};
+use runtime::model_gate::{Examination, GateLimits, RefusalReason, Verdict, judge};
 use signed_model::{Bundle, BundleError, Signed, TrustedKeys};
 
 use super::child::{ChildLimits, Ended, Task, examine};
@@ -68,7 +68,7 @@ pub enum Refusal {
         how: String,
     },
     /// The model is worse, too slow, or not shown to be as good as the resident model.
-    #[error("{}", .0.refused.iter().map(Why::to_string).collect::<Vec<_>>().join("\n  and "))]
+    #[error("{}", .0.refused.iter().map(RefusalReason::to_string).collect::<Vec<_>>().join("\n  and "))]
     Judged(Box<Verdict>),
 }
 

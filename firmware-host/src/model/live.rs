@@ -7,7 +7,7 @@ use hal::{Clock, Pose2};
 use monotonic_clock::MonotonicClock;
 use runtime::event::{Event, SafetyEvent};
 use runtime::model_gate::{
-    LidarView, Trial, TrialCounts, TrialLimits, TrialState, TrialTurn, line_score,
+    LidarView, Trial, TrialCounts, TrialLimits, TrialState, TrialTick, lidar_score,
 };
 use runtime::perception::{DepthNetwork, NoDepth};
 use runtime::robot::Robot;
@@ -328,14 +328,14 @@ impl LiveModels {
             .iter()
             .filter(|event| matches!(event, Event::Safety { what: SafetyEvent::Tripped { .. } }))
             .count() as u64;
-        let tick = TrialTurn {
+        let tick = TrialTick {
             overrun: late,
             bad_output,
             trips,
             moved_m,
             delta1: robot
                 .mapped_depth()
-                .and_then(|estimate| line_score(estimate, &self.lidar.of_turn(input)))
+                .and_then(|estimate| lidar_score(estimate, &self.lidar.of_tick(input)))
                 .map(|score| score.delta1),
         };
         match &mut self.trial {

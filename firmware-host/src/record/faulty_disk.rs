@@ -24,19 +24,19 @@ struct FaultyFile {
 impl<D: Disk> FaultyDisk<D> {
     /// Wraps a disk.
     pub fn new(inner: D, faults: &Faults) -> Self {
-        Self { inner, faults: faults.clone(), injector: faults.of(Device::Disk) }
+        Self { inner, faults: faults.clone(), injector: faults.for_device(Device::Disk) }
     }
 }
 
 fn trouble(injector: &Injector) -> io::Result<()> {
-    if let Some(fault) = injector.on(Kind::Slow) {
+    if let Some(fault) = injector.active(Kind::Slow) {
         let mut clock = MonotonicClock;
         clock.sleep_until_ns(clock.now_ns() + (fault.amount() * 1e6) as u64);
     }
-    if injector.on(Kind::Unplug).is_some() {
+    if injector.active(Kind::Unplug).is_some() {
         return Err(io::Error::other("the disk is not there (an injected fault)"));
     }
-    if injector.on(Kind::Full).is_some() {
+    if injector.active(Kind::Full).is_some() {
         return Err(io::Error::new(
             io::ErrorKind::StorageFull,
             "no space left on device (an injected fault)",
@@ -49,7 +49,7 @@ impl<D: Disk> Disk for FaultyDisk<D> {
     fn create(&mut self, path: &Path) -> io::Result<Box<dyn SegmentFile>> {
         trouble(&self.injector)?;
         let inner = self.inner.create(path)?;
-        Ok(Box::new(FaultyFile { inner, injector: self.faults.of(Device::Disk) }))
+        Ok(Box::new(FaultyFile { inner, injector: self.faults.for_device(Device::Disk) }))
     }
 
     fn remove(&mut self, path: &Path) -> io::Result<()> {

@@ -92,7 +92,7 @@ impl<T: Copy> Cells<'_, T> {
 
 /// The content of the image. All positions are in the frame of the map, in metres.
 #[derive(Debug, Clone, Copy)]
-pub struct MapPicture<'a> {
+pub struct MapPlot<'a> {
     /// Title line that names the run.
     pub title: &'a str,
     pub map: Cells<'a, CellState>,
@@ -106,7 +106,7 @@ pub struct MapPicture<'a> {
     pub reachable: Option<Cells<'a, bool>>,
 }
 
-impl MapPicture<'_> {
+impl MapPlot<'_> {
     /// Draws the image and writes `map.png` into `dir`.
     ///
     /// # Errors
@@ -335,7 +335,7 @@ struct View {
 }
 
 impl View {
-    fn of(picture: &MapPicture<'_>) -> Self {
+    fn of(picture: &MapPlot<'_>) -> Self {
         let mut extent = picture.map.extent(|cell| cell != CellState::Unknown);
         if let Some(reachable) = &picture.reachable {
             let floor = reachable.extent(|reachable| reachable);

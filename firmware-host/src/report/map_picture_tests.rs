@@ -18,8 +18,8 @@ fn room() -> Vec<CellState> {
     cells
 }
 
-fn picture<'a>(cells: &'a [CellState], trajectory: &'a [Pose2]) -> MapPicture<'a> {
-    MapPicture {
+fn picture<'a>(cells: &'a [CellState], trajectory: &'a [Pose2]) -> MapPlot<'a> {
+    MapPlot {
         title: "test",
         map: Cells { width: 80, cells, resolution_m: 0.05, origin_m: [-1.0, -2.0] },
         trajectory,
@@ -96,8 +96,7 @@ fn the_view_shows_the_known_area_with_a_margin() {
 #[test]
 fn markers_are_drawn_at_goals_and_safety_stops() {
     let cells = room();
-    let picture =
-        MapPicture { goals: &[[0.5, -1.0]], trips: &[[0.0, -1.5]], ..picture(&cells, &[]) };
+    let picture = MapPlot { goals: &[[0.5, -1.0]], trips: &[[0.0, -1.5]], ..picture(&cells, &[]) };
     let canvas = picture.draw().unwrap();
     let view = View::of(&picture);
     assert_eq!(color_at(&canvas, &view, [0.0, -1.5]), TRIP);
@@ -113,7 +112,7 @@ fn the_reachable_floor_is_outlined_also_where_the_map_is_unknown() {
     let floor = vec![true; 40 * 30];
     let reachable =
         Cells { width: 40, cells: &floor[..], resolution_m: 0.1, origin_m: [-1.0, -2.0] };
-    let picture = MapPicture { reachable: Some(reachable), ..picture(&cells, &[]) };
+    let picture = MapPlot { reachable: Some(reachable), ..picture(&cells, &[]) };
     let canvas = picture.draw().unwrap();
     let view = View::of(&picture);
     let [x, y] = view.pixel([3.0, -0.5]).map(|value| value.round() as i64);

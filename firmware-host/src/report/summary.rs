@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, fmt, path::Path};
 
-use runtime::line_monitor::{LineAccuracy, LineMonitor};
+use runtime::lidar_agreement::{AgreementStats, LidarAgreement};
 use runtime::{
     accuracy::{AccuracyRows, Metrics},
     event::ExploreEnd,
@@ -114,15 +114,15 @@ pub struct Summary {
 /// Agreement of the mapped depth with the LiDAR's returns in the image.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LidarLine {
-    pub all: LineAccuracy,
+    pub all: AgreementStats,
     /// The same in ranges of distance.
-    pub by_distance: Vec<LineAccuracy>,
+    pub by_distance: Vec<AgreementStats>,
 }
 
 impl LidarLine {
     /// The state of a monitor; `None` if it has not compared anything yet.
     #[must_use]
-    pub fn of(monitor: &LineMonitor) -> Option<Self> {
+    pub fn of(monitor: &LidarAgreement) -> Option<Self> {
         monitor.overall().map(|all| Self { all, by_distance: monitor.by_distance() })
     }
 }
@@ -130,7 +130,7 @@ impl LidarLine {
 /// Formats the agreement as a sentence for the terminal.
 impl fmt::Display for LidarLine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let LineAccuracy { delta1, scale, share, .. } = self.all;
+        let AgreementStats { delta1, scale, share, .. } = self.all;
         write!(
             f,
             "{:.0} % of the depths are within 25 % of the LiDAR (scale {scale:.2}); {:.0} % of the \

@@ -9,7 +9,7 @@ use runtime::mapping::{Cell, CellState, MapConfig, MapError, OccupancyGrid};
 use runtime::perception::DepthEstimate;
 
 use super::atomic::ReportError;
-use super::map_picture::{Cells, MapPicture};
+use super::map_picture::{Cells, MapPlot};
 
 /// The map shows obstacles between these distances below and above the median height of the camera,
 /// metres: from the hip to above the eyes of a person who holds the camera.
@@ -80,7 +80,7 @@ impl TopView {
         let (width, cells, origin_m) = self.cells();
         let map = Cells { width, cells: &cells, resolution_m: self.grid.cell_m(), origin_m };
         let trajectory = &self.trajectory;
-        MapPicture { title, map, trajectory, goals: &[], trips: &[], reachable: None }.write(dir)
+        MapPlot { title, map, trajectory, goals: &[], trips: &[], reachable: None }.write(dir)
     }
 
     /// The known part of the map: number of columns, cells row by row, outer corner of the first

@@ -7,7 +7,7 @@ use drivers::DeviceStatus;
 use hal::{Pose2, WheelFeedback};
 use runtime::event::{Event, SafetyEvent};
 use runtime::latency::Percentiles;
-use runtime::line_monitor::LineMonitor;
+use runtime::lidar_agreement::LidarAgreement;
 use runtime::mapping::CellState;
 use runtime::perception::NoDepth;
 use runtime::recording::{RecordedTick, sentence};
@@ -113,7 +113,7 @@ pub struct RunLog {
     /// Signed models that arrive while the robot drives.
     models: Option<LiveModels>,
     /// How well the depth agrees with the LiDAR.
-    pub line: LineMonitor,
+    pub line: LidarAgreement,
     /// Time of each stage.
     pub stopwatch: Stopwatch,
     /// Events by kind.
@@ -143,7 +143,7 @@ impl RunLog {
         Self {
             recorder,
             models,
-            line: setup::line_monitor(config),
+            line: setup::lidar_agreement(config),
             stopwatch: Stopwatch::default(),
             counts: EventCounts::driving(),
             frames: 0,
@@ -232,7 +232,7 @@ impl Observer for RunLog {
         decision: &Decision,
     ) -> Result<()> {
         self.stopwatch.since(self.started, Stage::Total);
-        self.line.look(input, robot.mapped_depth());
+        self.line.observe(input, robot.mapped_depth());
         log_agreement(&self.line, &mut self.line_logged_ns, input.time_ns);
         if let Some(models) = &mut self.models {
             let late = self.started.elapsed().as_nanos() > u128::from(self.period_ns);
@@ -246,7 +246,7 @@ impl Observer for RunLog {
 }
 
 /// Logs once a minute how well the depth agrees with the LiDAR.
-fn log_agreement(monitor: &LineMonitor, logged_ns: &mut Option<u64>, now_ns: u64) {
+fn log_agreement(monitor: &LidarAgreement, logged_ns: &mut Option<u64>, now_ns: u64) {
     let last_ns = logged_ns.get_or_insert(now_ns);
     if now_ns.saturating_sub(*last_ns) < LOG_LINE_EVERY_NS {
         return;

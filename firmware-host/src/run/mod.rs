@@ -247,7 +247,7 @@ fn report(
 
 /// The map in `odom`: nobody knows where that lies in the world.
 fn draw_map(out: &Path, robot: &Robot, trajectory: &[Pose2], trips: &[[f64; 2]]) -> Result<()> {
-    use crate::report::map_picture::{CellState, Cells, MapPicture};
+    use crate::report::map_picture::{CellState, Cells, MapPlot};
     let Some(view) = crate::report::map_view::map_view(robot.map()) else { return Ok(()) };
     let state = |occupancy: &i8| match occupancy {
         -1 => CellState::Unknown,
@@ -262,6 +262,6 @@ fn draw_map(out: &Path, robot: &Robot, trajectory: &[Pose2], trips: &[[f64; 2]])
         origin_m: view.origin_m,
     };
     let title = "the map as the robot has it";
-    let picture = MapPicture { title, map, trajectory, goals: &[], trips, reachable: None };
+    let picture = MapPlot { title, map, trajectory, goals: &[], trips, reachable: None };
     Ok(picture.write(out)?)
 }

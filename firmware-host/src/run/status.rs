@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use drivers::{DeviceState, DeviceStatus};
-use runtime::line_monitor::LineAccuracy;
+use runtime::lidar_agreement::AgreementStats;
 use serde::{Deserialize, Serialize};
 
 use crate::report::atomic::write_atomically;
@@ -115,9 +115,9 @@ pub struct ExplorationStatus {
     pub mapped_m2: f64,
     /// How right the depth is on the LiDAR's line, over about a minute; absent before anything was compared.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub line: Option<LineAccuracy>,
+    pub line: Option<AgreementStats>,
     /// The same, distance by distance.
-    pub line_by_distance: Vec<LineAccuracy>,
+    pub line_by_distance: Vec<AgreementStats>,
     /// Digest of the model that drives; absent with coarse depth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,

@@ -34,7 +34,7 @@ const REVISIT_DRAWS: usize = 16;
 
 /// The policy's inputs of one tick.
 #[derive(Debug, Clone, Copy)]
-pub struct Senses<'a> {
+pub struct Observations<'a> {
     pub tick: u64,
     pub time_ns: u64,
     /// `t_odom_base`.
@@ -118,7 +118,7 @@ impl Explorer {
     }
 
     /// Decides the next motion primitive and appends what happened to `events`.
-    pub fn step(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) -> Primitive {
+    pub fn step(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) -> Primitive {
         if senses.tick < self.config.warm_up_frames {
             return self.warm_up.next(&mut self.rng, senses.bumped);
         }
@@ -130,7 +130,7 @@ impl Explorer {
         }
     }
 
-    fn step_to_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) -> Primitive {
+    fn step_to_goal(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) -> Primitive {
         self.record_position(senses);
         self.blacklist.expire(senses.time_ns);
         self.update_mode(senses, events);
@@ -144,7 +144,7 @@ impl Explorer {
         self.follow(senses, events).unwrap_or_else(|| self.blind.next(&mut self.rng, senses.bumped))
     }
 
-    fn record_position(&mut self, senses: &Senses<'_>) {
+    fn record_position(&mut self, senses: &Observations<'_>) {
         if senses.tick.is_multiple_of(POSITION_EVERY_TICKS) {
             self.recent_positions_m.push_back([senses.pose.x_m, senses.pose.y_m]);
             if self.recent_positions_m.len() > POSITION_COUNT {
@@ -155,7 +155,7 @@ impl Explorer {
 
     /// The `active` policy alternates: by default 800 frames of frontiers, then 400 frames of
     /// inconsistencies.
-    fn update_mode(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
+    fn update_mode(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) {
         let budget = match (self.kind, self.mode) {
             (PolicyKind::Active, GoalReason::Frontier) => self.config.frontier_frames,
             (PolicyKind::Active, _) => self.config.inconsistency_frames,
@@ -176,7 +176,7 @@ impl Explorer {
     }
 
     /// Ends a goal that was reached, has become resolved or blocked, or has taken too long.
-    fn check_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
+    fn check_goal(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) {
         let Some(goal) = &mut self.goal else { return };
         let now_ns = senses.time_ns;
         if distance_m(goal.target_m, [senses.pose.x_m, senses.pose.y_m])
@@ -201,7 +201,7 @@ impl Explorer {
         self.drop_goal(why, senses, events);
     }
 
-    fn drop_goal(&mut self, why: DropReason, senses: &Senses<'_>, events: &mut Vec<Event>) {
+    fn drop_goal(&mut self, why: DropReason, senses: &Observations<'_>, events: &mut Vec<Event>) {
         events.push(Event::GoalDropped { why });
         let Some(goal) = self.goal else { return };
         self.forget_goal();
@@ -216,14 +216,14 @@ impl Explorer {
         self.follower.clear();
     }
 
-    fn blacklist_place(&mut self, place_m: [f64; 2], senses: &Senses<'_>) {
+    fn blacklist_place(&mut self, place_m: [f64; 2], senses: &Observations<'_>) {
         let expiry_ns = (self.config.blacklist_expiry_s * 1e9) as u64;
         self.blacklist.add(place_m, senses.time_ns + expiry_ns);
     }
 
     /// Chooses a goal: of the mode's own kind first, then of the other kind, then a frontier behind
     /// doubtful obstacles, then any reachable place.
-    fn choose_goal(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
+    fn choose_goal(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) {
         match self.select_goal(senses, events) {
             Some((target_m, interest_m, why)) => {
                 events.push(Event::GoalChosen { x_m: target_m[0], y_m: target_m[1], why });
@@ -236,7 +236,7 @@ impl Explorer {
 
     fn select_goal(
         &mut self,
-        senses: &Senses<'_>,
+        senses: &Observations<'_>,
         events: &mut Vec<Event>,
     ) -> Option<([f64; 2], [f64; 2], GoalReason)> {
         let survey = match self.navigator.survey(senses.map, &senses.pose, 0.0) {
@@ -292,7 +292,7 @@ impl Explorer {
     }
 
     /// The best frontier that can be reached when doubtful obstacles count as unknown floor.
-    fn select_doubtful_frontier(&mut self, senses: &Senses<'_>) -> Option<Candidate> {
+    fn select_doubtful_frontier(&mut self, senses: &Observations<'_>) -> Option<Candidate> {
         let doubtful_log_odds = self.config.doubtful_log_odds;
         let survey = self.navigator.survey(senses.map, &senses.pose, doubtful_log_odds).ok()?;
         choose::select_best(
@@ -306,7 +306,7 @@ impl Explorer {
         .ok()
     }
 
-    fn plan(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
+    fn plan(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) {
         let Some(goal) = &mut self.goal else { return };
         self.plan_at = senses.tick + self.config.replan_ticks;
         let doubtful_log_odds =
@@ -323,7 +323,7 @@ impl Explorer {
     }
 
     /// The next step along the path; `None` if there is no path.
-    fn follow(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) -> Option<Primitive> {
+    fn follow(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) -> Option<Primitive> {
         let goal = self.goal.as_mut()?;
         let step = self.follower.next(&senses.pose).ok()?;
         match step.progress {
@@ -342,7 +342,7 @@ impl Explorer {
         }
     }
 
-    fn goal_reached(&mut self, senses: &Senses<'_>, events: &mut Vec<Event>) {
+    fn goal_reached(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) {
         events.push(Event::GoalReached);
         let Some(goal) = self.goal else { return };
         self.forget_goal();
@@ -416,7 +416,7 @@ mod tests {
         let config = ExplorationConfig { doubtful_log_odds, ..ExplorationConfig::default() };
         let mut explorer = explorer(PolicyKind::Frontier, config, 1);
         let map = room_with_a_doubtful_bay();
-        let senses = Senses {
+        let senses = Observations {
             tick: 0,
             time_ns: 0,
             pose: Pose2::IDENTITY,
@@ -449,7 +449,7 @@ mod tests {
             let config = ExplorationConfig { warm_up_frames: 64, ..ExplorationConfig::default() };
             let map = OccupancyGrid::new(&MapConfig::default()).unwrap();
             let mut explorer = explorer(kind, config, 4);
-            let senses = Senses {
+            let senses = Observations {
                 tick: 0,
                 time_ns: 0,
                 pose: Pose2::IDENTITY,
@@ -458,7 +458,7 @@ mod tests {
                 bumped: false,
             };
             (0..128)
-                .map(|tick| explorer.step(&Senses { tick, ..senses }, &mut Vec::new()))
+                .map(|tick| explorer.step(&Observations { tick, ..senses }, &mut Vec::new()))
                 .collect()
         }
         let heuristic = steps(PolicyKind::Heuristic);

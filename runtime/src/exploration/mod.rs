@@ -26,5 +26,5 @@ mod navigator;
 pub use blacklist::Blacklist;
 pub use blind::BlindPolicy;
 pub use config::{ExplorationConfig, GoalChoice, PolicyKind};
-pub use explorer::{Explorer, Senses};
+pub use explorer::{Explorer, Observations};
 pub use goal::Goal;

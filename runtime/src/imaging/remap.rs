@@ -33,7 +33,7 @@ impl Remap {
     #[must_use]
     pub fn new(source: &CameraModel, target: &CameraModel) -> Option<Self> {
         let pixels = target.width * target.height;
-        let reach = source.distortion.reach();
+        let reach = source.distortion.valid_radius();
         let places: Vec<_> = (0..pixels).map(|index| place(source, target, reach, index)).collect();
         let first_row = places.iter().flatten().map(|place| place.y.0).min()?;
         let last_row = places.iter().flatten().map(|place| place.y.0 + 1).max()?;

@@ -77,7 +77,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// Decisions of the trainer's implementation. `tools/trainer/tests/test_held_out.py` reads the
+    /// Decisions of the trainer's implementation. `tools/trainer/tests/data/test_held_out.py` reads the
     /// same file.
     const SHIPPED: &str = include_str!("../../../tests/fixtures/held_out.json");
 

@@ -16,7 +16,7 @@ const NEAREST_M: f64 = 0.1;
 
 /// A pixel whose depth the LiDAR has measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LinePoint {
+pub struct LidarPixel {
     /// Image column.
     pub u: usize,
     /// Image row.
@@ -25,7 +25,7 @@ pub struct LinePoint {
     pub depth_m: f32,
 }
 
-impl LinePoint {
+impl LidarPixel {
     /// Whether a depth at this pixel, metres, is right: within a factor of 1.25 of the LiDAR's. 0
     /// (no depth) is not right.
     #[must_use]
@@ -46,7 +46,7 @@ impl LidarView {
     /// The LiDAR pixels of a tick's frame; none if the frame or the scan is missing, or their times
     /// differ too much.
     #[must_use]
-    pub fn of_turn(&self, input: &TickInput<'_>) -> Vec<LinePoint> {
+    pub fn of_tick(&self, input: &TickInput<'_>) -> Vec<LidarPixel> {
         let scan = input.scan.filter(|_| input.frame.is_some());
         // The wheel feedback has the time of the frame; the time of the tick itself is later.
         scan.map_or_else(Vec::new, |scan| self.at(scan, input.wheel.time_ns))
@@ -55,7 +55,7 @@ impl LidarView {
     /// The LiDAR pixels of a frame that was taken at `frame_ns`; none if the time of the scan
     /// differs too much.
     #[must_use]
-    pub fn at(&self, scan: &LaserScan, frame_ns: u64) -> Vec<LinePoint> {
+    pub fn at(&self, scan: &LaserScan, frame_ns: u64) -> Vec<LidarPixel> {
         if scan.time_ns.abs_diff(frame_ns) > MAX_TIME_DIFFERENCE_NS {
             return Vec::new();
         }
@@ -66,8 +66,8 @@ impl LidarView {
 /// The hits of a scan that lie in the image, from left to right. `t_camera_laser` maps points of
 /// `laser` into `camera_optical`. Of several hits in one column the nearest is used, because the
 /// others may be hidden behind it. Lens distortion is ignored, because frames are rectified before.
-fn project_hits(scan: &LaserScan, camera: &CameraModel, t_camera_laser: &Pose3) -> Vec<LinePoint> {
-    let mut nearest: Vec<Option<LinePoint>> = vec![None; camera.width];
+fn project_hits(scan: &LaserScan, camera: &CameraModel, t_camera_laser: &Pose3) -> Vec<LidarPixel> {
+    let mut nearest: Vec<Option<LidarPixel>> = vec![None; camera.width];
     for (angle, range_m) in scan.hits() {
         let range_m = f64::from(range_m);
         let point = t_camera_laser * Point3::new(range_m * angle.cos(), range_m * angle.sin(), 0.0);
@@ -78,7 +78,7 @@ fn project_hits(scan: &LaserScan, camera: &CameraModel, t_camera_laser: &Pose3) 
         if !inside {
             continue;
         }
-        let found = LinePoint { u: u as usize, v: v as usize, depth_m: point.z as f32 };
+        let found = LidarPixel { u: u as usize, v: v as usize, depth_m: point.z as f32 };
         if let Some(best) = nearest.get_mut(found.u)
             && best.is_none_or(|best| found.depth_m < best.depth_m)
         {
@@ -173,7 +173,7 @@ mod tests {
             let scan = LaserScan { time_ns: scan_ms * 1_000_000, ..scan_of(|_| Range::Hit(3.0)) };
             let frame = ImageView::rgb8(camera.width, camera.height, &pixels).unwrap();
             let wheel = WheelFeedback { time_ns: 1_000_000_000, ..WheelFeedback::default() };
-            view.of_turn(&TickInput {
+            view.of_tick(&TickInput {
                 tick: 0,
                 time_ns: 1_180_000_000,
                 wheel,

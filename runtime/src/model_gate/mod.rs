@@ -24,12 +24,14 @@ mod trial;
 mod verdict;
 
 pub use held_out::{HeldOutRule, PoseBin};
-pub use lidar_pixels::{LidarView, LinePoint};
+pub use lidar_pixels::{LidarPixel, LidarView};
 pub use onnx_file::{OPSETS, OnnxFault, check_onnx_file};
 pub use paired::{Paired, compare};
 pub use photometric::{Photometric, Source};
 pub use score::{
-    FrameScore, LineScore, PARALLAX_BINS_PX, Scorer, line_score, parallax_bin, parallax_px,
+    FrameScore, LidarScore, PARALLAX_BINS_PX, Scorer, lidar_score, parallax_bin, parallax_px,
 };
-pub use trial::{Trial, TrialCounts, TrialLimits, TrialState, TrialTurn, TrialVerdict};
-pub use verdict::{Examination, GateLimits, Latency, Measure, ScoredFrame, Verdict, Why, judge};
+pub use trial::{Trial, TrialCounts, TrialLimits, TrialState, TrialTick, TrialVerdict};
+pub use verdict::{
+    Examination, GateLimits, Latency, Measure, RefusalReason, ScoredFrame, Verdict, judge,
+};

@@ -271,7 +271,7 @@ mod tests {
             .map(|entry| entry.unwrap().path())
             .collect();
         files.push(root.join("../firmware-host/models/default.onnx"));
-        assert!(files.len() > 30);
+        assert!(files.len() > 20);
         for file in files {
             assert_eq!(
                 check_onnx_file(&std::fs::read(&file).unwrap()),

@@ -4,7 +4,7 @@
 use hal::CameraModel;
 use serde::{Deserialize, Serialize};
 
-use super::{LinePoint, Photometric, Source};
+use super::{LidarPixel, Photometric, Source};
 use crate::perception::DepthEstimate;
 
 /// Edges of the parallax bins, in pixels. Frames are compared separately by the parallax between a
@@ -17,7 +17,7 @@ const ASSUMED_DEPTH_M: f64 = 2.5;
 
 /// Agreement of a depth map with the LiDAR.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct LineScore {
+pub struct LidarScore {
     /// Number of compared pixels.
     pub points: u32,
     /// Mean of |d - z| / z with depth d and LiDAR depth z, without scaling; a pixel without depth
@@ -39,7 +39,7 @@ pub struct FrameScore {
     /// Mean photometric error with sources that are not warped.
     pub unmoved: Option<f64>,
     /// Agreement with the LiDAR; absent if the LiDAR measures no pixel of the frame.
-    pub line: Option<LineScore>,
+    pub line: Option<LidarScore>,
 }
 
 /// Parallax between a frame and its farthest source for a point 2.5 m away, pixels.
@@ -78,13 +78,13 @@ impl Scorer {
         rgb: &[u8],
         estimate: &DepthEstimate,
         sources: &[Source<'_>],
-        line: &[LinePoint],
+        line: &[LidarPixel],
     ) -> FrameScore {
         let errors = self.photometric.error(rgb, estimate.depth.values(), sources);
         FrameScore {
             photometric: errors.map(|(warped, _)| warped),
             unmoved: errors.map(|(_, unmoved)| unmoved),
-            line: line_score(estimate, line),
+            line: lidar_score(estimate, line),
         }
     }
 
@@ -97,7 +97,7 @@ impl Scorer {
 
 /// Compares a depth map with the LiDAR; `None` if there is no pixel to compare.
 #[must_use]
-pub fn line_score(estimate: &DepthEstimate, line: &[LinePoint]) -> Option<LineScore> {
+pub fn lidar_score(estimate: &DepthEstimate, line: &[LidarPixel]) -> Option<LidarScore> {
     let width = estimate.depth.width();
     let mut points = 0_u32;
     let mut abs_rel = 0.0;
@@ -118,7 +118,7 @@ pub fn line_score(estimate: &DepthEstimate, line: &[LinePoint]) -> Option<LineSc
         brier += (f64::from(*confidence) - is_right).powi(2);
     }
     let count = f64::from(points);
-    (points > 0).then(|| LineScore {
+    (points > 0).then(|| LidarScore {
         points,
         abs_rel: abs_rel / count,
         delta1: right / count,
@@ -138,17 +138,17 @@ mod tests {
         }
     }
 
-    fn line(depths_m: &[f32]) -> Vec<LinePoint> {
+    fn line(depths_m: &[f32]) -> Vec<LidarPixel> {
         depths_m
             .iter()
             .enumerate()
-            .map(|(u, depth_m)| LinePoint { u, v: 1, depth_m: *depth_m })
+            .map(|(u, depth_m)| LidarPixel { u, v: 1, depth_m: *depth_m })
             .collect()
     }
 
     #[test]
     fn the_scores_follow_their_textbook_definitions() {
-        let score = line_score(&estimate(2.0, 0.75), &line(&[2.0, 2.4, 3.0, 1.0])).unwrap();
+        let score = lidar_score(&estimate(2.0, 0.75), &line(&[2.0, 2.4, 3.0, 1.0])).unwrap();
         assert_eq!((score.points, score.delta1), (4, 0.5));
         assert!((score.abs_rel - (0.0 + 0.4 / 2.4 + 1.0 / 3.0 + 1.0) / 4.0).abs() < 1e-6);
         assert!((score.brier - (2.0 * 0.0625 + 2.0 * 0.5625) / 4.0).abs() < 1e-9);
@@ -156,11 +156,11 @@ mod tests {
 
     #[test]
     fn a_missing_depth_is_wrong_and_without_lidar_pixels_there_is_no_score() {
-        let score = line_score(&estimate(0.0, 0.0), &line(&[2.0])).unwrap();
+        let score = lidar_score(&estimate(0.0, 0.0), &line(&[2.0])).unwrap();
         assert_eq!((score.delta1, score.abs_rel, score.brier), (0.0, 1.0, 0.0));
-        assert_eq!(line_score(&estimate(2.0, 1.0), &[]), None);
+        assert_eq!(lidar_score(&estimate(2.0, 1.0), &[]), None);
         assert_eq!(
-            line_score(&estimate(2.0, 1.0), &[LinePoint { u: 9, v: 9, depth_m: 1.0 }]),
+            lidar_score(&estimate(2.0, 1.0), &[LidarPixel { u: 9, v: 9, depth_m: 1.0 }]),
             None
         );
     }

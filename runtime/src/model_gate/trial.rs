@@ -50,7 +50,7 @@ impl Default for TrialLimits {
 
 /// What the trial needs to know about one tick with a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct TrialTurn {
+pub struct TrialTick {
     /// The tick took longer than its period.
     pub overrun: bool,
     /// The network's output was NaN or out of range.
@@ -84,7 +84,7 @@ pub struct TrialCounts {
 
 impl TrialCounts {
     /// Counts one tick.
-    pub fn add(&mut self, tick: &TrialTurn) {
+    pub fn add(&mut self, tick: &TrialTick) {
         self.turns += 1;
         self.overruns += u64::from(tick.overrun);
         self.bad_outputs += u64::from(tick.bad_output);
@@ -98,7 +98,7 @@ impl TrialCounts {
 
     /// Counts one tick like [`add`](Self::add), but first halves all counts if they cover `most`
     /// ticks, so that old ticks count less.
-    pub fn remember(&mut self, tick: &TrialTurn, most: u64) {
+    pub fn remember(&mut self, tick: &TrialTick, most: u64) {
         if self.turns >= most {
             for count in [
                 &mut self.turns,
@@ -193,7 +193,7 @@ impl Trial {
     }
 
     /// Counts a tick and decides whether the trial has ended.
-    pub fn observe(&mut self, tick: &TrialTurn) -> TrialState {
+    pub fn observe(&mut self, tick: &TrialTick) -> TrialState {
         self.counts.add(tick);
         self.fault().or_else(|| self.success()).map_or(TrialState::Running, TrialState::Ended)
     }
@@ -251,17 +251,17 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const GOOD: TrialTurn =
-        TrialTurn { overrun: false, bad_output: false, trips: 0, moved_m: 0.02, delta1: Some(0.8) };
+    const GOOD: TrialTick =
+        TrialTick { overrun: false, bad_output: false, trips: 0, moved_m: 0.02, delta1: Some(0.8) };
 
     fn resident() -> TrialCounts {
         let mut counts = TrialCounts::default();
         (0..1000)
-            .for_each(|tick| counts.add(&TrialTurn { trips: u64::from(tick % 200 == 0), ..GOOD }));
+            .for_each(|tick| counts.add(&TrialTick { trips: u64::from(tick % 200 == 0), ..GOOD }));
         counts
     }
 
-    fn run(tick: impl Fn(u64) -> TrialTurn) -> (u64, TrialVerdict) {
+    fn run(tick: impl Fn(u64) -> TrialTick) -> (u64, TrialVerdict) {
         let mut trial = Trial::new(TrialLimits::default(), resident());
         for index in 0.. {
             if let TrialState::Ended(verdict) = trial.observe(&tick(index)) {
@@ -276,12 +276,12 @@ mod tests {
         assert_eq!(run(|_| GOOD).0, 600);
         assert!(run(|_| GOOD).1.keeps());
         assert_eq!(
-            run(|_| TrialTurn { moved_m: 0.005_001, ..GOOD }).0,
+            run(|_| TrialTick { moved_m: 0.005_001, ..GOOD }).0,
             1000,
             "5 m at 5 mm per tick"
         );
         assert_eq!(
-            run(|_| TrialTurn { moved_m: 0.0, ..GOOD }).0,
+            run(|_| TrialTick { moved_m: 0.0, ..GOOD }).0,
             6000,
             "a robot that does not move ends the trial as well"
         );
@@ -289,40 +289,40 @@ mod tests {
 
     #[test]
     fn the_third_bad_output_ends_the_trial() {
-        let (ticks, verdict) = run(|tick| TrialTurn { bad_output: tick >= 40, ..GOOD });
+        let (ticks, verdict) = run(|tick| TrialTick { bad_output: tick >= 40, ..GOOD });
         assert_eq!((ticks, verdict), (43, TrialVerdict::BadOutput { times: 3, turns: 43 }));
     }
 
     #[test]
     fn late_ticks_end_the_trial_once_they_exceed_the_share_of_the_whole_trial() {
-        let (ticks, verdict) = run(|tick| TrialTurn { overrun: tick % 2 == 0, ..GOOD });
+        let (ticks, verdict) = run(|tick| TrialTick { overrun: tick % 2 == 0, ..GOOD });
         assert!(
             ticks <= 30 && matches!(verdict, TrialVerdict::Overruns { .. }),
             "{ticks} {verdict}"
         );
-        assert!(run(|tick| TrialTurn { overrun: tick % 100 == 0, ..GOOD }).1.keeps());
+        assert!(run(|tick| TrialTick { overrun: tick % 100 == 0, ..GOOD }).1.keeps());
     }
 
     #[test]
     fn a_model_with_more_trips_is_rolled_back_and_one_with_as_many_as_before_is_kept() {
-        let (ticks, verdict) = run(|tick| TrialTurn { trips: u64::from(tick % 20 == 19), ..GOOD });
+        let (ticks, verdict) = run(|tick| TrialTick { trips: u64::from(tick % 20 == 19), ..GOOD });
         assert!(ticks <= 200 && matches!(verdict, TrialVerdict::Trips { .. }), "{ticks} {verdict}");
-        assert!(run(|tick| TrialTurn { trips: u64::from(tick % 200 == 0), ..GOOD }).1.keeps());
+        assert!(run(|tick| TrialTick { trips: u64::from(tick % 200 == 0), ..GOOD }).1.keeps());
     }
 
     #[test]
     fn a_model_with_fewer_right_depths_is_rolled_back_after_the_minimum_number_of_frames() {
-        let (ticks, verdict) = run(|_| TrialTurn { delta1: Some(0.6), ..GOOD });
+        let (ticks, verdict) = run(|_| TrialTick { delta1: Some(0.6), ..GOOD });
         assert_eq!(ticks, 50);
         assert!(matches!(verdict, TrialVerdict::Accuracy { .. }) && !verdict.keeps(), "{verdict}");
-        assert!(run(|_| TrialTurn { delta1: Some(0.72), ..GOOD }).1.keeps());
+        assert!(run(|_| TrialTick { delta1: Some(0.72), ..GOOD }).1.keeps());
     }
 
     #[test]
     fn without_a_resident_model_the_depths_are_not_compared() {
         let mut trial = Trial::new(TrialLimits::default(), TrialCounts::default());
         let ended = (0..600)
-            .map(|_| trial.observe(&TrialTurn { delta1: Some(0.1), ..GOOD }))
+            .map(|_| trial.observe(&TrialTick { delta1: Some(0.1), ..GOOD }))
             .last()
             .unwrap();
         assert!(matches!(ended, TrialState::Ended(TrialVerdict::Keep { .. })));
@@ -340,7 +340,7 @@ mod tests {
         fn every_trial_ends(late in 0.0..1.0f64, trips in 0..3u64, delta1 in 0.0..1.0f64, moved in 0.0..0.1f64) {
             let mut trial = Trial::new(TrialLimits::default(), resident());
             let ended = (0..6000).any(|tick| {
-                let tick = TrialTurn {
+                let tick = TrialTick {
                     overrun: f64::from(tick % 100) < 100.0 * late, bad_output: false, trips, moved_m: moved,
                     delta1: Some(delta1),
                 };

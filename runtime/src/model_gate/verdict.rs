@@ -164,7 +164,7 @@ impl Measure {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(tag = "why", rename_all = "snake_case")]
 #[non_exhaustive]
-pub enum Why {
+pub enum RefusalReason {
     /// The output was NaN or out of range on `pictures` of `of` frames.
     #[error(
         "its output was NaN or out of range on {pictures} of {of} held-out frames; look for overflow in training"
@@ -210,7 +210,7 @@ pub enum Why {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Verdict {
     /// The reasons for a refusal. Without any, the model is accepted.
-    pub refused: Vec<Why>,
+    pub refused: Vec<RefusalReason>,
     pub compared: Vec<(Measure, Paired)>,
     /// Number of held-out frames.
     pub pictures: usize,
@@ -245,7 +245,7 @@ pub fn judge(
     let mut refused = Vec::new();
     let bad = frames.iter().filter(|frame| frame.candidate.is_none()).count();
     if bad > 0 {
-        refused.push(Why::BadOutput { pictures: bad, of: pictures });
+        refused.push(RefusalReason::BadOutput { pictures: bad, of: pictures });
     }
     let compared = if has_resident { compare_all(frames, limits) } else { Vec::new() };
     let enough = pictures >= limits.min_pictures
@@ -253,7 +253,7 @@ pub fn judge(
         && !(has_resident && compared.is_empty());
     if !enough && (has_resident || !unproven) {
         let GateLimits { min_pictures, min_places, .. } = *limits;
-        refused.push(Why::TooLittle { pictures, places, min_pictures, min_places });
+        refused.push(RefusalReason::TooLittle { pictures, places, min_pictures, min_places });
     }
     let delta1 = mean_of(frames, |score| Some(score.line?.delta1));
     refused.extend(implausible(frames, delta1.filter(|_| !has_resident), limits));
@@ -269,7 +269,11 @@ fn mean_of(frames: &[ScoredFrame], value: impl Fn(&FrameScore) -> Option<f64>) -
 }
 
 /// Reasons for a refusal that need no comparison with a resident model.
-fn implausible(frames: &[ScoredFrame], delta1: Option<f64>, limits: &GateLimits) -> Vec<Why> {
+fn implausible(
+    frames: &[ScoredFrame],
+    delta1: Option<f64>,
+    limits: &GateLimits,
+) -> Vec<RefusalReason> {
     let mut reasons = Vec::new();
     let with_parallax: Vec<ScoredFrame> =
         frames.iter().filter(|frame| parallax_bin(frame.parallax_px) > 0).copied().collect();
@@ -277,10 +281,10 @@ fn implausible(frames: &[ScoredFrame], delta1: Option<f64>, limits: &GateLimits)
         && let Some(unmoved) = mean_of(&with_parallax, |score| score.unmoved)
         && error >= unmoved
     {
-        reasons.push(Why::NotSane { error, unmoved });
+        reasons.push(RefusalReason::NotSane { error, unmoved });
     }
     if let Some(delta1) = delta1.filter(|delta1| *delta1 < limits.least_delta1) {
-        reasons.push(Why::NotMetric { delta1, least: limits.least_delta1 });
+        reasons.push(RefusalReason::NotMetric { delta1, least: limits.least_delta1 });
     }
     reasons
 }
@@ -301,7 +305,7 @@ fn compare_all(frames: &[ScoredFrame], limits: &GateLimits) -> Vec<(Measure, Pai
         .collect()
 }
 
-fn worse(measure: Measure, paired: &Paired, limits: &GateLimits) -> Option<Why> {
+fn worse(measure: Measure, paired: &Paired, limits: &GateLimits) -> Option<RefusalReason> {
     let margin = match measure {
         Measure::PhotometricNear | Measure::PhotometricMiddle | Measure::PhotometricFar => {
             limits.photometric_margin * paired.resident
@@ -315,33 +319,33 @@ fn worse(measure: Measure, paired: &Paired, limits: &GateLimits) -> Option<Why> 
     if paired.upper <= margin {
         None
     } else if paired.lower > 0.0 {
-        Some(Why::Worse { measure, paired, margin })
+        Some(RefusalReason::Worse { measure, paired, margin })
     } else {
-        Some(Why::NotShown { measure, paired, margin })
+        Some(RefusalReason::NotShown { measure, paired, margin })
     }
 }
 
-fn too_slow(examination: &Examination, limits: &GateLimits) -> Option<Why> {
+fn too_slow(examination: &Examination, limits: &GateLimits) -> Option<RefusalReason> {
     let resident_limit_ms = examination
         .resident_latency
         .map_or(0.0, |latency| latency.p99_ms * limits.p99_over_resident);
     let most_ms = limits.p99_ms.max(resident_limit_ms);
     let p99_ms = examination.latency.p99_ms;
     // NaN fails this comparison and is refused.
-    if p99_ms <= most_ms { None } else { Some(Why::TooSlow { p99_ms, most_ms }) }
+    if p99_ms <= most_ms { None } else { Some(RefusalReason::TooSlow { p99_ms, most_ms }) }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model_gate::LineScore;
+    use crate::model_gate::LidarScore;
 
     /// The score of a model whose errors are those of an average model times `factor`.
     fn score(factor: f64, noise: f64) -> FrameScore {
         FrameScore {
             photometric: Some(0.1 * factor + noise),
             unmoved: Some(0.3),
-            line: Some(LineScore {
+            line: Some(LidarScore {
                 points: 100,
                 abs_rel: 0.1 * factor + noise,
                 delta1: 1.0 - 0.15 * factor - noise,
@@ -367,7 +371,7 @@ mod tests {
         Examination { frames: frames.collect(), latency, resident_latency, golden_difference: 0.0 }
     }
 
-    fn why(examination: &Examination, has_resident: bool) -> Vec<Why> {
+    fn why(examination: &Examination, has_resident: bool) -> Vec<RefusalReason> {
         judge(examination, has_resident, false, &GateLimits::default()).refused
     }
 
@@ -383,7 +387,10 @@ mod tests {
     fn a_worse_model_is_refused_by_every_measure_with_its_numbers() {
         let refused = why(&scored(1.5, Some(1.0)), true);
         assert_eq!(refused.len(), 6, "{refused:?}");
-        assert!(refused.iter().all(|why| matches!(why, Why::Worse { .. })), "{refused:?}");
+        assert!(
+            refused.iter().all(|why| matches!(why, RefusalReason::Worse { .. })),
+            "{refused:?}"
+        );
         let text = refused[3].to_string();
         assert!(
             text.contains("|d - z| / z")
@@ -401,7 +408,7 @@ mod tests {
         }
         assert!(matches!(
             why(&examination, true)[..],
-            [Why::Worse { measure: Measure::Calibration, .. }]
+            [RefusalReason::Worse { measure: Measure::Calibration, .. }]
         ));
     }
 
@@ -414,7 +421,7 @@ mod tests {
         }
         assert!(matches!(
             why(&examination, true)[..],
-            [Why::NotShown { measure: Measure::AbsRel, .. }]
+            [RefusalReason::NotShown { measure: Measure::AbsRel, .. }]
         ));
     }
 
@@ -422,7 +429,7 @@ mod tests {
     fn nan_output_is_refused_whatever_the_other_scores_are() {
         let mut examination = scored(0.5, Some(1.0));
         examination.frames[17].candidate = None;
-        assert_eq!(why(&examination, true), [Why::BadOutput { pictures: 1, of: 60 }]);
+        assert_eq!(why(&examination, true), [RefusalReason::BadOutput { pictures: 1, of: 60 }]);
         let mut nan = scored(0.5, Some(1.0));
         nan.frames[0].candidate.as_mut().unwrap().photometric = Some(f64::NAN);
         assert!(!why(&nan, true).is_empty());
@@ -434,7 +441,7 @@ mod tests {
         examination.frames.truncate(15);
         assert!(matches!(
             why(&examination, false)[..],
-            [Why::TooLittle { pictures: 15, places: 3, .. }]
+            [RefusalReason::TooLittle { pictures: 15, places: 3, .. }]
         ));
         assert!(judge(&examination, false, true, &GateLimits::default()).is_accepted());
         assert!(!judge(&examination, true, true, &GateLimits::default()).is_accepted());
@@ -472,10 +479,10 @@ mod tests {
         for frame in &mut blind.frames {
             frame.candidate.as_mut().unwrap().photometric = Some(0.31);
         }
-        assert!(matches!(why(&blind, false)[..], [Why::NotSane { .. }]));
+        assert!(matches!(why(&blind, false)[..], [RefusalReason::NotSane { .. }]));
         assert!(matches!(
             why(&scored(5.0, None), false)[..],
-            [Why::NotSane { .. }, Why::NotMetric { .. }]
+            [RefusalReason::NotSane { .. }, RefusalReason::NotMetric { .. }]
         ));
     }
 
@@ -483,7 +490,10 @@ mod tests {
     fn a_slow_model_is_refused_unless_the_resident_one_is_as_slow() {
         let mut examination = scored(1.0, Some(1.0));
         examination.latency.p99_ms = 90.0;
-        assert_eq!(why(&examination, true), [Why::TooSlow { p99_ms: 90.0, most_ms: 60.0 }]);
+        assert_eq!(
+            why(&examination, true),
+            [RefusalReason::TooSlow { p99_ms: 90.0, most_ms: 60.0 }]
+        );
         examination.resident_latency.as_mut().unwrap().p99_ms = 85.0;
         assert_eq!(why(&examination, true), []);
         examination.latency.p99_ms = f64::NAN;

@@ -84,20 +84,6 @@ pub enum PerceptionError {
         /// The allowed values.
         allowed: &'static str,
     },
-    /// The flow field and the camera have different sizes.
-    #[error(
-        "perception: the flow is {width}x{height}, the camera {want_width}x{want_height}; resample the flow"
-    )]
-    FlowSize {
-        /// Columns of the flow.
-        width: usize,
-        /// Rows of the flow.
-        height: usize,
-        /// Columns of the camera.
-        want_width: usize,
-        /// Rows of the camera.
-        want_height: usize,
-    },
     /// The optical flow, which the search for moving objects needs, cannot be computed.
     #[error(transparent)]
     Flow(super::flow::FlowError),

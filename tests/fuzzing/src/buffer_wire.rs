@@ -2,7 +2,7 @@ use std::io::Cursor;
 
 use segment_store::source::{Remote, Source};
 use segment_store::wire::{Reply, Request};
-use segment_store::{Computer, Root};
+use segment_store::{CpuFeatures, Root};
 
 /// Arbitrary bytes as input of both sides of `pull-buffer`: a robot that serves its buffer, and a
 /// workstation that pulls.
@@ -23,13 +23,13 @@ pub fn buffer_wire(bytes: &[u8]) {
         let mut answer = Vec::new();
         let _ = segment_store::serve(
             &root,
-            Computer { aes: true },
+            CpuFeatures { aes: true },
             &mut Cursor::new(bytes),
             &mut answer,
         );
     }
     if let Ok(mut remote) = Remote::greet("fuzz", Cursor::new(bytes), Vec::new(), 1) {
-        let _ = remote.computer();
+        let _ = remote.cpu_features();
         while let Ok(entries) = remote.list() {
             for entry in &entries {
                 let name = entry.name.as_str();

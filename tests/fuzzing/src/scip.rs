@@ -32,7 +32,7 @@ pub fn scip(data: &[u8]) {
     let mut framer = Framer::<4096>::default();
     let mut cut = 0;
     for chunk in stream.chunks(usize::from(chunk_bytes).max(1)) {
-        framer.room()[..chunk.len()].copy_from_slice(chunk);
+        framer.free_space()[..chunk.len()].copy_from_slice(chunk);
         framer.received(chunk.len());
         while let Some(message) = framer.message() {
             assert_eq!(message_length(message), Some(message.len()));

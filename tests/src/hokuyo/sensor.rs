@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use drivers::scip::{Model, Sheet};
+use drivers::scip::{Model, ModelSpec};
 
 use super::ScanSource;
 use super::encode::{block, field, line, number};
@@ -68,7 +68,7 @@ impl Sensor {
             source,
             health: Health::Well,
             clock_ppm: 0.0,
-            in_scip_1: model.sheet().starts_in_scip_1,
+            in_scip_1: model.spec().starts_in_scip_1,
             in_time_mode: false,
             laser_on: false,
             stream: None,
@@ -81,7 +81,7 @@ impl Sensor {
 
     /// Restarts the scanner. It ignores input and sends nothing before `ready_ns`.
     pub fn reboot(&mut self, ready_ns: u64) {
-        self.in_scip_1 = self.model.sheet().starts_in_scip_1;
+        self.in_scip_1 = self.model.spec().starts_in_scip_1;
         self.in_time_mode = false;
         self.laser_on = false;
         self.stream = None;
@@ -150,7 +150,7 @@ impl Sensor {
         number(&mut stamp, self.clock_ms(begin_ns), 4);
         line(out, &stamp);
         self.source.ranges_mm(begin_ns, &mut self.ranges_mm);
-        let Sheet { first_step, codes, .. } = self.model.sheet();
+        let ModelSpec { first_step, codes, .. } = self.model.spec();
         let first = layout.first - usize::from(*first_step);
         let last = layout.last - usize::from(*first_step);
         let mut characters = Vec::new();
@@ -272,7 +272,7 @@ impl Sensor {
     }
 
     fn parameters(&self, out: &mut Vec<u8>) {
-        let sheet = self.model.sheet();
+        let sheet = self.model.spec();
         line(out, b"00");
         field(out, "MODL", &format!("{}(Hokuyo Automatic Co., Ltd.)", sheet.name));
         let numbers = [
@@ -293,7 +293,7 @@ impl Sensor {
             && matches!(self.health, Health::Well | Health::Blind | Health::MotorFault);
         field(out, "MODL", &format!("{}(Hokuyo Automatic Co., Ltd.)", self.model));
         field(out, "LASR", if laser { "ON" } else { "OFF" });
-        field(out, "SCSP", &self.model.sheet().rpm.to_string());
+        field(out, "SCSP", &self.model.spec().rpm.to_string());
         field(out, "MESM", if self.stream.is_some() { "Measuring by Normal Mode" } else { "Idle" });
         field(out, "SBPS", "USB Full Speed");
         field(out, "TIME", &format!("{:06X}", self.clock_ms(now_ns)));
@@ -340,7 +340,7 @@ impl Sensor {
     }
 
     fn layout(&self, command: &str) -> Result<Layout, &'static [u8]> {
-        let sheet = self.model.sheet();
+        let sheet = self.model.spec();
         let first = digits(command, 2..6).ok_or(&b"01"[..])?;
         let last = digits(command, 6..10).ok_or(&b"02"[..])?;
         let cluster = digits(command, 10..12).ok_or(&b"03"[..])?.max(1);

@@ -7,7 +7,8 @@ use std::process::{Child, Command, Stdio};
 use drivers::DeviceState;
 use drivers::v4l2::node::controls;
 use drivers::v4l2::{
-    CameraDeviceConfig, CameraFormat, Picture, Setting, V4l2Camera, V4l2Error, check as agree, open,
+    BorrowedFrame, CameraDeviceConfig, CameraFormat, Setting, V4l2Camera, V4l2Error,
+    check as agree, open,
 };
 use hal::{CameraModel, Clock, Error as _, ErrorKind};
 use monotonic_clock::MonotonicClock;
@@ -82,7 +83,7 @@ impl Bench {
     fn until(
         &mut self,
         what: &str,
-        mut done: impl FnMut(Result<Option<&Picture<'_>>, V4l2Error>) -> bool,
+        mut done: impl FnMut(Result<Option<&BorrowedFrame<'_>>, V4l2Error>) -> bool,
     ) -> Result<u64, Box<dyn Error>> {
         let start_ns = monotonic_ns();
         loop {
@@ -148,7 +149,8 @@ fn write_frames(frames: &[Vec<u8>]) -> Result<Child, Box<dyn Error>> {
 
 fn exact_frames(bench: &mut Bench, frames: &[Vec<u8>]) -> Result<(), Box<dyn Error>> {
     // Before the writer's first frame vivid shows its own test pattern.
-    let known = |frame: &Picture<'_>| frames.iter().any(|known| known[..] == *frame.view.data());
+    let known =
+        |frame: &BorrowedFrame<'_>| frames.iter().any(|known| known[..] == *frame.view.data());
     bench.until("the writer's first frame", |polled| {
         polled.is_ok_and(|frame| frame.is_some_and(known))
     })?;

@@ -67,9 +67,9 @@ pub fn check_events(bytes: &[u8]) {
             assert_ne!(capture.status().state, DeviceState::Working, "{:?}", error.kind());
         }
         if amount % 3 != 0
-            && let Some(job) = capture.job(now_ns)
+            && let Some(job) = capture.take_job(now_ns)
         {
-            capture.done(job.run(&mut open, &config), now_ns);
+            capture.finish_job(job.run(&mut open, &config), now_ns);
         }
         let status = capture.status();
         assert!(

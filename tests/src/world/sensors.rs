@@ -15,7 +15,7 @@ pub(super) struct HomeScanner {
 
 impl ScanSource for HomeScanner {
     fn ranges_mm(&mut self, _time_ns: u64, out: &mut [u32]) {
-        let codes = self.model.sheet().codes;
+        let codes = self.model.spec().codes;
         let nothing = codes.no_return.unwrap_or(codes.dmax_mm + 1);
         let near = codes.too_near.first().copied().unwrap_or(0);
         self.home.scan(|scan| {

@@ -58,7 +58,7 @@ fn listing(dir: &Path) -> Result<Row> {
         "{} segments, {bytes} bytes",
         entries.len()
     );
-    ensure!(entries.iter().all(|entry| entry.turns == Some(20)), "the index was not read");
+    ensure!(entries.iter().all(|entry| entry.ticks == Some(20)), "the index was not read");
     let timing = time(20, || Catalogue::read(&root).map(|catalogue| catalogue.entries.len()));
     Ok(Row::seconds(AREA, "list a buffer of 10 GB, 400 segments", timing)
         .goal(0.2, 0.05)

@@ -40,7 +40,7 @@ pub fn rows() -> Result<Vec<Row>> {
 }
 
 fn decode(what: &str, request: &scip::Request, message: &[u8]) -> Result<Row> {
-    let codes = Model::Utm30lx.sheet().codes;
+    let codes = Model::Utm30lx.spec().codes;
     let mut ranges = vec![Range::Error; request.beams()];
     Reply::read(message, request, &codes, &mut ranges)?;
     ensure!(textbook(message, &codes).as_deref() == Some(&ranges[..]), "the two decoders differ");
@@ -72,7 +72,7 @@ fn decode(what: &str, request: &scip::Request, message: &[u8]) -> Result<Row> {
 fn latency() -> Result<Vec<Row>> {
     let (request, message) = scan(|beam| 600 + 600 * beam.abs_diff(540) / 540);
     let mut plane = SafetyPlane::new(SafetyConfig { period_s: 0.025, ..SafetyConfig::default() });
-    let codes = Model::Utm30lx.sheet().codes;
+    let codes = Model::Utm30lx.spec().codes;
     let mut framer = Box::new(Framer::<16_384>::default());
     let geometry = Model::Utm30lx.geometry(false);
     let mut scan = LaserScan { time_ns: 0, geometry, ranges: vec![Range::Error; geometry.beams] };
@@ -81,7 +81,7 @@ fn latency() -> Result<Vec<Row>> {
         let start = Instant::now();
         for piece in message.chunks(PIECE) {
             framer
-                .room()
+                .free_space()
                 .get_mut(..piece.len())
                 .context("the buffer is too small")?
                 .copy_from_slice(piece);

@@ -15,7 +15,7 @@ use std::process::{Child, Stdio};
 use std::time::{Instant, SystemTime};
 
 use common::{Server, assert_same, robot, serving, stderr_of};
-use hil::kills::{self, Moments};
+use hil::kills::{self, KillSchedule};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::tempdir;
@@ -103,7 +103,7 @@ fn killed_again_and_again(mut kill: impl FnMut(&mut Child, &Path) -> bool) {
             .unwrap()
             .success()
     );
-    let mut moments = Moments::new(77, began.elapsed());
+    let mut moments = KillSchedule::new(77, began.elapsed());
     let fresh = || {
         fs::remove_dir_all(here.path().join("robot")).unwrap();
         (0..SEGMENTS).for_each(|number| {
@@ -116,7 +116,7 @@ fn killed_again_and_again(mut kill: impl FnMut(&mut Child, &Path) -> bool) {
     let mut kills = 0;
     let mut rounds = 0;
     let mut before = [0; SEGMENTS as usize];
-    while kills < kills::wanted() {
+    while kills < kills::kill_count() {
         let mut child = server
             .pull(robot.path(), here.path())
             .args([LIMIT, "--retries=0"])

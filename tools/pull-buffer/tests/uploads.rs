@@ -16,7 +16,7 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use common::{assert_same, robot, stderr_of};
-use hil::kills::{self, Moments};
+use hil::kills::{self, KillSchedule};
 use segment_store::Digest;
 use tempfile::tempdir;
 
@@ -73,11 +73,11 @@ fn an_upload_killed_at_any_time_leaves_complete_objects_and_the_next_one_finishe
     };
     let began = Instant::now();
     assert!(slowly().wait().unwrap().success());
-    let mut moments = Moments::new(78, began.elapsed());
+    let mut moments = KillSchedule::new(78, began.elapsed());
     fresh();
     let mut kills = 0;
     let mut rounds = 0;
-    while kills < kills::wanted() {
+    while kills < kills::kill_count() {
         let mut child = slowly();
         moments.wait(&mut child, || kills::listing(&store)).unwrap();
         kills += u64::from(child.try_wait().unwrap().is_none());

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use hil::kills::{self, Moments};
+use hil::kills::{self, KillSchedule};
 use hil::sshd::Sshd;
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
@@ -140,7 +140,7 @@ fn a_push_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
     let old = scene.settled();
     let began = Instant::now();
     assert!(scene.push("better.onnx").wait().unwrap().success());
-    let mut moments = Moments::new(3, began.elapsed());
+    let mut moments = KillSchedule::new(3, began.elapsed());
     let new = scene.settled();
     assert_ne!(old, new);
     // Both models are on trial, so a rollback leads to no model at all.
@@ -153,9 +153,9 @@ fn a_push_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
     let mut kills = 0;
     let mut tries = 0;
     let mut arrived = 0;
-    while kills < kills::wanted() {
+    while kills < kills::kill_count() {
         tries += 1;
-        assert!(tries <= 50 + 4 * kills::wanted(), "the pushes end before they can be killed");
+        assert!(tries <= 50 + 4 * kills::kill_count(), "the pushes end before they can be killed");
         let mut child = scene.push("better.onnx");
         moments.wait(&mut child, || kills::listing(&scene.path("store"))).unwrap();
         kills += u64::from(child.try_wait().unwrap().is_none());

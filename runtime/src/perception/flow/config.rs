@@ -120,15 +120,6 @@ impl FlowConfig {
     }
 }
 
-fn require(
-    field: &'static str,
-    value: usize,
-    range: std::ops::RangeInclusive<usize>,
-    allowed: &'static str,
-) -> Result<(), FlowError> {
-    if range.contains(&value) { Ok(()) } else { Err(FlowError::Setting { field, value, allowed }) }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -4,7 +4,9 @@
 //! `timestamp` is therefore exactly `frame_index / fps`, and the column `time_s` is the real time in seconds since the first frame
 //! of the episode. A gap longer than [`BREAK_NS`] starts a new episode, so that no step within an episode spans a gap.
 //!
-//! `action` is the command that was sent to the base: what left the safety loop, not what the planner desired.
+//! `action` is the command that was sent to the base: what left the safety loop, not what the planner desired. The safety loop sends
+//! about ten commands from one tick to the next; the action of a frame is the one that was in force when the next tick began. A frame
+//! without a next tick, at the end of a run or before a gap, is left out.
 
 mod layout;
 mod meta;
@@ -14,14 +16,14 @@ mod table;
 
 use std::path::{Path, PathBuf};
 
-use runtime::recording::{RecordedTick, SegmentHeader};
+use runtime::recording::{Picture, RecordedTick, SegmentHeader};
 use serde_json::json;
 
 use super::folder::new_folder;
 use super::ticks::each_tick;
 use crate::error::StoreError;
 use layout::{BREAK_NS, CHUNK_FILES, Episode, MAX_DATA_FILE, ROW_GROUP};
-use rows::Rows;
+use rows::{Action, Rows, State};
 use table::Table;
 
 /// The counts of an export.
@@ -31,7 +33,7 @@ pub struct LerobotSummary {
     pub episodes: u64,
     /// The number of frames: images with the state and the action at their time.
     pub frames: u64,
-    /// The number of images that were left out because their tick has no odometry or no command.
+    /// The number of images that were left out because their tick has no odometry, or no tick follows that holds their command.
     pub left_out: u64,
     /// The number of segments that end early; their complete ticks are exported.
     pub cut: u64,
@@ -62,7 +64,17 @@ struct Export {
     file: i64,
     episodes: Vec<Episode>,
     last_ns: Option<u64>,
+    /// The newest frame, whose action the next tick brings.
+    waiting: Option<Waiting>,
     exported: LerobotSummary,
+}
+
+/// A frame without its action.
+struct Waiting {
+    tick: u64,
+    time_ns: u64,
+    image: Picture,
+    state: State,
 }
 
 impl Export {
@@ -76,27 +88,43 @@ impl Export {
             file: 0,
             episodes: Vec::new(),
             last_ns: None,
+            waiting: None,
             exported: LerobotSummary::default(),
         }
     }
 
     fn tick(&mut self, header: &SegmentHeader, tick: &RecordedTick) -> Result<(), StoreError> {
         self.header.get_or_insert_with(|| header.clone());
+        if let Some(waiting) = self.waiting.take() {
+            let action = rows::action_before(tick).filter(|_| tick.tick == waiting.tick + 1);
+            match action {
+                Some(action) => self.push(&waiting, action)?,
+                None => self.exported.left_out += 1,
+            }
+        }
         let Some(image) = &tick.frame else { return Ok(()) };
-        let Some((state, action)) = rows::numbers(tick).filter(|_| self.rows.fits(image)) else {
-            self.exported.left_out += 1;
-            return Ok(());
-        };
+        match rows::state(tick).filter(|_| self.rows.fits(image)) {
+            Some(state) => {
+                let image = image.clone();
+                let time_ns = tick.time_ns;
+                self.waiting = Some(Waiting { tick: tick.tick, time_ns, image, state });
+            }
+            None => self.exported.left_out += 1,
+        }
+        Ok(())
+    }
+
+    fn push(&mut self, frame: &Waiting, action: Action) -> Result<(), StoreError> {
         let is_gap = self
             .last_ns
-            .is_some_and(|last| !(1..=BREAK_NS).contains(&tick.time_ns.wrapping_sub(last)));
+            .is_some_and(|last| !(1..=BREAK_NS).contains(&frame.time_ns.wrapping_sub(last)));
         if is_gap {
             self.end_episode()?;
         }
-        self.last_ns = Some(tick.time_ns);
+        self.last_ns = Some(frame.time_ns);
         let episode = self.episodes.len() as i64;
         self.rows
-            .push(tick.time_ns, image, state, action, episode)
+            .push(frame.time_ns, &frame.image, frame.state, action, episode)
             .map_err(StoreError::write(&self.dir))?;
         if self.rows.waiting() >= ROW_GROUP { self.flush() } else { Ok(()) }
     }
@@ -146,6 +174,7 @@ impl Export {
     }
 
     fn finish(mut self) -> Result<LerobotSummary, StoreError> {
+        self.exported.left_out += u64::from(self.waiting.take().is_some());
         let Some(header) = self.header.clone().filter(|_| self.rows.total() > 0) else {
             let detail =
                 "the run contains no image with odometry and a command, so there is nothing to export"

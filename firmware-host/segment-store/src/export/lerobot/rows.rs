@@ -12,20 +12,24 @@ use crate::error::StoreError;
 use crate::export::ticks::png;
 
 /// x, y, yaw, linear velocity, angular velocity.
-type State = [f32; 5];
+pub(super) type State = [f32; 5];
 /// Linear and angular velocity.
-type Action = [f32; 2];
+pub(super) type Action = [f32; 2];
 
-/// The state (odometry and measured velocity) and the action (the command that was sent to the base) of a tick. `None` when the
-/// tick has no decision or a value is not finite.
-pub(super) fn numbers(tick: &RecordedTick) -> Option<(State, Action)> {
+/// The state of a tick: odometry and measured velocity. `None` when a value is not finite.
+pub(super) fn state(tick: &RecordedTick) -> Option<State> {
     let odom = &tick.wheel.odom;
     let twist = &tick.wheel.twist;
-    let command = tick.decision.as_ref()?.sent?;
     let state = [odom.x_m, odom.y_m, odom.yaw_rad, twist.linear_mps, twist.angular_radps]
         .map(|value| value as f32);
-    let action = [command.linear_mps, command.angular_radps].map(|value| value as f32);
-    state.iter().chain(&action).all(|value| value.is_finite()).then_some((state, action))
+    state.iter().all(|value| value.is_finite()).then_some(state)
+}
+
+/// The action that answered the tick before `next`: the command that was in force when `next` began.
+pub(super) fn action_before(next: &RecordedTick) -> Option<Action> {
+    let sent = next.decision.as_ref()?.sent?;
+    let action = [sent.linear_mps, sent.angular_radps].map(|value| value as f32);
+    action.iter().all(|value| value.is_finite()).then_some(action)
 }
 
 /// The rows that have not been written yet, and the statistics of all rows.
