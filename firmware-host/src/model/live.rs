@@ -192,7 +192,7 @@ impl Keeper {
         self.store
             .give_up(digest, why)
             .inspect_err(|error| {
-                tracing::error!("the store still names the model {digest}: {error}")
+                tracing::error!("the store still names the model {digest}: {error}");
             })
             .is_ok()
     }

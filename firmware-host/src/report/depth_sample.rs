@@ -204,7 +204,7 @@ mod tests {
     fn sampled(frames: u64, depths: impl Fn(u64) -> usize) -> Vec<SheetRow> {
         let mut sampler = SheetSampler::default();
         (0..frames).for_each(|frame| {
-            sampler.offer(frame, depths(frame), || row(frame, depths(frame) > 0))
+            sampler.offer(frame, depths(frame), || row(frame, depths(frame) > 0));
         });
         sampler.into_rows()
     }
