@@ -29,14 +29,14 @@ pub fn generate_keys(
         None => KeyPair::generate_unencrypted_keypair(),
         some => KeyPair::generate_encrypted_keypair(some),
     };
-    let KeyPair { pk, sk } = pair.map_err(cannot_sign)?;
-    let secret_box = sk.to_box(Some("embodied-depth secret key")).map_err(cannot_sign)?;
+    let KeyPair { pk, sk } = pair.map_err(|error| cannot_sign(&error))?;
+    let secret_box = sk.to_box(Some("embodied-depth secret key")).map_err(|error| cannot_sign(&error))?;
     write_new(secret, 0o600, &secret_box.to_string())?;
-    write_new(&public, 0o644, &pk.to_box().map_err(cannot_sign)?.to_string())?;
+    write_new(&public, 0o644, &pk.to_box().map_err(|error| cannot_sign(&error))?.to_string())?;
     Ok(format!("{} {comment}", pk.to_base64()).trim_end().to_owned())
 }
 
-fn cannot_sign(error: PError) -> BundleError {
+fn cannot_sign(error: &PError) -> BundleError {
     BundleError::Sign { reason: error.to_string() }
 }
 
@@ -101,5 +101,5 @@ pub fn sign(model: &[u8], name: &str, key: &SecretKey) -> Result<String, BundleE
     let untrusted = "signature of an embodied-depth model";
     minisign::sign(None, key, model, Some(&comment), Some(untrusted))
         .map(|signature| signature.to_string())
-        .map_err(cannot_sign)
+        .map_err(|error| cannot_sign(&error))
 }
