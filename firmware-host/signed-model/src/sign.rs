@@ -36,6 +36,7 @@ pub fn generate_keys(
     Ok(format!("{} {comment}", pk.to_base64()).trim_end().to_owned())
 }
 
+#[allow(clippy::needless_pass_by_value, reason = "passed to map_err")]
 fn cannot_sign(error: PError) -> BundleError {
     BundleError::Sign { reason: error.to_string() }
 }

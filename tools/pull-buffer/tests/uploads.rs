@@ -39,7 +39,7 @@ fn is_complete(robot: &Path, store: &Path, number: u64) -> bool {
     let original = fs::read(robot.join(&file)).unwrap();
     let there = store.join("robot").join(&file);
     let whole = fs::read(&there).inspect(|bytes| {
-        assert!(*bytes == original, "{file} has its final name but is not complete")
+        assert!(*bytes == original, "{file} has its final name but is not complete");
     });
     let digest = fs::read_to_string(there.with_extension("mcap.blake3"));
     if let Ok(digest) = &digest {

@@ -23,14 +23,14 @@ impl Info {
         let state_names = json!(["x_m", "y_m", "yaw_rad", "linear_mps", "angular_radps"]);
         let action_names = json!(["linear_mps", "angular_radps"]);
         let mut features = Map::from_iter([
-            feature(IMAGE, "image", json!([self.height, self.width, 3]), image_axes),
-            feature(STATE, "float32", json!([5]), state_names),
-            feature(ACTION, "float32", json!([2]), action_names),
-            feature(TIME, "float64", json!([1]), Value::Null),
-            feature("timestamp", "float32", json!([1]), Value::Null),
+            feature(IMAGE, "image", &json!([self.height, self.width, 3]), &image_axes),
+            feature(STATE, "float32", &json!([5]), &state_names),
+            feature(ACTION, "float32", &json!([2]), &action_names),
+            feature(TIME, "float64", &json!([1]), &Value::Null),
+            feature("timestamp", "float32", &json!([1]), &Value::Null),
         ]);
         let indices = ["frame_index", "episode_index", "index", "task_index"];
-        features.extend(indices.map(|name| feature(name, "int64", json!([1]), Value::Null)));
+        features.extend(indices.map(|name| feature(name, "int64", &json!([1]), &Value::Null)));
         json!({
             "codebase_version": "v3.0",
             "robot_type": "embodied-depth",
@@ -49,7 +49,7 @@ impl Info {
     }
 }
 
-fn feature(name: &str, dtype: &str, shape: Value, names: Value) -> (String, Value) {
+fn feature(name: &str, dtype: &str, shape: &Value, names: &Value) -> (String, Value) {
     (name.to_owned(), json!({"dtype": dtype, "shape": shape, "names": names}))
 }
 
