@@ -55,7 +55,9 @@ pub fn run(all: bool) -> Result<()> {
         (false, _) => format!("test {TESTED} --lib --bins --tests"),
     };
     let beside_peers = match has_nextest {
-        true => format!("nextest run {TESTED} --run-ignored only"),
+        true => format!(
+            "nextest run {TESTED} --run-ignored only -E not(test(lerobots_own_class)|package(pull-buffer)|package(push-model))"
+        ),
         false => format!("test {TESTED} --tests -- --ignored"),
     };
     let kills = match has_nextest {

@@ -134,7 +134,7 @@ impl<W: Write> Rewriter<W> {
 /// Writes all messages of all intact chunks of `file` as a complete MCAP file with an index.
 ///
 /// # Errors
-/// When `file` is not an MCAP file, or reading or writing fails.
+/// When `file` is not an MCAP file, a chunk that defines a channel is damaged and a later chunk has messages of that channel, or reading or writing fails.
 pub fn recover<B: Bytes + ?Sized, W: Write>(file: &B, sink: W) -> Result<Recovered, McapError> {
     let mut rewriter = Rewriter::begin(sink)?;
     rewriter.add(file)?;

@@ -30,7 +30,8 @@ pub fn generate_keys(
         some => KeyPair::generate_encrypted_keypair(some),
     };
     let KeyPair { pk, sk } = pair.map_err(|error| cannot_sign(&error))?;
-    let secret_box = sk.to_box(Some("embodied-depth secret key")).map_err(|error| cannot_sign(&error))?;
+    let secret_box =
+        sk.to_box(Some("embodied-depth secret key")).map_err(|error| cannot_sign(&error))?;
     write_new(secret, 0o600, &secret_box.to_string())?;
     write_new(&public, 0o644, &pk.to_box().map_err(|error| cannot_sign(&error))?.to_string())?;
     Ok(format!("{} {comment}", pk.to_base64()).trim_end().to_owned())
