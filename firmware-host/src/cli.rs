@@ -22,6 +22,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Explore a simulated home in virtual time, then write a summary, images and a recording.
+    #[cfg(feature = "simulator")]
     Explore(ExploreArgs),
     /// Estimate depth on recorded images and measure its accuracy.
     ///
@@ -37,6 +38,7 @@ pub enum Command {
     ///
     /// Each image comes with the coarse depth and some of the earlier images that a robot arriving
     /// there would have.
+    #[cfg(feature = "simulator")]
     Views(ViewsArgs),
     /// Drive a real robot with the camera, LiDAR and base named in the configuration.
     Run(RunArgs),

@@ -20,8 +20,8 @@ use crate::record::{FaultyDisk, FileSystem, Recorder, RecorderOptions, refuse_ol
 use crate::report::atomic::prepare_dir;
 use crate::report::summary::Summary;
 use crate::setup::{self, Mission};
+use crate::simulation;
 use hand_over::HandOver;
-pub use hand_over::model_path;
 use session::Exploration;
 
 /// Explores, then reports.
@@ -47,11 +47,11 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let depth_source = setup::depth_source(args.depth.map(Into::into), network.is_some())?;
     let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };
     let model = network.as_ref().map(|network| network.digest().to_owned());
-    let world = World::open(&args.scene, &setup::open_options(&args.scene_file, &config))?;
+    let world = World::open(&args.scene, &simulation::open_options(&args.scene_file, &config))?;
     let start = args.start.map(|[x_m, y_m, yaw_deg]| Pose2::new(x_m, y_m, yaw_deg.to_radians()));
     let simulated = SimulatedRobot::new(
         std::sync::Arc::new(world),
-        setup::simulated_robot(&config, args.seed, start),
+        simulation::simulated_robot(&config, args.seed, start),
     )?;
     let robot = Robot::new(config.robot(&mission), network)?;
     prepare_dir(&args.out)?;

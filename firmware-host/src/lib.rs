@@ -9,7 +9,9 @@ pub mod cli;
 pub mod config;
 pub mod dataset;
 mod dump;
+#[cfg(feature = "simulator")]
 pub mod evaluation;
+#[cfg(feature = "simulator")]
 pub mod explore;
 pub mod failure;
 pub mod faults;
@@ -27,5 +29,8 @@ pub mod reproduce;
 pub mod rerun_stream;
 pub mod run;
 pub mod setup;
+#[cfg(feature = "simulator")]
+pub mod simulation;
 pub mod stopwatch;
+#[cfg(feature = "simulator")]
 pub mod views;

@@ -8,9 +8,10 @@ use clap::Parser;
 use firmware_host::cli::{Cli, Command as Task};
 use firmware_host::config::ConfigError;
 use firmware_host::{
-    buffer, camera_latency, check, explore, failure, health, model, perceive, replay_run,
-    reproduce, run, views,
+    buffer, camera_latency, check, failure, health, model, perceive, replay_run, reproduce, run,
 };
+#[cfg(feature = "simulator")]
+use firmware_host::{explore, views};
 
 /// Exit code if the command failed.
 const FAILED: u8 = 1;
@@ -29,10 +30,12 @@ fn main() -> ExitCode {
         .with_ansi(std::io::stderr().is_terminal())
         .init();
     let result = match cli.command {
+        #[cfg(feature = "simulator")]
         Task::Explore(args) => explore::run(&args).map(|()| ExitCode::SUCCESS),
         Task::Perceive(args) => perceive::run(&args).map(|()| ExitCode::SUCCESS),
         Task::Replay(args) => replay_run::run(&args),
         Task::Reproduce(args) => reproduce::run(&args),
+        #[cfg(feature = "simulator")]
         Task::Views(args) => views::run(&args).map(|()| ExitCode::SUCCESS),
         Task::Run(args) => run::run(&args).map(|()| ExitCode::SUCCESS),
         Task::Health(args) => health::run(&args),

@@ -15,7 +15,6 @@ use runtime::tick::Decision;
 
 use crate::cli::{ReplayArgs, RunModels};
 use crate::config::Config;
-use crate::explore::model_path;
 use crate::model::Store;
 use crate::replay::{Replayable, Run, Span, replay};
 use crate::setup::{self, Mission};
@@ -187,7 +186,8 @@ fn handed_over(
         }
         (Some(schedule), Some(dir)) => (schedule, dir),
     };
-    let paths = (0..).map(|round| model_path(dir, round)).take_while(|path| path.exists());
+    let paths =
+        (0..).map(|round| setup::handed_over_model(dir, round)).take_while(|path| path.exists());
     let mut networks = Vec::new();
     for (round, path) in paths.enumerate() {
         let tick = schedule.first + round as u64 * schedule.every;

@@ -1,22 +1,16 @@
 //! From configuration and arguments to a robot.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use hal::{CameraModel, Pose2, Pose3};
+use hal::{CameraModel, Pose3};
 use runtime::exploration::PolicyKind;
 use runtime::lidar_agreement::LidarAgreement;
 use runtime::model_gate::LidarView;
 use runtime::perception::{DepthNetwork, NetworkOptions};
 use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, RobotConfig};
-use runtime::safety::SafetyConfig;
-use simulator::floor::Footprint;
-use simulator::load::{LoadOptions, UpAxis};
-use simulator::odometry::OdometryNoise;
-use simulator::{OpenOptions, RobotOptions};
 
-use crate::cli::{SceneFileArgs, UpArg};
 use crate::config::{Config, NetworkSection};
 use crate::faults::FaultPlan;
 use crate::onnx_runtime;
@@ -37,18 +31,6 @@ impl Config {
     #[must_use]
     pub fn safety_period_ns(&self) -> u64 {
         (1e9 / self.run.safety_hz) as u64
-    }
-
-    /// The safety plane's configuration in simulation: the simulated base answers at once and stops within a step.
-    #[must_use]
-    pub fn simulated_safety_config(&self) -> SafetyConfig {
-        SafetyConfig {
-            good_scans: self.run.good_scans,
-            feedback_timeout_s: self.run.feedback_timeout_s,
-            plan_timeout_s: self.run.plan_timeout_s,
-            period_s: 1.0 / self.run.safety_hz,
-            ..self.safety_config()
-        }
     }
 
     /// Everything that shapes the robot's decisions.
@@ -75,40 +57,6 @@ impl Config {
             ),
         }
     }
-}
-
-/// The simulated robot that the configuration describes.
-#[must_use]
-pub fn simulated_robot(config: &Config, seed: u64, start: Option<Pose2>) -> RobotOptions {
-    let simulator = &config.simulator;
-    RobotOptions {
-        camera: config.camera.model(),
-        t_base_camera: config.camera.mount(),
-        t_base_laser: laser_mount(config),
-        sliding: simulator.sliding,
-        odometry: OdometryNoise {
-            translation: simulator.odometry_distance_noise,
-            rotation: simulator.odometry_turn_noise,
-            heading_drift_rad: 0.0,
-        },
-        laser: simulator.laser_model(),
-        nuisances: simulator.nuisances.clone(),
-        seed,
-        start,
-        ..RobotOptions::default()
-    }
-}
-
-/// How to open the scene that the arguments speak of.
-#[must_use]
-pub fn open_options(file: &SceneFileArgs, config: &Config) -> OpenOptions {
-    let up_axis = match file.scene_up {
-        None => UpAxis::Auto,
-        Some(UpArg::Y) => UpAxis::Y,
-        Some(UpArg::Z) => UpAxis::Z,
-    };
-    let footprint = Footprint { radius_m: config.base.footprint_radius_m, ..Footprint::default() };
-    OpenOptions { load: LoadOptions { up_axis, scale: file.scene_scale }, footprint }
 }
 
 /// Compares depth with the LiDAR while the robot drives.
@@ -156,6 +104,12 @@ pub fn run_header(
             config.camera.model(),
         )
     })
+}
+
+/// The network that a study hands over after `round`, counted from 0.
+#[must_use]
+pub fn handed_over_model(dir: &Path, round: u64) -> PathBuf {
+    dir.join(format!("model_{round:04}.onnx"))
 }
 
 /// Loads ONNX Runtime and a depth network.

@@ -19,7 +19,7 @@ use crate::cli::ViewsArgs;
 use crate::config::Config;
 use crate::dump::{Dump, Shot, View};
 use crate::report::progress::{Progress, Status};
-use crate::setup;
+use crate::simulation;
 
 /// Number of steps before a view: up to 0.7 m of driving or 48 degrees of rotation with the paper's
 /// steps.
@@ -54,7 +54,7 @@ impl Approach {
 /// If the scene or the configuration cannot be read, or the output folder cannot be written.
 pub fn run(args: &ViewsArgs) -> Result<()> {
     let config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
-    let world = World::open(&args.scene, &setup::open_options(&args.scene_file, &config))?;
+    let world = World::open(&args.scene, &simulation::open_options(&args.scene_file, &config))?;
     let mut dump = Dump::create(&args.out, &config.camera.model())?;
     let mut rng = Pcg64Mcg::seed_from_u64(args.seed);
     let mut progress = Progress::start(args.count);

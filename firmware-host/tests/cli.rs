@@ -249,7 +249,7 @@ fn impossible_arguments_are_refused_by_name_and_leave_no_files() {
         (&["--scene", "apartment"], "builtin:apartment"),
         (&["--scene", "builtin:apartment", "--scene-scale", "-1"], "above 0"),
         (&["--scene", empty.to_str().unwrap()], "triangle"),
-        (&["--scene", "builtin:apartment?seed=1", "--start", "90,90,0"], "nearest free place"),
+        (&["--scene", "builtin:apartment?seed=1", "--start", "90,90,0"], "nearest free position"),
         (
             &["--scene", "builtin:apartment?seed=1", "--model", no_model.to_str().unwrap()],
             "none.onnx",
@@ -531,7 +531,7 @@ fn a_replay_starts_at_a_given_time_and_works_without_the_first_segments() {
     let run = firmware_host(&[&arguments[..], &HOME].concat());
     assert!(run.status.success(), "{}", text(&run.stderr));
     let said = replayed(&out, &["--from", "4.5s"]);
-    assert!(said.contains(" 40 at 4.000 s\nreplay: ticks=50 mismatches=0\n"), "{said}");
+    assert!(said.contains(" 40 at 4.100 s\nreplay: ticks=50 mismatches=0\n"), "{said}");
     for command in [
         &["replay", out.to_str().unwrap(), "--from", "90"][..],
         &["reproduce", out.to_str().unwrap(), "--at", "9s"],

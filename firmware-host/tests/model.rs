@@ -103,10 +103,10 @@ fn what_is_not_signed_by_a_trusted_key_is_not_even_read() {
     let mut tampered = bytes.clone();
     tampered[at] = b'G';
     std::fs::write(&path, &tampered).unwrap();
-    assert!(refused_signature(&robot, &path).contains("does not fit"));
+    assert!(refused_signature(&robot, &path).contains("does not match"));
     for length in [0, 1, bytes.len() / 2, bytes.len() - 1] {
         std::fs::write(&path, &bytes[..length]).unwrap();
-        assert!(refused_signature(&robot, &path).contains("does not fit"), "{length}");
+        assert!(refused_signature(&robot, &path).contains("does not match"), "{length}");
     }
     // A truncated model with a valid signature.
     let cut = robot.sign(&bytes[..bytes.len() - 40], "cut");

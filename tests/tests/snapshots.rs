@@ -77,5 +77,5 @@ fn a_snapshot_of_another_layout_is_refused_by_its_number() {
     let mut bytes = scenario.robot().snapshot();
     bytes[0] ^= 0x40;
     let refusal = successor(scenario.robot()).unwrap().restore(&bytes).unwrap_err();
-    assert!(refusal.to_string().contains("layout 65"), "{refusal}");
+    assert!(refusal.to_string().contains("layout 66"), "{refusal}");
 }

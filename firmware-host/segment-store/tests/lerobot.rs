@@ -163,11 +163,12 @@ fn a_gap_starts_a_new_episode_and_a_single_lost_image_does_not() {
     let episodes = rows(to.join("meta/episodes/chunk-000/file-000.parquet"));
     let spans: Vec<_> =
         episodes.iter().map(|row| [2, 5, 6].map(|column| row.get_long(column).unwrap())).collect();
-    assert_eq!(spans, [[29, 0, 29], [30, 29, 59]]);
+    // The frames before the lost tick and before the gap have no command that answered them.
+    assert_eq!(spans, [[27, 0, 27], [30, 27, 57]]);
     let rows = data(&to);
     let episode_and_frame =
-        [28, 29, 58].map(|row| [EPISODE, FRAME].map(|column| rows[row].get_long(column).unwrap()));
-    assert_eq!(episode_and_frame, [[0, 28], [1, 0], [1, 29]]);
+        [26, 27, 56].map(|row| [EPISODE, FRAME].map(|column| rows[row].get_long(column).unwrap()));
+    assert_eq!(episode_and_frame, [[0, 26], [1, 0], [1, 29]]);
     assert_eq!(json(to.join("meta/info.json"))["splits"]["train"], "0:2");
 }
 
@@ -177,7 +178,8 @@ fn ticks_without_an_image_a_command_or_a_finite_pose_are_left_out() {
     let to = dir.path().join("dataset");
     let mut ticks: Vec<_> = (0..20).map(|tick| full_tick(tick, tick * 100_000_000)).collect();
     ticks[3].frame = None;
-    ticks[4].decision = None;
+    // Without it, the frame before it has no action.
+    ticks[8].decision = None;
     ticks[5].wheel.odom.x_m = f64::NAN;
     let exported = export(&ticks, &to);
     assert_eq!((exported.frames, exported.left_out, exported.episodes), (17, 2, 1));

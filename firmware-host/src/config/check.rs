@@ -187,17 +187,16 @@ pub(super) fn join(prefix: &str, name: &str) -> String {
 
 /// Values that are not allowed together: the rules of each part of the runtime, and those between parts.
 pub(super) fn together(config: &Config) -> Vec<Problem> {
-    let nuisances = &config.simulator.nuisances;
-    refused([
+    let problems = refused([
         ("coarse", config.coarse.validate().map_err(|error| error.to_string())),
         ("map", config.map.validate().map_err(|error| error.to_string())),
         ("planning", config.plan_config().validate().map_err(|error| error.to_string())),
         ("planning", config.follower_config().validate().map_err(|error| error.to_string())),
-        ("simulator.nuisances", nuisances.check().map_err(|error| error.to_string())),
         ("safety", body_is_finite(config)),
         ("safety", back_off_ends_in_time(config)),
         ("base", corners_are_within_radius(config)),
-    ])
+    ]);
+    problems.into_iter().chain(refused([("simulator.nuisances", nuisances(config))])).collect()
 }
 
 /// What the drivers refuse. A simulated robot has no drivers, so only `run` and `check --devices` ask.
@@ -217,6 +216,16 @@ fn refused<const N: usize>(results: [(&str, Result<(), String>); N]) -> Vec<Prob
     refused
         .map(|(section, why)| Problem::Together { message: format!("[{section}]: {why}") })
         .collect()
+}
+
+#[cfg(feature = "simulator")]
+fn nuisances(config: &Config) -> Result<(), String> {
+    config.simulator.nuisances.check().map_err(|error| error.to_string())
+}
+
+#[cfg(not(feature = "simulator"))]
+fn nuisances(_config: &Config) -> Result<(), String> {
+    Ok(())
 }
 
 fn body_is_finite(config: &Config) -> Result<(), String> {

@@ -10,6 +10,10 @@ mod error;
 #[cfg(test)]
 mod reference;
 mod sections;
+#[cfg(feature = "simulator")]
+mod simulated;
+#[cfg(not(feature = "simulator"))]
+mod without_simulator;
 
 use std::path::Path;
 
@@ -22,8 +26,11 @@ pub use devices::{DevicesSection, LensSection, RunSection};
 pub use error::{ConfigError, Problem};
 pub use sections::{
     BaseSection, CameraSection, LidarSection, ModelsSection, NetworkSection, RecordingSection,
-    SimulatorSection,
 };
+#[cfg(feature = "simulator")]
+pub use simulated::SimulatorSection;
+#[cfg(not(feature = "simulator"))]
+pub use without_simulator::SimulatorSection;
 
 /// The commented default configuration, which `firmware-host check` prints as a template.
 pub const DEFAULT_FILE: &str = include_str!("../../robot.default.toml");

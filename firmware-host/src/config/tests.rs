@@ -92,7 +92,7 @@ fn a_renamed_key_is_refused_with_its_new_name() {
         refusal("[recording]\npictures = false\n"),
         "`recording.pictures` in robot.toml line 2 is now called `recording.images`"
     );
-    assert!(refusal("run.frame_timeout_s = 2.0").ends_with("called `run.frame_timeout_s`"));
+    assert!(refusal("run.picture_timeout_s = 2.0").ends_with("called `run.frame_timeout_s`"));
     assert!(refusal("models.trial_turns = 60").ends_with("called `models.trial_ticks`"));
     assert!(refusal("[bumper]\nstop_distance_m = 0.2").ends_with("is now called `safety`"));
 }

@@ -5,7 +5,7 @@
 //! with the same arguments: it takes the models that are there already without waiting and comes to the very same state, as
 //! the digests in `round_NNNN.json` show.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -21,12 +21,6 @@ use crate::setup;
 
 /// Between two looks for the next model. Training takes minutes.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-
-/// The network that is handed over after `round`, counted from 0.
-#[must_use]
-pub fn model_path(dir: &Path, round: u64) -> PathBuf {
-    dir.join(format!("model_{round:04}.onnx"))
-}
 
 /// What the trainer is told: the first `segments` files of the recording, and as much of the dump, are whole.
 #[derive(Debug, Serialize)]
@@ -77,7 +71,7 @@ impl HandOver {
     ) -> Result<Option<DepthNetwork>> {
         let told = self.dir.join(format!("round_{:04}.json", round.round));
         write_atomically(&told, &serde_json::to_vec_pretty(round)?)?;
-        let path = model_path(&self.dir, round.round);
+        let path = setup::handed_over_model(&self.dir, round.round);
         while !path.exists() {
             if interrupted.load(Ordering::Relaxed) {
                 return Ok(None);

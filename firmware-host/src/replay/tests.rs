@@ -133,7 +133,7 @@ fn one_changed_input_is_found_wherever_it_is() {
         assert_eq!((report.ticks, report.mismatches), (50, 17), "{name}: {out}");
         assert!(
             out.starts_with(
-                "turn 33 at 3.300 s decides differently:\n  command.linear_mps: recorded 0."
+                "turn 33 at 3.300 s decides differently:\n  desired.linear_mps: recorded 0."
             ),
             "{out}"
         );

@@ -404,11 +404,11 @@ fn rewrite(bytes: &[u8], edit: impl Fn(&str, Vec<u8>) -> Option<Vec<u8>>) -> Vec
 fn a_recording_of_another_format_is_refused_with_both_versions() {
     let bytes = rewrite(&segment(&[some_tick(0)]), |topic, data| {
         let text =
-            String::from_utf8_lossy(&data).replace("\"format_version\":1", "\"format_version\":99");
+            String::from_utf8_lossy(&data).replace("\"format_version\":2", "\"format_version\":1");
         Some(if topic == "/robot/header" { text.into_bytes() } else { data })
     });
     let message = read(&bytes).1.unwrap().to_string();
-    assert!(message.contains("99") && message.contains("test 0.0.0"), "{message}");
+    assert!(message.contains("format 1") && message.contains("test 0.0.0"), "{message}");
 }
 
 #[test]

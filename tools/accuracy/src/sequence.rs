@@ -6,7 +6,8 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use firmware_host::config::Config;
 use firmware_host::dataset::Dataset;
-use firmware_host::setup::{self, Mission};
+use firmware_host::setup::Mission;
+use firmware_host::simulation;
 use hal::{
     Base, Camera, CameraModel, DepthMap, DriveCommand, ErrorType, Pose3, Twist2, WheelFeedback,
 };
@@ -87,7 +88,7 @@ pub fn simulated(
 ) -> Result<Sequence> {
     let mut config = Config::default();
     config.simulator.nuisances.people = people;
-    let options = setup::simulated_robot(&config, seed, None);
+    let options = simulation::simulated_robot(&config, seed, None);
     let simulated = SimulatedRobot::new(Arc::clone(world), options)?;
     let policy = match motion {
         Motion::Policy(policy) => policy,

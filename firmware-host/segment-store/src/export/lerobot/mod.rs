@@ -96,7 +96,9 @@ impl Export {
     fn tick(&mut self, header: &SegmentHeader, tick: &RecordedTick) -> Result<(), StoreError> {
         self.header.get_or_insert_with(|| header.clone());
         if let Some(waiting) = self.waiting.take() {
-            let action = rows::action_before(tick).filter(|_| tick.tick == waiting.tick + 1);
+            let elapsed_ns = tick.time_ns.wrapping_sub(waiting.time_ns);
+            let is_next = tick.tick == waiting.tick + 1 && (1..=BREAK_NS).contains(&elapsed_ns);
+            let action = rows::action_before(tick).filter(|_| is_next);
             match action {
                 Some(action) => self.push(&waiting, action)?,
                 None => self.exported.left_out += 1,
