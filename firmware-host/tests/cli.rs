@@ -545,7 +545,7 @@ fn a_replay_starts_at_a_given_time_and_works_without_the_first_segments() {
     }
     std::fs::remove_file(out.join("recording_0000.mcap")).unwrap();
     let said = replayed(&out, &[]);
-    assert!(said.contains(" 20 at 2.000 s\nreplay: ticks=70 mismatches=0\n"), "{said}");
+    assert!(said.contains(" 20 at 2.100 s\nreplay: ticks=70 mismatches=0\n"), "{said}");
 }
 
 #[test]

@@ -6,6 +6,7 @@ use hil::{Scenario, Tick};
 use runtime::event::{Event, FaultReason, PlanRefusal, RefusedInput, SafetyEvent, TripCause};
 use runtime::exploration::PolicyKind;
 use runtime::perception::NoDepth;
+use runtime::safety::Request;
 
 fn run(policy: PolicyKind, faults: &[&str], ticks: usize) -> Vec<Tick> {
     Scenario::new(policy, faults, 3).unwrap().ticks(ticks).unwrap()
@@ -174,13 +175,8 @@ fn pictures_that_are_late_torn_or_in_the_wrong_order_lead_into_nothing() {
 
 #[test]
 fn wheels_that_say_nothing_stop_the_robot_until_they_speak() {
-    for silence in [
-        "base:stall@2..4",
-        "base:unplug@2..4",
-        "base:corrupt@2..4",
-        "base:drop@2..4",
-        "base:delay=30@2..4",
-    ] {
+    for silence in ["base:stall@2..4", "base:corrupt@2..4", "base:drop@2..4", "base:delay=30@2..4"]
+    {
         let ticks = run(PolicyKind::Forward, &[silence], 80);
         assert!(
             at(&ticks, 2.4..4.0).iter().all(|tick| tick.command() == Twist2::ZERO),
@@ -190,6 +186,18 @@ fn wheels_that_say_nothing_stop_the_robot_until_they_speak() {
         assert!(faulted(at(&ticks, 2.0..2.5), FaultReason::BaseSilent), "{silence}");
         assert!(path_m(at(&ticks, 4.2..8.0)) > 0.3, "{silence}: it goes on");
     }
+}
+
+#[test]
+fn an_unplugged_base_stops_the_robot_until_the_operator_has_cleared_the_fault_and_armed_it() {
+    let mut scenario = Scenario::new(PolicyKind::Forward, &["base:unplug@2..4"], 3).unwrap();
+    let before = scenario.ticks(80).unwrap();
+    assert!(faulted(at(&before, 2.0..2.5), FaultReason::BaseFault));
+    assert!(path_m(at(&before, 4.2..8.0)) < 1e-9, "it stands, although the base is back");
+    scenario.request(Request::ClearFault);
+    scenario.tick().unwrap();
+    scenario.request(Request::Arm);
+    assert!(path_m(&scenario.ticks(40).unwrap()) > 0.3, "it goes on");
 }
 
 #[test]

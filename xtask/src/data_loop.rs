@@ -124,14 +124,14 @@ impl Demo {
         let pull = Running::start("pull", &mut pull)?;
 
         step(
-            "a first round of training on what has come: the gate judges it by held-out pictures, the robot on trial",
+            "a first round of training on the pulled recordings: the gate judges it on held-out frames, then a trial",
         );
         self.watch("1")?;
         self.wait_for_trial(&mut robot)?;
-        step("a second round: the gate compares it with the first on the same held-out pictures");
+        step("a second round: the gate compares it with the first on the same held-out frames");
         self.watch("2")?;
         self.wait_for_trial(&mut robot)?;
-        step("a network that somebody has changed after it was signed");
+        step("a network that was changed after it was signed");
         let forged = Running::start("push", &mut self.shell(&self.push(&self.forge()?)))?.wait()?;
 
         step("what became of the models");
@@ -148,7 +148,7 @@ impl Demo {
             .arg(self.store());
         command::run(&mut replay)?;
         if forged {
-            bail!("the gate took a network that nobody signed; please report this");
+            bail!("the gate accepted an unsigned network; please report this");
         }
         Ok(())
     }

@@ -38,14 +38,20 @@ mod tests {
         }
     }
 
-    /// The string literals of a line of code outside comments. Good enough for lines as rustfmt leaves them.
+    /// The string literals of a line of code outside comments, without names in braces and without keys and options, which are
+    /// formats. Good enough for lines as rustfmt leaves them.
     fn literals(line: &str) -> String {
         let code = line.trim_start();
         if code.starts_with("//") && !code.starts_with("///") {
             return String::new();
         }
-        let parts = line.split('"');
-        parts.skip(1).step_by(2).collect::<Vec<_>>().join(" ").to_lowercase()
+        let texts = line.split('"').skip(1).step_by(2).filter(|text| text.contains(' '));
+        let spoken = texts.map(|text| {
+            let parts =
+                text.split('{').map(|part| part.split_once('}').map_or(part, |(_, rest)| rest));
+            parts.collect::<String>()
+        });
+        spoken.collect::<Vec<_>>().join(" ").to_lowercase()
     }
 
     #[test]
@@ -94,6 +100,10 @@ mod tests {
     fn a_word_is_found_whole_and_in_strings_only() {
         assert!(has_word("nobody is there", "nobody") && !has_word("somenobodys", "nobody"));
         assert_eq!(literals(r#"let x = f("a b"); // "c""#).trim(), "a b c");
-        assert_eq!(literals(r#"    // "nobody""#), "");
+        assert_eq!(literals(r#"    // "nobody is here""#), "");
+        assert_eq!(
+            literals(r#"f("pictures", "--pictures", "of {pictures} frames")"#),
+            "of  frames"
+        );
     }
 }

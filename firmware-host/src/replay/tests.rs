@@ -131,12 +131,8 @@ fn one_changed_input_is_found_wherever_it_is() {
         let (report, out) = replayed(&changed);
         // The digest robot remembers: every turn from the changed one on differs.
         assert_eq!((report.ticks, report.mismatches), (50, 17), "{name}: {out}");
-        assert!(
-            out.starts_with(
-                "turn 33 at 3.300 s decides differently:\n  desired.linear_mps: recorded 0."
-            ),
-            "{out}"
-        );
+        assert!(out.starts_with("turn 33 at 3.300 s decides differently:\n"), "{out}");
+        assert!(out.contains("\n  desired.linear_mps: recorded 0."), "{out}");
         assert!(
             out.contains("... and 14 more turns\n")
                 && out.ends_with("replay: ticks=50 mismatches=17\n"),

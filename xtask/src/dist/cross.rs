@@ -38,6 +38,7 @@ pub fn build(arch: Arch) -> Result<PathBuf> {
         "--release",
         "--package",
         "firmware-host",
+        "--no-default-features",
         "--target",
         "aarch64-unknown-linux-gnu",
     ]);

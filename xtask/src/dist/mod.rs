@@ -62,13 +62,12 @@ pub fn run(arch: Option<Arch>) -> Result<()> {
     Ok(())
 }
 
+/// The robot's program has no simulator. Its folder is not that of other builds, whose program has one.
 fn build() -> Result<PathBuf> {
-    command::run(command::cargo().args([
-        "build",
-        "--locked",
-        "--release",
-        "--package",
-        "firmware-host",
-    ]))?;
-    Ok(paths::target().join("release/firmware-host"))
+    let folder = paths::target().join("package");
+    let arguments = "build --locked --release --package firmware-host --no-default-features";
+    let mut cargo = command::cargo();
+    cargo.args(arguments.split_whitespace()).arg("--target-dir").arg(&folder);
+    command::run(&mut cargo)?;
+    Ok(folder.join("release/firmware-host"))
 }

@@ -1,6 +1,6 @@
 //! What is in the package is run as it would run on the robot; ARM's program by emulation.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
@@ -27,35 +27,52 @@ pub fn run(arch: Arch, package: &Path) -> Result<()> {
     command::run(&mut firmware(&["--version"]))?;
     let config = root.join("etc/embodied-depth/robot.toml");
     command::run(firmware(&["check", "--config"]).arg(config).stdout(std::process::Stdio::null()))?;
-    let explore = |name: &str, frames: &str, model: Option<&Path>| {
-        let run = folder.join(name);
-        let mut explore = firmware(&[
-            "explore",
-            "--scene",
-            "builtin:apartment?seed=1",
-            "--frames",
-            frames,
-            "--out",
-        ]);
-        explore.arg(&run);
-        if let Some(model) = model {
-            explore.arg("--model").arg(model);
-        }
-        command::run(explore.stdout(std::process::Stdio::null()))?;
-        Ok::<_, anyhow::Error>(run)
-    };
-    let run = explore("coarse", "20", None)?;
-    command::run(firmware(&["replay"]).arg(run))?;
+    // The package has no simulator: this computer's own build explores, and the package's program replays every decision.
+    let simulated = simulated(&folder)?;
+    let recording = simulated.explore("coarse", &["--frames", "20"])?;
+    command::run(firmware(&["replay"]).arg(recording))?;
     if arch.is_this_computers() {
-        // ONNX Runtime does not run under emulation: it crashes when it asks what processor it has.
-        explore("network", "5", Some(&root.join("usr/share/embodied-depth/default.onnx")))?;
-        models(&root, &folder, firmware)?;
+        // ONNX Runtime does not run under emulation: it crashes when it asks for the processor's model.
+        let model = root.join("usr/share/embodied-depth/default.onnx");
+        let model = model.to_string_lossy();
+        let recording = simulated.explore("network", &["--frames", "5", "--model", &model])?;
+        command::run(firmware(&["replay", "--model", &model]).arg(recording))?;
+        models(&root, &folder, &simulated, firmware)?;
     }
     service(&root)
 }
 
-/// Explores with what the service is given: the package's network becomes the first of the store in robot.toml.
-fn models(root: &Path, folder: &Path, firmware: impl Fn(&[&str]) -> Command) -> Result<()> {
+/// This computer's own build of the program, which has the simulator.
+struct Simulated {
+    program: PathBuf,
+    folder: PathBuf,
+}
+
+fn simulated(folder: &Path) -> Result<Simulated> {
+    let arguments = "build --locked --release --package firmware-host";
+    command::run(command::cargo().args(arguments.split_whitespace()))?;
+    let program = paths::target().join("release/firmware-host");
+    Ok(Simulated { program, folder: folder.to_owned() })
+}
+
+impl Simulated {
+    /// Explores a built-in home into the folder `name`, and returns that folder.
+    fn explore(&self, name: &str, arguments: &[&str]) -> Result<PathBuf> {
+        let out = self.folder.join(name);
+        let mut explore = command::program(&self.program);
+        explore.args(["explore", "--scene", "builtin:apartment?seed=1", "--out"]).arg(&out);
+        command::run(explore.args(arguments).stdout(std::process::Stdio::null()))?;
+        Ok(out)
+    }
+}
+
+/// Starts a store as the service would: the package's network becomes the first model of the store in robot.toml.
+fn models(
+    root: &Path,
+    folder: &Path,
+    simulated: &Simulated,
+    firmware: impl Fn(&[&str]) -> Command,
+) -> Result<()> {
     let read = |path: &str| {
         let path = root.join(path);
         std::fs::read_to_string(&path).with_context(|| path.display().to_string())
@@ -80,10 +97,9 @@ fn models(root: &Path, folder: &Path, firmware: impl Fn(&[&str]) -> Command) -> 
         .and_then(|words| words.split_whitespace().skip_while(|word| *word != "--model").nth(1));
     let model = root.join(model.context("the service gives no --model")?.trim_start_matches('/'));
     let store = folder.join(name);
-    let mut explore =
-        firmware(&["explore", "--scene", "builtin:apartment?seed=1", "--frames", "5", "--out"]);
-    explore.arg(folder.join("stored")).arg("--model-store").arg(&store).arg("--model").arg(&model);
-    command::run(explore.stdout(std::process::Stdio::null()))?;
+    let texts = [store.to_string_lossy(), model.to_string_lossy()];
+    let arguments = ["--frames", "5", "--model-store", &texts[0], "--model", &texts[1]];
+    simulated.explore("stored", &arguments)?;
     let mut list = firmware(&["model", "list", "--json", "--store"]);
     list.arg(&store).arg("--config").arg(root.join("etc/embodied-depth/robot.toml"));
     let said = String::from_utf8_lossy(&list.output()?.stdout).into_owned();
