@@ -122,7 +122,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
 pub fn build(run: &Path, header: &RunHeader, models: &RunModels) -> Result<Box<dyn Replayable>> {
     if !header.pictures {
         bail!(
-            "the run was recorded without pictures (recording.images = false): nothing can be recomputed"
+            "the run was recorded without images (recording.images = false): nothing can be recomputed"
         );
     }
     let config: Config = serde_json::from_value(header.config.clone()).context(

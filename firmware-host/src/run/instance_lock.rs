@@ -29,7 +29,7 @@ impl InstanceLock {
                 "another `firmware-host run` drives the base on {bus}: end it first (`firmware-host health` says which it is)"
             ),
             Err(error) => Err(error).with_context(|| {
-                format!("cannot make sure that nobody else drives the base on {bus}")
+                format!("cannot make sure that no other program drives the base on {bus}")
             }),
         }
     }

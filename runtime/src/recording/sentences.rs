@@ -97,7 +97,7 @@ fn safety(what: &SafetyEvent) -> String {
             let end = match end {
                 BackOffEnd::Distance => "the whole distance",
                 BackOffEnd::RearBlocked => "something is behind",
-                BackOffEnd::RearUnknown => "nobody has looked at the ground behind",
+                BackOffEnd::RearUnknown => "the ground behind was not observed",
                 BackOffEnd::Timeout => "it took too long",
             };
             format!("backed off {distance_m:.2} m: {end}")
@@ -149,7 +149,7 @@ fn no_depth(why: NoDepth) -> &'static str {
         NoDepth::NoFrame => "no picture came",
         NoDepth::FirstFrame => "no earlier picture yet",
         NoDepth::TooLittleParallax => "standing still or turning on the spot",
-        NoDepth::PoseJump => "the pose jumped, earlier pictures were forgotten",
+        NoDepth::PoseJump => "the pose jumped, earlier frames were forgotten",
         NoDepth::PoseNotFinite => "the pose is not finite",
         NoDepth::FrameSize => "the picture has another size than the camera model",
         NoDepth::NoTexture => "the picture has no texture to match",
