@@ -99,7 +99,7 @@ mod tests {
     #[test]
     fn a_word_is_found_whole_and_in_strings_only() {
         assert!(has_word("nobody is there", "nobody") && !has_word("somenobodys", "nobody"));
-        assert_eq!(literals(r#"let x = f("a b"); // "c""#).trim(), "a b c");
+        assert_eq!(literals(r#"let x = f("a b"); // "c""#).trim(), "a b");
         assert_eq!(literals(r#"    // "nobody is here""#), "");
         assert_eq!(
             literals(r#"f("pictures", "--pictures", "of {pictures} frames")"#),
