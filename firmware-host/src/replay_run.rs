@@ -76,8 +76,8 @@ impl Replayable for Loop {
     fn hand_over(&mut self, tick: u64) {
         while let Some((_, network)) = self.networks.pop_if(|(from, _)| *from <= tick) {
             match network {
-                Some(network) => drop(self.robot.take_network(network)),
-                None => self.robot.leave_network(),
+                Some(network) => drop(self.robot.set_network(network)),
+                None => self.robot.remove_network(),
             }
         }
     }
@@ -87,8 +87,8 @@ impl Replayable for Loop {
             let wanted = Robot::network_of_snapshot(snapshot)?;
             if wanted != self.robot.network_digest() {
                 match wanted {
-                    Some(digest) => drop(self.robot.take_network(stored.load(&digest)?)),
-                    None => self.robot.leave_network(),
+                    Some(digest) => drop(self.robot.set_network(stored.load(&digest)?)),
+                    None => self.robot.remove_network(),
                 }
             }
         }
@@ -120,7 +120,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
 /// # Errors
 /// When this version does not know the run's configuration, or its models are not those that were given.
 pub fn build(run: &Path, header: &RunHeader, models: &RunModels) -> Result<Box<dyn Replayable>> {
-    if !header.pictures {
+    if !header.images {
         bail!(
             "the run was recorded without images (recording.images = false): nothing can be recomputed"
         );

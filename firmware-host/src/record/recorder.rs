@@ -41,8 +41,8 @@ pub struct RecorderOptions {
     pub segment_bytes: u64,
     /// Whether every chunk is synced to the disk.
     pub sync: bool,
-    /// Whether pictures are recorded, and what holds some: depth and snapshots.
-    pub pictures: bool,
+    /// Whether images are recorded, and what holds some: depth and snapshots.
+    pub images: bool,
     /// How much of the disk recordings may take; `None`: all.
     pub quota: Option<Quota>,
 }
@@ -58,7 +58,7 @@ impl RecorderOptions {
             segment_ns: 60_000_000_000,
             segment_bytes: 256 << 20,
             sync: false,
-            pictures: true,
+            images: true,
             quota: None,
         }
     }
@@ -113,7 +113,7 @@ struct Turn {
 pub struct Recorder {
     when_full: WhenFull,
     segment_ns: u64,
-    pictures: bool,
+    images: bool,
     next_snapshot_ns: Option<u64>,
     queue: Option<SyncSender<Told>>,
     thread: Option<JoinHandle<Result<RecordingSummary, RecordError>>>,
@@ -159,9 +159,9 @@ impl Recorder {
         let first_file =
             disk.create(&path).map_err(|source| RecordError::Create { path, source })?;
         let (sender, receiver) = sync_channel(options.queue_ticks);
-        let (when_full, segment_ns, pictures) =
-            (options.when_full, options.segment_ns, options.pictures);
-        let run = RunHeader { pictures, ..run };
+        let (when_full, segment_ns, images) =
+            (options.when_full, options.segment_ns, options.images);
+        let run = RunHeader { images, ..run };
         let word = Arc::new(Mutex::new(Word::default()));
         let thread_word = Arc::clone(&word);
         let thread = std::thread::Builder::new()
@@ -178,7 +178,7 @@ impl Recorder {
         Ok(Self {
             when_full,
             segment_ns,
-            pictures,
+            images,
             next_snapshot_ns: None,
             queue: Some(sender),
             thread: Some(thread),
@@ -214,7 +214,7 @@ impl Recorder {
     /// [`WhenFull::Drop`] never; see [`dropped`](Self::dropped) and [`word`](Self::word).
     pub fn record(&mut self, mut tick: RecordedTick, mut views: Views) -> Result<(), RecordError> {
         let may_begin = tick.snapshot.is_some();
-        if !self.pictures {
+        if !self.images {
             (tick.frame, tick.truth, tick.snapshot, views.depth) = (None, None, None, None);
         }
         let turn = Told::Turn(Box::new(Turn { tick, views, may_begin }));

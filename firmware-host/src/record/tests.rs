@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 
 use hal::CameraModel;
-use runtime::recording::{Picture, RecordedTick, RecordingReader, RunHeader, Views};
+use runtime::recording::{RecordedTick, RecordingReader, RgbImage, RunHeader, Views};
 use runtime::tick::{Command, Decision};
 
 use super::*;
@@ -38,7 +38,7 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
         map_digest: 0,
     };
     RecordedTick {
-        frame: Some(Picture {
+        frame: Some(RgbImage {
             width: 32,
             height: 8,
             rgb: (0..32 * 8 * 3).map(|_| byte()).collect(),
@@ -384,7 +384,7 @@ fn a_run_that_ends_while_nothing_is_recorded_says_why() {
 #[test]
 fn without_pictures_nothing_that_holds_one_is_recorded() {
     let dir = tempfile::tempdir().unwrap();
-    let options = RecorderOptions { pictures: false, ..RecorderOptions::simulation(dir.path()) };
+    let options = RecorderOptions { images: false, ..RecorderOptions::simulation(dir.path()) };
     let mut recorder = Recorder::start(options, run_header()).unwrap();
     let depth = hal::DepthMap::from_vec(2, 1, vec![1.0, 2.0]);
     let turn = RecordedTick { truth: depth.clone(), snapshot: Some(vec![9]), ..some_tick(0) };
@@ -393,7 +393,7 @@ fn without_pictures_nothing_that_holds_one_is_recorded() {
     let reader =
         RecordingReader::open(std::fs::File::open(dir.path().join(segment_name(0))).unwrap())
             .unwrap();
-    assert!(!reader.header().run.pictures);
+    assert!(!reader.header().run.images);
     let ticks: Vec<_> = reader.map(Result::unwrap).collect();
     assert!(ticks[0].frame.is_none() && ticks[0].truth.is_none() && ticks[0].snapshot.is_none());
     let bytes = std::fs::read(dir.path().join(segment_name(0))).unwrap();

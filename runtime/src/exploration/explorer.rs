@@ -41,7 +41,7 @@ pub struct Observations<'a> {
     pub pose: Pose2,
     pub map: &'a OccupancyGrid,
     /// The newest single-frame map and an older one, to compare them.
-    pub looks: Option<(&'a SingleFrameMap, &'a SingleFrameMap)>,
+    pub frame_maps: Option<(&'a SingleFrameMap, &'a SingleFrameMap)>,
     /// The safety plane has just backed off from an obstacle.
     pub bumped: bool,
 }
@@ -252,7 +252,7 @@ impl Explorer {
             _ => &[GoalReason::Frontier, GoalReason::Inconsistency],
         };
         for kind in kinds {
-            let (candidates, none) = match (kind, senses.looks) {
+            let (candidates, none) = match (kind, senses.frame_maps) {
                 (GoalReason::Inconsistency, Some((new, old))) => {
                     // The largest one, not the nearest ("Embodied Depth Prediction", section
                     // III-D).
@@ -421,7 +421,7 @@ mod tests {
             time_ns: 0,
             pose: Pose2::IDENTITY,
             map: &map,
-            looks: None,
+            frame_maps: None,
             bumped: false,
         };
         let mut events = Vec::new();
@@ -454,7 +454,7 @@ mod tests {
                 time_ns: 0,
                 pose: Pose2::IDENTITY,
                 map: &map,
-                looks: None,
+                frame_maps: None,
                 bumped: false,
             };
             (0..128)
