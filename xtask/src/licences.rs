@@ -4,11 +4,11 @@ use crate::command;
 use crate::paths;
 use crate::test::{Outcome, step};
 
-/// The version that is installed where there is none; any other that is already there will do.
+/// The version that is installed if there is none. Any other version that is installed already is used.
 const VERSION: &str = "0.20.2";
 
-/// Checks them; installs cargo-deny where it is missing and `install` says so. Advisories are left out: they need a database from
-/// the network and change without us, and a build must not fail by them.
+/// Checks all dependencies. With `install`, installs cargo-deny if it is missing. Security advisories are not checked: their
+/// database changes independently of this repository, so that a build could fail without a change.
 pub fn check(install: bool) -> (Outcome, f64) {
     if !is_there() && install {
         eprintln!("installing cargo-deny {VERSION}, once; this takes some minutes");

@@ -38,7 +38,7 @@ pub struct OccupancyGrid {
     /// Height of the obstacle in an occupied cell according to the camera, centimetres; 0 if only
     /// the LiDAR or a collision marked it.
     top_cm: Vec<u8>,
-    /// The robot's cell and the radius of the floor that it stands on, in cells.
+    /// The robot's cell and the radius of the floor under it, in cells.
     standing: Option<(Cell, f64)>,
     collisions: Vec<Collision>,
     known: Option<CellBox>,
