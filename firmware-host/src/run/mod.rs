@@ -187,7 +187,7 @@ fn recorder(out: &Path, config: &Config, header: RunHeader, faults: &Faults) -> 
         segment_ns: (config.recording.segment_s * 1e9) as u64,
         segment_bytes: config.recording.segment_mib << 20,
         quota: Some(quota(out, config)?),
-        pictures: config.recording.images,
+        images: config.recording.images,
         ..RecorderOptions::robot(out)
     };
     Ok(Recorder::start_on(Box::new(FaultyDisk::new(FileSystem, faults)), options, header)?)

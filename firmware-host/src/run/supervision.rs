@@ -146,9 +146,10 @@ impl Supervision {
             recording: RecordingStatus {
                 folder: self.folder.clone(),
                 dropped: recorder.map_or(0, crate::record::Recorder::dropped),
-                failure: recorder.and_then(|recorder| recorder.word().failure),
-                removed: recorder.map_or(0, |recorder| recorder.word().removed.segments),
-                removed_unpulled: recorder.map_or(0, |recorder| recorder.word().removed.not_pulled),
+                failure: recorder.and_then(|recorder| recorder.status().failure),
+                removed: recorder.map_or(0, |recorder| recorder.status().removed.segments),
+                removed_unpulled: recorder
+                    .map_or(0, |recorder| recorder.status().removed.not_pulled),
             },
         }
     }

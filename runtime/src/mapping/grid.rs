@@ -43,7 +43,7 @@ pub struct OccupancyGrid {
     pub(super) section_of: Vec<u16>,
     /// The section that the robot is on.
     pub(super) section: u16,
-    /// The robot's cell and the radius of the floor that it stands on, in cells.
+    /// The robot's cell and the radius of the floor under it, in cells.
     standing: Option<(Cell, f64)>,
     pub(super) collisions: Vec<Collision>,
     pub(super) known: Option<CellBox>,

@@ -185,7 +185,7 @@ fn robot() -> Robot {
         t_base_camera: Pose3::identity(),
         laser_forward_m: 0.0,
         forward_step_m: 0.03,
-        turn_step_rad: 2f64.to_radians(),
+        rotation_step_rad: 2f64.to_radians(),
         tick_s: 0.1,
         policy: PolicyKind::Forward,
         seed: 1,
@@ -195,7 +195,7 @@ fn robot() -> Robot {
         plan: PlanConfig::default(),
         follower: FollowerConfig::default(),
         exploration: ExplorationConfig::default(),
-        stand_without_frames: None,
+        stop_without_frames: None,
         footprint_radius_m: 0.16,
     };
     Robot::new(config, None).unwrap()

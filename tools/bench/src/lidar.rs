@@ -94,7 +94,7 @@ fn latency() -> Result<Vec<Row>> {
         times.push(start.elapsed().as_secs_f64());
         ensure!(
             output.twist().linear_mps > 0.0,
-            "the path is free, but the robot stands: {output:?}"
+            "the path is free, but the robot does not drive: {output:?}"
         );
     }
     let name = "scan bytes to motion decision, 1081 beams";
