@@ -105,12 +105,16 @@ fn safety(what: &SafetyEvent) -> String {
         SafetyEvent::Escaping => "stops repeat here: turning until there is a way out".to_owned(),
         SafetyEvent::Cleared => "the way is clear again".to_owned(),
         SafetyEvent::Slowed { limit_mps } => {
-            format!("slower, {limit_mps:.2} m/s: something is ahead")
+            format!("slower, at most {limit_mps:.2} m/s")
         }
+        SafetyEvent::ViewLost => "standing: the scanner does not see the way ahead".to_owned(),
         SafetyEvent::Faulted { why } => format!("standing: {}", fault_reason(*why)),
         SafetyEvent::PlanRefused { why } => format!("standing: {}", plan_refusal(*why)),
         SafetyEvent::Armed => "armed: plans move the robot".to_owned(),
         SafetyEvent::Disarmed => "disarmed: nothing moves the robot".to_owned(),
+        SafetyEvent::ArmingLapsed { why } => {
+            format!("not armed, and the request to arm is void: {}", fault_reason(*why))
+        }
     }
 }
 
@@ -124,7 +128,12 @@ pub fn fault_reason(why: FaultReason) -> &'static str {
         FaultReason::BaseFault => "the base cannot be driven",
         FaultReason::OdometryNotFinite => "odometry is not finite",
         FaultReason::LoopOverrun => "the safety loop came late",
-        FaultReason::EmergencyStop => "the emergency stop is pressed",
+        FaultReason::EmergencyStop => "emergency stop",
+        FaultReason::SafetyBoardSilent => "the safety board sends nothing",
+        FaultReason::LoopStalled => "the program was paused",
+        FaultReason::RepeatedContact => "three contacts at one place",
+        FaultReason::LidarFrozen => "the LiDAR repeats one scan",
+        FaultReason::WheelsDisagree => "the wheels and the LiDAR measure different motions",
     }
 }
 
