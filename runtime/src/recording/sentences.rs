@@ -104,13 +104,15 @@ fn safety(what: &SafetyEvent) -> String {
             "repeated stops at this place: rotating until there is a way out".to_owned()
         }
         SafetyEvent::Cleared => "the stop zone is clear again".to_owned(),
-        SafetyEvent::Slowed { limit_mps } => {
-            format!("slowed down to {limit_mps:.2} m/s: an obstacle is ahead")
-        }
+        SafetyEvent::Slowed { limit_mps } => format!("slowed down to {limit_mps:.2} m/s"),
+        SafetyEvent::ViewLost => "stopped: the scanner does not see the way ahead".to_owned(),
         SafetyEvent::Faulted { why } => format!("stopped: {}", fault_reason(*why)),
         SafetyEvent::PlanRefused { why } => format!("stopped: {}", plan_refusal(*why)),
         SafetyEvent::Armed => "armed: plans move the robot".to_owned(),
         SafetyEvent::Disarmed => "disarmed: nothing moves the robot".to_owned(),
+        SafetyEvent::ArmingLapsed { why } => {
+            format!("not armed, and the request to arm is void: {}", fault_reason(*why))
+        }
     }
 }
 
@@ -125,6 +127,11 @@ pub fn fault_reason(why: FaultReason) -> &'static str {
         FaultReason::OdometryNotFinite => "odometry is not finite",
         FaultReason::LoopOverrun => "the safety loop was late",
         FaultReason::EmergencyStop => "the emergency stop is pressed",
+        FaultReason::SafetyBoardSilent => "no message from the safety board",
+        FaultReason::LoopStalled => "the program was paused",
+        FaultReason::RepeatedContact => "three contacts at one place",
+        FaultReason::LidarFrozen => "the LiDAR repeats one scan",
+        FaultReason::WheelsDisagree => "the wheels and the LiDAR measure different motions",
     }
 }
 

@@ -126,6 +126,7 @@ fn driving(scan: &LaserScan) -> SafetyInput<'_> {
         wheel: Some(WheelFeedback { time_ns, ..WheelFeedback::default() }),
         base_error: None,
         emergency_stop: false,
+        suspended: false,
         plan: Some(Plan { twist: Twist2 { linear_mps: 0.3, angular_radps: 0.0 }, time_ns }),
         request: Some(Request::Arm),
     }
