@@ -43,6 +43,8 @@ impl Config {
             forward_step_m: self.base.forward_step_m,
             rotation_step_rad: self.base.turn_step_deg.to_radians(),
             tick_s: self.base.tick_s(),
+            localization: self.localization.clone(),
+            command_delay_s: self.safety_period_ns() as f64 * 1e-9,
             policy: mission.policy,
             seed: mission.seed,
             depth_source: mission.depth_source,

@@ -9,6 +9,7 @@ use drivers::fault::{
 };
 use hal::{CameraModel, Clock, Pose2, Twist2};
 use runtime::exploration::{ExplorationConfig, PolicyKind};
+use runtime::localization::LocalizationConfig;
 use runtime::mapping::MapConfig;
 use runtime::perception::CoarseConfig;
 use runtime::planning::{FollowerConfig, PlanConfig};
@@ -182,6 +183,8 @@ fn robot_config(policy: PolicyKind, options: &RobotOptions) -> RobotConfig {
         forward_step_m: 0.03,
         rotation_step_rad: 2f64.to_radians(),
         tick_s: TICK_NS as f64 * 1e-9,
+        localization: LocalizationConfig::default(),
+        command_delay_s: 0.01,
         policy,
         seed: options.seed,
         depth_source: DepthSource::Coarse,

@@ -32,6 +32,8 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
         desired: Command { linear_mps: 0.3, angular_radps: 0.0 },
         sent: Some(Command { linear_mps: 0.3, angular_radps: 0.1 }),
         goal_m: Some([1.0, 2.0]),
+        t_odom_base: hal::Pose2::IDENTITY,
+        t_map_odom: hal::Pose2::IDENTITY,
         events: Vec::new(),
         input_digest: 3,
         depth_digest: tick,

@@ -313,7 +313,7 @@ mod tests {
         let before = known(&map).len();
         recompose(&mut map, vec![Pose2::new(0.0, 0.0, 0.4)], usize::MAX);
         let (x_m, y_m) = (0.4_f64.cos(), 0.4_f64.sin());
-        let inside = known(&map).iter().filter(|cell| {
+        let inside = known(&map).into_iter().filter(|cell| {
             let [cx, cy] = cell.center_m(map.cell_m());
             (cx - x_m).hypot(cy - y_m) < 0.3 + map.cell_m()
         });

@@ -118,6 +118,8 @@ const DECISION: &str = r#"{"title":"robot.Decision","type":"object","properties"
 "desired":{"type":"object","properties":{"linear_mps":{"type":"number"},"angular_radps":{"type":"number"}}},
 "sent":{"type":"object","properties":{"linear_mps":{"type":"number"},"angular_radps":{"type":"number"}}},
 "goal_m":{"type":"array","items":{"type":"number"}},
+"t_odom_base":{"type":"object","properties":{"x_m":{"type":"number"},"y_m":{"type":"number"},"yaw_rad":{"type":"number"}}},
+"t_map_odom":{"type":"object","properties":{"x_m":{"type":"number"},"y_m":{"type":"number"},"yaw_rad":{"type":"number"}}},
 "events":{"type":"array","items":{"type":"object","properties":{"event":{"type":"string"}}}},
 "input_digest":{"type":"integer"},"depth_digest":{"type":"integer"},"map_digest":{"type":"integer"}}}"#;
 

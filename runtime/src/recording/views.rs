@@ -10,7 +10,7 @@ use nalgebra::UnitQuaternion;
 pub struct Views {
     /// The map.
     pub map: Option<MapView>,
-    /// The planned path from the robot to the goal, in `odom`, metres. An empty path removes the one on display.
+    /// The planned path from the robot to the goal, in `map`, metres. An empty path removes the one on display.
     pub path_m: Option<Vec<[f64; 2]>>,
     /// The depth that went into the map.
     pub depth: Option<DepthMap>,
@@ -19,7 +19,7 @@ pub struct Views {
 /// A map in the form of `nav_msgs/OccupancyGrid` of ROS.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MapView {
-    /// Corner of the first cell, in `odom`, metres.
+    /// Corner of the first cell, in `map`, metres.
     pub origin_m: [f64; 2],
     /// Edge of a cell, metres.
     pub cell_m: f64,
@@ -54,20 +54,21 @@ pub(super) fn calibration(model: &CameraModel, time_ns: u64) -> fox::CameraCalib
     }
 }
 
-/// A pose in `odom`; `None` when it is not finite, because viewers drop the whole scene when it holds a NaN.
-pub(super) fn pose_in_odom(pose: &Pose2, time_ns: u64) -> Option<fox::PoseInFrame> {
+/// A pose in `frame`; `None` when it is not finite, because viewers drop the whole scene when it holds a NaN.
+pub(super) fn pose_in(frame: &str, pose: &Pose2, time_ns: u64) -> Option<fox::PoseInFrame> {
     let pose = pose.is_finite().then(|| fox_pose(&pose.to_pose3()))?;
     Some(fox::PoseInFrame {
         timestamp: timestamp(time_ns),
-        frame_id: "odom".to_owned(),
+        frame_id: frame.to_owned(),
         pose: Some(pose),
     })
 }
 
-/// Poses of the robot in `odom` and of its sensors in `base_link`. The mounts never change, but every tick repeats them,
-/// because a viewer that jumps in time reads only the last message of a channel.
+/// Poses of `odom` in `map`, of the robot in `odom` and of its sensors in `base_link` (REP-105). The mounts never change, but
+/// every tick repeats them, because a viewer that jumps in time reads only the last message of a channel.
 pub(super) fn transforms(
-    odom: &Pose2,
+    t_map_odom: &Pose2,
+    t_odom_base: &Pose2,
     t_base_camera: &Pose3,
     t_base_laser: &Pose3,
     time_ns: u64,
@@ -76,8 +77,9 @@ pub(super) fn transforms(
         transform("base_link", "camera_optical", t_base_camera, time_ns),
         transform("base_link", "laser", t_base_laser, time_ns),
     ];
-    if odom.is_finite() {
-        transforms.push(transform("odom", "base_link", &odom.to_pose3(), time_ns));
+    if t_odom_base.is_finite() && t_map_odom.is_finite() {
+        transforms.push(transform("odom", "base_link", &t_odom_base.to_pose3(), time_ns));
+        transforms.push(transform("map", "odom", &t_map_odom.to_pose3(), time_ns));
     }
     fox::FrameTransforms { transforms }
 }
@@ -99,7 +101,7 @@ pub(super) fn path(points_m: &[[f64; 2]], time_ns: u64) -> fox::PosesInFrame {
     });
     fox::PosesInFrame {
         timestamp: timestamp(time_ns),
-        frame_id: "odom".to_owned(),
+        frame_id: "map".to_owned(),
         poses: poses.collect(),
     }
 }
@@ -124,7 +126,7 @@ pub(super) fn grid(map: &MapView, time_ns: u64) -> Result<fox::Grid, String> {
     let data: Vec<u8> = map.occupancy.iter().flat_map(|value| cell_bytes(*value)).collect();
     Ok(fox::Grid {
         timestamp: timestamp(time_ns),
-        frame_id: "odom".to_owned(),
+        frame_id: "map".to_owned(),
         pose: Some(fox_pose(
             &Pose2 { x_m: map.origin_m[0], y_m: map.origin_m[1], yaw_rad: 0.0 }.to_pose3(),
         )),
@@ -212,10 +214,13 @@ mod tests {
     #[test]
     fn a_pose_with_nan_is_not_shown() {
         let lost = Pose2 { x_m: f64::NAN, ..Pose2::IDENTITY };
-        assert!(pose_in_odom(&lost, 0).is_none());
+        assert!(pose_in("odom", &lost, 0).is_none());
         let mount = Pose3::identity();
-        assert_eq!(transforms(&lost, &mount, &mount, 0).transforms.len(), 2);
-        assert_eq!(transforms(&Pose2::IDENTITY, &mount, &mount, 0).transforms.len(), 3);
+        assert_eq!(transforms(&Pose2::IDENTITY, &lost, &mount, &mount, 0).transforms.len(), 2);
+        assert_eq!(
+            transforms(&Pose2::IDENTITY, &Pose2::IDENTITY, &mount, &mount, 0).transforms.len(),
+            4
+        );
     }
 
     #[test]

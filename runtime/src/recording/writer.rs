@@ -220,14 +220,19 @@ impl<W: Write> RecordingWriter<W> {
 
     fn put_poses(&mut self, tick: &RecordedTick) -> Result<(), RecordingError> {
         let run = &self.header.run;
+        // A tick without decision has no localized pose.
+        let decided = tick.decision.as_ref();
+        let t_odom_base = decided.map_or(tick.wheel.odom, |decision| decision.t_odom_base);
+        let t_map_odom = decided.map_or(hal::Pose2::IDENTITY, |decision| decision.t_map_odom);
         let transforms = views::transforms(
-            &tick.wheel.odom,
+            &t_map_odom,
+            &t_odom_base,
             &run.t_base_camera,
             &run.t_base_laser,
             tick.time_ns,
         );
         self.put_message(Topic::Tf, tick, &transforms)?;
-        match views::pose_in_odom(&tick.wheel.odom, tick.time_ns) {
+        match views::pose_in("odom", &t_odom_base, tick.time_ns) {
             Some(pose) => self.put_message(Topic::Odom, tick, &pose),
             None => Ok(()),
         }
@@ -249,7 +254,7 @@ impl<W: Write> RecordingWriter<W> {
         if let Some([x_m, y_m]) = decision.goal_m.filter(|goal_m| self.last_goal_m != Some(*goal_m))
         {
             let goal = hal::Pose2 { x_m, y_m, yaw_rad: 0.0 };
-            if let Some(pose) = views::pose_in_odom(&goal, tick.time_ns) {
+            if let Some(pose) = views::pose_in("map", &goal, tick.time_ns) {
                 self.put_message(Topic::Goal, tick, &pose)?;
             }
         }

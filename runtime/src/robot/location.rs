@@ -3,22 +3,9 @@
 use hal::{LaserScan, Pose2, ScanGeometry};
 use serde::{Deserialize, Serialize};
 
-use crate::localization::{Localizer, LocalizationConfig, LocalizationError};
+use crate::localization::{LocalizationConfig, LocalizationError, Localizer, PoseSource};
 use crate::snapshot::{SnapshotError, State};
 use crate::tick::TickInput;
-
-/// What localization uses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum PoseSource {
-    /// Wheel odometry as it comes: for tests, and to measure what localization gains.
-    Wheels,
-    /// Wheels and scans.
-    #[default]
-    Scans,
-}
-
-hal::choices!(PoseSource: "wheels", "scans");
 
 /// Poses of one tick.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -49,7 +36,6 @@ impl TickPoses {
 /// Localization within the robot. The localizer is made for the first scan that comes; before it, and without a scanner, the
 /// wheels give the pose.
 pub(super) struct Location {
-    source: PoseSource,
     config: LocalizationConfig,
     t_base_laser: Pose2,
     localizer: Option<Localizer>,
@@ -62,19 +48,18 @@ impl Location {
     /// # Errors
     /// A configuration that is out of range.
     pub(super) fn new(
-        source: PoseSource,
         config: LocalizationConfig,
         t_base_laser: Pose2,
     ) -> Result<Self, LocalizationError> {
         config.validate()?;
         let localizer = None;
-        Ok(Self { source, config, t_base_laser, localizer, geometry: None, origin: Pose2::IDENTITY })
+        Ok(Self { config, t_base_laser, localizer, geometry: None, origin: Pose2::IDENTITY })
     }
 
     /// The poses of a tick whose wheel odometry is finite. `scan` is sound, or absent.
     pub(super) fn update(&mut self, input: &TickInput<'_>, scan: Option<&LaserScan>) -> TickPoses {
         let wheel = input.wheel.odom;
-        if self.source == PoseSource::Wheels {
+        if self.config.source == PoseSource::Wheels {
             return TickPoses {
                 t_odom_base: wheel,
                 t_map_odom: Pose2::IDENTITY,

@@ -10,6 +10,7 @@ use hal::{
 use super::*;
 use crate::event::{Event, SafetyEvent};
 use crate::exploration::{ExplorationConfig, PolicyKind};
+use crate::localization::LocalizationConfig;
 use crate::mapping::MapConfig;
 use crate::perception::CoarseConfig;
 use crate::planning::{FollowerConfig, PlanConfig};
@@ -187,6 +188,8 @@ fn robot() -> Robot {
         forward_step_m: 0.03,
         rotation_step_rad: 2f64.to_radians(),
         tick_s: 0.1,
+        localization: LocalizationConfig::default(),
+        command_delay_s: 0.01,
         policy: PolicyKind::Forward,
         seed: 1,
         depth_source: DepthSource::Coarse,

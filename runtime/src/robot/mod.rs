@@ -1,5 +1,7 @@
 //! The exploration plane's decisions: perceive, map, choose a goal, plan, for one tick's input.
 
+mod location;
+
 use std::collections::VecDeque;
 
 use hal::{CameraModel, DepthMap, LaserScan, Pose2, Pose3, Twist2};
@@ -9,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::event::{Event, RefusedInput};
 use crate::exploration::{ExplorationConfig, Explorer, Observations, PolicyKind};
+use crate::localization::{LocalizationConfig, LocalizationError};
 use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
 use crate::perception::{
     CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError,
@@ -17,6 +20,9 @@ use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::recording::input_digest;
 use crate::snapshot::{SNAPSHOT_VERSION, SnapshotError, State, remembers};
 use crate::tick::{Decision, SentCommand, TickInput};
+use location::Location;
+
+pub use location::TickPoses;
 
 /// Where the depth that goes into the map comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -60,6 +66,11 @@ pub struct RobotConfig {
     pub rotation_step_rad: f64,
     /// Duration of one tick, seconds.
     pub tick_s: f64,
+    /// Section `[localization]`.
+    pub localization: LocalizationConfig,
+    /// Time from a decision to the motion that it causes, seconds. The path is followed from the pose at which the robot will be
+    /// by then.
+    pub command_delay_s: f64,
     /// How goals are chosen.
     pub policy: PolicyKind,
     /// Seed of the policy's random numbers.
@@ -89,6 +100,9 @@ pub enum RobotError {
     /// The map refuses its configuration.
     #[error("map: {0}")]
     Map(#[from] MapError),
+    /// Localization refuses its configuration.
+    #[error("localization: {0}")]
+    Localization(#[from] LocalizationError),
     /// Perception refuses its configuration.
     #[error("perception: {0}")]
     Perception(#[from] PerceptionError),
@@ -132,6 +146,8 @@ pub struct Robot {
     network: Option<DepthNetwork>,
     truth: DepthEstimate,
     has_depth: HasDepth,
+    location: Location,
+    poses: TickPoses,
     map: OccupancyGrid,
     /// Maps of the newest single frames, oldest first, from which the policy finds inconsistencies.
     frame_maps: VecDeque<SingleFrameMap>,
@@ -168,6 +184,11 @@ impl Robot {
             network,
             truth: DepthEstimate::none(config.camera.width, config.camera.height),
             has_depth: HasDepth::default(),
+            location: Location::new(
+                config.localization.clone(),
+                Pose2::new(config.laser_forward_m, 0.0, 0.0),
+            )?,
+            poses: TickPoses::START,
             map: OccupancyGrid::new(&config.map)?,
             frame_maps: VecDeque::new(),
             explorer: Explorer::new(
@@ -261,7 +282,7 @@ impl Robot {
         events.extend(self.new_network.take());
         if let Some(why) = self.refusal(input) {
             events.push(Event::InputRefused { why });
-            return Self::stop(input, events);
+            return self.stop(input, events);
         }
         self.last_time_ns = Some(input.time_ns);
         let scan = input.scan.filter(|scan| {
@@ -272,14 +293,14 @@ impl Robot {
             sound
         });
         events.extend(input.safety.events.iter().map(|what| Event::Safety { what: *what }));
-        self.note_blocked(input.safety.blocked_m);
-        let odom = input.wheel.odom;
-        let t_odom_camera = odom.to_pose3() * self.config.t_base_camera;
+        self.poses = self.location.update(input, scan);
+        self.note_blocked(input);
+        let t_odom_camera = self.poses.t_odom_base.to_pose3() * self.config.t_base_camera;
         self.estimate_depth(input, &t_odom_camera, &mut events, timer);
         let depth_digest = self.mapped_depth().map_or(0, digest_of);
-        self.update_map(scan, &input.scan_odom, &odom, &t_odom_camera);
+        self.update_map(scan);
         timer.ended(Stage::Map);
-        let desired = self.desired(input, odom, &mut events);
+        let desired = self.desired(input, &mut events);
         timer.ended(Stage::Plan);
         Decision {
             tick: input.tick,
@@ -287,6 +308,8 @@ impl Robot {
             desired: desired.into(),
             sent: input.safety.sent.last().map(SentCommand::command),
             goal_m: self.explorer.goal().map(|goal| goal.target_m),
+            t_odom_base: self.poses.t_odom_base,
+            t_map_odom: self.poses.t_map_odom,
             events,
             input_digest: input_digest(input),
             depth_digest,
@@ -302,13 +325,15 @@ impl Robot {
         self.last_time_ns.filter(|last| input.time_ns < *last).map(|_| RefusedInput::TimeWentBack)
     }
 
-    fn stop(input: &TickInput<'_>, events: Vec<Event>) -> Decision {
+    fn stop(&self, input: &TickInput<'_>, events: Vec<Event>) -> Decision {
         Decision {
             tick: input.tick,
             time_ns: input.time_ns,
             desired: Twist2::ZERO.into(),
             sent: input.safety.sent.last().map(SentCommand::command),
             goal_m: None,
+            t_odom_base: self.poses.t_odom_base,
+            t_map_odom: self.poses.t_map_odom,
             events,
             input_digest: input_digest(input),
             depth_digest: 0,
@@ -386,15 +411,11 @@ impl Robot {
         self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
     }
 
-    fn update_map(
-        &mut self,
-        scan: Option<&LaserScan>,
-        scan_odom: &Pose2,
-        odom: &Pose2,
-        t_odom_camera: &Pose3,
-    ) {
+    fn update_map(&mut self, scan: Option<&LaserScan>) {
+        let t_map_base = self.poses.t_map_base();
+        let t_map_camera = t_map_base.to_pose3() * self.config.t_base_camera;
         // Poses were checked in `refusal`, shapes in `tick`: an error here means that the map stays as it was in this tick.
-        if self.map.begin_update(odom).is_err() {
+        if self.map.begin_update(&t_map_base).is_err() {
             return;
         }
         // The body of `mapped_depth`, repeated so that the borrow checker sees that `self.map` is not borrowed.
@@ -406,26 +427,27 @@ impl Robot {
             DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
         };
         if let Some(depth) = depth
-            && let Ok(newest) = self.map.integrate_depth(depth, &self.config.camera, t_odom_camera)
+            && let Ok(newest) = self.map.integrate_depth(depth, &self.config.camera, &t_map_camera)
         {
             let gap = self.config.exploration.inconsistency_gap;
             remember_frame_map(&mut self.frame_maps, newest, gap);
         }
         if let Some(scan) = scan {
             let t_base_laser = Pose2::new(self.config.laser_forward_m, 0.0, 0.0);
-            let t_odom_laser = scan_odom.compose(&t_base_laser);
-            let _ = self.map.integrate_scan(scan, &t_odom_laser);
+            let t_map_scan = self.poses.t_map_odom.compose(&self.poses.t_odom_base_at_scan);
+            let _ = self.map.integrate_scan(scan, &t_map_scan.compose(&t_base_laser));
         }
         if let Some([x_m, y_m]) = self.collision_at.take() {
-            let yaw_rad = (y_m - odom.y_m).atan2(x_m - odom.x_m);
-            let facing = Pose2::new(odom.x_m, odom.y_m, yaw_rad);
-            let _ = self.map.mark_collision(&facing, (x_m - odom.x_m).hypot(y_m - odom.y_m));
+            let yaw_rad = (y_m - t_map_base.y_m).atan2(x_m - t_map_base.x_m);
+            let facing = Pose2 { yaw_rad, ..t_map_base };
+            let ahead_m = (x_m - t_map_base.x_m).hypot(y_m - t_map_base.y_m);
+            let _ = self.map.mark_collision(&facing, ahead_m);
         }
-        let _ = self.map.mark_standing(odom, self.config.footprint_radius_m);
+        let _ = self.map.mark_standing(&t_map_base, self.config.footprint_radius_m);
         self.map.finish_update();
     }
 
-    fn desired(&mut self, input: &TickInput<'_>, pose: Pose2, events: &mut Vec<Event>) -> Twist2 {
+    fn desired(&mut self, input: &TickInput<'_>, events: &mut Vec<Event>) -> Twist2 {
         let frames_missing =
             self.config.stop_without_frames.is_some_and(|ticks| self.ticks_without_frame >= ticks);
         if input.safety.in_charge || frames_missing {
@@ -435,7 +457,7 @@ impl Robot {
         let observations = Observations {
             tick: input.tick,
             time_ns: input.time_ns,
-            pose,
+            pose: self.pose_when_the_command_acts(input),
             map: &self.map,
             frame_maps: newest_and_earlier.filter(|_| self.frame_maps.len() > 1),
             bumped: std::mem::take(&mut self.bumped),
@@ -453,11 +475,27 @@ impl Robot {
         }
     }
 
-    fn note_blocked(&mut self, blocked_m: Option<[f64; 2]>) {
-        if blocked_m.is_some() {
-            self.collision_at = blocked_m;
+    /// Until a new command acts, the robot goes on as it does now.
+    fn pose_when_the_command_acts(&self, input: &TickInput<'_>) -> Pose2 {
+        let age_s = input.time_ns.saturating_sub(input.wheel.time_ns) as f64 * 1e-9;
+        let motion = input.wheel.twist.integrate(age_s + self.config.command_delay_s);
+        let pose = self.poses.t_map_base().compose(&motion);
+        if pose.is_finite() { pose } else { self.poses.t_map_base() }
+    }
+
+    /// The safety plane reports places in the frame of wheel odometry.
+    fn note_blocked(&mut self, input: &TickInput<'_>) {
+        if let Some([x_m, y_m]) = input.safety.blocked_m {
+            let t_map_wheels = self.poses.t_map_base().compose(&input.wheel.odom.inverse());
+            self.collision_at = Some(t_map_wheels.transform(x_m, y_m).into());
             self.bumped = true;
         }
+    }
+
+    /// The poses of the last tick.
+    #[must_use]
+    pub fn poses(&self) -> &TickPoses {
+        &self.poses
     }
 
     /// The current map.
@@ -500,7 +538,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, location, poses, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// Keeps the newest map and those of the `gap` frames before it.
