@@ -614,10 +614,10 @@ impl<B: CanBus, C: Clock> Base for DifferentialBase<B, C> {
                 Some(StopCause::EmergencyStop)
             }
             _ if self.estop_reported => Some(StopCause::EmergencyStop),
+            _ if self.has_lost_motor(now_ns) => Some(StopCause::MotorsLost),
             (Some(Trip::SafetySilent), _) | (_, Phase::Tripped(Trip::SafetySilent)) => {
                 Some(StopCause::SafetyBoardSilent)
             }
-            _ if self.has_lost_motor(now_ns) => Some(StopCause::MotorsLost),
             (_, Phase::Tripped(Trip::LoopStalled)) => Some(StopCause::LoopStalled),
             _ => None,
         }
