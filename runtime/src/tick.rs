@@ -120,6 +120,14 @@ pub struct Decision {
     pub map_digest: u64,
 }
 
+impl Decision {
+    /// Where localization believed the robot to be at the time of the frame, in `map`.
+    #[must_use]
+    pub fn t_map_base(&self) -> Pose2 {
+        self.t_map_odom.compose(&self.t_odom_base)
+    }
+}
+
 /// A velocity as recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Command {

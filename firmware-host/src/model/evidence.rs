@@ -136,22 +136,23 @@ impl Clip {
     /// evaluation.
     fn push(&mut self, tick: &RecordedTick) -> Option<PoseBin> {
         let rule = HeldOutRule::default();
-        let odom = tick.wheel.odom;
+        // Places are compared in `map`, neighbouring frames in `odom`.
+        let place = tick.t_map_base();
         let frame = tick.frame.as_ref()?;
-        let bin = rule.bin(&odom)?;
+        let bin = rule.bin(&place)?;
         if self.seen.len() == REMEMBERED {
             self.seen.pop_front();
         }
-        let t_odom_camera = odom.to_pose3() * self.run.t_base_camera;
+        let t_odom_camera = tick.t_odom_base().to_pose3() * self.run.t_base_camera;
         self.seen.push_back(Seen { rgb: frame.rgb.clone(), t_odom_camera, matched: false });
         if !rule.holds_out(&bin) {
             return None;
         }
         self.update_coarse();
-        if self.last.as_ref().is_some_and(|last| !differs(last, &odom)) {
+        if self.last.as_ref().is_some_and(|last| !differs(last, &place)) {
             return None;
         }
-        self.last = Some(odom);
+        self.last = Some(place);
         Some(bin)
     }
 

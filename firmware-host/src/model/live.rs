@@ -315,9 +315,9 @@ impl LiveModels {
         if input.frame.is_none() {
             return;
         }
-        let odom = input.wheel.odom;
+        let pose = decision.t_odom_base;
         // A larger step means that odometry was reset.
-        let moved_m = self.last.replace(odom).map_or(0.0, |last| last.distance_m(&odom));
+        let moved_m = self.last.replace(pose).map_or(0.0, |last| last.distance_m(&pose));
         let moved_m = if moved_m < 0.5 { moved_m } else { 0.0 };
         let bad_output = decision
             .events

@@ -106,11 +106,12 @@ impl Source {
 
 /// Converts a recorded tick; `None` for a tick without a frame.
 fn sample(tick: RecordedTick, run: &RunHeader) -> Option<Sample> {
+    let t_odom_base = tick.t_odom_base();
     Some(Sample {
         time_ns: tick.time_ns,
         rgb: tick.frame?.rgb,
         camera: run.camera,
-        t_world_camera: tick.wheel.odom.to_pose3() * run.t_base_camera,
+        t_world_camera: t_odom_base.to_pose3() * run.t_base_camera,
         truth: tick.truth,
     })
 }

@@ -122,9 +122,9 @@ pub struct RunLog {
     pub frames: u64,
     /// Distance by wheel odometry, metres.
     pub path_m: f64,
-    /// Poses in `odom`.
+    /// Poses in `map`.
     pub trajectory: Vec<Pose2>,
-    /// Places in `odom` where the safety plane stopped for an obstacle, metres.
+    /// Places in `map` where the safety plane stopped for an obstacle, metres.
     pub trips_m: Vec<[f64; 2]>,
     config: crate::config::RecordingSection,
     period_ns: u64,
@@ -173,7 +173,7 @@ impl RunLog {
         for event in &decision.events {
             self.counts.add(event);
             if let Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } = event {
-                self.trips_m.push(wheel.odom.transform(*x_m, *y_m).into());
+                self.trips_m.push(decision.t_map_base().transform(*x_m, *y_m).into());
             }
             if let Event::Safety { what: SafetyEvent::Faulted { .. } | SafetyEvent::Tripped { .. } } =
                 event
@@ -190,7 +190,7 @@ impl RunLog {
         let step_m = last.map_or(0.0, |last| last.odom.distance_m(&wheel.odom));
         self.path_m += step_m.min(ODOMETRY_JUMP_M);
         if step_m > 0.0 && self.trajectory.len() < MOST_REMEMBERED {
-            self.trajectory.push(wheel.odom);
+            self.trajectory.push(decision.t_map_base());
         }
     }
 

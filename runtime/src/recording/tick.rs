@@ -90,6 +90,20 @@ impl RecordedTick {
         })
     }
 
+    /// Where localization believed the robot to be, in `odom`: smooth, for what compares neighbouring frames. By wheel odometry
+    /// alone where the tick has no decision.
+    #[must_use]
+    pub fn t_odom_base(&self) -> Pose2 {
+        self.decision.as_ref().map_or(self.wheel.odom, |decision| decision.t_odom_base)
+    }
+
+    /// Where localization believed the robot to be, in `map`: for what compares places. By wheel odometry alone where the tick
+    /// has no decision.
+    #[must_use]
+    pub fn t_map_base(&self) -> Pose2 {
+        self.decision.as_ref().map_or(self.wheel.odom, Decision::t_map_base)
+    }
+
     /// The tick's input in the form that the loop takes.
     ///
     /// # Errors

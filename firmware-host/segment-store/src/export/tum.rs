@@ -61,7 +61,7 @@ impl Export {
             header: None,
             rgb: "# color images\n# timestamp filename\n".to_owned(),
             depth: "# depth maps\n# timestamp filename\n".to_owned(),
-            poses: "# pose of the camera from odometry\n# timestamp tx ty tz qx qy qz qw\n"
+            poses: "# pose of the camera in map, as localization believed it\n# timestamp tx ty tz qx qy qz qw\n"
                 .to_owned(),
             times_ns: Vec::new(),
             exported: TumSummary::default(),
@@ -71,14 +71,14 @@ impl Export {
     fn tick(&mut self, header: &SegmentHeader, tick: &RecordedTick) -> Result<(), StoreError> {
         self.header.get_or_insert_with(|| header.clone());
         let Some(frame) = &tick.frame else { return Ok(()) };
-        if !tick.wheel.odom.is_finite() {
+        if !tick.t_map_base().is_finite() {
             self.exported.without_pose += 1;
             return Ok(());
         }
         let stamp = stamp(tick.time_ns);
         let name = format!("rgb/{stamp}.png");
         self.png(&name, &frame.rgb, frame.width, frame.height, ExtendedColorType::Rgb8)?;
-        let pose = tick.wheel.odom.to_pose3() * header.run.t_base_camera;
+        let pose = tick.t_map_base().to_pose3() * header.run.t_base_camera;
         let t = pose.translation.vector;
         let q = pose.rotation;
         // Writing into a String cannot fail.

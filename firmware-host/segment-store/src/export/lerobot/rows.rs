@@ -16,11 +16,11 @@ pub(super) type State = [f32; 5];
 /// Linear and angular velocity.
 pub(super) type Action = [f32; 2];
 
-/// The state of a tick: odometry and measured velocity. `None` when a value is not finite.
+/// The state of a tick: localized pose in `map` and measured velocity. `None` when a value is not finite.
 pub(super) fn state(tick: &RecordedTick) -> Option<State> {
-    let odom = &tick.wheel.odom;
+    let pose = tick.t_map_base();
     let twist = &tick.wheel.twist;
-    let state = [odom.x_m, odom.y_m, odom.yaw_rad, twist.linear_mps, twist.angular_radps]
+    let state = [pose.x_m, pose.y_m, pose.yaw_rad, twist.linear_mps, twist.angular_radps]
         .map(|value| value as f32);
     state.iter().all(|value| value.is_finite()).then_some(state)
 }

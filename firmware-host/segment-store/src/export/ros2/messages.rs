@@ -1,6 +1,6 @@
 //! Encoding of recorded ticks as ROS messages. The recording already uses ROS frames and units (REP-103, REP-105).
 
-use hal::{CameraModel, Distortion, LaserScan, Pose3, Range, WheelFeedback};
+use hal::{CameraModel, Distortion, LaserScan, Pose2, Pose3, Range, Twist2};
 use runtime::recording::RgbImage;
 
 use super::cdr::Cdr;
@@ -110,13 +110,13 @@ pub(super) fn laser_scan(stamp: Stamp, scan: &LaserScan) -> Vec<u8> {
 }
 
 /// nav_msgs/Odometry. The covariances are zero, which means unknown in ROS: they are not recorded.
-pub(super) fn odometry(stamp: Stamp, wheel: &WheelFeedback) -> Vec<u8> {
+pub(super) fn odometry(stamp: Stamp, t_odom_base: &Pose2, twist: &Twist2) -> Vec<u8> {
     let mut cdr = Cdr::new();
     header(&mut cdr, stamp, "odom");
     cdr.string("base_link");
-    pose(&mut cdr, &wheel.odom.to_pose3());
+    pose(&mut cdr, &t_odom_base.to_pose3());
     cdr.array(&[0.0; 36]);
-    cdr.array(&[wheel.twist.linear_mps, 0.0, 0.0, 0.0, 0.0, wheel.twist.angular_radps]);
+    cdr.array(&[twist.linear_mps, 0.0, 0.0, 0.0, 0.0, twist.angular_radps]);
     cdr.array(&[0.0; 36]);
     cdr.into_bytes()
 }

@@ -13,7 +13,7 @@ use std::fs::File;
 use std::io::{BufWriter, ErrorKind};
 use std::path::{Path, PathBuf};
 
-use hal::Pose3;
+use hal::{Pose2, Pose3};
 use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions, Writer};
 use runtime::recording::{RecordedTick, SegmentHeader};
@@ -126,10 +126,14 @@ impl Bag {
             return Ok(());
         }
         let stamp = ros_time(wheel.time_ns)?;
-        let pose =
-            Transform { stamp, parent: "odom", child: "base_link", pose: wheel.odom.to_pose3() };
-        self.put(Topic::Odom, at_ns, &messages::odometry(stamp, wheel))?;
-        self.put(Topic::Tf, at_ns, &messages::transforms(&[pose]))
+        let t_odom_base = tick.t_odom_base();
+        let t_map_odom = tick.decision.as_ref().map_or(Pose2::IDENTITY, |made| made.t_map_odom);
+        let poses = [
+            Transform { stamp, parent: "odom", child: "base_link", pose: t_odom_base.to_pose3() },
+            Transform { stamp, parent: "map", child: "odom", pose: t_map_odom.to_pose3() },
+        ];
+        self.put(Topic::Odom, at_ns, &messages::odometry(stamp, &t_odom_base, &wheel.twist))?;
+        self.put(Topic::Tf, at_ns, &messages::transforms(&poses))
     }
 
     fn put(&mut self, topic: Topic, at_ns: u64, data: &[u8]) -> Result<(), McapError> {

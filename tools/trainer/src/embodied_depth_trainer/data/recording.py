@@ -26,6 +26,7 @@ from embodied_depth_trainer.errors import TrainerError
 FORMAT_VERSION = 2
 HEADER = "/robot/header"
 TICK = "/robot/tick"
+DECISION = "/robot/decision"
 SCAN = "/scan"
 IMAGE = "/camera/image"
 TRUTH = "/camera/truth_depth"
@@ -84,7 +85,7 @@ def segments(path: Path) -> list[Path]:
 
 
 def read_recording(path: Path, lidar: bool = False) -> tuple[Frames, Damage]:
-    """All frames of a run with their poses by odometry, `t_odom_camera`; with `lidar`, also the LiDAR's hits."""
+    """All frames of a run with their localized poses, `t_odom_camera`; with `lidar`, also the LiDAR's hits."""
     damage = Damage()
     reader = _Run(lidar)
     for file in segments(path):
@@ -124,6 +125,8 @@ class _Run:
                 raise _BrokenError(f"it does not begin with {HEADER}")
             if channel.topic == TICK:
                 tick = json.loads(message.data)
+            elif channel.topic == DECISION:
+                self._localize(tick, json.loads(message.data), t_base_camera)
             elif channel.topic in self.topics and tick is not None:
                 decode = decoder.decoder_for(channel.message_encoding, schema)
                 if decode is None:
@@ -143,6 +146,20 @@ class _Run:
                     self.lines.append(self._line(t_odom_base))
                 else:
                     self.truth.append(_millimetres(file, tick, decode(message.data)))
+
+    def _localize(
+        self, tick: dict[str, Any] | None, decision: dict[str, Any], t_base_camera: NDArray[np.float64]
+    ) -> None:
+        """Replaces the wheels' pose of the frame that was read last by the robot's localized one.
+
+        Neighbouring frames are compared in `odom`, which never jumps; places are compared in `map`.
+        """
+        if tick is None or not self.times or self.times[-1] != int(tick["time_ns"]) or "t_odom_base" not in decision:
+            return
+        odom, map_odom = (_planar(decision[key]) for key in ("t_odom_base", "t_map_odom"))
+        self.poses[-1] = odom @ t_base_camera
+        place = map_odom @ odom
+        self.held_out[-1] = is_held_out(place[0, 3], place[1, 3], np.arctan2(place[1, 0], place[0, 0]))
 
     def _header(self, file: Path, data: bytes) -> NDArray[np.float64]:
         header = json.loads(data)
@@ -251,6 +268,11 @@ def _pose(x_m: float, y_m: float, yaw_rad: float) -> NDArray[np.float64]:
     pose[:2, :2] = [[np.cos(yaw_rad), -np.sin(yaw_rad)], [np.sin(yaw_rad), np.cos(yaw_rad)]]
     pose[:2, 3] = x_m, y_m
     return pose
+
+
+def _planar(pose: dict[str, float]) -> NDArray[np.float64]:
+    """A pose of `/robot/decision` [4, 4]."""
+    return _pose(pose["x_m"], pose["y_m"], pose["yaw_rad"])
 
 
 def _rigid(pose: dict[str, Any]) -> NDArray[np.float64]:
