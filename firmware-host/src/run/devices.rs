@@ -59,3 +59,23 @@ impl WatchedBase for FaultyBase<AnyBase> {
         self.inner().phase()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+
+    #[test]
+    fn the_safety_loop_of_a_real_robot_is_made_for_its_brakes_and_not_for_simulated_ones() {
+        let mut config = Config::default();
+        config.run.brake_mps2 = 0.7;
+        // Devices that are not there are waited for.
+        config.devices.lidar.port = "/nonexistent/lidar".parse().unwrap();
+        config.devices.base.bus = "unix:/nonexistent/can".to_owned();
+        config.devices.base.protocol = drivers::can::Protocol::Vesc;
+        let faults = Faults::new(Vec::new(), 1, Arc::new(|| 0));
+        let (control, _) = open_scanner_and_base(&config, &faults).unwrap();
+        assert_eq!(*control.plane().config(), config.live_safety_config());
+        assert!((control.plane().config().brake_mps2 - 0.7).abs() < 1e-12);
+    }
+}
