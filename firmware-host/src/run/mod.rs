@@ -12,6 +12,8 @@ mod live_devices;
 mod operator;
 pub mod safety_thread;
 pub mod status;
+#[cfg(test)]
+mod stops_reference;
 mod supervision;
 
 use std::path::{Path, PathBuf};
