@@ -54,6 +54,11 @@ pub enum Event {
     },
     /// The depth network was taken away and none came; from this turn on, coarse depth counts.
     NetworkLeft,
+    /// Localization closed a loop, and the map was drawn anew on the corrected path.
+    MapCorrected {
+        /// How far the robot's own place in `map` moved, metres.
+        shift_m: f64,
+    },
     /// The policy moved from one way of choosing goals to another.
     PolicySwitched {
         /// The new way.

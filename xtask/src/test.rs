@@ -21,6 +21,17 @@ const NO_SITE: &str = "its links are checked by a test; `cargo xtask docs` build
 /// What is built, once for all steps: the workspace with the features that are off by default.
 const TESTED: &str = "--workspace --features segment-store/lerobot,pull-buffer/object-store,pull-buffer/lerobot,firmware-host/lerobot --locked";
 
+/// `cargo build` with the features and lints of the tests, so that what they built is not built again.
+///
+/// # Errors
+/// When clippy is not installed.
+pub fn cargo_build() -> Result<Command> {
+    let mut cargo = command::cargo();
+    cargo.arg("build").args(TESTED.split_whitespace());
+    Lints::new()?.during(&mut cargo);
+    Ok(cargo)
+}
+
 /// The result of a step.
 pub enum Outcome {
     Passed,

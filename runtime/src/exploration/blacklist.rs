@@ -21,6 +21,13 @@ impl Blacklist {
         self.entries.push(Entry { place_m, expires_ns });
     }
 
+    /// Moves every place, after the map was corrected.
+    pub fn move_places(&mut self, moved: impl Fn([f64; 2]) -> [f64; 2]) {
+        for entry in &mut self.entries {
+            entry.place_m = moved(entry.place_m);
+        }
+    }
+
     /// Removes the places that have expired at `now_ns`.
     pub fn expire(&mut self, now_ns: u64) {
         self.entries.retain(|entry| entry.expires_ns > now_ns);

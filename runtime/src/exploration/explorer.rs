@@ -130,6 +130,20 @@ impl Explorer {
         }
     }
 
+    /// Moves everything that is remembered by its place, after the map was corrected. The path is planned anew.
+    pub fn move_places(&mut self, moved: impl Fn([f64; 2]) -> [f64; 2]) {
+        if let Some(goal) = &mut self.goal {
+            goal.target_m = moved(goal.target_m);
+            goal.interest_m = moved(goal.interest_m);
+        }
+        self.blacklist.move_places(&moved);
+        for place_m in &mut self.recent_positions_m {
+            *place_m = moved(*place_m);
+        }
+        self.follower.clear();
+        self.plan_at = 0;
+    }
+
     fn step_to_goal(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) -> Primitive {
         self.record_position(senses);
         self.blacklist.expire(senses.time_ns);

@@ -71,6 +71,10 @@ impl OccupancyGrid {
 
     /// Goes on drawing the map anew: about `cells` cells of work. The section must not change before it is done.
     pub fn recompose(&mut self, work: &mut Recomposition, cells: usize) -> Recomposed {
+        // A snapshot of another map.
+        if work.source.len() != self.stored.len() {
+            work.window = None;
+        }
         if work.window != Some(self.window.cells()) {
             *work = self.begin_recomposition(core::mem::take(&mut work.corrections));
         }
@@ -208,18 +212,10 @@ impl OccupancyGrid {
 }
 
 impl Recomposition {
-    /// Moves a point of the old map with the section that observed it; with the current section where nothing is known.
+    /// The correction of each section.
     #[must_use]
-    pub fn moved(&self, map: &OccupancyGrid, point_m: [f64; 2]) -> [f64; 2] {
-        let section = map.section_at(point_m[0], point_m[1]).unwrap_or(map.section());
-        let correction = self.corrections.get(usize::from(section)).copied();
-        correction.unwrap_or(Pose2::IDENTITY).transform(point_m[0], point_m[1]).into()
-    }
-
-    /// The correction of the section that the robot is on.
-    #[must_use]
-    pub fn correction_of(&self, section: u16) -> Pose2 {
-        self.corrections.get(usize::from(section)).copied().unwrap_or(Pose2::IDENTITY)
+    pub fn corrections(&self) -> &[Pose2] {
+        &self.corrections
     }
 }
 

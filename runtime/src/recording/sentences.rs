@@ -47,6 +47,9 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         Event::NetworkLeft => {
             (Warning, "depth network removed: the map uses coarse depth".to_owned())
         }
+        Event::MapCorrected { shift_m } => {
+            (Info, format!("a loop was closed: the map moved {shift_m:.2} m at the robot's place"))
+        }
         Event::PolicySwitched { to } => {
             (Info, format!("policy now chooses goals by: {}", goal_reason(*to)))
         }

@@ -89,6 +89,26 @@ impl Location {
         }
     }
 
+    /// Index of the submap that the robot is in.
+    pub(super) fn submap(&self) -> usize {
+        0
+    }
+
+    /// Pose of a submap in `odom`: fixed once the submap exists.
+    pub(super) fn submap_in_odom(&self, _submap: usize) -> Option<Pose2> {
+        None
+    }
+
+    /// Pose of a submap in `map`, as corrected so far.
+    pub(super) fn submap_in_map(&self, _submap: usize) -> Option<Pose2> {
+        None
+    }
+
+    /// Counts the corrections of the path.
+    pub(super) fn revision(&self) -> u64 {
+        0
+    }
+
     /// A scanner that cannot localize (too few beams) leaves the robot to its wheels.
     fn start(&mut self, geometry: &ScanGeometry, wheel: Pose2) {
         self.localizer = Localizer::new(&self.config, *geometry, self.t_base_laser).ok();

@@ -1,6 +1,7 @@
 //! The exploration plane's decisions: perceive, map, choose a goal, plan, for one tick's input.
 
 mod location;
+mod map_correction;
 
 use std::collections::VecDeque;
 
@@ -21,6 +22,7 @@ use crate::recording::input_digest;
 use crate::snapshot::{SNAPSHOT_VERSION, SnapshotError, State, remembers};
 use crate::tick::{Decision, SentCommand, TickInput};
 use location::Location;
+use map_correction::MapCorrection;
 
 pub use location::TickPoses;
 
@@ -148,6 +150,7 @@ pub struct Robot {
     has_depth: HasDepth,
     location: Location,
     poses: TickPoses,
+    map_correction: MapCorrection,
     map: OccupancyGrid,
     /// Maps of the newest single frames, oldest first, from which the policy finds inconsistencies.
     frame_maps: VecDeque<SingleFrameMap>,
@@ -189,6 +192,7 @@ impl Robot {
                 Pose2::new(config.laser_forward_m, 0.0, 0.0),
             )?,
             poses: TickPoses::START,
+            map_correction: MapCorrection::default(),
             map: OccupancyGrid::new(&config.map)?,
             frame_maps: VecDeque::new(),
             explorer: Explorer::new(
@@ -293,7 +297,7 @@ impl Robot {
             sound
         });
         events.extend(input.safety.events.iter().map(|what| Event::Safety { what: *what }));
-        self.poses = self.location.update(input, scan);
+        self.localize(input, scan, &mut events);
         self.note_blocked(input);
         let t_odom_camera = self.poses.t_odom_base.to_pose3() * self.config.t_base_camera;
         self.estimate_depth(input, &t_odom_camera, &mut events, timer);
@@ -475,6 +479,26 @@ impl Robot {
         }
     }
 
+    fn localize(
+        &mut self,
+        input: &TickInput<'_>,
+        scan: Option<&LaserScan>,
+        events: &mut Vec<Event>,
+    ) {
+        self.poses = self.location.update(input, scan);
+        if let Some(moved) = self.map_correction.update(&self.location, &mut self.map) {
+            let before = self.poses.t_map_base();
+            events.push(Event::MapCorrected { shift_m: moved.shift_m(&before) });
+            let map = &self.map;
+            self.explorer.move_places(|place_m| moved.place(map, place_m));
+            if let Some(place_m) = &mut self.collision_at {
+                *place_m = moved.place(map, *place_m);
+            }
+            self.frame_maps.clear();
+        }
+        self.poses.t_map_odom = self.map_correction.t_map_odom();
+    }
+
     /// Until a new command acts, the robot goes on as it does now.
     fn pose_when_the_command_acts(&self, input: &TickInput<'_>) -> Pose2 {
         let age_s = input.time_ns.saturating_sub(input.wheel.time_ns) as f64 * 1e-9;
@@ -538,7 +562,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, location, poses, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, location, poses, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// Keeps the newest map and those of the `gap` frames before it.

@@ -10,7 +10,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 
 use crate::dist::{Arch, package};
-use crate::{command, paths};
+use crate::{command, paths, test};
 use boot::Machine;
 use scenario::Scenario;
 use table::Row;
@@ -63,15 +63,12 @@ fn build(scenarios: &[Scenario]) -> Result<Vec<(&'static str, String)>> {
     if uses("$FIRMWARE") || uses("$PACKAGE") {
         programs.push(("FIRMWARE", "firmware-host"));
     }
-    for (_, package) in &programs {
-        command::run(command::cargo().args([
-            "build",
-            "--locked",
-            "--quiet",
-            "--package",
-            package,
-        ]))?;
+    let mut cargo = test::cargo_build()?;
+    cargo.arg("--quiet");
+    for (_, program) in &programs {
+        cargo.args(["--bin", program]);
     }
+    command::run(&mut cargo)?;
     let folder = paths::target().join("debug");
     let mut found: Vec<_> =
         programs.into_iter().map(|(variable, name)| (variable, folder.join(name))).collect();
