@@ -1,12 +1,28 @@
 //! Configuration of localization.
 
 use hal::settings::OutOfRange;
+use serde::{Deserialize, Serialize};
 
 use super::LocalizationError;
+
+/// What the pose is made from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PoseSource {
+    /// Wheel odometry as the base reports it: for tests, and to measure what localization gains.
+    Wheels,
+    /// Wheels and scans.
+    #[default]
+    Scans,
+}
+
+hal::choices!(PoseSource: "wheels", "scans");
 
 hal::settings! {
     /// Localization: where the robot is, from wheels and LiDAR.
     pub struct LocalizationConfig {
+        /// What the pose is made from: the wheels alone, or wheels and scans.
+        source: PoseSource = PoseSource::default();
         /// Earlier scans that a new scan is matched against.
         keyframes: usize = 20, in 2..=60, unit "scans";
         /// A scan becomes a keyframe after the robot has driven this far since the last keyframe.

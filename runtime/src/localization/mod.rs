@@ -23,7 +23,7 @@ mod surfel_grid;
 mod test_room;
 mod wheel_model;
 
-pub use config::LocalizationConfig;
+pub use config::{LocalizationConfig, PoseSource};
 pub use error::LocalizationError;
 pub use localizer::{Estimate, Localizer};
 pub use matcher::ScanFit;
