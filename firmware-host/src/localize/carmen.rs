@@ -1,14 +1,15 @@
 //! Logs of the CARMEN robot toolkit: ODOM, FLASER and ROBOTLASER1 lines.
 //!
 //! The "corrected" logs of the Radish archive hold the answer of a SLAM program in the poses of FLASER lines and in the ODOM line
-//! with time 0 behind each of them. Such poses are never used: wheel odometry is the increments between neighbouring ODOM lines,
-//! restarted at every line with time 0. Only a log without any ODOM line takes its odometry from the scans' lines.
+//! with time 0 behind each of them. A log is taken for corrected when it has such a line with time 0 behind a scan; the poses of its
+//! scans are then never used. Wheel odometry is the increments between neighbouring ODOM lines, restarted at every line with
+//! time 0. A log that has no ODOM lines, and is not corrected, takes its odometry from the scans' lines.
 
 use std::f64::consts::PI;
 
 use hal::{Pose2, Range, ScanGeometry};
 
-use super::log::{BadLine, Line, Log, Words};
+use super::log::{BadLine, Line, Log, Odometry, Words};
 
 const MAX_BEAMS: usize = 100_000;
 
@@ -135,7 +136,8 @@ fn assemble(entries: Vec<Entry>) -> Option<Log> {
         // The mirror of these scanners takes 13 to 27 ms; the log holds the time between scans, which is far longer.
         period_ns: 0,
     };
-    let wheels = wheel_poses(&entries);
+    let odometry = odometry_source(&entries);
+    let wheels = wheel_poses(&entries, odometry);
     let mut other_shape = 0;
     let lines = entries.into_iter().zip(wheels).map(|(entry, wheel)| {
         let ranges = match entry.content {
@@ -146,12 +148,36 @@ fn assemble(entries: Vec<Entry>) -> Option<Log> {
             }
             Content::Odometry(_) => None,
         };
-        let to_ranges =
-            |ranges: Vec<f64>| ranges.into_iter().map(|range| classify(range, range_max_m)).collect();
+        let to_ranges = |ranges: Vec<f64>| {
+            ranges.into_iter().map(|range| classify(range, range_max_m)).collect()
+        };
         Line { time_s: entry.time_s, wheel, ranges: ranges.map(to_ranges) }
     });
     let lines = lines.collect();
-    Some(Log { geometry, t_base_laser, lines, other_shape })
+    Some(Log { geometry, t_base_laser, odometry, lines, other_shape })
+}
+
+impl Entry {
+    /// An ODOM line that holds what the wheels said, and no answer of another program.
+    fn is_wheel_report(&self) -> bool {
+        matches!(self.content, Content::Odometry(_)) && self.time_s != 0.0
+    }
+
+    fn is_answer(&self) -> bool {
+        matches!(self.content, Content::Odometry(_)) && self.time_s == 0.0
+    }
+}
+
+fn odometry_source(entries: &[Entry]) -> Odometry {
+    let is_scan = |entry: &Entry| matches!(entry.content, Content::Scan(_));
+    let corrected = entries.windows(2).any(|pair| is_scan(&pair[0]) && pair[1].is_answer());
+    let has_reports = entries.iter().any(Entry::is_wheel_report);
+    match (corrected, has_reports) {
+        (true, true) => Odometry::BetweenAnswers,
+        (true, false) => Odometry::Absent,
+        (false, true) => Odometry::Lines,
+        (false, false) => Odometry::Scans,
+    }
 }
 
 /// Scanners report the largest value that they know where there is no echo. FLASER lines do not say which it is, so that it is the
@@ -177,20 +203,18 @@ fn classify(range_m: f64, range_max_m: f64) -> Range {
 }
 
 /// The pose by the wheels for every line, beginning at the identity.
-fn wheel_poses(entries: &[Entry]) -> Vec<Pose2> {
-    let has_odometry = entries
-        .iter()
-        .any(|entry| matches!(entry.content, Content::Odometry(_)) && entry.time_s != 0.0);
+fn wheel_poses(entries: &[Entry], odometry: Odometry) -> Vec<Pose2> {
     let mut wheel = Pose2::IDENTITY;
     let mut last: Option<Pose2> = None;
     let mut poses = Vec::with_capacity(entries.len());
     for entry in entries {
-        let reported = match &entry.content {
-            Content::Odometry(pose) => Some(*pose),
-            Content::Scan(scan) => (!has_odometry).then_some(scan.robot),
+        let reported = match (&entry.content, odometry) {
+            (Content::Odometry(pose), Odometry::Lines | Odometry::BetweenAnswers) => Some(*pose),
+            (Content::Scan(scan), Odometry::Scans) => Some(scan.robot),
+            _ => None,
         };
         if let Some(pose) = reported {
-            let restarts = has_odometry && entry.time_s == 0.0;
+            let restarts = odometry == Odometry::BetweenAnswers && entry.is_answer();
             if let Some(last) = last.filter(|_| !restarts) {
                 wheel = wheel.compose(&last.inverse().compose(&pose));
             }
@@ -198,7 +222,7 @@ fn wheel_poses(entries: &[Entry]) -> Vec<Pose2> {
         }
         poses.push(wheel);
     }
-    if has_odometry {
+    if odometry == Odometry::Lines {
         interpolate_scans(entries, &mut poses);
     }
     poses
@@ -206,19 +230,15 @@ fn wheel_poses(entries: &[Entry]) -> Vec<Pose2> {
 
 /// Moves the wheel poses of scans to their own time, between the ODOM lines around them.
 fn interpolate_scans(entries: &[Entry], poses: &mut [Pose2]) {
-    let is_odometry = |entry: &Entry| {
-        matches!(entry.content, Content::Odometry(_)) && entry.time_s != 0.0
-    };
     let mut before = None;
     for index in 0..entries.len() {
-        if is_odometry(&entries[index]) {
+        if entries[index].is_wheel_report() {
             before = Some(index);
             continue;
         }
-        let Content::Scan(_) = entries[index].content else { continue };
         // The next ODOM line is one of the next few lines.
-        let near = index + 1..entries.len().min(index + 20);
-        let after = near.into_iter().find(|after| is_odometry(&entries[*after]));
+        let mut near = index + 1..entries.len().min(index + 20);
+        let after = near.find(|after| entries[*after].is_wheel_report());
         let (Some(before), Some(after)) = (before, after) else { continue };
         let [begin_s, time_s, end_s] = [before, index, after].map(|at| entries[at].time_s);
         if begin_s < time_s && time_s < end_s {
@@ -278,8 +298,18 @@ mod tests {
     }
 
     #[test]
+    fn a_corrected_log_without_wheel_reports_has_no_odometry() {
+        let text =
+            format!("{FLASER} 1 h 1\nODOM 9 9 9 0 0 0 0 h 0\nFLASER 1 1.0 5 0 0 5 0 0 2 h 2");
+        let log = log(&text);
+        assert_eq!(log.odometry, Odometry::Absent);
+        assert!(log.lines.iter().all(|line| line.wheel == Pose2::IDENTITY));
+    }
+
+    #[test]
     fn robotlaser_lines_say_their_angles_and_the_place_of_the_laser() {
-        let text = "ROBOTLASER1 0 -1.57 3.14 0.0314 30 0.01 0 2 1 2 0 0.1 0 0 0 0 0 0 0 0 0 0 7.5 h 7.5";
+        let text =
+            "ROBOTLASER1 0 -1.57 3.14 0.0314 30 0.01 0 2 1 2 0 0.1 0 0 0 0 0 0 0 0 0 0 7.5 h 7.5";
         let log = log(text);
         assert_eq!(log.geometry.angle_increment_rad, 0.0314);
         assert_eq!(log.t_base_laser, Pose2::new(0.1, 0.0, 0.0));

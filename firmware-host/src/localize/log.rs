@@ -21,11 +21,41 @@ pub struct Line {
     pub ranges: Option<Vec<Range>>,
 }
 
+/// Where a log's wheel odometry comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Odometry {
+    /// The increments between the odometry of neighbouring lines.
+    Lines,
+    /// The log is corrected: the increments between neighbouring ODOM lines, restarted at each ODOM line with time 0.
+    BetweenAnswers,
+    /// The poses of the scans' lines: the log has no ODOM lines.
+    Scans,
+    /// The log is corrected and has no other odometry: the robot is taken to stand until a scan says otherwise.
+    Absent,
+}
+
+impl std::fmt::Display for Odometry {
+    fn fmt(&self, to: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        to.write_str(match self {
+            Self::Lines => "increments between the log's odometry lines",
+            Self::BetweenAnswers => {
+                "increments between ODOM lines, restarted at each ODOM line with time 0 (the log is corrected: its other poses are \
+                 another program's answer and are not used)"
+            }
+            Self::Scans => "the poses of the scans' lines (the log has no ODOM lines)",
+            Self::Absent => {
+                "none (the log is corrected and has no ODOM lines of its own; its poses are another program's answer)"
+            }
+        })
+    }
+}
+
 /// A whole log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Log {
     pub geometry: ScanGeometry,
     pub t_base_laser: Pose2,
+    pub odometry: Odometry,
     pub lines: Vec<Line>,
     /// Scans with another number of beams than the first one. Their lines have no ranges.
     pub other_shape: usize,
@@ -42,7 +72,9 @@ pub enum LogError {
     #[error("{path} is truncated: its compressed data end too early; copy the file again")]
     Truncated { path: PathBuf },
     /// The compressed data are damaged.
-    #[error("{path} is damaged: its compressed data cannot be read ({reason}); copy the file again")]
+    #[error(
+        "{path} is damaged: its compressed data cannot be read ({reason}); copy the file again"
+    )]
     Damaged { path: PathBuf, reason: String },
     /// The log is longer than any drive.
     #[error("{path} has more than {} GiB of text; cut it", MAX_BYTES >> 30)]
@@ -137,7 +169,8 @@ impl<'a> Words<'a> {
     pub(super) fn number(&mut self, what: &str) -> Result<f64, BadLine> {
         let word = self.next_word().ok_or_else(|| self.refuse(format!("{what} is missing")))?;
         let value = word.parse().ok().filter(|value: &f64| value.is_finite());
-        value.ok_or_else(|| self.refuse(format!("{what} is `{word}`, which is not a finite number")))
+        value
+            .ok_or_else(|| self.refuse(format!("{what} is `{word}`, which is not a finite number")))
     }
 
     /// The next word as a count up to `most`.

@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 
 use hal::{Pose2, Range, ScanGeometry};
 
-use super::log::{BadLine, Line, Log, Words};
+use super::log::{BadLine, Line, Log, Odometry, Words};
 
 const HEADER: usize = 25;
 const BEAMS: usize = 682;
@@ -30,7 +30,8 @@ const GEOMETRY: ScanGeometry = ScanGeometry {
 /// The first line with content begins with a number and has a column for every range.
 pub(super) fn is_urg(text: &[u8]) -> bool {
     let mut lines = Words::lines(text);
-    let Some(mut words) = lines.find_map(|mut words| words.next_word().map(|word| (word, words)))
+    let Some(mut words) = lines
+        .find_map(|mut words| words.next_word().map(|word| (word, words)))
         .filter(|(word, _)| word.parse::<u64>().is_ok())
         .map(|(_, words)| words)
     else {
@@ -46,8 +47,9 @@ pub(super) fn parse(text: &[u8]) -> Result<Option<Log>, BadLine> {
     for mut words in Words::lines(text) {
         let Some(word) = words.next_word() else { continue };
         let time_us = word.parse::<u64>().ok();
-        let time_us = time_us
-            .ok_or_else(|| words.refuse(format!("the time is `{word}`, which is not a whole number")))?;
+        let time_us = time_us.ok_or_else(|| {
+            words.refuse(format!("the time is `{word}`, which is not a whole number"))
+        })?;
         words.number("column 2")?;
         let counts = [words.number("the left encoder")?, words.number("the right encoder")?];
         for column in 5..=HEADER {
@@ -65,7 +67,8 @@ pub(super) fn parse(text: &[u8]) -> Result<Option<Log>, BadLine> {
         lines.push(Line { time_s: time_us as f64 * 1e-6, wheel, ranges: Some(ranges) });
     }
     let t_base_laser = Pose2::new(LASER_FORWARD_M, 0.0, 0.0);
-    let log = Log { geometry: GEOMETRY, t_base_laser, lines, other_shape: 0 };
+    let odometry = Odometry::Lines;
+    let log = Log { geometry: GEOMETRY, t_base_laser, odometry, lines, other_shape: 0 };
     Ok((!log.lines.is_empty()).then_some(log))
 }
 
