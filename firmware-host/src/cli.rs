@@ -48,6 +48,11 @@ pub enum Command {
     ///
     /// The latency is the time from the capture of a frame to its time stamp.
     CameraLatency(CameraLatencyArgs),
+    /// Localize along a recorded log of another robot and write its trajectory.
+    ///
+    /// Reads CARMEN logs (FLASER, ODOM, ROBOTLASER1) and the .dat form of a URG-04LX, compressed by
+    /// gzip or not.
+    Localize(LocalizeArgs),
     /// Install, list, verify and roll back signed depth networks.
     Model(ModelArgs),
     /// Check a configuration file and print every value in effect, or check the connected devices.
@@ -243,6 +248,18 @@ pub struct PerceiveArgs {
     /// Configuration file. `firmware-host check` prints all keys with their defaults.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+}
+
+/// Arguments of `firmware-host localize`.
+#[derive(Debug, Args)]
+pub struct LocalizeArgs {
+    /// The log.
+    #[arg(long, value_name = "FILE")]
+    pub log: PathBuf,
+    /// Output folder for trajectory.tum, online.tum, map.png and summary.json. It is created if it is
+    /// missing.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
 }
 
 /// Arguments of `firmware-host replay`.

@@ -16,6 +16,7 @@ pub mod explore;
 pub mod failure;
 pub mod faults;
 pub mod health;
+pub mod localize;
 pub mod model;
 pub mod onnx_runtime;
 pub mod perceive;

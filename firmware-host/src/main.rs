@@ -8,7 +8,8 @@ use clap::Parser;
 use firmware_host::cli::{Cli, Command as Task};
 use firmware_host::config::ConfigError;
 use firmware_host::{
-    buffer, camera_latency, check, failure, health, model, perceive, replay_run, reproduce, run,
+    buffer, camera_latency, check, failure, health, localize, model, perceive, replay_run,
+    reproduce, run,
 };
 #[cfg(feature = "simulator")]
 use firmware_host::{explore, views};
@@ -41,6 +42,7 @@ fn main() -> ExitCode {
         Task::Health(args) => health::run(&args),
         Task::Check(args) => check::run(&args),
         Task::CameraLatency(args) => camera_latency::run(&args).map(|()| ExitCode::SUCCESS),
+        Task::Localize(args) => localize::run(&args).map(|()| ExitCode::SUCCESS),
         Task::Buffer(args) => buffer::run(&args),
         Task::Model(args) => model::run(&args),
     };

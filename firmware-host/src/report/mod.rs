@@ -3,7 +3,7 @@
 
 pub mod atomic;
 pub mod canvas;
-mod colors;
+pub(crate) mod colors;
 pub mod coverage;
 pub mod depth_sample;
 pub mod depth_sheet;

@@ -15,15 +15,29 @@ use crate::snapshot::{SnapshotError, State, remembers};
 use super::LocalizationConfig;
 use super::matcher::{Alignment, Prior, ScanFit, Surfaces, align};
 use super::scan_points::{ScanPoints, Stretch, Velocity};
+use super::search_grid::{Search, SearchGrid, Window};
 use super::wheel_model::WheelModel;
 
 /// A scan with a smaller share of known surfaces says nothing about the pose.
-const MIN_INLIERS: f32 = 0.25;
+const MIN_INLIERS: f32 = 0.35;
+/// A scan with a smaller share of known surfaces may have been aligned with the wrong ones: its pose is searched for.
+const SEARCH_INLIERS: f32 = 0.6;
+/// The search replaces an alignment that has this much fewer known surfaces.
+const BETTER_INLIERS: f32 = 0.1;
+/// Beyond three standard deviations, the search reaches this much further: wheels slip on sills and in fast rotations.
+const SEARCH_M: f64 = 0.4;
+const SEARCH_RAD: f64 = 0.2;
+/// How exact a pose is that the search has found: its cells.
+const FOUND_M: f64 = 0.15;
+const FOUND_RAD: f64 = 0.03;
 /// A scan with fewer stretches that have a direction says nothing about the pose.
 const MIN_STRETCHES: usize = 6;
 /// The wheels are contradicted when the correction costs more than this by the prior: 3 degrees of freedom exceed it in 1 of
 /// 2,000 cases.
 const CONTRADICTION: f64 = 18.0;
+
+/// After this many keyframe distances without a match, the keyframes are given up.
+const RESTART_KEYFRAMES: f64 = 4.0;
 
 /// An earlier scan and where the robot was.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -51,6 +65,7 @@ pub(crate) struct LocalTracker {
     keyframe_yaw_rad: f64,
     points: ScanPoints,
     surfaces: Surfaces,
+    search_grid: SearchGrid,
     keyframes: VecDeque<Keyframe>,
     wheel: WheelModel,
     pose: Pose2,
@@ -86,6 +101,7 @@ impl LocalTracker {
                 config.range_limit_m,
             ),
             surfaces: Surfaces::new(),
+            search_grid: SearchGrid::new(),
             keyframes,
             wheel: WheelModel::new(config),
             pose: Pose2::IDENTITY,
@@ -158,43 +174,91 @@ impl LocalTracker {
                 ScanFit { stretches: self.points.stretches().len() as u32, ..ScanFit::default() };
             return Tracked { fit, matched: true, contradiction: 0.0, keyframe: true };
         }
-        let Some((alignment, contradiction)) = self.align_with_keyframes() else {
-            self.wheel.forget_leg();
-            let fit = ScanFit::default();
-            return Tracked { fit, matched: false, contradiction: 0.0, keyframe: false };
-        };
-        let fit = alignment.fit;
+        let aligned = self.align_with_keyframes();
+        let fit = aligned.map_or_else(ScanFit::default, |(alignment, _)| alignment.fit);
+        let contradiction = aligned.map_or(0.0, |(_, contradiction)| contradiction);
         let matched = fit.inliers >= MIN_INLIERS;
-        if matched {
-            self.correct(&alignment);
-        } else {
-            self.wheel.forget_leg();
+        match aligned {
+            Some((alignment, _)) if matched => self.correct(&alignment),
+            _ => self.wheel.forget_leg(),
         }
-        let keyframe = matched && self.is_due();
-        if keyframe {
+        let mut keyframe = self.is_due() && fit.stretches > 0;
+        if keyframe && !matched {
+            // Nothing that the keyframes know is in view: the map goes on from the wheels' pose.
+            keyframe = self.restart();
+        } else if keyframe {
             self.add_keyframe();
         }
         Tracked { fit, matched, contradiction, keyframe }
     }
 
+    /// Forgets the keyframes, none of which is in view, and begins again where the wheels say. False while the robot has
+    /// not driven far enough to be sure.
+    fn restart(&mut self) -> bool {
+        let Some(last) = self.keyframes.back() else { return false };
+        if last.pose.distance_m(&self.pose) < RESTART_KEYFRAMES * self.keyframe_distance_m {
+            return false;
+        }
+        self.keyframes.clear();
+        self.add_keyframe();
+        true
+    }
+
     /// The alignment with the keyframes, and by how much it contradicts the wheels. A prior that is contradicted is
     /// widened as far as it was wrong, and the alignment is repeated.
-    fn align_with_keyframes(&self) -> Option<(Alignment, f64)> {
+    fn align_with_keyframes(&mut self) -> Option<(Alignment, f64)> {
         let stretches = self.points.stretches();
         let with_normal = stretches.iter().filter(|stretch| stretch.has_normal()).count();
         if with_normal < MIN_STRETCHES {
             return None;
         }
-        let mut prior = self.prior(1.0)?;
-        let first = align(&self.surfaces, stretches, &prior)?;
-        let off = difference(&first.pose, &prior.pose);
-        let contradiction = off.dot(&(prior.information * off));
-        if contradiction <= CONTRADICTION {
-            return Some((first, contradiction));
+        let prior = self.prior(1.0)?;
+        let mut alignment = align(&self.surfaces, stretches, &prior)?;
+        let mut contradiction = cost(&alignment, &prior);
+        if contradiction > CONTRADICTION {
+            let widened = self.prior(contradiction / 3.0)?;
+            alignment = align(&self.surfaces, stretches, &widened)?;
         }
-        prior = self.prior(contradiction / 3.0)?;
-        let second = align(&self.surfaces, stretches, &prior)?;
-        Some((second, contradiction))
+        if alignment.fit.inliers < SEARCH_INLIERS
+            && let Some(found) = self.search()
+            && found.fit.inliers > alignment.fit.inliers + BETTER_INLIERS
+        {
+            alignment = found;
+            contradiction = cost(&alignment, &prior);
+        }
+        Some((alignment, contradiction))
+    }
+
+    /// The best alignment with the keyframes around the predicted pose, for a prediction that was too wrong to start from.
+    fn search(&mut self) -> Option<Alignment> {
+        let origin = Pose2::new(self.pose.x_m, self.pose.y_m, 0.0);
+        let to_grid = origin.inverse();
+        self.search_grid.clear();
+        for keyframe in &self.keyframes {
+            self.search_grid.insert(&keyframe.stretches, &to_grid.compose(&keyframe.pose));
+        }
+        self.search_grid.finish();
+        self.search_grid.set_query(self.points.stretches());
+        let [x, y, yaw] = [0, 1, 2].map(|at| self.covariance[(at, at)].sqrt());
+        let mut search = Search::new(Window {
+            middle: Pose2::new(0.0, 0.0, self.pose.yaw_rad),
+            metres: 3.0 * x.max(y) + SEARCH_M,
+            radians: 3.0 * yaw + SEARCH_RAD,
+        });
+        while !search.is_done() {
+            self.search_grid.step(&mut search);
+        }
+        let mut best: Option<Alignment> = None;
+        for place in search.places() {
+            let prior = found_prior(&origin.compose(&place.pose));
+            let Some(alignment) = align(&self.surfaces, self.points.stretches(), &prior) else {
+                continue;
+            };
+            if best.is_none_or(|best| best.fit.inliers < alignment.fit.inliers) {
+                best = Some(alignment);
+            }
+        }
+        best
     }
 
     fn prior(&self, widened: f64) -> Option<Prior> {
@@ -261,6 +325,20 @@ impl LocalTracker {
         self.rebuild();
         Ok(())
     }
+}
+
+/// A prior around a pose that a search has found.
+pub(crate) fn found_prior(pose: &Pose2) -> Prior {
+    let metres = 1.0 / (FOUND_M * FOUND_M);
+    let radians = 1.0 / (FOUND_RAD * FOUND_RAD);
+    let information = Matrix3::from_diagonal(&Vector3::new(metres, metres, radians));
+    Prior { pose: *pose, information, width_m: 2.0 * FOUND_M }
+}
+
+/// By how much an alignment contradicts the prior: the squared Mahalanobis distance.
+fn cost(alignment: &Alignment, prior: &Prior) -> f64 {
+    let off = difference(&alignment.pose, &prior.pose);
+    off.dot(&(prior.information * off))
 }
 
 /// `a - b` as x, y and yaw.

@@ -18,6 +18,7 @@ mod local;
 mod localizer;
 mod matcher;
 mod scan_points;
+mod search_grid;
 mod surfel_grid;
 #[cfg(test)]
 mod test_room;

@@ -1,0 +1,191 @@
+//! A recorded drive: wheel odometry and scans, in the order of the log's lines.
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use hal::{Pose2, Range, ScanGeometry};
+
+use super::{carmen, urg};
+
+/// Logs with more text than this are refused: an hour of the densest scanner has a tenth of it.
+const MAX_BYTES: u64 = 4 << 30;
+
+/// One line of the log that has odometry or a scan.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Line {
+    /// As it stands in the log, seconds.
+    pub time_s: f64,
+    /// Pose by the wheels alone, beginning at the identity.
+    pub wheel: Pose2,
+    /// One range per beam, if the line is a scan.
+    pub ranges: Option<Vec<Range>>,
+}
+
+/// Where a log's wheel odometry comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Odometry {
+    /// The increments between the odometry of neighbouring lines.
+    Lines,
+    /// The log is corrected: the increments between neighbouring ODOM lines, restarted at each ODOM line with time 0.
+    BetweenAnswers,
+    /// The poses of the scans' lines: the log has no ODOM lines.
+    Scans,
+    /// The log is corrected and has no other odometry: the robot is taken to stand until a scan says otherwise.
+    Absent,
+}
+
+impl std::fmt::Display for Odometry {
+    fn fmt(&self, to: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        to.write_str(match self {
+            Self::Lines => "increments between the log's odometry lines",
+            Self::BetweenAnswers => {
+                "increments between ODOM lines, restarted at each ODOM line with time 0 (the log is corrected: its other poses are \
+                 another program's answer and are not used)"
+            }
+            Self::Scans => "the poses of the scans' lines (the log has no ODOM lines)",
+            Self::Absent => {
+                "none (the log is corrected and has no ODOM lines of its own; its poses are another program's answer)"
+            }
+        })
+    }
+}
+
+/// A whole log.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Log {
+    pub geometry: ScanGeometry,
+    pub t_base_laser: Pose2,
+    pub odometry: Odometry,
+    pub lines: Vec<Line>,
+    /// Scans with another number of beams than the first one. Their lines have no ranges.
+    pub other_shape: usize,
+}
+
+/// Why a log cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum LogError {
+    /// The file cannot be opened or read.
+    #[error("cannot read {path}: {source}")]
+    Unreadable { path: PathBuf, source: std::io::Error },
+    /// The compressed data end too early.
+    #[error("{path} is truncated: its compressed data end too early; copy the file again")]
+    Truncated { path: PathBuf },
+    /// The compressed data are damaged.
+    #[error(
+        "{path} is damaged: its compressed data cannot be read ({reason}); copy the file again"
+    )]
+    Damaged { path: PathBuf, reason: String },
+    /// The log is longer than any drive.
+    #[error("{path} has more than {} GiB of text; cut it", MAX_BYTES >> 30)]
+    TooLong { path: PathBuf },
+    /// A line does not have the form of its kind.
+    #[error("{path} line {line}: {reason}")]
+    Line { path: PathBuf, line: usize, reason: String },
+    /// There is nothing to localize with.
+    #[error(
+        "{path} has no scans: no line begins with FLASER or ROBOTLASER1, and it does not have the URG .dat form"
+    )]
+    NoScans { path: PathBuf },
+}
+
+/// Why a line of a log was refused: its number, from 1, and the reason.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BadLine {
+    pub line: usize,
+    pub reason: String,
+}
+
+impl Log {
+    /// Reads a CARMEN log or a URG .dat file, compressed by gzip or not.
+    ///
+    /// # Errors
+    /// A file that cannot be read, is truncated, has a line of a wrong form, or has no scans.
+    pub fn read(path: &Path) -> Result<Self, LogError> {
+        let text = text(path)?;
+        let log = Self::parse(&text).map_err(|BadLine { line, reason }| LogError::Line {
+            path: path.to_path_buf(),
+            line,
+            reason,
+        })?;
+        log.ok_or_else(|| LogError::NoScans { path: path.to_path_buf() })
+    }
+
+    /// Reads the text of a log. `None` if it has no scans.
+    ///
+    /// # Errors
+    /// The first line of a wrong form.
+    pub fn parse(text: &[u8]) -> Result<Option<Self>, BadLine> {
+        if urg::is_urg(text) { urg::parse(text) } else { carmen::parse(text) }
+    }
+}
+
+fn text(path: &Path) -> Result<Vec<u8>, LogError> {
+    let unreadable = |source| LogError::Unreadable { path: path.to_path_buf(), source };
+    let bytes = std::fs::read(path).map_err(unreadable)?;
+    if !bytes.starts_with(&[0x1f, 0x8b]) {
+        return Ok(bytes);
+    }
+    let mut text = Vec::new();
+    let mut decoder = flate2::read::MultiGzDecoder::new(bytes.as_slice()).take(MAX_BYTES);
+    match decoder.read_to_end(&mut text) {
+        Ok(length) if length as u64 >= MAX_BYTES => {
+            Err(LogError::TooLong { path: path.to_path_buf() })
+        }
+        Ok(_) => Ok(text),
+        Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => {
+            Err(LogError::Truncated { path: path.to_path_buf() })
+        }
+        Err(error) => {
+            Err(LogError::Damaged { path: path.to_path_buf(), reason: error.to_string() })
+        }
+    }
+}
+
+/// The words of one line, with the line's number for errors.
+pub(super) struct Words<'a> {
+    line: usize,
+    words: std::str::SplitAsciiWhitespace<'a>,
+}
+
+impl<'a> Words<'a> {
+    /// Words of every line; bytes that are not UTF-8 end a line early.
+    pub(super) fn lines(text: &'a [u8]) -> impl Iterator<Item = Self> {
+        text.split(|byte| *byte == b'\n').enumerate().map(|(index, bytes)| {
+            let valid = bytes.utf8_chunks().next().map_or("", |chunk| chunk.valid());
+            Self { line: index + 1, words: valid.split_ascii_whitespace() }
+        })
+    }
+
+    pub(super) fn next_word(&mut self) -> Option<&'a str> {
+        self.words.next()
+    }
+
+    pub(super) fn refuse(&self, reason: impl Into<String>) -> BadLine {
+        BadLine { line: self.line, reason: reason.into() }
+    }
+
+    /// The next word as a finite number; `what` names it in errors.
+    pub(super) fn number(&mut self, what: &str) -> Result<f64, BadLine> {
+        let word = self.next_word().ok_or_else(|| self.refuse(format!("{what} is missing")))?;
+        let value = word.parse().ok().filter(|value: &f64| value.is_finite());
+        value
+            .ok_or_else(|| self.refuse(format!("{what} is `{word}`, which is not a finite number")))
+    }
+
+    /// The next word as a count up to `most`.
+    pub(super) fn count(&mut self, what: &str, most: usize) -> Result<usize, BadLine> {
+        let word = self.next_word().ok_or_else(|| self.refuse(format!("{what} is missing")))?;
+        let value = word.parse().ok().filter(|value| *value <= most);
+        value.ok_or_else(|| {
+            self.refuse(format!("{what} is `{word}`, which is not a whole number up to {most}"))
+        })
+    }
+
+    pub(super) fn pose(&mut self, what: &str) -> Result<Pose2, BadLine> {
+        let x_m = self.number(what)?;
+        let y_m = self.number(what)?;
+        let yaw_rad = self.number(what)?;
+        Ok(Pose2::new(x_m, y_m, yaw_rad))
+    }
+}

@@ -1,0 +1,96 @@
+//! `firmware-host localize`: runs the robot's localization over a recorded log of another robot.
+
+mod carmen;
+pub mod log;
+mod track;
+mod trajectory;
+mod urg;
+mod view;
+
+use std::time::Duration;
+
+use anyhow::Result;
+use runtime::localization::LocalizationConfig;
+use serde::Serialize;
+
+use crate::cli::LocalizeArgs;
+use crate::report::atomic::{prepare_dir, write_atomically};
+use log::Log;
+use track::Track;
+
+/// `summary.json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+struct Summary {
+    scans: usize,
+    /// Time of the localizer for each scan, milliseconds.
+    scan_ms: Times,
+    closures: usize,
+    /// Length of the final path.
+    path_m: f64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+struct Times {
+    p50: f64,
+    p99: f64,
+    max: f64,
+}
+
+/// Localizes along a log, and writes the trajectories, a view from above and a summary.
+///
+/// # Errors
+/// A log that cannot be read, or a folder that cannot be written.
+pub fn run(args: &LocalizeArgs) -> Result<()> {
+    let log = Log::read(&args.log)?;
+    prepare_dir(&args.out)?;
+    if log.other_shape > 0 {
+        let beams = log.geometry.beams;
+        eprintln!("warning: {} scans do not have {beams} beams and are left out", log.other_shape);
+    }
+    println!("odometry: {}", log.odometry);
+    let track = track::track(&log, &LocalizationConfig::default())?;
+    let write = |name: &str, text: &str| write_atomically(&args.out.join(name), text.as_bytes());
+    write("trajectory.tum", &trajectory::tum(&log, &track.corrected))?;
+    write("online.tum", &trajectory::tum(&log, &track.online))?;
+    let summary = summary(&track);
+    write("summary.json", &serde_json::to_string_pretty(&summary)?)?;
+    view::draw(&log, &track.corrected).write_png(&args.out.join("map.png"))?;
+    println!(
+        "{} scans, {:.1} m, {} closures, {:.2} ms a scan",
+        summary.scans, summary.path_m, summary.closures, summary.scan_ms.p50
+    );
+    Ok(())
+}
+
+fn summary(track: &Track) -> Summary {
+    let mut times = track.scan_times.clone();
+    times.sort_unstable();
+    Summary {
+        scans: times.len(),
+        scan_ms: Times {
+            p50: share(&times, 0.5),
+            p99: share(&times, 0.99),
+            max: share(&times, 1.0),
+        },
+        closures: track.closures,
+        path_m: trajectory::length_m(&track.corrected),
+    }
+}
+
+/// The time in milliseconds that this share of the sorted times does not exceed.
+fn share(times: &[Duration], share: f64) -> f64 {
+    let rank = (share * times.len() as f64).ceil() as usize;
+    times.get(rank.saturating_sub(1)).map_or(0.0, |time| time.as_secs_f64() * 1e3)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_times_that_were_measured() {
+        let times: Vec<_> = (1..=200).map(Duration::from_millis).collect();
+        assert_eq!([0.5, 0.99, 1.0].map(|part| share(&times, part)), [100.0, 198.0, 200.0]);
+        assert_eq!(share(&[], 0.5), 0.0);
+    }
+}
