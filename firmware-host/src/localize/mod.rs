@@ -1,5 +1,6 @@
 //! `firmware-host localize`: runs the robot's localization over a recorded log of another robot.
 
+mod between_scans;
 mod carmen;
 pub mod log;
 mod track;
@@ -24,7 +25,7 @@ struct Summary {
     scans: usize,
     /// Time of the localizer for each scan, milliseconds.
     scan_ms: Times,
-    closures: usize,
+    closures: u64,
     /// Length of the final path.
     path_m: f64,
 }

@@ -18,15 +18,20 @@ use super::scan_points::{ScanPoints, Stretch, Velocity};
 use super::search_grid::{Search, SearchGrid, Window};
 use super::wheel_model::WheelModel;
 
-/// A scan with a smaller share of known surfaces says nothing about the pose.
-const MIN_INLIERS: f32 = 0.35;
-/// A scan with a smaller share of known surfaces may have been aligned with the wrong ones: its pose is searched for.
-const SEARCH_INLIERS: f32 = 0.6;
-/// The search replaces an alignment that has this much fewer known surfaces.
+/// A scan that lies on known surfaces with a smaller share of its stretches says nothing about the pose.
+const MIN_INLIERS: f32 = 0.5;
+/// A scan of which less is near known surfaces says nothing about the pose.
+const MIN_OVERLAP: f32 = 0.15;
+/// A scan that fits less may have been aligned with the wrong surfaces: its pose is searched for.
+const SEARCH_INLIERS: f32 = 0.75;
+/// The search replaces an alignment that has this much fewer stretches on known surfaces.
 const BETTER_INLIERS: f32 = 0.1;
 /// Beyond three standard deviations, the search reaches this much further: wheels slip on sills and in fast rotations.
 const SEARCH_M: f64 = 0.4;
 const SEARCH_RAD: f64 = 0.2;
+/// The search is within one scan's time, so that it is bounded.
+const MAX_SEARCH_M: f64 = 1.5;
+const MAX_SEARCH_RAD: f64 = 0.6;
 /// How exact a pose is that the search has found: its cells.
 const FOUND_M: f64 = 0.15;
 const FOUND_RAD: f64 = 0.03;
@@ -177,7 +182,7 @@ impl LocalTracker {
         let aligned = self.align_with_keyframes();
         let fit = aligned.map_or_else(ScanFit::default, |(alignment, _)| alignment.fit);
         let contradiction = aligned.map_or(0.0, |(_, contradiction)| contradiction);
-        let matched = fit.inliers >= MIN_INLIERS;
+        let matched = fit.inliers >= MIN_INLIERS && fit.overlap >= MIN_OVERLAP;
         match aligned {
             Some((alignment, _)) if matched => self.correct(&alignment),
             _ => self.wheel.forget_leg(),
@@ -221,7 +226,7 @@ impl LocalTracker {
         }
         if alignment.fit.inliers < SEARCH_INLIERS
             && let Some(found) = self.search()
-            && found.fit.inliers > alignment.fit.inliers + BETTER_INLIERS
+            && found.fit.share() > alignment.fit.share() + BETTER_INLIERS
         {
             alignment = found;
             contradiction = cost(&alignment, &prior);
@@ -242,8 +247,8 @@ impl LocalTracker {
         let [x, y, yaw] = [0, 1, 2].map(|at| self.covariance[(at, at)].sqrt());
         let mut search = Search::new(Window {
             middle: Pose2::new(0.0, 0.0, self.pose.yaw_rad),
-            metres: 3.0 * x.max(y) + SEARCH_M,
-            radians: 3.0 * yaw + SEARCH_RAD,
+            half_m: [3.0 * x + SEARCH_M, 3.0 * y + SEARCH_M].map(|half_m| half_m.min(MAX_SEARCH_M)),
+            radians: (3.0 * yaw + SEARCH_RAD).min(MAX_SEARCH_RAD),
         });
         while !search.is_done() {
             self.search_grid.step(&mut search);
@@ -254,7 +259,7 @@ impl LocalTracker {
             let Some(alignment) = align(&self.surfaces, self.points.stretches(), &prior) else {
                 continue;
             };
-            if best.is_none_or(|best| best.fit.inliers < alignment.fit.inliers) {
+            if best.is_none_or(|best| best.fit.share() < alignment.fit.share()) {
                 best = Some(alignment);
             }
         }

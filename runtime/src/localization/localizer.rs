@@ -5,7 +5,8 @@ use nalgebra::Matrix3;
 
 use crate::snapshot::{SnapshotError, State};
 
-use super::local::LocalTracker;
+use super::global::GlobalMap;
+use super::local::{LocalTracker, Tracked};
 use super::{LocalizationConfig, LocalizationError, ScanFit};
 
 /// Where the robot is.
@@ -24,6 +25,8 @@ pub struct Estimate {
     pub fit: Option<ScanFit>,
     /// The scan corrected the pose. False without a scan, and for a scan that does not fit.
     pub matched: bool,
+    /// A loop was closed by this update: `t_map_odom` and the submaps in `map` have changed.
+    pub closed: bool,
 }
 
 impl Estimate {
@@ -34,10 +37,11 @@ impl Estimate {
     }
 }
 
-/// Estimates the robot's pose. It keeps its memory, and allocates nothing once its keyframes are full.
+/// Estimates the robot's pose. It keeps its memory: once its keyframes are full, it allocates only where a submap is added or
+/// searched for.
 pub struct Localizer {
     local: LocalTracker,
-    t_map_odom: Pose2,
+    global: GlobalMap,
 }
 
 impl Localizer {
@@ -64,7 +68,7 @@ impl Localizer {
         }
         Ok(Self {
             local: LocalTracker::new(config, geometry, t_base_laser),
-            t_map_odom: Pose2::IDENTITY,
+            global: GlobalMap::new(),
         })
     }
 
@@ -88,16 +92,63 @@ impl Localizer {
         let mut t_odom_base_at_scan = None;
         if let Some((scan, wheel_at_scan)) = scan {
             self.local.predict(wheel_at_scan);
-            tracked = Some(self.local.track(scan));
+            tracked = Some(self.track(scan));
             t_odom_base_at_scan = Some(self.local.pose());
         }
         self.local.predict(wheel);
+        let revision = self.global.revision();
+        self.global.work();
         Estimate {
             t_odom_base_at_scan,
             fit: tracked.map(|tracked| tracked.fit),
             matched: tracked.is_some_and(|tracked| tracked.matched),
+            closed: self.global.revision() > revision,
             ..self.estimate()
         }
+    }
+
+    fn track(&mut self, scan: &LaserScan) -> Tracked {
+        let tracked = self.local.track(scan);
+        if tracked.keyframe {
+            let pose = self.local.pose();
+            self.global.add(&pose, self.local.stretches(), self.local.covariance());
+        }
+        tracked
+    }
+
+    /// Does all the work on loop closures that updates have put off.
+    pub fn settle(&mut self) {
+        self.global.settle();
+    }
+
+    /// Index of the submap that is being made: submaps count up along the path.
+    #[must_use]
+    pub fn submap(&self) -> usize {
+        self.global.current()
+    }
+
+    /// Pose of a submap in `map`, as corrected now. `None` before the first scan, and beyond the last submap.
+    #[must_use]
+    pub fn submap_in_map(&self, index: usize) -> Option<Pose2> {
+        self.global.submap_in_map(index)
+    }
+
+    /// Pose of a submap in `odom`, which never changes.
+    #[must_use]
+    pub fn submap_in_odom(&self, index: usize) -> Option<Pose2> {
+        self.global.submap_in_odom(index)
+    }
+
+    /// Counts the corrections of submaps in `map`.
+    #[must_use]
+    pub fn revision(&self) -> u64 {
+        self.global.revision()
+    }
+
+    /// Counts the loop closures that were accepted.
+    #[must_use]
+    pub fn closures(&self) -> u64 {
+        self.global.closed()
     }
 
     /// The pose as it is now.
@@ -107,9 +158,10 @@ impl Localizer {
             t_odom_base: self.local.pose(),
             t_odom_base_at_scan: None,
             covariance: *self.local.covariance(),
-            t_map_odom: self.t_map_odom,
+            t_map_odom: self.global.t_map_odom(),
             fit: None,
             matched: false,
+            closed: false,
         }
     }
 
@@ -123,12 +175,12 @@ impl Localizer {
 impl State for Localizer {
     fn write(&self, to: &mut Vec<u8>) {
         self.local.write(to);
-        self.t_map_odom.write(to);
+        self.global.write(to);
     }
 
     fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
         self.local.restore(from)?;
-        self.t_map_odom.read(from)
+        self.global.restore(from)
     }
 }
 

@@ -28,10 +28,20 @@ const AT_REST: f64 = 1e-4;
 pub struct ScanFit {
     /// Stretches of surface that the scan was made into.
     pub stretches: u32,
-    /// Share of them with a known surface near enough, 0 to 1.
+    /// Share of them that are near known surfaces, and not on new ground, 0 to 1.
+    pub overlap: f32,
+    /// Share of those that lie on the known surfaces, 0 to 1.
     pub inliers: f32,
     /// Root mean square distance of those to their surfaces, metres.
     pub rms_m: f32,
+}
+
+impl ScanFit {
+    /// Share of all stretches with a direction that lie on known surfaces.
+    #[must_use]
+    pub fn share(&self) -> f32 {
+        self.overlap * self.inliers
+    }
 }
 
 /// A scan's pose and what the scan alone says about it.
@@ -115,13 +125,15 @@ pub(crate) fn align(
         }
         width_m = (width_m * SHRINK).max(FINAL_WIDTH_M);
     }
-    Some(equations.into_alignment(pose, stretches.len()))
+    let known = known(&surfaces.coarse, stretches, &pose);
+    Some(equations.into_alignment(pose, known, stretches))
 }
 
-/// How well `stretches` fit at `pose`, without a prior.
-pub(crate) fn fit_at(surfaces: &Surfaces, stretches: &[Stretch], pose: &Pose2) -> Alignment {
-    equations_at(&surfaces.fine, stretches, pose, FINAL_WIDTH_M)
-        .into_alignment(*pose, stretches.len())
+/// Stretches that have a surface of their direction in the coarse grid.
+fn known(grid: &SurfelGrid, stretches: &[Stretch], pose: &Pose2) -> usize {
+    let [x, y, sin, cos] = grid.relative(pose);
+    let is_known = |stretch: &&Stretch| grid.nearest(&stretch.moved(x, y, sin, cos)).is_some();
+    stretches.iter().filter(|stretch| stretch.has_normal()).filter(is_known).count()
 }
 
 fn equations_at(grid: &SurfelGrid, stretches: &[Stretch], pose: &Pose2, width_m: f64) -> Equations {
@@ -165,12 +177,14 @@ impl Equations {
         self.weights += weight / precision;
     }
 
-    fn into_alignment(self, pose: Pose2, stretches: usize) -> Alignment {
+    fn into_alignment(self, pose: Pose2, known: usize, stretches: &[Stretch]) -> Alignment {
         // Residuals that are larger than their weights say make the result that much less certain.
         let excess = (self.weighted_squares / self.weights.max(1.0)).max(1.0);
+        let with_normal = stretches.iter().filter(|stretch| stretch.has_normal()).count();
         let fit = ScanFit {
-            stretches: u32::try_from(stretches).unwrap_or(u32::MAX),
-            inliers: (self.count / (stretches as f64).max(1.0)) as f32,
+            stretches: u32::try_from(stretches.len()).unwrap_or(u32::MAX),
+            overlap: known as f32 / with_normal.max(1) as f32,
+            inliers: (self.count / known.max(1) as f64).min(1.0) as f32,
             rms_m: (self.squares / self.count.max(1.0)).sqrt() as f32,
         };
         Alignment { pose, information: self.hessian / (excess * CORRELATION), fit }

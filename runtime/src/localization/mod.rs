@@ -12,13 +12,18 @@
 //! | keyframe | a scan that is kept, with the robot's pose |
 //! | prior | what the wheels say about the pose before the scan is matched |
 
+mod closing;
 mod config;
+mod drift;
 mod error;
+mod global;
 mod local;
 mod localizer;
 mod matcher;
+mod pose_graph;
 mod scan_points;
 mod search_grid;
+mod submaps;
 mod surfel_grid;
 #[cfg(test)]
 mod test_room;

@@ -36,8 +36,8 @@ const SAME_PLACE_RAD: f64 = 0.25;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Window {
     pub middle: Pose2,
-    /// Half of the extents.
-    pub metres: f64,
+    /// Half of the extents along x, along y, and of the yaw.
+    pub half_m: [f64; 2],
     pub radians: f64,
 }
 
@@ -151,8 +151,8 @@ impl SearchGrid {
             return 0;
         }
         let least = ((points as f32 * MIN_SHARE) as u32).max(1);
-        let [low_x, high_x] = range(search.window.middle.x_m, search.window.metres);
-        let [low_y, high_y] = range(search.window.middle.y_m, search.window.metres);
+        let [low_x, high_x] = range(search.window.middle.x_m, search.window.half_m[0]);
+        let [low_y, high_y] = range(search.window.middle.y_m, search.window.half_m[1]);
         let mut lookups = 0;
         let stride = 1 << TOP_LEVEL;
         self.stack.clear();
@@ -188,11 +188,6 @@ impl SearchGrid {
             self.stack[begin..].sort_by_key(|square| square.score);
         }
         lookups
-    }
-
-    /// Share of the query's stretches that a score stands for.
-    pub(crate) fn share(&self, score: u32) -> f32 {
-        score as f32 / self.points.len().max(1) as f32
     }
 
     fn rotate(&mut self, yaw_rad: f64) {
@@ -379,7 +374,7 @@ mod tests {
             yaw in -3.1..3.1f64,
         ) {
             let truth = Pose2::new(x, y, yaw);
-            let window = Window { middle: Pose2::IDENTITY, metres: 4.0, radians: 3.2 };
+            let window = Window { middle: Pose2::IDENTITY, half_m: [4.0; 2], radians: 3.2 };
             let found = search(&truth, window);
             let best = found.places()[0].pose;
             prop_assert!(best.distance_m(&truth) < 0.25, "{best:?} {truth:?}");
@@ -423,7 +418,7 @@ mod tests {
         grid.insert(&corridor, &Pose2::IDENTITY);
         grid.finish();
         grid.set_query(&corridor[50..250]);
-        let window = Window { middle: Pose2::IDENTITY, metres: 3.0, radians: 0.1 };
+        let window = Window { middle: Pose2::IDENTITY, half_m: [3.0; 2], radians: 0.1 };
         let mut search = Search::new(window);
         while !search.is_done() {
             grid.step(&mut search);

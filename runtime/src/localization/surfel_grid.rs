@@ -53,10 +53,6 @@ impl SurfelGrid {
         }
     }
 
-    pub(crate) fn origin(&self) -> [f64; 2] {
-        self.origin
-    }
-
     /// Empties the grid and puts its middle to `origin`.
     pub(crate) fn clear(&mut self, origin: [f64; 2]) {
         for cell in self.used.drain(..) {
@@ -143,10 +139,12 @@ impl SurfelGrid {
         best
     }
 
-    /// All surfels, in the order of insertion.
-    #[cfg(test)]
-    pub(crate) fn surfels(&self) -> &[Surfel] {
-        &self.surfels
+    /// All surfels as stretches around the grid's origin, in the order of insertion.
+    pub(crate) fn stretches(&self) -> impl Iterator<Item = Stretch> {
+        self.surfels.iter().map(|surfel| {
+            let Surfel { x, y, nx, ny, weight, .. } = *surfel;
+            Stretch { x, y, nx, ny, weight }
+        })
     }
 }
 
@@ -185,7 +183,7 @@ mod tests {
         let pose = Pose2::new(100.05, -50.0, 0.0);
         grid.insert(&wall(1.04), &pose);
         grid.insert(&wall(1.06), &pose);
-        assert_eq!(grid.surfels().len(), 20);
+        assert_eq!(grid.stretches().count(), 20);
         let probe = Stretch { x: 0.55, y: 1.1, nx: 0.0, ny: -1.0, weight: 1.0 };
         let near = grid.nearest(&probe).unwrap();
         assert!((near.y - 1.05).abs() < 1e-5, "{near:?}");
@@ -206,7 +204,7 @@ mod tests {
         grid.insert(&wall(1.05), &Pose2::IDENTITY);
         grid.clear([0.0; 2]);
         grid.insert(&wall(1.05), &Pose2::new(30.0, 0.0, 0.0));
-        assert!(grid.surfels().is_empty());
+        assert_eq!(grid.stretches().count(), 0);
         let probe = Stretch { x: 0.5, y: 1.05, nx: 0.0, ny: -1.0, weight: 1.0 };
         assert!(grid.nearest(&probe).is_none());
     }

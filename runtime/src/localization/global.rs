@@ -1,0 +1,203 @@
+//! The global pose: submaps, loop closures and the pose graph, in bounded work per update.
+
+use std::collections::VecDeque;
+
+use hal::Pose2;
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::snapshot::{SnapshotError, State, remembers};
+
+use super::closing::{Closing, Query};
+use super::pose_graph::PoseGraph;
+use super::scan_points::Stretch;
+use super::submaps::Submaps;
+
+/// Operations of one update, about: a millisecond of one core.
+const OPERATIONS: u64 = 600_000;
+/// Steps of the pose graph until it is taken as it is, and steps smaller than this end it: a tenth of a millimetre and of a
+/// milliradian.
+const MAX_STEPS: u32 = 20;
+const AT_REST: f64 = 1e-4;
+/// Rounds of weighing closures.
+const MAX_ROUNDS: u32 = 4;
+/// Drift of one submap that the scans' own covariance does not know of: its standard deviation, and that per metre.
+const DRIFT_M: f64 = 0.004;
+const DRIFT_PER_METRE: f64 = 0.006;
+const DRIFT_RAD: f64 = 0.002;
+const DRIFT_RAD_PER_METRE: f64 = 0.001;
+
+/// How far the improvement of the poses has come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+struct Solving {
+    steps: u32,
+    rounds: u32,
+}
+
+/// Submaps in `map`.
+pub(crate) struct GlobalMap {
+    submaps: Submaps,
+    graph: PoseGraph,
+    /// Poses in `map` as of the last correction. The graph's are being improved.
+    published: Vec<Pose2>,
+    revision: u64,
+    /// Closures that were accepted so far.
+    closed: u64,
+    /// Finished submaps that have not been searched for.
+    queue: VecDeque<u32>,
+    query: Option<Query>,
+    solving: Option<Solving>,
+    closing: Closing,
+}
+
+remembers!(GlobalMap: submaps, graph, published, revision, closed, queue, query, solving);
+
+impl GlobalMap {
+    pub(crate) fn new() -> Self {
+        Self {
+            submaps: Submaps::new(),
+            graph: PoseGraph::default(),
+            published: Vec::new(),
+            revision: 0,
+            closed: 0,
+            queue: VecDeque::new(),
+            query: None,
+            solving: None,
+            closing: Closing::new(),
+        }
+    }
+
+    /// Index of the submap that is being made.
+    pub(crate) fn current(&self) -> usize {
+        self.published.len().saturating_sub(1)
+    }
+
+    pub(crate) fn submap_in_map(&self, index: usize) -> Option<Pose2> {
+        self.published.get(index).copied()
+    }
+
+    pub(crate) fn submap_in_odom(&self, index: usize) -> Option<Pose2> {
+        self.submaps.all().get(index).map(|submap| submap.t_odom)
+    }
+
+    pub(crate) fn revision(&self) -> u64 {
+        self.revision
+    }
+
+    pub(crate) fn closed(&self) -> u64 {
+        self.closed
+    }
+
+    pub(crate) fn t_map_odom(&self) -> Pose2 {
+        let current = self.current();
+        match (self.submap_in_map(current), self.submap_in_odom(current)) {
+            (Some(in_map), Some(in_odom)) => in_map.compose(&in_odom.inverse()),
+            _ => Pose2::IDENTITY,
+        }
+    }
+
+    /// The local tracker made a keyframe at `pose` in `odom`, with its covariance against the keyframes before it.
+    pub(crate) fn add(&mut self, pose: &Pose2, stretches: &[Stretch], covariance: &Matrix3<f64>) {
+        if self.submaps.is_due(pose) {
+            let last = self.submaps.all().last().map(|last| last.t_odom);
+            self.submaps.begin(pose);
+            match last {
+                Some(last) => self.drive(&last, pose, covariance),
+                None => {
+                    self.graph.begin(*pose);
+                    self.published.push(*pose);
+                }
+            }
+        }
+        self.submaps.add(pose, stretches);
+    }
+
+    fn drive(&mut self, last: &Pose2, pose: &Pose2, covariance: &Matrix3<f64>) {
+        let way = last.inverse().compose(pose);
+        let length_m = way.x_m.hypot(way.y_m);
+        let drift_m = DRIFT_M + DRIFT_PER_METRE * length_m;
+        let drift_rad = DRIFT_RAD + DRIFT_RAD_PER_METRE * length_m;
+        let rotation = Rotation3::from_axis_angle(&Vector3::z_axis(), -last.yaw_rad);
+        let variances = [drift_m, drift_m, drift_rad].map(|drift| drift * drift);
+        let noise = rotation.matrix() * covariance * rotation.matrix().transpose()
+            + Matrix3::from_diagonal(&Vector3::from(variances));
+        let information = noise.try_inverse().unwrap_or_else(Matrix3::zeros);
+        let finished = self.current() as u32;
+        self.graph.drive(way, information);
+        if let Some(before) = self.published.last() {
+            self.published.push(before.compose(&way));
+        }
+        self.queue.push_back(finished);
+    }
+
+    /// Goes on closing loops, for the work of one update.
+    pub(crate) fn work(&mut self) {
+        let mut operations = 0;
+        while operations < OPERATIONS && self.is_busy() {
+            operations += self.work_step();
+        }
+    }
+
+    /// Does all the work that is left.
+    pub(crate) fn settle(&mut self) {
+        while self.is_busy() {
+            self.work_step();
+        }
+    }
+
+    fn is_busy(&self) -> bool {
+        self.solving.is_some() || self.query.is_some() || !self.queue.is_empty()
+    }
+
+    /// Returns the operations that it took.
+    fn work_step(&mut self) -> u64 {
+        if let Some(solving) = self.solving {
+            return self.improve(solving);
+        }
+        if let Some(query) = &mut self.query {
+            let operations = self.closing.step(query, &self.submaps, &self.graph);
+            if operations == 0 {
+                self.conclude();
+            }
+            return operations + 1;
+        }
+        let Some(submap) = self.queue.pop_front() else { return 1 };
+        self.query = Some(self.closing.query(submap, &self.submaps, &self.graph));
+        300 * self.submaps.all().len() as u64 + 1
+    }
+
+    fn conclude(&mut self) {
+        let closures = self.query.take().map_or_else(Vec::new, Query::closures);
+        if closures.is_empty() {
+            return;
+        }
+        self.closed += closures.len() as u64;
+        for closure in closures {
+            self.graph.close(closure);
+        }
+        self.solving = Some(Solving { steps: 0, rounds: 0 });
+    }
+
+    fn improve(&mut self, mut solving: Solving) -> u64 {
+        let change = self.graph.step();
+        solving.steps += 1;
+        self.solving = Some(solving);
+        if change < AT_REST || solving.steps >= MAX_STEPS {
+            solving = Solving { steps: 0, rounds: solving.rounds + 1 };
+            let again = self.graph.weigh() && solving.rounds < MAX_ROUNDS;
+            self.solving = again.then_some(solving);
+            if !again {
+                self.published.clear();
+                self.published.extend_from_slice(self.graph.poses());
+                self.revision += 1;
+            }
+        }
+        self.graph.step_operations()
+    }
+
+    pub(crate) fn restore(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        State::read(self, from)?;
+        self.closing.forget();
+        Ok(())
+    }
+}
