@@ -8,7 +8,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 /// Goes up whenever the layout of anything remembered changes: old snapshots are then refused, recordings stay readable.
-pub const SNAPSHOT_VERSION: u32 = 3;
+pub const SNAPSHOT_VERSION: u32 = 2;
 
 /// Why a snapshot cannot be taken up.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
