@@ -1,10 +1,10 @@
-//! Every stop, refusal, choice and end has a reason, and all reasons stand here.
+//! The reasons of every stop, refusal, choice and end.
 
 use serde::{Deserialize, Serialize};
 
 use crate::perception::NoDepth;
 
-/// Something that a person who asks "why did it do that?" wants to read.
+/// An entry of the log: what the robot decided, and why.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 #[non_exhaustive]
@@ -15,7 +15,7 @@ pub enum Event {
         x_m: f64,
         /// Target in `odom`, metres.
         y_m: f64,
-        /// What makes it worth going there.
+        /// Why it was chosen.
         why: GoalReason,
     },
     /// The goal was reached.
@@ -35,50 +35,50 @@ pub enum Event {
         /// What happened.
         what: SafetyEvent,
     },
-    /// This picture gave no depth.
+    /// This frame gave no depth.
     NoDepth {
         /// Why.
         why: NoDepth,
     },
-    /// No frame has come for too long: the robot stands until there is one.
+    /// No frame has arrived for too long: the robot stands until there is one.
     StandsWithoutFrames,
-    /// An input was refused; the loop goes on without it.
+    /// An input was refused; the loop continues without it.
     InputRefused {
         /// Why.
         why: RefusedInput,
     },
-    /// Another depth network was handed over; it counts from this turn on.
+    /// Another depth network is used from this tick on.
     NetworkTaken {
         /// BLAKE3 digest of its file, in hex.
         digest: String,
     },
-    /// The depth network was taken away and none came; from this turn on, coarse depth counts.
+    /// The depth network was removed without a successor; coarse depth is used from this tick on.
     NetworkLeft,
     /// Localization closed a loop, and the map was drawn anew on the corrected path.
     MapCorrected {
         /// How far the robot's own place in `map` moved, metres.
         shift_m: f64,
     },
-    /// The policy moved from one way of choosing goals to another.
+    /// The policy changed the way in which it chooses goals.
     PolicySwitched {
         /// The new way.
         to: GoalReason,
     },
 }
 
-/// What makes a goal worth going to.
+/// Why a goal was chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum GoalReason {
-    /// Free floor meets the unknown there.
+    /// Free floor borders on unknown space there.
     Frontier,
-    /// Two looks at the same place disagree there.
+    /// Two observations of the same place disagree there.
     Inconsistency,
-    /// A frontier behind marks that are old or were seen seldom: nothing else can be reached, and going near shows whether
-    /// they are still there.
+    /// A frontier behind obstacles that are old or were observed seldom: nothing else can be reached, and from nearby the
+    /// robot observes whether they are still there.
     LookAgain,
-    /// Nothing else is left; a far known place, to look again from elsewhere.
+    /// Nothing else is left; a distant known place is observed again from elsewhere.
     Revisit,
 }
 
@@ -87,17 +87,17 @@ pub enum GoalReason {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum DropReason {
-    /// The map no longer has a way there.
+    /// The map no longer has a path to it.
     Unreachable,
     /// No progress towards it within the progress timeout.
     NoProgress,
-    /// The safety plane tripped on the way too often.
+    /// The safety plane tripped too often on the way.
     Blocked,
-    /// What made it worth going there has been seen meanwhile.
+    /// What was to be observed there has been observed.
     Resolved,
-    /// The policy switched to another way of choosing goals.
+    /// The policy changed the way in which it chooses goals.
     PolicySwitched,
-    /// The budget for one goal is used up.
+    /// The time for one goal is used up.
     Timeout,
 }
 
@@ -108,11 +108,11 @@ pub enum DropReason {
 pub enum NoGoalReason {
     /// No frontier is left in the map.
     NoFrontier,
-    /// The last two looks agree everywhere.
+    /// The last two observations agree everywhere.
     NoInconsistency,
-    /// There are candidates, but none has a way to it.
+    /// There are candidates, but none has a path to it.
     AllUnreachable,
-    /// There are candidates, but all are on the blacklist for now.
+    /// There are candidates, but all are on the blacklist at present.
     AllBlacklisted,
     /// The robot does not stand on floor that the map knows as free.
     StartBlocked,
@@ -217,24 +217,24 @@ impl FaultReason {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum PlanRefusal {
-    /// There is none yet.
+    /// There is no plan yet.
     None,
-    /// It holds NaN or infinity. Such a command is refused, never clamped.
+    /// It contains NaN or infinity. Such a command is refused, never clamped.
     NotFinite,
     /// It is too old.
     Stale,
 }
 
-/// What noticed the obstacle.
+/// What detected the obstacle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum TripCause {
     /// A LiDAR return in the stop zone.
     LidarHit,
-    /// Something nearer than the LiDAR can measure.
+    /// An obstacle that is nearer than the LiDAR can measure.
     LidarTooNear,
-    /// The base felt it.
+    /// The base reported a contact.
     Contact,
 }
 
@@ -243,11 +243,11 @@ pub enum TripCause {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum BackOffEnd {
-    /// It went the whole distance.
+    /// The whole distance was covered.
     Distance,
-    /// Something is behind.
+    /// An obstacle is behind the robot.
     RearBlocked,
-    /// Nobody has looked at the ground behind.
+    /// The ground behind the robot was not observed.
     RearUnknown,
     /// It took too long.
     Timeout,
@@ -258,13 +258,13 @@ pub enum BackOffEnd {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum RefusedInput {
-    /// Odometry holds NaN or infinity.
+    /// The odometry contains NaN or infinity.
     OdometryNotFinite,
     /// The scan's shape is not the sensor's.
     ScanShape,
-    /// The picture has another size than the camera model.
+    /// The frame has another size than the camera model.
     FrameSize,
-    /// Time went back.
+    /// The time went backwards.
     TimeWentBack,
 }
 
@@ -273,7 +273,7 @@ pub enum RefusedInput {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum ExploreEnd {
-    /// The wanted number of frames was seen.
+    /// The requested number of frames was processed.
     FrameBudget,
     /// Nothing is left to explore that can be reached.
     Explored,
@@ -281,6 +281,6 @@ pub enum ExploreEnd {
     Interrupted,
     /// The disk is full or the output cannot be written.
     OutputFailed,
-    /// A device failed for good.
+    /// A device failed permanently.
     DeviceFailed,
 }

@@ -261,3 +261,36 @@ fn every_policy_moves_without_contact_and_repeats_exactly() {
         assert!(last.is_finite());
     }
 }
+
+/// The share of ticks in which the safety plane reduces the speed, and the number of stops for
+/// reasons other than an obstacle.
+fn interference(ticks: &[Tick]) -> (f64, usize) {
+    let mut is_slow = false;
+    let mut slow = 0;
+    let mut stops = 0;
+    for tick in ticks {
+        for event in &tick.decision.events {
+            let Event::Safety { what } = event else { continue };
+            is_slow = matches!(what, SafetyEvent::Slowed { .. });
+            stops += usize::from(matches!(
+                what,
+                SafetyEvent::Faulted { .. }
+                    | SafetyEvent::ViewLost
+                    | SafetyEvent::ArmingLapsed { .. }
+            ));
+        }
+        slow += usize::from(is_slow);
+    }
+    (slow as f64 / ticks.len() as f64, stops)
+}
+
+#[test]
+fn healthy_devices_in_an_ordinary_home_cause_no_stop_and_little_slow_driving() {
+    for seed in 1..=4 {
+        let ticks = Scenario::new(PolicyKind::Frontier, &[], seed).unwrap().ticks(600).unwrap();
+        let (slow, stops) = interference(&ticks);
+        println!("seed {seed}: slow for {:.1} % of the ticks, {stops} stops", 100.0 * slow);
+        assert_eq!(stops, 0, "seed {seed}");
+        assert!(slow < 0.05, "seed {seed}: slow for {slow} of the ticks");
+    }
+}

@@ -91,22 +91,24 @@ impl Location {
 
     /// Index of the submap that the robot is in.
     pub(super) fn submap(&self) -> usize {
-        0
+        self.localizer.as_ref().map_or(0, Localizer::submap)
     }
 
     /// Pose of a submap in `odom`: fixed once the submap exists.
-    pub(super) fn submap_in_odom(&self, _submap: usize) -> Option<Pose2> {
-        None
+    pub(super) fn submap_in_odom(&self, submap: usize) -> Option<Pose2> {
+        let pose = self.localizer.as_ref()?.submap_in_odom(submap)?;
+        Some(self.origin.compose(&pose))
     }
 
     /// Pose of a submap in `map`, as corrected so far.
-    pub(super) fn submap_in_map(&self, _submap: usize) -> Option<Pose2> {
-        None
+    pub(super) fn submap_in_map(&self, submap: usize) -> Option<Pose2> {
+        let pose = self.localizer.as_ref()?.submap_in_map(submap)?;
+        Some(self.origin.compose(&pose))
     }
 
     /// Counts the corrections of the path.
     pub(super) fn revision(&self) -> u64 {
-        0
+        self.localizer.as_ref().map_or(0, Localizer::revision)
     }
 
     /// A scanner that cannot localize (too few beams) leaves the robot to its wheels.
