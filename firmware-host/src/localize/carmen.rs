@@ -78,7 +78,7 @@ fn front_laser_angles(beams: usize) -> [f64; 2] {
     match beams {
         682 => [-PI * 681.0 / 1024.0, 2.0 * PI / 1024.0],
         541 | 1081 => [-0.75 * PI, 1.5 * PI / (count - 1.0)],
-        _ if beams % 2 == 0 => [-0.5 * PI, PI / count.max(1.0)],
+        _ if beams.is_multiple_of(2) => [-0.5 * PI, PI / count.max(1.0)],
         _ => [-0.5 * PI, PI / (count - 1.0).max(1.0)],
     }
 }

@@ -74,7 +74,7 @@ pub(super) fn parse(text: &[u8]) -> Result<Option<Log>, BadLine> {
 
 /// Values below 20 are error codes.
 fn classify(range_mm: f64) -> Range {
-    if range_mm >= 20.0 && range_mm < 4095.0 {
+    if (20.0..4095.0).contains(&range_mm) {
         Range::Hit((range_mm * 1e-3) as f32)
     } else if range_mm == 0.0 || range_mm >= 4095.0 {
         Range::NoReturn

@@ -20,7 +20,7 @@ const OPERATIONS: u64 = 600_000;
 const MAX_STEPS: u32 = 20;
 const AT_REST: f64 = 1e-4;
 /// Rounds of weighing closures.
-const MAX_ROUNDS: u32 = 4;
+const MAX_ROUNDS: u32 = 8;
 /// Drift of one submap that the scans' own covariance does not know of: its standard deviation, and that per metre.
 const DRIFT_M: f64 = 0.004;
 const DRIFT_PER_METRE: f64 = 0.006;
@@ -143,6 +143,12 @@ impl GlobalMap {
         while self.is_busy() {
             self.work_step();
         }
+    }
+
+    /// Whether a search has begun and is not over.
+    #[cfg(test)]
+    pub(crate) fn is_searching(&self) -> bool {
+        self.query.as_ref().is_some_and(Query::is_searching)
     }
 
     fn is_busy(&self) -> bool {

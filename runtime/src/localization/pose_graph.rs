@@ -17,8 +17,8 @@ const ANCHOR: f64 = 1e10;
 /// Dynamic covariance scaling (Agarwal et al. 2013): closures whose squared Mahalanobis distance is larger count less. For
 /// three degrees of freedom, 3 % of right ones exceed it.
 const KERNEL: f64 = 9.0;
-/// A closure that counts less than this contradicts the others and is dropped.
-const DROPPED: f64 = 0.05;
+/// A closure whose squared Mahalanobis distance is larger contradicts the others and is dropped.
+const DROPPED: f64 = 70.0;
 
 /// What is known of the pose of one submap in the frame of another.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -112,19 +112,29 @@ impl PoseGraph {
         largest
     }
 
-    /// Weighs every closure by how well it agrees with the poses, and drops those that do not. Returns whether a weight
-    /// changed so much that the poses must be improved again.
+    /// Drops the closure that contradicts the poses most, if there is one; else weighs every closure by how well it agrees.
+    /// Returns whether the poses must be improved again. One at a time, because a wrong closure bends the poses so that right
+    /// ones seem wrong too.
     pub(crate) fn weigh(&mut self) -> bool {
-        let poses = &self.poses;
+        let mut worst = DROPPED;
+        let mut drop = None;
         let mut changed = false;
+        for (index, closure) in self.closures.iter().enumerate() {
+            let distance = distance(closure, &self.poses);
+            if distance > worst {
+                worst = distance;
+                drop = Some(index);
+            }
+        }
+        if let Some(index) = drop {
+            self.closures.remove(index);
+            return true;
+        }
         for closure in &mut self.closures {
-            let error = error(closure, poses);
-            let distance = error.dot(&(closure.information * error));
-            let scale = (2.0 * KERNEL / (KERNEL + distance)).min(1.0);
+            let scale = (2.0 * KERNEL / (KERNEL + distance(closure, &self.poses))).min(1.0);
             changed |= (scale * scale - closure.weight).abs() > 0.05;
             closure.weight = scale * scale;
         }
-        self.closures.retain(|closure| closure.weight > DROPPED);
         changed
     }
 
@@ -158,6 +168,12 @@ fn error(edge: &Edge, poses: &[Pose2]) -> Vector3<f64> {
         there.y_m - expected.y_m,
         wrap_angle(there.yaw_rad - expected.yaw_rad),
     )
+}
+
+/// The squared Mahalanobis distance of the poses from the edge.
+fn distance(edge: &Edge, poses: &[Pose2]) -> f64 {
+    let error = error(edge, poses);
+    error.dot(&(edge.information * error))
 }
 
 impl System {
@@ -325,10 +341,7 @@ mod tests {
 
     fn cost(graph: &PoseGraph) -> f64 {
         let edges = graph.drives.iter().chain(&graph.closures);
-        let costs = edges.map(|edge| {
-            let error = error(edge, &graph.poses);
-            edge.weight * error.dot(&(edge.information * error))
-        });
+        let costs = edges.map(|edge| edge.weight * distance(edge, &graph.poses));
         costs.sum()
     }
 
