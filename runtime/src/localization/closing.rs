@@ -23,6 +23,8 @@ const MIN_KEYFRAMES_APART: u32 = 40;
 const REACH_M: f64 = 4.0;
 /// Pieces that are searched for one submap, at most.
 const MAX_PIECES: usize = 8;
+/// Closures of one submap, at most: more say nothing new, and every one costs work in the pose graph.
+const MAX_CLOSURES: usize = 4;
 /// Share of the submap that must be near known surfaces, and the share of this that must lie on them.
 const MIN_OVERLAP: f32 = 0.5;
 const MIN_INLIERS: f32 = 0.8;
@@ -150,6 +152,9 @@ impl Closing {
         }
         query.search = None;
         query.pieces.pop();
+        if query.closures.len() >= MAX_CLOSURES {
+            query.pieces.clear();
+        }
         operations
     }
 
