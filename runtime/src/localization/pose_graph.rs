@@ -395,7 +395,7 @@ mod tests {
             hasty.step(1);
         }
         for (a, b) in patient.poses.iter().zip(&hasty.poses) {
-            assert!(a.distance_m(b) < 1e-5, "{a:?} {b:?}");
+            assert!(a.distance_m(b) < 1e-4, "{a:?} {b:?}");
         }
     }
 
