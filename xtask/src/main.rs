@@ -12,6 +12,7 @@ mod dist;
 mod docs;
 mod fuzz;
 mod licences;
+mod localization;
 mod models;
 mod mutants;
 mod nextest;
@@ -67,6 +68,13 @@ enum Chore {
         /// Options of the accuracy tool.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
+    },
+    /// Localize along real logs of other robots, and print the errors against ground truth. The logs are not part of the project:
+    /// without `../shared/data/lidar` it says so and does nothing.
+    Localization {
+        /// Write the table to docs/data/localization.json and docs/localization.md.
+        #[arg(long)]
+        update: bool,
     },
     /// Explore the built-in homes with every policy and print a table. Takes an hour on two cores.
     Policies {
@@ -150,6 +158,7 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Test { all } => test::run(*all),
         Chore::Bench { json, update, filter } => bench::run(*json, *update, filter.as_deref()),
         Chore::Accuracy { arguments } => accuracy::run(arguments),
+        Chore::Localization { update } => localization::run(*update),
         Chore::Policies { frames, seeds, update } => policies::run(*frames, *seeds, *update),
         Chore::Quality { update } => quality::build_and_run(*update),
         Chore::Docs => docs::run(),

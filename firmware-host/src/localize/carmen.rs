@@ -1,7 +1,7 @@
 //! Logs of the CARMEN robot toolkit: ODOM, FLASER and ROBOTLASER1 lines.
 //!
 //! The "corrected" logs of the Radish archive hold the answer of a SLAM program in the poses of FLASER lines and in the ODOM line
-//! with time 0 behind each of them. A log is taken for corrected when it has such a line with time 0 behind a scan; the poses of its
+//! with time 0 behind each of them. A log is taken for corrected when an ODOM line with time 0 comes after a scan; the poses of its
 //! scans are then never used. Wheel odometry is the increments between neighbouring ODOM lines, restarted at every line with
 //! time 0. A log that has no ODOM lines, and is not corrected, takes its odometry from the scans' lines.
 
@@ -170,7 +170,7 @@ impl Entry {
 
 fn odometry_source(entries: &[Entry]) -> Odometry {
     let is_scan = |entry: &Entry| matches!(entry.content, Content::Scan(_));
-    let corrected = entries.windows(2).any(|pair| is_scan(&pair[0]) && pair[1].is_answer());
+    let corrected = entries.iter().skip_while(|entry| !is_scan(entry)).any(Entry::is_answer);
     let has_reports = entries.iter().any(Entry::is_wheel_report);
     match (corrected, has_reports) {
         (true, true) => Odometry::BetweenAnswers,
@@ -321,7 +321,10 @@ mod tests {
         let refused = |text: &str| parse(text.as_bytes()).unwrap_err();
         let bad = refused("# x\nODOM 0 0 nan 0 0 0 1 h 1");
         assert_eq!(bad.line, 2);
-        assert_eq!(bad.reason, "the pose of ODOM is `nan`, which is not a finite number");
+        assert_eq!(
+            bad.reason,
+            "the pose of ODOM is `nan`, which is not a finite number below 1e12"
+        );
         assert_eq!(refused("FLASER 3 1.0 2.0").reason, "range 3 of 3 is missing");
         let bad = refused("FLASER 99999999999 1");
         assert!(bad.reason.contains("not a whole number up to 100000"), "{}", bad.reason);

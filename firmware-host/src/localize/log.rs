@@ -10,6 +10,9 @@ use super::{carmen, urg};
 /// Logs with more text than this are refused: an hour of the densest scanner has a tenth of it.
 const MAX_BYTES: u64 = 4 << 30;
 
+/// No distance, angle or time of a drive is as large; sums of smaller numbers stay finite.
+const TOO_LARGE: f64 = 1e12;
+
 /// One line of the log that has odometry or a scan.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Line {
@@ -168,9 +171,11 @@ impl<'a> Words<'a> {
     /// The next word as a finite number; `what` names it in errors.
     pub(super) fn number(&mut self, what: &str) -> Result<f64, BadLine> {
         let word = self.next_word().ok_or_else(|| self.refuse(format!("{what} is missing")))?;
-        let value = word.parse().ok().filter(|value: &f64| value.is_finite());
-        value
-            .ok_or_else(|| self.refuse(format!("{what} is `{word}`, which is not a finite number")))
+        // Not true for NaN either.
+        let value = word.parse().ok().filter(|value: &f64| value.abs() < TOO_LARGE);
+        value.ok_or_else(|| {
+            self.refuse(format!("{what} is `{word}`, which is not a finite number below 1e12"))
+        })
     }
 
     /// The next word as a count up to `most`.
@@ -187,5 +192,67 @@ impl<'a> Words<'a> {
         let y_m = self.number(what)?;
         let yaw_rad = self.number(what)?;
         Ok(Pose2::new(x_m, y_m, yaw_rad))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write as _;
+
+    const LOG: &str = "ODOM 0 0 0 0 0 0 1 h 1\nFLASER 2 1.5 2 0 0 0 0 0 0 1.25 h 1\n";
+
+    fn compressed(text: &str) -> Vec<u8> {
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        encoder.write_all(text.as_bytes()).unwrap();
+        encoder.finish().unwrap()
+    }
+
+    fn read(bytes: &[u8]) -> Result<Log, String> {
+        let file = tempfile::Builder::new().prefix("drive").tempfile().unwrap();
+        std::fs::write(file.path(), bytes).unwrap();
+        Log::read(file.path()).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_compressed_log_is_the_same_log() {
+        assert_eq!(read(&compressed(LOG)), read(LOG.as_bytes()));
+        assert_eq!(read(LOG.as_bytes()).unwrap().lines.len(), 2);
+    }
+
+    #[test]
+    fn a_log_that_is_cut_off_anywhere_in_its_compressed_form_is_refused() {
+        let bytes = compressed(&LOG.repeat(50));
+        for length in 3..bytes.len() {
+            let error = read(&bytes[..length]).unwrap_err();
+            assert!(error.contains("drive") && error.contains("truncated"), "{length}: {error}");
+        }
+    }
+
+    #[test]
+    fn damaged_data_are_refused_by_name() {
+        let mut bytes = compressed(&LOG.repeat(50));
+        let last = bytes.len() - 6;
+        bytes[last] ^= 1;
+        let error = read(&bytes).unwrap_err();
+        assert!(error.contains("drive") && error.contains("damaged"), "{error}");
+    }
+
+    #[test]
+    fn a_log_without_scans_says_what_a_scan_looks_like() {
+        let error = read(b"ODOM 0 0 0 0 0 0 1 h 1\n").unwrap_err();
+        assert!(error.contains("has no scans") && error.contains("FLASER"), "{error}");
+    }
+
+    #[test]
+    fn a_wrong_value_is_refused_by_file_line_and_value() {
+        let error = read(b"# log\nODOM 0 inf 0 0 0 0 1 h 1\n").unwrap_err();
+        assert!(error.contains("drive") && error.contains("line 2") && error.contains("`inf`"));
+    }
+
+    #[test]
+    fn a_file_that_is_absent_is_named() {
+        let error = Log::read(Path::new("/nowhere/a.log")).unwrap_err().to_string();
+        assert!(error.starts_with("cannot read /nowhere/a.log"), "{error}");
     }
 }

@@ -23,6 +23,8 @@ const MIN_KEYFRAMES_APART: u32 = 40;
 const REACH_M: f64 = 4.0;
 /// Pieces that are searched for one submap, at most.
 const MAX_PIECES: usize = 8;
+/// Closures of one submap, at most: more say nothing new, and every one costs work in the pose graph.
+const MAX_CLOSURES: usize = 4;
 /// Share of the submap that must be near known surfaces, and the share of this that must lie on them.
 const MIN_OVERLAP: f32 = 0.5;
 const MIN_INLIERS: f32 = 0.8;
@@ -59,6 +61,11 @@ pub(crate) struct Query {
 }
 
 impl Query {
+    #[cfg(test)]
+    pub(crate) fn is_searching(&self) -> bool {
+        self.search.is_some()
+    }
+
     /// What was found, when the search is over.
     pub(crate) fn closures(self) -> Vec<Edge> {
         self.closures
@@ -129,11 +136,11 @@ impl Closing {
     /// Goes on with a query. Returns the operations it took; 0 when the query is over.
     pub(crate) fn step(&mut self, query: &mut Query, submaps: &Submaps, graph: &PoseGraph) -> u64 {
         let Some(Piece { middle, window }) = query.pieces.last().cloned() else { return 0 };
-        let mut operations = 0;
         if self.made_for != Some((query.submap, middle)) {
             self.make(query.submap, middle, submaps, graph);
-            operations += PIECE_OPERATIONS;
         }
+        // Counted with the search and not with the work: a restored localizer makes the piece again.
+        let mut operations = if query.search.is_none() { PIECE_OPERATIONS } else { 0 };
         let search = query.search.get_or_insert_with(|| Search::new(window));
         if !search.is_done() {
             return operations + self.grid.step(search) + 1000;
@@ -145,6 +152,9 @@ impl Closing {
         }
         query.search = None;
         query.pieces.pop();
+        if query.closures.len() >= MAX_CLOSURES {
+            query.pieces.clear();
+        }
         operations
     }
 

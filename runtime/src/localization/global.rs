@@ -17,10 +17,10 @@ use super::submaps::Submaps;
 const OPERATIONS: u64 = 600_000;
 /// Steps of the pose graph until it is taken as it is, and steps smaller than this end it: a tenth of a millimetre and of a
 /// milliradian.
-const MAX_STEPS: u32 = 20;
+const MAX_STEPS: u32 = 40;
 const AT_REST: f64 = 1e-4;
 /// Rounds of weighing closures.
-const MAX_ROUNDS: u32 = 4;
+const MAX_ROUNDS: u32 = 8;
 /// Drift of one submap that the scans' own covariance does not know of: its standard deviation, and that per metre.
 const DRIFT_M: f64 = 0.004;
 const DRIFT_PER_METRE: f64 = 0.006;
@@ -145,6 +145,12 @@ impl GlobalMap {
         }
     }
 
+    /// Whether a search has begun and is not over.
+    #[cfg(test)]
+    pub(crate) fn is_searching(&self) -> bool {
+        self.query.as_ref().is_some_and(Query::is_searching)
+    }
+
     fn is_busy(&self) -> bool {
         self.solving.is_some() || self.query.is_some() || !self.queue.is_empty()
     }
@@ -179,7 +185,7 @@ impl GlobalMap {
     }
 
     fn improve(&mut self, mut solving: Solving) -> u64 {
-        let change = self.graph.step();
+        let change = self.graph.step(OPERATIONS);
         solving.steps += 1;
         self.solving = Some(solving);
         if change < AT_REST || solving.steps >= MAX_STEPS {
@@ -192,7 +198,7 @@ impl GlobalMap {
                 self.revision += 1;
             }
         }
-        self.graph.step_operations()
+        OPERATIONS
     }
 
     pub(crate) fn restore(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {

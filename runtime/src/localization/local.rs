@@ -57,8 +57,6 @@ pub(crate) struct Tracked {
     pub fit: ScanFit,
     /// The scan fits and has corrected the pose.
     pub matched: bool,
-    /// By how much the scan contradicts the wheels: the squared Mahalanobis distance.
-    pub contradiction: f64,
     /// The scan became a keyframe.
     pub keyframe: bool,
 }
@@ -177,14 +175,13 @@ impl LocalTracker {
             self.add_keyframe();
             let fit =
                 ScanFit { stretches: self.points.stretches().len() as u32, ..ScanFit::default() };
-            return Tracked { fit, matched: true, contradiction: 0.0, keyframe: true };
+            return Tracked { fit, matched: true, keyframe: true };
         }
         let aligned = self.align_with_keyframes();
-        let fit = aligned.map_or_else(ScanFit::default, |(alignment, _)| alignment.fit);
-        let contradiction = aligned.map_or(0.0, |(_, contradiction)| contradiction);
+        let fit = aligned.map_or_else(ScanFit::default, |alignment| alignment.fit);
         let matched = fit.inliers >= MIN_INLIERS && fit.overlap >= MIN_OVERLAP;
         match aligned {
-            Some((alignment, _)) if matched => self.correct(&alignment),
+            Some(alignment) if matched => self.correct(&alignment),
             _ => self.wheel.forget_leg(),
         }
         let mut keyframe = self.is_due() && fit.stretches > 0;
@@ -194,7 +191,7 @@ impl LocalTracker {
         } else if keyframe {
             self.add_keyframe();
         }
-        Tracked { fit, matched, contradiction, keyframe }
+        Tracked { fit, matched, keyframe }
     }
 
     /// Forgets the keyframes, none of which is in view, and begins again where the wheels say. False while the robot has
@@ -209,9 +206,9 @@ impl LocalTracker {
         true
     }
 
-    /// The alignment with the keyframes, and by how much it contradicts the wheels. A prior that is contradicted is
-    /// widened as far as it was wrong, and the alignment is repeated.
-    fn align_with_keyframes(&mut self) -> Option<(Alignment, f64)> {
+    /// The alignment with the keyframes. A prior that is contradicted is widened as far as it was wrong, and the alignment is
+    /// repeated; a scan that still fits badly is searched for.
+    fn align_with_keyframes(&mut self) -> Option<Alignment> {
         let stretches = self.points.stretches();
         let with_normal = stretches.iter().filter(|stretch| stretch.has_normal()).count();
         if with_normal < MIN_STRETCHES {
@@ -219,7 +216,7 @@ impl LocalTracker {
         }
         let prior = self.prior(1.0)?;
         let mut alignment = align(&self.surfaces, stretches, &prior)?;
-        let mut contradiction = cost(&alignment, &prior);
+        let contradiction = cost(&alignment, &prior);
         if contradiction > CONTRADICTION {
             let widened = self.prior(contradiction / 3.0)?;
             alignment = align(&self.surfaces, stretches, &widened)?;
@@ -229,9 +226,8 @@ impl LocalTracker {
             && found.fit.share() > alignment.fit.share() + BETTER_INLIERS
         {
             alignment = found;
-            contradiction = cost(&alignment, &prior);
         }
-        Some((alignment, contradiction))
+        Some(alignment)
     }
 
     /// The best alignment with the keyframes around the predicted pose, for a prediction that was too wrong to start from.

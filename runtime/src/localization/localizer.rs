@@ -186,7 +186,7 @@ impl State for Localizer {
 
 #[cfg(test)]
 mod tests {
-    use super::super::test_room::{TestRobot, rectangle, round_trip};
+    use super::super::test_room::{TestRobot, around_the_ring, rectangle, round_trip};
     use super::*;
     use hal::wrap_angle;
 
@@ -284,6 +284,71 @@ mod tests {
                 assert!(from.is_empty());
             }
         }
+    }
+
+    /// Drives through the ring corridor. Returns the largest error of a submap in `map`, metres.
+    fn worst_submap(localizer: &Localizer, truths: &[Pose2]) -> f64 {
+        let mut worst = 0.0_f64;
+        for (index, truth) in truths.iter().enumerate() {
+            let in_map = localizer.submap_in_map(index).unwrap();
+            let expected = truths[0].inverse().compose(truth);
+            let first = localizer.submap_in_map(0).unwrap();
+            worst = worst.max(first.inverse().compose(&in_map).distance_m(&expected));
+        }
+        worst
+    }
+
+    #[test]
+    fn after_a_round_the_loop_is_closed_and_every_submap_is_where_it_was() {
+        let mut robot = TestRobot::in_ring(11);
+        let mut localizer = localizer(&robot);
+        let mut truths = Vec::new();
+        let mut closed = 0;
+        for (forward_m, yaw_rad) in around_the_ring(2) {
+            robot.step(forward_m, yaw_rad);
+            let before = localizer.revision();
+            let estimate = update(&mut localizer, &mut robot);
+            closed += usize::from(estimate.closed);
+            assert_eq!(estimate.closed, localizer.revision() > before);
+            if localizer.submap_in_map(truths.len()).is_some() {
+                truths.push(robot.truth);
+            }
+            let index = localizer.submap();
+            let [in_map, in_odom] =
+                [localizer.submap_in_map(index), localizer.submap_in_odom(index)]
+                    .map(Option::unwrap);
+            let expected = in_map.compose(&in_odom.inverse());
+            assert!(expected.distance_m(&estimate.t_map_odom) < 1e-9);
+        }
+        assert!(closed > 5, "{closed} corrections");
+        let worst = worst_submap(&localizer, &truths);
+        assert!(worst < 0.06, "{worst} m");
+    }
+
+    #[test]
+    fn a_snapshot_in_the_middle_of_a_closure_goes_on_to_the_bit() {
+        let mut robot = TestRobot::in_ring(3);
+        let mut first = localizer(&robot);
+        let mut second: Option<Localizer> = None;
+        let mut compared = 0;
+        for (forward_m, yaw_rad) in around_the_ring(2) {
+            robot.step(forward_m, yaw_rad);
+            let scan = robot.scan();
+            let input = Some((&scan, &robot.wheel));
+            let estimate = first.update(&robot.wheel, robot.time_ns, input);
+            if let Some(second) = &mut second {
+                assert_eq!(second.update(&robot.wheel, robot.time_ns, input), estimate);
+                assert_eq!(second.submap_in_map(3), first.submap_in_map(3));
+                compared += usize::from(estimate.closed);
+            } else if first.global.is_searching() && first.closures() > 0 {
+                let mut bytes = Vec::new();
+                State::write(&first, &mut bytes);
+                let mut restored = localizer(&robot);
+                State::read(&mut restored, &mut bytes.as_slice()).unwrap();
+                second = Some(restored);
+            }
+        }
+        assert!(compared > 3, "{compared} closures after the snapshot");
     }
 
     #[test]

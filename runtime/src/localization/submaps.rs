@@ -11,7 +11,7 @@ use super::surfel_grid::SurfelGrid;
 /// A submap is finished when the robot is this far from where the submap began, or after this many keyframes.
 const LENGTH_M: f64 = 0.8;
 const KEYFRAMES: usize = 8;
-/// Bounds memory to 40 MiB: with the robot always on new ground, five kilometres. The last submap then goes on without end.
+/// Bounds memory to 40 MiB: a path of three kilometres. The last submap then goes on without end.
 pub(crate) const MAX_SUBMAPS: usize = 4096;
 /// Stretches of one submap at most: those of the first scans stay.
 const MAX_STRETCHES: usize = 500;

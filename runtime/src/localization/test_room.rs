@@ -83,6 +83,12 @@ impl TestRobot {
         Self { truth: Pose2::new(0.0, -1.4, 0.0), ..Self::new(furnished_room(), seed) }
     }
 
+    /// In the ring corridor, where [`around_the_ring`] begins.
+    pub(crate) fn in_ring(seed: u64) -> Self {
+        let truth = Pose2::new(0.0, -0.8, 0.0);
+        Self { truth, drift_rad_per_m: 0.06, ..Self::new(ring_corridor(), seed) }
+    }
+
     fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.rng.random_range(0.0..1.0)).sum::<f64>() - 6.0
     }
@@ -116,6 +122,35 @@ impl TestRobot {
         }
         scan
     }
+}
+
+/// A corridor of 1.6 m width around a block of 10 x 6 m, with doors, boxes and pillars along it.
+pub(crate) fn ring_corridor() -> Vec<Wall> {
+    let mut walls = Vec::new();
+    walls.extend(rectangle([0.0, 0.0], [10.0, 6.0]));
+    walls.extend(rectangle([-1.6, -1.6], [11.6, 7.6]));
+    for [x, y] in [[2.0, -1.6], [7.5, -1.6], [11.3, 1.5], [11.3, 4.0], [6.0, 7.3], [-1.6, 2.5]] {
+        walls.extend(rectangle([x, y], [x + 0.3, y + 0.3]));
+    }
+    for [x, y] in [[4.0, -0.2], [10.0, 2.6], [3.0, 6.0], [-0.25, 4.2]] {
+        walls.extend(rectangle([x, y], [x + 0.25, y + 0.2]));
+    }
+    walls
+}
+
+/// Forward and yaw of each step of `rounds` rounds through the ring corridor, from (0, -0.8) along x.
+pub(crate) fn around_the_ring(rounds: usize) -> impl Iterator<Item = (f64, f64)> {
+    let side = |metres: f64| {
+        let forward = std::iter::repeat_n((0.05, 0.0), (metres / 0.05).round() as usize);
+        forward.chain(std::iter::repeat_n((0.0, std::f64::consts::FRAC_PI_2 / 30.0), 30))
+    };
+    (0..rounds).flat_map(move |_| {
+        side(10.8)
+            .chain(side(7.6))
+            .chain(side(11.6))
+            .chain(side(7.6))
+            .chain(std::iter::repeat_n((0.05, 0.0), 16))
+    })
 }
 
 /// Forward and yaw of each step of a drive around the middle of the furnished room, with stops to look around.

@@ -15,6 +15,7 @@ mod buffer_wire;
 mod bundle;
 mod can;
 mod config;
+mod localize_log;
 mod onnx_file;
 mod recording;
 mod scip;
@@ -28,6 +29,7 @@ pub use config::config;
 /// Arbitrary sequences of camera events: the driver follows the queue's rules and returns no stale
 /// frame.
 pub use hil::video::check_events as v4l2_queue;
+pub use localize_log::localize_log;
 pub use onnx_file::onnx_file;
 pub use recording::recording;
 pub use scip::scip;
@@ -38,11 +40,12 @@ pub use snapshot::snapshot;
 pub type Check = fn(&[u8]);
 
 /// All checks, by the name of their target and corpus.
-pub const TARGETS: [(&str, Check); 10] = [
+pub const TARGETS: [(&str, Check); 11] = [
     ("buffer_wire", buffer_wire),
     ("bundle", bundle),
     ("can", can),
     ("config", config),
+    ("localize_log", localize_log),
     ("onnx_file", onnx_file),
     ("recording", recording),
     ("scip", scip),

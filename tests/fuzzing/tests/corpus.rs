@@ -75,6 +75,11 @@ fn any_text_as_a_configuration_is_handled() {
 }
 
 #[test]
+fn any_text_as_a_log_is_handled() {
+    run_corpus("localize_log");
+}
+
+#[test]
 fn every_target_has_a_corpus_and_every_corpus_a_target() {
     let targets = TARGETS.map(|(name, _)| name.to_owned());
     assert_eq!(file_stems(corpus()), targets);

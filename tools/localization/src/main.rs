@@ -1,0 +1,127 @@
+//! Localizes along real logs with the robot's own code, and prints the errors against ground truth as a table in Markdown.
+//!
+//! The logs are not part of the project. Their folder is an argument; without it, it is `shared/data/lidar` beside the repository.
+#![forbid(unsafe_code)]
+
+mod relations;
+mod trajectory;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use clap::Parser;
+use firmware_host::cli::LocalizeArgs;
+use firmware_host::localize;
+use serde_json::Value;
+
+use relations::{Clock, Errors, Relation};
+use trajectory::Trajectory;
+
+/// Localizes along real logs and measures the error against ground truth.
+#[derive(Parser)]
+struct Arguments {
+    /// Folder of the logs and relations.
+    #[arg(long, value_name = "DIR", default_value = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/lidar"))]
+    logs: PathBuf,
+    /// Folder for trajectories and views from above.
+    #[arg(long, value_name = "DIR", default_value = "target/localization")]
+    out: PathBuf,
+}
+
+/// A log and what is known about it.
+struct Case {
+    name: &'static str,
+    log: &'static str,
+    /// The file of relations, and how their times become the log's.
+    truth: Option<(&'static str, Clock)>,
+    /// What others reached, in words.
+    published: &'static str,
+}
+
+const CASES: [Case; 3] = [
+    Case {
+        name: "Intel",
+        log: "intel-corrected.log.gz",
+        truth: Some(("intel.relations.gz", Clock::INTEL)),
+        published: "GMapping .0261 / .94; Cartographer .0229 / .453; graph SLAM .031 m (Kuemmerle 2009)",
+    },
+    Case {
+        name: "FR079",
+        log: "freiburg-079-corrected.log.gz",
+        truth: Some(("fr079.relations.gz", Clock::FREIBURG)),
+        published: "GMapping .0486 / 1.00; Cartographer .0452 / .538; graph SLAM .056 m (Kuemmerle 2009)",
+    },
+    Case { name: "URG-04LX", log: "urg04lx-exp1.dat.gz", truth: None, published: "" },
+];
+
+const COLUMNS: [&str; 9] = [
+    "log",
+    "poses",
+    "relations",
+    "error (m / deg)",
+    "standard deviation (m / deg)",
+    "pairs over 30 s (m / deg)",
+    "closures",
+    "ms a scan p50 / p99",
+    "published",
+];
+
+fn main() -> Result<()> {
+    let Arguments { logs, out } = Arguments::parse();
+    if !logs.is_dir() {
+        println!("skipped: {} is absent, and the logs are not part of the project", logs.display());
+        return Ok(());
+    }
+    let mut rows = Vec::new();
+    for case in &CASES {
+        rows.extend(measure(case, &logs, &out.join(case.name))?);
+    }
+    println!("| {} |\n|{}", COLUMNS.join(" | "), "---|".repeat(COLUMNS.len()));
+    for row in rows {
+        println!("| {} |", row.join(" | "));
+    }
+    Ok(())
+}
+
+/// The rows of a log: the wheels alone, and the robot's poses at the time and at the end.
+fn measure(case: &Case, folder: &Path, out: &Path) -> Result<Vec<Vec<String>>> {
+    let log = folder.join(case.log);
+    localize::run(&LocalizeArgs { log: log.clone(), out: out.to_path_buf() })?;
+    let summary = summary(out)?;
+    let runs = [
+        ("wheels", Trajectory::by_wheels(&log)?),
+        ("as known then", Trajectory::read(&out.join("online.tum"), &log)?),
+        ("after all closures", Trajectory::read(&out.join("trajectory.tum"), &log)?),
+    ];
+    let mut rows = Vec::new();
+    for (poses, trajectory) in &runs {
+        let is_last = *poses == "after all closures";
+        let mut row = vec![case.name.to_owned(), (*poses).to_owned()];
+        row.extend(errors(case, folder, trajectory)?);
+        row.extend(if is_last { costs(&summary) } else { [const { String::new() }; 2] });
+        row.push(if is_last { case.published.to_owned() } else { String::new() });
+        rows.push(row);
+    }
+    Ok(rows)
+}
+
+fn errors(case: &Case, folder: &Path, trajectory: &Trajectory) -> Result<[String; 4]> {
+    let Some((file, clock)) = &case.truth else { return Ok([const { String::new() }; 4]) };
+    let relations = Relation::read(&folder.join(file))?;
+    let all = Errors::of(&relations, clock, trajectory, 0.0);
+    let far = Errors::of(&relations, clock, trajectory, 30.0);
+    Ok([all.count.to_string(), all.means(), all.deviations(), far.means()])
+}
+
+fn costs(summary: &Value) -> [String; 2] {
+    let times = &summary["scan_ms"];
+    let milliseconds = |key: &str| times[key].as_f64().unwrap_or(f64::NAN);
+    let closures = summary["closures"].to_string();
+    [closures, format!("{:.2} / {:.2}", milliseconds("p50"), milliseconds("p99"))]
+}
+
+fn summary(out: &Path) -> Result<Value> {
+    let path = out.join("summary.json");
+    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+    serde_json::from_str(&text).with_context(|| path.display().to_string())
+}
