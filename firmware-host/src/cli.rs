@@ -6,6 +6,7 @@ use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
 use runtime::exploration::PolicyKind;
 use runtime::robot::DepthSource;
 
+use crate::config::Odometry;
 use crate::faults::FaultArgs;
 use crate::model::ModelArgs;
 use crate::replay::Moment;
@@ -78,6 +79,10 @@ pub struct ExploreArgs {
     /// Which depth goes into the map [default: network if there is a model, else coarse].
     #[arg(long, value_enum)]
     pub depth: Option<DepthArg>,
+    /// How wrong the wheel odometry is [default: `simulator.odometry` of the configuration,
+    /// realistic].
+    #[arg(long, value_enum)]
+    pub odometry: Option<Odometry>,
     /// Number of camera frames to explore for. The robot takes one step per frame.
     #[arg(long, value_name = "N", default_value_t = 3000, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     pub frames: u64,

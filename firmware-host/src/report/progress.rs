@@ -19,7 +19,7 @@ pub struct Status<'a> {
 
 impl Status<'_> {
     fn text(&self) -> String {
-        let coverage = self.coverage.map(|share| format!("{:.0} % mapped", 100.0 * share));
+        let coverage = self.coverage.map(|share| format!("{:.0} % mapped", (100.0 * share).floor()));
         let doing = (!self.doing.is_empty()).then(|| self.doing.to_owned());
         [coverage, doing].into_iter().flatten().collect::<Vec<_>>().join(", ")
     }
