@@ -517,7 +517,7 @@ mod tests {
     }
 
     #[test]
-    fn perceive_names_both_kinds_of_pictures_when_neither_is_given() {
+    fn perceive_names_both_kinds_of_input_when_neither_is_given() {
         let error = Cli::try_parse_from(["firmware-host", "perceive", "--out", "o"])
             .unwrap_err()
             .to_string();

@@ -43,7 +43,7 @@ pub(crate) struct Shot<'a> {
 pub(crate) struct View {
     /// Number of the view, from 0.
     pub view: u64,
-    /// How the camera came there: `drive` or `turn`.
+    /// The camera's motion before the frame: `drive`, or `turn` for a rotation on the spot.
     pub approach: &'static str,
 }
 

@@ -126,7 +126,7 @@ fn recorder(
     let options = RecorderOptions {
         segment_ns: (config.recording.segment_s * 1e9) as u64,
         segment_bytes: config.recording.segment_mib << 20,
-        pictures: config.recording.images,
+        images: config.recording.images,
         ..RecorderOptions::simulation(&args.out)
     };
     Ok(Recorder::start_on(Box::new(FaultyDisk::new(FileSystem, faults)), options, header)?)

@@ -26,9 +26,9 @@ mod tests {
     #[test]
     fn a_cause_that_the_message_already_contains_is_not_repeated() {
         let error = anyhow!("disk full")
-            .context("cannot write a.png: disk full; make room")
+            .context("cannot write a.png: disk full; free some space")
             .context("no report");
-        assert_eq!(sentence(&error), "no report: cannot write a.png: disk full; make room");
+        assert_eq!(sentence(&error), "no report: cannot write a.png: disk full; free some space");
         assert_eq!(
             sentence(&anyhow!("disk full").context("cannot write")),
             "cannot write: disk full"

@@ -1,4 +1,4 @@
-//! `firmware-host replay`: the loop of a recorded run, built again from the run's header.
+//! `firmware-host replay`: builds the loop of a recorded run from the run's header.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -21,9 +21,9 @@ use crate::setup::{self, Mission};
 
 struct Loop {
     robot: Robot,
-    /// Networks that are handed over before a turn, last first; none: the one that was there was taken away.
+    /// The networks that the run used from a tick on, last first; `None`: from that tick on it used none.
     networks: Vec<(u64, Option<DepthNetwork>)>,
-    /// The signed models of a run that drove with them.
+    /// The model store of a run that used one.
     stored: Option<Stored>,
 }
 
@@ -42,10 +42,10 @@ impl Stored {
         Ok(Self { store: Store::open(dir)?, camera: header.camera, config: config.clone() })
     }
 
-    /// The networks that the run took and left, at the turns that say so, last first.
+    /// The changes of network in the run's events, last first.
     fn taken(&self, run: &Path) -> Result<Vec<(u64, Option<DepthNetwork>)>> {
         let mut networks = Vec::new();
-        // What cannot be read ends the replay itself, with its reason.
+        // An error of the recording is reported by the replay itself.
         for tick in Run::open(run)?.map_while(Result::ok) {
             for event in tick.decision.into_iter().flat_map(|decision| decision.events) {
                 match event {
@@ -76,8 +76,8 @@ impl Replayable for Loop {
     fn hand_over(&mut self, tick: u64) {
         while let Some((_, network)) = self.networks.pop_if(|(from, _)| *from <= tick) {
             match network {
-                Some(network) => drop(self.robot.take_network(network)),
-                None => self.robot.leave_network(),
+                Some(network) => drop(self.robot.set_network(network)),
+                None => self.robot.remove_network(),
             }
         }
     }
@@ -87,8 +87,8 @@ impl Replayable for Loop {
             let wanted = Robot::network_of_snapshot(snapshot)?;
             if wanted != self.robot.network_digest() {
                 match wanted {
-                    Some(digest) => drop(self.robot.take_network(stored.load(&digest)?)),
-                    None => self.robot.leave_network(),
+                    Some(digest) => drop(self.robot.set_network(stored.load(&digest)?)),
+                    None => self.robot.remove_network(),
                 }
             }
         }
@@ -115,12 +115,12 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
     Ok(if report.is_exact() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// The loop of a recorded run, as it was before its first turn.
+/// The loop of a recorded run in its state before the first tick.
 ///
 /// # Errors
 /// When this version does not know the run's configuration, or its models are not those that were given.
 pub fn build(run: &Path, header: &RunHeader, models: &RunModels) -> Result<Box<dyn Replayable>> {
-    if !header.pictures {
+    if !header.images {
         bail!(
             "the run was recorded without images (recording.images = false): nothing can be recomputed"
         );
@@ -146,7 +146,7 @@ pub fn build(run: &Path, header: &RunHeader, models: &RunModels) -> Result<Box<d
     Ok(Box::new(Loop { robot, networks, stored }))
 }
 
-/// The very network that the run was made with.
+/// The network that the run was made with.
 fn network(args: &RunModels, header: &RunHeader, config: &Config) -> Result<Option<DepthNetwork>> {
     match (&header.model_digest, &args.model) {
         (None, None) => Ok(None),
@@ -170,7 +170,7 @@ fn network(args: &RunModels, header: &RunHeader, config: &Config) -> Result<Opti
     }
 }
 
-/// The networks that the run was handed, as far as there are any: the run may have ended before the next.
+/// The networks of the run's hand-over schedule. The run may have ended before the last of them.
 fn handed_over(
     args: &RunModels,
     header: &RunHeader,

@@ -41,8 +41,10 @@ impl Config {
             t_base_camera: self.camera.mount(),
             laser_forward_m: self.lidar.forward_m,
             forward_step_m: self.base.forward_step_m,
-            turn_step_rad: self.base.turn_step_deg.to_radians(),
+            rotation_step_rad: self.base.turn_step_deg.to_radians(),
             tick_s: self.base.tick_s(),
+            localization: self.localization.clone(),
+            command_delay_s: self.safety_period_ns() as f64 * 1e-9,
             policy: mission.policy,
             seed: mission.seed,
             depth_source: mission.depth_source,
@@ -52,9 +54,7 @@ impl Config {
             follower: self.follower_config(),
             exploration: self.exploration,
             footprint_radius_m: self.base.footprint_radius_m,
-            stand_without_frames: Some(
-                (self.run.frame_timeout_s / self.base.tick_s()).ceil() as u64
-            ),
+            stop_without_frames: Some((self.run.frame_timeout_s / self.base.tick_s()).ceil() as u64),
         }
     }
 }
@@ -89,7 +89,7 @@ pub fn run_header(
     faults: &FaultPlan,
 ) -> Result<RunHeader> {
     Ok(RunHeader {
-        pictures: config.recording.images,
+        images: config.recording.images,
         seed: mission.seed,
         policy: mission.policy.name().to_owned(),
         depth_source: mission.depth_source.name().to_owned(),

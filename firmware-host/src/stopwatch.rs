@@ -1,4 +1,4 @@
-//! The clock that the runtime does not have: how long each stage of a turn took.
+//! Measures how long each stage of a tick takes. The runtime has no clock and calls this one.
 
 use std::time::Instant;
 
@@ -6,7 +6,7 @@ use runtime::robot::{Stage as RobotStage, StageTimer};
 
 use crate::report::latency::{Latencies, Stage};
 
-/// Measures from one call to the next.
+/// Measures the time between consecutive calls.
 #[derive(Debug)]
 pub struct Stopwatch {
     latencies: Latencies,
@@ -32,13 +32,13 @@ impl Stopwatch {
         self.last = now;
     }
 
-    /// Counts the time since `since` for `stage`, whatever was measured in between.
+    /// Counts the time since `since` for `stage`, including the times of other stages in between.
     pub fn since(&mut self, since: Instant, stage: Stage) {
         self.last = Instant::now();
         self.latencies.record(stage, (self.last - since).as_nanos() as u64);
     }
 
-    /// What was measured.
+    /// The measured latencies.
     #[must_use]
     pub fn latencies(&self) -> &Latencies {
         &self.latencies

@@ -44,7 +44,7 @@ impl Scene {
         let folder = tempfile::tempdir().unwrap();
         let options = LiveOptions {
             protocol,
-            // Small pictures: this is about devices.
+            // Small images, because this test is about devices.
             camera: CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2),
             ..LiveOptions::default()
         };
@@ -234,7 +234,7 @@ fn killed_in_the_middle_the_wheels_stand_and_the_recording_replays() {
     pause(400);
     assert!(scene.world.wheels().iter().all(|node| node.wheel().velocity_radps().abs() < 0.1));
     let (_, text) = replayed(&scene.folder.path().join("run"), &[]);
-    assert!(text.contains("mismatches=0") && text.contains("truncated after turn"), "{text}");
+    assert!(text.contains("mismatches=0") && text.contains("truncated after tick"), "{text}");
     pause(3000);
     let (well, text) = scene.health();
     assert!(!well && text.contains("the program (pid"), "{text}");

@@ -66,6 +66,19 @@ pub struct WheelFeedback {
     pub contact: bool,
 }
 
+/// A stop that the base itself demands, beyond an error of the device.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum StopCause {
+    /// An emergency stop that the base reads is pressed.
+    EmergencyStop,
+    /// A board that reads the emergency stop is configured and sends nothing.
+    SafetyBoardSilent,
+    /// The caller called the base later than its watchdog time allows, but nothing else is wrong.
+    /// The base has to be armed again.
+    LoopStalled,
+}
+
 /// A drive base that follows a planar twist, such as one with two driven wheels.
 ///
 /// * *Blocking*: no method blocks. `drive` puts the command into a queue of length one, where a
@@ -74,7 +87,7 @@ pub struct WheelFeedback {
 ///   (at most 100 ms in the wheels' own controller). To keep moving, the caller must keep sending
 ///   commands.
 /// * *Unplug*: `drive` and `poll_feedback` return [`Disconnected`](crate::ErrorKind::Disconnected)
-///   until the driver has reopened the device. The base then stands still, and its odometry may
+///   until the driver has reopened the device. The base then does not move, and its odometry may
 ///   have restarted.
 /// * *Retries*: the driver reopens the device. Neither the driver nor the caller repeats a refused
 ///   command, which would be stale by then.
@@ -100,11 +113,23 @@ pub trait Base: ErrorType {
     /// not armed.
     fn drive(&mut self, command: &DriveCommand) -> Result<(), Self::Error>;
 
+    /// The stop that the base demands, as of its last call. While it is
+    /// [`EmergencyStop`](StopCause::EmergencyStop) or
+    /// [`SafetyBoardSilent`](StopCause::SafetyBoardSilent), the base moves on no command and cannot
+    /// be armed.
+    fn stop_cause(&self) -> Option<StopCause> {
+        None
+    }
+
     /// Stops as fast as the base can. Accepted whenever the base is connected, armed or not.
     ///
     /// # Errors
     /// Only when the base cannot be reached. The base's own watchdog stops it in that case.
     fn stop(&mut self) -> Result<(), Self::Error>;
+
+    /// The last call before the base is left alone: lets unpowered controllers stop waiting for
+    /// commands, so that they do not report an expired watchdog.
+    fn finish(&mut self) {}
 
     /// Returns the newest measurement, or `None` when it was returned before.
     ///

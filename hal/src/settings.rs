@@ -3,7 +3,7 @@
 //! [`settings!`](crate::settings!) makes a struct, its [`Default`], its serde implementation (unknown keys are refused) and
 //! [`Section`], the description of its keys. The program that reads the configuration uses that description to check a file,
 //! to write the commented default file and to write the reference table, so that a default, a range or a sentence about a
-//! key stands in one place.
+//! key is in one place.
 //!
 //! Rules between keys (`max` above `min`) are ordinary functions beside the section.
 

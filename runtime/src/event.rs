@@ -118,37 +118,40 @@ pub enum NoGoalReason {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum SafetyEvent {
-    /// Stopped: something is in the stop zone.
+    /// It stopped the robot: an obstacle is in the stop zone, or the base reports a contact.
     Tripped {
-        /// What noticed it.
+        /// What detected the obstacle.
         by: TripCause,
-        /// Where it is, in `base_link`, metres.
+        /// Position of the obstacle in `base_link`, metres.
         x_m: f64,
-        /// Where it is, in `base_link`, metres.
+        /// Position of the obstacle in `base_link`, metres.
         y_m: f64,
     },
-    /// Backing off has ended and the blocked cell was handed to the planner.
+    /// The back-off has ended, and the blocked cell was reported to the planner.
     BackedOff {
-        /// How far it went, metres.
+        /// Length of the back-off, metres.
         distance_m: f64,
         /// Why it ended.
         end: BackOffEnd,
     },
-    /// Repeated trips at one place: turning on the spot until there is a way out.
+    /// Repeated trips at one place: the robot rotates on the spot until a direction is free.
     Escaping,
     /// The way is clear again.
     Cleared,
-    /// Something is ahead: slower, so that the robot can stop before it.
+    /// Plans pass at a reduced speed: an obstacle is near, the view ahead is incomplete, or the
+    /// robot continues after a stop.
     Slowed {
-        /// The speed from which it still can, m/s.
+        /// The highest speed that is allowed now, m/s.
         limit_mps: f64,
     },
-    /// Stopped, and stands until the reason is gone.
+    /// The robot stands because the scanner has not seen the way ahead for too long.
+    ViewLost,
+    /// It stopped the robot until the condition of the stop has ended.
     Faulted {
         /// Why.
         why: FaultReason,
     },
-    /// A plan is not followed; the robot stands until a better one comes.
+    /// A plan is not followed; the robot stands until there is a valid one.
     PlanRefused {
         /// Why.
         why: PlanRefusal,
@@ -157,37 +160,47 @@ pub enum SafetyEvent {
     Armed,
     /// Nothing moves the robot from now on.
     Disarmed,
+    /// A request to arm is void, because the robot could not be armed in time or because of an
+    /// event that needs a person. It has to be given again.
+    ArmingLapsed {
+        /// What prevented the arming.
+        why: FaultReason,
+    },
 }
 
-/// Why nothing may move the robot.
+/// Why nothing may move the robot. `runtime::safety::STOPS` lists what ends each of these stops.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum FaultReason {
-    /// No scan that is new enough to drive by.
+    /// No scan is new enough to drive by.
     LidarSilent,
     /// Too many beams of the scan are errors, or none came back.
     LidarBad,
-    /// The wheels have not told for too long how they turn.
+    /// The wheels have reported no motion for too long: no power, no cable, or a restart.
     BaseSilent,
-    /// The base cannot be reached, reports a fault, or refuses to be driven.
+    /// The base cannot be reached, reports a fault, or refuses commands.
     BaseFault,
-    /// Odometry holds NaN or infinity.
+    /// The odometry contains NaN or infinity.
     OdometryNotFinite,
-    /// The loop came late by more than two of its periods.
+    /// A step of the safety loop was late by more than two of its periods.
     LoopOverrun,
-    /// The emergency stop is pressed.
+    /// The emergency stop is pressed, or was requested by the operator.
     EmergencyStop,
+    /// The safety board sends nothing.
+    SafetyBoardSilent,
+    /// The safety loop, the program or the computer paused for longer than half a second.
+    LoopStalled,
+    /// Three contacts at one place in a short time.
+    RepeatedContact,
+    /// The scanner repeats one scan while the wheels move.
+    LidarFrozen,
+    /// The motion that the wheels report is not the motion that the scanner observes.
+    WheelsDisagree,
 }
 
 impl FaultReason {
-    /// Whether the robot may go on by itself when the reason is gone. The others need an operator.
-    #[must_use]
-    pub fn clears_itself(self) -> bool {
-        !matches!(self, Self::BaseFault | Self::EmergencyStop)
-    }
-
-    /// What an error of the base means. Silence passes; whatever else is wrong with motors, a person has to look at.
+    /// What an error of the base means.
     #[must_use]
     pub fn of_base(kind: hal::ErrorKind) -> Self {
         if kind == hal::ErrorKind::Timeout { Self::BaseSilent } else { Self::BaseFault }

@@ -8,6 +8,7 @@ pub mod exploration;
 pub mod imaging;
 pub mod latency;
 pub mod lidar_agreement;
+pub mod localization;
 pub mod mapping;
 pub mod model_gate;
 pub mod perception;

@@ -104,8 +104,12 @@ pub struct Decision {
     /// The velocity that was in force when this tick began: the newest command that left the safety loop since the previous
     /// tick (the whole list is in [`SafetyReport::sent`]). `None` when none left it.
     pub sent: Option<Command>,
-    /// Where the robot is heading, in `odom`, metres.
+    /// Where the robot is heading, in `map`, metres.
     pub goal_m: Option<[f64; 2]>,
+    /// Where localization believes the robot to be at the time of the frame: smooth, never jumps. Depth is made from it.
+    pub t_odom_base: Pose2,
+    /// Pose of `odom` in `map`. It changes when localization corrects the path.
+    pub t_map_odom: Pose2,
     /// What happened, with reasons.
     pub events: Vec<Event>,
     /// First 8 bytes of the BLAKE3 digest of the whole input: identifies what the decision was made on, to the last bit.

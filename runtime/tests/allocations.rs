@@ -118,7 +118,8 @@ fn the_safety_loop_allocates_nothing_after_its_first_scan_whatever_state_it_is_i
             900 => Some(Request::ClearFault),
             _ => None,
         };
-        let orders = Orders { plan, request, emergency_stop: turn % 1000 == 800 };
+        let emergency_stop = turn % 1000 == 800;
+        let orders = Orders { plan, request, emergency_stop, ..Orders::default() };
         let turn_of = allocations(|| _ = control.step(now_ns, &orders));
         counted += if turn > 1 { turn_of } else { 0 };
         names.insert(control.plane().state().name());

@@ -9,6 +9,7 @@ use drivers::fault::{
 };
 use hal::{CameraModel, Clock, Pose2, Twist2};
 use runtime::exploration::{ExplorationConfig, PolicyKind};
+use runtime::localization::LocalizationConfig;
 use runtime::mapping::MapConfig;
 use runtime::perception::CoarseConfig;
 use runtime::planning::{FollowerConfig, PlanConfig};
@@ -180,8 +181,10 @@ fn robot_config(policy: PolicyKind, options: &RobotOptions) -> RobotConfig {
         t_base_camera: options.t_base_camera,
         laser_forward_m: 0.0,
         forward_step_m: 0.03,
-        turn_step_rad: 2f64.to_radians(),
+        rotation_step_rad: 2f64.to_radians(),
         tick_s: TICK_NS as f64 * 1e-9,
+        localization: LocalizationConfig::default(),
+        command_delay_s: 0.01,
         policy,
         seed: options.seed,
         depth_source: DepthSource::Coarse,
@@ -190,7 +193,7 @@ fn robot_config(policy: PolicyKind, options: &RobotOptions) -> RobotConfig {
         plan: PlanConfig { footprint_radius_m: FOOTPRINT_M, ..PlanConfig::default() },
         follower: FollowerConfig::default(),
         exploration: ExplorationConfig::default(),
-        stand_without_frames: None,
+        stop_without_frames: None,
         footprint_radius_m: FOOTPRINT_M,
     }
 }

@@ -1,10 +1,12 @@
-//! `cargo xtask bench`: builds the benchmarks as they will be deployed and runs them.
+//! `cargo xtask bench`: builds the benchmarks in release and runs them.
 
 use anyhow::Result;
 
+use crate::tables::{self, Table};
 use crate::{command, models, onnx_runtime, paths, peers, trainer};
 
-pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
+/// Measures. With `update`, the table goes into docs/data/bench.json and docs/benchmarks.md.
+pub fn run(json: bool, update: bool, filter: Option<&str>) -> Result<()> {
     let mut bench = command::cargo();
     bench.args(["run", "--release", "--quiet", "--locked", "--package", "bench", "--"]);
     if json {
@@ -13,27 +15,32 @@ pub fn run(json: bool, filter: Option<&str>) -> Result<()> {
     bench.args(filter);
     match onnx_runtime::install() {
         Ok(library) => _ = bench.env("ORT_DYLIB_PATH", library),
-        Err(error) => eprintln!("no rows of the network: {error}"),
+        Err(error) => eprintln!("the depth network is not measured: {error}"),
     }
-    // `cargo xtask models` makes them; without them their rows are absent.
+    // Networks that `cargo xtask models` has exported. Without them, their rows are missing.
     if models::folder().is_dir() && std::env::var_os("BENCH_MODELS").is_none() {
         bench.env("BENCH_MODELS", models::folder());
     }
     match peers::of_benchmarks() {
         Ok(packages) => _ = bench.env("BENCH_PYTHON", "python3").env("PYTHONPATH", packages),
-        Err(error) => eprintln!("no peers in Python: {error:#}"),
+        Err(error) => eprintln!("the peers in Python are not measured: {error:#}"),
     }
-    // What is measured as a program, over ssh.
+    // Programs that are measured as a whole, over ssh.
     let programs = ["--package=firmware-host", "--package=pull-buffer"];
     command::run(
         command::cargo().args(["build", "--release", "--quiet", "--locked"]).args(programs),
     )?;
     bench.env("BENCH_PROGRAMS", paths::target().join("release"));
-    // PyTorch is large: only who asks for its room gets it installed.
+    // PyTorch takes 5 GB, so it is installed on demand only.
     if filter == Some("trainer") || trainer::is_installed() {
         bench.env("BENCH_TRAINER", trainer::install()?);
     } else {
-        eprintln!("no rows of the trainer: `cargo xtask bench trainer` installs it");
+        eprintln!("the trainer is not measured: `cargo xtask bench trainer` installs it");
     }
-    command::run(&mut bench)
+    if !update {
+        return command::run(&mut bench);
+    }
+    let printed = command::output(&mut bench)?;
+    print!("{printed}");
+    tables::update("bench", "speed", "cargo xtask bench --update", &Table::printed(&printed)?)
 }

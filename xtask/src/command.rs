@@ -8,19 +8,19 @@ use anyhow::{Context, Result, bail};
 
 use crate::paths;
 
-/// A program that runs in the repository's root.
+/// A command that runs in the repository's root.
 pub fn program(name: impl AsRef<OsStr>) -> Command {
     let mut command = Command::new(name);
     command.current_dir(paths::root());
     command
 }
 
-/// The cargo that runs this chore. It finds the tools that chores installed.
+/// The cargo that runs this chore. It finds the tools that chores have installed.
 pub fn cargo() -> Command {
     tool(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
 }
 
-/// A program that a chore installed, or one of the system's.
+/// A tool that a chore has installed, or one of the system.
 pub fn tool(name: impl AsRef<OsStr>) -> Command {
     let mut command = program(name);
     let mut path = vec![paths::target().join("tools/bin")];
@@ -44,10 +44,10 @@ pub fn run(command: &mut Command) -> Result<()> {
     Ok(())
 }
 
-/// Runs a program to its end; what it prints.
+/// Runs a program to its end. Returns its standard output.
 ///
 /// # Errors
-/// When it cannot be started or fails, with its command line and what it complains about.
+/// When it cannot be started or fails, with its command line and its standard error.
 pub fn output(command: &mut Command) -> Result<String> {
     let line = text(command);
     let output = command.output().with_context(|| format!("cannot start `{line}`"))?;
@@ -57,7 +57,7 @@ pub fn output(command: &mut Command) -> Result<String> {
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// Whether a program starts and succeeds; its output is not shown.
+/// Whether a program can be started and succeeds. Its output is not shown.
 pub fn works(command: &mut Command) -> bool {
     command
         .stdout(Stdio::null())
@@ -66,9 +66,8 @@ pub fn works(command: &mut Command) -> bool {
         .is_ok_and(|status| status.success())
 }
 
-/// The command line as one would type it.
+/// The command line, for messages, without the folder of the program.
 pub fn text(command: &Command) -> String {
-    // Without the folder of the program: `cargo` says enough.
     let program = Path::new(command.get_program()).file_name().unwrap_or(command.get_program());
     let words = std::iter::once(program).chain(command.get_args());
     words.map(OsStr::to_string_lossy).collect::<Vec<_>>().join(" ")

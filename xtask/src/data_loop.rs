@@ -1,6 +1,6 @@
-//! `cargo xtask loop`: the whole loop on this computer. A simulated robot explores and records; `pull-buffer` brings that to the
-//! workstation over a real ssh server on loopback; the trainer learns from it; `push-model` sends the network back; the robot's
-//! gate judges it; the robot drives on with it, on trial.
+//! `cargo xtask loop`: the whole data loop on this computer. A simulated robot explores and records, `pull-buffer` copies the
+//! recordings to the workstation over a real ssh server on loopback, the trainer trains on them, `push-model` sends the network
+//! back, the robot's gate judges it, and the robot drives on with it, on trial.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
@@ -13,13 +13,14 @@ use anyhow::{Context, Result, bail};
 use crate::{command, onnx_runtime, paths, trainer};
 
 const SCENE: &str = "builtin:apartment?seed=5";
-/// Until it is told to stop.
+/// More than the loop takes: the robot explores until this chore stops it.
 const FRAMES: &str = "1000000";
-/// New pictures that begin a round of training, and its steps. A tenth of the pictures is held out, and the gate wants to see some.
-const PICTURES: &str = "1500";
+/// Number of new frames that begin a round of training. A tenth of them is held out for the gate.
+const NEW_FRAMES: &str = "1500";
+/// Training steps of a round.
 const STEPS: &str = "200";
-/// The robot's own file: short segments and short trials, so that a person can wait for them; and time for an inference, for robot
-/// and workstation share their processors here.
+/// The robot's configuration. Segments and trials are short, so that the loop is. The limit for an inference is high, because
+/// robot and workstation share this computer's processors.
 const CONFIG: &str = "\
 [recording]
 segment_s = 30.0
@@ -48,7 +49,7 @@ pub fn run() -> Result<()> {
     demo.play()
 }
 
-/// Where everything is.
+/// Folders and programs of the loop.
 struct Demo {
     robot: PathBuf,
     workstation: PathBuf,
@@ -56,7 +57,7 @@ struct Demo {
     library: PathBuf,
     trainer: PathBuf,
     ssh: Vec<String>,
-    /// Ends with its owner.
+    /// Stopped when it is dropped.
     _sshd: Running,
 }
 
@@ -74,7 +75,7 @@ impl Demo {
         let ssh: Vec<String> = said.lines().take(SSH_OPTIONS).map_while(Result::ok).collect();
         let sshd = Running { name: "sshd", child: sshd, printers: Vec::new() };
         if ssh.len() < SSH_OPTIONS {
-            bail!("there is no ssh server to start; `apt-get install openssh-server` may help");
+            bail!("the ssh server cannot be started; `apt-get install openssh-server` may help");
         }
         let trainer = python.with_file_name("embodied-depth");
         let demo = Self {
@@ -102,7 +103,7 @@ impl Demo {
 
     fn play(&self) -> Result<()> {
         step("the robot explores a home, in virtual time, without a network");
-        // It never waits in virtual time; the workstation is to have time as well.
+        // In virtual time the robot uses all processor time that it gets. The workstation needs some too.
         let mut explore = Command::new("nice");
         explore
             .args(["-n", "10"])
@@ -134,12 +135,12 @@ impl Demo {
         step("a network that was changed after it was signed");
         let forged = Running::start("push", &mut self.shell(&self.push(&self.forge()?)))?.wait()?;
 
-        step("what became of the models");
+        step("the robot's models");
         drop(pull);
         robot.interrupt()?;
         let mut list = self.program("firmware-host");
         command::run(list.args(["model", "--config"]).arg(self.config()).arg("list"))?;
-        step("every decision of the run again, with the models that it drove with");
+        step("replay of the run, with the models that it drove with");
         let mut replay = self.program("firmware-host");
         replay
             .arg("replay")
@@ -153,7 +154,7 @@ impl Demo {
         Ok(())
     }
 
-    /// One round of the trainer; what it makes is pushed.
+    /// One round of the trainer. Its network is pushed to the robot.
     fn watch(&self, rounds: &str) -> Result<()> {
         let mut watch = Command::new(&self.trainer);
         watch
@@ -163,13 +164,13 @@ impl Demo {
             .arg("--work")
             .arg(self.workstation.join("train"));
         watch.arg("--firmware-host").arg(self.programs.join("firmware-host"));
-        watch.args(["--pictures", PICTURES, "--rounds", rounds, "--steps", STEPS]);
+        watch.args(["--frames", NEW_FRAMES, "--rounds", rounds, "--steps", STEPS]);
         watch
             .arg("--then")
             .arg(format!("{} --key={}", self.push(Path::new("{}")), self.key().display()))
             .env("ORT_DYLIB_PATH", &self.library);
         if !Running::start("train", &mut watch)?.wait()? {
-            bail!("the training failed; what it said is above");
+            bail!("the training failed; its output is above");
         }
         Ok(())
     }
@@ -189,7 +190,7 @@ impl Demo {
         ));
         words.extend(self.ssh.iter().map(|option| format!("--ssh={option}")));
         words.push(format!("--gate=--config={}", self.config().display()));
-        // A robot in virtual time leaves no idle time; a real one does.
+        // By default the gate has idle priority, and a robot in virtual time leaves no idle processor time.
         words.push("--gate=--normal-priority".to_owned());
         words.join(" ")
     }
@@ -217,23 +218,23 @@ impl Demo {
         shell
     }
 
-    /// Until the robot has decided what it thinks of its newest model.
+    /// Waits until the trial of the robot's newest model has ended.
     fn wait_for_trial(&self, robot: &mut Running) -> Result<()> {
         println!("waiting for the end of the trial");
-        for _ in 0..TRIAL_LOOKS {
+        for _ in 0..TRIAL_POLLS {
             let mut list = self.program("firmware-host");
-            let said = list
+            let output = list
                 .args(["model", "--json", "--config"])
                 .arg(self.config())
                 .arg("list")
                 .output()?;
-            let said: serde_json::Value =
-                serde_json::from_slice(&said.stdout).context("`model list --json`")?;
-            if said["state"]["trial_starts"].is_null() {
+            let models: serde_json::Value =
+                serde_json::from_slice(&output.stdout).context("`model list --json`")?;
+            if models["state"]["trial_starts"].is_null() {
                 return Ok(());
             }
             if robot.child.try_wait()?.is_some() {
-                bail!("the robot has ended; what it said is above");
+                bail!("the robot has ended; its output is above");
             }
             command::run(Command::new("sleep").arg("2"))?;
         }
@@ -264,16 +265,16 @@ impl Demo {
     }
 }
 
-/// Options that `hil sshd` prints.
+/// Number of options that `hil sshd` prints.
 const SSH_OPTIONS: usize = 8;
-/// Looks at the store, 2 s apart.
-const TRIAL_LOOKS: u32 = 300;
+/// How often the model store is polled for the end of a trial, every 2 s.
+const TRIAL_POLLS: u32 = 300;
 
 fn step(what: &str) {
     println!("\n== {what}");
 }
 
-/// A program whose every line is printed with its name before it. Killed when it is dropped.
+/// A program whose output is printed with its name before every line. It is killed when it is dropped.
 struct Running {
     name: &'static str,
     child: Child,
@@ -295,14 +296,14 @@ impl Running {
         Ok(Self { name, child, printers })
     }
 
-    /// Its end; whether it was well.
+    /// Waits for its end. Returns whether it succeeded.
     fn wait(mut self) -> Result<bool> {
         let status = self.child.wait()?;
         self.printers.drain(..).for_each(|printer| drop(printer.join()));
         Ok(status.success())
     }
 
-    /// As Ctrl-C does it, and waits.
+    /// Interrupts it as Ctrl-C does, and waits for its end.
     fn interrupt(mut self) -> Result<()> {
         command::run(Command::new("kill").arg("-INT").arg(self.child.id().to_string()))?;
         let status = self.child.wait()?;

@@ -1,4 +1,4 @@
-//! `cargo xtask demo`: a robot explores a home that it has never seen.
+//! `cargo xtask demo`: a simulated robot explores a home and writes images, a summary and a recording.
 
 use std::time::Instant;
 
@@ -15,10 +15,8 @@ pub fn run() -> Result<()> {
     let model = match onnx_runtime::install() {
         Ok(_) => Some(paths::root().join(MODEL)),
         Err(error) => {
-            // One line: depth from motion alone explores as well.
-            println!(
-                "no depth network ({error}); the robot explores with depth from its own motion"
-            );
+            // Not an error: the robot also explores with coarse depth alone.
+            println!("no depth network ({error}); the robot explores with coarse depth");
             None
         }
     };
@@ -47,7 +45,7 @@ pub fn run() -> Result<()> {
     }
     println!("> {}", command::text(&explore));
     let start = Instant::now();
-    // Prints its own numbers and where they lie.
+    // It prints its results and where its files are.
     command::run(&mut explore)?;
     let seconds = start.elapsed().as_secs_f64();
     let depth = if model.is_some() {

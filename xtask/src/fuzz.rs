@@ -1,8 +1,8 @@
-//! `cargo xtask fuzz`: whatever reads bytes from outside gets all sorts of them, by LLVM's libFuzzer.
+//! `cargo xtask fuzz`: fuzzes everything that reads bytes from outside, with LLVM's libFuzzer.
 //!
-//! The stable compiler is enough: coverage is a pass of LLVM's, and the address sanitizer, for which `cargo fuzz` wants the nightly
-//! one, looks for errors that code without `unsafe` cannot have. Only our own crates say what was reached, so that all others are
-//! those of every other build. A C++ compiler builds libFuzzer itself.
+//! The stable compiler suffices: coverage is a pass of LLVM, and the address sanitizer, for which `cargo fuzz` needs a nightly
+//! compiler, finds errors that code without `unsafe` cannot have. Only the project's own crates are built with coverage, so
+//! that the builds of all other crates are shared with other chores. libFuzzer itself is built by a C++ compiler.
 
 use std::fs::{self, File};
 use std::io::{IsTerminal, Write};
@@ -16,7 +16,7 @@ use anyhow::{Context, Result, bail};
 use crate::command;
 use crate::paths;
 
-/// What `cargo fuzz` sets, but the sanitizer.
+/// The compiler options of `cargo fuzz` without the sanitizer.
 const COVERAGE: [&str; 6] = [
     "-Cpasses=sancov-module",
     "-Cllvm-args=-sanitizer-coverage-level=4",
@@ -25,20 +25,21 @@ const COVERAGE: [&str; 6] = [
     "-Cllvm-args=-sanitizer-coverage-trace-compares",
     "-Cllvm-args=-simplifycfg-branch-fold-threshold=0",
 ];
-/// What a committed corpus may take.
+/// Maximum size of a committed corpus.
 const MOST_CORPUS_BYTES: u64 = 150_000;
-/// With this set we are cargo's RUSTC_WORKSPACE_WRAPPER, which it calls for our own crates only.
+/// When this variable is set, cargo has called this program as its RUSTC_WORKSPACE_WRAPPER, which it does for the workspace's
+/// crates only.
 const AS_WRAPPER: &str = "XTASK_FUZZ_WRAPPER";
-/// An input that takes longer is a finding. The slowest that is none takes a second on a busy computer.
+/// An input that takes longer is a finding. The slowest committed input takes one second on a busy computer.
 const SLOWEST_S: u64 = 20;
 /// More memory than this, MiB, is a finding.
 const MOST_MEMORY_MIB: u64 = 2048;
 
-/// Fuzzes each target, or those named, for so many seconds. With `keep`, inputs that reached new code then go into the
-/// committed corpora, which are made as small as that allows.
+/// Fuzzes the named targets, or all of them, for `seconds` each. With `keep`, inputs that reach new code are then added to
+/// the committed corpora, and these are minimized.
 ///
 /// # Errors
-/// When the targets do not build, there is none of a name, or one has found something.
+/// When the targets cannot be built, a name is unknown, or a target has found something.
 pub fn run(seconds: u64, keep: bool, names: &[String]) -> Result<()> {
     let targets = targets(names)?;
     let programs = build()?;
@@ -66,7 +67,7 @@ pub fn run(seconds: u64, keep: bool, names: &[String]) -> Result<()> {
     let outcomes = outcomes.into_iter().collect::<Result<Vec<bool>>>()?;
     if outcomes.contains(&false) || outcomes.len() != targets.len() {
         bail!(
-            "fuzzing has found something; the input and what was said are in {}",
+            "fuzzing has found something; the input and the output of the target are in {}",
             place.dir.join("findings").display()
         );
     }
@@ -76,7 +77,7 @@ pub fn run(seconds: u64, keep: bool, names: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// Where things lie.
+/// Folders of a run.
 struct Place {
     programs: PathBuf,
     dir: PathBuf,
@@ -86,7 +87,7 @@ fn committed(target: &str) -> PathBuf {
     paths::root().join("tests/fuzzing/corpus").join(target)
 }
 
-/// Those of the names, or all.
+/// The named targets, or all if no name is given.
 fn targets(names: &[String]) -> Result<Vec<String>> {
     let mut all = Vec::new();
     for entry in fs::read_dir(paths::root().join("tests/fuzzing/fuzz_targets"))? {
@@ -99,7 +100,7 @@ fn targets(names: &[String]) -> Result<Vec<String>> {
     Ok(if names.is_empty() { all } else { names.to_vec() })
 }
 
-/// Builds every target; the folder that they are in.
+/// Builds every target. Returns their folder.
 fn build() -> Result<PathBuf> {
     let mut cargo = command::cargo();
     cargo.args(["build", "--locked", "-p", "fuzzing", "--features", "libfuzzer", "--bins"]);
@@ -108,7 +109,7 @@ fn build() -> Result<PathBuf> {
     Ok(paths::target().join("debug"))
 }
 
-/// What the compiler that cargo wants to call does with our own crates, where cargo calls us instead.
+/// Compiles a crate of the workspace with coverage, when cargo calls this program instead of the compiler.
 #[must_use]
 pub fn as_wrapper() -> Option<ExitCode> {
     std::env::var_os(AS_WRAPPER)?;
@@ -122,10 +123,11 @@ pub fn as_wrapper() -> Option<ExitCode> {
     })
 }
 
-/// Runs one target; whether it found nothing. Says so in a line.
+/// Runs one target and prints the result on a line. Returns whether it found nothing.
 fn fuzz(place: &Place, target: &str, seconds: u64) -> Result<bool> {
     let start = Instant::now();
-    let (found, findings) = (place.dir.join("corpus").join(target), place.dir.join("findings"));
+    let found = place.dir.join("corpus").join(target);
+    let findings = place.dir.join("findings");
     for dir in [&found, &findings] {
         fs::create_dir_all(dir).with_context(|| format!("cannot make {}", dir.display()))?;
     }
@@ -164,20 +166,20 @@ fn program(place: &Place, target: &str) -> Command {
     program
 }
 
-/// The committed corpus and what was found, as few and small inputs as reach the same places.
+/// Merges the committed corpus with the inputs that were found, into few and small inputs that reach the same code.
 fn minimise(place: &Place, target: &str) -> Result<()> {
     let small = place.dir.join("small").join(target);
     let _ = fs::remove_dir_all(&small);
     fs::create_dir_all(&small)?;
     let mut merge = program(place, target);
-    // How often a place is reached does not count: inputs for that are many and say little.
+    // Inputs that differ only in how often they reach code are not kept, because there are very many of them.
     merge.args(["-set_cover_merge=1", "-use_counters=0"]).arg(&small);
     merge.args([&committed(target), &place.dir.join("corpus").join(target)]);
     command::run(merge.stderr(std::process::Stdio::null()))?;
     replace(&small, &committed(target))
 }
 
-/// The smallest come first: some large ones may not find room.
+/// Copies the smallest inputs first, because large ones may exceed the size of the corpus.
 fn replace(from: &Path, to: &Path) -> Result<()> {
     let mut inputs = Vec::new();
     for entry in fs::read_dir(from)? {
@@ -200,13 +202,13 @@ fn replace(from: &Path, to: &Path) -> Result<()> {
     Ok(())
 }
 
-/// What libFuzzer says of a run.
+/// libFuzzer's statistics of a run.
 #[derive(Debug, Default, PartialEq)]
 struct Report {
     runs: u64,
-    /// Places in the code that the corpus reached.
+    /// Number of places in the code that the corpus reached.
     first: u64,
-    /// And what was found besides.
+    /// Number of places that the new inputs reached in addition.
     last: u64,
     added: u64,
 }

@@ -1,5 +1,5 @@
-//! The project's chores. `cargo xtask demo` shows it, `cargo xtask test` proves it, `cargo xtask bench` measures it; each
-//! installs what it needs for itself into the target directory.
+//! The project's chores, such as `cargo xtask demo`, `cargo xtask test` and `cargo xtask bench`. Each installs the tools that
+//! it needs into the target directory.
 #![forbid(unsafe_code)]
 
 mod accuracy;
@@ -23,6 +23,7 @@ mod python;
 mod quality;
 mod rig;
 mod safety_alone;
+mod tables;
 mod test;
 mod trainer;
 mod words;
@@ -35,87 +36,97 @@ use clap::Parser;
 #[derive(Parser)]
 #[command(name = "cargo xtask", version)]
 enum Chore {
-    /// Explore a built-in home and show depth, map, path and recording.
+    /// Explore a simulated home and write depth and map as images, a summary and a recording.
     Demo,
-    /// The whole loop on this computer: a simulated robot, ssh, pull-buffer, the trainer, push-model, the robot's gate. Installs
-    /// PyTorch (5 GB) the first time; takes about a quarter of an hour.
+    /// Run the whole data loop on this computer: a simulated robot records, pull-buffer copies over ssh, the trainer trains,
+    /// push-model sends the network back, and the robot's gate judges it. Takes about 15 minutes; the first time it installs
+    /// PyTorch (5 GB).
     Loop,
-    /// Format, lints, every test, licences.
+    /// Check format and lints, and run all tests and the quality gate.
     Test {
-        /// The trainer as well, also where PyTorch (5 GB) must be installed for it (CI always does), and 200 kills instead of 6
-        /// in every test that kills programs.
+        /// Also check licences, the documentation site and other people's software, install PyTorch (5 GB) for the trainer's
+        /// tests if it is missing, and kill programs 200 times instead of 6 in the tests that do so.
         #[arg(long)]
         all: bool,
     },
-    /// The benchmark table.
+    /// Measure speed, beside other implementations of the same work.
     Bench {
         /// Print JSON instead of a table.
         #[arg(long)]
         json: bool,
-        /// A room's name, or a part of the name of a row.
+        /// Write the table to docs/data/bench.json and docs/benchmarks.md.
+        #[arg(long, conflicts_with_all = ["json", "filter"])]
+        update: bool,
+        /// Name of an area, such as `mapping`, or a part of a row's name.
         filter: Option<String>,
     },
-    /// How right depth is, with and without disturbances; `cargo xtask accuracy --help` shows what else it can measure.
+    /// Measure the accuracy of depth, with and without disturbances. `cargo xtask accuracy --help` lists the options;
+    /// `--update` writes the table to docs/data/accuracy.json and docs/accuracy.md.
     #[command(disable_help_flag = true)]
     Accuracy {
-        /// Passed on.
+        /// Options of the accuracy tool.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
-    /// Every policy on the built-in homes, as a table. Takes an hour on two cores.
+    /// Explore the built-in homes with every policy and print a table. Takes an hour on two cores.
     Policies {
-        /// Camera frames of each run.
+        /// Number of camera frames of each run.
         #[arg(long, default_value_t = 3000)]
         frames: u64,
-        /// Seeds of each home.
+        /// Number of seeds of each home.
         #[arg(long, default_value_t = 2)]
         seeds: u64,
+        /// Write the table to docs/data/policies.json and docs/policies.md.
+        #[arg(long)]
+        update: bool,
     },
-    /// Depth, map and touches in four homes against the committed figures. Two minutes on two cores.
+    /// Explore four homes and compare depth, map and touches with the committed figures. Takes two minutes on two cores.
     Quality {
         /// Write the figures to docs/data/quality.json instead of comparing with them.
         #[arg(long)]
         update: bool,
     },
-    /// The documentation as a site in target/book. Installs mdBook the first time.
+    /// Check the links of the documentation and build it as a site in target/book. The first time it installs mdBook.
     Docs,
-    /// Export the networks that the benchmark times, with the trainer. Installs PyTorch (5 GB) the first time.
+    /// Export the networks that the benchmarks measure. The first time it installs PyTorch (5 GB).
     Models,
-    /// The drivers against a real kernel's devices, in a virtual machine. The first time it installs QEMU by apt.
+    /// Test the drivers with a real kernel's devices in a virtual machine. The first time it installs QEMU with apt.
     Rig {
-        /// The long scenarios as well.
+        /// Also run the long scenarios.
         #[arg(long)]
         all: bool,
-        /// A part of the names of scenarios.
+        /// Run only the scenarios whose names contain this.
         filter: Option<String>,
     },
-    /// The Debian package for the robot's computer, in target/dist, tried out as far as that is possible here.
+    /// Build the Debian package for the robot's computer in target/dist, and try its content on this computer.
     Dist {
-        /// For which computers [default: those like this one]. aarch64 on a PC installs Debian's cross toolchain by apt.
+        /// Architecture of the robot's computer [default: this computer's]. aarch64 on a PC installs Debian's cross toolchain
+        /// with apt.
         #[arg(long, value_enum)]
         target: Option<dist::Arch>,
     },
-    /// Whatever reads bytes from outside, with all sorts of bytes. Builds our crates once more the first time.
+    /// Fuzz everything that reads bytes from outside. The first time it builds the project's crates once more.
     Fuzz {
-        /// For each target.
+        /// Time for each target, seconds.
         #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..))]
         seconds: u64,
-        /// Afterwards put inputs that reach new code into the committed corpora, made as small as that allows.
+        /// Afterwards add the inputs that reach new code to the committed corpora, and minimize these.
         #[arg(long)]
         keep: bool,
-        /// Targets [default: all].
+        /// Names of the targets [default: all].
         targets: Vec<String>,
     },
-    /// Every mutant of the safety plane against its own tests. Takes an hour on one core.
+    /// Check that the safety plane's tests detect every mutant of its code. Takes an hour on one core.
     #[command(disable_help_flag = true)]
     Mutants {
-        /// Passed on to `cargo mutants`.
+        /// Options of `cargo mutants`.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
-    /// Which lines and branches of the safety plane its own tests reach. Needs LLVM's tools of the compiler's version.
+    /// List the lines and branches of the safety plane that its own tests do not reach. Needs LLVM's tools of the compiler's
+    /// version.
     Coverage,
-    /// Install what the other chores need, and nothing else.
+    /// Install the tools that the other chores need.
     Setup,
 }
 
@@ -137,9 +148,9 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Demo => demo::run(),
         Chore::Loop => data_loop::run(),
         Chore::Test { all } => test::run(*all),
-        Chore::Bench { json, filter } => bench::run(*json, filter.as_deref()),
+        Chore::Bench { json, update, filter } => bench::run(*json, *update, filter.as_deref()),
         Chore::Accuracy { arguments } => accuracy::run(arguments),
-        Chore::Policies { frames, seeds } => policies::run(*frames, *seeds),
+        Chore::Policies { frames, seeds, update } => policies::run(*frames, *seeds, *update),
         Chore::Quality { update } => quality::build_and_run(*update),
         Chore::Docs => docs::run(),
         Chore::Models => models::run(),

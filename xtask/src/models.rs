@@ -1,4 +1,4 @@
-//! `cargo xtask models`: exports the networks that benchmarks run, with the project's own trainer.
+//! `cargo xtask models`: exports the networks that the benchmarks measure, with the trainer.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,8 @@ use anyhow::Result;
 
 use crate::{command, paths, trainer};
 
-/// What benchmarks time: names of the files, and how each is made. Random weights take as long as trained ones.
+/// File names of the networks, and the trainer's arguments that export them. Their weights are random, because inference
+/// takes as long as with trained ones.
 const MODELS: [(&str, &[&str]); 4] = [
     ("monodepth2_r18", &["export-depth", "--network", "monodepth2_r18", "--random"]),
     ("edn_r18", &["export-depth", "--network", "edn_r18", "--random"]),
@@ -19,7 +20,7 @@ pub fn folder() -> PathBuf {
     paths::target().join("models")
 }
 
-/// Exports every network that is not there yet. The first time, PyTorch (5 GB) is installed into the target directory.
+/// Exports every network that is missing. The first time, PyTorch (5 GB) is installed into the target directory.
 ///
 /// # Errors
 /// When the trainer cannot be installed or an export fails.

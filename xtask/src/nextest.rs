@@ -3,10 +3,10 @@
 use crate::command;
 use crate::paths;
 
-/// The version that is installed where there is none; any other that is already there will do.
+/// The version that is installed if there is none. Any other version that is installed already is used.
 const VERSION: &str = "0.9.143";
 
-/// Installs cargo-nextest into the target directory where it is missing. `false`: it is not to be had, use `cargo test`.
+/// Installs cargo-nextest into the target directory if it is missing. `false`: it cannot be installed; use `cargo test`.
 pub fn install() -> bool {
     if is_there() {
         return true;

@@ -1,5 +1,5 @@
-//! Installs ONNX Runtime: the library inside the project's own wheel on the Python package index, which runs on every Linux
-//! with glibc 2.28 or newer. The only place that names its version.
+//! Installs ONNX Runtime: the library in ONNX Runtime's wheel from the Python package index, which runs on every Linux with
+//! glibc 2.28 or newer. This is the only place that names its version.
 
 use std::env::consts::ARCH;
 use std::path::{Path, PathBuf};
@@ -10,9 +10,9 @@ use crate::{command, paths, python};
 
 /// The pinned version.
 const VERSION: &str = "1.31.1";
-/// The library in a wheel is the same for every Python version; this one is picked on any machine.
+/// The wheel for this version of Python is used on every machine. The library is the same in the wheels of all versions.
 const PYTHON: [&str; 6] = ["--python-version", "3.11", "--implementation", "cp", "--abi", "cp311"];
-/// Texts in the wheel that go with the library.
+/// Files of the wheel that must accompany the library.
 const NOTICES: [&str; 2] = ["LICENSE", "ThirdPartyNotices.txt"];
 /// SHA-256 of the wheels for x86-64 and for 64-bit ARM.
 const WHEELS: [&str; 2] = [
@@ -20,17 +20,18 @@ const WHEELS: [&str; 2] = [
     "da05378364c44d4407e463982d2bf8d5e4cfea873283757e48beeb41df97b7f3",
 ];
 
-/// Path of the library: the one that `ORT_DYLIB_PATH` names, the one installed before, or a fresh one.
+/// Path of the library: the one that `ORT_DYLIB_PATH` names, or the one in the target directory, which is installed if it is
+/// missing.
 ///
 /// # Errors
-/// When it cannot be installed; says why and what to do.
+/// When it cannot be installed, with the reason and the way out.
 pub fn install() -> Result<PathBuf> {
     if let Some(path) = std::env::var_os("ORT_DYLIB_PATH").filter(|path| !path.is_empty()) {
         let path = paths::root().join(path);
         return if path.is_file() {
             Ok(path)
         } else {
-            bail!("ORT_DYLIB_PATH names {}, which is no file", path.display())
+            bail!("ORT_DYLIB_PATH is {}, which is not a file", path.display())
         };
     }
     let library = library(ARCH);
@@ -40,18 +41,17 @@ pub fn install() -> Result<PathBuf> {
     Ok(library)
 }
 
-/// What a package carries.
+/// The files of ONNX Runtime in the robot's package.
 pub struct Wheel {
-    /// The library.
     pub library: PathBuf,
-    /// Its licence, and those of what it contains.
+    /// The library's licence and those of its parts.
     pub notices: [PathBuf; 2],
 }
 
-/// The wheel's own library for an architecture, with its notices.
+/// The library for an architecture with its notices. `ORT_DYLIB_PATH` is ignored.
 ///
 /// # Errors
-/// As [`install`].
+/// The same as [`install`].
 pub fn with_notices(arch: &str) -> Result<Wheel> {
     let library = library(arch);
     let notices = NOTICES.map(|name| library.with_file_name(name));
@@ -61,7 +61,7 @@ pub fn with_notices(arch: &str) -> Result<Wheel> {
     Ok(Wheel { library, notices })
 }
 
-/// This computer's is where the program looks for it.
+/// For this computer's architecture, the path at which `firmware-host` finds it.
 fn library(arch: &str) -> PathBuf {
     let folder =
         if arch == ARCH { "onnxruntime".to_owned() } else { format!("onnxruntime-{arch}") };
@@ -99,7 +99,7 @@ fn unpack_to(library: &Path, arch: &str) -> Result<()> {
     for name in NOTICES {
         take(unpacked.join(name), &library.with_file_name(name))?;
     }
-    // Last: the library appears under its name only when all is there, and whole.
+    // The library is renamed last, so that it exists only if the installation is complete.
     take(unpacked.join("capi").join(library.file_name().unwrap_or_default()), library)?;
     std::fs::remove_dir_all(&folder).with_context(|| format!("removing {}", folder.display()))
 }

@@ -1,4 +1,4 @@
-//! Where things lie.
+//! Folders of the repository.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ pub fn root() -> &'static Path {
     xtask.parent().unwrap_or(xtask)
 }
 
-/// Cargo's target directory; everything that a chore installs or writes goes there.
+/// Cargo's target directory. Chores install and write everything there.
 pub fn target() -> PathBuf {
     match std::env::var_os("CARGO_TARGET_DIR") {
         Some(folder) => root().join(folder),

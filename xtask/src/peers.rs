@@ -1,4 +1,5 @@
-//! Installs the Python packages that benchmarks are compared with, and those that tests check ours by, into the target directory.
+//! Installs Python packages into the target directory: those that the benchmarks compare with, and those that tests use to
+//! check the project's output.
 
 use std::path::PathBuf;
 
@@ -39,8 +40,8 @@ pub fn of_benchmarks() -> Result<PathBuf> {
     Ok(folder)
 }
 
-/// The Python that has the packages of `tests/peers/requirements.txt`: some of them come as source only, which wants a virtual
-/// environment. `None` where they are not, unless they may be installed.
+/// A Python with the packages of `tests/peers/requirements.txt`, in a virtual environment, because some of them exist as
+/// source only. `None` if they are missing and may not be installed.
 ///
 /// # Errors
 /// When they cannot be installed.

@@ -1,69 +1,81 @@
-//! `cargo xtask policies`: every policy on the built-in homes, as a table.
+//! `cargo xtask policies`: explores the built-in homes with every policy and prints a table.
 
-use anyhow::{Context, Result};
+use std::path::Path;
+
+use anyhow::{Context, Result, ensure};
 use serde_json::Value;
 
+use crate::tables::{self, Table};
 use crate::{command, paths};
 
 const HOMES: [&str; 3] = ["apartment", "house", "office"];
 const POLICIES: [&str; 6] =
     ["random", "heuristic", "forward", "inconsistency", "frontier", "active"];
+const COLUMNS: [&str; 8] = [
+    "home",
+    "seed",
+    "policy",
+    "coverage",
+    "path (m)",
+    "collisions",
+    "trips",
+    "stuck frames (longest)",
+];
 
-/// Explores each home with each policy and each seed; runs whose summary is there already are only read.
-pub fn run(frames: u64, seeds: u64) -> Result<()> {
-    command::run(command::cargo().args([
-        "build",
-        "--release",
-        "--locked",
-        "--package",
-        "firmware-host",
-    ]))?;
-    let robot = paths::target().join("release/firmware-host");
-    println!(
-        "| home | seed | policy | coverage | path (m) | collisions | trips | stuck frames (longest) |"
-    );
-    println!("|---|---|---|---|---|---|---|---|");
+/// Explores each home with each policy and each seed. Runs that an earlier call has finished are not repeated. With `update`,
+/// the table goes into docs/data/policies.json and docs/policies.md.
+pub fn run(frames: u64, seeds: u64, update: bool) -> Result<()> {
+    let build = ["build", "--release", "--locked", "--package", "firmware-host"];
+    command::run(command::cargo().args(build))?;
+    let mut table = Table::new(&COLUMNS);
     for home in HOMES {
         for seed in 1..=seeds {
             for policy in POLICIES {
-                let out = paths::target().join(format!("policies/{frames}/{home}-{seed}-{policy}"));
-                if !out.join("summary.json").exists() {
-                    let mut explore = command::program(&robot);
-                    explore.args(["explore", "--no-recording", "--policy", policy]);
-                    explore.args(["--scene", &format!("builtin:{home}?seed={seed}")]);
-                    explore
-                        .args([
-                            "--frames",
-                            &frames.to_string(),
-                            "--seed",
-                            &seed.to_string(),
-                            "--out",
-                        ])
-                        .arg(&out);
-                    let output = explore.output().with_context(|| command::text(&explore))?;
-                    anyhow::ensure!(
-                        output.status.success(),
-                        "{}",
-                        String::from_utf8_lossy(&output.stderr)
-                    );
-                }
-                let text = std::fs::read_to_string(out.join("summary.json"))?;
-                println!("| {home} | {seed} | {policy} | {} |", row(&serde_json::from_str(&text)?));
+                let summary = explore(home, seed, policy, frames)?;
+                let mut cells = vec![home.to_owned(), seed.to_string(), policy.to_owned()];
+                cells.extend(results(&summary));
+                table.push(cells);
+                eprintln!("explored {home} {seed} with {policy}");
             }
         }
+    }
+    print!("{}", table.markdown());
+    if update {
+        let made_by = format!("cargo xtask policies --frames {frames} --seeds {seeds} --update");
+        tables::update("policies", "policies", &made_by, &table)?;
     }
     Ok(())
 }
 
-fn row(summary: &Value) -> String {
-    let number = |key: &str| summary[key].as_f64().unwrap_or(f64::NAN);
-    format!(
-        "{:.0} % | {:.1} | {} | {} | {} ({})",
-        100.0 * number("coverage"),
-        number("path_m"),
-        summary["collisions"],
-        summary["bumper_trips"],
-        summary["stuck_frames"],
-        summary["stuck_longest_frames"],
-    )
+fn explore(home: &str, seed: u64, policy: &str, frames: u64) -> Result<Value> {
+    let out = paths::target().join(format!("policies/{frames}/{home}-{seed}-{policy}"));
+    let summary = out.join("summary.json");
+    if !summary.exists() {
+        run_robot(&format!("builtin:{home}?seed={seed}"), seed, policy, frames, &out)?;
+    }
+    let text = std::fs::read_to_string(&summary).with_context(|| summary.display().to_string())?;
+    serde_json::from_str(&text).with_context(|| summary.display().to_string())
+}
+
+fn run_robot(scene: &str, seed: u64, policy: &str, frames: u64, out: &Path) -> Result<()> {
+    let mut explore = command::program(paths::target().join("release/firmware-host"));
+    explore.args(["explore", "--no-recording", "--scene", scene, "--policy", policy]);
+    explore.args(["--frames", &frames.to_string(), "--seed", &seed.to_string()]);
+    let output = explore.arg("--out").arg(out).output();
+    let output = output.with_context(|| command::text(&explore))?;
+    ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Ok(())
+}
+
+/// The cells of a run behind home, seed and policy.
+fn results(summary: &Value) -> [String; 5] {
+    let coverage = summary["coverage"].as_f64().unwrap_or(f64::NAN);
+    let path_m = summary["path_m"].as_f64().unwrap_or(f64::NAN);
+    [
+        format!("{:.0} %", 100.0 * coverage),
+        format!("{path_m:.1}"),
+        summary["collisions"].to_string(),
+        summary["bumper_trips"].to_string(),
+        format!("{} ({})", summary["stuck_frames"], summary["stuck_longest_frames"]),
+    ]
 }

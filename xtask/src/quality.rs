@@ -1,5 +1,5 @@
-//! `cargo xtask quality`: four homes, 300 frames each, with fixed seeds. Depth, map and touches must be as good as the committed
-//! figures in docs/data/quality.json say, and never worse than the floors below.
+//! `cargo xtask quality`: explores four homes for 300 frames each, with fixed seeds. Depth, map and touches must equal the
+//! committed figures in docs/data/quality.json and may never be worse than the floors below.
 
 use std::path::{Path, PathBuf};
 use std::process::Child;
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::{command, paths};
 
-/// Homes that no default was tuned on have seeds from 11 on.
+/// No default was tuned on homes with seeds from 11 on.
 const SCENES: [&str; 4] = [
     "builtin:apartment?seed=11",
     "builtin:house?seed=11",
@@ -19,22 +19,23 @@ const SCENES: [&str; 4] = [
 const FRAMES: u64 = 300;
 const SEED: &str = "1";
 const FIGURES: &str = "docs/data/quality.json";
-/// Two processes: the machine that this must fit has two cores.
+/// Number of processes at a time: the smallest supported machine has two cores.
 const AT_ONCE: usize = 2;
 
-/// No change may bring a figure below its floor, whatever it says in its commit. A constant depth, which knows every frame's true
-/// median, is right for .46 of all pixels.
+/// A figure below its floor fails even if it equals the committed one. For comparison, a constant depth, the true median of
+/// each frame, is right for 0.46 of all pixels.
 const FLOORS: [(&str, f64); 3] =
     [("right_of_all", 0.60), ("confident_unscaled", 0.97), ("coverage", 0.10)];
-/// Touches in all four runs together.
+/// Maximum number of touches in all four runs together.
 const MOST_TOUCHES: u64 = 1;
-/// Figures are the same to the last bit where decisions are; a committed figure has this many decimals.
+/// Figures are equal if all decisions are equal. This is the rounding of a committed figure.
 const TOLERANCE: f64 = 5e-5;
 
-/// Runs the four homes with the program at `robot`, and compares the figures with the committed ones, or commits them.
+/// Explores the four homes with the program at `robot`, and compares the figures with the committed ones. With `update`,
+/// writes them to the file instead.
 ///
 /// # Errors
-/// A figure below its floor, and figures that differ from the committed ones.
+/// When a figure is below its floor or differs from the committed one.
 pub fn run(robot: &Path, update: bool) -> Result<()> {
     let figures = measure(robot)?;
     print_table(&figures);
@@ -49,10 +50,10 @@ pub fn run(robot: &Path, update: bool) -> Result<()> {
     compare(&committed["homes"], &figures)
 }
 
-/// Builds the program as the demo does, and runs the homes.
+/// Builds the program in release, and explores the homes with it.
 ///
 /// # Errors
-/// As [`run`].
+/// The same as [`run`].
 pub fn build_and_run(update: bool) -> Result<()> {
     let arguments = "build --release --locked --package firmware-host";
     command::run(command::cargo().args(arguments.split_whitespace()))?;
@@ -163,7 +164,7 @@ fn compare(committed: &Value, figures: &[Value]) -> Result<()> {
     }
     ensure!(
         moved.is_empty(),
-        "decisions or depth have changed:\n  {}\nIf that is meant, run `cargo xtask quality --update`, commit {FIGURES} with the \
+        "decisions or depth have changed:\n  {}\nIf the change is intended, run `cargo xtask quality --update`, commit {FIGURES} with the \
          change, and say why in its message",
         moved.join("\n  ")
     );

@@ -1,4 +1,4 @@
-//! `cargo xtask test`: everything that must hold before a change is accepted.
+//! `cargo xtask test`: the checks that a change must pass.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -8,16 +8,17 @@ use anyhow::{Result, bail, ensure};
 
 use crate::{command, docs, licences, nextest, onnx_runtime, paths, peers, quality, trainer};
 
-/// Rounded up from the parts on 2 cores: dependencies 5 minutes, our crates 5, tests 5, quality 1; without the trainer.
+/// Rounded up from the parts on 2 cores without the trainer: dependencies 5 minutes, the project's crates 5, tests 5,
+/// quality 1.
 const FIRST_RUN_MIN: u32 = 20;
 const LATER_RUN_MIN: u32 = 10;
 
-/// Kills in each of the tests that kill programs.
+/// How often each of the tests that kill programs does so.
 const KILLS: &str = "200";
 const FEW_KILLS: &str = "6 of each are among the tests; `cargo xtask test --all` kills 200 times";
 const NO_SITE: &str = "its links are checked by a test; `cargo xtask docs` builds it";
 
-/// What is built, once for all steps, with the features that are off by default.
+/// What is built, once for all steps: the workspace with the features that are off by default.
 const TESTED: &str = "--workspace --features segment-store/lerobot,pull-buffer/object-store,pull-buffer/lerobot,firmware-host/lerobot --locked";
 
 /// The result of a step.
@@ -27,7 +28,7 @@ pub enum Outcome {
     Skipped(&'static str),
 }
 
-/// Runs all steps, also after one has failed, so that one run shows every failure.
+/// Runs all steps, even after one has failed, so that one run shows every failure.
 ///
 /// # Errors
 /// When a step has failed.
@@ -87,10 +88,10 @@ pub fn run(all: bool) -> Result<()> {
             "examples in the documentation",
             step(&mut cargo(&format!("test {TESTED} --doc --quiet"))),
         ),
-        ("licences and sources", licences::check(all)),
+        ("licences and sources", licences::check(all || ci)),
         (
             "documentation site",
-            if all { timed(docs::run) } else { (Outcome::Skipped(NO_SITE), 0.0) },
+            if all || ci { timed(docs::run) } else { (Outcome::Skipped(NO_SITE), 0.0) },
         ),
     ];
     outcomes.extend(without_ssh(ci).map(|outcome| ("tests over ssh", (outcome, 0.0))));
@@ -125,7 +126,7 @@ fn conclude(outcomes: &[(&str, (Outcome, f64))]) -> Result<()> {
     Ok(())
 }
 
-/// Clippy's compiler builds the workspace's crates, so that lints cost no second compilation.
+/// Clippy's compiler, which builds the workspace's crates, so that lints need no second compilation.
 struct Lints {
     compiler: PathBuf,
 }
@@ -136,20 +137,21 @@ impl Lints {
         let compiler = Path::new(sysroot.trim()).join("bin/clippy-driver");
         ensure!(
             compiler.exists(),
-            "{} is not there: `rustup component add clippy`",
+            "{} is missing: `rustup component add clippy`",
             compiler.display()
         );
         Ok(Self { compiler })
     }
 
-    /// Makes a cargo command lint what it compiles; warnings are errors. `cargo clippy` sets the same two variables.
+    /// Makes a cargo command lint the crates that it compiles, with warnings as errors. `cargo clippy` sets the same two
+    /// variables.
     fn during(&self, cargo: &mut Command) {
         cargo.env("RUSTC_WORKSPACE_WRAPPER", &self.compiler);
         cargo.env("CLIPPY_ARGS", "-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__");
     }
 }
 
-/// With the program that the tests were built with.
+/// Runs the quality gate with the program that the tests use.
 fn quality() -> (Outcome, f64) {
     timed(|| quality::run(&paths::target().join("debug/firmware-host"), false))
 }
@@ -166,15 +168,15 @@ fn timed(work: impl FnOnce() -> Result<()>) -> (Outcome, f64) {
     (outcome, start.elapsed().as_secs_f64())
 }
 
-/// Tests over ssh are among the tests, and pass without an sshd: nobody shall take that for more than it is.
+/// Reports the tests over ssh as skipped if there is no sshd, because they are among the other tests and ignored then.
 fn without_ssh(ci: bool) -> Option<Outcome> {
-    let skipped = Outcome::Skipped("there is no sshd: `apt-get install openssh-server`");
+    let skipped = Outcome::Skipped("sshd is missing: `apt-get install openssh-server`");
     let missing = if ci { Outcome::Failed } else { skipped };
     (!Path::new("/usr/sbin/sshd").exists()).then_some(missing)
 }
 
-/// Lints, types and tests of the trainer. PyTorch is large (5 GB, minutes): without `--all` and outside of CI, only who has
-/// it already pays for it.
+/// Lints, types and tests of the trainer. Without `--all` and outside of CI they are skipped if PyTorch (5 GB) is not
+/// installed.
 fn trainer_steps(install: bool) -> Result<Vec<(&'static str, (Outcome, f64))>> {
     if !install && !trainer::is_installed() {
         let why = "PyTorch is not installed; `cargo xtask test --all` installs it (5 GB)";

@@ -6,12 +6,12 @@ use anyhow::Result;
 
 use crate::{command, paths, python};
 
-/// Whether it was installed before.
+/// Whether the trainer is installed.
 pub fn is_installed() -> bool {
     command::works(command::program(environment().join("bin/embodied-depth")).arg("--help"))
 }
 
-/// The Python that has the trainer and what checks it. The first time, PyTorch (5 GB) is installed.
+/// The Python with the trainer and the tools that check it. The first time, PyTorch (5 GB) is installed.
 ///
 /// # Errors
 /// When it cannot be installed.

@@ -43,6 +43,8 @@ pub enum Trip {
     SafetySilent,
     /// The control loop paused for longer than the motors' watchdog time.
     LoopStalled,
+    /// The position of a wheel jumped: its controller has restarted.
+    MotorRestarted(Side),
 }
 
 impl Trip {
@@ -59,6 +61,7 @@ impl Trip {
             Self::EmergencyStop => 7,
             Self::SafetySilent => 8,
             Self::LoopStalled => 9,
+            Self::MotorRestarted(_) => 10,
         }
     }
 }
@@ -80,6 +83,9 @@ impl fmt::Display for Trip {
             }
             Self::MotorFault(side) => {
                 write!(f, "the {side} motor reports a fault; clear its cause, then arm")
+            }
+            Self::MotorRestarted(side) => {
+                write!(f, "the {side} motor's controller has restarted; check its supply, then arm")
             }
             Self::WrongDirection(side) => {
                 write!(
@@ -184,6 +190,7 @@ impl hal::Error for CanError {
                 Trip::BusOff
                 | Trip::TransmitBlocked
                 | Trip::MotorFault(_)
+                | Trip::MotorRestarted(_)
                 | Trip::WrongDirection(_) => ErrorKind::Fault,
             },
             Self::Motor { .. } => ErrorKind::Fault,

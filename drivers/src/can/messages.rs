@@ -49,10 +49,14 @@ pub struct BaseState {
 }
 
 /// The inputs of a safety board: its emergency stop and bumper switches.
+///
+/// The emergency stop has two channels with opposite levels, `EStop` and `Released` of
+/// `embodied.dbc`. Equal levels mean a broken wire or a contact that sticks, and count as pressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct SafetyInput {
     /// Counts these frames, 0 to 15.
     pub counter: u8,
+    /// The emergency stop is pressed, or its two channels contradict each other.
     pub estop: bool,
     pub bumper: bool,
 }
@@ -154,7 +158,10 @@ impl BaseState {
 impl SafetyInput {
     #[must_use]
     pub fn encode(&self) -> CanFrame {
-        let flags = self.counter & 0x0f | u8::from(self.estop) << 4 | u8::from(self.bumper) << 5;
+        let flags = self.counter & 0x0f
+            | u8::from(self.estop) << 4
+            | u8::from(self.bumper) << 5
+            | u8::from(!self.estop) << 6;
         with_checksum(SAFETY_ID, [0, flags, 0, 0, 0, 0, 0, 0], 2)
     }
 
@@ -166,7 +173,9 @@ impl SafetyInput {
         let [flags] = *checked_payload(SAFETY_ID, frame, 2)? else {
             return Err(MessageError::Shape);
         };
-        Ok(Self { counter: flags & 0x0f, estop: flags & 0x10 != 0, bumper: flags & 0x20 != 0 })
+        let pressed = flags & 0x10 != 0;
+        let released = flags & 0x40 != 0;
+        Ok(Self { counter: flags & 0x0f, estop: pressed || !released, bumper: flags & 0x20 != 0 })
     }
 }
 
@@ -226,6 +235,14 @@ mod tests {
             }
             let broken = CanFrame::extended_short(COMMAND_ID, data, 8);
             prop_assert_eq!(BaseCommand::decode(&broken), Err(MessageError::Checksum));
+        }
+    }
+
+    #[test]
+    fn the_emergency_stop_is_released_only_if_both_channels_say_so() {
+        for (flags, pressed) in [(0x00, true), (0x10, true), (0x40, false), (0x50, true)] {
+            let frame = with_checksum(SAFETY_ID, [0, flags, 0, 0, 0, 0, 0, 0], 2);
+            assert_eq!(SafetyInput::decode(&frame).map(|input| input.estop), Ok(pressed));
         }
     }
 

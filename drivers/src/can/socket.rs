@@ -10,7 +10,7 @@ use socketcan::{CanSocket, Socket, SocketOptions, timestamp};
 use super::bus::{Backoff, BusEvent, CanBus, Received, SendProblem};
 use super::frame::CanFrame;
 use super::record;
-use super::stamp::HardwareClock;
+use super::stamp::ReceiveClock;
 use monotonic_clock::{monotonic_ns, realtime_ahead_ns};
 
 /// Size of the send buffer in bytes. The kernel doubles it; at about 768 bytes of bookkeeping per
@@ -33,7 +33,7 @@ const SEND_BUFFER: usize = 4096;
 pub struct SocketBus {
     name: String,
     socket: Option<CanSocket>,
-    hardware: Option<HardwareClock>,
+    clock: ReceiveClock,
     retry: Backoff,
     was_open: bool,
 }
@@ -45,7 +45,7 @@ impl SocketBus {
         Self {
             name: name.to_owned(),
             socket: None,
-            hardware: None,
+            clock: ReceiveClock::default(),
             retry: Backoff::new(),
             was_open: true,
         }
@@ -55,7 +55,7 @@ impl SocketBus {
         if self.retry.is_over(now_ns) {
             match open(&self.name) {
                 Ok(socket) => {
-                    self.hardware = socket.has_hw_timestamps().then(HardwareClock::default);
+                    self.clock = ReceiveClock::new(now_ns, socket.has_hw_timestamps());
                     self.socket = Some(socket);
                     self.retry.reset();
                     self.was_open = true;
@@ -80,13 +80,9 @@ impl SocketBus {
         let Some(software) = stamps.sw else { return now_ns };
         let since_1970 = software.duration_since(SystemTime::UNIX_EPOCH).unwrap_or(Duration::ZERO);
         let software_ns = since_1970.as_nanos() as i64 - realtime_ahead_ns();
-        let software_ns = u64::try_from(software_ns).unwrap_or(0).min(now_ns);
-        match (&mut self.hardware, stamps.hw) {
-            (Some(clock), Some(hardware)) => {
-                clock.monotonic_ns(hardware.as_nanos() as u64, software_ns)
-            }
-            _ => software_ns,
-        }
+        let software_ns = u64::try_from(software_ns).unwrap_or(0);
+        let hardware_ns = stamps.hw.map(|hardware| hardware.as_nanos() as u64);
+        self.clock.time_ns(software_ns, hardware_ns, now_ns)
     }
 }
 
@@ -142,6 +138,7 @@ impl CanBus for SocketBus {
             Err(error)
                 if matches!(error.kind(), IoErrorKind::WouldBlock | IoErrorKind::Interrupted) =>
             {
+                self.clock.emptied(now_ns);
                 None
             }
             // A CAN FD frame, which none of our nodes sends.

@@ -6,7 +6,7 @@ const DRIFT: f64 = 100e-6;
 const RESTART_NS: i64 = 1_000_000_000;
 
 /// Maps an adapter's clock to the monotonic clock. A frame's software timestamp is late by a
-/// varying delay, and its hardware timestamp is not. The smallest difference difference between the
+/// varying delay, and its hardware timestamp is not. The smallest difference between the
 /// two is therefore the best estimate of the clocks' offset. The estimate may grow at the rate at
 /// which crystals drift.
 #[derive(Debug, Clone, Copy, Default)]
@@ -33,9 +33,64 @@ impl HardwareClock {
     }
 }
 
+/// The reception times of a bus that is read until it is empty in every tick.
+///
+/// The kernel stamps frames with the realtime clock, which may be set at any moment. Therefore a
+/// stamp is only believed between two monotonic times that the reader knows: a frame cannot have
+/// arrived before the queue was last seen empty, nor after it was read.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ReceiveClock {
+    emptied_ns: u64,
+    hardware: Option<HardwareClock>,
+}
+
+impl ReceiveClock {
+    /// The clock of a bus whose queue is empty at `now_ns`.
+    #[must_use]
+    pub fn new(now_ns: u64, has_hardware_stamps: bool) -> Self {
+        let hardware = has_hardware_stamps.then(HardwareClock::default);
+        Self { emptied_ns: now_ns, hardware }
+    }
+
+    /// Records that the queue was empty at `now_ns`.
+    pub fn emptied(&mut self, now_ns: u64) {
+        self.emptied_ns = self.emptied_ns.max(now_ns);
+    }
+
+    /// The reception time of a frame that was read at `now_ns`. `software_ns` is the kernel's stamp
+    /// converted to the monotonic clock; `hardware_ns` is on the adapter's own clock.
+    pub fn time_ns(&mut self, software_ns: u64, hardware_ns: Option<u64>, now_ns: u64) -> u64 {
+        let earliest_ns = self.emptied_ns.min(now_ns);
+        let software_ns = software_ns.clamp(earliest_ns, now_ns);
+        match (&mut self.hardware, hardware_ns) {
+            (Some(clock), Some(hardware_ns)) => {
+                clock.monotonic_ns(hardware_ns, software_ns).clamp(earliest_ns, now_ns)
+            }
+            _ => software_ns,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_realtime_clock_that_is_set_while_frames_wait_makes_no_frame_older_than_a_tick() {
+        let tick_ns = 10_000_000;
+        let mut clock = ReceiveClock::new(1_000_000_000, true);
+        for tick in 100..2000_u64 {
+            let now_ns = tick * tick_ns;
+            let arrived_ns = now_ns - 4_000_000;
+            // At tick 200 the realtime clock was set forward by half a second after the frame had
+            // been stamped, so its stamp seems to be half a second old.
+            let software_ns = if tick == 200 { arrived_ns - 500_000_000 } else { arrived_ns };
+            let time_ns = clock.time_ns(software_ns, Some(arrived_ns + 77), now_ns);
+            let age_ns = now_ns - time_ns;
+            assert!(age_ns <= tick_ns, "{age_ns} ns old in tick {tick}");
+            clock.emptied(now_ns);
+        }
+    }
 
     #[test]
     fn late_software_timestamps_do_not_falsify_the_time() {

@@ -1,6 +1,6 @@
 //! Injects faults into a drive base.
 
-use hal::{Base, DriveCommand, ErrorType, WheelFeedback};
+use hal::{Base, DriveCommand, ErrorType, StopCause, WheelFeedback};
 
 use super::error::{Faulty, FaultyError, Symptom};
 use super::injector::{Faults, Injector};
@@ -69,9 +69,17 @@ impl<B: Base> Base for FaultyBase<B> {
         self.inner.drive(command).map_err(FaultyError::Device)
     }
 
+    fn stop_cause(&self) -> Option<StopCause> {
+        self.inner.stop_cause()
+    }
+
     fn stop(&mut self) -> Faulty<(), B> {
         self.check_connected()?;
         self.inner.stop().map_err(FaultyError::Device)
+    }
+
+    fn finish(&mut self) {
+        self.inner.finish();
     }
 
     fn poll_feedback(&mut self) -> Faulty<Option<WheelFeedback>, B> {

@@ -32,6 +32,8 @@ fn full_tick(number: u64, time_ns: u64) -> RecordedTick {
         desired: Velocity::default(),
         sent: Some(command),
         goal_m: None,
+        t_odom_base: hal::Pose2::IDENTITY,
+        t_map_odom: hal::Pose2::IDENTITY,
         events: Vec::new(),
         input_digest: 0,
         depth_digest: 0,

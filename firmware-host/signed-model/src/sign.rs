@@ -12,7 +12,7 @@ use crate::name::is_model_name;
 use crate::verify::signed_comment;
 
 /// Generates a key pair and writes the secret key to `secret` (mode 0600) and the public key to `SECRET.pub`. Returns the line
-/// to add to the robot's trusted keys. With `None` as the password the key file is not encrypted: whoever can read it can sign.
+/// to add to the robot's trusted keys. With `None` as the password the key file is not encrypted, and everyone who can read it can sign.
 ///
 /// # Errors
 /// When one of the files exists already or cannot be written.

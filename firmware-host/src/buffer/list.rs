@@ -80,7 +80,7 @@ fn value(entry: &Entry) -> Value {
     json!({
         "name": entry.name.as_str(), "bytes": entry.bytes, "modified_ns": entry.modified_ns,
         "first_ns": entry.times.map(|times| times.first_ns), "last_ns": entry.times.map(|times| times.last_ns),
-        "turns": entry.ticks, "events": entry.events,
+        "ticks": entry.ticks, "events": entry.events,
         "state": match entry.state { State::Closed => "closed", State::Unindexed => "unindexed", State::Cut => "cut", State::Open => "open" },
         "keep": entry.keep, "pulled": entry.pulled_digest(),
     })

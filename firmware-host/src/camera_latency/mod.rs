@@ -31,7 +31,7 @@ const MAX_PAIRS: usize = 6000;
 pub fn run(args: &CameraLatencyArgs) -> Result<()> {
     let recording = Recorded::open(&args.run)?;
     let header = recording.run();
-    if !header.pictures {
+    if !header.images {
         bail!(
             "the run was recorded without images (recording.images = false), but the latency is measured from them"
         );

@@ -85,7 +85,7 @@ fn number(value: &DeValue<'_>) -> f64 {
     }
 }
 
-/// The value as it stands in the file.
+/// The value as it is written in the file.
 fn written(value: &DeValue<'_>) -> String {
     match value {
         DeValue::Integer(integer) => integer.as_str().to_owned(),

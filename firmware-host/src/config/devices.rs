@@ -15,9 +15,10 @@ hal::settings! {
         safety_hz: f64 = 100.0, in 10.0..=1000.0, unit "Hz";
         /// Real-time priority (SCHED_FIFO) of the safety thread, where the system permits it. 0 makes it an ordinary thread.
         realtime_priority: u8 = 40, in 0..=99;
-        /// Whether the robot may move as soon as all devices work. Otherwise it waits for the signal SIGUSR1.
+        /// Whether the robot may move as soon as all devices work. Otherwise, and after a stop that needs a person, it waits for
+        /// the signal SIGUSR1.
         arm_at_start: bool = true;
-        /// Time from a LiDAR beam to the first response of the wheels.
+        /// Time from a LiDAR beam to the first response of the wheels. At least two periods of the scanner are assumed.
         reaction_s: f64 = 0.05, in 0.0..=1.0, unit "s", source "two scans of a UTM-30LX";
         /// Deceleration of the base when it brakes. Measure it.
         brake_mps2: f64 = 1.0, in 0.1..=20.0, unit "m/s2";
@@ -31,6 +32,8 @@ hal::settings! {
         frame_timeout_s: f64 = 1.0, in 0.1..=10.0, unit "s", was "picture_timeout_s";
         /// File that `firmware-host health` reads.
         status_file: String = "/run/embodied-depth/status.json".to_owned();
+        /// File that remembers a stop that needs a person, also when the program or the computer starts again.
+        stop_file: String = "/var/lib/embodied-depth/last_stop.json".to_owned();
     }
 }
 
@@ -100,7 +103,8 @@ impl Config {
         // A silent scanner is detected within two of its periods, even if `scan_timeout_s` is longer.
         let two_scans_s = 2e-9 * self.devices.lidar.model.geometry(false).period_ns as f64;
         SafetyConfig {
-            reaction_s: run.reaction_s,
+            // An obstacle that appears just behind a beam is measured one period later, at the end of that scan.
+            reaction_s: run.reaction_s.max(two_scans_s),
             brake_mps2: run.brake_mps2,
             good_scans: run.good_scans,
             feedback_timeout_s: run.feedback_timeout_s,
@@ -109,5 +113,35 @@ impl Config {
             period_s: 1.0 / run.safety_hz,
             ..self.safety_config()
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use drivers::scip::Model;
+
+    #[test]
+    fn the_safety_plane_of_a_real_robot_has_the_brakes_and_the_rate_of_that_robot() {
+        let mut config = Config::default();
+        config.run.brake_mps2 = 0.4;
+        config.run.safety_hz = 50.0;
+        let live = config.live_safety_config();
+        assert_eq!((live.brake_mps2, live.period_s, live.good_scans), (0.4, 0.02, 3));
+        assert!(config.safety_config().brake_mps2 > 10.0, "a simulated base stops at once");
+    }
+
+    #[test]
+    fn the_reaction_time_is_never_shorter_than_two_periods_of_the_scanner() {
+        let mut config = Config::default();
+        for (model, reaction_s) in [(Model::Utm30lx, 0.05), (Model::Urg04lx, 0.2)] {
+            config.devices.lidar.model = model;
+            assert!(
+                (config.live_safety_config().reaction_s - reaction_s).abs() < 1e-9,
+                "{model:?}"
+            );
+        }
+        config.run.reaction_s = 0.3;
+        assert!((config.live_safety_config().reaction_s - 0.3).abs() < 1e-9);
     }
 }

@@ -55,7 +55,7 @@ pub enum Problem {
     NotAllowed {
         line: usize,
         key: String,
-        /// The value as it stands in the file.
+        /// The value as it is written in the file.
         value: String,
         /// The values that are allowed.
         allowed: String,

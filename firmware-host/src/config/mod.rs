@@ -19,8 +19,8 @@ mod without_simulator;
 use std::path::Path;
 
 use runtime::{
-    exploration::ExplorationConfig, mapping::MapConfig, perception::CoarseConfig,
-    planning::PlanningSection, safety::SafetySection,
+    exploration::ExplorationConfig, localization::LocalizationConfig, mapping::MapConfig,
+    perception::CoarseConfig, planning::PlanningSection, safety::SafetySection,
 };
 
 pub use devices::{DevicesSection, LensSection, RunSection};
@@ -45,6 +45,7 @@ hal::settings! {
         base: BaseSection;
         safety: SafetySection, was "bumper";
         coarse: CoarseConfig;
+        localization: LocalizationConfig;
         map: MapConfig;
         planning: PlanningSection;
         exploration: ExplorationConfig;

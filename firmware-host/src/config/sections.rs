@@ -136,7 +136,7 @@ hal::settings! {
         /// Time limit of the process that examines a model. Its limit of processor time is twice this.
         gate_timeout_s: u64 = 600, in 1..=86400, unit "s";
         /// Ticks of the trial of a new model. 600 ticks are one minute.
-        trial_ticks: u64 = TrialLimits::default().turns, in 10..=1000000, unit "ticks", was "trial_turns";
+        trial_ticks: u64 = TrialLimits::default().ticks, in 10..=1000000, unit "ticks", was "trial_turns";
         /// Distance that the robot drives during a trial. A trial with less distance ends after ten times as many ticks.
         trial_m: f64 = TrialLimits::default().metres, in 0.0..=1000.0, unit "m";
     }
@@ -146,7 +146,7 @@ impl ModelsSection {
     /// What a trial demands of a new model.
     #[must_use]
     pub fn trial_limits(&self) -> TrialLimits {
-        TrialLimits { turns: self.trial_ticks, metres: self.trial_m, ..TrialLimits::default() }
+        TrialLimits { ticks: self.trial_ticks, metres: self.trial_m, ..TrialLimits::default() }
     }
 }
 

@@ -183,7 +183,7 @@ impl Exploration {
         self.log.began += began.elapsed();
         let came = network.is_some();
         if let Some(network) = network {
-            self.session.robot_mut().take_network(network);
+            self.session.robot_mut().set_network(network);
         }
         Ok(came)
     }

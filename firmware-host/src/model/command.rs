@@ -260,7 +260,7 @@ fn refused(as_json: bool, why: &str, kind: &str) -> Result<ExitCode> {
 }
 
 fn print_measured(examination: &Examination, verdict: &Verdict) {
-    println!("  {} held-out frames of {} places", verdict.pictures, verdict.places);
+    println!("  {} held-out frames of {} places", verdict.frames, verdict.places);
     for (measure, paired) in &verdict.compared {
         println!(
             "  {}: {:.4}, current model {:.4} (difference {:+.4} to {:+.4})",

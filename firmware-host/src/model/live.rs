@@ -289,7 +289,7 @@ impl LiveModels {
                     "now using the model {digest}{}",
                     if on_trial { ", on trial" } else { "" }
                 );
-                let old = robot.take_network(*network);
+                let old = robot.set_network(*network);
                 // If the old model was on trial, the one before it stays the one to go back to.
                 let resident = self.trial.take().map_or(old, |trial| trial.resident);
                 let trial = Trial::new(self.limits, self.resident);
@@ -297,7 +297,7 @@ impl LiveModels {
             }
             Some(Swap::ToNone) => {
                 self.trial = None;
-                robot.leave_network();
+                robot.remove_network();
             }
             None => {}
         }
@@ -357,8 +357,8 @@ impl LiveModels {
         }
         let drives = resident.as_ref().map(|resident| resident.digest().to_owned());
         match resident {
-            Some(resident) => drop(robot.take_network(resident)),
-            None => robot.leave_network(),
+            Some(resident) => drop(robot.set_network(resident)),
+            None => robot.remove_network(),
         }
         self.request(Request::RollBack { digest, why: why.to_owned(), drives });
     }

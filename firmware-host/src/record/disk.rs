@@ -1,4 +1,4 @@
-//! Where segments go. A trait, so that tests can fill the disk.
+//! The disk that segments are written to, as a trait, so that tests can simulate a full or failing one.
 
 use std::cell::Cell;
 use std::fs::{File, OpenOptions};
@@ -8,12 +8,12 @@ use std::rc::Rc;
 
 use runtime::recording::END_WITHOUT_SUMMARY;
 
-/// Makes and removes segments.
+/// Creates and removes segments.
 pub trait Disk: Send {
-    /// Creates a file that is not there yet.
+    /// Creates a new file.
     ///
     /// # Errors
-    /// When it is there already or cannot be created.
+    /// When the file exists or cannot be created.
     fn create(&mut self, path: &Path) -> io::Result<Box<dyn SegmentFile>>;
 
     /// Removes a file.
@@ -22,34 +22,34 @@ pub trait Disk: Send {
     /// When it cannot be removed.
     fn remove(&mut self, path: &Path) -> io::Result<()>;
 
-    /// How large the disk is on which `path` lies, and how full.
+    /// Size and free space of the disk that holds `path`.
     ///
     /// # Errors
-    /// When the disk does not say.
+    /// When they cannot be determined.
     fn space(&self, path: &Path) -> io::Result<Space>;
 }
 
-/// How large a disk is, and how full.
+/// Size and free space of a disk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Space {
-    /// What still fits, bytes.
+    /// Free space for this process, bytes.
     pub free_bytes: u64,
-    /// All of it, bytes.
+    /// Size of the disk, bytes.
     pub total_bytes: u64,
 }
 
-/// A file being written.
+/// A segment that is being written.
 pub trait SegmentFile: Write + Send {
-    /// Forgets everything from byte `len` on and goes on writing there.
+    /// Removes everything from byte `len` on. The next write continues there.
     ///
     /// # Errors
     /// When the file cannot be cut.
     fn truncate(&mut self, len: u64) -> io::Result<()>;
 
-    /// Returns when the disk has everything.
+    /// Returns when all bytes are on the disk.
     ///
     /// # Errors
-    /// When the disk says that it has not.
+    /// When the disk reports an error.
     fn sync(&mut self) -> io::Result<()>;
 }
 
@@ -60,10 +60,10 @@ pub struct FileSystem;
 impl Disk for FileSystem {
     fn create(&mut self, path: &Path) -> io::Result<Box<dyn SegmentFile>> {
         let file = OpenOptions::new().write(true).create_new(true).open(path)?;
-        // For `buffer verify` and `recover`: who finds it unlocked knows that nobody writes on. Where there are no locks they go by
-        // the file's age.
+        // `buffer verify` and `recover` see by this lock that the file is still being written. On file systems without locks
+        // they decide by the file's age.
         let _ = file.try_lock();
-        // The file's name, too, must survive a power cut.
+        // The directory entry must survive a power cut too.
         if let Some(dir) = path.parent().filter(|dir| !dir.as_os_str().is_empty()) {
             File::open(dir)?.sync_all()?;
         }
@@ -76,8 +76,10 @@ impl Disk for FileSystem {
 
     fn space(&self, path: &Path) -> io::Result<Space> {
         let disk = rustix::fs::statvfs(path)?;
-        let bytes = |blocks: u64| blocks.saturating_mul(disk.f_frsize);
-        Ok(Space { free_bytes: bytes(disk.f_bavail), total_bytes: bytes(disk.f_blocks) })
+        Ok(Space {
+            free_bytes: disk.f_bavail.saturating_mul(disk.f_frsize),
+            total_bytes: disk.f_blocks.saturating_mul(disk.f_frsize),
+        })
     }
 }
 
@@ -92,7 +94,7 @@ impl SegmentFile for File {
     }
 }
 
-/// A segment's file behind the MCAP writer, which flushes after every complete chunk.
+/// The sink of the MCAP writer, which flushes it after every complete chunk.
 pub(super) struct Sink {
     file: BufWriter<Box<dyn SegmentFile>>,
     written: Rc<Cell<u64>>,
@@ -102,18 +104,18 @@ pub(super) struct Sink {
 }
 
 impl Sink {
-    /// `written` tells the owner of the writer how large the file has become.
+    /// `written` is shared with the owner of the writer and holds the size of the file.
     pub(super) fn new(file: Box<dyn SegmentFile>, written: Rc<Cell<u64>>, sync: bool) -> Self {
         Self { file: BufWriter::new(file), written, good: 0, sync }
     }
 
-    /// Cuts a file that could not be written on back to its complete chunks and ends it as a valid MCAP file.
+    /// After a failed write: truncates the file to its complete chunks and ends it as a valid MCAP file.
     pub(super) fn salvage(self) -> io::Result<()> {
-        // What is still in the buffer belongs to the broken chunk.
+        // The bytes in the buffer belong to the incomplete chunk.
         let (mut file, _) = self.file.into_parts();
         file.truncate(self.good)?;
         if let Err(error) = file.write_all(&END_WITHOUT_SUMMARY).and_then(|()| file.flush()) {
-            // No room even for that: without its end the file still gives every turn, and says that it is cut.
+            // No space even for these bytes. Readers then report a truncated file and read every complete chunk.
             file.truncate(self.good)?;
             return Err(error);
         }

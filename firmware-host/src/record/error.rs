@@ -1,15 +1,15 @@
-//! What can go wrong while recording.
+//! Errors of recording.
 
 use std::io;
 use std::path::PathBuf;
 
 use runtime::recording::RecordingError;
 
-/// Why a run cannot be recorded (any further). A simulated run ends on it with `output_failed`.
+/// Why a run cannot be recorded, or not any further. A simulated run then ends with `output_failed`.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordError {
-    /// The output directory is not there and cannot be made, or cannot be read.
+    /// The output directory cannot be created or read.
     #[error("cannot use output directory {}: {source}; choose another with --out", dir.display())]
     Directory {
         /// The directory.
@@ -18,7 +18,7 @@ pub enum RecordError {
         source: io::Error,
     },
     /// The directory holds a recording already.
-    #[error("{} is there already; choose another --out, or move the old run away", path.display())]
+    #[error("{} exists already; choose another --out, or move the old run away", path.display())]
     HoldsRecording {
         /// A segment of the old recording.
         path: PathBuf,
@@ -33,7 +33,7 @@ pub enum RecordError {
     },
     /// A segment cannot be written.
     #[error(
-        "cannot write {}: {source}; what was recorded until then is kept; free disk space or choose another --out",
+        "cannot write {}: {source}; the ticks before are kept; free disk space or choose another --out",
         path.display()
     )]
     Write {
@@ -42,7 +42,7 @@ pub enum RecordError {
         /// Why.
         source: io::Error,
     },
-    /// A turn cannot be recorded so that it would replay.
+    /// A tick cannot be recorded exactly, so it could not be replayed.
     #[error("cannot record into {}: {source}", path.display())]
     Content {
         /// The segment.
@@ -50,7 +50,7 @@ pub enum RecordError {
         /// Why.
         source: RecordingError,
     },
-    /// The recording's thread could not be started, or it has ended before.
+    /// The recording thread could not be started, or it has ended.
     #[error("the recording thread is not running: {0}")]
     Thread(String),
 }

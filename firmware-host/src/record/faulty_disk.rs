@@ -1,4 +1,4 @@
-//! A disk that is slow, full, or not there.
+//! Injected faults of the disk: slow, full, or unplugged.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -9,7 +9,7 @@ use monotonic_clock::MonotonicClock;
 
 use super::disk::{Disk, SegmentFile, Space};
 
-/// The wrapper.
+/// A disk with injected faults.
 pub struct FaultyDisk<D> {
     inner: D,
     faults: Faults,
@@ -28,13 +28,13 @@ impl<D: Disk> FaultyDisk<D> {
     }
 }
 
-fn trouble(injector: &Injector) -> io::Result<()> {
+fn inject_faults(injector: &Injector) -> io::Result<()> {
     if let Some(fault) = injector.active(Kind::Slow) {
         let mut clock = MonotonicClock;
         clock.sleep_until_ns(clock.now_ns() + (fault.amount() * 1e6) as u64);
     }
     if injector.active(Kind::Unplug).is_some() {
-        return Err(io::Error::other("the disk is not there (an injected fault)"));
+        return Err(io::Error::other("the disk is unplugged (an injected fault)"));
     }
     if injector.active(Kind::Full).is_some() {
         return Err(io::Error::new(
@@ -47,7 +47,7 @@ fn trouble(injector: &Injector) -> io::Result<()> {
 
 impl<D: Disk> Disk for FaultyDisk<D> {
     fn create(&mut self, path: &Path) -> io::Result<Box<dyn SegmentFile>> {
-        trouble(&self.injector)?;
+        inject_faults(&self.injector)?;
         let inner = self.inner.create(path)?;
         Ok(Box::new(FaultyFile { inner, injector: self.faults.for_device(Device::Disk) }))
     }
@@ -63,7 +63,7 @@ impl<D: Disk> Disk for FaultyDisk<D> {
 
 impl Write for FaultyFile {
     fn write(&mut self, data: &[u8]) -> io::Result<usize> {
-        trouble(&self.injector)?;
+        inject_faults(&self.injector)?;
         self.inner.write(data)
     }
 
@@ -78,7 +78,7 @@ impl SegmentFile for FaultyFile {
     }
 
     fn sync(&mut self) -> io::Result<()> {
-        trouble(&self.injector)?;
+        inject_faults(&self.injector)?;
         self.inner.sync()
     }
 }

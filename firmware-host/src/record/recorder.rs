@@ -1,4 +1,4 @@
-//! The handle that the loop holds.
+//! The loop's handle of the recording thread.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -11,29 +11,29 @@ use segment_store::is_segment_name;
 
 use super::disk::{Disk, FileSystem};
 use super::error::RecordError;
-use super::room::{Quota, Removed};
+use super::free_space::{Quota, Removed};
 use super::segments::{Segments, segment_name};
 use crate::config::RecordingSection;
 use crate::report::map_view::map_view;
 
-/// What happens to a turn when the disk is slower than the loop.
+/// What the recorder does with a tick when the disk is slower than the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WhenFull {
-    /// The loop waits: nothing is lost and the run replays. For virtual time.
+    /// The loop waits, so that every tick is recorded. For virtual time.
     Wait,
-    /// The turn is dropped and counted: the loop never waits, and never ends because of the recording. After a failure it is
-    /// tried again every [`RETRY_NS`]. For robots.
+    /// The tick is dropped and counted, so that recording can neither delay nor end the loop. After a failure the recorder
+    /// tries again every [`RETRY_NS`]. For robots.
     Drop,
 }
 
 /// How a run is recorded.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecorderOptions {
-    /// Where the segments go.
+    /// Folder of the segments.
     pub dir: PathBuf,
-    /// What happens when the disk is slower than the loop.
+    /// What the recorder does when the disk is slower than the loop.
     pub when_full: WhenFull,
-    /// Turns that may wait for the disk.
+    /// Capacity of the queue between the loop and the recording thread, ticks.
     pub queue_ticks: usize,
     /// A segment ends when it spans this much time of the run.
     pub segment_ns: u64,
@@ -41,14 +41,14 @@ pub struct RecorderOptions {
     pub segment_bytes: u64,
     /// Whether every chunk is synced to the disk.
     pub sync: bool,
-    /// Whether pictures are recorded, and what holds some: depth and snapshots.
-    pub pictures: bool,
-    /// How much of the disk recordings may take; `None`: all.
+    /// Whether images are recorded, and the parts of a tick that contain images: depth and snapshots.
+    pub images: bool,
+    /// How much of the disk recordings may use; `None` for all of it.
     pub quota: Option<Quota>,
 }
 
 impl RecorderOptions {
-    /// Virtual time: exact, and left to the operating system to write back.
+    /// For virtual time: every tick is recorded, and the operating system decides when it writes them to the disk.
     #[must_use]
     pub fn simulation(dir: impl Into<PathBuf>) -> Self {
         Self {
@@ -58,86 +58,85 @@ impl RecorderOptions {
             segment_ns: 60_000_000_000,
             segment_bytes: 256 << 20,
             sync: false,
-            pictures: true,
+            images: true,
             quota: None,
         }
     }
 
-    /// A real robot: never in the way, and safe against power cuts (see the [module](super)).
+    /// For a real robot: recording never delays the loop, and a power cut costs little (see the [module](super)).
     #[must_use]
     pub fn robot(dir: impl Into<PathBuf>) -> Self {
         Self { when_full: WhenFull::Drop, sync: true, ..Self::simulation(dir) }
     }
 }
 
-/// What was recorded.
+/// The result of a recording.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct RecordingSummary {
-    /// Turns on the disk.
+    /// Number of recorded ticks.
     pub ticks: u64,
-    /// Turns that were dropped because the disk was too slow or had failed.
+    /// Number of ticks that were dropped because the disk was too slow or had failed.
     pub dropped: u64,
-    /// Older segments that had to make room.
+    /// Older segments that were removed to free space.
     pub removed: Removed,
-    /// Why it ended before the run, if so.
+    /// Why the recording ended before the run; `None` if it did not.
     pub failure: Option<String>,
-    /// Files.
+    /// Number of segments.
     pub segments: u32,
-    /// Their size together.
+    /// Total size of the segments.
     pub bytes: u64,
-    /// [`RunDigest::inputs`](runtime::recording::RunDigest::inputs) of the recorded turns.
+    /// [`RunDigest::inputs`](runtime::recording::RunDigest::inputs) of the recorded ticks.
     pub inputs_digest: String,
-    /// [`RunDigest::decisions`](runtime::recording::RunDigest::decisions) of the recorded turns.
+    /// [`RunDigest::decisions`](runtime::recording::RunDigest::decisions) of the recorded ticks.
     pub decisions_digest: String,
 }
 
-/// After a failure a robot's recording is tried again this often: somebody may have made room.
+/// Time after which a robot tries to record again after a failure, because space may have been freed.
 pub const RETRY_NS: u64 = 10_000_000_000;
 
-/// What the recording thread is told.
-enum Told {
-    Turn(Box<Turn>),
-    /// Close the segment, and answer with how many there are.
+/// A request to the recording thread.
+enum Request {
+    Tick(Box<QueuedTick>),
+    /// Close the segment, and answer with the number of segments.
     Cut(SyncSender<u32>),
 }
 
-struct Turn {
+struct QueuedTick {
     tick: RecordedTick,
     views: Views,
-    /// A recording that failed may begin again here.
+    /// A recording that has failed may begin again with this tick.
     may_begin: bool,
 }
 
-/// Hands turns to the recording thread. Dropping it waits for the thread, so that even a run that ends by an error
-/// leaves whole files.
+/// Sends ticks to the recording thread. Its `drop` waits for the thread, so that a run that ends with an error leaves
+/// complete files too.
 pub struct Recorder {
     when_full: WhenFull,
     segment_ns: u64,
-    pictures: bool,
+    images: bool,
     next_snapshot_ns: Option<u64>,
-    queue: Option<SyncSender<Told>>,
+    queue: Option<SyncSender<Request>>,
     thread: Option<JoinHandle<Result<RecordingSummary, RecordError>>>,
     next_try_ns: u64,
     dropped: u64,
-    /// What the thread says of itself.
-    word: Arc<Mutex<Word>>,
+    status: Arc<Mutex<RecorderStatus>>,
 }
 
-/// What the recording thread says of itself while it works.
+/// State of the recording thread.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Word {
-    /// Why nothing is recorded now, if so.
+pub struct RecorderStatus {
+    /// Why nothing is recorded at the moment; `None` while recording works.
     pub failure: Option<String>,
-    /// Turns that were taken out of the queue.
+    /// Number of ticks that were taken out of the queue.
     pub taken: u64,
-    /// Of these, how many were lost.
+    /// How many of these could not be recorded.
     pub lost: u64,
-    /// Older segments that had to make room.
+    /// Older segments that were removed to free space.
     pub removed: Removed,
 }
 
 impl Recorder {
-    /// Makes the directory and the first file, and starts the thread.
+    /// Creates the directory and the first file, and starts the thread.
     ///
     /// # Errors
     /// When the directory cannot be written or holds a recording already.
@@ -145,7 +144,7 @@ impl Recorder {
         Self::start_on(Box::new(FileSystem), options, run)
     }
 
-    /// As [`start`](Self::start), on any disk.
+    /// The same as [`start`](Self::start), on another disk.
     ///
     /// # Errors
     /// As [`start`](Self::start).
@@ -159,11 +158,12 @@ impl Recorder {
         let first_file =
             disk.create(&path).map_err(|source| RecordError::Create { path, source })?;
         let (sender, receiver) = sync_channel(options.queue_ticks);
-        let (when_full, segment_ns, pictures) =
-            (options.when_full, options.segment_ns, options.pictures);
-        let run = RunHeader { pictures, ..run };
-        let word = Arc::new(Mutex::new(Word::default()));
-        let thread_word = Arc::clone(&word);
+        let when_full = options.when_full;
+        let segment_ns = options.segment_ns;
+        let images = options.images;
+        let run = RunHeader { images, ..run };
+        let status = Arc::new(Mutex::new(RecorderStatus::default()));
+        let thread_status = Arc::clone(&status);
         let thread = std::thread::Builder::new()
             .name("recording".to_owned())
             .spawn(move || {
@@ -171,28 +171,28 @@ impl Recorder {
                     &receiver,
                     Segments::new(options, disk, run, first_file),
                     when_full,
-                    &thread_word,
+                    &thread_status,
                 )
             })
             .map_err(|error| RecordError::Thread(error.to_string()))?;
         Ok(Self {
             when_full,
             segment_ns,
-            pictures,
+            images,
             next_snapshot_ns: None,
             queue: Some(sender),
             thread: Some(thread),
             next_try_ns: 0,
             dropped: 0,
-            word,
+            status,
         })
     }
 
-    /// Whether the turn at `time_ns` should carry what the loop remembers before it: once a segment, at its first turn, so that a
-    /// replay can begin there, and when recording is to begin again after a failure. The run's own first turn needs none.
+    /// Whether the tick at `time_ns` should carry a snapshot from which a replay can begin. That is the first tick of every
+    /// segment but the run's first, and the tick with which a recording begins again after a failure.
     #[must_use]
     pub fn wants_snapshot(&mut self, time_ns: u64) -> bool {
-        if self.word().failure.is_some() {
+        if self.status().failure.is_some() {
             let due = time_ns >= self.next_try_ns;
             if due {
                 self.next_try_ns = time_ns.saturating_add(RETRY_NS);
@@ -207,23 +207,26 @@ impl Recorder {
         wanted
     }
 
-    /// Hands over a turn.
+    /// Queues a tick for recording.
     ///
     /// # Errors
     /// With [`WhenFull::Wait`], when the recording has failed: the run must end with `output_failed`. With
-    /// [`WhenFull::Drop`] never; see [`dropped`](Self::dropped) and [`word`](Self::word).
+    /// [`WhenFull::Drop`] never; see [`dropped`](Self::dropped) and [`status`](Self::status).
     pub fn record(&mut self, mut tick: RecordedTick, mut views: Views) -> Result<(), RecordError> {
         let may_begin = tick.snapshot.is_some();
-        if !self.pictures {
-            (tick.frame, tick.truth, tick.snapshot, views.depth) = (None, None, None, None);
+        if !self.images {
+            tick.frame = None;
+            tick.truth = None;
+            tick.snapshot = None;
+            views.depth = None;
         }
-        let turn = Told::Turn(Box::new(Turn { tick, views, may_begin }));
+        let request = Request::Tick(Box::new(QueuedTick { tick, views, may_begin }));
         let accepted = match (&self.queue, self.when_full) {
             (None, _) => Err(TrySendError::Disconnected(())),
             (Some(queue), WhenFull::Wait) => {
-                queue.send(turn).map_err(|_| TrySendError::Disconnected(()))
+                queue.send(request).map_err(|_| TrySendError::Disconnected(()))
             }
-            (Some(queue), WhenFull::Drop) => queue.try_send(turn).map_err(|error| match error {
+            (Some(queue), WhenFull::Drop) => queue.try_send(request).map_err(|error| match error {
                 TrySendError::Full(_) => TrySendError::Full(()),
                 TrySendError::Disconnected(_) => TrySendError::Disconnected(()),
             }),
@@ -237,21 +240,22 @@ impl Recorder {
         match self.when_full {
             WhenFull::Wait => Err(error),
             WhenFull::Drop => {
-                // The thread is gone, which no disk can bring about: nothing more will be recorded.
-                lock(&self.word).failure.get_or_insert(error.to_string());
+                // The thread has panicked: a failure of the disk does not end it. Nothing more can be recorded.
+                lock(&self.status).failure.get_or_insert(error.to_string());
                 Ok(())
             }
         }
     }
 
-    /// Closes the current segment and waits until it is a whole file; how many segments there are. The next turn begins
-    /// another one.
+    /// Closes the current segment and waits until its file is complete. Returns the number of segments. The next tick
+    /// begins another one.
     ///
     /// # Errors
     /// When the recording has failed.
     pub fn cut(&mut self) -> Result<u32, RecordError> {
         let (sender, receiver) = sync_channel(1);
-        let sent = self.queue.as_ref().is_some_and(|queue| queue.send(Told::Cut(sender)).is_ok());
+        let sent =
+            self.queue.as_ref().is_some_and(|queue| queue.send(Request::Cut(sender)).is_ok());
         match receiver.recv() {
             Ok(segments) if sent => Ok(segments),
             _ => Err(self.why_ended()),
@@ -261,33 +265,34 @@ impl Recorder {
     fn why_ended(&mut self) -> RecordError {
         match self.join() {
             Some(Err(error)) => error,
-            Some(Ok(_)) | None => RecordError::Thread("it has ended before".to_owned()),
+            Some(Ok(_)) | None => RecordError::Thread("it has ended already".to_owned()),
         }
     }
 
-    /// Turns that are not in the recording.
+    /// Number of ticks that could not be recorded.
     #[must_use]
     pub fn dropped(&self) -> u64 {
-        self.dropped + lock(&self.word).lost
+        self.dropped + lock(&self.status).lost
     }
 
-    /// What the recording thread says of itself. A failure only with [`WhenFull::Drop`].
+    /// State of the recording thread. It reports a failure with [`WhenFull::Drop`] only.
     #[must_use]
-    pub fn word(&self) -> Word {
-        lock(&self.word).clone()
+    pub fn status(&self) -> RecorderStatus {
+        lock(&self.status).clone()
     }
 
-    /// Waits until everything is in its file.
+    /// Waits until every queued tick is recorded, and closes the last file.
     ///
     /// # Errors
     /// When the recording has failed.
     pub fn finish(mut self) -> Result<RecordingSummary, RecordError> {
         match self.join() {
             Some(result) => {
-                let (dropped, failure) = (self.dropped(), self.word().failure);
+                let dropped = self.dropped();
+                let failure = self.status().failure;
                 result.map(|summary| RecordingSummary { dropped, failure, ..summary })
             }
-            None => Err(RecordError::Thread("it has ended before".to_owned())),
+            None => Err(RecordError::Thread("it has ended already".to_owned())),
         }
     }
 
@@ -308,7 +313,7 @@ impl Drop for Recorder {
     }
 }
 
-/// What people look at in a recording: map, path and depth at their configured rates.
+/// Map, path and depth for viewers, at their configured rates.
 #[must_use]
 pub fn recorded_views(robot: &Robot, tick: u64, config: &RecordingSection) -> Views {
     let shows_map = tick.is_multiple_of(config.map_every_ticks);
@@ -324,26 +329,26 @@ pub fn recorded_views(robot: &Robot, tick: u64, config: &RecordingSection) -> Vi
     views
 }
 
-/// What `robot` remembers, when the recorder wants it with the turn at `time_ns`.
+/// The robot's snapshot, if the recorder wants one with the tick at `time_ns`.
 pub fn snapshot(recorder: Option<&mut Recorder>, robot: &Robot, time_ns: u64) -> Option<Vec<u8>> {
     recorder?.wants_snapshot(time_ns).then(|| robot.snapshot())
 }
 
 fn record_all(
-    queue: &Receiver<Told>,
+    queue: &Receiver<Request>,
     mut segments: Segments,
     when_full: WhenFull,
-    word: &Mutex<Word>,
+    status: &Mutex<RecorderStatus>,
 ) -> Result<RecordingSummary, RecordError> {
-    for told in queue {
-        match told {
-            Told::Turn(turn) => match when_full {
-                WhenFull::Wait => segments.write(&turn.tick, &turn.views)?,
-                WhenFull::Drop => write_if_possible(&mut segments, &turn, word),
+    for request in queue {
+        match request {
+            Request::Tick(queued) => match when_full {
+                WhenFull::Wait => segments.write(&queued.tick, &queued.views)?,
+                WhenFull::Drop => write_if_possible(&mut segments, &queued, status),
             },
-            Told::Cut(answer) => {
+            Request::Cut(answer) => {
                 let count = segments.cut()?;
-                // Who asked may be gone.
+                // The receiver may have been dropped.
                 let _ = answer.send(count);
             }
         }
@@ -351,44 +356,44 @@ fn record_all(
     segments.finish()
 }
 
-/// After a failure only a turn that says what the robot remembers is worth trying.
-fn write_if_possible(segments: &mut Segments, turn: &Turn, word: &Mutex<Word>) {
-    let Turn { tick, views, may_begin } = turn;
-    let failing = lock(word).failure.is_some();
+/// After a failure only a tick with a snapshot is tried, because a replay cannot begin at another tick.
+fn write_if_possible(segments: &mut Segments, queued: &QueuedTick, status: &Mutex<RecorderStatus>) {
+    let QueuedTick { tick, views, may_begin } = queued;
+    let failing = lock(status).failure.is_some();
     if failing && !may_begin {
-        lock(word).taken += 1;
-        lock(word).lost += 1;
+        lock(status).taken += 1;
+        lock(status).lost += 1;
         return;
     }
     let written = segments.write(tick, views);
-    let mut word = lock(word);
-    word.taken += 1;
-    word.removed = segments.summary().removed;
+    let mut status = lock(status);
+    status.taken += 1;
+    status.removed = segments.summary().removed;
     match written {
         Ok(()) if failing => {
-            tracing::warn!("recording again from turn {} on", tick.tick);
-            word.failure = None;
+            tracing::warn!("recording again from tick {} on", tick.tick);
+            status.failure = None;
         }
         Ok(()) => {}
         Err(error) => {
             if !failing {
-                tracing::error!("nothing is recorded: {error}; it is tried again");
+                tracing::error!("nothing is recorded: {error}; trying again every 10 s");
             }
-            word.failure = Some(error.to_string());
-            word.lost += 1;
+            status.failure = Some(error.to_string());
+            status.lost += 1;
         }
     }
 }
 
-/// A thread that panicked while it held the lock left nothing half-said.
-fn lock(word: &Mutex<Word>) -> MutexGuard<'_, Word> {
-    word.lock().unwrap_or_else(PoisonError::into_inner)
+/// Ignores poisoning: a thread that panics while it holds the lock leaves every field valid.
+fn lock(status: &Mutex<RecorderStatus>) -> MutexGuard<'_, RecorderStatus> {
+    status.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A folder holds one run. Makes the folder if it is missing.
+/// Refuses a folder with a recording, because a folder holds one run. Creates the folder if it is missing.
 ///
 /// # Errors
-/// When it holds a recording, or cannot be read.
+/// When the folder holds a recording, or cannot be read.
 pub fn refuse_old_recording(dir: &Path) -> Result<(), RecordError> {
     let error = |source| RecordError::Directory { dir: dir.to_owned(), source };
     std::fs::create_dir_all(dir).map_err(error)?;

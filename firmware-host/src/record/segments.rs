@@ -1,4 +1,4 @@
-//! One run as a row of files.
+//! Divides a run into segments.
 
 use std::cell::Cell;
 use std::io::ErrorKind;
@@ -11,21 +11,21 @@ use runtime::recording::{
 
 use super::disk::{Disk, SegmentFile, Sink};
 use super::error::RecordError;
+use super::free_space::free_space;
 use super::recorder::{RecorderOptions, RecordingSummary};
-use super::room::make_room;
 
-/// `recording_0000.mcap` and so on; names sort in the order of the run up to 10,000 segments, a week of minutes.
+/// `recording_0000.mcap` for segment 0. The names of up to 10,000 segments of a minute each, a week, sort in order.
 #[must_use]
 pub fn segment_name(segment: u32) -> String {
     format!("recording_{segment:04}.mcap")
 }
 
-/// Writes turns into segments; lives on the recording thread.
+/// Writes ticks into segments, on the recording thread.
 pub(super) struct Segments {
     options: RecorderOptions,
     disk: Box<dyn Disk>,
     run: RunHeader,
-    /// The first segment's file, created before the thread started so that a bad directory is noticed at once.
+    /// File of the first segment. It was created before the thread started, so that a bad directory is reported at once.
     first_file: Option<Box<dyn SegmentFile>>,
     open: Option<Open>,
     digest: RunDigest,
@@ -58,7 +58,7 @@ impl Segments {
         }
     }
 
-    /// Writes a turn. An error closes the segment at its last complete chunk; the next turn begins another one.
+    /// Writes a tick. An error closes the segment at its last complete chunk; the next tick begins another one.
     pub(super) fn write(&mut self, tick: &RecordedTick, views: &Views) -> Result<(), RecordError> {
         if self.open.as_ref().is_some_and(|open| self.is_full(open, tick.time_ns)) {
             self.close()?;
@@ -81,13 +81,13 @@ impl Segments {
         Ok(())
     }
 
-    /// Closes the current segment; how many there are.
+    /// Closes the current segment. Returns the number of segments.
     pub(super) fn cut(&mut self) -> Result<u32, RecordError> {
         self.close()?;
         Ok(self.summary.segments)
     }
 
-    /// Closes the last segment. A run without turns still leaves its header.
+    /// Closes the last segment. A run without ticks leaves a segment with its header.
     pub(super) fn finish(mut self) -> Result<RecordingSummary, RecordError> {
         if self.first_file.is_some() {
             self.open = Some(self.start(0, 0)?);
@@ -99,15 +99,15 @@ impl Segments {
     }
 
     fn is_full(&self, open: &Open, time_ns: u64) -> bool {
-        let long = time_ns.saturating_sub(open.start_ns) >= self.options.segment_ns;
-        long || open.written.get() >= self.options.segment_bytes
+        time_ns.saturating_sub(open.start_ns) >= self.options.segment_ns
+            || open.written.get() >= self.options.segment_bytes
     }
 
     fn start(&mut self, tick: u64, time_ns: u64) -> Result<Open, RecordError> {
         let segment = self.summary.segments;
         let path = self.options.dir.join(segment_name(segment));
         if let Some(quota) = &self.options.quota {
-            let removed = make_room(self.disk.as_mut(), quota, &path);
+            let removed = free_space(self.disk.as_mut(), quota, &path);
             self.summary.removed.segments += removed.segments;
             self.summary.removed.not_pulled += removed.not_pulled;
             self.summary.removed.bytes += removed.bytes;
@@ -125,7 +125,7 @@ impl Segments {
                 Ok(Open { writer, path, start_ns: time_ns, written })
             }
             Err(error) => {
-                // Without its header a segment is worth nothing.
+                // A segment without its header cannot be read.
                 if let Err(error) = self.disk.remove(&path) {
                     tracing::warn!("cannot remove {}: {error}", path.display());
                 }
@@ -137,14 +137,15 @@ impl Segments {
     fn create(&mut self, path: &Path) -> Result<Box<dyn SegmentFile>, RecordError> {
         self.disk.create(path).map_err(|source| {
             if source.kind() == ErrorKind::AlreadyExists {
-                // Left by a try that could not even be undone: the next one takes the next number.
+                // The file is left from an attempt that failed and could not be removed. The next attempt takes the next
+                // number.
                 self.summary.segments += 1;
             }
             RecordError::Create { path: path.to_owned(), source }
         })
     }
 
-    /// What was recorded so far.
+    /// The result so far.
     pub(super) fn summary(&self) -> &RecordingSummary {
         &self.summary
     }
@@ -166,9 +167,9 @@ impl Segments {
 
 fn salvage(sink: Sink, path: &Path) {
     match sink.salvage() {
-        Ok(()) => tracing::warn!("{} was cut back to its last complete chunk", path.display()),
+        Ok(()) => tracing::warn!("{} was truncated to its last complete chunk", path.display()),
         Err(error) => {
-            tracing::warn!("{} could not be closed and has no end: {error}", path.display());
+            tracing::warn!("{} could not be closed and lacks its footer: {error}", path.display());
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Files on a disk that fills, stalls and refuses.
+//! Tests of the recorder on disks that are full, stall or fail.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 
 use hal::CameraModel;
-use runtime::recording::{Picture, RecordedTick, RecordingReader, RunHeader, Views};
+use runtime::recording::{RecordedTick, RecordingReader, RgbImage, RunHeader, Views};
 use runtime::tick::{Command, Decision};
 
 use super::*;
@@ -16,7 +16,7 @@ pub(crate) fn run_header() -> RunHeader {
     RunHeader { seed: 7, ..RunHeader::new("test 0.0.0", CameraModel::pinhole(32, 8, 1.5)) }
 }
 
-/// A turn with a picture that does not compress, ten a second.
+/// A tick of a 10 Hz run with an image that does not compress.
 pub(crate) fn some_tick(tick: u64) -> RecordedTick {
     let mut state = tick.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
     let mut byte = || {
@@ -32,13 +32,15 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
         desired: Command { linear_mps: 0.3, angular_radps: 0.0 },
         sent: Some(Command { linear_mps: 0.3, angular_radps: 0.1 }),
         goal_m: Some([1.0, 2.0]),
+        t_odom_base: hal::Pose2::IDENTITY,
+        t_map_odom: hal::Pose2::IDENTITY,
         events: Vec::new(),
         input_digest: 3,
         depth_digest: tick,
         map_digest: 0,
     };
     RecordedTick {
-        frame: Some(Picture {
+        frame: Some(RgbImage {
             width: 32,
             height: 8,
             rgb: (0..32 * 8 * 3).map(|_| byte()).collect(),
@@ -48,7 +50,7 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
     }
 }
 
-/// Turns of every segment in the directory, each of which must be a whole file.
+/// Ticks of all segments in the directory. Every segment must be a complete file.
 fn read_all(dir: &Path) -> Vec<RecordedTick> {
     let mut names: Vec<_> =
         std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).collect();
@@ -83,8 +85,9 @@ fn a_run_is_split_by_time_and_nothing_is_lost() {
 }
 
 #[test]
-fn a_run_is_split_by_size_and_the_digest_does_not_know() {
-    let (small, large) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+fn a_run_is_split_by_size_and_its_digest_does_not_depend_on_that() {
+    let small = tempfile::tempdir().unwrap();
+    let large = tempfile::tempdir().unwrap();
     let cut = record(
         RecorderOptions { segment_bytes: 10_000, ..RecorderOptions::simulation(small.path()) },
         100,
@@ -106,7 +109,8 @@ fn a_run_is_split_by_size_and_the_digest_does_not_know() {
 
 #[test]
 fn the_same_run_gives_the_same_files() {
-    let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let a = tempfile::tempdir().unwrap();
+    let b = tempfile::tempdir().unwrap();
     record(RecorderOptions::simulation(a.path()), 40);
     record(RecorderOptions::simulation(b.path()), 40);
     let bytes = |dir: &Path| std::fs::read(dir.join(segment_name(0))).unwrap();
@@ -114,7 +118,7 @@ fn the_same_run_gives_the_same_files() {
 }
 
 #[test]
-fn a_run_without_turns_leaves_its_header() {
+fn a_run_without_ticks_leaves_its_header() {
     let dir = tempfile::tempdir().unwrap();
     let summary = record(RecorderOptions::simulation(dir.path()), 0);
     assert_eq!((summary.ticks, summary.segments), (0, 1));
@@ -145,15 +149,15 @@ fn a_directory_that_cannot_be_made_is_named() {
     assert!(error.to_string().contains("file/run"), "{error}");
 }
 
-/// A file system with room for so many bytes in all.
+/// A file system that holds at most `free` bytes in total.
 struct SmallDisk {
-    room: Arc<AtomicU64>,
+    free: Arc<AtomicU64>,
 }
 
 struct SmallFile {
     file: Box<dyn SegmentFile>,
     len: u64,
-    room: Arc<AtomicU64>,
+    free: Arc<AtomicU64>,
 }
 
 impl Disk for SmallDisk {
@@ -161,7 +165,7 @@ impl Disk for SmallDisk {
         Ok(Box::new(SmallFile {
             file: FileSystem.create(path)?,
             len: 0,
-            room: Arc::clone(&self.room),
+            free: Arc::clone(&self.free),
         }))
     }
 
@@ -176,12 +180,12 @@ impl Disk for SmallDisk {
 
 impl Write for SmallFile {
     fn write(&mut self, data: &[u8]) -> io::Result<usize> {
-        let room = self.room.load(Ordering::SeqCst);
-        if room == 0 {
+        let free = self.free.load(Ordering::SeqCst);
+        if free == 0 {
             return Err(io::ErrorKind::StorageFull.into());
         }
-        let written = self.file.write(&data[..data.len().min(room as usize)])?;
-        self.room.fetch_sub(written as u64, Ordering::SeqCst);
+        let written = self.file.write(&data[..data.len().min(free as usize)])?;
+        self.free.fetch_sub(written as u64, Ordering::SeqCst);
         self.len += written as u64;
         Ok(written)
     }
@@ -193,7 +197,7 @@ impl Write for SmallFile {
 
 impl SegmentFile for SmallFile {
     fn truncate(&mut self, len: u64) -> io::Result<()> {
-        self.room.fetch_add(self.len - len, Ordering::SeqCst);
+        self.free.fetch_add(self.len - len, Ordering::SeqCst);
         self.len = len;
         self.file.truncate(len)
     }
@@ -206,13 +210,13 @@ impl SegmentFile for SmallFile {
 #[test]
 fn a_disk_that_fills_ends_the_run_with_its_reason_and_leaves_only_whole_files() {
     let mut kept = Vec::new();
-    for room in (0..90_000).step_by(1_777) {
+    for free in (0..90_000).step_by(1_777) {
         let dir = tempfile::tempdir().unwrap();
         let options = RecorderOptions {
             segment_ns: 4_000_000_000,
             ..RecorderOptions::simulation(dir.path())
         };
-        let disk = SmallDisk { room: Arc::new(AtomicU64::new(room)) };
+        let disk = SmallDisk { free: Arc::new(AtomicU64::new(free)) };
         let mut recorder = Recorder::start_on(Box::new(disk), options, run_header()).unwrap();
         let failed =
             (0..200).find_map(|tick| recorder.record(some_tick(tick), Views::default()).err());
@@ -220,16 +224,16 @@ fn a_disk_that_fills_ends_the_run_with_its_reason_and_leaves_only_whole_files() 
             Some(error) => error,
             None => recorder.finish().unwrap_err(),
         };
-        assert!(matches!(error, RecordError::Write { .. }), "{room}: {error}");
+        assert!(matches!(error, RecordError::Write { .. }), "{free}: {error}");
         let ticks = read_all(dir.path());
-        assert_eq!(ticks, (0..ticks.len() as u64).map(some_tick).collect::<Vec<_>>(), "{room}");
+        assert_eq!(ticks, (0..ticks.len() as u64).map(some_tick).collect::<Vec<_>>(), "{free}");
         kept.push(ticks.len());
     }
     assert!(kept.is_sorted() && kept[0] == 0 && *kept.last().unwrap() > 60, "{kept:?}");
 }
 
 #[test]
-fn a_turn_that_would_not_replay_ends_the_recording_and_keeps_the_turns_before() {
+fn a_tick_that_would_not_replay_ends_the_recording_and_keeps_the_ticks_before() {
     let dir = tempfile::tempdir().unwrap();
     let mut recorder =
         Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
@@ -241,7 +245,7 @@ fn a_turn_that_would_not_replay_ends_the_recording_and_keeps_the_turns_before() 
     recorder.record(bad, Views::default()).unwrap();
     let error = recorder.finish().unwrap_err();
     assert!(
-        matches!(error, RecordError::Content { .. }) && error.to_string().contains("turn 30"),
+        matches!(error, RecordError::Content { .. }) && error.to_string().contains("tick 30"),
         "{error}"
     );
     assert_eq!(read_all(dir.path()).len(), 22);
@@ -313,7 +317,7 @@ fn a_robot_drops_and_counts_what_a_stalled_disk_does_not_take() {
     let mut recorder = Recorder::start_on(Box::new(disk), options, run_header()).unwrap();
     recorder.record(some_tick(0), Views::default()).unwrap();
     reached.recv().unwrap();
-    // The thread holds turn 0; four more fit into the queue.
+    // The thread holds tick 0; four more fit into the queue.
     for tick in 1..20 {
         recorder.record(some_tick(tick), Views::default()).unwrap();
     }
@@ -324,37 +328,37 @@ fn a_robot_drops_and_counts_what_a_stalled_disk_does_not_take() {
     assert_eq!(read_all(dir.path()), (0..5).map(some_tick).collect::<Vec<_>>());
 }
 
-/// Waits until the recording thread says what is wanted.
-fn wait_for(recorder: &Recorder, wanted: impl Fn(&Word) -> bool) {
-    while !wanted(&recorder.word()) {
+/// Waits until the status of the recording thread satisfies `wanted`.
+fn wait_for(recorder: &Recorder, wanted: impl Fn(&RecorderStatus) -> bool) {
+    while !wanted(&recorder.status()) {
         std::thread::yield_now();
     }
 }
 
-/// A turn as the loop hands it over: with what it remembers when that is wanted.
+/// Records a tick as the loop does, with a snapshot if the recorder wants one.
 fn hand_over(recorder: &mut Recorder, tick: u64) {
-    let mut turn = some_tick(tick);
-    turn.snapshot = recorder.wants_snapshot(turn.time_ns).then(|| vec![1, 2, 3]);
-    recorder.record(turn, Views::default()).unwrap();
+    let mut tick = some_tick(tick);
+    tick.snapshot = recorder.wants_snapshot(tick.time_ns).then(|| vec![1, 2, 3]);
+    recorder.record(tick, Views::default()).unwrap();
 }
 
 #[test]
-fn a_robot_goes_on_when_its_disk_is_full_says_so_and_records_again_when_there_is_room() {
+fn a_robot_reports_a_full_disk_goes_on_and_records_again_when_there_is_space() {
     let dir = tempfile::tempdir().unwrap();
-    let room = Arc::new(AtomicU64::new(0));
-    let disk = SmallDisk { room: Arc::clone(&room) };
+    let free = Arc::new(AtomicU64::new(0));
+    let disk = SmallDisk { free: Arc::clone(&free) };
     let options = RecorderOptions { queue_ticks: 1000, ..RecorderOptions::robot(dir.path()) };
     let mut recorder = Recorder::start_on(Box::new(disk), options, run_header()).unwrap();
     hand_over(&mut recorder, 0);
     wait_for(&recorder, |word| word.failure.is_some());
-    assert!(recorder.word().failure.unwrap().contains("cannot write"));
+    assert!(recorder.status().failure.unwrap().contains("cannot write"));
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0, "nothing half-written is left");
-    // Still no room: it is tried again every ten seconds, 100 turns.
+    // There is still no space: the recorder tries again every ten seconds, 100 ticks.
     (1..250).for_each(|tick| hand_over(&mut recorder, tick));
     wait_for(&recorder, |word| word.lost == 250);
-    room.store(u64::MAX / 2, Ordering::SeqCst);
+    free.store(u64::MAX / 2, Ordering::SeqCst);
     let mut tick = 250;
-    while recorder.word().failure.is_some() {
+    while recorder.status().failure.is_some() {
         hand_over(&mut recorder, tick);
         tick += 1;
         wait_for(&recorder, |word| word.failure.is_none() || word.lost == tick);
@@ -369,9 +373,9 @@ fn a_robot_goes_on_when_its_disk_is_full_says_so_and_records_again_when_there_is
 }
 
 #[test]
-fn a_run_that_ends_while_nothing_is_recorded_says_why() {
+fn a_run_that_ends_while_nothing_is_recorded_reports_the_reason() {
     let dir = tempfile::tempdir().unwrap();
-    let disk = SmallDisk { room: Arc::new(AtomicU64::new(0)) };
+    let disk = SmallDisk { free: Arc::new(AtomicU64::new(0)) };
     let mut recorder =
         Recorder::start_on(Box::new(disk), RecorderOptions::robot(dir.path()), run_header())
             .unwrap();
@@ -382,18 +386,18 @@ fn a_run_that_ends_while_nothing_is_recorded_says_why() {
 }
 
 #[test]
-fn without_pictures_nothing_that_holds_one_is_recorded() {
+fn without_images_no_part_that_contains_one_is_recorded() {
     let dir = tempfile::tempdir().unwrap();
-    let options = RecorderOptions { pictures: false, ..RecorderOptions::simulation(dir.path()) };
+    let options = RecorderOptions { images: false, ..RecorderOptions::simulation(dir.path()) };
     let mut recorder = Recorder::start(options, run_header()).unwrap();
     let depth = hal::DepthMap::from_vec(2, 1, vec![1.0, 2.0]);
-    let turn = RecordedTick { truth: depth.clone(), snapshot: Some(vec![9]), ..some_tick(0) };
-    recorder.record(turn, Views { depth, ..Views::default() }).unwrap();
+    let tick = RecordedTick { truth: depth.clone(), snapshot: Some(vec![9]), ..some_tick(0) };
+    recorder.record(tick, Views { depth, ..Views::default() }).unwrap();
     recorder.finish().unwrap();
     let reader =
         RecordingReader::open(std::fs::File::open(dir.path().join(segment_name(0))).unwrap())
             .unwrap();
-    assert!(!reader.header().run.pictures);
+    assert!(!reader.header().run.images);
     let ticks: Vec<_> = reader.map(Result::unwrap).collect();
     assert!(ticks[0].frame.is_none() && ticks[0].truth.is_none() && ticks[0].snapshot.is_none());
     let bytes = std::fs::read(dir.path().join(segment_name(0))).unwrap();
@@ -431,10 +435,10 @@ fn a_cut_leaves_whole_files_while_the_run_goes_on() {
     assert_eq!(recorder.finish().unwrap().ticks, 6);
 }
 
-/// A disk on which one operation fails, and perhaps all after it.
+/// A disk on which one operation fails, or all operations from it on.
 #[derive(Clone)]
 struct FailingDisk {
-    /// Operations until the failure.
+    /// Number of operations before the failure.
     left: Arc<AtomicU64>,
     error: io::ErrorKind,
     for_good: bool,
@@ -489,13 +493,13 @@ impl SegmentFile for FailingFile {
     }
 
     fn sync(&mut self) -> io::Result<()> {
-        // Not really: nobody pulls the plug here, and it takes long.
+        // Real syncing would take long, and this test has no power cut.
         self.disk.operation()
     }
 }
 
-/// What is in the folder: turns of whole or cut segments. Nothing may be corrupt.
-fn turns_on_disk(dir: &Path) -> Vec<RecordedTick> {
+/// The ticks of the folder's segments, complete or truncated. No segment may be corrupt.
+fn ticks_on_disk(dir: &Path) -> Vec<RecordedTick> {
     let mut paths: Vec<_> =
         std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).collect();
     paths.sort();
@@ -510,7 +514,7 @@ fn turns_on_disk(dir: &Path) -> Vec<RecordedTick> {
                     }
                 }
             }
-            // Cut before its first chunk, on a disk that does not even let it be removed.
+            // Truncated before its first chunk, on a disk on which removing it failed as well.
             Err(error) => assert!(
                 error.is_truncation() || std::fs::metadata(&path).unwrap().len() < 8,
                 "{error}"
@@ -521,8 +525,8 @@ fn turns_on_disk(dir: &Path) -> Vec<RecordedTick> {
 }
 
 #[test]
-fn whichever_operation_of_the_disk_fails_the_robot_goes_on_and_what_is_recorded_is_sound() {
-    const TURNS: u64 = 130;
+fn any_operation_of_the_disk_may_fail_and_the_robot_goes_on_and_its_recording_is_valid() {
+    const TICKS: u64 = 130;
     let mut failed = 0;
     let errors =
         [io::ErrorKind::StorageFull, io::ErrorKind::Other, io::ErrorKind::ReadOnlyFilesystem];
@@ -539,16 +543,16 @@ fn whichever_operation_of_the_disk_fails_the_robot_goes_on_and_what_is_recorded_
                 ..RecorderOptions::robot(dir.path().join("run"))
             };
             let mut recorder = Recorder::start_on(Box::new(disk), options, run_header()).unwrap();
-            for tick in 0..TURNS {
+            for tick in 0..TICKS {
                 hand_over(&mut recorder, tick);
-                // As slow as a robot: otherwise all turns wait in the queue before the first failure is known.
+                // As slow as a robot, or all ticks would be in the queue before the first failure.
                 wait_for(&recorder, |word| word.taken == tick + 1);
             }
             let case = format!("{error:?} at operation {operation}, for good: {for_good}");
             let (lost, ticks) = match recorder.finish() {
-                Ok(summary) => (summary.dropped, turns_on_disk(&dir.path().join("run"))),
-                // The very last operation, the index of the last segment: its turns are there.
-                Err(_) => (0, turns_on_disk(&dir.path().join("run"))),
+                Ok(summary) => (summary.dropped, ticks_on_disk(&dir.path().join("run"))),
+                // The last operation writes the index of the last segment. Its ticks are recorded.
+                Err(_) => (0, ticks_on_disk(&dir.path().join("run"))),
             };
             assert!(ticks.iter().is_sorted_by_key(|tick| tick.tick), "{case}");
             assert!(
@@ -558,10 +562,10 @@ fn whichever_operation_of_the_disk_fails_the_robot_goes_on_and_what_is_recorded_
                         == some_tick(tick.tick)),
                 "{case}"
             );
-            // A failure costs the chunk that was being written and what came until the next try.
+            // A failure costs the chunk that was being written and the ticks before the next attempt.
             assert!(
-                for_good || ticks.len() as u64 + lost + 11 >= TURNS,
-                "{case}: {} turns, {lost} lost",
+                for_good || ticks.len() as u64 + lost + 11 >= TICKS,
+                "{case}: {} ticks, {lost} lost",
                 ticks.len()
             );
             assert!(for_good || ticks.len() >= 15, "{case}: {}", ticks.len());

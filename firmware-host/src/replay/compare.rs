@@ -1,18 +1,18 @@
-//! Two decisions, field by field.
+//! Compares two decisions field by field.
 
 use std::fmt;
 
 use runtime::tick::Decision;
 use serde_json::Value;
 
-/// A field in which two decisions differ. Values as JSON, which shows every number exactly.
+/// A field in which two decisions differ. Its values are in JSON, which shows every number exactly.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Difference {
     /// Path of the field, such as `desired.linear_mps` or `events[0].why`.
     pub field: String,
-    /// What was recorded.
+    /// Recorded value.
     pub recorded: String,
-    /// What comes out now.
+    /// Value of the recomputed decision.
     pub recomputed: String,
 }
 
@@ -21,7 +21,7 @@ impl Difference {
         Self {
             field: "snapshot".to_owned(),
             recorded: "one memory".to_owned(),
-            recomputed: "another: something that no decision showed".to_owned(),
+            recomputed: "another memory, although no decision has differed".to_owned(),
         }
     }
 
@@ -40,10 +40,10 @@ impl fmt::Display for Difference {
     }
 }
 
-/// All fields that are not the same bit for bit; -0.0 is not 0.0.
+/// All fields that differ in at least one bit: 0.0 differs from -0.0.
 ///
 /// # Errors
-/// When a decision cannot be put into JSON.
+/// When a decision cannot be written as JSON.
 pub fn differences(
     recorded: &Decision,
     recomputed: &Decision,
@@ -66,21 +66,24 @@ fn collect(path: &str, recorded: &Value, recomputed: &Value, found: &mut Vec<Dif
         }
         (Value::Array(a), Value::Array(b)) => {
             for at in 0..a.len().max(b.len()) {
-                let side = |values: &[Value]| values.get(at).cloned().unwrap_or(Value::Null);
-                collect(&format!("{path}[{at}]"), &side(a), &side(b), found);
+                let recorded = a.get(at).unwrap_or(&Value::Null);
+                let recomputed = b.get(at).unwrap_or(&Value::Null);
+                collect(&format!("{path}[{at}]"), recorded, recomputed, found);
             }
         }
         _ => {
-            // As text, because as numbers -0.0 equals 0.0.
-            let text = |value: &Value| {
-                if value.is_null() { "nothing".to_owned() } else { value.to_string() }
-            };
-            let (recorded, recomputed) = (text(recorded), text(recomputed));
+            // Compared as text, because as numbers -0.0 equals 0.0.
+            let recorded = text(recorded);
+            let recomputed = text(recomputed);
             if recorded != recomputed {
                 found.push(Difference { field: path.to_owned(), recorded, recomputed });
             }
         }
     }
+}
+
+fn text(value: &Value) -> String {
+    if value.is_null() { "nothing".to_owned() } else { value.to_string() }
 }
 
 #[cfg(test)]

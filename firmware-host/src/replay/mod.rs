@@ -1,4 +1,4 @@
-//! `firmware-host replay RUN`: does the same input still give the same decisions?
+//! `firmware-host replay RUN`: recomputes the decisions of a recorded run and compares them with the recorded ones.
 
 mod compare;
 mod rewrite;
@@ -18,66 +18,66 @@ pub use compare::{Difference, differences};
 pub use rewrite::rewrite;
 pub use run::{Moment, ReplayError, Run, open_segment, segments};
 
-/// Mismatching turns that are shown in full; after the first, most only follow from it.
-const SHOWN_TURNS: u64 = 3;
+/// Number of mismatching ticks that are shown in full. Most of the others only follow from the first.
+const SHOWN_TICKS: u64 = 3;
 
-/// Fields that are shown of one turn.
+/// Number of differing fields that are shown of one tick.
 const SHOWN_FIELDS: usize = 8;
 
-/// The loop as replay drives it, turn by turn.
+/// The loop of a recorded run, which replay steps tick by tick.
 pub trait Replayable {
-    /// Before a turn: a network that was handed over until then is taken.
+    /// Loads the network that the run used from this tick on, if it changed.
     fn hand_over(&mut self, tick: u64);
-    /// Goes on where the snapshot was written.
+    /// Restores the robot's memory from a snapshot.
     ///
     /// # Errors
-    /// A snapshot of another version or of another robot, or one that needs a model that is not there.
+    /// When the snapshot is of another version or another robot, or needs a model that is missing.
     fn restore(&mut self, snapshot: &[u8]) -> anyhow::Result<()>;
-    /// All that it remembers.
+    /// The robot's memory.
     fn snapshot(&self) -> Vec<u8>;
-    /// Decides a recorded tick again.
+    /// Recomputes the decision of a recorded tick.
     ///
     /// # Errors
-    /// A frame whose bytes do not fit its size.
+    /// When a frame's bytes do not fit its size.
     fn step(&mut self, tick: &RecordedTick) -> anyhow::Result<Decision>;
 }
 
-/// Which turns are recomputed.
+/// Which ticks are recomputed.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Span {
-    /// From the last segment that begins with a snapshot not after this; `None`: from the first turn that can be recomputed.
+    /// Begin at the last segment with a snapshot at or before this moment; `None`: at the first tick that can be recomputed.
     pub from: Option<Moment>,
-    /// Not beyond the first turn that decides differently.
+    /// Stop after the first tick whose decision differs.
     pub until_mismatch: bool,
 }
 
-/// What a replay found.
+/// Result of a replay.
 #[derive(Debug)]
 pub struct ReplayReport {
-    /// Turns that were recomputed.
+    /// Number of ticks that were recomputed.
     pub ticks: u64,
-    /// Turns whose decision is not the recorded one.
+    /// Number of ticks whose recomputed decision differs from the recorded one.
     pub mismatches: u64,
-    /// Turns that are there, but not what the robot remembered of those before them.
+    /// Number of ticks that could not be recomputed because the robot's memory before them is unknown.
     pub unknown: u64,
-    /// What was wrong with the run first: it breaks off, or turns are missing.
+    /// The first defect of the run: it is truncated, or ticks are missing.
     pub problem: Option<ReplayError>,
 }
 
 impl ReplayReport {
-    /// Whether everything from the first recomputed turn on was recomputed and is the same.
+    /// Whether every tick from the first recomputed one on was recomputed and has the same decision.
     #[must_use]
     pub fn is_exact(&self) -> bool {
         self.ticks > 0 && self.mismatches == 0 && self.problem.is_none()
     }
 }
 
-/// Recomputes the run at `path` (the `--out` directory of a run, or one .mcap) with the loop that `build` makes from
-/// its header. Writes the first mismatches to `out`, and `replay: ticks=N mismatches=M` as the last line. A run that
-/// breaks off is replayed as far as it goes; where turns are missing it goes on at the next snapshot.
+/// Recomputes the run at `path` (the `--out` directory of a run, or one .mcap file) with the loop that `build` creates from
+/// its header. Writes the first mismatches to `out`, and `replay: ticks=N mismatches=M` as the last line. A truncated run
+/// is replayed up to its end. Where ticks are missing, the replay goes on at the next snapshot.
 ///
 /// # Errors
-/// When no turn can be replayed at all, the loop cannot be built, or `out` cannot be written.
+/// When no tick can be replayed, the loop cannot be built, or `out` cannot be written.
 pub fn replay(
     path: &Path,
     span: Span,
@@ -90,15 +90,15 @@ pub fn replay(
     };
     let start_ns = run.start_ns();
     let mut robot = build(run.header())?;
-    let mut knows = run.is_at_the_start();
-    let not_the_start = (!knows).then(|| run.not_the_start());
+    let mut memory_known = run.is_at_the_start();
+    let not_the_start = (!memory_known).then(|| run.not_the_start());
     let mut report = ReplayReport { ticks: 0, mismatches: 0, unknown: 0, problem: None };
     let mut last = None;
     for tick in run {
         let tick = match tick {
             Ok(tick) => tick,
             Err(error) => {
-                knows = false;
+                memory_known = false;
                 writeln!(out, "warning: {error}")?;
                 report.problem.get_or_insert(error);
                 continue;
@@ -107,23 +107,23 @@ pub fn replay(
         last = Some((tick.tick, tick.time_ns));
         robot.hand_over(tick.tick);
         match &tick.snapshot {
-            Some(snapshot) if !knows => {
+            Some(snapshot) if !memory_known => {
                 robot.restore(snapshot)?;
                 writeln!(
                     out,
-                    "from the snapshot of turn {} at {:.3} s",
+                    "replaying from the snapshot of tick {} at {:.3} s",
                     tick.tick,
                     seconds(&tick)
                 )?;
-                knows = true;
+                memory_known = true;
             }
-            _ if !knows => {
+            _ if !memory_known => {
                 report.unknown += 1;
                 continue;
             }
             _ => {}
         }
-        compare_turn(robot.as_mut(), &tick, &mut report, out)?;
+        compare_tick(robot.as_mut(), &tick, &mut report, out)?;
         if span.until_mismatch && report.mismatches > 0 {
             break;
         }
@@ -132,28 +132,28 @@ pub fn replay(
         return Err(error.into());
     }
     let stopped = span.until_mismatch && report.mismatches > 0;
-    if let (Some(from), Some((turn, time_ns)), false) = (span.from, last, stopped)
-        && !from.is_reached(turn, time_ns, start_ns)
+    if let (Some(from), Some((tick, time_ns)), false) = (span.from, last, stopped)
+        && !from.is_reached(tick, time_ns, start_ns)
     {
-        anyhow::bail!("{} ends before {from}: its last turn is {turn}", path.display());
+        anyhow::bail!("{} ends before {from}: its last tick is {tick}", path.display());
     }
     conclude(path, &report, out)?;
     Ok(report)
 }
 
 fn conclude(path: &Path, report: &ReplayReport, out: &mut dyn Write) -> anyhow::Result<()> {
-    if report.mismatches > SHOWN_TURNS {
-        writeln!(out, "... and {} more turns", report.mismatches - SHOWN_TURNS)?;
+    if report.mismatches > SHOWN_TICKS {
+        writeln!(out, "... and {} more ticks", report.mismatches - SHOWN_TICKS)?;
     }
     if report.unknown > 0 {
         writeln!(
             out,
-            "warning: {} turns come before a snapshot and could not be recomputed",
+            "warning: {} ticks before the first snapshot could not be recomputed",
             report.unknown
         )?;
     }
     if report.ticks == 0 && report.problem.is_none() {
-        writeln!(out, "warning: {} holds no turns, so nothing was compared", path.display())?;
+        writeln!(out, "warning: {} has no ticks, so nothing was compared", path.display())?;
     }
     Ok(writeln!(out, "replay: ticks={} mismatches={}", report.ticks, report.mismatches)?)
 }
@@ -162,14 +162,14 @@ fn seconds(tick: &RecordedTick) -> f64 {
     tick.time_ns as f64 * 1e-9
 }
 
-fn compare_turn(
+fn compare_tick(
     robot: &mut dyn Replayable,
     tick: &RecordedTick,
     report: &mut ReplayReport,
     out: &mut dyn Write,
 ) -> anyhow::Result<()> {
-    // Only snapshots of this version can be compared; another version's decisions can.
-    let remembers_otherwise = tick.snapshot.as_ref().is_some_and(|recorded| {
+    // Snapshots of other versions cannot be compared; their decisions can.
+    let memory_differs = tick.snapshot.as_ref().is_some_and(|recorded| {
         recorded.starts_with(&SNAPSHOT_VERSION.to_le_bytes()) && *recorded != robot.snapshot()
     });
     let recomputed = robot.step(tick)?;
@@ -178,15 +178,15 @@ fn compare_turn(
         Some(recorded) => differences(recorded, &recomputed)?,
         None => vec![Difference::not_recorded()],
     };
-    if remembers_otherwise {
+    if memory_differs {
         differences.push(Difference::memory());
     }
     if differences.is_empty() {
         return Ok(());
     }
     report.mismatches += 1;
-    if report.mismatches <= SHOWN_TURNS {
-        writeln!(out, "turn {} at {:.3} s decides differently:", tick.tick, seconds(tick))?;
+    if report.mismatches <= SHOWN_TICKS {
+        writeln!(out, "tick {} at {:.3} s: the decision differs:", tick.tick, seconds(tick))?;
         for difference in differences.iter().take(SHOWN_FIELDS) {
             writeln!(out, "  {difference}")?;
         }

@@ -1,4 +1,4 @@
-//! A recording with something changed.
+//! Copies a recording with changes, for tests of `replay`.
 
 use std::path::Path;
 
@@ -7,9 +7,9 @@ use runtime::recording::{RecordedTick, Views};
 use super::run::Run;
 use crate::record::{Recorder, RecorderOptions, RecordingSummary};
 
-/// Copies the run at `from` into the directory `to`, every turn passed through `edit`. A test that flips one recorded
-/// input this way must make `replay` report a mismatch: pictures sit compressed behind checksums, so no byte of a file
-/// can be flipped without the file being corrupt. Pictures for people (map, path, depth) are not copied.
+/// Copies the run at `from` into the directory `to` and passes every tick through `edit`. Tests use it to change a recorded
+/// input, which `replay` must detect. Changing bytes of the file instead would be detected by its checksums. Map, path and
+/// depth for viewers are not copied.
 ///
 /// # Errors
 /// When `from` cannot be read to its end or `to` cannot be written.

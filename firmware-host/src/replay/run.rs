@@ -1,4 +1,4 @@
-//! A recorded run: its files as one row of turns.
+//! A recorded run: the ticks of all its segments in order.
 
 use std::fs::File;
 use std::io::{self, BufReader};
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use runtime::recording::{RecordedTick, RecordingError, RecordingReader, RunHeader};
 use segment_store::is_segment_name;
 
-/// Why a run cannot be replayed (any further).
+/// Why a run cannot be replayed, or not any further.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReplayError {
@@ -19,13 +19,13 @@ pub enum ReplayError {
         /// Why.
         source: io::Error,
     },
-    /// A directory without segments.
+    /// The directory has no segments.
     #[error("{} holds no recording_NNNN.mcap; give the --out directory of a run or one .mcap file", dir.display())]
     NoSegments {
         /// The directory.
         dir: PathBuf,
     },
-    /// A file is not a recording, or breaks off.
+    /// A file is not a recording, or is truncated or corrupt.
     #[error("{}: {source}", path.display())]
     Segment {
         /// The file.
@@ -33,19 +33,19 @@ pub enum ReplayError {
         /// What is wrong with it.
         source: RecordingError,
     },
-    /// The first file is not the run's first, and nothing in it says what the robot remembered.
+    /// The first file is not the run's first segment, and has no snapshot.
     #[error(
-        "{} is segment {segment} of its run and holds no snapshot, and what the robot decides depends on everything before; \
+        "{} is segment {segment} of its run and has no snapshot, so the robot's memory of the segments before it is unknown; \
          replay the run's directory with all of its segments",
         path.display()
     )]
     NotTheStart {
         /// The file.
         path: PathBuf,
-        /// Its number.
+        /// Number of the segment.
         segment: u32,
     },
-    /// A file is missing in the row, or there twice.
+    /// A segment is missing, or there are two with the same number.
     #[error(
         "{} is segment {found} where segment {expected} should be; put all segments of the run into one directory",
         path.display()
@@ -53,12 +53,12 @@ pub enum ReplayError {
     SegmentOrder {
         /// The file.
         path: PathBuf,
-        /// The number that should come.
+        /// Number of the missing segment.
         expected: u32,
-        /// The number that came.
+        /// Number of this segment.
         found: u32,
     },
-    /// A file of another run.
+    /// A segment belongs to another run.
     #[error(
         "{} belongs to another run than the segments before it; put each run into a directory of its own",
         path.display()
@@ -67,43 +67,42 @@ pub enum ReplayError {
         /// The file.
         path: PathBuf,
     },
-    /// Turns were dropped while recording.
+    /// Ticks are missing.
     #[error(
-        "{}: turn {found} comes where turn {expected} should be: turns were dropped while recording (the disk \
-         was too slow) or were in a part that was damaged, \
-         and what comes after them cannot be recomputed before the next snapshot",
+        "{}: tick {found} is where tick {expected} should be: ticks were dropped while recording (the disk \
+         was too slow) or were in a damaged part. Ticks after them cannot be recomputed before the next snapshot",
         path.display()
     )]
     Gap {
         /// The file.
         path: PathBuf,
-        /// The turn that should come.
+        /// Number of the missing tick.
         expected: u64,
-        /// The turn that came.
+        /// Number of the tick in its place.
         found: u64,
     },
 }
 
 impl ReplayError {
-    /// Whether turns are missing here, and others follow.
+    /// Whether ticks are missing and the run goes on after them.
     #[must_use]
     pub fn is_gap(&self) -> bool {
         matches!(self, Self::Gap { .. } | Self::SegmentOrder { .. })
     }
 
-    /// Whether the files are good as far as they go, and only the end is missing.
+    /// Whether only the end of the run is missing.
     #[must_use]
     pub fn is_truncation(&self) -> bool {
         matches!(self, Self::Segment { source, .. } if source.is_truncation())
     }
 }
 
-/// Where in a run.
+/// A moment in a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Moment {
-    /// A turn by its number.
-    Turn(u64),
-    /// So long after the first turn that is there, seconds.
+    /// The number of a tick.
+    Tick(u64),
+    /// Time after the run's first tick, seconds.
     Seconds(f64),
 }
 
@@ -116,18 +115,18 @@ impl std::str::FromStr for Moment {
             (Some(Ok(seconds)), _) if seconds.is_finite() && seconds >= 0.0 => {
                 Ok(Self::Seconds(seconds))
             }
-            (None, Ok(turn)) => Ok(Self::Turn(turn)),
-            _ => Err(format!("`{text}` is neither a turn such as 1200 nor a time such as 61.5s")),
+            (None, Ok(tick)) => Ok(Self::Tick(tick)),
+            _ => Err(format!("`{text}` is neither a tick such as 1200 nor a time such as 61.5s")),
         }
     }
 }
 
 impl Moment {
-    /// Whether a turn of this number and time is at this moment or after it; the run began at `start_ns`.
+    /// Whether a tick with this number and time is at this moment or after it, in a run that began at `start_ns`.
     #[must_use]
     pub fn is_reached(self, tick: u64, time_ns: u64, start_ns: u64) -> bool {
         match self {
-            Self::Turn(turn) => tick >= turn,
+            Self::Tick(first) => tick >= first,
             Self::Seconds(seconds) => time_ns.saturating_sub(start_ns) as f64 * 1e-9 >= seconds,
         }
     }
@@ -136,16 +135,16 @@ impl Moment {
 impl std::fmt::Display for Moment {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Turn(turn) => write!(f, "turn {turn}"),
+            Self::Tick(tick) => write!(f, "tick {tick}"),
             Self::Seconds(seconds) => write!(f, "{seconds} s"),
         }
     }
 }
 
-/// Turns of a run in order, over all of its segments. Where some are missing comes an error that [says so](ReplayError::is_gap),
-/// then those after them; after any other error comes nothing more.
+/// Iterator over the ticks of a run, over all of its segments. Where ticks are missing it returns a
+/// [gap](ReplayError::is_gap) and goes on after it. Any other error ends the iterator.
 pub struct Run {
-    /// Segments that are still to be read, last first.
+    /// Segments that have not been read yet, last first.
     rest: Vec<PathBuf>,
     path: PathBuf,
     reader: RecordingReader<BufReader<File>>,
@@ -153,7 +152,7 @@ pub struct Run {
     segment: u32,
     next_tick: u64,
     start_ns: u64,
-    /// The turn after a gap.
+    /// The tick after a gap, which is returned after the error.
     held: Option<RecordedTick>,
     done: bool,
 }
@@ -171,7 +170,8 @@ impl Run {
         Self::begin(paths, 0, start_ns)
     }
 
-    /// Opens it at the last segment that begins with a snapshot not after `moment`; at its first segment where there is none.
+    /// Opens the run at the last segment that begins with a snapshot at or before `moment`, or at its first segment if there
+    /// is none.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -183,9 +183,10 @@ impl Run {
             let Some(mut reader) = paths.get(at).and_then(|path| open_segment(path).ok()) else {
                 continue;
             };
-            let (tick, time_ns) = (reader.header().first_tick, reader.header().first_time_ns);
+            let tick = reader.header().first_tick;
+            let time_ns = reader.header().first_time_ns;
             let is_later = match moment {
-                Moment::Turn(turn) => tick > turn,
+                Moment::Tick(last) => tick > last,
                 Moment::Seconds(seconds) => {
                     time_ns.saturating_sub(start_ns) as f64 * 1e-9 > seconds
                 }
@@ -206,44 +207,43 @@ impl Run {
         let path = rest.pop().unwrap_or_default();
         let reader = open_segment(&path)?;
         let header = reader.header().clone();
-        let (segment, next_tick) = (header.segment, header.first_tick);
         Ok(Self {
             rest,
             path,
             reader,
             header: header.run,
-            segment,
-            next_tick,
+            segment: header.segment,
+            next_tick: header.first_tick,
             start_ns,
             held: None,
             done: false,
         })
     }
 
-    /// Whether what comes next is the run's very first turn, before which nothing is remembered.
+    /// Whether the next tick is the run's first one, before which a robot has no memory.
     #[must_use]
     pub fn is_at_the_start(&self) -> bool {
-        (self.segment, self.next_tick) == (0, 0)
+        self.segment == 0 && self.next_tick == 0
     }
 
-    /// That it is not.
+    /// The error for a run that is not at its start and has no snapshot.
     pub(super) fn not_the_start(&self) -> ReplayError {
         ReplayError::NotTheStart { path: self.path.clone(), segment: self.segment }
     }
 
-    /// Time of the first turn that is there, monotonic.
+    /// Time of the first recorded tick, monotonic.
     #[must_use]
     pub fn start_ns(&self) -> u64 {
         self.start_ns
     }
 
-    /// What the run was made with.
+    /// The run's header.
     #[must_use]
     pub fn header(&self) -> &RunHeader {
         &self.header
     }
 
-    fn next_turn(&mut self) -> Result<Option<RecordedTick>, ReplayError> {
+    fn next_tick(&mut self) -> Result<Option<RecordedTick>, ReplayError> {
         if let Some(tick) = self.held.take() {
             return Ok(Some(tick));
         }
@@ -251,7 +251,8 @@ impl Run {
             if let Some(tick) = self.reader.next() {
                 let tick = tick
                     .map_err(|source| ReplayError::Segment { path: self.path.clone(), source })?;
-                let (expected, found) = (self.next_tick, tick.tick);
+                let expected = self.next_tick;
+                let found = tick.tick;
                 self.next_tick = found.saturating_add(1);
                 if found != expected {
                     self.held = Some(tick);
@@ -268,8 +269,10 @@ impl Run {
                 return Err(ReplayError::OtherRun { path: self.path.clone() });
             }
             if header.segment != self.segment {
-                let (expected, found) = (self.segment, header.segment);
-                (self.segment, self.next_tick) = (found, header.first_tick);
+                let expected = self.segment;
+                let found = header.segment;
+                self.segment = found;
+                self.next_tick = header.first_tick;
                 return Err(ReplayError::SegmentOrder { path: self.path.clone(), expected, found });
             }
         }
@@ -283,7 +286,7 @@ impl Iterator for Run {
         if self.done {
             return None;
         }
-        let item = self.next_turn().transpose();
+        let item = self.next_tick().transpose();
         self.done = match &item {
             Some(Err(error)) => !error.is_gap(),
             item => item.is_none(),
@@ -295,7 +298,7 @@ impl Iterator for Run {
 /// Opens one segment and reads its header.
 ///
 /// # Errors
-/// When it cannot be read or is no recording.
+/// When it cannot be read or is not a recording.
 pub fn open_segment(path: &Path) -> Result<RecordingReader<BufReader<File>>, ReplayError> {
     let file =
         File::open(path).map_err(|source| ReplayError::Open { path: path.to_owned(), source })?;
@@ -303,7 +306,7 @@ pub fn open_segment(path: &Path) -> Result<RecordingReader<BufReader<File>>, Rep
         .map_err(|source| ReplayError::Segment { path: path.to_owned(), source })
 }
 
-/// The segments of the `--out` directory of a run in their order, or the one .mcap itself.
+/// The segments of a run's `--out` directory in order; for a .mcap file, that file.
 ///
 /// # Errors
 /// When the directory cannot be read.
@@ -319,7 +322,7 @@ pub fn segments(path: &Path) -> Result<Vec<PathBuf>, ReplayError> {
             found.push(entry.path());
         }
     }
-    // By length first: segment 10000 comes after segment 9999.
+    // Sorted by length first, because segment 10000 follows segment 9999.
     found.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
     Ok(found)
 }

@@ -1,4 +1,5 @@
-//! A robot whose decisions are a digest of everything it has ever seen: whatever is changed in a recording, it notices.
+//! Tests of replay with a robot whose decisions are a digest of all its inputs, so that any change of a recording changes
+//! them.
 
 use std::path::Path;
 
@@ -47,7 +48,7 @@ fn input_of(tick: u64) -> RecordedTick {
     RecordedTick { scan: Some(scan), decision: None, ..some_tick(tick) }
 }
 
-/// A run of `ticks` turns in segments of two seconds (20 turns).
+/// A run of `ticks` ticks in segments of two seconds (20 ticks).
 fn recorded(ticks: u64) -> TempDir {
     recorded_with_snapshots(ticks, u64::MAX)
 }
@@ -129,12 +130,12 @@ fn one_changed_input_is_found_wherever_it_is() {
         })
         .unwrap();
         let (report, out) = replayed(&changed);
-        // The digest robot remembers: every turn from the changed one on differs.
+        // The digest covers all earlier inputs, so every tick from the changed one on differs.
         assert_eq!((report.ticks, report.mismatches), (50, 17), "{name}: {out}");
-        assert!(out.starts_with("turn 33 at 3.300 s decides differently:\n"), "{out}");
+        assert!(out.starts_with("tick 33 at 3.300 s: the decision differs:\n"), "{out}");
         assert!(out.contains("\n  desired.linear_mps: recorded 0."), "{out}");
         assert!(
-            out.contains("... and 14 more turns\n")
+            out.contains("... and 14 more ticks\n")
                 && out.ends_with("replay: ticks=50 mismatches=17\n"),
             "{out}"
         );
@@ -159,7 +160,7 @@ fn a_truncated_run_is_replayed_as_far_as_it_goes_and_is_not_exact() {
     let (report, out) = replayed(dir.path());
     assert_eq!((report.ticks, report.mismatches), (50, 0));
     assert!(!report.is_exact() && report.problem.as_ref().unwrap().is_truncation());
-    assert!(out.contains("recording_0002.mcap: truncated after turn 49"), "{out}");
+    assert!(out.contains("recording_0002.mcap: truncated after tick 49"), "{out}");
     assert!(out.ends_with("replay: ticks=50 mismatches=0\n"), "{out}");
 }
 
@@ -168,7 +169,7 @@ fn a_corrupt_chunk_is_found_by_its_checksum_and_ends_the_replay() {
     let dir = recorded(20);
     let path = dir.path().join(segment_name(0));
     let mut bytes = std::fs::read(&path).unwrap();
-    // In the middle of the pictures, which make up most of the file.
+    // In the middle of the images, which are most of the file.
     let middle = bytes.len() / 2;
     bytes[middle] ^= 0x10;
     std::fs::write(&path, bytes).unwrap();
@@ -217,20 +218,23 @@ fn a_segment_that_begins_with_a_snapshot_replays_alone() {
     let dir = recorded_with_snapshots(50, 20);
     let (report, out) = replayed(&dir.path().join(segment_name(1)));
     assert!(report.is_exact(), "{out}");
-    assert_eq!(out, "from the snapshot of turn 20 at 2.000 s\nreplay: ticks=20 mismatches=0\n");
+    assert_eq!(
+        out,
+        "replaying from the snapshot of tick 20 at 2.000 s\nreplay: ticks=20 mismatches=0\n"
+    );
 }
 
 #[test]
-fn a_run_whose_first_segments_made_room_replays_from_its_first_snapshot() {
+fn a_run_whose_first_segments_were_removed_replays_from_its_first_snapshot() {
     let dir = recorded_with_snapshots(60, 30);
     std::fs::remove_file(dir.path().join(segment_name(0))).unwrap();
     let (report, out) = replayed(dir.path());
     assert_eq!((report.ticks, report.unknown), (30, 10), "{out}");
-    assert!(report.is_exact() && out.contains("10 turns come before a snapshot"), "{out}");
+    assert!(report.is_exact() && out.contains("10 ticks before the first snapshot"), "{out}");
 }
 
 #[test]
-fn where_turns_are_missing_the_replay_goes_on_at_the_next_snapshot_and_is_not_exact() {
+fn where_ticks_are_missing_the_replay_goes_on_at_the_next_snapshot_and_is_not_exact() {
     let dir = recorded_with_snapshots(60, 20);
     std::fs::remove_file(dir.path().join(segment_name(1))).unwrap();
     let (report, out) = replayed(dir.path());
@@ -239,7 +243,7 @@ fn where_turns_are_missing_the_replay_goes_on_at_the_next_snapshot_and_is_not_ex
 }
 
 #[test]
-fn a_replay_may_begin_at_any_turn_or_time_and_takes_the_snapshot_before_it() {
+fn a_replay_may_begin_at_any_tick_or_time_and_takes_the_snapshot_before_it() {
     let dir = recorded_with_snapshots(60, 20);
     for (from, first) in
         [("0", 0), ("19", 0), ("20", 20), ("39", 20), ("59", 40), ("1.9s", 0), ("2s", 20)]
@@ -257,7 +261,7 @@ fn a_replay_may_begin_at_any_turn_or_time_and_takes_the_snapshot_before_it() {
             &mut std::io::sink(),
         );
         let error = replayed.unwrap_err().to_string();
-        assert!(error.contains("its last turn is 59"), "{beyond}: {error}");
+        assert!(error.contains("its last tick is 59"), "{beyond}: {error}");
     }
     for nonsense in ["", "x", "-1", "nans", "infs", "-1s", "1.5"] {
         assert!(nonsense.parse::<Moment>().is_err(), "{nonsense}");
@@ -265,7 +269,7 @@ fn a_replay_may_begin_at_any_turn_or_time_and_takes_the_snapshot_before_it() {
 }
 
 #[test]
-fn until_mismatch_ends_at_the_first_turn_that_decides_differently() {
+fn until_mismatch_ends_at_the_first_tick_that_decides_differently() {
     let original = recorded(50);
     let dir = tempfile::tempdir().unwrap();
     let changed = dir.path().join("changed");
@@ -290,11 +294,11 @@ fn a_memory_that_differs_is_found_although_the_decision_is_the_same() {
     .unwrap();
     let (report, out) = replayed(&changed);
     assert_eq!(report.mismatches, 1, "{out}");
-    assert!(out.contains("turn 40") && out.contains("snapshot: recorded one memory"), "{out}");
+    assert!(out.contains("tick 40") && out.contains("snapshot: recorded one memory"), "{out}");
 }
 
 #[test]
-fn dropped_turns_end_the_replay_with_their_numbers() {
+fn dropped_ticks_end_the_replay_with_their_numbers() {
     let dir = tempfile::tempdir().unwrap();
     let mut recorder =
         Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
@@ -304,11 +308,11 @@ fn dropped_turns_end_the_replay_with_their_numbers() {
     recorder.finish().unwrap();
     let (report, out) = replayed(dir.path());
     assert_eq!(report.ticks, 2);
-    assert!(out.contains("turn 5 comes where turn 2 should be"), "{out}");
+    assert!(out.contains("tick 5 is where tick 2 should be"), "{out}");
 }
 
 #[test]
-fn a_turn_without_a_recorded_decision_is_a_mismatch() {
+fn a_tick_without_a_recorded_decision_is_a_mismatch() {
     let dir = tempfile::tempdir().unwrap();
     let mut recorder =
         Recorder::start(RecorderOptions::simulation(dir.path()), run_header()).unwrap();
@@ -320,18 +324,18 @@ fn a_turn_without_a_recorded_decision_is_a_mismatch() {
 }
 
 #[test]
-fn a_run_without_turns_is_not_exact() {
+fn a_run_without_ticks_is_not_exact() {
     let dir = recorded(0);
     let (report, out) = replayed(dir.path());
     assert!(!report.is_exact());
     assert!(
-        out.contains("holds no turns") && out.ends_with("replay: ticks=0 mismatches=0\n"),
+        out.contains("has no ticks") && out.ends_with("replay: ticks=0 mismatches=0\n"),
         "{out}"
     );
 }
 
 #[test]
-fn what_is_no_run_is_refused_with_its_name_and_a_way_out() {
+fn a_path_without_a_run_is_refused_with_its_name_and_a_way_out() {
     let dir = tempfile::tempdir().unwrap();
     let message = refused(dir.path());
     assert!(

@@ -119,11 +119,11 @@ impl RunLog {
     }
 
     fn camera(&mut self, moment: &Moment) {
-        if let Some((width, height, rgb)) = &moment.picture {
+        if let Some((width, height, rgb)) = &moment.image {
             match encode::jpeg(*width, *height, rgb) {
                 Ok(jpeg) => self.each(|stream| {
                     stream.log(
-                        "world/robot/camera/picture",
+                        "world/robot/camera/image",
                         &EncodedImage::from_file_contents(jpeg.clone()),
                     )
                 }),
@@ -230,7 +230,7 @@ fn layout() -> Blueprint {
     let seen = Vertical::new([
         Spatial2DView::new("camera")
             .with_origin("world/robot/camera")
-            .with_contents(["$origin/picture"])
+            .with_contents(["$origin/image"])
             .into(),
         Spatial2DView::new("depth")
             .with_origin("world/robot/camera")

@@ -42,7 +42,7 @@ pub struct Moment {
     /// Current goal in `odom`, metres.
     pub goal_m: Option<[f64; 2]>,
     /// Camera image: width, height, RGB8.
-    pub picture: Option<(usize, usize, Vec<u8>)>,
+    pub image: Option<(usize, usize, Vec<u8>)>,
     /// Map, path and depth, each if it has changed.
     pub views: Views,
     /// Values to plot over time, by name, such as `coverage`.
@@ -172,7 +172,7 @@ mod tests {
                 time_ns: tick * 100_000_000,
                 odom: Pose2::new(0.03 * tick as f64, 0.0, 0.1),
                 goal_m: Some([1.0, 0.5]),
-                picture: Some((64, 32, vec![90; 64 * 32 * 3])),
+                image: Some((64, 32, vec![90; 64 * 32 * 3])),
                 views: Views {
                     map: Some(map.clone()),
                     path_m: Some(vec![[0.0, 0.0], [1.0, 0.5]]),

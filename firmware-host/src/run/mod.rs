@@ -1,32 +1,32 @@
 //! `firmware-host run`: the real robot.
 //!
-//! Three threads matter. The safety loop ([`safety_thread`]) owns scanner and base and runs at 100 Hz; the exploration loop
-//! ([`runtime::session`]) runs at 10 Hz in the main thread; the recorder writes when the disk allows. Drivers have threads of
-//! their own. No loop waits for a device.
+//! Four threads matter. The safety loop ([`safety_thread`]) owns scanner and base and runs at 100 Hz; the exploration loop
+//! ([`runtime::session`]) runs at 10 Hz in the main thread; the operator's thread ([`operator`]) passes signals on to the safety
+//! loop; the recorder writes when the disk allows. Drivers have threads of their own. No loop waits for a device.
 
 mod devices;
 mod exploration;
 mod instance_lock;
+mod last_stop;
 mod live_devices;
+mod operator;
 pub mod safety_thread;
 pub mod status;
 mod supervision;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result};
 use drivers::fault::{Faults, FaultyClock};
-use hal::{Clock, Pose2};
+use hal::Pose2;
 use monotonic_clock::MonotonicClock;
 use monotonic_clock::monotonic_ns;
 use runtime::event::ExploreEnd;
 use runtime::latency::LatencyHistogram;
 use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, Robot};
-use runtime::safety::Request;
-use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGUSR2};
 
 use crate::cli::RunArgs;
 use crate::config::Config;
@@ -39,7 +39,9 @@ use crate::report::summary::{LidarLine, Summary, peak_resident_mib};
 use crate::setup::{self, Mission};
 use exploration::{Exploration, RunLog};
 use instance_lock::InstanceLock;
+use last_stop::StopFile;
 use live_devices::LiveDevices;
+use operator::Operator;
 use safety_thread::{Pace, SafetyThread};
 use supervision::Supervision;
 
@@ -85,7 +87,6 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let faults = plan.clone().at(Arc::new(move || monotonic_ns().saturating_sub(start_ns)));
     let recorder =
         if args.no_recording { None } else { Some(recorder(out, &config, header, &faults)?) };
-    let signals = Signals::register()?;
     let camera = devices::open_camera(&config, &faults)?;
     let pace =
         Pace { period_ns: config.safety_period_ns(), priority: config.run.realtime_priority };
@@ -98,12 +99,20 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let models =
         start.map(|(keeper, start)| LiveModels::threaded(keeper, start, &config)).transpose()?;
     let mut exploration = Exploration::new(&config, devices, robot, port, recorder, models);
-    let mut supervision = Supervision::new(args, out, &config, lidar);
+    let stop_file = StopFile::open(config.run.stop_file.as_ref());
+    let operator = Operator::start(safety.panel.clone(), stop_file)?;
+    let mut supervision = Supervision::new(args, out, &config, lidar, &operator);
     if config.run.arm_at_start {
-        safety.request(Request::Arm);
+        match &operator.last_stop {
+            None => safety.panel.arm(),
+            Some(stop) => tracing::warn!(
+                "the robot does not arm on its own after its last stop ({}): see to it, then send SIGUSR1",
+                stop.why
+            ),
+        }
     }
     supervision.announce(&safety);
-    let end = explore(args, &config, &signals, &mut safety, &mut exploration, &mut supervision)?;
+    let end = explore(args, &operator, &mut safety, &mut exploration, &mut supervision)?;
     let late = safety.shut_down();
     supervision.good_bye();
     let summary = Summary {
@@ -121,15 +130,14 @@ pub fn run(args: &RunArgs) -> Result<()> {
 /// Runs the exploration loop until something ends it.
 fn explore(
     args: &RunArgs,
-    config: &Config,
-    signals: &Signals,
+    operator: &Operator,
     safety: &mut SafetyThread,
     exploration: &mut Exploration,
     supervision: &mut Supervision,
 ) -> Result<ExploreEnd> {
     loop {
         exploration.session.wait();
-        if signals.stop.load(Ordering::Relaxed) {
+        if operator.ends.load(Ordering::Relaxed) {
             return Ok(ExploreEnd::Interrupted);
         }
         if args.frames.is_some_and(|frames| exploration.log.frames >= frames) {
@@ -138,41 +146,8 @@ fn explore(
         if !safety.is_alive() {
             return Ok(ExploreEnd::DeviceFailed);
         }
-        if signals.disarm.swap(false, Ordering::Relaxed) {
-            safety.request(Request::Disarm);
-        }
-        if signals.arm.swap(false, Ordering::Relaxed) {
-            // The operator means: I have looked at the robot, it may go on.
-            safety.request(Request::ClearFault);
-            let three_steps_ns = 3 * config.safety_period_ns();
-            let mut clock = MonotonicClock;
-            clock.sleep_until_ns(clock.now_ns() + three_steps_ns);
-            safety.request(Request::Arm);
-        }
         exploration.tick()?;
         supervision.update(safety, exploration);
-    }
-}
-
-/// What operators send.
-struct Signals {
-    stop: Arc<AtomicBool>,
-    arm: Arc<AtomicBool>,
-    disarm: Arc<AtomicBool>,
-}
-
-impl Signals {
-    fn register() -> Result<Self> {
-        let signals = Self { stop: Arc::default(), arm: Arc::default(), disarm: Arc::default() };
-        for signal in [SIGINT, SIGTERM] {
-            signal_hook::flag::register(signal, Arc::clone(&signals.stop))
-                .context("cannot listen for signals")?;
-        }
-        for (signal, flag) in [(SIGUSR1, &signals.arm), (SIGUSR2, &signals.disarm)] {
-            signal_hook::flag::register(signal, Arc::clone(flag))
-                .context("cannot listen for signals")?;
-        }
-        Ok(signals)
     }
 }
 
@@ -187,7 +162,7 @@ fn recorder(out: &Path, config: &Config, header: RunHeader, faults: &Faults) -> 
         segment_ns: (config.recording.segment_s * 1e9) as u64,
         segment_bytes: config.recording.segment_mib << 20,
         quota: Some(quota(out, config)?),
-        pictures: config.recording.images,
+        images: config.recording.images,
         ..RecorderOptions::robot(out)
     };
     Ok(Recorder::start_on(Box::new(FaultyDisk::new(FileSystem, faults)), options, header)?)

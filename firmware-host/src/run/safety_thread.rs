@@ -9,8 +9,9 @@ use anyhow::{Context, Result};
 use drivers::DeviceStatus;
 use hal::{Base, Clock, ErrorKind, Lidar};
 use monotonic_clock::MonotonicClock;
+use runtime::event::FaultReason;
 use runtime::latency::LatencyHistogram;
-use runtime::safety::{Request, SafetyLoop, SafetyState};
+use runtime::safety::{Orders, Request, STOPS, SafetyLoop, SafetyState};
 use runtime::session::{SafetyPort, SafetyTask, safety_link};
 use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
@@ -28,6 +29,80 @@ pub trait Watched {
 pub trait WatchedBase: Watched {
     /// Where the base is between powerless and moving.
     fn phase(&self) -> drivers::can::Phase;
+}
+
+/// A computer that slept for longer than this was suspended.
+const SUSPENDED_NS: u64 = 500_000_000;
+/// Steps between clearing a fault and arming: the state machine leaves the fault in the first one.
+const STEPS_BEFORE_ARMING: u32 = 3;
+/// The base brakes for 0.5 s before it removes power from the motors.
+const DISARMING_NS: u64 = 1_000_000_000;
+
+/// The operator's orders to the safety loop, and whether the robot may move. All threads may use it.
+#[derive(Debug, Clone, Default)]
+pub struct ControlPanel {
+    shared: Arc<PanelState>,
+}
+
+#[derive(Debug, Default)]
+struct PanelState {
+    arms: AtomicBool,
+    disarms: AtomicBool,
+    stops: AtomicBool,
+    /// [`Motion`] as a number.
+    motion: AtomicU8,
+}
+
+/// Whether the robot may move.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Motion {
+    /// Nobody has armed it, or it was disarmed.
+    Disarmed,
+    /// It drives, or stands for a reason that passes.
+    Armed,
+    /// It stands until a person has looked at it.
+    NeedsPerson(FaultReason),
+}
+
+impl ControlPanel {
+    /// Clears a fault and arms the robot: a person has looked at it.
+    pub fn arm(&self) {
+        self.shared.arms.store(true, Ordering::Release);
+    }
+
+    /// Stops the robot and releases the motors.
+    pub fn disarm(&self) {
+        self.shared.disarms.store(true, Ordering::Release);
+    }
+
+    /// An emergency stop.
+    pub fn stop(&self) {
+        self.shared.stops.store(true, Ordering::Release);
+    }
+
+    /// Whether the robot may move, according to the last step.
+    #[must_use]
+    pub fn motion(&self) -> Motion {
+        match self.shared.motion.load(Ordering::Acquire) {
+            0 => Motion::Disarmed,
+            1 => Motion::Armed,
+            number => STOPS
+                .get(usize::from(number) - 2)
+                .map_or(Motion::Disarmed, |stop| Motion::NeedsPerson(stop.why)),
+        }
+    }
+
+    fn publish(&self, state: SafetyState) {
+        let number = match state {
+            SafetyState::Disarmed => 0,
+            SafetyState::Fault(why) if why.needs_person() => {
+                let row = STOPS.iter().position(|stop| stop.why == why).unwrap_or(0);
+                2 + row as u8
+            }
+            _ => 1,
+        };
+        self.shared.motion.store(number, Ordering::Release);
+    }
 }
 
 /// The safety loop's current status, for `health`.
@@ -59,7 +134,8 @@ pub struct SafetyThread {
     pub steps: Arc<AtomicU64>,
     /// Whether the thread runs with real-time priority.
     pub realtime: bool,
-    request: Arc<AtomicU8>,
+    /// The operator's orders.
+    pub panel: ControlPanel,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<LatencyHistogram>>,
 }
@@ -75,8 +151,8 @@ pub struct Pace {
 
 impl SafetyThread {
     /// Starts the thread, opens the devices in it, and starts the loop. Threads that drivers start then inherit its priority.
-    /// Returns the exploration loop's port, and whatever else `open` made. Nothing moves before [`request`](Self::request) has
-    /// asked for arming.
+    /// Returns the exploration loop's port, and whatever else `open` made. Nothing moves before
+    /// [`ControlPanel::arm`].
     ///
     /// # Errors
     /// The errors of `open`; when the system has no thread left.
@@ -112,11 +188,6 @@ impl SafetyThread {
         Ok((safety, port, rest))
     }
 
-    /// Passes an operator's request to the next step. Of several between two steps the last counts.
-    pub fn request(&self, request: Request) {
-        self.request.store(number_of(Some(request)), Ordering::Release);
-    }
-
     /// Brakes, disarms the base, and ends the thread. The first call returns how late the steps began.
     pub fn shut_down(&mut self) -> Option<LatencyHistogram> {
         self.stop.store(true, Ordering::Release);
@@ -143,17 +214,19 @@ where
 {
     let (task, port) = safety_link(control);
     let (status_input, status) = triple_buffer(&first_status(&task));
-    let request = Arc::new(AtomicU8::new(0));
+    let panel = ControlPanel::default();
     let stop = Arc::new(AtomicBool::new(false));
     let steps = Arc::new(AtomicU64::new(0));
     let looping = Looping {
         task,
         status: status_input,
-        request: Arc::clone(&request),
+        panel: panel.clone(),
+        arms_in: None,
+        suspended_ns: suspended_ns(),
         stop: Arc::clone(&stop),
         steps: Arc::clone(&steps),
     };
-    let thread = SafetyThread { status, steps, realtime, request, stop, thread: None };
+    let thread = SafetyThread { status, steps, realtime, panel, stop, thread: None };
     (looping, thread, port)
 }
 
@@ -167,7 +240,11 @@ impl Drop for SafetyThread {
 struct Looping<B, L> {
     task: SafetyTask<B, L>,
     status: Input<LoopStatus>,
-    request: Arc<AtomicU8>,
+    panel: ControlPanel,
+    /// Steps until a request to arm is passed on.
+    arms_in: Option<u32>,
+    /// Time that the computer has been suspended since it was started.
+    suspended_ns: u64,
     stop: Arc<AtomicBool>,
     steps: Arc<AtomicU64>,
 }
@@ -182,11 +259,20 @@ where
         let mut due_ns = clock.now_ns() + period_ns;
         let mut status = first_status(&self.task);
         let mut late = LatencyHistogram::default();
-        while !self.stop.load(Ordering::Acquire) {
+        let mut ends_ns = None;
+        loop {
             clock.sleep_until_ns(due_ns);
             let now_ns = clock.now_ns();
             late.record(now_ns - due_ns);
             status.worst_late_ns = status.worst_late_ns.max(now_ns - due_ns);
+            if self.stop.load(Ordering::Acquire) {
+                let ends_ns = *ends_ns.get_or_insert(now_ns + DISARMING_NS);
+                let released = self.task.control().base().phase() == drivers::can::Phase::Disarmed;
+                if released || now_ns >= ends_ns {
+                    break;
+                }
+                self.panel.disarm();
+            }
             self.step(now_ns, &mut status);
             self.steps.fetch_add(1, Ordering::Release);
             due_ns += period_ns;
@@ -202,15 +288,38 @@ where
         late
     }
 
+    /// The operator's orders for this step. What stops the robot takes precedence over a request to
+    /// arm, whichever came first.
+    fn orders(&mut self) -> Orders {
+        let shared = &self.panel.shared;
+        let arms = shared.arms.swap(false, Ordering::AcqRel);
+        let disarms = shared.disarms.swap(false, Ordering::AcqRel);
+        let emergency_stop = shared.stops.swap(false, Ordering::AcqRel);
+        let request = if disarms || emergency_stop {
+            self.arms_in = None;
+            disarms.then_some(Request::Disarm)
+        } else if arms {
+            self.arms_in = Some(STEPS_BEFORE_ARMING);
+            Some(Request::ClearFault)
+        } else {
+            self.arms_in = self.arms_in.and_then(|steps| steps.checked_sub(1));
+            (self.arms_in == Some(0)).then_some(Request::Arm)
+        };
+        let before_ns = std::mem::replace(&mut self.suspended_ns, suspended_ns());
+        let suspended = self.suspended_ns.saturating_sub(before_ns) > SUSPENDED_NS;
+        Orders { request, emergency_stop, suspended, ..Orders::default() }
+    }
+
     fn step(&mut self, now_ns: u64, status: &mut LoopStatus) {
-        let request = request_of(self.request.swap(0, Ordering::AcqRel));
-        let step = self.task.step(now_ns, request, false);
+        let orders = self.orders();
+        let step = self.task.step(now_ns, &orders);
         let state = step.state;
         status.lidar_error = step.lidar_error;
         let is_new_fault = matches!(state, SafetyState::Fault(_)) && state != status.state;
         if state.name() != status.state.name() || is_new_fault {
             status.since_ns = now_ns;
         }
+        self.panel.publish(state);
         let control = self.task.control();
         status.time_ns = now_ns;
         status.state = state;
@@ -222,6 +331,17 @@ where
         *self.status.input_buffer_mut() = *status;
         self.status.publish();
     }
+}
+
+/// Time that the computer has been suspended since it was started: the monotonic clock stands still
+/// during that time, and the boot-time clock does not.
+fn suspended_ns() -> u64 {
+    let boot_ns = nanoseconds(rustix::time::clock_gettime(rustix::time::ClockId::Boottime));
+    boot_ns.saturating_sub(MonotonicClock.now_ns())
+}
+
+fn nanoseconds(time: rustix::time::Timespec) -> u64 {
+    time.tv_sec.unsigned_abs() * 1_000_000_000 + time.tv_nsec.unsigned_abs()
 }
 
 fn first_status<B, L>(task: &SafetyTask<B, L>) -> LoopStatus
@@ -259,19 +379,4 @@ fn become_realtime(priority: u8) -> bool {
     set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Crossplatform(value), fifo)
         .is_ok()
         && locked
-}
-
-fn number_of(request: Option<Request>) -> u8 {
-    match request {
-        None => 0,
-        Some(Request::Arm) => 1,
-        Some(Request::Disarm) => 2,
-        Some(Request::ClearFault) => 3,
-    }
-}
-
-fn request_of(number: u8) -> Option<Request> {
-    [Request::Arm, Request::Disarm, Request::ClearFault]
-        .into_iter()
-        .find(|request| number_of(Some(*request)) == number)
 }

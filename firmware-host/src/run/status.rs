@@ -7,6 +7,7 @@ use drivers::{DeviceState, DeviceStatus};
 use runtime::lidar_agreement::AgreementStats;
 use serde::{Deserialize, Serialize};
 
+pub use super::last_stop::LastStop;
 use crate::report::atomic::write_atomically;
 
 /// A file that is older than this was left by a program that no longer runs, seconds.
@@ -44,7 +45,7 @@ pub struct SafetyStatus {
     pub state: String,
     /// For how long, seconds.
     pub for_s: f64,
-    /// Whether nothing but a person gets it out of there.
+    /// Whether the robot stands until a person arms it.
     pub needs_person: bool,
     /// Why it stopped last, and how long ago.
     pub last_stop: Option<LastStop>,
@@ -58,15 +59,6 @@ pub struct SafetyStatus {
     pub worst_late_us: f64,
     /// Whether the thread has real-time priority.
     pub realtime: bool,
-}
-
-/// Why it stopped last.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct LastStop {
-    /// In words.
-    pub why: String,
-    /// When, seconds since 1970.
-    pub unix_s: f64,
 }
 
 /// A device.
@@ -191,14 +183,18 @@ impl Status {
             }
         }
         if self.safety.needs_person {
-            let state = &self.safety.state;
+            let SafetyStatus { state, last_stop, .. } = &self.safety;
+            let why = match last_stop {
+                Some(stop) if state == "disarmed" => &stop.why,
+                _ => state,
+            };
             worries.push(format!(
-                "the robot needs a person ({state}): see to it, then `kill -USR1 {}` arms it",
+                "the robot needs a person ({why}): see to it, then `kill -USR1 {}` arms it",
                 self.pid
             ));
         } else if self.safety.state.starts_with("fault") {
             worries.push(format!(
-                "the robot stands ({}) and goes on by itself when that is over",
+                "the robot stands ({}) and continues on its own when that is over",
                 self.safety.state
             ));
         }

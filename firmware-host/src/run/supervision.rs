@@ -1,7 +1,8 @@
 //! Tells systemd and `health` how the robot is.
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use drivers::DeviceState;
 use drivers::can::Phase;
@@ -12,8 +13,10 @@ use runtime::safety::SafetyState;
 use sd_notify::NotifyState;
 
 use super::exploration::Exploration;
+use super::last_stop::LastStop;
+use super::operator::Operator;
 use super::safety_thread::{LoopStatus, SafetyThread};
-use super::status::{LastStop, RateMeter, RecordingStatus, SafetyStatus, Status, unix_s};
+use super::status::{RateMeter, RecordingStatus, SafetyStatus, Status, unix_s};
 use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::failure::sentence;
@@ -31,14 +34,22 @@ pub struct Supervision {
     meters: [RateMeter; 3],
     began_ns: u64,
     due_ns: u64,
-    safety_steps: u64,
+    heartbeat: Heartbeat,
+    /// A stop that needs a person is remembered.
+    held: Arc<AtomicBool>,
     last_stop: Option<LastStop>,
     unwritable: bool,
 }
 
 impl Supervision {
-    /// Nothing told yet.
-    pub fn new(args: &RunArgs, out: &Path, config: &Config, lidar: HokuyoMonitor) -> Self {
+    /// Supervision that has reported nothing yet.
+    pub fn new(
+        args: &RunArgs,
+        out: &Path,
+        config: &Config,
+        lidar: HokuyoMonitor,
+        operator: &Operator,
+    ) -> Self {
         let file = args.status.clone().unwrap_or_else(|| PathBuf::from(&config.run.status_file));
         if let Some(folder) = file.parent() {
             // Where it cannot be made, writing says so.
@@ -58,8 +69,9 @@ impl Supervision {
             meters: [RateMeter::default(); 3],
             began_ns: monotonic_ns(),
             due_ns: 0,
-            safety_steps: 0,
-            last_stop: None,
+            heartbeat: Heartbeat::default(),
+            held: Arc::clone(&operator.held),
+            last_stop: operator.last_stop.clone(),
             unwritable: false,
         }
     }
@@ -70,7 +82,7 @@ impl Supervision {
         let realtime = if safety.realtime { "with" } else { "without" };
         eprintln!(
             "running, {realtime} real-time priority. `firmware-host health --status {}` shows how it is; \
-             SIGUSR1 arms, SIGUSR2 disarms, SIGINT or SIGTERM ends.",
+             SIGUSR1 arms, SIGUSR2 stops, SIGINT, SIGTERM or SIGHUP ends.",
             self.file.display()
         );
     }
@@ -93,8 +105,7 @@ impl Supervision {
         }
         self.due_ns = now_ns + EVERY_NS;
         // systemd's watchdog is fed only while both loops run; this one just did.
-        let steps = safety.steps.load(Ordering::Acquire);
-        if std::mem::replace(&mut self.safety_steps, steps) != steps {
+        if self.heartbeat.beats(safety.steps.load(Ordering::Acquire)) {
             let _ = sd_notify::notify(&[NotifyState::Watchdog]);
         }
         let status = self.status(&safety_status, safety.realtime, exploration, now_ns);
@@ -131,7 +142,11 @@ impl Supervision {
             safety: SafetyStatus {
                 state: words(&safety.state),
                 for_s: now_ns.saturating_sub(safety.since_ns.max(self.began_ns)) as f64 * 1e-9,
-                needs_person: matches!(safety.state, SafetyState::Fault(why) if !why.clears_itself()),
+                needs_person: match safety.state {
+                    SafetyState::Fault(why) => why.needs_person(),
+                    SafetyState::Disarmed => self.held.load(Ordering::Acquire),
+                    _ => false,
+                },
                 last_stop: self.last_stop.clone(),
                 stops: safety.trips,
                 turns: safety.steps,
@@ -146,11 +161,25 @@ impl Supervision {
             recording: RecordingStatus {
                 folder: self.folder.clone(),
                 dropped: recorder.map_or(0, crate::record::Recorder::dropped),
-                failure: recorder.and_then(|recorder| recorder.word().failure),
-                removed: recorder.map_or(0, |recorder| recorder.word().removed.segments),
-                removed_unpulled: recorder.map_or(0, |recorder| recorder.word().removed.not_pulled),
+                failure: recorder.and_then(|recorder| recorder.status().failure),
+                removed: recorder.map_or(0, |recorder| recorder.status().removed.segments),
+                removed_unpulled: recorder
+                    .map_or(0, |recorder| recorder.status().removed.not_pulled),
             },
         }
+    }
+}
+
+/// Whether a loop still runs, from the number of its steps.
+#[derive(Debug, Clone, Copy, Default)]
+struct Heartbeat {
+    steps: u64,
+}
+
+impl Heartbeat {
+    /// Whether there was a step since the last call.
+    fn beats(&mut self, steps: u64) -> bool {
+        std::mem::replace(&mut self.steps, steps) != steps
     }
 }
 
@@ -167,5 +196,17 @@ fn words(state: &SafetyState) -> String {
     match state {
         SafetyState::Fault(why) => format!("fault: {}", fault_reason(*why)),
         state => state.name().to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn systemd_is_not_told_that_a_safety_loop_is_alive_whose_steps_stand_still() {
+        let mut heartbeat = Heartbeat::default();
+        let beats = [0, 50, 50, 50, 51].map(|steps| heartbeat.beats(steps));
+        assert_eq!(beats, [false, true, false, false, true]);
     }
 }

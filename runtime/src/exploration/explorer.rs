@@ -41,7 +41,7 @@ pub struct Observations<'a> {
     pub pose: Pose2,
     pub map: &'a OccupancyGrid,
     /// The newest single-frame map and an older one, to compare them.
-    pub looks: Option<(&'a SingleFrameMap, &'a SingleFrameMap)>,
+    pub frame_maps: Option<(&'a SingleFrameMap, &'a SingleFrameMap)>,
     /// The safety plane has just backed off from an obstacle.
     pub bumped: bool,
 }
@@ -252,7 +252,7 @@ impl Explorer {
             _ => &[GoalReason::Frontier, GoalReason::Inconsistency],
         };
         for kind in kinds {
-            let (candidates, none) = match (kind, senses.looks) {
+            let (candidates, none) = match (kind, senses.frame_maps) {
                 (GoalReason::Inconsistency, Some((new, old))) => {
                     // The largest one, not the nearest ("Embodied Depth Prediction", section
                     // III-D).
@@ -346,7 +346,7 @@ impl Explorer {
         events.push(Event::GoalReached);
         let Some(goal) = self.goal else { return };
         self.forget_goal();
-        // A place that is still unknown when the robot stands in front of it stays unknown: explore
+        // A place that is still unknown when the robot is in front of it stays unknown: explore
         // elsewhere for a while.
         self.blacklist_place(goal.interest_m, senses);
     }
@@ -379,7 +379,7 @@ mod tests {
 
     /// Integrates two scans from the origin, forward and backward; `range_m` gives the range at a
     /// bearing.
-    fn look_around(map: &mut OccupancyGrid, range_m: impl Fn(f64) -> f32) {
+    fn scan_around(map: &mut OccupancyGrid, range_m: impl Fn(f64) -> f32) {
         let geometry = ScanGeometry::UTM_30LX;
         for yaw_rad in [0.0, std::f64::consts::PI] {
             let pose = Pose2 { x_m: 0.0, y_m: 0.0, yaw_rad };
@@ -396,13 +396,13 @@ mod tests {
         }
     }
 
-    /// A round room with a bay ahead; one scan saw an obstacle in front of the bay.
+    /// A round hall with a bay ahead; one scan saw an obstacle in front of the bay.
     fn room_with_a_doubtful_bay() -> OccupancyGrid {
         let mut map = OccupancyGrid::new(&MapConfig::default()).unwrap();
         for _ in 0..10 {
-            look_around(&mut map, |bearing| if bearing.abs() < 0.4 { 1.9 } else { 1.2 });
+            scan_around(&mut map, |bearing| if bearing.abs() < 0.4 { 1.9 } else { 1.2 });
         }
-        look_around(&mut map, |_| 1.2);
+        scan_around(&mut map, |_| 1.2);
         map
     }
 
@@ -421,7 +421,7 @@ mod tests {
             time_ns: 0,
             pose: Pose2::IDENTITY,
             map: &map,
-            looks: None,
+            frame_maps: None,
             bumped: false,
         };
         let mut events = Vec::new();
@@ -454,7 +454,7 @@ mod tests {
                 time_ns: 0,
                 pose: Pose2::IDENTITY,
                 map: &map,
-                looks: None,
+                frame_maps: None,
                 bumped: false,
             };
             (0..128)

@@ -49,7 +49,7 @@ impl SingleFrameMap {
 ///
 /// Pixels with enough confidence become points. Points within the height band are obstacles, and a
 /// cell with enough obstacle points is occupied. A cell is free if, at its bearing, enough pixels
-/// see something farther away and no obstacle of this frame stands in between. Bearings are bins as
+/// see something farther away and no obstacle of this frame is in between. Bearings are bins as
 /// wide as a used column of the image.
 #[derive(Debug, Clone)]
 pub struct FrameMapper {
@@ -154,7 +154,7 @@ impl FrameMapper {
     ///
     /// # Errors
     /// If the pose is not finite or out of reach, the sizes do not agree, the camera model is
-    /// invalid, or the camera looks straight up or down. `out` is then empty.
+    /// invalid, or the camera points straight up or down. `out` is then empty.
     pub fn map(
         &mut self,
         estimate: &DepthEstimate,

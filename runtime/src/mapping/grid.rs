@@ -27,9 +27,9 @@ const RENORMALISE_BELOW: f64 = 1e-18;
 #[derive(Debug, Clone)]
 pub struct OccupancyGrid {
     pub(super) config: MapConfig,
-    window: Window,
+    pub(super) window: Window,
     /// Log-odds divided by `scale`.
-    stored: Vec<f32>,
+    pub(super) stored: Vec<f32>,
     scale: f64,
     /// Evidence of the current update for each cell; 0 if there is none.
     evidence: Vec<f32>,
@@ -37,11 +37,16 @@ pub struct OccupancyGrid {
     touched: Vec<Cell>,
     /// Height of the obstacle in an occupied cell according to the camera, centimetres; 0 if only
     /// the LiDAR or a collision marked it.
-    top_cm: Vec<u8>,
-    /// The robot's cell and the radius of the floor that it stands on, in cells.
+    pub(super) top_cm: Vec<u8>,
+    /// The section of the path from which a cell was observed last. The cells of a section move
+    /// together when localization corrects the path.
+    pub(super) section_of: Vec<u16>,
+    /// The section that the robot is on.
+    pub(super) section: u16,
+    /// The robot's cell and the radius of the floor under it, in cells.
     standing: Option<(Cell, f64)>,
-    collisions: Vec<Collision>,
-    known: Option<CellBox>,
+    pub(super) collisions: Vec<Collision>,
+    pub(super) known: Option<CellBox>,
     updates: u64,
     newly_known: Vec<Cell>,
     digest: blake3::Hasher,
@@ -52,8 +57,8 @@ pub struct OccupancyGrid {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-struct Collision {
-    cell: Cell,
+pub(super) struct Collision {
+    pub(super) cell: Cell,
     expires: u64,
 }
 
@@ -73,6 +78,8 @@ impl OccupancyGrid {
             evidence: vec![0.0; cells],
             touched: Vec::new(),
             top_cm: vec![0; cells],
+            section_of: vec![0; cells],
+            section: 0,
             standing: None,
             collisions: Vec::new(),
             known: None,
@@ -271,6 +278,7 @@ impl OccupancyGrid {
         }
         let stored = (f64::from(log_odds) / self.scale) as f32;
         self.stored[index] = stored;
+        self.section_of[index] = self.section;
         for word in [cell.x as u32, cell.y as u32, stored.to_bits()] {
             self.changes.extend_from_slice(&word.to_le_bytes());
         }
@@ -439,6 +447,8 @@ impl State for OccupancyGrid {
         self.changes_digest.write(to);
         write_bulk(&self.stored, to);
         write_bulk(&self.top_cm, to);
+        write_bulk(&self.section_of, to);
+        self.section.write(to);
     }
 
     fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
@@ -451,7 +461,10 @@ impl State for OccupancyGrid {
         self.changes_digest.read(from)?;
         read_bulk(&mut self.stored, cells, from)?;
         read_bulk(&mut self.top_cm, cells, from)?;
-        if (self.stored.len(), self.top_cm.len()) != (cells, cells) {
+        read_bulk(&mut self.section_of, cells, from)?;
+        self.section.read(from)?;
+        let sizes = [self.stored.len(), self.top_cm.len(), self.section_of.len()];
+        if sizes != [cells; 3] {
             return Err(SnapshotError::Damaged("a map of another size".to_owned()));
         }
         Ok(())

@@ -15,6 +15,7 @@ mod frontier;
 mod grid;
 mod inconsistency;
 mod rays;
+mod recompose;
 mod scan;
 #[cfg(test)]
 mod tests;
@@ -27,6 +28,7 @@ pub use frame_map::{FrameCell, FrameMapper, SingleFrameMap};
 pub use frontier::{Frontier, FrontierFinder};
 pub use grid::OccupancyGrid;
 pub use inconsistency::{Inconsistency, inconsistencies};
+pub use recompose::{Corrections, Recomposed, Recomposition};
 #[cfg(test)]
 pub(crate) use scan::cells_on_line;
 pub use window::CellBox;

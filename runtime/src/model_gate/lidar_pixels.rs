@@ -11,7 +11,7 @@ use crate::tick::TickInput;
 const MAX_TIME_DIFFERENCE_NS: u64 = 50_000_000;
 /// Depths within this factor of the LiDAR's depth are right (Eigen et al. 2014).
 const DELTA1: f32 = 1.25;
-/// Returns closer to the camera than this are ignored, metres: no object of a room is that close.
+/// Returns closer to the camera than this are ignored, metres: no object is that close.
 const NEAREST_M: f64 = 0.1;
 
 /// A pixel whose depth the LiDAR has measured.

@@ -25,7 +25,7 @@ const LEVEL: f64 = 0.05;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Paired {
     /// Number of frames that both models were scored on.
-    pub pictures: usize,
+    pub frames: usize,
     /// Number of pose bins that the frames come from.
     pub places: usize,
     /// Mean error of the candidate.
@@ -59,7 +59,7 @@ pub fn compare(errors: &[(PoseBin, f64, f64)]) -> Option<Paired> {
         (0..RESAMPLES).filter_map(|_| resampled_mean(&clusters, &mut rng)).collect();
     means.sort_by(f64::total_cmp);
     Some(Paired {
-        pictures: errors.len(),
+        frames: errors.len(),
         places: clusters.len(),
         candidate: candidate / count,
         resident: resident / count,
@@ -109,10 +109,7 @@ mod tests {
         let same: Vec<_> =
             errors(20, 10, 0.0, 1).iter().map(|(bin, _, error)| (*bin, *error, *error)).collect();
         let paired = compare(&same).unwrap();
-        assert_eq!(
-            (paired.lower, paired.upper, paired.places, paired.pictures),
-            (0.0, 0.0, 20, 200)
-        );
+        assert_eq!((paired.lower, paired.upper, paired.places, paired.frames), (0.0, 0.0, 20, 200));
         assert_eq!(compare(&[]), None);
     }
 

@@ -9,9 +9,9 @@
 //!   `least_trips_per_m`), the probability of this many trips or more on m metres is below 1 % (the
 //!   tail of a Poisson distribution with mean r m);
 //! - the share of right depths against the LiDAR is lower by more than `delta1_drop`, over
-//!   `line_pictures` frames.
+//!   `lidar_frames` frames.
 //!
-//! It is kept after `turns` ticks and `metres` metres, or after ten times as many ticks.
+//! It is kept after `ticks` ticks and `metres` metres, or after ten times as many ticks.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TrialLimits {
     /// Minimum number of ticks with a frame before the model is kept.
-    pub turns: u64,
+    pub ticks: u64,
     /// Minimum driven distance before the model is kept, metres.
     pub metres: f64,
     /// The model is rolled back after this many outputs that are NaN or out of range.
@@ -31,19 +31,19 @@ pub struct TrialLimits {
     /// The share of right depths against the LiDAR may fall below the resident's by this.
     pub delta1_drop: f64,
     /// Minimum number of frames with LiDAR pixels before the share of right depths is compared.
-    pub line_pictures: u64,
+    pub lidar_frames: u64,
 }
 
 impl Default for TrialLimits {
     fn default() -> Self {
         Self {
-            turns: 600,
+            ticks: 600,
             metres: 5.0,
             bad_outputs: 3,
             overrun_share: 0.02,
             least_trips_per_m: 0.2,
             delta1_drop: 0.1,
-            line_pictures: 50,
+            lidar_frames: 50,
         }
     }
 }
@@ -67,7 +67,7 @@ pub struct TrialTick {
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct TrialCounts {
     /// Number of ticks with a frame.
-    pub turns: u64,
+    pub ticks: u64,
     /// Number of late ticks.
     pub overruns: u64,
     /// Number of outputs that were NaN or out of range.
@@ -77,7 +77,7 @@ pub struct TrialCounts {
     /// Driven distance, metres.
     pub metres: f64,
     /// Number of frames with LiDAR pixels.
-    pub line_pictures: u64,
+    pub lidar_frames: u64,
     /// Sum of the shares of right depths over these frames.
     pub delta1_sum: f64,
 }
@@ -85,13 +85,13 @@ pub struct TrialCounts {
 impl TrialCounts {
     /// Counts one tick.
     pub fn add(&mut self, tick: &TrialTick) {
-        self.turns += 1;
+        self.ticks += 1;
         self.overruns += u64::from(tick.overrun);
         self.bad_outputs += u64::from(tick.bad_output);
         self.trips += tick.trips;
         self.metres += tick.moved_m;
         if let Some(delta1) = tick.delta1 {
-            self.line_pictures += 1;
+            self.lidar_frames += 1;
             self.delta1_sum += delta1;
         }
     }
@@ -99,13 +99,13 @@ impl TrialCounts {
     /// Counts one tick like [`add`](Self::add), but first halves all counts if they cover `most`
     /// ticks, so that old ticks count less.
     pub fn remember(&mut self, tick: &TrialTick, most: u64) {
-        if self.turns >= most {
+        if self.ticks >= most {
             for count in [
-                &mut self.turns,
+                &mut self.ticks,
                 &mut self.overruns,
                 &mut self.bad_outputs,
                 &mut self.trips,
-                &mut self.line_pictures,
+                &mut self.lidar_frames,
             ] {
                 *count /= 2;
             }
@@ -118,11 +118,11 @@ impl TrialCounts {
     /// Mean share of right depths against the LiDAR; `None` with fewer than `least` frames.
     #[must_use]
     pub fn delta1(&self, least: u64) -> Option<f64> {
-        (self.line_pictures >= least.max(1)).then(|| self.delta1_sum / self.line_pictures as f64)
+        (self.lidar_frames >= least.max(1)).then(|| self.delta1_sum / self.lidar_frames as f64)
     }
 
     fn overrun_share(&self) -> f64 {
-        self.overruns as f64 / self.turns.max(1) as f64
+        self.overruns as f64 / self.ticks.max(1) as f64
     }
 
     fn trips_per_m(&self) -> f64 {
@@ -142,16 +142,16 @@ pub enum TrialState {
 #[non_exhaustive]
 pub enum TrialVerdict {
     /// The model is kept.
-    #[error("kept after {turns} ticks and {metres:.1} m")]
-    Keep { turns: u64, metres: f64 },
+    #[error("kept after {ticks} ticks and {metres:.1} m")]
+    Keep { ticks: u64, metres: f64 },
     /// The output was NaN or out of range too often.
-    #[error("rolled back: its output was NaN or out of range {times} times in {turns} ticks")]
-    BadOutput { times: u64, turns: u64 },
+    #[error("rolled back: its output was NaN or out of range {times} times in {ticks} ticks")]
+    BadOutput { times: u64, ticks: u64 },
     /// Too many ticks were late. `resident` is the resident model's share of late ticks.
     #[error(
-        "rolled back: {late} of {turns} ticks were late, the resident model's share was {resident:.3}"
+        "rolled back: {late} of {ticks} ticks were late, the resident model's share was {resident:.3}"
     )]
-    Overruns { late: u64, turns: u64, resident: f64 },
+    Overruns { late: u64, ticks: u64, resident: f64 },
     /// The safety plane tripped too often.
     #[error(
         "rolled back: {trips} trips on {metres:.1} m, the resident model had {resident_per_m:.2} per metre"
@@ -159,9 +159,9 @@ pub enum TrialVerdict {
     Trips { trips: u64, metres: f64, resident_per_m: f64 },
     /// The share of right depths against the LiDAR was too low.
     #[error(
-        "rolled back: {delta1:.3} of its depths were right against the LiDAR over {pictures} frames, minimum: {least:.3}"
+        "rolled back: {delta1:.3} of its depths were right against the LiDAR over {frames} frames, minimum: {least:.3}"
     )]
-    Accuracy { delta1: f64, pictures: u64, least: f64 },
+    Accuracy { delta1: f64, frames: u64, least: f64 },
 }
 
 impl TrialVerdict {
@@ -200,38 +200,38 @@ impl Trial {
 
     fn fault(&self) -> Option<TrialVerdict> {
         let Self { limits, resident, counts } = self;
-        let turns = counts.turns;
+        let ticks = counts.ticks;
         let metres = counts.metres;
         if counts.bad_outputs >= limits.bad_outputs {
-            return Some(TrialVerdict::BadOutput { times: counts.bad_outputs, turns });
+            return Some(TrialVerdict::BadOutput { times: counts.bad_outputs, ticks });
         }
         // At the start of a trial one late tick is a large share, so the share refers to at least
         // the whole trial.
         let allowed =
-            (resident.overrun_share() + limits.overrun_share) * turns.max(limits.turns) as f64;
+            (resident.overrun_share() + limits.overrun_share) * ticks.max(limits.ticks) as f64;
         if counts.overruns >= 3 && counts.overruns as f64 > allowed {
             let resident = resident.overrun_share();
-            return Some(TrialVerdict::Overruns { late: counts.overruns, turns, resident });
+            return Some(TrialVerdict::Overruns { late: counts.overruns, ticks, resident });
         }
         let expected = resident.trips_per_m().max(limits.least_trips_per_m) * metres;
         if counts.trips >= 3 && poisson_tail(counts.trips, expected) < 0.01 {
             let resident_per_m = resident.trips_per_m();
             return Some(TrialVerdict::Trips { trips: counts.trips, metres, resident_per_m });
         }
-        let delta1 = counts.delta1(limits.line_pictures)?;
-        let least = resident.delta1(limits.line_pictures)? - limits.delta1_drop;
+        let delta1 = counts.delta1(limits.lidar_frames)?;
+        let least = resident.delta1(limits.lidar_frames)? - limits.delta1_drop;
         (delta1 < least).then_some(TrialVerdict::Accuracy {
             delta1,
-            pictures: counts.line_pictures,
+            frames: counts.lidar_frames,
             least,
         })
     }
 
     fn success(&self) -> Option<TrialVerdict> {
-        let TrialCounts { turns, metres, .. } = self.counts;
-        let done = turns >= self.limits.turns && metres >= self.limits.metres
-            || turns >= 10 * self.limits.turns;
-        done.then_some(TrialVerdict::Keep { turns, metres })
+        let TrialCounts { ticks, metres, .. } = self.counts;
+        let done = ticks >= self.limits.ticks && metres >= self.limits.metres
+            || ticks >= 10 * self.limits.ticks;
+        done.then_some(TrialVerdict::Keep { ticks, metres })
     }
 }
 
@@ -290,7 +290,8 @@ mod tests {
     #[test]
     fn the_third_bad_output_ends_the_trial() {
         let (ticks, verdict) = run(|tick| TrialTick { bad_output: tick >= 40, ..GOOD });
-        assert_eq!((ticks, verdict), (43, TrialVerdict::BadOutput { times: 3, turns: 43 }));
+        assert_eq!(ticks, 43);
+        assert_eq!(verdict, TrialVerdict::BadOutput { times: 3, ticks: 43 });
     }
 
     #[test]

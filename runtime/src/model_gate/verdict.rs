@@ -10,7 +10,7 @@ use super::{FrameScore, Paired, PoseBin, compare, parallax_bin};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct GateLimits {
     /// Minimum number of held-out frames for a comparison.
-    pub min_pictures: usize,
+    pub min_frames: usize,
     /// Minimum number of places (pose bins) that these frames come from, so that the result is not
     /// about one place only.
     pub min_places: usize,
@@ -35,7 +35,7 @@ pub struct GateLimits {
 impl Default for GateLimits {
     fn default() -> Self {
         Self {
-            min_pictures: 20,
+            min_frames: 20,
             min_places: 3,
             photometric_margin: 0.05,
             abs_rel_margin: 0.03,
@@ -165,16 +165,16 @@ impl Measure {
 #[serde(tag = "why", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum RefusalReason {
-    /// The output was NaN or out of range on `pictures` of `of` frames.
+    /// The output was NaN or out of range on `bad` of `of` frames.
     #[error(
-        "its output was NaN or out of range on {pictures} of {of} held-out frames; look for overflow in training"
+        "its output was NaN or out of range on {bad} of {of} held-out frames; check the training for overflow"
     )]
-    BadOutput { pictures: usize, of: usize },
+    BadOutput { bad: usize, of: usize },
     /// There are too few held-out frames or places for a verdict.
     #[error(
-        "only {pictures} held-out frames of {places} places, needed: {min_pictures} of {min_places}; let the robot record more, or install with --unproven if it has no model yet"
+        "only {frames} held-out frames of {places} places, needed: {min_frames} of {min_places}; let the robot record more, or install with --unproven if it has no model yet"
     )]
-    TooLittle { pictures: usize, places: usize, min_pictures: usize, min_places: usize },
+    TooLittle { frames: usize, places: usize, min_frames: usize, min_places: usize },
     /// On frames with enough parallax, sources warped by the depth match no better than sources
     /// without a warp.
     #[error(
@@ -189,14 +189,14 @@ pub enum RefusalReason {
     /// The candidate is shown to be worse than the resident model by this measure.
     #[error(
         "worse than the resident model: {} is {:.4}, the resident's {:.4}; the difference is {:.4} to {:.4} (90 %) over {} frames of {} places, allowed: {margin:.4}; train it on more of this robot's recordings",
-        measure.name(), paired.candidate, paired.resident, paired.lower, paired.upper, paired.pictures, paired.places
+        measure.name(), paired.candidate, paired.resident, paired.lower, paired.upper, paired.frames, paired.places
     )]
     Worse { measure: Measure, paired: Paired, margin: f64 },
     /// The difference to the resident model may exceed the margin, but the candidate is not shown
     /// to be worse.
     #[error(
         "not shown to be as good as the resident model: {} differs by {:.4} to {:.4} (90 %) over {} frames of {} places, allowed: {margin:.4}; let the robot record more places and install it again",
-        measure.name(), paired.lower, paired.upper, paired.pictures, paired.places
+        measure.name(), paired.lower, paired.upper, paired.frames, paired.places
     )]
     NotShown { measure: Measure, paired: Paired, margin: f64 },
     /// Inference takes longer than allowed.
@@ -213,7 +213,7 @@ pub struct Verdict {
     pub refused: Vec<RefusalReason>,
     pub compared: Vec<(Measure, Paired)>,
     /// Number of held-out frames.
-    pub pictures: usize,
+    pub frames: usize,
     /// Number of pose bins that the frames come from.
     pub places: usize,
     /// Mean share of right depths against the LiDAR.
@@ -240,26 +240,30 @@ pub fn judge(
     let mut bins: Vec<PoseBin> = frames.iter().map(|frame| frame.bin).collect();
     bins.sort_unstable();
     bins.dedup();
-    let pictures = frames.len();
+    let count = frames.len();
     let places = bins.len();
     let mut refused = Vec::new();
     let bad = frames.iter().filter(|frame| frame.candidate.is_none()).count();
     if bad > 0 {
-        refused.push(RefusalReason::BadOutput { pictures: bad, of: pictures });
+        refused.push(RefusalReason::BadOutput { bad, of: count });
     }
     let compared = if has_resident { compare_all(frames, limits) } else { Vec::new() };
-    let enough = pictures >= limits.min_pictures
+    let enough = count >= limits.min_frames
         && places >= limits.min_places
         && !(has_resident && compared.is_empty());
     if !enough && (has_resident || !unproven) {
-        let GateLimits { min_pictures, min_places, .. } = *limits;
-        refused.push(RefusalReason::TooLittle { pictures, places, min_pictures, min_places });
+        refused.push(RefusalReason::TooLittle {
+            frames: count,
+            places,
+            min_frames: limits.min_frames,
+            min_places: limits.min_places,
+        });
     }
     let delta1 = mean_of(frames, |score| Some(score.line?.delta1));
     refused.extend(implausible(frames, delta1.filter(|_| !has_resident), limits));
     refused.extend(compared.iter().filter_map(|(measure, paired)| worse(*measure, paired, limits)));
     refused.extend(too_slow(examination, limits));
-    Verdict { refused, compared, pictures, places, delta1 }
+    Verdict { refused, compared, frames: count, places, delta1 }
 }
 
 fn mean_of(frames: &[ScoredFrame], value: impl Fn(&FrameScore) -> Option<f64>) -> Option<f64> {
@@ -298,8 +302,7 @@ fn compare_all(frames: &[ScoredFrame], limits: &GateLimits) -> Vec<(Measure, Pai
             let errors: Vec<(PoseBin, f64, f64)> =
                 frames.iter().filter_map(|frame| measure.errors(frame)).collect();
             let paired = compare(&errors)?;
-            let enough =
-                paired.pictures >= limits.min_pictures && paired.places >= limits.min_places;
+            let enough = paired.frames >= limits.min_frames && paired.places >= limits.min_places;
             enough.then_some((measure, paired))
         })
         .collect()
@@ -380,7 +383,7 @@ mod tests {
         assert_eq!(why(&scored(0.7, Some(1.0)), true), []);
         assert_eq!(why(&scored(1.0, Some(1.0)), true), []);
         let verdict = judge(&scored(0.7, Some(1.0)), true, false, &GateLimits::default());
-        assert_eq!((verdict.compared.len(), verdict.places, verdict.pictures), (6, 10, 60));
+        assert_eq!((verdict.compared.len(), verdict.places, verdict.frames), (6, 10, 60));
     }
 
     #[test]
@@ -429,7 +432,7 @@ mod tests {
     fn nan_output_is_refused_whatever_the_other_scores_are() {
         let mut examination = scored(0.5, Some(1.0));
         examination.frames[17].candidate = None;
-        assert_eq!(why(&examination, true), [RefusalReason::BadOutput { pictures: 1, of: 60 }]);
+        assert_eq!(why(&examination, true), [RefusalReason::BadOutput { bad: 1, of: 60 }]);
         let mut nan = scored(0.5, Some(1.0));
         nan.frames[0].candidate.as_mut().unwrap().photometric = Some(f64::NAN);
         assert!(!why(&nan, true).is_empty());
@@ -441,7 +444,7 @@ mod tests {
         examination.frames.truncate(15);
         assert!(matches!(
             why(&examination, false)[..],
-            [RefusalReason::TooLittle { pictures: 15, places: 3, .. }]
+            [RefusalReason::TooLittle { frames: 15, places: 3, .. }]
         ));
         assert!(judge(&examination, false, true, &GateLimits::default()).is_accepted());
         assert!(!judge(&examination, true, true, &GateLimits::default()).is_accepted());

@@ -3,7 +3,7 @@
 //!
 //! The robot's camera is upright, and so are walls: seen from anywhere, the depth of a wall is constant down a column and
 //! changes along a row. So a step costs all of P1 along columns and little along rows. Otherwise a plain wall would take the
-//! depth of what stands beside it instead of that of its own foot.
+//! depth of an object beside it instead of that of its own foot.
 
 use multiversion::multiversion;
 

@@ -161,7 +161,7 @@ impl CoarseDepth {
             return Err(NoDepth::NoTexture);
         }
         if self.is_frozen(pose) {
-            return Err(NoDepth::SamePicture);
+            return Err(NoDepth::SameImage);
         }
         self.last_smooth.clone_from(&self.image.smooth);
         let outcome = self.process(pose);

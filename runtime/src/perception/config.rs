@@ -30,7 +30,7 @@ hal::settings! {
         refine_rotation: bool = true;
         /// Whether the rotation between consecutive images filters the jitter out of every pose.
         steady_rotation: bool = true;
-        /// Whether the engine looks for objects that move. They get no depth.
+        /// Whether the engine searches for objects that move. They get no depth.
         find_moving: bool = true;
         /// A nearer reference has more pose error than parallax.
         min_baseline_m: f64 = 0.02, in 0.001..=1.0, unit "m";

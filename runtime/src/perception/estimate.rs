@@ -46,7 +46,7 @@ pub enum NoDepth {
     /// The frame has no texture to match: black, saturated or blank.
     NoTexture,
     /// The robot has moved, but the frame equals the one before to the last bit: the camera is frozen.
-    SamePicture,
+    SameImage,
     /// The network failed, or its output contains NaN or values out of range.
     NetworkOutput,
 }

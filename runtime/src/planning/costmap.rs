@@ -141,7 +141,7 @@ impl Costmap {
             for ((weight, clearance2), value) in weights.iter_mut().zip(clearance2).zip(&values) {
                 let is_unknown = *value == 0.0 || (*value > 0.0 && *value <= doubtful);
                 let table = &self.tables[usize::from(is_unknown)];
-                // The last entry stands for everything beyond the reach.
+                // The last entry is for everything beyond the reach.
                 *weight = table[usize::from(*clearance2).min(table.len() - 1)];
             }
         }

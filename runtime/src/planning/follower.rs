@@ -344,8 +344,8 @@ mod tests {
             let mut points = vec![[0.0, 0.0]];
             let mut at = [0.0f64, 0.0];
             let mut heading = 0.0f64;
-            for (length, turn) in &pieces {
-                heading += turn;
+            for (length, rotation) in &pieces {
+                heading += rotation;
                 at = [at[0] + length * heading.cos(), at[1] + length * heading.sin()];
                 points.push(at);
             }

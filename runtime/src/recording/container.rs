@@ -1,6 +1,8 @@
-//! Messages of an MCAP stream. `mcap::io::MessageReader` would do, but mcap 0.26 panics on a corrupt attachment record
-//! (`parse_record` slices before it checks), and a flipped bit makes any record one. Here only the two kinds of records
-//! that we need are parsed, and chunks one by one, because it does not notice either that a record ends behind its chunk.
+//! Messages of an MCAP stream.
+//!
+//! `mcap::io::MessageReader` is not used, because mcap 0.26 panics on a corrupt attachment record (`parse_record` slices
+//! before it checks), and a flipped bit can turn any record into one. It also accepts a record that ends behind its
+//! chunk. This reader parses channel and message records only, and checks every chunk before it parses it.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, ErrorKind, Read};
@@ -9,13 +11,14 @@ use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{McapError, parse_record};
 
-/// No chunk or record that we write comes near this; a corrupt length must not take the computer's memory.
+/// The recorder writes no chunk or record of nearly this size. A corrupt length must not allocate more.
 const MAX_RECORD_BYTES: usize = 256 << 20;
 
-/// The messages of a stream in the order in which they were written, each checked before it is handed out.
+/// The messages of a stream in the order in which they were written. The CRC of a message's chunk is checked before the
+/// message is returned.
 pub(super) struct Messages<R> {
     file: Records<R>,
-    /// What is left of the chunk that is being read.
+    /// The rest of the chunk that is being read.
     chunk: Option<Box<Records<Cursor<Vec<u8>>>>>,
     /// Topics by channel.
     topics: Topics,
@@ -39,7 +42,7 @@ impl<R: Read> Messages<R> {
         Self { file: Records::new(source, options), chunk: None, topics: Topics::new() }
     }
 
-    /// The next message; `None` after the stream's proper end.
+    /// The next message; `None` after the footer.
     pub(super) fn next(&mut self) -> Result<Option<Message>, McapError> {
         loop {
             if let Some(chunk) = &mut self.chunk {
@@ -93,14 +96,14 @@ fn message(opcode: u8, data: &[u8], topics: &mut Topics) -> Result<Option<Messag
     }
 }
 
-/// Records one after the other.
 struct Records<R> {
     source: R,
     reader: LinearReader,
 }
 
 impl Records<Cursor<Vec<u8>>> {
-    /// Of a chunk without opcode and length. A message of a corrupt chunk must not be seen before the chunk's CRC.
+    /// The records of a chunk, given without opcode and length. The chunk's CRC is checked before the first record is
+    /// returned.
     fn of_chunk(data: &[u8]) -> Result<Self, McapError> {
         refuse_torn(data).ok_or(McapError::UnexpectedEoc)?;
         let options = LinearReaderOptions::default()
@@ -118,10 +121,10 @@ impl<R: Read> Records<R> {
         Self { source, reader: LinearReader::new_with_options(options) }
     }
 
-    /// Reads on until `look`, which gets every record's opcode and contents, has found something; `None` at the proper end.
+    /// Passes the opcode and the contents of each record to `select` until it returns something; `None` after the footer.
     fn find<T>(
         &mut self,
-        mut look: impl FnMut(u8, &[u8]) -> Result<Option<T>, McapError>,
+        mut select: impl FnMut(u8, &[u8]) -> Result<Option<T>, McapError>,
     ) -> Result<Option<T>, McapError> {
         while let Some(event) = self.reader.next_event() {
             match event? {
@@ -133,7 +136,7 @@ impl<R: Read> Records<R> {
                     self.reader.notify_read(read);
                 }
                 LinearReadEvent::Record { opcode, data } => {
-                    let found = look(opcode, data)?;
+                    let found = select(opcode, data)?;
                     if found.is_some() {
                         return Ok(found);
                     }
@@ -144,7 +147,8 @@ impl<R: Read> Records<R> {
     }
 }
 
-/// `None` when the records of an uncompressed chunk do not fill it: mcap 0.26 would subtract one length from the other.
+/// `None` when the records of an uncompressed chunk do not fill it exactly: mcap 0.26 subtracts one length from the
+/// other and overflows.
 fn refuse_torn(chunk: &[u8]) -> Option<()> {
     // First and last time, size and CRC; then the compression's name and the records, each behind its length.
     let (_, rest) = chunk.split_at_checked(8 + 8 + 8 + 4)?;
@@ -157,7 +161,7 @@ fn refuse_torn(chunk: &[u8]) -> Option<()> {
     Some(())
 }
 
-/// The bytes behind a length of eight bytes, and what follows them.
+/// Splits off the bytes whose number is in the first eight bytes. Returns them and the rest.
 fn counted(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk()?;
     rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)
@@ -167,7 +171,7 @@ fn counted(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
 mod tests {
     use super::*;
 
-    /// A file with one chunk, of one message, whose records say that they have `length` bytes.
+    /// A file with one chunk of one message. The chunk claims that its records have `length` bytes.
     fn file(length: u64) -> Vec<u8> {
         let channel = [&[0; 4][..], &2_u32.to_le_bytes(), b"/t", &[0; 8]].concat();
         let record = |opcode: u8, body: &[u8]| {

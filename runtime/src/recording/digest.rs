@@ -1,12 +1,12 @@
-//! Two runs are the same when their digests are.
+//! Digests of a run: two runs with the same digests have the same inputs and the same decisions.
 
 use blake3::Hasher;
 use hal::{DepthMap, ImageView, LaserScan, Pose2, Range, WheelFeedback};
 
 use crate::tick::{Decision, SafetyReport, TickInput};
 
-/// BLAKE3 over a run's inputs and over its decisions, in one canonical form that does not depend on how a recording
-/// compresses or cuts them.
+/// BLAKE3 over a run's inputs and over its decisions, in a canonical form that does not depend on the recording's
+/// compression or on how it is divided into segments.
 #[derive(Debug, Clone, Default)]
 pub struct RunDigest {
     inputs: Hasher,
@@ -14,39 +14,39 @@ pub struct RunDigest {
 }
 
 impl RunDigest {
-    /// Of a run without turns.
+    /// The digest of a run without ticks.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Adds the input of the next turn.
+    /// Adds the input of the next tick.
     pub fn add_input(&mut self, input: &TickInput<'_>) {
         hash_input(&mut self.inputs, input);
     }
 
-    /// Adds the decision of the next turn: its JSON, which holds every number exactly, with its length before it.
+    /// Adds the decision of the next tick: its JSON, which holds every number exactly, with its length before it.
     pub fn add_decision(&mut self, decision: &Decision) {
-        // A `Decision` has no map with other than text keys and no failing serializer, so this cannot fail; were it to,
-        // the empty text still counts as a turn.
+        // Cannot fail: a `Decision` has neither maps with other keys than text nor serializers that fail. The length
+        // that is hashed before the text would count an empty text as a tick as well.
         let json = serde_json::to_vec(decision).unwrap_or_default();
         self.decisions.update(&(json.len() as u64).to_le_bytes()).update(&json);
     }
 
-    /// Of all inputs so far, as hex.
+    /// The digest of all inputs so far, in hex.
     #[must_use]
     pub fn inputs(&self) -> String {
         self.inputs.finalize().to_hex().to_string()
     }
 
-    /// Of all decisions so far, as hex. This is the `digest` of a run's summary.
+    /// The digest of all decisions so far, in hex. This is the `digest` of a run's summary.
     #[must_use]
     pub fn decisions(&self) -> String {
         self.decisions.finalize().to_hex().to_string()
     }
 }
 
-/// First 8 bytes of the digest of one turn's input, little-endian: changes with any bit of it.
+/// First 8 bytes of the digest of one tick's input, little-endian.
 #[must_use]
 pub fn input_digest(input: &TickInput<'_>) -> u64 {
     let mut hasher = Hasher::new();
@@ -56,8 +56,8 @@ pub fn input_digest(input: &TickInput<'_>) -> u64 {
     u64::from_le_bytes(first)
 }
 
-/// All numbers little-endian, floats as their bits, every optional part with a byte before it that says whether it is
-/// there.
+/// All numbers are hashed in little-endian order, floats as their bits. A byte before every optional part says whether
+/// the part is present.
 fn hash_input(hasher: &mut Hasher, input: &TickInput<'_>) {
     hasher.update(&input.tick.to_le_bytes()).update(&input.time_ns.to_le_bytes());
     hash_wheel(hasher, &input.wheel);
@@ -84,7 +84,7 @@ fn hash_safety(hasher: &mut Hasher, safety: &SafetyReport) {
     }
     hasher.update(&(safety.events.len() as u64).to_le_bytes());
     for event in &safety.events {
-        // As it is recorded; numbers come back to the last bit.
+        // The text as it is recorded. Its numbers are exact.
         hasher.update(serde_json::to_string(event).unwrap_or_default().as_bytes());
     }
     hasher.update(&(safety.sent.len() as u64).to_le_bytes());
@@ -106,10 +106,9 @@ fn hash_pose(hasher: &mut Hasher, pose: &Pose2) {
 
 fn hash_wheel(hasher: &mut Hasher, wheel: &WheelFeedback) {
     hasher.update(&wheel.time_ns.to_le_bytes());
-    let (odom, twist) = (&wheel.odom, &wheel.twist);
-    for value in [odom.x_m, odom.y_m, odom.yaw_rad, twist.linear_mps, twist.angular_radps] {
-        hasher.update(&value.to_bits().to_le_bytes());
-    }
+    hash_pose(hasher, &wheel.odom);
+    hasher.update(&wheel.twist.linear_mps.to_bits().to_le_bytes());
+    hasher.update(&wheel.twist.angular_radps.to_bits().to_le_bytes());
     hasher.update(&[u8::from(wheel.contact)]);
 }
 

@@ -1,8 +1,8 @@
-//! What can be wrong with a recording.
+//! Errors of writing and reading a recording.
 
 use hal::{ImageError, PixelFormat};
 
-/// Why a recording cannot be written or read. The caller, who knows the file's name, adds it.
+/// Why a recording cannot be written or read. The caller knows the file's name and adds it to the message.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordingError {
@@ -11,117 +11,117 @@ pub enum RecordingError {
         "not an MCAP file: its first bytes are not the MCAP magic; give the --out directory of a run or a .mcap file"
     )]
     NotMcap,
-    /// The stream ends before its footer: the writer was killed, the power went, or a copy is incomplete.
+    /// The stream ends before its footer: the writer was killed, the power failed, or a copy is incomplete.
     #[error(
-        "truncated {}; the turns before that are good: copy the file again, or go on with what is there",
+        "truncated {}; the ticks before that can be read: copy the file again, or go on with these ticks",
         after(*.after_tick)
     )]
     Truncated {
-        /// The last turn that came back whole.
+        /// The last tick that came back whole.
         after_tick: Option<u64>,
     },
     /// A checksum, a length or a record is wrong.
     #[error("corrupt {}: {detail}; copy the file again, or use the other segments", after(*.after_tick))]
     Corrupt {
-        /// The last turn that came back whole.
+        /// The last tick that came back whole.
         after_tick: Option<u64>,
-        /// What the container's reader says.
+        /// The message of the container's reader.
         detail: String,
     },
-    /// An MCAP file without our header.
+    /// The first message is not the header of a recording.
     #[error(
-        "no {topic} message before the first turn: not a recording of this robot, or a tool has filtered that \
+        "no {topic} message before the first tick: not a recording of this robot, or a tool has filtered that \
          channel out"
     )]
     MissingHeader {
-        /// Where the header should be.
+        /// The header's topic.
         topic: &'static str,
     },
-    /// Written by a program with another format.
+    /// The recording has another format than this program.
     #[error(
         "recording format {found} is not format {supported} that this program reads; use the program that \
          wrote it ({written_by})"
     )]
     FormatVersion {
-        /// The recording's.
+        /// Format of the recording.
         found: u64,
-        /// Ours.
+        /// Format of this program.
         supported: u32,
-        /// What the header says about the writer.
+        /// Program that wrote the recording, from its header.
         written_by: String,
     },
-    /// A turn says that a part belongs to it, and the part is not there.
+    /// The tick's message says that a message on another channel belongs to it, and that message is missing.
     #[error(
-        "turn {tick} has no message on {topic}, and it should: a tool has filtered that channel out; use the \
+        "tick {tick} has no message on {topic}, and it should: a tool has filtered that channel out; use the \
          recording as the robot wrote it"
     )]
     MissingPart {
-        /// The turn.
+        /// The tick.
         tick: u64,
         /// The channel.
         topic: &'static str,
     },
-    /// A message does not hold what its channel promises.
-    #[error("turn {tick}: message on {topic} cannot be read: {detail}")]
+    /// A message does not have the layout of its channel.
+    #[error("tick {tick}: message on {topic} cannot be read: {detail}")]
     BadMessage {
-        /// The turn.
+        /// The tick.
         tick: u64,
         /// The channel.
         topic: &'static str,
         /// What is wrong with it.
         detail: String,
     },
-    /// Turns that do not count up.
+    /// The number of a tick is not larger than the number of the tick before it.
     #[error(
-        "turn {found} follows turn {previous}; turns count up: the recording was put together wrongly"
+        "tick {found} follows tick {previous}; ticks count up: the recording was put together wrongly"
     )]
     TickOrder {
-        /// The earlier one.
+        /// Number of the earlier tick.
         previous: u64,
-        /// What came then.
+        /// Number of the tick that follows it.
         found: u64,
     },
-    /// Only RGB8 is recorded.
-    #[error("turn {tick}: a {format:?} picture cannot be recorded; convert it to Rgb8 first")]
+    /// An image is not RGB8, the only format that is recorded.
+    #[error("tick {tick}: a {format:?} image cannot be recorded; convert it to Rgb8 first")]
     FrameFormat {
-        /// The turn.
+        /// The tick.
         tick: u64,
-        /// The picture's format.
+        /// The image's format.
         format: PixelFormat,
     },
-    /// A picture whose bytes do not fit its size.
-    #[error("turn {tick}: {source}")]
+    /// The number of an image's bytes does not fit its size.
+    #[error("tick {tick}: {source}")]
     Frame {
-        /// The turn.
+        /// The tick.
         tick: u64,
         /// What is wrong with it.
         source: ImageError,
     },
-    /// Depth is recorded in millimetres.
+    /// Truth depth is not in whole millimetres, in which it is recorded.
     #[error(
-        "turn {tick}: truth depth {depth_m} m at pixel {pixel} is not a whole number of millimetres up to \
+        "tick {tick}: truth depth {depth_m} m at pixel {pixel} is not a whole number of millimetres up to \
          65.535 m; pass it through quantise_mm before the loop sees it"
     )]
     TruthNotMillimetres {
-        /// The turn.
+        /// The tick.
         tick: u64,
         /// The first bad pixel, row-major.
         pixel: usize,
         /// Its depth.
         depth_m: f32,
     },
-    /// A decision that holds NaN or infinity.
+    /// A decision holds NaN or infinity.
     #[error(
-        "turn {tick}: the decision holds a number that is not finite, so it could not be compared at replay"
+        "tick {tick}: the decision holds a number that is not finite, so it could not be compared at replay"
     )]
     DecisionNotFinite {
-        /// The turn.
+        /// The tick.
         tick: u64,
     },
-    /// A message could not be put into bytes.
-    #[error("turn {tick}: {topic} cannot be encoded: {detail}")]
+    /// A message cannot be encoded.
+    #[error("tick {tick}: {topic} cannot be encoded: {detail}")]
     Encode {
-        /// The turn.
+        /// The tick.
         tick: u64,
         /// The channel.
         topic: &'static str,
@@ -137,7 +137,7 @@ pub enum RecordingError {
 }
 
 impl RecordingError {
-    /// Whether what was read before this error is good and only the end is missing.
+    /// Whether only the end of the recording is missing: all ticks before this error are valid.
     #[must_use]
     pub fn is_truncation(&self) -> bool {
         matches!(self, Self::Truncated { .. })
@@ -162,7 +162,7 @@ impl RecordingError {
 
 fn after(tick: Option<u64>) -> String {
     tick.map_or_else(
-        || "before the first complete turn".to_owned(),
-        |tick| format!("after turn {tick}"),
+        || "before the first complete tick".to_owned(),
+        |tick| format!("after tick {tick}"),
     )
 }

@@ -1,25 +1,25 @@
-//! What a run was made with.
+//! The header of a recording: the configuration that a run was made with.
 
 use hal::{CameraModel, Pose3};
 use serde::{Deserialize, Serialize};
 
 use super::json;
 
-/// Version of the recording's format. Goes up when an old reader would misread a new recording.
+/// Version of the recording's format. It is increased when an old reader would misread a new recording.
 ///
 /// 2: every tick holds the safety loop's report with all sent commands, and the pose at the scan's time; decisions hold `desired`
 /// and `sent`. Recordings of format 1 are refused: they do not hold what the wheels received, and their decisions cannot be
 /// recomputed by a loop whose safety plane stands outside.
 pub const FORMAT_VERSION: u32 = 2;
 
-/// Everything besides the recorded inputs that decides what a run decides. The same in every segment of a run.
+/// Everything besides the recorded inputs that determines a run's decisions. It is the same in every segment of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunHeader {
-    /// Name and version of the program that wrote this.
+    /// Name and version of the program that wrote the recording.
     pub written_by: String,
     /// Seed of the run.
     pub seed: u64,
-    /// The world, for a simulated run.
+    /// The simulated world; `None` on a real robot.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub scene: Option<String>,
     /// Name of the policy.
@@ -29,28 +29,28 @@ pub struct RunHeader {
     /// BLAKE3 digest of the model file, if there is a model.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub model_digest: Option<String>,
-    /// When other models were handed over, if they were.
+    /// The ticks at which other models were handed over, if the run had a schedule.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub hand_over: Option<HandOverSchedule>,
-    /// Whether models came out of a store on its way; which ones and when stands in the turns' events.
+    /// Whether the run took models from a model store. The events of its ticks say which ones and when.
     #[serde(skip_serializing_if = "std::ops::Not::not", default)]
     pub model_store: bool,
-    /// What was broken on purpose; the recorded inputs are as the broken devices gave them.
+    /// The injected faults. The recorded inputs are those that the faulty devices delivered.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub faults: Vec<String>,
-    /// Seed of everything random in that.
+    /// Seed of the injected faults.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub fault_seed: Option<u64>,
-    /// Whether its pictures were recorded: without them nothing can be recomputed.
+    /// Whether images were recorded. A run without them cannot be recomputed.
     #[serde(skip_serializing_if = "Clone::clone", default = "yes")]
-    pub pictures: bool,
-    /// Intrinsics of the pictures that the loop gets.
+    pub images: bool,
+    /// Intrinsics of the images that enter the loop.
     #[serde(with = "json::camera_model")]
     pub camera: CameraModel,
-    /// `camera_optical` on the robot.
+    /// Pose of `camera_optical` in `base_link`.
     #[serde(with = "json::pose3")]
     pub t_base_camera: Pose3,
-    /// `laser` on the robot.
+    /// Pose of `laser` in `base_link`.
     #[serde(with = "json::pose3")]
     pub t_base_laser: Pose3,
     /// The whole effective configuration.
@@ -62,7 +62,8 @@ fn yes() -> bool {
 }
 
 impl RunHeader {
-    /// A run by wheels and coarse depth: no world, no model, nothing broken, camera and laser in the robot's middle.
+    /// The header of a run with coarse depth and without world, model and injected faults. Camera and laser are at the
+    /// origin of `base_link`.
     #[must_use]
     pub fn new(written_by: &str, camera: CameraModel) -> Self {
         Self {
@@ -76,7 +77,7 @@ impl RunHeader {
             model_store: false,
             faults: Vec::new(),
             fault_seed: None,
-            pictures: true,
+            images: true,
             camera,
             t_base_camera: Pose3::identity(),
             t_base_laser: Pose3::identity(),
@@ -85,17 +86,17 @@ impl RunHeader {
     }
 }
 
-/// Turns before which the robot gets a newly trained model.
+/// The ticks before which the robot gets a newly trained model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HandOverSchedule {
-    /// The first such turn.
+    /// The first of them.
     pub first: u64,
-    /// Turns from one to the next.
+    /// Number of ticks from one to the next.
     pub every: u64,
 }
 
 impl HandOverSchedule {
-    /// The round that ends before turn `tick`, counted from 0.
+    /// The training round that ends before `tick`, counted from 0; `None` when none ends there.
     #[must_use]
     pub fn round(&self, tick: u64) -> Option<u64> {
         let since = tick.checked_sub(self.first)?;
@@ -108,18 +109,18 @@ impl HandOverSchedule {
 pub struct SegmentHeader {
     /// [`FORMAT_VERSION`].
     pub format_version: u32,
-    /// Counts up from 0 over the run's files.
+    /// Number of the segment in its run, from 0.
     pub segment: u32,
-    /// First turn in this segment.
+    /// Number of the first tick in this segment.
     pub first_tick: u64,
-    /// Its time.
+    /// Time of the first tick, monotonic.
     pub first_time_ns: u64,
-    /// The run.
+    /// The run's configuration.
     pub run: RunHeader,
 }
 
 impl SegmentHeader {
-    /// The header of the run's segment number `segment`, whose first turn is `first_tick`.
+    /// The header of segment number `segment`, in the format of this program.
     #[must_use]
     pub fn new(run: RunHeader, segment: u32, first_tick: u64, first_time_ns: u64) -> Self {
         Self { format_version: FORMAT_VERSION, segment, first_tick, first_time_ns, run }
@@ -157,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn models_are_handed_over_at_the_first_turn_and_then_regularly() {
+    fn models_are_handed_over_at_the_first_tick_and_then_regularly() {
         let schedule = HandOverSchedule { first: 600, every: 300 };
         let rounds: Vec<_> =
             (0..1300).filter_map(|tick| Some((tick, schedule.round(tick)?))).collect();

@@ -1,5 +1,7 @@
-//! hal's plain data as it stands in JSON. Finite numbers are numbers (the shortest text that reads back to the same
-//! bits); NaN and infinities, which JSON has not, are strings with their bits, because a replay needs even those.
+//! The plain data of `hal` in JSON.
+//!
+//! A finite number is written as the shortest text that is read back to the same bits. NaN and infinities, which JSON
+//! does not have, are written as strings of their bits, because a replay needs them too.
 
 use hal::{CameraModel, Distortion, Pose2, Pose3, ScanGeometry, Twist2, WheelFeedback};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
@@ -39,7 +41,7 @@ impl<'de> Deserialize<'de> for Exact {
     }
 }
 
-/// [`WheelFeedback`], flat, so that plots need no digging.
+/// [`WheelFeedback`] without nested objects, so that plotting tools list its fields.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct WheelJson {
     time_ns: u64,
@@ -69,7 +71,7 @@ impl From<&WheelJson> for WheelFeedback {
     fn from(json: &WheelJson) -> Self {
         Self {
             time_ns: json.time_ns,
-            // Not `Pose2::new`: that wraps the heading, and a replay needs what was measured.
+            // Not `Pose2::new`: that wraps the yaw, and a replay needs the bits that were recorded.
             odom: Pose2 { x_m: json.x_m.0, y_m: json.y_m.0, yaw_rad: json.yaw_rad.0 },
             twist: Twist2 { linear_mps: json.linear_mps.0, angular_radps: json.angular_radps.0 },
             contact: json.contact,
@@ -77,7 +79,7 @@ impl From<&WheelJson> for WheelFeedback {
     }
 }
 
-/// [`Pose2`] in the plane, flat.
+/// [`Pose2`].
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(super) struct PoseJson {
     x_m: Exact,
@@ -98,7 +100,7 @@ impl From<&PoseJson> for Pose2 {
     }
 }
 
-/// Time and geometry of a scan; `foxglove.LaserScan` keeps neither the increment nor the limits.
+/// Time and geometry of a scan, because `foxglove.LaserScan` has neither the angle increment nor the range limits.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct ScanJson {
     pub time_ns: u64,
@@ -146,7 +148,8 @@ pub(super) mod pose3 {
     }
 
     pub(crate) fn serialize<S: Serializer>(pose: &Pose3, serializer: S) -> Result<S::Ok, S::Error> {
-        let (t, q) = (&pose.translation, &pose.rotation);
+        let t = &pose.translation;
+        let q = &pose.rotation;
         Json { translation_m: [t.x, t.y, t.z], rotation_xyzw: [q.i, q.j, q.k, q.w] }
             .serialize(serializer)
     }
@@ -159,9 +162,9 @@ pub(super) mod pose3 {
         let [i, j, k, w] = json.rotation_xyzw;
         let rotation = Quaternion::new(w, i, j, k);
         if (rotation.norm() - 1.0).abs() > 1e-6 {
-            return Err(D::Error::custom("rotation_xyzw is not of length 1"));
+            return Err(D::Error::custom("rotation_xyzw is not a unit quaternion"));
         }
-        // Unchecked, because normalising again would change the last bits.
+        // Normalising it again would change its last bits.
         Ok(Pose3::from_parts(Translation3::new(x, y, z), UnitQuaternion::new_unchecked(rotation)))
     }
 }
@@ -220,7 +223,9 @@ pub(super) mod camera_model {
         if model.is_sound() {
             Ok(model)
         } else {
-            Err(D::Error::custom("the camera model's numbers make no camera"))
+            Err(D::Error::custom(
+                "the camera model has a focal length, size or centre that no camera has",
+            ))
         }
     }
 }
@@ -232,7 +237,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_f64_comes_back_bit_for_bit(bits in any::<u64>()) {
+        fn every_f64_is_read_back_bit_for_bit(bits in any::<u64>()) {
             let text = serde_json::to_string(&Exact(f64::from_bits(bits))).unwrap();
             let back: Exact = serde_json::from_str(&text).unwrap();
             prop_assert_eq!(back.0.to_bits(), bits, "{}", text);
@@ -240,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn special_numbers_come_back_bit_for_bit() {
+    fn special_numbers_are_read_back_bit_for_bit() {
         for value in [
             0.0,
             -0.0,

@@ -1,4 +1,4 @@
-//! From MCAP to turns.
+//! Reads the ticks of a recording.
 
 use std::io::Read;
 
@@ -8,14 +8,14 @@ use mcap::McapError;
 
 use super::container::Messages;
 use super::header::{FORMAT_VERSION, SegmentHeader};
-use super::tick::{Picture, RecordedTick};
+use super::tick::{RecordedTick, RgbImage};
 use super::topics::Topic;
 use super::writer::TickJson;
-use super::{RecordingError, picture, scan};
+use super::{RecordingError, image, scan};
 use crate::tick::Decision;
 
-/// Reads one segment, turn by turn. After the last complete turn of a stream without its end comes one
-/// [`Truncated`](RecordingError::Truncated), then nothing.
+/// Reads one segment tick by tick. On a stream without its end, the iterator returns the complete ticks, then one
+/// [`Truncated`](RecordingError::Truncated), then `None`.
 pub struct RecordingReader<R: Read> {
     messages: Messages<R>,
     header: SegmentHeader,
@@ -27,7 +27,8 @@ impl<R: Read> RecordingReader<R> {
     /// Opens a segment and reads its header.
     ///
     /// # Errors
-    /// When this is no MCAP stream, not one of ours, of another format, or cut before its first complete chunk.
+    /// When the stream is not MCAP, not a recording of this program's format, or truncated before its first complete
+    /// chunk.
     pub fn open(source: R) -> Result<Self, RecordingError> {
         let mut messages = Messages::new(source);
         let header = match messages.next() {
@@ -41,13 +42,13 @@ impl<R: Read> RecordingReader<R> {
         Ok(Self { messages, header, last_tick: None, done: false })
     }
 
-    /// What the segment was made with.
+    /// The segment's header.
     #[must_use]
     pub fn header(&self) -> &SegmentHeader {
         &self.header
     }
 
-    /// The next turn with all of its parts, or `None` at the end of the stream.
+    /// The next tick with all of its parts, or `None` at the end of the stream.
     fn next_tick(&mut self) -> Result<Option<RecordedTick>, RecordingError> {
         let mut open: Option<Parts> = None;
         loop {
@@ -64,7 +65,7 @@ impl<R: Read> RecordingReader<R> {
                     open = Some(Parts::new(self.parse_tick(&message.data)?));
                 }
                 (Some(topic), Some(parts)) => parts.add(topic, &message.data)?,
-                // Pictures for people, and channels that other tools have added.
+                // Channels for viewers, and channels that other tools have added.
                 _ => {}
             }
             if let Some(parts) = open.take_if(|parts| parts.first_missing().is_none()) {
@@ -100,11 +101,11 @@ impl<R: Read> Iterator for RecordingReader<R> {
     }
 }
 
-/// What has come of a turn so far.
+/// The messages of a tick that have been read so far.
 struct Parts {
     json: TickJson,
     scan: Option<LaserScan>,
-    frame: Option<Picture>,
+    frame: Option<RgbImage>,
     truth: Option<DepthMap>,
     decision: Option<Decision>,
     snapshot: Option<Vec<u8>>,
@@ -124,12 +125,12 @@ impl Parts {
             Topic::Image => {
                 let message =
                     fox::CompressedImage::decode(data).map_err(|error| bad(error.to_string()))?;
-                self.frame = Some(picture::decode_png(&message.data).map_err(bad)?);
+                self.frame = Some(image::decode_png(&message.data).map_err(bad)?);
             }
             Topic::TruthDepth => {
                 let message =
                     fox::RawImage::decode(data).map_err(|error| bad(error.to_string()))?;
-                self.truth = Some(picture::decode_depth(&message).map_err(bad)?);
+                self.truth = Some(image::decode_depth(&message).map_err(bad)?);
             }
             Topic::Decision => {
                 self.decision =
@@ -141,7 +142,7 @@ impl Parts {
     }
 
     fn parse_scan(&self, data: &[u8]) -> Result<LaserScan, String> {
-        let json = self.json.scan.as_ref().ok_or("the turn says that it has no scan")?;
+        let json = self.json.scan.as_ref().ok_or("the message on /robot/tick has no scan")?;
         let message = fox::LaserScan::decode(data).map_err(|error| error.to_string())?;
         let ranges = message.ranges.iter().map(|number| {
             scan::decode(*number)
@@ -188,7 +189,7 @@ impl Parts {
 
 fn parse_header(data: &[u8]) -> Result<SegmentHeader, RecordingError> {
     let bad = |error: serde_json::Error| bad_message(0, Topic::Header, &error);
-    // The version first: a header of another format need not have our fields.
+    // The version is read first, because a header of another format may lack this format's fields.
     let value: serde_json::Value = serde_json::from_slice(data).map_err(bad)?;
     let found = value["format_version"].as_u64().unwrap_or(0);
     if found != u64::from(FORMAT_VERSION) {

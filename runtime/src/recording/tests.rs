@@ -1,4 +1,4 @@
-//! A recording as a whole: what goes in comes out, whatever happens to the file.
+//! Tests of whole recordings: every tick is read back exactly, and damage is always detected.
 
 use std::io::Write;
 
@@ -31,6 +31,8 @@ fn decision(tick: u64) -> Decision {
         time_ns: tick * 100_000_000,
         desired: Command { linear_mps: 0.3, angular_radps: 1.0 / 3.0 },
         sent: Some(Command { linear_mps: 0.1 * tick as f64, angular_radps: -0.0 }),
+        t_odom_base: Pose2::new(0.1, 0.2, 0.3),
+        t_map_odom: Pose2::new(-0.01, 0.0, 0.002),
         goal_m: (!tick.is_multiple_of(3)).then_some([1.5, -0.1]),
         events: vec![Event::GoalChosen { x_m: 1.5, y_m: -0.1, why: GoalReason::Frontier }],
         input_digest: 3,
@@ -39,7 +41,7 @@ fn decision(tick: u64) -> Decision {
     }
 }
 
-/// A turn with everything in it.
+/// A tick with every part.
 pub(super) fn some_tick(tick: u64) -> RecordedTick {
     let geometry = ScanGeometry { beams: 5, ..ScanGeometry::UTM_30LX };
     let ranges = vec![
@@ -60,7 +62,7 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
             contact: tick.is_multiple_of(2),
         },
         scan: Some(LaserScan { time_ns: tick * 100_000_000 - tick, geometry, ranges }),
-        frame: Some(Picture { width: 6, height: 4, rgb }),
+        frame: Some(RgbImage { width: 6, height: 4, rgb }),
         truth: DepthMap::from_vec(
             6,
             4,
@@ -89,7 +91,7 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
     }
 }
 
-/// A turn with the least that a turn has.
+/// A tick without optional parts.
 fn bare_tick(tick: u64) -> RecordedTick {
     RecordedTick {
         scan: None,
@@ -115,16 +117,19 @@ fn some_views(tick: u64) -> Views {
     }
 }
 
+fn writer() -> RecordingWriter<Vec<u8>> {
+    RecordingWriter::begin(Vec::new(), SegmentHeader::new(run_header(), 0, 0, 0)).unwrap()
+}
+
 pub(super) fn segment(ticks: &[RecordedTick]) -> Vec<u8> {
-    let mut writer =
-        RecordingWriter::begin(Vec::new(), SegmentHeader::new(run_header(), 0, 0, 0)).unwrap();
+    let mut writer = writer();
     for tick in ticks {
         writer.write(tick, &some_views(tick.tick)).unwrap();
     }
     writer.finish().map_err(|(_, error)| error).unwrap()
 }
 
-/// All turns, and the error after them if there is one.
+/// All ticks that can be read, and the error after them if there is one.
 fn read(bytes: &[u8]) -> (Vec<RecordedTick>, Option<RecordingError>) {
     let reader = match RecordingReader::open(bytes) {
         Ok(reader) => reader,
@@ -140,7 +145,7 @@ fn read(bytes: &[u8]) -> (Vec<RecordedTick>, Option<RecordingError>) {
     (ticks, None)
 }
 
-/// Equality that tells NaN from NaN and 0.0 from -0.0.
+/// Comparing these distinguishes different NaNs, and 0.0 from -0.0.
 fn digests(ticks: &[RecordedTick]) -> (String, String) {
     let mut digest = RunDigest::new();
     for tick in ticks {
@@ -198,9 +203,9 @@ fn any_wheel() -> impl Strategy<Value = WheelFeedback> {
     )
 }
 
-fn any_picture() -> impl Strategy<Value = Picture> {
+fn any_image() -> impl Strategy<Value = RgbImage> {
     (1usize..9, 1usize..5).prop_flat_map(|(width, height)| {
-        prop::collection::vec(any::<u8>(), width * height * 3).prop_map(move |rgb| Picture {
+        prop::collection::vec(any::<u8>(), width * height * 3).prop_map(move |rgb| RgbImage {
             width,
             height,
             rgb,
@@ -228,6 +233,8 @@ fn any_decision() -> impl Strategy<Value = Decision> {
             time_ns: digests[0],
             desired: Command { linear_mps: v[0], angular_radps: v[1] },
             sent: goal.then_some(Command { linear_mps: v[2], angular_radps: v[3] }),
+            t_odom_base: Pose2::new(v[0], v[1], v[2]),
+            t_map_odom: Pose2::new(v[3], v[4], v[5]),
             goal_m: goal.then_some([v[4], v[5]]),
             events: vec![
                 Event::GoalReached,
@@ -257,7 +264,7 @@ prop_compose! {
         time_ns in any::<u64>(),
         wheel in any_wheel(),
         scan in prop::option::of(any_scan()),
-        frame in prop::option::of(any_picture()),
+        frame in prop::option::of(any_image()),
         truth in prop::option::of(any_truth()),
         decision in prop::option::of(any_decision()),
         safety in any_report(),
@@ -271,7 +278,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn every_turn_comes_back_bit_for_bit(mut ticks in prop::collection::vec(any_tick(), 0..8)) {
+    fn every_tick_is_read_back_bit_for_bit(mut ticks in prop::collection::vec(any_tick(), 0..8)) {
         for (number, tick) in ticks.iter_mut().enumerate() {
             tick.tick = number as u64 * 3;
         }
@@ -286,7 +293,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
     #[test]
-    fn a_flipped_bit_is_always_noticed_and_never_gives_a_turn_that_was_not_recorded(
+    fn a_flipped_bit_is_always_noticed_and_never_gives_a_tick_that_was_not_recorded(
         at in any::<prop::sample::Index>(),
         bit in 0u8..8,
     ) {
@@ -319,7 +326,7 @@ fn the_same_run_gives_the_same_bytes() {
 }
 
 #[test]
-fn the_header_comes_back() {
+fn the_header_is_read_back() {
     let bytes = segment(&[]);
     let reader = RecordingReader::open(&bytes[..]).unwrap();
     assert_eq!(reader.header(), &SegmentHeader::new(run_header(), 0, 0, 0));
@@ -327,8 +334,8 @@ fn the_header_comes_back() {
 }
 
 #[test]
-fn a_segment_cut_at_any_byte_gives_every_turn_of_its_complete_chunks_and_says_that_it_is_cut() {
-    // Two chunks: turns 0 to 10 span a second, the rest comes at the end.
+fn a_segment_cut_at_any_byte_gives_every_tick_of_its_complete_chunks_and_says_that_it_is_cut() {
+    // Two chunks: ticks 0 to 10 span a second, the rest comes at the end.
     let ticks: Vec<_> = (0..13).map(bare_tick).collect();
     let bytes = segment(&ticks);
     let mut seen = std::collections::BTreeSet::new();
@@ -350,8 +357,7 @@ fn a_segment_cut_at_any_byte_gives_every_turn_of_its_complete_chunks_and_says_th
 #[test]
 fn a_cut_in_the_last_chunk_costs_only_that_chunk() {
     let ticks: Vec<_> = (0..25).map(some_tick).collect();
-    let mut writer =
-        RecordingWriter::begin(Vec::new(), SegmentHeader::new(run_header(), 0, 0, 0)).unwrap();
+    let mut writer = writer();
     for tick in &ticks {
         writer.write(tick, &Views::default()).unwrap();
     }
@@ -363,8 +369,7 @@ fn a_cut_in_the_last_chunk_costs_only_that_chunk() {
 #[test]
 fn complete_chunks_and_the_short_end_make_a_whole_file() {
     let ticks: Vec<_> = (0..25).map(some_tick).collect();
-    let mut writer =
-        RecordingWriter::begin(Vec::new(), SegmentHeader::new(run_header(), 0, 0, 0)).unwrap();
+    let mut writer = writer();
     for tick in &ticks {
         writer.write(tick, &Views::default()).unwrap();
     }
@@ -428,44 +433,42 @@ fn a_channel_that_was_filtered_out_is_named() {
 }
 
 #[test]
-fn turns_that_do_not_count_up_are_refused() {
+fn ticks_that_do_not_count_up_are_refused() {
     let bytes = segment(&[some_tick(4), some_tick(4)]);
     assert!(matches!(read(&bytes).1, Some(RecordingError::TickOrder { previous: 4, found: 4 })));
 }
 
 #[test]
 fn what_cannot_be_recorded_exactly_is_refused_when_written() {
-    let begin =
-        || RecordingWriter::begin(Vec::new(), SegmentHeader::new(run_header(), 0, 0, 0)).unwrap();
     let mut between = some_tick(1);
     between.truth.as_mut().unwrap().values_mut()[3] = 0.000_4;
-    let error = begin().write(&between, &Views::default()).unwrap_err();
+    let error = writer().write(&between, &Views::default()).unwrap_err();
     assert!(
         matches!(error, RecordingError::TruthNotMillimetres { tick: 1, pixel: 3, .. }),
         "{error}"
     );
     let mut lost = some_tick(2);
     lost.decision.as_mut().unwrap().desired.linear_mps = f64::NAN;
-    let error = begin().write(&lost, &Views::default()).unwrap_err();
+    let error = writer().write(&lost, &Views::default()).unwrap_err();
     assert!(matches!(error, RecordingError::DecisionNotFinite { tick: 2 }), "{error}");
     let mut torn = some_tick(3);
     torn.frame.as_mut().unwrap().rgb.pop();
-    let error = begin().write(&torn, &Views::default()).unwrap_err();
+    let error = writer().write(&torn, &Views::default()).unwrap_err();
     assert!(
         matches!(error, RecordingError::Encode { tick: 3, topic: "/camera/image", .. }),
         "{error}"
     );
 }
 
-/// A sink with room for so many bytes.
+/// A sink that holds at most `capacity` bytes.
 struct FullDisk {
-    room: usize,
+    capacity: usize,
     bytes: Vec<u8>,
 }
 
 impl Write for FullDisk {
     fn write(&mut self, data: &[u8]) -> std::io::Result<usize> {
-        let fits = data.len().min(self.room - self.bytes.len());
+        let fits = data.len().min(self.capacity - self.bytes.len());
         if fits == 0 && !data.is_empty() {
             return Err(std::io::ErrorKind::StorageFull.into());
         }
@@ -479,10 +482,10 @@ impl Write for FullDisk {
 }
 
 #[test]
-fn a_full_sink_is_an_error_and_the_sink_comes_back() {
+fn a_full_sink_is_an_error_and_the_sink_is_returned() {
     let whole = segment(&(0..60).map(some_tick).collect::<Vec<_>>()).len();
-    for room in (0..whole).step_by(97) {
-        let sink = FullDisk { room, bytes: Vec::new() };
+    for capacity in (0..whole).step_by(97) {
+        let sink = FullDisk { capacity, bytes: Vec::new() };
         let Ok(mut writer) =
             RecordingWriter::begin(sink, SegmentHeader::new(run_header(), 0, 0, 0))
         else {
@@ -494,10 +497,10 @@ fn a_full_sink_is_an_error_and_the_sink_comes_back() {
         let (sink, error) = match failed {
             Some(error) => (writer.abandon(), error),
             None => {
-                writer.finish().map(|_| panic!("{room} bytes cannot hold {whole}")).unwrap_err()
+                writer.finish().map(|_| panic!("{capacity} bytes cannot hold {whole}")).unwrap_err()
             }
         };
         assert!(matches!(error, RecordingError::Io(_)), "{error}");
-        assert!(sink.bytes.len() <= room);
+        assert!(sink.bytes.len() <= capacity);
     }
 }

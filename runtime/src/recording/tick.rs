@@ -1,13 +1,13 @@
-//! One turn of the loop with its own memory.
+//! A tick of the loop that owns its data.
 
 use hal::{DepthMap, ImageView, LaserScan, PixelFormat, Pose2, WheelFeedback};
 
 use super::RecordingError;
 use crate::tick::{Decision, SafetyReport, TickInput};
 
-/// An RGB8 picture with its own memory.
+/// An RGB8 image that owns its bytes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Picture {
+pub struct RgbImage {
     /// Columns.
     pub width: usize,
     /// Rows.
@@ -16,34 +16,34 @@ pub struct Picture {
     pub rgb: Vec<u8>,
 }
 
-/// A [`TickInput`] that owns its parts, and what was decided on it.
+/// A [`TickInput`] that owns its parts, with the decision.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedTick {
     /// Counts up from 0.
     pub tick: u64,
-    /// The turn's time, monotonic.
+    /// The tick's time, monotonic.
     pub time_ns: u64,
-    /// What the base measured.
+    /// Wheel feedback at the time of `frame`.
     pub wheel: WheelFeedback,
-    /// A new scan, if one came.
+    /// The scan nearest to the frame in time, if it is a new one.
     pub scan: Option<LaserScan>,
     /// `t_odom_base` when the scanner was halfway through `scan`.
     pub scan_odom: Pose2,
-    /// A new picture, if one came.
-    pub frame: Option<Picture>,
+    /// A new image, if one arrived.
+    pub frame: Option<RgbImage>,
     /// Ground-truth depth of `frame`, with the depth source `truth`. Whole millimetres.
     pub truth: Option<DepthMap>,
     /// What the safety loop did since the previous tick, with every command that it sent.
     pub safety: SafetyReport,
-    /// What the loop decided.
+    /// The decision; `None` in a tick that was recorded without one.
     pub decision: Option<Decision>,
-    /// What the loop remembered before this turn, [`Robot::snapshot`](crate::robot::Robot::snapshot): now and then, so that a
-    /// replay need not begin at the run's beginning.
+    /// The loop's memory before this tick, from [`Robot::snapshot`](crate::robot::Robot::snapshot). The recorder adds one at
+    /// intervals, so that a replay can begin there.
     pub snapshot: Option<Vec<u8>>,
 }
 
 impl RecordedTick {
-    /// A turn in which only the wheels said something.
+    /// A tick with wheel feedback only.
     #[must_use]
     pub fn new(tick: u64, time_ns: u64) -> Self {
         Self {
@@ -60,16 +60,16 @@ impl RecordedTick {
         }
     }
 
-    /// Copies a turn.
+    /// Copies the input of a tick.
     ///
     /// # Errors
-    /// [`FrameFormat`](RecordingError::FrameFormat) for a picture that is not RGB8.
+    /// [`FrameFormat`](RecordingError::FrameFormat) for an image that is not RGB8.
     pub fn capture(
         input: &TickInput<'_>,
         decision: Option<Decision>,
     ) -> Result<Self, RecordingError> {
         let frame = input.frame.map(|view| match view.format() {
-            PixelFormat::Rgb8 => Ok(Picture {
+            PixelFormat::Rgb8 => Ok(RgbImage {
                 width: view.width(),
                 height: view.height(),
                 rgb: view.data().to_vec(),
@@ -90,15 +90,13 @@ impl RecordedTick {
         })
     }
 
-    /// The turn's input as the loop takes it.
+    /// The tick's input in the form that the loop takes.
     ///
     /// # Errors
-    /// [`Frame`](RecordingError::Frame) when the picture's bytes do not fit its size.
+    /// [`Frame`](RecordingError::Frame) when the image's bytes do not fit its size.
     pub fn input(&self) -> Result<TickInput<'_>, RecordingError> {
-        let frame = self
-            .frame
-            .as_ref()
-            .map(|picture| ImageView::rgb8(picture.width, picture.height, &picture.rgb));
+        let frame =
+            self.frame.as_ref().map(|image| ImageView::rgb8(image.width, image.height, &image.rgb));
         Ok(TickInput {
             tick: self.tick,
             time_ns: self.time_ns,

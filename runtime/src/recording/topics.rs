@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use foxglove::{Encode, Schema, messages as fox};
 
-/// Channels of a recording. The order is that of first use, not of importance.
+/// Channels of a recording, in the order of first use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Topic {
     Header,
@@ -47,7 +47,7 @@ impl Topic {
         }
     }
 
-    /// The channels that replay reads; the others are for people.
+    /// The channels that replay reads; the others are for viewers.
     pub(super) fn of_replay(name: &str) -> Option<Self> {
         use Topic::{Decision, Header, Image, Scan, Snapshot, Tick, TruthDepth};
         [Header, Tick, Snapshot, Scan, Image, TruthDepth, Decision]
@@ -55,7 +55,7 @@ impl Topic {
             .find(|topic| topic.name() == name)
     }
 
-    /// How a message is laid out.
+    /// Encoding of the channel's messages.
     pub(super) fn encoding(self) -> &'static str {
         match self {
             Self::Header | Self::Tick | Self::Decision => "json",
@@ -64,7 +64,7 @@ impl Topic {
         }
     }
 
-    /// `None`: the layout is nobody's business but ours.
+    /// `None` for a layout that other programs need not read.
     pub(super) fn schema(self) -> Option<Schema> {
         match self {
             Self::Snapshot => None,
@@ -118,6 +118,8 @@ const DECISION: &str = r#"{"title":"robot.Decision","type":"object","properties"
 "desired":{"type":"object","properties":{"linear_mps":{"type":"number"},"angular_radps":{"type":"number"}}},
 "sent":{"type":"object","properties":{"linear_mps":{"type":"number"},"angular_radps":{"type":"number"}}},
 "goal_m":{"type":"array","items":{"type":"number"}},
+"t_odom_base":{"type":"object","properties":{"x_m":{"type":"number"},"y_m":{"type":"number"},"yaw_rad":{"type":"number"}}},
+"t_map_odom":{"type":"object","properties":{"x_m":{"type":"number"},"y_m":{"type":"number"},"yaw_rad":{"type":"number"}}},
 "events":{"type":"array","items":{"type":"object","properties":{"event":{"type":"string"}}}},
 "input_digest":{"type":"integer"},"depth_digest":{"type":"integer"},"map_digest":{"type":"integer"}}}"#;
 

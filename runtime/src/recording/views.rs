@@ -1,25 +1,25 @@
-//! What people see: poses, map, path and depth as Foxglove messages. Replay reads none of it.
+//! Poses, map, path and depth as Foxglove messages for viewers. Replay does not read them.
 
 use fox::packed_element_field::NumericType;
 use foxglove::messages as fox;
 use hal::{CameraModel, DepthMap, Distortion, Pose2, Pose3};
 use nalgebra::UnitQuaternion;
 
-/// Pictures of the loop's inside that a turn adds for people, each as often as the caller likes.
+/// The loop's map, path and depth after a tick, for viewers. The caller decides how often each is recorded.
 #[derive(Debug, Clone, Default)]
 pub struct Views {
     /// The map.
     pub map: Option<MapView>,
-    /// The planned path, in `odom`, metres, from the robot to the goal. An empty path wipes the shown one.
+    /// The planned path from the robot to the goal, in `map`, metres. An empty path removes the one on display.
     pub path_m: Option<Vec<[f64; 2]>>,
     /// The depth that went into the map.
     pub depth: Option<DepthMap>,
 }
 
-/// A map as ROS users know it from `nav_msgs/OccupancyGrid`.
+/// A map in the form of `nav_msgs/OccupancyGrid` of ROS.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MapView {
-    /// Corner of the first cell, in `odom`, metres.
+    /// Corner of the first cell, in `map`, metres.
     pub origin_m: [f64; 2],
     /// Edge of a cell, metres.
     pub cell_m: f64,
@@ -54,61 +54,68 @@ pub(super) fn calibration(model: &CameraModel, time_ns: u64) -> fox::CameraCalib
     }
 }
 
-/// A pose in `odom`; `None` when it is not finite, because viewers drop the whole scene over a NaN.
-pub(super) fn pose_in_odom(pose: &Pose2, time_ns: u64) -> Option<fox::PoseInFrame> {
+/// A pose in `frame`; `None` when it is not finite, because viewers drop the whole scene when it holds a NaN.
+pub(super) fn pose_in(frame: &str, pose: &Pose2, time_ns: u64) -> Option<fox::PoseInFrame> {
     let pose = pose.is_finite().then(|| fox_pose(&pose.to_pose3()))?;
     Some(fox::PoseInFrame {
         timestamp: timestamp(time_ns),
-        frame_id: "odom".to_owned(),
+        frame_id: frame.to_owned(),
         pose: Some(pose),
     })
 }
 
-/// The robot in `odom` and its sensors on it. The mounts never change, but a viewer that jumps in time sees only the
-/// last message of a channel.
+/// Poses of `odom` in `map`, of the robot in `odom` and of its sensors in `base_link` (REP-105). The mounts never change, but
+/// every tick repeats them, because a viewer that jumps in time reads only the last message of a channel.
 pub(super) fn transforms(
-    odom: &Pose2,
+    t_map_odom: &Pose2,
+    t_odom_base: &Pose2,
     t_base_camera: &Pose3,
     t_base_laser: &Pose3,
     time_ns: u64,
 ) -> fox::FrameTransforms {
-    let transform = |parent: &str, child: &str, pose: &Pose3| fox::FrameTransform {
+    let mut transforms = vec![
+        transform("base_link", "camera_optical", t_base_camera, time_ns),
+        transform("base_link", "laser", t_base_laser, time_ns),
+    ];
+    if t_odom_base.is_finite() && t_map_odom.is_finite() {
+        transforms.push(transform("odom", "base_link", &t_odom_base.to_pose3(), time_ns));
+        transforms.push(transform("map", "odom", &t_map_odom.to_pose3(), time_ns));
+    }
+    fox::FrameTransforms { transforms }
+}
+
+fn transform(parent: &str, child: &str, pose: &Pose3, time_ns: u64) -> fox::FrameTransform {
+    fox::FrameTransform {
         timestamp: timestamp(time_ns),
         parent_frame_id: parent.to_owned(),
         child_frame_id: child.to_owned(),
         translation: Some(fox_vector(pose)),
         rotation: Some(fox_quaternion(&pose.rotation)),
-    };
-    let mut transforms = vec![
-        transform("base_link", "camera_optical", t_base_camera),
-        transform("base_link", "laser", t_base_laser),
-    ];
-    if odom.is_finite() {
-        transforms.push(transform("odom", "base_link", &odom.to_pose3()));
     }
-    fox::FrameTransforms { transforms }
 }
 
 pub(super) fn path(points_m: &[[f64; 2]], time_ns: u64) -> fox::PosesInFrame {
-    let heading = |from: &[f64; 2], to: &[f64; 2]| (to[1] - from[1]).atan2(to[0] - from[0]);
-    let yaw = |at: usize| match (points_m.get(at), points_m.get(at + 1)) {
-        (Some(from), Some(to)) => heading(from, to),
-        // The end of the path looks on as the path arrived there.
-        _ if at > 0 => heading(&points_m[at - 1], &points_m[at]),
-        _ => 0.0,
-    };
     let poses = (0..points_m.len()).map(|at| {
         let [x_m, y_m] = points_m[at];
-        fox_pose(&Pose2 { x_m, y_m, yaw_rad: yaw(at) }.to_pose3())
+        fox_pose(&Pose2 { x_m, y_m, yaw_rad: yaw_on_path(points_m, at) }.to_pose3())
     });
     fox::PosesInFrame {
         timestamp: timestamp(time_ns),
-        frame_id: "odom".to_owned(),
+        frame_id: "map".to_owned(),
         poses: poses.collect(),
     }
 }
 
-/// Colours for eyes and the value itself for programs, side by side in every cell.
+/// Direction of the leg that begins at point `at`. The last pose has the yaw of the last leg.
+fn yaw_on_path(points_m: &[[f64; 2]], at: usize) -> f64 {
+    let from = if at + 1 < points_m.len() { at } else { at.saturating_sub(1) };
+    match points_m.get(from..=from + 1) {
+        Some([from, to]) => (to[1] - from[1]).atan2(to[0] - from[0]),
+        _ => 0.0,
+    }
+}
+
+/// Every cell holds a colour for viewers and the occupancy for programs.
 pub(super) fn grid(map: &MapView, time_ns: u64) -> Result<fox::Grid, String> {
     const CELL_BYTES: u32 = 5;
     let columns =
@@ -116,15 +123,10 @@ pub(super) fn grid(map: &MapView, time_ns: u64) -> Result<fox::Grid, String> {
     if columns == 0 || !map.occupancy.len().is_multiple_of(map.columns) {
         return Err(format!("{} cells do not make rows of {columns}", map.occupancy.len()));
     }
-    let field = |name: &str, offset: u32, r#type: NumericType| fox::PackedElementField {
-        name: name.to_owned(),
-        offset,
-        r#type: r#type as i32,
-    };
     let data: Vec<u8> = map.occupancy.iter().flat_map(|value| cell_bytes(*value)).collect();
     Ok(fox::Grid {
         timestamp: timestamp(time_ns),
-        frame_id: "odom".to_owned(),
+        frame_id: "map".to_owned(),
         pose: Some(fox_pose(
             &Pose2 { x_m: map.origin_m[0], y_m: map.origin_m[1], yaw_rad: 0.0 }.to_pose3(),
         )),
@@ -141,6 +143,10 @@ pub(super) fn grid(map: &MapView, time_ns: u64) -> Result<fox::Grid, String> {
         ],
         data: data.into(),
     })
+}
+
+fn field(name: &str, offset: u32, r#type: NumericType) -> fox::PackedElementField {
+    fox::PackedElementField { name: name.to_owned(), offset, r#type: r#type as i32 }
 }
 
 /// Red, green, blue, alpha, occupancy. Unknown is nearly transparent, free is white, occupied is black.
@@ -188,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn poses_on_a_path_look_along_it() {
+    fn poses_on_a_path_point_along_it() {
         let message = path(&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]], 0);
         let yaws: Vec<f64> = message
             .poses
@@ -208,10 +214,13 @@ mod tests {
     #[test]
     fn a_pose_with_nan_is_not_shown() {
         let lost = Pose2 { x_m: f64::NAN, ..Pose2::IDENTITY };
-        assert!(pose_in_odom(&lost, 0).is_none());
+        assert!(pose_in("odom", &lost, 0).is_none());
         let mount = Pose3::identity();
-        assert_eq!(transforms(&lost, &mount, &mount, 0).transforms.len(), 2);
-        assert_eq!(transforms(&Pose2::IDENTITY, &mount, &mount, 0).transforms.len(), 3);
+        assert_eq!(transforms(&Pose2::IDENTITY, &lost, &mount, &mount, 0).transforms.len(), 2);
+        assert_eq!(
+            transforms(&Pose2::IDENTITY, &Pose2::IDENTITY, &mount, &mount, 0).transforms.len(),
+            4
+        );
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! From turns to MCAP.
+//! Writes ticks to MCAP.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -14,22 +14,22 @@ use super::sentences::{Severity, sentence};
 use super::tick::RecordedTick;
 use super::topics::Topic;
 use super::views::{self, Views};
-use super::{RecordingError, picture, scan};
+use super::{RecordingError, image, scan};
 use crate::tick::{Decision, SafetyReport};
 
-/// A chunk is closed when it holds this many bytes before compression: about a second of pictures at 10 Hz.
+/// A chunk is closed when it holds this many bytes before compression, about one second of images at 10 Hz.
 pub const CHUNK_BYTES: u64 = 4 << 20;
 
-/// A chunk is closed when its first and last turn are this far apart.
+/// A chunk is closed when this much time has passed between its first and its last tick.
 pub const CHUNK_NS: u64 = 1_000_000_000;
 
-/// Below 0 zstd leaves bytes that repeat nothing as they are, as those of a PNG, and does not look for a code for them. A minute of
-/// 640x480 pictures, scans and maps takes .4 of the time of level 1 and 3 % more room; without a camera's noise, less of both. `mcap`
-/// takes the level unsigned and hands it to zstd as it came.
+/// At negative levels zstd stores incompressible bytes, such as those of a PNG, without entropy coding. A minute of 640x480
+/// images, scans and maps takes 0.4 of the time of level 1 and 3 % more space; images without noise take less of both. `mcap`
+/// takes the level as an unsigned number and passes its bits to zstd unchanged.
 const ZSTD_LEVEL: i32 = -1;
 
-/// A stream of complete chunks becomes a valid MCAP file, though without an index, when these bytes follow: an empty
-/// data-end record, a footer that points nowhere, and the magic (MCAP specification, "Data End", "Footer").
+/// These bytes behind the last complete chunk make the stream a valid MCAP file without an index: an empty data-end record,
+/// a footer without summary, and the magic (MCAP specification, "Data End", "Footer").
 pub const END_WITHOUT_SUMMARY: [u8; 50] = {
     let mut bytes = [0; 50];
     bytes[0] = mcap::records::op::DATA_END;
@@ -44,7 +44,7 @@ pub const END_WITHOUT_SUMMARY: [u8; 50] = {
     bytes
 };
 
-/// Opens every turn: the wheels, and which other parts belong to it.
+/// The first message of every tick: wheel feedback, the safety loop's report, and which other messages belong to the tick.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct TickJson {
     pub tick: u64,
@@ -60,8 +60,7 @@ pub(super) struct TickJson {
     pub safety: SafetyReport,
 }
 
-/// Writes one segment of a run. Everything that is written between two flushes reaches the sink in order and in whole
-/// chunks; the sink's own `flush` is called after each.
+/// Writes one segment of a run. The sink receives whole chunks in order, and its `flush` is called after each chunk.
 pub struct RecordingWriter<W: Write> {
     mcap: mcap::Writer<NoSeek<W>>,
     header: SegmentHeader,
@@ -82,11 +81,11 @@ impl<W: Write> RecordingWriter<W> {
             .library(concat!("embodied-depth ", env!("CARGO_PKG_VERSION")))
             .compression(Some(mcap::Compression::Zstd))
             .compression_level(ZSTD_LEVEL.cast_unsigned())
-            // More than zero changes how zstd cuts its blocks: the bytes would depend on the computer.
+            // With more than zero, zstd's blocks and hence the bytes depend on the number of threads.
             .compression_threads(0)
-            // We close chunks between turns.
+            // `write` closes chunks between ticks.
             .chunk_size(None)
-            // A chunk is put together in memory and written once.
+            // A chunk is assembled in memory and written once.
             .disable_seeking(true);
         let mcap = options.create(NoSeek::new(sink)).map_err(RecordingError::writing)?;
         let mut writer = Self {
@@ -98,10 +97,11 @@ impl<W: Write> RecordingWriter<W> {
             buffer: Vec::new(),
             header,
         };
-        let (tick, time_ns) = (writer.header.first_tick, writer.header.first_time_ns);
+        let tick = writer.header.first_tick;
+        let time_ns = writer.header.first_time_ns;
         let json = serde_json::to_vec(&writer.header)
             .map_err(|error| encode_error(tick, Topic::Header, &error))?;
-        // What cannot be read back is refused now, not at replay.
+        // A header that cannot be read back is refused now, not at replay.
         serde_json::from_slice::<SegmentHeader>(&json)
             .map_err(|error| encode_error(tick, Topic::Header, &error))?;
         writer.put(Topic::Header, tick, time_ns, &json)?;
@@ -109,11 +109,11 @@ impl<W: Write> RecordingWriter<W> {
         Ok(writer)
     }
 
-    /// Writes a turn; closes the chunk when it is full.
+    /// Writes a tick; closes the chunk when it is full.
     ///
     /// # Errors
-    /// When a part cannot be recorded exactly (see [`RecordingError`]) or the sink fails. After that only
-    /// [`abandon`](Self::abandon) makes sense.
+    /// When a part cannot be recorded exactly (see [`RecordingError`]) or the sink fails. The writer must then be
+    /// [abandoned](Self::abandon).
     pub fn write(&mut self, tick: &RecordedTick, views: &Views) -> Result<(), RecordingError> {
         self.put_inputs(tick)?;
         self.put_poses(tick)?;
@@ -128,7 +128,7 @@ impl<W: Write> RecordingWriter<W> {
         Ok(())
     }
 
-    /// Closes the chunk and flushes the sink: every turn so far can be read whatever happens next.
+    /// Closes the chunk and flushes the sink, so that every tick so far can be read even if the process is killed.
     ///
     /// # Errors
     /// When the sink fails.
@@ -138,12 +138,12 @@ impl<W: Write> RecordingWriter<W> {
         self.mcap.flush().map_err(RecordingError::writing)
     }
 
-    /// Writes the index and the footer, and hands back the sink.
+    /// Writes the index and the footer, and returns the sink.
     ///
     /// # Errors
     /// When the sink fails.
     pub fn finish(mut self) -> Result<W, (W, RecordingError)> {
-        // Apart from the index, so that the sink knows every turn as safe before the index can fail.
+        // Ticks are flushed before the index is written, so that they are kept when the index fails.
         let finished = self.mcap.flush().and_then(|()| self.mcap.finish());
         let sink = self.mcap.into_inner().into_inner();
         match finished {
@@ -152,7 +152,7 @@ impl<W: Write> RecordingWriter<W> {
         }
     }
 
-    /// Hands back the sink after it has failed, without writing to it again.
+    /// Returns the sink after it has failed, without writing to it again.
     pub fn abandon(self) -> W {
         self.mcap.into_inner().into_inner()
     }
@@ -193,7 +193,7 @@ impl<W: Write> RecordingWriter<W> {
             self.put_message(Topic::Scan, tick, &message)?;
         }
         if let Some(frame) = &tick.frame {
-            let png = picture::encode_png(frame)
+            let png = image::encode_png(frame)
                 .map_err(|error| encode_error(tick.tick, Topic::Image, &error))?;
             let message = fox::CompressedImage {
                 timestamp: views::timestamp(tick.time_ns),
@@ -206,7 +206,7 @@ impl<W: Write> RecordingWriter<W> {
             self.put_message(Topic::Calibration, tick, &calibration)?;
         }
         if let Some(truth) = &tick.truth {
-            if let Some((pixel, depth_m)) = picture::first_not_mm(truth) {
+            if let Some((pixel, depth_m)) = image::first_not_mm(truth) {
                 return Err(RecordingError::TruthNotMillimetres {
                     tick: tick.tick,
                     pixel,
@@ -220,14 +220,19 @@ impl<W: Write> RecordingWriter<W> {
 
     fn put_poses(&mut self, tick: &RecordedTick) -> Result<(), RecordingError> {
         let run = &self.header.run;
+        // A tick without decision has no localized pose.
+        let decided = tick.decision.as_ref();
+        let t_odom_base = decided.map_or(tick.wheel.odom, |decision| decision.t_odom_base);
+        let t_map_odom = decided.map_or(hal::Pose2::IDENTITY, |decision| decision.t_map_odom);
         let transforms = views::transforms(
-            &tick.wheel.odom,
+            &t_map_odom,
+            &t_odom_base,
             &run.t_base_camera,
             &run.t_base_laser,
             tick.time_ns,
         );
         self.put_message(Topic::Tf, tick, &transforms)?;
-        match views::pose_in_odom(&tick.wheel.odom, tick.time_ns) {
+        match views::pose_in("odom", &t_odom_base, tick.time_ns) {
             Some(pose) => self.put_message(Topic::Odom, tick, &pose),
             None => Ok(()),
         }
@@ -249,7 +254,7 @@ impl<W: Write> RecordingWriter<W> {
         if let Some([x_m, y_m]) = decision.goal_m.filter(|goal_m| self.last_goal_m != Some(*goal_m))
         {
             let goal = hal::Pose2 { x_m, y_m, yaw_rad: 0.0 };
-            if let Some(pose) = views::pose_in_odom(&goal, tick.time_ns) {
+            if let Some(pose) = views::pose_in("map", &goal, tick.time_ns) {
                 self.put_message(Topic::Goal, tick, &pose)?;
             }
         }
@@ -281,7 +286,7 @@ impl<W: Write> RecordingWriter<W> {
         depth: &hal::DepthMap,
     ) -> Result<(), RecordingError> {
         let mut message =
-            picture::depth_image(depth).map_err(|error| encode_error(tick.tick, topic, &error))?;
+            image::depth_image(depth).map_err(|error| encode_error(tick.tick, topic, &error))?;
         message.timestamp = views::timestamp(tick.time_ns);
         "camera_optical".clone_into(&mut message.frame_id);
         self.put_message(topic, tick, &message)
@@ -294,7 +299,7 @@ impl<W: Write> RecordingWriter<W> {
     ) -> Result<(), RecordingError> {
         let json = serde_json::to_vec(decision)
             .map_err(|error| encode_error(tick.tick, Topic::Decision, &error))?;
-        // JSON writes NaN as null: such a decision does not come back.
+        // JSON writes NaN as null, which is not read back as NaN.
         if serde_json::from_slice::<Decision>(&json).ok().as_ref() != Some(decision) {
             return Err(RecordingError::DecisionNotFinite { tick: tick.tick });
         }
@@ -324,7 +329,7 @@ impl<W: Write> RecordingWriter<W> {
     ) -> Result<(), RecordingError> {
         let channel_id = self.channel(topic)?;
         self.chunk_bytes += data.len() as u64;
-        // The sequence is for viewers, the exact turn stands in `/robot/tick`.
+        // The sequence is for viewers; the exact number of the tick is in `/robot/tick`.
         let header = MessageHeader {
             channel_id,
             sequence: tick as u32,
@@ -338,7 +343,7 @@ impl<W: Write> RecordingWriter<W> {
         if let Some(id) = self.channels[topic as usize] {
             return Ok(id);
         }
-        // 0 stands for "no schema" (MCAP specification, "Channel").
+        // 0 means "no schema" (MCAP specification, "Channel").
         let schema_id = topic.schema().map_or(Ok(0), |schema| {
             self.mcap
                 .add_schema(&schema.name, &schema.encoding, &schema.data)

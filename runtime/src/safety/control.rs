@@ -1,10 +1,22 @@
 //! One step of the safety loop: scan and wheel feedback in, state machine, command out.
+//!
+//! # Who may arm
+//!
+//! A request to arm gives the loop *authority* to arm the base. The authority ends with every event
+//! that needs a person ([`STOPS`](super::STOPS)), with a request to disarm, and if the base cannot be
+//! armed within [`ARM_WITHIN_NS`]. So no wheel turns unless somebody asked for it after the last such
+//! event. While the authority lasts, a base that has to be armed again after a stop that resumes on
+//! evidence is armed without a new request.
 
-use hal::{Base, DriveCommand, Error, ErrorKind, LaserScan, Lidar, WheelFeedback};
+use hal::{Base, DriveCommand, Error, ErrorKind, LaserScan, Lidar, StopCause, WheelFeedback};
 
 use super::{Plan, Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyPlane, SafetyState};
-use crate::event::SafetyEvent;
+use crate::event::{FaultReason, SafetyEvent};
 use crate::tick::SentCommand;
+
+/// A request to arm that could not be followed for this long is void: the person who gave it may be
+/// at work on the robot by then. Motors, scanner and first scans need about 2 s.
+const ARM_WITHIN_NS: u64 = 10_000_000_000;
 
 /// What one step gets from outside the safety loop.
 #[derive(Debug, Clone, Copy, Default)]
@@ -13,8 +25,44 @@ pub struct Orders {
     pub plan: Option<Plan>,
     /// The operator's request. It is remembered: one step is enough.
     pub request: Option<Request>,
-    /// The emergency stop is pressed.
+    /// An emergency stop is pressed that the base does not read: the operator's.
     pub emergency_stop: bool,
+    /// The computer was suspended since the last step.
+    pub suspended: bool,
+}
+
+/// The permission to arm, from a request until an event that needs a person.
+#[derive(Debug, Clone, Copy)]
+struct Authority {
+    since_ns: u64,
+    /// Motors and safety board were present since the request: their absence is an event from now
+    /// on, and no longer the start of the devices.
+    complete: bool,
+}
+
+/// The answer of the base to an attempt to arm it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Readiness {
+    /// The loop did not try.
+    NotTried,
+    /// The base is powering its motors, or follows commands.
+    Arming,
+    /// The base cannot be reached, or its motors are silent.
+    Absent,
+    /// The base is there and not ready yet.
+    NotYet,
+    /// The base reports a fault, or somebody holds it stopped.
+    Refused,
+}
+
+impl Readiness {
+    fn of(kind: ErrorKind) -> Self {
+        match kind {
+            ErrorKind::Timeout | ErrorKind::Disconnected => Self::Absent,
+            ErrorKind::Rejected => Self::NotYet,
+            _ => Self::Refused,
+        }
+    }
 }
 
 /// The result of one step.
@@ -46,10 +94,9 @@ pub struct SafetyLoop<B, L> {
     plane: SafetyPlane,
     scan: LaserScan,
     counter: u32,
-    /// The operator asked for arming, and no fault since then needs the operator again.
-    wants_arming: bool,
-    /// Why the base refused to be driven in the last step.
-    refusal: Option<ErrorKind>,
+    authority: Option<Authority>,
+    /// Why the base refused to be armed or driven in the last step.
+    refusal: Option<FaultReason>,
 }
 
 impl<B: Base, L: Lidar> SafetyLoop<B, L> {
@@ -57,7 +104,7 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
     pub fn new(config: SafetyConfig, base: B, lidar: L) -> Self {
         let scan = LaserScan::empty(lidar.geometry());
         let plane = SafetyPlane::new(config);
-        Self { base, lidar, plane, scan, counter: 0, wants_arming: false, refusal: None }
+        Self { base, lidar, plane, scan, counter: 0, authority: None, refusal: None }
     }
 
     /// One step at `now_ns`, monotonic.
@@ -72,18 +119,30 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
             Err(error) if error.kind() == ErrorKind::Corrupt => (None, None),
             Err(error) => (None, Some(error.kind())),
         };
-        let request = self.arming(orders.request);
-        let base_error = feedback_error.or(self.refusal.take());
-        let output = self.plane.step(&SafetyInput {
+        let (request, readiness) = self.arming(now_ns, orders.request);
+        let stop_cause = self.base.stop_cause();
+        let base_error = match stop_cause {
+            Some(StopCause::SafetyBoardSilent) => Some(FaultReason::SafetyBoardSilent),
+            _ => feedback_error.map(FaultReason::of_base).or(self.refusal),
+        };
+        self.refusal = None;
+        let mut output = self.plane.step(&SafetyInput {
             time_ns: now_ns,
             scan: has_scan.then_some(&self.scan),
             wheel,
             base_error,
-            emergency_stop: orders.emergency_stop,
+            emergency_stop: orders.emergency_stop || stop_cause == Some(StopCause::EmergencyStop),
+            suspended: orders.suspended,
             plan: orders.plan,
             request,
         });
         self.disarm_after(output.event);
+        let is_absent = feedback_error.map(Readiness::of) == Some(Readiness::Absent);
+        let readiness = if is_absent { Readiness::Absent } else { readiness };
+        if let Some(why) = self.lapse(now_ns, output.forbidden, readiness) {
+            self.disarm();
+            output.event = output.event.or(Some(SafetyEvent::ArmingLapsed { why }));
+        }
         let plan_age_ns = orders.plan.map_or(0, |plan| now_ns.saturating_sub(plan.time_ns));
         let sent = self.command(now_ns, &output, plan_age_ns);
         SafetyStep {
@@ -93,54 +152,93 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
             scan: has_scan.then_some(&self.scan),
             wheel,
             lidar_error,
-            base_error,
+            base_error: feedback_error,
         }
     }
 
-    /// Arms the base as long as arming is requested, and passes the request on to the state machine once the base is ready. A
-    /// base that dropped out because of a fault that clears itself is armed again in the same way.
-    fn arming(&mut self, request: Option<Request>) -> Option<Request> {
+    /// Arms the base while the loop has the authority to do so, and passes the request on to the
+    /// state machine once the base is ready. A base that has to be armed again after a stop that
+    /// resumes on evidence is armed in the same way.
+    fn arming(&mut self, now_ns: u64, request: Option<Request>) -> (Option<Request>, Readiness) {
         match request {
-            Some(Request::Arm) => self.wants_arming = true,
+            Some(Request::Arm) => {
+                self.authority = Some(Authority { since_ns: now_ns, complete: false });
+            }
             Some(Request::Disarm) => self.disarm(),
             Some(Request::ClearFault) | None => {}
         }
-        let passing_fault =
-            matches!(self.plane.state(), SafetyState::Fault(why) if why.clears_itself());
-        if !self.wants_arming || !(self.plane.state() == SafetyState::Disarmed || passing_fault) {
-            return request.filter(|request| *request != Request::Arm);
+        let state = self.plane.state();
+        let passing_fault = match state {
+            SafetyState::Fault(why) if !why.needs_person() => Some(why),
+            _ => None,
+        };
+        let waits = state == SafetyState::Disarmed || passing_fault.is_some();
+        if self.authority.is_none() || !waits {
+            let rest = request.filter(|request| *request != Request::Arm);
+            return (rest, Readiness::NotTried);
         }
+        // The attempt ends the trip that the cause describes.
+        let cause = self.base.stop_cause();
         match self.base.arm() {
             Ok(true) => {
                 self.refusal = None;
-                Some(Request::Arm)
+                (Some(Request::Arm), Readiness::Arming)
             }
             Ok(false) => {
-                self.refusal = Some(ErrorKind::Timeout);
-                None
+                // A passing fault lasts until the base is armed again.
+                self.refusal = passing_fault;
+                (None, Readiness::Arming)
             }
             Err(error) => {
-                // `Rejected` means "not ready yet", which is not a fault that needs the operator.
-                let not_yet = error.kind() == ErrorKind::Rejected;
-                self.refusal = Some(if not_yet { ErrorKind::Timeout } else { error.kind() });
-                None
+                let readiness = Readiness::of(error.kind());
+                self.refusal = match readiness {
+                    Readiness::NotYet => passing_fault,
+                    _ => Some(refusal(cause, error.kind())),
+                };
+                (None, readiness)
             }
         }
     }
 
     fn disarm_after(&mut self, event: Option<SafetyEvent>) {
-        let needs_operator = match event {
-            Some(SafetyEvent::Faulted { why }) => !why.clears_itself(),
+        let ends_authority = match event {
+            Some(SafetyEvent::Faulted { why }) => why.needs_person(),
             Some(SafetyEvent::Disarmed) => true,
             _ => false,
         };
-        if needs_operator {
+        if ends_authority {
             self.disarm();
         }
     }
 
+    /// Why a request to arm that was not followed yet is void from now on, if it is.
+    fn lapse(
+        &mut self,
+        now_ns: u64,
+        forbidden: Option<FaultReason>,
+        readiness: Readiness,
+    ) -> Option<FaultReason> {
+        let authority = self.authority.as_mut()?;
+        if self.plane.state() != SafetyState::Disarmed {
+            return None;
+        }
+        let forbidden_by = forbidden.filter(|why| why.needs_person());
+        // While a base is arming, its motors may be silent because they are being configured; it
+        // then watches them itself.
+        let event = forbidden_by
+            .filter(|why| *why != FaultReason::BaseSilent || readiness != Readiness::Arming);
+        let is_start = readiness == Readiness::Absent
+            || matches!(event, Some(FaultReason::BaseSilent | FaultReason::SafetyBoardSilent));
+        if event.is_some() && (authority.complete || !is_start) {
+            return event;
+        }
+        authority.complete |= forbidden_by.is_none() || readiness == Readiness::Arming;
+        let late = now_ns.saturating_sub(authority.since_ns) > ARM_WITHIN_NS;
+        late.then(|| forbidden.unwrap_or(FaultReason::BaseSilent))
+    }
+
     fn disarm(&mut self) {
-        self.wants_arming = false;
+        self.authority = None;
         self.refusal = None;
         self.base.disarm();
     }
@@ -157,7 +255,7 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
         let without_plan = output.in_charge || twist == hal::Twist2::ZERO;
         let plan_age_ns = if without_plan { 0 } else { plan_age_ns };
         if let Err(error) = self.base.drive(&DriveCommand { twist, counter, plan_age_ns }) {
-            self.refusal = Some(error.kind());
+            self.refusal = Some(refusal(self.base.stop_cause(), error.kind()));
             let _ = self.base.stop();
             return SentCommand::stop(now_ns);
         }
@@ -183,7 +281,19 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
     pub fn shut_down(mut self) -> (B, L) {
         let _ = self.base.stop();
         self.base.disarm();
+        self.base.finish();
         (self.base, self.lidar)
+    }
+}
+
+/// What it means that the base refused a command or to be armed. A loop that called too late is no
+/// fault of the base.
+fn refusal(cause: Option<StopCause>, kind: ErrorKind) -> FaultReason {
+    match cause {
+        Some(StopCause::EmergencyStop) => FaultReason::EmergencyStop,
+        Some(StopCause::SafetyBoardSilent) => FaultReason::SafetyBoardSilent,
+        Some(StopCause::LoopStalled) => FaultReason::LoopOverrun,
+        _ => FaultReason::of_base(kind),
     }
 }
 
@@ -311,7 +421,7 @@ mod tests {
             self.now_ns += 10 * MS;
             (self.control.base.time_ns, self.control.lidar.time_ns) = (self.now_ns, self.now_ns);
             let plan = Some(Plan { twist: FORWARD, time_ns: self.now_ns });
-            self.control.step(self.now_ns, &Orders { plan, request, emergency_stop: false }).output
+            self.control.step(self.now_ns, &Orders { plan, request, ..Orders::default() }).output
         }
 
         /// The age that the base was told.
@@ -360,7 +470,7 @@ mod tests {
     }
 
     #[test]
-    fn wheels_that_fell_silent_are_armed_again_when_they_speak() {
+    fn wheels_that_fell_silent_move_again_only_after_a_person_has_asked_for_it() {
         let mut robot = Robot::new();
         robot.step(Some(Request::Arm));
         assert!(robot.drives_after(10));
@@ -369,8 +479,11 @@ mod tests {
             robot.step(None).event,
             Some(SafetyEvent::Faulted { why: FaultReason::BaseSilent })
         );
-        assert!(!robot.drives_after(10));
         robot.control.base.broken = None;
+        assert!(!robot.drives_after(200), "power is back, and nobody asked");
+        robot.step(Some(Request::ClearFault));
+        assert!(!robot.drives_after(20));
+        robot.step(Some(Request::Arm));
         assert!(robot.drives_after(10));
     }
 
@@ -422,29 +535,70 @@ mod tests {
     }
 
     #[test]
-    fn a_base_that_is_not_ready_yet_is_asked_again_and_one_that_has_a_fault_as_well() {
-        for kind in [ErrorKind::Rejected, ErrorKind::Disconnected, ErrorKind::Fault] {
-            let mut robot = Robot::new();
-            robot.control.base.broken = Some(kind);
-            robot.step(Some(Request::Arm));
-            assert!(!robot.drives_after(5));
-            robot.control.base.broken = None;
-            assert!(robot.drives_after(10), "{kind:?}");
+    fn a_base_that_is_not_there_yet_is_asked_again_for_ten_seconds() {
+        for kind in [ErrorKind::Rejected, ErrorKind::Disconnected, ErrorKind::Timeout] {
+            for (steps, drives) in [(5, true), (990, true), (1001, false)] {
+                let mut robot = Robot::new();
+                robot.control.base.broken = Some(kind);
+                robot.step(Some(Request::Arm));
+                assert!(!robot.drives_after(steps));
+                robot.control.base.broken = None;
+                assert_eq!(robot.drives_after(10), drives, "{kind:?} after {steps} steps");
+            }
         }
     }
 
     #[test]
-    fn a_base_that_says_not_yet_while_it_comes_back_needs_no_person() {
+    fn a_request_to_arm_a_faulty_base_is_void_at_once_and_says_why() {
         let mut robot = Robot::new();
+        robot.control.base.broken = Some(ErrorKind::Fault);
+        let output = robot.step(Some(Request::Arm));
+        assert_eq!(output.event, Some(SafetyEvent::ArmingLapsed { why: FaultReason::BaseFault }));
+        robot.control.base.broken = None;
+        assert!(!robot.drives_after(20));
+    }
+
+    #[test]
+    fn motors_that_lose_power_while_the_robot_waits_for_its_scanner_end_the_request_to_arm() {
+        let mut robot = Robot::new();
+        robot.control.lidar.error = Some(ErrorKind::Timeout);
         robot.step(Some(Request::Arm));
         robot.drives_after(10);
         robot.control.base.broken = Some(ErrorKind::Timeout);
-        robot.step(None);
-        robot.control.base.broken = Some(ErrorKind::Rejected);
-        robot.drives_after(5);
-        assert_eq!(robot.control.plane.state(), SafetyState::Fault(FaultReason::BaseSilent));
+        robot.drives_after(10);
         robot.control.base.broken = None;
+        robot.control.lidar.error = None;
+        assert!(!robot.drives_after(20));
+    }
+
+    #[test]
+    fn a_pause_of_half_a_second_ends_every_request_to_arm() {
+        for (pause_ms, drives) in [(490, true), (510, false)] {
+            let mut waiting = Robot::new();
+            waiting.control.lidar.error = Some(ErrorKind::Timeout);
+            waiting.step(Some(Request::Arm));
+            waiting.drives_after(10);
+            waiting.now_ns += (pause_ms - 10) * MS;
+            waiting.step(None);
+            waiting.control.lidar.error = None;
+            assert_eq!(waiting.drives_after(20), drives, "waiting, {pause_ms} ms");
+            let mut driving = Robot::new();
+            driving.step(Some(Request::Arm));
+            assert!(driving.drives_after(10));
+            driving.now_ns += (pause_ms - 10) * MS;
+            driving.step(None);
+            assert_eq!(driving.drives_after(200), drives, "driving, {pause_ms} ms");
+        }
+    }
+
+    #[test]
+    fn a_suspended_computer_is_a_pause_that_the_monotonic_clock_does_not_show() {
+        let mut robot = Robot::new();
+        robot.step(Some(Request::Arm));
         assert!(robot.drives_after(10));
+        let resumed = Orders { suspended: true, ..Orders::default() };
+        let state = robot.control.step(robot.now_ns + 10 * MS, &resumed).state;
+        assert_eq!(state, SafetyState::Fault(FaultReason::LoopStalled));
     }
 
     #[test]

@@ -1,11 +1,11 @@
 //! Tests with wrong inputs: time that goes backwards, wrong time stamps, odometry resets, stuck
 //! bumpers, huge commands.
 
-use super::tests::{FORWARD, Room, TICK_NS, cart, driving, rotated_once, tripped};
+use super::tests::{FORWARD, Room, TICK_NS, cart, driving, restarts_slowly, rotated_once, tripped};
 use super::*;
 use crate::safety::Plan;
 use crate::safety::surroundings::tests::wall_ahead;
-use hal::{ErrorKind, Range};
+use hal::Range;
 
 const BACK: Twist2 = Twist2 { linear_mps: -0.3, angular_radps: 0.1 };
 
@@ -24,7 +24,7 @@ fn when_time_goes_backwards_the_robot_stops_and_old_measurements_do_not_count_as
     room.tick(FORWARD);
     room.time_ns = TICK_NS / 2;
     assert_eq!(room.tick(FORWARD).event, faulted(FaultReason::LoopOverrun));
-    assert_eq!(room.tick(FORWARD).event, Some(SafetyEvent::Cleared));
+    assert!(restarts_slowly(&mut room));
     room.time_ns = 0;
     let input = SafetyInput { wheel: None, ..room.input(FORWARD, None, false) };
     assert_eq!(
@@ -32,7 +32,8 @@ fn when_time_goes_backwards_the_robot_stops_and_old_measurements_do_not_count_as
         faulted(FaultReason::BaseSilent),
         "feedback from before the time jump is not used"
     );
-    assert_eq!(room.tick_with(FORWARD, None, false).event, faulted(FaultReason::LidarSilent));
+    let output = room.tick_with(FORWARD, None, false);
+    assert_eq!(output.forbidden, Some(FaultReason::LidarSilent), "nor is a scan from before it");
 }
 
 #[test]
@@ -63,7 +64,13 @@ fn measurements_and_plans_from_the_future_are_refused() {
         stopped.extend(room.tick_with(FORWARD, Some(&scan), false).event);
     }
     assert_eq!(stopped, [SafetyEvent::Faulted { why: FaultReason::LidarSilent }]);
-    assert_eq!(room.tick(FORWARD).event, Some(SafetyEvent::Cleared));
+    assert!(restarts_slowly(&mut room));
+    let scan = room.scan();
+    let late = Plan { twist: FORWARD, time_ns: room.time_ns + TICK_NS + 1 };
+    let output =
+        room.step(&SafetyInput { plan: Some(late), ..room.input(FORWARD, Some(&scan), false) });
+    assert_eq!(output.event, Some(SafetyEvent::PlanRefused { why: PlanRefusal::Stale }));
+    assert_eq!(output.twist(), Twist2::ZERO);
     stopped.clear();
     for _ in 0..4 {
         let scan = room.scan();
@@ -73,13 +80,6 @@ fn measurements_and_plans_from_the_future_are_refused() {
         stopped.extend(room.step(&input).event);
     }
     assert_eq!(stopped, [SafetyEvent::Faulted { why: FaultReason::BaseSilent }]);
-    assert_eq!(room.tick(FORWARD).twist(), FORWARD);
-    let scan = room.scan();
-    let late = Plan { twist: FORWARD, time_ns: room.time_ns + TICK_NS + 1 };
-    let output =
-        room.step(&SafetyInput { plan: Some(late), ..room.input(FORWARD, Some(&scan), false) });
-    assert_eq!(output.event, Some(SafetyEvent::PlanRefused { why: PlanRefusal::Stale }));
-    assert_eq!(output.twist(), Twist2::ZERO);
 }
 
 #[test]
@@ -129,7 +129,7 @@ fn older_feedback_that_arrives_late_is_ignored() {
 }
 
 #[test]
-fn scanner_and_wheels_that_fell_silent_together_still_need_good_scans() {
+fn good_scans_while_the_wheels_are_silent_do_not_move_the_robot() {
     let mut room = Room::with(three_good_scans(), 5.0, Pose2::IDENTITY);
     (0..3).for_each(|_| _ = room.tick(FORWARD));
     for _ in 0..6 {
@@ -137,8 +137,7 @@ fn scanner_and_wheels_that_fell_silent_together_still_need_good_scans() {
         room.step(&input);
     }
     assert_eq!(room.plane.state(), SafetyState::Fault(FaultReason::BaseSilent));
-    let moves: Vec<bool> = (0..3).map(|_| room.tick(FORWARD).twist() == FORWARD).collect();
-    assert_eq!(moves, [false, false, true]);
+    (0..10).for_each(|_| assert_eq!(room.tick(FORWARD).command, None));
 }
 
 #[test]
@@ -162,11 +161,11 @@ fn an_emergency_stop_is_kept_also_while_the_robot_is_disarmed() {
 }
 
 #[test]
-fn disarming_does_not_clear_a_fault_that_needs_an_operator() {
+fn disarming_does_not_clear_a_fault_that_needs_a_person() {
     let mut room = driving();
     let scan = room.scan();
     let fault = SafetyInput {
-        base_error: Some(ErrorKind::Fault),
+        base_error: Some(FaultReason::BaseFault),
         ..room.input(FORWARD, Some(&scan), false)
     };
     room.step(&fault);
@@ -218,11 +217,10 @@ fn backs_off_m(mut room: Room) -> f64 {
 #[test]
 fn a_base_that_was_disconnected_makes_the_ground_behind_unknown() {
     assert!(backs_off_m(rotated_once(1.75)) > 0.19, "the ground is known");
-    for kind in [ErrorKind::Timeout, ErrorKind::Disconnected] {
+    for why in [FaultReason::BaseSilent, FaultReason::BaseFault] {
         let mut room = rotated_once(1.75);
         let scan = room.scan();
-        let away =
-            SafetyInput { base_error: Some(kind), ..room.input(FORWARD, Some(&scan), false) };
+        let away = SafetyInput { base_error: Some(why), ..room.input(FORWARD, Some(&scan), false) };
         room.step(&away);
         let clear = SafetyInput {
             request: Some(Request::ClearFault),
@@ -230,7 +228,7 @@ fn a_base_that_was_disconnected_makes_the_ground_behind_unknown() {
         };
         room.step(&clear);
         let gone_m = backs_off_m(room);
-        assert!(gone_m < 0.06, "{kind:?}: {gone_m} m over unknown ground");
+        assert!(gone_m < 0.06, "{why:?}: {gone_m} m over unknown ground");
     }
 }
 
@@ -314,12 +312,12 @@ fn a_scan_that_arrives_before_the_first_feedback_can_trip_the_safety_plane() {
     let mut room = Room::new(0.25, Pose2::IDENTITY);
     let scan = room.scan();
     let input = SafetyInput { wheel: None, ..room.input(FORWARD, Some(&scan), false) };
-    assert_eq!(room.step(&input), SafetyOutput::STOP);
+    assert_eq!(room.step(&input).command, None);
     assert!(tripped(&room.tick_with(FORWARD, None, false)));
 }
 
 #[test]
-fn a_clear_request_does_not_shorten_a_fault_that_clears_itself() {
+fn a_clear_request_does_not_shorten_a_fault_that_resumes_on_evidence() {
     let mut room = Room::with(three_good_scans(), 5.0, Pose2::IDENTITY);
     (0..3).for_each(|_| _ = room.tick(FORWARD));
     (0..4).for_each(|_| _ = room.tick_with(FORWARD, None, false));

@@ -14,19 +14,24 @@
 //!
 //! | from | condition | to |
 //! |---|---|---|
-//! | any except a fault that needs an operator | [`Request::Disarm`] | `Disarmed` |
+//! | any except a fault that needs a person | [`Request::Disarm`] | `Disarmed` |
 //! | `Disarmed` | the emergency stop is pressed | `Fault` |
-//! | any except `Disarmed` and a fault that needs an operator | a sensor, the base, the loop's timing or the emergency stop forbids motion | `Fault` |
+//! | any except `Disarmed` and a fault that needs a person | a sensor, the base, the loop's timing or the emergency stop forbids motion | `Fault` |
 //! | `Disarmed` | [`Request::Arm`] and enough good scans in a row | `Clear` |
-//! | `Fault` that clears itself | the reason is gone and there are enough good scans in a row | `Clear` |
-//! | `Fault` that needs an operator | the reason is gone and [`Request::ClearFault`] | `Disarmed` |
-//! | `Clear`, `Slow` | a forward plan whose speed limit is below 0.05 m/s, or a contact while driving forward | `Tripped` |
+//! | `Fault` that resumes on evidence ([`STOPS`]) | the reason is gone and there are enough good scans in a row | `Clear` |
+//! | `Fault` that needs a person | the reason is gone and [`Request::ClearFault`] | `Disarmed` |
+//! | `Clear`, `Slow` | a forward plan whose speed limit is below 0.05 m/s | `Tripped` |
+//! | `Clear`, `Slow`, `Escaping` | a contact while the robot is commanded to move | `Tripped` |
+//! | `Clear`, `Slow`, `BackingOff`, `Escaping` | the third contact within 30 s and 0.5 m | `Fault` |
 //! | `Clear`, `Slow` | a forward plan that is faster than the speed limit | `Slow` |
 //! | `Slow` | a forward plan within the speed limit | `Clear` |
 //! | `Tripped` | the wheels stand still, or 0.5 s have passed | `BackingOff` |
 //! | `BackingOff` | the configured distance is covered, and it was not the third trip at one place | `Clear` |
 //! | `BackingOff` | it ends for any other reason: blocked or unknown ground behind, timeout, third trip | `Escaping` |
 //! | `Escaping` | 0.5 m ahead are free after 45 degrees; or one full rotation, a timeout, or a corner that would collide | `Clear` |
+//!
+//! After a fault that resumes on evidence, speeds are limited to [`CREEP_MPS`] and [`CREEP_RADPS`]
+//! for [`CREEP_NS`].
 //!
 //! A call that enters `Clear` from `Disarmed` or `Fault` also checks the plan, so it may end in
 //! `Slow` or `Tripped`. Plans have an effect in `Clear` and `Slow` only. A plan that is missing,
@@ -52,6 +57,7 @@ mod control;
 mod footprint;
 mod plane;
 mod rear;
+mod restart;
 mod state;
 mod surroundings;
 
@@ -59,6 +65,7 @@ pub use config::{BodySector, SafetyConfig, SafetySection};
 pub use control::{Orders, SafetyLoop, SafetyStep};
 pub use footprint::Footprint;
 pub use plane::SafetyPlane;
+pub use restart::{CREEP_MPS, CREEP_NS, CREEP_RADPS, Restart, STOPS, Stop};
 pub use state::{BackOff, Escape, Plan, Request, SafetyInput, SafetyOutput, SafetyState};
 pub use surroundings::{Obstacle, ScanHealth, Surroundings};
 

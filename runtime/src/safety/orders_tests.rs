@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use super::*;
 use crate::event::FaultReason;
-use hal::{ErrorKind, LaserScan, Pose2, Range, ScanGeometry, Twist2, WheelFeedback};
+use hal::{LaserScan, Pose2, Range, ScanGeometry, Twist2, WheelFeedback};
 
 const DEPTH: u32 = 8;
 const TICK_NS: u64 = 100_000_000;
@@ -120,8 +120,9 @@ impl Robot {
             time_ns: self.time_ns,
             scan: scans.at(happening, self.time_ns),
             wheel: (!silent).then_some(wheel),
-            base_error: (happening == Happening::BaseFault).then_some(ErrorKind::Fault),
+            base_error: (happening == Happening::BaseFault).then_some(FaultReason::BaseFault),
             emergency_stop: happening == Happening::EmergencyStop,
+            suspended: false,
             plan: Some(Plan { twist: plan, time_ns: self.time_ns }),
             request: match happening {
                 Happening::Clear => Some(Request::ClearFault),

@@ -10,6 +10,7 @@ use hal::{LaserScan, Pose2, Twist2, WheelFeedback, wrap_angle};
 
 use super::footprint::Footprint;
 use super::rear::RearMemory;
+use super::restart::{CREEP_MPS, CREEP_NS, CREEP_RADPS};
 use super::surroundings::{HORIZON_M, Obstacle, ScanHealth, Surroundings};
 use super::{BackOff, Escape, Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyState};
 use crate::event::{BackOffEnd, FaultReason, PlanRefusal, SafetyEvent, TripCause};
@@ -30,7 +31,7 @@ const REAR_GAP_M: f64 = 0.03;
 const CONTACT_AHEAD_M: f64 = 0.03;
 /// A speed limit below this trips the safety plane; otherwise the robot would creep towards the
 /// obstacle forever. m/s.
-const CREEP_MPS: f64 = 0.05;
+const TRIP_BELOW_MPS: f64 = 0.05;
 /// Below both of these speeds the wheels count as standing still.
 const STANDSTILL_MPS: f64 = 0.02;
 const STANDSTILL_RADPS: f64 = 0.05;
@@ -44,6 +45,12 @@ const ODOMETRY_JUMP_RAD: f64 = 1.0;
 /// An escape times out after the time that this many full rotations take, because stuck wheels
 /// never complete one.
 const ESCAPE_TIMEOUT_ROTATIONS: f64 = 2.0;
+/// A step that comes later than this after the previous one was not a late step: the program was
+/// stopped, or the computer suspended.
+const STALL_S: f64 = 0.5;
+/// This many contacts within [`TRIP_MEMORY_NS`] and [`SAME_PLACE_M`] are given up: a hand in a wheel
+/// must not be pushed again and again.
+const CONTACTS_BEFORE_GIVING_UP: usize = 3;
 /// A footprint with corners checks a rotation on the spot this far ahead, in addition to the
 /// reaction time, seconds.
 const ROTATION_LOOKAHEAD_S: f64 = 0.3;
@@ -70,6 +77,20 @@ pub struct SafetyPlane {
     /// Time and place (in `odom`, metres) of recent trips at one place.
     trips: Vec<(u64, [f64; 2])>,
     trip_count: u64,
+    /// Time and place of the robot (in `odom`, metres) at recent contacts at one place.
+    contacts: Vec<(u64, [f64; 2])>,
+    /// End of the slow restart after a stop that ended without a person.
+    creep_until_ns: u64,
+}
+
+/// Whether the loop called in time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Timing {
+    InTime,
+    /// Late by more than two periods, or the time went backwards.
+    Late,
+    /// Late by more than [`STALL_S`].
+    Stalled,
 }
 
 impl SafetyPlane {
@@ -91,6 +112,8 @@ impl SafetyPlane {
             refused: None,
             trips: Vec::with_capacity(TRIPS_BEFORE_ESCAPE + 1),
             trip_count: 0,
+            contacts: Vec::with_capacity(CONTACTS_BEFORE_GIVING_UP),
+            creep_until_ns: 0,
             config,
         }
     }
@@ -113,19 +136,29 @@ impl SafetyPlane {
 
     /// One control tick: takes in the new measurements and returns the command for the base.
     pub fn step(&mut self, input: &SafetyInput<'_>) -> SafetyOutput {
-        let in_time = self.check_timing(input.time_ns);
+        let timing = self.check_timing(input.time_ns, input.suspended);
         self.update_wheels(input);
         if let Some(scan) = input.scan {
             self.update_scan(input.time_ns, scan);
         }
-        let wheel = self.check_inputs(input, in_time);
+        let wheel = self.check_inputs(input, timing);
+        SafetyOutput { forbidden: wheel.err(), ..self.step_state(input, wheel) }
+    }
+
+    /// The part of a tick that depends on the state. `wheel` is the newest feedback, or the reason
+    /// why no motion is allowed.
+    fn step_state(
+        &mut self,
+        input: &SafetyInput<'_>,
+        wheel: Result<WheelFeedback, FaultReason>,
+    ) -> SafetyOutput {
         if matches!(wheel, Err(FaultReason::BaseSilent | FaultReason::BaseFault)) {
             // A base that was disconnected may restart its odometry anywhere, and somebody may have
             // pushed the robot.
             self.rear.forget();
         }
-        // Disarming must not clear a fault that needs an operator.
-        let stays = matches!(self.state, SafetyState::Fault(why) if !why.clears_itself());
+        // Disarming must not clear a fault that needs a person.
+        let stays = matches!(self.state, SafetyState::Fault(why) if why.needs_person());
         if input.request == Some(Request::Disarm) && self.state != SafetyState::Disarmed && !stays {
             self.state = SafetyState::Disarmed;
             return SafetyOutput::STOP.because(SafetyEvent::Disarmed);
@@ -144,24 +177,33 @@ impl SafetyPlane {
             SafetyState::BackingOff(back_off) => {
                 self.step_backing_off(input.time_ns, &wheel, back_off)
             }
-            SafetyState::Escaping(escape) => self.step_escaping(input.time_ns, &wheel.odom, escape),
+            SafetyState::Escaping(escape) => self.step_escaping(input.time_ns, &wheel, escape),
         }
     }
 
     /// Whether this call is on time. When the time went backwards, the ages of all stored
     /// measurements are wrong, so they are discarded.
-    fn check_timing(&mut self, now_ns: u64) -> bool {
+    fn check_timing(&mut self, now_ns: u64, suspended: bool) -> Timing {
         if self.last_call_ns.is_some_and(|last_ns| now_ns < last_ns) {
             self.wheel = None;
             self.scan_end_ns = None;
             self.rear.forget();
             self.trips.clear();
+            self.contacts.clear();
+            self.creep_until_ns = 0;
         }
         if is_older(self.scan_end_ns, now_ns, self.config.scan_timeout_s) {
             self.good_scans = 0;
         }
         let last_ns = self.last_call_ns.replace(now_ns).unwrap_or(now_ns);
-        last_ns <= now_ns && !is_older(Some(last_ns), now_ns, 3.0 * self.config.period_s)
+        let late_s = 3.0 * self.config.period_s;
+        if suspended || is_older(Some(last_ns), now_ns, late_s.max(STALL_S)) {
+            Timing::Stalled
+        } else if last_ns > now_ns || is_older(Some(last_ns), now_ns, late_s) {
+            Timing::Late
+        } else {
+            Timing::InTime
+        }
     }
 
     /// Whether a measurement claims to be newer than now by more than one period. Within one
@@ -217,13 +259,16 @@ impl SafetyPlane {
     fn check_inputs(
         &self,
         input: &SafetyInput<'_>,
-        in_time: bool,
+        timing: Timing,
     ) -> Result<WheelFeedback, FaultReason> {
         if input.emergency_stop {
             return Err(FaultReason::EmergencyStop);
         }
-        if let Some(kind) = input.base_error {
-            return Err(FaultReason::of_base(kind));
+        if timing == Timing::Stalled {
+            return Err(FaultReason::LoopStalled);
+        }
+        if let Some(why) = input.base_error {
+            return Err(why);
         }
         if self.odometry_broken {
             return Err(FaultReason::OdometryNotFinite);
@@ -238,20 +283,20 @@ impl SafetyPlane {
         if self.scan_bad {
             return Err(FaultReason::LidarBad);
         }
-        if in_time { Ok(wheel) } else { Err(FaultReason::LoopOverrun) }
+        if timing == Timing::InTime { Ok(wheel) } else { Err(FaultReason::LoopOverrun) }
     }
 
     fn enter_fault(&mut self, why: FaultReason) -> SafetyOutput {
         let before = self.state;
         match before {
-            // A fault that clears itself leads to `Clear`, so a disarmed robot must not enter it:
-            // it would become armed. The emergency stop is entered all the same: a request to arm
-            // that was given before must be given again.
+            // A fault that resumes on evidence leads to `Clear`, so a disarmed robot must not enter
+            // it: it would become armed. At the start, the motors are silent until they are set up.
+            // The emergency stop is entered all the same, so that `health` shows it.
             SafetyState::Disarmed if why != FaultReason::EmergencyStop => {
                 return SafetyOutput::STOP;
             }
-            // A fault that needs an operator is not replaced by one that clears itself.
-            SafetyState::Fault(known) if known == why || !known.clears_itself() => {
+            // A fault that needs a person is not replaced by another one.
+            SafetyState::Fault(known) if known == why || known.needs_person() => {
                 return SafetyOutput::STOP;
             }
             _ => self.state = SafetyState::Fault(why),
@@ -275,8 +320,9 @@ impl SafetyPlane {
         input: &SafetyInput<'_>,
         wheel: &WheelFeedback,
     ) -> SafetyOutput {
-        if why.clears_itself() && self.good_scans >= self.config.good_scans {
+        if !why.needs_person() && self.good_scans >= self.config.good_scans {
             self.state = SafetyState::Clear;
+            self.creep_until_ns = input.time_ns.saturating_add(CREEP_NS);
             let output = self.step_driving(input, wheel);
             return if output.event.is_some() {
                 output
@@ -284,7 +330,7 @@ impl SafetyPlane {
                 output.because(SafetyEvent::Cleared)
             };
         }
-        if input.request == Some(Request::ClearFault) && !why.clears_itself() {
+        if input.request == Some(Request::ClearFault) && why.needs_person() {
             self.state = SafetyState::Disarmed;
             return SafetyOutput::STOP.because(SafetyEvent::Disarmed);
         }
@@ -314,9 +360,16 @@ impl SafetyPlane {
             }
         };
         self.refused = None;
+        if wheel.contact && desired != Twist2::ZERO {
+            // An obstacle that the scanner sees is the better explanation.
+            return self
+                .trip_by_scan(input.time_ns, wheel, &desired)
+                .unwrap_or_else(|| self.trip_by_contact(input.time_ns, &wheel.odom));
+        }
         if desired.linear_mps > 0.0 {
             return self.drive_forward(input.time_ns, wheel, desired);
         }
+        let desired = self.restrained(input.time_ns, desired);
         if desired.linear_mps < 0.0 && self.is_clear_behind(input.time_ns, &wheel.odom, &desired) {
             return SafetyOutput::pass(desired);
         }
@@ -326,6 +379,17 @@ impl SafetyPlane {
         } else {
             rotation
         })
+    }
+
+    /// The twist on the same arc within the limits of a slow restart.
+    fn restrained(&self, time_ns: u64, twist: Twist2) -> Twist2 {
+        if time_ns >= self.creep_until_ns {
+            return twist;
+        }
+        let over_v = twist.linear_mps.abs() / CREEP_MPS;
+        let over_w = twist.angular_radps.abs() / CREEP_RADPS;
+        let scale = over_v.max(over_w).max(1.0).recip();
+        Twist2 { linear_mps: twist.linear_mps * scale, angular_radps: twist.angular_radps * scale }
     }
 
     /// Whether the robot may reverse with `twist` until the next call and can then still stop on
@@ -345,30 +409,69 @@ impl SafetyPlane {
         wheel: &WheelFeedback,
         desired: Twist2,
     ) -> SafetyOutput {
+        if let Some(trip) = self.trip_by_scan(time_ns, wheel, &desired) {
+            return trip;
+        }
+        let (_, free_m) = self.free_ahead(wheel, &desired);
+        let creep_mps = self.restrained(time_ns, desired).linear_mps;
+        let limit_mps = self.speed_limit_mps(free_m).min(creep_mps);
+        if limit_mps < desired.linear_mps {
+            return self.slow_down(desired, limit_mps);
+        }
+        let was_slow = self.state == SafetyState::Slow;
+        self.state = SafetyState::Clear;
+        let pass = SafetyOutput::pass(desired);
+        if was_slow { pass.because(SafetyEvent::Cleared) } else { pass }
+    }
+
+    /// The nearest obstacle on the way of a forward twist, if it is within reach, and the free
+    /// distance ahead, metres.
+    fn free_ahead(&self, wheel: &WheelFeedback, desired: &Twist2) -> (Option<Obstacle>, f64) {
         let speed = desired.linear_mps.max(wheel.twist.linear_mps);
         let reach_m = self.config.stop_distance_m + self.stopping_distance_m(speed);
-        let nearest = self.surroundings.first_obstacle(&self.footprint, &desired, reach_m);
+        let nearest = self.surroundings.first_obstacle(&self.footprint, desired, reach_m);
         // An obstacle may stand just beyond the horizon, so the free distance is never more than
         // the visible one.
         let visible_m = self.surroundings.visible_ahead_m(&self.footprint);
         let free_m = nearest.map_or(visible_m, |(_, gap_m)| gap_m.min(visible_m));
-        let limit_mps = self.speed_limit_mps(free_m);
-        match nearest {
-            Some((obstacle, _)) if limit_mps < CREEP_MPS => {
-                self.trip(time_ns, &wheel.odom, cause_of(&obstacle), obstacle.point_m())
-            }
-            _ if wheel.contact => {
-                let ahead_m = self.footprint.front_edge_m() + CONTACT_AHEAD_M;
-                self.trip(time_ns, &wheel.odom, TripCause::Contact, [ahead_m, 0.0])
-            }
-            _ if limit_mps < desired.linear_mps => self.slow_down(desired, limit_mps),
-            _ => {
-                let was_slow = self.state == SafetyState::Slow;
-                self.state = SafetyState::Clear;
-                let pass = SafetyOutput::pass(desired);
-                if was_slow { pass.because(SafetyEvent::Cleared) } else { pass }
-            }
+        (nearest.map(|(obstacle, _)| obstacle), free_m)
+    }
+
+    /// Trips if a forward twist leads into an obstacle in the stop zone.
+    fn trip_by_scan(
+        &mut self,
+        time_ns: u64,
+        wheel: &WheelFeedback,
+        desired: &Twist2,
+    ) -> Option<SafetyOutput> {
+        if desired.linear_mps <= 0.0 {
+            return None;
         }
+        let (nearest, free_m) = self.free_ahead(wheel, desired);
+        let obstacle = nearest.filter(|_| self.speed_limit_mps(free_m) < TRIP_BELOW_MPS)?;
+        Some(self.trip(time_ns, &wheel.odom, cause_of(&obstacle), obstacle.point_m()))
+    }
+
+    /// Trips because of a contact, or gives up after repeated ones.
+    fn trip_by_contact(&mut self, time_ns: u64, odom: &Pose2) -> SafetyOutput {
+        let ahead_m = self.footprint.front_edge_m() + CONTACT_AHEAD_M;
+        let tripped = self.trip(time_ns, odom, TripCause::Contact, [ahead_m, 0.0]);
+        if self.counts_to_giving_up(time_ns, odom) {
+            return self.enter_fault(FaultReason::RepeatedContact);
+        }
+        tripped
+    }
+
+    /// Counts a contact. Whether there have been too many at this place.
+    fn counts_to_giving_up(&mut self, time_ns: u64, odom: &Pose2) -> bool {
+        let here = [odom.x_m, odom.y_m];
+        forget_others(&mut self.contacts, time_ns, here);
+        self.contacts.push((time_ns, here));
+        let gives_up = self.contacts.len() >= CONTACTS_BEFORE_GIVING_UP;
+        if gives_up {
+            self.contacts.clear();
+        }
+        gives_up
     }
 
     /// Distance from the command to stop until the robot stands still: reaction time and braking,
@@ -415,10 +518,7 @@ impl SafetyPlane {
     ) -> SafetyOutput {
         self.trip_count += 1;
         let blocked_m = <[f64; 2]>::from(odom.transform(x_m, y_m));
-        self.trips.retain(|(when_ns, place)| {
-            let near = (place[0] - blocked_m[0]).hypot(place[1] - blocked_m[1]) < SAME_PLACE_M;
-            near && time_ns.saturating_sub(*when_ns) < TRIP_MEMORY_NS
-        });
+        forget_others(&mut self.trips, time_ns, blocked_m);
         if self.trips.len() < TRIPS_BEFORE_ESCAPE {
             self.trips.push((time_ns, blocked_m));
         }
@@ -487,6 +587,9 @@ impl SafetyPlane {
             self.state = SafetyState::BackingOff(BackOff { touching, ..back_off });
             return SafetyOutput::drive(Twist2 { linear_mps: -speed_mps, angular_radps: 0.0 });
         };
+        if touched && self.counts_to_giving_up(time_ns, &wheel.odom) {
+            return self.enter_fault(FaultReason::RepeatedContact);
+        }
         let wedged = end != BackOffEnd::Distance || self.trips.len() >= TRIPS_BEFORE_ESCAPE;
         self.state = if wedged {
             SafetyState::Escaping(Escape {
@@ -502,7 +605,16 @@ impl SafetyPlane {
         SafetyOutput { blocked_m: Some(back_off.blocked_m), ..SafetyOutput::STOP }.because(event)
     }
 
-    fn step_escaping(&mut self, time_ns: u64, odom: &Pose2, escape: Escape) -> SafetyOutput {
+    fn step_escaping(
+        &mut self,
+        time_ns: u64,
+        wheel: &WheelFeedback,
+        escape: Escape,
+    ) -> SafetyOutput {
+        if wheel.contact {
+            return self.trip_by_contact(time_ns, &wheel.odom);
+        }
+        let odom = &wheel.odom;
         let turned_rad = escape.turned_rad + wrap_angle(odom.yaw_rad - escape.last_yaw_rad).abs();
         let ahead = Twist2 { linear_mps: self.config.back_off_mps, angular_radps: 0.0 };
         let exit_is_clear =
@@ -538,6 +650,14 @@ fn is_older(time_ns: Option<u64>, now_ns: u64, limit_s: f64) -> bool {
     time_ns.is_none_or(|time_ns| now_ns.saturating_sub(time_ns) as f64 > limit_s * 1e9)
 }
 
+/// Keeps the entries that are close to `here` in place and time.
+fn forget_others(entries: &mut Vec<(u64, [f64; 2])>, time_ns: u64, here: [f64; 2]) {
+    entries.retain(|(when_ns, place)| {
+        let near = (place[0] - here[0]).hypot(place[1] - here[1]) < SAME_PLACE_M;
+        near && time_ns.saturating_sub(*when_ns) < TRIP_MEMORY_NS
+    });
+}
+
 fn cause_of(obstacle: &Obstacle) -> TripCause {
     if obstacle.too_near { TripCause::LidarTooNear } else { TripCause::LidarHit }
 }
@@ -554,7 +674,7 @@ fn blocked_point_m(state: &SafetyState) -> Option<[f64; 2]> {
 
 remembers!(
     SafetyPlane: state, surroundings, rear, scan_end_ns, scan_bad, good_scans, wheel, odometry_broken, odometry_jumped, last_call_ns, refused,
-    trips, trip_count
+    trips, trip_count, contacts, creep_until_ns
 );
 
 #[cfg(test)]
@@ -568,3 +688,7 @@ mod doubt_tests;
 #[cfg(test)]
 #[path = "reach_tests.rs"]
 mod reach_tests;
+
+#[cfg(test)]
+#[path = "contact_tests.rs"]
+mod contact_tests;

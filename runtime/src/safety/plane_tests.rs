@@ -1,7 +1,7 @@
 use super::*;
 use crate::safety::Plan;
 use crate::snapshot::State;
-use hal::{ErrorKind, Range, ScanGeometry};
+use hal::{Range, ScanGeometry};
 use proptest::prelude::*;
 
 pub const FORWARD: Twist2 = Twist2 { linear_mps: 0.3, angular_radps: 0.0 };
@@ -65,6 +65,7 @@ impl Room {
             wheel: Some(WheelFeedback { time_ns: self.time_ns, odom: self.pose, twist, contact }),
             base_error: None,
             emergency_stop: false,
+            suspended: false,
             plan: Some(Plan { twist: desired, time_ns: self.time_ns }),
             request: Some(Request::Arm),
         }
@@ -205,8 +206,19 @@ fn a_silent_lidar_stops_the_robot_with_one_event_and_a_new_scan_clears_the_fault
     }
     assert_eq!(reasons, [SafetyEvent::Faulted { why: FaultReason::LidarSilent }]);
     assert_eq!(room.plane.state(), SafetyState::Fault(FaultReason::LidarSilent));
-    let output = room.tick(FORWARD);
-    assert_eq!((output.twist(), output.event), (FORWARD, Some(SafetyEvent::Cleared)));
+    assert!(restarts_slowly(&mut room));
+}
+
+/// Whether the robot creeps for a second and then drives at full speed, as after every stop that
+/// ended without a person.
+pub fn restarts_slowly(room: &mut Room) -> bool {
+    let first = room.tick(FORWARD);
+    let creep = Twist2 { linear_mps: CREEP_MPS, angular_radps: 0.0 };
+    let creeping = (0..9).all(|_| room.tick(FORWARD).twist() == creep);
+    let cleared = room.tick(FORWARD);
+    first.event == Some(SafetyEvent::Slowed { limit_mps: CREEP_MPS })
+        && creeping
+        && (cleared.twist(), cleared.event) == (FORWARD, Some(SafetyEvent::Cleared))
 }
 
 #[test]
@@ -335,12 +347,12 @@ fn after_silence_three_good_scans_in_a_row_come_before_motion() {
     assert_eq!(room.tick(FORWARD).twist(), Twist2::ZERO);
     bad.time_ns = room.time_ns;
     assert_eq!(room.tick_with(FORWARD, Some(&bad), false).twist(), Twist2::ZERO);
-    let moves: Vec<bool> = (0..3).map(|_| room.tick(FORWARD).twist() == FORWARD).collect();
-    assert_eq!(moves, [false, false, true], "a bad scan resets the count");
+    let moves: Vec<f64> = (0..3).map(|_| room.tick(FORWARD).twist().linear_mps).collect();
+    assert_eq!(moves, [0.0, 0.0, CREEP_MPS], "a bad scan resets the count");
 }
 
 #[test]
-fn silent_wheels_stop_the_robot_and_new_feedback_clears_the_fault() {
+fn silent_wheels_stop_the_robot_and_new_feedback_does_not_move_it() {
     let mut room = driving();
     let scan = room.scan();
     let mut stopped_after = 0;
@@ -352,13 +364,15 @@ fn silent_wheels_stop_the_robot_and_new_feedback_clears_the_fault() {
         }
     }
     assert_eq!(stopped_after, 3, "feedback may be 0.2 s old");
-    assert_eq!(room.tick(FORWARD).event, Some(SafetyEvent::Cleared));
+    (0..20).for_each(|_| assert_eq!(room.tick(FORWARD).command, None));
 }
 
 #[test]
-fn a_fault_of_the_base_and_the_emergency_stop_need_an_operator() {
-    let faults: [fn(&mut SafetyInput<'_>); 2] =
-        [|input| input.base_error = Some(ErrorKind::Fault), |input| input.emergency_stop = true];
+fn a_fault_of_the_base_and_the_emergency_stop_need_a_person() {
+    let faults: [fn(&mut SafetyInput<'_>); 2] = [
+        |input| input.base_error = Some(FaultReason::BaseFault),
+        |input| input.emergency_stop = true,
+    ];
     for fault in faults {
         let mut room = driving();
         let scan = room.scan();
@@ -366,7 +380,7 @@ fn a_fault_of_the_base_and_the_emergency_stop_need_an_operator() {
         fault(&mut input);
         let output = room.step(&input);
         assert!(
-            matches!(output.event, Some(SafetyEvent::Faulted { why }) if !why.clears_itself()),
+            matches!(output.event, Some(SafetyEvent::Faulted { why }) if why.needs_person()),
             "{output:?}"
         );
         assert_eq!(output.command, None);
@@ -402,7 +416,7 @@ fn silence_after_a_fault_of_the_base_does_not_replace_the_fault() {
     let mut room = driving();
     let scan = room.scan();
     let fault = SafetyInput {
-        base_error: Some(ErrorKind::Fault),
+        base_error: Some(FaultReason::BaseFault),
         ..room.input(FORWARD, Some(&scan), false)
     };
     room.step(&fault);
@@ -421,7 +435,7 @@ fn odometry_that_is_nan_stops_the_robot_and_is_never_used() {
         room.step(&input).event,
         Some(SafetyEvent::Faulted { why: FaultReason::OdometryNotFinite })
     );
-    assert_eq!(room.tick(FORWARD).event, Some(SafetyEvent::Cleared));
+    assert!(restarts_slowly(&mut room));
 }
 
 #[test]
@@ -455,15 +469,40 @@ fn a_nan_or_old_or_missing_plan_stops_the_robot_and_the_reason_is_reported_once(
 }
 
 #[test]
-fn a_tick_that_is_two_periods_late_stops_the_robot_for_that_tick_only() {
+fn a_tick_that_is_two_periods_late_stops_the_robot_and_it_continues_slowly() {
     let mut room = driving();
     room.time_ns += 2 * TICK_NS + 1;
     let output = room.tick(FORWARD);
-    assert_eq!(
-        output,
-        SafetyOutput::STOP.because(SafetyEvent::Faulted { why: FaultReason::LoopOverrun })
-    );
-    assert_eq!(room.tick(FORWARD).twist(), FORWARD);
+    assert_eq!(output.command, None);
+    assert_eq!(output.event, Some(SafetyEvent::Faulted { why: FaultReason::LoopOverrun }));
+    assert!(restarts_slowly(&mut room));
+}
+
+#[test]
+fn a_pause_of_more_than_half_a_second_needs_a_person() {
+    for (pause_ns, needs_person) in [(500_000_000, false), (500_000_001, true)] {
+        let mut room = driving();
+        room.time_ns += pause_ns - TICK_NS;
+        room.tick(FORWARD);
+        (0..5).for_each(|_| _ = room.tick(FORWARD));
+        let state = room.plane.state();
+        assert_eq!(
+            state == SafetyState::Fault(FaultReason::LoopStalled),
+            needs_person,
+            "{state:?}"
+        );
+    }
+}
+
+#[test]
+fn after_a_stop_that_ends_without_a_person_rotations_are_slow_too() {
+    let mut room = driving();
+    room.time_ns += 2 * TICK_NS + 1;
+    let rotation = Twist2 { linear_mps: 0.0, angular_radps: -0.5 };
+    room.tick(rotation);
+    assert_eq!(room.tick(rotation).twist().angular_radps, -CREEP_RADPS);
+    (0..9).for_each(|_| _ = room.tick(rotation));
+    assert_eq!(room.tick(rotation).twist(), rotation);
 }
 
 #[test]
@@ -485,6 +524,7 @@ fn the_speed_falls_towards_a_wall_and_the_robot_stops_at_the_stop_distance() {
             wheel: Some(WheelFeedback { time_ns, odom, twist, contact: false }),
             base_error: None,
             emergency_stop: false,
+            suspended: false,
             plan: Some(Plan { twist: Twist2 { linear_mps: 0.5, angular_radps: 0.2 }, time_ns }),
             request: Some(Request::Arm),
         });

@@ -4,7 +4,7 @@
 use super::tests::{FORWARD, Room, TICK_NS, cart, driving, rotated_once, tripped};
 use super::*;
 use crate::safety::surroundings::tests::wall_ahead;
-use hal::{ErrorKind, Range};
+use hal::Range;
 
 const BACK: Twist2 = Twist2 { linear_mps: -0.3, angular_radps: 0.1 };
 
@@ -146,7 +146,7 @@ fn trips_at(room: &mut Room, at: Pose2, wall_m: f64) {
     room.pose = at;
     let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(wall_m) };
     assert!(tripped(&room.tick_with(FORWARD, Some(&scan), false)), "{:?}", room.plane.state());
-    for error in [Some(ErrorKind::Timeout), None] {
+    for error in [Some(FaultReason::OdometryNotFinite), None] {
         let scan = LaserScan { time_ns: room.time_ns, ..wall_ahead(3.0) };
         room.step(&SafetyInput {
             base_error: error,
@@ -177,7 +177,11 @@ fn trips_close_in_place_and_time_are_counted_together_and_others_are_not() {
         let mut room = driving();
         trips_at(&mut room, Pose2::IDENTITY, 0.2);
         // Three ticks have passed since the trip; two more come before the next one.
-        room.time_ns += pause_ns - 5 * TICK_NS;
+        let end_ns = room.time_ns + pause_ns - 5 * TICK_NS;
+        while room.time_ns + TICK_NS <= end_ns {
+            room.tick(Twist2::ZERO);
+        }
+        room.time_ns = end_ns;
         (0..2).for_each(|_| _ = room.tick(Twist2::ZERO));
         trips_at(&mut room, Pose2::IDENTITY, 0.2);
         assert_eq!(room.plane.trips.len(), count, "{pause_ns}");

@@ -1,6 +1,6 @@
 //! The states of the safety plane, its inputs and its outputs.
 
-use hal::{ErrorKind, LaserScan, Pose2, Twist2, WheelFeedback};
+use hal::{LaserScan, Pose2, Twist2, WheelFeedback};
 use serde::{Deserialize, Serialize};
 
 use crate::event::{FaultReason, SafetyEvent};
@@ -25,8 +25,8 @@ pub enum SafetyState {
     BackingOff(BackOff),
     /// Rotating on the spot until there is free space ahead, without a plan.
     Escaping(Escape),
-    /// Stopped until the reason is gone. `FaultReason::clears_itself` tells which reasons need an
-    /// operator.
+    /// Stopped until the reason is gone, or until a person has looked at the robot: see
+    /// [`STOPS`](super::STOPS).
     Fault(FaultReason),
 }
 
@@ -109,9 +109,11 @@ pub struct SafetyInput<'a> {
     /// The wheel feedback that arrived since the previous tick, if any.
     pub wheel: Option<WheelFeedback>,
     /// Why the base cannot be driven, if it reports an error.
-    pub base_error: Option<ErrorKind>,
+    pub base_error: Option<FaultReason>,
     /// The emergency stop is pressed.
     pub emergency_stop: bool,
+    /// The computer was suspended since the previous tick, which the monotonic clock does not show.
+    pub suspended: bool,
     /// The newest plan; `None` before the first one.
     pub plan: Option<Plan>,
     /// The operator's request, if there is one in this tick.
@@ -130,11 +132,13 @@ pub struct SafetyOutput {
     pub blocked_m: Option<[f64; 2]>,
     /// The plan has no effect in this tick.
     pub in_charge: bool,
+    /// Why no motion is allowed in this tick, whatever the state is.
+    pub forbidden: Option<FaultReason>,
 }
 
 impl SafetyOutput {
     pub(super) const STOP: Self =
-        Self { command: None, event: None, blocked_m: None, in_charge: true };
+        Self { command: None, event: None, blocked_m: None, in_charge: true, forbidden: None };
 
     pub(super) fn drive(command: Twist2) -> Self {
         Self { command: Some(command), ..Self::STOP }

@@ -10,7 +10,7 @@ use triple_buffer::{Input, Output, triple_buffer};
 use super::scan_history::{ScanHistory, ScanWriter, scan_history};
 use super::wheel_history::WheelHistory;
 use crate::event::SafetyEvent;
-use crate::safety::{Orders, Plan, Request, SafetyLoop, SafetyStep};
+use crate::safety::{Orders, Plan, SafetyLoop, SafetyStep};
 use crate::tick::{SafetyReport, SentCommand};
 
 /// Wheel feedback of 0.6 s at 100 Hz: six ticks of 0.1 s.
@@ -77,14 +77,10 @@ pub fn safety_link<B: Base, L: Lidar>(control: SafetyLoop<B, L>) -> (SafetyTask<
 }
 
 impl<B: Base, L: Lidar> SafetyTask<B, L> {
-    /// One step of the safety loop at `now_ns`, monotonic. What it brought goes into the queues.
-    pub fn step(
-        &mut self,
-        now_ns: u64,
-        request: Option<Request>,
-        emergency_stop: bool,
-    ) -> SafetyStep<'_> {
-        let orders = Orders { plan: *self.plans.read(), request, emergency_stop };
+    /// One step of the safety loop at `now_ns`, monotonic, with the operator's orders and the newest
+    /// plan of the queue. Its results go into the queues.
+    pub fn step(&mut self, now_ns: u64, orders: &Orders) -> SafetyStep<'_> {
+        let orders = Orders { plan: *self.plans.read(), ..*orders };
         let step = self.control.step(now_ns, &orders);
         if let Some(scan) = step.scan {
             self.scans.push(scan);

@@ -10,6 +10,7 @@ use hal::{
 use super::*;
 use crate::event::{Event, SafetyEvent};
 use crate::exploration::{ExplorationConfig, PolicyKind};
+use crate::localization::LocalizationConfig;
 use crate::mapping::MapConfig;
 use crate::perception::CoarseConfig;
 use crate::planning::{FollowerConfig, PlanConfig};
@@ -185,8 +186,10 @@ fn robot() -> Robot {
         t_base_camera: Pose3::identity(),
         laser_forward_m: 0.0,
         forward_step_m: 0.03,
-        turn_step_rad: 2f64.to_radians(),
+        rotation_step_rad: 2f64.to_radians(),
         tick_s: 0.1,
+        localization: LocalizationConfig::default(),
+        command_delay_s: 0.01,
         policy: PolicyKind::Forward,
         seed: 1,
         depth_source: DepthSource::Coarse,
@@ -195,7 +198,7 @@ fn robot() -> Robot {
         plan: PlanConfig::default(),
         follower: FollowerConfig::default(),
         exploration: ExplorationConfig::default(),
-        stand_without_frames: None,
+        stop_without_frames: None,
         footprint_radius_m: 0.16,
     };
     Robot::new(config, None).unwrap()

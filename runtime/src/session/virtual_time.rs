@@ -3,7 +3,7 @@
 use hal::{Base, Camera, Clock, DepthMap, Frame, ImageView, Lidar};
 
 use super::{Devices, SafetyTask};
-use crate::safety::Request;
+use crate::safety::{Orders, Request};
 
 /// A clock that steps the safety loop while it sleeps, at the rate at which a thread would step it on a robot.
 pub struct VirtualTime<K, B, L> {
@@ -45,7 +45,8 @@ impl<K: Clock, B: Base, L: Lidar> Clock for VirtualTime<K, B, L> {
     fn sleep_until_ns(&mut self, deadline_ns: u64) {
         while self.next_ns <= deadline_ns {
             self.clock.sleep_until_ns(self.next_ns);
-            self.safety.step(self.clock.now_ns(), self.request.take(), false);
+            let orders = Orders { request: self.request.take(), ..Orders::default() };
+            self.safety.step(self.clock.now_ns(), &orders);
             self.next_ns += self.period_ns;
         }
         self.clock.sleep_until_ns(deadline_ns);

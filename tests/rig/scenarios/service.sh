@@ -37,7 +37,7 @@ camera_loop 160 64
 world_up --lidar urg-04lx --protocol vesc --frame-size 160x64 --fps 15 --camera-at /dev/video1=/dev/embodied-depth/camera \
     --lidar-at "/dev/ttyS1=$scanner" --motors-at can1=can0
 # The devices of this home, not armed at the start as in the package; vivid's camera delivers 30 frames per second.
-sed -e 's/^fps = .*/fps = 30.0/' -e "s,^status_file.*,arm_at_start = false," /tmp/world/robot.toml >$config
+sed -e 's/^fps = .*/fps = 30.0/' -e "s,^status_file.*,arm_at_start = false," -e '/^stop_file/d' /tmp/world/robot.toml >$config
 # The default network needs larger frames than this machine can process; and five starts may take longer than the package's minute.
 mkdir -p /etc/systemd/system/$unit.service.d
 printf '[Unit]\nStartLimitIntervalSec=600\n[Service]\nEnvironment="ARGUMENTS=--policy active"\n' >/etc/systemd/system/$unit.service.d/rig.conf

@@ -10,17 +10,20 @@
 //! the robot touches an obstacle.
 
 pub mod cia402;
+pub mod composition;
 mod host;
 pub mod hub;
 pub mod memory;
 pub mod node;
 pub mod odrive;
 pub mod outbox;
+pub mod power;
 pub mod rig;
 mod run;
 pub mod vesc;
 pub mod wheel;
 
+pub use composition::Composition;
 pub use host::{BaseArgs, run_base};
 pub use hub::Hub;
 pub use memory::{LineFaults, MemoryBus};

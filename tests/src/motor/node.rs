@@ -37,6 +37,10 @@ pub struct NodeFaults {
     pub forgets_watchdog: bool,
     /// Loses power for a moment at its next step.
     pub reboot: bool,
+    /// Has no power until this is cleared: it receives and sends nothing, and the wheel coasts.
+    pub unpowered: bool,
+    /// Time from power to the first frame.
+    pub boot_ns: u64,
 }
 
 /// A controller's watchdog, by the controller's own clock.

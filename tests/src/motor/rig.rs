@@ -8,6 +8,7 @@ use super::memory::MemoryBus;
 use super::node::MotorNode;
 use super::odrive::{ENABLE_WATCHDOG_ENDPOINT, FIRMWARE, OdriveSim, WATCHDOG_TIMEOUT_ENDPOINT};
 use super::outbox::Outbox;
+use super::power::Supplied;
 use super::vesc::{POLE_PAIRS, VescSim};
 
 /// Period of the control loop.
@@ -32,9 +33,9 @@ pub fn config(protocol: Protocol) -> BaseConfig {
 #[must_use]
 pub fn node(protocol: Protocol, node: u8) -> Box<dyn MotorNode> {
     match protocol {
-        Protocol::Odrive => Box::new(OdriveSim::new(node)),
-        Protocol::Vesc => Box::new(VescSim::new(node)),
-        Protocol::Cia402 => Box::new(Cia402Sim::new(node)),
+        Protocol::Odrive => Box::new(Supplied::new(OdriveSim::new(node))),
+        Protocol::Vesc => Box::new(Supplied::new(VescSim::new(node))),
+        Protocol::Cia402 => Box::new(Supplied::new(Cia402Sim::new(node))),
     }
 }
 

@@ -25,6 +25,8 @@ pub struct Wheel {
     pub blocked: bool,
     /// The encoder counts in the opposite direction.
     pub encoder_reversed: bool,
+    /// Position at which the encoder counts zero: that of the controller's last start.
+    pub encoder_zero_rad: f64,
 }
 
 impl Default for Wheel {
@@ -38,6 +40,7 @@ impl Default for Wheel {
             coast_s: 0.05,
             blocked: false,
             encoder_reversed: false,
+            encoder_zero_rad: 0.0,
         }
     }
 }
@@ -84,7 +87,7 @@ impl Wheel {
     #[must_use]
     pub fn measured(&self) -> (f64, f64) {
         let sign = if self.encoder_reversed { -1.0 } else { 1.0 };
-        (sign * self.velocity_radps, sign * self.position_rad)
+        (sign * self.velocity_radps, sign * (self.position_rad - self.encoder_zero_rad))
     }
 }
 

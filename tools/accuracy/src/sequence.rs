@@ -1,4 +1,4 @@
-//! Pictures with true depth and true poses, in memory.
+//! Sequences of frames with ground-truth depth and poses, in memory.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -19,32 +19,32 @@ use runtime::tick::{Decision, TickInput};
 use simulator::robot::Truth;
 use simulator::{SimulatedRobot, World};
 
-/// One picture.
+/// One frame.
 pub struct View {
     /// RGB8, row-major.
     pub rgb: Vec<u8>,
-    /// True z-depth, metres; 0 where unknown.
+    /// Ground-truth z-depth, metres; 0 where unknown.
     pub truth: Option<DepthMap>,
-    /// True `t_odom_camera`.
+    /// Ground truth of `t_odom_camera`.
     pub t_odom_camera: Pose3,
 }
 
-/// Pictures in the order in which they were taken.
+/// Frames in the order in which they were taken.
 pub struct Sequence {
-    /// Where, and how the camera moved.
+    /// Scene and motion of the camera.
     pub name: String,
-    /// The camera of all pictures.
+    /// Camera model of all frames.
     pub camera: CameraModel,
-    /// The pictures.
+    /// The frames.
     pub views: Vec<View>,
 }
 
 /// How a simulated camera moves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Motion {
-    /// As this policy drives, with true depth in its map.
+    /// A robot drives with this policy and ground-truth depth in its map.
     Policy(PolicyKind),
-    /// Left, and left again: no parallax at all.
+    /// The robot rotates to the left on the spot, so that there is no parallax.
     Rotation,
 }
 
@@ -178,7 +178,7 @@ impl Observer for Views {
     }
 }
 
-/// Every picture of a recorded sequence.
+/// Every frame of a recorded sequence.
 ///
 /// # Errors
 /// When it cannot be read.

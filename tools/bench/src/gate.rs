@@ -146,7 +146,7 @@ impl Setup {
         let seconds = began.elapsed().as_secs_f64();
         let answer: Value = serde_json::from_slice(&output.stdout)
             .with_context(|| String::from_utf8_lossy(&output.stderr).into_owned())?;
-        ensure!(answer["verdict"]["pictures"] == HELD_OUT_FRAMES, "the gate's answer is {answer}");
+        ensure!(answer["verdict"]["frames"] == HELD_OUT_FRAMES, "the gate's answer is {answer}");
         Ok(seconds)
     }
 }

@@ -94,7 +94,7 @@ fn latency() -> Result<Vec<Row>> {
         times.push(start.elapsed().as_secs_f64());
         ensure!(
             output.twist().linear_mps > 0.0,
-            "the path is free, but the robot stands: {output:?}"
+            "the path is free, but the robot does not drive: {output:?}"
         );
     }
     let name = "scan bytes to motion decision, 1081 beams";
@@ -126,6 +126,7 @@ fn driving(scan: &LaserScan) -> SafetyInput<'_> {
         wheel: Some(WheelFeedback { time_ns, ..WheelFeedback::default() }),
         base_error: None,
         emergency_stop: false,
+        suspended: false,
         plan: Some(Plan { twist: Twist2 { linear_mps: 0.3, angular_radps: 0.0 }, time_ns }),
         request: Some(Request::Arm),
     }

@@ -13,7 +13,7 @@ use hal::{CameraModel, Clock, DepthMap, LaserScan, Range, ScanGeometry};
 use monotonic_clock::MonotonicClock;
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
-use runtime::recording::{Picture, RecordedTick, RunHeader, Views};
+use runtime::recording::{RecordedTick, RgbImage, RunHeader, Views};
 use rustix::time::{ClockId, clock_gettime};
 use simulator::nuisance::Nuisances;
 use simulator::render::{Lighting, Renderer};
@@ -87,11 +87,11 @@ fn ticks() -> Vec<RecordedTick> {
     let mut random = Pcg64Mcg::seed_from_u64(1);
     let mut rgb = Vec::new();
     let mut depth = DepthMap::none(0, 0);
-    let images: Vec<Picture> = (0..IMAGES)
+    let images: Vec<RgbImage> = (0..IMAGES)
         .map(|index| {
             renderer.render(&camera, &view(index), &[], &Lighting::default(), &mut rgb, &mut depth);
             Nuisances::default().add_sensor_noise(&mut random, &mut rgb);
-            Picture { width: SIZE.0, height: SIZE.1, rgb: rgb.clone() }
+            RgbImage { width: SIZE.0, height: SIZE.1, rgb: rgb.clone() }
         })
         .collect();
     let geometry = ScanGeometry::UTM_30LX;

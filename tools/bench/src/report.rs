@@ -107,8 +107,7 @@ pub struct Goal {
 /// One row of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// Part of the workspace: `simulator`, `mapping`, ...; called `room` in the JSON output.
-    #[serde(rename = "room")]
+    /// Part of the workspace, such as `simulator` or `mapping`.
     pub area: &'static str,
     /// The measured operation, with the size of its input.
     pub name: String,

@@ -12,7 +12,7 @@ mod unsupported {
     use segment_store::source::Source;
     use segment_store::{Digest, Entry, FileSink, LocalCopy, Name, StoreError};
 
-    /// Stands for an object store; opening one is an error.
+    /// A placeholder for an object store; opening one is an error.
     #[allow(dead_code, reason = "never constructed")]
     pub struct Bucket;
 

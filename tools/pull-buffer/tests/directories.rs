@@ -10,7 +10,9 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use runtime::recording::{Picture, RecordedTick, RecordingWriter, RunHeader, SegmentHeader, Views};
+use runtime::recording::{
+    RecordedTick, RecordingWriter, RgbImage, RunHeader, SegmentHeader, Views,
+};
 use tempfile::tempdir;
 
 fn pull(arguments: &[&str], dir: &Path) -> Output {
@@ -35,7 +37,7 @@ fn segment() -> Vec<u8> {
         let time_ns = tick * 100_000_000;
         let rgb = (0..16 * 12 * 3).map(|i| (i * 7 + tick as usize) as u8).collect();
         let tick = RecordedTick {
-            frame: Some(Picture { width: 16, height: 12, rgb }),
+            frame: Some(RgbImage { width: 16, height: 12, rgb }),
             ..RecordedTick::new(tick, time_ns)
         };
         writer.write(&tick, &Views::default()).unwrap();

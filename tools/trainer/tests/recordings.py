@@ -43,7 +43,7 @@ def header(frames: Frames, segment: int) -> dict[str, Any]:
     mount = {"translation_m": [0.1, 0.0, 0.8], "rotation_xyzw": [-0.5, 0.5, -0.5, 0.5]}
     laser = {"translation_m": [0.0, 0.0, 0.4], "rotation_xyzw": [0.0, 0.0, 0.0, 1.0]}
     run = {"camera": camera, "t_base_camera": mount, "t_base_laser": laser}
-    return {"format_version": 1, "segment": segment, "run": run}
+    return {"format_version": 2, "segment": segment, "run": run}
 
 
 def write_segment(

@@ -1,5 +1,5 @@
-//! The program for another architecture, with the cross toolchain of Debian 12: `rustc-web` is a newer compiler than Debian's
-//! plain one, and its standard library exists for every architecture of Debian.
+//! Builds the program for another architecture with the cross toolchain of Debian 12. Its `rustc-web` is newer than its
+//! `rustc`, and has a standard library for every architecture of Debian.
 
 use std::path::PathBuf;
 use std::process::Stdio;
@@ -15,18 +15,18 @@ const PACKAGES: [&str; 6] = [
     "libstd-rust-web-dev:arm64",
     "gcc-aarch64-linux-gnu",
     "libc6-dev-arm64-cross",
-    // Runs the result here.
+    // For the trial of the package.
     "qemu-user-static",
 ];
-/// Debian's own; `cargo` on the path is usually rustup's.
+/// Debian's cargo, because `cargo` on the path is usually that of rustup.
 const CARGO: &str = "/usr/bin/cargo";
 const RUSTC: &str = "/usr/bin/rustc";
 
-/// Builds the program; installs what that needs.
+/// Builds the program. Installs the toolchain if it is missing.
 pub fn build(arch: Arch) -> Result<PathBuf> {
     if arch != Arch::Arm {
         bail!(
-            "packages for {} are built on such a computer: the cross toolchain is for aarch64 only",
+            "packages for {} can be built on such a computer only: the cross toolchain is for aarch64",
             arch.name()
         );
     }
@@ -42,9 +42,9 @@ pub fn build(arch: Arch) -> Result<PathBuf> {
         "--target",
         "aarch64-unknown-linux-gnu",
     ]);
-    // A folder of its own: the compiler is another one than that of all other builds.
+    // A target directory of its own, because this compiler differs from that of all other builds.
     cargo.arg("--target-dir").arg(paths::target().join("cross"));
-    // This chore runs in another toolchain's environment.
+    // The environment of this chore is that of another toolchain.
     for variable in ["CARGO", "RUSTUP_TOOLCHAIN", "RUSTC_WRAPPER"] {
         cargo.env_remove(variable);
     }

@@ -1,4 +1,4 @@
-//! `cargo xtask dist`: the Debian package for the robot's computer, in `target/dist`, and a trial of what is in it.
+//! `cargo xtask dist`: builds the Debian package for the robot's computer in `target/dist`, and tries its content.
 
 mod cross;
 pub mod package;
@@ -11,7 +11,7 @@ use clap::ValueEnum;
 
 use crate::{command, paths};
 
-/// What the robot's computer is.
+/// Architecture of the robot's computer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Arch {
     /// 64-bit PC.
@@ -23,12 +23,12 @@ pub enum Arch {
 }
 
 impl Arch {
-    /// What this computer is.
+    /// This computer's architecture.
     pub fn of_this_computer() -> Self {
         if Self::Arm.is_this_computers() { Self::Arm } else { Self::X86 }
     }
 
-    /// As Rust, Linux and wheels call it.
+    /// Its name in Rust, Linux and Python's wheels.
     pub fn name(self) -> &'static str {
         match self {
             Self::X86 => "x86_64",
@@ -36,7 +36,7 @@ impl Arch {
         }
     }
 
-    /// As Debian calls it.
+    /// Its name in Debian.
     pub fn debian(self) -> &'static str {
         match self {
             Self::X86 => "amd64",
@@ -49,20 +49,21 @@ impl Arch {
     }
 }
 
-/// Builds the package for `arch`; without one, for computers like this one.
+/// Builds the package for `arch`, by default this computer's.
 pub fn run(arch: Option<Arch>) -> Result<()> {
     let arch = arch.unwrap_or_else(Arch::of_this_computer);
     let program = if arch.is_this_computers() { build()? } else { cross::build(arch)? };
     let package = package::make(arch, &program, &paths::target().join("dist"))?;
     trial::run(arch, &package)?;
     println!(
-        "\n{}: `apt install ./NAME.deb` on the robot; docs/install.md goes on from there",
+        "\n{}: install it on the robot with `apt install ./NAME.deb`; docs/install.md has the next steps",
         package.display()
     );
     Ok(())
 }
 
-/// The robot's program has no simulator. Its folder is not that of other builds, whose program has one.
+/// Builds the robot's program, without the simulator. Its target directory is its own, so that it does not replace the
+/// program of other builds, which has a simulator.
 fn build() -> Result<PathBuf> {
     let folder = paths::target().join("package");
     let arguments = "build --locked --release --package firmware-host --no-default-features";

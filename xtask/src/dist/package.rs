@@ -1,4 +1,4 @@
-//! The files of the package, laid out as they will lie on the robot, and packed by `dpkg-deb`.
+//! Lays out the package's files as on the robot, and packs them with `dpkg-deb`.
 
 use std::fs;
 use std::os::unix::fs::{PermissionsExt, symlink};
@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail};
 use super::Arch;
 use crate::{command, onnx_runtime, paths};
 
-/// What is taken as it is: from the repository, to the robot.
+/// Files that are copied unchanged: path in the repository, path on the robot.
 const FILES: [(&str, &str); 10] = [
     ("firmware-host/models/default.onnx", "usr/share/embodied-depth/default.onnx"),
     ("firmware-host/models/README.md", "usr/share/doc/embodied-depth/default.onnx.md"),
@@ -23,14 +23,14 @@ const FILES: [(&str, &str); 10] = [
     ("firmware-host/packaging/sysusers.conf", "usr/lib/sysusers.d/embodied-depth.conf"),
     ("firmware-host/packaging/modules-load.conf", "usr/lib/modules-load.d/embodied-depth.conf"),
 ];
-/// Files that the user changes and an upgrade keeps.
+/// Files that the user may change, and that an upgrade keeps.
 const CONFFILES: &str = "/etc/embodied-depth/robot.toml\n";
 const SCRIPTS: [&str; 3] = ["postinst", "prerm", "postrm"];
-/// The program finds ONNX Runtime beside itself.
+/// Folder of the program and of ONNX Runtime, which it finds beside itself.
 const LIBRARIES: &str = "usr/lib/embodied-depth";
 const DOCUMENTS: &str = "usr/share/doc/embodied-depth";
 
-/// Packs the program into a package in `folder`; the package's path.
+/// Packs the program into a package in `folder`. Returns the package's path.
 pub fn make(arch: Arch, program: &Path, folder: &Path) -> Result<PathBuf> {
     let root = folder.join(arch.name());
     if root.exists() {
@@ -41,7 +41,7 @@ pub fn make(arch: Arch, program: &Path, folder: &Path) -> Result<PathBuf> {
     }
     let installed = root.join(LIBRARIES).join("firmware-host");
     copy(program, &installed, 0o755)?;
-    // Most of the program is line numbers. Names of functions stay, for the trace of a panic.
+    // Most of the program's size is line numbers. The names of functions are kept, for the trace of a panic.
     command::run(command::program(strip(arch)).arg("--strip-debug").arg(&installed))?;
     fs::create_dir_all(root.join("usr/bin"))?;
     symlink("../lib/embodied-depth/firmware-host", root.join("usr/bin/firmware-host"))?;
@@ -80,7 +80,7 @@ fn strip(arch: Arch) -> String {
     }
 }
 
-/// Every crate in the program, with its licence.
+/// The crates in the program with their licences.
 fn crates() -> Result<String> {
     let mut tree = command::cargo();
     tree.args([
@@ -95,7 +95,7 @@ fn crates() -> Result<String> {
         "none",
     ]);
     let listed = output(tree.args(["--format", "{p}  {l}", "--target", "all"]))?;
-    // Ours are named by their paths, and repeated crates have a star.
+    // The project's crates are listed with their paths, and repeated crates with a star.
     let mut lines: Vec<_> = listed
         .lines()
         .filter(|line| !line.contains("(/"))
@@ -106,7 +106,7 @@ fn crates() -> Result<String> {
     Ok(lines.join("\n") + "\n")
 }
 
-/// The newest version of glibc that an ELF file asks for; its names stand in the file as `GLIBC_2.34`.
+/// The newest version of glibc that an ELF file needs. The file contains its name, such as `GLIBC_2.34`.
 fn needed_glibc(file: &Path) -> Result<(u32, u32)> {
     const NAME: &[u8] = b"GLIBC_2.";
     let bytes = fs::read(file).with_context(|| format!("reading {}", file.display()))?;
@@ -170,13 +170,13 @@ fn pack(arch: Arch, root: &Path, folder: &Path) -> Result<PathBuf> {
     if let Ok(time) = output(command::program("git").args(["log", "-1", "--format=%ct"])) {
         dpkg.env("SOURCE_DATE_EPOCH", time.trim());
     }
-    // Debian's default; Ubuntu's dpkg-deb would take another.
+    // Debian's default compression. Ubuntu's dpkg-deb has another default, which Debian 11 cannot read.
     dpkg.args(["--root-owner-group", "-Zxz", "--build"]).arg(root).arg(&package);
     command::run(dpkg.stdout(Stdio::null()))?;
     Ok(package)
 }
 
-/// The text that a program prints.
+/// The output of a program.
 fn output(command: &mut std::process::Command) -> Result<String> {
     let output = command.stderr(Stdio::inherit()).output()?;
     if !output.status.success() {

@@ -1,4 +1,4 @@
-//! What is in the package is run as it would run on the robot; ARM's program by emulation.
+//! Runs the package's content as the robot would, by emulation if it is for another architecture.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -8,7 +8,7 @@ use anyhow::{Context, Result, ensure};
 use super::Arch;
 use crate::{command, paths};
 
-/// Unpacks the package into a folder and uses what is there.
+/// Unpacks the package into a folder and runs its programs.
 pub fn run(arch: Arch, package: &Path) -> Result<()> {
     let folder = paths::target().join("dist/trial").join(arch.name());
     if folder.exists() {
@@ -20,19 +20,19 @@ pub fn run(arch: Arch, package: &Path) -> Result<()> {
     command::run(command::program("dpkg-deb").arg("--extract").arg(package).arg(&root))?;
     let firmware = |arguments: &[&str]| {
         let mut firmware = program(arch, &root.join("usr/bin/firmware-host"));
-        // Emulators cannot start a program anew, as it does to set this itself.
+        // The program sets this variable by executing itself again, which the emulator cannot do.
         firmware.args(arguments).env_remove("ORT_DYLIB_PATH").env("ORT_DISABLE_TELEMETRY", "1");
         firmware
     };
     command::run(&mut firmware(&["--version"]))?;
     let config = root.join("etc/embodied-depth/robot.toml");
     command::run(firmware(&["check", "--config"]).arg(config).stdout(std::process::Stdio::null()))?;
-    // The package has no simulator: this computer's own build explores, and the package's program replays every decision.
+    // The package's program has no simulator. This computer's own build explores, and the package's program replays.
     let simulated = simulated(&folder)?;
     let recording = simulated.explore("coarse", &["--frames", "20"])?;
     command::run(firmware(&["replay"]).arg(recording))?;
     if arch.is_this_computers() {
-        // ONNX Runtime does not run under emulation: it crashes when it asks for the processor's model.
+        // ONNX Runtime crashes under emulation when it queries the processor's model.
         let model = root.join("usr/share/embodied-depth/default.onnx");
         let model = model.to_string_lossy();
         let recording = simulated.explore("network", &["--frames", "5", "--model", &model])?;
@@ -42,7 +42,7 @@ pub fn run(arch: Arch, package: &Path) -> Result<()> {
     service(&root)
 }
 
-/// This computer's own build of the program, which has the simulator.
+/// This computer's build of the program, which has the simulator.
 struct Simulated {
     program: PathBuf,
     folder: PathBuf,
@@ -66,7 +66,7 @@ impl Simulated {
     }
 }
 
-/// Starts a store as the service would: the package's network becomes the first model of the store in robot.toml.
+/// Initializes the model store of robot.toml as the service does: the package's network becomes its first model.
 fn models(
     root: &Path,
     folder: &Path,
@@ -81,8 +81,8 @@ fn models(
         ["etc/embodied-depth/robot.toml", "lib/systemd/system/embodied-depth.service"].map(read);
     let (config, unit) = (config?, unit?);
     let store = config.lines().find_map(|line| line.strip_prefix("store = \"")?.strip_suffix('"'));
-    let store = store.context("robot.toml names no models.store")?;
-    // Where the service may write: `StateDirectory=`.
+    let store = store.context("robot.toml has no models.store")?;
+    // The service may write into its `StateDirectory=` only.
     let name = store
         .strip_prefix("/var/lib/embodied-depth/")
         .context("the service cannot write its models.store")?;
@@ -116,13 +116,14 @@ fn program(arch: Arch, path: &Path) -> Command {
     }
     let libraries = format!("/usr/{}-linux-gnu", arch.name());
     let mut emulator = command::program(format!("qemu-{}-static", arch.name()));
-    // The cross compiler brings a C library, its Rust library another one by multiarch. Loader and library of different builds
-    // hang in the first thread that is started: they disagree where the list of stacks is.
+    // Two C libraries are installed: one with the cross compiler, another by multiarch with Rust's library. With the loader of
+    // one and the library of the other, the program hangs when it starts its first thread, because they disagree about the
+    // address of the list of stacks.
     emulator.args(["-L", &libraries, "-E", &format!("LD_LIBRARY_PATH={libraries}/lib")]).arg(path);
     emulator
 }
 
-/// systemd's own opinion of the unit, where there is one.
+/// Checks the unit with systemd-analyze, if it is installed.
 fn service(root: &Path) -> Result<()> {
     if !command::works(command::program("systemd-analyze").arg("--version")) {
         println!("systemd-analyze is not installed: the service is not checked");
@@ -130,7 +131,7 @@ fn service(root: &Path) -> Result<()> {
     }
     let unit = root.join("lib/systemd/system/embodied-depth.service");
     command::run(command::program("systemd-analyze").args(["verify", "--man=no"]).arg(&unit))?;
-    // Of ten; 2.1 when this was written. What is left of it are the devices and the network.
+    // On a scale to 10. The score is 2.1, from the service's access to devices and the network.
     let mut security = command::program("systemd-analyze");
     security.args(["security", "--no-pager", "--offline=yes", "--threshold=25"]).arg(&unit);
     command::run(security.stdout(std::process::Stdio::null()))

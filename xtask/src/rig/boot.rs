@@ -1,4 +1,4 @@
-//! A virtual machine: starts it, runs scenarios in it, and reads what they say.
+//! Starts a virtual machine, runs scenarios in it, and reads their output.
 
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader};
@@ -17,7 +17,7 @@ use crate::{command, paths};
 /// Two cameras with a webcam and an HDMI input and an HDMI output each; the second one is multi-planar.
 const VIVID: &str = "n_devs=2 node_types=0x101,0x101 num_inputs=2,2 input_types=0xc,0xc num_outputs=1,1 \
                      output_types=1,1 multiplanar=1,2";
-/// A boot, loaded, and switching off.
+/// Time for booting, loading the modules and switching off.
 const BOOT_SECONDS: u64 = 60;
 
 /// Scenarios that one machine can run.
@@ -32,7 +32,8 @@ pub struct Machine<'a> {
 }
 
 impl<'a> Machine<'a> {
-    /// As few machines as can be. A disk is not shared: who needs one may ruin it.
+    /// Groups scenarios into as few machines as possible. A scenario that needs a disk gets a machine of its own, because it may
+    /// corrupt the disk.
     pub fn for_scenarios(scenarios: &'a [Scenario]) -> Vec<Self> {
         let mut machines: Vec<Self> = Vec::new();
         for scenario in scenarios {
@@ -76,23 +77,23 @@ impl<'a> Machine<'a> {
     }
 }
 
-/// Boots, runs all of a machine's scenarios, and tells what came of them.
+/// Boots a machine and runs all of its scenarios. Returns their checks.
 ///
 /// # Errors
-/// When the machine cannot be started. A machine that dies is a failed check.
+/// When the machine cannot be started. A machine that ends early is a failed check.
 pub fn run(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<Vec<Row>> {
     println!("\nbooting {}", machine.name());
     let folder = prepare(machine, programs)?;
     let mut report = Report::new(folder.join("output.log"))?;
     let mut end = boot(machine, &folder, &mut report)?;
-    // Once: after the cut it shall tell what is left.
+    // At most one power cut: the second boot checks what is left on the disk.
     if matches!(end, End::PowerCut) {
         println!("  power cut; booting again");
         std::fs::write(folder.join("after_power_cut"), "")?;
         end = boot(machine, &folder, &mut report)?;
     }
     let why = match end {
-        End::Off => "the guest ended before it",
+        End::Off => "the guest switched off before its end",
         End::OutOfTime => "the guest ran out of time",
         End::PowerCut => "a second power cut",
     };
@@ -110,7 +111,7 @@ pub fn run(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<Vec<Row
     Ok(report.rows)
 }
 
-/// How a machine came to its end.
+/// How a machine ended.
 enum End {
     Off,
     OutOfTime,
@@ -119,20 +120,20 @@ enum End {
 
 fn boot(machine: &Machine<'_>, folder: &Path, report: &mut Report) -> Result<End> {
     let mut child = qemu(machine, folder)?;
-    // An end of its standard input would close the guest's port.
+    // Closing its standard input would close the guest's port.
     let input = child.stdin.take();
     let allowed =
         BOOT_SECONDS + machine.scenarios.iter().map(|scenario| scenario.seconds).sum::<u64>();
     let clock = Clock::of(machine, &child);
     let end = read(&mut child, report, &clock, Duration::from_secs(allowed));
-    // SIGKILL: what the guest has not handed to its disk is gone.
+    // SIGKILL: everything that the guest has not written to its disk is lost.
     _ = child.kill();
     child.wait()?;
     drop(input);
     end
 }
 
-/// The folder that the guest sees as /rig.
+/// The folder that is /rig in the guest.
 fn prepare(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<PathBuf> {
     let icount = machine.icount.map_or(String::new(), |shift| format!("-i{shift}"));
     let first = machine.scenarios.first().map_or("", |scenario| &scenario.name);
@@ -192,7 +193,7 @@ fn qemu(machine: &Machine<'_>, folder: &Path) -> Result<Child> {
         kernel = kernel.display(),
     );
     match machine.icount {
-        // Virtual time has one processor: two hang in the boot.
+        // One processor in virtual time, because booting hangs with two.
         Some(shift) => {
             write!(line, " -smp 1 -accel tcg,thread=single -icount shift={shift},sleep=off")?;
         }
@@ -204,17 +205,17 @@ fn qemu(machine: &Machine<'_>, folder: &Path) -> Result<Child> {
     let mut qemu: Command = command::program("qemu-system-x86_64");
     qemu.args(line.split_whitespace()).args([
         "-append",
-        // The last: on a busy host the check of the timer ends in a panic, as the emulated one comes late.
+        // `no_timer_check`: on a busy host the emulated timer is late, and its check ends in a panic.
         "console=ttyS0 quiet loglevel=4 edd=off panic=-1 mitigations=off nokaslr random.trust_cpu=on no_timer_check",
     ]);
     qemu.stdin(Stdio::piped()).stdout(Stdio::piped());
     qemu.spawn().context("cannot start qemu-system-x86_64")
 }
 
-/// What a machine's time is counted by.
+/// How the time of a machine is limited.
 struct Clock {
     start: Instant,
-    /// Of its process, in virtual time.
+    /// By the processor time of its process, in virtual time.
     process: Option<u32>,
 }
 
@@ -223,8 +224,8 @@ impl Clock {
         Self { start: Instant::now(), process: machine.icount.map(|_| child.id()) }
     }
 
-    /// In virtual time the guest itself ends a scenario that takes too long, and how fast it comes to that is a matter of what else
-    /// the host does: what the machine has worked tells whether it hangs. It may do so without work as well.
+    /// In virtual time the guest ends a scenario that takes too long. How long that takes depends on the load of the host, so a
+    /// hanging machine is detected by its processor time, and by wall time in case it hangs without work.
     fn elapsed(&self) -> Duration {
         let wall = self.start.elapsed();
         self.process.and_then(processor_time).map_or(wall, |worked| worked.max(wall / 20))
@@ -234,13 +235,13 @@ impl Clock {
 /// Processor time of a process: the 14th and 15th field of proc(5)'s stat, in hundredths of a second.
 fn processor_time(process: u32) -> Option<Duration> {
     let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-    // Behind its name, which may contain anything, comes the third field.
+    // The third field follows the program's name, which may contain any character.
     let fields: Vec<_> = stat.rsplit_once(')')?.1.split_whitespace().collect();
     let hundredths = fields.get(11)?.parse::<u64>().ok()? + fields.get(12)?.parse::<u64>().ok()?;
     Some(Duration::from_millis(10 * hundredths))
 }
 
-/// Reads until the machine is off, or shall be.
+/// Reads until the machine is off, has reached its limit, or requests a power cut.
 fn read(child: &mut Child, report: &mut Report, clock: &Clock, allowed: Duration) -> Result<End> {
     let output = child.stdout.take().context("qemu without output")?;
     let (lines, received) = sync_channel(100);
@@ -264,7 +265,7 @@ fn read(child: &mut Child, report: &mut Report, clock: &Clock, allowed: Duration
     }
 }
 
-/// What the guest has said so far.
+/// The guest's output so far.
 struct Report {
     log: std::fs::File,
     rows: Vec<Row>,
@@ -288,7 +289,7 @@ impl Report {
     }
 
     fn line(&mut self, line: &str) -> Result<()> {
-        // Not the tab at the end of a check without a figure.
+        // Keeps the tab at the end of a check without a figure.
         let line = line.trim_end_matches('\r');
         std::io::Write::write_all(&mut self.log, format!("{line}\n").as_bytes())?;
         let words: Vec<_> = line.split('\t').collect();

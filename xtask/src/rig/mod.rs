@@ -1,4 +1,4 @@
-//! `cargo xtask rig`: the drivers against the kernel's own, in a virtual machine. tests/rig/README.md says how.
+//! `cargo xtask rig`: tests the drivers with a real kernel's devices in a virtual machine; see tests/rig/README.md.
 
 mod boot;
 mod scenario;
@@ -25,7 +25,7 @@ pub fn run(all: bool, filter: Option<&str>) -> Result<()> {
         .collect();
     if chosen.is_empty() {
         bail!(
-            "no scenario's name contains `{}`; they lie in tests/rig/scenarios",
+            "no scenario's name contains `{}`; the scenarios are in tests/rig/scenarios",
             filter.unwrap_or_default()
         );
     }
@@ -57,7 +57,7 @@ pub fn run(all: bool, filter: Option<&str>) -> Result<()> {
     Ok(())
 }
 
-/// Builds what the scenarios run: the names and paths that they see.
+/// Builds the programs that the scenarios run. Returns their names and paths in the guest.
 fn build(scenarios: &[Scenario]) -> Result<Vec<(&'static str, String)>> {
     let uses = |variable| scenarios.iter().any(|scenario| scenario.body.contains(variable));
     let mut programs = vec![("HIL", "hil")];
@@ -120,7 +120,7 @@ mod tests {
                 continue;
             };
             for name in simulated.split('`').skip(1).step_by(2) {
-                // `..._is_stopped_*`: a part of the names of several.
+                // A part of a test's name, which may match several tests.
                 let part = name.rsplit("::").next().unwrap().trim_matches(['.', '*']);
                 let text = if part == name || name.contains("::") && !name.ends_with('*') {
                     format!("fn {part}(")

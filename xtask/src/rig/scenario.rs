@@ -1,19 +1,19 @@
-//! The files in tests/rig/scenarios.
+//! Reads the scenarios in tests/rig/scenarios.
 
 use anyhow::{Context, Result, bail};
 
 use crate::paths;
 
-/// One file.
+/// One scenario.
 #[derive(Debug, Clone)]
 pub struct Scenario {
     pub name: String,
     pub title: String,
     pub kernel: Kernel,
-    /// Virtual time, as a power of two of nanoseconds for an instruction.
+    /// Virtual time: an instruction takes two to this power nanoseconds. `None`: real time.
     pub icount: Option<u8>,
     pub modules: Vec<String>,
-    /// systemd is the guest's first process, and runs the scenario.
+    /// Whether systemd is the guest's first process and runs the scenario.
     pub systemd: bool,
     pub seconds: u64,
     pub disk_mb: Option<u64>,
@@ -37,7 +37,7 @@ impl Kernel {
         }
     }
 
-    /// The package that depends on the newest kernel of this kind.
+    /// Debian's package that depends on the newest kernel of this kind.
     pub fn package(self) -> &'static str {
         match self {
             Self::Std => "linux-image-amd64",
@@ -46,7 +46,7 @@ impl Kernel {
     }
 }
 
-/// All scenarios, by name.
+/// All scenarios, sorted by name.
 pub fn all() -> Result<Vec<Scenario>> {
     let folder = paths::root().join("tests/rig/scenarios");
     let mut scenarios = Vec::new();
@@ -98,7 +98,7 @@ fn parse(name: &str, body: String) -> Result<Scenario> {
             }
             "systemd" => scenario.systemd = true,
             "long" => scenario.long = true,
-            _ => bail!("`#: {key}` is not known; tests/rig/README.md lists what is"),
+            _ => bail!("the key `#: {key}` is unknown; tests/rig/README.md lists the keys"),
         }
     }
     scenario.body = body;

@@ -1,4 +1,4 @@
-//! QEMU by apt, and Debian's kernels with a small first root file system each, in `target/rig`.
+//! Installs QEMU with apt, and prepares Debian's kernels with a small initial root file system each in `target/rig`.
 
 use std::ffi::OsStr;
 use std::io::Write;
@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail};
 use super::scenario::Kernel;
 use crate::{command, paths};
 
-/// What the host needs. The guest sees the same root, so the tools that run there are among them.
+/// Packages that the host needs, and those that the guest needs, because it has the same root file system.
 const PACKAGES: [&str; 12] = [
     "qemu-system-x86",
     "busybox-static",
@@ -26,7 +26,7 @@ const PACKAGES: [&str; 12] = [
     "procps",
 ];
 
-/// Groups of kernel modules; what they depend on comes along.
+/// Groups of kernel modules. The modules that they depend on are added.
 const MODULES: [(&str, &[&str]); 4] = [
     (
         "base",
@@ -37,15 +37,15 @@ const MODULES: [(&str, &[&str]); 4] = [
     ("serial", &["uhci_hcd", "ftdi_sio"]),
 ];
 
-/// Where a kernel lies.
+/// Files of a kernel.
 pub fn folder(kernel: Kernel) -> PathBuf {
     paths::target().join("rig").join(kernel.name())
 }
 
-/// Installs what is missing. Costs nothing when all is there.
+/// Installs whatever is missing.
 ///
 /// # Errors
-/// When this is not a Debian 12 whose packages can be had.
+/// When this computer does not run Debian 12, or packages cannot be installed.
 pub fn install() -> Result<()> {
     let missing: Vec<_> = PACKAGES.into_iter().filter(|name| !installed(name)).collect();
     let kernels: Vec<_> = Kernel::ALL
@@ -66,7 +66,7 @@ pub fn install() -> Result<()> {
         println!("fetching the kernel `{}`", kernel.name());
         fetch(kernel)?;
     }
-    // Made anew every time: it contains the project's own init.
+    // Created every time, because it contains the project's init.
     Kernel::ALL.into_iter().try_for_each(first_root)
 }
 
@@ -87,7 +87,7 @@ fn fetch(kernel: Kernel) -> Result<()> {
         .find_map(|line| {
             line.trim().strip_prefix("Depends: ").filter(|name| name.starts_with("linux-image-"))
         })
-        .with_context(|| format!("apt knows no kernel for {}", kernel.package()))?;
+        .with_context(|| format!("apt has no kernel for {}", kernel.package()))?;
     let mut apt = command::program("apt-get");
     command::run(
         apt.args(["-qq", "download", package]).current_dir(&folder).stderr(Stdio::null()),
@@ -97,12 +97,13 @@ fn fetch(kernel: Kernel) -> Result<()> {
     std::fs::remove_file(&archive)?;
     let image = find(&folder.join("boot"), |name| name.starts_with("vmlinuz-"))?;
     command::run(command::program("depmod").arg("-b").arg(&folder).arg(version(kernel)?))?;
-    // Unpacked here, as the guest takes 5 s for it. Written last: it says that all is there.
+    // Unpacked here, because the guest would take 5 s to do so. Written last, so that it exists only if the kernel is
+    // complete.
     let unpacked = unpack(&std::fs::read(&image)?)?;
     Ok(std::fs::write(folder.join("vmlinux"), unpacked)?)
 }
 
-/// The kernel's version, which is the name of its modules' folder.
+/// The kernel's version: the name of its modules' folder.
 fn version(kernel: Kernel) -> Result<String> {
     let path = find(&folder(kernel).join("lib/modules"), |_| true)?;
     Ok(path.file_name().unwrap_or_default().to_string_lossy().into_owned())
@@ -114,10 +115,10 @@ fn find(folder: &Path, wanted: impl Fn(&str) -> bool) -> Result<PathBuf> {
     entries
         .filter_map(|entry| Some(entry.ok()?.path()))
         .find(|path| path.file_name().and_then(OsStr::to_str).is_some_and(&wanted))
-        .with_context(|| format!("{} lacks what was expected there", folder.display()))
+        .with_context(|| format!("{} has none of the expected files", folder.display()))
 }
 
-/// The uncompressed kernel inside a bzImage: an xz stream with other things behind it.
+/// Unpacks the kernel inside a bzImage, which is an xz stream followed by other data.
 fn unpack(image: &[u8]) -> Result<Vec<u8>> {
     const XZ: &[u8] = b"\xfd7zXZ\0";
     let start = image
@@ -132,17 +133,17 @@ fn unpack(image: &[u8]) -> Result<Vec<u8>> {
     let mut xz = xz.spawn().context("cannot start `xz`")?;
     let mut input = xz.stdin.take().context("xz without input")?;
     let packed = image[start..].to_vec();
-    // It stops reading at the end of the stream, and then writing to it fails.
+    // xz stops reading at the end of its stream, so writing the rest fails.
     let writer = std::thread::spawn(move || _ = input.write_all(&packed));
     let output = xz.wait_with_output()?.stdout;
     _ = writer.join();
     if !output.starts_with(b"\x7fELF") {
-        bail!("what was packed in the kernel is no kernel");
+        bail!("the content of the xz stream is not a kernel");
     }
     Ok(output)
 }
 
-/// busybox, the modules in the order in which they are loaded, and tests/rig/init.sh.
+/// Packs busybox, the modules in the order in which they are loaded, and tests/rig/init.sh.
 fn first_root(kernel: Kernel) -> Result<()> {
     let folder = folder(kernel);
     let root = folder.join("initrd");

@@ -1,20 +1,20 @@
-//! What came of the scenarios, as text.
+//! Prints the results of the scenarios.
 
-/// One check.
+/// One check of a scenario.
 #[derive(Debug, Clone)]
 pub struct Row {
     pub scenario: String,
     pub promise: String,
     pub figure: String,
     pub passed: bool,
-    /// Wall time since the check before, seconds.
+    /// Wall time since the previous check, seconds.
     pub seconds: f64,
 }
 
-/// Longer figures are cut in the table; they were printed whole when they came.
+/// Longer figures are truncated in the table. They have been printed in full before.
 const FIGURE: usize = 60;
 
-/// The table: scenario, promise, figure, outcome, wall time.
+/// The table with the columns scenario, promise, figure, outcome and wall time.
 pub fn print(rows: &[Row]) {
     let width = |column: fn(&Row) -> &str, title: &str| {
         rows.iter().map(|row| column(row).chars().count()).chain([title.len()]).max().unwrap_or(0)

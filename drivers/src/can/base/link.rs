@@ -11,6 +11,10 @@ use crate::can::messages::{BaseCommand, BaseState, SafetyInput};
 
 /// A transmit queue that stays full for this long is blocked.
 const BLOCKED_NS: u64 = 50 * MS;
+/// Frames of the safety board that may be lost between two others. A frame with an unchanged counter
+/// is a repetition, and one after a larger gap is late or from a board that restarted: neither
+/// proves that the board is alive.
+const MOST_LOST: u8 = 5;
 /// After working for this long, the bus counts as healthy and the back-off is reset.
 const HEALTHY_NS: u64 = 1_000 * MS;
 
@@ -56,19 +60,31 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
     }
 
     pub(super) fn on_frame(&mut self, frame: &CanFrame, time_ns: u64) {
-        if self.motors.iter_mut().any(|motor| motor.receive(frame, time_ns)) {
-            return;
+        for (motor, heard_ns) in self.motors.iter_mut().zip(&mut self.heard_ns) {
+            if motor.receive(frame, time_ns) {
+                *heard_ns = time_ns;
+                return;
+            }
         }
         match SafetyInput::decode(frame) {
-            Ok(input) => {
-                // A frame with an unchanged counter is a repetition and does not prove that the
-                // board is alive.
-                if self.safety.is_none_or(|(_, last)| last.counter != input.counter) {
-                    self.safety = Some((time_ns, input));
-                }
-            }
+            Ok(input) => self.on_safety_input(input, time_ns),
             Err(Checksum) => self.counts.corrupt += 1,
             Err(Shape) => self.counts.foreign += 1,
+        }
+    }
+
+    fn on_safety_input(&mut self, input: SafetyInput, time_ns: u64) {
+        // A press counts whatever its counter is, and however short it is.
+        self.estop_seen |= input.estop;
+        let last = self.safety.map(|(_, last)| last.counter);
+        let step = last.map(|last| input.counter.wrapping_sub(last) & 0x0f);
+        if step.is_none_or(|step| (1..=MOST_LOST + 1).contains(&step)) {
+            self.safety = Some((time_ns, input));
+        } else if step != Some(0)
+            && let Some((_, last)) = &mut self.safety
+        {
+            // The board restarted or a frame is late. The next frame has to follow this one.
+            *last = SafetyInput { estop: last.estop || input.estop, ..input };
         }
     }
 

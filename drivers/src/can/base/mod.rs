@@ -21,7 +21,7 @@ mod report;
 
 use std::sync::Arc;
 
-use hal::{Base, Clock, DriveCommand, ErrorType, Twist2, WheelFeedback};
+use hal::{Base, Clock, DriveCommand, ErrorType, StopCause, Twist2, WheelFeedback};
 
 use super::bus::{Backoff, CanBus, ErrorState, SendProblem};
 use super::config::BaseConfig;
@@ -30,7 +30,7 @@ use super::guard::WheelGuard;
 use super::kinematics::{Kinematics, Odometry, Wheels};
 use super::limits::Limiter;
 use super::messages::SafetyInput;
-use super::protocol::{MotorProtocol, MotorStage, Outbox};
+use super::protocol::{MotorProtocol, MotorStage, MotorStatus, Outbox};
 use monotonic_clock::MonotonicClock;
 
 use crate::DeviceStatus;
@@ -49,6 +49,9 @@ const ARMING_NS: u64 = 3_000 * MS;
 const DISARMING_NS: u64 = 500 * MS;
 /// When the safety board has sent nothing for longer, its emergency stop counts as pressed.
 const SAFETY_NS: u64 = 100 * MS;
+/// The motors of a base that is not in use are set up again when they have sent nothing for this
+/// long: they may have lost their configuration with their power.
+const SET_UP_AGAIN_NS: u64 = 1_000 * MS;
 /// A wheel that is slower than this counts as standing, m/s.
 const STANDING_MPS: f64 = 0.05;
 /// Both wheels, in the order of every array in this module.
@@ -100,7 +103,13 @@ pub struct DifferentialBase<B, C = MonotonicClock> {
     twist: Twist2,
     polled_ns: u64,
     started_ns: u64,
+    /// A frame of any kind arrived from this motor.
+    heard_ns: [u64; 2],
     estop: bool,
+    /// An emergency stop was pressed at any moment since the last poll, and whether the last poll
+    /// reported that. A press may be shorter than a tick.
+    estop_seen: bool,
+    estop_reported: bool,
     safety: Option<(u64, SafetyInput)>,
     // The state of the bus.
     error_state: ErrorState,
@@ -158,7 +167,10 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             twist: Twist2::ZERO,
             polled_ns: now_ns,
             started_ns: now_ns,
+            heard_ns: [now_ns; 2],
             estop: false,
+            estop_seen: false,
+            estop_reported: false,
             safety: None,
             error_state: ErrorState::Active,
             error_counters: (0, 0),
@@ -207,13 +219,16 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
     pub fn disarm(&mut self) {
         let now_ns = self.clock.now_ns();
         self.stop_at_once();
-        self.enter(Phase::Disarming, now_ns);
+        if !matches!(self.phase, Phase::Disarming | Phase::Disarmed) {
+            self.enter(Phase::Disarming, now_ns);
+        }
         self.tick(now_ns);
     }
 
     /// Sets the state of an emergency stop switch that is not connected to the bus.
     pub fn set_emergency_stop(&mut self, pressed: bool) {
         self.estop = pressed;
+        self.estop_seen |= pressed;
         let now_ns = self.clock.now_ns();
         self.supervise(now_ns);
         if pressed {
@@ -242,7 +257,8 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
     fn inhibiting_trip(&self, now_ns: u64) -> Option<Trip> {
         let safety_silent = self.config.safety_board
             && self.safety.is_none_or(|(time_ns, _)| now_ns.saturating_sub(time_ns) > SAFETY_NS);
-        let pressed = self.estop || self.safety.is_some_and(|(_, input)| input.estop);
+        let pressed =
+            self.estop || self.estop_seen || self.safety.is_some_and(|(_, input)| input.estop);
         if self.bus_gone {
             Some(Trip::BusGone)
         } else if !self.backoff.is_over(now_ns) {
@@ -268,9 +284,16 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             }
             (_, problem) => return Err(CanError::NotReady { side, problem }),
         }
-        if let Some(error) = self.silent_motor(now_ns) {
-            return Err(error);
+        match self.silent_motor(now_ns) {
+            // A drive that restarted sends nothing before it is configured again, which arming
+            // does. It has to stand by the end of arming.
+            Some(_) if motor.stage == MotorStage::Faulted => Ok(()),
+            Some(error) => Err(error),
+            None => self.check_standing(side, motor),
         }
+    }
+
+    fn check_standing(&self, side: Side, motor: &MotorStatus) -> Result<(), CanError> {
         let speed_mps = self.at_rim(motor.velocity_radps).abs();
         if speed_mps > STANDING_MPS { Err(CanError::Moving { side, speed_mps }) } else { Ok(()) }
     }
@@ -317,13 +340,13 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             let Some(received) = self.bus.receive(now_ns) else { break };
             self.on_event(&received.event, received.time_ns, now_ns);
         }
-        self.measure();
+        self.measure(now_ns);
         self.supervise(now_ns);
         self.polled_ns = now_ns;
     }
 
     /// Updates the odometry when both motors have sent new feedback.
-    fn measure(&mut self) {
+    fn measure(&mut self, now_ns: u64) {
         let [left, right] = self.motors();
         let time_ns = left.feedback_ns.min(right.feedback_ns);
         if time_ns <= self.feedback_ns {
@@ -340,6 +363,7 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         ];
         self.twist = self.kinematics.twist(velocity_mps);
         let elapsed_s = (time_ns - self.feedback_ns) as f64 * 1e-9;
+        let mut restarted = None;
         if let (Some([l0, r0]), [l1, r1]) = (self.position_m, position_m) {
             let travel = [l1 - l0, r1 - r0];
             // More travel than twice that of the fastest wheel plus 5 cm means that a controller
@@ -354,7 +378,14 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
                 }
             } else {
                 self.status.bad += 1;
+                let side = if left_m > right_m { Side::Left } else { Side::Right };
+                restarted = Some(side);
             }
+        }
+        if let Some(side) = restarted
+            && self.phase == Phase::Armed
+        {
+            self.trip(Trip::MotorRestarted(side), now_ns);
         }
         self.position_m = Some(position_m);
         self.feedback_ns = time_ns;
@@ -362,16 +393,21 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         self.status.last_good_ns = time_ns;
     }
 
-    /// An error for the first motor whose feedback is too old.
+    /// An error for the first motor whose feedback is too old. While the base is arming, a motor
+    /// that is being configured sends responses instead of feedback.
     fn silent_motor(&self, now_ns: u64) -> Option<CanError> {
         let limit_ms = u64::from(self.config.feedback_timeout_ms);
-        SIDES.into_iter().zip(&self.motors).find_map(|(side, motor)| {
-            let last_ns = motor.status().feedback_ns.max(self.started_ns);
-            let age_ms = now_ns.saturating_sub(last_ns) / MS;
-            (age_ms > limit_ms
-                || (age_ms == limit_ms && now_ns.saturating_sub(last_ns) > limit_ms * MS))
-                .then_some(CanError::Silent { side, age_ms, limit_ms })
-        })
+        let is_arming = self.phase == Phase::Arming;
+        SIDES.into_iter().zip(&self.motors).zip(self.heard_ns).find_map(
+            |((side, motor), heard_ns)| {
+                let heard_ns = if is_arming { heard_ns.max(self.phase_since_ns) } else { 0 };
+                let last_ns = motor.status().feedback_ns.max(self.started_ns).max(heard_ns);
+                let age_ms = now_ns.saturating_sub(last_ns) / MS;
+                (age_ms > limit_ms
+                    || (age_ms == limit_ms && now_ns.saturating_sub(last_ns) > limit_ms * MS))
+                    .then_some(CanError::Silent { side, age_ms, limit_ms })
+            },
+        )
     }
 
     /// Checks every condition that trips the base, and advances the phase.
@@ -398,6 +434,9 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
                 self.trip(Trip::MotorFault(side), now_ns);
             }
         }
+        if !matches!(self.phase, Phase::Armed | Phase::Arming) {
+            self.set_up_again(now_ns);
+        }
         for (side, guard) in SIDES.into_iter().zip(self.guards) {
             if self.phase == Phase::Armed && guard.is_wrong_direction() {
                 self.trip(Trip::WrongDirection(side), now_ns);
@@ -405,7 +444,9 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         }
         let waited_ns = now_ns.saturating_sub(self.phase_since_ns);
         match self.phase {
-            Phase::Arming if stages == [MotorStage::Enabled; 2] => self.enter(Phase::Armed, now_ns),
+            Phase::Arming if stages == [MotorStage::Enabled; 2] && self.stands() => {
+                self.enter(Phase::Armed, now_ns);
+            }
             Phase::Arming if waited_ns > ARMING_NS => {
                 let side = if stages.first() == Some(&MotorStage::Enabled) {
                     Side::Right
@@ -420,6 +461,21 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             }
             _ => {}
         }
+    }
+
+    /// Sets silent motors up again. They stay without power.
+    fn set_up_again(&mut self, now_ns: u64) {
+        for (motor, heard_ns) in self.motors.iter_mut().zip(&mut self.heard_ns) {
+            if now_ns.saturating_sub(*heard_ns) >= SET_UP_AGAIN_NS {
+                motor.restart();
+                *heard_ns = now_ns;
+            }
+        }
+    }
+
+    fn stands(&self) -> bool {
+        let motors = self.motors();
+        SIDES.into_iter().zip(motors).all(|(side, motor)| self.check_standing(side, motor).is_ok())
     }
 
     /// Sends one set of frames to the motors and publishes the state of the base.
@@ -509,13 +565,35 @@ impl<B, C> ErrorType for DifferentialBase<B, C> {
 }
 
 impl<B: CanBus, C: Clock> Base for DifferentialBase<B, C> {
+    /// The first attempt after a trip reports the trip, so that the caller can decide whether the
+    /// base may be armed again.
     fn arm(&mut self) -> Result<bool, CanError> {
+        if let Phase::Tripped(trip) = self.phase {
+            let now_ns = self.clock.now_ns();
+            self.enter(Phase::Disarmed, now_ns);
+            return Err(CanError::Tripped(trip));
+        }
         Self::arm(self)?;
         Ok(self.is_armed())
     }
 
     fn disarm(&mut self) {
         Self::disarm(self);
+    }
+
+    fn stop_cause(&self) -> Option<StopCause> {
+        let now_ns = self.clock.now_ns();
+        match (self.inhibiting_trip(now_ns), self.phase) {
+            (Some(Trip::EmergencyStop), _) | (_, Phase::Tripped(Trip::EmergencyStop)) => {
+                Some(StopCause::EmergencyStop)
+            }
+            _ if self.estop_reported => Some(StopCause::EmergencyStop),
+            (Some(Trip::SafetySilent), _) | (_, Phase::Tripped(Trip::SafetySilent)) => {
+                Some(StopCause::SafetyBoardSilent)
+            }
+            (_, Phase::Tripped(Trip::LoopStalled)) => Some(StopCause::LoopStalled),
+            _ => None,
+        }
     }
 
     fn drive(&mut self, command: &DriveCommand) -> Result<(), CanError> {
@@ -545,9 +623,23 @@ impl<B: CanBus, C: Clock> Base for DifferentialBase<B, C> {
         Ok(())
     }
 
+    fn finish(&mut self) {
+        // A motor that may still be powered keeps its watchdog.
+        if self.phase != Phase::Disarmed {
+            return;
+        }
+        let mut out = Outbox::new();
+        self.motors.iter_mut().for_each(|motor| motor.finish(&mut out));
+        let mut first_problem = None;
+        for frame in &out {
+            self.send(frame, &mut first_problem);
+        }
+    }
+
     fn poll_feedback(&mut self) -> Result<Option<WheelFeedback>, CanError> {
         let now_ns = self.clock.now_ns();
         self.poll_bus(now_ns);
+        self.estop_reported = std::mem::take(&mut self.estop_seen);
         if now_ns.saturating_sub(self.tick_ns) >= IDLE_TICK_NS {
             self.tick(now_ns);
         }

@@ -255,15 +255,9 @@ impl Cia402 {
             self.halt(MotorStage::Faulted, self.fault());
         }
         if reboots {
-            let stage = self.status.stage;
+            // A drive that restarted has lost its configuration and sends nothing before it is
+            // configured again. It is not enabled by that.
             self.restart();
-            // A fault stays until the motor is enabled again.
-            if stage == MotorStage::Faulted {
-                self.halt(
-                    MotorStage::Faulted,
-                    MotorProblem::Fault { code: 0, meaning: "it has restarted" },
-                );
-            }
         }
     }
 
@@ -407,6 +401,11 @@ impl MotorProtocol for Cia402 {
             self.enter(Step::Feedback);
             self.status.stage = MotorStage::SettingUp;
         }
+    }
+
+    fn finish(&mut self, out: &mut Outbox) {
+        // Without this, the end of the host's heartbeat is a fault.
+        put(out, [Entry::u32(0x1016, 1, 0).download(self.node.node)]);
     }
 
     fn restart(&mut self) {

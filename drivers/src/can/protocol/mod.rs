@@ -198,6 +198,10 @@ pub trait MotorProtocol: Send {
     /// Removes power from the motor. The base calls this after braking.
     fn disable(&mut self);
 
+    /// Adds the frames after which an unpowered controller no longer waits for commands. The base
+    /// calls this before it is left alone, and sends nothing to the motor afterwards.
+    fn finish(&mut self, _out: &mut Outbox) {}
+
     /// Starts the set-up again: configures the controller and reads its watchdog back. The base
     /// calls this after a bus error.
     fn restart(&mut self);

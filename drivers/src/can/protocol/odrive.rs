@@ -336,6 +336,12 @@ impl MotorProtocol for Odrive {
         }
     }
 
+    fn finish(&mut self, out: &mut Outbox) {
+        // The watchdog also runs while the axis is idle, and its error would stay until the next
+        // start.
+        put(out, [self.write(self.node.enable_watchdog_endpoint, [0; 4], 1)]);
+    }
+
     fn restart(&mut self) {
         self.enter(Step::Version);
         self.power = false;

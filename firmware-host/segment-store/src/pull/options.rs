@@ -2,7 +2,7 @@
 
 use super::order::Order;
 
-/// Which segments come first, how fast, and whether the robot is told.
+/// Order and rate of the transfers, and whether the robot is notified of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Options {
     pub order: Order,

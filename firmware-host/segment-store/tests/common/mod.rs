@@ -7,7 +7,9 @@ use std::path::Path;
 use std::time::Duration;
 
 use hal::{CameraModel, Pose2, VirtualClock, WheelFeedback, camera_mount};
-use runtime::recording::{Picture, RecordedTick, RecordingWriter, RunHeader, SegmentHeader, Views};
+use runtime::recording::{
+    RecordedTick, RecordingWriter, RgbImage, RunHeader, SegmentHeader, Views,
+};
 use segment_store::pull::{Destination, FileSystem, Options, Report, pull};
 use segment_store::source::{Remote, Source};
 use segment_store::{CpuFeatures, Root, StoreError};
@@ -46,7 +48,7 @@ pub fn some_tick(tick: u64) -> RecordedTick {
     let odom = Pose2::new(0.03 * tick as f64, 0.0, 0.01 * tick as f64);
     RecordedTick {
         wheel: WheelFeedback { time_ns, odom, ..WheelFeedback::default() },
-        frame: Some(Picture {
+        frame: Some(RgbImage {
             width: 16,
             height: 12,
             rgb: (0..16 * 12 * 3).map(|_| noise.next() as u8).collect(),

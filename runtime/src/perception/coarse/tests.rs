@@ -169,7 +169,7 @@ fn a_frozen_camera_gives_no_depth_until_it_delivers_new_frames() {
     let frozen = render(&engine.camera, &sideways(7), 1.0, 0.0);
     for i in 8..12 {
         let image = ImageView::new(320, 96, PixelFormat::Gray8, &frozen).unwrap();
-        assert_eq!(engine.estimate(image, &sideways(i)).unwrap_err(), NoDepth::SamePicture);
+        assert_eq!(engine.estimate(image, &sideways(i)).unwrap_err(), NoDepth::SameImage);
     }
     assert!(estimate(&mut engine, &sideways(12), 1.0, 0.0).is_ok());
 }

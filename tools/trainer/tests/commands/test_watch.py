@@ -54,7 +54,7 @@ def test_every_round_continues_training_on_all_runs_and_passes_on_its_network(
     assert first.stat().st_size > 10_000
     assert second.read_bytes() != first.read_bytes()
     assert checkpoints.load(settings.work / "training/checkpoint.pt").step == 4
-    assert json.loads((settings.work / STATE_FILE).read_text()) == {"rounds": 2, "pictures": 36}
+    assert json.loads((settings.work / STATE_FILE).read_text()) == {"rounds": 2, "frames": 36}
 
 
 def test_completed_rounds_are_not_repeated(settings: WatchSettings) -> None:

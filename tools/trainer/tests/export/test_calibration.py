@@ -93,7 +93,7 @@ def test_calibration_changes_the_confidence_and_not_the_depth(model: Path, tmp_p
     assert np.allclose(after[:, 1], 1.1 * before[:, 1] + 0.4, atol=1e-5)
     was, now = ({e.key: e.value for e in onnx.load(str(file)).metadata_props} for file in (model, out))
     assert now.pop("version") == was.pop("version") + "-calibrated"
-    assert json.loads(now.pop("calibration")) == {"slope": 1.1, "offset": 0.4, "pictures": 7}
+    assert json.loads(now.pop("calibration")) == {"slope": 1.1, "offset": 0.4, "frames": 7}
     assert now == was
     with pytest.raises(TrainerError, match="export it again"):
         apply(out, Calibration(1.0, 0.0), 7, tmp_path / "twice.onnx")

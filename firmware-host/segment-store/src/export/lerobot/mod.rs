@@ -16,7 +16,7 @@ mod table;
 
 use std::path::{Path, PathBuf};
 
-use runtime::recording::{Picture, RecordedTick, SegmentHeader};
+use runtime::recording::{RecordedTick, RgbImage, SegmentHeader};
 use serde_json::json;
 
 use super::folder::new_folder;
@@ -73,7 +73,7 @@ struct Export {
 struct Waiting {
     tick: u64,
     time_ns: u64,
-    image: Picture,
+    image: RgbImage,
     state: State,
 }
 

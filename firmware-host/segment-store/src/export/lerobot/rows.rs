@@ -2,7 +2,7 @@
 
 use image::ExtendedColorType;
 use parquet::data_type::ByteArray;
-use runtime::recording::{Picture, RecordedTick};
+use runtime::recording::{RecordedTick, RgbImage};
 use serde_json::{Value, json};
 
 use super::layout::{ACTION, IMAGE, STATE, TIME};
@@ -100,14 +100,14 @@ impl Default for Rows {
 
 impl Rows {
     /// Whether an image has the same size as the previous ones.
-    pub(super) fn fits(&self, image: &Picture) -> bool {
+    pub(super) fn fits(&self, image: &RgbImage) -> bool {
         self.size.is_none_or(|size| size == (image.width, image.height))
     }
 
     pub(super) fn push(
         &mut self,
         time_ns: u64,
-        image: &Picture,
+        image: &RgbImage,
         state: State,
         action: Action,
         episode: i64,

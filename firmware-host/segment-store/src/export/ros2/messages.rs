@@ -1,7 +1,7 @@
 //! Encoding of recorded ticks as ROS messages. The recording already uses ROS frames and units (REP-103, REP-105).
 
 use hal::{CameraModel, Distortion, LaserScan, Pose3, Range, WheelFeedback};
-use runtime::recording::Picture;
+use runtime::recording::RgbImage;
 
 use super::cdr::Cdr;
 
@@ -42,7 +42,7 @@ fn pose(cdr: &mut Cdr, pose: &Pose3) {
 }
 
 /// sensor_msgs/Image.
-pub(super) fn image(stamp: Stamp, frame: &Picture) -> Vec<u8> {
+pub(super) fn image(stamp: Stamp, frame: &RgbImage) -> Vec<u8> {
     let mut cdr = Cdr::new();
     header(&mut cdr, stamp, "camera_optical");
     cdr.u32(frame.height as u32);

@@ -59,7 +59,7 @@ class WatchSettings:
     every: int = 2
     """Only every Nth frame is trained on, because neighbouring frames add little."""
     then: str | None = None
-    """Command that is run with each network; `{}` stands for its file."""
+    """Command that is run with each network; `{}` is replaced by its file."""
     rounds: int | None = None
     """Number of rounds; `None`: runs until it is interrupted."""
     training: Settings = ENDLESS
@@ -80,7 +80,7 @@ def watch(settings: WatchSettings) -> list[Path]:
         networks.append(_round(settings, done))
         done += 1
         used = available
-        write_atomically(json.dumps({"rounds": done, "pictures": used}).encode(), settings.work / STATE_FILE)
+        write_atomically(json.dumps({"rounds": done, "frames": used}).encode(), settings.work / STATE_FILE)
         _hand_over(settings, networks[-1])
     return networks
 
@@ -111,7 +111,7 @@ def _read_state(work: Path) -> tuple[int, int]:
         state = json.loads((work / STATE_FILE).read_text())
     except FileNotFoundError:
         return 0, 0
-    return int(state["rounds"]), int(state["pictures"])
+    return int(state["rounds"]), int(state["frames"])
 
 
 def _round(settings: WatchSettings, number: int) -> Path:
@@ -190,7 +190,7 @@ def add_watch(command: argparse.ArgumentParser) -> None:
     add_firmware_host(command)
     defaults = WatchSettings(Path(), Path(), Path())
     command.add_argument(
-        "--pictures",
+        "--frames",
         type=int,
         default=defaults.frames,
         metavar="FRAMES",
@@ -213,7 +213,7 @@ def run_watch(options: argparse.Namespace) -> None:
             pulled=options.pulled,
             work=options.work,
             robot=find_firmware_host(options.firmware_host),
-            frames=options.pictures,
+            frames=options.frames,
             steps=options.steps,
             then=options.then,
             rounds=options.rounds,

@@ -22,7 +22,7 @@ from embodied_depth_trainer.data.held_out import is_held_out
 from embodied_depth_trainer.data.lidar_line import MAX_APART_NS, Scan, line
 from embodied_depth_trainer.errors import TrainerError
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 HEADER = "/robot/header"
 TICK = "/robot/tick"
 SCAN = "/scan"

@@ -117,7 +117,7 @@ def apply(model: Path, calibration: Calibration, frames: int, out: Path) -> None
     last.input[1] = "calibrated"
     graph.node.append(last)
     metadata["version"] += "-calibrated"
-    metadata["calibration"] = json.dumps({**vars(calibration), "pictures": frames})
+    metadata["calibration"] = json.dumps({**vars(calibration), "frames": frames})
     helper.set_model_props(graph_of, metadata)
     onnx.checker.check_model(graph_of)
     write_atomically(graph_of.SerializeToString(), out)

@@ -1,5 +1,7 @@
 //! The exploration plane's decisions: perceive, map, choose a goal, plan, for one tick's input.
 
+mod location;
+
 use std::collections::VecDeque;
 
 use hal::{CameraModel, DepthMap, LaserScan, Pose2, Pose3, Twist2};
@@ -9,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::event::{Event, RefusedInput};
 use crate::exploration::{ExplorationConfig, Explorer, Observations, PolicyKind};
+use crate::localization::{LocalizationConfig, LocalizationError};
 use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
 use crate::perception::{
     CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError,
@@ -17,6 +20,9 @@ use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::recording::input_digest;
 use crate::snapshot::{SNAPSHOT_VERSION, SnapshotError, State, remembers};
 use crate::tick::{Decision, SentCommand, TickInput};
+use location::Location;
+
+pub use location::TickPoses;
 
 /// Where the depth that goes into the map comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -48,59 +54,67 @@ impl DepthSource {
 /// Everything that shapes a decision, besides the inputs and the model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobotConfig {
-    /// Intrinsics of the pictures.
+    /// Intrinsics of the frames.
     pub camera: CameraModel,
-    /// The camera's place on the robot.
+    /// Pose of `camera_optical` in `base_link`.
     pub t_base_camera: Pose3,
-    /// Where the laser sits in front of `base_link`'s origin, metres.
+    /// Distance of the laser in front of `base_link`'s origin, metres.
     pub laser_forward_m: f64,
-    /// Length of one step forward, metres.
+    /// Length of the forward primitive, metres.
     pub forward_step_m: f64,
-    /// Angle of one turn, radians.
-    pub turn_step_rad: f64,
-    /// Time of one step, seconds.
+    /// Angle of the rotation primitives, radians.
+    pub rotation_step_rad: f64,
+    /// Duration of one tick, seconds.
     pub tick_s: f64,
-    /// The policy.
+    /// Section `[localization]`.
+    pub localization: LocalizationConfig,
+    /// Time from a decision to the motion that it causes, seconds. The path is followed from the pose at which the robot will be
+    /// by then.
+    pub command_delay_s: f64,
+    /// How goals are chosen.
     pub policy: PolicyKind,
-    /// Seed of everything random.
+    /// Seed of the policy's random numbers.
     pub seed: u64,
     /// Where the map's depth comes from.
     pub depth_source: DepthSource,
-    /// Coarse depth.
+    /// Section `[coarse]`: coarse depth.
     pub coarse: CoarseConfig,
-    /// The map.
+    /// Section `[map]`.
     pub map: MapConfig,
-    /// Costs and search.
+    /// Section `[planning]`: costs and search.
     pub plan: PlanConfig,
-    /// From paths to steps.
+    /// How paths become motion primitives.
     pub follower: FollowerConfig,
-    /// Goals.
+    /// Section `[exploration]`: choice of goals.
     pub exploration: ExplorationConfig,
-    /// Ticks in a row without a frame after which the robot stands until there is one; `None`: it goes on by its map.
-    pub stand_without_frames: Option<u64>,
-    /// Radius of the robot's footprint, metres: the floor below it is free.
+    /// The robot stops after this many ticks in a row without a frame, until a frame arrives. `None`: it goes on by its map.
+    pub stop_without_frames: Option<u64>,
+    /// Radius of the robot's footprint, metres. The floor under the footprint is mapped as free.
     pub footprint_radius_m: f64,
 }
 
-/// The configuration cannot be: which part, and why.
+/// Which part of the configuration cannot be used, and why.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RobotError {
-    /// The map's part.
+    /// The map refuses its configuration.
     #[error("map: {0}")]
     Map(#[from] MapError),
-    /// Perception's part.
+    /// Localization refuses its configuration.
+    #[error("localization: {0}")]
+    Localization(#[from] LocalizationError),
+    /// Perception refuses its configuration.
     #[error("perception: {0}")]
     Perception(#[from] PerceptionError),
-    /// Planning's part.
+    /// Planning refuses its configuration.
     #[error("planning: {0}")]
     Planning(#[from] ConfigError),
-    /// The depth source `network` without a network.
+    /// The depth source is `network`, and there is no network.
     #[error("depth source `network` needs a model: give one, or take `coarse`")]
     NoModel,
 }
 
-/// Stages of one turn, for latency reports.
+/// Stages of one tick, for latency reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
     /// Coarse depth.
@@ -113,37 +127,41 @@ pub enum Stage {
     Plan,
 }
 
-/// Told when a stage has ended; the runtime itself has no clock.
+/// Measures how long the stages of a tick take. The program that drives the session implements it with a clock of its own;
+/// the runtime has none.
 pub trait StageTimer {
-    /// `stage` has just ended.
+    /// The robot calls this at the end of `stage`.
     fn ended(&mut self, stage: Stage);
 }
 
-/// For callers that do not care.
+/// Measures nothing.
 impl StageTimer for () {
     fn ended(&mut self, _stage: Stage) {}
 }
 
-/// The robot's mind: its inputs' past, and what follows from it.
+/// The exploration plane: perception, map and policy, with everything that they remember from earlier ticks.
 pub struct Robot {
     config: RobotConfig,
     coarse: CoarseDepth,
     network: Option<DepthNetwork>,
     truth: DepthEstimate,
     has_depth: HasDepth,
+    location: Location,
+    poses: TickPoses,
     map: OccupancyGrid,
-    looks: VecDeque<SingleFrameMap>,
+    /// Maps of the newest single frames, oldest first, from which the policy finds inconsistencies.
+    frame_maps: VecDeque<SingleFrameMap>,
     explorer: Explorer,
     bumped: bool,
     collision_at: Option<[f64; 2]>,
     last_time_ns: Option<u64>,
     /// Ticks since the last frame.
     ticks_without_frame: u64,
-    /// A network that came or went since the last turn.
+    /// A network that was loaded or removed since the last tick.
     new_network: Option<Event>,
 }
 
-/// Which depths this turn brought.
+/// Which depth sources delivered depth in this tick.
 #[derive(Debug, Clone, Copy, Default)]
 struct HasDepth {
     coarse: bool,
@@ -152,7 +170,7 @@ struct HasDepth {
 }
 
 impl Robot {
-    /// A robot that has seen nothing yet.
+    /// A robot with an empty map.
     ///
     /// # Errors
     /// When a part of the configuration is out of range, or the depth source is `network` and there is none.
@@ -166,8 +184,13 @@ impl Robot {
             network,
             truth: DepthEstimate::none(config.camera.width, config.camera.height),
             has_depth: HasDepth::default(),
+            location: Location::new(
+                config.localization.clone(),
+                Pose2::new(config.laser_forward_m, 0.0, 0.0),
+            )?,
+            poses: TickPoses::START,
             map: OccupancyGrid::new(&config.map)?,
-            looks: VecDeque::new(),
+            frame_maps: VecDeque::new(),
             explorer: Explorer::new(
                 config.policy,
                 config.exploration,
@@ -184,23 +207,22 @@ impl Robot {
         })
     }
 
-    /// From the next turn on, the map's depth comes from this network. Everything else goes on as it was. Returns the network
-    /// before it.
-    pub fn take_network(&mut self, network: DepthNetwork) -> Option<DepthNetwork> {
+    /// Replaces the depth network between two ticks and makes it the map's depth source. Returns the previous network.
+    pub fn set_network(&mut self, network: DepthNetwork) -> Option<DepthNetwork> {
         self.new_network = Some(Event::NetworkTaken { digest: network.digest().to_owned() });
         self.config.depth_source = DepthSource::Network;
         self.network.replace(network)
     }
 
-    /// From the next turn on, there is no network, and the map's depth is coarse depth.
-    pub fn leave_network(&mut self) {
+    /// Removes the depth network between two ticks. The map then uses coarse depth.
+    pub fn remove_network(&mut self) {
         if self.network.take().is_some() {
             self.new_network = Some(Event::NetworkLeft);
             self.config.depth_source = DepthSource::Coarse;
         }
     }
 
-    /// All that it remembers between two turns.
+    /// Everything that the robot remembers between two ticks, as bytes.
     #[must_use]
     pub fn snapshot(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
@@ -214,19 +236,19 @@ impl Robot {
         bytes
     }
 
-    /// Goes on where the robot that wrote `snapshot` was: to be called on a robot of the same configuration, seed and network.
+    /// Restores the memory that [`snapshot`](Self::snapshot) wrote. This robot must have the same configuration, seed and
+    /// network as the one that wrote it.
     ///
     /// # Errors
-    /// Bytes of another version, of another robot, or damaged; this robot must not be used any more then.
+    /// When the bytes are of another version or of another robot, or damaged. The robot must not be used after an error.
     pub fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
         let (network, mut from) = begin_snapshot(snapshot)?;
         let here = self.network_digest();
         if network != here {
-            let name = |digest: Option<String>| digest.unwrap_or_else(|| "none".to_owned());
             return Err(SnapshotError::OtherRobot {
                 what: "the model",
-                found: name(network),
-                here: name(here),
+                found: network.unwrap_or_else(|| "none".to_owned()),
+                here: here.unwrap_or_else(|| "none".to_owned()),
             });
         }
         self.config.depth_source.read(&mut from)?;
@@ -240,27 +262,27 @@ impl Robot {
         }
     }
 
-    /// Digest of the model that a robot needs to take up `snapshot`; `None`: none.
+    /// Digest of the model that a robot must have to restore `snapshot`; `None` when it must have none.
     ///
     /// # Errors
-    /// Bytes of another version, or damaged.
+    /// When the bytes are of another version, or damaged.
     pub fn network_of_snapshot(snapshot: &[u8]) -> Result<Option<String>, SnapshotError> {
         begin_snapshot(snapshot).map(|(network, _)| network)
     }
 
-    /// Digest of the model that it has.
+    /// BLAKE3 digest of the depth network's file, in hex.
     #[must_use]
     pub fn network_digest(&self) -> Option<String> {
         self.network.as_ref().map(|network| network.digest().to_owned())
     }
 
-    /// One tick: a pure function of this input and all inputs before it. Called by [`Session`](crate::session::Session) alone.
+    /// One tick: a pure function of this input and all inputs before it. Only [`Session`](crate::session::Session) calls it.
     pub(crate) fn tick(&mut self, input: &TickInput<'_>, timer: &mut impl StageTimer) -> Decision {
         let mut events = Vec::new();
         events.extend(self.new_network.take());
         if let Some(why) = self.refusal(input) {
             events.push(Event::InputRefused { why });
-            return Self::stand(input, events);
+            return self.stop(input, events);
         }
         self.last_time_ns = Some(input.time_ns);
         let scan = input.scan.filter(|scan| {
@@ -271,14 +293,14 @@ impl Robot {
             sound
         });
         events.extend(input.safety.events.iter().map(|what| Event::Safety { what: *what }));
-        self.note_blocked(input.safety.blocked_m);
-        let odom = input.wheel.odom;
-        let t_odom_camera = odom.to_pose3() * self.config.t_base_camera;
-        self.see(input, &t_odom_camera, &mut events, timer);
+        self.poses = self.location.update(input, scan);
+        self.note_blocked(input);
+        let t_odom_camera = self.poses.t_odom_base.to_pose3() * self.config.t_base_camera;
+        self.estimate_depth(input, &t_odom_camera, &mut events, timer);
         let depth_digest = self.mapped_depth().map_or(0, digest_of);
-        self.update_map(scan, &input.scan_odom, &odom, &t_odom_camera);
+        self.update_map(scan);
         timer.ended(Stage::Map);
-        let desired = self.desired(input, odom, &mut events);
+        let desired = self.desired(input, &mut events);
         timer.ended(Stage::Plan);
         Decision {
             tick: input.tick,
@@ -286,6 +308,8 @@ impl Robot {
             desired: desired.into(),
             sent: input.safety.sent.last().map(SentCommand::command),
             goal_m: self.explorer.goal().map(|goal| goal.target_m),
+            t_odom_base: self.poses.t_odom_base,
+            t_map_odom: self.poses.t_map_odom,
             events,
             input_digest: input_digest(input),
             depth_digest,
@@ -293,7 +317,7 @@ impl Robot {
         }
     }
 
-    /// An input that cannot be driven by: the robot stands until a better one comes.
+    /// Why this input cannot be used. The robot then stops for the tick.
     fn refusal(&self, input: &TickInput<'_>) -> Option<RefusedInput> {
         if !input.wheel.odom.is_finite() {
             return Some(RefusedInput::OdometryNotFinite);
@@ -301,13 +325,15 @@ impl Robot {
         self.last_time_ns.filter(|last| input.time_ns < *last).map(|_| RefusedInput::TimeWentBack)
     }
 
-    fn stand(input: &TickInput<'_>, events: Vec<Event>) -> Decision {
+    fn stop(&self, input: &TickInput<'_>, events: Vec<Event>) -> Decision {
         Decision {
             tick: input.tick,
             time_ns: input.time_ns,
             desired: Twist2::ZERO.into(),
             sent: input.safety.sent.last().map(SentCommand::command),
             goal_m: None,
+            t_odom_base: self.poses.t_odom_base,
+            t_map_odom: self.poses.t_map_odom,
             events,
             input_digest: input_digest(input),
             depth_digest: 0,
@@ -315,7 +341,7 @@ impl Robot {
         }
     }
 
-    fn see(
+    fn estimate_depth(
         &mut self,
         input: &TickInput<'_>,
         t_odom_camera: &Pose3,
@@ -324,12 +350,12 @@ impl Robot {
     ) {
         self.has_depth = HasDepth::default();
         if let Some(truth) = input.truth {
-            self.has_depth.truth = self.take_truth(truth);
+            self.has_depth.truth = self.copy_truth(truth);
         }
         let Some(frame) = input.frame else {
             events.push(Event::NoDepth { why: NoDepth::NoFrame });
             self.ticks_without_frame += 1;
-            if self.config.stand_without_frames == Some(self.ticks_without_frame) {
+            if self.config.stop_without_frames == Some(self.ticks_without_frame) {
                 events.push(Event::StandsWithoutFrames);
             }
             return;
@@ -350,7 +376,8 @@ impl Robot {
         }
     }
 
-    fn take_truth(&mut self, truth: &DepthMap) -> bool {
+    /// Whether `truth` has the camera's size.
+    fn copy_truth(&mut self, truth: &DepthMap) -> bool {
         if (truth.width(), truth.height()) != (self.config.camera.width, self.config.camera.height)
         {
             return false;
@@ -362,7 +389,7 @@ impl Robot {
         true
     }
 
-    /// The depth that goes into the map this turn.
+    /// The depth of this tick that the map uses.
     #[must_use]
     pub fn mapped_depth(&self) -> Option<&DepthEstimate> {
         match self.config.depth_source {
@@ -372,29 +399,26 @@ impl Robot {
         }
     }
 
-    /// This turn's coarse depth.
+    /// Coarse depth of this tick.
     #[must_use]
     pub fn coarse_depth(&self) -> Option<&DepthEstimate> {
         self.has_depth.coarse.then(|| self.coarse.last())
     }
 
-    /// This turn's depth from the network.
+    /// The network's depth of this tick.
     #[must_use]
     pub fn network_depth(&self) -> Option<&DepthEstimate> {
         self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
     }
 
-    fn update_map(
-        &mut self,
-        scan: Option<&LaserScan>,
-        scan_odom: &Pose2,
-        odom: &Pose2,
-        t_odom_camera: &Pose3,
-    ) {
+    fn update_map(&mut self, scan: Option<&LaserScan>) {
+        let t_map_base = self.poses.t_map_base();
+        let t_map_camera = t_map_base.to_pose3() * self.config.t_base_camera;
         // Poses were checked in `refusal`, shapes in `tick`: an error here means that the map stays as it was in this tick.
-        if self.map.begin_update(odom).is_err() {
+        if self.map.begin_update(&t_map_base).is_err() {
             return;
         }
+        // The body of `mapped_depth`, repeated so that the borrow checker sees that `self.map` is not borrowed.
         let depth = match self.config.depth_source {
             DepthSource::Coarse => self.has_depth.coarse.then(|| self.coarse.last()),
             DepthSource::Network => {
@@ -403,66 +427,84 @@ impl Robot {
             DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
         };
         if let Some(depth) = depth
-            && let Ok(look) = self.map.integrate_depth(depth, &self.config.camera, t_odom_camera)
+            && let Ok(newest) = self.map.integrate_depth(depth, &self.config.camera, &t_map_camera)
         {
-            remember_look(&mut self.looks, look, self.config.exploration.inconsistency_gap);
+            let gap = self.config.exploration.inconsistency_gap;
+            remember_frame_map(&mut self.frame_maps, newest, gap);
         }
         if let Some(scan) = scan {
             let t_base_laser = Pose2::new(self.config.laser_forward_m, 0.0, 0.0);
-            let t_odom_laser = scan_odom.compose(&t_base_laser);
-            let _ = self.map.integrate_scan(scan, &t_odom_laser);
+            let t_map_scan = self.poses.t_map_odom.compose(&self.poses.t_odom_base_at_scan);
+            let _ = self.map.integrate_scan(scan, &t_map_scan.compose(&t_base_laser));
         }
         if let Some([x_m, y_m]) = self.collision_at.take() {
-            let towards = (y_m - odom.y_m).atan2(x_m - odom.x_m);
-            let facing = Pose2::new(odom.x_m, odom.y_m, towards);
-            let _ = self.map.mark_collision(&facing, (x_m - odom.x_m).hypot(y_m - odom.y_m));
+            let yaw_rad = (y_m - t_map_base.y_m).atan2(x_m - t_map_base.x_m);
+            let facing = Pose2 { yaw_rad, ..t_map_base };
+            let ahead_m = (x_m - t_map_base.x_m).hypot(y_m - t_map_base.y_m);
+            let _ = self.map.mark_collision(&facing, ahead_m);
         }
-        let _ = self.map.mark_standing(odom, self.config.footprint_radius_m);
+        let _ = self.map.mark_standing(&t_map_base, self.config.footprint_radius_m);
         self.map.finish_update();
     }
 
-    fn desired(&mut self, input: &TickInput<'_>, pose: Pose2, events: &mut Vec<Event>) -> Twist2 {
-        let stands_blind =
-            self.config.stand_without_frames.is_some_and(|ticks| self.ticks_without_frame >= ticks);
-        if input.safety.in_charge || stands_blind {
+    fn desired(&mut self, input: &TickInput<'_>, events: &mut Vec<Event>) -> Twist2 {
+        let frames_missing =
+            self.config.stop_without_frames.is_some_and(|ticks| self.ticks_without_frame >= ticks);
+        if input.safety.in_charge || frames_missing {
             return Twist2::ZERO;
         }
-        let looks = self.looks.back().zip(self.looks.front()).filter(|_| self.looks.len() > 1);
-        let senses = Observations {
+        let newest_and_earlier = self.frame_maps.back().zip(self.frame_maps.front());
+        let observations = Observations {
             tick: input.tick,
             time_ns: input.time_ns,
-            pose,
+            pose: self.pose_when_the_command_acts(input),
             map: &self.map,
-            looks,
+            frame_maps: newest_and_earlier.filter(|_| self.frame_maps.len() > 1),
             bumped: std::mem::take(&mut self.bumped),
         };
-        let primitive = self.explorer.step(&senses, events);
+        let primitive = self.explorer.step(&observations, events);
         let forward = self.config.forward_step_m / self.config.tick_s;
-        let turn = self.config.turn_step_rad / self.config.tick_s;
+        let yaw_rate = self.config.rotation_step_rad / self.config.tick_s;
         match primitive {
             Primitive::Forward => Twist2 { linear_mps: forward, angular_radps: 0.0 },
-            Primitive::TurnLeft => Twist2 { linear_mps: 0.0, angular_radps: turn },
-            Primitive::TurnRight => Twist2 { linear_mps: 0.0, angular_radps: -turn },
-            Primitive::ArcLeft => Twist2 { linear_mps: forward / 2.0, angular_radps: turn },
-            Primitive::ArcRight => Twist2 { linear_mps: forward / 2.0, angular_radps: -turn },
+            Primitive::TurnLeft => Twist2 { linear_mps: 0.0, angular_radps: yaw_rate },
+            Primitive::TurnRight => Twist2 { linear_mps: 0.0, angular_radps: -yaw_rate },
+            Primitive::ArcLeft => Twist2 { linear_mps: forward / 2.0, angular_radps: yaw_rate },
+            Primitive::ArcRight => Twist2 { linear_mps: forward / 2.0, angular_radps: -yaw_rate },
             Primitive::Stay => Twist2::ZERO,
         }
     }
 
-    fn note_blocked(&mut self, blocked_m: Option<[f64; 2]>) {
-        if blocked_m.is_some() {
-            self.collision_at = blocked_m;
+    /// Until a new command acts, the robot goes on as it does now.
+    fn pose_when_the_command_acts(&self, input: &TickInput<'_>) -> Pose2 {
+        let age_s = input.time_ns.saturating_sub(input.wheel.time_ns) as f64 * 1e-9;
+        let motion = input.wheel.twist.integrate(age_s + self.config.command_delay_s);
+        let pose = self.poses.t_map_base().compose(&motion);
+        if pose.is_finite() { pose } else { self.poses.t_map_base() }
+    }
+
+    /// The safety plane reports places in the frame of wheel odometry.
+    fn note_blocked(&mut self, input: &TickInput<'_>) {
+        if let Some([x_m, y_m]) = input.safety.blocked_m {
+            let t_map_wheels = self.poses.t_map_base().compose(&input.wheel.odom.inverse());
+            self.collision_at = Some(t_map_wheels.transform(x_m, y_m).into());
             self.bumped = true;
         }
     }
 
-    /// The map as it stands.
+    /// The poses of the last tick.
+    #[must_use]
+    pub fn poses(&self) -> &TickPoses {
+        &self.poses
+    }
+
+    /// The current map.
     #[must_use]
     pub fn map(&self) -> &OccupancyGrid {
         &self.map
     }
 
-    /// The policy as it stands.
+    /// The policy in its current state.
     #[must_use]
     pub fn explorer(&self) -> &Explorer {
         &self.explorer
@@ -474,14 +516,14 @@ impl Robot {
         self.config.depth_source == DepthSource::Truth
     }
 
-    /// What shapes this robot's decisions.
+    /// The robot's configuration.
     #[must_use]
     pub fn config(&self) -> &RobotConfig {
         &self.config
     }
 }
 
-/// The model's digest, and what comes after it.
+/// Checks the version. Returns the digest of the model and the bytes behind it.
 fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotError> {
     let mut from = snapshot;
     let mut version = [0_u8; 4];
@@ -496,18 +538,22 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, map, looks, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, location, poses, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
 
-/// Keeps the newest look and those before it, back to the one `gap` pictures ago.
-fn remember_look(looks: &mut VecDeque<SingleFrameMap>, look: &SingleFrameMap, gap: usize) {
-    let mut slot = if looks.len() > gap {
-        looks.pop_front().unwrap_or_default()
+/// Keeps the newest map and those of the `gap` frames before it.
+fn remember_frame_map(
+    frame_maps: &mut VecDeque<SingleFrameMap>,
+    newest: &SingleFrameMap,
+    gap: usize,
+) {
+    let mut slot = if frame_maps.len() > gap {
+        frame_maps.pop_front().unwrap_or_default()
     } else {
         SingleFrameMap::default()
     };
-    slot.clone_from(look);
-    looks.push_back(slot);
+    slot.clone_from(newest);
+    frame_maps.push_back(slot);
 }
 
 /// First 8 bytes of the BLAKE3 digest of depth and confidence, little-endian.

@@ -1,4 +1,4 @@
-//! Room on the disk: the oldest segments go first, so that the newest can be written.
+//! Frees space on the disk for the next segment: removes the oldest ones.
 
 use std::path::{Path, PathBuf};
 
@@ -7,55 +7,57 @@ use segment_store::{Catalogue, Entry, PULLED};
 use super::disk::{Disk, Space};
 use crate::replay::open_segment;
 
-/// No more than one part in so many of a disk is kept free: what a small one cannot have would cost all that is on it.
+/// At most one tenth of the disk is kept free. Without this limit, all recordings on a disk smaller than
+/// [`Quota::free_bytes`] would be removed.
 const SMALL_DISK_SHARE: u64 = 10;
 
-/// How much of the disk recordings may take.
+/// How much of the disk recordings may use.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Quota {
-    /// Holds the runs, each in a folder of its own.
+    /// Folder of the runs, each in a folder of its own.
     pub buffer: PathBuf,
-    /// All segments of all runs together, bytes; `None`: as much as there is.
+    /// Maximum size of all segments of all runs, bytes; `None` for no limit.
     pub bytes: Option<u64>,
-    /// So much of the disk stays free, bytes; of a small disk a tenth.
+    /// Space that stays free, bytes, but at most a tenth of the disk.
     pub free_bytes: u64,
 }
 
-/// What had to go.
+/// Segments that were removed to free space.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Removed {
-    /// Segments.
+    /// Number of segments.
     pub segments: u64,
-    /// Of these, how many were nowhere else.
+    /// How many of these no workstation had pulled.
     pub not_pulled: u64,
-    /// Their size together.
+    /// Their total size.
     pub bytes: u64,
 }
 
-/// Removes segments until the quota is kept: first those that were pulled, then the others, the oldest first. What is marked
-/// [`KEEP`](segment_store::KEEP) stays, and so do what a simulation recorded and `next`, which is about to be written.
-pub(super) fn make_room(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Removed {
+/// Removes segments until the quota is met: first those that a workstation has pulled, then the others, the oldest first.
+/// Segments that are marked [`KEEP`](segment_store::KEEP), segments of simulated runs, and `next`, which is about to be
+/// written, are not removed.
+pub(super) fn free_space(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Removed {
     let mut removed = Removed::default();
     let Ok((_, catalogue)) = Catalogue::open(&quota.buffer)
-        .inspect_err(|error| tracing::warn!("no room is made: {error}"))
+        .inspect_err(|error| tracing::warn!("cannot remove old segments: {error}"))
     else {
         return removed;
     };
     let mut segments = catalogue.entries;
     let mut total: u64 = segments.iter().map(|segment| segment.bytes).sum();
-    // Only what lies in a run's folder is a robot's.
+    // A robot records into a folder per run, so segments outside of one are not the robot's.
     segments.retain(|segment| !segment.keep && !segment.name.run().is_empty());
     age_by_number(&mut segments);
     segments.sort_by_key(|segment| {
         (segment.pulled_digest().is_none(), segment.modified_ns, segment.name.clone())
     });
     for segment in segments {
-        // A disk that does not say how full it is counts as having room: the next write will tell.
-        let has_room =
+        // If the free space is unknown, nothing is removed for it. A full disk is reported by the next write.
+        let enough_free =
             disk.space(&quota.buffer).map_or(true, |Space { free_bytes, total_bytes }| {
                 free_bytes >= quota.free_bytes.min(total_bytes / SMALL_DISK_SHARE)
             });
-        if quota.bytes.is_none_or(|most| total <= most) && has_room {
+        if quota.bytes.is_none_or(|most| total <= most) && enough_free {
             break;
         }
         let path = quota.buffer.join(segment.name.as_str());
@@ -63,12 +65,12 @@ pub(super) fn make_room(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Remo
             continue;
         }
         if let Err(error) = disk.remove(&path) {
-            tracing::warn!("cannot remove {} to make room: {error}", path.display());
+            tracing::warn!("cannot remove {} to free space: {error}", path.display());
             continue;
         }
-        // Without its segment a mark says nothing.
+        // The mark is about this segment only.
         let _ = disk.remove(&PathBuf::from(format!("{}{PULLED}", path.display())));
-        tracing::info!("removed {} to make room", path.display());
+        tracing::info!("removed {} to free space", path.display());
         total -= segment.bytes;
         removed.segments += 1;
         removed.not_pulled += u64::from(segment.pulled_digest().is_none());
@@ -77,8 +79,8 @@ pub(super) fn make_room(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Remo
     removed
 }
 
-/// No segment is older than the one before it in its run, also when the clock was set back between them: else the newest would
-/// go first.
+/// Makes every segment at least as new as the one before it in its run. Without this, the newest segments would be removed
+/// first after the clock was set back.
 fn age_by_number(segments: &mut [Entry]) {
     for index in 1..segments.len() {
         let Some([before, segment]) = segments.get_mut(index - 1..=index) else { return };
@@ -88,7 +90,7 @@ fn age_by_number(segments: &mut [Entry]) {
     }
 }
 
-/// A simulation's recording lies where somebody put it, and is nobody's buffer.
+/// A simulated run is in a folder that the user chose, not in the robot's buffer.
 fn is_simulated(segment: &Path) -> bool {
     open_segment(segment).is_ok_and(|reader| reader.header().run.scene.is_some())
 }
@@ -105,7 +107,7 @@ mod tests {
     use super::super::{Recorder, RecorderOptions, segment_name};
     use super::*;
 
-    /// Says that so many bytes are free, more with everything that is removed.
+    /// Reports `free` bytes, and `each` more for every segment that is removed.
     struct NearlyFull {
         free: u64,
         each: u64,
@@ -129,7 +131,7 @@ mod tests {
         }
     }
 
-    /// A run of `segments` segments in `buffer`, older than what is recorded after it.
+    /// Records a run of `segments` segments into `buffer`, with older times than later recordings.
     fn recorded(buffer: &Path, run: &str, segments: u64, scene: Option<&str>) {
         let options =
             RecorderOptions { segment_ns: 1, ..RecorderOptions::simulation(buffer.join(run)) };
@@ -138,7 +140,7 @@ mod tests {
         let mut recorder = Recorder::start(options, header).unwrap();
         (0..segments).for_each(|tick| recorder.record(some_tick(tick), Views::default()).unwrap());
         recorder.finish().unwrap();
-        // Files of one test are made faster than some file systems tell times apart.
+        // The test creates files faster than the resolution of some file systems' times.
         for segment in 0..segments {
             let file = std::fs::File::options()
                 .append(true)
@@ -167,11 +169,11 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_segments_of_all_runs_go_first_and_no_more_than_needed() {
+    fn the_oldest_segments_of_all_runs_are_removed_first_and_no_more_than_needed() {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "b", 2, None);
         recorded(buffer.path(), "a", 2, None);
-        let removed = make_room(
+        let removed = free_space(
             &mut NearlyFull { free: 0, each: 10, total: u64::MAX },
             &quota(buffer.path(), 25),
             Path::new(""),
@@ -181,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_pulled_goes_before_what_is_nowhere_else_and_what_is_kept_stays() {
+    fn pulled_segments_are_removed_before_others_and_kept_segments_never() {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "a", 4, None);
         let path = |number, mark: &str| {
@@ -197,14 +199,14 @@ mod tests {
         // It has grown since.
         pulled(2, 1);
         std::fs::write(path(0, segment_store::KEEP), "").unwrap();
-        let removed = make_room(
+        let removed = free_space(
             &mut NearlyFull { free: 0, each: 10, total: u64::MAX },
             &quota(buffer.path(), 15),
             Path::new(""),
         );
         assert_eq!((removed.segments, removed.not_pulled), (2, 1));
         assert_eq!(left(buffer.path()), ["a/recording_0000.mcap", "a/recording_0002.mcap"]);
-        make_room(
+        free_space(
             &mut NearlyFull { free: 0, each: 10, total: u64::MAX },
             &quota(buffer.path(), u64::MAX),
             Path::new(""),
@@ -212,12 +214,12 @@ mod tests {
         assert_eq!(left(buffer.path()), ["a/recording_0000.mcap"]);
         assert!(
             !buffer.path().join("a/recording_0003.mcap.pulled").exists(),
-            "a mark goes with its segment"
+            "the mark is removed with its segment"
         );
     }
 
     #[test]
-    fn a_clock_that_was_set_back_does_not_make_the_newest_segments_go_first() {
+    fn the_oldest_segments_are_removed_first_after_the_clock_was_set_back() {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "a", 4, None);
         for (number, seconds) in [(0, 5000), (1, 5001), (2, 100), (3, 101)] {
@@ -228,7 +230,7 @@ mod tests {
                 .set_modified(SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(seconds))
                 .unwrap();
         }
-        make_room(
+        free_space(
             &mut NearlyFull { free: 0, each: 10, total: u64::MAX },
             &quota(buffer.path(), 15),
             Path::new(""),
@@ -242,18 +244,18 @@ mod tests {
         recorded(buffer.path(), "a", 5, None);
         let all = bytes(buffer.path());
         let quota = Quota { bytes: Some(all / 2), ..quota(buffer.path(), 0) };
-        make_room(&mut FileSystem, &quota, Path::new(""));
+        free_space(&mut FileSystem, &quota, Path::new(""));
         let left = bytes(buffer.path());
         assert!(left <= all / 2 && left >= all / 5, "{left} of {all}");
     }
 
     #[test]
-    fn a_small_disk_is_not_emptied_for_room_that_it_cannot_have() {
+    fn a_small_disk_is_not_emptied_for_space_that_it_does_not_have() {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "a", 4, None);
         // A tenth of 300 is enough.
         let mut disk = NearlyFull { free: 15, each: 10, total: 300 };
-        let removed = make_room(&mut disk, &quota(buffer.path(), 2 << 30), Path::new(""));
+        let removed = free_space(&mut disk, &quota(buffer.path(), 2 << 30), Path::new(""));
         assert_eq!(removed.segments, 2);
     }
 
@@ -277,7 +279,7 @@ mod tests {
         recorded(elsewhere.path(), "a", 1, None);
         let linked = buffer.path().join("linked");
         std::os::unix::fs::symlink(elsewhere.path().join("a"), &linked).unwrap();
-        let removed = make_room(
+        let removed = free_space(
             &mut NearlyFull { free: 0, each: 0, total: u64::MAX },
             &quota(buffer.path(), u64::MAX),
             Path::new(""),
@@ -288,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_records_on_a_full_disk_makes_room_before_every_segment() {
+    fn a_robot_that_records_on_a_full_disk_frees_space_before_every_segment() {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "a", 3, None);
         let options = RecorderOptions {
@@ -306,7 +308,7 @@ mod tests {
         assert_eq!(
             left[..2],
             ["a/recording_0002.mcap", "new/recording_0000.mcap"],
-            "also the first, which is made before"
+            "space is freed before the first segment as well"
         );
         assert_eq!(left.len(), 4);
     }

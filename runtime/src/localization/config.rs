@@ -1,0 +1,59 @@
+//! Configuration of localization.
+
+use hal::settings::OutOfRange;
+use serde::{Deserialize, Serialize};
+
+use super::LocalizationError;
+
+/// What the pose is made from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PoseSource {
+    /// Wheel odometry as the base reports it: for tests, and to measure what localization gains.
+    Wheels,
+    /// Wheels and scans.
+    #[default]
+    Scans,
+}
+
+hal::choices!(PoseSource: "wheels", "scans");
+
+hal::settings! {
+    /// Localization: where the robot is, from wheels and LiDAR.
+    pub struct LocalizationConfig {
+        /// What the pose is made from: the wheels alone, or wheels and scans.
+        source: PoseSource = PoseSource::default();
+        /// Earlier scans that a new scan is matched against.
+        keyframes: usize = 20, in 2..=60, unit "scans";
+        /// A scan becomes a keyframe after the robot has driven this far since the last keyframe.
+        keyframe_distance_m: f64 = 0.25, in 0.05..=2.0, unit "m";
+        /// A scan becomes a keyframe after the robot has rotated this far since the last keyframe.
+        keyframe_yaw_deg: f64 = 12.0, in 2.0..=45.0, unit "deg";
+        /// Standard deviation of the wheels' distance, as a share of the distance.
+        wheel_distance_noise: f64 = 0.02, in 0.0001..=0.5, source "1 % for a good base, doubled for carpets and sills";
+        /// Standard deviation of the wheels' yaw, as a share of the yaw.
+        wheel_yaw_noise: f64 = 0.04, in 0.0001..=0.5, source "2 % for a good base, doubled for carpets and sills";
+        /// Standard deviation of the wheels' yaw per metre, from bumps and unequal wheels.
+        wheel_drift_rad_per_m: f64 = 0.02, in 0.0001..=0.5, unit "rad/m";
+        /// Standard deviation of one range. The scanner's own figure is usually lower; walls and furniture are not quite flat.
+        range_noise_m: f64 = 0.02, in 0.001..=0.2, unit "m", source "UTM-30LX data sheet: 10 to 30 mm";
+        /// Ranges beyond this are not used: the gaps between their beams are too wide to know a surface by.
+        range_limit_m: f64 = 25.0, in 2.0..=25.0, unit "m";
+    }
+}
+
+impl LocalizationConfig {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// The first value that is not allowed.
+    pub fn validate(&self) -> Result<(), LocalizationError> {
+        Ok(self.check_ranges()?)
+    }
+}
+
+impl From<OutOfRange> for LocalizationError {
+    fn from(OutOfRange { key, value, allowed }: OutOfRange) -> Self {
+        Self::Config { key, value, allowed }
+    }
+}

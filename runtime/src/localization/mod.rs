@@ -1,0 +1,29 @@
+//! Where the robot is: two-dimensional localization and mapping from wheels and a planar LiDAR.
+//!
+//! The module is given wheel odometry, scans and their times, and returns poses. It opens nothing, reads no clock, and gives the
+//! same poses for the same inputs, bit for bit.
+//!
+//! | term | meaning |
+//! |---|---|
+//! | `odom` | the frame of the local pose: smooth, drifts |
+//! | `map` | the frame of the global pose: consistent, jumps when a loop is closed (REP-105) |
+//! | stretch | some 10 cm of a surface as one scan saw it: a point, a normal, a weight |
+//! | surfel | the same piece of surface merged from several scans |
+//! | keyframe | a scan that is kept, with the robot's pose |
+//! | prior | what the wheels say about the pose before the scan is matched |
+
+mod config;
+mod error;
+mod local;
+mod localizer;
+mod matcher;
+mod scan_points;
+mod surfel_grid;
+#[cfg(test)]
+mod test_room;
+mod wheel_model;
+
+pub use config::{LocalizationConfig, PoseSource};
+pub use error::LocalizationError;
+pub use localizer::{Estimate, Localizer};
+pub use matcher::ScanFit;

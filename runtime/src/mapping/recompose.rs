@@ -1,0 +1,354 @@
+//! Draws the map anew after localization has corrected the path.
+//!
+//! The path is divided into sections of a few metres, and every cell knows the section from which it was observed last. When a
+//! loop is closed, each section gets a correction of its own, and its cells move with it. Where moved sections overlap, the later
+//! section wins, as its observations would have done on the corrected path.
+//!
+//! A recomposition takes a number of cells per call, so that a tick stays within its time. The map stays as it is until the last
+//! call, in which it is exchanged as a whole. The robot maps on meanwhile: its current section comes last.
+
+use hal::Pose2;
+use serde::{Deserialize, Serialize};
+
+use super::{Cell, CellBox, OccupancyGrid};
+use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
+
+/// A correction moves points of the map: `new = correction * old`.
+pub type Corrections = Vec<Pose2>;
+
+/// A map that is being drawn anew.
+#[derive(Debug, Clone, Default)]
+pub struct Recomposition {
+    corrections: Corrections,
+    /// The cells of each section, in the old map.
+    boxes: Vec<Option<CellBox>>,
+    next: usize,
+    /// The window when the work began: its memory belongs to other cells once it has moved.
+    window: Option<CellBox>,
+    /// Of the new map, in the order of the window's memory: the index of the old cell plus 1; 0 for an unknown cell.
+    source: Vec<u32>,
+}
+
+/// What is left to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Recomposed {
+    /// The map is unchanged; call again.
+    Unfinished,
+    /// The map is the new one.
+    Done,
+}
+
+impl OccupancyGrid {
+    /// From now on, observed cells belong to this section of the path. Sections count up.
+    pub fn begin_section(&mut self, section: u16) {
+        self.section = section;
+    }
+
+    /// The section of the path that observed cells belong to now.
+    #[must_use]
+    pub fn section(&self) -> u16 {
+        self.section
+    }
+
+    /// The section from which the cell at a point was observed last; `None` where nothing is known.
+    #[must_use]
+    pub fn section_at(&self, x_m: f64, y_m: f64) -> Option<u16> {
+        let index = self.window.index(self.cell_at(x_m, y_m))?;
+        (self.stored[index] != 0.0).then(|| self.section_of[index])
+    }
+
+    /// Begins to draw the map anew. `corrections` has one entry per section; a section without one stays.
+    #[must_use]
+    pub fn begin_recomposition(&self, corrections: Corrections) -> Recomposition {
+        Recomposition {
+            boxes: self.boxes_of_sections(),
+            corrections,
+            next: 0,
+            window: Some(self.window.cells()),
+            source: vec![0; self.stored.len()],
+        }
+    }
+
+    /// Goes on drawing the map anew: about `cells` cells of work. The section must not change before it is done.
+    pub fn recompose(&mut self, work: &mut Recomposition, cells: usize) -> Recomposed {
+        if work.window != Some(self.window.cells()) {
+            *work = self.begin_recomposition(core::mem::take(&mut work.corrections));
+        }
+        let current = usize::from(self.section);
+        let mut done = 0;
+        while work.next < work.boxes.len() {
+            let section = work.next;
+            if section != current {
+                done += self.place_section(work, section);
+            }
+            work.next += 1;
+            if done >= cells {
+                return Recomposed::Unfinished;
+            }
+        }
+        // The current section has grown since the beginning, also over cells of others.
+        for source in &mut work.source {
+            let from = source.checked_sub(1).map(|from| from as usize);
+            if from.is_some_and(|from| usize::from(self.section_of[from]) == current) {
+                *source = 0;
+            }
+        }
+        if let Some(slot) = work.boxes.get_mut(current) {
+            *slot = self.box_of_section(self.section);
+            self.place_section(work, current);
+        }
+        self.exchange(work);
+        Recomposed::Done
+    }
+
+    fn boxes_of_sections(&self) -> Vec<Option<CellBox>> {
+        let mut boxes = vec![None; usize::from(self.section) + 1];
+        let Some(known) = self.known else { return boxes };
+        for y in known.min.y..=known.max.y {
+            for x in known.min.x..=known.max.x {
+                let cell = Cell::new(x, y);
+                let Some(index) = self.window.index(cell) else { continue };
+                if self.stored[index] != 0.0
+                    && let Some(slot) = boxes.get_mut(usize::from(self.section_of[index]))
+                {
+                    *slot =
+                        Some(slot.map_or(CellBox::of(cell), |seen: CellBox| seen.including(cell)));
+                }
+            }
+        }
+        boxes
+    }
+
+    fn box_of_section(&self, section: u16) -> Option<CellBox> {
+        self.boxes_of_sections().get(usize::from(section)).copied().flatten()
+    }
+
+    /// Places the cells of a section in the new map; returns how many cells it went through.
+    fn place_section(&self, work: &mut Recomposition, section: usize) -> usize {
+        let Some(old_box) = work.boxes.get(section).copied().flatten() else { return 0 };
+        let correction = work.corrections.get(section).copied().unwrap_or(Pose2::IDENTITY);
+        let new_box = self.moved_box(old_box, &correction);
+        let Some(new_box) = new_box.intersection(self.window.cells()) else { return 0 };
+        let back = correction.inverse();
+        let (sin, cos) = back.yaw_rad.sin_cos();
+        let cell_m = self.config.cell_m;
+        for y in new_box.min.y..=new_box.max.y {
+            for x in new_box.min.x..=new_box.max.x {
+                let [x_m, y_m] = Cell::new(x, y).center_m(cell_m);
+                let old = Cell::containing(
+                    back.x_m + cos * x_m - sin * y_m,
+                    back.y_m + sin * x_m + cos * y_m,
+                    cell_m,
+                );
+                let (Some(to), Some(from)) =
+                    (self.window.index(Cell::new(x, y)), self.window.index(old))
+                else {
+                    continue;
+                };
+                if self.stored[from] != 0.0 && usize::from(self.section_of[from]) == section {
+                    work.source[to] = from as u32 + 1;
+                }
+            }
+        }
+        new_box.width() * new_box.height()
+    }
+
+    fn moved_box(&self, old: CellBox, correction: &Pose2) -> CellBox {
+        let cell_m = self.config.cell_m;
+        let corners = [
+            Cell::new(old.min.x, old.min.y),
+            Cell::new(old.max.x, old.min.y),
+            Cell::new(old.min.x, old.max.y),
+            Cell::new(old.max.x, old.max.y),
+        ];
+        let moved = corners.map(|corner| {
+            let [x_m, y_m] = corner.center_m(cell_m);
+            let (x_m, y_m) = correction.transform(x_m, y_m);
+            Cell::containing(x_m, y_m, cell_m)
+        });
+        moved.into_iter().fold(CellBox::of(moved[0]), CellBox::including).grown(1)
+    }
+
+    fn exchange(&mut self, work: &Recomposition) {
+        let mut stored = vec![0.0; self.stored.len()];
+        let mut top_cm = vec![0; self.stored.len()];
+        let mut section_of = vec![0; self.stored.len()];
+        for (to, source) in work.source.iter().enumerate() {
+            let Some(from) = source.checked_sub(1) else { continue };
+            let from = from as usize;
+            stored[to] = self.stored[from];
+            top_cm[to] = self.top_cm[from];
+            section_of[to] = self.section_of[from];
+        }
+        self.move_collisions(work);
+        self.stored = stored;
+        self.top_cm = top_cm;
+        self.section_of = section_of;
+        self.known = self.box_of_known();
+    }
+
+    /// A collision mark moves with the section of its cell.
+    fn move_collisions(&mut self, work: &Recomposition) {
+        let cell_m = self.config.cell_m;
+        let mut collisions = core::mem::take(&mut self.collisions);
+        for collision in &mut collisions {
+            let [x_m, y_m] = collision.cell.center_m(cell_m);
+            let section = self.section_at(x_m, y_m).unwrap_or(self.section);
+            let correction = work.corrections.get(usize::from(section)).copied();
+            let (x_m, y_m) = correction.unwrap_or(Pose2::IDENTITY).transform(x_m, y_m);
+            collision.cell = Cell::containing(x_m, y_m, cell_m);
+        }
+        self.collisions = collisions;
+    }
+
+    fn box_of_known(&self) -> Option<CellBox> {
+        let boxes = self.boxes_of_sections();
+        boxes.into_iter().flatten().reduce(|all, one| all.including(one.min).including(one.max))
+    }
+}
+
+impl Recomposition {
+    /// Moves a point of the old map with the section that observed it; with the current section where nothing is known.
+    #[must_use]
+    pub fn moved(&self, map: &OccupancyGrid, point_m: [f64; 2]) -> [f64; 2] {
+        let section = map.section_at(point_m[0], point_m[1]).unwrap_or(map.section());
+        let correction = self.corrections.get(usize::from(section)).copied();
+        correction.unwrap_or(Pose2::IDENTITY).transform(point_m[0], point_m[1]).into()
+    }
+
+    /// The correction of the section that the robot is on.
+    #[must_use]
+    pub fn correction_of(&self, section: u16) -> Pose2 {
+        self.corrections.get(usize::from(section)).copied().unwrap_or(Pose2::IDENTITY)
+    }
+}
+
+impl State for Recomposition {
+    fn write(&self, to: &mut Vec<u8>) {
+        self.corrections.write(to);
+        self.boxes.write(to);
+        self.next.write(to);
+        self.window.write(to);
+        write_bulk(&self.source, to);
+    }
+
+    fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.corrections.read(from)?;
+        self.boxes.read(from)?;
+        self.next.read(from)?;
+        self.window.read(from)?;
+        read_bulk(&mut self.source, MOST_CELLS, from)
+    }
+}
+
+/// `side_cells` is at most 4,096.
+const MOST_CELLS: usize = 4096 * 4096;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapping::{CellState, MapConfig};
+
+    fn grid() -> OccupancyGrid {
+        let config = MapConfig { side_cells: 256, recenter_cells: 20, ..MapConfig::default() };
+        OccupancyGrid::new(&config).unwrap()
+    }
+
+    /// Marks the floor around each pose, each from a section of its own.
+    fn drive(map: &mut OccupancyGrid, poses: &[Pose2]) {
+        for (section, pose) in poses.iter().enumerate() {
+            map.begin_section(section as u16);
+            map.begin_update(pose).unwrap();
+            map.mark_standing(pose, 0.3).unwrap();
+            map.finish_update();
+        }
+    }
+
+    fn recompose(map: &mut OccupancyGrid, corrections: Corrections, cells: usize) -> usize {
+        let mut work = map.begin_recomposition(corrections);
+        let mut calls = 1;
+        while map.recompose(&mut work, cells) == Recomposed::Unfinished {
+            calls += 1;
+        }
+        calls
+    }
+
+    fn known(map: &OccupancyGrid) -> Vec<Cell> {
+        map.known_cells().map(|(cell, _)| cell).collect()
+    }
+
+    #[test]
+    fn corrections_that_move_nothing_leave_every_cell_as_it_was() {
+        let mut map = grid();
+        drive(&mut map, &[Pose2::IDENTITY, Pose2::new(0.5, 0.1, 0.0), Pose2::new(1.0, 0.0, 0.3)]);
+        let before: Vec<_> = map.known_cells().collect();
+        recompose(&mut map, vec![Pose2::IDENTITY; 3], usize::MAX);
+        assert_eq!(map.known_cells().collect::<Vec<_>>(), before);
+    }
+
+    #[test]
+    fn a_section_moves_by_whole_cells_without_a_hole() {
+        let mut map = grid();
+        drive(&mut map, &[Pose2::IDENTITY, Pose2::new(1.5, 0.0, 0.0)]);
+        let first = Cell::containing(0.0, 0.0, map.cell_m());
+        let cells = known(&map);
+        let cell_m = map.cell_m();
+        let shift = Pose2::new(5.0 * cell_m, -7.0 * cell_m, 0.0);
+        recompose(&mut map, vec![Pose2::IDENTITY, shift], usize::MAX);
+        let moved: Vec<Cell> = cells
+            .iter()
+            .map(|cell| if cell.x > first.x + 20 { cell.offset(5, -7) } else { *cell })
+            .collect();
+        let mut found = known(&map);
+        found.sort_unstable();
+        let mut expected = moved;
+        expected.sort_unstable();
+        assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn a_rotated_disc_of_floor_stays_a_disc_without_holes() {
+        let mut map = grid();
+        drive(&mut map, &[Pose2::new(1.0, 0.0, 0.0)]);
+        let before = known(&map).len();
+        recompose(&mut map, vec![Pose2::new(0.0, 0.0, 0.4)], usize::MAX);
+        let (x_m, y_m) = (0.4_f64.cos(), 0.4_f64.sin());
+        let inside = known(&map).into_iter().filter(|cell| {
+            let [cx, cy] = cell.center_m(map.cell_m());
+            (cx - x_m).hypot(cy - y_m) < 0.3 + map.cell_m()
+        });
+        assert_eq!(inside.count(), known(&map).len());
+        assert!(known(&map).len().abs_diff(before) < before / 20);
+        assert_eq!(map.state_at(x_m, y_m), CellState::Free);
+    }
+
+    #[test]
+    fn small_portions_of_work_give_the_same_map_as_one_large_one() {
+        let poses: Vec<Pose2> = (0..6).map(|k| Pose2::new(0.3 * f64::from(k), 0.0, 0.0)).collect();
+        let corrections: Corrections =
+            (0..6).map(|k| Pose2::new(0.0, 0.04 * f64::from(k), 0.01 * f64::from(k))).collect();
+        let mut at_once = grid();
+        drive(&mut at_once, &poses);
+        let mut in_portions = at_once.clone();
+        assert_eq!(recompose(&mut at_once, corrections.clone(), usize::MAX), 1);
+        assert!(recompose(&mut in_portions, corrections, 1) > 3);
+        let all: Vec<_> = at_once.known_cells().collect();
+        assert_eq!(in_portions.known_cells().collect::<Vec<_>>(), all);
+    }
+
+    #[test]
+    fn what_the_robot_maps_while_the_map_is_drawn_anew_is_in_the_new_map() {
+        let mut map = grid();
+        drive(&mut map, &[Pose2::IDENTITY, Pose2::new(1.0, 0.0, 0.0)]);
+        let shift = Pose2::new(0.0, 0.3, 0.0);
+        let mut work = map.begin_recomposition(vec![shift, shift]);
+        assert_eq!(map.recompose(&mut work, 1), Recomposed::Unfinished);
+        let here = Pose2::new(2.0, 0.0, 0.0);
+        map.begin_update(&here).unwrap();
+        map.mark_standing(&here, 0.3).unwrap();
+        map.finish_update();
+        while map.recompose(&mut work, 1) == Recomposed::Unfinished {}
+        assert_eq!(map.state_at(2.0, 0.3), CellState::Free);
+        assert_eq!(map.state_at(2.0, -0.2), CellState::Unknown);
+    }
+}

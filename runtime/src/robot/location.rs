@@ -1,0 +1,161 @@
+//! Where the robot is during a tick, from wheels and scans.
+
+use hal::{LaserScan, Pose2, ScanGeometry};
+use serde::{Deserialize, Serialize};
+
+use crate::localization::{LocalizationConfig, LocalizationError, Localizer, PoseSource};
+use crate::snapshot::{SnapshotError, State};
+use crate::tick::TickInput;
+
+/// Poses of one tick.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TickPoses {
+    /// Pose at the time of the frame, in `odom`: smooth, never jumps. Depth is made from it.
+    pub t_odom_base: Pose2,
+    /// Pose of `odom` in `map`, the frame of map, path and goals.
+    pub t_map_odom: Pose2,
+    /// Pose at the middle of the scan, in `odom`.
+    pub t_odom_base_at_scan: Pose2,
+}
+
+impl TickPoses {
+    /// Before the first tick.
+    pub(super) const START: Self = Self {
+        t_odom_base: Pose2::IDENTITY,
+        t_map_odom: Pose2::IDENTITY,
+        t_odom_base_at_scan: Pose2::IDENTITY,
+    };
+
+    /// Pose at the time of the frame, in `map`.
+    #[must_use]
+    pub fn t_map_base(&self) -> Pose2 {
+        self.t_map_odom.compose(&self.t_odom_base)
+    }
+}
+
+/// Localization within the robot. The localizer is made for the first scan that comes; before it, and without a scanner, the
+/// wheels give the pose.
+pub(super) struct Location {
+    config: LocalizationConfig,
+    t_base_laser: Pose2,
+    localizer: Option<Localizer>,
+    geometry: Option<Geometry>,
+    /// `t_odom_base` when the localizer was made: its own first pose is the identity.
+    origin: Pose2,
+}
+
+impl Location {
+    /// # Errors
+    /// A configuration that is out of range.
+    pub(super) fn new(
+        config: LocalizationConfig,
+        t_base_laser: Pose2,
+    ) -> Result<Self, LocalizationError> {
+        config.validate()?;
+        let localizer = None;
+        Ok(Self { config, t_base_laser, localizer, geometry: None, origin: Pose2::IDENTITY })
+    }
+
+    /// The poses of a tick whose wheel odometry is finite. `scan` is sound, or absent.
+    pub(super) fn update(&mut self, input: &TickInput<'_>, scan: Option<&LaserScan>) -> TickPoses {
+        let wheel = input.wheel.odom;
+        if self.config.source == PoseSource::Wheels {
+            return TickPoses {
+                t_odom_base: wheel,
+                t_map_odom: Pose2::IDENTITY,
+                t_odom_base_at_scan: input.scan_odom,
+            };
+        }
+        if self.localizer.is_none()
+            && let Some(scan) = scan
+        {
+            self.start(&scan.geometry, wheel);
+        }
+        let Some(localizer) = &mut self.localizer else {
+            return TickPoses {
+                t_odom_base: wheel,
+                t_map_odom: Pose2::IDENTITY,
+                t_odom_base_at_scan: wheel,
+            };
+        };
+        let scan = scan.map(|scan| (scan, &input.scan_odom));
+        let estimate = localizer.update(&wheel, input.wheel.time_ns, scan);
+        let t_odom_base = self.origin.compose(&estimate.t_odom_base);
+        let at_scan = estimate.t_odom_base_at_scan;
+        TickPoses {
+            t_odom_base,
+            t_map_odom: self.origin.compose(&estimate.t_map_odom).compose(&self.origin.inverse()),
+            t_odom_base_at_scan: at_scan.map_or(t_odom_base, |pose| self.origin.compose(&pose)),
+        }
+    }
+
+    /// A scanner that cannot localize (too few beams) leaves the robot to its wheels.
+    fn start(&mut self, geometry: &ScanGeometry, wheel: Pose2) {
+        self.localizer = Localizer::new(&self.config, *geometry, self.t_base_laser).ok();
+        if self.localizer.is_some() {
+            self.geometry = Some(Geometry::from(geometry));
+            self.origin = wheel;
+        }
+    }
+}
+
+/// The scanner that a localizer was made for, in a snapshot.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct Geometry {
+    angle_min_rad: f64,
+    angle_increment_rad: f64,
+    beams: usize,
+    range_min_m: f32,
+    range_max_m: f32,
+    period_ns: u64,
+}
+
+impl From<&ScanGeometry> for Geometry {
+    fn from(geometry: &ScanGeometry) -> Self {
+        Self {
+            angle_min_rad: geometry.angle_min_rad,
+            angle_increment_rad: geometry.angle_increment_rad,
+            beams: geometry.beams,
+            range_min_m: geometry.range_min_m,
+            range_max_m: geometry.range_max_m,
+            period_ns: geometry.period_ns,
+        }
+    }
+}
+
+impl From<Geometry> for ScanGeometry {
+    fn from(geometry: Geometry) -> Self {
+        Self {
+            angle_min_rad: geometry.angle_min_rad,
+            angle_increment_rad: geometry.angle_increment_rad,
+            beams: geometry.beams,
+            range_min_m: geometry.range_min_m,
+            range_max_m: geometry.range_max_m,
+            period_ns: geometry.period_ns,
+        }
+    }
+}
+
+impl State for Location {
+    fn write(&self, to: &mut Vec<u8>) {
+        self.geometry.write(to);
+        self.origin.write(to);
+        if let Some(localizer) = &self.localizer {
+            localizer.write(to);
+        }
+    }
+
+    fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.geometry.read(from)?;
+        self.origin.read(from)?;
+        self.localizer = None;
+        let Some(geometry) = self.geometry else { return Ok(()) };
+        let damaged = |error: LocalizationError| SnapshotError::Damaged(error.to_string());
+        let mut localizer = Localizer::new(&self.config, geometry.into(), self.t_base_laser);
+        if let Ok(localizer) = &mut localizer {
+            localizer.read(from)?;
+        }
+        self.localizer = Some(localizer.map_err(damaged)?);
+        Ok(())
+    }
+}

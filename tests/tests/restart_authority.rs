@@ -1,0 +1,242 @@
+//! Nothing moves unless somebody asked for it since: the real safety loop and base driver, with
+//! simulated controllers of all three protocols that lose power, restart, fall silent and boot.
+#![allow(missing_docs, clippy::expect_used, clippy::panic)]
+
+use drivers::can::{BaseConfig, Protocol};
+use hal::{ScanGeometry, Twist2};
+use hil::motor::Composition;
+use hil::motor::rig::config;
+use runtime::event::FaultReason;
+use runtime::safety::SafetyState;
+
+const ALL: [Protocol; 3] = [Protocol::Odrive, Protocol::Vesc, Protocol::Cia402];
+const MS: u64 = 1_000_000;
+/// Five seconds at 100 Hz.
+const FIVE_SECONDS: usize = 500;
+
+fn robot(protocol: Protocol) -> Composition {
+    Composition::new(&config(protocol), ScanGeometry::UTM_30LX).expect("a sound configuration")
+}
+
+fn with_board(protocol: Protocol) -> Composition {
+    let config = BaseConfig { safety_board: true, ..config(protocol) };
+    Composition::new(&config, ScanGeometry::UTM_30LX).expect("a sound configuration")
+}
+
+/// Arms the robot and lets it drive for a second.
+fn driving(mut robot: Composition) -> Composition {
+    robot.steps(50);
+    robot.person_arms();
+    robot.steps(200);
+    let gone_m = robot.drives_m(100);
+    assert!(gone_m > 0.15, "{gone_m} m in a second, {:?}", robot.state());
+    robot
+}
+
+/// The robot stands for five seconds, and drives after a person has armed it.
+fn stands_until_a_person_arms_it(robot: &mut Composition, what: &str) {
+    let gone_m = robot.drives_m(FIVE_SECONDS);
+    assert!(gone_m < 0.01, "{what}: {gone_m} m, and nobody asked; {:?}", robot.state());
+    robot.person_arms();
+    robot.steps(300);
+    let gone_m = robot.drives_m(100);
+    assert!(
+        gone_m > 0.15,
+        "{what}: {gone_m} m after arming; {:?} {}",
+        robot.state(),
+        robot.base().explain()
+    );
+}
+
+#[test]
+fn motors_that_lose_power_and_get_it_back_stand() {
+    for protocol in ALL {
+        for (off_ms, boot_ns) in [(5000, 0), (5000, 300 * MS), (150, 300 * MS), (50, 0)] {
+            let mut robot = driving(robot(protocol));
+            for node in &mut robot.nodes {
+                node.faults().boot_ns = boot_ns;
+                node.faults().unpowered = true;
+            }
+            robot.steps(off_ms / 10);
+            for node in &mut robot.nodes {
+                node.faults().unpowered = false;
+            }
+            let what = format!("{protocol:?} off for {off_ms} ms");
+            stands_until_a_person_arms_it(&mut robot, &what);
+        }
+    }
+}
+
+#[test]
+fn one_motor_that_loses_power_and_gets_it_back_stands() {
+    for protocol in ALL {
+        let mut robot = driving(robot(protocol));
+        robot.nodes[1].faults().boot_ns = 300 * MS;
+        robot.nodes[1].faults().unpowered = true;
+        robot.steps(100);
+        robot.nodes[1].faults().unpowered = false;
+        stands_until_a_person_arms_it(&mut robot, &format!("{protocol:?}"));
+    }
+}
+
+#[test]
+fn a_controller_that_restarts_at_once_is_noticed() {
+    for protocol in ALL {
+        let mut robot = driving(robot(protocol));
+        robot.nodes[0].faults().reboot = true;
+        robot.steps(20);
+        stands_until_a_person_arms_it(&mut robot, &format!("{protocol:?}"));
+    }
+}
+
+#[test]
+fn a_released_emergency_stop_moves_nothing() {
+    for protocol in ALL {
+        let mut robot = driving(with_board(protocol));
+        robot.pressed = true;
+        let gone_m = robot.drives_m(100);
+        assert!(gone_m < 0.1, "{protocol:?}: {gone_m} m after the stop was pressed");
+        assert_eq!(robot.state(), SafetyState::Fault(FaultReason::EmergencyStop));
+        robot.pressed = false;
+        stands_until_a_person_arms_it(&mut robot, &format!("{protocol:?}"));
+    }
+}
+
+#[test]
+fn an_emergency_stop_that_is_pressed_for_one_frame_only_is_seen() {
+    for protocol in ALL {
+        let mut robot = driving(with_board(protocol));
+        robot.send_board(true);
+        robot.send_board(false);
+        robot.steps(100);
+        stands_until_a_person_arms_it(&mut robot, &format!("{protocol:?}"));
+    }
+}
+
+#[test]
+fn an_emergency_stop_wins_in_every_state() {
+    for protocol in ALL {
+        // While the scanner is silent.
+        let mut waits = driving(with_board(protocol));
+        waits.silence_scanner(true);
+        waits.steps(50);
+        waits.pressed = true;
+        waits.steps(50);
+        waits.silence_scanner(false);
+        waits.steps(50);
+        waits.pressed = false;
+        stands_until_a_person_arms_it(&mut waits, &format!("{protocol:?}: without a scanner"));
+        // While the motors are being armed, and at power-on.
+        for wait in [0, 1, 5, 20, 60] {
+            let mut arming = with_board(protocol);
+            arming.steps(50);
+            arming.person_arms();
+            arming.steps(wait);
+            arming.pressed = true;
+            arming.steps(50);
+            arming.pressed = false;
+            let what = format!("{protocol:?}: {wait} steps after a request to arm");
+            stands_until_a_person_arms_it(&mut arming, &what);
+        }
+        let mut starting = with_board(protocol);
+        starting.pressed = true;
+        starting.person_arms();
+        starting.steps(100);
+        starting.pressed = false;
+        stands_until_a_person_arms_it(&mut starting, &format!("{protocol:?}: at power-on"));
+    }
+}
+
+#[test]
+fn a_safety_board_that_was_unplugged_moves_nothing_when_it_is_back() {
+    for protocol in ALL {
+        let mut robot = driving(with_board(protocol));
+        robot.board_is_silent = true;
+        let gone_m = robot.drives_m(300);
+        assert!(gone_m < 0.1, "{protocol:?}: {gone_m} m without the board");
+        assert_eq!(robot.state(), SafetyState::Fault(FaultReason::SafetyBoardSilent));
+        robot.board_is_silent = false;
+        stands_until_a_person_arms_it(&mut robot, &format!("{protocol:?}"));
+    }
+}
+
+#[test]
+fn a_program_that_was_suspended_stands_when_it_resumes() {
+    for protocol in ALL {
+        for pause_ms in [600, 3000] {
+            let mut robot = driving(robot(protocol));
+            robot.pause(pause_ms * MS);
+            robot.step(None);
+            assert_eq!(robot.state(), SafetyState::Fault(FaultReason::LoopStalled), "{protocol:?}");
+            stands_until_a_person_arms_it(&mut robot, &format!("{protocol:?} {pause_ms} ms"));
+        }
+    }
+}
+
+#[test]
+fn a_short_pause_of_the_loop_is_followed_by_a_slow_restart() {
+    for protocol in ALL {
+        let mut robot = driving(robot(protocol));
+        robot.pause(200 * MS);
+        robot.steps(300);
+        let gone_m = robot.drives_m(100);
+        assert!(gone_m > 0.15, "{protocol:?}: {gone_m} m; {:?}", robot.state());
+    }
+}
+
+#[test]
+fn a_gap_of_the_scanner_is_followed_by_a_slow_restart_without_a_person() {
+    for protocol in ALL {
+        let mut robot = driving(robot(protocol));
+        robot.silence_scanner(true);
+        robot.steps(200);
+        assert_eq!(robot.state(), SafetyState::Fault(FaultReason::LidarSilent));
+        robot.silence_scanner(false);
+        let slowly_m = robot.drives_m(100);
+        assert!((0.03..0.101).contains(&slowly_m), "{protocol:?}: {slowly_m} m in a second");
+        let gone_m = robot.drives_m(100);
+        assert!(gone_m > 0.15, "{protocol:?}: {gone_m} m in the next second");
+    }
+}
+
+#[test]
+fn a_blocked_wheel_is_given_up_after_three_contacts() {
+    for protocol in ALL {
+        let mut robot = driving(robot(protocol));
+        robot.nodes[0].wheel_mut().blocked = true;
+        let mut pushed = 0;
+        for _ in 0..18_000 {
+            robot.step(None);
+            pushed += usize::from(robot.is_driven());
+        }
+        assert!(pushed < 500, "{protocol:?}: pushed for {} s of 180 s", pushed as f64 * 0.01);
+        assert_eq!(robot.state(), SafetyState::Fault(FaultReason::RepeatedContact));
+        robot.nodes[0].wheel_mut().blocked = false;
+        stands_until_a_person_arms_it(&mut robot, &format!("{protocol:?}"));
+    }
+}
+
+#[test]
+fn a_blocked_wheel_is_given_up_while_the_robot_rotates_too() {
+    for protocol in ALL {
+        let mut robot = driving(robot(protocol));
+        robot.plan = Twist2 { linear_mps: 0.0, angular_radps: 0.6 };
+        robot.steps(100);
+        robot.nodes[0].wheel_mut().blocked = true;
+        robot.steps(1000);
+        assert_eq!(robot.state(), SafetyState::Fault(FaultReason::RepeatedContact), "{protocol:?}");
+    }
+}
+
+#[test]
+fn a_program_that_ends_leaves_its_motors_idle_and_without_an_expired_watchdog() {
+    for protocol in ALL {
+        let nodes = driving(robot(protocol)).end();
+        for node in &nodes {
+            assert!(!node.is_powered(), "{protocol:?}");
+            let expired = node.watchdog().expired;
+            // A VESC has no fault of its watchdog: it only brakes.
+            assert!(expired == 0 || protocol == Protocol::Vesc, "{protocol:?}: {expired}");
+        }
+    }
+}
