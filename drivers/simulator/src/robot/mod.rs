@@ -245,10 +245,16 @@ impl State {
         let nuisances = &self.options.nuisances;
         let light = nuisances.lighting(self.now_ns);
         let camera = &self.options.camera;
-        let at = |pose: &Pose2| pose.to_pose3() * self.options.t_base_camera;
-        let now = at(&self.pose);
+        let now = self.t_world_camera(&self.pose);
         let renderer = self.world.renderer();
-XX            renderer.render_blurred(
+        let half_ns = (nuisances.shutter_s / 2.0 * 1e9) as i64;
+        let before = self.trail.at(self.now_ns as i64 - half_ns);
+        if before != self.pose {
+            // The timestamp of the frame is the middle of its exposure. What the second half of it
+            // brings is not known yet: the robot moves on as it did in the first half.
+            let after = self.pose.compose(&before.inverse().compose(&self.pose));
+            let open = [&self.t_world_camera(&before), &self.t_world_camera(&after)];
+            renderer.render_blurred(
                 camera,
                 open,
                 BLUR_IMAGES,
@@ -267,6 +273,10 @@ XX            renderer.render_blurred(
         frame.height = camera.height;
         frame.format = hal::PixelFormat::Rgb8;
         self.sequence = self.sequence.wrapping_add(1);
+    }
+
+    fn t_world_camera(&self, t_world_base: &Pose2) -> Pose3 {
+        t_world_base.to_pose3() * self.options.t_base_camera
     }
 
     /// The scan that ended at `end_ns`.
