@@ -74,6 +74,9 @@ pub enum StopCause {
     EmergencyStop,
     /// A board that reads the emergency stop is configured and sends nothing.
     SafetyBoardSilent,
+    /// Motors that have been present since the start send nothing any more: they lost their power, or
+    /// their cable.
+    MotorsLost,
     /// The caller called the base later than its watchdog time allows, but nothing else is wrong.
     /// The base has to be armed again.
     LoopStalled,

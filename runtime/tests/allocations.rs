@@ -1,4 +1,4 @@
-//! Perception allocates nothing once it has run: a robot's loop does not wait for memory.
+//! Perception and the safety loop allocate nothing after their first steps, so that they never wait for memory.
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
 use hal::{
@@ -13,12 +13,14 @@ const WIDTH: usize = 200;
 const HEIGHT: usize = 150;
 
 /// Waves that move by `shift` pixels.
-fn picture(shift: f64) -> Vec<u8> {
-    let wave = |index: usize| {
-        let (x, y) = ((index % WIDTH) as f64 + shift, (index / WIDTH) as f64);
-        (x * 0.7).sin() * (y * 0.5).cos() + (x * 0.13 + y * 0.31).sin()
-    };
-    (0..WIDTH * HEIGHT).map(|index| (128.0 + 50.0 * wave(index)) as u8).collect()
+fn image(shift: f64) -> Vec<u8> {
+    let pixels = (0..WIDTH * HEIGHT).map(|index| {
+        let x = (index % WIDTH) as f64 + shift;
+        let y = (index / WIDTH) as f64;
+        let wave = (x * 0.7).sin() * (y * 0.5).cos() + (x * 0.13 + y * 0.31).sin();
+        (128.0 + 50.0 * wave) as u8
+    });
+    pixels.collect()
 }
 
 fn view(data: &[u8]) -> ImageView<'_> {
@@ -36,22 +38,23 @@ fn coarse_depth_allocates_nothing_once_its_keyframes_are_full() {
     let camera = CameraModel::pinhole(WIDTH, HEIGHT, 1.5);
     let config = CoarseConfig { keyframes: 8, ..CoarseConfig::default() };
     let mut engine = CoarseDepth::new(config, camera).unwrap();
-    let pictures: Vec<Vec<u8>> = (0..60).map(|step| picture(f64::from(step))).collect();
+    let images: Vec<Vec<u8>> = (0..60).map(|step| image(f64::from(step))).collect();
     let mut with_depth = 0;
-    let mut look = |steps: std::ops::Range<usize>| {
+    let mut estimate = |steps: std::ops::Range<usize>| {
         for step in steps {
             let pose = Pose3::translation(0.03 * step as f64, 0.0, 0.0);
-            with_depth += u32::from(engine.estimate(view(&pictures[step]), &pose).is_ok());
+            with_depth += u32::from(engine.estimate(view(&images[step]), &pose).is_ok());
         }
     };
-    look(0..40);
-    assert_eq!(allocations(|| look(40..60)), 0);
+    estimate(0..40);
+    assert_eq!(allocations(|| estimate(40..60)), 0);
     assert!(with_depth > 50);
 }
 
 #[test]
 fn flow_allocates_nothing_after_the_first_call() {
-    let (first, second) = (picture(0.0), picture(2.0));
+    let first = image(0.0);
+    let second = image(2.0);
     for preset in [FlowPreset::UltraFast, FlowPreset::Fast, FlowPreset::Medium] {
         let mut engine = DenseFlow::new(preset, WIDTH, HEIGHT).unwrap();
         let mut run = || {
@@ -62,7 +65,7 @@ fn flow_allocates_nothing_after_the_first_call() {
     }
 }
 
-/// Devices that have something new every turn.
+/// A scanner and a base with a new reading at every poll.
 struct Devices {
     now_ns: u64,
     ahead_m: f32,
@@ -103,25 +106,26 @@ impl Base for Devices {
 }
 
 #[test]
-fn the_safety_loop_allocates_nothing_after_its_first_scan_whatever_state_it_is_in() {
-    let devices = || Devices { now_ns: 0, ahead_m: 2.0 };
+fn the_safety_loop_allocates_nothing_after_its_first_scan_in_any_state() {
+    let base = Devices { now_ns: 0, ahead_m: 2.0 };
+    let lidar = Devices { now_ns: 0, ahead_m: 2.0 };
     let config = SafetyConfig { period_s: 0.01, ..SafetyConfig::default() };
-    let mut control = SafetyLoop::new(config, devices(), devices());
+    let mut control = SafetyLoop::new(config, base, lidar);
     let mut names = std::collections::BTreeSet::new();
     let mut counted = 0;
-    for turn in 1..3000_u64 {
-        let now_ns = turn * 10_000_000;
+    for step in 1..3000_u64 {
+        let now_ns = step * 10_000_000;
         let plan =
             Some(Plan { twist: Twist2 { linear_mps: 0.3, angular_radps: 0.0 }, time_ns: now_ns });
-        let request = match turn % 1000 {
+        let request = match step % 1000 {
             1 => Some(Request::Arm),
             900 => Some(Request::ClearFault),
             _ => None,
         };
-        let emergency_stop = turn % 1000 == 800;
+        let emergency_stop = step % 1000 == 800;
         let orders = Orders { plan, request, emergency_stop, ..Orders::default() };
-        let turn_of = allocations(|| _ = control.step(now_ns, &orders));
-        counted += if turn > 1 { turn_of } else { 0 };
+        let of_step = allocations(|| _ = control.step(now_ns, &orders));
+        counted += if step > 1 { of_step } else { 0 };
         names.insert(control.plane().state().name());
     }
     assert_eq!(counted, 0);

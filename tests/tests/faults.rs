@@ -126,12 +126,16 @@ fn a_jump_of_the_odometry_is_named_and_forgets_old_pictures() {
 }
 
 #[test]
-fn a_bumper_switch_that_is_stuck_does_not_nail_the_robot_down() {
-    let ticks = run(PolicyKind::Forward, &["base:contact@2..12"], 300);
-    assert!(tripped(&ticks, TripCause::Contact));
-    let (stuck, after) = (at(&ticks, 2.0..12.0), at(&ticks, 13.0..30.0));
-    assert!(turned_rad(stuck) > 0.5, "it ticks to find a way out");
-    assert!(path_m(after) > 1.0, "it leaves when the switch lets go");
+fn a_bumper_switch_that_is_stuck_is_given_up_after_three_contacts_and_a_person_sets_it_free() {
+    let mut scenario = Scenario::new(PolicyKind::Forward, &["base:contact@2..12"], 3).unwrap();
+    let stuck = scenario.ticks(150).unwrap();
+    assert!(tripped(&stuck, TripCause::Contact));
+    assert!(faulted(at(&stuck, 2.0..5.0), FaultReason::RepeatedContact));
+    assert!(path_m(at(&stuck, 5.0..15.0)) < 1e-9, "it stands, although the switch has let go");
+    scenario.request(Request::ClearFault);
+    scenario.tick().unwrap();
+    scenario.request(Request::Arm);
+    assert!(path_m(&scenario.ticks(60).unwrap()) > 0.3, "it goes on");
 }
 
 #[test]
@@ -174,17 +178,21 @@ fn pictures_that_are_late_torn_or_in_the_wrong_order_lead_into_nothing() {
 }
 
 #[test]
-fn wheels_that_say_nothing_stop_the_robot_until_they_speak() {
+fn wheels_that_say_nothing_stop_the_robot_until_a_person_has_armed_it() {
     for silence in ["base:stall@2..4", "base:corrupt@2..4", "base:drop@2..4", "base:delay=30@2..4"]
     {
-        let ticks = run(PolicyKind::Forward, &[silence], 80);
+        let mut scenario = Scenario::new(PolicyKind::Forward, &[silence], 3).unwrap();
+        let ticks = scenario.ticks(80).unwrap();
         assert!(
-            at(&ticks, 2.4..4.0).iter().all(|tick| tick.command() == Twist2::ZERO),
+            at(&ticks, 2.4..8.0).iter().all(|tick| tick.command() == Twist2::ZERO),
             "{silence}"
         );
-        assert!(path_m(at(&ticks, 2.5..4.0)) < 1e-9, "{silence}: it stands");
+        assert!(path_m(at(&ticks, 2.5..8.0)) < 1e-9, "{silence}: it stands");
         assert!(faulted(at(&ticks, 2.0..2.5), FaultReason::BaseSilent), "{silence}");
-        assert!(path_m(at(&ticks, 4.2..8.0)) > 0.3, "{silence}: it goes on");
+        scenario.request(Request::ClearFault);
+        scenario.tick().unwrap();
+        scenario.request(Request::Arm);
+        assert!(path_m(&scenario.ticks(40).unwrap()) > 0.3, "{silence}: it goes on");
     }
 }
 

@@ -64,7 +64,8 @@ struct Demo {
 impl Demo {
     fn new(dir: &Path, library: &Path, python: &Path) -> Result<Self> {
         let programs = paths::target().join("release");
-        let (robot, workstation) = (dir.join("robot"), dir.join("workstation"));
+        let robot = dir.join("robot");
+        let workstation = dir.join("workstation");
         for folder in [robot.join("runs"), workstation.clone()] {
             fs::create_dir_all(folder)?;
         }

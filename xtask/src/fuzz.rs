@@ -218,7 +218,6 @@ impl Report {
         let mut report = Self::default();
         for line in log.lines() {
             let mut words = line.split_whitespace();
-            let number = |word: Option<&str>| word.and_then(|word| word.parse().ok()).unwrap_or(0);
             match (words.next(), words.next(), words.next()) {
                 (Some("stat::number_of_executed_units:"), runs, _) => report.runs = number(runs),
                 (Some("stat::new_units_added:"), added, _) => report.added = number(added),
@@ -233,6 +232,11 @@ impl Report {
         }
         report
     }
+}
+
+/// The number in a word; 0 if there is none.
+fn number(word: Option<&str>) -> u64 {
+    word.and_then(|word| word.parse().ok()).unwrap_or(0)
 }
 
 #[cfg(test)]

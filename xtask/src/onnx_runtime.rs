@@ -93,15 +93,16 @@ fn unpack_to(library: &Path, arch: &str) -> Result<()> {
             .with_context(|| format!("creating {}", parent.display()))?;
     }
     let unpacked = folder.join("onnxruntime");
-    let take = |from: PathBuf, to: &Path| {
-        std::fs::rename(&from, to).with_context(|| format!("the wheel holds no {}", from.display()))
-    };
     for name in NOTICES {
-        take(unpacked.join(name), &library.with_file_name(name))?;
+        take(&unpacked.join(name), &library.with_file_name(name))?;
     }
     // The library is renamed last, so that it exists only if the installation is complete.
-    take(unpacked.join("capi").join(library.file_name().unwrap_or_default()), library)?;
+    take(&unpacked.join("capi").join(library.file_name().unwrap_or_default()), library)?;
     std::fs::remove_dir_all(&folder).with_context(|| format!("removing {}", folder.display()))
+}
+
+fn take(from: &Path, to: &Path) -> Result<()> {
+    std::fs::rename(from, to).with_context(|| format!("the wheel has no {}", from.display()))
 }
 
 fn download(folder: &Path, arch: &str) -> Result<()> {

@@ -37,6 +37,13 @@ pub(crate) fn load<B: Bytes + ?Sized>(
     }
     buffer.resize(usize::try_from(record.end() - record.start).unwrap_or(0), 0);
     file.read_exact_at(record.start, buffer)?;
+    // The same bytes, unless the position of the record comes from the index and its head in the file is damaged.
+    if let Some((opcode, rest)) = buffer.split_first_mut() {
+        *opcode = record.opcode;
+        if let Some(length) = rest.first_chunk_mut() {
+            *length = record.body.to_le_bytes();
+        }
+    }
     Ok(Ok(()))
 }
 

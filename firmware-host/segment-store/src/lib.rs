@@ -14,7 +14,7 @@
 //! Modules depend only on modules above them in this list:
 //!
 //! 1. `bytes`, `cpu_features`, `digest`, `fields`, `name`, `transfer`: types without knowledge of a store;
-//! 2. `records`, `chunk`, [`verify`](verify()): the MCAP format;
+//! 2. `records`, `chunk`, `index`, [`verify`](verify()): the MCAP format;
 //! 3. `entry`: what is known about one segment;
 //! 4. [`wire`]: the messages of the pull protocol;
 //! 5. `error`: [`StoreError`];
@@ -36,6 +36,7 @@ mod error;
 #[cfg(feature = "export")]
 pub mod export;
 mod fields;
+mod index;
 mod marks;
 mod name;
 pub mod pull;

@@ -95,6 +95,24 @@ pub(crate) fn footer<B: Bytes + ?Sized>(file: &B, length: u64) -> io::Result<Opt
     Ok((is_footer && possible).then_some(Footer { summary_start, start, summary_crc }))
 }
 
+/// The bytes of the summary section; `None` when the file has none, or its checksum is missing or wrong.
+pub(crate) fn checked_summary_bytes<B: Bytes + ?Sized>(
+    file: &B,
+    length: u64,
+) -> io::Result<Option<Vec<u8>>> {
+    let Some(footer) = footer(file, length)? else { return Ok(None) };
+    let section = footer.start.saturating_sub(footer.summary_start);
+    if footer.summary_start == 0 || footer.summary_crc == 0 || section > MAX_SUMMARY {
+        return Ok(None);
+    }
+    // The checksum covers the footer up to its last field as well: its opcode, its length and two offsets.
+    let mut bytes = vec![0; usize::try_from(section + RECORD_HEAD + 16).unwrap_or(0)];
+    file.read_exact_at(footer.summary_start, &mut bytes)?;
+    let is_right = crc32fast::hash(&bytes) == footer.summary_crc;
+    bytes.truncate(usize::try_from(section).unwrap_or(0));
+    Ok(is_right.then_some(bytes))
+}
+
 /// The statistics of a segment, from its summary section.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Summary {

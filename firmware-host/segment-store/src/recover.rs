@@ -1,14 +1,17 @@
 //! Recovery of a segment that was cut off or damaged.
 //!
 //! A tick never spans two chunks, and every chunk has a checksum, so all messages of all intact chunks are kept. A chunk that is
-//! incomplete or whose checksum is wrong is dropped as a whole, because nothing tells which of its messages are right.
+//! incomplete or whose checksum is wrong is dropped as a whole, because it is unknown which of its messages are right.
+//!
+//! The summary section at the end of a closed segment repeats the schemas and channels and lists the offsets of the chunks. With
+//! it, the channels that a dropped chunk defined are known, and a damaged length does not hide the chunks behind it.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-use mcap::records::op;
+use mcap::records::{Channel, MessageHeader, op};
 use mcap::write::NoSeek;
 use mcap::{Compression, McapError, WriteOptions, Writer};
 use rustix::fs::{CWD, RenameFlags, renameat_with};
@@ -16,7 +19,8 @@ use rustix::fs::{CWD, RenameFlags, renameat_with};
 use crate::bytes::Bytes;
 use crate::chunk::{self, Item};
 use crate::error::StoreError;
-use crate::records::{self, MAGIC_LEN};
+use crate::index::Index;
+use crate::records::{self, MAGIC_LEN, RecordAt};
 
 /// What a recovery kept and dropped.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -29,8 +33,9 @@ pub struct Recovered {
     pub chunks: u64,
     /// The number of complete chunks that were dropped because their checksum or contents are wrong.
     pub bad_chunks: u64,
-    /// The offset at which the complete records of the original end.
-    pub good_bytes: u64,
+    /// The number of messages in kept chunks that were dropped because nothing defines their channel: neither a kept chunk nor
+    /// the summary section.
+    pub unknown_messages: u64,
     /// The time of the last message, on the run's clock.
     pub last_ns: Option<u64>,
 }
@@ -39,6 +44,15 @@ pub struct Recovered {
 pub(crate) struct Rewriter<W: Write> {
     mcap: Writer<NoSeek<W>>,
     done: Recovered,
+}
+
+/// The schemas and channels of one segment. Their ids differ between the two files; the maps translate them.
+struct Definitions {
+    schemas: BTreeMap<u16, u16>,
+    /// The id of a channel in the new file, and whether it is that of the ticks.
+    channels: BTreeMap<u16, (u16, bool)>,
+    /// Definitions of the summary section, for those that no kept chunk has.
+    index: Index,
 }
 
 impl<W: Write> Rewriter<W> {
@@ -57,22 +71,18 @@ impl<W: Write> Rewriter<W> {
     /// Adds all intact chunks of a segment.
     pub(crate) fn add<B: Bytes + ?Sized>(&mut self, file: &B) -> Result<(), McapError> {
         let length = file.length()?;
-        if !records::has_magic(file, length)? {
-            return if length < MAGIC_LEN { Ok(()) } else { Err(McapError::BadMagic) };
-        }
-        let mut at = MAGIC_LEN;
-        let mut buffer = Vec::new();
-        let mut schemas = BTreeMap::from([(0, 0)]);
-        let mut channels = BTreeMap::new();
-        self.done.good_bytes = at;
-        while let Some(record) =
-            records::record_at(file, at, length)?.filter(|record| record.opcode != op::DATA_END)
-        {
-            at = record.end();
-            self.done.good_bytes = at;
-            if record.opcode != op::CHUNK {
-                continue;
+        let mut index = Index::read(file, length)?;
+        let mut chunks = std::mem::take(&mut index.chunks);
+        if chunks.is_empty() {
+            if !records::has_magic(file, length)? {
+                return if length < MAGIC_LEN { Ok(()) } else { Err(McapError::BadMagic) };
             }
+            chunks = chunks_in_sequence(file, length)?;
+        }
+        let mut definitions =
+            Definitions { schemas: BTreeMap::from([(0, 0)]), channels: BTreeMap::new(), index };
+        let mut buffer = Vec::new();
+        for record in chunks {
             // Parsed once without writing, so that an error in the middle does not leave half of the chunk in the output.
             let is_intact = chunk::load(file, record, &mut buffer)?.is_ok()
                 && chunk::each_item(&buffer, |_| Ok(())).is_ok();
@@ -80,49 +90,68 @@ impl<W: Write> Rewriter<W> {
                 self.done.bad_chunks += 1;
                 continue;
             }
-            chunk::each_item(&buffer, |item| self.add_item(item, &mut schemas, &mut channels))?;
+            chunk::each_item(&buffer, |item| self.add_item(item, &mut definitions))?;
             self.done.chunks += 1;
             self.mcap.flush()?;
         }
         Ok(())
     }
 
-    /// Adds one record. The ids of schemas and channels differ between the two files; the maps translate them.
-    fn add_item(
-        &mut self,
-        item: Item<'_>,
-        schemas: &mut BTreeMap<u16, u16>,
-        channels: &mut BTreeMap<u16, (u16, bool)>,
-    ) -> Result<(), McapError> {
+    fn add_item(&mut self, item: Item<'_>, definitions: &mut Definitions) -> Result<(), McapError> {
         match item {
             Item::Schema(header, data) => {
-                schemas
-                    .insert(header.id, self.mcap.add_schema(&header.name, &header.encoding, data)?);
+                let id = self.mcap.add_schema(&header.name, &header.encoding, data)?;
+                definitions.schemas.insert(header.id, id);
             }
-            Item::Channel(channel) => {
-                // 0, no schema, when the schema was in a chunk that was dropped; the messages keep their topic.
-                let schema = schemas.get(&channel.schema_id).copied().unwrap_or(0);
-                let id = self.mcap.add_channel(
-                    schema,
-                    &channel.topic,
-                    &channel.message_encoding,
-                    &channel.metadata,
-                )?;
-                channels.insert(channel.id, (id, channel.topic == "/robot/tick"));
-            }
-            Item::Message(mut header, data) => {
-                let unknown = McapError::UnknownChannel(header.sequence, header.channel_id);
-                let Some((id, is_tick)) = channels.get(&header.channel_id).copied() else {
-                    return Err(unknown);
-                };
-                header.channel_id = id;
-                self.done.last_ns = self.done.last_ns.max(Some(header.log_time));
-                self.done.messages += 1;
-                self.done.ticks += u64::from(is_tick);
-                self.mcap.write_to_known_channel(&header, data)?;
-            }
+            Item::Channel(channel) => self.add_channel(&channel, definitions)?,
+            Item::Message(header, data) => self.add_message(header, data, definitions)?,
         }
         Ok(())
+    }
+
+    fn add_channel(
+        &mut self,
+        channel: &Channel,
+        definitions: &mut Definitions,
+    ) -> Result<(), McapError> {
+        if !definitions.schemas.contains_key(&channel.schema_id)
+            && let Some((header, data)) = definitions.index.schema(channel.schema_id)
+        {
+            let id = self.mcap.add_schema(&header.name, &header.encoding, data)?;
+            definitions.schemas.insert(header.id, id);
+        }
+        // 0, no schema, when the schema was in a chunk that was dropped; the messages keep their topic.
+        let schema = definitions.schemas.get(&channel.schema_id).copied().unwrap_or(0);
+        let id = self.mcap.add_channel(
+            schema,
+            &channel.topic,
+            &channel.message_encoding,
+            &channel.metadata,
+        )?;
+        definitions.channels.insert(channel.id, (id, channel.topic == "/robot/tick"));
+        Ok(())
+    }
+
+    fn add_message(
+        &mut self,
+        mut header: MessageHeader,
+        data: &[u8],
+        definitions: &mut Definitions,
+    ) -> Result<(), McapError> {
+        if !definitions.channels.contains_key(&header.channel_id)
+            && let Some(channel) = definitions.index.channel(header.channel_id).cloned()
+        {
+            self.add_channel(&channel, definitions)?;
+        }
+        let Some((id, is_tick)) = definitions.channels.get(&header.channel_id).copied() else {
+            self.done.unknown_messages += 1;
+            return Ok(());
+        };
+        header.channel_id = id;
+        self.done.last_ns = self.done.last_ns.max(Some(header.log_time));
+        self.done.messages += 1;
+        self.done.ticks += u64::from(is_tick);
+        self.mcap.write_to_known_channel(&header, data)
     }
 
     pub(crate) fn finish(mut self) -> Result<(W, Recovered), McapError> {
@@ -131,10 +160,28 @@ impl<W: Write> Rewriter<W> {
     }
 }
 
+/// The chunks of a file without index, from its sequence of records. A damaged length ends it.
+fn chunks_in_sequence<B: Bytes + ?Sized>(
+    file: &B,
+    length: u64,
+) -> Result<Vec<RecordAt>, McapError> {
+    let mut chunks = Vec::new();
+    let mut at = MAGIC_LEN;
+    while let Some(record) = records::record_at(file, at, length)? {
+        match record.opcode {
+            op::DATA_END => break,
+            op::CHUNK => chunks.push(record),
+            _ => {}
+        }
+        at = record.end();
+    }
+    Ok(chunks)
+}
+
 /// Writes all messages of all intact chunks of `file` as a complete MCAP file with an index.
 ///
 /// # Errors
-/// When `file` is not an MCAP file, a chunk that defines a channel is damaged and a later chunk has messages of that channel, or reading or writing fails.
+/// When `file` is not an MCAP file, or reading or writing fails.
 pub fn recover<B: Bytes + ?Sized, W: Write>(file: &B, sink: W) -> Result<Recovered, McapError> {
     let mut rewriter = Rewriter::begin(sink)?;
     rewriter.add(file)?;

@@ -62,10 +62,8 @@ const HELLO: Request = Request::Hello { versions: (1, 1) };
 
 #[test]
 fn a_robot_reports_its_processor_and_an_older_one_is_not_asked() {
-    let (dir, asked) = (
-        tempdir().unwrap(),
-        requests(&[Request::Hello { versions: (1, 2) }, Request::CpuFeatures]),
-    );
+    let dir = tempdir().unwrap();
+    let asked = requests(&[Request::Hello { versions: (1, 2) }, Request::CpuFeatures]);
     let answer = served(&Root::open(dir.path()).unwrap(), &asked);
     let mut output = Vec::new();
     let mut remote = Remote::greet("robot", Cursor::new(answer), &mut output, 1).unwrap();

@@ -116,31 +116,46 @@ fn until(last_ns: Option<u64>) -> String {
 fn recover_all(path: &Path, out: &Path) -> Result<ExitCode> {
     let (root, entries) = segments(path)?;
     let mut recovered = 0;
+    let mut failed = 0;
     for entry in &entries {
-        let file =
-            root.open_file(&entry.name).with_context(|| format!("cannot open {}", entry.name))?;
-        match verify(&file).with_context(|| format!("cannot read {}", entry.name))?.finding {
-            Finding::Whole => continue,
-            _ if entry.state == State::Open => {
-                println!("{}: still being written, skipped", entry.name);
-                continue;
+        // An error in one segment does not keep the others from being recovered.
+        match recover_one(&root, entry, out) {
+            Ok(true) => recovered += 1,
+            Ok(false) => {}
+            Err(error) => {
+                eprintln!("{}: {error:#}", entry.name);
+                failed += 1;
             }
-            _ => {}
         }
-        let to = out.join(entry.name.as_str());
-        std::fs::create_dir_all(to.parent().unwrap_or(out))
-            .with_context(|| format!("cannot create {}", out.display()))?;
-        let done = recover_file(&file, &root.path().join(entry.name.as_str()), &to)?;
-        let lost = if done.bad_chunks > 0 {
-            format!(", {} corrupt chunks dropped", done.bad_chunks)
-        } else {
-            String::new()
-        };
-        println!("{}: {} ticks{}{lost}", to.display(), done.ticks, until(done.last_ns));
-        recovered += 1;
     }
-    println!("{recovered} recovered, {} whole or being written", entries.len() - recovered);
-    Ok(ExitCode::SUCCESS)
+    let others = entries.len() - recovered - failed;
+    println!("{recovered} recovered, {others} whole or being written, {failed} failed");
+    Ok(if failed == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Whether the segment was damaged and has been recovered.
+fn recover_one(root: &Root, entry: &Entry, out: &Path) -> Result<bool> {
+    let file = root.open_file(&entry.name).context("cannot open the segment")?;
+    if verify(&file).context("cannot read the segment")?.finding == Finding::Whole {
+        return Ok(false);
+    }
+    if entry.state == State::Open {
+        println!("{}: still being written, skipped", entry.name);
+        return Ok(false);
+    }
+    let to = out.join(entry.name.as_str());
+    std::fs::create_dir_all(to.parent().unwrap_or(out))
+        .with_context(|| format!("cannot create {}", out.display()))?;
+    let done = recover_file(&file, &root.path().join(entry.name.as_str()), &to)?;
+    let mut lost = String::new();
+    if done.bad_chunks > 0 {
+        lost += &format!(", {} corrupt chunks dropped", done.bad_chunks);
+    }
+    if done.unknown_messages > 0 {
+        lost += &format!(", {} messages of unknown channels dropped", done.unknown_messages);
+    }
+    println!("{}: {} ticks{}{lost}", to.display(), done.ticks, until(done.last_ns));
+    Ok(true)
 }
 
 fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {

@@ -257,7 +257,8 @@ mod tests {
                 let undistorted = (x, y);
                 for _ in 0..20 {
                     let (dx, dy) = camera.distortion.distort(x, y);
-                    (x, y) = (x + undistorted.0 - dx, y + undistorted.1 - dy);
+                    x += undistorted.0 - dx;
+                    y += undistorted.1 - dy;
                 }
                 distorted[(v * 640 + u) * 3..][..3].fill(brightness(x).round() as u8);
             }
@@ -274,7 +275,8 @@ mod tests {
         #[test]
         fn every_pixel_keeps_its_ray_at_any_size(width in 16_usize..700, height in 16_usize..500, u in 0.0..1.0f64, v in 0.0..1.0f64) {
             let resampler = Resampler::new(&kinect(), width, height);
-            let (u, v) = (u * (width - 1) as f64, v * (height - 1) as f64);
+            let u = u * (width - 1) as f64;
+            let v = v * (height - 1) as f64;
             let source = kinect().ray(
                 (u + 0.5) * resampler.step + resampler.left - 0.5, (v + 0.5) * resampler.step + resampler.top - 0.5);
             prop_assert!((resampler.camera().ray(u, v) - source).norm() < 1e-9);

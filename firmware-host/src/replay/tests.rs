@@ -35,7 +35,8 @@ impl Replayable for DigestRobot {
             (self.memory.rotate_left(9) ^ input_digest(input)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         let digest = self.memory;
         let mut decision = some_tick(input.tick).decision.unwrap();
-        (decision.depth_digest, decision.map_digest) = (digest, digest.rotate_left(7));
+        decision.depth_digest = digest;
+        decision.map_digest = digest.rotate_left(7);
         decision.desired.linear_mps = digest as f64 / u64::MAX as f64 / 3.0;
         Ok(decision)
     }

@@ -274,7 +274,6 @@ impl FrameMapper {
         let buckets = &self.buckets[bearing * self.range_bins..(bearing + 1) * self.range_bins];
         let enough = u32::from(config.min_points)
             .max((config.outlier_share * bearing_points.points as f32).ceil() as u32);
-        let start_m = |interval: usize| (interval as f64 * config.cell_m) as f32;
         let mut points = 0;
         let last_seen = buckets.iter().rposition(|bucket| {
             points += u32::from(bucket.points);
@@ -289,10 +288,12 @@ impl FrameMapper {
         let seen_m = match last_seen {
             None => 0.0,
             Some(interval) if interval + 1 == self.range_bins => config.clear_range_m,
-            Some(interval) => start_m(interval),
+            Some(interval) => (interval as f64 * config.cell_m) as f32,
         };
         let obstacle_m = match first_obstacle {
-            Some(interval) if interval + 1 < self.range_bins => start_m(interval),
+            Some(interval) if interval + 1 < self.range_bins => {
+                (interval as f64 * config.cell_m) as f32
+            }
             _ => f32::INFINITY,
         };
         let free_m = seen_m

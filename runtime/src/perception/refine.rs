@@ -146,10 +146,10 @@ fn residual(
     camera: &CameraModel,
 ) -> Option<Residual> {
     let far = t_reference_camera.rotation * camera.ray(x as f64, y as f64);
-    let point = |w: f64| far + t_reference_camera.translation.vector * w;
-    let place = |w: f64| camera.project(&point(w).into());
-    let begin = place(0.0)?;
-    let end = place(1.0 / NEAR_M)?;
+    let baseline = t_reference_camera.translation.vector;
+    // The match of a point with inverse depth w is where `far + w baseline` is projected.
+    let begin = camera.project(&far.into())?;
+    let end = camera.project(&(far + baseline * (1.0 / NEAR_M)).into())?;
     let dx = end.0 - begin.0;
     let dy = end.1 - begin.1;
     let length = dx.hypot(dy);
@@ -165,7 +165,7 @@ fn residual(
     let steps = ((length / STEP_PX) as usize).clamp(2, 64);
     for step in 0..=steps {
         let w = step as f64 / steps as f64 / NEAR_M;
-        let Some(middle) = place(w) else { continue };
+        let Some(middle) = camera.project(&(far + baseline * w).into()) else { continue };
         for (best, cost) in best.iter_mut().zip(patch.costs_across(middle, (-dy, dx))) {
             if cost < best.0 {
                 *best = (cost, w);
@@ -180,7 +180,7 @@ fn residual(
     if cost > MAX_BITS || rival < cost + CLEAR_BITS || winner == 0 || winner == best.len() - 1 {
         return None;
     }
-    let p = point(w);
+    let p = far + baseline * w;
     // d(pixel) / d(rotation): the point moves by omega x far.
     let du = Vector3::new(camera.fx / p.z, 0.0, -camera.fx * p.x / (p.z * p.z));
     let dv = Vector3::new(0.0, camera.fy / p.z, -camera.fy * p.y / (p.z * p.z));

@@ -42,9 +42,14 @@ pub(super) fn passable_steps(costmap: &Costmap, index: usize) -> u8 {
 }
 
 fn is_passable_step(neighbours: u64, direction: usize) -> bool {
-    let is_open = |direction: usize| weight(neighbours, direction % 8) != 0;
-    is_open(direction)
-        && (direction.is_multiple_of(2) || (is_open(direction + 7) && is_open(direction + 1)))
+    let is_straight = direction.is_multiple_of(2);
+    is_open(neighbours, direction)
+        && (is_straight
+            || (is_open(neighbours, direction + 7) && is_open(neighbours, direction + 1)))
+}
+
+fn is_open(neighbours: u64, direction: usize) -> bool {
+    weight(neighbours, direction % 8) != 0
 }
 
 /// [`NATURAL`] for arbitrary weights: for the step that leads into a cell, the set of allowed steps

@@ -20,6 +20,9 @@ impl ConfigValue for BodySector {
     const KIND: Kind = Kind::Other("{ from_deg = 120, to_deg = 135, up_to_m = 0.2 }");
 }
 
+/// Accuracy of a UTM-30LX up to 10 m (data sheet: 30 mm).
+const LATERAL_MARGIN_M: f64 = 0.03;
+
 hal::settings! {
     /// The safety plane, which checks every command before it reaches the wheels.
     pub struct SafetySection {
@@ -51,6 +54,9 @@ pub struct SafetyConfig {
     /// Distance from `base_link` forward to the LiDAR.
     pub laser_forward_m: f64,
     pub stop_distance_m: f64,
+    /// An obstacle that passes the outline at less than this distance may touch it, because of the
+    /// scanner's noise. The robot passes it slowly.
+    pub lateral_margin_m: f64,
     /// Time from a beam to the first response of the wheels. A simulated base responds immediately.
     pub reaction_s: f64,
     /// Deceleration of the braking base. A simulated base stops within a step.
@@ -85,6 +91,7 @@ impl SafetySection {
             body: self.body.clone(),
             laser_forward_m: robot.lidar_forward_m,
             stop_distance_m: self.stop_distance_m,
+            lateral_margin_m: LATERAL_MARGIN_M,
             reaction_s: 0.0,
             brake_mps2: 100.0,
             back_off_m: self.back_off_m,

@@ -35,9 +35,14 @@ pub struct Orders {
 #[derive(Debug, Clone, Copy)]
 struct Authority {
     since_ns: u64,
-    /// Motors and safety board were present since the request: their absence is an event from now
-    /// on, and no longer the start of the devices.
-    complete: bool,
+}
+
+/// The devices that have been present since the start. The absence of any other one is the start of
+/// the device; the absence of these is an event that needs a person.
+#[derive(Debug, Clone, Copy, Default)]
+struct Seen {
+    motors: bool,
+    board: bool,
 }
 
 /// The answer of the base to an attempt to arm it.
@@ -95,6 +100,7 @@ pub struct SafetyLoop<B, L> {
     scan: LaserScan,
     counter: u32,
     authority: Option<Authority>,
+    seen: Seen,
     /// Why the base refused to be armed or driven in the last step.
     refusal: Option<FaultReason>,
 }
@@ -104,7 +110,16 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
     pub fn new(config: SafetyConfig, base: B, lidar: L) -> Self {
         let scan = LaserScan::empty(lidar.geometry());
         let plane = SafetyPlane::new(config);
-        Self { base, lidar, plane, scan, counter: 0, authority: None, refusal: None }
+        Self {
+            base,
+            lidar,
+            plane,
+            scan,
+            counter: 0,
+            authority: None,
+            seen: Seen::default(),
+            refusal: None,
+        }
     }
 
     /// One step at `now_ns`, monotonic.
@@ -137,9 +152,22 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
             request,
         });
         self.disarm_after(output.event);
-        let is_absent = feedback_error.map(Readiness::of) == Some(Readiness::Absent);
-        let readiness = if is_absent { Readiness::Absent } else { readiness };
-        if let Some(why) = self.lapse(now_ns, output.forbidden, readiness) {
+        let is_board_silent = stop_cause == Some(StopCause::SafetyBoardSilent);
+        let are_motors_silent = feedback_error.map(Readiness::of) == Some(Readiness::Absent);
+        let lost = if self.seen.board && is_board_silent {
+            Some(FaultReason::SafetyBoardSilent)
+        } else if stop_cause == Some(StopCause::MotorsLost) || self.seen.motors && are_motors_silent
+        {
+            Some(FaultReason::BaseSilent)
+        } else {
+            None
+        };
+        self.seen.board |= !is_board_silent;
+        self.seen.motors |= wheel.is_some();
+        if let Some(why) = lost.or_else(|| self.lapse(now_ns, output.forbidden, readiness))
+            && self.authority.is_some()
+            && self.plane.state() == SafetyState::Disarmed
+        {
             self.disarm();
             output.event = output.event.or(Some(SafetyEvent::ArmingLapsed { why }));
         }
@@ -160,14 +188,17 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
     /// state machine once the base is ready. A base that has to be armed again after a stop that
     /// resumes on evidence is armed in the same way.
     fn arming(&mut self, now_ns: u64, request: Option<Request>) -> (Option<Request>, Readiness) {
+        let state = self.plane.state();
+        let is_held = matches!(state, SafetyState::Fault(why) if why.needs_person());
         match request {
+            // The fault has to be cleared first.
+            Some(Request::Arm) if is_held => {}
             Some(Request::Arm) => {
-                self.authority = Some(Authority { since_ns: now_ns, complete: false });
+                self.authority = Some(Authority { since_ns: now_ns });
             }
             Some(Request::Disarm) => self.disarm(),
             Some(Request::ClearFault) | None => {}
         }
-        let state = self.plane.state();
         let passing_fault = match state {
             SafetyState::Fault(why) if !why.needs_person() => Some(why),
             _ => None,
@@ -213,26 +244,23 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
 
     /// Why a request to arm that was not followed yet is void from now on, if it is.
     fn lapse(
-        &mut self,
+        &self,
         now_ns: u64,
         forbidden: Option<FaultReason>,
         readiness: Readiness,
     ) -> Option<FaultReason> {
-        let authority = self.authority.as_mut()?;
-        if self.plane.state() != SafetyState::Disarmed {
-            return None;
+        let authority = self.authority?;
+        let is_start = match forbidden {
+            Some(FaultReason::SafetyBoardSilent) => !self.seen.board,
+            // While a base is arming, its motors may be silent because they are being configured; it
+            // then watches them itself.
+            Some(FaultReason::BaseSilent) => !self.seen.motors || readiness == Readiness::Arming,
+            Some(FaultReason::BaseFault) => !self.seen.motors && readiness == Readiness::Absent,
+            _ => false,
+        };
+        if let Some(why) = forbidden.filter(|why| why.needs_person() && !is_start) {
+            return Some(why);
         }
-        let forbidden_by = forbidden.filter(|why| why.needs_person());
-        // While a base is arming, its motors may be silent because they are being configured; it
-        // then watches them itself.
-        let event = forbidden_by
-            .filter(|why| *why != FaultReason::BaseSilent || readiness != Readiness::Arming);
-        let is_start = readiness == Readiness::Absent
-            || matches!(event, Some(FaultReason::BaseSilent | FaultReason::SafetyBoardSilent));
-        if event.is_some() && (authority.complete || !is_start) {
-            return event;
-        }
-        authority.complete |= forbidden_by.is_none() || readiness == Readiness::Arming;
         let late = now_ns.saturating_sub(authority.since_ns) > ARM_WITHIN_NS;
         late.then(|| forbidden.unwrap_or(FaultReason::BaseSilent))
     }
@@ -265,6 +293,12 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
     /// The state machine.
     pub fn plane(&self) -> &SafetyPlane {
         &self.plane
+    }
+
+    /// Whether a request to arm is in force.
+    #[must_use]
+    pub fn has_authority(&self) -> bool {
+        self.authority.is_some()
     }
 
     /// The base, to read its state.
@@ -366,9 +400,9 @@ mod tests {
         }
 
         fn poll_feedback(&mut self) -> Result<Option<WheelFeedback>, Broken> {
-            if self.broken == Some(ErrorKind::Timeout) {
+            if let Some(kind @ (ErrorKind::Timeout | ErrorKind::Disconnected)) = self.broken {
                 self.arming = 0;
-                return Err(Broken(ErrorKind::Timeout));
+                return Err(Broken(kind));
             }
             self.unheard.map_or(Ok(()), |kind| Err(Broken(kind)))?;
             Ok(Some(WheelFeedback {

@@ -26,12 +26,10 @@ fn when_time_goes_backwards_the_robot_stops_and_old_measurements_do_not_count_as
     assert_eq!(room.tick(FORWARD).event, faulted(FaultReason::LoopOverrun));
     assert!(restarts_slowly(&mut room));
     room.time_ns = 0;
-    let input = SafetyInput { wheel: None, ..room.input(FORWARD, None, false) };
-    assert_eq!(
-        room.step(&input).event,
-        faulted(FaultReason::BaseSilent),
-        "feedback from before the time jump is not used"
-    );
+    for why in [FaultReason::LoopOverrun, FaultReason::BaseSilent] {
+        let input = SafetyInput { wheel: None, ..room.input(FORWARD, None, false) };
+        assert_eq!(room.step(&input).event, faulted(why), "feedback from before is not used");
+    }
     let output = room.tick_with(FORWARD, None, false);
     assert_eq!(output.forbidden, Some(FaultReason::LidarSilent), "nor is a scan from before it");
 }

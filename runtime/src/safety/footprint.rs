@@ -43,6 +43,32 @@ impl Footprint {
         }
     }
 
+    /// Largest distance of the outline from the x axis, metres.
+    #[must_use]
+    pub fn half_width_m(&self) -> f64 {
+        match self {
+            Self::Round { radius_m } => *radius_m,
+            Self::Corners { corners_m } => {
+                corners_m.iter().map(|[_, y]| y.abs()).fold(0.0, f64::max)
+            }
+        }
+    }
+
+    /// The outline with every point farther out by `margin_m`: exact for a circle and for a
+    /// rectangle around the origin.
+    #[must_use]
+    pub fn widened(&self, margin_m: f64) -> Self {
+        match self {
+            Self::Round { radius_m } => Self::Round { radius_m: radius_m + margin_m },
+            Self::Corners { corners_m } => {
+                let out = |at_m: f64| at_m + margin_m.copysign(at_m);
+                Self::Corners {
+                    corners_m: corners_m.iter().map(|[x, y]| [out(*x), out(*y)]).collect(),
+                }
+            }
+        }
+    }
+
     /// With `sign` = 1 the largest x of the outline at `y_m`; with `sign` = -1 the smallest x,
     /// negated. `None` where the line at `y_m` does not cross the outline.
     fn edge_m(&self, y_m: f64, sign: f64) -> Option<f64> {
@@ -171,6 +197,16 @@ mod tests {
         assert!((cart().straight_gap_m([-0.5, 0.1], -1.0).unwrap() - 0.4).abs() < 1e-12);
         assert_eq!(cart().straight_gap_m([0.5, 0.16], 1.0), None);
         assert_eq!(cart().straight_gap_m([-0.5, 0.0], 1.0), None);
+    }
+
+    #[test]
+    fn a_widened_outline_is_wider_by_the_margin_on_every_side() {
+        assert!((cart().half_width_m() - 0.15).abs() < 1e-12);
+        let wide = cart().widened(0.03);
+        assert!((wide.half_width_m() - 0.18).abs() < 1e-12);
+        assert!((wide.straight_gap_m([0.5, 0.17], 1.0).unwrap() - 0.17).abs() < 1e-12);
+        let round = Footprint::new(0.16, &[]).widened(0.03);
+        assert!((round.half_width_m() - 0.19).abs() < 1e-12);
     }
 
     #[test]

@@ -30,6 +30,10 @@
 //! | `BackingOff` | it ends for any other reason: blocked or unknown ground behind, timeout, third trip | `Escaping` |
 //! | `Escaping` | 0.5 m ahead are free after 45 degrees; or one full rotation, a timeout, or a corner that would collide | `Clear` |
 //!
+//! The speed limit of a forward plan is the lowest of these: the speed from which the robot stops
+//! before the nearest obstacle on its way; 0.1 m/s beside an obstacle that is nearer than the
+//! scanner's noise; 0.15 m/s while the scanner does not see the way ahead, and 0 after 0.3 s.
+//!
 //! After a fault that resumes on evidence, speeds are limited to [`CREEP_MPS`] and [`CREEP_RADPS`]
 //! for [`CREEP_NS`].
 //!
@@ -54,12 +58,14 @@
 
 mod config;
 mod control;
+mod corridor;
 mod footprint;
 mod plane;
 mod rear;
 mod restart;
 mod state;
 mod surroundings;
+mod witness;
 
 pub use config::{BodySector, SafetyConfig, SafetySection};
 pub use control::{Orders, SafetyLoop, SafetyStep};

@@ -6,12 +6,13 @@
 
 use std::f64::consts::{FRAC_PI_4, TAU};
 
-use hal::{LaserScan, Pose2, Twist2, WheelFeedback, wrap_angle};
+use hal::{LaserScan, Pose2, Range, Twist2, WheelFeedback, wrap_angle};
 
 use super::footprint::Footprint;
 use super::rear::RearMemory;
 use super::restart::{CREEP_MPS, CREEP_NS, CREEP_RADPS};
 use super::surroundings::{HORIZON_M, Obstacle, ScanHealth, Surroundings};
+use super::witness::Witness;
 use super::{BackOff, Escape, Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyState};
 use crate::event::{BackOffEnd, FaultReason, PlanRefusal, SafetyEvent, TripCause};
 use crate::snapshot::remembers;
@@ -51,6 +52,16 @@ const STALL_S: f64 = 0.5;
 /// This many contacts within [`TRIP_MEMORY_NS`] and [`SAME_PLACE_M`] are given up: a hand in a wheel
 /// must not be pushed again and again.
 const CONTACTS_BEFORE_GIVING_UP: usize = 3;
+/// Speed beside an obstacle within the lateral margin, m/s: a touch at this speed moves a chair, but
+/// breaks nothing.
+const BESIDE_MPS: f64 = 0.1;
+/// Speed while the scanner does not see the way ahead, m/s, and the time after which the robot
+/// stands: by then it has covered less than half of the paper's stop distance of 0.1 m.
+const BLIND_MPS: f64 = 0.15;
+const BLIND_NS: u64 = 300_000_000;
+/// A scanner that repeats a scan while the wheels move by either of these is frozen.
+const FROZEN_M: f64 = 0.05;
+const FROZEN_RAD: f64 = 0.1;
 /// A footprint with corners checks a rotation on the spot this far ahead, in addition to the
 /// reaction time, seconds.
 const ROTATION_LOOKAHEAD_S: f64 = 0.3;
@@ -61,6 +72,8 @@ const ROTATION_LOOKAHEAD_S: f64 = 0.3;
 pub struct SafetyPlane {
     config: SafetyConfig,
     footprint: Footprint,
+    /// The footprint with the lateral margin.
+    wide: Footprint,
     state: SafetyState,
     surroundings: Surroundings,
     rear: RearMemory,
@@ -81,6 +94,15 @@ pub struct SafetyPlane {
     contacts: Vec<(u64, [f64; 2])>,
     /// End of the slow restart after a stop that ended without a person.
     creep_until_ns: u64,
+    /// Since when the scanner has not seen the way ahead, and whether that was reported.
+    blind_since_ns: Option<u64>,
+    view_lost: bool,
+    /// Digest of the newest scan, and `t_odom_base` when it was first received.
+    scan_digest: u64,
+    digest_odom: Pose2,
+    scan_frozen: bool,
+    witness: Witness,
+    wheels_disagree: bool,
 }
 
 /// Whether the loop called in time.
@@ -98,6 +120,8 @@ impl SafetyPlane {
     #[must_use]
     pub fn new(config: SafetyConfig) -> Self {
         Self {
+            wide: Footprint::new(config.footprint_radius_m, &config.footprint_m)
+                .widened(config.lateral_margin_m),
             footprint: Footprint::new(config.footprint_radius_m, &config.footprint_m),
             state: SafetyState::Disarmed,
             surroundings: Surroundings::new(&config),
@@ -114,6 +138,13 @@ impl SafetyPlane {
             trip_count: 0,
             contacts: Vec::with_capacity(CONTACTS_BEFORE_GIVING_UP),
             creep_until_ns: 0,
+            blind_since_ns: None,
+            view_lost: false,
+            scan_digest: 0,
+            digest_odom: Pose2::IDENTITY,
+            scan_frozen: false,
+            witness: Witness::new(config.laser_forward_m),
+            wheels_disagree: false,
             config,
         }
     }
@@ -229,6 +260,8 @@ impl SafetyPlane {
         });
         if self.odometry_jumped {
             self.rear.forget();
+            self.witness.forget();
+            self.digest_odom = wheel.odom;
         }
         self.rear.record_pose(input.time_ns, &wheel.odom);
         self.wheel = Some(wheel);
@@ -246,13 +279,29 @@ impl SafetyPlane {
             self.good_scans = 0;
             return;
         }
-        self.good_scans = self.good_scans.saturating_add(1);
+        self.check_frozen(scan);
+        self.good_scans = if self.scan_frozen { 0 } else { self.good_scans.saturating_add(1) };
         self.surroundings.update(scan);
         if let Some(wheel) = &self.wheel {
+            self.wheels_disagree |= self.witness.observe(scan, &wheel.odom);
             let t_odom_laser =
                 wheel.odom.compose(&Pose2::new(self.config.laser_forward_m, 0.0, 0.0));
             self.rear.record_scan(scan, &t_odom_laser, &self.surroundings);
         }
+    }
+
+    /// Noise makes every scan of a working scanner different, even while the robot stands.
+    fn check_frozen(&mut self, scan: &LaserScan) {
+        let odom = self.wheel.map_or(self.digest_odom, |wheel| wheel.odom);
+        let digest = digest_of(scan);
+        if digest != self.scan_digest {
+            self.scan_digest = digest;
+            self.digest_odom = odom;
+            self.scan_frozen = false;
+        }
+        let turned_rad = wrap_angle(odom.yaw_rad - self.digest_odom.yaw_rad).abs();
+        self.scan_frozen |=
+            odom.distance_m(&self.digest_odom) > FROZEN_M || turned_rad > FROZEN_RAD;
     }
 
     /// The newest wheel feedback, or the most serious reason why no motion is allowed now.
@@ -270,6 +319,10 @@ impl SafetyPlane {
         if let Some(why) = input.base_error {
             return Err(why);
         }
+        // After a late step, old measurements are no news: the loop itself did not ask for others.
+        if timing == Timing::Late {
+            return Err(FaultReason::LoopOverrun);
+        }
         if self.odometry_broken {
             return Err(FaultReason::OdometryNotFinite);
         }
@@ -283,11 +336,19 @@ impl SafetyPlane {
         if self.scan_bad {
             return Err(FaultReason::LidarBad);
         }
-        if timing == Timing::InTime { Ok(wheel) } else { Err(FaultReason::LoopOverrun) }
+        if self.scan_frozen {
+            return Err(FaultReason::LidarFrozen);
+        }
+        if self.wheels_disagree {
+            return Err(FaultReason::WheelsDisagree);
+        }
+        Ok(wheel)
     }
 
     fn enter_fault(&mut self, why: FaultReason) -> SafetyOutput {
         let before = self.state;
+        self.witness.forget();
+        self.wheels_disagree = false;
         match before {
             // A fault that resumes on evidence leads to `Clear`, so a disarmed robot must not enter
             // it: it would become armed. At the start, the motors are silent until they are set up.
@@ -413,8 +474,16 @@ impl SafetyPlane {
             return trip;
         }
         let (_, free_m) = self.free_ahead(wheel, &desired);
+        if let Some(stands) = self.stand_if_blind(time_ns, &desired) {
+            return stands;
+        }
         let creep_mps = self.restrained(time_ns, desired).linear_mps;
-        let limit_mps = self.speed_limit_mps(free_m).min(creep_mps);
+        let blind_mps = if self.blind_since_ns.is_some() { BLIND_MPS } else { f64::INFINITY };
+        let limit_mps = self
+            .speed_limit_mps(free_m)
+            .min(creep_mps)
+            .min(blind_mps)
+            .min(self.limit_beside_mps(wheel, &desired));
         if limit_mps < desired.linear_mps {
             return self.slow_down(desired, limit_mps);
         }
@@ -422,6 +491,39 @@ impl SafetyPlane {
         self.state = SafetyState::Clear;
         let pass = SafetyOutput::pass(desired);
         if was_slow { pass.because(SafetyEvent::Cleared) } else { pass }
+    }
+
+    /// Notes whether the scanner sees the way of a forward twist. Stands if it has not seen it for too
+    /// long; rotations stay possible, so that the robot can face another way.
+    fn stand_if_blind(&mut self, time_ns: u64, desired: &Twist2) -> Option<SafetyOutput> {
+        if !self.surroundings.is_blind_ahead(&self.footprint, desired) {
+            self.blind_since_ns = None;
+            self.view_lost = false;
+            return None;
+        }
+        let since_ns = *self.blind_since_ns.get_or_insert(time_ns);
+        if time_ns.saturating_sub(since_ns) < BLIND_NS {
+            return None;
+        }
+        let collides = self.rotation_would_collide(desired.angular_radps);
+        let rotation = Twist2 { linear_mps: 0.0, ..*desired };
+        let output = SafetyOutput::pass(if collides { Twist2::ZERO } else { rotation });
+        self.state = SafetyState::Slow;
+        let is_news = !std::mem::replace(&mut self.view_lost, true);
+        Some(if is_news { output.because(SafetyEvent::ViewLost) } else { output })
+    }
+
+    /// The highest speed with regard to obstacles that pass within the lateral margin.
+    fn limit_beside_mps(&self, wheel: &WheelFeedback, desired: &Twist2) -> f64 {
+        let speed = desired.linear_mps.max(wheel.twist.linear_mps);
+        let reach_m = self.config.stop_distance_m + self.stopping_distance_m(speed);
+        self.surroundings.first_obstacle(&self.wide, desired, reach_m).map_or(
+            f64::INFINITY,
+            |(_, gap_m)| {
+                // The margin widens the front, too, where it is part of the stop distance.
+                self.speed_limit_mps(gap_m + self.config.lateral_margin_m).max(BESIDE_MPS)
+            },
+        )
     }
 
     /// The nearest obstacle on the way of a forward twist, if it is within reach, and the free
@@ -658,6 +760,19 @@ fn forget_others(entries: &mut Vec<(u64, [f64; 2])>, time_ns: u64, here: [f64; 2
     });
 }
 
+/// FNV-1a over the bits of all ranges.
+fn digest_of(scan: &LaserScan) -> u64 {
+    scan.ranges.iter().fold(0xcbf2_9ce4_8422_2325, |digest: u64, range| {
+        let bits = match range {
+            Range::Hit(range_m) => u64::from(range_m.to_bits()),
+            Range::NoReturn => 1 << 32,
+            Range::TooNear => 2 << 32,
+            Range::Error => 3 << 32,
+        };
+        (digest ^ bits).wrapping_mul(0x0000_0100_0000_01b3)
+    })
+}
+
 fn cause_of(obstacle: &Obstacle) -> TripCause {
     if obstacle.too_near { TripCause::LidarTooNear } else { TripCause::LidarHit }
 }
@@ -674,7 +789,7 @@ fn blocked_point_m(state: &SafetyState) -> Option<[f64; 2]> {
 
 remembers!(
     SafetyPlane: state, surroundings, rear, scan_end_ns, scan_bad, good_scans, wheel, odometry_broken, odometry_jumped, last_call_ns, refused,
-    trips, trip_count, contacts, creep_until_ns
+    trips, trip_count, contacts, creep_until_ns, blind_since_ns, view_lost, scan_digest, digest_odom, scan_frozen, witness, wheels_disagree
 );
 
 #[cfg(test)]
@@ -692,3 +807,7 @@ mod reach_tests;
 #[cfg(test)]
 #[path = "contact_tests.rs"]
 mod contact_tests;
+
+#[cfg(test)]
+#[path = "view_tests.rs"]
+mod view_tests;

@@ -101,7 +101,7 @@ pub const STOPS: [Stop; 12] = [
         why: FaultReason::LidarFrozen,
         condition: "the scanner repeats a scan bit for bit while the wheels move by 5 cm or 0.1 rad",
         restart: Restart::Evidence("consecutive scans that differ (`good_scans`)"),
-        tests: "`corridor_tests::a_scanner_that_repeats_one_scan_while_the_robot_moves_is_frozen`",
+        tests: "`view_tests::a_scanner_that_repeats_one_scan_while_the_robot_moves_is_frozen`",
     },
     Stop {
         why: FaultReason::OdometryNotFinite,

@@ -3,6 +3,7 @@
 use hal::{LaserScan, Range, ScanGeometry};
 use serde::{Deserialize, Serialize};
 
+use super::corridor::View;
 use super::{BodySector, Footprint, SafetyConfig};
 use crate::snapshot::remembers;
 
@@ -15,6 +16,12 @@ const MIN_RUN: usize = 2;
 /// Neighbouring beams agree when their ranges differ by less than this: twice the ±30 mm accuracy
 /// of a UTM-30LX, plus 20 mm of tolerance.
 const NEIGHBOUR_GAP_M: f32 = 0.08;
+/// Fringe, fur or a plant returns only some beams, at different depths. A return also counts as part
+/// of an obstacle if one of this many beams before it returned from a similar distance, and if the
+/// scan before had such a return there, too. Two stray returns at one place in two scans are rare.
+const SPARSE_BEAMS: usize = 4;
+/// Depth of such an obstacle, metres.
+const SPARSE_GAP_M: f32 = 0.12;
 /// Horizon: obstacles farther from the laser than this are ignored, metres. A large configured stop
 /// distance extends it.
 pub(super) const HORIZON_M: f32 = 1.5;
@@ -63,7 +70,7 @@ impl ScanHealth {
 
 /// A range that is not finite or is negative counts as an error even if the driver reports it as a
 /// hit.
-fn is_error(range: Range) -> bool {
+pub(super) fn is_error(range: Range) -> bool {
     match range {
         Range::Hit(range_m) => !(range_m.is_finite() && range_m >= 0.0),
         Range::Error => true,
@@ -94,6 +101,11 @@ pub struct Surroundings {
     /// Sum of the ranges to the left minus the sum of the ranges to the right, each range limited
     /// to 2 m.
     left_minus_right_m: f32,
+    /// Ranges of sparse returns of this scan and of the one before, by beam, metres; infinite where
+    /// there was none.
+    sparse_m: Vec<f32>,
+    sparse_before_m: Vec<f32>,
+    view: View,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -131,6 +143,9 @@ impl Surroundings {
             geometry: None,
             obstacles: Vec::new(),
             left_minus_right_m: 0.0,
+            sparse_m: Vec::new(),
+            sparse_before_m: Vec::new(),
+            view: View::default(),
         }
     }
 
@@ -139,6 +154,8 @@ impl Surroundings {
             .map(|index| Beam::new(geometry.angle_rad(index), &self.body))
             .collect();
         self.obstacles.reserve(geometry.beams);
+        self.sparse_m.reserve(geometry.beams);
+        self.sparse_before_m.reserve(geometry.beams);
         self.geometry = Some(geometry);
     }
 
@@ -147,11 +164,19 @@ impl Surroundings {
         if self.geometry != Some(scan.geometry) {
             self.set_geometry(scan.geometry);
         }
+        self.view.update(scan);
         self.obstacles.clear();
         self.left_minus_right_m = 0.0;
+        std::mem::swap(&mut self.sparse_m, &mut self.sparse_before_m);
+        self.sparse_m.clear();
+        self.sparse_m.resize(scan.ranges.len(), f32::INFINITY);
         let mut run_length = 0;
         let mut last_m = f32::NEG_INFINITY;
-        for (beam, range) in self.beams.iter().zip(&scan.ranges) {
+        let mut recent_m = [f32::INFINITY; SPARSE_BEAMS];
+        for (index, (beam, range)) in self.beams.iter().zip(&scan.ranges).enumerate() {
+            let before_m = recent_m;
+            recent_m.rotate_right(1);
+            recent_m[0] = f32::INFINITY;
             // An error beam carries no information, so it does not interrupt a run of agreeing
             // beams.
             if is_error(*range) {
@@ -166,10 +191,16 @@ impl Surroundings {
                 run_length = 0;
                 continue;
             }
+            recent_m[0] = range_m;
             run_length =
                 if (range_m - last_m).abs() < NEIGHBOUR_GAP_M { run_length + 1 } else { 1 };
             last_m = range_m;
-            if run_length >= MIN_RUN {
+            let is_sparse = agrees(&before_m, range_m);
+            if is_sparse && let Some(sparse_m) = self.sparse_m.get_mut(index) {
+                *sparse_m = range_m;
+            }
+            let was_there = is_sparse && agrees(around(&self.sparse_before_m, index), range_m);
+            if run_length >= MIN_RUN || was_there {
                 let range_m = f64::from(range_m);
                 self.obstacles.push(Obstacle {
                     x_m: self.laser_forward_m + range_m * beam.cos,
@@ -178,6 +209,14 @@ impl Surroundings {
                 });
             }
         }
+    }
+
+    /// Whether a part of the way of a forward twist is not seen by the scanner.
+    #[must_use]
+    pub fn is_blind_ahead(&self, footprint: &Footprint, twist: &hal::Twist2) -> bool {
+        self.geometry.is_some_and(|geometry| {
+            self.view.is_blind(&geometry, self.laser_forward_m, footprint, twist)
+        })
     }
 
     /// Returns of this beam up to this distance come from the robot's own body, metres; 0 if the
@@ -224,7 +263,18 @@ impl Surroundings {
     }
 }
 
-remembers!(Surroundings: obstacles, left_minus_right_m);
+/// Whether one of the ranges is about this one.
+fn agrees(ranges_m: &[f32], range_m: f32) -> bool {
+    ranges_m.iter().any(|other_m| (other_m - range_m).abs() < SPARSE_GAP_M)
+}
+
+/// The entries around a beam.
+fn around(ranges_m: &[f32], beam: usize) -> &[f32] {
+    let end = (beam + SPARSE_BEAMS + 1).min(ranges_m.len());
+    ranges_m.get(beam.saturating_sub(SPARSE_BEAMS)..end).unwrap_or_default()
+}
+
+remembers!(Surroundings: obstacles, left_minus_right_m, sparse_m, sparse_before_m, view);
 
 #[cfg(test)]
 pub(super) mod tests {
@@ -373,6 +423,28 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn what_returns_every_second_beam_or_is_rough_is_an_obstacle_in_the_second_scan() {
+        fn obstacle_after_scans(range_m: impl Fn(usize) -> Range) -> Vec<bool> {
+            let mut surroundings = Surroundings::new(&SafetyConfig::default());
+            let mut scan = scan_of(|_| Range::Hit(3.0));
+            (530..550).for_each(|beam| scan.ranges[beam] = range_m(beam));
+            let robot = Footprint::new(0.16, &[]);
+            let mut seen = Vec::new();
+            for _ in 0..2 {
+                surroundings.update(&scan);
+                seen.push(surroundings.first_obstacle(&robot, &FORWARD, 0.1).is_some());
+            }
+            seen
+        }
+        let every_second = |beam| if beam % 2 == 0 { Range::Hit(0.2) } else { Range::NoReturn };
+        assert_eq!(obstacle_after_scans(every_second), [false, true]);
+        let rough = |beam| Range::Hit(0.2 + 0.09 * (beam % 2) as f32);
+        assert_eq!(obstacle_after_scans(rough), [false, true]);
+        let single = |beam| if beam == 540 { Range::Hit(0.2) } else { Range::Hit(3.0) };
+        assert_eq!(obstacle_after_scans(single), [false, false]);
+    }
+
+    #[test]
     fn the_side_with_larger_ranges_has_more_space() {
         let mut surroundings = Surroundings::new(&SafetyConfig::default());
         for (left_m, right_m, side) in
@@ -434,7 +506,7 @@ pub(super) mod tests {
         surroundings.update(&LaserScan { geometry, ..wall_ahead(0.2) });
         assert!(
             surroundings.first_obstacle(&Footprint::new(0.16, &[]), &FORWARD, 0.1).is_none(),
-            "the new scanner looks to the left"
+            "the new scanner is turned to the left"
         );
     }
 

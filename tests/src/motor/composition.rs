@@ -89,7 +89,8 @@ pub struct Composition {
     pub host: MemoryBus,
     motors: MemoryBus,
     board: MemoryBus,
-    has_board: bool,
+    config: BaseConfig,
+    geometry: ScanGeometry,
     /// The safety board is unplugged.
     pub board_is_silent: bool,
     /// The emergency stop of the safety board is pressed.
@@ -115,7 +116,6 @@ impl Composition {
         let clock = SharedClock(Rc::new(Cell::new(1_000_000_000)));
         let host = MemoryBus::new(1);
         host.set_now(clock.now_ns());
-        let base = DifferentialBase::with_clock(host.clone(), config, clock.clone())?;
         let pose = Rc::new(Cell::new(Pose2::IDENTITY));
         let scanner_is_silent = Rc::new(Cell::new(false));
         let scanner = RoomScanner {
@@ -125,23 +125,14 @@ impl Composition {
             geometry,
             next_ns: 0,
         };
-        let safety = SafetyConfig {
-            period_s: TICK_NS as f64 * 1e-9,
-            reaction_s: 0.05,
-            brake_mps2: 1.0,
-            good_scans: 3,
-            feedback_timeout_s: 0.1,
-            plan_timeout_s: 0.5,
-            scan_timeout_s: 2e-9 * geometry.period_ns as f64,
-            ..SafetyConfig::default()
-        };
         Ok(Self {
-            control: SafetyLoop::new(safety, base, scanner),
+            control: program(&host, config, scanner)?,
             nodes: [node(config.protocol, 1), node(config.protocol, 2)],
             motors: host.connect(),
             board: host.connect(),
             host,
-            has_board: config.safety_board,
+            config: config.clone(),
+            geometry,
             board_is_silent: false,
             pressed: false,
             board_counter: 0,
@@ -156,6 +147,28 @@ impl Composition {
         })
     }
 
+    /// The program ends without a word and is started again. Nobody has armed the new one.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn restart_program(&mut self) -> Result<(), CanError> {
+        let scanner = RoomScanner {
+            clock: self.clock.clone(),
+            pose: Rc::clone(&self.pose),
+            is_silent: Rc::clone(&self.scanner_is_silent),
+            geometry: self.geometry,
+            next_ns: 0,
+        };
+        self.control = program(&self.host, &self.config, scanner)?;
+        Ok(())
+    }
+
+    /// Whether a request to arm is in force.
+    #[must_use]
+    pub fn has_authority(&self) -> bool {
+        self.control.has_authority()
+    }
+
     /// Advances the world without the safety loop: the program is stopped.
     pub fn pause(&mut self, nanoseconds: u64) {
         let end_ns = self.clock.now_ns() + nanoseconds;
@@ -163,7 +176,8 @@ impl Composition {
             let now_ns = self.clock.now_ns() + STEP_NS;
             self.clock.sleep_until_ns(now_ns);
             self.host.set_now(now_ns);
-            if self.has_board && !self.board_is_silent && now_ns.is_multiple_of(BOARD_NS) {
+            if self.config.safety_board && !self.board_is_silent && now_ns.is_multiple_of(BOARD_NS)
+            {
                 self.send_board(self.pressed);
             }
             step_nodes(&mut self.nodes, &mut self.motors, now_ns, &mut self.outbox);
@@ -270,6 +284,26 @@ impl Composition {
         }
         world.nodes
     }
+}
+
+/// The safety loop of a program that has just started.
+fn program(
+    host: &MemoryBus,
+    config: &BaseConfig,
+    scanner: RoomScanner,
+) -> Result<SafetyLoop<Base, RoomScanner>, CanError> {
+    let safety = SafetyConfig {
+        period_s: TICK_NS as f64 * 1e-9,
+        reaction_s: 0.05,
+        brake_mps2: 1.0,
+        good_scans: 3,
+        feedback_timeout_s: 0.1,
+        plan_timeout_s: 0.5,
+        scan_timeout_s: 2e-9 * scanner.geometry.period_ns as f64,
+        ..SafetyConfig::default()
+    };
+    let base = DifferentialBase::with_clock(host.clone(), config, scanner.clock.clone())?;
+    Ok(SafetyLoop::new(safety, base, scanner))
 }
 
 /// What is left without a program.

@@ -9,14 +9,13 @@ use crate::hokuyo::{Health, WireFaults};
 /// Time without faults between two faults, seconds.
 const QUIET_S: std::ops::Range<f64> = 6.0..14.0;
 
-/// Faults and their durations, seconds. A motor controller that restarts is not among them, because
-/// it needs a person by design.
-const KINDS: [(&str, std::ops::Range<f64>); 6] = [
+/// Faults and their durations, seconds. A motor controller that falls silent or restarts is not among
+/// them, because it needs a person by design.
+const KINDS: [(&str, std::ops::Range<f64>); 5] = [
     ("the scanner is unplugged", 0.5..3.0),
     ("the scanner restarts", 0.1..0.2),
     ("bits flip on the scanner's wire", 1.0..4.0),
     ("the scanner's motor stops", 0.5..2.0),
-    ("the left motor's controller falls silent", 0.15..0.6),
     ("the camera is unplugged", 0.5..4.0),
 ];
 
@@ -67,7 +66,6 @@ fn begin(kind: usize, world: &LiveWorld) {
         1 => lidar.reboot(1_000_000_000),
         2 => lidar.set_wire(WireFaults { flip_share: 0.3, ..WireFaults::default() }),
         3 => lidar.set_health(Health::MotorFault),
-        4 => world.wheels()[0].faults().silent = true,
         _ => world.plug_camera(false),
     }
 }
@@ -78,8 +76,7 @@ fn end(kind: usize, world: &LiveWorld) -> std::io::Result<()> {
         0 => return lidar.plug_in(),
         2 => lidar.set_wire(WireFaults::default()),
         3 => lidar.set_health(Health::Well),
-        4 => world.wheels()[0].faults().silent = false,
-        5 => world.plug_camera(true),
+        4 => world.plug_camera(true),
         // The restart ends automatically.
         _ => {}
     }

@@ -60,19 +60,63 @@ fn the_watchdog_is_confirmed_anew_each_time_the_base_is_armed() {
 
 #[test]
 fn a_controller_that_restarts_while_driving_stops_the_base() {
-    for protocol in [Protocol::Odrive, Protocol::Cia402] {
+    for protocol in ALL {
         let mut rig = driving(protocol);
         rig.nodes[0].faults().reboot = true;
         (0..30).for_each(|_| drop(rig.drive(0.2, 0.0)));
-        assert_eq!(
-            rig.base.phase(),
-            Phase::Tripped(Trip::MotorFault(Side::Left)),
+        let expected = [Trip::MotorFault(Side::Left), Trip::MotorRestarted(Side::Left)];
+        assert!(
+            expected.map(Phase::Tripped).contains(&rig.base.phase()),
             "{protocol:?}: {}",
             rig.base.explain()
         );
         (0..30).for_each(|_| rig.poll());
         assert!(is_stopped(&rig), "{protocol:?}");
     }
+}
+
+#[test]
+fn a_drive_that_lost_its_power_and_its_configuration_can_be_armed_again() {
+    for protocol in ALL {
+        let mut rig = driving(protocol);
+        for node in &mut rig.nodes {
+            node.faults().boot_ns = 300 * MS;
+            node.faults().unpowered = true;
+        }
+        (0..200).for_each(|_| rig.poll());
+        assert!(!rig.base.is_armed());
+        rig.nodes.iter_mut().for_each(|node| node.faults().unpowered = false);
+        (0..300).for_each(|_| rig.poll());
+        rig.arm().unwrap_or_else(|error| panic!("{protocol:?}: {error}; {}", rig.base.explain()));
+        (0..100).for_each(|_| rig.drive(0.2, 0.0).expect("it drives"));
+        assert!(!is_stopped(&rig), "{protocol:?}");
+    }
+}
+
+#[test]
+fn the_gear_ratio_is_applied_to_commands_and_to_feedback() {
+    for protocol in ALL {
+        let config = BaseConfig { gear_ratio: 3.0, ..config(protocol) };
+        let mut rig = Rig::new(&config).expect("sound");
+        rig.arm().expect("it arms");
+        (0..150).for_each(|_| rig.drive(0.2, 0.0).expect("it drives"));
+        // 0.2 m/s are 4 rad/s of a wheel with a radius of 5 cm, and 12 rad/s of its motor.
+        let speeds = rig.wheels_radps();
+        assert!(speeds.iter().all(|speed| (speed - 12.0).abs() < 0.2), "{protocol:?}: {speeds:?}");
+        let motor_rad = rig.nodes[0].wheel().position_rad();
+        let pose = rig.base.odometry().pose();
+        assert!((pose.x_m - motor_rad / 3.0 * 0.05).abs() < 0.01, "{protocol:?}: {pose:?}");
+    }
+}
+
+#[test]
+fn a_drive_that_loses_its_host_brakes_instead_of_coasting() {
+    let mut rig = driving(Protocol::Cia402);
+    for node in &mut rig.nodes {
+        node.wheel_mut().coast_s = 10.0;
+    }
+    rig.advance(400 * MS);
+    assert!(is_stopped(&rig), "{:?}", rig.wheels_radps());
 }
 
 #[test]

@@ -54,9 +54,10 @@ def write_segment(
     truth: bool = False,
     scans: list[Scan] | None = None,
     beams: int | None = None,
+    scan_odom: list[dict[str, Any]] | None = None,
 ) -> None:
     """Writes one segment with the images of `frames`, one pose of the base for each, and optionally a scan before each
-    image; `beams` overrides the number of beams in the ticks."""
+    image; `beams` overrides the number of beams in the ticks, `scan_odom` the base's poses at the scans' times."""
     descriptors = schema()
     pool = descriptor_pool.DescriptorPool()
     pool.Add(descriptors.file[0])
@@ -81,6 +82,7 @@ def write_segment(
     for index, wheel in enumerate(wheels):
         time_ns = int(frames.time_ns[index])
         tick: dict[str, Any] = {"tick": index, "time_ns": time_ns, "wheel": wheel, "frame": True, "truth": truth}
+        tick["scan_odom"] = wheel if scan_odom is None else scan_odom[index]
         scan = None if scans is None else scans[index]
         if scan is not None:
             tick["scan"] = {key: value for key, value in asdict(scan).items() if key != "ranges_m"}

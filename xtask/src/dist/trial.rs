@@ -66,6 +66,10 @@ impl Simulated {
     }
 }
 
+fn read(path: &Path) -> Result<String> {
+    std::fs::read_to_string(path).with_context(|| path.display().to_string())
+}
+
 /// Initializes the model store of robot.toml as the service does: the package's network becomes its first model.
 fn models(
     root: &Path,
@@ -73,13 +77,8 @@ fn models(
     simulated: &Simulated,
     firmware: impl Fn(&[&str]) -> Command,
 ) -> Result<()> {
-    let read = |path: &str| {
-        let path = root.join(path);
-        std::fs::read_to_string(&path).with_context(|| path.display().to_string())
-    };
-    let [config, unit] =
-        ["etc/embodied-depth/robot.toml", "lib/systemd/system/embodied-depth.service"].map(read);
-    let (config, unit) = (config?, unit?);
+    let config = read(&root.join("etc/embodied-depth/robot.toml"))?;
+    let unit = read(&root.join("lib/systemd/system/embodied-depth.service"))?;
     let store = config.lines().find_map(|line| line.strip_prefix("store = \"")?.strip_suffix('"'));
     let store = store.context("robot.toml has no models.store")?;
     // The service may write into its `StateDirectory=` only.

@@ -32,18 +32,22 @@ pub struct Machine<'a> {
 }
 
 impl<'a> Machine<'a> {
+    /// Whether this machine can run the scenario too.
+    fn fits(&self, scenario: &Scenario) -> bool {
+        self.kernel == scenario.kernel
+            && self.icount == scenario.icount
+            && self.systemd == scenario.systemd
+            && self.disk_mb.is_none()
+            && scenario.disk_mb.is_none()
+    }
+
     /// Groups scenarios into as few machines as possible. A scenario that needs a disk gets a machine of its own, because it may
     /// corrupt the disk.
     pub fn for_scenarios(scenarios: &'a [Scenario]) -> Vec<Self> {
         let mut machines: Vec<Self> = Vec::new();
         for scenario in scenarios {
-            let fits = |machine: &Self| {
-                (machine.kernel, machine.icount, machine.systemd)
-                    == (scenario.kernel, scenario.icount, scenario.systemd)
-                    && machine.disk_mb.is_none()
-                    && scenario.disk_mb.is_none()
-            };
-            let index = machines.iter().position(fits).unwrap_or_else(|| {
+            let fitting = machines.iter().position(|machine| machine.fits(scenario));
+            let index = fitting.unwrap_or_else(|| {
                 let Scenario { kernel, icount, disk_mb, systemd, .. } = *scenario;
                 machines.push(Self {
                     kernel,
@@ -160,7 +164,8 @@ fn prepare(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<PathBuf
         writeln!(commands, "export {variable}='{path}'")?;
     }
     for scenario in &machine.scenarios {
-        let (name, seconds) = (&scenario.name, scenario.seconds);
+        let name = &scenario.name;
+        let seconds = scenario.seconds;
         std::fs::write(
             folder.join(format!("{name}.sh")),
             format!(". /rig/guest.sh\n{}", scenario.body),

@@ -5,7 +5,6 @@ mod scenario;
 mod setup;
 mod table;
 
-use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
@@ -81,10 +80,12 @@ fn build(scenarios: &[Scenario]) -> Result<Vec<(&'static str, String)>> {
         let program = paths::target().join("debug/firmware-host");
         found.push(("PACKAGE", package::make(Arch::of_this_computer(), &program, &folder)?));
     }
-    let text = |path: PathBuf| {
-        path.to_str().map(str::to_owned).context("the checkout's path is not UTF-8")
-    };
-    found.into_iter().map(|(variable, path)| Ok((variable, text(path)?))).collect()
+    let mut texts = Vec::new();
+    for (variable, path) in found {
+        let text = path.to_str().context("the checkout's path is not UTF-8")?;
+        texts.push((variable, text.to_owned()));
+    }
+    Ok(texts)
 }
 
 #[cfg(test)]

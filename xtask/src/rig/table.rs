@@ -16,12 +16,9 @@ const FIGURE: usize = 60;
 
 /// The table with the columns scenario, promise, figure, outcome and wall time.
 pub fn print(rows: &[Row]) {
-    let width = |column: fn(&Row) -> &str, title: &str| {
-        rows.iter().map(|row| column(row).chars().count()).chain([title.len()]).max().unwrap_or(0)
-    };
-    let (scenario, promise) =
-        (width(|row| &row.scenario, "scenario"), width(|row| &row.promise, "promise"));
-    let figure = width(|row| &row.figure, "figure").min(FIGURE);
+    let scenario = width(rows, |row| &row.scenario, "scenario");
+    let promise = width(rows, |row| &row.promise, "promise");
+    let figure = width(rows, |row| &row.figure, "figure").min(FIGURE);
     println!(
         "\n{:scenario$}  {:promise$}  {:figure$}  outcome  {:>6}",
         "scenario", "promise", "figure", "wall s"
@@ -33,4 +30,10 @@ pub fn print(rows: &[Row]) {
             row.scenario, row.promise, row.figure, row.seconds
         );
     }
+}
+
+/// Width of a column: that of its longest cell or of its title.
+fn width(rows: &[Row], column: fn(&Row) -> &str, title: &str) -> usize {
+    let longest = rows.iter().map(|row| column(row).chars().count()).max();
+    longest.unwrap_or(0).max(title.len())
 }

@@ -49,6 +49,9 @@ const ARMING_NS: u64 = 3_000 * MS;
 const DISARMING_NS: u64 = 500 * MS;
 /// When the safety board has sent nothing for longer, its emergency stop counts as pressed.
 const SAFETY_NS: u64 = 100 * MS;
+/// A motor that was present and sends nothing for this long is lost. It is three repetitions of a
+/// request.
+const LOST_NS: u64 = 300 * MS;
 /// The motors of a base that is not in use are set up again when they have sent nothing for this
 /// long: they may have lost their configuration with their power.
 const SET_UP_AGAIN_NS: u64 = 1_000 * MS;
@@ -102,9 +105,13 @@ pub struct DifferentialBase<B, C = MonotonicClock> {
     returned_ns: u64,
     twist: Twist2,
     polled_ns: u64,
+    /// When the loop called again after a pause that was longer than the watchdog time.
+    resumed_ns: u64,
     started_ns: u64,
-    /// A frame of any kind arrived from this motor.
+    /// When a frame of any kind last arrived from each motor, and when silent motors were last set up
+    /// again.
     heard_ns: [u64; 2],
+    set_up_ns: u64,
     estop: bool,
     /// An emergency stop was pressed at any moment since the last poll, and whether the last poll
     /// reported that. A press may be shorter than a tick.
@@ -166,8 +173,10 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
             returned_ns: 0,
             twist: Twist2::ZERO,
             polled_ns: now_ns,
+            resumed_ns: 0,
             started_ns: now_ns,
             heard_ns: [now_ns; 2],
+            set_up_ns: 0,
             estop: false,
             estop_seen: false,
             estop_reported: false,
@@ -394,14 +403,17 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
     }
 
     /// An error for the first motor whose feedback is too old. While the base is arming, a motor
-    /// that is being configured sends responses instead of feedback.
+    /// that is being configured sends responses instead of feedback; after a pause of the loop, drives
+    /// that send feedback on request have not been asked for it.
     fn silent_motor(&self, now_ns: u64) -> Option<CanError> {
         let limit_ms = u64::from(self.config.feedback_timeout_ms);
         let is_arming = self.phase == Phase::Arming;
         SIDES.into_iter().zip(&self.motors).zip(self.heard_ns).find_map(
             |((side, motor), heard_ns)| {
                 let heard_ns = if is_arming { heard_ns.max(self.phase_since_ns) } else { 0 };
-                let last_ns = motor.status().feedback_ns.max(self.started_ns).max(heard_ns);
+                let resumed_ns = if self.phase == Phase::Armed { 0 } else { self.resumed_ns };
+                let asked_ns = self.started_ns.max(heard_ns).max(resumed_ns);
+                let last_ns = motor.status().feedback_ns.max(asked_ns);
                 let age_ms = now_ns.saturating_sub(last_ns) / MS;
                 (age_ms > limit_ms
                     || (age_ms == limit_ms && now_ns.saturating_sub(last_ns) > limit_ms * MS))
@@ -414,8 +426,11 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
     fn supervise(&mut self, now_ns: u64) {
         let stalled =
             now_ns.saturating_sub(self.polled_ns) > u64::from(self.config.watchdog_ms) * MS;
-        if self.phase == Phase::Armed && stalled {
-            self.trip(Trip::LoopStalled, now_ns);
+        if stalled {
+            self.resumed_ns = now_ns;
+            if self.phase == Phase::Armed {
+                self.trip(Trip::LoopStalled, now_ns);
+            }
         }
         if let Some(trip) = self.inhibiting_trip(now_ns) {
             self.trip(trip, now_ns);
@@ -465,12 +480,23 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
 
     /// Sets silent motors up again. They stay without power.
     fn set_up_again(&mut self, now_ns: u64) {
-        for (motor, heard_ns) in self.motors.iter_mut().zip(&mut self.heard_ns) {
-            if now_ns.saturating_sub(*heard_ns) >= SET_UP_AGAIN_NS {
+        let set_up_ns = self.set_up_ns;
+        for (motor, heard_ns) in self.motors.iter_mut().zip(&self.heard_ns) {
+            let was_heard = *heard_ns > self.started_ns;
+            let last_ns = (*heard_ns).max(set_up_ns);
+            if was_heard && now_ns.saturating_sub(last_ns) >= SET_UP_AGAIN_NS {
                 motor.restart();
-                *heard_ns = now_ns;
+                self.set_up_ns = now_ns;
             }
         }
+    }
+
+    /// Whether a motor that was present sends nothing any more, neither feedback nor responses.
+    fn has_lost_motor(&self, now_ns: u64) -> bool {
+        self.heard_ns.into_iter().any(|heard_ns| {
+            let heard_ns = heard_ns.max(self.resumed_ns);
+            heard_ns > self.started_ns && now_ns.saturating_sub(heard_ns) > LOST_NS
+        })
     }
 
     fn stands(&self) -> bool {
@@ -588,6 +614,7 @@ impl<B: CanBus, C: Clock> Base for DifferentialBase<B, C> {
                 Some(StopCause::EmergencyStop)
             }
             _ if self.estop_reported => Some(StopCause::EmergencyStop),
+            _ if self.has_lost_motor(now_ns) => Some(StopCause::MotorsLost),
             (Some(Trip::SafetySilent), _) | (_, Phase::Tripped(Trip::SafetySilent)) => {
                 Some(StopCause::SafetyBoardSilent)
             }

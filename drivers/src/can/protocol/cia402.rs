@@ -5,7 +5,8 @@
 //! heartbeat time (0x1016), which is the drive's watchdog on the host. The host's heartbeat is sent
 //! by the same tick as the velocities, so it cannot outlive the commands.
 //!
-//! Frames of one tick: the host's heartbeat (sent by one motor for all), RPDO1 with controlword and
+//! Frames of one tick: the host's heartbeat (sent by one motor for all, once its watchdog is
+//! confirmed), RPDO1 with controlword and
 //! target velocity, SYNC (also sent by one motor), and in response to it the drive's TPDO1
 //! (statusword, velocity) and TPDO2 (position).
 
@@ -345,7 +346,9 @@ impl MotorProtocol for Cia402 {
     }
 
     fn tick(&mut self, now_ns: u64, out: &mut Outbox) {
-        if self.node.leads {
+        // Not before the drive's watchdog is confirmed: a drive that still follows the last command of
+        // a program that ended must miss the heartbeat.
+        if self.node.leads && self.status.watchdog_ms.is_some() {
             let id = HEARTBEAT + u16::from(self.node.host);
             put(out, [CanFrame::standard_short(id, [OPERATIONAL, 0, 0, 0, 0, 0, 0, 0], 1)]);
         }
@@ -473,10 +476,13 @@ mod tests {
     }
 
     #[test]
-    fn every_tick_sends_the_hosts_heartbeat_and_one_sync() {
+    fn every_tick_sends_one_sync_and_the_hosts_heartbeat_once_the_watchdog_is_confirmed() {
         let mut motor = Cia402::new(NODE);
-        assert_eq!(sent(&mut motor, 0), ["77F#05", "000#8005", "080#"]);
-        assert_eq!(sent(&mut motor, 1), ["77F#05", "605#2300140105020080", "080#"]);
+        assert_eq!(sent(&mut motor, 0), ["000#8005", "080#"]);
+        assert_eq!(sent(&mut motor, 1), ["605#2300140105020080", "080#"]);
+        motor.status.watchdog_ms = Some(100.0);
+        motor.step = Step::Ready;
+        assert_eq!(sent(&mut motor, 2), ["77F#05", "205#060000000000", "080#"]);
     }
 
     #[test]

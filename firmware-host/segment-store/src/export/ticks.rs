@@ -2,9 +2,9 @@
 
 use std::fs::File;
 use std::io::BufReader;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use runtime::recording::{RecordedTick, RecordingReader, SegmentHeader};
+use runtime::recording::{RecordedTick, RecordingError, RecordingReader, SegmentHeader};
 
 use crate::error::StoreError;
 
@@ -16,7 +16,6 @@ pub(super) fn each_tick(
     let mut cut = 0;
     for path in segments {
         let file = File::open(path).map_err(StoreError::read(path))?;
-        let bad = |detail: String| StoreError::Segment { path: path.clone(), detail };
         let reader = match RecordingReader::open(BufReader::with_capacity(1 << 20, file)) {
             Ok(reader) => reader,
             // Cut before its first tick.
@@ -24,7 +23,7 @@ pub(super) fn each_tick(
                 cut += 1;
                 continue;
             }
-            Err(error) => return Err(bad(error.to_string())),
+            Err(error) => return Err(unreadable(path, &error)),
         };
         let header = reader.header().clone();
         for tick in reader {
@@ -34,11 +33,15 @@ pub(super) fn each_tick(
                     cut += 1;
                     break;
                 }
-                Err(error) => return Err(bad(error.to_string())),
+                Err(error) => return Err(unreadable(path, &error)),
             }
         }
     }
     Ok(cut)
+}
+
+fn unreadable(path: &Path, error: &RecordingError) -> StoreError {
+    StoreError::Segment { path: path.to_owned(), detail: error.to_string() }
 }
 
 /// Encodes an image as PNG.

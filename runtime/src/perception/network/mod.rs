@@ -163,10 +163,9 @@ impl DepthNetwork {
         coarse: Option<&DepthEstimate>,
     ) -> Result<(), NoDepth> {
         let size = self.spec.size;
-        let fits = |coarse: &DepthEstimate| (coarse.depth.width(), coarse.depth.height()) == size;
         if frame.format() != PixelFormat::Rgb8
             || (frame.width(), frame.height()) != size
-            || !coarse.is_none_or(fits)
+            || coarse.is_some_and(|c| (c.depth.width(), c.depth.height()) != size)
         {
             return Err(NoDepth::FrameSize);
         }

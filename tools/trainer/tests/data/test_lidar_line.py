@@ -194,6 +194,23 @@ def test_recorded_scans_are_read_on_request_and_projected_by_the_mounts(tmp_path
     assert np.array_equal(found.lidar, np.stack(expected))
 
 
+def test_a_scan_is_placed_at_the_pose_of_its_own_time(tmp_path: Path) -> None:
+    # A wall 2 m ahead of the camera. The scan was taken 0.3 m further back, 2.4 m from the wall.
+    frames = room(1, (64, 192))
+    ranges = 2.4 / np.cos(INCREMENT * np.arange(-180, 181))
+    scan = replace(scan_of(ranges), time_ns=int(frames.time_ns[0]))
+    behind = [{"x_m": -0.3, "y_m": 0.0, "yaw_rad": 0.0}]
+    write_segment(tmp_path / "a.mcap", frames, straight(1), scans=[scan], scan_odom=behind)
+    found, _ = read_recording(tmp_path / "a.mcap", lidar=True)
+    assert found.lidar is not None
+    row, millimetres = found.lidar[0]
+    valid = millimetres > 0
+    assert valid.any()
+    # The recording's camera is 0.1 m ahead of the scanner and 0.4 m above.
+    assert (millimetres[valid] == 2000).all()
+    assert (row[valid] == round(31.5 + 96 * 0.4 / 2.0)).all()
+
+
 def test_a_scan_that_is_too_old_or_new_is_not_used(tmp_path: Path) -> None:
     frames = room(3, (64, 192))
     late = scans_of(frames, MAX_APART_NS + 1)

@@ -121,7 +121,7 @@ def test_errors_name_the_unusable_recording_and_what_to_do(tmp_path: Path) -> No
         read_recording(tmp_path)
     frames = room(3)
     write_segment(tmp_path / "recording_0000.mcap", frames, [*straight(2), {"x_m": 0.1, "y_m": "7ff8000000000000"}])
-    with pytest.raises(TrainerError, match="tick 2 has a frame without a pose"):
+    with pytest.raises(TrainerError, match="tick 2 has no pose in `wheel`"):
         read_recording(tmp_path)
     write_segment(tmp_path / "recording_0000.mcap", frames, straight(3))
     other = replace(frames, camera=replace(frames.camera, fx=50.0))

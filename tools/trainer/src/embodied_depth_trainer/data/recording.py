@@ -22,6 +22,7 @@ from embodied_depth_trainer.data.held_out import is_held_out
 from embodied_depth_trainer.data.lidar_line import MAX_APART_NS, Scan, line
 from embodied_depth_trainer.errors import TrainerError
 
+# The recording format of the robot's program (`FORMAT_VERSION` in runtime/src/recording/header.rs).
 FORMAT_VERSION = 2
 HEADER = "/robot/header"
 TICK = "/robot/tick"
@@ -100,8 +101,10 @@ class _Run:
     def __init__(self, lidar: bool) -> None:
         self.camera: Intrinsics | None = None
         self.topics = {IMAGE, TRUTH, SCAN} if lidar else {IMAGE, TRUTH}
-        self.t_camera_laser = np.eye(4)
+        self.t_camera_base = np.eye(4)
+        self.t_base_laser = np.eye(4)
         self.scan: Scan | None = None
+        self.t_odom_laser = np.eye(4)
         self.rgb: list[NDArray[np.uint8]] = []
         self.poses: list[NDArray[np.float64]] = []
         self.times: list[int] = []
@@ -129,13 +132,15 @@ class _Run:
                     )
                 if channel.topic == SCAN:
                     self.scan = _scan(file, tick, decode(message.data))
+                    self.t_odom_laser = _pose(*_planar(file, tick, "scan_odom")) @ self.t_base_laser
                 elif channel.topic == IMAGE:
                     self.rgb.append(self._image(file, tick, decode(message.data)))
-                    x_m, y_m, yaw_rad = _odom(file, tick)
-                    self.poses.append(_pose(x_m, y_m, yaw_rad) @ t_base_camera)
+                    x_m, y_m, yaw_rad = _planar(file, tick, "wheel")
+                    t_odom_base = _pose(x_m, y_m, yaw_rad)
+                    self.poses.append(t_odom_base @ t_base_camera)
                     self.held_out.append(is_held_out(x_m, y_m, yaw_rad))
                     self.times.append(int(tick["time_ns"]))
-                    self.lines.append(self._line())
+                    self.lines.append(self._line(t_odom_base))
                 else:
                     self.truth.append(_millimetres(file, tick, decode(message.data)))
 
@@ -158,15 +163,17 @@ class _Run:
         self.camera = found
         t_base_camera = _rigid(header["run"]["t_base_camera"])
         if SCAN in self.topics:
-            self.t_camera_laser = np.linalg.inv(t_base_camera) @ _rigid(header["run"]["t_base_laser"])
+            self.t_camera_base = np.linalg.inv(t_base_camera)
+            self.t_base_laser = _rigid(header["run"]["t_base_laser"])
         return t_base_camera
 
-    def _line(self) -> NDArray[np.uint16]:
-        """The LiDAR's line in the frame that was read last; empty where no scan is close enough in time."""
+    def _line(self, t_odom_base: NDArray[np.float64]) -> NDArray[np.uint16]:
+        """The LiDAR's line in the frame that was read last; empty where no scan is close enough in time. The robot may
+        have moved between scan and frame, so the scan is placed at the pose of its own time."""
         assert self.camera is not None
         if self.scan is None or abs(self.scan.time_ns - self.times[-1]) > MAX_APART_NS:
             return np.zeros((2, self.camera.width), np.uint16)
-        return line(self.camera, self.t_camera_laser, self.scan)
+        return line(self.camera, self.t_camera_base @ np.linalg.inv(t_odom_base) @ self.t_odom_laser, self.scan)
 
     def _image(self, file: Path, tick: dict[str, Any], message: CompressedImage) -> NDArray[np.uint8]:
         assert self.camera is not None
@@ -223,14 +230,15 @@ def _messages(file: Path) -> Iterator[tuple[Schema | None, Channel, Message]]:
         raise _BrokenError(f"{type(problem).__name__} {problem}".strip()) from problem
 
 
-def _odom(file: Path, tick: dict[str, Any]) -> tuple[float, float, float]:
-    """Position and heading of `base_link` in `odom`, metres and radians."""
-    wheel = tick.get("wheel") or {}
-    values = [wheel.get(key) for key in ("x_m", "y_m", "yaw_rad")]
+def _planar(file: Path, tick: dict[str, Any], key: str) -> tuple[float, float, float]:
+    """Position and yaw of `base_link` in `odom`, metres and radians: at the frame's time (`wheel`) or at the scan's
+    (`scan_odom`)."""
+    pose = tick.get(key) or {}
+    values = [pose.get(name) for name in ("x_m", "y_m", "yaw_rad")]
     # Numbers that are not finite are recorded as text.
     if not all(isinstance(value, (int, float)) and np.isfinite(value) for value in values):
         raise TrainerError(
-            f"{file}: tick {tick.get('tick')} has a frame without a pose (x_m, y_m, yaw_rad = {values}); "
+            f"{file}: tick {tick.get('tick')} has no pose in `{key}` (x_m, y_m, yaw_rad = {values}); "
             "train on a recording whose odometry worked"
         )
     x_m, y_m, yaw_rad = (float(value) for value in values if value is not None)

@@ -1,0 +1,105 @@
+//! Tests of what the scanner does not see: errors and missing returns on the way, a wall within its
+//! noise, and a scan that repeats.
+
+use super::tests::{FORWARD, Room, driving};
+use super::*;
+
+/// A tick in which the beams within `half_deg` of straight ahead are `instead`.
+fn tick_with_front(room: &mut Room, half_deg: f64, instead: Range) -> SafetyOutput {
+    let mut scan = room.scan();
+    for (beam, range) in scan.ranges.iter_mut().enumerate() {
+        if scan.geometry.angle_rad(beam).to_degrees().abs() < half_deg {
+            *range = instead;
+        }
+    }
+    room.tick_with(FORWARD, Some(&scan), false)
+}
+
+#[test]
+fn a_front_that_is_not_seen_slows_the_robot_at_once_and_stops_it_within_ten_centimetres() {
+    for (half_deg, instead) in [(67.0, Range::Error), (3.0, Range::Error), (90.0, Range::NoReturn)]
+    {
+        let mut room = driving();
+        let from = room.pose;
+        let outputs: Vec<_> =
+            (0..50).map(|_| tick_with_front(&mut room, half_deg, instead)).collect();
+        assert_eq!(outputs[0].event, Some(SafetyEvent::Slowed { limit_mps: BLIND_MPS }));
+        let lost = outputs.iter().filter(|output| output.event == Some(SafetyEvent::ViewLost));
+        assert_eq!(lost.count(), 1, "{half_deg} {instead:?}");
+        let gone_m = room.pose.distance_m(&from);
+        assert!(gone_m < 0.1, "{half_deg} {instead:?}: {gone_m} m");
+        assert_eq!(room.tick(FORWARD).event, Some(SafetyEvent::Cleared));
+        assert_eq!(room.tick(FORWARD).twist(), FORWARD);
+    }
+}
+
+#[test]
+fn a_robot_that_stands_because_it_does_not_see_may_rotate() {
+    let mut room = driving();
+    (0..10).for_each(|_| _ = tick_with_front(&mut room, 60.0, Range::Error));
+    let mut scan = room.scan();
+    scan.ranges[300..780].fill(Range::Error);
+    let arc = Twist2 { linear_mps: 0.2, angular_radps: 0.4 };
+    let output = room.tick_with(arc, Some(&scan), false);
+    assert_eq!(output.twist(), Twist2 { linear_mps: 0.0, angular_radps: 0.4 });
+}
+
+#[test]
+fn a_wall_within_the_scanners_noise_is_passed_slowly_and_one_beyond_it_at_full_speed() {
+    for (gap_m, speed) in [(0.001, BESIDE_MPS), (0.025, BESIDE_MPS), (0.035, 0.3)] {
+        let mut room = Room::new(5.0, Pose2::new(0.0, 5.0 - 0.16 - gap_m, 0.0));
+        room.tick(Twist2::ZERO);
+        for _ in 0..5 {
+            let twist = room.tick(FORWARD).twist();
+            assert!((twist.linear_mps - speed).abs() < 1e-9, "{gap_m}: {twist:?}");
+        }
+    }
+}
+
+#[test]
+fn a_scanner_that_repeats_one_scan_while_the_robot_moves_is_frozen() {
+    let mut room = driving();
+    let frozen = room.scan();
+    let from = room.pose;
+    let mut faults = Vec::new();
+    for _ in 0..20 {
+        let scan = LaserScan { time_ns: room.time_ns, ..frozen.clone() };
+        faults.extend(room.tick_with(FORWARD, Some(&scan), false).event);
+    }
+    assert_eq!(faults, [SafetyEvent::Faulted { why: FaultReason::LidarFrozen }]);
+    let gone_m = room.pose.distance_m(&from);
+    assert!(gone_m < 0.12, "{gone_m} m");
+    assert!(super::tests::restarts_slowly(&mut room), "{:?}", room.plane.state());
+}
+
+#[test]
+fn a_scanner_that_repeats_one_scan_while_the_robot_stands_is_not_frozen() {
+    let mut room = driving();
+    let same = room.scan();
+    for _ in 0..100 {
+        let scan = LaserScan { time_ns: room.time_ns, ..same.clone() };
+        assert_eq!(room.tick_with(Twist2::ZERO, Some(&scan), false).event, None);
+    }
+}
+
+#[test]
+fn wheels_that_turn_while_the_room_stands_still_stop_the_robot_until_a_person_has_looked() {
+    let mut room = Room::new(3.0, Pose2::new(-1.0, 0.5, 0.3));
+    room.tick(FORWARD);
+    let start = room.pose;
+    let mut odom_m = 0.0;
+    let mut event = None;
+    while event.is_none() && odom_m < 5.0 {
+        room.pose = start;
+        let mut scan = room.scan();
+        // The noise of a working scanner.
+        scan.ranges[0] = Range::Hit(1.0 + odom_m as f32);
+        let mut input = room.input(FORWARD, Some(&scan), false);
+        let odom = start.compose(&Pose2::new(odom_m, 0.0, 0.0));
+        input.wheel = input.wheel.map(|wheel| WheelFeedback { odom, ..wheel });
+        event = room.step(&input).event;
+        odom_m += 0.03;
+    }
+    assert_eq!(event, Some(SafetyEvent::Faulted { why: FaultReason::WheelsDisagree }));
+    assert!(odom_m < 0.6, "{odom_m} m by the wheels");
+}

@@ -1,0 +1,258 @@
+//! A model check of restart authority over the real composition: safety loop, base driver and
+//! simulated controllers. Every order of eight events is explored, and after each step of each of
+//! them this holds: *a wheel is driven only if somebody asked for it after the last event that needs
+//! a person*.
+//!
+//! The composition cannot be copied, so a state is reached again by repeating its events. Sequences
+//! that end in the same abstract state (state machine, base, controllers, injected faults, authority)
+//! are continued together. Timers are not part of it: every event is followed by 0.3 s, which is
+//! longer than all of them but those of arming.
+#![allow(missing_docs, clippy::expect_used, clippy::panic)]
+
+use std::collections::HashSet;
+
+use drivers::can::{BaseConfig, Protocol};
+use hal::ScanGeometry;
+use hil::motor::Composition;
+use hil::motor::rig::config;
+use runtime::event::FaultReason;
+use runtime::safety::SafetyState;
+
+const DEPTH: usize = 8;
+const MS: u64 = 1_000_000;
+/// After an event that needs a person, the wheels must not be driven for longer than this: 100 ms of
+/// silence, and two control ticks.
+const REACTION_NS: u64 = 130 * MS;
+/// Steps after each event.
+const STEPS: usize = 30;
+const BOOT_NS: u64 = 200 * MS;
+
+/// A coarse scanner, because thousands of sequences are repeated.
+const GEOMETRY: ScanGeometry = ScanGeometry {
+    angle_min_rad: -2.0,
+    angle_increment_rad: 0.25,
+    beams: 17,
+    range_min_m: 0.1,
+    range_max_m: 30.0,
+    period_ns: 25 * MS,
+};
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Event {
+    /// The motors lose their power, or get it back and start.
+    Power,
+    /// The emergency stop is pressed or released.
+    EmergencyStop,
+    /// The safety board is unplugged or plugged in.
+    Board,
+    /// The scanner is unplugged or plugged in.
+    Scanner,
+    /// The program is stopped for three seconds.
+    Pause,
+    /// A wheel is blocked until the next event.
+    Contact,
+    /// The program is started again, with `arm_at_start`.
+    Restart,
+    /// A person looks at the robot and arms it.
+    Person,
+    /// Time passes.
+    Wait,
+}
+
+const ALL: [Event; 9] = [
+    Event::Power,
+    Event::EmergencyStop,
+    Event::Board,
+    Event::Scanner,
+    Event::Pause,
+    Event::Contact,
+    Event::Restart,
+    Event::Person,
+    Event::Wait,
+];
+
+struct Model {
+    robot: Composition,
+    is_powered: bool,
+    scanner_is_silent: bool,
+    /// Somebody asked for motion after the last event that needs a person.
+    is_granted: bool,
+    /// Time of the last event that needs a person.
+    revoked_ns: u64,
+    /// The program was started after the last loss of a device. It cannot know then that a device
+    /// that appears was lost before: its request to arm is newer than the loss.
+    is_new: bool,
+    /// The events so far.
+    path: Vec<Event>,
+}
+
+impl Model {
+    fn new(protocol: Protocol) -> Self {
+        let config = BaseConfig { safety_board: true, ..config(protocol) };
+        let mut robot = Composition::new(&config, GEOMETRY).expect("a sound configuration");
+        robot.nodes.iter_mut().for_each(|node| node.faults().boot_ns = BOOT_NS);
+        robot.steps(100);
+        Self {
+            robot,
+            is_powered: true,
+            scanner_is_silent: false,
+            is_granted: false,
+            revoked_ns: 0,
+            path: Vec::new(),
+            is_new: true,
+        }
+    }
+
+    /// A device is lost, which needs a person, or comes back, which must not move the robot either.
+    fn lose_or_return(&mut self, is_lost: bool) {
+        if is_lost {
+            self.is_new = false;
+        }
+        if !self.is_new {
+            self.revoke();
+        }
+    }
+
+    fn revoke(&mut self) {
+        self.is_granted = false;
+        self.revoked_ns = self.robot.now_ns();
+    }
+
+    fn apply(&mut self, event: Event) {
+        self.path.push(event);
+        self.robot.nodes[0].wheel_mut().blocked = event == Event::Contact;
+        match event {
+            Event::Power => {
+                self.is_powered = !self.is_powered;
+                for node in &mut self.robot.nodes {
+                    node.faults().unpowered = !self.is_powered;
+                }
+                self.lose_or_return(!self.is_powered);
+            }
+            Event::EmergencyStop => {
+                self.robot.pressed = !self.robot.pressed;
+                // A board that is unplugged cannot report it. It reports it when it is back.
+                if !self.robot.board_is_silent {
+                    self.lose_or_return(self.robot.pressed);
+                }
+            }
+            Event::Board => {
+                self.robot.board_is_silent = !self.robot.board_is_silent;
+                let is_pressed_now = !self.robot.board_is_silent && self.robot.pressed;
+                self.lose_or_return(self.robot.board_is_silent || is_pressed_now);
+            }
+            Event::Scanner => {
+                self.scanner_is_silent = !self.scanner_is_silent;
+                self.robot.silence_scanner(self.scanner_is_silent);
+            }
+            Event::Pause => {
+                self.robot.pause(3000 * MS);
+                self.revoke();
+            }
+            Event::Contact => {}
+            Event::Restart => {
+                // As `run` does: not after a stop that needs a person.
+                let held =
+                    matches!(self.robot.state(), SafetyState::Fault(why) if why.needs_person());
+                self.robot.restart_program().expect("the same configuration");
+                self.is_new = true;
+                if !held && self.is_granted {
+                    self.robot.step(Some(runtime::safety::Request::Arm));
+                }
+            }
+            Event::Person => {
+                self.is_granted = true;
+                self.robot.person_arms();
+            }
+            Event::Wait => self.run(100),
+        }
+        self.run(STEPS);
+    }
+
+    /// Steps, and checks the invariant after each.
+    fn run(&mut self, steps: usize) {
+        for _ in 0..steps {
+            self.robot.step(None);
+            let given_up = SafetyState::Fault(FaultReason::RepeatedContact);
+            if self.robot.state() == given_up && self.is_granted {
+                self.revoke();
+            }
+            let reacts = self.robot.now_ns() < self.revoked_ns + REACTION_NS;
+            assert!(
+                self.is_granted || reacts || !self.robot.is_driven(),
+                "after {:?} a wheel is driven in {:?}, and nobody asked for it; {}",
+                self.path,
+                self.robot.state(),
+                self.robot.base().explain()
+            );
+        }
+    }
+
+    /// The abstract state.
+    fn key(&self) -> String {
+        let robot = &self.robot;
+        let state = match robot.state() {
+            SafetyState::Fault(why) => format!("{why:?}"),
+            state => state.name().to_owned(),
+        };
+        let motors = robot.base().motors().map(|motor| motor.stage);
+        let nodes = robot.nodes.each_ref().map(|node| node.is_powered());
+        format!(
+            "{state} {:?} {motors:?} {nodes:?} {} {} {} {} {} {} {}",
+            robot.base().phase(),
+            robot.pressed,
+            robot.board_is_silent,
+            self.is_powered,
+            self.scanner_is_silent,
+            robot.has_authority(),
+            self.is_granted,
+            self.is_new,
+        )
+    }
+}
+
+/// Explores all orders of events up to the depth. Returns the number of states, and of repetitions.
+fn explore(protocol: Protocol) -> (usize, usize) {
+    let mut known = HashSet::new();
+    let mut frontier: Vec<Vec<Event>> = vec![Vec::new()];
+    let mut repetitions = 0;
+    let mut has_driven = false;
+    for _ in 0..DEPTH {
+        let mut next = Vec::new();
+        for path in &frontier {
+            for event in ALL {
+                let mut model = Model::new(protocol);
+                path.iter().chain([&event]).for_each(|event| model.apply(*event));
+                repetitions += 1;
+                has_driven |= model.robot.is_driven();
+                if known.insert(model.key()) {
+                    next.push([&path[..], &[event]].concat());
+                }
+            }
+        }
+        frontier = next;
+    }
+    assert!(has_driven, "the robot never drove, so nothing was checked");
+    (known.len(), repetitions)
+}
+
+fn check(protocol: Protocol) {
+    let (states, repetitions) = explore(protocol);
+    println!("{protocol:?}: {states} states, {repetitions} sequences");
+    assert!(states > 100, "{protocol:?}: only {states} states");
+}
+
+#[test]
+fn with_odrives_no_order_of_eight_events_moves_a_wheel_that_nobody_asked_for() {
+    check(Protocol::Odrive);
+}
+
+#[test]
+fn with_vescs_no_order_of_eight_events_moves_a_wheel_that_nobody_asked_for() {
+    check(Protocol::Vesc);
+}
+
+#[test]
+fn with_cia_402_drives_no_order_of_eight_events_moves_a_wheel_that_nobody_asked_for() {
+    check(Protocol::Cia402);
+}
