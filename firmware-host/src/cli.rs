@@ -108,6 +108,10 @@ pub struct ExploreArgs {
     /// created if it is missing.
     #[arg(long, value_name = "DIR")]
     pub dump: Option<PathBuf>,
+    /// Also write an animation of the growing map into the output folder (animation.png, an
+    /// animated PNG of at most 3 MB).
+    #[arg(long)]
+    pub animation: bool,
     #[command(flatten)]
     pub faults: FaultArgs,
     #[command(flatten)]

@@ -2,9 +2,9 @@
 
 use hal::{DepthMap, Pose2};
 use runtime::accuracy::{Accuracy, ConstantBaseline, SizeMismatch};
-use runtime::event::{Event, SafetyEvent};
-use runtime::robot::Robot;
-use runtime::tick::{Decision, TickInput};
+use runtime::event::{DropReason, Event, SafetyEvent};
+use runtime::robot::{Robot, TickPoses};
+use runtime::tick::Decision;
 
 use crate::report::coverage::Coverage;
 use crate::report::events::EventCounts;
@@ -15,29 +15,6 @@ use crate::report::summary::{DepthAccuracy, Summary};
 
 /// Depth is compared with ground truth every few frames: neighbours 3 cm apart give the same answer.
 const ACCURACY_EVERY: u64 = 5;
-
-/// Where the robot believes it is. This is the only place that says which of its poses that is.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Believed {
-    /// The smooth pose in which perception works.
-    pub t_odom_base: Pose2,
-    /// Where that frame is in the map.
-    pub t_map_odom: Pose2,
-}
-
-impl Believed {
-    /// The belief of one tick.
-    #[must_use]
-    pub fn of(input: &TickInput<'_>, _decision: &Decision) -> Self {
-        Self { t_odom_base: input.wheel.odom, t_map_odom: Pose2::IDENTITY }
-    }
-
-    /// The pose in the map.
-    #[must_use]
-    pub fn t_map_base(&self) -> Pose2 {
-        self.t_map_odom.compose(&self.t_odom_base)
-    }
-}
 
 /// Counts and sums over a run.
 pub struct Evaluation {
@@ -96,7 +73,6 @@ impl Evaluation {
     pub fn frame(
         &mut self,
         truth: &Truth<'_>,
-        believed: &Believed,
         robot: &Robot,
         decision: &Decision,
     ) -> Result<(), SizeMismatch> {
@@ -107,6 +83,7 @@ impl Evaluation {
         if let Some(last) = self.poses.last() {
             self.path_m += last.truth.distance_m(&truth.pose);
         }
+        let believed = robot.poses();
         self.poses.push(PosePair {
             truth: truth.pose,
             t_odom_base: believed.t_odom_base,
@@ -130,15 +107,17 @@ impl Evaluation {
         }
     }
 
-    fn count_events(&mut self, decision: &Decision, believed: &Believed) {
+    fn count_events(&mut self, decision: &Decision, believed: &TickPoses) {
         for event in &decision.events {
             self.events.add(event);
             match event {
                 Event::GoalChosen { x_m, y_m, .. } => {
-                    let at_m = believed.t_map_odom.transform(*x_m, *y_m).into();
-                    self.goals.push(Goal { at_m, fate: GoalFate::Open });
+                    self.goals.push(Goal { at_m: [*x_m, *y_m], fate: GoalFate::Open });
                 }
                 Event::GoalReached => self.end_goal(GoalFate::Reached),
+                Event::GoalDropped { why: DropReason::Resolved } => {
+                    self.end_goal(GoalFate::Seen);
+                }
                 Event::GoalDropped { .. } => self.end_goal(GoalFate::Dropped),
                 Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } => {
                     self.trips_m.push(believed.t_map_base().transform(*x_m, *y_m).into());
@@ -194,9 +173,16 @@ impl Evaluation {
     /// then lies on the true home.
     #[must_use]
     pub fn t_world_map(&self) -> Pose2 {
-        self.poses.first().map_or(Pose2::IDENTITY, |first| {
-            first.truth.compose(&first.t_map_base.inverse())
-        })
+        self.poses
+            .first()
+            .map_or(Pose2::IDENTITY, |first| first.truth.compose(&first.t_map_base.inverse()))
+    }
+
+    /// The believed pose in each frame, in the world by [`t_world_map`](Self::t_world_map).
+    #[must_use]
+    pub fn believed_path(&self) -> Vec<Pose2> {
+        let t_world_map = self.t_world_map();
+        self.poses.iter().map(|pair| t_world_map.compose(&pair.t_map_base)).collect()
     }
 
     /// Fills in what this knows.

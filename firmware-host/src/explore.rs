@@ -5,6 +5,7 @@ mod hand_over;
 mod map_accuracy;
 mod map_plot;
 mod session;
+mod shots;
 
 use anyhow::{Context, Result};
 use drivers::fault::Faults;

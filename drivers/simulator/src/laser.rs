@@ -156,8 +156,9 @@ mod tests {
         assert_eq!((scan.time_ns, scan.ranges.len()), (7, 1081));
         for (beam, range) in scan.ranges.iter().enumerate() {
             let (sin, cos) = (scan.geometry.angle_rad(beam) + 0.4).sin_cos();
-            let to_x = if cos > 0.0 { 5.0 / cos } else { -3.0 / cos };
-            let to_y = if sin > 0.0 { 4.0 / sin } else { -2.0 / sin };
+            // Along each axis, the wall ahead; infinitely far for a beam along the other axis.
+            let to_x = (5.0 / cos).max(-3.0 / cos);
+            let to_y = (4.0 / sin).max(-2.0 / sin);
             let expected = to_x.min(to_y);
             assert!(
                 (f64::from(range.hit_m().unwrap()) - expected).abs() < 1e-4,
@@ -263,8 +264,9 @@ mod tests {
         scan(&renderer, |beam| pose(yaw(beam)), &[], &model, &mut rng, 7, &mut out);
         for (beam, range) in out.ranges.iter().enumerate() {
             let (sin, cos) = (out.geometry.angle_rad(beam) + yaw(beam)).sin_cos();
-            let to_x = if cos > 0.0 { 5.0 / cos } else { -3.0 / cos };
-            let to_y = if sin > 0.0 { 4.0 / sin } else { -2.0 / sin };
+            // Along each axis, the wall ahead; infinitely far for a beam along the other axis.
+            let to_x = (5.0 / cos).max(-3.0 / cos);
+            let to_y = (4.0 / sin).max(-2.0 / sin);
             let expected = to_x.min(to_y);
             assert!((f64::from(range.hit_m().unwrap()) - expected).abs() < 1e-4, "beam {beam}");
         }

@@ -170,9 +170,7 @@ impl<'a> Judge<'a> {
                 match self.map.state_at(map_x_m, map_y_m) {
                     CellState::Unknown => false,
                     CellState::Free => true,
-                    CellState::Occupied => {
-                        self.plan.nearest_surface(*x_m, *y_m, RIGHT_M).is_some()
-                    }
+                    CellState::Occupied => self.plan.nearest_surface(*x_m, *y_m, RIGHT_M).is_some(),
                 }
             })
             .count();

@@ -31,8 +31,7 @@ pub(super) fn write(
     let (truth_width, to_obstacle_m) = distances(plan);
     let poses = evaluation.poses();
     let truth: Vec<Pose2> = poses.iter().map(|pair| pair.truth).collect();
-    let believed: Vec<Pose2> =
-        poses.iter().map(|pair| t_world_map.compose(&pair.t_map_base)).collect();
+    let believed = evaluation.believed_path();
     let goals: Vec<Goal> = evaluation
         .goals()
         .iter()
@@ -74,7 +73,7 @@ fn moved(t_world_map: &Pose2, [x_m, y_m]: [f64; 2]) -> [f64; 2] {
 
 /// The map in the world, in cells of its own size, over the area of the true home: number of columns
 /// and cells.
-fn resampled(map: &OccupancyGrid, t_world_map: &Pose2, grid: &Grid) -> (usize, Vec<CellState>) {
+pub(super) fn resampled(map: &OccupancyGrid, t_world_map: &Pose2, grid: &Grid) -> (usize, Vec<CellState>) {
     let t_map_world = t_world_map.inverse();
     let (width, centers) = raster(grid, map.cell_m());
     let cells = centers

@@ -20,11 +20,12 @@ use simulator::robot::Truth as World;
 use super::devices::{SimulatedDevices, simulated_devices};
 use super::hand_over::{HandOver, Round};
 use super::map_plot::reachable_cells;
+use super::shots::Shots;
 use super::{map_accuracy, map_plot};
 use crate::cli::ExploreArgs;
 use crate::config::{Config, RecordingSection};
 use crate::dump::{Dump, Shot};
-use crate::evaluation::{Believed, Evaluation, Truth};
+use crate::evaluation::{Evaluation, Truth};
 use crate::model::LiveModels;
 use crate::record::{RecordError, Recorder, recorded_views, snapshot};
 use crate::report::coverage::Coverage;
@@ -69,6 +70,8 @@ pub(super) struct RunLog {
     began: Instant,
     started: Instant,
     snapshot: Option<Vec<u8>>,
+    /// Images of the animation so far.
+    animation: Option<Shots>,
     #[cfg(feature = "rerun")]
     stream: Option<crate::rerun_stream::RerunStream>,
 }
@@ -119,6 +122,7 @@ impl Exploration {
             began: Instant::now(),
             started: Instant::now(),
             snapshot: None,
+            animation: args.animation.then(|| Shots::of(args.frames)),
             #[cfg(feature = "rerun")]
             stream: None,
         };
@@ -223,12 +227,20 @@ impl Exploration {
         summary.resident_mib = peak_resident_mib();
         summary.lidar_line = LidarLine::of(&log.line);
         log.evaluation.summarise(&mut summary);
-        map_accuracy::summarise(&log.evaluation, robot.map(), &log.world.floor_plan(), &mut summary);
+        map_accuracy::summarise(
+            &log.evaluation,
+            robot.map(),
+            &log.world.floor_plan(),
+            &mut summary,
+        );
         // Numbers before pictures: they still find room on a disk that is nearly full.
         summary.write(&out)?;
         println!("{}", table::render(&summary));
         let title = map_plot::title(&summary);
         DepthSheet { title: &title, rows: &log.sheet.into_rows() }.write(&out)?;
+        if let Some(shots) = &log.animation {
+            shots.write(&title, robot.map().cell_m(), &log.evaluation, &log.world.floor_plan(), &out)?;
+        }
         map_plot::write(&summary, robot.map(), &log.evaluation, &log.world.floor_plan(), &out)?;
         println!(
             "Look at {0}/map.png and {0}/depth.png; numbers are in {0}/summary.json.",
@@ -297,8 +309,10 @@ impl RunLog {
             depth: Some(&self.true_depth),
             contact: self.world.take_contact(),
         };
-        let believed = Believed::of(input, decision);
-        self.evaluation.frame(&truth, &believed, robot, decision)?;
+        self.evaluation.frame(&truth, robot, decision)?;
+        if let Some(shots) = &mut self.animation {
+            shots.offer(input, robot, &self.evaluation, &self.world.floor_plan());
+        }
         if let Some(frame) = &input.frame {
             let coarse = robot.coarse_depth();
             let network = robot.network_depth();
@@ -314,7 +328,7 @@ impl RunLog {
     /// Writes a frame's coarse depth, with the pose that the robot believes in.
     fn dump(&mut self, robot: &Robot, input: &TickInput<'_>) -> Result<()> {
         let (Some(dump), Some(_)) = (&mut self.dump, &input.frame) else { return Ok(()) };
-        let t_world_camera = input.wheel.odom.to_pose3() * robot.config().t_base_camera;
+        let t_world_camera = robot.poses().t_map_base().to_pose3() * robot.config().t_base_camera;
         let shot =
             Shot { time_ns: input.time_ns, t_world_camera, rgb: None, truth: None, view: None };
         dump.add(&shot, robot.coarse_depth())
@@ -346,9 +360,9 @@ impl RunLog {
         stream.offer(crate::rerun_stream::Moment {
             tick: input.tick,
             time_ns: input.time_ns,
-            odom: input.wheel.odom,
+            t_map_base: robot.poses().t_map_base(),
             goal_m: decision.goal_m,
-            picture: input.frame.map(|view| (view.width(), view.height(), view.data().to_vec())),
+            image: input.frame.map(|view| (view.width(), view.height(), view.data().to_vec())),
             views: recorded_views(robot, input.tick, &self.recording),
             numbers,
         });

@@ -41,12 +41,16 @@ mod tests {
         #[test]
         fn a_motion_is_recovered_from_points_that_were_moved_by_it(
             x in -9.0..9.0, y in -9.0..9.0, yaw in -3.1..3.1,
-            points in prop::collection::vec((-5.0..5.0, -5.0..5.0), 3..20),
+            points in prop::collection::vec((-5.0..5.0_f64, -5.0..5.0_f64), 3..20),
         ) {
             let t_a_b = Pose2::new(x, y, yaw);
-            let spread = points.iter().map(|p| (p.0 - points[0].0).hypot(p.1 - points[0].1)).fold(0.0, f64::max);
-            prop_assume!(spread > 0.1);
-            let pairs: Vec<_> = points.iter().map(|&(x, y)| (t_a_b.transform(x, y).into(), [x, y])).collect();
+            let spread_m = points
+                .iter()
+                .map(|point| (point.0 - points[0].0).hypot(point.1 - points[0].1))
+                .fold(0.0, f64::max);
+            prop_assume!(spread_m > 0.1);
+            let pairs: Vec<_> =
+                points.iter().map(|&(x, y)| (t_a_b.transform(x, y).into(), [x, y])).collect();
             let found = fit(&pairs).unwrap();
             prop_assert!(found.distance_m(&t_a_b) < 1e-6);
             prop_assert!(hal::wrap_angle(found.yaw_rad - yaw).abs() < 1e-6);

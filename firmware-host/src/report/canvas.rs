@@ -69,6 +69,12 @@ impl Canvas {
         self.image.dimensions()
     }
 
+    /// The pixels, row by row: three bytes for each.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        self.image.as_raw()
+    }
+
     /// The colour of a pixel; `None` outside of the image.
     #[must_use]
     pub fn get(&self, x: i64, y: i64) -> Option<Rgb> {

@@ -2,6 +2,7 @@
 //! progress.
 
 pub mod alignment;
+pub mod animation;
 pub mod atomic;
 pub mod canvas;
 mod colors;

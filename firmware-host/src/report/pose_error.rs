@@ -63,9 +63,7 @@ impl PoseError {
 fn absolute_error_m(pairs: &[PosePair]) -> Option<f64> {
     let points: Vec<_> = pairs
         .iter()
-        .map(|pair| {
-            ([pair.truth.x_m, pair.truth.y_m], [pair.t_map_base.x_m, pair.t_map_base.y_m])
-        })
+        .map(|pair| ([pair.truth.x_m, pair.truth.y_m], [pair.t_map_base.x_m, pair.t_map_base.y_m]))
         .collect();
     let t_world_map = alignment::fit(&points)?;
     rms(points.iter().map(|(truth, believed)| {
@@ -142,8 +140,9 @@ mod tests {
 
     #[test]
     fn a_heading_that_drifts_by_two_degrees_per_metre_is_measured_as_that() {
-        let error = PoseError::of(&drive(|along_m, truth| {
-            Pose2 { yaw_rad: truth.yaw_rad + (2.0 * along_m).to_radians(), ..*truth }
+        let error = PoseError::of(&drive(|along_m, truth| Pose2 {
+            yaw_rad: truth.yaw_rad + (2.0 * along_m).to_radians(),
+            ..*truth
         }))
         .unwrap();
         assert!(error.ate_m < 1e-9, "positions are right");

@@ -158,10 +158,10 @@ fn map(summary: &Summary) -> String {
 
 fn pose(summary: &Summary) -> String {
     let Some(error) = &summary.pose_error else { return String::new() };
-    let drift = error.rpe_m_per_m.zip(error.rpe_deg_per_m).map_or_else(
-        String::new,
-        |(metres, degrees)| format!("{:.1} mm and {degrees:.2} degrees off per metre, ", 1e3 * metres),
-    );
+    let drift =
+        error.rpe_m_per_m.zip(error.rpe_deg_per_m).map_or_else(String::new, |(metres, degrees)| {
+            format!("{:.1} mm and {degrees:.2} degrees off per metre, ", 1e3 * metres)
+        });
     format!(
         "{drift}{:.2} m off over the run, heading {:.1} degrees off at the end",
         error.ate_m, error.yaw_end_deg

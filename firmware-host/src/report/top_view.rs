@@ -80,15 +80,8 @@ impl TopView {
         let (width, cells, origin_m) = self.cells();
         let map = Cells { width, cells: &cells, resolution_m: self.grid.cell_m(), origin_m };
         let trajectory = &self.trajectory;
-        let plot = MapPlot {
-            title,
-            figures: "",
-            map,
-            trajectory,
-            goals: &[],
-            trips: &[],
-            truth: None,
-        };
+        let plot =
+            MapPlot { title, figures: "", map, trajectory, goals: &[], trips: &[], truth: None };
         plot.write(dir)
     }
 

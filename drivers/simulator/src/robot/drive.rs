@@ -27,9 +27,7 @@ impl State {
         self.contact = moved.contact;
         self.touched |= moved.contact;
         self.touched_in_truth |= moved.contact;
-        self.twist = Twist2 {
-            linear_mps: measured.x_m / step_s,
-            angular_radps: measured.yaw_rad / step_s,
-        };
+        self.twist =
+            Twist2 { linear_mps: measured.x_m / step_s, angular_radps: measured.yaw_rad / step_s };
     }
 }

@@ -82,11 +82,19 @@ mod tests {
         let mut trail = Trail::new(0, Pose2::new(1.0, 0.0, 0.0));
         trail.push(100, Pose2::new(2.0, 0.0, 0.0));
         trail.push(200, Pose2::new(2.0, 0.0, 1.0));
-        for (time_ns, x, yaw) in
-            [(-50, 1.0, 0.0), (0, 1.0, 0.0), (25, 1.25, 0.0), (100, 2.0, 0.0), (150, 2.0, 0.5), (900, 2.0, 1.0)]
-        {
+        for (time_ns, x, yaw) in [
+            (-50, 1.0, 0.0),
+            (0, 1.0, 0.0),
+            (25, 1.25, 0.0),
+            (100, 2.0, 0.0),
+            (150, 2.0, 0.5),
+            (900, 2.0, 1.0),
+        ] {
             let pose = trail.at(time_ns);
-            assert!((pose.x_m - x).abs() < 1e-12 && (pose.yaw_rad - yaw).abs() < 1e-12, "{time_ns}");
+            assert!(
+                (pose.x_m - x).abs() < 1e-12 && (pose.yaw_rad - yaw).abs() < 1e-12,
+                "{time_ns}"
+            );
         }
     }
 

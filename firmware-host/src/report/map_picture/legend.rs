@@ -48,10 +48,11 @@ fn paths(picture: &MapPlot<'_>, row: &mut Row<'_>) {
 fn markers(picture: &MapPlot<'_>, row: &mut Row<'_>) {
     marks::dot(row.canvas, row.marker());
     row.label("start");
-    marks::arrow(row.canvas, row.marker(), 0.0);
+    marks::arrow(row.canvas, row.marker(), 0.0, 7.0);
     row.label("robot at the end");
     for (fate, label) in [
         (GoalFate::Reached, "goal reached"),
+        (GoalFate::Seen, "goal seen from afar"),
         (GoalFate::Dropped, "goal given up"),
         (GoalFate::Open, "last goal"),
     ] {

@@ -3,7 +3,7 @@
 use hal::Pose2;
 
 use super::view::View;
-use super::{END, FAINT, GOAL, Goal, GoalFate, INK, PAGE, START, TRIP};
+use super::{END, FAINT, GOAL, Goal, GoalFate, INK, PAGE, SEEN, START, TRIP};
 use crate::report::canvas::Canvas;
 
 /// Markers nearer to each other than this are drawn once, pixels.
@@ -12,7 +12,7 @@ const APART: f64 = 11.0;
 /// Draws goals: the reached ones above the others, and of goals on one spot only the first.
 pub(super) fn goals(canvas: &mut Canvas, view: &View, goals: &[Goal]) {
     let mut drawn: Vec<[f64; 2]> = Vec::new();
-    for fate in [GoalFate::Open, GoalFate::Reached, GoalFate::Dropped] {
+    for fate in [GoalFate::Open, GoalFate::Reached, GoalFate::Seen, GoalFate::Dropped] {
         for goal in goals.iter().filter(|goal| goal.fate == fate) {
             let at = view.pixel(goal.at_m);
             if !is_taken(at, &drawn) {
@@ -43,6 +43,7 @@ pub(super) fn goal_marker(canvas: &mut Canvas, center: [f64; 2], fate: GoalFate)
     canvas.diamond(center, 7.0, PAGE);
     match fate {
         GoalFate::Reached => canvas.diamond(center, 5.5, GOAL),
+        GoalFate::Seen => canvas.diamond(center, 4.0, SEEN),
         GoalFate::Dropped => {
             canvas.diamond(center, 5.0, FAINT);
             canvas.diamond(center, 2.5, PAGE);
@@ -66,12 +67,14 @@ pub(super) fn dot(canvas: &mut Canvas, center: [f64; 2]) {
 
 /// Draws the robot as an arrow that points ahead.
 pub(super) fn robot(canvas: &mut Canvas, view: &View, pose: &Pose2) {
-    arrow(canvas, view.pixel([pose.x_m, pose.y_m]), pose.yaw_rad);
+    arrow(canvas, view.pixel([pose.x_m, pose.y_m]), pose.yaw_rad, 13.0);
 }
 
-pub(super) fn arrow(canvas: &mut Canvas, at: [f64; 2], yaw_rad: f64) {
+/// Draws an arrow whose point is `length` pixels ahead of `at`.
+pub(super) fn arrow(canvas: &mut Canvas, at: [f64; 2], yaw_rad: f64, length: f64) {
     for (color, grown) in [(INK, 2.0), (END, 0.0)] {
-        let wedge = Wedge { at, yaw_rad, length: 13.0 + grown, half_width: 8.0 + grown };
+        let wedge =
+            Wedge { at, yaw_rad, length: length + grown, half_width: 0.62 * length + grown };
         canvas.triangle(wedge.corners(), color);
     }
 }

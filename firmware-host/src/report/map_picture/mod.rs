@@ -22,23 +22,25 @@ use view::{Extent, GAP, View};
 /// Name of the file in the output directory.
 pub const MAP_FILE: &str = "map.png";
 
-const PAGE: Rgb = [255, 255, 255];
-const UNKNOWN: Rgb = [222, 226, 230];
-const FREE: Rgb = [252, 252, 250];
-const OCCUPIED: Rgb = [52, 58, 70];
+pub(super) const PAGE: Rgb = [255, 255, 255];
+pub(super) const UNKNOWN: Rgb = [222, 226, 230];
+pub(super) const FREE: Rgb = [252, 252, 250];
+pub(super) const OCCUPIED: Rgb = [52, 58, 70];
 /// Occupied cells far from anything real.
 const OFF: Rgb = [222, 72, 60];
 /// True obstacles that are not in the map.
 const MISSED: Rgb = [158, 198, 232];
 const PLAN: Rgb = [70, 130, 180];
 const BELIEVED: Rgb = [0, 150, 60];
-const INK: Rgb = [40, 44, 52];
-const FAINT: Rgb = [120, 126, 136];
+pub(super) const INK: Rgb = [40, 44, 52];
+pub(super) const FAINT: Rgb = [120, 126, 136];
 const GRID: Rgb = [150, 158, 168];
 const START: Rgb = [46, 140, 70];
-const END: Rgb = [239, 108, 0];
+pub(super) const END: Rgb = [239, 108, 0];
 const TRIP: Rgb = [205, 30, 45];
 const GOAL: Rgb = [0, 137, 150];
+/// Goals that were seen before they were reached.
+const SEEN: Rgb = [110, 190, 200];
 
 /// An occupied cell whose distance to the nearest true obstacle is larger is drawn as wrong, metres.
 const OFF_M: f64 = 0.1;
@@ -59,7 +61,8 @@ pub struct Cells<'a, T> {
 }
 
 impl<T: Copy> Cells<'_, T> {
-    fn get(&self, x_m: f64, y_m: f64) -> Option<T> {
+    /// The cell at a point; `None` outside of the grid.
+    pub(super) fn get(&self, x_m: f64, y_m: f64) -> Option<T> {
         let [column, row] = [x_m - self.origin_m[0], y_m - self.origin_m[1]]
             .map(|along| (along / self.resolution_m).floor());
         let inside = column >= 0.0 && row >= 0.0 && (column as usize) < self.width;
@@ -112,6 +115,8 @@ pub enum GoalFate {
     /// The robot is on its way.
     Open,
     Reached,
+    /// What made it worth going there was seen on the way.
+    Seen,
     /// The robot gave it up.
     Dropped,
 }

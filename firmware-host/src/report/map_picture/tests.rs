@@ -112,12 +112,14 @@ fn a_goal_that_was_given_up_beside_a_reached_one_does_not_cover_it() {
         Goal { at_m: [0.5, -1.0], fate: GoalFate::Reached },
         Goal { at_m: [0.52, -1.0], fate: GoalFate::Dropped },
         Goal { at_m: [0.5, 0.0], fate: GoalFate::Dropped },
+        Goal { at_m: [0.5, -0.5], fate: GoalFate::Seen },
     ];
     let picture = MapPlot { goals: &goals, ..picture(&cells, &[]) };
     let canvas = picture.draw().unwrap();
     let view = View::of(&picture);
     assert_eq!(color_at(&canvas, &view, [0.5, -1.0]), GOAL);
     assert_eq!(color_at(&canvas, &view, [0.5, 0.0]), PAGE, "hollow");
+    assert_eq!(color_at(&canvas, &view, [0.5, -0.5]), SEEN);
 }
 
 /// Truth about the room: its floor, and its left wall 0.2 m further left than in the map.

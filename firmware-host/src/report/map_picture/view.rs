@@ -1,6 +1,6 @@
 //! The part of the world that the image shows, and its place on the page.
 
-use super::{Cells, CellState, MapPlot};
+use super::{CellState, Cells, MapPlot};
 
 /// Space around and between the parts of the page, pixels.
 pub(super) const GAP: i64 = 16;
