@@ -6,6 +6,7 @@ use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
 use runtime::exploration::PolicyKind;
 use runtime::robot::DepthSource;
 
+use crate::config::Odometry;
 use crate::faults::FaultArgs;
 use crate::model::ModelArgs;
 use crate::replay::Moment;
@@ -83,6 +84,10 @@ pub struct ExploreArgs {
     /// Which depth goes into the map [default: network if there is a model, else coarse].
     #[arg(long, value_enum)]
     pub depth: Option<DepthArg>,
+    /// How wrong the wheel odometry is [default: `simulator.odometry` of the configuration,
+    /// realistic].
+    #[arg(long, value_enum)]
+    pub odometry: Option<Odometry>,
     /// Number of camera frames to explore for. The robot takes one step per frame.
     #[arg(long, value_name = "N", default_value_t = 3000, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     pub frames: u64,
@@ -108,6 +113,10 @@ pub struct ExploreArgs {
     /// created if it is missing.
     #[arg(long, value_name = "DIR")]
     pub dump: Option<PathBuf>,
+    /// Also write an animation of the growing map into the output folder (animation.png, an
+    /// animated PNG of at most 3 MB).
+    #[arg(long)]
+    pub animation: bool,
     #[command(flatten)]
     pub faults: FaultArgs,
     #[command(flatten)]

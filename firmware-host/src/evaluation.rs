@@ -2,16 +2,18 @@
 
 use hal::{DepthMap, Pose2};
 use runtime::accuracy::{Accuracy, ConstantBaseline, SizeMismatch};
-use runtime::event::{Event, SafetyEvent};
-use runtime::robot::Robot;
+use runtime::event::{DropReason, Event, SafetyEvent};
+use runtime::robot::{Robot, TickPoses};
 use runtime::tick::Decision;
 
 use crate::report::coverage::Coverage;
 use crate::report::events::EventCounts;
+use crate::report::map_picture::{Goal, GoalFate};
+use crate::report::pose_error::{PoseError, PosePair};
 use crate::report::stuck::StuckMeter;
 use crate::report::summary::{DepthAccuracy, Summary};
 
-/// Depth is compared with ground truth every so many frames: neighbours 3 cm apart say the same.
+/// Depth is compared with ground truth every few frames: neighbours 3 cm apart give the same answer.
 const ACCURACY_EVERY: u64 = 5;
 
 /// Counts and sums over a run.
@@ -27,10 +29,9 @@ pub struct Evaluation {
     collisions: u64,
     in_contact: bool,
     path_m: f64,
-    trajectory: Vec<Pose2>,
-    goals_m: Vec<[f64; 2]>,
+    poses: Vec<PosePair>,
+    goals: Vec<Goal>,
     trips_m: Vec<[f64; 2]>,
-    t_world_odom: Pose2,
 }
 
 /// What is true at one frame.
@@ -38,8 +39,6 @@ pub struct Evaluation {
 pub struct Truth<'a> {
     /// `t_world_base`.
     pub pose: Pose2,
-    /// `t_odom_base` as the robot believes it.
-    pub odom: Pose2,
     /// Depth of the frame.
     pub depth: Option<&'a DepthMap>,
     /// The footprint touches something.
@@ -47,7 +46,7 @@ pub struct Truth<'a> {
 }
 
 impl Evaluation {
-    /// Nothing seen yet.
+    /// An evaluation of no frame yet.
     #[must_use]
     pub fn new(coverage: Option<Coverage>) -> Self {
         Self {
@@ -61,10 +60,9 @@ impl Evaluation {
             collisions: 0,
             in_contact: false,
             path_m: 0.0,
-            trajectory: Vec::new(),
-            goals_m: Vec::new(),
+            poses: Vec::new(),
+            goals: Vec::new(),
             trips_m: Vec::new(),
-            t_world_odom: Pose2::IDENTITY,
         }
     }
 
@@ -79,83 +77,112 @@ impl Evaluation {
         decision: &Decision,
     ) -> Result<(), SizeMismatch> {
         if let Some(depth) = truth.depth.filter(|_| decision.tick.is_multiple_of(ACCURACY_EVERY)) {
-            self.coarse.add(robot.coarse_depth(), depth)?;
-            self.constant.add(depth);
-            if let Some(network) = robot.network_depth() {
-                self.network.add(Some(network), depth)?;
-                match robot.coarse_depth() {
-                    Some(coarse) => self.refined.add_where(network, &coarse.depth, depth)?,
-                    None => self.refined.add(None, depth)?,
-                }
-            }
+            self.compare_depth(robot, depth)?;
         }
         self.stuck.frame(truth.pose);
-        if let Some(last) = self.trajectory.last() {
-            self.path_m += last.distance_m(&truth.pose);
+        if let Some(last) = self.poses.last() {
+            self.path_m += last.truth.distance_m(&truth.pose);
         }
-        self.trajectory.push(truth.pose);
+        let believed = robot.poses();
+        self.poses.push(PosePair {
+            truth: truth.pose,
+            t_odom_base: believed.t_odom_base,
+            t_map_base: believed.t_map_base(),
+        });
         self.collisions += u64::from(truth.contact && !self.in_contact);
         self.in_contact = truth.contact;
-        let t_world_odom = truth.pose.compose(&truth.odom.inverse());
-        self.count_events(decision, &t_world_odom, &truth.pose);
-        self.mark_coverage(robot, &t_world_odom);
-        self.t_world_odom = t_world_odom;
+        self.count_events(decision, believed);
+        self.mark_coverage(robot, &truth.pose.compose(&believed.t_map_base().inverse()));
         Ok(())
     }
 
-    fn count_events(&mut self, decision: &Decision, t_world_odom: &Pose2, t_world_base: &Pose2) {
+    fn compare_depth(&mut self, robot: &Robot, truth: &DepthMap) -> Result<(), SizeMismatch> {
+        self.coarse.add(robot.coarse_depth(), truth)?;
+        self.constant.add(truth);
+        let Some(network) = robot.network_depth() else { return Ok(()) };
+        self.network.add(Some(network), truth)?;
+        match robot.coarse_depth() {
+            Some(coarse) => self.refined.add_where(network, &coarse.depth, truth),
+            None => self.refined.add(None, truth),
+        }
+    }
+
+    fn count_events(&mut self, decision: &Decision, believed: &TickPoses) {
         for event in &decision.events {
             self.events.add(event);
             match event {
                 Event::GoalChosen { x_m, y_m, .. } => {
-                    self.goals_m.push(t_world_odom.transform(*x_m, *y_m).into());
+                    self.goals.push(Goal { at_m: [*x_m, *y_m], fate: GoalFate::Open });
                 }
+                Event::GoalReached => self.end_goal(GoalFate::Reached),
+                Event::GoalDropped { why: DropReason::Resolved } => {
+                    self.end_goal(GoalFate::Seen);
+                }
+                Event::GoalDropped { .. } => self.end_goal(GoalFate::Dropped),
                 Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } => {
-                    self.trips_m.push(t_world_base.transform(*x_m, *y_m).into());
+                    self.trips_m.push(believed.t_map_base().transform(*x_m, *y_m).into());
                 }
                 _ => {}
             }
         }
     }
 
-    fn mark_coverage(&mut self, robot: &Robot, t_world_odom: &Pose2) {
+    fn end_goal(&mut self, fate: GoalFate) {
+        if let Some(goal) = self.goals.last_mut() {
+            goal.fate = fate;
+        }
+    }
+
+    /// Marks what became known at the place that was really observed, whatever the drift of the
+    /// map: `t_world_map` is where the map would have to be for the robot to be where it is.
+    fn mark_coverage(&mut self, robot: &Robot, t_world_map: &Pose2) {
         let Some(coverage) = &mut self.coverage else { return };
         let map = robot.map();
         for cell in map.newly_known() {
             let [x_m, y_m] = map.center_m(*cell);
-            let (x_m, y_m) = t_world_odom.transform(x_m, y_m);
+            let (x_m, y_m) = t_world_map.transform(x_m, y_m);
             coverage.mark(x_m, y_m, map.cell_m());
         }
     }
 
-    /// Share of the reachable floor that is mapped.
+    /// The reachable floor and what of it was mapped.
     #[must_use]
-    pub fn coverage(&self) -> Option<f64> {
-        self.coverage.as_ref().map(Coverage::share)
+    pub fn coverage(&self) -> Option<&Coverage> {
+        self.coverage.as_ref()
     }
 
-    /// Where the robot was, in the world.
+    /// True and believed pose at every frame.
     #[must_use]
-    pub fn trajectory(&self) -> &[Pose2] {
-        &self.trajectory
+    pub fn poses(&self) -> &[PosePair] {
+        &self.poses
     }
 
-    /// Goals, in the world, metres.
+    /// Goals and what became of them, in the map, metres.
     #[must_use]
-    pub fn goals_m(&self) -> &[[f64; 2]] {
-        &self.goals_m
+    pub fn goals(&self) -> &[Goal] {
+        &self.goals
     }
 
-    /// What the bumper stopped for, in the world, metres.
+    /// What the safety plane stopped for, in the map, metres.
     #[must_use]
     pub fn trips_m(&self) -> &[[f64; 2]] {
         &self.trips_m
     }
 
-    /// Where `odom` was in the world at the last frame: moves with the wheels' errors.
+    /// The map's pose in the world that makes the first believed pose right. A map without drift
+    /// then lies on the true home.
     #[must_use]
-    pub fn t_world_odom(&self) -> Pose2 {
-        self.t_world_odom
+    pub fn t_world_map(&self) -> Pose2 {
+        self.poses
+            .first()
+            .map_or(Pose2::IDENTITY, |first| first.truth.compose(&first.t_map_base.inverse()))
+    }
+
+    /// The believed pose in each frame, in the world by [`t_world_map`](Self::t_world_map).
+    #[must_use]
+    pub fn believed_path(&self) -> Vec<Pose2> {
+        let t_world_map = self.t_world_map();
+        self.poses.iter().map(|pair| t_world_map.compose(&pair.t_map_base)).collect()
     }
 
     /// Fills in what this knows.
@@ -163,8 +190,9 @@ impl Evaluation {
         let network = self.network.rows();
         let constant = self.constant.rows();
         summary.path_m = Some(self.path_m);
-        summary.coverage = self.coverage();
+        summary.coverage = self.coverage.as_ref().map(Coverage::share);
         summary.reachable_m2 = self.coverage.as_ref().map(Coverage::reachable_m2);
+        summary.pose_error = PoseError::of(&self.poses);
         summary.collisions = Some(self.collisions);
         summary.stuck_frames = Some(self.stuck.frames());
         summary.stuck_longest_frames = Some(self.stuck.longest());

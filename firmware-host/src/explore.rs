@@ -2,7 +2,10 @@
 
 mod devices;
 mod hand_over;
+mod map_accuracy;
+mod map_plot;
 mod session;
+mod shots;
 
 use anyhow::{Context, Result};
 use drivers::fault::Faults;
@@ -30,7 +33,8 @@ use session::Exploration;
 /// A scene, model, configuration or folder that cannot be used. A disk that fills up ends the run with a report and the
 /// reason `output_failed`.
 pub fn run(args: &ExploreArgs) -> Result<()> {
-    let config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
+    let mut config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
+    config.simulator.odometry = args.odometry.unwrap_or(config.simulator.odometry);
     let mut stored = args
         .model_store
         .as_deref()
@@ -69,6 +73,7 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
         policy: Some(mission.policy.name().to_owned()),
         scene: Some(args.scene.clone()),
         depth_source: Some(depth_source),
+        odometry: Some(config.simulator.odometry),
         model,
         faults: texts,
         fault_seed,

@@ -4,7 +4,6 @@ use hal::Pose2;
 use runtime::safety::SafetyConfig;
 use simulator::floor::Footprint;
 use simulator::load::{LoadOptions, UpAxis};
-use simulator::odometry::OdometryNoise;
 use simulator::{OpenOptions, RobotOptions};
 
 use crate::cli::{SceneFileArgs, UpArg};
@@ -34,11 +33,7 @@ pub fn simulated_robot(config: &Config, seed: u64, start: Option<Pose2>) -> Robo
         t_base_camera: config.camera.mount(),
         t_base_laser: laser_mount(config),
         sliding: simulator.sliding,
-        odometry: OdometryNoise {
-            translation: simulator.odometry_distance_noise,
-            rotation: simulator.odometry_turn_noise,
-            heading_drift_rad: 0.0,
-        },
+        odometry: simulator.odometry_noise(),
         laser: simulator.laser_model(),
         nuisances: simulator.nuisances.clone(),
         seed,

@@ -37,7 +37,7 @@ pub fn run() -> Result<()> {
     let mut explore = command::program(&robot);
     explore.args([
         "explore", "--scene", SCENE, "--policy", "active", "--frames", FRAMES, "--seed", "1",
-        "--out",
+        "--animation", "--out",
     ]);
     explore.arg(&out);
     if let Some(model) = &model {

@@ -1,5 +1,7 @@
 //! Simulation of a planar laser scanner.
 
+use std::f64::consts::TAU;
+
 use hal::{LaserScan, Pose3, Range, ScanGeometry};
 use nalgebra::Vector3;
 use rand::{Rng, RngExt};
@@ -78,10 +80,20 @@ impl LaserModel {
     }
 }
 
-/// Takes one scan from `t_world_laser` into `scan`. All beams are measured at the same instant.
+/// Time from the start of a revolution to a beam, nanoseconds. A revolution starts when the mirror
+/// points backwards, so that the beam straight ahead is measured halfway through it: a scanner of
+/// 270 degrees at 40 Hz measures its first beam after 3.1 ms and its last after 21.9 ms of 25 ms.
+#[must_use]
+pub fn beam_after_ns(geometry: &ScanGeometry, beam: usize) -> u64 {
+    let share = 0.5 + geometry.angle_rad(beam) / TAU;
+    (share.clamp(0.0, 1.0) * geometry.period_ns as f64) as u64
+}
+
+/// Takes one scan into `scan`. `t_world_laser` gives the pose of the scanner while it measures a
+/// beam: it moves during a scan.
 pub fn scan(
     renderer: &Renderer,
-    t_world_laser: &Pose3,
+    t_world_laser: impl Fn(usize) -> Pose3,
     people: &[Person],
     model: &LaserModel,
     rng: &mut impl Rng,
@@ -89,25 +101,27 @@ pub fn scan(
     scan: &mut LaserScan,
 ) {
     let geometry = &model.geometry;
-    let origin = t_world_laser.translation.vector.into();
-    let directions: Vec<Vector3<f64>> = (0..geometry.beams)
+    let beams: Vec<(Vector3<f64>, Vector3<f64>)> = (0..geometry.beams)
         .map(|beam| {
+            let pose = t_world_laser(beam);
             let (sin, cos) = geometry.angle_rad(beam).sin_cos();
-            t_world_laser.rotation * Vector3::new(cos, sin, 0.0)
+            (pose.translation.vector, pose.rotation * Vector3::new(cos, sin, 0.0))
         })
         .collect();
     // Slightly farther than the maximum range, because noise can bring a return into it.
     let reach_m = f64::from(geometry.range_max_m) + 4.0 * model.noise_far_m;
-    let hits: Vec<Option<Hit>> = directions
+    let hits: Vec<Option<Hit>> = beams
         .par_iter()
         .with_min_len(64)
-        .map(|direction| renderer.hit(origin, (*direction).into(), reach_m, people))
+        .map(|(origin, direction)| {
+            renderer.hit((*origin).into(), (*direction).into(), reach_m, people)
+        })
         .collect();
     scan.time_ns = time_ns;
     scan.geometry = *geometry;
     scan.ranges.clear();
     scan.ranges.extend(
-        hits.iter().zip(&directions).map(|(hit, direction)| model.measure(*hit, direction, rng)),
+        hits.iter().zip(&beams).map(|(hit, (_, direction))| model.measure(*hit, direction, rng)),
     );
 }
 
@@ -132,7 +146,7 @@ mod tests {
     fn take(renderer: &Renderer, x_m: f64, y_m: f64, model: &LaserModel, seed: u64) -> LaserScan {
         let mut out = LaserScan::empty(model.geometry);
         let pose = Pose2::new(x_m, y_m, 0.4).to_pose3() * Pose3::translation(0.0, 0.0, 0.3);
-        scan(renderer, &pose, &[], model, &mut Pcg64Mcg::seed_from_u64(seed), 7, &mut out);
+        scan(renderer, |_| pose, &[], model, &mut Pcg64Mcg::seed_from_u64(seed), 7, &mut out);
         out
     }
 
@@ -142,8 +156,9 @@ mod tests {
         assert_eq!((scan.time_ns, scan.ranges.len()), (7, 1081));
         for (beam, range) in scan.ranges.iter().enumerate() {
             let (sin, cos) = (scan.geometry.angle_rad(beam) + 0.4).sin_cos();
-            let to_x = if cos > 0.0 { 5.0 / cos } else { -3.0 / cos };
-            let to_y = if sin > 0.0 { 4.0 / sin } else { -2.0 / sin };
+            // Along each axis, the wall ahead; infinitely far for a beam along the other axis.
+            let to_x = (5.0 / cos).max(-3.0 / cos);
+            let to_y = (4.0 / sin).max(-2.0 / sin);
             let expected = to_x.min(to_y);
             assert!(
                 (f64::from(range.hit_m().unwrap()) - expected).abs() < 1e-4,
@@ -227,6 +242,34 @@ mod tests {
             / scan.geometry.angle_increment_rad)
             .round();
         scan.ranges[beam as usize]
+    }
+
+    #[test]
+    fn a_scanner_of_270_degrees_measures_for_three_quarters_of_its_period() {
+        let geometry = ScanGeometry::UTM_30LX;
+        assert_eq!(beam_after_ns(&geometry, 540), 12_500_000, "straight ahead");
+        let [first, last] = [0, 1080].map(|beam| beam_after_ns(&geometry, beam) as i64);
+        assert!((first - 3_125_000).abs() <= 1 && (last - 21_875_000).abs() <= 1);
+    }
+
+    #[test]
+    fn a_scan_of_a_rotating_scanner_is_distorted_as_its_beams_come_one_after_the_other() {
+        let renderer = hall([8.0, 6.0, 2.6], 0.5);
+        let model = LaserModel::IDEAL;
+        let radps = 2.0;
+        let yaw = |beam| radps * (beam_after_ns(&model.geometry, beam) as f64 * 1e-9 - 0.0125);
+        let pose = |yaw| Pose2::new(3.0, 2.0, yaw).to_pose3() * Pose3::translation(0.0, 0.0, 0.3);
+        let mut out = LaserScan::empty(model.geometry);
+        let mut rng = Pcg64Mcg::seed_from_u64(0);
+        scan(&renderer, |beam| pose(yaw(beam)), &[], &model, &mut rng, 7, &mut out);
+        for (beam, range) in out.ranges.iter().enumerate() {
+            let (sin, cos) = (out.geometry.angle_rad(beam) + yaw(beam)).sin_cos();
+            // Along each axis, the wall ahead; infinitely far for a beam along the other axis.
+            let to_x = (5.0 / cos).max(-3.0 / cos);
+            let to_y = (4.0 / sin).max(-2.0 / sin);
+            let expected = to_x.min(to_y);
+            assert!((f64::from(range.hit_m().unwrap()) - expected).abs() < 1e-4, "beam {beam}");
+        }
     }
 
     #[test]

@@ -7,6 +7,7 @@
 mod check;
 mod devices;
 mod error;
+mod odometry;
 #[cfg(test)]
 mod reference;
 mod sections;
@@ -24,6 +25,7 @@ use runtime::{
 
 pub use devices::{DevicesSection, LensSection, RunSection};
 pub use error::{ConfigError, Problem};
+pub use odometry::Odometry;
 pub use sections::{
     BaseSection, CameraSection, LidarSection, ModelsSection, NetworkSection, RecordingSection,
 };

@@ -1,16 +1,35 @@
 //! The section `[simulator]`.
 
-use simulator::{laser::LaserModel, nuisance::Nuisances};
+use simulator::laser::LaserModel;
+use simulator::nuisance::Nuisances;
+use simulator::odometry::OdometryNoise;
+
+use super::odometry::Odometry;
 
 hal::settings! {
     /// The simulated robot.
     pub struct SimulatorSection {
         /// Whether the robot slides along an obstacle that it touches (the default of Habitat) or stops there.
         sliding: bool = false;
-        /// Standard deviation of the measured distance, as a fraction of the distance. A good base has 0.01.
-        odometry_distance_noise: f64 = 0.0, in 0.0..=0.2;
-        /// Standard deviation of the measured rotation, as a fraction of the rotation. A good base has 0.02.
-        odometry_turn_noise: f64 = 0.0, in 0.0..=0.2;
+        /// Whether wheel odometry has the errors below, or none, as no real robot does. `explore --odometry` overrides it.
+        odometry: Odometry;
+        /// Standard deviation of the measured distance after one metre, as a fraction of it.
+        odometry_distance_noise: f64 = OdometryNoise::ORDINARY.translation, in 0.0..=0.2;
+        /// Standard deviation of a measured rotation of one radian, as a fraction of it.
+        odometry_turn_noise: f64 = OdometryNoise::ORDINARY.rotation, in 0.0..=0.2;
+        /// Standard deviation of the measured heading after one metre, in radians. It grows with the square root of the distance.
+        odometry_heading_drift: f64 = OdometryNoise::ORDINARY.heading_drift_rad, in 0.0..=0.2;
+        /// Standard deviation of a heading error in radians for each metre that stays the same during a run.
+        odometry_heading_bias: f64 = OdometryNoise::ORDINARY.heading_bias_rad_per_m, in 0.0..=0.5,
+            source "Intel Research Lab -0.065, Freiburg 079 -0.019";
+        /// Largest relative error of the configured wheel radius, drawn by the seed.
+        odometry_radius_error: f64 = OdometryNoise::ORDINARY.radius, in 0.0..=0.2;
+        /// Largest relative error of the configured distance between the wheels, drawn by the seed.
+        odometry_track_error: f64 = OdometryNoise::ORDINARY.track, in 0.0..=0.2;
+        /// Mean number of slips on 100 m. A slip is a distance of 0.2 m on which one wheel reports too much.
+        odometry_slips_per_100m: f64 = OdometryNoise::ORDINARY.slips_per_100m, in 0.0..=1000.0;
+        /// Largest distance that a wheel reports too much in one slip; the smallest is a quarter.
+        odometry_slip_m: f64 = OdometryNoise::ORDINARY.slip_m, in 0.0..=0.2, unit "m";
         /// Standard deviation of a LiDAR range up to 10 m; three times this beyond.
         lidar_noise_m: f64 = LaserModel::UTM_30LX.noise_near_m, in 0.0..=0.2, unit "m", source "UTM-30LX";
         /// Fraction of the LiDAR beams that hit something and return nothing.
@@ -20,6 +39,24 @@ hal::settings! {
 }
 
 impl SimulatorSection {
+    /// The errors of the simulated wheels.
+    #[must_use]
+    pub fn odometry_noise(&self) -> OdometryNoise {
+        match self.odometry {
+            Odometry::Perfect => OdometryNoise::NONE,
+            Odometry::Realistic => OdometryNoise {
+                translation: self.odometry_distance_noise,
+                rotation: self.odometry_turn_noise,
+                heading_drift_rad: self.odometry_heading_drift,
+                heading_bias_rad_per_m: self.odometry_heading_bias,
+                radius: self.odometry_radius_error,
+                track: self.odometry_track_error,
+                slips_per_100m: self.odometry_slips_per_100m,
+                slip_m: self.odometry_slip_m,
+            },
+        }
+    }
+
     /// The simulated scanner: a UTM-30LX with the configured noise.
     #[must_use]
     pub fn laser_model(&self) -> LaserModel {

@@ -1,6 +1,6 @@
 //! A simulated run: the loop over simulated devices in virtual time, and what is kept of it.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -10,17 +10,18 @@ use drivers::fault::Faults;
 use hal::DepthMap;
 use runtime::event::ExploreEnd;
 use runtime::lidar_agreement::LidarAgreement;
-use runtime::mapping::{CellState, OccupancyGrid};
 use runtime::recording::{RecordedTick, RunDigest};
 use runtime::robot::{Robot, Stage as RobotStage, StageTimer};
 use runtime::session::{Observer, Session};
 use runtime::tick::{Decision, TickInput};
 use simulator::SimulatedRobot;
-use simulator::floor::FloorPlan;
 use simulator::robot::Truth as World;
 
 use super::devices::{SimulatedDevices, simulated_devices};
 use super::hand_over::{HandOver, Round};
+use super::map_plot::reachable_cells;
+use super::shots::Shots;
+use super::{map_accuracy, map_plot};
 use crate::cli::ExploreArgs;
 use crate::config::{Config, RecordingSection};
 use crate::dump::{Dump, Shot};
@@ -31,7 +32,6 @@ use crate::report::coverage::Coverage;
 use crate::report::depth_sample::{SheetRow, SheetSampler};
 use crate::report::depth_sheet::DepthSheet;
 use crate::report::latency::Stage;
-use crate::report::map_picture::{self, Cells, MapPlot};
 use crate::report::progress::{Progress, Status};
 use crate::report::summary::{LidarLine, Summary, peak_resident_mib};
 use crate::report::table;
@@ -70,6 +70,8 @@ pub(super) struct RunLog {
     began: Instant,
     started: Instant,
     snapshot: Option<Vec<u8>>,
+    /// Images of the animation so far.
+    animation: Option<Shots>,
     #[cfg(feature = "rerun")]
     stream: Option<crate::rerun_stream::RerunStream>,
 }
@@ -120,6 +122,7 @@ impl Exploration {
             began: Instant::now(),
             started: Instant::now(),
             snapshot: None,
+            animation: args.animation.then(|| Shots::of(args.frames)),
             #[cfg(feature = "rerun")]
             stream: None,
         };
@@ -162,7 +165,7 @@ impl Exploration {
             }
             let goal = self.session.robot().explorer().goal();
             let doing = goal.map_or_else(String::new, |goal| format!("{:?}", goal.why));
-            let coverage = self.log.evaluation.coverage();
+            let coverage = self.log.evaluation.coverage().map(Coverage::share);
             progress.frame(self.done, &Status { coverage, doing: &doing.to_lowercase() });
         }
         progress.finish();
@@ -224,13 +227,21 @@ impl Exploration {
         summary.resident_mib = peak_resident_mib();
         summary.lidar_line = LidarLine::of(&log.line);
         log.evaluation.summarise(&mut summary);
+        map_accuracy::summarise(
+            &log.evaluation,
+            robot.map(),
+            &log.world.floor_plan(),
+            &mut summary,
+        );
         // Numbers before pictures: they still find room on a disk that is nearly full.
         summary.write(&out)?;
         println!("{}", table::render(&summary));
-        let title = title(&summary);
+        let title = map_plot::title(&summary);
         DepthSheet { title: &title, rows: &log.sheet.into_rows() }.write(&out)?;
-        let t_world_odom = log.evaluation.t_world_odom();
-        draw_map(&title, robot.map(), &t_world_odom, &log.evaluation, &log.world, &out)?;
+        if let Some(shots) = &log.animation {
+            shots.write(&title, robot.map().cell_m(), &log.evaluation, &log.world.floor_plan(), &out)?;
+        }
+        map_plot::write(&summary, robot.map(), &log.evaluation, &log.world.floor_plan(), &out)?;
         println!(
             "Look at {0}/map.png and {0}/depth.png; numbers are in {0}/summary.json.",
             out.display()
@@ -295,11 +306,13 @@ impl RunLog {
     ) -> Result<()> {
         let truth = Truth {
             pose: self.world.pose(),
-            odom: input.wheel.odom,
             depth: Some(&self.true_depth),
             contact: self.world.take_contact(),
         };
         self.evaluation.frame(&truth, robot, decision)?;
+        if let Some(shots) = &mut self.animation {
+            shots.offer(input, robot, &self.evaluation, &self.world.floor_plan());
+        }
         if let Some(frame) = &input.frame {
             let coarse = robot.coarse_depth();
             let network = robot.network_depth();
@@ -315,7 +328,7 @@ impl RunLog {
     /// Writes a frame's coarse depth, with the pose that the robot believes in.
     fn dump(&mut self, robot: &Robot, input: &TickInput<'_>) -> Result<()> {
         let (Some(dump), Some(_)) = (&mut self.dump, &input.frame) else { return Ok(()) };
-        let t_world_camera = input.wheel.odom.to_pose3() * robot.config().t_base_camera;
+        let t_world_camera = robot.poses().t_map_base().to_pose3() * robot.config().t_base_camera;
         let shot =
             Shot { time_ns: input.time_ns, t_world_camera, rgb: None, truth: None, view: None };
         dump.add(&shot, robot.coarse_depth())
@@ -341,84 +354,19 @@ impl RunLog {
         let Some(stream) = &mut self.stream else { return };
         let mut numbers = vec![("desired_mps", decision.desired.linear_mps)];
         numbers.extend(decision.sent.map(|sent| ("sent_mps", sent.linear_mps)));
-        numbers.extend(self.evaluation.coverage().map(|share| ("coverage", share)));
+        numbers.extend(self.evaluation.coverage().map(|coverage| ("coverage", coverage.share())));
         numbers.extend(self.line.overall().map(|line| ("line_delta1", line.delta1)));
         numbers.extend(self.line.overall().map(|line| ("line_scale", line.scale)));
         stream.offer(crate::rerun_stream::Moment {
             tick: input.tick,
             time_ns: input.time_ns,
-            odom: input.wheel.odom,
+            t_map_base: robot.poses().t_map_base(),
             goal_m: decision.goal_m,
-            picture: input.frame.map(|view| (view.width(), view.height(), view.data().to_vec())),
+            image: input.frame.map(|view| (view.width(), view.height(), view.data().to_vec())),
             views: recorded_views(robot, input.tick, &self.recording),
             numbers,
         });
     }
-}
-
-fn title(summary: &Summary) -> String {
-    let scene = summary.scene.as_deref().unwrap_or_default();
-    let policy = summary.policy.as_deref().unwrap_or_default();
-    let coverage = summary
-        .coverage
-        .map_or_else(String::new, |share| format!(", {:.0} % mapped", 100.0 * share));
-    format!("{scene}, {policy}, {} frames{coverage} (simulated)", summary.frames)
-}
-
-/// The map in the world's frame, so that the true floor and the driven path lie on it.
-fn draw_map(
-    title: &str,
-    map: &OccupancyGrid,
-    t_world_odom: &hal::Pose2,
-    evaluation: &Evaluation,
-    world: &World,
-    out: &Path,
-) -> Result<()> {
-    let plan = world.floor_plan();
-    let grid = plan.grid();
-    let reachable = reachable_cells(&plan);
-    // Resampled into the world at the map's own resolution: without drift the frames differ by the start pose only.
-    let cell_m = map.cell_m();
-    let (width, height) = (
-        (grid.width as f64 * grid.resolution_m / cell_m).ceil() as usize,
-        (grid.height as f64 * grid.resolution_m / cell_m).ceil() as usize,
-    );
-    let t_odom_world = t_world_odom.inverse();
-    let state = |index: usize| {
-        let x_m = grid.origin_m[0] + (index % width) as f64 * cell_m + cell_m / 2.0;
-        let y_m = grid.origin_m[1] + (index / width) as f64 * cell_m + cell_m / 2.0;
-        let (x_m, y_m) = t_odom_world.transform(x_m, y_m);
-        match map.state_at(x_m, y_m) {
-            CellState::Unknown => map_picture::CellState::Unknown,
-            CellState::Free => map_picture::CellState::Free,
-            CellState::Occupied => map_picture::CellState::Occupied,
-        }
-    };
-    let cells: Vec<map_picture::CellState> = (0..width * height).map(state).collect();
-    let picture = MapPlot {
-        title,
-        map: Cells { width, cells: &cells, resolution_m: cell_m, origin_m: grid.origin_m },
-        trajectory: evaluation.trajectory(),
-        goals: evaluation.goals_m(),
-        trips: evaluation.trips_m(),
-        reachable: Some(Cells {
-            width: grid.width,
-            cells: &reachable,
-            resolution_m: grid.resolution_m,
-            origin_m: grid.origin_m,
-        }),
-    };
-    Ok(picture.write(out)?)
-}
-
-/// Which cells of the plan's grid are reachable floor.
-fn reachable_cells(plan: &FloorPlan) -> Vec<bool> {
-    let grid = plan.grid();
-    let mut cells = vec![false; grid.cells()];
-    for index in plan.reachable_floor().filter_map(|[x_m, y_m]| grid.index(x_m, y_m)) {
-        cells[index] = true;
-    }
-    cells
 }
 
 /// Ctrl-C ends the run after the current turn, with a report.

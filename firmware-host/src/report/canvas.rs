@@ -69,6 +69,12 @@ impl Canvas {
         self.image.dimensions()
     }
 
+    /// The pixels, row by row: three bytes for each.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        self.image.as_raw()
+    }
+
     /// The colour of a pixel; `None` outside of the image.
     #[must_use]
     pub fn get(&self, x: i64, y: i64) -> Option<Rgb> {
@@ -123,6 +129,22 @@ impl Canvas {
     pub fn diamond(&mut self, center: [f64; 2], radius: f64, color: Rgb) {
         self.shape(center, radius, color, 1.0, |[x, y]| {
             ((x - center[0]).abs() + (y - center[1]).abs() - radius) / 2f64.sqrt()
+        });
+    }
+
+    /// Draws a filled triangle.
+    pub fn triangle(&mut self, corners: [[f64; 2]; 3], color: Rgb) {
+        let [a, b, c] = corners;
+        let center = [(a[0] + b[0] + c[0]) / 3.0, (a[1] + b[1] + c[1]) / 3.0];
+        let reach = corners.map(|corner| (corner[0] - center[0]).hypot(corner[1] - center[1]));
+        let reach = reach.into_iter().fold(0.0, f64::max);
+        // The centre is inside, so the sign does not depend on the order of the corners.
+        let sides = [(a, b), (b, c), (c, a)];
+        self.shape(center, reach, color, 1.0, |point| {
+            sides
+                .map(|(p, q)| beside(point, p, q) * -beside(center, p, q).signum())
+                .into_iter()
+                .fold(f64::NEG_INFINITY, f64::max)
         });
     }
 
@@ -207,6 +229,12 @@ fn covered(center: f64, reach: f64, size: u32) -> std::ops::Range<i64> {
     let low = (center - reach - 1.0).floor().clamp(0.0, end) as i64;
     let high = (center + reach + 2.0).ceil().clamp(0.0, end) as i64;
     low..high
+}
+
+/// Signed distance of a point from the line through `p` and `q`.
+fn beside(point: [f64; 2], p: [f64; 2], q: [f64; 2]) -> f64 {
+    let [dx, dy] = [q[0] - p[0], q[1] - p[1]];
+    (dx * (point[1] - p[1]) - dy * (point[0] - p[0])) / dx.hypot(dy).max(f64::MIN_POSITIVE)
 }
 
 fn distance_to_segment(point: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {

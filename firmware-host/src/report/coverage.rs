@@ -69,6 +69,18 @@ impl Coverage {
         self.mapped_cells as f64 / self.reachable_cells as f64
     }
 
+    /// Whether a cell of the grid is reachable floor that was mapped.
+    #[must_use]
+    pub fn is_mapped(&self, index: usize) -> bool {
+        self.mapped.get(index).copied().unwrap_or(false)
+    }
+
+    /// Number of cells of reachable floor.
+    #[must_use]
+    pub fn reachable_cells(&self) -> usize {
+        self.reachable_cells
+    }
+
     /// Area of the reachable floor, square metres.
     #[must_use]
     pub fn reachable_m2(&self) -> f64 {

@@ -82,7 +82,7 @@ impl DepthSheet<'_> {
             });
         }
         let columns = self.columns();
-        let scale = DepthScale::of(self.rows);
+        let scale = DepthScale::of(self.rows.iter());
         let layout = Layout {
             columns: columns.len() as i64,
             rows: self.rows.len() as i64,
@@ -230,7 +230,7 @@ fn depth_caption(depth: Option<&SampledDepth>) -> String {
 }
 
 /// Grey stripes for pixels without a value, which cannot be confused with a colour of the scales.
-fn hatch(x: i64, y: i64) -> Rgb {
+pub(super) fn hatch(x: i64, y: i64) -> Rgb {
     NO_DEPTH[usize::from((x + y).rem_euclid(8) < 2)]
 }
 
@@ -240,7 +240,7 @@ fn error_color(relative: f32) -> Rgb {
 
 /// The common logarithmic colour scale of all depths of a sheet.
 #[derive(Debug, Clone, Copy)]
-struct DepthScale {
+pub(super) struct DepthScale {
     near_m: f32,
     far_m: f32,
 }
@@ -248,10 +248,9 @@ struct DepthScale {
 impl DepthScale {
     /// A scale from the 1st to the 99th percentile of the ground truth or, without it, of the
     /// estimated depths.
-    fn of(rows: &[SheetRow]) -> Self {
-        let truth = rows.iter().filter_map(|row| row.truth.as_deref());
+    pub fn of<'a>(rows: impl Iterator<Item = &'a SheetRow> + Clone) -> Self {
+        let truth = rows.clone().filter_map(|row| row.truth.as_deref());
         let estimated = rows
-            .iter()
             .flat_map(|row| [&row.coarse, &row.network])
             .flatten()
             .map(|depth| &depth.depth_m[..]);
@@ -290,7 +289,7 @@ impl DepthScale {
     }
 
     /// `None` for a depth of 0, which means that there is none.
-    fn color_of(&self, depth_m: f32) -> Option<Rgb> {
+    pub fn color_of(&self, depth_m: f32) -> Option<Rgb> {
         (depth_m > 0.0).then(|| self.color(depth_m))
     }
 }

@@ -40,7 +40,7 @@ fn cell(canvas: &Canvas, columns: i64, column: usize, u: i64) -> Rgb {
 fn every_column_shows_its_own_values_on_a_common_scale() {
     let rows = [row()];
     let canvas = draw(&rows);
-    let scale = DepthScale::of(&rows);
+    let scale = DepthScale::of(rows.iter());
     assert_eq!(cell(&canvas, 6, 0, 5), [10, 20, 30]);
     assert_eq!(cell(&canvas, 6, 1, 5), scale.color(2.0));
     assert_eq!(cell(&canvas, 6, 2, 5), scale.color(3.0));
@@ -123,13 +123,13 @@ fn tick_labels_do_not_touch() {
 
 #[test]
 fn the_scale_follows_the_truth_and_a_single_wall_still_has_one() {
-    let scale = DepthScale::of(&[row()]);
+    let scale = DepthScale::of([row()].iter());
     assert!((scale.near_m - 1.0).abs() < 0.2 && (scale.far_m - 7.3).abs() < 0.2, "{scale:?}");
     let wall = SheetRow { truth: None, network: None, ..row() };
-    let scale = DepthScale::of(&[wall]);
+    let scale = DepthScale::of([wall].iter());
     assert!(scale.share(2.0).is_finite() && scale.far_m > scale.near_m);
     let nothing = SheetRow { truth: None, network: None, coarse: None, ..row() };
-    assert!(DepthScale::of(&[nothing]).share(1.0).is_finite());
+    assert!(DepthScale::of([nothing].iter()).share(1.0).is_finite());
 }
 
 #[test]

@@ -19,7 +19,9 @@ pub struct Status<'a> {
 
 impl Status<'_> {
     fn text(&self) -> String {
-        let coverage = self.coverage.map(|share| format!("{:.0} % mapped", 100.0 * share));
+        // Rounded down, so that only all is 100 %.
+        let coverage =
+            self.coverage.map(|share| format!("{:.0} % mapped", (100.0 * share).floor()));
         let doing = (!self.doing.is_empty()).then(|| self.doing.to_owned());
         [coverage, doing].into_iter().flatten().collect::<Vec<_>>().join(", ")
     }
@@ -116,7 +118,7 @@ mod tests {
         let line = plain(1500, 3000, Duration::from_secs(50), &status);
         assert_eq!(
             line,
-            " 50 %  1500/3000 frames, 30.0 frames/s, 50 s left, 35 % mapped, frontier"
+            " 50 %  1500/3000 frames, 30.0 frames/s, 50 s left, 34 % mapped, frontier"
         );
         let line = plain(3000, 3000, Duration::from_secs(100), &Status::default());
         assert_eq!(line, "100 %  3000/3000 frames, 30.0 frames/s, 0 s left");
@@ -170,7 +172,7 @@ mod tests {
         let rate =
             line.split(", ").find_map(|part| part.strip_suffix(" frames/s")).unwrap_or_default();
         assert_eq!(rate.split_once('.').map(|(_, decimals)| decimals.len()), Some(1), "{line:?}");
-        assert!(line.contains("1500/3000 frames") && line.contains("35 % mapped"), "{line:?}");
+        assert!(line.contains("1500/3000 frames") && line.contains("34 % mapped"), "{line:?}");
         assert!(line.trim_end().chars().count() <= 78 && !line.contains('\x1b'), "{line:?}");
     }
 

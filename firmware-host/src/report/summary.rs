@@ -15,7 +15,9 @@ use super::{
     atomic::{ReportError, write_atomically},
     events::EventCounts,
     latency::Stage,
+    pose_error::PoseError,
 };
+use crate::config::Odometry;
 
 /// Name of the file in the output directory.
 pub const SUMMARY_FILE: &str = "summary.json";
@@ -41,6 +43,9 @@ pub struct Summary {
     /// Source of the depth in the map.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub depth_source: Option<DepthSource>,
+    /// How wrong the simulated robot's odometry was.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub odometry: Option<Odometry>,
     /// BLAKE3 digest of the network, hexadecimal.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
@@ -59,6 +64,23 @@ pub struct Summary {
     /// Share of the reachable floor that was mapped, 0 to 1.
     #[serde(skip_serializing_if = "absent")]
     pub coverage: Option<f64>,
+    /// Share of the reachable floor that was mapped and that the map shows at its true place, to
+    /// 0.15 m, if the start pose is aligned.
+    #[serde(skip_serializing_if = "absent")]
+    pub coverage_true: Option<f64>,
+    /// Share of the occupied cells that are more than 10 cm from any true obstacle, after the best
+    /// rigid fit of the map.
+    #[serde(skip_serializing_if = "absent")]
+    pub map_off10: Option<f64>,
+    /// Distances between occupied cells and true obstacles, both ways, after the best rigid fit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub map_error_m: Option<MapError>,
+    /// Intersection over union of the map's free floor and the true one, after the best rigid fit.
+    #[serde(skip_serializing_if = "absent")]
+    pub map_iou: Option<f64>,
+    /// Errors of the poses that the robot believed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pose_error: Option<PoseError>,
     /// Area of the reachable floor, square metres.
     #[serde(skip_serializing_if = "absent")]
     pub reachable_m2: Option<f64>,
@@ -109,6 +131,27 @@ pub struct Summary {
     /// Version of the binary.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub version: String,
+}
+
+/// Percentiles of the distances between a map and the truth, metres.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct MapError {
+    pub p50: f64,
+    pub p90: f64,
+}
+
+impl MapError {
+    /// Percentiles of distances, by the nearest rank; `None` of nothing.
+    #[must_use]
+    pub fn of(mut distances: Vec<f64>) -> Option<Self> {
+        distances.sort_by(f64::total_cmp);
+        Some(Self { p50: nearest_rank(&distances, 0.5)?, p90: nearest_rank(&distances, 0.9)? })
+    }
+}
+
+fn nearest_rank(sorted: &[f64], share: f64) -> Option<f64> {
+    let rank = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.max(1) - 1).copied()
 }
 
 /// Agreement of the mapped depth with the LiDAR's returns in the image.
@@ -278,6 +321,14 @@ mod tests {
         assert_eq!(accuracy.get("network"), None);
         assert_eq!(accuracy["coarse"].get("confident"), None);
         assert_eq!(serde_json::from_str::<Summary>(&summary.to_json()).unwrap(), summary);
+    }
+
+    #[test]
+    fn percentiles_of_a_map_are_distances_of_the_map() {
+        let error = MapError::of((1..=10).rev().map(f64::from).collect()).unwrap();
+        assert_eq!((error.p50, error.p90), (5.0, 9.0));
+        assert_eq!(MapError::of(vec![0.3]), Some(MapError { p50: 0.3, p90: 0.3 }));
+        assert_eq!(MapError::of(Vec::new()), None);
     }
 
     #[test]

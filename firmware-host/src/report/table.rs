@@ -10,8 +10,10 @@ use runtime::{
 
 use super::{
     events::{Reasons, name},
+    percent,
     summary::{LidarLine, Summary},
 };
+use crate::config::Odometry;
 
 /// Maximum number of columns.
 const WIDTH: usize = 100;
@@ -42,8 +44,12 @@ fn title(text: &mut String, summary: &Summary) {
         }
         other => format!("{} depth", name(&other)),
     });
-    let parts: Vec<String> =
-        [place.cloned(), summary.policy.clone(), seed, depth].into_iter().flatten().collect();
+    let odometry = (summary.odometry == Some(Odometry::Perfect))
+        .then(|| "error-free odometry (tests only)".to_owned());
+    let parts: Vec<String> = [place.cloned(), summary.policy.clone(), seed, depth, odometry]
+        .into_iter()
+        .flatten()
+        .collect();
     let _ = writeln!(text, "{}", parts.join(", "));
 }
 
@@ -86,6 +92,8 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
         ),
         ("ended by", summary.end_reason.map_or(String::new(), |end| name(&end))),
         ("coverage", coverage(summary)),
+        ("map", map(summary)),
+        ("pose", pose(summary)),
         ("path", summary.path_m.map_or(String::new(), |path| format!("{path:.1} m"))),
         ("collisions", summary.collisions.map_or(String::new(), |count| count.to_string())),
         ("safety stops", trips),
@@ -127,10 +135,37 @@ fn frames(summary: &Summary) -> String {
 
 fn coverage(summary: &Summary) -> String {
     let Some(coverage) = summary.coverage else { return String::new() };
+    let right = summary
+        .coverage_true
+        .map_or_else(String::new, |share| format!(", {} at its true place", percent(share)));
     match summary.reachable_m2 {
-        Some(area) => format!("{:.1} % of {area:.1} m2 reachable floor", 100.0 * coverage),
-        None => format!("{:.1} % of the reachable floor", 100.0 * coverage),
+        Some(area) => format!("{} of {area:.1} m2 reachable floor{right}", percent(coverage)),
+        None => format!("{} of the reachable floor{right}", percent(coverage)),
     }
+}
+
+fn map(summary: &Summary) -> String {
+    let error = summary.map_error_m.map(|error| {
+        let [p50, p90] = [error.p50, error.p90].map(|metres| 100.0 * metres);
+        format!("obstacles within {p50:.1} cm (median), {p90:.1} cm (90 %)")
+    });
+    let off = summary
+        .map_off10
+        .map(|share| format!("{} of the occupied cells more than 10 cm off", percent(share)));
+    let iou = summary.map_iou.map(|iou| format!("IoU of the free floor {iou:.3}"));
+    [error, off, iou].into_iter().flatten().collect::<Vec<_>>().join(", ")
+}
+
+fn pose(summary: &Summary) -> String {
+    let Some(error) = &summary.pose_error else { return String::new() };
+    let drift =
+        error.rpe_m_per_m.zip(error.rpe_deg_per_m).map_or_else(String::new, |(metres, degrees)| {
+            format!("{:.1} mm and {degrees:.2} degrees off per metre, ", 1e3 * metres)
+        });
+    format!(
+        "{drift}{:.2} m off over the run, heading {:.1} degrees off at the end",
+        error.ate_m, error.yaw_end_deg
+    )
 }
 
 fn stuck(summary: &Summary) -> String {

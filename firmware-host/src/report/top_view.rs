@@ -80,7 +80,9 @@ impl TopView {
         let (width, cells, origin_m) = self.cells();
         let map = Cells { width, cells: &cells, resolution_m: self.grid.cell_m(), origin_m };
         let trajectory = &self.trajectory;
-        MapPlot { title, map, trajectory, goals: &[], trips: &[], reachable: None }.write(dir)
+        let plot =
+            MapPlot { title, figures: "", map, trajectory, goals: &[], trips: &[], truth: None };
+        plot.write(dir)
     }
 
     /// The known part of the map: number of columns, cells row by row, outer corner of the first

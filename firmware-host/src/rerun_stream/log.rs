@@ -32,7 +32,7 @@ pub(super) struct RunLog {
     failed: u64,
 }
 
-/// Position of the map's image in `odom`.
+/// Position of the map's image in `map`.
 #[derive(Debug, Clone, Copy)]
 struct MapFrame {
     origin_m: [f64; 2],
@@ -46,7 +46,7 @@ impl MapFrame {
         Self { origin_m: map.origin_m, cell_m: map.cell_m, rows }
     }
 
-    /// Pixel coordinates of a point in `odom`. In Rerun, the corner of a pixel has integer
+    /// Pixel coordinates of a point in `map`. In Rerun, the corner of a pixel has integer
     /// coordinates.
     fn pixel(&self, point_m: [f64; 2]) -> [f32; 2] {
         let [right, up] = [0, 1].map(|axis| (point_m[axis] - self.origin_m[axis]) / self.cell_m);
@@ -109,7 +109,7 @@ impl RunLog {
         });
         self.camera(moment);
         self.map(moment);
-        if moment.odom.is_finite() {
+        if moment.t_map_base.is_finite() {
             self.motion(moment);
         }
         for (name, value) in moment.numbers.iter().filter(|(_, value)| value.is_finite()) {
@@ -152,7 +152,7 @@ impl RunLog {
 
     /// Sends robot, travelled path, planned path and goal, in 3-D and on the map.
     fn motion(&mut self, moment: &Moment) {
-        let at_m = [moment.odom.x_m, moment.odom.y_m];
+        let at_m = [moment.t_map_base.x_m, moment.t_map_base.y_m];
         if self
             .travelled_m
             .last()
@@ -160,7 +160,7 @@ impl RunLog {
         {
             self.travelled_m.push(at_m);
         }
-        let pose = transform(&moment.odom.to_pose3());
+        let pose = transform(&moment.t_map_base.to_pose3());
         self.each(|stream| stream.log("world/robot", &pose));
         if moment.tick.is_multiple_of(TRAVELLED_EVERY) {
             let travelled_m = std::mem::take(&mut self.travelled_m);
@@ -172,7 +172,7 @@ impl RunLog {
         }
         let goal: Vec<[f64; 2]> = moment.goal_m.into_iter().collect();
         self.points("goal", &goal, GOAL);
-        self.points("robot", &[nose(&moment.odom), at_m], TRAVELLED);
+        self.points("robot", &[nose(&moment.t_map_base), at_m], TRAVELLED);
     }
 
     fn line(&mut self, name: &str, line_m: &[[f64; 2]], color: [u8; 3]) {

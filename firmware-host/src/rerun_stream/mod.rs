@@ -37,9 +37,9 @@ pub struct RerunTargets {
 pub struct Moment {
     pub tick: u64,
     pub time_ns: u64,
-    /// `t_odom_base`.
-    pub odom: Pose2,
-    /// Current goal in `odom`, metres.
+    /// Where the robot believes to be, `t_map_base`.
+    pub t_map_base: Pose2,
+    /// Current goal in `map`, metres.
     pub goal_m: Option<[f64; 2]>,
     /// Camera image: width, height, RGB8.
     pub image: Option<(usize, usize, Vec<u8>)>,
@@ -170,7 +170,7 @@ mod tests {
             let moment = Moment {
                 tick,
                 time_ns: tick * 100_000_000,
-                odom: Pose2::new(0.03 * tick as f64, 0.0, 0.1),
+                t_map_base: Pose2::new(0.03 * tick as f64, 0.0, 0.1),
                 goal_m: Some([1.0, 0.5]),
                 image: Some((64, 32, vec![90; 64 * 32 * 3])),
                 views: Views {

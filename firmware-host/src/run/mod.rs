@@ -239,6 +239,6 @@ fn draw_map(out: &Path, robot: &Robot, trajectory: &[Pose2], trips: &[[f64; 2]])
         origin_m: view.origin_m,
     };
     let title = "the map as the robot has it";
-    let picture = MapPlot { title, map, trajectory, goals: &[], trips, reachable: None };
+    let picture = MapPlot { title, figures: "", map, trajectory, goals: &[], trips, truth: None };
     Ok(picture.write(out)?)
 }

@@ -11,6 +11,8 @@ use drivers::can::Protocol;
 use drivers::scip::Model;
 use hal::{CameraModel, Clock};
 use monotonic_clock::MonotonicClock;
+use simulator::nuisance::Nuisances;
+use simulator::odometry::OdometryNoise;
 
 use super::cables::Cables;
 use super::faults::RandomFaults;
@@ -53,9 +55,12 @@ pub struct WorldArgs {
     late_ms: u64,
     #[command(flatten)]
     cables: Cables,
-    /// Seed of the start pose and of the sensor noise.
+    /// Seed of the start pose, of the sensor noise and of the wheels' errors.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Exact wheels and images without noise, as no real robot has.
+    #[arg(long)]
+    perfect: bool,
     /// Inject random device faults with this seed.
     #[arg(long)]
     faults: Option<u64>,
@@ -107,6 +112,8 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
             ),
             fps: args.fps,
             late_ms: args.late_ms,
+            odometry: if args.perfect { OdometryNoise::NONE } else { OdometryNoise::ORDINARY },
+            nuisances: if args.perfect { Nuisances::none() } else { Nuisances::default() },
             seed: args.seed,
             cables: args.cables.clone(),
         },

@@ -8,6 +8,7 @@ use hal::{Base, Clock, DriveCommand, LaserScan, Lidar, Pose2};
 use simulator::robot::{SimBase, SimClock, SimLidar, Truth};
 use simulator::{RobotOptions, SceneError, SimulatedRobot, World};
 
+use super::wheels::Wheels;
 use crate::motor::MotorNode;
 
 /// Contacts within this time count as one touch: blocked wheels push repeatedly.
@@ -30,6 +31,7 @@ struct State {
     truth: Truth,
     kinematics: Kinematics,
     wheel_radius_m: f64,
+    wheels: Wheels,
     counter: u32,
     /// Time of the last contact.
     touched_ns: Option<u64>,
@@ -40,7 +42,8 @@ struct State {
 }
 
 impl Home {
-    /// Places a robot with these wheels in the home. Its time begins at 0.
+    /// Places a robot with these wheels in the home. Its time begins at 0. The options say how wrong
+    /// the wheels are.
     ///
     /// # Errors
     /// Returns an error when the robot does not fit at its start pose.
@@ -49,6 +52,7 @@ impl Home {
         options: RobotOptions,
         base: &BaseConfig,
     ) -> Result<Self, SceneError> {
+        let wheels = Wheels::new(options.odometry, options.seed);
         let devices = SimulatedRobot::new(Arc::clone(&world), options)?.devices();
         let scan = LaserScan::empty(devices.lidar.geometry());
         let state = State {
@@ -59,6 +63,7 @@ impl Home {
             truth: devices.truth,
             kinematics: Kinematics { track_m: base.track_m },
             wheel_radius_m: base.wheel_radius_m,
+            wheels,
             counter: 0,
             touched_ns: None,
             touches: 0,
@@ -84,7 +89,9 @@ impl Home {
         let mut state = self.state();
         let rims =
             wheels.each_ref().map(|node| node.wheel().velocity_radps() * state.wheel_radius_m);
-        let twist = state.kinematics.twist(rims);
+        let measured = state.kinematics.twist(rims);
+        let seconds = time_ns.saturating_sub(state.clock.now_ns()) as f64 * 1e-9;
+        let twist = state.wheels.on_floor(&measured, seconds);
         state.counter = state.counter.wrapping_add(1);
         let command = DriveCommand { twist, counter: state.counter, plan_age_ns: 0 };
         // Wheel velocities are finite, so the command is not refused.

@@ -11,7 +11,11 @@ use drivers::scip::Model;
 use hal::{CameraModel, Clock, DepthMap};
 use monotonic_clock::MonotonicClock;
 use monotonic_clock::monotonic_ns;
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
 use simulator::laser::LaserModel;
+use simulator::nuisance::Nuisances;
+use simulator::odometry::OdometryNoise;
 use simulator::{OpenOptions, RobotOptions, World};
 
 use super::cables::{Cable, Cables};
@@ -23,6 +27,8 @@ use crate::video::{Device, VideoFaults, serve, simulated};
 
 /// Period of the simulated motors.
 const STEP_NS: u64 = 2_000_000;
+/// Keeps the camera's random numbers apart from the wheels'.
+const CAMERA_STREAM: u64 = 0x6361_6d65;
 /// Interval at which an unplugged camera checks whether it is plugged in again.
 const UNPLUGGED_NS: u64 = 20_000_000;
 
@@ -38,14 +44,19 @@ pub struct LiveOptions {
     pub fps: f64,
     /// Delay between exposure and timestamp of the camera's frames, milliseconds, at most 500.
     pub late_ms: u64,
-    /// Seed of the start pose and of the sensor noise.
+    /// Errors of the wheels.
+    pub odometry: OdometryNoise,
+    /// Disturbances of the camera's images. Only the sensor's noise is simulated here.
+    pub nuisances: Nuisances,
+    /// Seed of the start pose, of the sensor noise and of the wheels' errors.
     pub seed: u64,
     /// Devices that are reached through kernel drivers. The others are created in the folder.
     pub cables: Cables,
 }
 
 impl Default for LiveOptions {
-    /// An apartment, ODrives, a UTM-30LX, and the camera of "Embodied Depth Prediction".
+    /// An apartment, ODrives, a UTM-30LX, the camera of "Embodied Depth Prediction", and the errors of
+    /// an ordinary base.
     fn default() -> Self {
         Self {
             scene: "builtin:apartment?seed=1".to_owned(),
@@ -54,6 +65,8 @@ impl Default for LiveOptions {
             camera: CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2),
             fps: 15.0,
             late_ms: 0,
+            odometry: OdometryNoise::ORDINARY,
+            nuisances: Nuisances::default(),
             seed: 1,
             cables: Cables::default(),
         }
@@ -85,7 +98,12 @@ impl LiveWorld {
         let world = Arc::new(World::open(&options.scene, &OpenOptions::default())?);
         let model = options.lidar;
         let laser = LaserModel { geometry: model.geometry(false), ..LaserModel::UTM_30LX };
-        let robot = RobotOptions { seed: options.seed, laser, ..RobotOptions::default() };
+        let robot = RobotOptions {
+            seed: options.seed,
+            laser,
+            odometry: options.odometry,
+            ..RobotOptions::default()
+        };
         let t_base_camera = robot.t_base_camera;
         let Cables { camera_at, lidar_at, motors_at } = &options.cables;
         let base = BaseConfig {
@@ -123,6 +141,8 @@ impl LiveWorld {
             model: options.camera,
             t_base_camera,
             late_ns: options.late_ms * 1_000_000,
+            nuisances: options.nuisances.clone(),
+            rng: Pcg64Mcg::seed_from_u64(options.seed ^ CAMERA_STREAM),
             rgb: Vec::new(),
             depth: DepthMap::none(options.camera.width, options.camera.height),
         };

@@ -11,6 +11,7 @@ mod home;
 mod live;
 mod output;
 mod sensors;
+mod wheels;
 
 pub use cables::{Cable, Cables};
 pub use command::{WorldArgs, run};

@@ -2,6 +2,8 @@
 
 use drivers::scip::Model;
 use hal::{CameraModel, DepthMap, Pose3, Range};
+use rand_pcg::Pcg64Mcg;
+use simulator::nuisance::Nuisances;
 use simulator::render::Lighting;
 
 use super::Home;
@@ -37,6 +39,9 @@ pub(super) struct HomeCamera {
     pub t_base_camera: Pose3,
     /// Delay between exposure and timestamp.
     pub late_ns: u64,
+    /// What makes the images harder than rendered ones: the sensor's noise.
+    pub nuisances: Nuisances,
+    pub rng: Pcg64Mcg,
     pub rgb: Vec<u8>,
     pub depth: DepthMap,
 }
@@ -51,6 +56,7 @@ impl ImageSource for HomeCamera {
         };
         let renderer = self.home.world().renderer();
         renderer.render(&camera, &at, &[], &Lighting::default(), &mut self.rgb, &mut self.depth);
+        self.nuisances.add_sensor_noise(&mut self.rng, &mut self.rgb);
         for (pair, out) in self.rgb.chunks_exact(6).zip(yuyv.chunks_exact_mut(4)) {
             out.copy_from_slice(&yuyv_of(pair));
         }

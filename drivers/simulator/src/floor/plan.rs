@@ -16,6 +16,10 @@ use super::raster::{Raster, obstacle, region};
 use super::{Corners, Footprint, LEAST_FREE_M2, corners};
 use crate::scene::Scene;
 
+/// Surfaces up to this height above the floor may appear in a map, metres: maps mark obstacles up to
+/// 1.4 m, and depth is not exact.
+const SURFACES_M: f64 = 1.5;
+
 /// Free space of a world whose floor is at z = 0.
 ///
 /// Queries about positions use a raster of 5 cm cells; motion and the freedom of a cell's centre
@@ -24,6 +28,8 @@ use crate::scene::Scene;
 pub struct FloorPlan {
     pub(super) footprint: Footprint,
     pub(super) obstacles: Arc<Obstacles>,
+    /// Everything that a robot can map as an obstacle.
+    surfaces: Arc<Obstacles>,
     raster: Raster,
     /// Lower bound of the distance from a cell's centre to the nearest obstacle, metres. It is
     /// exact where the raster cannot decide whether the robot fits.
@@ -55,10 +61,15 @@ impl FloorPlan {
             ));
         };
         let obstacles = Arc::new(obstacles);
+        let surfaces = Arc::new(Obstacles::new(
+            raster.grid,
+            &triangles.iter().filter_map(|t| obstacle(t, 0.0, SURFACES_M)).collect::<Vec<_>>(),
+        ));
         let reachable_floor = Vec::new();
         let mut plan = Self {
             footprint: *footprint,
             obstacles,
+            surfaces,
             raster,
             clearance_m,
             components,
@@ -157,6 +168,14 @@ impl FloorPlan {
     #[must_use]
     pub fn clearance_m(&self, x_m: f64, y_m: f64) -> f64 {
         self.at(x_m, y_m).map_or(0.0, |cell| f64::from(self.clearance_m[cell]))
+    }
+
+    /// The point of any surface between 6 cm and 1.5 m above the floor that is nearest to a
+    /// position, with its distance, if that is less than `limit_m`; metres. Unlike an obstacle of
+    /// the robot, a surface may be higher than the robot, and the edge of the floor is none.
+    #[must_use]
+    pub fn nearest_surface(&self, x_m: f64, y_m: f64, limit_m: f64) -> Option<([f64; 2], f64)> {
+        self.surfaces.nearest([x_m, y_m], limit_m)
     }
 
     /// A reachable pose with uniformly distributed position and heading, determined by the seed.

@@ -67,7 +67,7 @@ impl Camera for SimCamera {
     }
 }
 
-/// The laser scanner: casts a scan when it is polled, at most one per scan period.
+/// The laser scanner. It rotates all the time; a poll casts the beams of the last complete scan.
 pub struct SimLidar {
     shared: Shared,
     geometry: ScanGeometry,
@@ -90,15 +90,12 @@ impl Lidar for SimLidar {
 
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Infallible> {
         let mut state = lock(&self.shared);
-        let now_ns = state.now_ns;
-        if state
-            .scan_ns
-            .is_some_and(|last_ns| now_ns < last_ns.saturating_add(self.geometry.period_ns.max(1)))
-        {
+        let period_ns = self.geometry.period_ns.max(1);
+        let newest = state.now_ns / period_ns;
+        if state.scan.replace(newest) == Some(newest) {
             return Ok(false);
         }
-        state.scan_ns = Some(now_ns);
-        state.take_scan(scan);
+        state.take_scan(newest * period_ns, scan);
         Ok(true)
     }
 }

@@ -13,8 +13,7 @@ impl State {
         if deadline_ns <= self.now_ns {
             return;
         }
-        self.pose_before = self.pose;
-        self.step_s = (deadline_ns - self.now_ns) as f64 * 1e-9;
+        let step_s = (deadline_ns - self.now_ns) as f64 * 1e-9;
         let fresh_until_ns = self.commanded_ns.saturating_add(self.options.watchdog_ns);
         let seconds = (deadline_ns.min(fresh_until_ns).saturating_sub(self.now_ns)) as f64 * 1e-9;
         self.now_ns = deadline_ns;
@@ -24,12 +23,11 @@ impl State {
         self.odometer.advance(&self.pose.inverse().compose(&moved.pose));
         let measured = odom_before.inverse().compose(&self.odometer.pose());
         self.pose = moved.pose;
+        self.trail.push(deadline_ns, moved.pose);
         self.contact = moved.contact;
         self.touched |= moved.contact;
         self.touched_in_truth |= moved.contact;
-        self.twist = Twist2 {
-            linear_mps: measured.x_m / self.step_s,
-            angular_radps: measured.yaw_rad / self.step_s,
-        };
+        self.twist =
+            Twist2 { linear_mps: measured.x_m / step_s, angular_radps: measured.yaw_rad / step_s };
     }
 }

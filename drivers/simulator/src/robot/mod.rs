@@ -5,6 +5,7 @@ mod devices;
 mod drive;
 #[cfg(test)]
 mod tests;
+mod trail;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -22,6 +23,7 @@ use crate::nuisance::Nuisances;
 use crate::odometry::{Odometer, OdometryNoise};
 use crate::people::{Person, Walker};
 use crate::world::World;
+use trail::Trail;
 
 pub use devices::{DriveRefused, SimBase, SimCamera, SimClock, SimLidar, Truth};
 
@@ -140,9 +142,7 @@ pub(crate) struct State {
     options: RobotOptions,
     now_ns: u64,
     pose: Pose2,
-    /// Pose before the last step, and the duration of that step.
-    pose_before: Pose2,
-    step_s: f64,
+    trail: Trail,
     odometer: Odometer,
     twist: Twist2,
     command: Twist2,
@@ -158,7 +158,8 @@ pub(crate) struct State {
     laser_rng: Pcg64Mcg,
     camera_rng: Pcg64Mcg,
     frame_ns: Option<u64>,
-    scan_ns: Option<u64>,
+    /// Number of the last scan that was returned.
+    scan: Option<u64>,
     feedback_ns: Option<u64>,
     sequence: u32,
     depth: DepthMap,
@@ -178,8 +179,7 @@ impl SimulatedRobot {
         let state = State {
             now_ns: 0,
             pose: start,
-            pose_before: start,
-            step_s: 0.0,
+            trail: Trail::new(0, start),
             odometer: Odometer::new(options.odometry, options.seed ^ (WHEEL_STREAM << 16)),
             twist: Twist2::ZERO,
             command: Twist2::ZERO,
@@ -192,7 +192,7 @@ impl SimulatedRobot {
             laser_rng: stream_rng(LASER_STREAM, options.seed),
             camera_rng: stream_rng(CAMERA_STREAM, options.seed),
             frame_ns: None,
-            scan_ns: None,
+            scan: None,
             feedback_ns: None,
             sequence: 0,
             depth: DepthMap::none(options.camera.width, options.camera.height),
@@ -245,13 +245,15 @@ impl State {
         let nuisances = &self.options.nuisances;
         let light = nuisances.lighting(self.now_ns);
         let camera = &self.options.camera;
-        let at = |pose: &Pose2| pose.to_pose3() * self.options.t_base_camera;
-        let now = at(&self.pose);
+        let now = self.t_world_camera(&self.pose);
         let renderer = self.world.renderer();
-        if nuisances.shutter_s > 0.0 && self.pose_before != self.pose {
-            // The timestamp of the frame is the middle of its exposure.
-            let half = self.motion_in(nuisances.shutter_s / 2.0);
-            let open = [&at(&self.pose.compose(&half.inverse())), &at(&self.pose.compose(&half))];
+        let half_ns = (nuisances.shutter_s / 2.0 * 1e9) as i64;
+        let before = self.trail.at(self.now_ns as i64 - half_ns);
+        if before != self.pose {
+            // The timestamp of the frame is the middle of its exposure. What the second half of it
+            // brings is not known yet: the robot moves on as it did in the first half.
+            let after = self.pose.compose(&before.inverse().compose(&self.pose));
+            let open = [&self.t_world_camera(&before), &self.t_world_camera(&after)];
             renderer.render_blurred(
                 camera,
                 open,
@@ -273,27 +275,29 @@ impl State {
         self.sequence = self.sequence.wrapping_add(1);
     }
 
-    fn take_scan(&mut self, scan: &mut LaserScan) {
-        let people = self.people();
-        let t_world_laser = self.pose.to_pose3() * self.options.t_base_laser;
-        let rng = &mut self.laser_rng;
-        laser::scan(
-            self.world.renderer(),
-            &t_world_laser,
-            &people,
-            &self.options.laser,
-            rng,
-            // All beams are taken at one moment, which is the middle of the scan.
-            self.now_ns.saturating_sub(self.options.laser.geometry.period_ns / 2),
-            scan,
-        );
+    fn t_world_camera(&self, t_world_base: &Pose2) -> Pose3 {
+        t_world_base.to_pose3() * self.options.t_base_camera
     }
 
-    /// The motion during a time at the true velocity of the last step.
-    fn motion_in(&self, seconds: f64) -> Pose2 {
-        let step = self.pose_before.inverse().compose(&self.pose);
-        let share = seconds / self.step_s;
-        Pose2::new(step.x_m * share, step.y_m * share, step.yaw_rad * share)
+    /// The scan that ended at `end_ns`.
+    fn take_scan(&mut self, end_ns: u64, scan: &mut LaserScan) {
+        let people = self.people();
+        let geometry = self.options.laser.geometry;
+        let start_ns = end_ns as i64 - geometry.period_ns as i64;
+        let t_world_laser = |beam| {
+            let time_ns = start_ns + laser::beam_after_ns(&geometry, beam) as i64;
+            self.trail.at(time_ns).to_pose3() * self.options.t_base_laser
+        };
+        laser::scan(
+            self.world.renderer(),
+            t_world_laser,
+            &people,
+            &self.options.laser,
+            &mut self.laser_rng,
+            // The scan before the beginning of time has no negative time.
+            u64::try_from(start_ns).unwrap_or(0),
+            scan,
+        );
     }
 
     fn feedback(&mut self) -> WheelFeedback {

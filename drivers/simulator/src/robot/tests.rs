@@ -160,8 +160,41 @@ fn scans_are_taken_at_most_once_per_period_and_measure_the_room() {
     assert!(!devices.lidar.poll_scan(&mut scan).unwrap());
     devices.clock.sleep_until_ns(25_000_000);
     assert!(devices.lidar.poll_scan(&mut scan).unwrap());
-    // All beams are taken at one moment, which is the middle of the scan.
-    assert_eq!(scan.middle_ns(), 25_000_000);
+    // It is the revolution that has just ended.
+    assert_eq!((scan.time_ns, scan.middle_ns()), (0, 12_500_000));
+}
+
+/// Where a beam hits, in the frame of the room, if the base was at `pose`, metres.
+fn hit_m(scan: &LaserScan, beam: usize, pose: &Pose2) -> [f64; 2] {
+    let range_m = f64::from(scan.ranges[beam].hit_m().unwrap());
+    let (sin, cos) = scan.geometry.angle_rad(beam).sin_cos();
+    let laser = RobotOptions::default().t_base_laser.translation.vector;
+    let (x_m, y_m) = pose.transform(laser.x + range_m * cos, laser.y + range_m * sin);
+    [x_m, y_m]
+}
+
+#[test]
+fn a_scan_of_a_moving_robot_is_right_only_at_the_pose_of_each_beam() {
+    let start = Pose2::new(2.0, 2.0, 0.0);
+    let mut devices = robot(RobotOptions { laser: LaserModel::IDEAL, ..exact(start) });
+    let mut scan = LaserScan::empty(devices.lidar.geometry());
+    tick(&mut devices, 0.5, 1.5);
+    assert!(devices.lidar.poll_scan(&mut scan).unwrap());
+    let twist = Twist2 { linear_mps: 0.5, angular_radps: 1.5 };
+    let mut distorted_m = 0.0_f64;
+    for beam in 0..scan.ranges.len() {
+        let after_s = laser::beam_after_ns(&scan.geometry, beam) as f64 * 1e-9;
+        let then = start.compose(&twist.integrate(0.075 + after_s));
+        assert!(to_wall_m(hit_m(&scan, beam, &then)) < 1e-4, "beam {beam}");
+        let middle = start.compose(&twist.integrate(0.0875));
+        distorted_m = distorted_m.max(to_wall_m(hit_m(&scan, beam, &middle)));
+    }
+    assert!(distorted_m > 0.02, "the scan is not rigid: {distorted_m}");
+}
+
+/// Distance to the nearest wall of the room, metres.
+fn to_wall_m([x_m, y_m]: [f64; 2]) -> f64 {
+    [x_m, 5.0 - x_m, y_m, 4.0 - y_m].map(f64::abs).into_iter().fold(f64::INFINITY, f64::min)
 }
 
 #[test]
