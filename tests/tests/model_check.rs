@@ -1,6 +1,6 @@
 //! A model check of restart authority over the real composition: safety loop, base driver and
 //! simulated controllers. Every order of eight events is explored, and after each step of each of
-//! them this holds: *a wheel is driven only if somebody asked for it after the last event that needs
+//! them this holds: *a wheel is driven only if a person asked for it after the last event that needs
 //! a person*.
 //!
 //! The composition cannot be copied, so a state is reached again by repeating its events. Sequences

@@ -1,4 +1,4 @@
-//! Nothing moves unless somebody asked for it since: the real safety loop and base driver, with
+//! Nothing moves unless a person asked for it since: the real safety loop and base driver, with
 //! simulated controllers of all three protocols that lose power, restart, fall silent and boot.
 #![allow(missing_docs, clippy::expect_used, clippy::panic)]
 

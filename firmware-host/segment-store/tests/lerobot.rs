@@ -32,8 +32,8 @@ fn full_tick(number: u64, time_ns: u64) -> RecordedTick {
         desired: Velocity::default(),
         sent: Some(command),
         goal_m: None,
-        t_odom_base: hal::Pose2::IDENTITY,
-        t_map_odom: hal::Pose2::IDENTITY,
+        t_odom_base: hal::Pose2::new(0.02 * number as f64, 0.01, 0.1),
+        t_map_odom: hal::Pose2::new(0.5, 0.0, -0.1),
         events: Vec::new(),
         input_digest: 0,
         depth_digest: 0,
@@ -110,9 +110,9 @@ fn every_image_with_its_state_and_sent_command_is_a_frame() {
     let rows = data(&to);
     assert_eq!(rows.len(), ticks.len());
     for (at, (row, recorded_tick)) in rows.iter().zip(&ticks).enumerate() {
-        let odom = recorded_tick.wheel.odom;
+        let pose = recorded_tick.decision.as_ref().unwrap().t_map_base();
         let twist = recorded_tick.wheel.twist;
-        let state = [odom.x_m, odom.y_m, odom.yaw_rad, twist.linear_mps, twist.angular_radps]
+        let state = [pose.x_m, pose.y_m, pose.yaw_rad, twist.linear_mps, twist.angular_radps]
             .map(|v| v as f32);
         assert_eq!(floats(row.get_list(STATE).unwrap()), state);
         // The command in force when the next tick began.
@@ -182,7 +182,7 @@ fn ticks_without_an_image_a_command_or_a_finite_pose_are_left_out() {
     ticks[3].frame = None;
     // Without it, the frame before it has no action.
     ticks[8].decision = None;
-    ticks[5].wheel.odom.x_m = f64::NAN;
+    ticks[5].wheel.twist.linear_mps = f64::NAN;
     let exported = export(&ticks, &to);
     assert_eq!((exported.frames, exported.left_out, exported.episodes), (17, 2, 1));
     assert!(

@@ -61,7 +61,7 @@ impl OccupancyGrid {
     #[must_use]
     pub fn begin_recomposition(&self, corrections: Corrections) -> Recomposition {
         Recomposition {
-            boxes: self.boxes_of_sections(),
+            boxes: self.known.map_or(Vec::new(), |known| self.boxes_of_sections(known)),
             corrections,
             next: 0,
             window: Some(self.window.cells()),
@@ -97,6 +97,9 @@ impl OccupancyGrid {
                 *source = 0;
             }
         }
+        if work.boxes.len() <= current {
+            work.boxes.resize(current + 1, None);
+        }
         if let Some(slot) = work.boxes.get_mut(current) {
             *slot = self.box_of_section(self.section);
             self.place_section(work, current);
@@ -105,11 +108,11 @@ impl OccupancyGrid {
         Recomposed::Done
     }
 
-    fn boxes_of_sections(&self) -> Vec<Option<CellBox>> {
+    /// For each section, the box around its cells within `area`.
+    fn boxes_of_sections(&self, area: CellBox) -> Vec<Option<CellBox>> {
         let mut boxes = vec![None; usize::from(self.section) + 1];
-        let Some(known) = self.known else { return boxes };
-        for y in known.min.y..=known.max.y {
-            for x in known.min.x..=known.max.x {
+        for y in area.min.y..=area.max.y {
+            for x in area.min.x..=area.max.x {
                 let cell = Cell::new(x, y);
                 let Some(index) = self.window.index(cell) else { continue };
                 if self.stored[index] != 0.0
@@ -124,7 +127,8 @@ impl OccupancyGrid {
     }
 
     fn box_of_section(&self, section: u16) -> Option<CellBox> {
-        self.boxes_of_sections().get(usize::from(section)).copied().flatten()
+        let boxes = self.boxes_of_sections(self.known?);
+        boxes.get(usize::from(section)).copied().flatten()
     }
 
     /// Places the cells of a section in the new map; returns how many cells it went through.
@@ -206,7 +210,8 @@ impl OccupancyGrid {
     }
 
     fn box_of_known(&self) -> Option<CellBox> {
-        let boxes = self.boxes_of_sections();
+        // The new map may reach further than the old one.
+        let boxes = self.boxes_of_sections(self.window.cells());
         boxes.into_iter().flatten().reduce(|all, one| all.including(one.min).including(one.max))
     }
 }

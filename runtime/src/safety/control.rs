@@ -4,7 +4,7 @@
 //!
 //! A request to arm gives the loop *authority* to arm the base. The authority ends with every event
 //! that needs a person ([`STOPS`](super::STOPS)), with a request to disarm, and if the base cannot be
-//! armed within [`ARM_WITHIN_NS`]. So no wheel turns unless somebody asked for it after the last such
+//! armed within [`ARM_WITHIN_NS`]. So no wheel turns unless a person asked for it after the last such
 //! event. While the authority lasts, a base that has to be armed again after a stop that resumes on
 //! evidence is armed without a new request.
 

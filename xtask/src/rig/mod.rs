@@ -106,7 +106,7 @@ mod tests {
     fn every_test_and_scenario_that_the_table_of_faults_names_is_there() {
         let table = std::fs::read_to_string(paths::root().join("docs/faults.md")).unwrap();
         let mut sources = String::new();
-        for folder in ["tests", "firmware-host", "runtime"] {
+        for folder in ["tests", "firmware-host", "runtime", "drivers"] {
             read_sources(&paths::root().join(folder), &mut sources);
         }
         let scenarios = scenario::all().unwrap();
