@@ -282,7 +282,7 @@ fn it_explores_stands_while_a_device_is_gone_says_so_and_goes_on_without_help() 
     scene.drives_first();
 
     scene.world.lidar().unplug();
-    scene.state_is("fault: the LiDAR is silent");
+    scene.state_is("fault: no new scan from the LiDAR");
     assert!(scene.way_m() < 0.01, "it drives without a scanner");
     let (well, text) = scene.health();
     assert!(!well && text.contains("! LiDAR") && text.contains("continues on its own"), "{text}");
@@ -317,7 +317,7 @@ fn a_motor_that_broke_down_needs_a_person_and_sigusr1_is_that_person() {
         scene.world.home().score().1 > before_m + 0.1
     });
     scene.signal(Signal::USR2);
-    scene.state_is("fault: emergency stop");
+    scene.state_is("fault: the emergency stop is pressed");
     assert!(scene.way_m() < 0.05, "it brakes within centimetres");
     scene.ends_well();
 }

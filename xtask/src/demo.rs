@@ -36,8 +36,17 @@ pub fn run() -> Result<()> {
     let robot = paths::target().join("release/firmware-host");
     let mut explore = command::program(&robot);
     explore.args([
-        "explore", "--scene", SCENE, "--policy", "active", "--frames", FRAMES, "--seed", "1",
-        "--animation", "--out",
+        "explore",
+        "--scene",
+        SCENE,
+        "--policy",
+        "active",
+        "--frames",
+        FRAMES,
+        "--seed",
+        "1",
+        "--animation",
+        "--out",
     ]);
     explore.arg(&out);
     if let Some(model) = &model {

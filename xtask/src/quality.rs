@@ -64,7 +64,7 @@ fn with_command(figures: &[Value]) -> Value {
     json!({
         "made_by": "cargo xtask quality --update",
         "simulated": true,
-        "odometry": "perfect",
+        "odometry": "realistic",
         "depth": "coarse",
         "frames": FRAMES,
         "homes": figures,

@@ -76,7 +76,7 @@ fn choices(section: &Section, prefix: &str) -> Vec<(String, &'static [&'static s
 #[test]
 fn every_declared_choice_can_be_read() {
     let choices = choices(&Config::SECTION, "");
-    assert_eq!(choices.len(), 7);
+    assert_eq!(choices.len(), 8);
     for (key, choices) in choices {
         for choice in choices {
             // Some combinations are refused by a rule between keys, which is checked after reading.

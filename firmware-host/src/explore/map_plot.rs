@@ -73,7 +73,11 @@ fn moved(t_world_map: &Pose2, [x_m, y_m]: [f64; 2]) -> [f64; 2] {
 
 /// The map in the world, in cells of its own size, over the area of the true home: number of columns
 /// and cells.
-pub(super) fn resampled(map: &OccupancyGrid, t_world_map: &Pose2, grid: &Grid) -> (usize, Vec<CellState>) {
+pub(super) fn resampled(
+    map: &OccupancyGrid,
+    t_world_map: &Pose2,
+    grid: &Grid,
+) -> (usize, Vec<CellState>) {
     let t_map_world = t_world_map.inverse();
     let (width, centers) = raster(grid, map.cell_m());
     let cells = centers

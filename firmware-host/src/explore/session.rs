@@ -239,7 +239,13 @@ impl Exploration {
         let title = map_plot::title(&summary);
         DepthSheet { title: &title, rows: &log.sheet.into_rows() }.write(&out)?;
         if let Some(shots) = &log.animation {
-            shots.write(&title, robot.map().cell_m(), &log.evaluation, &log.world.floor_plan(), &out)?;
+            shots.write(
+                &title,
+                robot.map().cell_m(),
+                &log.evaluation,
+                &log.world.floor_plan(),
+                &out,
+            )?;
         }
         map_plot::write(&summary, robot.map(), &log.evaluation, &log.world.floor_plan(), &out)?;
         println!(

@@ -12,7 +12,7 @@ use super::{
     colors::{self, Rgb},
     depth_sample::SheetRow,
     depth_sheet::{DepthScale, hatch},
-    map_picture::{Cells, CellState, END, FAINT, FREE, INK, OCCUPIED, PAGE, UNKNOWN},
+    map_picture::{CellState, Cells, END, FAINT, FREE, INK, OCCUPIED, PAGE, UNKNOWN},
     percent,
 };
 
@@ -108,9 +108,8 @@ impl Animation<'_> {
     }
 
     fn caption(&self, shot: &Shot) -> String {
-        let mapped = shot
-            .coverage
-            .map_or_else(String::new, |share| format!(", {} mapped", percent(share)));
+        let mapped =
+            shot.coverage.map_or_else(String::new, |share| format!(", {} mapped", percent(share)));
         format!("frame {}{mapped}", shot.row.frame)
     }
 }
@@ -354,7 +353,12 @@ mod tests {
             let mut shot = shot(index);
             shot.row.width = 320;
             shot.row.height = 96;
-            shot.row.rgb = (0..320 * 96).map(|_| { let [r, g, b, _] = noise(); [r, g, b] }).collect();
+            shot.row.rgb = (0..320 * 96)
+                .map(|_| {
+                    let [r, g, b, _] = noise();
+                    [r, g, b]
+                })
+                .collect();
             shot
         };
         let shots: Vec<Shot> = (0..SHOTS).map(noisy).collect();

@@ -47,8 +47,10 @@ impl PoseError {
         let relative = relative_errors(pairs);
         Some(Self {
             ate_m: absolute_error_m(pairs)?,
-            rpe_m_per_m: rms(relative.iter().map(|error| error.distance_m(&Pose2::IDENTITY))),
-            rpe_deg_per_m: rms(relative.iter().map(|error| error.yaw_rad.to_degrees())),
+            rpe_m_per_m: rms(relative.iter().map(|motion| motion.error_m / motion.path_m)),
+            rpe_deg_per_m: rms(relative
+                .iter()
+                .map(|motion| motion.yaw_error_rad.to_degrees() / motion.path_m)),
             yaw_end_deg: error(
                 &first.t_map_base.inverse().compose(&last.t_map_base),
                 &first.truth.inverse().compose(&last.truth),
@@ -72,8 +74,16 @@ fn absolute_error_m(pairs: &[PosePair]) -> Option<f64> {
     }))
 }
 
-/// Errors of the believed motion between poses `RELATIVE_M` of true path apart, from every pose on.
-fn relative_errors(pairs: &[PosePair]) -> Vec<Pose2> {
+/// The error of a believed motion, and the length of the true path.
+struct RelativeError {
+    error_m: f64,
+    yaw_error_rad: f64,
+    path_m: f64,
+}
+
+/// Errors of the believed motion between poses at least `RELATIVE_M` of true path apart, from every
+/// pose on.
+fn relative_errors(pairs: &[PosePair]) -> Vec<RelativeError> {
     let mut path_m = vec![0.0];
     for pair in pairs.windows(2) {
         path_m.push(path_m[path_m.len() - 1] + pair[0].truth.distance_m(&pair[1].truth));
@@ -89,10 +99,15 @@ fn relative_errors(pairs: &[PosePair]) -> Vec<Pose2> {
         if from > 0 && path_m[from] <= path_m[from - 1] {
             continue;
         }
-        errors.push(error(
+        let wrong = error(
             &pair.t_odom_base.inverse().compose(&later.t_odom_base),
             &pair.truth.inverse().compose(&later.truth),
-        ));
+        );
+        errors.push(RelativeError {
+            error_m: wrong.distance_m(&Pose2::IDENTITY),
+            yaw_error_rad: wrong.yaw_rad,
+            path_m: path_m[to] - path_m[from],
+        });
     }
     errors
 }

@@ -391,7 +391,7 @@ mod tests {
             }
         }
         settle(&mut patient);
-        for _ in 0..100 {
+        for _ in 0..400 {
             hasty.step(1);
         }
         for (a, b) in patient.poses.iter().zip(&hasty.poses) {

@@ -57,7 +57,8 @@ mod tests {
     }
 
     #[test]
-    fn wheels_that_are_larger_than_configured_by_one_percent_take_it_further_and_all_seeds_differ() {
+    fn wheels_that_are_larger_than_configured_by_one_percent_take_it_further_and_all_seeds_differ()
+    {
         let noise = OdometryNoise { radius: 0.01, ..OdometryNoise::NONE };
         let ends: Vec<f64> = (0..40).map(|seed| after_ten_metres(noise, seed).x_m).collect();
         assert!(ends.iter().all(|x_m| (x_m - 10.0).abs() < 0.1001), "{ends:?}");

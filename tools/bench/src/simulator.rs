@@ -52,7 +52,15 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
     let mut scan = LaserScan::empty(ScanGeometry::UTM_30LX);
     let t_world_laser = Pose2::new(6.0, 4.5, 0.3).to_pose3() * Pose3::translation(0.0, 0.0, 0.2);
     let scans = time(51, || {
-        laser::scan(&renderer, &t_world_laser, &[], &LaserModel::UTM_30LX, &mut rng, 0, &mut scan);
+        laser::scan(
+            &renderer,
+            |_| t_world_laser,
+            &[],
+            &LaserModel::UTM_30LX,
+            &mut rng,
+            0,
+            &mut scan,
+        );
     });
     let mut image = vec![128; 640 * 192 * 3];
     let noise = time(51, || Nuisances::default().add_sensor_noise(&mut rng, &mut image));

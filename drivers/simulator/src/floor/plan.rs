@@ -20,6 +20,9 @@ use crate::scene::Scene;
 /// 1.4 m, and depth is not exact.
 const SURFACES_M: f64 = 1.5;
 
+/// Where the search for the nearest surface begins, metres.
+const FIRST_REACH_M: f64 = 0.1;
+
 /// Free space of a world whose floor is at z = 0.
 ///
 /// Queries about positions use a raster of 5 cm cells; motion and the freedom of a cell's centre
@@ -175,7 +178,15 @@ impl FloorPlan {
     /// the robot, a surface may be higher than the robot, and the edge of the floor is none.
     #[must_use]
     pub fn nearest_surface(&self, x_m: f64, y_m: f64, limit_m: f64) -> Option<([f64; 2], f64)> {
-        self.surfaces.nearest([x_m, y_m], limit_m)
+        // Most points are near a surface, and the cost grows with the square of the reach.
+        let mut reach_m = limit_m.min(FIRST_REACH_M);
+        loop {
+            let found = self.surfaces.nearest([x_m, y_m], reach_m);
+            if found.is_some() || reach_m >= limit_m {
+                return found;
+            }
+            reach_m = limit_m.min(2.0 * reach_m);
+        }
     }
 
     /// A reachable pose with uniformly distributed position and heading, determined by the seed.
