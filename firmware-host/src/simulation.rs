@@ -36,6 +36,9 @@ pub fn simulated_robot(config: &Config, seed: u64, start: Option<Pose2>) -> Robo
         odometry: simulator.odometry_noise(),
         laser: simulator.laser_model(),
         nuisances: simulator.nuisances.clone(),
+        camera_latency_s: simulator.latency_s(),
+        rolling_shutter_s: simulator.rolling_shutter_s,
+        floor_tilt_rad: simulator.floor_tilt_deg.to_radians(),
         seed,
         start,
         ..RobotOptions::default()

@@ -307,18 +307,24 @@ fn an_output_folder_that_is_a_file_or_holds_a_recording_is_refused() {
 }
 
 /// Explores with a policy, then measures the camera's latency in the recording.
-fn camera_latency(dir: &TempDir, policy: &str, frames: &str) -> Output {
-    let out = dir.path().join(policy);
+fn camera_latency(dir: &TempDir, policy: &str, frames: &str, odometry: &str) -> Output {
+    let out = dir.path().join(format!("{policy}-{odometry}"));
     let out = out.to_str().unwrap();
-    let run = ["--scene", "builtin:house", "--policy", policy, "--frames", frames, "--out", out];
+    let run = ["--scene", "builtin:house", "--policy", policy, "--frames", frames];
+    let run = [&run[..], &["--odometry", odometry, "--out", out]].concat();
     assert!(firmware_host(&[&["explore"][..], &run].concat()).status.success());
     firmware_host(&["camera-latency", out])
 }
 
 #[test]
-fn a_simulated_camera_has_no_latency_and_a_run_without_rotation_is_refused() {
+fn the_latency_of_a_simulated_camera_is_measured_and_a_run_without_rotation_is_refused() {
     let dir = TempDir::new().unwrap();
-    let found = camera_latency(&dir, "random", "250");
+    let found = camera_latency(&dir, "random", "250", "realistic");
+    let said = text(&found.stdout);
+    let found_ms = said.split(' ').find_map(|word| word.parse::<f64>().ok());
+    // The seed draws it from half of 20 ms to one and a half times that.
+    assert!(found_ms.is_some_and(|found_ms| (9.0..31.0).contains(&found_ms)), "{said}");
+    let found = camera_latency(&dir, "random", "250", "perfect");
     let said = text(&found.stdout);
     assert!(
         said.ends_with("The configuration already has this value.\n"),
@@ -327,7 +333,7 @@ fn a_simulated_camera_has_no_latency_and_a_run_without_rotation_is_refused() {
     );
     let found_ms = said.split(' ').find_map(|word| word.parse::<f64>().ok());
     assert!(found_ms.is_some_and(|found_ms| found_ms < 3.0), "{said}");
-    let refused = camera_latency(&dir, "forward", "20");
+    let refused = camera_latency(&dir, "forward", "20", "perfect");
     assert_eq!(refused.status.code(), Some(1));
     assert!(
         text(&refused.stderr).contains("record a minute in which it rotates left and right"),

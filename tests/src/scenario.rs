@@ -18,6 +18,7 @@ use runtime::robot::{DepthSource, Robot, RobotConfig, Stage, StageTimer};
 use runtime::safety::{Request, SafetyConfig, SafetyLoop};
 use runtime::session::{Observer, Session, VirtualDevices, VirtualTime, recompute, safety_link};
 use runtime::tick::{Decision, SentCommand, TickInput};
+use simulator::laser::LaserModel;
 use simulator::robot::{SimBase, SimCamera, SimClock, SimLidar, Truth};
 use simulator::{OpenOptions, RobotOptions, SimulatedRobot, World};
 
@@ -65,9 +66,22 @@ impl Scenario {
     /// A text that is not a fault. A built-in home that cannot be opened or a default configuration that is refused is a defect
     /// of the project.
     pub fn new(policy: PolicyKind, faults: &[&str], seed: u64) -> Result<Self, Box<dyn Error>> {
+        Self::with_laser(policy, faults, seed, LaserModel::UTM_30LX)
+    }
+
+    /// The same with another scanner.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn with_laser(
+        policy: PolicyKind,
+        faults: &[&str],
+        seed: u64,
+        laser: LaserModel,
+    ) -> Result<Self, Box<dyn Error>> {
         let world = World::open("builtin:apartment?seed=1", &OpenOptions::default())?;
         let camera = CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2);
-        let options = RobotOptions { camera, seed, ..RobotOptions::default() };
+        let options = RobotOptions { camera, seed, laser, ..RobotOptions::default() };
         let robot = Robot::new(robot_config(policy, &options), None)?;
         let simulated = SimulatedRobot::new(Arc::new(world), options)?;
         let devices = simulated.devices();

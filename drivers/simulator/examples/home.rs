@@ -193,6 +193,7 @@ fn glowing_material(i: u32) -> Material {
         texture: None,
         alpha_cutoff: None,
         emissive: [(i + 1) as f32 * 0.08; 3],
+        lidar: simulator::scene::LidarResponse::Diffuse,
     }
 }
 

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use crate::people::Person;
 use crate::random::normal;
 use crate::render::{Hit, Renderer};
+use crate::scene::LidarResponse;
 
 /// Measurement model of a scanner: beam geometry, noise and losses.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,6 +26,10 @@ pub struct LaserModel {
     pub dropout: f64,
     /// Beams that hit a surface at less than this angle to it are lost, radians.
     pub grazing_rad: f64,
+    /// Whether beams pass glass and do not return from black lacquer and windows, unless they hit
+    /// these within `mirror_rad` of the perpendicular.
+    pub misses_materials: bool,
+    pub mirror_rad: f64,
     /// Beyond a third of the maximum range, beams are lost on surfaces with less than this
     /// reflectance, 0 to 1.
     pub dark_reflectance: f32,
@@ -33,7 +38,8 @@ pub struct LaserModel {
 impl LaserModel {
     /// Hokuyo UTM-30LX, from its data sheet: repeated accuracy sigma < 10 mm from 0.1 to 10 m and <
     /// 30 mm from 10 to 30 m. The losses (one beam in a thousand, less than 3 degrees to the
-    /// surface, dark surfaces far away) are our own choice.
+    /// surface, dark surfaces far away, glass and lacquer beyond 5 degrees from the perpendicular)
+    /// are our own choice.
     pub const UTM_30LX: Self = Self {
         geometry: ScanGeometry::UTM_30LX,
         noise_near_m: 0.01,
@@ -41,6 +47,8 @@ impl LaserModel {
         near_m: 10.0,
         dropout: 0.001,
         grazing_rad: 0.052,
+        misses_materials: true,
+        mirror_rad: 0.087,
         dark_reflectance: 0.02,
     };
 
@@ -50,6 +58,7 @@ impl LaserModel {
         noise_far_m: 0.0,
         dropout: 0.0,
         grazing_rad: 0.0,
+        misses_materials: false,
         dark_reflectance: 0.0,
         ..Self::UTM_30LX
     };
@@ -64,7 +73,10 @@ impl LaserModel {
         let max_m = f64::from(self.geometry.range_max_m);
         let facing = Vector3::from(hit.normal).dot(direction).abs();
         let too_dark = hit.reflectance < self.dark_reflectance && hit.distance_m > max_m / 3.0;
-        if lost || facing < self.grazing_rad.sin() || too_dark {
+        let mirrored_away = self.misses_materials
+            && hit.lidar == LidarResponse::Absorbing
+            && facing < self.mirror_rad.cos();
+        if lost || mirrored_away || facing < self.grazing_rad.sin() || too_dark {
             return Range::NoReturn;
         }
         let sigma =
@@ -114,7 +126,8 @@ pub fn scan(
         .par_iter()
         .with_min_len(64)
         .map(|(origin, direction)| {
-            renderer.hit((*origin).into(), (*direction).into(), reach_m, people)
+            let [origin, direction] = [*origin, *direction].map(Into::into);
+            renderer.hit(origin, direction, reach_m, people, model.misses_materials)
         })
         .collect();
     scan.time_ns = time_ns;
@@ -129,7 +142,7 @@ pub fn scan(
 mod tests {
     use super::*;
     use crate::render::tests::{plain, room};
-    use crate::scene::Scene;
+    use crate::scene::{Material, Scene, Triangle, Vertex};
     use hal::Pose2;
     use rand::SeedableRng;
     use rand_pcg::Pcg64Mcg;
@@ -219,6 +232,41 @@ mod tests {
             assert!(range_m <= 10.0 + 1e-3);
         }
         assert!(scan.ranges.contains(&Range::NoReturn));
+    }
+
+    /// A room of 5 by 4 m, and in it a wall of another material at x = 3.
+    fn divided(lidar: LidarResponse) -> Renderer {
+        let mut triangles = room([5.0, 4.0, 2.5], 0);
+        let corner = |y: f32, z: f32| Vertex { position_m: [3.0, y, z], ..Vertex::default() };
+        for corners in [[(0.0, 0.0), (4.0, 0.0), (4.0, 2.5)], [(0.0, 0.0), (4.0, 2.5), (0.0, 2.5)]]
+        {
+            let vertices = corners.map(|(y, z)| corner(y, z));
+            triangles.push(Triangle { vertices, material: 1 });
+        }
+        let materials = vec![plain([0.5; 3]), Material { lidar, ..plain([0.5; 3]) }];
+        Renderer::new(&Scene { triangles, materials, textures: vec![] })
+    }
+
+    fn ahead_and_aside(lidar: LidarResponse, model: &LaserModel) -> [Range; 2] {
+        let scan = take(&divided(lidar), 1.0, 2.0, model, 0);
+        [range_towards(0.0, &scan), range_towards(0.3, &scan)]
+    }
+
+    #[test]
+    fn a_beam_passes_glass_and_is_lost_on_lacquer_except_from_the_perpendicular() {
+        let model = LaserModel { misses_materials: true, ..LaserModel::IDEAL };
+        let near = |range: Range, metres: f32| (range.hit_m().unwrap() - metres).abs() < 0.01;
+        let [ahead, aside] = ahead_and_aside(LidarResponse::Diffuse, &model);
+        assert!(near(ahead, 2.0) && near(aside, 2.0 / 0.3_f32.cos()));
+        let [ahead, aside] = ahead_and_aside(LidarResponse::Glass, &model);
+        assert!(near(ahead, 4.0) && near(aside, 4.0 / 0.3_f32.cos()), "{ahead:?} {aside:?}");
+        let [ahead, aside] = ahead_and_aside(LidarResponse::Absorbing, &model);
+        assert!(near(ahead, 2.0) && aside == Range::NoReturn, "{ahead:?} {aside:?}");
+        // Without this property the scanner sees what the camera sees.
+        for lidar in [LidarResponse::Glass, LidarResponse::Absorbing] {
+            let [ahead, aside] = ahead_and_aside(lidar, &LaserModel::IDEAL);
+            assert!(near(ahead, 2.0) && near(aside, 2.0 / 0.3_f32.cos()));
+        }
     }
 
     fn is_lost(angle_rad: f64, scan: &LaserScan) -> bool {

@@ -20,6 +20,19 @@ pub struct Triangle {
     pub material: u32,
 }
 
+/// What a laser scanner measures on a surface. A camera sees all surfaces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LidarResponse {
+    /// The distance of the surface.
+    #[default]
+    Diffuse,
+    /// The beam passes: clear glass with something behind it.
+    Glass,
+    /// The beam goes away and does not return, unless it hits the surface almost perpendicularly:
+    /// black lacquer, and a window with the open air behind it.
+    Absorbing,
+}
+
 #[derive(Debug, Clone, PartialEq)]
 pub struct Material {
     pub name: String,
@@ -31,6 +44,7 @@ pub struct Material {
     pub alpha_cutoff: Option<f32>,
     /// Emitted light, linear, added to the reflected light.
     pub emissive: [f32; 3],
+    pub lidar: LidarResponse,
 }
 
 /// An RGBA8 image, sRGB-coded, row-major, first row on top.

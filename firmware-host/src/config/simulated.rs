@@ -3,6 +3,7 @@
 use simulator::laser::LaserModel;
 use simulator::nuisance::Nuisances;
 use simulator::odometry::OdometryNoise;
+use simulator::robot::{CAMERA_LATENCY_S, FLOOR_TILT_DEG};
 
 use super::odometry::Odometry;
 
@@ -30,10 +31,19 @@ hal::settings! {
         odometry_slips_per_100m: f64 = OdometryNoise::ORDINARY.slips_per_100m, in 0.0..=1000.0;
         /// Largest distance that a wheel reports too much in one slip; the smallest is a quarter.
         odometry_slip_m: f64 = OdometryNoise::ORDINARY.slip_m, in 0.0..=0.2, unit "m";
+        /// Mean time from the exposure of a frame to its time stamp; the seed draws half of it to one and a half times it. None
+        /// with perfect odometry, where every frame comes with its true pose.
+        camera_latency_s: f64 = CAMERA_LATENCY_S, in 0.0..=0.3, unit "s", source "a USB camera at 30 Hz";
+        /// Time from the first row of a frame to its last, for a rolling shutter; 0 for a global one.
+        rolling_shutter_s: f64 = 0.0, in 0.0..=0.3, unit "s";
+        /// Root mean square of the floor's slope, which tilts the robot.
+        floor_tilt_deg: f64 = FLOOR_TILT_DEG, in 0.0..=5.0, unit "degrees", source "DIN 18202: 4 mm on 1 m";
         /// Standard deviation of a LiDAR range up to 10 m; three times this beyond.
         lidar_noise_m: f64 = LaserModel::UTM_30LX.noise_near_m, in 0.0..=0.2, unit "m", source "UTM-30LX";
         /// Fraction of the LiDAR beams that hit something and return nothing.
         lidar_dropout: f64 = LaserModel::UTM_30LX.dropout, in 0.0..=0.5;
+        /// Whether the LiDAR misses glass and black lacquer, as real ones do. The camera sees both.
+        lidar_misses_materials: bool = LaserModel::UTM_30LX.misses_materials;
         nuisances: Nuisances;
     }
 }
@@ -57,6 +67,15 @@ impl SimulatorSection {
         }
     }
 
+    /// Mean time from the exposure of a frame to its time stamp. It makes the pose of a frame wrong, so perfect odometry has none.
+    #[must_use]
+    pub fn latency_s(&self) -> f64 {
+        match self.odometry {
+            Odometry::Perfect => 0.0,
+            Odometry::Realistic => self.camera_latency_s,
+        }
+    }
+
     /// The simulated scanner: a UTM-30LX with the configured noise.
     #[must_use]
     pub fn laser_model(&self) -> LaserModel {
@@ -64,6 +83,7 @@ impl SimulatorSection {
             noise_near_m: self.lidar_noise_m,
             noise_far_m: 3.0 * self.lidar_noise_m,
             dropout: self.lidar_dropout,
+            misses_materials: self.lidar_misses_materials,
             ..LaserModel::UTM_30LX
         }
     }

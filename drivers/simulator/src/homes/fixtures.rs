@@ -140,7 +140,9 @@ fn entrance(hanging: &mut Hanging<'_>, style: &HomeStyle, mesh: &mut Mesh) -> bo
 fn radiators(hanging: &mut Hanging<'_>, style: &HomeStyle, mesh: &mut Mesh, rng: &mut Pcg64Mcg) {
     let layout = hanging.layout;
     let room = hanging.room;
-    for window in layout.windows.iter().filter(|w| w.room == room && w.height[0] < 1.0) {
+    for window in
+        layout.windows.iter().filter(|w| w.room == room && (0.3..1.0).contains(&w.height[0]))
+    {
         let width = (window.span[1] - window.span[0] - 0.1).min(1.2);
         if !rng.random_bool(0.45) {
             continue;

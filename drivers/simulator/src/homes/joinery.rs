@@ -21,6 +21,8 @@ const LEAF_M: f32 = 0.04;
 pub const LEAF_REACH_M: f32 = LEAF_GAP_M + LEAF_M + 0.06;
 /// Distance by which a curtain extends beyond its window at each side, metres.
 pub const CURTAIN_M: f32 = 0.22;
+/// Lower windows are glass doors and have no sill, metres.
+const SILL_M: f32 = 0.3;
 /// Number of vertical folds of a curtain.
 const FOLDS: usize = 8;
 
@@ -42,7 +44,7 @@ pub fn build(
         mesh.tag(mark, leaf.room, Surface::Opening);
     }
     let views: [Appearance; 3] =
-        [0, 1, 2].map(|v| materials.glowing("window view", [255, 255, 255], Skin::View(v), 0.3));
+        [0, 1, 2].map(|v| materials.absorbing("window view", [255, 255, 255], Skin::View(v), 0.3));
     let cloths = [[206, 196, 180], [150, 160, 170], [178, 150, 130], [224, 222, 214]];
     let mut curtains: Vec<Option<Appearance>> = Vec::new();
     for room in &layout.rooms {
@@ -151,7 +153,9 @@ fn window(
             appearance,
         );
     }
-    part.plate([-0.05, w + 0.05], [z0 - 0.06, z0 - 0.004], [0.0, 0.03], appearance);
+    if z0 > SILL_M {
+        part.plate([-0.05, w + 0.05], [z0 - 0.06, z0 - 0.004], [0.0, 0.03], appearance);
+    }
     if let Some(cloth) = curtain {
         part.trim(
             [-CURTAIN_M - 0.05, 0.06, z1 + 0.11],
@@ -159,7 +163,8 @@ fn window(
             style.metal,
         );
         for start in [-CURTAIN_M, w - 0.03] {
-            folds(start, CURTAIN_M + 0.03, [z0 - 0.06, z1 + 0.12], cloth, &mut part);
+            let hem = (z0 - 0.06).max(0.02);
+            folds(start, CURTAIN_M + 0.03, [hem, z1 + 0.12], cloth, &mut part);
         }
     }
     let [x, y] = wall.at(opening.span[0], 0.0);

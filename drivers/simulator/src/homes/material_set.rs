@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::texture::Skin;
-use crate::scene::{Material, Texture};
+use crate::scene::{LidarResponse, Material, Texture};
 
 /// A material and the size of its texture in metres, which gives all surfaces the same density of
 /// detail.
@@ -28,17 +28,37 @@ impl MaterialSet {
 
     /// Adds a material that also emits `glow` times its colour.
     pub fn glowing(&mut self, name: &str, color: [u8; 3], skin: Skin, glow: f32) -> Appearance {
+        let base_color = color.map(linear);
+        let emissive = base_color.map(|c| c * glow);
+        self.add(name, base_color, skin, emissive, LidarResponse::Diffuse)
+    }
+
+    /// Adds a material that laser scanners hardly see, and that emits `glow` times its colour.
+    pub fn absorbing(&mut self, name: &str, color: [u8; 3], skin: Skin, glow: f32) -> Appearance {
+        let base_color = color.map(linear);
+        let emissive = base_color.map(|c| c * glow);
+        self.add(name, base_color, skin, emissive, LidarResponse::Absorbing)
+    }
+
+    fn add(
+        &mut self,
+        name: &str,
+        base_color: [f32; 3],
+        skin: Skin,
+        emissive: [f32; 3],
+        lidar: LidarResponse,
+    ) -> Appearance {
         let texture = self.skins.iter().position(|s| *s == skin).unwrap_or_else(|| {
             self.skins.push(skin);
             self.skins.len() - 1
         });
-        let base_color = color.map(linear);
         let material = Material {
             name: name.to_owned(),
             base_color,
             texture: Some(texture as u32),
             alpha_cutoff: None,
-            emissive: base_color.map(|c| c * glow),
+            emissive,
+            lidar,
         };
         let index = self.materials.iter().position(|m| *m == material).unwrap_or_else(|| {
             self.materials.push(material);

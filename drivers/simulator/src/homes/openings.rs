@@ -236,7 +236,20 @@ pub fn windows(cells: &[Cell], rooms: &[Room], rng: &mut Pcg64Mcg) -> Vec<Window
             }
         }
     }
+    open_to_balcony(&mut windows, rooms);
     windows
+}
+
+/// Makes the first window of every living room and open-plan hall a glass door that reaches down to
+/// the floor.
+fn open_to_balcony(windows: &mut [Window], rooms: &[Room]) {
+    for (index, room) in rooms.iter().enumerate() {
+        let has_balcony = matches!(room.kind, RoomKind::Living | RoomKind::OpenPlan);
+        let first = windows.iter_mut().find(|window| window.room == index && has_balcony);
+        if let Some(window) = first {
+            window.height[0] = 0.02;
+        }
+    }
 }
 
 /// Places open door leaves for about two of three doors, where the wall beside the opening is free

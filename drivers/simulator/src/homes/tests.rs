@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::*;
-use crate::scene::Triangle;
+use crate::scene::{LidarResponse, Triangle};
 
 const SEEDS: u64 = 30;
 
@@ -412,4 +412,24 @@ fn wall_contrast(strength: f32) -> f64 {
     let values: Vec<f64> = texture.rgba.chunks_exact(4).map(|p| f64::from(p[1])).collect();
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+#[test]
+fn some_windows_reach_the_floor_and_some_furniture_is_of_black_lacquer() {
+    let homes: Vec<Home> =
+        (0..6).map(|seed| build(HomeKind::Apartment, &HomeOptions::new(seed))).collect();
+    for (name, below_m) in [("window view", 0.1), ("black lacquer", 0.3)] {
+        let with = homes.iter().filter(|home| has_absorbing(home, name, below_m)).count();
+        assert!(with >= 2, "{name} in {with} of 6 homes");
+    }
+}
+
+/// Whether a material that laser scanners miss is in the plane of the scan or below.
+fn has_absorbing(home: &Home, name: &str, below_m: f32) -> bool {
+    home.scene.triangles.iter().any(|triangle| {
+        let material = &home.scene.materials[triangle.material as usize];
+        material.name == name
+            && material.lidar == LidarResponse::Absorbing
+            && triangle.vertices.iter().any(|vertex| vertex.position_m[2] < below_m)
+    })
 }

@@ -9,7 +9,10 @@ use super::texture::decode;
 use super::vertex_color::ColorAtlas;
 use super::{corner, read_bytes};
 use crate::error::SceneError;
-use crate::scene::{Material, Scene, Triangle};
+use crate::scene::{LidarResponse, Material, Scene, Triangle};
+
+/// Materials with less opacity than this are clear glass.
+const CLEAR_DISSOLVE: f32 = 0.5;
 
 const TRIANGLES: tobj::LoadOptions = tobj::LoadOptions {
     single_index: true,
@@ -161,6 +164,10 @@ fn read_materials(
             texture,
             alpha_cutoff: None,
             emissive,
+            lidar: match material.dissolve {
+                Some(dissolve) if dissolve < CLEAR_DISSOLVE => LidarResponse::Glass,
+                _ => LidarResponse::Diffuse,
+            },
         });
     }
     let white = Material {
@@ -169,6 +176,7 @@ fn read_materials(
         texture: None,
         alpha_cutoff: None,
         emissive: [0.0; 3],
+        lidar: LidarResponse::Diffuse,
     };
     scene.materials.push(white);
     Ok(())
@@ -193,5 +201,6 @@ fn apply_colors(scene: &mut Scene, atlas: ColorAtlas, colored: &[(usize, usize)]
         texture: Some(scene.textures.len() as u32 - 1),
         alpha_cutoff: None,
         emissive: [0.0; 3],
+        lidar: LidarResponse::Diffuse,
     });
 }

@@ -18,7 +18,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::people::{Capsule, Person};
-use crate::scene::{Material, Scene};
+use crate::scene::{LidarResponse, Material, Scene};
 pub use ambient::{AmbientOptions, bake_ambient};
 use bvh::{Bvh, Corners, V3};
 use light::ToneCurve;
@@ -48,6 +48,7 @@ pub struct Hit {
     pub normal: [f64; 3],
     /// Reflectance of the surface, 0 to 1 (luminance of its colour).
     pub reflectance: f32,
+    pub lidar: LidarResponse,
 }
 
 impl Renderer {
@@ -92,6 +93,20 @@ impl Renderer {
         rgb: &mut Vec<u8>,
         depth: &mut DepthMap,
     ) {
+        self.render_rows(camera, |_| *t_world_camera, people, light, rgb, depth);
+    }
+
+    /// Like [`Renderer::render`], for a camera that moves while it reads its rows.
+    /// `t_world_camera` takes the share of the rows above, 0 to 1. Eight rows have one pose.
+    pub fn render_rows(
+        &self,
+        camera: &CameraModel,
+        t_world_camera: impl Fn(f64) -> Pose3 + Sync,
+        people: &[Person],
+        light: &Lighting,
+        rgb: &mut Vec<u8>,
+        depth: &mut DepthMap,
+    ) {
         let width = camera.width;
         let height = camera.height;
         rgb.resize(width * height * 3, 0);
@@ -101,12 +116,14 @@ impl Renderer {
         if width == 0 || height == 0 {
             return;
         }
-        let view = view(camera, t_world_camera);
         let bodies: Vec<Capsule> = people.iter().flat_map(Person::body).collect();
         rgb.par_chunks_mut(width * SIZE * 3)
             .zip(depth.values_mut().par_chunks_mut(width * SIZE))
             .enumerate()
             .for_each_init(Vec::new, |stack, (band, (rgb, depth))| {
+                let middle = (band * SIZE) as f64 + SIZE as f64 / 2.0;
+                let above = (middle / height as f64).min(1.0);
+                let view = view(camera, &t_world_camera(above));
                 for left in (0..width).step_by(SIZE) {
                     let place = (left, band * SIZE);
                     let block = tile::nearest_surfaces(
@@ -123,30 +140,30 @@ impl Renderer {
             });
     }
 
-    /// Like [`Renderer::render`], with motion blur: averages the light of `samples` views at evenly
-    /// spaced poses from `t_world_camera[0]` to `t_world_camera[1]`. The depth is that of the
-    /// middle pose.
+    /// Like [`Renderer::render_rows`], with motion blur: averages the light of `samples` views at
+    /// evenly spaced moments. `t_world_camera` takes the share of the exposure that has passed and
+    /// the share of the rows above, both 0 to 1. The depth is that of the middle of the exposure.
     pub fn render_blurred(
         &self,
         camera: &CameraModel,
-        t_world_camera: [&Pose3; 2],
+        t_world_camera: impl Fn(f64, f64) -> Pose3 + Sync,
         samples: usize,
         people: &[Person],
         light: &Lighting,
         rgb: &mut Vec<u8>,
         depth: &mut DepthMap,
     ) {
-        let [from, to] = t_world_camera;
         let mut sum = vec![0.0; camera.width * camera.height * 3];
         let linear: Vec<f32> = (0..=255).map(light::srgb_to_linear).collect();
         for sample in 0..samples {
-            let pose = interpolated_pose((sample as f64 + 0.5) / samples as f64, from, to);
-            self.render(camera, &pose, people, light, rgb, depth);
+            let passed = (sample as f64 + 0.5) / samples as f64;
+            let pose = |above| t_world_camera(passed, above);
+            self.render_rows(camera, pose, people, light, rgb, depth);
             for (sum, byte) in sum.iter_mut().zip(rgb.iter()) {
                 *sum += linear[*byte as usize];
             }
         }
-        self.render(camera, &interpolated_pose(0.5, from, to), people, light, rgb, depth);
+        self.render_rows(camera, |above| t_world_camera(0.5, above), people, light, rgb, depth);
         if samples > 0 {
             for (sum, byte) in sum.iter().zip(rgb.iter_mut()) {
                 *byte = light::linear_to_srgb(sum / samples as f32);
@@ -164,10 +181,11 @@ impl Renderer {
         max_m: f64,
         people: &[Person],
     ) -> Option<f64> {
-        self.hit(origin, direction, max_m, people).map(|hit| hit.distance_m)
+        self.hit(origin, direction, max_m, people, false).map(|hit| hit.distance_m)
     }
 
-    /// Like [`Renderer::cast`], with the normal and reflectance of the surface.
+    /// Like [`Renderer::cast`], with the normal and reflectance of the surface. The ray may pass
+    /// clear glass.
     #[must_use]
     pub fn hit(
         &self,
@@ -175,6 +193,7 @@ impl Renderer {
         direction: [f64; 3],
         max_m: f64,
         people: &[Person],
+        passes_glass: bool,
     ) -> Option<Hit> {
         let direction = Vector3::from(direction)
             .try_normalize(0.0)
@@ -182,6 +201,9 @@ impl Renderer {
         let origin = Vector3::from(origin);
         let wall =
             self.bvh.nearest(origin.cast(), direction.cast(), max_m as f32, |triangle, t| {
+                if passes_glass && self.lidar_response(triangle) == LidarResponse::Glass {
+                    return false;
+                }
                 !self.bvh.triangles[triangle as usize].has_holes
                     || !self.is_hole(triangle, &(origin + direction * f64::from(t)).cast())
             });
@@ -189,7 +211,8 @@ impl Renderer {
         let body = people.iter().flat_map(Person::body).filter_map(|part| {
             let distance_m = part.entry(&origin, &direction).filter(|t| *t <= max_m)?;
             let normal = part.normal(&(origin + direction * distance_m)).into();
-            Some(Hit { distance_m, normal, reflectance: luminance(part.color) })
+            let reflectance = luminance(part.color);
+            Some(Hit { distance_m, normal, reflectance, lidar: LidarResponse::Diffuse })
         });
         body.chain(wall).min_by(|a, b| a.distance_m.total_cmp(&b.distance_m))
     }
@@ -213,7 +236,12 @@ impl Renderer {
             let [r, g, b, _] = texture.sample(&footprint);
             reflectance *= luminance([r, g, b]);
         }
-        Hit { distance_m: f64::from(t), normal: normal.into(), reflectance }
+        let lidar = material.lidar;
+        Hit { distance_m: f64::from(t), normal: normal.into(), reflectance, lidar }
+    }
+
+    fn lidar_response(&self, triangle: u32) -> LidarResponse {
+        self.materials[self.surfaces[triangle as usize].material as usize].lidar
     }
 
     fn texture(&self, material: &Material) -> Option<&MipChain> {
@@ -336,10 +364,6 @@ impl Renderer {
             }
         }
     }
-}
-
-fn interpolated_pose(share: f64, from: &Pose3, to: &Pose3) -> Pose3 {
-    from.try_lerp_slerp(to, share, 1e-9).unwrap_or(*to)
 }
 
 /// Whether a body part may be visible in a block whose centre ray is `middle` (1 m deep) and whose

@@ -6,7 +6,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::*;
 use crate::people::Person;
-use crate::scene::{Material, Scene, Texture, Triangle, Vertex};
+use crate::scene::{LidarResponse, Material, Scene, Texture, Triangle, Vertex};
 
 /// A parallelogram `corner + a * u + b * v` with texture coordinates 0 to 1.
 pub(crate) fn quad(corner: [f32; 3], a: [f32; 3], b: [f32; 3], material: u32) -> [Triangle; 2] {
@@ -51,6 +51,7 @@ pub(crate) fn plain(base_color: [f32; 3]) -> Material {
         texture: None,
         alpha_cutoff: None,
         emissive: [0.0; 3],
+        lidar: LidarResponse::Diffuse,
     }
 }
 
@@ -457,17 +458,38 @@ fn motion_blur_averages_light_along_the_camera_path() {
     );
 }
 
+#[test]
+fn a_camera_that_rotates_while_it_reads_its_rows_shows_each_row_from_its_own_pose() {
+    let renderer = Renderer::new(&Scene {
+        triangles: room([6.0, 5.0, 2.5], 0),
+        materials: vec![plain([0.5; 3])],
+        textures: vec![],
+    });
+    let camera = wide();
+    let pose = |above: f64| standing(3.0, 2.0, 0.3 * above, 0.0);
+    let mut rolled = DepthMap::none(0, 0);
+    let mut still = DepthMap::none(0, 0);
+    let mut rgb = Vec::new();
+    renderer.render_rows(&camera, pose, &[], &Lighting::flat(), &mut rgb, &mut rolled);
+    // The middles of the bands of eight rows.
+    for (row, above) in [(3, 4.0 / 48.0), (27, 28.0 / 48.0), (47, 44.0 / 48.0)] {
+        renderer.render(&camera, &pose(above), &[], &Lighting::flat(), &mut rgb, &mut still);
+        for column in [0, 70, 159] {
+            assert_eq!(rolled.get(column, row), still.get(column, row), "row {row}");
+        }
+    }
+}
+
 fn red_in_middle_row(rgb: &[u8], column: usize) -> u8 {
     rgb[(4 * 41 + column) * 3]
 }
 
 fn blurred_image(yaw_rad: f64, renderer: &Renderer, camera: &CameraModel) -> Vec<u8> {
-    let poses = [standing(0.0, 0.0, -yaw_rad, 0.0), standing(0.0, 0.0, yaw_rad, 0.0)];
     let mut rgb = Vec::new();
     let mut depth = DepthMap::none(0, 0);
     renderer.render_blurred(
         camera,
-        [&poses[0], &poses[1]],
+        |passed, _| standing(0.0, 0.0, (2.0 * passed - 1.0) * yaw_rad, 0.0),
         8,
         &[],
         &Lighting::flat(),

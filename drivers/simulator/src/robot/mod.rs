@@ -6,6 +6,7 @@ mod drive;
 #[cfg(test)]
 mod tests;
 mod trail;
+mod unevenness;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -24,6 +25,7 @@ use crate::odometry::{Odometer, OdometryNoise};
 use crate::people::{Person, Walker};
 use crate::world::World;
 use trail::Trail;
+use unevenness::Unevenness;
 
 pub use devices::{DriveRefused, SimBase, SimCamera, SimClock, SimLidar, Truth};
 
@@ -33,6 +35,17 @@ const LASER_STREAM: u64 = 0x6c61_7365;
 const CAMERA_STREAM: u64 = 0x6361_6d65;
 const WHEEL_STREAM: u64 = 0x7768_6565;
 const PEOPLE_STREAM: u64 = 0x7065_6f70;
+const LATENCY_STREAM: u64 = 0x6c61_7465;
+/// Mean latency of a USB camera that stamps frames when their transfer begins: exposure and readout
+/// of a frame at 30 Hz, on average.
+pub const CAMERA_LATENCY_S: f64 = 0.02;
+/// Root mean square slope of a finished floor, degrees. DIN 18202, table 3, line 3 allows 4 mm under
+/// a straight edge of 1 m.
+pub const FLOOR_TILT_DEG: f64 = 0.2;
+/// Largest latency and readout of a camera, seconds.
+const SLOWEST_CAMERA_S: f64 = 0.3;
+/// Largest slope of a floor, radians.
+const STEEPEST_FLOOR_RAD: f64 = 0.1;
 /// Number of rendered images that are averaged into one motion-blurred frame.
 const BLUR_IMAGES: usize = 4;
 /// Walking speed of people indoors, m/s.
@@ -58,6 +71,13 @@ pub struct RobotOptions {
     pub laser: LaserModel,
     /// Disturbances of the camera image, and people.
     pub nuisances: Nuisances,
+    /// Mean time from the exposure of a frame to its time stamp, seconds. The latency of one robot is
+    /// drawn by the seed, from half of this to one and a half times this, and stays so.
+    pub camera_latency_s: f64,
+    /// Time from the first row of a frame to its last, seconds; 0 for a global shutter.
+    pub rolling_shutter_s: f64,
+    /// Root mean square of the floor's slope, which tilts the robot, radians; 0 for a flat floor.
+    pub floor_tilt_rad: f64,
     pub seed: u64,
     /// Start pose; `None` selects a free pose by the seed.
     pub start: Option<Pose2>,
@@ -76,6 +96,9 @@ impl Default for RobotOptions {
             odometry: OdometryNoise::default(),
             laser: LaserModel::UTM_30LX,
             nuisances: Nuisances::default(),
+            camera_latency_s: CAMERA_LATENCY_S,
+            rolling_shutter_s: 0.0,
+            floor_tilt_rad: FLOOR_TILT_DEG.to_radians(),
             seed: 0,
             start: None,
             watchdog_ns: 200_000_000,
@@ -101,6 +124,16 @@ impl RobotOptions {
                 .all(|c| c.is_finite())
             {
                 return refuse(option, mount.to_string(), "finite");
+            }
+        }
+        let limits = [
+            ("camera latency", self.camera_latency_s, SLOWEST_CAMERA_S, "from 0 to 0.3 s"),
+            ("rolling shutter", self.rolling_shutter_s, SLOWEST_CAMERA_S, "from 0 to 0.3 s"),
+            ("floor tilt", self.floor_tilt_rad, STEEPEST_FLOOR_RAD, "from 0 to 0.1 rad"),
+        ];
+        for (option, value, max, allowed) in limits {
+            if !(0.0..=max).contains(&value) {
+                return refuse(option, value.to_string(), allowed);
             }
         }
         if self.watchdog_ns == 0 {
@@ -143,6 +176,9 @@ pub(crate) struct State {
     now_ns: u64,
     pose: Pose2,
     trail: Trail,
+    floor: Unevenness,
+    /// Time from the middle of an exposure to the frame's time stamp.
+    latency_s: f64,
     odometer: Odometer,
     twist: Twist2,
     command: Twist2,
@@ -180,6 +216,9 @@ impl SimulatedRobot {
             now_ns: 0,
             pose: start,
             trail: Trail::new(0, start),
+            floor: Unevenness::new(options.floor_tilt_rad),
+            latency_s: options.camera_latency_s
+                * stream_rng(LATENCY_STREAM, options.seed).random_range(0.5..1.5),
             odometer: Odometer::new(options.odometry, options.seed ^ (WHEEL_STREAM << 16)),
             twist: Twist2::ZERO,
             command: Twist2::ZERO,
@@ -233,40 +272,41 @@ pub(crate) fn lock(shared: &Mutex<State>) -> MutexGuard<'_, State> {
 impl State {
     /// The people as obstacles for the base.
     fn bodies(&self) -> Vec<Disc> {
-        self.people().iter().map(person_disc).collect()
+        self.people(self.now_ns).iter().map(person_disc).collect()
     }
 
-    fn people(&self) -> Vec<Person> {
-        self.walkers.iter().map(|walker| walker.at(self.now_ns)).collect()
+    fn people(&self, time_ns: u64) -> Vec<Person> {
+        self.walkers.iter().map(|walker| walker.at(time_ns)).collect()
     }
 
     fn take_frame(&mut self, frame: &mut Frame) {
-        let people = self.people();
+        let exposed_s = self.now_ns as f64 * 1e-9 - self.latency_s;
+        let exposed_ns = (exposed_s.max(0.0) * 1e9) as u64;
+        let people = self.people(exposed_ns);
         let nuisances = &self.options.nuisances;
-        let light = nuisances.lighting(self.now_ns);
+        let light = nuisances.lighting(exposed_ns);
         let camera = &self.options.camera;
-        let now = self.t_world_camera(&self.pose);
+        let readout_s = self.options.rolling_shutter_s;
+        let at = |passed: f64, above: f64| {
+            let after_s = (passed - 0.5) * nuisances.shutter_s + (above - 0.5) * readout_s;
+            let time_ns = ((exposed_s + after_s) * 1e9).round() as i64;
+            self.floor.raise(&self.trail.at(time_ns)) * self.options.t_base_camera
+        };
         let renderer = self.world.renderer();
-        let half_ns = (nuisances.shutter_s / 2.0 * 1e9) as i64;
-        let before = self.trail.at(self.now_ns as i64 - half_ns);
-        if before != self.pose {
-            // The timestamp of the frame is the middle of its exposure. What the second half of it
-            // brings is not known yet: the robot moves on as it did in the first half.
-            let after = self.pose.compose(&before.inverse().compose(&self.pose));
-            let open = [&self.t_world_camera(&before), &self.t_world_camera(&after)];
-            renderer.render_blurred(
+        let rgb = &mut frame.data;
+        if nuisances.shutter_s > 0.0 && self.trail.moved() {
+            renderer.render_blurred(camera, at, BLUR_IMAGES, &people, &light, rgb, &mut self.depth);
+        } else {
+            renderer.render_rows(
                 camera,
-                open,
-                BLUR_IMAGES,
+                |above| at(0.5, above),
                 &people,
                 &light,
-                &mut frame.data,
+                rgb,
                 &mut self.depth,
             );
-        } else {
-            renderer.render(camera, &now, &people, &light, &mut frame.data, &mut self.depth);
         }
-        nuisances.add_sensor_noise(&mut self.camera_rng, &mut frame.data);
+        nuisances.add_sensor_noise(&mut self.camera_rng, rgb);
         frame.time_ns = self.now_ns;
         frame.sequence = self.sequence;
         frame.width = camera.width;
@@ -275,18 +315,14 @@ impl State {
         self.sequence = self.sequence.wrapping_add(1);
     }
 
-    fn t_world_camera(&self, t_world_base: &Pose2) -> Pose3 {
-        t_world_base.to_pose3() * self.options.t_base_camera
-    }
-
     /// The scan that ended at `end_ns`.
     fn take_scan(&mut self, end_ns: u64, scan: &mut LaserScan) {
-        let people = self.people();
+        let people = self.people(end_ns.saturating_sub(self.options.laser.geometry.period_ns / 2));
         let geometry = self.options.laser.geometry;
         let start_ns = end_ns as i64 - geometry.period_ns as i64;
         let t_world_laser = |beam| {
             let time_ns = start_ns + laser::beam_after_ns(&geometry, beam) as i64;
-            self.trail.at(time_ns).to_pose3() * self.options.t_base_laser
+            self.floor.raise(&self.trail.at(time_ns)) * self.options.t_base_laser
         };
         laser::scan(
             self.world.renderer(),

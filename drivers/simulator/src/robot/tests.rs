@@ -28,6 +28,8 @@ fn exact(start: Pose2) -> RobotOptions {
     RobotOptions {
         odometry: OdometryNoise::NONE,
         nuisances: Nuisances::none(),
+        camera_latency_s: 0.0,
+        floor_tilt_rad: 0.0,
         start: Some(start),
         ..small()
     }
@@ -162,6 +164,10 @@ fn scans_are_taken_at_most_once_per_period_and_measure_the_room() {
     assert!(devices.lidar.poll_scan(&mut scan).unwrap());
     // It is the revolution that has just ended.
     assert_eq!((scan.time_ns, scan.middle_ns()), (0, 12_500_000));
+    // A scanner does not wait to be polled.
+    devices.clock.sleep_until_ns(80_000_000);
+    assert!(devices.lidar.poll_scan(&mut scan).unwrap());
+    assert_eq!(scan.time_ns, 50_000_000);
 }
 
 /// Where a beam hits, in the frame of the room, if the base was at `pose`, metres.
@@ -198,6 +204,53 @@ fn to_wall_m([x_m, y_m]: [f64; 2]) -> f64 {
 }
 
 #[test]
+fn a_frame_shows_the_view_of_its_exposure_and_is_stamped_later() {
+    let options = RobotOptions { camera_latency_s: 0.05, ..exact(Pose2::new(2.0, 2.0, 0.0)) };
+    let mut devices = robot(options);
+    let mut frame = Frame::empty();
+    let mut depth = DepthMap::none(0, 0);
+    tick(&mut devices, 0.5, 0.0);
+    devices.camera.poll_frame(&mut frame).unwrap();
+    devices.truth.depth(&mut depth);
+    assert_eq!(frame.time_ns, TICK_NS);
+    let moved_m = 3.0 - f64::from(depth.get(40, 11).unwrap());
+    let latency_s = 0.1 - moved_m / 0.5;
+    assert!((0.025..0.075).contains(&latency_s), "{latency_s}");
+}
+
+#[test]
+fn the_latency_of_a_camera_is_drawn_by_the_seed() {
+    let moved: Vec<f32> = [1, 1, 2].into_iter().map(moved_m).collect();
+    assert!(moved[0] == moved[1] && moved[0] != moved[2], "{moved:?}");
+}
+
+/// How far the wall ahead comes nearer in the frame after 0.1 s.
+fn moved_m(seed: u64) -> f32 {
+    let start = exact(Pose2::new(2.0, 2.0, 0.0));
+    let mut devices = robot(RobotOptions { camera_latency_s: 0.05, seed, ..start });
+    let mut depth = DepthMap::none(0, 0);
+    tick(&mut devices, 0.5, 0.0);
+    devices.camera.poll_frame(&mut Frame::empty()).unwrap();
+    devices.truth.depth(&mut depth);
+    3.0 - depth.get(40, 11).unwrap()
+}
+
+#[test]
+fn an_uneven_floor_tilts_the_view() {
+    let start = Pose2::new(2.0, 2.0, 0.0);
+    let depths = [0.0, 0.0035].map(|floor_tilt_rad| {
+        let mut devices = robot(RobotOptions { floor_tilt_rad, ..exact(start) });
+        let mut depth = DepthMap::none(0, 0);
+        devices.camera.poll_frame(&mut Frame::empty()).unwrap();
+        devices.truth.depth(&mut depth);
+        depth
+    });
+    // The floor 2 m ahead is seen at another row.
+    let [flat_m, tilted_m] = depths.map(|depth| depth.get(40, 23).unwrap());
+    assert!(flat_m != tilted_m && (flat_m / tilted_m - 1.0).abs() < 0.1, "{flat_m} {tilted_m}");
+}
+
+#[test]
 fn a_start_inside_a_wall_is_refused_with_the_nearest_free_place() {
     match refused_start(4.95, 2.0) {
         Some(SceneError::StartBlocked { x_m, nearest_x_m, nearest_y_m, .. }) => {
@@ -230,6 +283,9 @@ fn impossible_options_are_refused_by_name() {
         "camera model"
     );
     assert_eq!(refused_option(RobotOptions { watchdog_ns: 0, ..small() }), "watchdog");
+    let late = RobotOptions { camera_latency_s: 3.0, ..small() };
+    assert_eq!(refused_option(late), "camera latency");
+    assert_eq!(refused_option(RobotOptions { floor_tilt_rad: -0.1, ..small() }), "floor tilt");
     let sunk = Pose3::translation(0.0, 0.0, f64::INFINITY);
     assert_eq!(refused_option(RobotOptions { t_base_camera: sunk, ..small() }), "camera mount");
     let nuisances = Nuisances { flicker: 2.0, ..Nuisances::none() };
@@ -295,7 +351,7 @@ fn byte_difference(image: &[u8], sharp: &[u8]) -> u64 {
 
 fn frame_with_shutter(shutter_s: f64) -> Vec<u8> {
     let nuisances = Nuisances { shutter_s, ..Nuisances::none() };
-    let options = RobotOptions { nuisances, start: None, odometry: OdometryNoise::NONE, ..small() };
+    let options = RobotOptions { nuisances, start: None, ..exact(Pose2::IDENTITY) };
     let mut devices = SimulatedRobot::new(APARTMENT.clone(), options).unwrap().devices();
     tick(&mut devices, 0.0, 1.0);
     let mut frame = Frame::empty();

@@ -11,7 +11,7 @@ const KEPT_NS: u64 = 1_000_000_000;
 /// The true poses of the last second, at the ends of the simulation's steps.
 #[derive(Debug)]
 pub(super) struct Trail {
-    /// Time of the end of a step, and `t_world_base` then.
+    /// Time of the end of a step, and `t_world_base` then; never empty.
     ends: VecDeque<(u64, Pose2)>,
 }
 
@@ -31,17 +31,23 @@ impl Trail {
     }
 
     /// The pose at a time, along the arc of the step in which it lies. Before the first known time
-    /// and after the last, the robot stands.
+    /// the robot stands. After the last it goes on as in the last step: exposures end after their
+    /// middle.
     pub fn at(&self, time_ns: i64) -> Pose2 {
         let after = self.ends.partition_point(|(then_ns, _)| (*then_ns as i64) < time_ns);
-        let Some((end_ns, end)) = self.ends.get(after) else {
-            return self.ends.back().map_or(Pose2::IDENTITY, |(_, pose)| *pose);
+        let last = self.ends.len() - 1;
+        let (end_ns, end) = self.ends[after.min(last)];
+        let Some((start_ns, start)) = after.min(last).checked_sub(1).map(|i| self.ends[i]) else {
+            return end;
         };
-        let Some((start_ns, start)) = after.checked_sub(1).and_then(|i| self.ends.get(i)) else {
-            return *end;
-        };
-        let share = (time_ns - *start_ns as i64) as f64 / (end_ns - start_ns) as f64;
-        start.compose(&part_of(&start.inverse().compose(end), share))
+        let share = (time_ns - start_ns as i64) as f64 / (end_ns - start_ns) as f64;
+        start.compose(&part_of(&start.inverse().compose(&end), share))
+    }
+
+    /// Whether the robot moved in the last step.
+    pub fn moved(&self) -> bool {
+        let [before, last] = [2, 1].map(|back| self.ends.len().checked_sub(back));
+        before.zip(last).is_some_and(|(before, last)| self.ends[before].1 != self.ends[last].1)
     }
 }
 
@@ -78,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn poses_between_steps_are_interpolated_and_outside_of_them_the_robot_stands() {
+    fn poses_between_steps_are_interpolated_and_after_the_last_one_the_motion_goes_on() {
         let mut trail = Trail::new(0, Pose2::new(1.0, 0.0, 0.0));
         trail.push(100, Pose2::new(2.0, 0.0, 0.0));
         trail.push(200, Pose2::new(2.0, 0.0, 1.0));
@@ -88,7 +94,7 @@ mod tests {
             (25, 1.25, 0.0),
             (100, 2.0, 0.0),
             (150, 2.0, 0.5),
-            (900, 2.0, 1.0),
+            (250, 2.0, 1.5),
         ] {
             let pose = trail.at(time_ns);
             assert!(

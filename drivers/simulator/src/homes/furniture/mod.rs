@@ -42,7 +42,7 @@ pub fn furnish(
     seed: u64,
     moved: bool,
 ) -> Vec<Furniture> {
-    let mut shop = Workshop::new(materials, stream(seed, 6));
+    let mut shop = Workshop::new(materials, stream(seed, 6), stream(seed, 9));
     let mut rng = stream(seed, if moved { 8 } else { 7 });
     let mut placed = Vec::new();
     for (index, room) in layout.rooms.iter().enumerate() {

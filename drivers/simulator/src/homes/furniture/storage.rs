@@ -11,7 +11,8 @@ impl Workshop<'_> {
         let w = self.between(0.75, 1.25);
         let h = self.between(1.5, 2.05);
         let d = 0.3;
-        let appearance = if self.chance(0.3) { self.white } else { self.any_wood() };
+        let usual = if self.chance(0.3) { self.white } else { self.any_wood() };
+        let appearance = self.body(usual);
         let mut piece = Piece::new("bookshelf", [w, d, h], 0.45);
         let m = &mut piece.mesh;
         m.block([0.0, 0.0, 0.0], [w, 0.02, h], appearance);
@@ -79,7 +80,8 @@ impl Workshop<'_> {
     pub fn wardrobe(&mut self, width: f32) -> Piece {
         let d = 0.6;
         let h = self.between(1.95, 2.2);
-        let appearance = if self.chance(0.5) { self.white } else { self.any_wood() };
+        let usual = if self.chance(0.5) { self.white } else { self.any_wood() };
+        let appearance = self.body(usual);
         let mut piece = Piece::new("wardrobe", [width, d, h], 0.65);
         let m = &mut piece.mesh;
         m.block([0.0, 0.0, 0.0], [width, d - 0.02, h], appearance);
@@ -98,7 +100,8 @@ impl Workshop<'_> {
     pub fn chest(&mut self, width: f32, rows: usize) -> Piece {
         let d = 0.42;
         let h = 0.08 + 0.2 * rows as f32;
-        let appearance = if self.chance(0.3) { self.white } else { self.any_wood() };
+        let usual = if self.chance(0.3) { self.white } else { self.any_wood() };
+        let appearance = self.body(usual);
         let mut piece = Piece::new("chest", [width, d, h], 0.5);
         let m = &mut piece.mesh;
         m.block([0.0, 0.0, 0.0], [width, d - 0.02, h - 0.02], appearance);
@@ -123,7 +126,8 @@ impl Workshop<'_> {
         let w = self.between(1.4, 1.9);
         let d = 0.42;
         let h = 0.5;
-        let appearance = if self.chance(0.4) { self.white } else { self.any_wood() };
+        let usual = if self.chance(0.4) { self.white } else { self.any_wood() };
+        let appearance = self.body(usual);
         let mut piece = Piece::new("television", [w, d, 1.25], 0.6);
         let m = &mut piece.mesh;
         m.block([0.0, 0.0, 0.06], [w, d - 0.02, h], appearance);

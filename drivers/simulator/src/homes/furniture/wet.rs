@@ -55,7 +55,8 @@ impl Workshop<'_> {
     }
 
     pub fn fridge(&mut self) -> Piece {
-        let appearance = if self.chance(0.5) { self.white } else { self.metal };
+        let usual = if self.chance(0.5) { self.white } else { self.metal };
+        let appearance = self.body(usual);
         let mut piece = Piece::new("fridge", [0.6, 0.65, 1.8], 0.65);
         let m = &mut piece.mesh;
         m.block([0.0, 0.0, 0.0], [0.6, 0.6, 1.8], appearance);

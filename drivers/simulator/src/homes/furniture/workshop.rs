@@ -47,6 +47,9 @@ pub struct Workshop<'a> {
     pub white: Appearance,
     pub metal: Appearance,
     pub black: Appearance,
+    pub lacquer: Appearance,
+    /// Decides which pieces are lacquered, apart from what decides their shape.
+    lacquer_rng: Pcg64Mcg,
     pub ceramic: Appearance,
     pub stone: Appearance,
     pub linen: Appearance,
@@ -58,7 +61,7 @@ pub struct Workshop<'a> {
 }
 
 impl<'a> Workshop<'a> {
-    pub fn new(materials: &'a mut MaterialSet, mut rng: Pcg64Mcg) -> Self {
+    pub fn new(materials: &'a mut MaterialSet, mut rng: Pcg64Mcg, lacquer_rng: Pcg64Mcg) -> Self {
         let woods = [[226, 190, 146], [196, 152, 108], [176, 128, 88], [232, 214, 188]];
         let darks = [[120, 82, 56], [92, 66, 50], [146, 104, 70]];
         let wood =
@@ -107,6 +110,8 @@ impl<'a> Workshop<'a> {
             white: materials.appearance("white lacquer", [228, 226, 220], Skin::Smudge),
             metal: materials.appearance("steel", [168, 170, 174], Skin::Smudge),
             black: materials.appearance("black", [52, 52, 56], Skin::Smudge),
+            lacquer: materials.absorbing("black lacquer", [40, 40, 44], Skin::Smudge, 0.0),
+            lacquer_rng,
             ceramic: materials.appearance("ceramic", [236, 236, 232], Skin::Smudge),
             stone: materials.appearance("worktop", [150, 146, 142], Skin::Stone),
             linen: materials.appearance("linen", [222, 218, 208], Skin::Cloth(0)),
@@ -138,6 +143,12 @@ impl<'a> Workshop<'a> {
 
     pub fn paint(&mut self) -> Appearance {
         self.paints[self.rng.random_range(0..self.paints.len())]
+    }
+
+    /// The surface of a large piece: one of five is of black lacquer, which a laser scanner hardly
+    /// sees.
+    pub fn body(&mut self, usual: Appearance) -> Appearance {
+        if self.lacquer_rng.random_bool(0.2) { self.lacquer } else { usual }
     }
 
     pub fn any_wood(&mut self) -> Appearance {

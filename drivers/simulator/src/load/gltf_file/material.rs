@@ -12,7 +12,10 @@ use super::super::texture::decode;
 use super::super::vertex_color::{ColorAtlas, srgb_from_linear};
 use super::container::File;
 use crate::error::SceneError;
-use crate::scene::{Material, Scene};
+use crate::scene::{LidarResponse, Material, Scene};
+
+/// Blended materials with less alpha than this are clear glass.
+const CLEAR_ALPHA: f32 = 0.5;
 
 /// Materials of the document that triangles use.
 pub(super) struct Materials<'a> {
@@ -124,6 +127,11 @@ impl<'a> Materials<'a> {
             texture,
             alpha_cutoff: alpha_cutoff.filter(|_| texture.is_some()),
             emissive,
+            lidar: if is_clear(source, factor[3]) {
+                LidarResponse::Glass
+            } else {
+                LidarResponse::Diffuse
+            },
         };
         Ok(add(scene, material, image_info))
     }
@@ -197,6 +205,12 @@ impl<'a> Materials<'a> {
     }
 }
 
+/// Whether a laser beam passes: the material is blended with what is behind it, and mostly shows
+/// that.
+fn is_clear(source: &material::Material, alpha: f32) -> bool {
+    source.alpha_mode == Valid(material::AlphaMode::Blend) && alpha < CLEAR_ALPHA
+}
+
 fn corner_color(corner: u32, colors: &[[f32; 3]]) -> [u8; 3] {
     colors.get(corner as usize).copied().unwrap_or([1.0; 3]).map(srgb_from_linear)
 }
@@ -221,5 +235,6 @@ fn plain() -> Material {
         texture: None,
         alpha_cutoff: None,
         emissive: [0.0; 3],
+        lidar: LidarResponse::Diffuse,
     }
 }
