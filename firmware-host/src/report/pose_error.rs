@@ -17,7 +17,7 @@ pub struct PoseError {
     /// "A Benchmark for the Evaluation of RGB-D SLAM Systems", 2012), metres.
     pub ate_m: f64,
     /// Relative error of the position in `odom`: root mean square over all pairs of poses that are
-    /// 1 m of true path apart, metres per metre. Absent on a path that is shorter than that.
+    /// 1 m of true path apart, metres per metre of it. Absent on a path that is shorter than that.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub rpe_m_per_m: Option<f64>,
     /// The same of the heading, degrees per metre.
