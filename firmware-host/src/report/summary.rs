@@ -286,6 +286,9 @@ mod tests {
             seed: Some(7),
             policy: Some("active".into()),
             scene: Some("builtin:house?seed=3".into()),
+            odometry: Some(Odometry::Realistic),
+            coverage_true: Some(0.81),
+            map_error_m: Some(MapError { p50: 0.01, p90: 0.05 }),
             depth_source: Some(DepthSource::Coarse),
             end_reason: Some(ExploreEnd::FrameBudget),
             path_m: Some(81.2),
@@ -310,7 +313,8 @@ mod tests {
         let mut value: serde_json::Value = serde_json::from_str(&summary.to_json()).unwrap();
         let accuracy = value["accuracy"].take();
         let expected = json!({
-            "frames": 3000, "seed": 7, "policy": "active", "scene": "builtin:house?seed=3", "depth_source": "coarse",
+            "frames": 3000, "seed": 7, "policy": "active", "scene": "builtin:house?seed=3", "odometry": "realistic",
+            "coverage_true": 0.81, "map_error_m": {"p50": 0.01, "p90": 0.05}, "depth_source": "coarse",
             "end_reason": "frame_budget", "path_m": 81.2, "coverage": 0.83, "collisions": 0, "stuck_frames": 12,
             "wall_s": 95.1, "digest": "ab12", "latency_ms": {"total": {"p50": 6.1, "p99": 9.7, "max": 14.0}},
             "accuracy": null, "bumper_trips": 0, "bumper_escapes": 0, "goals": {"reached": 0},

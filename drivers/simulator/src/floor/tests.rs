@@ -241,6 +241,23 @@ fn the_nearest_free_place_is_outside_of_the_obstacle() {
 }
 
 #[test]
+fn the_nearest_surface_is_found_up_to_the_limit_also_above_the_robot() {
+    // A shelf 1.2 m above the floor blocks no robot, but depth sees it.
+    let shelf = block([2.0, 1.5], [3.0, 2.5], 1.2, 1.3);
+    let plan = plan([room([0.0; 2], [5.0, 4.0], 0.0), shelf]);
+    let (point, distance_m) = plan.nearest_surface(1.6, 2.0, 1.0).unwrap();
+    assert!(near_point(point, [2.0, 2.0]) && near(distance_m, 0.4));
+    let (point, distance_m) = plan.nearest_surface(0.05, 2.0, 1.0).unwrap();
+    assert!(near_point(point, [0.0, 2.0]) && near(distance_m, 0.05));
+    assert!(plan.nearest_surface(1.6, 2.0, 0.39).is_none());
+    assert!(plan.nearest_surface(1.0, 3.0, 0.9).is_none());
+}
+
+fn near_point(actual: [f64; 2], expected: [f64; 2]) -> bool {
+    near(actual[0], expected[0]) && near(actual[1], expected[1])
+}
+
+#[test]
 fn rooms_without_a_door_are_planned_one_at_a_time() {
     let plan = plan([room([0.0; 2], [5.0, 4.0], 0.0), room([5.0, 0.0], [8.0, 4.0], 0.0)]);
     assert!(plan.is_reachable(2.0, 2.0) && !plan.is_reachable(6.5, 2.0) && plan.is_free(6.5, 2.0));
