@@ -37,8 +37,11 @@ def recorded(paths):
             reader = make_reader(file, decoder_factories=[DecoderFactory()])
             for _, channel, _, message in reader.iter_decoded_messages(topics=[*set(messages) - {"/robot/tick"}]):
                 messages[channel.topic].append(message)
-            for _, _, message in reader.iter_messages(topics=["/robot/tick"]):
-                messages["/robot/tick"].append(json.loads(message.data))
+            for _, channel, message in reader.iter_messages(topics=["/robot/tick", "/robot/decision"]):
+                if channel.topic == "/robot/tick":
+                    messages["/robot/tick"].append(json.loads(message.data))
+                else:
+                    messages["/robot/tick"][-1]["decision"] = json.loads(message.data)
     return messages
 
 
@@ -78,18 +81,21 @@ def same_scan(scan, of):
 
 
 def same_odometry(odometry, of):
+    """The pose is the localized one, the speeds are the wheels'."""
     wheel = of["wheel"]
+    localized = of["decision"]["t_odom_base"]
     pose = odometry.pose.pose
     twist = odometry.twist.twist
-    assert (pose.position.x, pose.position.y) == (wheel["x_m"], wheel["y_m"])
+    assert (pose.position.x, pose.position.y) == (localized["x_m"], localized["y_m"])
     yaw = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
-    assert abs(math.remainder(yaw - wheel["yaw_rad"], math.tau)) < 1e-12
+    assert abs(math.remainder(yaw - localized["yaw_rad"], math.tau)) < 1e-12
     assert (twist.linear.x, twist.angular.z) == (wheel["linear_mps"], wheel["angular_radps"])
     assert time_ns(odometry.header) == wheel["time_ns"]
 
 
-def same_base_transform(tf, of):
-    same_transform(tf.transforms[0], transform_of(of, "base_link"))
+def same_base_transforms(tf, of):
+    for transform, child in zip(tf.transforms, ["base_link", "odom"], strict=True):
+        same_transform(transform, transform_of(of, child))
 
 
 SAME = {
@@ -97,7 +103,7 @@ SAME = {
     "/camera/camera_info": same_camera_info,
     "/scan": same_scan,
     "/odom": same_odometry,
-    "/tf": same_base_transform,
+    "/tf": same_base_transforms,
 }
 
 

@@ -21,6 +21,7 @@ FIELDS = {
     "LaserScan": [("ranges", 6, "doubles")],
     "RawImage": [("width", 2, "fixed32"), ("height", 3, "fixed32"), ("encoding", 4, "string"), ("data", 6, "bytes")],
 }
+IDENTITY = {"x_m": 0.0, "y_m": 0.0, "yaw_rad": 0.0}
 KINDS = {"bytes": 12, "string": 9, "fixed32": 7, "doubles": 1}
 
 
@@ -55,9 +56,15 @@ def write_segment(
     scans: list[Scan] | None = None,
     beams: int | None = None,
     scan_odom: list[dict[str, Any]] | None = None,
+    localized: list[dict[str, Any]] | None = None,
+    t_map_odom: dict[str, Any] | None = None,
 ) -> None:
     """Writes one segment with the images of `frames`, one pose of the base for each, and optionally a scan before each
-    image; `beams` overrides the number of beams in the ticks, `scan_odom` the base's poses at the scans' times."""
+    image.
+
+    `beams` overrides the number of beams in the ticks, `scan_odom` the base's poses at the scans' times, `localized`
+    the decisions' poses in `odom`.
+    """
     descriptors = schema()
     pool = descriptor_pool.DescriptorPool()
     pool.Add(descriptors.file[0])
@@ -72,6 +79,7 @@ def write_segment(
         "image": writer.register_channel("/camera/image", "protobuf", schemas["CompressedImage"]),
         "scan": writer.register_channel("/scan", "protobuf", schemas["LaserScan"]),
         "truth": writer.register_channel("/camera/truth_depth", "protobuf", schemas["RawImage"]),
+        "decision": writer.register_channel("/robot/decision", "json", 0),
         "map": writer.register_channel("/map", "json", 0),
     }
 
@@ -97,6 +105,9 @@ def write_segment(
             data = frames.truth_mm[index].astype("<u2").tobytes()
             size = {"width": frames.camera.width, "height": frames.camera.height}
             add("truth", classes["RawImage"](encoding="16UC1", data=data, **size).SerializeToString(), time_ns)
+        t_odom_base = wheel if localized is None else localized[index]
+        decision = {"t_odom_base": t_odom_base, "t_map_odom": t_map_odom or IDENTITY}
+        add("decision", json.dumps(decision).encode(), time_ns)
         add("map", b"{}", time_ns)
     writer.finish()  # type: ignore[no-untyped-call]
 

@@ -66,3 +66,12 @@ def test_recorded_frames_are_held_out_by_the_pose_of_the_base(tmp_path: Path) ->
     assert frames.held_out is not None
     assert frames.held_out.tolist() == [is_held_out(w["x_m"], w["y_m"], w["yaw_rad"]) for w in wheels]
     assert 0 < frames.held_out.sum() < 40
+
+
+def test_places_are_compared_in_the_corrected_map(tmp_path: Path) -> None:
+    wheels = [{"x_m": 0.5 * index, "y_m": 3.0, "yaw_rad": 1.0} for index in range(40)]
+    t_map_odom = {"x_m": 2.0, "y_m": -3.0, "yaw_rad": 0.0}
+    write_segment(tmp_path / "recording_0000.mcap", room(40), wheels, t_map_odom=t_map_odom)
+    frames, _ = read_recording(tmp_path)
+    assert frames.held_out is not None
+    assert frames.held_out.tolist() == [is_held_out(0.5 * index + 2.0, 0.0, 1.0) for index in range(40)]

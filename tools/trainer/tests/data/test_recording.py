@@ -44,6 +44,14 @@ def test_a_rotation_of_the_base_rotates_the_camera(tmp_path: Path) -> None:
     assert np.allclose(found.t_world_camera[0, :3, 2], [0, 1, 0])
 
 
+def test_the_localized_pose_replaces_that_of_the_wheels(tmp_path: Path) -> None:
+    localized = straight(4, step_m=0.06)
+    write_segment(tmp_path / "a.mcap", room(4), straight(4), localized=localized)
+    found, _ = read_recording(tmp_path / "a.mcap")
+    # The camera is mounted 0.1 m ahead of the base.
+    assert np.allclose(found.t_world_camera[:, 0, 3], [0.1 + pose["x_m"] for pose in localized])
+
+
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9, 0.99])
 def test_a_cut_segment_gives_its_complete_chunks_and_is_named(tmp_path: Path, share: float) -> None:
     frames = room(20)

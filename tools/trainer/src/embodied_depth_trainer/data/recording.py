@@ -102,10 +102,10 @@ class _Run:
     def __init__(self, lidar: bool) -> None:
         self.camera: Intrinsics | None = None
         self.topics = {IMAGE, TRUTH, SCAN} if lidar else {IMAGE, TRUTH}
-        self.t_camera_base = np.eye(4)
-        self.t_base_laser = np.eye(4)
+        self.t_camera_base: NDArray[np.floating[Any]] = np.eye(4)
+        self.t_base_laser: NDArray[np.float64] = np.eye(4)
         self.scan: Scan | None = None
-        self.t_odom_laser = np.eye(4)
+        self.t_odom_laser: NDArray[np.float64] = np.eye(4)
         self.rgb: list[NDArray[np.uint8]] = []
         self.poses: list[NDArray[np.float64]] = []
         self.times: list[int] = []
@@ -125,9 +125,10 @@ class _Run:
                 raise _BrokenError(f"it does not begin with {HEADER}")
             if channel.topic == TICK:
                 tick = json.loads(message.data)
-            elif channel.topic == DECISION:
-                self._localize(tick, json.loads(message.data), t_base_camera)
+            elif channel.topic == DECISION and tick is not None:
+                self._localize(file, tick, json.loads(message.data), t_base_camera)
             elif channel.topic in self.topics and tick is not None:
+                where = f"{file}: tick {tick['tick']}"
                 decode = decoder.decoder_for(channel.message_encoding, schema)
                 if decode is None:
                     raise TrainerError(
@@ -135,10 +136,10 @@ class _Run:
                     )
                 if channel.topic == SCAN:
                     self.scan = _scan(file, tick, decode(message.data))
-                    self.t_odom_laser = _pose(*_planar(file, tick, "scan_odom")) @ self.t_base_laser
+                    self.t_odom_laser = _pose(*_planar(where, tick, "scan_odom")) @ self.t_base_laser
                 elif channel.topic == IMAGE:
                     self.rgb.append(self._image(file, tick, decode(message.data)))
-                    x_m, y_m, yaw_rad = _planar(file, tick, "wheel")
+                    x_m, y_m, yaw_rad = _planar(where, tick, "wheel")
                     t_odom_base = _pose(x_m, y_m, yaw_rad)
                     self.poses.append(t_odom_base @ t_base_camera)
                     self.held_out.append(is_held_out(x_m, y_m, yaw_rad))
@@ -148,18 +149,20 @@ class _Run:
                     self.truth.append(_millimetres(file, tick, decode(message.data)))
 
     def _localize(
-        self, tick: dict[str, Any] | None, decision: dict[str, Any], t_base_camera: NDArray[np.float64]
+        self, file: Path, tick: dict[str, Any], decision: dict[str, Any], t_base_camera: NDArray[np.float64]
     ) -> None:
-        """Replaces the wheels' pose of the frame that was read last by the robot's localized one.
+        """Replaces the wheels' pose of the tick's frame by the localized one.
 
         Neighbouring frames are compared in `odom`, which never jumps; places are compared in `map`.
         """
-        if tick is None or not self.times or self.times[-1] != int(tick["time_ns"]) or "t_odom_base" not in decision:
+        if not self.times or self.times[-1] != int(tick["time_ns"]):
             return
-        odom, map_odom = (_planar(decision[key]) for key in ("t_odom_base", "t_map_odom"))
-        self.poses[-1] = odom @ t_base_camera
-        place = map_odom @ odom
-        self.held_out[-1] = is_held_out(place[0, 3], place[1, 3], np.arctan2(place[1, 0], place[0, 0]))
+        where = f"{file}: the decision of tick {tick['tick']}"
+        t_odom_base = _pose(*_planar(where, decision, "t_odom_base"))
+        self.poses[-1] = t_odom_base @ t_base_camera
+        t_map_base = _pose(*_planar(where, decision, "t_map_odom")) @ t_odom_base
+        yaw_rad = np.arctan2(t_map_base[1, 0], t_map_base[0, 0])
+        self.held_out[-1] = is_held_out(t_map_base[0, 3], t_map_base[1, 3], yaw_rad)
 
     def _header(self, file: Path, data: bytes) -> NDArray[np.float64]:
         header = json.loads(data)
@@ -247,32 +250,25 @@ def _messages(file: Path) -> Iterator[tuple[Schema | None, Channel, Message]]:
         raise _BrokenError(f"{type(problem).__name__} {problem}".strip()) from problem
 
 
-def _planar(file: Path, tick: dict[str, Any], key: str) -> tuple[float, float, float]:
-    """Position and yaw of `base_link` in `odom`, metres and radians: at the frame's time (`wheel`) or at the scan's
-    (`scan_odom`)."""
-    pose = tick.get(key) or {}
+def _planar(where: str, message: dict[str, Any], key: str) -> tuple[float, float, float]:
+    """A planar pose in metres and radians."""
+    pose = message.get(key) or {}
     values = [pose.get(name) for name in ("x_m", "y_m", "yaw_rad")]
     # Numbers that are not finite are recorded as text.
     if not all(isinstance(value, (int, float)) and np.isfinite(value) for value in values):
         raise TrainerError(
-            f"{file}: tick {tick.get('tick')} has no pose in `{key}` (x_m, y_m, yaw_rad = {values}); "
-            "train on a recording whose odometry worked"
+            f"{where} has no pose in `{key}` (x_m, y_m, yaw_rad = {values}); train on a recording whose odometry worked"
         )
     x_m, y_m, yaw_rad = (float(value) for value in values if value is not None)
     return x_m, y_m, yaw_rad
 
 
 def _pose(x_m: float, y_m: float, yaw_rad: float) -> NDArray[np.float64]:
-    """`t_odom_base` [4, 4]."""
+    """A planar pose as rigid transform [4, 4]."""
     pose = np.eye(4)
     pose[:2, :2] = [[np.cos(yaw_rad), -np.sin(yaw_rad)], [np.sin(yaw_rad), np.cos(yaw_rad)]]
     pose[:2, 3] = x_m, y_m
     return pose
-
-
-def _planar(pose: dict[str, float]) -> NDArray[np.float64]:
-    """A pose of `/robot/decision` [4, 4]."""
-    return _pose(pose["x_m"], pose["y_m"], pose["yaw_rad"])
 
 
 def _rigid(pose: dict[str, Any]) -> NDArray[np.float64]:
