@@ -106,8 +106,10 @@ pub struct Decision {
     pub sent: Option<Command>,
     /// Where the robot is heading, in `map`, metres.
     pub goal_m: Option<[f64; 2]>,
-    /// Where localization believes the robot to be at the time of the frame: smooth, never jumps. Depth is made from it.
+    /// Where localization believes the robot to be at the tick's wheel feedback, in `odom`: smooth, never jumps.
     pub t_odom_base: Pose2,
+    /// The same when the frame was exposed, which is earlier than its time stamp. Depth is made from it.
+    pub t_odom_base_at_frame: Pose2,
     /// Pose of `odom` in `map`. It changes when localization corrects the path.
     pub t_map_odom: Pose2,
     /// What happened, with reasons.
@@ -121,10 +123,16 @@ pub struct Decision {
 }
 
 impl Decision {
-    /// Where localization believed the robot to be at the time of the frame, in `map`.
+    /// Where localization believed the robot to be, in `map`.
     #[must_use]
     pub fn t_map_base(&self) -> Pose2 {
         self.t_map_odom.compose(&self.t_odom_base)
+    }
+
+    /// The same when the frame was exposed.
+    #[must_use]
+    pub fn t_map_base_at_frame(&self) -> Pose2 {
+        self.t_map_odom.compose(&self.t_odom_base_at_frame)
     }
 }
 

@@ -75,6 +75,8 @@ punctuality() {
     robot=$!
     # Exclude the start, in which it allocates its memory at its own priority.
     until_value turns /rig/status.json 'v > 100'
+    # While both programs start, this slow machine may leave the motors silent for 100 ms; a request to arm is then void.
+    kill -USR1 $robot
     # At the safety loop's period, just below its priority.
     cyclictest -m -q -p 39 -i 10000 -D $seconds -h 2000 >/tmp/cyclictest
     turns=$(value turns /rig/status.json) missed=$(value skipped /rig/status.json)

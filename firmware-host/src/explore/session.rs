@@ -33,7 +33,7 @@ use crate::report::depth_sample::{SheetRow, SheetSampler};
 use crate::report::depth_sheet::DepthSheet;
 use crate::report::latency::Stage;
 use crate::report::progress::{Progress, Status};
-use crate::report::summary::{LidarLine, Summary, peak_resident_mib};
+use crate::report::summary::{CameraLatency, LidarLine, Summary, peak_resident_mib};
 use crate::report::table;
 use crate::stopwatch::Stopwatch;
 
@@ -226,6 +226,7 @@ impl Exploration {
         summary.digest = Some(log.digest.decisions());
         summary.resident_mib = peak_resident_mib();
         summary.lidar_line = LidarLine::of(&log.line);
+        summary.camera_latency = CameraLatency::of(&robot);
         log.evaluation.summarise(&mut summary);
         map_accuracy::summarise(
             &log.evaluation,
@@ -334,7 +335,8 @@ impl RunLog {
     /// Writes a frame's coarse depth, with the pose that the robot believes in.
     fn dump(&mut self, robot: &Robot, input: &TickInput<'_>) -> Result<()> {
         let (Some(dump), Some(_)) = (&mut self.dump, &input.frame) else { return Ok(()) };
-        let t_world_camera = robot.poses().t_map_base().to_pose3() * robot.config().t_base_camera;
+        let t_map_base = robot.poses().t_map_base_at_frame();
+        let t_world_camera = t_map_base.to_pose3() * robot.config().t_base_camera;
         let shot =
             Shot { time_ns: input.time_ns, t_world_camera, rgb: None, truth: None, view: None };
         dump.add(&shot, robot.coarse_depth())

@@ -137,13 +137,13 @@ impl Clip {
     fn push(&mut self, tick: &RecordedTick) -> Option<PoseBin> {
         let rule = HeldOutRule::default();
         // Places are compared in `map`, neighbouring frames in `odom`.
-        let place = tick.t_map_base();
+        let place = tick.t_map_base_at_frame();
         let frame = tick.frame.as_ref()?;
         let bin = rule.bin(&place)?;
         if self.seen.len() == REMEMBERED {
             self.seen.pop_front();
         }
-        let t_odom_camera = tick.t_odom_base().to_pose3() * self.run.t_base_camera;
+        let t_odom_camera = tick.t_odom_base_at_frame().to_pose3() * self.run.t_base_camera;
         self.seen.push_back(Seen { rgb: frame.rgb.clone(), t_odom_camera, matched: false });
         if !rule.holds_out(&bin) {
             return None;

@@ -106,7 +106,7 @@ impl Source {
 
 /// Converts a recorded tick; `None` for a tick without a frame.
 fn sample(tick: RecordedTick, run: &RunHeader) -> Option<Sample> {
-    let t_odom_base = tick.t_odom_base();
+    let t_odom_base = tick.t_odom_base_at_frame();
     Some(Sample {
         time_ns: tick.time_ns,
         rgb: tick.frame?.rgb,

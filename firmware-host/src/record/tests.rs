@@ -33,6 +33,7 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
         sent: Some(Command { linear_mps: 0.3, angular_radps: 0.1 }),
         goal_m: Some([1.0, 2.0]),
         t_odom_base: hal::Pose2::IDENTITY,
+        t_odom_base_at_frame: hal::Pose2::IDENTITY,
         t_map_odom: hal::Pose2::IDENTITY,
         events: Vec::new(),
         input_digest: 3,

@@ -3,6 +3,7 @@
 use std::{collections::BTreeMap, fmt, path::Path};
 
 use runtime::lidar_agreement::{AgreementStats, LidarAgreement};
+use runtime::robot::Robot;
 use runtime::{
     accuracy::{AccuracyRows, Metrics},
     event::ExploreEnd,
@@ -116,6 +117,9 @@ pub struct Summary {
     /// measure it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lidar_line: Option<LidarLine>,
+    /// How late the camera stamps its frames, as image motion shows it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub camera_latency: Option<CameraLatency>,
     /// Peak resident memory, MiB.
     #[serde(skip_serializing_if = "absent")]
     pub resident_mib: Option<f64>,
@@ -152,6 +156,36 @@ impl MapError {
 fn nearest_rank(sorted: &[f64], share: f64) -> Option<f64> {
     let rank = (share * sorted.len() as f64).ceil() as usize;
     sorted.get(rank.max(1) - 1).copied()
+}
+
+/// Time from the exposure of a frame to its stamp, in addition to `devices.camera.latency_ms`, found while driving.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CameraLatency {
+    /// Milliseconds.
+    pub found_ms: f64,
+    /// Standard deviation of `found_ms`.
+    pub error_ms: f64,
+}
+
+impl CameraLatency {
+    /// What a robot has found; `None` when it does not estimate the latency.
+    #[must_use]
+    pub fn of(robot: &Robot) -> Option<Self> {
+        let (found_s, error_s) = robot.camera_latency_s();
+        let estimated = robot.config().localization.estimate_camera_latency;
+        estimated.then_some(Self { found_ms: 1e3 * found_s, error_ms: 1e3 * error_s })
+    }
+}
+
+/// For the terminal.
+impl fmt::Display for CameraLatency {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { found_ms, error_ms } = self;
+        write!(
+            f,
+            "frames exposed {found_ms:.1} ms before their time stamp (error {error_ms:.1} ms)"
+        )
+    }
 }
 
 /// Agreement of the mapped depth with the LiDAR's returns in the image.

@@ -98,6 +98,7 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
         ("collisions", summary.collisions.map_or(String::new(), |count| count.to_string())),
         ("safety stops", trips),
         ("LiDAR check", summary.lidar_line.as_ref().map_or(String::new(), LidarLine::to_string)),
+        ("camera", summary.camera_latency.map_or(String::new(), |found| found.to_string())),
         ("faults", counted(&events.safety_faults, "times")),
         ("injected", summary.faults.join(", ")),
         ("stuck", stuck(summary)),

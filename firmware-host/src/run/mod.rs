@@ -37,7 +37,7 @@ use crate::model::{Keeper, LiveModels};
 use crate::record::{FaultyDisk, FileSystem, Quota, Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
 use crate::report::latency::Stage;
-use crate::report::summary::{LidarLine, Summary, peak_resident_mib};
+use crate::report::summary::{CameraLatency, LidarLine, Summary, peak_resident_mib};
 use crate::setup::{self, Mission};
 use exploration::{Exploration, RunLog};
 use instance_lock::InstanceLock;
@@ -194,6 +194,7 @@ fn report(
         depth_source: Some(mission.depth_source),
         path_m: Some(log.path_m),
         lidar_line: LidarLine::of(&log.line),
+        camera_latency: CameraLatency::of(robot),
         events: log.counts,
         latency_ms: log.stopwatch.latencies().percentiles(),
         resident_mib: peak_resident_mib(),

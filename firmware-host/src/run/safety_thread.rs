@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use drivers::DeviceStatus;
 use hal::{Base, Clock, ErrorKind, Lidar};
 use monotonic_clock::MonotonicClock;
-use runtime::event::FaultReason;
+use runtime::event::{FaultReason, SafetyEvent};
 use runtime::latency::LatencyHistogram;
 use runtime::safety::{Orders, Request, STOPS, SafetyLoop, SafetyState};
 use runtime::session::{SafetyPort, SafetyTask, safety_link};
@@ -112,6 +112,8 @@ pub struct LoopStatus {
     pub state: SafetyState,
     /// Time of the last change of `state`, monotonic.
     pub since_ns: u64,
+    /// Why the last request to arm was void, until a later one is followed.
+    pub lapsed: Option<FaultReason>,
     /// Obstacles that it has stopped for.
     pub trips: u64,
     pub lidar: DeviceStatus,
@@ -315,6 +317,11 @@ where
         let step = self.task.step(now_ns, &orders);
         let state = step.state;
         status.lidar_error = step.lidar_error;
+        match step.output.event {
+            Some(SafetyEvent::ArmingLapsed { why }) => status.lapsed = Some(why),
+            Some(SafetyEvent::Armed) => status.lapsed = None,
+            _ => {}
+        }
         let is_new_fault = matches!(state, SafetyState::Fault(_)) && state != status.state;
         if state.name() != status.state.name() || is_new_fault {
             status.since_ns = now_ns;
@@ -354,6 +361,7 @@ where
         time_ns: 0,
         state: control.plane().state(),
         since_ns: 0,
+        lapsed: None,
         trips: 0,
         lidar: control.lidar().status(),
         lidar_error: None,

@@ -8,6 +8,7 @@ use drivers::DeviceState;
 use drivers::can::Phase;
 use drivers::hokuyo::HokuyoMonitor;
 use monotonic_clock::monotonic_ns;
+use runtime::event::FaultReason;
 use runtime::recording::fault_reason;
 use runtime::safety::SafetyState;
 use sd_notify::NotifyState;
@@ -38,6 +39,8 @@ pub struct Supervision {
     /// A stop that needs a person is remembered.
     held: Arc<AtomicBool>,
     last_stop: Option<LastStop>,
+    /// Why the last request to arm was void, as far as it was reported.
+    lapsed: Option<FaultReason>,
     unwritable: bool,
 }
 
@@ -72,6 +75,7 @@ impl Supervision {
             heartbeat: Heartbeat::default(),
             held: Arc::clone(&operator.held),
             last_stop: operator.last_stop.clone(),
+            lapsed: None,
             unwritable: false,
         }
     }
@@ -98,6 +102,14 @@ impl Supervision {
         let safety_status = *safety.status.read();
         if let SafetyState::Fault(_) | SafetyState::Tripped { .. } = safety_status.state {
             self.last_stop = Some(LastStop { why: words(&safety_status.state), unix_s: unix_s() });
+        }
+        if self.lapsed != safety_status.lapsed {
+            self.lapsed = safety_status.lapsed;
+            if let Some(why) = self.lapsed {
+                let why = format!("the request to arm is void: {}", fault_reason(why));
+                tracing::warn!("{why}; send SIGUSR1 to arm");
+                self.last_stop = Some(LastStop { why, unix_s: unix_s() });
+            }
         }
         let now_ns = monotonic_ns();
         if now_ns < self.due_ns {
@@ -144,7 +156,9 @@ impl Supervision {
                 for_s: now_ns.saturating_sub(safety.since_ns.max(self.began_ns)) as f64 * 1e-9,
                 needs_person: match safety.state {
                     SafetyState::Fault(why) => why.needs_person(),
-                    SafetyState::Disarmed => self.held.load(Ordering::Acquire),
+                    SafetyState::Disarmed => {
+                        safety.lapsed.is_some() || self.held.load(Ordering::Acquire)
+                    }
                     _ => false,
                 },
                 last_stop: self.last_stop.clone(),

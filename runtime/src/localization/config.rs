@@ -23,6 +23,8 @@ hal::settings! {
     pub struct LocalizationConfig {
         /// What the pose is made from: the wheels alone, or wheels and scans.
         source: PoseSource = PoseSource::default();
+        /// Find the time from the exposure of a frame to its stamp while driving, in addition to `devices.camera.latency_ms`.
+        estimate_camera_latency: bool = true;
         /// Earlier scans that a new scan is matched against.
         keyframes: usize = 20, in 2..=60, unit "scans";
         /// A scan becomes a keyframe after the robot has driven this far since the last keyframe.

@@ -58,6 +58,8 @@ pub struct CoarseDepth {
     image: CensusImage,
     motion: FrameMotion,
     rotation_filter: RotationFilter,
+    /// The last frame had flow to the frame before.
+    has_motion: bool,
     /// `t_odom_camera` of the last frame, filtered.
     pose: Pose3,
     motion_mask: MotionMask,
@@ -124,6 +126,7 @@ impl CoarseDepth {
             image: CensusImage::default(),
             motion: FrameMotion::new(camera.width, camera.height)?,
             rotation_filter: RotationFilter::default(),
+            has_motion: false,
             pose: Pose3::identity(),
             motion_mask: MotionMask::new(camera.width, camera.height),
             estimate: DepthEstimate::none(camera.width, camera.height),
@@ -150,6 +153,7 @@ impl CoarseDepth {
     }
 
     fn estimate_in_pool(&mut self, frame: ImageView<'_>, pose: &Pose3) -> Result<(), NoDepth> {
+        self.has_motion = false;
         if !pose.to_homogeneous().iter().all(|value| value.is_finite()) {
             return Err(NoDepth::PoseNotFinite);
         }
@@ -179,6 +183,13 @@ impl CoarseDepth {
             .iter()
             .zip(beliefs)
             .map(|(vote, (belief, around))| (vote, belief, around))
+    }
+
+    /// What image motion says of the yaw of the robot since the previous frame, beside the given poses; positive to the left.
+    /// `None` when the last frame had no flow to the frame before. `up` is the vertical axis in the camera's frame.
+    #[must_use]
+    pub fn yaw_error(&self, up: &Vector3<f64>) -> Option<YawError> {
+        self.rotation_filter.error_about(up).filter(|_| self.has_motion)
     }
 
     /// The result of the last successful [`estimate`](Self::estimate).
@@ -251,6 +262,7 @@ impl CoarseDepth {
             let prior =
                 DepthPrior { beliefs, confidence, cells, scene_depth_m: self.scene_depth_m };
             self.pose = self.rotation_filter.update(measured, observed, prior);
+            self.has_motion = true;
         }
         let pose = &self.pose;
         let memory = &mut self.memory;

@@ -41,4 +41,5 @@ pub use coarse::CoarseDepth;
 pub use config::{CoarseConfig, PerceptionError};
 pub use estimate::{DepthEstimate, NoDepth};
 pub use network::{DepthNetwork, InputKind, NetworkError, NetworkOptions, Provider};
+pub use rotation_filter::YawError;
 pub use wta::Vote;

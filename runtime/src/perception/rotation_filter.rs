@@ -63,6 +63,17 @@ pub struct RotationFilter {
     /// Number of frames in these means, at most [`JITTER_MEMORY`].
     frames: f64,
     equations: Vec<Equation>,
+    /// The correction by flow in the last update.
+    measured: Option<Correction>,
+}
+
+/// By how much a yaw between two frames is wrong, as image motion shows it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct YawError {
+    /// The yaw of image motion less that of the poses, radians.
+    pub rad: f64,
+    /// Variance of `rad`, rad^2.
+    pub variance_rad2: f64,
 }
 
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
@@ -120,6 +131,7 @@ impl Default for RotationFilter {
             reversal: FIRST_JITTER_RAD * FIRST_JITTER_RAD,
             frames: 1.0,
             equations: Vec::new(),
+            measured: None,
         }
     }
 }
@@ -137,6 +149,14 @@ impl RotationFilter {
         (2.0 * (self.reversal - 0.25 * self.mean_square)).max(0.0)
     }
 
+    /// What flow says of the rotation about `axis` (a unit vector in the camera's axes) since the previous frame, beside the
+    /// measured poses. `None` where the last update did not use flow.
+    pub fn error_about(&self, axis: &Vector3<f64>) -> Option<YawError> {
+        let Correction { rotation, variance } = self.measured?;
+        let variance_rad2 = variance.dot(&axis.component_mul(axis));
+        Some(YawError { rad: rotation.dot(axis), variance_rad2 })
+    }
+
     /// Forgets the previous pose.
     pub fn forget(&mut self) {
         self.before = None;
@@ -147,6 +167,7 @@ impl RotationFilter {
         self.before = Some(Before { measured: *measured, filtered: *measured });
         self.variance = Vector3::zeros();
         self.correction = None;
+        self.measured = None;
     }
 
     /// Returns `measured` (`t_odom_camera`) with its rotation filtered, or unchanged when flow shows too little.
@@ -176,6 +197,7 @@ impl RotationFilter {
             Pose3::from_parts(measured.translation, before.filtered.rotation * rotation);
         let t_now_before = predicted.inverse() * before.filtered;
         let correction = self.correction(&t_now_before, observed, prior)?;
+        self.measured = Some(correction);
         Some(self.fuse(&predicted, measured, correction))
     }
 

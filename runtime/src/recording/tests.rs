@@ -32,6 +32,7 @@ fn decision(tick: u64) -> Decision {
         desired: Command { linear_mps: 0.3, angular_radps: 1.0 / 3.0 },
         sent: Some(Command { linear_mps: 0.1 * tick as f64, angular_radps: -0.0 }),
         t_odom_base: Pose2::new(0.1, 0.2, 0.3),
+        t_odom_base_at_frame: Pose2::new(0.09, 0.2, 0.29),
         t_map_odom: Pose2::new(-0.01, 0.0, 0.002),
         goal_m: (!tick.is_multiple_of(3)).then_some([1.5, -0.1]),
         events: vec![Event::GoalChosen { x_m: 1.5, y_m: -0.1, why: GoalReason::Frontier }],
@@ -234,6 +235,7 @@ fn any_decision() -> impl Strategy<Value = Decision> {
             desired: Command { linear_mps: v[0], angular_radps: v[1] },
             sent: goal.then_some(Command { linear_mps: v[2], angular_radps: v[3] }),
             t_odom_base: Pose2::new(v[0], v[1], v[2]),
+            t_odom_base_at_frame: Pose2::new(v[2], v[0], v[1]),
             t_map_odom: Pose2::new(v[3], v[4], v[5]),
             goal_m: goal.then_some([v[4], v[5]]),
             events: vec![

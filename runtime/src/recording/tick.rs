@@ -97,6 +97,18 @@ impl RecordedTick {
         self.decision.as_ref().map_or(self.wheel.odom, |decision| decision.t_odom_base)
     }
 
+    /// The same when the frame was exposed: the pose of the frame.
+    #[must_use]
+    pub fn t_odom_base_at_frame(&self) -> Pose2 {
+        self.decision.as_ref().map_or(self.wheel.odom, |decision| decision.t_odom_base_at_frame)
+    }
+
+    /// Where localization believed the robot to be when the frame was exposed, in `map`.
+    #[must_use]
+    pub fn t_map_base_at_frame(&self) -> Pose2 {
+        self.decision.as_ref().map_or(self.wheel.odom, Decision::t_map_base_at_frame)
+    }
+
     /// Where localization believed the robot to be, in `map`: for what compares places. By wheel odometry alone where the tick
     /// has no decision.
     #[must_use]

@@ -10,8 +10,10 @@ use crate::tick::TickInput;
 /// Poses of one tick.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TickPoses {
-    /// Pose at the time of the frame, in `odom`: smooth, never jumps. Depth is made from it.
+    /// Pose at the time of the tick's wheel feedback, in `odom`: smooth, never jumps.
     pub t_odom_base: Pose2,
+    /// Pose when the frame was exposed, in `odom`. Depth is made from it.
+    pub t_odom_base_at_frame: Pose2,
     /// Pose of `odom` in `map`, the frame of map, path and goals.
     pub t_map_odom: Pose2,
     /// Pose at the middle of the scan, in `odom`.
@@ -22,14 +24,21 @@ impl TickPoses {
     /// Before the first tick.
     pub(super) const START: Self = Self {
         t_odom_base: Pose2::IDENTITY,
+        t_odom_base_at_frame: Pose2::IDENTITY,
         t_map_odom: Pose2::IDENTITY,
         t_odom_base_at_scan: Pose2::IDENTITY,
     };
 
-    /// Pose at the time of the frame, in `map`.
+    /// Pose at the time of the tick's wheel feedback, in `map`.
     #[must_use]
     pub fn t_map_base(&self) -> Pose2 {
         self.t_map_odom.compose(&self.t_odom_base)
+    }
+
+    /// Pose when the frame was exposed, in `map`.
+    #[must_use]
+    pub fn t_map_base_at_frame(&self) -> Pose2 {
+        self.t_map_odom.compose(&self.t_odom_base_at_frame)
     }
 }
 
@@ -62,6 +71,7 @@ impl Location {
         if self.config.source == PoseSource::Wheels {
             return TickPoses {
                 t_odom_base: wheel,
+                t_odom_base_at_frame: wheel,
                 t_map_odom: Pose2::IDENTITY,
                 t_odom_base_at_scan: input.scan_odom,
             };
@@ -74,6 +84,7 @@ impl Location {
         let Some(localizer) = &mut self.localizer else {
             return TickPoses {
                 t_odom_base: wheel,
+                t_odom_base_at_frame: wheel,
                 t_map_odom: Pose2::IDENTITY,
                 t_odom_base_at_scan: wheel,
             };
@@ -84,6 +95,7 @@ impl Location {
         let at_scan = estimate.t_odom_base_at_scan;
         TickPoses {
             t_odom_base,
+            t_odom_base_at_frame: t_odom_base,
             t_map_odom: self.origin.compose(&estimate.t_map_odom).compose(&self.origin.inverse()),
             t_odom_base_at_scan: at_scan.map_or(t_odom_base, |pose| self.origin.compose(&pose)),
         }

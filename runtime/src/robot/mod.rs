@@ -1,11 +1,13 @@
 //! The exploration plane's decisions: perceive, map, choose a goal, plan, for one tick's input.
 
+mod camera_time;
 mod location;
 mod map_correction;
 
 use std::collections::VecDeque;
 
 use hal::{CameraModel, DepthMap, LaserScan, Pose2, Pose3, Twist2};
+use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
@@ -21,6 +23,7 @@ use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::recording::input_digest;
 use crate::snapshot::{SNAPSHOT_VERSION, SnapshotError, State, remembers};
 use crate::tick::{Decision, SentCommand, TickInput};
+use camera_time::CameraTime;
 use location::Location;
 use map_correction::MapCorrection;
 
@@ -149,6 +152,7 @@ pub struct Robot {
     truth: DepthEstimate,
     has_depth: HasDepth,
     location: Location,
+    camera_time: CameraTime,
     poses: TickPoses,
     map_correction: MapCorrection,
     map: OccupancyGrid,
@@ -191,6 +195,7 @@ impl Robot {
                 config.localization.clone(),
                 Pose2::new(config.laser_forward_m, 0.0, 0.0),
             )?,
+            camera_time: CameraTime::default(),
             poses: TickPoses::START,
             map_correction: MapCorrection::default(),
             map: OccupancyGrid::new(&config.map)?,
@@ -299,8 +304,9 @@ impl Robot {
         events.extend(input.safety.events.iter().map(|what| Event::Safety { what: *what }));
         self.localize(input, scan, &mut events);
         self.note_blocked(input);
-        let t_odom_camera = self.poses.t_odom_base.to_pose3() * self.config.t_base_camera;
+        let t_odom_camera = self.poses.t_odom_base_at_frame.to_pose3() * self.config.t_base_camera;
         self.estimate_depth(input, &t_odom_camera, &mut events, timer);
+        self.find_camera_time(input);
         let depth_digest = self.mapped_depth().map_or(0, digest_of);
         self.update_map(scan);
         timer.ended(Stage::Map);
@@ -313,6 +319,7 @@ impl Robot {
             sent: input.safety.sent.last().map(SentCommand::command),
             goal_m: self.explorer.goal().map(|goal| goal.target_m),
             t_odom_base: self.poses.t_odom_base,
+            t_odom_base_at_frame: self.poses.t_odom_base_at_frame,
             t_map_odom: self.poses.t_map_odom,
             events,
             input_digest: input_digest(input),
@@ -337,6 +344,7 @@ impl Robot {
             sent: input.safety.sent.last().map(SentCommand::command),
             goal_m: None,
             t_odom_base: self.poses.t_odom_base,
+            t_odom_base_at_frame: self.poses.t_odom_base_at_frame,
             t_map_odom: self.poses.t_map_odom,
             events,
             input_digest: input_digest(input),
@@ -380,6 +388,20 @@ impl Robot {
         }
     }
 
+    fn find_camera_time(&mut self, input: &TickInput<'_>) {
+        if input.frame.is_some() {
+            let up = self.config.t_base_camera.rotation.inverse() * Vector3::z();
+            let yaw_error = self.coarse.yaw_error(&up);
+            self.camera_time.observe(input.wheel.time_ns, &input.wheel.twist, yaw_error);
+        }
+    }
+
+    /// Time from the exposure of a frame to its stamp as found so far, and its standard deviation, seconds.
+    #[must_use]
+    pub fn camera_latency_s(&self) -> (f64, f64) {
+        (self.camera_time.latency_s(), self.camera_time.error_s())
+    }
+
     /// Whether `truth` has the camera's size.
     fn copy_truth(&mut self, truth: &DepthMap) -> bool {
         if (truth.width(), truth.height()) != (self.config.camera.width, self.config.camera.height)
@@ -417,7 +439,7 @@ impl Robot {
 
     fn update_map(&mut self, scan: Option<&LaserScan>) {
         let t_map_base = self.poses.t_map_base();
-        let t_map_camera = t_map_base.to_pose3() * self.config.t_base_camera;
+        let t_map_camera = self.poses.t_map_base_at_frame().to_pose3() * self.config.t_base_camera;
         // Poses were checked in `refusal`, shapes in `tick`: an error here means that the map stays as it was in this tick.
         if self.map.begin_update(&t_map_base).is_err() {
             return;
@@ -486,6 +508,10 @@ impl Robot {
         events: &mut Vec<Event>,
     ) {
         self.poses = self.location.update(input, scan);
+        if self.config.localization.estimate_camera_latency {
+            self.poses.t_odom_base_at_frame =
+                self.camera_time.at_exposure(&self.poses.t_odom_base, &input.wheel.twist);
+        }
         if let Some(moved) = self.map_correction.update(&self.location, &mut self.map) {
             let before = self.poses.t_map_base();
             events.push(Event::MapCorrected { shift_m: moved.shift_m(&before) });
@@ -562,7 +588,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, location, poses, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, location, camera_time, poses, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// Keeps the newest map and those of the `gap` frames before it.

@@ -106,7 +106,8 @@ def write_segment(
             size = {"width": frames.camera.width, "height": frames.camera.height}
             add("truth", classes["RawImage"](encoding="16UC1", data=data, **size).SerializeToString(), time_ns)
         t_odom_base = wheel if localized is None else localized[index]
-        decision = {"t_odom_base": t_odom_base, "t_map_odom": t_map_odom or IDENTITY}
+        poses = {"t_odom_base": t_odom_base, "t_odom_base_at_frame": t_odom_base}
+        decision = {**poses, "t_map_odom": t_map_odom or IDENTITY}
         add("decision", json.dumps(decision).encode(), time_ns)
         add("map", b"{}", time_ns)
     writer.finish()  # type: ignore[no-untyped-call]

@@ -78,7 +78,7 @@ impl Export {
         let stamp = stamp(tick.time_ns);
         let name = format!("rgb/{stamp}.png");
         self.png(&name, &frame.rgb, frame.width, frame.height, ExtendedColorType::Rgb8)?;
-        let pose = tick.t_map_base().to_pose3() * header.run.t_base_camera;
+        let pose = tick.t_map_base_at_frame().to_pose3() * header.run.t_base_camera;
         let t = pose.translation.vector;
         let q = pose.rotation;
         // Writing into a String cannot fail.

@@ -106,6 +106,7 @@ class _Run:
         self.t_base_laser: NDArray[np.float64] = np.eye(4)
         self.scan: Scan | None = None
         self.t_odom_laser: NDArray[np.float64] = np.eye(4)
+        self.t_wheels_base: NDArray[np.float64] = np.eye(4)
         self.rgb: list[NDArray[np.uint8]] = []
         self.poses: list[NDArray[np.float64]] = []
         self.times: list[int] = []
@@ -140,18 +141,19 @@ class _Run:
                 elif channel.topic == IMAGE:
                     self.rgb.append(self._image(file, tick, decode(message.data)))
                     x_m, y_m, yaw_rad = _planar(where, tick, "wheel")
-                    t_odom_base = _pose(x_m, y_m, yaw_rad)
-                    self.poses.append(t_odom_base @ t_base_camera)
+                    self.t_wheels_base = _pose(x_m, y_m, yaw_rad)
+                    self.poses.append(self.t_wheels_base @ t_base_camera)
                     self.held_out.append(is_held_out(x_m, y_m, yaw_rad))
                     self.times.append(int(tick["time_ns"]))
-                    self.lines.append(self._line(t_odom_base))
+                    self.lines.append(self._line(self.t_wheels_base))
                 else:
                     self.truth.append(_millimetres(file, tick, decode(message.data)))
 
     def _localize(
         self, file: Path, tick: dict[str, Any], decision: dict[str, Any], t_base_camera: NDArray[np.float64]
     ) -> None:
-        """Replaces the wheels' pose of the tick's frame by the localized one.
+        """Replaces the wheels' pose of the tick's frame by the localized one of its exposure, which is earlier than its
+        time stamp.
 
         Neighbouring frames are compared in `odom`, which never jumps; places are compared in `map`.
         """
@@ -159,8 +161,11 @@ class _Run:
             return
         where = f"{file}: the decision of tick {tick['tick']}"
         t_odom_base = _pose(*_planar(where, decision, "t_odom_base"))
-        self.poses[-1] = t_odom_base @ t_base_camera
-        t_map_base = _pose(*_planar(where, decision, "t_map_odom")) @ t_odom_base
+        t_odom_frame = _pose(*_planar(where, decision, "t_odom_base_at_frame"))
+        self.poses[-1] = t_odom_frame @ t_base_camera
+        # The scan's pose is that of the wheels, so the frame's is too.
+        self.lines[-1] = self._line(self.t_wheels_base @ np.linalg.inv(t_odom_base) @ t_odom_frame)
+        t_map_base = _pose(*_planar(where, decision, "t_map_odom")) @ t_odom_frame
         yaw_rad = np.arctan2(t_map_base[1, 0], t_map_base[0, 0])
         self.held_out[-1] = is_held_out(t_map_base[0, 3], t_map_base[1, 3], yaw_rad)
 
@@ -187,7 +192,7 @@ class _Run:
             self.t_base_laser = _rigid(header["run"]["t_base_laser"])
         return t_base_camera
 
-    def _line(self, t_odom_base: NDArray[np.float64]) -> NDArray[np.uint16]:
+    def _line(self, t_odom_base: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
         """The LiDAR's line in the frame that was read last; empty where no scan is close enough in time. The robot may
         have moved between scan and frame, so the scan is placed at the pose of its own time."""
         assert self.camera is not None

@@ -1,0 +1,171 @@
+//! How much earlier than its time stamp a frame was exposed, found while the robot drives.
+//!
+//! A camera stamps frames when their transfer begins, some 20 ms after their exposure. At 1 rad/s the frame then gets a heading
+//! that is wrong by 20 mrad, which is more than the parallax of most of the scene. Between two frames the heading is wrong by
+//! latency times the *change* of the yaw rate: where the robot starts or ends a rotation, image motion shows the error, and a
+//! Kalman filter (Kalman 1960) with one state finds the latency.
+
+use hal::{Pose2, Twist2};
+use serde::{Deserialize, Serialize};
+
+use crate::perception::YawError;
+
+/// Latency that is expected before any frame: within 20 ms of the stamp, as a standard deviation.
+const FIRST_ERROR_S: f64 = 0.02;
+/// Error of the heading between two frames that has other reasons than latency, radians: the matching of scans.
+const HEADING_ERROR_RAD: f64 = 0.002;
+/// The same as a share of the yaw between the frames: the wheels between two scans.
+const HEADING_ERROR: f64 = 0.02;
+/// The latency may change this much in one second, as a standard deviation (a random walk): exposure times follow the light.
+const WALK_S: f64 = 0.00005;
+/// An observation further from the estimate than this many standard deviations is left out: people, slip, blur.
+const GATE: f64 = 4.0;
+/// Latencies beyond this are defects of the driver, and other motion would be taken for them, seconds.
+const LARGEST_S: f64 = 0.15;
+/// Frames further apart overlap too little, seconds.
+const LONGEST_GAP_S: f64 = 0.25;
+
+/// The estimate, and what it remembers of the frame before.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(super) struct CameraTime {
+    latency_s: f64,
+    variance_s2: f64,
+    before: Option<FrameTime>,
+}
+
+/// The motion at the time of a frame.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+struct FrameTime {
+    time_ns: u64,
+    yaw_rate_radps: f64,
+    /// By how much the heading was corrected for this frame, radians.
+    corrected_rad: f64,
+}
+
+impl Default for CameraTime {
+    fn default() -> Self {
+        Self { latency_s: 0.0, variance_s2: FIRST_ERROR_S * FIRST_ERROR_S, before: None }
+    }
+}
+
+impl CameraTime {
+    /// Time from the exposure of a frame to its stamp, seconds.
+    pub(super) fn latency_s(&self) -> f64 {
+        self.latency_s
+    }
+
+    /// Standard deviation of [`latency_s`](Self::latency_s), seconds.
+    pub(super) fn error_s(&self) -> f64 {
+        self.variance_s2.sqrt()
+    }
+
+    /// Where the robot was when the frame was exposed that is stamped with the time of `t_odom_base`. `twist` is the robot's
+    /// motion.
+    pub(super) fn at_exposure(&self, t_odom_base: &Pose2, twist: &Twist2) -> Pose2 {
+        let pose = t_odom_base.compose(&twist.integrate(-self.latency_s));
+        if pose.is_finite() { pose } else { *t_odom_base }
+    }
+
+    /// Learns from a frame whose pose came from [`at_exposure`](Self::at_exposure). `yaw_error` is what image motion says of
+    /// the yaw since the frame before; `None` when it says nothing.
+    pub(super) fn observe(&mut self, time_ns: u64, twist: &Twist2, yaw_error: Option<YawError>) {
+        let yaw_rate_radps = twist.angular_radps;
+        if !yaw_rate_radps.is_finite() {
+            self.before = None;
+            return;
+        }
+        let corrected_rad = -self.latency_s * yaw_rate_radps;
+        let now = FrameTime { time_ns, yaw_rate_radps, corrected_rad };
+        let Some(before) = self.before.replace(now) else { return };
+        let passed_s = time_ns.saturating_sub(before.time_ns) as f64 * 1e-9;
+        self.variance_s2 += WALK_S * WALK_S * passed_s;
+        if passed_s > LONGEST_GAP_S {
+            return;
+        }
+        let Some(error) = yaw_error else { return };
+        // Without correction, the yaw between the frames would be wrong by -latency * change.
+        let change_radps = yaw_rate_radps - before.yaw_rate_radps;
+        let uncorrected_rad = error.rad + corrected_rad - before.corrected_rad;
+        let innovation_rad = uncorrected_rad + self.latency_s * change_radps;
+        let yaw_rad = yaw_rate_radps.abs().max(before.yaw_rate_radps.abs()) * passed_s;
+        let noise_rad2 =
+            error.variance_rad2 + HEADING_ERROR_RAD.powi(2) + (HEADING_ERROR * yaw_rad).powi(2);
+        let total_rad2 = self.variance_s2 * change_radps * change_radps + noise_rad2;
+        if innovation_rad * innovation_rad > GATE * GATE * total_rad2 {
+            return;
+        }
+        let gain = -self.variance_s2 * change_radps / total_rad2;
+        self.latency_s = (self.latency_s + gain * innovation_rad).clamp(-LARGEST_S, LARGEST_S);
+        self.variance_s2 *= noise_rad2 / total_rad2;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    const TICK_S: f64 = 0.1;
+
+    /// Drives with yaw rates that change every half second, with a camera that is `latency_s` late. `noise_rad` is the error of
+    /// image motion. Returns the filter.
+    fn driven(latency_s: f64, noise_rad: f64, frames: u64) -> CameraTime {
+        let mut random = Pcg64Mcg::seed_from_u64(7);
+        let mut filter = CameraTime::default();
+        let rate = |frame: u64| [0.0, 0.8, -0.5, 0.0, 1.0][(frame / 5 % 5) as usize];
+        let mut corrected_before = 0.0;
+        for frame in 0..frames {
+            let twist = Twist2 { linear_mps: 0.3, angular_radps: rate(frame) };
+            let corrected = filter.at_exposure(&Pose2::IDENTITY, &twist).yaw_rad;
+            let true_shift = -latency_s * (rate(frame) - rate(frame.saturating_sub(1)));
+            let noise = noise_rad * random.random_range(-1.7..1.7);
+            let error = true_shift - (corrected - corrected_before) + noise;
+            corrected_before = corrected;
+            let yaw_error = YawError { rad: error, variance_rad2: noise_rad * noise_rad };
+            let time_ns = (frame as f64 * TICK_S * 1e9) as u64;
+            filter.observe(time_ns, &twist, (frame > 0).then_some(yaw_error));
+        }
+        filter
+    }
+
+    proptest! {
+        #[test]
+        fn a_minute_of_driving_finds_the_latency_within_two_milliseconds(latency_s in -0.03..0.08_f64) {
+            let filter = driven(latency_s, 0.001, 600);
+            prop_assert!((filter.latency_s() - latency_s).abs() < 0.002, "{filter:?}");
+            prop_assert!(filter.error_s() < 0.001);
+        }
+    }
+
+    #[test]
+    fn straight_driving_shows_nothing() {
+        let mut filter = CameraTime::default();
+        let twist = Twist2 { linear_mps: 0.3, angular_radps: 0.0 };
+        for frame in 0..600_u64 {
+            let error = YawError { rad: 0.003, variance_rad2: 1e-6 };
+            filter.observe(frame * 100_000_000, &twist, Some(error));
+        }
+        assert_eq!(filter.latency_s().to_bits(), 0.0_f64.to_bits());
+        assert!(filter.error_s() >= FIRST_ERROR_S);
+    }
+
+    #[test]
+    fn one_wrong_rotation_after_a_minute_changes_nothing() {
+        let mut filter = driven(0.02, 0.001, 600);
+        let before = filter.latency_s();
+        let twist = Twist2 { linear_mps: 0.0, angular_radps: -1.0 };
+        let wrong = YawError { rad: 0.2, variance_rad2: 1e-6 };
+        filter.observe(60_000_000_000, &twist, Some(wrong));
+        assert_eq!(filter.latency_s().to_bits(), before.to_bits());
+    }
+
+    #[test]
+    fn the_pose_at_the_exposure_lies_behind_on_the_arc() {
+        let filter = driven(0.05, 0.0, 600);
+        let twist = Twist2 { linear_mps: 0.4, angular_radps: 1.0 };
+        let pose = filter.at_exposure(&Pose2::new(1.0, 2.0, 0.0), &twist);
+        assert!((pose.x_m - 0.98).abs() < 0.002 && (pose.yaw_rad + 0.05).abs() < 0.003, "{pose:?}");
+    }
+}
