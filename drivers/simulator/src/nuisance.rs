@@ -139,7 +139,7 @@ mod tests {
         assert!((gains[0] - 1.0).abs() < 1e-12);
         assert!(low >= (-0.5_f64).exp2() && high <= 0.5_f64.exp2());
         assert!(high / low > 1.7, "{low} to {high}");
-        // From one frame to the next it moves little.
+        // The gain changes little from one frame to the next.
         assert!(gains.windows(2).all(|g| (g[1] / g[0] - 1.0).abs() < 0.02));
     }
 

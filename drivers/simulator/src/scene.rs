@@ -28,8 +28,8 @@ pub enum LidarResponse {
     Diffuse,
     /// The beam passes: clear glass with something behind it.
     Glass,
-    /// The beam goes away and does not return, unless it hits the surface almost perpendicularly:
-    /// black lacquer, and a window with the open air behind it.
+    /// The beam is absorbed or leaves the scene, and does not return unless it hits the surface almost
+    /// perpendicularly: black lacquer, and a window with the open air behind it.
     Absorbing,
 }
 

@@ -130,7 +130,8 @@ impl Explorer {
         }
     }
 
-    /// Moves everything that is remembered by its place, after the map was corrected. The path is planned anew.
+    /// Applies the correction of the map, `moved`, to the goal, the blacklist and the recorded positions. The next
+    /// tick plans a new path.
     pub fn move_places(&mut self, moved: impl Fn([f64; 2]) -> [f64; 2]) {
         if let Some(goal) = &mut self.goal {
             goal.target_m = moved(goal.target_m);

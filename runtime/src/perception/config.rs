@@ -148,7 +148,7 @@ impl CoarseConfig {
     }
 }
 
-// By value: every caller has a number at hand.
+// The value is passed by value because every caller has just computed it.
 #[allow(clippy::needless_pass_by_value)]
 fn require(
     field: &'static str,

@@ -152,7 +152,7 @@ impl Odometer {
         } else {
             0.0
         };
-        // Unequal wheels bend a path the other way when it is driven backwards.
+        // Unequal wheels bend a path to the other side when it is driven backwards.
         let forward_m = length.copysign(t_before_after.x_m);
         let yaw = rotation * self.rotation_factor
             + self.noise.rotation * skid * rotation.abs().sqrt()

@@ -162,9 +162,9 @@ fn scans_are_taken_at_most_once_per_period_and_measure_the_room() {
     assert!(!devices.lidar.poll_scan(&mut scan).unwrap());
     devices.clock.sleep_until_ns(25_000_000);
     assert!(devices.lidar.poll_scan(&mut scan).unwrap());
-    // It is the revolution that has just ended.
+    // The scan is that of the revolution that has just ended.
     assert_eq!((scan.time_ns, scan.middle_ns()), (0, 12_500_000));
-    // A scanner does not wait to be polled.
+    // The scanner measures whether it is polled or not.
     devices.clock.sleep_until_ns(80_000_000);
     assert!(devices.lidar.poll_scan(&mut scan).unwrap());
     assert_eq!(scan.time_ns, 50_000_000);

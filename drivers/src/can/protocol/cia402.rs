@@ -6,9 +6,8 @@
 //! by the same tick as the velocities, so it cannot outlive the commands.
 //!
 //! Frames of one tick: the host's heartbeat (sent by one motor for all, once its watchdog is
-//! confirmed), RPDO1 with controlword and
-//! target velocity, SYNC (also sent by one motor), and in response to it the drive's TPDO1
-//! (statusword, velocity) and TPDO2 (position).
+//! confirmed), RPDO1 with controlword and target velocity, SYNC (also sent by one motor), and in
+//! response to it the drive's TPDO1 (statusword, velocity) and TPDO2 (position).
 
 use std::f64::consts::TAU;
 
