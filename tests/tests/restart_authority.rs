@@ -1,5 +1,6 @@
-//! Nothing moves unless a person asked for it since: the real safety loop and base driver, with
-//! simulated controllers of all three protocols that lose power, restart, fall silent and boot.
+//! Nothing moves unless a person asked for it after the last event that needs a person: the real
+//! safety loop and base driver, with simulated controllers of all three protocols that lose power,
+//! restart, fall silent and boot.
 #![allow(missing_docs, clippy::expect_used, clippy::panic)]
 
 use drivers::can::{BaseConfig, Protocol};

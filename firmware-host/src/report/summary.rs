@@ -141,7 +141,7 @@ pub struct MapError {
 }
 
 impl MapError {
-    /// Percentiles of distances, by the nearest rank; `None` of nothing.
+    /// Percentiles of distances, by the nearest rank; `None` without any distance.
     #[must_use]
     pub fn of(mut distances: Vec<f64>) -> Option<Self> {
         distances.sort_by(f64::total_cmp);

@@ -235,8 +235,8 @@ mod tests {
 
     #[test]
     fn up_is_found_however_the_camera_is_held() {
-        // If the camera rotates, its pitch does not matter. If it looks one way, it has to be held
-        // upright.
+        // If the camera rotates, its pitch does not matter. If it always points in one direction,
+        // it has to be held upright.
         for (rotation_rad, pitch_rad, tolerance_rad) in
             [(6.0, 0.5, 0.03), (1.0, 0.3, 0.1), (0.0, 0.0, 0.03)]
         {
