@@ -60,7 +60,8 @@ impl Tick {
 }
 
 impl Scenario {
-    /// A robot with a small camera in an apartment, with injected faults; `random` stands for a minute of random faults.
+    /// A robot with a small camera in an apartment, with injected faults. The fault `random` is replaced by a minute of
+    /// random faults.
     ///
     /// # Errors
     /// A text that is not a fault. A built-in home that cannot be opened or a default configuration that is refused is a defect
@@ -110,7 +111,7 @@ impl Scenario {
         Ok(self)
     }
 
-    /// The robot.
+    /// The robot, for reading its state.
     #[must_use]
     pub fn robot(&self) -> &Robot {
         self.session.robot()

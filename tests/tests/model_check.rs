@@ -189,7 +189,7 @@ impl Model {
         }
     }
 
-    /// The abstract state.
+    /// The abstract state, as the key of visited states.
     fn key(&self) -> String {
         let robot = &self.robot;
         let state = match robot.state() {

@@ -8,7 +8,7 @@ use crate::{command, onnx_runtime, paths};
 
 const SCENE: &str = "builtin:apartment?seed=1";
 const FRAMES: &str = "3000";
-/// See firmware-host/models/README.md.
+/// The default network; firmware-host/models/README.md describes it.
 const MODEL: &str = "firmware-host/models/default.onnx";
 
 pub fn run() -> Result<()> {

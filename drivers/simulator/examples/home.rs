@@ -52,7 +52,7 @@ fn draw(kind: HomeKind, options: &HomeOptions, out: &Path) -> Result<(), Box<dyn
     views(&home, &out.join(format!("{name}-views.png")))
 }
 
-/// Looking down on everything below 2.1 m.
+/// Draws the plan from above: everything below 2.1 m.
 fn plan(home: &Home) -> Result<image::RgbImage, Box<dyn Error>> {
     const PER_M: f32 = 60.0;
     let far = home

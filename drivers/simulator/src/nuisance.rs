@@ -36,11 +36,11 @@ hal::settings! {
 #[error("nuisance `{field}` is {value}, but must be from {allowed}")]
 #[non_exhaustive]
 pub struct NuisanceError {
-    /// Field of [`Nuisances`].
+    /// Name of the field of [`Nuisances`].
     pub field: &'static str,
-    /// Its value.
+    /// The refused value.
     pub value: f64,
-    /// The allowed range.
+    /// The range of allowed values.
     pub allowed: &'static str,
 }
 

@@ -22,7 +22,7 @@ pub struct Person {
 /// Linear-light colours of a person.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Clothes {
-    /// Torso and arms.
+    /// Colour of the torso and the arms.
     pub shirt: [f32; 3],
     pub trousers: [f32; 3],
     pub skin: [f32; 3],

@@ -18,7 +18,7 @@ const BUFFERS: u32 = 4;
 /// longer than that of any usable camera, so that a silence is not reported too early.
 const UNKNOWN_INTERVAL_NS: u64 = 100_000_000;
 
-/// A streaming camera.
+/// A camera that is open and streams.
 pub struct Stream {
     node: Box<dyn VideoNode>,
     layout: Layout,

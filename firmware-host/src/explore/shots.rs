@@ -53,7 +53,7 @@ impl Shots {
         self.shots.extend(row.map(|row| Shot { row, cells, coverage }));
     }
 
-    /// Writes the animation.
+    /// Writes the animation of the collected images.
     pub fn write(
         &self,
         title: &str,

@@ -31,7 +31,7 @@ pub struct PoseError {
 /// True and believed poses at one moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PosePair {
-    /// `t_world_base`.
+    /// True pose, `t_world_base`.
     pub truth: Pose2,
     /// Believed pose in the smooth frame, `t_odom_base`.
     pub t_odom_base: Pose2,

@@ -116,13 +116,13 @@ pub struct RunLog {
     pub line: LidarAgreement,
     /// Time of each stage.
     pub stopwatch: Stopwatch,
-    /// Events by kind.
+    /// Number of events of each kind.
     pub counts: EventCounts,
     /// Number of ticks with a frame.
     pub frames: u64,
     /// Distance by wheel odometry, metres.
     pub path_m: f64,
-    /// Poses in `map`.
+    /// Poses of the robot in `map`, one for each tick in which it moved.
     pub trajectory: Vec<Pose2>,
     /// Places in `map` where the safety plane stopped for an obstacle, metres.
     pub trips_m: Vec<[f64; 2]>,

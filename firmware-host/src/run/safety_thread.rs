@@ -128,13 +128,13 @@ pub struct LoopStatus {
 
 /// The safety thread, as the rest of the program sees it.
 pub struct SafetyThread {
-    /// The newest status.
+    /// The newest status of the loop.
     pub status: Output<LoopStatus>,
     /// Number of steps so far; systemd's watchdog is fed while it increases.
     pub steps: Arc<AtomicU64>,
     /// Whether the thread runs with real-time priority.
     pub realtime: bool,
-    /// The operator's orders.
+    /// The operator's orders to the loop.
     pub panel: ControlPanel,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<LatencyHistogram>>,
@@ -151,7 +151,7 @@ pub struct Pace {
 
 impl SafetyThread {
     /// Starts the thread, opens the devices in it, and starts the loop. Threads that drivers start then inherit its priority.
-    /// Returns the exploration loop's port, and whatever else `open` made. Nothing moves before
+    /// Returns the exploration loop's port, and the other results of `open`. Nothing moves before
     /// [`ControlPanel::arm`].
     ///
     /// # Errors

@@ -23,17 +23,17 @@ pub struct Status {
     pub pid: u32,
     /// Time since the start of the program, seconds.
     pub uptime_s: f64,
-    /// The safety plane.
+    /// State of the safety plane.
     pub safety: SafetyStatus,
-    /// The camera.
+    /// State of the camera.
     pub camera: DeviceHealth,
-    /// The scanner.
+    /// State of the scanner.
     pub lidar: DeviceHealth,
-    /// The base.
+    /// State of the base.
     pub base: DeviceHealth,
-    /// The exploration plane.
+    /// State of the exploration plane.
     pub exploration: ExplorationStatus,
-    /// The recording.
+    /// State of the recording.
     pub recording: RecordingStatus,
 }
 
@@ -250,7 +250,7 @@ impl RateMeter {
     }
 }
 
-/// Seconds since 1970.
+/// The current time, seconds since 1970.
 #[must_use]
 pub fn unix_s() -> f64 {
     std::time::SystemTime::now()

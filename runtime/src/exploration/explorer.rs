@@ -37,7 +37,7 @@ const REVISIT_DRAWS: usize = 16;
 pub struct Observations<'a> {
     pub tick: u64,
     pub time_ns: u64,
-    /// `t_odom_base`.
+    /// Pose of the robot, `t_odom_base`.
     pub pose: Pose2,
     pub map: &'a OccupancyGrid,
     /// The newest single-frame map and an older one, to compare them.

@@ -9,7 +9,7 @@ use crate::snapshot::{SnapshotError, State};
 /// An earlier frame and the pose at which it was taken.
 #[derive(Debug, Clone)]
 pub struct Keyframe {
-    /// `t_odom_camera`.
+    /// Pose of the frame, `t_odom_camera`.
     pub pose: Pose3,
     pub census: CensusImage,
 }

@@ -45,7 +45,7 @@ impl MotionMask {
         }
     }
 
-    /// Clears the mask.
+    /// Clears the mask: no cell moves.
     pub fn clear(&mut self) {
         self.moving.fill(false);
     }

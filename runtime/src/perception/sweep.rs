@@ -161,7 +161,7 @@ pub fn length(x: f32, y: f32) -> f32 {
 /// The projection of a point into a reference.
 #[derive(Debug, Clone, Copy)]
 pub struct Observation {
-    /// Full-size pixels.
+    /// Position of the projection, full-size pixels.
     position: [f32; 2],
     per_z: f32,
     /// Derivative of the position with respect to inverse depth, pixels metre.
@@ -172,7 +172,7 @@ pub struct Observation {
 
 /// The projection of a point into a reference, with its derivatives.
 pub struct PatchObservation {
-    /// Full-size pixels.
+    /// Position of the projection, full-size pixels.
     pub position: [f32; 2],
     /// Derivative of the position per pixel to the right in the current frame.
     pub along_u: [f32; 2],
@@ -180,7 +180,7 @@ pub struct PatchObservation {
     pub along_v: [f32; 2],
     /// Derivative of the position with respect to inverse depth, pixels metre.
     pub motion: [f32; 2],
-    /// Length of `motion`.
+    /// Length of `motion`, pixels metre.
     pub speed: f32,
 }
 

@@ -17,7 +17,7 @@ const FARTHER: f32 = 2048.0;
 #[derive(Debug, Clone, Copy)]
 pub struct Cells<'a> {
     pub width: usize,
-    /// Row-major.
+    /// Beliefs of all cells, row-major.
     pub beliefs: &'a [Belief],
     /// Probability that each belief is right.
     pub confidence: &'a [f32],

@@ -4,7 +4,7 @@
 //!
 //! A request to arm gives the loop *authority* to arm the base. The authority ends with every event
 //! that needs a person ([`STOPS`](super::STOPS)), with a request to disarm, and if the base cannot be
-//! armed within [`ARM_WITHIN_NS`]. So no wheel turns unless a person asked for it after the last such
+//! armed within [`ARM_WITHIN_NS`]. So no wheel rotates unless a person asked for it after the last such
 //! event. While the authority lasts, a base that has to be armed again after a stop that resumes on
 //! evidence is armed without a new request.
 
@@ -21,7 +21,7 @@ const ARM_WITHIN_NS: u64 = 10_000_000_000;
 /// What one step gets from outside the safety loop.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Orders {
-    /// The newest plan.
+    /// The newest plan of the exploration loop.
     pub plan: Option<Plan>,
     /// The operator's request. It has to be given in one step only, because the loop stores it.
     pub request: Option<Request>,
@@ -292,7 +292,7 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
         SentCommand::drive(now_ns, counter, twist)
     }
 
-    /// The state machine.
+    /// The safety plane's state machine.
     pub fn plane(&self) -> &SafetyPlane {
         &self.plane
     }

@@ -24,7 +24,7 @@ const UNSEEN_SHARE: f64 = 0.9;
 /// its own radius, metres: at the stop distance, and where the robot must begin to brake.
 const AHEAD_M: [f64; 2] = [0.06, 0.25];
 
-/// What a beam says about the space along it.
+/// What a beam measured of the space along it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 enum Sight {
     Measured,

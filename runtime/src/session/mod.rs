@@ -45,16 +45,16 @@ pub trait Observer: StageTimer {
     /// The error that ends the session.
     type Error;
 
-    /// A tick begins.
+    /// Called when a tick begins.
     fn started(&mut self) {}
 
-    /// The tick's input is complete, and the robot has not seen it yet.
+    /// Called when the tick's input is complete, before the robot processes it.
     ///
     /// # Errors
     /// An error ends the session.
     fn before(&mut self, robot: &mut Robot, input: &TickInput<'_>) -> Result<(), Self::Error>;
 
-    /// The robot has decided, and the plan is with the safety loop.
+    /// Called when the robot has decided and the plan is with the safety loop.
     ///
     /// # Errors
     /// An error ends the session.
@@ -145,17 +145,17 @@ impl<D: Devices> Session<D> {
         Ok(Some(decision))
     }
 
-    /// Ticks so far.
+    /// Number of ticks so far.
     pub fn ticks(&self) -> u64 {
         self.tick
     }
 
-    /// Ticks that were skipped because the one before took longer than its period.
+    /// Number of ticks that were skipped because the one before took longer than its period.
     pub fn skipped(&self) -> u64 {
         self.skipped
     }
 
-    /// The robot.
+    /// The robot, for reading its state.
     pub fn robot(&self) -> &Robot {
         &self.robot
     }

@@ -15,7 +15,7 @@ use crate::tick::{SafetyReport, SentCommand};
 
 /// Wheel feedback of 0.6 s at 100 Hz: six ticks of 0.1 s.
 const WHEELS: usize = 64;
-/// More changes of state than a tick can bring.
+/// Changes of state; one tick brings fewer.
 const CHANGES: usize = 64;
 /// Commands of 20 s at 100 Hz. A longer tick is a defect; the report then contains the number of
 /// missing commands.
@@ -44,7 +44,7 @@ pub struct SafetyTask<B, L> {
 pub struct SafetyPort {
     /// The newest plan goes in here.
     pub plan: Input<Option<Plan>>,
-    /// The recent scans.
+    /// The ends of the circulation of scans, with the recent ones.
     pub(super) scans: ScanHistory,
     wheels: rtrb::Consumer<WheelFeedback>,
     changes: rtrb::Consumer<Change>,
@@ -104,7 +104,7 @@ impl<B: Base, L: Lidar> SafetyTask<B, L> {
         step
     }
 
-    /// The safety loop.
+    /// The safety loop, for reading its state.
     pub fn control(&self) -> &SafetyLoop<B, L> {
         &self.control
     }

@@ -26,7 +26,7 @@ impl<K: Clock, B: Base, L: Lidar> VirtualTime<K, B, L> {
         self.request = Some(request);
     }
 
-    /// The safety loop.
+    /// The safety loop, for reading its state.
     pub fn safety(&self) -> &SafetyTask<B, L> {
         &self.safety
     }

@@ -103,7 +103,7 @@ pub struct Composition {
     kinematics: Kinematics,
     wheel_radius_m: f64,
     outbox: Outbox,
-    /// What the planner asks for.
+    /// The velocity that the planner asks for.
     pub plan: Twist2,
     events: RefCell<Vec<runtime::event::SafetyEvent>>,
 }
@@ -208,7 +208,7 @@ impl Composition {
         self.events.borrow_mut().extend(step.output.event);
     }
 
-    /// Steps without requests.
+    /// Runs `count` steps without requests.
     pub fn steps(&mut self, count: usize) {
         (0..count).for_each(|_| self.step(None));
     }

@@ -19,9 +19,9 @@ use runtime::tick::{Decision, TickInput};
 use simulator::robot::Truth;
 use simulator::{SimulatedRobot, World};
 
-/// One frame.
+/// One frame with its ground truth.
 pub struct View {
-    /// RGB8, row-major.
+    /// The image, RGB8, row-major.
     pub rgb: Vec<u8>,
     /// Ground-truth z-depth, metres; 0 where unknown.
     pub truth: Option<DepthMap>,
@@ -35,7 +35,7 @@ pub struct Sequence {
     pub name: String,
     /// Camera model of all frames.
     pub camera: CameraModel,
-    /// The frames.
+    /// The frames in the order of time.
     pub views: Vec<View>,
 }
 

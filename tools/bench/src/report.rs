@@ -100,7 +100,7 @@ pub struct Peer {
 pub struct Goal {
     /// A worse value is a defect.
     pub floor: f64,
-    /// The desired value.
+    /// The value that is desired.
     pub target: f64,
 }
 
@@ -160,7 +160,7 @@ impl Row {
         Self { goal: Some(Goal { floor, target }), ..self }
     }
 
-    /// Adds a note.
+    /// Adds a note on the conditions of the measurement.
     #[must_use]
     pub fn note(self, note: impl Into<String>) -> Self {
         Self { note: note.into(), ..self }

@@ -42,7 +42,7 @@ pub fn folder(kernel: Kernel) -> PathBuf {
     paths::target().join("rig").join(kernel.name())
 }
 
-/// Installs whatever is missing.
+/// Installs everything that is missing.
 ///
 /// # Errors
 /// When this computer does not run Debian 12, or packages cannot be installed.

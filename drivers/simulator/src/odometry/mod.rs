@@ -43,7 +43,7 @@ pub struct OdometryNoise {
 }
 
 impl OdometryNoise {
-    /// Odometry without error.
+    /// Odometry without any error.
     pub const NONE: Self = Self {
         translation: 0.0,
         rotation: 0.0,
@@ -167,7 +167,7 @@ impl Odometer {
         self.t_odom_base = self.t_odom_base.compose(&measured);
     }
 
-    /// Measured pose `t_odom_base`.
+    /// The measured pose `t_odom_base`.
     #[must_use]
     pub fn pose(&self) -> Pose2 {
         self.t_odom_base

@@ -116,7 +116,7 @@ fn script(node: &Cia402Node) -> [Entry; ENTRIES] {
         Entry::u8(0x1a01, 0, 1),
         Entry::u8(0x1801, 2, 1),
         Entry::u32(0x1801, 1, u32::from(TPDO2) + id),
-        // Profile velocity mode.
+        // Selects profile velocity mode.
         Entry::u8(0x6060, 0, 3),
         // When the host's heartbeat is missing: a fault (0x6007), and on a fault the quick-stop
         // ramp (0x605E), never coasting.

@@ -50,7 +50,7 @@ const WALL_LINE_M: f32 = 0.02;
 /// A grid of square cells. Row 0 has the lowest y, column 0 the lowest x.
 #[derive(Debug, Clone, Copy)]
 pub struct Cells<'a, T> {
-    /// Number of columns.
+    /// Number of columns of the grid.
     pub width: usize,
     /// Row-major; the length must be a multiple of `width`.
     pub cells: &'a [T],

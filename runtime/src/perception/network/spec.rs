@@ -56,10 +56,10 @@ impl InputKind {
 /// The meaning of the first channel of the output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OutputKind {
-    /// z-depth in metres.
+    /// The channel is z-depth in metres.
     Depth,
-    /// x in 0..1 with disparity = 1/max + (1/min - 1/max) x and depth = 1/disparity (Godard et al. 2019, Monodepth2, section
-    /// 3).
+    /// The channel is x in 0..1 with disparity = 1/max + (1/min - 1/max) x and depth = 1/disparity (Godard et al. 2019,
+    /// Monodepth2, section 3).
     Disparity,
 }
 

@@ -43,7 +43,7 @@ struct SmallImage {
 
 #[derive(Debug, Clone)]
 struct Keyframe {
-    /// `t_odom_camera`.
+    /// Pose of the frame, `t_odom_camera`.
     pose: Pose3,
     image: SmallImage,
 }
@@ -55,7 +55,7 @@ pub(super) struct CostVolume {
     camera: CameraModel,
     inverse_depth: Vec<f32>,
     image: SmallImage,
-    /// Oldest first.
+    /// The keyframes, oldest first.
     keyframes: Vec<Keyframe>,
     spare: Vec<SmallImage>,
     largest: Vec<f32>,
