@@ -278,7 +278,7 @@ fn negotiate_interval(
     config: &CameraDeviceConfig,
     device: &Arc<str>,
 ) -> Result<u64, V4l2Error> {
-    // In thousandths: 29.97 Hz is an interval of 1000/29970 s.
+    // Rates are compared in thousandths: 29.97 Hz is an interval of 1000/29970 s.
     let desired = config
         .fps
         .map(|fps| Interval { numerator: 1000, denominator: (fps * 1000.0).round() as u32 });

@@ -46,7 +46,7 @@ struct MapAccuracy {
     /// occupied with a true obstacle within 0.15 m. Unlike `coverage`, it falls when the map shows floor at a wrong
     /// position.
     coverage_true: f64,
-    /// Of the occupied cells, the share more than 10 cm from any true obstacle, after the best
+    /// Share of the occupied cells that are more than 10 cm from any true obstacle, after the best
     /// rigid fit.
     off10: Option<f64>,
     /// Distances after the best rigid fit: of every occupied cell to the nearest true obstacle, and

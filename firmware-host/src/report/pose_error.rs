@@ -20,7 +20,7 @@ pub struct PoseError {
     /// 1 m of true path apart, metres per metre of it. Absent on a path that is shorter than that.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub rpe_m_per_m: Option<f64>,
-    /// The same of the heading, degrees per metre.
+    /// Relative error of the heading over the same pairs, degrees per metre.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub rpe_deg_per_m: Option<f64>,
     /// Size of the error of the last heading in the map if the first one was right, degrees, 0 to

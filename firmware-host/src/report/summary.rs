@@ -91,7 +91,7 @@ pub struct Summary {
     /// ([`StuckMeter`](super::stuck::StuckMeter)).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stuck_frames: Option<u64>,
-    /// Largest number of them in a row.
+    /// Largest number of such frames in a row.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stuck_longest_frames: Option<u64>,
     /// Ticks of a real robot's exploration plane that were skipped because the one before took
@@ -158,7 +158,7 @@ fn nearest_rank(sorted: &[f64], share: f64) -> Option<f64> {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LidarLine {
     pub all: AgreementStats,
-    /// The same in ranges of distance.
+    /// The agreement in ranges of distance.
     pub by_distance: Vec<AgreementStats>,
 }
 

@@ -249,7 +249,8 @@ fn fuse(each: &[[u8; PLANES]; MAX_REFERENCES], out: &mut [u8; PLANES]) -> u8 {
             worst = worst.max(bits);
             count = count.wrapping_add(u8::from(seen));
         }
-        // At most 96, so nothing here overflows: wrapping operations keep builds with overflow checks vectorised.
+        // The sum is at most 96, so nothing here overflows: wrapping operations keep builds with overflow checks
+        // vectorised.
         let kept = if count == 3 { sum.wrapping_sub(worst) } else { sum };
         let cost = if count == 1 { kept << 1 } else { kept };
         *out = if count == 0 { OUTSIDE } else { cost };

@@ -121,7 +121,7 @@ pub fn simulated(
 /// A base that drives another twist than the commanded one.
 struct MovedBase<B> {
     base: B,
-    /// What it drives, if not what is commanded.
+    /// The twist that it drives instead of the command; `None` to follow the command.
     instead: Option<Twist2>,
 }
 

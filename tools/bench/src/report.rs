@@ -91,7 +91,7 @@ impl Unit {
 pub struct Peer {
     /// The implementation and what it computes.
     pub name: String,
-    /// In the row's unit.
+    /// The peer's median, in the row's unit.
     pub median: f64,
 }
 
@@ -166,7 +166,7 @@ impl Row {
         Self { note: note.into(), ..self }
     }
 
-    /// By which factor our value is better than the peer's; below 1 it is worse.
+    /// The factor by which our value is better than the peer's; below 1 it is worse.
     #[must_use]
     pub fn ratio(&self) -> Option<f64> {
         let peer = self.peer.as_ref()?.median;

@@ -345,8 +345,8 @@ impl MotorProtocol for Cia402 {
     }
 
     fn tick(&mut self, now_ns: u64, out: &mut Outbox) {
-        // Not before the drive's watchdog is confirmed: a drive that still follows the last command of
-        // a program that ended must miss the heartbeat.
+        // The heartbeat is not sent before the drive's watchdog is confirmed: a drive that still
+        // follows the last command of a program that ended must miss the heartbeat.
         if self.node.leads && self.status.watchdog_ms.is_some() {
             let id = HEARTBEAT + u16::from(self.node.host);
             put(out, [CanFrame::standard_short(id, [OPERATIONAL, 0, 0, 0, 0, 0, 0, 0], 1)]);
@@ -406,7 +406,7 @@ impl MotorProtocol for Cia402 {
     }
 
     fn finish(&mut self, out: &mut Outbox) {
-        // Without this, the end of the host's heartbeat is a fault.
+        // Without this request, the end of the host's heartbeat would be a fault of the drive.
         put(out, [Entry::u32(0x1016, 1, 0).download(self.node.node)]);
     }
 

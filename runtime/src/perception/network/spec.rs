@@ -25,7 +25,7 @@ pub enum InputKind {
     Rgb,
     /// Like `Rgb`, with a second input of coarse disparity, validity and confidence in 0..1: `[1, 3, height, width]`.
     RgbAndCoarse,
-    /// Both in one input: `[1, 6, height, width]`.
+    /// The image and the coarse planes in one input: `[1, 6, height, width]`.
     RgbCoarseJoined,
     /// Like `Rgb`, with the cost volume as a second input: `[1, planes, height / 4, width / 4]`.
     RgbAndVolume {
