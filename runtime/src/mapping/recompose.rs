@@ -5,8 +5,8 @@
 //! section wins, as its observations would have done on the corrected path.
 //!
 //! One call places a limited number of cells, so that a tick keeps its time budget. The old map stays in use until
-//! the last call, which replaces it as a whole. The robot goes on mapping in between: its current section is placed
-//! last.
+//! the last call, which replaces it as a whole. The robot continues to map in between: its current section is
+//! placed last.
 
 use hal::Pose2;
 use serde::{Deserialize, Serialize};

@@ -44,7 +44,7 @@ pub struct SafetyTask<B, L> {
 pub struct SafetyPort {
     /// The newest plan goes in here.
     pub plan: Input<Option<Plan>>,
-    /// The ends of the circulation of scans, with the recent ones.
+    /// The recent scans, with the exploration loop's end of their circulation.
     pub(super) scans: ScanHistory,
     wheels: rtrb::Consumer<WheelFeedback>,
     changes: rtrb::Consumer<Change>,

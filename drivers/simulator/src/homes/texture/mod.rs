@@ -49,7 +49,7 @@ pub enum Skin {
     Spines,
     /// Leaves of a plant.
     Leaf,
-    /// A painting in a frame.
+    /// A painting that hangs on a wall.
     Painting(u8),
     /// The view through a window.
     View(u8),
